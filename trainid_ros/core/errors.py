@@ -1,0 +1,14 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Errors a caller may catch; every message names the file, topic or field at fault."""
+
+
+class TrainIdError(Exception):
+    """Root of all errors raised on purpose by this package."""
+
+
+class InputError(TrainIdError):
+    """A file, a field or an argument cannot be used (exit code 2 on the command line)."""
+
+
+class NoAnswerError(TrainIdError):
+    """The work ran, but the data holds no answer (exit code 1 on the command line)."""

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the topics carry, as plain values: one record per message, times in integer nanoseconds.
+
+Signs and units follow the interface: SI, gradient in per mille and positive uphill in the
+direction of travel, force at the wheel rim positive in traction, NaN for what is not known.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final, Union
+
+NS_PER_S: Final = 1_000_000_000
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedRecord:
+    """Measured speed [m/s, >= 0] and position along the line [m, NaN if unknown]."""
+
+    stamp_ns: int
+    speed: float
+    position: float
+
+
+@dataclass(frozen=True, slots=True)
+class ForceRecord:
+    """Wheel-rim force reported by drive and brake control [N]."""
+
+    stamp_ns: int
+    force: float
+
+
+@dataclass(frozen=True, slots=True)
+class GradientRecord:
+    """Gradient under the train [per mille], curve radius [m, 0 = straight], tunnel flag."""
+
+    stamp_ns: int
+    gradient: float
+    curve_radius: float
+    tunnel: bool
+
+
+@dataclass(frozen=True, slots=True)
+class BrakeRecord:
+    """Brake command: target acceleration [m/s^2, <= 0, 0 = no brake] and emergency flag."""
+
+    stamp_ns: int
+    target_acceleration: float
+    emergency: bool
+
+
+@dataclass(frozen=True, slots=True)
+class MassRecord:
+    """Train mass from load weighing [kg]."""
+
+    stamp_ns: int
+    mass: float
+
+
+Record = Union[SpeedRecord, ForceRecord, GradientRecord, BrakeRecord, MassRecord]
+
+
+@dataclass(frozen=True, slots=True)
+class InputTopic:
+    """Name, message type and record class of one input topic."""
+
+    name: str
+    message: str
+    record: type[Record]
+
+
+SPEED_TOPIC: Final = InputTopic('ato/speed', 'AtoSpeed', SpeedRecord)
+FORCE_TOPIC: Final = InputTopic('ato/force', 'AtoForce', ForceRecord)
+GRADIENT_TOPIC: Final = InputTopic('ato/gradient', 'TrackGradient', GradientRecord)
+BRAKE_TOPIC: Final = InputTopic('ato/brake_command', 'BrakeCommand', BrakeRecord)
+MASS_TOPIC: Final = InputTopic('ato/mass', 'TrainMass', MassRecord)
+
+INPUT_TOPICS: Final = (SPEED_TOPIC, FORCE_TOPIC, GRADIENT_TOPIC, BRAKE_TOPIC, MASS_TOPIC)
+REQUIRED_TOPICS: Final = (SPEED_TOPIC, FORCE_TOPIC, GRADIENT_TOPIC, BRAKE_TOPIC)

@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What an estimator answers: an estimate, or a refusal with its reason and numbers.
+
+Field names of the estimates are those of the messages in ``trainid_msgs``; drivers copy
+them by name.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import IntEnum
+
+
+class Status(IntEnum):
+    """Health of an estimate; the same numbers as in the messages."""
+
+    UNINITIALIZED = 0
+    CONVERGING = 1
+    VALID = 2
+    HOLDING = 3
+    STALE = 4
+    FAULT = 5
+
+
+class Reason(IntEnum):
+    """Why a record or a sample was not used; the same numbers as in the messages."""
+
+    NONE = 0
+    NOT_FINITE = 1
+    OUT_OF_RANGE = 2
+    ZERO_STAMP = 3
+    LATE = 4
+    DUPLICATE = 5
+    STAMP_JUMP = 6
+    GAP = 7
+    FORCE_MISSING = 8
+    GRADIENT_MISSING = 9
+    BRAKE_COMMAND_MISSING = 10
+    STANDSTILL = 11
+    BRAKING = 12
+    NOT_BRAKING = 13
+    FILLING_WINDOW = 14
+    SPEED_INCONSISTENT = 15
+    OUTLIER = 16
+    NUMERICAL = 17
+    THINNED = 18
+
+
+@dataclass(frozen=True, slots=True)
+class Refusal:
+    """A sample that was not used: the reason, the value that offended and the limit it broke."""
+
+    stamp_ns: int
+    reason: Reason
+    value: float
+    limit: float
+
+    def __str__(self) -> str:
+        """Return the reason with its numbers, for people."""
+        return f'{self.reason.name} (value {self.value:.6g}, limit {self.limit:.6g})'
+
+
+@dataclass(frozen=True, slots=True)
+class ResistanceEstimate:
+    """Davis parameters w(v) = a + b v + c v^2 [N/kN, v in m/s] with their covariance (3x3, row-major)."""
+
+    a: float
+    b: float
+    c: float
+    covariance: tuple[float, ...]
+    resistance: float
+    resistance_std: float
+    speed: float
+    innovation: float
+    innovation_variance: float
+    test_ratio: float
+    speed_min: float
+    speed_max: float
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedModelEstimate:
+    """Speed model x(n) = a1 x^2 + a2 x + b1 u + d0 of Yuan et al., eq. (2), and what it means.
+
+    ``covariance`` is 4x4 row-major in the order a1, a2, b1, d0. ``a b c`` are the Davis parameters
+    [N/kN] and ``mass_factor`` is (M / M_nominal)(1 + gamma); all NaN while b1 is not positive.
+    """
+
+    a1: float
+    a2: float
+    b1: float
+    d0: float
+    covariance: tuple[float, ...]
+    forgetting_factor: float
+    predicted_speed: float
+    prediction_error: float
+    a: float
+    b: float
+    c: float
+    mass_factor: float
+
+
+@dataclass(frozen=True, slots=True)
+class BrakeRateEstimate:
+    """Brake rate (actual over expected braking, 1 = nominal) and the filtered train state."""
+
+    brake_rate: float
+    brake_rate_std: float
+    position: float
+    speed: float
+    control_acceleration: float
+    filtered_target: float
+    effective_particles: float
+    observable: bool
+    innovation: float
+    innovation_variance: float
+    test_ratio: float
+
+
+Estimate = ResistanceEstimate | SpeedModelEstimate | BrakeRateEstimate

@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The aligned sample: what every estimator steps on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class BrakeCommandChange:
+    """A brake command that holds from ``stamp_ns`` on [m/s^2, <= 0]."""
+
+    stamp_ns: int
+    target_acceleration: float
+
+
+@dataclass(frozen=True, slots=True)
+class Sample:
+    """All inputs brought to the stamp of one speed measurement.
+
+    Attributes:
+        stamp_ns: Stamp of the speed measurement.
+        dt: Time since the previous sample [s]; NaN for the first and after a gap.
+        speed: Measured speed [m/s].
+        position: Position along the line [m], NaN if unknown.
+        force: Wheel-rim force at the stamp [N], NaN if unknown.
+        force_mean: Mean of the force since the previous sample [N], NaN if unknown.
+        gradient: Gradient at the stamp [per mille], NaN if unknown.
+        gradient_mean: Mean of the gradient since the previous sample [per mille].
+        curve_radius: Radius [m], 0 = straight.
+        tunnel: True inside a tunnel.
+        mass: Mass from load weighing [kg], NaN if not weighed.
+        brake_command: Commanded acceleration in force at the stamp [m/s^2, <= 0], NaN if unknown.
+        brake_changes: Commands that became valid since the previous sample, oldest first.
+        emergency: True under emergency braking.
+
+    """
+
+    stamp_ns: int
+    dt: float
+    speed: float
+    position: float
+    force: float
+    force_mean: float
+    gradient: float
+    gradient_mean: float
+    curve_radius: float
+    tunnel: bool
+    mass: float
+    brake_command: float
+    brake_changes: tuple[BrakeCommandChange, ...]
+    emergency: bool
