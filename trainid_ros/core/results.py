@@ -39,11 +39,10 @@ class Reason(IntEnum):
     STANDSTILL = 11
     BRAKING = 12
     NOT_BRAKING = 13
-    FILLING_WINDOW = 14
-    SPEED_INCONSISTENT = 15
-    OUTLIER = 16
-    NUMERICAL = 17
-    THINNED = 18
+    SPEED_INCONSISTENT = 14
+    OUTLIER = 15
+    NUMERICAL = 16
+    THINNED = 17
 
 
 @dataclass(frozen=True, slots=True)
