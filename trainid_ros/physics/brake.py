@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Brake actuator with exact dead time and exact first-order lag, for simulator and estimators alike.
+
+The actuator follows ``tau a' = -a + u(t - delay)``. The command u is piecewise constant, so the
+response over each piece is known in closed form: no Pade approximation and no step-size error. The
+caller applies the dead time by shifting start and end back by it.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import Final
+
+from trainid_ros.core.errors import InputError
+from trainid_ros.core.records import NS_PER_S
+from trainid_ros.core.samples import BrakeCommandChange
+
+MOST_CHANGES: Final = 1024
+
+
+@dataclass(frozen=True, slots=True)
+class CommandHistory:
+    """Piecewise-constant brake command, bounded; changes oldest first.
+
+    At most ``MOST_CHANGES`` are kept (more than 200 s at 5 Hz); older ones are forgotten.
+    """
+
+    changes: tuple[BrakeCommandChange, ...] = ()
+
+    def push(self, change: BrakeCommandChange) -> CommandHistory:
+        """Return the history with one more change; a repeat of the last value is dropped.
+
+        A change at the stamp of the last one takes its place.
+
+        Raises:
+            InputError: The change is older than the last one, or its value is not finite or positive.
+
+        """
+        value = change.target_acceleration
+        if not (math.isfinite(value) and value <= 0.0):
+            raise InputError(f'target_acceleration = {value:g} m/s^2 must be finite and <= 0')
+        kept = self.changes
+        if kept and change.stamp_ns < kept[-1].stamp_ns:
+            msg = f'brake command stamp_ns = {change.stamp_ns} lies before the last one, {kept[-1].stamp_ns}'
+            raise InputError(msg)
+        if kept and change.stamp_ns == kept[-1].stamp_ns:
+            kept = kept[:-1]
+        if kept and kept[-1].target_acceleration == value:
+            return CommandHistory(kept)
+        return CommandHistory((*kept, change)[-MOST_CHANGES:])
+
+    def prune(self, before_ns: int) -> CommandHistory:
+        """Return the history without changes that are not needed to know the value at and after a time."""
+        first = self._count_until(before_ns) - 1
+        return self if first <= 0 else CommandHistory(self.changes[first:])
+
+    def value(self, at_ns: int) -> float:
+        """Return the command in force at a time [m/s^2]; 0.0 before the first change."""
+        count = self._count_until(at_ns)
+        return self.changes[count - 1].target_acceleration if count else 0.0
+
+    def segments(self, start_ns: int, end_ns: int) -> tuple[tuple[float, float], ...]:
+        """Return the pieces (duration [s], value [m/s^2]) of the command over (start, end].
+
+        Raises:
+            InputError: The end lies before the start.
+
+        """
+        if end_ns < start_ns:
+            raise InputError(f'brake command interval ends at {end_ns} ns, before its start {start_ns} ns')
+        if end_ns == start_ns:
+            return ()
+        first, last = self._count_until(start_ns), self._count_until(end_ns - 1)
+        inner = self.changes[first:last]
+        edges = (start_ns, *(change.stamp_ns for change in inner), end_ns)
+        values = (self.value(start_ns), *(change.target_acceleration for change in inner))
+        pieces = zip(pairwise(edges), values, strict=True)
+        return tuple(((end - start) / NS_PER_S, value) for (start, end), value in pieces)
+
+    def _count_until(self, at_ns: int) -> int:
+        return bisect_right(self.changes, at_ns, key=_stamp)
+
+
+def lag_response(initial: float, target: float, time_constant: float, duration: float) -> float:
+    """Return the output of a first-order lag after a constant target has acted for a duration.
+
+    ``y(T) = target + (initial - target) exp(-T / tau)``; ``tau`` = 0 follows at once.
+    """
+    if duration <= 0.0:
+        return initial
+    if time_constant <= 0.0:
+        return target
+    return target + (initial - target) * math.exp(-duration / time_constant)
+
+
+def lag_integral(initial: float, target: float, time_constant: float, duration: float) -> float:
+    """Return the integral of :func:`lag_response` over the duration, exact.
+
+    ``target T + (initial - target) tau (1 - exp(-T / tau))``: for accelerations, the change of speed.
+    """
+    if duration <= 0.0:
+        return 0.0
+    if time_constant <= 0.0:
+        return target * duration
+    decay = -math.expm1(-duration / time_constant)
+    return target * duration + (initial - target) * time_constant * decay
+
+
+def _stamp(change: BrakeCommandChange) -> int:
+    return change.stamp_ns
