@@ -82,7 +82,7 @@ class SpeedModelEstimate:
     """Speed model x(n) = a1 x^2 + a2 x + b1 u + d0 of Yuan et al., eq. (2), and what it means.
 
     ``covariance`` is 4x4 row-major in the order a1, a2, b1, d0. ``a b c`` are the Davis parameters
-    [N/kN] and ``mass_factor`` is (M / M_nominal)(1 + gamma); all NaN while b1 is not positive.
+    [N/kN] and ``mass_factor`` is (M / M_nominal)(1 + gamma).
     """
 
     a1: float

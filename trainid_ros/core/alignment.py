@@ -1,0 +1,303 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Alignment: topics with stamps of their own become one sample per period, by stamp alone.
+
+A sample stands at the stamp of a speed record. Force, gradient and curvature are interpolated to that
+stamp, the brake command holds from its stamp on. A sample is released as soon as every required topic
+has reached its stamp, or when the newest stamp on any topic is ``max_lag`` past it; no timer and no
+clock take part, so the same records give the same samples, live and off line.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left, bisect_right, insort
+from dataclasses import dataclass
+from typing import Final, TypeAlias
+
+from trainid_ros.core.records import (
+    NS_PER_S,
+    BrakeRecord,
+    ForceRecord,
+    GradientRecord,
+    MassRecord,
+    Record,
+    SpeedRecord,
+)
+from trainid_ros.core.results import Reason, Refusal
+from trainid_ros.core.samples import BrakeCommandChange, Sample
+from trainid_ros.core.settings import setting
+from trainid_ros.core.validation import find_fault
+
+_CONFIRMATIONS: Final = 3
+_THINNING_SHARE: Final = 0.4
+
+
+@dataclass(frozen=True, slots=True)
+class AlignmentConfig:
+    """How records become samples."""
+
+    period: float = setting(0.2, 'sample period', 's', 0.02, 5.0)
+    max_lag: float = setting(0.7, 'how long a sample waits, in stamps, for a lagging topic', 's', 0.0, 10.0)
+    max_gap: float = setting(0.7, 'longest gap of force and gradient to interpolate over', 's', 0.05, 10.0)
+    max_dt: float = setting(1.0, 'longest time between samples of one uninterrupted drive', 's', 0.1, 10.0)
+    command_timeout: float = setting(2.0, 'age at which a brake command is no longer known', 's', 0.2, 60.0)
+    max_jump: float = setting(10.0, 'largest believable step forward of the stamps', 's', 1.0, 3600.0)
+    max_jump_back: float = setting(2.0, 'lateness beyond which the clock is taken to have jumped back', 's', 0.5, 3600.0)
+
+
+@dataclass(frozen=True, slots=True)
+class TimeJump:
+    """The stamps moved to another time base; ``step_s`` is negative for a jump back."""
+
+    stamp_ns: int
+    step_s: float
+
+
+AlignmentEvent: TypeAlias = Sample | Refusal | TimeJump
+
+
+class _Track:
+    """Records of one topic in stamp order, bounded."""
+
+    __slots__ = ('records', 'stamps')
+
+    capacity: Final = 4096
+
+    def __init__(self) -> None:
+        self.stamps: list[int] = []
+        self.records: list[Record] = []
+
+    def insert(self, record: Record) -> bool:
+        """Insert by stamp, also a late record (it mends later interpolation); False if the stamp is there already."""
+        at = bisect_left(self.stamps, record.stamp_ns)
+        if at < len(self.stamps) and self.stamps[at] == record.stamp_ns:
+            return False
+        self.stamps.insert(at, record.stamp_ns)
+        self.records.insert(at, record)
+        if len(self.stamps) > self.capacity:
+            del self.stamps[0], self.records[0]
+        return True
+
+    def prune(self, before_ns: int) -> None:
+        """Forget what lies before the last record at or before ``before_ns``."""
+        keep = bisect_right(self.stamps, before_ns) - 1
+        if keep > 0:
+            del self.stamps[:keep], self.records[:keep]
+
+    def clear(self) -> None:
+        """Forget everything."""
+        self.stamps.clear()
+        self.records.clear()
+
+
+class Aligner:
+    """Turn records, in any order of topics, into samples in stamp order."""
+
+    def __init__(self, config: AlignmentConfig, *, refuse_jump_back: bool = False) -> None:
+        self.config = config
+        self._refuse_jump_back = refuse_jump_back
+        self._max_lag_ns = round(config.max_lag * NS_PER_S)
+        self._max_gap_ns = round(config.max_gap * NS_PER_S)
+        self._max_jump_ns = round(config.max_jump * NS_PER_S)
+        self._max_jump_back_ns = round(config.max_jump_back * NS_PER_S)
+        self._period_ns = round(config.period * NS_PER_S)
+        self._force, self._gradient, self._brake, self._mass = _Track(), _Track(), _Track(), _Track()
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget all records and the time base."""
+        for track in (self._force, self._gradient, self._brake, self._mass):
+            track.clear()
+        self._pending: list[tuple[int, SpeedRecord]] = []
+        self._newest_ns = 0
+        self._released_ns = 0
+        self._sample_ns = 0
+        self._due_ns = 0
+        self._command = math.nan
+        self._suspects: list[int] = []
+
+    @property
+    def newest_ns(self) -> int:
+        """Newest stamp taken in on any topic; 0 before the first."""
+        return self._newest_ns
+
+    def push(self, record: Record) -> list[AlignmentEvent]:
+        """Take one record in; return the samples it completes, or why it was refused."""
+        if (fault := find_fault(record)) is not None:
+            return [fault]
+        events: list[AlignmentEvent] = []
+        if self._is_jump(record.stamp_ns):
+            jump = self._suspect(record.stamp_ns)
+            if jump is None:
+                step_s = (record.stamp_ns - self._newest_ns) / NS_PER_S
+                limit = self.config.max_jump if step_s > 0.0 else -self.config.max_jump_back
+                return [Refusal(record.stamp_ns, Reason.STAMP_JUMP, step_s, limit)]
+            events = [*self._release(everything=True), jump]
+            self.reset()
+        self._suspects.clear()
+        if (refusal := self._store(record)) is not None:
+            return [*events, refusal]
+        self._newest_ns = max(self._newest_ns, record.stamp_ns)
+        return [*events, *self._release()]
+
+    def _is_jump(self, stamp_ns: int) -> bool:
+        step = stamp_ns - self._newest_ns
+        return self._newest_ns != 0 and (step > self._max_jump_ns or step < -self._max_jump_back_ns)
+
+    def _suspect(self, stamp_ns: int) -> TimeJump | None:
+        """Believe a jump only when several records in a row agree on it."""
+        if self._suspects and abs(stamp_ns - self._suspects[-1]) > self._max_jump_ns:
+            self._suspects.clear()
+        self._suspects = [*self._suspects, stamp_ns][-_CONFIRMATIONS:]
+        back = stamp_ns < self._newest_ns
+        if len(self._suspects) < _CONFIRMATIONS or (back and self._refuse_jump_back):
+            return None
+        return TimeJump(stamp_ns, (stamp_ns - self._newest_ns) / NS_PER_S)
+
+    def _store(self, record: Record) -> Refusal | None:
+        stamp = record.stamp_ns
+        if isinstance(record, SpeedRecord):
+            return self._store_speed(record)
+        if isinstance(record, ForceRecord):
+            track = self._force
+        elif isinstance(record, GradientRecord):
+            track = self._gradient
+        elif isinstance(record, BrakeRecord):
+            track = self._brake
+        else:
+            track = self._mass
+        if not track.insert(record):
+            return Refusal(stamp, Reason.DUPLICATE, stamp / NS_PER_S, 0.0)
+        if stamp <= self._released_ns:
+            return Refusal(stamp, Reason.LATE, (stamp - self._released_ns) / NS_PER_S, 0.0)
+        return None
+
+    def _store_speed(self, record: SpeedRecord) -> Refusal | None:
+        stamp = record.stamp_ns
+        if stamp == self._released_ns or any(stamp == waiting for waiting, _ in self._pending):
+            return Refusal(stamp, Reason.DUPLICATE, stamp / NS_PER_S, 0.0)
+        if stamp < self._released_ns:
+            return Refusal(stamp, Reason.LATE, (stamp - self._released_ns) / NS_PER_S, 0.0)
+        insort(self._pending, (stamp, record), key=lambda item: item[0])
+        return None
+
+    def _release(self, *, everything: bool = False) -> list[AlignmentEvent]:
+        events: list[AlignmentEvent] = []
+        while self._pending and (everything or self._is_complete(self._pending[0][0])):
+            stamp, record = self._pending.pop(0)
+            self._released_ns = stamp
+            if self._due_ns and stamp < self._due_ns - _THINNING_SHARE * self._period_ns:
+                events.append(Refusal(stamp, Reason.THINNED, (stamp - self._sample_ns) / NS_PER_S, self.config.period))
+                continue
+            events.append(self._sample(record))
+        return events
+
+    def _is_complete(self, stamp_ns: int) -> bool:
+        if self._newest_ns > stamp_ns + self._max_lag_ns:
+            return True
+        required = (self._force, self._gradient, self._brake)
+        return all(track.stamps and track.stamps[-1] >= stamp_ns for track in required)
+
+    def _sample(self, speed: SpeedRecord) -> Sample:
+        now, before = speed.stamp_ns, self._sample_ns
+        dt = (now - before) / NS_PER_S
+        if before == 0 or dt > self.config.max_dt:
+            dt = math.nan
+        start = now if math.isnan(dt) else before
+        changes, command, emergency = self._commands(before, now)
+        curvature, tunnel = self._track_at(now)
+        sample = Sample(
+            stamp_ns=now,
+            dt=dt,
+            speed=speed.speed,
+            position=speed.position,
+            force=self._value(self._force, now),
+            force_mean=self._mean(self._force, start, now),
+            gradient=self._value(self._gradient, now),
+            gradient_mean=self._mean(self._gradient, start, now),
+            curve_radius=1.0 / curvature if curvature > 0.0 else 0.0,
+            tunnel=tunnel,
+            mass=self._latest_mass(now),
+            brake_command=command,
+            brake_changes=changes,
+            emergency=emergency,
+        )
+        self._sample_ns = now
+        # Keep phase with the period, so that faster speed topics are thinned to it evenly.
+        in_phase = self._due_ns and abs(now - self._due_ns) <= self._period_ns // 2
+        self._due_ns = (self._due_ns if in_phase else now) + self._period_ns
+        for track in (self._force, self._gradient, self._brake, self._mass):
+            track.prune(now - self._max_gap_ns)
+        return sample
+
+    def _value(self, track: _Track, at_ns: int) -> float:
+        """Interpolate to a stamp; NaN where the neighbours are missing or too far apart."""
+        right = bisect_left(track.stamps, at_ns)
+        if right == len(track.stamps):
+            return math.nan
+        if track.stamps[right] == at_ns:
+            return _scalar(track.records[right])
+        if right == 0 or track.stamps[right] - track.stamps[right - 1] > self._max_gap_ns:
+            return math.nan
+        share = (at_ns - track.stamps[right - 1]) / (track.stamps[right] - track.stamps[right - 1])
+        left_value, right_value = _scalar(track.records[right - 1]), _scalar(track.records[right])
+        return left_value + share * (right_value - left_value)
+
+    def _mean(self, track: _Track, start_ns: int, end_ns: int) -> float:
+        """Mean of the interpolated value over an interval (trapezoids through the records inside it)."""
+        if start_ns == end_ns:
+            return self._value(track, end_ns)
+        inside = range(bisect_right(track.stamps, start_ns), bisect_left(track.stamps, end_ns))
+        stamps = [start_ns, *(track.stamps[k] for k in inside), end_ns]
+        values = [
+            self._value(track, start_ns),
+            *(_scalar(track.records[k]) for k in inside),
+            self._value(track, end_ns),
+        ]
+        if max(b - a for a, b in zip(stamps, stamps[1:], strict=False)) > self._max_gap_ns:
+            return math.nan
+        area = 0.0
+        for k in range(1, len(stamps)):
+            area += 0.5 * (values[k - 1] + values[k]) * (stamps[k] - stamps[k - 1])
+        return area / (end_ns - start_ns)
+
+    def _track_at(self, at_ns: int) -> tuple[float, bool]:
+        """Return curvature [1/m], interpolated, and the tunnel flag of the record before."""
+        right = bisect_left(self._gradient.stamps, at_ns)
+        neighbours = [self._gradient.records[k] for k in (right - 1, right) if 0 <= k < len(self._gradient.records)]
+        records = [record for record in neighbours if isinstance(record, GradientRecord)]
+        if not records:
+            return 0.0, False
+        first, last = records[0], records[-1]
+        span = last.stamp_ns - first.stamp_ns
+        share = min(max((at_ns - first.stamp_ns) / span, 0.0), 1.0) if span else 0.0
+        curvature = (1.0 - share) * _curvature(first) + share * _curvature(last)
+        return curvature, (last if last.stamp_ns <= at_ns else first).tunnel
+
+    def _commands(self, after_ns: int, now_ns: int) -> tuple[tuple[BrakeCommandChange, ...], float, bool]:
+        """Return the changes in (after, now], the command in force and the emergency flag."""
+        end = bisect_right(self._brake.stamps, now_ns)
+        changes: list[BrakeCommandChange] = []
+        for record in self._brake.records[bisect_right(self._brake.stamps, after_ns) : end]:
+            if isinstance(record, BrakeRecord) and record.target_acceleration != self._command:
+                self._command = record.target_acceleration
+                changes.append(BrakeCommandChange(record.stamp_ns, self._command))
+        latest = self._brake.records[end - 1] if end else None
+        if not isinstance(latest, BrakeRecord) or now_ns - latest.stamp_ns > self.config.command_timeout * NS_PER_S:
+            return tuple(changes), math.nan, False
+        return tuple(changes), latest.target_acceleration, latest.emergency
+
+    def _latest_mass(self, now_ns: int) -> float:
+        end = bisect_right(self._mass.stamps, now_ns)
+        latest = self._mass.records[end - 1] if end else None
+        return latest.mass if isinstance(latest, MassRecord) else math.nan
+
+
+def _scalar(record: Record) -> float:
+    if isinstance(record, ForceRecord):
+        return record.force
+    return record.gradient if isinstance(record, GradientRecord) else math.nan
+
+
+def _curvature(record: GradientRecord) -> float:
+    return 1.0 / record.curve_radius if record.curve_radius > 0.0 else 0.0

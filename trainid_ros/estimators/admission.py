@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which samples tell about the running resistance: moving, complete, and with the brake off.
+
+What a brake does is not known well enough to learn resistance from: its rate is itself an unknown.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from trainid_ros.core.records import NS_PER_S
+from trainid_ros.core.results import Reason, Refusal
+
+if TYPE_CHECKING:
+    from trainid_ros.core.samples import Sample
+    from trainid_ros.physics.train_file import Brake
+
+# After this many time constants a released brake is below 0.3 % of what it was.
+_SETTLING: Final = 6.0
+
+
+@dataclass(slots=True)
+class Admission:
+    """Decides sample by sample; ``braked_ns`` is the last stamp at which the brake was asked for, 0 if never."""
+
+    brake: Brake
+    min_speed: float
+    braked_ns: int = 0
+
+    def refuse(self, sample: Sample) -> Refusal | None:
+        """Return why a sample tells nothing about the resistance, or None if it does."""
+        acts = self._brake_acts(sample)
+        checks = (
+            (not math.isnan(sample.dt), Reason.GAP, sample.dt, math.nan),
+            (math.isfinite(sample.force_mean), Reason.FORCE_MISSING, sample.force_mean, math.nan),
+            (math.isfinite(sample.gradient_mean), Reason.GRADIENT_MISSING, sample.gradient_mean, math.nan),
+            (math.isfinite(sample.brake_command), Reason.BRAKE_COMMAND_MISSING, sample.brake_command, math.nan),
+            (sample.speed >= self.min_speed, Reason.STANDSTILL, sample.speed, self.min_speed),
+            (not acts, Reason.BRAKING, self._since_braked(sample), self.settling),
+        )
+        for fine, reason, value, limit in checks:
+            if not fine:
+                return Refusal(sample.stamp_ns, reason, value, limit)
+        return None
+
+    def _brake_acts(self, sample: Sample) -> bool:
+        """True while the brake acts, still releases, or is not known to be off."""
+        asked = not sample.brake_command >= 0.0 or sample.emergency or sample.force < 0.0 or sample.force_mean < 0.0
+        if asked or any(change.target_acceleration < 0.0 for change in sample.brake_changes):
+            self.braked_ns = sample.stamp_ns
+            return True
+        if sample.stamp_ns < self.braked_ns:  # the stamps jumped back
+            self.braked_ns = 0
+        return self._since_braked(sample) < self.settling
+
+    def _since_braked(self, sample: Sample) -> float:
+        return math.inf if self.braked_ns == 0 else (sample.stamp_ns - self.braked_ns) / NS_PER_S
+
+    @property
+    def settling(self) -> float:
+        """Time after release from which on the brake is off for sure [s]."""
+        return self.brake.delay + _SETTLING * self.brake.time_constant

@@ -1,0 +1,374 @@
+# SPDX-License-Identifier: Apache-2.0
+"""GSMA: brake rate by the group stochastic M-algorithm, a Rao-Blackwellised particle filter.
+
+After Zheng et al. 2015, section 3.5 and eqs. (14)-(22), with these corrections:
+
+* A particle's group is {f - h, f, f + h} around its own value with prior weights 1/6, 2/3, 1/6 and
+  h = sqrt(3 q dt): every value has its group (the paper leaves one out), none is bound to a grid, and the
+  transition has the variance of a random walk per second instead of a grid step per sample.
+* Weights carry over: w_k = w_{k-1} p(f_k | f_{k-1}) N(y_k); pruning is systematic resampling.
+* The command passes an exact dead time (the paper: first-order Pade); a_z is then known and needs no state.
+* f acts on a known input only, so all particles share one covariance (one Riccati equation).
+* b, an unmodelled acceleration that decorrelates over distance (gradient map, wind), is a state: without it
+  it would be taken for brake rate. The gradient and running resistance that are known act as input.
+* Standstill and traction never feed f. While no brake acts, its variance grows by q per second, exactly.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray  # noqa: TC002 - read at run time to restore a state
+from scipy.special import ndtri
+
+from trainid_ros.core.codec import decode, encode
+from trainid_ros.core.errors import InputError
+from trainid_ros.core.records import NS_PER_S
+from trainid_ros.core.results import BrakeRateEstimate, Reason, Refusal
+from trainid_ros.core.samples import BrakeCommandChange  # noqa: TC001 - read at run time, as above
+from trainid_ros.core.settings import check_settings, setting
+from trainid_ros.estimators.brake_kinematics import BrakeStep, brake_step
+from trainid_ros.estimators.known_force import KnownForce
+from trainid_ros.estimators.resampling import effective_number, normalise, systematic
+from trainid_ros.physics.brake import CommandHistory
+from trainid_ros.physics.resistance import davis
+
+if TYPE_CHECKING:
+    from trainid_ros.core.samples import Sample
+    from trainid_ros.physics.train_file import TrainFile
+
+_GROUP: Final = np.array([-1.0, 0.0, 1.0])
+_GROUP_LOG_PRIOR: Final = np.log([1.0 / 6.0, 2.0 / 3.0, 1.0 / 6.0])
+_LARGEST_RATE: Final = 3.0
+_POSITION_GAIN: Final = 0.1
+_HISTORY_S: Final = 60.0
+
+
+@dataclass(frozen=True, slots=True)
+class GsmaConfig:
+    """Settings of GSMA."""
+
+    particles: int = setting(100, 'particles kept after pruning', '1', 2, 100_000)
+    prior_std: float = setting(0.15, 'prior standard deviation of the brake rate', '1', 1e-4, 2.0)
+    drift: float = setting(0.005, 'drift of the brake rate in one second, standard deviation', '1', 0.0, 1.0)
+    speed_std: float = setting(0.025, 'noise of measured speed, quantum included', 'm/s', 1e-4, 2.0)
+    disturbance_std: float = setting(0.01, 'unmodelled acceleration', 'm/s^2', 0.0, 1.0)
+    disturbance_length: float = setting(200.0, 'distance over which it decorrelates', 'm', 1.0, 1e5)
+    acceleration_noise: float = setting(0.005, 'white acceleration noise', 'm/s per sqrt(s)', 0.0, 1.0)
+    force_error: float = setting(0.01, 'relative error of the traction force', '1', 0.0, 0.5)
+    min_speed: float = setting(0.5, 'slowest speed to learn from', 'm/s', 0.0, 50.0)
+    min_braking: float = setting(0.03, 'weakest braking to learn from', 'm/s^2', 0.0, 5.0)
+    gate: float = setting(5.0, 'innovations beyond this many standard deviations are refused', '1', 1.0, 100.0)
+    readmit_after: int = setting(5, 'refused samples in a row after which the speed is believed', 'samples', 1, 1000)
+    valid_std: float = setting(0.05, 'brake rate is fit to use below this standard deviation', '1', 1e-3, 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class GsmaState:
+    """All that GSMA remembers, the generator's state excepted (it is saved beside).
+
+    Attributes:
+        f: Brake rate of each particle, shape (N,) or, not pruned yet, (3N,).
+        log_weights: Normalised log-weights, same shape.
+        x: Speed [m/s], brake acceleration and disturbance b [m/s^2] of each particle, one row each.
+        P: Covariance of x, shared by all particles, shape (3, 3).
+        unbraked_s: Time since f last learned [s].
+        filtered_target: Command after dead time and lag of a nominal brake [m/s^2].
+        random: State of the generator as JSON text, filled in when saved.
+
+    """
+
+    f: NDArray[np.float64]
+    log_weights: NDArray[np.float64]
+    x: NDArray[np.float64]
+    P: NDArray[np.float64]
+    commands: tuple[BrakeCommandChange, ...] = ()
+    stamp_ns: int = 0
+    filtered_target: float = 0.0
+    unbraked_s: float = 0.0
+    position: float = math.nan
+    measured_position: float = math.nan
+    refused_in_a_row: int = 0
+    innovation: float = 0.0
+    innovation_variance: float = 0.0
+    test_ratio: float = 0.0
+    observable: bool = False
+    converged: bool = False
+    random: str = ''
+
+
+class Gsma:
+    """Estimate the brake rate f = actual over expected braking from aligned samples."""
+
+    def __init__(self, train_file: TrainFile, config: GsmaConfig, rng: np.random.Generator) -> None:
+        check_settings(config)
+        self.config = config
+        self._train_file = train_file
+        self._known = KnownForce(train_file)
+        self._rng = rng
+        self._random0 = json.dumps(rng.bit_generator.state)
+        self.reset()
+
+    def reset(self) -> None:
+        """Go back to the prior: particles at its quantiles, equal weights."""
+        N = self.config.particles
+        quantiles = ndtri((np.arange(N) + 0.5) / N)
+        f = np.maximum(self._train_file.brake.rate + self.config.prior_std * quantiles, 0.0)
+        self.state = GsmaState(f, np.full(N, -math.log(N)), np.zeros((N, 3)), np.zeros((3, 3)))
+        self._rng.bit_generator.state = json.loads(self._random0)
+
+    def save(self) -> str:
+        """Return the whole state, generator included, as JSON text."""
+        return encode(replace(self.state, random=json.dumps(self._rng.bit_generator.state)))
+
+    def restore(self, text: str) -> None:
+        """Take over a saved state; InputError if it does not fit."""
+        state = decode(text, GsmaState)
+        if len(state.f) not in (self.config.particles, len(_GROUP) * self.config.particles):
+            msg = f'saved GsmaState has {len(state.f)} particles, not {self.config.particles}'
+            raise InputError(msg)
+        self._rng.bit_generator.state = json.loads(state.random)
+        self.state = replace(state, x=state.x.reshape(-1, 3), P=state.P.reshape(3, 3))
+
+    @property
+    def converged(self) -> bool:
+        """True while the brake rate is known well enough."""
+        return self.state.converged
+
+    def step(self, sample: Sample) -> BrakeRateEstimate | Refusal:
+        """Take one sample in; f learns only while the brake acts on a moving train."""
+        state, config = self.state, self.config
+        if state.stamp_ns == 0 or math.isnan(sample.dt):
+            elapsed = (sample.stamp_ns - state.stamp_ns) / NS_PER_S if state.stamp_ns else 0.0
+            if elapsed < 0.0:  # another time base: commands of the old one mean nothing in it
+                self.state = replace(state, commands=(), filtered_target=0.0)
+            self._anchor(sample, max(0.0, elapsed))
+            return Refusal(sample.stamp_ns, Reason.GAP, sample.dt, math.nan)
+        motion = self._follow_command(sample)
+        known = self._known_acceleration(sample)
+        refusal = self._refuse(sample)
+        if refusal is not None:
+            if refusal.reason is Reason.STANDSTILL:
+                self._anchor(sample, sample.dt)
+                self._judge()
+            else:
+                self._coast(sample, motion, known if math.isfinite(known) else 0.0, measured=False)
+            return refusal
+        self._follow_position(sample)
+        braking = max(abs(state.filtered_target), abs(self.state.filtered_target))
+        if braking < config.min_braking:
+            self._coast(sample, motion, known, measured=True)
+            return Refusal(sample.stamp_ns, Reason.NOT_BRAKING, braking, config.min_braking)
+        return self._learn(sample, motion, known) or self.estimate(sample.speed)
+
+    def _refuse(self, sample: Sample) -> Refusal | None:
+        checks = (
+            (math.isfinite(sample.gradient_mean), Reason.GRADIENT_MISSING, sample.gradient_mean, math.nan),
+            (math.isfinite(sample.force_mean), Reason.FORCE_MISSING, sample.force_mean, math.nan),
+            (math.isfinite(sample.brake_command), Reason.BRAKE_COMMAND_MISSING, sample.brake_command, math.nan),
+            (sample.speed >= self.config.min_speed, Reason.STANDSTILL, sample.speed, self.config.min_speed),
+        )
+        for fine, reason, value, limit in checks:
+            if not fine:
+                return Refusal(sample.stamp_ns, reason, value, limit)
+        return None
+
+    def _follow_command(self, sample: Sample) -> BrakeStep:
+        """Bring the brake command up to the stamp; return the brake's response since the last sample."""
+        state = self.state
+        history = CommandHistory(state.commands)
+        for change in sample.brake_changes:
+            history = history.push(change)
+        brake = self._train_file.brake
+        motion = brake_step(history, brake, state.stamp_ns, sample.stamp_ns)
+        oldest_ns = sample.stamp_ns - round((brake.delay + _HISTORY_S) * NS_PER_S)
+        self.state = replace(
+            state,
+            commands=history.prune(oldest_ns).changes,
+            filtered_target=motion.decay * state.filtered_target + motion.gain_a,
+            stamp_ns=sample.stamp_ns,
+        )
+        return motion
+
+    def _known_acceleration(self, sample: Sample) -> float:
+        """Acceleration by traction, gradient, running resistance and modelled effects [m/s^2]."""
+        traction = self._known.traction(max(sample.force_mean, 0.0), sample)
+        resistance = davis(self._train_file.resistance, sample.speed)
+        return (traction - self._known.track(sample) - resistance) / self._known.inertia
+
+    def _anchor(self, sample: Sample, elapsed: float) -> None:
+        """Start the train state anew from the measured speed; f stands, its uncertainty grows."""
+        history = CommandHistory(self.state.commands)
+        for change in sample.brake_changes:
+            if not history.changes or change.stamp_ns > history.changes[-1].stamp_ns:
+                history = history.push(change)
+        config = self.config
+        x = np.zeros_like(self.state.x)
+        x[:, 0] = sample.speed
+        x[:, 1] = self.state.f * self.state.filtered_target
+        self.state = replace(
+            self.state,
+            x=x,
+            P=np.diag(np.square([config.speed_std, 0.05, config.disturbance_std])),
+            commands=history.changes,
+            stamp_ns=sample.stamp_ns,
+            unbraked_s=self.state.unbraked_s + elapsed,
+            position=sample.position,
+            measured_position=sample.position,
+            refused_in_a_row=0,
+            observable=False,
+        )
+
+    def _follow_position(self, sample: Sample) -> None:
+        """Dead-reckon by filtered speed, pulled towards the odometer (which adds nothing to f)."""
+        state, measured = self.state, sample.position
+        if math.isnan(measured) or math.isnan(state.position):
+            self.state = replace(state, position=measured, measured_position=measured)
+            return
+        direction = math.copysign(1.0, measured - state.measured_position)
+        position = state.position + direction * self._mean(state.x[:, 0]) * sample.dt
+        position += _POSITION_GAIN * (measured - position)
+        self.state = replace(state, position=position, measured_position=measured)
+
+    def _mean(self, values: NDArray[np.float64]) -> float:
+        return float(np.exp(self.state.log_weights) @ values)
+
+    def _predict(
+        self, x: NDArray[np.float64], f: NDArray[np.float64], motion: BrakeStep, known: float, sample: Sample
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Eq. (14): x = Phi x + f Gamma + known input, and its covariance, which f does not enter."""
+        config, dt = self.config, sample.dt
+        rho = math.exp(-sample.speed * dt / config.disturbance_length)
+        Phi = np.array([[1.0, motion.reach, dt], [0.0, motion.decay, 0.0], [0.0, 0.0, rho]])
+        traction = self._known.traction(max(sample.force_mean, 0.0), sample) if math.isfinite(sample.force_mean) else 0.0
+        slack = config.force_error * traction / self._known.inertia
+        Q = np.diag(
+            [(config.acceleration_noise**2 + slack**2) * dt, 0.0, config.disturbance_std**2 * (1.0 - rho * rho)]
+        )
+        predicted = x @ Phi.T + np.outer(f, [motion.gain_v, motion.gain_a, 0.0]) + [known * dt, 0.0, 0.0]
+        return predicted, Phi @ self.state.P @ Phi.T + Q
+
+    def _update(
+        self, x: NDArray[np.float64], P: NDArray[np.float64], nu: NDArray[np.float64], S: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Eqs. (20), (21): one gain for all particles; Joseph form for the covariance."""
+        K = P[:, 0] / S
+        A = np.eye(3)
+        A[:, 0] -= K
+        return x + np.outer(nu, K), A @ P @ A.T + self.config.speed_std**2 * np.outer(K, K)
+
+    def _coast(self, sample: Sample, motion: BrakeStep, known: float, *, measured: bool) -> None:
+        """Follow the train while f is not observable: f stands, its uncertainty grows with time."""
+        state = self.state
+        x, P = self._predict(state.x, state.f, motion, known, sample)
+        self.state = replace(state, x=x, P=P, unbraked_s=state.unbraked_s + sample.dt, observable=False)
+        self._judge()
+        if not measured:
+            return
+        S = float(P[0, 0]) + self.config.speed_std**2
+        nu = sample.speed - x[:, 0]
+        if self._gate(nu, S, sample, state.log_weights) is not None:
+            self._readmit(sample)
+            return
+        x, P = self._update(x, P, nu, S)
+        self.state = replace(self.state, x=x, P=P)
+
+    def _learn(self, sample: Sample, motion: BrakeStep, known: float) -> Refusal | None:
+        """One step of GSMA, eqs. (14)-(22)."""
+        config = self.config
+        self._prune()
+        state, f = self.state, self._spread()
+        h = math.sqrt(3.0 * sample.dt) * config.drift
+        # Every particle branches within its group; weights carry over (17).
+        f = (f[:, None] + h * _GROUP).ravel()
+        log_weights = (state.log_weights[:, None] + _GROUP_LOG_PRIOR).ravel()
+        x, P = self._predict(np.repeat(state.x, len(_GROUP), axis=0), f, motion, known, sample)
+        S = float(P[0, 0]) + config.speed_std**2  # (16)
+        nu = sample.speed - x[:, 0]  # (15)
+        if (refusal := self._gate(nu, S, sample, log_weights)) is not None:
+            self._coast(sample, motion, known, measured=False)
+            self._readmit(sample)
+            return refusal
+        log_weights = np.where((f >= 0.0) & (f <= _LARGEST_RATE), log_weights - 0.5 * nu * nu / S, -np.inf)
+        log_weights = normalise(log_weights)  # (18), by the sum
+        x, P = self._update(x, P, nu, S)
+        if not (np.isfinite(x).all() and np.isfinite(P).all()):
+            return Refusal(sample.stamp_ns, Reason.NUMERICAL, float(nu[0]), math.nan)
+        self.state = replace(
+            self.state, f=f, log_weights=log_weights, x=x, P=P, unbraked_s=0.0, observable=True
+        )
+        self._judge()
+        return None
+
+    def _prune(self) -> None:
+        """Keep N of the particles by systematic resampling, which favours none."""
+        state, N = self.state, self.config.particles
+        if len(state.f) > N:
+            kept = systematic(np.exp(state.log_weights), N, float(self._rng.random()))
+            equal = np.full(N, -math.log(N))
+            self.state = replace(state, f=state.f[kept], log_weights=equal, x=state.x[kept])
+
+    def _spread(self) -> NDArray[np.float64]:
+        """Particles widened by what the time without braking adds to their variance."""
+        state = self.state
+        if state.unbraked_s == 0.0:
+            return state.f
+        mean, std = self._mean(state.f), self._spread_of_f()
+        return mean + (state.f - mean) * (self._std() / std) if std > 0.0 else state.f
+
+    def _spread_of_f(self) -> float:
+        mean = self._mean(self.state.f)
+        return math.sqrt(max(0.0, self._mean(np.square(self.state.f - mean))))
+
+    def _gate(
+        self, nu: NDArray[np.float64], S: float, sample: Sample, log_weights: NDArray[np.float64]
+    ) -> Refusal | None:
+        """Gate on the innovation of the whole mixture."""
+        weights = np.exp(log_weights)
+        mean = float(weights @ nu)
+        variance = S + float(weights @ np.square(nu - mean))
+        limit = self.config.gate * math.sqrt(variance)
+        refused = self.state.refused_in_a_row + 1 if abs(mean) > limit else 0
+        self.state = replace(
+            self.state,
+            innovation=mean,
+            innovation_variance=variance,
+            test_ratio=(mean / limit) ** 2,
+            refused_in_a_row=refused,
+        )
+        return Refusal(sample.stamp_ns, Reason.OUTLIER, mean, limit) if refused else None
+
+    def _readmit(self, sample: Sample) -> None:
+        """After several refusals in a row believe the speed again."""
+        if self.state.refused_in_a_row >= self.config.readmit_after:
+            self._anchor(sample, 0.0)
+
+    def _judge(self) -> None:
+        """Fit to use while the uncertainty is small; hysteresis of a factor of two."""
+        limit = self.config.valid_std * (2.0 if self.state.converged else 1.0)
+        self.state = replace(self.state, converged=self._std() < limit)
+
+    def _std(self) -> float:
+        """Standard deviation of f: that of the particles, grown while no brake acts."""
+        return math.hypot(self._spread_of_f(), self.config.drift * math.sqrt(self.state.unbraked_s))
+
+    def estimate(self, speed: float) -> BrakeRateEstimate:  # noqa: ARG002 - one signature for all estimators
+        """Return the brake rate (19) and the filtered train state (22)."""
+        state = self.state
+        return BrakeRateEstimate(
+            brake_rate=self._mean(state.f),
+            brake_rate_std=self._std(),
+            position=state.position,
+            speed=max(0.0, self._mean(state.x[:, 0])),
+            control_acceleration=self._mean(state.x[:, 1]),
+            filtered_target=state.filtered_target,
+            effective_particles=effective_number(np.exp(state.log_weights)),
+            observable=state.observable,
+            innovation=state.innovation,
+            innovation_variance=state.innovation_variance,
+            test_ratio=state.test_ratio,
+        )

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The part of the specific balance that is known: traction, gradient and modelled effects."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from trainid_ros.core.records import NS_PER_S
+from trainid_ros.physics.effects import TrackPoint, extra_resistance
+from trainid_ros.physics.resistance import G
+
+if TYPE_CHECKING:
+    from trainid_ros.core.samples import Sample
+    from trainid_ros.physics.train_file import TrainFile
+
+
+@dataclass(frozen=True, slots=True)
+class KnownForce:
+    """Specific force without the running resistance, u = 1000 F/(M g) - i - w_extra [N/kN].
+
+    With it the balance of the interface reads ``u - w(v) = inertia * dv/dt``.
+    """
+
+    train_file: TrainFile
+
+    @property
+    def inertia(self) -> float:
+        """1000 (1 + gamma) / g: specific force [N/kN] per acceleration [m/s^2]."""
+        return 1000.0 * (1.0 + self.train_file.train.rotary_mass) / G
+
+    def mass(self, sample: Sample) -> float:
+        """Return the weighed mass, or that of the train file [kg]."""
+        return sample.mass if math.isfinite(sample.mass) else self.train_file.train.mass
+
+    def traction(self, force: float, sample: Sample) -> float:
+        """Return 1000 F/(M g) [N/kN]."""
+        return 1000.0 * force / (self.mass(sample) * G)
+
+    def track(self, sample: Sample) -> float:
+        """Return gradient and modelled extra resistance, mean since the previous sample [N/kN]."""
+        return sample.gradient_mean + self.extra(sample)
+
+    def extra(self, sample: Sample) -> float:
+        """Return the resistance of the effects in the train file [N/kN]."""
+        if not self.train_file.effects:
+            return 0.0
+        point = TrackPoint(
+            time_s=sample.stamp_ns / NS_PER_S,
+            position=sample.position,
+            direction=1.0,
+            speed=sample.speed,
+            curve_radius=sample.curve_radius,
+            tunnel=sample.tunnel,
+        )
+        return extra_resistance(self.train_file.effects, point, self.train_file.resistance)

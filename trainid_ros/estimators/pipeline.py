@@ -1,0 +1,223 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One pipeline for every driver: records in, outputs out.
+
+Live nodes, bag replay and fleets push the same records into the same pipeline and copy what comes out;
+no number is computed outside it.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass, field
+from enum import Enum
+from typing import TYPE_CHECKING, Final, Generic, TypeAlias, TypeVar
+
+import numpy as np
+
+from trainid_ros.core.alignment import Aligner, AlignmentConfig, TimeJump
+from trainid_ros.core.records import NS_PER_S, Record
+from trainid_ros.core.results import (
+    BrakeRateEstimate,
+    Estimate,
+    Reason,
+    Refusal,
+    ResistanceEstimate,
+    SpeedModelEstimate,
+    Status,
+)
+from trainid_ros.core.samples import Sample
+from trainid_ros.core.settings import check_settings, setting
+from trainid_ros.estimators.am_vff_rls import AmVffRls, AmVffRlsConfig
+from trainid_ros.estimators.gsma import Gsma, GsmaConfig
+from trainid_ros.estimators.vmils import VMils, VMilsConfig
+
+if TYPE_CHECKING:
+    from trainid_ros.estimators.protocol import Estimator
+    from trainid_ros.physics.train_file import TrainFile
+
+EstimateT = TypeVar('EstimateT', bound=Estimate)
+
+_MISSING: Final = frozenset({Reason.FORCE_MISSING, Reason.GRADIENT_MISSING, Reason.BRAKE_COMMAND_MISSING})
+
+
+class TimeJumpPolicy(Enum):
+    """What to do when the stamps jump back (a bag starts over, a clock is set)."""
+
+    RESET = 'reset'
+    IGNORE = 'ignore'
+    REFUSE = 'refuse'
+
+
+@dataclass(frozen=True, slots=True)
+class PipelineConfig:
+    """Settings shared by all pipelines."""
+
+    stale_after: float = setting(0.8, 'inputs missing this long make an estimate stale', 's', 0.1, 60.0)
+    time_jump_policy: TimeJumpPolicy = TimeJumpPolicy.RESET
+
+
+@dataclass(frozen=True, slots=True)
+class Output(Generic[EstimateT]):
+    """What a driver publishes for one sample.
+
+    Attributes:
+        stamp_ns: Stamp of the newest sample used.
+        estimate: What is believed now.
+        status: Its health.
+        used: Samples used since the last reset.
+        rejected: Records and samples not used since the last reset.
+        last_refusal: The newest refusal, None if there was none.
+
+    """
+
+    stamp_ns: int
+    estimate: EstimateT
+    status: Status
+    used: int
+    rejected: int
+    last_refusal: Refusal | None
+
+
+class EstimatorPipeline(Generic[EstimateT]):
+    """Aligner, estimator and status of one estimate."""
+
+    def __init__(
+        self, estimator: Estimator[EstimateT], config: PipelineConfig, alignment: AlignmentConfig
+    ) -> None:
+        check_settings(config)
+        check_settings(alignment)
+        self.estimator = estimator
+        self.config = config
+        self._aligner = Aligner(alignment, refuse_jump_back=config.time_jump_policy is TimeJumpPolicy.REFUSE)
+        self._stale_ns = round(config.stale_after * NS_PER_S)
+        self.resets = 0
+        self._clear()
+
+    def _clear(self) -> None:
+        self.rejections: Counter[Reason] = Counter()
+        self.used = 0
+        self.samples = 0
+        self.last_refusal: Refusal | None = None
+        self._speed = 0.0
+        self._sample_ns = 0
+        self._complete_ns = 0
+        self._status = Status.UNINITIALIZED
+
+    def reset(self) -> None:
+        """Go back to the prior and forget all records and counters."""
+        self.estimator.reset()
+        self._aligner.reset()
+        self._clear()
+        self.resets += 1
+
+    @property
+    def status(self) -> Status:
+        """Status of the newest output."""
+        return self._status
+
+    @property
+    def newest_ns(self) -> int:
+        """Newest stamp taken in on any topic; 0 before the first."""
+        return self._aligner.newest_ns
+
+    def push(self, record: Record) -> list[Output[EstimateT]]:
+        """Take one record in; return an output for each sample it completes."""
+        outputs: list[Output[EstimateT]] = []
+        for event in self._aligner.push(record):
+            if isinstance(event, Sample):
+                outputs.append(self._step(event))
+            elif isinstance(event, Refusal):
+                self._count(event)
+            else:
+                self._jump(event)
+        waited = self.newest_ns - self._complete_ns
+        if self._sample_ns and waited > self._stale_ns and self._status is not Status.STALE:
+            outputs.append(self.mark_stale())
+        return outputs
+
+    def mark_stale(self) -> Output[EstimateT]:
+        """Tell that inputs are missing; the last estimate stands."""
+        self._status = Status.STALE if self._sample_ns else Status.UNINITIALIZED
+        return self.current()
+
+    def current(self) -> Output[EstimateT]:
+        """Return what is believed now, without a new sample."""
+        return Output(
+            stamp_ns=self._sample_ns,
+            estimate=self.estimator.estimate(self._speed),
+            status=self._status,
+            used=self.used,
+            rejected=self.rejections.total(),
+            last_refusal=self.last_refusal,
+        )
+
+    def _step(self, sample: Sample) -> Output[EstimateT]:
+        result = self.estimator.step(sample)
+        self.samples += 1
+        self._speed = sample.speed
+        self._sample_ns = sample.stamp_ns
+        refusal = result if isinstance(result, Refusal) else None
+        if refusal is None:
+            self.used += 1
+        else:
+            self._count(refusal)
+        if refusal is None or refusal.reason not in _MISSING:
+            self._complete_ns = sample.stamp_ns
+        self._status = self._judge(refusal, sample.stamp_ns)
+        return self.current()
+
+    def _judge(self, refusal: Refusal | None, stamp_ns: int) -> Status:
+        if refusal is not None and refusal.reason is Reason.NUMERICAL:
+            return Status.FAULT
+        if stamp_ns - self._complete_ns > self._stale_ns:
+            return Status.STALE
+        if not self.estimator.converged:
+            return Status.CONVERGING
+        return Status.VALID if refusal is None else Status.HOLDING
+
+    def _count(self, refusal: Refusal) -> None:
+        self.rejections[refusal.reason] += 1
+        self.last_refusal = refusal
+
+    def _jump(self, jump: TimeJump) -> None:
+        """Follow a jump of the stamps by the policy; the aligner has started over already."""
+        self._sample_ns = self._complete_ns = 0
+        if jump.step_s < 0.0 and self.config.time_jump_policy is TimeJumpPolicy.RESET:
+            self.estimator.reset()
+            self._clear()
+            self.resets += 1
+
+
+@dataclass(frozen=True, slots=True)
+class EstimatorSettings:
+    """Everything that shapes the three estimators besides the train file."""
+
+    alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
+    pipeline: PipelineConfig = field(default_factory=PipelineConfig)
+    vmils: VMilsConfig = field(default_factory=VMilsConfig)
+    am_vff_rls: AmVffRlsConfig = field(default_factory=AmVffRlsConfig)
+    gsma: GsmaConfig = field(default_factory=GsmaConfig)
+    seed: int = 1
+
+
+ResistancePipeline: TypeAlias = EstimatorPipeline[ResistanceEstimate]
+SpeedModelPipeline: TypeAlias = EstimatorPipeline[SpeedModelEstimate]
+BrakeRatePipeline: TypeAlias = EstimatorPipeline[BrakeRateEstimate]
+
+
+def resistance_pipeline(train_file: TrainFile, settings: EstimatorSettings) -> ResistancePipeline:
+    """Return V-MILS behind its alignment."""
+    estimator = VMils(train_file, settings.vmils)
+    return EstimatorPipeline(estimator, settings.pipeline, settings.alignment)
+
+
+def speed_model_pipeline(train_file: TrainFile, settings: EstimatorSettings) -> SpeedModelPipeline:
+    """Return AM-VFF-RLS behind its alignment."""
+    estimator = AmVffRls(train_file, settings.am_vff_rls)
+    return EstimatorPipeline(estimator, settings.pipeline, settings.alignment)
+
+
+def brake_rate_pipeline(train_file: TrainFile, settings: EstimatorSettings) -> BrakeRatePipeline:
+    """Return GSMA behind its alignment, with a generator of its own."""
+    estimator = Gsma(train_file, settings.gsma, np.random.default_rng(settings.seed))
+    return EstimatorPipeline(estimator, settings.pipeline, settings.alignment)

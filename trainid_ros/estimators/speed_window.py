@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Resistance from a short window of speed: the least-squares slope of speed less known force.
+
+Differenced 5 Hz speed is too noisy to learn from (Liu et al. 2018, Fig. 1), so a line is fitted through a
+window of it. The paper's acceleration of that line assumes constant forces inside the window; here the
+speed that the known force alone would give, v_u, is taken off first. What is left,
+``v - v_u = v0 - (1/m) * integral of w(v)``, falls with the resistance only, and its slope is exact also
+while traction or gradient change inside the window.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from trainid_ros.core.results import Reason, Refusal
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+_OUTLIER_SIGMAS: Final = 5.0
+_MAX_OUTLIER_SHARE: Final = 0.34
+_ROBUST_ROUNDS: Final = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Tick:
+    """One sample of a window: stamp, measured speed [m/s], mean known specific force since the last [N/kN]."""
+
+    stamp_ns: int
+    dt: float
+    speed: float
+    known_force: float
+    traction: float
+
+
+@dataclass(frozen=True, slots=True)
+class WindowResult:
+    """One observation of the resistance.
+
+    Attributes:
+        y: Observed mean resistance [N/kN], eq. (5) of Liu et al. with rotating mass, gradient and traction.
+        phi: Regressor [1, v, v^2], shape (3,), weighted as the slope weighs them.
+        noise_std: Standard deviation of y from speed noise alone [N/kN].
+        traction: Mean absolute specific traction in the window [N/kN].
+
+    """
+
+    y: float
+    phi: tuple[float, float, float]
+    noise_std: float
+    traction: float
+
+
+def observe_resistance(ticks: list[Tick], inertia: float, speed_std: float) -> WindowResult | Refusal:
+    """Fit one window.
+
+    Args:
+        ticks: The window, oldest first; ``dt`` and forces of the first are not used.
+        inertia: Specific force per acceleration, 1000 (1 + gamma) / g [N/kN per m/s^2].
+        speed_std: Standard deviation of one speed measurement [m/s].
+
+    Returns:
+        The observation, or a refusal if the speed does not follow the forces within its noise.
+
+    """
+    dt = np.array([0.0, *(tick.dt for tick in ticks[1:])])
+    speed = np.array([tick.speed for tick in ticks])
+    force = np.array([0.0, *(tick.known_force for tick in ticks[1:])])
+    time = np.cumsum(dt)
+    rest = speed - np.cumsum(force * dt) / inertia
+    tolerance = _OUTLIER_SIGMAS * speed_std
+    kept = _inliers(time, rest, tolerance)
+    if kept.mean() < 1.0 - _MAX_OUTLIER_SHARE:
+        return Refusal(
+            ticks[-1].stamp_ns, Reason.SPEED_INCONSISTENT, float(np.ptp(rest - _line(time, rest, kept))), tolerance
+        )
+    weights = _slope_weights(time, kept)
+    slope = float(weights @ rest)
+    # Share of each interval in the slope: a change of speed there moves all later speeds.
+    share = dt * np.cumsum(weights[::-1])[::-1]
+    v0, v1 = _mended(time, speed, kept)[:-1], _mended(time, speed, kept)[1:]
+    phi = (
+        float(share[1:].sum()),
+        float(share[1:] @ (0.5 * (v0 + v1))),
+        float(share[1:] @ ((v0 * v0 + v0 * v1 + v1 * v1) / 3.0)),
+    )
+    traction = float(np.mean([abs(tick.traction) for tick in ticks[1:]]))
+    return WindowResult(-inertia * slope, phi, inertia * speed_std * float(np.sqrt(weights @ weights)), traction)
+
+
+def overlap_factor(window: int, hop: int) -> float:
+    """Return long-run over marginal variance of slopes of overlapping windows in white speed noise.
+
+    Neighbouring slopes share speeds with opposite signs, so their errors cancel when averaged.
+    """
+    c = np.arange(window) - 0.5 * (window - 1)
+    lags = range(hop, window, hop)
+    return float(1.0 + 2.0 * sum(c[:-lag] @ c[lag:] for lag in lags) / (c @ c))
+
+
+def _slope_weights(time: NDArray[np.float64], kept: NDArray[np.bool_]) -> NDArray[np.float64]:
+    centred = np.where(kept, time - time[kept].mean(), 0.0)
+    weights: NDArray[np.float64] = centred / (centred @ centred)
+    return weights
+
+
+def _line(time: NDArray[np.float64], y: NDArray[np.float64], kept: NDArray[np.bool_]) -> NDArray[np.float64]:
+    slope = float(_slope_weights(time, kept) @ y)
+    line: NDArray[np.float64] = y[kept].mean() + slope * (time - time[kept].mean())
+    return line
+
+
+def _inliers(time: NDArray[np.float64], y: NDArray[np.float64], tolerance: float) -> NDArray[np.bool_]:
+    """Mark what lies within ``tolerance`` of a robust line; single spikes cost no window."""
+    kept = np.ones(len(y), dtype=bool)
+    if np.max(np.abs(y - _line(time, y, kept))) <= tolerance:
+        return kept
+    half = len(y) // 2
+    slope = (np.median(y[-half:]) - np.median(y[:half])) / (np.median(time[-half:]) - np.median(time[:half]))
+    level = np.median(y - slope * time)
+    kept = np.abs(y - level - slope * time) <= 2.0 * tolerance
+    for _ in range(_ROBUST_ROUNDS):
+        if kept.mean() < 0.5:
+            break
+        kept = np.abs(y - _line(time, y, kept)) <= tolerance
+    return kept
+
+
+def _mended(
+    time: NDArray[np.float64], speed: NDArray[np.float64], kept: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    return speed if kept.all() else np.interp(time, time[kept], speed[kept])

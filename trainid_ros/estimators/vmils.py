@@ -1,0 +1,256 @@
+# SPDX-License-Identifier: Apache-2.0
+"""V-MILS: Davis parameters by interval-varying multi-innovation least squares.
+
+After Liu et al. 2018 (sections 3 and 4.2), with these corrections:
+
+* y carries rotating mass, gradient and traction instead of eq. (5), see :mod:`speed_window`;
+* regularisation is a Gaussian prior (P(0), theta(0)), which equals ridge regression (7) at every step,
+  instead of (12)-(16), whose penalty grows with time;
+* the p innovations of a step have p times their noise variance. Each observation is used p times, so all
+  uses together weigh exactly once and P stays a covariance;
+* "interval-varying": the stack holds the last p *good* observations; refused ones leave no hole.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from trainid_ros.core.codec import decode, encode
+from trainid_ros.core.errors import InputError
+from trainid_ros.core.records import NS_PER_S
+from trainid_ros.core.results import Reason, Refusal, ResistanceEstimate
+from trainid_ros.core.settings import check_settings, setting
+from trainid_ros.estimators.admission import Admission
+from trainid_ros.estimators.change_detector import Cusum
+from trainid_ros.estimators.known_force import KnownForce
+from trainid_ros.estimators.speed_window import Tick, WindowResult, observe_resistance, overlap_factor
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from trainid_ros.core.samples import Sample
+    from trainid_ros.physics.train_file import TrainFile
+
+_SECONDS_PER_HOUR: Final = 3600.0
+
+
+@dataclass(frozen=True, slots=True)
+class VMilsConfig:
+    """Settings of V-MILS."""
+
+    innovation_length: int = setting(4, 'innovation length p', 'observations', 1, 50)
+    window: int = setting(25, 'samples in a speed window', 'samples', 5, 200)
+    hop: int = setting(12, 'samples between windows', 'samples', 1, 200)
+    min_speed: float = setting(1.0, 'slowest speed to learn from', 'm/s', 0.0, 50.0)
+    speed_std: float = setting(0.025, 'noise of measured speed, quantum included', 'm/s', 1e-4, 2.0)
+    disturbance_std: float = setting(0.12, 'unmodelled resistance (gusts, gradient map)', 'N/kN', 0.0, 10.0)
+    disturbance_time: float = setting(8.0, 'correlation time of the disturbance', 's', 0.0, 600.0)
+    force_error: float = setting(0.005, 'relative error of the traction force', '1', 0.0, 0.5)
+    prior_std_a: float = setting(0.8, 'prior standard deviation of a', 'N/kN', 1e-6, 100.0)
+    prior_std_b: float = setting(0.03, 'prior standard deviation of b', 'N/kN per m/s', 1e-8, 10.0)
+    prior_std_c: float = setting(0.001, 'prior standard deviation of c', 'N/kN per (m/s)^2', 1e-9, 1.0)
+    drift_a: float = setting(0.1, 'drift of a in one hour, standard deviation', 'N/kN', 0.0, 100.0)
+    drift_b: float = setting(0.003, 'drift of b in one hour, standard deviation', 'N/kN per m/s', 0.0, 10.0)
+    drift_c: float = setting(0.0001, 'drift of c in one hour, standard deviation', 'N/kN per (m/s)^2', 0.0, 1.0)
+    gate: float = setting(4.0, 'innovations beyond this many standard deviations are refused', '1', 1.0, 100.0)
+    step_allowance: float = setting(0.4, 'CUSUM allowance per innovation', 'standard deviations', 0.0, 3.0)
+    step_threshold: float = setting(10.0, 'CUSUM sum that counts as a step', 'standard deviations', 1.0, 1e6)
+    step_share: float = setting(0.3, 'share of the prior variance restored after a step', '1', 0.0, 1.0)
+    valid_std: float = setting(0.15, 'resistance is fit to use below this standard deviation', 'N/kN', 1e-3, 10.0)
+
+
+@dataclass(frozen=True, slots=True)
+class VMilsState:
+    """All that V-MILS remembers; tuples only, so that it saves as JSON."""
+
+    theta: tuple[float, ...]
+    P: tuple[float, ...]
+    stack: tuple[WindowResult, ...] = ()
+    ticks: tuple[Tick, ...] = ()
+    fresh: int = 0
+    updated_ns: int = 0
+    braked_ns: int = 0
+    cusum: Cusum = Cusum()
+    steps_found: int = 0
+    innovation: float = 0.0
+    innovation_variance: float = 0.0
+    test_ratio: float = 0.0
+    speed_min: float = 0.0
+    speed_max: float = 0.0
+    observations: int = 0
+    converged: bool = False
+
+
+class VMils:
+    """Estimate a, b, c of w(v) = a + b v + c v^2 [N/kN] from aligned samples."""
+
+    def __init__(self, train_file: TrainFile, config: VMilsConfig) -> None:
+        check_settings(config)
+        if config.hop > config.window:
+            msg = f'hop = {config.hop} must not exceed window = {config.window}'
+            raise InputError(msg)
+        self.config = config
+        self._known = KnownForce(train_file)
+        self._admission = Admission(train_file.brake, config.min_speed)
+        davis = train_file.resistance
+        self._theta0 = (davis.a, davis.b, davis.c)
+        self._P0 = np.diag(np.square([config.prior_std_a, config.prior_std_b, config.prior_std_c]))
+        self._drift = np.diag(np.square([config.drift_a, config.drift_b, config.drift_c])) / _SECONDS_PER_HOUR
+        self._overlap = overlap_factor(config.window, config.hop)
+        self.reset()
+
+    def reset(self) -> None:
+        """Go back to the prior."""
+        self.state = VMilsState(self._theta0, tuple(map(float, self._P0.ravel())))
+        self._admission.braked_ns = 0
+
+    def save(self) -> str:
+        """Return the whole state as JSON text."""
+        return encode(self.state)
+
+    def restore(self, text: str) -> None:
+        """Take over a saved state; InputError if it does not fit."""
+        self.state = decode(text, VMilsState)
+        self._admission.braked_ns = self.state.braked_ns
+
+    @property
+    def converged(self) -> bool:
+        """True while the resistance is known well enough at the speeds seen."""
+        return self.state.converged
+
+    def step(self, sample: Sample) -> ResistanceEstimate | Refusal:
+        """Take one sample in; every ``hop`` good samples make one observation and one update."""
+        if (refusal := self._admission.refuse(sample)) is not None:
+            self.state = replace(self.state, ticks=(), fresh=0, braked_ns=self._admission.braked_ns)
+            return refusal
+        self._append(sample)
+        state = self.state
+        if len(state.ticks) < self.config.window or state.fresh < self.config.hop:
+            return self.estimate(sample.speed)
+        self.state = replace(state, fresh=0)
+        observed = observe_resistance(list(state.ticks), self._known.inertia, self.config.speed_std)
+        if isinstance(observed, Refusal):
+            return observed
+        return self._update(observed, sample) or self.estimate(sample.speed)
+
+    def _append(self, sample: Sample) -> None:
+        traction = self._known.traction(sample.force_mean, sample)
+        tick = Tick(sample.stamp_ns, sample.dt, sample.speed, traction - self._known.track(sample), traction)
+        ticks = (*self.state.ticks, tick)[-self.config.window :]
+        self.state = replace(
+            self.state, ticks=ticks, fresh=self.state.fresh + 1, braked_ns=self._admission.braked_ns
+        )
+
+    def _update(self, observed: WindowResult, sample: Sample) -> Refusal | None:
+        """One step of V-MILS at t_s (equations of section 4.2 in their prior form)."""
+        state, config = self.state, self.config
+        theta, P = np.array(state.theta), self._predict(sample.stamp_ns)
+        phi = np.array(observed.phi)
+        nu = observed.y - float(phi @ theta)
+        S = float(phi @ P @ phi) + self._marginal_variance(observed)
+        ratio = nu * nu / (config.gate**2 * S)
+        cusum = state.cusum.add(nu / math.sqrt(S), config.step_allowance, config.gate - 1.0)
+        P, cusum, found = self._reopen(P, cusum)
+        innovated = replace(
+            state,
+            P=tuple(map(float, P.ravel())),
+            updated_ns=sample.stamp_ns,
+            cusum=cusum,
+            steps_found=state.steps_found + found,
+            innovation=nu,
+            innovation_variance=S,
+            test_ratio=ratio,
+        )
+        if ratio > 1.0 and not found:
+            self.state = innovated
+            return Refusal(sample.stamp_ns, Reason.OUTLIER, nu, config.gate * math.sqrt(S))
+        stack = (*state.stack, observed)[-config.innovation_length :]
+        theta, P = self._multi_innovation(theta, P, stack)
+        if not (np.isfinite(theta).all() and np.isfinite(P).all()):
+            return Refusal(sample.stamp_ns, Reason.NUMERICAL, nu, math.nan)
+        speeds = sorted((state.ticks[0].speed, sample.speed))
+        self.state = replace(
+            innovated,
+            theta=tuple(map(float, theta)),
+            P=tuple(map(float, P.ravel())),
+            stack=stack,
+            speed_min=min(state.speed_min, speeds[0]) if state.observations else speeds[0],
+            speed_max=max(state.speed_max, speeds[1]),
+            observations=state.observations + 1,
+        )
+        self._judge()
+        return None
+
+    def _predict(self, now_ns: int) -> NDArray[np.float64]:
+        """Random-walk drift of the parameters since the last update."""
+        P = np.array(self.state.P).reshape(3, 3)
+        if self.state.updated_ns == 0:
+            return P
+        predicted: NDArray[np.float64] = P + self._drift * (max(0, now_ns - self.state.updated_ns) / NS_PER_S)
+        return predicted
+
+    def _reopen(self, P: NDArray[np.float64], cusum: Cusum) -> tuple[NDArray[np.float64], Cusum, int]:
+        """After a step of the parameters, doubt them again by a share of the prior."""
+        if cusum.peak < self.config.step_threshold:
+            return P, cusum, 0
+        return P + self.config.step_share * self._P0, Cusum(), 1
+
+    def _multi_innovation(
+        self, theta: NDArray[np.float64], P: NDArray[np.float64], stack: tuple[WindowResult, ...]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        Phi = np.array([item.phi for item in stack]).T  # (3, p)
+        Y = np.array([item.y for item in stack])
+        R = np.diag([self.config.innovation_length * self._long_run_variance(item) for item in stack])
+        # L = P Phi [R + Phi' P Phi]^-1;  theta += L [Y - Phi' theta];  P = (I - L Phi') P
+        L = np.linalg.solve(R + Phi.T @ P @ Phi, Phi.T @ P).T
+        A = np.eye(3) - L @ Phi.T
+        # Joseph form: keeps P symmetric and positive under rounding.
+        return theta + L @ (Y - Phi.T @ theta), A @ P @ A.T + L @ R @ L.T
+
+    def _marginal_variance(self, item: WindowResult) -> float:
+        """Variance of one observation."""
+        return item.noise_std**2 + self.config.disturbance_std**2 + (self.config.force_error * item.traction) ** 2
+
+    def _long_run_variance(self, item: WindowResult) -> float:
+        """Variance per observation of the mean of many: overlap and slow disturbances counted."""
+        hop_s = self.config.hop * 0.2
+        slow = max(1.0, 2.0 * self.config.disturbance_time / hop_s)
+        return (
+            self._overlap * item.noise_std**2
+            + slow * self.config.disturbance_std**2
+            + (self.config.force_error * item.traction) ** 2
+        )
+
+    def _judge(self) -> None:
+        """Fit to use while w is known over the speeds seen; hysteresis of one half."""
+        state = self.state
+        worst = max(self._resistance_std(v) for v in (state.speed_min, state.speed_max))
+        limit = self.config.valid_std * (1.5 if state.converged else 1.0)
+        self.state = replace(state, converged=worst < limit)
+
+    def _resistance_std(self, speed: float) -> float:
+        phi = np.array([1.0, speed, speed * speed])
+        return math.sqrt(max(0.0, float(phi @ np.array(self.state.P).reshape(3, 3) @ phi)))
+
+    def estimate(self, speed: float) -> ResistanceEstimate:
+        """Return the parameters and the resistance at a speed [m/s]."""
+        state = self.state
+        a, b, c = state.theta
+        return ResistanceEstimate(
+            a=a,
+            b=b,
+            c=c,
+            covariance=state.P,
+            resistance=a + b * speed + c * speed * speed,
+            resistance_std=self._resistance_std(speed),
+            speed=speed,
+            innovation=state.innovation,
+            innovation_variance=state.innovation_variance,
+            test_ratio=state.test_ratio,
+            speed_min=state.speed_min,
+            speed_max=state.speed_max,
+        )
