@@ -30,6 +30,8 @@ from trainid_ros.core.validation import find_fault
 
 _CONFIRMATIONS: Final = 3
 _THINNING_SHARE: Final = 0.4
+# Farther than odometer noise, shorter than any run between stops.
+_TURNING_DISTANCE: Final = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,6 +116,8 @@ class Aligner:
         self._sample_ns = 0
         self._due_ns = 0
         self._command = math.nan
+        self._direction = 1
+        self._turning_position = math.nan
         self._suspects: list[int] = []
 
     @property
@@ -211,6 +215,7 @@ class Aligner:
             dt=dt,
             speed=speed.speed,
             position=speed.position,
+            direction=self._follow_direction(speed.position),
             force=self._value(self._force, now),
             force_mean=self._mean(self._force, start, now),
             gradient=self._value(self._gradient, now),
@@ -229,6 +234,16 @@ class Aligner:
         for track in (self._force, self._gradient, self._brake, self._mass):
             track.prune(now - self._max_gap_ns)
         return sample
+
+    def _follow_direction(self, position: float) -> int:
+        """Return +1 or -1 as positions rise or fall, kept until the train has clearly moved."""
+        moved = position - self._turning_position
+        if math.isnan(moved):
+            self._turning_position = position if math.isnan(self._turning_position) else self._turning_position
+        elif abs(moved) > _TURNING_DISTANCE:
+            self._direction = 1 if moved > 0.0 else -1
+            self._turning_position = position
+        return self._direction
 
     def _value(self, track: _Track, at_ns: int) -> float:
         """Interpolate to a stamp; NaN where the neighbours are missing or too far apart."""

@@ -23,6 +23,7 @@ class Sample:
         dt: Time since the previous sample [s]; NaN for the first and after a gap.
         speed: Measured speed [m/s].
         position: Position along the line [m], NaN if unknown.
+        direction: +1 while positions rise (also while unknown), -1 while they fall.
         force: Wheel-rim force at the stamp [N], NaN if unknown.
         force_mean: Mean of the force since the previous sample [N], NaN if unknown.
         gradient: Gradient at the stamp [per mille], NaN if unknown.
@@ -40,6 +41,7 @@ class Sample:
     dt: float
     speed: float
     position: float
+    direction: int
     force: float
     force_mean: float
     gradient: float

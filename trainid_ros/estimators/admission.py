@@ -15,17 +15,19 @@ from trainid_ros.core.results import Reason, Refusal
 
 if TYPE_CHECKING:
     from trainid_ros.core.samples import Sample
-    from trainid_ros.physics.train_file import Brake
+    from trainid_ros.estimators.known_force import KnownForce
 
 # After this many time constants a released brake is below 0.3 % of what it was.
 _SETTLING: Final = 6.0
+# Force noise while coasting stays above this [N/kN]; a brake that is meant goes far below.
+_BRAKE_FORCE: Final = -1.5
 
 
 @dataclass(slots=True)
 class Admission:
     """Decides sample by sample; ``braked_ns`` is the last stamp at which the brake was asked for, 0 if never."""
 
-    brake: Brake
+    known: KnownForce
     min_speed: float
     braked_ns: int = 0
 
@@ -47,7 +49,8 @@ class Admission:
 
     def _brake_acts(self, sample: Sample) -> bool:
         """True while the brake acts, still releases, or is not known to be off."""
-        asked = not sample.brake_command >= 0.0 or sample.emergency or sample.force < 0.0 or sample.force_mean < 0.0
+        force = self.known.traction(min(sample.force, sample.force_mean), sample)
+        asked = not sample.brake_command >= 0.0 or sample.emergency or force < _BRAKE_FORCE
         if asked or any(change.target_acceleration < 0.0 for change in sample.brake_changes):
             self.braked_ns = sample.stamp_ns
             return True
@@ -61,4 +64,5 @@ class Admission:
     @property
     def settling(self) -> float:
         """Time after release from which on the brake is off for sure [s]."""
-        return self.brake.delay + _SETTLING * self.brake.time_constant
+        brake = self.known.train_file.brake
+        return brake.delay + _SETTLING * brake.time_constant

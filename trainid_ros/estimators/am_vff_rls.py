@@ -93,7 +93,7 @@ class AmVffRls:
         check_settings(config)
         self.config = config
         self._known = KnownForce(train_file)
-        self._admission = Admission(train_file.brake, config.min_speed)
+        self._admission = Admission(self._known, config.min_speed)
         davis = train_file.resistance
         c = 1.0 / self._known.inertia
         self._theta0 = to_speed_model((davis.a, davis.b, davis.c), c)

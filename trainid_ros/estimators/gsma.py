@@ -91,7 +91,6 @@ class GsmaState:
     filtered_target: float = 0.0
     unbraked_s: float = 0.0
     position: float = math.nan
-    measured_position: float = math.nan
     refused_in_a_row: int = 0
     innovation: float = 0.0
     innovation_variance: float = 0.0
@@ -218,7 +217,6 @@ class Gsma:
             stamp_ns=sample.stamp_ns,
             unbraked_s=self.state.unbraked_s + elapsed,
             position=sample.position,
-            measured_position=sample.position,
             refused_in_a_row=0,
             observable=False,
         )
@@ -227,12 +225,11 @@ class Gsma:
         """Dead-reckon by filtered speed, pulled towards the odometer (which adds nothing to f)."""
         state, measured = self.state, sample.position
         if math.isnan(measured) or math.isnan(state.position):
-            self.state = replace(state, position=measured, measured_position=measured)
+            self.state = replace(state, position=measured)
             return
-        direction = math.copysign(1.0, measured - state.measured_position)
-        position = state.position + direction * self._mean(state.x[:, 0]) * sample.dt
+        position = state.position + sample.direction * self._mean(state.x[:, 0]) * sample.dt
         position += _POSITION_GAIN * (measured - position)
-        self.state = replace(state, position=position, measured_position=measured)
+        self.state = replace(state, position=position)
 
     def _mean(self, values: NDArray[np.float64]) -> float:
         return float(np.exp(self.state.log_weights) @ values)

@@ -4,11 +4,9 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from trainid_ros.core.records import NS_PER_S
-from trainid_ros.physics.effects import TrackPoint, extra_resistance
+from trainid_ros.physics.effects import TrackPoint, resistance_terms
 from trainid_ros.physics.resistance import G
 
 if TYPE_CHECKING:
@@ -16,14 +14,15 @@ if TYPE_CHECKING:
     from trainid_ros.physics.train_file import TrainFile
 
 
-@dataclass(frozen=True, slots=True)
 class KnownForce:
     """Specific force without the running resistance, u = 1000 F/(M g) - i - w_extra [N/kN].
 
     With it the balance of the interface reads ``u - w(v) = inertia * dv/dt``.
     """
 
-    train_file: TrainFile
+    def __init__(self, train_file: TrainFile) -> None:
+        self.train_file = train_file
+        self._terms = resistance_terms(train_file.effects)
 
     @property
     def inertia(self) -> float:
@@ -44,14 +43,17 @@ class KnownForce:
 
     def extra(self, sample: Sample) -> float:
         """Return the resistance of the effects in the train file [N/kN]."""
-        if not self.train_file.effects:
+        if not self._terms:
             return 0.0
+        # Effects that set in at some time or wear off with distance: taken as set in, and as worn off.
         point = TrackPoint(
-            time_s=sample.stamp_ns / NS_PER_S,
+            time_s=math.inf,
             position=sample.position,
-            direction=1.0,
+            direction=sample.direction,
             speed=sample.speed,
             curve_radius=sample.curve_radius,
             tunnel=sample.tunnel,
+            length=self.train_file.train.length,
+            distance_run=math.inf,
         )
-        return extra_resistance(self.train_file.effects, point, self.train_file.resistance)
+        return sum(term(self.train_file.resistance, point) for term in self._terms)

@@ -23,6 +23,8 @@ if TYPE_CHECKING:
 _OUTLIER_SIGMAS: Final = 5.0
 _MAX_OUTLIER_SHARE: Final = 0.34
 _ROBUST_ROUNDS: Final = 3
+# Standard deviation over median absolute deviation of a normal distribution.
+_NORMAL_MAD: Final = 1.4826
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,7 +56,9 @@ class WindowResult:
     traction: float
 
 
-def observe_resistance(ticks: list[Tick], inertia: float, speed_std: float) -> WindowResult | Refusal:
+def observe_resistance(
+    ticks: list[Tick], inertia: float, speed_std: float
+) -> tuple[WindowResult | Refusal, float]:
     """Fit one window.
 
     Args:
@@ -63,7 +67,8 @@ def observe_resistance(ticks: list[Tick], inertia: float, speed_std: float) -> W
         speed_std: Standard deviation of one speed measurement [m/s].
 
     Returns:
-        The observation, or a refusal if the speed does not follow the forces within its noise.
+        The observation, or a refusal if the speed does not follow the forces within its noise; and the
+        spread of the speed about the line [m/s], a robust estimate of its noise.
 
     """
     dt = np.array([0.0, *(tick.dt for tick in ticks[1:])])
@@ -71,12 +76,13 @@ def observe_resistance(ticks: list[Tick], inertia: float, speed_std: float) -> W
     force = np.array([0.0, *(tick.known_force for tick in ticks[1:])])
     time = np.cumsum(dt)
     rest = speed - np.cumsum(force * dt) / inertia
+    robust = rest - _robust_line(time, rest)
+    spread = _NORMAL_MAD * float(np.median(np.abs(robust)))
     tolerance = _OUTLIER_SIGMAS * speed_std
-    kept = _inliers(time, rest, tolerance)
+    kept = _inliers(time, rest, robust, tolerance)
     if kept.mean() < 1.0 - _MAX_OUTLIER_SHARE:
-        return Refusal(
-            ticks[-1].stamp_ns, Reason.SPEED_INCONSISTENT, float(np.ptp(rest - _line(time, rest, kept))), tolerance
-        )
+        worst = float(np.max(np.abs(robust)))
+        return Refusal(ticks[-1].stamp_ns, Reason.SPEED_INCONSISTENT, worst, tolerance), spread
     weights = _slope_weights(time, kept)
     slope = float(weights @ rest)
     # Share of each interval in the slope: a change of speed there moves all later speeds.
@@ -88,7 +94,8 @@ def observe_resistance(ticks: list[Tick], inertia: float, speed_std: float) -> W
         float(share[1:] @ ((v0 * v0 + v0 * v1 + v1 * v1) / 3.0)),
     )
     traction = float(np.mean([abs(tick.traction) for tick in ticks[1:]]))
-    return WindowResult(-inertia * slope, phi, inertia * speed_std * float(np.sqrt(weights @ weights)), traction)
+    noise_std = inertia * speed_std * float(np.sqrt(weights @ weights))
+    return WindowResult(-inertia * slope, phi, noise_std, traction), spread
 
 
 def overlap_factor(window: int, hop: int) -> float:
@@ -113,15 +120,22 @@ def _line(time: NDArray[np.float64], y: NDArray[np.float64], kept: NDArray[np.bo
     return line
 
 
-def _inliers(time: NDArray[np.float64], y: NDArray[np.float64], tolerance: float) -> NDArray[np.bool_]:
-    """Mark what lies within ``tolerance`` of a robust line; single spikes cost no window."""
+def _robust_line(time: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Line through the medians of the two halves."""
+    half = len(y) // 2
+    slope = (np.median(y[-half:]) - np.median(y[:half])) / (np.median(time[-half:]) - np.median(time[:half]))
+    line: NDArray[np.float64] = slope * time + np.median(y - slope * time)
+    return line
+
+
+def _inliers(
+    time: NDArray[np.float64], y: NDArray[np.float64], robust: NDArray[np.float64], tolerance: float
+) -> NDArray[np.bool_]:
+    """Mark what lies within ``tolerance`` of the line; single spikes cost no window."""
     kept = np.ones(len(y), dtype=bool)
     if np.max(np.abs(y - _line(time, y, kept))) <= tolerance:
         return kept
-    half = len(y) // 2
-    slope = (np.median(y[-half:]) - np.median(y[:half])) / (np.median(time[-half:]) - np.median(time[:half]))
-    level = np.median(y - slope * time)
-    kept = np.abs(y - level - slope * time) <= 2.0 * tolerance
+    kept = np.abs(robust) <= 2.0 * tolerance
     for _ in range(_ROBUST_ROUNDS):
         if kept.mean() < 0.5:
             break

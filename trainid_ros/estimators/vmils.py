@@ -36,6 +36,10 @@ if TYPE_CHECKING:
     from trainid_ros.physics.train_file import TrainFile
 
 _SECONDS_PER_HOUR: Final = 3600.0
+_NOISE_MEMORY: Final = 0.1
+_NOISE_RANGE: Final = (0.3, 10.0)
+# One window cannot tell much more noise than is known: slip is no noise.
+_NOISE_GROWTH: Final = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,20 +50,22 @@ class VMilsConfig:
     window: int = setting(25, 'samples in a speed window', 'samples', 5, 200)
     hop: int = setting(12, 'samples between windows', 'samples', 1, 200)
     min_speed: float = setting(1.0, 'slowest speed to learn from', 'm/s', 0.0, 50.0)
-    speed_std: float = setting(0.025, 'noise of measured speed, quantum included', 'm/s', 1e-4, 2.0)
+    speed_std: float = setting(0.025, 'noise of measured speed at the start (then learned)', 'm/s', 1e-4, 2.0)
     disturbance_std: float = setting(0.12, 'unmodelled resistance (gusts, gradient map)', 'N/kN', 0.0, 10.0)
     disturbance_time: float = setting(8.0, 'correlation time of the disturbance', 's', 0.0, 600.0)
     force_error: float = setting(0.005, 'relative error of the traction force', '1', 0.0, 0.5)
     prior_std_a: float = setting(0.8, 'prior standard deviation of a', 'N/kN', 1e-6, 100.0)
     prior_std_b: float = setting(0.03, 'prior standard deviation of b', 'N/kN per m/s', 1e-8, 10.0)
     prior_std_c: float = setting(0.001, 'prior standard deviation of c', 'N/kN per (m/s)^2', 1e-9, 1.0)
-    drift_a: float = setting(0.1, 'drift of a in one hour, standard deviation', 'N/kN', 0.0, 100.0)
-    drift_b: float = setting(0.003, 'drift of b in one hour, standard deviation', 'N/kN per m/s', 0.0, 10.0)
-    drift_c: float = setting(0.0001, 'drift of c in one hour, standard deviation', 'N/kN per (m/s)^2', 0.0, 1.0)
+    drift_a: float = setting(0.3, 'drift of a in one hour, standard deviation', 'N/kN', 0.0, 100.0)
+    drift_b: float = setting(0.004, 'drift of b in one hour, standard deviation', 'N/kN per m/s', 0.0, 10.0)
+    drift_c: float = setting(0.0002, 'drift of c in one hour, standard deviation', 'N/kN per (m/s)^2', 0.0, 1.0)
     gate: float = setting(4.0, 'innovations beyond this many standard deviations are refused', '1', 1.0, 100.0)
     step_allowance: float = setting(0.4, 'CUSUM allowance per innovation', 'standard deviations', 0.0, 3.0)
     step_threshold: float = setting(10.0, 'CUSUM sum that counts as a step', 'standard deviations', 1.0, 1e6)
-    step_share: float = setting(0.3, 'share of the prior variance restored after a step', '1', 0.0, 1.0)
+    step_std_a: float = setting(0.5, 'doubt about a added after a step', 'N/kN', 0.0, 100.0)
+    step_std_b: float = setting(0.004, 'doubt about b added after a step', 'N/kN per m/s', 0.0, 10.0)
+    step_std_c: float = setting(0.0003, 'doubt about c added after a step', 'N/kN per (m/s)^2', 0.0, 1.0)
     valid_std: float = setting(0.15, 'resistance is fit to use below this standard deviation', 'N/kN', 1e-3, 10.0)
 
 
@@ -72,6 +78,7 @@ class VMilsState:
     stack: tuple[WindowResult, ...] = ()
     ticks: tuple[Tick, ...] = ()
     fresh: int = 0
+    speed_variance: float = 0.0
     updated_ns: int = 0
     braked_ns: int = 0
     cusum: Cusum = Cusum()
@@ -95,17 +102,20 @@ class VMils:
             raise InputError(msg)
         self.config = config
         self._known = KnownForce(train_file)
-        self._admission = Admission(train_file.brake, config.min_speed)
+        self._admission = Admission(self._known, config.min_speed)
         davis = train_file.resistance
         self._theta0 = (davis.a, davis.b, davis.c)
         self._P0 = np.diag(np.square([config.prior_std_a, config.prior_std_b, config.prior_std_c]))
         self._drift = np.diag(np.square([config.drift_a, config.drift_b, config.drift_c])) / _SECONDS_PER_HOUR
+        self._step = np.diag(np.square([config.step_std_a, config.step_std_b, config.step_std_c]))
         self._overlap = overlap_factor(config.window, config.hop)
         self.reset()
 
     def reset(self) -> None:
         """Go back to the prior."""
-        self.state = VMilsState(self._theta0, tuple(map(float, self._P0.ravel())))
+        self.state = VMilsState(
+            self._theta0, tuple(map(float, self._P0.ravel())), speed_variance=self.config.speed_std**2
+        )
         self._admission.braked_ns = 0
 
     def save(self) -> str:
@@ -132,7 +142,9 @@ class VMils:
         if len(state.ticks) < self.config.window or state.fresh < self.config.hop:
             return self.estimate(sample.speed)
         self.state = replace(state, fresh=0)
-        observed = observe_resistance(list(state.ticks), self._known.inertia, self.config.speed_std)
+        speed_std = math.sqrt(state.speed_variance)
+        observed, spread = observe_resistance(list(state.ticks), self._known.inertia, speed_std)
+        self._learn_noise(spread)
         if isinstance(observed, Refusal):
             return observed
         return self._update(observed, sample) or self.estimate(sample.speed)
@@ -144,6 +156,13 @@ class VMils:
         self.state = replace(
             self.state, ticks=ticks, fresh=self.state.fresh + 1, braked_ns=self._admission.braked_ns
         )
+
+    def _learn_noise(self, spread: float) -> None:
+        """Follow the noise of the measured speed, which differs between trains, within bounds."""
+        low, high = (factor * self.config.speed_std for factor in _NOISE_RANGE)
+        known = self.state.speed_variance
+        bounded = min(max(spread, low), high, _NOISE_GROWTH * math.sqrt(known))
+        self.state = replace(self.state, speed_variance=known + _NOISE_MEMORY * (bounded * bounded - known))
 
     def _update(self, observed: WindowResult, sample: Sample) -> Refusal | None:
         """One step of V-MILS at t_s (equations of section 4.2 in their prior form)."""
@@ -194,10 +213,10 @@ class VMils:
         return predicted
 
     def _reopen(self, P: NDArray[np.float64], cusum: Cusum) -> tuple[NDArray[np.float64], Cusum, int]:
-        """After a step of the parameters, doubt them again by a share of the prior."""
+        """After a step of the parameters, doubt them again."""
         if cusum.peak < self.config.step_threshold:
             return P, cusum, 0
-        return P + self.config.step_share * self._P0, Cusum(), 1
+        return P + self._step, Cusum(), 1
 
     def _multi_innovation(
         self, theta: NDArray[np.float64], P: NDArray[np.float64], stack: tuple[WindowResult, ...]
@@ -226,11 +245,12 @@ class VMils:
         )
 
     def _judge(self) -> None:
-        """Fit to use while w is known over the speeds seen; hysteresis of one half."""
+        """Fit to use while w is known over the speeds seen (rms); hysteresis of one half."""
         state = self.state
-        worst = max(self._resistance_std(v) for v in (state.speed_min, state.speed_max))
+        speeds = (state.speed_min, 0.5 * (state.speed_min + state.speed_max), state.speed_max)
+        rms = math.hypot(*(self._resistance_std(v) for v in speeds)) / math.sqrt(len(speeds))
         limit = self.config.valid_std * (1.5 if state.converged else 1.0)
-        self.state = replace(state, converged=worst < limit)
+        self.state = replace(state, converged=rms < limit)
 
     def _resistance_std(self, speed: float) -> float:
         phi = np.array([1.0, speed, speed * speed])
