@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Train dynamics: the specific balance, integrated with an exact brake actuator.
+
+``(1 + gamma) M_true dv/dt = k F + f (1 + gamma) M u - M_true g / 1000 (w(v) + i + w_extra + gust)`` with
+the reported traction F, the lagged and delayed brake target u <= 0, the brake rate f and the weighed
+mass M. Speed and position use the midpoint rule, whose error at 20 ms steps is far below any sensor's.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from trainid_ros.core.records import NS_PER_S
+from trainid_ros.core.samples import BrakeCommandChange
+from trainid_ros.physics.brake import CommandHistory, lag_integral, lag_response
+from trainid_ros.physics.effects import TrackPoint, effect_value, resistance_terms
+from trainid_ros.physics.line import LineProfile
+from trainid_ros.physics.resistance import G, davis
+from trainid_ros.physics.train_file import TrainFile
+
+STEP_NS: Final = 20_000_000
+COOLING_S: Final = 300.0
+"""Time in which a hot brake loses 63 % of its heat; only matters with the effect brake_fade."""
+_APPLIED: Final = -0.02
+
+
+class Plant:
+    """The train; its public attributes are the true state.
+
+    Attributes:
+        now_ns: Time of the state.
+        position: Position of the front [m].
+        direction: +1 while positions rise, -1 while they fall.
+        speed: Speed [m/s], never negative: a train that stops is held.
+        acceleration: Mean acceleration over the last step [m/s^2].
+        traction: Traction as reported by the drive [N].
+        brake: Lagged and delayed brake target [m/s^2, <= 0].
+        mass: Mass as believed [kg].
+        resistance: Davis resistance now.
+        brake_rate: Brake rate now.
+        gust: Further resistance [N/kN].
+        distance_run: Distance run since the start [m].
+
+    """
+
+    def __init__(self, train_file: TrainFile, profile: LineProfile, start_ns: int, jerk: float) -> None:
+        """Stand still at the first stop of the line.
+
+        Args:
+            train_file: The true train.
+            profile: The true line under this train.
+            start_ns: Time of the state.
+            jerk: Greatest change of the traction, as acceleration per second [m/s^3].
+
+        Raises:
+            InputError: An effect is not known or has wrong parameters.
+
+        """
+        effects = train_file.effects
+        self.profile = profile
+        self.now_ns = start_ns
+        self.position = train_file.line.stops[0] if train_file.line.stops else 0.0
+        self.direction = 1
+        self.speed = self.acceleration = self.traction = self.brake = 0.0
+        self.mass = train_file.train.mass
+        self.resistance = train_file.resistance
+        self.brake_rate = train_file.brake.rate
+        self.gust = self.distance_run = 0.0
+        self._train = train_file.train
+        self._jerk = jerk
+        self._start_ns = start_ns
+        self._time_constant = train_file.brake.time_constant
+        delay = train_file.brake.delay + effect_value(effects, 'brake_delay', 'extra', 0.0)
+        self._delay_ns = round(delay * NS_PER_S)
+        self._commands = CommandHistory()
+        self._terms = resistance_terms(effects)
+        self._mass_ratio = effect_value(effects, 'mass_error', 'ratio', 1.0)
+        self._traction_ratio = effect_value(effects, 'traction_scale', 'ratio', 1.0)
+        self._fade = effect_value(effects, 'brake_fade', 'loss', 0.0)
+        self._fade_energy = effect_value(effects, 'brake_fade', 'energy', math.inf)
+        self._heat = 0.0
+        self._since_release = math.inf
+
+    @property
+    def reported_force(self) -> float:
+        """Force that drive and brake control report [N]: braking as that of a nominal brake."""
+        return self.traction + self.mass * (1.0 + self._train.rotary_mass) * self.brake
+
+    def command(self, target_acceleration: float) -> None:
+        """Give the brake a target from now on [m/s^2, <= 0]."""
+        change = BrakeCommandChange(self.now_ns, target_acceleration)
+        self._commands = self._commands.push(change).prune(self.now_ns - self._delay_ns)
+
+    def step(self, traction_demand: float, dt_ns: int = STEP_NS) -> None:
+        """Go on by one step with the traction on its way to a demand [N]."""
+        dt = dt_ns / NS_PER_S
+        brake = self._brake_acceleration(dt_ns)
+        traction = self._ramp_traction(traction_demand, dt)
+        mass = self.mass * self._mass_ratio
+        inertia = mass * (1.0 + self._train.rotary_mass)
+        driven = self._traction_ratio * traction / inertia + brake / self._mass_ratio
+        acceleration = driven - self._retardation(0.0)
+        middle = max(0.0, self.speed + 0.5 * dt * acceleration)
+        self._move(driven - self._retardation(0.5 * dt, middle), dt)
+        self.now_ns += dt_ns
+
+    def _retardation(self, ahead_s: float, speed: float | None = None) -> float:
+        """Return the deceleration by all resistances at the middle of a step [m/s^2]."""
+        v = self.speed if speed is None else speed
+        position = self.position + self.direction * ahead_s * v
+        w = davis(self.resistance, v) + self.gust + self.profile.gradient(position, self.direction)
+        if self._terms:
+            point = self._track_point(position, v, ahead_s)
+            for term in self._terms:
+                w += term(self.resistance, point)
+        return w * G / (1000.0 * (1.0 + self._train.rotary_mass))
+
+    def _track_point(self, position: float, speed: float, ahead_s: float) -> TrackPoint:
+        return TrackPoint(
+            time_s=(self.now_ns - self._start_ns) / NS_PER_S + ahead_s,
+            position=position,
+            direction=self.direction,
+            speed=speed,
+            curve_radius=self.profile.curve_radius(position, self.direction),
+            tunnel=self.profile.tunnel(position, self.direction),
+            length=self.profile.length,
+            distance_run=self.distance_run,
+            since_release=self._since_release,
+        )
+
+    def _move(self, acceleration: float, dt: float) -> None:
+        before = self.speed
+        after = before + acceleration * dt
+        if after > 0.0:
+            run = 0.5 * (before + after) * dt
+        else:
+            # The train comes to a stand within the step and is held there.
+            run = 0.5 * before * before / -acceleration if before > 0.0 else 0.0
+            after = 0.0
+        self.speed = after
+        self.acceleration = (after - before) / dt
+        self.position += self.direction * run
+        self.distance_run += run
+
+    def _ramp_traction(self, demand: float, dt: float) -> float:
+        """Move the traction towards its demand; return its mean over the step."""
+        most = self._jerk * self.mass * dt
+        before = self.traction
+        self.traction = before + min(most, max(-most, demand - before))
+        return 0.5 * (before + self.traction)
+
+    def _brake_acceleration(self, dt_ns: int) -> float:
+        """Let the actuator follow its delayed command; return the mean acceleration of the true brake."""
+        start = self.now_ns - self._delay_ns
+        change = 0.0
+        for duration, target in self._commands.segments(start, start + dt_ns):
+            change += lag_integral(self.brake, target, self._time_constant, duration)
+            self.brake = lag_response(self.brake, target, self._time_constant, duration)
+        dt = dt_ns / NS_PER_S
+        self._since_release = 0.0 if self.brake < _APPLIED else self._since_release + dt
+        mean = self.brake_rate * change / dt
+        if self._fade == 0.0:
+            return mean
+        faded = mean * (1.0 - self._fade * min(1.0, self._heat / self._fade_energy))
+        self._heat += dt * (-faded * self.speed - self._heat / COOLING_S)
+        return faded

@@ -1,0 +1,128 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What was true while a bag was recorded: resistance and brake rate over time.
+
+The file ``truth.yaml`` beside a bag holds it; bags from elsewhere whose truth is known use the same file.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+
+import yaml
+
+from trainid_ros.core.errors import InputError
+from trainid_ros.core.records import NS_PER_S
+from trainid_ros.physics.fields import Section, parse_yaml
+from trainid_ros.physics.train_file import Davis
+
+
+@dataclass(frozen=True, slots=True)
+class TruthPoint:
+    """The truth at one moment; the brake rate is None where it is not known."""
+
+    resistance: Davis
+    brake_rate: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """Piecewise-constant truth; times in seconds since the start, rising.
+
+    Attributes:
+        start_ns: Stamp of time zero.
+        resistance: (time, a, b, c) in s and N/kN; at least one entry.
+        brake_rate: (time, rate); empty where the rate is not known.
+
+    """
+
+    start_ns: int
+    resistance: tuple[tuple[float, float, float, float], ...]
+    brake_rate: tuple[tuple[float, float], ...] = ()
+
+    def truth_at(self, time_s: float) -> TruthPoint:
+        """Return the truth at a time since the start [s]; the first values also hold before theirs."""
+        _, a, b, c = self.resistance[_index([row[0] for row in self.resistance], time_s)]
+        if not self.brake_rate:
+            return TruthPoint(Davis(a, b, c), None)
+        rate = self.brake_rate[_index([row[0] for row in self.brake_rate], time_s)][1]
+        return TruthPoint(Davis(a, b, c), rate)
+
+    def truth_at_ns(self, stamp_ns: int) -> TruthPoint:
+        """Return the truth at a stamp."""
+        return self.truth_at((stamp_ns - self.start_ns) / NS_PER_S)
+
+
+def dump_truth(truth: Truth) -> str:
+    """Return the truth as YAML text that reads back as exactly the same values."""
+    document = {
+        'start_ns': truth.start_ns,
+        'resistance': [[float(x) for x in row] for row in truth.resistance],
+        'brake_rate': [[float(x) for x in row] for row in truth.brake_rate],
+    }
+    return '# resistance: [time s, a, b, c]; brake_rate: [time s, rate]\n' + yaml.safe_dump(
+        document, sort_keys=False, default_flow_style=None
+    )
+
+
+def save_truth(truth: Truth, path: str | Path) -> None:
+    """Write a truth file.
+
+    Raises:
+        InputError: The file cannot be written.
+
+    """
+    try:
+        Path(path).write_text(dump_truth(truth), encoding='utf-8')
+    except OSError as error:
+        raise InputError(f'{path}: cannot be written: {error.strerror or error}') from error
+
+
+def load_truth(path: str | Path) -> Truth:
+    """Read a truth file.
+
+    Raises:
+        InputError: The file cannot be read or a field cannot be used.
+
+    """
+    try:
+        text = Path(path).read_text(encoding='utf-8')
+    except OSError as error:
+        raise InputError(f'{path}: cannot be read: {error.strerror or error}') from error
+    except UnicodeDecodeError as error:
+        raise InputError(f'{path}: is not UTF-8 text (byte {error.start})') from error
+    return parse_truth(text, str(path))
+
+
+def parse_truth(text: str, source: str) -> Truth:
+    """Read a truth file from its text; ``source`` is the name that errors show.
+
+    Raises:
+        InputError: A field cannot be used.
+
+    """
+    top = parse_yaml(text, source).only(('start_ns', 'resistance', 'brake_rate'))
+    resistance = top.rows('resistance', ('time s', 'a', 'b', 'c'))
+    brake_rate = top.rows('brake_rate', ('time s', 'rate'))
+    if not resistance:
+        raise top.error('resistance', 'is missing: a truth has at least one row [time s, a, b, c]')
+    _check_rising(top, 'resistance', resistance)
+    _check_rising(top, 'brake_rate', brake_rate)
+    return Truth(
+        start_ns=top.integer('start_ns', 0, low=0),
+        resistance=tuple((t, a, b, c) for t, a, b, c in resistance),
+        brake_rate=tuple((t, rate) for t, rate in brake_rate),
+    )
+
+
+def _check_rising(top: Section, key: str, rows: tuple[tuple[float, ...], ...]) -> None:
+    for i, (before, after) in enumerate(pairwise(rows)):
+        if after[0] <= before[0]:
+            problem = f'= {after[0]:g} s must come after {before[0]:g} s: times rise'
+            raise top.error(f'{key}[{i + 1}]', problem)
+
+
+def _index(times: list[float], time_s: float) -> int:
+    return max(0, bisect_right(times, time_s) - 1)
