@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Build of the ament_python package trainid_ros."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from pathlib import Path
+
+from setuptools import setup
+
+NAME = 'trainid_ros'
+SUBPACKAGES = ('bags', 'commands', 'core', 'estimators', 'nodes', 'physics', 'report', 'simulation')
+# Folders that go to the share directory as they are.
+SHARED_FOLDERS = ('bags', 'config', 'launch', 'layouts')
+
+
+def shared_files() -> list[tuple[str, list[str]]]:
+    """List the files of the shared folders by their place under the share directory."""
+    root = Path(__file__).parent
+    groups: dict[str, list[str]] = defaultdict(list)
+    for folder in SHARED_FOLDERS:
+        for path in sorted((root / folder).rglob('*')):
+            if path.is_file() and '__pycache__' not in path.parts:
+                relative = path.relative_to(root)
+                groups[f'share/{NAME}/{relative.parent}'].append(str(relative))
+    return list(groups.items())
+
+
+setup(
+    name=NAME,
+    version='0.1.0',
+    description='Streaming identification of train resistance, speed model and brake rate',
+    license='Apache-2.0',
+    maintainer='trainid maintainers',
+    maintainer_email='trainid@users.noreply.github.com',
+    packages=[NAME, *(f'{NAME}.{subpackage}' for subpackage in SUBPACKAGES)],
+    package_data={NAME: ['py.typed'], f'{NAME}.bags': ['msg/*.msg']},
+    data_files=[
+        ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
+        (f'share/{NAME}', ['package.xml']),
+        *shared_files(),
+    ],
+    python_requires='>=3.11',
+    install_requires=['setuptools', 'numpy', 'scipy', 'PyYAML', 'matplotlib', 'rich', 'rosbags', 'mcap'],
+    zip_safe=False,
+    entry_points={
+        'console_scripts': [
+            'trainid = trainid_ros.commands.main:main',
+            'resistance_estimator = trainid_ros.nodes.resistance:main',
+            'speed_model_estimator = trainid_ros.nodes.speed_model:main',
+            'brake_rate_estimator = trainid_ros.nodes.brake_rate:main',
+            'train_simulator = trainid_ros.nodes.train_simulator:main',
+            'bag_player = trainid_ros.nodes.bag_player:main',
+        ],
+    },
+)

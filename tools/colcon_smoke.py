@@ -1,0 +1,225 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Build the repository as a colcon workspace over the virtual environment and run one installed node.
+
+Nothing is built inside the repository. The node runs from the installed workspace in an environment
+that holds only what `install/setup.bash` sets, answers a lifecycle request from another process, and
+must end with exit code 0 after an interrupt.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+
+ROOT = Path(__file__).resolve().parent.parent
+VENV = ROOT / '.venv'
+NODE = 'resistance_estimator'
+PACKAGES = ('trainid_msgs', 'trainid_ros')
+# Apart from the domains of the tests, so that both may run at once.
+FIRST_DOMAIN, DOMAINS = 90, 11
+BUILD_TIMEOUT_S = 400.0
+ANSWER_TIMEOUT_S = 30.0
+EXIT_TIMEOUT_S = 15.0
+
+
+class SmokeError(Exception):
+    """A check failed; the message says which."""
+
+
+def sourced(setup: Path, scratch: Path) -> dict[str, str]:
+    """Return the environment of an empty shell that has sourced a set-up file.
+
+    Args:
+        setup: File to source.
+        scratch: Home and log folder.
+
+    Returns:
+        Environment variables.
+
+    Raises:
+        SmokeError: If sourcing fails or complains.
+    """
+    base = {
+        'HOME': str(scratch),
+        'PATH': os.environ.get('PATH', os.defpath),
+        'LANG': 'C.UTF-8',
+        'ROS_LOG_DIR': str(scratch / 'ros_log'),
+        'ROS_DOMAIN_ID': str(FIRST_DOMAIN + os.getpid() % DOMAINS),
+        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
+        'ROS_PYTHON_CHECK_FIELDS': '1',
+        'COLCON_LOG_PATH': str(scratch / 'log'),
+    }
+    command = ['bash', '--noprofile', '--norc', '-c', 'set -e; source "$0" 1>&2; env -0', str(setup)]
+    done = subprocess.run(command, env=base, capture_output=True, check=False, stdin=subprocess.DEVNULL)
+    complaint = done.stderr.decode(errors='replace').strip()
+    if done.returncode or complaint:
+        msg = f'source {setup.name}: exit code {done.returncode}: {complaint}'
+        raise SmokeError(msg)
+    pairs = (item.partition('=') for item in done.stdout.decode().split('\0') if item)
+    return {name: value for name, _, value in pairs}
+
+
+def build(scratch: Path) -> None:
+    """Run a plain `colcon build` of the repository into the scratch folder.
+
+    Args:
+        scratch: Where build, install and log folders go.
+
+    Raises:
+        SmokeError: If a package is missing or does not build.
+    """
+    env = sourced(VENV / 'setup.bash', scratch)
+    command = [
+        VENV / 'bin' / 'colcon',
+        'build',
+        '--build-base',
+        scratch / 'build',
+        '--install-base',
+        scratch / 'install',
+    ]
+    # The virtual environment has the messages already; the workspace's own shall win.
+    command += ['--allow-overriding', *PACKAGES, '--event-handlers', 'console_direct-', 'console_stderr-']
+    log = scratch / 'colcon.txt'
+    with log.open('wb') as output:
+        done = subprocess.run(
+            [str(word) for word in command],
+            cwd=ROOT,
+            env=env,
+            timeout=BUILD_TIMEOUT_S,
+            check=False,
+            stdin=subprocess.DEVNULL,
+            stdout=output,
+            stderr=subprocess.STDOUT,
+        )
+    missing = [
+        name
+        for name in PACKAGES
+        if not (scratch / 'install' / name / 'share' / name / 'package.xml').is_file()
+    ]
+    if done.returncode or missing:
+        details = [file.read_text(errors='replace') for file in scratch.glob('log/latest_build/*/stderr.log')]
+        text = '\n'.join([log.read_text(errors='replace'), *details])
+        msg = f'colcon build: exit code {done.returncode}, not installed: {missing}\n{text}'
+        raise SmokeError(msg)
+
+
+def run_node(scratch: Path) -> str:
+    """Start the installed node, ask it for its lifecycle state, interrupt it.
+
+    Args:
+        scratch: Folder of the built workspace.
+
+    Returns:
+        The state that the node reported.
+
+    Raises:
+        SmokeError: If the node does not answer or does not end cleanly.
+    """
+    env = sourced(scratch / 'install' / 'setup.bash', scratch)
+    program = scratch / 'install' / 'trainid_ros' / 'lib' / 'trainid_ros' / NODE
+    log = scratch / 'node.txt'
+    with log.open('wb') as output:
+        node = subprocess.Popen(
+            [program], cwd=scratch, env=env, stdin=subprocess.DEVNULL, stdout=output, stderr=subprocess.STDOUT
+        )
+        try:
+            command = [str(VENV / 'bin' / 'python'), str(Path(__file__).resolve()), '--probe']
+            probe = subprocess.run(
+                command,
+                cwd=scratch,
+                env=env,
+                stdin=subprocess.DEVNULL,
+                capture_output=True,
+                text=True,
+                timeout=2 * ANSWER_TIMEOUT_S,
+                check=False,
+            )
+            node.send_signal(signal.SIGINT)
+            code = node.wait(timeout=EXIT_TIMEOUT_S)
+        except subprocess.TimeoutExpired as error:
+            msg = f'{NODE} or its probe hangs: {error}\n{log.read_text(errors="replace")}'
+            raise SmokeError(msg) from error
+        finally:
+            if node.poll() is None:
+                node.kill()
+                node.wait()
+    if probe.returncode or code:
+        msg = (
+            f'{NODE}: probe exit code {probe.returncode}, node exit code {code}\n'
+            f'{probe.stdout}{probe.stderr}{log.read_text(errors="replace")}'
+        )
+        raise SmokeError(msg)
+    return probe.stdout.strip()
+
+
+def probe_node() -> int:
+    """Check that the workspace's packages are in use and that the node answers.
+
+    Returns:
+        Exit code.
+    """
+    import rclpy  # noqa: PLC0415 (needs the sourced workspace)
+    import trainid_msgs  # noqa: PLC0415
+    from lifecycle_msgs.srv import GetState  # noqa: PLC0415
+
+    import trainid_ros  # noqa: PLC0415
+
+    for module in (trainid_msgs, trainid_ros):
+        if 'install' not in Path(str(module.__file__)).parts:
+            print(f'{module.__name__} comes from {module.__file__}, not from the workspace')
+            return 1
+    rclpy.init()
+    try:
+        client_node = rclpy.create_node('colcon_smoke_probe')
+        client = client_node.create_client(GetState, f'/{NODE}/get_state')
+        if not client.wait_for_service(timeout_sec=ANSWER_TIMEOUT_S):
+            print(f'no service /{NODE}/get_state; nodes: {client_node.get_node_names()}')
+            return 1
+        future = client.call_async(GetState.Request())
+        rclpy.spin_until_future_complete(client_node, future, timeout_sec=ANSWER_TIMEOUT_S)
+        if not future.done():
+            print(f'/{NODE}/get_state does not answer')
+            return 1
+        print(future.result().current_state.label)
+        client_node.destroy_node()
+    finally:
+        rclpy.shutdown()
+    return 0
+
+
+def main() -> int:
+    """Build, run, report.
+
+    Returns:
+        Exit code.
+    """
+    parser = argparse.ArgumentParser(description=__doc__.partition('\n')[0] if __doc__ else None)
+    parser.add_argument(
+        '--probe', action='store_true', help='only ask a running node (used by the script itself)'
+    )
+    if parser.parse_args().probe:
+        return probe_node()
+    began = time.monotonic()
+    with tempfile.TemporaryDirectory(prefix='trainid_smoke_') as folder:
+        try:
+            build(Path(folder))
+            built = time.monotonic()
+            state = run_node(Path(folder))
+        except (SmokeError, subprocess.TimeoutExpired) as error:
+            print(f'colcon smoke: {error}', file=sys.stderr)
+            return 1
+    print(
+        f'colcon smoke: {len(PACKAGES)} packages built in {built - began:.0f} s; '
+        f'installed {NODE} answered "{state}" and ended cleanly'
+    )
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())

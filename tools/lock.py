@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Write the hashed lock files of tools/requirements from the `.in` files beside them.
+
+Needs the resolver `uv` on the path or in the environment variable UV. A lock lists only the wheels
+that the project can use (CPython 3.11 to 3.13 on glibc Linux), and neither addresses nor paths.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import subprocess
+import sys
+import tempfile
+import tomllib
+from pathlib import Path
+from typing import Any
+
+REQUIREMENTS = Path(__file__).resolve().parent / 'requirements'
+GROUPS = ('bootstrap', 'ros', 'runtime', 'dev', 'build')
+OLDEST_PYTHON = '3.11'
+PYTHON_TAG = re.compile(r'^(py3|py2\.py3|cp311|cp312|cp313|cp3\d+-abi3)-')
+PLATFORM_TAG = re.compile(r'(any|manylinux\w*_(x86_64|aarch64)|linux_(x86_64|aarch64))$')
+
+
+def usable(wheel: str) -> bool:
+    """Tell whether a wheel file fits one of the supported interpreters and machines.
+
+    Args:
+        wheel: File name of the wheel.
+
+    Returns:
+        True for a wheel that belongs into a lock.
+    """
+    python, abi, platform = wheel.removesuffix('.whl').split('-')[-3:]
+    return bool(
+        PYTHON_TAG.match(f'{python}-{abi}-')
+        and not abi.endswith('t')
+        and any(PLATFORM_TAG.search(tag) for tag in platform.split('.'))
+    )
+
+
+def resolve(group: str, scratch: Path, constraints: list[str]) -> list[dict[str, Any]]:
+    """Ask the resolver for the packages of one group.
+
+    Args:
+        group: Stem of the `.in` file.
+        scratch: Folder for temporary files.
+        constraints: Pins of the groups before this one, `name==version`.
+
+    Returns:
+        The packages as the resolver's lock file describes them.
+
+    Raises:
+        subprocess.CalledProcessError: If the resolver finds no solution.
+    """
+    limits = scratch / 'constraints.txt'
+    limits.write_text('\n'.join(constraints))
+    output = scratch / f'pylock.{group}.toml'
+    command = [os.environ.get('UV', 'uv'), 'pip', 'compile', '--quiet', '--no-config', '--universal']
+    command += ['--python-version', OLDEST_PYTHON, '--fork-strategy', 'fewest', '--format', 'pylock.toml']
+    command += ['--constraints', str(limits), '--output-file', str(output)]
+    if group == 'ros':
+        command.append('--no-deps')
+    subprocess.run([*command, str(REQUIREMENTS / f'{group}.in')], check=True)
+    packages: list[dict[str, Any]] = tomllib.loads(output.read_text())['packages']
+    return [item for item in packages if "sys_platform == 'win32'" not in str(item.get('marker', ''))]
+
+
+def entry(package: dict[str, Any]) -> str:
+    """Format one requirement with the hashes of its usable wheels, or of its source if it has none at all.
+
+    Args:
+        package: Package of the resolver's lock file.
+
+    Returns:
+        Lines for the lock.
+
+    Raises:
+        ValueError: If the package has wheels, but none fits.
+    """
+    wheels = package.get('wheels', [])
+    files = [wheel for wheel in wheels if usable(wheel['url'].rsplit('/', 1)[-1])]
+    if not wheels:
+        files = [package['sdist']]
+    if not files:
+        msg = f'{package["name"]} {package["version"]}: no wheel for the supported machines'
+        raise ValueError(msg)
+    digests = sorted(item['hashes']['sha256'] for item in files)
+    lines = [f'{package["name"]}=={package["version"]}', *(f'--hash=sha256:{digest}' for digest in digests)]
+    return ' \\\n    '.join(lines)
+
+
+def main() -> int:
+    """Resolve every group and write its lock.
+
+    Returns:
+        Exit code.
+    """
+    known: list[str] = []
+    with tempfile.TemporaryDirectory() as scratch:
+        for group in GROUPS:
+            packages = resolve(group, Path(scratch), known)
+            new = [item for item in packages if f'{item["name"]}=={item["version"]}' not in known]
+            known += [f'{item["name"]}=={item["version"]}' for item in new]
+            text = '\n'.join(entry(item) for item in sorted(new, key=lambda item: str(item['name'])))
+            header = f'# Made by tools/lock.py from {group}.in; change that file and run `make lock`.\n'
+            (REQUIREMENTS / f'{group}.lock').write_text(f'{header}{text}\n')
+            print(f'{group}.lock: {len(new)} packages')
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())

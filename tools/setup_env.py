@@ -1,0 +1,288 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Make or refresh the project's virtual environment; started by tools/setup.
+
+Every step is skipped while the content of the files it depends on has not changed, so that a second
+run takes well under a second. The environment needs no sourcing: its Python finds ROS by itself. The
+`setup.bash` in it serves cmake, colcon and the ros2 command line, as the one of /opt/ros/jazzy would.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import json
+import os
+import re
+import shutil
+import subprocess
+import sys
+import sysconfig
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+ROOT = Path(__file__).resolve().parent.parent
+VENV = ROOT / '.venv'
+REQUIREMENTS = ROOT / 'tools' / 'requirements'
+MESSAGES = ROOT / 'msg_defs'
+TEMPLATES = ROOT / 'tools' / 'environment'
+LOG = VENV / 'setup.log'
+STAMP = VENV / 'setup.stamp.json'
+INTERPRETER = f'python{sys.version_info.major}.{sys.version_info.minor}'
+SITE = VENV / 'lib' / INTERPRETER / 'site-packages'
+PYTHON = VENV / 'bin' / 'python'
+PACKAGE_INPUTS = ('setup.py', 'setup.cfg', 'package.xml')
+SHARED = ('package.xml', 'bags', 'config', 'launch', 'layouts')
+LOG_LINES_SHOWN = 15
+
+
+class SetupError(Exception):
+    """The set-up cannot go on; the message says what to do."""
+
+
+def say(text: str) -> None:
+    """Print one progress line."""
+    print(f'setup: {text}', flush=True)
+
+
+def fingerprint(paths: Iterable[Path], *extra: str) -> str:
+    """Hash names and contents of files, and of all files below folders.
+
+    Args:
+        paths: Files and folders; missing ones count as empty.
+        extra: Further text that belongs to the fingerprint.
+
+    Returns:
+        Hexadecimal digest.
+    """
+    digest = hashlib.sha256('\0'.join(extra).encode())
+    for path in paths:
+        files = sorted(item for item in path.rglob('*') if item.is_file()) if path.is_dir() else [path]
+        for file in files:
+            if file.is_file() and '__pycache__' not in file.parts:
+                digest.update(f'\0{file.relative_to(ROOT)}\0'.encode())
+                digest.update(file.read_bytes())
+    return digest.hexdigest()
+
+
+def run(command: Sequence[str | Path], failure: str, extra_env: dict[str, str] | None = None) -> None:
+    """Run a command with its output in the log.
+
+    Args:
+        command: Program and arguments.
+        failure: What to say if it fails.
+        extra_env: Environment variables to add.
+
+    Raises:
+        SetupError: If the command fails; carries the end of its output.
+    """
+    env = os.environ | {'PIP_DISABLE_PIP_VERSION_CHECK': '1', 'PIP_NO_INPUT': '1'} | (extra_env or {})
+    with LOG.open('a', encoding='utf-8') as log:
+        start = log.tell()
+        done = subprocess.run(
+            [str(word) for word in command],
+            cwd=ROOT,
+            env=env,
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=subprocess.STDOUT,
+            check=False,
+        )
+    if done.returncode:
+        with LOG.open(encoding='utf-8', errors='replace') as log:
+            log.seek(start)
+            lines = log.read().splitlines()
+        if any('NewConnectionError' in line or 'NameResolutionError' in line for line in lines):
+            failure = 'cannot reach the package index; a network connection or a pip mirror is needed'
+        elif any('No space left' in line for line in lines):
+            failure = 'the disk is full'
+        tail = '\n'.join(line for line in lines if 'is ignored: it is neither' not in line)
+        shown = '\n'.join(tail.splitlines()[-LOG_LINES_SHOWN:])
+        msg = f'{shown}\nsetup: {failure} (exit code {done.returncode}, log in {LOG.relative_to(ROOT)})'
+        raise SetupError(msg)
+
+
+def check_machine() -> None:
+    """Look for what cannot be installed from wheels.
+
+    Raises:
+        SetupError: Naming the missing thing.
+    """
+    for variable, names in (('CC', ('cc', 'gcc', 'clang')), ('CXX', ('c++', 'g++', 'clang++'))):
+        chosen = os.environ.get(variable)
+        if not any(shutil.which(name) for name in ((chosen,) if chosen else names)):
+            msg = f'setup: no C and C++ compiler found ({variable}); install gcc and g++ (build-essential)'
+            raise SetupError(msg)
+    header = Path(sysconfig.get_path('include')) / 'Python.h'
+    if not header.is_file():
+        msg = f'setup: {header} is missing; install {INTERPRETER}-dev'
+        raise SetupError(msg)
+
+
+def make_environment() -> None:
+    """Create the virtual environment, and replace one of another interpreter or place."""
+    marker = VENV / 'interpreter.txt'
+    wanted = f'{sys.executable}\n{sys.version}\n{VENV}\n'
+    if marker.is_file() and marker.read_text() == wanted and PYTHON.exists():
+        return
+    say(f'virtual environment with {sys.executable}')
+    shutil.rmtree(VENV, ignore_errors=True)
+    VENV.mkdir()
+    run([sys.executable, '-m', 'venv', VENV], 'cannot create the virtual environment')
+    marker.write_text(wanted)
+
+
+def install_packages() -> None:
+    """Install the locked wheels, then undo the build machine's paths in their CMake files."""
+    pip: list[str | Path] = [PYTHON, '-m', 'pip', 'install', '--quiet', '--progress-bar', 'off']
+    pip += ['--no-deps', '--require-hashes']
+    failure = 'cannot install the locked packages'
+    run([*pip, '--requirement', REQUIREMENTS / 'bootstrap.lock'], failure)
+    groups = ['ros', 'runtime', 'dev']
+    if not (shutil.which('cmake') and shutil.which('ninja')):
+        groups.append('build')
+    words = [word for group in groups for word in ('--requirement', REQUIREMENTS / f'{group}.lock')]
+    run([*pip, '--no-build-isolation', *words], failure)
+    mend_paths()
+    write_environment_files()
+
+
+def mend_paths() -> None:
+    """Replace the include folders of the machine that built the wheels by this machine's."""
+    python_include = sysconfig.get_path('include')
+    numpy_include = str(SITE / 'numpy' / '_core' / 'include')
+    baked = r'/opt/python/[\w-]+/'
+    numpy_pattern = re.compile(baked + r'lib/python[\d.]+/site-packages/numpy/(_core|core)/include')
+    python_pattern = re.compile(baked + r'include/python\d\.\d+')
+    for file in (VENV / 'share').rglob('*.cmake'):
+        text = file.read_text(encoding='utf-8')
+        if '/opt/python/' in text:
+            text = numpy_pattern.sub(lambda _: numpy_include, text)
+            file.write_text(python_pattern.sub(lambda _: python_include, text), encoding='utf-8')
+
+
+def write_environment_files() -> None:
+    """Write the shell set-up files and the hook that tells this Python where its ROS packages lie."""
+    text = (TEMPLATES / 'setup.sh.in').read_text(encoding='utf-8').replace('@PREFIX@', str(VENV))
+    for shell in ('sh', 'bash', 'zsh'):
+        for name in ('setup', 'local_setup'):
+            (VENV / f'{name}.{shell}').write_text(text, encoding='utf-8')
+    shutil.copy(TEMPLATES / 'trainid_ros_environment.py', SITE)
+    (SITE / 'trainid_ros_environment.pth').write_text('import trainid_ros_environment\n', encoding='utf-8')
+
+
+def build_messages() -> None:
+    """Build the interface package and install it beside the ROS wheels."""
+    build = VENV / 'build' / 'trainid_msgs'
+    env = {
+        'AMENT_PREFIX_PATH': str(VENV),
+        'CMAKE_PREFIX_PATH': str(VENV),
+        'VIRTUAL_ENV': str(VENV),
+        'PATH': f'{VENV / "bin"}{os.pathsep}{os.environ.get("PATH", os.defpath)}',
+    }
+    failure = 'cannot build the messages of msg_defs'
+    configure: list[str | Path] = [
+        'cmake',
+        '-S',
+        MESSAGES,
+        '-B',
+        build,
+        '-G',
+        'Ninja',
+        '-DCMAKE_BUILD_TYPE=Release',
+    ]
+    configure += [f'-DCMAKE_INSTALL_PREFIX={VENV}', '-DBUILD_TESTING=OFF', f'-DPython3_EXECUTABLE={PYTHON}']
+    run(configure, failure, env)
+    run(['cmake', '--build', build], failure, env)
+    remove_old_messages()
+    run(['cmake', '--install', build], failure, env)
+
+
+def remove_old_messages() -> None:
+    """Delete the messages installed before, so that a message taken away does not live on."""
+    for folder in (VENV / 'include', VENV / 'share', SITE):
+        shutil.rmtree(folder / 'trainid_msgs', ignore_errors=True)
+    for library in (VENV / 'lib').glob('libtrainid_msgs__*'):
+        library.unlink()
+
+
+def install_project() -> None:
+    """Make trainid_ros importable from the source tree and install its commands.
+
+    An editable install leaves out the data files, so the ROS index and the share folder of the package
+    are filled with links: edited configurations count at once.
+    """
+    pip: list[str | Path] = [PYTHON, '-m', 'pip', 'install', '--quiet', '--no-deps', '--no-build-isolation']
+    run([*pip, '--editable', ROOT], 'cannot install trainid_ros into the virtual environment')
+    share = VENV / 'share' / 'trainid_ros'
+    programs = VENV / 'lib' / 'trainid_ros'
+    for folder in (share, programs):
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True)
+    for name in existing_shared():
+        (share / name).symlink_to(ROOT / name)
+    marker = VENV / 'share' / 'ament_index' / 'resource_index' / 'packages' / 'trainid_ros'
+    shutil.copy(ROOT / 'resource' / 'trainid_ros', marker)
+    (record,) = SITE.glob('trainid_ros-*.dist-info/entry_points.txt')
+    for name in re.findall(r'^(\w+)\s*=', record.read_text(encoding='utf-8'), re.MULTILINE):
+        (programs / name).symlink_to(VENV / 'bin' / name)
+
+
+def existing_shared() -> list[str]:
+    """List what of the source tree belongs into the share folder of the package."""
+    return [name for name in SHARED if (ROOT / name).exists()]
+
+
+def refresh() -> bool:
+    """Run the steps whose inputs have changed.
+
+    Returns:
+        True if anything had to be done.
+    """
+    make_environment()
+    stamps: dict[str, str] = json.loads(STAMP.read_text()) if STAMP.is_file() else {}
+    packages = fingerprint([*sorted(REQUIREMENTS.glob('*.lock')), TEMPLATES, Path(__file__)])
+    messages = fingerprint([MESSAGES], packages)
+    project = fingerprint([ROOT / name for name in PACKAGE_INPUTS], packages, *existing_shared())
+    steps = (
+        ('packages', packages, install_packages, 'ROS 2 Jazzy and Python packages (about a minute)'),
+        ('messages', messages, build_messages, 'interface package trainid_msgs (about half a minute)'),
+        ('project', project, install_project, 'trainid_ros, from the source tree'),
+    )
+    worked = False
+    for name, stamp, action, text in steps:
+        if stamps.get(name) != stamp:
+            worked = True
+            say(text)
+            stamps.pop(name, None)
+            STAMP.write_text(json.dumps(stamps))
+            action()
+            stamps[name] = stamp
+            STAMP.write_text(json.dumps(stamps))
+    return worked
+
+
+def main() -> int:
+    """Bring the environment up to date; only one process at a time does so.
+
+    Returns:
+        Exit code.
+    """
+    began = time.monotonic()
+    lock = os.open(ROOT, os.O_RDONLY)
+    fcntl.flock(lock, fcntl.LOCK_EX)
+    try:
+        check_machine()
+        if refresh():
+            say(f'.venv is ready ({time.monotonic() - began:.0f} s)')
+    except SetupError as error:
+        print(error, file=sys.stderr)
+        return 1
+    return 0
+
+
+if __name__ == '__main__':
+    sys.exit(main())
