@@ -12,6 +12,7 @@ from __future__ import annotations
 import math
 from bisect import bisect_left, bisect_right, insort
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Final, TypeAlias
 
 from trainid_ros.core.records import (
@@ -24,7 +25,7 @@ from trainid_ros.core.records import (
     SpeedRecord,
 )
 from trainid_ros.core.results import Reason, Refusal
-from trainid_ros.core.samples import BrakeCommandChange, Sample
+from trainid_ros.core.samples import SAMPLE_PERIOD, BrakeCommandChange, Sample
 from trainid_ros.core.settings import setting
 from trainid_ros.core.validation import find_fault
 
@@ -38,13 +39,13 @@ _TURNING_DISTANCE: Final = 5.0
 class AlignmentConfig:
     """How records become samples."""
 
-    period: float = setting(0.2, 'sample period', 's', 0.02, 5.0)
+    period: float = setting(SAMPLE_PERIOD, 'sample period', 's', 0.02, 5.0)
     max_lag: float = setting(0.7, 'how long a sample waits, in stamps, for a lagging topic', 's', 0.0, 10.0)
     max_gap: float = setting(0.7, 'longest gap of force and gradient to interpolate over', 's', 0.05, 10.0)
     max_dt: float = setting(1.0, 'longest time between samples of one uninterrupted drive', 's', 0.1, 10.0)
     command_timeout: float = setting(2.0, 'age at which a brake command is no longer known', 's', 0.2, 60.0)
     max_jump: float = setting(10.0, 'largest believable step forward of the stamps', 's', 1.0, 3600.0)
-    max_jump_back: float = setting(2.0, 'lateness beyond which the clock is taken to have jumped back', 's', 0.5, 3600.0)
+    max_jump_back: float = setting(2.0, 'lateness that counts as a jump back of the clock', 's', 0.5, 3600.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -269,7 +270,7 @@ class Aligner:
             *(_scalar(track.records[k]) for k in inside),
             self._value(track, end_ns),
         ]
-        if max(b - a for a, b in zip(stamps, stamps[1:], strict=False)) > self._max_gap_ns:
+        if max(b - a for a, b in pairwise(stamps)) > self._max_gap_ns:
             return math.nan
         area = 0.0
         for k in range(1, len(stamps)):

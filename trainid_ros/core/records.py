@@ -8,7 +8,7 @@ direction of travel, force at the wheel rim positive in traction, NaN for what i
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final, Union
+from typing import Final, TypeAlias
 
 NS_PER_S: Final = 1_000_000_000
 
@@ -57,7 +57,7 @@ class MassRecord:
     mass: float
 
 
-Record = Union[SpeedRecord, ForceRecord, GradientRecord, BrakeRecord, MassRecord]
+Record: TypeAlias = SpeedRecord | ForceRecord | GradientRecord | BrakeRecord | MassRecord
 
 
 @dataclass(frozen=True, slots=True)

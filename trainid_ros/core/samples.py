@@ -4,6 +4,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
+
+SAMPLE_PERIOD: Final = 0.2
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,24 +19,23 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 
 from trainid_ros.core.codec import decode, encode
 from trainid_ros.core.results import Reason, Refusal, SpeedModelEstimate
+from trainid_ros.core.samples import SAMPLE_PERIOD, Sample
 from trainid_ros.core.settings import check_settings, setting
 from trainid_ros.estimators.admission import Admission
 from trainid_ros.estimators.known_force import KnownForce
+from trainid_ros.estimators.prior import davis_prior
 from trainid_ros.physics.resistance import G
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from trainid_ros.core.samples import Sample
     from trainid_ros.physics.train_file import TrainFile
-
-SAMPLE_PERIOD: Final = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,9 +50,10 @@ class AmVffRlsConfig:
     gate: float = setting(5.0, 'errors beyond this many standard deviations are refused', '1', 1.0, 100.0)
     gate_floor: float = setting(0.25, 'errors below this are never refused', 'm/s', 0.0, 10.0)
     readmit_after: int = setting(5, 'refused samples in a row after which the model is re-anchored', 'samples', 1, 1000)
-    prior_std_a: float = setting(0.8, 'prior standard deviation of the Davis a', 'N/kN', 1e-6, 100.0)
-    prior_std_b: float = setting(0.03, 'prior standard deviation of the Davis b', 'N/kN per m/s', 1e-8, 10.0)
-    prior_std_c: float = setting(0.001, 'prior standard deviation of the Davis c', 'N/kN per (m/s)^2', 1e-9, 1.0)
+    prior_share: float = setting(0.5, 'prior std of a, b, c as a share of their believed values', '1', 0.0, 10.0)
+    prior_std_a: float = setting(0.6, 'added to the prior std of the Davis a', 'N/kN', 1e-6, 100.0)
+    prior_std_b: float = setting(0.02, 'added to the prior std of the Davis b', 'N/kN per m/s', 1e-8, 10.0)
+    prior_std_c: float = setting(0.0006, 'added to the prior std of the Davis c', 'N/kN per (m/s)^2', 1e-9, 1.0)
     prior_std_mass: float = setting(0.05, 'prior relative standard deviation of mass factor', '1', 1e-6, 1.0)
     settle_samples: int = setting(200, 'samples used before the model is fit to use', 'samples', 1, 100000)
 
@@ -97,17 +97,20 @@ class AmVffRls:
         davis = train_file.resistance
         c = 1.0 / self._known.inertia
         self._theta0 = to_speed_model((davis.a, davis.b, davis.c), c)
-        self._P0 = self._prior(davis.a, davis.b, davis.c, c)
+        self._P0 = self._prior((davis.a, davis.b, davis.c), c)
         self.reset()
 
-    def _prior(self, a: float, b: float, c2: float, c: float) -> NDArray[np.float64]:
+    def _prior(self, davis: tuple[float, float, float], c: float) -> NDArray[np.float64]:
         """P(0): prior of the physical parameters through the map, over the speed variance."""
         config, T = self.config, SAMPLE_PERIOD
-        stds = (config.prior_std_a, config.prior_std_b, config.prior_std_c, config.prior_std_mass * c)
+        a, b, c2 = davis
+        physical = np.zeros((4, 4))
+        floors = (config.prior_std_a, config.prior_std_b, config.prior_std_c)
+        physical[:3, :3] = davis_prior(davis, config.prior_share, floors)
+        physical[3, 3] = (config.prior_std_mass * c) ** 2
         # Rows a1, a2, b1, d0; columns a, b, c, acceleration coefficient.
-        jacobian = T * np.array([[0, 0, -c, -c2], [0, -c, 0, -b], [0, 0, 0, 1], [-c, 0, 0, -a]], dtype=float)
-        scaled = jacobian @ np.diag(stds)
-        P0: NDArray[np.float64] = scaled @ scaled.T / config.speed_std**2
+        J = T * np.array([[0, 0, -c, -c2], [0, -c, 0, -b], [0, 0, 0, 1], [-c, 0, 0, -a]], dtype=float)
+        P0: NDArray[np.float64] = J @ physical @ J.T / config.speed_std**2
         return P0
 
     def reset(self) -> None:

@@ -8,6 +8,7 @@ noise alone follows too late. The sum of innovations tells a step from noise, at
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Final
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,3 +27,6 @@ class Cusum:
     def peak(self) -> float:
         """Larger of the two sums."""
         return max(self.up, self.down)
+
+
+NO_STEP: Final = Cusum()

@@ -22,14 +22,14 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from numpy.typing import NDArray  # noqa: TC002 - read at run time to restore a state
+from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from trainid_ros.core.codec import decode, encode
 from trainid_ros.core.errors import InputError
 from trainid_ros.core.records import NS_PER_S
 from trainid_ros.core.results import BrakeRateEstimate, Reason, Refusal
-from trainid_ros.core.samples import BrakeCommandChange  # noqa: TC001 - read at run time, as above
+from trainid_ros.core.samples import BrakeCommandChange
 from trainid_ros.core.settings import check_settings, setting
 from trainid_ros.estimators.brake_kinematics import BrakeStep, brake_step
 from trainid_ros.estimators.known_force import KnownForce
@@ -241,8 +241,8 @@ class Gsma:
         config, dt = self.config, sample.dt
         rho = math.exp(-sample.speed * dt / config.disturbance_length)
         Phi = np.array([[1.0, motion.reach, dt], [0.0, motion.decay, 0.0], [0.0, 0.0, rho]])
-        traction = self._known.traction(max(sample.force_mean, 0.0), sample) if math.isfinite(sample.force_mean) else 0.0
-        slack = config.force_error * traction / self._known.inertia
+        force = sample.force_mean if sample.force_mean > 0.0 else 0.0
+        slack = config.force_error * self._known.traction(force, sample) / self._known.inertia
         Q = np.diag(
             [(config.acceleration_noise**2 + slack**2) * dt, 0.0, config.disturbance_std**2 * (1.0 - rho * rho)]
         )

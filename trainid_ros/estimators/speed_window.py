@@ -47,6 +47,7 @@ class WindowResult:
         phi: Regressor [1, v, v^2], shape (3,), weighted as the slope weighs them.
         noise_std: Standard deviation of y from speed noise alone [N/kN].
         traction: Mean absolute specific traction in the window [N/kN].
+        duration: Time from the first to the last sample [s].
 
     """
 
@@ -54,6 +55,7 @@ class WindowResult:
     phi: tuple[float, float, float]
     noise_std: float
     traction: float
+    duration: float
 
 
 def observe_resistance(
@@ -95,7 +97,7 @@ def observe_resistance(
     )
     traction = float(np.mean([abs(tick.traction) for tick in ticks[1:]]))
     noise_std = inertia * speed_std * float(np.sqrt(weights @ weights))
-    return WindowResult(-inertia * slope, phi, noise_std, traction), spread
+    return WindowResult(-inertia * slope, phi, noise_std, traction, float(time[-1])), spread
 
 
 def overlap_factor(window: int, hop: int) -> float:

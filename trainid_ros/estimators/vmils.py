@@ -25,8 +25,9 @@ from trainid_ros.core.records import NS_PER_S
 from trainid_ros.core.results import Reason, Refusal, ResistanceEstimate
 from trainid_ros.core.settings import check_settings, setting
 from trainid_ros.estimators.admission import Admission
-from trainid_ros.estimators.change_detector import Cusum
+from trainid_ros.estimators.change_detector import NO_STEP, Cusum
 from trainid_ros.estimators.known_force import KnownForce
+from trainid_ros.estimators.prior import davis_prior
 from trainid_ros.estimators.speed_window import Tick, WindowResult, observe_resistance, overlap_factor
 
 if TYPE_CHECKING:
@@ -54,18 +55,15 @@ class VMilsConfig:
     disturbance_std: float = setting(0.12, 'unmodelled resistance (gusts, gradient map)', 'N/kN', 0.0, 10.0)
     disturbance_time: float = setting(8.0, 'correlation time of the disturbance', 's', 0.0, 600.0)
     force_error: float = setting(0.005, 'relative error of the traction force', '1', 0.0, 0.5)
-    prior_std_a: float = setting(0.8, 'prior standard deviation of a', 'N/kN', 1e-6, 100.0)
-    prior_std_b: float = setting(0.03, 'prior standard deviation of b', 'N/kN per m/s', 1e-8, 10.0)
-    prior_std_c: float = setting(0.001, 'prior standard deviation of c', 'N/kN per (m/s)^2', 1e-9, 1.0)
-    drift_a: float = setting(0.3, 'drift of a in one hour, standard deviation', 'N/kN', 0.0, 100.0)
-    drift_b: float = setting(0.004, 'drift of b in one hour, standard deviation', 'N/kN per m/s', 0.0, 10.0)
-    drift_c: float = setting(0.0002, 'drift of c in one hour, standard deviation', 'N/kN per (m/s)^2', 0.0, 1.0)
+    prior_share: float = setting(0.5, 'prior std of a, b, c as a share of their believed values', '1', 0.0, 10.0)
+    prior_std_a: float = setting(0.6, 'added to the prior std of a (root of squares)', 'N/kN', 1e-6, 100.0)
+    prior_std_b: float = setting(0.02, 'added to the prior std of b', 'N/kN per m/s', 1e-8, 10.0)
+    prior_std_c: float = setting(0.0006, 'added to the prior std of c', 'N/kN per (m/s)^2', 1e-9, 1.0)
+    drift_share: float = setting(0.35, 'drift in one hour, std as a share of the prior std', '1', 0.0, 100.0)
     gate: float = setting(4.0, 'innovations beyond this many standard deviations are refused', '1', 1.0, 100.0)
     step_allowance: float = setting(0.4, 'CUSUM allowance per innovation', 'standard deviations', 0.0, 3.0)
     step_threshold: float = setting(10.0, 'CUSUM sum that counts as a step', 'standard deviations', 1.0, 1e6)
-    step_std_a: float = setting(0.5, 'doubt about a added after a step', 'N/kN', 0.0, 100.0)
-    step_std_b: float = setting(0.004, 'doubt about b added after a step', 'N/kN per m/s', 0.0, 10.0)
-    step_std_c: float = setting(0.0003, 'doubt about c added after a step', 'N/kN per (m/s)^2', 0.0, 1.0)
+    step_share: float = setting(0.4, 'doubt added after a step, std as a share of the prior std', '1', 0.0, 10.0)
     valid_std: float = setting(0.15, 'resistance is fit to use below this standard deviation', 'N/kN', 1e-3, 10.0)
 
 
@@ -81,7 +79,7 @@ class VMilsState:
     speed_variance: float = 0.0
     updated_ns: int = 0
     braked_ns: int = 0
-    cusum: Cusum = Cusum()
+    cusum: Cusum = NO_STEP
     steps_found: int = 0
     innovation: float = 0.0
     innovation_variance: float = 0.0
@@ -105,9 +103,10 @@ class VMils:
         self._admission = Admission(self._known, config.min_speed)
         davis = train_file.resistance
         self._theta0 = (davis.a, davis.b, davis.c)
-        self._P0 = np.diag(np.square([config.prior_std_a, config.prior_std_b, config.prior_std_c]))
-        self._drift = np.diag(np.square([config.drift_a, config.drift_b, config.drift_c])) / _SECONDS_PER_HOUR
-        self._step = np.diag(np.square([config.step_std_a, config.step_std_b, config.step_std_c]))
+        floors = (config.prior_std_a, config.prior_std_b, config.prior_std_c)
+        self._P0 = davis_prior(self._theta0, config.prior_share, floors)
+        self._drift = config.drift_share**2 * self._P0 / _SECONDS_PER_HOUR
+        self._step = config.step_share**2 * self._P0
         self._overlap = overlap_factor(config.window, config.hop)
         self.reset()
 
@@ -216,7 +215,7 @@ class VMils:
         """After a step of the parameters, doubt them again."""
         if cusum.peak < self.config.step_threshold:
             return P, cusum, 0
-        return P + self._step, Cusum(), 1
+        return P + self._step, NO_STEP, 1
 
     def _multi_innovation(
         self, theta: NDArray[np.float64], P: NDArray[np.float64], stack: tuple[WindowResult, ...]
@@ -236,7 +235,7 @@ class VMils:
 
     def _long_run_variance(self, item: WindowResult) -> float:
         """Variance per observation of the mean of many: overlap and slow disturbances counted."""
-        hop_s = self.config.hop * 0.2
+        hop_s = item.duration * self.config.hop / (self.config.window - 1)
         slow = max(1.0, 2.0 * self.config.disturbance_time / hop_s)
         return (
             self._overlap * item.noise_std**2
