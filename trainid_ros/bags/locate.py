@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which MCAP files make up a bag: a rosbag2 directory, with or without its metadata, or a bare file."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path, PureWindowsPath
+from typing import TYPE_CHECKING, Any, Final
+
+import yaml
+
+from trainid_ros.core.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+METADATA: Final = 'metadata.yaml'
+_ROOT_KEY: Final = 'rosbag2_bagfile_information'
+
+
+@dataclass(frozen=True, slots=True)
+class BagFiles:
+    """The files of a bag in the order of recording, and what ``metadata.yaml`` says of them.
+
+    Attributes:
+        files: The MCAP files.
+        message_count: Number of messages promised, None if nobody says.
+        hashes: Pairs of full topic name and type hash.
+        warnings: What is wrong with the directory although it can be read.
+
+    """
+
+    files: tuple[Path, ...]
+    message_count: int | None = None
+    hashes: tuple[tuple[str, str], ...] = ()
+    warnings: tuple[str, ...] = ()
+
+
+def locate(path: Path) -> BagFiles:
+    """Return the files of the bag at a path.
+
+    Raises:
+        InputError: If there is nothing, no bag, a missing file, or a storage other than MCAP.
+
+    """
+    if not path.exists():
+        msg = f'{path}: no such bag'
+        raise InputError(msg)
+    if path.is_file():
+        _refuse_sqlite([path])
+        return BagFiles((path,))
+    if (path / METADATA).is_file():
+        return _from_metadata(path)
+    return _from_folder(path, f'{path}: {METADATA} is missing, its .mcap files were read without it')
+
+
+def _from_folder(path: Path, warning: str) -> BagFiles:
+    entries = sorted(path.iterdir(), key=_numbered)
+    files = tuple(entry for entry in entries if entry.suffix == '.mcap')
+    if not files:
+        _refuse_sqlite(entries)
+        msg = f'{path}: no bag in this directory (neither {METADATA} nor an .mcap file)'
+        raise InputError(msg)
+    return BagFiles(files, warnings=(warning,))
+
+
+def _numbered(path: Path) -> tuple[str, int, str]:
+    """Sort ``bag_10.mcap`` after ``bag_9.mcap``, as rosbag2 numbers the parts of a split bag."""
+    head, _, tail = path.stem.rpartition('_')
+    return (head, int(tail), path.name) if tail.isdecimal() else (path.stem, -1, path.name)
+
+
+def _from_metadata(path: Path) -> BagFiles:
+    where = path / METADATA
+    try:
+        info = yaml.safe_load(where.read_text(encoding='utf-8'))[_ROOT_KEY]
+        names = [PureWindowsPath(str(name)).name for name in info['relative_file_paths']]
+        count, hashes = int(info['message_count']), tuple(_hashes(info))
+        storage, mode = str(info['storage_identifier']), str(info.get('compression_mode') or 'none')
+    except (yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError) as error:
+        reason = ' '.join(str(error).split())
+        return _from_folder(path, f'{where}: unreadable ({reason}), its .mcap files were read without it')
+    _check_storage(where, storage, mode.lower())
+    for name in names:
+        if not (path / name).is_file():
+            msg = f'{path / name}: file named in {METADATA} is missing'
+            raise InputError(msg)
+    if not names:
+        msg = f'{where}: names no files'
+        raise InputError(msg)
+    return BagFiles(tuple(path / name for name in names), count, hashes)
+
+
+def _check_storage(where: Path, storage: str, mode: str) -> None:
+    if storage != 'mcap':
+        msg = f'{where}: storage {storage!r} is not supported, only mcap (see ros2 bag convert)'
+        raise InputError(msg)
+    if mode != 'none':
+        msg = (
+            f'{where}: compression mode {mode!r} of ros2 bag is not supported, only compressed chunks '
+            'inside the .mcap (see ros2 bag convert)'
+        )
+        raise InputError(msg)
+
+
+def _hashes(info: Any) -> Iterable[tuple[str, str]]:
+    for entry in info.get('topics_with_message_count') or ():
+        topic = entry['topic_metadata']
+        yield str(topic['name']), str(topic.get('type_description_hash') or '')
+
+
+def _refuse_sqlite(entries: Iterable[Path]) -> None:
+    for entry in entries:
+        if entry.suffix == '.db3':
+            msg = f'{entry}: storage sqlite3 is not supported, only mcap (see ros2 bag convert)'
+            raise InputError(msg)
