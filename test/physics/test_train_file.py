@@ -40,15 +40,15 @@ FULL = TrainFile(
 )
 
 
-def test_the_minimal_file_takes_defaults():
+def test_the_minimal_file_takes_defaults() -> None:
     assert parse_train_file(MINIMAL, 'T.yaml') == TrainFile(Train(194e3), Davis(1.0, 0.03, 0.003))
 
 
-def test_dump_and_parse_give_exactly_the_same_values():
+def test_dump_and_parse_give_exactly_the_same_values() -> None:
     assert parse_train_file(dump_train_file(FULL), 'T.yaml') == FULL
 
 
-def test_the_interface_example_is_read(tmp_path: Path):
+def test_the_interface_example_is_read(tmp_path: Path) -> None:
     path = tmp_path / 'T.yaml'
     path.write_text(
         MINIMAL + 'brake: {rate: 1.0, time_constant: 0.4, delay: 0.6}\n'
@@ -57,12 +57,10 @@ def test_the_interface_example_is_read(tmp_path: Path):
         encoding='utf-8',
     )
     line = load_train_file(path).line
-    assert line == Line(
-        (0.0, 1450.0), ((0.0, 0.0), (620.0, -12.5)), ((0.0, 0.0), (300.0, 400.0)), ((700.0, 1400.0),)
-    )
+    assert line == Line((0.0, 1450.0), ((0.0, 0.0), (620.0, -12.5)), ((0.0, 0.0), (300.0, 400.0)), ((700.0, 1400.0),))
 
 
-def test_exponents_without_a_point_are_numbers():
+def test_exponents_without_a_point_are_numbers() -> None:
     assert parse_train_file(MINIMAL.replace('194000.0', '194e3'), 'T.yaml').train.mass == 194e3
 
 
@@ -137,7 +135,7 @@ def test_exponents_without_a_point_are_numbers():
         (MINIMAL + '3: 4', 'T.yaml has the key 3, which is no field name'),
     ],
 )
-def test_each_wrong_field_is_named_in_one_line(text: str, message: str):
+def test_each_wrong_field_is_named_in_one_line(text: str, message: str) -> None:
     with pytest.raises(InputError) as caught:
         parse_train_file(text, 'T.yaml')
     assert str(caught.value) == message
@@ -146,18 +144,18 @@ def test_each_wrong_field_is_named_in_one_line(text: str, message: str):
 @pytest.mark.parametrize(
     'text', ['train: {mass: 1', 'a: &x [*x', '\ttrain: 1', 'train: !!python/name:os.system x', '\x00']
 )
-def test_bad_yaml_is_one_line_with_the_file(text: str):
+def test_bad_yaml_is_one_line_with_the_file(text: str) -> None:
     with pytest.raises(InputError, match=r'^T\.yaml:.* is not valid YAML: ') as caught:
         parse_train_file(text, 'T.yaml')
     assert '\n' not in str(caught.value)
 
 
-def test_a_missing_file_is_named(tmp_path: Path):
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r'none\.yaml: cannot be read: No such file'):
         load_train_file(tmp_path / 'none.yaml')
 
 
-def test_a_file_that_is_no_text_is_named(tmp_path: Path):
+def test_a_file_that_is_no_text_is_named(tmp_path: Path) -> None:
     path = tmp_path / 'binary.yaml'
     path.write_bytes(b'train\xff')
     with pytest.raises(InputError, match=r'binary\.yaml: is not UTF-8 text \(byte 5\)'):

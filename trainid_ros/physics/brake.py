@@ -41,7 +41,8 @@ class CommandHistory:
         """
         value = change.target_acceleration
         if not (math.isfinite(value) and value <= 0.0):
-            raise InputError(f'target_acceleration = {value:g} m/s^2 must be finite and <= 0')
+            msg = f'target_acceleration = {value:g} m/s^2 must be finite and <= 0'
+            raise InputError(msg)
         kept = self.changes
         if kept and change.stamp_ns < kept[-1].stamp_ns:
             msg = f'brake command stamp_ns = {change.stamp_ns} lies before the last one, {kept[-1].stamp_ns}'
@@ -70,7 +71,8 @@ class CommandHistory:
 
         """
         if end_ns < start_ns:
-            raise InputError(f'brake command interval ends at {end_ns} ns, before its start {start_ns} ns')
+            msg = f'brake command interval ends at {end_ns} ns, before its start {start_ns} ns'
+            raise InputError(msg)
         if end_ns == start_ns:
             return ()
         first, last = self._count_until(start_ns), self._count_until(end_ns - 1)

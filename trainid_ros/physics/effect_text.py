@@ -23,7 +23,8 @@ def parse_effects(texts: Iterable[str]) -> tuple[Effect, ...]:
     for text in texts:
         name, colon, rest = text.partition(':')
         if not (name and colon and rest):
-            raise InputError(f'effect {text!r} must have the form NAME:key=value')
+            msg = f'effect {text!r} must have the form NAME:key=value'
+            raise InputError(msg)
         for assignment in rest.split(','):
             key, value = _assignment(text, assignment)
             if not (found and found[-1][0] == name and key not in found[-1][1]):
@@ -37,8 +38,10 @@ def parse_effects(texts: Iterable[str]) -> tuple[Effect, ...]:
 def _assignment(text: str, assignment: str) -> tuple[str, float]:
     key, equals, value = assignment.partition('=')
     if not (key and equals):
-        raise InputError(f'effect {text!r} must have the form NAME:key=value')
+        msg = f'effect {text!r} must have the form NAME:key=value'
+        raise InputError(msg)
     try:
         return key.strip(), float(value)
     except ValueError:
-        raise InputError(f'effect {text!r}: {key} = {value!r} is not a number') from None
+        msg = f'effect {text!r}: {key} = {value!r} is not a number'
+        raise InputError(msg) from None

@@ -173,17 +173,20 @@ def check_effects(effects: Sequence[Effect]) -> None:
     for effect in effects:
         kind = EFFECTS.get(effect.name)
         if kind is None:
-            raise InputError(f'effect {effect.name} is not known; {did_you_mean(effect.name, EFFECTS)}')
+            msg = f'effect {effect.name} is not known; {did_you_mean(effect.name, EFFECTS)}'
+            raise InputError(msg)
         values = dict(effect.parameters)
         for key in values:
             if key not in kind.parameters:
                 hint = did_you_mean(key, kind.parameters)
-                raise InputError(f'effect {effect.name}:{key} is no parameter; {hint}')
+                msg = f'effect {effect.name}:{key} is no parameter; {hint}'
+                raise InputError(msg)
         for key, limits in kind.parameters.items():
             _check_parameter(f'effect {effect.name}:{key}', values.get(key), limits)
         if 'start' in values and not values['start'] < values['end']:
             start, end = values['start'], values['end']
-            raise InputError(f'effect {effect.name}:end = {end:g} m must lie after start = {start:g} m')
+            msg = f'effect {effect.name}:end = {end:g} m must lie after start = {start:g} m'
+            raise InputError(msg)
 
 
 def resistance_terms(effects: Sequence[Effect]) -> tuple[Term, ...]:
@@ -194,11 +197,8 @@ def resistance_terms(effects: Sequence[Effect]) -> tuple[Term, ...]:
 
     """
     check_effects(effects)
-    terms = []
-    for effect in effects:
-        if (function := EFFECTS[effect.name].resistance) is not None:
-            terms.append(_bind(function, dict(effect.parameters)))
-    return tuple(terms)
+    kinds = ((EFFECTS[effect.name].resistance, effect) for effect in effects)
+    return tuple(_bind(function, dict(effect.parameters)) for function, effect in kinds if function is not None)
 
 
 def extra_resistance(effects: Sequence[Effect], davis: Davis, point: TrackPoint) -> float:
@@ -225,10 +225,12 @@ def _bind(function: Resistance, parameters: Parameters) -> Term:
 
 def _check_parameter(name: str, value: float | None, limits: Parameter) -> None:
     if value is None:
-        raise InputError(f'{name} is missing')
+        msg = f'{name} is missing'
+        raise InputError(msg)
     if not (math.isfinite(value) and limits.low <= value <= limits.high):
         unit = f' {limits.unit}' if limits.unit else ''
-        raise InputError(f'{name} = {value:g}{unit} is outside [{limits.low:g}, {limits.high:g}]')
+        msg = f'{name} = {value:g}{unit} is outside [{limits.low:g}, {limits.high:g}]'
+        raise InputError(msg)
 
 
 def _share(p: Parameters, at: TrackPoint) -> float:

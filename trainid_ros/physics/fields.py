@@ -8,7 +8,7 @@ import math
 import re
 from collections.abc import Hashable, Iterable, Mapping
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, NoReturn
 
 import yaml
 
@@ -67,9 +67,10 @@ class Section:
         """Return the dotted name of a field of this section."""
         return f'{self.path}.{key}' if self.path else key
 
-    def error(self, key: str, problem: str) -> InputError:
-        """Return the error that says what is wrong with a field."""
-        return InputError(f'{self.source}: {self.name(key)} {problem}')
+    def fail(self, key: str, problem: str) -> NoReturn:
+        """Raise InputError that says what is wrong with a field."""
+        msg = f'{self.source}: {self.name(key)} {problem}'
+        raise InputError(msg)
 
     def only(self, known: Iterable[str]) -> Section:
         """Return this section after refusing keys that are not known.
@@ -81,7 +82,7 @@ class Section:
         allowed = set(known)
         for key in self.data:
             if key not in allowed:
-                raise self.error(key, f'is not a known field; {did_you_mean(key, allowed)}')
+                self.fail(key, f'is not a known field; {did_you_mean(key, allowed)}')
         return self
 
     def section(self, key: str, *, required: bool = False) -> Section:
@@ -89,7 +90,7 @@ class Section:
         value = self.data.get(key)
         if value is None:
             if required:
-                raise self.error(key, 'is missing')
+                self.fail(key, 'is missing')
             value = {}
         return as_section(self.source, self.name(key), value)
 
@@ -111,24 +112,24 @@ class Section:
         """
         if key not in self.data:
             if default is None:
-                raise self.error(key, 'is missing')
+                self.fail(key, 'is missing')
             return default
         value = finite_number(self.source, self.name(key), self.data[key], unit)
         if value <= above:
-            raise self.error(key, _breaks(value, unit, f'> {above:g}'))
+            self.fail(key, _breaks(value, unit, f'> {above:g}'))
         if value < low:
-            raise self.error(key, _breaks(value, unit, f'>= {low:g}'))
+            self.fail(key, _breaks(value, unit, f'>= {low:g}'))
         if value > high:
-            raise self.error(key, _breaks(value, unit, f'<= {high:g}'))
+            self.fail(key, _breaks(value, unit, f'<= {high:g}'))
         return value
 
     def integer(self, key: str, default: int, *, low: int) -> int:
         """Return a whole number that is at least ``low``."""
         value = self.data.get(key, default)
         if isinstance(value, bool) or not isinstance(value, int):
-            raise self.error(key, f'= {shown(value)} must be a whole number')
+            self.fail(key, f'= {shown(value)} must be a whole number')
         if value < low:
-            raise self.error(key, f'= {value} must be >= {low}')
+            self.fail(key, f'= {value} must be >= {low}')
         return value
 
     def text(self, key: str, default: str | None = None) -> str:
@@ -137,7 +138,7 @@ class Section:
             return default
         value = self.data.get(key)
         if not isinstance(value, str):
-            raise self.error(key, f'= {shown(value)} must be a text' if key in self.data else 'is missing')
+            self.fail(key, f'= {shown(value)} must be a text' if key in self.data else 'is missing')
         return value
 
     def items(self, key: str) -> tuple[object, ...]:
@@ -146,7 +147,7 @@ class Section:
         if value is None:
             return ()
         if not isinstance(value, list):
-            raise self.error(key, f'= {shown(value)} must be a list')
+            self.fail(key, f'= {shown(value)} must be a list')
         return tuple(value)
 
     def numbers(self, key: str, unit: str) -> tuple[float, ...]:
@@ -160,7 +161,8 @@ class Section:
         for i, item in enumerate(self.items(key)):
             name = f'{self.name(key)}[{i}]'
             if not isinstance(item, list) or len(item) != len(units):
-                raise InputError(f'{self.source}: {name} = {shown(item)} must be [{", ".join(units)}]')
+                msg = f'{self.source}: {name} = {shown(item)} must be [{", ".join(units)}]'
+                raise InputError(msg)
             cells = enumerate(zip(item, units, strict=True))
             out.append(tuple(finite_number(self.source, f'{name}[{j}]', x, unit) for j, (x, unit) in cells))
         return tuple(out)
@@ -174,13 +176,15 @@ def finite_number(source: str, name: str, value: object, unit: str) -> float:
 
     """
     if isinstance(value, bool) or not isinstance(value, (int, float)):
-        raise InputError(f'{source}: {name} = {shown(value)} must be a number{_in_unit(unit)}')
+        msg = f'{source}: {name} = {shown(value)} must be a number{_in_unit(unit)}'
+        raise InputError(msg)
     try:
         number = float(value)
     except OverflowError:
         number = math.inf
     if not math.isfinite(number):
-        raise InputError(f'{source}: {name} = {number:g} must be finite')
+        msg = f'{source}: {name} = {number:g} must be finite'
+        raise InputError(msg)
     return number
 
 
@@ -193,10 +197,12 @@ def as_section(source: str, path: str, value: object) -> Section:
     """
     where = f'{source}: {path}' if path else source
     if not isinstance(value, dict):
-        raise InputError(f'{where} = {shown(value)} must be a mapping of fields')
+        msg = f'{where} = {shown(value)} must be a mapping of fields'
+        raise InputError(msg)
     for key in value:
         if not isinstance(key, str):
-            raise InputError(f'{where} has the key {shown(key)}, which is no field name')
+            msg = f'{where} has the key {shown(key)}, which is no field name'
+            raise InputError(msg)
     return Section(source, path, value)
 
 
@@ -212,9 +218,11 @@ def parse_yaml(text: str, source: str) -> Section:
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark
         where = f' line {mark.line + 1}, column {mark.column + 1}' if mark is not None else ''
-        raise InputError(f'{source}:{where} is not valid YAML: {_one_line(error.problem)}') from error
+        msg = f'{source}:{where} is not valid YAML: {_one_line(error.problem)}'
+        raise InputError(msg) from error
     except (yaml.YAMLError, ValueError, RecursionError) as error:
-        raise InputError(f'{source}: is not valid YAML: {_one_line(error)}') from error
+        msg = f'{source}: is not valid YAML: {_one_line(error)}'
+        raise InputError(msg) from error
     return as_section(source, '', value)
 
 

@@ -37,7 +37,8 @@ class LineProfile:
 
         """
         if not train_length > 0.0:
-            raise InputError(f'train length = {train_length:g} m must be > 0')
+            msg = f'train length = {train_length:g} m must be > 0'
+            raise InputError(msg)
         self.line = line
         self.length = train_length
         self._gradient = _Steps(line.gradient)

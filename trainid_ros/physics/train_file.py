@@ -115,9 +115,11 @@ def load_train_file(path: str | Path) -> TrainFile:
     try:
         text = Path(path).read_text(encoding='utf-8')
     except OSError as error:
-        raise InputError(f'{path}: cannot be read: {error.strerror or error}') from error
+        msg = f'{path}: cannot be read: {error.strerror or error}'
+        raise InputError(msg) from error
     except UnicodeDecodeError as error:
-        raise InputError(f'{path}: is not UTF-8 text (byte {error.start})') from error
+        msg = f'{path}: is not UTF-8 text (byte {error.start})'
+        raise InputError(msg) from error
     return parse_train_file(text, str(path))
 
 
@@ -210,7 +212,7 @@ def _profile(section: Section, key: str, unit: str, low: float) -> Pairs:
     for i, (_, value) in enumerate(rows):
         if value < low or (key == 'speed_limit' and value == 0.0):
             rule = '> 0' if key == 'speed_limit' else f'>= {low:g}'
-            raise section.error(f'{key}[{i}][1]', f'= {value:g} {unit} must be {rule}')
+            section.fail(f'{key}[{i}][1]', f'= {value:g} {unit} must be {rule}')
     return tuple((position, value) for position, value in rows)
 
 
@@ -218,10 +220,10 @@ def _tunnels(section: Section) -> Pairs:
     rows = section.rows('tunnel', ('start m', 'end m'))
     for i, (start, end) in enumerate(rows):
         if end <= start:
-            raise section.error(f'tunnel[{i}]', f'= [{start:g}, {end:g}] m must end after its start')
+            section.fail(f'tunnel[{i}]', f'= [{start:g}, {end:g}] m must end after its start')
     for i, ((_, end), (start, _)) in enumerate(pairwise(rows)):
         if start < end:
-            raise section.error(f'tunnel[{i + 1}][0]', f'= {start:g} m lies before the last end, {end:g} m')
+            section.fail(f'tunnel[{i + 1}][0]', f'= {start:g} m lies before the last end, {end:g} m')
     return tuple((start, end) for start, end in rows)
 
 
@@ -229,7 +231,7 @@ def _check_rising(section: Section, key: str, positions: tuple[float, ...]) -> N
     for i, (before, after) in enumerate(pairwise(positions)):
         if after <= before:
             problem = f'= {after:g} m must lie after {before:g} m: positions rise'
-            raise section.error(f'{key}[{i + 1}]', problem)
+            section.fail(f'{key}[{i + 1}]', problem)
 
 
 def _effects(top: Section) -> tuple[Effect, ...]:
@@ -241,11 +243,11 @@ def _effect(section: Section) -> Effect:
     section.only(_names(Effect))
     name = section.text('name')
     if not name:
-        raise section.error('name', f'= {shown(name)} must not be empty')
+        section.fail('name', f'= {shown(name)} must not be empty')
     std = _named_values(section, 'std')
     for key, value in std:
         if value < 0.0:
-            raise section.error(f'std.{key}', f'= {value:g} must be >= 0')
+            section.fail(f'std.{key}', f'= {value:g} must be >= 0')
     return Effect(name, _named_values(section, 'parameters'), std, section.text('provenance', ''))
 
 

@@ -91,20 +91,26 @@ def check_scenario(scenario: Scenario) -> None:
     """Raise InputError, naming the field, if a scenario cannot be simulated."""
     stops = scenario.train_file.line.stops
     if len(stops) < 2:
-        raise InputError(f'line.stops has {len(stops)} stops; the simulator drives between at least 2')
+        msg = f'line.stops has {len(stops)} stops; the simulator drives between at least 2'
+        raise InputError(msg)
     if scenario.runs < 1:
-        raise InputError(f'runs = {scenario.runs} must be >= 1')
+        msg = f'runs = {scenario.runs} must be >= 1'
+        raise InputError(msg)
     if scenario.start_ns <= 0:
-        raise InputError(f'start_ns = {scenario.start_ns} must be > 0: a zero stamp is no time')
+        msg = f'start_ns = {scenario.start_ns} must be > 0: a zero stamp is no time'
+        raise InputError(msg)
     if not 0.0 <= scenario.passengers <= 2.0:
-        raise InputError(f'passengers = {scenario.passengers:g} is outside [0, 2] of the mass')
+        msg = f'passengers = {scenario.passengers:g} is outside [0, 2] of the mass'
+        raise InputError(msg)
     times = [change.time_s for change in scenario.changes]
     if times != sorted(times):
-        raise InputError('changes: their times must rise')
+        msg = 'changes: their times must rise'
+        raise InputError(msg)
     for change in scenario.changes:
         if change.brake_rate is not None and not change.brake_rate > 0.0:
             where = f'at {change.time_s:g} s'
-            raise InputError(f'changes: brake rate = {change.brake_rate:g} {where} must be > 0')
+            msg = f'changes: brake rate = {change.brake_rate:g} {where} must be > 0'
+            raise InputError(msg)
     check_effects(scenario.train_file.effects)
 
 
@@ -149,8 +155,9 @@ class _Day:
 
     def _is_over(self, time_s: float) -> bool:
         if time_s - self._departed_s > LONGEST_RUN_S:
-            msg = f'the train does not reach stop {self._driver.stop:g} m within {LONGEST_RUN_S:g} s'
-            raise InputError(f'{msg}: check train.max_traction_force and line.gradient')
+            where = f'stop {self._driver.stop:g} m within {LONGEST_RUN_S:g} s'
+            msg = f'the train does not reach {where}: check train.max_traction_force, line.gradient'
+            raise InputError(msg)
         done = len(self._driver.arrivals) >= self._scenario.runs
         return done and self._driver.may_depart(time_s)
 
@@ -191,7 +198,8 @@ class _Day:
             plant.direction = -plant.direction
             stop = self._profile.next_stop(plant.position, plant.direction)
         if stop is None:
-            raise InputError(f'line.stops: no other stop from {plant.position:g} m')
+            msg = f'line.stops: no other stop from {plant.position:g} m'
+            raise InputError(msg)
         self._departed_s = time_s
         self._board()
         self._driver.depart(stop)

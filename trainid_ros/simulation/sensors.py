@@ -48,9 +48,7 @@ class SensorModel:
 class Sensors:
     """Makes records of true values; a lost message is None."""
 
-    def __init__(
-        self, model: SensorModel, dt: float, extent: tuple[float, float], rng: np.random.Generator
-    ) -> None:
+    def __init__(self, model: SensorModel, dt: float, extent: tuple[float, float], rng: np.random.Generator) -> None:
         """Draw the errors that stay for the whole simulation.
 
         Args:

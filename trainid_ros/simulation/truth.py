@@ -77,7 +77,8 @@ def save_truth(truth: Truth, path: str | Path) -> None:
     try:
         Path(path).write_text(dump_truth(truth), encoding='utf-8')
     except OSError as error:
-        raise InputError(f'{path}: cannot be written: {error.strerror or error}') from error
+        msg = f'{path}: cannot be written: {error.strerror or error}'
+        raise InputError(msg) from error
 
 
 def load_truth(path: str | Path) -> Truth:
@@ -90,9 +91,11 @@ def load_truth(path: str | Path) -> Truth:
     try:
         text = Path(path).read_text(encoding='utf-8')
     except OSError as error:
-        raise InputError(f'{path}: cannot be read: {error.strerror or error}') from error
+        msg = f'{path}: cannot be read: {error.strerror or error}'
+        raise InputError(msg) from error
     except UnicodeDecodeError as error:
-        raise InputError(f'{path}: is not UTF-8 text (byte {error.start})') from error
+        msg = f'{path}: is not UTF-8 text (byte {error.start})'
+        raise InputError(msg) from error
     return parse_truth(text, str(path))
 
 
@@ -107,7 +110,7 @@ def parse_truth(text: str, source: str) -> Truth:
     resistance = top.rows('resistance', ('time s', 'a', 'b', 'c'))
     brake_rate = top.rows('brake_rate', ('time s', 'rate'))
     if not resistance:
-        raise top.error('resistance', 'is missing: a truth has at least one row [time s, a, b, c]')
+        top.fail('resistance', 'is missing: a truth has at least one row [time s, a, b, c]')
     _check_rising(top, 'resistance', resistance)
     _check_rising(top, 'brake_rate', brake_rate)
     return Truth(
@@ -121,7 +124,7 @@ def _check_rising(top: Section, key: str, rows: tuple[tuple[float, ...], ...]) -
     for i, (before, after) in enumerate(pairwise(rows)):
         if after[0] <= before[0]:
             problem = f'= {after[0]:g} s must come after {before[0]:g} s: times rise'
-            raise top.error(f'{key}[{i + 1}]', problem)
+            top.fail(f'{key}[{i + 1}]', problem)
 
 
 def _index(times: list[float], time_s: float) -> int:
