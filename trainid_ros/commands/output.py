@@ -1,0 +1,116 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the commands share to talk to people and programs.
+
+Answers go to standard output; progress and warnings go to standard error, so ``--json`` stays pure.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import sys
+from collections.abc import Mapping
+from contextlib import contextmanager
+from enum import Enum
+from pathlib import PurePath
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from argparse import ArgumentParser
+    from collections.abc import Callable, Iterator, Sequence
+
+
+def add_json_option(parser: ArgumentParser) -> None:
+    """Add ``--json``."""
+    parser.add_argument('--json', action='store_true', help='print one JSON object and nothing else')
+
+
+def print_json(value: Any) -> None:
+    """Print one JSON object on standard output; see :func:`to_plain` for what it may hold."""
+    print(json.dumps(to_plain(value), allow_nan=False, ensure_ascii=False))
+
+
+def to_plain(value: Any) -> Any:
+    """Return a value as JSON knows it.
+
+    Dataclasses become objects, enumerations their names, arrays lists, numbers that are not finite None.
+
+    Raises:
+        TypeError: If a value has no plain form.
+
+    """
+    if value is None or isinstance(value, (str, bool)):
+        return value
+    if isinstance(value, Enum):
+        return value.name
+    if isinstance(value, (int, np.integer)):
+        return int(value)
+    if isinstance(value, (float, np.floating)):
+        return float(value) if math.isfinite(value) else None
+    return _compound_to_plain(value)
+
+
+def _compound_to_plain(value: Any) -> Any:
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        return {item.name: to_plain(getattr(value, item.name)) for item in dataclasses.fields(value)}
+    if isinstance(value, Mapping):
+        return {key.name if isinstance(key, Enum) else str(key): to_plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.bool_):
+        return to_plain(value.tolist())
+    if isinstance(value, list | tuple | set | frozenset):
+        return [to_plain(item) for item in value]
+    if isinstance(value, PurePath):
+        return str(value)
+    msg = f'{type(value).__name__} has no JSON form'
+    raise TypeError(msg)
+
+
+def warn(text: str) -> None:
+    """Print one warning line on standard error."""
+    print(f'trainid: warning: {text}', file=sys.stderr)
+
+
+def table(rows: Sequence[Sequence[str]], numbers: Sequence[int] = ()) -> str:
+    """Return rows of cells as aligned text.
+
+    Args:
+        rows: Rows of equal length, the headings first.
+        numbers: Columns to align to the right.
+
+    """
+    widths = [max(len(row[i]) for row in rows) for i in range(len(rows[0]))]
+    lines = []
+    for row in rows:
+        cells = [
+            cell.rjust(width) if i in numbers else cell.ljust(width)
+            for i, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ]
+        lines.append('  '.join(cells).rstrip())
+    return '\n'.join(lines)
+
+
+@contextmanager
+def progress(text: str, total: float | None = None) -> Iterator[Callable[[float], None]]:
+    """Show progress on standard error while the block runs; show nothing if that is no terminal.
+
+    Args:
+        text: What is being done.
+        total: Amount of work, None if unknown.
+
+    Yields:
+        A function to call with the amount done since the last call.
+
+    """
+    if not sys.stderr.isatty():
+        yield lambda _amount: None
+        return
+    # Imported here because a command that shows no progress must not wait for it.
+    from rich.console import Console  # noqa: PLC0415
+    from rich.progress import Progress  # noqa: PLC0415
+
+    with Progress(console=Console(stderr=True), transient=True) as bar:
+        task = bar.add_task(text, total=total)
+        yield lambda amount: bar.advance(task, amount)
