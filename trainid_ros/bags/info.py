@@ -14,7 +14,6 @@ from trainid_ros.core.records import (
     BRAKE_TOPIC,
     FORCE_TOPIC,
     GRADIENT_TOPIC,
-    INPUT_TOPICS,
     MASS_TOPIC,
     NS_PER_S,
     REQUIRED_TOPICS,
@@ -206,16 +205,16 @@ def inspect(path: str | Path, namespace: str = '/') -> BagInfo:
 
 
 def _read(reader: BagReader) -> dict[str, _Column]:
-    names = {
-        topic.name: tuple(item.name for item in fields(topic.record) if item.type in {'float', float})
-        for topic in INPUT_TOPICS
-    }
     columns: dict[str, _Column] = {}
     for log_ns, topic, record in reader.logged_records():
         if topic not in columns:
-            columns[topic] = _Column(names[topic])
+            columns[topic] = _Column(_number_fields(record))
         columns[topic].add(log_ns, record)
     return columns
+
+
+def _number_fields(record: Record) -> tuple[str, ...]:
+    return tuple(item.name for item in fields(record) if item.type in {'float', float})
 
 
 def _details(name: str, columns: dict[str, _Column]) -> tuple[int, StampInfo | None]:

@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``trainid simulate``: a bag from the simulator, with its truth beside it."""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from trainid_ros.bags.writer import BagWriter
+from trainid_ros.commands.output import add_json_option, print_json, progress
+from trainid_ros.core.records import INPUT_TOPICS
+from trainid_ros.physics.effect_text import parse_effects
+from trainid_ros.physics.train_file import load_train_file
+from trainid_ros.simulation.scenario import Scenario, check_scenario, simulate
+from trainid_ros.simulation.truth import save_truth
+
+if TYPE_CHECKING:
+    from trainid_ros.simulation.scenario import Simulation
+
+TRUTH_FILE: Final = 'truth.yaml'
+_TOPIC_OF: Final = {topic.record: topic.name for topic in INPUT_TOPICS}
+_TELL_EVERY: Final = 1000
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument('out', type=Path, metavar='OUT', help='bag to make')
+    parser.add_argument('--train', type=Path, required=True, metavar='T.yaml', help='the train as it truly is')
+    parser.add_argument(
+        '--effect',
+        action='append',
+        default=[],
+        metavar='NAME:key=value',
+        help='add an effect to the truth, as in tunnel_drag:factor=1.8 (again for more)',
+    )
+    parser.add_argument('--runs', type=int, default=4, metavar='N', help='runs from stop to stop (default: 4)')
+    parser.add_argument(
+        '--seed', type=_seed, default=1, metavar='S', help='seed of all that is random, >= 0 (default: 1)'
+    )
+    add_json_option(parser)
+
+
+def _seed(text: str) -> int:
+    if not text.isdecimal():
+        msg = f'{text!r} is not a whole number >= 0'
+        raise argparse.ArgumentTypeError(msg)
+    return int(text)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Simulate and write the bag and its truth.
+
+    Raises:
+        InputError: If an argument or the train file cannot be used, or the bag exists already.
+
+    """
+    scenario = scenario_from(args.train, args.effect, args.runs)
+    # The bag is opened first: a path that cannot be written is told at once, not after the simulation.
+    with BagWriter(args.out) as writer:
+        with progress('simulating'):
+            simulation = simulate(scenario, np.random.default_rng(args.seed))
+        _write(simulation, writer)
+    save_truth(simulation.truth, args.out / TRUTH_FILE)
+    _tell(args, simulation)
+    return 0
+
+
+def scenario_from(train: Path, effects: list[str], runs: int) -> Scenario:
+    """Return the scenario of a train file and the effects named on the command line.
+
+    Raises:
+        InputError: If the train file, an effect or the number of runs cannot be used.
+
+    """
+    file = load_train_file(train)
+    file = replace(file, effects=(*file.effects, *parse_effects(effects)))
+    scenario = Scenario(file, runs=runs)
+    check_scenario(scenario)
+    return scenario
+
+
+def _write(simulation: Simulation, writer: BagWriter) -> None:
+    with progress('writing', len(simulation.records)) as advance:
+        for i, record in enumerate(simulation.records, 1):
+            writer.write_record(record)
+            if i % _TELL_EVERY == 0:
+                advance(_TELL_EVERY)
+
+
+def _tell(args: argparse.Namespace, simulation: Simulation) -> None:
+    counts = Counter(_TOPIC_OF[type(record)] for record in simulation.records)
+    if not args.json:
+        runs = f'{len(simulation.arrivals)} runs, {simulation.duration_s:.0f} s'
+        print(f'{args.out}: {len(simulation.records)} messages of {runs}; truth in {args.out / TRUTH_FILE}')
+        return
+    print_json(
+        {
+            'out': args.out,
+            'messages': dict(sorted(counts.items())),
+            'duration_s': simulation.duration_s,
+            'runs': len(simulation.arrivals),
+            'seed': args.seed,
+            'truth': simulation.truth,
+        }
+    )
