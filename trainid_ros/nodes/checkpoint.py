@@ -1,0 +1,97 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Checkpoints: the whole state of one estimator in a file that is either old or new, never half."""
+
+from __future__ import annotations
+
+import json
+import os
+import tempfile
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import Final
+
+from trainid_ros.core.errors import InputError
+
+_FORMAT: Final = 1
+
+
+@dataclass(frozen=True, slots=True)
+class Checkpoint:
+    """A saved estimator.
+
+    Attributes:
+        version: Version of the package that wrote it.
+        estimator: Name of the estimator.
+        saved_ns: Node time at which it was written [ns].
+        stamp_ns: Stamp of the newest sample used, 0 if there was none.
+        state: What the estimator's ``save`` returned.
+
+    """
+
+    version: str
+    estimator: str
+    saved_ns: int
+    stamp_ns: int
+    state: str
+
+
+def default_path(node: str) -> Path:
+    """Return where the checkpoint of a node goes, given its fully qualified name."""
+    home = os.environ.get('ROS_HOME')
+    base = Path(home) if home else Path.home() / '.ros'
+    return base.joinpath('trainid', *node.strip('/').split('/')).with_suffix('.json')
+
+
+def write_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
+    """Write a checkpoint; an older file stays as it is until the new one is safely on disk.
+
+    Raises:
+        InputError: The file cannot be written.
+
+    """
+    text = json.dumps({'format': _FORMAT, 'package': 'trainid_ros', **asdict(checkpoint)}, indent=1) + '\n'
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        handle, name = tempfile.mkstemp(prefix=f'.{path.name}.', dir=path.parent)
+        try:
+            with os.fdopen(handle, 'w', encoding='utf-8') as file:
+                file.write(text)
+                file.flush()
+                os.fsync(file.fileno())
+            Path(name).replace(path)
+        except BaseException:
+            Path(name).unlink(missing_ok=True)
+            raise
+    except OSError as error:
+        msg = f'{path}: checkpoint cannot be written: {error.strerror or error}'
+        raise InputError(msg) from error
+
+
+def read_checkpoint(path: Path, estimator: str) -> Checkpoint:
+    """Read the checkpoint of an estimator.
+
+    Raises:
+        InputError: The file cannot be read, is no checkpoint or belongs to another estimator.
+
+    """
+    try:
+        data = json.loads(path.read_text(encoding='utf-8'))
+    except OSError as error:
+        msg = f'{path}: checkpoint cannot be read: {error.strerror or error}'
+        raise InputError(msg) from error
+    except ValueError as error:
+        msg = f'{path}: is no checkpoint: {error}'
+        raise InputError(msg) from None
+    if not isinstance(data, dict) or data.get('package') != 'trainid_ros' or data.get('format') != _FORMAT:
+        msg = f'{path}: is no checkpoint of this package (format {_FORMAT})'
+        raise InputError(msg)
+    kinds = {'version': str, 'estimator': str, 'saved_ns': int, 'stamp_ns': int, 'state': str}
+    for item in fields(Checkpoint):
+        if type(data.get(item.name)) is not kinds[item.name]:
+            msg = f'{path}: checkpoint field {item.name} = {data.get(item.name)!r} is not usable'
+            raise InputError(msg)
+    checkpoint = Checkpoint(**{item.name: data[item.name] for item in fields(Checkpoint)})
+    if checkpoint.estimator != estimator:
+        msg = f'{path}: is a checkpoint of {checkpoint.estimator}, not of {estimator}'
+        raise InputError(msg)
+    return checkpoint

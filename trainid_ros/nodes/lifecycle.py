@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A lifecycle node that never fails in silence and never dies of a wrong request."""
+
+from __future__ import annotations
+
+import functools
+import traceback
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from rclpy.exceptions import ROSInterruptException
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+
+from trainid_ros.core.errors import TrainIdError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+NodeT = TypeVar('NodeT', bound='ManagedNode')
+RCLError = rclpy_implementation.RCLError
+
+
+def guarded(
+    transition: Callable[[NodeT, LifecycleState], TransitionCallbackReturn],
+) -> Callable[[NodeT, LifecycleState], TransitionCallbackReturn]:
+    """Log why a transition did not succeed; rclpy itself would drop the exception.
+
+    An error raised on purpose is one line and a FAILURE, which leaves the node in the state it came
+    from. Anything else is logged with its traceback and is an ERROR.
+    """
+
+    @functools.wraps(transition)
+    def run(node: NodeT, state: LifecycleState) -> TransitionCallbackReturn:
+        try:
+            return transition(node, state)
+        except TrainIdError as error:
+            node.failure = str(error)
+            node.get_logger().error(node.failure)
+            return TransitionCallbackReturn.FAILURE
+        except (KeyboardInterrupt, ROSInterruptException):
+            raise
+        except Exception as error:  # told in full, then handed to on_error
+            node.failure = f'{type(error).__name__}: {error}'
+            node.get_logger().error(f'{transition.__name__} failed\n{traceback.format_exc()}')
+            return TransitionCallbackReturn.ERROR
+
+    return run
+
+
+class ManagedNode(LifecycleNode):
+    """Lifecycle node whose refused transitions are answered and logged.
+
+    Attributes:
+        failure: Why the last transition did not succeed, empty if it did.
+
+    """
+
+    def __init__(self, name: str, **options: Any) -> None:
+        super().__init__(name, **options)
+        self.failure = ''
+        change_state = self._service_change_state.callback
+
+        def answer(request: Any, response: Any) -> Any:
+            # An illegal transition raises, and out of a service callback that ends the process.
+            try:
+                return change_state(request, response)
+            except RCLError as error:
+                self.get_logger().warning(f'transition refused in state {self.state}: {error}')
+                response.success = False
+                return response
+
+        self._service_change_state.callback = answer
+
+    @property
+    def state(self) -> str:
+        """Label of the lifecycle state."""
+        return str(self._state_machine.current_state[1])
+
+    def bring_up(self) -> bool:
+        """Configure and activate; return False, with the reason in ``failure``, if that fails."""
+        for trigger in (self.trigger_configure, self.trigger_activate):
+            self.failure = ''
+            if trigger() != TransitionCallbackReturn.SUCCESS:
+                return False
+        return True

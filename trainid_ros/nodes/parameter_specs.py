@@ -1,0 +1,189 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What parameters the nodes have, as plain values, and how they become configurations.
+
+Everything an estimator can be told is declared once, in the metadata of its configuration; nothing is
+repeated here.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
+
+from trainid_ros.core.alignment import AlignmentConfig
+from trainid_ros.core.errors import InputError
+from trainid_ros.core.settings import setting_info
+from trainid_ros.estimators.pipeline import EstimatorSettings, PipelineConfig, TimeJumpPolicy
+from trainid_ros.physics.train_file import Brake, Davis, Train, TrainFile
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from _typeshed import DataclassInstance
+
+Value: TypeAlias = bool | int | float | str
+Values: TypeAlias = 'Mapping[str, Value]'
+
+_NEXT: Final = 'takes effect on the next configure'
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterSpec:
+    """One parameter: default (its type is the parameter's type), what it is, what it may be.
+
+    ``low`` and ``high`` bound a number, both ends included; ``choices`` lists what a text may be.
+    """
+
+    name: str
+    default: Value
+    description: str
+    low: float = -math.inf
+    high: float = math.inf
+    choices: tuple[str, ...] = ()
+    read_only: bool = False
+
+    def coerce(self, value: object) -> Value:
+        """Return a value from a file as the parameter's type; a whole number will do for a real one.
+
+        Raises:
+            InputError: The value is of another type, not finite, out of range or no choice.
+
+        """
+        if isinstance(self.default, float) and isinstance(value, int) and not isinstance(value, bool):
+            value = float(value)
+        if not isinstance(value, type(self.default)) or isinstance(value, bool) is not isinstance(self.default, bool):
+            wanted = {float: 'a number', int: 'a whole number', str: 'a text', bool: 'true or false'}
+            msg = f'{self.name} = {value!r} must be {wanted[type(self.default)]}'
+            raise InputError(msg)
+        self.check(value)
+        return value
+
+    def check(self, value: Value) -> None:
+        """Raise InputError, naming the parameter, if a value of the right type is not possible."""
+        if isinstance(value, str):
+            if self.choices and value not in self.choices:
+                msg = f'{self.name} = {value!r} must be one of {", ".join(self.choices)}'
+                raise InputError(msg)
+        elif not isinstance(value, bool) and not (math.isfinite(value) and self.low <= value <= self.high):
+            msg = f'{self.name} = {value:g} is outside [{self.low:g}, {self.high:g}]'
+            raise InputError(msg)
+
+
+@dataclass(frozen=True, slots=True)
+class TrainParameter:
+    """A parameter that stands for a field of the train file."""
+
+    section: str
+    field: str
+    spec: ParameterSpec
+    required: bool = False
+
+    @property
+    def name(self) -> str:
+        """Name of the parameter."""
+        return self.spec.name
+
+    def of(self, train_file: TrainFile) -> float:
+        """Return the value that a train file gives."""
+        return float(getattr(getattr(train_file, self.section), self.field))
+
+
+def _train(section: str, name: str, default: float, text: str, limits: tuple[float, float]) -> TrainParameter:
+    required = section == 'resistance' or name == 'mass'
+    source = 'no value without a train file' if required else 'default if neither given nor in the train file'
+    description = f'{text}; overrides the train file ({source}); {_NEXT}'
+    spec = ParameterSpec(f'{section}.{name}', default, description, *limits)
+    return TrainParameter(section, name, spec, required)
+
+
+_NOMINAL: Final = (Train(mass=0.0), Brake())
+TRAIN_PARAMETERS: Final = (
+    _train('train', 'mass', 0.0, 'train mass with its usual load [kg]', (0.0, 1e9)),
+    _train('train', 'rotary_mass', _NOMINAL[0].rotary_mass, 'rotating masses as a share of the mass [1]', (0.0, 1.0)),
+    _train('train', 'length', _NOMINAL[0].length, 'length of the train [m]', (0.1, 1e4)),
+    _train('resistance', 'a', 0.0, 'prior Davis a [N/kN]', (0.0, 100.0)),
+    _train('resistance', 'b', 0.0, 'prior Davis b [N/kN per m/s]', (-10.0, 10.0)),
+    _train('resistance', 'c', 0.0, 'prior Davis c [N/kN per (m/s)^2]', (0.0, 1.0)),
+    _train('brake', 'rate', _NOMINAL[1].rate, 'prior brake rate, 1 = nominal [1]', (0.01, 10.0)),
+    _train('brake', 'time_constant', _NOMINAL[1].time_constant, 'time constant of the brake [s]', (0.0, 60.0)),
+    _train('brake', 'delay', _NOMINAL[1].delay, 'dead time of the brake [s]', (0.0, 60.0)),
+)
+TRAIN_FILE: Final = ParameterSpec('train_file', '', f'path of the train file (YAML); {_NEXT}')
+AUTOSTART: Final = ParameterSpec('autostart', False, 'configure and activate at start', read_only=True)
+
+
+def estimator_parameters(config: type[DataclassInstance]) -> tuple[ParameterSpec, ...]:
+    """Return all parameters of a node with an estimator of this configuration."""
+    policies = tuple(policy.value for policy in TimeJumpPolicy)
+    default = PipelineConfig().time_jump_policy.value
+    texts = (
+        TRAIN_FILE,
+        ParameterSpec(
+            'time_jump_policy', default, f'what to do when stamps or /clock jump back; {_NEXT}', choices=policies
+        ),
+        ParameterSpec('checkpoint_file', '', 'path of the checkpoint; empty: $ROS_HOME/trainid/<node>.json'),
+        ParameterSpec('seed', EstimatorSettings().seed, f'seed of the random numbers; {_NEXT}', 0, 2**31 - 1),
+        ParameterSpec('diagnostic_period', 1.0, f'time between diagnostics [s]; {_NEXT}', 0.1, 60.0),
+        AUTOSTART,
+    )
+    return (
+        *texts,
+        *(item.spec for item in TRAIN_PARAMETERS),
+        *_settings('', PipelineConfig),
+        *_settings('alignment.', AlignmentConfig),
+        *_settings('estimator.', config),
+    )
+
+
+def _settings(prefix: str, config: type[DataclassInstance]) -> tuple[ParameterSpec, ...]:
+    specs = []
+    for item in fields(config):
+        if (info := setting_info(item)) is not None:
+            text = f'{info.description} [{info.unit}]; {_NEXT}'
+            default: Any = item.default
+            specs.append(ParameterSpec(prefix + item.name, default, text, info.low, info.high))
+    return tuple(specs)
+
+
+def build_settings(values: Values, field: str) -> EstimatorSettings:
+    """Return the settings that parameter values ask for; ``field`` names the estimator's configuration."""
+    base = EstimatorSettings()
+    policy = TimeJumpPolicy(values['time_jump_policy'])
+    changes: dict[str, Any] = {
+        'alignment': _configure(base.alignment, 'alignment.', values),
+        'pipeline': replace(_configure(base.pipeline, '', values), time_jump_policy=policy),
+        field: _configure(getattr(base, field), 'estimator.', values),
+        'seed': values['seed'],
+    }
+    return replace(base, **changes)
+
+
+def _configure(config: Any, prefix: str, values: Values) -> Any:
+    names = [item.name for item in fields(config) if setting_info(item) is not None]
+    return replace(config, **{name: values[prefix + name] for name in names})
+
+
+def build_train_file(values: Values, given: frozenset[str], base: TrainFile | None) -> TrainFile:
+    """Return the train file with the given parameters put over it.
+
+    Raises:
+        InputError: There is no train file and a required parameter is not given.
+
+    """
+    if base is None:
+        missing = [item.name for item in TRAIN_PARAMETERS if item.required and item.name not in given]
+        if missing:
+            msg = f'no train: give the parameter train_file, or {", ".join(missing)}'
+            raise InputError(msg)
+        base = TrainFile(Train(mass=float(values['train.mass'])), Davis(0.0, 0.0, 0.0))
+    sections: dict[str, Any] = {}
+    for item in TRAIN_PARAMETERS:
+        if item.name in given:
+            section = sections.get(item.section, getattr(base, item.section))
+            sections[item.section] = replace(section, **{item.field: values[item.name]})
+    train_file = replace(base, **sections)
+    if train_file.train.mass <= 0.0:
+        msg = f'train.mass = {train_file.train.mass:g} kg must be > 0'
+        raise InputError(msg)
+    return train_file

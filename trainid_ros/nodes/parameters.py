@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters of a node: declared at once, checked with a reason, never applied by surprise."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.parameter import Parameter
+
+from trainid_ros.core.errors import InputError
+from trainid_ros.nodes.parameter_specs import ParameterSpec, Value
+from trainid_ros.nodes.params_file import find_misses, params_files
+from trainid_ros.physics.fields import did_you_mean
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from rclpy.node import Node
+
+_INT64: Final = (-(2**63), 2**63 - 1)
+
+
+class NodeParameters:
+    """All parameters of one node.
+
+    Attributes:
+        given: Names whose values the user gave, in a file, on the command line or later.
+
+    """
+
+    def __init__(self, node: Node, specs: Iterable[ParameterSpec], *, expected: Iterable[str] = ()) -> None:
+        """Declare the parameters; what is wrong with the given values is kept for :meth:`check`.
+
+        Args:
+            node: The node.
+            specs: What to declare.
+            expected: Names that others will declare later.
+
+        """
+        self._node = node
+        self._specs = {spec.name: spec for spec in specs}
+        self._problems: dict[str, str] = {}
+        self._internal = False
+        self._fallback: dict[str, str] = {}
+        overrides = node._parameter_overrides  # rclpy has no public way to see them
+        self.given = {name for name in overrides if name in self._specs}
+        known = {*self._specs, *node._parameters, *expected}
+        for name in overrides:
+            if name not in known:
+                self._problems[name] = f'unknown parameter {name!r}: {did_you_mean(name, known)}'
+        for spec in self._specs.values():
+            self._declare(spec, overrides)
+        node.add_on_set_parameters_callback(self._validate)
+        node.add_post_set_parameters_callback(self._note)
+
+    def _declare(self, spec: ParameterSpec, overrides: Mapping[str, Parameter]) -> None:
+        value = spec.default
+        if spec.name in overrides:
+            try:
+                value = spec.coerce(overrides[spec.name].value)
+            except InputError as error:
+                self._problems[spec.name] = str(error)
+        self._node.declare_parameter(spec.name, value, _descriptor(spec), ignore_override=True)
+
+    def check_sections(self, arguments: Sequence[str], usual_name: str) -> None:
+        """Look for parameter files among ROS arguments whose sections miss this node."""
+        node = self._node.get_fully_qualified_name()
+        for path in params_files(arguments):
+            if (found := find_misses(path, node, usual_name)) is None:
+                continue
+            complaint, certain = found
+            if certain:
+                self._problems[str(path)] = complaint
+            else:
+                self._node.get_logger().warning(complaint)
+
+    def report(self) -> None:
+        """Log every problem as an error, and one line that tells where the values come from."""
+        logger = self._node.get_logger()
+        for problem in self._problems.values():
+            logger.error(problem)
+        given = [f'{name} = {self.value(name)}' for name in self._specs if name in self.given - self._problems.keys()]
+        filed = [f'{name} = {self.value(name)}' for name in self._fallback if name not in self.given]
+        rest = [name for name in self._specs if name not in self.given and name not in self._fallback]
+        logger.info(
+            f'parameters given: {", ".join(given) or "none"}; from the train file: {", ".join(filed) or "none"}; '
+            f'defaults: {_grouped(rest)}'
+        )
+
+    def check(self) -> None:
+        """Raise InputError, naming the first one, while parameters are unknown or wrong."""
+        if self._problems:
+            msg = f'not configured: {"; ".join(self._problems.values())}'
+            raise InputError(msg)
+
+    def value(self, name: str) -> Value:
+        """Return the value of a parameter."""
+        value: Value = self._node.get_parameter(name).value
+        return value
+
+    def values(self) -> dict[str, Value]:
+        """Return all values by name."""
+        return {name: self.value(name) for name in self._specs}
+
+    def fall_back(self, values: Mapping[str, float], source: str) -> None:
+        """Take over values from a file for what the user did not give.
+
+        Raises:
+            InputError: A value is out of the parameter's range.
+
+        """
+        self._fallback = dict.fromkeys(values, source)
+        new = {name: value for name, value in values.items() if name not in self.given}
+        for name, value in new.items():
+            try:
+                self._specs[name].check(value)
+            except InputError as error:
+                msg = f'{source}: {error}'
+                raise InputError(msg) from None
+        self._internal = True
+        self._node.set_parameters([Parameter(name, value=value) for name, value in new.items()])
+        self._internal = False
+
+    def _validate(self, parameters: list[Parameter]) -> SetParametersResult:
+        for parameter in parameters:
+            spec = self._specs.get(parameter.name)
+            if spec is None:
+                continue
+            try:
+                spec.check(parameter.value)
+            except InputError as error:
+                return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _note(self, parameters: list[Parameter]) -> None:
+        if self._internal:
+            return
+        for parameter in parameters:
+            if parameter.name in self._specs:
+                self.given.add(parameter.name)
+                self._problems.pop(parameter.name, None)
+
+
+def _descriptor(spec: ParameterSpec) -> ParameterDescriptor:
+    descriptor = ParameterDescriptor(description=spec.description, read_only=spec.read_only)
+    if spec.choices:
+        descriptor.additional_constraints = f'one of {", ".join(spec.choices)}'
+    if isinstance(spec.default, float) and spec.low > float('-inf'):
+        limits = FloatingPointRange(from_value=float(spec.low), to_value=float(spec.high), step=0.0)
+        descriptor.floating_point_range = [limits]
+    elif isinstance(spec.default, int) and not isinstance(spec.default, bool):
+        low, high = max(spec.low, _INT64[0]), min(spec.high, _INT64[1])
+        descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]
+    return descriptor
+
+
+def _grouped(names: list[str]) -> str:
+    groups: dict[str, list[str]] = {}
+    for name in names:
+        prefix, _, last = name.rpartition('.')
+        groups.setdefault(prefix, []).append(last)
+    texts = (f'{prefix}.{{{", ".join(last)}}}' if prefix else ', '.join(last) for prefix, last in groups.items())
+    return ', '.join(texts) or 'none'

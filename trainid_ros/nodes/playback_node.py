@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A lifecycle node that publishes records in time: activating it plays, deactivating it pauses."""
+
+from __future__ import annotations
+
+import time
+from typing import TYPE_CHECKING, Any, Final
+
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.duration import Duration
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
+from rosgraph_msgs.msg import Clock as ClockMessage
+
+from trainid_ros.core.records import INPUT_TOPICS, NS_PER_S
+from trainid_ros.nodes import qos
+from trainid_ros.nodes.conversion import message_class, message_from_record, time_message
+from trainid_ros.nodes.lifecycle import ManagedNode, guarded
+from trainid_ros.nodes.parameter_specs import AUTOSTART, ParameterSpec
+from trainid_ros.nodes.parameters import NodeParameters
+from trainid_ros.nodes.playback import Pacer, Timeline, with_ticks
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from trainid_ros.core.records import Record
+    from trainid_ros.nodes.playback import TimedRecord
+
+_POLL_NS: Final = NS_PER_S // 50
+_ACKNOWLEDGED_S: Final = 2.0
+# Best-effort subscribers acknowledge nothing; this long they get to take what was published last.
+_LINGER_S: Final = 0.3
+
+COMMON_PARAMETERS: Final = (
+    ParameterSpec('rate', 1.0, 'recorded seconds in one second [1]; takes effect on the next configure', 0.01, 1000.0),
+    ParameterSpec('start', 0.0, 'where to start, from the beginning [s]; on the next configure', 0.0, 1e7),
+    ParameterSpec('duration', 0.0, 'how much to play, 0 = to the end [s]; on the next configure', 0.0, 1e7),
+    ParameterSpec('loop', False, 'start over at the end; takes effect on the next configure'),
+    ParameterSpec('wait', 0, 'subscribers to wait for on each topic; on the next configure', 0, 1000),
+    ParameterSpec('publish_clock', True, 'publish /clock; takes effect on the next configure'),
+    AUTOSTART,
+)
+
+
+class PlaybackNode(ManagedNode):
+    """Base of bag player and simulator.
+
+    Attributes:
+        finished: True when all has been played and delivered.
+        position_ns: Recorded time of what was published last, 0 before the start.
+        played: Records published.
+
+    """
+
+    def __init__(
+        self, name: str, specs: Sequence[ParameterSpec], *, arguments: Sequence[str] = (), **options: Any
+    ) -> None:
+        super().__init__(name, **options)
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.parameters = NodeParameters(self, (*specs, *COMMON_PARAMETERS))
+        self.parameters.check_sections(arguments, name)
+        self.parameters.report()
+        self._outputs: dict[type[Record], Any] = {}
+        self._clock_output: Any = None
+        self._timer: Any = None
+        self._release()
+
+    def open_timeline(self) -> Timeline:
+        """Return what to play; called on configure.
+
+        Raises:
+            InputError: There is nothing to play.
+
+        """
+        raise NotImplementedError
+
+    def close_timeline(self) -> None:
+        """Let go of what :meth:`open_timeline` holds."""
+
+    @guarded
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Open what is to be played and offer the topics."""
+        self.failure = ''
+        self.parameters.check()
+        self.timeline = self.open_timeline()
+        for topic in INPUT_TOPICS:
+            self._outputs[topic.record] = self.create_lifecycle_publisher(
+                message_class(topic), topic.name, qos.source_qos()
+            )
+        if self.parameters.value('publish_clock'):
+            self._clock_output = self.create_lifecycle_publisher(ClockMessage, '/clock', qos.source_qos())
+        self._pacer = Pacer(float(self.parameters.value('rate')))
+        self._rewind()
+        return super().on_configure(state)
+
+    @guarded
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Play."""
+        result = super().on_activate(state)
+        self._pacer.release()
+        self._timer = self.create_timer(_POLL_NS / NS_PER_S, self._play, clock=self._steady)
+        return result
+
+    @guarded
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Pause; activating goes on from here."""
+        self._stop()
+        return super().on_deactivate(state)
+
+    @guarded
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Close."""
+        self._release()
+        return super().on_cleanup(state)
+
+    @guarded
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Let go of everything, from any state."""
+        self._release()
+        return super().on_shutdown(state)
+
+    @guarded
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Go back to unconfigured after a transition that broke."""
+        self._release()
+        return super().on_error(state)
+
+    def _stop(self) -> None:
+        if self._timer is not None:
+            self.destroy_timer(self._timer)
+            self._timer = None
+
+    def _release(self) -> None:
+        self._stop()
+        for publisher in (*self._outputs.values(), self._clock_output):
+            if publisher is not None:
+                self.destroy_lifecycle_publisher(publisher)
+        self.close_timeline()
+        self._outputs = {}
+        self._clock_output = None
+        self._entries: Iterator[TimedRecord] = iter(())
+        self._next: TimedRecord | None = None
+        self._pacer = Pacer(1.0)
+        self.timeline = Timeline(0, 0, lambda: iter(()))
+        self.finished = False
+        self.position_ns = 0
+        self.played = 0
+
+    def _rewind(self) -> None:
+        start, duration = float(self.parameters.value('start')), float(self.parameters.value('duration'))
+        self._entries = with_ticks(self.timeline, start, duration)
+        self._next = next(self._entries, None)
+        self._pacer.release()
+
+    def _play(self) -> None:
+        """Publish what is due and sleep until the next is."""
+        if self.finished or self._is_waiting():
+            return
+        now = int(self._steady.now().nanoseconds)
+        while self._next is not None:
+            due = self._pacer.due_ns(self._next.time_ns, now)
+            if due > now:
+                self._sleep(due - now)
+                return
+            self._publish(self._next)
+            self._next = next(self._entries, None)
+        self._finish()
+
+    def _is_waiting(self) -> bool:
+        """True before the start while subscribers are missing."""
+        wanted = int(self.parameters.value('wait'))
+        if not wanted or self.position_ns:
+            return False
+        outputs = [self._outputs[topic.record] for topic in INPUT_TOPICS]
+        return any(output.get_subscription_count() < wanted for output in outputs)
+
+    def _sleep(self, pause_ns: int) -> None:
+        self._timer.timer_period_ns = max(pause_ns, 1000)
+        self._timer.reset()
+
+    def _publish(self, entry: TimedRecord) -> None:
+        if self._clock_output is not None and entry.time_ns != self.position_ns:
+            self._clock_output.publish(ClockMessage(clock=time_message(entry.time_ns)))
+        self.position_ns = entry.time_ns
+        if entry.record is not None:
+            self._outputs[type(entry.record)].publish(message_from_record(entry.record))
+            self.played += 1
+
+    def _finish(self) -> None:
+        if self.parameters.value('loop') and self.played:
+            self._rewind()
+            self._sleep(_POLL_NS)
+            return
+        for output in self._outputs.values():
+            output.wait_for_all_acked(Duration(seconds=_ACKNOWLEDGED_S))
+        time.sleep(_LINGER_S)
+        self._stop()
+        self.finished = True
+        self.get_logger().info(f'played {self.played} records')

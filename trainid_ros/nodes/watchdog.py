@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""When inputs have gone silent: judged by the node's clock, and by a steady one while that stands still."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from trainid_ros.core.records import NS_PER_S
+
+# At high replay rates a short stall of the machine is long in simulated time; it is no dropout.
+_SHORTEST_NS: Final = NS_PER_S // 4
+
+
+class Watchdog:
+    """Tells once that nothing new has come for too long.
+
+    Args:
+        limit_ns: How long inputs may be silent.
+
+    """
+
+    def __init__(self, limit_ns: int) -> None:
+        self._limit_ns = limit_ns
+        self._newest_ns = 0
+        self._seen = (0, 0)
+        self._clock = (0, 0)
+        self._told = True
+
+    def restart(self) -> None:
+        """Wait for the next record before judging again."""
+        self._told = True
+        self._newest_ns = 0
+
+    def saw(self, newest_ns: int, now_ns: int, steady_ns: int) -> None:
+        """Note the newest stamp taken in so far; only a change of it is news."""
+        if newest_ns not in (0, self._newest_ns):
+            self._told = False
+            self._seen = (now_ns, steady_ns)
+            self._newest_ns = newest_ns
+
+    def is_silent(self, now_ns: int, steady_ns: int) -> bool:
+        """Return True once when inputs have been silent for too long.
+
+        Args:
+            now_ns: The node's clock, which may be simulated, stand still or jump.
+            steady_ns: A clock that does none of this.
+
+        """
+        if now_ns != self._clock[0]:
+            self._clock = (now_ns, steady_ns)
+        if self._told:
+            return False
+        silence, steady_silence = now_ns - self._seen[0], steady_ns - self._seen[1]
+        stopped = steady_ns - self._clock[1] > self._limit_ns
+        if (silence > self._limit_ns and steady_silence > min(self._limit_ns, _SHORTEST_NS)) or (
+            stopped and steady_silence > self._limit_ns
+        ):
+            self._told = True
+        return self._told
