@@ -32,7 +32,7 @@ setup(
     description='Streaming identification of train resistance, speed model and brake rate',
     license='Apache-2.0',
     maintainer='trainid maintainers',
-    maintainer_email='trainid@users.noreply.github.com',
+    maintainer_email='maintainers@trainid.example',
     packages=[NAME, *(f'{NAME}.{subpackage}' for subpackage in SUBPACKAGES)],
     package_data={NAME: ['py.typed'], f'{NAME}.bags': ['msg/*.msg']},
     data_files=[

@@ -83,8 +83,7 @@ def build(scratch: Path) -> None:
         '--install-base',
         scratch / 'install',
     ]
-    # The virtual environment has the messages already; the workspace's own shall win.
-    command += ['--allow-overriding', *PACKAGES, '--event-handlers', 'console_direct-', 'console_stderr-']
+    command += ['--cmake-args', '-GNinja']
     log = scratch / 'colcon.txt'
     with log.open('wb') as output:
         done = subprocess.run(
@@ -97,11 +96,7 @@ def build(scratch: Path) -> None:
             stdout=output,
             stderr=subprocess.STDOUT,
         )
-    missing = [
-        name
-        for name in PACKAGES
-        if not (scratch / 'install' / name / 'share' / name / 'package.xml').is_file()
-    ]
+    missing = [name for name in PACKAGES if not (scratch / 'install' / name / 'share' / name / 'package.xml').is_file()]
     if done.returncode or missing:
         details = [file.read_text(errors='replace') for file in scratch.glob('log/latest_build/*/stderr.log')]
         text = '\n'.join([log.read_text(errors='replace'), *details])
@@ -200,9 +195,7 @@ def main() -> int:
         Exit code.
     """
     parser = argparse.ArgumentParser(description=__doc__.partition('\n')[0] if __doc__ else None)
-    parser.add_argument(
-        '--probe', action='store_true', help='only ask a running node (used by the script itself)'
-    )
+    parser.add_argument('--probe', action='store_true', help='only ask a running node (used by the script itself)')
     if parser.parse_args().probe:
         return probe_node()
     began = time.monotonic()

@@ -37,6 +37,8 @@ PYTHON = VENV / 'bin' / 'python'
 PACKAGE_INPUTS = ('setup.py', 'setup.cfg', 'package.xml')
 SHARED = ('package.xml', 'bags', 'config', 'launch', 'layouts')
 LOG_LINES_SHOWN = 15
+# What pip says when it gets no answer, or an empty one.
+NO_INDEX = ('NewConnectionError', 'NameResolutionError', '(from versions: none)')
 
 
 class SetupError(Exception):
@@ -95,7 +97,7 @@ def run(command: Sequence[str | Path], failure: str, extra_env: dict[str, str] |
         with LOG.open(encoding='utf-8', errors='replace') as log:
             log.seek(start)
             lines = log.read().splitlines()
-        if any('NewConnectionError' in line or 'NameResolutionError' in line for line in lines):
+        if any(sign in line for line in lines for sign in NO_INDEX):
             failure = 'cannot reach the package index; a network connection or a pip mirror is needed'
         elif any('No space left' in line for line in lines):
             failure = 'the disk is full'
