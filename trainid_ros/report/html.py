@@ -1,0 +1,117 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A report as one HTML file that needs nothing else: styles and figures are inside, there are no scripts."""
+
+from __future__ import annotations
+
+from datetime import UTC, datetime
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from trainid_ros.core.errors import InputError
+from trainid_ros.core.records import NS_PER_S
+from trainid_ros.report.content import versions
+from trainid_ros.report.figures import (
+    brake_rate_over_time,
+    innovation_ratios,
+    resistance_curve,
+    resistance_over_time,
+    speed_model_over_time,
+    speed_profile,
+    status_timeline,
+)
+from trainid_ros.report.style import css
+from trainid_ros.report.tables import cards, estimates_table, rejections_table, scores_table
+
+if TYPE_CHECKING:
+    from trainid_ros.report.content import Chapter, Report
+
+
+def write_report(report: Report, path: str | Path) -> None:
+    """Write a report, with the folders it needs.
+
+    Raises:
+        InputError: The file cannot be written.
+
+    """
+    target = Path(path)
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        target.write_text(render(report), encoding='utf-8')
+    except OSError as error:
+        msg = f'{path}: cannot be written ({error.strerror})'
+        raise InputError(msg) from None
+
+
+def render(report: Report) -> str:
+    """Return a report as HTML text."""
+    links = ''.join(f'<a href="#chapter-{i}">{escape(c.title)}</a>' for i, c in enumerate(report.chapters))
+    nav = f'<nav>{links}</nav>' if len(report.chapters) > 1 else ''
+    body = ''.join(_chapter(i, chapter) for i, chapter in enumerate(report.chapters))
+    title = escape(report.title)
+    return (
+        '<!DOCTYPE html><html lang="en"><head><meta charset="utf-8">'
+        '<meta name="viewport" content="width=device-width,initial-scale=1">'
+        f'<title>{title}</title><style>{css()}</style></head><body>'
+        f'<h1>{title}</h1><p class="sub">{escape(" · ".join(versions()))}</p>{nav}{body}'
+        '<footer>w(v) = a + b v + c v², in N per kN of train weight, v in m/s. Bands are the published '
+        'standard deviations.</footer></body></html>\n'
+    )
+
+
+def _chapter(index: int, chapter: Chapter) -> str:
+    notes = ''.join(f'<li>{escape(note)}</li>' for note in chapter.notes)
+    parts = (
+        f'<h2 id="chapter-{index}">{escape(chapter.title)}</h2>',
+        _facts(chapter),
+        f'<ul>{notes}</ul>' if notes else '',
+        cards(chapter),
+        estimates_table(chapter),
+        scores_table(chapter),
+        _figures(chapter),
+        rejections_table(chapter),
+    )
+    return f'<section>{"".join(parts)}</section>'
+
+
+def _facts(chapter: Chapter) -> str:
+    train, duration_s = chapter.train_file.train, chapter.traces.duration_s
+    start = datetime.fromtimestamp(chapter.traces.start_ns / NS_PER_S, UTC)
+    facts = (
+        ('Bag', chapter.bag),
+        ('Train file', chapter.train_file_name),
+        ('Train', f'{train.mass / 1000.0:.0f} t, {train.length:.0f} m, {train.cars} cars'),
+        ('Duration', f'{duration_s / 60.0:.1f} min from {start:%Y-%m-%d %H:%M:%S} UTC'),
+        ('Run', chapter.how),
+    )
+    return f'<dl>{"".join(f"<dt>{name}</dt><dd>{escape(text)}</dd>" for name, text in facts)}</dl>'
+
+
+def _figures(chapter: Chapter) -> str:
+    figures = (
+        ('Resistance over time', _over_time_caption(chapter), resistance_over_time(chapter)),
+        ('Resistance curve', 'What an ATO controller or a driver advisory would use.', resistance_curve(chapter)),
+        (
+            'Brake rate',
+            'Actual over expected braking. It can be learned only while the brake acts; in between the band widens.',
+            brake_rate_over_time(chapter),
+        ),
+        ('Drive', 'What the train did.', speed_profile(chapter)),
+        ('Status', 'HOLDING: inputs are fine, there is nothing to learn now.', status_timeline(chapter)),
+        (
+            'Innovations',
+            'Squared innovation over squared gate times its variance; above 1 (red) a sample is refused.',
+            innovation_ratios(chapter),
+        ),
+        ('Speed model', 'The second estimator, in the same physical terms.', speed_model_over_time(chapter)),
+    )
+    return ''.join(
+        f'<figure><h3>{name}</h3><p class="caption">{escape(caption)}</p>{svg}</figure>'
+        for name, caption, svg in figures
+        if svg
+    )
+
+
+def _over_time_caption(chapter: Chapter) -> str:
+    truth = ' Dashed: what was true.' if chapter.truth is not None else ''
+    return f'Left: running resistance at three speeds. Right: the parameters behind it.{truth}'

@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How far estimates were from a known truth, and whether their standard deviations were honest."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from trainid_ros.core.records import NS_PER_S
+from trainid_ros.physics.train_file import Davis
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from trainid_ros.report.traces import Array, Traces
+    from trainid_ros.simulation.truth import Truth
+
+# Two-sided normal quantile of 95 %.
+SIGMA_95: Final = 1.959964
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """Errors over all outputs that were fit to use.
+
+    Attributes:
+        outputs: How many outputs were compared.
+        bias: Mean of estimate less truth.
+        rms: Root mean square of it.
+        last: The last of these errors.
+        inside_68: Share of them within one published standard deviation.
+        inside_95: Share of them within 1.96 of it.
+
+    """
+
+    outputs: int
+    bias: float
+    rms: float
+    last: float
+    inside_68: float
+    inside_95: float
+
+
+def resistance_std(covariance: Array, speed: float | Array) -> Array:
+    """Return the standard deviation of w [N/kN] at a speed [m/s] for covariances of shape (..., 3, 3)."""
+    v = np.asarray(speed, dtype=np.float64)
+    phi = np.stack([np.ones_like(v), v, v * v], axis=-1)
+    variance: Array = np.einsum('...i,...ij,...j->...', phi, covariance, phi)
+    std: Array = np.sqrt(np.maximum(0.0, variance))
+    return std
+
+
+def resistance_at(theta: Array, speed: float | Array) -> Array:
+    """Return w [N/kN] at a speed [m/s] for parameters of shape (..., 3)."""
+    w: Array = theta[..., 0] + speed * (theta[..., 1] + speed * theta[..., 2])
+    return w
+
+
+def true_theta(truth: Truth, start_ns: int, time_s: Array) -> Array:
+    """Return the true a, b, c at times since ``start_ns``, shape (n, 3)."""
+    points = (truth.truth_at_ns(start_ns + round(t * NS_PER_S)).resistance for t in time_s)
+    return np.array([(point.a, point.b, point.c) for point in points]).reshape(-1, 3)
+
+
+def true_rate(truth: Truth, start_ns: int, time_s: Array) -> Array | None:
+    """Return the true brake rate at times since ``start_ns``, None where it is not known."""
+    if not truth.brake_rate:
+        return None
+    rates = [truth.truth_at_ns(start_ns + round(t * NS_PER_S)).brake_rate for t in time_s]
+    return np.array([math.nan if rate is None else rate for rate in rates])
+
+
+def score_resistance(traces: Traces, truth: Truth) -> Score | None:
+    """Score w [N/kN] at the current speed, None if no output was fit to use."""
+    trace = traces.resistance
+    w = resistance_at(trace.theta, trace.speed)
+    true = resistance_at(true_theta(truth, traces.start_ns, trace.time_s), trace.speed)
+    return _score(w - true, resistance_std(trace.covariance, trace.speed), trace.usable)
+
+
+def score_brake_rate(traces: Traces, truth: Truth) -> Score | None:
+    """Score the brake rate, None if the truth is not known or no output was fit to use."""
+    trace = traces.brake_rate
+    if (true := true_rate(truth, traces.start_ns, trace.time_s)) is None:
+        return None
+    return _score(trace.rate - true, trace.std, trace.usable)
+
+
+def final_truth(traces: Traces, truth: Truth) -> tuple[Davis, float | None]:
+    """Return the true resistance and brake rate at the end of the traces."""
+    point = truth.truth_at_ns(traces.start_ns + round(traces.duration_s * NS_PER_S))
+    return point.resistance, point.brake_rate
+
+
+def _score(error: Array, std: Array, usable: NDArray[np.bool_]) -> Score | None:
+    kept = usable & np.isfinite(error) & np.isfinite(std)
+    if not kept.any():
+        return None
+    error, std = error[kept], std[kept]
+    return Score(
+        outputs=len(error),
+        bias=float(error.mean()),
+        rms=float(np.sqrt(np.mean(np.square(error)))),
+        last=float(error[-1]),
+        inside_68=float(np.mean(np.abs(error) <= std)),
+        inside_95=float(np.mean(np.abs(error) <= SIGMA_95 * std)),
+    )
