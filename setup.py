@@ -41,7 +41,17 @@ setup(
         *shared_files(),
     ],
     python_requires='>=3.11',
-    install_requires=['setuptools', 'numpy', 'scipy', 'PyYAML', 'matplotlib', 'rich', 'rosbags', 'mcap'],
+    install_requires=[
+        'setuptools',
+        'PyYAML',
+        'matplotlib',
+        'mcap',
+        'numpy',
+        'rich',
+        'rosbags',
+        'scipy',
+        'zstandard',
+    ],
     zip_safe=False,
     entry_points={
         'console_scripts': [
