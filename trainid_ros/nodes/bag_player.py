@@ -9,7 +9,7 @@ from trainid_ros.bags.reader import BagReader
 from trainid_ros.core.errors import InputError
 from trainid_ros.nodes.parameter_specs import ParameterSpec
 from trainid_ros.nodes.playback import TimedRecord, Timeline
-from trainid_ros.nodes.playback_node import PlaybackNode
+from trainid_ros.nodes.playback_node import PlaybackNode, playback_parameters
 from trainid_ros.nodes.runner import run_node
 
 if TYPE_CHECKING:
@@ -19,6 +19,7 @@ NAME: Final = 'bag_player'
 _PARAMETERS: Final = (
     ParameterSpec('bag', '', 'rosbag2 directory or .mcap file; takes effect on the next configure'),
     ParameterSpec('bag_namespace', '/', 'namespace of the topics in the bag; on the next configure'),
+    *playback_parameters(live=False),
 )
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import time
 from dataclasses import dataclass
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -27,11 +26,12 @@ from trainid_ros.core.records import (
     INPUT_TOPICS,
     NS_PER_S,
     SPEED_TOPIC,
+    InputTopic,
 )
 from trainid_ros.core.results import Status
 from trainid_ros.estimators.pipeline import EstimatorPipeline, EstimatorSettings, TimeJumpPolicy
 from trainid_ros.nodes import qos
-from trainid_ros.nodes.conversion import fill_estimate, message_class, record_from_message, time_message
+from trainid_ros.nodes.conversion import fill_estimate, record_from_message, time_message
 from trainid_ros.nodes.diagnostics import (
     NodeHealth,
     ShownValue,
@@ -40,6 +40,7 @@ from trainid_ros.nodes.diagnostics import (
     input_status,
 )
 from trainid_ros.nodes.estimator_services import EstimatorServices
+from trainid_ros.nodes.intake import Intake
 from trainid_ros.nodes.lifecycle import ManagedNode, guarded
 from trainid_ros.nodes.monitors import InputMonitor, StepTimes
 from trainid_ros.nodes.parameter_specs import (
@@ -113,8 +114,8 @@ class EstimatorNode(ManagedNode):
         self.pipeline: EstimatorPipeline[Any] | None = None
         self._settings = EstimatorSettings()
         self._prior: Any = None
-        self._inputs: list[Any] = []
-        self._monitors: list[InputMonitor] = []
+        self._intake: Intake | None = None
+        self._monitors: dict[InputTopic, InputMonitor] = {}
         self._estimates: Any = None
         self._last_valid: Any = None
         self._jump_handle: Any = None
@@ -211,7 +212,7 @@ class EstimatorNode(ManagedNode):
         return build_train_file(self.parameters.values(), frozenset(self.parameters.given), base)
 
     def _open(self) -> None:
-        spec, logger = self.spec, self.get_logger()
+        spec = self.spec
         self._estimates = self._offer(spec.topic, qos.estimate_qos())
         if spec.last_valid_topic is not None:
             self._last_valid = self._offer(spec.last_valid_topic, qos.latched_qos())
@@ -223,17 +224,8 @@ class EstimatorNode(ManagedNode):
             BRAKE_TOPIC: alignment.command_timeout,
         }
         for topic in INPUT_TOPICS:
-            monitor = InputMonitor(topic, longest.get(topic, 0.0), optional=topic not in longest)
-            self._monitors.append(monitor)
-            subscription = self.create_subscription(
-                message_class(topic),
-                topic.name,
-                partial(self._receive, monitor),
-                qos.input_qos(),
-                event_callbacks=qos.subscription_events(logger, topic.name),
-                qos_overriding_options=qos.overridable(),
-            )
-            self._inputs.append(subscription)
+            self._monitors[topic] = InputMonitor(topic, longest.get(topic, 0.0), optional=topic not in longest)
+        self._intake = Intake(self, self.receive)
         back = Duration(nanoseconds=-round(alignment.max_jump_back * NS_PER_S))
         threshold = JumpThreshold(min_forward=None, min_backward=back, on_clock_change=False)
         # The clock drops callbacks whose handle is not kept.
@@ -257,15 +249,15 @@ class EstimatorNode(ManagedNode):
     def _release(self) -> None:
         """Drop all that configure made, as far as it got."""
         self._pause()
-        for subscription in self._inputs:
-            self.destroy_subscription(subscription)
+        if self._intake is not None:
+            self._intake.close()
         for publisher in (self._estimates, self._last_valid):
             if publisher is not None:
                 self.destroy_lifecycle_publisher(publisher)
         if self._jump_handle is not None:
             self._jump_handle.unregister()
-        self._inputs, self._monitors = [], []
-        self._estimates = self._last_valid = self._jump_handle = self._prior = None
+        self._monitors = {}
+        self._intake = self._estimates = self._last_valid = self._jump_handle = self._prior = None
         self._forget()
 
     def _forget(self) -> None:
@@ -283,10 +275,11 @@ class EstimatorNode(ManagedNode):
     def _steady_ns(self) -> int:
         return int(self._steady.now().nanoseconds)
 
-    def _receive(self, monitor: InputMonitor, message: Any) -> None:
-        record = record_from_message(monitor.topic, message)
+    def receive(self, topic: InputTopic, message: Any) -> None:
+        """Take one input message; publish what it completes."""
+        record = record_from_message(topic, message)
         now_ns = self._now_ns()
-        monitor.arrived(record.stamp_ns, now_ns)
+        self._monitors[topic].arrived(record.stamp_ns, now_ns)
         pipeline = self.pipeline
         if not self._listening or pipeline is None:
             return
@@ -308,9 +301,10 @@ class EstimatorNode(ManagedNode):
             self._last_valid.publish(message)
 
     def _watch(self) -> None:
-        pipeline = self.pipeline
-        if pipeline is None:
+        pipeline, intake = self.pipeline, self._intake
+        if pipeline is None or intake is None:
             return
+        intake.drain()
         self._follow_jump(pipeline)
         if self.watchdog.is_silent(self._now_ns(), self._steady_ns()) and pipeline.status is not Status.STALE:
             output = pipeline.mark_stale()
@@ -353,7 +347,7 @@ class EstimatorNode(ManagedNode):
             steps = self._step_times.summary()
             array.status = [estimator_status(health, self.pipeline, self.spec.shown, self._prior, steps)]
             stale_s = self._settings.pipeline.stale_after
-            for monitor in self._monitors:
+            for monitor in self._monitors.values():
                 topic = self.resolve_topic_name(monitor.topic.name)
                 array.status.append(input_status(health, monitor, topic, self.count_publishers(topic), stale_s))
         self._diagnostics.publish(array)

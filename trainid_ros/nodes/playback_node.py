@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 from rclpy.clock import Clock
@@ -12,6 +13,7 @@ from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rosgraph_msgs.msg import Clock as ClockMessage
 
+from trainid_ros.core.errors import InputError
 from trainid_ros.core.records import INPUT_TOPICS, NS_PER_S
 from trainid_ros.nodes import qos
 from trainid_ros.nodes.conversion import message_class, message_from_record, time_message
@@ -31,15 +33,20 @@ _ACKNOWLEDGED_S: Final = 2.0
 # Best-effort subscribers acknowledge nothing; this long they get to take what was published last.
 _LINGER_S: Final = 0.3
 
-COMMON_PARAMETERS: Final = (
-    ParameterSpec('rate', 1.0, 'recorded seconds in one second [1]; takes effect on the next configure', 0.01, 1000.0),
-    ParameterSpec('start', 0.0, 'where to start, from the beginning [s]; on the next configure', 0.0, 1e7),
-    ParameterSpec('duration', 0.0, 'how much to play, 0 = to the end [s]; on the next configure', 0.0, 1e7),
-    ParameterSpec('loop', False, 'start over at the end; takes effect on the next configure'),
-    ParameterSpec('wait', 0, 'subscribers to wait for on each topic; on the next configure', 0, 1000),
-    ParameterSpec('publish_clock', True, 'publish /clock; takes effect on the next configure'),
-    AUTOSTART,
-)
+
+def playback_parameters(*, live: bool) -> tuple[ParameterSpec, ...]:
+    """Return the parameters of every playback node; ``live``: stamps are those of the present by default."""
+    late = 'takes effect on the next configure'
+    return (
+        ParameterSpec('rate', 1.0, f'recorded seconds in one second [1]; {late}', 0.01, 1000.0),
+        ParameterSpec('start', 0.0, f'where to start, from the beginning [s]; {late}', 0.0, 1e7),
+        ParameterSpec('duration', 0.0, f'how much to play, 0 = to the end [s]; {late}', 0.0, 1e7),
+        ParameterSpec('loop', False, f'start over at the end; {late}'),
+        ParameterSpec('wait', 0, f'subscribers to wait for on each topic; {late}', 0, 1000),
+        ParameterSpec('publish_clock', not live, f'publish recorded time on /clock; {late}'),
+        ParameterSpec('restamp', live, f'move all stamps to the present; needs rate 1; {late}'),
+        AUTOSTART,
+    )
 
 
 class PlaybackNode(ManagedNode):
@@ -55,9 +62,18 @@ class PlaybackNode(ManagedNode):
     def __init__(
         self, name: str, specs: Sequence[ParameterSpec], *, arguments: Sequence[str] = (), **options: Any
     ) -> None:
+        """Declare all parameters.
+
+        Args:
+            name: Name of the node.
+            specs: All its parameters, those of :func:`playback_parameters` included.
+            arguments: ROS arguments of the process, looked through for parameter files.
+            options: Options of the rclpy node.
+
+        """
         super().__init__(name, **options)
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.parameters = NodeParameters(self, (*specs, *COMMON_PARAMETERS))
+        self.parameters = NodeParameters(self, specs)
         self.parameters.check_sections(arguments, name)
         self.parameters.report()
         self._outputs: dict[type[Record], Any] = {}
@@ -82,6 +98,9 @@ class PlaybackNode(ManagedNode):
         """Open what is to be played and offer the topics."""
         self.failure = ''
         self.parameters.check()
+        if self.parameters.value('restamp') and self.parameters.value('rate') != 1.0:
+            msg = f'restamp needs rate = 1, not {self.parameters.value("rate")}'
+            raise InputError(msg)
         self.timeline = self.open_timeline()
         for topic in INPUT_TOPICS:
             self._outputs[topic.record] = self.create_lifecycle_publisher(
@@ -97,7 +116,7 @@ class PlaybackNode(ManagedNode):
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Play."""
         result = super().on_activate(state)
-        self._pacer.release()
+        self._anchor()
         self._timer = self.create_timer(_POLL_NS / NS_PER_S, self._play, clock=self._steady)
         return result
 
@@ -150,7 +169,12 @@ class PlaybackNode(ManagedNode):
         start, duration = float(self.parameters.value('start')), float(self.parameters.value('duration'))
         self._entries = with_ticks(self.timeline, start, duration)
         self._next = next(self._entries, None)
+        self._anchor()
+
+    def _anchor(self) -> None:
+        """Let the next entry be due now."""
         self._pacer.release()
+        self._shift_ns: int | None = None
 
     def _play(self) -> None:
         """Publish what is due and sleep until the next is."""
@@ -183,8 +207,16 @@ class PlaybackNode(ManagedNode):
             self._clock_output.publish(ClockMessage(clock=time_message(entry.time_ns)))
         self.position_ns = entry.time_ns
         if entry.record is not None:
-            self._outputs[type(entry.record)].publish(message_from_record(entry.record))
+            self._outputs[type(entry.record)].publish(message_from_record(self._stamped(entry, entry.record)))
             self.played += 1
+
+    def _stamped(self, entry: TimedRecord, record: Record) -> Record:
+        """Return the record with the stamp that it is to have."""
+        if not self.parameters.value('restamp'):
+            return record
+        if self._shift_ns is None:
+            self._shift_ns = int(self.get_clock().now().nanoseconds) - entry.time_ns
+        return replace(record, stamp_ns=record.stamp_ns + self._shift_ns)
 
     def _finish(self) -> None:
         if self.parameters.value('loop') and self.played:

@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A bag played through the three estimators on simulated time."""
+
+from pathlib import Path
+
+from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription
+from launch.launch_description_sources import PythonLaunchDescriptionSource
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import LifecycleNode
+from launch_ros.parameter_descriptions import ParameterValue
+
+from launch import LaunchDescription
+
+
+def generate_launch_description():
+    """Return what ``ros2 launch trainid_ros replay.launch.py bag:=... train_file:=...`` starts."""
+    arguments = (
+        ('bag', 'rosbag2 directory or .mcap file', None),
+        ('train_file', 'train file (YAML)', None),
+        ('rate', 'recorded seconds in one second', '1.0'),
+        ('loop', 'start over at the end', 'false'),
+    )
+    declared = [
+        DeclareLaunchArgument(name, default_value=value, description=text)
+        if value is not None
+        else DeclareLaunchArgument(name, description=text)
+        for name, text, value in arguments
+    ]
+    estimators = IncludeLaunchDescription(
+        PythonLaunchDescriptionSource(str(Path(__file__).with_name('trainid.launch.py'))),
+        launch_arguments={'train_file': LaunchConfiguration('train_file'), 'use_sim_time': 'true'}.items(),
+    )
+    player = LifecycleNode(
+        package='trainid_ros',
+        executable='bag_player',
+        name='bag_player',
+        namespace='',
+        parameters=[
+            {
+                'bag': LaunchConfiguration('bag'),
+                'rate': ParameterValue(LaunchConfiguration('rate'), value_type=float),
+                'loop': ParameterValue(LaunchConfiguration('loop'), value_type=bool),
+                'wait': 3,
+                'autostart': True,
+            }
+        ],
+        output='screen',
+    )
+    return LaunchDescription([*declared, estimators, player])

@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The three estimators as lifecycle nodes; they configure and activate themselves."""
+
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import LifecycleNode
+
+from launch import LaunchDescription
+
+NODES = ('resistance_estimator', 'speed_model_estimator', 'brake_rate_estimator')
+
+
+def make_nodes(context):
+    """Return the nodes; the autostart of launch_ros is left alone, the nodes have their own."""
+    values = {
+        name: LaunchConfiguration(name).perform(context)
+        for name in ('train_file', 'params_file', 'use_sim_time', 'autostart', 'namespace', 'log_level')
+    }
+    parameters = [
+        {
+            'use_sim_time': values['use_sim_time'].lower() in {'true', '1'},
+            'autostart': values['autostart'].lower() in {'true', '1'},
+        }
+    ]
+    if values['params_file']:
+        parameters.insert(0, values['params_file'])
+    if values['train_file']:
+        parameters.append({'train_file': values['train_file']})
+    return [
+        LifecycleNode(
+            package='trainid_ros',
+            executable=name,
+            name=name,
+            namespace=values['namespace'],
+            parameters=parameters,
+            ros_arguments=['--log-level', values['log_level']],
+            output='screen',
+            respawn=True,
+            respawn_delay=2.0,
+        )
+        for name in NODES
+    ]
+
+
+def generate_launch_description():
+    """Return what ``ros2 launch trainid_ros trainid.launch.py`` starts."""
+    arguments = (
+        ('train_file', '', 'train file (YAML); its values are the defaults of train.*, resistance.* and brake.*'),
+        ('params_file', '', 'parameter file, see config/params.yaml'),
+        ('use_sim_time', 'false', 'true while a bag or a simulator publishes /clock'),
+        ('autostart', 'true', 'false leaves configuring and activating to a lifecycle manager'),
+        ('namespace', '', 'namespace of nodes and topics, for more than one train'),
+        ('log_level', 'info', 'debug, info, warn or error'),
+    )
+    declared = [DeclareLaunchArgument(name, default_value=value, description=text) for name, value, text in arguments]
+    return LaunchDescription([*declared, OpaqueFunction(function=make_nodes)])

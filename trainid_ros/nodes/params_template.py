@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The commented parameter file, written from what the nodes declare.
+
+``python -m trainid_ros.nodes.params_template > config/params.yaml`` brings it up to date.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING, Final
+
+from trainid_ros.nodes.brake_rate import BRAKE_RATE
+from trainid_ros.nodes.parameter_specs import TRAIN_PARAMETERS, ParameterSpec, Value, estimator_parameters
+from trainid_ros.nodes.resistance import RESISTANCE
+from trainid_ros.nodes.speed_model import SPEED_MODEL
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+_WIDTH: Final = 108
+_HEAD: Final = """\
+# Parameters of the three estimator nodes: every one, with its default, unit and range.
+# Written by: python -m trainid_ros.nodes.params_template > config/params.yaml
+#
+#   ros2 run trainid_ros resistance_estimator --ros-args --params-file params.yaml -p train_file:=train.yaml
+#   ros2 launch trainid_ros trainid.launch.py params_file:=params.yaml train_file:=train.yaml
+#
+# /**/ in front of a node's name makes its section hold in every namespace. A node that finds a key it
+# does not know, or a section named almost like itself, says so and refuses to configure. Changes while a
+# node runs take effect on its next configure. QoS of the topics: qos_overrides.<topic>.subscription.*
+# and qos_overrides.<topic>.publisher.* (history, depth, reliability).
+#
+# Where train, resistance and brake are commented out, the train file holds; take the marks away to
+# override it.
+"""
+
+
+def parameter_file() -> str:
+    """Return the text of the file."""
+    blocks = [_HEAD]
+    for spec in (RESISTANCE, SPEED_MODEL, BRAKE_RATE):
+        lines = _section(estimator_parameters(spec.config))
+        blocks.append('\n'.join((f'/**/{spec.node_name}:', '  ros__parameters:', *lines, '')))
+    return '\n'.join(blocks)
+
+
+def _section(specs: tuple[ParameterSpec, ...]) -> Iterator[str]:
+    train = {item.name for item in TRAIN_PARAMETERS}
+    group = ''
+    for spec in specs:
+        prefix, _, name = spec.name.rpartition('.')
+        mark = '# ' if spec.name in train else ''
+        if prefix not in ('', group):
+            yield f'    {mark}{prefix}:'
+        group = prefix
+        indent = f'    {mark}  ' if prefix else '    '
+        setting, comment = f'{indent}{name}: {_shown(spec.default)}', f'# {_explained(spec)}'
+        if len(setting) + 2 + len(comment) <= _WIDTH:
+            yield f'{setting}  {comment}'
+        else:
+            yield from (indent + comment, setting)
+
+
+def _explained(spec: ParameterSpec) -> str:
+    """Return what a parameter is and may be; that all take effect later is said at the top."""
+    text = spec.description.split('; takes effect')[0].split('; overrides')[0]
+    if spec.choices:
+        return f'{text}: {", ".join(spec.choices)}'
+    if isinstance(spec.default, (str, bool)):
+        return text
+    if isinstance(spec.default, int):
+        return f'{text}, {int(spec.low)} to {int(spec.high)}'
+    return f'{text}, {spec.low:g} to {spec.high:g}'
+
+
+def _shown(value: Value) -> str:
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"'{value}'" if isinstance(value, str) else repr(value)
+
+
+if __name__ == '__main__':
+    sys.stdout.write(parameter_file())
