@@ -11,6 +11,7 @@ Record layout: MCAP specification, https://mcap.dev/spec.
 from __future__ import annotations
 
 import struct
+from collections import Counter
 from dataclasses import dataclass
 from io import BytesIO
 from typing import TYPE_CHECKING, BinaryIO, Final, NamedTuple, NoReturn
@@ -54,7 +55,7 @@ class RawMessage(NamedTuple):
 
 
 class _Head(NamedTuple):
-    """Opcode, start of the content and end of one record."""
+    """Opcode, start and end of one record."""
 
     opcode: int
     start: int
@@ -95,7 +96,7 @@ class McapFile:
         self.path = path
         self.channels: dict[int, Channel] = {}
         self.schemas: dict[int, Schema] = {}
-        self.counts: dict[int, int] = {}
+        self.counts: Counter[int] = Counter()
         self.segments: list[Segment] = []
         self.warnings: list[str] = []
         try:
@@ -132,7 +133,7 @@ class McapFile:
             self._fail('holds no records, only the MCAP signature')
         self._file.seek(-len(MAGIC), 2)
         closed = size > 2 * len(MAGIC) and self._file.read(len(MAGIC)) == MAGIC
-        end, finished = self._scan_records(size)
+        end, finished = self._scan_records(size, closed=closed)
         if closed and not finished:
             self._fail(f'is corrupt: no valid record at byte {end}')
         if not closed:
@@ -149,9 +150,26 @@ class McapFile:
             f'complete chunk were recovered, the last {lost} bytes are lost'
         )
 
-    def _scan_records(self, size: int) -> tuple[int, bool]:
-        """Walk the data section; return where it stopped and whether that was its proper end."""
-        position, run = len(MAGIC), len(MAGIC)
+    def _scan_records(self, size: int, *, closed: bool) -> tuple[int, bool]:
+        """Take in the data section; return where it stopped and whether that was its proper end."""
+        reached = len(MAGIC)
+        for opcode, start, end in self._pieces(size):
+            if opcode == Opcode.DATA_END:
+                return end, True
+            try:
+                if opcode in {Opcode.CHUNK, Opcode.MESSAGE}:
+                    self._add(start, end, is_chunk=opcode == Opcode.CHUNK)
+            except InputError:
+                # Where a recording was cut off, the last chunk may be allocated on disk but not written.
+                if closed:
+                    raise
+                break
+            reached = end
+        return reached, False
+
+    def _pieces(self, size: int) -> Iterator[_Head]:
+        """Yield the records of the file with their heads; schemas, channels and messages in a row as one message."""
+        position = run = len(MAGIC)
         while position + _HEAD.size <= size:
             self._file.seek(position)
             opcode, length = _HEAD.unpack(self._file.read(_HEAD.size))
@@ -159,31 +177,32 @@ class McapFile:
             if opcode == 0 or after > size:
                 break
             plain = opcode in _PLAIN
-            if not plain or after - run > _RUN_BYTES:
-                self._add(run, position, is_chunk=False)
-                run = position if plain else after
-            if opcode == Opcode.DATA_END:
-                return after, True
-            if opcode == Opcode.CHUNK:
-                self._add(position, after, is_chunk=True)
+            if run < position and (not plain or after - run > _RUN_BYTES):
+                yield _Head(Opcode.MESSAGE, run, position)
+                run = position
+            if not plain:
+                yield _Head(opcode, position, after)
+                run = after
             position = after
-        self._add(run, position, is_chunk=False)
-        return position, False
+        if run < position:
+            yield _Head(Opcode.MESSAGE, run, position)
 
     def _add(self, start: int, end: int, *, is_chunk: bool) -> None:
         """Read the records between two offsets; note the channels and, if there are messages, the segment."""
         data = self._load(start, end - start, is_chunk=is_chunk)
-        first, last, counts = 1 << 64, -1, self.counts
+        first, last = 1 << 64, -1
+        counts: Counter[int] = Counter()
         for head in self._heads(data, start):
             if head.opcode == Opcode.MESSAGE:
                 log_ns, channel, _ = self._message(data, head)
                 if channel not in self.channels:
                     self._fail(f'is corrupt: message on unknown channel {channel} near byte {start}')
-                counts[channel] = counts.get(channel, 0) + 1
+                counts[channel] += 1
                 first, last = min(first, log_ns), max(last, log_ns)
             elif head.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                 self._define(head.opcode, data[head.start : head.end], start)
-        if last >= 0:
+        if counts:
+            self.counts.update(counts)
             self.segments.append(Segment(start, end - start, is_chunk, first, last))
 
     def _define(self, opcode: int, content: bytes, offset: int) -> None:
