@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     from trainid_ros.core.samples import Sample
     from trainid_ros.estimators.known_force import KnownForce
 
-# After this many time constants a released brake is below 0.3 % of what it was.
-_SETTLING: Final = 6.0
+# After this many time constants a released brake is below 0.04 % of what it was.
+_SETTLING: Final = 8.0
 # Force noise while coasting stays above this [N/kN]; a brake that is meant goes far below.
 _BRAKE_FORCE: Final = -1.5
 

@@ -47,6 +47,8 @@ class WindowResult:
         phi: Regressor [1, v, v^2], shape (3,), weighted as the slope weighs them.
         noise_std: Standard deviation of y from speed noise alone [N/kN].
         traction: Mean absolute specific traction in the window [N/kN].
+        force_rate: Mean rate of the known force, weighted as the slope weighs it [N/kN per s]; what a late force
+            costs.
         duration: Time from the first to the last sample [s].
 
     """
@@ -55,6 +57,7 @@ class WindowResult:
     phi: tuple[float, float, float]
     noise_std: float
     traction: float
+    force_rate: float
     duration: float
 
 
@@ -96,8 +99,9 @@ def observe_resistance(
         float(share[1:] @ ((v0 * v0 + v0 * v1 + v1 * v1) / 3.0)),
     )
     traction = float(np.mean([abs(tick.traction) for tick in ticks[1:]]))
+    force_rate = float(share[2:] @ (np.diff(force[1:]) / dt[2:]))
     noise_std = inertia * speed_std * float(np.sqrt(weights @ weights))
-    return WindowResult(-inertia * slope, phi, noise_std, traction, float(time[-1])), spread
+    return WindowResult(-inertia * slope, phi, noise_std, traction, force_rate, float(time[-1])), spread
 
 
 def overlap_factor(window: int, hop: int) -> float:

@@ -27,18 +27,22 @@ from trainid_ros.core.settings import check_settings, setting
 from trainid_ros.estimators.admission import Admission
 from trainid_ros.estimators.change_detector import NO_STEP, Cusum
 from trainid_ros.estimators.known_force import KnownForce
+from trainid_ros.estimators.multi_innovation import Belief, multi_innovation_step
 from trainid_ros.estimators.prior import davis_prior
 from trainid_ros.estimators.speed_window import Tick, WindowResult, observe_resistance, overlap_factor
 
 if TYPE_CHECKING:
-    from numpy.typing import NDArray
-
     from trainid_ros.core.samples import Sample
     from trainid_ros.physics.train_file import TrainFile
 
 _SECONDS_PER_HOUR: Final = 3600.0
 _NOISE_MEMORY: Final = 0.1
 _NOISE_RANGE: Final = (0.3, 10.0)
+# A CUSUM sum below this is no sign of a step yet; a lean longer than this is slow drift.
+_LEANING: Final = 1.0
+_LONGEST_LEAN: Final = 64
+_DISTURBANCE_MEMORY: Final = 0.03
+_DISTURBANCE_RANGE: Final = (0.3, 5.0)
 # One window cannot tell much more noise than is known: slip is no noise.
 _NOISE_GROWTH: Final = 3.0
 
@@ -52,17 +56,18 @@ class VMilsConfig:
     hop: int = setting(12, 'samples between windows', 'samples', 1, 200)
     min_speed: float = setting(1.0, 'slowest speed to learn from', 'm/s', 0.0, 50.0)
     speed_std: float = setting(0.025, 'noise of measured speed at the start (then learned)', 'm/s', 1e-4, 2.0)
-    disturbance_std: float = setting(0.12, 'unmodelled resistance (gusts, gradient map)', 'N/kN', 0.0, 10.0)
-    disturbance_time: float = setting(8.0, 'correlation time of the disturbance', 's', 0.0, 600.0)
+    disturbance_std: float = setting(0.12, 'unmodelled resistance at the start (then learned)', 'N/kN', 0.0, 10.0)
+    disturbance_time: float = setting(12.0, 'correlation time of the disturbance', 's', 0.0, 600.0)
     force_error: float = setting(0.005, 'relative error of the traction force', '1', 0.0, 0.5)
+    force_skew: float = setting(0.06, 'unknown delay of the reported force', 's', 0.0, 5.0)
     prior_share: float = setting(0.5, 'prior std of a, b, c as a share of their believed values', '1', 0.0, 10.0)
     prior_std_a: float = setting(0.6, 'added to the prior std of a (root of squares)', 'N/kN', 1e-6, 100.0)
     prior_std_b: float = setting(0.02, 'added to the prior std of b', 'N/kN per m/s', 1e-8, 10.0)
     prior_std_c: float = setting(0.0006, 'added to the prior std of c', 'N/kN per (m/s)^2', 1e-9, 1.0)
-    drift_share: float = setting(0.35, 'drift in one hour, std as a share of the prior std', '1', 0.0, 100.0)
+    drift_share: float = setting(0.2, 'drift in one hour, std as a share of the prior std', '1', 0.0, 100.0)
     gate: float = setting(4.0, 'innovations beyond this many standard deviations are refused', '1', 1.0, 100.0)
     step_allowance: float = setting(0.4, 'CUSUM allowance per innovation', 'standard deviations', 0.0, 3.0)
-    step_threshold: float = setting(10.0, 'CUSUM sum that counts as a step', 'standard deviations', 1.0, 1e6)
+    step_threshold: float = setting(7.0, 'CUSUM sum that counts as a step', 'standard deviations', 1.0, 1e6)
     step_share: float = setting(0.4, 'doubt added after a step, std as a share of the prior std', '1', 0.0, 10.0)
     valid_std: float = setting(0.15, 'resistance is fit to use below this standard deviation', 'N/kN', 1e-3, 10.0)
 
@@ -71,12 +76,14 @@ class VMilsConfig:
 class VMilsState:
     """All that V-MILS remembers; tuples only, so that it saves as JSON."""
 
-    theta: tuple[float, ...]
-    P: tuple[float, ...]
+    belief: Belief
+    before: Belief
+    since: tuple[WindowResult, ...] = ()
     stack: tuple[WindowResult, ...] = ()
     ticks: tuple[Tick, ...] = ()
     fresh: int = 0
     speed_variance: float = 0.0
+    disturbance_variance: float = 0.0
     updated_ns: int = 0
     braked_ns: int = 0
     cusum: Cusum = NO_STEP
@@ -112,8 +119,12 @@ class VMils:
 
     def reset(self) -> None:
         """Go back to the prior."""
+        prior = Belief.of(np.array(self._theta0), self._P0)
         self.state = VMilsState(
-            self._theta0, tuple(map(float, self._P0.ravel())), speed_variance=self.config.speed_std**2
+            belief=prior,
+            before=prior,
+            speed_variance=self.config.speed_std**2,
+            disturbance_variance=self.config.disturbance_std**2,
         )
         self._admission.braked_ns = 0
 
@@ -163,75 +174,91 @@ class VMils:
         bounded = min(max(spread, low), high, _NOISE_GROWTH * math.sqrt(known))
         self.state = replace(self.state, speed_variance=known + _NOISE_MEMORY * (bounded * bounded - known))
 
+    def _learn_disturbance(self, nu: float, S: float) -> float:
+        """What the innovations hold beyond the noise and doubt that are known, within bounds."""
+        low, high = ((factor * self.config.disturbance_std) ** 2 for factor in _DISTURBANCE_RANGE)
+        known = self.state.disturbance_variance
+        if self.state.cusum.peak > 0.5 * self.config.step_threshold:  # rather a step of the parameters
+            return known
+        bounded = min(nu * nu, _NOISE_GROWTH**2 * S)
+        return min(max(known + _DISTURBANCE_MEMORY * (bounded - S), low), high)
+
     def _update(self, observed: WindowResult, sample: Sample) -> Refusal | None:
-        """One step of V-MILS at t_s (equations of section 4.2 in their prior form)."""
+        """One step of V-MILS at t_s (section 4.2 in its prior form)."""
         state, config = self.state, self.config
-        theta, P = np.array(state.theta), self._predict(sample.stamp_ns)
+        belief = self._drifted(sample.stamp_ns)
+        theta, P = belief.arrays()
         phi = np.array(observed.phi)
         nu = observed.y - float(phi @ theta)
-        S = float(phi @ P @ phi) + self._marginal_variance(observed)
-        ratio = nu * nu / (config.gate**2 * S)
-        cusum = state.cusum.add(nu / math.sqrt(S), config.step_allowance, config.gate - 1.0)
-        P, cusum, found = self._reopen(P, cusum)
-        innovated = replace(
+        doubt = float(phi @ P @ phi)
+        S = doubt + self._marginal_variance(observed)
+        # Sums of innovations spread like their long-run variance, not like single ones.
+        z = nu / math.sqrt(doubt + self._long_run_variance(observed))
+        self.state = replace(
             state,
-            P=tuple(map(float, P.ravel())),
+            belief=belief,
             updated_ns=sample.stamp_ns,
-            cusum=cusum,
-            steps_found=state.steps_found + found,
+            disturbance_variance=self._learn_disturbance(nu, S),
+            cusum=state.cusum.add(z, config.step_allowance, config.gate - 1.0),
             innovation=nu,
             innovation_variance=S,
-            test_ratio=ratio,
+            test_ratio=nu * nu / (config.gate**2 * S),
         )
-        if ratio > 1.0 and not found:
-            self.state = innovated
+        self._watch(observed)
+        if self.state.cusum.peak >= config.step_threshold:
+            updated = self._relearn()
+            stack: tuple[WindowResult, ...] = ()
+        elif self.state.test_ratio > 1.0:
             return Refusal(sample.stamp_ns, Reason.OUTLIER, nu, config.gate * math.sqrt(S))
-        stack = (*state.stack, observed)[-config.innovation_length :]
-        theta, P = self._multi_innovation(theta, P, stack)
-        if not (np.isfinite(theta).all() and np.isfinite(P).all()):
-            return Refusal(sample.stamp_ns, Reason.NUMERICAL, nu, math.nan)
-        speeds = sorted((state.ticks[0].speed, sample.speed))
+        else:
+            stack = (*state.stack, observed)[-config.innovation_length :]
+            weights = [config.innovation_length * self._long_run_variance(item) for item in stack]
+            updated = multi_innovation_step(belief, stack, weights)
+        return self._accept(updated, stack, sample)
+
+    def _accept(self, belief: Belief, stack: tuple[WindowResult, ...], sample: Sample) -> Refusal | None:
+        state = self.state
+        if not belief.is_finite():
+            return Refusal(sample.stamp_ns, Reason.NUMERICAL, state.innovation, math.nan)
+        slow, fast = sorted((state.ticks[0].speed, sample.speed))
         self.state = replace(
-            innovated,
-            theta=tuple(map(float, theta)),
-            P=tuple(map(float, P.ravel())),
+            state,
+            belief=belief,
             stack=stack,
-            speed_min=min(state.speed_min, speeds[0]) if state.observations else speeds[0],
-            speed_max=max(state.speed_max, speeds[1]),
+            speed_min=min(state.speed_min, slow) if state.observations else slow,
+            speed_max=max(state.speed_max, fast),
             observations=state.observations + 1,
         )
         self._judge()
         return None
 
-    def _predict(self, now_ns: int) -> NDArray[np.float64]:
+    def _drifted(self, now_ns: int) -> Belief:
         """Random-walk drift of the parameters since the last update."""
-        P = np.array(self.state.P).reshape(3, 3)
         if self.state.updated_ns == 0:
-            return P
-        predicted: NDArray[np.float64] = P + self._drift * (max(0, now_ns - self.state.updated_ns) / NS_PER_S)
-        return predicted
+            return self.state.belief
+        elapsed = max(0, now_ns - self.state.updated_ns) / NS_PER_S
+        return self.state.belief.widen(self._drift * elapsed)
 
-    def _reopen(self, P: NDArray[np.float64], cusum: Cusum) -> tuple[NDArray[np.float64], Cusum, int]:
-        """After a step of the parameters, doubt them again."""
-        if cusum.peak < self.config.step_threshold:
-            return P, cusum, 0
-        return P + self._step, NO_STEP, 1
+    def _watch(self, observed: WindowResult) -> None:
+        """Remember what was believed, and all observed, since the innovations began to lean to one side."""
+        state = self.state
+        if state.cusum.peak <= _LEANING or len(state.since) >= _LONGEST_LEAN:
+            self.state = replace(state, before=state.belief, since=(observed,))
+        else:
+            self.state = replace(state, since=(*state.since, observed))
 
-    def _multi_innovation(
-        self, theta: NDArray[np.float64], P: NDArray[np.float64], stack: tuple[WindowResult, ...]
-    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        Phi = np.array([item.phi for item in stack]).T  # (3, p)
-        Y = np.array([item.y for item in stack])
-        R = np.diag([self.config.innovation_length * self._long_run_variance(item) for item in stack])
-        # L = P Phi [R + Phi' P Phi]^-1;  theta += L [Y - Phi' theta];  P = (I - L Phi') P
-        L = np.linalg.solve(R + Phi.T @ P @ Phi, Phi.T @ P).T
-        A = np.eye(3) - L @ Phi.T
-        # Joseph form: keeps P symmetric and positive under rounding.
-        return theta + L @ (Y - Phi.T @ theta), A @ P @ A.T + L @ R @ L.T
+    def _relearn(self) -> Belief:
+        """The parameters have stepped: doubt what was believed before, and learn anew all observed since."""
+        state = self.state
+        belief = state.before.widen(self._step)
+        for item in state.since:
+            belief = multi_innovation_step(belief, (item,), (self._long_run_variance(item),))
+        self.state = replace(state, cusum=NO_STEP, steps_found=state.steps_found + 1)
+        return belief
 
     def _marginal_variance(self, item: WindowResult) -> float:
         """Variance of one observation."""
-        return item.noise_std**2 + self.config.disturbance_std**2 + (self.config.force_error * item.traction) ** 2
+        return item.noise_std**2 + self.state.disturbance_variance + self._force_variance(item)
 
     def _long_run_variance(self, item: WindowResult) -> float:
         """Variance per observation of the mean of many: overlap and slow disturbances counted."""
@@ -239,9 +266,13 @@ class VMils:
         slow = max(1.0, 2.0 * self.config.disturbance_time / hop_s)
         return (
             self._overlap * item.noise_std**2
-            + slow * self.config.disturbance_std**2
-            + (self.config.force_error * item.traction) ** 2
+            + slow * self.state.disturbance_variance
+            + self._force_variance(item)
         )
+
+    def _force_variance(self, item: WindowResult) -> float:
+        """Variance that gain error and delay of the reported force cost."""
+        return (self.config.force_error * item.traction) ** 2 + (self.config.force_skew * item.force_rate) ** 2
 
     def _judge(self) -> None:
         """Fit to use while w is known over the speeds seen (rms); hysteresis of one half."""
@@ -253,17 +284,18 @@ class VMils:
 
     def _resistance_std(self, speed: float) -> float:
         phi = np.array([1.0, speed, speed * speed])
-        return math.sqrt(max(0.0, float(phi @ np.array(self.state.P).reshape(3, 3) @ phi)))
+        _, P = self.state.belief.arrays()
+        return math.sqrt(max(0.0, float(phi @ P @ phi)))
 
     def estimate(self, speed: float) -> ResistanceEstimate:
         """Return the parameters and the resistance at a speed [m/s]."""
         state = self.state
-        a, b, c = state.theta
+        a, b, c = state.belief.theta
         return ResistanceEstimate(
             a=a,
             b=b,
             c=c,
-            covariance=state.P,
+            covariance=state.belief.P,
             resistance=a + b * speed + c * speed * speed,
             resistance_std=self._resistance_std(speed),
             speed=speed,
