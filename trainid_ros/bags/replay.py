@@ -6,7 +6,9 @@ Nothing is computed here; a replay is deterministic and equals what nodes that m
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from itertools import takewhile
 from typing import TYPE_CHECKING, Final, Generic, Protocol
 
 from trainid_ros.bags.reader import require_topics
@@ -22,7 +24,7 @@ from trainid_ros.estimators.pipeline import (
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from trainid_ros.bags.reader import BagReader, LoggedRecord
     from trainid_ros.estimators.pipeline import EstimatorSettings
@@ -87,6 +89,8 @@ def replay(
     settings: EstimatorSettings,
     progress: Callable[[float], None] | None = None,
     observers: Sequence[Observer] = (),
+    *,
+    duration_s: float = math.inf,
 ) -> Replay:
     """Run the three estimators over a bag.
 
@@ -96,6 +100,7 @@ def replay(
         settings: Everything else that shapes the estimators.
         progress: Called with the number of inputs read since its last call.
         observers: Who sees inputs and outputs; nothing else is kept, so memory does not grow with the bag.
+        duration_s: How much of the bag to take, from its start on, by log time.
 
     Raises:
         InputError: A required topic has no messages, or a message cannot be read.
@@ -107,7 +112,7 @@ def replay(
     brake_rate = brake_rate_pipeline(train_file, settings)
     clock = _Stopwatch()
     records = 0
-    for entry in reader.logged_records():
+    for entry in _until(reader, duration_s):
         records += 1
         for observer in observers:
             observer.on_record(entry)
@@ -123,6 +128,14 @@ def replay(
     if progress is not None:
         progress(records % _TELL_EVERY)
     return Replay(records, clock.total_s, _result(resistance), _result(speed_model), _result(brake_rate))
+
+
+def _until(reader: BagReader, duration_s: float) -> Iterator[LoggedRecord]:
+    span = reader.time_range()
+    if span is None or math.isinf(duration_s):
+        return reader.logged_records()
+    last_ns = span[0] + round(duration_s * NS_PER_S)
+    return takewhile(lambda entry: entry.log_ns <= last_ns, reader.logged_records())
 
 
 def _result(pipeline: EstimatorPipeline[EstimateT]) -> Result[EstimateT]:

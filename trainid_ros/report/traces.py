@@ -30,6 +30,7 @@ BRAKE: Final = 'brake'
 _STANDING_SPEED: Final = 0.3
 # Auxiliaries draw a little power while coasting: a fiftieth of the greatest force seen is none.
 _TRACTION_SHARE: Final = 0.02
+_FARTHEST_S: Final = 600.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -181,6 +182,7 @@ class TraceRecorder:
     def __init__(self) -> None:
         self._start_ns = 0
         self._newest_s = 0.0
+        self._speed_ns = 0
         self._force = self._command = self._gradient = self._greatest_force = 0.0
         self._drive, self._modes = _Thinned(3), _Spans()
         self._resistance, self._resistance_ratio, self._resistance_status = (
@@ -244,9 +246,10 @@ class TraceRecorder:
 
     def _add_speed(self, record: SpeedRecord) -> None:
         # Only believable stamps may stretch the time axis; the estimators judge the rest.
-        far = self._start_ns and not -10.0 < (record.stamp_ns - self._start_ns) / NS_PER_S - self._newest_s < 600.0
-        if far or not np.isfinite(record.speed):
+        step_s = (record.stamp_ns - self._speed_ns) / NS_PER_S
+        if (self._speed_ns and not -_FARTHEST_S < step_s < _FARTHEST_S) or not np.isfinite(record.speed):
             return
+        self._speed_ns = record.stamp_ns
         time_s = self._time(record.stamp_ns)
         self._drive.add((time_s, record.speed, self._gradient))
         self._modes.add(time_s, self._mode(record.speed))

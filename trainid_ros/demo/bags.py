@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The bags of the demo: a folder with the bag, its train file and, if known, its truth."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from trainid_ros.core.errors import InputError
+from trainid_ros.physics.train_file import load_train_file
+from trainid_ros.simulation.truth import load_truth
+
+if TYPE_CHECKING:
+    from trainid_ros.physics.train_file import TrainFile
+    from trainid_ros.simulation.truth import Truth
+
+TRAIN_FILE: Final = 'train.yaml'
+TRUTH_FILE: Final = 'truth.yaml'
+STOCK: Final = {'altrios': 'altrios_manifest', 'yizhuang': 'yizhuang_day'}
+_TITLES: Final = {
+    'altrios_manifest': 'Freight train on a real route, from an independent simulator',
+    'yizhuang_day': 'A day on the Beijing Yizhuang line',
+}
+
+
+@dataclass(frozen=True, slots=True)
+class DemoBag:
+    """A bag with all that belongs to it."""
+
+    path: Path
+    title: str
+    train_path: Path
+    train_file: TrainFile
+    truth: Truth | None
+
+
+def load_demo_bag(path: Path) -> DemoBag:
+    """Read what lies in the folder of a bag.
+
+    Raises:
+        InputError: There is no train file in it, or a file cannot be used.
+
+    """
+    train_path, truth_path = path / TRAIN_FILE, path / TRUTH_FILE
+    train_file = load_train_file(train_path)
+    truth = load_truth(truth_path) if truth_path.is_file() else None
+    return DemoBag(path, _TITLES.get(path.name, path.name), train_path, train_file, truth)
+
+
+def stock_bag(name: str) -> Path:
+    """Return the folder of a stock bag, in the source tree or in the installed share directory.
+
+    Raises:
+        InputError: It is in neither.
+
+    """
+    places = [Path(__file__).parents[2] / 'bags', *_share()]
+    for place in places:
+        if (place / STOCK[name]).is_dir():
+            return place / STOCK[name]
+    msg = f'bags/{STOCK[name]}: not found (looked in {", ".join(map(str, places))})'
+    raise InputError(msg)
+
+
+def _share() -> list[Path]:
+    if find_spec('ament_index_python') is None:
+        return []
+    from ament_index_python.packages import (  # noqa: PLC0415
+        PackageNotFoundError,
+        get_package_share_directory,
+    )
+
+    try:
+        return [Path(get_package_share_directory('trainid_ros')) / 'bags']
+    except PackageNotFoundError:
+        return []

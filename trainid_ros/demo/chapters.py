@@ -1,0 +1,138 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One bag of the demo: live, then off line, compared, scored, and put into a chapter of the report."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from trainid_ros.bags.reader import BagReader
+from trainid_ros.bags.replay import replay
+from trainid_ros.core.results import BrakeRateEstimate, ResistanceEstimate, SpeedModelEstimate
+from trainid_ros.demo.compare import Comparison, Fingerprint, compare, fingerprint_of_output
+from trainid_ros.demo.view import LABELS
+from trainid_ros.estimators.pipeline import EstimatorSettings
+from trainid_ros.report.content import Chapter, Rejections
+from trainid_ros.report.scores import Score, score_brake_rate, score_resistance
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from trainid_ros.bags.reader import LoggedRecord
+    from trainid_ros.bags.replay import AnyOutput, Replay
+    from trainid_ros.demo.bags import DemoBag
+    from trainid_ros.demo.live import LiveRun
+    from trainid_ros.report.traces import TraceRecorder
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What the demo found out with one bag.
+
+    Attributes:
+        chapter: For the report.
+        comparisons: Live against replay, by what is estimated.
+        resistance: Errors of w at the current speed, None without truth.
+        brake_rate: Errors of the brake rate, None without truth.
+        rate: Recorded seconds in one second that the live run made.
+
+    """
+
+    chapter: Chapter
+    comparisons: tuple[tuple[str, Comparison], ...]
+    resistance: Score | None
+    brake_rate: Score | None
+    rate: float
+
+    @property
+    def worked(self) -> bool:
+        """True if every live estimate equals its replayed one."""
+        return all(comparison.exact for _, comparison in self.comparisons)
+
+
+class _Witness:
+    """Takes fingerprints of a replay, and traces the inputs that the live run had."""
+
+    def __init__(self, recorder: TraceRecorder) -> None:
+        self.fingerprints: dict[type, list[Fingerprint]] = {kind: [] for kind in LABELS}
+        self._recorder = recorder
+
+    def on_record(self, entry: LoggedRecord) -> None:
+        self._recorder.on_record(entry.record)
+
+    def on_output(self, output: AnyOutput, log_ns: int) -> None:  # noqa: ARG002 - stamps alone are compared
+        self.fingerprints[type(output.estimate)].append(fingerprint_of_output(output))
+
+
+def conclude(bag: DemoBag, live: LiveRun, duration_s: float, progress: Callable[[float], None]) -> Outcome:
+    """Replay a bag off line and compare.
+
+    Args:
+        bag: The bag.
+        live: What came of it live.
+        duration_s: How much of it was played [s], 0 for all.
+        progress: Called with the number of inputs replayed since its last call.
+
+    """
+    witness = _Witness(live.recorder)
+    with BagReader(bag.path) as reader:
+        limit_s = duration_s if duration_s > 0.0 else math.inf
+        replayed = replay(reader, bag.train_file, EstimatorSettings(), progress, (witness,), duration_s=limit_s)
+    pairs = ((label, live.fingerprints[kind], witness.fingerprints[kind]) for kind, label in LABELS.items())
+    comparisons = tuple((label, compare(heard, expected)) for label, heard, expected in pairs)
+    traces = live.recorder.finish()
+    rate = traces.duration_s / live.wall_s if live.wall_s > 0.0 else math.nan
+    notes = tuple(describe_comparison(label, comparison) for label, comparison in comparisons)
+    chapter = _chapter(bag, live, replayed, notes, f'live over ROS 2 at {rate:.0f} x real time, then off line')
+    return Outcome(
+        chapter=chapter,
+        comparisons=comparisons,
+        resistance=None if bag.truth is None else score_resistance(traces, bag.truth),
+        brake_rate=None if bag.truth is None else score_brake_rate(traces, bag.truth),
+        rate=rate,
+    )
+
+
+def describe_comparison(label: str, comparison: Comparison) -> str:
+    """Return the comparison of live and replay in words."""
+    if comparison.exact and comparison.equal_health == comparison.equal:
+        text = f'live equals replay to the bit: all {comparison.replayed} messages'
+    elif comparison.exact:
+        text = (
+            f'live equals replay to the bit: all {comparison.replayed} estimates '
+            f'({comparison.replayed - comparison.equal_health} differ in status or counters)'
+        )
+    else:
+        text = (
+            f'live differs from replay: {comparison.equal} of {comparison.replayed} estimates are equal to the bit, '
+            f'{comparison.missing} were missed, {comparison.extra} have no counterpart'
+        )
+    return f'{label}: {text}'
+
+
+def _chapter(bag: DemoBag, live: LiveRun, replayed: Replay, notes: tuple[str, ...], how: str) -> Chapter:
+    # A node that said nothing live has its prior, as the replay tells it too.
+    newest: dict[type, Any] = {
+        ResistanceEstimate: replayed.resistance.output,
+        SpeedModelEstimate: replayed.speed_model.output,
+        BrakeRateEstimate: replayed.brake_rate.output,
+        **live.newest,
+    }
+    rejections = tuple(
+        Rejections(label, tuple(sorted(live.rejections.get(kind, {}).items()))) for kind, label in LABELS.items()
+    )
+    return Chapter(
+        title=bag.title,
+        bag=str(bag.path),
+        train_file_name=str(bag.train_path),
+        train_file=bag.train_file,
+        how=how,
+        traces=live.recorder.finish(),
+        resistance=newest[ResistanceEstimate],
+        speed_model=newest[SpeedModelEstimate],
+        brake_rate=newest[BrakeRateEstimate],
+        rejections=rejections,
+        truth=bag.truth,
+        notes=notes,
+    )

@@ -1,0 +1,184 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One bag through the live nodes: three estimators and a player, each a process, and a listener here."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from trainid_ros.bags.reader import BagReader, require_topics
+from trainid_ros.core.errors import InputError, NoAnswerError
+from trainid_ros.core.records import NS_PER_S
+from trainid_ros.core.results import BrakeRateEstimate, ResistanceEstimate, SpeedModelEstimate, Status
+from trainid_ros.demo.listener import Listener
+from trainid_ros.demo.parameters import NODES, parameter_file
+from trainid_ros.demo.processes import ProcessGroup
+from trainid_ros.demo.view import Snapshot
+from trainid_ros.report.traces import TraceRecorder
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+    from pathlib import Path
+
+    from trainid_ros.bags.replay import AnyOutput
+    from trainid_ros.core.results import Reason
+    from trainid_ros.demo.bags import DemoBag
+    from trainid_ros.demo.compare import Fingerprint
+    from trainid_ros.demo.processes import Child
+    from trainid_ros.demo.view import View
+
+KINDS: Final = {
+    'resistance_estimator': ResistanceEstimate,
+    'speed_model_estimator': SpeedModelEstimate,
+    'brake_rate_estimator': BrakeRateEstimate,
+}
+_START_S: Final = 60.0
+_QUIET_S: Final = 1.0
+_DRAIN_S: Final = 20.0
+_POLL_S: Final = 0.05
+_END_S: Final = 2.0
+
+
+@dataclass(frozen=True, slots=True)
+class LiveRun:
+    """What came of a bag live.
+
+    Attributes:
+        fingerprints: Of all messages received, by the class of the estimate, in the order of arrival.
+        newest: Last output of each estimator.
+        rejections: Why samples were not used, as the diagnostics told last.
+        recorder: Traces of the estimates; inputs are still to be traced.
+        wall_s: Time from the first to the last message.
+
+    """
+
+    fingerprints: dict[type, list[Fingerprint]]
+    newest: dict[type, AnyOutput]
+    rejections: dict[type, dict[Reason, int]]
+    recorder: TraceRecorder
+    wall_s: float
+
+
+def run_live(bag: DemoBag, rate: float, duration_s: float, folder: Path, view: View) -> LiveRun:
+    """Play a bag to nodes in processes of their own and take in what they publish.
+
+    Args:
+        bag: The bag.
+        rate: Recorded seconds in one second.
+        duration_s: How much of the bag to play [s], 0 for all.
+        folder: Where logs and parameters go; it must exist.
+        view: Where to show what happens.
+
+    Raises:
+        InputError: The bag cannot be played.
+        NoAnswerError: A process failed; its last words are told.
+
+    """
+    start_ns, length_s = _extent(bag)
+    length_s = min(length_s, duration_s) if duration_s > 0.0 else length_s
+    snapshot = Snapshot(bag.title, rate, start_ns, length_s, bag.truth)
+    parameters = folder / 'parameters.yaml'
+    parameters.write_text(parameter_file(), encoding='utf-8')
+    with ProcessGroup(folder) as group:
+        for name in NODES:
+            arguments = ['run', '--node', name, '--train', str(bag.train_path)]
+            group.start(name, [*arguments, '--ros-args', '--params-file', str(parameters.absolute())])
+        with Listener() as listener:
+            session = _Session(group, listener, snapshot, view)
+            session.wait_for_nodes()
+            limit = ['--duration', repr(duration_s)] if duration_s > 0.0 else []
+            play = ['play', str(bag.path), '--rate', repr(rate), '--wait', str(len(NODES)), *limit]
+            # Without /clock: the nodes judge by stamps, and simulated time would cost as much as the inputs.
+            quiet = ['--ros-args', '-p', 'publish_clock:=false']
+            session.follow(group.start('bag_player', [*play, *quiet]))
+            if stubborn := group.stop():
+                msg = f'{", ".join(child.name for child in stubborn)} did not stop on SIGTERM and was killed'
+                raise NoAnswerError(msg)
+            return session.result()
+
+
+def _extent(bag: DemoBag) -> tuple[int, float]:
+    with BagReader(bag.path) as reader:
+        require_topics(reader)
+        span = reader.time_range()
+    if span is None:
+        msg = f'{bag.path}: no messages'
+        raise InputError(msg)
+    return span[0], (span[1] - span[0]) / NS_PER_S
+
+
+class _Session:
+    """The listener's loop."""
+
+    def __init__(self, group: ProcessGroup, listener: Listener, snapshot: Snapshot, view: View) -> None:
+        self._group = group
+        self._listener = listener
+        self._snapshot = snapshot
+        self._view = view
+        self._recorder = TraceRecorder()
+        self._fingerprints: dict[type, list[Fingerprint]] = {kind: [] for kind in KINDS.values()}
+        self._first_s = self._last_s = 0.0
+
+    def wait_for_nodes(self) -> None:
+        """Wait until all nodes offer their estimates."""
+        deadline = time.monotonic() + _START_S
+        while not self._listener.sees_all():
+            self._check(self._group.ended())
+            if time.monotonic() > deadline:
+                msg = f'the nodes did not start within {_START_S:g} s'
+                raise NoAnswerError(msg)
+            time.sleep(_POLL_S)
+
+    def follow(self, player: Child) -> None:
+        """Take in estimates until the player is done and nothing more arrives."""
+        while player.process.poll() is None:
+            self._pause(lambda: player.process.poll() is not None)
+            self._check(child for child in self._group.ended() if child is not player)
+        if player.process.returncode != 0:
+            self._check((player,))
+        deadline = time.monotonic() + _DRAIN_S
+        quiet = time.monotonic() + _QUIET_S
+        while time.monotonic() < min(quiet, deadline):
+            if self._pause(lambda: False):
+                quiet = time.monotonic() + _QUIET_S
+
+    def result(self) -> LiveRun:
+        """Return what came of it."""
+        snapshot = self._snapshot
+        wall_s = self._last_s - self._first_s
+        return LiveRun(self._fingerprints, snapshot.newest, snapshot.rejections, self._recorder, wall_s)
+
+    def _pause(self, is_over: Callable[[], bool]) -> int:
+        """Take in what has arrived, show it, and wait a little unless it is over."""
+        heard = self._listener.take()
+        for item in heard:
+            kind = type(item.output.estimate)
+            self._fingerprints[kind].append(item.fingerprint)
+            if not self._says_only_that_all_is_over(item.output):
+                self._snapshot.newest[kind] = item.output
+                self._recorder.on_output(item.output)
+        if heard:
+            self._last_s = time.monotonic()
+            self._first_s = self._first_s or self._last_s
+        self._snapshot.received += len(heard)
+        self._snapshot.rejections = {KINDS[node]: counts for node, counts in self._listener.rejections.items()}
+        self._view.show(self._snapshot)
+        if not is_over():
+            time.sleep(_POLL_S)
+        return len(heard)
+
+    def _says_only_that_all_is_over(self, output: AnyOutput) -> bool:
+        """True where a node rightly complains that the bag has ended."""
+        before = self._snapshot.newest.get(type(output.estimate))
+        repeats = before is not None and before.stamp_ns == output.stamp_ns
+        end_ns = self._snapshot.start_ns + round((self._snapshot.duration_s - _END_S) * NS_PER_S)
+        return repeats and output.status is Status.STALE and output.stamp_ns > end_ns
+
+    @staticmethod
+    def _check(ended: Iterable[Child]) -> None:
+        """Raise NoAnswerError for a child that should not have ended."""
+        for child in ended:
+            code = child.process.returncode
+            msg = f'{child.name} ended with exit code {code} ({child.log}: {child.last_words()})'
+            raise NoAnswerError(msg)

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Children in process groups of their own: started with a log each, never left behind."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from dataclasses import dataclass
+from typing import IO, TYPE_CHECKING, Final, Self
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+    from types import TracebackType
+
+_PATIENCE_S: Final = 6.0
+_POLL_S: Final = 0.02
+_LAST_LINES: Final = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Child:
+    """A running command with its log."""
+
+    name: str
+    process: subprocess.Popen[bytes]
+    log: Path
+
+    def last_words(self) -> str:
+        """Return the end of its log in one line."""
+        lines = self.log.read_text(encoding='utf-8', errors='replace').strip().splitlines()
+        return ' | '.join(line.strip() for line in lines[-_LAST_LINES:]) or 'no output'
+
+
+class ProcessGroup:
+    """Children that all end with the ``with`` block: SIGTERM first, SIGKILL for those that stay."""
+
+    def __init__(self, folder: Path) -> None:
+        """Name the folder of the logs; it must exist."""
+        self._folder = folder
+        self._children: list[Child] = []
+        self._logs: list[IO[bytes]] = []
+
+    def __enter__(self) -> Self:
+        """Return itself."""
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """End all children."""
+        self.stop()
+
+    def start(self, name: str, arguments: Sequence[str]) -> Child:
+        """Start ``trainid ARGUMENTS`` with its output in ``NAME.log``."""
+        path = self._folder / f'{name}.log'
+        log = path.open('wb')
+        self._logs.append(log)
+        command = [sys.executable, '-m', 'trainid_ros.demo.child', str(os.getpid()), *arguments]
+        process = subprocess.Popen(
+            command, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT, start_new_session=True
+        )
+        child = Child(name, process, path)
+        self._children.append(child)
+        return child
+
+    def ended(self) -> tuple[Child, ...]:
+        """Return the children that have ended."""
+        return tuple(child for child in self._children if child.process.poll() is not None)
+
+    def stop(self) -> tuple[Child, ...]:
+        """End all children and wait for them; return those that had to be killed."""
+        # A second Ctrl-C must not break off the tidying-up.
+        before = signal.signal(signal.SIGINT, signal.SIG_IGN)
+        try:
+            self._signal_all(signal.SIGTERM)
+            deadline = time.monotonic() + _PATIENCE_S
+            while len(self.ended()) < len(self._children) and time.monotonic() < deadline:
+                time.sleep(_POLL_S)
+            stubborn = tuple(child for child in self._children if child.process.poll() is None)
+            self._signal_all(signal.SIGKILL)
+            for child in self._children:
+                child.process.wait()
+            for log in self._logs:
+                log.close()
+        finally:
+            signal.signal(signal.SIGINT, before)
+        self._children, self._logs = [], []
+        return stubborn
+
+    def _signal_all(self, number: int) -> None:
+        for child in self._children:
+            if child.process.poll() is None:
+                with suppress(ProcessLookupError):
+                    os.killpg(child.process.pid, number)
