@@ -6,10 +6,9 @@ from __future__ import annotations
 from collections import defaultdict
 from pathlib import Path
 
-from setuptools import setup
+from setuptools import find_packages, setup
 
 NAME = 'trainid_ros'
-SUBPACKAGES = ('bags', 'commands', 'core', 'estimators', 'nodes', 'physics', 'report', 'simulation')
 # Folders that go to the share directory as they are.
 SHARED_FOLDERS = ('bags', 'config', 'launch', 'layouts')
 
@@ -33,7 +32,8 @@ setup(
     license='Apache-2.0',
     maintainer='trainid maintainers',
     maintainer_email='maintainers@trainid.example',
-    packages=[NAME, *(f'{NAME}.{subpackage}' for subpackage in SUBPACKAGES)],
+    # By name: build and install folders of a workspace may lie beside the package.
+    packages=find_packages(include=[NAME, f'{NAME}.*']),
     package_data={NAME: ['py.typed'], f'{NAME}.bags': ['msg/*.msg']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
