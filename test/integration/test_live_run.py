@@ -1,0 +1,222 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The real commands as processes: a bag played through the live nodes equals its replay, and all leave cleanly."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import QoSProfile
+from trainid_msgs import msg as messages
+
+from trainid_ros.bags.reader import BagReader
+from trainid_ros.bags.writer import BagWriter
+from trainid_ros.estimators.pipeline import (
+    EstimatorPipeline,
+    EstimatorSettings,
+    brake_rate_pipeline,
+    resistance_pipeline,
+    speed_model_pipeline,
+)
+from trainid_ros.nodes.conversion import fill_estimate
+from trainid_ros.physics.train_file import load_train_file
+from trainid_ros.simulation.scenario import Scenario, simulate
+
+pytestmark = pytest.mark.ros
+
+ROOT = Path(__file__).parents[2]
+TRAIN = ROOT / 'config' / 'trains' / 'yizhuang.yaml'
+OUTPUTS: dict[str, tuple[Any, Callable[..., EstimatorPipeline[Any]]]] = {
+    'trainid/resistance': (messages.ResistanceEstimate, resistance_pipeline),
+    'trainid/speed_model': (messages.SpeedModelEstimate, speed_model_pipeline),
+    'trainid/brake_rate': (messages.BrakeRateEstimate, brake_rate_pipeline),
+}
+RATE = '8'
+PLAYED_S = 100.0
+
+
+class Processes:
+    """Starts ``trainid`` and sees to it that nothing outlives the test."""
+
+    def __init__(self, folder: Path, domain: int) -> None:
+        self.domain = domain
+        self._folder = folder
+        self._running: list[subprocess.Popen[str]] = []
+        self._environment = os.environ | {
+            'ROS_DOMAIN_ID': str(domain),
+            'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
+            'ROS_LOG_DIR': str(folder),
+            'ROS_PYTHON_CHECK_FIELDS': '1',
+            'PYTHONUNBUFFERED': '1',
+        }
+
+    def start(self, *arguments: str) -> subprocess.Popen[str]:
+        command = [sys.executable, '-m', 'trainid_ros.commands.main', *arguments]
+        process = subprocess.Popen(
+            command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=self._environment
+        )
+        self._running.append(process)
+        return process
+
+    def stop_all(self) -> None:
+        for process in self._running:
+            if process.poll() is None:
+                process.kill()
+            process.communicate()
+
+
+def finish(process: subprocess.Popen[str], signal_number: int | None = None) -> tuple[int, str, str]:
+    """Wait for the end of a process, after a signal if one is given."""
+    if signal_number is not None:
+        process.send_signal(signal_number)
+    out, err = process.communicate(timeout=40)
+    return process.returncode, out, err
+
+
+def wait_for_lines(process: subprocess.Popen[str], count: int) -> list[str]:
+    assert process.stdout is not None
+    return [process.stdout.readline().strip() for _ in range(count)]
+
+
+@pytest.fixture
+def processes(tmp_path: Path) -> Iterator[Processes]:
+    worker = os.environ.get('PYTEST_XDIST_WORKER', 'gw0').removeprefix('gw')
+    started = Processes(tmp_path, 60 + int(worker))
+    yield started
+    started.stop_all()
+
+
+@pytest.fixture(scope='module')
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp('bags') / 'run'
+    scenario = Scenario(load_train_file(TRAIN), runs=1)
+    records = simulate(scenario, np.random.default_rng(3)).records
+    end = records[0].stamp_ns + round(PLAYED_S * 1e9)
+    with BagWriter(path) as writer:
+        for record in records:
+            if record.stamp_ns <= end:
+                writer.write_record(record)
+    return path
+
+
+class Listener:
+    """Collects all estimates on the graph of the processes."""
+
+    def __init__(self, domain: int) -> None:
+        self.heard: dict[str, list[Any]] = {topic: [] for topic in OUTPUTS}
+        self._context = Context()
+        rclpy.init(context=self._context, domain_id=domain)
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self.node = rclpy.create_node('listener', context=self._context)
+        self._executor.add_node(self.node)
+        for topic, (kind, _) in OUTPUTS.items():
+            self.node.create_subscription(kind, topic, self.heard[topic].append, QoSProfile(depth=1000))
+
+    def until(self, condition: Callable[[], object], deadline_s: float) -> None:
+        end = time.monotonic() + deadline_s
+        while not condition():
+            assert time.monotonic() < end, 'condition not met in time'
+            self._executor.spin_once(timeout_sec=0.05)
+
+    def close(self) -> None:
+        self.node.destroy_node()
+        self._executor.shutdown()
+        rclpy.shutdown(context=self._context)
+
+
+@pytest.fixture
+def listener(processes: Processes, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Listener]:
+    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path))
+    made = Listener(processes.domain)
+    yield made
+    made.close()
+
+
+def replayed(bag: Path, topic: str) -> list[Any]:
+    """What the same records give in the pipeline alone."""
+    kind, make = OUTPUTS[topic]
+    pipeline = make(load_train_file(TRAIN), EstimatorSettings())
+    with BagReader(bag) as reader:
+        outputs = [output for record in reader.records() for output in pipeline.push(record)]
+    return [fill_estimate(kind(), output) for output in outputs]
+
+
+def content(message: Any) -> dict[str, bytes]:
+    """Every field of a message, to the bit."""
+    fields = {}
+    for name in message.get_fields_and_field_types():
+        value = getattr(message, name)
+        fields[name] = repr(value).encode() if name == 'header' else np.array(value).tobytes()
+    return fields
+
+
+@pytest.mark.timeout(110)
+def test_live_estimates_equal_the_replay_to_the_bit(processes: Processes, listener: Listener, bag: Path) -> None:
+    nodes = processes.start('run', '--train', str(TRAIN), '--ros-args', '-p', 'use_sim_time:=true')
+    assert [line.split()[0] for line in wait_for_lines(nodes, 3)] == [
+        'resistance_estimator',
+        'speed_model_estimator',
+        'brake_rate_estimator',
+    ]
+    listener.until(lambda: all(listener.node.count_publishers(topic) for topic in OUTPUTS), 20.0)
+    player = processes.start('play', str(bag), '--rate', RATE, '--wait', '3')
+    listener.until(lambda: player.poll() is not None, 60.0)
+    code, _, err = finish(player)
+    assert (code, 'Traceback' in err) == (0, False), err
+    expected = {topic: replayed(bag, topic) for topic in OUTPUTS}
+    listener.until(lambda: all(len(listener.heard[topic]) >= len(expected[topic]) for topic in OUTPUTS), 10.0)
+    code, _, err = finish(nodes, signal.SIGTERM)
+    assert (code, 'Traceback' in err) == (0, False), err
+    for topic, outputs in expected.items():
+        # What comes after the end of the bag is the watchdog: inputs are missing now.
+        live, after = listener.heard[topic][: len(outputs)], listener.heard[topic][len(outputs) :]
+        assert [content(message) for message in live] == [content(message) for message in outputs]
+        assert all(message.status == message.STALE for message in after)
+
+
+@pytest.mark.parametrize('signal_number', [signal.SIGINT, signal.SIGTERM])
+def test_run_leaves_cleanly(processes: Processes, signal_number: int) -> None:
+    nodes = processes.start('run', '--train', str(TRAIN), '--node', 'resistance_estimator')
+    assert wait_for_lines(nodes, 1) == ['resistance_estimator is active']
+    code, _, err = finish(nodes, signal_number)
+    assert (code, 'Traceback' in err) == (0, False), err
+
+
+@pytest.mark.parametrize('signal_number', [signal.SIGINT, signal.SIGTERM])
+def test_play_leaves_cleanly(processes: Processes, listener: Listener, bag: Path, signal_number: int) -> None:
+    player = processes.start('play', str(bag), '--loop')
+    listener.until(lambda: listener.node.count_publishers('ato/speed'), 20.0)
+    code, _, err = finish(player, signal_number)
+    assert (code, 'Traceback' in err) == (0, False), err
+
+
+@pytest.mark.parametrize(
+    ('arguments', 'reason'),
+    [
+        (('run', '--train', 'no/such.yaml'), 'no/such.yaml: cannot be read'),
+        (
+            ('run', '--train', str(TRAIN), '--ros-args', '-p', 'alignment.perod:=1.0'),
+            "unknown parameter 'alignment.perod'",
+        ),
+        (('run', '--ros-args', '--params-file', 'none.yaml'), 'none.yaml'),
+        (('play', 'no/such/bag'), 'no/such/bag'),
+        (('play', str(TRAIN), '--rate', '0'), '--rate'),
+    ],
+)
+def test_wrong_input_is_one_line_and_exit_2(processes: Processes, arguments: tuple[str, ...], reason: str) -> None:
+    code, _, err = finish(processes.start(*arguments))
+    lines = [line for line in err.splitlines() if line.startswith('trainid: error:')]
+    assert (code, len(lines), 'Traceback' in err) == (2, 1, False), err
+    assert reason in lines[0]
