@@ -12,6 +12,7 @@ import fcntl
 import hashlib
 import json
 import os
+import platform
 import re
 import shutil
 import subprocess
@@ -113,6 +114,9 @@ def check_machine() -> None:
     Raises:
         SetupError: Naming the missing thing.
     """
+    if platform.machine() != 'x86_64':
+        msg = f'setup: ROS 2 wheels exist for x86_64 only, not {platform.machine()}; use an installed ROS 2 and colcon build'
+        raise SetupError(msg)
     for variable, names in (('CC', ('cc', 'gcc', 'clang')), ('CXX', ('c++', 'g++', 'clang++'))):
         chosen = os.environ.get(variable)
         if not any(shutil.which(name) for name in ((chosen,) if chosen else names)):
