@@ -42,7 +42,7 @@ _NOISE_RANGE: Final = (0.3, 10.0)
 _LEANING: Final = 1.0
 _LONGEST_LEAN: Final = 64
 _DISTURBANCE_MEMORY: Final = 0.03
-_DISTURBANCE_RANGE: Final = (0.3, 5.0)
+_DISTURBANCE_RANGE: Final = (0.3, 3.0)
 # One window cannot tell much more noise than is known: slip is no noise.
 _NOISE_GROWTH: Final = 3.0
 
@@ -64,7 +64,7 @@ class VMilsConfig:
     prior_std_a: float = setting(0.6, 'added to the prior std of a (root of squares)', 'N/kN', 1e-6, 100.0)
     prior_std_b: float = setting(0.02, 'added to the prior std of b', 'N/kN per m/s', 1e-8, 10.0)
     prior_std_c: float = setting(0.0006, 'added to the prior std of c', 'N/kN per (m/s)^2', 1e-9, 1.0)
-    drift_share: float = setting(0.2, 'drift in one hour, std as a share of the prior std', '1', 0.0, 100.0)
+    drift_share: float = setting(0.15, 'drift in one hour, std as a share of the prior std', '1', 0.0, 100.0)
     gate: float = setting(4.0, 'innovations beyond this many standard deviations are refused', '1', 1.0, 100.0)
     step_allowance: float = setting(0.4, 'CUSUM allowance per innovation', 'standard deviations', 0.0, 3.0)
     step_threshold: float = setting(7.0, 'CUSUM sum that counts as a step', 'standard deviations', 1.0, 1e6)
@@ -181,7 +181,9 @@ class VMils:
         if self.state.cusum.peak > 0.5 * self.config.step_threshold:  # rather a step of the parameters
             return known
         bounded = min(nu * nu, _NOISE_GROWTH**2 * S)
-        return min(max(known + _DISTURBANCE_MEMORY * (bounded - S), low), high)
+        # The noisier one innovation, the less it tells of what little lies beneath.
+        gain = _DISTURBANCE_MEMORY * min(1.0, high / S)
+        return min(max(known + gain * (bounded - S), low), high)
 
     def _update(self, observed: WindowResult, sample: Sample) -> Refusal | None:
         """One step of V-MILS at t_s (section 4.2 in its prior form)."""

@@ -9,6 +9,9 @@ The believed train is ``config/trains/yizhuang.yaml``; the true one differs as r
 - The brake rate is 1.0 for six runs, wears down to 0.85 between 900 s and 1500 s in steps too small to
   see one by one, and recovers to 0.95 at 2900 s.
 
+The line is surveyed (map error 0.05 per mille, weighing error 0.1 %), speed and force are as noisy as
+elsewhere, and gusts of 0.1 N/kN blow.
+
 26 runs from stop to stop take about 64 minutes.
 """
 
@@ -18,7 +21,9 @@ from dataclasses import replace
 from typing import Final
 
 from trainid_ros.physics.train_file import Davis, TrainFile
+from trainid_ros.simulation.disturbance import GustModel
 from trainid_ros.simulation.scenario import DEFAULT_START_NS, Change, Scenario
+from trainid_ros.simulation.sensors import SensorModel
 
 RUNS: Final = 26
 DRY: Final = Davis(a=1.74, b=0.020, c=0.0086)
@@ -31,6 +36,9 @@ WEAR_RATE: Final = (1.0, 0.85)
 WEAR_STEPS: Final = 60
 RECOVERY_S: Final = 2900.0
 RECOVERED_RATE: Final = 0.95
+MAP_ERROR: Final = 0.05
+WEIGHING_ERROR: Final = 0.001
+GUST: Final = 0.1
 
 
 def yizhuang_day(believed: TrainFile, *, runs: int = RUNS, start_ns: int = DEFAULT_START_NS) -> Scenario:
@@ -54,7 +62,14 @@ def yizhuang_day(believed: TrainFile, *, runs: int = RUNS, start_ns: int = DEFAU
         Change(RECOVERY_S, brake_rate=RECOVERED_RATE),
     )
     ordered = tuple(sorted(changes, key=lambda change: change.time_s))
-    return Scenario(train_file=true, runs=runs, changes=ordered, start_ns=start_ns)
+    return Scenario(
+        train_file=true,
+        runs=runs,
+        changes=ordered,
+        sensors=SensorModel(map_error=MAP_ERROR, mass_noise=WEIGHING_ERROR),
+        gust=GustModel(std=GUST),
+        start_ns=start_ns,
+    )
 
 
 def _wear() -> tuple[Change, ...]:
