@@ -115,7 +115,7 @@ def check_machine() -> None:
         SetupError: Naming the missing thing.
     """
     if platform.machine() != 'x86_64':
-        msg = f'setup: ROS 2 wheels exist for x86_64 only, not {platform.machine()}; use an installed ROS 2 and colcon build'
+        msg = f'setup: the ROS 2 wheels are for x86_64, not {platform.machine()}; build with colcon over an installed ROS 2'
         raise SetupError(msg)
     for variable, names in (('CC', ('cc', 'gcc', 'clang')), ('CXX', ('c++', 'g++', 'clang++'))):
         chosen = os.environ.get(variable)
