@@ -19,6 +19,25 @@ _PORTS_OF_DOMAIN: Final = 250
 _OFFSETS: Final = (0, 10, 11, 12, 13)
 # ROS advises domains up to 101; 0 is where everybody is.
 _DOMAINS: Final = 101
+# Fast DDS drops what does not fit into its shared memory, and a repair takes long at many times real time.
+# These queues hold seconds of a stalled process. Another middleware does not read this.
+_PROFILE: Final = """<?xml version="1.0" encoding="UTF-8"?>
+<dds xmlns="http://www.eprosima.com"><profiles>
+  <transport_descriptors>
+    <transport_descriptor>
+      <transport_id>deep_memory</transport_id><type>SHM</type>
+      <segment_size>33554432</segment_size><port_queue_capacity>32768</port_queue_capacity>
+    </transport_descriptor>
+    <transport_descriptor><transport_id>udp</transport_id><type>UDPv4</type></transport_descriptor>
+  </transport_descriptors>
+  <participant profile_name="demo" is_default_profile="true"><rtps>
+    <useBuiltinTransports>false</useBuiltinTransports>
+    <userTransports>
+      <transport_id>deep_memory</transport_id><transport_id>udp</transport_id>
+    </userTransports>
+  </rtps></participant>
+</profiles></dds>
+"""
 
 
 def free_domain(first: int) -> int:
@@ -49,7 +68,10 @@ def _are_free(ports: Iterable[int]) -> bool:
 def isolate(logs: Path) -> int:
     """Let this process and its children live in a domain of their own; return it."""
     domain = free_domain(os.getpid())
+    profile = logs / 'fastdds.xml'
+    profile.write_text(_PROFILE, encoding='utf-8')
     os.environ |= {
+        'FASTRTPS_DEFAULT_PROFILES_FILE': str(profile.absolute()),
         'ROS_DOMAIN_ID': str(domain),
         'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
         'ROS_LOG_DIR': str(logs.absolute()),
