@@ -115,7 +115,7 @@ def check_machine() -> None:
         SetupError: Naming the missing thing.
     """
     if platform.machine() != 'x86_64':
-        msg = f'setup: the ROS 2 wheels are for x86_64, not {platform.machine()}; build with colcon over an installed ROS 2'
+        msg = f'setup: the ROS 2 wheels are for x86_64, not {platform.machine()}; use colcon and an installed ROS 2'
         raise SetupError(msg)
     for variable, names in (('CC', ('cc', 'gcc', 'clang')), ('CXX', ('c++', 'g++', 'clang++'))):
         chosen = os.environ.get(variable)
