@@ -22,7 +22,7 @@ if TYPE_CHECKING:
     from trainid_ros.report.scores import Score
 
 # Two cores keep up with three nodes, player and listener at this rate.
-_RATE: Final = 40.0
+_RATE: Final = 70.0
 _QUICK_S: Final = 300.0
 _NOT_ALL: Final = 1
 

@@ -137,7 +137,7 @@ td.text,th.text{text-align:left}
 .card .value small{font-size:14px;font-weight:400;color:var(--muted)}
 .card .more{font-size:13px;color:var(--muted)}
 .tag{display:inline-block;border-radius:3px;padding:0 7px;font-size:12.5px;font-weight:600;color:var(--paper)}
-.VALID,.HOLDING{background:var(--good)}.CONVERGING,.UNINITIALIZED{background:var(--wait)}
+.VALID{background:var(--good)}.HOLDING{background:var(--coast);color:#10202e}.CONVERGING,.UNINITIALIZED{background:var(--wait)}
 .STALE,.FAULT{background:var(--bad)}
 ul{margin:6px 0 12px;padding-left:20px}
 figure{margin:6px 0 10px;break-inside:avoid}
