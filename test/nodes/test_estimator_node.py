@@ -440,6 +440,14 @@ def test_simulated_time_that_never_comes_is_told(graph: Graph, train_file: str) 
     assert 'no /clock has arrived' in diagnosed.by_name[own].message
 
 
+def test_simulated_time_that_stands_still_is_told(graph: Graph, train_file: str) -> None:
+    diagnosed = Diagnosed(graph)
+    node = active(graph, train_file, diagnostic_period=0.1, use_sim_time=True)
+    Simulated(graph, node).go(START_NS)
+    own = 'resistance_estimator: estimator'
+    graph.until(lambda: own in diagnosed.by_name and '/clock stands still' in diagnosed.by_name[own].message)
+
+
 class Simulated:
     """A clock that goes where it is told."""
 

@@ -59,3 +59,14 @@ def test_a_clock_that_never_came_does_not_hide_silence() -> None:
     watchdog = Watchdog(LIMIT)
     watchdog.saw(1, 0, at(10))
     assert watchdog.is_silent(0, at(10.9))
+
+
+def test_the_next_look_comes_when_silence_can_be_too_long_and_not_before() -> None:
+    watchdog = Watchdog(LIMIT)
+    assert LIMIT < watchdog.pause_ns(at(5), simulated=False) < LIMIT + at(0.1)
+    watchdog.saw(1, at(10), at(10))
+    pause = watchdog.pause_ns(at(10.3), simulated=False)
+    assert not watchdog.is_silent(at(10.3) + pause - at(0.02), at(10.3) + pause - at(0.02))
+    assert watchdog.is_silent(at(10.3) + pause, at(10.3) + pause)
+    # Simulated time may run fast, so it is looked at often.
+    assert watchdog.pause_ns(at(10.3), simulated=True) == at(0.1)

@@ -60,7 +60,7 @@ if TYPE_CHECKING:
 
     from trainid_ros.physics.train_file import TrainFile
 
-_WATCHDOG_PERIOD_S: Final = 0.1
+_FIRST_WATCH_S: Final = 0.1
 _SUCCESS: Final = TransitionCallbackReturn.SUCCESS
 
 
@@ -112,6 +112,7 @@ class EstimatorNode(ManagedNode):
         self._preload_train_file()
         self.parameters.report()
         self.pipeline: EstimatorPipeline[Any] | None = None
+        self._diagnosed_ns = 0
         self._settings = EstimatorSettings()
         self._prior: Any = None
         self._intake: Intake | None = None
@@ -160,7 +161,7 @@ class EstimatorNode(ManagedNode):
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
         """Let inputs through."""
         self.watchdog.restart()
-        self._watchdog_timer = self.create_timer(_WATCHDOG_PERIOD_S, self._watch, clock=self._steady)
+        self._watchdog_timer = self.create_timer(_FIRST_WATCH_S, self._watch, clock=self._steady)
         result = super().on_activate(state)
         self._listening = result == _SUCCESS
         self.get_logger().info(f'active: {self.spec.estimator} on {self.resolve_topic_name(self.spec.topic)}')
@@ -310,6 +311,9 @@ class EstimatorNode(ManagedNode):
             output = pipeline.mark_stale()
             if output.stamp_ns:
                 self._publish(output)
+        simulated = self.get_clock().ros_time_is_active
+        self._watchdog_timer.timer_period_ns = self.watchdog.pause_ns(self._steady_ns(), simulated=simulated)
+        self._watchdog_timer.reset()
 
     # Time
 
@@ -353,5 +357,10 @@ class EstimatorNode(ManagedNode):
         self._diagnostics.publish(array)
 
     def _clock_trouble(self, now_ns: int) -> str:
-        simulated = self.get_clock().ros_time_is_active
-        return 'use_sim_time is set, but no /clock has arrived' if simulated and now_ns == 0 else ''
+        """Return what is wrong with simulated time; called once for each diagnostic period."""
+        before, self._diagnosed_ns = self._diagnosed_ns, now_ns
+        if not self.get_clock().ros_time_is_active:
+            return ''
+        if now_ns == 0:
+            return 'use_sim_time is set, but no /clock has arrived'
+        return '/clock stands still' if now_ns == before else ''

@@ -9,6 +9,9 @@ from trainid_ros.core.records import NS_PER_S
 
 # At high replay rates a short stall of the machine is long in simulated time; it is no dropout.
 _SHORTEST_NS: Final = NS_PER_S // 4
+# Simulated time may run at any rate, so it has to be looked at often.
+_POLL_NS: Final = NS_PER_S // 10
+_MARGIN_NS: Final = NS_PER_S // 100
 
 
 class Watchdog:
@@ -57,3 +60,10 @@ class Watchdog:
         ):
             self._told = True
         return self._told
+
+    def pause_ns(self, steady_ns: int, *, simulated: bool) -> int:
+        """Return how long nothing can be silent for too long, by the steady clock."""
+        if simulated:
+            return _POLL_NS
+        waited = 0 if self._told else steady_ns - self._seen[1]
+        return max(self._limit_ns - waited, 0) + _MARGIN_NS
