@@ -35,8 +35,9 @@ typecheck: setup ## static types, strict
 colcon-smoke: setup ## build the workspace with colcon, start an installed node, stop it
 	tools/with_test_env $(PYTHON_IN) tools/colcon_smoke.py
 
-golden: setup ## regenerate the expected outputs; review the difference before committing it
+golden: setup ## regenerate expected outputs and config/params.yaml; review the difference before committing it
 	tools/with_test_env $(PYTHON_IN) test/golden/make_golden.py
+	tools/with_test_env $(PYTHON_IN) -m trainid_ros.nodes.params_template > config/params.yaml
 
 bench: setup ## measure speed and accuracy
 	$(PYTHON_IN) benchmarks/run.py

@@ -119,7 +119,7 @@ class Aligner:
         self._command = math.nan
         self._direction = 1
         self._turning_position = math.nan
-        self._suspects: list[int] = []
+        self._suspects: list[Record] = []
 
     @property
     def newest_ns(self) -> int:
@@ -132,7 +132,7 @@ class Aligner:
             return [fault]
         events: list[AlignmentEvent] = []
         if self._is_jump(record.stamp_ns):
-            jump = self._suspect(record.stamp_ns)
+            jump = self._suspect(record)
             if jump is None:
                 step_s = (record.stamp_ns - self._newest_ns) / NS_PER_S
                 limit = self.config.max_jump if step_s > 0.0 else -self.config.max_jump_back
@@ -149,13 +149,14 @@ class Aligner:
         step = stamp_ns - self._newest_ns
         return self._newest_ns != 0 and (step > self._max_jump_ns or step < -self._max_jump_back_ns)
 
-    def _suspect(self, stamp_ns: int) -> TimeJump | None:
-        """Believe a jump only when several records in a row agree on it."""
-        if self._suspects and abs(stamp_ns - self._suspects[-1]) > self._max_jump_ns:
+    def _suspect(self, record: Record) -> TimeJump | None:
+        """Believe a jump only when several records in a row, of more than one topic, agree on it."""
+        stamp_ns = record.stamp_ns
+        if self._suspects and abs(stamp_ns - self._suspects[-1].stamp_ns) > self._max_jump_ns:
             self._suspects.clear()
-        self._suspects = [*self._suspects, stamp_ns][-_CONFIRMATIONS:]
-        back = stamp_ns < self._newest_ns
-        if len(self._suspects) < _CONFIRMATIONS or (back and self._refuse_jump_back):
+        self._suspects = [*self._suspects, record][-_CONFIRMATIONS:]
+        agreed = len(self._suspects) == _CONFIRMATIONS and len({type(suspect) for suspect in self._suspects}) > 1
+        if not agreed or (stamp_ns < self._newest_ns and self._refuse_jump_back):
             return None
         return TimeJump(stamp_ns, (stamp_ns - self._newest_ns) / NS_PER_S)
 

@@ -7,6 +7,7 @@ them by name.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -56,6 +57,8 @@ class Refusal:
 
     def __str__(self) -> str:
         """Return the reason with its numbers, for people."""
+        if math.isnan(self.value):
+            return self.reason.name
         return f'{self.reason.name} (value {self.value:.6g}, limit {self.limit:.6g})'
 
 
