@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Children never outlive the group, whatever they do with signals."""
+
+from __future__ import annotations
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from contextlib import suppress
+from pathlib import Path
+
+import pytest
+
+from trainid_ros.demo import processes
+from trainid_ros.demo.domain import free_domain
+from trainid_ros.demo.processes import ProcessGroup
+
+DEADLINE_S = 20.0
+
+
+def is_alive(pid: int) -> bool:
+    """Return True for a process that is there and no zombie."""
+    with suppress(OSError):
+        return Path(f'/proc/{pid}/stat').read_text(encoding='utf-8').rpartition(')')[2].split()[0] != 'Z'
+    return False
+
+
+def wait_until_gone(pid: int) -> None:
+    deadline = time.monotonic() + DEADLINE_S
+    while is_alive(pid):
+        assert time.monotonic() < deadline, f'process {pid} is still there'
+        time.sleep(0.02)
+
+
+def test_child_runs_the_command_line_with_a_log(tmp_path: Path) -> None:
+    with ProcessGroup(tmp_path) as group:
+        child = group.start('version', ['--version'])
+        assert child.process.wait(DEADLINE_S) == 0
+        assert group.ended() == (child,)
+    assert child.last_words().startswith('trainid ')
+
+
+def test_failed_child_says_why(tmp_path: Path) -> None:
+    with ProcessGroup(tmp_path) as group:
+        child = group.start('info', ['info', str(tmp_path / 'nothing')])
+        assert child.process.wait(DEADLINE_S) == 2
+    assert 'no such bag' in child.last_words()
+
+
+def test_stop_kills_who_ignores_the_request(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(processes, '_PATIENCE_S', 0.5)
+    code = 'import signal,time; signal.signal(15, signal.SIG_IGN); print("ready", flush=True); time.sleep(60)'
+    monkeypatch.setattr(processes.subprocess, 'Popen', _instead(code))  # type: ignore[attr-defined]
+    group = ProcessGroup(tmp_path)
+    child = group.start('stubborn', [])
+    _wait_for(child.log, 'ready')
+    assert group.stop() == (child,)
+    assert child.process.returncode == -signal.SIGKILL
+    assert not is_alive(child.process.pid)
+
+
+def test_stop_reaches_grandchildren_and_is_done_on_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    code = (
+        'import subprocess,sys,time\n'
+        'p = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])\n'
+        'print("pid", p.pid, "end", flush=True); time.sleep(60)'
+    )
+    monkeypatch.setattr(processes.subprocess, 'Popen', _instead(code))  # type: ignore[attr-defined]
+    grandchild = 0
+    with pytest.raises(ZeroDivisionError), ProcessGroup(tmp_path) as group:
+        child = group.start('parent', [])
+        grandchild = int(_wait_for(child.log, 'end').split()[1])
+        assert is_alive(grandchild)
+        raise ZeroDivisionError
+    wait_until_gone(grandchild)
+    assert not is_alive(child.process.pid)
+
+
+def test_child_dies_with_a_parent_that_was_killed() -> None:
+    code = (
+        'import sys, time\n'
+        'from pathlib import Path\n'
+        'from trainid_ros.demo import child\n'
+        'import subprocess, os\n'
+        'run = "import os,sys,time; from trainid_ros.demo.child import die_with; die_with(int(sys.argv[1]));"\n'
+        'run += "print(os.getpid(), flush=True); time.sleep(60)"\n'
+        'p = subprocess.Popen([sys.executable, "-c", run, str(os.getpid())], start_new_session=True)\n'
+        'time.sleep(60)\n'
+    )
+    with subprocess.Popen([sys.executable, '-c', code], stdout=subprocess.PIPE, text=True) as parent:
+        assert parent.stdout is not None
+        pid = int(parent.stdout.readline())
+        assert is_alive(pid)
+        os.kill(parent.pid, signal.SIGKILL)
+        wait_until_gone(pid)
+
+
+def test_domain_in_use_is_left_out() -> None:
+    import socket  # noqa: PLC0415 - only here
+
+    domain = free_domain(40)
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
+        taken.bind(('', 7400 + 250 * domain))
+        other = free_domain(domain - 1)
+    assert 1 <= other <= 101
+    assert other != domain
+
+
+def _instead(code: str) -> object:
+    start = subprocess.Popen
+
+    def run(_command: list[str], **options: object) -> subprocess.Popen[bytes]:
+        return start([sys.executable, '-c', code], **options)  # type: ignore[call-overload,no-any-return]
+
+    return run
+
+
+def _wait_for(log: Path, word: str) -> str:
+    deadline = time.monotonic() + DEADLINE_S
+    while word not in (text := log.read_text(encoding='utf-8')):
+        assert time.monotonic() < deadline, text
+        time.sleep(0.02)
+    return text

@@ -1,0 +1,108 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The demo end to end on a small bag: three nodes and a player as processes, and nothing left of them."""
+
+from __future__ import annotations
+
+import json
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from trainid_ros.bags.writer import BagWriter
+from trainid_ros.physics.train_file import Davis, Line, Train, TrainFile, dump_train_file
+from trainid_ros.simulation.scenario import Scenario, simulate
+from trainid_ros.simulation.truth import save_truth
+
+pytestmark = pytest.mark.ros
+
+DEADLINE_S = 60.0
+TOPICS = 3
+
+
+@pytest.fixture(scope='module')
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    train = TrainFile(Train(mass=194e3), Davis(1.5, 0.02, 0.001), line=Line(stops=(0.0, 900.0)))
+    simulation = simulate(Scenario(train, runs=1), np.random.default_rng(3))
+    path = tmp_path_factory.mktemp('demo') / 'run'
+    with BagWriter(path) as writer:
+        for record in simulation.records:
+            writer.write_record(record)
+    (path / 'train.yaml').write_text(dump_train_file(train), encoding='utf-8')
+    save_truth(simulation.truth, path / 'truth.yaml')
+    return path
+
+
+def start(bag: Path, out: Path, *options: str) -> subprocess.Popen[str]:
+    command = [sys.executable, '-m', 'trainid_ros.commands.main', 'demo', str(bag), '--out', str(out), *options]
+    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+
+
+def children_of(demo: subprocess.Popen[str]) -> list[int]:
+    """Return the processes that were started by a demo, alive or orphaned: they are told its number."""
+    found = []
+    for entry in Path('/proc').iterdir():
+        try:
+            command = (entry / 'cmdline').read_bytes().split(b'\0') if entry.name.isdecimal() else []
+        except OSError:
+            continue
+        if b'trainid_ros.demo.child' in command and str(demo.pid).encode() in command:
+            found.append(int(entry.name))
+    return found
+
+
+def test_quick_demo_end_to_end(bag: Path, tmp_path: Path) -> None:
+    process = start(bag, tmp_path / 'out', '--quick', '--rate', '15', '--json')
+    out, err = process.communicate(timeout=DEADLINE_S)
+    answer: dict[str, Any] = json.loads(out)
+    assert process.returncode == 0, err
+    assert answer['worked'] is True
+    chapter = answer['bags'][0]
+    assert len(chapter['live_against_replay']) == TOPICS
+    for comparison in chapter['live_against_replay'].values():
+        assert comparison['equal'] == comparison['replayed'] > 300
+        assert comparison['missing'] == comparison['extra'] == 0
+    assert chapter['scores']['brake_rate']['outputs'] > 100
+    text = (tmp_path / 'out' / 'report.html').read_text(encoding='utf-8')
+    assert text.count('<svg') == 7
+    assert 'live equals replay to the bit' in text
+    assert 'km/h' in err
+    assert children_of(process) == []
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_interrupted_demo_leaves_nobody_behind(bag: Path, tmp_path: Path, number: signal.Signals) -> None:
+    process = start(bag, tmp_path / 'out', '--rate', '1')
+    log = tmp_path / 'out' / 'log' / bag.name / 'bag_player.log'
+    deadline = time.monotonic() + DEADLINE_S
+    while not log.is_file():
+        assert time.monotonic() < deadline
+        assert process.poll() is None
+        time.sleep(0.05)
+    assert len(children_of(process)) >= TOPICS
+    process.send_signal(number)
+    _, err = process.communicate(timeout=DEADLINE_S)
+    assert process.returncode == 130
+    assert 'Traceback' not in err
+    assert children_of(process) == []
+
+
+def test_node_that_cannot_start_is_told_in_one_line(bag: Path, tmp_path: Path) -> None:
+    broken = tmp_path / 'broken'
+    broken.mkdir()
+    for item in bag.iterdir():
+        (broken / item.name).write_bytes(item.read_bytes())
+    # Valid as a file, but outside of what the nodes take as a parameter.
+    text = (broken / 'train.yaml').read_text(encoding='utf-8')
+    (broken / 'train.yaml').write_text(text.replace('time_constant: 0.4', 'time_constant: 5000.0'), encoding='utf-8')
+    process = start(broken, tmp_path / 'out')
+    _, err = process.communicate(timeout=DEADLINE_S)
+    assert process.returncode in (1, 2)
+    assert err.count('\n') == 1
+    assert 'time_constant' in err
+    assert children_of(process) == []

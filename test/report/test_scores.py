@@ -1,0 +1,52 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Errors and coverage against numbers worked out by hand."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from trainid_ros.report.scores import resistance_at, resistance_std, score_brake_rate, score_resistance
+from trainid_ros.simulation.truth import Truth
+
+
+def test_resistance_and_its_deviation() -> None:
+    theta = np.array([[1.0, 0.1, 0.01], [2.0, 0.0, 0.0]])
+    np.testing.assert_allclose(resistance_at(theta, 10.0), [3.0, 2.0])
+    P = np.array([[4.0, -0.1, 0.0], [-0.1, 0.01, 0.0], [0.0, 0.0, 1e-4]])
+    # phi = (1, 10, 100): 4 - 2 * 10 * 0.1 + 100 * 0.01 + 10000 * 1e-4 = 4
+    assert resistance_std(P, 10.0) == pytest.approx(2.0)
+
+
+def test_negative_variance_by_rounding_is_no_deviation() -> None:
+    assert resistance_std(np.diag([-1e-18, 0.0, 0.0]), 5.0) == 0.0
+
+
+def test_scores_follow_steps_of_the_truth(make_chapter: Callable[..., Any]) -> None:
+    chapter = make_chapter(120)
+    score = score_resistance(chapter.traces, chapter.truth)
+    assert score is not None
+    # a = 1.6 throughout, truth 1.5 up to 60 s and 1.7 after; the first 20 s are not fit to use.
+    assert score.outputs == 100
+    assert score.bias == pytest.approx((40 * 0.1 - 60 * 0.1) / 100)
+    assert score.rms == pytest.approx(0.1)
+    assert score.last == pytest.approx(-0.1)
+    # std of w at 10 m/s: sqrt(0.04 + 100 * 1e-4 + 1e4 * 1e-8) = 0.224
+    assert score.inside_68 == 1.0
+
+
+def test_coverage_counts_what_is_inside(make_chapter: Callable[..., Any]) -> None:
+    chapter = make_chapter(120)
+    score = score_brake_rate(chapter.traces, chapter.truth)
+    assert score is not None
+    # Rate 0.9 with std 0.05: the truth is 1.0 (outside of both bands) for 40 s, then 0.9 for 60 s.
+    assert score.inside_68 == score.inside_95 == pytest.approx(0.6)
+
+
+def test_no_score_without_a_true_brake_rate_or_a_usable_output(make_chapter: Callable[..., Any]) -> None:
+    chapter = make_chapter(15)
+    assert score_resistance(chapter.traces, chapter.truth) is None
+    assert score_brake_rate(make_chapter(120).traces, Truth(0, ((0.0, 1.0, 0.0, 0.0),))) is None
