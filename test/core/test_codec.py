@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Saved states come back to the bit, and nothing else comes back."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from trainid_ros.core.codec import decode, encode
+from trainid_ros.core.errors import InputError
+
+
+@dataclass(frozen=True, slots=True)
+class Inner:
+    value: float
+    count: int = 0
+
+
+@dataclass(frozen=True, slots=True)
+class Outer:
+    inner: Inner
+    many: tuple[Inner, ...]
+    numbers: tuple[float, ...]
+    maybe: Inner | None
+    text: str
+    flag: bool
+
+
+@dataclass(frozen=True, slots=True)
+class WithArray:
+    array: NDArray[np.float64]
+
+
+EXAMPLE = Outer(Inner(0.1, 3), (Inner(1.0), Inner(2.0)), (1.0, 2.5), None, 'x', flag=True)
+
+
+def bits(value: float) -> str:
+    return 'nan' if math.isnan(value) else value.hex()
+
+
+@given(st.lists(st.floats(), max_size=20))
+def test_floats_read_back_to_the_bit(values: list[float]) -> None:
+    back = decode(encode(WithArray(np.array(values))), WithArray)
+    assert [bits(value) for value in back.array.tolist()] == [bits(value) for value in values]
+
+
+def test_nested_states_read_back_equal() -> None:
+    assert decode(encode(EXAMPLE), Outer) == EXAMPLE
+
+
+@given(st.integers(min_value=-(2**80), max_value=2**80))
+def test_stamps_of_any_size_stay_exact(count: int) -> None:
+    assert decode(encode(Inner(0.0, count)), Inner).count == count
+
+
+def changed(**fields: Any) -> str:
+    data = json.loads(encode(EXAMPLE))
+    data['state'].update(fields)
+    return json.dumps(data)
+
+
+@pytest.mark.parametrize(
+    'text',
+    [
+        '',
+        'null',
+        '[]',
+        '7',
+        '{}',
+        '{"type": "Outer"}',
+        '{"type": "Outer", "state": null}',
+        encode(EXAMPLE)[:-5],
+        encode(Inner(1.0)),
+        changed(numbers=3.0),
+        changed(numbers=['a']),
+        changed(text=1),
+        changed(flag='yes'),
+        changed(inner={'value': 1.0}),
+        changed(inner={'value': 1.0, 'count': 1.5}),
+        changed(inner={'value': 'NaN', 'count': 1}),
+        changed(inner=['value', 'count']),
+        changed(surplus=1),
+    ],
+)
+def test_what_does_not_fit_is_an_input_error_that_names_the_class(text: str) -> None:
+    with pytest.raises(InputError, match='Outer'):
+        decode(text, Outer)
