@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from trainid_ros.bags.replay import AnyOutput
 
 # Deep enough that nothing is lost while the screen is drawn.
-_DEPTH: Final = 5000
+_DEPTH: Final = 40000
 _REJECTED: Final = 'rejected.'
 _KINDS: Final[tuple[type[Estimate], ...]] = (ResistanceEstimate, SpeedModelEstimate, BrakeRateEstimate)
 

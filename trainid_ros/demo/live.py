@@ -34,8 +34,8 @@ KINDS: Final = {
     'brake_rate_estimator': BrakeRateEstimate,
 }
 _START_S: Final = 60.0
-_QUIET_S: Final = 1.0
-_DRAIN_S: Final = 20.0
+_QUIET_S: Final = 1.5
+_DRAIN_S: Final = 120.0
 _POLL_S: Final = 0.05
 _END_S: Final = 2.0
 
