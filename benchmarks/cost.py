@@ -1,0 +1,158 @@
+# SPDX-License-Identifier: Apache-2.0
+"""CPU time of one step of everything that runs per tick or per record, beside a plain RLS in the same run.
+
+The clock counts the CPU time of this thread only, so others on the machine do not enter directly; how fast
+the machine goes while they run still does, which is why all subjects take turns in short blocks and why the
+ratio to the reference is the number to compare.
+"""
+
+from __future__ import annotations
+
+import gc
+import time
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from benchmarks.days import believed_train, simulated_day, ticks_of
+from benchmarks.tables import Table
+from trainid_ros.core.alignment import Aligner, AlignmentConfig
+from trainid_ros.core.results import Refusal
+from trainid_ros.estimators.pipeline import (
+    EstimatorSettings,
+    brake_rate_pipeline,
+    resistance_pipeline,
+    speed_model_pipeline,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from benchmarks.days import TickOfRecords
+    from trainid_ros.core.samples import Sample
+
+_SEED: Final = 1
+_BLOCK: Final = 400
+_REFERENCE: Final = 'reference: plain RLS, 3 parameters'
+
+
+@dataclass(frozen=True, slots=True)
+class Subject:
+    """Something to time: what it is given, call by call."""
+
+    name: str
+    items: Sequence[Any]
+    call: Callable[[Any], object]
+
+
+@dataclass(frozen=True, slots=True)
+class Cost:
+    """CPU time of one call in microseconds; ``worked`` are those calls that were not refused."""
+
+    name: str
+    calls: int
+    mean: float
+    p50: float
+    p99: float
+    worked_share: float
+    worked_p50: float
+
+
+class PlainRls:
+    """Recursive least squares on [1, v, v^2] as one writes it with numpy: the measure for all others."""
+
+    def __init__(self) -> None:
+        self.theta = np.zeros(3)
+        self.P = np.eye(3) * 1e3
+
+    def step(self, sample: Sample) -> float:
+        """Take one sample in; return its innovation."""
+        phi = np.array([1.0, sample.speed, sample.speed * sample.speed])
+        K = self.P @ phi / (1.0 + phi @ self.P @ phi)
+        error = float(sample.gradient_mean - phi @ self.theta)
+        self.theta = self.theta + K * error
+        self.P = self.P - np.outer(K, phi @ self.P)
+        return error
+
+
+def measure() -> tuple[Table, ...]:
+    """Time all subjects; return the table."""
+    costs = time_in_turns(_subjects())
+    reference = next(cost for cost in costs if cost.name == _REFERENCE)
+    header = ('us of CPU time', 'calls', 'mean', 'p50', 'p99', 'mean / reference', 'worked', 'p50 worked')
+    rows = tuple(_row(cost, reference) for cost in costs)
+    note = (
+        f'Day of seed {_SEED}. "worked": calls whose sample was not refused (standstill, brake acting or not acting). '
+        'A tick is the four or five records that complete one sample.'
+    )
+    return (Table('CPU time of one call', header, rows, note),)
+
+
+def _row(cost: Cost, reference: Cost) -> tuple[str, ...]:
+    numbers = (f'{value:.1f}' for value in (cost.mean, cost.p50, cost.p99, cost.mean / reference.mean))
+    return cost.name, str(cost.calls), *numbers, f'{cost.worked_share:.0%}', f'{cost.worked_p50:.1f}'
+
+
+def _subjects() -> tuple[Subject, ...]:
+    train, settings = believed_train(), EstimatorSettings()
+    records = simulated_day(_SEED).records
+    ticks = ticks_of(records)
+    samples = [tick.sample for tick in ticks]
+    steps = (
+        Subject('V-MILS step, per sample', samples, resistance_pipeline(train, settings).estimator.step),
+        Subject('AM-VFF-RLS step, per sample', samples, speed_model_pipeline(train, settings).estimator.step),
+        Subject('GSMA step, per sample', samples, brake_rate_pipeline(train, settings).estimator.step),
+    )
+    pipelines = (
+        Subject('V-MILS pipeline, per tick', ticks, _push_all(resistance_pipeline(train, settings).push)),
+        Subject('AM-VFF-RLS pipeline, per tick', ticks, _push_all(speed_model_pipeline(train, settings).push)),
+        Subject('GSMA pipeline, per tick', ticks, _push_all(brake_rate_pipeline(train, settings).push)),
+    )
+    aligner = Subject('Aligner push, per record', records, Aligner(AlignmentConfig()).push)
+    return (Subject(_REFERENCE, samples, PlainRls().step), *steps, aligner, *pipelines)
+
+
+def _push_all(push: Callable[[Any], object]) -> Callable[[TickOfRecords], object]:
+    def call(tick: TickOfRecords) -> object:
+        outputs = [push(record) for record in tick.records]
+        return outputs[-1]
+
+    return call
+
+
+def time_in_turns(subjects: Sequence[Subject]) -> tuple[Cost, ...]:
+    """Time every call of every subject, block by block in turns."""
+    times: list[list[int]] = [[] for _ in subjects]
+    worked: list[list[bool]] = [[] for _ in subjects]
+    longest = max(len(subject.items) for subject in subjects)
+    overhead = _clock_cost()
+    gc.disable()
+    for start in range(0, longest, _BLOCK):
+        for subject, spent, fine in zip(subjects, times, worked, strict=True):
+            _time_block(subject, start, spent, fine)
+        gc.collect()
+    gc.enable()
+    results = zip(subjects, times, worked, strict=True)
+    return tuple(_summary(subject.name, spent, fine, overhead) for subject, spent, fine in results)
+
+
+def _time_block(subject: Subject, start: int, spent: list[int], fine: list[bool]) -> None:
+    call, clock = subject.call, time.thread_time_ns
+    for item in subject.items[start : start + _BLOCK]:
+        before = clock()
+        result = call(item)
+        spent.append(clock() - before)
+        fine.append(not isinstance(result, Refusal))
+
+
+def _clock_cost() -> float:
+    clock = time.thread_time_ns
+    return float(np.median([-(clock() - clock()) for _ in range(20_000)]))
+
+
+def _summary(name: str, spent: list[int], fine: list[bool], overhead: float) -> Cost:
+    us = np.maximum(np.array(spent, dtype=np.float64) - overhead, 0.0) / 1e3
+    good = np.array(fine)
+    p50, p99 = np.percentile(us, (50.0, 99.0))
+    return Cost(name, len(us), float(us.mean()), float(p50), float(p99), float(good.mean()), float(np.median(us[good])))

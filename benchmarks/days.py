@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The simulated day of Yizhuang as records, as ticks and as aligned samples."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from trainid_ros.core.alignment import Aligner, AlignmentConfig
+from trainid_ros.core.samples import Sample
+from trainid_ros.physics.train_file import TrainFile, load_train_file
+from trainid_ros.simulation.scenario import Simulation, simulate
+from trainid_ros.simulation.yizhuang_day import yizhuang_day
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+    from trainid_ros.core.records import Record
+
+REPOSITORY: Final = Path(__file__).resolve().parents[1]
+TRAIN_FILE: Final = REPOSITORY / 'config' / 'trains' / 'yizhuang.yaml'
+
+
+@dataclass(frozen=True, slots=True)
+class TickOfRecords:
+    """The records since the last sample; the last of them completes ``sample``."""
+
+    records: tuple[Record, ...]
+    sample: Sample
+
+
+def believed_train() -> TrainFile:
+    """Return the train file that the estimators start from."""
+    return load_train_file(TRAIN_FILE)
+
+
+@cache
+def simulated_day(seed: int) -> Simulation:
+    """Return one day; the same seed gives the same day."""
+    return simulate(yizhuang_day(believed_train()), np.random.default_rng(seed))
+
+
+def ticks_of(records: Iterable[Record]) -> tuple[TickOfRecords, ...]:
+    """Return the records grouped by the sample that they complete."""
+    aligner, ticks, waiting = Aligner(AlignmentConfig()), [], []
+    for record in records:
+        waiting.append(record)
+        for event in aligner.push(record):
+            if isinstance(event, Sample):
+                ticks.append(TickOfRecords(tuple(waiting), event))
+                waiting = []
+    return tuple(ticks)
+
+
+def samples_of(records: Iterable[Record]) -> tuple[Sample, ...]:
+    """Return the aligned samples of records."""
+    return tuple(tick.sample for tick in ticks_of(records))

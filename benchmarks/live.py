@@ -1,0 +1,269 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The nodes live at 5 Hz: how long an estimate takes on its way, and what the nodes cost.
+
+This process publishes the records of a simulated day at the pace of their stamps and hears the estimates. The
+time of an estimate runs from just before its last input is published until the callback that receives it: two
+trips through the middleware, all three nodes and this listener are inside.
+"""
+
+from __future__ import annotations
+
+import os
+import tempfile
+import threading
+import time
+from contextlib import contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+import rclpy
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
+from trainid_msgs import msg as trainid_msgs
+
+from benchmarks.days import TRAIN_FILE, simulated_day
+from benchmarks.tables import Table
+from trainid_ros.bags.types import ESTIMATE_TOPICS
+from trainid_ros.core.alignment import Aligner, AlignmentConfig
+from trainid_ros.core.records import INPUT_TOPICS, NS_PER_S
+from trainid_ros.core.samples import Sample
+from trainid_ros.demo.domain import free_domain
+from trainid_ros.demo.processes import ProcessGroup
+from trainid_ros.nodes import qos
+from trainid_ros.nodes.conversion import message_class, message_from_record, stamp_ns
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from trainid_ros.core.records import Record
+
+_SEED: Final = 1
+# A stretch of the day with traction, coasting, braking and standstill.
+_START_S: Final = 40.0
+_WARM_UP_TICKS: Final = 25
+_TICKS: Final = 310
+_IDLE_S: Final = 4.0
+_DISCOVERY_S: Final = 60.0
+_NODES: Final = ('resistance_estimator', 'speed_model_estimator', 'brake_rate_estimator')
+
+
+@dataclass(frozen=True, slots=True)
+class Delay:
+    """Time from the last input to the estimate, in milliseconds, over all estimates of one topic."""
+
+    topic: str
+    sent: int
+    heard: int
+    p50: float
+    p99: float
+    longest: float
+
+
+@dataclass(frozen=True, slots=True)
+class ProcessLoad:
+    """What one process of nodes took of one core, idle and at 5 Hz, and its memory."""
+
+    name: str
+    idle_share: float
+    busy_share: float
+    resident_mb: float
+
+
+@dataclass(frozen=True, slots=True)
+class LiveResult:
+    """One arrangement of nodes."""
+
+    arrangement: str
+    delays: tuple[Delay, ...]
+    loads: tuple[ProcessLoad, ...]
+
+
+def measure() -> tuple[Table, ...]:
+    """Run both arrangements; return the tables."""
+    together = run_nodes('one process', (_NODES,))
+    apart = run_nodes('three processes', tuple((name,) for name in _NODES))
+    return _delay_table((together, apart)), _load_table((together, apart))
+
+
+def _delay_table(results: Sequence[LiveResult]) -> Table:
+    rows = tuple(
+        (
+            f'{result.arrangement}: {delay.topic}',
+            str(delay.sent),
+            str(delay.heard),
+            *(f'{value:.2f}' for value in (delay.p50, delay.p99, delay.longest)),
+        )
+        for result in results
+        for delay in result.delays
+    )
+    header = ('last input to estimate, ms', 'ticks', 'heard', 'p50', 'p99', 'longest')
+    return Table('Delay of estimates at 5 Hz', header, rows)
+
+
+def _load_table(results: Sequence[LiveResult]) -> Table:
+    rows = tuple(
+        (
+            f'{result.arrangement}: {load.name}',
+            f'{load.idle_share:.1%}',
+            f'{load.busy_share:.1%}',
+            f'{load.resident_mb:.0f}',
+        )
+        for result in results
+        for load in result.loads
+    )
+    header = ('share of one core', 'idle', 'at 5 Hz', 'resident MB')
+    return Table('Cost of the nodes', header, rows, 'Idle: active nodes without any input.')
+
+
+class _Meter:
+    """Publishes records and notes when the estimates come back."""
+
+    def __init__(self) -> None:
+        self._context = rclpy.Context()
+        rclpy.init(context=self._context, args=[], signal_handler_options=SignalHandlerOptions.NO)
+        self._node = rclpy.create_node('benchmark', context=self._context)
+        self._publishers = {
+            topic.record: self._node.create_publisher(message_class(topic), topic.name, qos.source_qos())
+            for topic in INPUT_TOPICS
+        }
+        self.sent_ns: dict[int, int] = {}
+        self.heard_ns: dict[str, dict[int, int]] = {topic: {} for topic in ESTIMATE_TOPICS.values()}
+        for kind, topic in ESTIMATE_TOPICS.items():
+            self._node.create_subscription(
+                getattr(trainid_msgs, kind), topic, self._hearer(self.heard_ns[topic]), qos.estimate_qos()
+            )
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._thread = threading.Thread(target=self._spin)
+        self._thread.start()
+
+    def _spin(self) -> None:
+        try:
+            self._executor.spin()
+        except ExternalShutdownException:
+            return
+
+    @staticmethod
+    def _hearer(heard: dict[int, int]) -> Any:
+        def hear(message: Any) -> None:
+            heard.setdefault(stamp_ns(message.header.stamp), time.perf_counter_ns())
+
+        return hear
+
+    def close(self) -> None:
+        """Leave the graph."""
+        self._executor.shutdown()
+        rclpy.try_shutdown(context=self._context)
+        self._thread.join()
+
+    def wait_for_nodes(self) -> None:
+        """Wait until all nodes hear and are heard.
+
+        Raises:
+            TimeoutError: They did not come.
+
+        """
+        end = time.monotonic() + _DISCOVERY_S
+        while not self._sees_all():
+            if time.monotonic() > end:
+                msg = f'the nodes did not start within {_DISCOVERY_S:g} s'
+                raise TimeoutError(msg)
+            time.sleep(0.1)
+
+    def _sees_all(self) -> bool:
+        hearing = all(self._node.count_subscribers(topic.name) == len(_NODES) for topic in INPUT_TOPICS)
+        return hearing and all(self._node.count_publishers(topic) for topic in ESTIMATE_TOPICS.values())
+
+    def publish(self, records: Sequence[Record]) -> None:
+        """Publish records at the pace of their stamps; note when each sample was complete."""
+        aligner = Aligner(AlignmentConfig())
+        start_s, first_ns = time.perf_counter(), records[0].stamp_ns
+        for record in records:
+            message = message_from_record(record)
+            completed = [event for event in aligner.push(record) if isinstance(event, Sample)]
+            due_s = start_s + (record.stamp_ns - first_ns) / NS_PER_S
+            time.sleep(max(0.0, due_s - time.perf_counter()))
+            for sample in completed:
+                self.sent_ns[sample.stamp_ns] = time.perf_counter_ns()
+            self._publishers[type(record)].publish(message)
+        time.sleep(1.0)
+
+    def delays(self) -> tuple[Delay, ...]:
+        """Return the delays of all estimates after the first ticks."""
+        sent = dict(list(self.sent_ns.items())[_WARM_UP_TICKS:])
+        return tuple(_delay(topic, sent, heard) for topic, heard in self.heard_ns.items())
+
+
+def _delay(topic: str, sent: dict[int, int], heard: dict[int, int]) -> Delay:
+    both = [stamp for stamp in sent if stamp in heard]
+    ms = np.array([heard[stamp] - sent[stamp] for stamp in both]) / 1e6
+    p50, p99, longest = np.percentile(ms, (50.0, 99.0, 100.0))
+    return Delay(topic, len(sent), len(both), float(p50), float(p99), float(longest))
+
+
+def run_nodes(arrangement: str, groups: Sequence[Sequence[str]]) -> LiveResult:
+    """Run nodes, some together in one process, and measure them."""
+    with tempfile.TemporaryDirectory() as name, _private_graph(Path(name)), ProcessGroup(Path(name)) as processes:
+        pids = [processes.start('+'.join(nodes), _command(nodes)).process.pid for nodes in groups]
+        meter = _Meter()
+        try:
+            meter.wait_for_nodes()
+            time.sleep(1.0)
+            idle = _shares(pids, lambda: time.sleep(_IDLE_S))
+            busy = _shares(pids, lambda: meter.publish(_stretch()))
+            memory = [_resident_mb(pid) for pid in pids]
+        finally:
+            meter.close()
+    names = ['all three' if len(nodes) == len(_NODES) else nodes[0] for nodes in groups]
+    loads = tuple(ProcessLoad(*row) for row in zip(names, idle, busy, memory, strict=True))
+    return LiveResult(arrangement, meter.delays(), loads)
+
+
+def _command(nodes: Sequence[str]) -> list[str]:
+    chosen = [text for node in nodes for text in ('--node', node)]
+    return ['run', '--train', str(TRAIN_FILE), *chosen]
+
+
+def _stretch() -> tuple[Record, ...]:
+    day = simulated_day(_SEED)
+    first_ns = day.records[0].stamp_ns + round(_START_S * NS_PER_S)
+    last_ns = first_ns + round((_WARM_UP_TICKS + _TICKS) * AlignmentConfig().period * NS_PER_S)
+    return tuple(record for record in day.records if first_ns <= record.stamp_ns <= last_ns)
+
+
+@contextmanager
+def _private_graph(logs: Path) -> Iterator[None]:
+    """Let this process and its children live in a domain of their own, on this machine only."""
+    before = dict(os.environ)
+    os.environ |= {
+        'ROS_DOMAIN_ID': str(free_domain(os.getpid())),
+        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
+        'ROS_LOG_DIR': str(logs),
+    }
+    os.environ.pop('ROS_LOCALHOST_ONLY', None)
+    try:
+        yield
+    finally:
+        os.environ.clear()
+        os.environ.update(before)
+
+
+def _shares(pids: Sequence[int], work: Any) -> list[float]:
+    """Return the share of one core that each process took while work was done."""
+    before, start = [_cpu_s(pid) for pid in pids], time.perf_counter()
+    work()
+    wall = time.perf_counter() - start
+    return [(_cpu_s(pid) - spent) / wall for pid, spent in zip(pids, before, strict=True)]
+
+
+def _cpu_s(pid: int) -> float:
+    """Return user and system time of a process, all threads."""
+    after_name = Path(f'/proc/{pid}/stat').read_text(encoding='ascii').rpartition(')')[2].split()
+    return (int(after_name[11]) + int(after_name[12])) / os.sysconf('SC_CLK_TCK')
+
+
+def _resident_mb(pid: int) -> float:
+    pages = int(Path(f'/proc/{pid}/statm').read_text(encoding='ascii').split()[1])
+    return pages * os.sysconf('SC_PAGESIZE') / 2**20

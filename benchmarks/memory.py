@@ -1,0 +1,101 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Memory over a day and a night: all three pipelines in one fresh process, 24 h of input at 5 Hz.
+
+The records of one simulated day come again and again with their stamps moved on, without any bag.
+"""
+
+from __future__ import annotations
+
+import gc
+import resource
+from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass, replace
+from multiprocessing import get_context
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from benchmarks.days import believed_train, simulated_day
+from benchmarks.tables import Table
+from trainid_ros.core.records import NS_PER_S
+from trainid_ros.estimators.pipeline import (
+    EstimatorPipeline,
+    EstimatorSettings,
+    brake_rate_pipeline,
+    resistance_pipeline,
+    speed_model_pipeline,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from trainid_ros.core.records import Record
+
+_SEED: Final = 1
+_HOURS: Final = (0.1, 1.0, 6.0, 24.0)
+_SECONDS_PER_HOUR: Final = 3600
+_ESTIMATORS: Final = ('V-MILS', 'AM-VFF-RLS', 'GSMA')
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """Memory of the process and sizes of the saved states after some hours of input."""
+
+    hours: float
+    samples: int
+    resident_kb: int
+    state_bytes: tuple[int, ...]
+
+
+def measure() -> tuple[Table, ...]:
+    """Run 24 h of input in a process of its own; return the table."""
+    with ProcessPoolExecutor(1, mp_context=get_context('spawn')) as pool:
+        readings = pool.submit(read_memory).result()
+    first = readings[0].resident_kb
+    header = ('after', 'samples', 'resident MB', 'grown kB', *(f'{name} state, bytes' for name in _ESTIMATORS))
+    rows = tuple(
+        (
+            f'{reading.hours:g} h',
+            str(reading.samples),
+            f'{reading.resident_kb / 1024:.1f}',
+            str(reading.resident_kb - first),
+            *(str(size) for size in reading.state_bytes),
+        )
+        for reading in readings
+    )
+    note = 'The process holds the records of one day throughout; growth is counted from the first reading.'
+    return (Table('Memory of three pipelines over 24 h at 5 Hz', header, rows, note),)
+
+
+def read_memory() -> tuple[Reading, ...]:
+    """Push 24 h of records; read the memory on the way."""
+    train, settings = believed_train(), EstimatorSettings()
+    pipelines: tuple[EstimatorPipeline[Any], ...] = (
+        resistance_pipeline(train, settings),
+        speed_model_pipeline(train, settings),
+        brake_rate_pipeline(train, settings),
+    )
+    day = simulated_day(_SEED)
+    start_ns, due, readings = day.records[0].stamp_ns, list(_HOURS), []
+    for record in _repeated(day.records, round(day.duration_s * NS_PER_S)):
+        for pipeline in pipelines:
+            pipeline.push(record)
+        if record.stamp_ns - start_ns >= due[0] * _SECONDS_PER_HOUR * NS_PER_S:
+            readings.append(_read(due.pop(0), pipelines))
+            if not due:
+                break
+    return tuple(readings)
+
+
+def _repeated(records: tuple[Record, ...], period_ns: int) -> Iterator[Record]:
+    shift_ns = 0
+    while True:
+        for record in records:
+            yield replace(record, stamp_ns=record.stamp_ns + shift_ns)
+        shift_ns += period_ns
+
+
+def _read(hours: float, pipelines: tuple[EstimatorPipeline[Any], ...]) -> Reading:
+    gc.collect()
+    pages = int(Path('/proc/self/statm').read_text(encoding='ascii').split()[1])
+    sizes = tuple(len(pipeline.estimator.save().encode()) for pipeline in pipelines)
+    return Reading(hours, pipelines[0].samples, pages * resource.getpagesize() // 1024, sizes)

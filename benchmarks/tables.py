@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tables of results, as aligned text and as Markdown."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, slots=True)
+class Table:
+    """Title, headings, rows of as many cells, and what a reader must know to understand them."""
+
+    title: str
+    header: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+    note: str = ''
+
+
+def as_text(table: Table) -> str:
+    """Return a table for a terminal: the first column to the left, all others to the right."""
+    lines = [table.title, *_lines((table.header, *table.rows), '  ', '')]
+    return '\n'.join([*lines, table.note] if table.note else lines)
+
+
+def as_markdown(table: Table) -> str:
+    """Return a table as Markdown, aligned also in its source."""
+    rows = _lines((table.header, *table.rows), ' | ', '| ')
+    lines = [f'### {table.title}', '', rows[0] + ' |', _rule(table), *(row + ' |' for row in rows[1:])]
+    return '\n'.join([*lines, '', table.note] if table.note else lines)
+
+
+def _lines(rows: tuple[tuple[str, ...], ...], between: str, before: str) -> list[str]:
+    widths = _widths(rows)
+    return [before + between.join(_padded(row, widths)) for row in rows]
+
+
+def _padded(row: tuple[str, ...], widths: list[int]) -> list[str]:
+    first, *others = zip(row, widths, strict=True)
+    return [first[0].ljust(first[1]), *(cell.rjust(width) for cell, width in others)]
+
+
+def _rule(table: Table) -> str:
+    first, *others = _widths((table.header, *table.rows))
+    return '|' + '-' * (first + 2) + '|' + ''.join('-' * (width + 1) + ':|' for width in others)
+
+
+def _widths(rows: tuple[tuple[str, ...], ...]) -> list[int]:
+    return [max(3, *(len(row[i]) for row in rows)) for i in range(len(rows[0]))]
