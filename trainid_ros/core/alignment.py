@@ -3,8 +3,10 @@
 
 A sample stands at the stamp of a speed record. Force, gradient and curvature are interpolated to that
 stamp, the brake command holds from its stamp on. A sample is released as soon as every required topic
-has reached its stamp, or when the newest stamp on any topic is ``max_lag`` past it; no timer and no
-clock take part, so the same records give the same samples, live and off line.
+has reached its stamp, or when the newest stamp on any topic is ``max_gap + max_lag`` past it: what lies
+farther off would not be interpolated to, and what lies nearer has arrived. No timer and no clock take
+part, so the same records give the same samples, live and off line, as long as no topic lags behind the
+others by more than ``max_lag``.
 """
 
 from __future__ import annotations
@@ -40,7 +42,7 @@ class AlignmentConfig:
     """How records become samples."""
 
     period: float = setting(SAMPLE_PERIOD, 'sample period', 's', 0.02, 5.0)
-    max_lag: float = setting(0.7, 'how long a sample waits, in stamps, for a lagging topic', 's', 0.0, 10.0)
+    max_lag: float = setting(0.3, 'how far a topic may lag behind the others, in stamps', 's', 0.0, 10.0)
     max_gap: float = setting(0.7, 'longest gap of force and gradient to interpolate over', 's', 0.05, 10.0)
     max_dt: float = setting(1.0, 'longest time between samples of one uninterrupted drive', 's', 0.1, 10.0)
     command_timeout: float = setting(2.0, 'age at which a brake command is no longer known', 's', 0.2, 60.0)
@@ -99,8 +101,8 @@ class Aligner:
     def __init__(self, config: AlignmentConfig, *, refuse_jump_back: bool = False) -> None:
         self.config = config
         self._refuse_jump_back = refuse_jump_back
-        self._max_lag_ns = round(config.max_lag * NS_PER_S)
         self._max_gap_ns = round(config.max_gap * NS_PER_S)
+        self._patience_ns = self._max_gap_ns + round(config.max_lag * NS_PER_S)
         self._max_jump_ns = round(config.max_jump * NS_PER_S)
         self._max_jump_back_ns = round(config.max_jump_back * NS_PER_S)
         self._period_ns = round(config.period * NS_PER_S)
@@ -199,7 +201,7 @@ class Aligner:
         return events
 
     def _is_complete(self, stamp_ns: int) -> bool:
-        if self._newest_ns > stamp_ns + self._max_lag_ns:
+        if self._newest_ns > stamp_ns + self._patience_ns:
             return True
         required = (self._force, self._gradient, self._brake)
         return all(track.stamps and track.stamps[-1] >= stamp_ns for track in required)
