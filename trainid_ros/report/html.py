@@ -100,8 +100,8 @@ def _figures(chapter: Chapter) -> str:
         ('Status', 'HOLDING: inputs are fine, there is nothing to learn now.', status_timeline(chapter)),
         (
             'Innovations',
-            'Squared innovation over squared gate times its variance, the greatest of each bin; above 1 (red) no sample '
-            'is learned from.',
+            'Squared innovation over squared gate times its variance, the greatest of each bin; above 1 (red) no '
+            'sample is learned from.',
             innovation_ratios(chapter),
         ),
         ('Speed model', 'The second estimator, in the same physical terms.', speed_model_over_time(chapter)),
