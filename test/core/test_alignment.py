@@ -1,0 +1,516 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Alignment: samples depend on stamps and values alone, and every record not used is accounted for."""
+
+from __future__ import annotations
+
+import math
+import pickle
+from collections import Counter
+from dataclasses import replace
+from itertools import pairwise
+from typing import TypeVar
+
+import numpy as np
+import pytest
+from hypothesis import Phase, given, settings
+from hypothesis import strategies as st
+
+from trainid_ros.core.alignment import Aligner, AlignmentConfig, AlignmentEvent, TimeJump
+from trainid_ros.core.records import (
+    NS_PER_S,
+    BrakeRecord,
+    ForceRecord,
+    GradientRecord,
+    MassRecord,
+    Record,
+    SpeedRecord,
+)
+from trainid_ros.core.results import Reason, Refusal
+from trainid_ros.core.samples import BrakeCommandChange, Sample
+
+START = 1_700_000_000 * NS_PER_S
+PERIOD = NS_PER_S // 5
+CONFIG = AlignmentConfig()
+# Examples are seeds: a smaller seed is no simpler example, so there is nothing to shrink.
+SEEDS = settings(max_examples=50, deadline=None, phases=(Phase.explicit, Phase.reuse, Phase.generate))
+Event = TypeVar('Event', Sample, Refusal, TimeJump)
+Kind = TypeVar('Kind', SpeedRecord, ForceRecord, GradientRecord, BrakeRecord, MassRecord)
+
+
+def at(seconds: float) -> int:
+    return START + round(seconds * NS_PER_S)
+
+
+def drive(seconds: float, *, start_s: float = 0.0, rate: float = 5.0) -> list[Record]:
+    """Four topics with stamps of their own; values are linear in time, so that interpolation is exact."""
+    records: list[Record] = []
+    for i in range(round(seconds * rate)):
+        t = start_s + i / rate
+        records += [
+            ForceRecord(at(t - 0.02), 1000.0 * (t - 0.02)),
+            GradientRecord(at(t - 0.03), 0.1 * (t - 0.03), 0.0, tunnel=False),
+            BrakeRecord(at(t - 0.01), 0.0, emergency=False),
+            SpeedRecord(at(t), 10.0 + 0.1 * t, 100.0 + 10.0 * t),
+        ]
+    return sorted(records, key=lambda record: record.stamp_ns)
+
+
+def run(records: list[Record], config: AlignmentConfig = CONFIG, *, refuse: bool = False) -> list[AlignmentEvent]:
+    aligner = Aligner(config, refuse_jump_back=refuse)
+    return [event for record in records for event in aligner.push(record)]
+
+
+def of(kind: type[Event], events: list[AlignmentEvent]) -> list[Event]:
+    return [event for event in events if isinstance(event, kind)]
+
+
+def reasons(events: list[AlignmentEvent]) -> Counter[Reason]:
+    return Counter(refusal.reason for refusal in of(Refusal, events))
+
+
+def without(kind: type[Record], records: list[Record], low_s: float, high_s: float) -> list[Record]:
+    return [r for r in records if not (isinstance(r, kind) and at(low_s) <= r.stamp_ns < at(high_s))]
+
+
+# One sample per speed record, at its stamp
+
+
+def test_each_speed_record_becomes_one_sample_at_its_stamp() -> None:
+    records = drive(20.0)
+    events = run(records)
+    samples = of(Sample, events)
+    speeds = [record for record in records if isinstance(record, SpeedRecord)]
+    # The last ones still wait for force and gradient.
+    assert len(speeds) - len(samples) <= 2
+    assert [s.stamp_ns for s in samples] == [r.stamp_ns for r in speeds[: len(samples)]]
+    assert [s.speed for s in samples] == [r.speed for r in speeds[: len(samples)]]
+    assert not reasons(events)
+
+
+def test_force_and_gradient_are_interpolated_to_the_stamp_and_averaged_over_the_step() -> None:
+    for sample in of(Sample, run(drive(20.0)))[2:]:
+        t = (sample.stamp_ns - START) / NS_PER_S
+        # Linear in time: exact but for rounding.
+        assert sample.dt == pytest.approx(0.2, abs=1e-12)
+        assert sample.force == pytest.approx(1000.0 * t, abs=1e-6)
+        assert sample.force_mean == pytest.approx(1000.0 * (t - 0.1), abs=1e-6)
+        assert sample.gradient == pytest.approx(0.1 * t, abs=1e-10)
+        assert sample.gradient_mean == pytest.approx(0.1 * (t - 0.1), abs=1e-10)
+
+
+def test_the_mean_counts_every_record_inside_the_step() -> None:
+    aligner = Aligner(CONFIG)
+    ramp = [0.0, 0.0, 100.0, 0.0, 0.0]  # a triangle of base 0.1 s inside the second step
+    records: list[Record] = [ForceRecord(at(x), f) for x, f in zip((0.0, 0.25, 0.3, 0.35, 0.5), ramp, strict=True)]
+    for t in (0.0, 0.2, 0.4, 0.6):
+        records.append(GradientRecord(at(t), 0.0, 0.0, tunnel=False))
+        records.append(BrakeRecord(at(t), 0.0, emergency=False))
+    records += [SpeedRecord(at(t), 1.0, math.nan) for t in (0.0, 0.2, 0.4)]
+    records.sort(key=lambda record: record.stamp_ns)
+    samples = of(Sample, [event for record in records for event in aligner.push(record)])
+    assert samples[2].force_mean == pytest.approx(0.5 * 0.1 * 100.0 / 0.2, rel=1e-12)
+
+
+def test_the_first_sample_and_one_after_a_gap_have_no_dt() -> None:
+    records = without(SpeedRecord, drive(20.0), 8.0, 9.5)
+    samples = of(Sample, run(records))
+    gaps = [sample.stamp_ns for sample in samples if math.isnan(sample.dt)]
+    assert gaps == [at(0.0), at(9.6)]
+    assert samples[1].dt == pytest.approx(0.2)
+
+
+def test_one_lost_speed_record_makes_a_step_of_twice_the_period() -> None:
+    records = without(SpeedRecord, drive(10.0), 3.95, 4.05)
+    samples = {s.stamp_ns: s for s in of(Sample, run(records))}
+    assert at(4.0) not in samples
+    assert samples[at(4.2)].dt == pytest.approx(0.4)
+    assert samples[at(4.2)].force_mean == pytest.approx(1000.0 * 4.0, rel=1e-9)
+
+
+@pytest.mark.parametrize('rate', [10.0, 20.0, 50.0, 100.0])
+def test_faster_topics_are_thinned_evenly(rate: float) -> None:
+    events = run(drive(40.0, rate=rate))
+    samples = of(Sample, events)
+    steps = [(b.stamp_ns - a.stamp_ns) / NS_PER_S for a, b in pairwise(samples)]
+    # The first step may be shorter: it finds the phase.
+    assert steps[1:] == pytest.approx([0.2] * (len(steps) - 1), abs=1e-9)
+    assert reasons(events) == {Reason.THINNED: pytest.approx(len(samples) * (rate / 5.0 - 1.0), abs=2 * rate / 5)}
+    assert samples[-1].force_mean == pytest.approx(1000.0 * ((samples[-1].stamp_ns - START) / NS_PER_S - 0.1), rel=1e-6)
+
+
+def test_jitter_costs_no_sample() -> None:
+    rng = np.random.default_rng(3)
+    shifted = [replace(r, stamp_ns=r.stamp_ns + int(rng.integers(-30_000_000, 30_000_000))) for r in drive(60.0)]
+    events = run(sorted(shifted, key=lambda record: record.stamp_ns))
+    assert len(of(Sample, events)) >= 5 * 60 - 2
+    assert not reasons(events)
+
+
+# The order of arrival
+
+
+def arrivals(seed: int, lag_s: float) -> tuple[list[Record], list[Record]]:
+    """Records with jittered stamps, in the order of stamps and in one of arrival.
+
+    A topic keeps its order, and no record comes more than ``lag_s`` after the newest.
+    """
+    rng = np.random.default_rng(seed)
+    records = [replace(r, stamp_ns=r.stamp_ns + int(rng.integers(-40_000_000, 40_000_000))) for r in drive(8.0)]
+    records = [_other_command(r, rng) for r in records]
+    records.sort(key=lambda record: record.stamp_ns)
+    scale = {kind: rng.uniform(0.0, lag_s) for kind in (ForceRecord, GradientRecord, BrakeRecord, SpeedRecord)}
+    came: dict[type[Record], float] = {}
+    keyed: list[tuple[float, int, Record]] = []
+    for i, record in enumerate(records):
+        delay_ns = rng.uniform(0.0, scale[type(record)]) * NS_PER_S
+        came[type(record)] = max(came.get(type(record), 0.0), record.stamp_ns + delay_ns)
+        keyed.append((came[type(record)], i, record))
+    return records, [record for _, _, record in sorted(keyed, key=lambda item: item[:2])]
+
+
+def _other_command(record: Record, rng: np.random.Generator) -> Record:
+    if isinstance(record, BrakeRecord):
+        return replace(record, target_acceleration=-0.1 * int(rng.integers(3)))
+    return record
+
+
+def lost(records: list[Record], rng: np.random.Generator) -> set[int]:
+    """Ids of lost records; never two in a row of one topic."""
+    kinds = (ForceRecord, GradientRecord, BrakeRecord, SpeedRecord)
+    seconds = [[r for r in records if isinstance(r, kind)][1::2] for kind in kinds]
+    return {id(r) for topic in seconds for r in topic if rng.random() < 0.4}
+
+
+@SEEDS
+@given(st.integers(0, 2**32 - 1))
+def test_the_order_of_topics_does_not_matter(seed: int) -> None:
+    by_stamp, by_arrival = (run(records) for records in arrivals(seed, CONFIG.max_lag))
+    # repr shows every bit of a float, and NaN equals itself in it.
+    assert repr(of(Sample, by_arrival)) == repr(of(Sample, by_stamp))
+    assert reasons(by_arrival) == reasons(by_stamp)
+
+
+@SEEDS
+@given(st.integers(0, 2**32 - 1))
+def test_nor_does_it_where_records_are_lost(seed: int) -> None:
+    """A lost record leaves gaps of 0.5 s, over which is interpolated: the record beyond is waited for."""
+    orders = arrivals(seed, CONFIG.max_lag)
+    gone = lost(orders[0], np.random.default_rng(seed))
+    by_stamp, by_arrival = (run([r for r in records if id(r) not in gone]) for records in orders)
+    assert repr(of(Sample, by_arrival)) == repr(of(Sample, by_stamp))
+
+
+@SEEDS
+@given(st.integers(0, 2**32 - 1))
+def test_a_lagging_mass_gives_the_same_samples(seed: int) -> None:
+    """Mass is optional and never waited for; its lag must not decide from which sample on it counts."""
+    rng = np.random.default_rng(seed)
+    records = drive(8.0)
+    masses: list[Record] = [MassRecord(at(t), 2e5 + 1e3 * t) for t in np.arange(0.55, 8.0, 1.0)]
+    lags = rng.uniform(0.0, CONFIG.max_lag, len(masses)).tolist()
+    in_time = [*((r.stamp_ns, r) for r in records), *((m.stamp_ns, m) for m in masses)]
+    late = [(m.stamp_ns + round(lag * NS_PER_S), m) for m, lag in zip(masses, lags, strict=True)]
+    lagging = [*((r.stamp_ns, r) for r in records), *late]
+    expected, found = (run([r for _, r in sorted(order, key=lambda item: item[0])]) for order in (in_time, lagging))
+    same = repr(of(Sample, found)) == repr(of(Sample, expected))
+    assert same, f'seed {seed}: samples depend on when a mass arrives'
+    assert not reasons(found)
+
+
+def test_out_of_order_within_a_topic_is_put_in_order() -> None:
+    records = drive(10.0)
+    k = [i for i, r in enumerate(records) if isinstance(r, ForceRecord)][20:22]
+    swapped = list(records)
+    swapped[k[0]], swapped[k[1]] = swapped[k[1]], swapped[k[0]]
+    # The earlier force comes one period late, while no sample has passed it: nothing is lost.
+    later_speed = [i for i in range(k[0], k[1]) if isinstance(records[i], SpeedRecord)]
+    for i in reversed(later_speed):
+        swapped.insert(k[1] + 1, swapped.pop(i))
+    events = run(swapped)
+    assert repr(of(Sample, events)) == repr(of(Sample, run(records)))
+
+
+def test_speed_out_of_order_within_the_lag_is_put_in_order() -> None:
+    records = drive(10.0)
+    speeds = [i for i, r in enumerate(records) if isinstance(r, SpeedRecord)]
+    swapped = list(records)
+    first, second = speeds[20], speeds[21]
+    swapped[first], swapped[second] = swapped[second], swapped[first]
+    events = run(swapped)
+    stamps = [s.stamp_ns for s in of(Sample, events)]
+    assert stamps == sorted(stamps)
+    # It is used, or counted as late; never lost silently.
+    assert len(stamps) + reasons(events)[Reason.LATE] >= len(speeds) - 2
+
+
+# Records that cannot be used, each with its reason
+
+
+@pytest.mark.parametrize(
+    ('bad', 'reason'),
+    [
+        (SpeedRecord(0, 10.0, 0.0), Reason.ZERO_STAMP),
+        (SpeedRecord(at(5.05), math.nan, 0.0), Reason.NOT_FINITE),
+        (ForceRecord(at(5.05), math.inf), Reason.NOT_FINITE),
+        (GradientRecord(at(5.05), math.nan, 0.0, tunnel=False), Reason.NOT_FINITE),
+        (BrakeRecord(at(5.05), 0.5, emergency=False), Reason.OUT_OF_RANGE),
+        (SpeedRecord(at(5.05), 500.0, 0.0), Reason.OUT_OF_RANGE),
+        (MassRecord(at(5.05), -1.0), Reason.OUT_OF_RANGE),
+        (SpeedRecord(at(3.1), 10.0, 0.0), Reason.LATE),
+        (ForceRecord(at(3.1), 1000.0 * 3.1), Reason.LATE),
+        (SpeedRecord(at(4.0), 99.0, 0.0), Reason.LATE),
+        (ForceRecord(at(4.78), 9e9 / 100.0), Reason.DUPLICATE),
+        (GradientRecord(at(4.77), 99.0, 0.0, tunnel=False), Reason.DUPLICATE),
+        (BrakeRecord(at(4.79), -1.0, emergency=False), Reason.DUPLICATE),
+        (SpeedRecord(at(4.8), 99.0, 0.0), Reason.DUPLICATE),
+        (SpeedRecord(at(3600.0), 99.0, 0.0), Reason.STAMP_JUMP),
+        (SpeedRecord(at(-3600.0), 99.0, 0.0), Reason.STAMP_JUMP),
+        (SpeedRecord(1, 99.0, 0.0), Reason.STAMP_JUMP),
+    ],
+    ids=lambda value: value.name if isinstance(value, Reason) else type(value).__name__,
+)
+def test_a_bad_record_is_counted_once_and_changes_nothing(bad: Record, reason: Reason) -> None:
+    records = drive(10.0)
+    k = next(i for i, record in enumerate(records) if record.stamp_ns > at(4.9))
+    events = run([*records[:k], bad, *records[k:]])
+    assert reasons(events) == {reason: 1}
+    assert repr(of(Sample, events)) == repr(of(Sample, run(records)))
+
+
+def test_a_refusal_tells_the_value_and_the_limit() -> None:
+    aligner = Aligner(CONFIG)
+    for record in drive(5.0):
+        aligner.push(record)
+    (refusal,) = aligner.push(SpeedRecord(aligner.newest_ns + 100 * NS_PER_S, 1.0, 0.0))
+    assert isinstance(refusal, Refusal)
+    assert (refusal.value, refusal.limit) == (100.0, CONFIG.max_jump)
+    (refusal,) = aligner.push(SpeedRecord(aligner.newest_ns - 100 * NS_PER_S, 1.0, 0.0))
+    assert isinstance(refusal, Refusal)
+    assert (refusal.value, refusal.limit) == (-100.0, -CONFIG.max_jump_back)
+
+
+# Dropouts
+
+
+@pytest.mark.parametrize('kind', [ForceRecord, GradientRecord])
+def test_a_dropout_of_an_input_is_told_by_nan_and_ends(kind: type[Record]) -> None:
+    samples = of(Sample, run(without(kind, drive(20.0), 8.0, 11.0)))
+    name = 'force' if kind is ForceRecord else 'gradient'
+    unknown = [(s.stamp_ns - START) / NS_PER_S for s in samples if math.isnan(getattr(s, f'{name}_mean'))]
+    # No sample is lost, and only those without a record near by are without a value.
+    assert len(samples) >= 98
+    assert min(unknown) == pytest.approx(8.0)
+    # The mean up to 11.2 s begins at 11.0 s, where the value is not known yet.
+    assert max(unknown) == pytest.approx(11.2)
+    assert len(unknown) == 17
+
+
+def test_a_short_dropout_is_interpolated_over() -> None:
+    samples = of(Sample, run(without(ForceRecord, drive(20.0), 8.0, 8.35)))
+    assert all(math.isfinite(s.force_mean) for s in samples[2:])
+    sample = next(s for s in samples if s.stamp_ns == at(8.2))
+    assert sample.force == pytest.approx(1000.0 * 8.2, rel=1e-9)
+
+
+def test_a_brake_command_is_unknown_once_it_is_older_than_the_timeout() -> None:
+    samples = of(Sample, run(without(BrakeRecord, drive(20.0), 5.0, 99.0)))
+    unknown = [s for s in samples if math.isnan(s.brake_command)]
+    # The last command came at 4.99 - 0.2 s; it is known for two seconds more.
+    assert unknown[0].stamp_ns == at(7.0)
+    assert unknown[-1] is samples[-1]
+    assert all(not s.emergency for s in unknown)
+
+
+def test_a_sample_waits_for_a_lagging_topic_by_stamps_and_no_longer() -> None:
+    aligner = Aligner(CONFIG)
+    released = [
+        (aligner.newest_ns - event.stamp_ns) / NS_PER_S
+        for record in without(ForceRecord, drive(20.0), 10.0, 99.0)
+        for event in aligner.push(record)
+        if isinstance(event, Sample) and event.stamp_ns >= at(10.0)
+    ]
+    assert released
+    # Released by the first record past the longest wait: records are at most 0.18 s apart.
+    longest = CONFIG.max_gap + CONFIG.max_lag
+    assert longest < min(released)
+    assert max(released) < longest + 0.2
+
+
+# Brake commands
+
+
+@settings(max_examples=40, deadline=None)
+@given(st.lists(st.sampled_from([0.0, -0.3, -0.5]), min_size=30, max_size=80), st.integers(0, 2**32 - 1))
+def test_every_change_of_the_command_is_delivered_once_with_its_stamp(commands: list[float], seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    stamps = START - 10_000_000 + np.cumsum(rng.integers(20_000_000, 200_000_000, len(commands)))
+    brakes: list[Record] = [BrakeRecord(int(s), u, emergency=False) for s, u in zip(stamps, commands, strict=True)]
+    others = [r for r in drive(16.0, start_s=0.0) if not isinstance(r, BrakeRecord)]
+    records = sorted([*brakes, *others], key=lambda record: record.stamp_ns)
+    samples = of(Sample, run(records))
+    last_ns = samples[-1].stamp_ns
+    expected: list[BrakeCommandChange] = []
+    for record in brakes:
+        assert isinstance(record, BrakeRecord)
+        if record.stamp_ns > last_ns:
+            break
+        if not expected or expected[-1].target_acceleration != record.target_acceleration:
+            expected.append(BrakeCommandChange(record.stamp_ns, record.target_acceleration))
+    assert [change for s in samples for change in s.brake_changes] == expected
+    for before, after in pairwise(samples):
+        assert all(before.stamp_ns < change.stamp_ns <= after.stamp_ns for change in after.brake_changes)
+
+
+def test_the_emergency_flag_holds_from_its_stamp() -> None:
+    records = [
+        replace(r, emergency=r.stamp_ns >= at(5.0)) if isinstance(r, BrakeRecord) else r for r in drive(10.0)
+    ]
+    samples = of(Sample, run(records))
+    assert [s.emergency for s in samples] == [s.stamp_ns > at(5.0) for s in samples]
+
+
+# Mass, curve, tunnel, direction
+
+
+def test_the_mass_holds_until_the_next_weighing() -> None:
+    records = [*drive(10.0), MassRecord(at(1.05), 2e5), MassRecord(at(6.05), 3e5)]
+    samples = of(Sample, run(sorted(records, key=lambda record: record.stamp_ns)))
+    early, middle, late = (samples[i].mass for i in (2, 20, 45))
+    assert math.isnan(early)
+    assert (middle, late) == (2e5, 3e5)
+
+
+def test_curvature_is_interpolated_and_a_tunnel_holds_from_its_record() -> None:
+    records = [
+        replace(r, curve_radius=1.0 / (1e-4 * ((r.stamp_ns - START) / NS_PER_S + 1.0)), tunnel=r.stamp_ns > at(5.0))
+        if isinstance(r, GradientRecord)
+        else r
+        for r in drive(10.0)
+    ]
+    samples = of(Sample, run(records))
+    for sample in samples[2:]:
+        t = (sample.stamp_ns - START) / NS_PER_S
+        assert 1.0 / sample.curve_radius == pytest.approx(1e-4 * (t + 1.0), rel=1e-9)
+        assert sample.tunnel is (t > 5.1)
+
+
+def test_the_direction_follows_the_positions_but_not_their_noise() -> None:
+    rng = np.random.default_rng(5)
+    records: list[Record] = []
+    for r in drive(60.0):
+        if not isinstance(r, SpeedRecord):
+            records.append(r)
+            continue
+        t = (r.stamp_ns - START) / NS_PER_S
+        # Up the line, a stand at 300 m, down the line; then positions are lost.
+        position = min(10.0 * t, 300.0) - max(0.0, 10.0 * (t - 40.0)) + rng.normal(0.0, 0.3)
+        records.append(replace(r, position=math.nan if t > 55.0 else position))
+    for sample in of(Sample, run(records)):
+        t = (sample.stamp_ns - START) / NS_PER_S
+        if not 39.9 < t < 41.5:
+            assert sample.direction == (1 if t < 40.0 else -1), t
+
+
+# Clocks
+
+
+def test_a_bag_that_starts_over_is_one_jump_back_and_goes_on() -> None:
+    records = drive(20.0)
+    events = run([*records, *records])
+    (jump,) = of(TimeJump, events)
+    assert jump.step_s == pytest.approx(-19.9, abs=0.3)
+    # Two records are refused until a third one agrees; one of them may be a speed.
+    assert reasons(events) == {Reason.STAMP_JUMP: 2}
+    samples = of(Sample, events)
+    assert len(samples) >= 2 * 100 - 3
+    first = next(i for i, (a, b) in enumerate(pairwise(samples)) if b.stamp_ns < a.stamp_ns)
+    assert math.isnan(samples[first + 1].dt)
+    # What the end of the first pass left is released before the jump, not lost.
+    assert samples[first].stamp_ns == at(19.8)
+
+
+def test_a_jump_forward_is_one_jump_and_goes_on() -> None:
+    events = run([*drive(20.0), *drive(20.0, start_s=1000.0)])
+    (jump,) = of(TimeJump, events)
+    assert jump.step_s == pytest.approx(980.0, abs=0.5)
+    samples = of(Sample, events)
+    assert len(samples) >= 2 * 100 - 3
+    assert [math.isnan(s.dt) for s in samples].count(True) == 2
+
+
+def test_where_a_jump_back_is_refused_all_is_refused_until_the_stamps_catch_up() -> None:
+    events = run([*drive(20.0), *drive(25.0)], refuse=True)
+    assert not of(TimeJump, events)
+    stamps = [s.stamp_ns for s in of(Sample, events)]
+    assert stamps == sorted(set(stamps))
+    assert stamps[-1] > at(24.0)
+    # 18 s of four topics at 5 Hz lie more than two seconds back.
+    assert reasons(events)[Reason.STAMP_JUMP] == pytest.approx(18 * 20, abs=10)
+
+
+def test_a_jump_forward_is_followed_also_where_jumps_back_are_refused() -> None:
+    events = run([*drive(20.0), *drive(20.0, start_s=1000.0)], refuse=True)
+    assert len(of(TimeJump, events)) == 1
+
+
+@pytest.mark.parametrize('ahead_s', [1.0, 3.0, 5.0, 9.0, 11.0, 1e6])
+def test_one_stray_stamp_does_not_move_the_time_base(ahead_s: float) -> None:
+    """A single record whose stamp is wrong must not make estimators forget what they have learned."""
+    records = drive(30.0)
+    stray = ForceRecord(at(15.0 + ahead_s) + 7, 0.0)
+    k = next(i for i, record in enumerate(records) if record.stamp_ns > at(15.0))
+    events = run([*records[:k], stray, *records[k:]])
+    assert not of(TimeJump, events)
+    assert len(of(Sample, events)) >= 140
+
+
+def test_one_topic_with_a_clock_of_its_own_moves_nothing() -> None:
+    records = [
+        replace(r, stamp_ns=r.stamp_ns + 3600 * NS_PER_S) if isinstance(r, GradientRecord) else r
+        for r in drive(20.0)
+    ]
+    events = run(sorted(records, key=lambda r: r.stamp_ns - (3600 * NS_PER_S if isinstance(r, GradientRecord) else 0)))
+    assert len(of(TimeJump, events)) <= 1
+    # It never flips between two time bases.
+    stamps = [s.stamp_ns for s in of(Sample, events)]
+    assert sum(b < a for a, b in pairwise(stamps)) == 0
+
+
+def test_all_topics_silent_for_a_while_is_a_gap_not_a_jump() -> None:
+    events = run([*drive(10.0), *drive(10.0, start_s=15.0)])
+    assert not of(TimeJump, events)
+    assert not reasons(events)
+    samples = of(Sample, events)
+    assert [math.isnan(s.dt) for s in samples].count(True) == 2
+
+
+# Memory
+
+
+@pytest.mark.parametrize('kind', [SpeedRecord, ForceRecord, GradientRecord, BrakeRecord, MassRecord])
+def test_one_topic_alone_fills_no_memory(kind: type[Record]) -> None:
+    def record(i: int) -> Record:
+        stamp = START + i * PERIOD
+        if kind is SpeedRecord:
+            return SpeedRecord(stamp, 1.0, 0.0)
+        if kind is ForceRecord:
+            return ForceRecord(stamp, 1.0)
+        if kind is GradientRecord:
+            return GradientRecord(stamp, 1.0, 0.0, tunnel=False)
+        return BrakeRecord(stamp, -0.1, emergency=False) if kind is BrakeRecord else MassRecord(stamp, 1e5)
+
+    aligner = Aligner(CONFIG)
+    for i in range(100_000):
+        aligner.push(record(i))
+    # 4096 records at most; all of them would take 3 MB at least.
+    assert len(pickle.dumps(aligner)) < 300_000
+
+
+def test_reset_equals_new() -> None:
+    used = Aligner(CONFIG)
+    for record in drive(13.3):
+        used.push(record)
+    used.reset()
+    assert used.newest_ns == 0
+    again = [event for record in drive(10.0) for event in used.push(record)]
+    assert repr(again) == repr(run(drive(10.0)))
