@@ -34,6 +34,7 @@ from trainid_ros.core.settings import check_settings, setting
 from trainid_ros.estimators.brake_kinematics import BrakeStep, brake_step
 from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.estimators.resampling import effective_number, normalise, systematic
+from trainid_ros.estimators.speed_noise import SpeedNoise
 from trainid_ros.physics.brake import CommandHistory
 from trainid_ros.physics.resistance import davis
 
@@ -55,7 +56,7 @@ class GsmaConfig:
     particles: int = setting(100, 'particles kept after pruning', '1', 2, 100_000)
     prior_std: float = setting(0.15, 'prior standard deviation of the brake rate', '1', 1e-4, 2.0)
     drift: float = setting(0.003, 'drift of the brake rate in one second, standard deviation', '1', 0.0, 1.0)
-    speed_std: float = setting(0.025, 'noise of measured speed, quantum included', 'm/s', 1e-4, 2.0)
+    speed_std: float = setting(0.025, 'noise of measured speed at the start (then learned)', 'm/s', 1e-4, 2.0)
     disturbance_std: float = setting(0.006, 'unmodelled acceleration', 'm/s^2', 0.0, 1.0)
     disturbance_length: float = setting(200.0, 'distance over which it decorrelates', 'm', 1.0, 1e5)
     acceleration_noise: float = setting(0.003, 'white acceleration noise', 'm/s per sqrt(s)', 0.0, 1.0)
@@ -76,6 +77,7 @@ class GsmaState:
         log_weights: Normalised log-weights, same shape.
         x: Speed [m/s], brake acceleration and disturbance b [m/s^2] of each particle, one row each.
         P: Covariance of x, shared by all particles, shape (3, 3).
+        noise: Noise of the measured speed.
         unbraked_s: Time since f last learned [s].
         filtered_target: Command after dead time and lag of a nominal brake [m/s^2].
         random: State of the generator as JSON text, filled in when saved.
@@ -86,6 +88,7 @@ class GsmaState:
     log_weights: NDArray[np.float64]
     x: NDArray[np.float64]
     P: NDArray[np.float64]
+    noise: SpeedNoise
     commands: tuple[BrakeCommandChange, ...] = ()
     stamp_ns: int = 0
     filtered_target: float = 0.0
@@ -117,7 +120,13 @@ class Gsma:
         N = self.config.particles
         quantiles = ndtri((np.arange(N) + 0.5) / N)
         f = np.maximum(self._train_file.brake.rate + self.config.prior_std * quantiles, 0.0)
-        self.state = GsmaState(f, np.full(N, -math.log(N)), np.zeros((N, 3)), np.zeros((3, 3)))
+        self.state = GsmaState(
+            f=f,
+            log_weights=np.full(N, -math.log(N)),
+            x=np.zeros((N, 3)),
+            P=np.zeros((3, 3)),
+            noise=SpeedNoise.declared(self.config.speed_std),
+        )
         self._rng.bit_generator.state = json.loads(self._random0)
 
     def save(self) -> str:
@@ -190,6 +199,7 @@ class Gsma:
             commands=history.prune(oldest_ns).changes,
             filtered_target=motion.decay * state.filtered_target + motion.gain_a,
             stamp_ns=sample.stamp_ns,
+            noise=state.noise.add(sample.speed, sample.dt),
         )
         return motion
 
@@ -212,11 +222,12 @@ class Gsma:
         self.state = replace(
             self.state,
             x=x,
-            P=np.diag(np.square([config.speed_std, 0.05, config.disturbance_std])),
+            P=np.diag(np.square([self.state.noise.std, 0.05, config.disturbance_std])),
             commands=history.changes,
             stamp_ns=sample.stamp_ns,
             unbraked_s=self.state.unbraked_s + elapsed,
             position=sample.position,
+            noise=self.state.noise.add(sample.speed, math.nan),
             refused_in_a_row=0,
             observable=False,
         )
@@ -256,7 +267,7 @@ class Gsma:
         K = P[:, 0] / S
         A = np.eye(3)
         A[:, 0] -= K
-        return x + np.outer(nu, K), A @ P @ A.T + self.config.speed_std**2 * np.outer(K, K)
+        return x + np.outer(nu, K), A @ P @ A.T + self.state.noise.variance * np.outer(K, K)
 
     def _coast(self, sample: Sample, motion: BrakeStep, known: float, *, measured: bool) -> None:
         """Follow the train while f is not observable: f stands, its uncertainty grows with time."""
@@ -266,7 +277,7 @@ class Gsma:
         self._judge()
         if not measured:
             return
-        S = float(P[0, 0]) + self.config.speed_std**2
+        S = float(P[0, 0]) + self.state.noise.variance
         nu = sample.speed - x[:, 0]
         if self._gate(nu, S, sample, state.log_weights) is not None:
             self._readmit(sample)
@@ -284,7 +295,7 @@ class Gsma:
         f = (f[:, None] + h * _GROUP).ravel()
         log_weights = (state.log_weights[:, None] + _GROUP_LOG_PRIOR).ravel()
         x, P = self._predict(np.repeat(state.x, len(_GROUP), axis=0), f, motion, known, sample)
-        S = float(P[0, 0]) + config.speed_std**2  # (16)
+        S = float(P[0, 0]) + state.noise.variance  # (16)
         nu = sample.speed - x[:, 0]  # (15)
         if (refusal := self._gate(nu, S, sample, log_weights)) is not None:
             self._coast(sample, motion, known, measured=False)

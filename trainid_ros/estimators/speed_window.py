@@ -23,8 +23,6 @@ if TYPE_CHECKING:
 _OUTLIER_SIGMAS: Final = 5.0
 _MAX_OUTLIER_SHARE: Final = 0.34
 _ROBUST_ROUNDS: Final = 3
-# Standard deviation over median absolute deviation of a normal distribution.
-_NORMAL_MAD: Final = 1.4826
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,9 +59,7 @@ class WindowResult:
     duration: float
 
 
-def observe_resistance(
-    ticks: list[Tick], inertia: float, speed_std: float
-) -> tuple[WindowResult | Refusal, float]:
+def observe_resistance(ticks: list[Tick], inertia: float, speed_std: float) -> WindowResult | Refusal:
     """Fit one window.
 
     Args:
@@ -72,8 +68,7 @@ def observe_resistance(
         speed_std: Standard deviation of one speed measurement [m/s].
 
     Returns:
-        The observation, or a refusal if the speed does not follow the forces within its noise; and the
-        spread of the speed about the line [m/s], a robust estimate of its noise.
+        The observation, or a refusal if the speed does not follow the forces within its noise.
 
     """
     dt = np.array([0.0, *(tick.dt for tick in ticks[1:])])
@@ -82,12 +77,11 @@ def observe_resistance(
     time = np.cumsum(dt)
     rest = speed - np.cumsum(force * dt) / inertia
     robust = rest - _robust_line(time, rest)
-    spread = _NORMAL_MAD * float(np.median(np.abs(robust)))
     tolerance = _OUTLIER_SIGMAS * speed_std
     kept = _inliers(time, rest, robust, tolerance)
     if kept.mean() < 1.0 - _MAX_OUTLIER_SHARE:
         worst = float(np.max(np.abs(robust)))
-        return Refusal(ticks[-1].stamp_ns, Reason.SPEED_INCONSISTENT, worst, tolerance), spread
+        return Refusal(ticks[-1].stamp_ns, Reason.SPEED_INCONSISTENT, worst, tolerance)
     weights = _slope_weights(time, kept)
     slope = float(weights @ rest)
     # Share of each interval in the slope: a change of speed there moves all later speeds.
@@ -101,7 +95,7 @@ def observe_resistance(
     traction = float(np.mean([abs(tick.traction) for tick in ticks[1:]]))
     force_rate = float(share[2:] @ (np.diff(force[1:]) / dt[2:]))
     noise_std = inertia * speed_std * float(np.sqrt(weights @ weights))
-    return WindowResult(-inertia * slope, phi, noise_std, traction, force_rate, float(time[-1])), spread
+    return WindowResult(-inertia * slope, phi, noise_std, traction, force_rate, float(time[-1]))
 
 
 def overlap_factor(window: int, hop: int) -> float:

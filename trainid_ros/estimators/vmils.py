@@ -29,6 +29,7 @@ from trainid_ros.estimators.change_detector import NO_STEP, Cusum
 from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.estimators.multi_innovation import Belief, multi_innovation_step
 from trainid_ros.estimators.prior import davis_prior
+from trainid_ros.estimators.speed_noise import SpeedNoise
 from trainid_ros.estimators.speed_window import Tick, WindowResult, observe_resistance, overlap_factor
 
 if TYPE_CHECKING:
@@ -36,15 +37,13 @@ if TYPE_CHECKING:
     from trainid_ros.physics.train_file import TrainFile
 
 _SECONDS_PER_HOUR: Final = 3600.0
-_NOISE_MEMORY: Final = 0.1
-_NOISE_RANGE: Final = (0.3, 10.0)
 # A CUSUM sum below this is no sign of a step yet; a lean longer than this is slow drift.
 _LEANING: Final = 1.0
 _LONGEST_LEAN: Final = 64
 _DISTURBANCE_MEMORY: Final = 0.03
 _DISTURBANCE_RANGE: Final = (0.3, 3.0)
-# One window cannot tell much more noise than is known: slip is no noise.
-_NOISE_GROWTH: Final = 3.0
+# One innovation cannot tell much more disturbance than is known: slip is none.
+_MOST_SIGMAS: Final = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -78,11 +77,11 @@ class VMilsState:
 
     belief: Belief
     before: Belief
+    noise: SpeedNoise
     since: tuple[WindowResult, ...] = ()
     stack: tuple[WindowResult, ...] = ()
     ticks: tuple[Tick, ...] = ()
     fresh: int = 0
-    speed_variance: float = 0.0
     disturbance_variance: float = 0.0
     updated_ns: int = 0
     braked_ns: int = 0
@@ -123,7 +122,7 @@ class VMils:
         self.state = VMilsState(
             belief=prior,
             before=prior,
-            speed_variance=self.config.speed_std**2,
+            noise=SpeedNoise.declared(self.config.speed_std),
             disturbance_variance=self.config.disturbance_std**2,
         )
         self._admission.braked_ns = 0
@@ -145,16 +144,15 @@ class VMils:
     def step(self, sample: Sample) -> ResistanceEstimate | Refusal:
         """Take one sample in; every ``hop`` good samples make one observation and one update."""
         if (refusal := self._admission.refuse(sample)) is not None:
-            self.state = replace(self.state, ticks=(), fresh=0, braked_ns=self._admission.braked_ns)
+            noise = self.state.noise.add(sample.speed, math.nan)
+            self.state = replace(self.state, ticks=(), fresh=0, noise=noise, braked_ns=self._admission.braked_ns)
             return refusal
         self._append(sample)
         state = self.state
         if len(state.ticks) < self.config.window or state.fresh < self.config.hop:
             return self.estimate(sample.speed)
         self.state = replace(state, fresh=0)
-        speed_std = math.sqrt(state.speed_variance)
-        observed, spread = observe_resistance(list(state.ticks), self._known.inertia, speed_std)
-        self._learn_noise(spread)
+        observed = observe_resistance(list(state.ticks), self._known.inertia, state.noise.std)
         if isinstance(observed, Refusal):
             return observed
         return self._update(observed, sample) or self.estimate(sample.speed)
@@ -164,15 +162,12 @@ class VMils:
         tick = Tick(sample.stamp_ns, sample.dt, sample.speed, traction - self._known.track(sample), traction)
         ticks = (*self.state.ticks, tick)[-self.config.window :]
         self.state = replace(
-            self.state, ticks=ticks, fresh=self.state.fresh + 1, braked_ns=self._admission.braked_ns
+            self.state,
+            ticks=ticks,
+            fresh=self.state.fresh + 1,
+            noise=self.state.noise.add(sample.speed, sample.dt),
+            braked_ns=self._admission.braked_ns,
         )
-
-    def _learn_noise(self, spread: float) -> None:
-        """Follow the noise of the measured speed, which differs between trains, within bounds."""
-        low, high = (factor * self.config.speed_std for factor in _NOISE_RANGE)
-        known = self.state.speed_variance
-        bounded = min(max(spread, low), high, _NOISE_GROWTH * math.sqrt(known))
-        self.state = replace(self.state, speed_variance=known + _NOISE_MEMORY * (bounded * bounded - known))
 
     def _learn_disturbance(self, nu: float, S: float) -> float:
         """What the innovations hold beyond the noise and doubt that are known, within bounds."""
@@ -180,7 +175,7 @@ class VMils:
         known = self.state.disturbance_variance
         if self.state.cusum.peak > 0.5 * self.config.step_threshold:  # rather a step of the parameters
             return known
-        bounded = min(nu * nu, _NOISE_GROWTH**2 * S)
+        bounded = min(nu * nu, _MOST_SIGMAS**2 * S)
         # The noisier one innovation, the less it tells of what little lies beneath.
         gain = _DISTURBANCE_MEMORY * min(1.0, high / S)
         return min(max(known + gain * (bounded - S), low), high)

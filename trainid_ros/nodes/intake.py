@@ -8,7 +8,9 @@ that looks like a jump of time. So whenever one message comes, all that wait are
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, NamedTuple
+import time
+from bisect import bisect_left
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from trainid_ros.core.records import INPUT_TOPICS, InputTopic
 from trainid_ros.nodes import qos
@@ -18,6 +20,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from rclpy.node import Node
+
+
+_MOST_IDLE_ROUNDS: Final = 3
 
 
 class _Arrival(NamedTuple):
@@ -56,18 +61,38 @@ class Intake:
         )
 
     def drain(self, *first: _Arrival) -> None:
-        """Deliver what has arrived: the messages given and all that wait in the queues."""
+        """Deliver what has arrived: the messages given and all that wait in the queues.
+
+        The queues are emptied in turn, and what comes meanwhile on a later one would overtake what comes on an
+        earlier one. So each round delivers only what had arrived before it began; the rest waits for the next.
+        Rounds without any are those of a wall clock that was set back: then all is delivered as it is.
+        """
         arrivals = list(first)
+        idle_rounds = 0
+        while True:
+            begin_ns = time.time_ns()
+            arrivals += self._take()
+            arrivals.sort(key=lambda arrival: arrival.received_ns)
+            due = bisect_left(arrivals, begin_ns, key=lambda arrival: arrival.received_ns)
+            idle_rounds = 0 if due else idle_rounds + 1
+            if idle_rounds > _MOST_IDLE_ROUNDS:
+                due = len(arrivals)
+            for arrival in arrivals[:due]:
+                self._deliver(arrival.topic, arrival.message)
+            arrivals = arrivals[due:]
+            if not arrivals:
+                return
+
+    def _take(self) -> list[_Arrival]:
+        taken_now = []
         for topic, subscription in self._subscriptions.items():
             with subscription.handle:
                 for _ in range(subscription.qos_profile.depth):
                     taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
                     if taken is None:
                         break
-                    arrivals.append(_Arrival(_received_ns(taken[1]), topic, taken[0]))
-        arrivals.sort(key=lambda arrival: arrival.received_ns)
-        for arrival in arrivals:
-            self._deliver(arrival.topic, arrival.message)
+                    taken_now.append(_Arrival(_received_ns(taken[1]), topic, taken[0]))
+        return taken_now
 
     def close(self) -> None:
         """Unsubscribe."""
