@@ -1,0 +1,82 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Admission: only complete samples of a moving train whose brake is off."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Any
+
+import pytest
+
+from trainid_ros.core.results import Reason
+from trainid_ros.core.samples import BrakeCommandChange, Sample
+from trainid_ros.estimators.admission import Admission
+from trainid_ros.estimators.known_force import KnownForce
+from trainid_ros.physics.train_file import TrainFile
+
+Make = Callable[..., Sample]
+WEIGHT_KN = 200e3 * 9.80665 / 1000.0
+
+
+@pytest.fixture
+def admission(train_file: TrainFile) -> Admission:
+    return Admission(KnownForce(train_file), min_speed=1.0)
+
+
+def test_a_coasting_sample_is_admitted(admission: Admission, sample: Make) -> None:
+    assert admission.refuse(sample(1)) is None
+
+
+@pytest.mark.parametrize(
+    ('fields', 'reason'),
+    [
+        ({'dt': math.nan}, Reason.GAP),
+        ({'force_mean': math.nan}, Reason.FORCE_MISSING),
+        ({'gradient_mean': math.nan}, Reason.GRADIENT_MISSING),
+        ({'brake_command': math.nan}, Reason.BRAKE_COMMAND_MISSING),
+        ({'speed': 0.999}, Reason.STANDSTILL),
+        ({'speed': math.nan}, Reason.STANDSTILL),
+        ({'brake_command': -0.01}, Reason.BRAKING),
+        ({'emergency': True}, Reason.BRAKING),
+        # A command came and went between two samples.
+        ({'brake_changes': (BrakeCommandChange(1, -0.5), BrakeCommandChange(2, 0.0))}, Reason.BRAKING),
+        # A brake that was not commanded on this topic: -2 N/kN.
+        ({'force_mean': -2.0 * WEIGHT_KN}, Reason.BRAKING),
+        ({'force': -2.0 * WEIGHT_KN}, Reason.BRAKING),
+    ],
+)
+def test_each_flaw_is_refused_with_its_reason(
+    admission: Admission, sample: Make, fields: dict[str, Any], reason: Reason
+) -> None:
+    refusal = admission.refuse(sample(1, **fields))
+    assert refusal is not None
+    assert refusal.reason is reason
+
+
+def test_force_noise_while_coasting_is_no_brake(admission: Admission, sample: Make) -> None:
+    # Four standard deviations of 0.3 N/kN.
+    assert admission.refuse(sample(1, force=-1.2 * WEIGHT_KN, force_mean=-1.2 * WEIGHT_KN)) is None
+
+
+def test_a_released_brake_is_waited_for_by_stamps(admission: Admission, sample: Make) -> None:
+    # 0.6 s dead time and eight time constants of 0.4 s.
+    assert admission.settling == pytest.approx(3.8)
+    assert admission.refuse(sample(1, brake_command=-0.5)) is not None
+    admitted = {i: admission.refuse(sample(i)) is None for i in range(2, 25)}
+    # At 3.8 s sharp, in sample 20, rounding decides.
+    assert not any(admitted[i] for i in range(2, 20))
+    assert all(admitted[i] for i in range(21, 25))
+
+
+def test_an_unknown_command_counts_as_braking_until_long_after(admission: Admission, sample: Make) -> None:
+    admission.refuse(sample(1, brake_command=math.nan))
+    refusal = admission.refuse(sample(2))
+    assert refusal is not None
+    assert refusal.reason is Reason.BRAKING
+    assert refusal.value == pytest.approx(0.2)
+
+
+def test_a_brake_of_another_time_base_does_not_hold_for_ever(admission: Admission, sample: Make) -> None:
+    admission.refuse(sample(100_000, brake_command=-0.5))
+    assert admission.refuse(sample(1)) is None
