@@ -46,8 +46,9 @@ class AlignmentConfig:
     max_gap: float = setting(0.7, 'longest gap of force and gradient to interpolate over', 's', 0.05, 10.0)
     max_dt: float = setting(1.0, 'longest time between samples of one uninterrupted drive', 's', 0.1, 10.0)
     command_timeout: float = setting(2.0, 'age at which a brake command is no longer known', 's', 0.2, 60.0)
-    max_jump: float = setting(10.0, 'largest believable step forward of the stamps', 's', 1.0, 3600.0)
-    max_jump_back: float = setting(2.0, 'lateness that counts as a jump back of the clock', 's', 0.5, 3600.0)
+    command_gap: float = setting(0.35, 'a command that changed over a longer gap changed unseen', 's', 0.05, 10.0)
+    max_jump: float = setting(10.0, 'longest silence of all topics that is no jump of the clock', 's', 1.0, 3600.0)
+    max_jump_back: float = setting(2.0, 'step of the stamps that one topic alone cannot make', 's', 0.5, 3600.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,6 +106,7 @@ class Aligner:
         self._patience_ns = self._max_gap_ns + round(config.max_lag * NS_PER_S)
         self._max_jump_ns = round(config.max_jump * NS_PER_S)
         self._max_jump_back_ns = round(config.max_jump_back * NS_PER_S)
+        self._command_gap_ns = round(config.command_gap * NS_PER_S)
         self._period_ns = round(config.period * NS_PER_S)
         self._force, self._gradient, self._brake, self._mass = _Track(), _Track(), _Track(), _Track()
         self.reset()
@@ -115,10 +117,12 @@ class Aligner:
             track.clear()
         self._pending: list[tuple[int, SpeedRecord]] = []
         self._newest_ns = 0
+        self._speed_ns = 0
+        self._agreeing: set[type[Record]] = set()
         self._released_ns = 0
         self._sample_ns = 0
         self._due_ns = 0
-        self._command = math.nan
+        self._command: BrakeRecord | None = None
         self._direction = 1
         self._turning_position = math.nan
         self._suspects: list[Record] = []
@@ -128,39 +132,59 @@ class Aligner:
         """Newest stamp taken in on any topic; 0 before the first."""
         return self._newest_ns
 
+    @property
+    def complete_ns(self) -> int:
+        """Newest stamp that every required topic has reached; 0 while one has not begun."""
+        tracks = (self._force, self._gradient, self._brake)
+        return min(self._speed_ns, *(track.stamps[-1] if track.stamps else 0 for track in tracks))
+
     def push(self, record: Record) -> list[AlignmentEvent]:
         """Take one record in; return the samples it completes, or why it was refused."""
         if (fault := find_fault(record)) is not None:
             return [fault]
-        events: list[AlignmentEvent] = []
-        if self._is_jump(record.stamp_ns):
-            jump = self._suspect(record)
-            if jump is None:
-                step_s = (record.stamp_ns - self._newest_ns) / NS_PER_S
-                limit = self.config.max_jump if step_s > 0.0 else -self.config.max_jump_back
-                return [Refusal(record.stamp_ns, Reason.STAMP_JUMP, step_s, limit)]
-            events = [*self._release(everything=True), jump]
-            self.reset()
+        if self._newest_ns and abs(record.stamp_ns - self._newest_ns) > self._max_jump_back_ns:
+            return self._suspect(record)
+        astray = [self._refuse_jump(suspect) for suspect in self._suspects]
         self._suspects.clear()
+        return [*astray, *self._admit(record)]
+
+    def _admit(self, record: Record) -> list[AlignmentEvent]:
         if (refusal := self._store(record)) is not None:
-            return [*events, refusal]
+            return [refusal]
         self._newest_ns = max(self._newest_ns, record.stamp_ns)
-        return [*events, *self._release()]
+        self._agreeing.add(type(record))
+        return [*self._release()]
 
-    def _is_jump(self, stamp_ns: int) -> bool:
-        step = stamp_ns - self._newest_ns
-        return self._newest_ns != 0 and (step > self._max_jump_ns or step < -self._max_jump_back_ns)
-
-    def _suspect(self, record: Record) -> TimeJump | None:
-        """Believe a jump only when several records in a row, of more than one topic, agree on it."""
-        stamp_ns = record.stamp_ns
-        if self._suspects and abs(stamp_ns - self._suspects[-1].stamp_ns) > self._max_jump_ns:
+    def _suspect(self, record: Record) -> list[AlignmentEvent]:
+        """Believe a step of the stamps only when several records in a row, of more than one topic, agree on it."""
+        astray: list[AlignmentEvent] = []
+        if self._suspects and abs(record.stamp_ns - self._suspects[-1].stamp_ns) > self._max_jump_back_ns:
+            astray = [self._refuse_jump(suspect) for suspect in self._suspects]
             self._suspects.clear()
-        self._suspects = [*self._suspects, record][-_CONFIRMATIONS:]
-        agreed = len(self._suspects) == _CONFIRMATIONS and len({type(suspect) for suspect in self._suspects}) > 1
-        if not agreed or (stamp_ns < self._newest_ns and self._refuse_jump_back):
-            return None
-        return TimeJump(stamp_ns, (stamp_ns - self._newest_ns) / NS_PER_S)
+        self._suspects.append(record)
+        if len(self._suspects) > _CONFIRMATIONS:
+            astray.append(self._refuse_jump(self._suspects.pop(0)))
+        agreed = len(self._suspects) == _CONFIRMATIONS and len({type(item) for item in self._suspects}) > 1
+        return [*astray, *self._follow_step()] if agreed else astray
+
+    def _follow_step(self) -> list[AlignmentEvent]:
+        """All topics have stepped: forward after a silence, or to another time base."""
+        suspects, self._suspects = self._suspects, []
+        step_ns = suspects[-1].stamp_ns - self._newest_ns
+        # A base that rests on one topic alone may have been the one astray.
+        if step_ns < 0 and self._refuse_jump_back and len(self._agreeing) > 1:
+            return [self._refuse_jump(suspect) for suspect in suspects]
+        events: list[AlignmentEvent] = []
+        if not 0 < step_ns <= self._max_jump_ns:
+            events = [*self._release(everything=True), TimeJump(suspects[-1].stamp_ns, step_ns / NS_PER_S)]
+            self.reset()
+        for suspect in suspects:
+            events += self._admit(suspect)
+        return events
+
+    def _refuse_jump(self, record: Record) -> Refusal:
+        step_s = (record.stamp_ns - self._newest_ns) / NS_PER_S
+        return Refusal(record.stamp_ns, Reason.STAMP_JUMP, step_s, math.copysign(self.config.max_jump_back, step_s))
 
     def _store(self, record: Record) -> Refusal | None:
         stamp = record.stamp_ns
@@ -187,6 +211,7 @@ class Aligner:
         if stamp < self._released_ns:
             return Refusal(stamp, Reason.LATE, (stamp - self._released_ns) / NS_PER_S, 0.0)
         insort(self._pending, (stamp, record), key=lambda item: item[0])
+        self._speed_ns = max(self._speed_ns, stamp)
         return None
 
     def _release(self, *, everything: bool = False) -> list[AlignmentEvent]:
@@ -212,7 +237,8 @@ class Aligner:
         if before == 0 or dt > self.config.max_dt:
             dt = math.nan
         start = now if math.isnan(dt) else before
-        changes, command, emergency = self._commands(before, now)
+        changes, missed = self._commands(before, now)
+        command, emergency = self._command_at(now)
         curvature, tunnel = self._track_at(now)
         sample = Sample(
             stamp_ns=now,
@@ -229,6 +255,7 @@ class Aligner:
             mass=self._latest_mass(now),
             brake_command=command,
             brake_changes=changes,
+            brake_gap=missed,
             emergency=emergency,
         )
         self._sample_ns = now
@@ -293,18 +320,30 @@ class Aligner:
         curvature = (1.0 - share) * _curvature(first) + share * _curvature(last)
         return curvature, (last if last.stamp_ns <= at_ns else first).tunnel
 
-    def _commands(self, after_ns: int, now_ns: int) -> tuple[tuple[BrakeCommandChange, ...], float, bool]:
-        """Return the changes in (after, now], the command in force and the emergency flag."""
-        end = bisect_right(self._brake.stamps, now_ns)
+    def _commands(self, after_ns: int, now_ns: int) -> tuple[tuple[BrakeCommandChange, ...], bool]:
+        """Return the changes of the command in (after, now], and whether one may have been missed."""
         changes: list[BrakeCommandChange] = []
-        for record in self._brake.records[bisect_right(self._brake.stamps, after_ns) : end]:
-            if isinstance(record, BrakeRecord) and record.target_acceleration != self._command:
-                self._command = record.target_acceleration
-                changes.append(BrakeCommandChange(record.stamp_ns, self._command))
-        latest = self._brake.records[end - 1] if end else None
-        if not isinstance(latest, BrakeRecord) or now_ns - latest.stamp_ns > self.config.command_timeout * NS_PER_S:
-            return tuple(changes), math.nan, False
-        return tuple(changes), latest.target_acceleration, latest.emergency
+        missed = False
+        begin, end = bisect_right(self._brake.stamps, after_ns), bisect_right(self._brake.stamps, now_ns)
+        for record in self._brake.records[begin:end]:
+            if not isinstance(record, BrakeRecord):
+                continue
+            before, self._command = self._command, record
+            if before is not None and before.target_acceleration == record.target_acceleration:
+                continue
+            changes.append(BrakeCommandChange(record.stamp_ns, record.target_acceleration))
+            if before is None:
+                missed |= record.target_acceleration < 0.0
+            else:
+                missed |= record.stamp_ns - before.stamp_ns > self._command_gap_ns
+        return tuple(changes), missed
+
+    def _command_at(self, now_ns: int) -> tuple[float, bool]:
+        """Return the command in force, NaN if it is not known any more, and the emergency flag."""
+        latest = self._command
+        if latest is None or now_ns - latest.stamp_ns > self.config.command_timeout * NS_PER_S:
+            return math.nan, False
+        return latest.target_acceleration, latest.emergency
 
     def _latest_mass(self, now_ns: int) -> float:
         end = bisect_right(self._mass.stamps, now_ns)

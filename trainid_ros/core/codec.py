@@ -46,6 +46,13 @@ def decode(text: str, kind: type[T]) -> T:
     return restored
 
 
+def check_restored(fine: bool, kind: str, what: str) -> None:
+    """Raise InputError unless a restored part is fine."""
+    if not fine:
+        msg = f'saved {kind}: {what} is not finite or not of the right size'
+        raise InputError(msg)
+
+
 def _build(data: Any, kind: Any, name: str) -> Any:
     if is_dataclass(kind):
         hints = typing.get_type_hints(kind)

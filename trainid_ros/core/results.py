@@ -44,6 +44,7 @@ class Reason(IntEnum):
     OUTLIER = 15
     NUMERICAL = 16
     THINNED = 17
+    BRAKE_UNCERTAIN = 18
 
 
 @dataclass(frozen=True, slots=True)

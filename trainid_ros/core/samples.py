@@ -36,6 +36,7 @@ class Sample:
         mass: Mass from load weighing [kg], NaN if not weighed.
         brake_command: Commanded acceleration in force at the stamp [m/s^2, <= 0], NaN if unknown.
         brake_changes: Commands that became valid since the previous sample, oldest first.
+        brake_gap: True if a change of the command may have been missed since the previous sample.
         emergency: True under emergency braking.
 
     """
@@ -54,4 +55,5 @@ class Sample:
     mass: float
     brake_command: float
     brake_changes: tuple[BrakeCommandChange, ...]
+    brake_gap: bool
     emergency: bool

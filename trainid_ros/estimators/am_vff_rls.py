@@ -23,7 +23,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from trainid_ros.core.codec import decode, encode
+from trainid_ros.core.codec import check_restored, decode, encode
 from trainid_ros.core.results import Reason, Refusal, SpeedModelEstimate
 from trainid_ros.core.samples import SAMPLE_PERIOD, Sample
 from trainid_ros.core.settings import check_settings, setting
@@ -124,7 +124,10 @@ class AmVffRls:
 
     def restore(self, text: str) -> None:
         """Take over a saved state; InputError if it does not fit."""
-        self.state = decode(text, AmVffRlsState)
+        state = decode(text, AmVffRlsState)
+        sized = len(state.theta) == 4 and len(state.P) == 16
+        check_restored(sized and bool(np.isfinite([*state.theta, *state.P]).all()), 'AmVffRlsState', 'theta or P')
+        self.state = state
         self._admission.braked_ns = self.state.braked_ns
 
     @property

@@ -9,11 +9,11 @@ the argument) and the command u is piecewise constant, so over any interval
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from trainid_ros.core.records import NS_PER_S
+from trainid_ros.physics.brake import lag_integral, lag_response
 
 if TYPE_CHECKING:
     from trainid_ros.physics.brake import CommandHistory
@@ -22,22 +22,32 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class BrakeStep:
-    """Coefficients of the exact response over an interval; see the module."""
+    """Coefficients of the exact response over an interval; see the module. ``start_target`` is for f = 1."""
 
     decay: float
     reach: float
     gain_a: float
     gain_v: float
+    start_target: float
+
+    @property
+    def end_target(self) -> float:
+        """Brake acceleration at the end of the interval for f = 1 [m/s^2]."""
+        return self.decay * self.start_target + self.gain_a
 
 
-def brake_step(commands: CommandHistory, brake: Brake, start_ns: int, end_ns: int) -> BrakeStep:
-    """Return the response over (start, end] to the command before the dead time."""
+def brake_step(
+    commands: CommandHistory, brake: Brake, start_ns: int, end_ns: int, start_target: float
+) -> BrakeStep:
+    """Return the response over (start, end] to the command before the dead time.
+
+    ``start_target`` is the brake acceleration at the start for f = 1 [m/s^2].
+    """
     delay_ns = round(brake.delay * NS_PER_S)
     tau = brake.time_constant
-    a, v, decay_all = 0.0, 0.0, 1.0
+    a = v = 0.0
     for duration, u in commands.segments(start_ns - delay_ns, end_ns - delay_ns):
-        decay = math.exp(-duration / tau) if tau > 0.0 else 0.0
-        v += u * duration + (a - u) * tau * (1.0 - decay)
-        a = u + (a - u) * decay
-        decay_all *= decay
-    return BrakeStep(decay_all, tau * (1.0 - decay_all), a, v)
+        v += lag_integral(a, u, tau, duration)
+        a = lag_response(a, u, tau, duration)
+    elapsed = (end_ns - start_ns) / NS_PER_S
+    return BrakeStep(lag_response(1.0, 0.0, tau, elapsed), lag_integral(1.0, 0.0, tau, elapsed), a, v, start_target)

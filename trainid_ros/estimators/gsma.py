@@ -25,7 +25,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
-from trainid_ros.core.codec import decode, encode
+from trainid_ros.core.codec import check_restored, decode, encode
 from trainid_ros.core.errors import InputError
 from trainid_ros.core.records import NS_PER_S
 from trainid_ros.core.results import BrakeRateEstimate, Reason, Refusal
@@ -36,16 +36,23 @@ from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.estimators.resampling import effective_number, normalise, systematic
 from trainid_ros.estimators.speed_noise import SpeedNoise
 from trainid_ros.physics.brake import CommandHistory
+from trainid_ros.physics.effects import effect_value
 from trainid_ros.physics.resistance import davis
 
 if TYPE_CHECKING:
     from trainid_ros.core.samples import Sample
-    from trainid_ros.physics.train_file import TrainFile
+    from trainid_ros.physics.train_file import Brake, TrainFile
 
 _GROUP: Final = np.array([-1.0, 0.0, 1.0])
 _GROUP_LOG_PRIOR: Final = np.log([1.0 / 6.0, 2.0 / 3.0, 1.0 / 6.0])
-_LARGEST_RATE: Final = 3.0
+_LARGEST_RATE: Final = 3.0  # times the believed one
+# The brake is known again this many time constants after its command is.
+_SETTLING: Final = 6.0
 _POSITION_GAIN: Final = 0.1
+_P_SIZE: Final = 9
+# Doubt about the brake's acceleration where the train state starts anew [m/s^2].
+_ANCHOR_BRAKE_STD: Final = 0.05
+_ANCHORING: Final = frozenset({Reason.GAP, Reason.STANDSTILL, Reason.BRAKE_COMMAND_MISSING, Reason.BRAKE_UNCERTAIN})
 _HISTORY_S: Final = 60.0
 
 
@@ -79,6 +86,7 @@ class GsmaState:
         P: Covariance of x, shared by all particles, shape (3, 3).
         noise: Noise of the measured speed.
         unbraked_s: Time since f last learned [s].
+        certain_ns: Stamp from which on the brake's state is known again after commands were missed.
         filtered_target: Command after dead time and lag of a nominal brake [m/s^2].
         random: State of the generator as JSON text, filled in when saved.
 
@@ -93,6 +101,7 @@ class GsmaState:
     stamp_ns: int = 0
     filtered_target: float = 0.0
     unbraked_s: float = 0.0
+    certain_ns: int = 0
     position: float = math.nan
     refused_in_a_row: int = 0
     innovation: float = 0.0
@@ -110,6 +119,7 @@ class Gsma:
         check_settings(config)
         self.config = config
         self._train_file = train_file
+        self._brake = _true_brake(train_file)
         self._known = KnownForce(train_file)
         self._rng = rng
         self._random0 = json.dumps(rng.bit_generator.state)
@@ -119,7 +129,7 @@ class Gsma:
         """Go back to the prior: particles at its quantiles, equal weights."""
         N = self.config.particles
         quantiles = ndtri((np.arange(N) + 0.5) / N)
-        f = np.maximum(self._train_file.brake.rate + self.config.prior_std * quantiles, 0.0)
+        f = np.maximum(self._brake.rate + self.config.prior_std * quantiles, 0.0)
         self.state = GsmaState(
             f=f,
             log_weights=np.full(N, -math.log(N)),
@@ -139,8 +149,15 @@ class Gsma:
         if len(state.f) not in (self.config.particles, len(_GROUP) * self.config.particles):
             msg = f'saved GsmaState has {len(state.f)} particles, not {self.config.particles}'
             raise InputError(msg)
-        self._rng.bit_generator.state = json.loads(state.random)
-        self.state = replace(state, x=state.x.reshape(-1, 3), P=state.P.reshape(3, 3))
+        finite = all(bool(np.isfinite(item).all()) for item in (state.f, state.x, state.P))
+        sized = len(state.log_weights) == len(state.f) == len(state.x.reshape(-1, 3)) and state.P.size == _P_SIZE
+        check_restored(finite and sized, 'GsmaState', 'f, x or P')
+        try:
+            self._rng.bit_generator.state = json.loads(state.random)
+        except (ValueError, TypeError, KeyError) as error:
+            msg = f'saved GsmaState: random cannot be read: {error}'
+            raise InputError(msg) from None
+        self.state = replace(state, x=state.x.reshape(-1, 3), P=state.P.reshape(3, 3), random='')
 
     @property
     def converged(self) -> bool:
@@ -149,36 +166,36 @@ class Gsma:
 
     def step(self, sample: Sample) -> BrakeRateEstimate | Refusal:
         """Take one sample in; f learns only while the brake acts on a moving train."""
-        state, config = self.state, self.config
-        if state.stamp_ns == 0 or math.isnan(sample.dt):
-            elapsed = (sample.stamp_ns - state.stamp_ns) / NS_PER_S if state.stamp_ns else 0.0
-            if elapsed < 0.0:  # another time base: commands of the old one mean nothing in it
-                self.state = replace(state, commands=(), filtered_target=0.0)
-            self._anchor(sample, max(0.0, elapsed))
-            return Refusal(sample.stamp_ns, Reason.GAP, sample.dt, math.nan)
         motion = self._follow_command(sample)
-        known = self._known_acceleration(sample)
         refusal = self._refuse(sample)
         if refusal is not None:
-            if refusal.reason is Reason.STANDSTILL:
-                self._anchor(sample, sample.dt)
-                self._judge()
+            if refusal.reason in _ANCHORING:
+                self._anchor(sample)
             else:
+                known = self._known_acceleration(sample)
                 self._coast(sample, motion, known if math.isfinite(known) else 0.0, measured=False)
+            self._judge()
             return refusal
         self._follow_position(sample)
-        braking = max(abs(state.filtered_target), abs(self.state.filtered_target))
-        if braking < config.min_braking:
+        known = self._known_acceleration(sample)
+        braking = max(abs(self.state.filtered_target), abs(motion.start_target))
+        if braking < self.config.min_braking:
             self._coast(sample, motion, known, measured=True)
-            return Refusal(sample.stamp_ns, Reason.NOT_BRAKING, braking, config.min_braking)
-        return self._learn(sample, motion, known) or self.estimate(sample.speed)
+            self._judge()
+            return Refusal(sample.stamp_ns, Reason.NOT_BRAKING, braking, self.config.min_braking)
+        refusal = self._learn(sample, motion, known)
+        self._judge()
+        return refusal or self.estimate(sample.speed)
 
     def _refuse(self, sample: Sample) -> Refusal | None:
+        uncertain_s = (self.state.certain_ns - sample.stamp_ns) / NS_PER_S
         checks = (
+            (not math.isnan(sample.dt), Reason.GAP, sample.dt, math.nan),
+            (sample.speed >= self.config.min_speed, Reason.STANDSTILL, sample.speed, self.config.min_speed),
+            (math.isfinite(sample.brake_command), Reason.BRAKE_COMMAND_MISSING, sample.brake_command, math.nan),
+            (uncertain_s <= 0.0, Reason.BRAKE_UNCERTAIN, uncertain_s, 0.0),
             (math.isfinite(sample.gradient_mean), Reason.GRADIENT_MISSING, sample.gradient_mean, math.nan),
             (math.isfinite(sample.force_mean), Reason.FORCE_MISSING, sample.force_mean, math.nan),
-            (math.isfinite(sample.brake_command), Reason.BRAKE_COMMAND_MISSING, sample.brake_command, math.nan),
-            (sample.speed >= self.config.min_speed, Reason.STANDSTILL, sample.speed, self.config.min_speed),
         )
         for fine, reason, value, limit in checks:
             if not fine:
@@ -187,19 +204,28 @@ class Gsma:
 
     def _follow_command(self, sample: Sample) -> BrakeStep:
         """Bring the brake command up to the stamp; return the brake's response since the last sample."""
-        state = self.state
+        state, brake = self.state, self._brake
+        if sample.stamp_ns <= state.stamp_ns:  # another time base: commands of the old one mean nothing in it
+            state = replace(state, commands=(), filtered_target=0.0, certain_ns=0, stamp_ns=0)
+        start_ns = state.stamp_ns or sample.stamp_ns
         history = CommandHistory(state.commands)
         for change in sample.brake_changes:
-            history = history.push(change)
-        brake = self._train_file.brake
-        motion = brake_step(history, brake, state.stamp_ns, sample.stamp_ns)
-        oldest_ns = sample.stamp_ns - round((brake.delay + _HISTORY_S) * NS_PER_S)
+            if not history.changes or change.stamp_ns >= history.changes[-1].stamp_ns:
+                history = history.push(change)
+        motion = brake_step(history, brake, start_ns, sample.stamp_ns, state.filtered_target)
+        settled_ns = sample.stamp_ns + round((brake.delay + _SETTLING * brake.time_constant) * NS_PER_S)
+        unsure = sample.brake_gap or sample.emergency or math.isnan(sample.brake_command)
+        elapsed_s = (sample.stamp_ns - start_ns) / NS_PER_S
         self.state = replace(
             state,
-            commands=history.prune(oldest_ns).changes,
-            filtered_target=motion.decay * state.filtered_target + motion.gain_a,
+            commands=history.prune(sample.stamp_ns - round((brake.delay + _HISTORY_S) * NS_PER_S)).changes,
+            filtered_target=motion.end_target,
             stamp_ns=sample.stamp_ns,
-            noise=state.noise.add(sample.speed, sample.dt),
+            certain_ns=settled_ns if unsure else state.certain_ns,
+            unbraked_s=state.unbraked_s + elapsed_s,
+            # A train at rest reads zero without noise.
+            noise=state.noise.add(sample.speed, sample.dt if sample.speed >= self.config.min_speed else math.nan),
+            observable=False,
         )
         return motion
 
@@ -209,28 +235,14 @@ class Gsma:
         resistance = davis(self._train_file.resistance, sample.speed)
         return (traction - self._known.track(sample) - resistance) / self._known.inertia
 
-    def _anchor(self, sample: Sample, elapsed: float) -> None:
-        """Start the train state anew from the measured speed; f stands, its uncertainty grows."""
-        history = CommandHistory(self.state.commands)
-        for change in sample.brake_changes:
-            if not history.changes or change.stamp_ns > history.changes[-1].stamp_ns:
-                history = history.push(change)
-        config = self.config
-        x = np.zeros_like(self.state.x)
+    def _anchor(self, sample: Sample) -> None:
+        """Start the train state anew from the measured speed; f stands."""
+        state, config = self.state, self.config
+        x = np.zeros_like(state.x)
         x[:, 0] = sample.speed
-        x[:, 1] = self.state.f * self.state.filtered_target
-        self.state = replace(
-            self.state,
-            x=x,
-            P=np.diag(np.square([self.state.noise.std, 0.05, config.disturbance_std])),
-            commands=history.changes,
-            stamp_ns=sample.stamp_ns,
-            unbraked_s=self.state.unbraked_s + elapsed,
-            position=sample.position,
-            noise=self.state.noise.add(sample.speed, math.nan),
-            refused_in_a_row=0,
-            observable=False,
-        )
+        x[:, 1] = state.f * state.filtered_target
+        P = np.diag(np.square([state.noise.std, _ANCHOR_BRAKE_STD, config.disturbance_std]))
+        self.state = replace(state, x=x, P=P, position=sample.position, refused_in_a_row=0)
 
     def _follow_position(self, sample: Sample) -> None:
         """Dead-reckon by filtered speed, pulled towards the odometer (which adds nothing to f)."""
@@ -273,8 +285,7 @@ class Gsma:
         """Follow the train while f is not observable: f stands, its uncertainty grows with time."""
         state = self.state
         x, P = self._predict(state.x, state.f, motion, known, sample)
-        self.state = replace(state, x=x, P=P, unbraked_s=state.unbraked_s + sample.dt, observable=False)
-        self._judge()
+        self.state = replace(state, x=x, P=P)
         if not measured:
             return
         S = float(P[0, 0]) + self.state.noise.variance
@@ -289,7 +300,9 @@ class Gsma:
         """One step of GSMA, eqs. (14)-(22)."""
         config = self.config
         self._prune()
-        state, f = self.state, self._spread()
+        state = self.state
+        # This step's own drift is that of the groups.
+        f = self._widened(max(0.0, state.unbraked_s - sample.dt))
         h = math.sqrt(3.0 * sample.dt) * config.drift
         # Every particle branches within its group; weights carry over (17).
         f = (f[:, None] + h * _GROUP).ravel()
@@ -301,7 +314,8 @@ class Gsma:
             self._coast(sample, motion, known, measured=False)
             self._readmit(sample)
             return refusal
-        log_weights = np.where((f >= 0.0) & (f <= _LARGEST_RATE), log_weights - 0.5 * nu * nu / S, -np.inf)
+        possible = (f >= 0.0) & (f <= _LARGEST_RATE * self._brake.rate)
+        log_weights = np.where(possible, log_weights - 0.5 * nu * nu / S, -np.inf)
         log_weights = normalise(log_weights)  # (18), by the sum
         x, P = self._update(x, P, nu, S)
         if not (np.isfinite(x).all() and np.isfinite(P).all()):
@@ -309,7 +323,6 @@ class Gsma:
         self.state = replace(
             self.state, f=f, log_weights=log_weights, x=x, P=P, unbraked_s=0.0, observable=True
         )
-        self._judge()
         return None
 
     def _prune(self) -> None:
@@ -320,17 +333,19 @@ class Gsma:
             equal = np.full(N, -math.log(N))
             self.state = replace(state, f=state.f[kept], log_weights=equal, x=state.x[kept])
 
-    def _spread(self) -> NDArray[np.float64]:
-        """Particles widened by what the time without braking adds to their variance."""
-        state = self.state
-        if state.unbraked_s == 0.0:
-            return state.f
-        mean, std = self._mean(state.f), self._spread_of_f()
-        return mean + (state.f - mean) * (self._std() / std) if std > 0.0 else state.f
+    def _widened(self, unbraked_s: float) -> NDArray[np.float64]:
+        """Return the particles widened by what a time without braking adds to their variance."""
+        f = self.state.f
+        mean, std = self._mean(f), self._particle_std()
+        return mean + (f - mean) * (self._grown(std, unbraked_s) / std) if std > 0.0 else f
 
-    def _spread_of_f(self) -> float:
+    def _particle_std(self) -> float:
         mean = self._mean(self.state.f)
         return math.sqrt(max(0.0, self._mean(np.square(self.state.f - mean))))
+
+    def _grown(self, std: float, unbraked_s: float) -> float:
+        """Law of the uncertainty while no brake acts: sqrt(s^2 + drift^2 t)."""
+        return math.hypot(std, self.config.drift * math.sqrt(unbraked_s))
 
     def _gate(
         self, nu: NDArray[np.float64], S: float, sample: Sample, log_weights: NDArray[np.float64]
@@ -353,7 +368,7 @@ class Gsma:
     def _readmit(self, sample: Sample) -> None:
         """After several refusals in a row believe the speed again."""
         if self.state.refused_in_a_row >= self.config.readmit_after:
-            self._anchor(sample, 0.0)
+            self._anchor(sample)
 
     def _judge(self) -> None:
         """Fit to use while the uncertainty is small; hysteresis of a factor of two."""
@@ -361,8 +376,8 @@ class Gsma:
         self.state = replace(self.state, converged=self._std() < limit)
 
     def _std(self) -> float:
-        """Standard deviation of f: that of the particles, grown while no brake acts."""
-        return math.hypot(self._spread_of_f(), self.config.drift * math.sqrt(self.state.unbraked_s))
+        """Standard deviation of f now."""
+        return self._grown(self._particle_std(), self.state.unbraked_s)
 
     def estimate(self, speed: float) -> BrakeRateEstimate:  # noqa: ARG002 - one signature for all estimators
         """Return the brake rate (19) and the filtered train state (22)."""
@@ -380,3 +395,10 @@ class Gsma:
             innovation_variance=state.innovation_variance,
             test_ratio=state.test_ratio,
         )
+
+
+def _true_brake(train_file: TrainFile) -> Brake:
+    """Return the brake with what effects of the train file make of it (brake_scale, brake_delay)."""
+    brake, effects = train_file.brake, train_file.effects
+    rate = brake.rate * effect_value(effects, 'brake_scale', 'ratio', 1.0)
+    return replace(brake, rate=rate, delay=brake.delay + effect_value(effects, 'brake_delay', 'extra', 0.0))

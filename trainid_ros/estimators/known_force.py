@@ -6,8 +6,8 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING
 
-from trainid_ros.physics.effects import TrackPoint, resistance_terms
-from trainid_ros.physics.resistance import G
+from trainid_ros.physics.effects import TrackPoint, effect_value, resistance_terms
+from trainid_ros.physics.resistance import specific_force, specific_inertia
 
 if TYPE_CHECKING:
     from trainid_ros.core.samples import Sample
@@ -17,25 +17,29 @@ if TYPE_CHECKING:
 class KnownForce:
     """Specific force without the running resistance, u = 1000 F/(M g) - i - w_extra [N/kN].
 
-    With it the balance of the interface reads ``u - w(v) = inertia * dv/dt``.
+    With it the balance of the interface reads ``u - w(v) = inertia * dv/dt``. Effects of the train file
+    that are a resistance count, and so do mass_error and traction_scale.
     """
 
     def __init__(self, train_file: TrainFile) -> None:
         self.train_file = train_file
         self._terms = resistance_terms(train_file.effects)
+        self._mass_ratio = effect_value(train_file.effects, 'mass_error', 'ratio', 1.0)
+        self._traction_ratio = effect_value(train_file.effects, 'traction_scale', 'ratio', 1.0)
 
     @property
     def inertia(self) -> float:
         """1000 (1 + gamma) / g: specific force [N/kN] per acceleration [m/s^2]."""
-        return 1000.0 * (1.0 + self.train_file.train.rotary_mass) / G
+        return specific_inertia(1.0, self.train_file.train.rotary_mass)
 
     def mass(self, sample: Sample) -> float:
         """Return the weighed mass, or that of the train file [kg]."""
-        return sample.mass if math.isfinite(sample.mass) else self.train_file.train.mass
+        believed = sample.mass if math.isfinite(sample.mass) else self.train_file.train.mass
+        return self._mass_ratio * believed
 
     def traction(self, force: float, sample: Sample) -> float:
         """Return 1000 F/(M g) [N/kN]."""
-        return 1000.0 * force / (self.mass(sample) * G)
+        return specific_force(self._traction_ratio * force, self.mass(sample))
 
     def track(self, sample: Sample) -> float:
         """Return gradient and modelled extra resistance, mean since the previous sample [N/kN]."""

@@ -37,9 +37,16 @@ class Belief:
         theta, P = self.arrays()
         return Belief.of(theta, P + covariance)
 
+    def capped(self, most: NDArray[np.float64]) -> Belief:
+        """Return the belief with no variance above that of ``most``; correlations stay."""
+        theta, P = self.arrays()
+        shrink = np.sqrt(np.minimum(1.0, np.diag(most) / np.diag(P)))
+        return self if shrink.min() == 1.0 else Belief.of(theta, P * np.outer(shrink, shrink))
+
     def is_finite(self) -> bool:
-        """True unless a number went astray."""
-        return bool(np.isfinite(self.theta).all() and np.isfinite(self.P).all())
+        """True for three and nine finite numbers."""
+        sized = len(self.theta) == 3 and len(self.P) == 9
+        return sized and bool(np.isfinite(self.theta).all() and np.isfinite(self.P).all())
 
 
 def multi_innovation_step(belief: Belief, stack: Sequence[WindowResult], variances: Sequence[float]) -> Belief:

@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections import Counter
 from dataclasses import dataclass, field
 from enum import Enum
-from typing import TYPE_CHECKING, Final, Generic, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -37,8 +37,6 @@ if TYPE_CHECKING:
 
 EstimateT = TypeVar('EstimateT', bound=Estimate)
 
-_MISSING: Final = frozenset({Reason.FORCE_MISSING, Reason.GRADIENT_MISSING, Reason.BRAKE_COMMAND_MISSING})
-
 
 class TimeJumpPolicy(Enum):
     """What to do when the stamps jump back (a bag starts over, a clock is set)."""
@@ -64,7 +62,7 @@ class Output(Generic[EstimateT]):
         stamp_ns: Stamp of the newest sample used.
         estimate: What is believed now.
         status: Its health.
-        used: Samples used since the last reset.
+        used: Samples taken in by the estimator since the last reset.
         rejected: Records and samples not used since the last reset.
         last_refusal: The newest refusal, None if there was none.
 
@@ -100,7 +98,7 @@ class EstimatorPipeline(Generic[EstimateT]):
         self.last_refusal: Refusal | None = None
         self._speed = 0.0
         self._sample_ns = 0
-        self._complete_ns = 0
+        self._first_ns = 0
         self._status = Status.UNINITIALIZED
 
     def reset(self) -> None:
@@ -130,15 +128,38 @@ class EstimatorPipeline(Generic[EstimateT]):
                 self._count(event)
             else:
                 self._jump(event)
-        waited = self.newest_ns - self._complete_ns
-        if self._sample_ns and waited > self._stale_ns and self._status is not Status.STALE:
+        self._first_ns = self._first_ns or self.newest_ns
+        if self._inputs_missing() and self._status not in (Status.STALE, Status.FAULT):
             outputs.append(self.mark_stale())
         return outputs
 
+    def _inputs_missing(self) -> bool:
+        """True if a required topic is behind the others by too much, or has not begun in that time."""
+        reached_ns = self._aligner.complete_ns or self._first_ns
+        return self.newest_ns - reached_ns > self._stale_ns
+
     def mark_stale(self) -> Output[EstimateT]:
         """Tell that inputs are missing; the last estimate stands."""
-        self._status = Status.STALE if self._sample_ns else Status.UNINITIALIZED
+        self._status = Status.STALE
         return self.current()
+
+    def fail(self) -> Output[EstimateT]:
+        """Tell that the estimator cannot go on; holds until a reset."""
+        self._status = Status.FAULT
+        return self.current()
+
+    def save(self) -> str:
+        """Return the estimator's whole state as JSON text."""
+        return self.estimator.save()
+
+    def restore(self, text: str) -> None:
+        """Take over what an estimator had learned, possibly on another drive; InputError if it does not fit.
+
+        Records taken in before are forgotten, so the estimator begins anew with the train's motion.
+        """
+        self.estimator.restore(text)
+        self._aligner.reset()
+        self._first_ns = 0
 
     def current(self) -> Output[EstimateT]:
         """Return what is believed now, without a new sample."""
@@ -161,27 +182,27 @@ class EstimatorPipeline(Generic[EstimateT]):
             self.used += 1
         else:
             self._count(refusal)
-        if refusal is None or refusal.reason not in _MISSING:
-            self._complete_ns = sample.stamp_ns
-        self._status = self._judge(refusal, sample.stamp_ns)
+        self._status = self._judge(refusal)
         return self.current()
 
-    def _judge(self, refusal: Refusal | None, stamp_ns: int) -> Status:
-        if refusal is not None and refusal.reason is Reason.NUMERICAL:
+    def _judge(self, refusal: Refusal | None) -> Status:
+        if self._status is Status.FAULT:
             return Status.FAULT
-        if stamp_ns - self._complete_ns > self._stale_ns:
+        if self._inputs_missing():
             return Status.STALE
         if not self.estimator.converged:
             return Status.CONVERGING
         return Status.VALID if refusal is None else Status.HOLDING
 
     def _count(self, refusal: Refusal) -> None:
+        if refusal.reason is Reason.THINNED:  # nothing is wrong with a topic faster than the period
+            return
         self.rejections[refusal.reason] += 1
         self.last_refusal = refusal
 
     def _jump(self, jump: TimeJump) -> None:
         """Follow a jump of the stamps by the policy; the aligner has started over already."""
-        self._sample_ns = self._complete_ns = 0
+        self._first_ns = 0
         if jump.step_s < 0.0 and self.config.time_jump_policy is TimeJumpPolicy.RESET:
             self.estimator.reset()
             self._clear()

@@ -48,6 +48,8 @@ class WindowResult:
         force_rate: Mean rate of the known force, weighted as the slope weighs it [N/kN per s]; what a late force
             costs.
         duration: Time from the first to the last sample [s].
+        speed_min: Slowest speed in the window, outliers left out [m/s].
+        speed_max: Fastest speed in the window, outliers left out [m/s].
 
     """
 
@@ -57,6 +59,8 @@ class WindowResult:
     traction: float
     force_rate: float
     duration: float
+    speed_min: float
+    speed_max: float
 
 
 def observe_resistance(ticks: list[Tick], inertia: float, speed_std: float) -> WindowResult | Refusal:
@@ -86,7 +90,8 @@ def observe_resistance(ticks: list[Tick], inertia: float, speed_std: float) -> W
     slope = float(weights @ rest)
     # Share of each interval in the slope: a change of speed there moves all later speeds.
     share = dt * np.cumsum(weights[::-1])[::-1]
-    v0, v1 = _mended(time, speed, kept)[:-1], _mended(time, speed, kept)[1:]
+    mended = _mended(time, speed, kept)
+    v0, v1 = mended[:-1], mended[1:]
     phi = (
         float(share[1:].sum()),
         float(share[1:] @ (0.5 * (v0 + v1))),
@@ -95,7 +100,16 @@ def observe_resistance(ticks: list[Tick], inertia: float, speed_std: float) -> W
     traction = float(np.mean([abs(tick.traction) for tick in ticks[1:]]))
     force_rate = float(share[2:] @ (np.diff(force[1:]) / dt[2:]))
     noise_std = inertia * speed_std * float(np.sqrt(weights @ weights))
-    return WindowResult(-inertia * slope, phi, noise_std, traction, force_rate, float(time[-1]))
+    return WindowResult(
+        y=-inertia * slope,
+        phi=phi,
+        noise_std=noise_std,
+        traction=traction,
+        force_rate=force_rate,
+        duration=float(time[-1]),
+        speed_min=float(mended.min()),
+        speed_max=float(mended.max()),
+    )
 
 
 def overlap_factor(window: int, hop: int) -> float:

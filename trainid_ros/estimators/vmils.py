@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.core.codec import decode, encode
+from trainid_ros.core.codec import check_restored, decode, encode
 from trainid_ros.core.errors import InputError
 from trainid_ros.core.records import NS_PER_S
 from trainid_ros.core.results import Reason, Refusal, ResistanceEstimate
@@ -83,6 +83,7 @@ class VMilsState:
     ticks: tuple[Tick, ...] = ()
     fresh: int = 0
     disturbance_variance: float = 0.0
+    stamp_ns: int = 0
     updated_ns: int = 0
     braked_ns: int = 0
     cusum: Cusum = NO_STEP
@@ -133,7 +134,9 @@ class VMils:
 
     def restore(self, text: str) -> None:
         """Take over a saved state; InputError if it does not fit."""
-        self.state = decode(text, VMilsState)
+        state = decode(text, VMilsState)
+        check_restored(state.belief.is_finite() and state.before.is_finite(), 'VMilsState', 'belief')
+        self.state = state
         self._admission.braked_ns = self.state.braked_ns
 
     @property
@@ -145,17 +148,31 @@ class VMils:
         """Take one sample in; every ``hop`` good samples make one observation and one update."""
         if (refusal := self._admission.refuse(sample)) is not None:
             noise = self.state.noise.add(sample.speed, math.nan)
-            self.state = replace(self.state, ticks=(), fresh=0, noise=noise, braked_ns=self._admission.braked_ns)
+            self.state = replace(
+                self.state,
+                ticks=(),
+                fresh=0,
+                noise=noise,
+                stamp_ns=sample.stamp_ns,
+                braked_ns=self._admission.braked_ns,
+            )
+            self._judge()
             return refusal
         self._append(sample)
+        refusal = self._observe(sample)
+        self._judge()
+        return refusal or self.estimate(sample.speed)
+
+    def _observe(self, sample: Sample) -> Refusal | None:
+        """Make an observation of the window and learn from it, if one is due."""
         state = self.state
         if len(state.ticks) < self.config.window or state.fresh < self.config.hop:
-            return self.estimate(sample.speed)
+            return None
         self.state = replace(state, fresh=0)
         observed = observe_resistance(list(state.ticks), self._known.inertia, state.noise.std)
         if isinstance(observed, Refusal):
             return observed
-        return self._update(observed, sample) or self.estimate(sample.speed)
+        return self._update(observed, sample)
 
     def _append(self, sample: Sample) -> None:
         traction = self._known.traction(sample.force_mean, sample)
@@ -166,6 +183,7 @@ class VMils:
             ticks=ticks,
             fresh=self.state.fresh + 1,
             noise=self.state.noise.add(sample.speed, sample.dt),
+            stamp_ns=sample.stamp_ns,
             braked_ns=self._admission.braked_ns,
         )
 
@@ -183,7 +201,7 @@ class VMils:
     def _update(self, observed: WindowResult, sample: Sample) -> Refusal | None:
         """One step of V-MILS at t_s (section 4.2 in its prior form)."""
         state, config = self.state, self.config
-        belief = self._drifted(sample.stamp_ns)
+        belief = self._now()
         theta, P = belief.arrays()
         phi = np.array(observed.phi)
         nu = observed.y - float(phi @ theta)
@@ -211,13 +229,13 @@ class VMils:
             stack = (*state.stack, observed)[-config.innovation_length :]
             weights = [config.innovation_length * self._long_run_variance(item) for item in stack]
             updated = multi_innovation_step(belief, stack, weights)
-        return self._accept(updated, stack, sample)
+        return self._accept(updated, stack, observed)
 
-    def _accept(self, belief: Belief, stack: tuple[WindowResult, ...], sample: Sample) -> Refusal | None:
+    def _accept(self, belief: Belief, stack: tuple[WindowResult, ...], observed: WindowResult) -> Refusal | None:
         state = self.state
         if not belief.is_finite():
-            return Refusal(sample.stamp_ns, Reason.NUMERICAL, state.innovation, math.nan)
-        slow, fast = sorted((state.ticks[0].speed, sample.speed))
+            return Refusal(state.stamp_ns, Reason.NUMERICAL, state.innovation, math.nan)
+        slow, fast = observed.speed_min, observed.speed_max
         self.state = replace(
             state,
             belief=belief,
@@ -226,15 +244,15 @@ class VMils:
             speed_max=max(state.speed_max, fast),
             observations=state.observations + 1,
         )
-        self._judge()
         return None
 
-    def _drifted(self, now_ns: int) -> Belief:
-        """Random-walk drift of the parameters since the last update."""
-        if self.state.updated_ns == 0:
-            return self.state.belief
-        elapsed = max(0, now_ns - self.state.updated_ns) / NS_PER_S
-        return self.state.belief.widen(self._drift * elapsed)
+    def _now(self) -> Belief:
+        """Return the belief after the drift since the last update; never more doubt than at first."""
+        state = self.state
+        if state.updated_ns == 0 or state.stamp_ns <= state.updated_ns:
+            return state.belief
+        drifted = state.belief.widen(self._drift * ((state.stamp_ns - state.updated_ns) / NS_PER_S))
+        return drifted.capped(self._P0)
 
     def _watch(self, observed: WindowResult) -> None:
         """Remember what was believed, and all observed, since the innovations began to lean to one side."""
@@ -274,27 +292,29 @@ class VMils:
     def _judge(self) -> None:
         """Fit to use while w is known over the speeds seen (rms); hysteresis of one half."""
         state = self.state
-        speeds = (state.speed_min, 0.5 * (state.speed_min + state.speed_max), state.speed_max)
-        rms = math.hypot(*(self._resistance_std(v) for v in speeds)) / math.sqrt(len(speeds))
+        if not state.observations:
+            return
+        speeds = np.array([state.speed_min, 0.5 * (state.speed_min + state.speed_max), state.speed_max])
+        Phi = np.vander(speeds, 3, increasing=True)
+        _, P = self._now().arrays()
+        rms = math.sqrt(max(0.0, float(np.einsum('ij,jk,ik->', Phi, P, Phi)) / len(speeds)))
         limit = self.config.valid_std * (1.5 if state.converged else 1.0)
-        self.state = replace(state, converged=rms < limit)
-
-    def _resistance_std(self, speed: float) -> float:
-        phi = np.array([1.0, speed, speed * speed])
-        _, P = self.state.belief.arrays()
-        return math.sqrt(max(0.0, float(phi @ P @ phi)))
+        if state.converged is not (rms < limit):
+            self.state = replace(state, converged=rms < limit)
 
     def estimate(self, speed: float) -> ResistanceEstimate:
         """Return the parameters and the resistance at a speed [m/s]."""
-        state = self.state
-        a, b, c = state.belief.theta
+        state, belief = self.state, self._now()
+        a, b, c = belief.theta
+        phi = np.array([1.0, speed, speed * speed])
+        _, P = belief.arrays()
         return ResistanceEstimate(
             a=a,
             b=b,
             c=c,
-            covariance=state.belief.P,
+            covariance=belief.P,
             resistance=a + b * speed + c * speed * speed,
-            resistance_std=self._resistance_std(speed),
+            resistance_std=math.sqrt(max(0.0, float(phi @ P @ phi))),
             speed=speed,
             innovation=state.innovation,
             innovation_variance=state.innovation_variance,
