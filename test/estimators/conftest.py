@@ -47,6 +47,7 @@ def sample() -> Callable[..., Sample]:
             mass=math.nan,
             brake_command=0.0,
             brake_changes=(),
+            brake_gap=False,
             emergency=False,
         )
         return replace(plain, **fields)

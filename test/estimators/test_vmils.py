@@ -201,6 +201,7 @@ def garbage(seed: int, make: Make) -> list[Sample]:
                 mass=maybe(2e5, 1e3, 100.0, 1e9),
                 brake_command=math.nan if rng.random() < 0.03 else command,
                 brake_changes=changes,
+                brake_gap=bool(rng.random() < 0.02),
                 emergency=bool(rng.random() < 0.01),
             )
         )
