@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """What accuracy can be had: an exact Kalman filter of the brake rate, and least squares that knows of every change.
 
-Both use the settings of the estimators that they are a measure for, and nothing of their code but the physics.
+Both use the settings, the speed noise and the windows of the estimators that they are a measure for.
 """
 
 from __future__ import annotations
@@ -14,11 +14,11 @@ import numpy as np
 from trainid_ros.core.records import NS_PER_S
 from trainid_ros.core.results import Refusal
 from trainid_ros.estimators.admission import Admission
-from trainid_ros.estimators.brake_kinematics import BrakeStep, brake_step
 from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.estimators.prior import davis_prior
+from trainid_ros.estimators.speed_noise import SpeedNoise
 from trainid_ros.estimators.speed_window import Tick, WindowResult, observe_resistance, overlap_factor
-from trainid_ros.physics.brake import CommandHistory
+from trainid_ros.physics.brake import CommandHistory, lag_integral, lag_response
 from trainid_ros.physics.resistance import davis
 
 if TYPE_CHECKING:
@@ -53,6 +53,7 @@ class BrakeKalman:
         self._stamp_ns = 0
         self._target = 0.0
         self._refused = 0
+        self._noise = SpeedNoise.declared(config.speed_std)
         self.x = np.array([0.0, 0.0, 0.0, train_file.brake.rate])
         self.P = np.diag([0.0, 0.0, 0.0, config.prior_std**2])
 
@@ -60,41 +61,45 @@ class BrakeKalman:
         """Take one sample in."""
         for change in sample.brake_changes:
             self._commands = self._commands.push(change)
-        if self._stamp_ns == 0 or math.isnan(sample.dt):
-            elapsed = (sample.stamp_ns - self._stamp_ns) / NS_PER_S if self._stamp_ns else 0.0
-            self._stamp_ns = sample.stamp_ns
-            self._anchor(sample, elapsed)
+        self._noise = self._noise.add(sample.speed, sample.dt)
+        start_ns, self._stamp_ns = self._stamp_ns, sample.stamp_ns
+        if start_ns == 0:
+            self._anchor(sample, 0.0)
             return
-        motion = brake_step(self._commands, self._train_file.brake, self._stamp_ns, sample.stamp_ns)
-        self._target = motion.decay * self._target + motion.gain_a
-        self._stamp_ns = sample.stamp_ns
-        if sample.speed < self._config.min_speed:
-            self._anchor(sample, sample.dt)
+        Phi = self._transition(sample, start_ns)
+        self._target = float(Phi[1, 1]) * self._target + float(Phi[1, 3])
+        if math.isnan(sample.dt) or sample.speed < self._config.min_speed:
+            self._anchor(sample, (sample.stamp_ns - start_ns) / NS_PER_S)
             return
-        self._predict(sample, motion)
+        self._predict(sample, Phi)
         self._update(sample)
+
+    def _transition(self, sample: Sample, start_ns: int) -> NDArray[np.float64]:
+        """Return the transition of x since the last sample, shape (4, 4), exact for a piecewise-constant command."""
+        brake, dt = self._train_file.brake, (sample.stamp_ns - start_ns) / NS_PER_S
+        delay_ns, tau = round(brake.delay * NS_PER_S), brake.time_constant
+        a = v = 0.0
+        for duration, u in self._commands.segments(start_ns - delay_ns, sample.stamp_ns - delay_ns):
+            v += lag_integral(a, u, tau, duration)
+            a = lag_response(a, u, tau, duration)
+        Phi = np.eye(4)
+        Phi[0] = 1.0, lag_integral(1.0, 0.0, tau, dt), dt, v
+        Phi[1, 1], Phi[1, 3] = lag_response(1.0, 0.0, tau, dt), a
+        Phi[2, 2] = math.exp(-sample.speed * dt / self._config.disturbance_length)
+        return Phi
 
     def _anchor(self, sample: Sample, elapsed: float) -> None:
         """Start v, a and b anew; f stands, its variance grows."""
         config, target = self._config, self._target
         f, variance = self.x[3], self.P[3, 3] + config.drift**2 * elapsed
         self.x = np.array([sample.speed, f * target, 0.0, f])
-        self.P = np.diag([config.speed_std**2, _ANCHOR_STD_A**2, config.disturbance_std**2, 0.0])
+        self.P = np.diag([self._noise.variance, _ANCHOR_STD_A**2, config.disturbance_std**2, 0.0])
         column = np.array([0.0, target, 0.0, 1.0])
         self.P += variance * np.outer(column, column)
         self._refused = 0
 
-    def _predict(self, sample: Sample, motion: BrakeStep) -> None:
-        config, dt = self._config, sample.dt
-        rho = math.exp(-sample.speed * dt / config.disturbance_length)
-        Phi = np.array(
-            [
-                [1.0, motion.reach, dt, motion.gain_v],
-                [0.0, motion.decay, 0.0, motion.gain_a],
-                [0.0, 0.0, rho, 0.0],
-                [0.0, 0.0, 0.0, 1.0],
-            ]
-        )
+    def _predict(self, sample: Sample, Phi: NDArray[np.float64]) -> None:
+        config, dt, rho = self._config, sample.dt, float(Phi[2, 2])
         traction = self._known.traction(max(sample.force_mean, 0.0), sample)
         slack = config.force_error * traction / self._known.inertia
         white = (config.acceleration_noise**2 + slack**2) * dt
@@ -108,7 +113,7 @@ class BrakeKalman:
 
     def _update(self, sample: Sample) -> None:
         config = self._config
-        S = self.P[0, 0] + config.speed_std**2
+        S = self.P[0, 0] + self._noise.variance
         nu = sample.speed - self.x[0]
         if abs(nu) > config.gate * math.sqrt(S):
             self._refused += 1
@@ -120,7 +125,7 @@ class BrakeKalman:
         A = np.eye(4)
         A[:, 0] -= K
         self.x = self.x + nu * K
-        self.P = A @ self.P @ A.T + config.speed_std**2 * np.outer(K, K)
+        self.P = A @ self.P @ A.T + self._noise.variance * np.outer(K, K)
 
 
 class ResistanceOracle:
@@ -147,6 +152,7 @@ class ResistanceOracle:
         self._ticks: list[Tick] = []
         self._fresh = 0
         self._since_ns = 0
+        self._noise = SpeedNoise.declared(config.speed_std)
         self._begin()
 
     def _begin(self) -> None:
@@ -165,7 +171,9 @@ class ResistanceOracle:
             self._begin()
         if self._admission.refuse(sample) is not None:
             self._ticks, self._fresh = [], 0
+            self._noise = self._noise.add(sample.speed, math.nan)
             return
+        self._noise = self._noise.add(sample.speed, sample.dt)
         traction = self._known.traction(sample.force_mean, sample)
         known = traction - self._known.track(sample)
         self._ticks.append(Tick(sample.stamp_ns, sample.dt, sample.speed, known, traction))
@@ -173,7 +181,7 @@ class ResistanceOracle:
         if len(self._ticks) < self._config.window or self._fresh < self._config.hop:
             return
         self._fresh = 0
-        observed, _ = observe_resistance(self._ticks, self._known.inertia, self._config.speed_std)
+        observed = observe_resistance(self._ticks, self._known.inertia, self._noise.std)
         if not isinstance(observed, Refusal) and self._ticks[0].stamp_ns >= self._since_ns:
             self._add(observed)
 

@@ -81,6 +81,8 @@ def read_memory() -> tuple[Reading, ...]:
             pipeline.push(record)
         if record.stamp_ns - start_ns >= due[0] * _SECONDS_PER_HOUR * NS_PER_S:
             readings.append(_read(due.pop(0), pipelines))
+            # Told at once: the last reading takes minutes, and a run that is broken off has shown the others.
+            print(readings[-1], flush=True)
             if not due:
                 break
     return tuple(readings)

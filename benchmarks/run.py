@@ -10,6 +10,7 @@ from __future__ import annotations
 import argparse
 import os
 import platform
+import subprocess
 import sys
 from importlib import import_module
 from importlib.metadata import version
@@ -68,7 +69,14 @@ def _run(name: str, out: Path) -> None:
 def _circumstances(load_before: float) -> str:
     python, libraries = platform.python_version(), ', '.join(f'{name} {version(name)}' for name in ('numpy', 'scipy'))
     load = f'load {load_before:.1f} before and {os.getloadavg()[0]:.1f} after'
-    return f'Python {python}, {libraries}; {os.cpu_count()} cores, {load}.'
+    return f'Revision {_revision()}; Python {python}, {libraries}; {os.cpu_count()} cores, {load}.'
+
+
+def _revision() -> str:
+    """Return the revision measured; "-dirty" if files had been changed since."""
+    command = ('git', 'describe', '--always', '--dirty')
+    answer = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False)
+    return answer.stdout.strip() or 'unknown'
 
 
 def _store(out: Path, name: str, section: str) -> None:
