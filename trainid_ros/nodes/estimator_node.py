@@ -18,7 +18,7 @@ from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 
-from trainid_ros.core.errors import InputError
+from trainid_ros.core.errors import InputError, TrainIdError
 from trainid_ros.core.records import (
     BRAKE_TOPIC,
     FORCE_TOPIC,
@@ -27,6 +27,7 @@ from trainid_ros.core.records import (
     NS_PER_S,
     SPEED_TOPIC,
     InputTopic,
+    Record,
 )
 from trainid_ros.core.results import Status
 from trainid_ros.estimators.pipeline import EstimatorPipeline, EstimatorSettings, TimeJumpPolicy
@@ -61,6 +62,8 @@ if TYPE_CHECKING:
     from trainid_ros.physics.train_file import TrainFile
 
 _FIRST_WATCH_S: Final = 0.1
+# States that say all there is to say of silence.
+_TOLD: Final = (Status.STALE, Status.FAULT)
 _SUCCESS: Final = TransitionCallbackReturn.SUCCESS
 
 
@@ -286,7 +289,7 @@ class EstimatorNode(ManagedNode):
             return
         self._follow_jump(pipeline)
         resets, start = pipeline.resets, time.perf_counter()
-        outputs = pipeline.push(record)
+        outputs = self._push(pipeline, record)
         if outputs:
             self._step_times.add(time.perf_counter() - start)
         for output in outputs:
@@ -294,6 +297,15 @@ class EstimatorNode(ManagedNode):
         if pipeline.resets != resets:
             self.get_logger().warning('stamps jumped back: estimator reset (time_jump_policy)')
         self.watchdog.saw(pipeline.newest_ns, now_ns, self._steady_ns())
+
+    def _push(self, pipeline: EstimatorPipeline[Any], record: Record) -> list[Any]:
+        """Hand a record on; an estimator that cannot go on is a FAULT, not the end of the process."""
+        try:
+            return pipeline.push(record)
+        except TrainIdError as error:
+            if pipeline.status is not Status.FAULT:
+                self.get_logger().error(f'{self.spec.estimator} cannot go on until it is reset: {error}')
+            return [pipeline.fail()]
 
     def _publish(self, output: Any) -> None:
         message = fill_estimate(self.spec.message(), output)
@@ -307,10 +319,8 @@ class EstimatorNode(ManagedNode):
             return
         intake.drain()
         self._follow_jump(pipeline)
-        if self.watchdog.is_silent(self._now_ns(), self._steady_ns()) and pipeline.status is not Status.STALE:
-            output = pipeline.mark_stale()
-            if output.stamp_ns:
-                self._publish(output)
+        if self.watchdog.is_silent(self._now_ns(), self._steady_ns()) and pipeline.status not in _TOLD:
+            self._publish(pipeline.mark_stale())
         simulated = self.get_clock().ros_time_is_active
         self._watchdog_timer.timer_period_ns = self.watchdog.pause_ns(self._steady_ns(), simulated=simulated)
         self._watchdog_timer.reset()

@@ -50,7 +50,7 @@ class EstimatorServices:
         """Write the estimator's state to the checkpoint file."""
         node = self._node
         path, stamp_ns = self._path(), pipeline.current().stamp_ns
-        state, now_ns = pipeline.estimator.save(), int(node.get_clock().now().nanoseconds)
+        state, now_ns = pipeline.save(), int(node.get_clock().now().nanoseconds)
         write_checkpoint(path, Checkpoint(__version__, node.spec.estimator, now_ns, stamp_ns, state))
         return f'saved {node.spec.estimator} to {path}'
 
@@ -58,7 +58,7 @@ class EstimatorServices:
         """Take the estimator's state from the checkpoint file."""
         path, estimator = self._path(), self._node.spec.estimator
         checkpoint = read_checkpoint(path, estimator)
-        pipeline.estimator.restore(checkpoint.state)
+        pipeline.restore(checkpoint.state)
         return f'loaded {estimator} from {path} (version {checkpoint.version})'
 
     def _path(self) -> Path:
