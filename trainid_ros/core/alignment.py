@@ -103,7 +103,8 @@ class Aligner:
         self.config = config
         self._refuse_jump_back = refuse_jump_back
         self._max_gap_ns = round(config.max_gap * NS_PER_S)
-        self._patience_ns = self._max_gap_ns + round(config.max_lag * NS_PER_S)
+        self._lag_ns = round(config.max_lag * NS_PER_S)
+        self._patience_ns = self._max_gap_ns + self._lag_ns
         self._max_jump_ns = round(config.max_jump * NS_PER_S)
         self._max_jump_back_ns = round(config.max_jump_back * NS_PER_S)
         self._command_gap_ns = round(config.command_gap * NS_PER_S)
@@ -252,7 +253,7 @@ class Aligner:
             gradient_mean=self._mean(self._gradient, start, now),
             curve_radius=1.0 / curvature if curvature > 0.0 else 0.0,
             tunnel=tunnel,
-            mass=self._latest_mass(now),
+            mass=self._latest_mass(now - self._lag_ns),
             brake_command=command,
             brake_changes=changes,
             brake_gap=missed,
@@ -345,8 +346,9 @@ class Aligner:
             return math.nan, False
         return latest.target_acceleration, latest.emergency
 
-    def _latest_mass(self, now_ns: int) -> float:
-        end = bisect_right(self._mass.stamps, now_ns)
+    def _latest_mass(self, at_ns: int) -> float:
+        """Return the mass at a stamp that even a lagging mass has reached: samples do not wait for it."""
+        end = bisect_right(self._mass.stamps, at_ns)
         latest = self._mass.records[end - 1] if end else None
         return latest.mass if isinstance(latest, MassRecord) else math.nan
 

@@ -55,6 +55,9 @@ def check_restored(fine: bool, kind: str, what: str) -> None:
 
 def _build(data: Any, kind: Any, name: str) -> Any:
     if is_dataclass(kind):
+        if not isinstance(data, dict):
+            msg = f'{name} = {data!r} is no {kind}'
+            raise InputError(msg)
         hints = typing.get_type_hints(kind)
         if set(data) != {item.name for item in fields(kind)}:
             msg = f'{name} has other fields than this version: {sorted(data)}'
@@ -66,6 +69,9 @@ def _build(data: Any, kind: Any, name: str) -> Any:
     if origin is np.ndarray:
         return np.array(data, dtype=float)
     if origin is tuple:
+        if not isinstance(data, list):
+            msg = f'{name} = {data!r} is no list'
+            raise InputError(msg)
         return tuple(_build(item, typing.get_args(kind)[0], name) for item in data)
     if not isinstance(data, (int, float)) if kind is float else type(data) is not kind:
         msg = f'{name} = {data!r} is no {kind.__name__}'

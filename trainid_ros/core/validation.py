@@ -22,6 +22,8 @@ def find_fault(record: Record) -> Refusal | None:
     """Return why a record cannot be used, or None if it can."""
     if record.stamp_ns <= 0:
         return Refusal(record.stamp_ns, Reason.ZERO_STAMP, record.stamp_ns * 1e-9, 0.0)
+    if isinstance(record, SpeedRecord) and math.isinf(record.position):
+        return Refusal(record.stamp_ns, Reason.NOT_FINITE, record.position, math.nan)
     for value, limits in _checked(record):
         if not math.isfinite(value):
             return Refusal(record.stamp_ns, Reason.NOT_FINITE, value, math.nan)

@@ -98,6 +98,7 @@ class AmVffRls:
         c = 1.0 / self._known.inertia
         self._theta0 = to_speed_model((davis.a, davis.b, davis.c), c)
         self._P0 = self._prior((davis.a, davis.b, davis.c), c)
+        self._P0_inverse = np.linalg.inv(self._P0)
         self.reset()
 
     def _prior(self, davis: tuple[float, float, float], c: float) -> NDArray[np.float64]:
@@ -182,7 +183,7 @@ class AmVffRls:
 
     def _forgetting(self, eps: float, g: float, P: NDArray[np.float64]) -> float:
         """Eq. (6), clamped; no forgetting once P is as wide as the prior (it would only wind up)."""
-        if float(np.trace(np.linalg.solve(self._P0, P))) > len(P):
+        if float(np.sum(self._P0_inverse * P)) > len(P):
             return 1.0
         sigma = self.config.forgetting_scale * self.config.speed_std**2
         return max(self.config.min_forgetting, 1.0 - eps * eps / (sigma * (1.0 + g)))

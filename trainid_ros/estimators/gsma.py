@@ -49,7 +49,6 @@ _LARGEST_RATE: Final = 3.0  # times the believed one
 # The brake is known again this many time constants after its command is.
 _SETTLING: Final = 6.0
 _POSITION_GAIN: Final = 0.1
-_P_SIZE: Final = 9
 # Doubt about the brake's acceleration where the train state starts anew [m/s^2].
 _ANCHOR_BRAKE_STD: Final = 0.05
 _ANCHORING: Final = frozenset({Reason.GAP, Reason.STANDSTILL, Reason.BRAKE_COMMAND_MISSING, Reason.BRAKE_UNCERTAIN})
@@ -150,14 +149,15 @@ class Gsma:
             msg = f'saved GsmaState has {len(state.f)} particles, not {self.config.particles}'
             raise InputError(msg)
         finite = all(bool(np.isfinite(item).all()) for item in (state.f, state.x, state.P))
-        sized = len(state.log_weights) == len(state.f) == len(state.x.reshape(-1, 3)) and state.P.size == _P_SIZE
+        N = len(state.f)
+        sized = (state.log_weights.shape, state.x.shape, state.P.shape) == ((N,), (N, 3), (3, 3))
         check_restored(finite and sized, 'GsmaState', 'f, x or P')
         try:
             self._rng.bit_generator.state = json.loads(state.random)
         except (ValueError, TypeError, KeyError) as error:
             msg = f'saved GsmaState: random cannot be read: {error}'
             raise InputError(msg) from None
-        self.state = replace(state, x=state.x.reshape(-1, 3), P=state.P.reshape(3, 3), random='')
+        self.state = replace(state, random='')
 
     @property
     def converged(self) -> bool:

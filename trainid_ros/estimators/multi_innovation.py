@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -37,11 +38,27 @@ class Belief:
         theta, P = self.arrays()
         return Belief.of(theta, P + covariance)
 
-    def capped(self, most: NDArray[np.float64]) -> Belief:
-        """Return the belief with no variance above that of ``most``; correlations stay."""
-        theta, P = self.arrays()
-        shrink = np.sqrt(np.minimum(1.0, np.diag(most) / np.diag(P)))
-        return self if shrink.min() == 1.0 else Belief.of(theta, P * np.outer(shrink, shrink))
+    def drifted(self, rates: tuple[float, float, float], elapsed_s: float, most: tuple[float, float, float]) -> Belief:
+        """Return the belief after a random walk of the parameters.
+
+        Args:
+            rates: Growth of the three variances per second.
+            elapsed_s: Time passed [s].
+            most: Variances that doubt does not exceed; where it would, correlations stay.
+
+        """
+        P = list(self.P)
+        for i in range(3):
+            P[4 * i] += rates[i] * elapsed_s
+        if all(P[4 * i] <= most[i] for i in range(3)):
+            return Belief(self.theta, tuple(P))
+        shrink = [min(1.0, math.sqrt(most[i] / P[4 * i])) for i in range(3)]
+        return Belief(self.theta, tuple(P[k] * shrink[k // 3] * shrink[k % 3] for k in range(9)))
+
+    def resistance_variance(self, v: float) -> float:
+        """Return phi' P phi, the variance of w(v) [(N/kN)^2] at a speed [m/s]; floats are fastest for 3x3."""
+        P = self.P
+        return max(0.0, P[0] + v * (2.0 * P[1] + v * (2.0 * P[2] + P[4] + v * (2.0 * P[5] + v * P[8]))))
 
     def is_finite(self) -> bool:
         """True for three and nine finite numbers."""

@@ -112,7 +112,10 @@ class VMils:
         self._theta0 = (davis.a, davis.b, davis.c)
         floors = (config.prior_std_a, config.prior_std_b, config.prior_std_c)
         self._P0 = davis_prior(self._theta0, config.prior_share, floors)
-        self._drift = config.drift_share**2 * self._P0 / _SECONDS_PER_HOUR
+        a, b, c = (float(variance) for variance in np.diag(self._P0))
+        self._most_doubt = (a, b, c)
+        growth = config.drift_share**2 / _SECONDS_PER_HOUR
+        self._drift_rates = (growth * a, growth * b, growth * c)
         self._step = config.step_share**2 * self._P0
         self._overlap = overlap_factor(config.window, config.hop)
         self.reset()
@@ -251,8 +254,8 @@ class VMils:
         state = self.state
         if state.updated_ns == 0 or state.stamp_ns <= state.updated_ns:
             return state.belief
-        drifted = state.belief.widen(self._drift * ((state.stamp_ns - state.updated_ns) / NS_PER_S))
-        return drifted.capped(self._P0)
+        elapsed_s = (state.stamp_ns - state.updated_ns) / NS_PER_S
+        return state.belief.drifted(self._drift_rates, elapsed_s, self._most_doubt)
 
     def _watch(self, observed: WindowResult) -> None:
         """Remember what was believed, and all observed, since the innovations began to lean to one side."""
@@ -294,10 +297,9 @@ class VMils:
         state = self.state
         if not state.observations:
             return
-        speeds = np.array([state.speed_min, 0.5 * (state.speed_min + state.speed_max), state.speed_max])
-        Phi = np.vander(speeds, 3, increasing=True)
-        _, P = self._now().arrays()
-        rms = math.sqrt(max(0.0, float(np.einsum('ij,jk,ik->', Phi, P, Phi)) / len(speeds)))
+        speeds = (state.speed_min, 0.5 * (state.speed_min + state.speed_max), state.speed_max)
+        belief = self._now()
+        rms = math.sqrt(sum(belief.resistance_variance(v) for v in speeds) / len(speeds))
         limit = self.config.valid_std * (1.5 if state.converged else 1.0)
         if state.converged is not (rms < limit):
             self.state = replace(state, converged=rms < limit)
@@ -306,15 +308,13 @@ class VMils:
         """Return the parameters and the resistance at a speed [m/s]."""
         state, belief = self.state, self._now()
         a, b, c = belief.theta
-        phi = np.array([1.0, speed, speed * speed])
-        _, P = belief.arrays()
         return ResistanceEstimate(
             a=a,
             b=b,
             c=c,
             covariance=belief.P,
             resistance=a + b * speed + c * speed * speed,
-            resistance_std=math.sqrt(max(0.0, float(phi @ P @ phi))),
+            resistance_std=math.sqrt(belief.resistance_variance(speed)),
             speed=speed,
             innovation=state.innovation,
             innovation_variance=state.innovation_variance,
