@@ -1,19 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A train whose motion is known exactly: samples for the estimators without aligner or simulator."""
+"""A train whose motion is known exactly: samples without aligner or simulator. And two runs of the shipped day."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from trainid_ros.core.records import NS_PER_S
+from trainid_ros.core.records import NS_PER_S, Record
 from trainid_ros.core.samples import BrakeCommandChange, Sample
-from trainid_ros.physics.train_file import Brake, Davis, Train, TrainFile
+from trainid_ros.physics.train_file import Brake, Davis, Train, TrainFile, load_train_file
+from trainid_ros.simulation.scenario import simulate
+from trainid_ros.simulation.yizhuang_day import yizhuang_day
 
 START = 1_700_000_000 * NS_PER_S
 MASS, GAMMA, G = 200e3, 0.08, 9.80665
@@ -25,6 +28,18 @@ GRADIENT = 6.0
 @pytest.fixture(scope='session')
 def train_file() -> TrainFile:
     return TrainFile(Train(MASS, GAMMA, 100.0), Davis(1.5, 0.03, 0.004), Brake(1.0, 0.4, 0.6))
+
+
+@pytest.fixture(scope='session')
+def metro() -> TrainFile:
+    """Return the train file of the shipped day."""
+    return load_train_file(Path(__file__).parents[2] / 'config' / 'trains' / 'yizhuang.yaml')
+
+
+@pytest.fixture(scope='session')
+def day(metro: TrainFile) -> tuple[Record, ...]:
+    """Return the records of two runs of the shipped day: seven minutes, as long as the bag ``tiny``."""
+    return simulate(yizhuang_day(metro, runs=2), np.random.default_rng(2015)).records
 
 
 @pytest.fixture(scope='session')

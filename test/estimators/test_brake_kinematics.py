@@ -45,7 +45,7 @@ def test_it_equals_fine_integration(seed: int) -> None:
     commands, brake = history(rng), Brake(1.0, 0.4, 0.63)
     start = START + 1_000_000_000 + int(rng.integers(0, 10**6)) * 1000
     initial, rate = -0.35, 0.8
-    step = brake_step(commands, brake, start, start + 700_000_000)
+    step = brake_step(commands, brake, start, start + 700_000_000, initial)
     a, v = integrate(commands, brake, start, start + 700_000_000, initial, rate)
     # A change of command inside a step of 0.1 ms moves a by some 1e-4 / 0.4 of its size at most.
     assert step.decay * initial + rate * step.gain_a == pytest.approx(a, abs=5e-4)
@@ -56,7 +56,7 @@ def test_two_intervals_make_one() -> None:
     commands, brake = history(np.random.default_rng(9)), Brake(1.0, 0.4, 0.6)
     edges = [START + 1_000_000_000, START + 1_313_131_313, START + 2_000_000_001]
     first, second, whole = (
-        brake_step(commands, brake, a, b) for a, b in ((edges[0], edges[1]), (edges[1], edges[2]), (edges[0], edges[2]))
+        brake_step(commands, brake, edges[i], edges[k], 0.0) for i, k in ((0, 1), (1, 2), (0, 2))
     )
     a0, f = -0.2, 0.9
     a1 = first.decay * a0 + f * first.gain_a
@@ -69,14 +69,15 @@ def test_two_intervals_make_one() -> None:
 def test_the_dead_time_is_exact() -> None:
     commands = CommandHistory((BrakeCommandChange(START, -1.0),))
     brake = Brake(1.0, 0.4, 0.6)
-    before = brake_step(commands, brake, START, START + 600_000_000)
+    before = brake_step(commands, brake, START, START + 600_000_000, 0.0)
     assert (before.gain_a, before.gain_v) == (0.0, 0.0)
-    after = brake_step(commands, brake, START, START + 1_000_000_000)
+    after = brake_step(commands, brake, START, START + 1_000_000_000, -0.5)
     assert after.gain_a == pytest.approx(np.exp(-1.0) - 1.0, rel=1e-12)
+    assert after.end_target == pytest.approx(-0.5 * np.exp(-2.5) + after.gain_a, rel=1e-12)
     assert after.gain_v == pytest.approx(-(0.4 - 0.4 * (1.0 - np.exp(-1.0))), rel=1e-12)
 
 
 def test_a_brake_without_lag_follows_at_once() -> None:
     commands = CommandHistory((BrakeCommandChange(START, -1.0),))
-    step = brake_step(commands, Brake(1.0, 0.0, 0.0), START, START + NS_PER_S // 2)
+    step = brake_step(commands, Brake(1.0, 0.0, 0.0), START, START + NS_PER_S // 2, -0.7)
     assert (step.decay, step.reach, step.gain_a, step.gain_v) == (0.0, 0.0, -1.0, -0.5)

@@ -20,7 +20,7 @@ def observations(count: int, seed: int) -> list[WindowResult]:
     for v in rng.uniform(2.0, 22.0, count).tolist():
         std = float(rng.uniform(0.2, 1.0))
         y = 1.7 + 0.02 * v + 0.008 * v * v + std * float(rng.standard_normal())
-        out.append(WindowResult(y, (1.0, v, v * v), std, 0.0, 0.0, 4.8))
+        out.append(WindowResult(y, (1.0, v, v * v), std, 0.0, 0.0, 4.8, speed_min=v, speed_max=v))
     return out
 
 
@@ -81,7 +81,7 @@ def test_one_innovation_is_recursive_least_squares() -> None:
 
 
 def test_covariance_stays_symmetric_and_positive_over_many_equal_observations() -> None:
-    item = WindowResult(3.0, (1.0, 15.0, 225.0), 0.1, 0.0, 0.0, 4.8)
+    item = WindowResult(3.0, (1.0, 15.0, 225.0), 0.1, 0.0, 0.0, 4.8, speed_min=15.0, speed_max=15.0)
     belief = Belief.of(np.zeros(3), np.diag([1e6, 1e6, 1e6]))
     for _ in range(3000):
         belief = multi_innovation_step(belief, (item,) * 4, (0.04,) * 4)
@@ -99,3 +99,11 @@ def test_a_belief_widens_and_tells_when_it_is_lost() -> None:
     assert belief.is_finite()
     assert not Belief.of(np.array([1.0, np.nan, 3.0]), np.eye(3)).is_finite()
     assert not Belief.of(np.zeros(3), np.full((3, 3), np.inf)).is_finite()
+
+
+def test_a_cap_takes_doubt_away_and_keeps_the_correlations() -> None:
+    P = np.array([[4.0, 1.0, 0.0], [1.0, 1.0, 0.2], [0.0, 0.2, 0.5]])
+    capped = Belief.of(np.zeros(3), P).capped(np.diag([1.0, 2.0, 0.5])).arrays()[1]
+    assert np.diag(capped).tolist() == pytest.approx([1.0, 1.0, 0.5])
+    assert capped[0, 1] / np.sqrt(capped[0, 0] * capped[1, 1]) == pytest.approx(0.5)
+    assert np.min(np.linalg.eigvalsh(capped)) > 0.0
