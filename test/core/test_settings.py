@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import pytest
 
@@ -69,4 +70,5 @@ def test_every_limit_of_every_setting_is_enforced(config: Config) -> None:
             continue
         for bad in (info.low - 1.0, info.high + 1.0):
             with pytest.raises(InputError, match=item.name):
-                check_settings(replace(config, **{item.name: bad}))
+                changes: Any = {item.name: bad}
+                check_settings(replace(config, **changes))

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import pytest
 
@@ -53,7 +54,8 @@ def test_a_record_without_a_stamp_is_refused(record: Record, stamp_ns: int) -> N
 def test_what_is_not_finite_is_refused(record: Record, value: float) -> None:
     name = ('speed', 'force', 'gradient', 'target_acceleration', 'mass')
     field = next(key for key in name if hasattr(record, key))
-    fault = find_fault(replace(record, **{field: value}))
+    changes: Any = {field: value}
+    fault = find_fault(replace(record, **changes))
     assert fault is not None
     assert fault.reason is Reason.NOT_FINITE
 

@@ -25,7 +25,7 @@ def history(rng: np.random.Generator) -> CommandHistory:
 
 
 def integrate(
-    commands: CommandHistory, brake: Brake, start_ns: int, end_ns: int, initial: float, rate: float
+    commands: CommandHistory, brake: Brake, start_ns: int, end_ns: int, *, initial: float, rate: float
 ) -> tuple[float, float]:
     """Midpoint rule in steps of 0.1 ms: (a at the end, gain of v)."""
     step = 100_000
@@ -46,7 +46,7 @@ def test_it_equals_fine_integration(seed: int) -> None:
     start = START + 1_000_000_000 + int(rng.integers(0, 10**6)) * 1000
     initial, rate = -0.35, 0.8
     step = brake_step(commands, brake, start, start + 700_000_000, initial)
-    a, v = integrate(commands, brake, start, start + 700_000_000, initial, rate)
+    a, v = integrate(commands, brake, start, start + 700_000_000, initial=initial, rate=rate)
     # A change of command inside a step of 0.1 ms moves a by some 1e-4 / 0.4 of its size at most.
     assert step.decay * initial + rate * step.gain_a == pytest.approx(a, abs=5e-4)
     assert step.reach * initial + rate * step.gain_v == pytest.approx(v, abs=5e-4)

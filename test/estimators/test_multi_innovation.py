@@ -99,11 +99,3 @@ def test_a_belief_widens_and_tells_when_it_is_lost() -> None:
     assert belief.is_finite()
     assert not Belief.of(np.array([1.0, np.nan, 3.0]), np.eye(3)).is_finite()
     assert not Belief.of(np.zeros(3), np.full((3, 3), np.inf)).is_finite()
-
-
-def test_a_cap_takes_doubt_away_and_keeps_the_correlations() -> None:
-    P = np.array([[4.0, 1.0, 0.0], [1.0, 1.0, 0.2], [0.0, 0.2, 0.5]])
-    capped = Belief.of(np.zeros(3), P).capped(np.diag([1.0, 2.0, 0.5])).arrays()[1]
-    assert np.diag(capped).tolist() == pytest.approx([1.0, 1.0, 0.5])
-    assert capped[0, 1] / np.sqrt(capped[0, 0] * capped[1, 1]) == pytest.approx(0.5)
-    assert np.min(np.linalg.eigvalsh(capped)) > 0.0

@@ -111,9 +111,9 @@ def test_its_noise_is_what_it_says_and_it_has_no_bias() -> None:
 def test_the_force_rate_is_what_a_late_force_costs() -> None:
     """Delay the force by a short time d: the resistance appears to change by -d times its mean rate."""
     d, dt = 0.05, 0.2
-    t = dt * np.arange(30)
+    t: NDArray[np.float64] = dt * np.arange(30, dtype=np.float64)
     force = 20.0 + 8.0 * t  # mean over the step that ends at t
-    late = 20.0 + 8.0 * (t - d)
+    late: NDArray[np.float64] = 20.0 + 8.0 * (t - d)
 
     def ticks(known: NDArray[np.float64]) -> list[Tick]:
         v = 15.0 + np.cumsum(np.where(t > 0.0, (force - 2.0) * dt / INERTIA, 0.0))

@@ -201,8 +201,10 @@ class Aligner:
             track = self._mass
         if not track.insert(record):
             return Refusal(stamp, Reason.DUPLICATE, stamp / NS_PER_S, 0.0)
-        if stamp <= self._released_ns:
-            return Refusal(stamp, Reason.LATE, (stamp - self._released_ns) / NS_PER_S, 0.0)
+        # Samples do not wait for the mass, but reach back for it.
+        limit_ns = self._released_ns - (self._lag_ns if track is self._mass else 0)
+        if stamp <= limit_ns:
+            return Refusal(stamp, Reason.LATE, (stamp - limit_ns) / NS_PER_S, 0.0)
         return None
 
     def _store_speed(self, record: SpeedRecord) -> Refusal | None:
