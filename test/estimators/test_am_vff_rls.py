@@ -42,7 +42,7 @@ def braked_to_stops(t: float) -> float:
 
 
 def literal(
-    y: list[float], u: list[float], theta: Array, P: Array, sigma: float, low: float
+    y: list[float], u: list[float], theta: Array, P: Array, *, sigma: float, low: float
 ) -> tuple[Array, Array, list[float]]:
     """Algorithm (7) of Yuan et al. with the error of theta(n-1), the auxiliary output of theta(n), lambda clamped.
 
@@ -75,7 +75,7 @@ def test_without_kappa_at_the_nominal_step_it_is_the_algorithm_of_the_paper(
     y = [item.speed for item in samples]
     u = [1000.0 * item.force_mean / (200e3 * 9.80665) - 6.0 for item in samples]
     sigma = config.forgetting_scale * config.speed_std**2
-    theta, P, factors = literal(y, u, theta0, P0, sigma, config.min_forgetting)
+    theta, P, factors = literal(y, u, theta0, P0, sigma=sigma, low=config.min_forgetting)
     assert min(factors) < 0.99
     assert sum(factor < 1.0 for factor in factors) > 20
     found_P = np.array(estimator.state.P).reshape(4, 4)
@@ -171,7 +171,7 @@ def test_it_finds_resistance_and_mass(train_file: TrainFile, journey: Journey) -
 def test_no_line_is_lost_with_missing_samples_and_outliers(train_file: TrainFile, journey: Journey) -> None:
     """10 % of the samples missing, 5 % outliers of some m/s: the speed predicted is still right."""
     worst = 0.0
-    for seed in range(12):
+    for seed in range(8):
         rng = np.random.default_rng([seed, 1])
         estimator, errors, dt = AmVffRls(train_file, CONFIG), [], math.nan
         clean = journey(210.0, traction=saw_tooth, speed=8.0, noise=0.0)
@@ -228,14 +228,14 @@ def test_long_holding_of_one_speed_does_not_wind_up(train_file: TrainFile, sampl
     estimator = AmVffRls(train_file, CONFIG)
     first = float(np.trace(np.array(estimator.state.P).reshape(4, 4)))
     rng = np.random.default_rng(1)
-    for i in range(8_000):
+    for i in range(6_000):
         estimator.step(sample(i, gradient_mean=-2.85, speed=15.0 + 0.1 * float(rng.standard_normal())))
     # At most as wide as the prior but for one step of forgetting.
     ratio = np.trace(np.array(estimator.state.P).reshape(4, 4)) / first
     assert ratio < 4.0 / CONFIG.min_forgetting
 
 
-@settings(max_examples=40, deadline=None, phases=(Phase.explicit, Phase.reuse, Phase.generate))
+@settings(max_examples=20, deadline=None, phases=(Phase.explicit, Phase.reuse, Phase.generate))
 @given(st.integers(0, 2**32 - 1))
 def test_no_input_makes_it_lose_itself(train_file: TrainFile, sample: Make, seed: int) -> None:
     rng = np.random.default_rng(seed)

@@ -348,7 +348,7 @@ def test_converged_has_hysteresis(train_file: TrainFile, journey: Journey) -> No
     assert stds[1] == pytest.approx(2.0 * CONFIG.valid_std, rel=0.01)
 
 
-@settings(max_examples=40, deadline=None, phases=(Phase.explicit, Phase.reuse, Phase.generate))
+@settings(max_examples=20, deadline=None, phases=(Phase.explicit, Phase.reuse, Phase.generate))
 @given(st.integers(0, 2**32 - 1))
 def test_no_input_makes_it_lose_itself(train_file: TrainFile, sample: Make, seed: int) -> None:
     rng = np.random.default_rng(seed)
