@@ -18,7 +18,7 @@ demo: setup ## play a bag through the three live nodes and write a report
 test: lint typecheck colcon-smoke test-unit test-ros ## everything that must pass before a change lands
 
 test-fast: setup ## inner loop: the unit tests alone
-	$(PYTEST) -m 'not ros' -n 2 -q
+	$(PYTEST) -m 'not ros and not slow' -n 2 -q
 
 test-unit: setup ## tests that need no ROS graph
 	$(PYTEST) -m 'not ros' -n 2

@@ -12,6 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
 
 from trainid_ros.bags.reader import BagReader
@@ -22,6 +23,8 @@ from trainid_ros.physics.train_file import Davis, TrainFile, load_train_file
 from trainid_ros.simulation.scenario import Scenario, simulate
 from trainid_ros.simulation.truth import Truth, load_truth
 from trainid_ros.simulation.yizhuang_day import DRAG_S, RAIN_S, yizhuang_day
+
+pytestmark = pytest.mark.slow
 
 REPOSITORY = Path(__file__).parents[2]
 SETTLED_S = 300.0

@@ -318,9 +318,9 @@ def test_bad_samples_are_skipped_with_their_reason(
 def test_the_particles_start_at_the_quantiles_of_the_prior(train_file: TrainFile) -> None:
     e = gsma(train_file).estimate(0.0)
     assert e.brake_rate == pytest.approx(1.0, abs=1e-12)
-    # 100 quantiles lack the outermost tails.
+    # Quantiles lack the outermost tails.
     assert e.brake_rate_std == pytest.approx(CONFIG.prior_std, rel=0.02)
-    assert e.effective_particles == pytest.approx(100.0)
+    assert e.effective_particles == pytest.approx(CONFIG.particles)
     assert math.isnan(e.position)
 
 
@@ -384,7 +384,7 @@ def test_no_input_makes_it_lose_itself(train_file: TrainFile, sample: Make, seed
         assert all(map(math.isfinite, values)), i
         assert 0.0 <= e.brake_rate <= 3.0
         assert e.brake_rate_std > 0.0
-        assert 1.0 <= e.effective_particles <= 300.0 * (1.0 + 1e-9)
+        assert 1.0 <= e.effective_particles <= 3 * CONFIG.particles * (1.0 + 1e-9)
         P = estimator.state.P
         std = np.sqrt(np.diag(P))
         if np.all(std > 0.0):

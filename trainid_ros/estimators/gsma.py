@@ -59,8 +59,8 @@ _HISTORY_S: Final = 60.0
 class GsmaConfig:
     """Settings of GSMA."""
 
-    particles: int = setting(100, 'particles kept after pruning', '1', 2, 100_000)
-    prior_std: float = setting(0.15, 'prior standard deviation of the brake rate', '1', 1e-4, 2.0)
+    particles: int = setting(300, 'particles kept after pruning', '1', 2, 100_000)
+    prior_std: float = setting(0.2, 'prior standard deviation of the brake rate', '1', 1e-4, 2.0)
     drift: float = setting(0.003, 'drift of the brake rate in one second, standard deviation', '1', 0.0, 1.0)
     speed_std: float = setting(0.025, 'noise of measured speed at the start (then learned)', 'm/s', 1e-4, 2.0)
     disturbance_std: float = setting(0.006, 'unmodelled acceleration', 'm/s^2', 0.0, 1.0)
@@ -326,10 +326,14 @@ class Gsma:
         return None
 
     def _prune(self) -> None:
-        """Keep N of the particles by systematic resampling, which favours none."""
+        """Keep N of the particles by systematic resampling, which favours none.
+
+        In the order of f the survivors are nearly its quantiles, so that pruning adds little noise.
+        """
         state, N = self.state, self.config.particles
         if len(state.f) > N:
-            kept = systematic(np.exp(state.log_weights), N, float(self._rng.random()))
+            order = np.argsort(state.f, kind='stable')
+            kept = order[systematic(np.exp(state.log_weights[order]), N, float(self._rng.random()))]
             equal = np.full(N, -math.log(N))
             self.state = replace(state, f=state.f[kept], log_weights=equal, x=state.x[kept])
 
