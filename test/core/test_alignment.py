@@ -378,9 +378,7 @@ def test_a_command_that_changed_over_a_gap_may_have_changed_unseen(silence_s: fl
 
 
 def test_the_emergency_flag_holds_from_its_stamp() -> None:
-    records = [
-        replace(r, emergency=r.stamp_ns >= at(5.0)) if isinstance(r, BrakeRecord) else r for r in drive(10.0)
-    ]
+    records = [replace(r, emergency=r.stamp_ns >= at(5.0)) if isinstance(r, BrakeRecord) else r for r in drive(10.0)]
     samples = of(Sample, run(records))
     assert [s.emergency for s in samples] == [s.stamp_ns > at(5.0) for s in samples]
 
@@ -482,8 +480,7 @@ def test_one_stray_stamp_does_not_move_the_time_base(ahead_s: float) -> None:
 
 def test_one_topic_with_a_clock_of_its_own_moves_nothing() -> None:
     records = [
-        replace(r, stamp_ns=r.stamp_ns + 3600 * NS_PER_S) if isinstance(r, GradientRecord) else r
-        for r in drive(20.0)
+        replace(r, stamp_ns=r.stamp_ns + 3600 * NS_PER_S) if isinstance(r, GradientRecord) else r for r in drive(20.0)
     ]
     events = run(sorted(records, key=lambda r: r.stamp_ns - (3600 * NS_PER_S if isinstance(r, GradientRecord) else 0)))
     assert len(of(TimeJump, events)) <= 1

@@ -55,9 +55,7 @@ def test_it_equals_fine_integration(seed: int) -> None:
 def test_two_intervals_make_one() -> None:
     commands, brake = history(np.random.default_rng(9)), Brake(1.0, 0.4, 0.6)
     edges = [START + 1_000_000_000, START + 1_313_131_313, START + 2_000_000_001]
-    first, second, whole = (
-        brake_step(commands, brake, edges[i], edges[k], 0.0) for i, k in ((0, 1), (1, 2), (0, 2))
-    )
+    first, second, whole = (brake_step(commands, brake, edges[i], edges[k], 0.0) for i, k in ((0, 1), (1, 2), (0, 2)))
     a0, f = -0.2, 0.9
     a1 = first.decay * a0 + f * first.gain_a
     a2 = second.decay * a1 + f * second.gain_a

@@ -219,6 +219,7 @@ def test_a_brake_three_deviations_from_belief_is_found_in_one_braking(
 
 def test_the_dead_time_goes_by_stamps(train_file: TrainFile, journey: Journey) -> None:
     """The command moved by 1 us against the speed moves the rate by 1e-6 s over the time braked: nothing."""
+
     def shifted(item: Sample, by_ns: int) -> Sample:
         changes = tuple(BrakeCommandChange(c.stamp_ns + by_ns, c.target_acceleration) for c in item.brake_changes)
         return replace(item, brake_changes=changes)

@@ -91,8 +91,7 @@ def test_three_spikes_in_a_window_change_nothing() -> None:
 def test_slip_over_half_of_the_window_is_refused_with_its_numbers() -> None:
     ticks = window(25, seed=1)
     slipped = [
-        Tick(t.stamp_ns, t.dt, t.speed + (2.0 if 6 <= i < 18 else 0.0), t.known_force, 0.0)
-        for i, t in enumerate(ticks)
+        Tick(t.stamp_ns, t.dt, t.speed + (2.0 if 6 <= i < 18 else 0.0), t.known_force, 0.0) for i, t in enumerate(ticks)
     ]
     result = observe_resistance(slipped, INERTIA, STD)
     assert isinstance(result, Refusal)
@@ -118,8 +117,7 @@ def test_the_force_rate_is_what_a_late_force_costs() -> None:
     def ticks(known: NDArray[np.float64]) -> list[Tick]:
         v = 15.0 + np.cumsum(np.where(t > 0.0, (force - 2.0) * dt / INERTIA, 0.0))
         return [
-            Tick(START + round(x * NS_PER_S), dt, float(s), float(u), 0.0)
-            for x, s, u in zip(t, v, known, strict=True)
+            Tick(START + round(x * NS_PER_S), dt, float(s), float(u), 0.0) for x, s, u in zip(t, v, known, strict=True)
         ]
 
     exact, delayed = observed(ticks(force)), observed(ticks(late))
