@@ -106,6 +106,7 @@ def test_out_is_a_bag_and_is_never_overwritten(
     assert sorted((item.name, item.stat().st_size) for item in out.iterdir()) == before
 
 
+@pytest.mark.slow
 def test_report_is_written_with_the_truth_of_the_bag(driven_bag: Path, tmp_path: Path) -> None:
     report = tmp_path / 'new' / 'report.html'
     assert call(driven_bag, '--report', str(report)) == 0

@@ -303,6 +303,7 @@ def test_the_order_of_topics_does_not_matter(name: str, metro: TrainFile, day: R
     assert repr(run(shuffled, keyed)[-50:-5]) == repr(run(plain, records)[-50:-5])
 
 
+@pytest.mark.slow
 def test_a_microsecond_of_jitter_moves_nothing(metro: TrainFile, day: Records) -> None:
     """All stamps of seven minutes jittered by 1 us: w(v) moves by less than 0.02 N/kN, the brake rate by 0.01.
 

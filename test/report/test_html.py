@@ -18,6 +18,8 @@ from trainid_ros.report.html import render, write_report
 from trainid_ros.report.traces import TraceRecorder
 from trainid_ros.simulation.truth import Truth
 
+pytestmark = pytest.mark.slow  # drawing takes seconds
+
 FIGURES = (
     'Running resistance and Davis parameters over time',
     'Resistance curve against speed',
