@@ -19,11 +19,11 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import dataclass, replace
+from statistics import NormalDist
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
 
 from trainid_ros.core.codec import check_restored, decode, encode
 from trainid_ros.core.errors import InputError
@@ -127,8 +127,9 @@ class Gsma:
     def reset(self) -> None:
         """Go back to the prior: particles at its quantiles, equal weights."""
         N = self.config.particles
-        quantiles = ndtri((np.arange(N) + 0.5) / N)
-        f = np.maximum(self._brake.rate + self.config.prior_std * quantiles, 0.0)
+        # The standard library's normal distribution: importing SciPy's would take longer than all the rest.
+        prior = NormalDist(self._brake.rate, self.config.prior_std)
+        f = np.array([max(0.0, prior.inv_cdf((i + 0.5) / N)) for i in range(N)])
         self.state = GsmaState(
             f=f,
             log_weights=np.full(N, -math.log(N)),
