@@ -95,9 +95,18 @@ def test_namespace_selects_the_train(tmp_path: Path) -> None:
     for namespace in ('/train2', 'train2/'):
         with BagReader(path, namespace) as reader:
             assert list(reader.records()) == [two]
-            assert [topic.name for topic in reader.topics()] == ['ato/speed', 'train1/ato/speed']
+            assert [topic.name for topic in reader.topics()] == ['/train1/ato/speed', 'ato/speed']
     with BagReader(path) as reader:
         assert list(reader.records()) == []
+
+
+def test_a_namespace_does_not_take_the_topics_of_the_root(tmp_path: Path) -> None:
+    root, other = SpeedRecord(STAMP, 1.0, 0.0), SpeedRecord(STAMP + 1, 2.0, 0.0)
+    path = write(tmp_path / 'bag', [('/ato/speed', STAMP, root), ('/t2/ato/speed', STAMP + 1, other)])
+    with BagReader(path, 't2') as reader:
+        assert list(reader.records()) == [other]
+    with BagReader(path) as reader:
+        assert list(reader.records()) == [root]
 
 
 def test_missing_topics_are_named_with_what_is_there(tmp_path: Path) -> None:

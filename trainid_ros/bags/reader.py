@@ -213,7 +213,8 @@ class BagReader:
 
     def _topic(self, name: str) -> str:
         full = name if name.startswith('/') else f'/{name}'
-        return full.removeprefix(self._prefix) if full.startswith(self._prefix) else full[1:]
+        # A name outside the namespace keeps its slash, so that it is nobody's input: two trains may share a bag.
+        return full.removeprefix(self._prefix)
 
     def _check_types(self, file: McapFile, hashes: dict[str, str]) -> dict[int, _Source]:
         """Return the channels of our topics; refuse those whose type is not the one of the interface."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import signal
 import sys
 from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
@@ -58,10 +59,13 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: Arguments without the program name; those of the process if None.
 
     """
+    if argv is None:  # a process of its own: leave nothing half done when told to end
+        signal.signal(signal.SIGTERM, _end)
     arguments = list(sys.argv[1:] if argv is None else argv)
     try:
         code = _dispatch(arguments)
-        sys.stdout.flush()
+        if sys.stdout is not None:
+            sys.stdout.flush()
     except InputError as error:
         return _report(error, EXIT_BAD_INPUT)
     except NoAnswerError as error:
@@ -72,10 +76,14 @@ def main(argv: Sequence[str] | None = None) -> int:
         _drop_output()
         return EXIT_BROKEN_PIPE
     except OSError as error:
-        if error.filename is None:
-            raise
-        return _report(f'{error.filename}: {error.strerror}', EXIT_BAD_INPUT)
+        if error.filename is None:  # standard output is full
+            _drop_output()
+        return _report(f'{error.filename or "output"}: {error.strerror}', EXIT_BAD_INPUT)
     return code
+
+
+def _end(number: int, _: object) -> NoReturn:
+    raise SystemExit(128 + number)
 
 
 def _dispatch(arguments: list[str]) -> int:

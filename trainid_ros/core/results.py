@@ -45,6 +45,7 @@ class Reason(IntEnum):
     NUMERICAL = 16
     THINNED = 17
     BRAKE_UNCERTAIN = 18
+    SPEED_STUCK = 19
 
 
 @dataclass(frozen=True, slots=True)

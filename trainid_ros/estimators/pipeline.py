@@ -7,10 +7,11 @@ no number is computed outside it.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
-from typing import TYPE_CHECKING, Generic, TypeAlias, TypeVar
+from typing import TYPE_CHECKING, Final, Generic, TypeAlias, TypeVar
 
 import numpy as np
 
@@ -29,6 +30,8 @@ from trainid_ros.core.samples import Sample
 from trainid_ros.core.settings import check_settings, setting
 from trainid_ros.estimators.am_vff_rls import AmVffRls, AmVffRlsConfig
 from trainid_ros.estimators.gsma import Gsma, GsmaConfig
+from trainid_ros.estimators.known_force import KnownForce
+from trainid_ros.estimators.stuck_speed import StuckSpeed
 from trainid_ros.estimators.vmils import VMils, VMilsConfig
 
 if TYPE_CHECKING:
@@ -36,6 +39,9 @@ if TYPE_CHECKING:
     from trainid_ros.physics.train_file import TrainFile
 
 EstimateT = TypeVar('EstimateT', bound=Estimate)
+
+# Brake commands older than this, in samples, act no more.
+_MOST_UNSTEPPED: Final = 300
 
 
 class TimeJumpPolicy(Enum):
@@ -80,12 +86,13 @@ class EstimatorPipeline(Generic[EstimateT]):
     """Aligner, estimator and status of one estimate."""
 
     def __init__(
-        self, estimator: Estimator[EstimateT], config: PipelineConfig, alignment: AlignmentConfig
+        self, estimator: Estimator[EstimateT], train_file: TrainFile, config: PipelineConfig, alignment: AlignmentConfig
     ) -> None:
         check_settings(config)
         check_settings(alignment)
         self.estimator = estimator
         self.config = config
+        self._known = KnownForce(train_file)
         self._aligner = Aligner(alignment, refuse_jump_back=config.time_jump_policy is TimeJumpPolicy.REFUSE)
         self._stale_ns = round(config.stale_after * NS_PER_S)
         self.resets = 0
@@ -97,6 +104,8 @@ class EstimatorPipeline(Generic[EstimateT]):
         self.samples = 0
         self.last_refusal: Refusal | None = None
         self._speed = 0.0
+        self._stuck = StuckSpeed(self._known)
+        self._unstepped: tuple[Sample, ...] = ()
         self._sample_ns = 0
         self._first_ns = 0
         self._status = Status.UNINITIALIZED
@@ -173,17 +182,29 @@ class EstimatorPipeline(Generic[EstimateT]):
         )
 
     def _step(self, sample: Sample) -> Output[EstimateT]:
-        result = self.estimator.step(sample)
+        result = self._stuck.refuse(sample)
+        if result is None:
+            answer = self.estimator.step(self._mended(sample))
+            result = answer if isinstance(answer, Refusal) else None
+        else:
+            self._unstepped = (*self._unstepped, sample)[-_MOST_UNSTEPPED:]
         self.samples += 1
         self._speed = sample.speed
         self._sample_ns = sample.stamp_ns
-        refusal = result if isinstance(result, Refusal) else None
-        if refusal is None:
+        if result is None:
             self.used += 1
         else:
-            self._count(refusal)
-        self._status = self._judge(refusal)
+            self._count(result)
+        self._status = self._judge(result)
         return self.current()
+
+    def _mended(self, sample: Sample) -> Sample:
+        """Return a sample as it looks to an estimator that missed those before it."""
+        if not self._unstepped:
+            return sample
+        missed, self._unstepped = self._unstepped, ()
+        changes = tuple(change for item in (*missed, sample) for change in item.brake_changes)
+        return replace(sample, dt=math.nan, brake_changes=changes, brake_gap=True)
 
     def _judge(self, refusal: Refusal | None) -> Status:
         if self._status is Status.FAULT:
@@ -229,16 +250,16 @@ BrakeRatePipeline: TypeAlias = EstimatorPipeline[BrakeRateEstimate]
 def resistance_pipeline(train_file: TrainFile, settings: EstimatorSettings) -> ResistancePipeline:
     """Return V-MILS behind its alignment."""
     estimator = VMils(train_file, settings.vmils)
-    return EstimatorPipeline(estimator, settings.pipeline, settings.alignment)
+    return EstimatorPipeline(estimator, train_file, settings.pipeline, settings.alignment)
 
 
 def speed_model_pipeline(train_file: TrainFile, settings: EstimatorSettings) -> SpeedModelPipeline:
     """Return AM-VFF-RLS behind its alignment."""
     estimator = AmVffRls(train_file, settings.am_vff_rls)
-    return EstimatorPipeline(estimator, settings.pipeline, settings.alignment)
+    return EstimatorPipeline(estimator, train_file, settings.pipeline, settings.alignment)
 
 
 def brake_rate_pipeline(train_file: TrainFile, settings: EstimatorSettings) -> BrakeRatePipeline:
     """Return GSMA behind its alignment, with a generator of its own."""
     estimator = Gsma(train_file, settings.gsma, np.random.default_rng(settings.seed))
-    return EstimatorPipeline(estimator, settings.pipeline, settings.alignment)
+    return EstimatorPipeline(estimator, train_file, settings.pipeline, settings.alignment)

@@ -37,6 +37,7 @@ class InputMonitor:
         self.optional = optional
         self.count = 0
         self.newest_ns = 0
+        self._last_ns = 0
         self._arrivals: deque[int] = deque(maxlen=4096)
 
     def arrived(self, stamp_ns: int, now_ns: int) -> None:
@@ -46,6 +47,7 @@ class InputMonitor:
         if self._arrivals and now_ns < self._arrivals[-1]:
             self._arrivals.clear()
         self._arrivals.append(now_ns)
+        self._last_ns = now_ns
 
     def rate(self, now_ns: int) -> float:
         """Return messages per second over the last seconds; NaN while unknown."""
@@ -58,9 +60,9 @@ class InputMonitor:
 
     def silence_s(self, now_ns: int) -> float:
         """Return the time since the last message [s], infinite before the first."""
-        if not self.count or not self._arrivals:
+        if not self.count:
             return float('inf')
-        return max(now_ns - self._arrivals[-1], 0) / NS_PER_S
+        return max(now_ns - self._last_ns, 0) / NS_PER_S
 
 
 @dataclass(frozen=True, slots=True)

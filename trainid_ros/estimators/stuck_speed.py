@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A speed that stands still to the last bit while traction or brake must change it: the sensor is stuck.
+
+Estimators would believe it: a brake without effect, a resistance as large as the traction.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from trainid_ros.core.results import Reason, Refusal
+
+if TYPE_CHECKING:
+    from trainid_ros.core.samples import Sample
+    from trainid_ros.estimators.known_force import KnownForce
+
+# A train slower than this may stand, which is no fault.
+_MIN_SPEED: Final = 0.5
+# What running resistance, which is not known here, can hide in the seconds it takes, stays below [m/s].
+_MOST_UNSEEN: Final = 1.0
+
+
+@dataclass(slots=True)
+class StuckSpeed:
+    """Watches sample by sample; ``unseen`` is the change of speed due since the speed last changed [m/s]."""
+
+    known: KnownForce
+    speed: float = math.nan
+    unseen: float = 0.0
+
+    def refuse(self, sample: Sample) -> Refusal | None:
+        """Return why the speed of a sample is not believed, or None if it is."""
+        if sample.speed != self.speed or sample.speed < _MIN_SPEED or math.isnan(sample.dt):
+            self.speed, self.unseen = sample.speed, 0.0
+            return None
+        due = self._acceleration(sample) * sample.dt
+        if math.isfinite(due):
+            self.unseen += due
+        if abs(self.unseen) <= _MOST_UNSEEN:
+            return None
+        return Refusal(sample.stamp_ns, Reason.SPEED_STUCK, self.unseen, _MOST_UNSEEN)
+
+    def _acceleration(self, sample: Sample) -> float:
+        """Return what traction less gradient, or the brake, should give [m/s^2]."""
+        if sample.brake_command < 0.0:
+            return sample.brake_command
+        known = self.known.traction(max(sample.force_mean, 0.0), sample) - self.known.track(sample)
+        return known / self.known.inertia
