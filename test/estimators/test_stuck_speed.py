@@ -12,6 +12,7 @@ from trainid_ros.core.results import Reason, Refusal
 from trainid_ros.core.samples import Sample
 from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.estimators.stuck_speed import StuckSpeed
+from trainid_ros.physics.resistance import G
 from trainid_ros.physics.train_file import TrainFile
 
 Make = Callable[..., Sample]
@@ -22,15 +23,15 @@ def refusals(train_file: TrainFile, samples: list[Sample]) -> list[Refusal | Non
     return [watch.refuse(item) for item in samples]
 
 
-def test_a_speed_that_ignores_the_brake_is_refused_once_a_metre_a_second_is_missing(
+def test_a_speed_that_ignores_the_brake_is_refused_once_half_a_metre_a_second_is_missing(
     train_file: TrainFile, sample: Make
 ) -> None:
     found = refusals(train_file, [sample(i + 1, speed=12.0, brake_command=-0.8) for i in range(20)])
-    # The first sample only sets the speed; after 7 more, 1.12 m/s are missing.
-    assert [item is not None for item in found] == [False] * 7 + [True] * 13
-    assert found[7] is not None
-    assert found[7].reason is Reason.SPEED_STUCK
-    assert found[7].value == pytest.approx(-1.12)
+    # The first sample only sets the speed; after 4 more, 0.64 m/s are missing.
+    assert [item is not None for item in found] == [False] * 4 + [True] * 16
+    assert found[4] is not None
+    assert found[4].reason is Reason.SPEED_STUCK
+    assert found[4].value == pytest.approx(-0.64)
 
 
 def test_a_speed_that_ignores_traction_is_refused(train_file: TrainFile, sample: Make) -> None:
@@ -45,7 +46,9 @@ def test_it_is_believed_again_as_soon_as_it_moves(train_file: TrainFile, sample:
 
 
 def test_a_steady_cruise_and_a_held_train_are_no_faults(train_file: TrainFile, sample: Make) -> None:
-    cruise = [sample(i + 1, speed=20.0) for i in range(500)]
+    davis = train_file.resistance
+    pull = (davis.a + 20.0 * davis.b + 400.0 * davis.c) * train_file.train.mass * G / 1000.0
+    cruise = [sample(i + 1, speed=20.0, force=pull, force_mean=pull) for i in range(500)]
     held = [sample(i + 1, speed=0.0, brake_command=-0.5) for i in range(500)]
     noisy = [
         replace(item, speed=item.speed + 0.03 * (i % 2))

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from trainid_ros.core.results import Reason, Refusal
+from trainid_ros.physics.resistance import davis
 
 if TYPE_CHECKING:
     from trainid_ros.core.samples import Sample
@@ -18,8 +19,8 @@ if TYPE_CHECKING:
 
 # A train slower than this may stand, which is no fault.
 _MIN_SPEED: Final = 0.5
-# What running resistance, which is not known here, can hide in the seconds it takes, stays below [m/s].
-_MOST_UNSEEN: Final = 1.0
+# Beyond any quantum, and beyond what a wrongly believed resistance adds up to while a train cruises [m/s].
+_MOST_UNSEEN: Final = 0.5
 
 
 @dataclass(slots=True)
@@ -43,8 +44,8 @@ class StuckSpeed:
         return Refusal(sample.stamp_ns, Reason.SPEED_STUCK, self.unseen, _MOST_UNSEEN)
 
     def _acceleration(self, sample: Sample) -> float:
-        """Return what traction less gradient, or the brake, should give [m/s^2]."""
+        """Return what traction less believed resistance, or the brake, should give [m/s^2]."""
         if sample.brake_command < 0.0:
             return sample.brake_command
-        known = self.known.traction(max(sample.force_mean, 0.0), sample) - self.known.track(sample)
-        return known / self.known.inertia
+        resistance = davis(self.known.train_file.resistance, sample.speed) + self.known.track(sample)
+        return (self.known.traction(max(sample.force_mean, 0.0), sample) - resistance) / self.known.inertia
