@@ -8,18 +8,19 @@ import signal
 import subprocess
 import sys
 import time
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from typing import IO, TYPE_CHECKING, Final, Self
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
     from pathlib import Path
     from types import TracebackType
 
 _PATIENCE_S: Final = 6.0
 _POLL_S: Final = 0.02
 _LAST_LINES: Final = 3
+_ENDING: Final[tuple[signal.Signals, ...]] = (signal.SIGINT, signal.SIGTERM)
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,6 +35,20 @@ class Child:
         """Return the end of its log in one line."""
         lines = self.log.read_text(encoding='utf-8', errors='replace').strip().splitlines()
         return ' | '.join(line.strip() for line in lines[-_LAST_LINES:]) or 'no output'
+
+
+@contextmanager
+def _signals_held() -> Iterator[None]:
+    """Keep SIGINT and SIGTERM back until the block has ended."""
+    caught: list[signal.Signals] = []
+    before = {number: signal.signal(number, lambda n, _: caught.append(signal.Signals(n))) for number in _ENDING}
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+        for number in caught:
+            signal.raise_signal(number)
 
 
 class ProcessGroup:
@@ -61,11 +76,13 @@ class ProcessGroup:
         log = path.open('wb')
         self._logs.append(log)
         command = [sys.executable, '-m', 'trainid_ros.demo.child', str(os.getpid()), *arguments]
-        process = subprocess.Popen(
-            command, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT, start_new_session=True
-        )
-        child = Child(name, process, path)
-        self._children.append(child)
+        # A signal between the start of a child and its entry in the list would leave it behind.
+        with _signals_held():
+            process = subprocess.Popen(
+                command, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT, start_new_session=True
+            )
+            child = Child(name, process, path)
+            self._children.append(child)
         return child
 
     def ended(self) -> tuple[Child, ...]:
