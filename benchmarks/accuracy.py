@@ -19,9 +19,9 @@ from benchmarks.days import believed_train, samples_of, simulated_day
 from benchmarks.tables import Table
 from trainid_ros.core.records import NS_PER_S
 from trainid_ros.core.results import Refusal
-from trainid_ros.estimators.am_vff_rls import AmVffRls, AmVffRlsConfig
-from trainid_ros.estimators.gsma import Gsma, GsmaConfig
-from trainid_ros.estimators.vmils import VMils, VMilsConfig
+from trainid_ros.estimators.brake_rate.gsma import Gsma, GsmaConfig
+from trainid_ros.estimators.resistance.vmils import VMils, VMilsConfig
+from trainid_ros.estimators.speed_model.am_vff_rls import AmVffRls, AmVffRlsConfig
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

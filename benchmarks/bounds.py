@@ -16,8 +16,8 @@ from trainid_ros.core.results import Refusal
 from trainid_ros.estimators.admission import Admission
 from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.estimators.prior import davis_prior
+from trainid_ros.estimators.resistance.speed_window import Tick, WindowResult, observe_resistance, overlap_factor
 from trainid_ros.estimators.speed_noise import SpeedNoise
-from trainid_ros.estimators.speed_window import Tick, WindowResult, observe_resistance, overlap_factor
 from trainid_ros.physics.brake import CommandHistory, lag_integral, lag_response
 from trainid_ros.physics.resistance import davis
 
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from trainid_ros.core.samples import Sample
-    from trainid_ros.estimators.gsma import GsmaConfig
-    from trainid_ros.estimators.vmils import VMilsConfig
+    from trainid_ros.estimators.brake_rate.gsma import GsmaConfig
+    from trainid_ros.estimators.resistance.vmils import VMilsConfig
     from trainid_ros.physics.train_file import TrainFile
 
 _ANCHOR_STD_A: Final = 0.05

@@ -1,9 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of results, as aligned text and as Markdown."""
+"""Results for people: tables, as aligned text and as Markdown, and plots beside them."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 
 @dataclass(frozen=True, slots=True)
@@ -14,6 +18,16 @@ class Table:
     header: tuple[str, ...]
     rows: tuple[tuple[str, ...], ...]
     note: str = ''
+
+
+@dataclass(frozen=True, slots=True)
+class Plot:
+    """A figure with a file name (no ending), its title, and what it shows in a sentence."""
+
+    name: str
+    title: str
+    figure: Figure
+    note: str
 
 
 def as_text(table: Table) -> str:

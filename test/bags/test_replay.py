@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,6 +22,7 @@ from trainid_ros.estimators.pipeline import (
     resistance_pipeline,
     speed_model_pipeline,
 )
+from trainid_ros.estimators.resistance.algorithms import RESISTANCE
 from trainid_ros.physics.train_file import Davis, Line, Train, TrainFile
 from trainid_ros.simulation.scenario import Scenario, simulate
 
@@ -164,8 +164,7 @@ def test_recorded_bag_holds_estimates_and_latched_copies(bag: Path, tmp_path: Pa
 
 
 def test_settings_reach_the_estimators(bag: Path) -> None:
-    settings = EstimatorSettings()
-    strict = replace(settings, vmils=replace(settings.vmils, min_speed=50.0))
+    strict = EstimatorSettings(resistance=RESISTANCE.choose(min_speed=50.0))
     with BagReader(bag) as reader:
         outcome = replay(reader, TRAIN, strict)
     assert outcome.resistance.output.used == 0

@@ -22,13 +22,14 @@ def run(code: str) -> str:
 
 
 def modules() -> list[str]:
-    found = (path for folder in PURE for path in sorted((PACKAGE / folder).glob('*.py')))
-    return [f'trainid_ros.{path.parent.name}.{path.stem}' for path in found if path.stem != '__init__']
+    found = (path for folder in PURE for path in sorted((PACKAGE / folder).rglob('*.py')))
+    parts = (path.relative_to(PACKAGE.parent).with_suffix('').parts for path in found if path.stem != '__init__')
+    return ['.'.join(names) for names in parts]
 
 
 def test_pure_modules_load_neither_ros_nor_bags_nor_plots() -> None:
     names = modules()
-    assert 'trainid_ros.estimators.gsma' in names
+    assert 'trainid_ros.estimators.brake_rate.gsma' in names
     code = f'import importlib, sys\nfor n in {names!r}: importlib.import_module(n)\n'
     loaded = run(code + 'print(*{n.split(".")[0] for n in sys.modules})').split()
     assert not set(loaded) & set(FOREIGN)

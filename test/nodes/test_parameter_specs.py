@@ -13,19 +13,20 @@ from trainid_ros.core.alignment import AlignmentConfig
 from trainid_ros.core.errors import InputError
 from trainid_ros.core.settings import setting_info
 from trainid_ros.estimators.pipeline import EstimatorSettings, TimeJumpPolicy
-from trainid_ros.estimators.vmils import VMilsConfig
+from trainid_ros.estimators.resistance.algorithms import RESISTANCE
+from trainid_ros.estimators.resistance.vmils import VMilsConfig
 from trainid_ros.nodes.parameter_specs import ParameterSpec, build_settings, build_train_file, estimator_parameters
 from trainid_ros.nodes.params_file import find_misses, params_files
 from trainid_ros.nodes.params_template import parameter_file
 from trainid_ros.physics.train_file import parse_train_file
 
-SPECS = {spec.name: spec for spec in estimator_parameters(VMilsConfig)}
+SPECS = {spec.name: spec for spec in estimator_parameters(RESISTANCE)}
 DEFAULTS = {name: spec.default for name, spec in SPECS.items()}
 CONFIG = Path(__file__).parents[2] / 'config' / 'params.yaml'
 
 
 def test_the_defaults_are_those_of_the_core() -> None:
-    assert build_settings(DEFAULTS, 'vmils') == EstimatorSettings()
+    assert build_settings(DEFAULTS, RESISTANCE, 'resistance') == EstimatorSettings()
 
 
 @pytest.mark.parametrize(('prefix', 'config'), [('alignment.', AlignmentConfig), ('estimator.', VMilsConfig)])
@@ -47,8 +48,9 @@ def test_values_reach_the_settings() -> None:
         'seed': 7,
         'time_jump_policy': 'refuse',
     }
-    settings = build_settings(values, 'vmils')
-    assert (settings.alignment.max_lag, settings.vmils.window, settings.seed) == (0.3, 40, 7)
+    settings = build_settings(values, RESISTANCE, 'resistance')
+    assert settings.resistance == RESISTANCE.choose('V-MILS', window=40)
+    assert (settings.alignment.max_lag, settings.seed) == (0.3, 7)
     assert (settings.pipeline.stale_after, settings.pipeline.time_jump_policy) == (2.0, TimeJumpPolicy.REFUSE)
 
 

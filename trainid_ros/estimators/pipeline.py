@@ -28,11 +28,12 @@ from trainid_ros.core.results import (
 )
 from trainid_ros.core.samples import Sample
 from trainid_ros.core.settings import check_settings, setting
-from trainid_ros.estimators.am_vff_rls import AmVffRls, AmVffRlsConfig
-from trainid_ros.estimators.gsma import Gsma, GsmaConfig
+from trainid_ros.estimators.algorithms import Algorithms, Choice
+from trainid_ros.estimators.brake_rate.algorithms import BRAKE_RATE
 from trainid_ros.estimators.known_force import KnownForce
+from trainid_ros.estimators.resistance.algorithms import RESISTANCE
+from trainid_ros.estimators.speed_model.algorithms import SPEED_MODEL
 from trainid_ros.estimators.stuck_speed import StuckSpeed
-from trainid_ros.estimators.vmils import VMils, VMilsConfig
 
 if TYPE_CHECKING:
     from trainid_ros.estimators.protocol import Estimator
@@ -236,9 +237,9 @@ class EstimatorSettings:
 
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
     pipeline: PipelineConfig = field(default_factory=PipelineConfig)
-    vmils: VMilsConfig = field(default_factory=VMilsConfig)
-    am_vff_rls: AmVffRlsConfig = field(default_factory=AmVffRlsConfig)
-    gsma: GsmaConfig = field(default_factory=GsmaConfig)
+    resistance: Choice = field(default_factory=RESISTANCE.choose)
+    speed_model: Choice = field(default_factory=SPEED_MODEL.choose)
+    brake_rate: Choice = field(default_factory=BRAKE_RATE.choose)
     seed: int = 1
 
 
@@ -248,18 +249,23 @@ BrakeRatePipeline: TypeAlias = EstimatorPipeline[BrakeRateEstimate]
 
 
 def resistance_pipeline(train_file: TrainFile, settings: EstimatorSettings) -> ResistancePipeline:
-    """Return V-MILS behind its alignment."""
-    estimator = VMils(train_file, settings.vmils)
-    return EstimatorPipeline(estimator, train_file, settings.pipeline, settings.alignment)
+    """Return the chosen resistance estimator behind its alignment."""
+    return _pipeline(RESISTANCE, settings.resistance, train_file, settings)
 
 
 def speed_model_pipeline(train_file: TrainFile, settings: EstimatorSettings) -> SpeedModelPipeline:
-    """Return AM-VFF-RLS behind its alignment."""
-    estimator = AmVffRls(train_file, settings.am_vff_rls)
-    return EstimatorPipeline(estimator, train_file, settings.pipeline, settings.alignment)
+    """Return the chosen estimator of the speed model behind its alignment."""
+    return _pipeline(SPEED_MODEL, settings.speed_model, train_file, settings)
 
 
 def brake_rate_pipeline(train_file: TrainFile, settings: EstimatorSettings) -> BrakeRatePipeline:
-    """Return GSMA behind its alignment, with a generator of its own."""
-    estimator = Gsma(train_file, settings.gsma, np.random.default_rng(settings.seed))
+    """Return the chosen brake rate estimator behind its alignment."""
+    return _pipeline(BRAKE_RATE, settings.brake_rate, train_file, settings)
+
+
+def _pipeline(
+    algorithms: Algorithms[EstimateT], choice: Choice, train_file: TrainFile, settings: EstimatorSettings
+) -> EstimatorPipeline[EstimateT]:
+    """Each estimator draws from a generator of its own."""
+    estimator = algorithms.make(choice, train_file, np.random.default_rng(settings.seed))
     return EstimatorPipeline(estimator, train_file, settings.pipeline, settings.alignment)

@@ -7,7 +7,7 @@ from typing import Any, Final
 
 from trainid_msgs.msg import BrakeRateEstimate
 
-from trainid_ros.estimators.gsma import GsmaConfig
+from trainid_ros.estimators.brake_rate import algorithms
 from trainid_ros.estimators.pipeline import brake_rate_pipeline
 from trainid_ros.nodes.diagnostics import ShownValue
 from trainid_ros.nodes.estimator_node import EstimatorNode, EstimatorSpec
@@ -15,12 +15,11 @@ from trainid_ros.nodes.runner import run_node
 
 BRAKE_RATE: Final = EstimatorSpec(
     node_name='brake_rate_estimator',
-    estimator='GSMA',
     topic='trainid/brake_rate',
     message=BrakeRateEstimate,
     last_valid_topic='trainid/last_valid/brake_rate',
-    settings_field='gsma',
-    config=GsmaConfig,
+    settings_field='brake_rate',
+    algorithms=algorithms.BRAKE_RATE,
     pipeline=brake_rate_pipeline,
     shown=(
         ShownValue('brake_rate', '', std='brake_rate_std'),

@@ -45,7 +45,9 @@ from trainid_ros.nodes.intake import Intake
 from trainid_ros.nodes.lifecycle import ManagedNode, guarded
 from trainid_ros.nodes.monitors import InputMonitor, StepTimes
 from trainid_ros.nodes.parameter_specs import (
+    ALGORITHM,
     TRAIN_PARAMETERS,
+    ParameterSpec,
     build_settings,
     build_train_file,
     estimator_parameters,
@@ -57,8 +59,7 @@ from trainid_ros.physics.train_file import load_train_file
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from _typeshed import DataclassInstance
-
+    from trainid_ros.estimators.algorithms import Algorithms
     from trainid_ros.physics.train_file import TrainFile
 
 _FIRST_WATCH_S: Final = 0.1
@@ -73,24 +74,22 @@ class EstimatorSpec:
 
     Attributes:
         node_name: Name of the node.
-        estimator: Name of the estimator, kept in checkpoints.
         topic: Topic of the estimates.
         message: Message class of the estimates.
         last_valid_topic: Topic of the latched copy, None if there is none.
-        settings_field: Field of the estimator's configuration in EstimatorSettings.
-        config: Class of that configuration.
+        settings_field: Field of EstimatorSettings that has the choice of the algorithm.
+        algorithms: What can be chosen.
         pipeline: Makes the pipeline.
         shown: What the diagnostics show, the most important value first.
 
     """
 
     node_name: str
-    estimator: str
     topic: str
     message: Any
     last_valid_topic: str | None
     settings_field: str
-    config: type[DataclassInstance]
+    algorithms: Algorithms[Any]
     pipeline: Callable[[TrainFile, EstimatorSettings], EstimatorPipeline[Any]]
     shown: tuple[ShownValue, ...]
 
@@ -110,7 +109,7 @@ class EstimatorNode(ManagedNode):
         super().__init__(spec.node_name, **options)
         self.spec = spec
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.parameters = NodeParameters(self, estimator_parameters(spec.config), expected=self._override_names())
+        self.parameters = NodeParameters(self, self._parameter_specs(), expected=self._override_names())
         self.parameters.check_sections(arguments, spec.node_name)
         self._preload_train_file()
         self.parameters.report()
@@ -128,6 +127,18 @@ class EstimatorNode(ManagedNode):
         self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', qos.diagnostics_qos())
         self._diagnostic_timer = self._make_diagnostic_timer()
         self._services_offered = EstimatorServices(self)
+
+    def _parameter_specs(self) -> tuple[ParameterSpec, ...]:
+        """Settings are those of the algorithm asked for; a wrong name is reported with the other parameters."""
+        given = self._parameter_overrides.get(ALGORITHM)  # rclpy has no public way to see them
+        algorithms = self.spec.algorithms
+        known = given is not None and given.value in algorithms.names
+        return estimator_parameters(algorithms, given.value if known else algorithms.default)
+
+    @property
+    def algorithm(self) -> str:
+        """Name of the algorithm that runs."""
+        return str(self.parameters.value(ALGORITHM))
 
     def _override_names(self) -> list[str]:
         inputs = [(topic.name, 'subscription') for topic in INPUT_TOPICS]
@@ -150,7 +161,7 @@ class EstimatorNode(ManagedNode):
         self.failure = ''
         self.parameters.check()
         train_file = self._train_file()
-        self._settings = build_settings(self.parameters.values(), self.spec.settings_field)
+        self._settings = build_settings(self.parameters.values(), self.spec.algorithms, self.spec.settings_field)
         self.pipeline = self.spec.pipeline(train_file, self._settings)
         self._prior = self.pipeline.current().estimate
         self.watchdog = Watchdog(round(self._settings.pipeline.stale_after * NS_PER_S))
@@ -167,7 +178,7 @@ class EstimatorNode(ManagedNode):
         self._watchdog_timer = self.create_timer(_FIRST_WATCH_S, self._watch, clock=self._steady)
         result = super().on_activate(state)
         self._listening = result == _SUCCESS
-        self.get_logger().info(f'active: {self.spec.estimator} on {self.resolve_topic_name(self.spec.topic)}')
+        self.get_logger().info(f'active: {self.algorithm} on {self.resolve_topic_name(self.spec.topic)}')
         return result
 
     @guarded
@@ -304,7 +315,7 @@ class EstimatorNode(ManagedNode):
             return pipeline.push(record)
         except TrainIdError as error:
             if pipeline.status is not Status.FAULT:
-                self.get_logger().error(f'{self.spec.estimator} cannot go on until it is reset: {error}')
+                self.get_logger().error(f'{self.algorithm} cannot go on until it is reset: {error}')
             return [pipeline.fail()]
 
     def _publish(self, output: Any) -> None:

@@ -51,12 +51,12 @@ class EstimatorServices:
         node = self._node
         path, stamp_ns = self._path(), pipeline.current().stamp_ns
         state, now_ns = pipeline.save(), int(node.get_clock().now().nanoseconds)
-        write_checkpoint(path, Checkpoint(__version__, node.spec.estimator, now_ns, stamp_ns, state))
-        return f'saved {node.spec.estimator} to {path}'
+        write_checkpoint(path, Checkpoint(__version__, node.algorithm, now_ns, stamp_ns, state))
+        return f'saved {node.algorithm} to {path}'
 
     def load(self, pipeline: EstimatorPipeline[Any]) -> str:
         """Take the estimator's state from the checkpoint file."""
-        path, estimator = self._path(), self._node.spec.estimator
+        path, estimator = self._path(), self._node.algorithm
         checkpoint = read_checkpoint(path, estimator)
         pipeline.restore(checkpoint.state)
         return f'loaded {estimator} from {path} (version {checkpoint.version})'

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 from trainid_ros.core.alignment import AlignmentConfig
 from trainid_ros.core.errors import InputError
 from trainid_ros.core.settings import setting_info
+from trainid_ros.estimators.algorithms import Choice
 from trainid_ros.estimators.pipeline import EstimatorSettings, PipelineConfig, TimeJumpPolicy
 from trainid_ros.physics.train_file import Brake, Davis, Train, TrainFile
 
@@ -21,6 +22,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from _typeshed import DataclassInstance
+
+    from trainid_ros.estimators.algorithms import Algorithms
 
 Value: TypeAlias = bool | int | float | str
 Values: TypeAlias = 'Mapping[str, Value]'
@@ -109,16 +112,20 @@ TRAIN_PARAMETERS: Final = (
     _train('brake', 'time_constant', _NOMINAL[1].time_constant, 'time constant of the brake [s]', (0.0, 60.0)),
     _train('brake', 'delay', _NOMINAL[1].delay, 'dead time of the brake [s]', (0.0, 60.0)),
 )
+ALGORITHM: Final = 'algorithm'
 TRAIN_FILE: Final = ParameterSpec('train_file', '', f'path of the train file (YAML); {_NEXT}')
 AUTOSTART: Final = ParameterSpec('autostart', False, 'configure and activate at start', read_only=True)
 
 
-def estimator_parameters(config: type[DataclassInstance]) -> tuple[ParameterSpec, ...]:
-    """Return all parameters of a node with an estimator of this configuration."""
+def estimator_parameters(algorithms: Algorithms[Any], name: str = '') -> tuple[ParameterSpec, ...]:
+    """Return all parameters of a node that runs the named one of these algorithms, the default if unnamed."""
+    algorithm = algorithms[name or algorithms.default]
     policies = tuple(policy.value for policy in TimeJumpPolicy)
     default = PipelineConfig().time_jump_policy.value
+    algorithm_text = 'algorithm of the estimator, chosen at start'
     texts = (
         TRAIN_FILE,
+        ParameterSpec(ALGORITHM, algorithms.default, algorithm_text, choices=algorithms.names, read_only=True),
         ParameterSpec(
             'time_jump_policy', default, f'what to do when stamps or /clock jump back; {_NEXT}', choices=policies
         ),
@@ -130,30 +137,30 @@ def estimator_parameters(config: type[DataclassInstance]) -> tuple[ParameterSpec
     return (
         *texts,
         *(item.spec for item in TRAIN_PARAMETERS),
-        *_settings('', PipelineConfig),
-        *_settings('alignment.', AlignmentConfig),
-        *_settings('estimator.', config),
+        *_settings('', PipelineConfig()),
+        *_settings('alignment.', AlignmentConfig()),
+        *_settings('estimator.', algorithm.config),
     )
 
 
-def _settings(prefix: str, config: type[DataclassInstance]) -> tuple[ParameterSpec, ...]:
+def _settings(prefix: str, config: DataclassInstance) -> tuple[ParameterSpec, ...]:
     specs = []
     for item in fields(config):
         if (info := setting_info(item)) is not None:
             text = f'{info.description} [{info.unit}]; {_NEXT}'
-            default: Any = item.default
-            specs.append(ParameterSpec(prefix + item.name, default, text, info.low, info.high))
+            specs.append(ParameterSpec(prefix + item.name, getattr(config, item.name), text, info.low, info.high))
     return tuple(specs)
 
 
-def build_settings(values: Values, field: str) -> EstimatorSettings:
-    """Return the settings that parameter values ask for; ``field`` names the estimator's configuration."""
+def build_settings(values: Values, algorithms: Algorithms[Any], field: str) -> EstimatorSettings:
+    """Return the settings that parameter values ask for; ``field`` is where EstimatorSettings has the choice."""
+    algorithm = algorithms[str(values[ALGORITHM])]
     base = EstimatorSettings()
     policy = TimeJumpPolicy(values['time_jump_policy'])
     changes: dict[str, Any] = {
         'alignment': _configure(base.alignment, 'alignment.', values),
         'pipeline': replace(_configure(base.pipeline, '', values), time_jump_policy=policy),
-        field: _configure(getattr(base, field), 'estimator.', values),
+        field: Choice(algorithm.name, _configure(algorithm.config, 'estimator.', values)),
         'seed': values['seed'],
     }
     return replace(base, **changes)

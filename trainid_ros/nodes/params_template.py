@@ -39,7 +39,7 @@ def parameter_file() -> str:
     """Return the text of the file."""
     blocks = [_HEAD]
     for spec in (RESISTANCE, SPEED_MODEL, BRAKE_RATE):
-        lines = _section(estimator_parameters(spec.config))
+        lines = _section(estimator_parameters(spec.algorithms))
         blocks.append('\n'.join((f'/**/{spec.node_name}:', '  ros__parameters:', *lines, '')))
     return '\n'.join(blocks)
 

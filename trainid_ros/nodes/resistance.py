@@ -8,19 +8,18 @@ from typing import Any, Final
 from trainid_msgs.msg import ResistanceEstimate
 
 from trainid_ros.estimators.pipeline import resistance_pipeline
-from trainid_ros.estimators.vmils import VMilsConfig
+from trainid_ros.estimators.resistance import algorithms
 from trainid_ros.nodes.diagnostics import ShownValue
 from trainid_ros.nodes.estimator_node import EstimatorNode, EstimatorSpec
 from trainid_ros.nodes.runner import run_node
 
 RESISTANCE: Final = EstimatorSpec(
     node_name='resistance_estimator',
-    estimator='V-MILS',
     topic='trainid/resistance',
     message=ResistanceEstimate,
     last_valid_topic='trainid/last_valid/resistance',
-    settings_field='vmils',
-    config=VMilsConfig,
+    settings_field='resistance',
+    algorithms=algorithms.RESISTANCE,
     pipeline=resistance_pipeline,
     shown=(
         ShownValue('resistance', 'N/kN', std='resistance_std'),

@@ -7,20 +7,19 @@ from typing import Any, Final
 
 from trainid_msgs.msg import SpeedModelEstimate
 
-from trainid_ros.estimators.am_vff_rls import AmVffRlsConfig
 from trainid_ros.estimators.pipeline import speed_model_pipeline
+from trainid_ros.estimators.speed_model import algorithms
 from trainid_ros.nodes.diagnostics import ShownValue
 from trainid_ros.nodes.estimator_node import EstimatorNode, EstimatorSpec
 from trainid_ros.nodes.runner import run_node
 
 SPEED_MODEL: Final = EstimatorSpec(
     node_name='speed_model_estimator',
-    estimator='AM-VFF-RLS',
     topic='trainid/speed_model',
     message=SpeedModelEstimate,
     last_valid_topic=None,
-    settings_field='am_vff_rls',
-    config=AmVffRlsConfig,
+    settings_field='speed_model',
+    algorithms=algorithms.SPEED_MODEL,
     pipeline=speed_model_pipeline,
     shown=(
         ShownValue('prediction_error', 'm/s'),

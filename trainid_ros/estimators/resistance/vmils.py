@@ -25,12 +25,12 @@ from trainid_ros.core.records import NS_PER_S
 from trainid_ros.core.results import Reason, Refusal, ResistanceEstimate
 from trainid_ros.core.settings import check_settings, setting
 from trainid_ros.estimators.admission import Admission
-from trainid_ros.estimators.change_detector import NO_STEP, Cusum
 from trainid_ros.estimators.known_force import KnownForce
-from trainid_ros.estimators.multi_innovation import Belief, multi_innovation_step
 from trainid_ros.estimators.prior import davis_prior
+from trainid_ros.estimators.resistance.change_detector import NO_STEP, Cusum
+from trainid_ros.estimators.resistance.multi_innovation import Belief, multi_innovation_step
+from trainid_ros.estimators.resistance.speed_window import Tick, WindowResult, observe_resistance, overlap_factor
 from trainid_ros.estimators.speed_noise import SpeedNoise
-from trainid_ros.estimators.speed_window import Tick, WindowResult, observe_resistance, overlap_factor
 
 if TYPE_CHECKING:
     from trainid_ros.core.samples import Sample

@@ -18,7 +18,7 @@ from trainid_ros.core.errors import InputError
 from trainid_ros.core.records import NS_PER_S
 from trainid_ros.core.results import Reason, Refusal, ResistanceEstimate
 from trainid_ros.core.samples import BrakeCommandChange, Sample
-from trainid_ros.estimators.vmils import VMils, VMilsConfig
+from trainid_ros.estimators.resistance.vmils import VMils, VMilsConfig
 from trainid_ros.physics.train_file import Davis, TrainFile
 
 Make = Callable[..., Sample]

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from trainid_ros.core.records import NS_PER_S
 from trainid_ros.core.results import Reason, Refusal
-from trainid_ros.estimators.speed_window import Tick, WindowResult, observe_resistance, overlap_factor
+from trainid_ros.estimators.resistance.speed_window import Tick, WindowResult, observe_resistance, overlap_factor
 
 INERTIA, STD = 110.0, 0.025
 START = 1_700_000_000 * NS_PER_S

@@ -18,7 +18,7 @@ from trainid_ros.core.errors import InputError
 from trainid_ros.core.records import NS_PER_S
 from trainid_ros.core.results import BrakeRateEstimate, Reason, Refusal
 from trainid_ros.core.samples import BrakeCommandChange, Sample
-from trainid_ros.estimators.gsma import Gsma, GsmaConfig
+from trainid_ros.estimators.brake_rate.gsma import Gsma, GsmaConfig
 from trainid_ros.physics.train_file import Davis, TrainFile
 
 Make = Callable[..., Sample]

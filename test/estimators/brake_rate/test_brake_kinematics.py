@@ -8,7 +8,7 @@ import pytest
 
 from trainid_ros.core.records import NS_PER_S
 from trainid_ros.core.samples import BrakeCommandChange
-from trainid_ros.estimators.brake_kinematics import brake_step
+from trainid_ros.estimators.brake_rate.brake_kinematics import brake_step
 from trainid_ros.physics.brake import CommandHistory
 from trainid_ros.physics.train_file import Brake
 

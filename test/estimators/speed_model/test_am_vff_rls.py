@@ -19,7 +19,7 @@ from trainid_ros.core.errors import InputError
 from trainid_ros.core.records import NS_PER_S
 from trainid_ros.core.results import Reason, Refusal, SpeedModelEstimate
 from trainid_ros.core.samples import Sample
-from trainid_ros.estimators.am_vff_rls import AmVffRls, AmVffRlsConfig, to_physical, to_speed_model
+from trainid_ros.estimators.speed_model.am_vff_rls import AmVffRls, AmVffRlsConfig, to_physical, to_speed_model
 from trainid_ros.physics.train_file import Davis, TrainFile
 
 Make = Callable[..., Sample]

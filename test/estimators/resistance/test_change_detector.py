@@ -8,7 +8,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trainid_ros.estimators.change_detector import NO_STEP, Cusum
+from trainid_ros.estimators.resistance.change_detector import NO_STEP, Cusum
 
 ALLOWANCE, CLIP, THRESHOLD = 0.4, 3.0, 7.0
 INNOVATIONS = st.lists(st.floats(-50.0, 50.0), max_size=40)

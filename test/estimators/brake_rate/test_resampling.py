@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trainid_ros.estimators.resampling import effective_number, normalise, systematic
+from trainid_ros.estimators.brake_rate.resampling import effective_number, normalise, systematic
 
 LOGS = st.lists(st.floats(-1000.0, 1000.0), min_size=1, max_size=30)
 

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from trainid_ros.estimators.speed_window import WindowResult
+    from trainid_ros.estimators.resistance.speed_window import WindowResult
 
 
 @dataclass(frozen=True, slots=True)

@@ -31,9 +31,9 @@ from trainid_ros.core.records import NS_PER_S
 from trainid_ros.core.results import BrakeRateEstimate, Reason, Refusal
 from trainid_ros.core.samples import BrakeCommandChange
 from trainid_ros.core.settings import check_settings, setting
-from trainid_ros.estimators.brake_kinematics import BrakeStep, brake_step
+from trainid_ros.estimators.brake_rate.brake_kinematics import BrakeStep, brake_step
+from trainid_ros.estimators.brake_rate.resampling import effective_number, normalise, systematic
 from trainid_ros.estimators.known_force import KnownForce
-from trainid_ros.estimators.resampling import effective_number, normalise, systematic
 from trainid_ros.estimators.speed_noise import SpeedNoise
 from trainid_ros.physics.brake import CommandHistory
 from trainid_ros.physics.effects import effect_value

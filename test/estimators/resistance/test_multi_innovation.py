@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from trainid_ros.estimators.multi_innovation import Belief, multi_innovation_step
-from trainid_ros.estimators.speed_window import WindowResult
+from trainid_ros.estimators.resistance.multi_innovation import Belief, multi_innovation_step
+from trainid_ros.estimators.resistance.speed_window import WindowResult
 
 Array = NDArray[np.float64]
 

@@ -1,0 +1,80 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The algorithms that can do one job, by name; drivers choose, and know no estimator's class."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Generic, TypeVar
+
+from trainid_ros.core.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import numpy as np
+    from _typeshed import DataclassInstance
+
+    from trainid_ros.core.results import Estimate
+    from trainid_ros.estimators.protocol import Estimator
+    from trainid_ros.physics.train_file import TrainFile
+
+EstimateT = TypeVar('EstimateT', bound='Estimate')
+
+
+@dataclass(frozen=True, slots=True)
+class Choice:
+    """An algorithm by name, and its settings."""
+
+    algorithm: str
+    config: DataclassInstance
+
+
+@dataclass(frozen=True, slots=True)
+class Algorithm(Generic[EstimateT]):
+    """One algorithm.
+
+    Attributes:
+        name: What users call it.
+        summary: What it is and when to choose it, in one line.
+        config: Its settings at their defaults.
+        make: Makes the estimator from the believed train, settings of the same class, and a generator.
+
+    """
+
+    name: str
+    summary: str
+    config: DataclassInstance
+    make: Callable[[TrainFile, Any, np.random.Generator], Estimator[EstimateT]]
+
+
+class Algorithms(Generic[EstimateT]):
+    """All algorithms for one kind of estimate; the first one is the default."""
+
+    def __init__(self, *algorithms: Algorithm[EstimateT]) -> None:
+        self._by_name = {item.name: item for item in algorithms}
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """All names, the default first."""
+        return tuple(self._by_name)
+
+    @property
+    def default(self) -> str:
+        """Name of the default."""
+        return self.names[0]
+
+    def __getitem__(self, name: str) -> Algorithm[EstimateT]:
+        """Return an algorithm by name; InputError if there is none."""
+        if (algorithm := self._by_name.get(name)) is None:
+            msg = f'algorithm = {name!r} must be one of {", ".join(self.names)}'
+            raise InputError(msg)
+        return algorithm
+
+    def choose(self, name: str = '', **changes: float) -> Choice:
+        """Return a choice, the default if unnamed, with some settings changed; InputError if there is none."""
+        algorithm = self[name or self.default]
+        return Choice(algorithm.name, replace(algorithm.config, **changes))
+
+    def make(self, choice: Choice, train_file: TrainFile, generator: np.random.Generator) -> Estimator[EstimateT]:
+        """Return the chosen estimator; InputError, naming the field, if a setting is out of range."""
+        return self[choice.algorithm].make(train_file, choice.config, generator)
