@@ -1,0 +1,264 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Metro coasts as in the experiment of Liu et al. 2018, and the least error that any estimator can reach on them.
+
+24 coasts of 45 s at 5 Hz (5400 speeds, about one round trip of a metro line) on level track, speed with white
+noise and rounded as a tachometer rounds it. A gust is an AR(1) disturbance of the resistance. As in the paper
+speeds are in km/h and parameters are those of ``w(v) = a + b v + c v^2`` [N/kN, v in km/h]; :func:`in_si`
+converts them, and :func:`samples` makes what estimators step on.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from trainid_ros.core.records import NS_PER_S
+from trainid_ros.core.samples import SAMPLE_PERIOD, Sample
+from trainid_ros.physics.resistance import specific_inertia
+from trainid_ros.physics.train_file import Davis, Train, TrainFile
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+
+GAMMA: Final = 0.06
+KMH: Final = 1.0 / 3.6
+INERTIA: Final = specific_inertia(KMH, GAMMA)
+"""Specific force [N/kN] per acceleration [km/h per s], 1000 (1 + gamma) / (3.6 g)."""
+
+PAPER: Final = (0.515, 8.597e-2, 7.512e-4)
+"""Parameters of eq. (8) of the paper, v in km/h."""
+LARGE_A: Final = (2.031, 6.22e-2, 1.807e-3)
+"""A second truth, in which resistance at standstill counts."""
+
+GRID: Final = np.linspace(20.0, 80.0, 121)
+"""Speeds [km/h] over which a curve is judged."""
+_GRID_PHI: Final = np.stack([np.ones_like(GRID), GRID, GRID**2], axis=1)
+_START_NS: Final = 1_600_000_000 * NS_PER_S
+_PAUSE_S: Final = 60
+
+
+@dataclass(frozen=True, slots=True)
+class CoastPlan:
+    """What is driven and how it is measured.
+
+    Attributes:
+        truth: a, b, c with v in km/h.
+        coasts: Number of coasts.
+        samples: Speeds in each coast.
+        slowest: Least speed a coast starts from [km/h]; starts are spread evenly up to ``fastest``, in random order.
+        fastest: Greatest speed a coast starts from [km/h].
+        noise_std: White noise of measured speed [km/h].
+        quantum: Step that measured speed is rounded to [km/h], 0 = not rounded.
+        gust_std: Disturbance of the resistance, an AR(1) process [N/kN].
+        gust_time: Its correlation time [s].
+        grade_std: Error of the gradient map, one for each coast [per mille].
+
+    """
+
+    truth: tuple[float, float, float] = PAPER
+    coasts: int = 24
+    samples: int = 225
+    slowest: float = 25.0
+    fastest: float = 80.0
+    noise_std: float = 0.027
+    quantum: float = 0.1
+    gust_std: float = 0.0
+    gust_time: float = 5.0
+    grade_std: float = 0.0
+
+    @property
+    def speed_std(self) -> float:
+        """Standard deviation of one measured speed, noise and rounding together [km/h]."""
+        return math.hypot(self.noise_std, self.quantum / math.sqrt(12.0))
+
+
+@dataclass(frozen=True, slots=True)
+class Coasts:
+    """Coasts driven to a plan; arrays of shape (coasts, samples), a row a coast.
+
+    Attributes:
+        plan: The plan.
+        speed: Measured speed [km/h].
+        true_speed: True speed [km/h].
+        disturbance: Gust and error of the gradient map over the interval after each speed [N/kN].
+
+    """
+
+    plan: CoastPlan
+    speed: Array
+    true_speed: Array
+    disturbance: Array
+
+
+def drive(plan: CoastPlan, generator: np.random.Generator) -> Coasts:
+    """Drive all coasts of a plan."""
+    shape = (plan.coasts, plan.samples)
+    strata = (generator.permutation(plan.coasts) + generator.uniform(size=plan.coasts)) / plan.coasts
+    starts = plan.slowest + (plan.fastest - plan.slowest) * strata
+    disturbance = _gusts(plan, generator) + plan.grade_std * generator.standard_normal((plan.coasts, 1))
+    true_speed = _trajectories(plan.truth, starts, disturbance)
+    speed = true_speed + plan.noise_std * generator.standard_normal(shape)
+    if plan.quantum:
+        speed = plan.quantum * np.round(speed / plan.quantum)
+    return Coasts(plan, speed, true_speed, disturbance)
+
+
+def resistance(theta: tuple[float, ...] | Array, v: Array) -> Array:
+    """Return w(v) [N/kN] of parameters and speeds in km/h."""
+    a, b, c = theta
+    w: Array = a + v * (b + c * v)
+    return w
+
+
+def curve_error(theta: tuple[float, ...] | Array, truth: tuple[float, float, float]) -> float:
+    """Return the root mean square error of w(v) over 20-80 km/h [N/kN]."""
+    error = _GRID_PHI @ (np.asarray(theta) - np.asarray(truth))
+    return float(np.sqrt(np.mean(error**2)))
+
+
+def curve_std(covariance: Array) -> float:
+    """Return the root mean variance of w(v) over 20-80 km/h [N/kN] of a covariance of (a, b, c), shape (3, 3)."""
+    return float(np.sqrt(np.mean(np.sum((_GRID_PHI @ covariance) * _GRID_PHI, axis=1))))
+
+
+def pooled(errors: list[float] | Array) -> float:
+    """Return the root mean square of errors over seeds."""
+    return float(np.sqrt(np.mean(np.square(errors))))
+
+
+def cramer_rao(coasts: Coasts, theta_prior: Array | None = None) -> Array:
+    """Return the Cramer-Rao bound on (a, b, c) from the measured speeds, shape (3, 3); v in km/h.
+
+    The first speed of each coast is unknown; statistics of noise, gusts and gradient errors are known. Rounding
+    counts as white noise. A prior covariance of the parameters, shape (3, 3), may add to the information.
+    """
+    plan = coasts.plan
+    information = np.zeros((3, 3)) if theta_prior is None else np.linalg.inv(theta_prior)
+    lag = np.abs(np.subtract.outer(np.arange(plan.samples), np.arange(plan.samples)))
+    gust = plan.gust_std**2 * np.exp(-SAMPLE_PERIOD * lag / plan.gust_time) + plan.grade_std**2
+    for speed in coasts.true_speed:
+        response, decay = _responses(plan.truth, speed)
+        C = response @ gust @ response.T + plan.speed_std**2 * np.eye(plan.samples)
+        phi = np.stack([np.ones_like(speed), speed, speed**2], axis=1)
+        J = np.column_stack([response @ phi, decay])
+        F = J.T @ np.linalg.solve(C, J)
+        # The Schur complement: what is left of the information when the first speed is unknown.
+        information += F[:3, :3] - np.outer(F[:3, 3], F[3, :3]) / F[3, 3]
+    return np.linalg.inv(information)
+
+
+def in_si(theta: tuple[float, ...] | Array) -> Davis:
+    """Return parameters with v in km/h as parameters with v in m/s."""
+    a, b, c = (float(value) for value in theta)
+    return Davis(a, b / KMH, c / KMH**2)
+
+
+def in_kmh(davis: Davis) -> tuple[float, float, float]:
+    """Return parameters with v in m/s as parameters with v in km/h."""
+    return davis.a, davis.b * KMH, davis.c * KMH**2
+
+
+def train_file(believed: tuple[float, float, float] = PAPER) -> TrainFile:
+    """Return the train of the coasts, with believed parameters (v in km/h)."""
+    return TrainFile(Train(mass=200e3, rotary_mass=GAMMA), in_si(believed))
+
+
+def samples(coasts: Coasts, speed: Array | None = None) -> Iterator[Sample]:
+    """Yield the coasts as samples, one after another; a minute passes between two coasts.
+
+    Args:
+        coasts: The coasts.
+        speed: Measured speeds [km/h] in place of those of the coasts, same shape; NaN is left out.
+
+    """
+    measured = coasts.speed if speed is None else speed
+    stamp_ns = _START_NS
+    for row in measured:
+        gap = math.nan
+        for value in row:
+            stamp_ns += round(SAMPLE_PERIOD * NS_PER_S)
+            if math.isnan(value):
+                gap += SAMPLE_PERIOD
+                continue
+            yield _sample(stamp_ns, gap, float(value) * KMH)
+            gap = SAMPLE_PERIOD
+        stamp_ns += _PAUSE_S * NS_PER_S
+
+
+def white_observations(
+    plan: CoastPlan, generator: np.random.Generator, std: float, count: int = 1032
+) -> tuple[Array, Array]:
+    """Return speeds [km/h] and observed resistances [N/kN] in white noise, shape (count,) each, coast by coast.
+
+    What an estimator of section 3 of the paper assumes; 1032 is how many windows of 11 samples the coasts hold.
+    """
+    true_speed = drive(plan, generator).true_speed
+    per_coast = -(-count // plan.coasts)
+    middles = np.linspace(5, plan.samples - 6, per_coast).round().astype(int)
+    v = true_speed[:, middles].ravel()[:count]
+    return v, resistance(plan.truth, v) + std * generator.standard_normal(count)
+
+
+def _gusts(plan: CoastPlan, generator: np.random.Generator) -> Array:
+    noise = generator.standard_normal((plan.coasts, plan.samples))
+    rho = math.exp(-SAMPLE_PERIOD / plan.gust_time)
+    gusts = np.empty_like(noise)
+    gusts[:, 0] = noise[:, 0]
+    for i in range(1, plan.samples):
+        gusts[:, i] = rho * gusts[:, i - 1] + math.sqrt(1.0 - rho * rho) * noise[:, i]
+    return plan.gust_std * gusts
+
+
+def _trajectories(truth: tuple[float, float, float], starts: Array, disturbance: Array) -> Array:
+    """Integrate dv/dt = -(w(v) + d) / inertia by Runge-Kutta; d holds over a sample, so steps have no corner."""
+    speed = np.empty_like(disturbance)
+    speed[:, 0] = starts
+    h = SAMPLE_PERIOD
+    for i in range(speed.shape[1] - 1):
+        v, d = speed[:, i], disturbance[:, i]
+        k1 = -(resistance(truth, v) + d) / INERTIA
+        k2 = -(resistance(truth, v + 0.5 * h * k1) + d) / INERTIA
+        k3 = -(resistance(truth, v + 0.5 * h * k2) + d) / INERTIA
+        k4 = -(resistance(truth, v + h * k3) + d) / INERTIA
+        speed[:, i + 1] = v + h / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+    return speed
+
+
+def _responses(truth: tuple[float, float, float], speed: Array) -> tuple[Array, Array]:
+    """Return how later speeds answer to a force in each interval, shape (N, N), and to the first speed, (N,)."""
+    _, b, c = truth
+    rate = (b + 2.0 * c * speed) / INERTIA
+    exponent = np.concatenate([[0.0], np.cumsum(0.5 * SAMPLE_PERIOD * (rate[1:] + rate[:-1]))])
+    decay = np.exp(-exponent)
+    # Force in interval j acts, on average, from its middle on.
+    middle = np.exp(0.5 * (exponent + np.append(exponent[1:], exponent[-1])))
+    response = np.tril(np.outer(decay, middle), -1) * (-SAMPLE_PERIOD / INERTIA)
+    return response, decay
+
+
+def _sample(stamp_ns: int, dt: float, speed: float) -> Sample:
+    return Sample(
+        stamp_ns=stamp_ns,
+        dt=dt,
+        speed=speed,
+        position=math.nan,
+        direction=1,
+        force=0.0,
+        force_mean=0.0,
+        gradient=0.0,
+        gradient_mean=0.0,
+        curve_radius=0.0,
+        tunnel=False,
+        mass=math.nan,
+        brake_command=0.0,
+        brake_changes=(),
+        brake_gap=False,
+        emergency=False,
+    )
