@@ -71,7 +71,7 @@ class Raw:
 
 @dataclass(frozen=True, slots=True)
 class Rows:
-    """Regression form: y (n,) [N/kN], phi (n, 3) = [1, v, v²], the tick (n,) that ends each window, which are spoiled."""
+    """Regression form: y (n,) [N/kN], phi (n, 3) = [1, v, v²], the tick that ends each window, which are spoiled."""
 
     y: Floats
     phi: Floats
@@ -167,7 +167,8 @@ def _gradients(rng: np.random.Generator, speed: Floats) -> Floats:
     values = np.clip(rng.normal(0.0, 9.0, int(place[-1] / 250.0) + 3), -25.0, 25.0)
     knots = np.arange(values.size) * 250.0
     corners = np.sort(np.concatenate([knots - 60.0, knots + 60.0]))[1:-1]
-    return np.interp(place, corners, np.repeat(values, 2)[: corners.size])
+    smooth: Floats = np.interp(place, corners, np.repeat(values, 2)[: corners.size])
+    return smooth
 
 
 def _resistances(speed: Floats, change: int) -> Floats:
@@ -177,7 +178,8 @@ def _resistances(speed: Floats, change: int) -> Floats:
     square = middle * middle + (speed - before) ** 2 / 12.0
     old = BEFORE.a + BEFORE.b * middle + BEFORE.c * square
     new = AFTER.a + AFTER.b * middle + AFTER.c * square
-    return np.where(np.arange(speed.size) < change, old, new)
+    resistances: Floats = np.where(np.arange(speed.size) < change, old, new)
+    return resistances
 
 
 def _gusts(rng: np.random.Generator, size: int) -> Floats:
@@ -191,7 +193,7 @@ def _gusts(rng: np.random.Generator, size: int) -> Floats:
 
 
 def _slips(rng: np.random.Generator, force: Floats, moving: Flags) -> Floats:
-    """Return by how much the wheels are too fast [m/s], too slow in braking: 0.6-2 s each, 5 % of the time in motion."""
+    """Return by how much the wheels are too fast [m/s], too slow in braking: 0.6-2 s each, 5 % of the motion."""
     excess = np.zeros(force.size)
     ticks = np.flatnonzero(moving)
     missing = int(_SLIPPING * ticks.size)
@@ -222,8 +224,8 @@ def _rows(speed: Floats, balance: Floats, ends: NDArray[np.int64], spoiled: Flag
     y = forces[:, 1:] @ share - windows @ slope * (INERTIA / PERIOD)
     v = windows.mean(axis=1)
     phi = np.column_stack([np.ones(v.size), v, v * v])
-    bad = np.lib.stride_tricks.sliding_window_view(spoiled, _WINDOW)[ends - (_WINDOW - 1)].any(axis=1)
-    return Rows(y, phi, ends, bad)
+    seen = np.lib.stride_tricks.sliding_window_view(spoiled, _WINDOW)[ends - (_WINDOW - 1)]
+    return Rows(y, phi, ends, np.asarray(seen.any(axis=1)))
 
 
 def _with_gross_errors(rng: np.random.Generator, rows: Rows) -> Rows:
