@@ -3,11 +3,27 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from trainid_ros.core.results import ResistanceEstimate
 from trainid_ros.estimators.algorithms import Algorithm, Algorithms
+from trainid_ros.estimators.resistance.regressions import innovation_step, solve_step, strict_step
 from trainid_ros.estimators.resistance.vmils import VMils, VMilsConfig
+from trainid_ros.estimators.resistance.windowed import WindowedConfig, WindowedRegression
+
+if TYPE_CHECKING:
+    from trainid_ros.estimators.resistance.regressions import Step
+
+
+def _regression(name: str, summary: str, step: Step, config: WindowedConfig) -> Algorithm[ResistanceEstimate]:
+    """Return a regression of Liu et al. 2018."""
+    return Algorithm(
+        name,
+        f'{summary}; for comparison',
+        config,
+        lambda train_file, chosen, _: WindowedRegression(train_file, chosen, step),
+    )
+
 
 RESISTANCE: Final = Algorithms[ResistanceEstimate](
     Algorithm(
@@ -15,5 +31,33 @@ RESISTANCE: Final = Algorithms[ResistanceEstimate](
         'interval-varying multi-innovation least squares on speed windows; the default',
         VMilsConfig(),
         lambda train_file, config, _: VMils(train_file, config),
+    ),
+    _regression('LS', 'least squares over all windows so far', solve_step, WindowedConfig()),
+    _regression('regularised-LS', 'LS with a penalty on the parameters', solve_step, WindowedConfig(penalty=50.0)),
+    _regression('RLS', 'recursive least squares, started as printed', innovation_step, WindowedConfig()),
+    _regression(
+        'regularised-RLS',
+        'RLS from P(0) = I/lambda, the regularised LS at every step',
+        innovation_step,
+        WindowedConfig(penalty=50.0),
+    ),
+    _regression('MILS', 'LS in which each window counts p times', innovation_step, WindowedConfig(innovation_length=4)),
+    _regression(
+        'regularised-MILS',
+        'MILS from P(0) = I/(p lambda)',
+        innovation_step,
+        WindowedConfig(innovation_length=4, penalty=50.0),
+    ),
+    _regression(
+        'V-MILS-printed',
+        'MILS that steps only where the last p windows are good',
+        strict_step,
+        WindowedConfig(innovation_length=4, gate=3.0),
+    ),
+    _regression(
+        'regularised-V-MILS',
+        'the same from P(0) = I/(p lambda)',
+        strict_step,
+        WindowedConfig(innovation_length=4, penalty=50.0, gate=3.0),
     ),
 )
