@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help setup demo test test-fast test-unit test-ros lint typecheck colcon-smoke golden bench lock clean
+.PHONY: help setup demo test test-fast test-unit test-ros lint typecheck colcon-smoke golden bench bench-peers lock clean
 
 PYTHON_IN := .venv/bin/python
 PYTEST := tools/with_test_env $(PYTHON_IN) -m pytest
@@ -39,12 +39,21 @@ golden: setup ## regenerate expected outputs and config/params.yaml; review the 
 	tools/with_test_env $(PYTHON_IN) test/golden/make_golden.py
 	tools/with_test_env $(PYTHON_IN) -m trainid_ros.nodes.params_template > config/params.yaml
 
-bench: setup ## measure speed and accuracy
+bench: setup .venv-peers/stamp ## measure speed and accuracy, also of the papers and of other libraries
 	$(PYTHON_IN) benchmarks/run.py
+
+bench-peers: setup .venv-peers/stamp ## measure other libraries beside ours on the same data
+	$(PYTHON_IN) benchmarks/run.py --only peers
+
+# A folder that only the benchmark looks into, after .venv, whose versions it shares.
+.venv-peers/stamp: tools/requirements/peers.lock
+	rm -rf .venv-peers
+	$(PYTHON_IN) -m pip install --quiet --no-deps --require-hashes --no-build-isolation --target .venv-peers -r $<
+	touch $@
 
 lock: ## resolve the pinned requirements anew (needs uv)
 	python3 tools/lock.py
 
 clean: ## remove the environment and everything generated
-	rm -rf .venv build install log .mypy_cache .ruff_cache .pytest_cache .hypothesis trainid_ros.egg-info
+	rm -rf .venv .venv-peers build install log .mypy_cache .ruff_cache .pytest_cache .hypothesis trainid_ros.egg-info
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

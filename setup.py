@@ -52,6 +52,8 @@ setup(
         'scipy',
         'zstandard',
     ],
+    # Compiles the kernels of the estimators; they give the same numbers without it.
+    extras_require={'fast': ['numba']},
     zip_safe=False,
     entry_points={
         'console_scripts': [

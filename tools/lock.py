@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Write the hashed lock files of tools/requirements from the `.in` files beside them.
 
-Needs the resolver `uv` on the path or in the environment variable UV. A lock lists only the wheels
+Needs the resolver `uv` on the path or in the environment variable UV. With names of groups, only these are
+resolved anew, against the pins that stand in the locks before them. A lock lists only the wheels
 that the project can use (CPython 3.11 to 3.13 on glibc Linux), and neither addresses nor paths.
 """
 
 from __future__ import annotations
 
+import argparse
 import os
 import re
 import subprocess
@@ -17,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 REQUIREMENTS = Path(__file__).resolve().parent / 'requirements'
-GROUPS = ('bootstrap', 'ros', 'runtime', 'dev', 'build')
+GROUPS = ('bootstrap', 'ros', 'runtime', 'dev', 'build', 'fast', 'peers')
 OLDEST_PYTHON = '3.11'
 PYTHON_TAG = re.compile(r'^(py3|py2\.py3|cp311|cp312|cp313|cp3\d+-abi3)-')
 PLATFORM_TAG = re.compile(r'(any|manylinux\w*_(x86_64|aarch64)|linux_(x86_64|aarch64))$')
@@ -91,15 +93,36 @@ def entry(package: dict[str, Any]) -> str:
     return ' \\\n    '.join(lines)
 
 
+def pinned(group: str) -> list[str]:
+    """Read the pins of a lock written before.
+
+    Args:
+        group: Stem of the `.lock` file.
+
+    Returns:
+        The pins, `name==version`.
+    """
+    lines = (REQUIREMENTS / f'{group}.lock').read_text().splitlines()
+    return [line.split()[0] for line in lines if '==' in line and not line.startswith('#')]
+
+
 def main() -> int:
-    """Resolve every group and write its lock.
+    """Resolve the groups asked for, or every group, and write their locks.
 
     Returns:
         Exit code.
     """
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument('groups', nargs='*', default=GROUPS, metavar='GROUP', help=f'of {", ".join(GROUPS)}')
+    wanted = parser.parse_args().groups
+    if unknown := set(wanted) - set(GROUPS):
+        parser.error(f'no such group: {", ".join(sorted(unknown))}')
     known: list[str] = []
     with tempfile.TemporaryDirectory() as scratch:
         for group in GROUPS:
+            if group not in wanted:
+                known += pinned(group)
+                continue
             packages = resolve(group, Path(scratch), known)
             new = [item for item in packages if f'{item["name"]}=={item["version"]}' not in known]
             known += [f'{item["name"]}=={item["version"]}' for item in new]
