@@ -88,9 +88,8 @@ def ridge(Phi: Array, y: Array, penalty: float, weights: Array | None = None, *,
         NoAnswerError: Data and penalty do not determine three parameters.
 
     """
-    scale: Array = np.mean(Phi**2, axis=0) if scaled else np.ones(3)
-    added: Array = np.diag(penalty * scale)
-    return _fit(Phi, y, weights, added, np.zeros(3))
+    scale = np.diag(Phi.T @ Phi) / len(Phi) if scaled else np.ones(3)
+    return _fit(Phi, y, weights, penalty * np.diag(scale), np.zeros(3))
 
 
 def fit_with_prior(Phi: Array, y: Array, prior: Prior, weights: Array | None = None) -> Fit:
@@ -100,7 +99,8 @@ def fit_with_prior(Phi: Array, y: Array, prior: Prior, weights: Array | None = N
         NoAnswerError: Data and prior do not determine three parameters.
 
     """
-    return _fit(Phi, y, weights, np.linalg.inv(prior.covariance), prior.theta)
+    precision = np.asarray(np.linalg.inv(prior.covariance), dtype=np.float64)
+    return _fit(Phi, y, weights, precision, prior.theta)
 
 
 def _fit(Phi: Array, y: Array, weights: Array | None, penalty: Array, centre: Array) -> Fit:
