@@ -50,11 +50,26 @@ def rls(theta: Vector, P: Symmetric, phi: Vector, y: float, variance: float = 1.
     g2 = P12 * f1 + P22 * f2 + P23 * f3
     g3 = P13 * f1 + P23 * f2 + P33 * f3
     S = variance + f1 * g1 + f2 * g2 + f3 * g3
-    k = (y - f1 * a - f2 * b - f3 * c) / S
     L1, L2, L3 = g1 / S, g2 / S, g3 / S  # (10)
+    e = y - f1 * a - f2 * b - f3 * c
+    # (11) as P = A P A' + variance L L' with A = I - L phi' (Joseph). From p0 = 1e6 the first observation alone takes
+    # 13 decades from P along phi, and P - L phi' P would leave rounding errors as large as what remains.
+    A11, A12, A13 = 1.0 - L1 * f1, -L1 * f2, -L1 * f3
+    A21, A22, A23 = -L2 * f1, 1.0 - L2 * f2, -L2 * f3
+    A31, A32, A33 = -L3 * f1, -L3 * f2, 1.0 - L3 * f3
+    B11, B12, B13 = P11 - L1 * g1, P12 - L1 * g2, P13 - L1 * g3  # B = A P
+    B21, B22, B23 = P12 - L2 * g1, P22 - L2 * g2, P23 - L2 * g3
+    B31, B32, B33 = P13 - L3 * g1, P23 - L3 * g2, P33 - L3 * g3
     return (
-        (a + g1 * k, b + g2 * k, c + g3 * k),  # (9)
-        (P11 - L1 * g1, P12 - L1 * g2, P13 - L1 * g3, P22 - L2 * g2, P23 - L2 * g3, P33 - L3 * g3),  # (11)
+        (a + L1 * e, b + L2 * e, c + L3 * e),  # (9)
+        (
+            B11 * A11 + B12 * A12 + B13 * A13 + variance * L1 * L1,
+            B11 * A21 + B12 * A22 + B13 * A23 + variance * L1 * L2,
+            B11 * A31 + B12 * A32 + B13 * A33 + variance * L1 * L3,
+            B21 * A21 + B22 * A22 + B23 * A23 + variance * L2 * L2,
+            B21 * A31 + B22 * A32 + B23 * A33 + variance * L2 * L3,
+            B31 * A31 + B32 * A32 + B33 * A33 + variance * L3 * L3,
+        ),
     )
 
 

@@ -64,9 +64,10 @@ class WindowedConfig:
 
 @dataclass(frozen=True, slots=True)
 class WindowedState:
-    """All that a windowed regression remembers."""
+    """All that a windowed regression remembers; P times ``scale`` is a covariance."""
 
     regression: RegressionState
+    scale: float
     residuals: Residuals = field(default_factory=Residuals)
     ticks: tuple[Tick, ...] = ()
     braked_ns: int = 0
@@ -94,7 +95,7 @@ class WindowedRegression:
 
     def reset(self) -> None:
         """Go back to knowing nothing."""
-        self.state = WindowedState(begin(self._regression))
+        self.state = WindowedState(begin(self._regression), self._scale(Residuals()))
         self._admission.braked_ns = 0
 
     def save(self) -> str:
@@ -137,9 +138,9 @@ class WindowedRegression:
         state, config = self.state, self.config
         phi = _in_kmh(observed.phi)
         e = observed.y - sum(f * x for f, x in zip(phi, state.regression.theta, strict=True))  # (16)
-        spread = _quadratic(state.regression.P, phi)
-        variance = state.residuals.variance(config.noise_std)
-        S = variance * (1.0 + config.innovation_length * spread)
+        # What theta adds to the variance of the innovation; P is p times too small.
+        doubt = config.innovation_length * _quadratic(state.regression.P, phi)
+        S = state.residuals.variance(config.noise_std) * (1.0 + doubt)
         bad = config.gate > 0.0 and state.residuals.is_outlier(e, config.gate)
         self.state = replace(
             state,
@@ -155,19 +156,20 @@ class WindowedRegression:
         if not _is_finite(learned):
             self.state = self._skipped()
             return Refusal(stamp_ns, Reason.NUMERICAL, e, math.nan)
-        # Divided by the root of 1 + phi' P phi, what is left is noise alone.
-        self._accept(learned, e / math.sqrt(1.0 + spread), observed)
+        self._accept(learned, e / math.sqrt(1.0 + doubt), observed)
         return None
 
     def _accept(self, learned: RegressionState, residual: float, observed: WindowResult) -> None:
         state = self.state
         first = state.speed_max == 0.0
         known = state.regression.determined and state.regression.steps >= 3
+        # The first three innovations tell the start, not the noise.
+        residuals = state.residuals.add(residual) if known else state.residuals
         self.state = replace(
             state,
             regression=learned,
-            # The first three innovations tell the start, not the noise.
-            residuals=state.residuals.add(residual) if known else state.residuals,
+            scale=self._scale(residuals),
+            residuals=residuals,
             speed_min=observed.speed_min if first else min(state.speed_min, observed.speed_min),
             speed_max=max(state.speed_max, observed.speed_max),
         )
@@ -183,21 +185,20 @@ class WindowedRegression:
         """Fit to use while w is known over the speeds seen (rms); hysteresis of one half."""
         state = self.state
         speeds = (state.speed_min, 0.5 * (state.speed_min + state.speed_max), state.speed_max)
-        P, scale = state.regression.P, self._scale()
+        P, scale = state.regression.P, state.scale
         mean = sum(scale * _quadratic(P, _regressor(v)) for v in speeds) / len(speeds)
         limit = self.config.valid_std * (1.5 if state.converged else 1.0)
         enough = state.regression.determined and state.residuals.count >= _FEWEST
         self.state = replace(state, converged=enough and math.sqrt(mean) < limit)
 
-    def _scale(self) -> float:
-        """What P is to be multiplied with to be a covariance, p sigma^2."""
-        variance = self.state.residuals.long_run_variance(self.config.noise_std)
-        return self.config.innovation_length * variance
+    def _scale(self, residuals: Residuals) -> float:
+        """Return p sigma^2."""
+        return self.config.innovation_length * residuals.long_run_variance(self.config.noise_std)
 
     def estimate(self, speed: float) -> ResistanceEstimate:
         """Return the parameters and the resistance at a speed [m/s]."""
         state = self.state
-        theta, P, scale = state.regression.theta, state.regression.P, self._scale()
+        theta, P, scale = state.regression.theta, state.regression.P, state.scale
         a, b, c = _in_kmh(theta)
         P11, P12, P13, P22, P23, P33 = (scale * value for value in P)
         k, k2, k3, k4 = _KMH, _KMH**2, _KMH**3, _KMH**4
