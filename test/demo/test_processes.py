@@ -17,7 +17,8 @@ from trainid_ros.demo import processes
 from trainid_ros.demo.domain import free_domain
 from trainid_ros.demo.processes import ProcessGroup
 
-DEADLINE_S = 20.0
+# Reached only by what is broken: a busy machine may stall a process for seconds.
+DEADLINE_S = 50.0
 
 
 def is_alive(pid: int) -> bool:
@@ -100,7 +101,7 @@ def test_child_dies_with_a_parent_that_was_killed() -> None:
 def test_domain_in_use_is_left_out() -> None:
     import socket  # noqa: PLC0415 - only here
 
-    domain = free_domain(40)
+    domain = free_domain(os.getpid())
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as taken:
         taken.bind(('', 7400 + 250 * domain))
         other = free_domain(domain - 1)

@@ -8,8 +8,9 @@ import signal
 import subprocess
 import sys
 import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import pytest
@@ -19,10 +20,12 @@ from trainid_ros.physics.train_file import Davis, Line, Train, TrainFile, dump_t
 from trainid_ros.simulation.scenario import Scenario, simulate
 from trainid_ros.simulation.truth import save_truth
 
-pytestmark = pytest.mark.ros
+pytestmark = [pytest.mark.ros, pytest.mark.timeout(400)]
 
-DEADLINE_S = 60.0
+# Reached only by what is broken: a busy machine may stall a process for seconds.
+DEADLINE_S = 180.0
 TOPICS = 3
+Start: TypeAlias = Callable[..., subprocess.Popen[str]]
 
 
 @pytest.fixture(scope='module')
@@ -38,9 +41,21 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
-def start(bag: Path, out: Path, *options: str) -> subprocess.Popen[str]:
-    command = [sys.executable, '-m', 'trainid_ros.commands.main', 'demo', str(bag), '--out', str(out), *options]
-    return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
+@pytest.fixture
+def start() -> Iterator[Start]:
+    """Return what starts a demo; none outlives the test."""
+    started: list[subprocess.Popen[str]] = []
+
+    def run(bag: Path, out: Path, *options: str) -> subprocess.Popen[str]:
+        command = [sys.executable, '-m', 'trainid_ros.commands.main', 'demo', str(bag), '--out', str(out), *options]
+        started.append(subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True))
+        return started[-1]
+
+    yield run
+    for process in started:
+        if process.poll() is None:
+            process.kill()
+            process.communicate()
 
 
 def children_of(demo: subprocess.Popen[str]) -> list[int]:
@@ -56,11 +71,11 @@ def children_of(demo: subprocess.Popen[str]) -> list[int]:
     return found
 
 
-def test_quick_demo_end_to_end(bag: Path, tmp_path: Path) -> None:
+def test_quick_demo_end_to_end(start: Start, bag: Path, tmp_path: Path) -> None:
     process = start(bag, tmp_path / 'out', '--quick', '--rate', '15', '--json')
     out, err = process.communicate(timeout=DEADLINE_S)
-    answer: dict[str, Any] = json.loads(out)
     assert process.returncode == 0, err
+    answer: dict[str, Any] = json.loads(out)
     assert answer['worked'] is True
     chapter = answer['bags'][0]
     assert len(chapter['live_against_replay']) == TOPICS
@@ -76,7 +91,9 @@ def test_quick_demo_end_to_end(bag: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
-def test_interrupted_demo_leaves_nobody_behind(bag: Path, tmp_path: Path, number: signal.Signals) -> None:
+def test_interrupted_demo_leaves_nobody_behind(
+    start: Start, bag: Path, tmp_path: Path, number: signal.Signals
+) -> None:
     process = start(bag, tmp_path / 'out', '--rate', '1')
     log = tmp_path / 'out' / 'log' / bag.name / 'bag_player.log'
     deadline = time.monotonic() + DEADLINE_S
@@ -92,7 +109,7 @@ def test_interrupted_demo_leaves_nobody_behind(bag: Path, tmp_path: Path, number
     assert children_of(process) == []
 
 
-def test_node_that_cannot_start_is_told_in_one_line(bag: Path, tmp_path: Path) -> None:
+def test_node_that_cannot_start_is_told_in_one_line(start: Start, bag: Path, tmp_path: Path) -> None:
     broken = tmp_path / 'broken'
     broken.mkdir()
     for item in bag.iterdir():

@@ -22,6 +22,8 @@ from trainid_msgs import msg as messages
 
 from trainid_ros.bags.reader import BagReader
 from trainid_ros.bags.writer import BagWriter
+from trainid_ros.demo.domain import free_domain
+from trainid_ros.demo.parameters import parameter_file
 from trainid_ros.estimators.pipeline import (
     EstimatorPipeline,
     EstimatorSettings,
@@ -44,6 +46,8 @@ OUTPUTS: dict[str, tuple[Any, Callable[..., EstimatorPipeline[Any]]]] = {
 }
 RATE = '8'
 PLAYED_S = 100.0
+# Reached only by what is broken: a busy machine may stall a process for seconds.
+DEADLINE_S = 100.0
 
 
 class Processes:
@@ -80,7 +84,7 @@ def finish(process: subprocess.Popen[str], signal_number: int | None = None) -> 
     """Wait for the end of a process, after a signal if one is given."""
     if signal_number is not None:
         process.send_signal(signal_number)
-    out, err = process.communicate(timeout=40)
+    out, err = process.communicate(timeout=DEADLINE_S)
     return process.returncode, out, err
 
 
@@ -91,8 +95,7 @@ def wait_for_lines(process: subprocess.Popen[str], count: int) -> list[str]:
 
 @pytest.fixture
 def processes(tmp_path: Path) -> Iterator[Processes]:
-    worker = os.environ.get('PYTEST_XDIST_WORKER', 'gw0').removeprefix('gw')
-    started = Processes(tmp_path, 60 + int(worker))
+    started = Processes(tmp_path, free_domain(os.getpid()))
     yield started
     started.stop_all()
 
@@ -121,10 +124,10 @@ class Listener:
         self.node = rclpy.create_node('listener', context=self._context)
         self._executor.add_node(self.node)
         for topic, (kind, _) in OUTPUTS.items():
-            self.node.create_subscription(kind, topic, self.heard[topic].append, QoSProfile(depth=1000))
+            self.node.create_subscription(kind, topic, self.heard[topic].append, QoSProfile(depth=10000))
 
-    def until(self, condition: Callable[[], object], deadline_s: float) -> None:
-        end = time.monotonic() + deadline_s
+    def until(self, condition: Callable[[], object]) -> None:
+        end = time.monotonic() + DEADLINE_S
         while not condition():
             assert time.monotonic() < end, 'condition not met in time'
             self._executor.spin_once(timeout_sec=0.05)
@@ -162,28 +165,43 @@ def content(message: Any) -> dict[str, bytes]:
     return fields
 
 
-@pytest.mark.timeout(110)
-def test_live_estimates_equal_the_replay_to_the_bit(processes: Processes, listener: Listener, bag: Path) -> None:
-    nodes = processes.start('run', '--train', str(TRAIN), '--ros-args', '-p', 'use_sim_time:=true')
+def told_by_samples(outputs: list[Any]) -> list[dict[str, bytes]]:
+    """What messages say, those left out that only tell of silence: that goes by clocks, not by stamps."""
+    told, stamp = [], None
+    for message in outputs:
+        if message.status != message.STALE or message.header.stamp != stamp:
+            told.append(content(message))
+        stamp = message.header.stamp
+    return told
+
+
+@pytest.mark.timeout(400)
+def test_live_estimates_equal_the_replay_to_the_bit(
+    processes: Processes, listener: Listener, bag: Path, tmp_path: Path
+) -> None:
+    # By default inputs are best effort and may get lost where the machine is busy; these nodes lose none.
+    lossless = tmp_path / 'lossless.yaml'
+    lossless.write_text(parameter_file(), encoding='utf-8')
+    ros_args = ('--params-file', str(lossless), '-p', 'use_sim_time:=true')
+    nodes = processes.start('run', '--train', str(TRAIN), '--ros-args', *ros_args)
     assert [line.split()[0] for line in wait_for_lines(nodes, 3)] == [
         'resistance_estimator',
         'speed_model_estimator',
         'brake_rate_estimator',
     ]
-    listener.until(lambda: all(listener.node.count_publishers(topic) for topic in OUTPUTS), 20.0)
+    listener.until(lambda: all(listener.node.count_publishers(topic) for topic in OUTPUTS))
     player = processes.start('play', str(bag), '--rate', RATE, '--wait', '3')
-    listener.until(lambda: player.poll() is not None, 60.0)
+    listener.until(lambda: player.poll() is not None)
     code, _, err = finish(player)
     assert (code, 'Traceback' in err) == (0, False), err
     expected = {topic: replayed(bag, topic) for topic in OUTPUTS}
-    listener.until(lambda: all(len(listener.heard[topic]) >= len(expected[topic]) for topic in OUTPUTS), 10.0)
+    last = {topic: outputs[-1].header.stamp for topic, outputs in expected.items()}
+    listener.until(lambda: all(listener.heard[topic][-1].header.stamp == last[topic] for topic in OUTPUTS))
     code, _, err = finish(nodes, signal.SIGTERM)
     assert (code, 'Traceback' in err) == (0, False), err
     for topic, outputs in expected.items():
-        # What comes after the end of the bag is the watchdog: inputs are missing now.
-        live, after = listener.heard[topic][: len(outputs)], listener.heard[topic][len(outputs) :]
-        assert [content(message) for message in live] == [content(message) for message in outputs]
-        assert all(message.status == message.STALE for message in after)
+        assert told_by_samples(listener.heard[topic]) == told_by_samples(outputs)
+        assert len(outputs) > 0.9 * 5.0 * PLAYED_S
 
 
 @pytest.mark.parametrize('signal_number', [signal.SIGINT, signal.SIGTERM])
@@ -197,7 +215,7 @@ def test_run_leaves_cleanly(processes: Processes, signal_number: int) -> None:
 @pytest.mark.parametrize('signal_number', [signal.SIGINT, signal.SIGTERM])
 def test_play_leaves_cleanly(processes: Processes, listener: Listener, bag: Path, signal_number: int) -> None:
     player = processes.start('play', str(bag), '--loop')
-    listener.until(lambda: listener.node.count_publishers('ato/speed'), 20.0)
+    listener.until(lambda: listener.node.count_publishers('ato/speed'))
     code, _, err = finish(player, signal_number)
     assert (code, 'Traceback' in err) == (0, False), err
 

@@ -32,6 +32,8 @@ _POLL_NS: Final = NS_PER_S // 50
 _ACKNOWLEDGED_S: Final = 2.0
 # Best-effort subscribers acknowledge nothing; this long they get to take what was published last.
 _LINGER_S: Final = 0.3
+# A subscriber that we know may not know us yet, and then takes nothing with best effort.
+_ACQUAINTED_NS: Final = NS_PER_S // 2
 
 
 def playback_parameters(*, live: bool) -> tuple[ParameterSpec, ...]:
@@ -162,6 +164,7 @@ class PlaybackNode(ManagedNode):
         self._pacer = Pacer(1.0)
         self.timeline = Timeline(0, 0, lambda: iter(()))
         self.finished = False
+        self._complete_ns = 0
         self.position_ns = 0
         self.played = 0
 
@@ -191,12 +194,17 @@ class PlaybackNode(ManagedNode):
         self._finish()
 
     def _is_waiting(self) -> bool:
-        """True before the start while subscribers are missing."""
+        """True before the start while subscribers are missing or have only just come."""
         wanted = int(self.parameters.value('wait'))
         if not wanted or self.position_ns:
             return False
         outputs = [self._outputs[topic.record] for topic in INPUT_TOPICS]
-        return any(output.get_subscription_count() < wanted for output in outputs)
+        if any(output.get_subscription_count() < wanted for output in outputs):
+            self._complete_ns = 0
+            return True
+        now = int(self._steady.now().nanoseconds)
+        self._complete_ns = self._complete_ns or now
+        return now - self._complete_ns < _ACQUAINTED_NS
 
     def _sleep(self, pause_ns: int) -> None:
         self._timer.timer_period_ns = max(pause_ns, 1000)
