@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from trainid_ros.estimators.resistance.innovations import mils, regularised_mils, stacked, use_counts
 from trainid_ros.estimators.resistance.least_squares import unpacked
-from trainid_ros.estimators.resistance.recursive import Vector, start
+from trainid_ros.estimators.resistance.recursive import Vector, covariance, start
 
 FLAGS = st.lists(st.booleans(), max_size=60).map(tuple)
 
@@ -20,7 +20,7 @@ FLAGS = st.lists(st.booleans(), max_size=60).map(tuple)
 def test_a_step_is_the_printed_one(p: int, penalty: float) -> None:
     rng = np.random.default_rng(40 + p)
     N = 80
-    theta, P = start(1e3, 1e-3)
+    theta, UD = start(1e3, 1e-3)
     expected, P_expected = np.full(3, 1e-3), 1e3 * np.eye(3)
     stack_phi, stack_y = tuple[Vector, ...](), tuple[float, ...]()
     for v in rng.uniform(20.0, 80.0, N):
@@ -30,16 +30,16 @@ def test_a_step_is_the_printed_one(p: int, penalty: float) -> None:
         L = Q @ Phi @ np.linalg.inv(np.eye(len(Y)) + Phi.T @ Q @ Phi)
         P_expected = (np.eye(3) - L @ Phi.T) @ Q
         expected = expected + L @ (Y - Phi.T @ expected) - penalty / N * P_expected @ expected
-        theta, P = regularised_mils(theta, P, stack_phi, stack_y, penalty / N)
+        theta, UD = regularised_mils(theta, UD, stack_phi, stack_y, penalty / N)
         assert np.array(theta) == pytest.approx(expected, abs=1e-5)
-    assert unpacked(P) == pytest.approx(P_expected, rel=1e-3)
+    assert unpacked(covariance(UD)) == pytest.approx(P_expected, rel=1e-3)
 
 
 def test_the_order_inside_a_step_does_not_matter() -> None:
-    theta, P = start(10.0)
+    theta, UD = start(10.0)
     stack = ((1.0, 30.0, 900.0), (1.0, 40.0, 1600.0), (1.0, 70.0, 4900.0))
-    forward, _ = mils(theta, P, stack, (3.0, 5.0, 9.0))
-    backward, _ = mils(theta, P, stack[::-1], (9.0, 5.0, 3.0))
+    forward, _ = mils(theta, UD, stack, (3.0, 5.0, 9.0))
+    backward, _ = mils(theta, UD, stack[::-1], (9.0, 5.0, 3.0))
     assert forward == pytest.approx(backward, rel=1e-6)
 
 

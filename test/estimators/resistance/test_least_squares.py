@@ -17,6 +17,7 @@ from trainid_ros.estimators.resistance.least_squares import (
     solve,
     unpacked,
 )
+from trainid_ros.estimators.resistance.recursive import covariance
 
 Array = NDArray[np.float64]
 TRUTH = np.array([2.0, 0.06, 1.8e-3])
@@ -101,4 +102,4 @@ def test_normal_equations_grow_by_one_observation() -> None:
     solved = solve(information, moment)
     assert solved is not None
     assert solved[0] == pytest.approx(least_squares(Phi, y).theta, rel=1e-9)
-    assert unpacked(solved[1]) == pytest.approx(np.linalg.inv(Phi.T @ Phi), rel=1e-6)
+    assert unpacked(covariance(solved[1])) == pytest.approx(np.linalg.inv(Phi.T @ Phi), rel=1e-6)

@@ -28,7 +28,7 @@ def coasts(plan: data.CoastPlan, seed: int = 3) -> data.Coasts:
 
 
 def test_a_segment_ends_at_the_change_and_the_next_starts_from_its_middle() -> None:
-    speed = 60.0 - 0.1 * np.arange(14)
+    speed = np.linspace(60.0, 58.7, 14)
     assert bounds(speed, Segments(0.5)) == [(0, 6), (2, 8), (4, 10), (6, 12), (8, 14)]
 
 

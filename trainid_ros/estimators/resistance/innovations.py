@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Multi-innovation least squares as printed (Liu et al. 2018, sections 3 and 4.2; Ding et al. 2010).
 
-Pure functions on floats, see :mod:`recursive` for P. ``Phi`` and ``Y`` hold the last p regressors and
+Pure functions on floats, see :mod:`recursive` for the factors UD of P. ``Phi`` and ``Y`` hold the last p regressors and
 observations, the newest last. A step of MILS with p innovations,
 
     ``L = P Phi [I + Phi' P Phi]^-1,  theta += L [Y - Phi' theta],  P -= L Phi' P``,
@@ -18,27 +18,27 @@ from __future__ import annotations
 
 from typing import TypeAlias
 
-from trainid_ros.estimators.resistance.recursive import Symmetric, Vector, rls, shrink
+from trainid_ros.estimators.resistance.recursive import Factors, Vector, rls, shrink
 
 Regressors: TypeAlias = tuple[Vector, ...]
 Values: TypeAlias = tuple[float, ...]
 
 
-def mils(theta: Vector, P: Symmetric, Phi: Regressors, Y: Values) -> tuple[Vector, Symmetric]:
+def mils(theta: Vector, UD: Factors, Phi: Regressors, Y: Values) -> tuple[Vector, Factors]:
     """One step of MILS with the p = len(Y) innovations of the stack."""
     for i in range(len(Y)):
-        theta, P = rls(theta, P, Phi[i], Y[i])
-    return theta, P
+        theta, UD = rls(theta, UD, Phi[i], Y[i])
+    return theta, UD
 
 
-def regularised_mils(theta: Vector, P: Symmetric, Phi: Regressors, Y: Values, rate: float) -> tuple[Vector, Symmetric]:
+def regularised_mils(theta: Vector, UD: Factors, Phi: Regressors, Y: Values, rate: float) -> tuple[Vector, Factors]:
     """One step of regularised MILS as printed, rate = lambda/N.
 
     Every step adds p observations and one p-th of what would be their share of the penalty: at t = N the result
     is ridge regression with lambda/p.
     """
-    theta, P = shrink(theta, P, rate)
-    return mils(theta, P, Phi, Y)
+    theta, UD = shrink(theta, UD, rate)
+    return mils(theta, UD, Phi, Y)
 
 
 def stacked(Phi: Regressors, Y: Values, phi: Vector, y: float, p: int) -> tuple[Regressors, Values]:

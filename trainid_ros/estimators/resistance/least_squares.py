@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from trainid_ros.core.errors import NoAnswerError
-from trainid_ros.estimators.resistance.recursive import Symmetric, Vector
+from trainid_ros.estimators.resistance.recursive import Factors, Symmetric, Vector, covariance
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -110,7 +110,7 @@ def _fit(Phi: Array, y: Array, weights: Array | None, penalty: Array, centre: Ar
     if solved is None:
         msg = f'{len(y)} observations do not determine three parameters'
         raise NoAnswerError(msg)
-    theta, P = np.array(solved[0]), unpacked(solved[1])
+    theta, P = np.array(solved[0]), unpacked(covariance(solved[1]))
     residual = y - Phi @ theta
     variance = float(residual @ (w * residual)) / max(1, len(y) - 3)
     return Fit(theta, variance * (P @ information @ P), variance)
@@ -127,8 +127,8 @@ def add(information: Symmetric, moment: Vector, phi: Vector, y: float) -> tuple[
     )
 
 
-def solve(information: Symmetric, moment: Vector) -> tuple[Vector, Symmetric] | None:
-    """Return theta and P = information^-1, or None while three parameters are not determined.
+def solve(information: Symmetric, moment: Vector) -> tuple[Vector, Factors] | None:
+    """Return theta and the factors of P = information^-1, or None while three parameters are not determined.
 
     Cholesky factors of the matrix scaled to a unit diagonal, so that units do not decide what is determined.
     """
@@ -153,17 +153,8 @@ def solve(information: Symmetric, moment: Vector) -> tuple[Vector, Symmetric] | 
     K31, K32 = -(C31 * d1 + C32 * K21) / C33, -C32 * K22 / C33
     m1, m2, m3 = moment
     z1, z2, z3 = K11 * m1, K21 * m1 + K22 * m2, K31 * m1 + K32 * m2 + K33 * m3
-    return (
-        (K11 * z1 + K21 * z2 + K31 * z3, K22 * z2 + K32 * z3, K33 * z3),
-        (
-            K11 * K11 + K21 * K21 + K31 * K31,
-            K21 * K22 + K31 * K32,
-            K31 * K33,
-            K22 * K22 + K32 * K32,
-            K32 * K33,
-            K33 * K33,
-        ),
-    )
+    theta = K11 * z1 + K21 * z2 + K31 * z3, K22 * z2 + K32 * z3, K33 * z3
+    return theta, (K21 / K22, K31 / K33, K32 / K33, K11 * K11, K22 * K22, K33 * K33)
 
 
 def unpacked(P: Symmetric) -> Array:

@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Final
 
 from trainid_ros.estimators.resistance.innovations import Regressors, Values, mils, stacked
 from trainid_ros.estimators.resistance.least_squares import add, solve
-from trainid_ros.estimators.resistance.recursive import Symmetric, Vector, forget, shrink, start
+from trainid_ros.estimators.resistance.recursive import Factors, Symmetric, Vector, forget, shrink, start
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -56,7 +56,7 @@ class RegressionState:
 
     Attributes:
         theta: Estimate.
-        P: Inverse information, which is the covariance in units of the noise variance where p = 1.
+        UD: Factors of P, the inverse information; where p = 1, the covariance in units of the noise variance.
         determined: False while theta is only a start.
         Phi: Stack of regressors.
         Y: Stack of observations.
@@ -67,7 +67,7 @@ class RegressionState:
     """
 
     theta: Vector
-    P: Symmetric
+    UD: Factors
     determined: bool = True
     Phi: Regressors = ()
     Y: Values = ()
@@ -84,20 +84,19 @@ def begin(regression: Regression) -> RegressionState:
     """Return the state before the first observation."""
     corrected = regression.penalty > 0.0 and not regression.record_length
     if corrected:
-        theta, P = start(1.0 / (regression.penalty * regression.innovation_length))
-    else:
-        theta, P = start(_P0, 1.0 / _P0)
-    return RegressionState(theta, P)
+        return RegressionState(*start(1.0 / (regression.penalty * regression.innovation_length)))
+    return RegressionState(*start(_P0, 1.0 / _P0))
 
 
 def solve_step(state: RegressionState, phi: Vector, y: float, regression: Regression) -> RegressionState:
     """LS and regularised LS (7): add to the normal equations and solve them."""
     mu, penalty = regression.forgetting, regression.penalty
-    M, m = forget(state.information, 1.0 / mu), state.moment
-    M, m = add(M, (mu * m[0], mu * m[1], mu * m[2]), phi, y)
+    (M11, M12, M13, M22, M23, M33), (m1, m2, m3) = state.information, state.moment
+    remembered = mu * M11, mu * M12, mu * M13, mu * M22, mu * M23, mu * M33
+    M, m = add(remembered, (mu * m1, mu * m2, mu * m3), phi, y)
     solved = solve((M[0] + penalty, M[1], M[2], M[3] + penalty, M[4], M[5] + penalty), m)
     state = replace(state, information=M, moment=m, steps=state.steps + 1, determined=solved is not None)
-    return state if solved is None else replace(state, theta=solved[0], P=solved[1])
+    return state if solved is None else replace(state, theta=solved[0], UD=solved[1])
 
 
 def innovation_step(state: RegressionState, phi: Vector, y: float, regression: Regression) -> RegressionState:
@@ -136,9 +135,9 @@ def run(
 
 
 def _step(state: RegressionState, regression: Regression) -> RegressionState:
-    theta, P = state.theta, state.P
+    theta, UD = state.theta, state.UD
     if regression.forgetting < 1.0:
-        P = forget(P, regression.forgetting)
-    theta, P = shrink(theta, P, regression.rate)
-    theta, P = mils(theta, P, state.Phi, state.Y)
-    return replace(state, theta=theta, P=P, steps=state.steps + 1)
+        UD = forget(UD, regression.forgetting)
+    theta, UD = shrink(theta, UD, regression.rate)
+    theta, UD = mils(theta, UD, state.Phi, state.Y)
+    return replace(state, theta=theta, UD=UD, steps=state.steps + 1)

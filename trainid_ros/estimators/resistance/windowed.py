@@ -21,6 +21,7 @@ from trainid_ros.core.results import Reason, Refusal, ResistanceEstimate
 from trainid_ros.core.settings import check_settings, setting
 from trainid_ros.estimators.admission import Admission
 from trainid_ros.estimators.known_force import KnownForce
+from trainid_ros.estimators.resistance.recursive import covariance, doubt
 from trainid_ros.estimators.resistance.regressions import Regression, RegressionState, begin, skip, strict_step
 from trainid_ros.estimators.resistance.residuals import Residuals
 from trainid_ros.estimators.resistance.segments import Segments, Windows, cut
@@ -35,6 +36,8 @@ if TYPE_CHECKING:
 _KMH: Final = 3.6
 # Before, three parameters fit any observations.
 _FEWEST: Final = 10
+# Forgetting where nothing new is seen lets P grow without end; so far nothing overflows.
+_HUGE: Final = 1e100
 
 
 @dataclass(frozen=True, slots=True)
@@ -105,7 +108,7 @@ class WindowedRegression:
     def restore(self, text: str) -> None:
         """Take over a saved state; InputError if it does not fit."""
         state = decode(text, WindowedState)
-        check_restored(_is_finite(state.regression), 'WindowedState', 'regression')
+        check_restored(_is_sound(state.regression), 'WindowedState', 'regression')
         self.state = state
         self._admission.braked_ns = state.braked_ns
 
@@ -139,8 +142,8 @@ class WindowedRegression:
         phi = _in_kmh(observed.phi)
         e = observed.y - sum(f * x for f, x in zip(phi, state.regression.theta, strict=True))  # (16)
         # What theta adds to the variance of the innovation; P is p times too small.
-        doubt = config.innovation_length * _quadratic(state.regression.P, phi)
-        S = state.residuals.variance(config.noise_std) * (1.0 + doubt)
+        added = config.innovation_length * doubt(state.regression.UD, phi)
+        S = state.residuals.variance(config.noise_std) * (1.0 + added)
         bad = config.gate > 0.0 and state.residuals.is_outlier(e, config.gate)
         self.state = replace(
             state,
@@ -153,10 +156,10 @@ class WindowedRegression:
             self.state = self._skipped()
             return Refusal(stamp_ns, Reason.OUTLIER, e, math.nan)
         learned = self._learn(self.state.regression, phi, observed.y, self._regression)
-        if not _is_finite(learned):
+        if not _is_sound(learned):
             self.state = self._skipped()
             return Refusal(stamp_ns, Reason.NUMERICAL, e, math.nan)
-        self._accept(learned, e / math.sqrt(1.0 + doubt), observed)
+        self._accept(learned, e / math.sqrt(1.0 + added), observed)
         return None
 
     def _accept(self, learned: RegressionState, residual: float, observed: WindowResult) -> None:
@@ -185,8 +188,7 @@ class WindowedRegression:
         """Fit to use while w is known over the speeds seen (rms); hysteresis of one half."""
         state = self.state
         speeds = (state.speed_min, 0.5 * (state.speed_min + state.speed_max), state.speed_max)
-        P, scale = state.regression.P, state.scale
-        mean = sum(scale * _quadratic(P, _regressor(v)) for v in speeds) / len(speeds)
+        mean = state.scale * sum(doubt(state.regression.UD, _regressor(v)) for v in speeds) / len(speeds)
         limit = self.config.valid_std * (1.5 if state.converged else 1.0)
         enough = state.regression.determined and state.residuals.count >= _FEWEST
         self.state = replace(state, converged=enough and math.sqrt(mean) < limit)
@@ -198,9 +200,8 @@ class WindowedRegression:
     def estimate(self, speed: float) -> ResistanceEstimate:
         """Return the parameters and the resistance at a speed [m/s]."""
         state = self.state
-        theta, P, scale = state.regression.theta, state.regression.P, state.scale
-        a, b, c = _in_kmh(theta)
-        P11, P12, P13, P22, P23, P33 = (scale * value for value in P)
+        a, b, c = _in_kmh(state.regression.theta)
+        P11, P12, P13, P22, P23, P33 = (state.scale * value for value in covariance(state.regression.UD))
         k, k2, k3, k4 = _KMH, _KMH**2, _KMH**3, _KMH**4
         return ResistanceEstimate(
             a=a,
@@ -208,7 +209,7 @@ class WindowedRegression:
             c=c,
             covariance=(P11, k * P12, k2 * P13, k * P12, k2 * P22, k3 * P23, k2 * P13, k3 * P23, k4 * P33),
             resistance=a + speed * (b + speed * c),
-            resistance_std=math.sqrt(scale * _quadratic(P, _regressor(speed))),
+            resistance_std=math.sqrt(state.scale * doubt(state.regression.UD, _regressor(speed))),
             speed=speed,
             innovation=state.innovation,
             innovation_variance=state.innovation_variance,
@@ -229,13 +230,6 @@ def _in_kmh(values: Vector) -> Vector:
     return values[0], _KMH * values[1], _KMH**2 * values[2]
 
 
-def _quadratic(P: tuple[float, ...], phi: Vector) -> float:
-    """Return phi' P phi, never negative."""
-    f1, f2, f3 = phi
-    P11, P12, P13, P22, P23, P33 = P
-    return max(0.0, f1 * (P11 * f1 + 2.0 * (P12 * f2 + P13 * f3)) + f2 * (P22 * f2 + 2.0 * P23 * f3) + f3 * P33 * f3)
-
-
-def _is_finite(state: RegressionState) -> bool:
-    numbers = [*state.theta, *state.P]
-    return len(numbers) == 9 and all(map(math.isfinite, numbers))
+def _is_sound(state: RegressionState) -> bool:
+    numbers = [*state.theta, *state.UD]
+    return len(numbers) == 9 and all(abs(value) < _HUGE for value in numbers)
