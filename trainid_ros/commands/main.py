@@ -40,6 +40,7 @@ VERBS: Final = (
     Verb('replay', 'run the estimators over a bag, off line', 'trainid_ros.commands.replay'),
     Verb('play', "publish a bag's inputs with /clock", 'trainid_ros.commands.play'),
     Verb('simulate', 'make a bag with the simulator', 'trainid_ros.commands.simulate'),
+    Verb('fit', 'fit Davis parameters to a whole bag at once', 'trainid_ros.commands.fit'),
     Verb('info', 'tell what is in a bag and whether it can be used', 'trainid_ros.commands.info'),
 )
 

@@ -1,0 +1,31 @@
+# SPDX-License-Identifier: Apache-2.0
+"""First-order linear recursions as banded systems: one call of LAPACK instead of a loop over stages."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.linalg.lapack import dtbtrs
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+
+def recur(k: NDArray[np.float64], rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Solve ``x_i = k_i x_{i-1} + r_i``, x_0 = 0, for several right-hand sides.
+
+    Args:
+        k: Coefficients of stages 1 to I, shape (I,); the first is not used.
+        rows: Right-hand sides, shape (m, I).
+
+    Returns:
+        x_1 to x_I of each, shape (m, I).
+
+    """
+    band = np.ones((2, k.size))
+    band[1, :-1] = -k[1:]
+    # Rows of C order are columns of Fortran order: nothing is copied but the result.
+    x, _ = dtbtrs(band, rows.T, uplo='L', diag='U')
+    result: NDArray[np.float64] = x.T
+    return result

@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The trajectory fit over a window of a few dozen rows, in one linear step.
+
+In time the balance of Xia et al. 2023 (3) is linear in a, b, c once the speeds are known. The speed that the known
+force alone would give is taken off; the *rest speed* then is ``r_i = r_0 - (a S0 + b S1 + c S2)``, S_n the sums of
+v^n dt / inertia. A row holds the mean of r and of the sums over a few samples. Rows of one piece share a free r_0,
+and their errors are white noise and a random walk (gusts, map), so each piece is whitened by one triangular matrix.
+A Gaussian prior stands where the paper has a box: 20 rows alone leave w(v) unknown by 3 N/kN.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import lru_cache
+from itertools import groupby
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+# Natural size of a, b, c, force delay and force gain.
+SCALE: Final = np.array([1.0, 0.02, 0.001, 0.05, 0.005])
+# A free initial speed, in standard deviations of a row: large beside any rest speed within a window.
+_FREE: Final = 1e4
+# Ratios of noises are told apart by so many steps per factor e; each has its own whitening matrix.
+_STEPS_PER_E: Final = 8.0
+
+
+@dataclass(frozen=True, slots=True)
+class Row:
+    """One row: mean of a few samples of one piece.
+
+    Attributes:
+        piece: Number of the piece.
+        rest: Rest speed [m/s].
+        sums: Regressors of a, b, c, force delay and force gain.
+        speed_min: Slowest speed of its samples [m/s].
+        speed_max: Fastest speed of its samples [m/s].
+
+    """
+
+    piece: int
+    rest: float
+    sums: tuple[float, ...]
+    speed_min: float
+    speed_max: float
+
+
+@dataclass(frozen=True, slots=True)
+class RowNoise:
+    """Standard deviation of one row, and of the random walk from row to row [m/s]."""
+
+    std: float
+    walk: float
+
+
+@dataclass(frozen=True, slots=True)
+class Belief:
+    """a, b, c and their covariance, row-major."""
+
+    theta: tuple[float, ...]
+    P: tuple[float, ...]
+
+    def resistance(self, speed: float) -> tuple[float, float]:
+        """Return w [N/kN] and its variance at a speed [m/s]."""
+        (a, b, c), P, v = self.theta, self.P, speed
+        variance = P[0] + v * (2.0 * P[1] + v * (2.0 * P[2] + P[4] + v * (2.0 * P[5] + v * P[8])))
+        return a + v * (b + v * c), max(0.0, variance)
+
+
+@dataclass(frozen=True, slots=True)
+class Prior:
+    """What is believed before: a, b, c; standard deviations of them, of the force delay [s] and of its gain."""
+
+    theta: tuple[float, float, float]
+    std: tuple[float, float, float, float, float]
+
+
+def fit_rows(rows: Sequence[Row], noise: RowNoise, prior: Prior) -> Belief:
+    """Return the posterior of a, b, c after a window of rows, oldest first."""
+    parts = [_whitened(list(piece), noise) for _, piece in groupby(rows, key=lambda row: row.piece)]
+    white = np.vstack([part for part in parts if part.size] or [np.zeros((0, 6))])
+    weights = SCALE / np.array(prior.std)
+    A = np.vstack((white[:, 1:] * SCALE, np.diag(weights)))
+    believed = np.array((*prior.theta, 0.0, 0.0)) / SCALE
+    y = np.concatenate((white[:, 0], weights * believed))
+    R = np.asarray(np.linalg.qr(np.column_stack((A, y)), mode='r'))
+    inverse = SCALE[:, None] * np.linalg.inv(R[:5, :5])
+    P = (inverse @ inverse.T)[:3, :3]
+    return Belief(tuple((inverse @ R[:5, 5])[:3].tolist()), tuple(P.ravel().tolist()))
+
+
+def _whitened(piece: list[Row], noise: RowNoise) -> NDArray[np.float64]:
+    """Return rest speeds and regressors of a piece with independent errors of unit variance, shape (n, 6)."""
+    raw = np.array([(row.rest, *row.sums) for row in piece])
+    step = round(2.0 * _STEPS_PER_E * float(np.log(max(noise.walk, 1e-12) / noise.std)))
+    white: NDArray[np.float64] = whitener(len(piece), step) @ (raw - raw[0]) / noise.std
+    return white
+
+
+@lru_cache(maxsize=256)
+def whitener(count: int, step: int) -> NDArray[np.float64]:
+    """Return L^-1 for the covariance ``L L' = I + q min(i, j) + free level`` of a piece, shape (n, n).
+
+    Args:
+        count: Number of rows n.
+        step: Logarithm of q, in steps.
+
+    """
+    index = np.arange(count)
+    q = float(np.exp(step / _STEPS_PER_E))
+    R = np.eye(count) + q * np.minimum.outer(index, index) + _FREE**2
+    inverse: NDArray[np.float64] = np.linalg.inv(np.linalg.cholesky(R))
+    inverse.flags.writeable = False
+    return inverse
