@@ -103,7 +103,7 @@ def drive(plan: CoastPlan, generator: np.random.Generator) -> Coasts:
     strata = (generator.permutation(plan.coasts) + generator.uniform(size=plan.coasts)) / plan.coasts
     starts = plan.slowest + (plan.fastest - plan.slowest) * strata
     disturbance = _gusts(plan, generator) + plan.grade_std * generator.standard_normal((plan.coasts, 1))
-    true_speed = _trajectories(plan.truth, starts, disturbance)
+    true_speed = trajectories(plan.truth, starts, disturbance)
     speed = true_speed + plan.noise_std * generator.standard_normal(shape)
     if plan.quantum:
         speed = plan.quantum * np.round(speed / plan.quantum)
@@ -216,7 +216,7 @@ def _gusts(plan: CoastPlan, generator: np.random.Generator) -> Array:
     return plan.gust_std * gusts
 
 
-def _trajectories(truth: tuple[float, float, float], starts: Array, disturbance: Array) -> Array:
+def trajectories(truth: tuple[float, float, float], starts: Array, disturbance: Array) -> Array:
     """Integrate dv/dt = -(w(v) + d) / inertia by Runge-Kutta; d holds over a sample, so steps have no corner."""
     speed = np.empty_like(disturbance)
     speed[:, 0] = starts

@@ -37,8 +37,8 @@ def mils(theta: Array, P: Array, Phi: Array, Y: Array) -> tuple[Array, Array]:
     return theta + L @ (Y - Phi.T @ theta), P - L @ Phi.T @ P
 
 
-def rls_subtracting(theta: Array, P: Array, phi: Array, y: float, mu: float) -> tuple[Array, Array]:
-    """One step of RLS with nine entries of P, from which products are subtracted in place."""
-    g, h = P @ phi, phi @ P
+def rls_symmetric_gain(theta: Array, P: Array, phi: Array, y: float, mu: float) -> tuple[Array, Array]:
+    """One step of RLS as often written, P -= g g'/S with g = P phi: what is not symmetric in P only ever grows."""
+    g = P @ phi
     S = mu + phi @ g
-    return theta + g / S * (y - phi @ theta), (P - np.outer(g, h) / S) / mu
+    return theta + g / S * (y - phi @ theta), (P - np.outer(g, g) / S) / mu
