@@ -8,6 +8,16 @@ from typing import Final
 from trainid_ros.core.results import SpeedModelEstimate
 from trainid_ros.estimators.algorithms import Algorithm, Algorithms
 from trainid_ros.estimators.speed_model.am_vff_rls import AmVffRls, AmVffRlsConfig
+from trainid_ros.estimators.speed_model.ekf import EkfConfig, SpeedEkf
+from trainid_ros.estimators.speed_model.integral_rls import IntegralRlsConfig, SpeedIntegralRls
+from trainid_ros.estimators.speed_model.rls import AM_RLS, AM_VFF_RLS, RLS, VFF_RLS, PaperRls, RlsConfig
+
+
+def _paper(name: str, summary: str, config: RlsConfig) -> Algorithm[SpeedModelEstimate]:
+    return Algorithm(
+        name, f'{summary}; for comparison', config, lambda train_file, config, _: PaperRls(train_file, config)
+    )
+
 
 SPEED_MODEL: Final = Algorithms[SpeedModelEstimate](
     Algorithm(
@@ -16,4 +26,20 @@ SPEED_MODEL: Final = Algorithms[SpeedModelEstimate](
         AmVffRlsConfig(),
         lambda train_file, config, _: AmVffRls(train_file, config),
     ),
+    Algorithm(
+        'EKF',
+        'extended Kalman filter on speed and parameters; for parameters that drift slowly and never jump',
+        EkfConfig(),
+        lambda train_file, config, _: SpeedEkf(train_file, config),
+    ),
+    Algorithm(
+        'integral-RLS',
+        'recursive least squares on the change of speed over 5 s; the simplest that is not misled by noise',
+        IntegralRlsConfig(),
+        lambda train_file, config, _: SpeedIntegralRls(train_file, config),
+    ),
+    _paper('RLS', 'recursive least squares on measured speed, Yuan et al. (5)', RLS),
+    _paper('VFF-RLS', 'with variable forgetting, (6)', VFF_RLS),
+    _paper('AM-RLS', 'with auxiliary model instead', AM_RLS),
+    _paper('AM-VFF-RLS-printed', 'with both as printed, (7)', AM_VFF_RLS),
 )

@@ -1,0 +1,282 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The speed-model algorithms on raw (y, u): on one line by the product's kernels, on many lines in lockstep.
+
+Lines of the experiments have no samples and no admission: ``drive`` gives a ``Method`` of the product what its
+estimator would. ``drive_many`` does the same for all lines at once. The arithmetic is the product's, called with
+arrays; only decisions are written twice, and a test holds both to the same numbers.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trainid_ros.estimators.speed_model import am_vff_rls, integral_rls, rls
+from trainid_ros.estimators.speed_model.auxiliary_model import anchor, correct, doubt_load, forget, moments, predict
+from trainid_ros.estimators.speed_model.forgetting import MOST
+
+if TYPE_CHECKING:
+    from typing import Any
+
+    from trainid_ros.estimators.speed_model.method import Method
+    from trainid_ros.estimators.speed_model.parameters import Symmetric, Theta
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+
+MIN_SPEED: Final = 0.5
+STANDING: Final = 3
+READMIT: Final = 5
+
+
+@dataclass(frozen=True, slots=True)
+class Track:
+    """What an algorithm made of some lines.
+
+    Attributes:
+        state: x, a1, a2, b1, d0 after every sample, shape (samples, 5, lines).
+        S: Covariance of theta, upper triangle, after every tenth sample, shape (samples / 10, 10, lines).
+        predicted: Speed predicted for every sample [m/s], shape (samples, lines).
+        error: Measured less predicted, NaN where nothing was measured.
+        nis: Squared error over its variance where one was learned from, else NaN.
+        factor: Forgetting factor.
+
+    """
+
+    state: Array
+    S: Array
+    predicted: Array
+    error: Array
+    nis: Array
+    factor: Array
+
+
+@dataclass(frozen=True, slots=True)
+class ManyLearned:
+    """``Learned`` for many lines; ``variance`` is that of the error."""
+
+    numbers: Array
+    predicted: Array
+    error: Array
+    refused: Mask
+    variance: Array
+    factor: Array
+
+
+class ManyMethod(Protocol):
+    """``Method`` for arrays: numbers have the shape (numbers, lines)."""
+
+    def start(self, lines: int) -> Array: ...
+    def learn(self, numbers: Array, y: Array, u: Array) -> ManyLearned: ...
+    def coast(self, numbers: Array, u: Array) -> Array: ...
+    def anchor(self, numbers: Array, y: Array) -> Array: ...
+    def doubt_load(self, numbers: Array) -> Array: ...
+    def covariance(self, numbers: Array) -> Array: ...
+
+
+def drive(method: Method, y: Array, u: Array, variance: float, *, freeze: bool = True) -> Array:
+    """Drive one line by the product's kernel; return (x, theta) after every sample, shape (samples, 5)."""
+    numbers = method.anchor(method.start(variance), float(y[0]), variance)
+    states, slow, refused = [numbers[:5]], 0, 0
+    for now, force in zip(y[1:].tolist(), u[:-1].tolist(), strict=True):
+        if math.isnan(now):
+            numbers = method.coast(numbers, force, 1.0)
+        elif freeze and now < MIN_SPEED:
+            slow, refused = slow + 1, 0
+            standing = slow >= STANDING
+            numbers = method.anchor(numbers, now, variance) if standing else method.coast(numbers, force, 1.0)
+            numbers = method.doubt_load(numbers) if slow == STANDING else numbers
+        else:
+            learned = method.learn(numbers, now, force, 1.0, variance)
+            numbers, slow = learned.numbers, 0
+            refused = refused + 1 if learned.refused else 0
+            if refused >= READMIT:
+                numbers, refused = method.anchor(numbers, now, variance), 0
+        states.append(numbers[:5])
+    return np.array(states)
+
+
+def drive_many(method: ManyMethod, y: Array, u: Array, *, freeze: bool = True) -> Track:
+    """Drive all lines, shapes (samples, lines), sample by sample."""
+    samples, lines = y.shape
+    numbers = method.anchor(method.start(lines), y[0])
+    slow, refused = np.zeros(lines, dtype=np.int64), np.zeros(lines, dtype=np.int64)
+    rows: list[tuple[Array, ...]] = [(numbers[:5], y[0], y[0] * np.nan, y[0] * np.nan, np.ones(lines))]
+    S = [method.covariance(numbers)]
+    with np.errstate(all='ignore'):
+        for n in range(1, samples):
+            have = ~np.isnan(y[n])
+            now = np.where(have, y[n], 0.0)
+            still = have & (now < MIN_SPEED) if freeze else np.zeros(lines, dtype=np.bool_)
+            learning = have & ~still
+            coasted, learned = method.coast(numbers, u[n - 1]), method.learn(numbers, now, u[n - 1])
+            slow = np.where(learning, 0, slow + still)
+            out = learning & learned.refused
+            refused = np.where(out, refused + 1, np.where(have, 0, refused))
+            new = np.where(learning, learned.numbers, coasted)
+            standing = still & (slow >= STANDING)
+            # A standing train keeps theta and its covariance, whatever coasting would add.
+            new = np.where(standing, numbers, new)
+            new = np.where(standing | (refused >= READMIT), method.anchor(new, now), new)
+            numbers = np.where(still & (slow == STANDING), method.doubt_load(new), new)
+            refused = np.where(refused >= READMIT, 0, refused)
+            nis = np.where(learning & ~out, learned.error**2 / learned.variance, np.nan)
+            factor = np.where(learning & ~out, learned.factor, 1.0)
+            rows.append((numbers[:5], learned.predicted, np.where(have, learned.error, np.nan), nis, factor))
+            if n % 10 == 0:
+                S.append(method.covariance(numbers))
+    state, predicted, error, nis_all, factors = (np.array(column) for column in zip(*rows, strict=True))
+    return Track(state, np.array(S), predicted, error, nis_all, factors)
+
+
+class ManyAuxiliary:
+    """AM-VFF-RLS and, with ``ekf_tuning``, the EKF."""
+
+    def __init__(self, theta0: Theta, P0: Symmetric, tuning: am_vff_rls.Tuning, variance: float) -> None:
+        self._start = (*moments(0.0, variance, theta0, P0), 0.0)
+        self._tuning, self._variance = tuning, variance
+
+    def start(self, lines: int) -> Array:
+        return np.tile(np.array(self._start)[:, None], lines)
+
+    def learn(self, numbers: Array, y: Array, u: Array) -> ManyLearned:
+        tuning, R = self._tuning, self._variance
+        m: Any = predict(tuple(numbers[:20]), u, 1.0, tuning.noise, tuning.drift)  # type: ignore[arg-type]
+        before = np.stack([*m, numbers[20]])
+        error, s = y - before[0], before[5] + R
+        std = np.sqrt(s)
+        refused = ~(np.abs(error) <= np.maximum(tuning.gate_floor, tuning.gate * std))
+        share = tuning.share
+        agreed = numbers[20] + share * (np.clip(error / std, -MOST, MOST) - numbers[20])
+        chi2 = agreed * agreed * (2.0 - share) / share
+        factor = np.clip(1.0 - (chi2 - tuning.threshold) / tuning.scale, tuning.low, 1.0)
+        some = (factor < 1.0) & ~refused
+        moved = before[:20].copy()
+        if some.any():
+            widened: Any = forget(tuple(moved[:, some]), factor[some], tuning.floor)
+            moved[:, some] = np.stack(widened)
+        after: Any = correct(tuple(moved), error, R)
+        learned = np.stack([*after, agreed])
+        return ManyLearned(np.where(refused, before, learned), before[0], error, refused, s, factor)
+
+    def coast(self, numbers: Array, u: Array) -> Array:
+        m: Any = predict(tuple(numbers[:20]), u, 1.0, self._tuning.noise, self._tuning.drift)  # type: ignore[arg-type]
+        return np.stack([*m, numbers[20]])
+
+    def anchor(self, numbers: Array, y: Array) -> Array:
+        R = np.full_like(y, self._variance)
+        m: Any = anchor(tuple(numbers[:20]), y, R)  # type: ignore[arg-type]
+        return np.stack([*m, numbers[20]])
+
+    def doubt_load(self, numbers: Array) -> Array:
+        m: Any = doubt_load(tuple(numbers[:20]), self._tuning.load)
+        return np.stack([*m, numbers[20]])
+
+    def covariance(self, numbers: Array) -> Array:
+        return numbers[10:20]
+
+
+class ManyRls:
+    """The algorithms of the paper."""
+
+    def __init__(self, theta0: Theta, P0: Symmetric, tuning: rls.Tuning, variance: float) -> None:
+        self._start = (0.0, *theta0, *P0)
+        self._tuning, self._variance = tuning, variance
+
+    def start(self, lines: int) -> Array:
+        return np.tile(np.array(self._start)[:, None], lines)
+
+    def learn(self, numbers: Array, y: Array, u: Array) -> ManyLearned:
+        tuning = self._tuning
+        theta, P = tuple(numbers[1:5]), tuple(numbers[5:])
+        phi: Any = rls.regressor(numbers[0], u, 1.0)  # type: ignore[arg-type]
+        phi = (phi[0], phi[1], phi[2], np.ones_like(u))
+        predicted: Any = rls.output(theta, phi)
+        w: Any = rls.times(P, phi)
+        error, g = y - predicted, w[4]
+        s = self._variance * (1.0 + np.maximum(g, 0.0))
+        refused = ~(np.abs(error) <= tuning.gate * np.sqrt(s))
+        factor = np.ones_like(error)
+        if tuning.sigma > 0.0:
+            factor = np.maximum(tuning.low, 1.0 - error * error / (tuning.sigma * (1.0 + g)))
+        after: Any = rls.updated(theta, P, w, error, factor, factor)
+        x_a = rls.output(after[0], phi)
+        learned = np.stack([x_a + tuning.kappa * (y - x_a), *after[0], *after[1]])
+        coasted = np.concatenate([predicted[None], numbers[1:]])
+        return ManyLearned(np.where(refused, coasted, learned), predicted, error, refused, s, factor)
+
+    def coast(self, numbers: Array, u: Array) -> Array:
+        phi: Any = rls.regressor(numbers[0], u, 1.0)  # type: ignore[arg-type]
+        x: Any = rls.output(tuple(numbers[1:5]), phi)
+        return np.concatenate([x[None], numbers[1:]])
+
+    def anchor(self, numbers: Array, y: Array) -> Array:
+        return np.concatenate([y[None], numbers[1:]])
+
+    def doubt_load(self, numbers: Array) -> Array:
+        return numbers
+
+    def covariance(self, numbers: Array) -> Array:
+        return self._variance * numbers[5:]
+
+
+class ManyIntegral:
+    """The integral RLS: x, theta, P, waited, seen, number of steps, then the window of each line, oldest first."""
+
+    def __init__(self, theta0: Theta, P0: Symmetric, tuning: integral_rls.Tuning, variance: float) -> None:
+        self._tuning = tuning
+        self._start = (0.0, *theta0, *P0, 0.0, 0.0, 0.0, *(0.0,) * (5 * tuning.window))
+        self._noise = integral_rls.regression_variance(variance, tuning.window, tuning.hop)
+
+    def start(self, lines: int) -> Array:
+        return np.tile(np.array(self._start)[:, None], lines)
+
+    def _moved(self, numbers: Array, u: Array) -> tuple[Array, Array, Array]:
+        """Return the predicted speed, the number of steps and the window with one more step."""
+        x = numbers[0]
+        phi = np.stack([x * x, x, u, np.ones_like(u)])
+        predicted: Any = rls.output(tuple(numbers[1:5]), tuple(phi))
+        window = np.concatenate([numbers[23:], phi, numbers[16:17]])
+        return predicted, np.minimum(numbers[17] + 1.0, self._tuning.window), window
+
+    def learn(self, numbers: Array, y: Array, u: Array) -> ManyLearned:
+        tuning, K = self._tuning, self._tuning.window
+        predicted, count, window = self._moved(numbers, u)
+        error = y - predicted
+        seen = predicted + np.clip(error, -tuning.clip, tuning.clip)
+        waited = numbers[15] + 1.0
+        due = (count == K) & (waited >= tuning.hop)
+        blocks = window.reshape(K, 5, -1)
+        summed: Any = tuple(blocks[:, :4].sum(axis=0))
+        theta, P = tuple(numbers[1:5]), (*numbers[5:14], numbers[14] + tuning.drift * tuning.hop)
+        change: Any = seen - window[4] - (rls.output(theta, summed) - summed[1])
+        w: Any = rls.times(P, summed)
+        after: Any = rls.updated(theta, P, w, change, self._noise)
+        kept = np.where(due, np.stack([*after[0], *after[1]]), numbers[1:15])
+        now = predicted + tuning.kappa * (seen - predicted)
+        head = np.stack([now, *kept, np.where(due, 0.0, waited), seen, count])
+        none = np.zeros_like(error, dtype=np.bool_)
+        return ManyLearned(
+            np.concatenate([head, window]), predicted, error, none, np.full_like(error, np.nan), np.ones_like(error)
+        )
+
+    def coast(self, numbers: Array, u: Array) -> Array:
+        predicted, count, window = self._moved(numbers, u)
+        head = np.stack([predicted, *numbers[1:15], numbers[15] + 1.0, predicted, count])
+        return np.concatenate([head, window])
+
+    def anchor(self, numbers: Array, y: Array) -> Array:
+        zero = np.zeros_like(y)
+        return np.concatenate([y[None], numbers[1:15], np.stack([zero, y, zero]), 0.0 * numbers[18:]])
+
+    def doubt_load(self, numbers: Array) -> Array:
+        wider = numbers.copy()
+        wider[12] += self._tuning.load
+        return wider
+
+    def covariance(self, numbers: Array) -> Array:
+        return numbers[5:15]

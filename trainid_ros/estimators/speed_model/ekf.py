@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""EKF: extended Kalman filter on [x, theta], the standard that AM-VFF-RLS is measured by.
+
+The state is theta and the true speed; d0 walks at random, b1 changes at stops only, and nothing else is forgotten.
+It is the kernel of AM-VFF-RLS with lambda = 1: both carry the same covariance.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from trainid_ros.core.samples import SAMPLE_PERIOD
+from trainid_ros.core.settings import setting
+from trainid_ros.estimators.speed_model.am_vff_rls import AuxiliaryModel, Tuning
+from trainid_ros.estimators.speed_model.estimator import SpeedModelEstimator
+from trainid_ros.estimators.speed_model.parameters import SpeedModelConfig
+
+if TYPE_CHECKING:
+    from trainid_ros.physics.train_file import TrainFile
+
+
+@dataclass(frozen=True, slots=True)
+class EkfConfig(SpeedModelConfig):
+    """Settings of the EKF."""
+
+    acceleration_noise: float = setting(0.004, 'gusts, force noise and map errors', 'm/s per sqrt(s)', 0.0, 1.0)
+    drift: float = setting(0.004, 'drift of the Davis a in 1 s (0.2 if no gradient is known)', 'N/kN', 0.0, 10.0)
+    load_std: float = setting(0.001, 'change of the mass at a stop that is not weighed, a share', '1', 0.0, 1.0)
+    gate: float = setting(4.0, 'errors beyond this many standard deviations are refused', '1', 1.0, 100.0)
+    gate_floor: float = setting(0.0, 'errors below this are never refused', 'm/s', 0.0, 10.0)
+
+
+def ekf_tuning(noise: float, drift: float, load: float, gate: float, gate_floor: float = 0.0) -> Tuning:
+    """Return the tuning with which the kernel of AM-VFF-RLS is the EKF: variances per sample period and stop."""
+    return Tuning(noise, drift, load, 1.0, math.inf, 1.0, 1.0, gate, gate_floor, ())
+
+
+class SpeedEkf(SpeedModelEstimator):
+    """Estimate a1, a2, b1, d0 from aligned samples."""
+
+    def __init__(self, train_file: TrainFile, config: EkfConfig) -> None:
+        noise = config.acceleration_noise**2 * SAMPLE_PERIOD
+
+        def tuning(b1: float) -> Tuning:
+            drift, load = (config.drift * b1) ** 2 * SAMPLE_PERIOD, (config.load_std * b1) ** 2
+            return ekf_tuning(noise, drift, load, config.gate, config.gate_floor)
+
+        super().__init__(train_file, config, lambda theta0, P0: AuxiliaryModel(theta0, P0, tuning(theta0[2])))
