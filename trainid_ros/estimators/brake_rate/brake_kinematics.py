@@ -36,9 +36,7 @@ class BrakeStep:
         return self.decay * self.start_target + self.gain_a
 
 
-def brake_step(
-    commands: CommandHistory, brake: Brake, start_ns: int, end_ns: int, start_target: float
-) -> BrakeStep:
+def brake_step(commands: CommandHistory, brake: Brake, start_ns: int, end_ns: int, start_target: float) -> BrakeStep:
     """Return the response over (start, end] to the command before the dead time.
 
     ``start_target`` is the brake acceleration at the start for f = 1 [m/s^2].

@@ -1,11 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Weights of particles in the log domain, and systematic resampling."""
+"""Weights of particles in the log domain, systematic resampling, and the generator's state."""
 
 from __future__ import annotations
 
+import json
 from typing import TYPE_CHECKING
 
 import numpy as np
+
+from trainid_ros.core.errors import InputError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -35,3 +38,12 @@ def systematic(weights: NDArray[np.float64], count: int, uniform: float) -> NDAr
     positions = (np.arange(count) + uniform) / count
     ancestors = np.searchsorted(np.cumsum(weights), positions, side='right')
     return np.minimum(ancestors, len(weights) - 1)
+
+
+def restore_generator(rng: np.random.Generator, text: str, kind: str) -> None:
+    """Take over the state of a generator from JSON text; InputError, naming the ``kind`` of state, if it is none."""
+    try:
+        rng.bit_generator.state = json.loads(text)
+    except (ValueError, TypeError, KeyError) as error:
+        msg = f'saved {kind}: random cannot be read: {error}'
+        raise InputError(msg) from None

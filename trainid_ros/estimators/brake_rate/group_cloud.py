@@ -1,0 +1,254 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One step of the group stochastic M-algorithm on any linear state, in strata of a Markov chain.
+
+After Zheng et al. 2015, section 3.5 and eqs. (14)-(22), with these corrections:
+
+* A particle's group is {f - h, f, f + h} around its own value with prior weights 1/6, 2/3, 1/6 and
+  h = sqrt(3 q dt): every value has its group (the paper leaves one out), none is bound to a grid, and the
+  transition has the variance of a random walk per second instead of a grid step per sample.
+* Weights carry over: w_k = w_{k-1} p(f_k | f_{k-1}) N(y_k); pruning is systematic resampling in the order of f.
+* Particles belong to strata, each with a q of its own (quiet, jumping), between which a Markov chain moves
+  their weight. Each stratum keeps its number of particles however small its weight, so a hypothesis that is
+  rarely true is not pruned before the measurements can tell.
+* Before it branches a stratum shrinks by sqrt(1 - kappa^2) towards its mean and h grows to
+  sqrt(3 (q dt + kappa^2 s^2)), which leaves its mean and variance s^2 + q dt and keeps its values apart. x moves
+  along by its regression on f. Pruned particles are moved to the mean and variance of those that they stand
+  for. In a stratum whose posterior is Gaussian no sampling noise is left in either.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from trainid_ros.estimators.brake_rate.particles import Array, Correction, LinearStep, distance
+from trainid_ros.estimators.brake_rate.resampling import normalise, systematic
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+_GROUP: Final = np.array([[-1.0], [0.0], [1.0]])
+_LOG_PRIOR: Final = np.log(np.array([[1.0], [4.0], [1.0]]) / 6.0)
+_KAPPA: Final = 0.2
+# Survivors are not spread by more than this to match those that they stand for.
+_MOST_SPREAD: Final = 2.0
+_TINY: Final = 1e-300
+# Where one child outweighs all others, the spread of its group is still unknown.
+_LEAST_VARIANCE: Final = 1e-10
+
+
+@dataclass(frozen=True, slots=True)
+class Strata:
+    """How N particles are divided among M strata: sizes, stratum of each, and what averages over each, (N, M)."""
+
+    sizes: tuple[int, ...]
+    of: NDArray[np.intp]
+    average: Array
+
+    @classmethod
+    def divide(cls, sizes: Sequence[int]) -> Strata:
+        """Return strata of these sizes, one after another."""
+        of = np.repeat(np.arange(len(sizes)), sizes)
+        average = (of[:, None] == np.arange(len(sizes))) / np.array(sizes, dtype=float)
+        return cls(tuple(sizes), of, average)
+
+
+@dataclass(frozen=True, slots=True)
+class GroupCloud:
+    """Particles in strata; equal weights within each.
+
+    Attributes:
+        f: Brake rates, shape (N,).
+        x: Means of the linear state given f, shape (n, N).
+        weight: Weight of each stratum, shape (M,); they sum to one.
+        mean: Mean of f in each stratum, shape (M,).
+        variance: Variance of f in each stratum, shape (M,).
+        slope: Regression of x on f in each stratum, shape (n, M).
+
+    """
+
+    f: Array
+    x: Array
+    weight: Array
+    mean: Array
+    variance: Array
+    slope: Array
+
+    @property
+    def rate(self) -> float:
+        """Mean of f (19)."""
+        return float(self.weight @ self.mean)
+
+    @property
+    def total_variance(self) -> float:
+        """Variance of f."""
+        d = self.mean - self.rate
+        return float(self.weight @ (self.variance + d * d))
+
+
+def anchored(cloud: GroupCloud, start: Array, slope: Array) -> GroupCloud:
+    """Start x anew at ``start + f slope``, both of shape (n,); f stands."""
+    x = start[:, None] + slope[:, None] * cloud.f
+    return _with_x(cloud, x, np.repeat(slope[:, None], len(cloud.weight), axis=1))
+
+
+def predicted(cloud: GroupCloud, step: LinearStep) -> GroupCloud:
+    """Follow a step while f stands."""
+    slope = step.Phi @ cloud.slope + step.gamma[:, None]
+    return _with_x(cloud, step.predict(cloud.x, cloud.f), slope)
+
+
+def followed(cloud: GroupCloud, fix: Correction, H: Array, y: Array) -> GroupCloud:
+    """Take in a measurement y, shape (m,), that tells nothing of f."""
+    x = cloud.x + fix.K @ (y[:, None] - H @ cloud.x)
+    return _with_x(cloud, x, cloud.slope - fix.K @ (H @ cloud.slope))
+
+
+def widened(cloud: GroupCloud, step: LinearStep, variance: float) -> GroupCloud:
+    """Add to the variance of f what it drifted by before the predicted step, by moving values apart."""
+    total, rate = cloud.total_variance, cloud.rate
+    if total <= 0.0 or variance <= 0.0:
+        return cloud
+    ratio = float(np.sqrt(1.0 + variance / total))
+    moved = (ratio - 1.0) * (cloud.f - rate)
+    slope = (cloud.slope + (ratio - 1.0) * step.gamma[:, None]) / ratio
+    return GroupCloud(
+        f=cloud.f + moved,
+        x=cloud.x + step.gamma[:, None] * moved,
+        weight=cloud.weight,
+        mean=rate + ratio * (cloud.mean - rate),
+        variance=ratio * ratio * cloud.variance,
+        slope=slope,
+    )
+
+
+def _with_x(cloud: GroupCloud, x: Array, slope: Array) -> GroupCloud:
+    return GroupCloud(cloud.f, x, cloud.weight, cloud.mean, cloud.variance, slope)
+
+
+@dataclass(frozen=True, slots=True)
+class Branches:
+    """The groups of all particles: child k of particle i has f = base_i + offset_ki and x = x_i + offset_ki c_i.
+
+    Attributes:
+        base: Shrunk rates, shape (N,).
+        offset: Steps within the groups, shape (3, N).
+        x: States of the children in the middle, shape (n, N).
+        c: Their slope within a group, shape (n, N).
+        log_prior: Logarithms of the weights, shape (3, N).
+
+    """
+
+    base: Array
+    offset: Array
+    x: Array
+    c: Array
+    log_prior: Array
+
+
+def branch(cloud: GroupCloud, strata: Strata, step: LinearStep, walk: Array) -> Branches:
+    """Return the groups of predicted particles; ``walk`` is the variance q dt of each stratum, shape (M,)."""
+    of = strata.of
+    kernel = _KAPPA**2 * cloud.variance
+    h = np.sqrt(3.0 * (walk + kernel))
+    share = kernel / np.maximum(walk + kernel, _TINY)
+    # The kernel moves f throughout its past, so x along its regression; the walk has moved it in this step only.
+    c = step.gamma[:, None] + share * (cloud.slope - step.gamma[:, None])
+    moved = (np.sqrt(1.0 - _KAPPA**2) - 1.0) * (cloud.f - cloud.mean[of])
+    weight = np.log(np.maximum(cloud.weight, _TINY) / np.array(strata.sizes))
+    return Branches(
+        base=cloud.f + moved,
+        offset=_GROUP * h[of],
+        x=cloud.x + cloud.slope[:, of] * moved,
+        c=c[:, of],
+        log_prior=_LOG_PRIOR + weight[of],
+    )
+
+
+def weigh(groups: Branches, fix: Correction, H: Array, y: Array, largest: float) -> tuple[Branches, Array]:
+    """Take in a measurement, shape (m,): children after it, and their normalised weights (17), (18), shape (3, N).
+
+    No child beyond 0 <= f <= largest remains.
+    """
+    nu = y[:, None] - H @ groups.x
+    lean = H @ groups.c
+    log_weights = groups.log_prior - 0.5 * distance(fix.W, nu[:, None, :] - groups.offset * lean[:, None, :])
+    f = groups.base + groups.offset
+    log_weights = np.where((f >= 0.0) & (f <= largest), log_weights, -np.inf)
+    weights = np.exp(normalise(log_weights.ravel())).reshape(log_weights.shape)
+    after = Branches(
+        groups.base, groups.offset, groups.x + fix.K @ nu, groups.c - fix.K @ lean, groups.log_prior
+    )  # (21)
+    return after, weights
+
+
+def prune(groups: Branches, weights: Array, strata: Strata, chain: Array, uniforms: Array) -> GroupCloud:
+    """Move weight between the strata and keep the number of particles of each.
+
+    Args:
+        groups: All children.
+        weights: Their weights, shape (3, N).
+        strata: How particles are divided.
+        chain: Probabilities to go from one stratum (row) to another (column) for the next step, shape (M, M).
+        uniforms: A draw in [0, 1) for each stratum, shape (M,).
+
+    Returns:
+        The particles that the next step begins with.
+
+    """
+    toward = chain[strata.of]  # (N, M)
+    cloud = _moments(groups, weights, toward)
+    f = (groups.base + groups.offset).ravel()
+    order = np.argsort(f, kind='stable')
+    N = len(groups.base)
+    parents = order % N
+    sorted_weights = weights.ravel()[order]
+    kept = np.concatenate(
+        [
+            order[
+                systematic(
+                    sorted_weights * (toward[parents, m] / max(cloud.weight[m], _TINY)), size, float(uniforms[m])
+                )
+            ]
+            for m, size in enumerate(strata.sizes)
+        ]
+    )
+    parent = kept % N
+    kept_x = groups.x[:, parent] + groups.offset.ravel()[kept] * groups.c[:, parent]
+    return _matched(f[kept], kept_x, cloud, strata)
+
+
+def _moments(groups: Branches, weights: Array, toward: Array) -> GroupCloud:
+    """Weight, mean, variance and regression of all children as seen by each stratum; no particles yet."""
+    centre = float(weights.sum(axis=0) @ groups.base)
+    base = groups.base - centre
+    w0 = weights.sum(axis=0)
+    weighted = weights * groups.offset
+    w1 = weighted.sum(axis=0)
+    w2 = (weighted * groups.offset).sum(axis=0)
+    first = base * w0 + w1
+    weight = np.maximum(w0 @ toward, _TINY)
+    mean = (first @ toward) / weight
+    variance = np.maximum((base * (first + w1) + w2) @ toward / weight - mean * mean, _LEAST_VARIANCE)
+    x = (groups.x @ (w0[:, None] * toward) + groups.c @ (w1[:, None] * toward)) / weight
+    lean = base * w1 + w2
+    with_f = (groups.x @ (first[:, None] * toward) + groups.c @ (lean[:, None] * toward)) / weight - x * mean
+    slope = with_f / variance
+    return GroupCloud(groups.base, x, weight / weight.sum(), mean + centre, variance, slope)
+
+
+def _matched(f: Array, x: Array, target: GroupCloud, strata: Strata) -> GroupCloud:
+    """Move survivors to the mean and variance of f, and to the mean of x, of those that they stand for."""
+    of = strata.of
+    mean = f @ strata.average
+    off = f - mean[of]
+    variance = (off * off) @ strata.average
+    spread = np.sqrt(target.variance / np.maximum(variance, _TINY))
+    matched = target.mean[of] + np.minimum(spread, _MOST_SPREAD)[of] * off
+    x = x + target.slope[:, of] * (matched - f)
+    x = x + (target.x - x @ strata.average)[:, of]
+    return GroupCloud(matched, x, target.weight, target.mean, target.variance, target.slope)

@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A brake rate that drifts quietly, and rarely moves fast for a short time: a two-state Markov chain."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from trainid_ros.core.settings import setting
+from trainid_ros.estimators.brake_rate.config import BrakeRateConfig
+
+
+@dataclass(frozen=True, slots=True)
+class JumpConfig(BrakeRateConfig):
+    """Settings of estimators that expect jumps."""
+
+    jump_rate: float = setting(0.0005, 'jumps of the brake rate per second of braking', '1/s', 0.0, 1.0)
+    jump_std: float = setting(0.3, 'standard deviation of a jump', '1', 1e-3, 2.0)
+    jump_time: float = setting(2.0, 'mean duration of a jump', 's', 0.05, 60.0)
+
+
+def transition(config: JumpConfig, dt: float) -> tuple[float, float]:
+    """Return the probabilities that a quiet brake begins to jump within ``dt`` [s], and that a jump ends."""
+    return -math.expm1(-config.jump_rate * dt), -math.expm1(-dt / config.jump_time)
+
+
+def drifts(config: JumpConfig) -> tuple[float, float]:
+    """Return the variance per second of f in the quiet and in the jumping state.
+
+    Over its mean duration a jump has the variance ``jump_std^2``.
+    """
+    quiet = config.drift**2
+    return quiet, quiet + config.jump_std**2 / config.jump_time

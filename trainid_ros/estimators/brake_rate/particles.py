@@ -1,0 +1,95 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A linear state x with a parameter f that acts on a known input, x' = Phi x + f gamma + known, measured as y = H x.
+
+So f is in the mean of x alone, and whatever values of f the particles carry and carried, they share one
+covariance: one Riccati equation for all (Zheng et al. 2015, eqs. (14), (16), (20), (21) have one for each).
+Arrays over N particles have them in the last axis.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from trainid_ros.estimators.brake_rate.belief import Interval
+
+Array = NDArray[np.float64]
+
+# v of x = [v, a, b] is measured.
+SPEED: Final = np.array([[1.0, 0.0, 0.0]])
+
+
+@dataclass(frozen=True, slots=True)
+class LinearStep:
+    """One step of the model.
+
+    Attributes:
+        Phi: Transition, shape (n, n).
+        gamma: Effect of f = 1, shape (n,).
+        known: Effect of all that is known, shape (n,).
+        Q: Covariance of the process noise, shape (n, n).
+
+    """
+
+    Phi: Array
+    gamma: Array
+    known: Array
+    Q: Array
+
+    def predict(self, x: Array, f: Array) -> Array:
+        """Means of x after the step (14), shape (n, N), from those before it and the rates, shape (N,)."""
+        return self.Phi @ x + self.gamma[:, None] * f + self.known[:, None]
+
+    def predict_covariance(self, P: Array) -> Array:
+        """Return the shared covariance after the step (14)."""
+        return self.Phi @ P @ self.Phi.T + self.Q
+
+
+@dataclass(frozen=True, slots=True)
+class Correction:
+    """What a measurement does to all particles alike.
+
+    Attributes:
+        K: Gain (20), shape (n, m).
+        P: Covariance after the measurement (21) in Joseph's form, shape (n, n).
+        W: Whitens innovations: W S W' = I with their covariance S (16), shape (m, m).
+
+    """
+
+    K: Array
+    P: Array
+    W: Array
+
+
+def correction(P: Array, H: Array, R: Array) -> Correction:
+    """Return gain, covariance and whitening for a predicted covariance P, shape (n, n), and a measurement."""
+    S = H @ P @ H.T + R
+    W = np.array([[1.0 / math.sqrt(S[0, 0])]]) if S.size == 1 else np.linalg.inv(np.linalg.cholesky(S))
+    K = P @ H.T @ W.T @ W
+    A = np.eye(len(P)) - K @ H
+    return Correction(K, A @ P @ A.T + K @ R @ K.T, W)
+
+
+def distance(W: Array, nu: Array) -> Array:
+    """Squared innovations in units of their covariance, shape (...), from shape (m, ...)."""
+    if len(W) == 1:
+        scaled: Array = W[0, 0] * nu[0]
+        return scaled * scaled
+    whitened = np.tensordot(W, nu, axes=1)
+    squares: Array = (whitened * whitened).sum(axis=0)
+    return squares
+
+
+def speed_step(interval: Interval) -> LinearStep:
+    """Return the step of x = [v, a, b] over an interval."""
+    return LinearStep(
+        Phi=np.array([[1.0, interval.reach, interval.dt], [0.0, interval.decay, 0.0], [0.0, 0.0, interval.rho]]),
+        gamma=np.array([interval.gain_v, interval.gain_a, 0.0]),
+        known=np.array([interval.known, 0.0, 0.0]),
+        Q=np.diag([interval.q_v, 0.0, interval.q_b]),
+    )

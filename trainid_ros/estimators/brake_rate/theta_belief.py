@@ -1,0 +1,142 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Belief in form of weighted particles with one shared covariance; how they learn is left to subclasses."""
+
+from __future__ import annotations
+
+import json
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trainid_ros.core.codec import check_restored, decode, encode
+from trainid_ros.estimators.brake_rate.particles import SPEED, Correction, correction, speed_step
+from trainid_ros.estimators.brake_rate.resampling import effective_number, restore_generator
+from trainid_ros.estimators.brake_rate.theta_cloud import ThetaCloud
+
+if TYPE_CHECKING:
+    from trainid_ros.estimators.brake_rate.belief import Interval
+    from trainid_ros.estimators.brake_rate.particles import Array, LinearStep
+
+
+@dataclass(frozen=True, slots=True)
+class ThetaState:
+    """All that is believed, arrays as in :class:`ThetaCloud`; the state of the generator as JSON text."""
+
+    f: NDArray[np.float64]
+    log_weights: NDArray[np.float64]
+    x: NDArray[np.float64]
+    P: NDArray[np.float64]
+    random: str
+
+
+class ThetaBelief:
+    """Weighted particles (f, x = [v, a, b])."""
+
+    def __init__(self, most: int, rng: np.random.Generator) -> None:
+        self._most = most
+        self.rng = rng
+        self._random0 = json.dumps(rng.bit_generator.state)
+        self.P: Array = np.zeros((3, 3))
+        self.take(ThetaCloud(np.zeros(1), np.zeros(1), np.zeros((3, 1))))
+
+    def take(self, cloud: ThetaCloud) -> None:
+        """Take over particles, and compute once what is asked often."""
+        self.cloud = cloud
+        self._weights = cloud.weights
+        self._rate = float(cloud.f @ self._weights)
+        self._variance = float(np.square(cloud.f - self._rate) @ self._weights)
+
+    @property
+    def rate(self) -> float:
+        """Mean of f."""
+        return self._rate
+
+    @property
+    def variance(self) -> float:
+        """Variance of f."""
+        return self._variance
+
+    @property
+    def speed(self) -> float:
+        """Mean of v [m/s]."""
+        return float(self.cloud.x[0] @ self._weights)
+
+    @property
+    def acceleration(self) -> float:
+        """Mean of a [m/s^2]."""
+        return float(self.cloud.x[1] @ self._weights)
+
+    @property
+    def effective(self) -> float:
+        """Effective number of particles."""
+        return effective_number(self._weights)
+
+    def reset(self, rate: float, std: float) -> None:
+        """Go back to the prior."""
+        f = self.first_values(rate, std)
+        self.P = np.zeros((3, 3))
+        self.rng.bit_generator.state = json.loads(self._random0)
+        self.take(ThetaCloud(f, np.full(len(f), -math.log(len(f))), np.zeros((3, len(f)))))
+
+    def first_values(self, rate: float, std: float) -> Array:
+        """Return the values of f to begin with, shape (N,)."""
+        raise NotImplementedError
+
+    def anchor(self, speed: float, target: float, variances: tuple[float, float, float]) -> None:
+        """Start v, a and b anew."""
+        f = self.cloud.f
+        x = np.vstack([np.full(len(f), speed), target * f, np.zeros(len(f))])
+        self.cloud = ThetaCloud(f, self.cloud.log_weights, x)
+        self.P = np.diag(variances)
+
+    def predict(self, interval: Interval) -> None:
+        """Follow the motion over an interval."""
+        self._step = speed_step(interval)
+        self.cloud = ThetaCloud(self.cloud.f, self.cloud.log_weights, self._step.predict(self.cloud.x, self.cloud.f))
+        self.P = self._step.predict_covariance(self.P)
+
+    def predicted(self) -> tuple[float, float]:
+        """Return mean and variance of v."""
+        mean = self.speed
+        return mean, float(self.P[0, 0] + np.square(self.cloud.x[0] - mean) @ self._weights)
+
+    def follow(self, speed: float, r: float) -> None:
+        """Take in a speed that tells nothing of f."""
+        fix = correction(self.P, SPEED, np.array([[r]]))
+        x = self.cloud.x + fix.K @ (speed - SPEED @ self.cloud.x)
+        self.cloud = ThetaCloud(self.cloud.f, self.cloud.log_weights, x)
+        self.P = fix.P
+
+    def learn(self, interval: Interval, elapsed: float, speed: float, r: float) -> bool:
+        """Take in a speed that tells of f."""
+        fix = correction(self.P, SPEED, np.array([[r]]))
+        cloud = self.learned(self._step, fix, np.array([speed]), interval.dt, elapsed)
+        if not (np.isfinite(cloud.x).all() and np.isfinite(cloud.f).all() and np.isfinite(fix.P).all()):
+            return False
+        self.take(cloud)
+        self.P = fix.P
+        return True
+
+    def learned(self, step: LinearStep, fix: Correction, y: Array, dt: float, elapsed: float) -> ThetaCloud:
+        """Return the particles after a measurement."""
+        raise NotImplementedError
+
+    def save(self) -> str:
+        """Return the whole state, generator included, as JSON text."""
+        c = self.cloud
+        return encode(ThetaState(c.f, c.log_weights, c.x, self.P, json.dumps(self.rng.bit_generator.state)))
+
+    def restore(self, text: str) -> None:
+        """Take over a saved state."""
+        state = decode(text, ThetaState)
+        N = len(state.f)
+        sized = state.log_weights.shape == (N,) and state.x.shape == (3, N) and state.P.shape == (3, 3)
+        finite = all(bool(np.isfinite(item).all()) for item in (state.f, state.x, state.P))
+        check_restored(finite and sized and 0 < N <= self._most, 'ThetaState', 'f, x or P')
+        check_restored(not bool(np.isnan(state.log_weights).any()), 'ThetaState', 'log_weights')
+        restore_generator(self.rng, state.random, 'ThetaState')
+        self.take(ThetaCloud(state.f, state.log_weights, state.x))
+        self.P = state.P
