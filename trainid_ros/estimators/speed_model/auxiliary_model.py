@@ -96,9 +96,10 @@ def forget(m: Moments, factor: float, floor: tuple[Theta, ...]) -> Moments:
         floor: Four vectors h with sum h h' = P0^-1.
 
     """
-    x, a1, a2, b1, d0, pxx, p1, p2, p3, p4, *S = m
+    x, a1, a2, b1, d0, pxx, p1, p2, p3, p4, s11, s12, s13, s14, s22, s23, s24, s33, s34, s44 = m
     wider = 1.0 / factor
-    s11, s12, s13, s14, s22, s23, s24, s33, s34, s44 = (s * wider for s in S)
+    s11, s12, s13, s14, s22 = s11 * wider, s12 * wider, s13 * wider, s14 * wider, s22 * wider
+    s23, s24, s33, s34, s44 = s23 * wider, s24 * wider, s33 * wider, s34 * wider, s44 * wider
     weight = 1.0 - factor
     for h1, h2, h3, h4 in floor:
         w1 = s11 * h1 + s12 * h2 + s13 * h3 + s14 * h4
