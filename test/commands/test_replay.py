@@ -52,9 +52,9 @@ def test_json_has_the_agreed_fields_and_nothing_else_is_printed(
     answer = json.loads(out)
     assert out.count('\n') == 1
     assert err == ''
-    assert {'samples', 'duration_s', 'used', 'rejected', 'resistance', 'speed_model', 'brake_rate', 'wall_s'} == set(
-        answer
-    )
+    agreed = {'samples', 'duration_s', 'used', 'rejected', 'resistance', 'speed_model', 'brake_rate', 'wall_s'}
+    assert agreed | {'algorithms'} == set(answer)
+    assert answer['algorithms'] == {'resistance': 'V-MILS', 'speed_model': 'AM-VFF-RLS', 'brake_rate': 'GSMA'}
     assert {'a', 'b', 'c', 'std', 'status', 'speed_range'} == set(answer['resistance'])
     assert {'a1', 'a2', 'b1', 'd0', 'status'} <= set(answer['speed_model'])
     assert {'value', 'std', 'status'} <= set(answer['brake_rate'])
@@ -79,7 +79,11 @@ def test_json_numbers_are_those_of_the_replay(driven_bag: Path, capsys: pytest.C
 def test_summary_shows_estimates_reasons_and_speed(driven_bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert call(driven_bag) == 0
     out = capsys.readouterr().out
-    for wanted in ('x real time', 'brake rate', 'w at 15 m/s', 'N/kN', 'not: BRAKING', 'used'):
+    wanted_words = (
+        *('x real time', 'brake rate', 'w at 15 m/s', 'N/kN', 'not: BRAKING', 'used'),
+        *('resistance by V-MILS: uncertainty', 'speeds seen', 'prior variance removed: a'),
+    )
+    for wanted in wanted_words:
         assert wanted in out
 
 
@@ -89,6 +93,37 @@ def test_speed_outside_those_learned_from_is_marked(driven_bag: Path, capsys: py
     call(driven_bag)
     lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith('w at')]
     assert [('*' in line) for line in lines] == [speed > fastest for speed in (10.0, 15.0, 20.0)]
+
+
+def test_parameters_of_the_nodes_hold(driven_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    params = tmp_path / 'params.yaml'
+    params.write_text(
+        '/**: {ros__parameters: {seed: 4}}\n'
+        'resistance_estimator: {ros__parameters: {estimator: {min_speed: 49}}}\n'
+        'brake_rate_estimator: {ros__parameters: {brake: {rate: 8e-1}, estimator: {min_speed: 49}}}\n',
+        encoding='utf-8',
+    )
+    assert call(driven_bag, '--params', str(params), '--algorithm', 'GSMA', '--json') == 1
+    out, err = capsys.readouterr()
+    answer = json.loads(out)
+    assert answer['used'] == 0
+    assert answer['brake_rate']['value'] == pytest.approx(0.8, abs=1e-9)
+    assert 'nothing was learned' in err
+
+
+@pytest.mark.parametrize(
+    ('options', 'reason'),
+    [
+        (('--algorithm', 'nonsense'), "algorithm 'nonsense' is unknown; there are resistance: V-MILS"),
+        (('--algorithm', 'brake_rate=V-MILS'), "algorithm 'V-MILS' is unknown; there are brake_rate: GSMA"),
+        (('--params', 'no/such.yaml'), 'no/such.yaml: cannot be read'),
+    ],
+)
+def test_wrong_choices_are_told_in_one_line(
+    driven_bag: Path, options: tuple[str, ...], reason: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call(driven_bag, *options) == 2
+    assert reason in one_line(capsys)
 
 
 def test_out_is_a_bag_and_is_never_overwritten(

@@ -45,6 +45,8 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def start() -> Iterator[Start]:
     """Return what starts a demo; none outlives the test."""
     started: list[subprocess.Popen[str]] = []
+    # Tests that run in the background ignore SIGINT, and so would all that they start.
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
 
     def run(bag: Path, out: Path, *options: str) -> subprocess.Popen[str]:
         command = [sys.executable, '-m', 'trainid_ros.commands.main', 'demo', str(bag), '--out', str(out), *options]
@@ -52,6 +54,7 @@ def start() -> Iterator[Start]:
         return started[-1]
 
     yield run
+    signal.signal(signal.SIGINT, before)
     for process in started:
         if process.poll() is None:
             process.kill()

@@ -32,6 +32,8 @@ from trainid_ros.core.records import (
     SpeedRecord,
 )
 from trainid_ros.core.results import Status
+from trainid_ros.estimators.consistency import WINDOW
+from trainid_ros.estimators.pipeline import EstimatorSettings
 from trainid_ros.nodes import brake_rate, resistance, speed_model
 from trainid_ros.nodes.conversion import message_from_record, time_message
 
@@ -432,6 +434,25 @@ def test_diagnostics_tell_status_counts_and_inputs(graph: Graph, train_file: str
     assert (mass.level, mass.message) == (DiagnosticStatus.OK, 'optional, not received; the parameter holds')
 
 
+def test_diagnostics_judge_the_stated_uncertainty_and_tell_what_was_seen(graph: Graph, train_file: str) -> None:
+    diagnosed = Diagnosed(graph)
+    node = active(graph, train_file, diagnostic_period=0.1, stale_after=60.0)
+    feed(node, coasting(150))
+    own = 'resistance_estimator: estimator'
+    graph.until(lambda: own in diagnosed.by_name and diagnosed.values(own).get('used', '0') != '0')
+    values = diagnosed.values(own)
+    assert values['consistency'] == str(node.pipeline.consistency)
+    assert float(values['consistency ratio']) == pytest.approx(node.pipeline.consistency.ratio, abs=1e-3)
+    assert values['observability'].endswith('m/s')
+    assert 0.0 <= float(values['a prior variance removed']) <= 1.0
+    assert float(values['resistance std at speeds seen, at most [N/kN]']) > 0.0
+    assert 'errors are larger than stated' not in diagnosed.by_name[own].message
+    for k in range(2 * WINDOW):
+        node.pipeline._consistency.see(3.0 * (-1.0) ** k, 1.0 + 1e-9 * k, used=True)
+    graph.until(lambda: 'errors are larger than stated: optimistic' in diagnosed.by_name[own].message)
+    assert diagnosed.by_name[own].level == DiagnosticStatus.WARN
+
+
 def test_diagnostics_tell_inputs_that_stopped(graph: Graph, train_file: str) -> None:
     diagnosed = Diagnosed(graph)
     node = active(graph, train_file, diagnostic_period=0.1)
@@ -532,7 +553,7 @@ def test_a_small_step_back_of_the_clock_changes_nothing(graph: Graph, train_file
 
 
 def test_the_same_records_through_node_and_pipeline_are_equal_to_the_bit(graph: Graph, train_file: str) -> None:
-    from trainid_ros.estimators.pipeline import EstimatorSettings, brake_rate_pipeline  # noqa: PLC0415
+    from trainid_ros.estimators.pipeline import brake_rate_pipeline  # noqa: PLC0415
     from trainid_ros.physics.train_file import load_train_file  # noqa: PLC0415
 
     node = active(graph, train_file, brake_rate.make_node)
@@ -541,6 +562,48 @@ def test_the_same_records_through_node_and_pipeline_are_equal_to_the_bit(graph: 
     pipeline = brake_rate_pipeline(load_train_file(train_file), EstimatorSettings())
     expected = [output for record in records for output in pipeline.push(record)]
     assert repr(heard.messages) == repr(expected)
+
+
+@pytest.mark.parametrize(
+    ('field', 'factory'), [('resistance', resistance.make_node), ('brake_rate', brake_rate.make_node)]
+)
+def test_a_node_with_a_parameter_file_equals_a_replay_with_it_to_the_bit(
+    graph: Graph, train_file: str, tmp_path: Path, field: str, factory: Any
+) -> None:
+    from trainid_ros.nodes.offline import node_setups  # noqa: PLC0415
+    from trainid_ros.physics.train_file import load_train_file  # noqa: PLC0415
+
+    path = tmp_path / 'params.yaml'
+    path.write_text(
+        '/**: {ros__parameters: {seed: 5, resistance: {a: 2}, alignment: {max_lag: 0.25}}}\n'
+        '/**/resistance_estimator: {ros__parameters: {train.mass: 210e3, estimator: {hop: 8, gate: 0x6}}}\n'
+        '/**/brake_rate_estimator: {ros__parameters: {train.mass: 190000, estimator: {prior_std: 1e-01}}}\n',
+        encoding='utf-8',
+    )
+    node = graph.make(factory, arguments=('--params-file', str(path)), train_file=train_file)
+    assert node.bring_up(), node.failure
+    heard, records = Heard(node), coasting(150)
+    feed(node, records)
+    setups = {item.job.field: item for item in node_setups(load_train_file(train_file), train_file, path)}
+    pipeline, plain = setups[field].pipeline(), node.job.pipeline(load_train_file(train_file), EstimatorSettings())
+    expected, otherwise = ([o for r in records for o in p.push(r)] for p in (pipeline, plain))
+    assert repr(heard.messages) == repr(expected)
+    assert repr(expected) != repr(otherwise)
+
+
+@pytest.mark.parametrize('factory', FACTORIES)
+def test_the_algorithm_is_a_parameter_and_a_wrong_name_is_told_with_the_choices(
+    graph: Graph, train_file: str, factory: Any
+) -> None:
+    names = graph.make(factory, train_file=train_file).job.algorithms.names
+    for name in names:
+        chosen = graph.make(factory, arguments=('-p', f'algorithm:={name}'), train_file=train_file)
+        assert chosen.bring_up(), chosen.failure
+        assert chosen.algorithm == name
+        graph.drop()
+    wrong = graph.make(factory, arguments=('-p', 'algorithm:=nonsense'), train_file=train_file)
+    assert wrong.trigger_configure() == FAILURE
+    assert wrong.failure == f"not configured: algorithm = 'nonsense' must be one of {', '.join(names)}"
 
 
 def test_nothing_is_left_in_the_default_context() -> None:

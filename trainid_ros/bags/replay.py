@@ -9,15 +9,18 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import takewhile
-from typing import TYPE_CHECKING, Final, Generic, Protocol
+from typing import TYPE_CHECKING, Final, Generic, NamedTuple, Protocol
 
 from trainid_ros.bags.reader import require_topics
 from trainid_ros.core.records import NS_PER_S
 from trainid_ros.core.results import BrakeRateEstimate, Reason, ResistanceEstimate, SpeedModelEstimate
 from trainid_ros.estimators.pipeline import (
+    BrakeRatePipeline,
     EstimateT,
     EstimatorPipeline,
     Output,
+    ResistancePipeline,
+    SpeedModelPipeline,
     brake_rate_pipeline,
     resistance_pipeline,
     speed_model_pipeline,
@@ -27,6 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from trainid_ros.bags.reader import BagReader, LoggedRecord
+    from trainid_ros.estimators.consistency import Consistency
     from trainid_ros.estimators.pipeline import EstimatorSettings
     from trainid_ros.physics.train_file import TrainFile
 
@@ -50,17 +54,21 @@ class Result(Generic[EstimateT]):
     """What one estimator said at the end of a replay.
 
     Attributes:
+        prior: What it believed before the first record.
         output: Its last output.
         samples: Aligned samples since the last reset.
         rejections: Why records and samples were not used, the commonest reason first.
         resets: How often the stamps jumped back and it started over.
+        consistency: Whether its errors were as large as it stated, over the last samples it used.
 
     """
 
+    prior: EstimateT
     output: Output[EstimateT]
     samples: int
     rejections: tuple[tuple[Reason, int], ...]
     resets: int
+    consistency: Consistency
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,9 +78,9 @@ class Replay:
     Attributes:
         records: Number of inputs read.
         duration_s: Time covered by the samples.
-        resistance: V-MILS.
-        speed_model: AM-VFF-RLS.
-        brake_rate: GSMA.
+        resistance: Running resistance.
+        speed_model: Speed model.
+        brake_rate: Brake rate.
 
     """
 
@@ -81,6 +89,14 @@ class Replay:
     resistance: Result[ResistanceEstimate]
     speed_model: Result[SpeedModelEstimate]
     brake_rate: Result[BrakeRateEstimate]
+
+
+class Pipelines(NamedTuple):
+    """The three estimators, not used yet."""
+
+    resistance: ResistancePipeline
+    speed_model: SpeedModelPipeline
+    brake_rate: BrakeRatePipeline
 
 
 def replay(
@@ -106,17 +122,33 @@ def replay(
         InputError: A required topic has no messages, or a message cannot be read.
 
     """
+    pipelines = Pipelines(
+        resistance_pipeline(train_file, settings),
+        speed_model_pipeline(train_file, settings),
+        brake_rate_pipeline(train_file, settings),
+    )
+    return replay_through(pipelines, reader, progress, observers, duration_s=duration_s)
+
+
+def replay_through(
+    pipelines: Pipelines,
+    reader: BagReader,
+    progress: Callable[[float], None] | None = None,
+    observers: Sequence[Observer] = (),
+    *,
+    duration_s: float = math.inf,
+) -> Replay:
+    """Run estimators that may each have settings of their own; see :func:`replay`."""
     require_topics(reader)
-    resistance = resistance_pipeline(train_file, settings)
-    speed_model = speed_model_pipeline(train_file, settings)
-    brake_rate = brake_rate_pipeline(train_file, settings)
+    resistance, speed_model, brake_rate = pipelines
+    priors = (resistance.current().estimate, speed_model.current().estimate, brake_rate.current().estimate)
     clock = _Stopwatch()
     records = 0
     for entry in _until(reader, duration_s):
         records += 1
         for observer in observers:
             observer.on_record(entry)
-        for pipeline in (resistance, speed_model, brake_rate):
+        for pipeline in pipelines:
             for output in pipeline.push(entry.record):
                 # One estimator tells the time for all: each repeats the stamps of the others.
                 if pipeline is resistance:
@@ -127,7 +159,13 @@ def replay(
             progress(_TELL_EVERY)
     if progress is not None:
         progress(records % _TELL_EVERY)
-    return Replay(records, clock.total_s, _result(resistance), _result(speed_model), _result(brake_rate))
+    return Replay(
+        records,
+        clock.total_s,
+        _result(resistance, priors[0]),
+        _result(speed_model, priors[1]),
+        _result(brake_rate, priors[2]),
+    )
 
 
 def _until(reader: BagReader, duration_s: float) -> Iterator[LoggedRecord]:
@@ -138,9 +176,11 @@ def _until(reader: BagReader, duration_s: float) -> Iterator[LoggedRecord]:
     return takewhile(lambda entry: entry.log_ns <= last_ns, reader.logged_records())
 
 
-def _result(pipeline: EstimatorPipeline[EstimateT]) -> Result[EstimateT]:
+def _result(pipeline: EstimatorPipeline[EstimateT], prior: EstimateT) -> Result[EstimateT]:
     rejections = tuple(pipeline.rejections.most_common())
-    return Result(pipeline.current(), pipeline.samples, rejections, pipeline.resets)
+    return Result(
+        prior, pipeline.current(), pipeline.samples, rejections, pipeline.resets, pipeline.consistency
+    )
 
 
 class _Stopwatch:

@@ -11,11 +11,12 @@ from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.bags.observers import BagRecorder, TraceObserver
 from trainid_ros.bags.reader import BagReader
-from trainid_ros.bags.replay import replay
+from trainid_ros.bags.replay import Pipelines, replay_through
 from trainid_ros.bags.writer import BagWriter
 from trainid_ros.commands.output import add_json_option, print_json, progress, table, to_plain, warn
 from trainid_ros.core.errors import NoAnswerError
-from trainid_ros.estimators.pipeline import EstimatorSettings
+from trainid_ros.estimators.observability import observe
+from trainid_ros.nodes.offline import node_setups
 from trainid_ros.physics.train_file import load_train_file
 from trainid_ros.simulation.truth import load_truth
 
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 
     from trainid_ros.bags.replay import Observer, Replay, Result
     from trainid_ros.core.results import Reason
+    from trainid_ros.nodes.offline import Setup
     from trainid_ros.physics.train_file import TrainFile
     from trainid_ros.report.traces import Traces
     from trainid_ros.simulation.truth import Truth
@@ -37,12 +39,20 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument('bag', type=Path, metavar='BAG', help='rosbag2 directory or .mcap file')
     parser.add_argument('--train', type=Path, required=True, metavar='T.yaml', help='train file')
+    parser.add_argument('--params', type=Path, metavar='FILE.yaml', help='ROS parameter file, as the nodes take it')
+    parser.add_argument(
+        '--algorithm',
+        action='append',
+        default=[],
+        metavar='NAME',
+        help='algorithm instead of the default, or resistance=NAME and so on; repeatable',
+    )
     parser.add_argument('--out', type=Path, metavar='BAG2', help='write inputs and estimates to a new bag')
     parser.add_argument('--report', type=Path, metavar='FILE.html', help='write a report with plots')
     parser.add_argument(
         '--truth', type=Path, metavar='FILE', help=f'truth for the report (default: {TRUTH_FILE} in the bag, if any)'
     )
-    parser.add_argument('--namespace', default='/', help='namespace of the topics (default: /)')
+    parser.add_argument('--namespace', default='/', help='namespace of topics and nodes (default: /)')
     add_json_option(parser)
 
 
@@ -50,11 +60,14 @@ def run(args: argparse.Namespace) -> int:
     """Replay a bag and print what was identified.
 
     Raises:
-        InputError: If bag, train file or truth cannot be used, or an output exists already.
+        InputError: If bag, train file, parameters or truth cannot be used, or an output exists already.
         NoAnswerError: If nothing was learned of the resistance.
 
     """
     train_file = load_train_file(args.train)
+    setups = node_setups(
+        train_file, str(args.train), args.params, args.algorithm, namespace=args.namespace, warn=warn
+    )
     if args.report is not None:
         find_truth(args.bag, args.truth)  # a truth that cannot be read is told before the work
     traces = TraceObserver() if args.report else None
@@ -65,22 +78,24 @@ def run(args: argparse.Namespace) -> int:
             observers.append(BagRecorder(stack.enter_context(BagWriter(args.out))))
         for line in reader.warnings:
             warn(line)
-        outcome, wall_s = timed_replay(reader, train_file, observers)
+        outcome, wall_s = timed_replay(reader, setups, observers)
     if args.json:
-        print_json(to_json(outcome, wall_s))
+        print_json(to_json(outcome, setups, wall_s))
     else:
-        print(describe(outcome, wall_s))
+        print(describe(outcome, setups, wall_s))
     if traces is not None:
         _write_report(args, outcome, train_file, traces.finish(), f'off line {_pace(outcome, wall_s)}')
     check_answer(args.bag, outcome)
     return 0
 
 
-def timed_replay(reader: BagReader, train_file: TrainFile, observers: Sequence[Observer] = ()) -> tuple[Replay, float]:
+def timed_replay(
+    reader: BagReader, setups: Sequence[Setup], observers: Sequence[Observer] = ()
+) -> tuple[Replay, float]:
     """Replay with progress on a terminal; return the outcome and the seconds it took."""
     start = time.perf_counter()
     with progress(f'replay {reader.path.name}', total=reader.input_count) as advance:
-        outcome = replay(reader, train_file, EstimatorSettings(), advance, observers)
+        outcome = replay_through(Pipelines(*(setup.pipeline() for setup in setups)), reader, advance, observers)
     return outcome, time.perf_counter() - start
 
 
@@ -110,7 +125,7 @@ def check_answer(bag: Path, outcome: Replay) -> None:
     raise NoAnswerError(msg)
 
 
-def to_json(outcome: Replay, wall_s: float) -> dict[str, Any]:
+def to_json(outcome: Replay, setups: Sequence[Setup], wall_s: float) -> dict[str, Any]:
     """Return the object of ``--json``; counters at the top are those of the resistance."""
     resistance, model, brake = outcome.resistance, outcome.speed_model, outcome.brake_rate
     w, m, f = resistance.output.estimate, model.output.estimate, brake.output.estimate
@@ -133,6 +148,7 @@ def to_json(outcome: Replay, wall_s: float) -> dict[str, Any]:
             **{'value': f.brake_rate, 'std': f.brake_rate_std, 'status': brake.output.status},
             **_counters(brake),
         },
+        'algorithms': {setup.job.field: setup.algorithm for setup in setups},
         'wall_s': wall_s,
     }
     plain: dict[str, Any] = to_plain(body)
@@ -148,13 +164,13 @@ def _deviations(covariance: Sequence[float]) -> list[float]:
     return [math.sqrt(max(0.0, covariance[i * (size + 1)])) for i in range(size)]
 
 
-def describe(outcome: Replay, wall_s: float) -> str:
+def describe(outcome: Replay, setups: Sequence[Setup], wall_s: float) -> str:
     """Return the outcome as text for people."""
     head = (
         f'{outcome.records} messages, {outcome.resistance.samples} samples over {outcome.duration_s:.1f} s, '
         f'replayed {_pace(outcome, wall_s)}'
     )
-    return '\n\n'.join((head, _estimates(outcome), _usage(outcome)))
+    return '\n\n'.join((head, _estimates(outcome), _usage(outcome), _doubts(outcome, setups)))
 
 
 def _estimates(outcome: Replay) -> str:
@@ -200,6 +216,19 @@ def _usage(outcome: Replay) -> str:
         *((f'not: {reason.name}', *(str(count.get(reason, 0)) for count in counts)) for reason in reasons),
     ]
     return table(rows, numbers=(1, 2, 3))
+
+
+def _doubts(outcome: Replay, setups: Sequence[Setup]) -> str:
+    """Return which algorithms ran, whether their uncertainty was true, and what of the resistance was seen."""
+    results: tuple[Result[Any], ...] = (outcome.resistance, outcome.speed_model, outcome.brake_rate)
+    lines = [
+        f'{setup.job.field.replace("_", " ")} by {setup.algorithm}: uncertainty {result.consistency}'
+        for setup, result in zip(setups, results, strict=True)
+    ]
+    w, prior = outcome.resistance.output.estimate, outcome.resistance.prior
+    seen = observe(w.covariance, prior.covariance, w.speed_min, w.speed_max)
+    shares = ', '.join(f'{name} {100.0 * share:.0f} %' for name, share in zip('abc', seen.shares, strict=True))
+    return '\n'.join((*lines, f'{seen.text}; prior variance removed: {shares}'))
 
 
 def _write_report(args: argparse.Namespace, outcome: Replay, train_file: TrainFile, traces: Traces, how: str) -> None:

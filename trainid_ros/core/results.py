@@ -87,7 +87,8 @@ class SpeedModelEstimate:
     """Speed model x(n) = a1 x^2 + a2 x + b1 u + d0 of Yuan et al., eq. (2), and what it means.
 
     ``covariance`` is 4x4 row-major in the order a1, a2, b1, d0. ``a b c`` are the Davis parameters
-    [N/kN] and ``mass_factor`` is (M / M_nominal)(1 + gamma).
+    [N/kN] and ``mass_factor`` is (M / M_nominal)(1 + gamma). ``prediction_variance`` is that of
+    ``prediction_error`` as stated before the measurement, 0 if the algorithm states none.
     """
 
     a1: float
@@ -102,6 +103,7 @@ class SpeedModelEstimate:
     b: float
     c: float
     mass_factor: float
+    prediction_variance: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,3 +124,10 @@ class BrakeRateEstimate:
 
 
 Estimate = ResistanceEstimate | SpeedModelEstimate | BrakeRateEstimate
+
+
+def stated_innovation(estimate: Estimate) -> tuple[float, float]:
+    """Return the innovation of the last update and its variance as the estimator states it, 0 if it states none."""
+    if isinstance(estimate, SpeedModelEstimate):
+        return estimate.prediction_error, estimate.prediction_variance
+    return estimate.innovation, estimate.innovation_variance

@@ -25,11 +25,13 @@ from trainid_ros.core.results import (
     ResistanceEstimate,
     SpeedModelEstimate,
     Status,
+    stated_innovation,
 )
 from trainid_ros.core.samples import Sample
 from trainid_ros.core.settings import check_settings, setting
 from trainid_ros.estimators.algorithms import Algorithms, Choice
 from trainid_ros.estimators.brake_rate.algorithms import BRAKE_RATE
+from trainid_ros.estimators.consistency import Consistency, ConsistencyMonitor
 from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.estimators.resistance.algorithms import RESISTANCE
 from trainid_ros.estimators.speed_model.algorithms import SPEED_MODEL
@@ -109,6 +111,7 @@ class EstimatorPipeline(Generic[EstimateT]):
         self._unstepped: tuple[Sample, ...] = ()
         self._sample_ns = 0
         self._first_ns = 0
+        self._consistency = ConsistencyMonitor()
         self._status = Status.UNINITIALIZED
 
     def reset(self) -> None:
@@ -122,6 +125,11 @@ class EstimatorPipeline(Generic[EstimateT]):
     def status(self) -> Status:
         """Status of the newest output."""
         return self._status
+
+    @property
+    def consistency(self) -> Consistency:
+        """Whether errors are as large as the estimates state; over recent samples used."""
+        return self._consistency.current()
 
     @property
     def newest_ns(self) -> int:
@@ -168,6 +176,7 @@ class EstimatorPipeline(Generic[EstimateT]):
         Records taken in before are forgotten, so the estimator begins anew with the train's motion.
         """
         self.estimator.restore(text)
+        self._consistency.clear()
         self._aligner.reset()
         self._first_ns = 0
 
@@ -197,7 +206,9 @@ class EstimatorPipeline(Generic[EstimateT]):
         else:
             self._count(result)
         self._status = self._judge(result)
-        return self.current()
+        output = self.current()
+        self._consistency.see(*stated_innovation(output.estimate), used=result is None)
+        return output
 
     def _mended(self, sample: Sample) -> Sample:
         """Return a sample as it looks to an estimator that missed those before it."""

@@ -7,20 +7,14 @@ from typing import Any, Final
 
 from trainid_msgs.msg import BrakeRateEstimate
 
-from trainid_ros.estimators.brake_rate import algorithms
-from trainid_ros.estimators.pipeline import brake_rate_pipeline
 from trainid_ros.nodes.diagnostics import ShownValue
 from trainid_ros.nodes.estimator_node import EstimatorNode, EstimatorSpec
+from trainid_ros.nodes.jobs import BRAKE_RATE_JOB
 from trainid_ros.nodes.runner import run_node
 
 BRAKE_RATE: Final = EstimatorSpec(
-    node_name='brake_rate_estimator',
-    topic='trainid/brake_rate',
+    job=BRAKE_RATE_JOB,
     message=BrakeRateEstimate,
-    last_valid_topic='trainid/last_valid/brake_rate',
-    settings_field='brake_rate',
-    algorithms=algorithms.BRAKE_RATE,
-    pipeline=brake_rate_pipeline,
     shown=(
         ShownValue('brake_rate', '', std='brake_rate_std'),
         ShownValue('effective_particles', ''),

@@ -92,6 +92,7 @@ def estimator_status(
     shown: tuple[ShownValue, ...],
     prior: Any,
     steps: StepTimeSummary,
+    details: Iterable[tuple[str, str]],
 ) -> Any:
     """Return the status of a configured estimator."""
     output = pipeline.current()
@@ -103,6 +104,9 @@ def estimator_status(
         level, message = DiagnosticStatus.WARN, f'{health.state}, inputs are ignored; last {message}'
     if health.clock_trouble:
         level, message = max(level, DiagnosticStatus.WARN), f'{health.clock_trouble}; {message}'
+    consistency = pipeline.consistency
+    if consistency.alarming:
+        level, message = max(level, DiagnosticStatus.WARN), f'errors are larger than stated: {consistency}; {message}'
     refusal = output.last_refusal
     values: list[tuple[str, object]] = [
         ('state', health.state),
@@ -112,6 +116,9 @@ def estimator_status(
         *((f'rejected.{reason.name}', count) for reason, count in sorted(pipeline.rejections.items())),
         ('last refusal', 'none' if refusal is None else str(refusal)),
         *_compared(shown, prior, output.estimate),
+        ('consistency', consistency),
+        ('consistency ratio', f'{consistency.ratio:.3f}'),
+        *details,
         ('step time p50 [ms]', f'{steps.p50 * 1e3:.3f}'),
         ('step time p99 [ms]', f'{steps.p99 * 1e3:.3f}'),
         ('step time max [ms]', f'{steps.longest * 1e3:.3f}'),

@@ -48,18 +48,20 @@ from trainid_ros.nodes.parameter_specs import (
     ALGORITHM,
     TRAIN_PARAMETERS,
     ParameterSpec,
+    algorithm_asked_for,
     build_settings,
     build_train_file,
     estimator_parameters,
+    qos_overrides,
 )
 from trainid_ros.nodes.parameters import NodeParameters
 from trainid_ros.nodes.watchdog import Watchdog
 from trainid_ros.physics.train_file import load_train_file
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
-    from trainid_ros.estimators.algorithms import Algorithms
+    from trainid_ros.nodes.jobs import Job
     from trainid_ros.physics.train_file import TrainFile
 
 _FIRST_WATCH_S: Final = 0.1
@@ -68,30 +70,26 @@ _TOLD: Final = (Status.STALE, Status.FAULT)
 _SUCCESS: Final = TransitionCallbackReturn.SUCCESS
 
 
+def _no_details(_prior: Any, _live: Any) -> Iterable[tuple[str, str]]:
+    return ()
+
+
 @dataclass(frozen=True, slots=True)
 class EstimatorSpec:
     """What makes one estimator node different from the others.
 
     Attributes:
-        node_name: Name of the node.
-        topic: Topic of the estimates.
+        job: What it estimates.
         message: Message class of the estimates.
-        last_valid_topic: Topic of the latched copy, None if there is none.
-        settings_field: Field of EstimatorSettings that has the choice of the algorithm.
-        algorithms: What can be chosen.
-        pipeline: Makes the pipeline.
         shown: What the diagnostics show, the most important value first.
+        details: What else they show of the estimate before the first sample and now, as names and values.
 
     """
 
-    node_name: str
-    topic: str
+    job: Job
     message: Any
-    last_valid_topic: str | None
-    settings_field: str
-    algorithms: Algorithms[Any]
-    pipeline: Callable[[TrainFile, EstimatorSettings], EstimatorPipeline[Any]]
     shown: tuple[ShownValue, ...]
+    details: Callable[[Any, Any], Iterable[tuple[str, str]]] = _no_details
 
 
 class EstimatorNode(ManagedNode):
@@ -106,11 +104,13 @@ class EstimatorNode(ManagedNode):
             options: Options of the rclpy node.
 
         """
-        super().__init__(spec.node_name, **options)
+        super().__init__(spec.job.node_name, **options)
         self.spec = spec
+        self.job = spec.job
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
-        self.parameters = NodeParameters(self, self._parameter_specs(), expected=self._override_names())
-        self.parameters.check_sections(arguments, spec.node_name)
+        expected = qos_overrides(self.job, self.resolve_topic_name)
+        self.parameters = NodeParameters(self, self._parameter_specs(), expected=expected)
+        self.parameters.check_sections(arguments, self.job.node_name)
         self._preload_train_file()
         self.parameters.report()
         self.pipeline: EstimatorPipeline[Any] | None = None
@@ -129,25 +129,15 @@ class EstimatorNode(ManagedNode):
         self._services_offered = EstimatorServices(self)
 
     def _parameter_specs(self) -> tuple[ParameterSpec, ...]:
-        """Settings are those of the algorithm asked for; a wrong name is reported with the other parameters."""
-        given = self._parameter_overrides.get(ALGORITHM)  # rclpy has no public way to see them
-        algorithms = self.spec.algorithms
-        known = given is not None and given.value in algorithms.names
-        return estimator_parameters(algorithms, given.value if known else algorithms.default)
+        overrides = self._parameter_overrides  # rclpy has no public way to see them
+        given = {name: parameter.value for name, parameter in overrides.items()}
+        algorithms = self.job.algorithms
+        return estimator_parameters(algorithms, algorithm_asked_for(given, algorithms))
 
     @property
     def algorithm(self) -> str:
         """Name of the algorithm that runs."""
         return str(self.parameters.value(ALGORITHM))
-
-    def _override_names(self) -> list[str]:
-        inputs = [(topic.name, 'subscription') for topic in INPUT_TOPICS]
-        outputs = [(topic, 'publisher') for topic in (self.spec.topic, self.spec.last_valid_topic) if topic]
-        return [
-            name
-            for topic, entity in (*inputs, *outputs)
-            for name in qos.override_names(self.resolve_topic_name(topic), entity)
-        ]
 
     def _make_diagnostic_timer(self) -> Any:
         period = float(self.parameters.value('diagnostic_period'))
@@ -161,8 +151,8 @@ class EstimatorNode(ManagedNode):
         self.failure = ''
         self.parameters.check()
         train_file = self._train_file()
-        self._settings = build_settings(self.parameters.values(), self.spec.algorithms, self.spec.settings_field)
-        self.pipeline = self.spec.pipeline(train_file, self._settings)
+        self._settings = build_settings(self.parameters.values(), self.job.algorithms, self.job.field)
+        self.pipeline = self.job.pipeline(train_file, self._settings)
         self._prior = self.pipeline.current().estimate
         self.watchdog = Watchdog(round(self._settings.pipeline.stale_after * NS_PER_S))
         self._step_times = StepTimes()
@@ -178,7 +168,7 @@ class EstimatorNode(ManagedNode):
         self._watchdog_timer = self.create_timer(_FIRST_WATCH_S, self._watch, clock=self._steady)
         result = super().on_activate(state)
         self._listening = result == _SUCCESS
-        self.get_logger().info(f'active: {self.algorithm} on {self.resolve_topic_name(self.spec.topic)}')
+        self.get_logger().info(f'active: {self.algorithm} on {self.resolve_topic_name(self.job.topic)}')
         return result
 
     @guarded
@@ -227,10 +217,10 @@ class EstimatorNode(ManagedNode):
         return build_train_file(self.parameters.values(), frozenset(self.parameters.given), base)
 
     def _open(self) -> None:
-        spec = self.spec
-        self._estimates = self._offer(spec.topic, qos.estimate_qos())
-        if spec.last_valid_topic is not None:
-            self._last_valid = self._offer(spec.last_valid_topic, qos.latched_qos())
+        job = self.job
+        self._estimates = self._offer(job.topic, qos.estimate_qos())
+        if job.last_valid_topic is not None:
+            self._last_valid = self._offer(job.last_valid_topic, qos.latched_qos())
         alignment = self._settings.alignment
         longest = {
             SPEED_TOPIC: alignment.max_dt,
@@ -370,7 +360,8 @@ class EstimatorNode(ManagedNode):
             array.status = [idle_status(health)]
         else:
             steps = self._step_times.summary()
-            array.status = [estimator_status(health, self.pipeline, self.spec.shown, self._prior, steps)]
+            details = self.spec.details(self._prior, self.pipeline.current().estimate)
+            array.status = [estimator_status(health, self.pipeline, self.spec.shown, self._prior, steps, details)]
             stale_s = self._settings.pipeline.stale_after
             for monitor in self._monitors.values():
                 topic = self.resolve_topic_name(monitor.topic.name)

@@ -13,17 +13,20 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from trainid_ros.core.alignment import AlignmentConfig
 from trainid_ros.core.errors import InputError
+from trainid_ros.core.records import INPUT_TOPICS
 from trainid_ros.core.settings import setting_info
 from trainid_ros.estimators.algorithms import Choice
 from trainid_ros.estimators.pipeline import EstimatorSettings, PipelineConfig, TimeJumpPolicy
+from trainid_ros.physics.fields import did_you_mean
 from trainid_ros.physics.train_file import Brake, Davis, Train, TrainFile
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Collection, Mapping
 
     from _typeshed import DataclassInstance
 
     from trainid_ros.estimators.algorithms import Algorithms
+    from trainid_ros.nodes.jobs import Job
 
 Value: TypeAlias = bool | int | float | str
 Values: TypeAlias = 'Mapping[str, Value]'
@@ -150,6 +153,63 @@ def _settings(prefix: str, config: DataclassInstance) -> tuple[ParameterSpec, ..
             text = f'{info.description} [{info.unit}]; {_NEXT}'
             specs.append(ParameterSpec(prefix + item.name, getattr(config, item.name), text, info.low, info.high))
     return tuple(specs)
+
+
+def algorithm_asked_for(overrides: Mapping[str, object], algorithms: Algorithms[Any]) -> str:
+    """Return the algorithm whose settings are parameters; one that is unknown is told with the other parameters."""
+    name = overrides.get(ALGORITHM)
+    return str(name) if name in algorithms.names else algorithms.default
+
+
+def qos_overrides(job: Job, resolve: Callable[[str], str]) -> list[str]:
+    """Return the names of the parameters for QoS; ``resolve`` gives the full name of a topic."""
+    topics = [(topic.name, 'subscription') for topic in INPUT_TOPICS]
+    topics += [(topic, 'publisher') for topic in (job.topic, job.last_valid_topic) if topic]
+    policies = ('history', 'depth', 'reliability')
+    return [f'qos_overrides.{resolve(name)}.{entity}.{policy}' for name, entity in topics for policy in policies]
+
+
+def judge(
+    overrides: Mapping[str, object], specs: Mapping[str, ParameterSpec], others: Collection[str]
+) -> tuple[dict[str, Value], dict[str, str]]:
+    """Return the given values that can be used, and what is wrong with the others, by name.
+
+    Args:
+        overrides: What is given.
+        specs: The parameters.
+        others: Names of parameters that are dealt with elsewhere.
+
+    """
+    values: dict[str, Value] = {}
+    problems: dict[str, str] = {}
+    for name, value in overrides.items():
+        spec = specs.get(name)
+        if spec is None:
+            if name not in others:
+                problems[name] = f'unknown parameter {name!r}: {did_you_mean(name, {*specs, *others})}'
+            continue
+        try:
+            values[name] = spec.coerce(value)
+        except InputError as error:
+            problems[name] = str(error)
+    return values, problems
+
+
+def check_problems(problems: Mapping[str, str]) -> None:
+    """Raise InputError, naming them, if there are problems."""
+    if problems:
+        msg = f'not configured: {"; ".join(problems.values())}'
+        raise InputError(msg)
+
+
+def check_fallback(values: Mapping[str, Value], specs: Mapping[str, ParameterSpec], source: str) -> None:
+    """Raise InputError, naming the file they come from, if values are out of the range of their parameters."""
+    for name, value in values.items():
+        try:
+            specs[name].check(value)
+        except InputError as error:
+            msg = f'{source}: {error}'
+            raise InputError(msg) from None
 
 
 def build_settings(values: Values, algorithms: Algorithms[Any], field: str) -> EstimatorSettings:

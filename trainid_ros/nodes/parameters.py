@@ -9,9 +9,8 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.parameter import Parameter
 
 from trainid_ros.core.errors import InputError
-from trainid_ros.nodes.parameter_specs import ParameterSpec, Value
+from trainid_ros.nodes.parameter_specs import ParameterSpec, Value, check_fallback, check_problems, judge
 from trainid_ros.nodes.params_file import find_misses, params_files
-from trainid_ros.physics.fields import did_you_mean
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -40,28 +39,17 @@ class NodeParameters:
         """
         self._node = node
         self._specs = {spec.name: spec for spec in specs}
-        self._problems: dict[str, str] = {}
         self._internal = False
         self._fallback: dict[str, str] = {}
         overrides = node._parameter_overrides  # rclpy has no public way to see them
         self.given = {name for name in overrides if name in self._specs}
-        known = {*self._specs, *node._parameters, *expected}
-        for name in overrides:
-            if name not in known:
-                self._problems[name] = f'unknown parameter {name!r}: {did_you_mean(name, known)}'
+        given = {name: parameter.value for name, parameter in overrides.items()}
+        values, self._problems = judge(given, self._specs, {*node._parameters, *expected})
         for spec in self._specs.values():
-            self._declare(spec, overrides)
+            value = values.get(spec.name, spec.default)
+            node.declare_parameter(spec.name, value, _descriptor(spec), ignore_override=True)
         node.add_on_set_parameters_callback(self._validate)
         node.add_post_set_parameters_callback(self._note)
-
-    def _declare(self, spec: ParameterSpec, overrides: Mapping[str, Parameter]) -> None:
-        value = spec.default
-        if spec.name in overrides:
-            try:
-                value = spec.coerce(overrides[spec.name].value)
-            except InputError as error:
-                self._problems[spec.name] = str(error)
-        self._node.declare_parameter(spec.name, value, _descriptor(spec), ignore_override=True)
 
     def check_sections(self, arguments: Sequence[str], usual_name: str) -> None:
         """Look for parameter files among ROS arguments whose sections miss this node."""
@@ -90,9 +78,7 @@ class NodeParameters:
 
     def check(self) -> None:
         """Raise InputError, naming the first one, while parameters are unknown or wrong."""
-        if self._problems:
-            msg = f'not configured: {"; ".join(self._problems.values())}'
-            raise InputError(msg)
+        check_problems(self._problems)
 
     def value(self, name: str) -> Value:
         """Return the value of a parameter."""
@@ -112,12 +98,7 @@ class NodeParameters:
         """
         self._fallback = dict.fromkeys(values, source)
         new = {name: value for name, value in values.items() if name not in self.given}
-        for name, value in new.items():
-            try:
-                self._specs[name].check(value)
-            except InputError as error:
-                msg = f'{source}: {error}'
-                raise InputError(msg) from None
+        check_fallback(new, self._specs, source)
         self._internal = True
         self._node.set_parameters([Parameter(name, value=value) for name, value in new.items()])
         self._internal = False

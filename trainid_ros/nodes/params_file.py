@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameter files whose sections miss the node: ROS ignores those in silence."""
+"""Parameter files: sections that miss the node, which ROS ignores in silence, and their values without ROS."""
 
 from __future__ import annotations
 
 import difflib
+import math
 import re
 from itertools import pairwise
 from pathlib import Path
@@ -11,10 +12,23 @@ from typing import TYPE_CHECKING, Final
 
 import yaml
 
+from trainid_ros.core.errors import InputError
+
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
 _CLOSE: Final = 0.75
+# What the parser of ROS takes for what; PyYAML has other rules, 1e-05 is a text to it.
+_BOOLS: Final = {
+    word: value
+    for value, words in ((True, ('y', 'yes', 'true', 'on')), (False, ('n', 'no', 'false', 'off')))
+    for plain in words
+    for word in (plain, plain.capitalize(), plain.upper())
+}
+_WHOLE: Final = re.compile(r'[-+]?(0[xX][0-9a-fA-F]+|0[0-7]*|[1-9][0-9]*)')
+_REAL: Final = re.compile(r'[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?')
+_NOT_FINITE: Final = re.compile(r'[-+]?\.?(nan|inf|infinity)', re.IGNORECASE)
+_INT64: Final = 2**63
 
 
 def params_files(arguments: Sequence[str]) -> tuple[Path, ...]:
@@ -58,6 +72,75 @@ def _sections(tree: object, prefix: str) -> Iterator[str]:
             yield name
         else:
             yield from _sections(value, name)
+
+
+def read_overrides(path: Path, node: str) -> dict[str, object]:
+    """Return the values that a file gives to a node, as ROS would: of several sections that match, the last one wins.
+
+    Args:
+        path: Parameter file.
+        node: Fully qualified name of the node.
+
+    Raises:
+        InputError: The file cannot be read or is no parameter file.
+
+    """
+    try:
+        tree = yaml.compose(path.read_text(encoding='utf-8'), Loader=yaml.SafeLoader)
+    except (OSError, ValueError, yaml.YAMLError) as error:
+        reason = getattr(error, 'strerror', None) or ' '.join(str(error).split())
+        msg = f'{path}: cannot be read: {reason}'
+        raise InputError(msg) from error
+    found: dict[str, object] = {}
+    if tree is not None:
+        for section, values in _given(path, tree, ''):
+            if _pattern(section).fullmatch(node):
+                found |= _flat(values, '')
+    return found
+
+
+def _given(path: Path, tree: yaml.Node, prefix: str) -> Iterator[tuple[str, yaml.Node]]:
+    if not isinstance(tree, yaml.MappingNode):
+        msg = f'{path}: is no parameter file: {prefix or "it"} holds no section with ros__parameters'
+        raise InputError(msg)
+    for key, value in tree.value:
+        if str(key.value) == 'ros__parameters':
+            yield prefix, value
+        else:
+            yield from _given(path, value, f'{prefix}/{str(key.value).strip("/")}'.replace('//', '/'))
+
+
+def _flat(node: yaml.Node, prefix: str) -> dict[str, object]:
+    if not isinstance(node, yaml.MappingNode):
+        return {prefix: _value(node)}
+    found: dict[str, object] = {}
+    for key, value in node.value:
+        found |= _flat(value, f'{prefix}.{key.value}' if prefix else str(key.value))
+    return found
+
+
+def _value(node: yaml.Node) -> object:
+    if isinstance(node, yaml.SequenceNode):
+        return [_value(item) for item in node.value]
+    text = str(node.value)
+    return text if getattr(node, 'style', None) in ("'", '"') else _plain(text)
+
+
+def _plain(text: str) -> object:
+    """Return an unquoted word as the parser of ROS reads it."""
+    if text in _BOOLS:
+        return _BOOLS[text]
+    if _WHOLE.fullmatch(text):
+        digits = text.lstrip('+-')
+        base = 16 if digits[:2].lower() == '0x' else 8 if digits[0] == '0' else 10
+        number = int(text, base)
+        if -_INT64 <= number < _INT64:
+            return number
+    if _NOT_FINITE.fullmatch(text):
+        return float(text.replace('.', ''))
+    if _REAL.fullmatch(text) and math.isfinite(real := float(text)):
+        return real
+    return text
 
 
 def _pattern(section: str) -> re.Pattern[str]:

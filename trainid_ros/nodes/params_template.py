@@ -7,15 +7,16 @@
 from __future__ import annotations
 
 import sys
+import textwrap
 from typing import TYPE_CHECKING, Final
 
-from trainid_ros.nodes.brake_rate import BRAKE_RATE
+from trainid_ros.nodes.jobs import JOBS
 from trainid_ros.nodes.parameter_specs import TRAIN_PARAMETERS, ParameterSpec, Value, estimator_parameters
-from trainid_ros.nodes.resistance import RESISTANCE
-from trainid_ros.nodes.speed_model import SPEED_MODEL
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+
+    from trainid_ros.nodes.jobs import Job
 
 _WIDTH: Final = 108
 _HEAD: Final = """\
@@ -31,25 +32,37 @@ _HEAD: Final = """\
 # and qos_overrides.<topic>.publisher.* (history, depth, reliability).
 #
 # Where train, resistance and brake are commented out, the train file holds; take the marks away to
-# override it.
+# override it. The section estimator belongs to the default algorithm; below it, commented out, are those
+# of the other algorithms, each to be taken in its place.
 """
 
 
 def parameter_file() -> str:
     """Return the text of the file."""
     blocks = [_HEAD]
-    for spec in (RESISTANCE, SPEED_MODEL, BRAKE_RATE):
-        lines = _section(estimator_parameters(spec.algorithms))
-        blocks.append('\n'.join((f'/**/{spec.node_name}:', '  ros__parameters:', *lines, '')))
+    for job in JOBS:
+        lines = (*_section(estimator_parameters(job.algorithms)), *_other_algorithms(job))
+        blocks.append('\n'.join((f'/**/{job.node_name}:', '  ros__parameters:', *lines, '')))
     return '\n'.join(blocks)
 
 
-def _section(specs: tuple[ParameterSpec, ...]) -> Iterator[str]:
+def _other_algorithms(job: Job) -> Iterator[str]:
+    """Yield what takes the place of the section estimator with the algorithms that are not the default."""
+    for name in job.algorithms.names[1:]:
+        specs = estimator_parameters(job.algorithms, name)
+        yield from textwrap.wrap(
+            f'{name}: {job.algorithms[name].summary}', _WIDTH, initial_indent='    # ', subsequent_indent='    #   '
+        )
+        yield f"    # algorithm: '{name}'"
+        yield from _section(tuple(spec for spec in specs if spec.name.startswith('estimator.')), commented=True)
+
+
+def _section(specs: tuple[ParameterSpec, ...], *, commented: bool = False) -> Iterator[str]:
     train = {item.name for item in TRAIN_PARAMETERS}
     group = ''
     for spec in specs:
         prefix, _, name = spec.name.rpartition('.')
-        mark = '# ' if spec.name in train else ''
+        mark = '# ' if commented or spec.name in train else ''
         if prefix not in ('', group):
             yield f'    {mark}{prefix}:'
         group = prefix
@@ -58,7 +71,8 @@ def _section(specs: tuple[ParameterSpec, ...]) -> Iterator[str]:
         if len(setting) + 2 + len(comment) <= _WIDTH:
             yield f'{setting}  {comment}'
         else:
-            yield from (indent + comment, setting)
+            yield from textwrap.wrap(comment, _WIDTH, initial_indent=indent, subsequent_indent=f'{indent}#   ')
+            yield setting
 
 
 def _explained(spec: ParameterSpec) -> str:

@@ -58,11 +58,6 @@ def overridable() -> QoSOverridingOptions:
     return QoSOverridingOptions.with_default_policies()
 
 
-def override_names(topic: str, entity: str) -> tuple[str, ...]:
-    """Return the names of the override parameters of a topic; ``entity`` is publisher or subscription."""
-    return tuple(f'qos_overrides.{topic}.{entity}.{policy}' for policy in ('history', 'depth', 'reliability'))
-
-
 def _complain(logger: RcutilsLogger, topic: str, other: str) -> Callable[[Any], None]:
     def tell(event: Any) -> None:
         policy = qos_policy_name_from_kind(event.last_policy_kind)

@@ -3,30 +3,41 @@
 
 from __future__ import annotations
 
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 from trainid_msgs.msg import ResistanceEstimate
 
-from trainid_ros.estimators.pipeline import resistance_pipeline
-from trainid_ros.estimators.resistance import algorithms
+from trainid_ros.estimators.observability import observe
 from trainid_ros.nodes.diagnostics import ShownValue
 from trainid_ros.nodes.estimator_node import EstimatorNode, EstimatorSpec
+from trainid_ros.nodes.jobs import RESISTANCE_JOB
 from trainid_ros.nodes.runner import run_node
 
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+
+def _observability(prior: Any, live: Any) -> Iterator[tuple[str, str]]:
+    seen = observe(live.covariance, prior.covariance, live.speed_min, live.speed_max)
+    yield 'observability', seen.text
+    for name, share in zip('abc', seen.shares, strict=True):
+        yield f'{name} prior variance removed', f'{share:.3f}'
+    yield 'resistance std at speeds seen, at most [N/kN]', f'{seen.std_seen:.3g}'
+    yield 'resistance std at other speeds, at most [N/kN]', f'{seen.std_outside:.3g}'
+    yield 'resistance known from [m/s]', f'{seen.known[0]:.1f}'
+    yield 'resistance known to [m/s]', f'{seen.known[1]:.1f}'
+
+
 RESISTANCE: Final = EstimatorSpec(
-    node_name='resistance_estimator',
-    topic='trainid/resistance',
+    job=RESISTANCE_JOB,
     message=ResistanceEstimate,
-    last_valid_topic='trainid/last_valid/resistance',
-    settings_field='resistance',
-    algorithms=algorithms.RESISTANCE,
-    pipeline=resistance_pipeline,
     shown=(
         ShownValue('resistance', 'N/kN', std='resistance_std'),
         ShownValue('a', 'N/kN', variance=0),
         ShownValue('b', 'N/kN per m/s', variance=1),
         ShownValue('c', 'N/kN per (m/s)^2', variance=2),
     ),
+    details=_observability,
 )
 
 

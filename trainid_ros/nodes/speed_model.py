@@ -7,20 +7,14 @@ from typing import Any, Final
 
 from trainid_msgs.msg import SpeedModelEstimate
 
-from trainid_ros.estimators.pipeline import speed_model_pipeline
-from trainid_ros.estimators.speed_model import algorithms
 from trainid_ros.nodes.diagnostics import ShownValue
 from trainid_ros.nodes.estimator_node import EstimatorNode, EstimatorSpec
+from trainid_ros.nodes.jobs import SPEED_MODEL_JOB
 from trainid_ros.nodes.runner import run_node
 
 SPEED_MODEL: Final = EstimatorSpec(
-    node_name='speed_model_estimator',
-    topic='trainid/speed_model',
+    job=SPEED_MODEL_JOB,
     message=SpeedModelEstimate,
-    last_valid_topic=None,
-    settings_field='speed_model',
-    algorithms=algorithms.SPEED_MODEL,
-    pipeline=speed_model_pipeline,
     shown=(
         ShownValue('prediction_error', 'm/s'),
         ShownValue('a1', '1/(m/s)', variance=0),

@@ -1,0 +1,114 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Variances that are true pass, whatever the seed; those too small are found; each update counts once."""
+
+from __future__ import annotations
+
+import math
+import os
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.stats import chi2
+
+from trainid_ros.estimators.consistency import WINDOW, Consistency, ConsistencyMonitor, Verdict, band
+
+SEEDS = 400
+
+
+def watched(z: NDArray[np.float64], stated: float = 1.0) -> ConsistencyMonitor:
+    monitor = ConsistencyMonitor()
+    for innovation in z:
+        monitor.see(float(innovation), stated, used=True)
+    return monitor
+
+
+def leaning(rng: np.random.Generator, rho: float, count: int) -> NDArray[np.float64]:
+    """Innovations of variance 1 with correlation rho of neighbours."""
+    z = np.empty(count)
+    z[0] = rng.standard_normal()
+    for k in range(1, count):
+        z[k] = rho * z[k - 1] + math.sqrt(1.0 - rho * rho) * rng.standard_normal()
+    return z
+
+
+@pytest.mark.parametrize('count', [30, 50, 200])
+def test_the_band_is_that_of_chi_squared(count: int) -> None:
+    low, high = band(count)
+    assert low == pytest.approx(chi2.ppf(0.005, count) / count, rel=0.01)
+    assert high == pytest.approx(chi2.ppf(0.995, count) / count, rel=0.01)
+
+
+@pytest.mark.parametrize(('rho', 'most'), [(0.0, 19), (0.5, 30), (0.8, 40)])
+def test_true_variances_are_in_the_band_for_fresh_seeds(rho: float, most: int) -> None:
+    """Of 400 the band leaves out 4 in the mean; more than 18 has a chance of 1e-7. Correlation is only estimated."""
+    seed = int.from_bytes(os.urandom(4))
+    rng = np.random.default_rng(seed)
+    verdicts = [watched(leaning(rng, rho, WINDOW)).current().verdict for _ in range(SEEDS)]
+    assert verdicts.count(Verdict.CONSISTENT) > SEEDS - most, f'seed {seed}'
+
+
+@pytest.mark.parametrize(('stated', 'verdict'), [(0.5, Verdict.OPTIMISTIC), (2.0, Verdict.PESSIMISTIC)])
+@pytest.mark.parametrize('rho', [0.0, 0.4])
+def test_a_variance_wrong_by_two_is_found(stated: float, verdict: Verdict, rho: float) -> None:
+    seed = int.from_bytes(os.urandom(4))
+    rng = np.random.default_rng(seed)
+    verdicts = [watched(leaning(rng, rho, WINDOW), stated).current().verdict for _ in range(50)]
+    assert verdicts.count(verdict) >= 48, f'seed {seed}'
+
+
+def test_it_alarms_only_after_a_whole_window_of_optimism() -> None:
+    rng = np.random.default_rng(7001)
+    monitor = ConsistencyMonitor()
+    first, alarmed = 0, 0
+    for k in range(1, 4 * WINDOW):
+        monitor.see(float(rng.standard_normal()), 0.3, used=True)
+        current = monitor.current()
+        first = first or (k if current.verdict is Verdict.OPTIMISTIC else 0)
+        alarmed = alarmed or (k if current.alarming else 0)
+    assert 0 < first < WINDOW
+    assert alarmed >= first + WINDOW - 1
+    for innovation in rng.standard_normal(2 * WINDOW):
+        monitor.see(float(innovation), 1.0, used=True)
+    assert not monitor.current().alarming
+
+
+def test_an_update_counts_once_and_a_refused_one_never() -> None:
+    monitor = ConsistencyMonitor()
+    for innovation, used in ((1.0, True), (2.0, True), (50.0, False), (3.0, True)):
+        monitor.see(innovation, 4.0, used=used)
+        for _ in range(5):  # samples between updates show the same pair, accepted or not
+            monitor.see(innovation, 4.0, used=True)
+            monitor.see(innovation, 4.0, used=False)
+    current = monitor.current()
+    assert current.updates == 3
+    assert current.ratio == pytest.approx((1.0 + 4.0 + 9.0) / 12.0)
+
+
+@pytest.mark.parametrize(
+    ('innovation', 'variance'), [(1.0, 0.0), (1.0, -1.0), (1.0, math.nan), (1.0, math.inf), (math.nan, 1.0)]
+)
+def test_what_states_no_variance_is_not_judged(innovation: float, variance: float) -> None:
+    monitor = ConsistencyMonitor()
+    monitor.see(innovation, variance, used=True)
+    current = monitor.current()
+    assert (current.verdict, current.updates) == (Verdict.UNKNOWN, 0)
+    assert 'no innovation' in str(current)
+
+
+def test_only_the_window_counts_and_running_sums_stay_exact() -> None:
+    rng = np.random.default_rng(7002)
+    z = np.concatenate((1e12 * rng.standard_normal(300), 1e-3 * rng.standard_normal(5000), rng.standard_normal(WINDOW)))
+    current = watched(z).current()
+    expected = z[-WINDOW:]
+    correlation = float(sum(a * b for a, b in pairwise(expected)) / np.sum(expected**2))
+    assert current.updates == WINDOW
+    assert current.ratio == pytest.approx(float(np.mean(expected**2)), rel=1e-9)
+    assert (current.low, current.high) == pytest.approx(band(WINDOW, correlation), rel=1e-9)
+
+
+def test_it_is_told_in_words_with_numbers() -> None:
+    told = str(Consistency(Verdict.OPTIMISTIC, 2.5, 0.76, 1.28, 200, 3))
+    assert told.startswith('optimistic (squared innovations 2.50 times the stated variance; ')
+    assert told.endswith('99 % band 0.76 to 1.28, 200 updates)')
