@@ -18,13 +18,14 @@ After Zheng et al. 2015, section 3.5 and eqs. (14)-(22), with these corrections:
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from trainid_ros.estimators.brake_rate.particles import Array, Correction, LinearStep, distance
-from trainid_ros.estimators.brake_rate.resampling import normalise, systematic
+from trainid_ros.estimators.brake_rate.resampling import normal_weights, systematic
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -34,6 +35,7 @@ if TYPE_CHECKING:
 _GROUP: Final = np.array([[-1.0], [0.0], [1.0]])
 _LOG_PRIOR: Final = np.log(np.array([[1.0], [4.0], [1.0]]) / 6.0)
 _KAPPA: Final = 0.2
+_SHRUNK: Final = math.sqrt(1.0 - _KAPPA**2) - 1.0
 # Survivors are not spread by more than this to match those that they stand for.
 _MOST_SPREAD: Final = 2.0
 _TINY: Final = 1e-300
@@ -43,18 +45,27 @@ _LEAST_VARIANCE: Final = 1e-10
 
 @dataclass(frozen=True, slots=True)
 class Strata:
-    """How N particles are divided among M strata: sizes, stratum of each, and what averages over each, (N, M)."""
+    """How N particles are divided among M strata.
+
+    Attributes:
+        sizes: Particles of each stratum.
+        of: Stratum of each particle, shape (N,).
+        average: Averages over each stratum, shape (N, M).
+        log_shares: Logarithm of a particle's share in its stratum, shape (M,).
+
+    """
 
     sizes: tuple[int, ...]
     of: NDArray[np.intp]
     average: Array
+    log_shares: Array
 
     @classmethod
     def divide(cls, sizes: Sequence[int]) -> Strata:
         """Return strata of these sizes, one after another."""
         of = np.repeat(np.arange(len(sizes)), sizes)
         average = (of[:, None] == np.arange(len(sizes))) / np.array(sizes, dtype=float)
-        return cls(tuple(sizes), of, average)
+        return cls(tuple(sizes), of, average, -np.log(np.array(sizes, dtype=float)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,7 +122,7 @@ def followed(cloud: GroupCloud, fix: Correction, H: Array, y: Array) -> GroupClo
 def widened(cloud: GroupCloud, step: LinearStep, variance: float) -> GroupCloud:
     """Add to the variance of f what it drifted by before the predicted step, by moving values apart."""
     total, rate = cloud.total_variance, cloud.rate
-    if total <= 0.0 or variance <= 0.0:
+    if total <= 0.0:
         return cloud
     ratio = float(np.sqrt(1.0 + variance / total))
     moved = (ratio - 1.0) * (cloud.f - rate)
@@ -154,18 +165,18 @@ def branch(cloud: GroupCloud, strata: Strata, step: LinearStep, walk: Array) -> 
     """Return the groups of predicted particles; ``walk`` is the variance q dt of each stratum, shape (M,)."""
     of = strata.of
     kernel = _KAPPA**2 * cloud.variance
-    h = np.sqrt(3.0 * (walk + kernel))
-    share = kernel / np.maximum(walk + kernel, _TINY)
+    both = np.maximum(walk + kernel, _TINY)
     # The kernel moves f throughout its past, so x along its regression; the walk has moved it in this step only.
-    c = step.gamma[:, None] + share * (cloud.slope - step.gamma[:, None])
-    moved = (np.sqrt(1.0 - _KAPPA**2) - 1.0) * (cloud.f - cloud.mean[of])
-    weight = np.log(np.maximum(cloud.weight, _TINY) / np.array(strata.sizes))
+    gamma = step.gamma[:, None]
+    c = gamma + kernel / both * (cloud.slope - gamma)
+    moved = _SHRUNK * (cloud.f - cloud.mean.take(of))
+    log_weight = np.log(np.maximum(cloud.weight, _TINY)) + strata.log_shares
     return Branches(
         base=cloud.f + moved,
-        offset=_GROUP * h[of],
-        x=cloud.x + cloud.slope[:, of] * moved,
-        c=c[:, of],
-        log_prior=_LOG_PRIOR + weight[of],
+        offset=_GROUP * np.sqrt(3.0 * both).take(of),
+        x=cloud.x + cloud.slope.take(of, axis=1) * moved,
+        c=c.take(of, axis=1),
+        log_prior=_LOG_PRIOR + log_weight.take(of),
     )
 
 
@@ -178,8 +189,9 @@ def weigh(groups: Branches, fix: Correction, H: Array, y: Array, largest: float)
     lean = H @ groups.c
     log_weights = groups.log_prior - 0.5 * distance(fix.W, nu[:, None, :] - groups.offset * lean[:, None, :])
     f = groups.base + groups.offset
-    log_weights = np.where((f >= 0.0) & (f <= largest), log_weights, -np.inf)
-    weights = np.exp(normalise(log_weights.ravel())).reshape(log_weights.shape)
+    if f.min() < 0.0 or f.max() > largest:
+        log_weights = np.where((f >= 0.0) & (f <= largest), log_weights, -np.inf)
+    weights = normal_weights(log_weights)
     after = Branches(
         groups.base, groups.offset, groups.x + fix.K @ nu, groups.c - fix.K @ lean, groups.log_prior
     )  # (21)
@@ -200,55 +212,53 @@ def prune(groups: Branches, weights: Array, strata: Strata, chain: Array, unifor
         The particles that the next step begins with.
 
     """
-    toward = chain[strata.of]  # (N, M)
+    toward = chain.take(strata.of, axis=0)
     cloud = _moments(groups, weights, toward)
     f = (groups.base + groups.offset).ravel()
     order = np.argsort(f, kind='stable')
-    N = len(groups.base)
-    parents = order % N
-    sorted_weights = weights.ravel()[order]
-    kept = np.concatenate(
-        [
-            order[
-                systematic(
-                    sorted_weights * (toward[parents, m] / max(cloud.weight[m], _TINY)), size, float(uniforms[m])
-                )
-            ]
-            for m, size in enumerate(strata.sizes)
-        ]
-    )
-    parent = kept % N
-    kept_x = groups.x[:, parent] + groups.offset.ravel()[kept] * groups.c[:, parent]
-    return _matched(f[kept], kept_x, cloud, strata)
+    parents = order % len(groups.base)
+    # Of each child in the order of f, its weight as each stratum sees it.
+    seen = weights.ravel().take(order)[:, None] * toward.take(parents, axis=0)
+    ranks = [
+        systematic(column / max(weight, _TINY), size, uniform)
+        for column, weight, size, uniform in zip(
+            seen.T, cloud.weight.tolist(), strata.sizes, uniforms.tolist(), strict=True
+        )
+    ]
+    rank = ranks[0] if len(ranks) == 1 else np.concatenate(ranks)
+    kept, parent = order.take(rank), parents.take(rank)
+    x = groups.x.take(parent, axis=1) + groups.offset.ravel().take(kept) * groups.c.take(parent, axis=1)
+    return _matched(f.take(kept), x, cloud, strata)
 
 
 def _moments(groups: Branches, weights: Array, toward: Array) -> GroupCloud:
     """Weight, mean, variance and regression of all children as seen by each stratum; no particles yet."""
-    centre = float(weights.sum(axis=0) @ groups.base)
-    base = groups.base - centre
     w0 = weights.sum(axis=0)
     weighted = weights * groups.offset
     w1 = weighted.sum(axis=0)
     w2 = (weighted * groups.offset).sum(axis=0)
+    centre = float(w0 @ groups.base)
+    base = groups.base - centre
     first = base * w0 + w1
-    weight = np.maximum(w0 @ toward, _TINY)
-    mean = (first @ toward) / weight
-    variance = np.maximum((base * (first + w1) + w2) @ toward / weight - mean * mean, _LEAST_VARIANCE)
-    x = (groups.x @ (w0[:, None] * toward) + groups.c @ (w1[:, None] * toward)) / weight
     lean = base * w1 + w2
-    with_f = (groups.x @ (first[:, None] * toward) + groups.c @ (lean[:, None] * toward)) / weight - x * mean
-    slope = with_f / variance
+    # Sums over all children of 1, f and f^2, and of x and x f.
+    sums = np.stack((w0, first, base * first + lean)) @ toward
+    weight = np.maximum(sums[0], _TINY)
+    mean, square = sums[1:] / weight
+    variance = np.maximum(square - mean * mean, _LEAST_VARIANCE)
+    x = (groups.x @ (w0[:, None] * toward) + groups.c @ (w1[:, None] * toward)) / weight
+    with_f = (groups.x @ (first[:, None] * toward) + groups.c @ (lean[:, None] * toward)) / weight
+    slope = (with_f - x * mean) / variance
     return GroupCloud(groups.base, x, weight / weight.sum(), mean + centre, variance, slope)
 
 
 def _matched(f: Array, x: Array, target: GroupCloud, strata: Strata) -> GroupCloud:
     """Move survivors to the mean and variance of f, and to the mean of x, of those that they stand for."""
     of = strata.of
-    mean = f @ strata.average
-    off = f - mean[of]
+    off = f - (f @ strata.average).take(of)
     variance = (off * off) @ strata.average
-    spread = np.sqrt(target.variance / np.maximum(variance, _TINY))
-    matched = target.mean[of] + np.minimum(spread, _MOST_SPREAD)[of] * off
-    x = x + target.slope[:, of] * (matched - f)
-    x = x + (target.x - x @ strata.average)[:, of]
+    spread = np.minimum(np.sqrt(target.variance / np.maximum(variance, _TINY)), _MOST_SPREAD)
+    matched = target.mean.take(of) + spread.take(of) * off
+    x = x + target.slope.take(of, axis=1) * (matched - f)
+    x = x + (target.x - x @ strata.average).take(of, axis=1)
     return GroupCloud(matched, x, target.weight, target.mean, target.variance, target.slope)

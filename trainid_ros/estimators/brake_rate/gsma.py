@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 _LARGEST_RATE: Final = 3.0  # times the believed one
 _JUMPING_SHARE: Final = 1.0 / 3.0
 _LEAST_PARTICLES: Final = 3
+# Times differ by less than this by rounding [s].
+_LEAST_PAUSE: Final = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -152,7 +154,9 @@ class GsmaBelief:
         step, config, dt = self._step, self._config, interval.dt
         fix = correction(self.P, SPEED, np.array([[r]]))
         # While no brake acts f drifts, it does not jump.
-        cloud = group_cloud.widened(self.cloud, step, config.drift**2 * (elapsed - dt))
+        cloud, before = self.cloud, elapsed - dt
+        if before > _LEAST_PAUSE:
+            cloud = group_cloud.widened(cloud, step, config.drift**2 * before)
         groups = group_cloud.branch(cloud, self.strata, step, self._q * dt)
         groups, weights = group_cloud.weigh(groups, fix, SPEED, np.array([speed]), self._largest)
         cloud = group_cloud.prune(groups, weights, self.strata, self._chain(dt), self._rng.random(len(self._q)))

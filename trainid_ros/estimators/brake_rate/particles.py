@@ -56,7 +56,7 @@ class Correction:
 
     Attributes:
         K: Gain (20), shape (n, m).
-        P: Covariance after the measurement (21) in Joseph's form, shape (n, n).
+        P: Covariance after the measurement (21), shape (n, n).
         W: Whitens innovations: W S W' = I with their covariance S (16), shape (m, m).
 
     """
@@ -68,9 +68,13 @@ class Correction:
 
 def correction(P: Array, H: Array, R: Array) -> Correction:
     """Return gain, covariance and whitening for a predicted covariance P, shape (n, n), and a measurement."""
-    S = H @ P @ H.T + R
-    W = np.array([[1.0 / math.sqrt(S[0, 0])]]) if S.size == 1 else np.linalg.inv(np.linalg.cholesky(S))
-    K = P @ H.T @ W.T @ W
+    PH = P @ H.T
+    S = H @ PH + R
+    if S.size == 1:  # one measurement needs no matrix algebra
+        s = float(S[0, 0])
+        return Correction(PH / s, P - PH @ (PH.T / s), np.array([[1.0 / math.sqrt(s)]]))
+    W = np.linalg.inv(np.linalg.cholesky(S))
+    K = PH @ W.T @ W
     A = np.eye(len(P)) - K @ H
     return Correction(K, A @ P @ A.T + K @ R @ K.T, W)
 
@@ -91,5 +95,5 @@ def speed_step(interval: Interval) -> LinearStep:
         Phi=np.array([[1.0, interval.reach, interval.dt], [0.0, interval.decay, 0.0], [0.0, 0.0, interval.rho]]),
         gamma=np.array([interval.gain_v, interval.gain_a, 0.0]),
         known=np.array([interval.known, 0.0, 0.0]),
-        Q=np.diag([interval.q_v, 0.0, interval.q_b]),
+        Q=np.array([[interval.q_v, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, interval.q_b]]),
     )

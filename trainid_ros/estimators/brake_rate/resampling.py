@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -21,6 +22,16 @@ def normalise(log_weights: NDArray[np.float64]) -> NDArray[np.float64]:
         return np.full(len(log_weights), -np.log(len(log_weights)))
     shifted = log_weights - peak
     normal: NDArray[np.float64] = shifted - np.log(np.sum(np.exp(shifted)))
+    return normal
+
+
+def normal_weights(log_weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return weights that sum to one; equal ones if all log-weights are -inf."""
+    peak = float(log_weights.max())
+    if not math.isfinite(peak):
+        return np.full(log_weights.shape, 1.0 / log_weights.size)
+    weights = np.exp(log_weights - peak)
+    normal: NDArray[np.float64] = weights / weights.sum()
     return normal
 
 
