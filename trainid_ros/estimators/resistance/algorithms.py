@@ -10,6 +10,7 @@ from trainid_ros.estimators.algorithms import Algorithm, Algorithms
 from trainid_ros.estimators.resistance.regressions import innovation_step, solve_step, strict_step
 from trainid_ros.estimators.resistance.vmils import VMils, VMilsConfig
 from trainid_ros.estimators.resistance.windowed import WindowedConfig, WindowedRegression
+from trainid_ros.estimators.trajectory.two_window import TwoWindow, TwoWindowConfig
 
 if TYPE_CHECKING:
     from trainid_ros.estimators.resistance.regressions import Step
@@ -59,5 +60,11 @@ RESISTANCE: Final = Algorithms[ResistanceEstimate](
         'the same from P(0) = I/(p lambda)',
         strict_step,
         WindowedConfig(innovation_length=4, penalty=50.0, gate=3.0),
+    ),
+    Algorithm(
+        'two-window',
+        'trajectory fit over a long window, watched by a short one; for records every 100 m or so',
+        TwoWindowConfig(),
+        lambda train_file, config, _: TwoWindow(train_file, config),
     ),
 )

@@ -42,7 +42,7 @@ _SCALE: Final = np.array([1.0, 0.02, 0.001, 0.05, 0.005])
 _STEP_TOLERANCE: Final = 1e-9
 _MOST_ITERATIONS: Final = 30
 # Weights and noise follow the residuals for so many steps; then they stand, and the step must vanish.
-_LEARNING_STEPS: Final = 5
+_LEARNING_STEPS: Final = 3
 # A change of traction takes so many stages, whose errors in time are one.
 _CHANGE_STAGES: Final = 5.0
 _MAD: Final = 1.4826
@@ -154,6 +154,10 @@ class _Iteration:
         self._starts = trajectory.starts
         self._mu = trajectory.dt / trajectory.inertia
         self._stage = trajectory.dt > 0.0
+        self._piece = np.cumsum(~self._stage)
+        self._lengths = np.diff(np.append(self._starts, trajectory.dt.size))
+        self._dt = float(np.median(trajectory.dt[self._stage]))
+        self._lag = max(2, min(round(config.noise_lag / self._dt), int(self._lengths.max()) // 2))
         self._v = trajectory.speed.copy()
         self._theta = np.zeros(5)
         self._rate = _rates(trajectory)
@@ -217,9 +221,7 @@ class _Iteration:
 
     def _learn_noise(self) -> None:
         """Medians of increments of the speed error over one step and over a long time: noise, and noise with drift."""
-        y, dt = self._errors(), float(np.median(self._given.dt[self._stage]))
-        lengths = np.diff(np.append(self._starts, y.size))
-        lag = max(2, min(round(self._config.noise_lag / dt), int(np.max(lengths)) // 2))
+        y, lag, dt = self._errors(self._linear()), self._lag, self._dt
         short, long = self._half_variance(y, 1), self._half_variance(y, lag)
         drift = max(long - short, 0.0) / (lag - 1)  # D dt / (2 inertia^2)
         self._variance = max(short - drift, 0.25 * short, _LEAST_STD**2)
@@ -227,13 +229,12 @@ class _Iteration:
         self._density = max(found, _LEAST_SHARE * self._declared)
 
     def _half_variance(self, y: NDArray[np.float64], lag: int) -> float:
-        piece = np.cumsum(~self._stage)
-        same = piece[lag:] == piece[:-lag]
-        return 0.5 * (_MAD * float(np.median(np.abs((y[lag:] - y[:-lag])[same])))) ** 2
+        change = np.abs(y[lag:] - y[:-lag])[self._piece[lag:] == self._piece[:-lag]]
+        middle = change.size // 2
+        return 0.5 * (_MAD * float(np.partition(change, middle)[middle])) ** 2
 
-    def _errors(self) -> NDArray[np.float64]:
+    def _errors(self, lin: _Linear) -> NDArray[np.float64]:
         """Return measured speeds less those of the model without disturbance, up to an initial speed, shape (n,)."""
-        lin = self._linear()
         inverse = np.where(self._stage, 1.0 / np.where(self._stage, lin.D, 1.0), 0.0)
         strayed = recur(lin.N * inverse, (lin.defect * inverse)[None, :])[0]
         return np.asarray(self._given.speed - self._v + strayed)
@@ -252,7 +253,7 @@ class _Iteration:
             force_gain=float(self._theta[4]),
             iterations=iterations,
             converged=converged,
-            mse=self._mse(),
+            mse=self._mse(lin),
             speed_std=math.sqrt(self._variance),
             disturbance=self._density,
             inflation=inflation,
@@ -262,16 +263,15 @@ class _Iteration:
             nodes=given.speed.size,
         )
 
-    def _mse(self) -> float:
+    def _mse(self, lin: _Linear) -> float:
         """Objective (8) with the best initial speed of each piece, over the speeds that count."""
-        y, w = self._errors(), np.where(self._weights > 1e-3, 1.0, 0.0)
-        lin = self._linear()
+        y, w = self._errors(lin), np.where(self._weights > 1e-3, 1.0, 0.0)
         k = np.where(self._stage, lin.N / np.where(self._stage, lin.D, 1.0), 0.0)
         grown = recur(k, np.where(self._stage, 0.0, 1.0)[None, :])[0]
         best = np.add.reduceat(w * grown * y, self._starts) / np.maximum(
             np.add.reduceat(w * grown * grown, self._starts), 1e-12
         )
-        left = y - grown * np.repeat(best, np.diff(np.append(self._starts, y.size)))
+        left = y - grown * np.repeat(best, self._lengths)
         return float((w * left) @ left / max(1.0, w.sum()))
 
     def _inflation(self, lin: _Linear) -> float:
@@ -287,7 +287,7 @@ class _Iteration:
     def _cluster_starts(self) -> NDArray[np.intp]:
         """Pieces, cut where they last longer than a cluster."""
         time = np.cumsum(self._given.dt)
-        since = time - np.repeat(time[self._starts], np.diff(np.append(self._starts, time.size)))
+        since = time - np.repeat(time[self._starts], self._lengths)
         number = np.floor(since / self._config.cluster)
         fresh = ~self._stage
         fresh[1:] |= number[1:] != number[:-1]

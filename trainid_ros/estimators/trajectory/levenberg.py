@@ -29,6 +29,8 @@ _MOST_ITERATIONS: Final = 100
 _FIRST_DAMPING: Final = 1e-3
 # Integrated least squares is near enough for almost undamped steps.
 _NEAR: Final = 1e-9
+# A trial train this far off the measured speed [m/s] has run away; its squares might overflow.
+_RUNAWAY: Final = 1e6
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +105,7 @@ def levenberg(
         step = float(np.max(np.abs(delta)))
         trial = _Model.at(stages, measured, x + SCALE * delta, free_start)
         if trial.cost < model.cost:
-            ratio = (model.cost - trial.cost) / gain
+            ratio = min((model.cost - trial.cost) / gain, 1.0)
             x, model, growth = x + SCALE * delta, trial, 2.0
             damping *= max(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3)  # Nielsen's rule
         else:  # steps shrink until one succeeds or, at the minimum, is negligible
@@ -130,6 +132,8 @@ class _Model:
     def at(cls, stages: Stages, measured: NDArray[np.float64], x: NDArray[np.float64], free_start: bool) -> _Model:
         v = stages.speeds(x[:3], float(x[3]))
         error = measured - v
+        if not np.max(np.abs(error)) < _RUNAWAY:
+            return cls(np.inf, np.zeros((4, 4)), np.zeros(4))
         first = first_derivatives(Coefficients.along(stages, x[:3], v), v)
         A = np.zeros((v.size, 5))
         A[1:, :4] = first.T * SCALE

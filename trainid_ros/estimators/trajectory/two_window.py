@@ -25,7 +25,7 @@ from trainid_ros.estimators.admission import Admission
 from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.estimators.prior import davis_prior
 from trainid_ros.estimators.speed_noise import SpeedNoise
-from trainid_ros.estimators.trajectory.window import Belief, Prior, Row, RowNoise, fit_rows
+from trainid_ros.estimators.trajectory.window import Belief, Prior, Row, RowNoise, fit_rows, newest_regime
 
 if TYPE_CHECKING:
     from trainid_ros.core.samples import Sample
@@ -217,23 +217,28 @@ class TwoWindow:
         belief = fit_rows(rows, noise, self._prior)
         if len(rows) > config.short:
             recent = fit_rows(rows[-config.short :], noise, self._prior)
-            belief = self._compare(belief, recent, sample.speed)
+            self._compare(belief, recent, sample.speed)
+            if self.state.test_ratio > 1.0:
+                belief = self._switch(noise)
         if all(map(math.isfinite, (*belief.theta, *belief.P))):
             self.state = replace(self.state, belief=belief)
         self._judge()
 
-    def _compare(self, steady: Belief, recent: Belief, speed: float) -> Belief:
-        """Return the belief that holds: of the long window, or of the short one after a change."""
+    def _switch(self, noise: RowNoise) -> Belief:
+        """a, b, c have changed within the short window: forget all before."""
+        rows, short = self.state.rows, self.config.short
+        known = fit_rows(rows[:-short], noise, self._prior)
+        count, belief = newest_regime(rows[-short:], noise, self._prior, known)
+        self.state = replace(self.state, rows=rows[-count:], switches=self.state.switches + 1)
+        return belief
+
+    def _compare(self, steady: Belief, recent: Belief, speed: float) -> None:
+        """Test whether the two windows agree on w at a speed."""
         (w, variance), (w_recent, variance_recent) = steady.resistance(speed), recent.resistance(speed)
         # The long window is efficient, so the variance of the difference is the difference of the variances.
         nu, S = w_recent - w, max(variance_recent - variance, 1e-3 * variance_recent)
         ratio = nu * nu / (self.config.switch**2 * S)
         self.state = replace(self.state, innovation=nu, innovation_variance=S, test_ratio=ratio)
-        if ratio <= 1.0:
-            return steady
-        rows = self.state.rows[-self.config.short :]
-        self.state = replace(self.state, rows=rows, switches=self.state.switches + 1)
-        return recent
 
     def _row_noise(self) -> RowNoise:
         walk = math.sqrt(self._density * self.state.row_time) / self._known.inertia

@@ -28,6 +28,8 @@ SCALE: Final = np.array([1.0, 0.02, 0.001, 0.05, 0.005])
 _FREE: Final = 1e4
 # Ratios of noises are told apart by so many steps per factor e; each has its own whitening matrix.
 _STEPS_PER_E: Final = 8.0
+# Fewer rows than these tell nothing of a change.
+_FEWEST_ROWS: Final = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -82,8 +84,37 @@ class Prior:
 
 def fit_rows(rows: Sequence[Row], noise: RowNoise, prior: Prior) -> Belief:
     """Return the posterior of a, b, c after a window of rows, oldest first."""
-    parts = [_whitened(list(piece), noise) for _, piece in groupby(rows, key=lambda row: row.piece)]
-    white = np.vstack([part for part in parts if part.size] or [np.zeros((0, 6))])
+    return _posterior(_whitened(rows, noise), prior)[0]
+
+
+def newest_regime(rows: Sequence[Row], noise: RowNoise, prior: Prior, known: Belief) -> tuple[int, Belief]:
+    """Find where a, b, c ceased to be those known, by the least sum of squares of all splits.
+
+    Args:
+        rows: A window in which they changed.
+        noise: Of the rows.
+        prior: Believed after the change.
+        known: Believed before it.
+
+    Returns:
+        The number of newest rows after the change, and what they tell.
+
+    """
+    splits = range(_FEWEST_ROWS, len(rows) + 1)
+    theta = np.array((*known.theta, 0.0, 0.0))
+    costs, beliefs = [], []
+    for count in splits:
+        belief, after = _posterior(_whitened(rows[-count:], noise), prior)
+        before = _whitened(rows[:-count], noise)
+        left = before[:, 0] - before[:, 1:] @ theta
+        costs.append(after + float(left @ left))
+        beliefs.append(belief)
+    best = int(np.argmin(costs))
+    return splits[best], beliefs[best]
+
+
+def _posterior(white: NDArray[np.float64], prior: Prior) -> tuple[Belief, float]:
+    """Return the posterior, and the sum of squares that it leaves."""
     weights = SCALE / np.array(prior.std)
     A = np.vstack((white[:, 1:] * SCALE, np.diag(weights)))
     believed = np.array((*prior.theta, 0.0, 0.0)) / SCALE
@@ -91,11 +122,17 @@ def fit_rows(rows: Sequence[Row], noise: RowNoise, prior: Prior) -> Belief:
     R = np.asarray(np.linalg.qr(np.column_stack((A, y)), mode='r'))
     inverse = SCALE[:, None] * np.linalg.inv(R[:5, :5])
     P = (inverse @ inverse.T)[:3, :3]
-    return Belief(tuple((inverse @ R[:5, 5])[:3].tolist()), tuple(P.ravel().tolist()))
+    belief = Belief(tuple((inverse @ R[:5, 5])[:3].tolist()), tuple(P.ravel().tolist()))
+    return belief, float(R[5, 5]) ** 2 if len(R) > 5 else 0.0
 
 
-def _whitened(piece: list[Row], noise: RowNoise) -> NDArray[np.float64]:
-    """Return rest speeds and regressors of a piece with independent errors of unit variance, shape (n, 6)."""
+def _whitened(rows: Sequence[Row], noise: RowNoise) -> NDArray[np.float64]:
+    """Return rest speeds and regressors with independent errors of unit variance, shape (n, 6)."""
+    parts = [_whitened_piece(list(piece), noise) for _, piece in groupby(rows, key=lambda row: row.piece)]
+    return np.vstack(parts) if parts else np.zeros((0, 6))
+
+
+def _whitened_piece(piece: list[Row], noise: RowNoise) -> NDArray[np.float64]:
     raw = np.array([(row.rest, *row.sums) for row in piece])
     step = round(2.0 * _STEPS_PER_E * float(np.log(max(noise.walk, 1e-12) / noise.std)))
     white: NDArray[np.float64] = whitener(len(piece), step) @ (raw - raw[0]) / noise.std

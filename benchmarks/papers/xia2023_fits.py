@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fits of whole records: random starts without noise (Table 3 of Xia et al. 2023), and white noise (section 4.2.2)."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, replace
+from functools import cache, partial
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from benchmarks.papers import highspeed_line as data
+from benchmarks.papers.xia2023_printed import differenced_least_squares, full_steps, printed_objective
+from trainid_ros.estimators.trajectory.davis_fit import DavisFitConfig, fit_davis
+from trainid_ros.estimators.trajectory.derivatives import first_derivatives, objective
+from trainid_ros.estimators.trajectory.levenberg import integrated_least_squares, levenberg
+from trainid_ros.estimators.trajectory.newton import NewtonConfig, Restart, newton
+from trainid_ros.estimators.trajectory.pieces import Trajectory
+from trainid_ros.estimators.trajectory.stages import Coefficients
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from numpy.typing import NDArray
+
+    from trainid_ros.estimators.trajectory.derivatives import Objective
+    from trainid_ros.estimators.trajectory.stages import Stages
+
+KINDS: Final = ('cruise', 'full')
+CASES: Final = (
+    (0.79, 0.0229, 0.001493),
+    (0.2955, 0.0242, 0.00159),
+    (1.0501, 0.0253, 0.00140),
+    (0.3488, 0.0596, 0.00112),
+)
+NOISE: Final = 0.18
+DISTANCE: Final = 120e3
+DRAWS: Final = 4
+WHITE: Final = DavisFitConfig(
+    speed_std=NOISE, disturbance_std=1e-3, learn_noise=False, force_skew=1e-9, force_error=1e-9, force_jitter=0.0,
+    huber=1e6, cut=1e6,
+)  # fmt: skip
+"""The batch fit told that there is nothing but white noise."""
+_LINE_SEED: Final = 5000
+_STARTS: Final = 50
+_ALGORITHM_STARTS: Final = 20
+_RESTARTED: Final = 3
+
+
+@cache
+def record(kind: str, case: int, source: str) -> data.Record:
+    """Return a record of 120 km; source is 'scheme' (7) or 'ode'."""
+    rng = np.random.default_rng(_LINE_SEED)
+    line, cruise, full = data.make_line(rng), data.cruise_plan(rng), data.full_plan(rng)
+    drive = data.drive_scheme if source == 'scheme' else data.drive_ode
+    return drive(line, cruise if kind == 'cruise' else full, lambda _: CASES[case], DISTANCE)
+
+
+def in_time(record: data.Record, measured: NDArray[np.float64]) -> Trajectory:
+    """Return a record as the product sees it: stamps, speeds and means in time."""
+    first = np.zeros(1)
+    return Trajectory(
+        speed=measured,
+        dt=np.concatenate((first, np.diff(record.time))),
+        known=np.concatenate((first, record.time_mean - record.load_time_mean)),
+        traction=np.concatenate((first, record.time_mean)),
+        inertia=data.INERTIA,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Tally:
+    """Runs of one method: solved, all, iterations of the solved ones, greatest error of a, time of one run [ms]."""
+
+    method: str
+    solved: int
+    runs: int
+    iterations: tuple[int, ...]
+    error_a: float
+    milliseconds: float
+
+
+def noise_free(task: int) -> tuple[str, list[Tally]]:
+    """Run all methods on one case of one record, made by (7); tasks 0 to 7."""
+    kind, case = KINDS[task // 4], task % 4
+    rng = np.random.default_rng(5000 + task)
+    given, truth = record(kind, case, 'scheme'), np.array(CASES[case])
+    stages, speed = given.stages(), given.speed
+    config = replace(NewtonConfig(), accepted=1e-5)
+    starts = rng.uniform(config.low, config.high, (_STARTS, 3))
+    tallies = []
+    runs = []
+    for start in starts:
+        begun = time.thread_time()
+        fit = levenberg(stages, speed, np.array([*start, speed[0]]))
+        exact = bool(np.max(np.abs(fit.theta - truth)) < 1e-9)
+        runs.append((exact, fit.iterations, abs(fit.theta[0] - truth[0]), time.thread_time() - begun))
+    tallies.append(_tally('Levenberg, v0 free (ours)', runs))
+    begun = time.thread_time()
+    linear = integrated_least_squares(stages, speed)[:3]
+    good = bool(np.max(np.abs(linear - truth)) < 1e-9)
+    tallies.append(
+        _tally('integrated least squares (ours)', [(good, 0, abs(linear[0] - truth[0]), time.thread_time() - begun)])
+    )
+    runs = []
+    for start in starts[:_ALGORITHM_STARTS]:
+        begun = time.thread_time()
+        theta, f, n = full_steps(stages, speed, start, 1e-5)
+        runs.append((f < 1e-5, n, abs(theta[0] - truth[0]), time.thread_time() - begun))
+    tallies.append(_tally('Gauss-Newton, full steps, no box', runs))
+    for name, evaluate, restart, count in (
+        ('Algorithm 1, printed derivatives, no restart', printed_objective, Restart.NEVER, _ALGORITHM_STARTS),
+        ('Algorithm 1, right derivatives, no restart', objective, Restart.NEVER, _ALGORITHM_STARTS),
+        ('Algorithm 1, printed derivatives, restarts of 3.3', printed_objective, Restart.SMALL_STEP, 1),
+        ('Algorithm 1, right derivatives, restarts of 3.3', objective, Restart.SMALL_STEP, _RESTARTED),
+        ('Algorithm 1, right derivatives, restarts as listed', objective, Restart.EVERY_STEP, _RESTARTED),
+    ):
+        runs = []
+        for start in starts[:count]:
+            begun = time.thread_time()
+            done = newton(
+                partial(_evaluated, evaluate, stages, speed),
+                start,
+                replace(config, restart=restart),
+                rng,
+            )
+            runs.append((done.f < 1e-5, done.iterations, abs(done.theta[0] - truth[0]), time.thread_time() - begun))
+        tallies.append(_tally(name, runs))
+    return kind, tallies
+
+
+def _evaluated(
+    evaluate: Callable[..., Objective], stages: Stages, speed: NDArray[np.float64], theta: NDArray[np.float64]
+) -> Objective:
+    """Value and derivatives with v_0 as measured."""
+    return evaluate(stages, speed[1:], theta, float(speed[0]))
+
+
+def _tally(method: str, runs: list[tuple[bool, int, float, float]]) -> Tally:
+    solved = [run for run in runs if run[0]]
+    return Tally(
+        method,
+        len(solved),
+        len(runs),
+        tuple(run[1] for run in solved),
+        max((run[2] for run in solved), default=float('nan')),
+        1e3 * float(np.median([run[3] for run in runs])),
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class Draw:
+    """One fit of one noisy record: error of theta, squared error over the bound, mean square error of w."""
+
+    kind: str
+    method: str
+    error: tuple[float, float, float]
+    nees: float
+    w_square: float
+
+
+@cache
+def bound(kind: str) -> NDArray[np.float64]:
+    """Cramer-Rao bound of a, b, c with v_0 free, shape (3, 3)."""
+    given, theta = record(kind, 0, 'scheme'), np.array(CASES[0])
+    stages = given.stages()
+    v = stages.speeds(theta, float(given.speed[0]))
+    J = np.zeros((4, v.size))
+    J[:, 1:] = first_derivatives(Coefficients.along(stages, theta, v), v)
+    J[3, 0] = 1.0
+    scale = np.array([1.0, 0.02, 0.001, 1.0])
+    R = np.asarray(np.linalg.qr((J * scale[:, None]).T, mode='r'))
+    factor = scale[:, None] * np.linalg.inv(R)
+    return np.asarray((factor @ factor.T)[:3, :3] * NOISE**2)
+
+
+def grid(kind: str) -> NDArray[np.float64]:
+    """Speeds on which w is judged: from 270 km/h to the fastest [m/s]."""
+    return np.linspace(270.0 / 3.6, float(record(kind, 0, 'scheme').speed.max()), 40)
+
+
+def noisy(seed: int) -> list[Draw]:
+    """Fit both records in white noise, a few draws."""
+    rng, draws = np.random.default_rng(seed), []
+    truth, box = np.array(CASES[0]), NewtonConfig()
+    for kind in KINDS:
+        given = record(kind, 0, 'scheme')
+        stages = given.stages()
+        phi = grid(kind)[:, None] ** np.arange(3)
+        precision = np.linalg.inv(bound(kind))
+        for _ in range(DRAWS):
+            seen = given.speed + NOISE * rng.standard_normal(given.speed.size)
+            start = rng.uniform(box.low, box.high)
+            linear = integrated_least_squares(stages, seen)
+            real = record(kind, 0, 'ode')
+            early, f, _ = full_steps(stages, seen, start, 0.05)
+            fits = {
+                'Levenberg, v0 free (ours)': levenberg(stages, seen).theta,
+                'integrated least squares (ours)': linear[:3],
+                'batch fit in time, data of (3) (trainid fit)': fit_davis(
+                    in_time(real, seen - given.speed + real.speed), WHITE
+                ).theta,
+                'v0 as measured (the paper)': levenberg(
+                    stages, seen, np.array([*linear[:3], seen[0]]), free_start=False
+                ).theta,
+                'differenced speed, eq. (2)': differenced_least_squares(stages, seen, data.SPACING),
+            }
+            if f < 0.05:
+                fits['Gauss-Newton ended at f < 0.05'] = early
+            for method, theta in fits.items():
+                e = theta - truth
+                w = phi @ e
+                draws.append(
+                    Draw(kind, method, (e[0], e[1], e[2]), float(e @ precision @ e) / 3.0, float(w @ w / w.size))
+                )
+    return draws

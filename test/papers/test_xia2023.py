@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Figures of the benchmark of Xia et al. 2023 on seeds that nobody has seen."""
+
+from __future__ import annotations
+
+import os
+
+import numpy as np
+import pytest
+
+from benchmarks.papers import xia2023_fits as fits
+from benchmarks.papers import xia2023_models as models
+from benchmarks.papers import xia2023_online as ways
+from benchmarks.papers.xia2023_derivatives import derivative_errors
+from trainid_ros.estimators.trajectory.levenberg import levenberg
+from trainid_ros.estimators.trajectory.newton import NewtonConfig
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope='module')
+def seed() -> int:
+    drawn = int.from_bytes(os.urandom(4))
+    print(f'seed {drawn}')
+    return drawn
+
+
+def test_derivatives_are_right_as_corrected_and_wrong_as_printed() -> None:
+    errors = derivative_errors()
+    assert errors['Jacobian (13)-(15), corrected'] <= 1e-12
+    assert errors['Hessian (16)-(23), corrected'] <= 1e-9
+    assert errors['gradient (11), (14) as printed'] > 0.1
+    assert errors['Hessian as printed'] > 0.1
+
+
+@pytest.mark.parametrize('kind', fits.KINDS)
+def test_random_starts_end_at_the_truth(kind: str, seed: int) -> None:
+    rng, box = np.random.default_rng(seed), NewtonConfig()
+    given = fits.record(kind, 0, 'scheme')
+    for _ in range(8):
+        start = rng.uniform(box.low, box.high)
+        fit = levenberg(given.stages(), given.speed, np.array([*start, given.speed[0]]))
+        assert np.max(np.abs(fit.theta - fits.CASES[0])) < 1e-9, (seed, start)
+
+
+def test_noise_is_met_at_the_bound(seed: int) -> None:
+    draws = [draw for k in range(5) for draw in fits.noisy(seed + k)]
+    for kind in fits.KINDS:
+        for method, low, high in (('Levenberg, v0 free (ours)', 0.4, 2.0), ('v0 as measured (the paper)', 0.9, np.inf)):
+            nees = np.mean([draw.nees for draw in draws if (draw.kind, draw.method) == (kind, method)])
+            # Mean of 60 squares of normals: below 0.4 or above 2.0 in one of 10^5 runs.
+            assert low < nees < high, (seed, kind, method)
+
+
+def test_mean_force_leaves_next_to_no_error() -> None:
+    for item in models.scheme_errors():
+        if 'ours' in item.name:
+            assert item.w <= {'cruise': 0.002, 'full': 0.007}[item.kind]
+
+
+def test_two_windows_settle_and_follow(seed: int) -> None:
+    scores = [ways.online(seed + k)[0] for k in range(3)]
+    clean, noisy = (np.concatenate(parts) for parts in zip(*((s.clean, s.fourth) for s in scores), strict=True))
+    assert np.sqrt(np.mean(clean**2)) < 0.05, seed
+    # Settled rms of one drive is 0.11 on average; twice that in three drives together is no chance.
+    assert np.sqrt(np.mean(noisy**2)) < 0.3, seed
+    assert np.median([s.delays[2] for s in scores]) <= 1800.0, seed
