@@ -26,7 +26,6 @@ if TYPE_CHECKING:
 
 _P0: Final = 1e6
 LONG: Final = 100_000
-WIND_UP: Final = 100_000
 MU: Final = 0.99
 _STD: Final = 0.75
 _MILS: Final = 6
@@ -62,6 +61,11 @@ def steady(seed: int, count: int) -> Iterator[Pair]:
     """Yield observations at 60 km/h, give or take 0.05 km/h."""
     rng = np.random.default_rng(seed)
     return _observed(60.0 + 0.05 * rng.standard_normal(count), rng)
+
+
+def constant(seed: int, count: int) -> Iterator[Pair]:
+    """Yield observations at exactly 60 km/h."""
+    return _observed(np.full(count, 60.0), np.random.default_rng(seed))
 
 
 def _observed(v: NDArray[np.float64], rng: np.random.Generator) -> Iterator[Pair]:

@@ -38,7 +38,7 @@ def mils(theta: Array, P: Array, Phi: Array, Y: Array) -> tuple[Array, Array]:
 
 
 def rls_symmetric_gain(theta: Array, P: Array, phi: Array, y: float, mu: float) -> tuple[Array, Array]:
-    """One step of RLS as often written, P -= g g'/S with g = P phi: what is not symmetric in P only ever grows."""
+    """One step of RLS as often written, P -= (g/S) g' with g = P phi: what is not symmetric in P only ever grows."""
     g = P @ phi
     S = mu + phi @ g
-    return theta + g / S * (y - phi @ theta), (P - np.outer(g, g) / S) / mu
+    return theta + g / S * (y - phi @ theta), (P - np.outer(g / S, g)) / mu
