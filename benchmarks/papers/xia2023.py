@@ -290,8 +290,9 @@ def _honesty(runs: Sequence[product.Honesty]) -> Table:
     )
     nees = np.mean([run.nees for run in runs])
     note = (
-        f'{len(runs)} days of nine metro runs in constant weather. NEES/3 of a, b, c: {nees:.2f}. The mean error at low '
-        'speed comes from forces sampled at 5 Hz while the traction changes; every day drives the same runs, so it repeats.'
+        f'{len(runs)} days of nine metro runs in constant weather. NEES/3 of a, b, c: {nees:.2f}. The mean error '
+        'at low speed comes from forces sampled at 5 Hz while the traction changes; every day drives the same '
+        'runs, so it repeats.'
     )
     header = ('', 'rms error', 'mean error', 'within 1 std', 'within 2 std')
     return Table('Honesty of trainid fit', header, rows, note)

@@ -41,8 +41,10 @@ if TYPE_CHECKING:
 _SCALE: Final = np.array([1.0, 0.02, 0.001, 0.05, 0.005])
 _STEP_TOLERANCE: Final = 1e-9
 _MOST_ITERATIONS: Final = 30
-# Weights and noise follow the residuals for so many steps; then they stand, and the step must vanish.
-_LEARNING_STEPS: Final = 3
+# Weights and noise follow the residuals until they move by less than this, or for so many steps; then they stand,
+# and the step must vanish.
+_SETTLED: Final = 0.1
+_LEARNING_STEPS: Final = 8
 # A change of traction takes so many stages, whose errors in time are one.
 _CHANGE_STAGES: Final = 5.0
 _MAD: Final = 1.4826
@@ -126,13 +128,11 @@ def fit_davis(trajectory: Trajectory, config: DavisFitConfig) -> DavisFit:
         msg = f'{trajectory.speed.size} speeds without braking in {trajectory.starts.size} pieces are too few to fit'
         raise NoAnswerError(msg)
     work = _Iteration(trajectory, config)
-    step, iterations = math.inf, 0
-    while step > _STEP_TOLERANCE and iterations < _MOST_ITERATIONS:
+    step, iterations, learning = math.inf, 0, True
+    while (learning or step > _STEP_TOLERANCE) and iterations < _MOST_ITERATIONS:
         step = work.advance()
         iterations += 1
-        if iterations <= _LEARNING_STEPS:
-            work.learn()
-            step = math.inf
+        learning = learning and iterations <= _LEARNING_STEPS and work.learn() > _SETTLED
     return work.finish(iterations, step <= _STEP_TOLERANCE)
 
 
@@ -210,14 +210,16 @@ class _Iteration:
         force = self._density * self._given.dt + _CHANGE_STAGES * np.square(self._config.force_jitter * self._change)
         return np.where(self._stage, self._given.inertia**2 / np.where(self._stage, force, 1.0), 0.0)
 
-    def learn(self) -> None:
-        """Take noise and weights from the residuals."""
-        config = self._config
+    def learn(self) -> float:
+        """Take noise and weights from the residuals; return how far they moved."""
+        config, before = self._config, (self._density, self._weights)
         if config.learn_noise:
             self._learn_noise()
         z = np.abs(self._given.speed - self._v) / math.sqrt(self._variance)
         weights = np.minimum(1.0, config.huber / np.maximum(z, config.huber))
         self._weights = np.where(z > config.cut, 1e-9, weights)
+        moved = float(np.max(np.abs(self._weights - before[1])))
+        return max(moved, abs(math.log(self._density / before[0])))
 
     def _learn_noise(self) -> None:
         """Medians of increments of the speed error over one step and over a long time: noise, and noise with drift."""
