@@ -3,18 +3,20 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, TypeAlias
 
 import numpy as np
 import pytest
 
 from trainid_ros.core.errors import InputError
-from trainid_ros.core.records import Record
+from trainid_ros.core.records import NS_PER_S, Record
 from trainid_ros.estimators.algorithms import Algorithms
 from trainid_ros.estimators.brake_rate.algorithms import BRAKE_RATE
 from trainid_ros.estimators.pipeline import (
     EstimatorPipeline,
     EstimatorSettings,
+    Output,
     brake_rate_pipeline,
     resistance_pipeline,
     speed_model_pipeline,
@@ -50,35 +52,61 @@ def numbers(estimate: Any) -> list[float]:
     return [float(x) for value in values for x in (value if isinstance(value, tuple) else (value,))]
 
 
-@pytest.mark.parametrize(('field', 'algorithms', 'make', 'name'), ALL, ids=IDS)
-def test_a_restored_copy_goes_on_to_the_bit(
-    field: str, algorithms: Algorithms[Any], make: Make, name: str, metro: TrainFile, day: tuple[Record, ...]
-) -> None:
-    whole = pipeline(field, algorithms, make, name, metro)
+@dataclass(frozen=True)
+class Drive:
+    """One day with an algorithm, its state saved and taken over again in the middle; a copy that goes on from there.
+
+    Attributes:
+        chosen: The pipeline at the end of the day.
+        prior: Estimate at 10 m/s before the day.
+        restored: The same in the middle, of the pipeline and of the copy.
+        outputs: Of the whole day.
+        since: How many of them came before the middle.
+        copied: Of the copy, for a minute after the middle.
+
+    """
+
+    chosen: EstimatorPipeline[Any]
+    prior: list[float]
+    restored: tuple[list[float], list[float]]
+    outputs: list[Output[Any]]
+    since: int
+    copied: list[Output[Any]]
+
+
+@pytest.fixture(scope='module', params=ALL, ids=IDS)
+def drive(request: pytest.FixtureRequest, metro: TrainFile, day: tuple[Record, ...]) -> Drive:
+    field, algorithms, make, name = request.param
+    whole, copy = (pipeline(field, algorithms, make, name, metro) for _ in range(2))
+    prior = numbers(whole.estimator.estimate(10.0))
     half = len(day) // 2
-    for record in day[:half]:
-        whole.push(record)
-    copy = pipeline(field, algorithms, make, name, metro)
-    copy.restore(whole.save())
-    assert numbers(copy.estimator.estimate(10.0)) == pytest.approx(numbers(whole.estimator.estimate(10.0)), nan_ok=True)
-    whole.restore(whole.save())
-    for record in day[half:]:
-        first, second = whole.push(record), copy.push(record)
-        for one, other in zip(first, second, strict=True):
-            assert np.array_equal(numbers(one.estimate), numbers(other.estimate), equal_nan=True)
+    outputs = [output for record in day[:half] for output in whole.push(record)]
+    since = len(outputs)
+    for restored in (copy, whole):
+        restored.restore(whole.save())
+    middle = numbers(whole.estimator.estimate(10.0)), numbers(copy.estimator.estimate(10.0))
+    outputs += [output for record in day[half:] for output in whole.push(record)]
+    end_ns = day[half].stamp_ns + 60 * NS_PER_S
+    copied = [output for record in day[half:] if record.stamp_ns < end_ns for output in copy.push(record)]
+    return Drive(whole, prior, middle, outputs, since, copied)
 
 
-@pytest.mark.parametrize(('field', 'algorithms', 'make', 'name'), ALL, ids=IDS)
-def test_nothing_but_numbers_leaves(
-    field: str, algorithms: Algorithms[Any], make: Make, name: str, metro: TrainFile, day: tuple[Record, ...]
-) -> None:
-    chosen = pipeline(field, algorithms, make, name, metro)
-    outputs = [output for record in day for output in chosen.push(record)]
-    assert chosen.used > 100
-    assert all(np.isfinite([x for x in numbers(o.estimate) if x == x]).all() for o in outputs)  # noqa: PLR0124
-    prior = numbers(pipeline(field, algorithms, make, name, metro).estimator.estimate(10.0))
-    chosen.reset()
-    assert numbers(chosen.estimator.estimate(10.0)) == pytest.approx(prior, nan_ok=True)
+def test_a_restored_copy_goes_on_to_the_bit(drive: Drive) -> None:
+    assert drive.restored[1] == pytest.approx(drive.restored[0], nan_ok=True)
+    assert len(drive.copied) > 250
+    assert drive.copied[-1].used > 20
+    for one, other in zip(drive.outputs[drive.since :], drive.copied, strict=False):
+        assert np.array_equal(numbers(one.estimate), numbers(other.estimate), equal_nan=True)
+
+
+def test_nothing_but_numbers_leaves(drive: Drive) -> None:
+    assert drive.chosen.used > 100
+    assert all(np.isfinite([x for x in numbers(o.estimate) if x == x]).all() for o in drive.outputs)  # noqa: PLR0124
+
+
+def test_a_reset_is_the_prior_again(drive: Drive) -> None:
+    drive.chosen.reset()
+    assert numbers(drive.chosen.estimator.estimate(10.0)) == pytest.approx(drive.prior, nan_ok=True)
 
 
 def test_an_unknown_name_is_told() -> None:

@@ -17,6 +17,8 @@ from trainid_ros.core.alignment import AlignmentConfig
 from trainid_ros.core.errors import InputError
 from trainid_ros.core.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
 from trainid_ros.core.results import Estimate, Reason, Status
+from trainid_ros.estimators.brake_rate.algorithms import BRAKE_RATE
+from trainid_ros.estimators.consistency import WINDOW, Verdict
 from trainid_ros.estimators.pipeline import (
     EstimatorPipeline,
     EstimatorSettings,
@@ -333,3 +335,34 @@ def test_the_seed_of_the_settings_is_that_of_the_particles(metro: TrainFile, day
     run(one, records)
     run(two, records)
     assert one.current().estimate.brake_rate != two.current().estimate.brake_rate
+
+
+# Consistency
+
+
+@pytest.mark.parametrize('name', ['resistance', 'brake_rate'])
+def test_each_update_is_judged_once(name: str, metro: TrainFile, day: Records) -> None:
+    pipeline = make(name, metro)
+    pairs: list[tuple[float, float]] = []
+    last, used = (0.0, 0.0), 0
+    for output in run(pipeline, seconds(day, 0.0, 150.0)):
+        pair = (output.estimate.innovation, output.estimate.innovation_variance)
+        if pair != last and output.used > used and pair[1] > 0.0:
+            pairs.append(pair)
+        last, used = pair, output.used
+    squares = [nu * nu / variance for nu, variance in pairs[-WINDOW:]]
+    assert pipeline.consistency.updates == len(squares)
+    assert pipeline.consistency.ratio == pytest.approx(np.mean(np.minimum(squares, 100.0)))
+    assert len(squares) == pipeline.used if name == 'brake_rate' else 20 < len(squares) < pipeline.used / 5
+    pipeline.restore(pipeline.save())
+    assert pipeline.consistency.updates == 0
+
+
+def test_errors_larger_than_stated_are_noticed(metro: TrainFile, day: Records) -> None:
+    """SMA as printed leaves out what one of its particles moves by; the default does not."""
+    printed = make('brake_rate', metro, EstimatorSettings(brake_rate=BRAKE_RATE.choose('SMA')))
+    default = make('brake_rate', metro)
+    run(printed, day)
+    run(default, day)
+    assert printed.consistency.verdict is Verdict.OPTIMISTIC
+    assert default.consistency.verdict is Verdict.CONSISTENT

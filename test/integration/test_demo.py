@@ -20,10 +20,10 @@ from trainid_ros.physics.train_file import Davis, Line, Train, TrainFile, dump_t
 from trainid_ros.simulation.scenario import Scenario, simulate
 from trainid_ros.simulation.truth import save_truth
 
-pytestmark = [pytest.mark.ros, pytest.mark.timeout(400)]
+pytestmark = [pytest.mark.ros, pytest.mark.timeout(700)]
 
 # Reached only by what is broken: a busy machine may stall a process for seconds.
-DEADLINE_S = 180.0
+DEADLINE_S = 300.0
 TOPICS = 3
 Start: TypeAlias = Callable[..., subprocess.Popen[str]]
 
