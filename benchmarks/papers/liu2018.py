@@ -61,16 +61,19 @@ def _rounding(seed: int) -> Table:
             numerics.as_printed(numerics.excited(seed, _SHORT), mu=numerics.MU, symmetric_gain=True),
         ),
         ('20-80 km/h, mu = 0.99, factors', numerics.factored(numerics.excited(seed, _SHORT), mu=numerics.MU)),
-        ('60 +- 0 km/h, mu = 0.99', numerics.as_printed(numerics.constant(seed, numerics.LONG), mu=numerics.MU)),
-        ('60 +- 0 km/h, mu = 0.99, factors', numerics.factored(numerics.constant(seed, numerics.LONG), mu=numerics.MU)),
+        ('exactly 60 km/h, mu = 0.99', numerics.as_printed(numerics.constant(seed, numerics.LONG), mu=numerics.MU)),
+        (
+            'exactly 60 km/h, mu = 0.99, factors',
+            numerics.factored(numerics.constant(seed, numerics.LONG), mu=numerics.MU),
+        ),
     )
     return Table(
         'Rounding and wind-up from P(0) = 1e6 I, v in km/h',
         ('speeds, form (matrices as printed unless said)', 'steps', 'P indefinite at', 'not finite at', 'RMSE, N/kN'),
         tuple((name, *_outcome(outcome)) for name, outcome in rows),
         f"Condition of the sum of phi phi': {km_h:.1e} with v in km/h, {normalised:.0f} with v normalised. Factors "
-        'keep P positive, but it grows without end where nothing new is seen and all is forgotten: wind-up is no matter '
-        'of rounding.',
+        'keep P positive, but it grows without end where nothing new is seen and all is forgotten: wind-up is not '
+        'a matter of rounding.',
     )
 
 

@@ -32,7 +32,7 @@ def segments(seed: int) -> Plot:
         seen = seen_by(coasts, cutter)
         error = seen.y - data.resistance(data.PAPER, seen.v)
         bins = [error[(low <= seen.v) & (seen.v < low + 5.0)] for low in _BANDS]
-        ax.plot(seen.v, error, '.', ms=1.5, color='0.75')
+        ax.plot(seen.v, error, '.', ms=1.5, color='0.75', rasterized=True)
         ax.errorbar(_BANDS + 2.5, [np.mean(x) for x in bins], [np.std(x) for x in bins], fmt='o-', color='C3', ms=4)
         ax.axhline(0.0, color='k', lw=0.8)
         ax.set(title=title, xlabel='speed [km/h]', ylim=(-3.0, 4.0))
