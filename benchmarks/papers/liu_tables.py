@@ -37,8 +37,8 @@ def preparations(trials: list[Trial]) -> Table:
         'Preparation of the data: RMSE of w over 20-80 km/h, N/kN, and its ratio to the bound',
         ('preparation', *header),
         (*rows, ('Cramer-Rao bound of raw speed', *bounds)),
-        'Bound: unknown first speed of each coast, statistics of gusts and map errors known. With this number of seeds a '
-        f'ratio has a standard error of {_percent_error(trials)} %, so that one below 1 is chance.',
+        'Bound: unknown first speed of each coast, statistics of gusts and map errors known. '
+        f'Standard error of a ratio over these seeds: {_percent_error(trials)} %.',
     )
 
 
