@@ -45,11 +45,15 @@ def test_random_starts_end_at_the_truth(kind: str, seed: int) -> None:
 
 def test_noise_is_met_at_the_bound(seed: int) -> None:
     draws = [draw for k in range(5) for draw in fits.noisy(seed + k)]
-    for kind in fits.KINDS:
-        for method, low, high in (('Levenberg, v0 free (ours)', 0.4, 2.0), ('v0 as measured (the paper)', 0.9, np.inf)):
-            nees = np.mean([draw.nees for draw in draws if (draw.kind, draw.method) == (kind, method)])
-            # Mean of 60 squares of normals: below 0.4 or above 2.0 in one of 10^5 runs.
-            assert low < nees < high, (seed, kind, method)
+    ours, papers = 'Levenberg, v0 free (ours)', 'v0 as measured (the paper)'
+    for kind, method, low, high in (
+        ('cruise', ours, 0.4, 2.0),
+        ('full', ours, 0.4, 2.0),
+        ('cruise', papers, 2.0, np.inf),
+    ):
+        nees = np.mean([draw.nees for draw in draws if (draw.kind, draw.method) == (kind, method)])
+        # Mean of 60 squares of normals: below 0.4 or above 2.0 in one of 10^5 runs.
+        assert low < nees < high, (seed, kind, method)
 
 
 def test_mean_force_leaves_next_to_no_error() -> None:
@@ -60,8 +64,7 @@ def test_mean_force_leaves_next_to_no_error() -> None:
 
 def test_two_windows_settle_and_follow(seed: int) -> None:
     scores = [ways.online(seed + k)[0] for k in range(3)]
-    clean, noisy = (np.concatenate(parts) for parts in zip(*((s.clean, s.fourth) for s in scores), strict=True))
-    assert np.sqrt(np.mean(clean**2)) < 0.05, seed
-    # Settled rms of one drive is 0.11 on average; twice that in three drives together is no chance.
-    assert np.sqrt(np.mean(noisy**2)) < 0.3, seed
+    assert max(np.sqrt(np.mean(s.clean**2)) for s in scores) < 0.05, seed
+    # 0.11 on average; a change seen where there is none spoils one drive in hundreds, but not two of three.
+    assert np.median([np.sqrt(np.mean(s.fourth**2)) for s in scores]) < 0.25, seed
     assert np.median([s.delays[2] for s in scores]) <= 1800.0, seed
