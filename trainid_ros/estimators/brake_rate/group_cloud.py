@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -50,6 +50,7 @@ class Strata:
     Attributes:
         sizes: Particles of each stratum.
         of: Stratum of each particle, shape (N,).
+        member: 1 in the column of a particle's stratum, shape (N, M).
         average: Averages over each stratum, shape (N, M).
         log_shares: Logarithm of a particle's share in its stratum, shape (M,).
 
@@ -57,6 +58,7 @@ class Strata:
 
     sizes: tuple[int, ...]
     of: NDArray[np.intp]
+    member: Array
     average: Array
     log_shares: Array
 
@@ -64,12 +66,12 @@ class Strata:
     def divide(cls, sizes: Sequence[int]) -> Strata:
         """Return strata of these sizes, one after another."""
         of = np.repeat(np.arange(len(sizes)), sizes)
-        average = (of[:, None] == np.arange(len(sizes))) / np.array(sizes, dtype=float)
-        return cls(tuple(sizes), of, average, -np.log(np.array(sizes, dtype=float)))
+        counts = np.array(sizes, dtype=float)
+        member = (of[:, None] == np.arange(len(sizes))).astype(float)
+        return cls(tuple(sizes), of, member, member / counts, -np.log(counts))
 
 
-@dataclass(frozen=True, slots=True)
-class GroupCloud:
+class GroupCloud(NamedTuple):
     """Particles in strata; equal weights within each.
 
     Attributes:
@@ -141,8 +143,7 @@ def _with_x(cloud: GroupCloud, x: Array, slope: Array) -> GroupCloud:
     return GroupCloud(cloud.f, x, cloud.weight, cloud.mean, cloud.variance, slope)
 
 
-@dataclass(frozen=True, slots=True)
-class Branches:
+class Branches(NamedTuple):
     """The groups of all particles: child k of particle i has f = base_i + offset_ki and x = x_i + offset_ki c_i.
 
     Attributes:
@@ -212,27 +213,24 @@ def prune(groups: Branches, weights: Array, strata: Strata, chain: Array, unifor
         The particles that the next step begins with.
 
     """
-    toward = chain.take(strata.of, axis=0)
-    cloud = _moments(groups, weights, toward)
+    cloud = _moments(groups, weights, strata, chain)
     f = (groups.base + groups.offset).ravel()
     order = np.argsort(f, kind='stable')
-    parents = order % len(groups.base)
-    # Of each child in the order of f, its weight as each stratum sees it.
-    seen = weights.ravel().take(order)[:, None] * toward.take(parents, axis=0)
+    # Share of a child's weight that each stratum sees, of its own weight.
+    seen = (chain / np.maximum(cloud.weight, _TINY)).T
     ranks = [
-        systematic(column / max(weight, _TINY), size, uniform)
-        for column, weight, size, uniform in zip(
-            seen.T, cloud.weight.tolist(), strata.sizes, uniforms.tolist(), strict=True
-        )
+        systematic((weights * share.take(strata.of)).ravel().take(order), size, uniform)
+        for share, size, uniform in zip(seen, strata.sizes, uniforms.tolist(), strict=True)
     ]
-    rank = ranks[0] if len(ranks) == 1 else np.concatenate(ranks)
-    kept, parent = order.take(rank), parents.take(rank)
+    kept = order.take(ranks[0] if len(ranks) == 1 else np.concatenate(ranks))
+    parent = kept % len(groups.base)
     x = groups.x.take(parent, axis=1) + groups.offset.ravel().take(kept) * groups.c.take(parent, axis=1)
     return _matched(f.take(kept), x, cloud, strata)
 
 
-def _moments(groups: Branches, weights: Array, toward: Array) -> GroupCloud:
+def _moments(groups: Branches, weights: Array, strata: Strata, chain: Array) -> GroupCloud:
     """Weight, mean, variance and regression of all children as seen by each stratum; no particles yet."""
+    n = len(groups.x)
     w0 = weights.sum(axis=0)
     weighted = weights * groups.offset
     w1 = weighted.sum(axis=0)
@@ -241,15 +239,18 @@ def _moments(groups: Branches, weights: Array, toward: Array) -> GroupCloud:
     base = groups.base - centre
     first = base * w0 + w1
     lean = base * w1 + w2
-    # Sums over all children of 1, f and f^2, and of x and x f.
-    sums = np.stack((w0, first, base * first + lean)) @ toward
+    # Sums over the children of each particle of 1, f, f^2, x and x f; then over the strata, and along the chain.
+    rows = np.empty((3 + 2 * n, len(base)))
+    rows[0], rows[1], rows[2] = w0, first, base * first + lean
+    rows[3 : 3 + n] = groups.x * w0 + groups.c * w1
+    rows[3 + n :] = groups.x * first + groups.c * lean
+    sums = rows @ strata.member @ chain
     weight = np.maximum(sums[0], _TINY)
-    mean, square = sums[1:] / weight
-    variance = np.maximum(square - mean * mean, _LEAST_VARIANCE)
-    x = (groups.x @ (w0[:, None] * toward) + groups.c @ (w1[:, None] * toward)) / weight
-    with_f = (groups.x @ (first[:, None] * toward) + groups.c @ (lean[:, None] * toward)) / weight
-    slope = (with_f - x * mean) / variance
-    return GroupCloud(groups.base, x, weight / weight.sum(), mean + centre, variance, slope)
+    means = sums[1:] / weight
+    mean, x = means[0], means[2 : 2 + n]
+    variance = np.maximum(means[1] - mean * mean, _LEAST_VARIANCE)
+    slope = (means[2 + n :] - x * mean) / variance
+    return GroupCloud(base, x, weight / weight.sum(), mean + centre, variance, slope)
 
 
 def _matched(f: Array, x: Array, target: GroupCloud, strata: Strata) -> GroupCloud:

@@ -26,6 +26,7 @@ from trainid_ros.estimators.brake_rate.group_cloud import GroupCloud, Strata
 from trainid_ros.estimators.brake_rate.jumps import JumpConfig, drifts, transition
 from trainid_ros.estimators.brake_rate.particles import SPEED, correction, speed_step
 from trainid_ros.estimators.brake_rate.resampling import effective_number, restore_generator
+from trainid_ros.estimators.compiled.jit import compiler_present
 
 if TYPE_CHECKING:
     from trainid_ros.estimators.brake_rate.belief import Interval
@@ -35,8 +36,8 @@ if TYPE_CHECKING:
 _LARGEST_RATE: Final = 3.0  # times the believed one
 _JUMPING_SHARE: Final = 1.0 / 3.0
 _LEAST_PARTICLES: Final = 3
-# Times differ by less than this by rounding [s].
-_LEAST_PAUSE: Final = 1e-6
+LEAST_PAUSE: Final = 1e-6
+"""Times differ by less than this by rounding [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +45,7 @@ class GsmaConfig(JumpConfig):
     """Settings of GSMA."""
 
     particles: int = setting(100, 'particles kept after pruning, a third of them for jumps', '1', 6, 100_000)
+    compiled: int = setting(0, '1: a faster loop where trainid_ros[fast] is installed; starts seconds later', '1', 0, 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +96,7 @@ class GsmaBelief:
     @property
     def speed(self) -> float:
         """Mean of v [m/s]."""
-        return float(self.cloud.x[0] @ self._weights)
+        return float(self.cloud.x[0].dot(self._weights))
 
     @property
     def acceleration(self) -> float:
@@ -155,7 +157,7 @@ class GsmaBelief:
         fix = correction(self.P, SPEED, np.array([[r]]))
         # While no brake acts f drifts, it does not jump.
         cloud, before = self.cloud, elapsed - dt
-        if before > _LEAST_PAUSE:
+        if before > LEAST_PAUSE:
             cloud = group_cloud.widened(cloud, step, config.drift**2 * before)
         groups = group_cloud.branch(cloud, self.strata, step, self._q * dt)
         groups, weights = group_cloud.weigh(groups, fix, SPEED, np.array([speed]), self._largest)
@@ -168,9 +170,10 @@ class GsmaBelief:
         return True
 
     def _chain(self, dt: float) -> Array:
+        if len(self._q) == 1:
+            return np.ones((1, 1))
         starts, ends = transition(self._config, dt)
-        M = len(self._q)
-        return np.array([[1.0 - starts, starts], [ends, 1.0 - ends]])[:M, :M]
+        return np.array([[1.0 - starts, starts], [ends, 1.0 - ends]])
 
     def save(self) -> str:
         """Return the whole state, generator included, as JSON text."""
@@ -199,4 +202,7 @@ class Gsma(BrakeRateEstimator):
 
     def __init__(self, train_file: TrainFile, config: GsmaConfig, rng: np.random.Generator) -> None:
         check_settings(config)
-        super().__init__(train_file, config, GsmaBelief(config, true_brake(train_file).rate, rng))
+        kind = GsmaBelief
+        if config.compiled and compiler_present():
+            from trainid_ros.estimators.compiled.gsma import CompiledGsmaBelief as kind  # noqa: PLC0415
+        super().__init__(train_file, config, kind(config, true_brake(train_file).rate, rng))

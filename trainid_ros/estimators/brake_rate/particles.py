@@ -9,8 +9,7 @@ Arrays over N particles have them in the last axis.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,8 +23,7 @@ Array = NDArray[np.float64]
 SPEED: Final = np.array([[1.0, 0.0, 0.0]])
 
 
-@dataclass(frozen=True, slots=True)
-class LinearStep:
+class LinearStep(NamedTuple):
     """One step of the model.
 
     Attributes:
@@ -50,8 +48,7 @@ class LinearStep:
         return self.Phi @ P @ self.Phi.T + self.Q
 
 
-@dataclass(frozen=True, slots=True)
-class Correction:
+class Correction(NamedTuple):
     """What a measurement does to all particles alike.
 
     Attributes:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -23,8 +23,7 @@ if TYPE_CHECKING:
 _GROUP: Final = np.array([[1], [0], [-1]])
 
 
-@dataclass(frozen=True, slots=True)
-class ThetaCloud:
+class ThetaCloud(NamedTuple):
     """Rates f, shape (N,), normalised log-weights, shape (N,), and means of x given f, shape (n, N)."""
 
     f: Array

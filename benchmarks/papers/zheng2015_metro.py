@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Brake rate estimators of the nodes on a metro train at 5 Hz: accuracy, coverage, jumps, long rides unbraked."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.papers.brake_runs import (
+    JUMP_AFTER_S,
+    MAP_ERROR,
+    BrakeRun,
+    jump_run,
+    metro_run,
+    metro_train,
+    unbraked_run,
+    walk_run,
+)
+from trainid_ros.core.records import NS_PER_S
+from trainid_ros.estimators.brake_rate.algorithms import BRAKE_RATE
+from trainid_ros.estimators.brake_rate.config import BrakeRateConfig
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+Array = NDArray[np.float64]
+
+FIRST_SEED: Final = 5000
+# What the train is like: as good a map as there is, and on the random walk the exact noise.
+METRO: Final[dict[str, float]] = {'disturbance_std': MAP_ERROR, 'acceleration_noise': 0.002}
+WALK: Final = METRO | {'speed_std': 0.02, 'force_error': 0.0}
+DRIFTS: Final[dict[str, float]] = {'drift': 0.01}
+_SIGMA_95: Final = 1.959964
+_SETTLED_S: Final = 3.0
+_MOVING: Final = 1.0
+_GOOD: Final = 0.05
+# Printed filters may be left with one value.
+_LEAST_STD: Final = 1e-12
+_FOUND: Final = 0.07
+_AFTER_JUMP_S: Final = 10.0
+# The law of the deviation is judged from so long after the brake was released [s].
+_RELEASED_S: Final = 3.0
+LATER_S: Final = (0.0, 2.0, 4.0, 10.0)
+
+# Name of the row, algorithm, changed settings.
+Rows = tuple[tuple[str, str, dict[str, float]], ...]
+
+ON_METRO: Final[Rows] = (
+    ('GSMA (default)', 'GSMA', METRO),
+    ('GSMA, 500 particles', 'GSMA', METRO | {'particles': 500}),
+    ('KF', 'KF', METRO),
+    ('IMM', 'IMM', METRO),
+    ('RBPF, 500', 'RBPF', METRO),
+    ('KF without disturbance state', 'KF', METRO | {'disturbance_std': 0.0}),
+    ('GSMA told a map of 0.6 permille', 'GSMA', {}),
+    ('SMA as printed', 'SMA', METRO),
+    ('GSMA as printed', 'GSMA-printed', METRO),
+)
+ON_WALK: Final[Rows] = (
+    ('GSMA (default)', 'GSMA', WALK),
+    ('GSMA without jumps', 'GSMA', WALK | {'jump_rate': 0.0}),
+    ('IMM', 'IMM', WALK),
+    ('RBPF, 500', 'RBPF', WALK),
+    ('KF: exact', 'KF', WALK),
+)
+ON_JUMP: Final[Rows] = (
+    ('GSMA (default)', 'GSMA', METRO),
+    ('IMM', 'IMM', METRO),
+    ('KF', 'KF', METRO),
+    ('KF, drift 0.02', 'KF', METRO | {'drift': 0.02}),
+)
+ON_UNBRAKED: Final[Rows] = (
+    ('GSMA (default)', 'GSMA', METRO),
+    ('GSMA, drift 0.01', 'GSMA', METRO | DRIFTS),
+    ('KF', 'KF', METRO),
+    ('IMM', 'IMM', METRO),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Score:
+    """One estimator on one run, while braking from 3 s after the command on, above 1 m/s.
+
+    Attributes:
+        mae: Mean absolute error.
+        bias: Mean error.
+        inside_68: Share of errors within one standard deviation.
+        inside_95: The same within 1.96.
+        good_s: Time after the first command from which on the first braking is within 0.05 [s].
+        found_s: Time from the jump to an error below 0.07 [s], inf if never; NaN without a jump.
+        law: Largest deviation of std from sqrt(s^2 + drift^2 t) while unbraked, relative; NaN if not judged.
+        later: Absolute error 0, 2, 4 and 10 s after the brake of the last phase was asked for.
+
+    """
+
+    mae: float
+    bias: float
+    inside_68: float
+    inside_95: float
+    good_s: float
+    found_s: float = math.nan
+    law: float = math.nan
+    later: tuple[float, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class MetroScores:
+    """All estimators on one seed, in the order of the lists above."""
+
+    metro: tuple[Score, ...]
+    walk: tuple[Score, ...]
+    jump: tuple[Score, ...]
+    unbraked: tuple[Score, ...]
+
+
+def score_seed(seed: int) -> MetroScores:
+    """Run all estimators on all data of a seed."""
+    metro, walk, jump, unbraked = metro_run(seed), walk_run(seed), jump_run(seed), unbraked_run(seed)
+    return MetroScores(
+        tuple(score(metro, trace(metro, name, seed, s)) for _, name, s in ON_METRO),
+        tuple(score(walk, trace(walk, name, seed, s)) for _, name, s in ON_WALK),
+        tuple(_score_jump(jump, trace(jump, name, seed, s)) for _, name, s in ON_JUMP),
+        tuple(_score_unbraked(unbraked, trace(unbraked, name, seed, s), s) for _, name, s in ON_UNBRAKED),
+    )
+
+
+def trace(run: BrakeRun, name: str, seed: int, settings: Mapping[str, float]) -> Array:
+    """Return mean and standard deviation of f, and 1 where it learned, after every sample, shape (n, 3)."""
+    choice = BRAKE_RATE.choose(name, **settings)
+    estimator = BRAKE_RATE.make(choice, metro_train(), np.random.default_rng(seed))
+    rows = []
+    for sample in run.samples:
+        estimator.step(sample)
+        e = estimator.estimate(sample.speed)
+        rows.append((e.brake_rate, e.brake_rate_std, float(e.observable)))
+    return np.array(rows)
+
+
+def score(run: BrakeRun, got: Array, without: NDArray[np.bool_] | None = None) -> Score:
+    """Score all brakings, but for samples that are left out."""
+    counted = (run.braked_s > _SETTLED_S) & (run.speed > _MOVING)
+    if without is not None:
+        counted &= ~without
+    error = got[:, 0] - run.rate
+    z = np.abs(error / np.maximum(got[:, 1], _LEAST_STD))[counted]
+    first = run.phase == run.phase[int(np.argmax(run.braked_s >= 0.0))]
+    wrong = np.flatnonzero(np.abs(error[first]) >= _GOOD)
+    return Score(
+        mae=float(np.abs(error[counted]).mean()),
+        bias=float(error[counted].mean()),
+        inside_68=float((z <= 1.0).mean()),
+        inside_95=float((z <= _SIGMA_95).mean()),
+        good_s=float(run.braked_s[first][wrong[-1]]) if len(wrong) else 0.0,
+    )
+
+
+def _score_jump(run: BrakeRun, got: Array) -> Score:
+    """Score the time to find the jump, and all but the ten seconds after it."""
+    since = np.where(run.phase == run.phase[-1], run.braked_s - JUMP_AFTER_S, math.nan)
+    after = since > 0.0
+    found = after & (np.abs(got[:, 0] - run.rate) < _FOUND)
+    rest = score(run, got, after & (since <= _AFTER_JUMP_S))
+    found_s = float(since[int(np.argmax(found))]) if found.any() else math.inf
+    return Score(rest.mae, rest.bias, rest.inside_68, rest.inside_95, rest.good_s, found_s)
+
+
+def _score_unbraked(run: BrakeRun, got: Array, settings: Mapping[str, float]) -> Score:
+    """Score the law of the deviation between the brakings, and the errors when the brake acts at last."""
+    drift = settings.get('drift', BrakeRateConfig().drift)
+    times = np.array([(s.stamp_ns - run.samples[0].stamp_ns) / NS_PER_S for s in run.samples])
+    last_learned = int(np.flatnonzero((got[:, 2] > 0.5) & (run.phase < run.phase[-1]))[-1])
+    start = last_learned + round(_RELEASED_S / 0.2)
+    rest = slice(start, int(np.flatnonzero(run.phase == run.phase[-1])[0]))
+    law = np.sqrt(got[start, 1] ** 2 + drift**2 * (times[rest] - times[start]))
+    begin = rest.stop
+    later = tuple(float(abs(got[begin + round(t / 0.2), 0] - run.rate[begin + round(t / 0.2)])) for t in LATER_S)
+    plain = score(run, got)
+    off = float(np.max(np.abs(got[rest, 1] / law - 1.0)))
+    return Score(plain.mae, plain.bias, plain.inside_68, plain.inside_95, plain.good_s, math.nan, off, later)
