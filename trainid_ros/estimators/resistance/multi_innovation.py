@@ -1,83 +1,107 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Multi-innovation least squares on a Gaussian belief (Liu et al. 2018, section 3; Ding et al. 2010)."""
+"""Multi-innovation least squares, each observation used p times and counted once, at a cost that p does not change.
+
+Liu et al. 2018, section 3, after Ding et al. 2010: step t takes the innovations of the last p observations together.
+The paper gives them unit variance each time, so an observation used p times counts p times and P is no covariance.
+Given p times their variance, all uses of an observation weigh exactly once. Then the information after step t is
+that of step t - 1 plus the mean information of the last p observations,
+
+    P^-1(t) = P^-1(t-1) + sum_{i=t-p+1..t} phi(i) phi(i)' / (p R(i)),
+
+and so is the vector P^-1 theta. The sum runs along: the newest comes in, the oldest goes out.
+
+Information is a tuple of nine floats: the upper triangle of P^-1 row by row, then P^-1 theta.
+"""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import Final
 
-import numpy as np
+from trainid_ros.estimators.resistance.robust import Belief, weigh
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
+Information = tuple[float, ...]
+MilsState = tuple[float, ...]
 
-    from numpy.typing import NDArray
-
-    from trainid_ros.estimators.resistance.speed_window import WindowResult
+NOTHING: Final[Information] = (0.0,) * 9
 
 
-@dataclass(frozen=True, slots=True)
-class Belief:
-    """Mean and covariance of the Davis parameters (a, b, c); P is row-major."""
+def mils_step(
+    state: MilsState, oldest: Information, v: float, s: float, y: float, R: float, slow: float, eps: float, p: int
+) -> tuple[MilsState, Information, float, float]:
+    """One step of multi-innovation least squares with the soft gate of :mod:`robust`.
 
-    theta: tuple[float, ...]
-    P: tuple[float, ...]
+    Args:
+        state: Information before the step, then the mean information of the last p observations: 18 floats.
+        oldest: What leaves that mean: ``newest`` of p steps ago, NOTHING in the first p steps.
+        v: Speed in the observation [m/s].
+        s: Mean square of the speed in it.
+        y: Observed resistance [N/kN].
+        R: Its variance.
+        slow: How many times R an observation counts in the mean of many, 1 for white noise.
+        eps: Share of outliers, 0 for plain least squares.
+        p: Innovation length.
 
-    @classmethod
-    def of(cls, theta: NDArray[np.float64], P: NDArray[np.float64]) -> Belief:
-        """Return the belief of arrays, shapes (3,) and (3, 3)."""
-        return cls(tuple(map(float, theta)), tuple(map(float, P.ravel())))
+    Returns:
+        state, newest, the weight of the observation and the logarithm of its likelihood.
 
-    def arrays(self) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-        """Return theta, shape (3,), and P, shape (3, 3)."""
-        return np.array(self.theta), np.array(self.P).reshape(3, 3)
-
-    def widen(self, covariance: NDArray[np.float64]) -> Belief:
-        """Return the belief with doubt added."""
-        theta, P = self.arrays()
-        return Belief.of(theta, P + covariance)
-
-    def drifted(self, rates: tuple[float, float, float], elapsed_s: float, most: tuple[float, float, float]) -> Belief:
-        """Return the belief after a random walk of the parameters.
-
-        Args:
-            rates: Growth of the three variances per second.
-            elapsed_s: Time passed [s].
-            most: Variances that doubt does not exceed; where it would, correlations stay.
-
-        """
-        P = list(self.P)
-        for i in range(3):
-            P[4 * i] += rates[i] * elapsed_s
-        if all(P[4 * i] <= most[i] for i in range(3)):
-            return Belief(self.theta, tuple(P))
-        shrink = [min(1.0, math.sqrt(most[i] / P[4 * i])) for i in range(3)]
-        return Belief(self.theta, tuple(P[k] * shrink[k // 3] * shrink[k % 3] for k in range(9)))
-
-    def resistance_variance(self, v: float) -> float:
-        """Return phi' P phi, the variance of w(v) [(N/kN)^2] at a speed [m/s]; floats are fastest for 3x3."""
-        P = self.P
-        return max(0.0, P[0] + v * (2.0 * P[1] + v * (2.0 * P[2] + P[4] + v * (2.0 * P[5] + v * P[8]))))
-
-    def is_finite(self) -> bool:
-        """True for three and nine finite numbers."""
-        sized = len(self.theta) == 3 and len(self.P) == 9
-        return sized and bool(np.isfinite(self.theta).all() and np.isfinite(self.P).all())
-
-
-def multi_innovation_step(belief: Belief, stack: Sequence[WindowResult], variances: Sequence[float]) -> Belief:
-    """One step of MILS with the p observations of the stack, each with its own noise variance.
-
-    The paper's innovations have unit variance, which makes P shrink p-fold where observations are used
-    p times; given p times their variance, all uses of an observation together weigh exactly once.
     """
-    theta, P = belief.arrays()
-    Phi = np.array([item.phi for item in stack]).T  # (3, p)
-    Y = np.array([item.y for item in stack])
-    R = np.diag(variances)
-    # L = P Phi [R + Phi' P Phi]^-1;  theta += L [Y - Phi' theta];  P = (I - L Phi') P
-    L = np.linalg.solve(R + Phi.T @ P @ Phi, Phi.T @ P).T
-    A = np.eye(3) - L @ Phi.T
-    # Joseph form: keeps P symmetric and positive under rounding.
-    return Belief.of(theta + L @ (Y - Phi.T @ theta), A @ P @ A.T + L @ R @ L.T)
+    A, B, C, D, E, F, h0, h1, h2, r0, r1, r2, r3, r4, r5, r6, r7, r8 = state
+    # P^-1 = L diag(A, d1, d2) L';  L diag L' theta = h
+    l1, l2 = B / A, C / A
+    d1, e = D - l1 * B, E - l1 * C
+    l3 = e / d1
+    d2 = F - l2 * C - l3 * e
+    u1 = h1 - l1 * h0
+    c = (h2 - l2 * h0 - l3 * u1) / d2
+    b = u1 / d1 - l3 * c
+    nu = y - (h0 / A - l1 * b - l2 * c) - b * v - c * s
+    # S = phi' P phi + R with phi' P phi = z' diag^-1 z, L z = phi
+    z1 = v - l1
+    z2 = s - l2 - l3 * z1
+    weight, log_likelihood = weigh(nu, 1.0 / A + z1 * z1 / d1 + z2 * z2 / d2 + R, R, eps)
+    # recent += phi phi' / (p R) - what is p steps old;  information += recent
+    k = weight / (p * slow * R)
+    kv, ks = k * v, k * s
+    newest = k, kv, ks, kv * v, kv * s, ks * s, k * y, kv * y, ks * y
+    o0, o1, o2, o3, o4, o5, o6, o7, o8 = oldest
+    r0 += k - o0
+    r1 += kv - o1
+    r2 += ks - o2
+    r3 += kv * v - o3
+    r4 += kv * s - o4
+    r5 += ks * s - o5
+    r6 += k * y - o6
+    r7 += kv * y - o7
+    r8 += ks * y - o8
+    information = A + r0, B + r1, C + r2, D + r3, E + r4, F + r5, h0 + r6, h1 + r7, h2 + r8
+    return (*information, r0, r1, r2, r3, r4, r5, r6, r7, r8), newest, weight, log_likelihood
+
+
+def belief_of(info: Information) -> Belief:
+    """Return a, b, c and the upper triangle of their covariance."""
+    A, B, C, D, E, F, h0, h1, h2 = info
+    l1, l2 = B / A, C / A
+    d1, e = D - l1 * B, E - l1 * C
+    l3 = e / d1
+    d2 = F - l2 * C - l3 * e
+    # L^-1 = [1; -l1 1; m -l3 1]; P = L'^-1 diag^-1 L^-1
+    m = l1 * l3 - l2
+    i0, i1, i2 = 1.0 / A, 1.0 / d1, 1.0 / d2
+    P22, P12, P02 = i2, -l3 * i2, m * i2
+    P11, P01 = i1 + l3 * l3 * i2, -l1 * i1 - l3 * m * i2
+    P00 = i0 + l1 * l1 * i1 + m * m * i2
+    a, b, c = P00 * h0 + P01 * h1 + P02 * h2, P01 * h0 + P11 * h1 + P12 * h2, P02 * h0 + P12 * h1 + P22 * h2
+    return a, b, c, P00, P01, P02, P11, P12, P22
+
+
+def information_of(belief: Belief) -> Information:
+    """Return P^-1 and P^-1 theta of a belief."""
+    a, b, c, *P = belief
+    A, B, C, D, E, F = belief_of((*P, 0.0, 0.0, 0.0))[3:]
+    return A, B, C, D, E, F, A * a + B * b + C * c, B * a + D * b + E * c, C * a + E * b + F * c
+
+
+def is_finite(numbers: tuple[float, ...]) -> bool:
+    """True if all are finite."""
+    return all(map(math.isfinite, numbers))

@@ -10,6 +10,7 @@ while traction or gradient change inside the window.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -75,40 +76,80 @@ def observe_resistance(ticks: list[Tick], inertia: float, speed_std: float) -> W
         The observation, or a refusal if the speed does not follow the forces within its noise.
 
     """
-    dt = np.array([0.0, *(tick.dt for tick in ticks[1:])])
-    speed = np.array([tick.speed for tick in ticks])
-    force = np.array([0.0, *(tick.known_force for tick in ticks[1:])])
-    time = np.cumsum(dt)
-    rest = speed - np.cumsum(force * dt) / inertia
-    robust = rest - _robust_line(time, rest)
+    times, rest = _unforced(ticks, inertia)
     tolerance = _OUTLIER_SIGMAS * speed_std
-    kept = _inliers(time, rest, robust, tolerance)
+    weights = _plain_weights(times)
+    if _largest_residual(times, rest, weights) <= tolerance:
+        return _result(ticks, times, rest, weights, [tick.speed for tick in ticks], inertia, speed_std)
+    time, y = np.array(times), np.array(rest)
+    robust = y - _robust_line(time, y)
+    kept = _inliers(time, y, robust, tolerance)
     if kept.mean() < 1.0 - _MAX_OUTLIER_SHARE:
         worst = float(np.max(np.abs(robust)))
         return Refusal(ticks[-1].stamp_ns, Reason.SPEED_INCONSISTENT, worst, tolerance)
-    weights = _slope_weights(time, kept)
-    slope = float(weights @ rest)
-    # Share of each interval in the slope: a change of speed there moves all later speeds.
-    share = dt * np.cumsum(weights[::-1])[::-1]
-    mended = _mended(time, speed, kept)
-    v0, v1 = mended[:-1], mended[1:]
-    phi = (
-        float(share[1:].sum()),
-        float(share[1:] @ (0.5 * (v0 + v1))),
-        float(share[1:] @ ((v0 * v0 + v0 * v1 + v1 * v1) / 3.0)),
-    )
-    traction = float(np.mean([abs(tick.traction) for tick in ticks[1:]]))
-    force_rate = float(share[2:] @ (np.diff(force[1:]) / dt[2:]))
-    noise_std = inertia * speed_std * float(np.sqrt(weights @ weights))
+    mended = np.interp(time, time[kept], np.array([tick.speed for tick in ticks])[kept])
+    return _result(ticks, times, rest, _slope_weights(time, kept).tolist(), mended.tolist(), inertia, speed_std)
+
+
+def _unforced(ticks: list[Tick], inertia: float) -> tuple[list[float], list[float]]:
+    """Return the times since the first tick, and the speeds less what the known forces alone have changed."""
+    time = pushed = 0.0
+    times, rest = [0.0], [ticks[0].speed]
+    for tick in ticks[1:]:
+        time += tick.dt
+        pushed += tick.known_force * tick.dt
+        times.append(time)
+        rest.append(tick.speed - pushed / inertia)
+    return times, rest
+
+
+def _plain_weights(times: list[float]) -> list[float]:
+    """Return the weights of the speeds in the slope of a line through all of them."""
+    middle = math.fsum(times) / len(times)
+    centred = [time - middle for time in times]
+    square = math.fsum([x * x for x in centred])
+    return [x / square for x in centred]
+
+
+def _largest_residual(times: list[float], y: list[float], weights: list[float]) -> float:
+    slope = math.fsum([w * x for w, x in zip(weights, y, strict=True)])
+    levels = [x - slope * time for time, x in zip(times, y, strict=True)]
+    level = math.fsum(levels) / len(levels)
+    return max(max(levels) - level, level - min(levels))
+
+
+def _result(
+    ticks: list[Tick],
+    times: list[float],
+    rest: list[float],
+    weights: list[float],
+    speeds: list[float],
+    inertia: float,
+    speed_std: float,
+) -> WindowResult:
+    """Return the observation of a line with these weights; a loop of floats, which beats arrays of 25."""
+    phi0 = phi1 = phi2 = traction = force_rate = later = 0.0
+    for k in range(len(ticks) - 1, 0, -1):
+        tick, v1, v0 = ticks[k], speeds[k], speeds[k - 1]
+        # Share of the interval in the slope: a change of speed there moves all later speeds.
+        later += weights[k]
+        share = tick.dt * later
+        phi0 += share
+        phi1 += share * 0.5 * (v0 + v1)
+        phi2 += share * (v0 * v0 + v0 * v1 + v1 * v1) / 3.0
+        traction += abs(tick.traction)
+        if k > 1:
+            force_rate += later * (tick.known_force - ticks[k - 1].known_force)
+    slope = math.fsum([w * x for w, x in zip(weights, rest, strict=True)])
     return WindowResult(
         y=-inertia * slope,
-        phi=phi,
-        noise_std=noise_std,
-        traction=traction,
+        phi=(phi0, phi1, phi2),
+        noise_std=inertia * speed_std * math.sqrt(math.fsum([w * w for w in weights])),
+        traction=traction / (len(ticks) - 1),
         force_rate=force_rate,
-        duration=float(time[-1]),
-        speed_min=float(mended.min()),
-        speed_max=float(mended.max()),
+        duration=times[-1],
+        speed_min=min(speeds),
+        speed_max=max(speeds),
     )
 
 
@@ -155,9 +196,3 @@ def _inliers(
             break
         kept = np.abs(y - _line(time, y, kept)) <= tolerance
     return kept
-
-
-def _mended(
-    time: NDArray[np.float64], speed: NDArray[np.float64], kept: NDArray[np.bool_]
-) -> NDArray[np.float64]:
-    return speed if kept.all() else np.interp(time, time[kept], speed[kept])
