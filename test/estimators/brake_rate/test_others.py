@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""KF, IMM and RBPF of the nodes beside GSMA: one belief in four forms, and jumps for those that expect them."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from trainid_ros.core.errors import InputError
+from trainid_ros.core.samples import Sample
+from trainid_ros.estimators.brake_rate.algorithms import BRAKE_RATE
+from trainid_ros.estimators.brake_rate.estimator import BrakeRateEstimator
+from trainid_ros.physics.train_file import Davis, TrainFile
+
+Journey = Callable[..., list[Sample]]
+
+
+def make(train_file: TrainFile, name: str, **settings: float) -> BrakeRateEstimator:
+    made = BRAKE_RATE.make(BRAKE_RATE.choose(name, **settings), train_file, np.random.default_rng(3))
+    assert isinstance(made, BrakeRateEstimator)
+    return made
+
+
+@pytest.fixture(scope='module')
+def braked(journey: Journey) -> list[Sample]:
+    """A long braking in which the rate jumps from 0.95 to 0.7 after 24 s."""
+
+    def brake(t: float) -> float:
+        return 0.0 if t < 4.0 else -0.4
+
+    return journey(44.0, brake=brake, rate=lambda t: 0.95 if t < 24.0 else 0.7, speed=25.0, resistance=believed)
+
+
+def believed(_t: float) -> Davis:
+    return Davis(1.5, 0.03, 0.004)
+
+
+@pytest.mark.parametrize(('name', 'most'), [('RBPF', 0.25), ('GSMA', 0.1), ('IMM', 1e-9)])
+def test_without_jumps_all_are_the_kalman_filter(
+    train_file: TrainFile, braked: list[Sample], name: str, most: float
+) -> None:
+    """Differences in deviations of the Kalman filter, until the jump that none of them expects."""
+    plain = {} if name == 'RBPF' else {'jump_rate': 0.0}
+    kalman, other = make(train_file, 'KF'), make(train_file, name, **plain)
+    differences = []
+    for item in braked[:120]:
+        kalman.step(item)
+        other.step(item)
+        exact, e = kalman.estimate(0.0), other.estimate(0.0)
+        differences.append((e.brake_rate - exact.brake_rate) / exact.brake_rate_std)
+        assert e.brake_rate_std == pytest.approx(exact.brake_rate_std, rel=0.3 if name == 'RBPF' else 0.1)
+    assert float(np.sqrt(np.mean(np.square(differences)))) < most
+
+
+@pytest.mark.parametrize('name', ['GSMA', 'IMM'])
+def test_a_jump_in_mid_brake_is_found(train_file: TrainFile, braked: list[Sample], name: str) -> None:
+    estimator, kalman = make(train_file, name), make(train_file, 'KF')
+    wrong_s = kalman_s = 0.0
+    for item in braked:
+        estimator.step(item)
+        kalman.step(item)
+        t = (item.stamp_ns - braked[0].stamp_ns) / 1e9
+        if t > 24.0:
+            wrong_s += 0.2 * (abs(estimator.estimate(0.0).brake_rate - 0.7) > 0.07)
+            kalman_s += 0.2 * (abs(kalman.estimate(0.0).brake_rate - 0.7) > 0.07)
+    assert wrong_s < 4.0 < kalman_s
+
+
+def test_two_models_count_as_two_only_in_doubt(train_file: TrainFile, braked: list[Sample]) -> None:
+    estimator, counts = make(train_file, 'IMM'), []
+    for item in braked:
+        estimator.step(item)
+        counts.append(estimator.estimate(0.0).effective_particles)
+    assert min(counts) >= 1.0
+    assert max(counts) <= 2.0
+    assert np.median(counts[:110]) < 1.05
+    assert max(counts[120:145]) > 1.5
+
+
+@pytest.mark.parametrize(
+    ('name', 'key', 'value'),
+    [
+        ('KF', 'm', [1.0]),
+        ('KF', 'P', [math.nan] * 10),
+        ('IMM', 'jumping', 1.5),
+        ('IMM', 'quiet_model', [0.0] * 13),
+        ('RBPF', 'x', [[1.0]]),
+        ('RBPF', 'random', '{}'),
+        ('SMA', 'log_weights', [math.nan]),
+    ],
+)
+def test_a_saved_belief_that_does_not_fit_is_refused(
+    train_file: TrainFile, braked: list[Sample], name: str, key: str, value: Any
+) -> None:
+    estimator = make(train_file, name)
+    for item in braked[:60]:
+        estimator.step(item)
+    before = estimator.save()
+    data = json.loads(before)
+    belief = json.loads(data['state']['belief'])
+    belief['state'][key] = value
+    data['state']['belief'] = json.dumps(belief)
+    with pytest.raises(InputError):
+        estimator.restore(json.dumps(data))
+    assert estimator.save() == before
