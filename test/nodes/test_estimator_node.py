@@ -208,20 +208,20 @@ def test_setting_a_parameter_live_changes_nothing_until_the_next_configure(graph
     node = active(graph, train_file)
     feed(node, coasting(100))
     before = node.pipeline.estimator.save()
-    assert node.set_parameters([Parameter('estimator.gate', value=9.0)])[0].successful
+    assert node.set_parameters([Parameter('estimator.step_share', value=9.0)])[0].successful
     assert node.pipeline.estimator.save() == before
-    assert node.pipeline.estimator.config.gate == 4.0
+    assert node.pipeline.estimator.config.step_share == 0.5
     node.trigger_deactivate()
     node.trigger_cleanup()
     node.trigger_configure()
-    assert node.pipeline.estimator.config.gate == 9.0
+    assert node.pipeline.estimator.config.step_share == 9.0
 
 
 @pytest.mark.parametrize(
     ('name', 'value'),
     [
-        ('estimator.gate', float('nan')),
-        ('estimator.gate', float('inf')),
+        ('estimator.step_share', float('nan')),
+        ('estimator.step_share', float('inf')),
         ('estimator.window', 100000),
         ('resistance.b', float('nan')),
         ('time_jump_policy', 'panic'),
@@ -245,7 +245,7 @@ def test_bad_parameters_are_refused_with_a_reason_that_names_them(
         (('-p', 'alignment.perod:=0.3'), "unknown parameter 'alignment.perod': did you mean 'alignment.period'?"),
         (('-p', 'estimator.window:=1000'), r'estimator.window = 1000 is outside [5, 200]'),
         (('-p', 'train.mass:=heavy'), "train.mass = 'heavy' must be a number"),
-        (('-p', 'estimator.gate:=.nan'), 'estimator.gate = nan is outside'),
+        (('-p', 'estimator.step_share:=.nan'), 'estimator.step_share = nan is outside'),
     ],
 )
 def test_what_is_wrong_at_the_start_is_named_and_nothing_is_configured(
@@ -576,7 +576,7 @@ def test_a_node_with_a_parameter_file_equals_a_replay_with_it_to_the_bit(
     path = tmp_path / 'params.yaml'
     path.write_text(
         '/**: {ros__parameters: {seed: 5, resistance: {a: 2}, alignment: {max_lag: 0.25}}}\n'
-        '/**/resistance_estimator: {ros__parameters: {train.mass: 210e3, estimator: {hop: 8, gate: 0x6}}}\n'
+        '/**/resistance_estimator: {ros__parameters: {train.mass: 210e3, estimator: {hop: 8, step_share: 0x6}}}\n'
         '/**/brake_rate_estimator: {ros__parameters: {train.mass: 190000, estimator: {prior_std: 1e-01}}}\n',
         encoding='utf-8',
     )

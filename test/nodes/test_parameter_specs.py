@@ -57,11 +57,11 @@ def test_values_reach_the_settings() -> None:
 @pytest.mark.parametrize(
     ('name', 'value', 'reason'),
     [
-        ('estimator.gate', 'abc', "estimator.gate = 'abc' must be a number"),
-        ('estimator.gate', True, 'estimator.gate = True must be a number'),
-        ('estimator.gate', float('nan'), 'estimator.gate = nan is outside'),
-        ('estimator.gate', float('inf'), 'estimator.gate = inf is outside'),
-        ('estimator.gate', 0.5, r'estimator.gate = 0.5 is outside \[1, 100\]'),
+        ('estimator.step_share', 'abc', "estimator.step_share = 'abc' must be a number"),
+        ('estimator.step_share', True, 'estimator.step_share = True must be a number'),
+        ('estimator.step_share', float('nan'), 'estimator.step_share = nan is outside'),
+        ('estimator.step_share', float('inf'), 'estimator.step_share = inf is outside'),
+        ('estimator.step_share', 0.001, r'estimator.step_share = 0.001 is outside \[0.01, 10\]'),
         ('estimator.window', 30.0, 'estimator.window = 30.0 must be a whole number'),
         ('train_file', 3, 'train_file = 3 must be a text'),
         ('autostart', 1, 'autostart = 1 must be true or false'),
