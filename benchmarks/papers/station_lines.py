@@ -61,7 +61,7 @@ class LineShape:
 
 
 ONE_RUN: Final = LineShape(samples=550, distance=(1550.0, 1750.0), first=0.0, constant=True)
-LONG_CRUISE: Final = LineShape(samples=5900, distance=(18_500.0, 19_500.0), first=0.0)
+LONG_CRUISE: Final = LineShape(samples=6700, distance=(18_500.0, 19_500.0), first=0.0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from trainid_ros.estimators.speed_model.am_vff_rls import prior_floor
 from trainid_ros.estimators.speed_model.auxiliary_model import (
     Moments,
     anchor,
@@ -18,6 +17,7 @@ from trainid_ros.estimators.speed_model.auxiliary_model import (
     forget,
     moments,
     predict,
+    prior_floor,
 )
 from trainid_ros.estimators.speed_model.parameters import SpeedModelConfig, full, prior
 
@@ -80,22 +80,36 @@ def test_correction_is_that_of_the_kalman_filter() -> None:
     assert relative(matrix(after), 0.5 * (expected + expected.T)) < 1e-9
 
 
-def test_forgetting_multiplies_information_down_to_that_of_the_prior() -> None:
+def given_b1(P: Array) -> Array:
+    """Return the covariance of a1, a2, d0 given b1, shape (3, 3)."""
+    rest = [1, 2, 4]
+    return np.array(P[np.ix_(rest, rest)] - np.outer(P[rest, 3], P[rest, 3]) / P[3, 3])
+
+
+def test_forgetting_multiplies_information_down_to_that_of_the_prior_and_keeps_the_mass() -> None:
     m, lam = driven(), 0.7
     after = forget(m, lam, prior_floor(P0))
-    S, prior_information = matrix(m)[1:, 1:], np.linalg.inv(np.array(full(P0)).reshape(4, 4))
-    expected = np.array(np.linalg.inv(lam * np.linalg.inv(S) + (1.0 - lam) * prior_information), dtype=np.float64)
-    assert relative(matrix(after)[1:, 1:], expected) < 1e-5
+    C, floor = given_b1(matrix(m)), np.diag(np.reciprocal(prior_floor(P0)))
+    expected: Array = np.array(np.linalg.inv(lam * np.linalg.inv(C) + (1.0 - lam) * floor))
+    assert relative(given_b1(matrix(after)), expected) < 1e-5
+    assert matrix(after)[3] == pytest.approx(matrix(m)[3], rel=1e-12)
     assert state(after) == pytest.approx(state(m), rel=0)
     std = np.sqrt(np.diag(matrix(after)))
     assert np.linalg.eigvalsh(matrix(after) / np.outer(std, std)).min() > -1e-9
 
 
 def test_forgetting_for_ever_ends_at_the_prior() -> None:
-    m = driven()
+    m, before = driven(), matrix(driven())
     for _ in range(200):
         m = forget(m, 0.8, prior_floor(P0))
-    assert relative(matrix(m)[1:, 1:], np.array(full(P0)).reshape(4, 4)) < 1e-6
+    assert relative(given_b1(matrix(m)), np.diag(prior_floor(P0))) < 1e-6
+    assert matrix(m)[3] == pytest.approx(before[3], rel=1e-9)
+
+
+def test_the_prior_of_the_davis_parameters_given_the_mass_is_diagonal() -> None:
+    P = np.zeros((5, 5))
+    P[1:, 1:] = np.array(full(P0)).reshape(4, 4)
+    assert relative(given_b1(P), np.diag(prior_floor(P0))) < 1e-9
 
 
 def test_an_anchor_leaves_theta_and_a_stop_widens_b1_alone() -> None:

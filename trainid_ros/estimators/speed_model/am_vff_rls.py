@@ -5,7 +5,8 @@ After Yuan et al. 2017, algorithm (7), in the order in which it can be computed 
 
 * the gain from the true gradient of the auxiliary output, which is corrected by the measurement as theta is
   (``auxiliary_model``); as printed the auxiliary output drifts away from a plant whose pole is 1 - 1e-4;
-* lambda from errors that agree (``forgetting``), and forgetting that ends at the prior in every direction;
+* lambda from errors that agree (``forgetting``); what is forgotten is the resistance, not the mass, and forgetting
+  ends at the prior in every direction;
 * P in the units of the parameters, speed noise learned, gusts and force noise allowed for: a covariance to rely on;
 * the input u less gradient and other known resistance, so that d0 is the Davis a and not the gradient;
 * a step of any duration, a gate for outliers, theta frozen at standstill and while the brake acts, another load
@@ -20,15 +21,22 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
-import numpy as np
-
 from trainid_ros.core.samples import SAMPLE_PERIOD
 from trainid_ros.core.settings import setting
-from trainid_ros.estimators.speed_model.auxiliary_model import anchor, correct, doubt_load, forget, moments, predict
+from trainid_ros.estimators.speed_model.auxiliary_model import (
+    Floor,
+    anchor,
+    correct,
+    doubt_load,
+    forget,
+    moments,
+    predict,
+    prior_floor,
+)
 from trainid_ros.estimators.speed_model.estimator import SpeedModelEstimator
 from trainid_ros.estimators.speed_model.forgetting import agreement, forgetting_factor
 from trainid_ros.estimators.speed_model.method import Learned, Numbers
-from trainid_ros.estimators.speed_model.parameters import SpeedModelConfig, Symmetric, Theta, full
+from trainid_ros.estimators.speed_model.parameters import SpeedModelConfig, Symmetric, Theta
 
 if TYPE_CHECKING:
     from trainid_ros.physics.train_file import TrainFile
@@ -41,7 +49,7 @@ class AmVffRlsConfig(SpeedModelConfig):
     acceleration_noise: float = setting(0.004, 'gusts, force noise and map errors', 'm/s per sqrt(s)', 0.0, 1.0)
     drift: float = setting(0.0, 'drift of the Davis a in 1 s (0.1 if no gradient is known)', 'N/kN', 0.0, 10.0)
     load_std: float = setting(0.001, 'change of the mass at a stop that is not weighed, a share', '1', 0.0, 1.0)
-    memory: float = setting(20.0, 'errors that must agree before something is forgotten', 'samples', 1.0, 1e4)
+    memory: float = setting(25.0, 'errors that must agree before something is forgotten', 'samples', 1.0, 1e4)
     threshold: float = setting(6.0, 'chi-square of the agreement from which on is forgotten', '1', 0.0, 1e3)
     forgetting_scale: float = setting(50.0, 'sigma of (6): chi-square over the threshold to forget all', '1', 1.0, 1e9)
     min_forgetting: float = setting(0.5, 'smallest forgetting factor', '1', 0.01, 1.0)
@@ -62,7 +70,7 @@ class Tuning(NamedTuple):
         low: Smallest forgetting factor.
         gate: See settings.
         gate_floor: See settings [m/s].
-        floor: Square root of the prior's information, see ``forget``.
+        floor: Prior that forgetting ends at.
 
     """
 
@@ -75,7 +83,7 @@ class Tuning(NamedTuple):
     low: float
     gate: float
     gate_floor: float
-    floor: tuple[Theta, ...]
+    floor: Floor
 
 
 def learn(numbers: Numbers, y: float, u: float, scale: float, variance: float, tuning: Tuning) -> Learned:
@@ -138,15 +146,6 @@ class AuxiliaryModel:
     def covariance(self, numbers: Numbers, variance: float) -> Symmetric:  # noqa: ARG002 - P has its units already
         """Return the covariance of theta."""
         return numbers[10:20]  # type: ignore[return-value]
-
-
-def prior_floor(P0: Symmetric) -> tuple[Theta, ...]:
-    """Return the columns h of the Cholesky factor of P0^-1, for ``forget``."""
-    P = np.array(full(P0)).reshape(4, 4)
-    std = np.sqrt(np.diag(P))
-    # The parameters differ by orders, so the correlation is inverted.
-    columns = np.linalg.cholesky(np.linalg.inv(P / np.outer(std, std))) / std[:, None]
-    return tuple((float(a), float(b), float(c), float(d)) for a, b, c, d in columns.T)
 
 
 class AmVffRls(SpeedModelEstimator):

@@ -21,6 +21,8 @@ Moments: TypeAlias = tuple[
     float, float, float, float, float, float, float, float, float, float,
 ]  # fmt: skip
 
+Floor: TypeAlias = tuple[float, float, float]
+
 
 def moments(x: float, variance: float, theta: Theta, S: Symmetric) -> Moments:
     """Return x with its variance, theta with covariance S, uncorrelated."""
@@ -83,34 +85,53 @@ def doubt_load(m: Moments, variance: float) -> Moments:
     return (*m[:17], m[17] + variance, *m[18:])
 
 
-def forget(m: Moments, factor: float, floor: tuple[Theta, ...]) -> Moments:
-    """Forget all that was learned of theta by ``factor``, down to the information of the prior and never below.
+def forget(m: Moments, factor: float, floor: Floor) -> Moments:
+    """Forget what was learned of the resistance by ``factor``, down to the prior and never below.
 
-    The information becomes lambda S^-1 + (1 - lambda) P0^-1: a direction in which nothing is learned ends at the
-    prior, so nothing winds up. S is divided by lambda, then the prior is taken in with the weight
-    1 - lambda as four observations in which nothing new was seen.
+    The mass changes at stops only, so b1 is kept: with c the column of b1, P - c c' / var(b1) is the covariance
+    given b1. There the information of a1, a2, d0 becomes lambda times what it was plus (1 - lambda) times that of
+    the prior: their covariance is divided by lambda, then the prior is taken in as three observations with the
+    weight 1 - lambda in which nothing new is seen. A direction in which nothing is learned ends as uncertain as it
+    began: nothing winds up.
 
     Args:
         m: Moments.
         factor: lambda in (0, 1].
-        floor: Four vectors h with sum h h' = P0^-1.
+        floor: Variances of a1, a2, d0 given b1, of the prior.
 
     """
     x, a1, a2, b1, d0, pxx, p1, p2, p3, p4, s11, s12, s13, s14, s22, s23, s24, s33, s34, s44 = m
-    wider = 1.0 / factor
-    s11, s12, s13, s14, s22 = s11 * wider, s12 * wider, s13 * wider, s14 * wider, s22 * wider
-    s23, s24, s33, s34, s44 = s23 * wider, s24 * wider, s33 * wider, s34 * wider, s44 * wider
-    weight = 1.0 - factor
-    for h1, h2, h3, h4 in floor:
-        w1 = s11 * h1 + s12 * h2 + s13 * h3 + s14 * h4
-        w2 = s12 * h1 + s22 * h2 + s23 * h3 + s24 * h4
-        w3 = s13 * h1 + s23 * h2 + s33 * h3 + s34 * h4
-        w4 = s14 * h1 + s24 * h2 + s34 * h3 + s44 * h4
-        w = p1 * h1 + p2 * h2 + p3 * h3 + p4 * h4
-        r = weight / (1.0 + weight * (w1 * h1 + w2 * h2 + w3 * h3 + w4 * h4))
-        pxx = pxx - r * w * w
-        p1, p2, p3, p4 = p1 - r * w * w1, p2 - r * w * w2, p3 - r * w * w3, p4 - r * w * w4
-        s11, s12, s13, s14 = s11 - r * w1 * w1, s12 - r * w1 * w2, s13 - r * w1 * w3, s14 - r * w1 * w4
-        s22, s23, s24 = s22 - r * w2 * w2, s23 - r * w2 * w3, s24 - r * w2 * w4
-        s33, s34, s44 = s33 - r * w3 * w3, s34 - r * w3 * w4, s44 - r * w4 * w4
-    return x, a1, a2, b1, d0, pxx, p1, p2, p3, p4, s11, s12, s13, s14, s22, s23, s24, s33, s34, s44
+    var1, var2, var4 = floor
+    r, wider, weight = 1.0 / s33, 1.0 / factor, 1.0 - factor
+    # Given b1:
+    qxx = pxx - p3 * p3 * r
+    q1, q2, q4 = p1 - p3 * s13 * r, p2 - p3 * s23 * r, p4 - p3 * s34 * r
+    c11, c12, c14 = (s11 - s13 * s13 * r) * wider, (s12 - s13 * s23 * r) * wider, (s14 - s13 * s34 * r) * wider
+    c22, c24, c44 = (s22 - s23 * s23 * r) * wider, (s24 - s23 * s34 * r) * wider, (s44 - s34 * s34 * r) * wider
+    k = weight / (var1 + weight * c11)
+    qxx, q1, q2, q4, c11, c12, c14, c22, c24, c44 = (
+        qxx - k * q1 * q1, q1 - k * c11 * q1, q2 - k * c12 * q1, q4 - k * c14 * q1, c11 - k * c11 * c11,
+        c12 - k * c11 * c12, c14 - k * c11 * c14, c22 - k * c12 * c12, c24 - k * c12 * c14, c44 - k * c14 * c14,
+    )  # fmt: skip
+    k = weight / (var2 + weight * c22)
+    qxx, q1, q2, q4, c11, c12, c14, c22, c24, c44 = (
+        qxx - k * q2 * q2, q1 - k * c12 * q2, q2 - k * c22 * q2, q4 - k * c24 * q2, c11 - k * c12 * c12,
+        c12 - k * c12 * c22, c14 - k * c12 * c24, c22 - k * c22 * c22, c24 - k * c22 * c24, c44 - k * c24 * c24,
+    )  # fmt: skip
+    k = weight / (var4 + weight * c44)
+    qxx, q1, q2, q4, c11, c12, c14, c22, c24, c44 = (
+        qxx - k * q4 * q4, q1 - k * c14 * q4, q2 - k * c24 * q4, q4 - k * c44 * q4, c11 - k * c14 * c14,
+        c12 - k * c14 * c24, c14 - k * c14 * c44, c22 - k * c24 * c24, c24 - k * c24 * c44, c44 - k * c44 * c44,
+    )  # fmt: skip
+    return (
+        x, a1, a2, b1, d0, qxx + p3 * p3 * r,
+        q1 + p3 * s13 * r, q2 + p3 * s23 * r, p3, q4 + p3 * s34 * r,
+        c11 + s13 * s13 * r, c12 + s13 * s23 * r, s13, c14 + s13 * s34 * r,
+        c22 + s23 * s23 * r, s23, c24 + s23 * s34 * r, s33, s34, c44 + s34 * s34 * r,
+    )  # fmt: skip
+
+
+def prior_floor(P0: Symmetric) -> Floor:
+    """Return what ``forget`` ends at. The prior of the Davis parameters, given b1, is diagonal."""
+    s11, _, s13, _, s22, s23, _, s33, s34, s44 = P0
+    return s11 - s13 * s13 / s33, s22 - s23 * s23 / s33, s44 - s34 * s34 / s33

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from trainid_ros.core.samples import SAMPLE_PERIOD
 from trainid_ros.core.settings import setting
@@ -19,6 +19,9 @@ from trainid_ros.estimators.speed_model.parameters import SpeedModelConfig
 
 if TYPE_CHECKING:
     from trainid_ros.physics.train_file import TrainFile
+
+# Never used, for nothing is forgotten.
+_NO_FLOOR: Final = (1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +37,7 @@ class EkfConfig(SpeedModelConfig):
 
 def ekf_tuning(noise: float, drift: float, load: float, gate: float, gate_floor: float = 0.0) -> Tuning:
     """Return the tuning with which the kernel of AM-VFF-RLS is the EKF: variances per sample period and stop."""
-    return Tuning(noise, drift, load, 1.0, math.inf, 1.0, 1.0, gate, gate_floor, ())
+    return Tuning(noise, drift, load, 1.0, math.inf, 1.0, 1.0, gate, gate_floor, _NO_FLOOR)
 
 
 class SpeedEkf(SpeedModelEstimator):
