@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""First-order linear recursions as banded systems: one call of LAPACK instead of a loop over stages."""
+"""Recursions and chains of stages as banded systems: one call of LAPACK instead of a loop over stages."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 import numpy as np
-from scipy.linalg.lapack import dtbtrs
+from scipy.linalg.lapack import dptsv, dtbtrs
+
+from trainid_ros.core.errors import NoAnswerError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -27,5 +29,22 @@ def recur(k: NDArray[np.float64], rows: NDArray[np.float64]) -> NDArray[np.float
     band[1, :-1] = -k[1:]
     # Rows of C order are columns of Fortran order: nothing is copied but the result.
     x, _ = dtbtrs(band, rows.T, uplo='L', diag='U')
+    result: NDArray[np.float64] = x.T
+    return result
+
+
+def solve_tridiagonal(
+    diagonal: NDArray[np.float64], below: NDArray[np.float64], rows: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Solve a symmetric positive definite tridiagonal system for several right-hand sides, shape (m, n).
+
+    Raises:
+        NoAnswerError: The system is not positive definite.
+
+    """
+    _, _, x, info = dptsv(diagonal, below, rows.T)
+    if info != 0:
+        msg = 'speeds and forces do not determine a trajectory'
+        raise NoAnswerError(msg)
     result: NDArray[np.float64] = x.T
     return result

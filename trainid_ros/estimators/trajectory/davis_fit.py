@@ -26,11 +26,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from scipy.linalg.lapack import dptsv
 
 from trainid_ros.core.errors import NoAnswerError
 from trainid_ros.core.settings import check_settings, setting
-from trainid_ros.estimators.trajectory.bidiagonal import recur
+from trainid_ros.estimators.trajectory.bidiagonal import recur, solve_tridiagonal
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -160,7 +159,7 @@ class _Iteration:
         self._lag = max(2, min(round(config.noise_lag / self._dt), int(self._lengths.max()) // 2))
         self._v = trajectory.speed.copy()
         self._theta = np.zeros(5)
-        self._rate = _rates(trajectory)
+        self._rate = trajectory.traction_rate()
         self._change = self._rate * trajectory.dt
         prior = np.array([math.inf, math.inf, math.inf, config.force_skew, config.force_error])
         self._prior = np.square(_SCALE / prior)
@@ -196,7 +195,7 @@ class _Iteration:
         FL = lin.F * L
         beside[:5] = FL * lin.D - _ahead(FL * lin.N)
         beside[5] = W * (self._given.speed - self._v) - LD * lin.defect + _ahead(LN * lin.defect)
-        solved = _tridiagonal(diagonal, -(LD * lin.N)[1:], beside)
+        solved = solve_tridiagonal(diagonal, -(LD * lin.N)[1:], beside)
         S = np.diag(self._prior) + FL @ lin.F.T - beside[:5] @ solved[:5].T
         h = -self._prior * self._theta / _SCALE - FL @ lin.defect - beside[:5] @ solved[5]
         self._schur = 0.5 * (S + S.T)
@@ -296,31 +295,9 @@ class _Iteration:
         return np.flatnonzero(fresh)
 
 
-def _rates(trajectory: Trajectory) -> NDArray[np.float64]:
-    """Return the rate of traction [N/kN per s] over each stage, 0 where a piece begins, shape (n,)."""
-    stage, t = trajectory.dt > 0.0, trajectory.traction
-    change = np.zeros_like(t)
-    inner = stage[1:-1] & stage[2:]
-    before = np.where(stage[:-2], t[:-2], t[1:-1])
-    change[1:-1] = np.where(inner, 0.5 * (t[2:] - before), 0.0)
-    return np.asarray(change / np.where(stage, trajectory.dt, 1.0))
-
-
 def _ahead(x: NDArray[np.float64]) -> NDArray[np.float64]:
     """Return what the stage after each node contributes to it."""
     return np.concatenate((x[..., 1:], np.zeros_like(x[..., :1])), axis=-1)
-
-
-def _tridiagonal(
-    diagonal: NDArray[np.float64], below: NDArray[np.float64], rows: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Solve a symmetric positive definite tridiagonal system for several right-hand sides, shape (m, n)."""
-    _, _, x, info = dptsv(diagonal, below, rows.T)
-    if info != 0:
-        msg = 'speeds and forces do not determine a trajectory'
-        raise NoAnswerError(msg)
-    result: NDArray[np.float64] = x.T
-    return result
 
 
 def _solve(S: NDArray[np.float64], h: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -46,6 +46,14 @@ class Trajectory:
         """Indices at which pieces begin, shape (m,)."""
         return np.flatnonzero(self.dt == 0.0)
 
+    def traction_rate(self) -> NDArray[np.float64]:
+        """Return the rate of traction over each stage [N/kN per s], 0 at the ends of pieces, shape (n,)."""
+        stage, t = self.dt > 0.0, self.traction
+        change = np.zeros_like(t)
+        before = np.where(stage[:-2], t[:-2], t[1:-1])
+        change[1:-1] = np.where(stage[1:-1] & stage[2:], 0.5 * (t[2:] - before), 0.0)
+        return np.asarray(change / np.where(stage, self.dt, 1.0))
+
 
 @dataclass(slots=True)
 class PieceCollector:
