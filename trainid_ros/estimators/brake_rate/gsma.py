@@ -202,7 +202,9 @@ class Gsma(BrakeRateEstimator):
 
     def __init__(self, train_file: TrainFile, config: GsmaConfig, rng: np.random.Generator) -> None:
         check_settings(config)
-        kind = GsmaBelief
+        kind: type[GsmaBelief] = GsmaBelief
         if config.compiled and compiler_present():
-            from trainid_ros.estimators.compiled.gsma import CompiledGsmaBelief as kind  # noqa: PLC0415
+            from trainid_ros.estimators.compiled.gsma import CompiledGsmaBelief  # noqa: PLC0415
+
+            kind = CompiledGsmaBelief
         super().__init__(train_file, config, kind(config, true_brake(train_file).rate, rng))

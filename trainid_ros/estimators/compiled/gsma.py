@@ -1,0 +1,74 @@
+# SPDX-License-Identifier: Apache-2.0
+"""GSMA with its step over all particles in one compiled loop, for hundreds of particles or fast replays."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from trainid_ros.estimators.brake_rate import group_cloud
+from trainid_ros.estimators.brake_rate.belief import Interval
+from trainid_ros.estimators.brake_rate.group_cloud import GroupCloud
+from trainid_ros.estimators.brake_rate.gsma import LEAST_PAUSE, GsmaBelief
+from trainid_ros.estimators.brake_rate.particles import speed_step
+from trainid_ros.estimators.compiled import group_loops
+from trainid_ros.estimators.compiled.jit import compiled
+
+if TYPE_CHECKING:
+    from trainid_ros.estimators.brake_rate.gsma import GsmaConfig
+    from trainid_ros.estimators.brake_rate.particles import Array
+    from trainid_ros.estimators.compiled.group_loops import Learned
+
+
+class CompiledGsmaBelief(GsmaBelief):
+    """The particles of GSMA; the same states, saved and restored alike."""
+
+    def __init__(self, config: GsmaConfig, believed: float, rng: np.random.Generator) -> None:
+        self._predict, self._learn = compiled(group_loops.predict), compiled(group_loops.learn)
+        super().__init__(config, believed, rng)
+        self._edges = np.concatenate([[0], np.cumsum(self.strata.sizes)]).astype(np.intp)
+        self._last = (math.nan, np.zeros((0, 0)))
+        # Now, not when the brake first acts: compiling takes seconds.
+        interval = Interval(0.2, 0.1, 0.6, 0.01, 0.4, 1.0, 0.0, 1e-6, 0.0)
+        c, (x, slope, P) = self.cloud, self._predicted(interval)
+        self._learned(
+            GroupCloud(c.f, x, c.weight, c.mean, c.variance, slope), P, interval, 0.0, 1.0, np.zeros(len(self._q))
+        )
+
+    def predict(self, interval: Interval) -> None:
+        """Follow the motion over an interval."""
+        c = self.cloud
+        x, slope, self.P = self._predicted(interval)
+        self.cloud = GroupCloud(c.f, x, c.weight, c.mean, c.variance, slope)
+
+    def learn(self, interval: Interval, elapsed: float, speed: float, r: float) -> bool:
+        """One step of GSMA, eqs. (14)-(22)."""
+        dt, c = interval.dt, self.cloud
+        if (before := elapsed - dt) > LEAST_PAUSE:
+            c = group_cloud.widened(c, speed_step(interval), self._config.drift**2 * before)
+        draws = self._rng.random(len(self._q))
+        f, x, weight, mean, variance, slope, P, each, numbers = self._learned(c, self.P, interval, speed, r, draws)
+        rate, spread, effective = numbers
+        if not math.isfinite(spread):
+            return False
+        self.cloud, self._weights = GroupCloud(f, x, weight, mean, variance, slope), each
+        self._rate, self._variance, self._effective, self.P = rate, spread, effective, P
+        return True
+
+    def _predicted(self, interval: Interval) -> tuple[Array, Array, Array]:
+        c = self.cloud
+        return self._predict(c.x, c.f, c.slope, self.P, interval)
+
+    def _learned(self, c: GroupCloud, P: Array, interval: Interval, speed: float, r: float, draws: Array) -> Learned:
+        return self._learn(
+            c.f, c.x, c.weight, c.mean, c.variance, c.slope, self._edges,
+            interval, self._q, P, speed, r, self._largest, self._chances(interval.dt), draws,
+        )  # fmt: skip
+
+    def _chances(self, dt: float) -> Array:
+        """Return the chances to go from one stratum to another, remembered: samples come evenly."""
+        if dt != self._last[0]:
+            self._last = dt, self._chain(dt)
+        return self._last[1]
