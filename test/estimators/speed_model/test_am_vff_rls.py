@@ -200,6 +200,15 @@ def test_a_change_is_forgotten_into_and_only_then(train_file: TrainFile, journey
     assert e.a + 12.0 * e.b + 144.0 * e.c == pytest.approx(2.8 + 0.24 + 0.72, abs=0.2)
 
 
+def test_errors_are_as_large_as_stated(train_file: TrainFile, journey: Journey) -> None:
+    estimator, scaled = AmVffRls(train_file, CONFIG), []
+    for item in journey(300.0, traction=saw_tooth, speed=8.0):
+        answer = estimator.step(item)
+        if isinstance(answer, SpeedModelEstimate):
+            scaled.append(answer.prediction_error**2 / answer.prediction_variance)
+    assert 0.75 < np.mean(scaled[200:]) < 1.2
+
+
 def test_the_covariance_is_honest(train_file: TrainFile, journey: Journey) -> None:
     """w at 12 m/s from 20 short journeys, the truth drawn from the prior's a."""
     config, z = replace(CONFIG, acceleration_noise=0.0005), []

@@ -155,6 +155,7 @@ class SpeedModelEstimator:
             noise=noise,
             predicted=numbers[0],
             error=0.0,
+            variance=0.0,
             slow_in_a_row=slow,
             braked_ns=self._admission.braked_ns,
         )
@@ -170,6 +171,7 @@ class SpeedModelEstimator:
             noise=noise,
             predicted=learned.predicted if math.isfinite(learned.predicted) else y,
             error=learned.error if math.isfinite(learned.error) else 0.0,
+            variance=learned.variance if math.isfinite(learned.variance) else 0.0,
             refused_in_a_row=0 if anchored else in_a_row,
             braked_ns=self._admission.braked_ns,
         )
@@ -200,5 +202,14 @@ class SpeedModelEstimator:
         theta, S = self._believed()
         a, b, c, k = to_physical(theta)
         return SpeedModelEstimate(
-            *theta, full(S), state.forgetting, state.predicted, state.error, a, b, c, G / (1000.0 * k)
+            *theta,
+            full(S),
+            state.forgetting,
+            state.predicted,
+            state.error,
+            a,
+            b,
+            c,
+            mass_factor=G / (1000.0 * k),
+            prediction_variance=state.variance,
         )
