@@ -4,7 +4,6 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from pathlib import Path
 from types import SimpleNamespace
 from typing import TYPE_CHECKING
 
@@ -16,8 +15,7 @@ from trainid_ros.core.errors import InputError, NoAnswerError
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable
-
-BAG = Path(__file__).parents[2] / 'bags' / 'altrios_manifest'
+    from pathlib import Path
 
 
 @pytest.fixture
@@ -109,11 +107,11 @@ def test_verbs_without_ros_import_no_ros() -> None:
     assert done.stderr.splitlines() == ['trainid: error: /nonexistent: no such bag', '2 []']
 
 
-def test_closed_pipe_is_quiet() -> None:
+def test_closed_pipe_is_quiet(driven_bag: Path) -> None:
     program = 'import sys; from trainid_ros.commands.main import main; sys.exit(main(["info", sys.argv[1]]))'
     read_end, write_end = os.pipe()
     os.close(read_end)
-    command = [sys.executable, '-c', program, str(BAG)]
+    command = [sys.executable, '-c', program, str(driven_bag)]
     done = subprocess.run(command, stdout=write_end, stderr=subprocess.PIPE, text=True, check=False)
     os.close(write_end)
     assert (done.returncode, done.stderr) == (141, '')

@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
+import io
 import json
 import math
-from typing import TYPE_CHECKING, Any
+from contextlib import redirect_stderr, redirect_stdout
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pytest
 
@@ -27,6 +29,24 @@ def call(bag: Path, *options: str, train: Path | None = None) -> int:
     return main(['replay', str(bag), '--train', str(train or bag / 'train.yaml'), *options])
 
 
+class Told(NamedTuple):
+    """What a replay prints, with ``--json`` and without."""
+
+    out: str
+    err: str
+    text: str
+
+
+@pytest.fixture(scope='module')
+def told(driven_bag: Path) -> Told:
+    out, err, text = io.StringIO(), io.StringIO(), io.StringIO()
+    with redirect_stdout(out), redirect_stderr(err):
+        assert call(driven_bag, '--json') == 0
+    with redirect_stdout(text), redirect_stderr(io.StringIO()):
+        assert call(driven_bag) == 0
+    return Told(out.getvalue(), err.getvalue(), text.getvalue())
+
+
 @pytest.fixture
 def standing_bag(tmp_path: Path, driven_bag: Path) -> Path:
     path = tmp_path / 'standing'
@@ -44,14 +64,10 @@ def standing_bag(tmp_path: Path, driven_bag: Path) -> Path:
     return path
 
 
-def test_json_has_the_agreed_fields_and_nothing_else_is_printed(
-    driven_bag: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    assert call(driven_bag, '--json') == 0
-    out, err = capsys.readouterr()
-    answer = json.loads(out)
-    assert out.count('\n') == 1
-    assert err == ''
+def test_json_has_the_agreed_fields_and_nothing_else_is_printed(told: Told) -> None:
+    answer = json.loads(told.out)
+    assert told.out.count('\n') == 1
+    assert told.err == ''
     agreed = {'samples', 'duration_s', 'used', 'rejected', 'resistance', 'speed_model', 'brake_rate', 'wall_s'}
     assert agreed | {'algorithms'} == set(answer)
     assert answer['algorithms'] == {'resistance': 'V-MILS', 'speed_model': 'AM-VFF-RLS', 'brake_rate': 'GSMA'}
@@ -62,9 +78,8 @@ def test_json_has_the_agreed_fields_and_nothing_else_is_printed(
     assert answer['used'] + sum(answer['rejected'].values()) >= answer['samples'] > 300
 
 
-def test_json_numbers_are_those_of_the_replay(driven_bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    call(driven_bag, '--json')
-    answer = json.loads(capsys.readouterr().out)
+def test_json_numbers_are_those_of_the_replay(driven_bag: Path, told: Told) -> None:
+    answer = json.loads(told.out)
     with BagReader(driven_bag) as reader:
         outcome = replay(reader, load_train_file(driven_bag / 'train.yaml'), EstimatorSettings())
     w, f = outcome.resistance.output.estimate, outcome.brake_rate.output.estimate
@@ -76,22 +91,18 @@ def test_json_numbers_are_those_of_the_replay(driven_bag: Path, capsys: pytest.C
     assert answer['rejected'] == {reason.name: count for reason, count in outcome.resistance.rejections}
 
 
-def test_summary_shows_estimates_reasons_and_speed(driven_bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    assert call(driven_bag) == 0
-    out = capsys.readouterr().out
+def test_summary_shows_estimates_reasons_and_speed(told: Told) -> None:
     wanted_words = (
         *('x real time', 'brake rate', 'w at 15 m/s', 'N/kN', 'not: BRAKING', 'used'),
         *('resistance by V-MILS: uncertainty', 'speeds seen', 'prior variance removed: a'),
     )
     for wanted in wanted_words:
-        assert wanted in out
+        assert wanted in told.text
 
 
-def test_speed_outside_those_learned_from_is_marked(driven_bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    call(driven_bag, '--json')
-    fastest = json.loads(capsys.readouterr().out)['resistance']['speed_range'][1]
-    call(driven_bag)
-    lines = [line for line in capsys.readouterr().out.splitlines() if line.startswith('w at')]
+def test_speed_outside_those_learned_from_is_marked(told: Told) -> None:
+    fastest = json.loads(told.out)['resistance']['speed_range'][1]
+    lines = [line for line in told.text.splitlines() if line.startswith('w at')]
     assert [('*' in line) for line in lines] == [speed > fastest for speed in (10.0, 15.0, 20.0)]
 
 
