@@ -54,13 +54,13 @@ def numbers(estimate: Any) -> list[float]:
 
 @dataclass(frozen=True)
 class Drive:
-    """One day with an algorithm, its state saved and taken over again in the middle; a copy that goes on from there.
+    """Four minutes with an algorithm, its state saved and taken over again in the middle; a copy that goes on from there.
 
     Attributes:
-        chosen: The pipeline at the end of the day.
-        prior: Estimate at 10 m/s before the day.
+        chosen: The pipeline at the end.
+        prior: Estimate at 10 m/s at the start.
         restored: The same in the middle, of the pipeline and of the copy.
-        outputs: Of the whole day.
+        outputs: Of the whole drive.
         since: How many of them came before the middle.
         copied: Of the copy, for a minute after the middle.
 
@@ -79,15 +79,16 @@ def drive(request: pytest.FixtureRequest, metro: TrainFile, day: tuple[Record, .
     field, algorithms, make, name = request.param
     whole, copy = (pipeline(field, algorithms, make, name, metro) for _ in range(2))
     prior = numbers(whole.estimator.estimate(10.0))
-    half = len(day) // 2
-    outputs = [output for record in day[:half] for output in whole.push(record)]
+    records = [record for record in day if record.stamp_ns < day[0].stamp_ns + 240 * NS_PER_S]
+    half = len(records) // 2
+    outputs = [output for record in records[:half] for output in whole.push(record)]
     since = len(outputs)
     for restored in (copy, whole):
         restored.restore(whole.save())
     middle = numbers(whole.estimator.estimate(10.0)), numbers(copy.estimator.estimate(10.0))
-    outputs += [output for record in day[half:] for output in whole.push(record)]
-    end_ns = day[half].stamp_ns + 60 * NS_PER_S
-    copied = [output for record in day[half:] if record.stamp_ns < end_ns for output in copy.push(record)]
+    outputs += [output for record in records[half:] for output in whole.push(record)]
+    end_ns = records[half].stamp_ns + 60 * NS_PER_S
+    copied = [output for record in records[half:] if record.stamp_ns < end_ns for output in copy.push(record)]
     return Drive(whole, prior, middle, outputs, since, copied)
 
 

@@ -14,7 +14,7 @@ from scipy.stats import chi2
 
 from trainid_ros.estimators.consistency import WINDOW, Consistency, ConsistencyMonitor, Verdict, band
 
-SEEDS = 400
+SEEDS = 200
 
 
 def watched(z: NDArray[np.float64], stated: float = 1.0) -> ConsistencyMonitor:
@@ -40,13 +40,13 @@ def test_the_band_is_that_of_chi_squared(count: int) -> None:
     assert high == pytest.approx(chi2.ppf(0.995, count) / count, rel=0.01)
 
 
-@pytest.mark.parametrize(('rho', 'most'), [(0.0, 19), (0.5, 30), (0.8, 40)])
-def test_true_variances_are_in_the_band_for_fresh_seeds(rho: float, most: int) -> None:
-    """Of 400 the band leaves out 4 in the mean; more than 18 has a chance of 1e-7. Correlation is only estimated."""
+@pytest.mark.parametrize('rho', [0.0, 0.5, 0.8])
+def test_true_variances_are_in_the_band_for_fresh_seeds(rho: float) -> None:
+    """Of 200 the band leaves out 2 in the mean; more than 14 has a chance of 1e-7, that of correlation estimated included."""
     seed = int.from_bytes(os.urandom(4))
     rng = np.random.default_rng(seed)
     verdicts = [watched(leaning(rng, rho, WINDOW)).current().verdict for _ in range(SEEDS)]
-    assert verdicts.count(Verdict.CONSISTENT) > SEEDS - most, f'seed {seed}'
+    assert verdicts.count(Verdict.CONSISTENT) >= SEEDS - 14, f'seed {seed}'
 
 
 @pytest.mark.parametrize(('stated', 'verdict'), [(0.5, Verdict.OPTIMISTIC), (2.0, Verdict.PESSIMISTIC)])
@@ -55,7 +55,7 @@ def test_a_variance_wrong_by_two_is_found(stated: float, verdict: Verdict, rho: 
     seed = int.from_bytes(os.urandom(4))
     rng = np.random.default_rng(seed)
     verdicts = [watched(leaning(rng, rho, WINDOW), stated).current().verdict for _ in range(50)]
-    assert verdicts.count(verdict) >= 48, f'seed {seed}'
+    assert verdicts.count(verdict) >= 45, f'seed {seed}'
 
 
 def test_it_alarms_only_after_a_whole_window_of_optimism() -> None:
