@@ -54,7 +54,7 @@ def numbers(estimate: Any) -> list[float]:
 
 @dataclass(frozen=True)
 class Drive:
-    """Four minutes with an algorithm, its state saved and taken over again in the middle; a copy that goes on from there.
+    """Four minutes with an algorithm, its state saved and taken over again in the middle; a copy goes on from there.
 
     Attributes:
         chosen: The pipeline at the end.

@@ -42,7 +42,7 @@ def test_the_band_is_that_of_chi_squared(count: int) -> None:
 
 @pytest.mark.parametrize('rho', [0.0, 0.5, 0.8])
 def test_true_variances_are_in_the_band_for_fresh_seeds(rho: float) -> None:
-    """Of 200 the band leaves out 2 in the mean; more than 14 has a chance of 1e-7, that of correlation estimated included."""
+    """Of 200 the band leaves out 2 in the mean, a little more where correlation is; over 14: 1e-7."""
     seed = int.from_bytes(os.urandom(4))
     rng = np.random.default_rng(seed)
     verdicts = [watched(leaning(rng, rho, WINDOW)).current().verdict for _ in range(SEEDS)]
