@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final
 from trainid_ros.core.results import ResistanceEstimate
 from trainid_ros.estimators.algorithms import Algorithm, Algorithms
 from trainid_ros.estimators.resistance.regressions import innovation_step, solve_step, strict_step
+from trainid_ros.estimators.resistance.speed_ekf import SpeedEkf, SpeedEkfConfig
 from trainid_ros.estimators.resistance.vmils import VMils, VMilsConfig
 from trainid_ros.estimators.resistance.windowed import WindowedConfig, WindowedRegression
 from trainid_ros.estimators.trajectory.two_window import TwoWindow, TwoWindowConfig
@@ -32,6 +33,12 @@ RESISTANCE: Final = Algorithms[ResistanceEstimate](
         'interval-varying multi-innovation least squares on speed windows; the default',
         VMilsConfig(),
         lambda train_file, config, _: VMils(train_file, config),
+    ),
+    Algorithm(
+        'speed-EKF',
+        'extended Kalman filter on raw speed; most exact while little disturbs the train and nothing steps',
+        SpeedEkfConfig(),
+        lambda train_file, config, _: SpeedEkf(train_file, config),
     ),
     _regression('LS', 'least squares over all windows so far', solve_step, WindowedConfig()),
     _regression('regularised-LS', 'LS with a penalty on the parameters', solve_step, WindowedConfig(penalty=50.0)),

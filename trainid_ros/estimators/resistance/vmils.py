@@ -68,7 +68,7 @@ class VMilsConfig:
     prior_std_a: float = setting(0.6, 'added to the prior std of a (root of squares)', 'N/kN', 1e-6, 100.0)
     prior_std_b: float = setting(0.02, 'added to the prior std of b', 'N/kN per m/s', 1e-8, 10.0)
     prior_std_c: float = setting(0.0006, 'added to the prior std of c', 'N/kN per (m/s)^2', 1e-9, 1.0)
-    drift_share: float = setting(0.15, 'drift in one hour, std as a share of the prior std', '1', 0.0, 100.0)
+    drift_share: float = setting(0.08, 'drift in one hour, std as a share of the prior std', '1', 0.0, 100.0)
     outlier_share: float = setting(0.05, 'share of observations that may be anything', '1', 0.0, 0.5)
     step_interval: float = setting(3600.0, 'mean time between steps of the parameters', 's', 60.0, 1e7)
     step_share: float = setting(0.5, 'doubt added by a step, std as a share of the prior std', '1', 0.01, 10.0)
