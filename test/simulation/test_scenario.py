@@ -56,6 +56,11 @@ def day() -> Simulation:
     return drive(SCENARIO)
 
 
+@pytest.fixture(scope='module')
+def quiet() -> Simulation:
+    return drive(QUIET)
+
+
 @pytest.mark.parametrize('rate', [0.7, 0.85, 1.0, 1.1])
 def test_the_train_stops_in_place_with_weak_and_strong_brakes(rate: float) -> None:
     brake = replace(FILE.brake, rate=rate)
@@ -64,8 +69,8 @@ def test_the_train_stops_in_place_with_weak_and_strong_brakes(rate: float) -> No
     assert max(abs(arrival.error) for arrival in arrivals) < 1.0
 
 
-def test_speed_limits_are_kept_in_both_directions() -> None:
-    for record in of(SpeedRecord, drive(QUIET)):
+def test_speed_limits_are_kept_in_both_directions(quiet: Simulation) -> None:
+    for record in of(SpeedRecord, quiet):
         in_slow_part = 2400.0 < record.position < 2700.0
         assert record.speed <= (14.0 if in_slow_part else 21.0)
 
@@ -80,15 +85,14 @@ def test_records_come_in_order_with_their_own_stamps(day: Simulation) -> None:
     assert len(of(MassRecord, day)) == pytest.approx(day.duration_s, abs=1.0)
 
 
-def test_force_is_measured_20_ms_before_speed() -> None:
-    simulation = drive(QUIET)
-    pairs = zip(of(ForceRecord, simulation), of(SpeedRecord, simulation), strict=True)
+def test_force_is_measured_20_ms_before_speed(quiet: Simulation) -> None:
+    pairs = zip(of(ForceRecord, quiet), of(SpeedRecord, quiet), strict=True)
     assert {speed.stamp_ns - force.stamp_ns for force, speed in pairs} == {20_000_000}
 
 
 def test_the_same_seed_gives_the_same_records_and_another_one_others(day: Simulation) -> None:
     assert drive(SCENARIO) == day
-    assert drive(SCENARIO, seed=2).records != day.records
+    assert drive(replace(SCENARIO, runs=1), seed=2).records[:5000] != day.records[:5000]
 
 
 def test_other_sensors_do_not_change_the_driving(day: Simulation) -> None:
@@ -137,8 +141,8 @@ def power_and_coast(simulation: Simulation, file: TrainFile) -> tuple[np.ndarray
     return v, w
 
 
-def test_a_fit_of_exact_records_finds_the_true_resistance() -> None:
-    v, w = power_and_coast(drive(QUIET), FILE)
+def test_a_fit_of_exact_records_finds_the_true_resistance(quiet: Simulation) -> None:
+    v, w = power_and_coast(quiet, FILE)
     design = np.stack([np.ones_like(v), v, v * v], axis=1)
     a, b, c = np.linalg.lstsq(design, w, rcond=None)[0]
     at = np.linspace(v.min(), v.max(), 20)
@@ -168,9 +172,9 @@ def test_effects_that_shift_the_truth_are_part_of_it() -> None:
     assert truth.brake_rate == ((0.0, 0.9),)
 
 
-def test_wheel_diameter_scales_the_measured_speed() -> None:
+def test_wheel_diameter_scales_the_measured_speed(quiet: Simulation) -> None:
     worn = replace(FILE, effects=(Effect('wheel_diameter', (('ratio', 1.02),)),))
-    true = of(SpeedRecord, drive(QUIET))
+    true = of(SpeedRecord, quiet)
     measured = of(SpeedRecord, drive(replace(QUIET, train_file=worn)))
     ratios = [m.speed / t.speed for m, t in zip(measured, true, strict=True) if t.speed > 0.0]
     assert ratios == pytest.approx([1.02] * len(ratios), rel=1e-12)
