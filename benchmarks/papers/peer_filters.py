@@ -24,8 +24,8 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
 
-# Drift of a, b, c in one update, as a share of what they are at the start.
-_DRIFT: Final = 4e-5
+DRIFT: Final = 4e-5
+"""Drift of a, b, c in one update, as a share of what they are."""
 _TRUTH: Final = np.array((BEFORE.a, BEFORE.b, BEFORE.c))
 _SCALE: Final = np.array((1.0, 1.0 / 15.0, 1.0 / 225.0))
 # Gusts of 0.1 N/kN over 10 s weigh in the long run like white noise of 1 N/kN per tick; force noise beside it.
@@ -143,7 +143,7 @@ class SklearnHuber(RowPeer):
 class FilterpyKalman(RowPeer):
     """filterpy KalmanFilter with drift, on request with a gate before the update."""
 
-    def __init__(self, gate: float = 0.0, drift: float = _DRIFT, factor: float = 1.0) -> None:
+    def __init__(self, gate: float = 0.0, drift: float = DRIFT, factor: float = 1.0) -> None:
         self._filter = filterpy_kalman(drift, factor)
         self._limit = gate * gate
 
@@ -181,7 +181,7 @@ class FilterpyImm(RowPeer):
     """filterpy IMMEstimator of two filters, for clean rows and for rows with 400 times the variance."""
 
     def __init__(self) -> None:
-        filters = [filterpy_kalman(_DRIFT, factor) for factor in (1.0, 400.0)]
+        filters = [filterpy_kalman(DRIFT, factor) for factor in (1.0, 400.0)]
         change = np.array(((0.97, 0.03), (0.3, 0.7)))
         self._imm = import_module('filterpy.kalman').IMMEstimator(filters, np.array((0.9, 0.1)), change)
 
@@ -207,7 +207,7 @@ class SimdKalman(RowPeer):
     def __init__(self) -> None:
         self._primitives = import_module('simdkalman.primitives')
         self._m, self._P = np.array(START), np.diag(np.square(START_SD))
-        self._A, self._Q, self._R = np.eye(3), drift_covariance(_DRIFT), np.array([[VARIANCE]])
+        self._A, self._Q, self._R = np.eye(3), drift_covariance(DRIFT), np.array([[VARIANCE]])
 
     def step(self, y: float, phi: Floats, v: float) -> None:
         del v
@@ -236,7 +236,7 @@ class PyKalman(RowPeer):
 
     def __init__(self) -> None:
         self._m, self._P = np.array(START), np.diag(np.square(START_SD))
-        settings = {'transition_matrices': np.eye(3), 'transition_covariance': drift_covariance(_DRIFT)}
+        settings = {'transition_matrices': np.eye(3), 'transition_covariance': drift_covariance(DRIFT)}
         kalman = import_module('pykalman').KalmanFilter
         self._filter = kalman(observation_covariance=np.array([[VARIANCE]]), n_dim_obs=1, n_dim_state=3, **settings)
 
@@ -262,7 +262,7 @@ class StoneSoupKalman(RowPeer):
         self._detection = import_module('stonesoup.types.detection').Detection
         self._hypothesis = import_module('stonesoup.types.hypothesis').SingleHypothesis
         model = linear.LinearGaussianTimeInvariantTransitionModel(
-            transition_matrix=np.eye(3), covariance_matrix=drift_covariance(_DRIFT)
+            transition_matrix=np.eye(3), covariance_matrix=drift_covariance(DRIFT)
         )
         self._predictor = import_module('stonesoup.predictor.kalman').KalmanPredictor(model)
         self._updater = import_module('stonesoup.updater.kalman').KalmanUpdater(None)
@@ -297,7 +297,7 @@ class RawPeer(RowPeer):
         force = (raw.force - raw.gradient).tolist()
         return list(zip(raw.speed.tolist(), force, raw.moving.tolist(), strict=True))
 
-    def __init__(self, drift: float = _DRIFT) -> None:
+    def __init__(self, drift: float = DRIFT) -> None:
         self._P0 = np.diag(np.square((SPEED_SD, *START_SD)))
         self._Q = np.zeros((4, 4))
         self._Q[0, 0] = (_FORCE_SD * PERIOD / INERTIA) ** 2
@@ -331,7 +331,7 @@ def seen_speed(x: Floats) -> Floats:
 class FilterpyEkf(RawPeer):
     """filterpy ExtendedKalmanFilter with a gate before the update."""
 
-    def __init__(self, drift: float = _DRIFT) -> None:
+    def __init__(self, drift: float = DRIFT) -> None:
         super().__init__(drift)
         self._filter = import_module('filterpy.kalman').ExtendedKalmanFilter(dim_x=4, dim_z=1)
         self._filter.x = np.array((0.0, *START))[:, np.newaxis]

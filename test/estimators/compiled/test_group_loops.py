@@ -127,7 +127,7 @@ def test_a_drive_gives_the_same_estimates_and_compiles_only_once() -> None:
 
 
 def test_without_a_compiler_numpy_does_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr('trainid_ros.estimators.compiled.jit.find_spec', lambda _: None)
+    monkeypatch.setattr('importlib.util.find_spec', lambda _: None)
     run = metro_run(78, stops=1)
     one = Gsma(metro_train(), GsmaConfig(particles=30, compiled=1), np.random.default_rng(5))
     other = Gsma(metro_train(), GsmaConfig(particles=30), np.random.default_rng(5))

@@ -69,7 +69,7 @@ def test_a_kernel_on_tuples_gives_the_same_numbers() -> None:
 
 
 def test_without_a_compiler_the_kernel_stays(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr('trainid_ros.estimators.compiled.jit.find_spec', lambda _: None)
+    monkeypatch.setattr('importlib.util.find_spec', lambda _: None)
     assert not compiler_present()
     assert compiled(half) is half
 

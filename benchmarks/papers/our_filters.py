@@ -1,0 +1,120 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The estimators of trainid on the metro ride, as the comparison sees them."""
+
+from __future__ import annotations
+
+from collections import deque
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from benchmarks.papers.hand_filters import START, START_SD, VARIANCE, RowPeer
+from benchmarks.papers.metro_stream import INERTIA, PERIOD
+from trainid_ros.core.records import NS_PER_S
+from trainid_ros.estimators.compiled.streams import VMilsStream
+from trainid_ros.estimators.prior import davis_prior
+from trainid_ros.estimators.resistance.multi_innovation import NOTHING, belief_of, information_of, mils_step
+from trainid_ros.estimators.resistance.run_lengths import Tracker
+from trainid_ros.estimators.resistance.speed_window import Tick
+from trainid_ros.estimators.resistance.vmils import VMilsConfig, run_lengths, window_plan
+from trainid_ros.estimators.resistance.window_learner import WindowLearner
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from benchmarks.papers.metro_stream import MetroStream
+
+    Item = tuple[Any, ...]
+
+P: Final = 10
+OUTLIERS: Final = 0.05
+PRIOR: Final = (*START, START_SD[0] ** 2, 0.0, 0.0, START_SD[1] ** 2, 0.0, START_SD[2] ** 2)
+_TICK_NS: Final = round(PERIOD * NS_PER_S)
+
+
+class MilsPlain(RowPeer):
+    """The recursion of V-MILS alone: multi-innovation least squares with a soft gate."""
+
+    def __init__(self) -> None:
+        self._state = (*information_of(PRIOR), *NOTHING)
+        self._parts = deque([NOTHING] * P)
+
+    def items(self, stream: MetroStream) -> list[Item]:
+        return [(y, None, v) for y, _, v in super().items(stream)]
+
+    def step(self, y: float, phi: Any, v: float) -> None:
+        del phi
+        oldest = self._parts.popleft()
+        self._state, newest, _, _ = mils_step(self._state, oldest, v, v * v, y, VARIANCE, 1.0, OUTLIERS, P)
+        self._parts.append(newest)
+
+    @property
+    def theta(self) -> NDArray[np.float64]:
+        return np.array(belief_of(self._state[:9])[:3])
+
+    @property
+    def covariance(self) -> NDArray[np.float64]:
+        return _square(belief_of(self._state[:9])[3:])
+
+
+class MilsCompiled(RowPeer):
+    """The same, compiled."""
+
+    def __init__(self) -> None:
+        self._stream = VMilsStream(PRIOR, P, OUTLIERS)
+
+    def items(self, stream: MetroStream) -> list[Item]:
+        return [(v, v * v, y, VARIANCE, 1.0) for y, _, v in super().items(stream)]
+
+    @property
+    def step(self) -> Any:
+        return self._stream.step
+
+    @property
+    def theta(self) -> NDArray[np.float64]:
+        return np.array(self._stream.belief[:3])
+
+    @property
+    def covariance(self) -> NDArray[np.float64]:
+        return _square(self._stream.belief[3:])
+
+
+class VMilsRaw(RowPeer):
+    """V-MILS as it ships, from raw ticks: speed windows, soft gate, watchers for steps, learned noise."""
+
+    def __init__(self) -> None:
+        config = VMilsConfig()
+        floors = (config.prior_std_a, config.prior_std_b, config.prior_std_c)
+        a, b, c = (float(x) for x in np.diag(davis_prior(START, config.prior_share, floors)))
+        self._tracker = Tracker((*START, a, 0.0, 0.0, b, 0.0, c), run_lengths(config, (a, b, c)))
+        self._learner = WindowLearner(self._tracker, window_plan(config, INERTIA))
+
+    def items(self, stream: MetroStream) -> list[Item]:
+        raw = stream.raw
+        known, force = (raw.force - raw.gradient).tolist(), raw.force.tolist()
+        parts = zip(raw.speed.tolist(), known, force, raw.moving.tolist(), strict=True)
+        return [
+            (Tick(_TICK_NS * k + 1, PERIOD, v, u, f) if moving else None, v)
+            for k, (v, u, f, moving) in enumerate(parts)
+        ]
+
+    def step(self, tick: Tick | None, speed: float) -> None:  # type: ignore[override]
+        if tick is None:
+            self._learner.interrupt(speed)
+        else:
+            self._learner.push(tick)
+
+    @property
+    def theta(self) -> NDArray[np.float64]:
+        return np.array(self._tracker.belief[:3])
+
+    @property
+    def covariance(self) -> NDArray[np.float64]:
+        return _square(self._tracker.belief[3:])
+
+
+def _square(upper: tuple[float, ...]) -> NDArray[np.float64]:
+    """Return the symmetric matrix (3, 3) of an upper triangle."""
+    square = np.zeros((3, 3))
+    square[np.triu_indices(3)] = upper
+    return square + np.triu(square, 1).T

@@ -1,0 +1,305 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Particle filters of the brake rate: filterpy and particles beside ours, on the metro drives of `brake_runs`.
+
+All of them sit in the same estimator, which knows the brake, its dead time and which samples tell of it; they
+differ in how they carry the belief in [v, a, b] and the rate f. A filter of filterpy is one Kalman filter for each
+particle, copied where resampling wants it; of particles come the weights and the resampling, with all four states
+sampled.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from copy import deepcopy
+from dataclasses import dataclass
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from benchmarks.papers.brake_runs import metro_run, metro_train
+from benchmarks.papers.contest import FIRST_SEED, installed
+from benchmarks.papers.seeds import over_seeds
+from benchmarks.tables import Table
+from trainid_ros.core.results import Refusal
+from trainid_ros.estimators.brake_rate.algorithms import BRAKE_RATE
+from trainid_ros.estimators.brake_rate.config import BrakeRateConfig
+from trainid_ros.estimators.brake_rate.estimator import BrakeRateEstimator
+from trainid_ros.estimators.brake_rate.particles import SPEED, LinearStep, speed_step
+from trainid_ros.estimators.brake_rate.resampling import effective_number, normal_weights, systematic
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from benchmarks.papers.brake_runs import BrakeRun
+    from trainid_ros.estimators.brake_rate.belief import Interval
+
+    Array = NDArray[np.float64]
+
+_STOPS: Final = 5
+_SHORT_STOPS: Final = 1
+_SETTLED_S: Final = 3.0
+_SLOWEST: Final = 1.0
+_RATIO: Final = 'trainid GSMA, 500 particles'
+
+
+class PeerBelief:
+    """What the beliefs of other libraries share: weights and f; the mean of f and its variance."""
+
+    def __init__(self, particles: int, drift: float, seed: int) -> None:
+        self.N, self._q = particles, drift * drift
+        self._rng = np.random.default_rng(seed)
+        self.weights = np.full(particles, 1.0 / particles)
+        self.f = np.ones(particles)
+        self.step = LinearStep(np.eye(3), np.zeros(3), np.zeros(3), np.zeros((3, 3)))
+
+    def means(self) -> Array:
+        """Return the states v, a, b of all particles, shape (3, N)."""
+        raise NotImplementedError
+
+    def spread(self) -> float:
+        """Return the variance of v within a particle."""
+        return 0.0
+
+    @property
+    def rate(self) -> float:
+        return float(self.weights @ self.f)
+
+    @property
+    def variance(self) -> float:
+        return float(self.weights @ np.square(self.f - self.rate))
+
+    @property
+    def speed(self) -> float:
+        return float(self.means()[0] @ self.weights)
+
+    @property
+    def acceleration(self) -> float:
+        return float(self.means()[1] @ self.weights)
+
+    @property
+    def effective(self) -> float:
+        return effective_number(self.weights)
+
+    def reset(self, rate: float, std: float) -> None:
+        self.f = np.maximum(rate + std * self._rng.standard_normal(self.N), 0.0)
+
+    def predicted(self) -> tuple[float, float]:
+        v, mean = self.means()[0], self.speed
+        return mean, self.spread() + float(np.square(v - mean) @ self.weights)
+
+    def save(self) -> str:
+        raise NotImplementedError
+
+    def restore(self, text: str) -> None:
+        raise NotImplementedError
+
+
+class FilterpyBelief(PeerBelief):
+    """A filterpy KalmanFilter for each particle."""
+
+    def __init__(self, particles: int, drift: float, seed: int) -> None:
+        super().__init__(particles, drift, seed)
+        kalman = import_module('filterpy.kalman').KalmanFilter
+        self._filters = [kalman(dim_x=3, dim_z=1, dim_u=1) for _ in range(particles)]
+
+    def means(self) -> Array:
+        return np.array([kf.x[:, 0] for kf in self._filters]).T
+
+    def spread(self) -> float:
+        return float(self._filters[0].P[0, 0])
+
+    def anchor(self, speed: float, target: float, variances: tuple[float, float, float]) -> None:
+        for kf, f in zip(self._filters, self.f, strict=True):
+            kf.x = np.array([[speed], [f * target], [0.0]])
+            kf.P = np.diag(variances)
+            kf.H = SPEED
+
+    def predict(self, interval: Interval) -> None:
+        self.step = step = speed_step(interval)
+        for kf, f in zip(self._filters, self.f, strict=True):
+            kf.predict(u=1.0, B=(step.gamma * f + step.known)[:, None], F=step.Phi, Q=step.Q)
+
+    def follow(self, speed: float, r: float) -> None:
+        for kf in self._filters:
+            kf.update(speed, R=r)
+
+    def learn(self, interval: Interval, elapsed: float, speed: float, r: float) -> bool:
+        del interval
+        moved = math.sqrt(self._q * elapsed) * self._rng.standard_normal(self.N)
+        self.f = self.f + moved
+        log_weights = np.log(np.maximum(self.weights, 1e-300))
+        for k, kf in enumerate(self._filters):
+            kf.x = kf.x + self.step.gamma[:, None] * moved[k]
+            kf.update(speed, R=r)
+            y, S = float(kf.y[0, 0]), float(kf.S[0, 0])
+            log_weights[k] -= 0.5 * (y * y / S + math.log(S))
+        self.weights = normal_weights(log_weights)
+        if effective_number(self.weights) < 0.5 * self.N:
+            kept = systematic(self.weights, self.N, float(self._rng.random()))
+            self._filters = [deepcopy(self._filters[k]) for k in kept]
+            self.f, self.weights = self.f[kept], np.full(self.N, 1.0 / self.N)
+        return True
+
+
+class ParticlesBelief(PeerBelief):
+    """Bootstrap filter on [v, a, b, f] with the weights and the resampling of the library particles."""
+
+    def __init__(self, particles: int, drift: float, seed: int) -> None:
+        super().__init__(particles, drift, seed)
+        self._resampling = import_module('particles.resampling')
+        self._x = np.zeros((3, particles))
+        self._held = self._resampling.Weights(lw=np.zeros(particles))
+
+    def means(self) -> Array:
+        return self._x
+
+    def anchor(self, speed: float, target: float, variances: tuple[float, float, float]) -> None:
+        start = np.array([[speed], [0.0], [0.0]]) + np.array([[0.0], [target], [0.0]]) * self.f
+        self._x = start + np.sqrt(np.array(variances))[:, None] * self._rng.standard_normal((3, self.N))
+
+    def predict(self, interval: Interval) -> None:
+        self.step = step = speed_step(interval)
+        noise = np.sqrt(np.diag(step.Q))[:, None] * self._rng.standard_normal((3, self.N))
+        self._x = step.predict(self._x, self.f) + noise
+
+    def follow(self, speed: float, r: float) -> None:
+        self._weigh(speed, r)
+
+    def learn(self, interval: Interval, elapsed: float, speed: float, r: float) -> bool:
+        del interval
+        moved = math.sqrt(self._q * elapsed) * self._rng.standard_normal(self.N)
+        self.f = self.f + moved
+        self._x = self._x + self.step.gamma[:, None] * moved
+        self._weigh(speed, r)
+        return True
+
+    def _weigh(self, speed: float, r: float) -> None:
+        self._held = self._held.add(-0.5 * np.square(speed - self._x[0]) / r)
+        if self._held.ESS < 0.5 * self.N:
+            kept = self._resampling.systematic(self._held.W)
+            self._x, self.f = self._x[:, kept], self.f[kept]
+            self._held = self._resampling.Weights(lw=np.zeros(self.N))
+        self.weights = self._held.W
+
+
+@dataclass(frozen=True, slots=True)
+class Contestant:
+    """A filter: its name, the package it needs, the belief or our algorithm with its particles, and how many stops."""
+
+    name: str
+    package: str
+    kind: str
+    particles: int
+    stops: int = _STOPS
+    share: float = 1.0
+
+
+CONTESTANTS: Final = (
+    Contestant('filterpy KalmanFilter per particle, 50', 'filterpy', 'filterpy', 50, _SHORT_STOPS, 0.1),
+    Contestant('filterpy KalmanFilter per particle, 500', 'filterpy', 'filterpy', 500, _SHORT_STOPS, 0.0),
+    Contestant('particles, [v, a, b, f] sampled, 500', 'particles', 'particles', 500),
+    Contestant('particles, [v, a, b, f] sampled, 5000', 'particles', 'particles', 5000),
+    Contestant('trainid RBPF, 500', 'numpy', 'RBPF', 500),
+    Contestant('trainid GSMA, 50 particles', 'numpy', 'GSMA', 50),
+    Contestant(_RATIO, 'numpy', 'GSMA', 500),
+    Contestant('trainid GSMA, 50 particles, compiled', 'numba', 'compiled', 50),
+    Contestant('trainid GSMA, 500 particles, compiled', 'numba', 'compiled', 500),
+    Contestant('trainid KF, no particles', 'numpy', 'KF', 0),
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Result:
+    """One drive: mean error of f, and CPU time of each step that learns [us]."""
+
+    name: str
+    error: float
+    times: tuple[float, ...]
+
+
+def measure(seeds: int) -> list[Table]:
+    """Return the table of the particle filters."""
+    seeds = max(1, seeds // 3)
+    results = [item for ride in over_seeds(drives, range(seeds)) for item in ride]
+    times = {item.name: np.concatenate([one.times for one in results if one.name == item.name]) for item in results}
+    rows = []
+    for item in CONTESTANTS:
+        errors = [one.error for one in results if one.name == item.name]
+        if not errors:
+            rows.append((item.name, 'not installed', '-', '-', '-', '0'))
+            continue
+        p50, p99 = np.percentile(times[item.name], (50.0, 99.0))
+        ratio = p50 / np.median(times[_RATIO])
+        error = f'{np.mean(errors):.4f}' if item.stops == _STOPS else f'{np.mean(errors):.4f} ({item.stops} stop)'
+        rows.append((item.name, f'{p50 / 1e3:.4f}', f'{p99 / 1e3:.4f}', f'{ratio:.2f}', error, str(len(errors))))
+    note = (
+        f'CPU time of predicting and learning from one sample. Error: mean |f - truth| from {_SETTLED_S:.0f} s after '
+        f'the command and above {_SLOWEST:.0f} m/s, {_STOPS} stops. All sit in the same estimator of trainid.'
+    )
+    header = ('filter', 'ms p50', 'ms p99', 'p50 / GSMA 500', 'mean error', 'drives')
+    return [Table('Particle filters of the brake rate beside other libraries', header, tuple(rows), note)]
+
+
+def drives(number: int) -> list[Result]:
+    """Drive with whoever takes part in this seed; who is slow only at the first."""
+    runs = {stops: metro_run(FIRST_SEED + number, stops) for stops in (_SHORT_STOPS, _STOPS)}
+    return [
+        _drive(item, runs[item.stops], number)
+        for item in CONTESTANTS
+        if installed(item.package) and (number == 0 or number % round(1.0 / max(item.share, 1e-3)) == 0)
+    ]
+
+
+def _drive(item: Contestant, run: BrakeRun, number: int) -> Result:
+    estimator = _estimator(item, number)
+    timed = TimedBelief(estimator.belief)
+    estimator.belief = timed
+    errors, times = [], []
+    for k, sample in enumerate(run.samples):
+        timed.spent_ns, timed.learned = 0, False
+        estimate = estimator.step(sample)
+        if timed.learned:
+            times.append(timed.spent_ns / 1e3)
+        if not isinstance(estimate, Refusal) and run.braked_s[k] > _SETTLED_S and run.speed[k] > _SLOWEST:
+            errors.append(abs(estimate.brake_rate - float(run.rate[k])))
+    return Result(item.name, float(np.mean(errors)), tuple(times[len(times) // 10 :]))
+
+
+class TimedBelief:
+    """A belief that adds up the CPU time [ns] in which it predicts and learns."""
+
+    def __init__(self, belief: Any) -> None:
+        self._belief = belief
+        self.spent_ns = 0
+        self.learned = False
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._belief, name)
+
+    def predict(self, interval: Interval) -> None:
+        begun = time.thread_time_ns()
+        self._belief.predict(interval)
+        self.spent_ns += time.thread_time_ns() - begun
+
+    def learn(self, *arguments: Any) -> bool:
+        begun = time.thread_time_ns()
+        fine: bool = self._belief.learn(*arguments)
+        self.spent_ns += time.thread_time_ns() - begun
+        self.learned = True
+        return fine
+
+
+def _estimator(item: Contestant, seed: int) -> Any:
+    if item.kind in _PEERS:
+        config = BrakeRateConfig()
+        return BrakeRateEstimator(metro_train(), config, _PEERS[item.kind](item.particles, config.drift, seed))
+    changes: dict[str, float] = {'particles': item.particles} if item.particles else {}
+    if item.kind == 'compiled':
+        changes['compiled'] = 1
+    name = 'GSMA' if item.kind == 'compiled' else item.kind
+    return BRAKE_RATE.make(BRAKE_RATE.choose(name, **changes), metro_train(), np.random.default_rng(seed))
+
+
+_PEERS: Final[dict[str, Any]] = {'filterpy': FilterpyBelief, 'particles': ParticlesBelief}

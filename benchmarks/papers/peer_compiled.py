@@ -1,0 +1,225 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the optional compiler gives: recursions of V-MILS and AM-VFF-RLS, a step of GSMA, and what importing costs."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections import deque
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from benchmarks.papers.brake_runs import metro_train
+from benchmarks.papers.contest import FIRST_SEED, REPOSITORY, growth, time_in_turns
+from benchmarks.papers.hand_filters import VARIANCE, HandRls
+from benchmarks.papers.metro_stream import SPEED_SD, metro_stream
+from benchmarks.papers.our_filters import OUTLIERS, PRIOR, P
+from benchmarks.tables import Table
+from trainid_ros.estimators.brake_rate.belief import Interval
+from trainid_ros.estimators.brake_rate.gsma import Gsma, GsmaConfig
+from trainid_ros.estimators.compiled.jit import compiler_present
+from trainid_ros.estimators.compiled.streams import SpeedModelStream, VMilsStream
+from trainid_ros.estimators.resistance.multi_innovation import NOTHING, belief_of, information_of, mils_step
+from trainid_ros.estimators.speed_model.am_vff_rls import AmVffRls, AmVffRlsConfig
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from benchmarks.papers.contest import Times
+    from trainid_ros.estimators.speed_model.am_vff_rls import AuxiliaryModel
+
+    Item = tuple[Any, ...]
+
+_CALLS: Final = 20_000
+_BLOCK: Final = 2000
+_MEMORY_CALLS: Final = 1_000_000
+_PARTICLES: Final = 500
+_LEARNS: Final = 1000
+_INTERVAL: Final = Interval(0.2, 0.1, 0.6, 0.012, 0.37, 0.99, 0.0, 1e-5, 1e-6)
+_PLAIN_US: Final = 3.0
+_COMPILED_US: Final = 1.0
+_NUMPY_MS: Final = 0.2
+_LOOP_MS: Final = 0.05
+_IMPORT_S: Final = 0.3
+_IMPORTS: Final = 7
+_NO_GROWTH: Final = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Kernel:
+    """A recursion: as it is, compiled call by call, and over a whole record at once; ``same`` compares all three."""
+
+    name: str
+    items: Sequence[Item]
+    plain: Callable[..., object]
+    call: Callable[..., object]
+    batch: Callable[[], object]
+    same: Callable[[], bool]
+
+
+class PlainMils:
+    """V-MILS in plain Python."""
+
+    def __init__(self) -> None:
+        self.state = (*information_of(PRIOR), *NOTHING)
+        self._parts = deque([NOTHING] * P)
+
+    def step(self, v: float, s: float, y: float, R: float, slow: float) -> None:
+        self.state, newest, _, _ = mils_step(self.state, self._parts.popleft(), v, s, y, R, slow, OUTLIERS, P)
+        self._parts.append(newest)
+
+
+class PlainSpeedModel:
+    """AM-VFF-RLS in plain Python."""
+
+    def __init__(self) -> None:
+        estimator: Any = AmVffRls(metro_train(), AmVffRlsConfig())
+        self.method: AuxiliaryModel = estimator._method
+        self.numbers = self.method.start(SPEED_SD**2)
+
+    def step(self, y: float, u: float, scale: float, variance: float) -> None:
+        self.numbers = self.method.learn(self.numbers, y, u, scale, variance).numbers
+
+
+def measure(seeds: int) -> list[Table]:
+    """Return the table of the kernels and that of the targets; once, whatever the number of seeds."""
+    del seeds
+    kernels = (_mils(), _speed_model())
+    reference, stream = HandRls(4.0), metro_stream(FIRST_SEED)
+    calls: list[tuple[Callable[..., object], Sequence[Item]]] = [(reference.step, reference.items(stream)[:_CALLS])]
+    for kernel in kernels:
+        calls += [(kernel.plain, kernel.items[:_CALLS]), (kernel.call, kernel.items[:_CALLS])]
+    for flag in (0, 1):
+        calls.append(_brake_step(flag))
+    first, *times = time_in_turns(calls, _BLOCK)
+    rows = [_row('hand RLS, floats, gate (reference)', first, first, '-', '-')]
+    for k, kernel in enumerate(kernels):
+        batch = f'{_batch_us(kernel):.3f}'
+        grown = growth(kernel.plain, kernel.items, _MEMORY_CALLS // 10, _MEMORY_CALLS)
+        faster = growth(kernel.call, kernel.items, _MEMORY_CALLS // 10, _MEMORY_CALLS)
+        same = 'yes' if kernel.same() else 'NO'
+        rows.append(_row(f'{kernel.name}, plain Python', times[2 * k], first, _grown(grown), '-'))
+        rows.append(_row(f'{kernel.name}, compiled', times[2 * k + 1], first, _grown(faster), same, batch))
+    rows.append(_row(f'GSMA, {_PARTICLES} particles, NumPy', times[4], first, '-', '-'))
+    rows.append(_row(f'GSMA, {_PARTICLES} particles, compiled', times[5], first, '-', 'to rounding'))
+    header = ('step', 'us p50', 'us p99', 'p50 / reference', 'us in a batch', 'same bits', 'B per step')
+    missing = '' if compiler_present() else ' numba is not installed: "compiled" ran in plain Python.'
+    note = (
+        'CPU time of a step, all in turns in one process. GSMA: predicting and learning. Memory between the steps '
+        f'{_MEMORY_CALLS // 10} and {_MEMORY_CALLS}; 0 below {_NO_GROWTH:.0f} B.{missing}'
+    )
+    return [Table('Recursions with and without the compiler', header, tuple(rows), note), _targets(times, rows)]
+
+
+def _row(name: str, times: Times, first: Times, grown: str, same: str, batch: str = '-') -> tuple[str, ...]:
+    return name, f'{times.p50:.2f}', f'{times.p99:.2f}', f'{times.p50 / first.p50:.2f}', batch, same, grown
+
+
+def _grown(value: float) -> str:
+    return '0' if abs(value) < _NO_GROWTH else f'{value:.1f}'
+
+
+def _targets(times: list[Times], rows: list[tuple[str, ...]]) -> Table:
+    core, numpy = import_seconds('trainid_ros.estimators.pipeline'), import_seconds('numpy')
+    checks = (
+        ('V-MILS p = 10, plain Python', times[0].p50, _PLAIN_US, 'us'),
+        ('AM-VFF-RLS, plain Python', times[2].p50, _PLAIN_US, 'us'),
+        ('V-MILS p = 10, compiled', times[1].p50, _COMPILED_US, 'us'),
+        ('AM-VFF-RLS, compiled', times[3].p50, _COMPILED_US, 'us'),
+        (f'GSMA, {_PARTICLES} particles, NumPy', times[4].p50 / 1e3, _NUMPY_MS, 'ms'),
+        (f'GSMA, {_PARTICLES} particles, compiled', times[5].p50 / 1e3, _LOOP_MS, 'ms'),
+        ('import of the core', core, _IMPORT_S, 's'),
+    )
+    lines = [
+        (name, f'<= {most} {unit}', f'{reached:.3f} {unit}', 'yes' if reached <= most else 'NO')
+        for name, reached, most, unit in checks
+    ]
+    grown = [row[6] for row in rows if row[6] != '-']
+    lines.append(('memory over 1e6 steps', 'no growth', ', '.join(grown), 'yes' if set(grown) == {'0'} else 'NO'))
+    note = f'CPU time, median of steps and best of {_IMPORTS} imports; numpy alone imports in {numpy:.3f} s.'
+    return Table('Targets of cost', ('target', 'must be', 'reached', 'met?'), tuple(lines), note)
+
+
+def import_seconds(module: str) -> float:
+    """Return the CPU time of importing a module in a fresh interpreter, from compiled bytecode, best of several [s]."""
+    code = f'import time; t = time.process_time(); import {module}; print(time.process_time() - t)'
+    env = {name: value for name, value in os.environ.items() if name != 'PYTHONDONTWRITEBYTECODE'}
+    with tempfile.TemporaryDirectory() as folder:
+        env['PYTHONPYCACHEPREFIX'] = folder
+        command = [sys.executable, '-c', code]
+        found = [
+            subprocess.run(command, capture_output=True, text=True, check=True, cwd=REPOSITORY, env=env)
+            for _ in range(_IMPORTS)
+        ]
+    return min(float(done.stdout) for done in found)
+
+
+def _batch_us(kernel: Kernel) -> float:
+    best = float('inf')
+    for _ in range(5):
+        begun = time.thread_time()
+        kernel.batch()
+        best = min(best, time.thread_time() - begun)
+    return best / len(kernel.items) * 1e6
+
+
+def _mils() -> Kernel:
+    rows = metro_stream(FIRST_SEED, 'out5').rows
+    v, n = rows.phi[:, 1], rows.y.size
+    table = np.column_stack([v, v * v, rows.y, np.full(n, VARIANCE), np.ones(n)])
+    items = [tuple(row) for row in table.tolist()]
+    fast = VMilsStream(PRIOR, P, OUTLIERS)
+
+    def same() -> bool:
+        one, other, third = PlainMils(), VMilsStream(PRIOR, P, OUTLIERS), VMilsStream(PRIOR, P, OUTLIERS)
+        for item in items:
+            one.step(*item)
+            other.step(*item)
+        third.run(table)
+        return bool(belief_of(one.state[:9]) == other.belief == third.belief)
+
+    batch = VMilsStream(PRIOR, P, OUTLIERS)
+    return Kernel(f'V-MILS p = {P}', items, PlainMils().step, fast.step, lambda: batch.run(table), same)
+
+
+def _speed_model() -> Kernel:
+    raw = metro_stream(FIRST_SEED, 'out5').raw
+    y, u = raw.speed[raw.moving], (raw.force - raw.gradient)[raw.moving]
+    table = np.column_stack([y, u, np.ones(y.size), np.full(y.size, SPEED_SD**2)])
+    items = [tuple(row) for row in table.tolist()]
+    tuning = PlainSpeedModel().method.tuning
+    start = PlainSpeedModel().numbers
+    fast, batch = SpeedModelStream(start, tuning), SpeedModelStream(start, tuning)
+
+    def same() -> bool:
+        one, other, third = PlainSpeedModel(), SpeedModelStream(start, tuning), SpeedModelStream(start, tuning)
+        for item in items:
+            one.step(*item)
+            other.step(*item)
+        third.run(table)
+        return bool(one.numbers == other.numbers == third.numbers)
+
+    return Kernel('AM-VFF-RLS', items, PlainSpeedModel().step, fast.step, lambda: batch.run(table), same)
+
+
+def _brake_step(compiled: int) -> tuple[Callable[..., object], list[Item]]:
+    config = GsmaConfig(particles=_PARTICLES, compiled=compiled)
+    belief: Any = Gsma(metro_train(), config, np.random.default_rng(1)).belief
+    belief.anchor(20.0, -0.8, (1e-3, 1e-3, 1e-4))
+
+    def step(seen: float) -> None:
+        belief.predict(_INTERVAL)
+        belief.learn(_INTERVAL, _INTERVAL.dt, seen, SPEED_SD**2)
+
+    # A train that does what the model says, in white noise.
+    rng, v, a = np.random.default_rng(2), 20.0, -0.8
+    items: list[Item] = []
+    for _ in range(_LEARNS):
+        v, a = v + _INTERVAL.reach * a + _INTERVAL.gain_v, _INTERVAL.decay * a + _INTERVAL.gain_a
+        items.append((v + SPEED_SD * float(rng.standard_normal()),))
+    return step, items

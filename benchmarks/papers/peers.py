@@ -1,0 +1,27 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Other libraries beside ours, on the same data in one run: cost, accuracy, memory, saving.
+
+Libraries come from `.venv-peers` (``make bench-peers``); where that is missing only ours and what is written by hand
+run, and the tables say so.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING, Final
+
+from benchmarks.papers import peer_brake, peer_compiled, peer_fits, peer_stream
+from benchmarks.papers.contest import PEERS
+
+if TYPE_CHECKING:
+    from benchmarks.tables import Plot, Table
+
+_PARTS: Final = (peer_stream, peer_fits, peer_brake, peer_compiled)
+
+
+def measure(seeds: int) -> list[Table | Plot]:
+    """Return the tables of all comparisons, over so many seeds where that is cheap."""
+    if PEERS.is_dir() and str(PEERS) not in sys.path:
+        # Last, so that what .venv has stays; children of this process get the same path.
+        sys.path.append(str(PEERS))
+    return [table for part in _PARTS for table in part.measure(seeds)]

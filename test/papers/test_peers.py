@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The ride on which estimators are compared is as it says, on a fresh seed, and tells good estimators from others."""
+
+from __future__ import annotations
+
+import os
+import pickle
+
+import numpy as np
+import pytest
+
+from benchmarks.papers.contest import copied, growth, time_in_turns
+from benchmarks.papers.hand_filters import GATE, HandRls, NumpyRls, RowPeer
+from benchmarks.papers.metro_stream import (
+    AFTER,
+    BEFORE,
+    NOISE_SD,
+    SCENARIOS,
+    MetroStream,
+    Scenario,
+    curve_error,
+    metro_stream,
+)
+from benchmarks.papers.our_filters import MilsPlain
+
+SEED = 10_000 + int.from_bytes(os.urandom(4))
+LAGS = (1, 2, 3, 5, 7)
+AUTOCORRELATION = (0.73, 0.47, 0.23, -0.17, -0.39)
+
+
+def noise(stream: MetroStream) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    davis = np.array((stream.before.a, stream.before.b, stream.before.c))
+    return np.asarray(stream.rows.y - stream.rows.phi @ davis)
+
+
+def final_error(estimator: RowPeer, stream: MetroStream) -> float:
+    for item in estimator.items(stream):
+        estimator.step(*item)
+    return curve_error(estimator.theta, stream.after)
+
+
+def test_the_same_seed_gives_the_same_ride() -> None:
+    one, other = metro_stream(7, 'slip', 500), metro_stream(7, 'slip', 500)
+    assert np.array_equal(one.raw.speed, other.raw.speed)
+    assert np.array_equal(one.rows.y, other.rows.y)
+    assert not np.array_equal(one.rows.y, metro_stream(8, 'slip', 500).rows.y)
+
+
+@pytest.mark.parametrize('scenario', SCENARIOS)
+def test_rows_are_as_many_as_asked_and_lie_in_motion(scenario: Scenario) -> None:
+    stream = metro_stream(9, scenario, 1000)
+    assert stream.rows.y.shape == (1000,)
+    assert stream.rows.tick[-1] == stream.raw.speed.size - 1
+    window = stream.rows.tick[:, None] - np.arange(11)
+    assert stream.raw.moving[window].all()
+    assert (stream.raw.speed >= 0.0).all()
+    assert np.abs(stream.raw.gradient).max() <= 25.0
+
+
+def test_curve_error_is_that_of_the_curve() -> None:
+    assert curve_error((BEFORE.a + 0.3, BEFORE.b, BEFORE.c), BEFORE) == pytest.approx(0.3)
+    v = np.linspace(5.0, 22.0, 69)
+    expected = np.sqrt(np.mean((0.4 + 0.00024 * v * v) ** 2))
+    assert curve_error((AFTER.a, AFTER.b, AFTER.c), BEFORE) == pytest.approx(expected)
+
+
+@pytest.mark.slow
+def test_noise_of_clean_rows() -> None:
+    e = noise(metro_stream(SEED))
+    e = e - e.mean()
+    assert e.std() == pytest.approx(NOISE_SD, abs=0.08), SEED
+    found = [float((e[lag:] * e[:-lag]).mean() / e.var()) for lag in LAGS]
+    assert found == pytest.approx(AUTOCORRELATION, abs=0.08), SEED
+
+
+@pytest.mark.slow
+def test_what_is_spoiled() -> None:
+    out, slip, clean = (metro_stream(SEED, scenario) for scenario in ('out5', 'slip', 'clean'))
+    errors = out.rows.y - clean.rows.y
+    bad = np.abs(errors) > 0.0
+    assert np.array_equal(bad, out.rows.spoiled)
+    assert bad.mean() == pytest.approx(0.05, abs=0.01), SEED
+    assert (errors[bad] > 0.0).mean() == pytest.approx(0.7, abs=0.08), SEED
+    assert 10.0 <= np.abs(errors[bad]).min() <= np.abs(errors[bad]).max() <= 60.0
+    assert slip.raw.spoiled[slip.raw.moving].mean() == pytest.approx(0.05, abs=0.005), SEED
+    assert np.array_equal(slip.rows.y[~slip.rows.spoiled], clean.rows.y[~slip.rows.spoiled])
+
+
+@pytest.mark.slow
+def test_the_ride_tells_estimators_apart() -> None:
+    """Bounds far from what was found over 30 seeds: clean .002 to .036, gross errors .59 to .93, slip .12 to .35."""
+    rides = {scenario: metro_stream(SEED, scenario) for scenario in SCENARIOS}
+    plain = {scenario: final_error(HandRls(), ride) for scenario, ride in rides.items()}
+    gated = {scenario: final_error(HandRls(GATE), ride) for scenario, ride in rides.items()}
+    soft = {scenario: final_error(MilsPlain(), ride) for scenario, ride in rides.items()}
+    assert plain['clean'] < 0.09, SEED
+    assert plain['out5'] > 0.3, SEED
+    assert plain['slip'] > 0.03, SEED
+    for scenario in ('clean', 'out5', 'slip'):
+        assert gated[scenario] < 0.1, (SEED, scenario)
+        assert soft[scenario] < 0.1, (SEED, scenario)
+    assert 0.15 < plain['step'] < 0.36, SEED
+    assert final_error(HandRls(GATE, 0.9995), rides['step']) < 0.14, SEED
+
+
+def test_by_hand_and_with_numpy_agree() -> None:
+    stream = metro_stream(10, 'clean', 800)
+    one, other = HandRls(), NumpyRls()
+    final_error(one, stream)
+    final_error(other, stream)
+    np.testing.assert_allclose(one.theta, other.theta, rtol=1e-9)
+    np.testing.assert_allclose(one.covariance, other.covariance, rtol=1e-7)
+
+
+def test_contest_times_copies_and_weighs() -> None:
+    quick, slow = time_in_turns([(lambda n: n, [(1,)] * 400), (lambda n: sum(range(n)), [(3000,)] * 400)])
+    assert quick.p50 < slow.p50
+    assert slow.p50 <= slow.p99
+    kept: list[bytes] = []
+    assert growth(lambda: kept.append(bytes(10_000)), [()], 200, 2000) > 5000.0
+    saved = copied(HandRls())
+    assert saved is not None
+    assert saved[0] == len(pickle.dumps(HandRls()))
+    assert copied(lambda: None) is None
