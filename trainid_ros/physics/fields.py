@@ -5,38 +5,13 @@ from __future__ import annotations
 
 import difflib
 import math
-import re
-from collections.abc import Hashable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Final, NoReturn
-
-import yaml
 
 from trainid_ros.core.errors import InputError
 
 _LONGEST_VALUE: Final = 60
-
-
-class _StrictLoader(yaml.SafeLoader):
-    """Safe loader that reads 1e5 as a number and refuses a key that is given twice."""
-
-    def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, object]:
-        """Build a mapping; YAML itself would let the last of two equal keys win in silence."""
-        seen: set[str] = set()
-        for key, _ in node.value:
-            if not isinstance(key, yaml.ScalarNode):
-                continue
-            if key.value in seen:
-                problem = f'key {key.value!r} is given twice'
-                raise yaml.constructor.ConstructorError(None, None, problem, key.start_mark)
-            seen.add(key.value)
-        return super().construct_mapping(node, deep)
-
-
-# YAML 1.1 reads 1e5 as text; an engineer who writes it means a number.
-_StrictLoader.add_implicit_resolver(
-    'tag:yaml.org,2002:float', re.compile(r'[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$'), list('-+.0123456789')
-)
 
 
 def shown(value: object) -> str:
@@ -213,17 +188,10 @@ def parse_yaml(text: str, source: str) -> Section:
         InputError: The text is not YAML, a key is given twice, or the top is not a mapping.
 
     """
-    try:
-        value = _StrictLoader(text).get_single_data()
-    except yaml.MarkedYAMLError as error:
-        mark = error.problem_mark
-        where = f' line {mark.line + 1}, column {mark.column + 1}' if mark is not None else ''
-        msg = f'{source}:{where} is not valid YAML: {_one_line(error.problem)}'
-        raise InputError(msg) from error
-    except (yaml.YAMLError, ValueError, RecursionError) as error:
-        msg = f'{source}: is not valid YAML: {_one_line(error)}'
-        raise InputError(msg) from error
-    return as_section(source, '', value)
+    # Only who reads a file pays for loading the reader.
+    from trainid_ros.physics.strict_yaml import load  # noqa: PLC0415
+
+    return as_section(source, '', load(text, source))
 
 
 def _breaks(value: float, unit: str, rule: str) -> str:
@@ -233,7 +201,3 @@ def _breaks(value: float, unit: str, rule: str) -> str:
 
 def _in_unit(unit: str) -> str:
     return f' in {unit}' if unit else ''
-
-
-def _one_line(problem: object) -> str:
-    return ' '.join(str(problem).split())

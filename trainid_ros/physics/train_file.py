@@ -13,8 +13,6 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-import yaml
-
 from trainid_ros.core.errors import InputError
 from trainid_ros.physics.fields import Section, as_section, finite_number, parse_yaml, shown
 
@@ -156,6 +154,8 @@ def dump_train_file(train_file: TrainFile) -> str:
         },
         'effects': [_plain_effect(effect) for effect in train_file.effects],
     }
+    import yaml  # noqa: PLC0415 (slow to load)
+
     return yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=100, allow_unicode=True)
 
 

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 from functools import cache
-from importlib.util import find_spec
 from types import FunctionType
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
@@ -18,6 +17,8 @@ _COMPILER: Final = 'numba'
 
 def compiler_present() -> bool:
     """True if kernels can be compiled; does not load the compiler."""
+    from importlib.util import find_spec  # noqa: PLC0415 (slow to load)
+
     return find_spec(_COMPILER) is not None
 
 
