@@ -117,7 +117,7 @@ def free_run(lines: Lines, track: Track, steps: int) -> Array:
 def lost(lines: Lines, track: Track) -> Mask:
     """Return which lines are lost."""
     wrong = np.where(moving(lines), track.predicted - lines.x, 0.0)
-    share = np.sqrt(np.sum(np.minimum(wrong**2, 1e6), axis=0) / moving(lines).sum(axis=0))
+    share = np.sqrt(np.sum(np.clip(wrong, -1e3, 1e3) ** 2, axis=0) / moving(lines).sum(axis=0))
     speed = np.max(np.abs(track.state[:, 0]), axis=0)
     mask: Mask = ~np.isfinite(track.state).all(axis=(0, 1)) | (speed > _LOST_SPEED) | ~(share <= _LOST_RMS)
     return mask

@@ -29,6 +29,7 @@ _DRIFT_AM: Final = 1e-8
 _DRIFT_EKF: Final = 3e-8
 _DRIFT_INTEGRAL: Final = 1e-7
 _WIDE: Final = 1e4
+PRINTED: Final = 'AM-VFF-RLS (7), lambda >= .9'
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +114,7 @@ def all_methods(noise: Noise) -> tuple[Named, ...]:
         paper('RLS', variance, 1.0, 0.0),
         paper('VFF-RLS', variance, 1.0, vff),
         paper('AM-RLS', variance, 0.0, 0.0),
-        paper('AM-VFF-RLS (7), lambda >= .9', variance, 0.0, am),
+        paper(PRINTED, variance, 0.0, am),
         repaired(variance, mended),
         integral(variance),
         ekf(variance),
