@@ -88,21 +88,23 @@ class Tuning(NamedTuple):
 
 def learn(numbers: Numbers, y: float, u: float, scale: float, variance: float, tuning: Tuning) -> Learned:
     """Return (7) in its computable order; ``numbers`` are the moments of [x_a, theta] and the agreement of errors."""
+    noise, drift, _, share, threshold, sigma, low, gate, gate_floor, floor = tuning
     # x_a = phi' theta(n-1), with its covariance
-    m = predict(numbers[:20], u, scale, tuning.noise, tuning.drift)  # type: ignore[arg-type]
-    eps = y - m[0]
+    m = predict(numbers[:20], u, scale, noise, drift)  # type: ignore[arg-type]
+    predicted = m[0]
+    eps = y - predicted
     s = m[5] + variance
     std = math.sqrt(s)
-    limit = max(tuning.gate_floor, tuning.gate * std)
-    predicted = m[0]
-    if not abs(eps) <= limit:
+    limit = gate * std
+    limit = max(limit, gate_floor)
+    if not -limit <= eps <= limit:
         return Learned((*m, numbers[20]), predicted, eps, limit, 1.0, s)
-    share = tuning.share
-    agreed = agreement(numbers[20], eps / std, share)
+    agreed, lam = agreement(numbers[20], eps / std, share), 1.0
     # The variance of ``agreed`` is share / (2 - share) if errors are white.
-    lam = forgetting_factor(agreed * agreed * (2.0 - share) / share, tuning.threshold, tuning.scale, tuning.low)
-    if lam < 1.0:
-        m = forget(m, lam, tuning.floor)
+    chi2 = agreed * agreed * (2.0 - share) / share
+    if chi2 > threshold:
+        lam = forgetting_factor(chi2, threshold, sigma, low)
+        m = forget(m, lam, floor)
     # theta(n) = theta(n-1) + K eps, x_a(n) = phi' theta(n) and P(n)
     return Learned((*correct(m, eps, variance), agreed), predicted, eps, limit, lam, s)
 
