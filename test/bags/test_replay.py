@@ -176,5 +176,6 @@ def test_recorded_bag_holds_estimates_and_latched_copies(replayed: tuple[Replay,
 def test_settings_reach_the_estimators(bag: Path) -> None:
     strict = EstimatorSettings(resistance=RESISTANCE.choose(min_speed=50.0))
     with BagReader(bag) as reader:
-        outcome = replay(reader, TRAIN, strict)
+        outcome = replay(reader, TRAIN, strict, duration_s=40.0)
+    assert dict(outcome.resistance.rejections)[Reason.STANDSTILL] > 50
     assert outcome.resistance.output.used == 0

@@ -370,7 +370,7 @@ def test_errors_larger_than_stated_are_noticed(metro: TrainFile, day: Records) -
     """SMA as printed leaves out what one of its particles moves by; the default does not."""
     printed = make('brake_rate', metro, EstimatorSettings(brake_rate=BRAKE_RATE.choose('SMA')))
     default = make('brake_rate', metro)
-    run(printed, day)
-    run(default, day)
+    run(printed, seconds(day, 0.0, 240.0))
+    run(default, seconds(day, 0.0, 240.0))
     assert printed.consistency.verdict is Verdict.OPTIMISTIC
     assert default.consistency.verdict is Verdict.CONSISTENT
