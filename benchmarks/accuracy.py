@@ -1,35 +1,42 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Accuracy over simulated days of different seeds, beside what could be had at best."""
+"""Every registered algorithm over simulated days of different seeds, beside what could be had at best."""
 
 from __future__ import annotations
 
 import math
-import os
+import time
 from collections.abc import Callable
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
-from multiprocessing import get_context
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.bounds import BrakeKalman, ResistanceOracle
 from benchmarks.days import believed_train, samples_of, simulated_day
+from benchmarks.papers.seeds import over_seeds
 from benchmarks.tables import Table
 from trainid_ros.core.records import NS_PER_S
-from trainid_ros.core.results import Refusal
-from trainid_ros.estimators.brake_rate.gsma import Gsma, GsmaConfig
-from trainid_ros.estimators.resistance.vmils import VMils, VMilsConfig
-from trainid_ros.estimators.speed_model.am_vff_rls import AmVffRls, AmVffRlsConfig
+from trainid_ros.core.results import BrakeRateEstimate, Refusal, ResistanceEstimate, SpeedModelEstimate
+from trainid_ros.estimators.brake_rate.algorithms import BRAKE_RATE
+from trainid_ros.estimators.brake_rate.gsma import GsmaConfig
+from trainid_ros.estimators.resistance.algorithms import RESISTANCE
+from trainid_ros.estimators.resistance.vmils import VMilsConfig
+from trainid_ros.estimators.speed_model.algorithms import SPEED_MODEL
+from trainid_ros.estimators.speed_model.parameters import resistance_variance, upper
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterable, Sequence
 
     from trainid_ros.core.samples import Sample
+    from trainid_ros.estimators.algorithms import Algorithms
+    from trainid_ros.estimators.protocol import Estimator
     from trainid_ros.simulation.truth import Truth
 
 Array = NDArray[np.float64]
+# Values, standard deviation, and whether fit to use, after one sample.
+Row: TypeAlias = tuple[float, ...]
+Stepper: TypeAlias = Callable[['Sample'], Row]
 
 SEEDS: Final = tuple(range(101, 113))
 _SPEEDS: Final = (10.0, 15.0)
@@ -48,12 +55,37 @@ _CHANGES: Final = ('start', 'rain (a + 0.5)', 'drag (c + 20 %)')
 class Trace:
     """An estimate at every sample: values of shape (n, k), standard deviations of shape (n,), fit to use or not.
 
-    For the resistance the values are a, b, c and the deviation is that of w at the current speed.
+    For the resistance the values are a, b, c and the deviation is that of w at the current speed. ``cost_us`` is the
+    CPU time of one sample.
     """
 
     values: Array
     std: Array
     usable: NDArray[np.bool_]
+    cost_us: float
+
+
+@dataclass(frozen=True, slots=True)
+class Day:
+    """The samples of one day and what was true at each: time [s], speed [m/s], (a, b, c), brake rate, braking."""
+
+    samples: tuple[Sample, ...]
+    truth: Truth
+    time_s: Array
+    speed: Array
+    davis: Array
+    brake_rate: Array
+    braking: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, slots=True)
+class Honesty:
+    """Shares of errors within 1 and 1.96 published standard deviations, share of samples fit to use, CPU time [us]."""
+
+    inside_68: float
+    inside_95: float
+    usable: float
+    cost_us: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,15 +95,13 @@ class ResistanceScore:
     Attributes:
         errors: Mean absolute error over 10 m/s, 15 m/s and the current speed, one per change.
         close: Share of all these errors within 0.1 N/kN.
-        inside_68: Share of moving, usable samples with w at the current speed within one standard deviation.
-        inside_95: The same within 1.96.
+        honesty: Of w at the current speed while moving.
 
     """
 
     errors: tuple[float, ...]
     close: float
-    inside_68: float
-    inside_95: float
+    honesty: Honesty
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,61 +110,54 @@ class BrakeScore:
 
     early: float
     mean: float
-    inside_68: float
-    inside_95: float
+    honesty: Honesty
 
 
 @dataclass(frozen=True, slots=True)
-class SeedScore:
-    """All scores of one day."""
+class DayScores:
+    """All scores of one day, in the order of the registries; the bound of each job last."""
 
-    vmils: ResistanceScore
-    am_vff_rls: ResistanceScore
-    oracle: ResistanceScore
-    gsma: BrakeScore
-    kalman: BrakeScore
+    resistance: tuple[ResistanceScore, ...]
+    speed_model: tuple[ResistanceScore, ...]
+    brake_rate: tuple[BrakeScore, ...]
 
 
 def measure() -> tuple[Table, ...]:
     """Score all seeds on all cores; return the tables."""
-    with ProcessPoolExecutor(os.cpu_count(), mp_context=get_context('spawn')) as pool:
-        scores = tuple(pool.map(score_seed, SEEDS))
-    return _resistance_table(scores), _brake_table(scores)
-
-
-def _resistance_table(scores: Sequence[SeedScore]) -> Table:
-    rows = (
-        _resistance_row('V-MILS', [score.vmils for score in scores], covariance=True),
-        _resistance_row('AM-VFF-RLS', [score.am_vff_rls for score in scores], covariance=False),
-        _resistance_row('bound: oracle', [score.oracle for score in scores], covariance=True),
+    scores = over_seeds(score_seed, SEEDS)
+    oracle, kalman = 'bound: oracle', 'bound: Kalman filter'
+    return (
+        _resistance_table('Resistance', (*RESISTANCE.names, oracle), [day.resistance for day in scores]),
+        _resistance_table('Speed model', (*SPEED_MODEL.names, oracle), [day.speed_model for day in scores]),
+        _brake_table((*BRAKE_RATE.names, kalman), [day.brake_rate for day in scores]),
     )
+
+
+def _resistance_table(title: str, names: Sequence[str], days: Sequence[Sequence[ResistanceScore]]) -> Table:
+    rows = tuple(_resistance_row(name, [day[k] for day in days]) for k, name in enumerate(names))
     after = tuple(f'after {name}' for name in _CHANGES)
-    header = ('|error of w|, N/kN', *after, 'all', f'within {_CLOSE:g}', '68 % band', '95 % band')
+    header = ('|error of w|, N/kN', *after, 'all', f'within {_CLOSE:g}', *_HONESTY)
     note = (
-        f'{len(scores)} seeds, mean ± standard error over seeds. Five minutes after each change, mean over 10 m/s, '
+        f'{len(days)} days, mean ± standard error over days. Five minutes after each change, mean over 10 m/s, '
         '15 m/s and the speed last driven. Bands: w at the current speed, all moving samples that were fit to use, '
-        'so also right after a change. The oracle is told of every change and forgets all before it.'
+        'so also right after a change. The oracle is told of every change and forgets all before it. '
+        'CPU time is of this run, all cores at work.'
     )
-    return Table('Resistance', header, rows, note)
+    return Table(title, header, rows, note)
 
 
-def _resistance_row(name: str, scores: Sequence[ResistanceScore], *, covariance: bool) -> tuple[str, ...]:
+def _resistance_row(name: str, scores: Sequence[ResistanceScore]) -> tuple[str, ...]:
     errors = np.array([score.errors for score in scores])
     columns = [*errors.T, errors.mean(axis=1)]
-    shares = [_percent([s.close for s in scores]), '-', '-']
-    if covariance:
-        shares[1:] = _percent([s.inside_68 for s in scores]), _percent([s.inside_95 for s in scores])
-    return name, *(_spread(column) for column in columns), *shares
+    close = _percent([score.close for score in scores])
+    return name, *(_spread(column) for column in columns), close, *_honesty([score.honesty for score in scores])
 
 
-def _brake_table(scores: Sequence[SeedScore]) -> Table:
-    rows = (
-        _brake_row('GSMA', [score.gsma for score in scores]),
-        _brake_row('bound: Kalman filter', [score.kalman for score in scores]),
-    )
-    header = ('|error of the brake rate|', '7 s after the first brake', 'mean after', '68 % band', '95 % band')
+def _brake_table(names: Sequence[str], days: Sequence[Sequence[BrakeScore]]) -> Table:
+    rows = tuple(_brake_row(name, [day[k] for day in days]) for k, name in enumerate(names))
+    header = ('|error of the brake rate|', '7 s after the first brake', 'mean after', *_HONESTY)
     note = (
-        'The filter on [v, a, b, f] is exact for the model and settings of GSMA. Bands: all samples that were fit '
+        'The filter on [v, a, b, f] is exact for a rate that drifts as GSMA is told. Bands: all samples that were fit '
         'to use, while braking.'
     )
     return Table('Brake rate', header, rows, note)
@@ -142,7 +165,16 @@ def _brake_table(scores: Sequence[SeedScore]) -> Table:
 
 def _brake_row(name: str, scores: Sequence[BrakeScore]) -> tuple[str, ...]:
     errors = (_spread(np.array([s.early for s in scores])), _spread(np.array([s.mean for s in scores])))
-    return name, *errors, _percent([s.inside_68 for s in scores]), _percent([s.inside_95 for s in scores])
+    return name, *errors, *_honesty([score.honesty for score in scores])
+
+
+_HONESTY: Final = ('68 % band', '95 % band', 'fit to use', 'us a sample')
+
+
+def _honesty(scores: Sequence[Honesty]) -> tuple[str, ...]:
+    inside = (_percent([s.inside_68 for s in scores]), _percent([s.inside_95 for s in scores]))
+    usable, cost = np.mean([s.usable for s in scores]), np.mean([s.cost_us for s in scores])
+    return *inside, f'{usable:.0%}', f'{cost:.0f}'
 
 
 def _spread(values: Array) -> str:
@@ -150,115 +182,124 @@ def _spread(values: Array) -> str:
 
 
 def _percent(shares: Sequence[float]) -> str:
-    values = 100.0 * np.array(shares)
+    """An algorithm that was never fit to use has no share."""
+    values = 100.0 * np.array([share for share in shares if not math.isnan(share)])
+    if len(values) < 2:
+        return '-'
     return f'{values.mean():.1f} ± {values.std(ddof=1) / math.sqrt(len(values)):.1f} %'
 
 
-def score_seed(seed: int) -> SeedScore:
+def score_seed(seed: int) -> DayScores:
     """Simulate one day, run everything over it and score it."""
-    train, day = believed_train(), simulated_day(seed)
-    samples, truth = samples_of(day.records), day.truth
-    change_ns = [truth.start_ns + round(row[0] * NS_PER_S) for row in truth.resistance]
-    oracle = ResistanceOracle(train, VMilsConfig(), change_ns)
-    gsma, braking = _trace_gsma(Gsma(train, GsmaConfig(), np.random.default_rng(seed)), samples)
-    kalman = BrakeKalman(train, GsmaConfig())
-    return SeedScore(
-        vmils=_score_resistance(_trace_vmils(VMils(train, VMilsConfig()), samples), samples, truth),
-        am_vff_rls=_score_resistance(_trace_am_vff_rls(AmVffRls(train, AmVffRlsConfig()), samples), samples, truth),
-        oracle=_score_resistance(_trace_oracle(oracle, samples), samples, truth),
-        gsma=_score_brake(gsma, braking, samples, truth),
-        kalman=_score_brake(_trace_kalman(kalman, samples), braking, samples, truth),
+    day = _day(seed)
+    change_ns = [day.truth.start_ns + round(row[0] * NS_PER_S) for row in day.truth.resistance]
+    oracle = _trace(day, _oracle_row(ResistanceOracle(believed_train(), VMilsConfig(), change_ns)))
+    bound = _score_resistance(oracle, day)
+    kalman = _trace(day, _kalman_row(BrakeKalman(believed_train(), GsmaConfig())))
+    return DayScores(
+        resistance=(*(_score_resistance(trace, day) for trace in _traces(RESISTANCE, day, seed)), bound),
+        speed_model=(*(_score_resistance(trace, day) for trace in _traces(SPEED_MODEL, day, seed)), bound),
+        brake_rate=(*(_score_brake(trace, day) for trace in _traces(BRAKE_RATE, day, seed)), _score_brake(kalman, day)),
     )
 
 
-def _trace_vmils(estimator: VMils, samples: Sequence[Sample]) -> Trace:
-    def row(sample: Sample) -> tuple[float, ...]:
-        result = estimator.step(sample)
-        now = estimator.estimate(sample.speed) if isinstance(result, Refusal) else result
-        return now.a, now.b, now.c, now.resistance_std, float(estimator.converged)
+def _day(seed: int) -> Day:
+    simulated = simulated_day(seed)
+    samples, truth = samples_of(simulated.records), simulated.truth
+    time_s = np.array([(sample.stamp_ns - truth.start_ns) / NS_PER_S for sample in samples])
+    points = [truth.truth_at(t) for t in time_s]
+    known = BRAKE_RATE.make(BRAKE_RATE.choose(), believed_train(), np.random.default_rng(seed))
+    return Day(
+        samples=samples,
+        truth=truth,
+        time_s=time_s,
+        speed=np.array([sample.speed for sample in samples]),
+        davis=np.array([(point.resistance.a, point.resistance.b, point.resistance.c) for point in points]),
+        brake_rate=np.array([point.brake_rate or math.nan for point in points]),
+        braking=np.array([_stepped(known, sample).observable for sample in samples]),
+    )
 
-    return _trace(samples, row)
+
+def _traces(algorithms: Algorithms[Any], day: Day, seed: int) -> Iterable[Trace]:
+    for name in algorithms.names:
+        estimator = algorithms.make(algorithms.choose(name), believed_train(), np.random.default_rng(seed))
+        yield _trace(day, _estimator_row(estimator))
 
 
-def _trace_am_vff_rls(estimator: AmVffRls, samples: Sequence[Sample]) -> Trace:
-    def row(sample: Sample) -> tuple[float, ...]:
-        result = estimator.step(sample)
-        now = estimator.estimate(sample.speed) if isinstance(result, Refusal) else result
-        return now.a, now.b, now.c, math.nan, float(estimator.converged)
-
-    return _trace(samples, row)
+def _stepped(estimator: Estimator[Any], sample: Sample) -> Any:
+    answer = estimator.step(sample)
+    return estimator.estimate(sample.speed) if isinstance(answer, Refusal) else answer
 
 
-def _trace_oracle(oracle: ResistanceOracle, samples: Sequence[Sample]) -> Trace:
-    def row(sample: Sample) -> tuple[float, ...]:
+def _estimator_row(estimator: Estimator[Any]) -> Stepper:
+    def row(sample: Sample) -> Row:
+        return *_shown(_stepped(estimator, sample), sample.speed), float(estimator.converged)
+
+    return row
+
+
+def _shown(now: ResistanceEstimate | SpeedModelEstimate | BrakeRateEstimate, speed: float) -> Row:
+    """Return the values to score and their standard deviation."""
+    if isinstance(now, BrakeRateEstimate):
+        return now.brake_rate, now.brake_rate_std
+    if isinstance(now, ResistanceEstimate):
+        return now.a, now.b, now.c, now.resistance_std
+    S = upper(np.array(now.covariance).reshape(4, 4))
+    variance = resistance_variance((now.a1, now.a2, now.b1, now.d0), S, speed)
+    return now.a, now.b, now.c, math.sqrt(max(variance, 1e-12))
+
+
+def _oracle_row(oracle: ResistanceOracle) -> Stepper:
+    def row(sample: Sample) -> Row:
         oracle.step(sample)
         phi = np.array([1.0, sample.speed, sample.speed**2])
         return *oracle.theta, math.sqrt(phi @ oracle.P @ phi), 1.0
 
-    return _trace(samples, row)
+    return row
 
 
-def _trace_gsma(estimator: Gsma, samples: Sequence[Sample]) -> tuple[Trace, NDArray[np.bool_]]:
-    """Return the trace, and at which samples the brake told something about its rate."""
-    braking = []
-
-    def row(sample: Sample) -> tuple[float, ...]:
-        result = estimator.step(sample)
-        now = estimator.estimate(sample.speed) if isinstance(result, Refusal) else result
-        braking.append(now.observable)
-        return now.brake_rate, now.brake_rate_std, float(estimator.converged)
-
-    return _trace(samples, row), np.array(braking)
-
-
-def _trace_kalman(kalman: BrakeKalman, samples: Sequence[Sample]) -> Trace:
+def _kalman_row(kalman: BrakeKalman) -> Stepper:
     limit = GsmaConfig().valid_std
 
-    def row(sample: Sample) -> tuple[float, ...]:
+    def row(sample: Sample) -> Row:
         kalman.step(sample)
         std = math.sqrt(kalman.P[3, 3])
         return float(kalman.x[3]), std, float(std < limit)
 
-    return _trace(samples, row)
+    return row
 
 
-def _trace(samples: Sequence[Sample], row: Callable[[Sample], tuple[float, ...]]) -> Trace:
-    rows = np.array([row(sample) for sample in samples])
-    return Trace(rows[:, :-2], rows[:, -2], rows[:, -1] > 0.5)
+def _trace(day: Day, row: Stepper) -> Trace:
+    began = time.thread_time()
+    rows = np.array([row(sample) for sample in day.samples])
+    cost_us = 1e6 * (time.thread_time() - began) / len(day.samples)
+    return Trace(rows[:, :-2], rows[:, -2], rows[:, -1] > 0.5, cost_us)
 
 
-def _score_resistance(trace: Trace, samples: Sequence[Sample], truth: Truth) -> ResistanceScore:
-    time_s = np.array([(sample.stamp_ns - truth.start_ns) / NS_PER_S for sample in samples])
-    speed = np.array([sample.speed for sample in samples])
-    points = [truth.truth_at(t).resistance for t in time_s]
-    wrong = trace.values - np.array([(point.a, point.b, point.c) for point in points])
-    moving = speed >= _MOVING
+def _score_resistance(trace: Trace, day: Day) -> ResistanceScore:
+    wrong, speed, moving = trace.values - day.davis, day.speed, day.speed >= _MOVING
     errors = []
-    for change_s, *_ in truth.resistance:
-        at = min(int(np.searchsorted(time_s, change_s + _AFTER_CHANGE_S)), len(samples) - 1)
+    for change_s, *_ in day.truth.resistance:
+        at = min(int(np.searchsorted(day.time_s, change_s + _AFTER_CHANGE_S)), len(speed) - 1)
         driven = float(speed[: at + 1][moving[: at + 1]][-1])
         errors.append([abs(float(wrong[at] @ (1.0, v, v * v))) for v in (*_SPEEDS, driven)])
-    counted = moving & trace.usable
-    error = np.abs(wrong[:, 0] + speed * (wrong[:, 1] + speed * wrong[:, 2]))[counted] / trace.std[counted]
+    error = np.abs(wrong[:, 0] + speed * (wrong[:, 1] + speed * wrong[:, 2]))
     return ResistanceScore(
         errors=tuple(float(np.mean(row)) for row in errors),
         close=float(np.mean(np.array(errors) <= _CLOSE)),
-        inside_68=float(np.mean(error <= 1.0)),
-        inside_95=float(np.mean(error <= _SIGMA_95)),
+        honesty=_honest(trace, error, moving),
     )
 
 
-def _score_brake(trace: Trace, braking: NDArray[np.bool_], samples: Sequence[Sample], truth: Truth) -> BrakeScore:
-    time_s = np.array([(sample.stamp_ns - truth.start_ns) / NS_PER_S for sample in samples])
-    true = np.array([truth.truth_at(t).brake_rate or math.nan for t in time_s])
-    error = np.abs(trace.values[:, 0] - true)
-    asked = np.array([sample.brake_command < 0.0 and sample.speed > _DRIVING for sample in samples])
-    later = time_s >= time_s[int(np.argmax(asked))] + _AFTER_BRAKE_S
-    counted = braking & trace.usable
-    scaled = error[counted] / trace.std[counted]
-    return BrakeScore(
-        early=float(error[later][0]),
-        mean=float(error[later].mean()),
-        inside_68=float(np.mean(scaled <= 1.0)),
-        inside_95=float(np.mean(scaled <= _SIGMA_95)),
-    )
+def _score_brake(trace: Trace, day: Day) -> BrakeScore:
+    error = np.abs(trace.values[:, 0] - day.brake_rate)
+    asked = np.array([sample.brake_command < 0.0 and sample.speed > _DRIVING for sample in day.samples])
+    later = day.time_s >= day.time_s[int(np.argmax(asked))] + _AFTER_BRAKE_S
+    return BrakeScore(float(error[later][0]), float(error[later].mean()), _honest(trace, error, day.braking))
+
+
+def _honest(trace: Trace, error: Array, counted: NDArray[np.bool_]) -> Honesty:
+    used = counted & trace.usable
+    error, std = error[used], trace.std[used]
+    inside = [float(np.mean(error <= z * std)) if error.size else math.nan for z in (1.0, _SIGMA_95)]
+    return Honesty(inside[0], inside[1], float(np.mean(trace.usable)), trace.cost_us)

@@ -25,8 +25,8 @@ _STAGES: Final = (
     ('to records', 'record_from_message'),
     ('aligning', 'Aligner.push'),
     ('V-MILS', 'VMils.step'),
-    ('AM-VFF-RLS', 'AmVffRls.step'),
-    ('GSMA', 'Gsma.step'),
+    ('AM-VFF-RLS', 'SpeedModelEstimator.step'),
+    ('GSMA', 'BrakeRateEstimator.step'),
 )
 
 

@@ -22,7 +22,6 @@ from benchmarks.papers.line_scores import (
 from benchmarks.papers.lockstep import ManyAuxiliary, ManyIntegral, Track
 from benchmarks.papers.station_lines import LONG_CRUISE, NOISES, ONE_RUN, Lines, Noise, measured, station_lines
 from benchmarks.papers.yuan_claims import claims_table
-from benchmarks.papers.yuan_days import day_table
 from benchmarks.papers.yuan_methods import (
     P0,
     PRINTED,
@@ -51,7 +50,6 @@ _FIRST_SEED: Final = 5000
 _LINES_PER_SEED: Final = 200.0 / 60.0
 _WHITE: Final = NOISES[0]
 _CRUISE_LINES: Final = 20
-_MOST_DAYS: Final = 12
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,7 +68,7 @@ class Target:
 
 
 def measure(seeds: int) -> list[Table | Plot]:
-    """Return all tables and plots; 60 seeds are 200 lines and 12 days."""
+    """Return all tables and plots; 60 seeds are 200 lines."""
     count = max(12, round(seeds * _LINES_PER_SEED))
     chosen = range(_FIRST_SEED, _FIRST_SEED + count)
     lines = station_lines(chosen)
@@ -87,7 +85,6 @@ def measure(seeds: int) -> list[Table | Plot]:
         _honesty_table(lines, tracks),
         bounds,
         cruise,
-        day_table(max(2, min(_MOST_DAYS, seeds))),
         step_plot(lines, tracks[_WHITE.name]),
         error_plot(lines, tracks[_WHITE.name]),
     ]
