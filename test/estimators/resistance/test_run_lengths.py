@@ -25,7 +25,6 @@ PLAN = RunLengths(
     spacing=8,
     watchers=5,
     patience=32,
-    kept=200,
     lockout=60,
 )
 Spoil = Callable[[int, np.random.Generator], float]

@@ -48,8 +48,7 @@ class RunLengths:
         spacing: Observations between the births of two watchers.
         watchers: Most watchers at a time.
         patience: Observations after which a watcher counts.
-        kept: Observations kept for a new beginning when locked out.
-        lockout: Observations over which the weights are averaged to notice it.
+        lockout: Observations over which weights are averaged to notice a lock-out, and kept for a new beginning.
 
     """
 
@@ -60,7 +59,6 @@ class RunLengths:
     spacing: int
     watchers: int
     patience: int
-    kept: int
     lockout: int
 
 
@@ -119,7 +117,7 @@ class Tracker:
         self._memory: MilsState = state.memory
         self._parts = deque(state.parts, maxlen=self.plan.p)
         self._watchers = list(state.watchers)
-        self._rows = deque(state.rows, maxlen=self.plan.kept)
+        self._rows = deque(state.rows, maxlen=self.plan.lockout)
         self._mean_weight = state.mean_weight
         self._count, self.steps_found = state.count, state.steps_found
         self._mix()
@@ -198,7 +196,7 @@ class Tracker:
         """Most observations contradict the belief: learn from the latest alone, if they agree among themselves."""
         if len(self._rows) < LEAST_ROWS:
             return
-        fit = robust_fit(tuple(self._rows)[-2 * self.plan.lockout :], self._prior)
+        fit = robust_fit(tuple(self._rows), self._prior)
         if fit is not None:
             self.begin(fit)
             self.steps_found += 1

@@ -46,9 +46,8 @@ _DRIFT_LUMP_S: Final = 60.0
 # Observations between the births of two watchers, and most of them at a time.
 _SPACING: Final = 6
 _WATCHERS: Final = 5
-# Observations that a new beginning learns from, and over which a lock-out shows.
-_KEPT: Final = 40
-_LOCKOUT: Final = 20
+# Observations over which a lock-out shows, and that a new beginning learns from.
+_LOCKOUT: Final = 30
 
 
 @dataclass(frozen=True, slots=True)
@@ -226,7 +225,6 @@ def run_lengths(config: VMilsConfig, prior_variances: tuple[float, float, float]
         spacing=_SPACING,
         watchers=_WATCHERS,
         patience=config.step_patience,
-        kept=_KEPT,
         lockout=_LOCKOUT,
     )
 
