@@ -22,6 +22,7 @@ from trainid_ros.core.results import BrakeRateEstimate, Reason, Refusal
 from trainid_ros.core.settings import check_settings
 from trainid_ros.estimators.brake_rate.belief import Belief, Interval
 from trainid_ros.estimators.brake_rate.brake_kinematics import BrakeStep, brake_step
+from trainid_ros.estimators.brake_rate.disturbance import DisturbanceNoise
 from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.estimators.speed_noise import SpeedNoise
 from trainid_ros.physics.brake import CommandHistory
@@ -40,6 +41,9 @@ _POSITION_GAIN: Final = 0.1
 _ANCHOR_BRAKE_STD: Final = 0.05
 _ANCHORING: Final = frozenset({Reason.GAP, Reason.STANDSTILL, Reason.BRAKE_COMMAND_MISSING, Reason.BRAKE_UNCERTAIN})
 _HISTORY_S: Final = 60.0
+# A brake that is released, and traction whose error is small enough, to learn of the disturbance.
+_RELEASED: Final = 1e-3
+_SLACK: Final = 0.5
 _LARGEST_RATE: Final = 3.0  # times the believed one
 
 
@@ -49,6 +53,7 @@ class DriveState:
 
     Attributes:
         noise: Noise of the measured speed.
+        disturbance: Size of the unmodelled acceleration.
         commands: Brake commands that may still act.
         stamp_ns: Stamp of the newest sample, 0 before the first.
         filtered_target: Command after dead time and lag of a nominal brake [m/s^2].
@@ -60,6 +65,7 @@ class DriveState:
     """
 
     noise: SpeedNoise
+    disturbance: DisturbanceNoise
     commands: CommandHistory
     stamp_ns: int = 0
     filtered_target: float = 0.0
@@ -92,7 +98,9 @@ class BrakeRateEstimator:
     def reset(self) -> None:
         """Go back to the prior."""
         self.belief.reset(self._brake.rate, self.config.prior_std)
-        self.state = DriveState(SpeedNoise.declared(self.config.speed_std), CommandHistory())
+        noise = SpeedNoise.declared(self.config.speed_std)
+        disturbance = DisturbanceNoise.declared(self.config.disturbance_std)
+        self.state = DriveState(noise, disturbance, CommandHistory())
 
     def save(self) -> str:
         """Return the whole state, that of a generator included, as JSON text."""
@@ -103,6 +111,7 @@ class BrakeRateEstimator:
         state = decode(text, DriveState)
         numbers = (state.filtered_target, state.unbraked_s, state.noise.variance, state.innovation_variance)
         check_restored(all(map(math.isfinite, numbers)), 'DriveState', 'a number')
+        check_restored(state.disturbance.sound, 'DriveState', 'disturbance')
         self.belief.restore(state.belief)
         state.belief = ''
         self.state = state
@@ -116,6 +125,8 @@ class BrakeRateEstimator:
         """Take one sample in; f learns only while the brake acts on a moving train."""
         motion = self._follow_command(sample)
         result = self._take(sample, motion)
+        if result is None or result.reason is not Reason.NOT_BRAKING:
+            self.state.disturbance = self.state.disturbance.paused()
         # Fit to use while the uncertainty is small; hysteresis of a factor of two.
         limit = self.config.valid_std * (2.0 if self.state.converged else 1.0)
         self.state.converged = self._std() < limit
@@ -139,6 +150,7 @@ class BrakeRateEstimator:
         braking = max(abs(state.filtered_target), abs(motion.start_target))
         if braking < self.config.min_braking:
             self.belief.follow(sample.speed, state.noise.variance)
+            self._learn_disturbance(sample, interval, braking)
             return Refusal(sample.stamp_ns, Reason.NOT_BRAKING, braking, self.config.min_braking)
         if not self.belief.learn(interval, state.unbraked_s, sample.speed, state.noise.variance):
             return Refusal(sample.stamp_ns, Reason.NUMERICAL, state.innovation, math.nan)
@@ -201,13 +213,22 @@ class BrakeRateEstimator:
             rho=rho,
             known=known * dt if math.isfinite(known) else 0.0,
             q_v=(config.acceleration_noise**2 + slack**2) * dt,
-            q_b=config.disturbance_std**2 * (1.0 - rho * rho),
+            q_b=self.state.disturbance.variance * (1.0 - rho * rho),
         )
+
+    def _learn_disturbance(self, sample: Sample, interval: Interval, braking: float) -> None:
+        """Learn of the size of b where nothing else that is uncertain acts."""
+        state = self.state
+        slack = interval.q_v / interval.dt - self.config.acceleration_noise**2
+        if braking > _RELEASED or slack > (_SLACK * self.config.disturbance_std) ** 2:
+            state.disturbance = state.disturbance.paused()
+            return
+        state.disturbance = state.disturbance.add(interval, sample.speed, state.noise.variance)
 
     def _anchor(self, sample: Sample) -> None:
         """Start the train state anew from the measured speed; f stands."""
         state = self.state
-        variances = (state.noise.variance, _ANCHOR_BRAKE_STD**2, self.config.disturbance_std**2)
+        variances = (state.noise.variance, _ANCHOR_BRAKE_STD**2, state.disturbance.variance)
         self.belief.anchor(sample.speed, state.filtered_target, variances)
         state.position = sample.position
         state.refused_in_a_row = 0
