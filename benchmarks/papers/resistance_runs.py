@@ -90,13 +90,13 @@ def coast_errors(seed: int) -> CoastErrors:
     ekf, vmils = [], []
     for i, spoil in enumerate(SPEEDS):
         speed = spoiled_speeds(spoil, coasts, np.random.default_rng([seed, i]))
-        ekf.append(_on_coasts(_ekf(coasts.plan), coasts, speed))
-        vmils.append(_on_coasts(_vmils(truth), coasts, speed))
+        ekf.append(on_coasts(ekf_of(coasts.plan), coasts, speed))
+        vmils.append(on_coasts(vmils_of(truth), coasts, speed))
     return CoastErrors(
         ekf=tuple(ekf),
         vmils=tuple(vmils),
         bound=coast_data.curve_std(coast_data.cramer_rao(coasts)),
-        ekf_calm=_on_coasts(_ekf(calm.plan), calm, calm.speed),
+        ekf_calm=on_coasts(ekf_of(calm.plan), calm, calm.speed),
         bound_calm=coast_data.curve_std(coast_data.cramer_rao(calm)),
     )
 
@@ -106,7 +106,7 @@ def _believed(truth: tuple[float, ...]) -> tuple[float, float, float]:
     return a, b, c
 
 
-def _ekf(plan: CoastPlan) -> SpeedEkf:
+def ekf_of(plan: CoastPlan) -> SpeedEkf:
     """Return the filter that knows the statistics of gusts and noise, with a wide prior, of constant parameters."""
     config = SpeedEkfConfig(
         prior_share=0.0,
@@ -121,13 +121,14 @@ def _ekf(plan: CoastPlan) -> SpeedEkf:
     return SpeedEkf(coast_data.train_file(_believed(plan.truth)), config)
 
 
-def _vmils(truth: tuple[float, float, float]) -> VMils:
+def vmils_of(truth: tuple[float, float, float]) -> VMils:
     """Return V-MILS as shipped, but with the same prior and constant parameters."""
     config = VMilsConfig(prior_share=0.0, prior_std_a=2.0, prior_std_b=0.2, prior_std_c=0.01, drift_share=0.0)
     return VMils(coast_data.train_file(_believed(truth)), replace(config, step_share=0.25))
 
 
-def _on_coasts(estimator: SpeedEkf | VMils, coasts: coast_data.Coasts, speed: Array) -> float:
+def on_coasts(estimator: SpeedEkf | VMils, coasts: coast_data.Coasts, speed: Array) -> float:
+    """Return the error of an estimator after all coasts, with these speeds measured."""
     for sample in coast_data.samples(coasts, speed):
         estimator.step(sample)
     found = estimator.estimate(15.0)
@@ -137,12 +138,13 @@ def _on_coasts(estimator: SpeedEkf | VMils, coasts: coast_data.Coasts, speed: Ar
 def observed_errors(seed: int) -> ObservedErrors:
     """Run least squares and the robust kernel on the observations of one seed, clean and spoiled."""
     truth = PAPER if seed % 2 else LARGE_A
-    rows = [_observed(truth, seed, i) for i in range(len(OBSERVED))]
+    rows = [observed_error(truth, seed, i) for i in range(len(OBSERVED))]
     least_squares, robust, bound = zip(*rows, strict=True)
     return ObservedErrors(least_squares, robust, bound)
 
 
-def _observed(truth: tuple[float, float, float], seed: int, kind: int) -> tuple[float, float, float]:
+def observed_error(truth: tuple[float, float, float], seed: int, kind: int) -> tuple[float, float, float]:
+    """Return the errors of least squares and of the robust kernel, and the bound."""
     data = spoiled_observations(OBSERVED[kind], truth, np.random.default_rng([seed, kind]))
     Phi = np.stack([np.ones_like(data.v), data.v, data.v**2], axis=1)
     true = np.array(_si(truth))
@@ -190,11 +192,11 @@ def _jump(seed: int, size: float) -> JumpResult:
 
 def metro_results(seed: int) -> tuple[MetroResult, ...]:
     """Run V-MILS, settings as shipped, over the four scenarios of the metro ride."""
-    return tuple(_metro(seed, scenario) for scenario in metro.SCENARIOS)
+    return tuple(metro_result(seed, scenario) for scenario in metro.SCENARIOS)
 
 
-def _metro(seed: int, scenario: metro.Scenario) -> MetroResult:
-    """All ticks in motion count, those under braking too: here the force of the brake is known."""
+def metro_result(seed: int, scenario: metro.Scenario) -> MetroResult:
+    """Return the result of one scenario; ticks under braking count too, since here the force of the brake is known."""
     data, config = metro.metro_stream(seed, scenario), VMilsConfig()
     floors = (config.prior_std_a, config.prior_std_b, config.prior_std_c)
     A, D, F = np.diag(davis_prior(_METRO_BELIEF, config.prior_share, floors)).tolist()
