@@ -14,7 +14,7 @@ from trainid_ros.core.records import NS_PER_S
 from trainid_ros.estimators.compiled.streams import VMilsStream
 from trainid_ros.estimators.prior import davis_prior
 from trainid_ros.estimators.resistance.multi_innovation import NOTHING, belief_of, information_of, mils_step
-from trainid_ros.estimators.resistance.run_lengths import Tracker
+from trainid_ros.estimators.resistance.run_lengths import RunLengths, Tracker
 from trainid_ros.estimators.resistance.speed_window import Tick
 from trainid_ros.estimators.resistance.vmils import VMilsConfig, run_lengths, window_plan
 from trainid_ros.estimators.resistance.window_learner import WindowLearner
@@ -29,6 +29,16 @@ if TYPE_CHECKING:
 P: Final = 10
 OUTLIERS: Final = 0.05
 PRIOR: Final = (*START, START_SD[0] ** 2, 0.0, 0.0, START_SD[1] ** 2, 0.0, START_SD[2] ** 2)
+PLAN: Final = RunLengths(
+    p=P,
+    outliers=OUTLIERS,
+    step_variances=(0.16, 1e-6, 6e-8),
+    hazard=1e-5,
+    spacing=300,
+    watchers=4,
+    patience=300,
+    lockout=100,
+)
 _TICK_NS: Final = round(PERIOD * NS_PER_S)
 
 
@@ -77,6 +87,28 @@ class MilsCompiled(RowPeer):
     @property
     def covariance(self) -> NDArray[np.float64]:
         return _square(self._stream.belief[3:])
+
+
+class MilsTracker(RowPeer):
+    """V-MILS on rows: the recursion, and watchers for steps, born every minute and believed after another one."""
+
+    def __init__(self) -> None:
+        self._tracker = Tracker(PRIOR, PLAN)
+
+    def items(self, stream: MetroStream) -> list[Item]:
+        return [(v, v * v, y, VARIANCE) for y, _, v in super().items(stream)]
+
+    @property
+    def step(self) -> Any:
+        return self._tracker.update
+
+    @property
+    def theta(self) -> NDArray[np.float64]:
+        return np.array(self._tracker.belief[:3])
+
+    @property
+    def covariance(self) -> NDArray[np.float64]:
+        return _square(self._tracker.belief[3:])
 
 
 class VMilsRaw(RowPeer):

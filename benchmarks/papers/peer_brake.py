@@ -221,7 +221,7 @@ class Result:
 
 def measure(seeds: int) -> list[Table]:
     """Return the table of the particle filters."""
-    seeds = max(1, seeds // 3)
+    seeds = max(1, seeds // 6)
     results = [item for ride in over_seeds(drives, range(seeds)) for item in ride]
     times = {item.name: np.concatenate([one.times for one in results if one.name == item.name]) for item in results}
     rows = []

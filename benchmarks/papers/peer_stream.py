@@ -17,7 +17,7 @@ from benchmarks.papers import peer_filters as peers
 from benchmarks.papers.contest import FIRST_SEED, Times, copied, growth, installed, time_in_turns
 from benchmarks.papers.hand_filters import GATE, HandRls, NumpyRls, RowPeer
 from benchmarks.papers.metro_stream import SCENARIOS, curve_error, metro_stream
-from benchmarks.papers.our_filters import MilsCompiled, MilsPlain, VMilsRaw
+from benchmarks.papers.our_filters import MilsCompiled, MilsPlain, MilsTracker, VMilsRaw
 from benchmarks.papers.seeds import over_seeds
 from benchmarks.tables import Table
 
@@ -31,7 +31,8 @@ if TYPE_CHECKING:
     from trainid_ros.physics.train_file import Davis
 
 REFERENCE: Final = 'hand RLS, floats'
-OURS: Final = 'trainid V-MILS as shipped, raw speed'
+OURS: Final = 'trainid V-MILS p = 10, steps watched for'
+OUR_NODE: Final = 'trainid V-MILS as shipped, raw speed'
 OUR_KERNEL: Final = 'trainid V-MILS p = 10, recursion'
 OUR_COMPILED: Final = 'the same, compiled'
 
@@ -52,7 +53,7 @@ class Contestant:
     name: str
     package: str
     make: Callable[[], RowPeer]
-    share: float = 1.0 / 6.0
+    share: float = 1.0 / 8.0
 
 
 CONTESTANTS: Final = (
@@ -77,8 +78,10 @@ CONTESTANTS: Final = (
     Contestant('scikit-learn SGDRegressor, Huber', 'sklearn', peers.SklearnHuber, 0.0),
     Contestant(OUR_KERNEL, 'numpy', MilsPlain, 1.0),
     Contestant(OUR_COMPILED, 'numba', MilsCompiled, 1.0),
-    Contestant(OURS, 'numpy', VMilsRaw, 1.0),
+    Contestant(OURS, 'numpy', MilsTracker, 1.0),
+    Contestant(OUR_NODE, 'numpy', VMilsRaw, 1.0),
 )
+_TRAINID: Final = (OURS, OUR_NODE, OUR_KERNEL, OUR_COMPILED)
 _SAME_AS_FILTERPY: Final = ('simdkalman primitives', 'stonesoup KalmanUpdater', 'pykalman filter_update')
 
 
@@ -163,7 +166,7 @@ def _times(present: Sequence[Contestant]) -> list[Times]:
 
 
 def _memory_calls(item: Contestant) -> int:
-    if item.name in (OURS, OUR_KERNEL, OUR_COMPILED):
+    if item.name in _TRAINID:
         return _OUR_MEMORY_CALLS
     return _MEMORY_CALLS if item.share == 1.0 else _MEMORY_CALLS // 5 if item.share > 0.1 else _MEMORY_CALLS // 10
 
@@ -232,22 +235,27 @@ def _difference(one: RowPeer, other: RowPeer) -> float:
 
 
 def targets(rows: tuple[tuple[str, ...], ...]) -> Table:
-    """Return what issue 3 asks of a single setting, ours and the best peer's in each column."""
-    names = [row[0] for row in rows]
-    ours = rows[names.index(OURS)]
-    others = [row for row in rows if row[0] not in (OURS, OUR_KERNEL, OUR_COMPILED)]
+    """Return what issue 3 asks of a single setting, ours and the best of the others in each column."""
+    by_name = {row[0]: row for row in rows}
+    ours, node = by_name[OURS], by_name[OUR_NODE]
+    others = [row for row in rows if row[0] not in _TRAINID]
     lines: list[tuple[str, ...]] = []
     for column, scenario in enumerate(SCENARIOS, start=4):
-        bound, reached = _BOUNDS[scenario], float(ours[column])
+        bound = _BOUNDS[scenario]
         best = min((row for row in others if row[column] != '-'), key=lambda row: float(row[column]))
-        lines.append((scenario, f'<= {bound}', ours[column], _met(reached <= bound), f'{best[column]} {best[0]}'))
+        verdicts = (ours[column], _met(float(ours[column]) <= bound), node[column], _met(float(node[column]) <= bound))
+        lines.append((scenario, f'<= {bound}', *verdicts, f'{best[column]} {best[0]}'))
     low, high = _NORMALISED
-    z = float(ours[8])
-    lines.append(('normalised error, clean', f'{low} to {high}', ours[8], _met(low <= z <= high), '-'))
+    verdicts = (ours[8], _met(low <= float(ours[8]) <= high), node[8], _met(low <= float(node[8]) <= high))
+    lines.append(('normalised error, clean', f'{low} to {high}', *verdicts, '-'))
     all_met = [row[0] for row in others if all(row[k + 4] != '-' for k in range(4)) and _meets(row)]
-    note = f'All four at once, of {len(others)} others: {", ".join(all_met) or "none"}.'
-    header = ('target', 'must be', 'reached', 'met?', 'best of the others in this column')
-    return Table(f'Targets of {OURS}', header, tuple(lines), note)
+    note = (
+        f'All four columns at once, of {len(others)} others: {", ".join(all_met) or "none"}. On rows: {OURS}; on raw '
+        f'speed, of which the errors of out5 and slip are others: {OUR_NODE}. The best of the others may have run over '
+        'fewer seeds.'
+    )
+    header = ('target', 'must be', 'on rows', 'met?', 'as shipped', 'met?', 'best of the others in this column')
+    return Table('Targets of V-MILS: one setting for all four', header, tuple(lines), note)
 
 
 def _meets(row: tuple[str, ...]) -> bool:
