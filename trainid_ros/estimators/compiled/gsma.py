@@ -29,7 +29,6 @@ class CompiledGsmaBelief(GsmaBelief):
         self._predict, self._learn = compiled(group_loops.predict), compiled(group_loops.learn)
         super().__init__(config, believed, rng)
         self._edges = np.concatenate([[0], np.cumsum(self.strata.sizes)]).astype(np.intp)
-        self._last = (math.nan, np.zeros((0, 0)))
         # Now, not when the brake first acts: compiling takes seconds.
         interval = Interval(0.2, 0.1, 0.6, 0.01, 0.4, 1.0, 0.0, 1e-6, 0.0)
         c, (x, slope, P) = self.cloud, self._predicted(interval)
@@ -64,11 +63,5 @@ class CompiledGsmaBelief(GsmaBelief):
     def _learned(self, c: GroupCloud, P: Array, interval: Interval, speed: float, r: float, draws: Array) -> Learned:
         return self._learn(
             c.f, c.x, c.weight, c.mean, c.variance, c.slope, self._edges,
-            interval, self._q, P, speed, r, self._largest, self._chances(interval.dt), draws,
+            interval, self._q, P, speed, r, self._largest, self._chain(interval.dt), draws,
         )  # fmt: skip
-
-    def _chances(self, dt: float) -> Array:
-        """Return the chances to go from one stratum to another, remembered: samples come evenly."""
-        if dt != self._last[0]:
-            self._last = dt, self._chain(dt)
-        return self._last[1]
