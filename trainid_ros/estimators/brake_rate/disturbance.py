@@ -37,7 +37,7 @@ class DisturbanceNoise:
     """What is believed of the deviation of b.
 
     Attributes:
-        declared_std: Deviation as declared [m/s^2]; 0: there is no disturbance.
+        declared_std: Deviation as declared [m/s^2]; 0: nothing is learned.
         variance: Mean variance of b [(m/s^2)^2].
         evidence: Log-likelihood of each deviation, the largest 0.
         motions: State of the filter of each deviation; none while the brake acts or the train stands.
@@ -54,6 +54,11 @@ class DisturbanceNoise:
         """Return the deviation as declared [m/s^2], nothing learned yet."""
         evidence = (0.0,) * _LEVELS
         return cls(std, mean_variance(std, evidence), evidence)
+
+    @classmethod
+    def told(cls, std: float) -> DisturbanceNoise:
+        """Return a deviation that is known [m/s^2], and not learned."""
+        return cls(0.0, std * std, (0.0,) * _LEVELS)
 
     @property
     def std(self) -> float:

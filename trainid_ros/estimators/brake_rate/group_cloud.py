@@ -24,7 +24,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from trainid_ros.estimators.brake_rate.particles import Array, Correction, LinearStep, distance
+from trainid_ros.estimators.brake_rate.particles import Array, Correction, LinearStep
 from trainid_ros.estimators.brake_rate.resampling import normal_weights, systematic
 
 if TYPE_CHECKING:
@@ -33,7 +33,9 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 _GROUP: Final = np.array([[-1.0], [0.0], [1.0]])
-_LOG_PRIOR: Final = np.log(np.array([[1.0], [4.0], [1.0]]) / 6.0)
+# Prior weight of the child in the middle, and of the others beside it.
+_LOG_MIDDLE: Final = math.log(4.0 / 6.0)
+_LOG_SIDE: Final = math.log(1.0 / 4.0)
 _KAPPA: Final = 0.2
 _SHRUNK: Final = math.sqrt(1.0 - _KAPPA**2) - 1.0
 # Survivors are not spread by more than this to match those that they stand for.
@@ -49,16 +51,20 @@ class Strata:
 
     Attributes:
         sizes: Particles of each stratum.
+        parts: Their places.
         of: Stratum of each particle, shape (N,).
-        member: 1 in the column of a particle's stratum, shape (N, M).
+        parent: Particle of each child, shape (3 N,).
+        ranks: Where in [0, 1) the particles of each stratum are, M arrays.
         average: Averages over each stratum, shape (N, M).
         log_shares: Logarithm of a particle's share in its stratum, shape (M,).
 
     """
 
     sizes: tuple[int, ...]
+    parts: tuple[slice, ...]
     of: NDArray[np.intp]
-    member: Array
+    parent: NDArray[np.intp]
+    ranks: tuple[Array, ...]
     average: Array
     log_shares: Array
 
@@ -67,8 +73,11 @@ class Strata:
         """Return strata of these sizes, one after another."""
         of = np.repeat(np.arange(len(sizes)), sizes)
         counts = np.array(sizes, dtype=float)
-        member = (of[:, None] == np.arange(len(sizes))).astype(float)
-        return cls(tuple(sizes), of, member, member / counts, -np.log(counts))
+        ends = np.cumsum(sizes).tolist()
+        parts = tuple(slice(end - size, end) for end, size in zip(ends, sizes, strict=True))
+        average = (of[:, None] == np.arange(len(sizes))) / counts
+        ranks = tuple(np.arange(size) / size for size in sizes)
+        return cls(tuple(sizes), parts, of, np.tile(np.arange(len(of)), 3), ranks, average, -np.log(counts))
 
 
 class GroupCloud(NamedTuple):
@@ -144,22 +153,30 @@ def _with_x(cloud: GroupCloud, x: Array, slope: Array) -> GroupCloud:
 
 
 class Branches(NamedTuple):
-    """The groups of all particles: child k of particle i has f = base_i + offset_ki and x = x_i + offset_ki c_i.
+    """The groups of all particles: child k of particle i has f = base_i + k h and x = x_i + k h c, k = -1, 0, 1.
 
     Attributes:
         base: Shrunk rates, shape (N,).
-        offset: Steps within the groups, shape (3, N).
+        h: Step within the groups of each stratum, shape (M,).
         x: States of the children in the middle, shape (n, N).
-        c: Their slope within a group, shape (n, N).
-        log_prior: Logarithms of the weights, shape (3, N).
+        c: Their slope within a group of each stratum, shape (n, M).
+        log_prior: Logarithm of the weight of a particle in each stratum, shape (M,).
+        of: Stratum of each particle, shape (N,).
 
     """
 
     base: Array
-    offset: Array
+    h: Array
     x: Array
     c: Array
     log_prior: Array
+    of: NDArray[np.intp]
+
+    @property
+    def f(self) -> Array:
+        """Rates of the children, shape (3, N)."""
+        rates: Array = self.base + _GROUP * self.h.take(self.of)
+        return rates
 
 
 def branch(cloud: GroupCloud, strata: Strata, step: LinearStep, walk: Array) -> Branches:
@@ -171,14 +188,9 @@ def branch(cloud: GroupCloud, strata: Strata, step: LinearStep, walk: Array) -> 
     gamma = step.gamma[:, None]
     c = gamma + kernel / both * (cloud.slope - gamma)
     moved = _SHRUNK * (cloud.f - cloud.mean.take(of))
-    log_weight = np.log(np.maximum(cloud.weight, _TINY)) + strata.log_shares
-    return Branches(
-        base=cloud.f + moved,
-        offset=_GROUP * np.sqrt(3.0 * both).take(of),
-        x=cloud.x + cloud.slope.take(of, axis=1) * moved,
-        c=c.take(of, axis=1),
-        log_prior=_LOG_PRIOR + log_weight.take(of),
-    )
+    log_prior = np.log(np.maximum(cloud.weight, _TINY)) + strata.log_shares
+    x = cloud.x + cloud.slope.take(of, axis=1) * moved
+    return Branches(cloud.f + moved, np.sqrt(3.0 * both), x, c, log_prior, of)
 
 
 def weigh(groups: Branches, fix: Correction, H: Array, y: Array, largest: float) -> tuple[Branches, Array]:
@@ -186,17 +198,25 @@ def weigh(groups: Branches, fix: Correction, H: Array, y: Array, largest: float)
 
     No child beyond 0 <= f <= largest remains.
     """
+    base, h, of = groups.base, groups.h, groups.of
     nu = y[:, None] - H @ groups.x
     lean = H @ groups.c
-    log_weights = groups.log_prior - 0.5 * distance(fix.W, nu[:, None, :] - groups.offset * lean[:, None, :])
-    f = groups.base + groups.offset
-    if f.min() < 0.0 or f.max() > largest:
-        log_weights = np.where((f >= 0.0) & (f <= largest), log_weights, -np.inf)
-    weights = normal_weights(log_weights)
-    after = Branches(
-        groups.base, groups.offset, groups.x + fix.K @ nu, groups.c - fix.K @ lean, groups.log_prior
-    )  # (21)
-    return after, weights
+    # |W (nu - k h lean)|^2 = |z|^2 - 2 k z d + |d|^2, with d the same throughout a stratum.
+    z, d = fix.W @ nu, h * (fix.W @ lean)
+    log_weights = np.empty((3, len(base)))
+    before, middle, after = log_weights
+    np.multiply((z * z).sum(axis=0), -0.5, out=middle)
+    middle += (_LOG_MIDDLE + groups.log_prior).take(of)
+    side = middle + (_LOG_SIDE - 0.5 * (d * d).sum(axis=0)).take(of)
+    toward = (z * d.take(of, axis=1)).sum(axis=0)
+    np.subtract(side, toward, out=before)
+    np.add(side, toward, out=after)
+    widest = h.max()
+    if base.min() < widest or base.max() + widest > largest:
+        f = groups.f
+        log_weights[(f < 0.0) | (f > largest)] = -np.inf
+    moved = Branches(base, h, groups.x + fix.K @ nu, groups.c - fix.K @ lean, groups.log_prior, of)  # (21)
+    return moved, normal_weights(log_weights)
 
 
 def prune(groups: Branches, weights: Array, strata: Strata, chain: Array, uniforms: Array) -> GroupCloud:
@@ -214,39 +234,58 @@ def prune(groups: Branches, weights: Array, strata: Strata, chain: Array, unifor
 
     """
     cloud = _moments(groups, weights, strata, chain)
-    f = (groups.base + groups.offset).ravel()
-    order = np.argsort(f, kind='stable')
+    f = groups.f.ravel()
+    order = f.argsort(kind='stable')
+    kept = order.take(_chosen(weights.take(order), strata.parent.take(order), cloud.weight, strata, chain, uniforms))
+    parent = strata.parent.take(kept)
+    f = f.take(kept)
+    x = groups.x.take(parent, axis=1)
+    x += groups.c.take(strata.of.take(parent), axis=1) * (f - groups.base.take(parent))
+    return _matched(f, x, cloud, strata)
+
+
+def _chosen(
+    ordered: Array, parent: NDArray[np.intp], weight: Array, strata: Strata, chain: Array, uniforms: Array
+) -> NDArray[np.intp]:
+    """Systematic resampling for each stratum: places among the ordered children, shape (N,)."""
+    if len(strata.sizes) == 1:
+        return systematic(ordered, strata.sizes[0], float(uniforms[0]))
     # Share of a child's weight that each stratum sees, of its own weight.
-    seen = (chain / np.maximum(cloud.weight, _TINY)).T
-    ranks = [
-        systematic((weights * share.take(strata.of)).ravel().take(order), size, uniform)
-        for share, size, uniform in zip(seen, strata.sizes, uniforms.tolist(), strict=True)
-    ]
-    kept = order.take(ranks[0] if len(ranks) == 1 else np.concatenate(ranks))
-    parent = kept % len(groups.base)
-    x = groups.x.take(parent, axis=1) + groups.offset.ravel().take(kept) * groups.c.take(parent, axis=1)
-    return _matched(f.take(kept), x, cloud, strata)
+    seen = (chain / np.maximum(weight, _TINY)).T
+    of = strata.of.take(parent)
+    chosen = np.empty(len(strata.of), dtype=np.intp)
+    for part, rank, size, share, uniform in zip(
+        strata.parts, strata.ranks, strata.sizes, seen, uniforms.tolist(), strict=True
+    ):
+        cumulated = (ordered * share.take(of)).cumsum()
+        chosen[part] = cumulated.searchsorted(rank + uniform / size, side='right')
+    # The cumulated weights can end below one by rounding.
+    return np.minimum(chosen, len(ordered) - 1, out=chosen)
 
 
 def _moments(groups: Branches, weights: Array, strata: Strata, chain: Array) -> GroupCloud:
     """Weight, mean, variance and regression of all children as seen by each stratum; no particles yet."""
-    n = len(groups.x)
-    w0 = weights.sum(axis=0)
-    weighted = weights * groups.offset
-    w1 = weighted.sum(axis=0)
-    w2 = (weighted * groups.offset).sum(axis=0)
+    n, N = groups.x.shape
+    h, c = groups.h, groups.c
+    w0 = weights[0] + weights[1] + weights[2]
     centre = float(w0 @ groups.base)
-    base = groups.base - centre
-    first = base * w0 + w1
-    lean = base * w1 + w2
-    # Sums over the children of each particle of 1, f, f^2, x and x f; then over the strata, and along the chain.
-    rows = np.empty((3 + 2 * n, len(base)))
-    rows[0], rows[1], rows[2] = w0, first, base * first + lean
-    rows[3 : 3 + n] = groups.x * w0 + groups.c * w1
-    rows[3 + n :] = groups.x * first + groups.c * lean
-    sums = rows @ strata.member @ chain
-    weight = np.maximum(sums[0], _TINY)
-    means = sums[1:] / weight
+    # Sums over the particles of each stratum of products of a weight and a value.
+    values, by = np.empty((2 + n, N)), np.empty((4, N))
+    values[0], values[2:] = 1.0, groups.x
+    base = np.subtract(groups.base, centre, out=values[1])
+    by[0], by[1], by[3] = w0, w0 * base, weights[1]
+    np.subtract(weights[2], weights[0], out=by[2])
+    sums = np.array([by[:, part] @ values[:, part].T for part in strata.parts]).transpose(1, 2, 0)
+    one, first, step = sums[0], sums[1], h * sums[2]
+    square = h * h * (one[0] - sums[3, 0])
+    # Over all children: of 1, f, f^2, x and x f; then along the chain.
+    rows = np.empty((3 + 2 * n, len(h)))
+    rows[0], rows[1], rows[2] = one[0], one[1] + step[0], first[1] + 2.0 * step[1] + square
+    rows[3 : 3 + n] = one[2:] + c * step[0]
+    rows[3 + n :] = first[2:] + step[2:] + c * (step[1] + square)
+    rows = rows @ chain
+    weight = np.maximum(rows[0], _TINY)
+    means = rows[1:] / weight
     mean, x = means[0], means[2 : 2 + n]
     variance = np.maximum(means[1] - mean * mean, _LEAST_VARIANCE)
     slope = (means[2 + n :] - x * mean) / variance
@@ -259,7 +298,8 @@ def _matched(f: Array, x: Array, target: GroupCloud, strata: Strata) -> GroupClo
     off = f - (f @ strata.average).take(of)
     variance = (off * off) @ strata.average
     spread = np.minimum(np.sqrt(target.variance / np.maximum(variance, _TINY)), _MOST_SPREAD)
-    matched = target.mean.take(of) + spread.take(of) * off
-    x = x + target.slope.take(of, axis=1) * (matched - f)
-    x = x + (target.x - x @ strata.average).take(of, axis=1)
-    return GroupCloud(matched, x, target.weight, target.mean, target.variance, target.slope)
+    off *= spread.take(of)
+    off += target.mean.take(of)
+    x += target.slope.take(of, axis=1) * (off - f)
+    x += (target.x - x @ strata.average).take(of, axis=1)
+    return GroupCloud(off, x, target.weight, target.mean, target.variance, target.slope)

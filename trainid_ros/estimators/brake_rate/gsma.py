@@ -24,7 +24,7 @@ from trainid_ros.estimators.brake_rate import group_cloud
 from trainid_ros.estimators.brake_rate.estimator import BrakeRateEstimator, true_brake
 from trainid_ros.estimators.brake_rate.group_cloud import GroupCloud, Strata
 from trainid_ros.estimators.brake_rate.jumps import JumpConfig, drifts, transition
-from trainid_ros.estimators.brake_rate.particles import SPEED, correction, speed_step
+from trainid_ros.estimators.brake_rate.particles import SPEED, speed_correction, speed_step
 from trainid_ros.estimators.brake_rate.resampling import effective_number, restore_generator
 from trainid_ros.estimators.compiled.jit import compiler_present
 
@@ -81,6 +81,8 @@ class GsmaBelief:
         jumping = max(_LEAST_PARTICLES, round(_JUMPING_SHARE * config.particles)) if config.jump_rate > 0.0 else 0
         self.strata = Strata.divide([config.particles - jumping, jumping][: 2 if jumping else 1])
         self._q = np.array(drifts(config)[: len(self.strata.sizes)])
+        self._counts = np.array(self.strata.sizes, dtype=float)
+        self._chain_of = math.nan, np.ones((1, 1))
         self.reset(believed, config.prior_std)
 
     @property
@@ -111,7 +113,7 @@ class GsmaBelief:
     def _take(self, cloud: GroupCloud) -> None:
         """Take over particles, and compute once what is asked often."""
         self.cloud = cloud
-        self._weights = (cloud.weight / self.strata.sizes)[self.strata.of]
+        self._weights = (cloud.weight / self._counts).take(self.strata.of)
         self._rate, self._variance = cloud.rate, cloud.total_variance
 
     def reset(self, rate: float, std: float) -> None:
@@ -147,14 +149,14 @@ class GsmaBelief:
 
     def follow(self, speed: float, r: float) -> None:
         """Take in a speed that tells nothing of f."""
-        fix = correction(self.P, SPEED, np.array([[r]]))
+        fix = speed_correction(self.P, r)
         self.cloud = group_cloud.followed(self.cloud, fix, SPEED, np.array([speed]))
         self.P = fix.P
 
     def learn(self, interval: Interval, elapsed: float, speed: float, r: float) -> bool:
         """One step of GSMA, eqs. (14)-(22)."""
         step, config, dt = self._step, self._config, interval.dt
-        fix = correction(self.P, SPEED, np.array([[r]]))
+        fix = speed_correction(self.P, r)
         # While no brake acts f drifts, it does not jump.
         cloud, before = self.cloud, elapsed - dt
         if before > LEAST_PAUSE:
@@ -162,18 +164,19 @@ class GsmaBelief:
         groups = group_cloud.branch(cloud, self.strata, step, self._q * dt)
         groups, weights = group_cloud.weigh(groups, fix, SPEED, np.array([speed]), self._largest)
         cloud = group_cloud.prune(groups, weights, self.strata, self._chain(dt), self._rng.random(len(self._q)))
-        if not (np.isfinite(cloud.x).all() and np.isfinite(cloud.f).all() and np.isfinite(fix.P).all()):
+        if not math.isfinite(cloud.x.sum() + cloud.f.sum() + fix.P.sum()):
             return False
         self._take(cloud)
         self.P = fix.P
-        self._effective = effective_number(weights.ravel())
+        self._effective = effective_number(weights)
         return True
 
     def _chain(self, dt: float) -> Array:
-        if len(self._q) == 1:
-            return np.ones((1, 1))
-        starts, ends = transition(self._config, dt)
-        return np.array([[1.0 - starts, starts], [ends, 1.0 - ends]])
+        """Return the chances to go from one stratum to another, remembered: samples come evenly."""
+        if len(self._q) > 1 and dt != self._chain_of[0]:
+            starts, ends = transition(self._config, dt)
+            self._chain_of = dt, np.array([[1.0 - starts, starts], [ends, 1.0 - ends]])
+        return self._chain_of[1]
 
     def save(self) -> str:
         """Return the whole state, generator included, as JSON text."""

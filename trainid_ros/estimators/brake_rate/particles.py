@@ -41,7 +41,10 @@ class LinearStep(NamedTuple):
 
     def predict(self, x: Array, f: Array) -> Array:
         """Means of x after the step (14), shape (n, N), from those before it and the rates, shape (N,)."""
-        return self.Phi @ x + self.gamma[:, None] * f + self.known[:, None]
+        after: Array = self.Phi @ x
+        after += self.gamma[:, None] * f
+        after += self.known[:, None]
+        return after
 
     def predict_covariance(self, P: Array) -> Array:
         """Return the shared covariance after the step (14)."""
@@ -74,6 +77,14 @@ def correction(P: Array, H: Array, R: Array) -> Correction:
     K = PH @ W.T @ W
     A = np.eye(len(P)) - K @ H
     return Correction(K, A @ P @ A.T + K @ R @ K.T, W)
+
+
+def speed_correction(P: Array, r: float) -> Correction:
+    """Return the same for x = [v, ...] of which v is measured with variance r, without matrix algebra."""
+    column = P[:, :1]
+    s = float(P[0, 0]) + r
+    K = column / s
+    return Correction(K, P - K * column.T, np.array([[1.0 / math.sqrt(s)]]))
 
 
 def distance(W: Array, nu: Array) -> Array:

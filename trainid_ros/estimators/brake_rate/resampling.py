@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import json
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -13,6 +13,11 @@ from trainid_ros.core.errors import InputError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
+
+
+# Logarithm of a weight, relative to the largest, that is as good as none; and the weight.
+_NEGLIGIBLE: Final = -300.0
+_LEAST: Final = float(np.exp(_NEGLIGIBLE))
 
 
 def normalise(log_weights: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -30,14 +35,19 @@ def normal_weights(log_weights: NDArray[np.float64]) -> NDArray[np.float64]:
     peak = float(log_weights.max())
     if not math.isfinite(peak):
         return np.full(log_weights.shape, 1.0 / log_weights.size)
-    weights = np.exp(log_weights - peak)
-    normal: NDArray[np.float64] = weights / weights.sum()
-    return normal
+    weights = log_weights - peak
+    # To zero what is negligible: processors are slow with numbers below 1e-308, and the squares count, too.
+    np.maximum(weights, _NEGLIGIBLE, out=weights)
+    np.exp(weights, out=weights)
+    weights -= _LEAST
+    weights /= weights.sum()
+    return weights
 
 
 def effective_number(weights: NDArray[np.float64]) -> float:
     """1 / sum of squared normalised weights (Zheng et al. print it with unnormalised ones)."""
-    return float(1.0 / np.sum(weights * weights))
+    flat = weights.ravel()
+    return 1.0 / float(flat.dot(flat))
 
 
 def systematic(weights: NDArray[np.float64], count: int, uniform: float) -> NDArray[np.intp]:

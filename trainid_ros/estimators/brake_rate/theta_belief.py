@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trainid_ros.core.codec import check_restored, decode, encode
-from trainid_ros.estimators.brake_rate.particles import SPEED, Correction, correction, speed_step
+from trainid_ros.estimators.brake_rate.particles import SPEED, Correction, speed_correction, speed_step
 from trainid_ros.estimators.brake_rate.resampling import effective_number, restore_generator
 from trainid_ros.estimators.brake_rate.theta_cloud import ThetaCloud
 
@@ -105,16 +105,16 @@ class ThetaBelief:
 
     def follow(self, speed: float, r: float) -> None:
         """Take in a speed that tells nothing of f."""
-        fix = correction(self.P, SPEED, np.array([[r]]))
+        fix = speed_correction(self.P, r)
         x = self.cloud.x + fix.K @ (speed - SPEED @ self.cloud.x)
         self.cloud = ThetaCloud(self.cloud.f, self.cloud.log_weights, x)
         self.P = fix.P
 
     def learn(self, interval: Interval, elapsed: float, speed: float, r: float) -> bool:
         """Take in a speed that tells of f."""
-        fix = correction(self.P, SPEED, np.array([[r]]))
+        fix = speed_correction(self.P, r)
         cloud = self.learned(self._step, fix, np.array([speed]), interval.dt, elapsed)
-        if not (np.isfinite(cloud.x).all() and np.isfinite(cloud.f).all() and np.isfinite(fix.P).all()):
+        if not math.isfinite(cloud.x.sum() + cloud.f.sum() + fix.P.sum()):
             return False
         self.take(cloud)
         self.P = fix.P
