@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import Final
 
@@ -41,6 +41,8 @@ _WALK: Final = 0.003
 _POWER: Final = 0.9
 _DWELL_S: Final = 25.0
 _STANDING: Final = 0.2
+# Braking asked for [m/s^2].
+_LEVELS: Final = (0.3, 1.2)
 # The longest a phase that ends by speed may last [s].
 _LONGEST_S: Final = 200.0
 
@@ -104,6 +106,16 @@ def metro_run(seed: int, stops: int = 5) -> BrakeRun:
     return _drive(rng, plan, _walk(rng), float(rng.uniform(0.75, 1.05)))
 
 
+def hard_run(seed: int, stops: int = 5) -> BrakeRun:
+    """Return the same with one level for each braking, held until standstill: weak ones last long and tell little."""
+    rng = np.random.default_rng([seed, 2016])
+    plan: list[Phase] = []
+    for _ in range(stops):
+        power, coast, brake, dwell = _stop(rng)
+        plan += [power, coast, replace(brake, level=-float(rng.uniform(*_LEVELS))), dwell]
+    return _drive(rng, plan, _walk(rng), float(rng.uniform(0.75, 1.05)))
+
+
 def walk_run(seed: int, drift: float = _WALK, stops: int = 5) -> BrakeRun:
     """Return a drive of which the estimators are told all, whose f starts N(1, 0.2^2) and walks: their own model."""
     rng = np.random.default_rng([seed, 1985])
@@ -141,7 +153,7 @@ def jump_run(seed: int, jump: float = -0.25) -> BrakeRun:
 JUMP_AFTER_S: Final = 12.0
 
 
-def _stop(rng: np.random.Generator) -> tuple[Phase, ...]:
+def _stop(rng: np.random.Generator) -> tuple[Phase, Phase, Phase, Phase]:
     power = Phase(Kind.POWER, speed=float(rng.uniform(16.0, 22.0)))
     return power, Phase(Kind.COAST, float(rng.uniform(15.0, 40.0))), Phase(Kind.BRAKE), Phase(Kind.DWELL, _DWELL_S)
 
@@ -199,7 +211,7 @@ def _drive(
         t, until = 0.0, 0.0
         while t < phase.seconds - 0.5 * DT:
             if phase.kind is Kind.BRAKE and t >= until:
-                level = phase.level if math.isfinite(phase.level) else -float(rng.uniform(0.3, 1.2))
+                level = phase.level if math.isfinite(phase.level) else -float(rng.uniform(*_LEVELS))
                 until = t + (_LONGEST_S if math.isfinite(phase.level) else float(rng.uniform(15.0, 30.0)))
             wanted = level if phase.kind is Kind.BRAKE else command if phase.kind is Kind.DWELL else 0.0
             stamp_ns = _START_NS + len(samples) * round(DT * NS_PER_S)

@@ -207,6 +207,7 @@ def _walk_table(scores: Sequence[SeedScores]) -> Table:
 def _metro_tables(scores: Sequence[SeedScores]) -> list[Table]:
     got = [s.metro for s in scores]
     header = ('while braking', 'MAE', 'bias', '68 %', '95 %', 'good after s')
+    hard_rows = tuple((name, *_common([s.hard[i] for s in got])) for i, (name, *_) in enumerate(metro.ON_HARD))
     metro_rows = tuple((name, *_common([s.metro[i] for s in got])) for i, (name, *_) in enumerate(metro.ON_METRO))
     exact = float(np.mean([s.walk[-1].mae for s in got]))
     walk_rows = tuple(
@@ -220,18 +221,21 @@ def _metro_tables(scores: Sequence[SeedScores]) -> list[Table]:
     later = tuple(f'+{t:g} s' for t in metro.LATER_S)
     return [
         Table(
-            'Metro train at 5 Hz',
+            'Metro train at 5 Hz, one level for each braking',
             header,
-            metro_rows,
-            f'{len(got)} seeds, five stops each. Map error 0.02 m/s^2 over 200 m, told unless said otherwise; '
-            'resistance 10 %, wheel 0.5 %, speed in steps of 0.1 km/h, dead time 1.2 s. From 3 s after the command on '
-            'and above 1 m/s; "good": the first braking stays within 0.05 from then on, median.',
+            hard_rows,
+            f'{len(got)} seeds, five stops each. Map error 0.02 m/s^2 over 200 m; as shipped the estimators expect '
+            '0.006 and learn the rest while coasting. Resistance 10 %, wheel 0.5 %, speed in steps of 0.1 km/h, dead '
+            'time 1.2 s. From 3 s after the command on and above 1 m/s; "good": the first braking stays within 0.05 '
+            'from then on, median.',
         ),
+        Table('The same, other levels every 15 to 30 s', header, metro_rows, 'Levels of 0.3 to 1.2 m/s^2 in both.'),
         Table(
             'Metro train whose brake rate walks as declared',
             (*header, '/ KF'),
             walk_rows,
-            'All that the train file says is right; f starts N(1, 0.2^2) and walks 0.003 per sqrt(s).',
+            'All that the train file says is right; f starts N(1, 0.2^2) and walks 0.003 per sqrt(s). The exact filter '
+            'is told the noise and the size of the disturbance, the others learn both.',
         ),
         Table(
             'A jump of -0.25 in mid-brake',
@@ -294,17 +298,18 @@ def _targets(
     got = [s.metro for s in scores]
     walk = np.mean([[x.mae for x in s.walk] for s in got], axis=0)
     walk_68, walk_95 = (float(np.mean([getattr(s.walk[0], k) for s in got])) for k in ('inside_68', 'inside_95'))
+    hard_68, hard_95 = (float(np.mean([getattr(s.hard[0], k) for s in got])) for k in ('inside_68', 'inside_95'))
     found = [s.jump[0].found_s for s in got]
-    good_s = quantile([s.metro[0].good_s for s in got], 0.5)
-    metro_95 = float(np.mean([s.metro[0].inside_95 for s in got]))
+    good_s = quantile([s.hard[0].good_s for s in got], 0.5)
     by_name = {t.name: t.p50 for t in steps}
     rms = np.mean([s.walk for s in scores], axis=0)[:, 0]
     rows = [
-        _at_most('GSMA: MAE on metro data', 0.026, float(np.mean([s.metro[0].mae for s in got]))),
+        _at_most('GSMA: MAE on metro data', 0.026, float(np.mean([s.hard[0].mae for s in got]))),
         _at_most('GSMA: MAE / linear KF on random-walk truth', 1.1, float(walk[0] / walk[-1])),
         _within('GSMA: coverage of 68 % on random-walk truth', (0.63, 0.73), walk_68),
         _within('GSMA: coverage of 95 % on random-walk truth', (0.92, 0.98), walk_95),
-        _within('GSMA: coverage of 95 % on metro data', (0.92, 1.0), metro_95),
+        _within('GSMA: coverage of 68 % on metro data', (0.63, 0.73), hard_68),
+        _within('GSMA: coverage of 95 % on metro data', (0.92, 0.98), hard_95),
         _at_most('GSMA: first braking within 0.05 after, s, median', 7.0, good_s),
         _at_most('GSMA: law of std while unbraked, worst deviation', 0.02, max(s.unbraked[0].law for s in got)),
         _at_most('GSMA: jump of -0.25 found after, s, median', 2.2, quantile(found, 0.5)),

@@ -14,6 +14,7 @@ from benchmarks.papers.brake_runs import (
     JUMP_AFTER_S,
     MAP_ERROR,
     BrakeRun,
+    hard_run,
     jump_run,
     metro_run,
     metro_train,
@@ -23,6 +24,8 @@ from benchmarks.papers.brake_runs import (
 from trainid_ros.core.records import NS_PER_S
 from trainid_ros.estimators.brake_rate.algorithms import BRAKE_RATE
 from trainid_ros.estimators.brake_rate.config import BrakeRateConfig
+from trainid_ros.estimators.brake_rate.disturbance import DisturbanceNoise
+from trainid_ros.estimators.brake_rate.estimator import BrakeRateEstimator
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -33,6 +36,7 @@ FIRST_SEED: Final = 5000
 # What the train is like: as good a map as there is, and on the random walk the exact noise.
 METRO: Final[dict[str, float]] = {'disturbance_std': MAP_ERROR, 'acceleration_noise': 0.002}
 WALK: Final = METRO | {'speed_std': 0.02, 'force_error': 0.0}
+SHIPPED: Final[dict[str, float]] = {}
 DRIFTS: Final[dict[str, float]] = {'drift': 0.01}
 _SIGMA_95: Final = 1.959964
 _SETTLED_S: Final = 3.0
@@ -46,38 +50,44 @@ _AFTER_JUMP_S: Final = 10.0
 _RELEASED_S: Final = 3.0
 LATER_S: Final = (0.0, 2.0, 4.0, 10.0)
 
-# Name of the row, algorithm, changed settings.
-Rows = tuple[tuple[str, str, dict[str, float]], ...]
+# Name of the row, algorithm, changed settings, disturbance that it is told instead of learning it (NaN: learns).
+Rows = tuple[tuple[str, str, dict[str, float], float], ...]
 
+ON_HARD: Final[Rows] = (
+    ('GSMA as shipped', 'GSMA', SHIPPED, math.nan),
+    ('GSMA, 500 particles', 'GSMA', {'particles': 500}, math.nan),
+    ('KF as shipped', 'KF', SHIPPED, math.nan),
+    ('IMM as shipped', 'IMM', SHIPPED, math.nan),
+    ('RBPF as shipped', 'RBPF', SHIPPED, math.nan),
+    ('GSMA told the disturbance', 'GSMA', METRO, MAP_ERROR),
+    ('KF told the disturbance', 'KF', METRO, MAP_ERROR),
+    ('GSMA told 0.006 m/s^2, wrongly', 'GSMA', SHIPPED, 0.006),
+    ('KF without disturbance state', 'KF', METRO, 0.0),
+    ('SMA as printed', 'SMA', METRO, MAP_ERROR),
+    ('GSMA as printed', 'GSMA-printed', METRO, MAP_ERROR),
+)
 ON_METRO: Final[Rows] = (
-    ('GSMA (default)', 'GSMA', METRO),
-    ('GSMA, 500 particles', 'GSMA', METRO | {'particles': 500}),
-    ('KF', 'KF', METRO),
-    ('IMM', 'IMM', METRO),
-    ('RBPF, 500', 'RBPF', METRO),
-    ('KF without disturbance state', 'KF', METRO | {'disturbance_std': 0.0}),
-    ('GSMA told a map of 0.6 permille', 'GSMA', {}),
-    ('SMA as printed', 'SMA', METRO),
-    ('GSMA as printed', 'GSMA-printed', METRO),
+    ('GSMA as shipped', 'GSMA', SHIPPED, math.nan),
+    ('KF told the disturbance', 'KF', METRO, MAP_ERROR),
 )
 ON_WALK: Final[Rows] = (
-    ('GSMA (default)', 'GSMA', WALK),
-    ('GSMA without jumps', 'GSMA', WALK | {'jump_rate': 0.0}),
-    ('IMM', 'IMM', WALK),
-    ('RBPF, 500', 'RBPF', WALK),
-    ('KF: exact', 'KF', WALK),
+    ('GSMA as shipped', 'GSMA', SHIPPED, math.nan),
+    ('GSMA without jumps', 'GSMA', {'jump_rate': 0.0}, math.nan),
+    ('IMM as shipped', 'IMM', SHIPPED, math.nan),
+    ('RBPF as shipped', 'RBPF', SHIPPED, math.nan),
+    ('KF told all: exact', 'KF', WALK, MAP_ERROR),
 )
 ON_JUMP: Final[Rows] = (
-    ('GSMA (default)', 'GSMA', METRO),
-    ('IMM', 'IMM', METRO),
-    ('KF', 'KF', METRO),
-    ('KF, drift 0.02', 'KF', METRO | {'drift': 0.02}),
+    ('GSMA as shipped', 'GSMA', SHIPPED, math.nan),
+    ('IMM as shipped', 'IMM', SHIPPED, math.nan),
+    ('KF as shipped', 'KF', SHIPPED, math.nan),
+    ('KF, drift 0.02', 'KF', {'drift': 0.02}, math.nan),
 )
 ON_UNBRAKED: Final[Rows] = (
-    ('GSMA (default)', 'GSMA', METRO),
-    ('GSMA, drift 0.01', 'GSMA', METRO | DRIFTS),
-    ('KF', 'KF', METRO),
-    ('IMM', 'IMM', METRO),
+    ('GSMA as shipped', 'GSMA', SHIPPED, math.nan),
+    ('GSMA, drift 0.01', 'GSMA', DRIFTS, math.nan),
+    ('KF as shipped', 'KF', SHIPPED, math.nan),
+    ('IMM as shipped', 'IMM', SHIPPED, math.nan),
 )
 
 
@@ -111,6 +121,7 @@ class Score:
 class MetroScores:
     """All estimators on one seed, in the order of the lists above."""
 
+    hard: tuple[Score, ...]
     metro: tuple[Score, ...]
     walk: tuple[Score, ...]
     jump: tuple[Score, ...]
@@ -119,19 +130,26 @@ class MetroScores:
 
 def score_seed(seed: int) -> MetroScores:
     """Run all estimators on all data of a seed."""
-    metro, walk, jump, unbraked = metro_run(seed), walk_run(seed), jump_run(seed), unbraked_run(seed)
+    hard, metro, walk = hard_run(seed), metro_run(seed), walk_run(seed)
+    jump, unbraked = jump_run(seed), unbraked_run(seed)
     return MetroScores(
-        tuple(score(metro, trace(metro, name, seed, s)) for _, name, s in ON_METRO),
-        tuple(score(walk, trace(walk, name, seed, s)) for _, name, s in ON_WALK),
-        tuple(_score_jump(jump, trace(jump, name, seed, s)) for _, name, s in ON_JUMP),
-        tuple(_score_unbraked(unbraked, trace(unbraked, name, seed, s), s) for _, name, s in ON_UNBRAKED),
+        tuple(score(hard, trace(hard, name, seed, s, told)) for _, name, s, told in ON_HARD),
+        tuple(score(metro, trace(metro, name, seed, s, told)) for _, name, s, told in ON_METRO),
+        tuple(score(walk, trace(walk, name, seed, s, told)) for _, name, s, told in ON_WALK),
+        tuple(_score_jump(jump, trace(jump, name, seed, s, told)) for _, name, s, told in ON_JUMP),
+        tuple(_score_unbraked(unbraked, trace(unbraked, name, seed, s, told), s) for _, name, s, told in ON_UNBRAKED),
     )
 
 
-def trace(run: BrakeRun, name: str, seed: int, settings: Mapping[str, float]) -> Array:
-    """Return mean and standard deviation of f, and 1 where it learned, after every sample, shape (n, 3)."""
+def trace(run: BrakeRun, name: str, seed: int, settings: Mapping[str, float], told: float = math.nan) -> Array:
+    """Return mean and standard deviation of f, and 1 where it learned, after every sample, shape (n, 3).
+
+    The size of the disturbance is learned, or told [m/s^2].
+    """
     choice = BRAKE_RATE.choose(name, **settings)
     estimator = BRAKE_RATE.make(choice, metro_train(), np.random.default_rng(seed))
+    if math.isfinite(told) and isinstance(estimator, BrakeRateEstimator):
+        estimator.state.disturbance = DisturbanceNoise.told(told)
     rows = []
     for sample in run.samples:
         estimator.step(sample)

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from benchmarks.papers.brake_runs import JUMP_AFTER_S, jump_run
-from benchmarks.papers.zheng2015_metro import FIRST_SEED, METRO, trace
+from benchmarks.papers.zheng2015_metro import FIRST_SEED, SHIPPED, trace
 from benchmarks.papers.zheng2015_paper import gsma, gsma_free, kalman, paper_run, sma
 from benchmarks.tables import Plot
 
@@ -45,7 +45,7 @@ def plot_jump() -> Plot:
     axes: Axes = figure.subplots()
     axes.plot(t, run.rate[shown], 'k', label='true')
     for name in ('GSMA', 'IMM', 'KF'):
-        got = trace(run, name, FIRST_SEED, METRO)[shown]
+        got = trace(run, name, FIRST_SEED, SHIPPED)[shown]
         (line,) = axes.plot(t, got[:, 0], label=name)
         if name == 'GSMA':
             axes.fill_between(t, got[:, 0] - got[:, 1], got[:, 0] + got[:, 1], color=line.get_color(), alpha=0.2, lw=0)
