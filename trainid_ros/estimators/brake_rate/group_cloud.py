@@ -54,6 +54,7 @@ class Strata:
         parts: Their places.
         of: Stratum of each particle, shape (N,).
         parent: Particle of each child, shape (3 N,).
+        child_of: Stratum of each child, shape (3 N,).
         ranks: Where in [0, 1) the particles of each stratum are, M arrays.
         average: Averages over each stratum, shape (N, M).
         log_shares: Logarithm of a particle's share in its stratum, shape (M,).
@@ -64,6 +65,7 @@ class Strata:
     parts: tuple[slice, ...]
     of: NDArray[np.intp]
     parent: NDArray[np.intp]
+    child_of: NDArray[np.intp]
     ranks: tuple[Array, ...]
     average: Array
     log_shares: Array
@@ -77,7 +79,8 @@ class Strata:
         parts = tuple(slice(end - size, end) for end, size in zip(ends, sizes, strict=True))
         average = (of[:, None] == np.arange(len(sizes))) / counts
         ranks = tuple(np.arange(size) / size for size in sizes)
-        return cls(tuple(sizes), parts, of, np.tile(np.arange(len(of)), 3), ranks, average, -np.log(counts))
+        parent, child_of = np.tile(np.arange(len(of)), 3), np.tile(of, 3)
+        return cls(tuple(sizes), parts, of, parent, child_of, ranks, average, -np.log(counts))
 
 
 class GroupCloud(NamedTuple):
@@ -205,10 +208,10 @@ def weigh(groups: Branches, fix: Correction, H: Array, y: Array, largest: float)
     z, d = fix.W @ nu, h * (fix.W @ lean)
     log_weights = np.empty((3, len(base)))
     before, middle, after = log_weights
-    np.multiply((z * z).sum(axis=0), -0.5, out=middle)
+    np.multiply(_summed(z * z), -0.5, out=middle)
     middle += (_LOG_MIDDLE + groups.log_prior).take(of)
-    side = middle + (_LOG_SIDE - 0.5 * (d * d).sum(axis=0)).take(of)
-    toward = (z * d.take(of, axis=1)).sum(axis=0)
+    side = middle + (_LOG_SIDE - 0.5 * _summed(d * d)).take(of)
+    toward = _summed(z * d.take(of, axis=1))
     np.subtract(side, toward, out=before)
     np.add(side, toward, out=after)
     widest = h.max()
@@ -217,6 +220,12 @@ def weigh(groups: Branches, fix: Correction, H: Array, y: Array, largest: float)
         log_weights[(f < 0.0) | (f > largest)] = -np.inf
     moved = Branches(base, h, groups.x + fix.K @ nu, groups.c - fix.K @ lean, groups.log_prior, of)  # (21)
     return moved, normal_weights(log_weights)
+
+
+def _summed(squares: Array) -> Array:
+    """Return the sum over measurements, as a rule one."""
+    total: Array = squares[0] if len(squares) == 1 else squares.sum(axis=0)
+    return total
 
 
 def prune(groups: Branches, weights: Array, strata: Strata, chain: Array, uniforms: Array) -> GroupCloud:
@@ -236,7 +245,7 @@ def prune(groups: Branches, weights: Array, strata: Strata, chain: Array, unifor
     cloud = _moments(groups, weights, strata, chain)
     f = groups.f.ravel()
     order = f.argsort(kind='stable')
-    kept = order.take(_chosen(weights.take(order), strata.parent.take(order), cloud.weight, strata, chain, uniforms))
+    kept = order.take(_chosen(weights.take(order), strata.child_of.take(order), cloud.weight, strata, chain, uniforms))
     parent = strata.parent.take(kept)
     f = f.take(kept)
     x = groups.x.take(parent, axis=1)
@@ -245,14 +254,13 @@ def prune(groups: Branches, weights: Array, strata: Strata, chain: Array, unifor
 
 
 def _chosen(
-    ordered: Array, parent: NDArray[np.intp], weight: Array, strata: Strata, chain: Array, uniforms: Array
+    ordered: Array, of: NDArray[np.intp], weight: Array, strata: Strata, chain: Array, uniforms: Array
 ) -> NDArray[np.intp]:
     """Systematic resampling for each stratum: places among the ordered children, shape (N,)."""
     if len(strata.sizes) == 1:
         return systematic(ordered, strata.sizes[0], float(uniforms[0]))
     # Share of a child's weight that each stratum sees, of its own weight.
     seen = (chain / np.maximum(weight, _TINY)).T
-    of = strata.of.take(parent)
     chosen = np.empty(len(strata.of), dtype=np.intp)
     for part, rank, size, share, uniform in zip(
         strata.parts, strata.ranks, strata.sizes, seen, uniforms.tolist(), strict=True
@@ -266,7 +274,6 @@ def _chosen(
 def _moments(groups: Branches, weights: Array, strata: Strata, chain: Array) -> GroupCloud:
     """Weight, mean, variance and regression of all children as seen by each stratum; no particles yet."""
     n, N = groups.x.shape
-    h, c = groups.h, groups.c
     w0 = weights[0] + weights[1] + weights[2]
     centre = float(w0 @ groups.base)
     # Sums over the particles of each stratum of products of a weight and a value.
@@ -275,21 +282,26 @@ def _moments(groups: Branches, weights: Array, strata: Strata, chain: Array) -> 
     base = np.subtract(groups.base, centre, out=values[1])
     by[0], by[1], by[3] = w0, w0 * base, weights[1]
     np.subtract(weights[2], weights[0], out=by[2])
-    sums = np.array([by[:, part] @ values[:, part].T for part in strata.parts]).transpose(1, 2, 0)
-    one, first, step = sums[0], sums[1], h * sums[2]
-    square = h * h * (one[0] - sums[3, 0])
-    # Over all children: of 1, f, f^2, x and x f; then along the chain.
-    rows = np.empty((3 + 2 * n, len(h)))
-    rows[0], rows[1], rows[2] = one[0], one[1] + step[0], first[1] + 2.0 * step[1] + square
-    rows[3 : 3 + n] = one[2:] + c * step[0]
-    rows[3 + n :] = first[2:] + step[2:] + c * (step[1] + square)
-    rows = rows @ chain
+    columns = [
+        _column((by[:, part] @ values[:, part].T).tolist(), step, slope)
+        for part, step, slope in zip(strata.parts, groups.h.tolist(), groups.c.T.tolist(), strict=True)
+    ]
+    rows = np.array(columns).T @ chain
     weight = np.maximum(rows[0], _TINY)
     means = rows[1:] / weight
     mean, x = means[0], means[2 : 2 + n]
     variance = np.maximum(means[1] - mean * mean, _LEAST_VARIANCE)
     slope = (means[2 + n :] - x * mean) / variance
     return GroupCloud(base, x, weight / weight.sum(), mean + centre, variance, slope)
+
+
+def _column(sums: list[list[float]], h: float, c: list[float]) -> list[float]:
+    """Sums over all children of a stratum of 1, f, f^2, x and x f; plain floats are faster for so few."""
+    (one, base, *x), (_, bases, *leans), (step, stepped, *steps), (middle, *_) = sums
+    mixed = h * stepped + h * h * (one - middle)
+    first = [a + slope * h * step for a, slope in zip(x, c, strict=True)]
+    last = [a + h * b + slope * mixed for a, b, slope in zip(leans, steps, c, strict=True)]
+    return [one, base + h * step, bases + h * stepped + mixed, *first, *last]
 
 
 def _matched(f: Array, x: Array, target: GroupCloud, strata: Strata) -> GroupCloud:
