@@ -24,7 +24,9 @@ PLAN: Final = RunLengths(
     patience=60,
     lockout=120,
 )
+# A first belief, and another look at all so far: in bursts most of a short stretch may be bad.
 _WARM_UP: Final = 100
+_SECOND_LOOK: Final = 500
 _MEMORY: Final = 0.01
 _DOUBTFUL: Final = 0.1
 _MOST: Final = 9.0
@@ -44,7 +46,8 @@ class RobustStream:
         A, D, F = variances
         self._prior: Belief = (*believed, A, 0.0, 0.0, D, 0.0, F)
         self._tracker = Tracker(self._prior, plan)
-        self._waiting: list[tuple[float, float]] = []
+        self._rows: list[tuple[float, ...]] = []
+        self._seen = 0
         self._variance = 0.0
 
     @property
@@ -59,28 +62,26 @@ class RobustStream:
 
     def update(self, v: float, y: float) -> None:
         """Take one observation in."""
-        if self._variance > 0.0:
+        self._seen += 1
+        if self._seen <= _SECOND_LOOK:
+            self._rows.append((v, v * v, y, _TINY, 1.0))
+        if self._seen in (_WARM_UP, _SECOND_LOOK):
+            self._look()
+        elif self._seen > _WARM_UP:
             self._learn(v, y)
-            return
-        self._waiting.append((v, y))
-        if len(self._waiting) >= _WARM_UP:
-            self.finish()
 
-    def finish(self) -> None:
-        """End the warm-up with what there is."""
-        if self._variance > 0.0 or not self._waiting:
-            return
+    def _look(self) -> None:
+        """Begin from what most observations so far agree on."""
         # Variances so small that the fit takes the scale from the residuals.
-        fit = robust_fit(tuple((v, v * v, y, _TINY, 1.0) for v, y in self._waiting), self._prior)
+        fit = robust_fit(tuple(self._rows), self._prior)
         start = self._prior if fit is None else fit
-        residuals = [abs(y - predict(start, v, v * v)[0]) for v, y in self._waiting]
+        residuals = [abs(y - predict(start, v, s)[0]) for v, s, y, _, _ in self._rows]
         # The median of one-sided errors lies higher than that of noise: rather too small, since it is learned.
         self._variance = max((1.2 * float(np.median(residuals))) ** 2, _TINY)
         if fit is not None:
             self._tracker.begin(fit)
-            return
-        for v, y in self._waiting:
-            self._learn(v, y)
+        if self._seen == _SECOND_LOOK:
+            self._rows.clear()
 
     def _learn(self, v: float, y: float) -> None:
         expected, doubt = predict(self._tracker.belief, v, v * v)
