@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import json
 import math
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -13,11 +13,6 @@ from trainid_ros.core.errors import InputError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-
-
-# Logarithm of a weight, relative to the largest, that is as good as none; and the weight.
-_NEGLIGIBLE: Final = -300.0
-_LEAST: Final = float(np.exp(_NEGLIGIBLE))
 
 
 def normalise(log_weights: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -36,10 +31,7 @@ def normal_weights(log_weights: NDArray[np.float64]) -> NDArray[np.float64]:
     if not math.isfinite(peak):
         return np.full(log_weights.shape, 1.0 / log_weights.size)
     weights = log_weights - peak
-    # To zero what is negligible: processors are slow with numbers below 1e-308, and the squares count, too.
-    np.maximum(weights, _NEGLIGIBLE, out=weights)
     np.exp(weights, out=weights)
-    weights -= _LEAST
     weights /= weights.sum()
     return weights
 
