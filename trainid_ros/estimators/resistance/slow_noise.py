@@ -11,9 +11,11 @@ from dataclasses import dataclass
 from typing import Final
 
 _BATCH: Final = 20
-# A batch knows a variance to a factor; so many of them are averaged.
+# A batch knows a variance to a factor; so many of them are averaged, fewer at first.
 _MEMORY: Final = 25.0
-# One batch cannot tell much more than is known: a step of the parameters is no noise.
+_FIRST_MEMORY: Final = 12.0
+# One batch cannot tell much more than is known: a step of the parameters is no noise. It counts all the same until
+# it is found, or gusts that look like steps would never be learned.
 _MOST_RATIO: Final = 6.0
 
 
@@ -26,6 +28,7 @@ class SlowNoise:
     variance: float = 0.0
     known: float = 0.0
     count: int = 0
+    memory: float = _FIRST_MEMORY
 
     def add(self, nu: float, doubt: float, variance: float, bounds: tuple[float, float]) -> None:
         """Take in one innovation.
@@ -45,11 +48,8 @@ class SlowNoise:
             return
         ratio = min(self.total * self.total / self.variance, _MOST_RATIO)
         # What mostly stems from doubt tells little of the noise.
-        gain = self.known / self.variance / _MEMORY
+        gain = self.known / self.variance / self.memory
+        self.memory = min(self.memory + 1.0, _MEMORY)
         self.factor = min(max(self.factor * (1.0 + gain * (ratio - 1.0)), bounds[0]), bounds[1])
-        self.forget_batch()
-
-    def forget_batch(self) -> None:
-        """Begin a batch."""
         self.total = self.variance = self.known = 0.0
         self.count = 0

@@ -28,7 +28,7 @@ _DISTURBANCE_RANGE: Final = (0.3, 3.0)
 _SLOW_RANGE: Final = (0.2, 5.0)
 # One innovation cannot tell much more disturbance than is known: slip is none.
 _MOST_SIGMAS: Final = 3.0
-# An innovation that may stem from a step tells nothing of the noise.
+# An innovation that may stem from a step tells nothing of the noise of one observation.
 _DOUBTFUL: Final = 0.1
 # An observation of less weight is refused.
 _LEAST_WEIGHT: Final = 0.5
@@ -163,9 +163,7 @@ class WindowLearner:
         self.test_ratio = nu * nu / (self._gate**2 * S)
         if tracker.change_probability < _DOUBTFUL:
             self._learn_disturbance(nu, S)
-            self._slow.add(weight * nu, doubt, slow * noise, _SLOW_RANGE)
-        else:
-            self._slow.forget_batch()
+        self._slow.add(weight * nu, doubt, slow * noise, _SLOW_RANGE)
         if weight < _LEAST_WEIGHT:
             return Refusal(stamp_ns, Reason.OUTLIER, nu, self._gate * math.sqrt(S))
         slow_speed, fast_speed = observed.speed_min, observed.speed_max
