@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 import tracemalloc
 from typing import TYPE_CHECKING, Any
 
@@ -102,6 +103,20 @@ def test_without_a_compiler_the_numbers_are_the_same(monkeypatch: pytest.MonkeyP
     stream = VMilsStream(PRIOR, P, OUTLIERS)
     stream.run(rows)
     assert stream.belief == v_mils(rows)[0]
+
+
+@pytest.mark.slow
+def test_copies_go_on_to_the_bit_and_are_small() -> None:
+    rows, motion = resistance_rows(65), speed_rows(66)
+    resistance = VMilsStream(PRIOR, P, OUTLIERS)
+    speed = SpeedModelStream(model().start(4e-4), model().tuning)
+    resistance.run(rows[:700])
+    speed.run(motion[:700])
+    text = pickle.dumps(resistance), pickle.dumps(speed)
+    assert max(map(len, text)) < 1600
+    copies = pickle.loads(text[0]), pickle.loads(text[1])
+    assert np.array_equal(copies[0].run(rows[700:]), resistance.run(rows[700:]))
+    assert np.array_equal(copies[1].run(motion[700:]), speed.run(motion[700:]))
 
 
 @pytest.mark.slow

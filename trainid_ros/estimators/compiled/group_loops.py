@@ -189,18 +189,23 @@ def moments(
     for i in range(base.size):
         centre += (w[0, i] + w[1, i] + w[2, i]) * base[i]
     # Sums over the children of each stratum: of 1, f, f^2, and for each part of x of x and x f.
-    s = np.zeros((3 + 2 * n, M))
+    s, w0, w1 = np.empty((3 + 2 * n, M)), np.empty(base.size), np.empty(base.size)
+    first, lean = np.empty(base.size), np.empty(base.size)
     for m in range(M):
+        ones, values, squares = 0.0, 0.0, 0.0
         for i in range(edges[m], edges[m + 1]):
-            b, w0 = base[i] - centre, w[0, i] + w[1, i] + w[2, i]
-            w1, w2 = (w[2, i] - w[0, i]) * h[m], (w[0, i] + w[2, i]) * h[m] * h[m]
-            first, lean = b * w0 + w1, b * w1 + w2
-            s[0, m] += w0
-            s[1, m] += first
-            s[2, m] += b * (first + w1) + w2
-            for j in range(n):
-                s[3 + j, m] += middle[j, i] * w0 + c[j, m] * w1
-                s[3 + n + j, m] += middle[j, i] * first + c[j, m] * lean
+            b, w0[i], w1[i] = base[i] - centre, w[0, i] + w[1, i] + w[2, i], (w[2, i] - w[0, i]) * h[m]
+            first[i], lean[i] = b * w0[i] + w1[i], b * w1[i] + (w[0, i] + w[2, i]) * h[m] * h[m]
+            ones += w0[i]
+            values += first[i]
+            squares += b * first[i] + lean[i]
+        s[0, m], s[1, m], s[2, m] = ones, values, squares
+        for j in range(n):
+            states, products = 0.0, 0.0
+            for i in range(edges[m], edges[m + 1]):
+                states += middle[j, i] * w0[i] + c[j, m] * w1[i]
+                products += middle[j, i] * first[i] + c[j, m] * lean[i]
+            s[3 + j, m], s[3 + n + j, m] = states, products
     weight, mean, variance = np.empty(M), np.empty(M), np.empty(M)
     x, slope, t = np.empty((n, M)), np.empty((n, M)), np.empty(3 + 2 * n)
     for m in range(M):
@@ -240,10 +245,10 @@ def merged(base: Floats, h: Floats, edges: Places) -> tuple[Places, Places]:
         off[q] = (place[q] - 1) * h[m]
         head[q] = base[perm[at[q]]] + off[q]
     for k in range(3 * N):
-        best = 0
+        best, least = 0, head[0]
         for q in range(1, 3 * M):
-            if head[q] < head[best]:
-                best = q
+            if head[q] < least:
+                best, least = q, head[q]
         child[k], parent[k] = place[best], perm[at[best]]
         at[best] += 1
         head[best] = base[perm[at[best]]] + off[best] if at[best] < end[best] else math.inf

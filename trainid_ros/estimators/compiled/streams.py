@@ -33,7 +33,15 @@ class VMilsStream:
     """Multi-innovation least squares with the soft gate, see :func:`multi_innovation.mils_step`."""
 
     def __init__(self, prior: Belief, p: int, outliers: float) -> None:
-        self._memory = np.array((*information_of(prior), *NOTHING, 0.0, outliers, *NOTHING * p))
+        self.__setstate__(np.array((*information_of(prior), *NOTHING, 0.0, outliers, *NOTHING * p)))
+
+    def __getstate__(self) -> Floats:
+        """Return what a copy needs: the numbers, not the code."""
+        return self._memory
+
+    def __setstate__(self, memory: Floats) -> None:
+        """Go on from them."""
+        self._memory = memory
         self._row, self._rows = compiled(mils_row), compiled(mils_rows)
 
     @property
@@ -91,8 +99,16 @@ class SpeedModelStream:
     """AM-VFF-RLS, see :func:`am_vff_rls.learn`."""
 
     def __init__(self, start: Numbers, tuning: Tuning) -> None:
-        self._memory = np.array(start)
-        self._row, self._rows = speed_kernels(tuning)
+        self.__setstate__((np.array(start), tuning))
+
+    def __getstate__(self) -> tuple[Floats, Tuning]:
+        """Return what a copy needs: the numbers, not the code."""
+        return self._memory, self._tuning
+
+    def __setstate__(self, state: tuple[Floats, Tuning]) -> None:
+        """Go on from them."""
+        self._memory, self._tuning = state
+        self._row, self._rows = speed_kernels(self._tuning)
 
     @property
     def numbers(self) -> Numbers:
