@@ -117,7 +117,8 @@ def test_contest_times_copies_and_weighs() -> None:
     assert quick.p50 < slow.p50
     assert slow.p50 <= slow.p99
     kept: list[bytes] = []
-    assert growth(lambda: kept.append(bytes(10_000)), [()], 200, 2000) > 5000.0
+    # Large pieces of memory that are written to: they cannot come from what the process holds already.
+    assert growth(lambda: kept.append(b'x' * 1_000_000), [()], 5, 50) > 500_000.0
     saved = copied(HandRls())
     assert saved is not None
     assert saved[0] == len(pickle.dumps(HandRls()))
