@@ -45,9 +45,10 @@ def test_bad_observations_do_not_lead_the_robust_kernel_astray(name: str) -> Non
 
 
 def test_a_jump_is_followed_soon_and_costs_nothing_before() -> None:
-    runs = [jump_results(seed) for seed in fresh(3)]
+    """Of 60 jumps of the smaller size 3 took longer than 400 observations: the median of 9 does in 4e-5 of the runs."""
+    runs = [jump_results(seed) for seed in fresh(9)]
     for i in range(2):
-        assert np.median([run[i].delay for run in runs]) < 250.0
+        assert np.median([run[i].delay for run in runs]) < 400.0
         assert np.median([run[i].before for run in runs]) < 0.12
 
 
