@@ -75,11 +75,15 @@ class JumpResult:
 
 @dataclass(frozen=True, slots=True)
 class MetroResult:
-    """Error of w over 5-22 m/s at the end, rms of that error in its own standard deviations, steps found."""
+    """Error of w over 5-22 m/s at the end, rms of that error in its own standard deviations, steps found.
+
+    ``least_squares`` is the error of least squares over all rows of the same ride, which nothing can follow.
+    """
 
     error: float
     normalised: float
     steps: int
+    least_squares: float
 
 
 def coast_errors(seed: int) -> CoastErrors:
@@ -216,7 +220,9 @@ def metro_result(seed: int, scenario: metro.Scenario) -> MetroResult:
     upper[np.triu_indices(3)] = P
     full = upper + np.triu(upper, 1).T
     variance = np.sum((_METRO_PHI @ full) * _METRO_PHI, axis=1)
-    return MetroResult(_rms(wrong), _rms(wrong / np.sqrt(variance)), tracker.steps_found)
+    batch = np.linalg.lstsq(data.rows.phi, data.rows.y, rcond=None)[0]
+    plain = metro.curve_error(batch, true)
+    return MetroResult(_rms(wrong), _rms(wrong / np.sqrt(variance)), tracker.steps_found, plain)
 
 
 def kernel_cost(p: int, updates: int = 20_000, repeats: int = 9) -> float:
