@@ -220,7 +220,7 @@ def metro_result(seed: int, scenario: metro.Scenario) -> MetroResult:
     upper[np.triu_indices(3)] = P
     full = upper + np.triu(upper, 1).T
     variance = np.sum((_METRO_PHI @ full) * _METRO_PHI, axis=1)
-    batch = np.linalg.lstsq(data.rows.phi, data.rows.y, rcond=None)[0]
+    batch = np.asarray(np.linalg.lstsq(data.rows.phi, data.rows.y, rcond=None)[0], dtype=np.float64)
     plain = metro.curve_error(batch, true)
     return MetroResult(_rms(wrong), _rms(wrong / np.sqrt(variance)), tracker.steps_found, plain)
 
