@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """What accuracy can be had: an exact Kalman filter of the brake rate, and least squares that knows of every change.
 
-Both use the settings, the speed noise and the windows of the estimators that they are a measure for.
+Both use the settings, the speed noise and the windows of the estimators that they are a measure for. What GSMA
+learns besides, the size of the disturbance, the filter takes as declared.
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from trainid_ros.core.records import NS_PER_S
 from trainid_ros.core.results import Refusal
 from trainid_ros.estimators.admission import Admission
 from trainid_ros.estimators.known_force import KnownForce
-from trainid_ros.estimators.prior import davis_prior
+from trainid_ros.estimators.prior import prior_variances
 from trainid_ros.estimators.resistance.speed_window import Tick, WindowResult, observe_resistance, overlap_factor
 from trainid_ros.estimators.speed_noise import SpeedNoise
 from trainid_ros.physics.brake import CommandHistory, lag_integral, lag_response
@@ -147,8 +148,8 @@ class ResistanceOracle:
         self._overlap = overlap_factor(config.window, config.hop)
         resistance = train_file.resistance
         believed = (resistance.a, resistance.b, resistance.c)
-        floors = (config.prior_std_a, config.prior_std_b, config.prior_std_c)
-        self._theta0, self._P0 = np.array(believed), davis_prior(believed, config.prior_share, floors)
+        self._theta0 = np.array(believed)
+        self._P0: NDArray[np.float64] = np.diag(prior_variances(believed, config))
         self._ticks: list[Tick] = []
         self._fresh = 0
         self._since_ns = 0

@@ -12,7 +12,7 @@ from benchmarks.papers.hand_filters import START, START_SD, VARIANCE, RowPeer
 from benchmarks.papers.metro_stream import INERTIA, PERIOD
 from trainid_ros.core.records import NS_PER_S
 from trainid_ros.estimators.compiled.streams import VMilsStream
-from trainid_ros.estimators.prior import davis_prior
+from trainid_ros.estimators.prior import prior_variances
 from trainid_ros.estimators.resistance.multi_innovation import NOTHING, belief_of, information_of, mils_step
 from trainid_ros.estimators.resistance.run_lengths import RunLengths, Tracker
 from trainid_ros.estimators.resistance.speed_window import Tick
@@ -116,8 +116,7 @@ class VMilsRaw(RowPeer):
 
     def __init__(self) -> None:
         config = VMilsConfig()
-        floors = (config.prior_std_a, config.prior_std_b, config.prior_std_c)
-        a, b, c = (float(x) for x in np.diag(davis_prior(START, config.prior_share, floors)))
+        a, b, c = prior_variances(START, config)
         self._tracker = Tracker((*START, a, 0.0, 0.0, b, 0.0, c), run_lengths(config, (a, b, c)))
         self._learner = WindowLearner(self._tracker, window_plan(config, INERTIA))
 

@@ -16,7 +16,7 @@ from benchmarks.papers.coasts import GRID, KMH, LARGE_A, PAPER, CoastPlan, in_km
 from benchmarks.papers.robust_stream import RobustStream
 from benchmarks.papers.spoiled import NOISE_STD, OBSERVED, SPEEDS, spoiled_observations, spoiled_speeds
 from trainid_ros.core.records import NS_PER_S
-from trainid_ros.estimators.prior import davis_prior
+from trainid_ros.estimators.prior import prior_variances
 from trainid_ros.estimators.resistance.multi_innovation import NOTHING, information_of, mils_step
 from trainid_ros.estimators.resistance.run_lengths import Tracker
 from trainid_ros.estimators.resistance.speed_ekf import SpeedEkf, SpeedEkfConfig
@@ -202,8 +202,7 @@ def metro_results(seed: int) -> tuple[MetroResult, ...]:
 def metro_result(seed: int, scenario: metro.Scenario) -> MetroResult:
     """Return the result of one scenario; ticks under braking count too, since here the force of the brake is known."""
     data, config = metro.metro_stream(seed, scenario), VMilsConfig()
-    floors = (config.prior_std_a, config.prior_std_b, config.prior_std_c)
-    A, D, F = np.diag(davis_prior(_METRO_BELIEF, config.prior_share, floors)).tolist()
+    A, D, F = prior_variances(_METRO_BELIEF, config)
     tracker = Tracker((*_METRO_BELIEF, A, 0.0, 0.0, D, 0.0, F), run_lengths(config, (A, D, F)))
     learner = WindowLearner(tracker, window_plan(config, metro.INERTIA))
     raw = data.raw

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.bags.reader import BagReader, require_topics
+from trainid_ros.commands.arguments import not_negative
 from trainid_ros.commands.output import add_json_option, print_json, progress, table, warn
 from trainid_ros.core.alignment import Aligner, AlignmentConfig, TimeJump
 from trainid_ros.core.errors import InputError, NoAnswerError
@@ -50,21 +51,10 @@ def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument('bag', type=Path, metavar='BAG', help='rosbag2 directory or .mcap file')
     parser.add_argument('--train', type=Path, required=True, metavar='T.yaml', help='train file')
-    parser.add_argument('--start', type=_seconds, default=0.0, metavar='S', help='skip the first seconds')
-    parser.add_argument('--duration', type=_seconds, default=math.inf, metavar='S', help='fit only so many seconds')
+    parser.add_argument('--start', type=not_negative, default=0.0, metavar='S', help='skip the first seconds')
+    parser.add_argument('--duration', type=not_negative, default=math.inf, metavar='S', help='fit only so many seconds')
     parser.add_argument('--namespace', default='/', help='namespace of the topics (default: /)')
     add_json_option(parser)
-
-
-def _seconds(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not (math.isfinite(value) and value >= 0.0):
-        msg = f'{text!r} must be a number >= 0'
-        raise argparse.ArgumentTypeError(msg)
-    return value
 
 
 def run(args: argparse.Namespace) -> int:

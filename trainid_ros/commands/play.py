@@ -4,11 +4,11 @@
 from __future__ import annotations
 
 import argparse
-import math
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from trainid_ros.bags.reader import BagReader
+from trainid_ros.commands.arguments import not_negative, positive
 from trainid_ros.commands.output import progress
 from trainid_ros.core.errors import InputError
 from trainid_ros.core.records import NS_PER_S
@@ -22,9 +22,9 @@ if TYPE_CHECKING:
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument('bag', type=Path, metavar='BAG', help='rosbag2 directory or .mcap file')
-    parser.add_argument('--rate', type=_positive, default=1.0, metavar='R', help='recorded seconds in one (default: 1)')
-    parser.add_argument('--start', type=_not_negative, default=0.0, metavar='S', help='skip the first seconds')
-    parser.add_argument('--duration', type=_positive, default=0.0, metavar='S', help='play only so many seconds')
+    parser.add_argument('--rate', type=positive, default=1.0, metavar='R', help='recorded seconds in one (default: 1)')
+    parser.add_argument('--start', type=not_negative, default=0.0, metavar='S', help='skip the first seconds')
+    parser.add_argument('--duration', type=positive, default=0.0, metavar='S', help='play only so many seconds')
     parser.add_argument('--loop', action='store_true', help='start over at the end')
     parser.add_argument(
         '--wait', type=int, default=0, metavar='N', help='wait for so many subscribers on each topic before starting'
@@ -87,22 +87,3 @@ class _Shown:
             self._advance((position - self._told_ns) / NS_PER_S)
             self._told_ns = position
         return self._player.finished
-
-
-def _positive(text: str) -> float:
-    value = _not_negative(text)
-    if value == 0.0:
-        msg = f'{text!r} must be > 0'
-        raise argparse.ArgumentTypeError(msg)
-    return value
-
-
-def _not_negative(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not (math.isfinite(value) and value >= 0.0):
-        msg = f'{text!r} must be a number >= 0'
-        raise argparse.ArgumentTypeError(msg)
-    return value

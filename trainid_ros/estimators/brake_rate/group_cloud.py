@@ -36,13 +36,13 @@ _GROUP: Final = np.array([[-1.0], [0.0], [1.0]])
 # Prior weight of the child in the middle, and of the others beside it.
 _LOG_MIDDLE: Final = math.log(4.0 / 6.0)
 _LOG_SIDE: Final = math.log(1.0 / 4.0)
-_KAPPA: Final = 0.2
-_SHRUNK: Final = math.sqrt(1.0 - _KAPPA**2) - 1.0
+KAPPA: Final = 0.2
+SHRUNK: Final = math.sqrt(1.0 - KAPPA**2) - 1.0
 # Survivors are not spread by more than this to match those that they stand for.
-_MOST_SPREAD: Final = 2.0
-_TINY: Final = 1e-300
+MOST_SPREAD: Final = 2.0
+TINY: Final = 1e-300
 # Where one child outweighs all others, the spread of its group is still unknown.
-_LEAST_VARIANCE: Final = 1e-10
+LEAST_VARIANCE: Final = 1e-10
 
 
 @dataclass(frozen=True, slots=True)
@@ -185,13 +185,13 @@ class Branches(NamedTuple):
 def branch(cloud: GroupCloud, strata: Strata, step: LinearStep, walk: Array) -> Branches:
     """Return the groups of predicted particles; ``walk`` is the variance q dt of each stratum, shape (M,)."""
     of = strata.of
-    kernel = _KAPPA**2 * cloud.variance
-    both = np.maximum(walk + kernel, _TINY)
+    kernel = KAPPA**2 * cloud.variance
+    both = np.maximum(walk + kernel, TINY)
     # The kernel moves f throughout its past, so x along its regression; the walk has moved it in this step only.
     gamma = step.gamma[:, None]
     c = gamma + kernel / both * (cloud.slope - gamma)
-    moved = _SHRUNK * (cloud.f - cloud.mean.take(of))
-    log_prior = np.log(np.maximum(cloud.weight, _TINY)) + strata.log_shares
+    moved = SHRUNK * (cloud.f - cloud.mean.take(of))
+    log_prior = np.log(np.maximum(cloud.weight, TINY)) + strata.log_shares
     x = cloud.x + cloud.slope.take(of, axis=1) * moved
     return Branches(cloud.f + moved, np.sqrt(3.0 * both), x, c, log_prior, of)
 
@@ -260,7 +260,7 @@ def _chosen(
     if len(strata.sizes) == 1:
         return systematic(ordered, strata.sizes[0], float(uniforms[0]))
     # Share of a child's weight that each stratum sees, of its own weight.
-    seen = (chain / np.maximum(weight, _TINY)).T
+    seen = (chain / np.maximum(weight, TINY)).T
     chosen = np.empty(len(strata.of), dtype=np.intp)
     for part, rank, size, share, uniform in zip(
         strata.parts, strata.ranks, strata.sizes, seen, uniforms.tolist(), strict=True
@@ -287,10 +287,10 @@ def _moments(groups: Branches, weights: Array, strata: Strata, chain: Array) -> 
         for part, step, slope in zip(strata.parts, groups.h.tolist(), groups.c.T.tolist(), strict=True)
     ]
     rows = np.array(columns).T @ chain
-    weight = np.maximum(rows[0], _TINY)
+    weight = np.maximum(rows[0], TINY)
     means = rows[1:] / weight
     mean, x = means[0], means[2 : 2 + n]
-    variance = np.maximum(means[1] - mean * mean, _LEAST_VARIANCE)
+    variance = np.maximum(means[1] - mean * mean, LEAST_VARIANCE)
     slope = (means[2 + n :] - x * mean) / variance
     return GroupCloud(base, x, weight / weight.sum(), mean + centre, variance, slope)
 
@@ -309,7 +309,7 @@ def _matched(f: Array, x: Array, target: GroupCloud, strata: Strata) -> GroupClo
     of = strata.of
     off = f - (f @ strata.average).take(of)
     variance = (off * off) @ strata.average
-    spread = np.minimum(np.sqrt(target.variance / np.maximum(variance, _TINY)), _MOST_SPREAD)
+    spread = np.minimum(np.sqrt(target.variance / np.maximum(variance, TINY)), MOST_SPREAD)
     off *= spread.take(of)
     off += target.mean.take(of)
     x += target.slope.take(of, axis=1) * (off - f)

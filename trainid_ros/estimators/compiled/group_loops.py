@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.estimators.brake_rate.group_cloud import _KAPPA, _LEAST_VARIANCE, _MOST_SPREAD, _SHRUNK, _TINY
+from trainid_ros.estimators.brake_rate.group_cloud import KAPPA, LEAST_VARIANCE, MOST_SPREAD, SHRUNK, TINY
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -124,13 +124,13 @@ def branch(
     n, M = slope.shape
     base, middle, h, c = np.empty_like(f), np.empty_like(x), np.empty(M), np.empty_like(slope)
     for m in range(M):
-        kernel = _KAPPA * _KAPPA * variance[m]
-        both = max(walk[m] + kernel, _TINY)
+        kernel = KAPPA * KAPPA * variance[m]
+        both = max(walk[m] + kernel, TINY)
         h[m] = math.sqrt(3.0 * both)
         for j in range(n):
             c[j, m] = gamma[j] + kernel / both * (slope[j, m] - gamma[j])
         for i in range(edges[m], edges[m + 1]):
-            moved = _SHRUNK * (f[i] - mean[m])
+            moved = SHRUNK * (f[i] - mean[m])
             base[i] = f[i] + moved
             for j in range(n):
                 middle[j, i] = x[j, i] + slope[j, m] * moved
@@ -155,7 +155,7 @@ def weigh(
     peak = -math.inf
     for m in range(h.size):
         lean = c[0, m]
-        prior = math.log(max(weight[m], _TINY) / (edges[m + 1] - edges[m]))
+        prior = math.log(max(weight[m], TINY) / (edges[m + 1] - edges[m]))
         for i in range(edges[m], edges[m + 1]):
             nu = speed - middle[0, i]
             for g in range(3):
@@ -213,9 +213,9 @@ def moments(
             t[k] = 0.0
             for source in range(M):
                 t[k] += s[k, source] * chain[source, m]
-        weight[m] = max(t[0], _TINY)
+        weight[m] = max(t[0], TINY)
         mean[m] = t[1] / weight[m]
-        variance[m] = max(t[2] / weight[m] - mean[m] * mean[m], _LEAST_VARIANCE)
+        variance[m] = max(t[2] / weight[m] - mean[m] * mean[m], LEAST_VARIANCE)
         for j in range(n):
             x[j, m] = t[3 + j] / weight[m]
             slope[j, m] = (t[3 + n + j] / weight[m] - x[j, m] * mean[m]) / variance[m]
@@ -311,7 +311,7 @@ def survivors(
         spread = 0.0
         for i in range(edges[m], edges[m + 1]):
             spread += (f[i] - average) * (f[i] - average)
-        factor = min(math.sqrt(variance[m] / max(spread / size, _TINY)), _MOST_SPREAD)
+        factor = min(math.sqrt(variance[m] / max(spread / size, TINY)), MOST_SPREAD)
         for j in range(n):
             total = 0.0
             for i in range(edges[m], edges[m + 1]):

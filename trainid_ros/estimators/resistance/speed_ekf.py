@@ -16,14 +16,12 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
-import numpy as np
-
 from trainid_ros.core.codec import check_restored, decode, encode
 from trainid_ros.core.results import Reason, Refusal, ResistanceEstimate
 from trainid_ros.core.settings import check_settings, setting
 from trainid_ros.estimators.admission import Admission
 from trainid_ros.estimators.known_force import KnownForce
-from trainid_ros.estimators.prior import davis_prior
+from trainid_ros.estimators.prior import prior_variances
 from trainid_ros.estimators.resistance.multi_innovation import is_finite
 from trainid_ros.estimators.resistance.robust import drifted, predict
 from trainid_ros.estimators.resistance.speed_filter import State, corrected, predicted, restarted
@@ -97,9 +95,7 @@ class SpeedEkf:
         self._k = 1.0 / self._known.inertia
         davis = train_file.resistance
         self._theta0 = (davis.a, davis.b, davis.c)
-        floors = (config.prior_std_a, config.prior_std_b, config.prior_std_c)
-        a, b, c = (float(x) for x in np.diag(davis_prior(self._theta0, config.prior_share, floors)))
-        self._most_doubt = (a, b, c)
+        a, b, c = self._most_doubt = prior_variances(self._theta0, config)
         growth = config.drift_share**2 / _SECONDS_PER_HOUR
         self._drift_rates = (growth * a, growth * b, growth * c)
         self.reset()

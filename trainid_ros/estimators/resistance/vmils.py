@@ -19,8 +19,6 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-import numpy as np
-
 from trainid_ros.core.codec import check_restored, decode, encode
 from trainid_ros.core.errors import InputError
 from trainid_ros.core.records import NS_PER_S
@@ -28,7 +26,7 @@ from trainid_ros.core.results import Refusal, ResistanceEstimate
 from trainid_ros.core.settings import check_settings, setting
 from trainid_ros.estimators.admission import Admission
 from trainid_ros.estimators.known_force import KnownForce
-from trainid_ros.estimators.prior import davis_prior
+from trainid_ros.estimators.prior import prior_variances
 from trainid_ros.estimators.resistance.robust import drifted, predict
 from trainid_ros.estimators.resistance.run_lengths import RunLengths, Tracker
 from trainid_ros.estimators.resistance.speed_window import Tick
@@ -100,9 +98,7 @@ class VMils:
         self._admission = Admission(self._known, config.min_speed)
         davis = train_file.resistance
         theta = (davis.a, davis.b, davis.c)
-        floors = (config.prior_std_a, config.prior_std_b, config.prior_std_c)
-        a, b, c = (float(variance) for variance in np.diag(davis_prior(theta, config.prior_share, floors)))
-        self._most_doubt = (a, b, c)
+        a, b, c = self._most_doubt = prior_variances(theta, config)
         growth = config.drift_share**2 / _SECONDS_PER_HOUR
         self._drift_rates = (growth * a, growth * b, growth * c)
         tracker = Tracker((*theta, a, 0.0, 0.0, b, 0.0, c), run_lengths(config, self._most_doubt))

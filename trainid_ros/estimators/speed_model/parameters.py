@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from trainid_ros.core.samples import SAMPLE_PERIOD
 from trainid_ros.core.settings import setting
-from trainid_ros.estimators.prior import davis_prior
+from trainid_ros.estimators.prior import prior_variances
 
 Theta: TypeAlias = tuple[float, float, float, float]
 """a1, a2, b1, d0."""
@@ -61,10 +61,7 @@ def to_physical(theta: Theta) -> tuple[float, float, float, float]:
 
 def prior(davis: tuple[float, float, float], k: float, config: SpeedModelConfig) -> tuple[Theta, Symmetric]:
     """Return theta(0) and its covariance: doubt about the physical parameters, through the map."""
-    floors = (config.prior_std_a, config.prior_std_b, config.prior_std_c)
-    physical = np.zeros((4, 4))
-    physical[:3, :3] = davis_prior(davis, config.prior_share, floors)
-    physical[3, 3] = (config.prior_std_mass * k) ** 2
+    physical = np.diag([*prior_variances(davis, config), (config.prior_std_mass * k) ** 2])
     a, b, c = davis
     # Rows a1, a2, b1, d0; columns a, b, c, k.
     J = SAMPLE_PERIOD * np.array([[0, 0, -k, -c], [0, -k, 0, -b], [0, 0, 0, 1], [-k, 0, 0, -a]], dtype=float)

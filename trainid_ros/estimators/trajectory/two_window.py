@@ -23,7 +23,7 @@ from trainid_ros.core.results import Reason, Refusal, ResistanceEstimate
 from trainid_ros.core.settings import check_settings, setting
 from trainid_ros.estimators.admission import Admission
 from trainid_ros.estimators.known_force import KnownForce
-from trainid_ros.estimators.prior import davis_prior
+from trainid_ros.estimators.prior import prior_variances
 from trainid_ros.estimators.speed_noise import SpeedNoise
 from trainid_ros.estimators.trajectory.window import Belief, Prior, Row, RowNoise, fit_rows, newest_regime
 
@@ -118,10 +118,10 @@ class TwoWindow:
         self._admission = Admission(self._known, config.min_speed)
         davis = train_file.resistance
         theta = (davis.a, davis.b, davis.c)
-        P = davis_prior(theta, config.prior_share, (config.prior_std_a, config.prior_std_b, config.prior_std_c))
-        a, b, c = (math.sqrt(P[i, i]) for i in range(3))
-        self._prior = Prior(theta, (a, b, c, config.force_skew, config.force_error))
-        self._first = Belief(theta, tuple(P.ravel().tolist()))
+        a, b, c = prior_variances(theta, config)
+        doubt = (math.sqrt(a), math.sqrt(b), math.sqrt(c))
+        self._prior = Prior(theta, (*doubt, config.force_skew, config.force_error))
+        self._first = Belief(theta, (a, 0.0, 0.0, 0.0, b, 0.0, 0.0, 0.0, c))
         self._density = 2.0 * config.disturbance_time * config.disturbance_std**2
         self.reset()
 
