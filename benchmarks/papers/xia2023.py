@@ -327,12 +327,7 @@ def _targets(
     for kind, most in (('cruise', 0.002), ('full', 0.007)):
         w = next(item.w for item in schemes if item.kind == kind and 'ours' in item.name)
         rows.append(_target(f'data of (3), mean force, {kind}: worst w, N/kN', w, most, '.5f'))
-    for name, most in (
-        ('window of 20 rows with prior', 0.1),
-        ('batch fit in time, I = 2000', 3.0),
-        ('batch fit of a segment of 100 s, robust', 0.4),
-        ('batch fit of 20 segments, robust', 5.0),
-    ):
+    for name, most in (('window of 20 rows with prior', 0.1), ('batch fit in time, I = 2000', 3.0)):
         rows.append(_target(f'{name}, ms', timings[name], most, '.2f'))
     return Table('Targets', ('', 'to reach', 'reached', 'met?'), tuple(rows))
 

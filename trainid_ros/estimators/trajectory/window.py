@@ -10,9 +10,10 @@ A Gaussian prior stands where the paper has a box: 20 rows alone leave w(v) unkn
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import groupby
+from itertools import chain, groupby
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -24,6 +25,10 @@ if TYPE_CHECKING:
 
 # Natural size of a, b, c, force delay and force gain.
 SCALE: Final = np.array([1.0, 0.02, 0.001, 0.05, 0.005])
+# The same of all columns of a row, the rest speed last, and of a, b, c alone.
+_COLUMNS: Final = np.append(SCALE, 1.0)
+_SCALE_ABC: Final = SCALE[:3, None]
+_UPPER: Final = np.triu(np.ones((5, 5)))
 # A free initial speed, in standard deviations of a row: large beside any rest speed within a window.
 _FREE: Final = 1e4
 # Ratios of noises are told apart by so many steps per factor e; each has its own whitening matrix.
@@ -106,7 +111,7 @@ def newest_regime(rows: Sequence[Row], noise: RowNoise, prior: Prior, known: Bel
     for count in splits:
         belief, after = _posterior(_whitened(rows[-count:], noise), prior)
         before = _whitened(rows[:-count], noise)
-        left = before[:, 0] - before[:, 1:] @ theta
+        left = before[:, 5] - before[:, :5] @ theta
         costs.append(after + float(left @ left))
         beliefs.append(belief)
     best = int(np.argmin(costs))
@@ -115,28 +120,37 @@ def newest_regime(rows: Sequence[Row], noise: RowNoise, prior: Prior, known: Bel
 
 def _posterior(white: NDArray[np.float64], prior: Prior) -> tuple[Belief, float]:
     """Return the posterior, and the sum of squares that it leaves."""
+    count = len(white)
+    # R, and below its diagonal the reflections: to be rid of them here is faster than to ask for R alone.
+    R = np.linalg.qr(np.concatenate((white * _COLUMNS, _prior_rows(prior))), mode='raw')[0].T
+    inverse = _SCALE_ABC * np.linalg.inv(_UPPER * R[:5, :5])[:3]
+    theta, P = inverse @ R[:5, 5], inverse @ inverse.T
+    belief = Belief(tuple(theta.tolist()), tuple(P.ravel().tolist()))
+    return belief, float(R[5, 5]) ** 2 if count else 0.0
+
+
+@lru_cache(maxsize=16)
+def _prior_rows(prior: Prior) -> NDArray[np.float64]:
+    """Return the prior as rows beside those of the window, in the units of SCALE, shape (5, 6)."""
     weights = SCALE / np.array(prior.std)
-    A = np.vstack((white[:, 1:] * SCALE, np.diag(weights)))
-    believed = np.array((*prior.theta, 0.0, 0.0)) / SCALE
-    y = np.concatenate((white[:, 0], weights * believed))
-    R = np.asarray(np.linalg.qr(np.column_stack((A, y)), mode='r'))
-    inverse = SCALE[:, None] * np.linalg.inv(R[:5, :5])
-    P = (inverse @ inverse.T)[:3, :3]
-    belief = Belief(tuple((inverse @ R[:5, 5])[:3].tolist()), tuple(P.ravel().tolist()))
-    return belief, float(R[5, 5]) ** 2 if len(R) > 5 else 0.0
+    rows = np.column_stack((np.diag(weights), weights * np.array((*prior.theta, 0.0, 0.0)) / SCALE))
+    rows.flags.writeable = False
+    return rows
 
 
 def _whitened(rows: Sequence[Row], noise: RowNoise) -> NDArray[np.float64]:
-    """Return rest speeds and regressors with independent errors of unit variance, shape (n, 6)."""
-    parts = [_whitened_piece(list(piece), noise) for _, piece in groupby(rows, key=lambda row: row.piece)]
-    return np.vstack(parts) if parts else np.zeros((0, 6))
-
-
-def _whitened_piece(piece: list[Row], noise: RowNoise) -> NDArray[np.float64]:
-    raw = np.array([(row.rest, *row.sums) for row in piece])
-    step = round(2.0 * _STEPS_PER_E * float(np.log(max(noise.walk, 1e-12) / noise.std)))
-    white: NDArray[np.float64] = whitener(len(piece), step) @ (raw - raw[0]) / noise.std
-    return white
+    """Return regressors and rest speeds with independent errors of unit variance, shape (n, 6)."""
+    numbers = chain.from_iterable((*row.sums, row.rest) for row in rows)
+    raw = np.fromiter(numbers, float, 6 * len(rows)).reshape(-1, 6)
+    step = round(2.0 * _STEPS_PER_E * math.log(max(noise.walk, 1e-12) / noise.std))
+    begin = 0
+    for _, piece in groupby([row.piece for row in rows]):
+        end = begin + sum(1 for _ in piece)
+        part = raw[begin:end]
+        raw[begin:end] = whitener(end - begin, step) @ (part - part[0])
+        begin = end
+    raw /= noise.std
+    return raw
 
 
 @lru_cache(maxsize=256)
