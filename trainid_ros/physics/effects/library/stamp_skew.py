@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The stamps of the force are late or early."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from trainid_ros.physics.effects.kind import EffectKind, Parameter, Parameters, Twin
+from trainid_ros.physics.effects.point import TrackPoint
+from trainid_ros.physics.train_file import Davis
+
+
+def resistance(p: Parameters, _: Davis, at: TrackPoint) -> float:
+    """Return ``T(t) - T(t + delay)`` with the traction T by its stamps: what acts now is stamped later."""
+    return at.traction_before(0.0) - at.traction_before(-p['delay'])
+
+
+EFFECT: Final = EffectKind(
+    name='stamp_skew',
+    title='late stamps of the force',
+    equation='w = T(t) - T(t + delay): the force that acts at t is stamped t + delay',
+    parameters={'delay': Parameter('s', -5.0, 5.0)},
+    amplitude='delay',
+    resistance=resistance,
+    origin='sensor',
+    on_records=True,
+    needs='sharp changes of traction',
+    twins=(
+        Twin('traction_scale', 'long steady traction, and sharp changes of it'),
+        Twin('map_shift', 'sharp changes of traction on level track'),
+    ),
+)
