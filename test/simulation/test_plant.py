@@ -136,13 +136,46 @@ def test_scales_of_mass_and_traction(file: TrainFile, expected: float) -> None:
     assert train.reported_force == pytest.approx(100e3)
 
 
-def test_brake_delay_adds_to_the_dead_time() -> None:
-    train = plant(effects('brake_delay', extra=0.4), speed=20.0)
+def test_brake_delay_holds_the_brake_back_and_not_the_report() -> None:
+    """The report is that of the believed brake, so it is the same as without the effect."""
+    nominal = plant(replace(FILE, resistance=NO_RESISTANCE), speed=20.0)
+    late = plant(replace(effects('brake_delay', extra=0.4), resistance=NO_RESISTANCE), speed=20.0)
+    for train in (nominal, late):
+        train.command(-1.0)
+        run(train, 1.0)
+    assert late.reported_force == nominal.reported_force < 0.0
+    assert late.speed == pytest.approx(20.0, abs=1e-12)
+    for train in (nominal, late):
+        run(train, 1.0)
+        train.command(-0.5)
+    before = nominal.speed
+    run(late, 0.4)
+    # The same braking 0.4 s later.
+    assert late.speed == pytest.approx(before, abs=1e-12)
+    run(nominal, 2.0)
+    before = nominal.speed
+    run(late, 2.0)
+    assert late.speed == pytest.approx(before, abs=1e-12)
+
+
+def test_the_brake_is_as_strong_as_its_scale_says() -> None:
+    train = plant(replace(effects('brake_scale', ratio=0.8), resistance=NO_RESISTANCE), speed=20.0)
     train.command(-1.0)
-    run(train, 1.0)
-    assert train.brake == 0.0
-    run(train, 0.02)
-    assert train.brake < 0.0
+    run(train, 8.0)
+    assert train.acceleration == pytest.approx(-0.9 * 0.8, rel=1e-6)
+    assert train.reported_force == pytest.approx(-216e3, rel=1e-6)
+
+
+def test_a_shifted_map_tells_of_a_hill_too_early() -> None:
+    line = Line(stops=(0.0, 9000.0), gradient=((0.0, 0.0), (1000.0, 20.0)))
+    file = replace(effects('map_shift', distance=50.0), resistance=NO_RESISTANCE, line=line)
+    train = plant(file, speed=20.0)
+    train.position = 1040.0
+    run(train, 0.1)
+    assert train.speed == 20.0
+    run(train, 0.5)
+    assert train.speed < 20.0
+    assert LineProfile(line, 100.0).gradient(1040.0, 1) == pytest.approx(8.0)
 
 
 def test_a_hot_brake_fades_to_its_loss() -> None:

@@ -47,6 +47,10 @@ def test_clean_sensors_tell_the_truth() -> None:
     assert (record.gradient, record.curve_radius, record.tunnel) == (4.0, 300.0, True)
 
 
+def test_the_force_may_be_stamped_late() -> None:
+    assert sensors(force_delay=0.4).force(7 * 10**8, -3e4, 2e5) == ForceRecord(11 * 10**8, -3e4)
+
+
 def test_speed_noise() -> None:
     # The std of 20 000 values is known to 0.5 %: 2 % is 4 sigma; the mean to 0.02 / 141.
     measured = speeds(sensors(speed_noise=0.02))

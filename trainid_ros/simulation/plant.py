@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Train dynamics: the specific balance, integrated with an exact brake actuator.
 
-``(1 + gamma) M_true dv/dt = k F + f (1 + gamma) M u - M_true g / 1000 (w(v) + i + w_extra + gust)`` with
-the reported traction F, the lagged and delayed brake target u <= 0, the brake rate f and the weighed
-mass M. Speed and position use the midpoint rule, whose error at 20 ms steps is far below any sensor's.
+``(1 + gamma) M dv/dt = F + f (1 + gamma) M u - M g / 1000 (w(v) + i + w_extra + gust)`` with the reported traction F,
+the lagged and delayed brake target u <= 0, the brake rate f and the mass M as believed: all effects act as extra
+resistance. Speed and position use the midpoint rule, whose error at 20 ms steps is far below any sensor's.
 """
 
 from __future__ import annotations
@@ -14,15 +14,13 @@ from typing import Final
 from trainid_ros.core.records import NS_PER_S
 from trainid_ros.core.samples import BrakeCommandChange
 from trainid_ros.physics.brake import CommandHistory, lag_integral, lag_response
-from trainid_ros.physics.effects import TrackPoint, effect_value, resistance_terms
+from trainid_ros.physics.effects import BRAKE_APPLIED, TrackPoint, heat_after, resistance_terms
 from trainid_ros.physics.line import LineProfile
-from trainid_ros.physics.resistance import G, davis
+from trainid_ros.physics.resistance import G, davis, specific_force, specific_inertia
 from trainid_ros.physics.train_file import TrainFile
+from trainid_ros.simulation.recent import Recent
 
 STEP_NS: Final = 20_000_000
-COOLING_S: Final = 300.0
-"""Time in which a hot brake loses 63 % of its heat; only matters with the effect brake_fade."""
-_APPLIED: Final = -0.02
 
 
 class Plant:
@@ -41,6 +39,7 @@ class Plant:
         brake_rate: Brake rate now.
         gust: Further resistance [N/kN].
         distance_run: Distance run since the start [m].
+        heat: Heat in the brake, that of one without fade [J/kg].
 
     """
 
@@ -57,7 +56,6 @@ class Plant:
             InputError: An effect is not known or has wrong parameters.
 
         """
-        effects = train_file.effects
         self.profile = profile
         self.now_ns = start_ns
         self.position = train_file.line.stops[0] if train_file.line.stops else 0.0
@@ -66,20 +64,15 @@ class Plant:
         self.mass = train_file.train.mass
         self.resistance = train_file.resistance
         self.brake_rate = train_file.brake.rate
-        self.gust = self.distance_run = 0.0
+        self.gust = self.distance_run = self.heat = 0.0
         self._train = train_file.train
         self._jerk = jerk
         self._start_ns = start_ns
         self._time_constant = train_file.brake.time_constant
-        delay = train_file.brake.delay + effect_value(effects, 'brake_delay', 'extra', 0.0)
-        self._delay_ns = round(delay * NS_PER_S)
+        self._delay_ns = round(train_file.brake.delay * NS_PER_S)
         self._commands = CommandHistory()
-        self._terms = resistance_terms(effects)
-        self._mass_ratio = effect_value(effects, 'mass_error', 'ratio', 1.0)
-        self._traction_ratio = effect_value(effects, 'traction_scale', 'ratio', 1.0)
-        self._fade = effect_value(effects, 'brake_fade', 'loss', 0.0)
-        self._fade_energy = effect_value(effects, 'brake_fade', 'energy', math.inf)
-        self._heat = 0.0
+        self._terms = resistance_terms(train_file.effects)
+        self._tractions, self._brakes = Recent(), Recent()
         self._since_release = math.inf
 
     @property
@@ -97,11 +90,14 @@ class Plant:
         dt = dt_ns / NS_PER_S
         brake = self._brake_acceleration(dt_ns)
         traction = self._ramp_traction(traction_demand, dt)
-        mass = self.mass * self._mass_ratio
-        inertia = mass * (1.0 + self._train.rotary_mass)
-        driven = self._traction_ratio * traction / inertia + brake / self._mass_ratio
+        driven = traction / (self.mass * (1.0 + self._train.rotary_mass)) + brake
+        if self._terms:
+            middle_ns = self.now_ns + dt_ns // 2
+            self._tractions.add(middle_ns, specific_force(traction, self.mass))
+            self._brakes.add(middle_ns, specific_inertia(brake, self._train.rotary_mass))
         acceleration = driven - self._retardation(0.0)
         middle = max(0.0, self.speed + 0.5 * dt * acceleration)
+        self.heat = heat_after(self.heat, brake, middle, dt)
         self._move(driven - self._retardation(0.5 * dt, middle), dt)
         self.now_ns += dt_ns
 
@@ -117,16 +113,24 @@ class Plant:
         return w * G / (1000.0 * (1.0 + self._train.rotary_mass))
 
     def _track_point(self, position: float, speed: float, ahead_s: float) -> TrackPoint:
+        profile, direction = self.profile, self.direction
         return TrackPoint(
             time_s=(self.now_ns - self._start_ns) / NS_PER_S + ahead_s,
             position=position,
-            direction=self.direction,
+            direction=direction,
             speed=speed,
-            curve_radius=self.profile.curve_radius(position, self.direction),
-            tunnel=self.profile.tunnel(position, self.direction),
-            length=self.profile.length,
+            curve_radius=profile.curve_radius(position, direction),
+            tunnel=profile.tunnel(position, direction),
+            length=profile.length,
             distance_run=self.distance_run,
             since_release=self._since_release,
+            traction=self._tractions.before(0.0),
+            brake=self._brakes.before(0.0),
+            heat=self.heat,
+            acceleration=self.acceleration,
+            brake_before=self._brakes.before,
+            traction_before=self._tractions.before,
+            gradient_ahead=lambda ahead: profile.gradient(position + direction * ahead, direction),
         )
 
     def _move(self, acceleration: float, dt: float) -> None:
@@ -151,17 +155,12 @@ class Plant:
         return 0.5 * (before + self.traction)
 
     def _brake_acceleration(self, dt_ns: int) -> float:
-        """Let the actuator follow its delayed command; return the mean acceleration of the true brake."""
+        """Let the actuator follow its delayed command; return the mean acceleration of the brake."""
         start = self.now_ns - self._delay_ns
         change = 0.0
         for duration, target in self._commands.segments(start, start + dt_ns):
             change += lag_integral(self.brake, target, self._time_constant, duration)
             self.brake = lag_response(self.brake, target, self._time_constant, duration)
         dt = dt_ns / NS_PER_S
-        self._since_release = 0.0 if self.brake < _APPLIED else self._since_release + dt
-        mean = self.brake_rate * change / dt
-        if self._fade == 0.0:
-            return mean
-        faded = mean * (1.0 - self._fade * min(1.0, self._heat / self._fade_energy))
-        self._heat += dt * (-faded * self.speed - self._heat / COOLING_S)
-        return faded
+        self._since_release = 0.0 if self.brake < BRAKE_APPLIED else self._since_release + dt
+        return self.brake_rate * change / dt

@@ -222,8 +222,8 @@ class _Day:
             change = self._pending.pop(0)
             self._plant.resistance = change.resistance or self._plant.resistance
             if change.brake_rate is not None:
-                self._plant.brake_rate = change.brake_rate * self._rate_ratio
-                _append(self._brake_rate, (time_s, self._plant.brake_rate))
+                self._plant.brake_rate = change.brake_rate
+                _append(self._brake_rate, (time_s, change.brake_rate * self._rate_ratio))
             davis = self._plant.resistance
             stepped = davis.a + sum(a for at, a in self._steps if at <= time_s)
             _append(self._resistance, (time_s, stepped, davis.b, davis.c))
@@ -234,6 +234,7 @@ class _Day:
         return replace(
             model,
             wheel_ratio=model.wheel_ratio * ratio,
+            force_delay=model.force_delay + effect_value(self._effects, 'stamp_skew', 'delay', 0.0),
             slip_share=effect_value(self._effects, 'wheel_slip', 'share', model.slip_share),
             slip_speed=effect_value(self._effects, 'wheel_slip', 'speed', model.slip_speed),
         )

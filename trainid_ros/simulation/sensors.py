@@ -41,6 +41,7 @@ class SensorModel:
     mass_noise: float = setting(0.002, 'relative error of each load weighing', '', 0.0, 0.5)
     dropout: float = setting(0.0, 'probability that a message is lost', '', 0.0, 1.0)
     stamp_jitter: float = setting(0.0005, 'standard deviation of the stamps, cut at 4 ms', 's', 0.0, 0.004)
+    force_delay: float = setting(0.0, 'how much later than the force its stamps are', 's', -1.5, 1.5)
     slip_share: float = setting(0.0, 'share of the running time with wheel slip or slide', '', 0.0, 0.5)
     slip_speed: float = setting(3.0, 'greatest speed error in slip or slide', 'm/s', 0.0, 10.0)
 
@@ -102,7 +103,7 @@ class Sensors:
         white, relative = self._rng.standard_normal(2).tolist()
         noise = self.model.force_noise * mass * G / 1000.0 * white
         noise += self.model.force_noise_relative * abs(force) * relative
-        stamp = self._stamp(stamp_ns)
+        stamp = self._stamp(stamp_ns) + round(self.model.force_delay * NS_PER_S)
         return None if self._lost() else ForceRecord(stamp, force + noise)
 
     def gradient(

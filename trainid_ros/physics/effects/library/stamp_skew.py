@@ -19,7 +19,7 @@ EFFECT: Final = EffectKind(
     name='stamp_skew',
     title='late stamps of the force',
     equation='w = T(t) - T(t + delay): the force that acts at t is stamped t + delay',
-    parameters={'delay': Parameter('s', -5.0, 5.0)},
+    parameters={'delay': Parameter('s', -1.5, 1.5)},
     amplitude='delay',
     resistance=resistance,
     origin='sensor',
