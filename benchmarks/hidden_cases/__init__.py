@@ -1,0 +1,14 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Hidden cases for the discrepancy workflow: rides of trains that do not quite obey the believed train file.
+
+Physics of its own: nothing here comes from the equations, the simulator or the estimators of the package.
+"""
+
+from __future__ import annotations
+
+from benchmarks.hidden_cases.case import Case, EffectTruth, Truth
+from benchmarks.hidden_cases.library import LIBRARY
+from benchmarks.hidden_cases.make import draw_cases, make_case
+from benchmarks.hidden_cases.outside import OUTSIDE
+
+__all__ = ['LIBRARY', 'OUTSIDE', 'Case', 'EffectTruth', 'Truth', 'draw_cases', 'make_case']

@@ -1,0 +1,226 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The ride: the true train's equation of motion, in steps of 20 ms.
+
+``(1 + gamma) dv/dt = F / M - g / 1000 (w(v) + i + w_hidden + gust)`` with the true force, mass and rotary mass.
+Beside the motion, each step notes what the effects and the nuisances change in dv/dt at this very state: what
+the believed equation with the reported force lacks.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from random import Random
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from benchmarks.hidden_cases.driver import HOLD, Driver, slew
+from benchmarks.hidden_cases.hidden import G, Moment
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from benchmarks.hidden_cases.hidden import Hidden
+    from benchmarks.hidden_cases.track import Track
+    from benchmarks.hidden_cases.world import Leg, World
+
+    Array = NDArray[np.float64]
+
+STEP = 0.02
+_WEIGHT = G / 1000.0
+_TICK = 10
+_APPLIED = -0.03
+_MOST_S = 900.0
+
+
+@dataclass(frozen=True, slots=True)
+class Log:
+    """One bag's truth, a row each 20 ms, from time 0.
+
+    Attributes:
+        front: Position of the front [m].
+        heading: +1 or -1.
+        run: Number of the run, -1 while standing.
+        speed: [m/s].
+        force: As the drive reports it, without noise [N].
+        command: Brake command [m/s^2].
+        weighed: Mass as weighed [kg].
+        noise: dv/dt that nuisances add [m/s^2].
+        added: dv/dt that each effect adds, (effects, n) [m/s^2].
+
+    """
+
+    front: Array
+    heading: Array
+    run: Array
+    speed: Array
+    force: Array
+    command: Array
+    weighed: Array
+    noise: Array
+    added: Array
+
+
+@dataclass(slots=True)
+class _Brake:
+    """Dead time and first-order lag of the brake; the true one may wait longer than the nominal one."""
+
+    dead: int
+    dead_true: int
+    keep: float
+    nominal: float = HOLD
+    true: float = HOLD
+
+    def step(self, commands: list[float]) -> None:
+        self.nominal = self._towards(self.nominal, commands, self.dead)
+        self.true = self._towards(self.true, commands, self.dead_true)
+
+    def _towards(self, value: float, commands: list[float], dead: int) -> float:
+        target = commands[-1 - dead] if dead < len(commands) else HOLD
+        return target + (value - target) * self.keep
+
+
+class Ride:
+    """Drives the legs of one bag."""
+
+    def __init__(self, world: World, track: Track, effects: Sequence[Hidden], seed: int) -> None:
+        self._world = world
+        self._track = track
+        self._effects = tuple(effects)
+        self._random = Random(seed)
+        vehicle = world.vehicle
+        dead, wait = round(vehicle.brake_dead / STEP), sum(effect.brake_wait for effect in effects)
+        self._brake = _Brake(dead, dead + round(wait / STEP), math.exp(-STEP / vehicle.brake_lag))
+        self._commands: list[float] = []
+        self._rows: list[tuple[float, ...]] = []
+        self._moment = Moment()
+        self._gust = world.nuisance.gust * self._random.gauss(0.0, 1.0)
+        lag = world.nuisance.force_lag
+        self._force_keep = math.exp(-STEP / lag) if lag > 0.0 else 0.0
+        self._reported = 0.0
+
+    def drive(self, legs: Sequence[Leg], first_run: int) -> Log:
+        """Drive the legs one after another; runs are numbered through all bags.
+
+        Raises:
+            RuntimeError: The train does not reach a stop in a quarter of an hour.
+
+        """
+        front, before = legs[0].start, 0
+        for number, leg in enumerate(legs, start=first_run):
+            turned = before not in {0, leg.heading} or abs(front - leg.start) > 60.0
+            front = leg.start if turned else front
+            before = leg.heading
+            self._stand(leg, front, leg.dwell + (40.0 if turned else 0.0))
+            front = self._run(number, leg, front)
+        self._stand(legs[-1], front, 8.0)
+        columns = np.array(self._rows).T
+        front, heading, run, speed, force, command, weighed, noise = columns[:8]
+        return Log(front, heading, run, speed, force, command, weighed, noise, columns[8:])
+
+    def _stand(self, leg: Leg, front: float, seconds: float) -> None:
+        brake, commands, moment = self._brake, self._commands, self._moment
+        inertia = leg.weighed * (1.0 + self._world.vehicle.rotary)
+        nothing = (0.0,) * len(self._effects)
+        # The next run begins with a tick of the driver.
+        for _ in range(round(seconds / STEP / _TICK) * _TICK + -len(self._rows) % _TICK):
+            commands.append(HOLD)
+            brake.step(commands)
+            self._report(inertia * brake.nominal)
+            row = (front, leg.heading, -1.0, 0.0, self._reported, HOLD, leg.weighed, 0.0)
+            self._rows.append(row + nothing)
+        moment.heat *= math.exp(-seconds / self._world.cooling)
+        moment.released_for, moment.acceleration = 0.0, 0.0
+        moment.applied_for += seconds
+
+    def _report(self, force: float) -> None:
+        self._reported = force + (self._reported - force) * self._force_keep
+
+    def _run(self, number: int, leg: Leg, front: float) -> float:
+        world, brake, moment = self._world, self._brake, self._moment
+        vehicle, rows, rotary = world.vehicle, self._rows, 1.0 + world.vehicle.rotary
+        a, b, c = vehicle.davis
+        driver, heading = Driver(vehicle, leg, vehicle.davis), leg.heading
+        moment.load, moment.heading, moment.run = leg.mass / world.mean_mass, heading, number
+        believed = leg.weighed if world.nuisance.mass_topic else world.mean_mass
+        nothing = (0.0,) * len(self._effects)
+        speed = pull = wanted = command = 0.0
+        started = False
+        for k in range(round(_MOST_S / STEP)):
+            true, mapped = self._look(front, heading)
+            if k % _TICK == 0:
+                wanted, command = driver.decide(front, speed, mapped)
+                self._blow()
+            self._commands.append(command)
+            brake.step(self._commands)
+            most = min(vehicle.start_acceleration, vehicle.power / leg.weighed / max(speed, 1.0))
+            pull = slew(pull, min(wanted, most) if command == 0.0 and brake.nominal > _APPLIED else 0.0, STEP)
+            force = leg.weighed * (pull + rotary * brake.nominal)
+            self._report(force)
+            davis = a + b * speed + c * speed * speed
+            base = (force / leg.mass - _WEIGHT * (davis + true + self._gust)) / rotary
+            plain = (self._reported / believed - _WEIGHT * (davis + mapped)) / rotary
+            moment.time, moment.front, moment.speed = len(rows) * STEP, front, speed
+            moment.pull = pull / _WEIGHT
+            acceleration, added = self._hidden(base, leg.weighed / leg.mass, pull)
+            started = started or base + acceleration > 0.0
+            gone = started and (speed > 0.0 or base + acceleration > 0.0)
+            noted = ((base - plain), *added) if gone else (0.0, *nothing)
+            rows.append(
+                (front, heading, number if gone else -1, speed, self._reported, command, leg.weighed, *noted)
+            )
+            if gone:
+                new = max(0.0, speed + STEP * (base + acceleration))
+                moment.acceleration = (new - speed) / STEP
+                moved = 0.5 * STEP * (speed + new)
+                front, speed = front + heading * moved, new
+                moment.travelled += moved
+                if new <= 0.0 and command < 0.0:
+                    return front
+        msg = f'run {number} of the ride found no end'
+        raise RuntimeError(msg)
+
+    def _look(self, front: float, heading: int) -> tuple[float, float]:
+        """Return true and mapped gradient in the direction of travel; tell the moment the rest."""
+        place = self._track.index(front, heading)
+        low = int(place)
+        part = place - low
+        (true0, map0, bend0, tube0), (true1, map1, bend1, tube1) = self._track.rows[low : low + 2]
+        self._moment.curvature = bend0 + part * (bend1 - bend0)
+        self._moment.tunnel_share = tube0 + part * (tube1 - tube0)
+        return heading * (true0 + part * (true1 - true0)), heading * (map0 + part * (map1 - map0))
+
+    def _blow(self) -> None:
+        nuisance = self._world.nuisance
+        keep = math.exp(-_TICK * STEP / nuisance.gust_time)
+        self._gust = keep * self._gust + nuisance.gust * math.sqrt(1.0 - keep * keep) * self._random.gauss(0.0, 1.0)
+
+    def _hidden(self, base: float, scale: float, pull: float) -> tuple[float, tuple[float, ...]]:
+        """Return dv/dt that all effects add to ``base``, and that of each alone; renew the state of the brake."""
+        moment, brake = self._moment, self._brake
+        applied = brake.true < _APPLIED
+        moment.applied_for = moment.applied_for + STEP if applied else 0.0
+        moment.released_for = 0.0 if applied else moment.released_for + STEP
+        moment.heat += STEP * (-brake.true * moment.speed - moment.heat / self._world.cooling)
+        effects = self._effects
+        alone = tuple(self._with((effect,), base, scale, pull) for effect in effects)
+        return (self._with(effects, base, scale, pull) if len(effects) > 1 else sum(alone)), alone
+
+    def _with(self, effects: tuple[Hidden, ...], base: float, scale: float, pull: float) -> float:
+        moment, brake, rotary = self._moment, self._brake, 1.0 + self._world.vehicle.rotary
+        drag, heavier, inertia, pulls, brakes, late = 0.0, 1.0, 1.0, 1.0, 1.0, False
+        for effect in effects:
+            heavier *= effect.mass_ratio
+            inertia *= effect.inertia_ratio
+            late = late or effect.brake_wait > 0.0
+            drag += effect.drag(moment) if effect.drag else 0.0
+            pulls *= effect.pull_gain(moment) if effect.pull_gain else 1.0
+            brakes *= effect.brake_gain(moment) if effect.brake_gain else 1.0
+        braked = brakes * (brake.true if late else brake.nominal)
+        believed, true = pull + rotary * brake.nominal, pulls * pull + rotary * braked
+        # All but the force is a share of the weight, so a heavier train feels the same resistance.
+        rest = base * rotary - scale * believed - _WEIGHT * drag
+        return (scale * true / heavier + rest) / (rotary * inertia) - base

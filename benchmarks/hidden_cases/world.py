@@ -1,0 +1,226 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The train, the line and the timetable of a case, drawn at random."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from numpy.random import Generator
+
+Pairs = tuple[tuple[float, float], ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Vehicle:
+    """The true train without hidden effects; masses in kg, forces in N, powers in W, Davis in N/kN and m/s."""
+
+    tare: float
+    length: int
+    rotary: float
+    davis: tuple[float, float, float]
+    brake_lag: float
+    brake_dead: float
+    start_acceleration: float
+    power: float
+    top_speed: float
+
+
+@dataclass(frozen=True, slots=True)
+class Route:
+    """The line as the map has it: steps of gradient [per mille, rising position] and radius [m], tunnels."""
+
+    stops: tuple[float, ...]
+    gradient: Pairs
+    curve: Pairs
+    tunnels: Pairs
+
+
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """One run from stop to stop, and how it is driven."""
+
+    start: float
+    end: float
+    heading: int
+    mass: float
+    weighed: float
+    dwell: float
+    cruise: float
+    on_off: bool
+    coast_from: float
+    brake: float
+    restriction: tuple[float, float, float] | None
+
+
+@dataclass(frozen=True, slots=True)
+class Nuisance:
+    """Sizes of what nobody models: gusts [N/kN, s], map error [per mille, m], weighing, sensors."""
+
+    gust: float
+    gust_time: float
+    map_error: float
+    map_length: float
+    weighing: float
+    mass_topic: bool
+    speed_noise: float
+    speed_step: float
+    force_noise: float
+    force_lag: float
+    jitter: float
+    period: float
+    contamination: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class World:
+    """All of a case but its effects; one tuple of legs for each bag."""
+
+    vehicle: Vehicle
+    route: Route
+    nuisance: Nuisance
+    bags: tuple[tuple[Leg, ...], ...]
+    mean_mass: float
+    one_way: bool
+    cooling: float
+
+
+def log_uniform(rng: Generator, low: float, high: float) -> float:
+    return math.exp(float(rng.uniform(math.log(low), math.log(high))))
+
+
+def draw_world(rng: Generator, *, one_bag: bool = False) -> World:
+    """Draw a case; ``one_bag`` keeps the whole day in one bag, for effects that count from its start."""
+    one_way = bool(rng.random() < 0.2)
+    two_bags = bool(rng.random() < 0.35) and not one_bag
+    count = _stop_count(rng, one_way=one_way, two_bags=two_bags)
+    vehicle = _draw_vehicle(rng)
+    route = _draw_route(rng, count)
+    nuisance = _draw_nuisance(rng)
+    full = float(rng.uniform(1.12, 1.4))
+    mean = round(vehicle.tare * 0.5 * (1.0 + full), -2)
+    there, back = list(pairwise(route.stops)), [(q, p) for p, q in reversed(list(pairwise(route.stops)))]
+    trips = [there, there if one_way else back]
+    if one_way and not two_bags:
+        trips = [there]
+    if not one_way and count <= 4:
+        trips = [*trips, there, back] if count == 3 else [*trips, there]
+    legs = [[_draw_leg(rng, vehicle, nuisance, mean, full, ends) for ends in trip] for trip in trips]
+    half = (len(legs) + 1) // 2
+    groups = [legs[:half], legs[half:]] if two_bags else [legs]
+    bags = tuple(tuple(leg for trip in group for leg in trip) for group in groups)
+    return World(vehicle, route, nuisance, bags, mean, one_way, float(rng.uniform(200.0, 500.0)))
+
+
+def _stop_count(rng: Generator, *, one_way: bool, two_bags: bool) -> int:
+    if one_way:
+        return int(rng.integers(5, 7)) if two_bags else int(rng.integers(8, 10))
+    return int(rng.choice([3, 4, 5, 6, 7], p=[0.2, 0.2, 0.3, 0.2, 0.1]))
+
+
+def _draw_vehicle(rng: Generator) -> Vehicle:
+    tare = round(log_uniform(rng, 80e3, 400e3), -3)
+    davis = (float(rng.uniform(0.8, 2.2)), float(rng.uniform(0.0, 0.05)), log_uniform(rng, 0.0018, 0.007))
+    start = float(rng.uniform(0.6, 1.1))
+    return Vehicle(
+        tare=tare,
+        length=round(min(200.0, max(60.0, tare / 2000.0 * float(rng.uniform(0.8, 1.4))))),
+        rotary=round(float(rng.uniform(0.05, 0.12)), 3),
+        davis=davis,
+        brake_lag=round(float(rng.uniform(0.25, 0.8)), 2),
+        brake_dead=0.02 * int(rng.integers(10, 46)),
+        start_acceleration=start,
+        power=tare * 1.2 * start * float(rng.uniform(8.0, 14.0)),
+        top_speed=float(rng.uniform(60.0, 105.0)) / 3.6,
+    )
+
+
+def _draw_route(rng: Generator, count: int) -> Route:
+    stops = [0.0]
+    for _ in range(count - 1):
+        stops.append(stops[-1] + float(rng.integers(1150, 2500)))
+    gradient = _draw_gradient(rng, stops)
+    curve: list[tuple[float, float]] = [(-400.0, 0.0)]
+    place = float(rng.integers(50, 300))
+    while place < stops[-1]:
+        curve.append((place, round(log_uniform(rng, 250.0, 1200.0), -1)))
+        place += float(rng.integers(120, 450))
+        curve.append((place, 0.0))
+        place += float(rng.integers(150, 800))
+    first = float(rng.integers(100, max(200, int(0.4 * stops[-1]))))
+    tunnels = [(first, first + float(rng.integers(500, 1900)))]
+    if rng.random() < 0.5:
+        second = tunnels[0][1] + float(rng.integers(300, 1500))
+        if second + 300.0 < stops[-1]:
+            tunnels.append((second, min(second + float(rng.integers(300, 1500)), stops[-1] + 100.0)))
+    return Route(tuple(stops), gradient, tuple(curve), tuple(tunnels))
+
+
+def _draw_gradient(rng: Generator, stops: list[float]) -> Pairs:
+    spread, most = float(rng.uniform(3.0, 12.0)), float(rng.uniform(20.0, 30.0))
+    steps: list[tuple[float, float]] = []
+    place = -400.0
+    while place < stops[-1] + 400.0:
+        value = min(most, max(-most, spread * float(rng.standard_normal())))
+        if min(abs(place - stop) for stop in stops) < 150.0:
+            value = min(3.0, max(-3.0, value))
+        steps.append((place, round(value, 1)))
+        place += float(rng.integers(90, 450))
+    return tuple(steps)
+
+
+def _draw_nuisance(rng: Generator) -> Nuisance:
+    kinds = ('outliers', 'dropouts', 'slip')
+    drawn = float(rng.random())
+    contamination = (kinds[int(drawn / 0.06)],) if drawn < 0.18 else ()
+    return Nuisance(
+        gust=float(rng.uniform(0.05, 0.25)),
+        gust_time=float(rng.uniform(3.0, 20.0)),
+        map_error=float(rng.uniform(0.1, 0.4)),
+        map_length=float(rng.uniform(100.0, 400.0)),
+        weighing=log_uniform(rng, 0.002, 0.02),
+        mass_topic=bool(rng.random() < 0.8),
+        speed_noise=float(rng.uniform(0.01, 0.05)),
+        speed_step=float(rng.choice([0.01, 0.03, 0.05, 0.1])) / 3.6,
+        force_noise=float(rng.uniform(0.05, 0.4)),
+        force_lag=float(rng.uniform(0.0, 0.06)),
+        jitter=float(rng.uniform(0.0, 0.002)),
+        period=0.1 if rng.random() < 0.15 else 0.2,
+        contamination=contamination,
+    )
+
+
+def _draw_leg(
+    rng: Generator, vehicle: Vehicle, nuisance: Nuisance, mean: float, full: float, ends: tuple[float, float]
+) -> Leg:
+    start, end = ends
+    span, heading = abs(end - start), 1 if end > start else -1
+    if nuisance.mass_topic:
+        mass = vehicle.tare * float(rng.uniform(1.0, full))
+    else:
+        # Without load weighing only a narrow range of payloads leaves anything to find.
+        mass = mean * (1.0 + 0.02 * min(2.0, max(-2.0, float(rng.standard_normal()))))
+    restriction = None
+    if rng.random() < 0.35:
+        begin = float(rng.uniform(0.3, 0.6)) * span
+        restriction = (
+            start + heading * begin,
+            start + heading * (begin + float(rng.uniform(100.0, 250.0))),
+            vehicle.top_speed * float(rng.uniform(0.4, 0.75)),
+        )
+    return Leg(
+        start=start,
+        end=end,
+        heading=heading,
+        mass=mass,
+        weighed=mass * (1.0 + nuisance.weighing * float(rng.standard_normal())),
+        dwell=float(rng.uniform(18.0, 35.0)),
+        cruise=vehicle.top_speed * float(rng.uniform(0.75, 1.0)),
+        on_off=bool(rng.random() < 0.3),
+        coast_from=span * float(rng.uniform(0.15, 0.45)) if rng.random() < 0.6 else 0.0,
+        brake=float(rng.uniform(0.6, 1.0)),
+        restriction=restriction,
+    )

@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Write a hidden case to disk: ``python -m benchmarks.hidden_cases.write --effect tunnel_drag --seed 7 --out DIR``."""
+
+from __future__ import annotations
+
+import argparse
+import json
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from benchmarks.hidden_cases.make import make_case
+from trainid_ros.bags.writer import BagWriter
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from benchmarks.hidden_cases.case import Case
+
+
+def write_case(case: Case, out: Path) -> tuple[Path, ...]:
+    """Write believed.yaml, truth.json and the bags (bag, or bag1 and bag2) to a folder; return the bags."""
+    out.mkdir(parents=True, exist_ok=True)
+    (out / 'believed.yaml').write_text(case.believed, encoding='utf-8')
+    effects = [asdict(effect) | {'parameters': dict(effect.parameters)} for effect in case.truth.effects]
+    truth = {'name': case.name, 'seed': case.seed} | asdict(case.truth) | {'effects': effects}
+    (out / 'truth.json').write_text(json.dumps(truth, indent=1) + '\n', encoding='utf-8')
+    count = len(case.bags)
+    paths = tuple(out / (f'bag{k}' if count > 1 else 'bag') for k in range(1, count + 1))
+    for path, records in zip(paths, case.bags, strict=True):
+        with BagWriter(path) as writer:
+            for record in records:
+                writer.write_record(record)
+    return paths
+
+
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Write the case that the arguments ask for."""
+    parser = argparse.ArgumentParser(prog='python -m benchmarks.hidden_cases.write', description='Write a hidden case.')
+    parser.add_argument('--effect', required=True, metavar='NAME', help='none, pair, an effect, or two joined by +')
+    parser.add_argument('--seed', type=int, default=1)
+    parser.add_argument('--out', type=Path, required=True, metavar='DIR')
+    args = parser.parse_args(arguments)
+    write_case(make_case(args.effect, args.seed), args.out)
+    print(f'written to {args.out}')
+    return 0
+
+
+if __name__ == '__main__':
+    raise SystemExit(main())
