@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -15,6 +16,29 @@ class BrakeCommandChange:
 
     stamp_ns: int
     target_acceleration: float
+
+
+@dataclass(frozen=True, slots=True)
+class Motion:
+    """What the drive so far has done to the train; where nobody has followed it: set in, run warm, cold brake.
+
+    Attributes:
+        time_s: Time since the start [s].
+        distance_run: Distance run since the start [m].
+        since_release: Time since the brake was released [s]; 0 while applied, infinite while it has not been.
+        heat: Heat that the brake holds as believed [J per kg of train].
+        brake: Acceleration target of the brake after its dead time and lag as believed [m/s^2, <= 0].
+
+    """
+
+    time_s: float = math.inf
+    distance_run: float = math.inf
+    since_release: float = math.inf
+    heat: float = 0.0
+    brake: float = 0.0
+
+
+NOT_FOLLOWED: Final = Motion()
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,6 +62,7 @@ class Sample:
         brake_changes: Commands that became valid since the previous sample, oldest first.
         brake_gap: True if a change of the command may have been missed since the previous sample.
         emergency: True under emergency braking.
+        motion: The drive so far, where effects of the train file depend on it.
 
     """
 
@@ -57,3 +82,4 @@ class Sample:
     brake_changes: tuple[BrakeCommandChange, ...]
     brake_gap: bool
     emergency: bool
+    motion: Motion = NOT_FOLLOWED

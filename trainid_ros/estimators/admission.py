@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 from trainid_ros.core.records import NS_PER_S
 from trainid_ros.core.results import Reason, Refusal
+from trainid_ros.physics.effects import effect_value
 
 if TYPE_CHECKING:
     from trainid_ros.core.samples import Sample
@@ -64,5 +65,6 @@ class Admission:
     @property
     def settling(self) -> float:
         """Time after release from which on the brake is off for sure [s]."""
-        brake = self.known.train_file.brake
-        return brake.delay + _SETTLING * brake.time_constant
+        file = self.known.train_file
+        late = effect_value(file.effects, 'brake_delay', 'extra', 0.0)
+        return file.brake.delay + late + _SETTLING * file.brake.time_constant

@@ -4,28 +4,34 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
-from trainid_ros.physics.effects import TrackPoint, effect_value, resistance_terms
+from trainid_ros.physics.effects import BRAKE_APPLIED, TrackPoint, resistance_terms
+from trainid_ros.physics.line import LineProfile
 from trainid_ros.physics.resistance import specific_force, specific_inertia
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from trainid_ros.core.samples import Sample
     from trainid_ros.physics.train_file import TrainFile
+
+# Brake force that stands for all where none acts [N/kN]: effects are nearly linear in it.
+_SOME_BRAKE: Final = -1.0
 
 
 class KnownForce:
     """Specific force without the running resistance, u = 1000 F/(M g) - i - w_extra [N/kN].
 
-    With it the balance of the interface reads ``u - w(v) = inertia * dv/dt``. Effects of the train file
-    that are a resistance count, and so do mass_error and traction_scale.
+    With it the balance of the interface reads ``u - w(v) = inertia * dv/dt``. Effects of the train file count by
+    their equivalent resistance at the sample; what they make of the brake is told by :meth:`brake_share`.
     """
 
     def __init__(self, train_file: TrainFile) -> None:
         self.train_file = train_file
         self._terms = resistance_terms(train_file.effects)
-        self._mass_ratio = effect_value(train_file.effects, 'mass_error', 'ratio', 1.0)
-        self._traction_ratio = effect_value(train_file.effects, 'traction_scale', 'ratio', 1.0)
+        known_line = self._terms and train_file.line.gradient
+        self._line = LineProfile(train_file.line, train_file.train.length) if known_line else None
 
     @property
     def inertia(self) -> float:
@@ -34,30 +40,59 @@ class KnownForce:
 
     def mass(self, sample: Sample) -> float:
         """Return the weighed mass, or that of the train file [kg]."""
-        believed = sample.mass if math.isfinite(sample.mass) else self.train_file.train.mass
-        return self._mass_ratio * believed
+        return sample.mass if math.isfinite(sample.mass) else self.train_file.train.mass
 
     def traction(self, force: float, sample: Sample) -> float:
-        """Return 1000 F/(M g) [N/kN]."""
-        return specific_force(self._traction_ratio * force, self.mass(sample))
+        """Return 1000 F/(M g) as reported [N/kN]."""
+        return specific_force(force, self.mass(sample))
 
     def track(self, sample: Sample) -> float:
         """Return gradient and modelled extra resistance, mean since the previous sample [N/kN]."""
         return sample.gradient_mean + self.extra(sample)
 
     def extra(self, sample: Sample) -> float:
-        """Return the resistance of the effects in the train file [N/kN]."""
+        """Return the resistance of the effects in the train file while no brake acts [N/kN]."""
+        return self._sum(sample, 0.0) if self._terms else 0.0
+
+    def brake_share(self, sample: Sample) -> float:
+        """Return what effects of the train file leave of the brake: 0.9 under a fade by a tenth."""
         if not self._terms:
-            return 0.0
-        # Effects that set in at some time or wear off with distance: taken as set in, and as worn off.
-        point = TrackPoint(
-            time_s=math.inf,
+            return 1.0
+        believed = self.train_file.brake.rate * self.inertia * sample.motion.brake
+        brake = min(believed, _SOME_BRAKE)
+        return 1.0 - (self._sum(sample, brake) - self._sum(sample, 0.0)) / brake
+
+    def _sum(self, sample: Sample, brake: float) -> float:
+        point = self._point(sample, brake)
+        return sum(term(self.train_file.resistance, point) for term in self._terms)
+
+    def _point(self, sample: Sample, brake: float) -> TrackPoint:
+        motion, force = sample.motion, sample.force_mean
+        # Under the brake a negative force is that of the brake, else it is noise.
+        traction = self.traction(force if motion.brake >= BRAKE_APPLIED else max(0.0, force), sample)
+        return TrackPoint(
+            time_s=motion.time_s,
             position=sample.position,
             direction=sample.direction,
             speed=sample.speed,
             curve_radius=sample.curve_radius,
             tunnel=sample.tunnel,
             length=self.train_file.train.length,
-            distance_run=math.inf,
+            distance_run=motion.distance_run,
+            since_release=motion.since_release,
+            traction=traction,
+            brake=brake,
+            heat=motion.heat,
+            # A delay of the brake belongs to its dead time, and what it was before is not looked up.
+            brake_before=lambda _: brake,
+            traction_before=lambda _: traction,
+            gradient_ahead=self._gradient_ahead(sample),
         )
-        return sum(term(self.train_file.resistance, point) for term in self._terms)
+
+    def _gradient_ahead(self, sample: Sample) -> Callable[[float], float]:
+        """Return the gradient of the map around the train; that at the train where the line is not known."""
+        line, here, direction = self._line, sample.position, sample.direction
+        if line is None or not math.isfinite(here):
+            return lambda _: sample.gradient_mean
+        offset = sample.gradient_mean - line.gradient(here, direction)
+        return lambda ahead: offset + line.gradient(here + direction * ahead, direction)

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Final, Generic, TypeAlias, TypeVar
 import numpy as np
 
 from trainid_ros.core.alignment import Aligner, AlignmentConfig, TimeJump
+from trainid_ros.core.codec import decode, encode
 from trainid_ros.core.records import NS_PER_S, Record
 from trainid_ros.core.results import (
     BrakeRateEstimate,
@@ -33,6 +34,8 @@ from trainid_ros.estimators.algorithms import Algorithms, Choice
 from trainid_ros.estimators.brake_rate.algorithms import BRAKE_RATE
 from trainid_ros.estimators.consistency import Consistency, ConsistencyMonitor
 from trainid_ros.estimators.known_force import KnownForce
+from trainid_ros.estimators.mending import Mender
+from trainid_ros.estimators.motion import MotionState, MotionTracker
 from trainid_ros.estimators.resistance.algorithms import RESISTANCE
 from trainid_ros.estimators.speed_model.algorithms import SPEED_MODEL
 from trainid_ros.estimators.stuck_speed import StuckSpeed
@@ -85,6 +88,14 @@ class Output(Generic[EstimateT]):
     last_refusal: Refusal | None
 
 
+@dataclass(frozen=True, slots=True)
+class PipelineState:
+    """What a pipeline saves: the estimator's state as text, and the drive so far."""
+
+    estimator: str
+    motion: MotionState
+
+
 class EstimatorPipeline(Generic[EstimateT]):
     """Aligner, estimator and status of one estimate."""
 
@@ -96,8 +107,14 @@ class EstimatorPipeline(Generic[EstimateT]):
         self.estimator = estimator
         self.config = config
         self._known = KnownForce(train_file)
+        self._mender = Mender(train_file.effects)
+        self._motion = MotionTracker(train_file)
+        self._follows = bool(train_file.effects)
+        # Mended stamps lie apart from those of the other topics.
+        apart = abs(self._mender.skew_s)
+        alignment = replace(alignment, max_lag=alignment.max_lag + apart)
         self._aligner = Aligner(alignment, refuse_jump_back=config.time_jump_policy is TimeJumpPolicy.REFUSE)
-        self._stale_ns = round(config.stale_after * NS_PER_S)
+        self._stale_ns = round((config.stale_after + apart) * NS_PER_S)
         self.resets = 0
         self._clear()
 
@@ -118,6 +135,8 @@ class EstimatorPipeline(Generic[EstimateT]):
         """Go back to the prior and forget all records and counters."""
         self.estimator.reset()
         self._aligner.reset()
+        self._mender.reset()
+        self._motion.reset()
         self._clear()
         self.resets += 1
 
@@ -139,7 +158,7 @@ class EstimatorPipeline(Generic[EstimateT]):
     def push(self, record: Record) -> list[Output[EstimateT]]:
         """Take one record in; return an output for each sample it completes."""
         outputs: list[Output[EstimateT]] = []
-        for event in self._aligner.push(record):
+        for event in self._aligner.push(self._mender.mend(record)):
             if isinstance(event, Sample):
                 outputs.append(self._step(event))
             elif isinstance(event, Refusal):
@@ -167,15 +186,18 @@ class EstimatorPipeline(Generic[EstimateT]):
         return self.current()
 
     def save(self) -> str:
-        """Return the estimator's whole state as JSON text."""
-        return self.estimator.save()
+        """Return the estimator's whole state and the drive so far as JSON text."""
+        return encode(PipelineState(self.estimator.save(), self._motion.state))
 
     def restore(self, text: str) -> None:
         """Take over what an estimator had learned, possibly on another drive; InputError if it does not fit.
 
-        Records taken in before are forgotten, so the estimator begins anew with the train's motion.
+        Records taken in before are forgotten, so the estimator begins anew with the train's speed. Time and distance
+        of the drive go on, for effects that depend on them.
         """
-        self.estimator.restore(text)
+        state = decode(text, PipelineState)
+        self.estimator.restore(state.estimator)
+        self._motion.state = state.motion
         self._consistency.clear()
         self._aligner.reset()
         self._first_ns = 0
@@ -192,6 +214,8 @@ class EstimatorPipeline(Generic[EstimateT]):
         )
 
     def _step(self, sample: Sample) -> Output[EstimateT]:
+        if self._follows:
+            sample = self._motion.follow(sample)
         result = self._stuck.refuse(sample)
         if result is None:
             answer = self.estimator.step(self._mended(sample))
@@ -238,6 +262,8 @@ class EstimatorPipeline(Generic[EstimateT]):
         self._first_ns = 0
         if jump.step_s < 0.0 and self.config.time_jump_policy is TimeJumpPolicy.RESET:
             self.estimator.reset()
+            self._mender.reset()
+            self._motion.reset()
             self._clear()
             self.resets += 1
 
