@@ -21,7 +21,7 @@ class Driver:
         self._leg = leg
         self._lead = vehicle.brake_dead + vehicle.brake_lag + 0.2
         self._davis = believed
-        self._stopping = self._slowing = self._resting = False
+        self._stopping = self._slowing = self._resting = self._nearing = False
         self._last = 0.0
 
     def decide(self, front: float, speed: float, gradient: float) -> tuple[float, float]:
@@ -51,7 +51,8 @@ class Driver:
         if leg.heading * (end - front) < 0.0 or slow >= leg.cruise:
             return leg.cruise
         near = speed * self._lead + max(0.0, speed * speed - slow * slow) / (2.0 * 0.45)
-        return slow if ahead < near else leg.cruise
+        self._nearing = self._nearing or ahead < near
+        return slow if self._nearing else leg.cruise
 
     def _slows(self, speed: float, limit: float) -> bool:
         self._slowing = speed > (limit - 0.2 if self._slowing else limit + 0.8)

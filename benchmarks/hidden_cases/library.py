@@ -18,13 +18,13 @@ Draw = Callable[[World, 'Generator'], Hidden]
 
 def tunnel_drag(world: World, rng: Generator) -> Hidden:
     # Air pressed past the train: drag of the part inside.
-    factor = 1.0 + log_uniform(rng, 0.15, 3.0)
+    factor = 1.0 + log_uniform(rng, 0.25, 3.5)
     more = (factor - 1.0) * world.vehicle.davis[2]
     return Hidden('tunnel_drag', (('factor', factor),), drag=lambda m: more * m.tunnel_share * m.speed * m.speed)
 
 
 def curve_resistance(_: World, rng: Generator) -> Hidden:
-    coefficient = log_uniform(rng, 100.0, 1200.0)
+    coefficient = log_uniform(rng, 200.0, 1300.0)
     return Hidden('curve_resistance', (('coefficient', coefficient),), drag=lambda m: coefficient * m.curvature)
 
 
@@ -45,7 +45,7 @@ def local_drag(world: World, rng: Generator) -> Hidden:
 
 
 def headwind(world: World, rng: Generator) -> Hidden:
-    wind, c = _signed(rng, 1.0, 12.0), world.vehicle.davis[2]
+    wind, c = _signed(rng, 1.5, 14.0), world.vehicle.davis[2]
 
     def drag(m: Moment) -> float:
         relative = m.speed + m.heading * wind
@@ -71,7 +71,7 @@ def brake_scale(_: World, rng: Generator) -> Hidden:
 
 def brake_fade(_: World, rng: Generator) -> Hidden:
     """Friction falls with the heat in the discs: down to a floor, or towards one."""
-    loss, energy, bends = log_uniform(rng, 0.04, 0.45), log_uniform(rng, 80.0, 500.0), bool(rng.random() < 0.5)
+    loss, energy, bends = log_uniform(rng, 0.03, 0.35), log_uniform(rng, 80.0, 500.0), bool(rng.random() < 0.5)
 
     def gain(m: Moment) -> float:
         return 1.0 - loss * (min(1.0, m.heat / energy) if bends else 1.0 - math.exp(-m.heat / energy))

@@ -67,7 +67,7 @@ def make_case(name: str, seed: int) -> Case:
     effects = [
         (LIBRARY | OUTSIDE)[one](world, np.random.default_rng([seed, crc32(one.encode())])) for one in names
     ]
-    return _ride(wanted, seed, world, effects)
+    return ride_case(wanted, seed, world, effects)
 
 
 def draw_cases(seed: int, count: int) -> list[tuple[str, int]]:
@@ -94,7 +94,8 @@ def _pair(rng: Generator) -> str:
             return f'{first}{PAIR_MARK}{second}'
 
 
-def _ride(name: str, seed: int, world: World, effects: Sequence[Hidden]) -> Case:
+def ride_case(name: str, seed: int, world: World, effects: Sequence[Hidden]) -> Case:
+    """Return the case of a world and effects at hand; the seed draws gusts, map and sensor errors."""
     nuisance = world.nuisance
     track = Track(world.route, world.vehicle.length, nuisance, np.random.default_rng([seed, 2]))
     wheel = math.prod(effect.wheel_ratio for effect in effects)

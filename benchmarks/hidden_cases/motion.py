@@ -110,6 +110,7 @@ class Ride:
 
         """
         front, before = legs[0].start, 0
+        self._reported = legs[0].weighed * (1.0 + self._world.vehicle.rotary) * HOLD
         for number, leg in enumerate(legs, start=first_run):
             turned = before not in {0, leg.heading} or abs(front - leg.start) > 60.0
             front = leg.start if turned else front

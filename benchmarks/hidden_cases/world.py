@@ -122,7 +122,7 @@ def _stop_count(rng: Generator, *, one_way: bool, two_bags: bool) -> int:
 
 
 def _draw_vehicle(rng: Generator) -> Vehicle:
-    tare = round(log_uniform(rng, 80e3, 400e3), -3)
+    tare = round(log_uniform(rng, 75e3, 330e3), -3)
     davis = (float(rng.uniform(0.8, 2.2)), float(rng.uniform(0.0, 0.05)), log_uniform(rng, 0.0018, 0.007))
     start = float(rng.uniform(0.6, 1.1))
     return Vehicle(
@@ -220,7 +220,7 @@ def _draw_leg(
         dwell=float(rng.uniform(18.0, 35.0)),
         cruise=vehicle.top_speed * float(rng.uniform(0.75, 1.0)),
         on_off=bool(rng.random() < 0.3),
-        coast_from=span * float(rng.uniform(0.15, 0.45)) if rng.random() < 0.6 else 0.0,
+        coast_from=span * float(rng.uniform(0.3, 0.75)) if rng.random() < 0.6 else 0.0,
         brake=float(rng.uniform(0.6, 1.0)),
         restriction=restriction,
     )

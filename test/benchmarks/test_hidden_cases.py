@@ -1,0 +1,291 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import ast
+import json
+import math
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+from scipy.optimize import least_squares
+
+from benchmarks import hidden_cases
+from benchmarks.hidden_cases.hidden import Hidden, Moment
+from benchmarks.hidden_cases.library import COUNTS_FROM_START, LIBRARY, traction_scale
+from benchmarks.hidden_cases.make import draw_cases, make_case, ride_case
+from benchmarks.hidden_cases.motion import STEP, Ride
+from benchmarks.hidden_cases.outside import OUTSIDE
+from benchmarks.hidden_cases.track import Track
+from benchmarks.hidden_cases.visible import measure_gaps
+from benchmarks.hidden_cases.world import draw_world
+from benchmarks.hidden_cases.write import write_case
+from trainid_ros.bags.reader import BagReader
+from trainid_ros.core.records import BrakeRecord, ForceRecord, GradientRecord, MassRecord, SpeedRecord
+from trainid_ros.physics.train_file import load_train_file
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from benchmarks.hidden_cases.case import Case
+    from benchmarks.hidden_cases.motion import Log
+    from benchmarks.hidden_cases.world import World
+    from trainid_ros.core.records import Record
+
+G = 9.81
+FOLDER = Path(hidden_cases.__file__).parent
+ALLOWED = {'trainid_ros.core.records', 'trainid_ros.bags.writer'}
+
+
+def small_world(seed: int, legs: int = 2, *, calm: bool = False) -> World:
+    """A day of a few runs, out and back, if ``calm`` with nothing in it that nobody models."""
+    world = draw_world(np.random.default_rng([seed, 1]))
+    day = [leg for bag in world.bags for leg in bag]
+    chosen = day[: legs // 2] + day[-(legs - legs // 2) :]
+    nuisance = replace(world.nuisance, contamination=(), mass_topic=True)
+    if calm:
+        chosen = [replace(leg, weighed=leg.mass) for leg in chosen]
+        nuisance = replace(nuisance, gust=0.0, map_error=0.0, force_lag=0.0, force_noise=0.0)
+        nuisance = replace(nuisance, speed_noise=0.0, speed_step=1e-6, jitter=0.0)
+    return replace(world, nuisance=nuisance, bags=(tuple(chosen),))
+
+
+def two_way_seed(start: int) -> int:
+    return next(seed for seed in range(start, start + 99) if not draw_world(np.random.default_rng([seed, 1])).one_way)
+
+
+def ridden(world: World, effects: Sequence[Hidden], seed: int = 1) -> Log:
+    track = Track(world.route, world.vehicle.length, world.nuisance, np.random.default_rng([seed, 2]))
+    return Ride(world, track, effects, seed).drive(world.bags[0], 0)
+
+
+def column(records: Sequence[Record], kind: type[Record], name: str) -> NDArray[np.float64]:
+    return np.array([getattr(record, name) for record in records if type(record) is kind], dtype=float)
+
+
+def gap(world: World, effect: Hidden) -> float:
+    log = ridden(world, [effect])
+    return measure_gaps([log], [np.zeros((1, len(log.speed)))], world.vehicle).total
+
+
+def test_imports_nothing_that_could_share_a_mistake() -> None:
+    trees = [ast.parse(path.read_text(encoding='utf-8')) for path in FOLDER.glob('*.py')]
+    imported = {node.module for tree in trees for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
+    assert {name for name in imported if name and name.startswith('trainid_ros')} == ALLOWED
+    plain = [node for tree in trees for node in ast.walk(tree) if isinstance(node, ast.Import)]
+    assert not [name for node in plain for name in node.names if name.name.startswith('trainid')]
+
+
+def test_records_of_a_calm_day_balance_energy() -> None:
+    """Work of the force less that of resistance and gradient is kinetic energy, over every run, from records alone."""
+    world = small_world(two_way_seed(7001), calm=True)
+    records = ride_case('none', 1, world, []).bags[0]
+    gamma, (a, b, c) = world.vehicle.rotary, world.vehicle.davis
+    v = column(records, SpeedRecord, 'speed')
+    time = column(records, SpeedRecord, 'stamp_ns') * 1e-9
+    force = np.interp(time, column(records, ForceRecord, 'stamp_ns') * 1e-9, column(records, ForceRecord, 'force'))
+    track_time = column(records, GradientRecord, 'stamp_ns') * 1e-9
+    gradient = np.interp(time, track_time, column(records, GradientRecord, 'gradient'))
+    mass = np.interp(time, column(records, MassRecord, 'stamp_ns') * 1e-9, column(records, MassRecord, 'mass'))
+    power = (force / mass - G / 1000.0 * (a + b * v + c * v * v + gradient)) * v
+    work = np.concatenate([[0.0], np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(time))])
+    kinetic = 0.5 * (1.0 + gamma) * v * v
+    assert np.max(np.abs(work - kinetic)) < 0.01 * np.max(kinetic)
+
+
+def test_conventions_of_the_interface() -> None:
+    world = small_world(7101, legs=1, calm=True)
+    weak = Hidden('brake_scale', (), brake_gain=lambda _: 0.85)
+    records = ride_case('brake_scale', 1, world, [weak]).bags[0]
+    position = column(records, SpeedRecord, 'position')
+    assert position[-1] > position[0] + 1000.0
+    assert np.all(column(records, BrakeRecord, 'target_acceleration') <= 0.0)
+    assert np.all(column(records, SpeedRecord, 'speed') >= 0.0)
+    # The force while braking is that of the nominal brake, though the true one is weaker.
+    log = ridden(world, [weak])
+    braking = np.flatnonzero((log.command < -0.3) & (log.run == 0))
+    settled = braking[np.all([log.command[braking - k] == log.command[braking] for k in range(0, 300, 20)], axis=0)]
+    nominal = log.weighed[settled] * (1.0 + world.vehicle.rotary) * log.command[settled]
+    assert log.force[settled] == pytest.approx(nominal, rel=0.03)
+
+
+def test_track_is_felt_under_the_train_with_the_sign_of_travel() -> None:
+    world = small_world(two_way_seed(7201), calm=True)
+    length = world.vehicle.length
+    track = Track(world.route, length, world.nuisance, np.random.default_rng(1))
+    front = np.array([500.0, 500.0 - length])
+    felt = track.under(front, np.array([1, -1]))
+    # Both stand on the same rails, once heading up and once down the line.
+    assert felt[0] == pytest.approx(felt[1], abs=1e-12)
+    place = np.arange(500 - length, 500) + 0.5
+    starts, values = np.array(world.route.gradient).T
+    assert felt[0, 1] == pytest.approx(np.mean(values[np.searchsorted(starts, place, side='right') - 1]), abs=1e-9)
+    records = ride_case('none', 1, world, []).bags[0]
+    gradient, place = column(records, GradientRecord, 'gradient'), column(records, SpeedRecord, 'position')
+    away, back = np.abs(place - 700.0) < 8.0, np.abs(place - (700.0 - length)) < 8.0
+    turn = len(place) // 2
+    assert gradient[:turn][away[:turn]].mean() == pytest.approx(-gradient[turn:][back[turn:]].mean(), abs=0.5)
+
+
+@pytest.mark.parametrize(('name', 'same_both_ways'), [('local_drag', True), ('gradient_error', False)])
+def test_sign_of_a_section(name: str, same_both_ways: bool) -> None:
+    world = small_world(7301)
+    effect = LIBRARY[name](world, np.random.default_rng(3))
+    start, end, permille = (value for _, value in effect.parameters)
+    middle, length = 0.5 * (start + end), world.vehicle.length
+    assert effect.drag is not None
+    up = effect.drag(Moment(front=middle + 0.5 * length, heading=1, speed=10.0))
+    down = effect.drag(Moment(front=middle - 0.5 * length, heading=-1, speed=10.0))
+    assert up == pytest.approx(permille * min(1.0, (end - start) / length))
+    assert down == pytest.approx(up if same_both_ways else -up)
+
+
+def test_wind_blows_against_a_train_that_runs_up_the_line() -> None:
+    world = small_world(7401)
+    effect = LIBRARY['headwind'](world, np.random.default_rng(2))
+    wind, c = effect.parameters[0][1], world.vehicle.davis[2]
+    assert effect.drag is not None
+    assert effect.drag(Moment(speed=20.0, heading=1)) == pytest.approx(c * ((20.0 + wind) ** 2 - 400.0))
+
+
+def test_heavier_train_accelerates_less_and_weighs_the_same_to_its_resistance() -> None:
+    world = small_world(7501, legs=1, calm=True)
+    heavy = Hidden('mass_error', (), mass_ratio=1.1)
+    log = ridden(world, [heavy])
+    moving = log.run >= 0
+    reported = log.force[moving] / log.weighed[moving] / (1.0 + world.vehicle.rotary)
+    assert log.added[0][moving] == pytest.approx(reported * (1.0 / 1.1 - 1.0), abs=1e-9)
+
+
+def test_what_davis_takes_up_is_no_gap_and_other_drag_is() -> None:
+    world = small_world(two_way_seed(7601), calm=True)
+    davis = Hidden('x', (), drag=lambda m: 0.3 + 0.02 * m.speed + 0.0004 * m.speed**2)
+    one_way = Hidden('x', (), drag=lambda m: 0.3 * m.heading)
+    assert gap(world, davis) < 2e-3
+    assert gap(world, one_way) > 0.03
+
+
+def test_gap_is_that_of_a_nonlinear_refit() -> None:
+    """Integrate the believed equation itself, and search initial speeds and a, b, c by brute force."""
+    world = small_world(7701, calm=True)
+    effect = traction_scale(world, np.random.default_rng(4))
+    log = ridden(world, [effect])
+    track = Track(world.route, world.vehicle.length, world.nuisance, np.random.default_rng([1, 2]))
+    every, rotary = 10, 1.0 + world.vehicle.rotary
+    runs = [np.flatnonzero(log.run == number)[: np.sum(log.run == number) // every * every] for number in (0, 1)]
+    mapped = log.heading * track.under(log.front, log.heading)[:, 1]
+    known = (log.force / log.weighed - G / 1000.0 * mapped) / rotary
+    means = [known[rows].reshape(-1, every).mean(axis=1).tolist() for rows in runs]
+
+    def missed(x: NDArray[np.float64]) -> NDArray[np.float64]:
+        a, b, c = (x[:3] * np.array([1.0, 0.1, 0.005])).tolist()
+        path: list[float] = []
+        for v, forces in zip(x[3:].tolist(), means, strict=True):
+            speed = v
+            for push in forces:
+                path.append(speed)
+                guess = push - G / 1000.0 / rotary * (a + b * speed + c * speed * speed)
+                half = speed + 0.5 * STEP * every * guess
+                speed += STEP * every * (push - G / 1000.0 / rotary * (a + b * half + c * half * half))
+        measured = np.concatenate([log.speed[rows[::every]] for rows in runs])
+        apart: NDArray[np.float64] = np.array(path) - measured
+        return apart
+
+    a, b, c = world.vehicle.davis
+    best = least_squares(missed, [a, b / 0.1, c / 0.005, 0.0, 0.0])
+    nonlinear = math.sqrt(float(np.mean(best.fun**2)))
+    assert gap(world, effect) == pytest.approx(nonlinear, rel=0.1)
+
+
+@pytest.mark.parametrize('name', [*LIBRARY, *OUTSIDE])
+def test_every_effect_moves_the_train_or_its_sensors(name: str) -> None:
+    rng = np.random.default_rng(5)
+    world = small_world(7801)
+    effect = (LIBRARY | OUTSIDE)[name](world, rng)
+    assert effect.name == name
+    assert all(math.isfinite(value) for _, value in effect.parameters)
+    moment = Moment(
+        time=2000.0,
+        front=900.0,
+        speed=0.9 * world.vehicle.top_speed,
+        tunnel_share=1.0,
+        curvature=1 / 300,
+        travelled=900.0,
+        released_for=2.0,
+        applied_for=1.0,
+        pull=30.0,
+        heat=200.0,
+        acceleration=0.5,
+        load=0.9,
+    )
+    drags: list[float] = []
+    if effect.drag:
+        drags = [effect.drag(replace(moment, front=x, heading=heading)) for x, heading in _spots(world)]
+    gains = [law(moment) for law in (effect.pull_gain, effect.brake_gain) if law]
+    ratios = [*gains, effect.mass_ratio, effect.inertia_ratio, effect.wheel_ratio]
+    assert any(drags) or any(ratio != 1.0 for ratio in ratios) or effect.brake_wait or effect.slip[0]
+
+
+def _spots(world: World) -> list[tuple[float, int]]:
+    return [(float(x), heading) for x in range(0, int(world.route.stops[-1]), 50) for heading in (1, -1)]
+
+
+def test_truth_stays_apart_from_what_is_believed() -> None:
+    world = small_world(7901, legs=1)
+    effect = LIBRARY['dragging_brake'](world, np.random.default_rng(1))
+    case = ride_case('dragging_brake', 7901, world, [effect])
+    assert case.truth.kind == 'single'
+    assert case.truth.effects[0].parameters == effect.parameters
+    assert case.truth.visible_percent > 0.0
+    assert 'dragging' not in case.believed
+    assert 'effects: []' in case.believed
+    assert case == ride_case('dragging_brake', 7901, world, [effect])
+
+
+def test_pairs_tell_each_effect_its_part() -> None:
+    world = small_world(7951, legs=1)
+    both = [draw(world, np.random.default_rng(1)) for draw in (LIBRARY['brake_delay'], LIBRARY['local_drag'])]
+    truth = ride_case('brake_delay+local_drag', 3, world, both).truth
+    assert truth.kind == 'pair'
+    assert [effect.name for effect in truth.effects] == ['brake_delay', 'local_drag']
+    assert truth.gap <= sum(effect.gap for effect in truth.effects) * 1.05
+
+
+def test_mix_of_cases() -> None:
+    cases = draw_cases(seed=8, count=300)
+    assert cases == draw_cases(seed=8, count=300)
+    assert len(set(cases)) == 300
+    names = [name for name, _ in cases]
+    assert names.count('none') == 45
+    assert sum(name in OUTSIDE for name in names) == 45
+    assert sum('+' in name for name in names) == 30
+    assert set(LIBRARY) | set(OUTSIDE) <= set(names)
+
+
+def test_unknown_name_is_refused() -> None:
+    with pytest.raises(ValueError, match="'gremlins' is not known"):
+        make_case('gremlins', 1)
+
+
+def test_effects_that_count_from_the_start_keep_to_one_bag() -> None:
+    assert set(LIBRARY | OUTSIDE) >= COUNTS_FROM_START
+    worlds = [draw_world(np.random.default_rng([seed, 1]), one_bag=True) for seed in range(40)]
+    assert {len(world.bags) for world in worlds} == {1}
+    assert min(len(world.bags[0]) for world in worlds) >= 7
+
+
+def test_case_on_disk(tmp_path: Path) -> None:
+    world = small_world(8001, legs=1)
+    case = ride_case('none', 1, world, [])
+    cut: Case = replace(case, bags=(case.bags[0][:400], case.bags[0][400:700]))
+    first, second = write_case(cut, tmp_path / 'case')
+    with BagReader(first) as bag:
+        assert len(list(bag.records())) == 400
+    with BagReader(second) as bag:
+        assert [record.stamp_ns for record in bag.records()] == [record.stamp_ns for record in cut.bags[1]]
+    assert load_train_file(tmp_path / 'case' / 'believed.yaml').train.mass == world.mean_mass
+    assert json.loads((tmp_path / 'case' / 'truth.json').read_text(encoding='utf-8'))['kind'] == 'none'
