@@ -71,7 +71,7 @@ def brake_scale(_: World, rng: Generator) -> Hidden:
 
 def brake_fade(_: World, rng: Generator) -> Hidden:
     """Friction falls with the heat in the discs: down to a floor, or towards one."""
-    loss, energy, bends = log_uniform(rng, 0.03, 0.35), log_uniform(rng, 80.0, 500.0), bool(rng.random() < 0.5)
+    loss, energy, bends = log_uniform(rng, 0.03, 0.3), log_uniform(rng, 80.0, 500.0), bool(rng.random() < 0.5)
 
     def gain(m: Moment) -> float:
         return 1.0 - loss * (min(1.0, m.heat / energy) if bends else 1.0 - math.exp(-m.heat / energy))
@@ -80,7 +80,7 @@ def brake_fade(_: World, rng: Generator) -> Hidden:
 
 
 def brake_delay(_: World, rng: Generator) -> Hidden:
-    extra = 0.02 * round(log_uniform(rng, 0.08, 1.2) / 0.02)
+    extra = 0.02 * round(log_uniform(rng, 0.12, 1.6) / 0.02)
     return Hidden('brake_delay', (('extra', extra),), brake_wait=extra)
 
 
@@ -94,7 +94,7 @@ def dragging_brake(_: World, rng: Generator) -> Hidden:
 
 
 def starting_resistance(_: World, rng: Generator) -> Hidden:
-    value, speed, steep = log_uniform(rng, 1.0, 10.0), log_uniform(rng, 0.8, 4.0), bool(rng.random() < 0.7)
+    value, speed, steep = log_uniform(rng, 3.0, 20.0), log_uniform(rng, 1.5, 6.0), bool(rng.random() < 0.7)
 
     def drag(m: Moment) -> float:
         if steep:
@@ -125,8 +125,7 @@ def wheel_slip(_: World, rng: Generator) -> Hidden:
 
 
 def resistance_step(world: World, rng: Generator) -> Hidden:
-    # A run and its stop take some two minutes and a half.
-    day = 150.0 * sum(len(legs) for legs in world.bags)
+    day = world.duration
     time, size = round(day * float(rng.uniform(0.25, 0.7))), _signed(rng, 0.2, 3.0)
     if size < 0.0:
         size = max(size, -0.6 * world.vehicle.davis[0])
@@ -134,7 +133,7 @@ def resistance_step(world: World, rng: Generator) -> Hidden:
 
 
 def higher_order_drag(world: World, rng: Generator) -> Hidden:
-    coefficient = log_uniform(rng, 0.4, 8.0) / world.vehicle.top_speed**3
+    coefficient = log_uniform(rng, 1.0, 15.0) / world.vehicle.top_speed**3
     return Hidden('higher_order_drag', (('coefficient', coefficient),), drag=lambda m: coefficient * m.speed**3)
 
 

@@ -34,6 +34,7 @@ _WEIGHT = G / 1000.0
 _TICK = 10
 _APPLIED = -0.03
 _MOST_S = 900.0
+_STOP_WINDOW = 120.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,17 +107,20 @@ class Ride:
         """Drive the legs one after another; runs are numbered through all bags.
 
         Raises:
-            RuntimeError: The train does not reach a stop in a quarter of an hour.
+            RuntimeError: The train misses a stop, or does not reach it in a quarter of an hour.
 
         """
         front, before = legs[0].start, 0
         self._reported = legs[0].weighed * (1.0 + self._world.vehicle.rotary) * HOLD
         for number, leg in enumerate(legs, start=first_run):
-            turned = before not in {0, leg.heading} or abs(front - leg.start) > 60.0
+            turned = before not in {0, leg.heading}
             front = leg.start if turned else front
             before = leg.heading
             self._stand(leg, front, leg.dwell + (40.0 if turned else 0.0))
             front = self._run(number, leg, front)
+            if abs(front - leg.end) > _STOP_WINDOW:
+                msg = f'run {number} of the ride ended at {front:.0f} m instead of {leg.end:.0f} m'
+                raise RuntimeError(msg)
         self._stand(legs[-1], front, 8.0)
         columns = np.array(self._rows).T
         front, heading, run, speed, force, command, weighed, noise = columns[:8]

@@ -29,7 +29,7 @@ def wavy_drag(_: World, rng: Generator) -> Hidden:
 
 def growing_drag(world: World, rng: Generator) -> Hidden:
     """A bearing on its way to running hot: drag that grows all day."""
-    rate = log_uniform(rng, 0.6, 5.0) / (150.0 * sum(len(legs) for legs in world.bags))
+    rate = log_uniform(rng, 0.6, 5.0) / world.duration
     near = ('resistance_step', 'bearing_warmup')
     return Hidden('growing_drag', (('rate', rate),), near=near, drag=lambda m: rate * m.time)
 

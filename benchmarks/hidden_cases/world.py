@@ -87,6 +87,12 @@ class World:
     one_way: bool
     cooling: float
 
+    @property
+    def duration(self) -> float:
+        """What the day may take, roughly [s]."""
+        legs = [leg for bag in self.bags for leg in bag]
+        return sum(leg.dwell + 40.0 + abs(leg.end - leg.start) / (0.8 * leg.cruise) for leg in legs)
+
 
 def log_uniform(rng: Generator, low: float, high: float) -> float:
     return math.exp(float(rng.uniform(math.log(low), math.log(high))))
@@ -96,9 +102,12 @@ def draw_world(rng: Generator, *, one_bag: bool = False) -> World:
     """Draw a case; ``one_bag`` keeps the whole day in one bag, for effects that count from its start."""
     one_way = bool(rng.random() < 0.2)
     two_bags = bool(rng.random() < 0.35) and not one_bag
-    count = _stop_count(rng, one_way=one_way, two_bags=two_bags)
-    vehicle = _draw_vehicle(rng)
-    route = _draw_route(rng, count)
+    # A fast train between towns, where the shape of the drag curve shows.
+    fast = bool(rng.random() < 0.15) and not one_way
+    count = int(rng.integers(3, 5)) if fast else _stop_count(rng, one_way=one_way, two_bags=two_bags)
+    vehicle = _draw_vehicle(rng, fast=fast)
+    route = _draw_route(rng, count, (3000, 6000) if fast else (1150, 2500))
+    crawls = bool(rng.random() < 0.3)
     nuisance = _draw_nuisance(rng)
     full = float(rng.uniform(1.12, 1.4))
     mean = round(vehicle.tare * 0.5 * (1.0 + full), -2)
@@ -108,7 +117,7 @@ def draw_world(rng: Generator, *, one_bag: bool = False) -> World:
         trips = [there]
     if not one_way and count <= 4:
         trips = [*trips, there, back] if count == 3 else [*trips, there]
-    legs = [[_draw_leg(rng, vehicle, nuisance, mean, full, ends) for ends in trip] for trip in trips]
+    legs = [[_draw_leg(rng, vehicle, nuisance, mean, full, ends, crawls) for ends in trip] for trip in trips]
     half = (len(legs) + 1) // 2
     groups = [legs[:half], legs[half:]] if two_bags else [legs]
     bags = tuple(tuple(leg for trip in group for leg in trip) for group in groups)
@@ -121,9 +130,10 @@ def _stop_count(rng: Generator, *, one_way: bool, two_bags: bool) -> int:
     return int(rng.choice([3, 4, 5, 6, 7], p=[0.2, 0.2, 0.3, 0.2, 0.1]))
 
 
-def _draw_vehicle(rng: Generator) -> Vehicle:
+def _draw_vehicle(rng: Generator, *, fast: bool) -> Vehicle:
     tare = round(log_uniform(rng, 75e3, 330e3), -3)
-    davis = (float(rng.uniform(0.8, 2.2)), float(rng.uniform(0.0, 0.05)), log_uniform(rng, 0.0018, 0.007))
+    c = log_uniform(rng, 0.0018, 0.004 if fast else 0.007)
+    davis = (float(rng.uniform(0.8, 2.2)), float(rng.uniform(0.0, 0.05)), c)
     start = float(rng.uniform(0.6, 1.1))
     return Vehicle(
         tare=tare,
@@ -134,14 +144,14 @@ def _draw_vehicle(rng: Generator) -> Vehicle:
         brake_dead=0.02 * int(rng.integers(10, 46)),
         start_acceleration=start,
         power=tare * 1.2 * start * float(rng.uniform(8.0, 14.0)),
-        top_speed=float(rng.uniform(60.0, 105.0)) / 3.6,
+        top_speed=float(rng.uniform(110.0, 160.0) if fast else rng.uniform(60.0, 105.0)) / 3.6,
     )
 
 
-def _draw_route(rng: Generator, count: int) -> Route:
+def _draw_route(rng: Generator, count: int, spacing: tuple[int, int]) -> Route:
     stops = [0.0]
     for _ in range(count - 1):
-        stops.append(stops[-1] + float(rng.integers(1150, 2500)))
+        stops.append(stops[-1] + float(rng.integers(*spacing)))
     gradient = _draw_gradient(rng, stops)
     curve: list[tuple[float, float]] = [(-400.0, 0.0)]
     place = float(rng.integers(50, 300))
@@ -194,7 +204,13 @@ def _draw_nuisance(rng: Generator) -> Nuisance:
 
 
 def _draw_leg(
-    rng: Generator, vehicle: Vehicle, nuisance: Nuisance, mean: float, full: float, ends: tuple[float, float]
+    rng: Generator,
+    vehicle: Vehicle,
+    nuisance: Nuisance,
+    mean: float,
+    full: float,
+    ends: tuple[float, float],
+    crawls: bool,
 ) -> Leg:
     start, end = ends
     span, heading = abs(end - start), 1 if end > start else -1
@@ -209,7 +225,8 @@ def _draw_leg(
         restriction = (
             start + heading * begin,
             start + heading * (begin + float(rng.uniform(100.0, 250.0))),
-            vehicle.top_speed * float(rng.uniform(0.4, 0.75)),
+            # Some lines have works on the track that are passed at walking pace.
+            float(rng.uniform(3.0, 5.5)) if crawls else vehicle.top_speed * float(rng.uniform(0.4, 0.75)),
         )
     return Leg(
         start=start,
