@@ -2,15 +2,18 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import pytest
 
 from trainid_ros.bags.reader import BagReader
 from trainid_ros.commands.main import main
+from trainid_ros.core.records import ForceRecord
 from trainid_ros.simulation.truth import load_truth
 
-TRAIN = Path(__file__).parents[2] / 'config' / 'trains' / 'yizhuang.yaml'
+REPOSITORY = Path(__file__).parents[2]
+TRAIN = REPOSITORY / 'config' / 'trains' / 'yizhuang.yaml'
 
 
 def simulate(out: Path, *arguments: str) -> int:
@@ -71,3 +74,24 @@ def test_seed_must_be_a_whole_number(tmp_path: Path, capsys: pytest.CaptureFixtu
         simulate(tmp_path / 'bag', '--seed', '-1')
     assert caught.value.code == 2
     assert "--seed: '-1' is not a whole number >= 0" in capsys.readouterr().err
+
+
+def test_the_effect_of_the_readme_takes_part(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    readme = (REPOSITORY / 'README.md').read_text(encoding='utf-8')
+    (example,) = re.findall(r'A new effect is one file.*?```python\n(.*?)```', readme, re.DOTALL)
+    folder = tmp_path / 'effects'
+    folder.mkdir()
+    (folder / 'snow.py').write_text(example, encoding='utf-8')
+    assert simulate(tmp_path / 'none', '--effect', 'snow:drag=2') == 2
+    assert 'effect snow is not known' in capsys.readouterr().err
+    monkeypatch.setenv('TRAINID_EFFECTS', str(folder))
+    assert simulate(tmp_path / 'snow', '--effect', 'snow:drag=2') == 0
+    assert simulate(tmp_path / 'clear') == 0
+    # The same driver with the same orders needs more force in snow.
+    work = []
+    for name in ('snow', 'clear'):
+        with BagReader(tmp_path / name) as reader:
+            work.append(sum(max(0.0, record.force) for record in reader.records() if isinstance(record, ForceRecord)))
+    assert work[0] > 1.05 * work[1]

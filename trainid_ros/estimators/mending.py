@@ -13,6 +13,7 @@ from trainid_ros.physics.effects import effect_value
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from trainid_ros.core.alignment import AlignmentConfig
     from trainid_ros.physics.train_file import Effect
 
 
@@ -28,6 +29,10 @@ class Mender:
     def reset(self) -> None:
         """Forget where the train stood."""
         self._stood_at = math.nan
+
+    def widen(self, alignment: AlignmentConfig) -> AlignmentConfig:
+        """Return an alignment that bears mended stamps lying apart from those of the other topics."""
+        return replace(alignment, max_lag=alignment.max_lag + abs(self.skew_s))
 
     def mend(self, record: Record) -> Record:
         """Return a record, mended if it needs to be."""

@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 from trainid_ros.core.records import NS_PER_S
 from trainid_ros.core.samples import Motion
-from trainid_ros.physics.brake import CommandHistory, lag_integral, lag_response
+from trainid_ros.physics.brake import MOST_CHANGES, CommandHistory, lag_integral, lag_response
 from trainid_ros.physics.effects import BRAKE_APPLIED, heat_after
 
 if TYPE_CHECKING:
@@ -27,6 +29,16 @@ class MotionState:
     speed: float = 0.0
     motion: Motion = field(default_factory=lambda: Motion(time_s=0.0, distance_run=0.0))
     commands: CommandHistory = field(default_factory=CommandHistory)
+
+    @property
+    def sound(self) -> bool:
+        """True unless a number is none, or none that a drive can lead to."""
+        motion, changes = self.motion, self.commands.changes
+        amounts = (self.speed, motion.time_s, motion.distance_run, motion.heat, -motion.brake, float(self.stamp_ns))
+        wanted = [change.target_acceleration for change in changes]
+        in_order = all(a.stamp_ns < b.stamp_ns for a, b in pairwise(changes)) and len(changes) <= MOST_CHANGES
+        fine = all(0.0 <= amount < math.inf for amount in amounts) and motion.since_release >= 0.0
+        return fine and in_order and all(-math.inf < target <= 0.0 for target in wanted)
 
 
 class MotionTracker:
@@ -51,12 +63,12 @@ class MotionTracker:
             if not commands.changes or change.stamp_ns >= commands.changes[-1].stamp_ns:
                 commands = commands.push(change)
         before, elapsed = state.motion, (sample.stamp_ns - start_ns) / NS_PER_S
-        speed = 0.5 * (state.speed + sample.speed)
+        speed = 0.5 * (state.speed + sample.speed) if elapsed <= _LONGEST_GAP_S else 0.0
         brake, braked = self._respond(commands, start_ns, sample.stamp_ns)
         heat = heat_after(before.heat, self._brake.rate * braked / elapsed, speed, elapsed) if elapsed else before.heat
         motion = Motion(
             time_s=before.time_s + elapsed,
-            distance_run=before.distance_run + (speed * elapsed if elapsed <= _LONGEST_GAP_S else 0.0),
+            distance_run=before.distance_run + speed * elapsed,
             since_release=0.0 if brake < BRAKE_APPLIED else before.since_release + elapsed,
             heat=heat,
             brake=brake,

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final, Generic, TypeAlias, TypeVar
 import numpy as np
 
 from trainid_ros.core.alignment import Aligner, AlignmentConfig, TimeJump
-from trainid_ros.core.codec import decode, encode
+from trainid_ros.core.codec import check_restored, decode, encode
 from trainid_ros.core.records import NS_PER_S, Record
 from trainid_ros.core.results import (
     BrakeRateEstimate,
@@ -110,15 +110,15 @@ class EstimatorPipeline(Generic[EstimateT]):
         self._mender = Mender(train_file.effects)
         self._motion = MotionTracker(train_file)
         self._follows = bool(train_file.effects)
-        # Mended stamps lie apart from those of the other topics.
-        apart = abs(self._mender.skew_s)
-        alignment = replace(alignment, max_lag=alignment.max_lag + apart)
-        self._aligner = Aligner(alignment, refuse_jump_back=config.time_jump_policy is TimeJumpPolicy.REFUSE)
-        self._stale_ns = round((config.stale_after + apart) * NS_PER_S)
+        refuse_jump_back = config.time_jump_policy is TimeJumpPolicy.REFUSE
+        self._aligner = Aligner(self._mender.widen(alignment), refuse_jump_back=refuse_jump_back)
+        self._stale_ns = round((config.stale_after + abs(self._mender.skew_s)) * NS_PER_S)
         self.resets = 0
         self._clear()
 
     def _clear(self) -> None:
+        self._mender.reset()
+        self._motion.reset()
         self.rejections: Counter[Reason] = Counter()
         self.used = 0
         self.samples = 0
@@ -135,8 +135,6 @@ class EstimatorPipeline(Generic[EstimateT]):
         """Go back to the prior and forget all records and counters."""
         self.estimator.reset()
         self._aligner.reset()
-        self._mender.reset()
-        self._motion.reset()
         self._clear()
         self.resets += 1
 
@@ -196,6 +194,7 @@ class EstimatorPipeline(Generic[EstimateT]):
         of the drive go on, for effects that depend on them.
         """
         state = decode(text, PipelineState)
+        check_restored(state.motion.sound, 'PipelineState', 'motion')
         self.estimator.restore(state.estimator)
         self._motion.state = state.motion
         self._consistency.clear()
@@ -262,8 +261,6 @@ class EstimatorPipeline(Generic[EstimateT]):
         self._first_ns = 0
         if jump.step_s < 0.0 and self.config.time_jump_policy is TimeJumpPolicy.RESET:
             self.estimator.reset()
-            self._mender.reset()
-            self._motion.reset()
             self._clear()
             self.resets += 1
 

@@ -1,0 +1,177 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A train with an effect, estimated with a train file that knows the effect and with one that does not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from trainid_ros.core.errors import InputError
+from trainid_ros.core.records import Record
+from trainid_ros.core.results import Status
+from trainid_ros.estimators.pipeline import (
+    EstimatorPipeline,
+    EstimatorSettings,
+    Output,
+    brake_rate_pipeline,
+    resistance_pipeline,
+    speed_model_pipeline,
+)
+from trainid_ros.physics.effect_text import parse_effects
+from trainid_ros.physics.effects import EFFECTS
+from trainid_ros.physics.train_file import TrainFile
+from trainid_ros.simulation.scenario import Scenario, Simulation, simulate
+
+SETTINGS = EstimatorSettings()
+MAKERS: dict[str, Callable[[TrainFile, EstimatorSettings], EstimatorPipeline[Any]]] = {
+    'resistance': resistance_pipeline,
+    'speed_model': speed_model_pipeline,
+    'brake_rate': brake_rate_pipeline,
+}
+SPEEDS = np.linspace(4.0, 20.0, 9)
+# What an estimate may lose against a train without any effect: N/kN, N/kN, share of the brake.
+ALLOWANCE = {'resistance': 0.2, 'speed_model': 0.25, 'brake_rate': 0.01}
+
+
+@dataclass(frozen=True)
+class Case:
+    """An effect, the estimate that it spoils most while it is not known, and by how much at least."""
+
+    text: str
+    spoils: str
+    by: float
+
+
+CASES = {
+    'curve_resistance': Case('curve_resistance:coefficient=1500', 'resistance', 0.3),
+    'tunnel_drag': Case('tunnel_drag:factor=2.5', 'resistance', 0.7),
+    'headwind': Case('headwind:speed=6', 'resistance', 1.0),
+    'local_drag': Case('local_drag:start=1000,end=4000,permille=5', 'resistance', 0.3),
+    'gradient_error': Case('gradient_error:start=1000,end=4000,permille=5', 'resistance', 0.3),
+    'resistance_step': Case('resistance_step:time=100,a=1.5', 'resistance', 0.7),
+    'starting_resistance': Case('starting_resistance:value=9,speed=5', 'speed_model', 0.5),
+    'higher_order_drag': Case('higher_order_drag:coefficient=3e-4', 'resistance', 0.7),
+    'bearing_warmup': Case('bearing_warmup:value=3,distance=4000', 'resistance', 0.7),
+    'dragging_brake': Case('dragging_brake:permille=4,time=20', 'resistance', 1.0),
+    'mass_error': Case('mass_error:ratio=1.1', 'brake_rate', 0.05),
+    'traction_scale': Case('traction_scale:ratio=0.88', 'speed_model', 0.5),
+    'brake_fade': Case('brake_fade:loss=0.3,energy=150', 'brake_rate', 0.1),
+    'brake_delay': Case('brake_delay:extra=0.8', 'brake_rate', 0.03),
+    'wheel_diameter': Case('wheel_diameter:ratio=1.06', 'brake_rate', 0.02),
+    'map_shift': Case('map_shift:distance=80', 'speed_model', 0.4),
+    'stamp_skew': Case('stamp_skew:delay=0.5', 'speed_model', 0.6),
+}
+
+
+def with_effect(file: TrainFile, text: str) -> TrainFile:
+    return replace(file, effects=parse_effects([text]))
+
+
+@pytest.fixture(scope='module')
+def line(metro: TrainFile) -> TrainFile:
+    """The metro line with curves and tunnels."""
+    curve = ((0.0, 0.0), (1300.0, 500.0), (2300.0, 0.0), (2900.0, 400.0), (3300.0, 0.0))
+    return replace(metro, line=replace(metro.line, curve=curve, tunnel=((800.0, 1900.0), (2700.0, 3400.0))))
+
+
+def day(file: TrainFile, runs: int) -> Simulation:
+    return simulate(Scenario(file, runs=runs), np.random.default_rng(99))
+
+
+def run(job: str, file: TrainFile, records: Iterable[Record]) -> list[Output[Any]]:
+    pipeline = MAKERS[job](file, SETTINGS)
+    return [output for record in records for output in pipeline.push(record)]
+
+
+def error(job: str, believed: TrainFile, simulation: Simulation) -> float:
+    """Mean error over the second half: rms of w over speeds [N/kN], or of the brake rate while it brakes."""
+    outputs = run(job, believed, simulation.records)
+    late = outputs[len(outputs) // 2 :]
+    if job == 'brake_rate':
+        rates = [(o.estimate, simulation.truth.truth_at_ns(o.stamp_ns).brake_rate or 0.0) for o in late]
+        return float(np.mean([abs(e.brake_rate - rate) for e, rate in rates if e.observable and e.speed > 3.0]))
+    errors = [np.array([getattr(o.estimate, key) - getattr(believed.resistance, key) for key in 'abc']) for o in late]
+    return float(np.mean([np.sqrt(np.mean((a + SPEEDS * (b + SPEEDS * c)) ** 2)) for a, b, c in errors[::20]]))
+
+
+@pytest.fixture(scope='module')
+def plain(line: TrainFile) -> dict[str, float]:
+    """Errors on the same drives without any effect."""
+    simulation = day(line, 2)
+    return {job: error(job, line, simulation) for job in MAKERS}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('name', CASES)
+def test_an_effect_in_the_train_file_costs_nothing_and_one_that_is_missing_spoils(
+    name: str, line: TrainFile, plain: dict[str, float]
+) -> None:
+    case = CASES[name]
+    true = with_effect(line, case.text)
+    simulation = day(true, 2)
+    known = {job: error(job, true, simulation) for job in MAKERS}
+    unknown = error(case.spoils, line, simulation)
+    print(name, {job: round(e, 4) for job, e in known.items()}, 'unknown:', case.spoils, round(unknown, 4))
+    for job, found in known.items():
+        assert found < plain[job] + ALLOWANCE[job], job
+    assert unknown > known[case.spoils] + case.by
+
+
+def test_every_effect_is_tried() -> None:
+    # Slip cannot be mended, and a brake scale is learned as the brake rate.
+    assert {*CASES, 'wheel_slip', 'brake_scale'} == set(EFFECTS)
+
+
+@pytest.mark.parametrize(
+    ('text', 'job', 'low', 'high'),
+    [
+        ('bearing_warmup:value=4,distance=3000', 'resistance', 0.5, 0.7),
+        ('brake_delay:extra=0.8', 'brake_rate', 0.015, 0.03),
+        ('wheel_diameter:ratio=1.06', 'brake_rate', 0.015, 0.02),
+    ],
+)
+def test_one_run_is_enough_to_see_the_difference(text: str, job: str, low: float, high: float, line: TrainFile) -> None:
+    true = with_effect(line, text)
+    simulation = day(true, 1)
+    known, unknown = (error(job, file, simulation) for file in (true, line))
+    assert known < low
+    assert unknown > known + high
+
+
+def test_a_brake_scale_is_the_brake_rate_believed_at_first(line: TrainFile) -> None:
+    pipeline = brake_rate_pipeline(with_effect(line, 'brake_scale:ratio=0.8'), SETTINGS)
+    assert pipeline.current().estimate.brake_rate == pytest.approx(0.8)
+
+
+@pytest.mark.parametrize('delay', [-1.2, 1.2])
+def test_a_skew_of_stamps_makes_no_estimate_stale(delay: float, line: TrainFile) -> None:
+    true = with_effect(line, f'stamp_skew:delay={delay}')
+    outputs = run('resistance', true, day(true, 1).records)
+    assert Status.STALE not in {output.status for output in outputs[20:]}
+    assert outputs[-1].used > 100
+
+
+def test_a_restored_pipeline_remembers_how_far_the_train_has_run(line: TrainFile) -> None:
+    true = with_effect(line, 'bearing_warmup:value=4,distance=3000')
+    records = day(true, 1).records
+    half = len(records) // 2
+    first, second = (resistance_pipeline(true, SETTINGS) for _ in range(2))
+    for record in records[:half]:
+        first.push(record)
+    saved = first.save()
+    first.restore(saved)
+    second.restore(saved)
+    outputs = [[o.estimate for r in records[half:] for o in p.push(r)] for p in (first, second)]
+    assert outputs[0] == outputs[1]
+    assert second.save() == first.save()
+    with pytest.raises(InputError, match='PipelineState'):
+        second.restore(saved.replace('"distance_run": ', '"distance_run": -'))
+    # Without that memory cold bearings would be believed once more.
+    fresh = resistance_pipeline(true, SETTINGS)
+    fresh.estimator.restore(first.estimator.save())
+    fresh.push(records[-1])
+    assert fresh.save() != first.save()
