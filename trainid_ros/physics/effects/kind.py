@@ -25,8 +25,8 @@ class Parameter:
         unit: Its unit, empty for a ratio.
         low: Lowest value that is accepted.
         high: Highest value that is accepted.
-        search: Range to look in for a value that is not known; None where the data give it (positions, times)
-            or the effect is linear in it.
+        search: Range to look in for a value that is not known: of a shape, the values to try; of the amplitude, the
+            side of neutral on which it can lie. None where the data give it (positions, times) or it has either sign.
         grid: How values to try are spaced over ``search``.
 
     """
@@ -56,6 +56,7 @@ class EffectKind:
         equation: Its equation in one line.
         parameters: Its parameters by name.
         amplitude: Name of the parameter that the effect is (nearly) linear in.
+        usual: How far from neutral the amplitude usually is: the scale of its prior when it is looked for.
         resistance: Equivalent extra resistance; None if it cannot be expressed as one.
         neutral: Value of ``amplitude`` at which there is no effect.
         origin: Whether the train runs otherwise, or only its data are wrong.
@@ -71,6 +72,7 @@ class EffectKind:
     equation: str
     parameters: Mapping[str, Parameter]
     amplitude: str
+    usual: float
     resistance: Resistance | None = None
     neutral: float = 0.0
     origin: Literal['physics', 'sensor'] = 'physics'

@@ -21,10 +21,11 @@ EFFECT: Final = EffectKind(
     title='cold bearings that run warm',
     equation='w = value exp(-s / distance), s = distance run since the start',
     parameters={
-        'value': Parameter('N/kN', -1000.0, 1000.0),
+        'value': Parameter('N/kN', -1000.0, 1000.0, search=(0.0, 50.0)),
         'distance': Parameter('m', 1e-6, 1e9, search=(500.0, 50000.0), grid='log'),
     },
     amplitude='value',
+    usual=1.0,
     resistance=resistance,
     needs='a record from the start of the day until the bearings are warm',
     twins=(

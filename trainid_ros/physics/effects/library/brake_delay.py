@@ -21,6 +21,7 @@ EFFECT: Final = EffectKind(
     equation='w = B(t) - B(t - extra), B <= 0',
     parameters={'extra': Parameter('s', 0.0, 10.0)},
     amplitude='extra',
+    usual=0.5,
     resistance=resistance,
     needs='sharp onsets and releases of the brake at speed',
     twins=(

@@ -24,6 +24,7 @@ EFFECT: Final = EffectKind(
         'energy': Parameter('J/kg', 1e-6, 1e6, search=(30.0, 3000.0), grid='log'),
     },
     amplitude='loss',
+    usual=0.25,
     resistance=resistance,
     needs='braking with a cold brake, and several times soon after one another',
     twins=(

@@ -21,6 +21,7 @@ EFFECT: Final = EffectKind(
     equation='w = -(ratio - 1) B, ratio = true over believed brake force, B <= 0',
     parameters={'ratio': Parameter('', 0.2, 5.0)},
     amplitude='ratio',
+    usual=0.12,
     neutral=1.0,
     resistance=resistance,
     needs='braking, with a cold brake and with a hot one',

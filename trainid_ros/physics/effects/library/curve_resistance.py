@@ -21,6 +21,7 @@ EFFECT: Final = EffectKind(
     equation='w = coefficient / R',
     parameters={'coefficient': Parameter('N/kN m', 0.0, 20000.0)},
     amplitude='coefficient',
+    usual=500.0,
     resistance=resistance,
     needs='runs through curves of known radius and on straight track',
     twins=(

@@ -24,6 +24,7 @@ EFFECT: Final = EffectKind(
         'time': Parameter('s', 0.0, 1e5, search=(2.0, 120.0), grid='log'),
     },
     amplitude='permille',
+    usual=2.0,
     resistance=resistance,
     needs='releases of the brake at speed, and motion long after them',
     twins=(

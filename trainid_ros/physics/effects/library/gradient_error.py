@@ -21,6 +21,7 @@ EFFECT: Final = EffectKind(
     equation='w = +- permille between start and end: uphill one way, downhill the other',
     parameters={'start': Parameter('m'), 'end': Parameter('m'), 'permille': Parameter('per mille')},
     amplitude='permille',
+    usual=3.0,
     resistance=resistance,
     origin='sensor',
     needs='runs through the section in both directions, and beyond it; over a whole line it is the Davis a',

@@ -25,6 +25,7 @@ EFFECT: Final = EffectKind(
     equation='w = c ((v + u) |v + u| - v^2), u = speed against rising positions, -speed with them',
     parameters={'speed': Parameter('m/s', -60.0, 60.0)},
     amplitude='speed',
+    usual=5.0,
     resistance=resistance,
     needs='runs in both directions, at different speeds',
     twins=(

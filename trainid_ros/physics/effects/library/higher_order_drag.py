@@ -19,8 +19,9 @@ EFFECT: Final = EffectKind(
     name='higher_order_drag',
     title='drag beyond the square of speed',
     equation='w = coefficient v^3',
-    parameters={'coefficient': Parameter('N/kN/(m/s)^3', -1.0, 1.0)},
+    parameters={'coefficient': Parameter('N/kN/(m/s)^3', -1.0, 1.0, search=(0.0, 0.01))},
     amplitude='coefficient',
+    usual=0.0001,
     resistance=resistance,
     needs='driving at all speeds from slow to the fastest, best coasting',
     twins=(

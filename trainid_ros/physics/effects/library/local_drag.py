@@ -19,8 +19,9 @@ EFFECT: Final = EffectKind(
     name='local_drag',
     title='drag at one place',
     equation='w = permille between start and end, in both directions',
-    parameters={'start': Parameter('m'), 'end': Parameter('m'), 'permille': Parameter('per mille')},
+    parameters={'start': Parameter('m'), 'end': Parameter('m'), 'permille': Parameter('per mille', search=(0.0, 50.0))},
     amplitude='permille',
+    usual=3.0,
     resistance=resistance,
     needs='runs through the section and beyond it',
     twins=(

@@ -21,6 +21,7 @@ EFFECT: Final = EffectKind(
     equation='w = i(s - distance) - i(s): the gradient is reported distance too early on the way',
     parameters={'distance': Parameter('m', -1000.0, 1000.0)},
     amplitude='distance',
+    usual=60.0,
     resistance=resistance,
     origin='sensor',
     needs='places where the gradient changes, driven in both directions',

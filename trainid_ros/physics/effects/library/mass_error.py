@@ -21,6 +21,7 @@ EFFECT: Final = EffectKind(
     equation='w = (T + B) (1 - 1 / ratio), ratio = true over believed mass',
     parameters={'ratio': Parameter('', 0.2, 5.0)},
     amplitude='ratio',
+    usual=0.08,
     neutral=1.0,
     resistance=resistance,
     needs='strong traction and steep gradients, or braking by a brake that is known',

@@ -21,6 +21,7 @@ EFFECT: Final = EffectKind(
     equation='w = a from time on',
     parameters={'time': Parameter('s', 0.0, 1e9), 'a': Parameter('N/kN', -1000.0, 1000.0)},
     amplitude='a',
+    usual=0.6,
     resistance=resistance,
     needs='runs over the same line before and after',
     twins=(

@@ -21,6 +21,7 @@ EFFECT: Final = EffectKind(
     equation='w = T(t) - T(t + delay): the force that acts at t is stamped t + delay',
     parameters={'delay': Parameter('s', -1.5, 1.5)},
     amplitude='delay',
+    usual=0.15,
     resistance=resistance,
     origin='sensor',
     on_records=True,

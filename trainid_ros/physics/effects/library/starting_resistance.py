@@ -21,10 +21,11 @@ EFFECT: Final = EffectKind(
     title='resistance at low speed',
     equation='w = value exp(-v / speed)',
     parameters={
-        'value': Parameter('N/kN', -1000.0, 1000.0),
+        'value': Parameter('N/kN', -1000.0, 1000.0, search=(0.0, 50.0)),
         'speed': Parameter('m/s', 1e-6, 1e3, search=(0.5, 8.0), grid='log'),
     },
     amplitude='value',
+    usual=2.0,
     resistance=resistance,
     needs='slow driving, not only starts with full traction',
     twins=(

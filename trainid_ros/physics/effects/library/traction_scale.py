@@ -21,6 +21,7 @@ EFFECT: Final = EffectKind(
     equation='w = -(ratio - 1) T, ratio = true over reported traction',
     parameters={'ratio': Parameter('', 0.2, 5.0)},
     amplitude='ratio',
+    usual=0.08,
     neutral=1.0,
     resistance=resistance,
     origin='sensor',

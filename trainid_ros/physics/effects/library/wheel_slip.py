@@ -13,6 +13,7 @@ EFFECT: Final = EffectKind(
     equation='v measured = v + bursts of up to speed, for share of the time',
     parameters={'share': Parameter('', 0.0, 0.5), 'speed': Parameter('m/s', 0.0, 10.0, search=(0.3, 5.0))},
     amplitude='share',
+    usual=0.02,
     origin='sensor',
     on_records=True,
     needs='traction and braking at the limit of adhesion',

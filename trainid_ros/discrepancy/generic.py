@@ -1,0 +1,91 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a gap may depend on without a physical name: groups of columns that compete with the named effects.
+
+If such a group explains far more than any effect of the library, no name fits; and what is left after the named
+effects is described by the group that explains most of it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from trainid_ros.discrepancy.nodes import Drive
+
+    Array = NDArray[np.float64]
+
+_KNOTS: Final = 5
+_PULLING: Final = 1.0  # N/kN
+_BRAKING: Final = -1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """Columns of one dependence, with sizes in N/kN.
+
+    Attributes:
+        name: Short name.
+        text: On what the resistance depends, in words.
+        resistance: Shape (n, k).
+
+    """
+
+    name: str
+    text: str
+    resistance: Array
+
+
+def generic_groups(drive: Drive) -> tuple[Group, ...]:
+    """Return all groups for a drive."""
+    v, traction, brake = drive.speed, drive.joined('traction'), drive.joined('brake')
+    pulling, braking = traction > _PULLING, brake < _BRAKING
+    coasting = ~pulling & ~braking
+    direction = np.array([run.direction for run in drive.runs])[drive.run_of].astype(float)
+    tunnel, radius = drive.joined('tunnel'), drive.joined('radius')
+    curvature = np.where(radius > 0.0, 300.0 / np.maximum(radius, 100.0), 0.0)
+    since = drive.time - drive.time[drive.starts][drive.run_of]
+    # Implied by the force: measured acceleration has the noise of the speed on both sides of the regression.
+    acceleration = traction + brake - drive.joined('gradient') - 2.0
+    relative = v / max(float(v.max()), 1.0)
+    heat = drive.joined('heat')
+    heat = heat / max(float(heat.max()), 1.0)
+    ones = np.ones_like(v)
+    runs = (drive.run_of[:, None] == np.arange(len(drive.runs))).astype(float)
+    groups = [
+        Group('run', 'the run', runs if runs.shape[1] <= 60 else _hats(drive.time, 60)),
+        Group('time', 'the time', _hats(drive.time, 6)),
+        Group('start', 'the time since departure', _hats(np.minimum(since, 120.0), 7)),
+        Group('speed', 'the speed', _hats(v, 7)),
+        Group('traction-speed', 'the speed in traction', _hats(v, _KNOTS) * pulling[:, None]),
+        Group('coast-speed', 'the speed while coasting', _hats(v, _KNOTS) * coasting[:, None]),
+        Group('traction', 'the tractive force', _hats(np.maximum(traction, 0.0), _KNOTS) * pulling[:, None]),
+        Group('brake-speed', 'the speed while braking', _hats(v, _KNOTS) * brake[:, None] / 30.0),
+        Group('brake', 'the braking force', _hats(brake, _KNOTS) * braking[:, None]),
+        Group('brake-heat', 'the heat of the brake', np.stack((heat, heat**2, heat * relative), 1) * brake[:, None] / 30),
+        Group('direction', 'the direction', direction[:, None] * np.stack((ones, relative, relative**2), axis=1)),
+        Group('inertia', 'the acceleration', np.stack((acceleration, np.abs(acceleration)), axis=1) / 50.0),
+        Group('tunnel', 'the tunnel', tunnel[:, None] * np.stack((ones, relative, relative**2), axis=1)),
+        Group('curve', 'curves', np.stack((curvature, curvature**2, curvature * relative**2), axis=1)),
+        Group('gradient', 'the gradient', _gradient(drive)),
+        Group('mode-direction', 'the direction and the driving mode', direction[:, None] * np.stack((pulling, braking), 1)),
+    ]
+    return tuple(groups)
+
+
+def _gradient(drive: Drive) -> Array:
+    i = drive.joined('gradient') / 10.0
+    return np.stack((i, np.abs(i)), axis=1)
+
+
+def _hats(x: Array, count: int) -> Array:
+    """Return piecewise-linear functions with knots at quantiles, which sum to one; shape (n, count)."""
+    knots = np.unique(np.quantile(x, np.linspace(0.0, 1.0, count)))
+    if knots.size < 2:
+        return np.ones((x.size, 1))
+    columns = [np.interp(x, knots, np.eye(knots.size)[i]) for i in range(knots.size)]
+    return np.stack(columns, axis=1)

@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Sizes of noise and nuisances from the data: the greatest marginal likelihood times a prior.
+
+Sizes that are declared wrong by a half name effects that are not there; so they are estimated, again whenever the
+model has gained an effect.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from trainid_ros.discrepancy.noise import Grid, Noise, Whitener
+from trainid_ros.discrepancy.nuisances import Spread
+from trainid_ros.discrepancy.regression import Gram, eliminate
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+
+# Median and log-width of the prior of speed noise, gust, gust time, payload, brake, map.
+_WEIGHED: Final = 0.005
+_UNWEIGHED: Final = 0.03
+_MEDIAN: Final = np.log([0.03, 0.12, 6.0, _WEIGHED, 0.01, 0.25])
+_WIDTH: Final = np.array([1.0, 0.8, 0.5, 0.7, 0.7, 0.6])
+_STEP: Final = 0.05
+_LARGEST_MOVE: Final = 1.0
+_SETTLED: Final = 0.05
+_MOST_STEPS: Final = 12
+_OUTER: Final = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Sizes:
+    """All sizes, and twice the log evidence of the data at them."""
+
+    noise: Noise
+    spread: Spread
+    evidence: float
+
+
+class Evidence:
+    """Marginal likelihood of the data as a function of the logs of all sizes."""
+
+    def __init__(
+        self, grid: Grid, columns: Array, factors: Array, common_std: Array, map_root: Array, *, weighed: bool
+    ) -> None:
+        """Prepare.
+
+        Args:
+            grid: Where the nodes lie.
+            columns: y, common nuisances, bins of the map, shape (m, 1 + q + k).
+            factors: Columns of payload and brake, shape (m, 2).
+            common_std: Prior std of the common nuisances, shape (q,).
+            map_root: Factor of the correlation of the map's errors, shape (k, k).
+            weighed: True if the mass is measured.
+
+        """
+        self._grid, self._columns, self._factors = grid, columns, factors
+        self._common = common_std
+        self._root = map_root
+        self._median = _MEDIAN.copy()
+        self._median[3] = math.log(_WEIGHED if weighed else _UNWEIGHED)
+        self._gram: tuple[tuple[float, ...], Gram, float] | None = None
+
+    def at(self, logs: Array) -> float:
+        """Return twice the log of likelihood times prior at the logs of all sizes."""
+        return -self._value(logs)
+
+    def prior_factor(self, spread: Spread) -> Array:
+        """Return the factor of the prior covariance of common nuisances and map."""
+        q, k = len(self._common), len(self._root)
+        factor = np.zeros((q + k, q + k))
+        factor[np.arange(q), np.arange(q)] = self._common
+        factor[q:, q:] = spread.map * self._root
+        return factor
+
+    def maximise(self, start: Array | None = None) -> tuple[Sizes, Array]:
+        """Return the best sizes and their logs, from a start or the prior's median."""
+        x = self._median.copy() if start is None else start.copy()
+        value, curvature = self._value(x), np.square(1.0 / _WIDTH) * 2.0
+        for _ in range(_MOST_STEPS):
+            gradient, curvature = self._slopes(x, value)
+            move = np.clip(-gradient / curvature, -_LARGEST_MOVE, _LARGEST_MOVE)
+            while (found := self._value(x + move)) > value + 1e-6 and np.abs(move).max() > _SETTLED:
+                move = 0.4 * move
+            if found < value:
+                x, gain, value = x + move, value - found, found
+            else:
+                gain = 0.0
+            if gain < _SETTLED:
+                break
+        return Sizes(*_sizes(x), -value), x
+
+    def _slopes(self, x: Array, value: float) -> tuple[Array, Array]:
+        """Return gradient and (positive) curvature of each coordinate by differences."""
+        gradient, curvature = np.empty_like(x), np.empty_like(x)
+        # The outer sizes need another filter; the inner ones, which do not, come last and share one.
+        for i in (*range(_OUTER), *range(_OUTER, x.size)):
+            step = np.zeros_like(x)
+            step[i] = _STEP
+            up, down = self._value(x + step), self._value(x - step)
+            gradient[i] = (up - down) / (2.0 * _STEP)
+            curvature[i] = max((up - 2.0 * value + down) / _STEP**2, 1.0 / _WIDTH[i] ** 2)
+        return gradient, curvature
+
+    def _value(self, x: Array) -> float:
+        """Return minus twice the log of likelihood times prior."""
+        noise, spread = _sizes(x)
+        key = tuple(x[:_OUTER].tolist())
+        if self._gram is None or self._gram[0] != key:
+            whitener = Whitener.of(self._grid, noise)
+            gram = Gram.of(self._columns, self._factors, self._grid, whitener)
+            self._gram = (key, gram, float(whitener.log_det.sum()))
+        _, gram, log_det = self._gram
+        products, cost = gram.reduced(np.array([spread.payload, spread.brake]))
+        factor = self.prior_factor(spread)
+        information = eliminate(products.sum(axis=0), len(factor), factor)
+        prior = float(np.sum(np.square((x - self._median) / _WIDTH)))
+        return information.yy + log_det + cost + information.log_det + prior
+
+
+def _sizes(x: Array) -> tuple[Noise, Spread]:
+    speed, gust, gust_time, payload, brake, line = np.exp(x).tolist()
+    return Noise(speed, gust, gust_time), Spread(payload, brake, line)

@@ -1,0 +1,231 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The believed model with some effects in it, linear about their parameters, ready to be compared with the data."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from trainid_ros.discrepancy.families import usual
+from trainid_ros.discrepancy.hyper import Evidence
+from trainid_ros.discrepancy.noise import Grid, Whitener
+from trainid_ros.discrepancy.nuisances import Bins, common_columns, common_std, run_columns
+from trainid_ros.discrepancy.odometry import Odometry
+from trainid_ros.discrepancy.regression import Gram
+from trainid_ros.physics.effects import EFFECTS
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from numpy.typing import NDArray
+
+    from trainid_ros.discrepancy.hyper import Sizes
+    from trainid_ros.discrepancy.nodes import Drive
+    from trainid_ros.discrepancy.nuisances import Spread
+    from trainid_ros.discrepancy.points import Points
+    from trainid_ros.physics.effects import Parameter
+    from trainid_ros.physics.train_file import TrainFile
+
+    Array = NDArray[np.float64]
+
+WHEEL: Final = 'wheel_diameter'
+_MOST_STEPS: Final = 5
+_SETTLED: Final = 0.1
+# Prior of a shape parameter that is refined, about where it was found.
+_METRES: Final = 80.0
+_SECONDS: Final = 60.0
+_LOG_WIDTH: Final = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Member:
+    """An effect in the model: its parameters, and their covariance once fitted, in the same order."""
+
+    name: str
+    parameters: Mapping[str, float]
+    covariance: NDArray[np.float64] | None = None
+
+    @property
+    def std(self) -> dict[str, float]:
+        """Standard deviations of the parameters; empty before a fit."""
+        if self.covariance is None:
+            return {}
+        deviations = np.sqrt(np.maximum(np.diag(self.covariance), 0.0)).tolist()
+        return dict(zip(self.parameters, deviations, strict=True))
+
+
+@dataclass(frozen=True, slots=True)
+class Fit:
+    """Outcome of a fit: members with covariance, a posterior of all nuisances and their covariance."""
+
+    members: tuple[Member, ...]
+    nuisances: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+
+
+class Model:
+    """Drive, nuisances and members; immutable but for what it computes once."""
+
+    def __init__(self, points: Points, train_file: TrainFile, members: tuple[Member, ...] = ()) -> None:
+        self.points, self.drive, self.train_file, self.members = points, points.drive, train_file, members
+        drive = self.drive
+        self.bins = Bins.of(drive, train_file.train.length)
+        self._directions = np.array([run.direction for run in drive.runs])[drive.run_of][:, None]
+        shares = self._directions * self.bins.shares(drive, train_file.train.length)
+        self._common = drive.column(common_columns(drive))
+        self._map = drive.column(shares)
+        self._map_root = np.linalg.cholesky(self.bins.covariance() + 1e-9 * np.eye(self.bins.count))
+        self.factor_columns = drive.column(run_columns(drive))
+        self.grid = Grid.of(drive)
+        self._gap = drive.average(drive.gap)
+        self.odometry = Odometry.of(drive, train_file.line.stops)
+        self._set(members)
+
+    def having(self, members: tuple[Member, ...]) -> Model:
+        """Return the same model with other members."""
+        other = object.__new__(Model)
+        other.__dict__.update(self.__dict__)
+        other._set(members)
+        return other
+
+    def _set(self, members: tuple[Member, ...]) -> None:
+        self.members = members
+        derivatives, std = [], []
+        total = np.zeros(self.drive.dt.size)
+        for member in members:
+            total += self.points.resistance(member.name, member.parameters)
+            for name, value in member.parameters.items():
+                width = _width(member.name, name, value)
+                derivatives.append(self._derivative(member, name, 0.05 * width))
+                std.append(width)
+        self.residual = self._gap - self.drive.column(total)
+        self.member_std = np.array(std)
+        columns = [self._common, *([self.drive.column(np.stack(derivatives, axis=1))] if derivatives else [])]
+        self.common = np.concatenate(columns, axis=1)
+        self.nuisance_columns = np.concatenate([self.common, self._map], axis=1)
+        self.common_std = np.concatenate([common_std(self.train_file), self.member_std])
+
+    def _derivative(self, member: Member, name: str, step: float) -> Array:
+        kind = EFFECTS[member.name].parameters[name]
+        low = max(member.parameters[name] - step, kind.low)
+        high = min(member.parameters[name] + step, kind.high)
+        up = self.points.resistance(member.name, {**member.parameters, name: high})
+        down = self.points.resistance(member.name, {**member.parameters, name: low})
+        return np.asarray((up - down) / (high - low))
+
+    def evidence(self) -> Evidence:
+        """Return the marginal likelihood as a function of the sizes of noise and nuisances."""
+        columns = np.concatenate([self.residual[:, None], self.nuisance_columns], axis=1)
+        weighed = all(run.weighed for run in self.drive.runs)
+        return Evidence(
+            self.grid, columns, self.factor_columns, self.common_std, self._map_root, weighed=weighed
+        )
+
+    def whitener(self, sizes: Sizes) -> Whitener:
+        """Return the filter for these sizes."""
+        return Whitener.of(self.grid, sizes.noise)
+
+    def prior_factor(self, spread: Spread) -> Array:
+        """Return the factor of the prior covariance of all nuisances."""
+        q, k = len(self.common_std), self.bins.count
+        factor = np.zeros((q + k, q + k))
+        factor[np.arange(q), np.arange(q)] = self.common_std
+        factor[q:, q:] = spread.map * self._map_root
+        return factor
+
+    def chunks(self, whitener: Whitener, size: int) -> Iterator[tuple[Grid, Whitener]]:
+        """Yield the grid and the filter of some runs at a time."""
+        runs = self.grid.index.shape[1]
+        for first in range(0, runs, size):
+            part = slice(first, first + size)
+            yield self.grid.part(part), whitener.part(part)
+
+    def fit(self, sizes: Sizes) -> tuple[Model, Fit]:
+        """Refine the parameters of all members together with the nuisances (Gauss-Newton)."""
+        model, whitener = self, self.whitener(sizes)
+        for _ in range(_MOST_STEPS):
+            fit, moved = model._step(sizes, whitener)
+            model = model.having(fit.members)
+            if moved < _SETTLED:
+                break
+        fit, _ = model._step(sizes, whitener, stay=True)
+        return model.having(fit.members), fit
+
+    def posterior(self, sizes: Sizes, whitener: Whitener) -> tuple[Array, Array]:
+        """Return mean and covariance of all nuisances, members' parameters among them."""
+        columns = np.concatenate([self.residual[:, None], self.nuisance_columns], axis=1)
+        std = np.array([sizes.spread.payload, sizes.spread.brake])
+        total = np.zeros((columns.shape[1], columns.shape[1]))
+        for grid, part in self.chunks(whitener, 64):
+            products, _ = Gram.of(columns, self.factor_columns, grid, part).reduced(std)
+            total += products.sum(axis=0)
+        self._add_odometry(total)
+        root = self.prior_factor(sizes.spread)
+        inner = np.eye(len(root)) + root.T @ total[1:, 1:] @ root
+        covariance = root @ np.linalg.solve(inner, root.T)
+        return covariance @ total[1:, 0], covariance
+
+    @property
+    def odometer_excess(self) -> float:
+        """What distances between stops say of the wheel's ratio beyond what the members say."""
+        known = (member.parameters['ratio'] - 1.0 for member in self.members if member.name == WHEEL)
+        return self.odometry.excess - sum(known)
+
+    def _add_odometry(self, products: Array) -> None:
+        """Add the distances between stops to products of y and nuisances, as one more measurement of the wheel."""
+        at = 1 + len(self.common_std) - len(self.member_std)
+        for member in self.members:
+            if member.name == WHEEL:
+                products[at, at] += self.odometry.precision
+                products[0, at] += self.odometry.precision * self.odometer_excess
+                products[at, 0] = products[0, at]
+            at += len(member.parameters)
+
+    def _step(self, sizes: Sizes, whitener: Whitener, *, stay: bool = False) -> tuple[Fit, float]:
+        mean, covariance = self.posterior(sizes, whitener)
+        at = len(self.common_std) - len(self.member_std)
+        members, moved = [], 0.0
+        for member in self.members:
+            here = slice(at, at + len(member.parameters))
+            move = np.zeros(len(member.parameters)) if stay else mean[here]
+            width = self.common_std[here]
+            moved = max(moved, float(np.max(np.abs(move) / np.sqrt(np.diag(covariance)[here]))))
+            move = np.clip(move, -width, width)
+            parameters = {
+                name: _inside(value + delta, EFFECTS[member.name].parameters[name])
+                for (name, value), delta in zip(member.parameters.items(), move.tolist(), strict=True)
+            }
+            members.append(Member(member.name, _ordered(parameters), covariance[here, here]))
+            at += len(member.parameters)
+        return Fit(tuple(members), mean, covariance), moved
+
+
+def _width(effect: str, name: str, value: float) -> float:
+    """Return the prior std of a parameter about where it was found."""
+    kind = EFFECTS[effect]
+    if name == kind.amplitude:
+        return 3.0 * usual(kind)
+    limits = kind.parameters[name]
+    if limits.unit == 'm' and limits.search is None:
+        return _METRES
+    if limits.search is None:
+        return _SECONDS
+    return _LOG_WIDTH * max(abs(value), limits.search[0])
+
+
+def _inside(value: float, limits: Parameter) -> float:
+    low, high = limits.search or (limits.low, limits.high)
+    if limits.search is not None:
+        low, high = max(limits.low, 0.3 * low), min(limits.high, 3.0 * high)
+    return min(max(value, low), high)
+
+
+def _ordered(parameters: dict[str, float]) -> dict[str, float]:
+    """Keep an end behind its start."""
+    if 'start' in parameters and 'end' in parameters and parameters['end'] - parameters['start'] < 1.0:
+        middle = 0.5 * (parameters['start'] + parameters['end'])
+        return {**parameters, 'start': middle - 0.5, 'end': middle + 0.5}
+    return parameters
+

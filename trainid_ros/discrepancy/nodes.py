@@ -1,0 +1,188 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From runs to nodes: speed less what a model predicts, averaged over about a second.
+
+Integrated speed is compared, never differentiated speed: with the mean forces of each stage the simulated speed is
+``v_j = v_0 + sum dt (u - w(v) - ...) / inertia`` (after Xia et al. 2023, (2) and (7)), so every resistance r adds
+the *response* ``-sum dt r / inertia``, which is linear in r. The measured speed enters w(v), where its noise is
+averaged by the sum.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from trainid_ros.physics.resistance import davis, specific_inertia
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from trainid_ros.discrepancy.runs import Run
+    from trainid_ros.physics.train_file import TrainFile
+
+    Array = NDArray[np.float64]
+
+NODE_S: Final = 1.0
+_REACH: Final = 15
+_MAD: Final = 1.4826
+_OUTLIER: Final = 5.0
+_LEAST_SCALE: Final = 0.03
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """All runs one after another, sample by sample, and the nodes made of them.
+
+    Attributes:
+        runs: The runs.
+        inertia: Specific force per acceleration [N/kN per m/s^2].
+        run_of: Run of each sample, shape (n,).
+        starts: First sample of each run, shape (R,).
+        dt: Length of the stage that ends at each sample [s], shape (n,).
+        time: Time [s], shape (n,).
+        speed: Speed, mean over the stage, outliers bridged [m/s], shape (n,).
+        gap: Measured less predicted speed [m/s], shape (n,).
+        outlier: True where the measured speed does not count, shape (n,).
+        node_starts: First sample of each node, shape (m,).
+        node_run: Run of each node, shape (m,).
+        node_time: Time of each node [s], shape (m,).
+        node_count: Samples that count in each node, shape (m,).
+
+    """
+
+    runs: tuple[Run, ...]
+    inertia: float
+    run_of: NDArray[np.intp]
+    starts: NDArray[np.intp]
+    dt: Array
+    time: Array
+    speed: Array
+    gap: Array
+    outlier: NDArray[np.bool_]
+    node_starts: NDArray[np.intp]
+    node_run: NDArray[np.intp]
+    node_time: Array
+    node_count: Array
+
+    def respond(self, resistance: Array) -> Array:
+        """Return the change of speed [m/s] at every sample by a resistance [N/kN] on each stage, shapes (n, ...)."""
+        kick = -resistance * (self.dt / self.inertia).reshape(-1, *[1] * (resistance.ndim - 1))
+        path = np.cumsum(kick, axis=0)
+        before = path[self.starts] - kick[self.starts]
+        return np.asarray(path - before[self.run_of])
+
+    def average(self, values: Array) -> Array:
+        """Return means over the samples of each node that count, shapes (n, ...) to (m, ...)."""
+        weight = (~self.outlier).astype(float).reshape(-1, *[1] * (values.ndim - 1))
+        total = np.add.reduceat(values * weight, self.node_starts, axis=0)
+        return np.asarray(total / np.maximum(self.node_count, 1.0).reshape(-1, *[1] * (values.ndim - 1)))
+
+    def column(self, resistance: Array) -> Array:
+        """Return the response to a resistance at the nodes, shapes (n, ...) to (m, ...)."""
+        return self.average(self.respond(resistance))
+
+    def joined(self, name: str) -> Array:
+        """Return one field of all runs, shape (n,)."""
+        return np.concatenate([getattr(run, name) for run in self.runs])
+
+
+def assemble(runs: Sequence[Run], train_file: TrainFile, extra: Array | None = None) -> Drive:
+    """Return the drive of some runs, at least one.
+
+    Args:
+        runs: The runs.
+        train_file: What is believed.
+        extra: Resistance already modelled beside Davis and gradient, mean over each stage [N/kN], shape (n,).
+
+    """
+    inertia = specific_inertia(1.0, train_file.train.rotary_mass)
+    sizes = np.array([run.time.size for run in runs])
+    starts = np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.intp)
+    run_of = np.repeat(np.arange(len(runs)), sizes)
+    dt, time = np.concatenate([run.dt for run in runs]), np.concatenate([run.time for run in runs])
+    known = np.concatenate([run.traction + run.brake - run.gradient for run in runs])
+    measured = np.concatenate([run.speed for run in runs])
+    outlier = np.zeros(measured.size, dtype=bool)
+    speed = measured
+    # The second time without the outliers that the first one has found.
+    for _ in range(2):
+        middle = _stage_means(speed, starts)
+        w = davis(train_file.resistance, middle) + (0.0 if extra is None else extra)
+        path = np.cumsum(dt * (known - w) / inertia)
+        gap = measured - (path - path[starts][run_of])
+        outlier = find_outliers(gap, starts)
+        bridged = _bridge(gap, outlier, run_of)
+        speed = np.maximum(measured + (bridged - gap), 0.0)
+    node_starts, node_run = _divide(time, starts, run_of)
+    weight = (~outlier).astype(float)
+    count = np.add.reduceat(weight, node_starts)
+    whole = np.maximum(count, 1.0)
+    node_time = np.where(
+        count > 0.0,
+        np.add.reduceat(weight * time, node_starts) / whole,
+        np.add.reduceat(time, node_starts) / np.diff(np.append(node_starts, time.size)),
+    )
+    return Drive(
+        tuple(runs), inertia, run_of, starts, dt, time, _stage_means(speed, starts), gap, outlier, node_starts,
+        node_run, node_time, count,
+    )  # fmt: skip
+
+
+def find_outliers(gap: Array, starts: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """Return where speeds leave the level of the seconds around them and come back, shape (n,).
+
+    A step that stays, as a late brake makes, is none: the level steps as well.
+    """
+    edges = np.append(starts, gap.size)
+    parts = [_outliers_of(gap[a:b]) for a, b in zip(edges[:-1], edges[1:], strict=True)]
+    return np.concatenate(parts)
+
+
+def _outliers_of(gap: Array) -> NDArray[np.bool_]:
+    reach = min(_REACH, (gap.size - 1) // 2)
+    windows = sliding_window_view(gap, 2 * reach + 1)
+    level = np.median(windows, axis=1)
+    slope = (np.median(windows[:, reach + 1 :], axis=1) - np.median(windows[:, :reach], axis=1)) / (reach + 1)
+    off = windows - level[:, None] - slope[:, None] * np.arange(-reach, reach + 1)
+    scale = _MAD * np.median(np.abs(off), axis=1)
+    # At both ends of a run the nearest whole window tells the level.
+    at = np.arange(gap.size)
+    window = np.clip(at - reach, 0, len(windows) - 1)
+    expected = level[window] + slope[window] * (at - reach - window)
+    floor = max(_LEAST_SCALE, float(np.median(scale)))
+    return np.asarray(np.abs(gap - expected) > _OUTLIER * np.maximum(scale[window], floor))
+
+
+def _stage_means(speed: Array, starts: NDArray[np.intp]) -> Array:
+    means = speed.copy()
+    means[1:] = 0.5 * (speed[1:] + speed[:-1])
+    means[starts] = speed[starts]
+    return means
+
+
+def _bridge(gap: Array, outlier: NDArray[np.bool_], run_of: NDArray[np.intp]) -> Array:
+    """Interpolate over outliers within each run."""
+    if not outlier.any():
+        return gap
+    bridged = gap.copy()
+    for run in np.unique(run_of[outlier]):
+        at = np.flatnonzero(run_of == run)
+        bad = outlier[at]
+        if not bad.all():
+            bridged[at[bad]] = np.interp(at[bad], at[~bad], gap[at[~bad]])
+    return bridged
+
+
+def _divide(time: Array, starts: NDArray[np.intp], run_of: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return first sample and run of each node."""
+    since = time - time[starts][run_of]
+    number = np.floor(since / NODE_S + 1e-9)
+    fresh = np.ones(time.size, dtype=bool)
+    fresh[1:] = (np.diff(number) != 0.0) | (np.diff(run_of) != 0)
+    node_starts = np.flatnonzero(fresh)
+    return node_starts, run_of[node_starts]

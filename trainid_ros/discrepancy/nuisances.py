@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is always estimated together with any candidate: base Davis, payload, brakes, clocks and the map's errors.
+
+A base that stands still has its own errors named as effects. Each nuisance is a column with a Gaussian prior; sizes
+that the data tell (payload, brake, map) are hyperparameters.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from trainid_ros.discrepancy.nodes import Drive
+    from trainid_ros.physics.train_file import TrainFile
+
+    Array = NDArray[np.float64]
+
+_MOST_BINS: Final = 100
+_LEAST_BIN_M: Final = 100.0
+# Stretches are looked for on a finer scale than errors of the map, which are smooth.
+_FINER: Final = 2.0
+MAP_LENGTH_M: Final = 200.0
+"""Correlation length of map errors [m]."""
+_DAVIS_SHARE: Final = 0.4
+_DAVIS_FLOOR: Final = np.array([0.15, 0.01, 0.0004])
+_TRACTION_SKEW_S: Final = 0.06
+_BRAKE_SKEW_S: Final = 0.04
+_TRACTION_GAIN: Final = 0.004
+_BRAKE_GAIN: Final = 0.01
+DAVIS: Final = slice(0, 3)
+
+
+@dataclass(frozen=True, slots=True)
+class Spread:
+    """Sizes of what differs from run to run and from place to place.
+
+    Attributes:
+        payload: Relative error of the mass of a run.
+        brake: Relative change of the brake from run to run.
+        map: Error of the map's gradient [per mille].
+
+    """
+
+    payload: float
+    brake: float
+    map: float
+
+
+@dataclass(frozen=True, slots=True)
+class Bins:
+    """Stretches of the line of equal length.
+
+    Attributes:
+        low: Where the first one begins [m].
+        width: Their length [m].
+        count: Their number.
+
+    """
+
+    low: float
+    width: float
+    count: int
+
+    @classmethod
+    def of(cls, drive: Drive, length: float, *, fine: bool = False) -> Bins:
+        """Return bins over all that the train, of some length [m], has passed."""
+        position = drive.joined('position')
+        low, high = float(position.min()) - length, float(position.max()) + length
+        width = max(_LEAST_BIN_M, (high - low) / _MOST_BINS) / (_FINER if fine else 1.0)
+        return cls(low, width, math.ceil((high - low) / width))
+
+    @property
+    def edges(self) -> Array:
+        """Where they begin and end [m], shape (count + 1,)."""
+        return self.low + self.width * np.arange(self.count + 1)
+
+    def shares(self, drive: Drive, length: float) -> Array:
+        """Return how much of the train is on each bin, shape (n, count)."""
+        front, direction = drive.joined('position'), np.array([run.direction for run in drive.runs])[drive.run_of]
+        rear = front - direction * length
+        low, high = np.minimum(front, rear)[:, None], np.maximum(front, rear)[:, None]
+        edges = self.edges
+        inside = np.minimum(high, edges[None, 1:]) - np.maximum(low, edges[None, :-1])
+        return np.asarray(np.maximum(inside, 0.0) / length)
+
+    def covariance(self) -> Array:
+        """Return the correlation of map errors of bins, shape (count, count)."""
+        middle = self.edges[:-1]
+        return np.exp(-np.abs(middle[:, None] - middle[None, :]) / MAP_LENGTH_M)
+
+
+def common_columns(drive: Drive) -> Array:
+    """Return resistances of the nuisances that all runs share, shape (n, 7); see :func:`common_std`."""
+    v, traction, brake = drive.speed, drive.joined('traction'), drive.joined('brake')
+    return np.stack(
+        (np.ones_like(v), v, v * v, _rate(traction, drive), _rate(brake, drive), -traction, -brake), axis=1
+    )
+
+
+def common_std(train_file: TrainFile) -> Array:
+    """Return the prior standard deviations of a, b, c, skew of traction and brake [s], and their gains, shape (7,)."""
+    davis = train_file.resistance
+    believed = np.abs(np.array([davis.a, davis.b, davis.c]))
+    gains = (_TRACTION_SKEW_S, _BRAKE_SKEW_S, _TRACTION_GAIN, _BRAKE_GAIN)
+    return np.concatenate([_DAVIS_SHARE * believed + _DAVIS_FLOOR, gains])
+
+
+def run_columns(drive: Drive) -> Array:
+    """Return resistances that each run has a factor of its own for, payload and brake, shape (n, 2)."""
+    return np.stack((-drive.joined('traction'), -drive.joined('brake')), axis=1)
+
+
+def _rate(force: Array, drive: Drive) -> Array:
+    """Return the rate of change of a force over each stage, per second."""
+    change = np.zeros_like(force)
+    change[1:-1] = 0.5 * (force[2:] - force[:-2])
+    change[drive.starts] = 0.0
+    change[np.append(drive.starts[1:], force.size) - 1] = 0.0
+    return np.asarray(change / np.maximum(drive.dt, 0.05))

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Effects evaluated along a drive, by the same functions as simulator and live estimators use."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from trainid_ros.physics.effects import EFFECTS, TrackPoint
+from trainid_ros.physics.resistance import davis
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from trainid_ros.discrepancy.nodes import Drive
+    from trainid_ros.discrepancy.runs import Run
+    from trainid_ros.physics.train_file import Davis, Effect, TrainFile
+
+    Array = NDArray[np.float64]
+
+
+class Points:
+    """All stages of a drive as points of the track, and the resistances of effects at them."""
+
+    def __init__(self, drive: Drive, train_file: TrainFile) -> None:
+        self.drive, self.davis = drive, train_file.resistance
+        length = train_file.train.length
+        self._points: list[TrackPoint] = []
+        for run, start in zip(drive.runs, drive.starts, strict=True):
+            self._points += _points_of(run, drive.speed[start : start + run.time.size], length, drive.inertia, self.davis)
+
+    def resistance(self, name: str, parameters: Mapping[str, float]) -> Array:
+        """Return the resistance of an effect on each stage [N/kN], shape (n,)."""
+        function = EFFECTS[name].resistance
+        if function is None:
+            return np.zeros(len(self._points))
+        return np.array([function(parameters, self.davis, point) for point in self._points])
+
+    def total(self, effects: Sequence[Effect]) -> Array:
+        """Return the resistance of effects together on each stage [N/kN], shape (n,)."""
+        total = np.zeros(len(self._points))
+        for effect in effects:
+            total += self.resistance(effect.name, dict(effect.parameters))
+        return total
+
+
+def _points_of(run: Run, speed: Array, length: float, inertia: float, resistance: Davis) -> list[TrackPoint]:
+    middle = run.time - 0.5 * run.dt
+    place = run.position - 0.5 * run.direction * run.dt * speed
+    # Implied by the force: measured acceleration would carry the noise of the speed into both sides of a regression.
+    acceleration = (run.traction + run.brake - run.gradient - davis(resistance, speed)) / inertia
+    brake, traction = _before(middle, run.brake), _before(middle, run.traction)
+    travelled = np.maximum.accumulate(run.direction * place + 1e-6 * np.arange(place.size))
+    ahead = _ahead(travelled, run.gradient)
+    rows = zip(
+        middle.tolist(), place.tolist(), speed.tolist(), run.radius.tolist(), run.tunnel.tolist(),
+        run.distance_run.tolist(), run.since_release.tolist(), run.traction.tolist(), run.brake.tolist(),
+        run.heat.tolist(), acceleration.tolist(), travelled.tolist(), strict=True,
+    )  # fmt: skip
+    return [
+        TrackPoint(
+            t, s, run.direction, v, radius, tunnel > 0.5, length, distance, release, pull, push, heat, a,
+            brake(t), traction(t), ahead(way),
+        )  # fmt: skip
+        for t, s, v, radius, tunnel, distance, release, pull, push, heat, a, way in rows
+    ]
+
+
+def _before(time: Array, value: Array) -> Callable[[float], Callable[[float], float]]:
+    """Return a function that gives, for a time, the value so many seconds before it."""
+    return lambda t: lambda seconds: float(np.interp(t - seconds, time, value))
+
+
+def _ahead(travelled: Array, value: Array) -> Callable[[float], Callable[[float], float]]:
+    return lambda way: lambda metres: float(np.interp(way + metres, travelled, value))

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bayesian linear regression on whitened columns, with the nuisances integrated out.
+
+With unit noise, columns C, nuisances N with prior covariance K and measurements y,
+
+    A = C'C - C'N (N'N + K^-1)^-1 N'C,      b = C'y - C'N (N'N + K^-1)^-1 N'y,
+
+and an effect with column c and prior std s of its size has the Bayes factor ``2 ln B = b^2 / (A + s^-2) - ln(1 + s^2 A)``.
+Factors of single runs (payload, brake) are eliminated run by run before anything is summed.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from trainid_ros.discrepancy.noise import Grid, Whitener
+
+    Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Gram:
+    """Products of whitened columns, of each run and with its own factors apart.
+
+    Attributes:
+        total: Sum over runs of the products of columns, shape (R, C, C).
+        beside: Products of columns with the factors of the run, shape (R, C, F).
+        own: Products of those factors, shape (R, F, F).
+
+    """
+
+    total: Array
+    beside: Array
+    own: Array
+
+    @classmethod
+    def of(cls, columns: Array, factors: Array, grid: Grid, whitener: Whitener) -> Gram:
+        """Whiten columns of all nodes, shape (m, C), and factors of single runs, shape (m, F)."""
+        both = whitener.apply(grid.spread(np.concatenate([columns, factors], axis=1))).transpose(1, 0, 2)
+        C = columns.shape[1]
+        products = both.transpose(0, 2, 1) @ both
+        return cls(products[:, :C, :C], products[:, :C, C:], products[:, C:, C:])
+
+    def reduced(self, std: Array) -> tuple[Array, float]:
+        """Integrate the factors of runs out: products of columns by run, and the log determinant it costs.
+
+        Args:
+            std: Prior standard deviation of each factor, shape (F,).
+
+        """
+        weighted = self.own + np.diag(1.0 / np.square(std))
+        inverse = np.linalg.inv(weighted)
+        left = self.total - self.beside @ inverse @ self.beside.transpose(0, 2, 1)
+        _, log_det = np.linalg.slogdet(weighted)
+        return left, float(log_det.sum() + len(self.own) * 2.0 * np.log(std).sum())
+
+
+@dataclass(frozen=True, slots=True)
+class Information:
+    """What the data tell of columns after all nuisances: A, b, and y'y; see the module."""
+
+    A: Array
+    b: Array
+    yy: float
+    log_det: float
+
+    def given(self, members: Sequence[int], std: Array) -> Information:
+        """Return what is left after some columns, with these prior stds, have become nuisances as well."""
+        if not len(members):
+            return self
+        index = list(members)
+        scale = std[index]
+        inner = np.eye(len(index)) + scale[:, None] * self.A[np.ix_(index, index)] * scale[None, :]
+        factor = cho_factor(inner, lower=True)
+        left, right = scale[:, None] * self.A[index], scale * self.b[index]
+        solved, at = cho_solve(factor, left), cho_solve(factor, right)
+        return Information(
+            self.A - left.T @ solved,
+            self.b - left.T @ at,
+            self.yy - float(right @ at),
+            self.log_det + 2.0 * float(np.log(np.diag(factor[0])).sum()),
+        )
+
+
+def eliminate(products: Array, nuisances: int, prior_factor: Array) -> Information:
+    """Integrate the first columns but one out; column 0 is y.
+
+    Args:
+        products: Products of y, nuisances and candidates, shape (C, C).
+        nuisances: Number of nuisances, columns 1 to ``nuisances``.
+        prior_factor: L with L L' the prior covariance of the nuisances, shape (nuisances, nuisances).
+
+    """
+    n = nuisances
+    NN = products[1 : 1 + n, 1 : 1 + n]
+    rest = np.concatenate([products[1 : 1 + n, :1], products[1 : 1 + n, 1 + n :]], axis=1)
+    inner = np.eye(n) + prior_factor.T @ NN @ prior_factor
+    factor = cho_factor(inner, lower=True)
+    scaled = prior_factor.T @ rest
+    left = scaled.T @ cho_solve(factor, scaled)
+    keep = np.concatenate([[0], np.arange(1 + n, products.shape[0])])
+    after = products[np.ix_(keep, keep)] - left
+    log_det = 2.0 * float(np.log(np.diag(factor[0])).sum())
+    return Information(after[1:, 1:], after[1:, 0], float(after[0, 0]), log_det)
+
+
+def log_bayes(A: Array, b: Array, std: Array | float, sign: int = 0) -> Array:
+    """Return 2 ln B of single columns (see the module), shapes alike; ``sign`` keeps sizes above or below zero."""
+    from scipy.special import log_ndtr  # noqa: PLC0415 (slow to load)
+
+    precision = A + 1.0 / np.square(std)
+    value = b * b / precision - np.log1p(A * np.square(std))
+    if sign:
+        value = value + 2.0 * (log_ndtr(sign * b / np.sqrt(precision)) + np.log(2.0))
+    return np.asarray(value)
+
+
+def group_log_bayes(A: Array, b: Array, std: float) -> float:
+    """Return 2 ln B of a group of columns whose sizes are independent with one prior std."""
+    inner = np.eye(len(b)) + std * std * A
+    _, log_det = np.linalg.slogdet(inner)
+    return float(std * std * b @ np.linalg.solve(inner, b) - log_det)
