@@ -19,7 +19,8 @@ from trainid_ros.core.records import NS_PER_S
 from trainid_ros.core.results import Reason, Refusal, SpeedModelEstimate
 from trainid_ros.core.samples import Sample
 from trainid_ros.estimators.speed_model.am_vff_rls import AmVffRls, AmVffRlsConfig
-from trainid_ros.estimators.speed_model.parameters import resistance_variance
+from trainid_ros.estimators.speed_model.parameters import resistance_variance, upper
+from trainid_ros.physics.resistance import davis
 from trainid_ros.physics.train_file import Davis, TrainFile
 
 Make = Callable[..., Sample]
@@ -89,6 +90,31 @@ def test_after_a_stop_the_auxiliary_output_starts_from_the_measurement(train_fil
     assert isinstance(result, Refusal)
     assert result.reason is Reason.BRAKING
     assert estimator.state.numbers[0] == 9.0
+
+
+def late(samples: list[Sample]) -> list[Sample]:
+    """Return samples whose force is reported 0.1 s late."""
+    before = [samples[0], *samples[:-1]]
+    return [
+        replace(item, force_mean=0.5 * (item.force_mean + last.force_mean))
+        for item, last in zip(samples, before, strict=True)
+    ]
+
+
+def test_a_force_reported_late_does_not_mislead_it(train_file: TrainFile, journey: Journey) -> None:
+    """Departures pass while the brake still releases, so all changes of force that it sees are of one sign."""
+    samples, z = late(journey(600.0, traction=to_stops, brake=braked_to_stops, speed=0.0)), []
+    for skew in (0.0, CONFIG.force_skew):
+        estimator = AmVffRls(train_file, replace(CONFIG, force_skew=skew, drift=0.0))
+        for item in samples:
+            estimator.step(item)
+        e = estimator.estimate(0.0)
+        S = upper(np.array(e.covariance).reshape(4, 4))
+        std = math.sqrt(resistance_variance((e.a1, e.a2, e.b1, e.d0), S, 12.0))
+        z.append(abs(e.a + 12.0 * e.b + 144.0 * e.c - davis(Davis(1.8, 0.02, 0.005), 12.0)) / std)
+    misled, right = z
+    assert right < 0.5 * misled
+    assert right < 2.0
 
 
 def test_it_finds_resistance_and_mass(train_file: TrainFile, journey: Journey) -> None:
@@ -166,7 +192,7 @@ def test_a_step_of_two_periods_counts_as_two_steps(train_file: TrainFile, journe
 
 def test_long_holding_of_one_speed_does_not_wind_up(train_file: TrainFile, sample: Make) -> None:
     """Not even while the errors agree all the time: of the resistance no less is known than at first."""
-    config = replace(CONFIG, threshold=0.0, forgetting_scale=5.0)
+    config = replace(CONFIG, threshold=0.0, forgetting_scale=5.0, drift=0.0)
     estimator = AmVffRls(train_file, config)
     P0 = np.array(estimator.estimate(0.0).covariance).reshape(4, 4)
     rng, factors = np.random.default_rng(1), []

@@ -14,6 +14,7 @@ from trainid_ros.estimators.speed_model.auxiliary_model import (
     anchor,
     correct,
     doubt_load,
+    doubt_speed,
     forget,
     moments,
     predict,
@@ -122,6 +123,13 @@ def test_an_anchor_leaves_theta_and_a_stop_widens_b1_alone() -> None:
     wider = matrix(doubt_load(m, 1e-8)) - matrix(m)
     assert wider[3, 3] == pytest.approx(1e-8, rel=1e-6)
     assert np.count_nonzero(wider) == 1
+
+
+def test_doubt_of_the_force_widens_x_alone() -> None:
+    m = driven()
+    after = doubt_speed(m, 1e-4)
+    assert after[5] - m[5] == pytest.approx(1e-4, rel=1e-9)
+    assert (*after[:5], *after[6:]) == (*m[:5], *m[6:])
 
 
 def test_arrays_give_what_floats_give() -> None:

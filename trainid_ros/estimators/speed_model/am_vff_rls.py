@@ -7,7 +7,8 @@ After Yuan et al. 2017, algorithm (7), in the order in which it can be computed 
   (``auxiliary_model``); as printed the auxiliary output drifts away from a plant whose pole is 1 - 1e-4;
 * lambda from errors that agree (``forgetting``); what is forgotten is the resistance, not the mass, and forgetting
   ends at the prior in every direction;
-* P in the units of the parameters, speed noise learned, gusts and force noise allowed for: a covariance to rely on;
+* P in the units of the parameters, speed noise learned; gusts, force noise, a force that is reported late and slow
+  changes of the weather allowed for: a covariance to rely on;
 * the input u less gradient and other known resistance, so that d0 is the Davis a and not the gradient;
 * a step of any duration, a gate for outliers, theta frozen at standstill and while the brake acts, another load
   allowed for after each stop.
@@ -19,7 +20,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from trainid_ros.core.samples import SAMPLE_PERIOD
 from trainid_ros.core.settings import setting
@@ -28,6 +29,7 @@ from trainid_ros.estimators.speed_model.auxiliary_model import (
     anchor,
     correct,
     doubt_load,
+    doubt_speed,
     forget,
     moments,
     predict,
@@ -42,12 +44,17 @@ if TYPE_CHECKING:
     from trainid_ros.physics.train_file import TrainFile
 
 
+# A change of the force takes so many samples, whose errors in time are one.
+_CHANGE_SAMPLES: Final = 5.0
+
+
 @dataclass(frozen=True, slots=True)
 class AmVffRlsConfig(SpeedModelConfig):
     """Settings of AM-VFF-RLS."""
 
     acceleration_noise: float = setting(0.004, 'gusts, force noise and map errors', 'm/s per sqrt(s)', 0.0, 1.0)
-    drift: float = setting(0.0, 'drift of the Davis a in 1 s (0.1 if no gradient is known)', 'N/kN', 0.0, 10.0)
+    force_skew: float = setting(0.06, 'unknown delay of the reported force', 's', 0.0, 5.0)
+    drift: float = setting(0.002, 'drift of the Davis a in 1 s (0.1 if no gradient is known)', 'N/kN', 0.0, 10.0)
     load_std: float = setting(0.001, 'change of the mass at a stop that is not weighed, a share', '1', 0.0, 1.0)
     memory: float = setting(25.0, 'errors that must agree before something is forgotten', 'samples', 1.0, 1e4)
     threshold: float = setting(6.0, 'chi-square of the agreement from which on is forgotten', '1', 0.0, 1e3)
@@ -110,10 +117,15 @@ def learn(numbers: Numbers, y: float, u: float, scale: float, variance: float, t
 
 
 class AuxiliaryModel:
-    """The kernel with its tuning and prior."""
+    """The kernel with its tuning and prior.
 
-    def __init__(self, theta0: Theta, P0: Symmetric, tuning: Tuning) -> None:
+    A force that is reported ``force_skew`` seconds late puts the speed wrong by its change times that. One delay goes
+    through a whole change, so the errors of its samples add up; from one change to the next they count as new ones.
+    """
+
+    def __init__(self, theta0: Theta, P0: Symmetric, tuning: Tuning, force_skew: float = 0.0) -> None:
         self.tuning = tuning
+        self._skew = _CHANGE_SAMPLES * (force_skew * theta0[2] / SAMPLE_PERIOD) ** 2
         self._theta0, self._P0 = theta0, P0
 
     def start(self, variance: float) -> Numbers:
@@ -137,6 +149,10 @@ class AuxiliaryModel:
         """Start x_a anew from a measurement."""
         return (*anchor(numbers[:20], y, variance), numbers[20])  # type: ignore[arg-type]
 
+    def doubt_force(self, numbers: Numbers, change: float) -> Numbers:
+        """Allow for a force that is reported late."""
+        return (*doubt_speed(numbers[:20], self._skew * change * change), numbers[20])  # type: ignore[arg-type]
+
     def doubt_load(self, numbers: Numbers) -> Numbers:
         """Allow for another load."""
         return (*doubt_load(numbers[:20], self.tuning.load), numbers[20])  # type: ignore[arg-type]
@@ -154,7 +170,10 @@ class AmVffRls(SpeedModelEstimator):
     """Estimate a1, a2, b1, d0 from aligned samples."""
 
     def __init__(self, train_file: TrainFile, config: AmVffRlsConfig) -> None:
-        super().__init__(train_file, config, lambda theta0, P0: AuxiliaryModel(theta0, P0, _tuning(theta0, P0, config)))
+        def method(theta0: Theta, P0: Symmetric) -> AuxiliaryModel:
+            return AuxiliaryModel(theta0, P0, _tuning(theta0, P0, config), config.force_skew)
+
+        super().__init__(train_file, config, method)
 
 
 def _tuning(theta0: Theta, P0: Symmetric, config: AmVffRlsConfig) -> Tuning:

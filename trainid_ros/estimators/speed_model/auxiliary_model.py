@@ -80,6 +80,11 @@ def anchor(m: Moments, x: float, variance: float) -> Moments:
     return (x, *m[1:5], variance, zero, zero, zero, zero, *m[10:])
 
 
+def doubt_speed(m: Moments, variance: float) -> Moments:
+    """Allow for a force other than reported: widen x."""
+    return (*m[:5], m[5] + variance, *m[6:])
+
+
 def doubt_load(m: Moments, variance: float) -> Moments:
     """Allow for another load: widen b1."""
     return (*m[:17], m[17] + variance, *m[18:])

@@ -29,6 +29,8 @@ if TYPE_CHECKING:
 _STANDING: Final = 3
 # A train does not lose more speed from one sample to the next [m/s].
 _SUDDEN: Final = 1.0
+# Nor does its traction change by more [N/kN]; what does is an outlier and no worse for being greater.
+_MOST_CHANGE: Final = 500.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +49,7 @@ class SpeedModelState:
         refused_in_a_row: Outliers in a row.
         slow_in_a_row: Samples in a row that are too slow to learn from.
         braked_ns: Last stamp at which the brake was asked for.
+        traction: Last known traction [N/kN].
 
     """
 
@@ -61,6 +64,7 @@ class SpeedModelState:
     refused_in_a_row: int = 0
     slow_in_a_row: int = 0
     braked_ns: int = 0
+    traction: float = 0.0
 
 
 class SpeedModelEstimator:
@@ -105,10 +109,12 @@ class SpeedModelEstimator:
             return refusal
         state, y = self.state, sample.speed
         noise = state.noise.add(y, sample.dt)
-        u, scale = self._force(sample), sample.dt / SAMPLE_PERIOD
-        learned = self._method.learn(state.numbers, y, u, scale, noise.variance)
+        traction, scale = self._known.traction(sample.force_mean, sample), sample.dt / SAMPLE_PERIOD
+        doubtful = self._method.doubt_force(state.numbers, _bounded(traction - state.traction))
+        # u: specific traction less all resistance that is known [N/kN]
+        learned = self._method.learn(doubtful, y, traction - self._known.track(sample), scale, noise.variance)
         if learned.refused:
-            self._refuse(y, noise, learned)
+            self._refuse(y, noise, learned, traction)
             return Refusal(sample.stamp_ns, Reason.OUTLIER, learned.error, learned.limit)
         numbers = learned.numbers
         if not (numbers[3] > 0.0 and math.isfinite(sum(numbers)) and min(self._variances(numbers, noise)) > 0.0):
@@ -127,12 +133,9 @@ class SpeedModelEstimator:
             0,
             0,
             self._admission.braked_ns,
+            traction,
         )
         return self.estimate(y)
-
-    def _force(self, sample: Sample) -> float:
-        """Return u: specific traction less all resistance that is known [N/kN]."""
-        return self._known.traction(sample.force_mean, sample) - self._known.track(sample)
 
     def _variances(self, numbers: tuple[float, ...], noise: SpeedNoise) -> tuple[float, ...]:
         S = self._method.covariance(numbers, noise.variance)
@@ -143,8 +146,10 @@ class SpeedModelEstimator:
         state, method, y = self.state, self._method, sample.speed
         noise = state.noise.add(y, math.nan)
         slow = state.slow_in_a_row + 1 if y < self._config.min_speed else 0
+        traction = self._known.traction(sample.force_mean, sample)
         if refusal.reason is Reason.STANDSTILL and slow < _STANDING and state.numbers[0] - y > _SUDDEN:
-            numbers = self._finite(method.coast(state.numbers, self._force(sample), sample.dt / SAMPLE_PERIOD), y)
+            u, scale = traction - self._known.track(sample), sample.dt / SAMPLE_PERIOD
+            numbers = self._finite(method.coast(state.numbers, u, scale), y)
         else:
             numbers = method.anchor(state.numbers, y, noise.variance)
         if slow == _STANDING:
@@ -158,9 +163,10 @@ class SpeedModelEstimator:
             variance=0.0,
             slow_in_a_row=slow,
             braked_ns=self._admission.braked_ns,
+            traction=traction if math.isfinite(traction) else state.traction,
         )
 
-    def _refuse(self, y: float, noise: SpeedNoise, learned: Learned) -> None:
+    def _refuse(self, y: float, noise: SpeedNoise, learned: Learned, traction: float) -> None:
         """Coast on the model over a refused sample; after several in a row believe the measurement."""
         state, in_a_row = self.state, self.state.refused_in_a_row + 1
         anchored = in_a_row >= self._config.readmit_after
@@ -174,6 +180,7 @@ class SpeedModelEstimator:
             variance=learned.variance if math.isfinite(learned.variance) else 0.0,
             refused_in_a_row=0 if anchored else in_a_row,
             braked_ns=self._admission.braked_ns,
+            traction=traction,
         )
 
     def _finite(self, numbers: tuple[float, ...], y: float) -> tuple[float, ...]:
@@ -213,3 +220,7 @@ class SpeedModelEstimator:
             mass_factor=G / (1000.0 * k),
             prediction_variance=state.variance,
         )
+
+
+def _bounded(change: float) -> float:
+    return min(max(change, -_MOST_CHANGE), _MOST_CHANGE)

@@ -121,6 +121,10 @@ class IntegralRls:
         """Start x and the window anew from a measurement."""
         return (y, *numbers[1:15], 0.0, y)
 
+    def doubt_force(self, numbers: Numbers, change: float) -> Numbers:  # noqa: ARG002 - it knows no such doubt
+        """Leave all as it is."""
+        return numbers
+
     def doubt_load(self, numbers: Numbers) -> Numbers:
         """Allow for another load: widen b1."""
         return (*numbers[:12], numbers[12] + self._tuning.load, *numbers[13:])

@@ -56,6 +56,9 @@ class Method(Protocol):
     def anchor(self, numbers: Numbers, y: float, variance: float) -> Numbers:
         """Start the speed anew from a measurement; theta stands."""
 
+    def doubt_force(self, numbers: Numbers, change: float) -> Numbers:
+        """Allow for a reported force that comes late or early, before a step over which it changed [N/kN]."""
+
     def doubt_load(self, numbers: Numbers) -> Numbers:
         """Allow for another load after a stop."""
 

@@ -155,6 +155,10 @@ class Rls:
         """Start x anew from a measurement."""
         return (y, *numbers[1:])
 
+    def doubt_force(self, numbers: Numbers, change: float) -> Numbers:  # noqa: ARG002 - it knows no such doubt
+        """Leave all as it is."""
+        return numbers
+
     def doubt_load(self, numbers: Numbers) -> Numbers:
         """Leave P: the paper knows no stops."""
         return numbers
