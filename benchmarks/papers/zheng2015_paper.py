@@ -205,15 +205,15 @@ def gsma_free(run: PaperRun, seed: int, walk: float = WALK, count: int = 100) ->
     strata = Strata.divide([count])
     f = 0.6 + 0.2 * rng.standard_normal(count)
     mean, variance = np.array([f.mean()]), np.array([f.var()])
-    cloud = GroupCloud(f, np.repeat(_X0[:, None], count, axis=1), np.ones(1), mean, variance, np.zeros((3, 1)))
+    cloud = GroupCloud.of(f, np.repeat(_X0[:, None], count, axis=1), np.ones(1), mean, variance, np.zeros((3, 1)))
     P, rows, chain = _P0 * np.eye(3), [], np.ones((1, 1))
     begin = time.thread_time()
     for step, y in zip(run.steps, run.y, strict=True):
         cloud = group_cloud.predicted(cloud, step)
         fix = correction(step.predict_covariance(P), H, run.R)
         groups = group_cloud.branch(cloud, strata, step, np.array([walk * walk]))
-        groups, weights = group_cloud.weigh(groups, fix, H, y, 3.0)
-        cloud = group_cloud.prune(groups, weights, strata, chain, rng.random(1))
+        children, weights = group_cloud.weigh(groups, fix, H, y, 3.0)
+        cloud = group_cloud.prune(children, weights, strata, chain, rng.random(1))
         P = fix.P
         rows.append((cloud.rate, math.sqrt(cloud.total_variance), *cloud.x.mean(axis=1)))
     table = np.array(rows)

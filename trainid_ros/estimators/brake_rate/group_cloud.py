@@ -14,28 +14,30 @@ After Zheng et al. 2015, section 3.5 and eqs. (14)-(22), with these corrections:
   sqrt(3 (q dt + kappa^2 s^2)), which leaves its mean and variance s^2 + q dt and keeps its values apart. x moves
   along by its regression on f. Pruned particles are moved to the mean and variance of those that they stand
   for. In a stratum whose posterior is Gaussian no sampling noise is left in either.
+
+A particle is a column z = [1, f, x] and its stratum a line along which f and x go together, so that all that happens
+to the particles of a stratum between two prunings is one matrix: a step costs few operations on arrays.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cache
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from trainid_ros.estimators.brake_rate.particles import Array, Correction, LinearStep
-from trainid_ros.estimators.brake_rate.resampling import normal_weights, systematic
+from trainid_ros.estimators.brake_rate.resampling import normal_weights
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
-_GROUP: Final = np.array([[-1.0], [0.0], [1.0]])
-# Prior weight of the child in the middle, and of the others beside it.
-_LOG_MIDDLE: Final = math.log(4.0 / 6.0)
-_LOG_SIDE: Final = math.log(1.0 / 4.0)
+# Prior weights of the children in a group.
+_LOG_PRIOR: Final = np.log([1.0 / 6.0, 4.0 / 6.0, 1.0 / 6.0])
 KAPPA: Final = 0.2
 SHRUNK: Final = math.sqrt(1.0 - KAPPA**2) - 1.0
 # Survivors are not spread by more than this to match those that they stand for.
@@ -51,23 +53,23 @@ class Strata:
 
     Attributes:
         sizes: Particles of each stratum.
-        parts: Their places.
         of: Stratum of each particle, shape (N,).
-        parent: Particle of each child, shape (3 N,).
-        child_of: Stratum of each child, shape (3 N,).
-        ranks: Where in [0, 1) the particles of each stratum are, M arrays.
-        average: Averages over each stratum, shape (N, M).
-        log_shares: Logarithm of a particle's share in its stratum, shape (M,).
+        members: One where a particle belongs to a stratum, else zero, shape (M, N).
+        children: The same of all children, shape (M, 3 N).
+        shares: Share of each particle in its stratum, zero elsewhere, shape (M, N).
+        average: The same transposed: averages over each stratum, shape (N, M).
+        ranks: Number of its stratum and, as a share of it, of the particles before each, shape (N,).
+        log_shares: Logarithm of a child's prior share in its stratum, shape (3, M).
 
     """
 
     sizes: tuple[int, ...]
-    parts: tuple[slice, ...]
     of: NDArray[np.intp]
-    parent: NDArray[np.intp]
-    child_of: NDArray[np.intp]
-    ranks: tuple[Array, ...]
+    members: Array
+    children: Array
+    shares: Array
     average: Array
+    ranks: Array
     log_shares: Array
 
     @classmethod
@@ -75,62 +77,103 @@ class Strata:
         """Return strata of these sizes, one after another."""
         of = np.repeat(np.arange(len(sizes)), sizes)
         counts = np.array(sizes, dtype=float)
-        ends = np.cumsum(sizes).tolist()
-        parts = tuple(slice(end - size, end) for end, size in zip(ends, sizes, strict=True))
-        average = (of[:, None] == np.arange(len(sizes))) / counts
-        ranks = tuple(np.arange(size) / size for size in sizes)
-        parent, child_of = np.tile(np.arange(len(of)), 3), np.tile(of, 3)
-        return cls(tuple(sizes), parts, of, parent, child_of, ranks, average, -np.log(counts))
+        members = (of == np.arange(len(sizes))[:, None]).astype(float)
+        shares = members / counts[:, None]
+        ranks = np.concatenate([m + np.arange(size) / size for m, size in enumerate(sizes)])
+        log_shares = _LOG_PRIOR[:, None] - np.log(counts)
+        return cls(tuple(sizes), of, members, np.tile(members, 3), shares, shares.T.copy(), ranks, log_shares)
 
 
 class GroupCloud(NamedTuple):
     """Particles in strata; equal weights within each.
 
     Attributes:
-        f: Brake rates, shape (N,).
-        x: Means of the linear state given f, shape (n, N).
+        z: One, brake rate f and means of the linear state x given f of each particle, shape (2 + n, N).
         weight: Weight of each stratum, shape (M,); they sum to one.
         mean: Mean of f in each stratum, shape (M,).
         variance: Variance of f in each stratum, shape (M,).
-        slope: Regression of x on f in each stratum, shape (n, M).
+        line: Zero, one and the regression of x on f in each stratum, shape (2 + n, M).
 
     """
 
-    f: Array
-    x: Array
+    z: Array
     weight: Array
     mean: Array
     variance: Array
-    slope: Array
+    line: Array
+
+    @classmethod
+    def of(cls, f: Array, x: Array, weight: Array, mean: Array, variance: Array, slope: Array) -> GroupCloud:
+        """Return particles with rates f, shape (N,), states x, shape (n, N), and a regression, shape (n, M)."""
+        M = len(weight)
+        z, line = np.vstack([np.ones(len(f)), f, x]), np.vstack([np.zeros(M), np.ones(M), slope])
+        return cls(z, weight, mean, variance, line)
+
+    @property
+    def f(self) -> Array:
+        """Brake rates, shape (N,)."""
+        f: Array = self.z[1]
+        return f
+
+    @property
+    def x(self) -> Array:
+        """Means of the linear state given f, shape (n, N)."""
+        return self.z[2:]
+
+    @property
+    def slope(self) -> Array:
+        """Regression of x on f in each stratum, shape (n, M)."""
+        return self.line[2:]
 
     @property
     def rate(self) -> float:
         """Mean of f (19)."""
-        return float(self.weight @ self.mean)
+        return float(self.weight.dot(self.mean))
 
     @property
     def total_variance(self) -> float:
         """Variance of f."""
         d = self.mean - self.rate
-        return float(self.weight @ (self.variance + d * d))
+        return float(self.weight.dot(self.variance + d * d))
+
+
+def _keeping_f(known: Array, gamma: Array, Phi: Array) -> Array:
+    """Return the matrix that leaves f and makes of x known + gamma f + Phi x."""
+    A = np.zeros((2 + len(Phi), 2 + len(Phi)))
+    A[0, 0] = A[1, 1] = 1.0
+    A[2:, 0], A[2:, 1], A[2:, 2:] = known, gamma, Phi
+    return A
+
+
+def _moved(cloud: GroupCloud, A: Array) -> GroupCloud:
+    return GroupCloud(A.dot(cloud.z), cloud.weight, cloud.mean, cloud.variance, A.dot(cloud.line))
 
 
 def anchored(cloud: GroupCloud, start: Array, slope: Array) -> GroupCloud:
     """Start x anew at ``start + f slope``, both of shape (n,); f stands."""
-    x = start[:, None] + slope[:, None] * cloud.f
-    return _with_x(cloud, x, np.repeat(slope[:, None], len(cloud.weight), axis=1))
+    return _moved(cloud, _keeping_f(start, slope, np.zeros((len(start), len(start)))))
 
 
 def predicted(cloud: GroupCloud, step: LinearStep) -> GroupCloud:
-    """Follow a step while f stands."""
-    slope = step.Phi @ cloud.slope + step.gamma[:, None]
-    return _with_x(cloud, step.predict(cloud.x, cloud.f), slope)
+    """Follow a step while f stands (14)."""
+    return _moved(cloud, _keeping_f(step.known, step.gamma, step.Phi))
 
 
 def followed(cloud: GroupCloud, fix: Correction, H: Array, y: Array) -> GroupCloud:
     """Take in a measurement y, shape (m,), that tells nothing of f."""
-    x = cloud.x + fix.K @ (y[:, None] - H @ cloud.x)
-    return _with_x(cloud, x, cloud.slope - fix.K @ (H @ cloud.slope))
+    return _moved(cloud, _measured(fix, H, y)[: len(cloud.z)])
+
+
+def _measured(fix: Correction, H: Array, y: Array) -> Array:
+    """Return the matrix that makes of x x + K (y - H x) (21) and adds W (y - H x), shape (2 + n + m, 2 + n)."""
+    m, n = H.shape
+    innovation = np.zeros((m, 2 + n))
+    innovation[:, 0], innovation[:, 2:] = y, -H
+    A = np.zeros((2 + n + m, 2 + n))
+    A.flat[: (2 + n) ** 2 : 3 + n] = 1.0
+    A[2 : 2 + n] += fix.K.dot(innovation)
+    A[2 + n :] = fix.W.dot(innovation)
+    return A
 
 
 def widened(cloud: GroupCloud, step: LinearStep, variance: float) -> GroupCloud:
@@ -138,88 +181,97 @@ def widened(cloud: GroupCloud, step: LinearStep, variance: float) -> GroupCloud:
     total, rate = cloud.total_variance, cloud.rate
     if total <= 0.0:
         return cloud
-    ratio = float(np.sqrt(1.0 + variance / total))
-    moved = (ratio - 1.0) * (cloud.f - rate)
-    slope = (cloud.slope + (ratio - 1.0) * step.gamma[:, None]) / ratio
+    ratio = math.sqrt(1.0 + variance / total)
+    along = (ratio - 1.0) * np.array([0.0, 1.0, *step.gamma])[:, None]
     return GroupCloud(
-        f=cloud.f + moved,
-        x=cloud.x + step.gamma[:, None] * moved,
+        z=cloud.z + along * (cloud.f - rate),
         weight=cloud.weight,
         mean=rate + ratio * (cloud.mean - rate),
         variance=ratio * ratio * cloud.variance,
-        slope=slope,
+        line=(cloud.line + along) / ratio,
     )
 
 
-def _with_x(cloud: GroupCloud, x: Array, slope: Array) -> GroupCloud:
-    return GroupCloud(cloud.f, x, cloud.weight, cloud.mean, cloud.variance, slope)
-
-
 class Branches(NamedTuple):
-    """The groups of all particles: child k of particle i has f = base_i + k h and x = x_i + k h c, k = -1, 0, 1.
+    """The groups of all particles: what makes children of particles.
 
     Attributes:
-        base: Shrunk rates, shape (N,).
-        h: Step within the groups of each stratum, shape (M,).
-        x: States of the children in the middle, shape (n, N).
-        c: Their slope within a group of each stratum, shape (n, M).
-        log_prior: Logarithm of the weight of a particle in each stratum, shape (M,).
-        of: Stratum of each particle, shape (N,).
+        z: For each stratum one and f of its particles, zero elsewhere, then x; shape (2 M + n, N).
+        maps: Matrices that make [1, f - centre, x] of each child of that, shape (2 + n, 3, 2 M + n).
+        centre: What f of the children is relative to, so that their moments are not differences of large numbers.
+        log_prior: Logarithm of the weight of each child, shape (3, N).
 
     """
 
-    base: Array
-    h: Array
-    x: Array
-    c: Array
+    z: Array
+    maps: Array
+    centre: float
     log_prior: Array
-    of: NDArray[np.intp]
 
-    @property
-    def f(self) -> Array:
-        """Rates of the children, shape (3, N)."""
-        rates: Array = self.base + _GROUP * self.h.take(self.of)
-        return rates
+
+class Children(NamedTuple):
+    """All children, first those at f - h of all particles.
+
+    Attributes:
+        z: [1, f - centre, x] of each, shape (2 + n, 3 N).
+        centre: What f is relative to.
+
+    """
+
+    z: Array
+    centre: float
 
 
 def branch(cloud: GroupCloud, strata: Strata, step: LinearStep, walk: Array) -> Branches:
     """Return the groups of predicted particles; ``walk`` is the variance q dt of each stratum, shape (M,)."""
-    of = strata.of
+    line, centre, M = cloud.line, cloud.rate, len(walk)
     kernel = KAPPA**2 * cloud.variance
     both = np.maximum(walk + kernel, TINY)
+    h = np.sqrt(3.0 * both)
     # The kernel moves f throughout its past, so x along its regression; the walk has moved it in this step only.
-    gamma = step.gamma[:, None]
-    c = gamma + kernel / both * (cloud.slope - gamma)
-    moved = SHRUNK * (cloud.f - cloud.mean.take(of))
-    log_prior = np.log(np.maximum(cloud.weight, TINY)) + strata.log_shares
-    x = cloud.x + cloud.slope.take(of, axis=1) * moved
-    return Branches(cloud.f + moved, np.sqrt(3.0 * both), x, c, log_prior, of)
+    now = np.array([0.0, 1.0, *step.gamma.tolist()])[:, None]
+    c = now + kernel / both * (line - now)
+    # A particle shrinks by (f - mean) along the line; its children are h apart along c.
+    shrink, apart = SHRUNK * line, h * c
+    maps = _staying(len(now), M).copy()
+    constant, of_f = maps[:, :, :M], maps[:, :, M : 2 * M]
+    of_f += shrink[:, None]
+    constant -= (cloud.mean * shrink)[:, None]
+    constant[:, 0] -= apart
+    constant[:, 2] += apart
+    constant[1] -= centre
+    z = np.empty((maps.shape[2], len(strata.of)))
+    z[:M], z[2 * M :] = strata.members, cloud.x
+    np.multiply(strata.members, cloud.f, out=z[M : 2 * M])
+    log_prior = (np.log(np.maximum(cloud.weight, TINY)) + strata.log_shares).dot(strata.members)
+    return Branches(z, maps, centre, log_prior)
 
 
-def weigh(groups: Branches, fix: Correction, H: Array, y: Array, largest: float) -> tuple[Branches, Array]:
-    """Take in a measurement, shape (m,): children after it, and their normalised weights (17), (18), shape (3, N).
+@cache
+def _staying(n: int, M: int) -> Array:
+    """Return maps of children [1, f, x] of n numbers that are where their particle is."""
+    maps = np.zeros((n, 3, 2 * M + n - 2))
+    maps[0, :, :M] = maps[1, :, M : 2 * M] = 1.0
+    maps[2:, :, 2 * M :] = np.eye(n - 2)[:, None]
+    return maps
+
+
+def weigh(groups: Branches, fix: Correction, H: Array, y: Array, largest: float) -> tuple[Children, Array]:
+    """Take in a measurement, shape (m,): children after it, and their normalised weights (17), (18), shape (3 N,).
 
     No child beyond 0 <= f <= largest remains.
     """
-    base, h, of = groups.base, groups.h, groups.of
-    nu = y[:, None] - H @ groups.x
-    lean = H @ groups.c
-    # |W (nu - k h lean)|^2 = |z|^2 - 2 k z d + |d|^2, with d the same throughout a stratum.
-    z, d = fix.W @ nu, h * (fix.W @ lean)
-    log_weights = np.empty((3, len(base)))
-    before, middle, after = log_weights
-    np.multiply(_summed(z * z), -0.5, out=middle)
-    middle += (_LOG_MIDDLE + groups.log_prior).take(of)
-    side = middle + (_LOG_SIDE - 0.5 * _summed(d * d)).take(of)
-    toward = _summed(z * d.take(of, axis=1))
-    np.subtract(side, toward, out=before)
-    np.add(side, toward, out=after)
-    widest = h.max()
-    if base.min() < widest or base.max() + widest > largest:
-        f = groups.f
-        log_weights[(f < 0.0) | (f > largest)] = -np.inf
-    moved = Branches(base, h, groups.x + fix.K @ nu, groups.c - fix.K @ lean, groups.log_prior, of)  # (21)
-    return moved, normal_weights(log_weights)
+    n, m, N = len(groups.maps), len(y), groups.z.shape[1]
+    # Below [1, f, x] after the measurement comes the whitened innovation W (y - H x).
+    maps = _measured(fix, H, y).dot(groups.maps.reshape(n, -1)).reshape(3 * (n + m), -1)
+    rows = maps.dot(groups.z).reshape(n + m, 3, N)
+    log_weights = _summed(np.square(rows[n:]))
+    log_weights *= -0.5
+    log_weights += groups.log_prior
+    f, low, high = rows[1], -groups.centre, largest - groups.centre
+    if f[0].min() < low or f[2].max() > high:
+        log_weights[(f < low) | (f > high)] = -np.inf
+    return Children(rows[:n].reshape(n, 3 * N), groups.centre), normal_weights(log_weights.ravel())
 
 
 def _summed(squares: Array) -> Array:
@@ -228,12 +280,12 @@ def _summed(squares: Array) -> Array:
     return total
 
 
-def prune(groups: Branches, weights: Array, strata: Strata, chain: Array, uniforms: Array) -> GroupCloud:
+def prune(children: Children, weights: Array, strata: Strata, chain: Array, uniforms: Array) -> GroupCloud:
     """Move weight between the strata and keep the number of particles of each.
 
     Args:
-        groups: All children.
-        weights: Their weights, shape (3, N).
+        children: All children.
+        weights: Their weights, shape (3 N,).
         strata: How particles are divided.
         chain: Probabilities to go from one stratum (row) to another (column) for the next step, shape (M, M).
         uniforms: A draw in [0, 1) for each stratum, shape (M,).
@@ -242,76 +294,44 @@ def prune(groups: Branches, weights: Array, strata: Strata, chain: Array, unifor
         The particles that the next step begins with.
 
     """
-    cloud = _moments(groups, weights, strata, chain)
-    f = groups.f.ravel()
+    z, M = children.z, len(chain)
+    # Weights of all children as each stratum sees them, and these times f, give its moments.
+    seen = np.empty((2, M, z.shape[1]))
+    np.multiply(chain.T.dot(strata.children), weights, out=seen[0])
+    np.multiply(seen[0], z[1], out=seen[1])
+    sums = seen.reshape(2 * M, -1).dot(z.T).reshape(2, M, -1)
+    weight = np.maximum(sums[0, :, 0], TINY)
+    mean, product = sums / weight[:, None]
+    along = product - mean * mean[:, 1:2]
+    variance = np.maximum(along[:, 1], LEAST_VARIANCE)
+    along[:, 0], along[:, 1] = 0.0, variance
+    line = (along / variance[:, None]).T.copy()
+    kept = _chosen(seen[0] / weight[:, None], z[1], strata, uniforms)
+    survivors = _matched(z.take(kept, axis=1), mean.T, variance, line, strata)
+    survivors[0] = 1.0
+    survivors[1] += children.centre
+    return GroupCloud(survivors, weight / np.add.reduce(weight), mean[:, 1] + children.centre, variance, line)
+
+
+def _chosen(seen: Array, f: Array, strata: Strata, uniforms: Array) -> NDArray[np.intp]:
+    """Systematic resampling in the order of f: which children each stratum keeps, shape (N,)."""
     order = f.argsort(kind='stable')
-    kept = order.take(_chosen(weights.take(order), strata.child_of.take(order), cloud.weight, strata, chain, uniforms))
-    parent = strata.parent.take(kept)
-    f = f.take(kept)
-    x = groups.x.take(parent, axis=1)
-    x += groups.c.take(strata.of.take(parent), axis=1) * (f - groups.base.take(parent))
-    return _matched(f, x, cloud, strata)
+    # One stratum after another: the weights that the m-th sees are cumulated from m to m + 1.
+    cumulated = seen.take(order, axis=1).ravel().cumsum()
+    places = cumulated.searchsorted(strata.ranks + uniforms.dot(strata.shares), side='right')
+    places -= strata.of * len(f)
+    # By rounding, the sum of a stratum can end beside m + 1.
+    kept: NDArray[np.intp] = order.take(places, mode='clip')
+    return kept
 
 
-def _chosen(
-    ordered: Array, of: NDArray[np.intp], weight: Array, strata: Strata, chain: Array, uniforms: Array
-) -> NDArray[np.intp]:
-    """Systematic resampling for each stratum: places among the ordered children, shape (N,)."""
-    if len(strata.sizes) == 1:
-        return systematic(ordered, strata.sizes[0], float(uniforms[0]))
-    # Share of a child's weight that each stratum sees, of its own weight.
-    seen = (chain / np.maximum(weight, TINY)).T
-    chosen = np.empty(len(strata.of), dtype=np.intp)
-    for part, rank, size, share, uniform in zip(
-        strata.parts, strata.ranks, strata.sizes, seen, uniforms.tolist(), strict=True
-    ):
-        cumulated = (ordered * share.take(of)).cumsum()
-        chosen[part] = cumulated.searchsorted(rank + uniform / size, side='right')
-    # The cumulated weights can end below one by rounding.
-    return np.minimum(chosen, len(ordered) - 1, out=chosen)
-
-
-def _moments(groups: Branches, weights: Array, strata: Strata, chain: Array) -> GroupCloud:
-    """Weight, mean, variance and regression of all children as seen by each stratum; no particles yet."""
-    n, N = groups.x.shape
-    w0 = weights[0] + weights[1] + weights[2]
-    centre = float(w0 @ groups.base)
-    # Sums over the particles of each stratum of products of a weight and a value.
-    values, by = np.empty((2 + n, N)), np.empty((4, N))
-    values[0], values[2:] = 1.0, groups.x
-    base = np.subtract(groups.base, centre, out=values[1])
-    by[0], by[1], by[3] = w0, w0 * base, weights[1]
-    np.subtract(weights[2], weights[0], out=by[2])
-    columns = [
-        _column((by[:, part] @ values[:, part].T).tolist(), step, slope)
-        for part, step, slope in zip(strata.parts, groups.h.tolist(), groups.c.T.tolist(), strict=True)
-    ]
-    rows = np.array(columns).T @ chain
-    weight = np.maximum(rows[0], TINY)
-    means = rows[1:] / weight
-    mean, x = means[0], means[2 : 2 + n]
-    variance = np.maximum(means[1] - mean * mean, LEAST_VARIANCE)
-    slope = (means[2 + n :] - x * mean) / variance
-    return GroupCloud(base, x, weight / weight.sum(), mean + centre, variance, slope)
-
-
-def _column(sums: list[list[float]], h: float, c: list[float]) -> list[float]:
-    """Sums over all children of a stratum of 1, f, f^2, x and x f; plain floats are faster for so few."""
-    (one, base, *x), (_, bases, *leans), (step, stepped, *steps), (middle, *_) = sums
-    mixed = h * stepped + h * h * (one - middle)
-    first = [a + slope * h * step for a, slope in zip(x, c, strict=True)]
-    last = [a + h * b + slope * mixed for a, b, slope in zip(leans, steps, c, strict=True)]
-    return [one, base + h * step, bases + h * stepped + mixed, *first, *last]
-
-
-def _matched(f: Array, x: Array, target: GroupCloud, strata: Strata) -> GroupCloud:
+def _matched(z: Array, mean: Array, variance: Array, line: Array, strata: Strata) -> Array:
     """Move survivors to the mean and variance of f, and to the mean of x, of those that they stand for."""
-    of = strata.of
-    off = f - (f @ strata.average).take(of)
-    variance = (off * off) @ strata.average
-    spread = np.minimum(np.sqrt(target.variance / np.maximum(variance, TINY)), MOST_SPREAD)
-    off *= spread.take(of)
-    off += target.mean.take(of)
-    x += target.slope.take(of, axis=1) * (off - f)
-    x += (target.x - x @ strata.average).take(of, axis=1)
-    return GroupCloud(off, x, target.weight, target.mean, target.variance, target.slope)
+    members = strata.members
+    average = z.dot(strata.average)
+    off = z[1] - average[1].dot(members)
+    spread = np.sqrt(variance / np.maximum((off * off).dot(strata.average), TINY))
+    off *= (np.minimum(spread, MOST_SPREAD) - 1.0).dot(members)
+    z += line.dot(members * off)
+    z += (mean - average).dot(members)
+    return z

@@ -126,7 +126,7 @@ class GsmaBelief:
         mean = f @ self.strata.average
         variance = np.square(f - mean[self.strata.of]) @ self.strata.average
         shape = (3, len(self.strata.sizes))
-        self._take(GroupCloud(f, np.zeros((3, len(f))), weight / weight.sum(), mean, variance, np.zeros(shape)))
+        self._take(GroupCloud.of(f, np.zeros((3, len(f))), weight / weight.sum(), mean, variance, np.zeros(shape)))
         self.P = np.zeros((3, 3))
         self._effective = float(len(f))
         self._rng.bit_generator.state = json.loads(self._random0)
@@ -162,9 +162,9 @@ class GsmaBelief:
         if before > LEAST_PAUSE:
             cloud = group_cloud.widened(cloud, step, config.drift**2 * before)
         groups = group_cloud.branch(cloud, self.strata, step, self._q * dt)
-        groups, weights = group_cloud.weigh(groups, fix, SPEED, np.array([speed]), self._largest)
-        cloud = group_cloud.prune(groups, weights, self.strata, self._chain(dt), self._rng.random(len(self._q)))
-        if not math.isfinite(cloud.x.sum() + cloud.f.sum() + fix.P.sum()):
+        children, weights = group_cloud.weigh(groups, fix, SPEED, np.array([speed]), self._largest)
+        cloud = group_cloud.prune(children, weights, self.strata, self._chain(dt), self._rng.random(len(self._q)))
+        if not math.isfinite(cloud.z.sum() + fix.P.sum()):
             return False
         self._take(cloud)
         self.P = fix.P
@@ -196,7 +196,7 @@ class GsmaBelief:
         finite = all(bool(np.isfinite(item).all()) for item in arrays) and math.isfinite(state.effective)
         check_restored(sized and finite, 'GsmaState', 'an array')
         restore_generator(self._rng, state.random, 'GsmaState')
-        self._take(GroupCloud(*arrays[:6]))
+        self._take(GroupCloud.of(*arrays[:6]))
         self.P, self._effective = state.P, state.effective
 
 

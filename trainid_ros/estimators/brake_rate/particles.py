@@ -48,7 +48,8 @@ class LinearStep(NamedTuple):
 
     def predict_covariance(self, P: Array) -> Array:
         """Return the shared covariance after the step (14)."""
-        return self.Phi @ P @ self.Phi.T + self.Q
+        after: Array = self.Phi.dot(P).dot(self.Phi.T) + self.Q
+        return after
 
 
 class Correction(NamedTuple):
@@ -84,7 +85,7 @@ def speed_correction(P: Array, r: float) -> Correction:
     column = P[:, :1]
     s = float(P[0, 0]) + r
     K = column / s
-    return Correction(K, P - K * column.T, np.array([[1.0 / math.sqrt(s)]]))
+    return Correction(K, P - K.dot(column.T), np.array([[1.0 / math.sqrt(s)]]))
 
 
 def distance(W: Array, nu: Array) -> Array:

@@ -22,26 +22,23 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
     Places = NDArray[np.intp]
-    Learned = tuple[Floats, Floats, Floats, Floats, Floats, Floats, Floats, Floats, tuple[float, float, float]]
+    Learned = tuple[Floats, Floats, Floats, Floats, Floats, Floats, Floats, tuple[float, float, float]]
 
 _LOG_EDGE: Final = math.log(1.0 / 6.0)
 _LOG_MIDDLE: Final = math.log(4.0 / 6.0)
 
 
-def predict(x: Floats, f: Floats, slope: Floats, P: Floats, interval: Interval) -> tuple[Floats, Floats, Floats]:
-    """Return x = [v, a, b], slope and P after an interval, (14), see :func:`particles.speed_step`."""
+def predict(z: Floats, line: Floats, P: Floats, interval: Interval) -> tuple[Floats, Floats, Floats]:
+    """Return z = [1, f, v, a, b], line and P after an interval, (14), see :func:`particles.speed_step`."""
     dt, reach, decay, gain_v, gain_a, rho, known, q_v, q_b = interval
-    after, lean = np.empty_like(x), np.empty_like(slope)
-    for k in range(f.size):
-        v, a, b = x[0, k], x[1, k], x[2, k]
-        after[0, k] = v + reach * a + dt * b + gain_v * f[k] + known
-        after[1, k] = decay * a + gain_a * f[k]
-        after[2, k] = rho * b
-    for m in range(slope.shape[1]):
-        v, a, b = slope[0, m], slope[1, m], slope[2, m]
-        lean[0, m] = v + reach * a + dt * b + gain_v
-        lean[1, m] = decay * a + gain_a
-        lean[2, m] = rho * b
+    after, ahead_line = np.empty_like(z), np.empty_like(line)
+    for before, moved in ((z, after), (line, ahead_line)):
+        for k in range(before.shape[1]):
+            one, f, v, a, b = before[0, k], before[1, k], before[2, k], before[3, k], before[4, k]
+            moved[0, k], moved[1, k] = one, f
+            moved[2, k] = v + reach * a + dt * b + gain_v * f + known * one
+            moved[3, k] = decay * a + gain_a * f
+            moved[4, k] = rho * b
     # Row v of Phi P, then Phi P Phi'.
     ahead = np.empty_like(P)
     uv = P[0, 0] + reach * P[1, 0] + dt * P[2, 0]
@@ -53,7 +50,7 @@ def predict(x: Floats, f: Floats, slope: Floats, P: Floats, interval: Interval) 
     ahead[1, 1] = decay * decay * P[1, 1]
     ahead[1, 2] = ahead[2, 1] = decay * rho * P[1, 2]
     ahead[2, 2] = rho * rho * P[2, 2] + q_b
-    return after, lean, ahead
+    return after, ahead_line, ahead
 
 
 def correct(P: Floats, r: float) -> tuple[Floats, Floats, float]:
@@ -68,12 +65,11 @@ def correct(P: Floats, r: float) -> tuple[Floats, Floats, float]:
 
 
 def learn(
-    f: Floats,
-    x: Floats,
+    z: Floats,
     weight: Floats,
     mean: Floats,
     variance: Floats,
-    slope: Floats,
+    line: Floats,
     edges: Places,
     interval: Interval,
     q: Floats,
@@ -87,34 +83,36 @@ def learn(
     """Branch, weigh and prune, see :mod:`group_cloud`; q is the variance that f gains in 1 s, shape (M,).
 
     Returns:
-        f, x, weight, mean, variance and slope of the cloud, P, the weight of each particle; then mean and variance of
+        z, weight, mean, variance and line of the cloud, P, the weight of each particle; then mean and variance of
         f, which is not finite if anything is not, and the effective number of children.
 
     """
     K, after, W = correct(P, r)
-    gamma, walk = np.zeros(x.shape[0]), q * interval.dt
+    gamma, walk = np.zeros(z.shape[0] - 2), q * interval.dt
     gamma[0], gamma[1] = interval.gain_v, interval.gain_a
-    base, middle, h, c = branch(f, x, mean, variance, slope, edges, gamma, walk)
+    base, middle, h, c = branch(z[1], z[2:], mean, variance, line[2:], edges, gamma, walk)
     w = weigh(base, middle, h, c, weight, edges, K, W, speed, largest)
     effective = 0.0
     for g in range(3):
         for i in range(base.size):
             effective += w[g, i] * w[g, i]
     weight, mean, variance, centre, slope = moments(base, middle, h, c, w, edges, chain)
-    child, parent = prune(base, h, w, edges, chain, weight, uniforms)
-    f, x = survivors(base, middle, h, c, child, parent, edges, mean, variance, centre, slope)
+    kept = prune(base, h, w, edges, chain, weight, uniforms)
+    z, line = np.ones_like(z), line.copy()
+    survivors(z[1], z[2:], base, middle, h, c, kept, edges, mean, variance, centre, slope)
+    line[2:] = slope
     weight = weight / weight.sum()
-    each = np.empty_like(f)
+    each = np.empty_like(base)
     for m in range(weight.size):
         each[edges[m] : edges[m + 1]] = weight[m] / (edges[m + 1] - edges[m])
     rate = 0.0
     for m in range(weight.size):
         rate += weight[m] * mean[m]
     # Adds nothing, unless something is not finite.
-    spread = 0.0 * (f.sum() + x.sum() + after.sum())
+    spread = 0.0 * (z.sum() + after.sum())
     for m in range(weight.size):
         spread += weight[m] * (variance[m] + (mean[m] - rate) * (mean[m] - rate))
-    return f, x, weight, mean, variance, slope, after, each, (rate, spread, 1.0 / effective)
+    return z, weight, mean, variance, line, after, each, (rate, spread, 1.0 / effective)
 
 
 def branch(
@@ -223,86 +221,86 @@ def moments(
     return weight, mean, variance, x, slope
 
 
-def merged(base: Floats, h: Floats, edges: Places) -> tuple[Places, Places]:
-    """Return the children in the order of f: their place in the group (0, 1, 2) and their particle, shape (3 N,)."""
-    N, M = base.size, h.size
-    perm = np.arange(N)
-    for m in range(M):
+def joined(f: Floats, places: Places, others: Floats, their: Places) -> tuple[Floats, Places]:
+    """Return two ordered lists of values, and of the places that these belong to, as one."""
+    n, N = f.size, f.size + others.size
+    both, where = np.empty(N), np.empty(N, dtype=np.intp)
+    i, j = 0, 0
+    while i < n and j < others.size:
+        # Added, not branched on: no processor can guess which is first.
+        later = others[j] < f[i]
+        both[i + j] = others[j] if later else f[i]
+        where[i + j] = their[j] if later else places[i]
+        j += later
+        i += not later
+    both[i + j : n + j], where[i + j : n + j] = f[i:], places[i:]
+    both[n + j :], where[n + j :] = others[j:], their[j:]
+    return both, where
+
+
+def merged(base: Floats, h: Floats, edges: Places) -> Places:
+    """Return the children in the order of f, shape (3 N,): child g of particle i is g N + i."""
+    N, f, order = base.size, np.empty(0), np.empty(0, dtype=np.intp)
+    for m in range(h.size):
+        middle, places = base[edges[m] : edges[m + 1]].copy(), np.arange(edges[m], edges[m + 1]) + N
         # In order but for roundings: as a rule nothing moves.
-        for i in range(edges[m] + 1, edges[m + 1]):
-            k, one = i, perm[i]
-            while k > edges[m] and base[perm[k - 1]] > base[one]:
-                perm[k] = perm[k - 1]
+        for i in range(1, middle.size):
+            k, value, place = i, middle[i], places[i]
+            while k > 0 and middle[k - 1] > value:
+                middle[k], places[k] = middle[k - 1], places[k - 1]
                 k -= 1
-            perm[k] = one
-    # One queue for each place in the groups of each stratum.
-    child, parent = np.empty(3 * N, dtype=np.intp), np.empty(3 * N, dtype=np.intp)
-    at, end, place = np.empty(3 * M, dtype=np.intp), np.empty(3 * M, dtype=np.intp), np.empty(3 * M, dtype=np.intp)
-    head, off = np.empty(3 * M), np.empty(3 * M)
-    for q in range(3 * M):
-        place[q], m = q // M, q % M
-        at[q], end[q] = edges[m], edges[m + 1]
-        off[q] = (place[q] - 1) * h[m]
-        head[q] = base[perm[at[q]]] + off[q]
-    for k in range(3 * N):
-        best, least = 0, head[0]
-        for q in range(1, 3 * M):
-            if head[q] < least:
-                best, least = q, head[q]
-        child[k], parent[k] = place[best], perm[at[best]]
-        at[best] += 1
-        head[best] = base[perm[at[best]]] + off[best] if at[best] < end[best] else math.inf
-    return child, parent
+            middle[k], places[k] = value, place
+        sides, beside = joined(middle - h[m], places - N, middle + h[m], places + N)
+        group, of = joined(middle, places, sides, beside)
+        f, order = joined(f, order, group, of)
+    return order
 
 
-def prune(
-    base: Floats, h: Floats, w: Floats, edges: Places, chain: Floats, weight: Floats, uniforms: Floats
-) -> tuple[Places, Places]:
+def prune(base: Floats, h: Floats, w: Floats, edges: Places, chain: Floats, weight: Floats, uniforms: Floats) -> Places:
     """Return which children each stratum keeps by systematic resampling, as :func:`merged`, shape (N,)."""
     N, M = base.size, h.size
-    child, parent = merged(base, h, edges)
-    kept_child, kept_parent = np.empty(N, dtype=np.intp), np.empty(N, dtype=np.intp)
-    toward, seen = np.empty(N), np.empty(3 * N)
+    order = merged(base, h, edges)
+    kept, toward, seen = np.empty(N, dtype=np.intp), np.empty(N), np.empty(3 * N)
     for m in range(M):
         for source in range(M):
             toward[edges[source] : edges[source + 1]] = chain[source, m] / weight[m]
-        for k in range(3 * N):
-            seen[k] = w[child[k], parent[k]] * toward[parent[k]]
+        for g in range(3):
+            for i in range(N):
+                seen[g * N + i] = w[g, i] * toward[i]
         size = edges[m + 1] - edges[m]
-        at, total = 0, seen[0]
+        at, total = 0, seen[order[0]]
         for k in range(size):
             position = (k + uniforms[m]) / size
             while total <= position and at < 3 * N - 1:
                 at += 1
-                total += seen[at]
-            kept_child[edges[m] + k], kept_parent[edges[m] + k] = child[at], parent[at]
-    return kept_child, kept_parent
+                total += seen[order[at]]
+            kept[edges[m] + k] = order[at]
+    return kept
 
 
 def survivors(
+    f: Floats,
+    x: Floats,
     base: Floats,
     middle: Floats,
     h: Floats,
     c: Floats,
-    child: Places,
-    parents: Places,
+    kept: Places,
     edges: Places,
     mean: Floats,
     variance: Floats,
     centre: Floats,
     slope: Floats,
-) -> tuple[Floats, Floats]:
-    """Return f and x of the children kept, moved to the moments of those that they stand for."""
+) -> None:
+    """Write f and x of the children kept, moved to the moments of those that they stand for."""
     n, N = middle.shape
-    M = h.size
-    f, x = np.empty(N), np.empty((n, N))
-    for m in range(M):
+    for m in range(h.size):
         size, average = edges[m + 1] - edges[m], 0.0
         for i in range(edges[m], edges[m + 1]):
-            parent, stratum = parents[i], 0
+            child, parent, stratum = kept[i] // N, kept[i] % N, 0
             while edges[stratum + 1] <= parent:
                 stratum += 1
-            off = (child[i] - 1) * h[stratum]
+            off = (child - 1) * h[stratum]
             f[i] = base[parent] + off
             average += f[i]
             for j in range(n):
@@ -321,4 +319,3 @@ def survivors(
                 x[j, i] += centre[j, m] - total / size
         for i in range(edges[m], edges[m + 1]):
             f[i] = mean[m] + factor * (f[i] - average)
-    return f, x

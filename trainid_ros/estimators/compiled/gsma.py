@@ -31,16 +31,14 @@ class CompiledGsmaBelief(GsmaBelief):
         self._edges = np.concatenate([[0], np.cumsum(self.strata.sizes)]).astype(np.intp)
         # Now, not when the brake first acts: compiling takes seconds.
         interval = Interval(0.2, 0.1, 0.6, 0.01, 0.4, 1.0, 0.0, 1e-6, 0.0)
-        c, (x, slope, P) = self.cloud, self._predicted(interval)
-        self._learned(
-            GroupCloud(c.f, x, c.weight, c.mean, c.variance, slope), P, interval, 0.0, 1.0, np.zeros(len(self._q))
-        )
+        c, (z, line, P) = self.cloud, self._predicted(interval)
+        self._learned(GroupCloud(z, c.weight, c.mean, c.variance, line), P, interval, 0.0, 1.0, np.zeros(len(self._q)))
 
     def predict(self, interval: Interval) -> None:
         """Follow the motion over an interval."""
         c = self.cloud
-        x, slope, self.P = self._predicted(interval)
-        self.cloud = GroupCloud(c.f, x, c.weight, c.mean, c.variance, slope)
+        z, line, self.P = self._predicted(interval)
+        self.cloud = GroupCloud(z, c.weight, c.mean, c.variance, line)
 
     def learn(self, interval: Interval, elapsed: float, speed: float, r: float) -> bool:
         """One step of GSMA, eqs. (14)-(22)."""
@@ -48,20 +46,20 @@ class CompiledGsmaBelief(GsmaBelief):
         if (before := elapsed - dt) > LEAST_PAUSE:
             c = group_cloud.widened(c, speed_step(interval), self._config.drift**2 * before)
         draws = self._rng.random(len(self._q))
-        f, x, weight, mean, variance, slope, P, each, numbers = self._learned(c, self.P, interval, speed, r, draws)
+        z, weight, mean, variance, line, P, each, numbers = self._learned(c, self.P, interval, speed, r, draws)
         rate, spread, effective = numbers
         if not math.isfinite(spread):
             return False
-        self.cloud, self._weights = GroupCloud(f, x, weight, mean, variance, slope), each
+        self.cloud, self._weights = GroupCloud(z, weight, mean, variance, line), each
         self._rate, self._variance, self._effective, self.P = rate, spread, effective, P
         return True
 
     def _predicted(self, interval: Interval) -> tuple[Array, Array, Array]:
         c = self.cloud
-        return self._predict(c.x, c.f, c.slope, self.P, interval)
+        return self._predict(c.z, c.line, self.P, interval)
 
     def _learned(self, c: GroupCloud, P: Array, interval: Interval, speed: float, r: float, draws: Array) -> Learned:
         return self._learn(
-            c.f, c.x, c.weight, c.mean, c.variance, c.slope, self._edges,
+            c.z, c.weight, c.mean, c.variance, c.line, self._edges,
             interval, self._q, P, speed, r, self._largest, self._chain(interval.dt), draws,
         )  # fmt: skip
