@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import pytest
@@ -13,7 +14,7 @@ from trainid_ros.core.results import Reason
 from trainid_ros.core.samples import BrakeCommandChange, Sample
 from trainid_ros.estimators.admission import Admission
 from trainid_ros.estimators.known_force import KnownForce
-from trainid_ros.physics.train_file import TrainFile
+from trainid_ros.physics.train_file import Effect, TrainFile
 
 Make = Callable[..., Sample]
 WEIGHT_KN = 200e3 * 9.80665 / 1000.0
@@ -67,6 +68,11 @@ def test_a_released_brake_is_waited_for_by_stamps(admission: Admission, sample: 
     # At 3.8 s sharp, in sample 20, rounding decides.
     assert not any(admitted[i] for i in range(2, 20))
     assert all(admitted[i] for i in range(21, 25))
+
+
+def test_a_brake_that_answers_late_is_waited_for_longer(train_file: TrainFile) -> None:
+    late = replace(train_file, effects=(Effect('brake_delay', (('extra', 0.5),)),))
+    assert Admission(KnownForce(late), min_speed=1.0).settling == pytest.approx(4.3)
 
 
 def test_an_unknown_command_counts_as_braking_until_long_after(admission: Admission, sample: Make) -> None:

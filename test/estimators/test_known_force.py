@@ -3,14 +3,15 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import replace
 
 import pytest
 
-from trainid_ros.core.samples import Sample
+from trainid_ros.core.samples import Motion, Sample
 from trainid_ros.estimators.known_force import KnownForce
-from trainid_ros.physics.train_file import Effect, TrainFile
+from trainid_ros.physics.train_file import Effect, Line, TrainFile
 
 Make = Callable[..., Sample]
 
@@ -31,11 +32,76 @@ def test_the_gradient_counts_with_its_sign_and_as_the_mean(train_file: TrainFile
     assert KnownForce(train_file).track(sample(1, gradient=99.0, gradient_mean=-7.5)) == -7.5
 
 
+def with_effect(file: TrainFile, name: str, **parameters: float) -> KnownForce:
+    return KnownForce(replace(file, effects=(Effect(name, tuple(parameters.items())),)))
+
+
+def test_scales_of_force_and_mass_are_a_resistance_in_traction(train_file: TrainFile, sample: Make) -> None:
+    pulling, coasting = sample(1, force_mean=98_066.5), sample(1)
+    mass = with_effect(train_file, 'mass_error', ratio=1.25)
+    gain = with_effect(train_file, 'traction_scale', ratio=0.9)
+    # 50 N/kN of the believed mass are 40 N/kN of the true one; 45 N/kN of 50 N/kN arrive.
+    assert mass.extra(pulling) == pytest.approx(10.0, rel=1e-12)
+    assert gain.extra(pulling) == pytest.approx(5.0, rel=1e-12)
+    assert mass.extra(coasting) == gain.extra(coasting) == 0.0
+    # The report itself stays what it is.
+    assert mass.traction(98_066.5, pulling) == pytest.approx(50.0, rel=1e-12)
+
+
+def test_a_reported_brake_is_no_traction(train_file: TrainFile, sample: Make) -> None:
+    gain = with_effect(train_file, 'traction_scale', ratio=0.9)
+    braking = sample(1, force_mean=-98_066.5, motion=Motion(brake=-0.5))
+    assert gain.extra(braking) == 0.0
+
+
+@pytest.mark.parametrize(
+    ('name', 'parameters', 'share'),
+    [
+        ('brake_scale', {'ratio': 0.8}, 0.8),
+        ('brake_fade', {'loss': 0.4, 'energy': 200.0}, 0.8),
+        ('mass_error', {'ratio': 1.25}, 0.8),
+        # A later brake is a brake all the same, and drag is none.
+        ('brake_delay', {'extra': 0.5}, 1.0),
+        ('dragging_brake', {'permille': 3.0, 'time': 5.0}, 1.0),
+        ('headwind', {'speed': 5.0}, 1.0),
+    ],
+)
+@pytest.mark.parametrize('brake', [0.0, -0.7])
+def test_what_effects_leave_of_the_brake(
+    name: str, parameters: dict[str, float], share: float, brake: float, train_file: TrainFile, sample: Make
+) -> None:
+    known = with_effect(train_file, name, **parameters)
+    at = sample(1, motion=Motion(heat=100.0, since_release=2.0, brake=brake))
+    assert known.brake_share(at) == pytest.approx(share, rel=1e-12)
+    assert KnownForce(train_file).brake_share(at) == 1.0
+
+
+def test_a_shifted_map_is_read_where_it_should_have_been(train_file: TrainFile, sample: Make) -> None:
+    line = Line(gradient=((0.0, 0.0), (980.0, 10.0)))
+    shift = with_effect(replace(train_file, line=line), 'map_shift', distance=20.0)
+    # Of the 100 m train at 1003 m a share of 0.23 is on the slope; 20 m before 0.03 was.
+    assert shift.extra(sample(1, gradient_mean=2.3)) == pytest.approx(-2.0, rel=1e-9)
+    # Without a line or a position nothing is known to be wrong.
+    assert shift.extra(sample(1, gradient_mean=2.3, position=math.nan)) == 0.0
+    assert with_effect(train_file, 'map_shift', distance=20.0).extra(sample(1, gradient_mean=2.3)) == 0.0
+
+
+def test_a_drive_that_is_followed_tells_when_effects_act(train_file: TrainFile, sample: Make) -> None:
+    step = with_effect(train_file, 'resistance_step', time=3600.0, a=0.25)
+    warm = with_effect(train_file, 'bearing_warmup', value=5.0, distance=1e4)
+    drag = with_effect(train_file, 'dragging_brake', permille=3.0, time=5.0)
+    early = sample(1, motion=Motion(time_s=3599.0, distance_run=0.0, since_release=4.0))
+    late = sample(1, motion=Motion(time_s=3601.0, distance_run=1e4, since_release=6.0))
+    assert (step.extra(early), step.extra(late)) == (0.0, 0.25)
+    assert (warm.extra(early), warm.extra(late)) == pytest.approx((5.0, 5.0 / math.e))
+    assert (drag.extra(early), drag.extra(late)) == (3.0, 0.0)
+
+
 def test_effects_of_the_train_file_are_known_resistance(train_file: TrainFile, sample: Make) -> None:
     effects = (
         Effect('curve_resistance', (('coefficient', 600.0),)),
         Effect('tunnel_drag', (('factor', 2.0),)),
-        # Set in at some time, worn off with distance: both hold as at the end.
+        # Of samples that nobody has followed: set in, and worn off.
         Effect('resistance_step', (('time', 3600.0), ('a', 0.25))),
         Effect('bearing_warmup', (('value', 5.0), ('distance', 1e4))),
     )
