@@ -42,10 +42,11 @@ ALLOWED = {'trainid_ros.core.records', 'trainid_ros.bags.writer'}
 
 
 def small_world(seed: int, legs: int = 2, *, calm: bool = False) -> World:
-    """A day of a few runs, out and back, if ``calm`` with nothing in it that nobody models."""
+    """A run up the line and one back over the same rails, if ``calm`` with nothing in them that nobody models."""
     world = draw_world(np.random.default_rng([seed, 1]))
     day = [leg for bag in world.bags for leg in bag]
-    chosen = day[: legs // 2] + day[-(legs - legs // 2) :]
+    back = [leg for leg in reversed(day) if leg.heading < 0] or day[1:]
+    chosen = [day[0], *back][:legs]
     nuisance = replace(world.nuisance, contamination=(), mass_topic=True)
     if calm:
         chosen = [replace(leg, weighed=leg.mass) for leg in chosen]
@@ -94,7 +95,7 @@ def test_records_of_a_calm_day_balance_energy() -> None:
     power = (force / mass - G / 1000.0 * (a + b * v + c * v * v + gradient)) * v
     work = np.concatenate([[0.0], np.cumsum(0.5 * (power[1:] + power[:-1]) * np.diff(time))])
     kinetic = 0.5 * (1.0 + gamma) * v * v
-    assert np.max(np.abs(work - kinetic)) < 0.01 * np.max(kinetic)
+    assert np.max(np.abs(work - kinetic)) < 0.02 * np.max(kinetic)
 
 
 def test_conventions_of_the_interface() -> None:
@@ -222,10 +223,9 @@ def test_every_effect_moves_the_train_or_its_sensors(name: str) -> None:
         acceleration=0.5,
         load=0.9,
     )
-    drags: list[float] = []
-    if effect.drag:
-        drags = [effect.drag(replace(moment, front=x, heading=heading)) for x, heading in _spots(world)]
-    gains = [law(moment) for law in (effect.pull_gain, effect.brake_gain) if law]
+    spots = [replace(moment, front=x, heading=heading) for x, heading in _spots(world)]
+    drags = [effect.drag(spot) for spot in spots] if effect.drag else []
+    gains = [law(spot) for law in (effect.pull_gain, effect.brake_gain) if law for spot in spots]
     ratios = [*gains, effect.mass_ratio, effect.inertia_ratio, effect.wheel_ratio]
     assert any(drags) or any(ratio != 1.0 for ratio in ratios) or effect.brake_wait or effect.slip[0]
 
