@@ -312,6 +312,61 @@ def test_services_say_why_they_cannot(graph: Graph, train_file: str, tmp_path: P
     assert second.pipeline.estimator.save() == before
 
 
+BROKEN = (
+    ZeroDivisionError('float division'),
+    ValueError('math domain error'),
+    np.linalg.LinAlgError('Singular matrix'),
+)
+
+
+@pytest.mark.parametrize('error', BROKEN, ids=lambda error: type(error).__name__)
+def test_a_state_that_breaks_in_a_step_is_a_fault_until_a_reset(
+    graph: Graph, train_file: str, monkeypatch: pytest.MonkeyPatch, error: Exception
+) -> None:
+    node = active(graph, train_file)
+    heard, records = Heard(node), coasting(80)
+    feed(node, records[:80])
+    told = heard.messages[-1].estimate
+
+    def broken(*_: object) -> None:
+        raise error
+
+    with monkeypatch.context() as patch:
+        patch.setattr(node.pipeline.estimator, 'step', broken)
+        patch.setattr(node.pipeline.estimator, 'estimate', broken)
+        feed(node, records[80:160])
+        node.publish_diagnostics()
+    assert (heard.messages[-1].status, heard.messages[-1].estimate) == (Status.FAULT, told)
+    feed(node, records[160:200])
+    assert heard.messages[-1].status is Status.FAULT
+    node.pipeline.reset()
+    feed(node, records[200:])
+    assert heard.messages[-1].status is Status.CONVERGING
+
+
+def test_a_state_that_breaks_when_loaded_is_answered_and_the_node_lives(
+    graph: Graph, train_file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    node = active(graph, train_file, checkpoint_file=str(tmp_path / 'state.json'))
+    caller, heard, records = graph.plain('caller'), Heard(node), coasting(80)
+    feed(node, records[:80])
+    assert graph.call(caller, Trigger, '/resistance_estimator/save_checkpoint').success
+
+    def broken(*_: object) -> None:
+        msg = 'math domain error'
+        raise ValueError(msg)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(node.pipeline.estimator, 'estimate', broken)
+        answer = graph.call(caller, Trigger, '/resistance_estimator/load_checkpoint')
+        node.publish_diagnostics()
+    assert (answer.success, answer.message) == (False, 'ValueError: math domain error')
+    assert node.pipeline.status is Status.FAULT
+    assert graph.call(caller, Trigger, '/resistance_estimator/load_checkpoint').success
+    feed(node, records[80:])
+    assert heard.messages[-1].status is Status.CONVERGING
+
+
 def test_a_late_joiner_gets_the_last_valid_estimate(graph: Graph, train_file: str) -> None:
     # A prior this narrow is fit to use at once.
     sure = {'estimator__prior_std_a': 0.01, 'estimator__prior_std_b': 1e-5, 'estimator__prior_std_c': 1e-6}
@@ -457,9 +512,7 @@ def test_diagnostics_tell_inputs_that_stopped(graph: Graph, train_file: str) -> 
     diagnosed = Diagnosed(graph)
     node = active(graph, train_file, diagnostic_period=0.1)
     feed(node, coasting(30))
-    own, speed, mass = (
-        f'resistance_estimator: {what}' for what in ('estimator', 'input ato/speed', 'input ato/mass')
-    )
+    own, speed, mass = (f'resistance_estimator: {what}' for what in ('estimator', 'input ato/speed', 'input ato/mass'))
     graph.until(lambda: {own, speed, mass} <= diagnosed.by_name.keys())
     graph.until(lambda: diagnosed.by_name[own].level == DiagnosticStatus.STALE)
     graph.until(lambda: diagnosed.by_name[speed].level == DiagnosticStatus.STALE)

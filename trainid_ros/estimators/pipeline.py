@@ -130,6 +130,7 @@ class EstimatorPipeline(Generic[EstimateT]):
         self._first_ns = 0
         self._consistency = ConsistencyMonitor()
         self._status = Status.UNINITIALIZED
+        self._told = self.estimator.estimate(self._speed)
 
     def reset(self) -> None:
         """Go back to the prior and forget all records and counters."""
@@ -179,7 +180,7 @@ class EstimatorPipeline(Generic[EstimateT]):
         return self.current()
 
     def fail(self) -> Output[EstimateT]:
-        """Tell that the estimator cannot go on; holds until a reset."""
+        """Tell that the estimator cannot go on; holds, with the estimate told last, until a reset or a restore."""
         self._status = Status.FAULT
         return self.current()
 
@@ -199,13 +200,16 @@ class EstimatorPipeline(Generic[EstimateT]):
         self._motion.state = state.motion
         self._consistency.clear()
         self._aligner.reset()
+        self._stuck, self._unstepped = StuckSpeed(self._known), ()
         self._first_ns = 0
+        if self._status is Status.FAULT:
+            self._status = Status.UNINITIALIZED
 
     def current(self) -> Output[EstimateT]:
         """Return what is believed now, without a new sample."""
         return Output(
             stamp_ns=self._sample_ns,
-            estimate=self.estimator.estimate(self._speed),
+            estimate=self._told if self._status is Status.FAULT else self.estimator.estimate(self._speed),
             status=self._status,
             used=self.used,
             rejected=self.rejections.total(),
@@ -230,6 +234,7 @@ class EstimatorPipeline(Generic[EstimateT]):
             self._count(result)
         self._status = self._judge(result)
         output = self.current()
+        self._told = output.estimate
         self._consistency.see(*stated_innovation(output.estimate), used=result is None)
         return output
 

@@ -8,6 +8,7 @@ not happen: inputs that stay away. They run on a steady clock, which a stopped `
 from __future__ import annotations
 
 import time
+import traceback
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
@@ -40,7 +41,7 @@ from trainid_ros.nodes.diagnostics import (
     idle_status,
     input_status,
 )
-from trainid_ros.nodes.estimator_services import EstimatorServices
+from trainid_ros.nodes.estimator_services import BROKEN_NUMBERS, EstimatorServices
 from trainid_ros.nodes.intake import Intake
 from trainid_ros.nodes.lifecycle import ManagedNode, guarded
 from trainid_ros.nodes.monitors import InputMonitor, StepTimes
@@ -304,9 +305,15 @@ class EstimatorNode(ManagedNode):
         try:
             return pipeline.push(record)
         except TrainIdError as error:
-            if pipeline.status is not Status.FAULT:
-                self.get_logger().error(f'{self.algorithm} cannot go on until it is reset: {error}')
-            return [pipeline.fail()]
+            return [self.fail(pipeline, str(error))]
+        except BROKEN_NUMBERS:
+            return [self.fail(pipeline, traceback.format_exc())]
+
+    def fail(self, pipeline: EstimatorPipeline[Any], reason: str) -> Any:
+        """Return the output that tells of a fault; log why, once."""
+        if pipeline.status is not Status.FAULT:
+            self.get_logger().error(f'{self.algorithm} cannot go on until it is reset: {reason}')
+        return pipeline.fail()
 
     def _publish(self, output: Any) -> None:
         message = fill_estimate(self.spec.message(), output)

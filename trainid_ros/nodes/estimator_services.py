@@ -3,10 +3,12 @@
 
 from __future__ import annotations
 
+import traceback
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
+from numpy.linalg import LinAlgError
 from std_srvs.srv import Trigger
 
 from trainid_ros import __version__
@@ -18,6 +20,9 @@ if TYPE_CHECKING:
 
     from trainid_ros.estimators.pipeline import EstimatorPipeline
     from trainid_ros.nodes.estimator_node import EstimatorNode
+
+BROKEN_NUMBERS: Final = (ArithmeticError, ValueError, LinAlgError)
+"""What arithmetic raises on a state that is wrong; in old versions of numpy a LinAlgError is no ValueError."""
 
 
 class EstimatorServices:
@@ -37,7 +42,14 @@ class EstimatorServices:
             response.success, response.message = True, serve(node.pipeline)
         except InputError as error:
             response.success, response.message = False, str(error)
-        (logger.info if response.success else logger.error)(response.message)
+        except BROKEN_NUMBERS as error:
+            node.fail(node.pipeline, traceback.format_exc())
+            response.success, response.message = False, f'{type(error).__name__}: {error}'
+        # One line each: rclpy lets no line of code change its severity.
+        if response.success:
+            logger.info(response.message)
+        else:
+            logger.error(response.message)
         return response
 
     def reset(self, pipeline: EstimatorPipeline[Any]) -> str:
@@ -59,6 +71,7 @@ class EstimatorServices:
         path, estimator = self._path(), self._node.algorithm
         checkpoint = read_checkpoint(path, estimator)
         pipeline.restore(checkpoint.state)
+        pipeline.current()  # Raises here, if at all, and not where it is published.
         return f'loaded {estimator} from {path} (version {checkpoint.version})'
 
     def _path(self) -> Path:
