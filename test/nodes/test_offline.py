@@ -73,6 +73,9 @@ def test_each_node_gets_its_own_section_over_the_common_one(tmp_path: Path) -> N
         ('resistence_estimator: {ros__parameters: {seed: 1}}', "section '/resistence_estimator' does not apply"),
         ('resistance_estimator: {seed: 1}', 'params.yaml: is no parameter file'),
         ('a: [', 'params.yaml: cannot be read'),
+        ('resistance_estimator: {ros__parameters: 5}', 'ros__parameters of /resistance_estimator must hold names with'),
+        ('? [1, 2]\n: {ros__parameters: {seed: 1}}', 'a key of it is no name (line 1)'),
+        ('/**: {ros__parameters: {? {a: 1} : 3}}', 'is no parameter file: a key of it is no name (line 1)'),
     ],
 )
 def test_what_a_node_would_refuse_is_refused(tmp_path: Path, text: str, reason: str) -> None:

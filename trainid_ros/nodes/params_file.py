@@ -95,7 +95,7 @@ def read_overrides(path: Path, node: str) -> dict[str, object]:
     if tree is not None:
         for section, values in _given(path, tree, ''):
             if _pattern(section).fullmatch(node):
-                found |= _flat(values, '')
+                found |= _flat(path, values, '')
     return found
 
 
@@ -104,18 +104,30 @@ def _given(path: Path, tree: yaml.Node, prefix: str) -> Iterator[tuple[str, yaml
         msg = f'{path}: is no parameter file: {prefix or "it"} holds no section with ros__parameters'
         raise InputError(msg)
     for key, value in tree.value:
-        if str(key.value) == 'ros__parameters':
+        name = _name(path, key, prefix)
+        if name != 'ros__parameters':
+            yield from _given(path, value, f'{prefix}/{name.strip("/")}'.replace('//', '/'))
+        elif isinstance(value, yaml.MappingNode):
             yield prefix, value
         else:
-            yield from _given(path, value, f'{prefix}/{str(key.value).strip("/")}'.replace('//', '/'))
+            msg = f'{path}: ros__parameters of {prefix or "it"} must hold names with values'
+            raise InputError(msg)
 
 
-def _flat(node: yaml.Node, prefix: str) -> dict[str, object]:
+def _name(path: Path, key: yaml.Node, prefix: str) -> str:
+    if isinstance(key, yaml.ScalarNode):
+        return str(key.value)
+    msg = f'{path}: is no parameter file: a key of {prefix or "it"} is no name (line {key.start_mark.line + 1})'
+    raise InputError(msg)
+
+
+def _flat(path: Path, node: yaml.Node, prefix: str) -> dict[str, object]:
     if not isinstance(node, yaml.MappingNode):
         return {prefix: _value(node)}
     found: dict[str, object] = {}
     for key, value in node.value:
-        found |= _flat(value, f'{prefix}.{key.value}' if prefix else str(key.value))
+        name = _name(path, key, prefix)
+        found |= _flat(path, value, f'{prefix}.{name}' if prefix else name)
     return found
 
 
