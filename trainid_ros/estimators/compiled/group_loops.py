@@ -227,7 +227,7 @@ def joined(f: Floats, places: Places, others: Floats, their: Places) -> tuple[Fl
     both, where = np.empty(N), np.empty(N, dtype=np.intp)
     i, j = 0, 0
     while i < n and j < others.size:
-        # Added, not branched on: no processor can guess which is first.
+        # Which is first cannot be foreseen: counted, so that the compiler need not branch on it.
         later = others[j] < f[i]
         both[i + j] = others[j] if later else f[i]
         where[i + j] = their[j] if later else places[i]
