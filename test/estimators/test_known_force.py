@@ -74,6 +74,8 @@ def test_what_effects_leave_of_the_brake(
     at = sample(1, motion=Motion(heat=100.0, since_release=2.0, brake=brake))
     assert known.brake_share(at) == pytest.approx(share, rel=1e-12)
     assert KnownForce(train_file).brake_share(at) == 1.0
+    # It is told without a force, too.
+    assert known.brake_share(replace(at, force_mean=math.nan)) == pytest.approx(share, rel=1e-12)
 
 
 def test_a_shifted_map_is_read_where_it_should_have_been(train_file: TrainFile, sample: Make) -> None:

@@ -17,6 +17,7 @@ from trainid_ros.core.alignment import Aligner, AlignmentConfig, TimeJump
 from trainid_ros.core.errors import InputError, NoAnswerError
 from trainid_ros.core.records import NS_PER_S
 from trainid_ros.core.samples import Sample
+from trainid_ros.estimators.mending import Mender
 from trainid_ros.estimators.trajectory.davis_fit import DavisFit, DavisFitConfig, fit_davis
 from trainid_ros.estimators.trajectory.pieces import PieceCollector
 from trainid_ros.physics.train_file import load_train_file
@@ -108,12 +109,13 @@ def collect(
         msg = f'{reader.path}: --start {start_s:g} --duration {duration_s:g} leaves nothing of its {length:.1f} s'
         raise InputError(msg)
     end_ns = math.inf if math.isinf(duration_s) else begin_ns + round(duration_s * NS_PER_S)
-    aligner, samples = Aligner(AlignmentConfig()), 0
+    mender = Mender(collector.train_file.effects)
+    aligner, samples = Aligner(mender.widen(AlignmentConfig())), 0
     refused: Counter[Reason] = Counter()
     for i, entry in enumerate(reader.logged_records(), 1):
         if entry.log_ns > end_ns:
             break
-        for event in aligner.push(entry.record):
+        for event in aligner.push(mender.mend(entry.record)):
             if isinstance(event, TimeJump):
                 collector.end_piece()
             elif isinstance(event, Sample) and entry.log_ns < begin_ns:

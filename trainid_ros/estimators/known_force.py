@@ -52,7 +52,11 @@ class KnownForce:
 
     def extra(self, sample: Sample) -> float:
         """Return the resistance of the effects in the train file while no brake acts [N/kN]."""
-        return self._sum(sample, 0.0) if self._terms else 0.0
+        if not self._terms:
+            return 0.0
+        # Under the brake a negative force is that of the brake, else it is noise.
+        pulls = sample.motion.brake >= BRAKE_APPLIED
+        return self._sum(sample, sample.force_mean if pulls else max(0.0, sample.force_mean), 0.0)
 
     def brake_share(self, sample: Sample) -> float:
         """Return what effects of the train file leave of the brake: 0.9 under a fade by a tenth."""
@@ -60,16 +64,15 @@ class KnownForce:
             return 1.0
         believed = self.train_file.brake.rate * self.inertia * sample.motion.brake
         brake = min(believed, _SOME_BRAKE)
-        return 1.0 - (self._sum(sample, brake) - self._sum(sample, 0.0)) / brake
+        # A train that brakes does not pull, and the force may be missing.
+        return 1.0 - (self._sum(sample, 0.0, brake) - self._sum(sample, 0.0, 0.0)) / brake
 
-    def _sum(self, sample: Sample, brake: float) -> float:
-        point = self._point(sample, brake)
+    def _sum(self, sample: Sample, force: float, brake: float) -> float:
+        point = self._point(sample, self.traction(force, sample), brake)
         return sum(term(self.train_file.resistance, point) for term in self._terms)
 
-    def _point(self, sample: Sample, brake: float) -> TrackPoint:
-        motion, force = sample.motion, sample.force_mean
-        # Under the brake a negative force is that of the brake, else it is noise.
-        traction = self.traction(force if motion.brake >= BRAKE_APPLIED else max(0.0, force), sample)
+    def _point(self, sample: Sample, traction: float, brake: float) -> TrackPoint:
+        motion = sample.motion
         return TrackPoint(
             time_s=motion.time_s,
             position=sample.position,

@@ -92,7 +92,7 @@ class BrakeRateEstimator:
         self._brake = true_brake(train_file)
         self._delay_ns = round(self._brake.delay * NS_PER_S)
         self._settling_ns = round((self._brake.delay + _SETTLING * self._brake.time_constant) * NS_PER_S)
-        self._known = KnownForce(train_file)
+        self._known = KnownForce(_with_true_brake(train_file))
         self.reset()
 
     def reset(self) -> None:
@@ -204,12 +204,13 @@ class BrakeRateEstimator:
         known = (traction - self._known.track(sample) - resistance) / inertia
         slack = config.force_error * traction / inertia
         rho = math.exp(-sample.speed * dt / config.disturbance_length)
+        share = self._known.brake_share(sample)
         return Interval(
             dt=dt,
             reach=motion.reach,
             decay=motion.decay,
-            gain_v=motion.gain_v,
-            gain_a=motion.gain_a,
+            gain_v=share * motion.gain_v,
+            gain_a=share * motion.gain_a,
             rho=rho,
             known=known * dt if math.isfinite(known) else 0.0,
             q_v=(config.acceleration_noise**2 + slack**2) * dt,
@@ -229,7 +230,8 @@ class BrakeRateEstimator:
         """Start the train state anew from the measured speed; f stands."""
         state = self.state
         variances = (state.noise.variance, _ANCHOR_BRAKE_STD**2, state.disturbance.variance)
-        self.belief.anchor(sample.speed, state.filtered_target, variances)
+        target = self._known.brake_share(sample) * state.filtered_target
+        self.belief.anchor(sample.speed, target, variances)
         state.position = sample.position
         state.refused_in_a_row = 0
 
@@ -284,3 +286,9 @@ def true_brake(train_file: TrainFile) -> Brake:
     brake, effects = train_file.brake, train_file.effects
     rate = brake.rate * effect_value(effects, 'brake_scale', 'ratio', 1.0)
     return replace(brake, rate=rate, delay=brake.delay + effect_value(effects, 'brake_delay', 'extra', 0.0))
+
+
+def _with_true_brake(train_file: TrainFile) -> TrainFile:
+    """Return the train file with brake_scale in the brake, and no more among the effects."""
+    effects = tuple(effect for effect in train_file.effects if effect.name != 'brake_scale')
+    return replace(train_file, brake=true_brake(train_file), effects=effects)

@@ -10,6 +10,7 @@ import numpy as np
 
 from trainid_ros.estimators.admission import Admission
 from trainid_ros.estimators.known_force import KnownForce
+from trainid_ros.estimators.motion import MotionTracker
 from trainid_ros.estimators.stuck_speed import StuckSpeed
 
 if TYPE_CHECKING:
@@ -74,20 +75,26 @@ class PieceCollector:
     _begun: int = field(init=False, default=0)
     _admission: Admission = field(init=False)
     _stuck: StuckSpeed = field(init=False)
+    _motion: MotionTracker = field(init=False)
 
     def __post_init__(self) -> None:
         self.known = KnownForce(self.train_file)
         self._admission = Admission(self.known, self.min_speed)
         self._stuck = StuckSpeed(self.known)
+        self._motion = MotionTracker(self.train_file)
 
-    def watch(self, sample: Sample) -> Refusal | None:
-        """Follow the drive without taking the sample in; return why it could not be used."""
+    def watch(self, sample: Sample) -> None:
+        """Follow the drive without taking the sample in."""
+        self._refuse(self._motion.follow(sample))
+
+    def _refuse(self, sample: Sample) -> Refusal | None:
         stuck, refusal = self._stuck.refuse(sample), self._admission.refuse(sample)
         return stuck or refusal
 
     def add(self, sample: Sample, refused: Counter[Reason]) -> None:
         """Take one sample in; count why it cannot be used."""
-        refusal = self.watch(sample)
+        sample = self._motion.follow(sample)
+        refusal = self._refuse(sample)
         if refusal is not None:
             refused[refusal.reason] += 1
             self.end_piece()
