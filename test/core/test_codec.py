@@ -88,8 +88,24 @@ def changed(**fields: Any) -> str:
         changed(inner={'value': 'NaN', 'count': 1}),
         changed(inner=['value', 'count']),
         changed(surplus=1),
+        changed(numbers=[10**400]),
+        changed(inner={'value': 1.0, 'count': 10**400}),
+        '[' * 100_000,
+        '{"type": "Outer", "state": ' + '[' * 900 + ']' * 900 + '}',
     ],
 )
 def test_what_does_not_fit_is_an_input_error_that_names_the_class(text: str) -> None:
     with pytest.raises(InputError, match='Outer'):
         decode(text, Outer)
+
+
+@dataclass(frozen=True, slots=True)
+class Fixed:
+    pair: tuple[float, float]
+
+
+@pytest.mark.parametrize('pair', [[], [1.0], [1.0, 2.0, 3.0]])
+def test_a_tuple_of_fixed_length_has_it(pair: list[float]) -> None:
+    assert decode(encode(Fixed((1.0, 2.0))), Fixed) == Fixed((1.0, 2.0))
+    with pytest.raises(InputError, match=r'Fixed\.pair has . entries, not 2'):
+        decode(json.dumps({'type': 'Fixed', 'state': {'pair': pair}}), Fixed)

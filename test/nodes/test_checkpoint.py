@@ -47,9 +47,11 @@ def test_another_estimators_file_is_refused(tmp_path: Path) -> None:
     [
         ('{', 'is no checkpoint'),
         ('[]', 'is no checkpoint of this package'),
-        ('{"format": 2, "package": "trainid_ros"}', 'is no checkpoint of this package'),
+        ('{"format": 1, "package": "trainid_ros"}', 'is no checkpoint of this package'),
+        ('[' * 100_000, 'is no checkpoint'),
+        ('1' * 5000, 'is no checkpoint'),
         (
-            json.dumps({'format': 1, 'package': 'trainid_ros', 'version': '1', 'estimator': 'V-MILS', 'saved_ns': 1.5}),
+            json.dumps({'format': 2, 'package': 'trainid_ros', 'version': '1', 'estimator': 'V-MILS', 'saved_ns': 1.5}),
             'field saved_ns = 1.5',
         ),
     ],
@@ -58,6 +60,17 @@ def test_other_files_are_named(tmp_path: Path, text: str, reason: str) -> None:
     path = tmp_path / 'x.json'
     path.write_text(text, encoding='utf-8')
     with pytest.raises(InputError, match=reason):
+        read_checkpoint(path, 'V-MILS')
+
+
+@pytest.mark.parametrize(('right', 'wrong'), [('0.1}', '0.7}'), ('state_sha256', 'sha256'), ('"state_sha256": "', '"')])
+def test_a_state_that_is_not_the_one_written_is_refused(tmp_path: Path, right: str, wrong: str) -> None:
+    path = tmp_path / 's.json'
+    write_checkpoint(path, SAVED)
+    text = path.read_text(encoding='utf-8')
+    assert right in text
+    path.write_text(text.replace(right, wrong), encoding='utf-8')
+    with pytest.raises(InputError, match=r's\.json: (checkpoint is damaged|is no checkpoint)'):
         read_checkpoint(path, 'V-MILS')
 
 

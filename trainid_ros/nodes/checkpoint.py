@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import tempfile
@@ -12,7 +13,8 @@ from typing import Final
 
 from trainid_ros.core.errors import InputError
 
-_FORMAT: Final = 1
+_FORMAT: Final = 2
+_DIGEST: Final = 'state_sha256'
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +51,8 @@ def write_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
         InputError: The file cannot be written.
 
     """
-    text = json.dumps({'format': _FORMAT, 'package': 'trainid_ros', **asdict(checkpoint)}, indent=1) + '\n'
+    data = {'format': _FORMAT, 'package': 'trainid_ros', **asdict(checkpoint), _DIGEST: _digest(checkpoint.state)}
+    text = json.dumps(data, indent=1) + '\n'
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
         handle, name = tempfile.mkstemp(prefix=f'.{path.name}.', dir=path.parent)
@@ -71,7 +74,7 @@ def read_checkpoint(path: Path, estimator: str) -> Checkpoint:
     """Read the checkpoint of an estimator.
 
     Raises:
-        InputError: The file cannot be read, is no checkpoint or belongs to another estimator.
+        InputError: The file cannot be read, is no checkpoint, was changed or belongs to another estimator.
 
     """
     try:
@@ -79,7 +82,7 @@ def read_checkpoint(path: Path, estimator: str) -> Checkpoint:
     except OSError as error:
         msg = f'{path}: checkpoint cannot be read: {error.strerror or error}'
         raise InputError(msg) from error
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         msg = f'{path}: is no checkpoint: {error}'
         raise InputError(msg) from None
     if not isinstance(data, dict) or data.get('package') != 'trainid_ros' or data.get('format') != _FORMAT:
@@ -91,7 +94,15 @@ def read_checkpoint(path: Path, estimator: str) -> Checkpoint:
             msg = f'{path}: checkpoint field {item.name} = {data.get(item.name)!r} is not usable'
             raise InputError(msg)
     checkpoint = Checkpoint(**{item.name: data[item.name] for item in fields(Checkpoint)})
+    if data.get(_DIGEST) != _digest(checkpoint.state):
+        msg = f'{path}: checkpoint is damaged: its state is not the one that {_DIGEST} was computed of'
+        raise InputError(msg)
     if checkpoint.estimator != estimator:
         msg = f'{path}: is a checkpoint of {checkpoint.estimator}, not of {estimator}'
         raise InputError(msg)
     return checkpoint
+
+
+def _digest(state: str) -> str:
+    # A JSON text may hold half a surrogate pair, which strict UTF-8 refuses.
+    return hashlib.sha256(state.encode('utf-8', 'surrogatepass')).hexdigest()

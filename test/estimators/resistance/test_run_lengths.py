@@ -83,7 +83,7 @@ def test_where_most_is_bad_for_a_while_it_holds_on() -> None:
 def test_saved_and_restored_it_goes_on_to_the_bit() -> None:
     tracker = track(5, 333)
     state = tracker.state()
-    assert state.is_finite()
+    assert state.is_sound()
     copy = Tracker(PRIOR, PLAN)
     copy.restore(decode(encode(state), TrackerState))
     for item in (tracker, copy):
@@ -96,9 +96,9 @@ def test_saved_and_restored_it_goes_on_to_the_bit() -> None:
 
 def test_a_state_of_the_wrong_size_shows() -> None:
     state = track(6, 40).state()
-    assert not replace(state, memory=state.memory[:-1]).is_finite()
-    assert not replace(state, memory=(float('nan'), *state.memory[1:])).is_finite()
-    assert not replace(state, rows=((1.0, 2.0),)).is_finite()
+    assert not replace(state, memory=state.memory[:-1]).is_sound()
+    assert not replace(state, memory=(float('nan'), *state.memory[1:])).is_sound()
+    assert not replace(state, rows=((1.0, 2.0),)).is_sound()
 
 
 def test_the_robust_fit_finds_what_most_rows_agree_on() -> None:
@@ -113,3 +113,30 @@ def test_the_robust_fit_finds_what_most_rows_agree_on() -> None:
     wrong = np.array([predict(fit, x, x * x)[0] for x in at.tolist()]) - w(at)
     # Three parameters from 140 good rows: 0.07.
     assert float(np.sqrt(np.mean(wrong**2))) < 0.25
+
+
+@pytest.mark.parametrize('index', range(6))
+def test_information_of_no_covariance_shows(index: int) -> None:
+    state = track(6, 40).state()
+    for wrong in (0.0, -1.0, 1e30):
+        memory = [*state.memory]
+        if index not in {0, 3, 5}:
+            memory[index] = 1e30
+        elif wrong <= 0.0:
+            memory[index] = wrong
+        else:
+            memory[9 + index] = -1e30
+        assert not replace(state, memory=tuple(memory)).is_sound()
+
+
+@pytest.mark.parametrize(('index', 'wrong'), [(3, -1.0), (6, -1.0), (8, -1e-12), (4, 1e3), (9, 1e4)])
+def test_a_watcher_of_no_covariance_or_beyond_its_bounds_shows(index: int, wrong: float) -> None:
+    state = track(6, 40).state()
+    watcher = [*state.watchers[0]]
+    watcher[index] = wrong
+    assert not replace(state, watchers=(tuple(watcher),)).is_sound()
+
+
+@pytest.mark.parametrize('changes', [{'mean_weight': float('nan')}, {'mean_weight': -0.1}, {'count': -1}])
+def test_a_weight_or_count_beyond_its_bounds_shows(changes: dict[str, float]) -> None:
+    assert not replace(track(6, 40).state(), **changes).is_sound()  # type: ignore[arg-type]

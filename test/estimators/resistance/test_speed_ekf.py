@@ -7,6 +7,7 @@ import json
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -148,3 +149,37 @@ def test_a_saved_state_that_does_not_fit_is_refused(train_file: TrainFile, key: 
     data['state'][key] = [[math.inf]] if key == 'held' else [1.0]
     with pytest.raises(InputError):
         estimator.restore(json.dumps(data))
+
+
+@pytest.mark.parametrize(
+    ('path', 'wrong'),
+    [
+        (('tachometer', 'variance'), math.nan),
+        (('tachometer', 'variance'), -1.0),
+        (('filter', 0), 1e17),
+        (('filter', 3), 1e17),
+        (('filter', 4), -1.0),
+        (('filter', 8), -1.0),
+        (('before', 13), -1e-12),
+        (('held',), [[0.2, 0.0, -1.0]]),
+        (('speed',), math.nan),
+        (('force',), math.nan),
+        (('innovation_variance',), -1.0),
+        (('speed_min',), math.nan),
+    ],
+)
+def test_numbers_that_would_break_later_are_refused_and_nothing_changes(
+    train_file: TrainFile, journey: Journey, path: tuple[Any, ...], wrong: object
+) -> None:
+    estimator = SpeedEkf(train_file, CONFIG)
+    for item in journey(60.0, traction=saw_tooth):
+        estimator.step(item)
+    before = estimator.save()
+    data = json.loads(before)
+    part = data['state']
+    for key in path[:-1]:
+        part = part[key]
+    part[path[-1]] = wrong
+    with pytest.raises(InputError):
+        estimator.restore(json.dumps(data))
+    assert estimator.save() == before

@@ -263,6 +263,43 @@ def test_a_saved_state_that_does_not_fit_is_refused(train_file: TrainFile, journ
         estimator.restore(json.dumps(data))
 
 
+@pytest.mark.parametrize(
+    ('path', 'wrong'),
+    [
+        (('disturbance_variance',), -5.0),
+        (('disturbance_variance',), math.nan),
+        (('innovation_variance',), -1.0),
+        (('tachometer', 'variance'), math.nan),
+        (('tachometer', 'variance'), -1.0),
+        (('tachometer', 'last'), math.inf),
+        (('slow', 'memory'), 0.0),
+        (('slow', 'factor'), -1.0),
+        (('ticks', 0, 'dt'), 0.0),
+        (('tracker', 'memory', 0), 0.0),
+        (('tracker', 'memory', 3), 0.0),
+        (('tracker', 'rows', 0, 3), -1.0),
+        (('tracker', 'mean_weight'), math.nan),
+        (('speed_max',), 1e308),
+        (('observations',), 10**400),
+    ],
+)
+def test_numbers_that_would_break_later_are_refused_and_nothing_changes(
+    train_file: TrainFile, journey: Journey, path: tuple[Any, ...], wrong: float
+) -> None:
+    estimator = VMils(train_file, CONFIG)
+    for item in journey(60.0, traction=saw_tooth):
+        estimator.step(item)
+    before = estimator.save()
+    data = json.loads(before)
+    part = data['state']['learner']
+    for key in path[:-1]:
+        part = part[key]
+    part[path[-1]] = wrong
+    with pytest.raises(InputError):
+        estimator.restore(json.dumps(data))
+    assert estimator.save() == before
+
+
 def test_a_hop_longer_than_the_window_is_refused(train_file: TrainFile) -> None:
     with pytest.raises(InputError, match=r'hop = 30 must not exceed window = 25'):
         VMils(train_file, VMilsConfig(hop=30))

@@ -99,8 +99,18 @@ def test_a_saved_state_goes_on_to_the_bit_and_a_broken_one_is_refused() -> None:
         whole.step(sample)
     copy.restore(whole.save())
     assert [whole.step(s) for s in samples[500:]] == [copy.step(s) for s in samples[500:]]
-    with pytest.raises(InputError, match='regression is not finite'):
-        copy.restore(whole.save().replace('"theta": [', '"theta": [NaN, '))
+    before = copy.save()
+    for right, wrong in (
+        ('"theta": [', '"theta": [NaN, '),
+        ('"scale": ', '"scale": -'),
+        ('"squares": ', '"squares": -'),
+        ('"dt": 0.', '"dt": -0.'),
+        ('"moment": [0.0', '"moment": [NaN'),
+    ):
+        assert right in before
+        with pytest.raises(InputError, match=r'WindowedState|Residuals'):
+            copy.restore(before.replace(right, wrong, 1))
+    assert copy.save() == before
 
 
 def test_settings_are_checked() -> None:

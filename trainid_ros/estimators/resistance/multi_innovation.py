@@ -102,6 +102,15 @@ def information_of(belief: Belief) -> Information:
     return A, B, C, D, E, F, A * a + B * b + C * c, B * a + D * b + E * c, C * a + E * b + F * c
 
 
+def is_definite(info: Information) -> bool:
+    """True if P^-1 has only positive pivots, so that it is the inverse of a covariance."""
+    A, B, C, D, E, F = info[:6]
+    if not A > 0.0:
+        return False
+    d1, e = D - B * B / A, E - B * C / A
+    return d1 > 0.0 and F - C * C / A - e * e / d1 > 0.0
+
+
 def is_finite(numbers: tuple[float, ...]) -> bool:
     """True if all are finite."""
     return all(map(math.isfinite, numbers))

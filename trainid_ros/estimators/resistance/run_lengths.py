@@ -16,11 +16,19 @@ weights that stay low: then a robust fit of the latest observations begins a new
 from __future__ import annotations
 
 import math
+import operator
 from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from trainid_ros.estimators.resistance.multi_innovation import NOTHING, belief_of, information_of, is_finite, mils_step
+from trainid_ros.core.soundness import is_covariance
+from trainid_ros.estimators.resistance.multi_innovation import (
+    NOTHING,
+    belief_of,
+    information_of,
+    is_definite,
+    mils_step,
+)
 from trainid_ros.estimators.resistance.robust import drifted, mixed, soft_update, widened
 from trainid_ros.estimators.resistance.robust_fit import LEAST_ROWS, robust_fit
 
@@ -74,10 +82,17 @@ class TrackerState:
     count: int
     steps_found: int
 
-    def is_finite(self) -> bool:
-        """True if all its parts are of the right size and finite."""
+    def is_sound(self) -> bool:
+        """True if all its parts, finite ones, are of the right size and within their bounds."""
         sizes = ((self.memory,), 18), (self.parts, 9), (self.watchers, 11), (self.rows, 5)
-        return all(len(item) == size and is_finite(item) for items, size in sizes for item in items)
+        if not all(len(item) == size for items, size in sizes for item in items):
+            return False
+        after = tuple(map(operator.add, self.memory[:9], self.memory[9:]))
+        informed = is_definite(self.memory) and is_definite(after)
+        believed = all(is_covariance(item[3:9]) and item[9] <= _MOST_EVIDENCE for item in self.watchers)
+        # (v, s, y, R, slow)
+        observed = all(row[3] > 0.0 and row[4] > 0.0 for row in self.rows)
+        return informed and believed and observed and 0.0 <= self.mean_weight <= 1.0 and self.count >= 0
 
 
 class Tracker:

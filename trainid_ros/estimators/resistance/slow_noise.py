@@ -30,6 +30,10 @@ class SlowNoise:
     count: int = 0
     memory: float = _FIRST_MEMORY
 
+    def is_sound(self) -> bool:
+        """True if no variance is negative and the factor and the memory are positive."""
+        return self.factor > 0.0 and self.memory > 0.0 and self.known >= 0.0 and self.variance >= 0.0
+
     def add(self, nu: float, doubt: float, variance: float, bounds: tuple[float, float]) -> None:
         """Take in one innovation.
 

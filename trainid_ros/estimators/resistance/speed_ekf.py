@@ -19,9 +19,11 @@ from typing import TYPE_CHECKING, Final
 from trainid_ros.core.codec import check_restored, decode, encode
 from trainid_ros.core.results import Reason, Refusal, ResistanceEstimate
 from trainid_ros.core.settings import check_settings, setting
+from trainid_ros.core.soundness import check_not_negative, check_numbers, is_covariance
 from trainid_ros.estimators.admission import Admission
 from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.estimators.prior import prior_variances
+from trainid_ros.estimators.resistance.fitness import drift_rates, is_fit
 from trainid_ros.estimators.resistance.multi_innovation import is_finite
 from trainid_ros.estimators.resistance.robust import drifted, predict
 from trainid_ros.estimators.resistance.speed_filter import State, corrected, predicted, restarted
@@ -31,11 +33,11 @@ if TYPE_CHECKING:
     from trainid_ros.core.samples import Sample
     from trainid_ros.physics.train_file import TrainFile
 
-_SECONDS_PER_HOUR: Final = 3600.0
 # Square of the distance from the prior, in its standard deviations, that no honest train has.
 _ASTRAY: Final = 30.0
 # A speed that was not stuck for so many samples is one to go on from.
 _MOST_HELD: Final = 50
+_MOST_SPEED: Final = 1e3
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,9 +97,8 @@ class SpeedEkf:
         self._k = 1.0 / self._known.inertia
         davis = train_file.resistance
         self._theta0 = (davis.a, davis.b, davis.c)
-        a, b, c = self._most_doubt = prior_variances(self._theta0, config)
-        growth = config.drift_share**2 / _SECONDS_PER_HOUR
-        self._drift_rates = (growth * a, growth * b, growth * c)
+        self._most_doubt = prior_variances(self._theta0, config)
+        self._drift_rates = drift_rates(config.drift_share, self._most_doubt)
         self.reset()
 
     def reset(self) -> None:
@@ -143,9 +144,14 @@ class SpeedEkf:
     def restore(self, text: str) -> None:
         """Take over a saved state; InputError if it does not fit."""
         state = decode(text, SpeedEkfState)
+        check_numbers(state, may_be_nan=('dt',))  # of the tachometer, after a gap
         for item in (state.filter, state.before):
-            check_restored(len(item) == 14 and is_finite(item), 'SpeedEkfState', 'filter')
-        check_restored(all(len(item) == 3 and is_finite(item) for item in state.held), 'SpeedEkfState', 'held')
+            sized = len(item) == 14 and is_covariance(item[4:]) and abs(item[0]) < _MOST_SPEED
+            check_restored(sized and not self._is_astray(item), 'SpeedEkfState', 'filter')
+        held = all(len(item) == 3 and min(item[0], item[2]) >= 0.0 for item in state.held)
+        check_restored(held, 'SpeedEkfState', 'held')
+        check_restored(state.tachometer.is_sound(), 'SpeedEkfState', 'tachometer')
+        check_not_negative('SpeedEkfState', innovation_variance=state.innovation_variance, test_ratio=state.test_ratio)
         self._filter, self._before, self._held = state.filter, state.before, list(state.held)
         self._tachometer = state.tachometer
         self._speed, self._force, self._running = state.speed, state.force, state.running
@@ -218,7 +224,7 @@ class SpeedEkf:
         if not self._held or len(self._held) >= _MOST_HELD:
             self._before = self._filter
             self._held.clear()
-        if self._is_astray():
+        if self._is_astray(self._filter):
             self._go_home(sample.speed)
             return Refusal(sample.stamp_ns, Reason.NUMERICAL, nu, math.nan)
         self._accepted += 1
@@ -243,8 +249,8 @@ class SpeedEkf:
             self._begin(sample.speed, self._force)
         return Refusal(sample.stamp_ns, reason, nu, limit)
 
-    def _is_astray(self) -> bool:
-        pairs = zip(self._filter[1:4], self._theta0, self._most_doubt, strict=True)
+    def _is_astray(self, state: State) -> bool:
+        pairs = zip(state[1:4], self._theta0, self._most_doubt, strict=True)
         return sum((x - x0) ** 2 / P for x, x0, P in pairs) > _ASTRAY
 
     def _go_home(self, speed: float) -> None:
@@ -254,11 +260,11 @@ class SpeedEkf:
         self._before, self._held = self._filter, []
 
     def _judge(self) -> None:
-        """Fit to use while w is known over the speeds seen (rms); hysteresis of one half."""
-        belief = (*self._filter[1:4], *self._filter[8:])
-        speeds = (self._speed_min, 0.5 * (self._speed_min + self._speed_max), self._speed_max)
-        rms = math.sqrt(sum(predict(belief, v, v * v)[1] for v in speeds) / len(speeds))
-        self._converged = self._accepted > 0 and rms < self.config.valid_std * (1.5 if self._converged else 1.0)
+        """Judge whether w is fit to use."""
+        belief, speeds = (*self._filter[1:4], *self._filter[8:]), (self._speed_min, self._speed_max)
+        self._converged = self._accepted > 0 and is_fit(
+            lambda v: predict(belief, v, v * v)[1], speeds, self.config.valid_std, was_fit=self._converged
+        )
 
     def estimate(self, speed: float) -> ResistanceEstimate:
         """Return the parameters and the resistance at a speed [m/s]."""

@@ -38,6 +38,10 @@ class Tachometer:
         """Standard deviation of one speed measurement [m/s]."""
         return math.sqrt(self.variance)
 
+    def is_sound(self) -> bool:
+        """True if there is some noise, as declared and as learned."""
+        return self.declared_std > 0.0 and self.variance > 0.0
+
     def add(self, speed: float, dt: float) -> None:
         """Take in one more speed [m/s], measured ``dt`` [s] after the last; NaN = after a gap."""
         before, last, last_dt = self.before, self.last, self.dt

@@ -19,14 +19,16 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from trainid_ros.core.codec import check_restored, decode, encode
+from trainid_ros.core.codec import decode, encode
 from trainid_ros.core.errors import InputError
 from trainid_ros.core.records import NS_PER_S
 from trainid_ros.core.results import Refusal, ResistanceEstimate
 from trainid_ros.core.settings import check_settings, setting
+from trainid_ros.core.soundness import check_numbers
 from trainid_ros.estimators.admission import Admission
 from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.estimators.prior import prior_variances
+from trainid_ros.estimators.resistance.fitness import drift_rates, is_fit
 from trainid_ros.estimators.resistance.robust import drifted, predict
 from trainid_ros.estimators.resistance.run_lengths import RunLengths, Tracker
 from trainid_ros.estimators.resistance.speed_window import Tick
@@ -37,7 +39,6 @@ if TYPE_CHECKING:
     from trainid_ros.estimators.resistance.robust import Belief
     from trainid_ros.physics.train_file import TrainFile
 
-_SECONDS_PER_HOUR: Final = 3600.0
 _SAMPLES_PER_S: Final = 5.0
 # Drift enters the memory, and an estimate without news is judged again, after this time [s].
 _DRIFT_LUMP_S: Final = 60.0
@@ -99,8 +100,7 @@ class VMils:
         davis = train_file.resistance
         theta = (davis.a, davis.b, davis.c)
         a, b, c = self._most_doubt = prior_variances(theta, config)
-        growth = config.drift_share**2 / _SECONDS_PER_HOUR
-        self._drift_rates = (growth * a, growth * b, growth * c)
+        self._drift_rates = drift_rates(config.drift_share, self._most_doubt)
         tracker = Tracker((*theta, a, 0.0, 0.0, b, 0.0, c), run_lengths(config, self._most_doubt))
         self.learner = WindowLearner(tracker, window_plan(config, self._known.inertia))
         self._forget()
@@ -133,7 +133,8 @@ class VMils:
     def restore(self, text: str) -> None:
         """Take over a saved state; InputError if it does not fit."""
         state = decode(text, VMilsState)
-        check_restored(state.learner.tracker.is_finite(), 'VMilsState', 'tracker')
+        check_numbers(state, may_be_nan=('dt',))  # of the tachometer, after a gap
+        state.learner.check()
         self.learner.restore(state.learner)
         self._stamp_ns, self._drifted_ns, self._judged_ns = state.stamp_ns, state.drifted_ns, state.judged_ns
         self._admission.braked_ns = state.braked_ns
@@ -177,16 +178,16 @@ class VMils:
         return drifted(belief, self._drift_rates, elapsed_s, self._most_doubt)
 
     def _judge(self, *, news: bool) -> None:
-        """Fit to use while w is known over the speeds seen (rms); hysteresis of one half."""
+        """Judge whether w is fit to use: after news, and from time to time without."""
         learner = self.learner
         waited_s = (self._stamp_ns - self._judged_ns) / NS_PER_S
         if not learner.observations or not (news or waited_s < 0.0 or waited_s >= _DRIFT_LUMP_S):
             return
         self._judged_ns = self._stamp_ns
-        belief = self._now()
-        speeds = (learner.speed_min, 0.5 * (learner.speed_min + learner.speed_max), learner.speed_max)
-        rms = math.sqrt(sum(predict(belief, v, v * v)[1] for v in speeds) / len(speeds))
-        self._converged = rms < self.config.valid_std * (1.5 if self._converged else 1.0)
+        belief, speeds = self._now(), (learner.speed_min, learner.speed_max)
+        self._converged = is_fit(
+            lambda v: predict(belief, v, v * v)[1], speeds, self.config.valid_std, was_fit=self._converged
+        )
 
     def estimate(self, speed: float) -> ResistanceEstimate:
         """Return the parameters and the resistance at a speed [m/s]."""

@@ -13,7 +13,9 @@ from collections import deque
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
+from trainid_ros.core.codec import check_restored
 from trainid_ros.core.results import Reason, Refusal
+from trainid_ros.core.soundness import check_not_negative
 from trainid_ros.estimators.resistance.robust import gate, predict
 from trainid_ros.estimators.resistance.run_lengths import TrackerState
 from trainid_ros.estimators.resistance.slow_noise import SlowNoise
@@ -65,6 +67,19 @@ class LearnerState:
     speed_min: float
     speed_max: float
     observations: int
+
+    def check(self) -> None:
+        """Raise InputError unless these numbers, finite ones, can be gone on from."""
+        check_restored(self.tracker.is_sound(), 'LearnerState', 'tracker')
+        check_restored(self.tachometer.is_sound(), 'LearnerState', 'tachometer')
+        check_restored(self.slow.is_sound(), 'LearnerState', 'slow')
+        check_restored(all(tick.dt > 0.0 for tick in self.ticks), 'LearnerState', 'ticks')
+        check_not_negative(
+            'LearnerState',
+            disturbance_variance=self.disturbance_variance,
+            innovation_variance=self.innovation_variance,
+            test_ratio=self.test_ratio,
+        )
 
 
 class WindowLearner:

@@ -19,8 +19,10 @@ from typing import TYPE_CHECKING, Final
 from trainid_ros.core.codec import check_restored, decode, encode
 from trainid_ros.core.results import Reason, Refusal, ResistanceEstimate
 from trainid_ros.core.settings import check_settings, setting
+from trainid_ros.core.soundness import check_not_negative, check_numbers
 from trainid_ros.estimators.admission import Admission
 from trainid_ros.estimators.known_force import KnownForce
+from trainid_ros.estimators.resistance.fitness import is_fit
 from trainid_ros.estimators.resistance.recursive import covariance, doubt
 from trainid_ros.estimators.resistance.regressions import Regression, RegressionState, begin, skip, strict_step
 from trainid_ros.estimators.resistance.residuals import Residuals
@@ -108,7 +110,13 @@ class WindowedRegression:
     def restore(self, text: str) -> None:
         """Take over a saved state; InputError if it does not fit."""
         state = decode(text, WindowedState)
-        check_restored(_is_sound(state.regression), 'WindowedState', 'regression')
+        check_numbers(state)
+        regression, p = state.regression, self.config.innovation_length
+        stacked = len(regression.Phi) == len(regression.Y) <= p
+        check_restored(stacked and _is_sound(regression), 'WindowedState', 'regression')
+        check_restored(state.residuals.is_sound(), 'WindowedState', 'residuals')
+        check_restored(all(tick.dt > 0.0 for tick in state.ticks), 'WindowedState', 'ticks')
+        check_not_negative('WindowedState', scale=state.scale, innovation_variance=state.innovation_variance)
         self.state = state
         self._admission.braked_ns = state.braked_ns
 
@@ -185,13 +193,14 @@ class WindowedRegression:
         return replace(self.state, regression=skip(self.state.regression))
 
     def _judge(self) -> None:
-        """Fit to use while w is known over the speeds seen (rms); hysteresis of one half."""
+        """Judge whether w is fit to use."""
         state = self.state
-        speeds = (state.speed_min, 0.5 * (state.speed_min + state.speed_max), state.speed_max)
-        mean = state.scale * sum(doubt(state.regression.UD, _regressor(v)) for v in speeds) / len(speeds)
-        limit = self.config.valid_std * (1.5 if state.converged else 1.0)
+        speeds, scale, UD = (state.speed_min, state.speed_max), state.scale, state.regression.UD
         enough = state.regression.determined and state.residuals.count >= _FEWEST
-        self.state = replace(state, converged=enough and math.sqrt(mean) < limit)
+        converged = enough and is_fit(
+            lambda v: scale * doubt(UD, _regressor(v)), speeds, self.config.valid_std, was_fit=state.converged
+        )
+        self.state = replace(state, converged=converged)
 
     def _scale(self, residuals: Residuals) -> float:
         """Return p sigma^2."""
@@ -232,4 +241,4 @@ def _in_kmh(values: Vector) -> Vector:
 
 def _is_sound(state: RegressionState) -> bool:
     numbers = [*state.theta, *state.UD]
-    return len(numbers) == 9 and all(abs(value) < _HUGE for value in numbers)
+    return len(numbers) == 9 and all(abs(value) < _HUGE for value in numbers) and min(state.UD[3:]) >= 0.0

@@ -1,0 +1,78 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Whether the numbers of a saved state can be gone on from: a file may be read back and still be wrong."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields, is_dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from trainid_ros.core.errors import InputError
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator, Sequence
+
+    from _typeshed import DataclassInstance
+
+# No quantity of a train, nor the inverse of a variance, comes near; squares of it stay finite.
+_HUGE: Final = 1e40
+# Rounding makes a correlation exceed one by less.
+_ROUNDING: Final = 1e-6
+
+
+def check_numbers(state: DataclassInstance, *, may_be_nan: Collection[str] = ()) -> None:
+    """Check all numbers of a state, in arrays, tuples and dataclasses in it too.
+
+    Args:
+        state: The state.
+        may_be_nan: Names of fields that are NaN while unknown.
+
+    Raises:
+        InputError: A number is not finite or beyond all measure; it is named.
+
+    """
+    for name, values in _numbers(state, ''):
+        unknown = np.isnan(values) if name.rpartition('.')[2] in may_be_nan else False
+        if not bool(np.all((np.abs(values) < _HUGE) | unknown)):
+            msg = f'saved {type(state).__name__}: {name} is not finite or beyond all measure'
+            raise InputError(msg)
+
+
+def _numbers(value: Any, name: str) -> Iterator[tuple[str, Any]]:
+    if is_dataclass(value):
+        for item in fields(value):
+            yield from _numbers(getattr(value, item.name), f'{name}.{item.name}' if name else item.name)
+    elif isinstance(value, tuple):
+        for item in value:
+            yield from _numbers(item, name)
+    elif isinstance(value, np.ndarray | int | float):
+        yield name, value
+
+
+def check_not_negative(kind: str, **numbers: float) -> None:
+    """Raise InputError, naming the first one of a saved ``kind`` of state, unless all numbers are >= 0."""
+    for name, value in numbers.items():
+        if not value >= 0.0:
+            msg = f'saved {kind}: {name} = {value:g} must be >= 0'
+            raise InputError(msg)
+
+
+def is_covariance(upper: Sequence[float]) -> bool:
+    """True if the upper triangle of a matrix, row by row, is that of a covariance: no variance is negative.
+
+    Args:
+        upper: n (n + 1) / 2 finite numbers.
+
+    """
+    n = (math.isqrt(8 * len(upper) + 1) - 1) // 2
+    P = np.zeros((n, n))
+    P[np.triu_indices(n)] = upper
+    variances = np.diag(P)
+    if bool((variances < 0.0).any()):
+        return False
+    # Variances lie decades apart, so correlations are judged.
+    scale = 1.0 / np.sqrt(np.where(variances > 0.0, variances, 1.0))
+    correlations = scale[:, None] * (P + np.triu(P, 1).T) * scale
+    return float(np.linalg.eigvalsh(correlations)[0]) >= -_ROUNDING
