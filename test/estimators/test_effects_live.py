@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import math
+from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from typing import Any
@@ -12,7 +14,8 @@ import pytest
 
 from trainid_ros.core.errors import InputError
 from trainid_ros.core.records import Record
-from trainid_ros.core.results import Status
+from trainid_ros.core.results import Reason, Status
+from trainid_ros.core.samples import Sample
 from trainid_ros.estimators.pipeline import (
     EstimatorPipeline,
     EstimatorSettings,
@@ -21,6 +24,7 @@ from trainid_ros.estimators.pipeline import (
     resistance_pipeline,
     speed_model_pipeline,
 )
+from trainid_ros.estimators.trajectory.pieces import PieceCollector
 from trainid_ros.physics.effect_text import parse_effects
 from trainid_ros.physics.effects import EFFECTS
 from trainid_ros.physics.train_file import TrainFile
@@ -174,3 +178,13 @@ def test_a_restored_pipeline_remembers_how_far_the_train_has_run(line: TrainFile
     fresh.estimator.restore(first.estimator.save())
     fresh.push(records[-1])
     assert fresh.save() != first.save()
+
+
+def test_a_fit_follows_the_drive_too(train_file: TrainFile, sample: Callable[..., Sample]) -> None:
+    true = with_effect(train_file, 'bearing_warmup:value=4,distance=300')
+    collector, refused = PieceCollector(true, 1.0, 2.0), Counter[Reason]()
+    for i in range(200):  # 3 m each
+        collector.add(sample(i, dt=0.2, speed=15.0 + 0.001 * (i % 2)), refused)
+    assert not refused
+    known = collector.trajectory().known
+    assert (known[0], known[100], known[199]) == pytest.approx((-4.0, -4.0 / math.e, -4.0 * math.exp(-1.99)), rel=1e-3)
