@@ -35,8 +35,8 @@ class TrackPoint:
         traction: Reported traction, 1000 F/(M g) with the believed mass M [N/kN].
         brake: Force of a brake as believed, its rate included, per believed weight [N/kN, <= 0].
         heat: Heat that this brake has put into itself, less what has cooled [J per kg of train].
-        acceleration: Acceleration [m/s^2].
-        brake_before: ``brake`` so many seconds ago.
+        acceleration: Acceleration [m/s^2]; live estimators, which measure speed alone, leave it 0.
+        brake_before: ``brake`` so many seconds ago; steady for live estimators, which shift its dead time instead.
         traction_before: ``traction`` so many seconds ago; fits alone know those ahead (negative seconds).
         gradient_ahead: Gradient as reported so many metres further ahead [per mille]; negative metres lie behind.
 
