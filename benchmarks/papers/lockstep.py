@@ -225,27 +225,30 @@ class ManyRls:
 
 
 class ManyIntegral:
-    """The integral RLS: x, theta, P, waited, seen, number of steps, then the window of each line, oldest first."""
+    """The integral RLS: x, theta, P, waited, seen, its two doubts, number of steps, then the windows, oldest first."""
 
     def __init__(self, theta0: Theta, P0: Symmetric, tuning: integral_rls.Tuning, variance: float) -> None:
         self._tuning = tuning
-        self._start = (0.0, *theta0, *P0, 0.0, 0.0, 0.0, *(0.0,) * (5 * tuning.window))
-        self._noise = integral_rls.regression_variance(variance, tuning.window, tuning.hop)
+        self._variance = variance
+        self._start = (0.0, *theta0, *P0, *(0.0,) * 5, *(0.0,) * (5 * tuning.window))
+        self._noise = integral_rls.regression_variance(variance, tuning.noise, tuning.window, tuning.hop)
 
     def start(self, lines: int) -> Array:
         return np.tile(np.array(self._start)[:, None], lines)
 
-    def _moved(self, numbers: Array, u: Array) -> tuple[Array, Array, Array]:
-        """Return the predicted speed, the number of steps and the window with one more step."""
+    def _moved(self, numbers: Array, u: Array) -> tuple[Array, tuple[Array, Array], Array, Array]:
+        """Return the predicted speed, its doubts, the number of steps and the window with one more step."""
         x = numbers[0]
         phi = np.stack([x * x, x, u, np.ones_like(u)])
         predicted: Any = rls.output(tuple(numbers[1:5]), tuple(phi))
-        window = np.concatenate([numbers[23:], phi, numbers[16:17]])
-        return predicted, np.minimum(numbers[17] + 1.0, self._tuning.window), window
+        g: Any = rls.times(tuple(numbers[5:15]), tuple(phi))[4]
+        doubts = numbers[17] + self._tuning.noise, numbers[18] + np.sqrt(np.maximum(g, 0.0))
+        window = np.concatenate([numbers[25:], phi, numbers[16:17]])
+        return predicted, doubts, np.minimum(numbers[19] + 1.0, self._tuning.window), window
 
     def learn(self, numbers: Array, y: Array, u: Array) -> ManyLearned:
         tuning, K = self._tuning, self._tuning.window
-        predicted, count, window = self._moved(numbers, u)
+        predicted, (by_noise, by_theta), count, window = self._moved(numbers, u)
         error = y - predicted
         seen = predicted + np.clip(error, -tuning.clip, tuning.clip)
         waited = numbers[15] + 1.0
@@ -257,21 +260,23 @@ class ManyIntegral:
         w: Any = rls.times(P, summed)
         after: Any = rls.updated(theta, P, w, change, self._noise)
         kept = np.where(due, np.stack([*after[0], *after[1]]), numbers[1:15])
-        now = predicted + tuning.kappa * (seen - predicted)
-        head = np.stack([now, *kept, np.where(due, 0.0, waited), seen, count])
+        kappa, left = tuning.kappa, 1.0 - tuning.kappa
+        now = predicted + kappa * (seen - predicted)
+        after = left * left * by_noise + kappa * kappa * self._variance, left * by_theta
+        head = np.stack([now, *kept, np.where(due, 0.0, waited), seen, *after, count])
         none = np.zeros_like(error, dtype=np.bool_)
-        return ManyLearned(
-            np.concatenate([head, window]), predicted, error, none, np.full_like(error, np.nan), np.ones_like(error)
-        )
+        told = by_noise + by_theta * by_theta + self._variance
+        return ManyLearned(np.concatenate([head, window]), predicted, error, none, told, np.ones_like(error))
 
     def coast(self, numbers: Array, u: Array) -> Array:
-        predicted, count, window = self._moved(numbers, u)
-        head = np.stack([predicted, *numbers[1:15], numbers[15] + 1.0, predicted, count])
+        predicted, doubts, count, window = self._moved(numbers, u)
+        head = np.stack([predicted, *numbers[1:15], numbers[15] + 1.0, predicted, *doubts, count])
         return np.concatenate([head, window])
 
     def anchor(self, numbers: Array, y: Array) -> Array:
         zero = np.zeros_like(y)
-        return np.concatenate([y[None], numbers[1:15], np.stack([zero, y, zero]), 0.0 * numbers[18:]])
+        doubts = np.full_like(y, self._variance), zero
+        return np.concatenate([y[None], numbers[1:15], np.stack([zero, y, *doubts, zero]), 0.0 * numbers[20:]])
 
     def doubt_load(self, numbers: Array) -> Array:
         wider = numbers.copy()

@@ -9,6 +9,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from trainid_ros.core.results import Refusal
 from trainid_ros.core.samples import Sample
 from trainid_ros.estimators.speed_model.integral_rls import (
     IntegralRls,
@@ -17,12 +18,12 @@ from trainid_ros.estimators.speed_model.integral_rls import (
     Tuning,
     regression,
 )
-from trainid_ros.estimators.speed_model.parameters import SpeedModelConfig, prior
+from trainid_ros.estimators.speed_model.parameters import SpeedModelConfig, full, prior
 from trainid_ros.physics.train_file import TrainFile
 
 K = 9.80665 / 1080.0
 THETA, P0 = prior((1.5, 0.03, 0.004), K, SpeedModelConfig())
-TUNING = Tuning(window=5, hop=2, kappa=0.3, clip=0.25, drift=0.0, load=1e-8)
+TUNING = Tuning(window=5, hop=2, kappa=0.3, clip=0.25, noise=0.0, drift=0.0, load=1e-8)
 
 
 def model(x: float, u: float) -> float:
@@ -61,9 +62,9 @@ def test_a_stop_begins_the_window_anew_and_widens_b1() -> None:
     numbers = method.anchor(method.start(1e-4), 8.0, 1e-4)
     for _ in range(4):
         numbers = method.coast(numbers, 5.0, 1.0)
-    assert len(numbers) == 17 + 4 * 5
+    assert len(numbers) == 19 + 4 * 5
     stopped = method.doubt_load(method.anchor(numbers, 0.0, 1e-4))
-    assert len(stopped) == 17
+    assert len(stopped) == 19
     assert stopped[12] - numbers[12] == pytest.approx(1e-8)
 
 
@@ -78,3 +79,39 @@ def test_it_is_not_misled_by_white_noise(train_file: TrainFile, journey: Callabl
         assert e.mass_factor == pytest.approx(1.08, rel=0.02)
         assert math.isfinite(sum(e.covariance))
     assert abs(np.mean(errors)) < 0.2
+
+
+@pytest.mark.parametrize('noise', [0.0, 4e-4])
+def test_the_stated_variance_is_that_of_the_error(noise: float) -> None:
+    """Parameters drawn from the prior (a tenth of it), white noise of speed, gusts of the stated size."""
+    rng, variance, few = np.random.default_rng(20), 4e-4, tuple(0.01 * p for p in P0)
+    tuning = TUNING._replace(window=10, hop=1, noise=noise)
+    L = np.linalg.cholesky(np.array(full(few)).reshape(4, 4))  # type: ignore[arg-type]
+    early: list[float] = []
+    late: list[float] = []
+    for _ in range(50):
+        a1, a2, b1, d0 = np.array(THETA) + L @ rng.standard_normal(4)
+        method, x = IntegralRls(THETA, few, tuning), 8.0  # type: ignore[arg-type]
+        numbers = method.anchor(method.start(variance), x + 0.02 * rng.standard_normal(), variance)
+        for n in range(150):
+            u = 30.0 if n % 60 < 30 else -5.0
+            x = a1 * x * x + a2 * x + b1 * u + d0 + math.sqrt(noise) * rng.standard_normal()
+            learned = method.learn(numbers, x + 0.02 * rng.standard_normal(), u, 1.0, variance)
+            numbers = learned.numbers
+            (early if n < 20 else late).append(learned.error**2 / learned.variance)
+    # Of 1000 and 6500 squares that are correlated; clipping at 0.25 m/s is rare.
+    assert np.mean(early) == pytest.approx(1.0, abs=0.2)
+    assert np.mean(late) == pytest.approx(1.0, abs=0.1)
+
+
+def test_it_becomes_sure_enough_to_use_and_says_how_sure(
+    train_file: TrainFile, journey: Callable[..., list[Sample]]
+) -> None:
+    estimator = SpeedIntegralRls(train_file, IntegralRlsConfig())
+    ratios = []
+    for item in journey(700.0, traction=lambda t: 30.0 if t % 140.0 < 40.0 else 0.0, speed=8.0, seed=4):
+        e = estimator.step(item)
+        if not isinstance(e, Refusal):
+            ratios.append(e.prediction_error**2 / e.prediction_variance)
+    assert estimator.converged
+    assert 0.6 < np.mean(ratios) < 1.25

@@ -7,7 +7,10 @@ Summed over k steps the model (2) reads
 
 so the noise of two measurements stands against k times the signal, while in one step it stands against one. The
 speeds in the sums come from an observer: the model's own output, pulled towards the measurement by ``kappa``.
-Regressions that begin at every sample share measurements, so each counts for less than a whole one.
+Regressions that begin at every sample have noise of speed of their own, but share gusts and force noise.
+
+The error of the observer is known too: noise of speed and gusts, which pass on as a variance, and what the doubt about
+theta adds from step to step, which does not change sign and so passes on as a standard deviation.
 """
 
 from __future__ import annotations
@@ -26,9 +29,9 @@ from trainid_ros.estimators.speed_model.rls import output, regressor, times, upd
 if TYPE_CHECKING:
     from trainid_ros.physics.train_file import TrainFile
 
-# x, theta, P, steps since the last regression, last speed seen; then a block for each step in the window: phi of
-# the step and the speed seen at its start.
-_HEAD: Final = 17
+# x, theta, P, steps since the last regression, last speed seen, variance of x by noise, deviation of x by theta; then a
+# block for each step in the window: phi of the step and the speed seen at its start.
+_HEAD: Final = 19
 _BLOCK: Final = 5
 
 
@@ -40,17 +43,23 @@ class IntegralRlsConfig(SpeedModelConfig):
     hop: int = setting(1, 'samples from one regression to the next', 'samples', 1, 500)
     kappa: float = setting(0.3, 'share of the measurement in the observer', '1', 0.01, 1.0)
     clip: float = setting(0.25, 'errors of the observer count for no more than this', 'm/s', 1e-3, 10.0)
+    acceleration_noise: float = setting(0.004, 'gusts, force noise and map errors', 'm/s per sqrt(s)', 0.0, 1.0)
     drift: float = setting(0.004, 'drift of the Davis a in 1 s (0.2 if no gradient is known)', 'N/kN', 0.0, 10.0)
     load_std: float = setting(0.001, 'change of the mass at a stop that is not weighed, a share', '1', 0.0, 1.0)
 
 
 class Tuning(NamedTuple):
-    """What the kernel needs to know; ``drift`` and ``load`` are variances of d0 per sample period and b1 per stop."""
+    """What the kernel needs to know.
+
+    ``noise`` is the variance that x gains in a sample period [(m/s)^2], ``drift`` and ``load`` are variances of d0 per
+    sample period and b1 per stop.
+    """
 
     window: int
     hop: int
     kappa: float
     clip: float
+    noise: float
     drift: float
     load: float
 
@@ -62,15 +71,24 @@ def learn(numbers: Numbers, y: float, u: float, scale: float, variance: float, t
     predicted = output(theta, phi) + (1.0 - scale) * x  # type: ignore[arg-type]
     eps = y - predicted
     seen = predicted + max(-tuning.clip, min(tuning.clip, eps))
+    by_noise, by_theta = observer_doubt(numbers[17], numbers[18], P, phi, scale * tuning.noise)  # type: ignore[arg-type]
     window, waited = _moved(numbers, phi, tuning.window), numbers[15] + 1.0
     if len(window) == _BLOCK * tuning.window and waited >= tuning.hop:
         waited = 0.0
         error, summed = regression(theta, window, seen)  # type: ignore[arg-type]
         doubted = (*P[:9], P[9] + tuning.drift * tuning.hop)
-        noise = regression_variance(variance, tuning.window, tuning.hop)
+        noise = regression_variance(variance, tuning.noise, tuning.window, tuning.hop)
         theta, P = updated(theta, doubted, times(doubted, summed), error, noise)  # type: ignore[arg-type]
-    now = predicted + tuning.kappa * (seen - predicted)
-    return Learned((now, *theta, *P, waited, seen, *window), predicted, eps, math.inf, 1.0)
+    kappa, left = tuning.kappa, 1.0 - tuning.kappa
+    now = predicted + kappa * (seen - predicted)
+    after = left * left * by_noise + kappa * kappa * variance, left * by_theta
+    told = by_noise + by_theta * by_theta + variance
+    return Learned((now, *theta, *P, waited, seen, *after, *window), predicted, eps, math.inf, 1.0, told)
+
+
+def observer_doubt(by_noise: float, by_theta: float, P: Symmetric, phi: Theta, noise: float) -> tuple[float, float]:
+    """Return the variance of x by noise and its deviation by theta after one step without a measurement."""
+    return by_noise + noise, by_theta + math.sqrt(max(times(P, phi)[4], 0.0))
 
 
 def _moved(numbers: Numbers, phi: Theta, length: int) -> Numbers:
@@ -88,16 +106,19 @@ def regression(theta: Theta, window: Numbers, seen: float) -> tuple[float, Theta
     return seen - window[4] - (output(theta, summed) - summed[1]), summed
 
 
-def regression_variance(variance: float, window: int, hop: int) -> float:
-    """Return the variance of one regression [(m/s)^2]: all that begin within a window know no more than one alone."""
-    return 2.0 * variance * max(1.0, window / hop)
+def regression_variance(variance: float, noise: float, window: int, hop: int) -> float:
+    """Return the variance that one regression counts with [(m/s)^2].
+
+    Two measurements of its own, and the gusts of a window, of which all that begin within it know no more than one.
+    """
+    return 2.0 * variance + noise * window * max(1.0, window / hop)
 
 
 class IntegralRls:
     """The kernel with its tuning and prior."""
 
     def __init__(self, theta0: Theta, P0: Symmetric, tuning: Tuning) -> None:
-        self._start, self._tuning = (0.0, *theta0, *P0, 0.0, 0.0), tuning
+        self._start, self._tuning = (0.0, *theta0, *P0, 0.0, 0.0, 0.0, 0.0), tuning
 
     def start(self, variance: float) -> Numbers:  # noqa: ARG002 - x has no variance here
         """Return the prior."""
@@ -115,11 +136,13 @@ class IntegralRls:
         """Move on as if the model's own speed had been measured."""
         phi = regressor(numbers[0], u, scale)
         x = output(self.theta(numbers), phi) + (1.0 - scale) * numbers[0]
-        return (x, *numbers[1:15], numbers[15] + 1.0, x, *_moved(numbers, phi, self._tuning.window))
+        noise, P = scale * self._tuning.noise, self.covariance(numbers, 0.0)
+        doubt = observer_doubt(numbers[17], numbers[18], P, phi, noise)
+        return (x, *numbers[1:15], numbers[15] + 1.0, x, *doubt, *_moved(numbers, phi, self._tuning.window))
 
-    def anchor(self, numbers: Numbers, y: float, variance: float) -> Numbers:  # noqa: ARG002 - x has no variance here
+    def anchor(self, numbers: Numbers, y: float, variance: float) -> Numbers:
         """Start x and the window anew from a measurement."""
-        return (y, *numbers[1:15], 0.0, y)
+        return (y, *numbers[1:15], 0.0, y, variance, 0.0)
 
     def doubt_force(self, numbers: Numbers, change: float) -> Numbers:  # noqa: ARG002 - it knows no such doubt
         """Leave all as it is."""
@@ -143,9 +166,9 @@ class SpeedIntegralRls(SpeedModelEstimator):
 
     def __init__(self, train_file: TrainFile, config: IntegralRlsConfig) -> None:
         def method(theta0: Theta, P0: Symmetric) -> IntegralRls:
+            noise = config.acceleration_noise**2 * SAMPLE_PERIOD
             drift, load = (config.drift * theta0[2]) ** 2 * SAMPLE_PERIOD, (config.load_std * theta0[2]) ** 2
-            return IntegralRls(
-                theta0, P0, Tuning(int(config.window), int(config.hop), config.kappa, config.clip, drift, load)
-            )
+            window, hop = int(config.window), int(config.hop)
+            return IntegralRls(theta0, P0, Tuning(window, hop, config.kappa, config.clip, noise, drift, load))
 
         super().__init__(train_file, config, method)
