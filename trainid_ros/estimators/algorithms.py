@@ -3,10 +3,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from trainid_ros.core.errors import InputError
+from trainid_ros.core.settings import setting_info
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -38,6 +39,8 @@ class Algorithm(Generic[EstimateT]):
         summary: What it is and when to choose it, in one line.
         config: Its settings at their defaults.
         make: Makes the estimator from the believed train, settings of the same class, and a generator.
+        fixed: Settings of that class that nobody can change here, since the algorithm is what it is by them or does
+            not heed them.
 
     """
 
@@ -45,6 +48,13 @@ class Algorithm(Generic[EstimateT]):
     summary: str
     config: DataclassInstance
     make: Callable[[TrainFile, Any, np.random.Generator], Estimator[EstimateT]]
+    fixed: frozenset[str] = frozenset()
+
+    @property
+    def settings(self) -> tuple[str, ...]:
+        """Names of the settings that can be changed."""
+        given = (item.name for item in fields(self.config) if setting_info(item) is not None)
+        return tuple(name for name in given if name not in self.fixed)
 
 
 class Algorithms(Generic[EstimateT]):
@@ -73,6 +83,10 @@ class Algorithms(Generic[EstimateT]):
     def choose(self, name: str = '', **changes: float) -> Choice:
         """Return a choice, the default if unnamed, with some settings changed; InputError if there is none."""
         algorithm = self[name or self.default]
+        for setting in changes:
+            if setting not in algorithm.settings:
+                msg = f'{algorithm.name} has no setting {setting!r}'
+                raise InputError(msg)
         return Choice(algorithm.name, replace(algorithm.config, **changes))
 
     def make(self, choice: Choice, train_file: TrainFile, generator: np.random.Generator) -> Estimator[EstimateT]:

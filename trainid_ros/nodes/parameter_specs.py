@@ -142,14 +142,14 @@ def estimator_parameters(algorithms: Algorithms[Any], name: str = '') -> tuple[P
         *(item.spec for item in TRAIN_PARAMETERS),
         *_settings('', PipelineConfig()),
         *_settings('alignment.', AlignmentConfig()),
-        *_settings('estimator.', algorithm.config),
+        *_settings('estimator.', algorithm.config, algorithm.fixed),
     )
 
 
-def _settings(prefix: str, config: DataclassInstance) -> tuple[ParameterSpec, ...]:
+def _settings(prefix: str, config: DataclassInstance, fixed: frozenset[str] = frozenset()) -> tuple[ParameterSpec, ...]:
     specs = []
     for item in fields(config):
-        if (info := setting_info(item)) is not None:
+        if (info := setting_info(item)) is not None and item.name not in fixed:
             text = f'{info.description} [{info.unit}]; {_NEXT}'
             specs.append(ParameterSpec(prefix + item.name, getattr(config, item.name), text, info.low, info.high))
     return tuple(specs)
@@ -220,14 +220,14 @@ def build_settings(values: Values, algorithms: Algorithms[Any], field: str) -> E
     changes: dict[str, Any] = {
         'alignment': _configure(base.alignment, 'alignment.', values),
         'pipeline': replace(_configure(base.pipeline, '', values), time_jump_policy=policy),
-        field: Choice(algorithm.name, _configure(algorithm.config, 'estimator.', values)),
+        field: Choice(algorithm.name, _configure(algorithm.config, 'estimator.', values, algorithm.fixed)),
         'seed': values['seed'],
     }
     return replace(base, **changes)
 
 
-def _configure(config: Any, prefix: str, values: Values) -> Any:
-    names = [item.name for item in fields(config) if setting_info(item) is not None]
+def _configure(config: Any, prefix: str, values: Values, fixed: frozenset[str] = frozenset()) -> Any:
+    names = [item.name for item in fields(config) if setting_info(item) is not None and item.name not in fixed]
     return replace(config, **{name: values[prefix + name] for name in names})
 
 

@@ -13,6 +13,9 @@ from trainid_ros.estimators.brake_rate.kalman import Kalman, KalmanConfig
 from trainid_ros.estimators.brake_rate.printed import PrintedConfig, PrintedGsma, Sma
 from trainid_ros.estimators.brake_rate.rbpf import Rbpf, RbpfConfig
 
+# They begin with the whole grid, whatever is believed.
+_GRID: Final = frozenset({'prior_std'})
+
 BRAKE_RATE: Final = Algorithms[BrakeRateEstimate](
     Algorithm(
         'GSMA',
@@ -23,6 +26,12 @@ BRAKE_RATE: Final = Algorithms[BrakeRateEstimate](
     Algorithm('KF', 'linear Kalman filter: exact and cheapest, but slow to follow a jump', KalmanConfig(), Kalman),
     Algorithm('IMM', 'two Kalman filters, drifting and jumping; as good as GSMA and cheaper', ImmConfig(), Imm),
     Algorithm('RBPF', 'Rao-Blackwellised particle filter of a drifting rate', RbpfConfig(), Rbpf),
-    Algorithm('SMA', 'stochastic M-algorithm as printed; for comparison', PrintedConfig(), Sma),
-    Algorithm('GSMA-printed', 'group stochastic M-algorithm as printed; for comparison', PrintedConfig(), PrintedGsma),
+    Algorithm('SMA', 'stochastic M-algorithm as printed; for comparison', PrintedConfig(), Sma, _GRID),
+    Algorithm(
+        'GSMA-printed',
+        'group stochastic M-algorithm as printed; for comparison',
+        PrintedConfig(),
+        PrintedGsma,
+        _GRID,
+    ),
 )

@@ -17,13 +17,20 @@ if TYPE_CHECKING:
     from trainid_ros.estimators.resistance.regressions import Step
 
 
-def _regression(name: str, summary: str, step: Step, config: WindowedConfig) -> Algorithm[ResistanceEstimate]:
+_ONE: Final = frozenset({'innovation_length'})
+_NO_PENALTY: Final = frozenset({'penalty', 'record_length'})
+
+
+def _regression(
+    name: str, summary: str, step: Step, config: WindowedConfig, fixed: frozenset[str] = frozenset()
+) -> Algorithm[ResistanceEstimate]:
     """Return a regression of Liu et al. 2018."""
     return Algorithm(
         name,
         f'{summary}; for comparison',
         config,
         lambda train_file, chosen, _: WindowedRegression(train_file, chosen, step),
+        fixed,
     )
 
 
@@ -40,16 +47,35 @@ RESISTANCE: Final = Algorithms[ResistanceEstimate](
         SpeedEkfConfig(),
         lambda train_file, config, _: SpeedEkf(train_file, config),
     ),
-    _regression('LS', 'least squares over all windows so far', solve_step, WindowedConfig()),
-    _regression('regularised-LS', 'LS with a penalty on the parameters', solve_step, WindowedConfig(penalty=50.0)),
-    _regression('RLS', 'recursive least squares, started as printed', innovation_step, WindowedConfig()),
+    _regression('LS', 'least squares over all windows so far', solve_step, WindowedConfig(), _ONE | _NO_PENALTY),
+    _regression(
+        'regularised-LS',
+        'LS with a penalty on the parameters',
+        solve_step,
+        WindowedConfig(penalty=50.0),
+        _ONE | {'record_length'},
+    ),
+    _regression(
+        'RLS',
+        'recursive least squares, started as printed',
+        innovation_step,
+        WindowedConfig(),
+        _ONE | _NO_PENALTY,
+    ),
     _regression(
         'regularised-RLS',
         'RLS from P(0) = I/lambda, the regularised LS at every step',
         innovation_step,
         WindowedConfig(penalty=50.0),
+        _ONE,
     ),
-    _regression('MILS', 'LS in which each window counts p times', innovation_step, WindowedConfig(innovation_length=4)),
+    _regression(
+        'MILS',
+        'LS in which each window counts p times',
+        innovation_step,
+        WindowedConfig(innovation_length=4),
+        _NO_PENALTY,
+    ),
     _regression(
         'regularised-MILS',
         'MILS from P(0) = I/(p lambda)',
@@ -61,6 +87,7 @@ RESISTANCE: Final = Algorithms[ResistanceEstimate](
         'MILS that steps only where the last p windows are good',
         strict_step,
         WindowedConfig(innovation_length=4, gate=3.0),
+        _NO_PENALTY,
     ),
     _regression(
         'regularised-V-MILS',

@@ -12,10 +12,20 @@ from trainid_ros.estimators.speed_model.ekf import EkfConfig, SpeedEkf
 from trainid_ros.estimators.speed_model.integral_rls import IntegralRlsConfig, SpeedIntegralRls
 from trainid_ros.estimators.speed_model.rls import AM_RLS, AM_VFF_RLS, RLS, VFF_RLS, PaperRls, RlsConfig
 
+# Nothing is refused, so nothing is readmitted.
+_PRINTED: Final = frozenset({'gate', 'readmit_after'})
+_UNFORGETTING: Final = frozenset({'forgetting_scale', 'min_forgetting'})
 
-def _paper(name: str, summary: str, config: RlsConfig) -> Algorithm[SpeedModelEstimate]:
+
+def _paper(
+    name: str, summary: str, config: RlsConfig, fixed: frozenset[str] = frozenset()
+) -> Algorithm[SpeedModelEstimate]:
     return Algorithm(
-        name, f'{summary}; for comparison', config, lambda train_file, config, _: PaperRls(train_file, config)
+        name,
+        f'{summary}; for comparison',
+        config,
+        lambda train_file, config, _: PaperRls(train_file, config),
+        _PRINTED | fixed,
     )
 
 
@@ -37,9 +47,10 @@ SPEED_MODEL: Final = Algorithms[SpeedModelEstimate](
         'recursive least squares on the change of speed over 5 s; the simplest that is not misled by noise',
         IntegralRlsConfig(),
         lambda train_file, config, _: SpeedIntegralRls(train_file, config),
+        frozenset({'readmit_after'}),
     ),
-    _paper('RLS', 'recursive least squares on measured speed, Yuan et al. (5)', RLS),
+    _paper('RLS', 'recursive least squares on measured speed, Yuan et al. (5)', RLS, _UNFORGETTING),
     _paper('VFF-RLS', 'with variable forgetting, (6)', VFF_RLS),
-    _paper('AM-RLS', 'with auxiliary model instead', AM_RLS),
+    _paper('AM-RLS', 'with auxiliary model instead', AM_RLS, _UNFORGETTING),
     _paper('AM-VFF-RLS-printed', 'with both as printed, (7)', AM_VFF_RLS),
 )
