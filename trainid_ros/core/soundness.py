@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
     from _typeshed import DataclassInstance
 
-# No quantity of a train, nor the inverse of a variance, comes near; squares of it stay finite.
-_HUGE: Final = 1e40
+HUGE: Final = 1e40
+"""Numbers of a state are smaller: no quantity of a train, nor the inverse of a variance, comes near."""
 # Rounding makes a correlation exceed one by less.
 _ROUNDING: Final = 1e-6
 
@@ -35,7 +35,7 @@ def check_numbers(state: DataclassInstance, *, may_be_nan: Collection[str] = ())
     """
     for name, values in _numbers(state, ''):
         unknown = np.isnan(values) if name.rpartition('.')[2] in may_be_nan else False
-        if not bool(np.all((np.abs(values) < _HUGE) | unknown)):
+        if not bool(np.all((np.abs(values) < HUGE) | unknown)):
             msg = f'saved {type(state).__name__}: {name} is not finite or beyond all measure'
             raise InputError(msg)
 

@@ -89,6 +89,11 @@ def test_two_models_count_as_two_only_in_doubt(train_file: TrainFile, braked: li
         ('KF', 'P', [math.nan] * 10),
         ('IMM', 'jumping', 1.5),
         ('IMM', 'quiet_model', [0.0] * 13),
+        ('KF', 'P', [1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0, 0.0, -1.0]),
+        ('KF', 'm', [1e308, 0.0, 0.0, 1.0]),
+        ('IMM', 'jump_model', [0.0, 0.0, 0.0, 1.0, -1.0, *(0.0,) * 9]),
+        ('RBPF', 'log_weights', [1.0] * 500),
+        ('RBPF', 'P', [[-1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]),
         ('RBPF', 'x', [[1.0]]),
         ('RBPF', 'random', '{}'),
         ('SMA', 'log_weights', [math.nan]),
@@ -108,3 +113,45 @@ def test_a_saved_belief_that_does_not_fit_is_refused(
     with pytest.raises(InputError):
         estimator.restore(json.dumps(data))
     assert estimator.save() == before
+
+
+@pytest.mark.parametrize(
+    ('path', 'wrong'),
+    [
+        (('unbraked_s',), -1e3),
+        (('disturbance', 'variance'), -1.0),
+        (('disturbance', 'motions'), [[0.0, 0.0, -1.0, 0.0, 1.0]] * 11),
+        (('noise', 'variance'), -1.0),
+        (('noise', 'last'), math.nan),
+        (('innovation_variance',), -1.0),
+        (('filtered_target',), 1e308),
+        (('commands', 'changes', 0, 'target_acceleration'), 0.5),
+        (('stamp_ns',), 10**400),
+    ],
+)
+def test_a_saved_drive_that_would_break_later_is_refused(
+    train_file: TrainFile, braked: list[Sample], path: tuple[Any, ...], wrong: object
+) -> None:
+    estimator = make(train_file, 'KF')
+    for item in braked[:60]:
+        estimator.step(item)
+    before = estimator.save()
+    data = json.loads(before)
+    part = data['state']
+    for key in path[:-1]:
+        part = part[key]
+    part[path[-1]] = wrong
+    with pytest.raises(InputError):
+        estimator.restore(json.dumps(data))
+    assert estimator.save() == before
+
+
+@pytest.mark.parametrize('name', ['RBPF', 'SMA', 'GSMA-printed'])
+def test_right_after_it_was_restored_it_tells_the_same_to_the_bit(
+    train_file: TrainFile, braked: list[Sample], name: str
+) -> None:
+    whole, copy = make(train_file, name), make(train_file, name)
+    for item in braked:
+        whole.step(item)
+        copy.restore(whole.save())
+        assert repr(copy.estimate(10.0)) == repr(whole.estimate(10.0))

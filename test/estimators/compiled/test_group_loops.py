@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+import sys
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import pytest
 
 from benchmarks.papers.brake_runs import metro_run, metro_train
+from trainid_ros.core.errors import InputError
 from trainid_ros.core.results import Refusal
 from trainid_ros.estimators.brake_rate.belief import Interval
 from trainid_ros.estimators.brake_rate.group_cloud import GroupCloud, Strata, branch, prune, weigh
@@ -126,10 +128,8 @@ def test_a_drive_gives_the_same_estimates_and_compiles_only_once() -> None:
     assert len(compiled_learn.signatures) == 1
 
 
-def test_without_a_compiler_numpy_does_it(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr('importlib.util.find_spec', lambda _: None)
-    run = metro_run(78, stops=1)
-    one = Gsma(metro_train(), GsmaConfig(particles=30, compiled=1), np.random.default_rng(5))
-    other = Gsma(metro_train(), GsmaConfig(particles=30), np.random.default_rng(5))
-    for sample in run.samples[::3]:
-        assert repr(one.step(sample)) == repr(other.step(sample))
+def test_without_a_compiler_it_is_told_what_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setitem(sys.modules, 'numba', None)
+    with pytest.raises(InputError, match=r'compiled = 1 needs numba, which comes with trainid_ros\[fast\]'):
+        Gsma(metro_train(), GsmaConfig(particles=30, compiled=1), np.random.default_rng(5))
+    Gsma(metro_train(), GsmaConfig(particles=30), np.random.default_rng(5))

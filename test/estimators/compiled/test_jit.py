@@ -8,10 +8,12 @@ import random
 import subprocess
 import sys
 from math import exp, log, sqrt
+from pathlib import Path
 
 import pytest
 
-from trainid_ros.estimators.compiled.jit import compiled, compiler_present
+from trainid_ros.core.errors import InputError
+from trainid_ros.estimators.compiled.jit import compiled, compiler_present, require_compiler
 from trainid_ros.estimators.resistance.recursive import rls
 
 needs_compiler = pytest.mark.skipif(not compiler_present(), reason='numba is not installed')
@@ -72,6 +74,17 @@ def test_without_a_compiler_the_kernel_stays(monkeypatch: pytest.MonkeyPatch) ->
     monkeypatch.setattr('importlib.util.find_spec', lambda _: None)
     assert not compiler_present()
     assert compiled(half) is half
+
+
+@pytest.mark.parametrize('trouble', ["ImportError('needs NumPy 2.3 or less')", "AttributeError('np.bool8')"])
+def test_a_compiler_that_does_not_load_is_named_with_the_reason(
+    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, trouble: str
+) -> None:
+    (tmp_path / 'numba.py').write_text(f'raise {trouble}\n', encoding='utf-8')
+    monkeypatch.syspath_prepend(str(tmp_path))
+    monkeypatch.delitem(sys.modules, 'numba', raising=False)
+    with pytest.raises(InputError, match=r'fast\]: (ImportError: needs NumPy|AttributeError: np)'):
+        require_compiler()
 
 
 def test_the_compiler_loads_only_when_something_is_compiled() -> None:

@@ -12,6 +12,8 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
+from trainid_ros.core.soundness import is_covariance
+
 if TYPE_CHECKING:
     from trainid_ros.estimators.brake_rate.belief import Interval
 
@@ -67,10 +69,12 @@ class DisturbanceNoise:
 
     @property
     def sound(self) -> bool:
-        """True if all is finite and of the right size, as it may not be when restored."""
+        """True if all is finite, of the right size and no variance negative, as it may not be when restored."""
         numbers = (self.declared_std, self.variance, *self.evidence, *(x for item in self.motions for x in item))
         sized = len(self.evidence) == _LEVELS and len(self.motions) in {0, _LEVELS}
-        return sized and all(len(item) == _SIZE for item in self.motions) and all(map(math.isfinite, numbers))
+        followed = all(len(item) == _SIZE and is_covariance(item[2:]) for item in self.motions)
+        positive = self.variance >= 0.0 and self.declared_std >= 0.0
+        return sized and all(map(math.isfinite, numbers)) and followed and positive
 
     def paused(self) -> DisturbanceNoise:
         """Return the same at a train that brakes or stands."""

@@ -20,6 +20,7 @@ from trainid_ros.core.codec import check_restored, decode, encode
 from trainid_ros.core.records import NS_PER_S
 from trainid_ros.core.results import BrakeRateEstimate, Reason, Refusal
 from trainid_ros.core.settings import check_settings
+from trainid_ros.core.soundness import check_not_negative, check_numbers
 from trainid_ros.estimators.brake_rate.belief import Belief, Interval
 from trainid_ros.estimators.brake_rate.brake_kinematics import BrakeStep, brake_step
 from trainid_ros.estimators.brake_rate.disturbance import DisturbanceNoise
@@ -44,7 +45,8 @@ _HISTORY_S: Final = 60.0
 # A brake that is released, and traction whose error is small enough, to learn of the disturbance.
 _RELEASED: Final = 1e-3
 _SLACK: Final = 0.5
-_LARGEST_RATE: Final = 3.0  # times the believed one
+LARGEST_RATE: Final = 3.0
+"""The brake rate is at most so many times the believed one."""
 
 
 @dataclass(slots=True)
@@ -109,8 +111,11 @@ class BrakeRateEstimator:
     def restore(self, text: str) -> None:
         """Take over a saved state; InputError if it does not fit."""
         state = decode(text, DriveState)
-        numbers = (state.filtered_target, state.unbraked_s, state.noise.variance, state.innovation_variance)
-        check_restored(all(map(math.isfinite, numbers)), 'DriveState', 'a number')
+        check_numbers(state, may_be_nan=('dt', 'position'))
+        check_not_negative('DriveState', unbraked_s=state.unbraked_s, innovation_variance=state.innovation_variance)
+        check_restored(min(state.noise.variance, state.noise.declared_std) > 0.0, 'DriveState', 'noise')
+        targets = (state.filtered_target, *(change.target_acceleration for change in state.commands.changes))
+        check_restored(max(targets) <= 0.0, 'DriveState', 'commands')
         check_restored(state.disturbance.sound, 'DriveState', 'disturbance')
         self.belief.restore(state.belief)
         state.belief = ''
@@ -267,7 +272,7 @@ class BrakeRateEstimator:
         """Return the brake rate (19) and the filtered train state (22)."""
         state, belief = self.state, self.belief
         return BrakeRateEstimate(
-            brake_rate=min(max(0.0, belief.rate), _LARGEST_RATE * self._brake.rate),
+            brake_rate=min(max(0.0, belief.rate), LARGEST_RATE * self._brake.rate),
             brake_rate_std=self._std(),
             position=state.position,
             speed=max(0.0, belief.speed),

@@ -20,22 +20,23 @@ from numpy.typing import NDArray
 from trainid_ros.core.codec import check_restored, decode, encode
 from trainid_ros.core.errors import InputError
 from trainid_ros.core.settings import check_settings, setting
+from trainid_ros.core.soundness import check_not_negative, check_numbers, is_covariance
 from trainid_ros.estimators.brake_rate import group_cloud
-from trainid_ros.estimators.brake_rate.estimator import BrakeRateEstimator, true_brake
+from trainid_ros.estimators.brake_rate.estimator import LARGEST_RATE, BrakeRateEstimator, true_brake
 from trainid_ros.estimators.brake_rate.group_cloud import GroupCloud, Strata
 from trainid_ros.estimators.brake_rate.jumps import JumpConfig, drifts, transition
-from trainid_ros.estimators.brake_rate.particles import SPEED, speed_correction, speed_step
+from trainid_ros.estimators.brake_rate.particles import SPEED, UPPER, speed_correction, speed_step
 from trainid_ros.estimators.brake_rate.resampling import effective_number, restore_generator
-from trainid_ros.estimators.compiled.jit import compiler_present
+from trainid_ros.estimators.compiled.jit import require_compiler
 
 if TYPE_CHECKING:
     from trainid_ros.estimators.brake_rate.belief import Interval
     from trainid_ros.estimators.brake_rate.particles import Array
     from trainid_ros.physics.train_file import TrainFile
 
-_LARGEST_RATE: Final = 3.0  # times the believed one
 _JUMPING_SHARE: Final = 1.0 / 3.0
 _LEAST_PARTICLES: Final = 3
+_ROUNDING: Final = 1e-6
 LEAST_PAUSE: Final = 1e-6
 """Times differ by less than this by rounding [s]."""
 
@@ -45,7 +46,7 @@ class GsmaConfig(JumpConfig):
     """Settings of GSMA."""
 
     particles: int = setting(100, 'particles kept after pruning, a third of them for jumps', '1', 6, 100_000)
-    compiled: int = setting(0, '1: a faster loop where trainid_ros[fast] is installed; starts seconds later', '1', 0, 1)
+    compiled: int = setting(0, '1: a faster loop, needs trainid_ros[fast]; starts seconds later', '1', 0, 1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,7 +76,7 @@ class GsmaBelief:
 
     def __init__(self, config: GsmaConfig, believed: float, rng: np.random.Generator) -> None:
         self._config = config
-        self._largest = _LARGEST_RATE * believed
+        self._largest = LARGEST_RATE * believed
         self._rng = rng
         self._random0 = json.dumps(rng.bit_generator.state)
         jumping = max(_LEAST_PARTICLES, round(_JUMPING_SHARE * config.particles)) if config.jump_rate > 0.0 else 0
@@ -193,8 +194,11 @@ class GsmaBelief:
         arrays = (state.f, state.x, state.weight, state.mean, state.variance, state.slope, state.P)
         shapes = ((N,), (3, N), (M,), (M,), (M,), (3, M), (3, 3))
         sized = tuple(item.shape for item in arrays) == shapes
-        finite = all(bool(np.isfinite(item).all()) for item in arrays) and math.isfinite(state.effective)
-        check_restored(sized and finite, 'GsmaState', 'an array')
+        check_numbers(state)
+        check_restored(sized and is_covariance(state.P[UPPER].tolist()), 'GsmaState', 'an array')
+        check_restored(abs(float(state.weight.sum()) - 1.0) < _ROUNDING, 'GsmaState', 'weight')
+        least = min(float(state.weight.min()), float(state.variance.min()), state.effective)
+        check_not_negative('GsmaState', least_weight_or_variance=least)
         restore_generator(self._rng, state.random, 'GsmaState')
         self._take(GroupCloud.of(*arrays[:6]))
         self.P, self._effective = state.P, state.effective
@@ -206,7 +210,8 @@ class Gsma(BrakeRateEstimator):
     def __init__(self, train_file: TrainFile, config: GsmaConfig, rng: np.random.Generator) -> None:
         check_settings(config)
         kind: type[GsmaBelief] = GsmaBelief
-        if config.compiled and compiler_present():
+        if config.compiled:
+            require_compiler()
             from trainid_ros.estimators.compiled.gsma import CompiledGsmaBelief  # noqa: PLC0415
 
             kind = CompiledGsmaBelief

@@ -12,6 +12,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from trainid_ros.core.codec import check_restored, decode, encode
+from trainid_ros.core.soundness import check_numbers, is_covariance
 from trainid_ros.estimators.brake_rate.estimator import BrakeRateEstimator
 from trainid_ros.estimators.brake_rate.gaussian import Cov, Mean, anchored, drift, mixed, predict, update
 from trainid_ros.estimators.brake_rate.jumps import JumpConfig, drifts, transition
@@ -144,7 +145,8 @@ class ImmBelief:
         state = decode(text, ImmState)
         rows = (state.quiet_model, state.jump_model)
         sized = all(len(row) == sum(_SIZES) for row in rows) and 0.0 <= state.jumping < 1.0
-        check_restored(sized and all(map(math.isfinite, (*rows[0], *rows[1]))), 'ImmState', 'a model')
+        check_numbers(state)
+        check_restored(sized and all(is_covariance(row[_SIZES[0] :]) for row in rows), 'ImmState', 'a model')
         self._take(state.jumping, (_model(rows[0]), _model(rows[1])))
 
 

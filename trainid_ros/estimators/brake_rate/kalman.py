@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from trainid_ros.core.codec import check_restored, decode, encode
+from trainid_ros.core.soundness import check_numbers, is_covariance
 from trainid_ros.estimators.brake_rate.config import BrakeRateConfig
 from trainid_ros.estimators.brake_rate.estimator import BrakeRateEstimator
 from trainid_ros.estimators.brake_rate.gaussian import Cov, Mean, anchored, drift, predict, update
@@ -100,7 +101,8 @@ class KalmanBelief:
         state = decode(text, KalmanState)
         m, P = state.m, state.P
         sized = len(m) == 4 and len(P) == 10
-        check_restored(sized and all(map(math.isfinite, (*m, *P))), 'KalmanState', 'm or P')
+        check_numbers(state)
+        check_restored(sized and is_covariance(P), 'KalmanState', 'm or P')
         self.m = (m[0], m[1], m[2], m[3])
         self.P = (P[0], P[1], P[2], P[3], P[4], P[5], P[6], P[7], P[8], P[9])
 

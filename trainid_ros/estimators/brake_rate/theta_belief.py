@@ -6,19 +6,22 @@ from __future__ import annotations
 import json
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trainid_ros.core.codec import check_restored, decode, encode
-from trainid_ros.estimators.brake_rate.particles import SPEED, Correction, speed_correction, speed_step
+from trainid_ros.core.soundness import HUGE, is_covariance
+from trainid_ros.estimators.brake_rate.particles import SPEED, UPPER, Correction, speed_correction, speed_step
 from trainid_ros.estimators.brake_rate.resampling import effective_number, restore_generator
 from trainid_ros.estimators.brake_rate.theta_cloud import ThetaCloud
 
 if TYPE_CHECKING:
     from trainid_ros.estimators.brake_rate.belief import Interval
     from trainid_ros.estimators.brake_rate.particles import Array, LinearStep
+
+_ROUNDING: Final = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,7 +47,8 @@ class ThetaBelief:
 
     def take(self, cloud: ThetaCloud) -> None:
         """Take over particles, and compute once what is asked often."""
-        self.cloud = cloud
+        # Sums depend on the order in memory, and what is restored is in this one.
+        self.cloud = cloud = cloud._replace(x=np.ascontiguousarray(cloud.x))
         self._weights = cloud.weights
         self._rate = float(cloud.f @ self._weights)
         self._variance = float(np.square(cloud.f - self._rate) @ self._weights)
@@ -134,9 +138,11 @@ class ThetaBelief:
         state = decode(text, ThetaState)
         N = len(state.f)
         sized = state.log_weights.shape == (N,) and state.x.shape == (3, N) and state.P.shape == (3, 3)
-        finite = all(bool(np.isfinite(item).all()) for item in (state.f, state.x, state.P))
+        finite = all(bool((np.abs(item) < HUGE).all()) for item in (state.f, state.x, state.P))
         check_restored(finite and sized and 0 < N <= self._most, 'ThetaState', 'f, x or P')
-        check_restored(not bool(np.isnan(state.log_weights).any()), 'ThetaState', 'log_weights')
+        check_restored(is_covariance(state.P[UPPER].tolist()), 'ThetaState', 'P')
+        normal = abs(float(np.exp(np.minimum(state.log_weights, 1.0)).sum()) - 1.0) < _ROUNDING
+        check_restored(normal, 'ThetaState', 'log_weights')
         restore_generator(self.rng, state.random, 'ThetaState')
         self.take(ThetaCloud(state.f, state.log_weights, state.x))
         self.P = state.P

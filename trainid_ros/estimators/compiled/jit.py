@@ -4,8 +4,11 @@
 from __future__ import annotations
 
 from functools import cache
+from importlib import import_module
 from types import FunctionType
 from typing import TYPE_CHECKING, Any, Final, TypeVar
+
+from trainid_ros.core.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -20,6 +23,16 @@ def compiler_present() -> bool:
     from importlib.util import find_spec  # noqa: PLC0415 (slow to load)
 
     return find_spec(_COMPILER) is not None
+
+
+def require_compiler() -> None:
+    """Load the compiler; InputError if it is missing or does not load."""
+    try:
+        import_module(_COMPILER)
+    except Exception as error:  # a compiler that does not suit the rest raises anything
+        reason = ' '.join(str(error).split())
+        msg = f'compiled = 1 needs {_COMPILER}, which comes with trainid_ros[fast]: {type(error).__name__}: {reason}'
+        raise InputError(msg) from error
 
 
 def compiled(kernel: Kernel) -> Kernel:
