@@ -5,10 +5,12 @@ from __future__ import annotations
 
 import os
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from benchmarks.papers import peer_brake, peer_fits
 from benchmarks.papers.contest import copied, growth, time_in_turns
 from benchmarks.papers.hand_filters import GATE, HandRls, NumpyRls, RowPeer
 from benchmarks.papers.metro_stream import (
@@ -22,6 +24,7 @@ from benchmarks.papers.metro_stream import (
     metro_stream,
 )
 from benchmarks.papers.our_filters import MilsPlain
+from benchmarks.papers.peer_brake import CONTESTANTS
 
 SEED = 10_000 + int.from_bytes(os.urandom(4))
 LAGS = (1, 2, 3, 5, 7)
@@ -123,3 +126,32 @@ def test_contest_times_copies_and_weighs() -> None:
     assert saved is not None
     assert saved[0] == len(pickle.dumps(HandRls()))
     assert copied(lambda: None) is None
+
+
+def test_everybody_drives_over_all_seeds_or_the_table_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    quick = [item for item in peer_brake.CONTESTANTS if item.kind == 'KF']
+    slow = replace(quick[0], name='slow', drives=2, stops=1)
+    monkeypatch.setattr(peer_brake, 'CONTESTANTS', (*quick, slow, replace(quick[0], name=peer_brake.RATIO)))
+    monkeypatch.setattr(peer_brake, 'over_seeds', lambda run, seeds: [run(seed) for seed in seeds])
+    (table,) = peer_brake.measure(3)
+    assert {row[0]: row[-1] for row in table.rows} == {
+        **{q.name: '3' for q in quick},
+        'slow': '2',
+        peer_brake.RATIO: '3',
+    }
+    assert 'slow, over 2 drives of 3' in table.note
+    assert {item.name for item in CONTESTANTS if item.drives < 60} == {'filterpy KalmanFilter per particle, 500'}
+
+
+def test_fits_run_over_all_seeds(monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[int] = []
+
+    def fits(number: int) -> list[peer_fits.Result]:
+        asked.append(number)
+        return [peer_fits.Result('fit', ride, 0.1, 1.0) for ride in ('clean', 'slip', 'out5')]
+
+    monkeypatch.setattr(peer_fits, 'fits', fits)
+    monkeypatch.setattr(peer_fits, 'over_seeds', lambda run, seeds: [run(seed) for seed in seeds])
+    (table,) = peer_fits.measure(60)
+    assert asked == list(range(60))
+    assert 'over 60 seeds' in table.note
