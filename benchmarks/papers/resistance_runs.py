@@ -13,6 +13,7 @@ import numpy as np
 from benchmarks.papers import coasts as coast_data
 from benchmarks.papers import metro_stream as metro
 from benchmarks.papers.coasts import GRID, KMH, LARGE_A, PAPER, CoastPlan, in_kmh, in_si
+from benchmarks.papers.hand_filters import HandRls
 from benchmarks.papers.robust_stream import RobustStream
 from benchmarks.papers.spoiled import NOISE_STD, OBSERVED, SPEEDS, spoiled_observations, spoiled_speeds
 from trainid_ros.core.records import NS_PER_S
@@ -34,6 +35,7 @@ FIRST_SEED: Final = 5000
 JUMP_STD: Final = 0.57
 JUMPS: Final = (0.31, 1.22)
 """60 % of the paper's a, and of that of the second truth [N/kN]."""
+FORGETTING: Final = (0.995, 0.99, 0.95)
 GUST: Final = 0.3
 _SI: Final = GRID * KMH
 _PHI: Final = np.stack([np.ones_like(_SI), _SI, _SI**2], axis=1)
@@ -66,11 +68,15 @@ class ObservedErrors:
 
 @dataclass(frozen=True, slots=True)
 class JumpResult:
-    """Observations until nine tenths of a jump are followed, error just before it, mean of w over time less the old."""
+    """Observations until nine tenths of a jump are followed, error just before it, mean of w over time less the old.
+
+    ``forgetting`` holds the first two of recursive least squares with each fixed forgetting factor of FORGETTING.
+    """
 
     delay: int
     before: float
     track: tuple[float, ...]
+    forgetting: tuple[tuple[int, float], ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,16 +188,30 @@ def _jump(seed: int, size: float) -> JumpResult:
     halves = [coast_data.white_observations(CoastPlan(truth), rng, JUMP_STD) for _ in range(2)]
     v = np.concatenate([half[0] for half in halves])
     y = np.concatenate([halves[0][1], halves[1][1] + size])
+    at, rows = len(halves[0][0]), list(zip((v * KMH).tolist(), y.tolist(), strict=True))
     stream, thetas = RobustStream(_si(_believed(truth))), []
-    for speed, value in zip((v * KMH).tolist(), y.tolist(), strict=True):
+    for speed, value in rows:
         stream.update(speed, value)
         thetas.append(stream.belief[:3])
     wrong = (np.array(thetas) - np.array(_si(truth))) @ _PHI.T
-    at = len(halves[0][0])
-    track = wrong.mean(axis=1)
-    followed = track[at:] >= 0.9 * size
-    delay = int(np.argmax(followed)) if followed.any() else len(followed)
-    return JumpResult(delay, _rms(wrong[at - 1]), tuple(track[at - 100 : at + 300].tolist()))
+    followed = tuple(_followed(_forgetful(factor, rows, truth), at, size) for factor in FORGETTING)
+    track = wrong.mean(axis=1)[at - 100 : at + 300]
+    return JumpResult(*_followed(wrong, at, size), tuple(track.tolist()), followed)
+
+
+def _forgetful(factor: float, rows: list[tuple[float, float]], truth: tuple[float, float, float]) -> Array:
+    """Return the errors of w of recursive least squares after each observation, shape (n, speeds)."""
+    peer, thetas = HandRls(forgetting=factor), []
+    for speed, value in rows:
+        peer.step(value, None, speed)
+        thetas.append(peer.theta)
+    return np.asarray((np.array(thetas) - np.array(_si(truth))) @ _PHI.T)
+
+
+def _followed(wrong: Array, at: int, size: float) -> tuple[int, float]:
+    """Return the delay of nine tenths of a jump and the error just before it."""
+    followed = wrong[at:].mean(axis=1) >= 0.9 * size
+    return int(np.argmax(followed)) if followed.any() else len(followed), _rms(wrong[at - 1])
 
 
 def metro_results(seed: int) -> tuple[MetroResult, ...]:

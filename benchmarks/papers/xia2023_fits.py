@@ -180,6 +180,20 @@ def grid(kind: str) -> NDArray[np.float64]:
     return np.linspace(270.0 / 3.6, float(record(kind, 0, 'scheme').speed.max()), 40)
 
 
+def mean_squares(seed: int) -> tuple[float, float]:
+    """Return (8) in noise on the full record: the largest of 50 random starts, and the least, of the fit."""
+    rng, box = np.random.default_rng(seed), NewtonConfig()
+    given = record('full', 0, 'scheme')
+    stages, seen = given.stages(), given.speed + NOISE * rng.standard_normal(given.speed.size)
+    starts = rng.uniform(box.low, box.high, (_STARTS, 3))
+
+    def square(theta: NDArray[np.float64], v0: float) -> float:
+        return float(np.mean((stages.speeds(theta, v0)[1:] - seen[1:]) ** 2))
+
+    fit = levenberg(stages, seen)
+    return max(square(start, float(seen[0])) for start in starts), square(fit.theta, fit.start)
+
+
 def noisy(seed: int) -> list[Draw]:
     """Fit both records in white noise, a few draws."""
     rng, draws = np.random.default_rng(seed), []
