@@ -161,11 +161,18 @@ class Model:
         for grid, part in self.chunks(whitener, 64):
             products, _ = Gram.of(columns, self.factor_columns, grid, part).reduced(std)
             total += products.sum(axis=0)
-        self._add_odometry(total)
+        self.add_odometry(total)
         root = self.prior_factor(sizes.spread)
         inner = np.eye(len(root)) + root.T @ total[1:, 1:] @ root
         covariance = root @ np.linalg.solve(inner, root.T)
         return covariance @ total[1:, 0], covariance
+
+    @property
+    def without_members(self) -> NDArray[np.bool_]:
+        """Which nuisance columns are no parameters of members, shape (q + k,)."""
+        kept = np.ones(self.nuisance_columns.shape[1], dtype=bool)
+        kept[len(self.common_std) - len(self.member_std) : len(self.common_std)] = False
+        return kept
 
     @property
     def odometer_excess(self) -> float:
@@ -173,7 +180,7 @@ class Model:
         known = (member.parameters['ratio'] - 1.0 for member in self.members if member.name == WHEEL)
         return self.odometry.excess - sum(known)
 
-    def _add_odometry(self, products: Array) -> None:
+    def add_odometry(self, products: Array) -> None:
         """Add the distances between stops to products of y and nuisances, as one more measurement of the wheel."""
         at = 1 + len(self.common_std) - len(self.member_std)
         for member in self.members:

@@ -48,6 +48,7 @@ class Drive:
         speed: Speed, mean over the stage, outliers bridged [m/s], shape (n,).
         gap: Measured less predicted speed [m/s], shape (n,).
         outlier: True where the measured speed does not count, shape (n,).
+        deviation: How far such a speed lies from its neighbours [m/s], 0 elsewhere, shape (n,).
         node_starts: First sample of each node, shape (m,).
         node_run: Run of each node, shape (m,).
         node_time: Time of each node [s], shape (m,).
@@ -64,6 +65,7 @@ class Drive:
     speed: Array
     gap: Array
     outlier: NDArray[np.bool_]
+    deviation: Array
     node_starts: NDArray[np.intp]
     node_run: NDArray[np.intp]
     node_time: Array
@@ -128,8 +130,8 @@ def assemble(runs: Sequence[Run], train_file: TrainFile, extra: Array | None = N
         np.add.reduceat(time, node_starts) / np.diff(np.append(node_starts, time.size)),
     )
     return Drive(
-        tuple(runs), inertia, run_of, starts, dt, time, _stage_means(speed, starts), gap, outlier, node_starts,
-        node_run, node_time, count,
+        tuple(runs), inertia, run_of, starts, dt, time, _stage_means(speed, starts), gap, outlier, gap - bridged,
+        node_starts, node_run, node_time, count,
     )  # fmt: skip
 
 

@@ -29,10 +29,10 @@ MAP_LENGTH_M: Final = 200.0
 """Correlation length of map errors [m]."""
 _DAVIS_SHARE: Final = 0.4
 _DAVIS_FLOOR: Final = np.array([0.15, 0.01, 0.0004])
-_TRACTION_SKEW_S: Final = 0.06
+_TRACTION_SKEW_S: Final = 0.1
 _BRAKE_SKEW_S: Final = 0.04
-_TRACTION_GAIN: Final = 0.004
-_BRAKE_GAIN: Final = 0.01
+_TRACTION_GAIN: Final = 0.003
+_BRAKE_GAIN: Final = 0.004
 DAVIS: Final = slice(0, 3)
 
 

@@ -29,7 +29,6 @@ if TYPE_CHECKING:
     from trainid_ros.discrepancy.generic import Group
     from trainid_ros.discrepancy.hyper import Sizes
     from trainid_ros.discrepancy.model import Model
-    from trainid_ros.discrepancy.noise import Whitener
     from trainid_ros.discrepancy.regression import Information
 
     Array = NDArray[np.float64]
@@ -74,7 +73,7 @@ class Screen:
 
     def scores(self, model: Model, sizes: Sizes) -> tuple[list[Score], list[Score]]:
         """Return the evidence of all named effects and of all groups beside the model, best first."""
-        information = self._information(model, sizes)
+        information = reduced_information(model, sizes, self._columns)
         named, groups = [], []
         for k, family in enumerate(self._families):
             part = slice(int(self._edges[k]), int(self._edges[k + 1]))
@@ -92,12 +91,6 @@ class Screen:
             part = slice(int(self._edges[k]), int(self._edges[k + 1]))
             named.append(self._section(name, information.A[part, part], information.b[part]))
         return sorted(named, key=_strongest), sorted(groups, key=_strongest)
-
-    def _information(self, model: Model, sizes: Sizes) -> Information:
-        whitener = model.whitener(sizes)
-        left = np.concatenate([model.residual[:, None], model.nuisance_columns, self._columns], axis=1)
-        total = _products(left, model, whitener, np.array([sizes.spread.payload, sizes.spread.brake]))
-        return eliminate(total, model.nuisance_columns.shape[1], model.prior_factor(sizes.spread))
 
     def _family(self, family: Family, A: Array, b: Array) -> Score:
         values = [log_bayes(A, b, share * family.std, family.sign) for share in _SHARES]
@@ -135,13 +128,22 @@ class Screen:
         return Score(name, _mean_evidence(values, weight / weight.sum()), parameters)
 
 
-def _products(columns: Array, model: Model, whitener: Whitener, std: Array) -> Array:
-    """Return whitened products of columns without the factors of single runs, some runs at a time."""
+def reduced_information(model: Model, sizes: Sizes, candidates: Array, *, members: bool = True) -> Information:
+    """Return what the data tell of columns at the nodes, shape (m, k), beside all nuisances of a model.
+
+    With ``members`` its effects may move as well, otherwise they stand.
+    """
+    nuisances, root = model.nuisance_columns, model.prior_factor(sizes.spread)
+    if not members:
+        kept = model.without_members
+        nuisances, root = nuisances[:, kept], root[np.ix_(kept, kept)]
+    columns = np.concatenate([model.residual[:, None], nuisances, candidates], axis=1)
+    std = np.array([sizes.spread.payload, sizes.spread.brake])
     total = np.zeros((columns.shape[1], columns.shape[1]))
-    for grid, part in model.chunks(whitener, _CHUNK):
+    for grid, part in model.chunks(model.whitener(sizes), _CHUNK):
         products, _ = Gram.of(columns, model.factor_columns, grid, part).reduced(std)
         total += products.sum(axis=0)
-    return total
+    return eliminate(total, nuisances.shape[1], root)
 
 
 def _mean_evidence(values: Array, weight: Array | None = None) -> float:

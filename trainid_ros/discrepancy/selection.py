@@ -28,6 +28,7 @@ TWIN: Final = 6.0
 """Effects this near in evidence to a named one cannot be told from it."""
 MOST: Final = 3
 _RIVALS: Final = 3
+_WORTH_A_TRY: Final = 4.0
 _NEAR: Final = 25.0
 
 
@@ -80,10 +81,9 @@ class Search:
         """Return the best set of effects found."""
         state, total = self.base, 0.0
         named, groups = self.screen.scores(state.model, state.sizes)
-        while len(state.model.members) < MOST and named and named[0].evidence > NAMED:
-            self._advance(named[0].name)
-            grown = self._exchange(self._add(state, named))
-            if not self._holds(grown):
+        while len(state.model.members) < MOST:
+            grown = self._add(state, named)
+            if grown is None or not self._holds(grown := self._exchange(grown)):
                 break
             state = grown
             named, groups = self.screen.scores(state.model, state.sizes)
@@ -97,13 +97,20 @@ class Search:
             self.base, state, tuple(evidence), tuple(twins), tuple(named), tuple(groups), total
         )
 
-    def _add(self, state: State, named: list[Score]) -> State:
-        """Add the best effect; near rivals are judged with sizes of noise of their own."""
-        rivals = [s for s in named[:_RIVALS] if s.evidence > max(NAMED, named[0].evidence - _NEAR)]
-        grown = [self._grow(state, rival) for rival in rivals]
-        if len(grown) == 1:
-            return grown[0]
-        return max(grown, key=lambda other: self._worth(other, len(other.model.members) - 1))
+    def _add(self, state: State, named: list[Score]) -> State | None:
+        """Add the best effect; None if none has evidence enough.
+
+        Noise and nuisances that were estimated without an effect have taken part of it for their own, so what comes
+        near is judged with sizes that are estimated with it.
+        """
+        rivals = [s for s in named[:_RIVALS] if s.evidence > max(_WORTH_A_TRY, named[0].evidence - _NEAR)]
+        best, worth = None, state.model.evidence().at(state.logs) + NAMED
+        for rival in rivals:
+            self._advance(rival.name)
+            grown = self._grow(state, rival)
+            if (found := self._worth(grown, len(grown.model.members) - 1)) > worth:
+                best, worth = grown, found
+        return best
 
     def _grow(self, state: State, score: Score) -> State:
         members = (*state.model.members, Member(score.name, score.parameters))

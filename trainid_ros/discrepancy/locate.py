@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Where simulation and data disagree: the missing resistance along position, speed, mode, time and so on.
+
+Each axis is cut into parts, and the mean resistance that the model lacks in each part is estimated jointly with all
+nuisances, by the same whitened regression as everything else; so its standard deviation knows that errors last.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from trainid_ros.discrepancy.explanation import Location, Place
+from trainid_ros.discrepancy.screen import reduced_information
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from trainid_ros.discrepancy.hyper import Sizes
+    from trainid_ros.discrepancy.model import Model
+    from trainid_ros.discrepancy.nodes import Drive
+
+    Array = NDArray[np.float64]
+
+PRIOR: Final = 3.0
+"""Prior std of the missing resistance in one part [N/kN]: what no data tell stays near zero and says so."""
+RELEASED_S: Final = 10.0
+_PULLING: Final = 1.0
+_BRAKING: Final = -1.0
+_PLACES: Final = 40
+
+
+@dataclass(frozen=True, slots=True)
+class _Axis:
+    name: str
+    unit: str
+    labels: tuple[str, ...]
+    edges: tuple[tuple[float, float], ...]
+    inside: NDArray[np.bool_]
+
+
+def locate(before: Model, after: Model, sizes: Sizes) -> tuple[Location, ...]:
+    """Return the missing resistance along all axes that the data cover, with and without the effects."""
+    axes = _axes(before.drive)
+    columns = [before.drive.column(axis.inside.astype(float)) for axis in axes]
+    estimates = [_estimate(model, sizes, columns) for model in (before, after)]
+    weight = before.drive.dt / before.drive.dt.sum()
+    locations = []
+    for k, axis in enumerate(axes):
+        (first, std), (second, _) = (estimate[k] for estimate in estimates)
+        share = (axis.inside * weight[:, None]).sum(axis=0)
+        rows = zip(axis.labels, axis.edges, first.tolist(), second.tolist(), std.tolist(), share.tolist(), strict=True)
+        places = tuple(Place(label, *edges, a, b, s, part) for label, edges, a, b, s, part in rows)
+        locations.append(Location(axis.name, axis.unit, places))
+    return tuple(locations)
+
+
+def _estimate(model: Model, sizes: Sizes, columns: list[Array]) -> list[tuple[Array, Array]]:
+    """Return means and standard deviations of the parts of each axis; axes are judged one by one."""
+    information = reduced_information(model, sizes, np.concatenate(columns, axis=1), members=False)
+    edges = np.cumsum([0, *(c.shape[1] for c in columns)]).tolist()
+    out = []
+    for low, high in zip(edges[:-1], edges[1:], strict=True):
+        A, b = information.A[low:high, low:high], information.b[low:high]
+        covariance = np.linalg.inv(A + np.eye(high - low) / PRIOR**2)
+        mean = covariance @ b
+        out.append((mean, np.sqrt(np.diag(covariance))))
+    return out
+
+
+def _axes(drive: Drive) -> list[_Axis]:
+    v, traction, brake = drive.speed, drive.joined('traction'), drive.joined('brake')
+    position, heat, release = drive.joined('position'), drive.joined('heat'), drive.joined('since_release')
+    direction = np.array([run.direction for run in drive.runs])[drive.run_of]
+    braking, pulling = brake < _BRAKING, traction > _PULLING
+    released = ~braking & (release < RELEASED_S)
+    modes = np.stack((pulling & ~released, ~pulling & ~braking & ~released, braking, released), axis=1)
+    runs = drive.run_of[:, None] == np.arange(len(drive.runs))
+    axes = [
+        _cut('position', 'm', position, _PLACES),
+        _cut('speed', 'm/s', v, 8),
+        _kinds('mode', ('traction', 'coasting', 'braking', 'just released'), modes),
+        _kinds('direction', ('rising', 'falling'), np.stack((direction > 0, direction < 0), axis=1)),
+        _kinds('tunnel', ('open air', 'tunnel'), np.stack((drive.joined('tunnel') < 0.5, drive.joined('tunnel') >= 0.5), 1)),
+        _kinds('curve', ('straight', 'curve'), np.stack((drive.joined('radius') <= 0.0, drive.joined('radius') > 0.0), 1)),
+        _cut('heat of the brake', 'J/kg', np.where(braking, heat, np.nan), 6),
+        _kinds('run', tuple(str(k + 1) for k in range(runs.shape[1])), runs),
+    ]
+    return [axis for axis in axes if len(axis.labels) > 1]
+
+
+def _cut(name: str, unit: str, x: Array, count: int) -> _Axis:
+    known = x[np.isfinite(x)]
+    if known.size == 0 or known.max() <= known.min():
+        return _Axis(name, unit, (), (), np.zeros((x.size, 0), dtype=bool))
+    cuts = np.linspace(known.min(), known.max(), count + 1)
+    part = np.clip(np.digitize(x, cuts) - 1, 0, count - 1)
+    inside = (part[:, None] == np.arange(count)) & np.isfinite(x)[:, None]
+    seen = np.flatnonzero(inside.any(axis=0)).tolist()
+    edges = tuple((float(cuts[i]), float(cuts[i + 1])) for i in seen)
+    labels = tuple(f'{low:.0f} to {high:.0f} {unit}' for low, high in edges)
+    return _Axis(name, unit, labels, edges, inside[:, seen])
+
+
+def _kinds(name: str, labels: tuple[str, ...], inside: NDArray[np.bool_]) -> _Axis:
+    seen = np.flatnonzero(inside.any(axis=0)).tolist()
+    edges = ((math.nan, math.nan),) * len(seen)
+    return _Axis(name, '', tuple(labels[i] for i in seen), edges, inside[:, seen])

@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The workflow: simulate the belief, locate the gap, name what is missing, add it, show that the gap shrank."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from trainid_ros.core.errors import NoAnswerError
+from trainid_ros.discrepancy.explanation import (
+    Explanation,
+    FoundEffect,
+    Likeness,
+    NoiseSizes,
+    RunTrace,
+    Verdict,
+)
+from trainid_ros.discrepancy.generic import generic_groups
+from trainid_ros.discrepancy.holdout import gap_of, hold_out
+from trainid_ros.discrepancy.locate import locate
+from trainid_ros.discrepancy.model import Member, Model
+from trainid_ros.discrepancy.nodes import assemble
+from trainid_ros.discrepancy.nuisances import DAVIS
+from trainid_ros.discrepancy.points import Points
+from trainid_ros.discrepancy.selection import LEFT_OVER, NAMELESS, Search
+from trainid_ros.discrepancy.slip import find_slip
+from trainid_ros.physics.effects import EFFECTS
+from trainid_ros.physics.train_file import Davis, Effect
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from numpy.typing import NDArray
+
+    from trainid_ros.discrepancy.explanation import Location
+    from trainid_ros.discrepancy.holdout import HeldOut
+    from trainid_ros.discrepancy.runs import Run
+    from trainid_ros.discrepancy.selection import Selection
+    from trainid_ros.physics.train_file import TrainFile
+
+    Array = NDArray[np.float64]
+
+_FEWEST_NODES: Final = 40
+# The equations of real effects differ a little from those of the library, and clocks are read at 5 Hz.
+_EQUATION_SHARE: Final = 0.03
+_CLOCK_S: Final = 0.04
+
+
+def _quiet(_: str) -> None:
+    pass
+
+
+def explain(
+    runs: Sequence[Run], train_file: TrainFile, *, provenance: str = '', advance: Callable[[str], None] = _quiet
+) -> Explanation:
+    """Find what a believed model lacks.
+
+    Args:
+        runs: Runs from station to station, of one or more bags.
+        train_file: What is believed.
+        provenance: Where added effects come from, for the train file.
+        advance: Called with the name of what is being done.
+
+    Raises:
+        NoAnswerError: There is too little motion.
+
+    """
+    if sum(run.time.size for run in runs) < 5 * _FEWEST_NODES:
+        msg = f'{len(runs)} runs from stop to stop hold too little motion to compare'
+        raise NoAnswerError(msg)
+    drive = assemble(runs, train_file)
+    points = Points(drive, train_file)
+    if train_file.effects:
+        drive = assemble(runs, train_file, points.total(train_file.effects))
+        points = Points(drive, train_file)
+    selection = Search(Model(points, train_file), advance).run()
+    advance('held-out runs')
+    sizes = selection.final.sizes
+    base, final = selection.base.model, selection.final.model
+    before, after = hold_out(base, sizes), hold_out(final, sizes)
+    gap = gap_of(before, after, final)
+    advance('places')
+    locations = locate(base, final, sizes)
+    slip = find_slip(drive)
+    verdict = _verdict(selection, slipping=slip is not None)
+    found = [] if verdict is Verdict.UNEXPLAINED else _found(selection, locations)
+    if slip is not None:
+        found.append(_effect(*slip, (), 'bursts under traction and braking'))
+    davis, davis_std = _davis(selection, train_file)
+    added = tuple(Effect(e.name, e.parameters, e.std, provenance) for e in found)
+    return Explanation(
+        verdict=verdict,
+        effects=tuple(found),
+        gap=gap,
+        remaining=_remaining(selection, verdict),
+        train_file=replace(train_file, resistance=davis, effects=(*train_file.effects, *added)),
+        davis_std=davis_std,
+        locations=locations,
+        traces=_traces(final, before, after),
+        noise=_noise(selection),
+        outliers=float(np.mean(drive.outlier)),
+        weighed=all(run.weighed for run in runs),
+    )
+
+
+def _verdict(selection: Selection, *, slipping: bool) -> Verdict:
+    nameless = selection.groups[0].evidence if selection.groups else 0.0
+    if nameless > max(NAMELESS, LEFT_OVER * sum(selection.evidence)):
+        return Verdict.UNEXPLAINED
+    if not selection.evidence:
+        return Verdict.EXPLAINED if slipping else Verdict.NO_GAP
+    return Verdict.AMBIGUOUS if any(selection.twins) else Verdict.EXPLAINED
+
+
+def _found(selection: Selection, locations: tuple[Location, ...]) -> list[FoundEffect]:
+    members = selection.final.model.members
+    rows = sorted(zip(members, selection.evidence, selection.twins, strict=True), key=lambda row: -row[1])
+    return [_effect(member, evidence, twins, _where(locations)) for member, evidence, twins in rows]
+
+
+def _effect(member: Member, evidence: float, twins: Sequence[str], where: str) -> FoundEffect:
+    kind = EFFECTS[member.name]
+    drives = {twin.name: twin.drive for twin in kind.twins}
+    likenesses = tuple(Likeness(name, drives.get(name, kind.needs)) for name in twins)
+    parameters = tuple((name, float(value)) for name, value in member.parameters.items())
+    std = tuple((name, _honest(member, name, value)) for name, value in member.std.items())
+    return FoundEffect(
+        kind.name, kind.title, kind.equation, kind.origin, parameters, std, float(evidence), where, likenesses
+    )
+
+
+def _honest(member: Member, name: str, std: float) -> float:
+    """Return a standard deviation that knows that equations and clocks are not exact either."""
+    kind = EFFECTS[member.name]
+    off = member.parameters[name] - (kind.neutral if name == kind.amplitude else 0.0)
+    equation = _EQUATION_SHARE * off if kind.parameters[name].unit != 'm' else 0.0
+    clock = _CLOCK_S if kind.parameters[name].unit == 's' else 0.0
+    return math.sqrt(std * std + equation * equation + clock * clock)
+
+
+def _where(locations: tuple[Location, ...]) -> str:
+    """Return where the gap without effects was most significant, in words."""
+    best = []
+    for location in locations:
+        for place in location.places:
+            if place.std > 0.0 and location.axis != 'run':
+                best.append((abs(place.before) / place.std, f'{location.axis} {place.label}', place.before))
+    best.sort(reverse=True)
+    strong = [f'{text} ({value:+.2f} N/kN)' for z, text, value in best[:3] if z > 3.0]
+    return ', '.join(strong) or 'nowhere in particular'
+
+
+def _davis(selection: Selection, train_file: TrainFile) -> tuple[Davis, tuple[float, float, float]]:
+    """Return a, b, c as found together with the effects; what the train file could not hold is cut off."""
+    state = selection.final
+    mean, covariance = state.model.posterior(state.sizes, state.model.whitener(state.sizes))
+    a, b, c = (np.array([train_file.resistance.a, train_file.resistance.b, train_file.resistance.c]) + mean[DAVIS]).tolist()
+    std = np.sqrt(np.diag(covariance)[DAVIS]).tolist()
+    return Davis(max(a, 0.0), b, max(c, 0.0)), (std[0], std[1], std[2])
+
+
+def _remaining(selection: Selection, verdict: Verdict) -> str:
+    texts = {group.name: group.text for group in generic_groups(selection.final.model.drive)}
+    strongest = selection.groups[0] if selection.groups else None
+    if strongest is None or strongest.evidence < NAMELESS:
+        return 'What is left is noise: gusts, errors of the map and of the sensors.'
+    size = 'depends' if verdict is Verdict.UNEXPLAINED else 'depends a little'
+    return f'The rest of the gap {size} on {texts[strongest.name]}, and no effect of the library fits it.'
+
+
+def _traces(model: Model, before: HeldOut | None, after: HeldOut | None) -> tuple[RunTrace, ...]:
+    drive = model.drive
+    position, speed = drive.average(drive.joined('position')), drive.average(drive.speed)
+    nothing = np.full(model.residual.size, np.nan)
+    gaps = [nothing if held is None else held.gap for held in (before, after)]
+    band = nothing if after is None else after.std
+    traces = []
+    for k, run in enumerate(drive.runs):
+        at = (drive.node_run == k) & (drive.node_count > 0.0)
+        time = drive.node_time[at] - run.time[0]
+        traces.append(
+            RunTrace(run.bag, run.direction, time, position[at], speed[at], gaps[0][at], gaps[1][at], band[at])
+        )
+    return tuple(traces)
+
+
+def _noise(selection: Selection) -> NoiseSizes:
+    noise, spread = selection.final.sizes.noise, selection.final.sizes.spread
+    return NoiseSizes(noise.speed, noise.gust, noise.gust_time, spread.payload, spread.brake, spread.map)
