@@ -88,10 +88,10 @@ def changed(**fields: Any) -> str:
         changed(inner={'value': 'NaN', 'count': 1}),
         changed(inner=['value', 'count']),
         changed(surplus=1),
-        changed(numbers=[10**400]),
-        changed(inner={'value': 1.0, 'count': 10**400}),
-        '[' * 100_000,
-        '{"type": "Outer", "state": ' + '[' * 900 + ']' * 900 + '}',
+        pytest.param(changed(numbers=[10**400]), id='beyond floats'),
+        pytest.param(changed(inner={'value': 1.0, 'count': 10**400}), id='beyond counts'),
+        pytest.param('[' * 100_000, id='deep'),
+        pytest.param('{"type": "Outer", "state": ' + '[' * 900 + ']' * 900 + '}', id='lists'),
     ],
 )
 def test_what_does_not_fit_is_an_input_error_that_names_the_class(text: str) -> None:

@@ -87,7 +87,7 @@ def samples(day: tuple[Record, ...]) -> list[Sample]:
     rng, aligner = np.random.default_rng(61), Aligner(AlignmentConfig())
     found: list[Sample] = []
     for record in day:
-        if record.stamp_ns < day[0].stamp_ns + 160 * NS_PER_S and rng.random() > 0.002:
+        if record.stamp_ns < day[0].stamp_ns + 200 * NS_PER_S and rng.random() > 0.002:
             found += [event for event in aligner.push(record) if isinstance(event, Sample)]
     wrong = rng.random(len(found)) < 0.02
     return [replace(s, speed=s.speed + 8.0) if bad else s for s, bad in zip(found, wrong, strict=True)]

@@ -288,6 +288,35 @@ def test_a_restored_estimate_goes_on_after_a_break(name: str, metro: TrainFile, 
     assert outputs[-1].used > 50
 
 
+@ALL
+def test_a_restore_forgets_what_was_seen_before_it(name: str, metro: TrainFile, day: Records) -> None:
+    """Speeds stand still until samples wait for the next one that is believed; then a state is taken over."""
+    used, new = make(name, metro), make(name, metro)
+    state = make(name, metro).save()
+    stuck_from = day[0].stamp_ns + 20 * NS_PER_S
+    for record in seconds(day, 0.0, 40.0):
+        frozen = isinstance(record, SpeedRecord) and record.stamp_ns > stuck_from
+        used.push(replace(record, speed=12.0) if isinstance(record, SpeedRecord) and frozen else record)
+    assert used.rejections[Reason.SPEED_STUCK] > 5
+    later = [replace(r, stamp_ns=r.stamp_ns + 1000 * NS_PER_S) for r in seconds(day, 60.0, 100.0)]
+    before = used.rejections.copy()
+    used.restore(state)
+    new.restore(state)
+    estimates = [[repr(output.estimate) for output in run(pipeline, later)] for pipeline in (used, new)]
+    assert estimates[0] == estimates[1]
+    assert used.rejections - before == new.rejections
+
+
+@ALL
+def test_a_state_taken_over_ends_a_fault(name: str, metro: TrainFile, day: Records) -> None:
+    pipeline = make(name, metro)
+    state = pipeline.save()
+    run(pipeline, seconds(day, 0.0, 30.0))
+    pipeline.fail()
+    pipeline.restore(state)
+    assert run(pipeline, seconds(day, 30.0, 40.0))[-1].status is Status.CONVERGING
+
+
 # What must not matter
 
 

@@ -48,8 +48,8 @@ def test_another_estimators_file_is_refused(tmp_path: Path) -> None:
         ('{', 'is no checkpoint'),
         ('[]', 'is no checkpoint of this package'),
         ('{"format": 1, "package": "trainid_ros"}', 'is no checkpoint of this package'),
-        ('[' * 100_000, 'is no checkpoint'),
-        ('1' * 5000, 'is no checkpoint'),
+        pytest.param('[' * 100_000, 'is no checkpoint', id='deep'),
+        pytest.param('1' * 5000, 'is no checkpoint', id='long'),
         (
             json.dumps({'format': 2, 'package': 'trainid_ros', 'version': '1', 'estimator': 'V-MILS', 'saved_ns': 1.5}),
             'field saved_ns = 1.5',
