@@ -38,7 +38,7 @@ OUR_COMPILED: Final = 'the same, compiled'
 
 _MEMORY_CALLS: Final = 100_000
 _OUR_MEMORY_CALLS: Final = 1_000_000
-_SLOW_SHARE: Final = 30
+_SLOW_SHARE: Final = 60
 _SAME_ROWS: Final = 500
 _TIMED_CALLS: Final = 4000
 _NO_GROWTH: Final = 1.0
