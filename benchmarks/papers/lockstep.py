@@ -250,7 +250,9 @@ class ManyIntegral:
         tuning, K = self._tuning, self._tuning.window
         predicted, (by_noise, by_theta), count, window = self._moved(numbers, u)
         error = y - predicted
-        seen = predicted + np.clip(error, -tuning.clip, tuning.clip)
+        told = by_noise + by_theta * by_theta + self._variance
+        limit = tuning.clip * np.sqrt(told)
+        seen = np.minimum(np.maximum(y, predicted - limit), predicted + limit)
         waited = numbers[15] + 1.0
         due = (count == K) & (waited >= tuning.hop)
         blocks = window.reshape(K, 5, -1)
@@ -262,10 +264,10 @@ class ManyIntegral:
         kept = np.where(due, np.stack([*after[0], *after[1]]), numbers[1:15])
         kappa, left = tuning.kappa, 1.0 - tuning.kappa
         now = predicted + kappa * (seen - predicted)
-        after = left * left * by_noise + kappa * kappa * self._variance, left * by_theta
+        surer, whole = (left * left * by_noise + kappa * kappa * self._variance, left * by_theta), seen == y
+        after = np.where(whole, surer[0], by_noise), np.where(whole, surer[1], by_theta)
         head = np.stack([now, *kept, np.where(due, 0.0, waited), seen, *after, count])
         none = np.zeros_like(error, dtype=np.bool_)
-        told = by_noise + by_theta * by_theta + self._variance
         return ManyLearned(np.concatenate([head, window]), predicted, error, none, told, np.ones_like(error))
 
     def coast(self, numbers: Array, u: Array) -> Array:

@@ -230,7 +230,7 @@ def _bound_table(seeds: Sequence[int]) -> tuple[Table, list[Target]]:
 
 
 def _integral_still(variance: float) -> ManyIntegral:
-    return ManyIntegral(THETA0, P0, integral_rls.Tuning(25, 1, 0.3, 0.25, 0.0, 0.0, 0.0), variance)
+    return ManyIntegral(THETA0, P0, integral_rls.Tuning(25, 1, 0.3, 4.0, 0.0, 0.0, 0.0), variance)
 
 
 def _at_end(lines: Lines, y: Array, method: ManyAuxiliary | ManyIntegral) -> Array:

@@ -74,7 +74,7 @@ def ekf(variance: float) -> Named:
 
 def integral(variance: float) -> Named:
     """Return the product's integral RLS."""
-    tuning = integral_rls.Tuning(25, 1, 0.3, 0.25, 0.0, _DRIFT_INTEGRAL, LOAD)
+    tuning = integral_rls.Tuning(25, 1, 0.3, 4.0, 0.0, _DRIFT_INTEGRAL, LOAD)
     return Named('integral-RLS', ManyIntegral(THETA0, P0, tuning, variance), freeze=True)
 
 

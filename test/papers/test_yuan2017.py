@@ -33,7 +33,7 @@ def fresh(count: int) -> range:
 def pairs(variance: float) -> list[tuple[str, Method, ManyMethod, bool]]:
     """Return each method of the product and its twin in lockstep."""
     am, kalman = am_tuning(P0), ekf_tuning(0.0, 3e-8, LOAD, 4.0)
-    change = integral_rls.Tuning(25, 5, 0.3, 0.25, 1e-6, 1e-7, LOAD)
+    change = integral_rls.Tuning(25, 5, 0.3, 4.0, 1e-6, 1e-7, LOAD)
     config = rls.RlsConfig(kappa=0.1, forgetting_scale=100.0, min_forgetting=0.9, gate=5.0, prior_scale=1.0)
     P, tuning = scaled(P0, 1.0 / variance), rls.Tuning(0.1, 100.0 * variance, 0.9, 5.0)
     return [

@@ -23,7 +23,7 @@ from trainid_ros.physics.train_file import TrainFile
 
 K = 9.80665 / 1080.0
 THETA, P0 = prior((1.5, 0.03, 0.004), K, SpeedModelConfig())
-TUNING = Tuning(window=5, hop=2, kappa=0.3, clip=0.25, noise=0.0, drift=0.0, load=1e-8)
+TUNING = Tuning(window=5, hop=2, kappa=0.3, clip=4.0, noise=0.0, drift=0.0, load=1e-8)
 
 
 def model(x: float, u: float) -> float:
@@ -99,7 +99,7 @@ def test_the_stated_variance_is_that_of_the_error(noise: float) -> None:
             learned = method.learn(numbers, x + 0.02 * rng.standard_normal(), u, 1.0, variance)
             numbers = learned.numbers
             (early if n < 20 else late).append(learned.error**2 / learned.variance)
-    # Of 1000 and 6500 squares that are correlated; clipping at 0.25 m/s is rare.
+    # Of 1000 and 6500 squares that are correlated; clipping is rare.
     assert np.mean(early) == pytest.approx(1.0, abs=0.2)
     assert np.mean(late) == pytest.approx(1.0, abs=0.1)
 
@@ -115,3 +115,16 @@ def test_it_becomes_sure_enough_to_use_and_says_how_sure(
             ratios.append(e.prediction_error**2 / e.prediction_variance)
     assert estimator.converged
     assert 0.6 < np.mean(ratios) < 1.25
+
+
+def test_an_outlier_counts_little_and_a_lasting_change_is_believed() -> None:
+    method = IntegralRls(THETA, tuple(1e-6 * p for p in P0), TUNING._replace(noise=3e-6))  # type: ignore[arg-type]
+    numbers = method.anchor(method.start(4e-4), 8.0, 4e-4)
+    for _ in range(50):
+        numbers = method.learn(numbers, numbers[0], 0.0, 1.0, 4e-4).numbers
+    std = math.sqrt(method.learn(numbers, numbers[0], 0.0, 1.0, 4e-4).variance)
+    learned = method.learn(numbers, numbers[0] + 5.0, 0.0, 1.0, 4e-4)
+    assert learned.numbers[0] - learned.predicted == pytest.approx(0.3 * 4.0 * std)
+    for _ in range(200):
+        learned = method.learn(learned.numbers, 13.0, 0.0, 1.0, 4e-4)
+    assert learned.numbers[0] == pytest.approx(13.0, abs=0.1)

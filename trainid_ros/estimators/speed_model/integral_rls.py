@@ -42,7 +42,7 @@ class IntegralRlsConfig(SpeedModelConfig):
     window: int = setting(25, 'steps summed', 'samples', 2, 500)
     hop: int = setting(1, 'samples from one regression to the next', 'samples', 1, 500)
     kappa: float = setting(0.3, 'share of the measurement in the observer', '1', 0.01, 1.0)
-    clip: float = setting(0.25, 'errors of the observer count for no more than this', 'm/s', 1e-3, 10.0)
+    clip: float = setting(4.0, 'errors count for no more than this many standard deviations', '1', 1.0, 100.0)
     acceleration_noise: float = setting(0.004, 'gusts, force noise and map errors', 'm/s per sqrt(s)', 0.0, 1.0)
     drift: float = setting(0.004, 'drift of the Davis a in 1 s (0.2 if no gradient is known)', 'N/kN', 0.0, 10.0)
     load_std: float = setting(0.001, 'change of the mass at a stop that is not weighed, a share', '1', 0.0, 1.0)
@@ -70,8 +70,11 @@ def learn(numbers: Numbers, y: float, u: float, scale: float, variance: float, t
     phi = regressor(x, u, scale)
     predicted = output(theta, phi) + (1.0 - scale) * x  # type: ignore[arg-type]
     eps = y - predicted
-    seen = predicted + max(-tuning.clip, min(tuning.clip, eps))
     by_noise, by_theta = observer_doubt(numbers[17], numbers[18], P, phi, scale * tuning.noise)  # type: ignore[arg-type]
+    told = by_noise + by_theta * by_theta + variance
+    limit = tuning.clip * math.sqrt(told)
+    seen = min(max(y, predicted - limit), predicted + limit)
+    kappa, left = tuning.kappa, 1.0 - tuning.kappa
     window, waited = _moved(numbers, phi, tuning.window), numbers[15] + 1.0
     if len(window) == _BLOCK * tuning.window and waited >= tuning.hop:
         waited = 0.0
@@ -79,10 +82,9 @@ def learn(numbers: Numbers, y: float, u: float, scale: float, variance: float, t
         doubted = (*P[:9], P[9] + tuning.drift * tuning.hop)
         noise = regression_variance(variance, tuning.noise, tuning.window, tuning.hop)
         theta, P = updated(theta, doubted, times(doubted, summed), error, noise)  # type: ignore[arg-type]
-    kappa, left = tuning.kappa, 1.0 - tuning.kappa
     now = predicted + kappa * (seen - predicted)
-    after = left * left * by_noise + kappa * kappa * variance, left * by_theta
-    told = by_noise + by_theta * by_theta + variance
+    # What is not fully believed takes away no doubt; so the limit widens if errors are large again and again.
+    after = (left * left * by_noise + kappa * kappa * variance, left * by_theta) if seen == y else (by_noise, by_theta)
     return Learned((now, *theta, *P, waited, seen, *after, *window), predicted, eps, math.inf, 1.0, told)
 
 
