@@ -41,6 +41,7 @@ VERBS: Final = (
     Verb('play', "publish a bag's inputs with /clock", 'trainid_ros.commands.play'),
     Verb('simulate', 'make a bag with the simulator', 'trainid_ros.commands.simulate'),
     Verb('fit', 'fit Davis parameters to a whole bag at once', 'trainid_ros.commands.fit'),
+    Verb('explain', 'find what a train file lacks, name it and add it', 'trainid_ros.commands.explain'),
     Verb('info', 'tell what is in a bag and whether it can be used', 'trainid_ros.commands.info'),
 )
 

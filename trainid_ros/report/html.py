@@ -5,12 +5,9 @@ from __future__ import annotations
 
 from datetime import UTC, datetime
 from html import escape
-from pathlib import Path
 from typing import TYPE_CHECKING
 
-from trainid_ros.core.errors import InputError
 from trainid_ros.core.records import NS_PER_S
-from trainid_ros.report.content import versions
 from trainid_ros.report.figures import (
     brake_rate_over_time,
     innovation_ratios,
@@ -20,10 +17,12 @@ from trainid_ros.report.figures import (
     speed_profile,
     status_timeline,
 )
-from trainid_ros.report.style import css
+from trainid_ros.report.page import page, write_page
 from trainid_ros.report.tables import cards, estimates_table, rejections_table, scores_table
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
     from trainid_ros.report.content import Chapter, Report
 
 
@@ -34,13 +33,7 @@ def write_report(report: Report, path: str | Path) -> None:
         InputError: The file cannot be written.
 
     """
-    target = Path(path)
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_text(render(report), encoding='utf-8')
-    except OSError as error:
-        msg = f'{path}: cannot be written ({error.strerror})'
-        raise InputError(msg) from None
+    write_page(render(report), path)
 
 
 def render(report: Report) -> str:
@@ -48,15 +41,10 @@ def render(report: Report) -> str:
     links = ''.join(f'<a href="#chapter-{i}">{escape(c.title)}</a>' for i, c in enumerate(report.chapters))
     nav = f'<nav>{links}</nav>' if len(report.chapters) > 1 else ''
     body = ''.join(_chapter(i, chapter) for i, chapter in enumerate(report.chapters))
-    title = escape(report.title)
-    return (
-        '<!DOCTYPE html><html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width,initial-scale=1">'
-        f'<title>{title}</title><style>{css()}</style></head><body>'
-        f'<h1>{title}</h1><p class="sub">{escape(" · ".join(versions()))}</p>{nav}{body}'
-        '<footer>w(v) = a + b v + c v², in N per kN of train weight, v in m/s. Bands are the published '
-        'standard deviations.</footer></body></html>\n'
+    footer = (
+        'w(v) = a + b v + c v², in N per kN of train weight, v in m/s. Bands are the published standard deviations.'
     )
+    return page(report.title, nav + body, footer)
 
 
 def _chapter(index: int, chapter: Chapter) -> str:

@@ -1,0 +1,203 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The report of an explanation: the story in words first, then the figures, then the numbers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from html import escape
+from typing import TYPE_CHECKING, Final
+
+from trainid_ros.discrepancy.explanation import Verdict
+from trainid_ros.report.gap_figures import gap_along_line, gap_bars, gap_of_runs
+from trainid_ros.report.page import page, write_page
+from trainid_ros.report.place_figures import missing_along_line, missing_by_part
+from trainid_ros.report.tables import html_table
+from trainid_ros.report.words import (
+    davis_rows,
+    doubts,
+    drive_text,
+    gap_sentence,
+    headline,
+    how_sure,
+    noise_rows,
+    plus_minus,
+    strong_text,
+    strongest,
+    unit_of,
+)
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from trainid_ros.discrepancy.explanation import Explanation
+    from trainid_ros.physics.train_file import TrainFile
+    from trainid_ros.report.gap_figures import Stretches
+
+# The tag has the colours of an estimator's status.
+_TAGS: Final = {
+    Verdict.EXPLAINED: 'VALID',
+    Verdict.NO_GAP: 'HOLDING',
+    Verdict.AMBIGUOUS: 'CONVERGING',
+    Verdict.UNEXPLAINED: 'FAULT',
+}
+_FOOTER: Final = (
+    'Missing resistance is what the believed model lacks, in N per kN of train weight, + where the train runs harder. '
+    'Speed gap is measured less simulated speed. Bands are two standard deviations.'
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Explained:
+    """An explanation with what belongs to it.
+
+    Attributes:
+        title: Heading.
+        explanation: What the workflow found.
+        believed: The train file before.
+        train_file_name: Its name.
+        bags: Names of the bags.
+        notes: Further sentences, such as what was true.
+
+    """
+
+    title: str
+    explanation: Explanation
+    believed: TrainFile
+    train_file_name: str
+    bags: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+
+
+def write_explained(explained: Explained, path: str | Path) -> None:
+    """Write the report, with the folders it needs.
+
+    Raises:
+        InputError: The file cannot be written.
+
+    """
+    write_page(render_explained(explained), path)
+
+
+def render_explained(explained: Explained) -> str:
+    """Return the report as HTML text."""
+    return page(
+        explained.title, _head(explained) + _story(explained) + _figures(explained) + _tables(explained), _FOOTER
+    )
+
+
+def _head(explained: Explained) -> str:
+    verdict = explained.explanation.verdict
+    facts = (
+        ('Bags', ', '.join(explained.bags)),
+        ('Train file', explained.train_file_name),
+        ('Drive', drive_text(explained.explanation)),
+    )
+    listed = ''.join(f'<dt>{name}</dt><dd>{escape(text)}</dd>' for name, text in facts)
+    tag = f'<span class="tag {_TAGS[verdict]}">{verdict.value.replace("_", " ")}</span>'
+    notes = ''.join(f'<li>{escape(note)}</li>' for note in explained.notes)
+    return f'<dl>{listed}</dl><h2>{tag} {escape(headline(explained.explanation))}</h2>' + (
+        f'<ul>{notes}</ul>' if notes else ''
+    )
+
+
+def _story(explained: Explained) -> str:
+    explanation = explained.explanation
+    where = [f'{effect.name}: {effect.where}' for effect in explanation.effects]
+    parts = (
+        ('What is missing', [_what(explanation, i) for i in range(len(explanation.effects))]),
+        ('Where', where or [strong_text(strong) for strong in strongest(explanation)]),
+        ('How sure', [f'{effect.name}: {how_sure(effect)}' for effect in explanation.effects]),
+        ('What else it could be, and what to drive next', doubts(explanation)),
+        ('Does the gap shrink', [gap_sentence(explanation.gap)]),
+        ('What remains', [explanation.remaining]),
+    )
+    return ''.join(f'<h3>{name}</h3>{_paragraphs(lines)}' for name, lines in parts if lines)
+
+
+def _what(explanation: Explanation, index: int) -> str:
+    effect = explanation.effects[index]
+    side = 'The sensors are wrong' if effect.origin == 'sensor' else 'The train runs otherwise'
+    return f'{effect.name}: {effect.title}. {effect.equation}. {side}.'
+
+
+def _paragraphs(lines: list[str]) -> str:
+    if len(lines) == 1:
+        return f'<p>{escape(lines[0])}</p>'
+    return f'<ul>{"".join(f"<li>{escape(line)}</li>" for line in lines)}</ul>'
+
+
+def _figures(explained: Explained) -> str:
+    explanation, line = explained.explanation, explained.believed.line
+    found = _stretches(explanation)
+    figures = (
+        ('Gap', 'Each run is simulated by a model that was fitted to other runs.', gap_bars(explanation.gap)),
+        (
+            'Missing resistance along the line',
+            'What has to be added to the model for it to follow the data, with ±2 std.',
+            missing_along_line(explanation, line, found),
+        ),
+        (
+            'Speed gap along the line',
+            'Measured less simulated speed of all runs. What belongs to a place shows there in every run: a '
+            'gradient with opposite signs in the two directions, a drag with the same.',
+            gap_along_line(explanation, line, found),
+        ),
+        (
+            'Missing resistance by speed, mode and so on',
+            'Each axis by itself, with ±2 std: an effect shows along several of them.',
+            missing_by_part(explanation),
+        ),
+        ('Single runs', _runs_caption(explanation), gap_of_runs(explanation)),
+    )
+    return ''.join(
+        f'<figure><h3>{name}</h3><p class="caption">{escape(caption)}</p>{svg}</figure>'
+        for name, caption, svg in figures
+        if svg
+    )
+
+
+def _runs_caption(explanation: Explanation) -> str:
+    return (
+        f'Those of the {len(explanation.traces)} runs with the largest gaps, and the band in which a right model '
+        'would stay 95 % of the time.'
+    )
+
+
+def _stretches(explanation: Explanation) -> Stretches:
+    """Return from where to where those effects reach that have a place."""
+    found = []
+    for effect in explanation.effects:
+        values = dict(effect.parameters)
+        if {'start', 'end'} <= values.keys() and unit_of(effect.name, 'start') == 'm':
+            found.append((values['start'], values['end']))
+    return tuple(found)
+
+
+def _tables(explained: Explained) -> str:
+    explanation = explained.explanation
+    return _effects_table(explanation) + _davis_table(explained) + _noise_table(explanation)
+
+
+def _effects_table(explanation: Explanation) -> str:
+    rows = []
+    for effect in explanation.effects:
+        std = dict(effect.std)
+        for k, (name, value) in enumerate(effect.parameters):
+            first = (effect.name, f'{effect.evidence:.0f}') if k == 0 else ('', '')
+            cells = (first[0], name, unit_of(effect.name, name) or '–')
+            rows.append((*map(escape, cells), plus_minus(value, std.get(name, 0.0)), first[1]))
+    if not rows:
+        return ''
+    caption = 'Effects added to the model; evidence is 2 ln of the Bayes factor'
+    return html_table(caption, ('effect', 'parameter', 'unit', 'value ± std', 'evidence'), rows, text_columns=3)
+
+
+def _davis_table(explained: Explained) -> str:
+    rows = [(name, unit, old, new) for name, old, new, unit in davis_rows(explained.explanation, explained.believed)]
+    caption = 'Running resistance w(v) = a + b v + c v²'
+    return html_table(caption, ('', 'unit', 'believed', 'found ± std'), rows, text_columns=2)
+
+
+def _noise_table(explanation: Explanation) -> str:
+    rows = [(name, unit, size) for name, size, unit in noise_rows(explanation)]
+    return html_table('Noise and nuisances, estimated with the effects', ('', 'unit', 'size'), rows, text_columns=2)

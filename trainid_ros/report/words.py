@@ -1,0 +1,174 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An explanation in words and rounded numbers, for the terminal and for the report."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from trainid_ros.discrepancy.explanation import Verdict
+from trainid_ros.physics.effects import EFFECTS
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from trainid_ros.discrepancy.explanation import Explanation, FoundEffect, Gap
+    from trainid_ros.physics.train_file import TrainFile
+
+DAVIS_UNITS: Final = ('N/kN', 'N/kN per m/s', 'N/kN per (m/s)²')
+_CLEAR: Final = 3.0
+_STRONGEST: Final = 3
+# Axes that tell how the data are cut, not what the gap depends on.
+_NO_CAUSE: Final = ('run',)
+
+
+class Strong(NamedTuple):
+    """A part of the data where much is missing: where, how much, and its standard deviation [N/kN]."""
+
+    where: str
+    missing: float
+    std: float
+
+
+def headline(explanation: Explanation) -> str:
+    """Return the outcome in one sentence."""
+    names = join([effect.name for effect in explanation.effects])
+    match explanation.verdict:
+        case Verdict.EXPLAINED:
+            return f'The believed model lacks {names}.'
+        case Verdict.AMBIGUOUS:
+            return f'The believed model lacks something: {names} fits best, but {_rivals(explanation)} as well.'
+        case Verdict.UNEXPLAINED:
+            return 'The believed model lacks something that no effect of the library fits.'
+        case Verdict.NO_GAP:
+            return 'The believed model lacks nothing that the data could show, once a, b and c are fitted.'
+
+
+def _rivals(explanation: Explanation) -> str:
+    names = dict.fromkeys(twin.name for effect in explanation.effects for twin in effect.twins)
+    fit = 'fits' if len(names) == 1 else 'fit'
+    return f'{join([*names])} {fit}'
+
+
+def join(words: Sequence[str]) -> str:
+    """Return words as an enumeration."""
+    return ' and '.join(filter(None, (', '.join(words[:-1]), *words[-1:])))
+
+
+def plus_minus(value: float, std: float) -> str:
+    """Return a value with its standard deviation, both to the places that matter."""
+    if not (math.isfinite(std) and std > 0.0 and math.isfinite(value)):
+        return number(value)
+    places = max(0, 1 - math.floor(math.log10(std)))
+    return f'{value:.{places}f} ± {std:.{places}f}' if places < 7 else f'{value:.4g} ± {std:.2g}'
+
+
+def number(value: float, digits: int = 4) -> str:
+    """Return a number for people; what is not finite is a dash."""
+    return f'{value:.{digits}g}' if math.isfinite(value) else '–'
+
+
+def unit_of(effect: str, parameter: str) -> str:
+    """Return the unit of a parameter, '' for ratios and for effects that the library does not know."""
+    kind = EFFECTS.get(effect)
+    known = None if kind is None else kind.parameters.get(parameter)
+    return '' if known is None else known.unit
+
+
+def how_sure(effect: FoundEffect) -> str:
+    """Return how sure an effect is."""
+    digits = effect.evidence / (2.0 * math.log(10.0))
+    odds = 'more than a million' if digits > 6.0 else f'{10.0**digits:.2g}'
+    text = f'evidence {effect.evidence:.0f}: the data are {odds} times as likely with it as without'
+    sigmas = sigmas_from_neutral(effect)
+    return text if sigmas is None else f'{text}; its size is {sigmas:.1f} std from none'
+
+
+def sigmas_from_neutral(effect: FoundEffect) -> float | None:
+    """Return by how many standard deviations its amplitude differs from that of no effect, None if unknown."""
+    kind = EFFECTS.get(effect.name)
+    if kind is None:
+        return None
+    value, std = dict(effect.parameters).get(kind.amplitude), dict(effect.std).get(kind.amplitude, 0.0)
+    if value is None or not std > 0.0:
+        return None
+    return abs(value - kind.neutral) / std
+
+
+def gap_sentence(gap: Gap | None) -> str:
+    """Return what the gap was, became, and could become."""
+    if gap is None:
+        return 'There are too few runs to hold one out, so nothing shows whether the gap shrank.'
+    text = (
+        f'On {gap.runs_held_out} runs, each left out of the fit that simulates it, simulated and measured speed '
+        f'differ by {gap.before:.3f} m/s (rms) without the effects and {gap.after:.3f} m/s with them; '
+        f'noise alone would leave {gap.noise_floor:.3f} m/s.'
+    )
+    if gap.noise_floor > 0.0 and gap.after > 1.1 * gap.noise_floor:
+        text += f' What is left is {gap.after / gap.noise_floor - 1.0:.0%} above the noise.'
+    return text
+
+
+def doubts(explanation: Explanation) -> list[str]:
+    """Return what else each effect could be, and the drive that would tell."""
+    return [
+        f'{effect.name} could also be {twin.name}. To tell them apart: {twin.drive or "no drive is known"}.'
+        for effect in explanation.effects
+        for twin in effect.twins
+    ]
+
+
+def strongest(explanation: Explanation) -> list[Strong]:
+    """Return the parts of the data where the believed model lacks most, by significance."""
+    places = [
+        (abs(place.before) / place.std, Strong(f'{location.axis} {place.label}', place.before, place.std))
+        for location in explanation.locations
+        for place in location.places
+        if location.axis not in _NO_CAUSE and place.std > 0.0
+    ]
+    clear = sorted((entry for entry in places if entry[0] > _CLEAR), key=lambda entry: -entry[0])
+    return [strong for _, strong in clear[:_STRONGEST]]
+
+
+def strong_text(strong: Strong) -> str:
+    """Return one such part in words."""
+    more = 'more' if strong.missing > 0.0 else 'less'
+    size = plus_minus(abs(strong.missing), strong.std)
+    return f'{strong.where}: {size} N/kN {more} resistance than believed'
+
+
+def noise_rows(explanation: Explanation) -> list[tuple[str, str, str]]:
+    """Return sizes of noise and nuisances: what, size, unit."""
+    noise = explanation.noise
+    return [
+        ('noise of the measured speed', number(noise.speed, 2), 'm/s'),
+        ('gusts and other passing forces', number(noise.gust, 2), 'N/kN'),
+        ('how long these last', number(noise.gust_time, 2), 's'),
+        ('load not weighed' if explanation.weighed else 'load (the train is not weighed)',
+         number(100.0 * noise.payload, 2), '% of the mass'),
+        ('brake from run to run', number(100.0 * noise.brake, 2), '% of its force'),
+        ('error of the gradient in the map', number(noise.map, 2), 'per mille'),
+        ('speeds that did not count (slip, outliers)', number(100.0 * explanation.outliers, 2), '%'),
+    ]  # fmt: skip
+
+
+def davis_rows(explanation: Explanation, believed: TrainFile) -> list[tuple[str, str, str, str]]:
+    """Return a, b, c: name, believed, found with standard deviation, unit."""
+    before, after = believed.resistance, explanation.train_file.resistance
+    rows = zip('abc', (before.a, before.b, before.c), (after.a, after.b, after.c), explanation.davis_std, DAVIS_UNITS,
+               strict=True)  # fmt: skip
+    return [(name, number(old), plus_minus(new, std), unit) for name, old, new, std, unit in rows]
+
+
+def drive_text(explanation: Explanation) -> str:
+    """Return how much driving was compared."""
+    traces = explanation.traces
+    seconds = sum(float(trace.time[-1] - trace.time[0]) for trace in traces if trace.time.size)
+    metres = sum(float(np.sum(0.5 * (trace.speed[1:] + trace.speed[:-1]) * np.diff(trace.time))) for trace in traces)
+    ways = {trace.direction for trace in traces}
+    way = 'both directions' if len(ways) > 1 else 'one direction only'
+    bags = len({trace.bag for trace in traces})
+    within = f' in {bags} bags' if bags > 1 else ''
+    return f'{len(traces)} runs{within}, {metres / 1000.0:.1f} km in {seconds / 60.0:.0f} min, {way}'
