@@ -1,0 +1,163 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What counts as right: an outcome of the workflow held against the truth."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from benchmarks.explain_trial import CRASHED
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+
+    from benchmarks.explain_trial import Named, Outcome
+
+VISIBLE: Final = 20.0
+"""Percent by which an effect must raise the gap over the noise floor to be asked for."""
+GENERIC: Final = frozenset({'local_drag', 'resistance_step'})
+"""Names that claim no mechanism, so honest for what no effect of the library describes."""
+_Z95: Final = 1.959964
+_WITHOUT_NAME: Final = frozenset({'no_gap', 'unexplained', CRASHED})
+_SLIP: Final = 'wheel_slip'
+
+
+@dataclass(frozen=True, slots=True)
+class Rate:
+    """How many of how many."""
+
+    hits: int
+    cases: int
+
+    @property
+    def share(self) -> float:
+        """Return hits over cases, NaN without cases."""
+        return self.hits / self.cases if self.cases else math.nan
+
+    def interval(self) -> tuple[float, float]:
+        """Return Wilson's 95 % interval of the share."""
+        n, p = self.cases, self.share
+        if not n:
+            return 0.0, 1.0
+        middle = p + _Z95**2 / (2 * n)
+        half = _Z95 * math.sqrt(p * (1.0 - p) / n + _Z95**2 / (4 * n * n))
+        scale = 1.0 + _Z95**2 / n
+        return max(0.0, (middle - half) / scale), min(1.0, (middle + half) / scale)
+
+
+def rate(outcomes: Iterable[Outcome], holds: Callable[[Outcome], bool]) -> Rate:
+    """Return of how many outcomes a statement holds."""
+    answers = [holds(outcome) for outcome in outcomes]
+    return Rate(sum(answers), len(answers))
+
+
+def truth_names(outcome: Outcome) -> tuple[str, ...]:
+    return tuple(effect.name for effect in outcome.answer.effects)
+
+
+def visible(outcome: Outcome) -> bool:
+    """Each of the effects moves the gap enough to be asked for."""
+    return outcome.answer.visible >= VISIBLE and all(one.visible >= VISIBLE for one in outcome.answer.effects)
+
+
+def slip_excused(outcome: Outcome) -> bool:
+    """The data are spoiled by slip beside what is hidden, and the workflow says so: that is right."""
+    spoiled = 'slip' in outcome.answer.contamination and _SLIP not in truth_names(outcome)
+    return spoiled and any(effect.name == _SLIP for effect in outcome.found)
+
+
+def named(outcome: Outcome) -> tuple[Named, ...]:
+    """Return the effects named, without slip that spoils the data beside what is hidden."""
+    excused = slip_excused(outcome)
+    return tuple(effect for effect in outcome.found if not (excused and effect.name == _SLIP))
+
+
+def reported(outcome: Outcome) -> tuple[str, ...]:
+    """Return all names and twins that were reported, each once."""
+    effects = named(outcome)
+    names = [*(effect.name for effect in effects), *(twin for effect in effects for twin in effect.twins)]
+    return tuple(dict.fromkeys(names))
+
+
+def alarmed(outcome: Outcome) -> bool:
+    """Anything but "no gap" is a false alarm where there is no effect."""
+    if named(outcome) or outcome.verdict in {'unexplained', CRASHED}:
+        return True
+    return outcome.verdict != 'no_gap' and not slip_excused(outcome)
+
+
+def exact(outcome: Outcome) -> bool:
+    """What was named is the truth, no less and no more."""
+    names = sorted(effect.name for effect in named(outcome))
+    return outcome.verdict not in _WITHOUT_NAME and names == sorted(truth_names(outcome))
+
+
+def within_two(outcome: Outcome) -> bool:
+    """The truth is among at most two names reported."""
+    names = reported(outcome)
+    return outcome.verdict not in _WITHOUT_NAME and len(names) <= 2 and set(truth_names(outcome)) <= set(names)
+
+
+def found_of_truth(outcome: Outcome) -> int:
+    """Return how many of the hidden effects were named."""
+    return len({effect.name for effect in named(outcome)} & set(truth_names(outcome)))
+
+
+def both(outcome: Outcome) -> bool:
+    return found_of_truth(outcome) == len(outcome.answer.effects)
+
+
+def generic(outcome: Outcome) -> bool:
+    """Unexplained, or only names that claim no mechanism."""
+    return _honest(outcome, frozenset())
+
+
+def honest(outcome: Outcome) -> bool:
+    """Unexplained, or only names that are near to what is hidden or claim no mechanism."""
+    return _honest(outcome, frozenset(name for effect in outcome.answer.effects for name in effect.near))
+
+
+def _honest(outcome: Outcome, near: frozenset[str]) -> bool:
+    if outcome.verdict == 'unexplained':
+        return True
+    names = {effect.name for effect in named(outcome)}
+    return outcome.verdict not in _WITHOUT_NAME and bool(names) and names <= GENERIC | near
+
+
+def parameter_errors(outcome: Outcome) -> tuple[tuple[str, float], ...]:
+    """Return (effect.parameter, error in its own std) of all named effects that are in the data.
+
+    A parameter without a usable std is infinitely wrong: it claims nothing that one could hold it to.
+    """
+    truth = {effect.name: dict(effect.parameters) for effect in outcome.answer.effects}
+    errors: list[tuple[str, float]] = []
+    for effect in named(outcome):
+        std = dict(effect.std)
+        for name, value in effect.parameters:
+            if name in truth.get(effect.name, {}):
+                spread, error = std.get(name, math.nan), value - truth[effect.name][name]
+                usable = math.isfinite(spread) and spread > 0.0
+                errors.append((f'{effect.name}.{name}', error / spread if usable else math.inf))
+    return tuple(errors)
+
+
+def within_std(errors: Sequence[float]) -> Rate:
+    """Return how many errors are within two of their own std."""
+    return Rate(sum(abs(error) <= 2.0 for error in errors), len(errors))
+
+
+def rms(errors: Sequence[float]) -> float:
+    """Return the rms of the finite ones, NaN without."""
+    finite = [error for error in errors if math.isfinite(error)]
+    return math.sqrt(sum(error * error for error in finite) / len(finite)) if finite else math.nan
+
+
+def over_floor(outcome: Outcome) -> float:
+    """Return the gap after over the noise floor, NaN where nothing was held out."""
+    return math.nan if outcome.gap is None else outcome.gap[1] / outcome.gap[2]
+
+
+def seconds_for_eight(outcome: Outcome) -> float:
+    """Return CPU time from aligned records to the explanation, for eight runs [s]."""
+    return outcome.explain_s * 8.0 / max(outcome.runs, 1)

@@ -1,0 +1,11 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Second generator of hidden cases: regional, freight, main line and metro, with physics of its own."""
+
+from __future__ import annotations
+
+from benchmarks.hidden_cases_b.case import NAMES, PAIRS, Case, Truth, draw_cases, make_case
+from benchmarks.hidden_cases_b.menu import LIBRARY, NEAR, OUTSIDE, SENSOR_EXTRA
+
+__all__ = [
+    'LIBRARY', 'NAMES', 'NEAR', 'OUTSIDE', 'PAIRS', 'SENSOR_EXTRA', 'Case', 'Truth', 'draw_cases', 'make_case',
+]
