@@ -11,7 +11,7 @@ import pytest
 from numpy.typing import NDArray
 
 from trainid_ros.core.errors import InputError
-from trainid_ros.core.soundness import check_not_negative, check_numbers, is_covariance
+from trainid_ros.core.soundness import check_not_negative, check_numbers, is_covariance, is_covariance_matrix
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,3 +67,10 @@ def test_covariances_are_told_from_other_matrices_whatever_their_scale() -> None
         wrong = upper.copy()
         wrong[k] = -wrong[k] if k in {0, 4, 7, 9} else 1.01 * math.copysign(1.0, wrong[k])
         assert not is_covariance(wrong.tolist()), k
+
+
+def test_what_is_certain_goes_with_nothing_and_a_covariance_is_symmetric() -> None:
+    assert is_covariance([1.0, 0.0, 0.0])
+    assert not is_covariance([1.0, 1e-9, 0.0])
+    assert is_covariance_matrix(np.array([[1.0, 0.5], [0.5, 1.0]]))
+    assert not is_covariance_matrix(np.array([[1.0, 0.5], [-0.5, 1.0]]))

@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Sequence
 
     from _typeshed import DataclassInstance
+    from numpy.typing import NDArray
 
 HUGE: Final = 1e40
 """Numbers of a state are smaller: no quantity of a train, nor the inverse of a variance, comes near."""
@@ -69,10 +70,16 @@ def is_covariance(upper: Sequence[float]) -> bool:
     n = (math.isqrt(8 * len(upper) + 1) - 1) // 2
     P = np.zeros((n, n))
     P[np.triu_indices(n)] = upper
+    return is_covariance_matrix(P + np.triu(P, 1).T)
+
+
+def is_covariance_matrix(P: NDArray[np.float64]) -> bool:
+    """True if a matrix of finite numbers, shape (n, n), is a covariance."""
     variances = np.diag(P)
-    if bool((variances < 0.0).any()):
+    if bool((variances < 0.0).any() or P[variances == 0.0].any()):  # what is certain goes with nothing
         return False
     # Variances lie decades apart, so correlations are judged.
     scale = 1.0 / np.sqrt(np.where(variances > 0.0, variances, 1.0))
-    correlations = scale[:, None] * (P + np.triu(P, 1).T) * scale
-    return float(np.linalg.eigvalsh(correlations)[0]) >= -_ROUNDING
+    correlations = scale[:, None] * P * scale
+    symmetric = bool((np.abs(correlations - correlations.T) < _ROUNDING).all())
+    return symmetric and float(np.linalg.eigvalsh(correlations)[0]) >= -_ROUNDING

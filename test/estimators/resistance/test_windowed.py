@@ -117,4 +117,4 @@ def test_settings_are_checked() -> None:
     with pytest.raises(InputError, match='hop = 30 must lie in'):
         made('LS', hop=30)
     with pytest.raises(InputError, match='penalty = -1'):
-        made('LS', penalty=-1.0)
+        made('regularised-LS', penalty=-1.0)

@@ -20,12 +20,12 @@ from numpy.typing import NDArray
 from trainid_ros.core.codec import check_restored, decode, encode
 from trainid_ros.core.errors import InputError
 from trainid_ros.core.settings import check_settings, setting
-from trainid_ros.core.soundness import check_not_negative, check_numbers, is_covariance
+from trainid_ros.core.soundness import check_not_negative, check_numbers, is_covariance_matrix
 from trainid_ros.estimators.brake_rate import group_cloud
 from trainid_ros.estimators.brake_rate.estimator import LARGEST_RATE, BrakeRateEstimator, true_brake
 from trainid_ros.estimators.brake_rate.group_cloud import GroupCloud, Strata
 from trainid_ros.estimators.brake_rate.jumps import JumpConfig, drifts, transition
-from trainid_ros.estimators.brake_rate.particles import SPEED, UPPER, speed_correction, speed_step
+from trainid_ros.estimators.brake_rate.particles import SPEED, speed_correction, speed_step
 from trainid_ros.estimators.brake_rate.resampling import effective_number, restore_generator
 from trainid_ros.estimators.compiled.jit import require_compiler
 
@@ -195,7 +195,7 @@ class GsmaBelief:
         shapes = ((N,), (3, N), (M,), (M,), (M,), (3, M), (3, 3))
         sized = tuple(item.shape for item in arrays) == shapes
         check_numbers(state)
-        check_restored(sized and is_covariance(state.P[UPPER].tolist()), 'GsmaState', 'an array')
+        check_restored(sized and is_covariance_matrix(state.P), 'GsmaState', 'an array')
         check_restored(abs(float(state.weight.sum()) - 1.0) < _ROUNDING, 'GsmaState', 'weight')
         least = min(float(state.weight.min()), float(state.variance.min()), state.effective)
         check_not_negative('GsmaState', least_weight_or_variance=least)

@@ -21,8 +21,6 @@ Array = NDArray[np.float64]
 
 # v of x = [v, a, b] is measured.
 SPEED: Final = np.array([[1.0, 0.0, 0.0]])
-# Upper triangle of its covariance.
-UPPER: Final = np.triu_indices(3)
 
 
 class LinearStep(NamedTuple):

@@ -12,8 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trainid_ros.core.codec import check_restored, decode, encode
-from trainid_ros.core.soundness import HUGE, is_covariance
-from trainid_ros.estimators.brake_rate.particles import SPEED, UPPER, Correction, speed_correction, speed_step
+from trainid_ros.core.soundness import HUGE, is_covariance_matrix
+from trainid_ros.estimators.brake_rate.particles import SPEED, Correction, speed_correction, speed_step
 from trainid_ros.estimators.brake_rate.resampling import effective_number, restore_generator
 from trainid_ros.estimators.brake_rate.theta_cloud import ThetaCloud
 
@@ -140,7 +140,7 @@ class ThetaBelief:
         sized = state.log_weights.shape == (N,) and state.x.shape == (3, N) and state.P.shape == (3, 3)
         finite = all(bool((np.abs(item) < HUGE).all()) for item in (state.f, state.x, state.P))
         check_restored(finite and sized and 0 < N <= self._most, 'ThetaState', 'f, x or P')
-        check_restored(is_covariance(state.P[UPPER].tolist()), 'ThetaState', 'P')
+        check_restored(is_covariance_matrix(state.P), 'ThetaState', 'P')
         normal = abs(float(np.exp(np.minimum(state.log_weights, 1.0)).sum()) - 1.0) < _ROUNDING
         check_restored(normal, 'ThetaState', 'log_weights')
         restore_generator(self.rng, state.random, 'ThetaState')
