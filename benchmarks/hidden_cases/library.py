@@ -89,7 +89,7 @@ def dragging_brake(_: World, rng: Generator) -> Hidden:
     return Hidden(
         'dragging_brake',
         (('permille', permille), ('time', seconds)),
-        drag=lambda m: permille if m.released_for <= seconds else 0.0,
+        drag=lambda m: permille if 0.0 < m.released_for <= seconds else 0.0,
     )
 
 

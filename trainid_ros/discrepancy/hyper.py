@@ -80,9 +80,11 @@ class Evidence:
         return factor
 
     def maximise(self, start: Array | None = None) -> tuple[Sizes, Array]:
-        """Return the best sizes and their logs, from a start or the prior's median."""
-        x = self._median.copy() if start is None else start.copy()
-        value, curvature = self._value(x), np.square(1.0 / _WIDTH) * 2.0
+        """Return the best sizes and their logs, from a start or the prior's median, whichever is better."""
+        x, value = self._median.copy(), self._value(self._median)
+        # Sizes found without an effect can be far off with it.
+        if start is not None and (there := self._value(start)) < value:
+            x, value = start.copy(), there
         for _ in range(_MOST_STEPS):
             gradient, curvature = self._slopes(x, value)
             move = np.clip(-gradient / curvature, -_LARGEST_MOVE, _LARGEST_MOVE)

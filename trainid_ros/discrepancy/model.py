@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
@@ -37,6 +38,8 @@ _SETTLED: Final = 0.1
 _METRES: Final = 80.0
 _SECONDS: Final = 60.0
 _LOG_WIDTH: Final = 1.0
+# A normal density at its top is that of a flat one this many standard deviations wide.
+_SPREAD: Final = math.sqrt(2.0 * math.pi)
 
 
 @dataclass(frozen=True, slots=True)
@@ -207,6 +210,27 @@ class Model:
             members.append(Member(member.name, _ordered(parameters), covariance[here, here]))
             at += len(member.parameters)
         return Fit(tuple(members), mean, covariance), moved
+
+
+def prior_cost(member: Member, drive: Drive) -> float:
+    """Return what a member costs beyond the priors about where it was found, as twice a log.
+
+    An amplitude is unlikely to lie far from its neutral value; a place or a time could have been any other.
+    """
+    kind, cost = EFFECTS[member.name], 0.0
+    for name, value in member.parameters.items():
+        width = _width(member.name, name, value)
+        limits = kind.parameters[name]
+        if name == kind.amplitude:
+            cost += ((value - kind.neutral) / width) ** 2
+        elif limits.search is not None:
+            low, high = limits.search
+            span = math.log(high / low) * abs(value) if limits.grid == 'log' else high - low
+            cost += 2.0 * math.log(max(span / (_SPREAD * width), 1.0))
+        else:
+            along = drive.joined('position') if limits.unit == 'm' else drive.time
+            cost += 2.0 * math.log(max(float(np.ptp(along)) / (_SPREAD * width), 1.0))
+    return cost
 
 
 def _width(effect: str, name: str, value: float) -> float:

@@ -152,12 +152,15 @@ def _outliers_of(gap: Array) -> NDArray[np.bool_]:
     slope = (np.median(windows[:, reach + 1 :], axis=1) - np.median(windows[:, :reach], axis=1)) / (reach + 1)
     off = windows - level[:, None] - slope[:, None] * np.arange(-reach, reach + 1)
     scale = _MAD * np.median(np.abs(off), axis=1)
+    scale = np.minimum(scale, 2.0 * float(np.median(scale)))
     # At both ends of a run the nearest whole window tells the level.
     at = np.arange(gap.size)
     window = np.clip(at - reach, 0, len(windows) - 1)
     expected = level[window] + slope[window] * (at - reach - window)
     floor = max(_LEAST_SCALE, float(np.median(scale)))
-    return np.asarray(np.abs(gap - expected) > _OUTLIER * np.maximum(scale[window], floor))
+    # A step that stays lifts one half of the window; what leaves and comes back goes beyond both halves.
+    step = np.abs(slope[window]) * (reach + 1)
+    return np.asarray(np.abs(gap - expected) > np.maximum(_OUTLIER * np.maximum(scale[window], floor), 0.7 * step))
 
 
 def _stage_means(speed: Array, starts: NDArray[np.intp]) -> Array:

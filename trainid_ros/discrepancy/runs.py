@@ -15,6 +15,7 @@ import numpy as np
 
 from trainid_ros.core.records import NS_PER_S
 from trainid_ros.physics.brake import CommandHistory, lag_integral, lag_response
+from trainid_ros.physics.effects import BRAKE_APPLIED, heat_after
 from trainid_ros.physics.resistance import specific_force, specific_inertia
 
 if TYPE_CHECKING:
@@ -30,10 +31,8 @@ SLOWEST: Final = 0.3
 LONGEST_S: Final = 240.0
 """A drive without a stop is cut into runs of this length, so that gusts do not carry errors through all of it."""
 SHORTEST_S: Final = 15.0
-COOLING_S: Final = 300.0
-"""Time in which a hot brake loses 63 % of its heat."""
-_APPLIED: Final = -0.02  # m/s^2; a brake below it acts
 _PARTING: Final = 1e-3
+_PULLING: Final = 1.0  # N/kN; less is noise
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,20 +136,24 @@ class RunCollector:
         self._add_row(sample, brake)
 
     def _add_row(self, sample: Sample, brake: float) -> None:
-        if sample.speed < SLOWEST and not self._rows:
+        # A brake that still releases at departure holds the train or drags it; who knows which.
+        if not self._rows and (sample.speed < SLOWEST or brake < BRAKE_APPLIED):
             return
         mass = sample.mass if math.isfinite(sample.mass) else self.train_file.train.mass
         self._weighed = math.isfinite(sample.mass)
         inertia = specific_inertia(1.0, self.train_file.train.rotary_mass)
-        # While the brake acts, what is reported below zero is what the believed brake gives already.
-        acts = brake < _APPLIED
-        force = specific_force(max(sample.force_mean, 0.0) if acts else sample.force_mean, mass)
+        # While the brake acts, it is known by its command. What is reported is the sum of both: above zero there is
+        # traction still, below there is none.
+        acts = brake < BRAKE_APPLIED
+        braking = inertia * brake if acts else 0.0
+        reported = specific_force(sample.force_mean, mass)
+        traction = reported if not acts else reported - braking if reported > _PULLING else 0.0
         self._positioned = math.isfinite(sample.position)
         position = sample.position if self._positioned else self._distance
         row = (
             (sample.stamp_ns - self.origin_ns) / NS_PER_S, sample.dt, sample.speed, position,
-            sample.gradient_mean, sample.curve_radius, float(sample.tunnel), force,
-            inertia * brake if acts else 0.0, self._heat, self._since_release, self._distance,
+            sample.gradient_mean, sample.curve_radius, float(sample.tunnel), traction,
+            braking, self._heat, self._since_release, self._distance,
         )  # fmt: skip
         self._rows.append(row)
         if row[0] - self._rows[0][0] > LONGEST_S:
@@ -196,6 +199,6 @@ class RunCollector:
         # A delay found longer than believed looks back further than the believed one.
         self._commands = self._commands.prune(now - delay_ns)
         mean = brake.rate * change / sample.dt
-        self._since_release = 0.0 if self._brake < _APPLIED else self._since_release + sample.dt
-        self._heat += sample.dt * (-mean * sample.speed - self._heat / COOLING_S)
+        self._since_release = 0.0 if self._brake < BRAKE_APPLIED else self._since_release + sample.dt
+        self._heat = heat_after(self._heat, mean, sample.speed, sample.dt)
         return mean

@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from trainid_ros.discrepancy.model import Member
+from trainid_ros.discrepancy.model import Member, prior_cost
 from trainid_ros.discrepancy.screen import Screen
 
 if TYPE_CHECKING:
@@ -108,7 +108,7 @@ class Search:
         for rival in rivals:
             self._advance(rival.name)
             grown = self._grow(state, rival)
-            if (found := self._worth(grown, len(grown.model.members) - 1)) > worth:
+            if (found := self._worth(grown)) > worth:
                 best, worth = grown, found
         return best
 
@@ -123,12 +123,15 @@ class Search:
         model, fit = model.fit(sizes)
         return State(model, sizes, logs, fit)
 
-    def _worth(self, state: State, k: int) -> float:
-        """Return the evidence of the model without member k, plus that of the member, at the sizes found with it."""
-        without = self._without(state, k)
-        named, _ = self.screen.scores(without, state.sizes)
-        own = next(score.evidence for score in named if score.name == state.model.members[k].name)
-        return own + without.evidence().at(state.logs)
+    def _worth(self, state: State) -> float:
+        """Return 2 ln of the evidence of a model with its members, whose priors are wider than where they were found."""
+        return state.sizes.evidence - sum(prior_cost(member, state.model.drive) for member in state.model.members)
+
+    def _gain(self, state: State, k: int) -> float:
+        """Return 2 ln of the Bayes factor of member k given the others, at the sizes found with all."""
+        member, without = state.model.members[k], self._without(state, k)
+        with_all = state.model.evidence().at(state.logs) - prior_cost(member, state.model.drive)
+        return with_all - without.evidence().at(state.logs)
 
     def _without(self, state: State, k: int) -> Model:
         members = state.model.members
@@ -141,21 +144,20 @@ class Search:
         for k in range(len(state.model.members)):
             without = self._without(state, k)
             named, _ = self.screen.scores(without, state.sizes)
-            mine = next(score for score in named if score.name == state.model.members[k].name)
-            best = named[0]
-            if best.evidence > mine.evidence + 2.0:
+            best = next(score for score in named if score.name != state.model.members[k].name)
+            if best.evidence > self._gain(state, k) + 2.0:
                 state = self._settle(without.having((*without.members, Member(best.name, best.parameters))), state)
         return state
 
     def _holds(self, state: State) -> bool:
         """Return True if every member keeps its evidence once sizes and parameters have been estimated with it."""
-        return all(self._standing(state, k)[0] > NAMED for k in range(len(state.model.members)))
+        return all(self._gain(state, k) > NAMED for k in range(len(state.model.members)))
 
     def _standing(self, state: State, k: int) -> tuple[float, tuple[str, ...]]:
         """Return the evidence of member k given the others, and which effects come near it."""
         named, _ = self.screen.scores(self._without(state, k), state.sizes)
         name = state.model.members[k].name
-        mine = next(score.evidence for score in named if score.name == name)
+        mine = self._gain(state, k)
         near = [score.name for score in named if score.name != name and score.evidence > mine - TWIN]
         return mine, tuple(near)
 
