@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``trainid demo``: bags through the live nodes, watched, compared with a replay, and reported."""
+"""``trainid demo``: bags through the live nodes, compared with a replay; then a hidden effect, found and explained."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 
     from trainid_ros.demo.bags import DemoBag
     from trainid_ros.demo.chapters import Outcome
+    from trainid_ros.demo.hidden import HiddenCase
     from trainid_ros.demo.view import View
     from trainid_ros.report.scores import Score
 
@@ -25,6 +26,7 @@ if TYPE_CHECKING:
 _RATE: Final = 70.0
 _QUICK_S: Final = 300.0
 _NOT_ALL: Final = 1
+_EXPLAIN: Final = 'explain'
 
 
 def configure(parser: argparse.ArgumentParser) -> None:
@@ -36,13 +38,13 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--out', type=Path, default=Path('out/demo'), metavar='DIR', help='report and logs (default: out/demo)'
     )
-    parser.add_argument('--only', choices=tuple(STOCK), help='only this bag of the package')
+    parser.add_argument('--only', choices=(*STOCK, _EXPLAIN), help='only this chapter')
     parser.add_argument('--quick', action='store_true', help=f'only the first {_QUICK_S:g} s of each bag')
     add_json_option(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the demo; return 0 only if every live estimate equals its replayed one.
+    """Run the demo; return 0 only if every live estimate equals its replayed one and the hidden effect was found.
 
     Raises:
         InputError: A bag, a train file or the output folder cannot be used.
@@ -52,36 +54,54 @@ def run(args: argparse.Namespace) -> int:
     # Imported here so that the help needs neither ROS nor matplotlib.
     from rich.console import Console  # noqa: PLC0415
 
-    from trainid_ros.demo.domain import isolate  # noqa: PLC0415
     from trainid_ros.demo.view import View  # noqa: PLC0415
-    from trainid_ros.report.content import Report  # noqa: PLC0415
-    from trainid_ros.report.html import write_report  # noqa: PLC0415
 
     bags = _bags(args)
     start = time.monotonic()
-    logs: Path = args.out / 'log'
-    logs.mkdir(parents=True, exist_ok=True)
-    domain = isolate(logs)
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, _interrupt)
     view = View(Console(stderr=args.json))
-    view.say(f'ROS 2 domain {domain}, logs in {logs}')
-    outcomes = [_play(bag, args, logs, view) for bag in bags]
-    report = args.out / 'report.html'
-    write_report(Report('trainid demo', tuple(outcome.chapter for outcome in outcomes)), report)
+    report = args.out / 'report.html' if bags else None
+    outcomes = [] if report is None else _live(bags, args, view, report)
+    hidden = _hidden(args, view)
     wall_s = time.monotonic() - start
-    worked = all(outcome.worked for outcome in outcomes)
+    worked = all(outcome.worked for outcome in outcomes) and (hidden is None or hidden.worked)
     if args.json:
-        print_json(_to_json(outcomes, report, wall_s))
+        print_json(_to_json(outcomes, hidden, report, wall_s) | {'worked': worked})
     else:
-        print(summary(outcomes))
-        print(f'\nreport: {report}\n{wall_s:.0f} s in all; {"all worked" if worked else "NOT all worked, see above"}')
+        print(summary(outcomes, hidden))
+        print(f'\nreport: {report}' if report else '')
+        print(f'{wall_s:.0f} s in all; {"all worked" if worked else "NOT all worked, see above"}')
     return 0 if worked else _NOT_ALL
 
 
 def _bags(args: argparse.Namespace) -> list[DemoBag]:
     names = (args.only,) if args.only else tuple(STOCK)
-    return [load_demo_bag(path) for path in args.bag or map(stock_bag, names)]
+    return [load_demo_bag(path) for path in args.bag or (stock_bag(name) for name in names if name in STOCK)]
+
+
+def _live(bags: Sequence[DemoBag], args: argparse.Namespace, view: View, report: Path) -> list[Outcome]:
+    """Play all bags through the live nodes and write the report."""
+    from trainid_ros.demo.domain import isolate  # noqa: PLC0415
+    from trainid_ros.report.content import Report  # noqa: PLC0415
+    from trainid_ros.report.html import write_report  # noqa: PLC0415
+
+    logs: Path = args.out / 'log'
+    logs.mkdir(parents=True, exist_ok=True)
+    domain = isolate(logs)
+    view.say(f'ROS 2 domain {domain}, logs in {logs}')
+    outcomes = [_play(bag, args, logs, view) for bag in bags]
+    write_report(Report('trainid demo', tuple(outcome.chapter for outcome in outcomes)), report)
+    return outcomes
+
+
+def _hidden(args: argparse.Namespace, view: View) -> HiddenCase | None:
+    """Hide an effect and find it, unless the demo is of bags alone."""
+    if args.bag or args.only not in (None, _EXPLAIN):
+        return None
+    from trainid_ros.demo.hidden import play_hidden  # noqa: PLC0415
+
+    return play_hidden(args.out / _EXPLAIN, view.say)
 
 
 def _play(bag: DemoBag, args: argparse.Namespace, logs: Path, view: View) -> Outcome:
@@ -102,9 +122,9 @@ def _play(bag: DemoBag, args: argparse.Namespace, logs: Path, view: View) -> Out
     return outcome
 
 
-def summary(outcomes: Sequence[Outcome]) -> str:
+def summary(outcomes: Sequence[Outcome], hidden: HiddenCase | None = None) -> str:
     """Return what came out, in plain lines."""
-    lines = []
+    lines: list[str] = []
     for outcome in outcomes:
         chapter = outcome.chapter
         lines += ['', chapter.title, f'  {chapter.traces.duration_s / 60.0:.0f} min of driving, {chapter.how}']
@@ -117,6 +137,14 @@ def summary(outcomes: Sequence[Outcome]) -> str:
         lines += _score_lines('w at the current speed', 'N/kN', outcome.resistance)
         lines += _score_lines('brake rate', '', outcome.brake_rate)
         lines += [f'  {note}' for note in chapter.notes]
+    if hidden is not None:
+        from trainid_ros.demo.hidden import describe_hidden  # noqa: PLC0415
+
+        lines += [
+            '',
+            'What a train file lacks',
+            *(f'  {line}'.rstrip() for line in describe_hidden(hidden).split('\n')),
+        ]
     return '\n'.join(lines)
 
 
@@ -130,9 +158,10 @@ def _score_lines(name: str, unit: str, score: Score | None) -> list[str]:
     ]
 
 
-def _to_json(outcomes: Sequence[Outcome], report: Path, wall_s: float) -> dict[str, Any]:
+def _to_json(
+    outcomes: Sequence[Outcome], hidden: HiddenCase | None, report: Path | None, wall_s: float
+) -> dict[str, Any]:
     return {
-        'worked': all(outcome.worked for outcome in outcomes),
         'report': report,
         'wall_s': wall_s,
         'bags': [
@@ -148,7 +177,16 @@ def _to_json(outcomes: Sequence[Outcome], report: Path, wall_s: float) -> dict[s
             }
             for outcome in outcomes
         ],
+        'explain': _hidden_to_json(hidden),
     }
+
+
+def _hidden_to_json(hidden: HiddenCase | None) -> dict[str, Any] | None:
+    if hidden is None:
+        return None
+    from trainid_ros.demo.hidden import hidden_to_json  # noqa: PLC0415
+
+    return hidden_to_json(hidden)
 
 
 def _interrupt(_number: int, _frame: object) -> None:

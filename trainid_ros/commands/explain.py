@@ -192,16 +192,16 @@ def describe(explanation: Explanation, believed: TrainFile) -> str:
 
 
 def _describe_effect(effect: FoundEffect) -> str:
-    from trainid_ros.report.words import how_sure, plus_minus, unit_of  # noqa: PLC0415
+    from trainid_ros.report.words import how_sure, parameters_text  # noqa: PLC0415
 
-    std = dict(effect.std)
     what = 'sensor' if effect.origin == 'sensor' else 'physics'
-    lines = [f'{effect.name}: {effect.title} ({what})', f'  {effect.equation}']
-    lines += [
-        f'  {name} = {plus_minus(value, std.get(name, 0.0))} {unit_of(effect.name, name)}'.rstrip()
-        for name, value in effect.parameters
+    lines = [
+        f'{effect.name}: {effect.title} ({what})',
+        f'  {effect.equation}',
+        f'  {parameters_text(effect)}',
+        f'  {how_sure(effect)}',
+        f'  where: {effect.where}',
     ]
-    lines += [f'  {how_sure(effect)}', f'  where: {effect.where}']
     lines += [f'  could also be {twin.name}; to tell: {twin.drive or "no drive is known"}' for twin in effect.twins]
     return '\n'.join(lines)
 

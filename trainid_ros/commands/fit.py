@@ -20,6 +20,7 @@ from trainid_ros.core.samples import Sample
 from trainid_ros.estimators.mending import Mender
 from trainid_ros.estimators.trajectory.davis_fit import DavisFit, DavisFitConfig, fit_davis
 from trainid_ros.estimators.trajectory.pieces import PieceCollector
+from trainid_ros.estimators.trajectory.plausible import check_plausible
 from trainid_ros.physics.train_file import load_train_file
 
 if TYPE_CHECKING:
@@ -63,7 +64,7 @@ def run(args: argparse.Namespace) -> int:
 
     Raises:
         InputError: If bag or train file cannot be used, or nothing of the bag lies in the time asked for.
-        NoAnswerError: If the motion does not tell a, b and c.
+        NoAnswerError: If the motion does not tell a, b and c, or is none of a train in the units agreed.
 
     """
     config = DavisFitConfig()
@@ -75,6 +76,7 @@ def run(args: argparse.Namespace) -> int:
             motion = collect(reader, collector, args.start, args.duration, advance)
     try:
         fit = fit_davis(motion.trajectory, config)
+        check_plausible(fit, config)
     except NoAnswerError as error:
         if args.json:
             print_json(_UNKNOWN)

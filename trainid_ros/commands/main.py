@@ -63,6 +63,8 @@ def main(argv: Sequence[str] | None = None) -> int:
     """
     if argv is None:  # a process of its own: leave nothing half done when told to end
         signal.signal(signal.SIGTERM, _end)
+    # Matrices here are small: threads that wait for each other cost five times the time on a machine that is busy.
+    os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
     arguments = list(sys.argv[1:] if argv is None else argv)
     try:
         code = _dispatch(arguments)

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
@@ -64,7 +65,8 @@ def play_hidden(folder: Path, say: Callable[[str], None]) -> HiddenCase:
     believed = replace(known, line=replace(known.line, stops=known.line.stops[:_STOPS]))
     prepare_folder(folder, train)
     say(f'{RUNS} runs on the Yizhuang line, there and back; hidden: {HIDDEN}, and other a, b, c than believed')
-    bag = folder / 'bag.mcap'
+    bag = folder / 'bag'
+    shutil.rmtree(bag, ignore_errors=True)  # of an earlier demo
     _simulate(believed, bag)
     explanation = explain_runs(read_runs([bag], believed), believed, [bag])
     notes = (f'Hidden in the simulation: {HIDDEN}; a = {_TRUE.a}, b = {_TRUE.b}, c = {_TRUE.c}.',)

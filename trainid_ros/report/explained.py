@@ -20,6 +20,7 @@ from trainid_ros.report.words import (
     headline,
     how_sure,
     noise_rows,
+    parameters_text,
     plus_minus,
     strong_text,
     strongest,
@@ -116,8 +117,8 @@ def _story(explained: Explained) -> str:
 
 def _what(explanation: Explanation, index: int) -> str:
     effect = explanation.effects[index]
-    side = 'The sensors are wrong' if effect.origin == 'sensor' else 'The train runs otherwise'
-    return f'{effect.name}: {effect.title}. {effect.equation}. {side}.'
+    side = 'A sensor is wrong, not the train.' if effect.origin == 'sensor' else 'The train runs so, no sensor errs.'
+    return f'{effect.name}, {effect.title}: {effect.equation}, with {parameters_text(effect)}. {side}'
 
 
 def _paragraphs(lines: list[str]) -> str:
@@ -138,8 +139,8 @@ def _figures(explained: Explained) -> str:
         ),
         (
             'Speed gap along the line',
-            'Measured less simulated speed of all runs. What belongs to a place shows there in every run: a '
-            'gradient with opposite signs in the two directions, a drag with the same.',
+            'Measured less simulated speed of all runs. What belongs to a place bends every run there: a drag slows '
+            'the train down both ways, a wrong gradient one way only.',
             gap_along_line(explanation, line, found),
         ),
         (

@@ -77,6 +77,16 @@ def unit_of(effect: str, parameter: str) -> str:
     return '' if known is None else known.unit
 
 
+def parameters_text(effect: FoundEffect) -> str:
+    """Return its parameters with their standard deviations and units."""
+    std = dict(effect.std)
+    texts = [
+        f'{name} = {plus_minus(value, std.get(name, 0.0))} {unit_of(effect.name, name)}'.rstrip()
+        for name, value in effect.parameters
+    ]
+    return join(texts)
+
+
 def how_sure(effect: FoundEffect) -> str:
     """Return how sure an effect is."""
     digits = effect.evidence / (2.0 * math.log(10.0))
