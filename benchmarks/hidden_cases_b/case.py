@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 
 from benchmarks.hidden_cases_b.menu import LIBRARY, MENU, OUTSIDE, SENSOR_EXTRA, Context, Draw, wish_for
 from benchmarks.hidden_cases_b.quirks import NEUTRAL, Quirks
+from benchmarks.hidden_cases_b.recorder import sense
 from benchmarks.hidden_cases_b.scene import Scene, draw_scene, drive
-from benchmarks.hidden_cases_b.sensing import draw_instruments, flags_of, sense
+from benchmarks.hidden_cases_b.sensing import draw_instruments, flags_of
 from benchmarks.hidden_cases_b.visibility import Visible, visible
 from trainid_ros.core.records import Record
 

@@ -1,21 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From the log of a day to records: sampling, quantisation, drift, late flags, lost and wild messages."""
+"""Sensors of a case: how good they are, how wheels slip, how the odometer drifts, what the map says."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.hidden_cases_b.motion import CMD, GRAV, LEG, NOM, PULL, REAL, WAY, WEIGHED, T, V, X
+from benchmarks.hidden_cases_b.motion import LEG, NOM, PULL, WAY, WEIGHED, V, X
 from benchmarks.hidden_cases_b.quirks import Quirks
 from benchmarks.hidden_cases_b.scene import Scene
-from trainid_ros.core.records import BrakeRecord, ForceRecord, GradientRecord, MassRecord, Record, SpeedRecord
 
 Array = NDArray[np.float64]
-_STRAIGHT: Final = 1e-4  # 1/m
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,104 +111,6 @@ def odometer_error(rng: np.random.Generator, log: Array, kit: Instruments, wheel
     last = np.maximum.accumulate(np.where(anchors, index, 0))
     error: Array = grown - grown[last]
     return error
-
-
-def sense(rng: np.random.Generator, scene: Scene, quirks: Quirks, kit: Instruments, log: Array) -> list[list[Record]]:
-    """Return the records of every bag in the order of their stamps."""
-    share, speed = (kit.slip_share, kit.slip_speed) if kit.slip_share else (quirks.slip_share, quirks.slip_speed)
-    slip = slip_bursts(np.random.default_rng([kit.base_ns % 2**31, 5]), log, share, speed)
-    error = odometer_error(rng, log, kit, quirks.wheel, slip)
-    bag_of = np.array([leg.bag for leg in scene.legs])[log[:, LEG].astype(int)]
-    bags = []
-    for bag in range(int(bag_of.max()) + 1):
-        rows = np.flatnonzero(bag_of == bag)
-        bags.append(_bag(rng, scene, quirks, kit, log[rows], error[rows], slip[rows]))
-    return bags
-
-
-def _bag(
-    rng: np.random.Generator, scene: Scene, quirks: Quirks, kit: Instruments, log: Array, error: Array, slip: Array
-) -> list[Record]:
-    time = log[:, T]
-    begin, end = float(time[0]), float(time[-1])
-    records: list[Record] = []
-
-    def grid(period: float, phase: float) -> Array:
-        return np.arange(begin + phase, end - 0.01, period)
-
-    def stamps(at: Array, *, exact: bool = False) -> list[int]:
-        shaken = at if exact else at + np.clip(kit.stamp_jitter * rng.standard_normal(len(at)), -0.004, 0.004)
-        return [kit.base_ns + int(ns) for ns in np.round(shaken * 1e9).tolist()]
-
-    def kept(at: Array) -> NDArray[np.bool_]:
-        return rng.random(len(at)) >= kit.dropouts
-
-    def of(column: int | Array, at: Array) -> Array:
-        return np.interp(at, time, log[:, column] if isinstance(column, int) else column)
-
-    def held(column: int, at: Array) -> Array:
-        row = np.clip(np.searchsorted(time, at + 1e-6, side='right') - 1, 0, len(time) - 1)
-        picked: Array = log[row, column]
-        return picked
-
-    at = grid(kit.period, float(rng.uniform(0.0, 0.04)))
-    true = of(V, at)
-    raw = quirks.wheel * true + of(slip, at) + kit.speed_noise * rng.standard_normal(len(at))
-    wild = rng.random(len(at)) < kit.outliers
-    raw = np.where(wild, raw + rng.choice([-1.0, 1.0], len(at)) * rng.uniform(1.0, 8.0, len(at)), raw)
-    seen = np.maximum(np.round(raw / kit.quantum) * kit.quantum, 0.0)
-    seen = np.where((true <= 0.0) & ~wild, 0.0, seen)
-    place = of(X, at) + of(error, at)
-    ok = kept(at)
-    records += [
-        SpeedRecord(s, v, x)
-        for s, v, x, k in zip(stamps(at), seen.tolist(), place.tolist(), ok.tolist(), strict=True) if k
-    ]
-
-    at = grid(kit.period, float(rng.uniform(0.0, 0.19)) % kit.period)
-    then = at - quirks.force_late
-    mass = held(WEIGHED, then)
-    effort = of(REAL if kit.force_carries_delay else NOM, then)
-    pull = of(int(PULL), then)
-    force = pull + mass * (1.0 + scene.stocks[0].gamma) * effort
-    force = force + kit.force_noise * mass * GRAV / 1000.0 * rng.standard_normal(len(at))
-    force = force * (1.0 + 0.002 * rng.standard_normal(len(at)))
-    ok = kept(at)
-    records += [ForceRecord(s, f) for s, f, k in zip(stamps(at), force.tolist(), ok.tolist(), strict=True) if k]
-
-    at = grid(kit.period, float(rng.uniform(0.0, 0.19)) % kit.period)
-    way = held(WAY, at)
-    front = of(X, at) + (of(error, at) if kit.lookup_measured else 0.0)
-    slope = felt_gradient(scene, front + way * quirks.map_ahead, way, point=kit.point_gradient)
-    ground, length = scene.ground, scene.stocks[0].length
-    behind = front - way * kit.flags_late
-    bend = ground.mean_under(ground.bend, behind, way, length)
-    radius = np.where(bend > _STRAIGHT, 1.0 / np.maximum(bend, _STRAIGHT), 0.0)
-    dark = ground.mean_under(ground.bore, behind, way, length) >= 0.5
-    ok = kept(at)
-    records += [
-        GradientRecord(s, g, r, d)
-        for s, g, r, d, k in zip(stamps(at), slope.tolist(), radius.tolist(), dark.tolist(), ok.tolist(), strict=True)
-        if k
-    ]
-
-    at = grid(kit.period, 0.0)
-    ok = kept(at)
-    command = held(CMD, at) + 0.0
-    records += [
-        BrakeRecord(s, u, emergency=False)
-        for s, u, k in zip(stamps(at, exact=True), command.tolist(), ok.tolist(), strict=True) if k
-    ]
-
-    def weighing() -> list[Record]:
-        at = grid(1.0, float(rng.uniform(0.0, 0.5)))
-        ok = kept(at)
-        weighed = held(WEIGHED, at)
-        return [MassRecord(s, m) for s, m, k in zip(stamps(at), weighed.tolist(), ok.tolist(), strict=True) if k]
-
-    records += weighing() if scene.mass_topic else []
-    records.sort(key=lambda record: record.stamp_ns)
-    return records
 
 
 def felt_gradient(scene: Scene, front: Array, way: Array, *, point: bool = False) -> Array:
