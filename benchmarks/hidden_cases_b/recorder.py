@@ -9,7 +9,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.hidden_cases_b.motion import CMD, GRAV, LEG, NOM, PULL, REAL, WAY, WEIGHED, T, V, X
+from benchmarks.hidden_cases_b.forces import GRAV
+from benchmarks.hidden_cases_b.motion import CMD, LEG, NOM, PULL, REAL, WAY, WEIGHED, T, V, X
 from benchmarks.hidden_cases_b.quirks import Quirks
 from benchmarks.hidden_cases_b.scene import Scene
 from benchmarks.hidden_cases_b.sensing import Instruments, felt_gradient, odometer_error, slip_bursts

@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
+from benchmarks.hidden_cases_b.forces import Stock
 from benchmarks.hidden_cases_b.ground import Ground, draw_ground
-from benchmarks.hidden_cases_b.motion import COLUMNS, Stock, run_leg
+from benchmarks.hidden_cases_b.motion import COLUMNS, run_leg
 from benchmarks.hidden_cases_b.quirks import Quirks
 
 Array = NDArray[np.float64]

@@ -13,7 +13,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from benchmarks.hidden_cases_b.motion import FLAW, GRAV, GUST, LEG, NOM, PULL, REAL, WAY, WEIGHED, T, V, X
+from benchmarks.hidden_cases_b.forces import GRAV
+from benchmarks.hidden_cases_b.motion import FLAW, GUST, LEG, NOM, PULL, REAL, WAY, WEIGHED, T, V, X
 from benchmarks.hidden_cases_b.quirks import Quirks
 from benchmarks.hidden_cases_b.scene import Scene
 from benchmarks.hidden_cases_b.sensing import Instruments, felt_gradient, slip_bursts
