@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from benchmarks.explain import line_of, mark
+from benchmarks.explain_cases import GENERATORS, Answer, HiddenEffect, Spec, draw_specs
+from benchmarks.explain_score import (
+    Rate,
+    alarmed,
+    both,
+    exact,
+    generic,
+    honest,
+    parameter_errors,
+    reported,
+    rms,
+    seconds_for_eight,
+    visible,
+    within_std,
+    within_two,
+)
+from benchmarks.explain_tables import tables_of, targets
+from benchmarks.explain_trial import CRASHED, Named, Outcome
+from benchmarks.tables import as_markdown
+
+WIND = HiddenEffect('headwind', (('speed', 5.0),), (), 60.0)
+DRAG = HiddenEffect('local_drag', (), (), 40.0)
+WAVE = HiddenEffect('wavy_drag', (), ('gradient_error',), 50.0)
+
+
+def told(
+    *hidden: HiddenEffect,
+    kind: str = 'single',
+    verdict: str = 'explained',
+    found: tuple[Named, ...] = (),
+    contamination: tuple[str, ...] = (),
+) -> Outcome:
+    seen = max((effect.visible for effect in hidden), default=0.0)
+    answer = Answer(kind, hidden, seen, 0.05, False, contamination, ('metro',))
+    return Outcome(Spec('A', 'x', 1), answer, verdict, found, (0.2, 0.06, 0.05), 'the speed', 6, 0.4, 1.5)
+
+
+def name(text: str, *twins: str, speed: float = 5.0, std: float = 1.0) -> Named:
+    return Named(text, (('speed', speed),), (('speed', std),), 50.0, twins)
+
+
+SLIP = name('wheel_slip')
+
+
+def test_exact_is_the_truth_and_nothing_else() -> None:
+    assert exact(told(WIND, found=(name('headwind'),)))
+    assert exact(told(WIND, verdict='ambiguous', found=(name('headwind', 'tunnel_drag'),)))
+    assert not exact(told(WIND, found=(name('tunnel_drag', 'headwind'),)))
+    assert not exact(told(WIND, found=(name('headwind'), name('mass_error'))))
+    assert not exact(told(WIND, verdict='no_gap'))
+    assert exact(told(WIND, DRAG, kind='pair', found=(name('local_drag'), name('headwind'))))
+
+
+def test_set_holds_at_most_two_names() -> None:
+    assert within_two(told(WIND, verdict='ambiguous', found=(name('tunnel_drag', 'headwind'),)))
+    assert not within_two(told(WIND, verdict='ambiguous', found=(name('tunnel_drag', 'mass_error', 'headwind'),)))
+    assert not within_two(told(WIND, found=(name('tunnel_drag'),)))
+    assert not within_two(told(WIND, verdict='unexplained'))
+    assert reported(told(WIND, found=(name('a', 'b'), name('b', 'a')))) == ('a', 'b')
+
+
+def test_anything_told_of_nothing_is_a_false_alarm() -> None:
+    assert not alarmed(told(kind='none', verdict='no_gap'))
+    assert alarmed(told(kind='none', verdict='unexplained'))
+    assert alarmed(told(kind='none', verdict='ambiguous', found=(name('headwind'),)))
+    assert alarmed(told(kind='none', verdict=CRASHED))
+    assert alarmed(told(kind='none', found=(SLIP,)))
+
+
+def test_slip_that_spoils_the_data_may_be_named() -> None:
+    spoiled = ('slip',)
+    assert not alarmed(told(kind='none', found=(SLIP,), contamination=spoiled))
+    assert alarmed(told(kind='none', found=(SLIP, name('headwind')), contamination=spoiled))
+    assert alarmed(told(kind='none', verdict='unexplained', found=(SLIP,), contamination=spoiled))
+    assert exact(told(WIND, found=(SLIP, name('headwind')), contamination=spoiled))
+    assert exact(told(WIND, found=(name('headwind'),), contamination=spoiled))
+    assert not exact(told(WIND, found=(SLIP, name('headwind'))))
+
+
+def test_honest_outside_the_library() -> None:
+    assert honest(told(WAVE, kind='outside', verdict='unexplained'))
+    assert honest(told(WAVE, kind='outside', found=(name('local_drag'),)))
+    near = told(WAVE, kind='outside', found=(name('gradient_error'),))
+    assert honest(near)
+    assert not generic(near)
+    assert not honest(told(WAVE, kind='outside', found=(name('gradient_error'), name('headwind'))))
+    assert not honest(told(WAVE, kind='outside', verdict='no_gap'))
+    assert not honest(told(WAVE, kind='outside', verdict=CRASHED))
+
+
+def test_pair_is_visible_if_each_is() -> None:
+    small = HiddenEffect('mass_error', (), (), 3.0)
+    assert visible(told(WIND, DRAG, kind='pair'))
+    assert not visible(told(WIND, small, kind='pair'))
+    assert both(told(WIND, DRAG, kind='pair', found=(name('headwind'), name('local_drag'), name('mass_error'))))
+    assert not both(told(WIND, DRAG, kind='pair', found=(name('headwind'),)))
+
+
+def test_errors_are_counted_in_their_own_std() -> None:
+    errors = parameter_errors(told(WIND, found=(name('headwind', speed=8.0, std=2.0), name('mass_error'))))
+    assert errors == (('headwind.speed', 1.5),)
+    [(_, unknown)] = parameter_errors(told(WIND, found=(name('headwind', std=math.nan),)))
+    assert math.isinf(unknown)
+    assert within_std([1.5, -2.5, math.inf, -0.2]).hits == 2
+    assert rms([3.0, -4.0, math.inf]) == pytest.approx(math.sqrt(12.5))
+
+
+def test_wilson_interval() -> None:
+    assert Rate(45, 50).interval() == pytest.approx((0.786, 0.957), abs=0.001)
+    assert Rate(0, 40).interval()[1] == pytest.approx(0.088, abs=0.001)
+    assert Rate(0, 0).interval() == (0.0, 1.0)
+
+
+def test_targets_are_judged_from_the_outcomes() -> None:
+    right = [told(WIND, found=(name('headwind'),))] * 9
+    wrong = [told(WIND, verdict='no_gap')]
+    quiet = [told(kind='none', verdict='no_gap')] * 49
+    table = targets([*right, *wrong, *quiet, told(kind='none', verdict='unexplained')], 'test')
+    met = {row[0].split(',')[0]: row[-1] for row in table.rows}
+    assert met['false alarms on no-effect cases'] == 'yes'
+    assert met['exact name'] == 'yes'
+    assert met['truth in a reported set of at most two'] == 'no'
+    assert met['both of two'] == '-'
+    # 0.06 / 0.05 is more than 1.1.
+    assert met['gap after / noise floor'] == 'no'
+    assert seconds_for_eight(right[0]) == pytest.approx(2.0)
+
+
+def test_tables_and_lines_hold_what_was_told() -> None:
+    mixed = [
+        told(WIND, found=(name('headwind', 'tunnel_drag'),), verdict='ambiguous', contamination=('outliers',)),
+        told(kind='none', verdict='no_gap'),
+        told(WAVE, kind='outside', verdict='unexplained'),
+        told(WIND, DRAG, kind='pair', found=(name('headwind'),)),
+        told(WIND, verdict=CRASHED),
+    ]
+    text = '\n'.join(as_markdown(table) for table in tables_of(mixed, 'test'))
+    for part in ('headwind~tunnel_drag: 1', 'crashed: 1', 'wavy_drag', 'outliers', 'headwind.speed'):
+        assert part in text
+    assert [mark(one) for one in mixed] == ['right', 'right', 'right', 'WRONG', 'WRONG']
+    assert 'headwind[50]~tunnel_drag' in line_of(mixed[0])
+
+
+def test_specs_are_drawn_or_asked_for() -> None:
+    for generator in GENERATORS:
+        assert len(set(draw_specs(generator, 3, 60))) == 60
+    asked = draw_specs('B', 2, 4, ('none', 'headwind'))
+    assert [spec.name for spec in asked] == ['none', 'headwind', 'none', 'headwind']
+    assert len(set(asked)) == 4
