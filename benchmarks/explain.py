@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Final
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 
 from benchmarks.explain_cases import GENERATORS, Generator, draw_specs
+from benchmarks.explain_plots import gap_plot, visibility_plot
 from benchmarks.explain_score import (
     alarmed,
     both,
@@ -36,7 +37,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from benchmarks.explain_trial import Outcome
-    from benchmarks.tables import Table
+    from benchmarks.tables import Plot, Table
 
 _SEED: Final = 7001
 _CASES_PER_SEED: Final[dict[Generator, float]] = {'A': 5.0, 'B': 2.5}
@@ -44,15 +45,15 @@ _JOBS: Final = 2
 _TELL_EVERY: Final = 10
 
 
-def measure(seeds: int) -> list[Table]:
+def measure(seeds: int) -> list[Table | Plot]:
     """Score five cases of the first generator and two and a half of the second for each seed."""
     told = {generator: _scored(generator, round(each * seeds)) for generator, each in _CASES_PER_SEED.items()}
     everything = [outcome for of_one in told.values() for outcome in of_one]
-    tables = [targets(everything, 'both generators')]
+    tables: list[Table | Plot] = [targets(everything, 'both generators')]
     for generator, of_one in told.items():
         title = f'generator {generator}'
         tables += [targets(of_one, title), *tables_of(of_one, title)]
-    return tables
+    return [*tables, visibility_plot(everything), gap_plot(everything)]
 
 
 def _scored(generator: Generator, count: int) -> list[Outcome]:

@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+import io
 import math
 
 import pytest
 
 from benchmarks.explain import line_of, mark
 from benchmarks.explain_cases import GENERATORS, Answer, HiddenEffect, Spec, draw_specs
+from benchmarks.explain_plots import gap_plot, visibility_plot
 from benchmarks.explain_score import (
     Rate,
     alarmed,
@@ -147,6 +149,13 @@ def test_tables_and_lines_hold_what_was_told() -> None:
         assert part in text
     assert [mark(one) for one in mixed] == ['right', 'right', 'right', 'WRONG', 'WRONG']
     assert 'headwind[50]~tunnel_drag' in line_of(mixed[0])
+
+
+def test_plots_take_few_cases_too() -> None:
+    few: list[list[Outcome]] = [[told(WIND, found=(name('headwind'),))], []]
+    for outcomes in few:
+        for plot in (visibility_plot(outcomes), gap_plot(outcomes)):
+            plot.figure.savefig(io.BytesIO(), format='svg')
 
 
 def test_specs_are_drawn_or_asked_for() -> None:
