@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 SEGMENT: Final = 513
 TROUBLES: Final[tuple[Scenario, ...]] = ('clean', 'slip', 'out5')
 _ROWS: Final = 24 * SEGMENT
-_DRY_RUNS: Final = 9
+HONEST_RUNS: Final = (1, 3, 9)
 JUDGED_AT: Final = (5.0, 12.0, 20.0)
 
 
@@ -84,17 +84,22 @@ def segment_errors(seed: int) -> list[SegmentErrors]:
 
 @dataclass(frozen=True, slots=True)
 class Honesty:
-    """Errors of a batch fit of nine metro runs over their stated deviations: w at three speeds, and NEES / 3."""
+    """Errors of a batch fit of some metro runs over their stated deviations: w at three speeds, and NEES / 3."""
 
+    runs: int
     z: tuple[float, ...]
     error: tuple[float, ...]
     nees: float
 
 
-def honesty(seed: int) -> Honesty:
-    """Simulate nine dry runs on the metro line and fit them."""
+def honesty(seed: int) -> tuple[Honesty, ...]:
+    """Simulate one, three and nine dry runs on the metro line and fit each bag."""
+    return tuple(_honesty(seed, runs) for runs in HONEST_RUNS)
+
+
+def _honesty(seed: int, runs: int) -> Honesty:
     believed, config = believed_train(), DavisFitConfig()
-    simulation = simulate(yizhuang_day(believed, runs=_DRY_RUNS), np.random.default_rng(seed))
+    simulation = simulate(yizhuang_day(believed, runs=runs), np.random.default_rng([seed, runs]))
     collector, refused = PieceCollector(believed, config.min_speed, config.shortest), Counter[Reason]()
     for sample in samples_of(simulation.records):
         collector.add(sample, refused)
@@ -102,7 +107,7 @@ def honesty(seed: int) -> Honesty:
     e = fit.theta - np.array([DRY.a, DRY.b, DRY.c])
     errors = tuple(float(e @ v ** np.arange(3)) for v in JUDGED_AT)
     z = tuple(error / fit.resistance(v)[1] for error, v in zip(errors, JUDGED_AT, strict=True))
-    return Honesty(z, errors, float(e @ np.linalg.solve(fit.covariance, e)) / 3.0)
+    return Honesty(runs, z, errors, float(e @ np.linalg.solve(fit.covariance, e)) / 3.0)
 
 
 @dataclass(frozen=True, slots=True)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
 import pytest
@@ -11,7 +12,7 @@ import pytest
 from trainid_ros.bags.reader import BagReader
 from trainid_ros.bags.writer import BagWriter
 from trainid_ros.commands.main import main
-from trainid_ros.core.records import GradientRecord
+from trainid_ros.core.records import ForceRecord, GradientRecord
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -86,6 +87,20 @@ def test_a_missing_topic_or_train_is_bad_input(
     assert 'ato/gradient' in capsys.readouterr().err
     assert call(driven_bag, train=tmp_path / 'none.yaml') == 2
     assert 'none.yaml' in capsys.readouterr().err
+
+
+def test_forces_in_kn_are_no_answer(tmp_path: Path, driven_bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with BagReader(driven_bag) as reader, BagWriter(tmp_path / 'kn') as writer:
+        for record in reader.records():
+            if isinstance(record, ForceRecord):
+                writer.write_record(replace(record, force=1e-3 * record.force))
+            else:
+                writer.write_record(record)
+    assert call(tmp_path / 'kn', '--json', train=driven_bag / 'train.yaml') == 1
+    out, err = capsys.readouterr()
+    assert json.loads(out)['a'] is None
+    assert err.count('\n') == 1
+    assert 'would drive the train: check the units' in err
 
 
 @pytest.mark.parametrize('value', ['-1', 'x', 'nan'])

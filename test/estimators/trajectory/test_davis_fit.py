@@ -113,3 +113,34 @@ def test_nothing_to_fit_and_wrong_settings_are_told() -> None:
         fit_davis(empty, DavisFitConfig())
     with pytest.raises(InputError, match='huber'):
         fit_davis(pieces(1), DavisFitConfig(huber=0.0))
+
+
+def test_few_lags_leave_the_density_near_the_declared_one() -> None:
+    """A calm piece shorter than two lags tells little; many calm pieces tell that little disturbs."""
+    config = DavisFitConfig()
+    declared = 2.0 * config.disturbance_time * config.disturbance_std**2
+    short = fit_davis(noisy(pieces(1, nodes=260), 0.02, 6), config)
+    long = fit_davis(noisy(pieces(12), 0.02, 6), config)
+    assert 0.3 * declared < short.disturbance < 3.0 * declared
+    assert long.disturbance < 0.15 * declared
+
+
+def test_deviations_of_one_short_piece_in_gusts_are_honest() -> None:
+    z = []
+    for seed in range(12):
+        fit = fit_davis(noisy(pieces(1, gust=0.15, seed=100 + seed), 0.02, seed), DavisFitConfig())
+        z += [curve(fit.theta, v) / fit.resistance(v)[1] for v in (5.0, 8.0, 11.0)]
+    assert 0.3 < np.sqrt(np.mean(np.square(z))) < 1.6
+
+
+@pytest.mark.parametrize('quantum', [1.0 / 3.6, 0.447])
+def test_a_coarse_speed_makes_no_outliers_and_no_gusts(quantum: float) -> None:
+    z, clean = [], pieces()
+    for seed in range(4):
+        exact = noisy(clean, 0.02, seed)
+        fit = fit_davis(replace(exact, speed=quantum * np.round(exact.speed / quantum)), DavisFitConfig())
+        assert fit.outliers < 0.01
+        assert fit.speed_std > 0.9 * quantum / 12.0**0.5
+        assert fit.resistance(8.0)[1] < 0.25
+        z += [curve(fit.theta, v) / fit.resistance(v)[1] for v in (5.0, 8.0, 11.0)]
+    assert np.sqrt(np.mean(np.square(z))) < 2.0

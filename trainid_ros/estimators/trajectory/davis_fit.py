@@ -30,6 +30,7 @@ import numpy as np
 from trainid_ros.core.errors import NoAnswerError
 from trainid_ros.core.settings import check_settings, setting
 from trainid_ros.estimators.trajectory.bidiagonal import recur, solve_tridiagonal
+from trainid_ros.estimators.trajectory.increments import half_variance, rounding_variance
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -46,10 +47,11 @@ _SETTLED: Final = 0.1
 _LEARNING_STEPS: Final = 8
 # A change of traction takes so many stages, whose errors in time are one.
 _CHANGE_STAGES: Final = 5.0
-_MAD: Final = 1.4826
 _LEAST_STD: Final = 1e-4
-# Disturbance too small to be seen in single speeds still counts over a long piece: never less than this share.
-_LEAST_SHARE: Final = 0.09
+# What is declared of the disturbance counts as much as one lag seen, and that scores spread as expected as six
+# clusters: a short bag tells next to nothing of either.
+_DECLARED_LAGS: Final = 1.0
+_DECLARED_CLUSTERS: Final = 6.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -60,7 +62,7 @@ class DavisFitConfig:
     shortest: float = setting(5.0, 'shortest piece between braking to learn from', 's', 1.0, 600.0)
     speed_std: float = setting(0.025, 'noise of measured speed at the start (then learned)', 'm/s', 1e-4, 2.0)
     disturbance_std: float = setting(0.1, 'unmodelled resistance at the start (then learned)', 'N/kN', 1e-6, 10.0)
-    disturbance_time: float = setting(5.0, 'its correlation time', 's', 0.01, 600.0)
+    disturbance_time: float = setting(10.0, 'its correlation time', 's', 0.01, 600.0)
     force_skew: float = setting(0.06, 'unknown delay of the reported force, std', 's', 1e-9, 5.0)
     force_error: float = setting(0.005, 'unknown relative error of the traction force, std', '1', 1e-9, 0.5)
     force_jitter: float = setting(0.06, 'unknown delay of each change of the force, std', 's', 0.0, 5.0)
@@ -131,7 +133,11 @@ def fit_davis(trajectory: Trajectory, config: DavisFitConfig) -> DavisFit:
     while (learning or step > _STEP_TOLERANCE) and iterations < _MOST_ITERATIONS:
         step = work.advance()
         iterations += 1
-        learning = learning and iterations <= _LEARNING_STEPS and work.learn() > _SETTLED
+        if learning:
+            learning = iterations <= _LEARNING_STEPS and work.learn() > _SETTLED
+            if not learning:
+                work.allow_for_parameters()
+                step = math.inf
     return work.finish(iterations, step <= _STEP_TOLERANCE)
 
 
@@ -153,10 +159,12 @@ class _Iteration:
         self._starts = trajectory.starts
         self._mu = trajectory.dt / trajectory.inertia
         self._stage = trajectory.dt > 0.0
-        self._piece = np.cumsum(~self._stage)
+        self._piece = np.cumsum(~self._stage, dtype=np.intp)
         self._lengths = np.diff(np.append(self._starts, trajectory.dt.size))
         self._dt = float(np.median(trajectory.dt[self._stage]))
         self._lag = max(2, min(round(config.noise_lag / self._dt), int(self._lengths.max()) // 2))
+        self._rounding = rounding_variance(trajectory)
+        self._lags = float(np.maximum(self._lengths - self._lag, 0).sum()) / self._lag
         self._v = trajectory.speed.copy()
         self._theta = np.zeros(5)
         self._rate = trajectory.traction_rate()
@@ -221,18 +229,32 @@ class _Iteration:
         return max(moved, abs(math.log(self._density / before[0])))
 
     def _learn_noise(self) -> None:
-        """Medians of increments of the speed error over one step and over a long time: noise, and noise with drift."""
+        """Medians of increments of the speed error over one step and over a long time: noise, and noise with drift.
+
+        A few lags tell little of the density, so it is the mean of n of them and of the declared one, which counts as
+        n0: D = (n0 D0 + n found) / (n0 + n).
+        """
         y, lag, dt = self._errors(self._linear()), self._lag, self._dt
-        short, long = self._half_variance(y, 1), self._half_variance(y, lag)
+        # Rounding hides the noise of one step, and shows after many.
+        short, long = max(half_variance(y, self._piece, 1), self._rounding), half_variance(y, self._piece, lag)
         drift = max(long - short, 0.0) / (lag - 1)  # D dt / (2 inertia^2)
         self._variance = max(short - drift, 0.25 * short, _LEAST_STD**2)
         found = 2.0 * drift / dt * self._given.inertia**2
-        self._density = max(found, _LEAST_SHARE * self._declared)
+        n0, n = _DECLARED_LAGS, self._lags
+        self._density = (n0 * self._declared + n * found) / (n0 + n)
 
-    def _half_variance(self, y: NDArray[np.float64], lag: int) -> float:
-        change = np.abs(y[lag:] - y[:-lag])[self._piece[lag:] == self._piece[:-lag]]
-        middle = change.size // 2
-        return 0.5 * (_MAD * float(np.partition(change, middle)[middle])) ** 2
+    def allow_for_parameters(self) -> None:
+        """Of n lags, the p parameters fitted have taken p up: divide by n0 + n - p.
+
+        This waits until weights stand: with the larger density, slip in a short piece would pass for gusts.
+        """
+        if self._config.learn_noise:
+            n0, n = _DECLARED_LAGS, self._lags
+            self._density *= (n0 + n) / (n0 + max(0.0, n - self._parameters()))
+
+    def _parameters(self) -> float:
+        """Return how many parameters the data tell: 3 to 5, as the prior tells delay and gain in part."""
+        return 5.0 - float(np.trace(_solve(self._schur, np.diag(self._prior))))
 
     def _errors(self, lin: _Linear) -> NDArray[np.float64]:
         """Return measured speeds less those of the model without disturbance, up to an initial speed, shape (n,)."""
@@ -276,14 +298,16 @@ class _Iteration:
         return float((w * left) @ left / max(1.0, w.sum()))
 
     def _inflation(self, lin: _Linear) -> float:
-        """Spread of the scores of clusters over what the noise model expects, averaged over a, b and c; at least 1."""
+        """Spread of the scores of clusters over what the noise model expects, averaged over a, b and c; at least 1.
+
+        Few clusters tell little of their spread, so the mean is taken with that of clusters as expected.
+        """
         clusters = np.add.reduceat(lin.F * (self._certainty() * lin.defect), self._cluster_starts(), axis=1)
         count = clusters.shape[1]
-        if count <= 6:
-            return 1.0
-        middle = clusters @ clusters.T * (count / (count - 3.0))
-        expected = 5.0 - float(np.trace(_solve(self._schur, np.diag(self._prior))))
-        return max(1.0, float(np.trace(_solve(self._schur, middle))) / expected)
+        spread = float(np.trace(_solve(self._schur, clusters @ clusters.T))) / self._parameters()
+        free = max(0.0, count - 3.0)
+        mean = (_DECLARED_CLUSTERS + count * spread) / (_DECLARED_CLUSTERS + free)
+        return max(1.0, float(mean))
 
     def _cluster_starts(self) -> NDArray[np.intp]:
         """Pieces, cut where they last longer than a cluster."""
