@@ -184,7 +184,7 @@ def describe(explanation: Explanation, believed: TrainFile) -> str:
         head,
         *(_describe_effect(effect) for effect in explanation.effects),
         *_unnamed(explanation),
-        gap_sentence(explanation.gap),
+        gap_sentence(explanation),
         table(davis, numbers=(1,)),
         explanation.remaining,
     )

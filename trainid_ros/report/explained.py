@@ -109,7 +109,7 @@ def _story(explained: Explained) -> str:
         ('Where', where or [strong_text(strong) for strong in strongest(explanation)]),
         ('How sure', [f'{effect.name}: {how_sure(effect)}' for effect in explanation.effects]),
         ('What else it could be, and what to drive next', doubts(explanation)),
-        ('Does the gap shrink', [gap_sentence(explanation.gap)]),
+        ('Does the gap shrink', [gap_sentence(explanation)]),
         ('What remains', [explanation.remaining]),
     )
     return ''.join(f'<h3>{name}</h3>{_paragraphs(lines)}' for name, lines in parts if lines)
@@ -131,7 +131,7 @@ def _figures(explained: Explained) -> str:
     explanation, line = explained.explanation, explained.believed.line
     found = _stretches(explanation)
     figures = (
-        ('Gap', 'Each run is simulated by a model that was fitted to other runs.', gap_bars(explanation.gap)),
+        ('Gap', 'Each run is simulated by a model that was fitted to other runs.', gap_bars(explanation)),
         (
             'Missing resistance along the line',
             'What has to be added to the model for it to follow the data, with ±2 std.',
@@ -139,7 +139,7 @@ def _figures(explained: Explained) -> str:
         ),
         (
             'Speed gap along the line',
-            'Measured less simulated speed of all runs. What belongs to a place bends every run there: a drag slows '
+            'Measured less simulated speed, run by run. What belongs to a place bends every run there: a drag slows '
             'the train down both ways, a wrong gradient one way only.',
             gap_along_line(explanation, line, found),
         ),

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-    from trainid_ros.discrepancy.explanation import Explanation, Gap, RunTrace
+    from trainid_ros.discrepancy.explanation import Explanation, RunTrace
     from trainid_ros.physics.train_file import Line
 
     Array = NDArray[np.float64]
@@ -35,19 +35,25 @@ _CURVE: Final = Patch(color=GOOD, alpha=0.35, linewidth=0, label='curve')
 _WIDE: Final = 10.4
 _RUNS: Final = 12
 _ACROSS: Final = 3
+# More lines than these in one panel cannot be told apart.
+_LINES: Final = 60
 Stretches = tuple[tuple[float, float], ...]
 
 
-def gap_bars(gap: Gap | None) -> str:
+def gap_bars(explanation: Explanation) -> str:
     """Return the gap before and after beside what noise would leave."""
+    gap = explanation.gap
     if gap is None:
         return ''
+    bars = [('noise alone', gap.noise_floor, STAND), ('believed model', gap.before, BEFORE)]
+    if explanation.effects:
+        bars.insert(1, ('with the effects', gap.after, AFTER))
+    names, values, colours = zip(*bars, strict=True)
     with house_style():
-        figure = Figure(figsize=(_WIDE, 1.9), layout='constrained')
+        figure = Figure(figsize=(_WIDE, 0.7 + 0.4 * len(bars)), layout='constrained')
         axes = figure.subplots()
-        values = (gap.noise_floor, gap.after, gap.before)
-        bars = axes.barh(('noise alone', 'with the effects', 'believed model'), values, color=(STAND, AFTER, BEFORE))
-        axes.bar_label(bars, [f'{value:.3f}' for value in values], padding=4)
+        drawn = axes.barh(names, values, color=colours)
+        axes.bar_label(drawn, [f'{value:.3f}' for value in values], padding=4)
         axes.set_xlabel('rms of simulated less measured speed on runs held out [m/s]')
         axes.set_xlim(0.0, 1.12 * max(values) or 1.0)
         axes.grid(visible=False, axis='y')
@@ -55,7 +61,7 @@ def gap_bars(gap: Gap | None) -> str:
 
 
 def gap_along_line(explanation: Explanation, line: Line, found: Stretches) -> str:
-    """Return the speed gap of all runs by position, each direction by itself."""
+    """Return the speed gap of the runs, at most some 60 of them, by position, each direction by itself."""
     ways = [way for way in (1, -1) if any(trace.direction == way for trace in explanation.traces)]
     if not ways:
         return ''
@@ -64,11 +70,11 @@ def gap_along_line(explanation: Explanation, line: Line, found: Stretches) -> st
         panels = figure.subplots(len(ways), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
         for axes, way in zip(panels, ways, strict=True):
             axes.axhline(0.0, color=MUTED, linewidth=0.8)
-            for trace in explanation.traces:
-                if trace.direction == way:
-                    kept = pick(len(trace.time))
-                    axes.plot(trace.position[kept], trace.before[kept], color=BEFORE, linewidth=0.9, alpha=0.8)
-                    axes.plot(trace.position[kept], trace.after[kept], color=AFTER, linewidth=0.9, alpha=0.8)
+            traces = [trace for trace in explanation.traces if trace.direction == way]
+            for trace in traces[:: -(-len(traces) // _LINES)]:
+                kept = pick(len(trace.time))
+                axes.plot(trace.position[kept], trace.before[kept], color=BEFORE, linewidth=0.9, alpha=0.8)
+                axes.plot(trace.position[kept], trace.after[kept], color=AFTER, linewidth=0.9, alpha=0.8)
             axes.set_title('towards rising positions' if way > 0 else 'towards falling positions')
             axes.set_ylabel('speed gap [m/s]')
             draw_place(axes, line, found)

@@ -14,7 +14,7 @@ from trainid_ros.physics.effects import EFFECTS
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from trainid_ros.discrepancy.explanation import Explanation, FoundEffect, Gap
+    from trainid_ros.discrepancy.explanation import Explanation, FoundEffect
     from trainid_ros.physics.train_file import TrainFile
 
 DAVIS_UNITS: Final = ('N/kN', 'N/kN per m/s', 'N/kN per (m/s)²')
@@ -107,15 +107,16 @@ def sigmas_from_neutral(effect: FoundEffect) -> float | None:
     return abs(value - kind.neutral) / std
 
 
-def gap_sentence(gap: Gap | None) -> str:
+def gap_sentence(explanation: Explanation) -> str:
     """Return what the gap was, became, and could become."""
+    gap = explanation.gap
     if gap is None:
-        return 'There are too few runs to hold one out, so nothing shows whether the gap shrank.'
-    text = (
-        f'On {gap.runs_held_out} runs, each left out of the fit that simulates it, simulated and measured speed '
-        f'differ by {gap.before:.3f} m/s (rms) without the effects and {gap.after:.3f} m/s with them; '
-        f'noise alone would leave {gap.noise_floor:.3f} m/s.'
-    )
+        return 'There are too few runs to hold one out, so nothing shows how large the gap is or whether it shrank.'
+    head = f'On {gap.runs_held_out} runs, each left out of the fit that simulates it, simulated and measured speed '
+    noise = f'noise alone would leave {gap.noise_floor:.3f} m/s'
+    if not explanation.effects:
+        return f'{head}differ by {gap.before:.3f} m/s (rms); {noise}.'
+    text = f'{head}differ by {gap.before:.3f} m/s (rms) without the effects and {gap.after:.3f} m/s with them; {noise}.'
     if gap.noise_floor > 0.0 and gap.after > 1.1 * gap.noise_floor:
         text += f' What is left is {gap.after / gap.noise_floor - 1.0:.0%} above the noise.'
     return text

@@ -1,0 +1,127 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The report of an explanation: one file, story before figures, and little data breaks nothing."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from trainid_ros.discrepancy.explanation import Explanation, Verdict
+from trainid_ros.physics.train_file import Line, TrainFile
+from trainid_ros.report.explained import Explained, render_explained, write_explained
+
+pytestmark = pytest.mark.slow  # drawing takes seconds
+
+Make = Callable[..., Explanation]
+FIGURES = (
+    'Gap before and after beside the noise',
+    'Missing resistance by position',
+    'Speed gap by position in both directions',
+    'Missing resistance by speed, driving mode and so on',
+    'Speed gap of single runs by time',
+)
+VOID = {'meta', 'br', 'use', 'path', 'rect'}
+
+
+class Balance(HTMLParser):
+    """Checks that elements close in the order in which they were opened."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+
+    def handle_starttag(self, tag: str, _attrs: object) -> None:
+        if tag not in VOID:
+            self.open.append(tag)
+
+    def handle_startendtag(self, tag: str, _attrs: object) -> None:
+        pass
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag not in VOID:
+            assert self.open.pop() == tag
+
+
+def render(explanation: Explanation, believed: TrainFile) -> str:
+    return render_explained(Explained('Why <slow>', explanation, believed, 't.yaml', ('a', 'b'), ('a <note>',)))
+
+
+@pytest.fixture(scope='module')
+def text(make_explanation: Make, believed: TrainFile) -> str:
+    return render(make_explanation(ambiguous=True), believed)
+
+
+def test_story_comes_first_then_all_figures(text: str) -> None:
+    heads = re.findall(r'<h[23]>(.*?)</h[23]>', text)
+    assert 'ambiguous' in heads[0]
+    story = ['What is missing', 'Where', 'How sure', 'What else it could be, and what to drive next']
+    assert heads[1:5] == story
+    for label in FIGURES:
+        assert text.count(f'aria-label="{label}"') == 1
+    assert text.index('What remains') < text.index('<svg')
+
+
+def test_nothing_is_fetched_or_run_and_text_is_escaped(text: str) -> None:
+    assert 'http' not in text
+    assert not re.search(r'<(script|link|iframe|img)\b', text)
+    assert len(text.encode()) < 1_500_000
+    parser = Balance()
+    parser.feed(text)
+    parser.close()
+    assert parser.open == []
+    assert 'run &lt;both&gt; ways' in text
+    assert '<title>Why &lt;slow&gt;</title>' in text
+    assert 'a &lt;note&gt;' in text
+
+
+def test_numbers_of_the_tables(text: str) -> None:
+    cells = re.findall(r'<td[^>]*>(.*?)</td>', text)
+    at = cells.index('local_drag')
+    assert cells[at : at + 5] == ['local_drag', 'start', 'm', '300 ± 12', '48']
+    a = cells.index('a')
+    assert cells[a : a + 4] == ['a', 'N/kN', '1.5', '1.61 ± 0.12']
+
+
+def test_colours_follow_the_page(text: str) -> None:
+    figures = ''.join(re.findall(r'<svg.*?</svg>', text, flags=re.DOTALL))
+    assert {'brake', 'estimate', 'stand', 'wait'} <= set(re.findall(r'var\(--(\w+)\)', figures))
+    assert not re.search(r'#[0-9a-f]{6}\b', figures)
+
+
+@pytest.mark.parametrize('verdict', [Verdict.UNEXPLAINED, Verdict.NO_GAP])
+def test_without_effects(make_explanation: Make, believed: TrainFile, verdict: Verdict) -> None:
+    text = render(make_explanation(verdict=verdict, effects=()), believed)
+    assert 'What is missing' not in text
+    assert 'more resistance than believed' in text
+    assert 'Effects added' not in text
+
+
+def test_little_data_breaks_nothing(make_explanation: Make, believed: TrainFile) -> None:
+    whole = make_explanation()
+    short = replace(whole.traces[0], **{name: getattr(whole.traces[0], name)[:1] for name in (
+        'time', 'position', 'speed', 'before', 'after', 'band')})  # fmt: skip
+    unknown = replace(whole.traces[0], before=np.full(60, np.nan), after=np.full(60, np.nan), band=np.full(60, np.nan))
+    bare = replace(believed, line=Line())
+    for explanation in (
+        make_explanation(traces=(), locations=(), gap=None),
+        make_explanation(traces=(short,), locations=(replace(whole.locations[0], places=()),)),
+        make_explanation(traces=(unknown,), gap=None),
+    ):
+        page = render(explanation, bare)
+        assert 'What remains' in page
+        assert 'nan' not in re.sub(r'<style.*?</style>|<svg.*?</svg>|<[^>]+>', ' ', page, flags=re.DOTALL).split()
+
+
+def test_hundreds_of_runs_stay_readable_and_small(make_explanation: Make, believed: TrainFile, tmp_path: Path) -> None:
+    write_explained(
+        Explained('Many', make_explanation(traces=make_explanation().traces * 150), believed, 't', ('a',)),
+        tmp_path / 'new' / 'report.html',
+    )
+    assert 'Those of the 300 runs' in (tmp_path / 'new' / 'report.html').read_text(encoding='utf-8')
+    assert (tmp_path / 'new' / 'report.html').stat().st_size < 1_500_000

@@ -1,0 +1,110 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An explanation in words: rounding, sentences for each verdict, what is told where little is known."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+
+from trainid_ros.discrepancy.explanation import Explanation, Gap, Verdict
+from trainid_ros.physics.train_file import TrainFile
+from trainid_ros.report.words import (
+    davis_rows,
+    doubts,
+    drive_text,
+    gap_sentence,
+    headline,
+    how_sure,
+    join,
+    noise_rows,
+    parameters_text,
+    plus_minus,
+    sigmas_from_neutral,
+    strong_text,
+    strongest,
+)
+
+Make = Callable[..., Explanation]
+
+
+@pytest.mark.parametrize(
+    ('value', 'std', 'text'),
+    [
+        (1.8234, 0.0812, '1.823 ± 0.081'),
+        (4519.437, 12.46, '4519 ± 12'),
+        (0.010423, 0.000381, '0.01042 ± 0.00038'),
+        (-2.0, 0.0, '-2'),
+        (1.5, math.nan, '1.5'),
+        (math.nan, 1.0, '–'),
+        (1.0, 3e-9, '1 ± 3e-09'),
+    ],
+)
+def test_values_are_rounded_to_their_std(value: float, std: float, text: str) -> None:
+    assert plus_minus(value, std) == text
+
+
+def test_enumerations() -> None:
+    assert [join([]), join(['a']), join(['a', 'b']), join(['a', 'b', 'c'])] == ['', 'a', 'a and b', 'a, b and c']
+
+
+def test_each_verdict_has_its_headline(make_explanation: Make) -> None:
+    assert headline(make_explanation()) == 'The believed model lacks local_drag.'
+    assert 'local_drag fits best, but gradient_error fits as well' in headline(make_explanation(ambiguous=True))
+    assert 'no effect of the library fits' in headline(make_explanation(verdict=Verdict.UNEXPLAINED, effects=()))
+    assert 'lacks nothing' in headline(make_explanation(verdict=Verdict.NO_GAP, effects=()))
+
+
+def test_an_effect_is_told_with_units_and_certainty(make_explanation: Make) -> None:
+    effect = make_explanation().effects[0]
+    assert parameters_text(effect) == 'start = 300 ± 12 m, end = 500.0 ± 9.0 m and permille = 1.500 ± 0.050 per mille'
+    # e^24 to one, and 1.5 over 0.05
+    assert how_sure(effect).startswith('evidence 48: the data are more than a million times')
+    assert sigmas_from_neutral(effect) == pytest.approx(30.0)
+    assert 'are 4e+02 times' in how_sure(replace(effect, evidence=12.0))
+
+
+def test_an_effect_that_the_library_does_not_know(make_explanation: Make) -> None:
+    effect = replace(make_explanation().effects[0], name='snow')
+    assert sigmas_from_neutral(effect) is None
+    assert parameters_text(effect).endswith('permille = 1.500 ± 0.050')
+    assert 'std' not in how_sure(effect)
+
+
+def test_twins_come_with_the_drive_that_tells(make_explanation: Make) -> None:
+    assert doubts(make_explanation()) == []
+    assert doubts(make_explanation(ambiguous=True)) == [
+        'local_drag could also be gradient_error. To tell them apart: run <both> ways.'
+    ]
+
+
+def test_gap_in_words(make_explanation: Make) -> None:
+    text = gap_sentence(make_explanation())
+    assert all(part in text for part in ('2 runs', '0.400 m/s (rms) without', '0.050 m/s with', '0.049 m/s'))
+    assert 'above the noise' not in text
+    assert '100% above the noise' in gap_sentence(make_explanation(gap=Gap(0.4, 0.1, 0.05, 2)))
+    assert 'with them' not in gap_sentence(make_explanation(effects=()))
+    assert 'too few runs' in gap_sentence(make_explanation(gap=None))
+
+
+def test_where_most_is_missing(make_explanation: Make) -> None:
+    # Runs are no cause, and what is within 3 std of nothing is no place.
+    found = strongest(make_explanation())
+    assert [strong.where for strong in found] == ['position 300 to 400 m', 'position 400 to 500 m']
+    assert strong_text(found[0]) == 'position 300 to 400 m: 1.50 ± 0.10 N/kN more resistance than believed'
+
+
+def test_tables_of_numbers(make_explanation: Make, believed: TrainFile) -> None:
+    rows = davis_rows(make_explanation(), believed)
+    assert rows[0] == ('a', '1.5', '1.61 ± 0.12', 'N/kN')
+    assert ('speeds that did not count (slip, outliers)', '1.2', '%') in noise_rows(make_explanation())
+    assert any('not weighed)' in name for name, _, _ in noise_rows(make_explanation(weighed=False)))
+
+
+def test_drive_in_words(make_explanation: Make) -> None:
+    assert drive_text(make_explanation()) == '2 runs, 1.8 km in 2 min, both directions'
+    one = make_explanation(traces=make_explanation().traces[:1])
+    assert drive_text(one).endswith('one direction only')
+    assert drive_text(make_explanation(traces=())).startswith('0 runs, 0.0 km')
