@@ -1,0 +1,40 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The last chapter of the demo: what was hidden is found, without ROS, also where an earlier demo left its bag."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from trainid_ros.commands.demo import summary
+from trainid_ros.commands.main import main
+from trainid_ros.demo.hidden import HIDDEN, HiddenCase
+from trainid_ros.discrepancy.explanation import Explanation
+from trainid_ros.physics.train_file import TrainFile
+
+
+@pytest.mark.slow
+def test_the_hidden_effect_is_found(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    folder = tmp_path / 'explain'
+    (folder / 'bag').mkdir(parents=True)
+    assert main(['demo', '--only', 'explain', '--out', str(tmp_path), '--json']) == 0
+    out, err = capsys.readouterr()
+    answer = json.loads(out)
+    assert (answer['worked'], answer['bags'], answer['explain']['hidden']) == (True, [], HIDDEN)
+    assert answer['explain']['found']['gap']['after'] < answer['explain']['found']['gap']['before']
+    assert HIDDEN in err
+    assert {path.name for path in folder.iterdir()} == {'bag', 'report.html', 'report.json', 'train.yaml'}
+    assert HIDDEN in (folder / 'report.html').read_text(encoding='utf-8')
+
+
+def test_summary_tells_what_was_hidden_beside_what_was_found(
+    make_explanation: Callable[..., Explanation], believed: TrainFile
+) -> None:
+    case = HiddenCase(believed, make_explanation(), Path('out/report.html'))
+    text = summary([], case)
+    assert text.index(HIDDEN) < text.index('EXPLAINED: The believed model lacks local_drag')
+    assert case.worked
+    assert not HiddenCase(believed, make_explanation(effects=()), Path('r')).worked
