@@ -89,8 +89,8 @@ def alarmed(outcome: Outcome) -> bool:
 
 def exact(outcome: Outcome) -> bool:
     """What was named is the truth, no less and no more."""
-    names = sorted(effect.name for effect in named(outcome))
-    return outcome.verdict not in _WITHOUT_NAME and names == sorted(truth_names(outcome))
+    names = {effect.name for effect in named(outcome)}
+    return outcome.verdict not in _WITHOUT_NAME and names == set(truth_names(outcome))
 
 
 def within_two(outcome: Outcome) -> bool:
@@ -128,11 +128,13 @@ def _honest(outcome: Outcome, near: frozenset[str]) -> bool:
 def parameter_errors(outcome: Outcome) -> tuple[tuple[str, float], ...]:
     """Return (effect.parameter, error in its own std) of all named effects that are in the data.
 
-    A parameter without a usable std is infinitely wrong: it claims nothing that one could hold it to.
+    Of a name that was given more than once only the strongest counts. A parameter without a usable std is infinitely
+    wrong: it claims nothing that one could hold it to.
     """
     truth = {effect.name: dict(effect.parameters) for effect in outcome.answer.effects}
+    strongest = {effect.name: effect for effect in reversed(named(outcome))}
     errors: list[tuple[str, float]] = []
-    for effect in named(outcome):
+    for effect in strongest.values():
         std = dict(effect.std)
         for name, value in effect.parameters:
             if name in truth.get(effect.name, {}):

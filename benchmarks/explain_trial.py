@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from multiprocessing import get_context
 from typing import TYPE_CHECKING, Final
 
-from benchmarks.explain_cases import Answer, Spec, open_case
+from benchmarks.explain_cases import Answer, Opened, Spec, open_case
 from trainid_ros.core.alignment import Aligner, AlignmentConfig, TimeJump
 from trainid_ros.core.samples import Sample
 from trainid_ros.discrepancy.runs import RunCollector
@@ -80,8 +80,12 @@ def outcomes(specs: Sequence[Spec], jobs: int) -> Iterator[Outcome]:
 
 
 def try_case(spec: Spec) -> Outcome:
-    """Make a case, explain it and keep what came out; a crash of the workflow is an outcome too."""
-    opened = open_case(spec)
+    """Make a case and explain it; a crash of the workflow is an outcome too."""
+    return explain_case(spec, open_case(spec))
+
+
+def explain_case(spec: Spec, opened: Opened) -> Outcome:
+    """Explain a case that is made."""
     believed = parse_train_file(opened.believed, 'believed')
     start = time.process_time()
     runs = runs_of(opened.bags, believed)

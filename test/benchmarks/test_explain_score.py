@@ -111,6 +111,9 @@ def test_errors_are_counted_in_their_own_std() -> None:
     assert errors == (('headwind.speed', 1.5),)
     [(_, unknown)] = parameter_errors(told(WIND, found=(name('headwind', std=math.nan),)))
     assert math.isinf(unknown)
+    twice = told(WIND, found=(name('headwind', speed=6.0), name('headwind', speed=9.0)))
+    assert parameter_errors(twice) == (('headwind.speed', 1.0),)
+    assert exact(twice)
     assert within_std([1.5, -2.5, math.inf, -0.2]).hits == 2
     assert rms([3.0, -4.0, math.inf]) == pytest.approx(math.sqrt(12.5))
 
