@@ -3,7 +3,8 @@
 
 Second differences of equally spaced speeds hold the noise (with variance 6 sigma^2) and next to nothing of the
 motion, whose jerk is small. One gross error spoils three of them, so each square counts up to its expectation
-only (Huber's proposal 2): with 5 % gross errors the noise is found 15 % too large, not tenfold.
+only (Huber's proposal 2): with 5 % gross errors the noise is found 15 % too large, not tenfold. What coarse rounding
+hides from differences is added by :mod:`trainid_ros.estimators.rounding`.
 """
 
 from __future__ import annotations
@@ -11,6 +12,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from typing import Final
+
+from trainid_ros.estimators.rounding import EXACT, Rounding
 
 _MEMORY: Final = 0.01
 # Learned noise stays within these multiples of what is declared.
@@ -24,14 +27,20 @@ _SPACING: Final = 0.1
 
 @dataclass(slots=True)
 class Tachometer:
-    """Variance of one speed measurement [(m/s)^2]; the last two speeds, the step between them, their number."""
+    """Learned variance of one speed measurement [(m/s)^2]; last two speeds, step between them, number; rounding."""
 
     declared_std: float
-    variance: float
+    learned: float
     last: float = 0.0
     before: float = 0.0
     dt: float = 0.0
     count: int = 0
+    rounding: Rounding = EXACT
+
+    @property
+    def variance(self) -> float:
+        """Variance of one speed measurement [(m/s)^2]."""
+        return max(self.learned, self.rounding.variance)
 
     @property
     def std(self) -> float:
@@ -40,16 +49,18 @@ class Tachometer:
 
     def is_sound(self) -> bool:
         """True if there is some noise, as declared and as learned."""
-        return self.declared_std > 0.0 and self.variance > 0.0
+        return self.declared_std > 0.0 and self.learned > 0.0
 
     def add(self, speed: float, dt: float) -> None:
         """Take in one more speed [m/s], measured ``dt`` [s] after the last; NaN = after a gap."""
         before, last, last_dt = self.before, self.last, self.dt
         self.before, self.last, self.dt = last, speed, dt
         self.count = 1 if math.isnan(dt) else self.count + 1
+        if self.count > 1:
+            self.rounding = self.rounding.add(speed, last)
         if self.count < _POINTS or abs(dt - last_dt) > _SPACING * dt:
             return
         second = speed - 2.0 * last + before
-        sample = min(second * second / 6.0, self.variance) / _CAPPED_MEAN
+        sample = min(second * second / 6.0, self.learned) / _CAPPED_MEAN
         low, high = (factor * self.declared_std for factor in _RANGE)
-        self.variance = min(max(self.variance + _MEMORY * (sample - self.variance), low * low), high * high)
+        self.learned = min(max(self.learned + _MEMORY * (sample - self.learned), low * low), high * high)

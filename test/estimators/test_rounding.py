@@ -1,0 +1,70 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The error of a coarse speed is found; that of a fine one does not show."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from trainid_ros.estimators.resistance.tachometer import Tachometer
+from trainid_ros.estimators.rounding import EXACT, Rounding
+from trainid_ros.estimators.speed_noise import SpeedNoise
+
+KMH = 1.0 / 3.6
+
+
+def coasting(quantum: float, noise: float, slowing: float = 0.05, count: int = 1200) -> list[float]:
+    rng = np.random.default_rng(41)
+    speeds = 20.0 - 0.2 * slowing * np.arange(count) + noise * rng.standard_normal(count)
+    rounded: list[float] = (quantum * np.round(speeds / quantum)).tolist()
+    return rounded
+
+
+def after(speeds: list[float]) -> Rounding:
+    rounding = EXACT
+    for last, speed in pairwise(speeds):
+        rounding = rounding.add(speed, last)
+    return rounding
+
+
+def test_samples_between_two_jumps_count_as_one() -> None:
+    rounding = after(coasting(KMH, 0.0))
+    jump_every = KMH / 0.01
+    assert rounding.quantum == pytest.approx(KMH)
+    assert rounding.variance == pytest.approx(KMH**2 / 12.0 * jump_every, rel=0.6)
+
+
+def test_a_wrong_message_is_forgotten() -> None:
+    speeds = coasting(KMH, 0.1)
+    speeds[300] += 0.01
+    assert after(speeds[:310]).quantum < 0.02
+    assert after(speeds + speeds + speeds).quantum == pytest.approx(KMH)
+
+
+def test_slip_is_no_quantum() -> None:
+    assert after([15.0] * 50 + [18.0, 15.0]).variance == 0.0
+
+
+def test_a_speed_that_stands_or_is_stuck_does_not_count_for_nothing() -> None:
+    moving = after(coasting(KMH, 0.0))
+    stuck, standing = moving, moving
+    for _ in range(10_000):
+        stuck, standing = stuck.add(15.0, 15.0), standing.add(0.0, 0.0)
+    assert standing == moving
+    assert stuck.variance == pytest.approx(KMH**2 / 12.0 * 50.0)
+
+
+@pytest.mark.parametrize(('quantum', 'coarse'), [(KMH, True), (0.1 * KMH, False), (1e-6, False)])
+def test_both_noises_know_of_coarse_rounding_and_only_of_that(quantum: float, coarse: bool) -> None:
+    tachometer, noise = Tachometer(0.025, 0.025**2), SpeedNoise.declared(0.025)
+    for i, speed in enumerate(coasting(quantum, 0.02)):
+        dt = math.nan if i == 0 else 0.2
+        tachometer.add(speed, dt)
+        noise = noise.add(speed, dt)
+        assert tachometer.rounding == noise.rounding
+        if not coarse:
+            assert (tachometer.variance, noise.variance) == (tachometer.learned, noise.learned)
+    assert (noise.std > KMH / math.sqrt(12.0)) is coarse
