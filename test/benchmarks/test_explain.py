@@ -65,7 +65,7 @@ def fresh_singles(seed: int) -> Iterator[Outcome]:
     rng = np.random.default_rng(seed)
     names = {'A': [*hidden_cases.LIBRARY], 'B': [*hidden_cases_b.LIBRARY]}
     while True:
-        for generator in GENERATORS:
+        for generator in reversed(GENERATORS):
             spec = Spec(generator, str(rng.choice(names[generator])), int(rng.integers(2**31)))
             opened = open_case(spec)
             # Long days take long, and tell no more.
