@@ -12,6 +12,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from trainid_ros.discrepancy.nuisances import Bins
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
@@ -40,8 +42,8 @@ class Group:
     resistance: Array
 
 
-def generic_groups(drive: Drive) -> tuple[Group, ...]:
-    """Return all groups for a drive."""
+def generic_groups(drive: Drive, length: float) -> tuple[Group, ...]:
+    """Return all groups for a drive of a train of some length [m]."""
     v, traction, brake = drive.speed, drive.joined('traction'), drive.joined('brake')
     pulling, braking = traction > _PULLING, brake < _BRAKING
     coasting = ~pulling & ~braking
@@ -58,6 +60,7 @@ def generic_groups(drive: Drive) -> tuple[Group, ...]:
     runs = (drive.run_of[:, None] == np.arange(len(drive.runs))).astype(float)
     groups = [
         Group('run', 'the run', runs if runs.shape[1] <= 60 else _hats(drive.time, 60)),
+        Group('place', 'the place', Bins.of(drive, length).shares(drive, length)),
         Group('time', 'the time', _hats(drive.time, 6)),
         Group('start', 'the time since departure', _hats(np.minimum(since, 120.0), 7)),
         Group('speed', 'the speed', _hats(v, 7)),

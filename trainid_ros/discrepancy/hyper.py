@@ -22,16 +22,17 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-# Median and log-width of the prior of speed noise, gust, gust time, payload, brake, map.
+# Median and log-width of the prior of speed noise, gust, gust time, jitter, payload, brake, map.
 _WEIGHED: Final = 0.005
 _UNWEIGHED: Final = 0.03
-_MEDIAN: Final = np.log([0.03, 0.12, 6.0, _WEIGHED, 0.01, 0.25])
-_WIDTH: Final = np.array([1.0, 0.8, 0.5, 0.7, 0.7, 0.6])
+_MEDIAN: Final = np.log([0.03, 0.12, 8.0, 0.02, _WEIGHED, 0.01, 0.25])
+_WIDTH: Final = np.array([1.0, 0.5, 0.4, 0.7, 0.5, 0.5, 0.4])
 _STEP: Final = 0.05
 _LARGEST_MOVE: Final = 1.0
 _SETTLED: Final = 0.05
 _MOST_STEPS: Final = 12
-_OUTER: Final = 3
+_OUTER: Final = 4
+_PAYLOAD: Final = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,7 +65,7 @@ class Evidence:
         self._common = common_std
         self._root = map_root
         self._median = _MEDIAN.copy()
-        self._median[3] = math.log(_WEIGHED if weighed else _UNWEIGHED)
+        self._median[_PAYLOAD] = math.log(_WEIGHED if weighed else _UNWEIGHED)
         self._gram: tuple[tuple[float, ...], Gram, float] | None = None
 
     def at(self, logs: Array) -> float:
@@ -127,5 +128,5 @@ class Evidence:
 
 
 def _sizes(x: Array) -> tuple[Noise, Spread]:
-    speed, gust, gust_time, payload, brake, line = np.exp(x).tolist()
-    return Noise(speed, gust, gust_time), Spread(payload, brake, line)
+    speed, gust, gust_time, jitter, payload, brake, line = np.exp(x).tolist()
+    return Noise(speed, gust, gust_time, jitter), Spread(payload, brake, line)

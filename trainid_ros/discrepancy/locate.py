@@ -2,7 +2,9 @@
 """Where simulation and data disagree: the missing resistance along position, speed, mode, time and so on.
 
 Each axis is cut into parts, and the mean resistance that the model lacks in each part is estimated jointly with all
-nuisances, by the same whitened regression as everything else; so its standard deviation knows that errors last.
+nuisances, by the same whitened regression as everything else; so its standard deviation knows that errors last. What
+all parts of an axis have in common is Davis ``a``, which is fitted anyway: parts are told by how they differ from the
+mean of all.
 """
 
 from __future__ import annotations
@@ -50,8 +52,8 @@ def locate(before: Model, after: Model, sizes: Sizes) -> tuple[Location, ...]:
     weight = before.drive.dt / before.drive.dt.sum()
     locations = []
     for k, axis in enumerate(axes):
-        (first, std), (second, _) = (estimate[k] for estimate in estimates)
         share = (axis.inside * weight[:, None]).sum(axis=0)
+        (first, std), (second, _) = (_beside_mean(*estimate[k], share / share.sum()) for estimate in estimates)
         rows = zip(axis.labels, axis.edges, first.tolist(), second.tolist(), std.tolist(), share.tolist(), strict=True)
         places = tuple(Place(label, *edges, a, b, s, part) for label, edges, a, b, s, part in rows)
         locations.append(Location(axis.name, axis.unit, places))
@@ -59,16 +61,22 @@ def locate(before: Model, after: Model, sizes: Sizes) -> tuple[Location, ...]:
 
 
 def _estimate(model: Model, sizes: Sizes, columns: list[Array]) -> list[tuple[Array, Array]]:
-    """Return means and standard deviations of the parts of each axis; axes are judged one by one."""
+    """Return means and covariances of the parts of each axis; axes are judged one by one."""
     information = reduced_information(model, sizes, np.concatenate(columns, axis=1), members=False)
     edges = np.cumsum([0, *(c.shape[1] for c in columns)]).tolist()
     out = []
     for low, high in zip(edges[:-1], edges[1:], strict=True):
         A, b = information.A[low:high, low:high], information.b[low:high]
         covariance = np.linalg.inv(A + np.eye(high - low) / PRIOR**2)
-        mean = covariance @ b
-        out.append((mean, np.sqrt(np.diag(covariance))))
+        out.append((covariance @ b, covariance))
     return out
+
+
+def _beside_mean(value: Array, covariance: Array, share: Array) -> tuple[Array, Array]:
+    """Return deviations from the mean of all parts, weighted by their shares, and standard deviations."""
+    apart = np.eye(share.size) - share[None, :]
+    variance = np.einsum('ij,jk,ik->i', apart, covariance, apart)
+    return apart @ value, np.sqrt(np.maximum(variance, 0.0))
 
 
 def _axes(drive: Drive) -> list[_Axis]:
@@ -79,8 +87,11 @@ def _axes(drive: Drive) -> list[_Axis]:
     released = ~braking & (release < RELEASED_S)
     modes = np.stack((pulling & ~released, ~pulling & ~braking & ~released, braking, released), axis=1)
     runs = drive.run_of[:, None] == np.arange(len(drive.runs))
+    ways = [('position', np.ones(v.size, dtype=bool))]
+    if direction.min() < direction.max():
+        ways = [('position, rising', direction > 0), ('position, falling', direction < 0)]
     axes = [
-        _cut('position', 'm', position, _PLACES),
+        *(_cut(name, 'm', np.where(way, position, np.nan), _PLACES) for name, way in ways),
         _cut('speed', 'm/s', v, 8),
         _kinds('mode', ('traction', 'coasting', 'braking', 'just released'), modes),
         _kinds('direction', ('rising', 'falling'), np.stack((direction > 0, direction < 0), axis=1)),

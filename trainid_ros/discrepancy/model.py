@@ -82,6 +82,7 @@ class Model:
         self._map_root = np.linalg.cholesky(self.bins.covariance() + 1e-9 * np.eye(self.bins.count))
         self.factor_columns = drive.column(run_columns(drive))
         self.grid = Grid.of(drive)
+        self.weighed = all(run.weighed for run in drive.runs)
         self._gap = drive.average(drive.gap)
         self.odometry = Odometry.of(drive, train_file.line.stops)
         self._set(members)
@@ -91,6 +92,15 @@ class Model:
         other = object.__new__(Model)
         other.__dict__.update(self.__dict__)
         other._set(members)
+        return other
+
+    def beside(self, columns: Array, std: float) -> Model:
+        """Return the same model with further nuisances that all runs share: columns at the nodes, shape (m, k)."""
+        other = object.__new__(Model)
+        other.__dict__.update(self.__dict__)
+        other.common = np.concatenate([columns, self.common], axis=1)
+        other.common_std = np.concatenate([np.full(columns.shape[1], std), self.common_std])
+        other.nuisance_columns = np.concatenate([columns, self.nuisance_columns], axis=1)
         return other
 
     def _set(self, members: tuple[Member, ...]) -> None:
@@ -108,7 +118,7 @@ class Model:
         columns = [self._common, *([self.drive.column(np.stack(derivatives, axis=1))] if derivatives else [])]
         self.common = np.concatenate(columns, axis=1)
         self.nuisance_columns = np.concatenate([self.common, self._map], axis=1)
-        self.common_std = np.concatenate([common_std(self.train_file), self.member_std])
+        self.common_std = np.concatenate([common_std(self.train_file, weighed=self.weighed), self.member_std])
 
     def _derivative(self, member: Member, name: str, step: float) -> Array:
         kind = EFFECTS[member.name].parameters[name]
@@ -121,9 +131,8 @@ class Model:
     def evidence(self) -> Evidence:
         """Return the marginal likelihood as a function of the sizes of noise and nuisances."""
         columns = np.concatenate([self.residual[:, None], self.nuisance_columns], axis=1)
-        weighed = all(run.weighed for run in self.drive.runs)
         return Evidence(
-            self.grid, columns, self.factor_columns, self.common_std, self._map_root, weighed=weighed
+            self.grid, columns, self.factor_columns, self.common_std, self._map_root, weighed=self.weighed
         )
 
     def whitener(self, sizes: Sizes) -> Whitener:

@@ -25,7 +25,6 @@ _DIFFUSE: Final = 1e2
 """Variance of an unknown initial speed error [(m/s)^2]."""
 # Errors of neighbouring samples are not quite independent: quantised speeds repeat.
 _SHARED: Final = 0.1
-_ALIKE_S: Final = 0.1
 
 
 @dataclass(frozen=True, slots=True)
@@ -36,12 +35,14 @@ class Noise:
         speed: Noise of one measured speed [m/s].
         gust: Standard deviation of the gusts [N/kN].
         gust_time: Their correlation time [s].
+        jitter: Unknown delay of each change of traction or brake [s]: forces are read a few times a second.
 
     """
 
     speed: float
     gust: float
     gust_time: float
+    jitter: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -52,6 +53,7 @@ class Grid:
         index: Node at each place, the number of nodes where there is none, shape (N, R).
         dt: Time since the node before [s], shape (N, R).
         share: Variance of a node's error in those of one speed; infinite where nothing was measured, shape (N, R).
+        change: Change of the force since the node before, as acceleration [m/s^2], shape (N, R).
         inertia: Specific force per acceleration [N/kN per m/s^2].
         nodes: Number of nodes of all runs.
 
@@ -60,6 +62,7 @@ class Grid:
     index: NDArray[np.intp]
     dt: Array
     share: Array
+    change: Array
     inertia: float
     nodes: int
 
@@ -76,12 +79,17 @@ class Grid:
         dt[1:] = np.where(inside[1:], time[1:] - time[:-1], 1.0)
         count = np.append(drive.node_count, 0.0)[index]
         share = np.where(count > 0.0, _SHARED + (1.0 - _SHARED) / np.maximum(count, 1.0), np.inf)
-        return cls(index, dt, share, drive.inertia, drive.node_time.size)
+        force = drive.joined('traction') + drive.joined('brake')
+        first_force = np.append(force[drive.node_starts], 0.0)[index]
+        change = np.zeros(index.shape)
+        change[1:] = np.where(inside[1:], np.abs(first_force[1:] - first_force[:-1]) / drive.inertia, 0.0)
+        return cls(index, dt, share, change, drive.inertia, drive.node_time.size)
 
     def part(self, runs: slice) -> Grid:
         """Return the grid of some of the runs."""
         longest = int((self.index[:, runs] < self.nodes).sum(axis=0).max())
-        return Grid(self.index[:longest, runs], self.dt[:longest, runs], self.share[:longest, runs], self.inertia, self.nodes)
+        cut = (array[:longest, runs] for array in (self.dt, self.share, self.change))
+        return Grid(self.index[:longest, runs], *cut, self.inertia, self.nodes)
 
     def spread(self, columns: Array) -> Array:
         """Return columns of all nodes, shape (m, C), on the grid, shape (N, R, C)."""
@@ -113,17 +121,9 @@ class Whitener:
     @classmethod
     def of(cls, grid: Grid, noise: Noise) -> Whitener:
         """Run the covariances of the filter once through the grid."""
-        # Undisturbed runs have the same gains, whatever their length.
-        dt, share = np.round(grid.dt / _ALIKE_S) * _ALIKE_S, grid.share
-        inside = grid.index < grid.nodes
-        usual = float(np.min(share))
-        pattern = np.where(inside, np.stack((dt, share)), np.array([1.0, usual])[:, None, None])
-        kinds, which = np.unique(pattern.reshape(-1, dt.shape[1]), axis=1, return_inverse=True)
-        dt, share = kinds.reshape(2, dt.shape[0], -1)
-        gains = _gains(dt, noise.speed**2 * share, noise, grid.inertia)
-        gain_v, gain_g, scale, keep, reach, log_s = (array[:, which.ravel()] for array in gains)
-        zero = np.where(inside, 1.0, 0.0)
-        return cls(gain_v * zero, gain_g * zero, scale * zero, keep, reach, (log_s * zero).sum(axis=0))
+        inside = np.where(grid.index < grid.nodes, 1.0, 0.0)
+        gain_v, gain_g, scale, keep, reach, log_s = _gains(grid, noise)
+        return cls(gain_v * inside, gain_g * inside, scale * inside, keep, reach, (log_s * inside).sum(axis=0))
 
     def part(self, runs: slice) -> Whitener:
         """Return the filter of some of the runs."""
@@ -147,18 +147,20 @@ class Whitener:
         return out
 
 
-def _gains(dt: Array, R: Array, noise: Noise, inertia: float) -> tuple[Array, ...]:
-    """Return gains of speed error and gust, 1/sqrt(S), decay and reach of the gust, ln S; all of shape (N, K)."""
+def _gains(grid: Grid, noise: Noise) -> tuple[Array, ...]:
+    """Return gains of speed error and gust, 1/sqrt(S), decay and reach of the gust, ln S; all of shape (N, R)."""
+    dt, inertia, R = grid.dt, grid.inertia, noise.speed**2 * grid.share
     tau, variance = noise.gust_time, noise.gust**2
     e = np.exp(-dt / tau)
     reach = tau * (1.0 - e) / inertia
-    # Exact discretisation of the gust and its integral.
+    # Exact discretisation of the gust and its integral, and the impulse that a late change of the force leaves.
     q_gg = variance * (1.0 - e * e)
     q_vg = variance * tau * (1.0 - e) ** 2 / inertia
     q_vv = variance * (tau / inertia) ** 2 * np.maximum(2.0 * dt / tau - 3.0 + 4.0 * e - e * e, 0.0)
-    N, kinds = dt.shape
-    gain_v, gain_g, scale, log_s = np.empty((4, N, kinds))
-    p_vv, p_vg, p_gg = np.full(kinds, _DIFFUSE), np.zeros(kinds), np.full(kinds, variance)
+    q_vv += np.square(noise.jitter * grid.change)
+    N, runs = dt.shape
+    gain_v, gain_g, scale, log_s = np.empty((4, N, runs))
+    p_vv, p_vg, p_gg = np.full(runs, _DIFFUSE), np.zeros(runs), np.full(runs, variance)
     for i in range(N):
         if i:
             p_vv = p_vv + reach[i] * (2.0 * p_vg + reach[i] * p_gg) + q_vv[i]

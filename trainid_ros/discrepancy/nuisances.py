@@ -33,6 +33,9 @@ _TRACTION_SKEW_S: Final = 0.1
 _BRAKE_SKEW_S: Final = 0.04
 _TRACTION_GAIN: Final = 0.003
 _BRAKE_GAIN: Final = 0.004
+_MAP_SHIFT_M: Final = 15.0
+_MASS_WEIGHED: Final = 0.003
+_MASS_UNWEIGHED: Final = 0.015
 DAVIS: Final = slice(0, 3)
 
 
@@ -96,19 +99,24 @@ class Bins:
 
 
 def common_columns(drive: Drive) -> Array:
-    """Return resistances of the nuisances that all runs share, shape (n, 7); see :func:`common_std`."""
+    """Return resistances of the nuisances that all runs share, shape (n, 9); see :func:`common_std`."""
     v, traction, brake = drive.speed, drive.joined('traction'), drive.joined('brake')
-    return np.stack(
-        (np.ones_like(v), v, v * v, _rate(traction, drive), _rate(brake, drive), -traction, -brake), axis=1
-    )
+    slope = _rate(drive.joined('gradient'), drive) / np.maximum(v, 1.0)
+    rates = _rate(traction, drive), _rate(brake, drive)
+    gains = -traction, -brake, -(traction + brake)
+    return np.stack((np.ones_like(v), v, v * v, *rates, slope, *gains), axis=1)
 
 
-def common_std(train_file: TrainFile) -> Array:
-    """Return the prior standard deviations of a, b, c, skew of traction and brake [s], and their gains, shape (7,)."""
+def common_std(train_file: TrainFile, *, weighed: bool) -> Array:
+    """Return the prior standard deviations of :func:`common_columns`, shape (9,).
+
+    They are a, b, c; skew of traction and brake [s]; shift of the map [m]; gains of traction, brake and mass.
+    """
     davis = train_file.resistance
     believed = np.abs(np.array([davis.a, davis.b, davis.c]))
-    gains = (_TRACTION_SKEW_S, _BRAKE_SKEW_S, _TRACTION_GAIN, _BRAKE_GAIN)
-    return np.concatenate([_DAVIS_SHARE * believed + _DAVIS_FLOOR, gains])
+    mass = _MASS_WEIGHED if weighed else _MASS_UNWEIGHED
+    others = (_TRACTION_SKEW_S, _BRAKE_SKEW_S, _MAP_SHIFT_M, _TRACTION_GAIN, _BRAKE_GAIN, mass)
+    return np.concatenate([_DAVIS_SHARE * believed + _DAVIS_FLOOR, others])
 
 
 def run_columns(drive: Drive) -> Array:

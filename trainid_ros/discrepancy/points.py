@@ -3,7 +3,8 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from bisect import bisect_right
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -22,11 +23,15 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 
+_MOST_KNOWN: Final = 400
+
+
 class Points:
     """All stages of a drive as points of the track, and the resistances of effects at them."""
 
     def __init__(self, drive: Drive, train_file: TrainFile) -> None:
         self.drive, self.davis = drive, train_file.resistance
+        self._known: dict[tuple[str, tuple[tuple[str, float], ...]], Array] = {}
         length = train_file.train.length
         self._points: list[TrackPoint] = []
         for run, start in zip(drive.runs, drive.starts, strict=True):
@@ -34,16 +39,25 @@ class Points:
 
     def resistance(self, name: str, parameters: Mapping[str, float]) -> Array:
         """Return the resistance of an effect on each stage [N/kN], shape (n,)."""
+        key = name, tuple(parameters.items())
+        if key not in self._known:
+            if len(self._known) >= _MOST_KNOWN:
+                self._known.clear()
+            self._known[key] = self._evaluate(name, parameters)
+        return self._known[key]
+
+    def _evaluate(self, name: str, parameters: Mapping[str, float]) -> Array:
         function = EFFECTS[name].resistance
         if function is None:
             return np.zeros(len(self._points))
         return np.array([function(parameters, self.davis, point) for point in self._points])
 
     def total(self, effects: Sequence[Effect]) -> Array:
-        """Return the resistance of effects together on each stage [N/kN], shape (n,)."""
+        """Return the resistance of effects that records do not show themselves, on each stage [N/kN], shape (n,)."""
         total = np.zeros(len(self._points))
         for effect in effects:
-            total += self.resistance(effect.name, dict(effect.parameters))
+            if not EFFECTS[effect.name].on_records:
+                total += self.resistance(effect.name, dict(effect.parameters))
         return total
 
 
@@ -71,8 +85,25 @@ def _points_of(run: Run, speed: Array, length: float, inertia: float, resistance
 
 def _before(time: Array, value: Array) -> Callable[[float], Callable[[float], float]]:
     """Return a function that gives, for a time, the value so many seconds before it."""
-    return lambda t: lambda seconds: float(np.interp(t - seconds, time, value))
+    at = _Line(time, value)
+    return lambda t: lambda seconds: at(t - seconds)
 
 
 def _ahead(travelled: Array, value: Array) -> Callable[[float], Callable[[float], float]]:
-    return lambda way: lambda metres: float(np.interp(way + metres, travelled, value))
+    at = _Line(travelled, value)
+    return lambda way: lambda metres: at(way + metres)
+
+
+class _Line:
+    """Linear interpolation at one place at a time, held at both ends; numpy's is made for many."""
+
+    def __init__(self, x: Array, y: Array) -> None:
+        self._x, self._y = x.tolist(), y.tolist()
+
+    def __call__(self, x: float) -> float:
+        right = bisect_right(self._x, x)
+        if right in {0, len(self._x)}:
+            return self._y[min(right, len(self._x) - 1)]
+        low, high = self._x[right - 1], self._x[right]
+        share = (x - low) / (high - low)
+        return self._y[right - 1] + share * (self._y[right] - self._y[right - 1])

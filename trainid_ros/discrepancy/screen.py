@@ -62,7 +62,7 @@ class Screen:
     def __init__(self, model: Model) -> None:
         drive, length = model.drive, model.train_file.train.length
         self._families: tuple[Family, ...] = named_families(model.points)
-        self._groups: tuple[Group, ...] = generic_groups(drive)
+        self._groups: tuple[Group, ...] = generic_groups(drive, length)
         self._bins = Bins.of(drive, length, fine=True)
         shares = self._bins.shares(drive, length)
         directions = np.array([run.direction for run in drive.runs])[drive.run_of][:, None]
@@ -91,6 +91,11 @@ class Screen:
             part = slice(int(self._edges[k]), int(self._edges[k + 1]))
             named.append(self._section(name, information.A[part, part], information.b[part]))
         return sorted(named, key=_strongest), sorted(groups, key=_strongest)
+
+    def group_columns(self, name: str) -> Array:
+        """Return the columns of a group at the nodes, shape (m, k)."""
+        k = len(self._families) + next(i for i, group in enumerate(self._groups) if group.name == name)
+        return self._columns[:, int(self._edges[k]) : int(self._edges[k + 1])]
 
     def _family(self, family: Family, A: Array, b: Array) -> Score:
         values = [log_bayes(A, b, share * family.std, family.sign) for share in _SHARES]

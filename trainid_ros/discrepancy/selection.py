@@ -6,8 +6,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
+from trainid_ros.discrepancy.families import SECTIONS
 from trainid_ros.discrepancy.model import Member, prior_cost
-from trainid_ros.discrepancy.screen import Screen
+from trainid_ros.discrepancy.screen import Score, Screen
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -16,11 +17,10 @@ if TYPE_CHECKING:
 
     from trainid_ros.discrepancy.hyper import Sizes
     from trainid_ros.discrepancy.model import Fit, Model
-    from trainid_ros.discrepancy.screen import Score
 
-NAMED: Final = 12.0
+NAMED: Final = 15.0
 """2 ln of the Bayes factor an effect needs."""
-NAMELESS: Final = 14.0
+NAMELESS: Final = 20.0
 """The same of a dependence without a name, for the verdict that no effect fits."""
 LEFT_OVER: Final = 0.15
 """Share of all evidence that may be left after the named effects, since equations of real effects differ a little."""
@@ -28,8 +28,10 @@ TWIN: Final = 6.0
 """Effects this near in evidence to a named one cannot be told from it."""
 MOST: Final = 3
 _RIVALS: Final = 3
-_WORTH_A_TRY: Final = 4.0
+_WORTH_A_TRY: Final = 2.5
 _NEAR: Final = 25.0
+_GROUPS: Final = 2
+_GROUP_STD: Final = 0.3
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +89,7 @@ class Search:
                 break
             state = grown
             named, groups = self.screen.scores(state.model, state.sizes)
+        groups = self._weigh_groups(state, groups)
         evidence, twins = [], []
         for k in range(len(state.model.members)):
             own, near = self._standing(state, k)
@@ -103,14 +106,28 @@ class Search:
         Noise and nuisances that were estimated without an effect have taken part of it for their own, so what comes
         near is judged with sizes that are estimated with it.
         """
-        rivals = [s for s in named[:_RIVALS] if s.evidence > max(_WORTH_A_TRY, named[0].evidence - _NEAR)]
-        best, worth = None, state.model.evidence().at(state.logs) + NAMED
+        present = {member.name for member in state.model.members} - set(SECTIONS)
+        rest = [score for score in named if score.name not in present]
+        rivals = [s for s in rest[:_RIVALS] if s.evidence > max(_WORTH_A_TRY, rest[0].evidence - _NEAR)]
+        best, worth = None, self._worth(state) + NAMED
         for rival in rivals:
             self._advance(rival.name)
             grown = self._grow(state, rival)
             if (found := self._worth(grown)) > worth:
                 best, worth = grown, found
         return best
+
+    def _weigh_groups(self, state: State, groups: list[Score]) -> list[Score]:
+        """Judge the best nameless dependences with sizes of noise of their own, as named effects are."""
+        weighed = []
+        for score in groups[:_GROUPS]:
+            found = score.evidence
+            if _WORTH_A_TRY < found < NAMELESS:
+                model = state.model.beside(self.screen.group_columns(score.name), _GROUP_STD)
+                sizes, _ = model.evidence().maximise(state.logs)
+                found = max(found, sizes.evidence - state.sizes.evidence)
+            weighed.append(Score(score.name, found, score.parameters))
+        return sorted([*weighed, *groups[_GROUPS:]], key=lambda score: -score.evidence)
 
     def _grow(self, state: State, score: Score) -> State:
         members = (*state.model.members, Member(score.name, score.parameters))

@@ -37,6 +37,7 @@ if TYPE_CHECKING:
 
     from trainid_ros.discrepancy.explanation import Location
     from trainid_ros.discrepancy.holdout import HeldOut
+    from trainid_ros.discrepancy.hyper import Sizes
     from trainid_ros.discrepancy.runs import Run
     from trainid_ros.discrepancy.selection import Selection
     from trainid_ros.physics.train_file import TrainFile
@@ -44,6 +45,8 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 _FEWEST_NODES: Final = 40
+MOST_SEARCHED: Final = 48
+"""Of more runs than this, so many are searched for effects."""
 # The equations of real effects differ a little from those of the library, and clocks are read at 5 Hz.
 _EQUATION_SHARE: Final = 0.03
 _CLOCK_S: Final = 0.04
@@ -71,39 +74,53 @@ def explain(
     if sum(run.time.size for run in runs) < 5 * _FEWEST_NODES:
         msg = f'{len(runs)} runs from stop to stop hold too little motion to compare'
         raise NoAnswerError(msg)
-    drive = assemble(runs, train_file)
-    points = Points(drive, train_file)
-    if train_file.effects:
-        drive = assemble(runs, train_file, points.total(train_file.effects))
-        points = Points(drive, train_file)
-    selection = Search(Model(points, train_file), advance).run()
+    points = _points(runs, train_file)
+    searched = points if len(runs) <= MOST_SEARCHED else _points(_some(runs), train_file)
+    selection = Search(Model(searched, train_file), advance).run()
+    slip = find_slip(points.drive)
+    verdict = _verdict(selection, slipping=slip is not None)
     advance('held-out runs')
-    sizes = selection.final.sizes
-    base, final = selection.base.model, selection.final.model
+    # Effects that do not fit are not told, and nothing is calculated with them.
+    told = selection.base if verdict is Verdict.UNEXPLAINED else selection.final
+    sizes, base, final = told.sizes, selection.base.model, told.model
+    if searched is not points:
+        base = Model(points, train_file)
+        final, _ = base.having(told.model.members).fit(sizes)
     before, after = hold_out(base, sizes), hold_out(final, sizes)
-    gap = gap_of(before, after, final)
     advance('places')
     locations = locate(base, final, sizes)
-    slip = find_slip(drive)
-    verdict = _verdict(selection, slipping=slip is not None)
-    found = [] if verdict is Verdict.UNEXPLAINED else _found(selection, locations)
+    found = [] if verdict is Verdict.UNEXPLAINED else _found(selection, final, locations)
     if slip is not None:
         found.append(_effect(*slip, (), 'bursts under traction and braking'))
-    davis, davis_std = _davis(selection, train_file)
+    davis, davis_std = _davis(final, sizes)
     added = tuple(Effect(e.name, e.parameters, e.std, provenance) for e in found)
     return Explanation(
         verdict=verdict,
         effects=tuple(found),
-        gap=gap,
+        gap=gap_of(before, after, final),
         remaining=_remaining(selection, verdict),
         train_file=replace(train_file, resistance=davis, effects=(*train_file.effects, *added)),
         davis_std=davis_std,
         locations=locations,
         traces=_traces(final, before, after),
-        noise=_noise(selection),
-        outliers=float(np.mean(drive.outlier)),
-        weighed=all(run.weighed for run in runs),
+        noise=_noise(sizes),
+        outliers=float(np.mean(points.drive.outlier)),
+        weighed=final.weighed,
     )
+
+
+def _points(runs: Sequence[Run], train_file: TrainFile) -> Points:
+    """Return runs with what is believed of effects taken into account."""
+    points = Points(assemble(runs, train_file), train_file)
+    if not train_file.effects:
+        return points
+    return Points(assemble(runs, train_file, points.total(train_file.effects)), train_file)
+
+
+def _some(runs: Sequence[Run]) -> Sequence[Run]:
+    """Return runs spread evenly over all of them: so many tell which effect it is, and all tell its parameters."""
+    places = np.linspace(0, len(runs) - 1, MOST_SEARCHED).round().astype(int)
+    return [runs[i] for i in places.tolist()]
 
 
 def _verdict(selection: Selection, *, slipping: bool) -> Verdict:
@@ -115,9 +132,8 @@ def _verdict(selection: Selection, *, slipping: bool) -> Verdict:
     return Verdict.AMBIGUOUS if any(selection.twins) else Verdict.EXPLAINED
 
 
-def _found(selection: Selection, locations: tuple[Location, ...]) -> list[FoundEffect]:
-    members = selection.final.model.members
-    rows = sorted(zip(members, selection.evidence, selection.twins, strict=True), key=lambda row: -row[1])
+def _found(selection: Selection, model: Model, locations: tuple[Location, ...]) -> list[FoundEffect]:
+    rows = sorted(zip(model.members, selection.evidence, selection.twins, strict=True), key=lambda row: -row[1])
     return [_effect(member, evidence, twins, _where(locations)) for member, evidence, twins in rows]
 
 
@@ -153,17 +169,18 @@ def _where(locations: tuple[Location, ...]) -> str:
     return ', '.join(strong) or 'nowhere in particular'
 
 
-def _davis(selection: Selection, train_file: TrainFile) -> tuple[Davis, tuple[float, float, float]]:
-    """Return a, b, c as found together with the effects; what the train file could not hold is cut off."""
-    state = selection.final
-    mean, covariance = state.model.posterior(state.sizes, state.model.whitener(state.sizes))
-    a, b, c = (np.array([train_file.resistance.a, train_file.resistance.b, train_file.resistance.c]) + mean[DAVIS]).tolist()
+def _davis(model: Model, sizes: Sizes) -> tuple[Davis, tuple[float, float, float]]:
+    """Return a, b, c as found together with the effects; what a train file cannot hold is cut off."""
+    mean, covariance = model.posterior(sizes, model.whitener(sizes))
+    believed = model.train_file.resistance
+    a, b, c = (np.array([believed.a, believed.b, believed.c]) + mean[DAVIS]).tolist()
     std = np.sqrt(np.diag(covariance)[DAVIS]).tolist()
     return Davis(max(a, 0.0), b, max(c, 0.0)), (std[0], std[1], std[2])
 
 
 def _remaining(selection: Selection, verdict: Verdict) -> str:
-    texts = {group.name: group.text for group in generic_groups(selection.final.model.drive)}
+    model = selection.final.model
+    texts = {group.name: group.text for group in generic_groups(model.drive, model.train_file.train.length)}
     strongest = selection.groups[0] if selection.groups else None
     if strongest is None or strongest.evidence < NAMELESS:
         return 'What is left is noise: gusts, errors of the map and of the sensors.'
@@ -187,6 +204,6 @@ def _traces(model: Model, before: HeldOut | None, after: HeldOut | None) -> tupl
     return tuple(traces)
 
 
-def _noise(selection: Selection) -> NoiseSizes:
-    noise, spread = selection.final.sizes.noise, selection.final.sizes.spread
+def _noise(sizes: Sizes) -> NoiseSizes:
+    noise, spread = sizes.noise, sizes.spread
     return NoiseSizes(noise.speed, noise.gust, noise.gust_time, spread.payload, spread.brake, spread.map)
