@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from benchmarks.explain_trial import Outcome
 
 _EDGES: Final = (0.0, 2.0, 5.0, 10.0, 20.0, 50.0, 100.0, 200.0, 500.0, float('inf'))
+_TICKS: Final = (0.5, 1.0, 2.0, 5.0, 10.0)
 
 
 def visibility_plot(outcomes: Sequence[Outcome]) -> Plot:
@@ -36,6 +37,7 @@ def visibility_plot(outcomes: Sequence[Outcome]) -> Plot:
     axes.axvline(_EDGES.index(VISIBLE) - 0.5, color='0.5', linestyle=':')
     axes.set_xticks(range(len(bins)), [f'{low:.0f} .. {high:.0f}' for low, high in pairwise(_EDGES)])
     axes.set_xlabel('rise of the gap over the noise floor, %')
+    axes.set_ylim(0.0, 105.0)
     axes.set_ylabel('of the cases, %')
     axes.legend()
     note = 'Single effects of both generators, 95 % intervals. The targets count what is right of the dotted line.'
@@ -54,6 +56,8 @@ def gap_plot(outcomes: Sequence[Outcome]) -> Plot:
     axes.plot(after, share, label='after')
     axes.axvline(1.1, color='0.5', linestyle=':')
     axes.set_xscale('log')
+    axes.set_xticks(_TICKS, [f'{tick:g}' for tick in _TICKS])
+    axes.minorticks_off()
     axes.set_xlabel('held-out gap / noise floor')
     axes.set_ylabel('of the cases below, %')
     axes.legend()
