@@ -10,6 +10,7 @@ averaged by the sum.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -28,8 +29,11 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 NODE_S: Final = 1.0
+"""Length of a node [s]."""
+MAD_TO_STD: Final = 1.4826
+"""Standard deviation of normal noise over its median absolute deviation."""
+# Outliers: samples to either side that tell the level, how many std off it counts, and the least std [m/s].
 _REACH: Final = 15
-_MAD: Final = 1.4826
 _OUTLIER: Final = 5.0
 _LEAST_SCALE: Final = 0.03
 
@@ -71,6 +75,11 @@ class Drive:
     node_time: Array
     node_count: Array
 
+    @property
+    def direction(self) -> NDArray[np.int_]:
+        """Direction of the run of each sample, +1 while positions rise, shape (n,)."""
+        return np.array([run.direction for run in self.runs])[self.run_of]
+
     def respond(self, resistance: Array) -> Array:
         """Return the change of speed [m/s] at every sample by a resistance [N/kN] on each stage, shapes (n, ...)."""
         kick = -resistance * (self.dt / self.inertia).reshape(-1, *[1] * (resistance.ndim - 1))
@@ -109,7 +118,6 @@ def assemble(runs: Sequence[Run], train_file: TrainFile, extra: Array | None = N
     dt, time = np.concatenate([run.dt for run in runs]), np.concatenate([run.time for run in runs])
     known = np.concatenate([run.traction + run.brake - run.gradient for run in runs])
     measured = np.concatenate([run.speed for run in runs])
-    outlier = np.zeros(measured.size, dtype=bool)
     speed = measured
     # The second time without the outliers that the first one has found.
     for _ in range(2):
@@ -120,18 +128,11 @@ def assemble(runs: Sequence[Run], train_file: TrainFile, extra: Array | None = N
         outlier = find_outliers(gap, starts)
         bridged = _bridge(gap, outlier, run_of)
         speed = np.maximum(measured + (bridged - gap), 0.0)
-    node_starts, node_run = _divide(time, starts, run_of)
-    weight = (~outlier).astype(float)
-    count = np.add.reduceat(weight, node_starts)
-    whole = np.maximum(count, 1.0)
-    node_time = np.where(
-        count > 0.0,
-        np.add.reduceat(weight * time, node_starts) / whole,
-        np.add.reduceat(time, node_starts) / np.diff(np.append(node_starts, time.size)),
-    )
+    node_starts = _divide(time, starts, run_of)
+    node_time, count = _node_times(time, outlier, node_starts)
     return Drive(
         tuple(runs), inertia, run_of, starts, dt, time, _stage_means(speed, starts), gap, outlier, gap - bridged,
-        node_starts, node_run, node_time, count,
+        node_starts, run_of[node_starts], node_time, count,
     )  # fmt: skip
 
 
@@ -141,8 +142,7 @@ def find_outliers(gap: Array, starts: NDArray[np.intp]) -> NDArray[np.bool_]:
     A step that stays, as a late brake makes, is none: the level steps as well.
     """
     edges = np.append(starts, gap.size)
-    parts = [_outliers_of(gap[a:b]) for a, b in zip(edges[:-1], edges[1:], strict=True)]
-    return np.concatenate(parts)
+    return np.concatenate([_outliers_of(gap[a:b]) for a, b in pairwise(edges)])
 
 
 def _outliers_of(gap: Array) -> NDArray[np.bool_]:
@@ -151,7 +151,7 @@ def _outliers_of(gap: Array) -> NDArray[np.bool_]:
     level = np.median(windows, axis=1)
     slope = (np.median(windows[:, reach + 1 :], axis=1) - np.median(windows[:, :reach], axis=1)) / (reach + 1)
     off = windows - level[:, None] - slope[:, None] * np.arange(-reach, reach + 1)
-    scale = _MAD * np.median(np.abs(off), axis=1)
+    scale = MAD_TO_STD * np.median(np.abs(off), axis=1)
     scale = np.minimum(scale, 2.0 * float(np.median(scale)))
     # At both ends of a run the nearest whole window tells the level.
     at = np.arange(gap.size)
@@ -164,6 +164,7 @@ def _outliers_of(gap: Array) -> NDArray[np.bool_]:
 
 
 def _stage_means(speed: Array, starts: NDArray[np.intp]) -> Array:
+    """Return the mean of the speeds before and after each stage [m/s], shape (n,)."""
     means = speed.copy()
     means[1:] = 0.5 * (speed[1:] + speed[:-1])
     means[starts] = speed[starts]
@@ -183,11 +184,22 @@ def _bridge(gap: Array, outlier: NDArray[np.bool_], run_of: NDArray[np.intp]) ->
     return bridged
 
 
-def _divide(time: Array, starts: NDArray[np.intp], run_of: NDArray[np.intp]) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Return first sample and run of each node."""
+def _divide(time: Array, starts: NDArray[np.intp], run_of: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return the first sample of each node, shape (m,)."""
     since = time - time[starts][run_of]
     number = np.floor(since / NODE_S + 1e-9)
     fresh = np.ones(time.size, dtype=bool)
     fresh[1:] = (np.diff(number) != 0.0) | (np.diff(run_of) != 0)
-    node_starts = np.flatnonzero(fresh)
-    return node_starts, run_of[node_starts]
+    return np.flatnonzero(fresh)
+
+
+def _node_times(time: Array, outlier: NDArray[np.bool_], node_starts: NDArray[np.intp]) -> tuple[Array, Array]:
+    """Return the mean time of the samples that count in each node [s], and their number, shapes (m,).
+
+    Where none counts, the time is that of all.
+    """
+    weight = (~outlier).astype(float)
+    count = np.add.reduceat(weight, node_starts)
+    counting = np.add.reduceat(weight * time, node_starts) / np.maximum(count, 1.0)
+    every = np.add.reduceat(time, node_starts) / np.diff(np.append(node_starts, time.size))
+    return np.where(count > 0.0, counting, every), count

@@ -69,7 +69,7 @@ class Grid:
     @classmethod
     def of(cls, drive: Drive) -> Grid:
         """Return the grid of a drive."""
-        runs, counts = np.unique(drive.node_run, return_counts=True)
+        counts = np.unique(drive.node_run, return_counts=True)[1]
         first = np.concatenate([[0], np.cumsum(counts)[:-1]])
         rows = np.arange(counts.max())[:, None]
         inside = rows < counts[None, :]
@@ -78,7 +78,7 @@ class Grid:
         dt = np.zeros(index.shape)
         dt[1:] = np.where(inside[1:], time[1:] - time[:-1], 1.0)
         count = np.append(drive.node_count, 0.0)[index]
-        share = np.where(count > 0.0, _SHARED + (1.0 - _SHARED) / np.maximum(count, 1.0), np.inf)
+        share = np.where(count > 0.0, share_of_mean(count), np.inf)
         force = drive.joined('traction') + drive.joined('brake')
         first_force = np.append(force[drive.node_starts], 0.0)[index]
         change = np.zeros(index.shape)
@@ -88,8 +88,8 @@ class Grid:
     def part(self, runs: slice) -> Grid:
         """Return the grid of some of the runs."""
         longest = int((self.index[:, runs] < self.nodes).sum(axis=0).max())
-        cut = (array[:longest, runs] for array in (self.dt, self.share, self.change))
-        return Grid(self.index[:longest, runs], *cut, self.inertia, self.nodes)
+        dt, share, change = (array[:longest, runs] for array in (self.dt, self.share, self.change))
+        return Grid(self.index[:longest, runs], dt, share, change, self.inertia, self.nodes)
 
     def spread(self, columns: Array) -> Array:
         """Return columns of all nodes, shape (m, C), on the grid, shape (N, R, C)."""
@@ -127,8 +127,14 @@ class Whitener:
 
     def part(self, runs: slice) -> Whitener:
         """Return the filter of some of the runs."""
-        gains = (array[:, runs] for array in (self.gain_v, self.gain_g, self.scale, self.keep, self.reach))
-        return Whitener(*gains, self.log_det[runs])
+        return Whitener(
+            self.gain_v[:, runs],
+            self.gain_g[:, runs],
+            self.scale[:, runs],
+            self.keep[:, runs],
+            self.reach[:, runs],
+            self.log_det[runs],
+        )
 
     def apply(self, columns: Array) -> Array:
         """Return whitened columns, shape (N, R, C) to the same; zero where nothing was measured."""
@@ -145,6 +151,11 @@ class Whitener:
             v = v + gain_v[i] * innovation
             g = g + gain_g[i] * innovation
         return out
+
+
+def share_of_mean(count: Array) -> Array:
+    """Return the variance of means of so many neighbouring speeds in that of one, shapes alike."""
+    return np.asarray(_SHARED + (1.0 - _SHARED) / np.maximum(count, 1.0))
 
 
 def _gains(grid: Grid, noise: Noise) -> tuple[Array, ...]:

@@ -8,9 +8,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+
+from trainid_ros.discrepancy.nodes import MAD_TO_STD
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,7 +26,11 @@ _STOPPING_M: Final = 1.5
 _COMMON: Final = 0.0015
 """Relative error of distances that all runs share: a map is no measuring tape."""
 _MOST: Final = 0.1
+"""A ratio further from one is no wheel's."""
 _NEAR_M: Final = 60.0
+"""How far from a stopping point a train counts as standing at it."""
+_MEDIAN_VARIANCE: Final = 1.6
+"""Variance of the median of normal values over that of their mean (pi / 2, and a little for few values)."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,16 +58,16 @@ class Odometry:
         if len(ratios) < 2:
             return cls(0.0, 0.0)
         excess = float(np.median(ratios))
-        spread = 1.4826 * float(np.median(np.abs(np.array(ratios) - excess)))
+        spread = MAD_TO_STD * float(np.median(np.abs(np.array(ratios) - excess)))
         single = max(spread, _STOPPING_M / float(np.median(weights)))
-        return cls(excess, 1.0 / (single**2 * 1.6 / len(ratios) + _COMMON**2))
+        return cls(excess, 1.0 / (single**2 * _MEDIAN_VARIANCE / len(ratios) + _COMMON**2))
 
 
 def _travelled(drive: Drive) -> list[float]:
     """Return the integrals of speed without outliers, from standstill to standstill [m]."""
     out = []
-    edges = np.append(drive.starts, drive.dt.size)
-    for run, start, end in zip(drive.runs, edges[:-1], edges[1:], strict=True):
+    edges = pairwise(np.append(drive.starts, drive.dt.size).tolist())
+    for run, (start, end) in zip(drive.runs, edges, strict=True):
         middle = 0.5 * (run.speed[1:] + run.speed[:-1])
         out.append(run.travelled + float(np.sum(run.dt[1:] * (drive.speed[start + 1 : end] - middle))))
     return out

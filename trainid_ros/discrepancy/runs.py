@@ -32,7 +32,10 @@ LONGEST_S: Final = 240.0
 """A drive without a stop is cut into runs of this length, so that gusts do not carry errors through all of it."""
 SHORTEST_S: Final = 15.0
 _PARTING: Final = 1e-3
-_PULLING: Final = 1.0  # N/kN; less is noise
+PULLING: Final = 1.0
+"""A traction above this counts as one [N/kN]; less is noise."""
+BRAKING: Final = -1.0
+"""The same of a brake [N/kN]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -142,12 +145,8 @@ class RunCollector:
         mass = sample.mass if math.isfinite(sample.mass) else self.train_file.train.mass
         self._weighed = math.isfinite(sample.mass)
         inertia = specific_inertia(1.0, self.train_file.train.rotary_mass)
-        # While the brake acts, it is known by its command. What is reported is the sum of both: above zero there is
-        # traction still, below there is none.
-        acts = brake < BRAKE_APPLIED
-        braking = inertia * brake if acts else 0.0
-        reported = specific_force(sample.force_mean, mass)
-        traction = reported if not acts else reported - braking if reported > _PULLING else 0.0
+        braking = inertia * brake if brake < BRAKE_APPLIED else 0.0
+        traction = _traction(specific_force(sample.force_mean, mass), braking)
         self._positioned = math.isfinite(sample.position)
         position = sample.position if self._positioned else self._distance
         row = (
@@ -202,3 +201,14 @@ class RunCollector:
         self._since_release = 0.0 if self._brake < BRAKE_APPLIED else self._since_release + sample.dt
         self._heat = heat_after(self._heat, mean, sample.speed, sample.dt)
         return mean
+
+
+def _traction(reported: float, brake: float) -> float:
+    """Return the force beside the brake [N/kN].
+
+    While the brake acts, it is known by its command. What is reported is the sum of both: above zero there is traction
+    still, below there is none.
+    """
+    if not brake:
+        return reported
+    return reported - brake if reported > PULLING else 0.0

@@ -7,51 +7,72 @@ No resistance shows them; they are told from single outliers by lasting, and by 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from trainid_ros.discrepancy.model import Member
+from trainid_ros.discrepancy.runs import PULLING
 
 if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
     from trainid_ros.discrepancy.nodes import Drive
 
 SLIP: Final = 'wheel_slip'
 _LASTING: Final = 3
 _FEWEST: Final = 4
 _AGREEING: Final = 0.8
-_PULLING: Final = 1.0  # N/kN
-# Of bursts by chance half agree with the force; twice the log of the odds of one that does.
 _LEAST_SHARE: Final = 0.004
+"""Share of samples in bursts below which there is no slip to speak of."""
+
+
+@dataclass(frozen=True, slots=True)
+class _Bursts:
+    """Bursts that follow the force: their peaks [m/s], and how many samples they hold."""
+
+    peaks: tuple[float, ...]
+    samples: int
 
 
 def find_slip(drive: Drive) -> tuple[Member, float] | None:
     """Return the slip of a drive and 2 ln of the odds that its bursts follow the force, or None."""
-    force = drive.joined('traction') + drive.joined('brake')
     starts, ends = _bursts(drive)
-    agreeing, peaks, samples = 0, [], 0
-    for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
-        deviation, pull = drive.deviation[start:end], float(np.median(force[start:end]))
-        peak = float(deviation[np.argmax(np.abs(deviation))])
-        if abs(pull) > _PULLING and peak * pull > 0.0:
-            agreeing += 1
-            peaks.append(abs(peak))
-            samples += end - start
-    share = samples / drive.dt.size
-    if agreeing < _FEWEST or agreeing < _AGREEING * len(starts) or share < _LEAST_SHARE:
+    bursts = _agreeing(drive, starts, ends)
+    count, share = len(bursts.peaks), bursts.samples / drive.dt.size
+    if count < _FEWEST or count < _AGREEING * len(starts) or share < _LEAST_SHARE:
         return None
+    # The largest of so many lies below the largest that there can be.
+    largest = max(bursts.peaks) * (count + 1) / count
+    spread = largest / count
+    variances = [(share / math.sqrt(count)) ** 2 + (0.2 * share) ** 2, spread**2 + 0.1**2]
+    return Member(SLIP, {'share': share, 'speed': largest}, np.diag(variances)), _evidence(drive, count)
+
+
+def _evidence(drive: Drive, count: int) -> float:
+    """Return 2 ln of the odds of so many bursts that follow the force against bursts by chance (Poisson)."""
     # Isolated outliers would make so many bursts by chance, half of them with the force.
     single = float(np.mean(drive.outlier))
     chance = max(0.5, 0.5 * drive.dt.size * single**_LASTING)
-    evidence = 2.0 * (agreeing * math.log(agreeing / chance) - agreeing + chance) if agreeing > chance else 0.0
-    largest = max(peaks) * (agreeing + 1) / agreeing
-    spread = largest / agreeing
-    variances = [(share / math.sqrt(agreeing)) ** 2 + (0.2 * share) ** 2, spread**2 + 0.1**2]
-    return Member(SLIP, {'share': share, 'speed': largest}, np.diag(variances)), evidence
+    return 2.0 * (count * math.log(count / chance) - count + chance) if count > chance else 0.0
 
 
-def _bursts(drive: Drive) -> tuple[np.ndarray, np.ndarray]:
-    """Return first and end of all stretches of outliers of one sign that last, run by run."""
+def _agreeing(drive: Drive, starts: NDArray[np.intp], ends: NDArray[np.intp]) -> _Bursts:
+    """Return those bursts in which the wheel is faster under traction, or slower while braking."""
+    force = drive.joined('traction') + drive.joined('brake')
+    peaks, samples = [], 0
+    for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
+        deviation, pull = drive.deviation[start:end], float(np.median(force[start:end]))
+        peak = float(deviation[np.argmax(np.abs(deviation))])
+        if abs(pull) > PULLING and peak * pull > 0.0:
+            peaks.append(abs(peak))
+            samples += end - start
+    return _Bursts(tuple(peaks), samples)
+
+
+def _bursts(drive: Drive) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Return first sample and end of all stretches of outliers of one sign that last, run by run, shapes (k,)."""
     sign = np.where(drive.outlier, np.sign(drive.deviation), 0.0)
     fresh = np.ones(sign.size, dtype=bool)
     fresh[1:] = (sign[1:] != sign[:-1]) | (drive.run_of[1:] != drive.run_of[:-1])
