@@ -8,13 +8,13 @@ model has gained an effect.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from trainid_ros.discrepancy.noise import Grid, Noise, Whitener
-from trainid_ros.discrepancy.nuisances import Spread
+from trainid_ros.discrepancy.nuisances import Spread, prior_factor
 from trainid_ros.discrepancy.regression import Gram, eliminate
 
 if TYPE_CHECKING:
@@ -72,13 +72,9 @@ class Evidence:
         """Return twice the log of likelihood times prior at the logs of all sizes."""
         return -self._value(logs)
 
-    def prior_factor(self, spread: Spread) -> Array:
-        """Return the factor of the prior covariance of common nuisances and map."""
-        q, k = len(self._common), len(self._root)
-        factor = np.zeros((q + k, q + k))
-        factor[np.arange(q), np.arange(q)] = self._common
-        factor[q:, q:] = spread.map * self._root
-        return factor
+    def usual(self, sizes: Sizes) -> Sizes:
+        """Return sizes with the spread of payload, brake and map as it usually is."""
+        return replace(sizes, spread=_sizes(self._median)[1])
 
     def maximise(self, start: Array | None = None) -> tuple[Sizes, Array]:
         """Return the best sizes and their logs, from a start or the prior's median, whichever is better."""
@@ -120,8 +116,8 @@ class Evidence:
             gram = Gram.of(self._columns, self._factors, self._grid, whitener)
             self._gram = (key, gram, float(whitener.log_det.sum()))
         _, gram, log_det = self._gram
-        products, cost = gram.reduced(np.array([spread.payload, spread.brake]))
-        factor = self.prior_factor(spread)
+        products, cost = gram.reduced(spread.of_run)
+        factor = prior_factor(self._common, self._root, spread)
         information = eliminate(products.sum(axis=0), len(factor), factor)
         prior = float(np.sum(np.square((x - self._median) / _WIDTH)))
         return information.yy + log_det + cost + information.log_det + prior

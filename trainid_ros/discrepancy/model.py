@@ -4,17 +4,17 @@
 from __future__ import annotations
 
 import math
+from copy import copy
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.discrepancy.families import usual
 from trainid_ros.discrepancy.hyper import Evidence
 from trainid_ros.discrepancy.noise import Grid, Whitener
-from trainid_ros.discrepancy.nuisances import Bins, common_columns, common_std, run_columns
+from trainid_ros.discrepancy.nuisances import Bins, common_columns, common_std, prior_factor, run_columns
 from trainid_ros.discrepancy.odometry import Odometry
-from trainid_ros.discrepancy.regression import Gram
+from trainid_ros.discrepancy.regression import Gram, posterior
 from trainid_ros.physics.effects import EFFECTS
 
 if TYPE_CHECKING:
@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 WHEEL: Final = 'wheel_diameter'
+"""The effect that distances between stops tell of as well."""
+_RUNS_AT_ONCE: Final = 64
 _MOST_STEPS: Final = 5
 _SETTLED: Final = 0.1
 # Prior of a shape parameter that is refined, about where it was found.
@@ -59,27 +61,32 @@ class Member:
         return dict(zip(self.parameters, deviations, strict=True))
 
 
-@dataclass(frozen=True, slots=True)
-class Fit:
-    """Outcome of a fit: members with covariance, a posterior of all nuisances and their covariance."""
-
-    members: tuple[Member, ...]
-    nuisances: NDArray[np.float64]
-    covariance: NDArray[np.float64]
-
-
 class Model:
-    """Drive, nuisances and members; immutable but for what it computes once."""
+    """Drive, nuisances and members; never changed once made.
+
+    Attributes:
+        points: Stages of the drive.
+        drive: What is explained.
+        train_file: What is believed.
+        members: Effects in it.
+        residual: Measured less predicted speed at the nodes [m/s], shape (m,).
+        nuisance_columns: Responses at the nodes to nuisances that all runs share, first those of
+            :func:`common_columns`, then the members' parameters, then errors of the map, shape (m, q + k).
+        common_std: Prior std of the first q of them, shape (q,).
+        factor_columns: Responses at the nodes to the factors of single runs, shape (m, 2).
+        grid: Where the nodes lie.
+        weighed: True if the mass of all runs is measured.
+        odometry: What distances between stops tell.
+
+    """
 
     def __init__(self, points: Points, train_file: TrainFile, members: tuple[Member, ...] = ()) -> None:
-        self.points, self.drive, self.train_file, self.members = points, points.drive, train_file, members
-        drive = self.drive
-        self.bins = Bins.of(drive, train_file.train.length)
-        self._directions = np.array([run.direction for run in drive.runs])[drive.run_of][:, None]
-        shares = self._directions * self.bins.shares(drive, train_file.train.length)
+        self.points, self.drive, self.train_file = points, points.drive, train_file
+        drive, length = self.drive, train_file.train.length
+        bins = Bins.of(drive, length)
         self._common = drive.column(common_columns(drive))
-        self._map = drive.column(shares)
-        self._map_root = np.linalg.cholesky(self.bins.covariance() + 1e-9 * np.eye(self.bins.count))
+        self._map = drive.column(drive.direction[:, None] * bins.shares(drive, length))
+        self._map_root = np.asarray(np.linalg.cholesky(bins.covariance() + 1e-9 * np.eye(bins.count)))
         self.factor_columns = drive.column(run_columns(drive))
         self.grid = Grid.of(drive)
         self.weighed = all(run.weighed for run in drive.runs)
@@ -89,21 +96,19 @@ class Model:
 
     def having(self, members: tuple[Member, ...]) -> Model:
         """Return the same model with other members."""
-        other = object.__new__(Model)
-        other.__dict__.update(self.__dict__)
+        other = copy(self)
         other._set(members)
         return other
 
     def beside(self, columns: Array, std: float) -> Model:
         """Return the same model with further nuisances that all runs share: columns at the nodes, shape (m, k)."""
-        other = object.__new__(Model)
-        other.__dict__.update(self.__dict__)
-        other.common = np.concatenate([columns, self.common], axis=1)
+        other = copy(self)
         other.common_std = np.concatenate([np.full(columns.shape[1], std), self.common_std])
         other.nuisance_columns = np.concatenate([columns, self.nuisance_columns], axis=1)
         return other
 
     def _set(self, members: tuple[Member, ...]) -> None:
+        """Linearise about the parameters of some members."""
         self.members = members
         derivatives, std = [], []
         total = np.zeros(self.drive.dt.size)
@@ -114,13 +119,12 @@ class Model:
                 derivatives.append(self._derivative(member, name, 0.05 * width))
                 std.append(width)
         self.residual = self._gap - self.drive.column(total)
-        self.member_std = np.array(std)
-        columns = [self._common, *([self.drive.column(np.stack(derivatives, axis=1))] if derivatives else [])]
-        self.common = np.concatenate(columns, axis=1)
-        self.nuisance_columns = np.concatenate([self.common, self._map], axis=1)
-        self.common_std = np.concatenate([common_std(self.train_file, weighed=self.weighed), self.member_std])
+        of_members = [self.drive.column(np.stack(derivatives, axis=1))] if derivatives else []
+        self.nuisance_columns = np.concatenate([self._common, *of_members, self._map], axis=1)
+        self.common_std = np.concatenate([common_std(self.train_file, weighed=self.weighed), std])
 
     def _derivative(self, member: Member, name: str, step: float) -> Array:
+        """Return the derivative of a member's resistance by one of its parameters, shape (n,)."""
         kind = EFFECTS[member.name].parameters[name]
         low = max(member.parameters[name] - step, kind.low)
         high = min(member.parameters[name] + step, kind.high)
@@ -128,11 +132,15 @@ class Model:
         down = self.points.resistance(member.name, {**member.parameters, name: low})
         return np.asarray((up - down) / (high - low))
 
+    @property
+    def columns(self) -> Array:
+        """Residual and nuisances, shape (m, 1 + q + k)."""
+        return np.concatenate([self.residual[:, None], self.nuisance_columns], axis=1)
+
     def evidence(self) -> Evidence:
         """Return the marginal likelihood as a function of the sizes of noise and nuisances."""
-        columns = np.concatenate([self.residual[:, None], self.nuisance_columns], axis=1)
         return Evidence(
-            self.grid, columns, self.factor_columns, self.common_std, self._map_root, weighed=self.weighed
+            self.grid, self.columns, self.factor_columns, self.common_std, self._map_root, weighed=self.weighed
         )
 
     def whitener(self, sizes: Sizes) -> Whitener:
@@ -140,50 +148,55 @@ class Model:
         return Whitener.of(self.grid, sizes.noise)
 
     def prior_factor(self, spread: Spread) -> Array:
-        """Return the factor of the prior covariance of all nuisances."""
-        q, k = len(self.common_std), self.bins.count
-        factor = np.zeros((q + k, q + k))
-        factor[np.arange(q), np.arange(q)] = self.common_std
-        factor[q:, q:] = spread.map * self._map_root
-        return factor
+        """Return the factor of the prior covariance of all nuisances, shape (q + k, q + k)."""
+        return prior_factor(self.common_std, self._map_root, spread)
 
-    def chunks(self, whitener: Whitener, size: int) -> Iterator[tuple[Grid, Whitener]]:
-        """Yield the grid and the filter of some runs at a time."""
-        runs = self.grid.index.shape[1]
-        for first in range(0, runs, size):
-            part = slice(first, first + size)
-            yield self.grid.part(part), whitener.part(part)
+    def products(
+        self, columns: Array, spread: Spread, whitener: Whitener, at_once: int = _RUNS_AT_ONCE
+    ) -> Iterator[Array]:
+        """Yield the products of whitened columns at the nodes by run, without what factors of single runs explain.
 
-    def fit(self, sizes: Sizes) -> tuple[Model, Fit]:
+        Args:
+            columns: Shape (m, C).
+            spread: Sizes of these factors.
+            whitener: Filter.
+            at_once: Runs that are held in memory together, r.
+
+        Yields:
+            Products of the next runs, shape (r, C, C).
+
+        """
+        for first in range(0, len(self.drive.runs), at_once):
+            part = slice(first, first + at_once)
+            gram = Gram.of(columns, self.factor_columns, self.grid.part(part), whitener.part(part))
+            yield gram.reduced(spread.of_run)[0]
+
+    def fit(self, sizes: Sizes) -> Model:
         """Refine the parameters of all members together with the nuisances (Gauss-Newton)."""
         model, whitener = self, self.whitener(sizes)
         for _ in range(_MOST_STEPS):
-            fit, moved = model._step(sizes, whitener)
-            model = model.having(fit.members)
+            members, moved = model._step(sizes, whitener)
+            model = model.having(members)
             if moved < _SETTLED:
                 break
-        fit, _ = model._step(sizes, whitener, stay=True)
-        return model.having(fit.members), fit
+        members, _ = model._step(sizes, whitener, stay=True)
+        return model.having(members)
 
     def posterior(self, sizes: Sizes, whitener: Whitener) -> tuple[Array, Array]:
         """Return mean and covariance of all nuisances, members' parameters among them."""
-        columns = np.concatenate([self.residual[:, None], self.nuisance_columns], axis=1)
-        std = np.array([sizes.spread.payload, sizes.spread.brake])
+        columns = self.columns
         total = np.zeros((columns.shape[1], columns.shape[1]))
-        for grid, part in self.chunks(whitener, 64):
-            products, _ = Gram.of(columns, self.factor_columns, grid, part).reduced(std)
+        for products in self.products(columns, sizes.spread, whitener):
             total += products.sum(axis=0)
         self.add_odometry(total)
-        root = self.prior_factor(sizes.spread)
-        inner = np.eye(len(root)) + root.T @ total[1:, 1:] @ root
-        covariance = root @ np.linalg.solve(inner, root.T)
-        return covariance @ total[1:, 0], covariance
+        return posterior(total, self.prior_factor(sizes.spread))
 
     @property
     def without_members(self) -> NDArray[np.bool_]:
         """Which nuisance columns are no parameters of members, shape (q + k,)."""
         kept = np.ones(self.nuisance_columns.shape[1], dtype=bool)
-        kept[len(self.common_std) - len(self.member_std) : len(self.common_std)] = False
+        for _, here in self._places():
+            kept[here] = False
         return kept
 
     @property
@@ -192,22 +205,32 @@ class Model:
         known = (member.parameters['ratio'] - 1.0 for member in self.members if member.name == WHEEL)
         return self.odometry.excess - sum(known)
 
+    @property
+    def odometry_cost(self) -> float:
+        """Twice the negative log-likelihood of the distances between stops, up to a constant."""
+        return self.odometry.precision * self.odometer_excess**2
+
     def add_odometry(self, products: Array) -> None:
         """Add the distances between stops to products of y and nuisances, as one more measurement of the wheel."""
-        at = 1 + len(self.common_std) - len(self.member_std)
-        for member in self.members:
+        for member, here in self._places():
             if member.name == WHEEL:
+                at = 1 + here.start
                 products[at, at] += self.odometry.precision
                 products[0, at] += self.odometry.precision * self.odometer_excess
                 products[at, 0] = products[0, at]
+
+    def _places(self) -> Iterator[tuple[Member, slice]]:
+        """Yield all members and where their parameters stand among the nuisances."""
+        at = len(self.common_std) - sum(len(member.parameters) for member in self.members)
+        for member in self.members:
+            yield member, slice(at, at + len(member.parameters))
             at += len(member.parameters)
 
-    def _step(self, sizes: Sizes, whitener: Whitener, *, stay: bool = False) -> tuple[Fit, float]:
+    def _step(self, sizes: Sizes, whitener: Whitener, *, stay: bool = False) -> tuple[tuple[Member, ...], float]:
+        """Return members one step on, with covariances, and the largest move in std; or where they are."""
         mean, covariance = self.posterior(sizes, whitener)
-        at = len(self.common_std) - len(self.member_std)
         members, moved = [], 0.0
-        for member in self.members:
-            here = slice(at, at + len(member.parameters))
+        for member, here in self._places():
             move = np.zeros(len(member.parameters)) if stay else mean[here]
             width = self.common_std[here]
             moved = max(moved, float(np.max(np.abs(move) / np.sqrt(np.diag(covariance)[here]))))
@@ -217,8 +240,7 @@ class Model:
                 for (name, value), delta in zip(member.parameters.items(), move.tolist(), strict=True)
             }
             members.append(Member(member.name, _ordered(parameters), covariance[here, here]))
-            at += len(member.parameters)
-        return Fit(tuple(members), mean, covariance), moved
+        return tuple(members), moved
 
 
 def prior_cost(member: Member, drive: Drive) -> float:
@@ -246,7 +268,7 @@ def _width(effect: str, name: str, value: float) -> float:
     """Return the prior std of a parameter about where it was found."""
     kind = EFFECTS[effect]
     if name == kind.amplitude:
-        return 3.0 * usual(kind)
+        return 3.0 * kind.usual
     limits = kind.parameters[name]
     if limits.unit == 'm' and limits.search is None:
         return _METRES
@@ -256,9 +278,10 @@ def _width(effect: str, name: str, value: float) -> float:
 
 
 def _inside(value: float, limits: Parameter) -> float:
-    low, high = limits.search or (limits.low, limits.high)
+    """Return the nearest value that a parameter may have; not far beyond where it was looked for."""
+    low, high = limits.low, limits.high
     if limits.search is not None:
-        low, high = max(limits.low, 0.3 * low), min(limits.high, 3.0 * high)
+        low, high = max(low, 0.3 * limits.search[0]), min(high, 3.0 * limits.search[1])
     return min(max(value, low), high)
 
 
@@ -268,4 +291,3 @@ def _ordered(parameters: dict[str, float]) -> dict[str, float]:
         middle = 0.5 * (parameters['start'] + parameters['end'])
         return {**parameters, 'start': middle - 0.5, 'end': middle + 0.5}
     return parameters
-

@@ -3,24 +3,28 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 from trainid_ros.discrepancy.families import SECTIONS
 from trainid_ros.discrepancy.model import Member, prior_cost
+from trainid_ros.discrepancy.onset import with_onset
 from trainid_ros.discrepancy.screen import Score, Screen
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
+    import numpy as np
     from numpy.typing import NDArray
 
     from trainid_ros.discrepancy.hyper import Sizes
-    from trainid_ros.discrepancy.model import Fit, Model
+    from trainid_ros.discrepancy.model import Model
 
 NAMED: Final = 15.0
 """2 ln of the Bayes factor an effect needs."""
-NAMELESS: Final = 20.0
+NAMED_IN_GAP: Final = 6.0
+"""The same where something without a name is certain otherwise."""
+NAMELESS: Final = 18.0
 """The same of a dependence without a name, for the verdict that no effect fits."""
 LEFT_OVER: Final = 0.15
 """Share of all evidence that may be left after the named effects, since equations of real effects differ a little."""
@@ -28,6 +32,8 @@ TWIN: Final = 6.0
 """Effects this near in evidence to a named one cannot be told from it."""
 MOST: Final = 3
 _RIVALS: Final = 3
+_USUAL_RIVALS: Final = 2
+_PLAIN: Final = 30.0
 _WORTH_A_TRY: Final = 2.5
 _NEAR: Final = 25.0
 _GROUPS: Final = 2
@@ -40,8 +46,7 @@ class State:
 
     model: Model
     sizes: Sizes
-    logs: NDArray
-    fit: Fit | None
+    logs: NDArray[np.float64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,7 +60,6 @@ class Selection:
         twins: Names that cannot be told from each member, nearest first.
         named: Evidence of what else has a name, given all members.
         groups: Evidence of what has no name, given all members.
-        total: 2 ln of the Bayes factor of all members together.
 
     """
 
@@ -65,7 +69,6 @@ class Selection:
     twins: tuple[tuple[str, ...], ...]
     named: tuple[Score, ...]
     groups: tuple[Score, ...]
-    total: float
 
 
 class Search:
@@ -75,47 +78,69 @@ class Search:
         self._advance = advance
         advance('noise')
         sizes, logs = model.evidence().maximise()
-        self.base = State(model, sizes, logs, None)
-        self._base_evidence = model.evidence()
+        self.base = State(model, sizes, logs)
         self.screen = Screen(model)
 
     def run(self) -> Selection:
         """Return the best set of effects found."""
-        state, total = self.base, 0.0
-        named, groups = self.screen.scores(state.model, state.sizes)
-        while len(state.model.members) < MOST:
-            grown = self._add(state, named)
-            if grown is None or not self._holds(grown := self._exchange(grown)):
-                break
+        state = self.base
+        while len(state.model.members) < MOST and (grown := self._add(state, NAMED)) is not None:
             state = grown
-            named, groups = self.screen.scores(state.model, state.sizes)
-        groups = self._weigh_groups(state, groups)
-        evidence, twins = [], []
-        for k in range(len(state.model.members)):
-            own, near = self._standing(state, k)
-            evidence.append(own)
-            twins.append(near)
-        total = self._total(state)
-        return Selection(
-            self.base, state, tuple(evidence), tuple(twins), tuple(named), tuple(groups), total
+        named, groups = self._left(state)
+        if groups[0].evidence > NAMELESS:
+            # Something is there for certain: an effect that accounts for it needs less evidence of its own.
+            grown = self._add(state, NAMED_IN_GAP) if len(state.model.members) < MOST else None
+            if grown is not None and (left := self._left(grown))[1][0].evidence < NAMELESS:
+                state, (named, groups) = grown, left
+        state = self._timed(state)
+        standings = [self._standing(state, k) for k in range(len(state.model.members))]
+        evidence, twins = (tuple(column) for column in zip(*standings, strict=True)) if standings else ((), ())
+        return Selection(self.base, state, evidence, twins, tuple(named), tuple(groups))
+
+    def _timed(self, state: State) -> State:
+        members = state.model.members
+        timed = tuple(with_onset(m, self._without(state, k), state.sizes) for k, m in enumerate(members))
+        return (
+            state
+            if all(a is b for a, b in zip(timed, members, strict=True))
+            else replace(state, model=state.model.having(timed))
         )
 
-    def _add(self, state: State, named: list[Score]) -> State | None:
-        """Add the best effect; None if none has evidence enough.
+    def _left(self, state: State) -> tuple[list[Score], list[Score]]:
+        """Return the evidence of what has a name and of what has none beside a model, best first."""
+        named, groups = self.screen.scores(state.model, state.sizes)
+        return named, self._weigh_groups(state, groups)
+
+    def _add(self, state: State, threshold: float) -> State | None:
+        """Add the best effect; None if none has evidence enough or others lose theirs.
 
         Noise and nuisances that were estimated without an effect have taken part of it for their own, so what comes
         near is judged with sizes that are estimated with it.
         """
-        present = {member.name for member in state.model.members} - set(SECTIONS)
-        rest = [score for score in named if score.name not in present]
-        rivals = [s for s in rest[:_RIVALS] if s.evidence > max(_WORTH_A_TRY, rest[0].evidence - _NEAR)]
-        best, worth = None, self._worth(state) + NAMED
-        for rival in rivals:
+        best, worth = None, self._worth(state) + threshold
+        for rival in self._rivals(state):
             self._advance(rival.name)
             grown = self._grow(state, rival)
             if (found := self._worth(grown)) > worth:
                 best, worth = grown, found
-        return best
+        if best is None or not self._holds(grown := self._exchange(best), threshold):
+            return None
+        return grown
+
+    def _rivals(self, state: State) -> list[Score]:
+        """Return effects worth a closer look: the best with the sizes found, and the best with usual ones.
+
+        Loads and brakes that differ from run to run can take all of an effect that is the same in all of them.
+        """
+        present = {member.name for member in state.model.members} - set(SECTIONS)
+        found: dict[str, Score] = {}
+        sizes = state.model.evidence().usual(state.sizes)
+        for at, least, count in ((state.sizes, _WORTH_A_TRY, _RIVALS), (sizes, _PLAIN, _USUAL_RIVALS)):
+            named = [score for score in self.screen.scores(state.model, at)[0] if score.name not in present]
+            for score in named[:count]:
+                if score.evidence > max(least, named[0].evidence - _NEAR):
+                    found.setdefault(score.name, score)
+        return list(found.values())
 
     def _weigh_groups(self, state: State, groups: list[Score]) -> list[Score]:
         """Judge the best nameless dependences with sizes of noise of their own, as named effects are."""
@@ -135,20 +160,22 @@ class Search:
 
     def _settle(self, model: Model, before: State) -> State:
         """Refine parameters, estimate sizes anew, refine again."""
-        model, _ = model.fit(before.sizes)
+        model = model.fit(before.sizes)
         sizes, logs = model.evidence().maximise(before.logs)
-        model, fit = model.fit(sizes)
-        return State(model, sizes, logs, fit)
+        return State(model.fit(sizes), sizes, logs)
 
     def _worth(self, state: State) -> float:
         """Return 2 ln of the evidence of a model with its members, whose priors are wider than where they were found."""
-        return state.sizes.evidence - sum(prior_cost(member, state.model.drive) for member in state.model.members)
+        costs = sum(prior_cost(member, state.model.drive) for member in state.model.members)
+        return state.sizes.evidence - state.model.odometry_cost - costs
 
     def _gain(self, state: State, k: int) -> float:
         """Return 2 ln of the Bayes factor of member k given the others, at the sizes found with all."""
         member, without = state.model.members[k], self._without(state, k)
-        with_all = state.model.evidence().at(state.logs) - prior_cost(member, state.model.drive)
-        return with_all - without.evidence().at(state.logs)
+        cost = prior_cost(member, state.model.drive) + state.model.odometry_cost
+        return (
+            state.model.evidence().at(state.logs) - cost - (without.evidence().at(state.logs) - without.odometry_cost)
+        )
 
     def _without(self, state: State, k: int) -> Model:
         members = state.model.members
@@ -166,9 +193,9 @@ class Search:
                 state = self._settle(without.having((*without.members, Member(best.name, best.parameters))), state)
         return state
 
-    def _holds(self, state: State) -> bool:
+    def _holds(self, state: State, threshold: float) -> bool:
         """Return True if every member keeps its evidence once sizes and parameters have been estimated with it."""
-        return all(self._gain(state, k) > NAMED for k in range(len(state.model.members)))
+        return all(self._gain(state, k) > threshold for k in range(len(state.model.members)))
 
     def _standing(self, state: State, k: int) -> tuple[float, tuple[str, ...]]:
         """Return the evidence of member k given the others, and which effects come near it."""
@@ -177,8 +204,3 @@ class Search:
         mine = self._gain(state, k)
         near = [score.name for score in named if score.name != name and score.evidence > mine - TWIN]
         return mine, tuple(near)
-
-    def _total(self, state: State) -> float:
-        if not state.model.members:
-            return 0.0
-        return state.sizes.evidence - self.base.sizes.evidence
