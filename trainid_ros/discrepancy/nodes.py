@@ -33,6 +33,7 @@ NODE_S: Final = 1.0
 MAD_TO_STD: Final = 1.4826
 """Standard deviation of normal noise over its median absolute deviation."""
 # Outliers: samples to either side that tell the level, how many std off it counts, and the least std [m/s].
+_AT_ONCE: Final = 16
 _REACH: Final = 15
 _OUTLIER: Final = 5.0
 _LEAST_SCALE: Final = 0.03
@@ -95,7 +96,11 @@ class Drive:
 
     def column(self, resistance: Array) -> Array:
         """Return the response to a resistance at the nodes, shapes (n, ...) to (m, ...)."""
-        return self.average(self.respond(resistance))
+        if resistance.ndim == 1:
+            return self.average(self.respond(resistance))
+        # Some at a time: hours of samples of a hundred columns are gigabytes.
+        parts = [resistance[:, k : k + _AT_ONCE] for k in range(0, resistance.shape[1], _AT_ONCE)]
+        return np.concatenate([self.average(self.respond(part)) for part in parts], axis=1)
 
     def joined(self, name: str) -> Array:
         """Return one field of all runs, shape (n,)."""

@@ -45,8 +45,8 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 _FEWEST_NODES: Final = 40
-MOST_SEARCHED: Final = 48
-"""Of more runs than this, so many are searched for effects."""
+SEARCHED_S: Final = 4000.0
+"""Of longer drives, so much is searched for effects [s]; all of it tells their parameters and the gap."""
 # The equations of real effects differ a little from those of the library, and clocks are read at 5 Hz.
 _EQUATION_SHARE: Final = 0.03
 _CLOCK_S: Final = 0.04
@@ -75,7 +75,8 @@ def explain(
         msg = f'{len(runs)} runs from stop to stop hold too little motion to compare'
         raise NoAnswerError(msg)
     points = _points(runs, train_file)
-    searched = points if len(runs) <= MOST_SEARCHED else _points(_some(runs), train_file)
+    some = _some(runs)
+    searched = points if len(some) == len(runs) else _points(some, train_file)
     selection = Search(Model(searched, train_file), advance).run()
     slip = find_slip(points.drive)
     verdict = _verdict(selection, slipping=slip is not None)
@@ -85,7 +86,7 @@ def explain(
     sizes, base, final = told.sizes, selection.base.model, told.model
     if searched is not points:
         base = Model(points, train_file)
-        final, _ = base.having(told.model.members).fit(sizes)
+        final = base.having(told.model.members).fit(sizes)
     before, after = hold_out(base, sizes), hold_out(final, sizes)
     advance('places')
     locations = locate(base, final, sizes)
@@ -118,8 +119,10 @@ def _points(runs: Sequence[Run], train_file: TrainFile) -> Points:
 
 
 def _some(runs: Sequence[Run]) -> Sequence[Run]:
-    """Return runs spread evenly over all of them: so many tell which effect it is, and all tell its parameters."""
-    places = np.linspace(0, len(runs) - 1, MOST_SEARCHED).round().astype(int)
+    """Return all runs, or so many of them, spread evenly, that they last :data:`SEARCHED_S`."""
+    driven = sum(float(run.time[-1] - run.time[0]) for run in runs)
+    count = math.ceil(len(runs) * min(1.0, SEARCHED_S / driven))
+    places = np.linspace(0, len(runs) - 1, count).round().astype(int)
     return [runs[i] for i in places.tolist()]
 
 
@@ -159,12 +162,15 @@ def _honest(member: Member, name: str, std: float) -> float:
 
 def _where(locations: tuple[Location, ...]) -> str:
     """Return where the gap without effects was most significant, in words."""
-    best = []
-    for location in locations:
-        for place in location.places:
-            if place.std > 0.0 and location.axis != 'run':
-                best.append((abs(place.before) / place.std, f'{location.axis} {place.label}', place.before))
-    best.sort(reverse=True)
+    best = sorted(
+        (
+            (abs(place.before) / place.std, f'{location.axis} {place.label}', place.before)
+            for location in locations
+            for place in location.places
+            if place.std > 0.0 and location.axis != 'run'
+        ),
+        reverse=True,
+    )
     strong = [f'{text} ({value:+.2f} N/kN)' for z, text, value in best[:3] if z > 3.0]
     return ', '.join(strong) or 'nowhere in particular'
 
