@@ -140,7 +140,17 @@ class RunTrace:
 
 @dataclass(frozen=True, slots=True)
 class NoiseSizes:
-    """Sizes of noise and nuisances found: speed noise [m/s], gust [N/kN] and its time [s], payload, brake, map [per mille]."""
+    """Sizes of noise and nuisances found.
+
+    Attributes:
+        speed: Noise of one measured speed [m/s].
+        gust: Standard deviation of gusts [N/kN].
+        gust_time: Their correlation time [s].
+        payload: Relative error of the mass of a run.
+        brake: Relative change of the brake from run to run.
+        map: Error of the map's gradient [per mille].
+
+    """
 
     speed: float
     gust: float

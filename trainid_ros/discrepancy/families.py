@@ -22,12 +22,14 @@ if TYPE_CHECKING:
 
     from trainid_ros.discrepancy.nodes import Drive
     from trainid_ros.discrepancy.points import Points
-    from trainid_ros.physics.effects import EffectKind
+    from trainid_ros.physics.effects import EffectKind, Parameter
 
     Array = NDArray[np.float64]
 
 _SHAPES: Final = 6
+"""Values tried of each shape parameter."""
 _MOST_TIMES: Final = 40
+"""The same of a time."""
 SECTIONS: Final = ('gradient_error', 'local_drag')
 """Families scanned by sums over stretches of the line: all starts and ends at once."""
 
@@ -58,20 +60,19 @@ def named_families(points: Points) -> tuple[Family, ...]:
     for kind in EFFECTS.values():
         if kind.resistance is None or kind.name in SECTIONS:
             continue
-        shapes = tuple(dict(zip(shape_names(kind), values, strict=True)) for values in _grid(kind, points.drive))
+        shapes = _shapes(kind, points.drive)
         columns = [unit_resistance(points, kind, shape) for shape in shapes]
         seen = [i for i, column in enumerate(columns) if np.any(column)]
         if seen:
             resistance = np.stack([columns[i] for i in seen], axis=1)
-            families.append(Family(kind.name, tuple(shapes[i] for i in seen), resistance, usual(kind), sign(kind)))
+            families.append(Family(kind.name, tuple(shapes[i] for i in seen), resistance, kind.usual, sign(kind)))
     return tuple(families)
 
 
 def unit_resistance(points: Points, kind: EffectKind, shape: Mapping[str, float]) -> Array:
     """Return the resistance of an effect of usual size, per unit of its amplitude, shape (n,)."""
-    size = usual(kind)
-    parameters = {**shape, kind.amplitude: kind.neutral + size}
-    return points.resistance(kind.name, parameters) / size
+    parameters = {**shape, kind.amplitude: kind.neutral + kind.usual}
+    return points.resistance(kind.name, parameters) / kind.usual
 
 
 def shape_names(kind: EffectKind) -> tuple[str, ...]:
@@ -79,27 +80,22 @@ def shape_names(kind: EffectKind) -> tuple[str, ...]:
     return tuple(name for name in kind.parameters if name != kind.amplitude)
 
 
-def usual(kind: EffectKind) -> float:
-    """Return the usual size of an amplitude, away from its neutral value."""
-    return kind.usual
-
-
 def sign(kind: EffectKind) -> int:
     """Return which side of its neutral value an amplitude can lie on, 0 for both."""
     limits = kind.parameters[kind.amplitude]
-    if limits.search is not None:
-        low, high = limits.search
-        return int(low >= kind.neutral) - int(high <= kind.neutral)
-    return int(limits.low >= kind.neutral) - int(limits.high <= kind.neutral)
+    low, high = limits.search or (limits.low, limits.high)
+    return int(low >= kind.neutral) - int(high <= kind.neutral)
 
 
-def _grid(kind: EffectKind, drive: Drive) -> list[tuple[float, ...]]:
-    axes = [_axis(kind, name, drive) for name in shape_names(kind)]
-    return list(product(*axes))
+def _shapes(kind: EffectKind, drive: Drive) -> list[dict[str, float]]:
+    """Return all combinations of the values tried of all parameters but the amplitude."""
+    names = shape_names(kind)
+    axes = [_axis(kind.parameters[name], drive) for name in names]
+    return [dict(zip(names, values, strict=True)) for values in product(*axes)]
 
 
-def _axis(kind: EffectKind, name: str, drive: Drive) -> list[float]:
-    limits = kind.parameters[name]
+def _axis(limits: Parameter, drive: Drive) -> list[float]:
+    """Return the values tried of one parameter."""
     if limits.search is None:
         # Times: whenever the train moves.
         moving = drive.time[:: max(1, drive.time.size // _MOST_TIMES)]

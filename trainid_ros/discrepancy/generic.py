@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from trainid_ros.discrepancy.nuisances import Bins
+from trainid_ros.discrepancy.runs import BRAKING, PULLING
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -22,8 +23,8 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 _KNOTS: Final = 5
-_PULLING: Final = 1.0  # N/kN
-_BRAKING: Final = -1.0
+_MOST_RUNS: Final = 60
+"""More runs than this are told by their time."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,9 +46,9 @@ class Group:
 def generic_groups(drive: Drive, length: float) -> tuple[Group, ...]:
     """Return all groups for a drive of a train of some length [m]."""
     v, traction, brake = drive.speed, drive.joined('traction'), drive.joined('brake')
-    pulling, braking = traction > _PULLING, brake < _BRAKING
+    pulling, braking = traction > PULLING, brake < BRAKING
     coasting = ~pulling & ~braking
-    direction = np.array([run.direction for run in drive.runs])[drive.run_of].astype(float)
+    direction = drive.direction.astype(float)[:, None]
     tunnel, radius = drive.joined('tunnel'), drive.joined('radius')
     curvature = np.where(radius > 0.0, 300.0 / np.maximum(radius, 100.0), 0.0)
     since = drive.time - drive.time[drive.starts][drive.run_of]
@@ -56,10 +57,11 @@ def generic_groups(drive: Drive, length: float) -> tuple[Group, ...]:
     relative = v / max(float(v.max()), 1.0)
     heat = drive.joined('heat')
     heat = heat / max(float(heat.max()), 1.0)
-    ones = np.ones_like(v)
-    runs = (drive.run_of[:, None] == np.arange(len(drive.runs))).astype(float)
-    groups = [
-        Group('run', 'the run', runs if runs.shape[1] <= 60 else _hats(drive.time, 60)),
+    powers = np.stack((np.ones_like(v), relative, relative**2), axis=1)
+    heats = np.stack((heat, heat**2, heat * relative), axis=1)
+    modes = np.stack((pulling, braking), axis=1)
+    return (
+        Group('run', 'the run', _runs(drive)),
         Group('place', 'the place', Bins.of(drive, length).shares(drive, length)),
         Group('time', 'the time', _hats(drive.time, 6)),
         Group('start', 'the time since departure', _hats(np.minimum(since, 120.0), 7)),
@@ -69,15 +71,21 @@ def generic_groups(drive: Drive, length: float) -> tuple[Group, ...]:
         Group('traction', 'the tractive force', _hats(np.maximum(traction, 0.0), _KNOTS) * pulling[:, None]),
         Group('brake-speed', 'the speed while braking', _hats(v, _KNOTS) * brake[:, None] / 30.0),
         Group('brake', 'the braking force', _hats(brake, _KNOTS) * braking[:, None]),
-        Group('brake-heat', 'the heat of the brake', np.stack((heat, heat**2, heat * relative), 1) * brake[:, None] / 30),
-        Group('direction', 'the direction', direction[:, None] * np.stack((ones, relative, relative**2), axis=1)),
+        Group('brake-heat', 'the heat of the brake', heats * brake[:, None] / 30.0),
+        Group('direction', 'the direction', direction * powers),
         Group('inertia', 'the acceleration', np.stack((acceleration, np.abs(acceleration)), axis=1) / 50.0),
-        Group('tunnel', 'the tunnel', tunnel[:, None] * np.stack((ones, relative, relative**2), axis=1)),
+        Group('tunnel', 'the tunnel', tunnel[:, None] * powers),
         Group('curve', 'curves', np.stack((curvature, curvature**2, curvature * relative**2), axis=1)),
         Group('gradient', 'the gradient', _gradient(drive)),
-        Group('mode-direction', 'the direction and the driving mode', direction[:, None] * np.stack((pulling, braking), 1)),
-    ]
-    return tuple(groups)
+        Group('mode-direction', 'the direction and the driving mode', direction * modes),
+    )
+
+
+def _runs(drive: Drive) -> Array:
+    """Return a column for each run, or for stretches of time where there are many, shape (n, k)."""
+    if len(drive.runs) > _MOST_RUNS:
+        return _hats(drive.time, _MOST_RUNS)
+    return np.asarray(drive.run_of[:, None] == np.arange(len(drive.runs)), dtype=float)
 
 
 def _gradient(drive: Drive) -> Array:

@@ -14,7 +14,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from trainid_ros.discrepancy.explanation import Gap
-from trainid_ros.discrepancy.regression import Gram
+from trainid_ros.discrepancy.noise import share_of_mean
+from trainid_ros.discrepancy.regression import posterior
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -26,6 +27,7 @@ if TYPE_CHECKING:
 
 _FOLDS: Final = 12
 FEWEST: Final = 2
+"""Runs that are needed to hold one out."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,29 +43,28 @@ def hold_out(model: Model, sizes: Sizes) -> HeldOut | None:
     runs = len(model.drive.runs)
     if runs < FEWEST:
         return None
-    whitener = model.whitener(sizes)
-    columns = np.concatenate([model.residual[:, None], model.nuisance_columns], axis=1)
-    std = np.array([sizes.spread.payload, sizes.spread.brake])
-    parts = [Gram.of(columns, model.factor_columns, g, w).reduced(std)[0] for g, w in model.chunks(whitener, 64)]
-    products = np.concatenate(parts)
+    products = np.concatenate(list(model.products(model.columns, sizes.spread, model.whitener(sizes))))
     total = products.sum(axis=0)
     root = model.prior_factor(sizes.spread)
     gap, deviation = np.zeros(model.residual.size), np.zeros(model.residual.size)
     for fold in np.array_split(np.arange(runs), min(runs, _FOLDS)):
         seen = total - products[fold].sum(axis=0)
         model.add_odometry(seen)
-        inner = np.eye(len(root)) + root.T @ seen[1:, 1:] @ root
-        covariance = root @ np.linalg.solve(inner, root.T)
-        mean = covariance @ seen[1:, 0]
+        mean, covariance = posterior(seen, root)
         for run in fold.tolist():
             at = model.drive.node_run == run
-            X = model.nuisance_columns[at]
-            expected = _noise(model, sizes, at) + X @ covariance @ X.T
-            known = (model.drive.node_count[at] > 0.0).astype(float)
-            centre = np.eye(known.size) - known[None, :] / max(known.sum(), 1.0)
-            gap[at] = centre @ (model.residual[at] - X @ mean)
-            deviation[at] = np.sqrt(np.maximum(np.einsum('ij,jk,ik->i', centre, expected, centre), 0.0))
+            gap[at], deviation[at] = _gap(model, sizes, at, mean, covariance)
     return HeldOut(gap, deviation)
+
+
+def _gap(model: Model, sizes: Sizes, at: NDArray[np.bool_], mean: Array, covariance: Array) -> tuple[Array, Array]:
+    """Return the gap of one run with nuisances as estimated, less its own mean, and its std [m/s], shapes (m,)."""
+    columns = model.nuisance_columns[at]
+    expected = _noise(model, sizes, at) + columns @ covariance @ columns.T
+    known = (model.drive.node_count[at] > 0.0).astype(float)
+    centre = np.eye(known.size) - known[None, :] / max(known.sum(), 1.0)
+    variance = np.einsum('ij,jk,ik->i', centre, expected, centre)
+    return centre @ (model.residual[at] - columns @ mean), np.sqrt(np.maximum(variance, 0.0))
 
 
 def gap_of(before: HeldOut | None, after: HeldOut | None, model: Model) -> Gap | None:
@@ -82,9 +83,8 @@ def _noise(model: Model, sizes: Sizes, at: NDArray[np.bool_]) -> Array:
     lesser = np.minimum(t[:, None], t[None, :])
     decay = np.exp(-t / tau)
     gust = 2.0 * lesser / tau - 1.0 + decay[:, None] + decay[None, :] - np.exp(-np.abs(t[:, None] - t[None, :]) / tau)
-    factors = model.factor_columns[at] * np.array([spread.payload, spread.brake])
-    count = np.maximum(model.drive.node_count[at], 1.0)
-    white = noise.speed**2 * (0.1 + 0.9 / count)
+    factors = model.factor_columns[at] * spread.of_run
+    white = noise.speed**2 * share_of_mean(model.drive.node_count[at])
     scale = (noise.gust * tau / model.drive.inertia) ** 2
     return np.asarray(scale * gust + factors @ factors.T + np.diag(white))
 

@@ -11,11 +11,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from trainid_ros.discrepancy.explanation import Location, Place
+from trainid_ros.discrepancy.runs import BRAKING, PULLING
 from trainid_ros.discrepancy.screen import reduced_information
 
 if TYPE_CHECKING:
@@ -30,13 +32,14 @@ if TYPE_CHECKING:
 PRIOR: Final = 3.0
 """Prior std of the missing resistance in one part [N/kN]: what no data tell stays near zero and says so."""
 RELEASED_S: Final = 10.0
-_PULLING: Final = 1.0
-_BRAKING: Final = -1.0
+"""So long after the brake was released the train counts as just released [s]."""
 _PLACES: Final = 40
 
 
 @dataclass(frozen=True, slots=True)
 class _Axis:
+    """One axis: labels and edges of its k parts, and which samples lie in each, shape (n, k)."""
+
     name: str
     unit: str
     labels: tuple[str, ...]
@@ -55,7 +58,7 @@ def locate(before: Model, after: Model, sizes: Sizes) -> tuple[Location, ...]:
         share = (axis.inside * weight[:, None]).sum(axis=0)
         (first, std), (second, _) = (_beside_mean(*estimate[k], share / share.sum()) for estimate in estimates)
         rows = zip(axis.labels, axis.edges, first.tolist(), second.tolist(), std.tolist(), share.tolist(), strict=True)
-        places = tuple(Place(label, *edges, a, b, s, part) for label, edges, a, b, s, part in rows)
+        places = tuple(Place(label, low, high, a, b, s, part) for label, (low, high), a, b, s, part in rows)
         locations.append(Location(axis.name, axis.unit, places))
     return tuple(locations)
 
@@ -63,13 +66,12 @@ def locate(before: Model, after: Model, sizes: Sizes) -> tuple[Location, ...]:
 def _estimate(model: Model, sizes: Sizes, columns: list[Array]) -> list[tuple[Array, Array]]:
     """Return means and covariances of the parts of each axis; axes are judged one by one."""
     information = reduced_information(model, sizes, np.concatenate(columns, axis=1), members=False)
-    edges = np.cumsum([0, *(c.shape[1] for c in columns)]).tolist()
-    out = []
-    for low, high in zip(edges[:-1], edges[1:], strict=True):
+    estimates: list[tuple[Array, Array]] = []
+    for low, high in pairwise(np.cumsum([0, *(c.shape[1] for c in columns)]).tolist()):
         A, b = information.A[low:high, low:high], information.b[low:high]
-        covariance = np.linalg.inv(A + np.eye(high - low) / PRIOR**2)
-        out.append((covariance @ b, covariance))
-    return out
+        covariance = np.asarray(np.linalg.inv(A + np.eye(high - low) / PRIOR**2))
+        estimates.append((covariance @ b, covariance))
+    return estimates
 
 
 def _beside_mean(value: Array, covariance: Array, share: Array) -> tuple[Array, Array]:
@@ -82,28 +84,29 @@ def _beside_mean(value: Array, covariance: Array, share: Array) -> tuple[Array, 
 def _axes(drive: Drive) -> list[_Axis]:
     v, traction, brake = drive.speed, drive.joined('traction'), drive.joined('brake')
     position, heat, release = drive.joined('position'), drive.joined('heat'), drive.joined('since_release')
-    direction = np.array([run.direction for run in drive.runs])[drive.run_of]
-    braking, pulling = brake < _BRAKING, traction > _PULLING
+    rising, inside, curved = drive.direction > 0, drive.joined('tunnel') >= 0.5, drive.joined('radius') > 0.0
+    braking, pulling = brake < BRAKING, traction > PULLING
     released = ~braking & (release < RELEASED_S)
-    modes = np.stack((pulling & ~released, ~pulling & ~braking & ~released, braking, released), axis=1)
-    runs = drive.run_of[:, None] == np.arange(len(drive.runs))
+    modes = (pulling & ~released, ~pulling & ~braking & ~released, braking, released)
+    runs = tuple(drive.run_of == k for k in range(len(drive.runs)))
     ways = [('position', np.ones(v.size, dtype=bool))]
-    if direction.min() < direction.max():
-        ways = [('position, rising', direction > 0), ('position, falling', direction < 0)]
+    if rising.any() and not rising.all():
+        ways = [('position, rising', rising), ('position, falling', ~rising)]
     axes = [
         *(_cut(name, 'm', np.where(way, position, np.nan), _PLACES) for name, way in ways),
         _cut('speed', 'm/s', v, 8),
         _kinds('mode', ('traction', 'coasting', 'braking', 'just released'), modes),
-        _kinds('direction', ('rising', 'falling'), np.stack((direction > 0, direction < 0), axis=1)),
-        _kinds('tunnel', ('open air', 'tunnel'), np.stack((drive.joined('tunnel') < 0.5, drive.joined('tunnel') >= 0.5), 1)),
-        _kinds('curve', ('straight', 'curve'), np.stack((drive.joined('radius') <= 0.0, drive.joined('radius') > 0.0), 1)),
+        _kinds('direction', ('rising', 'falling'), (rising, ~rising)),
+        _kinds('tunnel', ('open air', 'tunnel'), (~inside, inside)),
+        _kinds('curve', ('straight', 'curve'), (~curved, curved)),
         _cut('heat of the brake', 'J/kg', np.where(braking, heat, np.nan), 6),
-        _kinds('run', tuple(str(k + 1) for k in range(runs.shape[1])), runs),
+        _kinds('run', tuple(str(k + 1) for k in range(len(runs))), runs),
     ]
     return [axis for axis in axes if len(axis.labels) > 1]
 
 
 def _cut(name: str, unit: str, x: Array, count: int) -> _Axis:
+    """Return an axis cut into so many parts of equal length, without those never seen; x is NaN outside."""
     known = x[np.isfinite(x)]
     if known.size == 0 or known.max() <= known.min():
         return _Axis(name, unit, (), (), np.zeros((x.size, 0), dtype=bool))
@@ -116,7 +119,9 @@ def _cut(name: str, unit: str, x: Array, count: int) -> _Axis:
     return _Axis(name, unit, labels, edges, inside[:, seen])
 
 
-def _kinds(name: str, labels: tuple[str, ...], inside: NDArray[np.bool_]) -> _Axis:
+def _kinds(name: str, labels: tuple[str, ...], kinds: tuple[NDArray[np.bool_], ...]) -> _Axis:
+    """Return an axis of kinds, without those never seen."""
+    inside = np.stack(kinds, axis=1)
     seen = np.flatnonzero(inside.any(axis=0)).tolist()
     edges = ((math.nan, math.nan),) * len(seen)
     return _Axis(name, '', tuple(labels[i] for i in seen), edges, inside[:, seen])

@@ -25,7 +25,7 @@ _MOST_BINS: Final = 100
 _LEAST_BIN_M: Final = 100.0
 # Stretches are looked for on a finer scale than errors of the map, which are smooth.
 _FINER: Final = 2.0
-MAP_LENGTH_M: Final = 200.0
+_MAP_LENGTH_M: Final = 200.0
 """Correlation length of map errors [m]."""
 _DAVIS_SHARE: Final = 0.4
 _DAVIS_FLOOR: Final = np.array([0.15, 0.01, 0.0004])
@@ -37,6 +37,7 @@ _MAP_SHIFT_M: Final = 15.0
 _MASS_WEIGHED: Final = 0.003
 _MASS_UNWEIGHED: Final = 0.015
 DAVIS: Final = slice(0, 3)
+"""Where a, b, c stand among the nuisances."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,6 +54,11 @@ class Spread:
     payload: float
     brake: float
     map: float
+
+    @property
+    def of_run(self) -> Array:
+        """Prior std of the factors of single runs, payload and brake; see :func:`run_columns`."""
+        return np.array([self.payload, self.brake])
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,12 +87,12 @@ class Bins:
     @property
     def edges(self) -> Array:
         """Where they begin and end [m], shape (count + 1,)."""
-        return self.low + self.width * np.arange(self.count + 1)
+        return np.asarray(self.low + self.width * np.arange(self.count + 1))
 
     def shares(self, drive: Drive, length: float) -> Array:
         """Return how much of the train is on each bin, shape (n, count)."""
-        front, direction = drive.joined('position'), np.array([run.direction for run in drive.runs])[drive.run_of]
-        rear = front - direction * length
+        front = drive.joined('position')
+        rear = front - drive.direction * length
         low, high = np.minimum(front, rear)[:, None], np.maximum(front, rear)[:, None]
         edges = self.edges
         inside = np.minimum(high, edges[None, 1:]) - np.maximum(low, edges[None, :-1])
@@ -95,7 +101,7 @@ class Bins:
     def covariance(self) -> Array:
         """Return the correlation of map errors of bins, shape (count, count)."""
         middle = self.edges[:-1]
-        return np.exp(-np.abs(middle[:, None] - middle[None, :]) / MAP_LENGTH_M)
+        return np.asarray(np.exp(-np.abs(middle[:, None] - middle[None, :]) / _MAP_LENGTH_M))
 
 
 def common_columns(drive: Drive) -> Array:
@@ -117,6 +123,22 @@ def common_std(train_file: TrainFile, *, weighed: bool) -> Array:
     mass = _MASS_WEIGHED if weighed else _MASS_UNWEIGHED
     others = (_TRACTION_SKEW_S, _BRAKE_SKEW_S, _MAP_SHIFT_M, _TRACTION_GAIN, _BRAKE_GAIN, mass)
     return np.concatenate([_DAVIS_SHARE * believed + _DAVIS_FLOOR, others])
+
+
+def prior_factor(common: Array, map_root: Array, spread: Spread) -> Array:
+    """Return L with L L' the prior covariance of nuisances that all runs share and errors of the map.
+
+    Args:
+        common: Prior std of the former, shape (q,).
+        map_root: Factor of the correlation of the latter, shape (k, k).
+        spread: Sizes.
+
+    """
+    q, k = len(common), len(map_root)
+    factor = np.zeros((q + k, q + k))
+    factor[np.arange(q), np.arange(q)] = common
+    factor[q:, q:] = spread.map * map_root
+    return factor
 
 
 def run_columns(drive: Drive) -> Array:

@@ -22,8 +22,8 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-
 _MOST_KNOWN: Final = 400
+"""So many resistances are kept; memory is bounded."""
 
 
 class Points:
@@ -34,8 +34,9 @@ class Points:
         self._known: dict[tuple[str, tuple[tuple[str, float], ...]], Array] = {}
         length = train_file.train.length
         self._points: list[TrackPoint] = []
-        for run, start in zip(drive.runs, drive.starts, strict=True):
-            self._points += _points_of(run, drive.speed[start : start + run.time.size], length, drive.inertia, self.davis)
+        for run, start in zip(drive.runs, drive.starts.tolist(), strict=True):
+            speed = drive.speed[start : start + run.time.size]
+            self._points += _points_of(run, speed, length, drive.inertia, self.davis)
 
     def resistance(self, name: str, parameters: Mapping[str, float]) -> Array:
         """Return the resistance of an effect on each stage [N/kN], shape (n,)."""
@@ -62,6 +63,7 @@ class Points:
 
 
 def _points_of(run: Run, speed: Array, length: float, inertia: float, resistance: Davis) -> list[TrackPoint]:
+    """Return the middles of all stages of a run; ``speed`` [m/s] is the mean over each, shape (n,)."""
     middle = run.time - 0.5 * run.dt
     place = run.position - 0.5 * run.direction * run.dt * speed
     # Implied by the force: measured acceleration would carry the noise of the speed into both sides of a regression.
@@ -76,9 +78,23 @@ def _points_of(run: Run, speed: Array, length: float, inertia: float, resistance
     )  # fmt: skip
     return [
         TrackPoint(
-            t, s, run.direction, v, radius, tunnel > 0.5, length, distance, release, pull, push, heat, a,
-            brake(t), traction(t), ahead(way),
-        )  # fmt: skip
+            time_s=t,
+            position=s,
+            direction=run.direction,
+            speed=v,
+            curve_radius=radius,
+            tunnel=tunnel > 0.5,
+            length=length,
+            distance_run=distance,
+            since_release=release,
+            traction=pull,
+            brake=push,
+            heat=heat,
+            acceleration=a,
+            brake_before=brake(t),
+            traction_before=traction(t),
+            gradient_ahead=ahead(way),
+        )
         for t, s, v, radius, tunnel, distance, release, pull, push, heat, a, way in rows
     ]
 
@@ -90,6 +106,7 @@ def _before(time: Array, value: Array) -> Callable[[float], Callable[[float], fl
 
 
 def _ahead(travelled: Array, value: Array) -> Callable[[float], Callable[[float], float]]:
+    """Return a function that gives, for a place by the way travelled, the value so many metres ahead of it."""
     at = _Line(travelled, value)
     return lambda way: lambda metres: at(way + metres)
 
@@ -98,7 +115,8 @@ class _Line:
     """Linear interpolation at one place at a time, held at both ends; numpy's is made for many."""
 
     def __init__(self, x: Array, y: Array) -> None:
-        self._x, self._y = x.tolist(), y.tolist()
+        self._x: list[float] = x.tolist()
+        self._y: list[float] = y.tolist()
 
     def __call__(self, x: float) -> float:
         right = bisect_right(self._x, x)

@@ -5,7 +5,10 @@ With unit noise, columns C, nuisances N with prior covariance K and measurements
 
     A = C'C - C'N (N'N + K^-1)^-1 N'C,      b = C'y - C'N (N'N + K^-1)^-1 N'y,
 
-and an effect with column c and prior std s of its size has the Bayes factor ``2 ln B = b^2 / (A + s^-2) - ln(1 + s^2 A)``.
+and an effect with column c and prior std s of its size has the Bayes factor
+
+    2 ln B = b^2 / (A + s^-2) - ln(1 + s^2 A).
+
 Factors of single runs (payload, brake) are eliminated run by run before anything is summed.
 """
 
@@ -66,7 +69,15 @@ class Gram:
 
 @dataclass(frozen=True, slots=True)
 class Information:
-    """What the data tell of columns after all nuisances: A, b, and y'y; see the module."""
+    """What the data tell of k columns after all nuisances; see the module.
+
+    Attributes:
+        A: Products of the columns, shape (k, k).
+        b: Products of the columns with y, shape (k,).
+        yy: Product of y with itself.
+        log_det: Log determinant that the nuisances cost.
+
+    """
 
     A: Array
     b: Array
@@ -87,7 +98,7 @@ class Information:
             self.A - left.T @ solved,
             self.b - left.T @ at,
             self.yy - float(right @ at),
-            self.log_det + 2.0 * float(np.log(np.diag(factor[0])).sum()),
+            self.log_det + _log_det(factor),
         )
 
 
@@ -101,16 +112,28 @@ def eliminate(products: Array, nuisances: int, prior_factor: Array) -> Informati
 
     """
     n = nuisances
-    NN = products[1 : 1 + n, 1 : 1 + n]
+    own = products[1 : 1 + n, 1 : 1 + n]
     rest = np.concatenate([products[1 : 1 + n, :1], products[1 : 1 + n, 1 + n :]], axis=1)
-    inner = np.eye(n) + prior_factor.T @ NN @ prior_factor
+    inner = np.eye(n) + prior_factor.T @ own @ prior_factor
     factor = cho_factor(inner, lower=True)
     scaled = prior_factor.T @ rest
     left = scaled.T @ cho_solve(factor, scaled)
     keep = np.concatenate([[0], np.arange(1 + n, products.shape[0])])
     after = products[np.ix_(keep, keep)] - left
-    log_det = 2.0 * float(np.log(np.diag(factor[0])).sum())
-    return Information(after[1:, 1:], after[1:, 0], float(after[0, 0]), log_det)
+    return Information(after[1:, 1:], after[1:, 0], float(after[0, 0]), _log_det(factor))
+
+
+def posterior(products: Array, prior_factor: Array) -> tuple[Array, Array]:
+    """Return mean and covariance of all columns but y, which is column 0, shapes (n,) and (n, n).
+
+    Args:
+        products: Products of y and the columns, shape (1 + n, 1 + n).
+        prior_factor: L with L L' the prior covariance of the columns, shape (n, n).
+
+    """
+    inner = np.eye(len(prior_factor)) + prior_factor.T @ products[1:, 1:] @ prior_factor
+    covariance = prior_factor @ np.linalg.solve(inner, prior_factor.T)
+    return covariance @ products[1:, 0], covariance
 
 
 def log_bayes(A: Array, b: Array, std: Array | float, sign: int = 0) -> Array:
@@ -129,3 +152,8 @@ def group_log_bayes(A: Array, b: Array, std: float) -> float:
     inner = np.eye(len(b)) + std * std * A
     _, log_det = np.linalg.slogdet(inner)
     return float(std * std * b @ np.linalg.solve(inner, b) - log_det)
+
+
+def _log_det(factor: tuple[Array, bool]) -> float:
+    """Return the log determinant of a matrix by its Cholesky factor."""
+    return 2.0 * float(np.log(np.diag(factor[0])).sum())

@@ -8,16 +8,17 @@ twice the log Bayes factor against nothing more being there.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from scipy.special import logsumexp
 
-from trainid_ros.discrepancy.families import SECTIONS, named_families, sign, usual
+from trainid_ros.discrepancy.families import SECTIONS, named_families, sign
 from trainid_ros.discrepancy.generic import generic_groups
 from trainid_ros.discrepancy.model import WHEEL
 from trainid_ros.discrepancy.nuisances import Bins
-from trainid_ros.discrepancy.regression import Gram, eliminate, group_log_bayes, log_bayes
+from trainid_ros.discrepancy.regression import eliminate, group_log_bayes, log_bayes
 from trainid_ros.physics.effects import EFFECTS
 
 if TYPE_CHECKING:
@@ -34,10 +35,13 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 _GROUP_STD: Final = (0.1, 0.3, 1.0)
+"""Prior std of the sizes of a group [N/kN]; the evidence is averaged over them."""
 _SHARES: Final = (0.3, 1.0)
+"""The same of an amplitude, in its usual size."""
+# Lengths of stretches that are tried.
 _SHORTEST_M: Final = 60.0
 _LONGEST_M: Final = 2500.0
-_CHUNK: Final = 16
+_RUNS_AT_ONCE: Final = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -65,72 +69,34 @@ class Screen:
         self._groups: tuple[Group, ...] = generic_groups(drive, length)
         self._bins = Bins.of(drive, length, fine=True)
         shares = self._bins.shares(drive, length)
-        directions = np.array([run.direction for run in drive.runs])[drive.run_of][:, None]
+        # In the order of SECTIONS: an error of the map changes its sign with the direction, a drag does not.
+        sections = (drive.direction[:, None] * shares, shares)
         resistances = [*(f.resistance for f in self._families), *(g.resistance for g in self._groups)]
-        blocks = [drive.column(r) for r in (*resistances, directions * shares, shares)]
-        self._edges = np.cumsum([0, *(block.shape[1] for block in blocks)])
+        blocks = [drive.column(r) for r in (*resistances, *sections)]
+        self._parts = [slice(*edges) for edges in pairwise(np.cumsum([0, *(b.shape[1] for b in blocks)]).tolist())]
         self._columns = np.concatenate(blocks, axis=1)
 
     def scores(self, model: Model, sizes: Sizes) -> tuple[list[Score], list[Score]]:
         """Return the evidence of all named effects and of all groups beside the model, best first."""
         information = reduced_information(model, sizes, self._columns)
+        blocks = iter([(information.A[part, part], information.b[part]) for part in self._parts])
         named, groups = [], []
-        for k, family in enumerate(self._families):
-            part = slice(int(self._edges[k]), int(self._edges[k + 1]))
-            A, b = np.diag(information.A)[part], information.b[part]
+        for family in self._families:
+            A, b = next(blocks)
             if family.name == WHEEL:
                 A, b = A + model.odometry.precision, b + model.odometry.precision * model.odometer_excess
-            named.append(self._family(family, A, b))
-        for k, group in enumerate(self._groups, len(self._families)):
-            part = slice(int(self._edges[k]), int(self._edges[k + 1]))
-            A, b = information.A[part, part], information.b[part]
+            named.append(_family(family, np.diag(A), b))
+        for group in self._groups:
+            A, b = next(blocks)
             values = [group_log_bayes(A, b, std) for std in _GROUP_STD]
             groups.append(Score(group.name, _mean_evidence(np.array(values)), {}))
-        first = len(self._families) + len(self._groups)
-        for k, name in enumerate(SECTIONS, first):
-            part = slice(int(self._edges[k]), int(self._edges[k + 1]))
-            named.append(self._section(name, information.A[part, part], information.b[part]))
+        named += [_section(name, self._bins, *next(blocks)) for name in SECTIONS]
         return sorted(named, key=_strongest), sorted(groups, key=_strongest)
 
     def group_columns(self, name: str) -> Array:
         """Return the columns of a group at the nodes, shape (m, k)."""
-        k = len(self._families) + next(i for i, group in enumerate(self._groups) if group.name == name)
-        return self._columns[:, int(self._edges[k]) : int(self._edges[k + 1])]
-
-    def _family(self, family: Family, A: Array, b: Array) -> Score:
-        values = [log_bayes(A, b, share * family.std, family.sign) for share in _SHARES]
-        best = int(np.argmax(values[-1]))
-        kind = EFFECTS[family.name]
-        size = b[best] / (A[best] + family.std**-2)
-        parameters = {**family.shapes[best], kind.amplitude: kind.neutral + float(size)}
-        return Score(family.name, _mean_evidence(np.array(values)), parameters)
-
-    def _section(self, name: str, A: Array, b: Array) -> Score:
-        """Evidence of a constant resistance over a stretch, over all stretches of bins (sums of blocks of A)."""
-        kind, width = EFFECTS[name], self._bins.width
-        n = self._bins.count
-        P = np.zeros((n + 1, n + 1))
-        P[1:, 1:] = A.cumsum(axis=0).cumsum(axis=1)
-        sums = np.concatenate([[0.0], np.cumsum(b)])
-        i, j = np.triu_indices(n + 1, 1)
-        length = (j - i) * width
-        usable = (length >= _SHORTEST_M) & (length <= max(_LONGEST_M, 2.0 * width))
-        i, j = i[usable], j[usable]
-        block = np.maximum(P[j, j] - P[i, j] - P[j, i] + P[i, i], 1e-9)
-        along = sums[j] - sums[i]
-        std = usual(kind)
-        values = np.stack([log_bayes(block, along, share * std, sign(kind)) for share in _SHARES])
-        # Lengths are as likely on a log scale.
-        weight = 1.0 / (j - i)
-        best = int(np.argmax(values[-1]))
-        size = along[best] / (block[best] + std**-2)
-        edges = self._bins.edges
-        parameters = {
-            'start': float(edges[i[best]]),
-            'end': float(edges[j[best]]),
-            kind.amplitude: kind.neutral + float(size),
-        }
-        return Score(name, _mean_evidence(values, weight / weight.sum()), parameters)
+        k = next(i for i, group in enumerate(self._groups) if group.name == name)
+        return self._columns[:, self._parts[len(self._families) + k]]
 
 
 def reduced_information(model: Model, sizes: Sizes, candidates: Array, *, members: bool = True) -> Information:
@@ -143,12 +109,53 @@ def reduced_information(model: Model, sizes: Sizes, candidates: Array, *, member
         kept = model.without_members
         nuisances, root = nuisances[:, kept], root[np.ix_(kept, kept)]
     columns = np.concatenate([model.residual[:, None], nuisances, candidates], axis=1)
-    std = np.array([sizes.spread.payload, sizes.spread.brake])
     total = np.zeros((columns.shape[1], columns.shape[1]))
-    for grid, part in model.chunks(model.whitener(sizes), _CHUNK):
-        products, _ = Gram.of(columns, model.factor_columns, grid, part).reduced(std)
+    for products in model.products(columns, sizes.spread, model.whitener(sizes), _RUNS_AT_ONCE):
         total += products.sum(axis=0)
     return eliminate(total, nuisances.shape[1], root)
+
+
+def stretch_sums(A: Array, b: Array, first: NDArray[np.intp], end: NDArray[np.intp]) -> tuple[Array, Array]:
+    """Return A and b of the sums of columns ``first`` to before ``end``, shapes (k, k) and (k,) to (s,) each."""
+    n = len(b)
+    corner = np.zeros((n + 1, n + 1))
+    corner[1:, 1:] = A.cumsum(axis=0).cumsum(axis=1)
+    sums = np.concatenate([[0.0], np.cumsum(b)])
+    block = corner[end, end] - corner[first, end] - corner[end, first] + corner[first, first]
+    return block, sums[end] - sums[first]
+
+
+def _family(family: Family, A: Array, b: Array) -> Score:
+    """Return the evidence of an effect averaged over its shapes; A is the diagonal."""
+    values = [log_bayes(A, b, share * family.std, family.sign) for share in _SHARES]
+    best = int(np.argmax(values[-1]))
+    kind = EFFECTS[family.name]
+    size = b[best] / (A[best] + family.std**-2)
+    parameters = {**family.shapes[best], kind.amplitude: kind.neutral + float(size)}
+    return Score(family.name, _mean_evidence(np.array(values)), parameters)
+
+
+def _section(name: str, bins: Bins, A: Array, b: Array) -> Score:
+    """Return the evidence of a constant resistance over a stretch, averaged over all stretches of bins."""
+    kind = EFFECTS[name]
+    i, j = np.triu_indices(bins.count + 1, 1)
+    length = (j - i) * bins.width
+    usable = (length >= _SHORTEST_M) & (length <= max(_LONGEST_M, 2.0 * bins.width))
+    i, j = i[usable], j[usable]
+    block, along = stretch_sums(A, b, i, j)
+    block = np.maximum(block, 1e-9)
+    values = np.stack([log_bayes(block, along, share * kind.usual, sign(kind)) for share in _SHARES])
+    # Lengths are as likely on a log scale.
+    weight = 1.0 / (j - i)
+    best = int(np.argmax(values[-1]))
+    size = along[best] / (block[best] + kind.usual**-2)
+    edges = bins.edges
+    parameters = {
+        'start': float(edges[i[best]]),
+        'end': float(edges[j[best]]),
+        kind.amplitude: kind.neutral + float(size),
+    }
+    return Score(name, _mean_evidence(values, weight / weight.sum()), parameters)
 
 
 def _mean_evidence(values: Array, weight: Array | None = None) -> float:
