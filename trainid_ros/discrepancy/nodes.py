@@ -151,6 +151,9 @@ def find_outliers(gap: Array, starts: NDArray[np.intp]) -> NDArray[np.bool_]:
 
 
 def _outliers_of(gap: Array) -> NDArray[np.bool_]:
+    """Return the outliers of one run, shape (n,); of two samples none can be told."""
+    if gap.size < 3:
+        return np.zeros(gap.size, dtype=bool)
     reach = min(_REACH, (gap.size - 1) // 2)
     windows = sliding_window_view(gap, 2 * reach + 1)
     level = np.median(windows, axis=1)

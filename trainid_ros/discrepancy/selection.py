@@ -31,11 +31,15 @@ LEFT_OVER: Final = 0.15
 TWIN: Final = 6.0
 """Effects this near in evidence to a named one cannot be told from it."""
 MOST: Final = 3
+"""Effects in a model, at most."""
+# Effects that get a closer look: so many by the sizes found and by usual ones, with so much evidence, and so near the
+# best one.
 _RIVALS: Final = 3
 _USUAL_RIVALS: Final = 2
-_PLAIN: Final = 30.0
 _WORTH_A_TRY: Final = 2.5
+_PLAIN: Final = 30.0
 _NEAR: Final = 25.0
+# The same of dependences without a name, and the prior std of their sizes [N/kN].
 _GROUPS: Final = 2
 _GROUP_STD: Final = 0.3
 
@@ -58,7 +62,6 @@ class Selection:
         final: The model with them.
         evidence: 2 ln of the Bayes factor of each member, given the others.
         twins: Names that cannot be told from each member, nearest first.
-        named: Evidence of what else has a name, given all members.
         groups: Evidence of what has no name, given all members.
 
     """
@@ -67,7 +70,6 @@ class Selection:
     final: State
     evidence: tuple[float, ...]
     twins: tuple[tuple[str, ...], ...]
-    named: tuple[Score, ...]
     groups: tuple[Score, ...]
 
 
@@ -86,30 +88,24 @@ class Search:
         state = self.base
         while len(state.model.members) < MOST and (grown := self._add(state, NAMED)) is not None:
             state = grown
-        named, groups = self._left(state)
+        groups = self._nameless(state)
         if groups[0].evidence > NAMELESS:
             # Something is there for certain: an effect that accounts for it needs less evidence of its own.
             grown = self._add(state, NAMED_IN_GAP) if len(state.model.members) < MOST else None
-            if grown is not None and (left := self._left(grown))[1][0].evidence < NAMELESS:
-                state, (named, groups) = grown, left
+            if grown is not None and (left := self._nameless(grown))[0].evidence < NAMELESS:
+                state, groups = grown, left
         state = self._timed(state)
         standings = [self._standing(state, k) for k in range(len(state.model.members))]
         evidence, twins = (tuple(column) for column in zip(*standings, strict=True)) if standings else ((), ())
-        return Selection(self.base, state, evidence, twins, tuple(named), tuple(groups))
+        return Selection(self.base, state, evidence, twins, tuple(groups))
 
     def _timed(self, state: State) -> State:
+        """Let effects that set in at some time have the spread of all times."""
         members = state.model.members
         timed = tuple(with_onset(m, self._without(state, k), state.sizes) for k, m in enumerate(members))
-        return (
-            state
-            if all(a is b for a, b in zip(timed, members, strict=True))
-            else replace(state, model=state.model.having(timed))
-        )
-
-    def _left(self, state: State) -> tuple[list[Score], list[Score]]:
-        """Return the evidence of what has a name and of what has none beside a model, best first."""
-        named, groups = self.screen.scores(state.model, state.sizes)
-        return named, self._weigh_groups(state, groups)
+        if all(a is b for a, b in zip(timed, members, strict=True)):
+            return state
+        return replace(state, model=state.model.having(timed))
 
     def _add(self, state: State, threshold: float) -> State | None:
         """Add the best effect; None if none has evidence enough or others lose theirs.
@@ -142,8 +138,9 @@ class Search:
                     found.setdefault(score.name, score)
         return list(found.values())
 
-    def _weigh_groups(self, state: State, groups: list[Score]) -> list[Score]:
-        """Judge the best nameless dependences with sizes of noise of their own, as named effects are."""
+    def _nameless(self, state: State) -> list[Score]:
+        """Return the evidence of what has no name beside a model, the best judged with sizes of noise of their own."""
+        _, groups = self.screen.scores(state.model, state.sizes)
         weighed = []
         for score in groups[:_GROUPS]:
             found = score.evidence
@@ -165,7 +162,7 @@ class Search:
         return State(model.fit(sizes), sizes, logs)
 
     def _worth(self, state: State) -> float:
-        """Return 2 ln of the evidence of a model with its members, whose priors are wider than where they were found."""
+        """Return 2 ln of the evidence of a model with its members, by priors wider than about where they were found."""
         costs = sum(prior_cost(member, state.model.drive) for member in state.model.members)
         return state.sizes.evidence - state.model.odometry_cost - costs
 
