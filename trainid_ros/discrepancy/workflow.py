@@ -44,7 +44,7 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-_FEWEST_NODES: Final = 40
+_FEWEST_SAMPLES: Final = 200
 SEARCHED_S: Final = 4000.0
 """Of longer drives, so much is searched for effects [s]; all of it tells their parameters and the gap."""
 # The equations of real effects differ a little from those of the library, and clocks are read at 5 Hz.
@@ -71,12 +71,12 @@ def explain(
         NoAnswerError: There is too little motion.
 
     """
-    if sum(run.time.size for run in runs) < 5 * _FEWEST_NODES:
+    if sum(run.time.size for run in runs) < _FEWEST_SAMPLES:
         msg = f'{len(runs)} runs from stop to stop hold too little motion to compare'
         raise NoAnswerError(msg)
     points = _points(runs, train_file)
     some = _some(runs)
-    searched = points if len(some) == len(runs) else _points(some, train_file)
+    searched = points if some is runs else _points(some, train_file)
     selection = Search(Model(searched, train_file), advance).run()
     slip = find_slip(points.drive)
     verdict = _verdict(selection, slipping=slip is not None)
@@ -121,7 +121,9 @@ def _points(runs: Sequence[Run], train_file: TrainFile) -> Points:
 def _some(runs: Sequence[Run]) -> Sequence[Run]:
     """Return all runs, or so many of them, spread evenly, that they last :data:`SEARCHED_S`."""
     driven = sum(float(run.time[-1] - run.time[0]) for run in runs)
-    count = math.ceil(len(runs) * min(1.0, SEARCHED_S / driven))
+    if driven <= SEARCHED_S:
+        return runs
+    count = math.ceil(len(runs) * SEARCHED_S / driven)
     places = np.linspace(0, len(runs) - 1, count).round().astype(int)
     return [runs[i] for i in places.tolist()]
 
