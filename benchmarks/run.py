@@ -104,10 +104,17 @@ def _circumstances(load_before: float) -> str:
 
 
 def _revision() -> str:
-    """Return the revision measured; "-dirty" if files had been changed since."""
-    command = ('git', 'describe', '--always', '--dirty')
-    answer = subprocess.run(command, cwd=REPOSITORY, capture_output=True, text=True, check=False)
-    return answer.stdout.strip() or 'unknown'
+    """Return the revision measured; "-dirty" if files other than the results had been changed since."""
+    if not (revision := _git('describe', '--always')):
+        return 'unknown'
+    results = (':(exclude)benchmarks/RESULTS.md', ':(exclude)benchmarks/plots')
+    changed = _git('status', '--porcelain', '--untracked-files=no', '--', '.', *results)
+    return f'{revision}-dirty' if changed else revision
+
+
+def _git(*arguments: str) -> str:
+    answer = subprocess.run(('git', *arguments), cwd=REPOSITORY, capture_output=True, text=True, check=False)
+    return answer.stdout.strip()
 
 
 def _store(out: Path, name: str, section: str) -> None:
