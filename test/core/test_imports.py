@@ -11,7 +11,7 @@ from pathlib import Path
 import trainid_ros
 
 PACKAGE = Path(trainid_ros.__file__).parent
-PURE = ('core', 'physics', 'estimators', 'simulation')
+PURE = ('core', 'physics', 'estimators', 'simulation', 'discrepancy')
 FOREIGN = ('rclpy', 'rosbags', 'mcap', 'matplotlib', 'trainid_msgs', 'std_msgs')
 # Loaded by whoever needs them, not by the core.
 SLOW = ('scipy', 'numba', 'yaml')

@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Columns of named effects and of nameless dependences."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from trainid_ros.discrepancy.families import SECTIONS, named_families, sign
+from trainid_ros.discrepancy.generic import generic_groups
+from trainid_ros.discrepancy.nodes import Drive
+from trainid_ros.discrepancy.points import Points
+from trainid_ros.physics.effects import EFFECTS
+from trainid_ros.physics.train_file import TrainFile
+
+
+def test_families_are_linear_columns_of_what_the_drive_shows(drive: Drive, believed: TrainFile) -> None:
+    points = Points(drive, believed)
+    families = {family.name: family for family in named_families(points)}
+    assert {'traction_scale', 'resistance_step', 'bearing_warmup'} <= families.keys()
+    # No curve and no tunnel was seen, stretches are scanned apart, and slip is no resistance.
+    assert not {'curve_resistance', 'tunnel_drag', 'wheel_slip', *SECTIONS} & families.keys()
+    for family in families.values():
+        assert family.resistance.shape == (drive.dt.size, len(family.shapes))
+        assert np.isfinite(family.resistance).all()
+        assert family.std > 0.0
+    stronger = points.resistance('traction_scale', {'ratio': 1.3})
+    np.testing.assert_allclose(0.3 * families['traction_scale'].resistance[:, 0], stronger, atol=1e-9)
+
+
+@pytest.mark.parametrize(('name', 'side'), [('local_drag', 1), ('gradient_error', 0), ('brake_fade', 1)])
+def test_sides_of_amplitudes(name: str, side: int) -> None:
+    assert sign(EFFECTS[name]) == side
+
+
+def test_groups_are_finite_and_told_apart_by_name(drive: Drive) -> None:
+    groups = generic_groups(drive, 100.0)
+    assert len({group.name for group in groups}) == len({group.text for group in groups}) == len(groups)
+    for group in groups:
+        assert group.resistance.shape[0] == drive.dt.size
+        assert np.isfinite(group.resistance).all()
+    whole = {group.name: group.resistance for group in groups}
+    for name in ('run', 'place', 'time', 'speed'):
+        np.testing.assert_allclose(whole[name].sum(axis=1), 1.0)

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs held out: by subtraction as by a fit without them, and a gap that shrinks when what is there is added."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from trainid_ros.discrepancy.holdout import gap_of, hold_out
+from trainid_ros.discrepancy.hyper import Sizes
+from trainid_ros.discrepancy.model import Member, Model
+from trainid_ros.discrepancy.nodes import assemble
+from trainid_ros.discrepancy.noise import Grid, Noise, Whitener
+from trainid_ros.discrepancy.nuisances import Spread
+from trainid_ros.discrepancy.points import Points
+from trainid_ros.discrepancy.regression import Gram, posterior
+from trainid_ros.physics.train_file import TrainFile
+
+SIZES = Sizes(Noise(0.02, 0.05, 8.0, 0.02), Spread(0.005, 0.01, 0.2), 0.0)
+
+
+def test_subtraction_is_a_fit_without_the_run(dragged_model: Model) -> None:
+    model = dragged_model
+    held = hold_out(model, SIZES)
+    assert held is not None
+    others = model.drive.node_run != 1
+    grid = Grid.of(model.drive)
+    columns = (0, 2, 3, 4, 5)
+    kept = Grid(
+        grid.index[:, columns], grid.dt[:, columns], grid.share[:, columns], grid.change[:, columns],
+        grid.inertia, grid.nodes,
+    )  # fmt: skip
+    gram = Gram.of(model.columns, model.factor_columns, kept, Whitener.of(kept, SIZES.noise))
+    total = gram.reduced(SIZES.spread.of_run)[0].sum(axis=0)
+    model.add_odometry(total)
+    mean, _ = posterior(total, model.prior_factor(SIZES.spread))
+    gap = model.residual[~others] - model.nuisance_columns[~others] @ mean
+    known = model.drive.node_count[~others] > 0.0
+    np.testing.assert_allclose(held.gap[~others], gap - gap[known].mean(), atol=1e-9)
+
+
+def test_the_gap_shrinks_to_the_noise(dragged_model: Model) -> None:
+    model = dragged_model
+    drag = Member('local_drag', {'start': 120.0, 'end': 330.0, 'permille': 1.5})
+    added = model.having((drag,)).fit(SIZES)
+    gap = gap_of(hold_out(model, SIZES), hold_out(added, SIZES), added)
+    assert gap is not None
+    assert gap.after < 0.6 * gap.before
+    assert gap.after < 1.1 * gap.noise_floor
+    assert gap.runs_held_out == 6
+    found, std = added.members[0].parameters, added.members[0].std
+    assert abs(found['permille'] - 2.5) < 4.0 * std['permille']
+    assert abs(found['start'] - 100.0) < 4.0 * std['start']
+
+
+def test_one_run_cannot_be_held_out(maker: Any, believed: TrainFile) -> None:
+    alone = Model(Points(assemble(maker().runs(1, 3), believed), believed), believed)
+    held = hold_out(alone, SIZES)
+    assert held is None
+    assert gap_of(held, held, alone) is None

@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stretches of the line as sums of blocks, and how effects and groups are judged."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from trainid_ros.discrepancy.hyper import Sizes
+from trainid_ros.discrepancy.model import Member, Model
+from trainid_ros.discrepancy.screen import Screen, reduced_information, stretch_sums
+
+Found = tuple[Sizes, NDArray[np.float64]]
+
+
+def test_block_sums_are_products_of_explicit_columns() -> None:
+    rng = np.random.default_rng(4)
+    X, y = rng.standard_normal((30, 7)), rng.standard_normal(30)
+    first, end = np.triu_indices(8, 1)
+    A, b = stretch_sums(X.T @ X, X.T @ y, first, end)
+    stretches = np.stack([X[:, i:j].sum(axis=1) for i, j in zip(first, end, strict=True)], axis=1)
+    np.testing.assert_allclose(A, np.square(stretches).sum(axis=0))
+    np.testing.assert_allclose(b, stretches.T @ y)
+
+
+def test_what_is_there_has_the_greatest_evidence(dragged_model: Model, dragged_sizes: Found) -> None:
+    model, (sizes, _) = dragged_model, dragged_sizes
+    named, groups = Screen(model).scores(model, sizes)
+    assert named[0].name == 'local_drag'
+    assert named[0].evidence > 20.0
+    assert named[0].parameters['permille'] == pytest.approx(2.5, abs=1.0)
+    assert named[0].parameters['start'] == pytest.approx(100.0, abs=120.0)
+    assert groups[0].name == 'place'
+    for scores in (named, groups):
+        evidence = [score.evidence for score in scores]
+        assert evidence == sorted(evidence, reverse=True)
+
+
+def test_members_that_stand_leave_more_to_be_seen(dragged_model: Model, dragged_sizes: Found) -> None:
+    """A member that may move takes what a column like it would explain."""
+    model, (sizes, _) = dragged_model, dragged_sizes
+    fitted = model.having((Member('local_drag', {'start': 110.0, 'end': 340.0, 'permille': 1.8}),)).fit(sizes)
+    unit = fitted.points.resistance('local_drag', {**fitted.members[0].parameters, 'permille': 1.0})
+    column = fitted.drive.column(unit[:, None])
+    moving = reduced_information(fitted, sizes, column)
+    standing = reduced_information(fitted, sizes, column, members=False)
+    assert float(moving.A[0, 0]) < 0.2 * float(standing.A[0, 0])

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bursts of slip and slide, told from outliers of either sign."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from trainid_ros.discrepancy.nodes import Drive, assemble
+from trainid_ros.discrepancy.slip import find_slip
+from trainid_ros.physics.train_file import TrainFile
+
+BURST = 6
+
+
+def spoiled(maker: Any, believed: TrainFile, sign: float) -> Drive:
+    """Return four runs with a burst under traction and one while braking; sign +1 with the force, 0 either way."""
+    rng, runs = np.random.default_rng(4), []
+    for run in maker().runs(4, 13):
+        speed = run.speed.copy()
+        for at in (40, int(np.argmax(run.brake < 0.0)) + 25):
+            with_force = np.sign(run.traction[at] + run.brake[at])
+            speed[at : at + BURST] += 1.5 * (sign * with_force if sign else rng.choice([-1.0, 1.0]))
+        runs.append(replace(run, speed=speed))
+    return assemble(runs, believed)
+
+
+def test_bursts_with_the_force_are_slip(maker: Any, believed: TrainFile) -> None:
+    drive = spoiled(maker, believed, 1.0)
+    found = find_slip(drive)
+    assert found is not None
+    member, evidence = found
+    assert evidence > 10.0
+    assert member.parameters['share'] == pytest.approx(8 * BURST / drive.dt.size, rel=0.2)
+    assert abs(member.parameters['speed'] - 1.5) < 2.0 * member.std['speed']
+
+
+@pytest.mark.parametrize('sign', [-1.0, 0.0])
+def test_bursts_against_the_force_are_none(maker: Any, believed: TrainFile, sign: float) -> None:
+    assert find_slip(spoiled(maker, believed, sign)) is None
+
+
+def test_single_outliers_are_no_slip(maker: Any, believed: TrainFile) -> None:
+    rng, runs = np.random.default_rng(5), []
+    for run in maker().runs(4, 14):
+        single = rng.choice(np.arange(5, run.time.size - 5), 15, replace=False)
+        speed = run.speed.copy()
+        speed[single] += rng.choice([-1.0, 1.0], 15)
+        runs.append(replace(run, speed=np.maximum(speed, 0.0)))
+    assert find_slip(assemble(runs, believed)) is None
+
+
+def test_nothing_slips(drive: Drive) -> None:
+    assert find_slip(drive) is None
