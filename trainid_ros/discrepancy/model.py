@@ -53,6 +53,21 @@ class Member:
     covariance: NDArray[np.float64] | None = None
 
     @property
+    def size(self) -> float:
+        """How far the amplitude is from having no effect, in units of its usual size."""
+        kind = EFFECTS[self.name]
+        return abs(self.parameters[kind.amplitude] - kind.neutral) / kind.usual
+
+    @property
+    def significance(self) -> float:
+        """How far it is in standard deviations that it has with its shape given; infinite before a fit."""
+        if self.covariance is None:
+            return math.inf
+        kind = EFFECTS[self.name]
+        at = list(self.parameters).index(kind.amplitude)
+        return self.size * kind.usual * math.sqrt(max(float(np.linalg.pinv(self.covariance)[at, at]), 0.0))
+
+    @property
     def std(self) -> dict[str, float]:
         """Standard deviations of the parameters; empty before a fit."""
         if self.covariance is None:

@@ -28,7 +28,7 @@ _FINER: Final = 2.0
 _MAP_LENGTH_M: Final = 200.0
 """Correlation length of map errors [m]."""
 _DAVIS_SHARE: Final = 0.4
-_DAVIS_FLOOR: Final = np.array([0.15, 0.01, 0.0004])
+_DAVIS_FLOOR: Final = np.array([0.15, 0.02, 0.0004])
 _TRACTION_SKEW_S: Final = 0.1
 _BRAKE_SKEW_S: Final = 0.04
 _TRACTION_GAIN: Final = 0.003

@@ -39,6 +39,8 @@ _USUAL_RIVALS: Final = 2
 _WORTH_A_TRY: Final = 2.5
 _PLAIN: Final = 30.0
 _NEAR: Final = 25.0
+# Standard deviations that the size of an effect must be away from none.
+_SIGNIFICANT: Final = 2.5
 # The same of dependences without a name, and the prior std of their sizes [N/kN].
 _GROUPS: Final = 2
 _GROUP_STD: Final = 0.3
@@ -191,8 +193,9 @@ class Search:
         return state
 
     def _holds(self, state: State, threshold: float) -> bool:
-        """Return True if every member keeps its evidence once sizes and parameters have been estimated with it."""
-        return all(self._gain(state, k) > threshold for k in range(len(state.model.members)))
+        """Return True if every member keeps its evidence, and a size, once all has been estimated with it."""
+        sized = all(member.significance > _SIGNIFICANT for member in state.model.members)
+        return sized and all(self._gain(state, k) > threshold for k in range(len(state.model.members)))
 
     def _standing(self, state: State, k: int) -> tuple[float, tuple[str, ...]]:
         """Return the evidence of member k given the others, and which effects come near it."""

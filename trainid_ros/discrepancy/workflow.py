@@ -49,6 +49,10 @@ SEARCHED_S: Final = 4000.0
 """Of longer drives, so much is searched for effects [s]; all of it tells their parameters and the gap."""
 # The equations of real effects differ a little from those of the library, and clocks are read at 5 Hz.
 _EQUATION_SHARE: Final = 0.03
+# No train is in gusts of such a size [N/kN]; no effect is so many times as large as it usually is.
+_MOST_GUST: Final = 5.0
+_MOST_USUAL: Final = 12.0
+_WORSE: Final = 1.25
 _CLOCK_S: Final = 0.04
 
 
@@ -88,6 +92,11 @@ def explain(
         base = Model(points, train_file)
         final = base.having(told.model.members).fit(sizes)
     before, after = hold_out(base, sizes), hold_out(final, sizes)
+    gap = gap_of(before, after, final)
+    if gap is not None and gap.after > _WORSE * gap.before:
+        # Whatever the likelihood says, runs that the fit never saw are not simulated better.
+        verdict, final, after = Verdict.UNEXPLAINED, base, before
+        gap = gap_of(before, after, final)
     advance('places')
     locations = locate(base, final, sizes)
     found = [] if verdict is Verdict.UNEXPLAINED else _found(selection, final, locations)
@@ -98,7 +107,7 @@ def explain(
     return Explanation(
         verdict=verdict,
         effects=tuple(found),
-        gap=gap_of(before, after, final),
+        gap=gap,
         remaining=_remaining(selection, verdict),
         train_file=replace(train_file, resistance=davis, effects=(*train_file.effects, *added)),
         davis_std=davis_std,
@@ -130,11 +139,17 @@ def _some(runs: Sequence[Run]) -> Sequence[Run]:
 
 def _verdict(selection: Selection, *, slipping: bool) -> Verdict:
     nameless = selection.groups[0].evidence if selection.groups else 0.0
-    if nameless > max(NAMELESS, LEFT_OVER * sum(selection.evidence)):
+    if nameless > max(NAMELESS, LEFT_OVER * sum(selection.evidence)) or not _credible(selection):
         return Verdict.UNEXPLAINED
     if not selection.evidence:
         return Verdict.EXPLAINED if slipping else Verdict.NO_GAP
     return Verdict.AMBIGUOUS if any(selection.twins) else Verdict.EXPLAINED
+
+
+def _credible(selection: Selection) -> bool:
+    """Return False where effects were stretched beyond what they can be, or gusts must stand for unmeasured forces."""
+    members = selection.final.model.members
+    return selection.final.sizes.noise.gust < _MOST_GUST and all(member.size < _MOST_USUAL for member in members)
 
 
 def _found(selection: Selection, model: Model, locations: tuple[Location, ...]) -> list[FoundEffect]:
@@ -190,6 +205,10 @@ def _remaining(selection: Selection, verdict: Verdict) -> str:
     model = selection.final.model
     texts = {group.name: group.text for group in generic_groups(model.drive, model.train_file.train.length)}
     strongest = selection.groups[0] if selection.groups else None
+    gust = selection.final.sizes.noise.gust
+    if gust > _MOST_GUST:
+        unknown = 'wind, or brakes without a command'
+        return f'Forces that nobody measured push the train about by {gust:.0f} N/kN: {unknown}.'
     if strongest is None or strongest.evidence < NAMELESS:
         return 'What is left is noise: gusts, errors of the map and of the sensors.'
     size = 'depends' if verdict is Verdict.UNEXPLAINED else 'depends a little'
