@@ -107,7 +107,7 @@ def test_interrupted_demo_leaves_nobody_behind(
     assert len(children_of(process)) >= TOPICS
     process.send_signal(number)
     _, err = process.communicate(timeout=DEADLINE_S)
-    assert process.returncode == 130
+    assert process.returncode == 130, err
     assert 'Traceback' not in err
     assert children_of(process) == []
 

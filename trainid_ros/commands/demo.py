@@ -7,14 +7,15 @@ import argparse
 import math
 import signal
 import time
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from trainid_ros.commands.output import add_json_option, print_json, progress
 from trainid_ros.demo.bags import STOCK, load_demo_bag, stock_bag
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from trainid_ros.demo.bags import DemoBag
     from trainid_ros.demo.chapters import Outcome
@@ -58,12 +59,11 @@ def run(args: argparse.Namespace) -> int:
 
     bags = _bags(args)
     start = time.monotonic()
-    for number in (signal.SIGTERM, signal.SIGHUP):
-        signal.signal(number, _interrupt)
     view = View(Console(stderr=args.json))
     report = args.out / 'report.html' if bags else None
-    outcomes = [] if report is None else _live(bags, args, view, report)
-    hidden = _hidden(args, view)
+    with _interruptible():
+        outcomes = [] if report is None else _live(bags, args, view, report)
+        hidden = _hidden(args, view)
     wall_s = time.monotonic() - start
     worked = all(outcome.worked for outcome in outcomes) and (hidden is None or hidden.worked)
     if args.json:
@@ -189,9 +189,26 @@ def _hidden_to_json(hidden: HiddenCase | None) -> dict[str, Any] | None:
     return hidden_to_json(hidden)
 
 
-def _interrupt(_number: int, _frame: object) -> None:
-    """End as on Ctrl-C, so that the children are stopped."""
-    raise KeyboardInterrupt
+@contextmanager
+def _interruptible() -> Iterator[None]:
+    """End as on Ctrl-C when told to end, so that the children are stopped.
+
+    A signal during a call into ROS surfaces as whatever error that call makes of it, and is an interruption still.
+    """
+    told: list[int] = []
+
+    def interrupt(number: int, _frame: object) -> NoReturn:
+        told.append(number)
+        raise KeyboardInterrupt
+
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, interrupt)
+    try:
+        yield
+    except RuntimeError:
+        if told:
+            raise KeyboardInterrupt from None
+        raise
 
 
 def _rate(text: str) -> float:
