@@ -52,12 +52,14 @@ class Score:
         name: Effect, or group of columns.
         evidence: 2 ln of its Bayes factor.
         parameters: Best parameters seen; empty for a group.
+        text: On what a group depends, in words; empty for an effect.
 
     """
 
     name: str
     evidence: float
     parameters: Mapping[str, float]
+    text: str = ''
 
 
 class Screen:
@@ -89,7 +91,7 @@ class Screen:
         for group in self._groups:
             A, b = next(blocks)
             values = [group_log_bayes(A, b, std) for std in _GROUP_STD]
-            groups.append(Score(group.name, _mean_evidence(np.array(values)), {}))
+            groups.append(Score(group.name, _mean_evidence(np.array(values)), {}, group.text))
         named += [_section(name, self._bins, *next(blocks)) for name in SECTIONS]
         return sorted(named, key=_strongest), sorted(groups, key=_strongest)
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 from trainid_ros.discrepancy.families import SECTIONS
 from trainid_ros.discrepancy.model import Member, prior_cost
 from trainid_ros.discrepancy.onset import with_onset
-from trainid_ros.discrepancy.screen import Score, Screen
+from trainid_ros.discrepancy.screen import Screen
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
     from trainid_ros.discrepancy.hyper import Sizes
     from trainid_ros.discrepancy.model import Model
+    from trainid_ros.discrepancy.screen import Score
 
 NAMED: Final = 15.0
 """2 ln of the Bayes factor an effect needs."""
@@ -150,7 +151,7 @@ class Search:
                 model = state.model.beside(self.screen.group_columns(score.name), _GROUP_STD)
                 sizes, _ = model.evidence().maximise(state.logs)
                 found = max(found, sizes.evidence - state.sizes.evidence)
-            weighed.append(Score(score.name, found, score.parameters))
+            weighed.append(replace(score, evidence=found))
         return sorted([*weighed, *groups[_GROUPS:]], key=lambda score: -score.evidence)
 
     def _grow(self, state: State, score: Score) -> State:

@@ -18,7 +18,6 @@ from trainid_ros.discrepancy.explanation import (
     RunTrace,
     Verdict,
 )
-from trainid_ros.discrepancy.generic import generic_groups
 from trainid_ros.discrepancy.holdout import gap_of, hold_out
 from trainid_ros.discrepancy.locate import locate
 from trainid_ros.discrepancy.model import Member, Model
@@ -202,8 +201,6 @@ def _davis(model: Model, sizes: Sizes) -> tuple[Davis, tuple[float, float, float
 
 
 def _remaining(selection: Selection, verdict: Verdict) -> str:
-    model = selection.final.model
-    texts = {group.name: group.text for group in generic_groups(model.drive, model.train_file.train.length)}
     strongest = selection.groups[0] if selection.groups else None
     gust = selection.final.sizes.noise.gust
     if gust > _MOST_GUST:
@@ -212,7 +209,7 @@ def _remaining(selection: Selection, verdict: Verdict) -> str:
     if strongest is None or strongest.evidence < NAMELESS:
         return 'What is left is noise: gusts, errors of the map and of the sensors.'
     size = 'depends' if verdict is Verdict.UNEXPLAINED else 'depends a little'
-    return f'The rest of the gap {size} on {texts[strongest.name]}, and no effect of the library fits it.'
+    return f'The rest of the gap {size} on {strongest.text}, and no effect of the library fits it.'
 
 
 def _traces(model: Model, before: HeldOut | None, after: HeldOut | None) -> tuple[RunTrace, ...]:
