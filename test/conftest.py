@@ -81,6 +81,7 @@ def make_explanation() -> Callable[..., Explanation]:
         noise=NoiseSizes(0.02, 0.1, 4.0, 0.003, 0.002, 0.1),
         outliers=0.012,
         weighed=True,
+        gradient_point=None,
     )
 
     def make(*, ambiguous: bool = False, **changes: Any) -> Explanation:

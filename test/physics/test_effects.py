@@ -149,7 +149,7 @@ def neutral_point() -> TrackPoint:
         brake=-30.0,
         heat=80.0,
         brake_before=lambda s: -30.0 + s,
-        traction_before=lambda s: 20.0 - s,
+        traction_before=lambda s: 20.0 - 5.0 * s,
         gradient_ahead=lambda x: 3.0 + 0.01 * x,
     )
 

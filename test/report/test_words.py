@@ -107,4 +107,5 @@ def test_drive_in_words(make_explanation: Make) -> None:
     assert drive_text(make_explanation()) == '2 runs, 1.8 km in 2 min, both directions'
     one = make_explanation(traces=make_explanation().traces[:1])
     assert drive_text(one).endswith('one direction only')
+    assert 'at the front of the train' in drive_text(make_explanation(gradient_point='front'))
     assert drive_text(make_explanation(traces=())).startswith('0 runs, 0.0 km')

@@ -176,6 +176,7 @@ class Explanation:
         noise: Sizes of noise and nuisances.
         outliers: Share of speeds that did not count.
         weighed: True if the mass was measured.
+        gradient_point: Point of the train that gradients were read as known at; None where they are means under it.
 
     """
 
@@ -190,3 +191,4 @@ class Explanation:
     noise: NoiseSizes
     outliers: float
     weighed: bool
+    gradient_point: str | None

@@ -30,6 +30,10 @@ _SHAPES: Final = 6
 """Values tried of each shape parameter."""
 _MOST_TIMES: Final = 40
 """The same of a time."""
+_SIZES: Final = (1.0, -1.0, 2.0, -2.0)
+"""Amplitudes tried of an effect without a shape that is not linear in it, in its usual size."""
+_BENT: Final = 0.05
+"""Columns that differ by less are one."""
 SECTIONS: Final = ('gradient_error', 'local_drag')
 """Families scanned by sums over stretches of the line: all starts and ends at once."""
 
@@ -60,8 +64,7 @@ def named_families(points: Points) -> tuple[Family, ...]:
     for kind in EFFECTS.values():
         if kind.resistance is None or kind.name in SECTIONS:
             continue
-        shapes = _shapes(kind, points.drive)
-        columns = [unit_resistance(points, kind, shape) for shape in shapes]
+        shapes, columns = _columns(kind, points)
         seen = [i for i, column in enumerate(columns) if np.any(column)]
         if seen:
             resistance = np.stack([columns[i] for i in seen], axis=1)
@@ -69,10 +72,11 @@ def named_families(points: Points) -> tuple[Family, ...]:
     return tuple(families)
 
 
-def unit_resistance(points: Points, kind: EffectKind, shape: Mapping[str, float]) -> Array:
-    """Return the resistance of an effect of usual size, per unit of its amplitude, shape (n,)."""
-    parameters = {**shape, kind.amplitude: kind.neutral + kind.usual}
-    return points.resistance(kind.name, parameters) / kind.usual
+def unit_resistance(points: Points, kind: EffectKind, shape: Mapping[str, float], times: float = 1.0) -> Array:
+    """Return the resistance of an effect some times its usual size, per unit of its amplitude, shape (n,)."""
+    size = times * kind.usual
+    parameters = {**shape, kind.amplitude: kind.neutral + size}
+    return points.resistance(kind.name, parameters) / size
 
 
 def shape_names(kind: EffectKind) -> tuple[str, ...]:
@@ -85,6 +89,19 @@ def sign(kind: EffectKind) -> int:
     limits = kind.parameters[kind.amplitude]
     low, high = limits.search or (limits.low, limits.high)
     return int(low >= kind.neutral) - int(high <= kind.neutral)
+
+
+def _columns(kind: EffectKind, points: Points) -> tuple[list[dict[str, float]], list[Array]]:
+    """Return shapes and their columns; one shape several times where the response bends with the amplitude."""
+    shapes = _shapes(kind, points.drive)
+    if shape_names(kind) or sign(kind):
+        return shapes, [unit_resistance(points, kind, shape) for shape in shapes]
+    columns: list[Array] = []
+    for times in _SIZES:
+        column = unit_resistance(points, kind, shapes[0], times)
+        if not any(np.allclose(column, other, rtol=_BENT, atol=_BENT * np.abs(other).max()) for other in columns):
+            columns.append(column)
+    return shapes * len(columns), columns
 
 
 def _shapes(kind: EffectKind, drive: Drive) -> list[dict[str, float]]:

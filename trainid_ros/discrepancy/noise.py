@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from scipy.linalg import cholesky_banded
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 
 _DIFFUSE: Final = 1e2
 """Variance of an unknown initial speed error [(m/s)^2]."""
+_LEAST: Final = 1e-12
+"""Least noise of a step [(m/s)^2, (N/kN)^2]: information must stay finite."""
 # Errors of neighbouring samples are not quite independent: quantised speeds repeat.
 _SHARED: Final = 0.1
 
@@ -102,55 +105,44 @@ class Whitener:
     """Gains of the filter for one noise; see :meth:`apply`.
 
     Attributes:
-        gain_v: Gain of the speed error, shape (N, R).
-        gain_g: Gain of the gust, shape (N, R).
+        step: Predicted state one node on, by predicted state and measurement here, shape (N, R, 2, 3).
         scale: One over the standard deviation of the innovation, 0 where nothing was measured, shape (N, R).
-        keep: How much of a gust is left one node on, shape (N, R).
-        reach: Speed error one node on per gust now [m/s per N/kN], shape (N, R).
         log_det: Sum over all measurements of the log of the innovation's variance, by run, shape (R,).
 
     """
 
-    gain_v: Array
-    gain_g: Array
+    step: Array
     scale: Array
-    keep: Array
-    reach: Array
     log_det: Array
 
     @classmethod
     def of(cls, grid: Grid, noise: Noise) -> Whitener:
-        """Run the covariances of the filter once through the grid."""
-        inside = np.where(grid.index < grid.nodes, 1.0, 0.0)
-        gain_v, gain_g, scale, keep, reach, log_s = _gains(grid, noise)
-        return cls(gain_v * inside, gain_g * inside, scale * inside, keep, reach, (log_s * inside).sum(axis=0))
+        """Find all gains at once; what is behind the last node of a run counts nowhere."""
+        inside = grid.index < grid.nodes
+        F, Q = _transitions(grid, noise)
+        R = np.where(inside, noise.speed**2 * grid.share, np.inf)
+        before = Q.copy()
+        before[1:] += F[1:] @ _filtered(F, Q, R)[:-1] @ F[1:].transpose(0, 1, 3, 2)
+        S = before[..., 0, 0] + R
+        K = before[..., :, :1] / S[..., None, None]
+        update = np.concatenate([np.eye(2) - K * np.array([1.0, 0.0]), K], axis=-1)
+        step = np.zeros_like(update)
+        step[:-1] = F[1:] @ update[:-1]
+        return cls(step, 1.0 / np.sqrt(S), np.log(np.where(np.isfinite(S), S, 1.0)).sum(axis=0))
 
     def part(self, runs: slice) -> Whitener:
         """Return the filter of some of the runs."""
-        return Whitener(
-            self.gain_v[:, runs],
-            self.gain_g[:, runs],
-            self.scale[:, runs],
-            self.keep[:, runs],
-            self.reach[:, runs],
-            self.log_det[runs],
-        )
+        return Whitener(self.step[:, runs], self.scale[:, runs], self.log_det[runs])
 
     def apply(self, columns: Array) -> Array:
         """Return whitened columns, shape (N, R, C) to the same; zero where nothing was measured."""
-        out = np.empty_like(columns)
-        v, g = np.zeros(columns.shape[1:]), np.zeros(columns.shape[1:])
-        gain_v, gain_g, scale = self.gain_v[..., None], self.gain_g[..., None], self.scale[..., None]
-        keep, reach = self.keep[..., None], self.reach[..., None]
-        for i in range(columns.shape[0]):
-            if i:
-                v = v + reach[i] * g
-                g = keep[i] * g
-            innovation = columns[i] - v
-            out[i] = innovation * scale[i]
-            v = v + gain_v[i] * innovation
-            g = g + gain_g[i] * innovation
-        return out
+        N, runs, C = columns.shape
+        # Predicted speed error and gust, and the measurement, so that a step is one product of matrices.
+        state = np.zeros((N + 1, runs, 3, C))
+        state[:-1, :, 2] = columns
+        for i in range(N):
+            np.matmul(self.step[i], state[i], out=state[i + 1, :, :2])
+        return np.asarray((columns - state[:-1, :, 0]) * self.scale[..., None])
 
 
 def share_of_mean(count: Array) -> Array:
@@ -158,30 +150,56 @@ def share_of_mean(count: Array) -> Array:
     return np.asarray(_SHARED + (1.0 - _SHARED) / np.maximum(count, 1.0))
 
 
-def _gains(grid: Grid, noise: Noise) -> tuple[Array, ...]:
-    """Return gains of speed error and gust, 1/sqrt(S), decay and reach of the gust, ln S; all of shape (N, R)."""
-    dt, inertia, R = grid.dt, grid.inertia, noise.speed**2 * grid.share
+def _transitions(grid: Grid, noise: Noise) -> tuple[Array, Array]:
+    """Return transition and noise covariance of [speed error, gust] to each node, both of shape (N, R, 2, 2).
+
+    Those to the first node are the prior: its covariance, and a transition from nothing.
+    """
+    dt, inertia = grid.dt, grid.inertia
     tau, variance = noise.gust_time, noise.gust**2
     e = np.exp(-dt / tau)
-    reach = tau * (1.0 - e) / inertia
+    F, Q = np.zeros((2, *dt.shape, 2, 2))
+    F[1:, :, 0, 0] = 1.0
+    F[1:, :, 0, 1] = (tau * (1.0 - e) / inertia)[1:]
+    F[1:, :, 1, 1] = e[1:]
     # Exact discretisation of the gust and its integral, and the impulse that a late change of the force leaves.
-    q_gg = variance * (1.0 - e * e)
-    q_vg = variance * tau * (1.0 - e) ** 2 / inertia
-    q_vv = variance * (tau / inertia) ** 2 * np.maximum(2.0 * dt / tau - 3.0 + 4.0 * e - e * e, 0.0)
-    q_vv += np.square(noise.jitter * grid.change)
-    N, runs = dt.shape
-    gain_v, gain_g, scale, log_s = np.empty((4, N, runs))
-    p_vv, p_vg, p_gg = np.full(runs, _DIFFUSE), np.zeros(runs), np.full(runs, variance)
-    for i in range(N):
-        if i:
-            p_vv = p_vv + reach[i] * (2.0 * p_vg + reach[i] * p_gg) + q_vv[i]
-            p_vg = e[i] * (p_vg + reach[i] * p_gg) + q_vg[i]
-            p_gg = e[i] * e[i] * p_gg + q_gg[i]
-        S = p_vv + R[i]
-        inverse = 1.0 / S  # 0 where nothing was measured
-        gain_v[i], gain_g[i], scale[i] = p_vv * inverse, p_vg * inverse, inverse
-        log_s[i] = S
-        p_gg = p_gg - gain_g[i] * p_vg
-        p_vg = p_vg - gain_v[i] * p_vg
-        p_vv = p_vv - gain_v[i] * p_vv
-    return gain_v, gain_g, np.sqrt(scale), e, reach, np.log(np.where(np.isfinite(log_s), log_s, 1.0))
+    Q[..., 0, 0] = variance * (tau / inertia) ** 2 * np.maximum(2.0 * dt / tau - 3.0 + 4.0 * e - e * e, 0.0)
+    Q[..., 0, 0] += np.square(noise.jitter * grid.change)
+    Q[..., 0, 1] = Q[..., 1, 0] = variance * tau * (1.0 - e) ** 2 / inertia
+    Q[..., 1, 1] = variance * (1.0 - e * e)
+    Q[0] = np.diag([_DIFFUSE, variance])
+    Q[..., (0, 1), (0, 1)] += _LEAST
+    return F, Q
+
+
+def _filtered(F: Array, Q: Array, R: Array) -> Array:
+    """Return the covariance of the state after each measurement, shape (N, R, 2, 2).
+
+    The information of all states of a run is a band of blocks, and its Cholesky factor runs through it as the
+    covariances of a Kalman filter do: what is left of a diagonal block is the information of all measurements so
+    far, and of the transition to the next node.
+    """
+    N, runs = R.shape
+    information = _inverse(Q)
+    across = -information @ F
+    onward = np.zeros_like(Q)
+    onward[:-1] = -F[1:].transpose(0, 1, 3, 2) @ across[1:]
+    diagonal = information + onward
+    diagonal[..., 0, 0] += 1.0 / R
+    # Lower band, run after run; states of different runs do not meet.
+    band = np.zeros((runs, N, 2, 4))
+    d, o = diagonal.transpose(1, 0, 2, 3), across.transpose(1, 0, 2, 3)
+    band[..., 0, 0], band[..., 0, 1], band[..., 1, 0] = d[..., 0, 0], d[..., 1, 0], d[..., 1, 1]
+    band[:, :-1, 0, 2], band[:, :-1, 0, 3] = o[:, 1:, 0, 0], o[:, 1:, 1, 0]
+    band[:, :-1, 1, 1], band[:, :-1, 1, 2] = o[:, 1:, 0, 1], o[:, 1:, 1, 1]
+    root = cholesky_banded(band.reshape(-1, 4).T, lower=True, check_finite=False).T.reshape(runs, N, 2, 4)
+    L = np.zeros((N, runs, 2, 2))
+    L[..., 0, 0], L[..., 1, 0], L[..., 1, 1] = root[..., 0, 0].T, root[..., 0, 1].T, root[..., 1, 0].T
+    return _inverse(L @ L.transpose(0, 1, 3, 2) - onward)
+
+
+def _inverse(A: Array) -> Array:
+    """Return the inverses of symmetric matrices, shape (..., 2, 2)."""
+    adjoint = np.stack([A[..., 1, 1], -A[..., 0, 1], -A[..., 1, 0], A[..., 0, 0]], axis=-1).reshape(A.shape)
+    determinant = A[..., 0, 0] * A[..., 1, 1] - A[..., 0, 1] * A[..., 1, 0]
+    return np.asarray(adjoint / determinant[..., None, None])

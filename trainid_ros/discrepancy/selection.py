@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final
 from trainid_ros.discrepancy.families import SECTIONS
 from trainid_ros.discrepancy.model import Member, prior_cost
 from trainid_ros.discrepancy.onset import with_onset
+from trainid_ros.discrepancy.reading import preferred_point
 from trainid_ros.discrepancy.screen import Screen
 
 if TYPE_CHECKING:
@@ -85,6 +86,12 @@ class Search:
         sizes, logs = model.evidence().maximise()
         self.base = State(model, sizes, logs)
         self.screen = Screen(model)
+
+    def gradient_point(self) -> str | None:
+        """Return the point of the train that gradients are rather known at, None if they are means under it."""
+        model, sizes = self.base.model, self.base.sizes
+        named, _ = self.screen.scores(model, sizes)
+        return preferred_point(model, sizes, next((s.evidence for s in named if s.name == 'map_shift'), 0.0))
 
     def run(self) -> Selection:
         """Return the best set of effects found."""

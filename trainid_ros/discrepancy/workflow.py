@@ -24,6 +24,7 @@ from trainid_ros.discrepancy.model import Member, Model
 from trainid_ros.discrepancy.nodes import assemble
 from trainid_ros.discrepancy.nuisances import DAVIS
 from trainid_ros.discrepancy.points import Points
+from trainid_ros.discrepancy.reading import read_at
 from trainid_ros.discrepancy.selection import LEFT_OVER, NAMELESS, Search
 from trainid_ros.discrepancy.slip import find_slip
 from trainid_ros.physics.effects import EFFECTS
@@ -77,18 +78,19 @@ def explain(
     if sum(run.time.size for run in runs) < _FEWEST_SAMPLES:
         msg = f'{len(runs)} runs from stop to stop hold too little motion to compare'
         raise NoAnswerError(msg)
-    points = _points(runs, train_file)
-    some = _some(runs)
-    searched = points if some is runs else _points(some, train_file)
-    selection = Search(Model(searched, train_file), advance).run()
-    slip = find_slip(points.drive)
+    search = _search(runs, train_file, advance)
+    if point := search.gradient_point():
+        runs = read_at(point, runs, train_file.train.length)
+        search = _search(runs, train_file, advance)
+    selection = search.run()
+    slip = find_slip(search.base.model.drive)
     verdict = _verdict(selection, slipping=slip is not None)
     advance('held-out runs')
     # Effects that do not fit are not told, and nothing is calculated with them.
     told = selection.base if verdict is Verdict.UNEXPLAINED else selection.final
     sizes, base, final = told.sizes, selection.base.model, told.model
-    if searched is not points:
-        base = Model(points, train_file)
+    if len(base.drive.runs) < len(runs):
+        base = Model(_points(runs, train_file), train_file)
         final = base.having(told.model.members).fit(sizes)
     before, after = hold_out(base, sizes), hold_out(final, sizes)
     gap = gap_of(before, after, final)
@@ -113,9 +115,15 @@ def explain(
         locations=locations,
         traces=_traces(final, before, after),
         noise=_noise(sizes),
-        outliers=float(np.mean(points.drive.outlier)),
+        outliers=float(np.mean(base.drive.outlier)),
         weighed=final.weighed,
+        gradient_point=point,
     )
+
+
+def _search(runs: Sequence[Run], train_file: TrainFile, advance: Callable[[str], None]) -> Search:
+    """Return the search in as many of the runs as are looked into for effects."""
+    return Search(Model(_points(_some(runs), train_file), train_file), advance)
 
 
 def _points(runs: Sequence[Run], train_file: TrainFile) -> Points:

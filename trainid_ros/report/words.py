@@ -182,4 +182,6 @@ def drive_text(explanation: Explanation) -> str:
     way = 'both directions' if len(ways) > 1 else 'one direction only'
     bags = len({trace.bag for trace in traces})
     within = f' in {bags} bags' if bags > 1 else ''
-    return f'{len(traces)} runs{within}, {metres / 1000.0:.1f} km in {seconds / 60.0:.0f} min, {way}'
+    point = explanation.gradient_point
+    read = f'; gradients read as those at the {point} of the train, which fits better' if point else ''
+    return f'{len(traces)} runs{within}, {metres / 1000.0:.1f} km in {seconds / 60.0:.0f} min, {way}{read}'

@@ -9,10 +9,15 @@ from trainid_ros.physics.effects.kind import EffectKind, Parameter, Parameters, 
 from trainid_ros.physics.effects.point import TrackPoint
 from trainid_ros.physics.train_file import Davis
 
+# Slower changes of the traction [N/kN/s] do not tell the delay: a speed control makes them, after what slowed the
+# train, and so they look late however they are stamped.
+_SHARP: Final = 3.0
+
 
 def resistance(p: Parameters, _: Davis, at: TrackPoint) -> float:
-    """Return ``T(t) - T(t + delay)`` with the traction T by its stamps: what acts now is stamped later."""
-    return at.traction_before(0.0) - at.traction_before(-p['delay'])
+    """Return ``T(t) - T(t + delay)`` where traction T changes sharply: what acts now is stamped later."""
+    change = at.traction_before(0.0) - at.traction_before(-p['delay'])
+    return change if abs(change) > _SHARP * abs(p['delay']) else 0.0
 
 
 EFFECT: Final = EffectKind(
