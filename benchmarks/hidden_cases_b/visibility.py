@@ -63,10 +63,21 @@ def lacking(scene: Scene, quirks: Quirks, kit: Instruments, log: Array) -> Array
     return r
 
 
+def misjudged(scene: Scene, kit: Instruments, log: Array) -> Array:
+    """Return what the believed balance lacks since nobody knows the load exactly [N/kN]: part of the floor."""
+    weighed = log[:, WEIGHED]
+    loaded = np.array([s.loaded for s in scene.stocks])[log[:, LEG].astype(int)]
+    effort = log[:, REAL] if kit.force_carries_delay else log[:, NOM]
+    force = log[:, PULL] + (1.0 + scene.stocks[0].gamma) * effort * weighed
+    error: Array = 1000.0 / GRAV * force * (1.0 / weighed - 1.0 / loaded)
+    return error
+
+
 def visible(scene: Scene, quirks: Quirks, kit: Instruments, log: Array) -> Visible:
     """Return how much the effects raise the rms speed gap of the refitted believed model."""
     stock = scene.stocks[0]
     r = lacking(scene, quirks, kit, log)
+    noise = log[:, GUST] + log[:, FLAW] + misjudged(scene, kit, log)
     slip = slip_bursts(np.random.default_rng([kit.base_ns % 2**31, 5]), log, quirks.slip_share, quirks.slip_speed)
     scale = -GRAV / (1000.0 * (1.0 + stock.gamma))
     blocks: list[Array] = []
@@ -77,7 +88,7 @@ def visible(scene: Scene, quirks: Quirks, kit: Instruments, log: Array) -> Visib
         v = log[rows, V]
         damping = -scale * (stock.b + 2.0 * stock.c * v)
         load = scale * np.column_stack(
-            [r[rows], log[rows, GUST] + log[rows, FLAW], np.ones(len(v)), v, v * v, np.zeros(len(v))]
+            [r[rows], noise[rows], np.ones(len(v)), v, v * v, np.zeros(len(v))]
         )
         gaps = _gaps(load, damping, 0.1)
         start = np.exp(-np.cumsum(damping) * 0.1)

@@ -30,6 +30,7 @@ _SHAPES: Final = 6
 """Values tried of each shape parameter."""
 _MOST_TIMES: Final = 40
 """The same of a time."""
+_LASTING_S: Final = 60.0
 _SIZES: Final = (1.0, -1.0, 2.0, -2.0)
 """Amplitudes tried of an effect without a shape that is not linear in it, in its usual size."""
 _BENT: Final = 0.05
@@ -114,9 +115,10 @@ def _shapes(kind: EffectKind, drive: Drive) -> list[dict[str, float]]:
 def _axis(limits: Parameter, drive: Drive) -> list[float]:
     """Return the values tried of one parameter."""
     if limits.search is None:
-        # Times: whenever the train moves.
-        moving = drive.time[:: max(1, drive.time.size // _MOST_TIMES)]
-        return [float(t) for t in moving[1:]]
+        # Times: whenever the train moves, with so much of the drive on either side that a change could be seen.
+        driven = np.cumsum(drive.dt)
+        moving = drive.time[(driven > _LASTING_S) & (driven < driven[-1] - _LASTING_S)]
+        return [float(t) for t in moving[:: max(1, moving.size // _MOST_TIMES)]]
     low, high = limits.search
     values = np.geomspace(low, high, _SHAPES) if limits.grid == 'log' else np.linspace(low, high, _SHAPES)
     return [float(value) for value in values]

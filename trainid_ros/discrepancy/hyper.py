@@ -33,6 +33,7 @@ _SETTLED: Final = 0.05
 _MOST_STEPS: Final = 12
 _OUTER: Final = 4
 _PAYLOAD: Final = 4
+_GUST, _GUST_TIME = 1, 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -75,6 +76,17 @@ class Evidence:
     def usual(self, sizes: Sizes) -> Sizes:
         """Return sizes with the spread of payload, brake and map as it usually is."""
         return replace(sizes, spread=_sizes(self._median)[1])
+
+    def excess(self, logs: Array) -> float:
+        """Return how far passing forces and what differs by run and place lie above what they usually are.
+
+        That is the sum of squares of their distances in standard deviations of their priors. Of gusts that is how
+        far they drive the speed off, as the product of their size and the root of their time says.
+        """
+        above = logs - self._median
+        drift = (above[_GUST] + 0.5 * above[_GUST_TIME]) / math.hypot(_WIDTH[_GUST], 0.5 * _WIDTH[_GUST_TIME])
+        distances = np.maximum([drift, *(above / _WIDTH)[_OUTER:]], 0.0)
+        return float(distances @ distances)
 
     def maximise(self, start: Array | None = None) -> tuple[Sizes, Array]:
         """Return the best sizes and their logs, from a start or the prior's median, whichever is better."""

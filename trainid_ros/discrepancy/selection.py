@@ -56,6 +56,11 @@ class State:
     sizes: Sizes
     logs: NDArray[np.float64]
 
+    @property
+    def excess(self) -> float:
+        """How far sizes lie above what they usually are."""
+        return self.model.evidence().excess(self.logs)
+
 
 @dataclass(frozen=True, slots=True)
 class Selection:

@@ -49,8 +49,9 @@ SEARCHED_S: Final = 4000.0
 """Of longer drives, so much is searched for effects [s]; all of it tells their parameters and the gap."""
 # The equations of real effects differ a little from those of the library, and clocks are read at 5 Hz.
 _EQUATION_SHARE: Final = 0.03
-# No train is in gusts of such a size [N/kN]; no effect is so many times as large as it usually is.
-_MOST_GUST: Final = 5.0
+# Gusts, loads and maps are nowhere so far from what they usually are; see Evidence.excess.
+_MOST_EXCESS: Final = 14.0
+# No effect is so many times as large as it usually is.
 _MOST_USUAL: Final = 12.0
 _WORSE: Final = 1.25
 _CLOCK_S: Final = 0.04
@@ -146,17 +147,21 @@ def _some(runs: Sequence[Run]) -> Sequence[Run]:
 
 def _verdict(selection: Selection, *, slipping: bool) -> Verdict:
     nameless = selection.groups[0].evidence if selection.groups else 0.0
-    if nameless > max(NAMELESS, LEFT_OVER * sum(selection.evidence)) or not _credible(selection):
+    if nameless > max(NAMELESS, LEFT_OVER * sum(selection.evidence)) or not _credible(selection, slipping=slipping):
         return Verdict.UNEXPLAINED
     if not selection.evidence:
         return Verdict.EXPLAINED if slipping else Verdict.NO_GAP
     return Verdict.AMBIGUOUS if any(selection.twins) else Verdict.EXPLAINED
 
 
-def _credible(selection: Selection) -> bool:
-    """Return False where effects were stretched beyond what they can be, or gusts must stand for unmeasured forces."""
+def _credible(selection: Selection, *, slipping: bool) -> bool:
+    """Return False where effects were stretched beyond what they can be, or noise beyond what it is anywhere.
+
+    Bursts of slip are no gusts, but look like them.
+    """
     members = selection.final.model.members
-    return selection.final.sizes.noise.gust < _MOST_GUST and all(member.size < _MOST_USUAL for member in members)
+    usual = slipping or selection.final.excess < _MOST_EXCESS
+    return usual and all(member.size < _MOST_USUAL for member in members)
 
 
 def _found(selection: Selection, model: Model, locations: tuple[Location, ...]) -> list[FoundEffect]:
@@ -210,14 +215,21 @@ def _davis(model: Model, sizes: Sizes) -> tuple[Davis, tuple[float, float, float
 
 def _remaining(selection: Selection, verdict: Verdict) -> str:
     strongest = selection.groups[0] if selection.groups else None
-    gust = selection.final.sizes.noise.gust
-    if gust > _MOST_GUST:
-        unknown = 'wind, or brakes without a command'
-        return f'Forces that nobody measured push the train about by {gust:.0f} N/kN: {unknown}.'
-    if strongest is None or strongest.evidence < NAMELESS:
-        return 'What is left is noise: gusts, errors of the map and of the sensors.'
-    size = 'depends' if verdict is Verdict.UNEXPLAINED else 'depends a little'
-    return f'The rest of the gap {size} on {strongest.text}, and no effect of the library fits it.'
+    if strongest is not None and strongest.evidence >= NAMELESS:
+        size = 'depends' if verdict is Verdict.UNEXPLAINED else 'depends a little'
+        return f'The rest of the gap {size} on {strongest.text}, and no effect of the library fits it.'
+    if verdict is Verdict.UNEXPLAINED:
+        return f'Forces that nobody measured are larger than noise can be: {_unusual(selection.final.sizes)}.'
+    return 'What is left is noise: gusts, errors of the map and of the sensors.'
+
+
+def _unusual(sizes: Sizes) -> str:
+    """Return the sizes that passing forces, loads, brakes and maps would need to have, in words."""
+    noise, spread = sizes.noise, sizes.spread
+    return (
+        f'gusts of {noise.gust:.2f} N/kN that last {noise.gust_time:.0f} s, loads off by {spread.payload:.1%}, '
+        f'brakes by {spread.brake:.1%} from run to run, the map by {spread.map:.2f} per mille'
+    )
 
 
 def _traces(model: Model, before: HeldOut | None, after: HeldOut | None) -> tuple[RunTrace, ...]:
