@@ -94,30 +94,33 @@ class Evidence:
         # Sizes found without an effect can be far off with it.
         if start is not None and (there := self._value(start)) < value:
             x, value = start.copy(), there
+        gradient, curvature = self._slopes(x, value)
         for _ in range(_MOST_STEPS):
-            gradient, curvature = self._slopes(x, value)
-            move = np.clip(-gradient / curvature, -_LARGEST_MOVE, _LARGEST_MOVE)
+            move = np.clip(-np.linalg.solve(curvature, gradient), -_LARGEST_MOVE, _LARGEST_MOVE)
             while (found := self._value(x + move)) > value + 1e-6 and np.abs(move).max() > _SETTLED:
                 move = 0.4 * move
-            if found < value:
-                x, gain, value = x + move, value - found, found
-            else:
-                gain = 0.0
-            if gain < _SETTLED:
+            if found > value - _SETTLED:
+                x, value = (x + move, found) if found < value else (x, value)
                 break
+            x, value, before = x + move, found, gradient
+            gradient = self._gradient(x, value, np.diag(curvature))
+            curvature = _updated(curvature, move, gradient - before)
         return Sizes(*_sizes(x), -value), x
 
     def _slopes(self, x: Array, value: float) -> tuple[Array, Array]:
-        """Return gradient and (positive) curvature of each coordinate by differences."""
+        """Return gradient and a first guess of the curvature, diagonal and positive, by differences."""
         gradient, curvature = np.empty_like(x), np.empty_like(x)
         # The outer sizes need another filter; the inner ones, which do not, come last and share one.
-        for i in (*range(_OUTER), *range(_OUTER, x.size)):
-            step = np.zeros_like(x)
-            step[i] = _STEP
+        for i, step in enumerate(_STEP * np.eye(x.size)):
             up, down = self._value(x + step), self._value(x - step)
             gradient[i] = (up - down) / (2.0 * _STEP)
             curvature[i] = max((up - 2.0 * value + down) / _STEP**2, 1.0 / _WIDTH[i] ** 2)
-        return gradient, curvature
+        return gradient, np.diag(curvature)
+
+    def _gradient(self, x: Array, value: float, curvature: Array) -> Array:
+        """Return the gradient by differences to one side, corrected by what is known of the curvature, shapes (7,)."""
+        up = np.array([self._value(x + step) for step in _STEP * np.eye(x.size)])
+        return np.asarray((up - value) / _STEP - 0.5 * _STEP * curvature)
 
     def _value(self, x: Array) -> float:
         """Return minus twice the log of likelihood times prior."""
@@ -133,6 +136,15 @@ class Evidence:
         information = eliminate(products.sum(axis=0), len(factor), factor)
         prior = float(np.sum(np.square((x - self._median) / _WIDTH)))
         return information.yy + log_det + cost + information.log_det + prior
+
+
+def _updated(curvature: Array, move: Array, change: Array) -> Array:
+    """Return the curvature (7, 7) after a move that changed the gradient (Broyden, Fletcher, Goldfarb, Shanno)."""
+    along = float(move @ change)
+    seen = curvature @ move
+    if along <= _STEP * float(move @ seen):
+        return curvature
+    return np.asarray(curvature + np.outer(change, change) / along - np.outer(seen, seen) / float(move @ seen))
 
 
 def _sizes(x: Array) -> tuple[Noise, Spread]:

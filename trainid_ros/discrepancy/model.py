@@ -38,6 +38,7 @@ _MOST_STEPS: Final = 5
 _SETTLED: Final = 0.1
 # Prior of a shape parameter that is refined, about where it was found.
 _METRES: Final = 80.0
+_SHORTEST_M: Final = 50.0
 _SECONDS: Final = 60.0
 _LOG_WIDTH: Final = 1.0
 # A normal density at its top is that of a flat one this many standard deviations wide.
@@ -140,12 +141,10 @@ class Model:
 
     def _derivative(self, member: Member, name: str, step: float) -> Array:
         """Return the derivative of a member's resistance by one of its parameters, shape (n,)."""
-        kind = EFFECTS[member.name].parameters[name]
-        low = max(member.parameters[name] - step, kind.low)
-        high = min(member.parameters[name] + step, kind.high)
-        up = self.points.resistance(member.name, {**member.parameters, name: high})
-        down = self.points.resistance(member.name, {**member.parameters, name: low})
-        return np.asarray((up - down) / (high - low))
+        limits, value = EFFECTS[member.name].parameters[name], member.parameters[name]
+        other = value + step if value + step <= limits.high else value - step
+        changed = self.points.resistance(member.name, {**member.parameters, name: other})
+        return np.asarray((changed - self.points.resistance(member.name, member.parameters)) / (other - value))
 
     @property
     def columns(self) -> Array:
@@ -301,8 +300,8 @@ def _inside(value: float, limits: Parameter) -> float:
 
 
 def _ordered(parameters: dict[str, float]) -> dict[str, float]:
-    """Keep an end behind its start."""
-    if 'start' in parameters and 'end' in parameters and parameters['end'] - parameters['start'] < 1.0:
+    """Keep an end behind its start, and so far that a train, under which all is averaged, can show the length."""
+    if 'start' in parameters and 'end' in parameters and parameters['end'] - parameters['start'] < _SHORTEST_M:
         middle = 0.5 * (parameters['start'] + parameters['end'])
-        return {**parameters, 'start': middle - 0.5, 'end': middle + 0.5}
+        return {**parameters, 'start': middle - 0.5 * _SHORTEST_M, 'end': middle + 0.5 * _SHORTEST_M}
     return parameters

@@ -36,6 +36,7 @@ MAD_TO_STD: Final = 1.4826
 _AT_ONCE: Final = 16
 _REACH: Final = 15
 _OUTLIER: Final = 5.0
+_FLANK: Final = 2.0
 _LEAST_SCALE: Final = 0.03
 
 
@@ -168,7 +169,16 @@ def _outliers_of(gap: Array) -> NDArray[np.bool_]:
     floor = max(_LEAST_SCALE, float(np.median(scale)))
     # A step that stays lifts one half of the window; what leaves and comes back goes beyond both halves.
     step = np.abs(slope[window]) * (reach + 1)
-    return np.asarray(np.abs(gap - expected) > np.maximum(_OUTLIER * np.maximum(scale[window], floor), 0.7 * step))
+    off_by, usual = gap - expected, np.maximum(scale[window], floor)
+    clear = np.abs(off_by) > np.maximum(_OUTLIER * usual, 0.7 * step)
+    return _whole_bursts(clear, np.where(np.abs(off_by) > _FLANK * usual, np.sign(off_by), 0.0))
+
+
+def _whole_bursts(clear: NDArray[np.bool_], side: Array) -> NDArray[np.bool_]:
+    """Return outliers together with their flanks: neighbours that are off to the same side (1, -1, else 0)."""
+    edges = np.flatnonzero(np.diff(side)) + 1
+    burst = np.searchsorted(edges, np.arange(side.size), side='right')
+    return np.asarray((side != 0.0) & np.isin(burst, burst[clear]))
 
 
 def _stage_means(speed: Array, starts: NDArray[np.intp]) -> Array:

@@ -80,6 +80,8 @@ def share_inside(at: TrackPoint, start: float, end: float) -> float:
         return 0.0
     if at.length <= 0.0:
         return 1.0 if start <= at.position < end else 0.0
-    rear = at.position - at.direction * at.length
-    low, high = min(rear, at.position), max(rear, at.position)
-    return max(0.0, min(high, end) - max(low, start)) / at.length
+    low = at.position - at.length if at.direction > 0 else at.position
+    high = low + at.length
+    if high <= start or low >= end:
+        return 0.0
+    return (min(high, end) - max(low, start)) / at.length
