@@ -72,6 +72,7 @@ def test_runs_side_by_side_are_whitened_as_each_alone(drive: Drive) -> None:
         part = grid.part(slice(k, k + 1))
         alone = Whitener.of(part, noise)
         own = alone.apply(part.spread(column))
+        np.testing.assert_array_equal(own, whitener.part(slice(k, k + 1)).apply(part.spread(column)))
         np.testing.assert_allclose(together[: len(own), k], own[:, 0], rtol=1e-12)
         assert not together[len(own) :, k].any()
         assert alone.log_det[0] == pytest.approx(whitener.log_det[k], rel=1e-12)

@@ -135,14 +135,14 @@ class Whitener:
         return Whitener(self.step[:, runs], self.scale[:, runs], self.log_det[runs])
 
     def apply(self, columns: Array) -> Array:
-        """Return whitened columns, shape (N, R, C) to the same; zero where nothing was measured."""
+        """Return whitened columns of the first N nodes, shape (N, R, C) to the same; zero where nothing was measured."""
         N, runs, C = columns.shape
         # Predicted speed error and gust, and the measurement, so that a step is one product of matrices.
         state = np.zeros((N + 1, runs, 3, C))
         state[:-1, :, 2] = columns
         for i in range(N):
             np.matmul(self.step[i], state[i], out=state[i + 1, :, :2])
-        return np.asarray((columns - state[:-1, :, 0]) * self.scale[..., None])
+        return np.asarray((columns - state[:-1, :, 0]) * self.scale[:N, :, None])
 
 
 def share_of_mean(count: Array) -> Array:

@@ -45,7 +45,7 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 _FEWEST_SAMPLES: Final = 200
-SEARCHED_S: Final = 4000.0
+SEARCHED_S: Final = 3000.0
 """Of longer drives, so much is searched for effects [s]; all of it tells their parameters and the gap."""
 # The equations of real effects differ a little from those of the library, and clocks are read at 5 Hz.
 _EQUATION_SHARE: Final = 0.03
