@@ -28,6 +28,25 @@ def test_families_are_linear_columns_of_what_the_drive_shows(drive: Drive, belie
     np.testing.assert_allclose(0.3 * families['traction_scale'].resistance[:, 0], stronger, atol=1e-9)
 
 
+def test_what_bends_with_its_amplitude_is_tried_at_several(drive: Drive, believed: TrainFile) -> None:
+    points = Points(drive, believed)
+    families = {family.name: family for family in named_families(points)}
+    assert families['traction_scale'].resistance.shape[1] == 1
+    # A shift of the map to one side meets other gradients than one to the other side.
+    shifts = families['map_shift'].resistance
+    assert shifts.shape[1] == len(families['map_shift'].shapes) > 1
+    usual = EFFECTS['map_shift'].usual
+    np.testing.assert_allclose(-usual * shifts[:, 1], points.resistance('map_shift', {'distance': -usual}))
+
+
+def test_a_change_that_sets_in_leaves_time_to_be_seen(drive: Drive, believed: TrainFile) -> None:
+    families = {family.name: family for family in named_families(Points(drive, believed))}
+    times = np.array([shape['time'] for shape in families['resistance_step'].shapes])
+    driven = np.cumsum(drive.dt)
+    assert driven[np.searchsorted(drive.time, times.min())] > 60.0
+    assert driven[-1] - driven[np.searchsorted(drive.time, times.max())] > 59.0
+
+
 @pytest.mark.parametrize(('name', 'side'), [('local_drag', 1), ('gradient_error', 0), ('brake_fade', 1)])
 def test_sides_of_amplitudes(name: str, side: int) -> None:
     assert sign(EFFECTS[name]) == side

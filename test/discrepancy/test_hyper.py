@@ -61,3 +61,13 @@ def test_residual_of_a_model_is_less_the_response_of_its_members(dragged_model: 
     assert model.having((drag,)).without_members.sum() == model.nuisance_columns.shape[1]
     unlikely = Member('local_drag', {'start': 120.0, 'end': 330.0, 'permille': 20.0})
     assert prior_cost(unlikely, model.drive) > prior_cost(drag, model.drive)
+
+
+def test_excess_is_what_lies_above_the_usual(maker: Any, believed: TrainFile) -> None:
+    evidence = evidence_of(maker().runs(3, 5), believed)
+    usual = np.log([0.03, 0.12, 8.0, 0.02, 0.005, 0.01, 0.25])
+    assert evidence.excess(usual) == evidence.excess(usual - 1.0) == 0.0
+    # Worse sensors are no excess; gusts count by how far they drive the speed off.
+    assert evidence.excess(usual + np.array([3.0, 0.0, 0.0, 3.0, 0.0, 0.0, 0.0])) == 0.0
+    assert evidence.excess(usual + np.array([0.0, 1.0, -2.0, 0.0, 0.0, 0.0, 0.0])) == pytest.approx(0.0)
+    assert evidence.excess(usual + np.array([0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 0.8])) == pytest.approx(12.0)

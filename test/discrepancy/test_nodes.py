@@ -58,6 +58,16 @@ def test_a_step_that_stays_is_no_outlier() -> None:
     assert few <= 1
 
 
+def test_a_burst_is_an_outlier_with_its_flanks() -> None:
+    gap = 0.01 * np.random.default_rng(3).standard_normal(200)
+    # A burst of slip comes and goes: its foot is too small to be an outlier of its own.
+    gap[100:107] += [0.1, 0.6, 1.2, 1.3, 1.2, 0.6, 0.1]
+    outlier = find_outliers(gap, np.array([0]))
+    assert outlier[100:107].all()
+    assert not outlier[:99].any()
+    assert not outlier[108:].any()
+
+
 def test_runs_of_few_samples_have_no_outliers() -> None:
     assert not find_outliers(np.array([0.0, 5.0, 0.0, 9.0]), np.array([0, 1, 2])).any()
 

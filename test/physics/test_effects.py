@@ -122,6 +122,8 @@ def test_a_force_that_is_stamped_late_acts_now() -> None:
     # Traction rises by 4 N/kN/s; with stamps 0.5 s late the train already has what will be stamped 0.5 s later.
     rising = at(traction_before=lambda s: 30.0 - 4.0 * s)
     assert kind.resistance({'delay': 0.5}, DAVIS, rising) == pytest.approx(-2.0)
+    # A speed control changes the traction slowly, after the train has slowed: that looks late and is not.
+    assert kind.resistance({'delay': 0.5}, DAVIS, at(traction_before=lambda s: 30.0 - 1.0 * s)) == 0.0
 
 
 def test_what_records_show_is_no_resistance_in_the_balance() -> None:
