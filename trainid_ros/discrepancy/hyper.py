@@ -28,9 +28,10 @@ _UNWEIGHED: Final = 0.03
 _MEDIAN: Final = np.log([0.03, 0.12, 8.0, 0.02, _WEIGHED, 0.01, 0.25])
 _WIDTH: Final = np.array([1.0, 0.5, 0.4, 0.7, 0.5, 0.5, 0.4])
 _STEP: Final = 0.05
-_LARGEST_MOVE: Final = 1.0
+_SMALL: Final = 1e-3
+_LARGEST_MOVE: Final = 2.0
 _SETTLED: Final = 0.05
-_MOST_STEPS: Final = 12
+_MOST_STEPS: Final = 30
 _OUTER: Final = 4
 _PAYLOAD: Final = 4
 _GUST, _GUST_TIME = 1, 2
@@ -96,14 +97,15 @@ class Evidence:
             x, value = start.copy(), there
         gradient, curvature = self._slopes(x, value)
         for _ in range(_MOST_STEPS):
-            move = np.clip(-np.linalg.solve(curvature, gradient), -_LARGEST_MOVE, _LARGEST_MOVE)
+            move = -np.linalg.solve(curvature, gradient)
+            move *= min(1.0, _LARGEST_MOVE / float(np.abs(move).max()))
             while (found := self._value(x + move)) > value + 1e-6 and np.abs(move).max() > _SETTLED:
                 move = 0.4 * move
             if found > value - _SETTLED:
                 x, value = (x + move, found) if found < value else (x, value)
                 break
             x, value, before = x + move, found, gradient
-            gradient = self._gradient(x, value, np.diag(curvature))
+            gradient = self._gradient(x, value)
             curvature = _updated(curvature, move, gradient - before)
         return Sizes(*_sizes(x), -value), x
 
@@ -117,10 +119,10 @@ class Evidence:
             curvature[i] = max((up - 2.0 * value + down) / _STEP**2, 1.0 / _WIDTH[i] ** 2)
         return gradient, np.diag(curvature)
 
-    def _gradient(self, x: Array, value: float, curvature: Array) -> Array:
-        """Return the gradient by differences to one side, corrected by what is known of the curvature, shapes (7,)."""
-        up = np.array([self._value(x + step) for step in _STEP * np.eye(x.size)])
-        return np.asarray((up - value) / _STEP - 0.5 * _STEP * curvature)
+    def _gradient(self, x: Array, value: float) -> Array:
+        """Return the gradient by small differences to one side, shape (7,)."""
+        up = np.array([self._value(x + step) for step in _SMALL * np.eye(x.size)])
+        return np.asarray((up - value) / _SMALL)
 
     def _value(self, x: Array) -> float:
         """Return minus twice the log of likelihood times prior."""
@@ -142,7 +144,7 @@ def _updated(curvature: Array, move: Array, change: Array) -> Array:
     """Return the curvature (7, 7) after a move that changed the gradient (Broyden, Fletcher, Goldfarb, Shanno)."""
     along = float(move @ change)
     seen = curvature @ move
-    if along <= _STEP * float(move @ seen):
+    if along <= 1e-3 * float(move @ seen):
         return curvature
     return np.asarray(curvature + np.outer(change, change) / along - np.outer(seen, seen) / float(move @ seen))
 
