@@ -16,7 +16,7 @@ import numpy as np
 from trainid_ros.physics.effects import EFFECTS
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
@@ -30,6 +30,9 @@ _SHAPES: Final = 6
 """Values tried of each shape parameter."""
 _MOST_TIMES: Final = 40
 """The same of a time."""
+_PLACES: Final = {1: 40, 2: 16}
+"""The same of each place, by how many places a shape has."""
+_PLACES_OF_MANY: Final = 6
 _LASTING_S: Final = 60.0
 _SIZES: Final = (1.0, -1.0, 2.0, -2.0)
 """Amplitudes tried of an effect without a shape that is not linear in it, in its usual size."""
@@ -108,12 +111,24 @@ def _columns(kind: EffectKind, points: Points) -> tuple[list[dict[str, float]], 
 def _shapes(kind: EffectKind, drive: Drive) -> list[dict[str, float]]:
     """Return all combinations of the values tried of all parameters but the amplitude."""
     names = shape_names(kind)
-    axes = [_axis(kind.parameters[name], drive) for name in names]
-    return [dict(zip(names, values, strict=True)) for values in product(*axes)]
+    axes = [_axis(kind.parameters[name], drive, _place_count(kind, names)) for name in names]
+    shapes = (dict(zip(names, values, strict=True)) for values in product(*axes))
+    return [shape for shape in shapes if not ('start' in shape and 'end' in shape and shape['start'] >= shape['end'])]
 
 
-def _axis(limits: Parameter, drive: Drive) -> list[float]:
+def _place_count(kind: EffectKind, names: Sequence[str]) -> int:
+    """Return how many values to try of each place, so that there are not too many combinations."""
+    places = sum(kind.parameters[name].is_place for name in names)
+    return _PLACES.get(places, _PLACES_OF_MANY)
+
+
+def _axis(limits: Parameter, drive: Drive, places: int) -> list[float]:
     """Return the values tried of one parameter."""
+    if limits.is_place:
+        position = drive.joined('position')
+        # Beyond the ends of what was driven there is nothing to see.
+        tried = np.linspace(position.min(), position.max(), places + 2)[1:-1]
+        return [float(place) for place in tried if limits.low <= place <= limits.high]
     if limits.search is None:
         # Times: whenever the train moves, with so much of the drive on either side that a change could be seen.
         driven = np.cumsum(drive.dt)

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """The gap on runs that the fit never saw, beside what noise alone would leave.
 
-All parameters are fitted to the other runs; the run held out gets its best initial speed, no more. Products of
-whitened columns are kept by run, so a fit without some runs is a subtraction.
+The base model, the nuisances and the sizes of all effects are fitted to the other runs; the run held out gets its
+best initial speed, no more. Which effects there are, where they lie and how large the noise is, all runs have told:
+an effect that only the run held out has seen has no size in the fit to the others, and does not help there. Products
+of whitened columns are kept by run, so a fit without some runs is a subtraction.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ import numpy as np
 from trainid_ros.discrepancy.explanation import Gap
 from trainid_ros.discrepancy.noise import share_of_mean
 from trainid_ros.discrepancy.regression import posterior
+from trainid_ros.physics.effects import EFFECTS
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -45,26 +48,39 @@ def hold_out(model: Model, sizes: Sizes) -> HeldOut | None:
         return None
     products = np.concatenate(list(model.products(model.columns, sizes.spread, model.whitener(sizes))))
     total = products.sum(axis=0)
-    root = model.prior_factor(sizes.spread)
+    root, neutral = model.prior_factor(sizes.spread), _neutral(model)
     gap, deviation = np.zeros(model.residual.size), np.zeros(model.residual.size)
     for fold in np.array_split(np.arange(runs), min(runs, _FOLDS)):
         seen = total - products[fold].sum(axis=0)
         model.add_odometry(seen)
-        mean, covariance = posterior(seen, root)
+        mean, covariance = posterior(neutral.T @ seen @ neutral, root)
         for run in fold.tolist():
             at = model.drive.node_run == run
-            gap[at], deviation[at] = _gap(model, sizes, at, mean, covariance)
+            columns = model.nuisance_columns[at]
+            left = model.columns[at] @ neutral[:, 0] - columns @ mean
+            gap[at], deviation[at] = _centred(model, at, left, _noise(model, sizes, at, covariance))
     return HeldOut(gap, deviation)
 
 
-def _gap(model: Model, sizes: Sizes, at: NDArray[np.bool_], mean: Array, covariance: Array) -> tuple[Array, Array]:
-    """Return the gap of one run with nuisances as estimated, less its own mean, and its std [m/s], shapes (m,)."""
-    columns = model.nuisance_columns[at]
-    expected = _noise(model, sizes, at) + columns @ covariance @ columns.T
+def _neutral(model: Model) -> Array:
+    """Return the change of columns that takes all effects out of the residual, shape (1 + q + k, 1 + q + k).
+
+    So a fit to other runs finds their sizes from none, by a prior that is wide and centred there.
+    """
+    change = np.eye(model.columns.shape[1])
+    for member, here in model.places():
+        kind = EFFECTS[member.name]
+        at = 1 + here.start + list(member.parameters).index(kind.amplitude)
+        change[at, 0] = member.parameters[kind.amplitude] - kind.neutral
+    return change
+
+
+def _centred(model: Model, at: NDArray[np.bool_], left: Array, expected: Array) -> tuple[Array, Array]:
+    """Return what is left of one run less its own mean, and the std it should have [m/s], shapes (m,)."""
     known = (model.drive.node_count[at] > 0.0).astype(float)
     centre = np.eye(known.size) - known[None, :] / max(known.sum(), 1.0)
     variance = np.einsum('ij,jk,ik->i', centre, expected, centre)
-    return centre @ (model.residual[at] - columns @ mean), np.sqrt(np.maximum(variance, 0.0))
+    return centre @ left, np.sqrt(np.maximum(variance, 0.0))
 
 
 def gap_of(before: HeldOut | None, after: HeldOut | None, model: Model) -> Gap | None:
@@ -75,8 +91,14 @@ def gap_of(before: HeldOut | None, after: HeldOut | None, model: Model) -> Gap |
     return Gap(_rms(before.gap[known]), _rms(after.gap[known]), _rms(after.std[known]), len(model.drive.runs))
 
 
-def _noise(model: Model, sizes: Sizes, at: NDArray[np.bool_]) -> Array:
-    """Return the covariance of the speed errors of one run: integrated gusts, sensor noise, payload and brake."""
+def _noise(model: Model, sizes: Sizes, at: NDArray[np.bool_], covariance: Array) -> Array:
+    """Return the covariance of the speed errors of one run that a right model leaves.
+
+    These are integrated gusts, sensor noise, payload and brake, and what other runs do not tell of a, b, c and of the
+    map; not what they do not tell of effects.
+    """
+    base = model.without_members
+    columns = model.nuisance_columns[at][:, base]
     noise, spread = sizes.noise, sizes.spread
     t = model.drive.node_time[at] - model.drive.node_time[at][0]
     tau = noise.gust_time
@@ -86,7 +108,8 @@ def _noise(model: Model, sizes: Sizes, at: NDArray[np.bool_]) -> Array:
     factors = model.factor_columns[at] * spread.of_run
     white = noise.speed**2 * share_of_mean(model.drive.node_count[at])
     scale = (noise.gust * tau / model.drive.inertia) ** 2
-    return np.asarray(scale * gust + factors @ factors.T + np.diag(white))
+    nuisances = columns @ covariance[np.ix_(base, base)] @ columns.T
+    return np.asarray(scale * gust + factors @ factors.T + np.diag(white) + nuisances)
 
 
 def _rms(values: Array) -> float:

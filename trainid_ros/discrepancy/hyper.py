@@ -106,7 +106,7 @@ class Evidence:
                 break
             x, value, before = x + move, found, gradient
             gradient = self._gradient(x, value)
-            curvature = _updated(curvature, move, gradient - before)
+            curvature = _updated(curvature, np.asarray(move), gradient - before)
         return Sizes(*_sizes(x), -value), x
 
     def _slopes(self, x: Array, value: float) -> tuple[Array, Array]:

@@ -12,10 +12,11 @@ import numpy as np
 
 from trainid_ros.discrepancy.hyper import Evidence
 from trainid_ros.discrepancy.noise import Grid, Whitener
-from trainid_ros.discrepancy.nuisances import Bins, common_columns, common_std, prior_factor, run_columns
+from trainid_ros.discrepancy.nuisances import DAVIS, Bins, common_columns, common_std, prior_factor, run_columns
 from trainid_ros.discrepancy.odometry import Odometry
 from trainid_ros.discrepancy.regression import Gram, posterior
 from trainid_ros.physics.effects import EFFECTS
+from trainid_ros.physics.train_file import Davis
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -85,6 +86,7 @@ class Model:
         drive: What is explained.
         train_file: What is believed.
         members: Effects in it.
+        davis: a, b, c about which the effects are linear.
         residual: Measured less predicted speed at the nodes [m/s], shape (m,).
         nuisance_columns: Responses at the nodes to nuisances that all runs share, first those of
             :func:`common_columns`, then the members' parameters, then errors of the map, shape (m, q + k).
@@ -108,12 +110,12 @@ class Model:
         self.weighed = all(run.weighed for run in drive.runs)
         self._gap = drive.average(drive.gap)
         self.odometry = Odometry.of(drive, train_file.line.stops)
-        self._set(members)
+        self._set(members, train_file.resistance)
 
-    def having(self, members: tuple[Member, ...]) -> Model:
-        """Return the same model with other members."""
+    def having(self, members: tuple[Member, ...], davis: Davis | None = None) -> Model:
+        """Return the same model with other members, and linear about another a, b, c."""
         other = copy(self)
-        other._set(members)
+        other._set(members, davis or self.davis)
         return other
 
     def beside(self, columns: Array, std: float) -> Model:
@@ -123,28 +125,37 @@ class Model:
         other.nuisance_columns = np.concatenate([columns, self.nuisance_columns], axis=1)
         return other
 
-    def _set(self, members: tuple[Member, ...]) -> None:
-        """Linearise about the parameters of some members."""
-        self.members = members
+    def _set(self, members: tuple[Member, ...], davis: Davis) -> None:
+        """Linearise about the parameters of some members, and about a, b, c where these are part of an effect."""
+        self.members, self.davis = members, davis
         derivatives, std = [], []
         total = np.zeros(self.drive.dt.size)
+        common = self._common
+        beyond = _array(davis) - _array(self.train_file.resistance)
         for member in members:
-            total += self.points.resistance(member.name, member.parameters)
+            total += self.points.resistance(member.name, member.parameters, davis)
+            by_davis = self.points.by_davis(member.name, member.parameters, davis)
+            if by_davis is not None:
+                # The columns of a, b, c count from what is believed.
+                total -= by_davis @ beyond
+                common = common.copy()
+                common[:, DAVIS] += self.drive.column(by_davis)
             for name, value in member.parameters.items():
                 width = _width(member.name, name, value)
                 derivatives.append(self._derivative(member, name, 0.05 * width))
                 std.append(width)
         self.residual = self._gap - self.drive.column(total)
         of_members = [self.drive.column(np.stack(derivatives, axis=1))] if derivatives else []
-        self.nuisance_columns = np.concatenate([self._common, *of_members, self._map], axis=1)
+        self.nuisance_columns = np.concatenate([common, *of_members, self._map], axis=1)
         self.common_std = np.concatenate([common_std(self.train_file, weighed=self.weighed), std])
 
     def _derivative(self, member: Member, name: str, step: float) -> Array:
         """Return the derivative of a member's resistance by one of its parameters, shape (n,)."""
         limits, value = EFFECTS[member.name].parameters[name], member.parameters[name]
         other = value + step if value + step <= limits.high else value - step
-        changed = self.points.resistance(member.name, {**member.parameters, name: other})
-        return np.asarray((changed - self.points.resistance(member.name, member.parameters)) / (other - value))
+        changed = self.points.resistance(member.name, {**member.parameters, name: other}, self.davis)
+        here = self.points.resistance(member.name, member.parameters, self.davis)
+        return np.asarray((changed - here) / (other - value))
 
     @property
     def columns(self) -> Array:
@@ -189,11 +200,11 @@ class Model:
         """Refine the parameters of all members together with the nuisances (Gauss-Newton)."""
         model, whitener = self, self.whitener(sizes)
         for _ in range(_MOST_STEPS):
-            members, moved = model._step(sizes, whitener)
-            model = model.having(members)
+            members, davis, moved = model._step(sizes, whitener)
+            model = model.having(members, davis)
             if moved < _SETTLED:
                 break
-        members, _ = model._step(sizes, whitener, stay=True)
+        members, _, _ = model._step(sizes, whitener, stay=True)
         return model.having(members)
 
     def posterior(self, sizes: Sizes, whitener: Whitener) -> tuple[Array, Array]:
@@ -209,7 +220,7 @@ class Model:
     def without_members(self) -> NDArray[np.bool_]:
         """Which nuisance columns are no parameters of members, shape (q + k,)."""
         kept = np.ones(self.nuisance_columns.shape[1], dtype=bool)
-        for _, here in self._places():
+        for _, here in self.places():
             kept[here] = False
         return kept
 
@@ -226,25 +237,34 @@ class Model:
 
     def add_odometry(self, products: Array) -> None:
         """Add the distances between stops to products of y and nuisances, as one more measurement of the wheel."""
-        for member, here in self._places():
+        for member, here in self.places():
             if member.name == WHEEL:
                 at = 1 + here.start
                 products[at, at] += self.odometry.precision
                 products[0, at] += self.odometry.precision * self.odometer_excess
                 products[at, 0] = products[0, at]
 
-    def _places(self) -> Iterator[tuple[Member, slice]]:
+    def places(self) -> Iterator[tuple[Member, slice]]:
         """Yield all members and where their parameters stand among the nuisances."""
         at = len(self.common_std) - sum(len(member.parameters) for member in self.members)
         for member in self.members:
             yield member, slice(at, at + len(member.parameters))
             at += len(member.parameters)
 
-    def _step(self, sizes: Sizes, whitener: Whitener, *, stay: bool = False) -> tuple[tuple[Member, ...], float]:
-        """Return members one step on, with covariances, and the largest move in std; or where they are."""
+    def found_davis(self, mean: Array) -> Davis:
+        """Return a, b, c by the mean of all nuisances; what no train has is cut off."""
+        a, b, c = (_array(self.train_file.resistance) + mean[DAVIS]).tolist()
+        return Davis(max(a, 0.0), b, max(c, 0.0))
+
+    def _step(
+        self, sizes: Sizes, whitener: Whitener, *, stay: bool = False
+    ) -> tuple[tuple[Member, ...], Davis, float]:
+        """Return members one step on, with covariances, a, b, c, and the largest move in std; or where they are."""
         mean, covariance = self.posterior(sizes, whitener)
-        members, moved = [], 0.0
-        for member, here in self._places():
+        members = []
+        davis = self.found_davis(mean)
+        moved = self._moved(davis, covariance)
+        for member, here in self.places():
             move = np.zeros(len(member.parameters)) if stay else mean[here]
             width = self.common_std[here]
             moved = max(moved, float(np.max(np.abs(move) / np.sqrt(np.diag(covariance)[here]))))
@@ -254,7 +274,18 @@ class Model:
                 for (name, value), delta in zip(member.parameters.items(), move.tolist(), strict=True)
             }
             members.append(Member(member.name, _ordered(parameters), covariance[here, here]))
-        return tuple(members), moved
+        return tuple(members), davis, moved
+
+    def _moved(self, davis: Davis, covariance: Array) -> float:
+        """Return how far a, b, c are from where effects are linear, in std; 0 if no effect depends on them."""
+        if all(self.points.by_davis(m.name, m.parameters, self.davis) is None for m in self.members):
+            return 0.0
+        off = np.abs(_array(davis) - _array(self.davis))
+        return float(np.max(off / np.sqrt(np.diag(covariance)[DAVIS])))
+
+
+def _array(davis: Davis) -> Array:
+    return np.array([davis.a, davis.b, davis.c])
 
 
 def prior_cost(member: Member, drive: Drive) -> float:

@@ -135,7 +135,7 @@ class Whitener:
         return Whitener(self.step[:, runs], self.scale[:, runs], self.log_det[runs])
 
     def apply(self, columns: Array) -> Array:
-        """Return whitened columns of the first N nodes, shape (N, R, C) to the same; zero where nothing was measured."""
+        """Return whitened columns of the first N nodes, shape (N, R, C); zero where nothing was measured."""
         N, runs, C = columns.shape
         # Predicted speed error and gust, and the measurement, so that a step is one product of matrices.
         state = np.zeros((N + 1, runs, 3, C))

@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 from bisect import bisect_right
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from trainid_ros.core.errors import InputError
 from trainid_ros.physics.effects import EFFECTS, TrackPoint
 from trainid_ros.physics.resistance import davis
 
@@ -22,6 +24,9 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
+_DAVIS_STEPS: Final = (0.1, 0.01, 0.0002)
+_PROBES: Final = 60
+"""So many points tell whether an effect depends on a, b, c."""
 _MOST_KNOWN: Final = 400
 """So many resistances are kept; memory is bounded."""
 
@@ -31,27 +36,62 @@ class Points:
 
     def __init__(self, drive: Drive, train_file: TrainFile) -> None:
         self.drive, self.davis = drive, train_file.resistance
-        self._known: dict[tuple[str, tuple[tuple[str, float], ...]], Array] = {}
+        self._known: dict[tuple[str, tuple[tuple[str, float], ...], Davis], Array] = {}
         length = train_file.train.length
         self._points: list[TrackPoint] = []
         for run, start in zip(drive.runs, drive.starts.tolist(), strict=True):
             speed = drive.speed[start : start + run.time.size]
             self._points += _points_of(run, speed, length, drive.inertia, self.davis)
 
-    def resistance(self, name: str, parameters: Mapping[str, float]) -> Array:
-        """Return the resistance of an effect on each stage [N/kN], shape (n,)."""
-        key = name, tuple(parameters.items())
+    def resistance(self, name: str, parameters: Mapping[str, float], davis: Davis | None = None) -> Array:
+        """Return the resistance of an effect on each stage [N/kN], shape (n,).
+
+        Args:
+            name: The effect.
+            parameters: Its parameters.
+            davis: Of the train, where it is not as believed: headwind and tunnel act by its c.
+
+        Raises:
+            InputError: The effect is not finite, or cannot be calculated.
+
+        """
+        key = name, tuple(parameters.items()), davis or self.davis
         if key not in self._known:
             if len(self._known) >= _MOST_KNOWN:
                 self._known.clear()
-            self._known[key] = self._evaluate(name, parameters)
+            self._known[key] = self._evaluate(name, parameters, davis or self.davis)
         return self._known[key]
 
-    def _evaluate(self, name: str, parameters: Mapping[str, float]) -> Array:
+    def _evaluate(self, name: str, parameters: Mapping[str, float], davis: Davis) -> Array:
         function = EFFECTS[name].resistance
         if function is None:
             return np.zeros(len(self._points))
-        return np.array([function(parameters, self.davis, point) for point in self._points])
+        try:
+            values = np.array([function(parameters, davis, point) for point in self._points], dtype=float)
+        except (ArithmeticError, ValueError, TypeError, LookupError, AttributeError) as error:
+            msg = f'effect {name}: its resistance cannot be calculated for {_told(parameters)}: {error}'
+            raise InputError(msg) from error
+        if not np.isfinite(values).all():
+            msg = f'effect {name}: its resistance is not finite for {_told(parameters)}'
+            raise InputError(msg)
+        return values
+
+    def by_davis(self, name: str, parameters: Mapping[str, float], davis: Davis) -> Array | None:
+        """Return how the resistance of an effect changes with a, b, c, shape (n, 3); None if it does not."""
+        function = EFFECTS[name].resistance
+        some = self._points[:: max(1, len(self._points) // _PROBES)]
+        changed = [
+            replace(davis, **{key: getattr(davis, key) + step}) for key, step in zip('abc', _DAVIS_STEPS, strict=True)
+        ]
+        if function is None or all(
+            function(parameters, other, point) == function(parameters, davis, point)
+            for other in changed
+            for point in some
+        ):
+            return None
+        here = self.resistance(name, parameters, davis)
+        rows = zip(changed, _DAVIS_STEPS, strict=True)
+        return np.stack([(self.resistance(name, parameters, other) - here) / step for other, step in rows], axis=1)
 
     def total(self, effects: Sequence[Effect]) -> Array:
         """Return the resistance of effects that records do not show themselves, on each stage [N/kN], shape (n,)."""
@@ -60,6 +100,10 @@ class Points:
             if not EFFECTS[effect.name].on_records:
                 total += self.resistance(effect.name, dict(effect.parameters))
         return total
+
+
+def _told(parameters: Mapping[str, float]) -> str:
+    return ', '.join(f'{key}={value:g}' for key, value in parameters.items())
 
 
 def _points_of(run: Run, speed: Array, length: float, inertia: float, resistance: Davis) -> list[TrackPoint]:

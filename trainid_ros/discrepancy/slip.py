@@ -30,10 +30,11 @@ _LEAST_SHARE: Final = 0.004
 
 @dataclass(frozen=True, slots=True)
 class _Bursts:
-    """Bursts that follow the force: their peaks [m/s], and how many samples they hold."""
+    """Bursts that follow the force: their peaks [m/s], how many samples they hold, and all that met a force."""
 
     peaks: tuple[float, ...]
     samples: int
+    forced: int
 
 
 def find_slip(drive: Drive) -> tuple[Member, float] | None:
@@ -41,7 +42,7 @@ def find_slip(drive: Drive) -> tuple[Member, float] | None:
     starts, ends = _bursts(drive)
     bursts = _agreeing(drive, starts, ends)
     count, share = len(bursts.peaks), bursts.samples / drive.dt.size
-    if count < _FEWEST or count < _AGREEING * len(starts) or share < _LEAST_SHARE:
+    if count < _FEWEST or count < _AGREEING * bursts.forced or share < _LEAST_SHARE:
         return None
     # The largest of so many lies below the largest that there can be.
     largest = max(bursts.peaks) * (count + 1) / count
@@ -61,14 +62,17 @@ def _evidence(drive: Drive, count: int) -> float:
 def _agreeing(drive: Drive, starts: NDArray[np.intp], ends: NDArray[np.intp]) -> _Bursts:
     """Return those bursts in which the wheel is faster under traction, or slower while braking."""
     force = drive.joined('traction') + drive.joined('brake')
-    peaks, samples = [], 0
+    peaks, samples, forced = [], 0, 0
     for start, end in zip(starts.tolist(), ends.tolist(), strict=True):
         deviation, pull = drive.deviation[start:end], float(np.median(force[start:end]))
         peak = float(deviation[np.argmax(np.abs(deviation))])
-        if abs(pull) > PULLING and peak * pull > 0.0:
+        if abs(pull) <= PULLING:
+            continue  # neither with a force nor against it
+        forced += 1
+        if peak * pull > 0.0:
             peaks.append(abs(peak))
             samples += end - start
-    return _Bursts(tuple(peaks), samples)
+    return _Bursts(tuple(peaks), samples, forced)
 
 
 def _bursts(drive: Drive) -> tuple[NDArray[np.intp], NDArray[np.intp]]:

@@ -207,10 +207,8 @@ def _where(locations: tuple[Location, ...]) -> str:
 def _davis(model: Model, sizes: Sizes) -> tuple[Davis, tuple[float, float, float]]:
     """Return a, b, c as found together with the effects; what a train file cannot hold is cut off."""
     mean, covariance = model.posterior(sizes, model.whitener(sizes))
-    believed = model.train_file.resistance
-    a, b, c = (np.array([believed.a, believed.b, believed.c]) + mean[DAVIS]).tolist()
     std = np.sqrt(np.diag(covariance)[DAVIS]).tolist()
-    return Davis(max(a, 0.0), b, max(c, 0.0)), (std[0], std[1], std[2])
+    return model.found_davis(mean), (std[0], std[1], std[2])
 
 
 def _remaining(selection: Selection, verdict: Verdict) -> str:
