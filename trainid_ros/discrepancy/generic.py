@@ -60,9 +60,10 @@ def generic_groups(drive: Drive, length: float) -> tuple[Group, ...]:
     powers = np.stack((np.ones_like(v), relative, relative**2), axis=1)
     heats = np.stack((heat, heat**2, heat * relative), axis=1)
     modes = np.stack((pulling, braking), axis=1)
+    places = (Group('place', 'the place', Bins.of(drive, length).shares(drive, length)),) if drive.positioned else ()
     return (
         Group('run', 'the run', _runs(drive)),
-        Group('place', 'the place', Bins.of(drive, length).shares(drive, length)),
+        *places,
         Group('time', 'the time', _hats(drive.time, 6)),
         Group('start', 'the time since departure', _hats(np.minimum(since, 120.0), 7)),
         Group('speed', 'the speed', _hats(v, 7)),

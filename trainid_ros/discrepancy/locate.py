@@ -89,8 +89,8 @@ def _axes(drive: Drive) -> list[_Axis]:
     released = ~braking & (release < RELEASED_S)
     modes = (pulling & ~released, ~pulling & ~braking & ~released, braking, released)
     runs = tuple(drive.run_of == k for k in range(len(drive.runs)))
-    ways = [('position', np.ones(v.size, dtype=bool))]
-    if rising.any() and not rising.all():
+    ways = [('position', np.full(v.size, drive.positioned))]
+    if drive.positioned and rising.any() and not rising.all():
         ways = [('position, rising', rising), ('position, falling', ~rising)]
     axes = [
         *(_cut(name, 'm', np.where(way, position, np.nan), _PLACES) for name, way in ways),

@@ -82,6 +82,11 @@ class Drive:
         """Direction of the run of each sample, +1 while positions rise, shape (n,)."""
         return np.array([run.direction for run in self.runs])[self.run_of]
 
+    @property
+    def positioned(self) -> bool:
+        """True if it is known of all runs where on the line they were."""
+        return all(run.positioned for run in self.runs)
+
     def respond(self, resistance: Array) -> Array:
         """Return the change of speed [m/s] at every sample by a resistance [N/kN] on each stage, shapes (n, ...)."""
         kick = -resistance * (self.dt / self.inertia).reshape(-1, *[1] * (resistance.ndim - 1))

@@ -23,6 +23,15 @@ if TYPE_CHECKING:
 _TIMES: Final = 120
 
 
+def with_onsets(model: Model, sizes: Sizes) -> Model:
+    """Return a fitted model whose effects that set in at some time have the spread of all times."""
+    members = model.members
+    timed = tuple(
+        with_onset(member, model.having((*members[:k], *members[k + 1 :])), sizes) for k, member in enumerate(members)
+    )
+    return model if all(a is b for a, b in zip(timed, members, strict=True)) else model.having(timed)
+
+
 def with_onset(member: Member, without: Model, sizes: Sizes) -> Member:
     """Return a fitted member with the best time of all and its true spread; as it is if it has no such parameter.
 

@@ -32,6 +32,8 @@ LONGEST_S: Final = 240.0
 """A drive without a stop is cut into runs of this length, so that gusts do not carry errors through all of it."""
 SHORTEST_S: Final = 15.0
 _PARTING: Final = 1e-3
+# Share of the positions of a run that must be measured to know where it is.
+_MEASURED: Final = 0.5
 PULLING: Final = 1.0
 """A traction above this counts as one [N/kN]; less is noise."""
 BRAKING: Final = -1.0
@@ -48,7 +50,7 @@ class Run:
         time: Time since the first sample of all [s], shape (n,).
         dt: Length of the stage [s], 0 in row 0.
         speed: Measured speed at the end of the stage [m/s].
-        position: Position of the front at the end of the stage [m]; integrated from speed if not measured.
+        position: Position of the front at the end of the stage [m]; the distance run if not measured.
         gradient: Mean over the stage [per mille, + uphill in the direction of travel].
         radius: Curve radius [m], 0 = straight.
         tunnel: 1 in a tunnel.
@@ -57,7 +59,7 @@ class Run:
         heat: Energy in the brake [J/kg].
         since_release: Time since the brake was released [s], infinite before its first use.
         distance_run: Distance since the first sample of the bag [m].
-        positioned: True if position was measured.
+        positioned: True if position was measured, all but holes that are bridged.
         weighed: True if the mass was.
         stops: Measured positions at the standstills before and after [m], NaN where there is none.
         travelled: Integral of measured speed between those standstills [m].
@@ -113,7 +115,6 @@ class RunCollector:
     _travelled: float = field(init=False, default=0.0)
     _speed: float = field(init=False, default=math.nan)
     _weighed: bool = field(init=False, default=False)
-    _positioned: bool = field(init=False, default=True)
 
     def add(self, sample: Sample) -> None:
         """Take one sample in."""
@@ -147,10 +148,8 @@ class RunCollector:
         inertia = specific_inertia(1.0, self.train_file.train.rotary_mass)
         braking = inertia * brake if brake < BRAKE_APPLIED else 0.0
         traction = _traction(specific_force(sample.force_mean, mass), braking)
-        self._positioned = math.isfinite(sample.position)
-        position = sample.position if self._positioned else self._distance
         row = (
-            (sample.stamp_ns - self.origin_ns) / NS_PER_S, sample.dt, sample.speed, position,
+            (sample.stamp_ns - self.origin_ns) / NS_PER_S, sample.dt, sample.speed, sample.position,
             sample.gradient_mean, sample.curve_radius, float(sample.tunnel), traction,
             braking, self._heat, self._since_release, self._distance,
         )  # fmt: skip
@@ -175,9 +174,10 @@ class RunCollector:
         columns = np.array(rows).T.copy()
         time, dt, speed, position, gradient, radius, tunnel, traction, brake, heat, release, distance = columns
         dt[0] = 0.0
+        position, positioned = _bridged(position, distance)
         run = Run(
             self.bag, 1 if position[-1] >= position[0] else -1, time, dt, speed, position, gradient, radius, tunnel,
-            traction, brake, heat, release, distance, self._positioned, self._weighed,
+            traction, brake, heat, release, distance, positioned, self._weighed,
             (start, stop_position), self._travelled,
         )  # fmt: skip
         self.runs.append(run)
@@ -201,6 +201,19 @@ class RunCollector:
         self._since_release = 0.0 if self._brake < BRAKE_APPLIED else self._since_release + sample.dt
         self._heat = heat_after(self._heat, mean, sample.speed, sample.dt)
         return mean
+
+
+def _bridged(position: Array, distance: Array) -> tuple[Array, bool]:
+    """Return positions with holes bridged by the distance run [m], shape (n,), and True if most were measured.
+
+    Otherwise they are the distance run: no place on the line, but a way.
+    """
+    known = np.isfinite(position)
+    if np.mean(known) < _MEASURED:
+        return distance.copy(), False
+    way = 1.0 if position[known][-1] >= position[known][0] else -1.0
+    offset = position[known] - way * distance[known]
+    return np.where(known, position, way * distance + np.interp(distance, distance[known], offset)), True
 
 
 def _traction(reported: float, brake: float) -> float:

@@ -72,7 +72,8 @@ class Screen:
         self._bins = Bins.of(drive, length, fine=True)
         shares = self._bins.shares(drive, length)
         # In the order of SECTIONS: an error of the map changes its sign with the direction, a drag does not.
-        sections = (drive.direction[:, None] * shares, shares)
+        sections = (drive.direction[:, None] * shares, shares) if drive.positioned else ()
+        self._sections = SECTIONS[: len(sections)]
         resistances = [*(f.resistance for f in self._families), *(g.resistance for g in self._groups)]
         blocks = [drive.column(r) for r in (*resistances, *sections)]
         self._parts = [slice(*edges) for edges in pairwise(np.cumsum([0, *(b.shape[1] for b in blocks)]).tolist())]
@@ -92,7 +93,7 @@ class Screen:
             A, b = next(blocks)
             values = [group_log_bayes(A, b, std) for std in _GROUP_STD]
             groups.append(Score(group.name, _mean_evidence(np.array(values)), {}, group.text))
-        named += [_section(name, self._bins, *next(blocks)) for name in SECTIONS]
+        named += [_section(name, self._bins, *next(blocks)) for name in self._sections]
         return sorted(named, key=_strongest), sorted(groups, key=_strongest)
 
     def group_columns(self, name: str) -> Array:

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING, Final
 
 from trainid_ros.discrepancy.families import SECTIONS
 from trainid_ros.discrepancy.model import Member, prior_cost
-from trainid_ros.discrepancy.onset import with_onset
+from trainid_ros.discrepancy.onset import with_onsets
 from trainid_ros.discrepancy.reading import preferred_point
 from trainid_ros.discrepancy.screen import Screen
+from trainid_ros.discrepancy.witnesses import is_seen_by_others
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -70,7 +71,7 @@ class Selection:
         base: The model without effects.
         final: The model with them.
         evidence: 2 ln of the Bayes factor of each member, given the others.
-        twins: Names that cannot be told from each member, nearest first.
+        twins: The name that cannot be told from each member; empty if there is none.
         groups: Evidence of what has no name, given all members.
 
     """
@@ -109,18 +110,10 @@ class Search:
             grown = self._add(state, NAMED_IN_GAP) if len(state.model.members) < MOST else None
             if grown is not None and (left := self._nameless(grown))[0].evidence < NAMELESS:
                 state, groups = grown, left
-        state = self._timed(state)
+        state = replace(state, model=with_onsets(state.model, state.sizes))
         standings = [self._standing(state, k) for k in range(len(state.model.members))]
         evidence, twins = (tuple(column) for column in zip(*standings, strict=True)) if standings else ((), ())
         return Selection(self.base, state, evidence, twins, tuple(groups))
-
-    def _timed(self, state: State) -> State:
-        """Let effects that set in at some time have the spread of all times."""
-        members = state.model.members
-        timed = tuple(with_onset(m, self._without(state, k), state.sizes) for k, m in enumerate(members))
-        if all(a is b for a, b in zip(timed, members, strict=True)):
-            return state
-        return replace(state, model=state.model.having(timed))
 
     def _add(self, state: State, threshold: float) -> State | None:
         """Add the best effect; None if none has evidence enough or others lose theirs.
@@ -128,30 +121,33 @@ class Search:
         Noise and nuisances that were estimated without an effect have taken part of it for their own, so what comes
         near is judged with sizes that are estimated with it.
         """
-        best, worth = None, self._worth(state) + threshold
+        worth, found = self._worth(state) + threshold, []
         for rival in self._rivals(state):
             self._advance(rival.name)
-            grown = self._grow(state, rival)
-            if (found := self._worth(grown)) > worth:
-                best, worth = grown, found
-        if best is None or not self._holds(grown := self._exchange(best), threshold):
-            return None
-        return grown
+            found.append(self._grow(state, rival))
+        for grown in sorted(found, key=lambda one: -self._worth(one)):
+            if self._worth(grown) > worth and self._holds(exchanged := self._exchange(grown), threshold):
+                return exchanged
+        return None
 
     def _rivals(self, state: State) -> list[Score]:
         """Return effects worth a closer look: the best with the sizes found, and the best with usual ones.
 
         Loads and brakes that differ from run to run can take all of an effect that is the same in all of them.
         """
-        present = {member.name for member in state.model.members} - set(SECTIONS)
         found: dict[str, Score] = {}
         sizes = state.model.evidence().usual(state.sizes)
         for at, least, count in ((state.sizes, _WORTH_A_TRY, _RIVALS), (sizes, _PLAIN, _USUAL_RIVALS)):
-            named = [score for score in self.screen.scores(state.model, at)[0] if score.name not in present]
+            named = self._named(state.model, at)
             for score in named[:count]:
                 if score.evidence > max(least, named[0].evidence - _NEAR):
                     found.setdefault(score.name, score)
         return list(found.values())
+
+    def _named(self, model: Model, sizes: Sizes) -> list[Score]:
+        """Return the evidence of all effects that can be added to a model, best first."""
+        present = {member.name for member in model.members} - set(SECTIONS)
+        return [score for score in self.screen.scores(model, sizes)[0] if score.name not in present]
 
     def _nameless(self, state: State) -> list[Score]:
         """Return the evidence of what has no name beside a model, the best judged with sizes of noise of their own."""
@@ -199,21 +195,25 @@ class Search:
             return state
         for k in range(len(state.model.members)):
             without = self._without(state, k)
-            named, _ = self.screen.scores(without, state.sizes)
+            named = self._named(without, state.sizes)
             best = next(score for score in named if score.name != state.model.members[k].name)
             if best.evidence > self._gain(state, k) + 2.0:
                 state = self._settle(without.having((*without.members, Member(best.name, best.parameters))), state)
         return state
 
     def _holds(self, state: State, threshold: float) -> bool:
-        """Return True if every member keeps its evidence, and a size, once all has been estimated with it."""
-        sized = all(member.significance > _SIGNIFICANT for member in state.model.members)
-        return sized and all(self._gain(state, k) > threshold for k in range(len(state.model.members)))
+        """Return True if every member keeps its evidence, a size and its witnesses, once all is estimated with it."""
+        model = state.model
+        return all(
+            member.significance > _SIGNIFICANT
+            and self._gain(state, k) > threshold
+            and (member.name not in SECTIONS or is_seen_by_others(model, k, state.sizes))
+            for k, member in enumerate(model.members)
+        )
 
     def _standing(self, state: State, k: int) -> tuple[float, tuple[str, ...]]:
-        """Return the evidence of member k given the others, and which effects come near it."""
-        named, _ = self.screen.scores(self._without(state, k), state.sizes)
-        name = state.model.members[k].name
-        mine = self._gain(state, k)
-        near = [score.name for score in named if score.name != name and score.evidence > mine - TWIN]
-        return mine, tuple(near)
+        """Return the evidence of member k given the others, and the effect that comes nearest it, if it comes near."""
+        name, mine = state.model.members[k].name, self._gain(state, k)
+        others = (score for score in self._named(self._without(state, k), state.sizes) if score.name != name)
+        nearest = next(others)
+        return mine, (nearest.name,) if nearest.evidence > mine - TWIN else ()

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from trainid_ros.core.errors import NoAnswerError
+from trainid_ros.discrepancy.belief import believed_otherwise, together
 from trainid_ros.discrepancy.explanation import (
     Explanation,
     FoundEffect,
@@ -23,6 +24,7 @@ from trainid_ros.discrepancy.locate import locate
 from trainid_ros.discrepancy.model import Member, Model
 from trainid_ros.discrepancy.nodes import assemble
 from trainid_ros.discrepancy.nuisances import DAVIS
+from trainid_ros.discrepancy.onset import with_onsets
 from trainid_ros.discrepancy.points import Points
 from trainid_ros.discrepancy.reading import read_at
 from trainid_ros.discrepancy.selection import LEFT_OVER, NAMELESS, Search
@@ -35,7 +37,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from trainid_ros.discrepancy.explanation import Location
+    from trainid_ros.discrepancy.explanation import Gap, Location
     from trainid_ros.discrepancy.holdout import HeldOut
     from trainid_ros.discrepancy.hyper import Sizes
     from trainid_ros.discrepancy.runs import Run
@@ -51,9 +53,12 @@ SEARCHED_S: Final = 3000.0
 _EQUATION_SHARE: Final = 0.03
 # Gusts, loads and maps are nowhere so far from what they usually are; see Evidence.excess.
 _MOST_EXCESS: Final = 14.0
+# Beside effects with evidence of their own, they may be worse.
+_MOST_EXCESS_NAMED: Final = 30.0
 # No effect is so many times as large as it usually is.
 _MOST_USUAL: Final = 12.0
-_WORSE: Final = 1.25
+_WORSE: Final = 1.1
+"""Effects that make runs held out so much worse are not told, whatever their evidence."""
 _CLOCK_S: Final = 0.04
 
 
@@ -79,11 +84,14 @@ def explain(
     if sum(run.time.size for run in runs) < _FEWEST_SAMPLES:
         msg = f'{len(runs)} runs from stop to stop hold too little motion to compare'
         raise NoAnswerError(msg)
+    given = runs
     search = _search(runs, train_file, advance)
     if point := search.gradient_point():
         runs = read_at(point, runs, train_file.train.length)
         search = _search(runs, train_file, advance)
     selection = search.run()
+    if (rest := believed_otherwise(selection.final.model.members, train_file)) is not None:
+        return explain(given, rest, provenance=provenance, advance=advance)
     slip = find_slip(search.base.model.drive)
     verdict = _verdict(selection, slipping=slip is not None)
     advance('held-out runs')
@@ -92,11 +100,12 @@ def explain(
     sizes, base, final = told.sizes, selection.base.model, told.model
     if len(base.drive.runs) < len(runs):
         base = Model(_points(runs, train_file), train_file)
-        final = base.having(told.model.members).fit(sizes)
+        final = with_onsets(base.having(told.model.members).fit(sizes), sizes)
     before, after = hold_out(base, sizes), hold_out(final, sizes)
-    gap = gap_of(before, after, final)
+    gap, remaining = gap_of(before, after, final), _remaining(selection, verdict)
     if gap is not None and gap.after > _WORSE * gap.before:
         # Whatever the likelihood says, runs that the fit never saw are not simulated better.
+        remaining = _no_better(final, gap)
         verdict, final, after = Verdict.UNEXPLAINED, base, before
         gap = gap_of(before, after, final)
     advance('places')
@@ -110,8 +119,8 @@ def explain(
         verdict=verdict,
         effects=tuple(found),
         gap=gap,
-        remaining=_remaining(selection, verdict),
-        train_file=replace(train_file, resistance=davis, effects=(*train_file.effects, *added)),
+        remaining=remaining,
+        train_file=replace(train_file, resistance=davis, effects=together(train_file.effects, added)),
         davis_std=davis_std,
         locations=locations,
         traces=_traces(final, before, after),
@@ -160,7 +169,8 @@ def _credible(selection: Selection, *, slipping: bool) -> bool:
     Bursts of slip are no gusts, but look like them.
     """
     members = selection.final.model.members
-    usual = slipping or selection.final.excess < _MOST_EXCESS
+    most = _MOST_EXCESS_NAMED if members else _MOST_EXCESS
+    usual = slipping or selection.final.excess < most
     return usual and all(member.size < _MOST_USUAL for member in members)
 
 
@@ -184,7 +194,9 @@ def _honest(member: Member, name: str, std: float) -> float:
     """Return a standard deviation that knows that equations and clocks are not exact either."""
     kind = EFFECTS[member.name]
     off = member.parameters[name] - (kind.neutral if name == kind.amplitude else 0.0)
-    equation = _EQUATION_SHARE * off if kind.parameters[name].unit != 'm' else 0.0
+    # Places and times of day are no sizes.
+    sized = name == kind.amplitude or (kind.parameters[name].unit != 'm' and kind.parameters[name].search is not None)
+    equation = _EQUATION_SHARE * off if sized else 0.0
     clock = _CLOCK_S if kind.parameters[name].unit == 's' else 0.0
     return math.sqrt(std * std + equation * equation + clock * clock)
 
@@ -219,6 +231,15 @@ def _remaining(selection: Selection, verdict: Verdict) -> str:
     if verdict is Verdict.UNEXPLAINED:
         return f'Forces that nobody measured are larger than noise can be: {_unusual(selection.final.sizes)}.'
     return 'What is left is noise: gusts, errors of the map and of the sensors.'
+
+
+def _no_better(model: Model, gap: Gap) -> str:
+    """Return why effects with evidence are not told."""
+    names = ' and '.join(sorted({member.name for member in model.members}))
+    return (
+        f'What looks like {names} does not hold: runs that the fit never saw would be simulated worse with it '
+        f'({gap.before:.3f} to {gap.after:.3f} m/s).'
+    )
 
 
 def _unusual(sizes: Sizes) -> str:

@@ -17,7 +17,9 @@ Term = Callable[[Davis, TrackPoint], float]
 
 
 def check_effects(effects: Sequence[Effect]) -> None:
-    """Check that every effect is known and has exactly its parameters, each in its range.
+    """Check that every effect is known, has exactly its parameters, each in its range, and stands once.
+
+    Those with a place or a time of their own may stand several times.
 
     Raises:
         InputError: It names the effect, or effect:key and the value.
@@ -39,6 +41,9 @@ def check_effects(effects: Sequence[Effect]) -> None:
         if 'start' in values and 'end' in values and not values['start'] < values['end']:
             start, end = values['start'], values['end']
             msg = f'effect {effect.name}:end = {end:g} m must lie after start = {start:g} m'
+            raise InputError(msg)
+        if not kind.repeatable and sum(other.name == effect.name for other in effects) > 1:
+            msg = f'effect {effect.name}: stands more than once'
             raise InputError(msg)
 
 
@@ -71,8 +76,8 @@ def extra_resistance(effects: Sequence[Effect], davis: Davis, point: TrackPoint)
 
 
 def effect_value(effects: Sequence[Effect], name: str, key: str, default: float) -> float:
-    """Return a parameter of the last effect of that name, or the default."""
-    for effect in reversed(effects):
+    """Return a parameter of the effect of that name, which stands once, or the default."""
+    for effect in effects:
         if effect.name == name:
             return dict(effect.parameters).get(key, default)
     return default
