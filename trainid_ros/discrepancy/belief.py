@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What becomes of effects that are believed already when more of them are found."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from trainid_ros.physics.effects import EFFECTS
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from trainid_ros.discrepancy.model import Member
+    from trainid_ros.physics.train_file import Effect, TrainFile
+
+
+def believed_otherwise(members: Sequence[Member], train_file: TrainFile) -> TrainFile | None:
+    """Return what is believed without effects that were found once more, since they are otherwise; None if none was.
+
+    Effects that records show themselves have been taken out of the records already, and stay so.
+    """
+    again = {
+        member.name
+        for member in members
+        if not (EFFECTS[member.name].repeatable or EFFECTS[member.name].on_records)
+    }
+    rest = tuple(effect for effect in train_file.effects if effect.name not in again)
+    return replace(train_file, effects=rest) if len(rest) < len(train_file.effects) else None
+
+
+def together(believed: Sequence[Effect], added: Sequence[Effect]) -> tuple[Effect, ...]:
+    """Return all effects; what records showed beside what was taken out of them is one effect with it."""
+    before = {effect.name: effect for effect in believed if EFFECTS[effect.name].on_records}
+    whole = tuple(_sum(before[new.name], new) if new.name in before else new for new in added)
+    names = {effect.name for effect in whole if effect.name in before}
+    return (*(effect for effect in believed if effect.name not in names), *whole)
+
+
+def _sum(before: Effect, new: Effect) -> Effect:
+    """Return an effect whose amplitude is that of two: ratios multiply, others add up."""
+    kind = EFFECTS[new.name]
+    old, parameters = dict(before.parameters)[kind.amplitude], dict(new.parameters)
+    more = parameters[kind.amplitude]
+    parameters[kind.amplitude] = more * old if kind.neutral else more + old
+    return replace(new, parameters=tuple(parameters.items()))
