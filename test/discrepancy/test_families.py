@@ -3,14 +3,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
-from trainid_ros.discrepancy.families import SECTIONS, named_families, sign
+from trainid_ros.discrepancy.families import SECTIONS, _shapes, named_families, sign
 from trainid_ros.discrepancy.generic import generic_groups
 from trainid_ros.discrepancy.nodes import Drive
 from trainid_ros.discrepancy.points import Points
-from trainid_ros.physics.effects import EFFECTS
+from trainid_ros.physics.effects import EFFECTS, EffectKind, Parameter
 from trainid_ros.physics.train_file import TrainFile
 
 
@@ -45,6 +47,28 @@ def test_a_change_that_sets_in_leaves_time_to_be_seen(drive: Drive, believed: Tr
     driven = np.cumsum(drive.dt)
     assert driven[np.searchsorted(drive.time, times.min())] > 60.0
     assert driven[-1] - driven[np.searchsorted(drive.time, times.max())] > 59.0
+
+
+def user_kind(**parameters: Parameter) -> EffectKind:
+    parameters = {'size': Parameter('N/kN'), **parameters}
+    return EffectKind('ballast', 'new ballast', 'w = size', parameters, 'size', 1.0, lambda *_: 1.0)
+
+
+def test_places_are_tried_where_was_driven_and_times_when(drive: Drive) -> None:
+    place, time = Parameter('m'), Parameter('s')
+    position = drive.joined('position')
+    starts = np.array([shape['start'] for shape in _shapes(user_kind(start=place), drive)])
+    assert starts.size == 40
+    assert position.min() < starts.min() < starts.max() < position.max()
+    np.testing.assert_allclose(np.diff(starts), np.ptp(position) / 41.0)
+    times = [shape['since'] for shape in _shapes(user_kind(since=time), drive)]
+    assert drive.time[0] < min(times) < max(times) < drive.time[-1]
+    pairs = _shapes(user_kind(start=place, end=place), drive)
+    assert 50 < len(pairs) < 200
+    assert all(shape['start'] < shape['end'] for shape in pairs)
+    assert all(s['start'] <= 500.0 for s in _shapes(user_kind(start=Parameter('m', high=500.0)), drive))
+    lost = replace(drive, runs=tuple(replace(run, positioned=False) for run in drive.runs))
+    assert _shapes(user_kind(start=place), lost) == []
 
 
 @pytest.mark.parametrize(('name', 'side'), [('local_drag', 1), ('gradient_error', 0), ('brake_fade', 1)])

@@ -3,13 +3,20 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
 from trainid_ros.discrepancy.hyper import Sizes
 from trainid_ros.discrepancy.model import Member, Model
+from trainid_ros.discrepancy.nodes import assemble
+from trainid_ros.discrepancy.points import Points
 from trainid_ros.discrepancy.screen import Screen, reduced_information, stretch_sums
+from trainid_ros.physics.train_file import TrainFile
 
 Found = tuple[Sizes, NDArray[np.float64]]
 
@@ -35,6 +42,37 @@ def test_what_is_there_has_the_greatest_evidence(dragged_model: Model, dragged_s
     for scores in (named, groups):
         evidence = [score.evidence for score in scores]
         assert evidence == sorted(evidence, reverse=True)
+
+
+BALLAST = """
+from trainid_ros.physics.effects import EffectKind, Parameter
+
+EFFECT = EffectKind(
+    name='new_ballast',
+    title='track on new ballast',
+    equation='w = value beyond start',
+    parameters={'start': Parameter('m'), 'value': Parameter('N/kN')},
+    amplitude='value',
+    usual=1.0,
+    resistance=lambda p, davis, at: p['value'] if at.position >= p['start'] else 0.0,
+)
+"""
+
+
+def test_a_users_effect_is_found_at_its_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, maker: Any, believed: TrainFile
+) -> None:
+    (tmp_path / 'ballast.py').write_text(BALLAST, encoding='utf-8')
+    monkeypatch.setenv('TRAINID_EFFECTS', str(tmp_path))
+    runs = maker().runs(6, 77, lambda position, _v, _way: 2.0 if position >= 480.0 else 0.0)
+    # No number of seconds of the drive is such a position.
+    runs = [replace(run, position=run.position + 5000.0) for run in runs]
+    model = Model(Points(assemble(runs, believed), believed), believed)
+    sizes, _ = model.evidence().maximise()
+    named, _ = Screen(model).scores(model, sizes)
+    assert named[0].name == 'new_ballast'
+    assert named[0].parameters['start'] == pytest.approx(5480.0, abs=60.0)
+    assert named[0].parameters['value'] == pytest.approx(2.0, abs=0.7)
 
 
 def test_members_that_stand_leave_more_to_be_seen(dragged_model: Model, dragged_sizes: Found) -> None:

@@ -110,10 +110,17 @@ def test_an_effect_without_a_near_name_lists_all_that_are_known() -> None:
         check_effects([Effect('zzz')])
 
 
-def test_the_last_effect_of_a_name_gives_the_value() -> None:
-    effects = parse_effects(['mass_error:ratio=1.1', 'mass_error:ratio=1.2'])
+def test_the_effect_of_a_name_gives_the_value() -> None:
+    effects = parse_effects(['mass_error:ratio=1.2'])
     assert effect_value(effects, 'mass_error', 'ratio', 1.0) == 1.2
     assert effect_value(effects, 'brake_scale', 'ratio', 1.0) == 1.0
+
+
+def test_an_effect_without_a_place_of_its_own_stands_once() -> None:
+    with pytest.raises(InputError, match='mass_error: stands more than once'):
+        check_effects(parse_effects(['mass_error:ratio=1.1', 'mass_error:ratio=1.2']))
+    drags = ['local_drag:start=0,end=9,permille=1', 'local_drag:start=20,end=29,permille=2']
+    check_effects(parse_effects([*drags, 'resistance_step:time=9,a=1', 'resistance_step:time=99,a=1']))
 
 
 def test_a_force_that_is_stamped_late_acts_now() -> None:
@@ -229,6 +236,10 @@ def test_a_file_in_a_users_folder_is_an_effect(tmp_path: Path, monkeypatch: pyte
         ('def', r'bad\.py: cannot be loaded: SyntaxError'),
         (USERS.replace('leaves', 'headwind'), r'bad\.py: effect headwind is there already'),
         (USERS.replace("amplitude='value'", "amplitude='size'"), r"bad\.py: .*amplitude = 'size' is none of"),
+        (
+            USERS.replace('parameters={', "parameters={'depth': Parameter('mm'), "),
+            r"bad\.py: .*effect leaves: parameter depth needs search=.* its unit is 'mm'",
+        ),
         (USERS.replace("amplitude='value'", "amplitude='value', neutral=-1.0"), r'bad\.py: .*neutral = -1 is outside'),
     ],
 )

@@ -125,6 +125,8 @@ def _place_count(kind: EffectKind, names: Sequence[str]) -> int:
 def _axis(limits: Parameter, drive: Drive, places: int) -> list[float]:
     """Return the values tried of one parameter."""
     if limits.is_place:
+        if not all(run.positioned for run in drive.runs):
+            return []
         position = drive.joined('position')
         # Beyond the ends of what was driven there is nothing to see.
         tried = np.linspace(position.min(), position.max(), places + 2)[1:-1]

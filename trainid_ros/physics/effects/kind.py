@@ -6,13 +6,15 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
-from typing import Literal
+from typing import Final, Literal
 
 from trainid_ros.core.errors import InputError
 from trainid_ros.physics.effects.point import TrackPoint
 from trainid_ros.physics.train_file import Davis
 
 Parameters = Mapping[str, float]
+PLACE_UNIT: Final = 'm'
+TIME_UNIT: Final = 's'
 Resistance = Callable[[Parameters, Davis, TrackPoint], float]
 """Equivalent extra resistance [N/kN] at one moment: what must be added to w(v) + i for the balance to hold."""
 
@@ -26,7 +28,8 @@ class Parameter:
         low: Lowest value that is accepted.
         high: Highest value that is accepted.
         search: Range to look in for a value that is not known: of a shape, the values to try; of the amplitude, the
-            side of neutral on which it can lie. None where the data give it (positions, times) or it has either sign.
+            side of neutral on which it can lie. None where the data give it (positions in m, times in s since the
+            start) or it has either sign.
         grid: How values to try are spaced over ``search``.
 
     """
@@ -36,6 +39,11 @@ class Parameter:
     high: float = math.inf
     search: tuple[float, float] | None = None
     grid: Literal['linear', 'log'] = 'linear'
+
+    @property
+    def is_place(self) -> bool:
+        """True for a position on the line, looked for wherever was driven."""
+        return self.search is None and self.unit == PLACE_UNIT
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,11 +88,17 @@ class EffectKind:
     needs: str = ''
     twins: tuple[Twin, ...] = ()
 
+    @property
+    def repeatable(self) -> bool:
+        """True if it has a place or a time of its own, so that there may be several."""
+        return any(p.search is None for name, p in self.parameters.items() if name != self.amplitude)
+
     def __post_init__(self) -> None:
         """Check what a user can get wrong.
 
         Raises:
-            InputError: The amplitude is no parameter, or the neutral value lies outside its range.
+            InputError: The amplitude is no parameter, the neutral value lies outside its range, or nothing tells which
+                values of a shape parameter to try.
 
         """
         limits = self.parameters.get(self.amplitude)
@@ -94,3 +108,11 @@ class EffectKind:
         if not limits.low <= self.neutral <= limits.high:
             msg = f'effect {self.name}: neutral = {self.neutral:g} is outside the range of {self.amplitude}'
             raise InputError(msg)
+        for name, parameter in self.parameters.items():
+            given = parameter.search is not None or parameter.unit in {PLACE_UNIT, TIME_UNIT}
+            if name != self.amplitude and not given:
+                msg = (
+                    f'effect {self.name}: parameter {name} needs search=(low, high), the values to try; only positions '
+                    f'[m] and times [s] are known from the drive, its unit is {parameter.unit!r}'
+                )
+                raise InputError(msg)
