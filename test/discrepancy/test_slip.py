@@ -43,6 +43,20 @@ def test_bursts_against_the_force_are_none(maker: Any, believed: TrainFile, sign
     assert find_slip(spoiled(maker, believed, sign)) is None
 
 
+def test_bursts_without_a_force_say_nothing(maker: Any, believed: TrainFile) -> None:
+    """As from a wheel sensor that stutters while coasting, in half as many places."""
+    runs = []
+    for run in maker().runs(4, 13):
+        speed = run.speed.copy()
+        braking = int(np.argmax(run.brake < 0.0))
+        for at, size in ((40, 1.5), (braking + 25, -1.5), (braking - 30, 1.5)):
+            speed[at : at + BURST] += size
+        runs.append(replace(run, speed=speed))
+    found = find_slip(assemble(runs, believed))
+    assert found is not None
+    assert found[0].parameters['speed'] == pytest.approx(1.5, rel=0.3)
+
+
 def test_single_outliers_are_no_slip(maker: Any, believed: TrainFile) -> None:
     rng, runs = np.random.default_rng(5), []
     for run in maker().runs(4, 14):

@@ -25,6 +25,7 @@ CLEAN = SensorModel(
     stamp_jitter=0.0,
 )
 COUNT = 20_000
+PULL = 60.0  # N/kN
 
 
 def sensors(settings: dict[str, float] | None = None, seed: int = 1, **more: float) -> Sensors:
@@ -33,7 +34,7 @@ def sensors(settings: dict[str, float] | None = None, seed: int = 1, **more: flo
 
 
 def speeds(device: Sensors, true: float = 10.0) -> np.ndarray:
-    records = [device.speed(10**9, true, 0.0, 1.0) for _ in range(COUNT)]
+    records = [device.speed(10**9, true, 0.0, PULL) for _ in range(COUNT)]
     return np.array([record.speed for record in records if record is not None])
 
 
@@ -152,6 +153,18 @@ def test_slip_takes_its_share_with_the_sign_of_the_force() -> None:
     assert np.mean(error != 0.0) == pytest.approx(0.05, rel=0.4)
     assert error.min() >= 0.0
     assert 2.0 < error.max() <= 3.0
+
+
+def test_nothing_slips_without_a_force_and_the_share_is_one_of_all_the_time() -> None:
+    device = sensors(slip_share=0.1, slip_speed=3.0, seed=31)
+    # 10 s each of traction, coasting and braking.
+    pulls = np.tile(np.repeat([PULL, 0.5, -PULL], 50), 400)
+    records = [device.speed(1, 10.0, 0.0, float(pull)) for pull in pulls]
+    error = np.array([record.speed for record in records if record is not None]) - 10.0
+    assert np.all(error[np.abs(pulls) < 1.0] == 0.0)
+    assert np.all(error * pulls >= 0.0)
+    # 12 000 s hold about 900 bursts: the share is known to 4 %; bursts end on whole samples, which adds some.
+    assert np.mean(error != 0.0) == pytest.approx(0.1, rel=0.2)
 
 
 def test_settings_are_checked() -> None:

@@ -13,6 +13,7 @@ from trainid_ros.core.errors import InputError
 from trainid_ros.core.records import NS_PER_S, Record
 from trainid_ros.physics.effects import check_effects, effect_value
 from trainid_ros.physics.line import LineProfile
+from trainid_ros.physics.resistance import specific_force
 from trainid_ros.physics.train_file import Davis, TrainFile
 from trainid_ros.simulation.disturbance import Gust, GustModel
 from trainid_ros.simulation.driver import TICK_S, Driver, DriverModel, StopEvent
@@ -176,7 +177,7 @@ class _Day:
             elif step == _FORCE_STEP:
                 self._records.append(sensors.force(plant.now_ns, plant.reported_force, plant.mass))
             elif step == _SPEED_STEP:
-                pull = plant.reported_force
+                pull = specific_force(plant.reported_force, plant.mass)
                 self._records.append(sensors.speed(plant.now_ns, plant.speed, plant.position, pull))
 
     def _gradient(self) -> Record | None:

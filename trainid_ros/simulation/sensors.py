@@ -24,6 +24,10 @@ from trainid_ros.simulation.disturbance import ar1_path
 MAP_STEP_M: Final = 10.0
 MOST_JITTER_NS: Final = 4_000_000
 _SLIP_DURATION_S: Final = (0.6, 2.0)
+_SLIPPERY: Final = 10.0
+"""The poorest rails bear 1 % of the weight: a wheel that has to carry over less does not slip [N/kN]."""
+_MOST_SLIPPING: Final = 0.9
+"""Largest share of the time under force in which wheels slip."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,9 +78,10 @@ class Sensors:
         self._last_position = math.nan
         self._slip = 0.0
         self._slip_left_s = 0.0
+        self._running = self._forced = 0
 
     def speed(self, stamp_ns: int, speed: float, position: float, pull: float) -> SpeedRecord | None:
-        """Measure speed and position; ``pull`` is the sign of the force, which gives slip its sign.
+        """Measure speed and position; ``pull`` is the force per weight [N/kN]: what makes wheels slip, either way.
 
         A standing wheel gives no pulses: it is measured as exactly zero, and the platform corrects the
         position.
@@ -133,11 +138,19 @@ class Sensors:
         return self._map[i] + (place - i) * (self._map[i + 1] - self._map[i])
 
     def _slip_speed(self, pull: float) -> float:
+        """Return what the wheel turns too fast [m/s]: it slips when pulling, slides when braking, else rolls."""
         low, high = _SLIP_DURATION_S
         self._slip_left_s -= self._dt
+        self._running += 1
+        if abs(pull) < _SLIPPERY or pull * self._slip < 0.0:
+            self._slip = self._slip_left_s = 0.0
+        if abs(pull) < _SLIPPERY:
+            return 0.0
+        self._forced += 1
         if self._slip_left_s <= 0.0:
             self._slip = 0.0
-            share = self.model.slip_share
+            # The share is one of all the time, so it is larger while there is force.
+            share = min(_MOST_SLIPPING, self.model.slip_share * self._running / self._forced)
             starts = share / (1.0 - share) * self._dt / (0.5 * (low + high))
             if float(self._rng.random()) < starts:
                 self._slip_left_s = float(self._rng.uniform(low, high))
