@@ -7,6 +7,7 @@ import json
 import shutil
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,9 +17,10 @@ import pytest
 from trainid_ros import __version__
 from trainid_ros.bags.reader import BagReader
 from trainid_ros.bags.writer import BagWriter
+from trainid_ros.commands import explain
 from trainid_ros.commands.explain import describe, no_answer, prepare_folder, provenance, to_json
 from trainid_ros.commands.main import main
-from trainid_ros.core.errors import InputError
+from trainid_ros.core.errors import InputError, NoAnswerError
 from trainid_ros.core.records import GradientRecord
 from trainid_ros.discrepancy.explanation import Explanation, Gap, Verdict
 from trainid_ros.physics.effect_text import parse_effects
@@ -26,7 +28,7 @@ from trainid_ros.physics.train_file import Davis, Line, Train, TrainFile, dump_t
 from trainid_ros.simulation.scenario import Scenario, simulate
 
 Make = Callable[..., Explanation]
-KEYS = {'verdict', 'effects', 'gap', 'remaining'}
+KEYS = {'verdict', 'effects', 'gap', 'remaining', 'gradient_read_at'}
 EFFECT_KEYS = {'name', 'parameters', 'std', 'evidence', 'where', 'indistinguishable_from'}
 GAP_KEYS = {'metric', 'unit', 'before', 'after', 'noise_floor', 'runs_held_out'}
 DRAG = 'local_drag:start=900,end=1900,permille=2.5'
@@ -82,7 +84,7 @@ def test_story_for_people(make_explanation: Make, believed: TrainFile) -> None:
     ):  # fmt: skip
         assert part in text
     bare = describe(make_explanation(verdict=Verdict.UNEXPLAINED, effects=()), believed)
-    assert 'position 300 to 400 m: 1.50 ± 0.10 N/kN more resistance than believed' in bare
+    assert 'At 300 to 400 m: 1.50 ± 0.10 N/kN more resistance than believed' in bare
 
 
 def test_provenance_names_version_bags_and_runs() -> None:
@@ -90,6 +92,7 @@ def test_provenance_names_version_bags_and_runs() -> None:
         provenance([Path('x/day1'), Path('day2.mcap')], 9) == f'trainid explain {__version__}, day1, day2.mcap, 9 runs'
     )
     assert provenance([Path(f'd{k}') for k in range(5)], 9).endswith('d0, d1, d2 and 2 more, 9 runs')
+    assert provenance([Path('day1')], 1).endswith('day1, 1 run')
 
 
 def test_the_folder_is_made_and_no_train_file_is_lost(tmp_path: Path) -> None:
@@ -144,6 +147,59 @@ def test_without_runs_there_is_no_answer(tmp_path: Path, driven_bag: Path, capsy
     assert json.loads(out)['verdict'] is None
     assert err.count('\n') == 1
     assert 'short: ' in err
+
+
+Stub = Callable[[Callable[[], Explanation]], None]
+
+
+@pytest.fixture
+def stub(monkeypatch: pytest.MonkeyPatch) -> Stub:
+    """Return a function that puts another answer in the place of the workflow's; no figures are drawn."""
+
+    def put(answer: Callable[[], Explanation]) -> None:
+        monkeypatch.setattr(explain, 'explain_runs', lambda *_: answer())
+        monkeypatch.setattr('trainid_ros.report.explained.write_page', lambda *_: None)
+        monkeypatch.setattr('trainid_ros.report.explained.render_explained', lambda _: '')
+
+    return put
+
+
+def test_outputs_are_written_before_anyone_stops_reading(
+    tmp_path: Path, driven_bag: Path, make_explanation: Make, stub: Stub, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stop(*_: Any) -> str:
+        raise BrokenPipeError
+
+    stub(make_explanation)
+    monkeypatch.setattr(explain, 'describe', stop)
+    monkeypatch.setattr('trainid_ros.commands.main._drop_output', lambda: None)
+    assert call(driven_bag, train=driven_bag / 'train.yaml', options=('--out', str(tmp_path / 'a'))) == 141
+    assert {path.name for path in (tmp_path / 'a').iterdir()} == {'report.json', 'train.yaml'}
+
+
+@pytest.mark.parametrize(('error', 'code'), [(KeyboardInterrupt, 130), (NoAnswerError, 1)])
+def test_a_folder_that_nothing_comes_into_does_not_stay(
+    tmp_path: Path, driven_bag: Path, stub: Stub, error: type[BaseException], code: int
+) -> None:
+    def fail() -> Explanation:
+        raise error
+
+    stub(fail)
+    (tmp_path / 'old' / 'empty').mkdir(parents=True)
+    for out in ('new', 'old/new/new', 'old/empty'):
+        assert call(driven_bag, train=driven_bag / 'train.yaml', options=('--out', str(tmp_path / out))) == code
+    assert [path.name for path in sorted(tmp_path.rglob('*'))] == ['old', 'empty']
+
+
+def test_gradients_of_one_point_are_told_to_programs_and_people(
+    driven_bag: Path, make_explanation: Make, stub: Stub, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for point, warnings in (('middle', 1), (None, 0)):
+        stub(partial(make_explanation, gradient_point=point))
+        assert call(driven_bag, train=driven_bag / 'train.yaml', options=('--json',)) == 0
+        out, err = capsys.readouterr()
+        assert json.loads(out)['gradient_read_at'] == point
+        assert err.count('warning: the gradients of the bags are those at the middle') == warnings
 
 
 @pytest.fixture(scope='module')

@@ -115,6 +115,8 @@ def test_little_data_breaks_nothing(make_explanation: Make, believed: TrainFile)
     ):
         page = render(explanation, bare)
         assert 'What remains' in page
+        assert ('Speed gap along the line' in page) == any(np.isfinite(t.before).any() for t in explanation.traces)
+        assert not re.search(r'\b1 runs', page)
         assert 'nan' not in re.sub(r'<style.*?</style>|<svg.*?</svg>|<[^>]+>', ' ', page, flags=re.DOTALL).split()
 
 

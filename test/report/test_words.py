@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import pytest
 
-from trainid_ros.discrepancy.explanation import Explanation, Gap, Verdict
+from trainid_ros.discrepancy.explanation import Explanation, Gap, Likeness, Verdict
 from trainid_ros.physics.train_file import TrainFile
 from trainid_ros.report.words import (
     davis_rows,
@@ -53,6 +53,12 @@ def test_enumerations() -> None:
 def test_each_verdict_has_its_headline(make_explanation: Make) -> None:
     assert headline(make_explanation()) == 'The believed model lacks local_drag.'
     assert 'local_drag fits best, but gradient_error fits as well' in headline(make_explanation(ambiguous=True))
+    drag, wind = make_explanation().effects[0], replace(make_explanation().effects[0], name='headwind')
+    assert headline(make_explanation(effects=(drag, wind, drag))).endswith('lacks local_drag twice and headwind.')
+    assert headline(make_explanation(effects=(drag, drag, drag))).endswith('lacks local_drag three times.')
+    both = tuple(replace(effect, twins=(Likeness('gradient_error', ''),)) for effect in (drag, wind))
+    ambiguous = make_explanation(verdict=Verdict.AMBIGUOUS, effects=both)
+    assert 'local_drag and headwind fit best, but' in headline(ambiguous)
     assert 'no effect of the library fits' in headline(make_explanation(verdict=Verdict.UNEXPLAINED, effects=()))
     assert 'lacks nothing' in headline(make_explanation(verdict=Verdict.NO_GAP, effects=()))
 
@@ -78,6 +84,8 @@ def test_twins_come_with_the_drive_that_tells(make_explanation: Make) -> None:
     assert doubts(make_explanation(ambiguous=True)) == [
         'local_drag could also be gradient_error. To tell them apart: run <both> ways.'
     ]
+    twice = make_explanation(ambiguous=True, effects=make_explanation(ambiguous=True).effects * 2)
+    assert len(doubts(twice)) == 1
 
 
 def test_gap_in_words(make_explanation: Make) -> None:
@@ -86,26 +94,29 @@ def test_gap_in_words(make_explanation: Make) -> None:
     assert 'above the noise' not in text
     assert '100% above the noise' in gap_sentence(make_explanation(gap=Gap(0.4, 0.1, 0.05, 2)))
     assert 'with them' not in gap_sentence(make_explanation(effects=()))
+    assert gap_sentence(make_explanation(gap=Gap(0.4, 0.1, 0.05, 1))).startswith('On 1 run, ')
     assert 'too few runs' in gap_sentence(make_explanation(gap=None))
 
 
 def test_where_most_is_missing(make_explanation: Make) -> None:
     # Runs are no cause, and what is within 3 std of nothing is no place.
     found = strongest(make_explanation())
-    assert [strong.where for strong in found] == ['position 300 to 400 m', 'position 400 to 500 m']
-    assert strong_text(found[0]) == 'position 300 to 400 m: 1.50 ± 0.10 N/kN more resistance than believed'
+    assert [strong.where for strong in found] == ['at 300 to 400 m', 'at 400 to 500 m']
+    assert strong_text(found[0]) == 'At 300 to 400 m: 1.50 ± 0.10 N/kN more resistance than believed'
 
 
 def test_tables_of_numbers(make_explanation: Make, believed: TrainFile) -> None:
     rows = davis_rows(make_explanation(), believed)
     assert rows[0] == ('a', '1.5', '1.61 ± 0.12', 'N/kN')
     assert ('speeds that did not count (slip, outliers)', '1.2', '%') in noise_rows(make_explanation())
+    assert ('error of the weighed load', '0.3', '% of the mass') in noise_rows(make_explanation())
     assert any('not weighed)' in name for name, _, _ in noise_rows(make_explanation(weighed=False)))
 
 
 def test_drive_in_words(make_explanation: Make) -> None:
     assert drive_text(make_explanation()) == '2 runs, 1.8 km in 2 min, both directions'
     one = make_explanation(traces=make_explanation().traces[:1])
+    assert drive_text(one).startswith('1 run, ')
     assert drive_text(one).endswith('one direction only')
     assert 'at the front of the train' in drive_text(make_explanation(gradient_point='front'))
     assert drive_text(make_explanation(traces=())).startswith('0 runs, 0.0 km')

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import json
 import sys
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -18,6 +18,7 @@ from trainid_ros.physics.train_file import dump_train_file, load_train_file
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable, Iterator, Sequence
+    from contextlib import AbstractContextManager
 
     from trainid_ros.discrepancy.explanation import Explanation, FoundEffect, Gap
     from trainid_ros.discrepancy.runs import Run
@@ -49,8 +50,30 @@ def run(args: argparse.Namespace) -> int:
 
     """
     train_file = load_train_file(args.train)
+    with _outputs(args.out, args.train):
+        explanation = _explain(args, train_file)
+        if args.out is not None:
+            # Before anything is printed: who reads the text may stop reading.
+            write_all(args.out, explanation, train_file, str(args.train), args.bags)
+    if explanation.gradient_point is not None:
+        warn(misread_gradient(explanation.gradient_point))
+    if args.json:
+        print_json(to_json(explanation))
+        return 0
+    print(describe(explanation, train_file))
     if args.out is not None:
-        prepare_folder(args.out, args.train)
+        print(f'\nreport: {args.out / REPORT_HTML}\nmodel with it: {args.out / TRAIN_FILE}')
+    return 0
+
+
+def _explain(args: argparse.Namespace, train_file: TrainFile) -> Explanation:
+    """Read the bags and explain them.
+
+    Raises:
+        InputError: If a bag cannot be used.
+        NoAnswerError: If the bags hold too little motion.
+
+    """
     found = survey(args.bags, args.namespace)
     for line in found.warnings:
         warn(line)
@@ -59,21 +82,43 @@ def run(args: argparse.Namespace) -> int:
         workers = worker_count(found.inputs)
         runs = read_runs(args.bags, train_file, args.namespace, workers=workers, advance=advance)
     try:
-        explanation = explain_runs(runs, train_file, args.bags)
+        return explain_runs(runs, train_file, args.bags)
     except NoAnswerError as error:
         if args.json:
             print_json(no_answer(str(error)))
         msg = f'{name}: {error}'
         raise NoAnswerError(msg) from None
-    if args.json:
-        print_json(to_json(explanation))
-    else:
-        print(describe(explanation, train_file))
-    if args.out is not None:
-        write_all(args.out, explanation, train_file, str(args.train), args.bags)
-        if not args.json:
-            print(f'\nreport: {args.out / REPORT_HTML}\nmodel with it: {args.out / TRAIN_FILE}')
-    return 0
+
+
+def misread_gradient(point: str) -> str:
+    """Return the warning that gradients of the bags are those at one point of the train."""
+    return (
+        f'the gradients of the bags are those at the {point} of the train; here they were read so, but simulator and '
+        'live estimators take them for means under the train: mend what publishes them'
+    )
+
+
+def _outputs(folder: Path | None, train: Path) -> AbstractContextManager[None]:
+    return nullcontext() if folder is None else _output_folder(folder, train)
+
+
+@contextmanager
+def _output_folder(folder: Path, train: Path) -> Iterator[None]:
+    """Prepare the folder of the outputs; take away again what was made for it if nothing comes of it.
+
+    Raises:
+        InputError: As :func:`prepare_folder`.
+
+    """
+    made = [path for path in (folder, *folder.parents) if not path.exists()]
+    try:
+        prepare_folder(folder, train)
+        yield
+    except BaseException:
+        with suppress(OSError):  # the first that is not empty ends it
+            for path in made:
+                path.rmdir()
+        raise
 
 
 def prepare_folder(folder: Path, train: Path) -> None:
@@ -132,20 +177,24 @@ def provenance(bags: Sequence[Path], runs: int) -> str:
     """Return where an added effect comes from."""
     names = [bag.resolve().name for bag in bags]
     more = f' and {len(names) - _NAMED_BAGS} more' if len(names) > _NAMED_BAGS else ''
-    return f'trainid explain {__version__}, {", ".join(names[:_NAMED_BAGS])}{more}, {runs} runs'
+    count = '1 run' if runs == 1 else f'{runs} runs'
+    return f'trainid explain {__version__}, {", ".join(names[:_NAMED_BAGS])}{more}, {count}'
 
 
 def to_json(explanation: Explanation) -> dict[str, Any]:
     """Return the object of ``--json``."""
-    return _json(explanation.verdict.value, explanation.effects, explanation.gap, explanation.remaining)
+    e = explanation
+    return _json(e.verdict.value, e.effects, e.gap, e.remaining, e.gradient_point)
 
 
 def no_answer(reason: str) -> dict[str, Any]:
     """Return the object of ``--json`` where the data hold no answer."""
-    return _json(None, (), None, reason)
+    return _json(None, (), None, reason, None)
 
 
-def _json(verdict: str | None, effects: Sequence[FoundEffect], gap: Gap | None, remaining: str) -> dict[str, Any]:
+def _json(
+    verdict: str | None, effects: Sequence[FoundEffect], gap: Gap | None, remaining: str, gradient_point: str | None
+) -> dict[str, Any]:
     plain: dict[str, Any] = to_plain(
         {
             'verdict': verdict,
@@ -169,6 +218,7 @@ def _json(verdict: str | None, effects: Sequence[FoundEffect], gap: Gap | None, 
                 'runs_held_out': 0 if gap is None else gap.runs_held_out,
             },
             'remaining': remaining,
+            'gradient_read_at': gradient_point,
         }
     )
     return plain

@@ -95,7 +95,8 @@ def _write(simulation: Simulation, writer: BagWriter) -> None:
 def _tell(args: argparse.Namespace, simulation: Simulation) -> None:
     counts = Counter(_TOPIC_OF[type(record)] for record in simulation.records)
     if not args.json:
-        runs = f'{len(simulation.arrivals)} runs, {simulation.duration_s:.0f} s'
+        count = len(simulation.arrivals)
+        runs = f'{count} {"run" if count == 1 else "runs"}, {simulation.duration_s:.0f} s'
         print(f'{args.out}: {len(simulation.records)} messages of {runs}; truth in {args.out / TRUTH_FILE}')
         return
     print_json(

@@ -158,10 +158,8 @@ def _figures(explained: Explained) -> str:
 
 
 def _runs_caption(explanation: Explanation) -> str:
-    return (
-        f'Those of the {len(explanation.traces)} runs with the largest gaps, and the band in which a right model '
-        'would stay 95 % of the time.'
-    )
+    runs, band = len(explanation.traces), 'the band in which a right model would stay 95 % of the time'
+    return f'The only run, and {band}.' if runs == 1 else f'Those of the {runs} runs with the largest gaps, and {band}.'
 
 
 def _stretches(explanation: Explanation) -> Stretches:

@@ -62,7 +62,8 @@ def gap_bars(explanation: Explanation) -> str:
 
 def gap_along_line(explanation: Explanation, line: Line, found: Stretches) -> str:
     """Return the speed gap of the runs, at most some 60 of them, by position, each direction by itself."""
-    ways = [way for way in (1, -1) if any(trace.direction == way for trace in explanation.traces)]
+    seen = [trace for trace in explanation.traces if _has_gap(trace)]
+    ways = [way for way in (1, -1) if any(trace.direction == way for trace in seen)]
     if not ways:
         return ''
     with house_style():
@@ -70,7 +71,7 @@ def gap_along_line(explanation: Explanation, line: Line, found: Stretches) -> st
         panels = figure.subplots(len(ways), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
         for axes, way in zip(panels, ways, strict=True):
             axes.axhline(0.0, color=MUTED, linewidth=0.8)
-            traces = [trace for trace in explanation.traces if trace.direction == way]
+            traces = [trace for trace in seen if trace.direction == way]
             for trace in traces[:: -(-len(traces) // _LINES)]:
                 kept = pick(len(trace.time))
                 axes.plot(trace.position[kept], trace.before[kept], color=BEFORE, linewidth=0.9, alpha=0.8)
@@ -78,7 +79,7 @@ def gap_along_line(explanation: Explanation, line: Line, found: Stretches) -> st
             axes.set_title('towards rising positions' if way > 0 else 'towards falling positions')
             axes.set_ylabel('speed gap [m/s]')
             draw_place(axes, line, found)
-        _fit_positions(panels[-1], np.concatenate([trace.position for trace in explanation.traces]))
+        _fit_positions(panels[-1], np.concatenate([trace.position for trace in seen]))
         legend_above(figure, [BEFORE_LINE, AFTER_LINE, *line_handles(line, found)])
         return to_svg(figure, 'Speed gap by position in both directions')
 
@@ -132,9 +133,14 @@ def gap_of_runs(explanation: Explanation) -> str:
         return to_svg(figure, 'Speed gap of single runs by time')
 
 
+def _has_gap(trace: RunTrace) -> bool:
+    """Return False for a run that nothing was fitted beside: it has no gap to show."""
+    return bool(trace.time.size and np.isfinite(trace.before).any())
+
+
 def _worst(traces: Sequence[RunTrace]) -> list[tuple[int, RunTrace]]:
     """Return the runs with the largest gaps, in the order in which they were driven."""
-    seen = [(k, trace) for k, trace in enumerate(traces) if trace.time.size and np.isfinite(trace.before).any()]
+    seen = [(k, trace) for k, trace in enumerate(traces) if _has_gap(trace)]
     sizes = {k: float(np.sqrt(np.nanmean(np.square(trace.before)))) for k, trace in seen}
     chosen = sorted(sizes, key=lambda k: -sizes[k])[:_RUNS]
     return [(k, trace) for k, trace in seen if k in chosen]

@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from trainid_ros.discrepancy.explanation import Verdict
+from trainid_ros.discrepancy.phrases import place_text
 from trainid_ros.physics.effects import EFFECTS
 
 if TYPE_CHECKING:
@@ -20,12 +22,13 @@ if TYPE_CHECKING:
 DAVIS_UNITS: Final = ('N/kN', 'N/kN per m/s', 'N/kN per (m/s)²')
 _CLEAR: Final = 3.0
 _STRONGEST: Final = 3
+_TIMES: Final = {2: 'twice', 3: 'three times'}
 # Axes that tell how the data are cut, not what the gap depends on.
 _NO_CAUSE: Final = ('run',)
 
 
 class Strong(NamedTuple):
-    """A part of the data where much is missing: where, how much, and its standard deviation [N/kN]."""
+    """A part of the data where much is missing: where in words, how much, and its standard deviation [N/kN]."""
 
     where: str
     missing: float
@@ -34,22 +37,34 @@ class Strong(NamedTuple):
 
 def headline(explanation: Explanation) -> str:
     """Return the outcome in one sentence."""
-    names = join([effect.name for effect in explanation.effects])
+    names = _counted([effect.name for effect in explanation.effects])
     match explanation.verdict:
         case Verdict.EXPLAINED:
             return f'The believed model lacks {names}.'
         case Verdict.AMBIGUOUS:
-            return f'The believed model lacks something: {names} fits best, but {_rivals(explanation)} as well.'
+            best = 'fits' if len(explanation.effects) == 1 else 'fit'
+            return f'The believed model lacks something: {names} {best} best, but {_rivals(explanation)} as well.'
         case Verdict.UNEXPLAINED:
             return 'The believed model lacks something that no effect of the library fits.'
         case Verdict.NO_GAP:
             return 'The believed model lacks nothing that the data could show, once a, b and c are fitted.'
 
 
+def _counted(names: Sequence[str]) -> str:
+    """Return names as an enumeration in which each stands once."""
+    counts = Counter(names)
+    return join([f'{name} {_TIMES.get(n, f"{n} times")}' if n > 1 else name for name, n in counts.items()])
+
+
 def _rivals(explanation: Explanation) -> str:
     names = dict.fromkeys(twin.name for effect in explanation.effects for twin in effect.twins)
     fit = 'fits' if len(names) == 1 else 'fit'
     return f'{join([*names])} {fit}'
+
+
+def counted(count: int, word: str) -> str:
+    """Return a number of things, as in '1 run' and '2 runs'."""
+    return f'{count} {word}' if count == 1 else f'{count} {word}s'
 
 
 def join(words: Sequence[str]) -> str:
@@ -112,7 +127,8 @@ def gap_sentence(explanation: Explanation) -> str:
     gap = explanation.gap
     if gap is None:
         return 'There are too few runs to hold one out, so nothing shows how large the gap is or whether it shrank.'
-    head = f'On {gap.runs_held_out} runs, each left out of the fit that simulates it, simulated and measured speed '
+    held_out = f'{counted(gap.runs_held_out, "run")}, each left out of the fit that simulates it'
+    head = f'On {held_out}, simulated and measured speed '
     noise = f'noise alone would leave {gap.noise_floor:.3f} m/s'
     if not explanation.effects:
         return f'{head}differ by {gap.before:.3f} m/s (rms); {noise}.'
@@ -123,18 +139,19 @@ def gap_sentence(explanation: Explanation) -> str:
 
 
 def doubts(explanation: Explanation) -> list[str]:
-    """Return what else each effect could be, and the drive that would tell."""
-    return [
+    """Return what else each effect could be, and the drive that would tell; two of a name are told once."""
+    lines = [
         f'{effect.name} could also be {twin.name}. To tell them apart: {twin.drive or "no drive is known"}.'
         for effect in explanation.effects
         for twin in effect.twins
     ]
+    return [*dict.fromkeys(lines)]
 
 
 def strongest(explanation: Explanation) -> list[Strong]:
     """Return the parts of the data where the believed model lacks most, by significance."""
     places = [
-        (abs(place.before) / place.std, Strong(f'{location.axis} {place.label}', place.before, place.std))
+        (abs(place.before) / place.std, Strong(place_text(location.axis, place.label), place.before, place.std))
         for location in explanation.locations
         for place in location.places
         if location.axis not in _NO_CAUSE and place.std > 0.0
@@ -147,7 +164,7 @@ def strong_text(strong: Strong) -> str:
     """Return one such part in words."""
     more = 'more' if strong.missing > 0.0 else 'less'
     size = plus_minus(abs(strong.missing), strong.std)
-    return f'{strong.where}: {size} N/kN {more} resistance than believed'
+    return f'{strong.where[0].upper()}{strong.where[1:]}: {size} N/kN {more} resistance than believed'
 
 
 def noise_rows(explanation: Explanation) -> list[tuple[str, str, str]]:
@@ -157,7 +174,7 @@ def noise_rows(explanation: Explanation) -> list[tuple[str, str, str]]:
         ('noise of the measured speed', number(noise.speed, 2), 'm/s'),
         ('gusts and other passing forces', number(noise.gust, 2), 'N/kN'),
         ('how long these last', number(noise.gust_time, 2), 's'),
-        ('load not weighed' if explanation.weighed else 'load (the train is not weighed)',
+        ('error of the weighed load' if explanation.weighed else 'load (the train is not weighed)',
          number(100.0 * noise.payload, 2), '% of the mass'),
         ('brake from run to run', number(100.0 * noise.brake, 2), '% of its force'),
         ('error of the gradient in the map', number(noise.map, 2), 'per mille'),
@@ -184,4 +201,4 @@ def drive_text(explanation: Explanation) -> str:
     within = f' in {bags} bags' if bags > 1 else ''
     point = explanation.gradient_point
     read = f'; gradients read as those at the {point} of the train, which fits better' if point else ''
-    return f'{len(traces)} runs{within}, {metres / 1000.0:.1f} km in {seconds / 60.0:.0f} min, {way}{read}'
+    return f'{counted(len(traces), "run")}{within}, {metres / 1000.0:.1f} km in {seconds / 60.0:.0f} min, {way}{read}'
