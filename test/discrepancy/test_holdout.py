@@ -3,9 +3,11 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
+import pytest
 
 from trainid_ros.discrepancy.holdout import gap_of, hold_out
 from trainid_ros.discrepancy.hyper import Sizes
@@ -59,3 +61,35 @@ def test_one_run_cannot_be_held_out(maker: Any, believed: TrainFile) -> None:
     held = hold_out(alone, SIZES)
     assert held is None
     assert gap_of(held, held, alone) is None
+
+
+def test_an_effect_that_only_the_run_held_out_has_seen_does_not_help_there(maker: Any, believed: TrainFile) -> None:
+    runs = [*maker().runs(4, 31), *maker().runs(5, 32, _drag)[4:]]
+    model = Model(Points(assemble(runs, believed), believed), believed)
+    seen = [replace(run, position=run.position + 1e4 * (k < 4)) for k, run in enumerate(runs)]
+    apart = Model(Points(assemble(seen, believed), believed), believed)
+    drag = Member('local_drag', {'start': 100.0, 'end': 350.0, 'permille': 4.0})
+    last = apart.drive.node_run == 4
+    for one, helped in ((model, True), (apart, False)):
+        added = one.having((drag,)).fit(SIZES)
+        held, without = hold_out(added, SIZES), hold_out(one, SIZES)
+        assert held is not None
+        assert without is not None
+        # Where the other runs pass the place they say that nothing is there; elsewhere they say nothing.
+        before, after = np.std(without.gap[last]), np.std(held.gap[last])
+        assert after > 0.8 * before, helped
+
+
+def _drag(position: float, _: float, direction: int) -> float:
+    rear = position - direction * 100.0
+    inside = min(max(position, rear), 350.0) - max(min(position, rear), 100.0)
+    return 4.0 * max(inside, 0.0) / 100.0
+
+
+def test_the_floor_does_not_hold_what_is_not_known_of_effects(dragged_model: Model) -> None:
+    model = dragged_model
+    added = model.having((Member('local_drag', {'start': 100.0, 'end': 350.0, 'permille': 2.5}),)).fit(SIZES)
+    unseen = model.having((Member('local_drag', {'start': 1e4, 'end': 1.1e4, 'permille': 2.5}),)).fit(SIZES)
+    floors = [hold_out(one, SIZES) for one in (model, added, unseen)]
+    sizes = [float(np.mean(floor.std)) for floor in floors if floor is not None]
+    assert sizes[1:] == pytest.approx([sizes[0]] * 2, rel=0.15)

@@ -3,15 +3,33 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
+from trainid_ros.core.errors import InputError
 from trainid_ros.discrepancy.nodes import Drive, assemble
 from trainid_ros.discrepancy.points import Points
 from trainid_ros.physics.effect_text import parse_effects
 from trainid_ros.physics.train_file import TrainFile
+
+WRONG = """
+import math
+
+from trainid_ros.physics.effects import EffectKind, Parameter
+
+EFFECT = EffectKind(
+    name='wrong',
+    title='an effect that fails',
+    equation='none',
+    parameters={'size': Parameter('N/kN', 0.0, 20.0)},
+    amplitude='size',
+    usual=1.0,
+    resistance=lambda p, davis, at: VALUE,
+)
+"""
 
 
 @pytest.fixture(scope='module')
@@ -76,3 +94,22 @@ def test_what_is_kept_is_bounded(drive: Drive, believed: TrainFile, monkeypatch:
     again = points.resistance('traction_scale', {'ratio': 0.9})
     assert again is not first
     np.testing.assert_array_equal(again, first)
+
+
+def test_wind_and_tunnel_act_by_the_davis_c(points: Points) -> None:
+    davis = points.davis
+    by_c = points.by_davis('headwind', {'speed': 5.0}, davis)
+    assert by_c is not None
+    np.testing.assert_allclose(davis.c * by_c[:, 2], points.resistance('headwind', {'speed': 5.0}), atol=1e-9)
+    assert not by_c[:, :2].any()
+    assert points.by_davis('local_drag', {'start': 0.0, 'end': 99.0, 'permille': 2.0}, davis) is None
+
+
+@pytest.mark.parametrize(('value', 'what'), [('math.nan', 'not finite'), ('math.sqrt(-1.0)', 'math domain error')])
+def test_an_effect_of_a_user_that_fails_is_named(
+    points: Points, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, value: str, what: str
+) -> None:
+    (tmp_path / 'wrong.py').write_text(WRONG.replace('VALUE', value), encoding='utf-8')
+    monkeypatch.setenv('TRAINID_EFFECTS', str(tmp_path))
+    with pytest.raises(InputError, match=f'effect wrong: .*size=1.*{what}|effect wrong: .*{what}.*size=1'):
+        points.resistance('wrong', {'size': 1.0})

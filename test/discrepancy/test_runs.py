@@ -133,3 +133,14 @@ def test_a_brake_that_still_releases_holds_the_start_back() -> None:
     (run,) = collect(samples([0.0] * 10 + [5.0] * 150, changes))
     assert run.time[0] > 5.0
     assert not run.brake.any()
+
+
+def test_holes_of_positions_are_bridged_by_the_distance_run() -> None:
+    speeds = [0.0] * 5 + [10.0] * 100 + [0.0]
+    (whole,) = collect(samples(speeds))
+    (holed,) = collect(samples(speeds, {k: {'position': math.nan} for k in range(30, 60)}))
+    assert holed.positioned
+    np.testing.assert_allclose(holed.position, whole.position, atol=1e-6)
+    (none,) = collect(samples(speeds, {k: {'position': math.nan} for k in range(10, 106)}))
+    assert not none.positioned
+    np.testing.assert_array_equal(none.position, none.distance_run)

@@ -115,6 +115,52 @@ def test_what_no_effect_fits_is_unexplained(maker: Any, believed: TrainFile) -> 
     assert not set(not_finite(told)) - UNKNOWN
 
 
+def windy(_: float, v: float, direction: int) -> float:
+    air = v + 6.0 * direction
+    return 0.003 * (air * abs(air) - v * v)
+
+
+@pytest.mark.slow
+def test_what_was_written_explains_the_data_whatever_c_was_believed(maker: Any, believed: TrainFile) -> None:
+    runs = maker().runs(10, 47, windy)
+    told = explain(runs, replace(believed, resistance=replace(believed.resistance, c=0.0022)))
+    assert names(told) == ['headwind']
+    speed, std = dict(told.effects[0].parameters)['speed'], dict(told.effects[0].std)['speed']
+    assert abs(speed - 6.0) < 3.0 * std
+    assert abs(told.train_file.resistance.c - 0.003) < 3.0 * told.davis_std[2]
+    assert explain(runs, told.train_file).verdict is Verdict.NO_GAP
+
+
+@pytest.mark.slow
+def test_an_effect_that_is_believed_too_small_is_replaced(maker: Any, believed: TrainFile) -> None:
+    runs = maker().runs(10, 48, windy)
+    told = explain(runs, replace(believed, effects=parse_effects(['headwind:speed=2'])))
+    assert names(told) == [effect.name for effect in told.train_file.effects] == ['headwind']
+    assert abs(dict(told.effects[0].parameters)['speed'] - 6.0) < 3.0 * dict(told.effects[0].std)['speed']
+
+
+@pytest.mark.slow
+def test_many_runs_of_unequal_length(maker: Any, believed: TrainFile) -> None:
+    runs = [run for k in range(12) for run in maker(coast_s=20.0 + 3.0 * k).runs(2, 60 + k, drag)]
+    told = explain(runs, believed)
+    assert names(told) == ['local_drag']
+    assert told.gap is not None
+    assert told.gap.runs_held_out == 24
+
+
+def drag(position: float, _: float, direction: int) -> float:
+    rear = position - direction * 100.0
+    inside = min(max(position, rear), 350.0) - max(min(position, rear), 100.0)
+    return 2.5 * max(inside, 0.0) / 100.0
+
+
+@pytest.mark.slow
+def test_without_positions_no_place_is_named(dragged: list[Run], believed: TrainFile) -> None:
+    told = explain([replace(run, positioned=False) for run in dragged], believed)
+    assert not {'local_drag', 'gradient_error'} & set(names(told))
+    assert 'position' not in ' '.join(location.axis for location in told.locations)
+
+
 @pytest.mark.slow
 def test_an_effect_of_a_user_takes_part(
     maker: Any, believed: TrainFile, tmp_path: Path, monkeypatch: pytest.MonkeyPatch

@@ -17,10 +17,13 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from trainid_ros.discrepancy.explanation import Location, Place
+from trainid_ros.discrepancy.phrases import place_text
 from trainid_ros.discrepancy.runs import BRAKING, PULLING
 from trainid_ros.discrepancy.screen import reduced_information
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from numpy.typing import NDArray
 
     from trainid_ros.discrepancy.hyper import Sizes
@@ -34,6 +37,9 @@ PRIOR: Final = 3.0
 RELEASED_S: Final = 10.0
 """So long after the brake was released the train counts as just released [s]."""
 _PLACES: Final = 40
+# Where an effect is told to act: so many places, each so many standard deviations clear.
+_NAMED_PLACES: Final = 3
+_CLEAR: Final = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,6 +67,30 @@ def locate(before: Model, after: Model, sizes: Sizes) -> tuple[Location, ...]:
         places = tuple(Place(label, low, high, a, b, s, part) for label, (low, high), a, b, s, part in rows)
         locations.append(Location(axis.name, axis.unit, places))
     return tuple(locations)
+
+
+def where(resistance: Array, drive: Drive, locations: Sequence[Location]) -> str:
+    """Return in words where an effect acts most clearly, as far as it does so apart from its mean.
+
+    Args:
+        resistance: Of the effect on each stage [N/kN], shape (n,).
+        drive: The drive.
+        locations: What :func:`locate` said of it.
+
+    """
+    weight = drive.dt / drive.dt.sum()
+    mean = float(weight @ resistance)
+    found = []
+    for axis, location in zip(_axes(drive), locations, strict=True):
+        parts = axis.inside * weight[:, None]
+        apart = (parts.T @ resistance) / parts.sum(axis=0) - mean
+        found += [
+            (abs(size) / place.std, f'{place_text(axis.name, place.label)} ({size:+.2f} N/kN)')
+            for size, place in zip(apart.tolist(), location.places, strict=True)
+            if axis.name != 'run' and place.std > 0.0
+        ]
+    clear = [text for z, text in sorted(found, reverse=True)[:_NAMED_PLACES] if z > _CLEAR]
+    return ', '.join(clear) or 'nowhere in particular'
 
 
 def _estimate(model: Model, sizes: Sizes, columns: list[Array]) -> list[tuple[Array, Array]]:

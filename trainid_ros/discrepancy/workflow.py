@@ -20,7 +20,7 @@ from trainid_ros.discrepancy.explanation import (
     Verdict,
 )
 from trainid_ros.discrepancy.holdout import gap_of, hold_out
-from trainid_ros.discrepancy.locate import locate
+from trainid_ros.discrepancy.locate import locate, where
 from trainid_ros.discrepancy.model import Member, Model
 from trainid_ros.discrepancy.nodes import assemble
 from trainid_ros.discrepancy.nuisances import DAVIS
@@ -176,17 +176,21 @@ def _credible(selection: Selection, *, slipping: bool) -> bool:
 
 def _found(selection: Selection, model: Model, locations: tuple[Location, ...]) -> list[FoundEffect]:
     rows = sorted(zip(model.members, selection.evidence, selection.twins, strict=True), key=lambda row: -row[1])
-    return [_effect(member, evidence, twins, _where(locations)) for member, evidence, twins in rows]
+    points, drive = model.points, model.drive
+    return [
+        _effect(member, evidence, twins, where(points.resistance(member.name, member.parameters), drive, locations))
+        for member, evidence, twins in rows
+    ]
 
 
-def _effect(member: Member, evidence: float, twins: Sequence[str], where: str) -> FoundEffect:
+def _effect(member: Member, evidence: float, twins: Sequence[str], place: str) -> FoundEffect:
     kind = EFFECTS[member.name]
     drives = {twin.name: twin.drive for twin in kind.twins}
     likenesses = tuple(Likeness(name, drives.get(name, kind.needs)) for name in twins)
     parameters = tuple((name, float(value)) for name, value in member.parameters.items())
     std = tuple((name, _honest(member, name, value)) for name, value in member.std.items())
     return FoundEffect(
-        kind.name, kind.title, kind.equation, kind.origin, parameters, std, float(evidence), where, likenesses
+        kind.name, kind.title, kind.equation, kind.origin, parameters, std, float(evidence), place, likenesses
     )
 
 
@@ -199,21 +203,6 @@ def _honest(member: Member, name: str, std: float) -> float:
     equation = _EQUATION_SHARE * off if sized else 0.0
     clock = _CLOCK_S if kind.parameters[name].unit == 's' else 0.0
     return math.sqrt(std * std + equation * equation + clock * clock)
-
-
-def _where(locations: tuple[Location, ...]) -> str:
-    """Return where the gap without effects was most significant, in words."""
-    best = sorted(
-        (
-            (abs(place.before) / place.std, f'{location.axis} {place.label}', place.before)
-            for location in locations
-            for place in location.places
-            if place.std > 0.0 and location.axis != 'run'
-        ),
-        reverse=True,
-    )
-    strong = [f'{text} ({value:+.2f} N/kN)' for z, text, value in best[:3] if z > 3.0]
-    return ', '.join(strong) or 'nowhere in particular'
 
 
 def _davis(model: Model, sizes: Sizes) -> tuple[Davis, tuple[float, float, float]]:

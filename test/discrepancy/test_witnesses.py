@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An effect at one place is there for all trains that pass."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from trainid_ros.discrepancy.hyper import Sizes
+from trainid_ros.discrepancy.model import Member, Model
+from trainid_ros.discrepancy.nodes import assemble
+from trainid_ros.discrepancy.noise import Noise
+from trainid_ros.discrepancy.nuisances import Spread
+from trainid_ros.discrepancy.points import Points
+from trainid_ros.discrepancy.runs import Run
+from trainid_ros.discrepancy.witnesses import is_seen_by_others
+from trainid_ros.physics.train_file import TrainFile
+
+SIZES = Sizes(Noise(0.02, 0.05, 8.0, 0.02), Spread(0.005, 0.01, 0.2), 0.0)
+DRAG = Member('local_drag', {'start': 100.0, 'end': 350.0, 'permille': 2.0})
+
+
+def drag(position: float, _: float, direction: int) -> float:
+    """Return a drag of 4 per mille on the part of a train of 100 m between 100 and 350 m."""
+    rear = position - direction * 100.0
+    inside = min(max(position, rear), 350.0) - max(min(position, rear), 100.0)
+    return 4.0 * max(inside, 0.0) / 100.0
+
+
+def fitted(runs: list[Run], believed: TrainFile) -> Model:
+    model = Model(Points(assemble(runs, believed), believed), believed)
+    return model.having((DRAG,)).fit(SIZES)
+
+
+def test_what_all_runs_meet_has_witnesses(dragged: list[Run], believed: TrainFile) -> None:
+    assert is_seen_by_others(fitted(dragged, believed), 0, SIZES)
+
+
+def test_what_one_run_of_many_meets_has_none(maker: Any, believed: TrainFile) -> None:
+    runs = [*maker().runs(6, 71), *maker().runs(7, 72, drag)[6:]]
+    assert not is_seen_by_others(fitted(runs, believed), 0, SIZES)
+
+
+def test_a_place_that_one_run_alone_has_passed_needs_none(maker: Any, believed: TrainFile) -> None:
+    assert is_seen_by_others(fitted(maker().runs(1, 73, drag), believed), 0, SIZES)
