@@ -151,7 +151,8 @@ class Sensors:
             self._slip = 0.0
             # The share is one of all the time, so it is larger while there is force.
             share = min(_MOST_SLIPPING, self.model.slip_share * self._running / self._forced)
-            starts = share / (1.0 - share) * self._dt / (0.5 * (low + high))
+            # Bursts end with a sample, half of one late in the mean.
+            starts = share / (1.0 - share) * self._dt / (0.5 * (low + high + self._dt))
             if float(self._rng.random()) < starts:
                 self._slip_left_s = float(self._rng.uniform(low, high))
                 self._slip = math.copysign(float(self._rng.uniform(0.15, 1.0)) * self.model.slip_speed, pull)
