@@ -125,7 +125,7 @@ def _place_count(kind: EffectKind, names: Sequence[str]) -> int:
 def _axis(limits: Parameter, drive: Drive, places: int) -> list[float]:
     """Return the values tried of one parameter."""
     if limits.is_place:
-        if not all(run.positioned for run in drive.runs):
+        if not drive.positioned:
             return []
         position = drive.joined('position')
         # Beyond the ends of what was driven there is nothing to see.
