@@ -30,7 +30,8 @@ def test_what_is_new_or_may_be_there_twice_or_was_taken_out_changes_no_belief(be
 
 def test_what_records_show_beside_what_was_taken_out_is_one_effect() -> None:
     before = parse_effects(['wheel_diameter:ratio=1.03', 'stamp_skew:delay=0.2', DRAG])
-    added = parse_effects(['wheel_diameter:ratio=1.02', 'stamp_skew:delay=0.3', 'local_drag:start=20,end=29,permille=2'])
+    further = 'local_drag:start=20,end=29,permille=2'
+    added = parse_effects(['wheel_diameter:ratio=1.02', 'stamp_skew:delay=0.3', further])
     whole = together(before, added)
     assert [effect.name for effect in whole] == ['local_drag', 'wheel_diameter', 'stamp_skew', 'local_drag']
     assert dict(whole[1].parameters)['ratio'] == pytest.approx(1.03 * 1.02)
