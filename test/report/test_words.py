@@ -60,6 +60,8 @@ def test_each_verdict_has_its_headline(make_explanation: Make) -> None:
     ambiguous = make_explanation(verdict=Verdict.AMBIGUOUS, effects=both)
     assert 'local_drag and headwind fit best, but' in headline(ambiguous)
     assert 'no effect of the library fits' in headline(make_explanation(verdict=Verdict.UNEXPLAINED, effects=()))
+    # Bursts of slip show whatever else is missing.
+    assert 'lacks local_drag, and something that no' in headline(make_explanation(verdict=Verdict.UNEXPLAINED))
     assert 'lacks nothing' in headline(make_explanation(verdict=Verdict.NO_GAP, effects=()))
 
 

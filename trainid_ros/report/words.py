@@ -45,7 +45,8 @@ def headline(explanation: Explanation) -> str:
             best = 'fits' if len(explanation.effects) == 1 else 'fit'
             return f'The believed model lacks something: {names} {best} best, but {_rivals(explanation)} as well.'
         case Verdict.UNEXPLAINED:
-            return 'The believed model lacks something that no effect of the library fits.'
+            beside = f'{names}, and ' if names else ''
+            return f'The believed model lacks {beside}something that no effect of the library fits.'
         case Verdict.NO_GAP:
             return 'The believed model lacks nothing that the data could show, once a, b and c are fitted.'
 
