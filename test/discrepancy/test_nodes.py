@@ -68,6 +68,16 @@ def test_a_burst_is_an_outlier_with_its_flanks() -> None:
     assert not outlier[108:].any()
 
 
+def test_a_burst_that_began_before_the_run_is_an_outlier() -> None:
+    gap = 0.01 * np.random.default_rng(4).standard_normal(200)
+    gap[:12] += 1.1
+    gap[50] += 3.0
+    for one in (gap, gap[::-1]):
+        outlier = find_outliers(one, np.array([0]))
+        outlier = outlier if one is gap else outlier[::-1]
+        assert np.flatnonzero(outlier).tolist() == [*range(12), 50]
+
+
 def test_runs_of_few_samples_have_no_outliers() -> None:
     assert not find_outliers(np.array([0.0, 5.0, 0.0, 9.0]), np.array([0, 1, 2])).any()
 

@@ -37,6 +37,10 @@ _AT_ONCE: Final = 16
 _REACH: Final = 15
 _OUTLIER: Final = 5.0
 _FLANK: Final = 2.0
+# A run may begin or end within a burst: a jump of so many m/s from one sample to the next, so near its edge, tells.
+_JUMP: Final = 0.5
+_EDGE: Final = 20
+_NEAR: Final = 5
 _LEAST_SCALE: Final = 0.03
 
 
@@ -176,7 +180,20 @@ def _outliers_of(gap: Array) -> NDArray[np.bool_]:
     step = np.abs(slope[window]) * (reach + 1)
     off_by, usual = gap - expected, np.maximum(scale[window], floor)
     clear = np.abs(off_by) > np.maximum(_OUTLIER * usual, 0.7 * step)
-    return _whole_bursts(clear, np.where(np.abs(off_by) > _FLANK * usual, np.sign(off_by), 0.0))
+    least = max(_JUMP, 2.0 * _OUTLIER * floor)
+    clear |= _begun_before(gap, least) | _begun_before(gap[::-1], least)[::-1]
+    return clear | _whole_bursts(clear, np.where(np.abs(off_by) > _FLANK * usual, np.sign(off_by), 0.0))
+
+
+def _begun_before(gap: Array, least: float) -> NDArray[np.bool_]:
+    """Return the first samples up to a jump that no train makes: a burst that began before the run did."""
+    early = gap[: _EDGE + _NEAR]
+    outlier = np.zeros(gap.size, dtype=bool)
+    for j in np.flatnonzero(np.abs(np.diff(early[:_EDGE])) > least).tolist():
+        before, after = early[max(j + 1 - _NEAR, 0) : j + 1], early[j + 1 : j + 1 + _NEAR]
+        if abs(float(np.median(after)) - float(np.median(before))) > least:
+            outlier[: j + 1] = True
+    return outlier
 
 
 def _whole_bursts(clear: NDArray[np.bool_], side: Array) -> NDArray[np.bool_]:

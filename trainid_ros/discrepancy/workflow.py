@@ -48,7 +48,9 @@ if TYPE_CHECKING:
 
 _FEWEST_SAMPLES: Final = 200
 SEARCHED_S: Final = 3000.0
-"""Of longer drives, so much is searched for effects [s]; all of it tells their parameters and the gap."""
+"""Of longer drives, so much is searched for effects [s]."""
+COMPARED_S: Final = 12000.0
+"""Of longer drives, so much tells the parameters of effects and the gap [s], so that time and memory are bounded."""
 # The equations of real effects differ a little from those of the library, and clocks are read at 5 Hz.
 _EQUATION_SHARE: Final = 0.03
 # Gusts, loads and maps are nowhere so far from what they usually are; see Evidence.excess.
@@ -82,9 +84,10 @@ def explain(
 
     """
     if sum(run.time.size for run in runs) < _FEWEST_SAMPLES:
-        msg = f'{len(runs)} runs from stop to stop hold too little motion to compare'
+        count = '1 run' if len(runs) == 1 else f'{len(runs)} runs'
+        msg = f'{count} from stop to stop: too little motion to compare'
         raise NoAnswerError(msg)
-    given = runs
+    given, runs = runs, _some(runs, COMPARED_S)
     search = _search(runs, train_file, advance)
     if point := search.gradient_point():
         runs = read_at(point, runs, train_file.train.length)
@@ -133,7 +136,7 @@ def explain(
 
 def _search(runs: Sequence[Run], train_file: TrainFile, advance: Callable[[str], None]) -> Search:
     """Return the search in as many of the runs as are looked into for effects."""
-    return Search(Model(_points(_some(runs), train_file), train_file), advance)
+    return Search(Model(_points(_some(runs, SEARCHED_S), train_file), train_file), advance)
 
 
 def _points(runs: Sequence[Run], train_file: TrainFile) -> Points:
@@ -144,12 +147,12 @@ def _points(runs: Sequence[Run], train_file: TrainFile) -> Points:
     return Points(assemble(runs, train_file, points.total(train_file.effects)), train_file)
 
 
-def _some(runs: Sequence[Run]) -> Sequence[Run]:
-    """Return all runs, or so many of them, spread evenly, that they last :data:`SEARCHED_S`."""
+def _some(runs: Sequence[Run], seconds: float) -> Sequence[Run]:
+    """Return all runs, or so many of them, spread evenly, that they last so long."""
     driven = sum(float(run.time[-1] - run.time[0]) for run in runs)
-    if driven <= SEARCHED_S:
+    if driven <= seconds:
         return runs
-    count = math.ceil(len(runs) * SEARCHED_S / driven)
+    count = math.ceil(len(runs) * seconds / driven)
     places = np.linspace(0, len(runs) - 1, count).round().astype(int)
     return [runs[i] for i in places.tolist()]
 
