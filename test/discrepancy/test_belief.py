@@ -36,3 +36,8 @@ def test_what_records_show_beside_what_was_taken_out_is_one_effect() -> None:
     assert [effect.name for effect in whole] == ['local_drag', 'wheel_diameter', 'stamp_skew', 'local_drag']
     assert dict(whole[1].parameters)['ratio'] == pytest.approx(1.03 * 1.02)
     assert dict(whole[2].parameters)['delay'] == pytest.approx(0.5)
+
+
+def test_slip_that_was_found_is_all_of_it() -> None:
+    before, added = (parse_effects([f'wheel_slip:share={share},speed=2']) for share in (0.05, 0.03))
+    assert together(before, added) == added

@@ -30,9 +30,15 @@ def believed_otherwise(members: Sequence[Member], train_file: TrainFile) -> Trai
 
 
 def together(believed: Sequence[Effect], added: Sequence[Effect]) -> tuple[Effect, ...]:
-    """Return all effects; what records showed beside what was taken out of them is one effect with it."""
+    """Return all effects; what records showed beside what was taken out of them is one effect with it.
+
+    Slip is never taken out: what was found of it is all of it.
+    """
     before = {effect.name: effect for effect in believed if EFFECTS[effect.name].on_records}
-    whole = tuple(_sum(before[new.name], new) if new.name in before else new for new in added)
+    whole = tuple(
+        _sum(before[new.name], new) if new.name in before and EFFECTS[new.name].resistance is not None else new
+        for new in added
+    )
     names = {effect.name for effect in whole if effect.name in before}
     return (*(effect for effect in believed if effect.name not in names), *whole)
 

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -87,51 +87,84 @@ def explain(
         count = '1 run' if len(runs) == 1 else f'{len(runs)} runs'
         msg = f'{count} from stop to stop: too little motion to compare'
         raise NoAnswerError(msg)
-    given, runs = runs, _some(runs, COMPARED_S)
-    search = _search(runs, train_file, advance)
+    compared = _some(runs, COMPARED_S)
+    search = _search(compared, train_file, advance)
     if point := search.gradient_point():
-        runs = read_at(point, runs, train_file.train.length)
-        search = _search(runs, train_file, advance)
+        compared = read_at(point, compared, train_file.train.length)
+        search = _search(compared, train_file, advance)
     selection = search.run()
     if (rest := believed_otherwise(selection.final.model.members, train_file)) is not None:
-        return explain(given, rest, provenance=provenance, advance=advance)
+        return explain(runs, rest, provenance=provenance, advance=advance)
     slip = find_slip(search.base.model.drive)
-    verdict = _verdict(selection, slipping=slip is not None)
     advance('held-out runs')
+    proof = _prove(selection, compared, train_file, slipping=slip is not None)
+    advance('places')
+    locations = locate(proof.base, proof.final, proof.sizes)
+    found = [] if proof.verdict is Verdict.UNEXPLAINED else _found(selection, proof.final, locations)
+    if slip is not None:
+        found.append(_effect(*slip, (), 'bursts under traction and braking'))
+    davis, davis_std = _davis(proof.final, proof.sizes)
+    added = tuple(Effect(e.name, e.parameters, e.std, provenance) for e in found)
+    return Explanation(
+        verdict=proof.verdict,
+        effects=tuple(found),
+        gap=proof.gap,
+        remaining=proof.remaining,
+        train_file=replace(train_file, resistance=davis, effects=together(train_file.effects, added)),
+        davis_std=davis_std,
+        locations=locations,
+        traces=_traces(proof),
+        noise=_noise(proof.sizes),
+        outliers=float(np.mean(proof.base.drive.outlier)),
+        weighed=proof.final.weighed,
+        gradient_point=point,
+    )
+
+
+@dataclass(frozen=True, slots=True)
+class _Proof:
+    """What can be told, and what shows it.
+
+    Attributes:
+        verdict: Outcome.
+        remaining: On what the rest of the gap depends.
+        sizes: Sizes of noise and nuisances.
+        base: Model without effects, of all runs compared.
+        final: Model with those that are told.
+        before: Gaps of runs held out, without effects; None with too few runs.
+        after: The same with them.
+
+    """
+
+    verdict: Verdict
+    remaining: str
+    sizes: Sizes
+    base: Model
+    final: Model
+    before: HeldOut | None
+    after: HeldOut | None
+
+    @property
+    def gap(self) -> Gap | None:
+        """The gap before and after; None with too few runs."""
+        return gap_of(self.before, self.after, self.final)
+
+
+def _prove(selection: Selection, runs: Sequence[Run], train_file: TrainFile, *, slipping: bool) -> _Proof:
+    """Return the verdict on what was selected, with all runs compared."""
+    verdict = _verdict(selection, slipping=slipping)
     # Effects that do not fit are not told, and nothing is calculated with them.
     told = selection.base if verdict is Verdict.UNEXPLAINED else selection.final
     sizes, base, final = told.sizes, selection.base.model, told.model
     if len(base.drive.runs) < len(runs):
         base = Model(_points(runs, train_file), train_file)
         final = with_onsets(base.having(told.model.members).fit(sizes), sizes)
-    before, after = hold_out(base, sizes), hold_out(final, sizes)
-    gap, remaining = gap_of(before, after, final), _remaining(selection, verdict)
-    if gap is not None and gap.after > _WORSE * gap.before:
-        # Whatever the likelihood says, runs that the fit never saw are not simulated better.
-        remaining = _no_better(final, gap)
-        verdict, final, after = Verdict.UNEXPLAINED, base, before
-        gap = gap_of(before, after, final)
-    advance('places')
-    locations = locate(base, final, sizes)
-    found = [] if verdict is Verdict.UNEXPLAINED else _found(selection, final, locations)
-    if slip is not None:
-        found.append(_effect(*slip, (), 'bursts under traction and braking'))
-    davis, davis_std = _davis(final, sizes)
-    added = tuple(Effect(e.name, e.parameters, e.std, provenance) for e in found)
-    return Explanation(
-        verdict=verdict,
-        effects=tuple(found),
-        gap=gap,
-        remaining=remaining,
-        train_file=replace(train_file, resistance=davis, effects=together(train_file.effects, added)),
-        davis_std=davis_std,
-        locations=locations,
-        traces=_traces(final, before, after),
-        noise=_noise(sizes),
-        outliers=float(np.mean(base.drive.outlier)),
-        weighed=final.weighed,
-        gradient_point=point,
-    )
+    before = hold_out(base, sizes)
+    proof = _Proof(verdict, _remaining(selection, verdict), sizes, base, final, before, hold_out(final, sizes))
+    if (gap := proof.gap) is None or gap.after <= _WORSE * gap.before:
+        return proof
+    # Whatever the likelihood says, runs that the fit never saw are not simulated better.
+    return _Proof(Verdict.UNEXPLAINED, _no_better(final, gap), sizes, base, base, before, before)
 
 
 def _search(runs: Sequence[Run], train_file: TrainFile, advance: Callable[[str], None]) -> Search:
@@ -243,7 +276,9 @@ def _unusual(sizes: Sizes) -> str:
     )
 
 
-def _traces(model: Model, before: HeldOut | None, after: HeldOut | None) -> tuple[RunTrace, ...]:
+def _traces(proof: _Proof) -> tuple[RunTrace, ...]:
+    """Return all runs with their gaps for plots."""
+    model, before, after = proof.final, proof.before, proof.after
     drive = model.drive
     position, speed = drive.average(drive.joined('position')), drive.average(drive.speed)
     nothing = np.full(model.residual.size, np.nan)
