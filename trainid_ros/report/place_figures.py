@@ -30,7 +30,7 @@ _ACROSS: Final = 2
 _SIGMAS: Final = 2.0
 _MISSING: Final = 'missing [N/kN]'
 # With more names than these none could be read.
-_NAMES: Final = 14
+_NAMES: Final = 10
 # Where little was driven the std is that of no knowledge, and would flatten the rest.
 _VAGUE: Final = 4.0
 
@@ -80,12 +80,11 @@ def _draw_location(axes: Axes, location: Location) -> None:
     if all(math.isfinite(place.low) and math.isfinite(place.high) for place in location.places):
         _draw_ranges(axes, location)
         axes.set_xlabel(f'{location.axis} [{location.unit}]' if location.unit else location.axis)
-    elif len(location.places) > _NAMES:
-        _draw_kinds(axes, location.places)
-        axes.set_xlabel(location.axis)
     else:
         _draw_kinds(axes, location.places)
-        axes.set_xticks(range(len(location.places)), [place.label for place in location.places])
+        labels = [place.label for place in location.places]
+        every = math.ceil(len(labels) / _NAMES)
+        axes.set_xticks(range(0, len(labels), every), labels[::every])
     axes.set_title(f'by {location.axis}')
 
 

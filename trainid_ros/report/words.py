@@ -130,7 +130,7 @@ def gap_sentence(explanation: Explanation) -> str:
         return 'There are too few runs to hold one out, so nothing shows how large the gap is or whether it shrank.'
     held_out = f'{counted(gap.runs_held_out, "run")}, each left out of the fit that simulates it'
     head = f'On {held_out}, simulated and measured speed '
-    noise = f'noise alone would leave {gap.noise_floor:.3f} m/s'
+    noise = f'noise as found would leave {gap.noise_floor:.3f} m/s'
     if not explanation.effects:
         return f'{head}differ by {gap.before:.3f} m/s (rms); {noise}.'
     text = f'{head}differ by {gap.before:.3f} m/s (rms) without the effects and {gap.after:.3f} m/s with them; {noise}.'
