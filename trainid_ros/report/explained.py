@@ -131,7 +131,11 @@ def _figures(explained: Explained) -> str:
     explanation, line = explained.explanation, explained.believed.line
     found = _stretches(explanation)
     figures = (
-        ('Gap', 'The sizes of effects come from other runs; which there are, and where, all have told.', gap_bars(explanation)),
+        (
+            'Gap',
+            'The sizes of effects come from other runs; which there are, and where, all have told.',
+            gap_bars(explanation),
+        ),
         (
             'Missing resistance along the line',
             'What has to be added to the model for it to follow the data, with ±2 std.',
