@@ -106,12 +106,13 @@ def test_factors_of_single_runs_are_columns_of_their_own(drive: Drive) -> None:
     whitener = Whitener.of(grid, Noise(0.03, 0.2, 8.0, 0.02))
     columns = np.random.default_rng(2).standard_normal((drive.node_time.size, 2))
     factors = drive.column(run_columns(drive))
-    products, cost = Gram.of(columns, factors, grid, whitener).reduced(std)
+    total, cost = Gram.of(columns, factors, grid, whitener).reduced(std)
+    apart_by_run, _ = Gram.of(columns, factors, grid, whitener, by_run=True).reduced(std)
+    np.testing.assert_allclose(apart_by_run.sum(axis=0), total)
     apart = [factors * (drive.node_run == k)[:, None] for k in range(len(drive.runs))]
     white = whitener.apply(grid.spread(np.concatenate([columns, *apart], axis=1)))
     X = white.reshape(-1, white.shape[2])
     order = [0, *range(2, X.shape[1]), 1]
     whole = eliminate((X.T @ X)[np.ix_(order, order)], 6, np.diag(np.tile(std, 3)))
-    total = products.sum(axis=0)
     assert (total[0, 0], total[0, 1], total[1, 1]) == pytest.approx((whole.yy, whole.b[0], whole.A[0, 0]))
     assert cost == pytest.approx(whole.log_det)

@@ -46,7 +46,7 @@ def hold_out(model: Model, sizes: Sizes) -> HeldOut | None:
     runs = len(model.drive.runs)
     if runs < FEWEST:
         return None
-    products = np.concatenate(list(model.products(model.columns, sizes.spread, model.whitener(sizes))))
+    products = model.products_by_run(model.columns, sizes.spread, model.whitener(sizes))
     total = products.sum(axis=0)
     root, neutral = model.prior_factor(sizes.spread), _neutral(model)
     gap, deviation = np.zeros(model.residual.size), np.zeros(model.residual.size)

@@ -135,7 +135,7 @@ class Evidence:
         _, gram, log_det = self._gram
         products, cost = gram.reduced(spread.of_run)
         factor = prior_factor(self._common, self._root, spread)
-        information = eliminate(products.sum(axis=0), len(factor), factor)
+        information = eliminate(products, len(factor), factor)
         prior = float(np.sum(np.square((x - self._median) / _WIDTH)))
         return information.yy + log_det + cost + information.log_det + prior
 

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 
 WHEEL: Final = 'wheel_diameter'
 """The effect that distances between stops tell of as well."""
-_RUNS_AT_ONCE: Final = 64
+_RUNS_AT_ONCE: Final = 16
 _MOST_STEPS: Final = 5
 _SETTLED: Final = 0.1
 # Prior of a shape parameter that is refined, about where it was found.
@@ -176,25 +176,33 @@ class Model:
         """Return the factor of the prior covariance of all nuisances, shape (q + k, q + k)."""
         return prior_factor(self.common_std, self._map_root, spread)
 
-    def products(
-        self, columns: Array, spread: Spread, whitener: Whitener, at_once: int = _RUNS_AT_ONCE
-    ) -> Iterator[Array]:
-        """Yield the products of whitened columns at the nodes by run, without what factors of single runs explain.
+    def products(self, columns: Array, spread: Spread, whitener: Whitener) -> Array:
+        """Return products of whitened columns at the nodes, less what factors of single runs explain.
 
         Args:
             columns: Shape (m, C).
             spread: Sizes of these factors.
             whitener: Filter.
-            at_once: Runs that are held in memory together, r.
 
-        Yields:
-            Products of the next runs, shape (r, C, C).
+        Returns:
+            Sum over runs, shape (C, C).
 
         """
-        for first in range(0, len(self.drive.runs), at_once):
-            part = slice(first, first + at_once)
-            gram = Gram.of(columns, self.factor_columns, self.grid.part(part), whitener.part(part))
-            yield gram.reduced(spread.of_run)[0]
+        total = np.zeros((columns.shape[1], columns.shape[1]))
+        for gram in self._grams(columns, whitener, by_run=False):
+            total += gram.reduced(spread.of_run)[0]
+        return total
+
+    def products_by_run(self, columns: Array, spread: Spread, whitener: Whitener) -> Array:
+        """Return the same run by run, shape (R, C, C)."""
+        grams = self._grams(columns, whitener, by_run=True)
+        return np.concatenate([gram.reduced(spread.of_run)[0] for gram in grams])
+
+    def _grams(self, columns: Array, whitener: Whitener, *, by_run: bool) -> Iterator[Gram]:
+        """Yield products of some runs at a time: columns of hours of driving are gigabytes."""
+        for first in range(0, len(self.drive.runs), _RUNS_AT_ONCE):
+            part = slice(first, first + _RUNS_AT_ONCE)
+            yield Gram.of(columns, self.factor_columns, self.grid.part(part), whitener.part(part), by_run=by_run)
 
     def fit(self, sizes: Sizes) -> Model:
         """Refine the parameters of all members together with the nuisances (Gauss-Newton)."""
@@ -209,10 +217,7 @@ class Model:
 
     def posterior(self, sizes: Sizes, whitener: Whitener) -> tuple[Array, Array]:
         """Return mean and covariance of all nuisances, members' parameters among them."""
-        columns = self.columns
-        total = np.zeros((columns.shape[1], columns.shape[1]))
-        for products in self.products(columns, sizes.spread, whitener):
-            total += products.sum(axis=0)
+        total = self.products(self.columns, sizes.spread, whitener)
         self.add_odometry(total)
         return posterior(total, self.prior_factor(sizes.spread))
 

@@ -32,10 +32,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Gram:
-    """Products of whitened columns, of each run and with its own factors apart.
+    """Products of whitened columns, those with the factors of single runs apart; summed over runs or run by run.
 
     Attributes:
-        total: Sum over runs of the products of columns, shape (R, C, C).
+        total: Products of columns, sum over runs, shape (C, C), or by run, shape (R, C, C).
         beside: Products of columns with the factors of the run, shape (R, C, F).
         own: Products of those factors, shape (R, F, F).
 
@@ -46,24 +46,30 @@ class Gram:
     own: Array
 
     @classmethod
-    def of(cls, columns: Array, factors: Array, grid: Grid, whitener: Whitener) -> Gram:
+    def of(cls, columns: Array, factors: Array, grid: Grid, whitener: Whitener, *, by_run: bool = False) -> Gram:
         """Whiten columns of all nodes, shape (m, C), and factors of single runs, shape (m, F)."""
-        both = whitener.apply(grid.spread(np.concatenate([columns, factors], axis=1))).transpose(1, 0, 2)
         C = columns.shape[1]
-        products = both.transpose(0, 2, 1) @ both
-        return cls(products[:, :C, :C], products[:, :C, C:], products[:, C:, C:])
+        white = whitener.apply(grid.spread(np.concatenate([columns, factors], axis=1)))
+        runs = white.transpose(1, 0, 2)
+        own = runs[:, :, C:]
+        flat = white[:, :, :C].reshape(-1, C)
+        total = runs[:, :, :C].transpose(0, 2, 1) @ runs[:, :, :C] if by_run else flat.T @ flat
+        return cls(total, runs[:, :, :C].transpose(0, 2, 1) @ own, own.transpose(0, 2, 1) @ own)
 
     def reduced(self, std: Array) -> tuple[Array, float]:
-        """Integrate the factors of runs out: products of columns by run, and the log determinant it costs.
+        """Integrate the factors of runs out: products of columns like ``total``, and the log determinant it costs.
 
         Args:
             std: Prior standard deviation of each factor, shape (F,).
 
         """
         weighted = self.own + np.diag(1.0 / np.square(std))
-        inverse = np.linalg.inv(weighted)
-        left = self.total - self.beside @ inverse @ self.beside.transpose(0, 2, 1)
         _, log_det = np.linalg.slogdet(weighted)
+        scaled = self.beside @ np.linalg.inv(weighted)
+        if self.total.ndim == 3:
+            left = self.total - scaled @ self.beside.transpose(0, 2, 1)
+        else:
+            left = self.total - np.concatenate([*scaled], axis=1) @ np.concatenate([*self.beside], axis=1).T
         return left, float(log_det.sum() + len(self.own) * 2.0 * np.log(std).sum())
 
 

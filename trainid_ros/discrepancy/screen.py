@@ -41,7 +41,6 @@ _SHARES: Final = (0.3, 1.0)
 # Lengths of stretches that are tried.
 _SHORTEST_M: Final = 60.0
 _LONGEST_M: Final = 2500.0
-_RUNS_AT_ONCE: Final = 16
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,9 +111,7 @@ def reduced_information(model: Model, sizes: Sizes, candidates: Array, *, member
         kept = model.without_members
         nuisances, root = nuisances[:, kept], root[np.ix_(kept, kept)]
     columns = np.concatenate([model.residual[:, None], nuisances, candidates], axis=1)
-    total = np.zeros((columns.shape[1], columns.shape[1]))
-    for products in model.products(columns, sizes.spread, model.whitener(sizes), _RUNS_AT_ONCE):
-        total += products.sum(axis=0)
+    total = model.products(columns, sizes.spread, model.whitener(sizes))
     return eliminate(total, nuisances.shape[1], root)
 
 

@@ -30,7 +30,7 @@ def is_seen_by_others(model: Model, k: int, sizes: Sizes) -> bool:
     shape = {name: member.parameters[name] for name in shape_names(kind)}
     column = without.drive.column(unit_resistance(without.points, kind, shape)[:, None])
     columns = np.concatenate([without.columns, column], axis=1)
-    products = np.concatenate(list(without.products(columns, sizes.spread, without.whitener(sizes))))
+    products = without.products_by_run(columns, sizes.spread, without.whitener(sizes))
     size = member.parameters[kind.amplitude] - kind.neutral
     most = int(np.argmax(size * products[:, 0, -1]))
     root = without.prior_factor(sizes.spread)
