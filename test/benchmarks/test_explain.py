@@ -28,9 +28,9 @@ pytestmark = pytest.mark.slow
 # How large the effects of the fresh cases are [% of the noise floor]; and of such cases, how often the benchmark does
 # not tell the truth in a set of at most two, and how often it raises a false alarm where nothing is hidden: at most.
 LARGE = 100.0
-MISSED = 0.1
-ALARMS = 0.08
-FALSE_FAILURE = 1e-4
+MISSED = 0.12
+ALARMS = 0.03
+FALSE_FAILURE = 1e-3
 LONGEST = 45_000  # records
 
 
@@ -47,16 +47,18 @@ def test_hidden_effect_is_named_with_its_parameters(generator: Generator, name: 
     assert after < 0.8 * before
 
 
+@pytest.mark.timeout(400)
 def test_fresh_large_effects_are_told_as_often_as_in_the_benchmark() -> None:
     seed = int.from_bytes(os.urandom(4))
-    single = list(islice(fresh_singles(seed), 5))
+    single = list(islice(fresh_singles(seed), 16))
     missed = sum(not within_two(one) for one in single)
     assert missed <= tolerated(len(single), MISSED), told(seed, single)
 
 
+@pytest.mark.timeout(400)
 def test_fresh_cases_without_effect_raise_alarms_as_seldom_as_in_the_benchmark() -> None:
     seed = int.from_bytes(os.urandom(4))
-    quiet = [try_case(Spec('A', 'none', seed + k)) for k in range(4)]
+    quiet = [try_case(Spec(GENERATORS[k % 2], 'none', seed + k)) for k in range(12)]
     assert sum(map(alarmed, quiet)) <= tolerated(len(quiet), ALARMS), told(seed, quiet)
 
 
@@ -74,9 +76,12 @@ def fresh_singles(seed: int) -> Iterator[Outcome]:
 
 
 def tolerated(cases: int, wrong: float) -> int:
-    """Return how many may be wrong: more are so in fewer than one of ten thousand runs of the test."""
+    """Return how many may be wrong: more are so in fewer than one of a thousand runs of the test.
+
+    A workflow that is wrong half the time fails in most of them.
+    """
     most = int(binom.isf(FALSE_FAILURE, cases, wrong))
-    assert most < cases, 'a test that cannot fail'
+    assert binom.sf(most, cases, 0.5) > 0.5, 'a test that cannot fail'
     return most
 
 
