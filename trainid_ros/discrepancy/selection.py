@@ -195,9 +195,8 @@ class Search:
             return state
         for k in range(len(state.model.members)):
             without = self._without(state, k)
-            named = self._named(without, state.sizes)
-            best = next(score for score in named if score.name != state.model.members[k].name)
-            if best.evidence > self._gain(state, k) + 2.0:
+            best = self._best_beside(state.model.members[k].name, without, state.sizes)
+            if best is not None and best.evidence > self._gain(state, k) + 2.0:
                 state = self._settle(without.having((*without.members, Member(best.name, best.parameters))), state)
         return state
 
@@ -213,7 +212,10 @@ class Search:
 
     def _standing(self, state: State, k: int) -> tuple[float, tuple[str, ...]]:
         """Return the evidence of member k given the others, and the effect that comes nearest it, if it comes near."""
-        name, mine = state.model.members[k].name, self._gain(state, k)
-        others = (score for score in self._named(self._without(state, k), state.sizes) if score.name != name)
-        nearest = next(others)
-        return mine, (nearest.name,) if nearest.evidence > mine - TWIN else ()
+        mine = self._gain(state, k)
+        nearest = self._best_beside(state.model.members[k].name, self._without(state, k), state.sizes)
+        return mine, (nearest.name,) if nearest is not None and nearest.evidence > mine - TWIN else ()
+
+    def _best_beside(self, name: str, model: Model, sizes: Sizes) -> Score | None:
+        """Return the best effect of another name that can be added to a model."""
+        return next((score for score in self._named(model, sizes) if score.name != name), None)
