@@ -28,11 +28,15 @@ Extra = Callable[[float, float, int], float]
 """Resistance that is not believed [N/kN] at position [m] and speed [m/s] in a direction."""
 
 
-def drag(position: float, _: float, direction: int) -> float:
-    """Return a drag of 2.5 per mille on the part of the train between 100 and 350 m."""
-    rear = position - direction * TRAIN.train.length
-    inside = min(max(position, rear), 350.0) - max(min(position, rear), 100.0)
-    return 2.5 * max(inside, 0.0) / TRAIN.train.length
+def drag(permille: float) -> Extra:
+    """Return a drag on the part of the train between 100 and 350 m."""
+
+    def extra(position: float, _: float, direction: int) -> float:
+        rear = position - direction * TRAIN.train.length
+        inside = min(max(position, rear), 350.0) - max(min(position, rear), 100.0)
+        return permille * max(inside, 0.0) / TRAIN.train.length
+
+    return extra
 
 
 @dataclass(frozen=True)
@@ -105,7 +109,13 @@ def maker() -> type[Maker]:
 @pytest.fixture(scope='session')
 def dragged() -> list[Run]:
     """Return six runs there and back over a drag of 2.5 per mille from 100 to 350 m."""
-    return Maker().runs(6, 42, drag)
+    return Maker().runs(6, 42, drag(2.5))
+
+
+@pytest.fixture(scope='session')
+def drag_of() -> Callable[[float], Extra]:
+    """Return a function that makes a drag of some per mille from 100 to 350 m."""
+    return drag
 
 
 @pytest.fixture(scope='session')

@@ -63,8 +63,10 @@ def test_one_run_cannot_be_held_out(maker: Any, believed: TrainFile) -> None:
     assert gap_of(held, held, alone) is None
 
 
-def test_an_effect_that_only_the_run_held_out_has_seen_does_not_help_there(maker: Any, believed: TrainFile) -> None:
-    runs = [*maker().runs(4, 31), *maker().runs(5, 32, _drag)[4:]]
+def test_an_effect_that_only_the_run_held_out_has_seen_does_not_help_there(
+    maker: Any, drag_of: Any, believed: TrainFile
+) -> None:
+    runs = [*maker().runs(4, 31), *maker().runs(5, 32, drag_of(4.0))[4:]]
     model = Model(Points(assemble(runs, believed), believed), believed)
     seen = [replace(run, position=run.position + 1e4 * (k < 4)) for k, run in enumerate(runs)]
     apart = Model(Points(assemble(seen, believed), believed), believed)
@@ -78,12 +80,6 @@ def test_an_effect_that_only_the_run_held_out_has_seen_does_not_help_there(maker
         # Where the other runs pass the place they say that nothing is there; elsewhere they say nothing.
         before, after = np.std(without.gap[last]), np.std(held.gap[last])
         assert after > 0.8 * before, helped
-
-
-def _drag(position: float, _: float, direction: int) -> float:
-    rear = position - direction * 100.0
-    inside = min(max(position, rear), 350.0) - max(min(position, rear), 100.0)
-    return 4.0 * max(inside, 0.0) / 100.0
 
 
 def test_the_floor_does_not_hold_what_is_not_known_of_effects(dragged_model: Model) -> None:

@@ -19,13 +19,6 @@ SIZES = Sizes(Noise(0.02, 0.05, 8.0, 0.02), Spread(0.005, 0.01, 0.2), 0.0)
 DRAG = Member('local_drag', {'start': 100.0, 'end': 350.0, 'permille': 2.0})
 
 
-def drag(position: float, _: float, direction: int) -> float:
-    """Return a drag of 4 per mille on the part of a train of 100 m between 100 and 350 m."""
-    rear = position - direction * 100.0
-    inside = min(max(position, rear), 350.0) - max(min(position, rear), 100.0)
-    return 4.0 * max(inside, 0.0) / 100.0
-
-
 def fitted(runs: list[Run], believed: TrainFile) -> Model:
     model = Model(Points(assemble(runs, believed), believed), believed)
     return model.having((DRAG,)).fit(SIZES)
@@ -35,10 +28,12 @@ def test_what_all_runs_meet_has_witnesses(dragged: list[Run], believed: TrainFil
     assert is_seen_by_others(fitted(dragged, believed), 0, SIZES)
 
 
-def test_what_one_run_of_many_meets_has_none(maker: Any, believed: TrainFile) -> None:
-    runs = [*maker().runs(6, 71), *maker().runs(7, 72, drag)[6:]]
+def test_what_one_run_of_many_meets_has_none(maker: Any, drag_of: Any, believed: TrainFile) -> None:
+    runs = [*maker().runs(6, 71), *maker().runs(7, 72, drag_of(4.0))[6:]]
     assert not is_seen_by_others(fitted(runs, believed), 0, SIZES)
 
 
-def test_a_place_that_one_run_alone_has_passed_needs_none(maker: Any, believed: TrainFile) -> None:
-    assert is_seen_by_others(fitted(maker().runs(1, 73, drag), believed), 0, SIZES)
+def test_a_place_that_one_run_alone_has_passed_needs_none(
+    maker: Any, drag_of: Any, believed: TrainFile
+) -> None:
+    assert is_seen_by_others(fitted(maker().runs(1, 73, drag_of(4.0)), believed), 0, SIZES)

@@ -140,18 +140,12 @@ def test_an_effect_that_is_believed_too_small_is_replaced(maker: Any, believed: 
 
 
 @pytest.mark.slow
-def test_many_runs_of_unequal_length(maker: Any, believed: TrainFile) -> None:
-    runs = [run for k in range(12) for run in maker(coast_s=20.0 + 3.0 * k).runs(2, 60 + k, drag)]
+def test_many_runs_of_unequal_length(maker: Any, drag_of: Any, believed: TrainFile) -> None:
+    runs = [run for k in range(12) for run in maker(coast_s=20.0 + 3.0 * k).runs(2, 60 + k, drag_of(2.5))]
     told = explain(runs, believed)
     assert names(told) == ['local_drag']
     assert told.gap is not None
     assert told.gap.runs_held_out == 24
-
-
-def drag(position: float, _: float, direction: int) -> float:
-    rear = position - direction * 100.0
-    inside = min(max(position, rear), 350.0) - max(min(position, rear), 100.0)
-    return 2.5 * max(inside, 0.0) / 100.0
 
 
 @pytest.mark.slow
