@@ -112,8 +112,8 @@ class Evidence:
     def _slopes(self, x: Array, value: float) -> tuple[Array, Array]:
         """Return gradient and a first guess of the curvature, diagonal and positive, by differences."""
         gradient, curvature = np.empty_like(x), np.empty_like(x)
-        # The outer sizes need another filter; the inner ones, which do not, come last and share one.
-        for i, step in enumerate(_STEP * np.eye(x.size)):
+        # The inner sizes come first, while the filter is that of x; the outer ones need others.
+        for i, step in reversed([*enumerate(_STEP * np.eye(x.size))]):
             up, down = self._value(x + step), self._value(x - step)
             gradient[i] = (up - down) / (2.0 * _STEP)
             curvature[i] = max((up - 2.0 * value + down) / _STEP**2, 1.0 / _WIDTH[i] ** 2)
@@ -121,8 +121,9 @@ class Evidence:
 
     def _gradient(self, x: Array, value: float) -> Array:
         """Return the gradient by small differences to one side, shape (7,)."""
-        up = np.array([self._value(x + step) for step in _SMALL * np.eye(x.size)])
-        return np.asarray((up - value) / _SMALL)
+        # In the order of _slopes.
+        up = [self._value(x + step) for step in _SMALL * np.eye(x.size)[::-1]]
+        return np.asarray((np.array(up[::-1]) - value) / _SMALL)
 
     def _value(self, x: Array) -> float:
         """Return minus twice the log of likelihood times prior."""
