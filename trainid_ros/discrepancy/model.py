@@ -39,9 +39,10 @@ _MOST_STEPS: Final = 5
 _SETTLED: Final = 0.1
 # Prior of a shape parameter that is refined, about where it was found.
 _METRES: Final = 80.0
-_SHORTEST_M: Final = 50.0
 _SECONDS: Final = 60.0
 _LOG_WIDTH: Final = 1.0
+_SHORTEST_M: Final = 50.0
+"""Least length of an effect at one place [m]."""
 # A normal density at its top is that of a flat one this many standard deviations wide.
 _SPREAD: Final = math.sqrt(2.0 * math.pi)
 
