@@ -13,6 +13,7 @@ import numpy as np
 
 from trainid_ros.bags.writer import BagWriter
 from trainid_ros.commands.output import add_json_option, print_json, progress
+from trainid_ros.core.plural import counted
 from trainid_ros.core.records import INPUT_TOPICS
 from trainid_ros.physics.effect_text import parse_effects
 from trainid_ros.physics.train_file import load_train_file
@@ -95,8 +96,7 @@ def _write(simulation: Simulation, writer: BagWriter) -> None:
 def _tell(args: argparse.Namespace, simulation: Simulation) -> None:
     counts = Counter(_TOPIC_OF[type(record)] for record in simulation.records)
     if not args.json:
-        count = len(simulation.arrivals)
-        runs = f'{count} {"run" if count == 1 else "runs"}, {simulation.duration_s:.0f} s'
+        runs = f'{counted(len(simulation.arrivals), "run")}, {simulation.duration_s:.0f} s'
         print(f'{args.out}: {len(simulation.records)} messages of {runs}; truth in {args.out / TRUTH_FILE}')
         return
     print_json(

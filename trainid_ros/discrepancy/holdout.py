@@ -49,6 +49,7 @@ def hold_out(model: Model, sizes: Sizes) -> HeldOut | None:
     products = model.products_by_run(model.columns, sizes.spread, model.whitener(sizes))
     total = products.sum(axis=0)
     root, neutral = model.prior_factor(sizes.spread), _neutral(model)
+    residual = model.columns @ neutral[:, 0]
     gap, deviation = np.zeros(model.residual.size), np.zeros(model.residual.size)
     for fold in np.array_split(np.arange(runs), min(runs, _FOLDS)):
         seen = total - products[fold].sum(axis=0)
@@ -56,8 +57,7 @@ def hold_out(model: Model, sizes: Sizes) -> HeldOut | None:
         mean, covariance = posterior(neutral.T @ seen @ neutral, root)
         for run in fold.tolist():
             at = model.drive.node_run == run
-            columns = model.nuisance_columns[at]
-            left = model.columns[at] @ neutral[:, 0] - columns @ mean
+            left = residual[at] - model.nuisance_columns[at] @ mean
             gap[at], deviation[at] = _centred(model, at, left, _noise(model, sizes, at, covariance))
     return HeldOut(gap, deviation)
 

@@ -119,6 +119,10 @@ class Model:
         other._set(members, davis or self.davis)
         return other
 
+    def without(self, k: int) -> Model:
+        """Return the same model without member k."""
+        return self.having((*self.members[:k], *self.members[k + 1 :]))
+
     def beside(self, columns: Array, std: float) -> Model:
         """Return the same model with further nuisances that all runs share: columns at the nodes, shape (m, k)."""
         other = copy(self)
@@ -131,12 +135,13 @@ class Model:
         self.members, self.davis = members, davis
         derivatives, std = [], []
         total = np.zeros(self.drive.dt.size)
-        common = self._common
+        common, self._bends = self._common, False
         beyond = _array(davis) - _array(self.train_file.resistance)
         for member in members:
             total += self.points.resistance(member.name, member.parameters, davis)
             by_davis = self.points.by_davis(member.name, member.parameters, davis)
             if by_davis is not None:
+                self._bends = True
                 # The columns of a, b, c count from what is believed.
                 total -= by_davis @ beyond
                 common = common.copy()
@@ -284,7 +289,7 @@ class Model:
 
     def _moved(self, davis: Davis, covariance: Array) -> float:
         """Return how far a, b, c are from where effects are linear, in std; 0 if no effect depends on them."""
-        if all(self.points.by_davis(m.name, m.parameters, self.davis) is None for m in self.members):
+        if not self._bends:
             return 0.0
         off = np.abs(_array(davis) - _array(self.davis))
         return float(np.max(off / np.sqrt(np.diag(covariance)[DAVIS])))

@@ -26,9 +26,7 @@ _TIMES: Final = 120
 def with_onsets(model: Model, sizes: Sizes) -> Model:
     """Return a fitted model whose effects that set in at some time have the spread of all times."""
     members = model.members
-    timed = tuple(
-        with_onset(member, model.having((*members[:k], *members[k + 1 :])), sizes) for k, member in enumerate(members)
-    )
+    timed = tuple(with_onset(member, model.without(k), sizes) for k, member in enumerate(members))
     return model if all(a is b for a, b in zip(timed, members, strict=True)) else model.having(timed)
 
 

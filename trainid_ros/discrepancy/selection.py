@@ -92,11 +92,20 @@ class Search:
         sizes, logs = model.evidence().maximise()
         self.base = State(model, sizes, logs)
         self.screen = Screen(model)
+        self._of_base: dict[Sizes, tuple[list[Score], list[Score]]] = {}
+
+    def _scores(self, model: Model, sizes: Sizes) -> tuple[list[Score], list[Score]]:
+        """Return the evidence of all effects and groups; the base model is asked for several times."""
+        if model is not self.base.model:
+            return self.screen.scores(model, sizes)
+        if sizes not in self._of_base:
+            self._of_base[sizes] = self.screen.scores(model, sizes)
+        return self._of_base[sizes]
 
     def gradient_point(self) -> str | None:
         """Return the point of the train that gradients are rather known at, None if they are means under it."""
         model, sizes = self.base.model, self.base.sizes
-        named, _ = self.screen.scores(model, sizes)
+        named, _ = self._scores(model, sizes)
         return preferred_point(model, sizes, next((s.evidence for s in named if s.name == 'map_shift'), 0.0))
 
     def run(self) -> Selection:
@@ -147,11 +156,11 @@ class Search:
     def _named(self, model: Model, sizes: Sizes) -> list[Score]:
         """Return the evidence of all effects that can be added to a model, best first."""
         present = {member.name for member in model.members} - set(SECTIONS)
-        return [score for score in self.screen.scores(model, sizes)[0] if score.name not in present]
+        return [score for score in self._scores(model, sizes)[0] if score.name not in present]
 
     def _nameless(self, state: State) -> list[Score]:
         """Return the evidence of what has no name beside a model, the best judged with sizes of noise of their own."""
-        _, groups = self.screen.scores(state.model, state.sizes)
+        _, groups = self._scores(state.model, state.sizes)
         weighed = []
         for score in groups[:_GROUPS]:
             found = score.evidence
@@ -179,22 +188,18 @@ class Search:
 
     def _gain(self, state: State, k: int) -> float:
         """Return 2 ln of the Bayes factor of member k given the others, at the sizes found with all."""
-        member, without = state.model.members[k], self._without(state, k)
+        member, without = state.model.members[k], state.model.without(k)
         cost = prior_cost(member, state.model.drive) + state.model.odometry_cost
         return (
             state.model.evidence().at(state.logs) - cost - (without.evidence().at(state.logs) - without.odometry_cost)
         )
-
-    def _without(self, state: State, k: int) -> Model:
-        members = state.model.members
-        return state.model.having((*members[:k], *members[k + 1 :]))
 
     def _exchange(self, state: State) -> State:
         """Put another effect in the place of a member where the data prefer it, given the others."""
         if len(state.model.members) < 2:
             return state
         for k in range(len(state.model.members)):
-            without = self._without(state, k)
+            without = state.model.without(k)
             best = self._best_beside(state.model.members[k].name, without, state.sizes)
             if best is not None and best.evidence > self._gain(state, k) + 2.0:
                 state = self._settle(without.having((*without.members, Member(best.name, best.parameters))), state)
@@ -213,7 +218,7 @@ class Search:
     def _standing(self, state: State, k: int) -> tuple[float, tuple[str, ...]]:
         """Return the evidence of member k given the others, and the effect that comes nearest it, if it comes near."""
         mine = self._gain(state, k)
-        nearest = self._best_beside(state.model.members[k].name, self._without(state, k), state.sizes)
+        nearest = self._best_beside(state.model.members[k].name, state.model.without(k), state.sizes)
         return mine, (nearest.name,) if nearest is not None and nearest.evidence > mine - TWIN else ()
 
     def _best_beside(self, name: str, model: Model, sizes: Sizes) -> Score | None:

@@ -26,7 +26,7 @@ _SHARE: Final = 0.4
 def is_seen_by_others(model: Model, k: int, sizes: Sizes) -> bool:
     """Return False if the runs beside the one that tells most of member k could see it and do not."""
     member, kind = model.members[k], EFFECTS[model.members[k].name]
-    without = model.having((*model.members[:k], *model.members[k + 1 :]))
+    without = model.without(k)
     shape = {name: member.parameters[name] for name in shape_names(kind)}
     column = without.drive.column(unit_resistance(without.points, kind, shape)[:, None])
     columns = np.concatenate([without.columns, column], axis=1)

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from trainid_ros.core.errors import NoAnswerError
+from trainid_ros.core.plural import counted
 from trainid_ros.discrepancy.belief import believed_otherwise, together
 from trainid_ros.discrepancy.explanation import (
     Explanation,
@@ -84,8 +85,7 @@ def explain(
 
     """
     if sum(run.time.size for run in runs) < _FEWEST_SAMPLES:
-        count = '1 run' if len(runs) == 1 else f'{len(runs)} runs'
-        msg = f'{count} from stop to stop: too little motion to compare'
+        msg = f'{counted(len(runs), "run")} from stop to stop: too little motion to compare'
         raise NoAnswerError(msg)
     compared = _some(runs, COMPARED_S)
     search = _search(compared, train_file, advance)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from trainid_ros.core.plural import counted
 from trainid_ros.discrepancy.explanation import Verdict
 from trainid_ros.discrepancy.phrases import place_text
 from trainid_ros.physics.effects import EFFECTS
@@ -61,11 +62,6 @@ def _rivals(explanation: Explanation) -> str:
     names = dict.fromkeys(twin.name for effect in explanation.effects for twin in effect.twins)
     fit = 'fits' if len(names) == 1 else 'fit'
     return f'{join([*names])} {fit}'
-
-
-def counted(count: int, word: str) -> str:
-    """Return a number of things, as in '1 run' and '2 runs'."""
-    return f'{count} {word}' if count == 1 else f'{count} {word}s'
 
 
 def join(words: Sequence[str]) -> str:
