@@ -408,6 +408,74 @@ def test_curvature_is_interpolated_and_a_tunnel_holds_from_its_record() -> None:
         assert sample.tunnel is (t > 5.1)
 
 
+def in_a_curve(low_s: float, high_s: float, records: list[Record]) -> list[Record]:
+    """The records with a curve of 250 m from one time to another."""
+    return [
+        replace(r, curve_radius=250.0) if isinstance(r, GradientRecord) and at(low_s) <= r.stamp_ns < at(high_s) else r
+        for r in records
+    ]
+
+
+def test_the_mean_curvature_is_that_of_the_interval() -> None:
+    records = [
+        replace(r, curve_radius=1.0 / (1e-4 * ((r.stamp_ns - START) / NS_PER_S + 1.0)))
+        if isinstance(r, GradientRecord)
+        else r
+        for r in drive(10.0)
+    ]
+    for sample in of(Sample, run(records))[2:]:
+        t = (sample.stamp_ns - START) / NS_PER_S
+        # Linear in time: that in the middle of the interval.
+        assert sample.curvature_mean == pytest.approx(1e-4 * (t - 0.1 + 1.0), rel=1e-9)
+        assert sample.curvature == sample.curvature_mean
+
+
+def test_where_a_curve_begins_the_part_inside_it_counts_in_the_mean() -> None:
+    samples = of(Sample, run(in_a_curve(5.0, 99.0, drive(10.0))))
+    means = {round((s.stamp_ns - START) / NS_PER_S, 1): 250.0 * s.curvature_mean for s in samples}
+    # Between the records at 4.97 and 5.17 s the curvature rises: to 0.15 at 5.0 s, and on to 1.
+    expected = [0.0, 0.5 * 0.03 * 0.15 / 0.2, (0.5 * 0.17 * 1.15 + 0.03) / 0.2, 1.0]
+    assert [means[t] for t in (4.8, 5.0, 5.2, 5.4)] == pytest.approx(expected, abs=1e-9)
+    assert samples[2].curvature == 0.0
+
+
+def test_a_curve_between_two_slow_samples_counts_in_the_mean() -> None:
+    """Half a second of curve, speeds once a second: at the stamps there is none."""
+    records = in_a_curve(5.2, 5.7, drive(20.0))
+    slow = [r for r in records if not isinstance(r, SpeedRecord) or (r.stamp_ns - START) % NS_PER_S == 0]
+    samples = {s.stamp_ns: s for s in of(Sample, run(slow))}
+    # Records at 5.37 and 5.57 s are in the curve, those at 5.17 and 5.77 s are not.
+    assert 250.0 * samples[at(6.0)].curvature_mean == pytest.approx(0.4, abs=1e-9)
+    assert samples[at(6.0)].curve_radius == 0.0
+    assert samples[at(5.0)].curvature_mean == samples[at(7.0)].curvature_mean == 0.0
+
+
+def test_after_a_gap_the_mean_curvature_is_that_at_the_stamp() -> None:
+    records = without(SpeedRecord, in_a_curve(4.0, 8.4, drive(20.0)), 8.0, 9.5)
+    samples = of(Sample, run(records))
+    (gap,) = (s for s in samples[1:] if math.isnan(s.dt))
+    assert gap.curvature_mean == 0.0
+    assert samples[0].curvature_mean == 0.0
+
+
+def test_a_reset_forgets_the_curve() -> None:
+    used = Aligner(CONFIG)
+    for record in in_a_curve(0.0, 99.0, drive(10.0)):
+        used.push(record)
+    used.reset()
+    again = of(Sample, [event for record in drive(10.0) for event in used.push(record)])
+    assert {s.curvature_mean for s in again} == {0.0}
+
+
+def test_without_a_mean_the_curvature_is_that_at_the_stamp() -> None:
+    (sample, *_) = of(Sample, run(drive(2.0)))
+    curved = replace(sample, curve_radius=400.0, curvature_mean=math.nan)
+    assert curved.curvature == pytest.approx(1.0 / 400.0, rel=1e-15)
+    assert replace(curved, curve_radius=0.0).curvature == 0.0
+    # A mean that is known counts, also one of no curve.
+    assert replace(curved, curvature_mean=0.0).curvature == 0.0
+
+
 def test_the_direction_follows_the_positions_but_not_their_noise() -> None:
     rng = np.random.default_rng(5)
     records: list[Record] = []

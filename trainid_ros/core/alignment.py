@@ -3,10 +3,15 @@
 
 A sample stands at the stamp of a speed record. Force, gradient and curvature are interpolated to that
 stamp, the brake command holds from its stamp on. A sample is released as soon as every required topic
-has reached its stamp, or when the newest stamp on any topic is ``max_gap + max_lag`` past it: what lies
+has reached its stamp, or when the newest stamp on any topic is the longest gap + ``max_lag`` past it: what lies
 farther off would not be interpolated to, and what lies nearer has arrived. No timer and no clock take
 part, so the same records give the same samples, live and off line, as long as no topic lags behind the
 others by more than ``max_lag``.
+
+Topics may come at any rate from 1 Hz on, each at its own. The limits of the settings suit 4 Hz and more; a
+slower topic may lose one record in a row: its limits are 2.5 of its own intervals. The interval is learned from
+records that samples have passed, in the order of stamps, so the order of arrival does not matter to it either.
+Where commands come slowly, a change between two of them counts from the middle on: when it was made is not known.
 """
 
 from __future__ import annotations
@@ -15,8 +20,9 @@ import math
 from bisect import bisect_left, bisect_right, insort
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final, TypeAlias
+from typing import TYPE_CHECKING, Final, TypeAlias
 
+from trainid_ros.core.intervals import LearnedInterval
 from trainid_ros.core.records import (
     NS_PER_S,
     BrakeRecord,
@@ -31,10 +37,18 @@ from trainid_ros.core.samples import SAMPLE_PERIOD, BrakeCommandChange, Sample
 from trainid_ros.core.settings import setting
 from trainid_ros.core.validation import find_fault
 
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
 _CONFIRMATIONS: Final = 3
 _THINNING_SHARE: Final = 0.4
 # Farther than odometer noise, shorter than any run between stops.
 _TURNING_DISTANCE: Final = 5.0
+# In intervals of the topic: one record lost in a row, none lost, each with half an interval for jitter.
+ONE_LOST: Final = 2.5
+_NONE_LOST: Final = 1.5
+# What a change of the command at an unknown time may do to the speed [m/s]; more would be taken for the brake's doing.
+_MOST_UNCERTAIN: Final = 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,6 +61,9 @@ class AlignmentConfig:
     max_dt: float = setting(1.0, 'longest time between samples of one uninterrupted drive', 's', 0.1, 10.0)
     command_timeout: float = setting(2.0, 'age at which a brake command is no longer known', 's', 0.2, 60.0)
     command_gap: float = setting(0.35, 'a command that changed over a longer gap changed unseen', 's', 0.05, 10.0)
+    max_interval: float = setting(
+        1.25, 'slowest topic that these limits grow with: 2.5 of its intervals, command_gap 1.5', 's', 0.02, 10.0
+    )
     max_jump: float = setting(10.0, 'longest silence of all topics that is no jump of the clock', 's', 1.0, 3600.0)
     max_jump_back: float = setting(2.0, 'step of the stamps that one topic alone cannot make', 's', 0.5, 3600.0)
 
@@ -63,13 +80,14 @@ AlignmentEvent: TypeAlias = Sample | Refusal | TimeJump
 
 
 class _Track:
-    """Records of one topic in stamp order, bounded."""
+    """Records of one topic in stamp order, bounded, and the interval between them."""
 
-    __slots__ = ('records', 'stamps')
+    __slots__ = ('interval', 'records', 'stamps')
 
     capacity: Final = 4096
 
-    def __init__(self) -> None:
+    def __init__(self, longest_interval_ns: int) -> None:
+        self.interval = LearnedInterval(longest_interval_ns)
         self.stamps: list[int] = []
         self.records: list[Record] = []
 
@@ -88,12 +106,14 @@ class _Track:
         """Forget what lies before the last record at or before ``before_ns``."""
         keep = bisect_right(self.stamps, before_ns) - 1
         if keep > 0:
+            self.interval.see(self.stamps[:keep])
             del self.stamps[:keep], self.records[:keep]
 
     def clear(self) -> None:
         """Forget everything."""
         self.stamps.clear()
         self.records.clear()
+        self.interval.clear()
 
 
 class Aligner:
@@ -109,13 +129,16 @@ class Aligner:
         self._max_jump_back_ns = round(config.max_jump_back * NS_PER_S)
         self._command_gap_ns = round(config.command_gap * NS_PER_S)
         self._period_ns = round(config.period * NS_PER_S)
-        self._force, self._gradient, self._brake, self._mass = _Track(), _Track(), _Track(), _Track()
+        longest_ns = round(config.max_interval * NS_PER_S)
+        self._force, self._gradient, self._brake, self._mass = (_Track(longest_ns) for _ in range(4))
+        self._speed_interval = LearnedInterval(longest_ns)
         self.reset()
 
     def reset(self) -> None:
         """Forget all records and the time base."""
         for track in (self._force, self._gradient, self._brake, self._mass):
             track.clear()
+        self._speed_interval.clear()
         self._pending: list[tuple[int, SpeedRecord]] = []
         self._newest_ns = 0
         self._speed_ns = 0
@@ -138,6 +161,20 @@ class Aligner:
         """Newest stamp that every required topic has reached; 0 while one has not begun."""
         tracks = (self._force, self._gradient, self._brake)
         return min(self._speed_ns, *(track.stamps[-1] if track.stamps else 0 for track in tracks))
+
+    def interval_ns(self, kind: type[Record]) -> int:
+        """Return the interval between records of a slow required topic; 0 for a fast one and while it is not known."""
+        tracks = {ForceRecord: self._force, GradientRecord: self._gradient, BrakeRecord: self._brake}
+        return (self._speed_interval if kind is SpeedRecord else tracks[kind].interval).ns
+
+    def is_behind(self, limit_ns: int) -> bool:
+        """Return whether a required topic is behind the others by more than a limit, and than its rate explains."""
+        tracks = (self._force, self._gradient, self._brake)
+        topics = [(track.stamps[-1] if track.stamps else 0, track.interval) for track in tracks]
+        return any(
+            self._newest_ns - stamp_ns > max(limit_ns, ONE_LOST * interval.ns + self._lag_ns)
+            for stamp_ns, interval in (*topics, (self._speed_ns, self._speed_interval))
+        )
 
     def push(self, record: Record) -> list[AlignmentEvent]:
         """Take one record in; return the samples it completes, or why it was refused."""
@@ -222,6 +259,7 @@ class Aligner:
         while self._pending and (everything or self._is_complete(self._pending[0][0])):
             stamp, record = self._pending.pop(0)
             self._released_ns = stamp
+            self._speed_interval.see((stamp,))
             if self._due_ns and stamp < self._due_ns - _THINNING_SHARE * self._period_ns:
                 events.append(Refusal(stamp, Reason.THINNED, (stamp - self._sample_ns) / NS_PER_S, self.config.period))
                 continue
@@ -229,15 +267,20 @@ class Aligner:
         return events
 
     def _is_complete(self, stamp_ns: int) -> bool:
-        if self._newest_ns > stamp_ns + self._patience_ns:
+        if self._newest_ns > stamp_ns + self._patience_ns and not self._may_still_come(stamp_ns):
             return True
         required = (self._force, self._gradient, self._brake)
         return all(track.stamps and track.stamps[-1] >= stamp_ns for track in required)
 
+    def _may_still_come(self, stamp_ns: int) -> bool:
+        """Return whether a slow topic may still bring a record to interpolate to."""
+        slowest_ns = max(self._force.interval.ns, self._gradient.interval.ns)
+        return self._newest_ns <= stamp_ns + ONE_LOST * slowest_ns + self._lag_ns
+
     def _sample(self, speed: SpeedRecord) -> Sample:
         now, before = speed.stamp_ns, self._sample_ns
         dt = (now - before) / NS_PER_S
-        if before == 0 or dt > self.config.max_dt:
+        if before == 0 or (dt > self.config.max_dt and now - before > ONE_LOST * self._speed_interval.ns):
             dt = math.nan
         start = now if math.isnan(dt) else before
         changes, missed = self._commands(before, now)
@@ -249,10 +292,10 @@ class Aligner:
             speed=speed.speed,
             position=speed.position,
             direction=self._follow_direction(speed.position),
-            force=self._value(self._force, now),
-            force_mean=self._mean(self._force, start, now),
-            gradient=self._value(self._gradient, now),
-            gradient_mean=self._mean(self._gradient, start, now),
+            force=self._value(self._force, now, _scalar),
+            force_mean=self._mean(self._force, start, now, _scalar),
+            gradient=self._value(self._gradient, now, _scalar),
+            gradient_mean=self._mean(self._gradient, start, now, _scalar),
             curve_radius=1.0 / curvature if curvature > 0.0 else 0.0,
             tunnel=tunnel,
             mass=self._latest_mass(now - self._lag_ns),
@@ -260,6 +303,7 @@ class Aligner:
             brake_changes=changes,
             brake_gap=missed,
             emergency=emergency,
+            curvature_mean=self._mean(self._gradient, start, now, _curvature),
         )
         self._sample_ns = now
         # Keep phase with the period, so that faster speed topics are thinned to it evenly.
@@ -279,31 +323,35 @@ class Aligner:
             self._turning_position = position
         return self._direction
 
-    def _value(self, track: _Track, at_ns: int) -> float:
+    def _is_gap(self, track: _Track, span_ns: int) -> bool:
+        """Return whether two records of a topic are too far apart to interpolate between."""
+        return span_ns > self._max_gap_ns and span_ns > ONE_LOST * track.interval.ns
+
+    def _value(self, track: _Track, at_ns: int, read: Callable[[Record], float]) -> float:
         """Interpolate to a stamp; NaN where the neighbours are missing or too far apart."""
         right = bisect_left(track.stamps, at_ns)
         if right == len(track.stamps):
             return math.nan
         if track.stamps[right] == at_ns:
-            return _scalar(track.records[right])
-        if right == 0 or track.stamps[right] - track.stamps[right - 1] > self._max_gap_ns:
+            return read(track.records[right])
+        if right == 0 or self._is_gap(track, track.stamps[right] - track.stamps[right - 1]):
             return math.nan
         share = (at_ns - track.stamps[right - 1]) / (track.stamps[right] - track.stamps[right - 1])
-        left_value, right_value = _scalar(track.records[right - 1]), _scalar(track.records[right])
+        left_value, right_value = read(track.records[right - 1]), read(track.records[right])
         return left_value + share * (right_value - left_value)
 
-    def _mean(self, track: _Track, start_ns: int, end_ns: int) -> float:
+    def _mean(self, track: _Track, start_ns: int, end_ns: int, read: Callable[[Record], float]) -> float:
         """Mean of the interpolated value over an interval (trapezoids through the records inside it)."""
         if start_ns == end_ns:
-            return self._value(track, end_ns)
+            return self._value(track, end_ns, read)
         inside = range(bisect_right(track.stamps, start_ns), bisect_left(track.stamps, end_ns))
         stamps = [start_ns, *(track.stamps[k] for k in inside), end_ns]
         values = [
-            self._value(track, start_ns),
-            *(_scalar(track.records[k]) for k in inside),
-            self._value(track, end_ns),
+            self._value(track, start_ns, read),
+            *(read(track.records[k]) for k in inside),
+            self._value(track, end_ns, read),
         ]
-        if max(b - a for a, b in pairwise(stamps)) > self._max_gap_ns:
+        if self._is_gap(track, max(b - a for a, b in pairwise(stamps))):
             return math.nan
         area = 0.0
         for k in range(1, len(stamps)):
@@ -328,23 +376,41 @@ class Aligner:
         changes: list[BrakeCommandChange] = []
         missed = False
         begin, end = bisect_right(self._brake.stamps, after_ns), bisect_right(self._brake.stamps, now_ns)
-        for record in self._brake.records[begin:end]:
+        # A command after now may have changed before: then it is in force already.
+        for record in self._brake.records[begin : end + 1]:
             if not isinstance(record, BrakeRecord):
                 continue
-            before, self._command = self._command, record
-            if before is not None and before.target_acceleration == record.target_acceleration:
-                continue
-            changes.append(BrakeCommandChange(record.stamp_ns, record.target_acceleration))
-            if before is None:
-                missed |= record.target_acceleration < 0.0
-            else:
-                missed |= record.stamp_ns - before.stamp_ns > self._command_gap_ns
+            before = self._command
+            stamp_ns, unseen = self._change(before, record, after_ns)
+            if stamp_ns > now_ns:
+                break
+            self._command = record
+            if before is None or before.target_acceleration != record.target_acceleration:
+                changes.append(BrakeCommandChange(stamp_ns, record.target_acceleration))
+                missed |= unseen
         return tuple(changes), missed
+
+    def _change(self, before: BrakeRecord | None, record: BrakeRecord, after_ns: int) -> tuple[int, bool]:
+        """Return the stamp of the change to a command, after a stamp, and whether it is too uncertain to be used."""
+        if before is None:
+            return record.stamp_ns, record.target_acceleration < 0.0
+        span_ns, step = record.stamp_ns - before.stamp_ns, abs(record.target_acceleration - before.target_acceleration)
+        if step == 0.0 or span_ns <= self._command_gap_ns:
+            return record.stamp_ns, False
+        if span_ns > _NONE_LOST * self._brake.interval.ns:
+            return record.stamp_ns, True
+        # The topic is slow and nothing was lost: the change lies anywhere between the two.
+        middle_ns = record.stamp_ns - span_ns // 2
+        uncertain = step * span_ns > _MOST_UNCERTAIN * NS_PER_S
+        return (middle_ns if middle_ns > after_ns else record.stamp_ns), uncertain
 
     def _command_at(self, now_ns: int) -> tuple[float, bool]:
         """Return the command in force, NaN if it is not known any more, and the emergency flag."""
         latest = self._command
-        if latest is None or now_ns - latest.stamp_ns > self.config.command_timeout * NS_PER_S:
+        if latest is None:
+            return math.nan, False
+        age_ns = now_ns - latest.stamp_ns
+        if age_ns > self.config.command_timeout * NS_PER_S and age_ns > ONE_LOST * self._brake.interval.ns:
             return math.nan, False
         return latest.target_acceleration, latest.emergency
 
@@ -361,5 +427,5 @@ def _scalar(record: Record) -> float:
     return record.gradient if isinstance(record, GradientRecord) else math.nan
 
 
-def _curvature(record: GradientRecord) -> float:
-    return 1.0 / record.curve_radius if record.curve_radius > 0.0 else 0.0
+def _curvature(record: Record) -> float:
+    return 1.0 / record.curve_radius if isinstance(record, GradientRecord) and record.curve_radius > 0.0 else 0.0

@@ -66,7 +66,11 @@ class Refusal:
 
 @dataclass(frozen=True, slots=True)
 class ResistanceEstimate:
-    """Davis parameters w(v) = a + b v + c v^2 [N/kN, v in m/s] with their covariance (3x3, row-major)."""
+    """Davis parameters w(v) = a + b v + c v^2 [N/kN, v in m/s] with their covariance (3x3, row-major).
+
+    ``force_scale`` is actual over reported specific force (force over weight), ``force_delay`` how much later than
+    the force its stamps are [s]; both NaN where the algorithm does not estimate them.
+    """
 
     a: float
     b: float
@@ -80,6 +84,10 @@ class ResistanceEstimate:
     test_ratio: float
     speed_min: float
     speed_max: float
+    force_scale: float = math.nan
+    force_scale_std: float = math.nan
+    force_delay: float = math.nan
+    force_delay_std: float = math.nan
 
 
 @dataclass(frozen=True, slots=True)

@@ -63,6 +63,7 @@ class Sample:
         brake_gap: True if a change of the command may have been missed since the previous sample.
         emergency: True under emergency braking.
         motion: The drive so far, where effects of the train file depend on it.
+        curvature_mean: Mean curvature since the previous sample [1/m], 0 = straight, NaN if not known.
 
     """
 
@@ -83,3 +84,11 @@ class Sample:
     brake_gap: bool
     emergency: bool
     motion: Motion = NOT_FOLLOWED
+    curvature_mean: float = math.nan
+
+    @property
+    def curvature(self) -> float:
+        """Curvature of the track since the previous sample [1/m], that at the stamp where the mean is not known."""
+        if not math.isnan(self.curvature_mean):
+            return self.curvature_mean
+        return 1.0 / self.curve_radius if self.curve_radius > 0.0 else 0.0

@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files that come with the package: in the source tree, or in the share directory of an installation."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from pathlib import Path
+
+from trainid_ros.core.errors import InputError
+
+
+def shared_path(relative: str) -> Path:
+    """Return the path of a file or folder that comes with the package.
+
+    Raises:
+        InputError: It is in neither place.
+
+    """
+    places = [Path(__file__).parents[2], *_share()]
+    for place in places:
+        if (place / relative).exists():
+            return place / relative
+    msg = f'{relative}: not found (looked in {", ".join(map(str, places))})'
+    raise InputError(msg)
+
+
+def _share() -> list[Path]:
+    if find_spec('ament_index_python') is None:
+        return []
+    from ament_index_python.packages import (  # noqa: PLC0415
+        PackageNotFoundError,
+        get_package_share_directory,
+    )
+
+    try:
+        return [Path(get_package_share_directory('trainid_ros'))]
+    except PackageNotFoundError:
+        return []
