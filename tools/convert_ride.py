@@ -8,8 +8,8 @@ no noise is added, but three things are assumed. Power is the mean over the seco
 acts at the wheel without loss. Gradient is the slope of a local line through altitude over distance. The rider's
 brakes were not measured: the brake command is zero throughout, which here means that nothing is known of them.
 
-One record a second is too few to interpolate between (``AlignmentConfig.max_gap`` and ``max_dt``), so speed is
-interpolated to 5 Hz, force and gradient to 2 Hz. That adds no information; nothing is interpolated over pauses.
+The windows of the estimators are made for five samples a second, so speed is interpolated to 5 Hz, force and
+gradient to 2 Hz. That adds no information; nothing is interpolated over pauses.
 """
 
 from __future__ import annotations

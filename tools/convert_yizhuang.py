@@ -29,7 +29,8 @@ HEADER = """\
 # term in v, so b = 0). The source neglects rotating masses (0); 0.06 is usual for a metro train, whose
 # motors and gears turn in part of the axles only, and the identification needs a true value. The source
 # has no train length (118 m: six cars of 19.5 m and couplers), no curves, no tunnels and no brake
-# actuator: 0.4 s lag and 0.6 s dead time are usual values of electro-pneumatic brakes.
+# actuator: 0.4 s lag and 0.6 s dead time are usual values of electro-pneumatic brakes. mass_std, force_std,
+# timing_std and gradient_std are about those of the simulated days.
 """
 
 
@@ -46,17 +47,20 @@ def convert(line: dict[str, Any], train: dict[str, Any]) -> TrainFile:
             max_traction_force=1e3 * float(train['max traction force']['value']),
             max_traction_power=1e3 * float(train['max traction power']['value']),
             max_speed=round(float(train['max speed']['value']) / KMH, 4),
+            mass_std=0.002,
+            force_std=0.003,
         ),
         Davis(
             a=round(float(train['rolling resistance r0']['value']) * per_weight, 6),
             b=round(float(train['rolling resistance r1']['value']) * per_weight * KMH, 8),
             c=round(float(train['rolling resistance r2']['value']) * per_weight * KMH**2, 8),
         ),
-        Brake(),
+        Brake(timing_std=0.01),
         Line(
             stops=tuple(float(x) for x in line['stops']['values']),
             gradient=tuple((float(x), float(i)) for x, i in line['gradients']['values']),
             speed_limit=tuple((float(x), round(v / KMH, 4)) for x, v in line['speed limits']['values']),
+            gradient_std=0.05,
         ),
     )
 

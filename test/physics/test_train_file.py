@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -60,6 +61,18 @@ def test_the_interface_example_is_read(tmp_path: Path) -> None:
     assert line == Line((0.0, 1450.0), ((0.0, 0.0), (620.0, -12.5)), ((0.0, 0.0), (300.0, 400.0)), ((700.0, 1400.0),))
 
 
+def test_a_brake_rate_over_speed_is_linear_between_and_reads_back() -> None:
+    brake = parse_train_file(MINIMAL + 'brake: {rate: [[5.0, 1.1], [15.0, 0.9]]}', 'T.yaml').brake
+    assert (brake.rate, brake.rate_table) == (1.0, ((5.0, 1.1), (15.0, 0.9)))
+    assert [brake.rate_at(v) for v in (0.0, 5.0, 10.0, 15.0, 40.0)] == pytest.approx([1.1, 1.1, 1.0, 0.9, 0.9])
+    assert Brake(rate=0.8).rate_at(12.0) == 0.8
+    file = replace(FULL, brake=brake)
+    assert parse_train_file(dump_train_file(file), 'T.yaml') == file
+    # A factor on the table is written into it.
+    scaled = parse_train_file(dump_train_file(replace(FULL, brake=replace(brake, rate=0.5))), 'T.yaml').brake
+    assert scaled.rate_at(10.0) == pytest.approx(0.5)
+
+
 def test_exponents_without_a_point_are_numbers() -> None:
     assert parse_train_file(MINIMAL.replace('194000.0', '194e3'), 'T.yaml').train.mass == 194e3
 
@@ -97,6 +110,18 @@ def test_exponents_without_a_point_are_numbers() -> None:
         ('train: {mass: 1, cars: 2.5}\nresistance: {}', 'T.yaml: train.cars = 2.5 must be a whole number'),
         ('train: {mass: 1}\nresistance: {a: -1, b: 0, c: 0}', 'T.yaml: resistance.a = -1 N/kN must be >= 0'),
         (MINIMAL + 'brake: {rate: 0}', 'T.yaml: brake.rate = 0 must be > 0'),
+        (MINIMAL + 'brake: {rate: []}', 'T.yaml: brake.rate = [] must be a number or have a row'),
+        (MINIMAL + 'brake: {rate: [[0, 1, 2]]}', 'T.yaml: brake.rate[0] = [0, 1, 2] must be [speed m/s, rate]'),
+        (MINIMAL + 'brake: {rate: [[-1, 1]]}', 'T.yaml: brake.rate[0][0] = -1 m/s must be >= 0'),
+        (MINIMAL + 'brake: {rate: [[0, 0]]}', 'T.yaml: brake.rate[0][1] = 0 must be > 0'),
+        (
+            MINIMAL + 'brake: {rate: [[5, 1], [5, 0.9]]}',
+            'T.yaml: brake.rate[1][0] = 5 m/s must be above 5 m/s: speeds rise',
+        ),
+        (
+            MINIMAL + 'brake: {rate_table: [[5, 1]]}',
+            'T.yaml: brake.rate_table is not a known field; known: delay, rate, time_constant, timing_std',
+        ),
         (MINIMAL + 'brake: {delay: -0.1}', 'T.yaml: brake.delay = -0.1 s must be >= 0'),
         (MINIMAL + 'line: {stops: 5}', 'T.yaml: line.stops = 5 must be a list'),
         (

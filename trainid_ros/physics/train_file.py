@@ -8,6 +8,7 @@ resistance is in N/kN with v in m/s, gradients in per mille of rising position.
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from dataclasses import dataclass, field, fields
 from itertools import pairwise
 from pathlib import Path
@@ -32,6 +33,8 @@ class Train:
         max_traction_force: Greatest tractive force at the wheel rim [N].
         max_traction_power: Greatest tractive power at the wheel rim [W].
         max_speed: Greatest speed of the train [m/s].
+        mass_std: Standard deviation of the relative error of the mass, weighed or not.
+        force_std: Standard deviation of the relative error of the reported force.
 
     """
 
@@ -42,6 +45,8 @@ class Train:
     max_traction_force: float = 310e3
     max_traction_power: float = 3.1e6
     max_speed: float = 80.0 / 3.6
+    mass_std: float = 0.03
+    force_std: float = 0.02
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,11 +60,39 @@ class Davis:
 
 @dataclass(frozen=True, slots=True)
 class Brake:
-    """Brake actuator: rate (1 = nominal), lag time constant [s] and dead time [s]."""
+    """Brake actuator: actual over commanded acceleration, after a dead time and a first-order lag.
+
+    Attributes:
+        rate: Brake rate (1 = nominal); beside a table the factor on it.
+        time_constant: Lag [s].
+        delay: Dead time [s].
+        rate_table: Speed [m/s] and brake rate, speeds rise; empty: the rate is the same at all speeds.
+        timing_std: Standard deviation of the relative error of dead time and lag.
+
+    """
 
     rate: float = 1.0
     time_constant: float = 0.4
     delay: float = 0.6
+    rate_table: Pairs = ()
+    timing_std: float = 0.12
+
+    def shape_at(self, speed: float) -> float:
+        """Return the table's value at a speed [m/s]: linear between, constant beyond its ends; 1 without a table."""
+        table = self.rate_table
+        if not table:
+            return 1.0
+        above = bisect_right(table, speed, key=_first)
+        if above == 0:
+            return table[0][1]
+        if above == len(table):
+            return table[-1][1]
+        (low, before), (high, after) = table[above - 1], table[above]
+        return before + (after - before) * (speed - low) / (high - low)
+
+    def rate_at(self, speed: float) -> float:
+        """Return the brake rate at a speed [m/s]."""
+        return self.rate * self.shape_at(speed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,6 +105,7 @@ class Line:
         curve: Position and radius [m], 0 = straight.
         tunnel: Start and end of each tunnel.
         speed_limit: Position and limit [m/s].
+        gradient_std: Standard deviation of the error of the gradients [per mille].
 
     """
 
@@ -80,6 +114,7 @@ class Line:
     curve: Pairs = ()
     tunnel: Pairs = ()
     speed_limit: Pairs = ()
+    gradient_std: float = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,13 +179,14 @@ def dump_train_file(train_file: TrainFile) -> str:
     document = {
         'train': _plain(train_file.train),
         'resistance': _plain(train_file.resistance),
-        'brake': _plain(train_file.brake),
+        'brake': _plain_brake(train_file.brake),
         'line': {
             'stops': [float(stop) for stop in line.stops],
             'gradient': _lists(line.gradient),
             'curve': _lists(line.curve),
             'tunnel': _lists(line.tunnel),
             'speed_limit': _lists(line.speed_limit),
+            'gradient_std': float(line.gradient_std),
         },
         'effects': [_plain_effect(effect) for effect in train_file.effects],
     }
@@ -170,6 +206,8 @@ def _train(section: Section) -> Train:
         max_traction_force=section.number('max_traction_force', 'N', default.max_traction_force, above=0.0),
         max_traction_power=section.number('max_traction_power', 'W', default.max_traction_power, above=0.0),
         max_speed=section.number('max_speed', 'm/s', default.max_speed, above=0.0),
+        mass_std=section.number('mass_std', '', default.mass_std, low=0.0, high=0.5),
+        force_std=section.number('force_std', '', default.force_std, low=0.0, high=0.5),
     )
 
 
@@ -184,13 +222,31 @@ def _davis(section: Section) -> Davis:
 
 
 def _brake(section: Section) -> Brake:
-    section.only(_names(Brake))
+    section.only(('rate', 'time_constant', 'delay', 'timing_std'))
     default = Brake()
+    table = _rate_table(section) if isinstance(section.data.get('rate'), list) else ()
     return Brake(
-        rate=section.number('rate', '', default.rate, above=0.0),
+        rate=default.rate if table else section.number('rate', '', default.rate, above=0.0),
         time_constant=section.number('time_constant', 's', default.time_constant, low=0.0),
         delay=section.number('delay', 's', default.delay, low=0.0),
+        rate_table=table,
+        timing_std=section.number('timing_std', '', default.timing_std, low=0.0, high=1.0),
     )
+
+
+def _rate_table(section: Section) -> Pairs:
+    rows = section.rows('rate', ('speed m/s', 'rate'))
+    if not rows:
+        section.fail('rate', '= [] must be a number or have a row')
+    for i, (speed, rate) in enumerate(rows):
+        if speed < 0.0:
+            section.fail(f'rate[{i}][0]', f'= {speed:g} m/s must be >= 0')
+        if rate <= 0.0:
+            section.fail(f'rate[{i}][1]', f'= {rate:g} must be > 0')
+    for i, ((before, _), (after, _)) in enumerate(pairwise(rows)):
+        if after <= before:
+            section.fail(f'rate[{i + 1}][0]', f'= {after:g} m/s must be above {before:g} m/s: speeds rise')
+    return tuple((speed, rate) for speed, rate in rows)
 
 
 def _line(section: Section) -> Line:
@@ -203,6 +259,7 @@ def _line(section: Section) -> Line:
         curve=_profile(section, 'curve', 'm radius', low=0.0),
         tunnel=_tunnels(section),
         speed_limit=_profile(section, 'speed_limit', 'm/s', low=0.0),
+        gradient_std=section.number('gradient_std', 'per mille', Line().gradient_std, low=0.0, high=50.0),
     )
 
 
@@ -260,7 +317,17 @@ def _names(kind: type[Any]) -> tuple[str, ...]:
     return tuple(item.name for item in fields(kind))
 
 
-def _plain(value: Train | Davis | Brake) -> dict[str, float]:
+def _plain_brake(brake: Brake) -> dict[str, object]:
+    rate = [[float(speed), brake.rate * rate] for speed, rate in brake.rate_table] or float(brake.rate)
+    times = {'time_constant': float(brake.time_constant), 'delay': float(brake.delay)}
+    return {'rate': rate, **times, 'timing_std': float(brake.timing_std)}
+
+
+def _first(row: tuple[float, float]) -> float:
+    return row[0]
+
+
+def _plain(value: Train | Davis) -> dict[str, float]:
     out: dict[str, float] = {}
     for item in fields(value):
         number = getattr(value, item.name)
