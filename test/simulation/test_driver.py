@@ -59,3 +59,12 @@ def test_it_brakes_on_the_curve_before_the_stop() -> None:
 def test_settings_are_checked() -> None:
     with pytest.raises(InputError, match='jerk = 0 '):
         driver(jerk=0.0)
+
+
+@pytest.mark.parametrize(('window', 'phase'), [(1.0, Phase.POWER), (4.0, Phase.DWELL)])
+def test_a_train_that_stands_within_the_window_has_arrived(window: float, phase: Phase) -> None:
+    ato, train = driver(stop_window=window), Plant(FILE, PROFILE, 1, 0.8)
+    ato.depart(2000.0)
+    train.position = 1997.0
+    ato.decide(100.0, train)
+    assert ato.phase is phase

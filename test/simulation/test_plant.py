@@ -206,3 +206,13 @@ def test_time_goes_on_in_whole_nanoseconds() -> None:
     train = plant()
     run(train, 1.0)
     assert train.now_ns == 10**9 + 50 * STEP_NS
+
+
+def test_the_brake_follows_its_table_over_speed() -> None:
+    table = ((0.0, 1.1), (20.0, 0.9))
+    train = plant(replace(FILE, resistance=NO_RESISTANCE, brake=Brake(0.9, 0.4, 0.6, table)), speed=18.0)
+    train.command(-0.5)
+    run(train, 8.0)
+    before = train.speed
+    train.step(0.0)
+    assert train.acceleration == pytest.approx(-0.5 * 0.9 * (1.1 - 0.01 * before), rel=1e-3)

@@ -180,6 +180,15 @@ def test_wheel_diameter_scales_the_measured_speed(quiet: Simulation) -> None:
     assert ratios == pytest.approx([1.02] * len(ratios), rel=1e-12)
 
 
+def test_the_driver_goes_by_the_train_as_stated(day: Simulation) -> None:
+    assert drive(replace(SCENARIO, stated=FILE)) == day
+    quick = replace(FILE, brake=replace(FILE.brake, delay=0.1))
+    run = replace(SCENARIO, runs=1)
+    first = [next(i for i, r in enumerate(of(BrakeRecord, drive(s))) if i > 200 and r.target_acceleration < 0.0)
+             for s in (run, replace(run, stated=quick))]
+    assert first[1] > first[0]
+
+
 @pytest.mark.parametrize(
     ('scenario', 'message'),
     [

@@ -3,13 +3,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
 from trainid_ros.core.errors import InputError
 from trainid_ros.physics.train_file import Davis
-from trainid_ros.simulation.truth import Truth, TruthPoint, load_truth, parse_truth, save_truth
+from trainid_ros.simulation.truth import Truth, TruthPoint, dump_truth, load_truth, parse_truth, save_truth
 
 TRUTH = Truth(10**18, ((0.0, 1.0, 0.1 + 0.2, 0.003), (60.0, 1.5, 0.3, 1e-5)), ((0.0, 1.0), (30.0, 0.85)))
 
@@ -17,6 +18,14 @@ TRUTH = Truth(10**18, ((0.0, 1.0, 0.1 + 0.2, 0.003), (60.0, 1.5, 0.3, 1e-5)), ((
 def test_round_trip(tmp_path: Path) -> None:
     save_truth(TRUTH, tmp_path / 'truth.yaml')
     assert load_truth(tmp_path / 'truth.yaml') == TRUTH
+
+
+def test_unknowns_are_read_back_and_leave_no_trace_where_there_are_none(tmp_path: Path) -> None:
+    more = replace(TRUTH, unknowns=(('mass_ratio', 0.1 + 0.2), ('force_delay', 0.0)))
+    save_truth(more, tmp_path / 'truth.yaml')
+    assert load_truth(tmp_path / 'truth.yaml') == more
+    assert 'unknowns' in dump_truth(more)
+    assert 'unknowns' not in dump_truth(TRUTH)
 
 
 def test_each_value_holds_from_its_time_on() -> None:
@@ -43,6 +52,10 @@ def test_an_unknown_brake_rate_is_none() -> None:
         (
             'start_ns: 1.5\nresistance: [[5, 1, 2, 3]]',
             'truth.yaml: start_ns = 1.5 must be a whole number',
+        ),
+        (
+            'resistance: [[5, 1, 2, 3]]\nunknowns: {mass_ratio: big}',
+            "truth.yaml: unknowns.mass_ratio = 'big' must be a number",
         ),
         (
             'resistence: []',

@@ -13,16 +13,21 @@ import numpy as np
 
 from trainid_ros.bags.writer import BagWriter
 from trainid_ros.commands.output import add_json_option, print_json, progress
+from trainid_ros.core.errors import InputError
 from trainid_ros.core.plural import counted
 from trainid_ros.core.records import INPUT_TOPICS
 from trainid_ros.physics.effect_text import parse_effects
-from trainid_ros.physics.train_file import load_train_file
+from trainid_ros.physics.train_file import dump_train_file, load_train_file
+from trainid_ros.simulation.realism import REALISMS, UNKNOWNS, make_case, unknowns_of
 from trainid_ros.simulation.scenario import Scenario, check_scenario, simulate
-from trainid_ros.simulation.truth import save_truth
+from trainid_ros.simulation.truth import plain_truth, save_truth
+from trainid_ros.simulation.worlds import WORLDS, world_train
 
 if TYPE_CHECKING:
+    from trainid_ros.simulation.realism import Case
     from trainid_ros.simulation.scenario import Simulation
 
+TRAIN_FILE: Final = 'train.yaml'
 TRUTH_FILE: Final = 'truth.yaml'
 _TOPIC_OF: Final = {topic.record: topic.name for topic in INPUT_TOPICS}
 _TELL_EVERY: Final = 1000
@@ -31,7 +36,10 @@ _TELL_EVERY: Final = 1000
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument('out', type=Path, metavar='OUT', help='bag to make')
-    parser.add_argument('--train', type=Path, required=True, metavar='T.yaml', help='the train as it truly is')
+    parser.add_argument(
+        '--train', type=Path, metavar='T.yaml', help='the train as it truly is; with --world as an engineer states it'
+    )
+    _configure_world(parser)
     parser.add_argument(
         '--effect',
         action='append',
@@ -46,6 +54,23 @@ def configure(parser: argparse.ArgumentParser) -> None:
     add_json_option(parser)
 
 
+def _configure_world(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument('--world', choices=tuple(WORLDS), help='type of railway: train, line and driver')
+    parser.add_argument(
+        '--realism',
+        choices=tuple(REALISMS),
+        help='clean: all that the train file states is exact; field: wrong as on real trains (default: clean)',
+    )
+    parser.add_argument(
+        '--unknown',
+        action='append',
+        default=[],
+        choices=UNKNOWNS,
+        metavar='NAME',
+        help=f'one thing that the train file states wrongly or not at all (again for more): {", ".join(UNKNOWNS)}',
+    )
+
+
 def _seed(text: str) -> int:
     if not text.isdecimal():
         msg = f'{text!r} is not a whole number >= 0'
@@ -54,21 +79,47 @@ def _seed(text: str) -> int:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Simulate and write the bag and its truth.
+    """Simulate and write the bag and its truth; with a world also the train file that states what is known.
 
     Raises:
         InputError: If an argument or the train file cannot be used, or the bag exists already.
 
     """
-    scenario = scenario_from(args.train, args.effect, args.runs)
+    rng = np.random.default_rng(args.seed)
+    case = _case(args, rng)
+    scenario = case.scenario if case else scenario_from(_train_path(args), args.effect, args.runs)
     # The bag is opened first: a path that cannot be written is told at once, not after the simulation.
     with BagWriter(args.out) as writer:
         with progress('simulating'):
-            simulation = simulate(scenario, np.random.default_rng(args.seed))
+            simulation = simulate(scenario, rng)
         _write(simulation, writer)
+    if case:
+        simulation = replace(simulation, truth=replace(simulation.truth, unknowns=case.true_values))
+        (args.out / TRAIN_FILE).write_text(dump_train_file(case.stated), encoding='utf-8')
     save_truth(simulation.truth, args.out / TRUTH_FILE)
     _tell(args, simulation)
     return 0
+
+
+def _train_path(args: argparse.Namespace) -> Path:
+    if args.train is None:
+        msg = 'no train: give --train T.yaml or --world NAME'
+        raise InputError(msg)
+    return Path(args.train)
+
+
+def _case(args: argparse.Namespace, rng: np.random.Generator) -> Case | None:
+    """Return the case of the world asked for, None without a world."""
+    if args.world is None:
+        if args.realism or args.unknown:
+            msg = f'--{"realism" if args.realism else "unknown"} needs --world, one of {", ".join(WORLDS)}'
+            raise InputError(msg)
+        return None
+    world = WORLDS[args.world]
+    stated = load_train_file(args.train) if args.train else world_train(world)
+    names = unknowns_of(args.realism or 'clean', args.unknown, stated)
+    # Drawn from a generator of its own, so that driving and noise are the same with and without unknowns.
+    return make_case(world, stated, names, args.runs, rng.spawn(1)[0], parse_effects(args.effect))
 
 
 def scenario_from(train: Path, effects: list[str], runs: int) -> Scenario:
@@ -98,6 +149,8 @@ def _tell(args: argparse.Namespace, simulation: Simulation) -> None:
     if not args.json:
         runs = f'{counted(len(simulation.arrivals), "run")}, {simulation.duration_s:.0f} s'
         print(f'{args.out}: {len(simulation.records)} messages of {runs}; truth in {args.out / TRUTH_FILE}')
+        if args.world:
+            print(f'the train as stated: {args.out / TRAIN_FILE}')
         return
     print_json(
         {
@@ -106,6 +159,6 @@ def _tell(args: argparse.Namespace, simulation: Simulation) -> None:
             'duration_s': simulation.duration_s,
             'runs': len(simulation.arrivals),
             'seed': args.seed,
-            'truth': simulation.truth,
+            'truth': plain_truth(simulation.truth),
         }
     )

@@ -17,7 +17,9 @@ from trainid_ros.nodes.playback import TimedRecord, Timeline
 from trainid_ros.nodes.playback_node import PlaybackNode, playback_parameters
 from trainid_ros.nodes.runner import run_node
 from trainid_ros.physics.train_file import load_train_file
+from trainid_ros.simulation.realism import REALISMS, make_case, unknowns_of
 from trainid_ros.simulation.scenario import Scenario, simulate
+from trainid_ros.simulation.worlds import WORLDS, find_world, world_train
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -27,6 +29,20 @@ if TYPE_CHECKING:
 NAME: Final = 'train_simulator'
 _PARAMETERS: Final = (
     TRAIN_FILE,
+    ParameterSpec(
+        'world',
+        '',
+        'type of railway; brings its own train unless train_file is given, which it takes as stated, not as true; '
+        'takes effect on the next configure',
+        choices=('', *WORLDS),
+    ),
+    ParameterSpec(
+        'realism',
+        'clean',
+        'of a world: clean, all that its train file states is exact, or field, wrong as on real trains; '
+        'takes effect on the next configure',
+        choices=tuple(REALISMS),
+    ),
     ParameterSpec('runs', 4, 'runs from stop to stop; takes effect on the next configure', 1, 1000),
     ParameterSpec('seed', 1, 'seed of the random numbers; takes effect on the next configure', 0, 2**31 - 1),
     *playback_parameters(live=True),
@@ -46,14 +62,25 @@ class TrainSimulator(PlaybackNode):
             InputError: The train file is missing or cannot be driven.
 
         """
-        path = str(self.parameters.value('train_file'))
-        if not path:
-            msg = 'no train: give the parameter train_file'
-            raise InputError(msg)
-        train_file = load_train_file(Path(path).expanduser())
-        scenario = Scenario(train_file, runs=int(self.parameters.value('runs')))
-        records = simulate(scenario, np.random.default_rng(int(self.parameters.value('seed')))).records
+        rng = np.random.default_rng(int(self.parameters.value('seed')))
+        records = simulate(self._scenario(rng), rng).records
         return Timeline(records[0].stamp_ns, records[-1].stamp_ns, lambda: _entries(records))
+
+    def _scenario(self, rng: np.random.Generator) -> Scenario:
+        path, name = str(self.parameters.value('train_file')), str(self.parameters.value('world'))
+        realism, runs = str(self.parameters.value('realism')), int(self.parameters.value('runs'))
+        if not (path or name):
+            msg = 'no train: give the parameter train_file or world'
+            raise InputError(msg)
+        given = load_train_file(Path(path).expanduser()) if path else None
+        if not name and given:
+            if realism != 'clean':
+                msg = f'realism = {realism!r} needs the parameter world'
+                raise InputError(msg)
+            return Scenario(given, runs=runs)
+        world = find_world(name)
+        stated = given or world_train(world)
+        return make_case(world, stated, unknowns_of(realism, (), stated), runs, rng.spawn(1)[0]).scenario
 
 
 def _entries(records: tuple[Record, ...]) -> Iterator[TimedRecord]:

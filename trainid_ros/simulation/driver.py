@@ -25,7 +25,6 @@ TICK_S: Final = 0.2
 _TAIL_M: Final = 1.0
 _BRAKE_AT: Final = -0.3
 _RELEASE_AT: Final = -0.8
-_NEAR_STOP_M: Final = 1.0
 
 
 class Phase(Enum):
@@ -54,6 +53,7 @@ class DriverModel:
     holding: float = setting(0.6, 'brake command while standing', 'm/s^2', 0.1, 3.0)
     brake_gain: float = setting(0.6, 'brake command per speed error', '1/s', 0.0, 3.0)
     brake_integral: float = setting(0.08, 'brake command per integral of the speed error', '1/s^2', 0.0, 1.0)
+    stop_window: float = setting(1.0, 'distance before a stop at which a train that stands has arrived', 'm', 0.1, 4.5)
 
 
 @dataclass(frozen=True, slots=True)
@@ -135,7 +135,7 @@ class Driver:
 
     def _is_at_stop(self, train: Plant) -> bool:
         left = (self.stop - train.position) * train.direction
-        return (train.speed < 0.3 and left < 0.2) or (train.speed == 0.0 and left < _NEAR_STOP_M)
+        return (train.speed < 0.3 and left < 0.2) or (train.speed == 0.0 and left < self._model.stop_window)
 
     def _arrive(self, time_s: float, train: Plant) -> None:
         self._rolling = False

@@ -2,8 +2,9 @@
 """Train dynamics: the specific balance, integrated with an exact brake actuator.
 
 ``(1 + gamma) M dv/dt = F + f (1 + gamma) M u - M g / 1000 (w(v) + i + w_extra + gust)`` with the reported traction F,
-the lagged and delayed brake target u <= 0, the brake rate f and the mass M as believed: all effects act as extra
-resistance. Speed and position use the midpoint rule, whose error at 20 ms steps is far below any sensor's.
+the lagged and delayed brake target u <= 0, the brake rate f, times its table over speed if there is one, and the
+mass M as believed: all effects act as extra resistance. Speed and position use the midpoint rule, whose
+error at 20 ms steps is far below any sensor's.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ class Plant:
         brake: Lagged and delayed brake target [m/s^2, <= 0].
         mass: Mass as believed [kg].
         resistance: Davis resistance now.
-        brake_rate: Brake rate now.
+        brake_rate: Brake rate now, or the factor on its table over speed.
         gust: Further resistance [N/kN].
         distance_run: Distance run since the start [m].
         heat: Heat in the brake, that of one without fade [J/kg].
@@ -65,7 +66,7 @@ class Plant:
         self.resistance = train_file.resistance
         self.brake_rate = train_file.brake.rate
         self.gust = self.distance_run = self.heat = 0.0
-        self._train = train_file.train
+        self._train, self._rate_shape = train_file.train, train_file.brake.shape_at
         self._jerk = jerk
         self._start_ns = start_ns
         self._time_constant = train_file.brake.time_constant
@@ -163,4 +164,4 @@ class Plant:
             self.brake = lag_response(self.brake, target, self._time_constant, duration)
         dt = dt_ns / NS_PER_S
         self._since_release = 0.0 if self.brake < BRAKE_APPLIED else self._since_release + dt
-        return self.brake_rate * change / dt
+        return self.brake_rate * self._rate_shape(self.speed) * change / dt

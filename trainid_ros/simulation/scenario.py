@@ -51,6 +51,7 @@ class Scenario:
         driver: How the train is driven.
         gust: Random resistance.
         start_ns: Stamp of time zero, > 0.
+        stated: The train as the driver assumes it; None: as it truly is.
 
     """
 
@@ -62,6 +63,7 @@ class Scenario:
     driver: DriverModel = field(default_factory=DriverModel)
     gust: GustModel = field(default_factory=GustModel)
     start_ns: int = DEFAULT_START_NS
+    stated: TrainFile | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,7 +127,7 @@ class _Day:
         self._effects = file.effects
         self._profile = LineProfile(file.line, file.train.length)
         self._plant = Plant(file, self._profile, scenario.start_ns, scenario.driver.jerk)
-        self._driver = Driver(scenario.driver, file, self._profile, drive)
+        self._driver = Driver(scenario.driver, scenario.stated or file, self._profile, drive)
         self._gust = Gust(scenario.gust, TICK_S, gust)
         length = file.train.length
         extent = (file.line.stops[0] - length, file.line.stops[-1] + length)
@@ -134,6 +136,10 @@ class _Day:
         self._resistance: list[tuple[float, float, float, float]] = []
         self._brake_rate: list[tuple[float, float]] = []
         self._rate_ratio = effect_value(self._effects, 'brake_scale', 'ratio', 1.0)
+        if scenario.stated is not None:
+            # The brake gives a force, so a train heavier than stated is braked less.
+            mass_ratios = [effect_value(f.effects, 'mass_error', 'ratio', 1.0) for f in (file, scenario.stated)]
+            self._rate_ratio *= mass_ratios[1] / mass_ratios[0]
         steps = (dict(e.parameters) for e in self._effects if e.name == 'resistance_step')
         self._steps = tuple((step['time'], step['a']) for step in steps)
         self._pending = self._all_changes()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What was true while a bag was recorded: resistance and brake rate over time.
+"""What was true while a bag was recorded: resistance and brake rate over time, and what the train file does not state.
 
 The file ``truth.yaml`` beside a bag holds it; bags from elsewhere whose truth is known use the same file.
 """
@@ -10,13 +10,20 @@ from bisect import bisect_right
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import Final
 
 import yaml
 
 from trainid_ros.core.errors import InputError
 from trainid_ros.core.records import NS_PER_S
-from trainid_ros.physics.fields import Section, parse_yaml
-from trainid_ros.physics.train_file import Davis
+from trainid_ros.physics.fields import Section, finite_number, parse_yaml
+from trainid_ros.physics.train_file import Davis, NamedValues
+
+_HEAD: Final = '# resistance: [time s, a, b, c]; brake_rate: [time s, rate]\n'
+_HEAD_UNKNOWNS: Final = (
+    '# unknowns: mass_ratio true over stated, force_ratio true over reported traction, force_delay of its stamps [s],\n'
+    '# wheel_ratio measured over true; else true values in SI units, map_std in per mille, gust_std in N/kN\n'
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -35,12 +42,14 @@ class Truth:
         start_ns: Stamp of time zero.
         resistance: (time, a, b, c) in s and N/kN; at least one entry.
         brake_rate: (time, rate); empty where the rate is not known.
+        unknowns: True values of what the train file states wrongly or not at all, see ``realism.Unknowns``; SI units.
 
     """
 
     start_ns: int
     resistance: tuple[tuple[float, float, float, float], ...]
     brake_rate: tuple[tuple[float, float], ...] = ()
+    unknowns: NamedValues = ()
 
     def truth_at(self, time_s: float) -> TruthPoint:
         """Return the truth at a time since the start [s]; the first values also hold before theirs."""
@@ -55,15 +64,22 @@ class Truth:
         return self.truth_at((stamp_ns - self.start_ns) / NS_PER_S)
 
 
-def dump_truth(truth: Truth) -> str:
-    """Return the truth as YAML text that reads back as exactly the same values."""
-    document = {
+def plain_truth(truth: Truth) -> dict[str, object]:
+    """Return the truth as lists and mappings; without the key ``unknowns`` where none are given."""
+    document: dict[str, object] = {
         'start_ns': truth.start_ns,
         'resistance': [[float(x) for x in row] for row in truth.resistance],
         'brake_rate': [[float(x) for x in row] for row in truth.brake_rate],
     }
-    return '# resistance: [time s, a, b, c]; brake_rate: [time s, rate]\n' + yaml.safe_dump(
-        document, sort_keys=False, default_flow_style=None
+    if truth.unknowns:
+        document['unknowns'] = {name: float(value) for name, value in truth.unknowns}
+    return document
+
+
+def dump_truth(truth: Truth) -> str:
+    """Return the truth as YAML text that reads back as exactly the same values."""
+    return _HEAD + (_HEAD_UNKNOWNS if truth.unknowns else '') + yaml.safe_dump(
+        plain_truth(truth), sort_keys=False, default_flow_style=None
     )
 
 
@@ -106,7 +122,7 @@ def parse_truth(text: str, source: str) -> Truth:
         InputError: A field cannot be used.
 
     """
-    top = parse_yaml(text, source).only(('start_ns', 'resistance', 'brake_rate'))
+    top = parse_yaml(text, source).only(('start_ns', 'resistance', 'brake_rate', 'unknowns'))
     resistance = top.rows('resistance', ('time s', 'a', 'b', 'c'))
     brake_rate = top.rows('brake_rate', ('time s', 'rate'))
     if not resistance:
@@ -117,7 +133,12 @@ def parse_truth(text: str, source: str) -> Truth:
         start_ns=top.integer('start_ns', 0, low=0),
         resistance=tuple((t, a, b, c) for t, a, b, c in resistance),
         brake_rate=tuple((t, rate) for t, rate in brake_rate),
+        unknowns=_named_values(top.section('unknowns')),
     )
+
+
+def _named_values(section: Section) -> NamedValues:
+    return tuple((key, finite_number(section.source, section.name(key), x, '')) for key, x in section.data.items())
 
 
 def _check_rising(top: Section, key: str, rows: tuple[tuple[float, ...], ...]) -> None:
