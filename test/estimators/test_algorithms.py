@@ -122,13 +122,13 @@ def test_a_reset_is_the_prior_again(drive: Drive) -> None:
 
 
 def test_an_unknown_name_is_told() -> None:
-    with pytest.raises(InputError, match=r"algorithm = 'XYZ' must be one of V-MILS"):
+    with pytest.raises(InputError, match=r"algorithm = 'XYZ' must be one of filter-bank"):
         RESISTANCE.choose('XYZ')
 
 
 def test_settings_are_changed_by_name() -> None:
-    assert RESISTANCE.choose().algorithm == RESISTANCE.default == 'V-MILS'
-    assert RESISTANCE.choose(hop=5).config != RESISTANCE.choose().config
+    assert RESISTANCE.choose().algorithm == RESISTANCE.default == 'filter-bank'
+    assert RESISTANCE.choose(patience=5.0).config != RESISTANCE.choose().config
 
 
 @pytest.mark.parametrize(

@@ -51,12 +51,12 @@ class Case:
 
 
 CASES = {
-    'curve_resistance': Case('curve_resistance:coefficient=1500', 'resistance', 0.3),
+    'curve_resistance': Case('curve_resistance:coefficient=1500', 'resistance', 0.15),  # its error is learned
     'tunnel_drag': Case('tunnel_drag:factor=2.5', 'resistance', 0.7),
     'headwind': Case('headwind:speed=6', 'resistance', 1.0),
     'local_drag': Case('local_drag:start=1000,end=4000,permille=5', 'resistance', 0.3),
     'gradient_error': Case('gradient_error:start=1000,end=4000,permille=5', 'resistance', 0.3),
-    'resistance_step': Case('resistance_step:time=100,a=1.5', 'resistance', 0.7),
+    'resistance_step': Case('resistance_step:time=100,a=1.5', 'resistance', 0.6),
     'starting_resistance': Case('starting_resistance:value=9,speed=5', 'speed_model', 0.4),
     'higher_order_drag': Case('higher_order_drag:coefficient=3e-4', 'resistance', 0.7),
     'bearing_warmup': Case('bearing_warmup:value=3,distance=4000', 'resistance', 0.7),
@@ -64,10 +64,10 @@ CASES = {
     'mass_error': Case('mass_error:ratio=1.1', 'brake_rate', 0.05),
     'traction_scale': Case('traction_scale:ratio=0.88', 'speed_model', 0.5),
     'brake_fade': Case('brake_fade:loss=0.3,energy=150', 'brake_rate', 0.1),
-    'brake_delay': Case('brake_delay:extra=0.8', 'brake_rate', 0.03),
+    'brake_delay': Case('brake_delay:extra=0.8', 'brake_rate', 0.005),  # the dead time is learned
     'wheel_diameter': Case('wheel_diameter:ratio=1.06', 'brake_rate', 0.02),
     'map_shift': Case('map_shift:distance=80', 'speed_model', 0.4),
-    'stamp_skew': Case('stamp_skew:delay=0.5', 'speed_model', 0.6),
+    'stamp_skew': Case('stamp_skew:delay=0.5', 'resistance', 0.04),  # so is the delay, up to 0.4 s
 }
 
 
@@ -134,7 +134,8 @@ def test_every_effect_is_tried() -> None:
     ('text', 'job', 'low', 'high'),
     [
         ('bearing_warmup:value=4,distance=3000', 'resistance', 0.5, 0.7),
-        ('brake_delay:extra=0.8', 'brake_rate', 0.015, 0.03),
+        # The dead time is learned, so a delay that is missing spoils little but the first braking.
+        ('brake_delay:extra=0.8', 'brake_rate', 0.03, 0.01),
     ],
 )
 def test_one_run_is_enough_to_see_the_difference(text: str, job: str, low: float, high: float, line: TrainFile) -> None:

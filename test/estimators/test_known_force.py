@@ -114,6 +114,17 @@ def test_effects_of_the_train_file_are_known_resistance(train_file: TrainFile, s
     assert known.track(sample(1, gradient_mean=2.0)) == pytest.approx(2.25, rel=1e-12)
 
 
+def test_curves_resist_by_their_mean_curvature(train_file: TrainFile, sample: Make) -> None:
+    known = with_effect(train_file, 'curve_resistance', coefficient=600.0)
+    # 600 / 400 at the stamp; 600 / 800 where half of the interval was straight; nothing where all of it was.
+    assert known.extra(sample(1, curve_radius=400.0)) == pytest.approx(1.5, rel=1e-12)
+    assert known.extra(sample(1, curve_radius=400.0, curvature_mean=1.0 / 800.0)) == pytest.approx(0.75, rel=1e-12)
+    assert known.extra(sample(1, curve_radius=400.0, curvature_mean=0.0)) == 0.0
+    assert known.extra(sample(1, curve_radius=0.0, curvature_mean=1.0 / 800.0)) == pytest.approx(0.75, rel=1e-12)
+    # As good as straight.
+    assert known.extra(sample(1, curvature_mean=1e-300)) == pytest.approx(0.0, abs=1e-12)
+
+
 def test_wind_and_place_follow_the_direction(train_file: TrainFile, sample: Make) -> None:
     wind = KnownForce(replace(train_file, effects=(Effect('headwind', (('speed', 5.0),)),)))
     # 0.004 * (20^2 - 15^2) and 0.004 * (10^2 - 15^2)

@@ -390,7 +390,8 @@ def test_each_update_is_judged_once(name: str, metro: TrainFile, day: Records) -
     squares = [nu * nu / variance for nu, variance in pairs[-WINDOW:]]
     assert pipeline.consistency.updates == len(squares)
     assert pipeline.consistency.ratio == pytest.approx(np.mean(np.minimum(squares, 100.0)))
-    assert len(squares) == pipeline.used if name == 'brake_rate' else 20 < len(squares) < pipeline.used / 5
+    # The resistance follows the samples two behind, and starts each piece of the drive with one speed.
+    assert pipeline.used - 20 < len(pairs) <= pipeline.used
     pipeline.restore(pipeline.save())
     assert pipeline.consistency.updates == 0
 

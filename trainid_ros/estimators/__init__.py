@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Streaming estimators: V-MILS (resistance), AM-VFF-RLS (speed model), GSMA (brake rate)."""
+"""Streaming estimators of resistance, speed model and brake rate."""

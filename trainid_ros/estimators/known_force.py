@@ -62,7 +62,7 @@ class KnownForce:
         """Return what effects of the train file leave of the brake: 0.9 under a fade by a tenth."""
         if not self._terms:
             return 1.0
-        believed = self.train_file.brake.rate * self.inertia * sample.motion.brake
+        believed = self.train_file.brake.rate_at(sample.speed) * self.inertia * sample.motion.brake
         brake = min(believed, _SOME_BRAKE)
         # A train that brakes does not pull, and the force may be missing.
         return 1.0 - (self._sum(sample, 0.0, brake) - self._sum(sample, 0.0, 0.0)) / brake
@@ -78,7 +78,7 @@ class KnownForce:
             position=sample.position,
             direction=sample.direction,
             speed=sample.speed,
-            curve_radius=sample.curve_radius,
+            curve_radius=1.0 / sample.curvature if sample.curvature > 0.0 else 0.0,
             tunnel=sample.tunnel,
             length=self.train_file.train.length,
             distance_run=motion.distance_run,

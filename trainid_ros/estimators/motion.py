@@ -65,7 +65,8 @@ class MotionTracker:
         before, elapsed = state.motion, (sample.stamp_ns - start_ns) / NS_PER_S
         speed = 0.5 * (state.speed + sample.speed) if elapsed <= _LONGEST_GAP_S else 0.0
         brake, braked = self._respond(commands, start_ns, sample.stamp_ns)
-        heat = heat_after(before.heat, self._brake.rate * braked / elapsed, speed, elapsed) if elapsed else before.heat
+        rate = self._brake.rate_at(speed)
+        heat = heat_after(before.heat, rate * braked / elapsed, speed, elapsed) if elapsed else before.heat
         motion = Motion(
             time_s=before.time_s + elapsed,
             distance_run=before.distance_run + speed * elapsed,

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final, Generic, TypeAlias, TypeVar
 
 import numpy as np
 
-from trainid_ros.core.alignment import Aligner, AlignmentConfig, TimeJump
+from trainid_ros.core.alignment import ONE_LOST, Aligner, AlignmentConfig, TimeJump
 from trainid_ros.core.codec import check_restored, decode, encode
 from trainid_ros.core.records import NS_PER_S, Record
 from trainid_ros.core.results import (
@@ -62,7 +62,9 @@ class TimeJumpPolicy(Enum):
 class PipelineConfig:
     """Settings shared by all pipelines."""
 
-    stale_after: float = setting(0.8, 'inputs missing this long make an estimate stale', 's', 0.1, 60.0)
+    stale_after: float = setting(
+        0.8, 'inputs missing this long make an estimate stale; 2.5 intervals of a slower topic', 's', 0.1, 60.0
+    )
     time_jump_policy: TimeJumpPolicy = TimeJumpPolicy.RESET
 
 
@@ -154,6 +156,10 @@ class EstimatorPipeline(Generic[EstimateT]):
         """Newest stamp taken in on any topic; 0 before the first."""
         return self._aligner.newest_ns
 
+    def longest_silence_ns(self, kind: type[Record]) -> int:
+        """Return how long a required topic may be silent until it is missing; longer for a slow one."""
+        return max(round(self.config.stale_after * NS_PER_S), round(ONE_LOST * self._aligner.interval_ns(kind)))
+
     def push(self, record: Record) -> list[Output[EstimateT]]:
         """Take one record in; return an output for each sample it completes."""
         outputs: list[Output[EstimateT]] = []
@@ -172,7 +178,8 @@ class EstimatorPipeline(Generic[EstimateT]):
     def _inputs_missing(self) -> bool:
         """True if a required topic is behind the others by too much, or has not begun in that time."""
         reached_ns = self._aligner.complete_ns or self._first_ns
-        return self.newest_ns - reached_ns > self._stale_ns
+        # A slow topic is behind the others until its next record: that is asked only where the first answer is yes.
+        return self.newest_ns - reached_ns > self._stale_ns and self._aligner.is_behind(self._stale_ns)
 
     def mark_stale(self) -> Output[EstimateT]:
         """Tell that inputs are missing; the last estimate stands."""

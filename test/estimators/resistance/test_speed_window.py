@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from numpy.typing import NDArray
@@ -107,22 +109,50 @@ def test_its_noise_is_what_it_says_and_it_has_no_bias() -> None:
     assert z.std() == pytest.approx(1.0, abs=0.12)
 
 
-def test_the_force_rate_is_what_a_late_force_costs() -> None:
-    """Delay the force by a short time d: the resistance appears to change by -d times its mean rate."""
-    d, dt = 0.05, 0.2
+@pytest.mark.parametrize('late_s', [0.05, 0.2])
+def test_the_rate_of_the_traction_is_what_a_late_force_costs(late_s: float) -> None:
+    """Delay the force by d: the resistance appears to change by d times the slope of the traction."""
+    dt = 0.2
     t: NDArray[np.float64] = dt * np.arange(30, dtype=np.float64)
-    force = 20.0 + 8.0 * t  # mean over the step that ends at t
-    late: NDArray[np.float64] = 20.0 + 8.0 * (t - d)
 
-    def ticks(known: NDArray[np.float64]) -> list[Tick]:
-        v = 15.0 + np.cumsum(np.where(t > 0.0, (force - 2.0) * dt / INERTIA, 0.0))
-        return [
-            Tick(START + round(x * NS_PER_S), dt, float(s), float(u), 0.0) for x, s, u in zip(t, v, known, strict=True)
-        ]
+    def mean_force(at: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Mean since the sample before of a force that rises to 40 N/kN within a second."""
+        middle = at - 0.5 * dt
+        return 20.0 + 20.0 * np.tanh((middle - 3.0) / 0.5)
 
-    exact, delayed = observed(ticks(force)), observed(ticks(late))
-    assert delayed.y - exact.y == pytest.approx(-d * exact.force_rate, rel=0.05)
-    assert exact.force_rate == pytest.approx(8.0, rel=0.05)
+    v = 15.0 + np.cumsum(np.where(t > 0.0, (mean_force(t) - 2.0) * dt / INERTIA, 0.0))
+
+    def result(known: NDArray[np.float64]) -> WindowResult:
+        columns = zip(t.tolist(), v.tolist(), known.tolist(), strict=True)
+        return observed([Tick(START + round(x * NS_PER_S), dt, s, u, u) for x, s, u in columns])
+
+    exact, delayed = result(mean_force(t)), result(mean_force(t - late_s))
+    # y = w - delta Dw: the reported force comes late, by delta.
+    assert delayed.y - 2.0 == pytest.approx(-late_s * delayed.traction_rate, abs=0.03 * late_s * exact.traction_rate)
+    assert exact.y == pytest.approx(2.0, abs=1e-9)
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_a_scale_of_the_traction_shows_by_its_weighted_mean(seed: int) -> None:
+    """Report 5 % too little force: y = w - kappa Tw holds exactly."""
+    ticks = window(25, seed=seed)
+    little = [replace(tick, known_force=tick.known_force / 1.05, traction=tick.traction / 1.05) for tick in ticks]
+    result = observed(little)
+    assert result.y == pytest.approx(2.0 - 0.05 * result.traction, abs=1e-9)
+    assert result.traction_size == pytest.approx(np.mean([abs(tick.traction) for tick in little[1:]]))
+
+
+def test_the_error_of_a_curve_shows_by_its_weighted_curvature() -> None:
+    """Resistance 2 + .3 per unit of curvature, of which .1 is known; curvature is the mean of each interval."""
+    rng = np.random.default_rng(3)
+    curve = np.clip(rng.normal(0.0, 1.0, 30).cumsum(), 0.0, 5.0)
+    v = 15.0 - np.append(0.0, np.cumsum(0.2 * (2.0 + 0.3 * curve[1:]) / INERTIA))
+    ticks = [
+        Tick(START + k * NS_PER_S // 5, 0.2, float(v[k]), -0.1 * float(x), 0.0, curve=float(x))
+        for k, x in enumerate(curve)
+    ]
+    result = observed(ticks)
+    assert result.y == pytest.approx(2.0 + 0.2 * result.curve, abs=1e-9)
 
 
 @pytest.mark.parametrize(('size', 'hop'), [(25, 12), (25, 5), (11, 3), (25, 25)])

@@ -48,7 +48,7 @@ def w(davis: Davis, v: float) -> float:
         ({'brake_command': -0.5}, Reason.BRAKING),
     ],
 )
-def test_bad_samples_are_skipped_and_change_no_belief(
+def test_bad_samples_are_skipped_and_change_no_estimate(
     train_file: TrainFile, sample: Make, journey: Journey, fields: dict[str, Any], reason: Reason
 ) -> None:
     estimator = VMils(train_file, CONFIG)
@@ -62,8 +62,8 @@ def test_bad_samples_are_skipped_and_change_no_belief(
     assert estimator.state.learner.ticks == ()
 
 
-def test_standing_and_braking_leave_the_parameters_to_the_bit(train_file: TrainFile, journey: Journey) -> None:
-    """Ten minutes of stops: nothing is learned between the start of a braking and the next departure."""
+def test_standing_and_braking_leave_the_parameters_alone(train_file: TrainFile, journey: Journey) -> None:
+    """Ten minutes of stops: between the start of a braking and the next departure only kappa may have stepped."""
     samples = journey(
         600.0,
         traction=lambda t: 40.0 if t % 150.0 < 35.0 else 0.0,
@@ -73,11 +73,15 @@ def test_standing_and_braking_leave_the_parameters_to_the_bit(train_file: TrainF
     estimator = VMils(train_file, CONFIG)
     learned = 0
     for item in samples:
-        before = estimator.learner.tracker.belief
+        before, observations = estimator.learner.tracker.estimate, estimator.learner.driven.count
         estimator.step(item)
         if item.brake_command < 0.0 or item.speed < CONFIG.min_speed:
-            assert estimator.learner.tracker.belief == before
-        learned += estimator.learner.tracker.belief != before
+            after = estimator.learner.tracker.estimate
+            std = np.sqrt(np.diag(before.P))
+            assert np.max(np.abs(after.theta - before.theta) / std) < 1e-6
+            assert np.max(np.abs((after.P - before.P)[:3] / np.outer(std, std)[:3])) < 1e-6
+            assert estimator.learner.driven.count == observations
+        learned += estimator.learner.driven.count != observations
     assert learned > 20
 
 
@@ -161,9 +165,9 @@ def test_used_samples_make_an_observation_every_hop(train_file: TrainFile, journ
     estimator = VMils(train_file, CONFIG)
     results = [estimator.step(item) for item in journey(100.0, speed=20.0)]
     accepted = sum(isinstance(r, ResistanceEstimate) for r in results)
-    # The first sample has no dt; the first window needs 25, then one every 6.
+    # The first sample has no dt; the first window has 25, then one every 6.
     assert accepted == 499
-    assert estimator.learner.observations == 1 + (499 - 25) // 6
+    assert estimator.learner.driven.count == 1 + (499 - 25) // 6
 
 
 def garbage(seed: int, make: Make) -> list[Sample]:
@@ -252,7 +256,7 @@ def test_reset_equals_new(train_file: TrainFile, journey: Journey) -> None:
     assert [repr(used.step(item)) for item in samples] == [repr(new.step(item)) for item in samples]
 
 
-@pytest.mark.parametrize('key', ['tracker', 'tachometer', 'ticks', 'slow'])
+@pytest.mark.parametrize('key', ['tracker', 'tachometer', 'ticks', 'slow', 'inflation'])
 def test_a_saved_state_that_does_not_fit_is_refused(train_file: TrainFile, journey: Journey, key: str) -> None:
     estimator = VMils(train_file, CONFIG)
     for item in journey(60.0, traction=saw_tooth):
@@ -276,8 +280,12 @@ def test_a_saved_state_that_does_not_fit_is_refused(train_file: TrainFile, journ
         (('slow', 'factor'), -1.0),
         (('ticks', 0, 'dt'), 0.0),
         (('tracker', 'memory', 0), 0.0),
-        (('tracker', 'memory', 3), 0.0),
-        (('tracker', 'rows', 0, 3), -1.0),
+        (('tracker', 'memory', 8), 0.0),
+        (('tracker', 'rows', 0, 7), -1.0),
+        (('tracker', 'hypotheses', 0, 'evidence'), 1e4),
+        (('inflation', 'ratio'), 0.0),
+        (('inflation', 'variance'), -1.0),
+        (('fresh_s',), -1.0),
         (('tracker', 'mean_weight'), math.nan),
         (('speed_max',), 1e308),
         (('observations',), 10**40),
@@ -301,5 +309,149 @@ def test_numbers_that_would_break_later_are_refused_and_nothing_changes(
 
 
 def test_a_hop_longer_than_the_window_is_refused(train_file: TrainFile) -> None:
-    with pytest.raises(InputError, match=r'hop = 30 must not exceed window = 25'):
-        VMils(train_file, VMilsConfig(hop=30))
+    with pytest.raises(InputError, match=r'hop = 6 s must not exceed window = 4.8 s'):
+        VMils(train_file, VMilsConfig(hop=6.0))
+
+
+def known_file(train_file: TrainFile) -> TrainFile:
+    """Return a train whose mass and force are known to .2 and .3 %."""
+    return replace(train_file, train=replace(train_file.train, mass_std=0.002, force_std=0.003))
+
+
+def misreported(samples: list[Sample], *, scale: float = 1.0, late_s: float = 0.0) -> list[Sample]:
+    """Report a force that is too small by a factor and late; the force acts as it was."""
+    t = np.array([(item.stamp_ns - samples[0].stamp_ns) / NS_PER_S for item in samples])
+    # Cumulative force, so that the mean over any interval is exact.
+    dt = np.diff(t, prepend=t[0])
+    pushed = np.cumsum(np.array([item.force_mean for item in samples]) * dt)
+    late = np.interp(t - late_s, t, pushed)
+    mean = np.divide(np.diff(late, prepend=0.0), dt, out=np.zeros_like(dt), where=dt > 0.0)
+    pairs = zip(samples, (mean / scale).tolist(), strict=True)
+    return [replace(item, force=force, force_mean=force) for item, force in pairs]
+
+
+def after(train_file: TrainFile, samples: list[Sample], config: VMilsConfig = CONFIG) -> VMils:
+    estimator = VMils(train_file, config)
+    for item in samples:
+        estimator.step(item)
+    return estimator
+
+
+@pytest.mark.parametrize('scale', [0.95, 1.05])
+def test_a_wrong_mass_gives_the_right_resistance_and_scale(
+    train_file: TrainFile, journey: Journey, scale: float
+) -> None:
+    """Mass or gain wrong by 5 % is 1.5 N/kN under power: known to 3.6 % a priori, found to 1 %."""
+    samples = misreported(journey(1400.0, traction=saw_tooth, speed=8.0), scale=scale)
+    found = after(train_file, samples).estimate(13.0)
+    assert found.resistance == pytest.approx(w(TRUTH, 13.0), abs=0.15)
+    assert found.force_scale == pytest.approx(scale, abs=0.01)
+    assert abs(found.force_scale - scale) < 3.0 * found.force_scale_std < 0.03
+    trusting = after(known_file(train_file), samples).estimate(13.0)
+    assert abs(trusting.resistance - w(TRUTH, 13.0)) > 2.0 * abs(found.resistance - w(TRUTH, 13.0))
+
+
+@pytest.mark.parametrize('late_s', [0.0, 0.3])
+def test_a_late_force_is_found(train_file: TrainFile, journey: Journey, late_s: float) -> None:
+    samples = misreported(journey(1400.0, traction=saw_tooth, speed=8.0), late_s=late_s)
+    found = after(train_file, samples).estimate(13.0)
+    assert found.force_delay == pytest.approx(late_s, abs=0.08)
+    assert abs(found.force_delay - late_s) < 3.0 * found.force_delay_std
+    assert found.resistance == pytest.approx(w(TRUTH, 13.0), abs=0.15)
+
+
+def test_the_resistance_of_curves_is_found_along(train_file: TrainFile, journey: Journey) -> None:
+    """A third of the time in a curve of 300 m that resists by 1.6 N/kN more than the train file says."""
+
+    def curved(t: float) -> bool:
+        return t % 90.0 > 60.0
+
+    def resists(t: float) -> Davis:
+        return replace(TRUTH, a=TRUTH.a + (1.6 if curved(t) else 0.0))
+
+    samples = [
+        replace(item, curve_radius=300.0 if curved(0.2 * i) else 0.0)
+        for i, item in enumerate(journey(1400.0, traction=saw_tooth, speed=8.0, resistance=resists))
+    ]
+    estimator = after(train_file, samples)
+    assert estimator.learner.tracker.estimate.theta[5] == pytest.approx(0.8, abs=0.15)
+    assert estimator.estimate(13.0).resistance == pytest.approx(w(TRUTH, 13.0), abs=0.15)
+
+
+def test_passengers_change_the_scale_at_stops_only(train_file: TrainFile, sample: Make) -> None:
+    """Weighed or not, the variance of kappa grows by one step at each standstill, up to the prior and one step."""
+
+    def variance(mass: float, stops: int, file: TrainFile) -> float:
+        estimator, i = VMils(file, CONFIG), 0
+        for _ in range(stops):
+            for speed in (5.0, 0.0, 0.0, 0.05, 0.0):
+                estimator.step(sample(i, speed=speed, mass=mass))
+                i += 1
+        return float(estimator.learner.tracker.estimate.P[3, 3])
+
+    prior, known = 0.03**2 + 0.02**2, known_file(train_file)
+    assert variance(math.nan, 0, train_file) == pytest.approx(prior)
+    assert variance(2e5, 1, train_file) == pytest.approx(prior + 0.004**2)
+    assert variance(math.nan, 1, train_file) == pytest.approx(prior + 0.015**2)
+    assert variance(math.nan, 5, train_file) == pytest.approx(prior + 0.015**2)
+    assert variance(2e5, 9, known) == pytest.approx(0.002**2 + 0.003**2 + 0.001**2)
+
+
+def test_where_the_force_is_known_its_errors_cost_nothing(train_file: TrainFile, journey: Journey) -> None:
+    """With a narrow prior the error is that without the states of the force, five drives together."""
+    errors = []
+    for seed in range(5):
+        samples = journey(700.0, traction=saw_tooth, speed=8.0, seed=20 + seed)
+        exact = replace(train_file, train=replace(train_file.train, mass_std=0.0, force_std=0.0))
+        errors.append(
+            [
+                abs(after(file, samples).estimate(13.0).resistance - w(TRUTH, 13.0))
+                for file in (known_file(train_file), exact)
+            ]
+        )
+    narrow, none = np.mean(errors, axis=0).tolist()
+    assert narrow < none + 0.02
+
+
+def test_the_band_covers_over_fresh_drives(train_file: TrainFile, journey: Journey) -> None:
+    """Twelve drives with another scale, delay, gusts and noise each: 95 % bands of w at three speeds.
+
+    The three speeds of a drive are correlated, so 12 to 20 independent trials: fewer than 80 % in about one of 50
+    runs of an honest band.
+    """
+    inside = []
+    for seed in range(12):
+        rng = np.random.default_rng(100 + seed)
+        gust, gusts = 0.0, []
+        for _ in range(3600):
+            gust = 0.97 * gust + 0.3 * math.sqrt(1.0 - 0.97**2) * float(rng.standard_normal())
+            gusts.append(gust)
+
+        def blown(t: float, gusts: list[float] = gusts) -> Davis:
+            return replace(TRUTH, a=TRUTH.a + gusts[round(5.0 * t)])
+
+        samples = misreported(
+            journey(720.0, traction=saw_tooth, speed=8.0, seed=seed, resistance=blown),
+            scale=1.0 + 0.036 * float(rng.standard_normal()),
+            late_s=float(rng.uniform(0.0, 0.3)),
+        )
+        estimator = after(train_file, samples)
+        for v in (9.0, 12.0, 15.0):
+            found = estimator.estimate(v)
+            inside.append(abs(found.resistance - w(TRUTH, v)) <= 1.96 * found.resistance_std)
+    assert np.mean(inside) >= 0.8
+
+
+def test_samples_once_a_second_do(train_file: TrainFile, journey: Journey) -> None:
+    """Windows of 8 s: half as many observations, each as good."""
+    samples = journey(1400.0, traction=saw_tooth, speed=8.0)
+    slow = []
+    for k in range(5, len(samples), 5):
+        together = samples[k - 4 : k + 1]
+        mean = sum(item.force_mean for item in together) / 5.0
+        slow.append(replace(samples[k], dt=math.nan if k == 5 else 1.0, force_mean=mean))
+    estimator = after(train_file, slow)
+    found = estimator.estimate(13.0)
+    assert 500 < estimator.learner.driven.count < 750
+    assert found.resistance == pytest.approx(w(TRUTH, 13.0), abs=max(0.15, 3.0 * found.resistance_std))
+    assert found.resistance_std < 0.2

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from trainid_ros.core.results import ResistanceEstimate
 from trainid_ros.estimators.algorithms import Algorithm, Algorithms
+from trainid_ros.estimators.resistance.filter_bank import FilterBank, FilterBankConfig
 from trainid_ros.estimators.resistance.regressions import innovation_step, solve_step, strict_step
 from trainid_ros.estimators.resistance.speed_ekf import SpeedEkf, SpeedEkfConfig
 from trainid_ros.estimators.resistance.vmils import VMils, VMilsConfig
@@ -36,8 +37,14 @@ def _regression(
 
 RESISTANCE: Final = Algorithms[ResistanceEstimate](
     Algorithm(
+        'filter-bank',
+        'change-point bank of Kalman filters on raw speed, with the errors of the force as states; the default',
+        FilterBankConfig(),
+        lambda train_file, config, _: FilterBank(train_file, config),
+    ),
+    Algorithm(
         'V-MILS',
-        'interval-varying multi-innovation least squares on speed windows; the default',
+        'interval-varying multi-innovation least squares on speed windows; half the computing time',
         VMilsConfig(),
         lambda train_file, config, _: VMils(train_file, config),
     ),

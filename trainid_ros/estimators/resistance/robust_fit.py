@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Batch fit of w = a + b v + c v^2 that up to 45 % of the observations cannot lead astray.
+"""Batch fit of y = phi' theta that up to 45 % of the observations cannot lead astray.
 
-For the start of an estimate from bad data, and for a new beginning when a belief has lost touch. Least trimmed
+For the start of an estimate from bad data, and for a new beginning when an estimate has lost touch. Least trimmed
 squares finds the 55 % that agree best, by concentration from many small subsets (Rousseeuw and Van Driessen 2006);
-least squares over all that lie near that line gives the belief.
+least squares over all that lie near that fit gives the estimate.
 """
 
 from __future__ import annotations
@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from trainid_ros.estimators.resistance.normal import Normal, information_of
+
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-
-    from trainid_ros.estimators.resistance.robust import Belief
 
     Array = NDArray[np.float64]
 
@@ -30,19 +30,20 @@ _AGREEING_Z: Final = 0.7554
 _ROUNDS: Final = 10
 
 
-def robust_fit(rows: tuple[tuple[float, ...], ...], prior: Belief) -> Belief | None:
-    """Return the belief that most rows agree on, or None if they do not.
+def robust_fit(rows: tuple[tuple[float, ...], ...], prior: Normal) -> Normal | None:
+    """Return the distribution of the parameters that most rows agree on, or None if they do not.
 
     Args:
-        rows: v, mean of v^2, y, variance of the noise of one, and how many times that it counts in the mean of many.
-        prior: What is believed without them.
+        rows: The n of the regressor phi, y, variance R of the noise of one, and how many times R it counts in the
+            mean of many.
+        prior: Distribution of the n parameters without them.
 
     """
     table = np.array(rows)
-    root = np.sqrt(table[:, 3])
-    Phi = np.column_stack([np.ones(len(table)), table[:, :2]]) / root[:, None]
-    y = table[:, 2] / root
-    information, vector = _prior_information(prior)
+    root = np.sqrt(table[:, -2])
+    Phi, y = table[:, :-3] / root[:, None], table[:, -3] / root
+    before = information_of(prior)
+    information, vector = before[:, :-1], before[:, -1]
     theta, scale = _trimmed(Phi, y, information, vector)
     for _ in range(_ROUNDS):
         near = np.abs(y - Phi @ theta) < _NEAR * scale
@@ -50,20 +51,18 @@ def robust_fit(rows: tuple[tuple[float, ...], ...], prior: Belief) -> Belief | N
             return None
         theta = _ridge(Phi[near], y[near], information * scale**2, vector * scale**2)
         scale = max(1.0, float(np.std(y[near] - Phi[near] @ theta)) / _CUT_STD)
-    weights = near / (table[:, 4] * scale**2)
+    weights = near / (table[:, -1] * scale**2)
     P = np.linalg.inv(information + Phi.T @ (weights[:, None] * Phi))
     if not (np.isfinite(theta).all() and np.isfinite(P).all()):
         return None
-    a, b, c = map(float, theta)
-    A, B, C, D, E, F = (float(P[i, j]) for i in range(3) for j in range(i, 3))
-    return a, b, c, A, B, C, D, E, F
+    return Normal(theta, P)
 
 
 def _trimmed(Phi: Array, y: Array, information: Array, vector: Array) -> tuple[Array, float]:
     """Return the parameters of least trimmed squares and the scale of what agrees with them, not below 1."""
     generator = np.random.default_rng(0)
     count = round(_AGREEING * len(y))
-    best, least = np.zeros(3), np.inf
+    best, least = np.zeros(Phi.shape[1]), np.inf
     for _ in range(_STARTS):
         kept = generator.choice(len(y), _SUBSET, replace=False)
         for _ in range(_CONCENTRATIONS):
@@ -79,9 +78,3 @@ def _trimmed(Phi: Array, y: Array, information: Array, vector: Array) -> tuple[A
 
 def _ridge(Phi: Array, y: Array, information: Array, vector: Array) -> Array:
     return np.asarray(np.linalg.solve(information + Phi.T @ Phi, vector + Phi.T @ y), dtype=np.float64)
-
-
-def _prior_information(prior: Belief) -> tuple[Array, Array]:
-    a, b, c, A, B, C, D, E, F = prior
-    information = np.linalg.inv(np.array([[A, B, C], [B, D, E], [C, E, F]]))
-    return information, information @ np.array([a, b, c])

@@ -34,24 +34,24 @@ class SlowNoise:
         """True if no variance is negative and the factor and the memory are positive."""
         return self.factor > 0.0 and self.memory > 0.0 and self.known >= 0.0 and self.variance >= 0.0
 
-    def add(self, nu: float, doubt: float, variance: float, bounds: tuple[float, float]) -> None:
+    def add(self, nu: float, prediction: float, variance: float, bounds: tuple[float, float]) -> None:
         """Take in one innovation.
 
         Args:
             nu: The innovation, faded out if it is an outlier [N/kN].
-            doubt: Variance of its prediction, from what is not known of the parameters.
+            prediction: Variance of its prediction, from what is not known of the parameters.
             variance: Variance of its noise in the mean of many, the factor included.
             bounds: Limits of the factor.
 
         """
         self.total += nu
-        self.variance += doubt + variance
+        self.variance += prediction + variance
         self.known += variance
         self.count += 1
         if self.count < _BATCH:
             return
         ratio = min(self.total * self.total / self.variance, _MOST_RATIO)
-        # What mostly stems from doubt tells little of the noise.
+        # What mostly stems from the prediction says little of the noise.
         gain = self.known / self.variance / self.memory
         self.memory = min(self.memory + 1.0, _MEMORY)
         self.factor = min(max(self.factor * (1.0 + gain * (ratio - 1.0)), bounds[0]), bounds[1])

@@ -12,6 +12,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import lru_cache
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -28,13 +30,24 @@ _ROBUST_ROUNDS: Final = 3
 
 @dataclass(frozen=True, slots=True)
 class Tick:
-    """One sample of a window: stamp, measured speed [m/s], mean known specific force since the last [N/kN]."""
+    """One sample of a window.
+
+    Attributes:
+        stamp_ns: Stamp of the speed.
+        dt: Time since the sample before [s].
+        speed: Measured speed [m/s].
+        known_force: Mean known specific force since the sample before [N/kN].
+        traction: Mean specific traction in it [N/kN].
+        curve: Mean curvature in it, as 600 m over the radius; 0 on straight track.
+
+    """
 
     stamp_ns: int
     dt: float
     speed: float
     known_force: float
     traction: float
+    curve: float = 0.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,9 +58,11 @@ class WindowResult:
         y: Observed mean resistance [N/kN], eq. (5) of Liu et al. with rotating mass, gradient and traction.
         phi: Regressor [1, v, v^2], shape (3,), weighted as the slope weighs them.
         noise_std: Standard deviation of y from speed noise alone [N/kN].
-        traction: Mean absolute specific traction in the window [N/kN].
-        force_rate: Mean rate of the known force, weighted as the slope weighs it [N/kN per s]; what a late force
-            costs.
+        traction: Specific traction Tw, weighted as the slope weighs it [N/kN].
+        traction_size: Mean absolute specific traction [N/kN].
+        traction_rate: Slope Dw of the traction by the weights of the slope of speed [N/kN per s]; what a late
+            force costs.
+        curve: 600 m over the radius, weighted as the slope weighs it.
         duration: Time from the first to the last sample [s].
         speed_min: Slowest speed in the window, outliers left out [m/s].
         speed_max: Fastest speed in the window, outliers left out [m/s].
@@ -58,7 +73,9 @@ class WindowResult:
     phi: tuple[float, float, float]
     noise_std: float
     traction: float
-    force_rate: float
+    traction_size: float
+    traction_rate: float
+    curve: float
     duration: float
     speed_min: float
     speed_max: float
@@ -128,7 +145,7 @@ def _result(
     speed_std: float,
 ) -> WindowResult:
     """Return the observation of a line with these weights; a loop of floats, which beats arrays of 25."""
-    phi0 = phi1 = phi2 = traction = force_rate = later = 0.0
+    phi0 = phi1 = phi2 = traction = size = curve = later = 0.0
     for k in range(len(ticks) - 1, 0, -1):
         tick, v1, v0 = ticks[k], speeds[k], speeds[k - 1]
         # Share of the interval in the slope: a change of speed there moves all later speeds.
@@ -137,22 +154,37 @@ def _result(
         phi0 += share
         phi1 += share * 0.5 * (v0 + v1)
         phi2 += share * (v0 * v0 + v0 * v1 + v1 * v1) / 3.0
-        traction += abs(tick.traction)
-        if k > 1:
-            force_rate += later * (tick.known_force - ticks[k - 1].known_force)
+        traction += share * tick.traction
+        curve += share * tick.curve
+        size += abs(tick.traction)
     slope = math.fsum([w * x for w, x in zip(weights, rest, strict=True)])
     return WindowResult(
         y=-inertia * slope,
         phi=(phi0, phi1, phi2),
         noise_std=inertia * speed_std * math.sqrt(math.fsum([w * w for w in weights])),
-        traction=traction / (len(ticks) - 1),
-        force_rate=force_rate,
+        traction=traction,
+        traction_size=size / (len(ticks) - 1),
+        traction_rate=_traction_rate(ticks, weights),
+        curve=curve,
         duration=times[-1],
         speed_min=min(speeds),
         speed_max=max(speeds),
     )
 
 
+def _traction_rate(ticks: list[Tick], weights: list[float]) -> float:
+    """Return sum w_k T(t_k), the slope of the traction [N/kN per s].
+
+    A force that acts delta later changes the slope of speed by delta times this: summation by parts turns the
+    changes of T, weighted by the shares of the intervals, into T weighted by w. T at a stamp is the mean of the
+    intervals on its two sides.
+    """
+    means = [tick.traction for tick in ticks]
+    at = [0.5 * (before + after) for before, after in pairwise(means)]
+    return math.fsum([w * T for w, T in zip(weights, (*at, means[-1]), strict=True)])
+
+
+@lru_cache(maxsize=64)
 def overlap_factor(window: int, hop: int) -> float:
     """Return long-run over marginal variance of slopes of overlapping windows in white speed noise.
 

@@ -1,0 +1,31 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from trainid_ros.core.results import ResistanceEstimate
+from trainid_ros.estimators.force_findings import force_findings
+
+
+def estimate(scale: float, scale_std: float, delay: float = 0.0, delay_std: float = 0.02) -> ResistanceEstimate:
+    davis = (1.5, 0.02, 0.003, (0.0,) * 9, 2.0, 0.1, 10.0, 0.0, 1.0, 0.0, 1.0, 20.0)
+    return ResistanceEstimate(*davis, scale, scale_std, delay, delay_std)
+
+
+def test_a_mass_that_is_5_per_cent_wrong_is_named() -> None:
+    assert force_findings(estimate(0.953, 0.004)) == (
+        'force scale 0.953 ± 0.004: mass or force of the train file is off',
+    )
+
+
+@pytest.mark.parametrize(('scale', 'std'), [(1.0, 0.004), (0.96, 0.02), (1.008, 0.001), (math.nan, math.nan)])
+def test_what_is_small_uncertain_or_not_estimated_is_not_named(scale: float, std: float) -> None:
+    assert force_findings(estimate(scale, std)) == ()
+
+
+@pytest.mark.parametrize(('delay', 'word'), [(0.25, 'later'), (-0.25, 'earlier')])
+def test_a_late_force_is_named_with_its_sign(delay: float, word: str) -> None:
+    (found,) = force_findings(estimate(1.0, 0.004, delay))
+    assert found == f'force delay 0.25 ± 0.02 s: ato/force is stamped {word} than it acts'

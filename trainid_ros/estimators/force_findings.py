@@ -1,0 +1,39 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a wrong force scale or a late force means, in words for those who keep the train file."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from trainid_ros.estimators.resistance.force_errors import DELAY_RANGE
+
+if TYPE_CHECKING:
+    from trainid_ros.core.results import ResistanceEstimate
+
+# A finding is stated when it is this many standard deviations from none ...
+_SIGNIFICANT: Final = 4.0
+# ... and large enough to matter: 1 % of the force, and half a sample.
+_LEAST_SCALE: Final = 0.01
+_LEAST_DELAY_S: Final = 0.1
+# So near the end of its range a delay is one beyond it.
+_AT_END_S: Final = 0.01
+
+
+def force_findings(estimate: ResistanceEstimate) -> tuple[str, ...]:
+    """Return a sentence for each error of the reported force that is certain; none where it is not estimated."""
+    scale, delay = estimate.force_scale - 1.0, estimate.force_delay
+    found = []
+    if abs(scale) > max(_LEAST_SCALE, _SIGNIFICANT * estimate.force_scale_std):
+        value = f'{estimate.force_scale:.3f} ± {estimate.force_scale_std:.3f}'
+        found.append(f'force scale {value}: mass or force of the train file is off')
+    if abs(delay) > max(_LEAST_DELAY_S, _SIGNIFICANT * estimate.force_delay_std):
+        word = 'later' if delay > 0.0 else 'earlier'
+        found.append(f'force delay {_delay(estimate)}: ato/force is stamped {word} than it acts')
+    return tuple(found)
+
+
+def _delay(estimate: ResistanceEstimate) -> str:
+    delay, std = estimate.force_delay, estimate.force_delay_std
+    if any(abs(delay - end) < max(std, _AT_END_S) for end in DELAY_RANGE):
+        return f'{abs(delay):.1f} s or more, which cannot be estimated'
+    return f'{abs(delay):.2f} ± {std:.2g} s'

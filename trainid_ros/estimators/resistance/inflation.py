@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How much larger the errors of prediction are than the model says, over the recent past.
+
+Sums over batches of innovations count their correlation: if the stated variances are true, the squared sum over a
+batch has the sum of the variances as its mean (normalised innovation squared of the sum, 1). What lies above is
+error that the model does not know of, and the published covariance grows by it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+# A batch knows a variance to a factor 1.4, so some are averaged; one alone counts so much at most.
+_MEMORY: Final = 8.0
+_MOST_RATIO: Final = 9.0
+
+
+@dataclass(slots=True)
+class Inflation:
+    """Mean ratio of squared to stated innovations; the batch on its way.
+
+    Attributes:
+        ratio: 1 where the model is consistent.
+        total: Sum of the innovations of the batch.
+        variance: Sum of their stated variances, correlation counted.
+        count: Innovations in the batch.
+        batch: Innovations that make a batch: those of 50 s or so at the usual rate.
+
+    """
+
+    ratio: float = 1.0
+    total: float = 0.0
+    variance: float = 0.0
+    count: int = 0
+    batch: int = 40
+
+    @property
+    def factor(self) -> float:
+        """Factor on the covariance of the parameters, never below 1."""
+        return max(1.0, self.ratio)
+
+    def is_sound(self) -> bool:
+        """True if the ratio is positive and no variance is negative."""
+        return self.ratio > 0.0 and self.variance >= 0.0 and 0 <= self.count < self.batch
+
+    def add(self, nu: float, variance: float) -> None:
+        """Take in one innovation, faded out if it is an outlier, and its variance in the mean of many."""
+        self.total += nu
+        self.variance += variance
+        self.count += 1
+        if self.count < self.batch:
+            return
+        found = min(self.total * self.total / self.variance, _MOST_RATIO)
+        self.ratio += (found - self.ratio) / _MEMORY
+        self.total = self.variance = 0.0
+        self.count = 0
