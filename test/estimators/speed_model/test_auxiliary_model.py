@@ -23,7 +23,7 @@ from trainid_ros.estimators.speed_model.auxiliary_model import (
 from trainid_ros.estimators.speed_model.parameters import SpeedModelConfig, full, prior
 
 Array = NDArray[np.float64]
-THETA, P0 = prior((1.5, 0.03, 0.004), 9.80665 / 1080.0, SpeedModelConfig())
+THETA, P0 = prior((1.5, 0.03, 0.004), 9.80665 / 1080.0, SpeedModelConfig(), 0.05)
 R = 4e-4
 
 

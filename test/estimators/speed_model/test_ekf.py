@@ -32,6 +32,7 @@ def test_it_finds_resistance_and_mass(train_file: TrainFile, journey: Journey) -
 
 def test_it_is_am_vff_rls_that_never_forgets(train_file: TrainFile, journey: Journey) -> None:
     ekf = SpeedEkf(train_file, EkfConfig())
-    never = AmVffRls(train_file, replace(AmVffRlsConfig(), threshold=1e3, drift=EkfConfig().drift))
+    config = replace(AmVffRlsConfig(), threshold=1e3, change_threshold=1e3, drift=EkfConfig().drift)
+    never = AmVffRls(train_file, config)
     for item in journey(200.0, traction=saw_tooth, speed=8.0):
         assert repr(ekf.step(item)) == repr(never.step(item))

@@ -22,7 +22,7 @@ from trainid_ros.estimators.speed_model.parameters import SpeedModelConfig, full
 from trainid_ros.physics.train_file import TrainFile
 
 K = 9.80665 / 1080.0
-THETA, P0 = prior((1.5, 0.03, 0.004), K, SpeedModelConfig())
+THETA, P0 = prior((1.5, 0.03, 0.004), K, SpeedModelConfig(), 0.05)
 TUNING = Tuning(window=5, hop=2, kappa=0.3, clip=4.0, noise=0.0, drift=0.0, load=1e-8)
 
 

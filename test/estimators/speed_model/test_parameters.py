@@ -28,7 +28,7 @@ def test_the_map_is_forward_euler_and_goes_back() -> None:
     stepped = x + T * K * (u - (1.7 + 0.02 * x + 0.0086 * x * x))
     assert theta[0] * x * x + theta[1] * x + theta[2] * u + theta[3] == pytest.approx(stepped, rel=1e-15)
     # 1 - a2 loses digits: a2 is 1 - 4e-5.
-    assert to_physical(theta) == pytest.approx((*DAVIS, K), rel=1e-10)
+    assert to_physical(theta, K) == pytest.approx((*DAVIS, 1.0), rel=1e-10)
 
 
 def test_the_prior_means_what_the_settings_say() -> None:
@@ -41,9 +41,9 @@ def test_the_prior_means_what_the_settings_say() -> None:
         v + 0.1 * math.hypot(config.prior_share * v, s) * rng.standard_normal(n)
         for v, s in zip(davis, floors, strict=True)
     )
-    k = K * (1.0 + 0.1 * config.prior_std_mass * rng.standard_normal(n))
-    thetas = np.stack([-T * k * c, 1.0 - T * k * b, T * k, -T * k * a])
-    theta0, P0 = prior(davis, K, config)
+    scale = 1.0 + 0.1 * 0.05 * rng.standard_normal(n)
+    thetas = np.stack([-T * K * c, 1.0 - T * K * b, T * K * scale, -T * K * a])
+    theta0, P0 = prior(davis, K, config, 0.05)
     found = np.array(full(P0)).reshape(4, 4)
     std = np.sqrt(np.diag(found))
     assert theta0 == to_speed_model(davis, K)
@@ -57,10 +57,10 @@ def test_a_symmetric_matrix_goes_in_and_out() -> None:
 
 
 def test_the_variance_of_the_resistance_is_that_of_its_gradient() -> None:
-    theta, S = prior(DAVIS, K, SpeedModelConfig())
+    theta, S = prior(DAVIS, K, SpeedModelConfig(), 0.05)
 
     def w(t: np.ndarray, v: float) -> float:
-        a, b, c, _ = to_physical(tuple(t))
+        a, b, c, _ = to_physical(tuple(t), K)
         return a + b * v + c * v * v
 
     for v in (0.5, 12.0, 22.0):
@@ -68,4 +68,4 @@ def test_the_variance_of_the_resistance_is_that_of_its_gradient() -> None:
         middle = np.array(theta)
         slope = [(w(middle + h, v) - w(middle - h, v)) / (2.0 * h[i]) for i, h in enumerate(steps)]
         expected = np.array(slope) @ np.array(full(S)).reshape(4, 4) @ slope
-        assert resistance_variance(theta, S, v) == pytest.approx(expected, rel=1e-6)
+        assert resistance_variance(S, v, K) == pytest.approx(expected, rel=1e-6)

@@ -12,8 +12,9 @@ from trainid_ros.estimators.speed_model.ekf import EkfConfig, SpeedEkf
 from trainid_ros.estimators.speed_model.integral_rls import IntegralRlsConfig, SpeedIntegralRls
 from trainid_ros.estimators.speed_model.rls import AM_RLS, AM_VFF_RLS, RLS, VFF_RLS, PaperRls, RlsConfig
 
-# Nothing is refused, so nothing is readmitted.
-_PRINTED: Final = frozenset({'gate', 'readmit_after'})
+# Methods without a covariance to widen: nothing is refused, the force is on time, no step of load or resistance.
+_NOT_ADAPTIVE: Final = frozenset({'readmit_after', 'force_skew', 'load_std', 'weighing_std', 'change_threshold'})
+_PRINTED: Final = _NOT_ADAPTIVE | {'gate', 'acceleration_noise'}
 _UNFORGETTING: Final = frozenset({'forgetting_scale', 'min_forgetting'})
 
 
@@ -47,7 +48,7 @@ SPEED_MODEL: Final = Algorithms[SpeedModelEstimate](
         'recursive least squares on the change of speed over 5 s; the simplest that is not misled by noise',
         IntegralRlsConfig(),
         lambda train_file, config, _: SpeedIntegralRls(train_file, config),
-        frozenset({'readmit_after'}),
+        _NOT_ADAPTIVE,
     ),
     _paper('RLS', 'recursive least squares on measured speed, Yuan et al. (5)', RLS, _UNFORGETTING),
     _paper('VFF-RLS', 'with variable forgetting, (6)', VFF_RLS),

@@ -7,9 +7,10 @@ After Yuan et al. 2017, algorithm (7), in the order in which it can be computed 
   (``auxiliary_model``); as printed the auxiliary output drifts away from a plant whose pole is 1 - 1e-4;
 * lambda from errors that agree (``forgetting``); what is forgotten is the resistance, not the mass, and forgetting
   ends at the prior in every direction;
-* P in the units of the parameters, speed noise learned; gusts, force noise, a force that is reported late and slow
-  changes of the weather allowed for: a covariance to rely on;
-* the input u less gradient and other known resistance, so that d0 is the Davis a and not the gradient;
+* P in the units of the parameters; noise of the speed, strength of gusts and map errors (``disturbance``) and delay of
+  the reported force (``force_delay``) learned, slow changes of the weather allowed for: a covariance to rely on;
+* gradient and other known resistance change the speed beside u, so that d0 is the Davis a and not the gradient, and
+  the error of mass and force is that of traction alone;
 * a step of any duration, a gate for outliers, theta frozen at standstill and while the brake acts, another load
   allowed for after each stop.
 
@@ -20,7 +21,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from trainid_ros.core.samples import SAMPLE_PERIOD
 from trainid_ros.core.settings import setting
@@ -35,7 +36,7 @@ from trainid_ros.estimators.speed_model.auxiliary_model import (
     predict,
     prior_floor,
 )
-from trainid_ros.estimators.speed_model.estimator import SpeedModelEstimator
+from trainid_ros.estimators.speed_model.estimator import SpeedModelEstimator, load_std
 from trainid_ros.estimators.speed_model.forgetting import agreement, forgetting_factor
 from trainid_ros.estimators.speed_model.method import Learned, Numbers
 from trainid_ros.estimators.speed_model.parameters import SpeedModelConfig, Symmetric, Theta
@@ -44,20 +45,13 @@ if TYPE_CHECKING:
     from trainid_ros.physics.train_file import TrainFile
 
 
-# A change of the force takes so many samples, whose errors in time are one.
-_CHANGE_SAMPLES: Final = 5.0
-
-
 @dataclass(frozen=True, slots=True)
 class AmVffRlsConfig(SpeedModelConfig):
     """Settings of AM-VFF-RLS."""
 
-    acceleration_noise: float = setting(0.004, 'gusts, force noise and map errors', 'm/s per sqrt(s)', 0.0, 1.0)
-    force_skew: float = setting(0.06, 'unknown delay of the reported force', 's', 0.0, 5.0)
-    drift: float = setting(0.002, 'drift of the Davis a in 1 s (0.1 if no gradient is known)', 'N/kN', 0.0, 10.0)
-    load_std: float = setting(0.001, 'change of the mass at a stop that is not weighed, a share', '1', 0.0, 1.0)
+    drift: float = setting(0.004, 'drift of the Davis a in 1 s (0.1 if no gradient is known)', 'N/kN', 0.0, 10.0)
     memory: float = setting(25.0, 'errors that must agree before something is forgotten', 'samples', 1.0, 1e4)
-    threshold: float = setting(6.0, 'chi-square of the agreement from which on is forgotten', '1', 0.0, 1e3)
+    threshold: float = setting(6.0, 'chi-square of the agreement of samples from which on is forgotten', '1', 0.0, 1e3)
     forgetting_scale: float = setting(50.0, 'sigma of (6): chi-square over the threshold to forget all', '1', 1.0, 1e9)
     min_forgetting: float = setting(0.5, 'smallest forgetting factor', '1', 0.01, 1.0)
     gate: float = setting(4.0, 'errors beyond this many standard deviations are refused', '1', 1.0, 100.0)
@@ -68,9 +62,9 @@ class Tuning(NamedTuple):
     """What the kernel needs to know.
 
     Attributes:
-        noise: Variance that x gains in a sample period [(m/s)^2].
+        noise: Variance that x gains in a sample period besides what the estimator adds [(m/s)^2].
         drift: Variance that d0 gains in a sample period [(m/s)^2].
-        load: Variance that b1 gains at a stop.
+        load: Variance that b1 gains at a stop without weighing.
         share: Weight of one error in the agreement.
         threshold: See settings.
         scale: See settings.
@@ -117,16 +111,11 @@ def learn(numbers: Numbers, y: float, u: float, scale: float, variance: float, t
 
 
 class AuxiliaryModel:
-    """The kernel with its tuning and prior.
+    """The kernel with its tuning and prior."""
 
-    A force that is reported ``force_skew`` seconds late puts the speed wrong by its change times that. One delay goes
-    through a whole change, so the errors of its samples add up; from one change to the next they count as new ones.
-    """
-
-    def __init__(self, theta0: Theta, P0: Symmetric, tuning: Tuning, force_skew: float = 0.0) -> None:
+    def __init__(self, theta0: Theta, P0: Symmetric, tuning: Tuning) -> None:
         self.tuning = tuning
-        self._skew = _CHANGE_SAMPLES * (force_skew * theta0[2] / SAMPLE_PERIOD) ** 2
-        self._theta0, self._P0 = theta0, P0
+        self._theta0, self._P0, self._floor = theta0, P0, prior_floor(P0)
 
     def start(self, variance: float) -> Numbers:
         """Return the prior."""
@@ -149,13 +138,21 @@ class AuxiliaryModel:
         """Start x_a anew from a measurement."""
         return (*anchor(numbers[:20], y, variance), numbers[20])  # type: ignore[arg-type]
 
-    def doubt_force(self, numbers: Numbers, change: float) -> Numbers:
-        """Allow for a force that is reported late."""
-        return (*doubt_speed(numbers[:20], self._skew * change * change), numbers[20])  # type: ignore[arg-type]
+    def shift(self, numbers: Numbers, change: float) -> Numbers:
+        """Change x."""
+        return (numbers[0] + change, *numbers[1:])
 
-    def doubt_load(self, numbers: Numbers) -> Numbers:
-        """Allow for another load."""
-        return (*doubt_load(numbers[:20], self.tuning.load), numbers[20])  # type: ignore[arg-type]
+    def widen_speed(self, numbers: Numbers, variance: float) -> Numbers:
+        """Widen x."""
+        return (*doubt_speed(numbers[:20], variance), numbers[20])  # type: ignore[arg-type]
+
+    def doubt_load(self, numbers: Numbers, share: float = 1.0) -> Numbers:
+        """Widen b1."""
+        return (*doubt_load(numbers[:20], share * self.tuning.load), numbers[20])  # type: ignore[arg-type]
+
+    def forget(self, numbers: Numbers, factor: float) -> Numbers:
+        """Forget down to the prior."""
+        return (*forget(numbers[:20], factor, self._floor), 0.0)  # type: ignore[arg-type]
 
     def theta(self, numbers: Numbers) -> Theta:
         """Return a1, a2, b1, d0."""
@@ -171,17 +168,17 @@ class AmVffRls(SpeedModelEstimator):
 
     def __init__(self, train_file: TrainFile, config: AmVffRlsConfig) -> None:
         def method(theta0: Theta, P0: Symmetric) -> AuxiliaryModel:
-            return AuxiliaryModel(theta0, P0, _tuning(theta0, P0, config), config.force_skew)
+            return AuxiliaryModel(theta0, P0, _tuning(theta0, P0, config, load_std(train_file, config)))
 
-        super().__init__(train_file, config, method)
+        super().__init__(train_file, config, method, adaptive=True)
 
 
-def _tuning(theta0: Theta, P0: Symmetric, config: AmVffRlsConfig) -> Tuning:
+def _tuning(theta0: Theta, P0: Symmetric, config: AmVffRlsConfig, load: float) -> Tuning:
     b1 = theta0[2]
     return Tuning(
-        noise=config.acceleration_noise**2 * SAMPLE_PERIOD,
+        noise=0.0,
         drift=(config.drift * b1) ** 2 * SAMPLE_PERIOD,
-        load=(config.load_std * b1) ** 2,
+        load=(load * b1) ** 2,
         share=1.0 / config.memory,
         threshold=config.threshold,
         scale=config.forgetting_scale,

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 from trainid_ros.core.samples import SAMPLE_PERIOD
 from trainid_ros.core.settings import setting
 from trainid_ros.estimators.speed_model.am_vff_rls import AuxiliaryModel, Tuning
-from trainid_ros.estimators.speed_model.estimator import SpeedModelEstimator
+from trainid_ros.estimators.speed_model.estimator import SpeedModelEstimator, load_std
 from trainid_ros.estimators.speed_model.parameters import SpeedModelConfig, Symmetric, Theta
 
 if TYPE_CHECKING:
@@ -28,10 +28,8 @@ _NO_FLOOR: Final = (1.0, 1.0, 1.0)
 class EkfConfig(SpeedModelConfig):
     """Settings of the EKF."""
 
-    acceleration_noise: float = setting(0.004, 'gusts, force noise and map errors', 'm/s per sqrt(s)', 0.0, 1.0)
-    force_skew: float = setting(0.06, 'unknown delay of the reported force', 's', 0.0, 5.0)
     drift: float = setting(0.004, 'drift of the Davis a in 1 s (0.2 if no gradient is known)', 'N/kN', 0.0, 10.0)
-    load_std: float = setting(0.001, 'change of the mass at a stop that is not weighed, a share', '1', 0.0, 1.0)
+    change_threshold: float = setting(1e3, 'chi-square of a change that is forgotten into (1000: none)', '1', 1.0, 1e3)
     gate: float = setting(4.0, 'errors beyond this many standard deviations are refused', '1', 1.0, 100.0)
     gate_floor: float = setting(0.0, 'errors below this are never refused', 'm/s', 0.0, 10.0)
 
@@ -45,12 +43,9 @@ class SpeedEkf(SpeedModelEstimator):
     """Estimate a1, a2, b1, d0 from aligned samples."""
 
     def __init__(self, train_file: TrainFile, config: EkfConfig) -> None:
-        noise = config.acceleration_noise**2 * SAMPLE_PERIOD
-
         def method(theta0: Theta, P0: Symmetric) -> AuxiliaryModel:
             b1 = theta0[2]
-            drift, load = (config.drift * b1) ** 2 * SAMPLE_PERIOD, (config.load_std * b1) ** 2
-            tuning = ekf_tuning(noise, drift, load, config.gate, config.gate_floor)
-            return AuxiliaryModel(theta0, P0, tuning, config.force_skew)
+            drift, load = (config.drift * b1) ** 2 * SAMPLE_PERIOD, (load_std(train_file, config) * b1) ** 2
+            return AuxiliaryModel(theta0, P0, ekf_tuning(0.0, drift, load, config.gate, config.gate_floor))
 
-        super().__init__(train_file, config, method)
+        super().__init__(train_file, config, method, adaptive=True)

@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from trainid_ros.core.samples import SAMPLE_PERIOD
 from trainid_ros.core.settings import setting
-from trainid_ros.estimators.speed_model.estimator import SpeedModelEstimator
+from trainid_ros.estimators.speed_model.estimator import SpeedModelEstimator, load_std
 from trainid_ros.estimators.speed_model.method import Learned, Numbers
 from trainid_ros.estimators.speed_model.parameters import SpeedModelConfig, Symmetric, Theta
 from trainid_ros.estimators.speed_model.rls import output, regressor, times, updated
@@ -43,9 +43,7 @@ class IntegralRlsConfig(SpeedModelConfig):
     hop: int = setting(1, 'samples from one regression to the next', 'samples', 1, 500)
     kappa: float = setting(0.3, 'share of the measurement in the observer', '1', 0.01, 1.0)
     clip: float = setting(4.0, 'errors count for no more than this many standard deviations', '1', 1.0, 100.0)
-    acceleration_noise: float = setting(0.004, 'gusts, force noise and map errors', 'm/s per sqrt(s)', 0.0, 1.0)
     drift: float = setting(0.004, 'drift of the Davis a in 1 s (0.2 if no gradient is known)', 'N/kN', 0.0, 10.0)
-    load_std: float = setting(0.001, 'change of the mass at a stop that is not weighed, a share', '1', 0.0, 1.0)
 
 
 class Tuning(NamedTuple):
@@ -146,13 +144,25 @@ class IntegralRls:
         """Start x and the window anew from a measurement."""
         return (y, *numbers[1:15], 0.0, y, variance, 0.0)
 
-    def doubt_force(self, numbers: Numbers, change: float) -> Numbers:  # noqa: ARG002 - it knows no such doubt
+    def shift(self, numbers: Numbers, change: float) -> Numbers:
+        """Change x, and the speeds that the change over the window is counted from."""
+        moved = list(numbers)
+        moved[0] += change
+        for i in (16, *range(_HEAD + _BLOCK - 1, len(moved), _BLOCK)):
+            moved[i] += change
+        return tuple(moved)
+
+    def widen_speed(self, numbers: Numbers, variance: float) -> Numbers:  # noqa: ARG002 - it counts noise by the window
         """Leave all as it is."""
         return numbers
 
-    def doubt_load(self, numbers: Numbers) -> Numbers:
+    def doubt_load(self, numbers: Numbers, share: float = 1.0) -> Numbers:
         """Allow for another load: widen b1."""
-        return (*numbers[:12], numbers[12] + self._tuning.load, *numbers[13:])
+        return (*numbers[:12], numbers[12] + share * self._tuning.load, *numbers[13:])
+
+    def forget(self, numbers: Numbers, factor: float) -> Numbers:  # noqa: ARG002 - it forgets by itself, or not
+        """Leave all as it is."""
+        return numbers
 
     def theta(self, numbers: Numbers) -> Theta:
         """Return a1, a2, b1, d0."""
@@ -169,7 +179,8 @@ class SpeedIntegralRls(SpeedModelEstimator):
     def __init__(self, train_file: TrainFile, config: IntegralRlsConfig) -> None:
         def method(theta0: Theta, P0: Symmetric) -> IntegralRls:
             noise = config.acceleration_noise**2 * SAMPLE_PERIOD
-            drift, load = (config.drift * theta0[2]) ** 2 * SAMPLE_PERIOD, (config.load_std * theta0[2]) ** 2
+            drift = (config.drift * theta0[2]) ** 2 * SAMPLE_PERIOD
+            load = (load_std(train_file, config) * theta0[2]) ** 2
             window, hop = int(config.window), int(config.hop)
             return IntegralRls(theta0, P0, Tuning(window, hop, config.kappa, config.clip, noise, drift, load))
 

@@ -56,11 +56,17 @@ class Method(Protocol):
     def anchor(self, numbers: Numbers, y: float, variance: float) -> Numbers:
         """Start the speed anew from a measurement; theta stands."""
 
-    def doubt_force(self, numbers: Numbers, change: float) -> Numbers:
-        """Allow for a reported force that comes late or early, before a step over which it changed [N/kN]."""
+    def shift(self, numbers: Numbers, change: float) -> Numbers:
+        """Change the speed by what gradient and other known resistance do to it over a step [m/s]."""
 
-    def doubt_load(self, numbers: Numbers) -> Numbers:
-        """Allow for another load after a stop."""
+    def widen_speed(self, numbers: Numbers, variance: float) -> Numbers:
+        """Allow for what else changes the speed over a step [(m/s)^2]."""
+
+    def doubt_load(self, numbers: Numbers, share: float = 1.0) -> Numbers:
+        """Allow for another load after a stop; ``share`` of the variance that is set."""
+
+    def forget(self, numbers: Numbers, factor: float) -> Numbers:
+        """Forget what was learned of the resistance by a factor."""
 
     def theta(self, numbers: Numbers) -> Theta:
         """Return a1, a2, b1, d0."""

@@ -5,8 +5,10 @@ Yuan et al. 2017, eq. (2): x(n) = a1 x(n-1)^2 + a2 x(n-1) + b1 u(n-1) + d0, by f
 
     a1 = -T k c,   a2 = 1 - T k b,   b1 = T k,   d0 = -T k a
 
-with the Davis resistance a + b v + c v^2 [N/kN] and the acceleration coefficient k [m/s^2 per N/kN]. Only the product
-of mass and 1 + gamma can be told from k, and a constant gradient is the same as a part of a.
+with the Davis resistance a + b v + c v^2 [N/kN] and the acceleration coefficient k [m/s^2 per N/kN]. Resistance and
+gradient are forces over the actual weight, so their k is k0 = g / (1000 (1 + gamma)), of the rotating masses alone.
+The reported traction is over the weighed or believed weight and has a gain error: b1 = T k0 kappa with the force scale
+kappa = (1 + gamma) / mass_factor, the same as that of the resistance estimators.
 """
 
 from __future__ import annotations
@@ -26,6 +28,9 @@ Theta: TypeAlias = tuple[float, float, float, float]
 Symmetric: TypeAlias = tuple[float, float, float, float, float, float, float, float, float, float]
 """Upper triangle of a symmetric 4x4 matrix, row by row: stored so, it cannot lose its symmetry."""
 
+# A mass is never known exactly; forgetting divides by its variance.
+_LEAST_MASS_STD: Final = 1e-4
+
 UPPER: Final = tuple((i, j) for i in range(4) for j in range(i, 4))
 
 
@@ -35,14 +40,24 @@ class SpeedModelConfig:
 
     speed_std: float = setting(0.025, 'noise of measured speed at the start (then learned)', 'm/s', 1e-4, 2.0)
     min_speed: float = setting(0.5, 'slowest speed to learn from', 'm/s', 0.0, 50.0)
+    acceleration_noise: float = setting(
+        0.006, 'gusts, force noise and map errors at the start (then learned)', 'm/s per sqrt(s)', 1e-3, 0.05
+    )
+    force_skew: float = setting(0.15, 'unknown delay of the reported force (then learned)', 's', 0.0, 5.0)
+    load_std: float = setting(
+        0.03, 'change of the mass at a stop that is not weighed, a share; at most train.mass_std', '1', 0.0, 1.0
+    )
+    weighing_std: float = setting(0.004, 'error of weighing, drawn anew at each stop, a share', '1', 0.0, 1.0)
+    change_threshold: float = setting(
+        9.0, 'chi-square of the agreement of windows from which on the resistance has changed', '1', 1.0, 1e3
+    )
     readmit_after: int = setting(5, 'refused samples in a row after which the measurement is believed', '', 1, 1000)
     prior_share: float = setting(0.5, 'prior std of a, b, c as a share of their believed values', '1', 0.0, 10.0)
     prior_std_a: float = setting(0.6, 'added to the prior std of the Davis a', 'N/kN', 1e-6, 100.0)
     prior_std_b: float = setting(0.02, 'added to the prior std of the Davis b', 'N/kN per m/s', 1e-8, 10.0)
     prior_std_c: float = setting(0.0006, 'added to the prior std of the Davis c', 'N/kN per (m/s)^2', 1e-9, 1.0)
-    prior_std_mass: float = setting(0.05, 'prior relative standard deviation of mass factor', '1', 1e-6, 1.0)
     valid_std: float = setting(
-        0.2, 'fit to use while the std of w at the speeds seen is below this', 'N/kN', 1e-3, 100.0
+        0.25, 'fit to use while the rms std of w over the speeds driven is below this', 'N/kN', 1e-3, 100.0
     )
 
 
@@ -53,19 +68,22 @@ def to_speed_model(davis: tuple[float, float, float], k: float) -> Theta:
     return -scale * c, 1.0 - scale * b, scale, -scale * a
 
 
-def to_physical(theta: Theta) -> tuple[float, float, float, float]:
-    """Map (a1, a2, b1 > 0, d0) back to Davis (a, b, c) and k [m/s^2 per N/kN]."""
+def to_physical(theta: Theta, k: float) -> tuple[float, float, float, float]:
+    """Map (a1, a2, b1 > 0, d0) back to Davis (a, b, c) and the force scale; k of the rotating masses alone."""
     a1, a2, b1, d0 = theta
-    return -d0 / b1, (1.0 - a2) / b1, -a1 / b1, b1 / SAMPLE_PERIOD
+    scale = SAMPLE_PERIOD * k
+    return -d0 / scale, (1.0 - a2) / scale, -a1 / scale, b1 / scale
 
 
-def prior(davis: tuple[float, float, float], k: float, config: SpeedModelConfig) -> tuple[Theta, Symmetric]:
-    """Return theta(0) and its covariance: doubt about the physical parameters, through the map."""
-    physical = np.diag([*prior_variances(davis, config), (config.prior_std_mass * k) ** 2])
-    a, b, c = davis
-    # Rows a1, a2, b1, d0; columns a, b, c, k.
-    J = SAMPLE_PERIOD * np.array([[0, 0, -k, -c], [0, -k, 0, -b], [0, 0, 0, 1], [-k, 0, 0, -a]], dtype=float)
-    return to_speed_model(davis, k), upper(J @ physical @ J.T)
+def prior(
+    davis: tuple[float, float, float], k: float, config: SpeedModelConfig, mass_std: float
+) -> tuple[Theta, Symmetric]:
+    """Return theta(0) and its covariance; ``mass_std`` is that of mass and force together, relative."""
+    a, b, c = prior_variances(davis, config)
+    scale = (SAMPLE_PERIOD * k) ** 2
+    return to_speed_model(davis, k), (
+        scale * c, 0.0, 0.0, 0.0, scale * b, 0.0, 0.0, scale * max(mass_std, _LEAST_MASS_STD) ** 2, 0.0, scale * a
+    )  # fmt: skip
 
 
 def upper(matrix: NDArray[np.float64]) -> Symmetric:
@@ -80,12 +98,10 @@ def full(S: Symmetric) -> tuple[float, ...]:
     return s11, s12, s13, s14, s12, s22, s23, s24, s13, s23, s33, s34, s14, s24, s34, s44
 
 
-def resistance_variance(theta: Theta, S: Symmetric, v: float) -> float:
-    """Return the variance of w(v) [(N/kN)^2], S the covariance of theta."""
-    a1, a2, b1, d0 = theta
-    s11, s12, s13, s14, s22, s23, s24, s33, s34, s44 = S
-    # w = -(a1 v^2 + (a2 - 1) v + d0) / b1, so -b1 dw = h' dtheta.
-    h1, h2, h3 = v * v, v, -(a1 * v * v + (a2 - 1.0) * v + d0) / b1
-    first = h1 * (s11 * h1 + 2.0 * (s12 * h2 + s13 * h3 + s14))
-    rest = h2 * (s22 * h2 + 2.0 * (s23 * h3 + s24)) + h3 * (s33 * h3 + 2.0 * s34) + s44
-    return (first + rest) / (b1 * b1)
+def resistance_variance(S: Symmetric, v: float, k: float) -> float:
+    """Return the variance of w(v) [(N/kN)^2], S the covariance of theta, k of the rotating masses alone."""
+    s11, s12, _, s14, s22, _, s24, _, _, s44 = S
+    # w = -(a1 v^2 + (a2 - 1) v + d0) / (T k)
+    square = v * v
+    total = square * (s11 * square + 2.0 * (s12 * v + s14)) + v * (s22 * v + 2.0 * s24) + s44
+    return total / (SAMPLE_PERIOD * k) ** 2

@@ -155,12 +155,20 @@ class Rls:
         """Start x anew from a measurement."""
         return (y, *numbers[1:])
 
-    def doubt_force(self, numbers: Numbers, change: float) -> Numbers:  # noqa: ARG002 - it knows no such doubt
+    def shift(self, numbers: Numbers, change: float) -> Numbers:
+        """Change x."""
+        return (numbers[0] + change, *numbers[1:])
+
+    def widen_speed(self, numbers: Numbers, variance: float) -> Numbers:  # noqa: ARG002 - x has no variance here
         """Leave all as it is."""
         return numbers
 
-    def doubt_load(self, numbers: Numbers) -> Numbers:
+    def doubt_load(self, numbers: Numbers, share: float = 1.0) -> Numbers:  # noqa: ARG002 - the paper knows no stops
         """Leave P: the paper knows no stops."""
+        return numbers
+
+    def forget(self, numbers: Numbers, factor: float) -> Numbers:  # noqa: ARG002 - it forgets by itself, or not
+        """Leave all as it is."""
         return numbers
 
     def theta(self, numbers: Numbers) -> Theta:

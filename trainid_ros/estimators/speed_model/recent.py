@@ -1,0 +1,33 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What was measured in the last second: where the train was when it felt the force that is reported now."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+_KEPT: Final = 6
+
+
+@dataclass(frozen=True, slots=True)
+class Recent:
+    """A measured quantity, newest value first, and the time from each to the one after it [s]."""
+
+    values: tuple[float, ...] = ()
+    steps: tuple[float, ...] = ()
+
+    def add(self, value: float, dt: float) -> Recent:
+        """Return it with one more value, ``dt`` [s] after the last; NaN = after a gap."""
+        if math.isnan(dt) or not self.values:
+            return Recent((value,), ())
+        return Recent((value, *self.values)[:_KEPT], (dt, *self.steps)[: _KEPT - 1])
+
+    def before(self, delay: float) -> float:
+        """Return the value a time ago [s], interpolated; the newest or the oldest where there is none."""
+        left = delay
+        for newer, older, step in zip(self.values, self.values[1:], self.steps, strict=False):
+            if left <= step:
+                return newer + (older - newer) * max(left, 0.0) / step if step > 0.0 else newer
+            left -= step
+        return self.values[-1]
