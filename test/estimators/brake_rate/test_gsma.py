@@ -29,6 +29,24 @@ TAU, LAG, DT, GRADIENT = 0.4, 3, 0.2, 6.0
 INERTIA = 1000.0 * 1.08 / 9.80665
 
 
+# Settings for a train file without errors.
+NO_ERRORS: dict[str, Any] = dict.fromkeys(
+    (
+        'resistance_std',
+        'slope_std',
+        'blend_std',
+        'level_std',
+        'scale_std',
+    ),
+    0.0,
+)
+
+
+def exactly_known(train_file: TrainFile) -> TrainFile:
+    train, line = replace(train_file.train, mass_std=0.0, force_std=0.0), replace(train_file.line, gradient_std=0.0)
+    return replace(train_file, train=train, line=line, brake=replace(train_file.brake, timing_std=0.0))
+
+
 def gsma(train_file: TrainFile, config: GsmaConfig = CONFIG, seed: int = 1) -> Gsma:
     return Gsma(train_file, config, np.random.default_rng(seed))
 
@@ -96,17 +114,17 @@ def compare(train_file: TrainFile, journey: Journey, config: GsmaConfig, seed: i
         speed=25.0,
         seed=seed,
     )
-    particles = gsma(train_file, config, seed)
+    particles = gsma(exactly_known(train_file), config, seed)
     exact = Kalman(samples[0], config, particles.state.disturbance.std)
     particles.step(samples[0])
     differences, ratios = [], []
     for k, item in enumerate(samples[1:], start=1):
         if item.speed < 1.0:
             break
-        disturbance = particles.state.disturbance.std
+        disturbance, excess = particles.state.disturbance.std, particles.state.excess
         particles.step(item)
         delayed = samples[k - 1 - LAG].brake_command if k > LAG else 0.0
-        exact.step(item, delayed, particles.state.noise.variance, disturbance)
+        exact.step(item, delayed, particles.state.noise.variance * excess, disturbance)
         if particles.state.observable:
             e, std = particles.estimate(0.0), math.sqrt(exact.P[3, 3])
             differences.append((e.brake_rate - exact.x[3]) / std)
@@ -121,7 +139,9 @@ def test_it_is_the_exact_kalman_filter_but_for_its_finite_number(
 ) -> None:
     """Differences in deviations of the Kalman filter; a random-walk truth that starts within two prior deviations."""
     # Not yet learned, this disturbance is held to be one of 0.006.
-    config = GsmaConfig(particles=particles, drift=drift, jump_rate=0.0, gate=100.0, disturbance_std=0.0028)
+    config = GsmaConfig(
+        particles=particles, drift=drift, jump_rate=0.0, gate=100.0, disturbance_std=0.0028, **NO_ERRORS
+    )
     found = np.array([compare(train_file, journey, config, seed) for seed in range(5)])
     print(f'drift {drift}, {particles} particles: rms {found[:, 0]} KF std, std ratio {found[:, 1]}')
     assert np.sqrt(np.mean(np.square(found[:, 0]))) < most
@@ -130,8 +150,10 @@ def test_it_is_the_exact_kalman_filter_but_for_its_finite_number(
 
 def test_a_group_spreads_as_the_random_walk_does(train_file: TrainFile, journey: Journey) -> None:
     """One step without information: the variance grows by q dt, h^2 / 3."""
-    config = GsmaConfig(particles=400, prior_std=1e-4, drift=0.1, jump_rate=0.0, speed_std=2.0, gate=100.0)
-    estimator, grown = gsma(train_file, config), []
+    config = GsmaConfig(
+        particles=400, prior_std=1e-4, drift=0.1, jump_rate=0.0, speed_std=2.0, gate=100.0, **NO_ERRORS
+    )
+    estimator, grown = gsma(exactly_known(train_file), config), []
     for item in journey(9.0, brake=braking, speed=25.0, noise=0.0, resistance=lambda _: BELIEVED):
         before = estimator.estimate(0.0).brake_rate_std if estimator.state.unbraked_s == 0.0 else None
         estimator.step(item)

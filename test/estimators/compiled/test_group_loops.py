@@ -12,7 +12,7 @@ import pytest
 from benchmarks.papers.brake_runs import metro_run, metro_train
 from trainid_ros.core.errors import InputError
 from trainid_ros.core.results import Refusal
-from trainid_ros.estimators.brake_rate.belief import Interval
+from trainid_ros.estimators.brake_rate.belief import STATES, Interval
 from trainid_ros.estimators.brake_rate.group_cloud import GroupCloud, Strata, branch, prune, weigh
 from trainid_ros.estimators.brake_rate.gsma import Gsma, GsmaConfig
 from trainid_ros.estimators.brake_rate.particles import SPEED, correction, speed_step
@@ -24,7 +24,10 @@ if TYPE_CHECKING:
 
 needs_compiler = pytest.mark.skipif(not compiler_present(), reason='numba is not installed')
 
-INTERVAL = Interval(0.2, 0.1, 0.6, 0.012, 0.37, 0.99, 0.01, 1e-5, 1e-6)
+LEAN = (0.1, -0.2, 0.03, 0.02, -0.01, 0.05, 0.04, -0.2)
+KEEP = (0.999, 0.998, 0.99, 0.99, 0.98, 1.0, 0.97, 0.5)
+Q_E = (1e-4, 2e-4, 3e-4, 4e-4, 5e-4, 6e-4, 8e-4, 7e-4)
+INTERVAL = Interval(0.2, 0.1, 0.6, 0.012, 0.37, 0.99, 0.01, 1e-5, 1e-6, LEAN, KEEP, Q_E)
 R, LARGEST = 7e-4, 3.0
 Q = np.array([1e-5, 0.04])
 CHAIN = np.array([[0.999, 0.001], [0.1, 0.9]])
@@ -37,9 +40,11 @@ def a_cloud(seed: int, sizes: tuple[int, ...] = (20, 10)) -> tuple[GroupCloud, S
     weight = rng.dirichlet(np.ones(len(sizes)))
     mean = f @ strata.average
     variance = np.square(f - mean[strata.of]) @ strata.average
-    slope = rng.normal(0.0, 0.3, (3, len(sizes)))
-    x = np.array([[10.0], [-0.5], [0.0]]) + slope[:, strata.of] * (f - 0.9) + rng.normal(0.0, 0.01, (3, len(f)))
-    root = rng.normal(0.0, 0.02, (3, 3))
+    slope = rng.normal(0.0, 0.3, (STATES, len(sizes)))
+    middle = np.zeros((STATES, 1))
+    middle[:2, 0] = 10.0, -0.5
+    x = middle + slope[:, strata.of] * (f - 0.9) + rng.normal(0.0, 0.01, (STATES, len(f)))
+    root = rng.normal(0.0, 0.02, (STATES, STATES))
     return GroupCloud.of(f, x, weight, mean, variance, slope), strata, root @ root.T
 
 

@@ -7,6 +7,8 @@ After Zheng et al. 2015, section 2, with these corrections:
 * b, an unmodelled acceleration that decorrelates over distance (gradient map, wind), is a state: without it
   it would be taken for brake rate (the paper: white noise). The gradient and running resistance that are
   known act as input.
+* What the train file states wrong is a state too: dead time and lag, running resistance, traction, and a brake
+  rate that changes with speed and with the level of the brake.
 * Standstill and traction never feed f. While no brake acts, its variance grows by q per second, exactly.
 """
 
@@ -21,19 +23,18 @@ from trainid_ros.core.records import NS_PER_S
 from trainid_ros.core.results import BrakeRateEstimate, Reason, Refusal
 from trainid_ros.core.settings import check_settings
 from trainid_ros.core.soundness import check_not_negative, check_numbers
-from trainid_ros.estimators.brake_rate.belief import Belief, Interval
+from trainid_ros.estimators.brake_rate.belief import Belief, Interval, Start
 from trainid_ros.estimators.brake_rate.brake_kinematics import BrakeStep, brake_step
 from trainid_ros.estimators.brake_rate.disturbance import DisturbanceNoise
-from trainid_ros.estimators.known_force import KnownForce
+from trainid_ros.estimators.brake_rate.motion_model import BLEND_SHAPE, LEAST_RATE, MotionModel
+from trainid_ros.estimators.brake_rate.timing import Timing, TimingStep, timing_step
 from trainid_ros.estimators.speed_noise import SpeedNoise
 from trainid_ros.physics.brake import CommandHistory
-from trainid_ros.physics.effects import effect_value
-from trainid_ros.physics.resistance import davis
 
 if TYPE_CHECKING:
     from trainid_ros.core.samples import Sample
     from trainid_ros.estimators.brake_rate.config import BrakeRateConfig
-    from trainid_ros.physics.train_file import Brake, TrainFile
+    from trainid_ros.physics.train_file import TrainFile
 
 # The brake is known again this many time constants after its command is.
 _SETTLING: Final = 6.0
@@ -45,6 +46,10 @@ _HISTORY_S: Final = 60.0
 # A brake that is released, and traction whose error is small enough, to learn of the disturbance.
 _RELEASED: Final = 1e-3
 _SLACK: Final = 0.5
+# Memory of the squared innovations in samples, most that one of them counts, and most that all of them do.
+_MEMORY: Final = 100.0
+_MOST: Final = 9.0
+_MOST_EXCESS: Final = 10.0
 LARGEST_RATE: Final = 3.0
 """The brake rate is at most so many times the believed one."""
 
@@ -61,6 +66,12 @@ class DriveState:
         filtered_target: Command after dead time and lag of a nominal brake [m/s^2].
         unbraked_s: Time since f last learned [s], whose drift the belief does not hold yet.
         certain_ns: Stamp from which on the brake's state is known again after commands were missed.
+        timing: Dead time and lag of the brake as learned.
+        rate: Brake rate at the speed and level at which it was last learned.
+        rate_variance: Its variance.
+        blending: Standard deviation of the changeover between brakes, at the newest sample.
+        excess: Variance of the innovations of speed over that of its noise, as learned while braking; at least 1.
+        gain: Brake rate by the table and by effects of the train file, for f = 1.
         position: Filtered position [m], NaN while unknown.
         belief: State of the belief as JSON text, filled in when saved.
 
@@ -69,6 +80,12 @@ class DriveState:
     noise: SpeedNoise
     disturbance: DisturbanceNoise
     commands: CommandHistory
+    timing: Timing
+    rate: float = 1.0
+    rate_variance: float = 0.0
+    blending: float = 0.0
+    excess: float = 1.0
+    gain: float = 1.0
     stamp_ns: int = 0
     filtered_target: float = 0.0
     unbraked_s: float = 0.0
@@ -90,19 +107,20 @@ class BrakeRateEstimator:
         check_settings(config)
         self.config = config
         self.belief = belief
-        self._train_file = train_file
-        self._brake = true_brake(train_file)
-        self._delay_ns = round(self._brake.delay * NS_PER_S)
-        self._settling_ns = round((self._brake.delay + _SETTLING * self._brake.time_constant) * NS_PER_S)
-        self._known = KnownForce(_with_true_brake(train_file))
+        self._model = MotionModel(train_file, config)
+        self._brake = brake = self._model.brake
+        self._settling_ns = round((brake.delay + _SETTLING * brake.time_constant) * NS_PER_S)
         self.reset()
 
     def reset(self) -> None:
         """Go back to the prior."""
-        self.belief.reset(self._brake.rate, self.config.prior_std)
-        noise = SpeedNoise.declared(self.config.speed_std)
-        disturbance = DisturbanceNoise.declared(self.config.disturbance_std)
-        self.state = DriveState(noise, disturbance, CommandHistory())
+        config, brake = self.config, self._brake
+        self.belief.reset(brake.rate, config.prior_std, self._model.stds)
+        noise = SpeedNoise.declared(config.speed_std)
+        disturbance = DisturbanceNoise.declared(self._model.disturbance_std)
+        timing = Timing(brake.delay, brake.time_constant, self._model.timing_stds)
+        self.state = DriveState(noise, disturbance, CommandHistory(), timing)
+        self.state.rate, self.state.rate_variance = self.belief.rate, self.belief.variance
 
     def save(self) -> str:
         """Return the whole state, that of a generator included, as JSON text."""
@@ -112,7 +130,8 @@ class BrakeRateEstimator:
         """Take over a saved state; InputError if it does not fit."""
         state = decode(text, DriveState)
         check_numbers(state, may_be_nan=('dt', 'position'))
-        check_not_negative('DriveState', unbraked_s=state.unbraked_s, innovation_variance=state.innovation_variance)
+        check_not_negative('DriveState', unbraked_s=state.unbraked_s, rate_variance=state.rate_variance)
+        check_not_negative('DriveState', innovation_variance=state.innovation_variance)
         check_restored(min(state.noise.variance, state.noise.declared_std) > 0.0, 'DriveState', 'noise')
         targets = (state.filtered_target, *(change.target_acceleration for change in state.commands.changes))
         check_restored(max(targets) <= 0.0, 'DriveState', 'commands')
@@ -128,37 +147,45 @@ class BrakeRateEstimator:
 
     def step(self, sample: Sample) -> BrakeRateEstimate | Refusal:
         """Take one sample in; f learns only while the brake acts on a moving train."""
-        motion = self._follow_command(sample)
-        result = self._take(sample, motion)
+        before_ns = self.state.stamp_ns
+        motion, timing = self._follow_command(sample)
+        elapsed = (sample.stamp_ns - before_ns) / NS_PER_S if before_ns else 0.0
+        result = self._take(sample, max(0.0, elapsed), motion, timing)
         if result is None or result.reason is not Reason.NOT_BRAKING:
             self.state.disturbance = self.state.disturbance.paused()
         # Fit to use while the uncertainty is small; hysteresis of a factor of two.
         limit = self.config.valid_std * (2.0 if self.state.converged else 1.0)
-        self.state.converged = self._std() < limit
+        self.state.converged = self._rate()[1] < limit
         return result or self.estimate(sample.speed)
 
-    def _take(self, sample: Sample, motion: BrakeStep) -> Refusal | None:
+    def _take(self, sample: Sample, elapsed: float, motion: BrakeStep, timing: TimingStep) -> Refusal | None:
         state = self.state
         if (refusal := self._refuse(sample)) is not None:
             if refusal.reason in _ANCHORING:
-                self._anchor(sample)
+                self._anchor(sample, elapsed)
             else:
-                self.belief.predict(self._interval(sample, motion))
+                self.belief.predict(self._interval(sample, motion, timing))
             return refusal
         self._follow_position(sample)
-        interval = self._interval(sample, motion)
+        interval = self._interval(sample, motion, timing)
         self.belief.predict(interval)
         if (refusal := self._gate(sample)) is not None:
             if state.refused_in_a_row >= self.config.readmit_after:  # then believe the speed again
-                self._anchor(sample)
+                self._anchor(sample, 0.0)
             return refusal
         braking = max(abs(state.filtered_target), abs(motion.start_target))
-        if braking < self.config.min_braking:
+        if braking < self.config.min_braking or self._released(sample):
             self.belief.follow(sample.speed, state.noise.variance)
             self._learn_disturbance(sample, interval, braking)
             return Refusal(sample.stamp_ns, Reason.NOT_BRAKING, braking, self.config.min_braking)
-        if not self.belief.learn(interval, state.unbraked_s, sample.speed, state.noise.variance):
+        if not self.belief.learn(interval, state.unbraked_s, sample.speed, self._noise_variance()):
             return Refusal(sample.stamp_ns, Reason.NUMERICAL, state.innovation, math.nan)
+        ratio = min(state.innovation**2 / state.innovation_variance, _MOST)
+        state.excess = min(max(1.0, state.excess * math.exp((ratio - 1.0) / _MEMORY)), _MOST_EXCESS)
+        share = self._model.share(sample, abs(state.filtered_target))
+        state.rate, state.rate_variance = self.belief.total_rate(share)
+        # A changeover is as wide as the model has it, but not of its shape.
+        state.blending = BLEND_SHAPE * self.config.blend_std if share[6] > 0.0 else 0.0
         state.unbraked_s = 0.0
         state.observable = True
         return None
@@ -178,18 +205,24 @@ class BrakeRateEstimator:
                 return Refusal(sample.stamp_ns, reason, value, limit)
         return None
 
-    def _follow_command(self, sample: Sample) -> BrakeStep:
+    def _follow_command(self, sample: Sample) -> tuple[BrakeStep, TimingStep]:
         """Bring the brake command up to the stamp; return the brake's response since the last sample."""
         state = self.state
         if sample.stamp_ns <= state.stamp_ns:  # another time base: commands of the old one mean nothing in it
             state.commands = CommandHistory()
             state.filtered_target, state.certain_ns, state.stamp_ns = 0.0, 0, 0
+            state.timing = replace(state.timing, targets=(0.0, 0.0, 0.0, 0.0))
         start_ns = state.stamp_ns or sample.stamp_ns
         for change in sample.brake_changes:
             if not state.commands.changes or change.stamp_ns >= state.commands.changes[-1].stamp_ns:
                 state.commands = state.commands.push(change)
-        motion = brake_step(state.commands, self._brake, start_ns, sample.stamp_ns, state.filtered_target)
-        state.commands = state.commands.prune(sample.stamp_ns - self._delay_ns - round(_HISTORY_S * NS_PER_S))
+        self._move_timing(start_ns)
+        brake = replace(self._brake, delay=state.timing.delay, time_constant=state.timing.lag)
+        motion = brake_step(state.commands, brake, start_ns, sample.stamp_ns, state.filtered_target)
+        nominal = motion.reach * state.filtered_target + motion.gain_v
+        state.timing, timing = timing_step(state.timing, state.commands, start_ns, sample.stamp_ns, nominal)
+        oldest_s = state.timing.delay + _HISTORY_S
+        state.commands = state.commands.prune(sample.stamp_ns - round(oldest_s * NS_PER_S))
         state.filtered_target = motion.end_target
         state.stamp_ns = sample.stamp_ns
         if sample.brake_gap or sample.emergency or math.isnan(sample.brake_command):
@@ -198,45 +231,58 @@ class BrakeRateEstimator:
         # A train at rest reads zero without noise.
         state.noise = state.noise.add(sample.speed, sample.dt if sample.speed >= self.config.min_speed else math.nan)
         state.observable = False
-        return motion
+        return motion, timing
 
-    def _interval(self, sample: Sample, motion: BrakeStep) -> Interval:
-        """What moved the train since the last sample; what is not known counts as nothing."""
-        config, dt, inertia = self.config, sample.dt, self._known.inertia
-        force = sample.force_mean if sample.force_mean > 0.0 else 0.0
-        traction = self._known.traction(force, sample)
-        resistance = davis(self._train_file.resistance, sample.speed)
-        known = (traction - self._known.track(sample) - resistance) / inertia
-        slack = config.force_error * traction / inertia
-        rho = math.exp(-sample.speed * dt / config.disturbance_length)
-        share = self._known.brake_share(sample)
-        return Interval(
-            dt=dt,
-            reach=motion.reach,
-            decay=motion.decay,
-            gain_v=share * motion.gain_v,
-            gain_a=share * motion.gain_a,
-            rho=rho,
-            known=known * dt if math.isfinite(known) else 0.0,
-            q_v=(config.acceleration_noise**2 + slack**2) * dt,
-            q_b=self.state.disturbance.variance * (1.0 - rho * rho),
+    def _move_timing(self, now_ns: int) -> None:
+        """Take over what has been learned of dead time and lag while the brake is released."""
+        state, timing = self.state, self.state.timing
+        if not timing.fresh or not timing.at_rest(state.commands, now_ns):
+            return
+        e, variances, f = self.belief.errors, self.belief.error_variances, max(self.belief.rate, LEAST_RATE)
+        stds = (math.sqrt(variances[0]) / f, math.sqrt(variances[1]) / f)
+        state.timing = timing.moved((e[0] / f, e[1] / f), stds, self._brake)
+        learned = (f * (state.timing.delay - timing.delay), f * (state.timing.lag - timing.lag))
+        self.belief.recentre((*learned, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+
+    def _interval(self, sample: Sample, motion: BrakeStep, timing: TimingStep) -> Interval:
+        """Return what moved the train since the last sample."""
+        state = self.state
+        gains = state.gain, self._model.gain(sample)
+        state.gain = gains[1]
+        return self._model.interval(
+            sample,
+            motion,
+            timing,
+            rate=self.belief.rate,
+            gains=gains,
+            variance=state.disturbance.variance,
+            released=self._released(sample),
         )
+
+    def _released(self, sample: Sample) -> bool:
+        """True while the brake lets go: traction may begin that the reported force does not show."""
+        state = self.state
+        return state.commands.value(sample.stamp_ns - round(state.timing.delay * NS_PER_S)) >= 0.0
 
     def _learn_disturbance(self, sample: Sample, interval: Interval, braking: float) -> None:
         """Learn of the size of b where nothing else that is uncertain acts."""
         state = self.state
         slack = interval.q_v / interval.dt - self.config.acceleration_noise**2
+        e = self.belief.errors
+        learned = sum(gain * error for gain, error in zip(interval.lean[2:5], e[2:5], strict=True))
+        interval = interval._replace(known=interval.known + learned)
         if braking > _RELEASED or slack > (_SLACK * self.config.disturbance_std) ** 2:
             state.disturbance = state.disturbance.paused()
             return
         state.disturbance = state.disturbance.add(interval, sample.speed, state.noise.variance)
 
-    def _anchor(self, sample: Sample) -> None:
-        """Start the train state anew from the measured speed; f stands."""
+    def _anchor(self, sample: Sample, elapsed: float) -> None:
+        """Start the train state anew from the measured speed after a time [s]; f stands."""
         state = self.state
+        state.gain = self._model.gain(sample)
         variances = (state.noise.variance, _ANCHOR_BRAKE_STD**2, state.disturbance.variance)
-        target = self._known.brake_share(sample) * state.filtered_target
-        self.belief.anchor(sample.speed, target, variances)
+        keep, q_e = self._model.forget(elapsed, 0.0)
+        self.belief.anchor(Start(sample.speed, state.gain * state.filtered_target, variances, keep, q_e))
         state.position = sample.position
         state.refused_in_a_row = 0
 
@@ -253,7 +299,7 @@ class BrakeRateEstimator:
         """Gate on the innovation of the whole belief."""
         state = self.state
         expected, variance = self.belief.predicted()
-        variance += state.noise.variance
+        variance += self._noise_variance()
         innovation = sample.speed - expected
         limit = self.config.gate * math.sqrt(variance)
         state.innovation, state.innovation_variance = innovation, variance
@@ -264,16 +310,23 @@ class BrakeRateEstimator:
         state.refused_in_a_row += 1
         return Refusal(sample.stamp_ns, Reason.OUTLIER, innovation, limit)
 
-    def _std(self) -> float:
-        """Law of the uncertainty: sqrt(s^2 + drift^2 t) while no brake acts."""
-        return math.sqrt(self.belief.variance + self.config.drift**2 * self.state.unbraked_s)
+    def _noise_variance(self) -> float:
+        """Return the variance of measured speed that the innovations under the brake bear out [(m/s)^2]."""
+        return self.state.noise.variance * self.state.excess
+
+    def _rate(self) -> tuple[float, float]:
+        """Mean and standard deviation of the brake rate: sqrt(s^2 + drift^2 t) while no brake acts."""
+        mean, config = self.state.rate, self.config
+        unseen = config.drift**2 * self.state.unbraked_s + (config.scale_std * mean) ** 2 + self.state.blending**2
+        return mean, math.sqrt(self.state.rate_variance + unseen)
 
     def estimate(self, speed: float) -> BrakeRateEstimate:  # noqa: ARG002 - one signature for all estimators
         """Return the brake rate (19) and the filtered train state (22)."""
         state, belief = self.state, self.belief
+        rate, std = self._rate()
         return BrakeRateEstimate(
-            brake_rate=min(max(0.0, belief.rate), LARGEST_RATE * self._brake.rate),
-            brake_rate_std=self._std(),
+            brake_rate=min(max(0.0, rate), LARGEST_RATE * self._brake.rate),
+            brake_rate_std=std,
             position=state.position,
             speed=max(0.0, belief.speed),
             control_acceleration=belief.acceleration,
@@ -284,16 +337,3 @@ class BrakeRateEstimator:
             innovation_variance=state.innovation_variance,
             test_ratio=state.test_ratio,
         )
-
-
-def true_brake(train_file: TrainFile) -> Brake:
-    """Return the brake with what effects of the train file make of it (brake_scale, brake_delay)."""
-    brake, effects = train_file.brake, train_file.effects
-    rate = brake.rate * effect_value(effects, 'brake_scale', 'ratio', 1.0)
-    return replace(brake, rate=rate, delay=brake.delay + effect_value(effects, 'brake_delay', 'extra', 0.0))
-
-
-def _with_true_brake(train_file: TrainFile) -> TrainFile:
-    """Return the train file with brake_scale in the brake, and no more among the effects."""
-    effects = tuple(effect for effect in train_file.effects if effect.name != 'brake_scale')
-    return replace(train_file, brake=true_brake(train_file), effects=effects)

@@ -1,120 +1,101 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kernels of a Gaussian belief in x = [v, a, b, f] on plain floats: no particle is needed where all is linear.
+"""Kernels of a Gaussian distribution of z = [x, f], x = [v, a, b, e]: no particle is needed where all is linear.
 
 f enters speed v and brake acceleration a with known coefficients (Zheng et al. 2015, eqs. (1), (2): f multiplies
 the command after its dead time), so the Kalman filter is the exact posterior of a Gaussian random walk of f.
-
-A mean is (v, a, b, f); a covariance its upper triangle (vv, va, vb, vf, aa, ab, af, bb, bf, ff).
+Means have the shape (n + 1,), covariances (n + 1, n + 1).
 """
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
+import numpy as np
+
+from trainid_ros.estimators.brake_rate.belief import ERRORS, STATES, Errors, Interval, Start
+from trainid_ros.estimators.brake_rate.particles import error_covariance, speed_step, started
+
 if TYPE_CHECKING:
-    from trainid_ros.estimators.brake_rate.belief import Interval
+    from collections.abc import Sequence
 
-Mean = tuple[float, float, float, float]
-Cov = tuple[float, float, float, float, float, float, float, float, float, float]
+    from trainid_ros.estimators.brake_rate.particles import Array
 
 
-def predict(m: Mean, P: Cov, step: Interval) -> tuple[Mean, Cov]:
-    """Follow x = F x + known input, P = F P F' + Q; f stands.
+def prior(rate: float, std: float, error_stds: Errors) -> tuple[Array, Array]:
+    """Return mean and covariance before the first sample."""
+    m, P = np.zeros(STATES + 1), np.zeros((STATES + 1, STATES + 1))
+    P[:STATES, :STATES] = error_covariance(error_stds)
+    m[STATES], P[STATES, STATES] = rate, std * std
+    return m, P
 
-    Args:
-        m: Mean.
-        P: Covariance.
-        step: What moves the train.
 
-    Returns:
-        Mean and covariance at the end.
-
-    """
-    dt, reach, decay, gain_v, gain_a, rho, known, q_v, q_b = step
-    v, a, b, f = m
-    vv, va, vb, vf, aa, ab, af, bb, bf, ff = P
-    # Row v of F P, then F P F'.
-    uv = vv + reach * va + dt * vb + gain_v * vf
-    ua = va + reach * aa + dt * ab + gain_v * af
-    ub = vb + reach * ab + dt * bb + gain_v * bf
-    uf = vf + reach * af + dt * bf + gain_v * ff
-    wa = decay * aa + gain_a * af
-    wf = decay * af + gain_a * ff
-    wb = decay * ab + gain_a * bf
-    mean = (v + reach * a + dt * b + gain_v * f + known, decay * a + gain_a * f, rho * b, f)
-    cov = (
-        uv + reach * ua + dt * ub + gain_v * uf + q_v,
-        decay * ua + gain_a * uf,
-        rho * ub,
-        uf,
-        decay * wa + gain_a * wf,
-        rho * wb,
-        wf,
-        rho * rho * bb + q_b,
-        rho * bf,
-        ff,
-    )
+def predict(m: Array, P: Array, interval: Interval) -> tuple[Array, Array]:
+    """Follow x = F x + known input, P = F P F' + Q; f stands."""
+    step = speed_step(interval)
+    F = np.eye(STATES + 1)
+    F[:STATES, :STATES], F[:STATES, STATES] = step.Phi, step.gamma
+    mean = F.dot(m)
+    mean[:STATES] += step.known
+    cov = F.dot(P).dot(F.T)
+    cov[:STATES, :STATES] += step.Q
     return mean, cov
 
 
-def drift(P: Cov, gain_v: float, gain_a: float, q: float) -> Cov:
+def drift(P: Array, gain_v: float, gain_a: float, q: float) -> Array:
     """Add the drift of f over an interval, of variance q, which has acted on v and a since its start."""
-    vv, va, vb, vf, aa, ab, af, bb, bf, ff = P
-    return (
-        vv + q * gain_v * gain_v,
-        va + q * gain_v * gain_a,
-        vb,
-        vf + q * gain_v,
-        aa + q * gain_a * gain_a,
-        ab,
-        af + q * gain_a,
-        bb,
-        bf,
-        ff + q,
-    )
+    along = np.zeros(STATES + 1)
+    along[0], along[1], along[STATES] = gain_v, gain_a, 1.0
+    after: Array = P + np.outer(q * along, along)
+    return after
 
 
-def update(m: Mean, P: Cov, speed: float, r: float, *, learns: bool) -> tuple[Mean, Cov]:
+def update(m: Array, P: Array, speed: float, r: float, *, learns: bool) -> tuple[Array, Array]:
     """Take in a measured speed, K = P h / S.
 
     With ``learns`` False the gain of f is zero, and f stands (the filter of Schmidt).
     """
-    vv, va, vb, vf, aa, ab, af, bb, bf, ff = P
-    S = vv + r
-    nu = (speed - m[0]) / S
-    kept = r / S
-    mean = (m[0] + vv * nu, m[1] + va * nu, m[2] + vb * nu, m[3] + (vf * nu if learns else 0.0))
-    cov = (
-        vv * kept,
-        va * kept,
-        vb * kept,
-        vf * kept,
-        aa - va * va / S,
-        ab - va * vb / S,
-        af - va * vf / S,
-        bb - vb * vb / S,
-        bf - vb * vf / S,
-        ff - vf * vf / S if learns else ff,
-    )
+    column = P[0].copy()
+    S = float(column[0]) + r
+    kept = P[STATES, STATES]
+    cov = P - np.outer(column, column / S)
+    if not learns:
+        cov[STATES, STATES] = kept
+        column[STATES] = 0.0
+    return m + column * ((speed - float(m[0])) / S), cov
+
+
+def anchored(m: Array, P: Array, start: Start) -> tuple[Array, Array]:
+    """Start v, a = f target and b anew; f stands, and so do the errors but for what they forget."""
+    f, ff, keep = float(m[STATES]), float(P[STATES, STATES]), np.array(start.keep)
+    mean, cov = np.concatenate([[start.speed, f * start.target, 0.0], keep * m[3:STATES], [f]]), np.zeros_like(P)
+    cov[:STATES, :STATES] = started(P[:STATES, :STATES], start)
+    with_f = np.concatenate([[0.0, ff * start.target, 0.0], keep * P[3:STATES, STATES]])
+    cov[:STATES, STATES] = cov[STATES, :STATES] = with_f
+    # a = f target goes with the errors as f does.
+    cov[1, 3:STATES] = cov[3:STATES, 1] = start.target * with_f[3:]
+    cov[1, 1] += ff * start.target**2
+    cov[STATES, STATES] = ff
     return mean, cov
 
 
-def anchored(f: float, ff: float, speed: float, target: float, variances: tuple[float, ...]) -> tuple[Mean, Cov]:
-    """Start v, a = f target and b anew; f stands."""
-    r, doubt, disturbance = variances
-    cov = (r, 0.0, 0.0, 0.0, doubt + ff * target * target, 0.0, ff * target, disturbance, 0.0, ff)
-    return (speed, f * target, 0.0, f), cov
+def total_rate(m: Array, P: Array, share: Array) -> tuple[float, float]:
+    """Return mean and variance of f + share e."""
+    along = np.concatenate([[0.0, 0.0, 0.0], share, [1.0]])
+    return float(along.dot(m)), float(along.dot(P).dot(along))
 
 
-def mixed(weights: tuple[float, ...], means: tuple[Mean, ...], covs: tuple[Cov, ...]) -> tuple[Mean, Cov]:
+def recentred(m: Array, shift: Errors) -> Array:
+    """Count the errors from a new origin."""
+    after = m.copy()
+    after[3 : 3 + ERRORS] -= shift
+    return after
+
+
+def mixed(weights: tuple[float, ...], means: Sequence[Array], covs: Sequence[Array]) -> tuple[Array, Array]:
     """Mean and covariance of a mixture; weights sum to one."""
-    v, a, b, f = (sum(w * m[i] for w, m in zip(weights, means, strict=True)) for i in range(4))
-    cov = [sum(w * P[i] for w, P in zip(weights, covs, strict=True)) for i in range(10)]
-    for w, m in zip(weights, means, strict=True):
-        d = (m[0] - v, m[1] - a, m[2] - b, m[3] - f)
-        k = 0
-        for i in range(4):
-            for j in range(i, 4):
-                cov[k] += w * d[i] * d[j]
-                k += 1
-    return (v, a, b, f), (cov[0], cov[1], cov[2], cov[3], cov[4], cov[5], cov[6], cov[7], cov[8], cov[9])
+    mean = sum((w * m for w, m in zip(weights, means, strict=True)), np.zeros_like(means[0]))
+    cov = np.zeros_like(covs[0])
+    for w, m, P in zip(weights, means, covs, strict=True):
+        d = m - mean
+        cov += w * (P + np.outer(d, d))
+    return mean, cov

@@ -149,9 +149,9 @@ def _moved(cloud: GroupCloud, A: Array) -> GroupCloud:
     return GroupCloud(A.dot(cloud.z), cloud.weight, cloud.mean, cloud.variance, A.dot(cloud.line))
 
 
-def anchored(cloud: GroupCloud, start: Array, slope: Array) -> GroupCloud:
-    """Start x anew at ``start + f slope``, both of shape (n,); f stands."""
-    return _moved(cloud, _keeping_f(start, slope, np.zeros((len(start), len(start)))))
+def anchored(cloud: GroupCloud, start: Array, slope: Array, keep: Array) -> GroupCloud:
+    """Make of x ``start + f slope + keep x``, each of shape (n,); f stands."""
+    return _moved(cloud, _keeping_f(start, slope, np.diag(keep)))
 
 
 def predicted(cloud: GroupCloud, step: LinearStep) -> GroupCloud:

@@ -22,15 +22,22 @@ from trainid_ros.core.errors import InputError
 from trainid_ros.core.settings import check_settings, setting
 from trainid_ros.core.soundness import check_not_negative, check_numbers, is_covariance_matrix
 from trainid_ros.estimators.brake_rate import group_cloud
-from trainid_ros.estimators.brake_rate.estimator import LARGEST_RATE, BrakeRateEstimator, true_brake
+from trainid_ros.estimators.brake_rate.belief import NO_ERRORS, STATES, Errors, Interval, Start, errors_of
+from trainid_ros.estimators.brake_rate.estimator import LARGEST_RATE, BrakeRateEstimator
 from trainid_ros.estimators.brake_rate.group_cloud import GroupCloud, Strata
 from trainid_ros.estimators.brake_rate.jumps import JumpConfig, drifts, transition
-from trainid_ros.estimators.brake_rate.particles import SPEED, speed_correction, speed_step
+from trainid_ros.estimators.brake_rate.motion_model import true_brake
+from trainid_ros.estimators.brake_rate.particles import (
+    SPEED,
+    error_covariance,
+    speed_correction,
+    speed_step,
+    started,
+)
 from trainid_ros.estimators.brake_rate.resampling import effective_number, restore_generator
 from trainid_ros.estimators.compiled.jit import require_compiler
 
 if TYPE_CHECKING:
-    from trainid_ros.estimators.brake_rate.belief import Interval
     from trainid_ros.estimators.brake_rate.particles import Array
     from trainid_ros.physics.train_file import TrainFile
 
@@ -54,7 +61,7 @@ class GsmaState:
     """All that GSMA believes; arrays as in :class:`GroupCloud`.
 
     Attributes:
-        P: Covariance of x = [v, a, b], shared by all particles, shape (3, 3).
+        P: Covariance of x = [v, a, b, e], shared by all particles, shape (n, n).
         effective: Effective number of children in the newest step that learned.
         random: State of the generator as JSON text.
 
@@ -83,8 +90,7 @@ class GsmaBelief:
         self.strata = Strata.divide([config.particles - jumping, jumping][: 2 if jumping else 1])
         self._q = np.array(drifts(config)[: len(self.strata.sizes)])
         self._counts = np.array(self.strata.sizes, dtype=float)
-        self._chain_of = math.nan, np.ones((1, 1))
-        self.reset(believed, config.prior_std)
+        self.reset(believed, config.prior_std, NO_ERRORS)
 
     @property
     def rate(self) -> float:
@@ -95,6 +101,16 @@ class GsmaBelief:
     def variance(self) -> float:
         """Variance of f."""
         return self._variance
+
+    def total_rate(self, share: Array) -> tuple[float, float]:
+        """Return mean and variance of f + share e: within the strata from f and its regression, of x given f from P."""
+        off, e = self.cloud.f - self._rate, self.cloud.x[3:]
+        extra = share.dot(e)
+        mean = float(extra.dot(self._weights))
+        extra -= mean
+        cross = float((off * extra).dot(self._weights))
+        square = float((extra * extra).dot(self._weights)) + float(share.dot(self.P[3:, 3:]).dot(share))
+        return self._rate + mean, self._variance + 2.0 * cross + square
 
     @property
     def speed(self) -> float:
@@ -111,13 +127,25 @@ class GsmaBelief:
         """Effective number of children in the newest step that learned."""
         return self._effective
 
+    @property
+    def errors(self) -> Errors:
+        """Means of the errors of the train file."""
+        return errors_of(self.cloud.x[3:].dot(self._weights))
+
     def _take(self, cloud: GroupCloud) -> None:
         """Take over particles, and compute once what is asked often."""
         self.cloud = cloud
         self._weights = (cloud.weight / self._counts).take(self.strata.of)
         self._rate, self._variance = cloud.rate, cloud.total_variance
 
-    def reset(self, rate: float, std: float) -> None:
+    @property
+    def error_variances(self) -> Errors:
+        """Variances of the errors of the train file."""
+        within, e = np.diag(self.P)[3:], self.cloud.x[3:]
+        spread = np.square(e - e.dot(self._weights)[:, None]).dot(self._weights)
+        return errors_of(within + spread)
+
+    def reset(self, rate: float, std: float, error_stds: Errors) -> None:
         """Go back to the prior: particles at its quantiles, strata as often as they are in the long run."""
         # The standard library's normal distribution: importing SciPy's would take longer than all the rest.
         prior = NormalDist(rate, std)
@@ -126,16 +154,23 @@ class GsmaBelief:
         weight = np.array([ends, starts][: len(self.strata.sizes)])
         mean = f @ self.strata.average
         variance = np.square(f - mean[self.strata.of]) @ self.strata.average
-        shape = (3, len(self.strata.sizes))
-        self._take(GroupCloud.of(f, np.zeros((3, len(f))), weight / weight.sum(), mean, variance, np.zeros(shape)))
-        self.P = np.zeros((3, 3))
+        x, slope = np.zeros((STATES, len(f))), np.zeros((STATES, len(self.strata.sizes)))
+        self._take(GroupCloud.of(f, x, weight / weight.sum(), mean, variance, slope))
+        self.P = error_covariance(error_stds)
         self._effective = float(len(f))
         self._rng.bit_generator.state = json.loads(self._random0)
 
-    def anchor(self, speed: float, target: float, variances: tuple[float, float, float]) -> None:
+    def anchor(self, start: Start) -> None:
         """Start v, a and b anew."""
-        self.cloud = group_cloud.anchored(self.cloud, np.array([speed, 0.0, 0.0]), np.array([0.0, target, 0.0]))
-        self.P = np.diag(variances)
+        first, slope = np.zeros(STATES), np.zeros(STATES)
+        first[0], slope[1] = start.speed, start.target
+        self.cloud = group_cloud.anchored(self.cloud, first, slope, np.array([0.0, 0.0, 0.0, *start.keep]))
+        self.P = started(self.P, start)
+
+    def recentre(self, shift: Errors) -> None:
+        """Count the errors from a new origin."""
+        known = np.array([0.0, 0.0, 0.0, *shift])
+        self.cloud = group_cloud.anchored(self.cloud, -known, np.zeros(STATES), np.ones(STATES))
 
     def predict(self, interval: Interval) -> None:
         """Follow the motion over an interval."""
@@ -158,13 +193,13 @@ class GsmaBelief:
         """One step of GSMA, eqs. (14)-(22)."""
         step, config, dt = self._step, self._config, interval.dt
         fix = speed_correction(self.P, r)
-        # While no brake acts f drifts, it does not jump.
-        cloud, before = self.cloud, elapsed - dt
-        if before > LEAST_PAUSE:
-            cloud = group_cloud.widened(cloud, step, config.drift**2 * before)
-        groups = group_cloud.branch(cloud, self.strata, step, self._q * dt)
+        cloud, pause = self.cloud, elapsed - dt
+        if pause > LEAST_PAUSE:
+            cloud = group_cloud.widened(cloud, step, config.drift**2 * pause)
+        groups = group_cloud.branch(cloud, self.strata, step, self._walk(interval.calm) * dt)
         children, weights = group_cloud.weigh(groups, fix, SPEED, np.array([speed]), self._largest)
-        cloud = group_cloud.prune(children, weights, self.strata, self._chain(dt), self._rng.random(len(self._q)))
+        chain, uniforms = self._chain(interval.calm * dt, pause), self._rng.random(len(self._q))
+        cloud = group_cloud.prune(children, weights, self.strata, chain, uniforms)
         if not math.isfinite(cloud.z.sum() + fix.P.sum()):
             return False
         self._take(cloud)
@@ -172,12 +207,17 @@ class GsmaBelief:
         self._effective = effective_number(weights)
         return True
 
-    def _chain(self, dt: float) -> Array:
-        """Return the chances to go from one stratum to another, remembered: samples come evenly."""
-        if len(self._q) > 1 and dt != self._chain_of[0]:
-            starts, ends = transition(self._config, dt)
-            self._chain_of = dt, np.array([[1.0 - starts, starts], [ends, 1.0 - ends]])
-        return self._chain_of[1]
+    def _walk(self, calm: float) -> Array:
+        """Return the variance per second of f in each stratum: it jumps as far as the response stands."""
+        walk: Array = self._q[0] + calm * (self._q - self._q[0])
+        return walk
+
+    def _chain(self, dt: float, pause: float) -> Array:
+        """Return the chances to go from one stratum to another."""
+        if len(self._q) == 1:
+            return np.ones((1, 1))
+        starts, ends = transition(self._config, dt, max(0.0, pause))
+        return np.array([[1.0 - starts, starts], [ends, 1.0 - ends]])
 
     def save(self) -> str:
         """Return the whole state, generator included, as JSON text."""
@@ -192,7 +232,7 @@ class GsmaBelief:
             msg = f'saved GsmaState has {len(state.f)} particles, not {N}'
             raise InputError(msg)
         arrays = (state.f, state.x, state.weight, state.mean, state.variance, state.slope, state.P)
-        shapes = ((N,), (3, N), (M,), (M,), (M,), (3, M), (3, 3))
+        shapes = ((N,), (STATES, N), (M,), (M,), (M,), (STATES, M), (STATES, STATES))
         sized = tuple(item.shape for item in arrays) == shapes
         check_numbers(state)
         check_restored(sized and is_covariance_matrix(state.P), 'GsmaState', 'an array')

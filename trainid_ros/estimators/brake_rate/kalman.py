@@ -7,16 +7,18 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+import numpy as np
+from numpy.typing import NDArray
+
 from trainid_ros.core.codec import check_restored, decode, encode
-from trainid_ros.core.soundness import check_numbers, is_covariance
+from trainid_ros.core.soundness import check_numbers, is_covariance_matrix
+from trainid_ros.estimators.brake_rate import gaussian
+from trainid_ros.estimators.brake_rate.belief import NO_ERRORS, STATES, Errors, Interval, Start, errors_of
 from trainid_ros.estimators.brake_rate.config import BrakeRateConfig
 from trainid_ros.estimators.brake_rate.estimator import BrakeRateEstimator
-from trainid_ros.estimators.brake_rate.gaussian import Cov, Mean, anchored, drift, predict, update
 
 if TYPE_CHECKING:
-    import numpy as np
-
-    from trainid_ros.estimators.brake_rate.belief import Interval
+    from trainid_ros.estimators.brake_rate.particles import Array
     from trainid_ros.physics.train_file import TrainFile
 
 
@@ -27,10 +29,10 @@ class KalmanConfig(BrakeRateConfig):
 
 @dataclass(frozen=True, slots=True)
 class KalmanState:
-    """Mean (v, a, b, f) and upper triangle of the covariance."""
+    """Mean of z = [v, a, b, e, f], shape (n + 1,), and covariance, shape (n + 1, n + 1)."""
 
-    m: tuple[float, ...]
-    P: tuple[float, ...]
+    m: NDArray[np.float64]
+    P: NDArray[np.float64]
 
 
 class KalmanBelief:
@@ -38,56 +40,73 @@ class KalmanBelief:
 
     def __init__(self, config: KalmanConfig) -> None:
         self._q = config.drift**2
-        self.m: Mean = (0.0, 0.0, 0.0, 0.0)
-        self.P: Cov = (0.0,) * 10
+        self.m, self.P = gaussian.prior(0.0, 0.0, NO_ERRORS)
 
     effective = 1.0
 
     @property
     def rate(self) -> float:
         """Mean of f."""
-        return self.m[3]
+        return float(self.m[STATES])
 
     @property
     def variance(self) -> float:
         """Variance of f."""
-        return self.P[9]
+        return float(self.P[STATES, STATES])
+
+    def total_rate(self, share: Array) -> tuple[float, float]:
+        """Return mean and variance of f + share e."""
+        return gaussian.total_rate(self.m, self.P, share)
 
     @property
     def speed(self) -> float:
         """Mean of v [m/s]."""
-        return self.m[0]
+        return float(self.m[0])
 
     @property
     def acceleration(self) -> float:
         """Mean of a [m/s^2]."""
-        return self.m[1]
+        return float(self.m[1])
 
-    def reset(self, rate: float, std: float) -> None:
+    @property
+    def errors(self) -> Errors:
+        """Means of the errors of the train file."""
+        return errors_of(self.m[3:STATES])
+
+    @property
+    def error_variances(self) -> Errors:
+        """Variances of the errors of the train file."""
+        return errors_of(np.diag(self.P)[3:STATES])
+
+    def reset(self, rate: float, std: float, error_stds: Errors) -> None:
         """Go back to the prior."""
-        self.m, self.P = anchored(rate, std * std, 0.0, 0.0, (0.0, 0.0, 0.0))
+        self.m, self.P = gaussian.prior(rate, std, error_stds)
 
-    def anchor(self, speed: float, target: float, variances: tuple[float, float, float]) -> None:
+    def anchor(self, start: Start) -> None:
         """Start v, a and b anew."""
-        self.m, self.P = anchored(self.rate, self.variance, speed, target, variances)
+        self.m, self.P = gaussian.anchored(self.m, self.P, start)
+
+    def recentre(self, shift: Errors) -> None:
+        """Count the errors from a new origin."""
+        self.m = gaussian.recentred(self.m, shift)
 
     def predict(self, interval: Interval) -> None:
         """Follow the motion over an interval."""
-        self.m, self.P = predict(self.m, self.P, interval)
+        self.m, self.P = gaussian.predict(self.m, self.P, interval)
 
     def predicted(self) -> tuple[float, float]:
         """Return mean and variance of v."""
-        return self.m[0], self.P[0]
+        return float(self.m[0]), float(self.P[0, 0])
 
     def follow(self, speed: float, r: float) -> None:
         """Take in a speed that tells nothing of f."""
-        self.m, self.P = update(self.m, self.P, speed, r, learns=False)
+        self.m, self.P = gaussian.update(self.m, self.P, speed, r, learns=False)
 
     def learn(self, interval: Interval, elapsed: float, speed: float, r: float) -> bool:
         """Take in a speed that tells of f."""
-        P = drift(self.P, interval.gain_v, interval.gain_a, self._q * elapsed)
-        m, P = update(self.m, P, speed, r, learns=True)
-        if not (all(map(math.isfinite, m)) and all(map(math.isfinite, P))):
+        P = gaussian.drift(self.P, interval.gain_v, interval.gain_a, self._q * elapsed)
+        m, P = gaussian.update(self.m, P, speed, r, learns=True)
+        if not math.isfinite(m.sum() + P.sum()):
             return False
         self.m, self.P = m, P
         return True
@@ -99,12 +118,10 @@ class KalmanBelief:
     def restore(self, text: str) -> None:
         """Take over a saved state."""
         state = decode(text, KalmanState)
-        m, P = state.m, state.P
-        sized = len(m) == 4 and len(P) == 10
         check_numbers(state)
-        check_restored(sized and is_covariance(P), 'KalmanState', 'm or P')
-        self.m = (m[0], m[1], m[2], m[3])
-        self.P = (P[0], P[1], P[2], P[3], P[4], P[5], P[6], P[7], P[8], P[9])
+        sized = state.m.shape == (STATES + 1,) and state.P.shape == (STATES + 1, STATES + 1)
+        check_restored(sized and is_covariance_matrix(state.P), 'KalmanState', 'm or P')
+        self.m, self.P = state.m, state.P
 
 
 class Kalman(BrakeRateEstimator):

@@ -14,13 +14,16 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from trainid_ros.estimators.brake_rate.belief import STATES
+
 if TYPE_CHECKING:
-    from trainid_ros.estimators.brake_rate.belief import Interval
+    from trainid_ros.estimators.brake_rate.belief import Errors, Interval, Start
 
 Array = NDArray[np.float64]
 
-# v of x = [v, a, b] is measured.
-SPEED: Final = np.array([[1.0, 0.0, 0.0]])
+# v of x = [v, a, b, e] is measured.
+SPEED: Final = np.eye(1, STATES)
+_STAYING: Final = np.eye(STATES)
 
 
 class LinearStep(NamedTuple):
@@ -99,10 +102,23 @@ def distance(W: Array, nu: Array) -> Array:
 
 
 def speed_step(interval: Interval) -> LinearStep:
-    """Return the step of x = [v, a, b] over an interval."""
-    return LinearStep(
-        Phi=np.array([[1.0, interval.reach, interval.dt], [0.0, interval.decay, 0.0], [0.0, 0.0, interval.rho]]),
-        gamma=np.array([interval.gain_v, interval.gain_a, 0.0]),
-        known=np.array([interval.known, 0.0, 0.0]),
-        Q=np.array([[interval.q_v, 0.0, 0.0], [0.0, 0.0, 0.0], [0.0, 0.0, interval.q_b]]),
-    )
+    """Return the step of x = [v, a, b, e] over an interval."""
+    Phi, gamma, known, Q = _STAYING.copy(), np.zeros(STATES), np.zeros(STATES), np.zeros((STATES, STATES))
+    Phi[0] = (1.0, interval.reach, interval.dt, *interval.lean)
+    Phi.flat[STATES + 1 :: STATES + 1] = (interval.decay, interval.rho, *interval.keep)
+    gamma[0], gamma[1], known[0] = interval.gain_v, interval.gain_a, interval.known
+    Q.flat[:: STATES + 1] = (interval.q_v, 0.0, interval.q_b, *interval.q_e)
+    return LinearStep(Phi, gamma, known, Q)
+
+
+def error_covariance(stds: Errors) -> Array:
+    """Return the covariance of x of which only the errors are uncertain, shape (n, n)."""
+    return np.diag([0.0, 0.0, 0.0, *np.square(stds)])
+
+
+def started(P: Array, start: Start) -> Array:
+    """Return the covariance of x where v, a and b start anew, shape (n, n)."""
+    after = np.zeros_like(P)
+    after[3:, 3:] = P[3:, 3:] * np.outer(start.keep, start.keep)
+    after.flat[:: len(P) + 1] += (*start.variances, *start.q_e)
+    return after

@@ -13,12 +13,19 @@ from numpy.typing import NDArray
 
 from trainid_ros.core.codec import check_restored, decode, encode
 from trainid_ros.core.soundness import HUGE, is_covariance_matrix
-from trainid_ros.estimators.brake_rate.particles import SPEED, Correction, speed_correction, speed_step
+from trainid_ros.estimators.brake_rate.belief import STATES, Errors, Interval, Start, errors_of
+from trainid_ros.estimators.brake_rate.particles import (
+    SPEED,
+    Correction,
+    error_covariance,
+    speed_correction,
+    speed_step,
+    started,
+)
 from trainid_ros.estimators.brake_rate.resampling import effective_number, restore_generator
 from trainid_ros.estimators.brake_rate.theta_cloud import ThetaCloud
 
 if TYPE_CHECKING:
-    from trainid_ros.estimators.brake_rate.belief import Interval
     from trainid_ros.estimators.brake_rate.particles import Array, LinearStep
 
 _ROUNDING: Final = 1e-6
@@ -36,14 +43,14 @@ class ThetaState:
 
 
 class ThetaBelief:
-    """Weighted particles (f, x = [v, a, b])."""
+    """Weighted particles (f, x = [v, a, b, e])."""
 
     def __init__(self, most: int, rng: np.random.Generator) -> None:
         self._most = most
         self.rng = rng
         self._random0 = json.dumps(rng.bit_generator.state)
-        self.P: Array = np.zeros((3, 3))
-        self.take(ThetaCloud(np.zeros(1), np.zeros(1), np.zeros((3, 1))))
+        self.P: Array = np.zeros((STATES, STATES))
+        self.take(ThetaCloud(np.zeros(1), np.zeros(1), np.zeros((STATES, 1))))
 
     def take(self, cloud: ThetaCloud) -> None:
         """Take over particles, and compute once what is asked often."""
@@ -63,6 +70,13 @@ class ThetaBelief:
         """Variance of f."""
         return self._variance
 
+    def total_rate(self, share: Array) -> tuple[float, float]:
+        """Return mean and variance of f + share e."""
+        total = self.cloud.f + share @ self.cloud.x[3:]
+        mean = float(total @ self._weights)
+        variance = float(np.square(total - mean) @ self._weights) + float(share @ self.P[3:, 3:] @ share)
+        return mean, variance
+
     @property
     def speed(self) -> float:
         """Mean of v [m/s]."""
@@ -78,23 +92,40 @@ class ThetaBelief:
         """Effective number of particles."""
         return effective_number(self._weights)
 
-    def reset(self, rate: float, std: float) -> None:
+    @property
+    def errors(self) -> Errors:
+        """Means of the errors of the train file."""
+        return errors_of(self.cloud.x[3:] @ self._weights)
+
+    @property
+    def error_variances(self) -> Errors:
+        """Variances of the errors of the train file."""
+        e = self.cloud.x[3:]
+        spread = np.square(e - (e @ self._weights)[:, None]) @ self._weights
+        return errors_of(np.diag(self.P)[3:] + spread)
+
+    def reset(self, rate: float, std: float, error_stds: Errors) -> None:
         """Go back to the prior."""
         f = self.first_values(rate, std)
-        self.P = np.zeros((3, 3))
+        self.P = error_covariance(error_stds)
         self.rng.bit_generator.state = json.loads(self._random0)
-        self.take(ThetaCloud(f, np.full(len(f), -math.log(len(f))), np.zeros((3, len(f)))))
+        self.take(ThetaCloud(f, np.full(len(f), -math.log(len(f))), np.zeros((STATES, len(f)))))
 
     def first_values(self, rate: float, std: float) -> Array:
         """Return the values of f to begin with, shape (N,)."""
         raise NotImplementedError
 
-    def anchor(self, speed: float, target: float, variances: tuple[float, float, float]) -> None:
+    def anchor(self, start: Start) -> None:
         """Start v, a and b anew."""
-        f = self.cloud.f
-        x = np.vstack([np.full(len(f), speed), target * f, np.zeros(len(f))])
+        f, keep = self.cloud.f, np.array(start.keep)[:, None]
+        x = np.vstack([np.full(len(f), start.speed), start.target * f, np.zeros(len(f)), keep * self.cloud.x[3:]])
         self.cloud = ThetaCloud(f, self.cloud.log_weights, x)
-        self.P = np.diag(variances)
+        self.P = started(self.P, start)
+
+    def recentre(self, shift: Errors) -> None:
+        """Count the errors from a new origin."""
+        x = self.cloud.x - np.array([0.0, 0.0, 0.0, *shift])[:, None]
+        self.cloud = ThetaCloud(self.cloud.f, self.cloud.log_weights, x)
 
     def predict(self, interval: Interval) -> None:
         """Follow the motion over an interval."""
@@ -137,7 +168,7 @@ class ThetaBelief:
         """Take over a saved state."""
         state = decode(text, ThetaState)
         N = len(state.f)
-        sized = state.log_weights.shape == (N,) and state.x.shape == (3, N) and state.P.shape == (3, 3)
+        sized = state.log_weights.shape == (N,) and state.x.shape == (STATES, N) and state.P.shape == (STATES, STATES)
         finite = all(bool((np.abs(item) < HUGE).all()) for item in (state.f, state.x, state.P))
         check_restored(finite and sized and 0 < N <= self._most, 'ThetaState', 'f, x or P')
         check_restored(is_covariance_matrix(state.P), 'ThetaState', 'P')

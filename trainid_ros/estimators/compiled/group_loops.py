@@ -29,27 +29,36 @@ _LOG_MIDDLE: Final = math.log(4.0 / 6.0)
 
 
 def predict(z: Floats, line: Floats, P: Floats, interval: Interval) -> tuple[Floats, Floats, Floats]:
-    """Return z = [1, f, v, a, b], line and P after an interval, (14), see :func:`particles.speed_step`."""
-    dt, reach, decay, gain_v, gain_a, rho, known, q_v, q_b = interval
+    """Return z = [1, f, v, a, b, e], line and P after an interval, (14), see :func:`particles.speed_step`."""
+    dt, reach, decay, gain_v, gain_a, rho, known, q_v, q_b, lean, keep, q_e, _calm = interval
+    n = P.shape[0]
+    # v gains row x; the other states are left a share of.
+    row, left, ahead = np.empty(n), np.empty(n), np.empty_like(P)
+    row[0], row[1], row[2], left[0], left[1], left[2] = 1.0, reach, dt, 1.0, decay, rho
+    for j in range(n - 3):
+        row[3 + j], left[3 + j] = lean[j], keep[j]
     after, ahead_line = np.empty_like(z), np.empty_like(line)
     for before, moved in ((z, after), (line, ahead_line)):
         for k in range(before.shape[1]):
-            one, f, v, a, b = before[0, k], before[1, k], before[2, k], before[3, k], before[4, k]
+            one, f, gained = before[0, k], before[1, k], 0.0
+            for j in range(n):
+                gained += row[j] * before[2 + j, k]
+                moved[2 + j, k] = left[j] * before[2 + j, k]
             moved[0, k], moved[1, k] = one, f
-            moved[2, k] = v + reach * a + dt * b + gain_v * f + known * one
-            moved[3, k] = decay * a + gain_a * f
-            moved[4, k] = rho * b
+            moved[2, k] = gained + gain_v * f + known * one
+            moved[3, k] += gain_a * f
     # Row v of Phi P, then Phi P Phi'.
-    ahead = np.empty_like(P)
-    uv = P[0, 0] + reach * P[1, 0] + dt * P[2, 0]
-    ua = P[0, 1] + reach * P[1, 1] + dt * P[2, 1]
-    ub = P[0, 2] + reach * P[1, 2] + dt * P[2, 2]
-    ahead[0, 0] = uv + reach * ua + dt * ub + q_v
-    ahead[0, 1] = ahead[1, 0] = decay * ua
-    ahead[0, 2] = ahead[2, 0] = rho * ub
-    ahead[1, 1] = decay * decay * P[1, 1]
-    ahead[1, 2] = ahead[2, 1] = decay * rho * P[1, 2]
-    ahead[2, 2] = rho * rho * P[2, 2] + q_b
+    speed, variance = np.empty(n), 0.0
+    for j in range(n):
+        speed[j] = 0.0
+        for i in range(n):
+            speed[j] += row[i] * P[i, j]
+            ahead[i, j] = left[i] * left[j] * P[i, j]
+        variance += row[j] * speed[j]
+    ahead[0, 0], ahead[2, 2] = variance + q_v, ahead[2, 2] + q_b
+    for j in range(1, n):
+        ahead[0, j] = ahead[j, 0] = left[j] * speed[j]
+        ahead[j, j] += q_e[j - 3] if j > 2 else 0.0
     return after, ahead_line, ahead
 
 

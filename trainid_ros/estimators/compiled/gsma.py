@@ -32,7 +32,8 @@ class CompiledGsmaBelief(GsmaBelief):
         # Now, not when the brake first acts: compiling takes seconds.
         interval = Interval(0.2, 0.1, 0.6, 0.01, 0.4, 1.0, 0.0, 1e-6, 0.0)
         c, (z, line, P) = self.cloud, self._predicted(interval)
-        self._learned(GroupCloud(z, c.weight, c.mean, c.variance, line), P, interval, 0.0, 1.0, np.zeros(len(self._q)))
+        moved = GroupCloud(z, c.weight, c.mean, c.variance, line)
+        self._learned(moved, P, interval, 0.0, 0.0, 1.0, np.zeros(len(self._q)))
 
     def predict(self, interval: Interval) -> None:
         """Follow the motion over an interval."""
@@ -43,10 +44,10 @@ class CompiledGsmaBelief(GsmaBelief):
     def learn(self, interval: Interval, elapsed: float, speed: float, r: float) -> bool:
         """One step of GSMA, eqs. (14)-(22)."""
         dt, c = interval.dt, self.cloud
-        if (before := elapsed - dt) > LEAST_PAUSE:
-            c = group_cloud.widened(c, speed_step(interval), self._config.drift**2 * before)
+        if (pause := elapsed - dt) > LEAST_PAUSE:
+            c = group_cloud.widened(c, speed_step(interval), self._config.drift**2 * pause)
         draws = self._rng.random(len(self._q))
-        z, weight, mean, variance, line, P, each, numbers = self._learned(c, self.P, interval, speed, r, draws)
+        z, weight, mean, variance, line, P, each, numbers = self._learned(c, self.P, interval, pause, speed, r, draws)
         rate, spread, effective = numbers
         if not math.isfinite(spread):
             return False
@@ -58,8 +59,11 @@ class CompiledGsmaBelief(GsmaBelief):
         c = self.cloud
         return self._predict(c.z, c.line, self.P, interval)
 
-    def _learned(self, c: GroupCloud, P: Array, interval: Interval, speed: float, r: float, draws: Array) -> Learned:
+    def _learned(
+        self, c: GroupCloud, P: Array, interval: Interval, pause: float, speed: float, r: float, draws: Array
+    ) -> Learned:
+        walk, chain = self._walk(interval.calm), self._chain(interval.calm * interval.dt, pause)
         return self._learn(
             c.z, c.weight, c.mean, c.variance, c.line, self._edges,
-            interval, self._q, P, speed, r, self._largest, self._chain(interval.dt), draws,
+            interval, walk, P, speed, r, self._largest, chain, draws,
         )  # fmt: skip
