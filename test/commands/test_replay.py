@@ -70,8 +70,9 @@ def test_json_has_the_agreed_fields_and_nothing_else_is_printed(told: Told) -> N
     assert told.err == ''
     agreed = {'samples', 'duration_s', 'used', 'rejected', 'resistance', 'speed_model', 'brake_rate', 'wall_s'}
     assert agreed | {'algorithms'} == set(answer)
-    assert answer['algorithms'] == {'resistance': 'V-MILS', 'speed_model': 'AM-VFF-RLS', 'brake_rate': 'GSMA'}
-    assert {'a', 'b', 'c', 'std', 'status', 'speed_range'} == set(answer['resistance'])
+    assert answer['algorithms'] == {'resistance': 'filter-bank', 'speed_model': 'AM-VFF-RLS', 'brake_rate': 'GSMA'}
+    known = {'a', 'b', 'c', 'std', 'status', 'speed_range', 'force_scale', 'force_delay'}
+    assert known == set(answer['resistance'])
     assert {'a1', 'a2', 'b1', 'd0', 'status'} <= set(answer['speed_model'])
     assert {'value', 'std', 'status'} <= set(answer['brake_rate'])
     assert len(answer['resistance']['std']) == 3
@@ -94,7 +95,7 @@ def test_json_numbers_are_those_of_the_replay(driven_bag: Path, told: Told) -> N
 def test_summary_shows_estimates_reasons_and_speed(told: Told) -> None:
     wanted_words = (
         *('x real time', 'brake rate', 'w at 15 m/s', 'N/kN', 'not: BRAKING', 'used'),
-        *('resistance by V-MILS: uncertainty', 'speeds seen', 'prior variance removed: a'),
+        *('resistance by filter-bank: uncertainty', 'speeds seen', 'prior variance removed: a'),
     )
     for wanted in wanted_words:
         assert wanted in told.text
@@ -125,7 +126,7 @@ def test_parameters_of_the_nodes_hold(driven_bag: Path, tmp_path: Path, capsys: 
 @pytest.mark.parametrize(
     ('options', 'reason'),
     [
-        (('--algorithm', 'nonsense'), "algorithm 'nonsense' is unknown; there are resistance: V-MILS"),
+        (('--algorithm', 'nonsense'), "algorithm 'nonsense' is unknown; there are resistance: filter-bank"),
         (('--algorithm', 'brake_rate=V-MILS'), "algorithm 'V-MILS' is unknown; there are brake_rate: GSMA"),
         (('--params', 'no/such.yaml'), 'no/such.yaml: cannot be read'),
     ],

@@ -208,21 +208,21 @@ def test_setting_a_parameter_live_changes_nothing_until_the_next_configure(graph
     node = active(graph, train_file)
     feed(node, coasting(100))
     before = node.pipeline.estimator.save()
-    assert node.set_parameters([Parameter('estimator.step_share', value=9.0)])[0].successful
+    assert node.set_parameters([Parameter('estimator.step_share_c', value=9.0)])[0].successful
     assert node.pipeline.estimator.save() == before
-    assert node.pipeline.estimator.config.step_share == 0.5
+    assert node.pipeline.estimator.config.step_share_c == 0.2
     node.trigger_deactivate()
     node.trigger_cleanup()
     node.trigger_configure()
-    assert node.pipeline.estimator.config.step_share == 9.0
+    assert node.pipeline.estimator.config.step_share_c == 9.0
 
 
 @pytest.mark.parametrize(
     ('name', 'value'),
     [
-        ('estimator.step_share', float('nan')),
-        ('estimator.step_share', float('inf')),
-        ('estimator.window', 100000),
+        ('estimator.step_share_c', float('nan')),
+        ('estimator.step_share_c', float('inf')),
+        ('estimator.patience', 100000.0),
         ('resistance.b', float('nan')),
         ('time_jump_policy', 'panic'),
         ('autostart', True),
@@ -243,9 +243,9 @@ def test_bad_parameters_are_refused_with_a_reason_that_names_them(
     ('arguments', 'reason'),
     [
         (('-p', 'alignment.perod:=0.3'), "unknown parameter 'alignment.perod': did you mean 'alignment.period'?"),
-        (('-p', 'estimator.window:=1000'), r'estimator.window = 1000 is outside [5, 200]'),
+        (('-p', 'estimator.patience:=2000.0'), r'estimator.patience = 2000 is outside [0, 1000]'),
         (('-p', 'train.mass:=heavy'), "train.mass = 'heavy' must be a number"),
-        (('-p', 'estimator.step_share:=.nan'), 'estimator.step_share = nan is outside'),
+        (('-p', 'estimator.step_share_c:=.nan'), 'estimator.step_share_c = nan is outside'),
     ],
 )
 def test_what_is_wrong_at_the_start_is_named_and_nothing_is_configured(
@@ -308,7 +308,7 @@ def test_services_say_why_they_cannot(graph: Graph, train_file: str, tmp_path: P
     before = second.pipeline.estimator.save()
     wrong = graph.call(caller, Trigger, '/resistance_estimator/load_checkpoint')
     assert not wrong.success
-    assert 'is a checkpoint of GSMA, not of V-MILS' in wrong.message
+    assert 'is a checkpoint of GSMA, not of filter-bank' in wrong.message
     assert second.pipeline.estimator.save() == before
 
 
@@ -629,7 +629,7 @@ def test_a_node_with_a_parameter_file_equals_a_replay_with_it_to_the_bit(
     path = tmp_path / 'params.yaml'
     path.write_text(
         '/**: {ros__parameters: {seed: 5, resistance: {a: 2}, alignment: {max_lag: 0.25}}}\n'
-        '/**/resistance_estimator: {ros__parameters: {train.mass: 210e3, estimator: {hop: 8, step_share: 0x6}}}\n'
+        '/**/resistance_estimator: {ros__parameters: {train.mass: 210e3, estimator: {patience: 8, step_a: 0x6}}}\n'
         '/**/brake_rate_estimator: {ros__parameters: {train.mass: 190000, estimator: {prior_std: 1e-01}}}\n',
         encoding='utf-8',
     )

@@ -12,7 +12,7 @@ from trainid_ros.nodes.monitors import InputMonitor
 
 
 def test_silence_goes_on_counting_after_the_rate_is_gone() -> None:
-    monitor = InputMonitor(SPEED_TOPIC, 1.0, optional=False)
+    monitor = InputMonitor(SPEED_TOPIC, 1.0, 1.25, optional=False)
     assert math.isinf(monitor.silence_s(0))
     for i in range(20):
         monitor.arrived(i + 1, i * NS_PER_S // 5)

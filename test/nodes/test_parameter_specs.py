@@ -14,7 +14,7 @@ from trainid_ros.core.errors import InputError
 from trainid_ros.core.settings import setting_info
 from trainid_ros.estimators.pipeline import EstimatorSettings, TimeJumpPolicy
 from trainid_ros.estimators.resistance.algorithms import RESISTANCE
-from trainid_ros.estimators.resistance.vmils import VMilsConfig
+from trainid_ros.estimators.resistance.filter_bank import FilterBankConfig
 from trainid_ros.nodes.parameter_specs import ParameterSpec, build_settings, build_train_file, estimator_parameters
 from trainid_ros.nodes.params_file import find_misses, params_files
 from trainid_ros.nodes.params_template import parameter_file
@@ -29,7 +29,7 @@ def test_the_defaults_are_those_of_the_core() -> None:
     assert build_settings(DEFAULTS, RESISTANCE, 'resistance') == EstimatorSettings()
 
 
-@pytest.mark.parametrize(('prefix', 'config'), [('alignment.', AlignmentConfig), ('estimator.', VMilsConfig)])
+@pytest.mark.parametrize(('prefix', 'config'), [('alignment.', AlignmentConfig), ('estimator.', FilterBankConfig)])
 def test_every_setting_is_a_parameter_with_unit_and_range(prefix: str, config: type) -> None:
     for item in fields(config):
         info = setting_info(item)
@@ -43,13 +43,13 @@ def test_every_setting_is_a_parameter_with_unit_and_range(prefix: str, config: t
 def test_values_reach_the_settings() -> None:
     values = DEFAULTS | {
         'alignment.max_lag': 0.3,
-        'estimator.window': 40,
+        'estimator.hypotheses': 40,
         'stale_after': 2.0,
         'seed': 7,
         'time_jump_policy': 'refuse',
     }
     settings = build_settings(values, RESISTANCE, 'resistance')
-    assert settings.resistance == RESISTANCE.choose('V-MILS', window=40)
+    assert settings.resistance == RESISTANCE.choose('filter-bank', hypotheses=40)
     assert (settings.alignment.max_lag, settings.seed) == (0.3, 7)
     assert (settings.pipeline.stale_after, settings.pipeline.time_jump_policy) == (2.0, TimeJumpPolicy.REFUSE)
 
@@ -57,12 +57,12 @@ def test_values_reach_the_settings() -> None:
 @pytest.mark.parametrize(
     ('name', 'value', 'reason'),
     [
-        ('estimator.step_share', 'abc', "estimator.step_share = 'abc' must be a number"),
-        ('estimator.step_share', True, 'estimator.step_share = True must be a number'),
-        ('estimator.step_share', float('nan'), 'estimator.step_share = nan is outside'),
-        ('estimator.step_share', float('inf'), 'estimator.step_share = inf is outside'),
-        ('estimator.step_share', 0.001, r'estimator.step_share = 0.001 is outside \[0.01, 10\]'),
-        ('estimator.window', 30.0, 'estimator.window = 30.0 must be a whole number'),
+        ('estimator.step_share_c', 'abc', "estimator.step_share_c = 'abc' must be a number"),
+        ('estimator.step_share_c', True, 'estimator.step_share_c = True must be a number'),
+        ('estimator.step_share_c', float('nan'), 'estimator.step_share_c = nan is outside'),
+        ('estimator.step_share_c', float('inf'), 'estimator.step_share_c = inf is outside'),
+        ('estimator.step_share_c', 0.0001, r'estimator.step_share_c = 0.0001 is outside \[0.001, 10\]'),
+        ('estimator.hypotheses', 30.0, 'estimator.hypotheses = 30.0 must be a whole number'),
         ('train_file', 3, 'train_file = 3 must be a text'),
         ('autostart', 1, 'autostart = 1 must be true or false'),
         ('time_jump_policy', 'panic', "time_jump_policy = 'panic' must be one of reset, ignore, refuse"),
@@ -105,7 +105,7 @@ def test_the_parameter_file_is_yaml_with_every_default() -> None:
     section = yaml.safe_load(parameter_file())['/**/resistance_estimator']['ros__parameters']
     for name, spec in SPECS.items():
         node = section
-        if name.split('.')[0] in ('train', 'resistance', 'brake'):
+        if name.split('.')[0] in ('train', 'resistance', 'brake', 'line'):
             assert name.split('.')[0] not in section  # commented out: the train file holds
             continue
         for part in name.split('.'):

@@ -11,7 +11,7 @@ from rclpy.lifecycle import TransitionCallbackReturn
 from rosgraph_msgs.msg import Clock
 
 from trainid_ros.bags.writer import BagWriter
-from trainid_ros.core.records import INPUT_TOPICS, NS_PER_S, BrakeRecord, ForceRecord, Record, SpeedRecord
+from trainid_ros.core.records import INPUT_TOPICS, NS_PER_S, BrakeRecord, ForceRecord, MassRecord, Record, SpeedRecord
 from trainid_ros.nodes import playback_node
 from trainid_ros.nodes.bag_player import BagPlayer
 from trainid_ros.nodes.conversion import message_class, record_from_message, stamp_ns
@@ -160,6 +160,33 @@ def test_the_simulator_stamps_the_present_and_keeps_the_spacing(graph: Graph) ->
     assert before - NS_PER_S // 2 <= min(stamps) <= max(stamps) <= after + NS_PER_S // 2
     assert 0.7 * NS_PER_S < max(stamps) - min(stamps) < 1.3 * NS_PER_S
     assert audience.clock == []
+
+
+def test_the_simulator_has_worlds(graph: Graph) -> None:
+    audience = Audience(graph)
+    simulator = graph.make(TrainSimulator, world='tram', realism='field', runs=1, wait=1, duration=0.5)
+    assert simulator.bring_up(), simulator.failure
+    graph.until(lambda: simulator.finished)
+    graph.until(lambda: len(audience.records) == simulator.played)
+    masses = [record.mass for record in audience.records if isinstance(record, MassRecord)]
+    assert 54e3 * 0.98 < masses[0] < 1.3 * 54e3 * 1.02
+
+
+@pytest.mark.parametrize(
+    ('parameters', 'reason'),
+    [
+        ({}, 'no train: give the parameter train_file or world'),
+        ({'world': 'tramm'}, "world = 'tramm' must be one of"),
+        (
+            {'realism': 'field', 'train_file': str(ROOT / 'config' / 'trains' / 'yizhuang.yaml')},
+            "realism = 'field' needs the parameter world",
+        ),
+    ],
+)
+def test_what_cannot_be_simulated_is_a_failure(graph: Graph, parameters: dict[str, object], reason: str) -> None:
+    simulator = graph.make(TrainSimulator, **parameters)
+    assert simulator.trigger_configure() == TransitionCallbackReturn.FAILURE
+    assert reason in simulator.failure
 
 
 @pytest.mark.parametrize('name', ['trainid', 'replay'])

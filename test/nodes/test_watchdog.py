@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import pytest
+
 from trainid_ros.core.records import NS_PER_S
 from trainid_ros.nodes.watchdog import Watchdog
 
@@ -70,3 +72,13 @@ def test_the_next_look_comes_when_silence_can_be_too_long_and_not_before() -> No
     assert watchdog.is_silent(at(10.3) + pause, at(10.3) + pause)
     # Simulated time may run fast, so it is looked at often.
     assert watchdog.pause_ns(at(10.3), simulated=True) == at(0.1)
+
+
+def test_a_longer_limit_holds_from_the_next_look_on() -> None:
+    """Slow topics are learned while the node runs."""
+    watchdog = Watchdog(LIMIT)
+    watchdog.saw(1, at(10), at(10))
+    watchdog.limit_ns = 3 * LIMIT
+    assert not watchdog.is_silent(at(10) + 2 * LIMIT, at(10) + 2 * LIMIT)
+    assert watchdog.pause_ns(at(10) + 2 * LIMIT, simulated=False) == pytest.approx(LIMIT, abs=at(0.1))
+    assert watchdog.is_silent(at(10.1) + 3 * LIMIT, at(10.1) + 3 * LIMIT)

@@ -15,6 +15,7 @@ from trainid_ros.bags.replay import Pipelines, replay_through
 from trainid_ros.bags.writer import BagWriter
 from trainid_ros.commands.output import add_json_option, print_json, progress, table, to_plain, warn
 from trainid_ros.core.errors import NoAnswerError
+from trainid_ros.estimators.force_findings import force_findings
 from trainid_ros.estimators.observability import observe
 from trainid_ros.nodes.offline import node_setups
 from trainid_ros.physics.train_file import load_train_file
@@ -139,6 +140,8 @@ def to_json(outcome: Replay, setups: Sequence[Setup], wall_s: float) -> dict[str
             **{'a': w.a, 'b': w.b, 'c': w.c, 'std': _deviations(w.covariance)},
             'status': resistance.output.status,
             'speed_range': [w.speed_min, w.speed_max] if learned else [None, None],
+            'force_scale': {'value': w.force_scale, 'std': w.force_scale_std},
+            'force_delay': {'value': w.force_delay, 'std': w.force_delay_std},
         },
         'speed_model': {
             **{'a1': m.a1, 'a2': m.a2, 'b1': m.b1, 'd0': m.d0, 'status': model.output.status},
@@ -177,7 +180,7 @@ def _estimates(outcome: Replay) -> str:
     w = outcome.resistance.output.estimate
     rows = [('value', 'estimate', 'std', 'unit', 'status'), *_resistance_rows(outcome), *_other_rows(outcome)]
     seen = f'* outside the speeds learned from, {w.speed_min:.1f} to {w.speed_max:.1f} m/s'
-    return f'{table(rows, numbers=(1, 2))}\n{seen}'
+    return '\n'.join((table(rows, numbers=(1, 2)), seen, *force_findings(w)))
 
 
 def _resistance_rows(outcome: Replay) -> list[tuple[str, ...]]:
@@ -193,6 +196,9 @@ def _resistance_rows(outcome: Replay) -> list[tuple[str, ...]]:
         name = f'w at {v:g} m/s' + ('' if w.speed_min <= v <= w.speed_max else ' *')
         std = math.sqrt(max(0.0, variance))
         rows.append((name, f'{w.a + w.b * v + w.c * v * v:.4g}', f'{std:.2g}', 'N/kN', status))
+    if not math.isnan(w.force_scale):
+        rows.append(('force scale', f'{w.force_scale:.4f}', f'{w.force_scale_std:.2g}', '1 = as reported', status))
+        rows.append(('force delay', f'{w.force_delay:.3f}', f'{w.force_delay_std:.2g}', 's', status))
     return rows
 
 

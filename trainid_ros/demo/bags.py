@@ -4,11 +4,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from trainid_ros.core.errors import InputError
+from trainid_ros.core.shared import shared_path
 from trainid_ros.physics.train_file import load_train_file
 from trainid_ros.simulation.truth import load_truth
 
@@ -56,23 +55,4 @@ def stock_bag(name: str) -> Path:
         InputError: It is in neither.
 
     """
-    places = [Path(__file__).parents[2] / 'bags', *_share()]
-    for place in places:
-        if (place / STOCK[name]).is_dir():
-            return place / STOCK[name]
-    msg = f'bags/{STOCK[name]}: not found (looked in {", ".join(map(str, places))})'
-    raise InputError(msg)
-
-
-def _share() -> list[Path]:
-    if find_spec('ament_index_python') is None:
-        return []
-    from ament_index_python.packages import (  # noqa: PLC0415
-        PackageNotFoundError,
-        get_package_share_directory,
-    )
-
-    try:
-        return [Path(get_package_share_directory('trainid_ros')) / 'bags']
-    except PackageNotFoundError:
-        return []
+    return shared_path(f'bags/{STOCK[name]}')

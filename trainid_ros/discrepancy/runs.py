@@ -190,14 +190,14 @@ class RunCollector:
         if gap or before == 0:
             self._brake = min(0.0, self._commands.value(now - delay_ns))
             self._commands = self._commands.prune(now - delay_ns)
-            return brake.rate * self._brake
+            return brake.rate_at(sample.speed) * self._brake
         change = 0.0
         for duration, target in self._commands.segments(before - delay_ns, now - delay_ns):
             change += lag_integral(self._brake, target, brake.time_constant, duration)
             self._brake = lag_response(self._brake, target, brake.time_constant, duration)
         # A delay found longer than believed looks back further than the believed one.
         self._commands = self._commands.prune(now - delay_ns)
-        mean = brake.rate * change / sample.dt
+        mean = brake.rate_at(sample.speed) * change / sample.dt
         self._since_release = 0.0 if self._brake < BRAKE_APPLIED else self._since_release + sample.dt
         self._heat = heat_after(self._heat, mean, sample.speed, sample.dt)
         return mean

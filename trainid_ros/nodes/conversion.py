@@ -22,7 +22,9 @@ if TYPE_CHECKING:
     from trainid_ros.estimators.pipeline import Output
 
 _CASTS: Final[dict[str, Callable[[Any], Any]]] = {'float': float, 'int': int, 'bool': bool}
-_MAY_BE_UNKNOWN: Final = frozenset({'position'})
+_MAY_BE_UNKNOWN: Final = frozenset(
+    {'position', 'force_scale', 'force_scale_std', 'force_delay', 'force_delay_std'}
+)
 _MESSAGES: Final = {topic.record: getattr(trainid_msgs, topic.message) for topic in INPUT_TOPICS}
 
 

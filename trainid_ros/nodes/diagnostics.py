@@ -167,8 +167,8 @@ def _judge_input(
         return DiagnosticStatus.STALE, f'{since}, {who}'
     if abs(age) > _WORST_AGE_S and not monitor.optional:
         return DiagnosticStatus.WARN, f'stamps are {age:.1f} s old by the clock of this node (use_sim_time?)'
-    if rate * monitor.longest_s < 1.0 and not monitor.optional:
-        return DiagnosticStatus.WARN, f'slow: {rate:.2f} Hz, needed {1.0 / monitor.longest_s:.2f} Hz'
+    if rate * monitor.slowest_s < 1.0 and not monitor.optional:
+        return DiagnosticStatus.WARN, f'slow: {rate:.2f} Hz, needed {1.0 / monitor.slowest_s:.2f} Hz'
     return DiagnosticStatus.OK, 'received' if math.isnan(rate) else f'{rate:.1f} Hz'
 
 

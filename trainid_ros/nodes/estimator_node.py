@@ -26,6 +26,7 @@ from trainid_ros.core.records import (
     GRADIENT_TOPIC,
     INPUT_TOPICS,
     NS_PER_S,
+    REQUIRED_TOPICS,
     SPEED_TOPIC,
     InputTopic,
     Record,
@@ -230,7 +231,8 @@ class EstimatorNode(ManagedNode):
             BRAKE_TOPIC: alignment.command_timeout,
         }
         for topic in INPUT_TOPICS:
-            self._monitors[topic] = InputMonitor(topic, longest.get(topic, 0.0), optional=topic not in longest)
+            longest_s, optional = longest.get(topic, 0.0), topic not in longest
+            self._monitors[topic] = InputMonitor(topic, longest_s, alignment.max_interval, optional=optional)
         self._intake = Intake(self, self.receive)
         back = Duration(nanoseconds=-round(alignment.max_jump_back * NS_PER_S))
         threshold = JumpThreshold(min_forward=None, min_backward=back, on_clock_change=False)
@@ -327,6 +329,8 @@ class EstimatorNode(ManagedNode):
             return
         intake.drain()
         self._follow_jump(pipeline)
+        # Whatever topic is the fastest, it is not due sooner than by its own rate.
+        self.watchdog.limit_ns = min(pipeline.longest_silence_ns(topic.record) for topic in REQUIRED_TOPICS)
         if self.watchdog.is_silent(self._now_ns(), self._steady_ns()) and pipeline.status not in _TOLD:
             self._publish(pipeline.mark_stale())
         simulated = self.get_clock().ros_time_is_active
@@ -369,9 +373,9 @@ class EstimatorNode(ManagedNode):
             steps = self._step_times.summary()
             details = self.spec.details(self._prior, self.pipeline.current().estimate)
             array.status = [estimator_status(health, self.pipeline, self.spec.shown, self._prior, steps, details)]
-            stale_s = self._settings.pipeline.stale_after
             for monitor in self._monitors.values():
                 topic = self.resolve_topic_name(monitor.topic.name)
+                stale_s = 0.0 if monitor.optional else self.pipeline.longest_silence_ns(monitor.topic.record) / NS_PER_S
                 array.status.append(input_status(health, monitor, topic, self.count_publishers(topic), stale_s))
         self._diagnostics.publish(array)
 

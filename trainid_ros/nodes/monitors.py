@@ -24,16 +24,18 @@ class InputMonitor:
 
     Attributes:
         topic: The topic.
-        longest_s: Longest time between messages that the estimators can bridge [s].
+        longest_s: Longest time between messages that the estimators can bridge, whatever the rate [s].
+        slowest_s: Longest interval between messages of a topic that is not too slow [s].
         optional: True if the estimators do without it.
         count: Messages received.
         newest_ns: Stamp of the last message, 0 before the first.
 
     """
 
-    def __init__(self, topic: InputTopic, longest_s: float, *, optional: bool) -> None:
+    def __init__(self, topic: InputTopic, longest_s: float, slowest_s: float, *, optional: bool) -> None:
         self.topic = topic
         self.longest_s = longest_s
+        self.slowest_s = max(longest_s, slowest_s)
         self.optional = optional
         self.count = 0
         self.newest_ns = 0

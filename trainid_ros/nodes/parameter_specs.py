@@ -18,7 +18,7 @@ from trainid_ros.core.settings import setting_info
 from trainid_ros.estimators.algorithms import Choice
 from trainid_ros.estimators.pipeline import EstimatorSettings, PipelineConfig, TimeJumpPolicy
 from trainid_ros.physics.fields import did_you_mean
-from trainid_ros.physics.train_file import Brake, Davis, Train, TrainFile
+from trainid_ros.physics.train_file import Brake, Davis, Line, Train, TrainFile
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping
@@ -108,12 +108,16 @@ TRAIN_PARAMETERS: Final = (
     _train('train', 'mass', 0.0, 'train mass with its usual load [kg]', (0.0, 1e9)),
     _train('train', 'rotary_mass', _NOMINAL[0].rotary_mass, 'rotating masses as a share of the mass [1]', (0.0, 1.0)),
     _train('train', 'length', _NOMINAL[0].length, 'length of the train [m]', (0.1, 1e4)),
+    _train('train', 'mass_std', _NOMINAL[0].mass_std, 'std of the relative error of the mass [1]', (0.0, 0.5)),
+    _train('train', 'force_std', _NOMINAL[0].force_std, 'std of the relative error of the force [1]', (0.0, 0.5)),
     _train('resistance', 'a', 0.0, 'prior Davis a [N/kN]', (0.0, 100.0)),
     _train('resistance', 'b', 0.0, 'prior Davis b [N/kN per m/s]', (-10.0, 10.0)),
     _train('resistance', 'c', 0.0, 'prior Davis c [N/kN per (m/s)^2]', (0.0, 1.0)),
     _train('brake', 'rate', _NOMINAL[1].rate, 'prior brake rate, 1 = nominal [1]', (0.01, 10.0)),
     _train('brake', 'time_constant', _NOMINAL[1].time_constant, 'time constant of the brake [s]', (0.0, 60.0)),
     _train('brake', 'delay', _NOMINAL[1].delay, 'dead time of the brake [s]', (0.0, 60.0)),
+    _train('brake', 'timing_std', _NOMINAL[1].timing_std, 'std of the relative error of both [1]', (0.0, 1.0)),
+    _train('line', 'gradient_std', Line().gradient_std, 'std of the error of the gradients [per mille]', (0.0, 50.0)),
 )
 ALGORITHM: Final = 'algorithm'
 TRAIN_FILE: Final = ParameterSpec('train_file', '', f'path of the train file (YAML); {_NEXT}')

@@ -31,7 +31,7 @@ _HEAD: Final = """\
 # node runs take effect on its next configure. QoS of the topics: qos_overrides.<topic>.subscription.*
 # and qos_overrides.<topic>.publisher.* (history, depth, reliability).
 #
-# Where train, resistance and brake are commented out, the train file holds; take the marks away to
+# Where train, resistance, brake and line are commented out, the train file holds; take the marks away to
 # override it. The section estimator belongs to the default algorithm; below it, commented out, are those
 # of the other algorithms, each to be taken in its place.
 """

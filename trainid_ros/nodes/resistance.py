@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lifecycle node ``resistance_estimator``: running resistance by V-MILS."""
+"""Lifecycle node ``resistance_estimator``: running resistance."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from trainid_msgs.msg import ResistanceEstimate
 
+from trainid_ros.estimators.force_findings import force_findings
 from trainid_ros.estimators.observability import observe
 from trainid_ros.nodes.diagnostics import ShownValue
 from trainid_ros.nodes.estimator_node import EstimatorNode, EstimatorSpec
@@ -17,7 +18,12 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
 
-def _observability(prior: Any, live: Any) -> Iterator[tuple[str, str]]:
+def _details(prior: Any, live: Any) -> Iterator[tuple[str, str]]:
+    yield 'findings', '; '.join(force_findings(live)) or 'none'
+    yield 'force scale', f'{live.force_scale:.4f}'
+    yield 'force scale std', f'{live.force_scale_std:.2g}'
+    yield 'force delay [s]', f'{live.force_delay:.3f}'
+    yield 'force delay std [s]', f'{live.force_delay_std:.2g}'
     seen = observe(live.covariance, prior.covariance, live.speed_min, live.speed_max)
     yield 'observability', seen.text
     for name, share in zip('abc', seen.shares, strict=True):
@@ -37,7 +43,7 @@ RESISTANCE: Final = EstimatorSpec(
         ShownValue('b', 'N/kN per m/s', variance=1),
         ShownValue('c', 'N/kN per (m/s)^2', variance=2),
     ),
-    details=_observability,
+    details=_details,
 )
 
 

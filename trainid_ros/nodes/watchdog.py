@@ -17,13 +17,13 @@ _MARGIN_NS: Final = NS_PER_S // 100
 class Watchdog:
     """Tells once that nothing new has come for too long.
 
-    Args:
+    Attributes:
         limit_ns: How long inputs may be silent.
 
     """
 
     def __init__(self, limit_ns: int) -> None:
-        self._limit_ns = limit_ns
+        self.limit_ns = limit_ns
         self._newest_ns = 0
         self._seen = (0, 0)
         self._clock = (0, 0)
@@ -54,9 +54,9 @@ class Watchdog:
         if self._told:
             return False
         silence, steady_silence = now_ns - self._seen[0], steady_ns - self._seen[1]
-        stopped = steady_ns - self._clock[1] > self._limit_ns
-        if (silence > self._limit_ns and steady_silence > min(self._limit_ns, _SHORTEST_NS)) or (
-            stopped and steady_silence > self._limit_ns
+        stopped = steady_ns - self._clock[1] > self.limit_ns
+        if (silence > self.limit_ns and steady_silence > min(self.limit_ns, _SHORTEST_NS)) or (
+            stopped and steady_silence > self.limit_ns
         ):
             self._told = True
         return self._told
@@ -66,4 +66,4 @@ class Watchdog:
         if simulated:
             return _POLL_NS
         waited = 0 if self._told else steady_ns - self._seen[1]
-        return max(self._limit_ns - waited, 0) + _MARGIN_NS
+        return max(self.limit_ns - waited, 0) + _MARGIN_NS

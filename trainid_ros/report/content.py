@@ -39,7 +39,7 @@ class Chapter:
         train_file: What was believed before.
         how: How it was run, in words.
         traces: What to plot.
-        resistance: Last output of V-MILS.
+        resistance: Last output of the resistance.
         speed_model: Last output of AM-VFF-RLS.
         brake_rate: Last output of GSMA.
         rejections: Why samples were not used, by estimator.

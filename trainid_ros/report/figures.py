@@ -238,11 +238,11 @@ def speed_profile(chapter: Chapter) -> str:
 
 
 def innovation_ratios(chapter: Chapter) -> str:
-    """Return the innovation test ratios of V-MILS and GSMA on a logarithmic scale with their gate."""
+    """Return the innovation test ratios of resistance and brake rate on a logarithmic scale with their gate."""
     traces = chapter.traces
     both = (
-        ('Resistance (V-MILS)', traces.resistance.ratio_time_s, traces.resistance.ratio),
-        ('Brake rate (GSMA)', traces.brake_rate.ratio_time_s, traces.brake_rate.ratio),
+        ('Resistance', traces.resistance.ratio_time_s, traces.resistance.ratio),
+        ('Brake rate', traces.brake_rate.ratio_time_s, traces.brake_rate.ratio),
     )
     rows = [row for row in both if len(row[1])]
     if not rows:

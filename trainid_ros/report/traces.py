@@ -54,7 +54,7 @@ class DriveTrace:
 
 @dataclass(frozen=True, slots=True)
 class ResistanceTrace:
-    """V-MILS over time.
+    """The resistance over time.
 
     Attributes:
         time_s: Time since the start, shape (n,).
