@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What accuracy can be had: an exact Kalman filter of the brake rate, and least squares that knows of every change.
+"""Measures of accuracy: an exact Kalman filter of the brake rate, and least squares informed of every change.
 
-Both use the settings, the speed noise and the windows of the estimators that they are a measure for. What GSMA
-learns besides, the size of the disturbance, the filter takes as declared.
+The least squares are no bound: windows lose what raw speed shows, and a filter bank does better uninformed. Both use
+the settings, the speed noise and the windows of the estimators that they are a measure for. What GSMA learns besides,
+the size of the disturbance, the filter takes as declared.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ from trainid_ros.core.results import Refusal
 from trainid_ros.estimators.admission import Admission
 from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.estimators.prior import prior_variances
+from trainid_ros.estimators.resistance.sliding_window import SlidingWindow
 from trainid_ros.estimators.resistance.speed_window import Tick, WindowResult, observe_resistance, overlap_factor
 from trainid_ros.estimators.speed_noise import SpeedNoise
 from trainid_ros.physics.brake import CommandHistory, lag_integral, lag_response
@@ -29,10 +31,14 @@ if TYPE_CHECKING:
 
     from trainid_ros.core.samples import Sample
     from trainid_ros.estimators.brake_rate.gsma import GsmaConfig
+    from trainid_ros.estimators.resistance.sliding_window import Cut
     from trainid_ros.estimators.resistance.vmils import VMilsConfig
     from trainid_ros.physics.train_file import TrainFile
 
 _ANCHOR_STD_A: Final = 0.05
+# The bound takes scale and delay of the force as known to this.
+_FORCE_ERROR: Final = 0.005
+_FORCE_SKEW: Final = 0.06
 
 
 class BrakeKalman:
@@ -129,11 +135,11 @@ class BrakeKalman:
         self.P = A @ self.P @ A.T + self._noise.variance * np.outer(K, K)
 
 
-class ResistanceOracle:
+class InformedWindows:
     """Weighted least squares of the Davis parameters over all windows since the last true change.
 
-    It is told when the truth changes and starts again from the prior of the train file then. Windows are those of
-    V-MILS, weighed by their long-run variance.
+    It is informed when the truth changes and starts again from the prior of the train file then, since it does not
+    know which parameter has changed. Windows are those of V-MILS, weighed by their long-run variance.
 
     Attributes:
         theta: Parameters a, b, c, shape (3,).
@@ -145,13 +151,11 @@ class ResistanceOracle:
         self._config, self._change_ns = config, list(change_ns)
         self._known = KnownForce(train_file)
         self._admission = Admission(self._known, config.min_speed)
-        self._overlap = overlap_factor(config.window, config.hop)
+        self._windows = SlidingWindow(config.window, config.hop)
         resistance = train_file.resistance
         believed = (resistance.a, resistance.b, resistance.c)
         self._theta0 = np.array(believed)
         self._P0: NDArray[np.float64] = np.diag(prior_variances(believed, config))
-        self._ticks: list[Tick] = []
-        self._fresh = 0
         self._since_ns = 0
         self._noise = SpeedNoise.declared(config.speed_std)
         self._begin()
@@ -171,27 +175,26 @@ class ResistanceOracle:
             self._since_ns = self._change_ns.pop(0)
             self._begin()
         if self._admission.refuse(sample) is not None:
-            self._ticks, self._fresh = [], 0
+            self._windows.clear()
             self._noise = self._noise.add(sample.speed, math.nan)
             return
         self._noise = self._noise.add(sample.speed, sample.dt)
         traction = self._known.traction(sample.force_mean, sample)
         known = traction - self._known.track(sample)
-        self._ticks.append(Tick(sample.stamp_ns, sample.dt, sample.speed, known, traction))
-        self._ticks, self._fresh = self._ticks[-self._config.window :], self._fresh + 1
-        if len(self._ticks) < self._config.window or self._fresh < self._config.hop:
+        cut = self._windows.push(Tick(sample.stamp_ns, sample.dt, sample.speed, known, traction))
+        if cut is None:
             return
-        self._fresh = 0
-        observed = observe_resistance(self._ticks, self._known.inertia, self._noise.std)
-        if not isinstance(observed, Refusal) and self._ticks[0].stamp_ns >= self._since_ns:
-            self._add(observed)
+        observed = observe_resistance(cut.ticks, self._known.inertia, self._noise.std)
+        if not isinstance(observed, Refusal) and cut.ticks[0].stamp_ns >= self._since_ns:
+            self._add(observed, cut)
 
-    def _add(self, observed: WindowResult) -> None:
+    def _add(self, observed: WindowResult, cut: Cut) -> None:
         config = self._config
-        hop_s = observed.duration * config.hop / (config.window - 1)
-        slow = max(1.0, 2.0 * config.disturbance_time / hop_s)
-        force = (config.force_error * observed.traction) ** 2 + (config.force_skew * observed.force_rate) ** 2
-        variance = self._overlap * observed.noise_std**2 + slow * config.disturbance_std**2 + force
+        slow = max(1.0, 2.0 * config.disturbance_time / cut.hop)
+        force = (_FORCE_ERROR * observed.traction_size) ** 2 + (_FORCE_SKEW * observed.traction_rate) ** 2
+        overlap = overlap_factor(len(cut.ticks), cut.samples)
+        disturbance = math.hypot(config.disturbance_std, self._known.train_file.line.gradient_std)
+        variance = overlap * observed.noise_std**2 + slow * disturbance**2 + force
         phi = np.array(observed.phi)
         self._information = self._information + np.outer(phi, phi) / variance
         self._vector = self._vector + phi * (observed.y / variance)

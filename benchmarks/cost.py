@@ -100,12 +100,12 @@ def _subjects() -> tuple[Subject, ...]:
     ticks = ticks_of(records)
     samples = [tick.sample for tick in ticks]
     steps = (
-        Subject('V-MILS step, per sample', samples, resistance_pipeline(train, settings).estimator.step),
+        Subject('filter bank step, per sample', samples, resistance_pipeline(train, settings).estimator.step),
         Subject('AM-VFF-RLS step, per sample', samples, speed_model_pipeline(train, settings).estimator.step),
         Subject('GSMA step, per sample', samples, brake_rate_pipeline(train, settings).estimator.step),
     )
     pipelines = (
-        Subject('V-MILS pipeline, per tick', ticks, _push_all(resistance_pipeline(train, settings).push)),
+        Subject('filter bank pipeline, per tick', ticks, _push_all(resistance_pipeline(train, settings).push)),
         Subject('AM-VFF-RLS pipeline, per tick', ticks, _push_all(speed_model_pipeline(train, settings).push)),
         Subject('GSMA pipeline, per tick', ticks, _push_all(brake_rate_pipeline(train, settings).push)),
     )

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 _SEED: Final = 1
 _HOURS: Final = (0.1, 1.0, 6.0, 24.0)
 _SECONDS_PER_HOUR: Final = 3600
-_ESTIMATORS: Final = ('V-MILS', 'AM-VFF-RLS', 'GSMA')
+_ESTIMATORS: Final = ('filter bank', 'AM-VFF-RLS', 'GSMA')
 
 
 @dataclass(frozen=True, slots=True)

@@ -24,7 +24,7 @@ _STAGES: Final = (
     ('reading', 'BagReader.messages'),
     ('to records', 'record_from_message'),
     ('aligning', 'Aligner.push'),
-    ('V-MILS', 'VMils.step'),
+    ('filter bank', 'FilterBank.step'),
     ('AM-VFF-RLS', 'SpeedModelEstimator.step'),
     ('GSMA', 'BrakeRateEstimator.step'),
 )

@@ -12,11 +12,12 @@ from benchmarks.papers.hand_filters import START, START_SD, VARIANCE, RowPeer
 from benchmarks.papers.metro_stream import INERTIA, PERIOD
 from trainid_ros.core.records import NS_PER_S
 from trainid_ros.estimators.compiled.streams import VMilsStream
-from trainid_ros.estimators.prior import prior_variances
+from trainid_ros.estimators.resistance.force_errors import EXACT
 from trainid_ros.estimators.resistance.multi_innovation import NOTHING, belief_of, information_of, mils_step
+from trainid_ros.estimators.resistance.normal import independent
 from trainid_ros.estimators.resistance.run_lengths import RunLengths, Tracker
 from trainid_ros.estimators.resistance.speed_window import Tick
-from trainid_ros.estimators.resistance.vmils import VMilsConfig, run_lengths, window_plan
+from trainid_ros.estimators.resistance.vmils import VMilsConfig, tracker_of, window_plan
 from trainid_ros.estimators.resistance.window_learner import WindowLearner
 
 if TYPE_CHECKING:
@@ -35,10 +36,12 @@ PLAN: Final = RunLengths(
     step_variances=(0.16, 1e-6, 6e-8),
     hazard=1e-5,
     spacing=300,
-    watchers=4,
+    hypotheses=4,
     patience=300,
     lockout=100,
 )
+# Of a surveyed line [per mille].
+GRADIENT_STD: Final = 0.05
 _TICK_NS: Final = round(PERIOD * NS_PER_S)
 
 
@@ -90,13 +93,13 @@ class MilsCompiled(RowPeer):
 
 
 class MilsTracker(RowPeer):
-    """V-MILS on rows: the recursion, and watchers for steps, born every minute and believed after another one."""
+    """V-MILS on rows: the recursion, and hypotheses of steps, born every minute and counted after another one."""
 
     def __init__(self) -> None:
-        self._tracker = Tracker(PRIOR, PLAN)
+        self._tracker = Tracker(independent(START, np.square(START_SD).tolist()), PLAN)
 
     def items(self, stream: MetroStream) -> list[Item]:
-        return [(v, v * v, y, VARIANCE) for y, _, v in super().items(stream)]
+        return [(np.array((1.0, v, v * v)), y, VARIANCE) for y, _, v in super().items(stream)]
 
     @property
     def step(self) -> Any:
@@ -104,21 +107,20 @@ class MilsTracker(RowPeer):
 
     @property
     def theta(self) -> NDArray[np.float64]:
-        return np.array(self._tracker.belief[:3])
+        return self._tracker.estimate.theta[:3]
 
     @property
     def covariance(self) -> NDArray[np.float64]:
-        return _square(self._tracker.belief[3:])
+        return self._tracker.estimate.P[:3, :3]
 
 
 class VMilsRaw(RowPeer):
-    """V-MILS as it ships, from raw ticks: speed windows, soft gate, watchers for steps, learned noise."""
+    """V-MILS as it ships, from raw ticks of exact force: windows, soft gate, hypotheses of steps, learned noise."""
 
     def __init__(self) -> None:
         config = VMilsConfig()
-        a, b, c = prior_variances(START, config)
-        self._tracker = Tracker((*START, a, 0.0, 0.0, b, 0.0, c), run_lengths(config, (a, b, c)))
-        self._learner = WindowLearner(self._tracker, window_plan(config, INERTIA))
+        self._tracker = tracker_of(START, EXACT, config)
+        self._learner = WindowLearner(self._tracker, window_plan(config, INERTIA, GRADIENT_STD))
 
     def items(self, stream: MetroStream) -> list[Item]:
         raw = stream.raw
@@ -137,11 +139,11 @@ class VMilsRaw(RowPeer):
 
     @property
     def theta(self) -> NDArray[np.float64]:
-        return np.array(self._tracker.belief[:3])
+        return self._tracker.estimate.theta[:3]
 
     @property
     def covariance(self) -> NDArray[np.float64]:
-        return _square(self._tracker.belief[3:])
+        return self._tracker.estimate.P[:3, :3]
 
 
 def _square(upper: tuple[float, ...]) -> NDArray[np.float64]:

@@ -25,16 +25,17 @@ from benchmarks.papers.seeds import over_seeds
 from benchmarks.tables import Table
 from trainid_ros.core.results import Refusal
 from trainid_ros.estimators.brake_rate.algorithms import BRAKE_RATE
+from trainid_ros.estimators.brake_rate.belief import STATES, errors_of
 from trainid_ros.estimators.brake_rate.config import BrakeRateConfig
 from trainid_ros.estimators.brake_rate.estimator import BrakeRateEstimator
-from trainid_ros.estimators.brake_rate.particles import SPEED, LinearStep, speed_step
+from trainid_ros.estimators.brake_rate.particles import SPEED, LinearStep, error_covariance, speed_step, started
 from trainid_ros.estimators.brake_rate.resampling import effective_number, normal_weights, systematic
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from benchmarks.papers.brake_runs import BrakeRun
-    from trainid_ros.estimators.brake_rate.belief import Interval
+    from trainid_ros.estimators.brake_rate.belief import Errors, Interval, Start
 
     Array = NDArray[np.float64]
 
@@ -85,8 +86,29 @@ class PeerBelief:
     def effective(self) -> float:
         return effective_number(self.weights)
 
-    def reset(self, rate: float, std: float) -> None:
+    @property
+    def errors(self) -> Errors:
+        return errors_of(self.means()[3:] @ self.weights)
+
+    @property
+    def error_variances(self) -> Errors:
+        e = self.means()[3:]
+        return errors_of(np.diag(self.inner())[3:] + np.square(e - (e @ self.weights)[:, None]) @ self.weights)
+
+    def total_rate(self, share: Array) -> tuple[float, float]:
+        total = self.f + share @ self.means()[3:]
+        mean = float(total @ self.weights)
+        return mean, float(np.square(total - mean) @ self.weights + share @ self.inner()[3:, 3:] @ share)
+
+    def inner(self) -> Array:
+        return np.zeros((STATES, STATES))
+
+    def reset(self, rate: float, std: float, error_stds: Errors) -> None:
         self.f = np.maximum(rate + std * self._rng.standard_normal(self.N), 0.0)
+        self.begin(error_stds)
+
+    def begin(self, error_stds: Errors) -> None:
+        raise NotImplementedError
 
     def predicted(self) -> tuple[float, float]:
         v, mean = self.means()[0], self.speed
@@ -105,7 +127,7 @@ class FilterpyBelief(PeerBelief):
     def __init__(self, particles: int, drift: float, seed: int) -> None:
         super().__init__(particles, drift, seed)
         kalman = import_module('filterpy.kalman').KalmanFilter
-        self._filters = [kalman(dim_x=3, dim_z=1, dim_u=1) for _ in range(particles)]
+        self._filters = [kalman(dim_x=STATES, dim_z=1, dim_u=1) for _ in range(particles)]
 
     def means(self) -> Array:
         return np.array([kf.x[:, 0] for kf in self._filters]).T
@@ -113,11 +135,22 @@ class FilterpyBelief(PeerBelief):
     def spread(self) -> float:
         return float(self._filters[0].P[0, 0])
 
-    def anchor(self, speed: float, target: float, variances: tuple[float, float, float]) -> None:
+    def inner(self) -> Array:
+        P: Array = self._filters[0].P
+        return P
+
+    def begin(self, error_stds: Errors) -> None:
+        for kf in self._filters:
+            kf.x, kf.P, kf.H = np.zeros((STATES, 1)), error_covariance(error_stds), SPEED
+
+    def anchor(self, start: Start) -> None:
         for kf, f in zip(self._filters, self.f, strict=True):
-            kf.x = np.array([[speed], [f * target], [0.0]])
-            kf.P = np.diag(variances)
-            kf.H = SPEED
+            kf.x = np.array([start.speed, f * start.target, 0.0, *(np.array(start.keep) * kf.x[3:, 0])])[:, None]
+            kf.P = started(kf.P, start)
+
+    def recentre(self, shift: Errors) -> None:
+        for kf in self._filters:
+            kf.x = kf.x - np.array([0.0, 0.0, 0.0, *shift])[:, None]
 
     def predict(self, interval: Interval) -> None:
         self.step = step = speed_step(interval)
@@ -152,19 +185,28 @@ class ParticlesBelief(PeerBelief):
     def __init__(self, particles: int, drift: float, seed: int) -> None:
         super().__init__(particles, drift, seed)
         self._resampling = import_module('particles.resampling')
-        self._x = np.zeros((3, particles))
+        self._x = np.zeros((STATES, particles))
         self._held = self._resampling.Weights(lw=np.zeros(particles))
 
     def means(self) -> Array:
         return self._x
 
-    def anchor(self, speed: float, target: float, variances: tuple[float, float, float]) -> None:
-        start = np.array([[speed], [0.0], [0.0]]) + np.array([[0.0], [target], [0.0]]) * self.f
-        self._x = start + np.sqrt(np.array(variances))[:, None] * self._rng.standard_normal((3, self.N))
+    def begin(self, error_stds: Errors) -> None:
+        stds = np.array([0.0, 0.0, 0.0, *error_stds])
+        self._x = stds[:, None] * self._rng.standard_normal((STATES, self.N))
+
+    def anchor(self, start: Start) -> None:
+        e = np.array(start.keep)[:, None] * self._x[3:]
+        x = np.vstack([np.full(self.N, start.speed), start.target * self.f, np.zeros(self.N), e])
+        stds = np.sqrt(np.array([*start.variances, *start.q_e]))
+        self._x = x + stds[:, None] * self._rng.standard_normal((STATES, self.N))
+
+    def recentre(self, shift: Errors) -> None:
+        self._x = self._x - np.array([0.0, 0.0, 0.0, *shift])[:, None]
 
     def predict(self, interval: Interval) -> None:
         self.step = step = speed_step(interval)
-        noise = np.sqrt(np.diag(step.Q))[:, None] * self._rng.standard_normal((3, self.N))
+        noise = np.sqrt(np.diag(step.Q))[:, None] * self._rng.standard_normal((STATES, self.N))
         self._x = step.predict(self._x, self.f) + noise
 
     def follow(self, speed: float, r: float) -> None:

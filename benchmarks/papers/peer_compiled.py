@@ -20,7 +20,7 @@ from benchmarks.papers.hand_filters import VARIANCE, HandRls
 from benchmarks.papers.metro_stream import SPEED_SD, metro_stream
 from benchmarks.papers.our_filters import OUTLIERS, PRIOR, P
 from benchmarks.tables import Table
-from trainid_ros.estimators.brake_rate.belief import Interval
+from trainid_ros.estimators.brake_rate.belief import Interval, Start
 from trainid_ros.estimators.brake_rate.gsma import Gsma, GsmaConfig
 from trainid_ros.estimators.compiled.jit import compiler_present
 from trainid_ros.estimators.compiled.streams import SpeedModelStream, VMilsStream
@@ -210,7 +210,7 @@ def _speed_model() -> Kernel:
 def _brake_step(compiled: int) -> tuple[Callable[..., object], list[Item]]:
     config = GsmaConfig(particles=_PARTICLES, compiled=compiled)
     belief: Any = Gsma(metro_train(), config, np.random.default_rng(1)).belief
-    belief.anchor(20.0, -0.8, (1e-3, 1e-3, 1e-4))
+    belief.anchor(Start(20.0, -0.8, (1e-3, 1e-3, 1e-4)))
 
     def step(seen: float) -> None:
         belief.predict(_INTERVAL)

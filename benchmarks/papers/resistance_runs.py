@@ -14,15 +14,15 @@ from benchmarks.papers import coasts as coast_data
 from benchmarks.papers import metro_stream as metro
 from benchmarks.papers.coasts import GRID, KMH, LARGE_A, PAPER, CoastPlan, in_kmh, in_si
 from benchmarks.papers.hand_filters import HandRls
+from benchmarks.papers.our_filters import GRADIENT_STD
 from benchmarks.papers.robust_stream import RobustStream
 from benchmarks.papers.spoiled import NOISE_STD, OBSERVED, SPEEDS, spoiled_observations, spoiled_speeds
 from trainid_ros.core.records import NS_PER_S
-from trainid_ros.estimators.prior import prior_variances
+from trainid_ros.estimators.resistance.force_errors import EXACT
 from trainid_ros.estimators.resistance.multi_innovation import NOTHING, information_of, mils_step
-from trainid_ros.estimators.resistance.run_lengths import Tracker
 from trainid_ros.estimators.resistance.speed_ekf import SpeedEkf, SpeedEkfConfig
 from trainid_ros.estimators.resistance.speed_window import Tick
-from trainid_ros.estimators.resistance.vmils import VMils, VMilsConfig, run_lengths, window_plan
+from trainid_ros.estimators.resistance.vmils import VMils, VMilsConfig, tracker_of, window_plan
 from trainid_ros.estimators.resistance.window_learner import WindowLearner
 from trainid_ros.physics.train_file import Davis
 
@@ -165,7 +165,7 @@ def observed_error(truth: tuple[float, float, float], seed: int, kind: int) -> t
         stream.update(v, y)
     batch = np.linalg.lstsq(Phi, data.y, rcond=None)[0]
     bound = float(np.sqrt(np.mean(np.sum((_PHI @ P) * _PHI, axis=1))))
-    return _rms(_PHI @ (batch - true)), _rms(_PHI @ (np.array(stream.belief[:3]) - true)), bound
+    return _rms(_PHI @ (batch - true)), _rms(_PHI @ (stream.estimate.theta - true)), bound
 
 
 def _si(truth: tuple[float, ...]) -> tuple[float, float, float]:
@@ -192,7 +192,7 @@ def _jump(seed: int, size: float) -> JumpResult:
     stream, thetas = RobustStream(_si(_believed(truth))), []
     for speed, value in rows:
         stream.update(speed, value)
-        thetas.append(stream.belief[:3])
+        thetas.append(stream.estimate.theta)
     wrong = (np.array(thetas) - np.array(_si(truth))) @ _PHI.T
     followed = tuple(_followed(_forgetful(factor, rows, truth), at, size) for factor in FORGETTING)
     track = wrong.mean(axis=1)[at - 100 : at + 300]
@@ -222,9 +222,8 @@ def metro_results(seed: int) -> tuple[MetroResult, ...]:
 def metro_result(seed: int, scenario: metro.Scenario) -> MetroResult:
     """Return the result of one scenario; ticks under braking count too, since here the force of the brake is known."""
     data, config = metro.metro_stream(seed, scenario), VMilsConfig()
-    A, D, F = prior_variances(_METRO_BELIEF, config)
-    tracker = Tracker((*_METRO_BELIEF, A, 0.0, 0.0, D, 0.0, F), run_lengths(config, (A, D, F)))
-    learner = WindowLearner(tracker, window_plan(config, metro.INERTIA))
+    tracker = tracker_of(_METRO_BELIEF, EXACT, config)
+    learner = WindowLearner(tracker, window_plan(config, metro.INERTIA, GRADIENT_STD))
     raw = data.raw
     columns = (raw.speed.tolist(), raw.force.tolist(), raw.gradient.tolist(), raw.moving.tolist())
     for i, (speed, force, gradient, moving) in enumerate(zip(*columns, strict=True)):
@@ -232,13 +231,9 @@ def metro_result(seed: int, scenario: metro.Scenario) -> MetroResult:
             learner.push(Tick(round((i + 1) * metro.PERIOD * NS_PER_S), metro.PERIOD, speed, force - gradient, force))
         else:
             learner.interrupt(speed)
-    a, b, c, *P = tracker.belief
-    true = data.after
-    wrong = _METRO_PHI @ np.array([a - true.a, b - true.b, c - true.c])
-    upper = np.zeros((3, 3))
-    upper[np.triu_indices(3)] = P
-    full = upper + np.triu(upper, 1).T
-    variance = np.sum((_METRO_PHI @ full) * _METRO_PHI, axis=1)
+    true, found = data.after, tracker.estimate
+    wrong = _METRO_PHI @ (found.theta[:3] - np.array([true.a, true.b, true.c]))
+    variance = np.sum((_METRO_PHI @ found.P[:3, :3]) * _METRO_PHI, axis=1)
     batch = np.asarray(np.linalg.lstsq(data.rows.phi, data.rows.y, rcond=None)[0], dtype=np.float64)
     plain = metro.curve_error(batch, true)
     return MetroResult(_rms(wrong), _rms(wrong / np.sqrt(variance)), tracker.steps_found, plain)

@@ -3,13 +3,16 @@
 
 from __future__ import annotations
 
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.estimators.resistance.robust import Belief, predict
+from trainid_ros.estimators.resistance.normal import independent
 from trainid_ros.estimators.resistance.robust_fit import robust_fit
 from trainid_ros.estimators.resistance.run_lengths import RunLengths, Tracker
+
+if TYPE_CHECKING:
+    from trainid_ros.estimators.resistance.normal import Array, Normal
 
 # Deviation of w from what is believed of each parameter, at 22 m/s [N/kN].
 PRIOR_STD: Final = (2.0, 4.0, 4.0)
@@ -20,7 +23,7 @@ PLAN: Final = RunLengths(
     step_variances=(1.0, (0.2 / _FAST) ** 2, (0.5 / _FAST**2) ** 2),
     hazard=1.0 / 2000.0,
     spacing=10,
-    watchers=5,
+    hypotheses=5,
     patience=60,
     lockout=120,
 )
@@ -37,23 +40,21 @@ class RobustStream:
     """Robust multi-innovation least squares with warm-up and learned noise.
 
     Attributes:
-        belief: a, b, c (v in m/s) and the upper triangle of their covariance.
+        estimate: Mean and covariance of a, b, c (v in m/s).
 
     """
 
     def __init__(self, believed: tuple[float, float, float], plan: RunLengths = PLAN) -> None:
-        variances = ((std / _FAST**i) ** 2 for i, std in enumerate(PRIOR_STD))
-        A, D, F = variances
-        self._prior: Belief = (*believed, A, 0.0, 0.0, D, 0.0, F)
+        self._prior = independent(believed, [(std / _FAST**i) ** 2 for i, std in enumerate(PRIOR_STD)])
         self._tracker = Tracker(self._prior, plan)
         self._rows: list[tuple[float, ...]] = []
         self._seen = 0
         self._variance = 0.0
 
     @property
-    def belief(self) -> Belief:
-        """What is believed; the prior while warming up."""
-        return self._tracker.belief
+    def estimate(self) -> Normal:
+        """The estimate; the prior while warming up."""
+        return self._tracker.estimate
 
     @property
     def steps_found(self) -> int:
@@ -64,7 +65,7 @@ class RobustStream:
         """Take one observation in."""
         self._seen += 1
         if self._seen <= _SECOND_LOOK:
-            self._rows.append((v, v * v, y, _TINY, 1.0))
+            self._rows.append((1.0, v, v * v, y, _TINY, 1.0))
         if self._seen in (_WARM_UP, _SECOND_LOOK):
             self._look()
         elif self._seen > _WARM_UP:
@@ -75,7 +76,8 @@ class RobustStream:
         # Variances so small that the fit takes the scale from the residuals.
         fit = robust_fit(tuple(self._rows), self._prior)
         start = self._prior if fit is None else fit
-        residuals = [abs(y - predict(start, v, s)[0]) for v, s, y, _, _ in self._rows]
+        rows = np.array(self._rows)
+        residuals = np.abs(rows[:, 3] - rows[:, :3] @ start.theta)
         # The median of one-sided errors lies higher than that of noise: rather too small, since it is learned.
         self._variance = max((1.2 * float(np.median(residuals))) ** 2, _TINY)
         if fit is not None:
@@ -84,10 +86,11 @@ class RobustStream:
             self._rows.clear()
 
     def _learn(self, v: float, y: float) -> None:
-        expected, doubt = predict(self._tracker.belief, v, v * v)
+        phi: Array = np.array((1.0, v, v * v))
+        expected, variance = self._tracker.estimate.predict(phi)
         nu = y - expected
-        weight = self._tracker.update(v, v * v, y, self._variance)
+        weight = self._tracker.update(phi, y, self._variance)
         if self._tracker.change_probability < _DOUBTFUL:
-            S = doubt + self._variance
+            S = variance + self._variance
             known = self._variance / S
             self._variance += _MEMORY * weight * known * (min(nu * nu / S, _MOST) - 1.0) * self._variance

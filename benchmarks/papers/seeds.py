@@ -4,20 +4,29 @@
 from __future__ import annotations
 
 import os
+import sys
 from concurrent.futures import ProcessPoolExecutor
 from multiprocessing import get_context
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Final, TypeVar
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
+S = TypeVar('S')
 T = TypeVar('T')
+# Results between two lines of progress.
+_SHOWN_EVERY: Final = 20
 
 
-def over_seeds(run: Callable[[int], T], seeds: Iterable[int]) -> list[T]:
-    """Return what a function of module level gives for each seed, in order.
+def over_seeds(run: Callable[[S], T], seeds: Iterable[S], progress: str = '') -> list[T]:
+    """Return what a function of module level gives for each seed, or trial with a seed, in order.
 
-    Children start anew: a fork of a process with threads may hang.
+    Children start anew: a fork of a process with threads may hang. With a name of what is counted, progress shows.
     """
+    trials, results = list(seeds), list[T]()
     with ProcessPoolExecutor(os.cpu_count(), mp_context=get_context('spawn')) as pool:
-        return list(pool.map(run, seeds))
+        for result in pool.map(run, trials):
+            results.append(result)
+            if progress and not len(results) % _SHOWN_EVERY:
+                print(f'{progress}: {len(results)} of {len(trials)}', file=sys.stderr, flush=True)
+    return results

@@ -14,14 +14,24 @@ from trainid_ros.estimators.speed_model import am_vff_rls, integral_rls, rls
 from trainid_ros.estimators.speed_model.am_vff_rls import AmVffRlsConfig
 from trainid_ros.estimators.speed_model.auxiliary_model import prior_floor
 from trainid_ros.estimators.speed_model.ekf import ekf_tuning
-from trainid_ros.estimators.speed_model.parameters import SpeedModelConfig, Symmetric, prior
+from trainid_ros.estimators.speed_model.parameters import SpeedModelConfig, Symmetric, Theta, prior, upper
 from trainid_ros.physics.resistance import G
 
 # The fleet as one knows it before: Davis parameters, their spread, and a load of +-12 %.
-_FLEET: Final = SpeedModelConfig(
-    prior_share=0.0, prior_std_a=3.0, prior_std_b=0.03, prior_std_c=0.004, prior_std_mass=0.12
-)
-THETA0, P0 = prior((2.0, 0.05, 0.0105), G / (1000.0 * 1.08), _FLEET)
+_FLEET: Final = SpeedModelConfig(prior_share=0.0, prior_std_a=3.0, prior_std_b=0.03, prior_std_c=0.004)
+_FLEET_MASS: Final = 0.12
+
+
+def _fleet_prior(davis: tuple[float, float, float], k: float) -> tuple[Theta, Symmetric]:
+    """Return theta(0) and its covariance where nobody weighs: another mass changes all of theta alike, as in (2)."""
+    theta, P = prior(davis, k, _FLEET, _FLEET_MASS)
+    a1, a2, b1, d0 = theta
+    by_mass = np.array([a1, a2 - 1.0, b1, d0])
+    alone = np.diag([P[0], P[4], 0.0, P[9]])
+    return theta, upper(alone + _FLEET_MASS**2 * np.outer(by_mass, by_mass))
+
+
+THETA0, P0 = _fleet_prior((2.0, 0.05, 0.0105), G / (1000.0 * 1.08))
 LOAD: Final = (2e-4) ** 2
 """Variance of the change of b1 at a stop."""
 # Nobody tells the gradient here, so d0 walks; chosen on lines of seeds below 1000, as all settings.

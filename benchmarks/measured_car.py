@@ -1,0 +1,346 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Measured trips of an electric car through the resistance estimators, beside a regression on the same trips.
+
+The data are those of Steinstraeter, Buberger, Trifonov, "Battery and Heating Data in Real Driving Cycles", IEEE
+DataPort 2020, doi 10.21227/6jr9-5235; they are no part of the repository. A folder holds ``trips.csv`` and one npz file
+per trip whose columns are stored as differences in steps. Neither brake pedal nor mass is recorded, so samples count
+only while the accelerator pedal is down, and the mass is nominal.
+
+Usage: python -m benchmarks.measured_car [FOLDER [ALGORITHM]]
+"""
+
+from __future__ import annotations
+
+import csv
+import math
+import sys
+from dataclasses import dataclass
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter1d
+from scipy.signal import lfilter
+
+from benchmarks.tables import Table, as_text
+from trainid_ros.core.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
+from trainid_ros.core.results import Status
+from trainid_ros.estimators.pipeline import EstimatorSettings, resistance_pipeline
+from trainid_ros.estimators.resistance.algorithms import RESISTANCE
+from trainid_ros.physics.resistance import G
+from trainid_ros.physics.train_file import Brake, Davis, Line, Train, TrainFile
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from trainid_ros.core.records import Record
+    from trainid_ros.core.results import ResistanceEstimate
+
+Array = NDArray[np.float64]
+
+FOLDER: Final = Path(__file__).resolve().parents[2] / 'shared' / 'data' / 'bmw_i3'
+DRIVER: Final = 80.0
+MASS: Final = 1370.0 + DRIVER
+# Ratio of gear and final drive, and rolling radius [m].
+_GEAR, _RADIUS = 9.665, 0.3397
+# Coast-down of the model year 2016 at the EPA: N, N per m/s, N per (m/s)^2.
+_COAST_DOWN: Final = (101.9, 3.443, 0.3619)
+# Above this period the gradient is that of the elevation, below it that of the accelerometer [s].
+_CROSSOVER_S: Final = 30.0
+_PERIOD: Final = 0.1
+# Standard deviations of the smoothing of speed and acceleration, and of the elevation in steps of 1 m [samples].
+_SMOOTH, _SMOOTH_ELEVATION = 5.0, 10.0
+_SLOWEST: Final = 1.0
+# The pedal is down above this [%]; the brake command that stands for a brake that may act [m/s^2].
+_PEDAL: Final = 1.0
+_MAY_BRAKE: Final = -0.1
+_SPEED: Final = 20.0
+_SEASONS: Final = (('summer', 'A', 312.0), ('winter', 'B', 421.0))
+# The regression: samples in a window, samples with the pedal down before it, slowest speed [m/s], fewest windows.
+_WINDOW, _BEFORE, _WINDOW_SPEED, _FEWEST = 40, 10, 3.0, 11
+# Tukey's biweight, in robust standard deviations.
+_BIWEIGHT, _MAD, _ROUNDS = 4.685, 1.4826, 30
+
+
+@dataclass(frozen=True, slots=True)
+class Trip:
+    """A trip in SI units, ten times a second; acceleration is that of the accelerometer, with g sin(gradient)."""
+
+    name: str
+    start_ns: int
+    speed: Array
+    elevation: Array
+    acceleration: Array
+    force: Array
+    pedal: NDArray[np.bool_]
+
+    @property
+    def stamps_ns(self) -> NDArray[np.int64]:
+        """Times of the samples."""
+        return self.start_ns + np.round(np.arange(self.speed.size) * _PERIOD * NS_PER_S).astype(np.int64)
+
+
+@dataclass(frozen=True, slots=True)
+class Regression:
+    """Force of resistance at 20 m/s [N] with its standard deviation, effective mass of each trip [kg], windows."""
+
+    force: float
+    std: float
+    masses: dict[str, float]
+    windows: int
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """What an algorithm made of a season.
+
+    Attributes:
+        force: Resistance at 20 m/s [N of the nominal mass] after the last trip.
+        std: Its standard deviation as stated [N].
+        scale: Force scale with its standard deviation, NaN if not estimated.
+        to_valid: Time in motion until the estimate was fit to use [min], infinite if never.
+        valid: Share of the samples in motion with the pedal down at which it was.
+        status: Status at the end.
+        trips: Resistance at 20 m/s after each trip, with its standard deviation [N].
+
+    """
+
+    force: float
+    std: float
+    scale: tuple[float, float]
+    to_valid: float
+    valid: float
+    status: Status
+    trips: dict[str, tuple[float, float]]
+
+
+def stated_car() -> TrainFile:
+    """Return the train file: nominal mass with a driver, resistance by coast-down, mass and force to a tenth."""
+    a, b, c = (1000.0 * value / (MASS * G) for value in _COAST_DOWN)
+    return TrainFile(
+        Train(
+            mass=MASS,
+            rotary_mass=0.05,
+            length=4.0,
+            cars=1,
+            max_traction_force=7100.0,
+            max_traction_power=125e3,
+            max_speed=42.0,
+            mass_std=0.1,
+            force_std=0.1,
+        ),
+        Davis(a, b, c),
+        Brake(1.0, 0.1, 0.1),
+        Line(gradient_std=5.0),
+    )
+
+
+def trip_names(folder: Path, season: str) -> tuple[str, ...]:
+    """Return the names of the trips of a season, 'A' summer or 'B' winter, by date."""
+    with (folder / 'trips.csv').open(encoding='utf-8', newline='') as file:
+        rows = [row for row in csv.DictReader(file) if row['trip'].startswith(f'Trip{season}')]
+    return tuple(row['trip'] for row in sorted(rows, key=lambda row: _start_ns(row['start'])))
+
+
+def load_trip(folder: Path, name: str) -> Trip:
+    """Read a trip."""
+    with (folder / 'trips.csv').open(encoding='utf-8', newline='') as file:
+        start = next(row['start'] for row in csv.DictReader(file) if row['trip'] == name)
+    with np.load(folder / f'{name}.npz') as data:
+        steps = zip(data['names'].tolist(), data['steps'].tolist(), strict=True)
+        columns = {column: np.cumsum(data[column]) * step for column, step in steps}
+    return Trip(
+        name=name,
+        start_ns=_start_ns(start),
+        speed=columns['speed_kmh'] / 3.6,
+        elevation=columns['elevation_m'],
+        acceleration=columns['acc_long'],
+        force=wheel_force(columns['motor_torque_nm']),
+        pedal=columns['throttle'] > _PEDAL,
+    )
+
+
+def _start_ns(text: str) -> int:
+    # Dates are written 2019-12-07_17-49-35 and 2019_12_09_07-58-11.
+    numbers = [int(part) for part in text.replace('_', '-').split('-')]
+    year, month, day, hour, minute, second = numbers
+    return round(datetime(year, month, day, hour, minute, second, tzinfo=UTC).timestamp()) * NS_PER_S
+
+
+def wheel_force(torque: Array) -> Array:
+    """Return the force at the wheels [N] of a motor torque [N m], without losses."""
+    return np.asarray(_GEAR * torque / _RADIUS)
+
+
+def gradient(trip: Trip) -> Array:
+    """Return the gradient [per mille]: accelerometer less dv/dt for short periods, elevation for long ones.
+
+    Not causal: both smoothing and crossover look ahead, as a map would know the road ahead.
+    """
+    slope = _smooth(trip.acceleration, _SMOOTH) / G - acceleration(trip) / G
+    climb = np.gradient(_smooth(trip.elevation, _SMOOTH_ELEVATION), _PERIOD)
+    speed = np.maximum(_slow(trip.speed), _SLOWEST)
+    return np.asarray(1000.0 * (slope + (_slow(climb) - _slow(slope * trip.speed)) / speed))
+
+
+def acceleration(trip: Trip) -> Array:
+    """Return dv/dt [m/s^2]."""
+    return np.asarray(np.gradient(_smooth(trip.speed, _SMOOTH), _PERIOD))
+
+
+def _smooth(values: Array, width: float) -> Array:
+    return np.asarray(gaussian_filter1d(values, width))
+
+
+def _slow(values: Array) -> Array:
+    """Return the part with long periods: a low-pass of first order, forward and back."""
+    gain = 1.0 - math.exp(-_PERIOD / _CROSSOVER_S)
+
+    def forward(x: Array) -> Array:
+        out, _ = lfilter([gain], [1.0, gain - 1.0], x, zi=[(1.0 - gain) * x[0]])
+        return np.asarray(out)
+
+    return forward(forward(values)[::-1])[::-1]
+
+
+def records(trip: Trip) -> Iterator[Record]:
+    """Yield the records of a trip: a brake command while the accelerator pedal is up, for a brake may act."""
+    position = np.cumsum(trip.speed) * _PERIOD
+    command = np.where(trip.pedal, 0.0, _MAY_BRAKE)
+    columns = (trip.stamps_ns, trip.speed, position, trip.force, gradient(trip), command)
+    for stamp, speed, at, force, slope, brake in zip(*(column.tolist() for column in columns), strict=True):
+        yield SpeedRecord(stamp, max(speed, 0.0), at)
+        yield ForceRecord(stamp, force)
+        yield GradientRecord(stamp, slope, 0.0, False)
+        yield BrakeRecord(stamp, brake, False)
+
+
+def regress(trips: Sequence[Trip]) -> Regression:
+    """Return resistance and masses by robust least squares on windows with the pedal down.
+
+    ``F = m (dv/dt + g i) + A + B v + C v^2`` with one effective mass m a trip and A, B, C common to all.
+    """
+    parts = [(trip.name, part) for trip in trips if len(part := _windows(trip)) >= _FEWEST]
+    X = np.vstack([_rows(part, i, len(parts)) for i, (_, part) in enumerate(parts)])
+    y = np.concatenate([part[:, 3] for _, part in parts])
+    weight = np.ones(y.size)
+    for _ in range(_ROUNDS):
+        root = np.sqrt(weight)
+        theta = np.linalg.lstsq(X * root[:, None], y * root, rcond=None)[0]
+        error = np.abs(y - X @ theta)
+        std = _MAD * float(np.median(error))
+        weight = (1.0 - np.minimum(error / (_BIWEIGHT * std), 1.0) ** 2) ** 2
+    at = np.zeros(theta.size)
+    at[-3:] = 1.0, _SPEED, _SPEED**2
+    P = std**2 * np.linalg.inv((X * weight[:, None]).T @ X)
+    masses = {name: float(mass) for (name, _), mass in zip(parts, theta, strict=False)}
+    return Regression(float(at @ theta), math.sqrt(at @ P @ at), masses, y.size)
+
+
+def _windows(trip: Trip) -> Array:
+    """Return specific gravity and inertia force [m/s^2], mean v, mean v^2 and mean force of each window."""
+    slope, down = gradient(trip), trip.pedal & (trip.speed > _WINDOW_SPEED)
+    rows = []
+    for begin in range(2 * _BEFORE, trip.speed.size - _WINDOW, _WINDOW):
+        if down[begin - _BEFORE : begin + _WINDOW].all():
+            part = slice(begin, begin + _WINDOW)
+            v = trip.speed[part]
+            rate = (trip.speed[begin + _WINDOW] - v[0]) / (_WINDOW * _PERIOD)
+            felt = rate + G * slope[part].mean() / 1000.0
+            rows.append((felt, v.mean(), np.square(v).mean(), trip.force[part].mean()))
+    return np.array(rows).reshape(-1, 4)
+
+
+def _rows(part: Array, index: int, trips: int) -> Array:
+    rows = np.zeros((len(part), trips + 3))
+    rows[:, index] = part[:, 0]
+    rows[:, -3:] = np.column_stack([np.ones(len(part)), part[:, 1], part[:, 2]])
+    return rows
+
+
+def identify(trips: Sequence[Trip], algorithm: str) -> Outcome:
+    """Run a resistance algorithm through trips in one stream of records, with the real gaps between them."""
+    settings = EstimatorSettings(resistance=RESISTANCE.choose(algorithm))
+    pipeline = resistance_pipeline(stated_car(), settings)
+    moving = valid = 0
+    to_valid, after = math.inf, {}
+    for trip in trips:
+        pedal = dict(zip(trip.stamps_ns.tolist(), trip.pedal.tolist(), strict=True))
+        for record in records(trip):
+            for output in pipeline.push(record):
+                if output.estimate.speed < _SLOWEST or not pedal.get(output.stamp_ns, False):
+                    continue
+                moving += 1
+                fit = output.status is Status.VALID
+                valid += fit
+                if fit and math.isinf(to_valid):
+                    to_valid = moving / (60.0 * 5.0)
+        after[trip.name] = force_at(pipeline.estimator.estimate(_SPEED))
+    estimate = pipeline.estimator.estimate(_SPEED)
+    scale = estimate.force_scale, estimate.force_scale_std
+    return Outcome(*force_at(estimate), scale, to_valid, valid / max(moving, 1), pipeline.status, after)
+
+
+def force_at(estimate: ResistanceEstimate) -> tuple[float, float]:
+    """Return the resistance in newtons as the motor reports them, and its standard deviation, at the estimate's speed.
+
+    The specific resistance is one of the true weight, of which only the ratio to the force gain is known:
+    ``(1 + kappa) F / (M g) = w`` with the nominal mass M.
+    """
+    scale = 1.0 if math.isnan(estimate.force_scale) else estimate.force_scale
+    weight = MASS * G / (1000.0 * scale)
+    return weight * estimate.resistance, weight * estimate.resistance_std
+
+
+def measure(folder: Path | str = FOLDER, algorithm: str = '') -> tuple[Table, ...]:
+    """Return tables of resistance by season and after each trip."""
+    folder, algorithm = Path(folder), algorithm or RESISTANCE.default
+    rows, trip_rows = [], []
+    for season, letter, reference in _SEASONS:
+        trips = [load_trip(folder, name) for name in trip_names(folder, letter)]
+        regression, found = regress(trips), identify(trips, algorithm)
+        rows.append(_row(season, reference, regression, found))
+        for name, (force, std) in found.trips.items():
+            mass = regression.masses.get(name, math.nan)
+            trip_rows.append((name, f'{force:.0f} ± {std:.0f}', f'{mass:.0f}'))
+    header = (
+        'season',
+        'reference, N',
+        'regression, N',
+        f'{algorithm}, N',
+        'force scale',
+        'to VALID, min',
+        'VALID',
+        'end',
+    )
+    note = (
+        'Resistance at 20 m/s. Minutes and shares count samples in motion with the accelerator pedal down. '
+        'The regression has effective masses of its own: force gain and rotating masses are in them.'
+    )
+    trip_header = ('after trip', f'{algorithm}, N', 'mass by regression, kg')
+    return Table('Measured car', header, tuple(rows), note), Table('By trip', trip_header, tuple(trip_rows))
+
+
+def _row(season: str, reference: float, regression: Regression, found: Outcome) -> tuple[str, ...]:
+    scale, std = found.scale
+    return (
+        season,
+        f'{reference:.0f}',
+        f'{regression.force:.0f} ± {regression.std:.0f}',
+        f'{found.force:.0f} ± {found.std:.0f}',
+        '-' if math.isnan(scale) else f'{scale:.3f} ± {std:.3f}',
+        '-' if math.isinf(found.to_valid) else f'{found.to_valid:.1f}',
+        f'{found.valid:.0%}',
+        found.status.name,
+    )
+
+
+def main() -> None:
+    """Print the tables."""
+    print('\n\n'.join(as_text(table) for table in measure(*sys.argv[1:3])))
+
+
+if __name__ == '__main__':
+    main()

@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One simulated drive and how each algorithm fares in it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from benchmarks.days import samples_of
+from benchmarks.real_train_informed import InformedFilter, information_of
+from benchmarks.real_train_scores import answers_of, course_of, score
+from benchmarks.worlds import FIELD, Rates, drive
+from trainid_ros.estimators.resistance.algorithms import RESISTANCE
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from benchmarks.real_train_scores import Score
+    from benchmarks.worlds import Drive
+    from trainid_ros.core.results import ResistanceEstimate
+    from trainid_ros.estimators.protocol import Estimator
+
+INFORMED: Final = 'informed filter'
+PAIR: Final = ('V-MILS', 'filter-bank')
+ALL: Final = (*PAIR, 'two-window', 'speed-EKF', INFORMED)
+EVERY_TOPIC_5_HZ: Final = Rates()
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """A drive, and which algorithms go along; see :func:`benchmarks.worlds.drive`."""
+
+    world: str
+    seed: int
+    unknowns: frozenset[str] = FIELD
+    rates: Rates = EVERY_TOPIC_5_HZ
+    algorithms: tuple[str, ...] = field(default=ALL, compare=False)
+    duration: float | None = field(default=None, compare=False)
+
+
+def run(trial: Trial) -> Mapping[str, Score]:
+    """Simulate a drive once, and score all algorithms on the same samples."""
+    ride = drive(trial.world, trial.seed, trial.unknowns, trial.rates, trial.duration)
+    samples = samples_of(ride.records)
+    course = course_of(ride.truth, np.array([sample.stamp_ns for sample in samples]))
+    return {name: score(answers_of(estimator_of(name, ride, trial.seed), samples), course) for name in trial.algorithms}
+
+
+def estimator_of(name: str, ride: Drive, seed: int) -> Estimator[ResistanceEstimate]:
+    """Return an algorithm for the train of a drive; only the informed filter sees the truth."""
+    if name == INFORMED:
+        return InformedFilter(ride.train_file, information_of(ride.truth))
+    return RESISTANCE.make(RESISTANCE.choose(name), ride.train_file, np.random.default_rng(seed))

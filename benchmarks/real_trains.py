@@ -1,0 +1,46 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The resistance on trains of five worlds, with all that is not known of a real train."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from benchmarks.accuracy import resistance_scores
+from benchmarks.papers.seeds import over_seeds
+from benchmarks.real_train_tables import paired_table, world_tables
+from benchmarks.real_train_trials import PAIR, Trial, run
+from benchmarks.worlds import CLEAN, FIELD, WORLDS
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from benchmarks.tables import Plot, Table
+
+# From here on seeds were never looked at while estimators were built.
+FIRST_SEED: Final = 1001
+
+
+def measure(seeds: int) -> tuple[Table | Plot, ...]:
+    """Score all algorithms on drives of all worlds, one a seed, and on as many stock days."""
+    return measured(range(FIRST_SEED, FIRST_SEED + seeds))
+
+
+def measured(seeds: Sequence[int]) -> tuple[Table | Plot, ...]:
+    """Score all algorithms on drives of these seeds."""
+    trials = trials_of(seeds)
+    results = dict(zip(trials, over_seeds(run, trials, 'real_trains: drives'), strict=True))
+    days = over_seeds(stock_day, seeds, 'real_trains: stock days')
+    return *world_tables(results, seeds), paired_table(results, seeds, days)
+
+
+def trials_of(seeds: Sequence[int]) -> tuple[Trial, ...]:
+    """Return the drives of all worlds, in the field and where all but the changes is known."""
+    return tuple(Trial(world, seed, unknowns) for unknowns in (FIELD, CLEAN) for seed in seeds for world in WORLDS)
+
+
+def stock_day(seed: int) -> tuple[float, float]:
+    """Return the errors of V-MILS and of filter-bank on one stock day [N/kN]."""
+    vmils, bank = (float(np.mean(one.errors)) for one in resistance_scores(PAIR, seed))
+    return vmils, bank

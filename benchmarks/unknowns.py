@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What each unknown of a real train costs the resistance, and what the rates of the topics cost."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from benchmarks.papers.seeds import over_seeds
+from benchmarks.real_train_tables import RATES, cost_tables, costs, rate_tables
+from benchmarks.real_train_trials import PAIR, Trial, run
+from benchmarks.real_trains import FIRST_SEED
+from benchmarks.worlds import WORLDS
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from benchmarks.tables import Table
+
+
+def measure(seeds: int) -> tuple[Table, ...]:
+    """Score V-MILS and the filter bank with each unknown alone and with all but one, and at other rates."""
+    chosen = range(FIRST_SEED, FIRST_SEED + seeds)
+    trials = trials_of(chosen)
+    results = dict(zip(trials, over_seeds(run, trials, 'unknowns: drives'), strict=True))
+    return *cost_tables(results, chosen), *rate_tables(results, chosen)
+
+
+def trials_of(seeds: Sequence[int]) -> tuple[Trial, ...]:
+    """Return all drives to simulate, each once."""
+    rates = [Trial('metro', seed, rates=rate) for seed in seeds for rate in RATES.values()]
+    apart = [
+        Trial(world, seed, unknowns, algorithms=PAIR)
+        for seed in seeds
+        for unknowns, _ in costs().values()
+        for world in WORLDS
+    ]
+    # Equal trials come once, as the first of them: with all algorithms.
+    return tuple(dict.fromkeys([*rates, *apart]))

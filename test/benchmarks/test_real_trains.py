@@ -1,0 +1,152 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Scores of the resistance on real trains, on small cases made by hand and on one short drive."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks import unknowns
+from benchmarks.days import samples_of
+from benchmarks.real_train_informed import InformedFilter, information_of
+from benchmarks.real_train_scores import (
+    Answers,
+    Course,
+    Score,
+    course_of,
+    first_valid,
+    motion_since_change,
+    motion_time,
+    score,
+)
+from benchmarks.real_train_tables import cost_tables, costs, first_cell, paired_table, rate_tables, spread, world_tables
+from benchmarks.real_train_trials import ALL, PAIR, Trial, run
+from benchmarks.real_trains import trials_of
+from benchmarks.worlds import CLEAN, FIELD, WORLDS, Rates, drive
+from trainid_ros.estimators.resistance.speed_states import A, B, C
+
+N = 4
+# Speed 2 m/s: w is off by 1 + 2 * 0.5 + 4 * 0.25 = 3 in the last two samples.
+COURSE = Course(
+    speed=np.full(N, 2.0),
+    davis=np.tile((1.0, 0.5, 0.25), (N, 1)),
+    moving=np.array([False, True, True, True]),
+    motion_s=np.array([0.0, 60.0, 120.0, 180.0]),
+    settled=np.array([False, False, True, True]),
+)
+ANSWERS = Answers(
+    davis=np.array([(1.0, 0.5, 0.25)] * 2 + [(2.0, 1.0, 0.5)] * 2),
+    std=np.array([1.0, 1.0, 0.9, 1.6]),
+    used=np.array([True, True, True, False]),
+    valid=np.array([False, False, True, False]),
+)
+
+
+def test_error_and_cover_are_of_settled_samples() -> None:
+    found = score(ANSWERS, COURSE)
+    assert found.error == pytest.approx(3.0)
+    # 3 lies within 1.96 * 1.6, but not within 1.96 * 0.9.
+    assert found.cover == 0.5
+
+
+def test_status_is_scored_over_the_time_in_motion() -> None:
+    found = score(ANSWERS, COURSE)
+    assert found.valid == pytest.approx(1.0 / 3.0)
+    assert found.first_valid_min == 2.0
+    # Two samples in motion were used; one is VALID and 3 > 3 * 0.9 off.
+    assert found.wrong == 0.5
+    assert score(replace(ANSWERS, std=np.full(N, 1.1)), COURSE).wrong == 0.0
+
+
+def test_without_settled_samples_there_is_no_error() -> None:
+    found = score(ANSWERS, replace(COURSE, settled=np.zeros(N, bool)))
+    assert math.isnan(found.error)
+    assert math.isnan(found.cover)
+
+
+def test_never_valid_is_infinitely_late() -> None:
+    assert first_valid(COURSE.motion_s, np.zeros(N, bool)) == math.inf
+
+
+def test_time_in_motion_counts_from_the_last_change() -> None:
+    time_s = np.arange(1.0, 9.0)
+    moving = np.array([0, 1, 1, 0, 0, 1, 1, 1], bool)
+    motion_s = motion_time(time_s, moving)
+    assert motion_s.tolist() == [0, 1, 2, 2, 2, 3, 4, 5]
+    assert motion_since_change(time_s, motion_s, ()).tolist() == motion_s.tolist()
+    assert motion_since_change(time_s, motion_s, (3.0, 6.0)).tolist() == [0, 1, 0, 0, 0, 0, 1, 2]
+
+
+def test_a_course_settles_after_motion_not_after_time() -> None:
+    truth = drive('metro', 21, CLEAN, duration=900.0).truth
+    course = course_of(truth, truth.time_ns)
+    assert course.motion_s[-1] == pytest.approx(0.2 * np.count_nonzero(truth.speed >= 1.0), rel=0.01)
+    since = course.motion_s - np.interp(truth.changes[-1], 0.2 * np.arange(len(truth.speed)), course.motion_s)
+    after = 0.2 * np.arange(len(truth.speed)) > truth.changes[-1]
+    assert np.array_equal(course.settled[after], (course.moving & (since >= 300.0))[after])
+    assert np.array_equal(course.davis[-1], (truth.a[-1], truth.b[-1], truth.c[-1]))
+
+
+def test_all_algorithms_go_along_on_a_short_drive() -> None:
+    found = run(Trial('metro', 21, FIELD - {'changes'}, duration=600.0))
+    assert tuple(found) == ALL
+    assert all(one.error < 2.0 for one in found.values())
+    assert all(0.0 <= one.valid < 1.0 and 0.0 <= one.cover <= 1.0 for one in found.values())
+
+
+def test_the_informed_filter_widens_a_and_c_at_a_change() -> None:
+    made = drive('metro', 21, FIELD, duration=60.0)
+    known = replace(information_of(made.truth), changes_ns=())
+    assert (known.gust_std, known.map_std) == (made.truth.gust_std, made.truth.map_std)
+    sample = samples_of(made.records)[0]
+    quiet = InformedFilter(made.train_file, known)
+    informed = InformedFilter(made.train_file, replace(known, changes_ns=(sample.stamp_ns,)))
+    quiet.step(sample)
+    informed.step(sample)
+    before, after = (np.array(item.estimate(10.0).covariance).reshape(3, 3) for item in (quiet, informed))
+    grown = np.diag(after - before)
+    assert grown[A - 1] > 0.0
+    assert grown[C - 1] > 0.0
+    assert grown[B - 1] == 0.0
+
+
+def test_information_has_the_stamps_of_the_changes() -> None:
+    truth = drive('metro', 21, CLEAN, duration=300.0).truth
+    known = information_of(truth)
+    assert known.changes_ns
+    for stamp_ns, change in zip(known.changes_ns, truth.changes, strict=True):
+        assert (stamp_ns - int(truth.time_ns[0])) * 1e-9 == pytest.approx(change)
+
+
+def test_means_leave_out_what_was_not_scored() -> None:
+    assert spread(np.array([1.0, 3.0, math.nan])) == '2.000 ± 1.000'
+    assert spread(np.array([math.nan])) == '-'
+    assert spread(np.array([1.0]), sign='+') == '+1.000'
+
+
+def test_first_valid_shows_drives_without_one() -> None:
+    scores = [Score(0.1, 0.9, 0.5, minutes, 0.0) for minutes in (4.0, 20.0, math.inf)]
+    assert first_cell(scores) == '20.0, 33%'
+    assert first_cell(scores[2:]) == 'never, 0%'
+
+
+def test_every_drive_is_simulated_once_and_every_cell_has_its_drives() -> None:
+    seeds, fewer = range(1, 4), range(1, 3)
+    trials = (*unknowns.trials_of(fewer), *trials_of(seeds))
+    for part in (trials_of(seeds), unknowns.trials_of(fewer)):
+        assert len(set(part)) == len(part)
+    assert Trial('metro', 1, rates=Rates(50.0, 50.0, 50.0, 50.0)) in trials
+    results = {
+        trial: {name: Score(0.1 * k, 0.9, 0.5, 3.0, 0.0) for k, name in enumerate(trial.algorithms)} for trial in trials
+    }
+    worlds = world_tables(results, seeds)
+    assert [len(table.rows) for table in worlds] == [len(ALL)] * 7
+    paired = paired_table(results, seeds, [(0.1, 0.3), (0.2, 0.2)])
+    assert paired.rows[-1] == ('stock days', '0.150 ± 0.050', '0.250 ± 0.050', '+0.100 ± 0.100', '0%')
+    assert len(paired.rows) == 2 * len(WORLDS) + 1
+    costly = cost_tables(results, fewer)
+    assert [len(table.rows) for table in costly] == [len(costs())] * len(PAIR)
+    assert len(rate_tables(results, fewer)) == 2
