@@ -34,6 +34,9 @@ def test_a_coasting_sample_is_admitted(admission: Admission, sample: Make) -> No
     [
         ({'dt': math.nan}, Reason.GAP),
         ({'force_mean': math.nan}, Reason.FORCE_MISSING),
+        ({'force_mean': 1001.0 * WEIGHT_KN}, Reason.OUT_OF_RANGE),
+        ({'force': 1001.0 * WEIGHT_KN}, Reason.OUT_OF_RANGE),
+        ({'force_mean': -1001.0 * WEIGHT_KN}, Reason.OUT_OF_RANGE),
         ({'gradient_mean': math.nan}, Reason.GRADIENT_MISSING),
         ({'brake_command': math.nan}, Reason.BRAKE_COMMAND_MISSING),
         ({'speed': 0.999}, Reason.STANDSTILL),

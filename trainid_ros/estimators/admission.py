@@ -38,6 +38,7 @@ class Admission:
         checks = (
             (not math.isnan(sample.dt), Reason.GAP, sample.dt, math.nan),
             (math.isfinite(sample.force_mean), Reason.FORCE_MISSING, sample.force_mean, math.nan),
+            (self.known.is_possible(sample), Reason.OUT_OF_RANGE, sample.force_mean, self.known.largest_force(sample)),
             (math.isfinite(sample.gradient_mean), Reason.GRADIENT_MISSING, sample.gradient_mean, math.nan),
             (math.isfinite(sample.brake_command), Reason.BRAKE_COMMAND_MISSING, sample.brake_command, math.nan),
             (sample.speed >= self.min_speed, Reason.STANDSTILL, sample.speed, self.min_speed),

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 
 from trainid_ros.physics.effects import BRAKE_APPLIED, TrackPoint, resistance_terms
 from trainid_ros.physics.line import LineProfile
-from trainid_ros.physics.resistance import specific_force, specific_inertia
+from trainid_ros.physics.resistance import G, specific_force, specific_inertia
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -45,6 +45,14 @@ class KnownForce:
     def traction(self, force: float, sample: Sample) -> float:
         """Return 1000 F/(M g) as reported [N/kN]."""
         return specific_force(force, self.mass(sample))
+
+    def largest_force(self, sample: Sample) -> float:
+        """Return the weight of the train [N]: no wheel transmits a force greater than its load."""
+        return self.mass(sample) * G
+
+    def is_possible(self, sample: Sample) -> bool:
+        """Return False if no train could exert the reported force."""
+        return not max(abs(sample.force_mean), abs(sample.force)) > self.largest_force(sample)
 
     def track(self, sample: Sample) -> float:
         """Return gradient and modelled extra resistance, mean since the previous sample [N/kN]."""

@@ -319,6 +319,7 @@ def test_outliers_are_refused_and_several_in_a_row_are_believed(train_file: Trai
     [
         ({'dt': math.nan}, Reason.GAP),
         ({'force_mean': math.nan}, Reason.FORCE_MISSING),
+        ({'force_mean': 1e8}, Reason.OUT_OF_RANGE),
         ({'gradient_mean': math.nan}, Reason.GRADIENT_MISSING),
         ({'brake_command': math.nan}, Reason.BRAKE_COMMAND_MISSING),
         ({'speed': 0.4}, Reason.STANDSTILL),

@@ -146,10 +146,10 @@ def test_a_young_hypothesis_counts_in_the_covariance_more_than_in_the_mean() -> 
     found = bank.mixture()
     assert found.mean == pytest.approx(mean, rel=1e-12)
     assert found.covariance == pytest.approx(old * P[0] + young * P[1] + spread, rel=1e-12)
+    plain = 0.9 * P[0] + 0.1 * P[1] + 0.09 * np.outer(x[0] - x[1], x[0] - x[1])
+    assert found.posterior == pytest.approx(plain, rel=1e-12)
     bank.state.age[1] = 120.0
-    assert bank.mixture().covariance == pytest.approx(
-        0.9 * P[0] + 0.1 * P[1] + 0.09 * np.outer(x[0] - x[1], x[0] - x[1]), rel=1e-12
-    )
+    assert bank.mixture().covariance == pytest.approx(plain, rel=1e-12)
 
 
 def test_a_hypothesis_counts_from_the_patience_on() -> None:

@@ -14,7 +14,7 @@ def inflation(std: float, rho: float = 0.0, seed: int = 1) -> list[float]:
     rng, item, x, found = np.random.default_rng(seed), Inflation(), 0.0, []
     for _ in range(20_000):
         x = rho * x + (1.0 - rho * rho) ** 0.5 * float(rng.standard_normal())
-        item.add(std * x, 1.0)
+        item.add(std * x, 1.0, 1.2)
         found.append(item.factor)
     return found
 
@@ -34,11 +34,11 @@ def test_it_counts_errors_that_are_too_large_and_such_that_are_correlated() -> N
 def test_one_batch_says_no_more_than_its_share() -> None:
     item = Inflation()
     for _ in range(40):
-        item.add(1e6, 1.0)
+        item.add(1e6, 1.0, 1.2)
     assert item.factor == pytest.approx(2.0)
     assert item.is_sound()
 
 
-@pytest.mark.parametrize('wrong', [Inflation(ratio=0.0), Inflation(variance=-1.0), Inflation(count=40)])
+@pytest.mark.parametrize('wrong', [Inflation(ratio=0.0), Inflation(variance=-1.0), Inflation(length=48.0)])
 def test_an_unsound_state_shows(wrong: Inflation) -> None:
     assert not wrong.is_sound()

@@ -191,7 +191,7 @@ class BrakeRateEstimator:
         return None
 
     def _refuse(self, sample: Sample) -> Refusal | None:
-        uncertain_s = (self.state.certain_ns - sample.stamp_ns) / NS_PER_S
+        known, uncertain_s = self._model.known, (self.state.certain_ns - sample.stamp_ns) / NS_PER_S
         checks = (
             (not math.isnan(sample.dt), Reason.GAP, sample.dt, math.nan),
             (sample.speed >= self.config.min_speed, Reason.STANDSTILL, sample.speed, self.config.min_speed),
@@ -199,6 +199,7 @@ class BrakeRateEstimator:
             (uncertain_s <= 0.0, Reason.BRAKE_UNCERTAIN, uncertain_s, 0.0),
             (math.isfinite(sample.gradient_mean), Reason.GRADIENT_MISSING, sample.gradient_mean, math.nan),
             (math.isfinite(sample.force_mean), Reason.FORCE_MISSING, sample.force_mean, math.nan),
+            (known.is_possible(sample), Reason.OUT_OF_RANGE, sample.force_mean, known.largest_force(sample)),
         )
         for fine, reason, value, limit in checks:
             if not fine:

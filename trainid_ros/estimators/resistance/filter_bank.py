@@ -61,12 +61,10 @@ _STEPS_AHEAD: Final = 2
 _MOST_TICKS: Final = 200
 # Innovations beyond this many standard deviations have a weight below a thousandth.
 _GATE: Final = 5.5
-# A speed that is refused so many times in a row is not the one to predict from.
-_RESTART_AFTER: Final = 25
+# A speed that is refused for so long is not the one to predict from [s].
+_RESTART_AFTER_S: Final = 5.0
 # Samples between two judgements whether the estimate is fit to use.
 _JUDGED_EVERY: Final = 5
-# Innovations whose sums show what the model does not know of: those of 50 s at 5 Hz.
-_BATCH: Final = 250
 # Wheel diameters are off by up to half a per cent or so, a standard deviation of this.
 _WHEEL_STD: Final = 0.003
 # Forces that are plausible to the records alone lead to less; beyond, the steps of the filters would diverge.
@@ -106,8 +104,10 @@ class FilterBankConfig:
     hypotheses: int = setting(28, 'most hypotheses at a time', '', 4, 1000)
     branch_interval: float = setting(10.0, 'driving time between branchings', 's', 1.0, 1000.0)
     patience: float = setting(10.0, 'age from which on a hypothesis counts', 's', 0.0, 1000.0)
-    suspicion: float = setting(50.0, 'weight of young hypotheses in the stated covariance', '1', 1.0, 1000.0)
-    valid_std: float = setting(0.15, 'fit to use below this standard deviation', 'N/kN', 1e-3, 10.0)
+    suspicion: float = setting(200.0, 'weight of young hypotheses in the stated covariance', '1', 1.0, 1000.0)
+    valid_std: float = setting(
+        0.15, 'fit to use below this standard deviation, suspected steps not counted', 'N/kN', 1e-3, 10.0
+    )
     valid_share: float = setting(0.05, 'or below this share of the resistance (root of squares)', '1', 0.0, 1.0)
 
 
@@ -137,7 +137,7 @@ class FilterBankState:
     running: bool
     stopped: bool
     stride: int
-    refused: int
+    refused_s: float
     braked_ns: int
     innovation: float
     innovation_variance: float
@@ -159,12 +159,12 @@ class FilterBank:
 
     def _forget(self) -> None:
         self._tachometer = Tachometer(self.config.speed_std, self.config.speed_std**2)
-        self._inflation = Inflation(batch=_BATCH)
+        self._inflation = Inflation()
         self._ticks: deque[Tick] = deque()
         self._stride = 1
         self._driven = DrivenSpeeds()
         self._running = self._stopped = self._converged = False
-        self._refused = self._admission.braked_ns = 0
+        self._refused_s, self._admission.braked_ns = 0.0, 0
         self._innovation = self._innovation_variance = self._test_ratio = 0.0
         self._mixture: Mixture | None = None
 
@@ -229,7 +229,7 @@ class FilterBank:
         if not self._bank.is_finite():
             self._bank.reset()
             # What was known is lost, so nothing is fit to use and no speed has been learned from.
-            self._driven, self._inflation = DrivenSpeeds(), Inflation(batch=_BATCH)
+            self._driven, self._inflation = DrivenSpeeds(), Inflation()
             self._running = self._converged = False
             return Refusal(tick.stamp_ns, Reason.NUMERICAL, innovation.value, math.nan)
         return self._account(tick, innovation)
@@ -240,7 +240,7 @@ class FilterBank:
             self._bank.widen_force_scale(scale_step(self._train, weighed=tick.weighed) ** 2)
             self._stopped = False
         self._bank.restart(tick.speed, tick.variance)
-        self._running, self._refused = True, 0
+        self._running, self._refused_s = True, 0.0
         self._mixture = None
 
     def _account(self, tick: Tick, innovation: Innovation) -> Refusal | None:
@@ -249,12 +249,12 @@ class FilterBank:
         per_speed = self._known.inertia / tick.dt
         self._innovation, self._innovation_variance = -per_speed * nu, per_speed**2 * S
         self._test_ratio = nu * nu / (_GATE**2 * S)
-        self._inflation.add(innovation.weight * nu / math.sqrt(S), 1.0)
+        self._inflation.add(innovation.weight * nu / math.sqrt(S), 1.0, tick.dt)
         if self._test_ratio > 1.0:
-            self._refused += 1
-            self._running = self._refused < _RESTART_AFTER
+            self._refused_s += tick.dt
+            self._running = self._refused_s < _RESTART_AFTER_S - 0.5 * tick.dt
             return Refusal(tick.stamp_ns, Reason.OUTLIER, nu, _GATE * math.sqrt(S))
-        self._refused = 0
+        self._refused_s = 0.0
         self._driven = self._driven.add(tick.speed)
         if self._driven.count % _JUDGED_EVERY == 0:
             self._judge()
@@ -268,7 +268,7 @@ class FilterBank:
         delay = float(now.mean[-1])
         self._converged = low < delay < high and is_fit_where_driven(
             now.theta,
-            now.theta_covariance,
+            now.posterior[:3, :3],
             self._driven,
             config.valid_std,
             config.valid_share,
@@ -276,14 +276,15 @@ class FilterBank:
         )
 
     def _now(self) -> Mixture:
-        """Return the mixture, its covariance grown by what the model does not know of, and by wrong wheels."""
+        """Return the mixture, its covariances grown by what the model does not know of, and by wrong wheels."""
         if self._mixture is None:
             found = self._bank.mixture()
-            covariance = self._inflation.factor * found.covariance
             # Wheels that are off by a share r change a by r a and c by -r c, and the force scale by r.
             a, _, c, kappa, _ = found.mean.tolist()
             wheel = np.array([a, 0.0, -c, 1.0 + kappa, 0.0])
-            self._mixture = Mixture(found.mean, covariance + _WHEEL_STD**2 * np.outer(wheel, wheel))
+            by_wheels = _WHEEL_STD**2 * np.outer(wheel, wheel)
+            stated, posterior = (self._inflation.factor * S + by_wheels for S in (found.covariance, found.posterior))
+            self._mixture = Mixture(found.mean, stated, posterior)
         return self._mixture
 
     def estimate(self, speed: float) -> ResistanceEstimate:
@@ -323,7 +324,7 @@ class FilterBank:
                 running=self._running,
                 stopped=self._stopped,
                 stride=self._stride,
-                refused=self._refused,
+                refused_s=self._refused_s,
                 braked_ns=self._admission.braked_ns,
                 innovation=self._innovation,
                 innovation_variance=self._innovation_variance,
@@ -338,8 +339,7 @@ class FilterBank:
         check_numbers(state, may_be_nan=('dt',))  # of the tachometer, after a gap
         check_restored(self._fits(state.bank), 'FilterBankState', 'bank')
         check_restored(state.tachometer.is_sound(), 'FilterBankState', 'tachometer')
-        inflation = state.inflation.is_sound() and state.inflation.batch == _BATCH
-        check_restored(inflation, 'FilterBankState', 'inflation')
+        check_restored(state.inflation.is_sound(), 'FilterBankState', 'inflation')
         check_restored(state.driven.is_sound(), 'FilterBankState', 'driven')
         ticks = (
             len(state.ticks) <= _MOST_TICKS
@@ -349,7 +349,7 @@ class FilterBank:
         check_restored(ticks, 'FilterBankState', 'ticks')
         check_not_negative(
             'FilterBankState',
-            refused=state.refused,
+            refused_s=state.refused_s,
             innovation_variance=state.innovation_variance,
             test_ratio=state.test_ratio,
         )
@@ -357,7 +357,7 @@ class FilterBank:
         self._tachometer, self._driven = state.tachometer, state.driven
         self._inflation = state.inflation
         self._ticks = deque(state.ticks)
-        self._running, self._stopped, self._refused = state.running, state.stopped, state.refused
+        self._running, self._stopped, self._refused_s = state.running, state.stopped, state.refused_s
         self._stride = state.stride
         self._admission.braked_ns = state.braked_ns
         self._innovation, self._innovation_variance = state.innovation, state.innovation_variance

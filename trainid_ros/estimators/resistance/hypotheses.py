@@ -112,16 +112,18 @@ class Hypotheses:
 
 @dataclass(frozen=True, slots=True)
 class Mixture:
-    """Mean, shape (5,), and covariance, shape (5, 5), of the :data:`PUBLISHED` states.
+    """Mean, shape (5,), and covariances, shape (5, 5), of the :data:`PUBLISHED` states.
 
     Attributes:
         mean: a, b, c, kappa, delta.
-        covariance: Of these.
+        covariance: Of these, young hypotheses counted ``suspicion`` times.
+        posterior: Of these, all hypotheses counted by their probability.
 
     """
 
     mean: Array
     covariance: Array
+    posterior: Array
 
     @property
     def theta(self) -> Array:
@@ -146,6 +148,12 @@ class Innovation:
     value: float
     variance: float
     weight: float
+
+
+def _covariance(weight: Array, P: Array, spread: Array) -> Array:
+    """Return the covariance of a mixture from weights, shape (n,), covariances and distances from the mean."""
+    within: Array = np.einsum('n,nij->ij', weight, P)
+    return within + (spread.T * weight) @ spread
 
 
 class Bank:
@@ -207,10 +215,8 @@ class Bank:
         x, P = now.x[:, PUBLISHED], now.P[:, PUBLISHED][:, :, PUBLISHED]
         mean = weight @ x / weight.sum()
         cautious = weight * np.where(now.age < plan.youth, plan.suspicion, 1.0)
-        cautious /= cautious.sum()
         spread = x - mean
-        covariance = np.einsum('n,nij->ij', cautious, P) + (spread.T * cautious) @ spread
-        return Mixture(mean, covariance)
+        return Mixture(mean, *(_covariance(p / p.sum(), P, spread) for p in (cautious, weight)))
 
     def is_finite(self) -> bool:
         """True unless a number is lost."""

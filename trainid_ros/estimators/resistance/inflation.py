@@ -11,6 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
+# Driving time of a batch [s], several times the correlation time of gusts.
+_BATCH_S: Final = 48.0
 # A batch knows a variance to a factor 1.4, so some are averaged; one alone counts so much at most.
 _MEMORY: Final = 8.0
 _MOST_RATIO: Final = 9.0
@@ -24,16 +26,14 @@ class Inflation:
         ratio: 1 where the model is consistent.
         total: Sum of the innovations of the batch.
         variance: Sum of their stated variances, correlation counted.
-        count: Innovations in the batch.
-        batch: Innovations that make a batch: those of 50 s or so at the usual rate.
+        length: Driving time of the batch so far [s].
 
     """
 
     ratio: float = 1.0
     total: float = 0.0
     variance: float = 0.0
-    count: int = 0
-    batch: int = 40
+    length: float = 0.0
 
     @property
     def factor(self) -> float:
@@ -42,16 +42,15 @@ class Inflation:
 
     def is_sound(self) -> bool:
         """True if the ratio is positive and no variance is negative."""
-        return self.ratio > 0.0 and self.variance >= 0.0 and 0 <= self.count < self.batch
+        return self.ratio > 0.0 and self.variance >= 0.0 and 0.0 <= self.length < _BATCH_S
 
-    def add(self, nu: float, variance: float) -> None:
-        """Take in one innovation, faded out if it is an outlier, and its variance in the mean of many."""
+    def add(self, nu: float, variance: float, dt: float) -> None:
+        """Take in one innovation, faded out if it is an outlier, its variance in the mean of many, and its time [s]."""
         self.total += nu
         self.variance += variance
-        self.count += 1
-        if self.count < self.batch:
+        self.length += dt
+        if self.length < _BATCH_S - 0.5 * dt:
             return
         found = min(self.total * self.total / self.variance, _MOST_RATIO)
         self.ratio += (found - self.ratio) / _MEMORY
-        self.total = self.variance = 0.0
-        self.count = 0
+        self.total = self.variance = self.length = 0.0

@@ -175,10 +175,11 @@ class WindowLearner:
         observed = observe_resistance(cut.ticks, self._plan.inertia, self._tachometer.std)
         if isinstance(observed, Refusal):
             return observed
-        return self._learn(observed, *self._noise_of(observed, cut), tick.stamp_ns)
+        return self._learn(observed, cut)
 
-    def _learn(self, observed: WindowResult, noise: float, slow: float, stamp_ns: int) -> Refusal | None:
-        tracker, phi = self.tracker, _regressor(observed)
+    def _learn(self, observed: WindowResult, cut: Cut) -> Refusal | None:
+        tracker, phi, stamp_ns = self.tracker, _regressor(observed), cut.ticks[-1].stamp_ns
+        noise, slow = self._noise_of(observed, cut)
         expected, variance = tracker.estimate.predict(phi)
         nu, S = observed.y - expected, variance + noise
         if not math.isfinite(nu * nu / S):
@@ -189,7 +190,7 @@ class WindowLearner:
         if tracker.change_probability < _DOUBTFUL:
             self._learn_disturbance(nu, S)
         self._slow.add(weight * nu, variance, slow * noise, _SLOW_RANGE)
-        self.inflation.add(weight * nu, variance + slow * noise)
+        self.inflation.add(weight * nu, variance + slow * noise, cut.hop)
         if weight < _LEAST_WEIGHT:
             return Refusal(stamp_ns, Reason.OUTLIER, nu, self._gate * math.sqrt(S))
         self.driven = self.driven.add(observed.phi[1], observed.speed_min, observed.speed_max)
