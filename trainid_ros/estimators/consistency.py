@@ -23,6 +23,8 @@ _CONFIDENCE: Final = 0.99
 _QUANTILE: Final = NormalDist().inv_cdf(0.5 + 0.5 * _CONFIDENCE)
 # One update cannot tell more than this many squared standard deviations; it also keeps running sums exact enough.
 _MOST: Final = 100.0
+# With errors twice as large as stated no estimate is fit to use.
+_REFUTED: Final = 4.0
 # Beyond this a lean is no noise; and some of the updates must be left to judge by.
 _MOST_CORRELATED: Final = 0.9
 
@@ -61,6 +63,11 @@ class Consistency:
     def alarming(self) -> bool:
         """True if it has been optimistic for a whole window: no chance event."""
         return self.lasting >= WINDOW
+
+    @property
+    def refuted(self) -> bool:
+        """True if errors have been more than twice as large as stated for a whole window: the model does not hold."""
+        return self.alarming and self.ratio > _REFUTED
 
     def __str__(self) -> str:
         """Return verdict and numbers, for people."""

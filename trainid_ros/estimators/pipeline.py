@@ -258,7 +258,7 @@ class EstimatorPipeline(Generic[EstimateT]):
             return Status.FAULT
         if self._inputs_missing():
             return Status.STALE
-        if not self.estimator.converged:
+        if not self.estimator.converged or self._consistency.current().refuted:
             return Status.CONVERGING
         return Status.VALID if refusal is None else Status.HOLDING
 
