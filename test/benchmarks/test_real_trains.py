@@ -93,7 +93,9 @@ def test_a_course_settles_after_motion_not_after_time() -> None:
 def test_all_algorithms_go_along_on_a_short_drive() -> None:
     found = run(Trial('metro', 21, FIELD - {'changes'}, duration=600.0))
     assert tuple(found) == ALL
-    assert all(one.error < 2.0 for one in found.values())
+    # The train file itself is .31 N/kN off; two-window and speed-EKF take its mass and force as exact.
+    assert max(found[name].error for name in (*PAIR, INFORMED)) < 0.25
+    assert max(one.error for one in found.values()) < 0.8
     assert all(0.0 <= one.valid < 1.0 and 0.0 <= one.cover <= 1.0 for one in found.values())
 
 

@@ -112,3 +112,10 @@ def test_it_is_told_in_words_with_numbers() -> None:
     told = str(Consistency(Verdict.OPTIMISTIC, 2.5, 0.76, 1.28, 200, 3))
     assert told.startswith('optimistic (squared innovations 2.50 times the stated variance; ')
     assert told.endswith('99 % band 0.76 to 1.28, 200 updates)')
+
+
+@pytest.mark.parametrize(('size', 'refuted'), [(1.9, False), (2.1, True)])
+def test_errors_twice_as_large_as_stated_refute_after_a_whole_window(size: float, refuted: bool) -> None:
+    z = size * np.resize([1.0, -1.0], 3 * WINDOW)
+    assert watched(z + 1e-9 * np.arange(len(z))).current().refuted is refuted
+    assert not watched(z[: WINDOW // 2]).current().refuted

@@ -404,3 +404,13 @@ def test_errors_larger_than_stated_are_noticed(metro: TrainFile, day: Records) -
     run(default, seconds(day, 0.0, 240.0))
     assert printed.consistency.verdict is Verdict.OPTIMISTIC
     assert default.consistency.verdict is Verdict.CONSISTENT
+
+
+def test_what_the_innovations_refute_is_not_valid(metro: TrainFile, day: Records) -> None:
+    pipeline = make('resistance', metro)
+    before = run(pipeline, seconds(day, 0.0, 280.0))
+    assert before[-1].status in (Status.VALID, Status.HOLDING)
+    for k in range(2 * WINDOW):
+        pipeline._consistency.see(2.1 + 1e-9 * k, 1.0, used=True)
+    refuted = run(pipeline, seconds(day, 280.0, 281.0))
+    assert {output.status for output in refuted} == {Status.CONVERGING}

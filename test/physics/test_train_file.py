@@ -109,11 +109,11 @@ def test_exponents_without_a_point_are_numbers() -> None:
         ('train: {mass: 1, cars: 0}\nresistance: {}', 'T.yaml: train.cars = 0 must be >= 1'),
         ('train: {mass: 1, cars: 2.5}\nresistance: {}', 'T.yaml: train.cars = 2.5 must be a whole number'),
         ('train: {mass: 1}\nresistance: {a: -1, b: 0, c: 0}', 'T.yaml: resistance.a = -1 N/kN must be >= 0'),
-        (MINIMAL + 'brake: {rate: 0}', 'T.yaml: brake.rate = 0 must be > 0'),
+        (MINIMAL + 'brake: {rate: 0}', 'T.yaml: brake.rate = 0 must be >= 0.01'),
         (MINIMAL + 'brake: {rate: []}', 'T.yaml: brake.rate = [] must be a number or have a row'),
         (MINIMAL + 'brake: {rate: [[0, 1, 2]]}', 'T.yaml: brake.rate[0] = [0, 1, 2] must be [speed m/s, rate]'),
         (MINIMAL + 'brake: {rate: [[-1, 1]]}', 'T.yaml: brake.rate[0][0] = -1 m/s must be >= 0'),
-        (MINIMAL + 'brake: {rate: [[0, 0]]}', 'T.yaml: brake.rate[0][1] = 0 must be > 0'),
+        (MINIMAL + 'brake: {rate: [[0, 0]]}', 'T.yaml: brake.rate[0][1] = 0 is outside [0.01, 10]'),
         (
             MINIMAL + 'brake: {rate: [[5, 1], [5, 0.9]]}',
             'T.yaml: brake.rate[1][0] = 5 m/s must be above 5 m/s: speeds rise',

@@ -20,6 +20,9 @@ from trainid_ros.physics.fields import Section, as_section, finite_number, parse
 Pairs = tuple[tuple[float, float], ...]
 NamedValues = tuple[tuple[str, float], ...]
 
+# A brake rate beyond is a mistake of units.
+_LEAST_RATE, _MOST_RATE = 0.01, 10.0
+
 
 @dataclass(frozen=True, slots=True)
 class Train:
@@ -226,7 +229,7 @@ def _brake(section: Section) -> Brake:
     default = Brake()
     table = _rate_table(section) if isinstance(section.data.get('rate'), list) else ()
     return Brake(
-        rate=default.rate if table else section.number('rate', '', default.rate, above=0.0),
+        rate=default.rate if table else section.number('rate', '', default.rate, low=_LEAST_RATE, high=_MOST_RATE),
         time_constant=section.number('time_constant', 's', default.time_constant, low=0.0),
         delay=section.number('delay', 's', default.delay, low=0.0),
         rate_table=table,
@@ -241,8 +244,8 @@ def _rate_table(section: Section) -> Pairs:
     for i, (speed, rate) in enumerate(rows):
         if speed < 0.0:
             section.fail(f'rate[{i}][0]', f'= {speed:g} m/s must be >= 0')
-        if rate <= 0.0:
-            section.fail(f'rate[{i}][1]', f'= {rate:g} must be > 0')
+        if not _LEAST_RATE <= rate <= _MOST_RATE:
+            section.fail(f'rate[{i}][1]', f'= {rate:g} is outside [{_LEAST_RATE:g}, {_MOST_RATE:g}]')
     for i, ((before, _), (after, _)) in enumerate(pairwise(rows)):
         if after <= before:
             section.fail(f'rate[{i + 1}][0]', f'= {after:g} m/s must be above {before:g} m/s: speeds rise')

@@ -820,3 +820,30 @@ def test_log_weights_of_another_shape_are_refused(learned: str) -> None:
 def test_settings_out_of_range_are_refused() -> None:
     with pytest.raises(InputError, match='hypotheses'):
         FilterBank(FILE, FilterBankConfig(hypotheses=1))
+
+
+# What is published, and what is not known after a night
+
+
+def test_the_published_band_is_wider_than_that_it_is_judged_by(learned: str) -> None:
+    bank = restored(learned)
+    stated, now = bank.estimate(12.0), bank._now()
+    phi = np.array([1.0, 12.0, 144.0])
+    assert stated.resistance_std**2 == pytest.approx(phi @ now.covariance[:3, :3] @ phi)
+    assert stated.resistance_std**2 > 1.2 * (phi @ now.posterior[:3, :3] @ phi)
+
+
+@pytest.mark.parametrize(('hours', 'grows'), [(0.1, False), (8.0, True)])
+def test_after_a_night_less_is_known_than_before(
+    learned: str, minutes: list[Sample], hours: float, grows: bool
+) -> None:
+    bank, last_s = restored(learned, CONFIG), (minutes[-1].stamp_ns - START) / NS_PER_S
+    before = bank.estimate(12.0).resistance_std
+    assert bank.converged
+    for item in shifted(drive(2.0, seed=3), last_s + 3600.0 * hours):
+        bank.step(item)
+    after = bank.estimate(12.0).resistance_std
+    assert (after > 2.0 * before) is grows
+    assert bank.converged is not grows
+    prior = FilterBank(FILE, CONFIG).estimate(12.0).resistance_std
+    assert after < prior

@@ -21,7 +21,7 @@ from trainid_ros.core.samples import Sample
 from trainid_ros.estimators.speed_model.am_vff_rls import AmVffRls, AmVffRlsConfig
 from trainid_ros.estimators.speed_model.parameters import resistance_variance, upper
 from trainid_ros.physics.resistance import davis
-from trainid_ros.physics.train_file import Davis, TrainFile
+from trainid_ros.physics.train_file import Davis, Effect, TrainFile
 
 Make = Callable[..., Sample]
 Journey = Callable[..., list[Sample]]
@@ -334,3 +334,25 @@ def test_it_is_fit_to_use_while_the_resistance_is_known(train_file: TrainFile, j
     strict = AmVffRls(train_file, replace(CONFIG, valid_std=0.001))
     strict.restore(estimator.save())
     assert not strict.converged
+
+
+def test_the_error_of_the_curve_resistance_is_learned(train_file: TrainFile, journey: Journey) -> None:
+    # At 600 m the train file says 1 N/kN, and true is 1.3; curves of 300 m have twice as much.
+    def curved(t: float) -> bool:
+        return t >= 0.0 and t % 47.0 < 20.0
+
+    def resistance(t: float) -> Davis:
+        return Davis(1.8 + (2.6 if curved(t) else 0.0), 0.02, 0.005)
+
+    effect = Effect('curve_resistance', (('coefficient', 600.0),))
+    samples = [
+        replace(item, curvature_mean=1.0 / 300.0 if curved(0.2 * (i - 1)) else 0.0)
+        for i, item in enumerate(journey(1500.0, traction=saw_tooth, resistance=resistance))
+    ]
+    estimator = AmVffRls(replace(train_file, effects=(effect,)), CONFIG)
+    for item in samples:
+        estimator.step(item)
+    found, e = estimator.state.curve, estimator.estimate(0.0)
+    assert found.error == pytest.approx(0.3, abs=3.0 * math.sqrt(found.variance))
+    assert math.sqrt(found.variance) < 0.06
+    assert e.a + 12.0 * (e.b + 12.0 * e.c) == pytest.approx(davis(Davis(1.8, 0.02, 0.005), 12.0), abs=0.15)

@@ -50,6 +50,8 @@ _SLACK: Final = 0.5
 _MEMORY: Final = 100.0
 _MOST: Final = 9.0
 _MOST_EXCESS: Final = 10.0
+# A rate is below its limit if it is so by this many standard deviations.
+_CLEAR: Final = 3.0
 LARGEST_RATE: Final = 3.0
 """The brake rate is at most so many times the believed one."""
 
@@ -153,9 +155,10 @@ class BrakeRateEstimator:
         result = self._take(sample, max(0.0, elapsed), motion, timing)
         if result is None or result.reason is not Reason.NOT_BRAKING:
             self.state.disturbance = self.state.disturbance.paused()
-        # Fit to use while the uncertainty is small; hysteresis of a factor of two.
+        # Fit to use while the uncertainty is small, with a hysteresis of two; a rate at its limit may be beyond it.
         limit = self.config.valid_std * (2.0 if self.state.converged else 1.0)
-        self.state.converged = self._rate()[1] < limit
+        rate, std = self._rate()
+        self.state.converged = std < limit and rate + _CLEAR * std < LARGEST_RATE * self._brake.rate
         return result or self.estimate(sample.speed)
 
     def _take(self, sample: Sample, elapsed: float, motion: BrakeStep, timing: TimingStep) -> Refusal | None:

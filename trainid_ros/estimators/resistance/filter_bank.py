@@ -6,7 +6,7 @@ real trains is that the errors of the force are states: a scale kappa on the spe
 are known to a few per cent, and a delay delta, since forces are reported late. Both show by themselves, kappa by
 driving with different tractive efforts, delta where the traction ramps.
 
-The filters run 0.4 s late, since a delayed force needs the force reports that follow.
+The filters run two steps late, 0.4 s or two samples, since a delayed force needs the force reports that follow.
 """
 
 from __future__ import annotations
@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from trainid_ros.core.codec import check_restored, decode, encode
+from trainid_ros.core.records import NS_PER_S
 from trainid_ros.core.results import Reason, Refusal, ResistanceEstimate
 from trainid_ros.core.settings import check_settings, setting
 from trainid_ros.core.soundness import check_not_negative, check_numbers, is_covariance_matrix
@@ -63,6 +64,8 @@ _MOST_TICKS: Final = 200
 _GATE: Final = 5.5
 # A speed that is refused for so long is not the one to predict from [s].
 _RESTART_AFTER_S: Final = 5.0
+# Longer than a stop, so that weather and train may have changed unseen [s].
+_IDLE_S: Final = 600.0
 # Samples between two judgements whether the estimate is fit to use.
 _JUDGED_EVERY: Final = 5
 # Wheel diameters are off by up to half a per cent or so, a standard deviation of this.
@@ -139,6 +142,7 @@ class FilterBankState:
     stride: int
     refused_s: float
     braked_ns: int
+    advanced_ns: int
     innovation: float
     innovation_variance: float
     test_ratio: float
@@ -164,7 +168,7 @@ class FilterBank:
         self._stride = 1
         self._driven = DrivenSpeeds()
         self._running = self._stopped = self._converged = False
-        self._refused_s, self._admission.braked_ns = 0.0, 0
+        self._refused_s, self._admission.braked_ns, self._advanced_ns = 0.0, 0, 0
         self._innovation = self._innovation_variance = self._test_ratio = 0.0
         self._mixture: Mixture | None = None
 
@@ -179,7 +183,7 @@ class FilterBank:
         return self._converged
 
     def step(self, sample: Sample) -> ResistanceEstimate | Refusal:
-        """Take one sample in; the filters follow 0.4 s behind."""
+        """Take one sample in; the filters follow two steps behind."""
         if (refusal := self._admission.refuse(sample)) is not None:
             self._interrupt(sample)
             return refusal
@@ -235,12 +239,16 @@ class FilterBank:
         return self._account(tick, innovation)
 
     def _depart(self, tick: Tick) -> None:
-        """Start the speed anew; after a stop the load may be another."""
+        """Start the speed anew; after a stop the load may be another, after a long one all."""
+        idle_s = (tick.stamp_ns - self._advanced_ns) / NS_PER_S if self._advanced_ns else 0.0
+        if idle_s > _IDLE_S:
+            self._bank.idle(idle_s)
+            self._converged = False
         if self._stopped:
             self._bank.widen_force_scale(scale_step(self._train, weighed=tick.weighed) ** 2)
             self._stopped = False
         self._bank.restart(tick.speed, tick.variance)
-        self._running, self._refused_s = True, 0.0
+        self._running, self._refused_s, self._advanced_ns = True, 0.0, tick.stamp_ns
         self._mixture = None
 
     def _account(self, tick: Tick, innovation: Innovation) -> Refusal | None:
@@ -254,7 +262,7 @@ class FilterBank:
             self._refused_s += tick.dt
             self._running = self._refused_s < _RESTART_AFTER_S - 0.5 * tick.dt
             return Refusal(tick.stamp_ns, Reason.OUTLIER, nu, _GATE * math.sqrt(S))
-        self._refused_s = 0.0
+        self._refused_s, self._advanced_ns = 0.0, tick.stamp_ns
         self._driven = self._driven.add(tick.speed)
         if self._driven.count % _JUDGED_EVERY == 0:
             self._judge()
@@ -326,6 +334,7 @@ class FilterBank:
                 stride=self._stride,
                 refused_s=self._refused_s,
                 braked_ns=self._admission.braked_ns,
+                advanced_ns=self._advanced_ns,
                 innovation=self._innovation,
                 innovation_variance=self._innovation_variance,
                 test_ratio=self._test_ratio,
@@ -359,7 +368,7 @@ class FilterBank:
         self._ticks = deque(state.ticks)
         self._running, self._stopped, self._refused_s = state.running, state.stopped, state.refused_s
         self._stride = state.stride
-        self._admission.braked_ns = state.braked_ns
+        self._admission.braked_ns, self._advanced_ns = state.braked_ns, state.advanced_ns
         self._innovation, self._innovation_variance = state.innovation, state.innovation_variance
         self._test_ratio, self._converged = state.test_ratio, state.converged
         self._mixture = None

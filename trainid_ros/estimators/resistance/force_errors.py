@@ -57,11 +57,11 @@ def force_errors(train_file: TrainFile, delay_std: float) -> ForceErrors:
     return ForceErrors(
         scale=math.hypot(train.mass_std, train.force_std),
         delay=delay_std,
-        curve=_curve_std(train_file),
+        curve=curve_std(train_file),
     )
 
 
-def _curve_std(train_file: TrainFile) -> float:
+def curve_std(train_file: TrainFile) -> float:
     """Return the standard deviation of the curve resistance at 600 m [N/kN]."""
     for effect in train_file.effects:
         if effect.name == 'curve_resistance':

@@ -182,6 +182,14 @@ class Bank:
         gust_var, map_var = self._sizes()
         restart(self.state.x, self.state.P, speed, variance, gust_var, map_var)
 
+    def idle(self, seconds: float) -> None:
+        """Let a and c have drifted and perhaps stepped while nothing was seen [s], at most back to the prior."""
+        plan, diagonal = self.plan, np.arange(STATES)
+        grown = plan.drift * seconds
+        grown[[A, C]] += min(1.0, plan.hazard * seconds) * np.array(plan.step_variances)
+        variance = self.state.P[:, diagonal, diagonal]
+        self.state.P[:, diagonal, diagonal] = np.maximum(variance, np.minimum(variance + grown, plan.variance))
+
     def widen_force_scale(self, variance: float) -> None:
         """Let the force scale have changed, as by passengers; its variance never exceeds the prior's plus this step."""
         kappa = self.state.P[:, KAPPA, KAPPA]

@@ -74,7 +74,7 @@ class ProcessNoise:
         gust_time: Correlation time of the gusts [s].
         map_length: Correlation length of the map error [m].
         force_density: Spectral density of the white noise of the force [(N/kN)^2 s].
-        skew: Jitter between the stamps of force and speed [s].
+        skew: Jitter between the stamps of force and speed [s], drawn anew for each ``spacing``.
         outliers: Share of speeds that may be anything.
 
     """
@@ -123,7 +123,7 @@ def predict(x: Array, P: Array, interval: Interval, gust_var: Array, map_var: Ar
     # P = F P F' + Q
     P[:] = F @ P @ F.transpose(0, 2, 1)
     jitter = noise.skew * (interval.traction[1] - interval.traction[0])
-    P[:, V, V] += (noise.force_density * dt + jitter * jitter) / (m * m)
+    P[:, V, V] += (noise.force_density * dt + jitter * jitter * dt / interval.spacing) / (m * m)
     P[:, GUST, GUST] += gust_var * (1.0 - rho_g * rho_g)
     P[:, MAP, MAP] += map_var * (1.0 - rho_e * rho_e)
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The error of the curve resistance of the train file, one more parameter beside theta.
 
-A typical curve coefficient is right to a fifth, and on a line with many curves that is more than all else. Its relative
-error changes the speed by a known amount per step, so it is estimated jointly with x and theta: their own covariance
+A typical curve coefficient is right to a fifth, and on a line with many curves that is more than all else. Its error
+changes the speed by a known amount per step, so it is estimated jointly with x and theta: their own covariance
 is that of the kernels, and here are the covariance of the error with x and theta and its variance.
 """
 
@@ -22,7 +22,7 @@ _LEAST: Final = 1e-3
 
 @dataclass(frozen=True, slots=True)
 class CurveShare:
-    """Relative error of the curve coefficient, its covariance with x, a1, a2, b1, d0, and its variance."""
+    """Error of the curve resistance at 600 m [N/kN], its covariance with x, a1, a2, b1, d0, and its variance."""
 
     error: float
     x: float
@@ -33,7 +33,7 @@ class CurveShare:
     variance: float
 
     def push(self, numbers: Numbers, change: float) -> tuple[Numbers, CurveShare]:
-        """Return state and error before a step over which the whole curve resistance changes the speed by so much."""
+        """Return state and error before a step over which 1 N/kN at 600 m would change the speed by so much [m/s]."""
         x, *others = numbers
         others[_VARIANCE - 1] += change * (2.0 * self.x + change * self.variance)
         for i, with_error in enumerate((self.a1, self.a2, self.b1, self.d0)):

@@ -14,6 +14,7 @@ from trainid_ros.core.settings import check_settings
 from trainid_ros.estimators.admission import Admission
 from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.estimators.resistance.fitness import is_fit
+from trainid_ros.estimators.resistance.force_errors import CURVE_RADIUS, curve_std
 from trainid_ros.estimators.speed_model.curve_share import CurveShare
 from trainid_ros.estimators.speed_model.disturbance import Disturbance
 from trainid_ros.estimators.speed_model.force_delay import ForceDelay
@@ -39,9 +40,7 @@ _LEAST_FACTOR: Final = 0.1
 _USUAL_SAMPLES: Final = 9000.0
 _USUAL_SPREAD: Final = 1.5
 _NOTHING: Final = Recent()
-# A curve coefficient is right to this share where the train file does not say.
-_CURVE_STD: Final = 0.2
-# Nor does its traction change by more [N/kN]; what does is an outlier and no worse for being greater.
+# No traction changes by more from sample to sample [N/kN]; what does is an outlier and no worse for being greater.
 _MOST_CHANGE: Final = 500.0
 
 
@@ -71,7 +70,7 @@ class SpeedModelState:
         weighed: The mass was weighed at the last sample.
         speeds: Last measured speeds [m/s].
         tracks: Last gradients with other known resistance [N/kN].
-        curves: Last curve resistances of the train file [N/kN].
+        curves: 600 m over the last radii, 0 on straight track.
         fit: The resistance is fit to use.
 
     """
@@ -127,7 +126,7 @@ class SpeedModelEstimator:
         self._known = KnownForce(train_file)
         self._admission = Admission(self._known, config.min_speed)
         davis, train = train_file.resistance, train_file.train
-        self._curve_std = _curve_std(train_file)
+        self._curve_std = curve_std(train_file)
         self._k = 1.0 / self._known.inertia
         self._rotary = 1.0 + train.rotary_mass
         mass_std = math.hypot(train.mass_std, train.force_std)
@@ -194,9 +193,7 @@ class SpeedModelEstimator:
     def _remember(self, sample: Sample) -> None:
         """Take in what a sample says of speed and track."""
         state, dt = self.state, sample.dt
-        track, curve = self._known.track(sample), 0.0
-        if self._curve_std > 0.0 and sample.curve_radius > 0.0:
-            curve = track - self._known.track(replace(sample, curve_radius=0.0))
+        track, curve = self._known.track(sample), CURVE_RADIUS * sample.curvature
         if not (math.isfinite(track) and math.isfinite(curve)):
             track = curve = 0.0
         self.state = replace(
@@ -224,8 +221,8 @@ class SpeedModelEstimator:
         variance = state.disturbance.lasting * sample.dt + late.speed_variance(state.late)
         numbers, curve = method.widen_speed(numbers, variance), state.curve
         if self._curve_std > 0.0:
-            resistance = state.curves.before(self._delay)
-            numbers, curve = curve.push(numbers, -self._k * resistance * sample.dt)
+            curved = state.curves.before(self._delay)
+            numbers, curve = curve.push(numbers, -self._k * curved * sample.dt)
             mean, scale = self._known.traction(sample.force_mean, sample), sample.dt / SAMPLE_PERIOD
             curve = curve.step(numbers[0], numbers[1:5], mean, scale)
         return numbers, late, curve
@@ -396,13 +393,3 @@ class SpeedModelEstimator:
 
 def _bounded(change: float) -> float:
     return min(max(change, -_MOST_CHANGE), _MOST_CHANGE)
-
-
-def _curve_std(train_file: TrainFile) -> float:
-    """Return the relative standard deviation of the curve coefficient, 0 if the train file has none."""
-    for effect in train_file.effects:
-        if effect.name == 'curve_resistance':
-            value = dict(effect.parameters).get('coefficient', math.nan)
-            std = dict(effect.std).get('coefficient', _CURVE_STD * value)
-            return min(std / value, 1.0) if value > 0.0 else 0.0
-    return 0.0
