@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from trainid_ros.physics.train_file import TrainFile
 
 _ANCHOR_STD_A: Final = 0.05
-# The bound takes scale and delay of the force as known to this.
+# Scale and delay of the force are taken as known to this.
 _FORCE_ERROR: Final = 0.005
 _FORCE_SKEW: Final = 0.06
 

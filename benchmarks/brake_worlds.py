@@ -50,6 +50,7 @@ _SEEN_BY_NOBODY: Final = frozenset({'changes', 'gusts', 'quantum', 'wheels', 'br
 _AFTER_S: Final = 7.0
 _DRIVING: Final = 3.0
 _SLOWEST: Final = 0.5
+_SOON_MIN: Final = 15.0
 # Two-sided normal quantile of 95 %.
 _SIGMA_95: Final = 1.959964
 
@@ -72,7 +73,7 @@ class Score:
         error: Mean absolute error while the brake acts, from 7 s after the first braking on.
         inside: Share of these errors within the 95 % band, of samples fit to use.
         usable: Share of these samples that are fit to use.
-        minutes: Time in motion until the estimate was first fit to use [min]; NaN if it never was.
+        minutes: Time in motion until the estimate was first fit to use [min]; infinite if it never was.
         braked: The same until 7 s after the first braking.
 
     """
@@ -212,7 +213,7 @@ def _score(trace: Array, data: Data) -> Score:
         error=float(error[counted].mean()),
         inside=float(np.mean(error[band] <= _SIGMA_95 * trace[band, 1])) if band.any() else math.nan,
         usable=float(usable[counted].mean()),
-        minutes=float(moved[int(np.argmax(usable))]) if usable.any() else math.nan,
+        minutes=float(moved[int(np.argmax(usable))]) if usable.any() else math.inf,
         braked=float(moved[int(np.searchsorted(time_s, begin))]),
     )
 
@@ -222,7 +223,8 @@ def _table(condition: str, scores: Sequence[Scores]) -> Table:
     rows = tuple(
         _row(f'{world}, {name}', [one[condition, world, name] for one in scores]) for world in WORLDS for name in names
     )
-    header = ('|error of the brake rate|', 'mean', '95 % band', 'fit to use', 'min to fit', 'min to first braking')
+    times = ('min to fit', 'fit in 15 min', 'min to first braking')
+    header = ('|error of the brake rate|', 'mean', '95 % band', 'fit to use', *times)
     note = (
         f'{len(scores)} drives of about an hour in each world, mean ± standard error over drives. Errors count while '
         f'the brake acts, from {_AFTER_S:g} s after the first braking on; the band where fit to use. Times are minutes '
@@ -237,4 +239,5 @@ def _row(name: str, scores: Sequence[Score]) -> tuple[str, ...]:
     inside, usable = np.nanmean([s.inside for s in scores]), np.mean([s.usable for s in scores])
     minutes, braked = max(s.minutes for s in scores), max(s.braked for s in scores)
     shown = f'{errors.mean():.4f} ± {spread:.4f}'
-    return name, shown, f'{inside:.1%}', f'{usable:.0%}', f'{minutes:.1f}', f'{braked:.1f}'
+    soon = np.mean([s.minutes <= _SOON_MIN for s in scores])
+    return name, shown, f'{inside:.1%}', f'{usable:.0%}', f'{minutes:.1f}', f'{soon:.0%}', f'{braked:.1f}'

@@ -27,6 +27,7 @@ from scipy.signal import lfilter
 from benchmarks.tables import Table, as_text
 from trainid_ros.core.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
 from trainid_ros.core.results import Status
+from trainid_ros.core.samples import SAMPLE_PERIOD
 from trainid_ros.estimators.pipeline import EstimatorSettings, resistance_pipeline
 from trainid_ros.estimators.resistance.algorithms import RESISTANCE
 from trainid_ros.physics.resistance import G
@@ -100,7 +101,7 @@ class Outcome:
         force: Resistance at 20 m/s [N of the nominal mass] after the last trip.
         std: Its standard deviation as stated [N].
         scale: Force scale with its standard deviation, NaN if not estimated.
-        to_valid: Time in motion until the estimate was fit to use [min], infinite if never.
+        to_valid: Time in motion with the pedal down until the estimate was fit to use [min], infinite if never.
         valid: Share of the samples in motion with the pedal down at which it was.
         status: Status at the end.
         trips: Resistance at 20 m/s after each trip, with its standard deviation [N].
@@ -276,7 +277,7 @@ def identify(trips: Sequence[Trip], algorithm: str) -> Outcome:
                 fit = output.status is Status.VALID
                 valid += fit
                 if fit and math.isinf(to_valid):
-                    to_valid = moving / (60.0 * 5.0)
+                    to_valid = moving / (60.0 / SAMPLE_PERIOD)
         after[trip.name] = force_at(pipeline.estimator.estimate(_SPEED))
     estimate = pipeline.estimator.estimate(_SPEED)
     scale = estimate.force_scale, estimate.force_scale_std

@@ -3,6 +3,9 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -39,4 +42,6 @@ def test_a_table_has_a_row_for_each_world_and_method() -> None:
     for condition in CONDITIONS:
         table = _table(condition, [scores, scores])
         assert len(table.rows) == len(WORLDS) * len(names)
-        assert table.rows[0] == ('metro, GSMA', '0.0123 ± 0.0000', '95.1%', '98%', '1.5', '1.6')
+        assert table.rows[0] == ('metro, GSMA', '0.0123 ± 0.0000', '95.1%', '98%', '1.5', '100%', '1.6')
+    late = {key: replace(score, minutes=math.inf) for key in scores}
+    assert _table('field', [scores, late]).rows[0][4:6] == ('inf', '50%')

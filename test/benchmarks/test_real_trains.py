@@ -23,7 +23,7 @@ from benchmarks.real_train_scores import (
     score,
 )
 from benchmarks.real_train_tables import cost_tables, costs, first_cell, paired_table, rate_tables, spread, world_tables
-from benchmarks.real_train_trials import ALL, PAIR, Trial, run
+from benchmarks.real_train_trials import ALL, INFORMED, PAIR, Trial, run
 from benchmarks.real_trains import trials_of
 from benchmarks.worlds import CLEAN, FIELD, WORLDS, Rates, drive
 from trainid_ros.estimators.resistance.speed_states import A, B, C

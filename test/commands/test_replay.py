@@ -71,7 +71,7 @@ def test_json_has_the_agreed_fields_and_nothing_else_is_printed(told: Told) -> N
     agreed = {'samples', 'duration_s', 'used', 'rejected', 'resistance', 'speed_model', 'brake_rate', 'wall_s'}
     assert agreed | {'algorithms'} == set(answer)
     assert answer['algorithms'] == {'resistance': 'filter-bank', 'speed_model': 'AM-VFF-RLS', 'brake_rate': 'GSMA'}
-    known = {'a', 'b', 'c', 'std', 'status', 'speed_range', 'force_scale', 'force_delay'}
+    known = {'a', 'b', 'c', 'std', 'status', 'speed_range', 'force_scale', 'force_delay', 'findings'}
     assert known == set(answer['resistance'])
     assert {'a1', 'a2', 'b1', 'd0', 'status'} <= set(answer['speed_model'])
     assert {'value', 'std', 'status'} <= set(answer['brake_rate'])

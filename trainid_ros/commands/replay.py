@@ -142,6 +142,7 @@ def to_json(outcome: Replay, setups: Sequence[Setup], wall_s: float) -> dict[str
             'speed_range': [w.speed_min, w.speed_max] if learned else [None, None],
             'force_scale': {'value': w.force_scale, 'std': w.force_scale_std},
             'force_delay': {'value': w.force_delay, 'std': w.force_delay_std},
+            'findings': list(force_findings(w)),
         },
         'speed_model': {
             **{'a1': m.a1, 'a2': m.a2, 'b1': m.b1, 'd0': m.d0, 'status': model.output.status},

@@ -125,11 +125,15 @@ def make_case(
         extra: Further effects of the true train, which the train file does not state.
 
     Raises:
-        InputError: The scenario cannot be driven; the message names the field.
+        InputError: The scenario cannot be driven, or an effect is there already; the message names it.
 
     """
     unknowns = draw_unknowns(names, rng)
     stated, true = stated_train(file, unknowns), true_train(file, unknowns)
+    for effect in extra:
+        if any(effect.name == other.name for other in true.effects):
+            msg = f'effect {effect.name}: the true train has it already, by its train file or the unknowns drawn'
+            raise InputError(msg)
     true = replace(true, effects=(*true.effects, *extra))
     scenario = replace(_scenario(world, true, unknowns, runs), stated=stated)
     check_scenario(scenario)

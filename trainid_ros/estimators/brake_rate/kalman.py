@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""KF: brake rate by the linear Kalman filter on [v, a, b, f], exact for a brake rate that drifts."""
+"""KF: brake rate by the linear Kalman filter on [v, a, b, e, f], exact for a brake rate that drifts."""
 
 from __future__ import annotations
 

@@ -3,11 +3,11 @@
 
 With the brake's lagged target y, its integral s over the sample and the inertia k = 1000 (1 + gamma) / g,
 
-    v' - v = f r s + lean e + traction - (i + w(v)) dt / k,
+    v' - v = f r s + lean e + T dt - (i + w(v)) dt / k,
 
 where r is the brake rate that table and effects of the train file give, and the errors e act by
 
-    lean = [r ds/dT, r ds/dtau, -(a + b v) dt / k, -c v^2 dt / k, traction, r s p(v), r s m(v), -dt].
+    lean = [r ds/dT, r ds/dtau, -(a + b v) dt / k, -c v^2 dt / k, T dt, r s p(v), r s m(v), -dt].
 
 p runs from -1/2 at rest to 1/2 at full speed, m is 1 where electric and friction brakes change over, 0 at rest and at
 twice that speed. The last error is that of the brake at its level: valves act in steps.
