@@ -35,6 +35,10 @@ class Rounding:
         hidden = (1.0 - self.moving) / max(self.moving, _LEAST_MOVING)
         return hidden * self.quantum * self.quantum / 12.0
 
+    def is_sound(self) -> bool:
+        """True if these are a quantum and a share, as they may not be when restored."""
+        return self.quantum >= 0.0 and 0.0 <= self.moving <= 1.0
+
     def add(self, speed: float, last: float) -> Rounding:
         """Return the rounding after one more speed [m/s]."""
         if speed < _MIN_SPEED:

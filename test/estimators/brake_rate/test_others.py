@@ -13,8 +13,11 @@ import pytest
 
 from trainid_ros.core.errors import InputError
 from trainid_ros.core.samples import Sample
+from trainid_ros.core.soundness import is_covariance_matrix
 from trainid_ros.estimators.brake_rate.algorithms import BRAKE_RATE
+from trainid_ros.estimators.brake_rate.belief import Interval, Start
 from trainid_ros.estimators.brake_rate.estimator import BrakeRateEstimator
+from trainid_ros.estimators.brake_rate.imm import ImmBelief, ImmConfig
 from trainid_ros.physics.train_file import Davis, TrainFile
 
 Journey = Callable[..., list[Sample]]
@@ -82,6 +85,40 @@ def test_two_models_count_as_two_only_in_doubt(train_file: TrainFile, braked: li
     assert max(counts[120:145]) > 1.5
 
 
+def in_doubt(jumping: float, config: ImmConfig) -> ImmBelief:
+    """Return two models of one train, the quiet one far too sure that its speed is 10 m/s."""
+    belief, errors = ImmBelief(config), (0.0,) * 8
+    belief.reset(1.0, 0.2, errors)
+    belief.anchor(Start(10.0, -0.5, (1e-4, 0.0, 0.0)))
+    (m, P), (_, wide) = belief.models
+    state = json.loads(belief.save())
+    wide = wide.copy()
+    wide[0, 0] = 100.0
+    state['state'] = {'jumping': jumping, 'means': [m.tolist()] * 2, 'covariances': [P.tolist(), wide.tolist()]}
+    belief.restore(json.dumps(state))
+    return belief
+
+
+@pytest.mark.parametrize(
+    ('speed', 'calm', 'elapsed', 'jump_rate'),
+    [
+        (25.0, 0.0, 0.2, 1e-4),  # a posterior of exactly one, and no time for the jump to end
+        (10.0, 0.0, 1e3, 1.0),  # a pause after which a jump is certain
+    ],
+)
+def test_a_jump_that_is_certain_leaves_a_quiet_model(
+    speed: float, calm: float, elapsed: float, jump_rate: float
+) -> None:
+    belief = in_doubt(0.5, ImmConfig(jump_rate=jump_rate))
+    interval = Interval(0.2, 0.15, 0.6, -0.02, -0.2, 0.99, -0.01, 1e-6, 0.0, calm=calm)
+    for _ in range(3):
+        belief.predict(interval)
+        assert belief.learn(interval, elapsed, speed, 1e-4)
+        assert 0.99 < belief.jumping < 1.0
+        assert all(is_covariance_matrix(P) for _, P in belief.models)
+    belief.restore(belief.save())
+
+
 @pytest.mark.parametrize(
     ('name', 'key', 'value'),
     [
@@ -121,7 +158,20 @@ def test_a_saved_belief_that_does_not_fit_is_refused(
         (('unbraked_s',), -1e3),
         (('disturbance', 'variance'), -1.0),
         (('disturbance', 'motions'), [[0.0, 0.0, -1.0, 0.0, 1.0]] * 11),
-        (('noise', 'variance'), -1.0),
+        (('noise', 'learned'), -1.0),
+        (('noise', 'declared_std'), 0.0),
+        (('gain',), 0.0),
+        (('excess',), -1.0),
+        (('excess',), 0.5),
+        (('excess',), 1e3),
+        (('blending',), -1.0),
+        (('refused_in_a_row',), -1),
+        (('timing', 'delay'), -0.1),
+        (('timing', 'delay'), math.nan),
+        (('timing', 'lag'), -0.1),
+        (('timing', 'spread', 0), -0.1),
+        (('timing', 'spread', 1), -0.1),
+        (('timing', 'targets', 2), 0.5),
         (('noise', 'last'), math.nan),
         (('innovation_variance',), -1.0),
         (('filtered_target',), 1e308),
@@ -140,8 +190,9 @@ def test_a_saved_drive_that_would_break_later_is_refused(
     part = data['state']
     for key in path[:-1]:
         part = part[key]
+    assert path[-1] in part if isinstance(part, dict) else path[-1] < len(part)
     part[path[-1]] = wrong
-    with pytest.raises(InputError):
+    with pytest.raises(InputError, match=path[0]):
         estimator.restore(json.dumps(data))
     assert estimator.save() == before
 

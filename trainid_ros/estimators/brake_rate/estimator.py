@@ -134,10 +134,14 @@ class BrakeRateEstimator:
         check_numbers(state, may_be_nan=('dt', 'position'))
         check_not_negative('DriveState', unbraked_s=state.unbraked_s, rate_variance=state.rate_variance)
         check_not_negative('DriveState', innovation_variance=state.innovation_variance)
-        check_restored(min(state.noise.variance, state.noise.declared_std) > 0.0, 'DriveState', 'noise')
+        check_not_negative('DriveState', blending=state.blending, refused_in_a_row=state.refused_in_a_row)
+        check_restored(state.noise.is_sound(), 'DriveState', 'noise')
         targets = (state.filtered_target, *(change.target_acceleration for change in state.commands.changes))
         check_restored(max(targets) <= 0.0, 'DriveState', 'commands')
         check_restored(state.disturbance.sound, 'DriveState', 'disturbance')
+        check_restored(state.timing.is_sound(), 'DriveState', 'timing')
+        check_restored(state.gain >= LEAST_RATE, 'DriveState', 'gain')
+        check_restored(1.0 <= state.excess <= _MOST_EXCESS, 'DriveState', 'excess')
         self.belief.restore(state.belief)
         state.belief = ''
         self.state = state

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +26,9 @@ if TYPE_CHECKING:
     from trainid_ros.physics.train_file import TrainFile
 
     Models = tuple[tuple[Array, Array], tuple[Array, Array]]
+
+# No jump is ever certain: what is left of the quiet model is divided by.
+_MOST_CERTAIN: Final = 1.0 - 1e-12
 
 
 @dataclass(frozen=True, slots=True)
@@ -149,7 +152,7 @@ class ImmBelief:
         starts, ends = transition(self._config, dt, pause)
         means, covs = (models[0][0], models[1][0]), (models[0][1], models[1][1])
         into_jump = starts * (1.0 - jumping), (1.0 - ends) * jumping
-        after = sum(into_jump)
+        after = min(sum(into_jump), _MOST_CERTAIN)  # after a long pause a jump is as good as certain
         quiet_share = (1.0 - starts) * (1.0 - jumping) / (1.0 - after)
         quiet = gaussian.mixed((quiet_share, 1.0 - quiet_share), means, covs)
         jump = models[1]
@@ -178,7 +181,7 @@ def _posterior(prior: float, log_ratio: float) -> float:
     if prior <= 0.0:
         return 0.0
     odds = math.log(prior) - math.log1p(-prior) + log_ratio
-    return 1.0 / (1.0 + math.exp(min(-odds, 700.0)))
+    return min(1.0 / (1.0 + math.exp(min(-odds, 700.0))), _MOST_CERTAIN)
 
 
 class Imm(BrakeRateEstimator):

@@ -54,6 +54,10 @@ class Timing:
         delay, lag, (h, k) = self.delay, self.lag, self.spread
         return (delay + h, lag), (max(0.0, delay - h), lag), (delay, lag + k), (delay, max(0.25 * lag, lag - k))
 
+    def is_sound(self) -> bool:
+        """True if a brake can have these times and targets, as it may not when restored."""
+        return min(self.delay, self.lag, *self.spread) >= 0.0 and max(self.targets) <= 0.0
+
     def at_rest(self, commands: CommandHistory, stamp_ns: int) -> bool:
         """True if no command acts, acted recently, or will act whatever the dead time is."""
         if commands.value(stamp_ns) != 0.0 or min(self.targets) < -_NOTHING:

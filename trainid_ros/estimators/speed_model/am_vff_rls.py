@@ -25,6 +25,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from trainid_ros.core.samples import SAMPLE_PERIOD
 from trainid_ros.core.settings import setting
+from trainid_ros.core.soundness import is_covariance
 from trainid_ros.estimators.speed_model.auxiliary_model import (
     Floor,
     anchor,
@@ -122,8 +123,8 @@ class AuxiliaryModel:
         return (*moments(0.0, variance, self._theta0, self._P0), 0.0)
 
     def fits(self, numbers: Numbers) -> bool:
-        """Return whether numbers are as many as a state has."""
-        return len(numbers) == 21
+        """Return whether numbers are as many as a state has, with a covariance."""
+        return len(numbers) == 21 and is_covariance(numbers[5:20])
 
     def learn(self, numbers: Numbers, y: float, u: float, scale: float, variance: float) -> Learned:
         """Take in a measurement."""

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
 _VARIANCE: Final = 5
 # Rounding must not make a variance negative.
 _LEAST: Final = 1e-3
+# It may make the square of a correlation exceed one by less.
+_MOST_CORRELATED: Final = 1.01
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +33,11 @@ class CurveShare:
     b1: float
     d0: float
     variance: float
+
+    def is_sound(self, variances: tuple[float, ...]) -> bool:
+        """True if it goes with x, a1, a2, b1, d0 of these variances, as it may not when restored."""
+        most, own = _MOST_CORRELATED * self.variance, (self.x, self.a1, self.a2, self.b1, self.d0)
+        return most >= 0.0 and all(c * c <= most * v for c, v in zip(own, variances, strict=True))
 
     def push(self, numbers: Numbers, change: float) -> tuple[Numbers, CurveShare]:
         """Return state and error before a step over which 1 N/kN at 600 m would change the speed by so much [m/s]."""

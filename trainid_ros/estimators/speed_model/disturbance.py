@@ -29,6 +29,7 @@ _MOST_AGREED: Final = 4.0
 _LASTING: Final = 1.4
 # Limits of what is learned, as a standard deviation [m/s per sqrt(s)].
 _RANGE: Final = (0.001, 0.05)
+_PARAMETERS: Final = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -98,6 +99,12 @@ class Disturbance:
             windows=windows,
             agreed=self.agreed + _SHARE * (z - self.agreed),
         )
+
+    def is_sound(self) -> bool:
+        """True if a window can be gone on with, as it may not be when restored."""
+        known = self.density > 0.0 and 0.5 * _RANGE[0] < self.std < 2.0 * _RANGE[1]
+        under_way = self.elapsed == 0.0 or len(self.theta) == _PARAMETERS
+        return known and 0.0 < self.windows <= _MEMORY and min(self.elapsed, self.known) >= 0.0 and under_way
 
     @property
     def chi2(self) -> float:

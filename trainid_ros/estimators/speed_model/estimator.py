@@ -11,6 +11,7 @@ from trainid_ros.core.codec import check_restored, decode, encode
 from trainid_ros.core.results import Reason, Refusal, SpeedModelEstimate
 from trainid_ros.core.samples import SAMPLE_PERIOD
 from trainid_ros.core.settings import check_settings
+from trainid_ros.core.soundness import check_not_negative, check_numbers
 from trainid_ros.estimators.admission import Admission
 from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.estimators.resistance.fitness import is_fit
@@ -152,13 +153,36 @@ class SpeedModelEstimator:
     def restore(self, text: str) -> None:
         """Take over a saved state; InputError if it does not fit."""
         state = decode(text, SpeedModelState)
-        numbers = state.numbers
-        fits = self._method.fits(numbers) and all(map(math.isfinite, numbers))
-        check_restored(fits and numbers[3] > 0.0, 'SpeedModelState', 'numbers')
-        check_restored(state.noise.variance > 0.0, 'SpeedModelState', 'noise')
+        self._check(state)
+        try:
+            state = self._judged(state)
+        except ValueError:  # the variance of the resistance is negative at a speed that was driven
+            check_restored(False, 'SpeedModelState', 'numbers')
         self.state = state
         self._admission.braked_ns = state.braked_ns
-        self._judge()
+
+    def _check(self, state: SpeedModelState) -> None:
+        """Raise InputError, naming the field, unless a saved state can be gone on from."""
+        kind, numbers = 'SpeedModelState', state.numbers
+        # Algorithms as printed grow beyond all measure before they start anew, so these need be finite alone.
+        for name in ('forgetting', 'predicted', 'error', 'variance'):
+            check_restored(math.isfinite(getattr(state, name)), kind, name)
+        bounded = replace(state, numbers=(), forgetting=1.0, predicted=0.0, error=0.0, variance=0.0)
+        check_numbers(bounded, may_be_nan=('dt',))  # of the noise, after a gap
+        check_restored(state.noise.is_sound(), kind, 'noise')
+        fits = all(map(math.isfinite, numbers)) and self._method.fits(numbers)
+        check_restored(fits and numbers[3] > 0.0, kind, 'numbers')
+        variances = self._variances(numbers, state.noise)
+        check_restored(min(variances) > 0.0, kind, 'numbers')
+        check_restored(state.disturbance.is_sound(), kind, 'disturbance')
+        check_restored(state.late.variance >= 0.0, kind, 'late')
+        # An algorithm that does not learn it has no variance of x either.
+        of_x = numbers[5] if self._adaptive else 0.0
+        check_restored(state.curve.is_sound((of_x, *variances)), kind, 'curve')
+        for name in ('speeds', 'tracks', 'curves'):
+            check_restored(getattr(state, name).is_sound(), kind, name)
+        check_not_negative(kind, variance=state.variance, spread=state.spread, used=state.used)
+        check_not_negative(kind, refused_in_a_row=state.refused_in_a_row, slow_in_a_row=state.slow_in_a_row)
 
     def step(self, sample: Sample) -> SpeedModelEstimate | Refusal:
         """Take one sample in."""
@@ -286,14 +310,16 @@ class SpeedModelEstimator:
 
     def _judge(self) -> None:
         """Judge whether the resistance is fit to use at the speeds that are driven."""
-        state = self.state
+        self.state = self._judged(self.state)
+
+    def _judged(self, state: SpeedModelState) -> SpeedModelState:
         if state.fastest < state.slowest:
-            return
+            return state
         most = _USUAL_SPREAD * math.sqrt(state.spread)
         speeds = max(state.usual - most, state.slowest), min(state.usual + most, state.fastest)
-        fit = is_fit(self._variance, speeds, self._config.valid_std, was_fit=state.fit)
-        if fit != state.fit:
-            self.state = replace(state, fit=fit)
+        S = self._method.covariance(state.numbers, state.noise.variance)
+        fit = is_fit(lambda v: resistance_variance(S, v, self._k), speeds, self._config.valid_std, was_fit=state.fit)
+        return state if fit == state.fit else replace(state, fit=fit)
 
     def _variance(self, speed: float) -> float:
         """Return the variance of w at a speed [(N/kN)^2]."""

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from trainid_ros.core.samples import SAMPLE_PERIOD
 from trainid_ros.core.settings import setting
+from trainid_ros.core.soundness import is_covariance
 from trainid_ros.estimators.speed_model.estimator import SpeedModelEstimator, load_std
 from trainid_ros.estimators.speed_model.method import Learned, Numbers
 from trainid_ros.estimators.speed_model.parameters import SpeedModelConfig, Symmetric, Theta
@@ -125,8 +126,10 @@ class IntegralRls:
         return self._start
 
     def fits(self, numbers: Numbers) -> bool:
-        """Return whether numbers are as many as a state has."""
-        return len(numbers) >= _HEAD and (len(numbers) - _HEAD) % _BLOCK == 0
+        """Return whether numbers are as many as a state has, with a covariance and no doubt below zero."""
+        steps, left = divmod(len(numbers) - _HEAD, _BLOCK)
+        sized = left == 0 and 0 <= steps <= self._tuning.window
+        return sized and is_covariance(numbers[5:15]) and min(numbers[15], numbers[17], numbers[18]) >= 0.0
 
     def learn(self, numbers: Numbers, y: float, u: float, scale: float, variance: float) -> Learned:
         """Take in a measurement."""

@@ -45,7 +45,7 @@ class Method(Protocol):
         """Return the state before the first measurement."""
 
     def fits(self, numbers: Numbers) -> bool:
-        """Return whether numbers are as many as a state of this algorithm has."""
+        """Return whether finite numbers are as many as a state of this algorithm has, and no variance is negative."""
 
     def learn(self, numbers: Numbers, y: float, u: float, scale: float, variance: float) -> Learned:
         """Take in a speed y [m/s] after the force u [N/kN] over ``scale`` sample periods; variance of y [(m/s)^2]."""

@@ -23,6 +23,11 @@ class Recent:
             return Recent((value,), ())
         return Recent((value, *self.values)[:_KEPT], (dt, *self.steps)[: _KEPT - 1])
 
+    def is_sound(self) -> bool:
+        """True if there is a step between each two values, as there may not be when restored."""
+        number = len(self.values)
+        return number <= _KEPT and len(self.steps) == max(number - 1, 0) and min(self.steps, default=0.0) >= 0.0
+
     def before(self, delay: float) -> float:
         """Return the value a time ago [s], interpolated; the newest or the oldest where there is none."""
         left = delay
