@@ -161,7 +161,7 @@ def test_without_a_world_nothing_but_bag_and_truth_is_written(
         (('--world', 'metro', '--unknown', 'curve'), 'unknown curve: '),
         (('--world', 'tram', '--runs', '0'), 'runs = 0'),
         (('--world', 'tram', '--train', 'nope.yaml'), 'nope.yaml'),
-        (('--world', 'tram', '--effect', 'curve_resistance:coefficient=5'), 'effect curve_resistance: stands more'),
+        (('--world', 'tram', '--effect', 'curve_resistance:coefficient=5'), 'curve_resistance: the true train has it'),
     ],
 )
 def test_what_a_world_cannot_do_is_named(
