@@ -163,9 +163,10 @@ def test_days_with_fresh_seeds_are_accurate_and_their_deviations_honest() -> Non
     assert np.mean(w_errors) < 0.1
     assert np.mean(rate_errors) < 0.03
     assert np.median(first_errors) < 0.05
-    assert 0.55 <= w_68 <= 0.95
-    assert w_95 >= 0.88
-    # On a rate that stays, a deviation that allows for drift and a coarse map is wide: but not three times.
+    # Deviations that allow for steps not yet seen, drift and a coarse map are wide on days without them: w's
+    # about 1.7 times on average over seeds (2.5 on the calmest of 20), the brake rate's twice.
+    assert w_68 >= 0.55
     assert rate_68 >= 0.55
-    assert rate_95 >= 0.88
+    assert min(w_95, rate_95) >= 0.88
+    assert np.sqrt(np.mean(np.square(w_z))) > 1.0 / 4.0
     assert np.sqrt(np.mean(np.square(rate_z))) > 1.0 / 3.0

@@ -77,6 +77,9 @@ class Consistency:
         return f'{self.verdict.value} (squared innovations {self.ratio:.2f} times the stated variance; {band})'
 
 
+_UNJUDGED: Final = Consistency(Verdict.UNKNOWN, math.nan, math.nan, math.nan, 0, 0)
+
+
 class ConsistencyMonitor:
     """Running check over the last :data:`WINDOW` updates."""
 
@@ -88,8 +91,8 @@ class ConsistencyMonitor:
         self._z: deque[float] = deque()
         self._squares = 0.0
         self._products = 0.0
-        self._lasting = 0
         self._last = (0.0, 0.0)
+        self._current = _UNJUDGED
 
     def see(self, innovation: float, variance: float, *, used: bool) -> None:
         """Look at what an estimate states of its last update.
@@ -107,7 +110,7 @@ class ConsistencyMonitor:
         if not (used and variance > 0.0 and math.isfinite(variance) and math.isfinite(innovation)):
             return
         self._add(innovation / math.sqrt(variance))
-        self._lasting = self._lasting + 1 if self.current().verdict is Verdict.OPTIMISTIC else 0
+        self._current = self._judged()
 
     def _add(self, z: float) -> None:
         limit = math.sqrt(_MOST)
@@ -123,9 +126,10 @@ class ConsistencyMonitor:
 
     def current(self) -> Consistency:
         """Return the outcome so far."""
+        return self._current
+
+    def _judged(self) -> Consistency:
         count = len(self._z)
-        if not count:
-            return Consistency(Verdict.UNKNOWN, math.nan, math.nan, math.nan, 0, 0)
         ratio = self._squares / count
         correlation = self._products / self._squares if self._squares > 0.0 else 0.0
         low, high = band(count, correlation)
@@ -135,7 +139,8 @@ class ConsistencyMonitor:
             verdict = Verdict.OPTIMISTIC
         else:
             verdict = Verdict.PESSIMISTIC if ratio < low else Verdict.CONSISTENT
-        return Consistency(verdict, ratio, low, high, count, self._lasting)
+        lasting = self._current.lasting + 1 if verdict is Verdict.OPTIMISTIC else 0
+        return Consistency(verdict, ratio, low, high, count, lasting)
 
 
 def band(count: int, correlation: float = 0.0) -> tuple[float, float]:

@@ -26,7 +26,7 @@ from trainid_ros.core.soundness import check_not_negative, check_numbers, is_cov
 from trainid_ros.estimators.admission import Admission
 from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.estimators.prior import prior_variances
-from trainid_ros.estimators.resistance.fitness import DrivenSpeeds, is_fit_where_driven
+from trainid_ros.estimators.resistance.fitness import DrivenSpeeds, drift_growth, is_fit_where_driven
 from trainid_ros.estimators.resistance.force_errors import CURVE_RADIUS, DELAY_RANGE, force_errors, scale_step
 from trainid_ros.estimators.resistance.hypotheses import Bank, BankPlan, Hypotheses, Mixture
 from trainid_ros.estimators.resistance.inflation import Inflation
@@ -49,7 +49,6 @@ if TYPE_CHECKING:
     from trainid_ros.estimators.resistance.hypotheses import Innovation
     from trainid_ros.physics.train_file import TrainFile
 
-_SECONDS_PER_HOUR: Final = 3600.0
 # Sizes of the disturbances that are tried, as multiples of the settings.
 _GUST_SIZES: Final = (1.0, 2.0, 4.0, 8.0)
 _MAP_SIZES: Final = (0.25, 1.25)
@@ -399,7 +398,7 @@ def bank_plan(train_file: TrainFile, config: FilterBankConfig, inertia: float) -
     mean[[A, B, C]] = davis.a, davis.b, davis.c
     variance[[A, B, C]] = prior_variances((davis.a, davis.b, davis.c), config)
     variance[[KAPPA, DELTA, KAPPA_R]] = errors.variances
-    drift = config.drift_share**2 / _SECONDS_PER_HOUR * variance
+    drift = drift_growth(config.drift_share) * variance
     drift[KAPPA] = 0.0  # it changes at stops
     step_a, step_c = config.step_a + _STEP_SHARE_A * davis.a, max(config.step_share_c * davis.c, _LEAST_STEP_C)
     gradient_std = train_file.line.gradient_std

@@ -35,6 +35,11 @@ def is_fit(variance: Callable[[float], float], speeds: tuple[float, float], vali
     return rms < valid_std * (_HYSTERESIS if was_fit else 1.0)
 
 
+def drift_growth(share: float) -> float:
+    """Return the growth of a variance per second, as a share of the prior one; ``share`` as in :func:`drift_rates`."""
+    return share**2 / _SECONDS_PER_HOUR
+
+
 def drift_rates(share: float, prior: tuple[float, float, float]) -> tuple[float, float, float]:
     """Return the growth of three variances per second.
 
@@ -43,7 +48,7 @@ def drift_rates(share: float, prior: tuple[float, float, float]) -> tuple[float,
         prior: Variances of the prior.
 
     """
-    growth = share**2 / _SECONDS_PER_HOUR
+    growth = drift_growth(share)
     a, b, c = prior
     return growth * a, growth * b, growth * c
 

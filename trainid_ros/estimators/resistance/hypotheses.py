@@ -156,6 +156,12 @@ def _covariance(weight: Array, P: Array, spread: Array) -> Array:
     return within + (spread.T * weight) @ spread
 
 
+def _grown(variance: Array, added: Array | float, most: Array | float) -> Array:
+    """Return variances with something added, up to a limit; what is above it stays."""
+    grown: Array = np.maximum(variance, np.minimum(variance + added, most))
+    return grown
+
+
 class Bank:
     """The hypotheses on their way."""
 
@@ -188,13 +194,12 @@ class Bank:
         grown = plan.drift * seconds
         grown[[A, C]] += min(1.0, plan.hazard * seconds) * np.array(plan.step_variances)
         variance = self.state.P[:, diagonal, diagonal]
-        self.state.P[:, diagonal, diagonal] = np.maximum(variance, np.minimum(variance + grown, plan.variance))
+        self.state.P[:, diagonal, diagonal] = _grown(variance, grown, plan.variance)
 
     def widen_force_scale(self, variance: float) -> None:
         """Let the force scale have changed, as by passengers; its variance never exceeds the prior's plus this step."""
-        kappa = self.state.P[:, KAPPA, KAPPA]
         most = self.plan.variance[KAPPA] + variance
-        self.state.P[:, KAPPA, KAPPA] = np.maximum(kappa, np.minimum(kappa + variance, most))
+        self.state.P[:, KAPPA, KAPPA] = _grown(self.state.P[:, KAPPA, KAPPA], variance, most)
 
     def advance(self, interval: Interval) -> Innovation:
         """Predict and correct all hypotheses, weigh them, and branch when it is time."""

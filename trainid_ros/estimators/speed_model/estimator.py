@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from trainid_ros.core.codec import check_restored, decode, encode
 from trainid_ros.core.results import Reason, Refusal, SpeedModelEstimate
@@ -101,6 +101,14 @@ class SpeedModelState:
     fit: bool = False
 
 
+class Traction(NamedTuple):
+    """Traction of one step: at its end and in the mean [N/kN], and its length in sample periods."""
+
+    end: float
+    mean: float
+    scale: float
+
+
 def load_std(train_file: TrainFile, config: SpeedModelConfig) -> float:
     """Return by how much the relative error of the mass may change at a stop that is not weighed."""
     return min(config.load_std, train_file.train.mass_std)
@@ -194,10 +202,9 @@ class SpeedModelEstimator:
         state, traction = self.state, self._traction(sample)
         y, noise = self._speed(), state.noise
         numbers, late, curve = self._moved(sample, traction)
-        mean, scale = self._known.traction(sample.force_mean, sample), sample.dt / SAMPLE_PERIOD
-        learned = self._method.learn(numbers, y, mean, scale, noise.variance)
+        learned = self._method.learn(numbers, y, traction.mean, traction.scale, noise.variance)
         if learned.refused:
-            self._refuse(y, learned, traction)
+            self._refuse(y, learned, traction.end)
             return Refusal(sample.stamp_ns, Reason.OUTLIER, learned.error, learned.limit)
         numbers = learned.numbers
         if not (numbers[3] > 0.0 and math.isfinite(sum(numbers)) and min(self._variances(numbers, noise)) > 0.0):
@@ -228,18 +235,19 @@ class SpeedModelEstimator:
             curves=state.curves.add(curve, dt),
         )
 
-    def _traction(self, sample: Sample) -> float:
-        """Return the traction at the sample [N/kN], the mean before it if the force at the stamp is not known."""
-        force = sample.force if math.isfinite(sample.force) else sample.force_mean
-        return self._known.traction(force, sample)
+    def _traction(self, sample: Sample) -> Traction:
+        """Return the traction of a sample; that at its end is the mean if the force at the stamp is not known."""
+        mean = self._known.traction(sample.force_mean, sample)
+        end = self._known.traction(sample.force, sample) if math.isfinite(sample.force) else mean
+        return Traction(end, mean, sample.dt / SAMPLE_PERIOD)
 
-    def _moved(self, sample: Sample, traction: float) -> tuple[Numbers, ForceDelay, CurveShare]:
+    def _moved(self, sample: Sample, traction: Traction) -> tuple[Numbers, ForceDelay, CurveShare]:
         """Return the state with all that changes the speed over this step besides theta, and the delay of the force."""
         state, method = self.state, self._method
         change = -self._k * state.tracks.before(self._delay) * sample.dt
         if not self._adaptive:
             return method.shift(state.numbers, change), state.late, state.curve
-        acceleration = state.numbers[3] / SAMPLE_PERIOD * _bounded(traction - state.traction)
+        acceleration = state.numbers[3] / SAMPLE_PERIOD * _bounded(traction.end - state.traction)
         late = state.late.changed(acceleration)
         numbers = method.shift(state.numbers, change)
         variance = state.disturbance.lasting * sample.dt + late.speed_variance(state.late)
@@ -247,11 +255,10 @@ class SpeedModelEstimator:
         if self._curve_std > 0.0:
             curved = state.curves.before(self._delay)
             numbers, curve = curve.push(numbers, -self._k * curved * sample.dt)
-            mean, scale = self._known.traction(sample.force_mean, sample), sample.dt / SAMPLE_PERIOD
-            curve = curve.step(numbers[0], numbers[1:5], mean, scale)
+            curve = curve.step(numbers[0], numbers[1:5], traction.mean, traction.scale)
         return numbers, late, curve
 
-    def _learn(self, sample: Sample, learned: Learned, late: ForceDelay, curve: CurveShare, traction: float) -> None:
+    def _learn(self, sample: Sample, learned: Learned, late: ForceDelay, curve: CurveShare, traction: Traction) -> None:
         """Take over what was learned from a sample."""
         state, y, numbers = self.state, sample.speed, learned.numbers
         disturbance, noise = state.disturbance, state.noise
@@ -260,8 +267,8 @@ class SpeedModelEstimator:
             if self._curve_std > 0.0:
                 curve = curve.learn(numbers, learned.error, learned.variance, noise.variance)
             variance, x = self._k**2 * max(self._variance(y), 0.0), state.numbers[0]
-            scale = sample.dt / SAMPLE_PERIOD
-            phi = (scale * x * x, scale * x, scale * self._known.traction(sample.force_mean, sample), scale)
+            scale = traction.scale
+            phi = (scale * x * x, scale * x, scale * traction.mean, scale)
             correction = learned.numbers[0] - learned.predicted
             numbers, disturbance = self._changed(
                 numbers, disturbance.add(correction, state.numbers[1:5], phi, sample.dt, variance)
@@ -283,7 +290,7 @@ class SpeedModelEstimator:
             spread=(1.0 - share) * (state.spread + share * (y - state.usual) ** 2),
             used=1.0 / share,
             braked_ns=self._admission.braked_ns,
-            traction=traction,
+            traction=traction.end,
             weighed=math.isfinite(sample.mass),
             speeds=state.speeds,
             tracks=state.tracks,
@@ -337,8 +344,8 @@ class SpeedModelEstimator:
         slow = state.slow_in_a_row + 1 if y < self._config.min_speed else 0
         traction = self._traction(sample)
         if refusal.reason is Reason.STANDSTILL and slow < _STANDING and state.numbers[0] - y > _SUDDEN:
-            mean, scale = self._known.traction(sample.force_mean, sample), sample.dt / SAMPLE_PERIOD
-            numbers = self._finite(method.coast(self._moved(sample, traction)[0], mean, scale), y)
+            moved = self._moved(sample, traction)[0]
+            numbers = self._finite(method.coast(moved, traction.mean, traction.scale), y)
         else:
             numbers = method.anchor(state.numbers, self._speed(), noise.variance)
         if slow == _STANDING:
@@ -354,7 +361,7 @@ class SpeedModelEstimator:
             variance=0.0,
             slow_in_a_row=slow,
             braked_ns=self._admission.braked_ns,
-            traction=traction if math.isfinite(traction) else state.traction,
+            traction=traction.end if math.isfinite(traction.end) else state.traction,
         )
 
     def _load_share(self) -> float:
