@@ -228,8 +228,12 @@ def test_out_of_order_within_a_topic_is_put_in_order() -> None:
     later_speed = [i for i in range(k[0], k[1]) if isinstance(records[i], SpeedRecord)]
     for i in reversed(later_speed):
         swapped.insert(k[1] + 1, swapped.pop(i))
-    events = run(swapped)
-    assert repr(of(Sample, events)) == repr(of(Sample, run(records)))
+    in_order, out_of_order = (
+        # The sample before both is interpolated over two periods: the same value from reports farther apart.
+        [replace(sample, force_interval=0.0) for sample in of(Sample, run(order))]
+        for order in (records, swapped)
+    )
+    assert repr(out_of_order) == repr(in_order)
 
 
 def test_speed_out_of_order_within_the_lag_is_put_in_order() -> None:
@@ -392,6 +396,46 @@ def test_the_mass_holds_until_the_next_weighing() -> None:
     early, middle, late = (samples[i].mass for i in (2, 20, 45))
     assert math.isnan(early)
     assert (middle, late) == (2e5, 3e5)
+
+
+def stopping(*, weighed_s: list[float]) -> list[Sample]:
+    """At rest for 2 s, driving for 4 s, at rest for 4 s, driving again; the mass is weighed at some times."""
+    records = [
+        replace(record, speed=0.0 if t < 2.0 or 6.0 <= t < 10.0 else 8.0) if isinstance(record, SpeedRecord) else record
+        for record in drive(14.0)
+        for t in [(record.stamp_ns - START) / NS_PER_S]
+    ]
+    records += [MassRecord(at(t), 2e5) for t in weighed_s]
+    return of(Sample, run(sorted(records, key=lambda record: record.stamp_ns)))
+
+
+@pytest.mark.parametrize(
+    ('weighed_s', 'first_drive', 'second_drive'),
+    [
+        ([], False, False),
+        ([0.55], True, False),  # once, before the first departure
+        ([0.55, 5.05], True, False),  # dies before the stop
+        ([0.55, 6.55], True, True),  # once a stop
+        ([k + 0.05 for k in range(14)], True, True),  # every second
+    ],
+)
+def test_a_load_counts_as_weighed_until_the_train_next_stops(
+    weighed_s: list[float], first_drive: bool, second_drive: bool
+) -> None:
+    samples = stopping(weighed_s=weighed_s)
+    assert (samples[5 * 4].weighed, samples[5 * 12].weighed) == (first_drive, second_drive)
+    assert math.isnan(samples[5 * 12].mass) is (not weighed_s)
+
+
+def test_the_interval_of_the_force_is_that_of_the_reports_around_the_stamp() -> None:
+    records = without(ForceRecord, drive(10.0), 4.9, 5.3)  # two are missing
+    intervals = [sample.force_interval for sample in of(Sample, run(records))]
+    assert intervals[10] == pytest.approx(0.2)
+    assert max(intervals) == pytest.approx(0.6)
+    unknown = of(Sample, run(without(ForceRecord, drive(10.0), 4.0, 6.0)))
+    missing = [sample.force_interval for sample in unknown if math.isnan(sample.force)]
+    assert len(missing) > 5
+    assert set(missing) == {0.0}
 
 
 def test_curvature_is_interpolated_and_a_tunnel_holds_from_its_record() -> None:

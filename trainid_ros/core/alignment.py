@@ -44,6 +44,8 @@ _CONFIRMATIONS: Final = 3
 _THINNING_SHARE: Final = 0.4
 # Farther than odometer noise, shorter than any run between stops.
 _TURNING_DISTANCE: Final = 5.0
+# A train slower than this may stand [m/s].
+_STANDING: Final = 0.5
 # In intervals of the topic: one record lost in a row, none lost, each with half an interval for jitter.
 ONE_LOST: Final = 2.5
 _NONE_LOST: Final = 1.5
@@ -149,6 +151,7 @@ class Aligner:
         self._command: BrakeRecord | None = None
         self._direction = 1
         self._turning_position = math.nan
+        self._moving, self._stop_ns = False, 0
         self._suspects: list[Record] = []
 
     @property
@@ -286,24 +289,28 @@ class Aligner:
         changes, missed = self._commands(before, now)
         command, emergency = self._command_at(now)
         curvature, tunnel = self._track_at(now)
+        mass, weighed_ns = self._latest_mass(now - self._lag_ns)
+        force = self._value(self._force, now, _scalar)
         sample = Sample(
             stamp_ns=now,
             dt=dt,
             speed=speed.speed,
             position=speed.position,
             direction=self._follow_direction(speed.position),
-            force=self._value(self._force, now, _scalar),
+            force=force,
             force_mean=self._mean(self._force, start, now, _scalar),
             gradient=self._value(self._gradient, now, _scalar),
             gradient_mean=self._mean(self._gradient, start, now, _scalar),
             curve_radius=1.0 / curvature if curvature > 0.0 else 0.0,
             tunnel=tunnel,
-            mass=self._latest_mass(now - self._lag_ns),
+            mass=mass,
             brake_command=command,
             brake_changes=changes,
             brake_gap=missed,
             emergency=emergency,
             curvature_mean=self._mean(self._gradient, start, now, _curvature),
+            force_interval=0.0 if math.isnan(force) else _interval_around(self._force, now),
+            stood_since_weighing=weighed_ns < self._last_stop(now, speed.speed),
         )
         self._sample_ns = now
         # Keep phase with the period, so that faster speed topics are thinned to it evenly.
@@ -414,11 +421,24 @@ class Aligner:
             return math.nan, False
         return latest.target_acceleration, latest.emergency
 
-    def _latest_mass(self, at_ns: int) -> float:
-        """Return the mass at a stamp that even a lagging mass has reached: samples do not wait for it."""
+    def _latest_mass(self, at_ns: int) -> tuple[float, int]:
+        """Return the mass at a stamp that even a lagging mass has reached, and its own: samples do not wait for it."""
         end = bisect_right(self._mass.stamps, at_ns)
         latest = self._mass.records[end - 1] if end else None
-        return latest.mass if isinstance(latest, MassRecord) else math.nan
+        return (latest.mass, latest.stamp_ns) if isinstance(latest, MassRecord) else (math.nan, 0)
+
+    def _last_stop(self, now_ns: int, speed: float) -> int:
+        """Return when the train last came to a stop [ns]; 0 if it has not, also where records begin at rest."""
+        if self._moving and speed < _STANDING:
+            self._stop_ns = now_ns
+        self._moving = speed >= _STANDING
+        return self._stop_ns
+
+
+def _interval_around(track: _Track, at_ns: int) -> float:
+    """Return the time between the last record before a stamp and the first one from it on [s], else 0."""
+    right = bisect_left(track.stamps, at_ns)
+    return 0.0 if right == 0 else (track.stamps[right] - track.stamps[right - 1]) / NS_PER_S
 
 
 def _scalar(record: Record) -> float:

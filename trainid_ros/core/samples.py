@@ -64,6 +64,8 @@ class Sample:
         emergency: True under emergency braking.
         motion: The drive so far, where effects of the train file depend on it.
         curvature_mean: Mean curvature since the previous sample [1/m], 0 = straight, NaN if not known.
+        force_interval: Time between the two reports of the force around the stamp [s], 0 if not known.
+        stood_since_weighing: True if the train has come to a stop since the mass was weighed.
 
     """
 
@@ -85,6 +87,13 @@ class Sample:
     emergency: bool
     motion: Motion = NOT_FOLLOWED
     curvature_mean: float = math.nan
+    force_interval: float = 0.0
+    stood_since_weighing: bool = False
+
+    @property
+    def weighed(self) -> bool:
+        """True if the present load was weighed; a mass from before the last stop is that of other passengers."""
+        return math.isfinite(self.mass) and not self.stood_since_weighing
 
     @property
     def curvature(self) -> float:

@@ -21,6 +21,8 @@ HUGE: Final = 1e40
 """Numbers of a state are smaller: no quantity of a train, nor the inverse of a variance, comes near."""
 # Rounding makes a correlation exceed one by less.
 _ROUNDING: Final = 1e-6
+# Variances below the square of this are zero.
+_UNDERFLOW: Final = 1e-140
 
 
 def check_numbers(state: DataclassInstance, *, may_be_nan: Collection[str] = ()) -> None:
@@ -76,10 +78,12 @@ def is_covariance(upper: Sequence[float]) -> bool:
 def is_covariance_matrix(P: NDArray[np.float64]) -> bool:
     """True if a matrix of finite numbers, shape (n, n), is a covariance."""
     variances = np.diag(P)
-    if bool((variances < 0.0).any() or P[variances == 0.0].any()):  # what is certain goes with nothing
+    # A variance that decays towards zero gets there before its covariances, which decay half as fast.
+    certain = variances < _UNDERFLOW**2
+    if bool((variances < 0.0).any() or (np.abs(P[certain]) > _UNDERFLOW).any()):
         return False
     # Variances lie decades apart, so correlations are judged.
-    scale = 1.0 / np.sqrt(np.where(variances > 0.0, variances, 1.0))
+    scale = 1.0 / np.sqrt(np.where(certain, 1.0, variances))
     correlations = scale[:, None] * P * scale
     symmetric = bool((np.abs(correlations - correlations.T) < _ROUNDING).all())
     return symmetric and float(np.linalg.eigvalsh(correlations)[0]) >= -_ROUNDING

@@ -13,7 +13,8 @@ from trainid_ros.core.results import Reason, Refusal
 SPEED_LIMITS: Final = (0.0, 200.0)
 FORCE_LIMITS: Final = (-1e8, 1e8)
 GRADIENT_LIMITS: Final = (-200.0, 200.0)
-CURVE_RADIUS_LIMITS: Final = (0.0, 1e9)
+# Of a curve; straight track has the radius 0.
+CURVE_RADIUS_LIMITS: Final = (5.0, 1e9)
 BRAKE_LIMITS: Final = (-10.0, 0.0)
 MASS_LIMITS: Final = (100.0, 1e9)
 
@@ -40,7 +41,8 @@ def _checked(record: Record) -> tuple[tuple[float, tuple[float, float]], ...]:
         case ForceRecord():
             return ((record.force, FORCE_LIMITS),)
         case GradientRecord():
-            return (record.gradient, GRADIENT_LIMITS), (record.curve_radius, CURVE_RADIUS_LIMITS)
+            curve = ((record.curve_radius, CURVE_RADIUS_LIMITS),) if record.curve_radius != 0.0 else ()
+            return (record.gradient, GRADIENT_LIMITS), *curve
         case BrakeRecord():
             return ((record.target_acceleration, BRAKE_LIMITS),)
         case MassRecord():

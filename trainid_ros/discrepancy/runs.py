@@ -144,7 +144,7 @@ class RunCollector:
         if not self._rows and (sample.speed < SLOWEST or brake < BRAKE_APPLIED):
             return
         mass = sample.mass if math.isfinite(sample.mass) else self.train_file.train.mass
-        self._weighed = math.isfinite(sample.mass)
+        self._weighed = sample.weighed
         inertia = specific_inertia(1.0, self.train_file.train.rotary_mass)
         braking = inertia * brake if brake < BRAKE_APPLIED else 0.0
         traction = _traction(specific_force(sample.force_mean, mass), braking)

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from trainid_ros.estimators.resistance.force_errors import DELAY_RANGE
+from trainid_ros.estimators.resistance.force_errors import is_delay_at_end
 
 if TYPE_CHECKING:
     from trainid_ros.core.results import ResistanceEstimate
@@ -15,8 +15,6 @@ _SIGNIFICANT: Final = 4.0
 # ... and large enough to matter: 1 % of the force, and half a sample.
 _LEAST_SCALE: Final = 0.01
 _LEAST_DELAY_S: Final = 0.1
-# So near the end of its range a delay is one beyond it.
-_AT_END_S: Final = 0.01
 
 
 def force_findings(estimate: ResistanceEstimate) -> tuple[str, ...]:
@@ -34,6 +32,6 @@ def force_findings(estimate: ResistanceEstimate) -> tuple[str, ...]:
 
 def _delay(estimate: ResistanceEstimate) -> str:
     delay, std = estimate.force_delay, estimate.force_delay_std
-    if any(abs(delay - end) < max(std, _AT_END_S) for end in DELAY_RANGE):
+    if is_delay_at_end(delay):
         return f'{abs(delay):.1f} s or more, which cannot be estimated'
     return f'{abs(delay):.2f} ± {std:.2g} s'

@@ -3,7 +3,7 @@
 
 While the train coasts, a speed in whole km/h stays the same for seconds and then jumps. Its error has the variance
 q^2/12, but all samples between two jumps share it, so each of them counts for one of as many. Where every sample
-moves the speed, differences show all of the error, and nothing is left to add.
+moves the speed the error is still as large, and differences may not have shown it yet.
 """
 
 from __future__ import annotations
@@ -32,8 +32,7 @@ class Rounding:
     @property
     def variance(self) -> float:
         """Variance that each sample must have for all of them to weigh what they tell [(m/s)^2]."""
-        hidden = (1.0 - self.moving) / max(self.moving, _LEAST_MOVING)
-        return hidden * self.quantum * self.quantum / 12.0
+        return self.quantum * self.quantum / 12.0 / max(self.moving, _LEAST_MOVING)
 
     def is_sound(self) -> bool:
         """True if these are a quantum and a share, as they may not be when restored."""

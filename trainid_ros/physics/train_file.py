@@ -305,10 +305,13 @@ def _effect(section: Section) -> Effect:
     if not name:
         section.fail('name', f'= {shown(name)} must not be empty')
     std = _named_values(section, 'std')
+    parameters = _named_values(section, 'parameters')
     for key, value in std:
         if value < 0.0:
             section.fail(f'std.{key}', f'= {value:g} must be >= 0')
-    return Effect(name, _named_values(section, 'parameters'), std, section.text('provenance', ''))
+        if key not in dict(parameters):
+            section.fail(f'std.{key}', 'is the std of no parameter')
+    return Effect(name, parameters, std, section.text('provenance', ''))
 
 
 def _named_values(section: Section, key: str) -> NamedValues:

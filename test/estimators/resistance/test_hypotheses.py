@@ -53,7 +53,7 @@ ONE = replace(PLAN, gust_stds=(0.1,), map_stds=(0.05,), spacing=1e9)
 def still(speed: float, dt: float = DT) -> Interval:
     """Traction that holds the speed as far as the prior knows."""
     w = MEAN[A] + speed * (MEAN[B] + speed * MEAN[C])
-    return Interval(dt, (w, w, w, w), 0.0, 0.0, speed, SPEED_STD**2, dt)
+    return Interval(dt, (w, w, w, w), 0.0, 0.0, speed, SPEED_STD**2, dt, dt)
 
 
 def held(plan: BankPlan = PLAN, speed: float = 12.0) -> Bank:
@@ -99,7 +99,7 @@ def drive(davis: Callable[[float], Array], seconds: float, seed: int, plan: Bank
         speeds.append(v)
     measured = np.array(speeds) + rng.normal(0.0, SPEED_STD, len(speeds))
     tractions += [tractions[-1]] * 2
-    first = Interval(DT, (0.0, 0.0, 0.0, 0.0), 0.0, 0.0, float(measured[0]), SPEED_STD**2, DT)
+    first = Interval(DT, (0.0, 0.0, 0.0, 0.0), 0.0, 0.0, float(measured[0]), SPEED_STD**2, DT, DT)
     return [first] + [
         Interval(
             DT,
@@ -108,6 +108,7 @@ def drive(davis: Callable[[float], Array], seconds: float, seed: int, plan: Bank
             0.0,
             float(measured[i]),
             SPEED_STD**2,
+            DT,
             DT,
         )
         for i in range(1, len(speeds))

@@ -33,7 +33,7 @@ Array = NDArray[np.float64]
 Reports = tuple[float, float, float, float]
 INERTIA = 110.0
 NOISE = ProcessNoise(inertia=INERTIA, gust_time=6.0, map_length=250.0, force_density=0.0245, skew=0.015, outliers=0.01)
-INTERVAL = Interval(0.2, (18.0, 22.0, 27.0, 29.0), 4.5, 1.6, 14.2, 4e-4, 0.2)
+INTERVAL = Interval(0.2, (18.0, 22.0, 27.0, 29.0), 4.5, 1.6, 14.2, 4e-4, 0.2, 0.2)
 # v, a, b, c, gust, map error, kappa, delta, kappa_R
 MEAN = np.array([14.0, 1.5, 0.03, 0.004, 0.3, -0.2, 0.04, 0.07, 0.2])
 STD = np.array([0.03, 0.4, 0.02, 0.0015, 0.15, 0.2, 0.03, 0.04, 0.1])

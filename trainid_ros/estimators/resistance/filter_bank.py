@@ -27,7 +27,7 @@ from trainid_ros.estimators.admission import Admission
 from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.estimators.prior import prior_variances
 from trainid_ros.estimators.resistance.fitness import DrivenSpeeds, drift_growth, is_fit_where_driven
-from trainid_ros.estimators.resistance.force_errors import CURVE_RADIUS, DELAY_RANGE, force_errors, scale_step
+from trainid_ros.estimators.resistance.force_errors import CURVE_RADIUS, force_errors, is_delay_at_end, scale_step
 from trainid_ros.estimators.resistance.hypotheses import Bank, BankPlan, Hypotheses, Mixture
 from trainid_ros.estimators.resistance.inflation import Inflation
 from trainid_ros.estimators.resistance.speed_states import (
@@ -115,7 +115,7 @@ class FilterBankConfig:
 
 @dataclass(frozen=True, slots=True)
 class Tick:
-    """One admitted sample: speed [m/s], forces [N/kN], 600 m over radius, variance of the speed."""
+    """One admitted sample: speed [m/s], forces [N/kN], 600 m over radius, variance of the speed, force interval [s]."""
 
     stamp_ns: int
     dt: float
@@ -125,6 +125,7 @@ class Tick:
     curve: float
     variance: float
     weighed: bool
+    force_interval: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -205,7 +206,8 @@ class FilterBank:
             track=self._known.track(sample),
             curve=CURVE_RADIUS * sample.curvature,
             variance=self._tachometer.variance,
-            weighed=math.isfinite(sample.mass),
+            weighed=sample.weighed,
+            force_interval=sample.force_interval,
         )
 
     def _interrupt(self, sample: Sample) -> None:
@@ -225,8 +227,16 @@ class FilterBank:
             return None
         before = self._ticks[max(-1 - 3 * stride, -len(self._ticks))]
         traction = (before.traction, tick.traction, next_.traction, last.traction)
-        spacing = stride * tick.dt
-        interval = Interval(tick.dt, traction, tick.track, tick.curve, tick.speed, tick.variance, spacing)
+        interval = Interval(
+            dt=tick.dt,
+            traction=traction,
+            track=tick.track,
+            curve=tick.curve,
+            speed=tick.speed,
+            speed_variance=tick.variance,
+            spacing=stride * tick.dt,
+            force_interval=tick.force_interval,
+        )
         innovation = self._bank.advance(interval)
         self._mixture = None
         if not self._bank.is_finite():
@@ -270,10 +280,8 @@ class FilterBank:
     def _judge(self) -> None:
         """Judge whether w is fit to use at the speeds driven."""
         now, config = self._now(), self.config
-        # A delay at the end of its range is one beyond it, which spoils the rest.
-        low, high = DELAY_RANGE
-        delay = float(now.mean[-1])
-        self._converged = low < delay < high and is_fit_where_driven(
+        # A delay beyond what can be estimated spoils the rest.
+        self._converged = not is_delay_at_end(float(now.mean[-1])) and is_fit_where_driven(
             now.theta,
             now.posterior[:3, :3],
             self._driven,
@@ -388,7 +396,7 @@ class FilterBank:
 
 
 def _is_sound(tick: Tick) -> bool:
-    return tick.dt > 0.0 and 0.0 <= tick.speed < _MOST_SPEED and tick.variance > 0.0
+    return tick.dt > 0.0 and 0.0 <= tick.speed < _MOST_SPEED and tick.variance > 0.0 and tick.force_interval >= 0.0
 
 
 def bank_plan(train_file: TrainFile, config: FilterBankConfig, inertia: float) -> BankPlan:

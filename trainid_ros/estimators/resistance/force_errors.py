@@ -21,6 +21,8 @@ CURVE_RADIUS: Final = 600.0
 """Radius at which the error of the curve resistance is stated [m]."""
 DELAY_RANGE: Final = (-0.2, 0.4)
 """Delays of the force that can be estimated [s]: later reports must have come, and the cubic reaches no farther."""
+# A delay so near the end of its range is one beyond it; a mixture of delays at the end is never quite there.
+_AT_END_S: Final = 0.01
 # Uncertainty of the curve resistance: share of the coefficient where no std is stated, and where there is no effect.
 _CURVE_SHARE: Final = 0.2
 _CURVE_STD: Final = 0.5
@@ -68,6 +70,11 @@ def curve_std(train_file: TrainFile) -> float:
             coefficient = dict(effect.parameters).get('coefficient', 0.0)
             return dict(effect.std).get('coefficient', _CURVE_SHARE * coefficient) / CURVE_RADIUS
     return _CURVE_STD
+
+
+def is_delay_at_end(delay: float) -> bool:
+    """Return whether a delay [s] is at the end of what can be estimated, so that the true one may lie beyond."""
+    return any(abs(delay - end) < _AT_END_S for end in DELAY_RANGE)
 
 
 def scale_step(train: Train, *, weighed: bool) -> float:

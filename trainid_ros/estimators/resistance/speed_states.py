@@ -38,6 +38,8 @@ _OUTLIER_RANGE: Final = 2.0
 _LEAST_WEIGHT: Final = 1e-30
 # Beyond this squared ratio the exponential is zero.
 _MOST_NIS: Final = 1200.0
+# Forces that are reported more often ramp from report to report: interpolation follows them [s].
+_FAST_FORCE_S: Final = 0.25
 _ROOT_2_PI: Final = math.sqrt(2.0 * math.pi)
 
 
@@ -53,6 +55,7 @@ class Interval:
         speed: Speed measured at its end [m/s].
         speed_variance: Variance of that measurement [(m/s)^2].
         spacing: Time between the four values of the traction [s].
+        force_interval: Time between the two reports of the force that the traction was interpolated from [s].
 
     """
 
@@ -63,6 +66,7 @@ class Interval:
     speed: float
     speed_variance: float
     spacing: float
+    force_interval: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,10 +126,21 @@ def predict(x: Array, P: Array, interval: Interval, gust_var: Array, map_var: Ar
     x[:, MAP] *= rho_e
     # P = F P F' + Q
     P[:] = F @ P @ F.transpose(0, 2, 1)
-    jitter = noise.skew * (interval.traction[1] - interval.traction[0])
-    P[:, V, V] += (noise.force_density * dt + jitter * jitter * dt / interval.spacing) / (m * m)
+    change = interval.traction[1] - interval.traction[0]
+    jitter = (noise.skew**2 + _unseen_change(interval)) * change * change
+    P[:, V, V] += (noise.force_density * dt + jitter * dt / interval.spacing) / (m * m)
     P[:, GUST, GUST] += gust_var * (1.0 - rho_g * rho_g)
     P[:, MAP, MAP] += map_var * (1.0 - rho_e * rho_e)
+
+
+def _unseen_change(interval: Interval) -> float:
+    """Return the variance of the time at which the force changed between two slow reports, for each spacing [s^2].
+
+    A step anywhere within an interval D of the reports has the variance D^2 / 12 about its middle. Interpolation
+    spreads it over D / spacing equal changes, of which each must have D / spacing times as much.
+    """
+    D = interval.force_interval
+    return D**3 / (12.0 * interval.spacing) if D > _FAST_FORCE_S else 0.0
 
 
 def _transition(x: Array, interval: Interval, h: float) -> tuple[Array, Array]:

@@ -195,7 +195,7 @@ class VMils:
             self._standing = sample.speed < self.config.min_speed
         elif sample.speed < _STANDING:
             self._standing = True
-            step = scale_step(self._known.train_file.train, weighed=math.isfinite(sample.mass)) ** 2
+            step = scale_step(self._known.train_file.train, weighed=sample.weighed) ** 2
             variances = np.zeros(len(self.learner.tracker.prior.theta))
             variances[_KAPPA] = step
             self.learner.tracker.widen(variances, self._limits())

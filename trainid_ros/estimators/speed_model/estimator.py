@@ -291,7 +291,7 @@ class SpeedModelEstimator:
             used=1.0 / share,
             braked_ns=self._admission.braked_ns,
             traction=traction.end,
-            weighed=math.isfinite(sample.mass),
+            weighed=sample.weighed,
             speeds=state.speeds,
             tracks=state.tracks,
             curves=state.curves,
