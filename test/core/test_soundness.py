@@ -72,5 +72,8 @@ def test_covariances_are_told_from_other_matrices_whatever_their_scale() -> None
 def test_what_is_certain_goes_with_nothing_and_a_covariance_is_symmetric() -> None:
     assert is_covariance([1.0, 0.0, 0.0])
     assert not is_covariance([1.0, 1e-9, 0.0])
+    # Both have decayed, the covariance half as fast.
+    assert is_covariance([1.0, 1e-170, 0.0])
+    assert is_covariance([1.0, 1e-155, 1e-310])
     assert is_covariance_matrix(np.array([[1.0, 0.5], [0.5, 1.0]]))
     assert not is_covariance_matrix(np.array([[1.0, 0.5], [-0.5, 1.0]]))

@@ -57,6 +57,20 @@ def test_a_speed_that_stands_or_is_stuck_does_not_count_for_nothing() -> None:
     assert stuck.variance == pytest.approx(KMH**2 / 12.0 * 50.0)
 
 
+def test_a_long_coast_does_not_make_the_noise_of_driving_too_small() -> None:
+    """While coasting most second differences of a coarse speed are zero."""
+    quantum, rng = 0.4 * KMH, np.random.default_rng(7)
+    true = [20.0 - 0.01 * i for i in range(300)] + [17.0 + 0.1 * i for i in range(50)]
+    tachometer, noise = Tachometer(0.025, 0.025**2), SpeedNoise.declared(0.025)
+    for i, speed in enumerate(true):
+        measured = quantum * round((speed + 0.02 * rng.standard_normal()) / quantum)
+        tachometer.add(measured, math.nan if i == 0 else 0.2)
+        noise = noise.add(measured, math.nan if i == 0 else 0.2)
+    error = math.hypot(0.02, quantum / math.sqrt(12.0))
+    assert 0.8 * error < tachometer.std < 2.0 * error
+    assert 0.8 * error < noise.std < 2.0 * error
+
+
 @pytest.mark.parametrize(('quantum', 'coarse'), [(KMH, True), (0.1 * KMH, False), (1e-6, False)])
 def test_both_noises_know_of_coarse_rounding_and_only_of_that(quantum: float, coarse: bool) -> None:
     tachometer, noise = Tachometer(0.025, 0.025**2), SpeedNoise.declared(0.025)

@@ -156,6 +156,10 @@ def test_exponents_without_a_point_are_numbers() -> None:
             "T.yaml: effects[0].parameters.k = 'fast' must be a number",
         ),
         (MINIMAL + 'effects: [{name: x, std: {k: -1}}]', 'T.yaml: effects[0].std.k = -1 must be >= 0'),
+        (
+            MINIMAL + 'effects: [{name: x, parameters: {coefficient: 600}, std: {coef: 1}}]',
+            'T.yaml: effects[0].std.coef is the std of no parameter',
+        ),
         (MINIMAL + '[3]: 4', 'T.yaml: line 3, column 1 is not valid YAML: found unhashable key'),
         (MINIMAL + '3: 4', 'T.yaml has the key 3, which is no field name'),
     ],

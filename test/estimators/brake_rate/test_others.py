@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -27,6 +28,22 @@ def make(train_file: TrainFile, name: str, **settings: float) -> BrakeRateEstima
     made = BRAKE_RATE.make(BRAKE_RATE.choose(name, **settings), train_file, np.random.default_rng(3))
     assert isinstance(made, BrakeRateEstimator)
     return made
+
+
+@pytest.mark.parametrize('name', ['GSMA', 'IMM', 'KF', 'RBPF'])
+def test_what_is_saved_long_after_the_brake_was_released_can_be_restored(
+    train_file: TrainFile, journey: Journey, name: str
+) -> None:
+    """With a lag of 0.3 s the variance of the brake's acceleration decays below the smallest number."""
+    file = replace(train_file, brake=replace(train_file.brake, time_constant=0.3))
+    whole = make(file, name)
+    coast = journey(200.0, brake=lambda t: -0.4 if t < 8.0 else 0.0, speed=35.0)
+    for i, item in enumerate(coast):
+        whole.step(item)
+        if i % 100 == 99:
+            copy = make(file, name)
+            copy.restore(whole.save())
+            assert copy.save() == whole.save()
 
 
 @pytest.fixture(scope='module')

@@ -247,6 +247,19 @@ def test_a_force_that_is_reported_late_or_early_is_a_delay_and_no_resistance(del
     assert found.force_delay_std < 0.04
 
 
+def test_a_delay_beyond_what_can_be_estimated_is_not_fit_to_use() -> None:
+    bank = FilterBank(FILE, SMALL)
+    fit = []
+    for item in drive(240.0, World(delay=0.8), seed=5):
+        bank.step(item)
+        fit.append(bank.converged)
+    found = bank.estimate(12.0)
+    assert found.force_delay == pytest.approx(0.4, abs=0.01)
+    # Narrow enough to be fit but for the delay.
+    assert found.resistance_std < 0.3
+    assert not any(fit[300:])
+
+
 @pytest.mark.slow
 def test_a_curve_resistance_a_fifth_too_small_does_not_spoil_the_resistance_on_straight_track() -> None:
     file = replace(FILE, effects=(Effect('curve_resistance', (('coefficient', 600.0),)),))
@@ -285,6 +298,14 @@ def test_it_works_at_one_sample_a_second() -> None:
     check_resistance(bank, TRUTH, at_most=0.4)
     found = bank.estimate(12.0)
     assert found.force_scale == pytest.approx(1.03, abs=3.0 * found.force_scale_std)
+
+
+def test_it_works_at_twenty_samples_a_second() -> None:
+    bank = run(drive(120.0, World(gain=1.03, delay=0.2), seed=9, period=0.05))
+    check_resistance(bank, TRUTH, at_most=0.5)
+    found = bank.estimate(12.0)
+    assert found.force_scale == pytest.approx(1.03, abs=3.0 * found.force_scale_std)
+    assert found.force_delay == pytest.approx(0.2, abs=0.06)
 
 
 def coverage(seeds: range, seconds: float, config: FilterBankConfig) -> tuple[Array, Array]:
@@ -405,6 +426,12 @@ def test_the_priors_of_the_errors_of_the_force_come_from_the_train_file() -> Non
     plan = bank_plan(FILE, CONFIG, INERTIA)
     assert plan.variance[KAPPA] == pytest.approx(0.03**2 + 0.02**2)
     assert plan.variance[DELTA] == pytest.approx(0.15**2)
+
+
+def test_steps_are_as_large_as_the_settings_and_the_resistance_say() -> None:
+    of_a, of_c = bank_plan(FILE, CONFIG, INERTIA).step_variances
+    assert of_a == pytest.approx((0.3 + 0.15 * 1.5) ** 2)
+    assert of_c == pytest.approx((0.2 * 0.004) ** 2)
 
 
 # Fit to use
@@ -831,6 +858,28 @@ def test_the_published_band_is_wider_than_that_it_is_judged_by(learned: str) -> 
     phi = np.array([1.0, 12.0, 144.0])
     assert stated.resistance_std**2 == pytest.approx(phi @ now.covariance[:3, :3] @ phi)
     assert stated.resistance_std**2 > 1.2 * (phi @ now.posterior[:3, :3] @ phi)
+
+
+def test_errors_that_are_larger_than_stated_widen_the_published_band(learned: str) -> None:
+    data = json.loads(learned)
+    data['state']['inflation']['ratio'] = 1.0
+    plain = restored(json.dumps(data)).estimate(12.0).resistance_std
+    data['state']['inflation']['ratio'] = 4.0
+    wide = restored(json.dumps(data)).estimate(12.0).resistance_std
+    # But for the wheels, which are not known any worse.
+    assert 1.9 * plain < wide <= 2.0 * plain
+
+
+def test_an_outlier_is_no_error_of_the_model(learned: str, minutes: list[Sample]) -> None:
+    totals = []
+    for off in (0.0, 3.0):
+        bank, item = restored(learned), after(minutes, speed=minutes[-1].speed + off)
+        for _ in range(3):
+            bank.step(item)
+            item = replace(after([item]), speed=minutes[-1].speed)
+        totals.append(bank._inflation.total)
+    # The outlier alone is dozens of standard deviations.
+    assert totals[1] == pytest.approx(totals[0], abs=6.0)
 
 
 @pytest.mark.parametrize(('hours', 'grows'), [(0.1, False), (8.0, True)])

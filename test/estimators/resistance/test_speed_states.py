@@ -133,6 +133,14 @@ def test_the_predicted_mean_is_the_integral_of_the_equation(dt: float, seed: int
     assert np.delete(found, V) == pytest.approx(np.delete(expected, V), rel=1e-4, abs=1e-12)
 
 
+def test_a_change_between_two_slow_reports_of_the_force_came_at_any_time_between_them() -> None:
+    """By 20 N/kN within one second, interpolated in five equal parts: a step at a time of variance 1 s^2 / 12."""
+    part = replace(INTERVAL, traction=(18.0, 22.0, 26.0, 30.0), force_interval=1.0)
+    fast = replace(part, force_interval=0.2)
+    added = 5 * (predicted(MEAN, np.diag(STD**2), part)[1] - predicted(MEAN, np.diag(STD**2), fast)[1])[V, V]
+    assert added == pytest.approx((20.0 / INERTIA) ** 2 / 12.0)
+
+
 def test_the_predicted_covariance_follows_the_numerical_jacobian() -> None:
     P = random_covariance(1)
     F = np.zeros((STATES, STATES))
