@@ -202,5 +202,9 @@ def rate_tables(results: Results, seeds: Sequence[int]) -> tuple[Table, ...]:
             ),
             note if cell is error_cell else '',
         )
-        for name, cell in ((_SETTLED, error_cell), ('VALID, share of the time in motion', valid_cell))
+        for name, cell in (
+            (_SETTLED, error_cell),
+            (_COVER.name, _COVER.cell),
+            ('VALID, share of the time in motion', valid_cell),
+        )
     )

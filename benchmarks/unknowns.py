@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What each unknown of a real train costs the resistance, and what the rates of the topics cost."""
+"""What each unknown of a real train costs the resistance."""
 
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
 from benchmarks.papers.seeds import over_seeds
-from benchmarks.real_train_tables import RATES, cost_tables, costs, rate_tables
+from benchmarks.real_train_tables import cost_tables, costs
 from benchmarks.real_train_trials import PAIR, Trial, run
 from benchmarks.real_trains import FIRST_SEED
 from benchmarks.worlds import WORLDS
@@ -18,21 +18,19 @@ if TYPE_CHECKING:
 
 
 def measure(seeds: int) -> tuple[Table, ...]:
-    """Score V-MILS and the filter bank with each unknown alone and with all but one, and at other rates."""
+    """Score V-MILS and the filter bank with each unknown alone and with all but one."""
     chosen = range(FIRST_SEED, FIRST_SEED + seeds)
     trials = trials_of(chosen)
     results = dict(zip(trials, over_seeds(run, trials, 'unknowns: drives'), strict=True))
-    return *cost_tables(results, chosen), *rate_tables(results, chosen)
+    return cost_tables(results, chosen)
 
 
 def trials_of(seeds: Sequence[int]) -> tuple[Trial, ...]:
     """Return all drives to simulate, each once."""
-    rates = [Trial('metro', seed, rates=rate) for seed in seeds for rate in RATES.values()]
     apart = [
         Trial(world, seed, unknowns, algorithms=PAIR)
         for seed in seeds
         for unknowns, _ in costs().values()
         for world in WORLDS
     ]
-    # Equal trials come once, as the first of them: with all algorithms.
-    return tuple(dict.fromkeys([*rates, *apart]))
+    return tuple(dict.fromkeys(apart))

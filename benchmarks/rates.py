@@ -1,0 +1,22 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What the rates of the topics cost the resistance of a metro."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from benchmarks.papers.seeds import over_seeds
+from benchmarks.real_train_tables import RATES, rate_tables
+from benchmarks.real_train_trials import Trial, run
+from benchmarks.real_trains import FIRST_SEED
+
+if TYPE_CHECKING:
+    from benchmarks.tables import Table
+
+
+def measure(seeds: int) -> tuple[Table, ...]:
+    """Score all algorithms with topics at 1 to 50 Hz, and at mixed rates."""
+    chosen = range(FIRST_SEED, FIRST_SEED + seeds)
+    trials = [Trial('metro', seed, rates=rates) for seed in chosen for rates in RATES.values()]
+    results = dict(zip(trials, over_seeds(run, trials, 'rates: drives'), strict=True))
+    return rate_tables(results, chosen)
