@@ -229,7 +229,7 @@ def _table(condition: str, scores: Sequence[Scores]) -> Table:
         f'{len(scores)} drives of about an hour in each world, mean ± standard error over drives. Errors count while '
         f'the brake acts, from {_AFTER_S:g} s after the first braking on; the band where fit to use. Times are minutes '
         'of motion, longest of all drives. The oracle is given dead time, lag, resistance, mass, force and gradient. '
-        'GSMA, IMM and KF have states for the kinds of error that these worlds have; sizes and seeds they have not seen.'
+        'GSMA, IMM and KF have states for the kinds of error that these worlds have, not for their sizes.'
     )
     return Table(f'Brake rate in five worlds: {condition}', header, rows, note)
 

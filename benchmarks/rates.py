@@ -11,12 +11,19 @@ from benchmarks.real_train_trials import Trial, run
 from benchmarks.real_trains import FIRST_SEED
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from benchmarks.tables import Table
 
 
 def measure(seeds: int) -> tuple[Table, ...]:
     """Score all algorithms with topics at 1 to 50 Hz, and at mixed rates."""
     chosen = range(FIRST_SEED, FIRST_SEED + seeds)
-    trials = [Trial('metro', seed, rates=rates) for seed in chosen for rates in RATES.values()]
+    trials = trials_of(chosen)
     results = dict(zip(trials, over_seeds(run, trials, 'rates: drives'), strict=True))
     return rate_tables(results, chosen)
+
+
+def trials_of(seeds: Sequence[int]) -> tuple[Trial, ...]:
+    """Return all drives to simulate, each once."""
+    return tuple(Trial('metro', seed, rates=rate) for seed in seeds for rate in RATES.values())

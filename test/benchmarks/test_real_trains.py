@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks import unknowns
+from benchmarks import rates, unknowns
 from benchmarks.days import samples_of
 from benchmarks.real_train_informed import InformedFilter, information_of
 from benchmarks.real_train_scores import (
@@ -22,7 +22,16 @@ from benchmarks.real_train_scores import (
     motion_time,
     score,
 )
-from benchmarks.real_train_tables import cost_tables, costs, first_cell, paired_table, rate_tables, spread, world_tables
+from benchmarks.real_train_tables import (
+    RATES,
+    cost_tables,
+    costs,
+    first_cell,
+    paired_table,
+    rate_tables,
+    spread,
+    world_tables,
+)
 from benchmarks.real_train_trials import ALL, INFORMED, PAIR, Trial, run
 from benchmarks.real_trains import trials_of
 from benchmarks.worlds import CLEAN, FIELD, WORLDS, Rates, drive
@@ -137,8 +146,10 @@ def test_first_valid_shows_drives_without_one() -> None:
 
 def test_every_drive_is_simulated_once_and_every_cell_has_its_drives() -> None:
     seeds, fewer = range(1, 4), range(1, 3)
-    trials = (*unknowns.trials_of(fewer), *trials_of(seeds))
-    for part in (trials_of(seeds), unknowns.trials_of(fewer)):
+    parts = (rates.trials_of(fewer), unknowns.trials_of(fewer), trials_of(seeds))
+    # The drives of rates and of real_trains have all algorithms.
+    trials = {trial: trial for part in (parts[1], parts[0], parts[2]) for trial in part}.values()
+    for part in parts:
         assert len(set(part)) == len(part)
     assert Trial('metro', 1, rates=Rates(50.0, 50.0, 50.0, 50.0)) in trials
     results = {
@@ -151,4 +162,4 @@ def test_every_drive_is_simulated_once_and_every_cell_has_its_drives() -> None:
     assert len(paired.rows) == 2 * len(WORLDS) + 1
     costly = cost_tables(results, fewer)
     assert [len(table.rows) for table in costly] == [len(costs())] * len(PAIR)
-    assert len(rate_tables(results, fewer)) == 2
+    assert [len(table.rows) for table in rate_tables(results, fewer)] == [len(RATES)] * 3
