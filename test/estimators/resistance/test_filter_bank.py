@@ -27,6 +27,8 @@ Array = NDArray[np.float64]
 CONFIG = FilterBankConfig()
 # With fewer hypotheses the filters are the same, and faster.
 SMALL = FilterBankConfig(hypotheses=8, valid_std=0.25)
+# The train file is believed.
+STATED = replace(SMALL, wrong_prior=0.0)
 START = 1_700_000_000 * NS_PER_S
 G, GAMMA, MASS = 9.80665, 0.08, 200e3
 INERTIA = 1000.0 * (1.0 + GAMMA) / G
@@ -274,11 +276,18 @@ def test_a_curve_resistance_a_fifth_too_small_does_not_spoil_the_resistance_on_s
 
 def test_narrow_priors_leave_the_force_scale_where_it_is() -> None:
     exact = replace(FILE, train=replace(FILE.train, mass_std=0.0, force_std=0.0))
-    bank = run(drive(60.0, World(mass=1.05), seed=7), exact)
+    bank = run(drive(60.0, World(mass=1.05), seed=7), exact, STATED)
     assert bank.estimate(12.0).force_scale == pytest.approx(1.0, abs=1e-4)
     narrow = replace(FILE, train=replace(FILE.train, mass_std=0.002, force_std=0.003))
-    found = run(drive(60.0, World(mass=1.05), seed=7), narrow).estimate(12.0)
+    found = run(drive(60.0, World(mass=1.05), seed=7), narrow, STATED).estimate(12.0)
     assert found.force_scale == pytest.approx(1.0, abs=0.008)
+
+
+def test_a_train_file_that_is_surer_than_it_should_be_is_found_out() -> None:
+    exact = replace(FILE, train=replace(FILE.train, mass_std=0.0, force_std=0.0))
+    bank = run(drive(200.0, World(mass=1.05), seed=7), exact, CONFIG)
+    check_resistance(bank, TRUTH, at_most=0.5)
+    assert bank.estimate(12.0).force_scale == pytest.approx(1.0 / 1.05, abs=0.02)
 
 
 @pytest.mark.slow
@@ -373,7 +382,7 @@ def test_the_innovation_is_a_resistance_with_its_sign(learned: str, minutes: lis
 
 
 def test_a_new_bank_states_the_prior(sample: Make) -> None:
-    bank = FilterBank(FILE, CONFIG)
+    bank = FilterBank(FILE, STATED)
     first, second, third = (bank.step(sample(i)) for i in range(3))
     assert isinstance(first, Refusal)
     assert first.reason is Reason.GAP
@@ -411,7 +420,7 @@ def test_the_mean_curvature_counts_as_a_share_of_that_at_600_metres(sample: Make
 
 
 def test_wheels_that_are_off_are_an_error_of_the_force_scale_too(sample: Make) -> None:
-    bank = FilterBank(replace(FILE, train=replace(FILE.train, mass_std=0.0, force_std=0.0)), SMALL)
+    bank = FilterBank(replace(FILE, train=replace(FILE.train, mass_std=0.0, force_std=0.0)), STATED)
     bank.step(sample(0))
     assert bank.estimate(12.0).force_scale_std == pytest.approx(0.003, rel=1e-3)
 
@@ -495,7 +504,7 @@ def test_a_refused_sample_changes_no_estimate(
 def test_at_a_stop_the_force_scale_may_have_changed_by_what_is_weighed_or_not(
     sample: Make, mass: float, step: float
 ) -> None:
-    bank = FilterBank(FILE, SMALL)
+    bank = FilterBank(FILE, STATED)
     bank.step(sample(0))
     before = bank.estimate(0.0).force_scale_std
     for i in range(1, 50):
@@ -509,7 +518,7 @@ def test_at_a_stop_the_force_scale_may_have_changed_by_what_is_weighed_or_not(
 
 
 def test_a_load_changes_by_half_of_what_the_mass_is_uncertain_at_most(sample: Make) -> None:
-    bank = FilterBank(replace(FILE, train=replace(FILE.train, mass_std=0.002)), SMALL)
+    bank = FilterBank(replace(FILE, train=replace(FILE.train, mass_std=0.002)), STATED)
     bank.step(sample(0))
     before = bank.estimate(0.0).force_scale_std
     bank.step(sample(1, speed=0.0))

@@ -44,6 +44,7 @@ PLAN = BankPlan(
     patience=10.0,
     youth=120.0,
     suspicion=20.0,
+    wrong_prior=0.0,
     drift=np.zeros(STATES),
     noise=NOISE,
 )
@@ -191,6 +192,16 @@ def test_the_bank_starts_with_each_pair_of_sizes_at_the_prior() -> None:
     found = bank.mixture()
     assert found.mean == pytest.approx(MEAN[list(PUBLISHED)])
     assert found.covariance == pytest.approx(np.diag(STD[list(PUBLISHED)] ** 2))
+
+
+def test_a_wide_prior_goes_along_with_little_weight() -> None:
+    bank = held(replace(PLAN, wrong_prior=0.01))
+    assert bank.state.log_weight == pytest.approx([0.0] * 6 + [math.log(0.01)] * 6)
+    assert bank.state.size.tolist() == [*range(6), *range(6)]
+    std = np.sqrt(np.diagonal(bank.state.P, axis1=1, axis2=2))[:, PUBLISHED]
+    assert std[6:] == pytest.approx(std[:6] * [5.0, 5.0, 5.0, 5.0, 1.0])
+    exact = replace(PLAN, wrong_prior=0.01, variance=PLAN.variance * (np.arange(STATES) != KAPPA))
+    assert held(exact).state.P[6:, KAPPA, KAPPA] == pytest.approx([0.06**2] * 6)
 
 
 def test_a_stop_widens_the_force_scale_up_to_the_prior_and_once_more() -> None:

@@ -107,6 +107,7 @@ class FilterBankConfig:
     branch_interval: float = setting(10.0, 'driving time between branchings', 's', 1.0, 1000.0)
     patience: float = setting(10.0, 'age from which on a hypothesis counts', 's', 0.0, 1000.0)
     suspicion: float = setting(200.0, 'weight of young hypotheses in the stated covariance', '1', 1.0, 1000.0)
+    wrong_prior: float = setting(0.01, 'odds that the train file is surer than it should be', '1', 0.0, 1.0)
     valid_std: float = setting(
         0.15, 'fit to use below this standard deviation, suspected steps not counted', 'N/kN', 1e-3, 10.0
     )
@@ -423,6 +424,7 @@ def bank_plan(train_file: TrainFile, config: FilterBankConfig, inertia: float) -
         patience=config.patience,
         youth=_YOUTH_S,
         suspicion=config.suspicion,
+        wrong_prior=config.wrong_prior,
         drift=drift,
         noise=_process_noise(config, inertia),
     )

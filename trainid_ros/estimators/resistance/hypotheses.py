@@ -7,6 +7,9 @@ has, and one with other sizes of the disturbances. The estimate is the mixture o
 proved themselves. This is Bayesian detection of change points (Adams and MacKay 2007) with a bounded number of
 hypotheses, and at the same time a multiple-model estimator of the noise sizes (Blom and Bar-Shalom 1988).
 
+Train files can be surer than they should be. So half of the hypotheses start from a wide prior, with a small weight:
+where the data contradict the stated prior they outweigh the others within minutes, elsewhere they die out.
+
 The stated covariance counts young hypotheses more than the estimate does: while a step is suspected but not proved,
 it must cover both outcomes.
 """
@@ -47,6 +50,10 @@ _SPARED: Final = 8.0
 _PRESENT: Final = -6.0
 # ... and other sizes start with this probability.
 _OTHER_SIZES: Final = 1e-3
+# Where the stated prior is wrong the standard deviations of a, b, c and kappa are so many times as large, and that of
+# kappa is this at least.
+_WIDER: Final = 5.0
+_WRONG_SCALE: Final = 0.06
 _NO_WEIGHT: Final = 1e-200
 
 
@@ -66,6 +73,7 @@ class BankPlan:
         patience: Age from which on a hypothesis counts [s].
         youth: Up to this age the stated covariance counts a hypothesis ``suspicion`` times [s].
         suspicion: See ``youth``.
+        wrong_prior: Prior odds that the stated prior is too narrow.
         drift: Growth of the variances of the states [per s], shape (9,).
         noise: What disturbs the states.
 
@@ -82,6 +90,7 @@ class BankPlan:
     patience: float
     youth: float
     suspicion: float
+    wrong_prior: float
     drift: Array
     noise: ProcessNoise
 
@@ -173,15 +182,23 @@ class Bank:
         self.reset()
 
     def reset(self) -> None:
-        """Go back to the prior, with each size of the disturbances."""
-        n = len(self._gust_var)
+        """Go back to the prior, as stated and wide, with each size of the disturbances."""
+        priors, n = self._priors(), len(self._gust_var)
+        count = n * len(priors)
         self.state = Hypotheses(
-            x=np.tile(self.plan.mean, (n, 1)),
-            P=np.tile(np.diag(self.plan.variance), (n, 1, 1)),
-            log_weight=np.zeros(n),
-            age=np.full(n, _FOREVER_S),
-            size=np.arange(n, dtype=float),
+            x=np.tile(self.plan.mean, (count, 1)),
+            P=np.repeat([np.diag(variance) for variance, _ in priors], n, axis=0),
+            log_weight=np.repeat([math.log(weight) for _, weight in priors], n),
+            age=np.full(count, _FOREVER_S),
+            size=np.tile(np.arange(n, dtype=float), len(priors)),
         )
+
+    def _priors(self) -> list[tuple[Array, float]]:
+        """Return the variances of the stated prior and of the wide one, shape (9,), and their weights."""
+        stated, wide = self.plan.variance, self.plan.variance.copy()
+        wide[[A, B, C]] *= _WIDER**2
+        wide[KAPPA] = max(_WRONG_SCALE**2, _WIDER**2 * wide[KAPPA])
+        return [(stated, 1.0), *([(wide, self.plan.wrong_prior)] if self.plan.wrong_prior > 0.0 else [])]
 
     def restart(self, speed: float, variance: float) -> None:
         """Start all hypotheses anew from one measured speed [m/s] and its variance; parameters stay."""
