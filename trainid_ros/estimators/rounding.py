@@ -32,6 +32,8 @@ class Rounding:
     @property
     def variance(self) -> float:
         """Variance that each sample must have for all of them to weigh what they tell [(m/s)^2]."""
+        if self.moving == 1.0:  # no speed has stayed: the steps are those of an accelerating train
+            return 0.0
         return self.quantum * self.quantum / 12.0 / max(self.moving, _LEAST_MOVING)
 
     def is_sound(self) -> bool:

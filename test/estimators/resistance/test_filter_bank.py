@@ -814,6 +814,7 @@ def test_a_saved_part_of_another_kind_is_refused_by_name(learned: str, key: str)
         (('bank', 'branchings'), -1, 'bank'),
         (('tachometer', 'learned'), -1.0, 'tachometer'),
         (('tachometer', 'last'), math.inf, 'tachometer.last'),
+        (('tachometer', 'rounding', 'quantum'), -1.0, 'tachometer'),
         (('inflation', 'ratio'), -1.0, 'inflation'),
         (('inflation', 'batch'), 3, 'inflation'),
         (('inflation', 'total'), math.nan, 'inflation.total'),

@@ -24,8 +24,8 @@ class Inflation:
 
     Attributes:
         ratio: 1 where the model is consistent.
-        total: Sum of the innovations of the batch.
-        variance: Sum of their stated variances, correlation counted.
+        total: Sum of the innovations of the batch, in any unit, as over their standard deviations.
+        variance: Sum of their stated variances, in the square of that unit.
         length: Driving time of the batch so far [s].
 
     """

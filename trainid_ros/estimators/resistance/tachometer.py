@@ -48,8 +48,8 @@ class Tachometer:
         return math.sqrt(self.variance)
 
     def is_sound(self) -> bool:
-        """True if there is some noise, as declared and as learned."""
-        return self.declared_std > 0.0 and self.learned > 0.0
+        """True if this is a noise that measurements can have, as it may not be when restored."""
+        return min(self.declared_std, self.learned) > 0.0 and self.count >= 0 and self.rounding.is_sound()
 
     def add(self, speed: float, dt: float) -> None:
         """Take in one more speed [m/s], measured ``dt`` [s] after the last; NaN = after a gap."""
