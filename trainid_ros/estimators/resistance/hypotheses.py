@@ -243,7 +243,8 @@ class Bank:
         if weight.sum() < _NO_WEIGHT:
             weight = np.exp(now.log_weight)
         x, P = now.x[:, PUBLISHED], now.P[:, PUBLISHED][:, :, PUBLISHED]
-        mean = weight @ x / weight.sum()
+        # From one of them on, so that hypotheses that agree give the number they agree on to the bit.
+        mean = x[0] + weight @ (x - x[0]) / weight.sum()
         cautious = weight * np.where(now.age < plan.youth, plan.suspicion, 1.0)
         spread = x - mean
         return Mixture(mean, *(_covariance(p / p.sum(), P, spread) for p in (cautious, weight)))
