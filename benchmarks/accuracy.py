@@ -127,7 +127,7 @@ class DayScores:
 def measure() -> tuple[Table, ...]:
     """Score all seeds on all cores; return the tables."""
     scores = over_seeds(score_seed, SEEDS)
-    informed, kalman = 'windows, informed of changes', 'Kalman filter on v, a, b, f'
+    informed, kalman = 'windows, informed of changes', 'Kalman on v, a, b, f'
     return (
         _resistance_table('Resistance', (*RESISTANCE.names, informed), [day.resistance for day in scores]),
         _resistance_table('Speed model', (*SPEED_MODEL.names, informed), [day.speed_model for day in scores]),

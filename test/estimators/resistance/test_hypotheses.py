@@ -204,6 +204,19 @@ def test_a_wide_prior_goes_along_with_little_weight() -> None:
     assert held(exact).state.P[6:, KAPPA, KAPPA] == pytest.approx([0.06**2] * 6)
 
 
+@pytest.mark.parametrize(('hours', 'steps'), [(0.5, 0.5), (1.0, 1.0), (1000.0, 1.0)])
+def test_while_nothing_is_seen_a_and_c_may_have_stepped_once(hours: float, steps: float) -> None:
+    bank = held(replace(PLAN, hazard=1.0 / 3600.0, drift=np.full(STATES, 1e-9)))
+    bank.state.P *= 0.01
+    before = bank.state.P.copy()
+    bank.idle(3600.0 * hours)
+    grown = bank.state.P - before
+    expected = np.minimum(steps * np.array(PLAN.step_variances), 0.99 * PLAN.variance[[A, C]])
+    assert grown[0][[A, C], [A, C]] == pytest.approx(expected)
+    grown[:, [A, C], [A, C]] = 0.0
+    assert not grown.any()
+
+
 def test_a_stop_widens_the_force_scale_up_to_the_prior_and_once_more() -> None:
     bank = held()
     bank.state.P[:, KAPPA, KAPPA] = [1e-6, 1e-4, 9e-4, 9.5e-4, 0.01, 0.0]

@@ -206,12 +206,11 @@ class Bank:
         restart(self.state.x, self.state.P, speed, variance, gust_var, map_var)
 
     def idle(self, seconds: float) -> None:
-        """Let a and c have drifted and perhaps stepped while nothing was seen [s], at most back to the prior."""
-        plan, diagonal = self.plan, np.arange(STATES)
-        grown = plan.drift * seconds
-        grown[[A, C]] += min(1.0, plan.hazard * seconds) * np.array(plan.step_variances)
-        variance = self.state.P[:, diagonal, diagonal]
-        self.state.P[:, diagonal, diagonal] = _grown(variance, grown, plan.variance)
+        """Let a and c perhaps have stepped while nothing was seen [s], at most back to the prior; no wear at rest."""
+        plan, states = self.plan, np.array([A, C])
+        stepped = min(1.0, plan.hazard * seconds) * np.array(plan.step_variances)
+        variance = self.state.P[:, states, states]
+        self.state.P[:, states, states] = _grown(variance, stepped, plan.variance[states])
 
     def widen_force_scale(self, variance: float) -> None:
         """Let the force scale have changed, as by passengers; its variance never exceeds the prior's plus this step."""
