@@ -5,9 +5,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from benchmarks.papers.seeds import over_seeds
 from benchmarks.real_train_tables import RATES, rate_tables
-from benchmarks.real_train_trials import Trial, run
+from benchmarks.real_train_trials import Trial, results_of
 from benchmarks.real_trains import FIRST_SEED
 
 if TYPE_CHECKING:
@@ -19,8 +18,7 @@ if TYPE_CHECKING:
 def measure(seeds: int) -> tuple[Table, ...]:
     """Score all algorithms with topics at 1 to 50 Hz, and at mixed rates."""
     chosen = range(FIRST_SEED, FIRST_SEED + seeds)
-    trials = trials_of(chosen)
-    results = dict(zip(trials, over_seeds(run, trials, 'rates: drives'), strict=True))
+    results = results_of(trials_of(chosen), 'rates')
     return rate_tables(results, chosen)
 
 

@@ -9,13 +9,14 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from benchmarks.days import samples_of
+from benchmarks.papers.seeds import over_seeds
 from benchmarks.real_train_informed import InformedFilter, information_of
 from benchmarks.real_train_scores import answers_of, course_of, score
 from benchmarks.worlds import FIELD, Rates, drive
 from trainid_ros.estimators.resistance.algorithms import RESISTANCE
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from benchmarks.real_train_scores import Score
     from benchmarks.worlds import Drive
@@ -38,6 +39,11 @@ class Trial:
     rates: Rates = EVERY_TOPIC_5_HZ
     algorithms: tuple[str, ...] = field(default=ALL, compare=False)
     duration: float | None = field(default=None, compare=False)
+
+
+def results_of(trials: Sequence[Trial], name: str) -> dict[Trial, Mapping[str, Score]]:
+    """Return the scores of all trials, run on all cores; progress shows under a name."""
+    return dict(zip(trials, over_seeds(run, trials, f'{name}: drives'), strict=True))
 
 
 def run(trial: Trial) -> Mapping[str, Score]:

@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.accuracy import resistance_scores
 from benchmarks.papers.seeds import over_seeds
 from benchmarks.real_train_tables import paired_table, world_tables
-from benchmarks.real_train_trials import PAIR, Trial, run
+from benchmarks.real_train_trials import PAIR, Trial, results_of
 from benchmarks.worlds import CLEAN, FIELD, WORLDS
 
 if TYPE_CHECKING:
@@ -29,8 +29,7 @@ def measure(seeds: int) -> tuple[Table | Plot, ...]:
 
 def measured(seeds: Sequence[int]) -> tuple[Table | Plot, ...]:
     """Score all algorithms on drives of these seeds."""
-    trials = trials_of(seeds)
-    results = dict(zip(trials, over_seeds(run, trials, 'real_trains: drives'), strict=True))
+    results = results_of(trials_of(seeds), 'real_trains')
     days = over_seeds(stock_day, seeds, 'real_trains: stock days')
     return *world_tables(results, seeds), paired_table(results, seeds, days)
 

@@ -5,9 +5,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from benchmarks.papers.seeds import over_seeds
 from benchmarks.real_train_tables import cost_tables, costs
-from benchmarks.real_train_trials import PAIR, Trial, run
+from benchmarks.real_train_trials import PAIR, Trial, results_of
 from benchmarks.real_trains import FIRST_SEED
 from benchmarks.worlds import WORLDS
 
@@ -20,8 +19,7 @@ if TYPE_CHECKING:
 def measure(seeds: int) -> tuple[Table, ...]:
     """Score V-MILS and the filter bank with each unknown alone and with all but one."""
     chosen = range(FIRST_SEED, FIRST_SEED + seeds)
-    trials = trials_of(chosen)
-    results = dict(zip(trials, over_seeds(run, trials, 'unknowns: drives'), strict=True))
+    results = results_of(trials_of(chosen), 'unknowns')
     return cost_tables(results, chosen)
 
 

@@ -33,7 +33,7 @@ from trainid_ros.core.records import (
     SpeedRecord,
 )
 from trainid_ros.core.results import Reason, Refusal
-from trainid_ros.core.samples import SAMPLE_PERIOD, BrakeCommandChange, Sample
+from trainid_ros.core.samples import SAMPLE_PERIOD, STANDING, BrakeCommandChange, Sample
 from trainid_ros.core.settings import setting
 from trainid_ros.core.validation import find_fault
 
@@ -44,8 +44,6 @@ _CONFIRMATIONS: Final = 3
 _THINNING_SHARE: Final = 0.4
 # Farther than odometer noise, shorter than any run between stops.
 _TURNING_DISTANCE: Final = 5.0
-# A train slower than this may stand [m/s].
-_STANDING: Final = 0.5
 # In intervals of the topic: one record lost in a row, none lost, each with half an interval for jitter.
 ONE_LOST: Final = 2.5
 _NONE_LOST: Final = 1.5
@@ -429,9 +427,9 @@ class Aligner:
 
     def _last_stop(self, now_ns: int, speed: float) -> int:
         """Return when the train last came to a stop [ns]; 0 if it has not, also where records begin at rest."""
-        if self._moving and speed < _STANDING:
+        if self._moving and speed < STANDING:
             self._stop_ns = now_ns
-        self._moving = speed >= _STANDING
+        self._moving = speed >= STANDING
         return self._stop_ns
 
 

@@ -17,7 +17,7 @@ _FEWEST: Final = 4
 # Jitter makes no interval shorter than this share of the median; one lost record makes the others half of it.
 _SPREAD: Final = 0.75
 # 5 Hz with jitter of 50 ms; the limits of the settings suit topics as fast as this.
-_FAST_NS: Final = NS_PER_S // 4
+FAST_NS: Final = NS_PER_S // 4
 
 
 class LearnedInterval:
@@ -65,7 +65,7 @@ class LearnedInterval:
         if len(intervals) < _FEWEST:
             return 0
         short, median = intervals[len(intervals) // 8], intervals[(len(intervals) - 1) // 2]
-        if short <= _FAST_NS:
+        if short <= FAST_NS:
             return 0
         interval_ns = median if short > _SPREAD * median else short
         return interval_ns if interval_ns <= self._longest_ns else 0

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 from typing import Final
 
 SAMPLE_PERIOD: Final = 0.2
+STANDING: Final = 0.5
+"""A train slower than this may stand [m/s]: passengers change, and with them the mass."""
 
 
 @dataclass(frozen=True, slots=True)

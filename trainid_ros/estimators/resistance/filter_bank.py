@@ -21,6 +21,7 @@ import numpy as np
 from trainid_ros.core.codec import check_restored, decode, encode
 from trainid_ros.core.records import NS_PER_S
 from trainid_ros.core.results import Reason, Refusal, ResistanceEstimate
+from trainid_ros.core.samples import STANDING
 from trainid_ros.core.settings import check_settings, setting
 from trainid_ros.core.soundness import check_not_negative, check_numbers, is_covariance_matrix
 from trainid_ros.estimators.admission import Admission
@@ -52,8 +53,6 @@ if TYPE_CHECKING:
 # Sizes of the disturbances that are tried, as multiples of the settings.
 _GUST_SIZES: Final = (1.0, 2.0, 4.0, 8.0)
 _MAP_SIZES: Final = (0.25, 1.25)
-# A train slower than this may stand: passengers change, and with them the mass.
-_STANDING: Final = 0.5
 # The traction is looked at in steps of so long, or of one sample where that is longer; two steps must have followed.
 _SPACING_S: Final = 0.2
 _STEPS_AHEAD: Final = 2
@@ -217,7 +216,7 @@ class FilterBank:
         self._running = False
         # A train at rest reads zero without noise, and one that brakes hard has jerks.
         self._tachometer.add(sample.speed, math.nan)
-        self._stopped = self._stopped or sample.speed < _STANDING
+        self._stopped = self._stopped or sample.speed < STANDING
 
     def _advance(self) -> Refusal | None:
         """Move the filters over the newest interval whose force is known well enough ahead."""

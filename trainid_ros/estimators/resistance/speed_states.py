@@ -26,6 +26,8 @@ from typing import Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from trainid_ros.core.intervals import FAST_NS
+from trainid_ros.core.records import NS_PER_S
 from trainid_ros.estimators.resistance.force_errors import DELAY_RANGE
 
 Array: TypeAlias = NDArray[np.float64]
@@ -39,7 +41,7 @@ _LEAST_WEIGHT: Final = 1e-30
 # Beyond this squared ratio the exponential is zero.
 _MOST_NIS: Final = 1200.0
 # Forces that are reported more often ramp from report to report: interpolation follows them [s].
-_FAST_FORCE_S: Final = 0.25
+_FAST_FORCE_S: Final = FAST_NS / NS_PER_S
 _ROOT_2_PI: Final = math.sqrt(2.0 * math.pi)
 
 
