@@ -37,7 +37,7 @@ colcon-smoke: setup ## build the workspace with colcon, start an installed node,
 
 golden: setup ## regenerate expected outputs and config/params.yaml; review the difference before committing it
 	tools/with_test_env $(PYTHON_IN) test/golden/make_golden.py
-	tools/with_test_env $(PYTHON_IN) -m trainid_ros.nodes.params_template > config/params.yaml
+	tools/with_test_env $(PYTHON_IN) -m trainid_ros.ros.params_template > config/params.yaml
 
 bench: setup .venv-peers/stamp ## measure speed and accuracy, also of the papers and of other libraries
 	$(PYTHON_IN) benchmarks/run.py

@@ -10,7 +10,7 @@ from setuptools import find_packages, setup
 
 NAME = 'trainid_ros'
 # Folders that go to the share directory as they are.
-SHARED_FOLDERS = ('bags', 'config', 'launch', 'layouts')
+SHARED_FOLDERS = ('bags', 'config', 'launch')
 
 
 def shared_files() -> list[tuple[str, list[str]]]:
@@ -34,7 +34,7 @@ setup(
     maintainer_email='maintainers@trainid.example',
     # By name: build and install folders of a workspace may lie beside the package.
     packages=find_packages(include=[NAME, f'{NAME}.*']),
-    package_data={NAME: ['py.typed'], f'{NAME}.bags': ['msg/*.msg']},
+    package_data={NAME: ['py.typed'], f'{NAME}.bag': ['msg/*.msg']},
     data_files=[
         ('share/ament_index/resource_index/packages', [f'resource/{NAME}']),
         (f'share/{NAME}', ['package.xml']),
@@ -57,12 +57,12 @@ setup(
     zip_safe=False,
     entry_points={
         'console_scripts': [
-            'trainid = trainid_ros.commands.main:main',
-            'resistance_estimator = trainid_ros.nodes.resistance:main',
-            'speed_model_estimator = trainid_ros.nodes.speed_model:main',
-            'brake_rate_estimator = trainid_ros.nodes.brake_rate:main',
-            'train_simulator = trainid_ros.nodes.train_simulator:main',
-            'bag_player = trainid_ros.nodes.bag_player:main',
+            'trainid = trainid_ros.cli.main:main',
+            'resistance_estimator = trainid_ros.ros.resistance_node:main',
+            'speed_model_estimator = trainid_ros.ros.speed_model_node:main',
+            'brake_rate_estimator = trainid_ros.ros.brake_rate_node:main',
+            'train_simulator = trainid_ros.ros.train_simulator:main',
+            'bag_player = trainid_ros.ros.bag_player:main',
         ],
     },
 )

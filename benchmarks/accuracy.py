@@ -17,23 +17,23 @@ from benchmarks.bounds import BrakeKalman, InformedWindows
 from benchmarks.days import believed_train, samples_of, simulated_day
 from benchmarks.papers.seeds import over_seeds
 from benchmarks.tables import Table
+from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
+from trainid_ros.brake_rate.gsma import GsmaConfig
 from trainid_ros.core.records import NS_PER_S
-from trainid_ros.core.results import BrakeRateEstimate, Refusal, ResistanceEstimate, SpeedModelEstimate
-from trainid_ros.estimators.brake_rate.algorithms import BRAKE_RATE
-from trainid_ros.estimators.brake_rate.gsma import GsmaConfig
-from trainid_ros.estimators.resistance.algorithms import RESISTANCE
-from trainid_ros.estimators.resistance.vmils import VMilsConfig
-from trainid_ros.estimators.speed_model.algorithms import SPEED_MODEL
-from trainid_ros.estimators.speed_model.parameters import resistance_variance, upper
-from trainid_ros.physics.resistance import specific_inertia
+from trainid_ros.core.results import BrakeRateEstimate, Rejection, ResistanceEstimate, SpeedModelEstimate
+from trainid_ros.resistance.resistance_algorithms import RESISTANCE
+from trainid_ros.resistance.vmils import VMilsConfig
+from trainid_ros.speed_model.physical_parameters import resistance_variance, upper
+from trainid_ros.speed_model.speed_model_algorithms import SPEED_MODEL
+from trainid_ros.train.davis import specific_inertia
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from trainid_ros.core.samples import Sample
-    from trainid_ros.estimators.algorithms import Algorithms
     from trainid_ros.estimators.protocol import Estimator
-    from trainid_ros.simulation.truth import Truth
+    from trainid_ros.estimators.registry import Algorithms
+    from trainid_ros.sim.truth import Truth
 
 Array = NDArray[np.float64]
 # Values, standard deviation, and whether fit to use, after one sample.
@@ -240,7 +240,7 @@ def _trace_of(algorithms: Algorithms[Any], name: str, day: Day, seed: int) -> Tr
 
 def _stepped(estimator: Estimator[Any], sample: Sample) -> Any:
     answer = estimator.step(sample)
-    return estimator.estimate(sample.speed) if isinstance(answer, Refusal) else answer
+    return estimator.estimate(sample.speed) if isinstance(answer, Rejection) else answer
 
 
 def _estimator_row(estimator: Estimator[Any]) -> Stepper:
@@ -305,7 +305,7 @@ def _score_resistance(trace: Trace, day: Day) -> ResistanceScore:
     return ResistanceScore(
         errors=tuple(float(np.mean(row)) for row in errors),
         close=float(np.mean(np.array(errors) <= _CLOSE)),
-        honesty=_honest(trace, error, moving),
+        honesty=_total_std(trace, error, moving),
     )
 
 
@@ -313,10 +313,10 @@ def _score_brake(trace: Trace, day: Day) -> BrakeScore:
     error = np.abs(trace.values[:, 0] - day.brake_rate)
     asked = np.array([sample.brake_command < 0.0 and sample.speed > _DRIVING for sample in day.samples])
     later = day.time_s >= day.time_s[int(np.argmax(asked))] + _AFTER_BRAKE_S
-    return BrakeScore(float(error[later][0]), float(error[later].mean()), _honest(trace, error, day.braking))
+    return BrakeScore(float(error[later][0]), float(error[later].mean()), _total_std(trace, error, day.braking))
 
 
-def _honest(trace: Trace, error: Array, counted: NDArray[np.bool_]) -> Honesty:
+def _total_std(trace: Trace, error: Array, counted: NDArray[np.bool_]) -> Honesty:
     used = counted & trace.usable
     error, std = error[used], trace.std[used]
     inside = [float(np.mean(error <= z * std)) if error.size else math.nan for z in (1.0, _SIGMA_95)]

@@ -14,26 +14,26 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from trainid_ros.core.records import NS_PER_S
-from trainid_ros.core.results import Refusal
+from trainid_ros.core.results import Rejection
 from trainid_ros.estimators.admission import Admission
 from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.estimators.prior import prior_variances
-from trainid_ros.estimators.resistance.sliding_window import SlidingWindow
-from trainid_ros.estimators.resistance.speed_window import Tick, WindowResult, observe_resistance, overlap_factor
 from trainid_ros.estimators.speed_noise import SpeedNoise
-from trainid_ros.physics.brake import CommandHistory, lag_integral, lag_response
-from trainid_ros.physics.resistance import davis
+from trainid_ros.resistance.sliding_window import SlidingWindow
+from trainid_ros.resistance.speed_window import Tick, WindowResult, observe_resistance, overlap_factor
+from trainid_ros.train.brake import CommandHistory, lag_integral, lag_response
+from trainid_ros.train.davis import davis
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from numpy.typing import NDArray
 
+    from trainid_ros.brake_rate.gsma import GsmaConfig
     from trainid_ros.core.samples import Sample
-    from trainid_ros.estimators.brake_rate.gsma import GsmaConfig
-    from trainid_ros.estimators.resistance.sliding_window import Cut
-    from trainid_ros.estimators.resistance.vmils import VMilsConfig
-    from trainid_ros.physics.train_file import TrainFile
+    from trainid_ros.resistance.sliding_window import Cut
+    from trainid_ros.resistance.vmils import VMilsConfig
+    from trainid_ros.train.train_file import TrainFile
 
 _ANCHOR_STD_A: Final = 0.05
 # Scale and delay of the force are taken as known to this.
@@ -59,7 +59,7 @@ class BrakeKalman:
         self._commands = CommandHistory()
         self._stamp_ns = 0
         self._target = 0.0
-        self._refused = 0
+        self._rejected = 0
         self._noise = SpeedNoise.declared(config.speed_std)
         self.x = np.array([0.0, 0.0, 0.0, train_file.brake.rate])
         self.P = np.diag([0.0, 0.0, 0.0, config.prior_std**2])
@@ -103,7 +103,7 @@ class BrakeKalman:
         self.P = np.diag([self._noise.variance, _ANCHOR_STD_A**2, config.disturbance_std**2, 0.0])
         column = np.array([0.0, target, 0.0, 1.0])
         self.P += variance * np.outer(column, column)
-        self._refused = 0
+        self._rejected = 0
 
     def _predict(self, sample: Sample, Phi: NDArray[np.float64]) -> None:
         config, dt, rho = self._config, sample.dt, float(Phi[2, 2])
@@ -123,11 +123,11 @@ class BrakeKalman:
         S = self.P[0, 0] + self._noise.variance
         nu = sample.speed - self.x[0]
         if abs(nu) > config.gate * math.sqrt(S):
-            self._refused += 1
-            if self._refused >= config.readmit_after:
+            self._rejected += 1
+            if self._rejected >= config.readmit_after:
                 self._anchor(sample, 0.0)
             return
-        self._refused = 0
+        self._rejected = 0
         K = self.P[:, 0] / S
         A = np.eye(4)
         A[:, 0] -= K
@@ -174,7 +174,7 @@ class InformedWindows:
         if self._change_ns and sample.stamp_ns >= self._change_ns[0]:
             self._since_ns = self._change_ns.pop(0)
             self._begin()
-        if self._admission.refuse(sample) is not None:
+        if self._admission.reject(sample) is not None:
             self._windows.clear()
             self._noise = self._noise.add(sample.speed, math.nan)
             return
@@ -185,7 +185,7 @@ class InformedWindows:
         if cut is None:
             return
         observed = observe_resistance(cut.ticks, self._known.inertia, self._noise.std)
-        if not isinstance(observed, Refusal) and cut.ticks[0].stamp_ns >= self._since_ns:
+        if not isinstance(observed, Rejection) and cut.ticks[0].stamp_ns >= self._since_ns:
             self._add(observed, cut)
 
     def _add(self, observed: WindowResult, cut: Cut) -> None:

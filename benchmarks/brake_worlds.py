@@ -21,22 +21,22 @@ from benchmarks.tables import Table
 from benchmarks.worlds import CLEAN, FIELD, WORLDS, Drive, drive
 from benchmarks.worlds.unknowns import random_of
 from benchmarks.worlds.vehicles import KINDS, draw_vehicle
+from trainid_ros.brake_rate.brake_kinematics import brake_step
+from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.core.alignment import Aligner, AlignmentConfig
 from trainid_ros.core.records import NS_PER_S
-from trainid_ros.core.results import Refusal
+from trainid_ros.core.results import Rejection
 from trainid_ros.core.samples import Sample
-from trainid_ros.estimators.brake_rate.algorithms import BRAKE_RATE
-from trainid_ros.estimators.brake_rate.brake_kinematics import brake_step
+from trainid_ros.estimators.drive_history import DriveHistoryTracker
 from trainid_ros.estimators.known_force import KnownForce
-from trainid_ros.estimators.motion import MotionTracker
-from trainid_ros.physics.brake import CommandHistory
-from trainid_ros.physics.resistance import davis
+from trainid_ros.train.brake import CommandHistory
+from trainid_ros.train.davis import davis
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Sequence
 
     from trainid_ros.estimators.protocol import Estimator
-    from trainid_ros.physics.train_file import TrainFile
+    from trainid_ros.train.train_file import TrainFile
 
 Array = NDArray[np.float64]
 
@@ -165,7 +165,7 @@ def score_drive(world: str, condition: str, seed: int) -> dict[str, Score]:
 
 def data_of(driven: Drive) -> Data:
     """Return the aligned samples of a drive and the truth at each."""
-    aligner, motion, truth = Aligner(AlignmentConfig()), MotionTracker(driven.train_file), driven.truth
+    aligner, motion, truth = Aligner(AlignmentConfig()), DriveHistoryTracker(driven.train_file), driven.truth
     events = (event for record in driven.records for event in aligner.push(record))
     samples = tuple(motion.follow(event) for event in events if isinstance(event, Sample))
     at = np.array([truth.index_at(sample.stamp_ns) for sample in samples])
@@ -196,7 +196,7 @@ def _run(estimator: Estimator[object], data: Data) -> Array:
     rows = []
     for sample in data.samples:
         answer = estimator.step(sample)
-        now = estimator.estimate(sample.speed) if isinstance(answer, Refusal) else answer
+        now = estimator.estimate(sample.speed) if isinstance(answer, Rejection) else answer
         rows.append((now.brake_rate, now.brake_rate_std, float(estimator.converged)))  # type: ignore[attr-defined]
     return np.array(rows)
 

@@ -18,7 +18,7 @@ import numpy as np
 from benchmarks.days import believed_train, simulated_day, ticks_of
 from benchmarks.tables import Table
 from trainid_ros.core.alignment import Aligner, AlignmentConfig
-from trainid_ros.core.results import Refusal
+from trainid_ros.core.results import Rejection
 from trainid_ros.estimators.pipeline import (
     EstimatorSettings,
     brake_rate_pipeline,
@@ -143,7 +143,7 @@ def _time_block(subject: Subject, start: int, spent: list[int], fine: list[bool]
         before = clock()
         result = call(item)
         spent.append(clock() - before)
-        fine.append(not isinstance(result, Refusal))
+        fine.append(not isinstance(result, Rejection))
 
 
 def _clock_cost() -> float:

@@ -12,9 +12,9 @@ import numpy as np
 
 from trainid_ros.core.alignment import Aligner, AlignmentConfig
 from trainid_ros.core.samples import Sample
-from trainid_ros.physics.train_file import TrainFile, load_train_file
-from trainid_ros.simulation.scenario import Simulation, simulate
-from trainid_ros.simulation.yizhuang_day import yizhuang_day
+from trainid_ros.sim.scenario import Simulation, simulate
+from trainid_ros.sim.yizhuang_day import yizhuang_day
+from trainid_ros.train.train_file import TrainFile, load_train_file
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

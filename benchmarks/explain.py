@@ -42,7 +42,7 @@ if TYPE_CHECKING:
 _SEED: Final = 7001
 _CASES_PER_SEED: Final[dict[Generator, float]] = {'A': 5.0, 'B': 2.5}
 _JOBS: Final = 2
-_TELL_EVERY: Final = 10
+_PROGRESS_EVERY: Final = 10
 
 
 def measure(seeds: int) -> list[Table | Plot]:
@@ -60,7 +60,7 @@ def _scored(generator: Generator, count: int) -> list[Outcome]:
     told: list[Outcome] = []
     for outcome in outcomes(draw_specs(generator, _SEED, count), _JOBS):
         told.append(outcome)
-        if not len(told) % _TELL_EVERY:
+        if not len(told) % _PROGRESS_EVERY:
             print(f'generator {generator}: {len(told)} of {count} cases', file=sys.stderr, flush=True)
     # In the order of names and seeds, so that the tables do not depend on which process was faster.
     return sorted(told, key=lambda outcome: (outcome.spec.name, outcome.spec.seed))

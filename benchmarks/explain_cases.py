@@ -97,15 +97,11 @@ def _case_a(spec: Spec) -> Opened:
     case = hidden_cases.make_case(spec.name, spec.seed)
     truth = case.truth
     effects = tuple(
-        HiddenEffect(
-            effect.name, effect.parameters if effect.comparable else (), effect.near, effect.visible_percent
-        )
+        HiddenEffect(effect.name, effect.parameters if effect.comparable else (), effect.near, effect.visible_percent)
         for effect in truth.effects
     )
     flags = () if truth.mass_topic else ('no_mass_topic',)
-    answer = Answer(
-        truth.kind, effects, truth.visible_percent, truth.floor, truth.one_way, truth.contamination, flags
-    )
+    answer = Answer(truth.kind, effects, truth.visible_percent, truth.floor, truth.one_way, truth.contamination, flags)
     return Opened(case.believed, case.bags, answer)
 
 
@@ -123,7 +119,5 @@ def _case_b(spec: Spec) -> Opened:
     )
     contamination = tuple(word for flag, word in _CONTAMINATION_B.items() if flag in truth.flags)
     flags = (truth.service, *(flag for flag in truth.flags if flag != 'one_way' and flag not in _CONTAMINATION_B))
-    answer = Answer(
-        truth.kind, effects, truth.visible, truth.gap.floor, 'one_way' in truth.flags, contamination, flags
-    )
+    answer = Answer(truth.kind, effects, truth.visible, truth.gap.floor, 'one_way' in truth.flags, contamination, flags)
     return Opened(case.train_yaml, case.bags, answer)

@@ -110,15 +110,15 @@ def both(outcome: Outcome) -> bool:
 
 def generic(outcome: Outcome) -> bool:
     """Unexplained, or only names that claim no mechanism."""
-    return _honest(outcome, frozenset())
+    return _total_std(outcome, frozenset())
 
 
 def honest(outcome: Outcome) -> bool:
     """Unexplained, or only names that are near to what is hidden or claim no mechanism."""
-    return _honest(outcome, frozenset(name for effect in outcome.answer.effects for name in effect.near))
+    return _total_std(outcome, frozenset(name for effect in outcome.answer.effects for name in effect.near))
 
 
-def _honest(outcome: Outcome, near: frozenset[str]) -> bool:
+def _total_std(outcome: Outcome, near: frozenset[str]) -> bool:
     if outcome.verdict == 'unexplained':
         return True
     names = {effect.name for effect in named(outcome)}

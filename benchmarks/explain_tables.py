@@ -78,8 +78,19 @@ def singles(outcomes: Outcomes, title: str) -> Table:
     """Return a row per effect of the library."""
     cases = _kind(outcomes, 'single')
     header = (
-        'effect', 'cases', 'visible', 'exact', 'in set of two', 'exact, all cases', 'within 2 std', 'error rms [std]',
-        'before', 'after', 'floor [mm/s]', 'time p50', 'p90 [s]',
+        'effect',
+        'cases',
+        'visible',
+        'exact',
+        'in set of two',
+        'exact, all cases',
+        'within 2 std',
+        'error rms [std]',
+        'before',
+        'after',
+        'floor [mm/s]',
+        'time p50',
+        'p90 [s]',
     )
     rows = [_single_row(name, _of(cases, name)) for name in sorted({truth_names(one)[0] for one in cases})]
     rows += [_single_row('all', cases)] if cases else []
@@ -97,16 +108,24 @@ def _single_row(name: str, cases: Outcomes) -> tuple[str, ...]:
     medians = [f'{1e3 * _quantile([gap[k] for gap in gaps], 0.5):.0f}' if gaps else '-' for k in range(3)]
     times = [one.explain_s for one in cases]
     return (
-        name, str(len(cases)), str(len(shown)), _short(rate(shown, exact)), _short(rate(shown, within_two)),
-        _short(rate(cases, exact)), _short(within_std(errors)), _number(rms(errors), '.2f'), *medians,
-        _number(_quantile(times, 0.5), '.1f'), _number(_quantile(times, 0.9), '.1f'),
+        name,
+        str(len(cases)),
+        str(len(shown)),
+        _short(rate(shown, exact)),
+        _short(rate(shown, within_two)),
+        _short(rate(cases, exact)),
+        _short(within_std(errors)),
+        _number(rms(errors), '.2f'),
+        *medians,
+        _number(_quantile(times, 0.5), '.1f'),
+        _number(_quantile(times, 0.9), '.1f'),
     )
 
 
 def nothing_hidden(outcomes: Outcomes, title: str) -> Table:
     """Return a row per verdict on cases in which nothing is hidden."""
     cases = _kind(outcomes, 'none')
-    counts = Counter(f'{one.verdict}: {_told(one)}' if named(one) else one.verdict for one in cases)
+    counts = Counter(f'{one.verdict}: {_formatted(one)}' if named(one) else one.verdict for one in cases)
     rows = [('false alarms', _long(rate(cases, alarmed)))] if cases else []
     rows += [(text, str(count)) for text, count in counts.most_common()]
     return Table(f'Nothing hidden, {title}', ('outcome', 'cases'), tuple(rows))
@@ -118,7 +137,10 @@ def pairs(outcomes: Outcomes, title: str) -> Table:
     shown = [one for one in cases if visible(one)]
     rows = [
         (
-            text, str(len(chosen)), _long(rate(chosen, both)), _short(rate(chosen, exact)),
+            text,
+            str(len(chosen)),
+            _long(rate(chosen, both)),
+            _short(rate(chosen, exact)),
             _short(rate(chosen, lambda one: found_of_truth(one) == 1)),
             _short(rate(chosen, lambda one: found_of_truth(one) == 0)),
         )
@@ -145,9 +167,13 @@ def outsiders(outcomes: Outcomes, title: str) -> Table:
 
 def _outside_row(name: str, cases: Outcomes) -> tuple[str, ...]:
     return (
-        name, str(len(cases)), _short(rate(cases, honest)),
-        _short(rate(cases, lambda one: one.verdict == 'unexplained')), _short(rate(cases, generic)),
-        _short(rate(cases, lambda one: one.verdict == 'no_gap')), _counted(cases) if name != 'all' else '',
+        name,
+        str(len(cases)),
+        _short(rate(cases, honest)),
+        _short(rate(cases, lambda one: one.verdict == 'unexplained')),
+        _short(rate(cases, generic)),
+        _short(rate(cases, lambda one: one.verdict == 'no_gap')),
+        _counted(cases) if name != 'all' else '',
     )
 
 
@@ -170,8 +196,13 @@ def _circumstance_row(text: str, cases: Outcomes) -> tuple[str, ...]:
     shown = [one for one in cases if visible(one)]
     single, pair, outside = (_kind(shown, kind) for kind in ('single', 'pair', 'outside'))
     return (
-        text, str(len(cases)), _short(rate(_kind(cases, 'none'), alarmed)), _short(rate(single, exact)),
-        _short(rate(single, within_two)), _short(rate(pair, both)), _short(rate(outside, honest)),
+        text,
+        str(len(cases)),
+        _short(rate(_kind(cases, 'none'), alarmed)),
+        _short(rate(single, exact)),
+        _short(rate(single, within_two)),
+        _short(rate(pair, both)),
+        _short(rate(outside, honest)),
     )
 
 
@@ -208,13 +239,13 @@ def _of(outcomes: Outcomes, name: str) -> list[Outcome]:
     return [one for one in outcomes if name in truth_names(one)]
 
 
-def _told(outcome: Outcome) -> str:
+def _formatted(outcome: Outcome) -> str:
     names = (effect.name + (f'~{"~".join(effect.twins)}' if effect.twins else '') for effect in named(outcome))
     return ' + '.join(names) or outcome.verdict
 
 
 def _counted(outcomes: Outcomes) -> str:
-    counts = Counter(_told(one) for one in outcomes)
+    counts = Counter(_formatted(one) for one in outcomes)
     return '; '.join(f'{text}: {count}' for text, count in counts.most_common())
 
 

@@ -25,14 +25,14 @@ from trainid_msgs import msg as trainid_msgs
 
 from benchmarks.days import TRAIN_FILE, simulated_day
 from benchmarks.tables import Table
-from trainid_ros.bags.types import ESTIMATE_TOPICS
+from trainid_ros.bag.types import ESTIMATE_TOPICS
 from trainid_ros.core.alignment import Aligner, AlignmentConfig
 from trainid_ros.core.records import INPUT_TOPICS, NS_PER_S
 from trainid_ros.core.samples import Sample
 from trainid_ros.demo.domain import free_domain
 from trainid_ros.demo.processes import ProcessGroup
-from trainid_ros.nodes import qos
-from trainid_ros.nodes.conversion import message_class, message_from_record, stamp_ns
+from trainid_ros.ros import qos
+from trainid_ros.ros.conversion import message_class, message_from_record, stamp_ns
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

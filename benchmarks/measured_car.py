@@ -29,9 +29,9 @@ from trainid_ros.core.records import NS_PER_S, BrakeRecord, ForceRecord, Gradien
 from trainid_ros.core.results import Status
 from trainid_ros.core.samples import SAMPLE_PERIOD
 from trainid_ros.estimators.pipeline import EstimatorSettings, resistance_pipeline
-from trainid_ros.estimators.resistance.algorithms import RESISTANCE
-from trainid_ros.physics.resistance import G
-from trainid_ros.physics.train_file import Brake, Davis, Line, Train, TrainFile
+from trainid_ros.resistance.resistance_algorithms import RESISTANCE
+from trainid_ros.train.davis import G
+from trainid_ros.train.train_file import Brake, Davis, Line, Train, TrainFile
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

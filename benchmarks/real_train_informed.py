@@ -13,15 +13,15 @@ from typing import TYPE_CHECKING
 
 from trainid_ros.core.records import NS_PER_S
 from trainid_ros.estimators.known_force import KnownForce
-from trainid_ros.estimators.resistance.filter_bank import FilterBank, FilterBankConfig, bank_plan
-from trainid_ros.estimators.resistance.hypotheses import Bank
-from trainid_ros.estimators.resistance.speed_states import A, C
+from trainid_ros.resistance.filter_bank import FilterBank, FilterBankConfig, bank_plan
+from trainid_ros.resistance.hypotheses import Bank
+from trainid_ros.resistance.speed_states import A, C
 
 if TYPE_CHECKING:
     from benchmarks.worlds import Truth
-    from trainid_ros.core.results import Refusal, ResistanceEstimate
+    from trainid_ros.core.results import Rejection, ResistanceEstimate
     from trainid_ros.core.samples import Sample
-    from trainid_ros.physics.train_file import TrainFile
+    from trainid_ros.train.train_file import TrainFile
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,7 +61,7 @@ class InformedFilter(FilterBank):
         )
         self._changes_ns = list(known.changes_ns)
 
-    def step(self, sample: Sample) -> ResistanceEstimate | Refusal:
+    def step(self, sample: Sample) -> ResistanceEstimate | Rejection:
         """Take one sample in, after the changes of resistance before it."""
         while self._changes_ns and sample.stamp_ns >= self._changes_ns[0]:
             self._changes_ns.pop(0)

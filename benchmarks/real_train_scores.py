@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trainid_ros.core.records import NS_PER_S
-from trainid_ros.core.results import Refusal
+from trainid_ros.core.results import Rejection
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -131,9 +131,9 @@ def answers_of(estimator: Estimator[ResistanceEstimate], samples: Sequence[Sampl
 
 def _row(estimator: Estimator[ResistanceEstimate], sample: Sample) -> tuple[float, ...]:
     answer = estimator.step(sample)
-    refused = isinstance(answer, Refusal)
-    now = estimator.estimate(sample.speed) if isinstance(answer, Refusal) else answer
-    return now.a, now.b, now.c, now.resistance_std, float(not refused), float(estimator.converged)
+    rejected = isinstance(answer, Rejection)
+    now = estimator.estimate(sample.speed) if isinstance(answer, Rejection) else answer
+    return now.a, now.b, now.c, now.resistance_std, float(not rejected), float(estimator.converged)
 
 
 def score(answers: Answers, course: Course) -> Score:

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING, Final
 
 from benchmarks.days import REPOSITORY
 from benchmarks.tables import Table
-from trainid_ros.bags.reader import BagReader
-from trainid_ros.bags.replay import Replay, replay
+from trainid_ros.bag.bag_replay import Replay, replay
+from trainid_ros.bag.reader import BagReader
 from trainid_ros.estimators.pipeline import EstimatorSettings
-from trainid_ros.physics.train_file import load_train_file
+from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:
     from pathlib import Path

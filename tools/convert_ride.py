@@ -25,10 +25,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.bags.writer import BagWriter
+from trainid_ros.bag.writer import BagWriter
 from trainid_ros.core.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
-from trainid_ros.physics.resistance import G
-from trainid_ros.physics.train_file import Brake, Davis, Train, TrainFile, dump_train_file
+from trainid_ros.train.davis import G
+from trainid_ros.train.train_file import Brake, Davis, Train, TrainFile, dump_train_file
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -13,8 +13,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from trainid_ros.physics.resistance import G
-from trainid_ros.physics.train_file import Brake, Davis, Line, Train, TrainFile, dump_train_file
+from trainid_ros.train.davis import G
+from trainid_ros.train.train_file import Brake, Davis, Line, Train, TrainFile, dump_train_file
 
 KMH = 3.6
 

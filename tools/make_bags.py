@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.bags.writer import BagWriter
-from trainid_ros.physics.train_file import load_train_file
-from trainid_ros.simulation.scenario import simulate
-from trainid_ros.simulation.truth import save_truth
-from trainid_ros.simulation.yizhuang_day import RUNS, yizhuang_day
+from trainid_ros.bag.writer import BagWriter
+from trainid_ros.sim.scenario import simulate
+from trainid_ros.sim.truth import save_truth
+from trainid_ros.sim.yizhuang_day import RUNS, yizhuang_day
+from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

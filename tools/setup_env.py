@@ -36,7 +36,7 @@ INTERPRETER = f'python{sys.version_info.major}.{sys.version_info.minor}'
 SITE = VENV / 'lib' / INTERPRETER / 'site-packages'
 PYTHON = VENV / 'bin' / 'python'
 PACKAGE_INPUTS = ('setup.py', 'setup.cfg', 'package.xml')
-SHARED = ('package.xml', 'bags', 'config', 'launch', 'layouts')
+SHARED = ('package.xml', 'bags', 'config', 'launch')
 LOG_LINES_SHOWN = 15
 # What pip says when it gets no answer, or an empty one.
 NO_INDEX = ('NewConnectionError', 'NameResolutionError', '(from versions: none)')

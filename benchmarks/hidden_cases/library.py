@@ -161,9 +161,23 @@ def _share_of_train(start: float, end: float, length: int) -> Callable[[Moment],
 LIBRARY: dict[str, Draw] = {
     draw.__name__: draw
     for draw in (
-        tunnel_drag, curve_resistance, gradient_error, headwind, mass_error, traction_scale, brake_scale, brake_fade,
-        brake_delay, dragging_brake, starting_resistance, bearing_warmup, wheel_diameter, wheel_slip, resistance_step,
-        local_drag, higher_order_drag,
+        tunnel_drag,
+        curve_resistance,
+        gradient_error,
+        headwind,
+        mass_error,
+        traction_scale,
+        brake_scale,
+        brake_fade,
+        brake_delay,
+        dragging_brake,
+        starting_resistance,
+        bearing_warmup,
+        wheel_diameter,
+        wheel_slip,
+        resistance_step,
+        local_drag,
+        higher_order_drag,
     )
 }
 COUNTS_FROM_START = frozenset({'bearing_warmup', 'resistance_step', 'growing_drag'})

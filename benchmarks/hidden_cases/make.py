@@ -64,9 +64,7 @@ def make_case(name: str, seed: int) -> Case:
         msg = f'effect {unknown[0]!r} is not known; known are none, {", ".join([*LIBRARY, *OUTSIDE])}'
         raise ValueError(msg)
     world = draw_world(np.random.default_rng([seed, 1]), one_bag=not COUNTS_FROM_START.isdisjoint(names))
-    effects = [
-        (LIBRARY | OUTSIDE)[one](world, np.random.default_rng([seed, crc32(one.encode())])) for one in names
-    ]
+    effects = [(LIBRARY | OUTSIDE)[one](world, np.random.default_rng([seed, crc32(one.encode())])) for one in names]
     return ride_case(wanted, seed, world, effects)
 
 

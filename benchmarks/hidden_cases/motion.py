@@ -174,9 +174,7 @@ class Ride:
             started = started or base + acceleration > 0.0
             gone = started and (speed > 0.0 or base + acceleration > 0.0)
             noted = ((base - plain), *added) if gone else (0.0, *nothing)
-            rows.append(
-                (front, heading, number if gone else -1, speed, self._reported, command, leg.weighed, *noted)
-            )
+            rows.append((front, heading, number if gone else -1, speed, self._reported, command, leg.weighed, *noted))
             if gone:
                 new = max(0.0, speed + STEP * (base + acceleration))
                 moment.acceleration = (new - speed) / STEP

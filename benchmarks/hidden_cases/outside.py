@@ -80,9 +80,7 @@ def jerked_drag(_: World, rng: Generator) -> Hidden:
     """Resistance while the speed changes, whichever way: couplers and suspension that work."""
     size = log_uniform(rng, 0.8, 8.0)
     near = ('mass_error', 'traction_scale', 'brake_scale')
-    return Hidden(
-        'jerked_drag', (('size', size),), near=near, drag=lambda m: size * min(1.2, abs(m.acceleration))
-    )
+    return Hidden('jerked_drag', (('size', size),), near=near, drag=lambda m: size * min(1.2, abs(m.acceleration)))
 
 
 def pull_drag_one_way(_: World, rng: Generator) -> Hidden:
@@ -139,7 +137,17 @@ def crowded_drag(_: World, rng: Generator) -> Hidden:
 OUTSIDE: dict[str, Draw] = {
     draw.__name__: draw
     for draw in (
-        wavy_drag, growing_drag, brake_speed_rate, field_weakening, sagging_voltage, rotary_mass, jerked_drag,
-        pull_drag_one_way, random_runs, speed_band_drag, wet_brake, crowded_drag,
+        wavy_drag,
+        growing_drag,
+        brake_speed_rate,
+        field_weakening,
+        sagging_voltage,
+        rotary_mass,
+        jerked_drag,
+        pull_drag_one_way,
+        random_runs,
+        speed_band_drag,
+        wet_brake,
+        crowded_drag,
     )
 }

@@ -7,5 +7,14 @@ from benchmarks.hidden_cases_b.case import NAMES, PAIRS, Case, Truth, draw_cases
 from benchmarks.hidden_cases_b.menu import LIBRARY, NEAR, OUTSIDE, SENSOR_EXTRA
 
 __all__ = [
-    'LIBRARY', 'NAMES', 'NEAR', 'OUTSIDE', 'PAIRS', 'SENSOR_EXTRA', 'Case', 'Truth', 'draw_cases', 'make_case',
+    'LIBRARY',
+    'NAMES',
+    'NEAR',
+    'OUTSIDE',
+    'PAIRS',
+    'SENSOR_EXTRA',
+    'Case',
+    'Truth',
+    'draw_cases',
+    'make_case',
 ]

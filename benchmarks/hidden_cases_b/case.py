@@ -21,11 +21,22 @@ from trainid_ros.core.records import Record
 
 Array = NDArray[np.float64]
 PAIRS: Final = (
-    'headwind+curve_resistance', 'tunnel_drag+brake_scale', 'local_drag+traction_scale', 'gradient_error+brake_delay',
-    'resistance_step+curve_resistance', 'bearing_warmup+brake_scale', 'mass_error+local_drag',
-    'dragging_brake+headwind', 'starting_resistance+gradient_error', 'wheel_slip+resistance_step',
-    'traction_scale+brake_scale', 'brake_fade+tunnel_drag', 'higher_order_drag+local_drag',
-    'wheel_diameter+brake_delay', 'headwind+brake_scale', 'curve_resistance+gradient_error',
+    'headwind+curve_resistance',
+    'tunnel_drag+brake_scale',
+    'local_drag+traction_scale',
+    'gradient_error+brake_delay',
+    'resistance_step+curve_resistance',
+    'bearing_warmup+brake_scale',
+    'mass_error+local_drag',
+    'dragging_brake+headwind',
+    'starting_resistance+gradient_error',
+    'wheel_slip+resistance_step',
+    'traction_scale+brake_scale',
+    'brake_fade+tunnel_drag',
+    'higher_order_drag+local_drag',
+    'wheel_diameter+brake_delay',
+    'headwind+brake_scale',
+    'curve_resistance+gradient_error',
 )
 NAMES: Final = ('none', *LIBRARY, *SENSOR_EXTRA, *PAIRS, *OUTSIDE)
 
@@ -141,9 +152,16 @@ def _observe(
     kind = 'none' if not draws else 'pair' if len(draws) > 1 else 'outside' if name in OUTSIDE else 'single'
     stock = scene.stocks[0]
     truth = Truth(
-        kind, tuple(draws), {key: dict(draw.parameters) for key, draw in draws.items()},
-        {key: draw.exact for key, draw in draws.items()}, (*scene.flags, *flags_of(kit, quirks)),
-        gap.percent, each, gap, (stock.a, stock.b, stock.c), scene.service,
+        kind,
+        tuple(draws),
+        {key: dict(draw.parameters) for key, draw in draws.items()},
+        {key: draw.exact for key, draw in draws.items()},
+        (*scene.flags, *flags_of(kit, quirks)),
+        gap.percent,
+        each,
+        gap,
+        (stock.a, stock.b, stock.c),
+        scene.service,
     )
     return Case(name, seed, believed_yaml(scene, rng), tuple(tuple(bag) for bag in bags), truth)
 
@@ -166,7 +184,10 @@ def believed_yaml(scene: Scene, rng: np.random.Generator) -> str:
         f'  stops: [{", ".join(str(stop) for stop in ground.stops)}]',
     ]
     if detailed:
-        lines += [f'  gradient: {rows(ground.gradient)}', f'  curve: {rows(ground.curve)}',
-                  f'  tunnel: {rows(ground.tunnel)}']
+        lines += [
+            f'  gradient: {rows(ground.gradient)}',
+            f'  curve: {rows(ground.curve)}',
+            f'  tunnel: {rows(ground.tunnel)}',
+        ]
     lines.append('effects: []')
     return '\n'.join(lines) + '\n'

@@ -22,8 +22,16 @@ CHECKING: Final = 6  # speed downhill
 
 @njit(cache=True)
 def decide(
-    s: Stock, v: float, left: float, covered: float, slope: float, arrived: bool, mode: int, cmd: float,
-    demand: float, brake_wait: int,
+    s: Stock,
+    v: float,
+    left: float,
+    covered: float,
+    slope: float,
+    arrived: bool,
+    mode: int,
+    cmd: float,
+    demand: float,
+    brake_wait: int,
 ) -> tuple[int, float, float, int]:
     """Return mode, brake command [m/s^2], traction asked for [N] and ticks until the brake may change."""
     limit = s.cruise
@@ -57,9 +65,7 @@ def decide(
 
 
 @njit(cache=True)
-def _stop(
-    s: Stock, v: float, left: float, plan_w: float, cmd: float, brake_wait: int
-) -> tuple[int, float, int]:
+def _stop(s: Stock, v: float, left: float, plan_w: float, cmd: float, brake_wait: int) -> tuple[int, float, int]:
     if v < math.sqrt(max(0.0, s.serve * left)) - 2.5 and left > 40.0:
         return CREEPING, 0.0, brake_wait
     brake_wait -= 1
@@ -76,9 +82,7 @@ def _stop(
 
 
 @njit(cache=True)
-def _pull(
-    s: Stock, v: float, left: float, limit: float, plan_w: float, mode: int, demand: float
-) -> tuple[int, float]:
+def _pull(s: Stock, v: float, left: float, limit: float, plan_w: float, mode: int, demand: float) -> tuple[int, float]:
     mass = s.weighed * (1.0 + s.gamma)
     strongest = min(s.pull_max, s.power / max(v, 0.5))
     if mode == PULLING:
@@ -104,9 +108,7 @@ def _pull(
 
 
 @njit(cache=True)
-def _check(
-    s: Stock, v: float, covered: float, limit: float, plan_w: float, mode: int, cmd: float
-) -> tuple[int, float]:
+def _check(s: Stock, v: float, covered: float, limit: float, plan_w: float, mode: int, cmd: float) -> tuple[int, float]:
     """Brake downhill and before restrictions."""
     if v > limit + 1.0 and s.electric < 0.5:
         mode = CHECKING

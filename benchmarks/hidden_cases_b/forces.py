@@ -70,8 +70,23 @@ def _overlap(front: float, rear: float, low: float, high: float, length: float) 
 
 @njit(cache=True)
 def drags(
-    q: Quirks, s: Stock, origin: float, climb: Array, flaw: Array, bend: Array, bore: Array, x: float, way: float,
-    v: float, now: float, gone: float, freed: float, since: float, pulling: float, gust_v: float, gust_w: float,
+    q: Quirks,
+    s: Stock,
+    origin: float,
+    climb: Array,
+    flaw: Array,
+    bend: Array,
+    bore: Array,
+    x: float,
+    way: float,
+    v: float,
+    now: float,
+    gone: float,
+    freed: float,
+    since: float,
+    pulling: float,
+    gust_v: float,
+    gust_w: float,
 ) -> tuple[float, float, float, float]:
     """Return all resistances [N/kN] but those of brake and acceleration, then the shares of gust and flaw."""
     rear = x - way * s.length

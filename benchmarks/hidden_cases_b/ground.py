@@ -75,7 +75,11 @@ def draw_ground(
     nodes = np.arange(low, high + CELL, CELL)
     middle = nodes[:-1] + 0.5 * CELL
     return Ground(
-        stops, gradient, curve, tunnel, float(low),
+        stops,
+        gradient,
+        curve,
+        tunnel,
+        float(low),
         _integral(_steps(gradient, middle)),
         _integral(_coloured(rng, len(middle), flaw_std, flaw_length)),
         _integral(np.where(_steps(curve, middle) > 0.0, 1.0 / np.maximum(_steps(curve, middle), 1.0), 0.0)),

@@ -74,23 +74,31 @@ def _place(rng: Rng, at: Context, low: float, high: float) -> tuple[float, float
 def _gradient_error(rng: Rng, at: Context) -> Draw:
     start, end = _place(rng, at, 200.0, 2000.0)
     size = _sign(rng) * _log(rng, 0.6, 7.0)
-    return Draw({'slope_from': start, 'slope_to': end, 'slope_miss': size},
-                {'start': start, 'end': end, 'permille': size}, ('permille', 'start', 'end'))
+    return Draw(
+        {'slope_from': start, 'slope_to': end, 'slope_miss': size},
+        {'start': start, 'end': end, 'permille': size},
+        ('permille', 'start', 'end'),
+    )
 
 
 def _local_drag(rng: Rng, at: Context) -> Draw:
     start, end = _place(rng, at, 200.0, 2000.0)
     size = _log(rng, 0.5, 6.0)
-    return Draw({'rub_from': start, 'rub_to': end, 'rub': size},
-                {'start': start, 'end': end, 'permille': size}, ('permille', 'start', 'end'))
+    return Draw(
+        {'rub_from': start, 'rub_to': end, 'rub': size},
+        {'start': start, 'end': end, 'permille': size},
+        ('permille', 'start', 'end'),
+    )
 
 
 def _brake_fade(rng: Rng, at: Context) -> Draw:
     loss = _log(rng, 0.02, 0.45)
     stop = 0.5 * float(np.quantile(at.log[:, V], 0.95)) ** 2
     heat = stop * _log(rng, 0.3, 1.5)
-    return Draw({'fade_loss': loss, 'fade_heat': heat, 'fade_cool': float(rng.uniform(120.0, 500.0))},
-                {'loss': loss, 'energy': heat})
+    return Draw(
+        {'fade_loss': loss, 'fade_heat': heat, 'fade_cool': float(rng.uniform(120.0, 500.0))},
+        {'loss': loss, 'energy': heat},
+    )
 
 
 def _dragging_brake(rng: Rng, _: Context) -> Draw:
@@ -115,8 +123,9 @@ def _warmup(rng: Rng, at: Context) -> Draw:
     total = moving * float(at.log[-1, T])
     distance = _log(rng, 0.08, 0.35) * total
     if rng.random() < 0.5:
-        return Draw({'cold': value, 'cold_run': distance}, {'value': value, 'distance': distance},
-                    ('value', 'distance'))
+        return Draw(
+            {'cold': value, 'cold_run': distance}, {'value': value, 'distance': distance}, ('value', 'distance')
+        )
     return Draw({'cold': value, 'cold_time': distance / moving}, {'value': value, 'distance': distance}, ('value',))
 
 
@@ -160,8 +169,13 @@ LIBRARY: Final[Mapping[str, Maker]] = {
 
 
 def _wave(rng: Rng, _: Context) -> Draw:
-    return Draw({'wave': _log(rng, 0.5, 3.0), 'wave_length': _log(rng, 400.0, 3000.0),
-                 'wave_phase': float(rng.uniform(0.0, 6.28))})
+    return Draw(
+        {
+            'wave': _log(rng, 0.5, 3.0),
+            'wave_length': _log(rng, 400.0, 3000.0),
+            'wave_phase': float(rng.uniform(0.0, 6.28)),
+        }
+    )
 
 
 def _sag(rng: Rng, at: Context) -> Draw:
@@ -170,8 +184,13 @@ def _sag(rng: Rng, at: Context) -> Draw:
 
 
 def _damp(rng: Rng, at: Context) -> Draw:
-    return Draw({'damp': _log(rng, 0.8, 7.0), 'damp_mid': _top(at) * float(rng.uniform(0.35, 0.75)),
-                 'damp_wide': _top(at) * float(rng.uniform(0.04, 0.1))})
+    return Draw(
+        {
+            'damp': _log(rng, 0.8, 7.0),
+            'damp_mid': _top(at) * float(rng.uniform(0.35, 0.75)),
+            'damp_wide': _top(at) * float(rng.uniform(0.04, 0.1)),
+        }
+    )
 
 
 def _storm(rng: Rng, at: Context) -> Draw:
@@ -239,11 +258,17 @@ SENSOR_EXTRA: Final[Mapping[str, Maker]] = {
 MENU: Final[Mapping[str, Maker]] = {**LIBRARY, **SENSOR_EXTRA, **OUTSIDE}
 
 _WISHES: Final = {
-    'tunnel_drag': Wish(tunnels=True), 'curve_resistance': Wish(curves=True), 'lateral_drag': Wish(curves=True),
-    'oneway_traction_drag': Wish(both_ways=True), 'brake_fade': Wish(zones=True),
-    'dragging_brake': Wish(zones=True, hold=True), 'brake_delay': Wish(zones=True),
-    'bearing_warmup': Wish(single_bag=True), 'resistance_step': Wish(single_bag=True),
-    'day_creep': Wish(single_bag=True), 'storm_hour': Wish(single_bag=True),
+    'tunnel_drag': Wish(tunnels=True),
+    'curve_resistance': Wish(curves=True),
+    'lateral_drag': Wish(curves=True),
+    'oneway_traction_drag': Wish(both_ways=True),
+    'brake_fade': Wish(zones=True),
+    'dragging_brake': Wish(zones=True, hold=True),
+    'brake_delay': Wish(zones=True),
+    'bearing_warmup': Wish(single_bag=True),
+    'resistance_step': Wish(single_bag=True),
+    'day_creep': Wish(single_bag=True),
+    'storm_hour': Wish(single_bag=True),
 }
 
 

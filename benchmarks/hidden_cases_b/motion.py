@@ -22,8 +22,22 @@ COLUMNS = 14
 
 @njit(cache=True)
 def run_leg(  # noqa: PLR0915 - one loop over plain numbers, as compiled code is best
-    q: Quirks, s: Stock, origin: float, climb: Array, flaw: Array, bend: Array, bore: Array, state: Array, way: float,
-    leg: float, target: float, dwell: float, gust_v: Array, gust_w: Array, log: Array, row: int,
+    q: Quirks,
+    s: Stock,
+    origin: float,
+    climb: Array,
+    flaw: Array,
+    bend: Array,
+    bore: Array,
+    state: Array,
+    way: float,
+    leg: float,
+    target: float,
+    dwell: float,
+    gust_v: Array,
+    gust_w: Array,
+    log: Array,
+    row: int,
 ) -> int:
     """Drive to ``target`` and stand for ``dwell`` seconds.
 
@@ -72,8 +86,23 @@ def run_leg(  # noqa: PLR0915 - one loop over plain numbers, as compiled code is
     mass = s.weighed * (1.0 + s.gamma)
     while True:
         w, slope, gust, miss = drags(
-            q, s, origin, climb, flaw, bend, bore, x, way, v, now, gone, freed, now - state[0], push,
-            gust_v[int(now * 10.0)], gust_w[int(now * 10.0)],
+            q,
+            s,
+            origin,
+            climb,
+            flaw,
+            bend,
+            bore,
+            x,
+            way,
+            v,
+            now,
+            gone,
+            freed,
+            now - state[0],
+            push,
+            gust_v[int(now * 10.0)],
+            gust_w[int(now * 10.0)],
         )
         if count % s.tick == 0:
             mode, cmd, demand, brake_wait = decide(
@@ -122,8 +151,23 @@ def run_leg(  # noqa: PLR0915 - one loop over plain numbers, as compiled code is
         a1, _ = rate(q, s, mid_push, mid_real, heat, v, w, x)
         vm = max(v + 0.5 * H * a1, 0.0)
         w2, _, _, _ = drags(
-            q, s, origin, climb, flaw, bend, bore, x + way * 0.5 * H * v, way, vm, now, gone, freed, now - state[0],
-            push, gust_v[int(now * 10.0)], gust_w[int(now * 10.0)],
+            q,
+            s,
+            origin,
+            climb,
+            flaw,
+            bend,
+            bore,
+            x + way * 0.5 * H * v,
+            way,
+            vm,
+            now,
+            gone,
+            freed,
+            now - state[0],
+            push,
+            gust_v[int(now * 10.0)],
+            gust_w[int(now * 10.0)],
         )
         a2, brake = rate(q, s, mid_push, mid_real, heat, vm, w2, x)
         heat += H * (max(-brake, 0.0) * vm - heat / q.fade_cool)

@@ -77,9 +77,14 @@ def draw_scene(seed: int, wish: Wish) -> Scene:
     gaps, order, bags = _route(rng, service, runs, one_way=one_way, single=wish.single_bag)
     steepest = {'metro': 28.0, 'regional': 20.0, 'freight': 10.0, 'mainline': 12.0}[service] * rng.uniform(0.5, 1.0)
     ground = draw_ground(
-        rng, gaps, steepest=float(steepest), tightest=float(rng.uniform(250.0, 600.0)),
-        curves=wish.curves or rng.random() < 0.75, tunnels=wish.tunnels or rng.random() < 0.6,
-        flaw_std=float(rng.uniform(0.1, 0.4)), flaw_length=float(rng.uniform(100.0, 400.0)),
+        rng,
+        gaps,
+        steepest=float(steepest),
+        tightest=float(rng.uniform(250.0, 600.0)),
+        curves=wish.curves or rng.random() < 0.75,
+        tunnels=wish.tunnels or rng.random() < 0.6,
+        flaw_std=float(rng.uniform(0.1, 0.4)),
+        flaw_length=float(rng.uniform(100.0, 400.0)),
     )
     legs = tuple(
         Leg(ground.stops[i], ground.stops[j], float(np.sign(j - i)), float(np.round(rng.uniform(15.0, 35.0))), bag)
@@ -110,8 +115,18 @@ def draw_scene(seed: int, wish: Wish) -> Scene:
         flags.append('force_filtered')
     air, force = _winds(rng, base, len(legs))
     return Scene(
-        service, ground, legs, tuple(stocks), round(believed, -1), mass_topic, weigh, cars, air, force,
-        one_way, tuple(flags),
+        service,
+        ground,
+        legs,
+        tuple(stocks),
+        round(believed, -1),
+        mass_topic,
+        weigh,
+        cars,
+        air,
+        force,
+        one_way,
+        tuple(flags),
     )
 
 
@@ -136,8 +151,22 @@ def drive(scene: Scene, quirks: Quirks) -> Array:
                 state[0] += 600.0
                 state[2] *= 0.1
         row = run_leg(
-            quirks, stock, ground.origin, ground.climb, ground.flaw, ground.bend, ground.bore, state, leg.way,
-            float(k), leg.target, leg.dwell, scene.gust_air, scene.gust_force, log, row,
+            quirks,
+            stock,
+            ground.origin,
+            ground.climb,
+            ground.flaw,
+            ground.bend,
+            ground.bore,
+            state,
+            leg.way,
+            float(k),
+            leg.target,
+            leg.dwell,
+            scene.gust_air,
+            scene.gust_force,
+            log,
+            row,
         )
         if row < 0:
             msg = f'leg {k} was not finished'
@@ -149,8 +178,12 @@ def _route(
     rng: np.random.Generator, service: str, runs: int, *, one_way: bool, single: bool
 ) -> tuple[list[float], list[tuple[int, int]], list[int]]:
     """Return distances between stops, legs as pairs of stops, and the bag of each leg."""
-    span = {'metro': (900.0, 2500.0), 'regional': (3000.0, 7000.0), 'freight': (4000.0, 10000.0),
-            'mainline': (6000.0, 12000.0)}[service]
+    span = {
+        'metro': (900.0, 2500.0),
+        'regional': (3000.0, 7000.0),
+        'freight': (4000.0, 10000.0),
+        'mainline': (6000.0, 12000.0),
+    }[service]
     through = one_way and (single or rng.random() < 0.5)
     if through:
         count = runs
@@ -177,11 +210,22 @@ def _route(
 
 
 def _vehicle(rng: np.random.Generator, service: str, wish: Wish) -> tuple[Stock, float, int]:
-    low, high = {'metro': (120e3, 300e3), 'regional': (80e3, 260e3), 'freight': (280e3, 450e3),
-                 'mainline': (200e3, 450e3)}[service]
+    low, high = {
+        'metro': (120e3, 300e3),
+        'regional': (80e3, 260e3),
+        'freight': (280e3, 450e3),
+        'mainline': (200e3, 450e3),
+    }[service]
     mass = float(rng.uniform(low, high))
-    length = float(np.clip(mass / {'metro': 2000.0, 'regional': 1900.0, 'freight': 2400.0, 'mainline': 2100.0}[service]
-                           * rng.uniform(0.85, 1.15), 60.0, 200.0))
+    length = float(
+        np.clip(
+            mass
+            / {'metro': 2000.0, 'regional': 1900.0, 'freight': 2400.0, 'mainline': 2100.0}[service]
+            * rng.uniform(0.85, 1.15),
+            60.0,
+            200.0,
+        )
+    )
     top = {'metro': (15.0, 24.0), 'regional': (25.0, 40.0), 'freight': (19.0, 28.0), 'mainline': (32.0, 40.0)}[service]
     cruise = float(rng.uniform(*top))
     rise = {'metro': (0.8, 1.2), 'regional': (0.6, 1.0), 'freight': (0.3, 0.4), 'mainline': (0.35, 0.6)}[service]
@@ -189,19 +233,36 @@ def _vehicle(rng: np.random.Generator, service: str, wish: Wish) -> tuple[Stock,
     area = float(rng.uniform(10.0, 20.0) if service == 'freight' else rng.uniform(6.0, 14.0))
     style = int(rng.choice(3, p=[0.35, 0.15, 0.5]))
     stock = Stock(
-        length=round(length, 1), gamma=round(float(rng.uniform(0.05, 0.12)), 3),
-        a=float(rng.uniform(0.7, 2.2)), b=float(rng.uniform(0.004, 0.04)), c=0.6 * area / (mass * 9.81 / 1000.0),
-        lag=round(float(rng.uniform(0.25, 0.8)), 2), delay=round(float(rng.uniform(0.3, 1.2)) / 0.02) * 0.02,
-        weighed=mass, loaded=mass, crowding=0.0, whim=0.0, pull_max=pull,
-        power=pull * cruise * float(rng.uniform(0.35, 0.6)), jerk=float(rng.uniform(0.25, 0.9)),
+        length=round(length, 1),
+        gamma=round(float(rng.uniform(0.05, 0.12)), 3),
+        a=float(rng.uniform(0.7, 2.2)),
+        b=float(rng.uniform(0.004, 0.04)),
+        c=0.6 * area / (mass * 9.81 / 1000.0),
+        lag=round(float(rng.uniform(0.25, 0.8)), 2),
+        delay=round(float(rng.uniform(0.3, 1.2)) / 0.02) * 0.02,
+        weighed=mass,
+        loaded=mass,
+        crowding=0.0,
+        whim=0.0,
+        pull_max=pull,
+        power=pull * cruise * float(rng.uniform(0.35, 0.6)),
+        jerk=float(rng.uniform(0.25, 0.9)),
         serve=float(rng.uniform(0.35, 0.5) if service == 'freight' else rng.uniform(0.5, 0.95)),
-        cruise=cruise, band=float(rng.uniform(1.0, 3.5)) if style == 2 else 0.5, style=float(style), last_coast=0.0,
-        zone_from=-1.0, zone_to=-1.0, zone_speed=0.0, notch=float(rng.choice([0.02, 0.05, 0.1])),
-        beat=int(rng.integers(2, 7)), tick=10 if rng.random() < 0.8 else 5,
+        cruise=cruise,
+        band=float(rng.uniform(1.0, 3.5)) if style == 2 else 0.5,
+        style=float(style),
+        last_coast=0.0,
+        zone_from=-1.0,
+        zone_to=-1.0,
+        zone_speed=0.0,
+        notch=float(rng.choice([0.02, 0.05, 0.1])),
+        beat=int(rng.integers(2, 7)),
+        tick=10 if rng.random() < 0.8 else 5,
         hold=-0.5 if wish.hold or rng.random() < 0.6 else 0.0,
         electric=float(service == 'freight' and rng.random() < 0.5),
         filter=float(rng.uniform(0.02, 0.06)) if rng.random() < 0.5 else 0.0,
-        wind_gust=1.0, still=float(rng.random() < 0.8),
+        wind_gust=1.0,
+        still=float(rng.random() < 0.8),
     )
     return stock, mass, max(2, round(length / 22.0))
 
@@ -219,8 +280,15 @@ def _for_leg(
         start = float(rng.uniform(0.35, 0.55)) * gap
         zone = (start, start + float(rng.uniform(0.05, 0.12)) * gap, cruise * float(rng.uniform(0.45, 0.75)))
     return base._replace(
-        loaded=loaded, weighed=weighed, crowding=100.0 * walk, whim=float(rng.standard_normal()), cruise=cruise,
-        last_coast=coast, zone_from=zone[0], zone_to=zone[1], zone_speed=zone[2],
+        loaded=loaded,
+        weighed=weighed,
+        crowding=100.0 * walk,
+        whim=float(rng.standard_normal()),
+        cruise=cruise,
+        last_coast=coast,
+        zone_from=zone[0],
+        zone_to=zone[1],
+        zone_speed=zone[2],
         serve=base.serve * float(rng.uniform(0.9, 1.1)),
     )
 

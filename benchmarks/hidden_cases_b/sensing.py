@@ -66,10 +66,15 @@ def draw_instruments(rng: np.random.Generator, scene: Scene, quirks: Quirks) -> 
 def flags_of(kit: Instruments, quirks: Quirks) -> tuple[str, ...]:
     """Return words for what the scoring may want to tell apart."""
     words = {
-        'outliers': kit.outliers > 0.0, 'dropouts': kit.dropouts > 0.0, 'slip_contamination': kit.slip_share > 0.0,
-        'point_gradient': kit.point_gradient, 'late_flags': kit.flags_late > 0.0,
-        'pure_odometry': not kit.corrected, 'lookup_measured': kit.lookup_measured,
-        'force_carries_delay': kit.force_carries_delay and quirks.late > 0.0, '10_hz': kit.period < 0.15,
+        'outliers': kit.outliers > 0.0,
+        'dropouts': kit.dropouts > 0.0,
+        'slip_contamination': kit.slip_share > 0.0,
+        'point_gradient': kit.point_gradient,
+        'late_flags': kit.flags_late > 0.0,
+        'pure_odometry': not kit.corrected,
+        'lookup_measured': kit.lookup_measured,
+        'force_carries_delay': kit.force_carries_delay and quirks.late > 0.0,
+        '10_hz': kit.period < 0.15,
     }
     return tuple(word for word, holds in words.items() if holds)
 

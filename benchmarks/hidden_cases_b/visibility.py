@@ -87,9 +87,7 @@ def visible(scene: Scene, quirks: Quirks, kit: Instruments, log: Array) -> Visib
         rows = np.arange(moving[0] + 3, moving[-1] - 2)
         v = log[rows, V]
         damping = -scale * (stock.b + 2.0 * stock.c * v)
-        load = scale * np.column_stack(
-            [r[rows], noise[rows], np.ones(len(v)), v, v * v, np.zeros(len(v))]
-        )
+        load = scale * np.column_stack([r[rows], noise[rows], np.ones(len(v)), v, v * v, np.zeros(len(v))])
         gaps = _gaps(load, damping, 0.1)
         start = np.exp(-np.cumsum(damping) * 0.1)
         gaps[:, 0] -= slip[rows]

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from benchmarks.hidden_cases_b.case import make_case
-from trainid_ros.bags.writer import BagWriter
+from trainid_ros.bag.writer import BagWriter
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -19,9 +19,9 @@ from numpy.typing import NDArray
 
 from trainid_ros.core.records import NS_PER_S
 from trainid_ros.core.samples import BrakeCommandChange, Sample
-from trainid_ros.physics.brake import lag_integral, lag_response
-from trainid_ros.physics.resistance import G
-from trainid_ros.physics.train_file import Brake, Davis, Train, TrainFile
+from trainid_ros.train.brake import lag_integral, lag_response
+from trainid_ros.train.davis import G
+from trainid_ros.train.train_file import Brake, Davis, Train, TrainFile
 
 Array = NDArray[np.float64]
 

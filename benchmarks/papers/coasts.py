@@ -17,8 +17,8 @@ import numpy as np
 
 from trainid_ros.core.records import NS_PER_S
 from trainid_ros.core.samples import SAMPLE_PERIOD, Sample
-from trainid_ros.physics.resistance import specific_inertia
-from trainid_ros.physics.train_file import Davis, Train, TrainFile
+from trainid_ros.train.davis import specific_inertia
+from trainid_ros.train.train_file import Davis, Train, TrainFile
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

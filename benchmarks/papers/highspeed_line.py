@@ -16,10 +16,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.estimators.trajectory.multi_mass import Cars, MultiMassLine
-from trainid_ros.estimators.trajectory.stages import Stages, reach
-from trainid_ros.physics.resistance import G
-from trainid_ros.physics.train_file import Line
+from trainid_ros.resistance.trajectory.multi_mass import Cars, MultiMassLine
+from trainid_ros.resistance.trajectory.stages import Stages, reach
+from trainid_ros.train.davis import G
+from trainid_ros.train.train_file import Line
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trainid_ros.core.samples import SAMPLE_PERIOD
-from trainid_ros.estimators.speed_model.parameters import UPPER
+from trainid_ros.speed_model.physical_parameters import UPPER
 
 if TYPE_CHECKING:
     from benchmarks.papers.lockstep import Track

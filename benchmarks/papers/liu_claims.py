@@ -248,12 +248,12 @@ def _misprint() -> Row:
     curves = [row[1:4] for row in PRINTED]
     values = [float(data.resistance(curve, np.array(50.0))) for curve in curves]
     a, b, c = curves[3]
-    mended = float(data.resistance((a, b, c - 0.3e-3), np.array(50.0)))
+    corrected = float(data.resistance((a, b, c - 0.3e-3), np.array(50.0)))
     outlying = values[3] > max(values[2], values[4]) + 0.3
     return (
         'w(50 km/h) of the rows, N/kN',
         _list(values, '.2f'),
-        f'p = 4 with c = 1.122e-3: {mended:.2f}',
+        f'p = 4 with c = 1.122e-3: {corrected:.2f}',
         _NONE,
         _NONE,
         'c of p = 4 likely misprinted for 1.122' if outlying else 'consistent',

@@ -12,7 +12,7 @@ from benchmarks.papers import coasts as data
 from benchmarks.papers.liu_errata import Errata, errata
 from benchmarks.papers.liu_streams import FAULTS, Prepared, Settling, prepared, settling, spoiled, tracked
 from benchmarks.papers.liu_table1 import Batch, Shape, batch, shape
-from trainid_ros.estimators.resistance.algorithms import RESISTANCE
+from trainid_ros.resistance.resistance_algorithms import RESISTANCE
 
 TRUTHS: Final = (('eq. (8)', data.PAPER), ('large a', data.LARGE_A))
 PLANS: Final = (

@@ -15,15 +15,15 @@ from typing import TYPE_CHECKING, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from trainid_ros.estimators.speed_model import am_vff_rls, integral_rls, rls
-from trainid_ros.estimators.speed_model.auxiliary_model import anchor, correct, doubt_load, forget, moments, predict
-from trainid_ros.estimators.speed_model.forgetting import MOST
+from trainid_ros.speed_model import am_vff_rls, integral_rls, rls
+from trainid_ros.speed_model.auxiliary_model import anchor, correct, forget, moments, predict, widen_load
+from trainid_ros.speed_model.forgetting import MOST
 
 if TYPE_CHECKING:
     from typing import Any
 
-    from trainid_ros.estimators.speed_model.method import Method
-    from trainid_ros.estimators.speed_model.parameters import Symmetric, Theta
+    from trainid_ros.speed_model.method import Method
+    from trainid_ros.speed_model.physical_parameters import Symmetric, Theta
 
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
@@ -62,7 +62,7 @@ class ManyLearned:
     numbers: Array
     predicted: Array
     error: Array
-    refused: Mask
+    rejected: Mask
     variance: Array
     factor: Array
 
@@ -74,28 +74,28 @@ class ManyMethod(Protocol):
     def learn(self, numbers: Array, y: Array, u: Array) -> ManyLearned: ...
     def coast(self, numbers: Array, u: Array) -> Array: ...
     def anchor(self, numbers: Array, y: Array) -> Array: ...
-    def doubt_load(self, numbers: Array) -> Array: ...
+    def widen_load(self, numbers: Array) -> Array: ...
     def covariance(self, numbers: Array) -> Array: ...
 
 
 def drive(method: Method, y: Array, u: Array, variance: float, *, freeze: bool = True) -> Array:
     """Drive one line by the product's kernel; return (x, theta) after every sample, shape (samples, 5)."""
     numbers = method.anchor(method.start(variance), float(y[0]), variance)
-    states, slow, refused = [numbers[:5]], 0, 0
+    states, slow, rejected = [numbers[:5]], 0, 0
     for now, force in zip(y[1:].tolist(), u[:-1].tolist(), strict=True):
         if math.isnan(now):
             numbers = method.coast(numbers, force, 1.0)
         elif freeze and now < MIN_SPEED:
-            slow, refused = slow + 1, 0
+            slow, rejected = slow + 1, 0
             standing = slow >= STANDING
             numbers = method.anchor(numbers, now, variance) if standing else method.coast(numbers, force, 1.0)
-            numbers = method.doubt_load(numbers) if slow == STANDING else numbers
+            numbers = method.widen_load(numbers) if slow == STANDING else numbers
         else:
             learned = method.learn(numbers, now, force, 1.0, variance)
             numbers, slow = learned.numbers, 0
-            refused = refused + 1 if learned.refused else 0
-            if refused >= READMIT:
-                numbers, refused = method.anchor(numbers, now, variance), 0
+            rejected = rejected + 1 if learned.rejected else 0
+            if rejected >= READMIT:
+                numbers, rejected = method.anchor(numbers, now, variance), 0
         states.append(numbers[:5])
     return np.array(states)
 
@@ -104,7 +104,7 @@ def drive_many(method: ManyMethod, y: Array, u: Array, *, freeze: bool = True) -
     """Drive all lines, shapes (samples, lines), sample by sample."""
     samples, lines = y.shape
     numbers = method.anchor(method.start(lines), y[0])
-    slow, refused = np.zeros(lines, dtype=np.int64), np.zeros(lines, dtype=np.int64)
+    slow, rejected = np.zeros(lines, dtype=np.int64), np.zeros(lines, dtype=np.int64)
     rows: list[tuple[Array, ...]] = [(numbers[:5], y[0], y[0] * np.nan, y[0] * np.nan, np.ones(lines))]
     S = [method.covariance(numbers)]
     with np.errstate(all='ignore'):
@@ -115,15 +115,15 @@ def drive_many(method: ManyMethod, y: Array, u: Array, *, freeze: bool = True) -
             learning = have & ~still
             coasted, learned = method.coast(numbers, u[n - 1]), method.learn(numbers, now, u[n - 1])
             slow = np.where(learning, 0, slow + still)
-            out = learning & learned.refused
-            refused = np.where(out, refused + 1, np.where(have, 0, refused))
+            out = learning & learned.rejected
+            rejected = np.where(out, rejected + 1, np.where(have, 0, rejected))
             new = np.where(learning, learned.numbers, coasted)
             standing = still & (slow >= STANDING)
             # A standing train keeps theta and its covariance, whatever coasting would add.
             new = np.where(standing, numbers, new)
-            new = np.where(standing | (refused >= READMIT), method.anchor(new, now), new)
-            numbers = np.where(still & (slow == STANDING), method.doubt_load(new), new)
-            refused = np.where(refused >= READMIT, 0, refused)
+            new = np.where(standing | (rejected >= READMIT), method.anchor(new, now), new)
+            numbers = np.where(still & (slow == STANDING), method.widen_load(new), new)
+            rejected = np.where(rejected >= READMIT, 0, rejected)
             nis = np.where(learning & ~out, learned.error**2 / learned.variance, np.nan)
             factor = np.where(learning & ~out, learned.factor, 1.0)
             rows.append((numbers[:5], learned.predicted, np.where(have, learned.error, np.nan), nis, factor))
@@ -149,19 +149,19 @@ class ManyAuxiliary:
         before = np.stack([*m, numbers[20]])
         error, s = y - before[0], before[5] + R
         std = np.sqrt(s)
-        refused = ~(np.abs(error) <= np.maximum(tuning.gate_floor, tuning.gate * std))
+        rejected = ~(np.abs(error) <= np.maximum(tuning.gate_floor, tuning.gate * std))
         share = tuning.share
         agreed = numbers[20] + share * (np.clip(error / std, -MOST, MOST) - numbers[20])
         chi2 = agreed * agreed * (2.0 - share) / share
         factor = np.clip(1.0 - (chi2 - tuning.threshold) / tuning.scale, tuning.low, 1.0)
-        some = (factor < 1.0) & ~refused
+        some = (factor < 1.0) & ~rejected
         moved = before[:20].copy()
         if some.any():
             widened: Any = forget(tuple(moved[:, some]), factor[some], tuning.floor)
             moved[:, some] = np.stack(widened)
         after: Any = correct(tuple(moved), error, R)
         learned = np.stack([*after, agreed])
-        return ManyLearned(np.where(refused, before, learned), before[0], error, refused, s, factor)
+        return ManyLearned(np.where(rejected, before, learned), before[0], error, rejected, s, factor)
 
     def coast(self, numbers: Array, u: Array) -> Array:
         m: Any = predict(tuple(numbers[:20]), u, 1.0, self._tuning.noise, self._tuning.drift)  # type: ignore[arg-type]
@@ -172,8 +172,8 @@ class ManyAuxiliary:
         m: Any = anchor(tuple(numbers[:20]), y, R)  # type: ignore[arg-type]
         return np.stack([*m, numbers[20]])
 
-    def doubt_load(self, numbers: Array) -> Array:
-        m: Any = doubt_load(tuple(numbers[:20]), self._tuning.load)
+    def widen_load(self, numbers: Array) -> Array:
+        m: Any = widen_load(tuple(numbers[:20]), self._tuning.load)
         return np.stack([*m, numbers[20]])
 
     def covariance(self, numbers: Array) -> Array:
@@ -199,7 +199,7 @@ class ManyRls:
         w: Any = rls.times(P, phi)
         error, g = y - predicted, w[4]
         s = self._variance * (1.0 + np.maximum(g, 0.0))
-        refused = ~(np.abs(error) <= tuning.gate * np.sqrt(s))
+        rejected = ~(np.abs(error) <= tuning.gate * np.sqrt(s))
         factor = np.ones_like(error)
         if tuning.sigma > 0.0:
             factor = np.maximum(tuning.low, 1.0 - error * error / (tuning.sigma * (1.0 + g)))
@@ -207,7 +207,7 @@ class ManyRls:
         x_a = rls.output(after[0], phi)
         learned = np.stack([x_a + tuning.kappa * (y - x_a), *after[0], *after[1]])
         coasted = np.concatenate([predicted[None], numbers[1:]])
-        return ManyLearned(np.where(refused, coasted, learned), predicted, error, refused, s, factor)
+        return ManyLearned(np.where(rejected, coasted, learned), predicted, error, rejected, s, factor)
 
     def coast(self, numbers: Array, u: Array) -> Array:
         phi: Any = rls.regressor(numbers[0], u, 1.0)  # type: ignore[arg-type]
@@ -217,7 +217,7 @@ class ManyRls:
     def anchor(self, numbers: Array, y: Array) -> Array:
         return np.concatenate([y[None], numbers[1:]])
 
-    def doubt_load(self, numbers: Array) -> Array:
+    def widen_load(self, numbers: Array) -> Array:
         return numbers
 
     def covariance(self, numbers: Array) -> Array:
@@ -280,7 +280,7 @@ class ManyIntegral:
         doubts = np.full_like(y, self._variance), zero
         return np.concatenate([y[None], numbers[1:15], np.stack([zero, y, *doubts, zero]), 0.0 * numbers[20:]])
 
-    def doubt_load(self, numbers: Array) -> Array:
+    def widen_load(self, numbers: Array) -> Array:
         wider = numbers.copy()
         wider[12] += self._tuning.load
         return wider

@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Final, Literal, get_args
 
 import numpy as np
 
-from trainid_ros.physics.resistance import G
-from trainid_ros.physics.train_file import Davis
+from trainid_ros.train.davis import G
+from trainid_ros.train.train_file import Davis
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

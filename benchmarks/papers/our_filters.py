@@ -12,13 +12,13 @@ from benchmarks.papers.hand_filters import START, START_SD, VARIANCE, RowPeer
 from benchmarks.papers.metro_stream import INERTIA, PERIOD
 from trainid_ros.core.records import NS_PER_S
 from trainid_ros.estimators.compiled.streams import VMilsStream
-from trainid_ros.estimators.resistance.force_errors import EXACT
-from trainid_ros.estimators.resistance.multi_innovation import NOTHING, belief_of, information_of, mils_step
-from trainid_ros.estimators.resistance.normal import independent
-from trainid_ros.estimators.resistance.run_lengths import RunLengths, Tracker
-from trainid_ros.estimators.resistance.speed_window import Tick
-from trainid_ros.estimators.resistance.vmils import VMilsConfig, tracker_of, window_plan
-from trainid_ros.estimators.resistance.window_learner import WindowLearner
+from trainid_ros.resistance.change_points import ChangePointConfig, Tracker
+from trainid_ros.resistance.force_errors import EXACT
+from trainid_ros.resistance.multi_innovation import NOTHING, belief_of, information_of, mils_step
+from trainid_ros.resistance.normal import independent
+from trainid_ros.resistance.speed_window import Tick
+from trainid_ros.resistance.vmils import VMilsConfig, tracker_of, window_plan
+from trainid_ros.resistance.window_learner import WindowLearner
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 P: Final = 10
 OUTLIERS: Final = 0.05
 PRIOR: Final = (*START, START_SD[0] ** 2, 0.0, 0.0, START_SD[1] ** 2, 0.0, START_SD[2] ** 2)
-PLAN: Final = RunLengths(
+PLAN: Final = ChangePointConfig(
     p=P,
     outliers=OUTLIERS,
     step_variances=(0.16, 1e-6, 6e-8),

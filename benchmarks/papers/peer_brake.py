@@ -23,19 +23,19 @@ from benchmarks.papers.brake_runs import metro_run, metro_train
 from benchmarks.papers.contest import FIRST_SEED, installed
 from benchmarks.papers.seeds import over_seeds
 from benchmarks.tables import Table
-from trainid_ros.core.results import Refusal
-from trainid_ros.estimators.brake_rate.algorithms import BRAKE_RATE
-from trainid_ros.estimators.brake_rate.belief import STATES, errors_of
-from trainid_ros.estimators.brake_rate.config import BrakeRateConfig
-from trainid_ros.estimators.brake_rate.estimator import BrakeRateEstimator
-from trainid_ros.estimators.brake_rate.particles import SPEED, LinearStep, error_covariance, speed_step, started
-from trainid_ros.estimators.brake_rate.resampling import effective_number, normal_weights, systematic
+from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
+from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
+from trainid_ros.brake_rate.config import BrakeRateConfig
+from trainid_ros.brake_rate.particles import SPEED, LinearStep, error_covariance, speed_step, started
+from trainid_ros.brake_rate.posterior import STATES, errors_of
+from trainid_ros.brake_rate.resampling import effective_number, normal_weights, systematic
+from trainid_ros.core.results import Rejection
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from benchmarks.papers.brake_runs import BrakeRun
-    from trainid_ros.estimators.brake_rate.belief import Errors, Interval, Start
+    from trainid_ros.brake_rate.posterior import Errors, Start, Transition
 
     Array = NDArray[np.float64]
 
@@ -152,7 +152,7 @@ class FilterpyBelief(PeerBelief):
         for kf in self._filters:
             kf.x = kf.x - np.array([0.0, 0.0, 0.0, *shift])[:, None]
 
-    def predict(self, interval: Interval) -> None:
+    def predict(self, interval: Transition) -> None:
         self.step = step = speed_step(interval)
         for kf, f in zip(self._filters, self.f, strict=True):
             kf.predict(u=1.0, B=(step.gamma * f + step.known)[:, None], F=step.Phi, Q=step.Q)
@@ -161,7 +161,7 @@ class FilterpyBelief(PeerBelief):
         for kf in self._filters:
             kf.update(speed, R=r)
 
-    def learn(self, interval: Interval, elapsed: float, speed: float, r: float) -> bool:
+    def learn(self, interval: Transition, elapsed: float, speed: float, r: float) -> bool:
         del interval
         moved = math.sqrt(self._q * elapsed) * self._rng.standard_normal(self.N)
         self.f = self.f + moved
@@ -204,7 +204,7 @@ class ParticlesBelief(PeerBelief):
     def recentre(self, shift: Errors) -> None:
         self._x = self._x - np.array([0.0, 0.0, 0.0, *shift])[:, None]
 
-    def predict(self, interval: Interval) -> None:
+    def predict(self, interval: Transition) -> None:
         self.step = step = speed_step(interval)
         noise = np.sqrt(np.diag(step.Q))[:, None] * self._rng.standard_normal((STATES, self.N))
         self._x = step.predict(self._x, self.f) + noise
@@ -212,7 +212,7 @@ class ParticlesBelief(PeerBelief):
     def follow(self, speed: float, r: float) -> None:
         self._weigh(speed, r)
 
-    def learn(self, interval: Interval, elapsed: float, speed: float, r: float) -> bool:
+    def learn(self, interval: Transition, elapsed: float, speed: float, r: float) -> bool:
         del interval
         moved = math.sqrt(self._q * elapsed) * self._rng.standard_normal(self.N)
         self.f = self.f + moved
@@ -308,15 +308,15 @@ def drives(number: int) -> list[Result]:
 
 def _drive(item: Contestant, run: BrakeRun, number: int) -> Result:
     estimator = _estimator(item, number)
-    timed = TimedBelief(estimator.belief)
-    estimator.belief = timed
+    timed = TimedBelief(estimator.posterior)
+    estimator.posterior = timed
     errors, times = [], []
     for k, sample in enumerate(run.samples):
         timed.spent_ns, timed.learned = 0, False
         estimate = estimator.step(sample)
         if timed.learned:
             times.append(timed.spent_ns / 1e3)
-        if not isinstance(estimate, Refusal) and run.braked_s[k] > _SETTLED_S and run.speed[k] > _SLOWEST:
+        if not isinstance(estimate, Rejection) and run.braked_s[k] > _SETTLED_S and run.speed[k] > _SLOWEST:
             errors.append(abs(estimate.brake_rate - float(run.rate[k])))
     return Result(item.name, float(np.mean(errors)), tuple(times[len(times) // 10 :]))
 
@@ -332,7 +332,7 @@ class TimedBelief:
     def __getattr__(self, name: str) -> Any:
         return getattr(self._belief, name)
 
-    def predict(self, interval: Interval) -> None:
+    def predict(self, interval: Transition) -> None:
         begun = time.thread_time_ns()
         self._belief.predict(interval)
         self.spent_ns += time.thread_time_ns() - begun

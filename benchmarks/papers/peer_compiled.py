@@ -20,18 +20,18 @@ from benchmarks.papers.hand_filters import VARIANCE, HandRls
 from benchmarks.papers.metro_stream import SPEED_SD, metro_stream
 from benchmarks.papers.our_filters import OUTLIERS, PRIOR, P
 from benchmarks.tables import Table
-from trainid_ros.estimators.brake_rate.belief import Interval, Start
-from trainid_ros.estimators.brake_rate.gsma import Gsma, GsmaConfig
+from trainid_ros.brake_rate.gsma import Gsma, GsmaConfig
+from trainid_ros.brake_rate.posterior import Start, Transition
 from trainid_ros.estimators.compiled.jit import compiler_present
 from trainid_ros.estimators.compiled.streams import SpeedModelStream, VMilsStream
-from trainid_ros.estimators.resistance.multi_innovation import NOTHING, belief_of, information_of, mils_step
-from trainid_ros.estimators.speed_model.am_vff_rls import AmVffRls, AmVffRlsConfig
+from trainid_ros.resistance.multi_innovation import NOTHING, belief_of, information_of, mils_step
+from trainid_ros.speed_model.am_vff_rls import AmVffRls, AmVffRlsConfig
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from benchmarks.papers.contest import Times
-    from trainid_ros.estimators.speed_model.am_vff_rls import AuxiliaryModel
+    from trainid_ros.speed_model.am_vff_rls import AuxiliaryModel
 
     Item = tuple[Any, ...]
 
@@ -40,7 +40,7 @@ _BLOCK: Final = 2000
 _MEMORY_CALLS: Final = 1_000_000
 _PARTICLES: Final = 500
 _LEARNS: Final = 1000
-_INTERVAL: Final = Interval(0.2, 0.1, 0.6, 0.012, 0.37, 0.99, 0.0, 1e-5, 1e-6)
+_INTERVAL: Final = Transition(0.2, 0.1, 0.6, 0.012, 0.37, 0.99, 0.0, 1e-5, 1e-6)
 _PLAIN_US: Final = 3.0
 _COMPILED_US: Final = 1.0
 _NUMPY_MS: Final = 0.2
@@ -209,7 +209,7 @@ def _speed_model() -> Kernel:
 
 def _brake_step(compiled: int) -> tuple[Callable[..., object], list[Item]]:
     config = GsmaConfig(particles=_PARTICLES, compiled=compiled)
-    belief: Any = Gsma(metro_train(), config, np.random.default_rng(1)).belief
+    belief: Any = Gsma(metro_train(), config, np.random.default_rng(1)).posterior
     belief.anchor(Start(20.0, -0.8, (1e-3, 1e-3, 1e-4)))
 
     def step(seen: float) -> None:

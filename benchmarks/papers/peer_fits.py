@@ -20,8 +20,8 @@ from benchmarks.papers.metro_stream import INERTIA, PERIOD, SPEED_SD, curve_erro
 from benchmarks.papers.seeds import over_seeds
 from benchmarks.tables import Table
 from trainid_ros.core.errors import NoAnswerError
-from trainid_ros.estimators.trajectory.davis_fit import DavisFitConfig, fit_davis
-from trainid_ros.estimators.trajectory.pieces import Trajectory
+from trainid_ros.resistance.trajectory.davis_fit import DavisFitConfig, fit_davis
+from trainid_ros.resistance.trajectory.pieces import Trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from benchmarks.papers.metro_stream import Scenario
-    from trainid_ros.physics.train_file import Davis
+    from trainid_ros.train.train_file import Davis
 
     Floats = NDArray[np.float64]
     Simulation = Callable[[float, float, float, float, Floats, Floats], None]

@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
     Floats = NDArray[np.float64]
     from benchmarks.papers.metro_stream import MetroStream
-    from trainid_ros.physics.train_file import Davis
+    from trainid_ros.train.train_file import Davis
 
 REFERENCE: Final = 'hand RLS, floats'
 OURS: Final = 'trainid V-MILS p = 10, steps watched for'

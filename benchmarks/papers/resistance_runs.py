@@ -18,13 +18,13 @@ from benchmarks.papers.our_filters import GRADIENT_STD
 from benchmarks.papers.robust_stream import RobustStream
 from benchmarks.papers.spoiled import NOISE_STD, OBSERVED, SPEEDS, spoiled_observations, spoiled_speeds
 from trainid_ros.core.records import NS_PER_S
-from trainid_ros.estimators.resistance.force_errors import EXACT
-from trainid_ros.estimators.resistance.multi_innovation import NOTHING, information_of, mils_step
-from trainid_ros.estimators.resistance.speed_ekf import SpeedEkf, SpeedEkfConfig
-from trainid_ros.estimators.resistance.speed_window import Tick
-from trainid_ros.estimators.resistance.vmils import VMils, VMilsConfig, tracker_of, window_plan
-from trainid_ros.estimators.resistance.window_learner import WindowLearner
-from trainid_ros.physics.train_file import Davis
+from trainid_ros.resistance.force_errors import EXACT
+from trainid_ros.resistance.multi_innovation import NOTHING, information_of, mils_step
+from trainid_ros.resistance.speed_ekf import SpeedEkf, SpeedEkfConfig
+from trainid_ros.resistance.speed_window import Tick
+from trainid_ros.resistance.vmils import VMils, VMilsConfig, tracker_of, window_plan
+from trainid_ros.resistance.window_learner import WindowLearner
+from trainid_ros.train.train_file import Davis
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -7,17 +7,17 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.estimators.resistance.normal import independent
-from trainid_ros.estimators.resistance.robust_fit import robust_fit
-from trainid_ros.estimators.resistance.run_lengths import RunLengths, Tracker
+from trainid_ros.resistance.change_points import ChangePointConfig, Tracker
+from trainid_ros.resistance.normal import independent
+from trainid_ros.resistance.robust_fit import robust_fit
 
 if TYPE_CHECKING:
-    from trainid_ros.estimators.resistance.normal import Array, Normal
+    from trainid_ros.resistance.normal import Array, Normal
 
 # Deviation of w from what is believed of each parameter, at 22 m/s [N/kN].
 PRIOR_STD: Final = (2.0, 4.0, 4.0)
 _FAST: Final = 22.0
-PLAN: Final = RunLengths(
+PLAN: Final = ChangePointConfig(
     p=4,
     outliers=0.2,
     step_variances=(1.0, (0.2 / _FAST) ** 2, (0.5 / _FAST**2) ** 2),
@@ -31,7 +31,7 @@ PLAN: Final = RunLengths(
 _WARM_UP: Final = 100
 _SECOND_LOOK: Final = 500
 _MEMORY: Final = 0.01
-_DOUBTFUL: Final = 0.1
+_UNCERTAIN: Final = 0.1
 _MOST: Final = 9.0
 _TINY: Final = 1e-8
 
@@ -44,7 +44,7 @@ class RobustStream:
 
     """
 
-    def __init__(self, believed: tuple[float, float, float], plan: RunLengths = PLAN) -> None:
+    def __init__(self, believed: tuple[float, float, float], plan: ChangePointConfig = PLAN) -> None:
         self._prior = independent(believed, [(std / _FAST**i) ** 2 for i, std in enumerate(PRIOR_STD)])
         self._tracker = Tracker(self._prior, plan)
         self._rows: list[tuple[float, ...]] = []
@@ -90,7 +90,7 @@ class RobustStream:
         expected, variance = self._tracker.estimate.predict(phi)
         nu = y - expected
         weight = self._tracker.update(phi, y, self._variance)
-        if self._tracker.change_probability < _DOUBTFUL:
+        if self._tracker.change_probability < _UNCERTAIN:
             S = variance + self._variance
             known = self._variance / S
             self._variance += _MEMORY * weight * known * (min(nu * nu / S, _MOST) - 1.0) * self._variance

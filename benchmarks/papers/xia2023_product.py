@@ -16,15 +16,15 @@ from benchmarks.papers.metro_stream import BEFORE, INERTIA, PERIOD, Raw, Scenari
 from benchmarks.papers.xia2023_fits import NOISE, WHITE, in_time, record
 from benchmarks.papers.xia2023_online import CONFIG, drive, samples, train_file
 from trainid_ros.core.results import Reason
-from trainid_ros.estimators.trajectory.davis_fit import DavisFitConfig, fit_davis
-from trainid_ros.estimators.trajectory.derivatives import first_derivatives, second_derivatives
-from trainid_ros.estimators.trajectory.levenberg import integrated_least_squares, levenberg
-from trainid_ros.estimators.trajectory.pieces import PieceCollector, Trajectory
-from trainid_ros.estimators.trajectory.stages import Coefficients, Stages
-from trainid_ros.estimators.trajectory.two_window import TwoWindow
-from trainid_ros.estimators.trajectory.window import Prior, RowNoise, fit_rows
-from trainid_ros.simulation.scenario import simulate
-from trainid_ros.simulation.yizhuang_day import DRY, yizhuang_day
+from trainid_ros.resistance.trajectory.davis_fit import DavisFitConfig, fit_davis
+from trainid_ros.resistance.trajectory.derivatives import first_derivatives, second_derivatives
+from trainid_ros.resistance.trajectory.levenberg import integrated_least_squares, levenberg
+from trainid_ros.resistance.trajectory.pieces import PieceCollector, Trajectory
+from trainid_ros.resistance.trajectory.stages import Coefficients, Stages
+from trainid_ros.resistance.trajectory.two_window import TwoWindow
+from trainid_ros.resistance.trajectory.window import RowNoise, WindowPrior, fit_rows
+from trainid_ros.sim.scenario import simulate
+from trainid_ros.sim.yizhuang_day import DRY, yizhuang_day
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -100,9 +100,9 @@ def honesty(seed: int) -> tuple[Honesty, ...]:
 def _honesty(seed: int, runs: int) -> Honesty:
     believed, config = believed_train(), DavisFitConfig()
     simulation = simulate(yizhuang_day(believed, runs=runs), np.random.default_rng([seed, runs]))
-    collector, refused = PieceCollector(believed, config.min_speed, config.shortest), Counter[Reason]()
+    collector, rejected = PieceCollector(believed, config.min_speed, config.shortest), Counter[Reason]()
     for sample in samples_of(simulation.records):
-        collector.add(sample, refused)
+        collector.add(sample, rejected)
     fit = fit_davis(collector.trajectory(), config)
     e = fit.theta - np.array([DRY.a, DRY.b, DRY.c])
     errors = tuple(float(e @ v ** np.arange(3)) for v in JUDGED_AT)
@@ -146,7 +146,7 @@ def timings() -> list[Timing]:
     for sample in drawn[:200]:
         estimator.step(sample)
     rows = estimator.state.rows
-    prior = Prior((0.8, 0.02, 0.0015), (0.4, 0.004, 0.0008, 1e-9, 1e-9))
+    prior = WindowPrior((0.8, 0.02, 0.0015), (0.4, 0.004, 0.0008, 1e-9, 1e-9))
     noise = RowNoise(NOISE, 1e-4)
     one, twenty = segments(5000, 'clean', 1), segments(5000, 'clean', 20)
     feed = iter(drawn[200:])

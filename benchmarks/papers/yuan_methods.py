@@ -10,12 +10,12 @@ import numpy as np
 
 from benchmarks.papers.lockstep import ManyAuxiliary, ManyIntegral, ManyMethod, ManyRls, Track, drive_many
 from benchmarks.papers.station_lines import Lines, Noise
-from trainid_ros.estimators.speed_model import am_vff_rls, integral_rls, rls
-from trainid_ros.estimators.speed_model.am_vff_rls import AmVffRlsConfig
-from trainid_ros.estimators.speed_model.auxiliary_model import prior_floor
-from trainid_ros.estimators.speed_model.ekf import ekf_tuning
-from trainid_ros.estimators.speed_model.parameters import SpeedModelConfig, Symmetric, Theta, prior, upper
-from trainid_ros.physics.resistance import G
+from trainid_ros.speed_model import am_vff_rls, integral_rls, rls
+from trainid_ros.speed_model.am_vff_rls import AmVffRlsConfig
+from trainid_ros.speed_model.auxiliary_model import prior_floor
+from trainid_ros.speed_model.physical_parameters import SpeedModelConfig, Symmetric, Theta, prior, upper
+from trainid_ros.speed_model.speed_model_ekf import ekf_tuning
+from trainid_ros.train.davis import G
 
 # The fleet as one knows it before: Davis parameters, their spread, and a load of +-12 %.
 _FLEET: Final = SpeedModelConfig(prior_share=0.0, prior_std_a=3.0, prior_std_b=0.03, prior_std_c=0.004)
@@ -119,13 +119,13 @@ SCALES: Final = {
 def all_methods(noise: Noise) -> tuple[Named, ...]:
     """Return all methods, tuned for a noise as far as their sigma goes; the last are the product's."""
     variance = noise.declared**2
-    vff, am, mended = SCALES[noise.name]
+    vff, am, corrected = SCALES[noise.name]
     return (
         paper('RLS', variance, 1.0, 0.0),
         paper('VFF-RLS', variance, 1.0, vff),
         paper('AM-RLS', variance, 0.0, 0.0),
         paper(PRINTED, variance, 0.0, am),
-        repaired(variance, mended),
+        repaired(variance, corrected),
         integral(variance),
         ekf(variance),
         am_vff(variance),

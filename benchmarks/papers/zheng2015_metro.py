@@ -21,11 +21,11 @@ from benchmarks.papers.brake_runs import (
     unbraked_run,
     walk_run,
 )
+from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
+from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
+from trainid_ros.brake_rate.config import BrakeRateConfig
+from trainid_ros.brake_rate.disturbance_noise import DisturbanceNoise
 from trainid_ros.core.records import NS_PER_S
-from trainid_ros.estimators.brake_rate.algorithms import BRAKE_RATE
-from trainid_ros.estimators.brake_rate.config import BrakeRateConfig
-from trainid_ros.estimators.brake_rate.disturbance import DisturbanceNoise
-from trainid_ros.estimators.brake_rate.estimator import BrakeRateEstimator
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -149,7 +149,7 @@ def trace(run: BrakeRun, name: str, seed: int, settings: Mapping[str, float], to
     choice = BRAKE_RATE.choose(name, **settings)
     estimator = BRAKE_RATE.make(choice, metro_train(), np.random.default_rng(seed))
     if math.isfinite(told) and isinstance(estimator, BrakeRateEstimator):
-        estimator.state.disturbance = DisturbanceNoise.told(told)
+        estimator.state.disturbance = DisturbanceNoise.reported(told)
     rows = []
     for sample in run.samples:
         estimator.step(sample)

@@ -17,12 +17,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from trainid_ros.estimators.brake_rate import group_cloud
-from trainid_ros.estimators.brake_rate.group_cloud import GroupCloud, Strata
-from trainid_ros.estimators.brake_rate.pade_model import pade_model
-from trainid_ros.estimators.brake_rate.particles import Correction, LinearStep, correction
-from trainid_ros.estimators.brake_rate.printed import GRID, PRINTED_FIRST
-from trainid_ros.estimators.brake_rate.theta_cloud import (
+from trainid_ros.brake_rate import group_cloud
+from trainid_ros.brake_rate.group_cloud import GroupCloud, Strata
+from trainid_ros.brake_rate.pade_model import pade_model
+from trainid_ros.brake_rate.particles import Correction, LinearStep, correction
+from trainid_ros.brake_rate.printed import GRID, PRINTED_FIRST
+from trainid_ros.brake_rate.theta_cloud import (
     MRule,
     ThetaCloud,
     all_values,

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from benchmarks.worlds.motion import Log
     from trainid_ros.core.records import Record
-    from trainid_ros.physics.train_file import TrainFile
+    from trainid_ros.train.train_file import TrainFile
 
 WORLDS: Final = ('metro', 'emu', 'high_speed', 'freight', 'tram')
 DURATIONS: Final = {'metro': 3700.0, 'emu': 3500.0, 'high_speed': 3200.0, 'freight': 3200.0, 'tram': 3900.0}

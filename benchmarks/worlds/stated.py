@@ -9,7 +9,7 @@ import numpy as np
 
 from benchmarks.worlds.sensing import MAP_PIECE
 from benchmarks.worlds.unknowns import random_of
-from trainid_ros.physics.train_file import Brake, Davis, Effect, Line, Train, TrainFile
+from trainid_ros.train.train_file import Brake, Davis, Effect, Line, Train, TrainFile
 
 if TYPE_CHECKING:
     from collections.abc import Collection

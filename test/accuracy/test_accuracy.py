@@ -15,14 +15,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from trainid_ros.bags.reader import BagReader
+from trainid_ros.bag.reader import BagReader
 from trainid_ros.core.records import NS_PER_S, Record
 from trainid_ros.core.results import BrakeRateEstimate, ResistanceEstimate
 from trainid_ros.estimators.pipeline import EstimatorSettings, brake_rate_pipeline, resistance_pipeline
-from trainid_ros.physics.train_file import Davis, TrainFile, load_train_file
-from trainid_ros.simulation.scenario import Scenario, simulate
-from trainid_ros.simulation.truth import Truth, load_truth
-from trainid_ros.simulation.yizhuang_day import DRAG_S, RAIN_S, yizhuang_day
+from trainid_ros.sim.scenario import Scenario, simulate
+from trainid_ros.sim.truth import Truth, load_truth
+from trainid_ros.sim.yizhuang_day import DRAG_S, RAIN_S, yizhuang_day
+from trainid_ros.train.train_file import Davis, TrainFile, load_train_file
 
 pytestmark = pytest.mark.slow
 

@@ -22,9 +22,9 @@ from benchmarks.hidden_cases.track import Track
 from benchmarks.hidden_cases.visible import measure_gaps
 from benchmarks.hidden_cases.world import draw_world
 from benchmarks.hidden_cases.write import write_case
-from trainid_ros.bags.reader import BagReader
+from trainid_ros.bag.reader import BagReader
 from trainid_ros.core.records import BrakeRecord, ForceRecord, GradientRecord, MassRecord, SpeedRecord
-from trainid_ros.physics.train_file import load_train_file
+from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -38,7 +38,7 @@ if TYPE_CHECKING:
 
 G = 9.81
 FOLDER = Path(hidden_cases.__file__).parent
-ALLOWED = {'trainid_ros.core.records', 'trainid_ros.bags.writer'}
+ALLOWED = {'trainid_ros.core.records', 'trainid_ros.bag.writer'}
 
 
 def small_world(seed: int, legs: int = 2, *, calm: bool = False) -> World:

@@ -16,19 +16,19 @@ from benchmarks.hidden_cases_b.scene import Wish, draw_scene, drive
 from benchmarks.hidden_cases_b.sensing import draw_instruments
 from benchmarks.hidden_cases_b.visibility import lacking
 from benchmarks.hidden_cases_b.write import write_case
-from trainid_ros.bags.reader import BagReader
+from trainid_ros.bag.reader import BagReader
 from trainid_ros.core.alignment import Aligner, AlignmentConfig
 from trainid_ros.core.records import BrakeRecord, ForceRecord, GradientRecord, MassRecord, SpeedRecord
 from trainid_ros.core.samples import Sample
-from trainid_ros.physics.effects import EFFECTS
-from trainid_ros.physics.line import LineProfile
-from trainid_ros.physics.train_file import load_train_file, parse_train_file
+from trainid_ros.train.effects import EFFECTS
+from trainid_ros.train.line import LineProfile
+from trainid_ros.train.train_file import load_train_file, parse_train_file
 
 if TYPE_CHECKING:
     from benchmarks.hidden_cases_b import Case
 
 FOLDER = Path(hidden_cases_b.__file__).parent
-ALLOWED = {'trainid_ros.core.records', 'trainid_ros.bags.writer'}
+ALLOWED = {'trainid_ros.core.records', 'trainid_ros.bag.writer'}
 
 
 def test_imports_nothing_that_could_share_a_mistake() -> None:

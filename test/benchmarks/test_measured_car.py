@@ -20,7 +20,7 @@ from benchmarks.measured_car import (
     wheel_force,
 )
 from trainid_ros.core.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
-from trainid_ros.physics.resistance import G, davis
+from trainid_ros.train.davis import G, davis
 
 EFFECTIVE = 1550.0
 GRADE = 12.0

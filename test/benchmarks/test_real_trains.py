@@ -35,7 +35,7 @@ from benchmarks.real_train_tables import (
 from benchmarks.real_train_trials import ALL, INFORMED, PAIR, Trial, run
 from benchmarks.real_trains import trials_of
 from benchmarks.worlds import CLEAN, FIELD, WORLDS, Rates, drive
-from trainid_ros.estimators.resistance.speed_states import A, B, C
+from trainid_ros.resistance.speed_states import A, B, C
 
 N = 4
 # Speed 2 m/s: w is off by 1 + 2 * 0.5 + 4 * 0.25 = 3 in the last two samples.

@@ -25,7 +25,7 @@ from trainid_ros.core.records import (
     Record,
     SpeedRecord,
 )
-from trainid_ros.core.results import Reason, Refusal
+from trainid_ros.core.results import Reason, Rejection
 from trainid_ros.core.samples import BrakeCommandChange, Sample
 
 START = 1_700_000_000 * NS_PER_S
@@ -33,7 +33,7 @@ PERIOD = NS_PER_S // 5
 CONFIG = AlignmentConfig()
 # Examples are seeds: a smaller seed is no simpler example, so there is nothing to shrink.
 SEEDS = settings(max_examples=50, deadline=None, phases=(Phase.explicit, Phase.reuse, Phase.generate))
-Event = TypeVar('Event', Sample, Refusal, TimeJump)
+Event = TypeVar('Event', Sample, Rejection, TimeJump)
 Kind = TypeVar('Kind', SpeedRecord, ForceRecord, GradientRecord, BrakeRecord, MassRecord)
 
 
@@ -55,8 +55,8 @@ def drive(seconds: float, *, start_s: float = 0.0, rate: float = 5.0) -> list[Re
     return sorted(records, key=lambda record: record.stamp_ns)
 
 
-def run(records: list[Record], config: AlignmentConfig = CONFIG, *, refuse: bool = False) -> list[AlignmentEvent]:
-    aligner = Aligner(config, refuse_jump_back=refuse)
+def run(records: list[Record], config: AlignmentConfig = CONFIG, *, reject: bool = False) -> list[AlignmentEvent]:
+    aligner = Aligner(config, reject_jump_back=reject)
     return [event for record in records for event in aligner.push(record)]
 
 
@@ -65,7 +65,7 @@ def of(kind: type[Event], events: list[AlignmentEvent]) -> list[Event]:
 
 
 def reasons(events: list[AlignmentEvent]) -> Counter[Reason]:
-    return Counter(refusal.reason for refusal in of(Refusal, events))
+    return Counter(rejection.reason for rejection in of(Rejection, events))
 
 
 def without(kind: type[Record], records: list[Record], low_s: float, high_s: float) -> list[Record]:
@@ -289,10 +289,10 @@ def test_a_refusal_tells_the_value_and_the_limit(step_s: float) -> None:
     newest_ns = records[-2].stamp_ns
     stray = ForceRecord(newest_ns + round(step_s * NS_PER_S), 1.0)
     # What became of a stray stamp is known when the next record goes on as before.
-    (refusal,) = of(Refusal, run([*records[:-1], stray, records[-1]]))
-    assert (refusal.stamp_ns, refusal.reason) == (stray.stamp_ns, Reason.STAMP_JUMP)
-    assert refusal.value == pytest.approx(step_s)
-    assert refusal.limit == math.copysign(CONFIG.max_jump_back, step_s)
+    (rejection,) = of(Rejection, run([*records[:-1], stray, records[-1]]))
+    assert (rejection.stamp_ns, rejection.reason) == (stray.stamp_ns, Reason.STAMP_JUMP)
+    assert rejection.value == pytest.approx(step_s)
+    assert rejection.limit == math.copysign(CONFIG.max_jump_back, step_s)
 
 
 # Dropouts
@@ -367,10 +367,10 @@ def test_every_change_of_the_command_is_delivered_once_with_its_stamp(commands: 
         assert all(before.stamp_ns < change.stamp_ns <= after.stamp_ns for change in after.brake_changes)
 
 
-@pytest.mark.parametrize(('silence_s', 'missed'), [(0.05, False), (0.2, True), (1.0, True)])
-def test_a_command_that_changed_over_a_gap_may_have_changed_unseen(silence_s: float, missed: bool) -> None:
+@pytest.mark.parametrize(('missing_for_s', 'missed'), [(0.05, False), (0.2, True), (1.0, True)])
+def test_a_command_that_changed_over_a_gap_may_have_changed_unseen(missing_for_s: float, missed: bool) -> None:
     # Commands come every 0.2 s, one of them at 4.99 s: the shortest silence loses none.
-    records = without(BrakeRecord, drive(10.0), 4.9, 4.9 + silence_s)
+    records = without(BrakeRecord, drive(10.0), 4.9, 4.9 + missing_for_s)
     braked = [
         replace(r, target_acceleration=-0.5) if isinstance(r, BrakeRecord) and r.stamp_ns > at(4.9) else r
         for r in records
@@ -565,7 +565,7 @@ def test_a_jump_forward_is_one_jump_and_goes_on() -> None:
 
 
 def test_where_a_jump_back_is_refused_all_is_refused_until_the_stamps_catch_up() -> None:
-    events = run([*drive(20.0), *drive(25.0)], refuse=True)
+    events = run([*drive(20.0), *drive(25.0)], reject=True)
     assert not of(TimeJump, events)
     stamps = [s.stamp_ns for s in of(Sample, events)]
     assert stamps == sorted(set(stamps))
@@ -575,7 +575,7 @@ def test_where_a_jump_back_is_refused_all_is_refused_until_the_stamps_catch_up()
 
 
 def test_a_jump_forward_is_followed_also_where_jumps_back_are_refused() -> None:
-    events = run([*drive(20.0), *drive(20.0, start_s=1000.0)], refuse=True)
+    events = run([*drive(20.0), *drive(20.0, start_s=1000.0)], reject=True)
     assert len(of(TimeJump, events)) == 1
 
 

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 
 from trainid_ros.core.alignment import Aligner, AlignmentConfig, AlignmentEvent
 from trainid_ros.core.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
-from trainid_ros.core.results import Reason, Refusal
+from trainid_ros.core.results import Reason, Rejection
 from trainid_ros.core.samples import Sample
 
 START = 1_700_000_000 * NS_PER_S
@@ -105,7 +105,7 @@ def test_mixed_rates_give_complete_samples_at_the_stamps_of_the_speed(rates: Rat
     samples = samples_of(events)
     assert_complete(samples)
     assert len(samples) == pytest.approx(min(rates[0], 5.0) * 40.0, abs=2.5 * min(rates[0], 5.0) + 2.0)
-    assert {event.reason for event in events if isinstance(event, Refusal)} <= {Reason.THINNED}
+    assert {event.reason for event in events if isinstance(event, Rejection)} <= {Reason.THINNED}
     assert not any(sample.brake_gap for sample in samples)
 
 
@@ -230,7 +230,7 @@ def test_a_record_that_comes_too_late_is_counted_and_the_rate_stands() -> None:
     late = records.pop(k)
     place = next(i for i, item in enumerate(records) if item.stamp_ns > late.stamp_ns + 1.7 * NS_PER_S)
     events = run([*records[:place], late, *records[place:]])
-    assert [event.reason for event in events if isinstance(event, Refusal)] == [Reason.LATE]
+    assert [event.reason for event in events if isinstance(event, Rejection)] == [Reason.LATE]
     assert_complete(samples_of(events))
 
 

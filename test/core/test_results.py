@@ -12,7 +12,7 @@ import pytest
 from trainid_ros.core.results import (
     BrakeRateEstimate,
     Reason,
-    Refusal,
+    Rejection,
     ResistanceEstimate,
     SpeedModelEstimate,
     Status,
@@ -67,4 +67,4 @@ def test_numbers_fit_the_byte_of_the_message() -> None:
 
 
 def test_a_refusal_reads_as_reason_value_and_limit() -> None:
-    assert str(Refusal(1, Reason.OUTLIER, 1.25, 0.5)) == 'OUTLIER (value 1.25, limit 0.5)'
+    assert str(Rejection(1, Reason.OUTLIER, 1.25, 0.5)) == 'OUTLIER (value 1.25, limit 0.5)'

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trainid_ros.bags.types import estimate_message
-from trainid_ros.core.results import BrakeRateEstimate, Reason, Refusal, ResistanceEstimate, Status
+from trainid_ros.bag.types import estimate_message
+from trainid_ros.core.results import BrakeRateEstimate, Reason, Rejection, ResistanceEstimate, Status
 from trainid_ros.demo.chapters import describe_comparison
 from trainid_ros.demo.compare import Fingerprint, compare, fingerprint_of_message, fingerprint_of_output
 from trainid_ros.estimators.pipeline import Output
@@ -22,7 +22,7 @@ ESTIMATE = ResistanceEstimate(
     speed_max=20.0,
 )  # fmt: skip
 NAMES = tuple(ESTIMATE.__dataclass_fields__)
-REFUSAL = Refusal(7, Reason.OUTLIER, 1.0, 0.5)
+REFUSAL = Rejection(7, Reason.OUTLIER, 1.0, 0.5)
 OUTPUT = Output(1_700_000_000_200_000_000, ESTIMATE, Status.VALID, 10, 3, REFUSAL)
 
 
@@ -30,7 +30,7 @@ def prints(*stamps: int, estimate: bytes = b'e', status: Status = Status.VALID) 
     return [Fingerprint(stamp, estimate, b'h', int(status)) for stamp in stamps]
 
 
-@pytest.mark.parametrize('output', [OUTPUT, replace(OUTPUT, last_refusal=None)])
+@pytest.mark.parametrize('output', [OUTPUT, replace(OUTPUT, last_rejection=None)])
 def test_message_of_an_output_has_its_fingerprint(output: Any) -> None:
     message = estimate_message(output)
     assert fingerprint_of_message(message, output.stamp_ns, NAMES) == fingerprint_of_output(output)
@@ -83,7 +83,7 @@ def test_missing_and_different_messages_are_not_exact() -> None:
 def test_message_told_by_the_clock_is_no_difference() -> None:
     result = compare([*prints(1, 2), *prints(2, status=Status.STALE)], prints(1, 2))
     assert result.exact
-    assert result.told_stale == 1
+    assert result.reported_stale == 1
 
 
 def test_unexpected_message_is_a_difference() -> None:

@@ -9,11 +9,11 @@ from pathlib import Path
 
 import pytest
 
-from trainid_ros.commands.demo import summary
-from trainid_ros.commands.main import main
+from trainid_ros.cli.demo import summary
+from trainid_ros.cli.main import main
 from trainid_ros.demo.hidden import HIDDEN, HiddenCase
-from trainid_ros.discrepancy.explanation import Explanation
-from trainid_ros.physics.train_file import TrainFile
+from trainid_ros.explain.explanation import Explanation
+from trainid_ros.train.train_file import TrainFile
 
 
 @pytest.mark.slow

@@ -15,10 +15,10 @@ from trainid_ros.core.errors import InputError
 from trainid_ros.core.records import NS_PER_S
 from trainid_ros.core.results import BrakeRateEstimate, Reason, ResistanceEstimate, Status
 from trainid_ros.demo.bags import load_demo_bag, stock_bag
-from trainid_ros.demo.parameters import NODES, parameter_file
+from trainid_ros.demo.demo_parameters import NODES, parameter_file
 from trainid_ros.demo.view import Snapshot, View, line, render
 from trainid_ros.estimators.pipeline import Output
-from trainid_ros.simulation.truth import Truth
+from trainid_ros.sim.truth import Truth
 
 START_NS = 1_700_000_000 * NS_PER_S
 RESISTANCE = ResistanceEstimate(1.6, 0.02, 0.001, (0.0,) * 9, 1.9, 0.2, 10.0, 0.1, 0.04, 0.02, 2.0, 20.0)

@@ -14,7 +14,7 @@ from trainid_ros.core.results import Reason
 from trainid_ros.core.samples import BrakeCommandChange, Sample
 from trainid_ros.estimators.admission import Admission
 from trainid_ros.estimators.known_force import KnownForce
-from trainid_ros.physics.train_file import Effect, TrainFile
+from trainid_ros.train.train_file import Effect, TrainFile
 
 Make = Callable[..., Sample]
 WEIGHT_KN = 200e3 * 9.80665 / 1000.0
@@ -26,7 +26,7 @@ def admission(train_file: TrainFile) -> Admission:
 
 
 def test_a_coasting_sample_is_admitted(admission: Admission, sample: Make) -> None:
-    assert admission.refuse(sample(1)) is None
+    assert admission.reject(sample(1)) is None
 
 
 @pytest.mark.parametrize(
@@ -53,21 +53,21 @@ def test_a_coasting_sample_is_admitted(admission: Admission, sample: Make) -> No
 def test_each_flaw_is_refused_with_its_reason(
     admission: Admission, sample: Make, fields: dict[str, Any], reason: Reason
 ) -> None:
-    refusal = admission.refuse(sample(1, **fields))
-    assert refusal is not None
-    assert refusal.reason is reason
+    rejection = admission.reject(sample(1, **fields))
+    assert rejection is not None
+    assert rejection.reason is reason
 
 
 def test_force_noise_while_coasting_is_no_brake(admission: Admission, sample: Make) -> None:
     # Four standard deviations of 0.3 N/kN.
-    assert admission.refuse(sample(1, force=-1.2 * WEIGHT_KN, force_mean=-1.2 * WEIGHT_KN)) is None
+    assert admission.reject(sample(1, force=-1.2 * WEIGHT_KN, force_mean=-1.2 * WEIGHT_KN)) is None
 
 
 def test_a_released_brake_is_waited_for_by_stamps(admission: Admission, sample: Make) -> None:
     # 0.6 s dead time and eight time constants of 0.4 s.
     assert admission.settling == pytest.approx(3.8)
-    assert admission.refuse(sample(1, brake_command=-0.5)) is not None
-    admitted = {i: admission.refuse(sample(i)) is None for i in range(2, 25)}
+    assert admission.reject(sample(1, brake_command=-0.5)) is not None
+    admitted = {i: admission.reject(sample(i)) is None for i in range(2, 25)}
     # At 3.8 s sharp, in sample 20, rounding decides.
     assert not any(admitted[i] for i in range(2, 20))
     assert all(admitted[i] for i in range(21, 25))
@@ -79,13 +79,13 @@ def test_a_brake_that_answers_late_is_waited_for_longer(train_file: TrainFile) -
 
 
 def test_an_unknown_command_counts_as_braking_until_long_after(admission: Admission, sample: Make) -> None:
-    admission.refuse(sample(1, brake_command=math.nan))
-    refusal = admission.refuse(sample(2))
-    assert refusal is not None
-    assert refusal.reason is Reason.BRAKING
-    assert refusal.value == pytest.approx(0.2)
+    admission.reject(sample(1, brake_command=math.nan))
+    rejection = admission.reject(sample(2))
+    assert rejection is not None
+    assert rejection.reason is Reason.BRAKING
+    assert rejection.value == pytest.approx(0.2)
 
 
 def test_a_brake_of_another_time_base_does_not_hold_for_ever(admission: Admission, sample: Make) -> None:
-    admission.refuse(sample(100_000, brake_command=-0.5))
-    assert admission.refuse(sample(1)) is None
+    admission.reject(sample(100_000, brake_command=-0.5))
+    assert admission.reject(sample(1)) is None

@@ -24,11 +24,11 @@ from trainid_ros.estimators.pipeline import (
     resistance_pipeline,
     speed_model_pipeline,
 )
-from trainid_ros.estimators.trajectory.pieces import PieceCollector
-from trainid_ros.physics.effect_text import parse_effects
-from trainid_ros.physics.effects import EFFECTS
-from trainid_ros.physics.train_file import TrainFile
-from trainid_ros.simulation.scenario import Scenario, Simulation, simulate
+from trainid_ros.resistance.trajectory.pieces import PieceCollector
+from trainid_ros.sim.scenario import Scenario, Simulation, simulate
+from trainid_ros.train.effect_text import parse_effects
+from trainid_ros.train.effects import EFFECTS
+from trainid_ros.train.train_file import TrainFile
 
 SETTINGS = EstimatorSettings()
 MAKERS: dict[str, Callable[[TrainFile, EstimatorSettings], EstimatorPipeline[Any]]] = {
@@ -183,9 +183,9 @@ def test_a_restored_pipeline_remembers_how_far_the_train_has_run(line: TrainFile
 
 def test_a_fit_follows_the_drive_too(train_file: TrainFile, sample: Callable[..., Sample]) -> None:
     true = with_effect(train_file, 'bearing_warmup:value=4,distance=300')
-    collector, refused = PieceCollector(true, 1.0, 2.0), Counter[Reason]()
+    collector, rejected = PieceCollector(true, 1.0, 2.0), Counter[Reason]()
     for i in range(200):  # 3 m each
-        collector.add(sample(i, dt=0.2, speed=15.0 + 0.001 * (i % 2)), refused)
-    assert not refused
+        collector.add(sample(i, dt=0.2, speed=15.0 + 0.001 * (i % 2)), rejected)
+    assert not rejected
     known = collector.trajectory().known
     assert (known[0], known[100], known[199]) == pytest.approx((-4.0, -4.0 / math.e, -4.0 * math.exp(-1.99)), rel=1e-3)

@@ -11,7 +11,7 @@ import pytest
 
 from trainid_ros.core.samples import Motion, Sample
 from trainid_ros.estimators.known_force import KnownForce
-from trainid_ros.physics.train_file import Effect, Line, TrainFile
+from trainid_ros.train.train_file import Effect, Line, TrainFile
 
 Make = Callable[..., Sample]
 

@@ -13,11 +13,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.core.alignment import AlignmentConfig
 from trainid_ros.core.errors import InputError
 from trainid_ros.core.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
 from trainid_ros.core.results import Estimate, Reason, Status
-from trainid_ros.estimators.brake_rate.algorithms import BRAKE_RATE
 from trainid_ros.estimators.consistency import WINDOW, Verdict
 from trainid_ros.estimators.pipeline import (
     EstimatorPipeline,
@@ -29,7 +29,7 @@ from trainid_ros.estimators.pipeline import (
     resistance_pipeline,
     speed_model_pipeline,
 )
-from trainid_ros.physics.train_file import TrainFile
+from trainid_ros.train.train_file import TrainFile
 
 MAKERS: dict[str, Callable[[TrainFile, EstimatorSettings], EstimatorPipeline[Any]]] = {
     'resistance': resistance_pipeline,
@@ -88,8 +88,8 @@ def test_counters_account_for_every_sample(whole: Whole) -> None:
     for before, after in pairwise(outputs):
         assert (after.used - before.used, after.rejected - before.rejected) in {(1, 0), (0, 1)}
         if after.rejected > before.rejected:
-            assert after.last_refusal is not None
-            assert after.last_refusal.stamp_ns == after.stamp_ns
+            assert after.last_rejection is not None
+            assert after.last_rejection.stamp_ns == after.stamp_ns
     assert outputs[-1].used > 100
 
 
@@ -104,9 +104,9 @@ def test_refused_records_are_counted_too(name: str, metro: TrainFile, day: Recor
     assert pipeline.current().rejected == before + 2
     assert pipeline.rejections[Reason.NOT_FINITE] == 1
     assert pipeline.rejections[Reason.ZERO_STAMP] == 1
-    refusal = pipeline.current().last_refusal
-    assert refusal is not None
-    assert refusal.reason is Reason.ZERO_STAMP
+    rejection = pipeline.current().last_rejection
+    assert rejection is not None
+    assert rejection.reason is Reason.ZERO_STAMP
 
 
 @ALL

@@ -20,7 +20,7 @@ from trainid_ros.estimators.pipeline import (
     resistance_pipeline,
     speed_model_pipeline,
 )
-from trainid_ros.physics.train_file import TrainFile
+from trainid_ros.train.train_file import TrainFile
 
 Records = tuple[Record, ...]
 Rates = dict[type[Record], float]
@@ -101,10 +101,10 @@ def test_a_slow_topic_is_missing_by_its_own_rate(
 def test_how_long_a_topic_may_be_silent_follows_its_rate(metro: TrainFile, day: Records) -> None:
     pipeline = resistance_pipeline(metro, SETTINGS)
     run(pipeline, at_rates(day, {ForceRecord: 1.0}, 0.0, LEARNED_S))
-    assert pipeline.longest_silence_ns(ForceRecord) == pytest.approx(2.5 * NS_PER_S, rel=0.02)
-    assert pipeline.longest_silence_ns(SpeedRecord) == 0.8 * NS_PER_S
+    assert pipeline.timeout_ns(ForceRecord) == pytest.approx(2.5 * NS_PER_S, rel=0.02)
+    assert pipeline.timeout_ns(SpeedRecord) == 0.8 * NS_PER_S
     pipeline.reset()
-    assert pipeline.longest_silence_ns(ForceRecord) == 0.8 * NS_PER_S
+    assert pipeline.timeout_ns(ForceRecord) == 0.8 * NS_PER_S
 
 
 @pytest.mark.parametrize('rates', [ALL_SLOW, {BrakeRecord: 1.0}], ids=['all 1', 'brake 1'])

@@ -9,9 +9,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from trainid_ros.estimators.resistance.tachometer import Tachometer
 from trainid_ros.estimators.rounding import EXACT, Rounding
 from trainid_ros.estimators.speed_noise import SpeedNoise
+from trainid_ros.resistance.tachometer import Tachometer
 
 KMH = 1.0 / 3.6
 

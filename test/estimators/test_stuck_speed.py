@@ -8,25 +8,25 @@ from dataclasses import replace
 
 import pytest
 
-from trainid_ros.core.results import Reason, Refusal
+from trainid_ros.core.results import Reason, Rejection
 from trainid_ros.core.samples import Sample
 from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.estimators.stuck_speed import StuckSpeed
-from trainid_ros.physics.resistance import G
-from trainid_ros.physics.train_file import TrainFile
+from trainid_ros.train.davis import G
+from trainid_ros.train.train_file import TrainFile
 
 Make = Callable[..., Sample]
 
 
-def refusals(train_file: TrainFile, samples: list[Sample]) -> list[Refusal | None]:
+def rejections(train_file: TrainFile, samples: list[Sample]) -> list[Rejection | None]:
     watch = StuckSpeed(KnownForce(train_file))
-    return [watch.refuse(item) for item in samples]
+    return [watch.reject(item) for item in samples]
 
 
 def test_a_speed_that_ignores_the_brake_is_refused_once_half_a_metre_a_second_is_missing(
     train_file: TrainFile, sample: Make
 ) -> None:
-    found = refusals(train_file, [sample(i + 1, speed=12.0, brake_command=-0.8) for i in range(20)])
+    found = rejections(train_file, [sample(i + 1, speed=12.0, brake_command=-0.8) for i in range(20)])
     # The first sample only sets the speed; after 4 more, 0.64 m/s are missing.
     assert [item is not None for item in found] == [False] * 4 + [True] * 16
     assert found[4] is not None
@@ -36,13 +36,13 @@ def test_a_speed_that_ignores_the_brake_is_refused_once_half_a_metre_a_second_is
 
 def test_a_speed_that_ignores_traction_is_refused(train_file: TrainFile, sample: Make) -> None:
     pull = 2e5
-    found = refusals(train_file, [sample(i + 1, speed=12.0, force=pull, force_mean=pull) for i in range(60)])
+    found = rejections(train_file, [sample(i + 1, speed=12.0, force=pull, force_mean=pull) for i in range(60)])
     assert found[-1] is not None
 
 
 def test_it_is_believed_again_as_soon_as_it_moves(train_file: TrainFile, sample: Make) -> None:
     stuck = [sample(i + 1, speed=12.0, brake_command=-0.8) for i in range(20)]
-    assert refusals(train_file, [*stuck, sample(21, speed=11.0, brake_command=-0.8)])[-1] is None
+    assert rejections(train_file, [*stuck, sample(21, speed=11.0, brake_command=-0.8)])[-1] is None
 
 
 def test_a_steady_cruise_and_a_held_train_are_no_faults(train_file: TrainFile, sample: Make) -> None:
@@ -54,4 +54,4 @@ def test_a_steady_cruise_and_a_held_train_are_no_faults(train_file: TrainFile, s
         replace(item, speed=item.speed + 0.03 * (i % 2))
         for i, item in enumerate(sample(k + 1, speed=12.0, brake_command=-0.8) for k in range(50))
     ]
-    assert not any(refusals(train_file, cruise + held + noisy))
+    assert not any(rejections(train_file, cruise + held + noisy))

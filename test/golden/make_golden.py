@@ -23,9 +23,9 @@ from trainid_ros.estimators.pipeline import (
     resistance_pipeline,
     speed_model_pipeline,
 )
-from trainid_ros.physics.train_file import load_train_file
-from trainid_ros.simulation.scenario import simulate
-from trainid_ros.simulation.yizhuang_day import yizhuang_day
+from trainid_ros.sim.scenario import simulate
+from trainid_ros.sim.yizhuang_day import yizhuang_day
+from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

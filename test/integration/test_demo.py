@@ -15,10 +15,10 @@ from typing import Any, TypeAlias
 import numpy as np
 import pytest
 
-from trainid_ros.bags.writer import BagWriter
-from trainid_ros.physics.train_file import Davis, Line, Train, TrainFile, dump_train_file
-from trainid_ros.simulation.scenario import Scenario, simulate
-from trainid_ros.simulation.truth import save_truth
+from trainid_ros.bag.writer import BagWriter
+from trainid_ros.sim.scenario import Scenario, simulate
+from trainid_ros.sim.truth import save_truth
+from trainid_ros.train.train_file import Davis, Line, Train, TrainFile, dump_train_file
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(700)]
 
@@ -49,7 +49,7 @@ def start() -> Iterator[Start]:
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
 
     def run(bag: Path, out: Path, *options: str) -> subprocess.Popen[str]:
-        command = [sys.executable, '-m', 'trainid_ros.commands.main', 'demo', str(bag), '--out', str(out), *options]
+        command = [sys.executable, '-m', 'trainid_ros.cli.main', 'demo', str(bag), '--out', str(out), *options]
         started.append(subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True))
         return started[-1]
 
@@ -94,9 +94,7 @@ def test_quick_demo_end_to_end(start: Start, bag: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
-def test_interrupted_demo_leaves_nobody_behind(
-    start: Start, bag: Path, tmp_path: Path, number: signal.Signals
-) -> None:
+def test_interrupted_demo_leaves_nobody_behind(start: Start, bag: Path, tmp_path: Path, number: signal.Signals) -> None:
     process = start(bag, tmp_path / 'out', '--rate', '1')
     log = tmp_path / 'out' / 'log' / bag.name / 'bag_player.log'
     deadline = time.monotonic() + DEADLINE_S

@@ -20,10 +20,10 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
 from trainid_msgs import msg as messages
 
-from trainid_ros.bags.reader import BagReader
-from trainid_ros.bags.writer import BagWriter
+from trainid_ros.bag.reader import BagReader
+from trainid_ros.bag.writer import BagWriter
+from trainid_ros.demo.demo_parameters import parameter_file
 from trainid_ros.demo.domain import free_domain
-from trainid_ros.demo.parameters import parameter_file
 from trainid_ros.estimators.pipeline import (
     EstimatorPipeline,
     EstimatorSettings,
@@ -31,9 +31,9 @@ from trainid_ros.estimators.pipeline import (
     resistance_pipeline,
     speed_model_pipeline,
 )
-from trainid_ros.nodes.conversion import fill_estimate
-from trainid_ros.physics.train_file import load_train_file
-from trainid_ros.simulation.scenario import Scenario, simulate
+from trainid_ros.ros.conversion import fill_estimate
+from trainid_ros.sim.scenario import Scenario, simulate
+from trainid_ros.train.train_file import load_train_file
 
 pytestmark = pytest.mark.ros
 
@@ -66,7 +66,7 @@ class Processes:
         }
 
     def start(self, *arguments: str) -> subprocess.Popen[str]:
-        command = [sys.executable, '-m', 'trainid_ros.commands.main', *arguments]
+        command = [sys.executable, '-m', 'trainid_ros.cli.main', *arguments]
         process = subprocess.Popen(
             command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True, env=self._environment
         )

@@ -11,10 +11,10 @@ import pytest
 from trainid_ros.core.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
 from trainid_ros.core.results import BrakeRateEstimate, Reason, ResistanceEstimate, SpeedModelEstimate, Status
 from trainid_ros.estimators.pipeline import Output
-from trainid_ros.physics.train_file import Davis, Train, TrainFile
-from trainid_ros.report.content import Chapter, Rejections
+from trainid_ros.report.content import Chapter, RejectionCounts
 from trainid_ros.report.traces import TraceRecorder
-from trainid_ros.simulation.truth import Truth
+from trainid_ros.sim.truth import Truth
+from trainid_ros.train.train_file import Davis, Train, TrainFile
 
 START_NS = 1_700_000_000 * NS_PER_S
 RESISTANCE = ResistanceEstimate(
@@ -74,8 +74,8 @@ def make_chapter() -> Callable[..., Chapter]:
             speed_model=output(seconds, MODEL, Status.HOLDING),
             brake_rate=output(seconds, BRAKE, Status.HOLDING),
             rejections=(
-                Rejections('resistance', ((Reason.BRAKING, 60), (Reason.STANDSTILL, 60))),
-                Rejections('brake rate', ((Reason.NOT_BRAKING, 120),)),
+                RejectionCounts('resistance', ((Reason.BRAKING, 60), (Reason.STANDSTILL, 60))),
+                RejectionCounts('brake rate', ((Reason.NOT_BRAKING, 120),)),
             ),
             truth=truth,
             notes=('a note',),

@@ -16,7 +16,7 @@ from trainid_ros.core.errors import InputError
 from trainid_ros.report.content import Report
 from trainid_ros.report.html import render, write_report
 from trainid_ros.report.traces import TraceRecorder
-from trainid_ros.simulation.truth import Truth
+from trainid_ros.sim.truth import Truth
 
 pytestmark = pytest.mark.slow  # drawing takes seconds
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from trainid_ros.report.scores import resistance_at, resistance_std, score_brake_rate, score_resistance
-from trainid_ros.simulation.truth import Truth
+from trainid_ros.sim.truth import Truth
 
 
 def test_resistance_and_its_deviation() -> None:

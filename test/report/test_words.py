@@ -9,8 +9,7 @@ from dataclasses import replace
 
 import pytest
 
-from trainid_ros.discrepancy.explanation import Explanation, Gap, Likeness, Verdict
-from trainid_ros.physics.train_file import TrainFile
+from trainid_ros.explain.explanation import Explanation, Gap, Likeness, Verdict
 from trainid_ros.report.words import (
     davis_rows,
     doubts,
@@ -26,6 +25,7 @@ from trainid_ros.report.words import (
     strong_text,
     strongest,
 )
+from trainid_ros.train.train_file import TrainFile
 
 Make = Callable[..., Explanation]
 

@@ -23,6 +23,7 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, Final, TypeAlias
 
 from trainid_ros.core.intervals import LearnedInterval
+from trainid_ros.core.record_validation import find_fault
 from trainid_ros.core.records import (
     NS_PER_S,
     BrakeRecord,
@@ -32,10 +33,9 @@ from trainid_ros.core.records import (
     Record,
     SpeedRecord,
 )
-from trainid_ros.core.results import Reason, Refusal
+from trainid_ros.core.results import Reason, Rejection
 from trainid_ros.core.samples import SAMPLE_PERIOD, STANDING, BrakeCommandChange, Sample
 from trainid_ros.core.settings import setting
-from trainid_ros.core.validation import find_fault
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -76,7 +76,7 @@ class TimeJump:
     step_s: float
 
 
-AlignmentEvent: TypeAlias = Sample | Refusal | TimeJump
+AlignmentEvent: TypeAlias = Sample | Rejection | TimeJump
 
 
 class _Track:
@@ -119,9 +119,9 @@ class _Track:
 class Aligner:
     """Turn records, in any order of topics, into samples in stamp order."""
 
-    def __init__(self, config: AlignmentConfig, *, refuse_jump_back: bool = False) -> None:
+    def __init__(self, config: AlignmentConfig, *, reject_jump_back: bool = False) -> None:
         self.config = config
-        self._refuse_jump_back = refuse_jump_back
+        self._reject_jump_back = reject_jump_back
         self._max_gap_ns = round(config.max_gap * NS_PER_S)
         self._lag_ns = round(config.max_lag * NS_PER_S)
         self._patience_ns = self._max_gap_ns + self._lag_ns
@@ -183,13 +183,13 @@ class Aligner:
             return [fault]
         if self._newest_ns and abs(record.stamp_ns - self._newest_ns) > self._max_jump_back_ns:
             return self._suspect(record)
-        astray = [self._refuse_jump(suspect) for suspect in self._suspects]
+        astray = [self._reject_jump(suspect) for suspect in self._suspects]
         self._suspects.clear()
         return [*astray, *self._admit(record)]
 
     def _admit(self, record: Record) -> list[AlignmentEvent]:
-        if (refusal := self._store(record)) is not None:
-            return [refusal]
+        if (rejection := self._store(record)) is not None:
+            return [rejection]
         self._newest_ns = max(self._newest_ns, record.stamp_ns)
         self._agreeing.add(type(record))
         return [*self._release()]
@@ -198,11 +198,11 @@ class Aligner:
         """Believe a step of the stamps only when several records in a row, of more than one topic, agree on it."""
         astray: list[AlignmentEvent] = []
         if self._suspects and abs(record.stamp_ns - self._suspects[-1].stamp_ns) > self._max_jump_back_ns:
-            astray = [self._refuse_jump(suspect) for suspect in self._suspects]
+            astray = [self._reject_jump(suspect) for suspect in self._suspects]
             self._suspects.clear()
         self._suspects.append(record)
         if len(self._suspects) > _CONFIRMATIONS:
-            astray.append(self._refuse_jump(self._suspects.pop(0)))
+            astray.append(self._reject_jump(self._suspects.pop(0)))
         agreed = len(self._suspects) == _CONFIRMATIONS and len({type(item) for item in self._suspects}) > 1
         return [*astray, *self._follow_step()] if agreed else astray
 
@@ -211,8 +211,8 @@ class Aligner:
         suspects, self._suspects = self._suspects, []
         step_ns = suspects[-1].stamp_ns - self._newest_ns
         # A base that rests on one topic alone may have been the one astray.
-        if step_ns < 0 and self._refuse_jump_back and len(self._agreeing) > 1:
-            return [self._refuse_jump(suspect) for suspect in suspects]
+        if step_ns < 0 and self._reject_jump_back and len(self._agreeing) > 1:
+            return [self._reject_jump(suspect) for suspect in suspects]
         events: list[AlignmentEvent] = []
         if not 0 < step_ns <= self._max_jump_ns:
             events = [*self._release(everything=True), TimeJump(suspects[-1].stamp_ns, step_ns / NS_PER_S)]
@@ -221,11 +221,11 @@ class Aligner:
             events += self._admit(suspect)
         return events
 
-    def _refuse_jump(self, record: Record) -> Refusal:
+    def _reject_jump(self, record: Record) -> Rejection:
         step_s = (record.stamp_ns - self._newest_ns) / NS_PER_S
-        return Refusal(record.stamp_ns, Reason.STAMP_JUMP, step_s, math.copysign(self.config.max_jump_back, step_s))
+        return Rejection(record.stamp_ns, Reason.STAMP_JUMP, step_s, math.copysign(self.config.max_jump_back, step_s))
 
-    def _store(self, record: Record) -> Refusal | None:
+    def _store(self, record: Record) -> Rejection | None:
         stamp = record.stamp_ns
         if isinstance(record, SpeedRecord):
             return self._store_speed(record)
@@ -238,19 +238,19 @@ class Aligner:
         else:
             track = self._mass
         if not track.insert(record):
-            return Refusal(stamp, Reason.DUPLICATE, stamp / NS_PER_S, 0.0)
+            return Rejection(stamp, Reason.DUPLICATE, stamp / NS_PER_S, 0.0)
         # Samples do not wait for the mass, but reach back for it.
         limit_ns = self._released_ns - (self._lag_ns if track is self._mass else 0)
         if stamp <= limit_ns:
-            return Refusal(stamp, Reason.LATE, (stamp - limit_ns) / NS_PER_S, 0.0)
+            return Rejection(stamp, Reason.LATE, (stamp - limit_ns) / NS_PER_S, 0.0)
         return None
 
-    def _store_speed(self, record: SpeedRecord) -> Refusal | None:
+    def _store_speed(self, record: SpeedRecord) -> Rejection | None:
         stamp = record.stamp_ns
         if stamp == self._released_ns or any(stamp == waiting for waiting, _ in self._pending):
-            return Refusal(stamp, Reason.DUPLICATE, stamp / NS_PER_S, 0.0)
+            return Rejection(stamp, Reason.DUPLICATE, stamp / NS_PER_S, 0.0)
         if stamp < self._released_ns:
-            return Refusal(stamp, Reason.LATE, (stamp - self._released_ns) / NS_PER_S, 0.0)
+            return Rejection(stamp, Reason.LATE, (stamp - self._released_ns) / NS_PER_S, 0.0)
         insort(self._pending, (stamp, record), key=lambda item: item[0])
         self._speed_ns = max(self._speed_ns, stamp)
         return None
@@ -262,7 +262,9 @@ class Aligner:
             self._released_ns = stamp
             self._speed_interval.see((stamp,))
             if self._due_ns and stamp < self._due_ns - _THINNING_SHARE * self._period_ns:
-                events.append(Refusal(stamp, Reason.THINNED, (stamp - self._sample_ns) / NS_PER_S, self.config.period))
+                events.append(
+                    Rejection(stamp, Reason.THINNED, (stamp - self._sample_ns) / NS_PER_S, self.config.period)
+                )
                 continue
             events.append(self._sample(record))
         return events

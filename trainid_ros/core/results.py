@@ -49,7 +49,7 @@ class Reason(IntEnum):
 
 
 @dataclass(frozen=True, slots=True)
-class Refusal:
+class Rejection:
     """A sample that was not used: the reason, the value that offended and the limit it broke."""
 
     stamp_ns: int

@@ -7,13 +7,13 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from trainid_ros.core.shared import shared_path
-from trainid_ros.physics.train_file import load_train_file
-from trainid_ros.simulation.truth import load_truth
+from trainid_ros.core.package_files import shared_path
+from trainid_ros.sim.truth import load_truth
+from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:
-    from trainid_ros.physics.train_file import TrainFile
-    from trainid_ros.simulation.truth import Truth
+    from trainid_ros.sim.truth import Truth
+    from trainid_ros.train.train_file import TrainFile
 
 TRAIN_FILE: Final = 'train.yaml'
 TRUTH_FILE: Final = 'truth.yaml'

@@ -7,20 +7,20 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from trainid_ros.bags.reader import BagReader
-from trainid_ros.bags.replay import replay
+from trainid_ros.bag.bag_replay import replay
+from trainid_ros.bag.reader import BagReader
 from trainid_ros.core.results import BrakeRateEstimate, ResistanceEstimate, SpeedModelEstimate
 from trainid_ros.demo.compare import Comparison, Fingerprint, compare, fingerprint_of_output
 from trainid_ros.demo.view import LABELS
 from trainid_ros.estimators.pipeline import EstimatorSettings
-from trainid_ros.report.content import Chapter, Rejections
-from trainid_ros.report.scores import Score, score_brake_rate, score_resistance
+from trainid_ros.report.content import Chapter, RejectionCounts
+from trainid_ros.report.scores import AccuracyScore, score_brake_rate, score_resistance
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from trainid_ros.bags.reader import LoggedRecord
-    from trainid_ros.bags.replay import AnyOutput, Replay
+    from trainid_ros.bag.bag_replay import AnyOutput, Replay
+    from trainid_ros.bag.reader import LoggedRecord
     from trainid_ros.demo.bags import DemoBag
     from trainid_ros.demo.live import LiveRun
     from trainid_ros.report.traces import TraceRecorder
@@ -41,8 +41,8 @@ class Outcome:
 
     chapter: Chapter
     comparisons: tuple[tuple[str, Comparison], ...]
-    resistance: Score | None
-    brake_rate: Score | None
+    resistance: AccuracyScore | None
+    brake_rate: AccuracyScore | None
     rate: float
 
     @property
@@ -51,7 +51,7 @@ class Outcome:
         return all(comparison.exact for _, comparison in self.comparisons)
 
 
-class _Witness:
+class _Check:
     """Takes fingerprints of a replay, and traces the inputs that the live run had."""
 
     def __init__(self, recorder: TraceRecorder) -> None:
@@ -75,7 +75,7 @@ def conclude(bag: DemoBag, live: LiveRun, duration_s: float, progress: Callable[
         progress: Called with the number of inputs replayed since its last call.
 
     """
-    witness = _Witness(live.recorder)
+    witness = _Check(live.recorder)
     with BagReader(bag.path) as reader:
         limit_s = duration_s if duration_s > 0.0 else math.inf
         replayed = replay(reader, bag.train_file, EstimatorSettings(), progress, (witness,), duration_s=limit_s)
@@ -120,7 +120,7 @@ def _chapter(bag: DemoBag, live: LiveRun, replayed: Replay, notes: tuple[str, ..
         **live.newest,
     }
     rejections = tuple(
-        Rejections(label, tuple(sorted(live.rejections.get(kind, {}).items()))) for kind, label in LABELS.items()
+        RejectionCounts(label, tuple(sorted(live.rejections.get(kind, {}).items()))) for kind, label in LABELS.items()
     )
     return Chapter(
         title=bag.title,

@@ -9,7 +9,7 @@ import signal
 import sys
 from typing import Final
 
-from trainid_ros.commands.main import main
+from trainid_ros.cli.main import main
 
 _PR_SET_PDEATHSIG: Final = 1
 

@@ -14,7 +14,7 @@ from trainid_ros.core.results import Status
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
-    from trainid_ros.bags.replay import AnyOutput
+    from trainid_ros.bag.bag_replay import AnyOutput
 
 
 class Fingerprint(NamedTuple):
@@ -47,7 +47,7 @@ class Comparison:
     equal_health: int
     missing: int
     extra: int
-    told_stale: int
+    reported_stale: int
 
     @property
     def exact(self) -> bool:
@@ -57,9 +57,9 @@ class Comparison:
 
 def fingerprint_of_output(output: AnyOutput) -> Fingerprint:
     """Return the fingerprint of the message that a node would publish for an output."""
-    estimate, refusal = output.estimate, output.last_refusal
+    estimate, rejection = output.estimate, output.last_rejection
     values = [getattr(estimate, item.name) for item in fields(estimate)]
-    reason, text = (0, '') if refusal is None else (int(refusal.reason), str(refusal))
+    reason, text = (0, '') if rejection is None else (int(rejection.reason), str(rejection))
     health = (int(output.status), output.used, output.rejected, reason, text)
     return Fingerprint(output.stamp_ns, _bits(values), _digest(repr(health).encode()), int(output.status))
 
@@ -78,19 +78,19 @@ def compare(live: Iterable[Fingerprint], replayed: Iterable[Fingerprint]) -> Com
     for item in replayed:
         expected[item.stamp_ns].append(item)
     total = sum(map(len, expected.values()))
-    received = equal = equal_health = extra = told_stale = 0
+    received = equal = equal_health = extra = reported_stale = 0
     for item in live:
         received += 1
         waiting = expected.get(item.stamp_ns)
         if not waiting:
-            told_stale += item.status == Status.STALE
+            reported_stale += item.status == Status.STALE
             extra += item.status != Status.STALE
             continue
         wanted = waiting.pop(0)
         equal += item.estimate == wanted.estimate
         equal_health += item.estimate == wanted.estimate and item.health == wanted.health
     missing = sum(map(len, expected.values()))
-    return Comparison(total, received, equal, equal_health, missing, extra, told_stale)
+    return Comparison(total, received, equal, equal_health, missing, extra, reported_stale)
 
 
 def _bits(values: Iterable[Any]) -> bytes:

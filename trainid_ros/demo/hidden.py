@@ -9,20 +9,20 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from trainid_ros.bags.runs import read_runs
-from trainid_ros.bags.writer import BagWriter
-from trainid_ros.commands.explain import REPORT_HTML, describe, explain_runs, prepare_folder, to_json, write_all
+from trainid_ros.bag.run_reader import read_runs
+from trainid_ros.bag.writer import BagWriter
+from trainid_ros.cli.explain import REPORT_HTML, describe, explain_runs, prepare_folder, to_json, write_all
 from trainid_ros.demo.bags import TRAIN_FILE, stock_bag
-from trainid_ros.physics.effect_text import parse_effects
-from trainid_ros.physics.train_file import Davis, load_train_file
-from trainid_ros.simulation.scenario import Scenario, simulate
+from trainid_ros.sim.scenario import Scenario, simulate
+from trainid_ros.train.effect_text import parse_effects
+from trainid_ros.train.train_file import Davis, load_train_file
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from trainid_ros.discrepancy.explanation import Explanation
-    from trainid_ros.physics.train_file import TrainFile
+    from trainid_ros.explain.explanation import Explanation
+    from trainid_ros.train.train_file import TrainFile
 
 HIDDEN: Final = 'local_drag:start=4500,end=5700,permille=1.5'
 RUNS: Final = 8

@@ -12,7 +12,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from trainid_msgs import msg as trainid_msgs
 
-from trainid_ros.bags.types import ESTIMATE_TOPICS
+from trainid_ros.bag.types import ESTIMATE_TOPICS
 from trainid_ros.core.records import NS_PER_S
 from trainid_ros.core.results import (
     BrakeRateEstimate,
@@ -28,7 +28,7 @@ from trainid_ros.estimators.pipeline import Output
 if TYPE_CHECKING:
     from types import TracebackType
 
-    from trainid_ros.bags.replay import AnyOutput
+    from trainid_ros.bag.bag_replay import AnyOutput
 
 # Deep enough that nothing is lost while the screen is drawn.
 _DEPTH: Final = 40000
@@ -99,7 +99,7 @@ class Listener:
             status=Status(message.status),
             used=int(message.used),
             rejected=int(message.rejected),
-            last_refusal=None,
+            last_rejection=None,
         )
         return Heard(output, fingerprint_of_message(message, stamp_ns, names))
 

@@ -7,12 +7,12 @@ import time
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from trainid_ros.bags.reader import BagReader, require_topics
+from trainid_ros.bag.reader import BagReader, require_topics
 from trainid_ros.core.errors import InputError, NoAnswerError
 from trainid_ros.core.records import NS_PER_S
 from trainid_ros.core.results import BrakeRateEstimate, ResistanceEstimate, SpeedModelEstimate, Status
+from trainid_ros.demo.demo_parameters import NODES, parameter_file
 from trainid_ros.demo.listener import Listener
-from trainid_ros.demo.parameters import NODES, parameter_file
 from trainid_ros.demo.processes import ProcessGroup
 from trainid_ros.demo.view import Snapshot
 from trainid_ros.report.traces import TraceRecorder
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
     from pathlib import Path
 
-    from trainid_ros.bags.replay import AnyOutput
+    from trainid_ros.bag.bag_replay import AnyOutput
     from trainid_ros.core.results import Reason
     from trainid_ros.demo.bags import DemoBag
     from trainid_ros.demo.compare import Fingerprint

@@ -15,14 +15,14 @@ from rich.table import Table
 from rich.text import Text
 
 from trainid_ros.core.results import BrakeRateEstimate, Reason, ResistanceEstimate, SpeedModelEstimate, Status
-from trainid_ros.physics.resistance import davis
+from trainid_ros.train.davis import davis
 
 if TYPE_CHECKING:
     from types import TracebackType
     from typing import Any
 
-    from trainid_ros.bags.replay import AnyOutput
-    from trainid_ros.simulation.truth import Truth
+    from trainid_ros.bag.bag_replay import AnyOutput
+    from trainid_ros.sim.truth import Truth
 
 LABELS: Final = {
     ResistanceEstimate: 'resistance w(v)',

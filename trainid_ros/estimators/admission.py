@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from trainid_ros.core.records import NS_PER_S
-from trainid_ros.core.results import Reason, Refusal
-from trainid_ros.physics.effects import effect_value
+from trainid_ros.core.results import Reason, Rejection
+from trainid_ros.train.effects import effect_value
 
 if TYPE_CHECKING:
     from trainid_ros.core.samples import Sample
@@ -32,7 +32,7 @@ class Admission:
     min_speed: float
     braked_ns: int = 0
 
-    def refuse(self, sample: Sample) -> Refusal | None:
+    def reject(self, sample: Sample) -> Rejection | None:
         """Return why a sample tells nothing about the resistance, or None if it does."""
         acts = self._brake_acts(sample)
         checks = (
@@ -46,7 +46,7 @@ class Admission:
         )
         for fine, reason, value, limit in checks:
             if not fine:
-                return Refusal(sample.stamp_ns, reason, value, limit)
+                return Rejection(sample.stamp_ns, reason, value, limit)
         return None
 
     def _brake_acts(self, sample: Sample) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from trainid_ros.estimators.resistance.force_errors import is_delay_at_end
+from trainid_ros.resistance.force_errors import is_delay_at_end
 
 if TYPE_CHECKING:
     from trainid_ros.core.results import ResistanceEstimate

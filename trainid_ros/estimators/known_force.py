@@ -6,15 +6,15 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final
 
-from trainid_ros.physics.effects import BRAKE_APPLIED, TrackPoint, resistance_terms
-from trainid_ros.physics.line import LineProfile
-from trainid_ros.physics.resistance import G, specific_force, specific_inertia
+from trainid_ros.train.davis import G, specific_force, specific_inertia
+from trainid_ros.train.effects import BRAKE_APPLIED, TrackPoint, resistance_terms
+from trainid_ros.train.line import LineProfile
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from trainid_ros.core.samples import Sample
-    from trainid_ros.physics.train_file import TrainFile
+    from trainid_ros.train.train_file import TrainFile
 
 # Brake force that stands for all where none acts [N/kN]: effects are nearly linear in it.
 _SOME_BRAKE: Final = -1.0

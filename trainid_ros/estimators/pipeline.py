@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Final, Generic, TypeAlias, TypeVar
 
 import numpy as np
 
+from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.core.alignment import ONE_LOST, Aligner, AlignmentConfig, TimeJump
 from trainid_ros.core.codec import check_restored, decode, encode
 from trainid_ros.core.records import NS_PER_S, Record
@@ -22,7 +23,7 @@ from trainid_ros.core.results import (
     BrakeRateEstimate,
     Estimate,
     Reason,
-    Refusal,
+    Rejection,
     ResistanceEstimate,
     SpeedModelEstimate,
     Status,
@@ -30,19 +31,18 @@ from trainid_ros.core.results import (
 )
 from trainid_ros.core.samples import Sample
 from trainid_ros.core.settings import check_settings, setting
-from trainid_ros.estimators.algorithms import Algorithms, Choice
-from trainid_ros.estimators.brake_rate.algorithms import BRAKE_RATE
 from trainid_ros.estimators.consistency import Consistency, ConsistencyMonitor
+from trainid_ros.estimators.drive_history import DriveHistoryState, DriveHistoryTracker
 from trainid_ros.estimators.known_force import KnownForce
-from trainid_ros.estimators.mending import Mender
-from trainid_ros.estimators.motion import MotionState, MotionTracker
-from trainid_ros.estimators.resistance.algorithms import RESISTANCE
-from trainid_ros.estimators.speed_model.algorithms import SPEED_MODEL
+from trainid_ros.estimators.registry import Algorithms, Choice
+from trainid_ros.estimators.sensor_correction import SensorCorrection
 from trainid_ros.estimators.stuck_speed import StuckSpeed
+from trainid_ros.resistance.resistance_algorithms import RESISTANCE
+from trainid_ros.speed_model.speed_model_algorithms import SPEED_MODEL
 
 if TYPE_CHECKING:
     from trainid_ros.estimators.protocol import Estimator
-    from trainid_ros.physics.train_file import TrainFile
+    from trainid_ros.train.train_file import TrainFile
 
 EstimateT = TypeVar('EstimateT', bound=Estimate)
 
@@ -87,7 +87,7 @@ class Output(Generic[EstimateT]):
     status: Status
     used: int
     rejected: int
-    last_refusal: Refusal | None
+    last_rejection: Rejection | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +95,7 @@ class PipelineState:
     """What a pipeline saves: the estimator's state as text, and the drive so far."""
 
     estimator: str
-    motion: MotionState
+    motion: DriveHistoryState
 
 
 class EstimatorPipeline(Generic[EstimateT]):
@@ -109,22 +109,22 @@ class EstimatorPipeline(Generic[EstimateT]):
         self.estimator = estimator
         self.config = config
         self._known = KnownForce(train_file)
-        self._mender = Mender(train_file.effects)
-        self._motion = MotionTracker(train_file)
+        self._correction = SensorCorrection(train_file.effects)
+        self._motion = DriveHistoryTracker(train_file)
         self._follows = bool(train_file.effects)
-        refuse_jump_back = config.time_jump_policy is TimeJumpPolicy.REFUSE
-        self._aligner = Aligner(self._mender.widen(alignment), refuse_jump_back=refuse_jump_back)
-        self._stale_ns = round((config.stale_after + abs(self._mender.skew_s)) * NS_PER_S)
+        reject_jump_back = config.time_jump_policy is TimeJumpPolicy.REFUSE
+        self._aligner = Aligner(self._correction.widen(alignment), reject_jump_back=reject_jump_back)
+        self._stale_ns = round((config.stale_after + abs(self._correction.skew_s)) * NS_PER_S)
         self.resets = 0
         self._clear()
 
     def _clear(self) -> None:
-        self._mender.reset()
+        self._correction.reset()
         self._motion.reset()
         self.rejections: Counter[Reason] = Counter()
         self.used = 0
         self.samples = 0
-        self.last_refusal: Refusal | None = None
+        self.last_rejection: Rejection | None = None
         self._speed = 0.0
         self._stuck = StuckSpeed(self._known)
         self._unstepped: tuple[Sample, ...] = ()
@@ -132,7 +132,7 @@ class EstimatorPipeline(Generic[EstimateT]):
         self._first_ns = 0
         self._consistency = ConsistencyMonitor()
         self._status = Status.UNINITIALIZED
-        self._told = self.estimator.estimate(self._speed)
+        self._published = self.estimator.estimate(self._speed)
 
     def reset(self) -> None:
         """Go back to the prior and forget all records and counters."""
@@ -156,17 +156,17 @@ class EstimatorPipeline(Generic[EstimateT]):
         """Newest stamp taken in on any topic; 0 before the first."""
         return self._aligner.newest_ns
 
-    def longest_silence_ns(self, kind: type[Record]) -> int:
+    def timeout_ns(self, kind: type[Record]) -> int:
         """Return how long a required topic may be silent until it is missing; longer for a slow one."""
         return max(round(self.config.stale_after * NS_PER_S), round(ONE_LOST * self._aligner.interval_ns(kind)))
 
     def push(self, record: Record) -> list[Output[EstimateT]]:
         """Take one record in; return an output for each sample it completes."""
         outputs: list[Output[EstimateT]] = []
-        for event in self._aligner.push(self._mender.mend(record)):
+        for event in self._aligner.push(self._correction.correct(record)):
             if isinstance(event, Sample):
                 outputs.append(self._step(event))
-            elif isinstance(event, Refusal):
+            elif isinstance(event, Rejection):
                 self._count(event)
             else:
                 self._jump(event)
@@ -216,20 +216,20 @@ class EstimatorPipeline(Generic[EstimateT]):
         """Return what is believed now, without a new sample."""
         return Output(
             stamp_ns=self._sample_ns,
-            estimate=self._told if self._status is Status.FAULT else self.estimator.estimate(self._speed),
+            estimate=self._published if self._status is Status.FAULT else self.estimator.estimate(self._speed),
             status=self._status,
             used=self.used,
             rejected=self.rejections.total(),
-            last_refusal=self.last_refusal,
+            last_rejection=self.last_rejection,
         )
 
     def _step(self, sample: Sample) -> Output[EstimateT]:
         if self._follows:
             sample = self._motion.follow(sample)
-        result = self._stuck.refuse(sample)
+        result = self._stuck.reject(sample)
         if result is None:
-            answer = self.estimator.step(self._mended(sample))
-            result = answer if isinstance(answer, Refusal) else None
+            answer = self.estimator.step(self._after_gap(sample))
+            result = answer if isinstance(answer, Rejection) else None
         else:
             self._unstepped = (*self._unstepped, sample)[-_MOST_UNSTEPPED:]
         self.samples += 1
@@ -241,11 +241,11 @@ class EstimatorPipeline(Generic[EstimateT]):
             self._count(result)
         self._status = self._judge(result)
         output = self.current()
-        self._told = output.estimate
+        self._published = output.estimate
         self._consistency.see(*stated_innovation(output.estimate), used=result is None)
         return output
 
-    def _mended(self, sample: Sample) -> Sample:
+    def _after_gap(self, sample: Sample) -> Sample:
         """Return a sample as it looks to an estimator that missed those before it."""
         if not self._unstepped:
             return sample
@@ -253,20 +253,20 @@ class EstimatorPipeline(Generic[EstimateT]):
         changes = tuple(change for item in (*missed, sample) for change in item.brake_changes)
         return replace(sample, dt=math.nan, brake_changes=changes, brake_gap=True)
 
-    def _judge(self, refusal: Refusal | None) -> Status:
+    def _judge(self, rejection: Rejection | None) -> Status:
         if self._status is Status.FAULT:
             return Status.FAULT
         if self._inputs_missing():
             return Status.STALE
         if not self.estimator.converged or self._consistency.current().refuted:
             return Status.CONVERGING
-        return Status.VALID if refusal is None else Status.HOLDING
+        return Status.VALID if rejection is None else Status.HOLDING
 
-    def _count(self, refusal: Refusal) -> None:
-        if refusal.reason is Reason.THINNED:  # nothing is wrong with a topic faster than the period
+    def _count(self, rejection: Rejection) -> None:
+        if rejection.reason is Reason.THINNED:  # nothing is wrong with a topic faster than the period
             return
-        self.rejections[refusal.reason] += 1
-        self.last_refusal = refusal
+        self.rejections[rejection.reason] += 1
+        self.last_rejection = rejection
 
     def _jump(self, jump: TimeJump) -> None:
         """Follow a jump of the stamps by the policy; the aligner has started over already."""

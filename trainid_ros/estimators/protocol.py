@@ -6,7 +6,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
 if TYPE_CHECKING:
-    from trainid_ros.core.results import Refusal
+    from trainid_ros.core.results import Rejection
     from trainid_ros.core.samples import Sample
 
 EstimateT_co = TypeVar('EstimateT_co', covariant=True)
@@ -15,7 +15,7 @@ EstimateT_co = TypeVar('EstimateT_co', covariant=True)
 class Estimator(Protocol[EstimateT_co]):
     """A streaming estimator: explicit state, one step per sample, an estimate or a refusal."""
 
-    def step(self, sample: Sample) -> EstimateT_co | Refusal:
+    def step(self, sample: Sample) -> EstimateT_co | Rejection:
         """Take one sample in; return the estimate, or why the sample was not used."""
 
     def estimate(self, speed: float) -> EstimateT_co:

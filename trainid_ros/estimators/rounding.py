@@ -36,7 +36,7 @@ class Rounding:
             return 0.0
         return self.quantum * self.quantum / 12.0 / max(self.moving, _LEAST_MOVING)
 
-    def is_sound(self) -> bool:
+    def is_valid(self) -> bool:
         """True if these are a quantum and a share, as they may not be when restored."""
         return self.quantum >= 0.0 and 0.0 <= self.moving <= 1.0
 

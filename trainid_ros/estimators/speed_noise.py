@@ -51,9 +51,9 @@ class SpeedNoise:
         """Standard deviation of one speed measurement [m/s]."""
         return math.sqrt(self.variance)
 
-    def is_sound(self) -> bool:
+    def is_valid(self) -> bool:
         """True if this is a noise that measurements can have, as it may not be when restored."""
-        return min(self.declared_std, self.learned) > 0.0 and self.count >= 0 and self.rounding.is_sound()
+        return min(self.declared_std, self.learned) > 0.0 and self.count >= 0 and self.rounding.is_valid()
 
     def add(self, speed: float, dt: float) -> SpeedNoise:
         """Return the noise after one more speed [m/s], measured ``dt`` [s] after the last; NaN = after a gap."""

@@ -10,8 +10,8 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from trainid_ros.core.results import Reason, Refusal
-from trainid_ros.physics.resistance import davis
+from trainid_ros.core.results import Reason, Rejection
+from trainid_ros.train.davis import davis
 
 if TYPE_CHECKING:
     from trainid_ros.core.samples import Sample
@@ -31,7 +31,7 @@ class StuckSpeed:
     speed: float = math.nan
     unseen: float = 0.0
 
-    def refuse(self, sample: Sample) -> Refusal | None:
+    def reject(self, sample: Sample) -> Rejection | None:
         """Return why the speed of a sample is not believed, or None if it is."""
         if sample.speed != self.speed or sample.speed < _MIN_SPEED or math.isnan(sample.dt):
             self.speed, self.unseen = sample.speed, 0.0
@@ -41,7 +41,7 @@ class StuckSpeed:
             self.unseen += due
         if abs(self.unseen) <= _MOST_UNSEEN:
             return None
-        return Refusal(sample.stamp_ns, Reason.SPEED_STUCK, self.unseen, _MOST_UNSEEN)
+        return Rejection(sample.stamp_ns, Reason.SPEED_STUCK, self.unseen, _MOST_UNSEEN)
 
     def _acceleration(self, sample: Sample) -> float:
         """Return what traction less believed resistance, or the brake, should give [m/s^2]."""

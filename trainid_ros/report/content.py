@@ -13,15 +13,15 @@ from trainid_ros import __version__
 if TYPE_CHECKING:
     from trainid_ros.core.results import BrakeRateEstimate, Reason, ResistanceEstimate, SpeedModelEstimate
     from trainid_ros.estimators.pipeline import Output
-    from trainid_ros.physics.train_file import TrainFile
     from trainid_ros.report.traces import Traces
-    from trainid_ros.simulation.truth import Truth
+    from trainid_ros.sim.truth import Truth
+    from trainid_ros.train.train_file import TrainFile
 
 _LIBRARIES: Final = ('numpy', 'scipy', 'rclpy')
 
 
 @dataclass(frozen=True, slots=True)
-class Rejections:
+class RejectionCounts:
     """Why records and samples were not used by one estimator: (reason, how often)."""
 
     estimator: str
@@ -57,7 +57,7 @@ class Chapter:
     resistance: Output[ResistanceEstimate]
     speed_model: Output[SpeedModelEstimate]
     brake_rate: Output[BrakeRateEstimate]
-    rejections: tuple[Rejections, ...]
+    rejections: tuple[RejectionCounts, ...]
     truth: Truth | None = None
     notes: tuple[str, ...] = ()
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from html import escape
 from typing import TYPE_CHECKING, Final
 
-from trainid_ros.discrepancy.explanation import Verdict
+from trainid_ros.explain.explanation import Verdict
 from trainid_ros.report.gap_figures import gap_along_line, gap_bars, gap_of_runs
 from trainid_ros.report.page import page, write_page
 from trainid_ros.report.place_figures import missing_along_line, missing_by_part
@@ -30,9 +30,9 @@ from trainid_ros.report.words import (
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from trainid_ros.discrepancy.explanation import Explanation
-    from trainid_ros.physics.train_file import TrainFile
+    from trainid_ros.explain.explanation import Explanation
     from trainid_ros.report.gap_figures import Stretches
+    from trainid_ros.train.train_file import TrainFile
 
 # The tag has the colours of an estimator's status.
 _TAGS: Final = {

@@ -9,7 +9,6 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from trainid_ros.physics.resistance import davis
 from trainid_ros.report.axes import (
     BAND_68,
     BAND_95,
@@ -54,6 +53,7 @@ from trainid_ros.report.traces import (
 from trainid_ros.report.traces import (
     TRACTION as PULLING,
 )
+from trainid_ros.train.davis import davis
 
 if TYPE_CHECKING:
     from matplotlib.artist import Artist
@@ -263,9 +263,9 @@ def _draw_ratio(axes: Axes, time_s: Array, ratio: Array) -> None:
     starts = np.arange(0, len(ratio), step)
     greatest = np.maximum(np.maximum.reduceat(ratio, starts), 1e-4)
     time_min = minutes(time_s[starts])
-    refused = greatest > 1.0
-    axes.plot(time_min[~refused], greatest[~refused], '.', color=ESTIMATE, markersize=2.2)
-    axes.plot(time_min[refused], greatest[refused], 'x', color=BAD, markersize=4.0)
+    rejected = greatest > 1.0
+    axes.plot(time_min[~rejected], greatest[~rejected], '.', color=ESTIMATE, markersize=2.2)
+    axes.plot(time_min[rejected], greatest[rejected], 'x', color=BAD, markersize=4.0)
     axes.axhline(1.0, color=BAD, linewidth=1.0)
     axes.set_yscale('log')
     axes.set_ylim(1e-4, max(3.0, 2.0 * float(greatest.max())))

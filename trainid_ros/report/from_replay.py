@@ -5,13 +5,13 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from trainid_ros.report.content import Chapter, Rejections
+from trainid_ros.report.content import Chapter, RejectionCounts
 
 if TYPE_CHECKING:
-    from trainid_ros.bags.replay import Replay
-    from trainid_ros.physics.train_file import TrainFile
+    from trainid_ros.bag.bag_replay import Replay
     from trainid_ros.report.traces import Traces
-    from trainid_ros.simulation.truth import Truth
+    from trainid_ros.sim.truth import Truth
+    from trainid_ros.train.train_file import TrainFile
 
 
 def chapter_of(
@@ -38,9 +38,9 @@ def chapter_of(
         speed_model=outcome.speed_model.output,
         brake_rate=outcome.brake_rate.output,
         rejections=(
-            Rejections('resistance', outcome.resistance.rejections),
-            Rejections('speed model', outcome.speed_model.rejections),
-            Rejections('brake rate', outcome.brake_rate.rejections),
+            RejectionCounts('resistance', outcome.resistance.rejections),
+            RejectionCounts('speed model', outcome.speed_model.rejections),
+            RejectionCounts('brake rate', outcome.brake_rate.rejections),
         ),
         truth=truth,
         notes=notes,

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-    from trainid_ros.discrepancy.explanation import Explanation, RunTrace
-    from trainid_ros.physics.train_file import Line
+    from trainid_ros.explain.explanation import Explanation, RunTrace
+    from trainid_ros.train.train_file import Line
 
     Array = NDArray[np.float64]
 

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-    from trainid_ros.discrepancy.explanation import Explanation, Location, Place
-    from trainid_ros.physics.train_file import Line
+    from trainid_ros.explain.explanation import Explanation, Location, Place
     from trainid_ros.report.gap_figures import Stretches
+    from trainid_ros.train.train_file import Line
 
     Array = NDArray[np.float64]
 

@@ -10,20 +10,20 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from trainid_ros.core.records import NS_PER_S
-from trainid_ros.physics.train_file import Davis
+from trainid_ros.train.train_file import Davis
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from trainid_ros.report.traces import Array, Traces
-    from trainid_ros.simulation.truth import Truth
+    from trainid_ros.sim.truth import Truth
 
 # Two-sided normal quantile of 95 %.
 SIGMA_95: Final = 1.959964
 
 
 @dataclass(frozen=True, slots=True)
-class Score:
+class AccuracyScore:
     """Errors over all outputs that were fit to use.
 
     Attributes:
@@ -73,7 +73,7 @@ def true_rate(truth: Truth, start_ns: int, time_s: Array) -> Array | None:
     return np.array([math.nan if rate is None else rate for rate in rates])
 
 
-def score_resistance(traces: Traces, truth: Truth) -> Score | None:
+def score_resistance(traces: Traces, truth: Truth) -> AccuracyScore | None:
     """Score w [N/kN] at the current speed, None if no output was fit to use."""
     trace = traces.resistance
     w = resistance_at(trace.theta, trace.speed)
@@ -81,7 +81,7 @@ def score_resistance(traces: Traces, truth: Truth) -> Score | None:
     return _score(w - true, resistance_std(trace.covariance, trace.speed), trace.usable)
 
 
-def score_brake_rate(traces: Traces, truth: Truth) -> Score | None:
+def score_brake_rate(traces: Traces, truth: Truth) -> AccuracyScore | None:
     """Score the brake rate, None if the truth is not known or no output was fit to use."""
     trace = traces.brake_rate
     if (true := true_rate(truth, traces.start_ns, trace.time_s)) is None:
@@ -95,12 +95,12 @@ def final_truth(traces: Traces, truth: Truth) -> tuple[Davis, float | None]:
     return point.resistance, point.brake_rate
 
 
-def _score(error: Array, std: Array, usable: NDArray[np.bool_]) -> Score | None:
+def _score(error: Array, std: Array, usable: NDArray[np.bool_]) -> AccuracyScore | None:
     kept = usable & np.isfinite(error) & np.isfinite(std)
     if not kept.any():
         return None
     error, std = error[kept], std[kept]
-    return Score(
+    return AccuracyScore(
         outputs=len(error),
         bias=float(error.mean()),
         rms=float(np.sqrt(np.mean(np.square(error)))),

@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from trainid_ros.core.results import Status
     from trainid_ros.report.content import Chapter
-    from trainid_ros.report.scores import Score
+    from trainid_ros.report.scores import AccuracyScore
     from trainid_ros.report.traces import Array
 
 SPEEDS: Final = (10.0, 15.0, 20.0)
@@ -170,7 +170,7 @@ def scores_table(chapter: Chapter) -> str:
     """Return errors against the truth and the coverage of the published standard deviation."""
     if chapter.truth is None:
         return ''
-    scores: list[tuple[str, str, Score | None]] = [
+    scores: list[tuple[str, str, AccuracyScore | None]] = [
         ('w at the current speed', 'N/kN', score_resistance(chapter.traces, chapter.truth)),
         ('brake rate', '1', score_brake_rate(chapter.traces, chapter.truth)),
     ]

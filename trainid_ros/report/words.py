@@ -10,15 +10,15 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from trainid_ros.core.plural import counted
-from trainid_ros.discrepancy.explanation import Verdict
-from trainid_ros.discrepancy.phrases import place_text
-from trainid_ros.physics.effects import EFFECTS
+from trainid_ros.explain.explanation import Verdict
+from trainid_ros.explain.phrases import place_text
+from trainid_ros.train.effects import EFFECTS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from trainid_ros.discrepancy.explanation import Explanation, FoundEffect
-    from trainid_ros.physics.train_file import TrainFile
+    from trainid_ros.explain.explanation import Explanation, FoundEffect
+    from trainid_ros.train.train_file import TrainFile
 
 DAVIS_UNITS: Final = ('N/kN', 'N/kN per m/s', 'N/kN per (m/s)²')
 _CLEAR: Final = 3.0

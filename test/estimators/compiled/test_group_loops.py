@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from benchmarks.papers.brake_runs import metro_run, metro_train
+from trainid_ros.brake_rate.group_cloud import GroupCloud, Strata, branch, prune, weigh
+from trainid_ros.brake_rate.gsma import Gsma, GsmaConfig
+from trainid_ros.brake_rate.particles import SPEED, correction, speed_step
+from trainid_ros.brake_rate.posterior import STATES, Transition
 from trainid_ros.core.errors import InputError
-from trainid_ros.core.results import Refusal
-from trainid_ros.estimators.brake_rate.belief import STATES, Interval
-from trainid_ros.estimators.brake_rate.group_cloud import GroupCloud, Strata, branch, prune, weigh
-from trainid_ros.estimators.brake_rate.gsma import Gsma, GsmaConfig
-from trainid_ros.estimators.brake_rate.particles import SPEED, correction, speed_step
+from trainid_ros.core.results import Rejection
 from trainid_ros.estimators.compiled import group_loops
 from trainid_ros.estimators.compiled.jit import compiled, compiler_present
 
@@ -27,7 +27,7 @@ needs_compiler = pytest.mark.skipif(not compiler_present(), reason='numba is not
 LEAN = (0.1, -0.2, 0.03, 0.02, -0.01, 0.05, 0.04, -0.2)
 KEEP = (0.999, 0.998, 0.99, 0.99, 0.98, 1.0, 0.97, 0.5)
 Q_E = (1e-4, 2e-4, 3e-4, 4e-4, 5e-4, 6e-4, 8e-4, 7e-4)
-INTERVAL = Interval(0.2, 0.1, 0.6, 0.012, 0.37, 0.99, 0.01, 1e-5, 1e-6, LEAN, KEEP, Q_E)
+INTERVAL = Transition(0.2, 0.1, 0.6, 0.012, 0.37, 0.99, 0.01, 1e-5, 1e-6, LEAN, KEEP, Q_E)
 R, LARGEST = 7e-4, 3.0
 Q = np.array([1e-5, 0.04])
 CHAIN = np.array([[0.999, 0.001], [0.1, 0.9]])
@@ -124,7 +124,7 @@ def test_a_drive_gives_the_same_estimates_and_compiles_only_once() -> None:
             fast.restore(fast.save())
         expected, found = plain.step(sample), fast.step(sample)
         assert type(expected) is type(found)
-        if not isinstance(expected, Refusal) and not isinstance(found, Refusal):
+        if not isinstance(expected, Rejection) and not isinstance(found, Rejection):
             learned += 1
             assert found.brake_rate == pytest.approx(expected.brake_rate, abs=1e-9)
             assert found.brake_rate_std == pytest.approx(expected.brake_rate_std, rel=1e-6)

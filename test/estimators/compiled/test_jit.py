@@ -14,7 +14,7 @@ import pytest
 
 from trainid_ros.core.errors import InputError
 from trainid_ros.estimators.compiled.jit import compiled, compiler_present, require_compiler
-from trainid_ros.estimators.resistance.recursive import rls
+from trainid_ros.resistance.recursive import rls
 
 needs_compiler = pytest.mark.skipif(not compiler_present(), reason='numba is not installed')
 
@@ -88,9 +88,9 @@ def test_a_compiler_that_does_not_load_is_named_with_the_reason(
 
 
 def test_the_compiler_loads_only_when_something_is_compiled() -> None:
-    assert importlib.util.find_spec('trainid_ros.estimators.compiled.gsma')
+    assert importlib.util.find_spec('trainid_ros.estimators.compiled.compiled_gsma')
     code = (
-        'import sys; import trainid_ros.estimators.pipeline, trainid_ros.estimators.compiled.gsma, '
+        'import sys; import trainid_ros.estimators.pipeline, trainid_ros.estimators.compiled.compiled_gsma, '
         'trainid_ros.estimators.compiled.streams; print("numba" in sys.modules)'
     )
     done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True, timeout=60)

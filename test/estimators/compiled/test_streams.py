@@ -14,13 +14,13 @@ import pytest
 from benchmarks.papers.brake_runs import metro_train
 from trainid_ros.estimators.compiled.jit import compiler_present
 from trainid_ros.estimators.compiled.streams import SpeedModelStream, VMilsStream
-from trainid_ros.estimators.resistance.multi_innovation import NOTHING, belief_of, information_of, mils_step
-from trainid_ros.estimators.speed_model.am_vff_rls import AmVffRls, AmVffRlsConfig
+from trainid_ros.resistance.multi_innovation import NOTHING, belief_of, information_of, mils_step
+from trainid_ros.speed_model.am_vff_rls import AmVffRls, AmVffRlsConfig
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from trainid_ros.estimators.speed_model.am_vff_rls import AuxiliaryModel
+    from trainid_ros.speed_model.am_vff_rls import AuxiliaryModel
 
 PRIOR = (1.0, 0.0, 0.001, 1.0, 0.0, 0.0, 0.01, 0.0, 1e-5)
 P, OUTLIERS = 10, 0.05

@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.estimators.brake_rate.group_cloud import KAPPA, LEAST_VARIANCE, MOST_SPREAD, SHRUNK, TINY
+from trainid_ros.brake_rate.group_cloud import KAPPA, LEAST_VARIANCE, MOST_SPREAD, SHRUNK, TINY
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from trainid_ros.estimators.brake_rate.belief import Interval
+    from trainid_ros.brake_rate.posterior import Transition
 
     Floats = NDArray[np.float64]
     Places = NDArray[np.intp]
@@ -28,7 +28,7 @@ _LOG_EDGE: Final = math.log(1.0 / 6.0)
 _LOG_MIDDLE: Final = math.log(4.0 / 6.0)
 
 
-def predict(z: Floats, line: Floats, P: Floats, interval: Interval) -> tuple[Floats, Floats, Floats]:
+def predict(z: Floats, line: Floats, P: Floats, interval: Transition) -> tuple[Floats, Floats, Floats]:
     """Return z = [1, f, v, a, b, e], line and P after an interval, (14), see :func:`particles.speed_step`."""
     dt, reach, decay, gain_v, gain_a, rho, known, q_v, q_b, lean, keep, q_e, _calm = interval
     n = P.shape[0]
@@ -80,7 +80,7 @@ def learn(
     variance: Floats,
     line: Floats,
     edges: Places,
-    interval: Interval,
+    interval: Transition,
     q: Floats,
     P: Floats,
     speed: float,

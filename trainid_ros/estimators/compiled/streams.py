@@ -14,17 +14,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from trainid_ros.estimators.compiled.jit import compiled
-from trainid_ros.estimators.resistance.multi_innovation import NOTHING, belief_of, information_of, mils_step
-from trainid_ros.estimators.speed_model.am_vff_rls import learn
+from trainid_ros.resistance.multi_innovation import NOTHING, belief_of, information_of, mils_step
+from trainid_ros.speed_model.am_vff_rls import learn
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import NDArray
 
-    from trainid_ros.estimators.resistance.robust import Belief
-    from trainid_ros.estimators.speed_model.am_vff_rls import Tuning
-    from trainid_ros.estimators.speed_model.method import Numbers
+    from trainid_ros.resistance.robust import Belief
+    from trainid_ros.speed_model.am_vff_rls import Tuning
+    from trainid_ros.speed_model.method import Numbers
 
     Floats = NDArray[np.float64]
 

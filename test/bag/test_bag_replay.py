@@ -1,0 +1,181 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A replay says what the pipelines say, sees everything in order, and refuses a bag that lacks a topic."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+import pytest
+
+from trainid_ros.bag.bag_replay import replay
+from trainid_ros.bag.observers import BagRecorder
+from trainid_ros.bag.reader import BagReader
+from trainid_ros.bag.types import message_from_record
+from trainid_ros.bag.writer import BagWriter
+from trainid_ros.core.errors import InputError
+from trainid_ros.core.records import INPUT_TOPICS, NS_PER_S, ForceRecord, Record
+from trainid_ros.core.results import Reason
+from trainid_ros.estimators.pipeline import (
+    EstimatorSettings,
+    brake_rate_pipeline,
+    resistance_pipeline,
+    speed_model_pipeline,
+)
+from trainid_ros.resistance.resistance_algorithms import RESISTANCE
+from trainid_ros.sim.scenario import Scenario, simulate
+from trainid_ros.train.train_file import Davis, Line, Train, TrainFile
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from trainid_ros.bag.bag_replay import AnyOutput, Replay
+    from trainid_ros.bag.reader import LoggedRecord
+
+TRAIN = TrainFile(Train(mass=194e3), Davis(1.5, 0.02, 0.001), line=Line(stops=(0.0, 900.0)))
+TOPICS = {topic.record: topic for topic in INPUT_TOPICS}
+
+
+class Log:
+    """Notes all that passes through a replay."""
+
+    def __init__(self) -> None:
+        self.records: list[Record] = []
+        self.outputs: list[AnyOutput] = []
+        self.entries: list[object] = []
+
+    def on_record(self, entry: LoggedRecord) -> None:
+        self.records.append(entry.record)
+        self.entries.append(entry.log_ns)
+
+    def on_output(self, output: AnyOutput, log_ns: int) -> None:
+        assert log_ns == self.entries[-1]
+        self.outputs.append(output)
+
+
+@pytest.fixture(scope='module')
+def drive() -> tuple[Record, ...]:
+    return simulate(Scenario(TRAIN, runs=1), np.random.default_rng(3)).records
+
+
+@pytest.fixture(scope='module')
+def bag(tmp_path_factory: pytest.TempPathFactory, drive: tuple[Record, ...]) -> Path:
+    path = tmp_path_factory.mktemp('replay') / 'bag'
+    with BagWriter(path) as writer:
+        for record in drive:
+            writer.write_record(record)
+    return path
+
+
+def run(bag: Path, *observers: Any, duration_s: float = float('inf')) -> Replay:
+    with BagReader(bag) as reader:
+        return replay(reader, TRAIN, EstimatorSettings(), observers=observers, duration_s=duration_s)
+
+
+@pytest.fixture(scope='module')
+def replayed(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Replay, Log, Path]:
+    """Return the outcome of a replay, all that passed, and the bag that it was recorded to."""
+    log, path = Log(), tmp_path_factory.mktemp('recorded') / 'out'
+    with BagWriter(path) as writer:
+        return run(bag, log, BagRecorder(writer)), log, path
+
+
+def test_outputs_are_those_of_the_pipelines_driven_by_hand(
+    replayed: tuple[Replay, Log, Path], drive: tuple[Record, ...]
+) -> None:
+    outcome, log, _ = replayed
+    pipelines: tuple[Any, ...] = tuple(
+        make(TRAIN, EstimatorSettings()) for make in (resistance_pipeline, speed_model_pipeline, brake_rate_pipeline)
+    )
+    expected = [output for record in drive for pipeline in pipelines for output in pipeline.push(record)]
+    assert log.records == list(drive)
+    assert log.outputs == expected
+    results: tuple[Any, ...] = (outcome.resistance, outcome.speed_model, outcome.brake_rate)
+    for pipeline, result in zip(pipelines, results, strict=True):
+        assert result.output == pipeline.current()
+        assert dict(result.rejections) == dict(pipeline.rejections)
+        assert result.samples == pipeline.samples
+        assert result.consistency == pipeline.consistency
+        pipeline.reset()
+        assert result.prior == pipeline.current().estimate
+    assert outcome.records == len(drive)
+
+
+def test_something_is_learned(replayed: tuple[Replay, Log, Path]) -> None:
+    outcome = replayed[0]
+    assert outcome.resistance.output.used > 50
+    assert outcome.brake_rate.output.used > 20
+    assert dict(outcome.resistance.rejections)[Reason.BRAKING] > 20
+
+
+def test_duration_is_that_of_the_samples(replayed: tuple[Replay, Log, Path], drive: tuple[Record, ...]) -> None:
+    span_s = (drive[-1].stamp_ns - drive[0].stamp_ns) / NS_PER_S
+    # The first sample stands at the first speed, the last one at the last: both within a period of 0.2 s.
+    assert replayed[0].duration_s == pytest.approx(span_s, abs=0.5)
+
+
+def test_progress_adds_up_to_all_inputs_taken(bag: Path, drive: tuple[Record, ...]) -> None:
+    steps: list[float] = []
+    taken = [r for r in drive if r.stamp_ns <= drive[0].stamp_ns + 60 * NS_PER_S]
+    with BagReader(bag) as reader:
+        replay(reader, TRAIN, EstimatorSettings(), steps.append, duration_s=60.0)
+    assert sum(steps) == len(taken)
+    assert len(steps) > 2
+
+
+def test_only_the_start_is_taken_if_asked(bag: Path, drive: tuple[Record, ...]) -> None:
+    log = Log()
+    run(bag, log, duration_s=20.0)
+    assert log.records == [r for r in drive if r.stamp_ns <= drive[0].stamp_ns + 20 * NS_PER_S]
+
+
+def test_stamps_that_start_over_count_twice(tmp_path: Path, drive: tuple[Record, ...]) -> None:
+    path, later_ns = tmp_path / 'twice', 400 * NS_PER_S
+    with BagWriter(path) as writer:
+        for start_ns in (0, later_ns):
+            for record in drive:
+                topic = TOPICS[type(record)]
+                writer.write_message(topic.name, topic.message, record.stamp_ns + start_ns, message_from_record(record))
+    once_s = (drive[-1].stamp_ns - drive[0].stamp_ns) / NS_PER_S
+    outcome = run(path)
+    assert outcome.resistance.resets == 1
+    # The aligner needs some records to believe that the stamps jumped back.
+    assert outcome.duration_s == pytest.approx(2.0 * once_s, abs=2.0)
+
+
+def test_missing_topic_is_named_with_the_bag(tmp_path: Path, drive: tuple[Record, ...]) -> None:
+    path = tmp_path / 'no_force'
+    with BagWriter(path) as writer:
+        for record in drive[:200]:
+            if not isinstance(record, ForceRecord):
+                writer.write_record(record)
+    with pytest.raises(InputError, match=r'no_force.*ato/force'):
+        run(path)
+
+
+def test_recorded_bag_replays_to_the_same_outputs(replayed: tuple[Replay, Log, Path]) -> None:
+    _, log, path = replayed
+    again = Log()
+    run(path, again)
+    assert again.records == log.records
+    assert again.outputs == log.outputs
+
+
+def test_recorded_bag_holds_estimates_and_latched_copies(replayed: tuple[Replay, Log, Path]) -> None:
+    _, log, path = replayed
+    with BagReader(path) as reader:
+        counts = {topic.name: topic.count for topic in reader.topics()}
+        messages = [entry.message for entry in reader.messages({'trainid/resistance'})]
+    outputs: list[Any] = [output for output in log.outputs if type(output.estimate).__name__ == 'ResistanceEstimate']
+    assert counts['trainid/resistance'] == counts['trainid/speed_model'] == counts['trainid/brake_rate'] == len(outputs)
+    valid = sum(o.status.name == 'VALID' for o in log.outputs if type(o.estimate).__name__ == 'BrakeRateEstimate')
+    assert counts.get('trainid/last_valid/brake_rate', 0) == valid
+    assert [(m.a, m.used) for m in messages] == [(o.estimate.a, o.used) for o in outputs]
+
+
+def test_settings_reach_the_estimators(bag: Path) -> None:
+    strict = EstimatorSettings(resistance=RESISTANCE.choose(min_speed=50.0))
+    with BagReader(bag) as reader:
+        outcome = replay(reader, TRAIN, strict, duration_s=40.0)
+    assert dict(outcome.resistance.rejections)[Reason.STANDSTILL] > 50
+    assert outcome.resistance.output.used == 0

@@ -1,0 +1,228 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every way in which a bag on disk may be broken."""
+
+from __future__ import annotations
+
+import struct
+from typing import TYPE_CHECKING
+
+import pytest
+import yaml
+from mcap.opcode import Opcode
+from mcap.writer import CompressionType
+from mcap.writer import Writer as McapWriter
+
+from trainid_ros.bag.mcap_file import MAGIC
+from trainid_ros.bag.reader import BagReader
+from trainid_ros.bag.types import full_type, message_from_record, typestore
+from trainid_ros.core.errors import InputError
+from trainid_ros.core.records import MassRecord
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from trainid_ros.core.records import Record
+
+STAMP = 1_700_000_000_000_000_000
+COUNT = 2000
+
+
+def write_file(
+    path: Path, compression: CompressionType = CompressionType.NONE, *, chunked: bool = True
+) -> list[MassRecord]:
+    """Write a bare file of many small chunks, with CRC, or without chunks."""
+    name = full_type('TrainMass')
+    text, _ = typestore().generate_msgdef(name, ros_version=2)
+    records = [MassRecord(STAMP + i, 1e5 + i) for i in range(COUNT)]
+    writer = McapWriter(str(path), chunk_size=8192, compression=compression, use_chunking=chunked)
+    writer.start('ros2')
+    schema = writer.register_schema(name, 'ros2msg', text.encode())
+    channel = writer.register_channel('/ato/mass', 'cdr', schema)
+    for record in records:
+        payload = bytes(typestore().serialize_cdr(message_from_record(record), name))
+        writer.add_message(channel, record.stamp_ns, payload, record.stamp_ns)
+    writer.finish()  # type: ignore[no-untyped-call]
+    return records
+
+
+def read(path: Path) -> tuple[list[Record], list[str]]:
+    with BagReader(path) as reader:
+        return list(reader.records()), reader.warnings
+
+
+def error_of(path: Path) -> str:
+    with pytest.raises(InputError) as caught, BagReader(path) as reader:
+        list(reader.records())
+    text = str(caught.value)
+    assert '\n' not in text
+    return text
+
+
+@pytest.mark.parametrize('compression', list(CompressionType))
+@pytest.mark.parametrize('chunked', [True, False])
+def test_every_kind_of_whole_file_is_read(tmp_path: Path, compression: CompressionType, *, chunked: bool) -> None:
+    records = write_file(tmp_path / 'x.mcap', compression, chunked=chunked)
+    assert read(tmp_path / 'x.mcap') == (records, [])
+
+
+@pytest.mark.parametrize('compression', list(CompressionType))
+@pytest.mark.parametrize('chunked', [True, False])
+@pytest.mark.parametrize('share', [0.3, 0.6])
+def test_cut_file_is_recovered_up_to_the_cut(
+    tmp_path: Path, compression: CompressionType, share: float, *, chunked: bool
+) -> None:
+    path = tmp_path / 'x.mcap'
+    records = write_file(path, compression, chunked=chunked)
+    content = path.read_bytes()
+    path.write_bytes(content[: int(share * len(content))])
+    found, (warning,) = read(path)
+    assert found == records[: len(found)]
+    # Index and summary are the smaller part of the file, so nearly this share of the messages is left.
+    assert 0.5 * share * COUNT < len(found) < COUNT
+    assert str(path) in warning
+    assert f'{len(found)} messages' in warning
+
+
+def test_lost_index_loses_no_message(bag: Path) -> None:
+    path = bag / 'bag.mcap'
+    path.write_bytes(path.read_bytes()[:-20])
+    found, warnings = read(bag)
+    assert len(found) == 200
+    assert [('index' in text) for text in warnings] == [True]
+
+
+def test_lost_messages_are_told_by_the_metadata(bag: Path) -> None:
+    text = (bag / 'metadata.yaml').read_text().replace('message_count: 200', 'message_count: 201')
+    (bag / 'metadata.yaml').write_text(text)
+    assert read(bag)[1] == [f'{bag}: 200 of 201 messages found']
+
+
+@pytest.mark.parametrize('compression', list(CompressionType))
+def test_file_padded_with_zeros_after_a_power_cut(tmp_path: Path, compression: CompressionType) -> None:
+    path = tmp_path / 'x.mcap'
+    records = write_file(path, compression)
+    content = path.read_bytes()
+    start, length = first_chunk(content)
+    kept = start + 3 * length + length // 2
+    path.write_bytes(content[:kept] + bytes(len(content) - kept))
+    found, (warning,) = read(path)
+    assert found == records[: len(found)]
+    assert 0 < len(found) < COUNT
+    assert 'cut off' in warning
+
+
+def first_chunk(content: bytes | bytearray) -> tuple[int, int]:
+    """Return the offset and the length of the first chunk with its head."""
+    position = len(MAGIC)
+    while True:
+        opcode, length = struct.unpack_from('<BQ', content, position)
+        if opcode == Opcode.CHUNK:
+            return position, length + 9
+        position += 9 + length
+
+
+@pytest.mark.parametrize('compression', list(CompressionType))
+def test_flipped_bit_in_a_chunk_is_found(tmp_path: Path, compression: CompressionType) -> None:
+    path = tmp_path / 'x.mcap'
+    write_file(path, compression)
+    content = bytearray(path.read_bytes())
+    start, length = first_chunk(content)
+    content[start + length // 2] ^= 0x10
+    path.write_bytes(content)
+    assert f'{path}: is corrupt: ' in error_of(path)
+
+
+def test_our_own_chunks_carry_a_checksum(bag: Path) -> None:
+    # Any flipped byte of the compressed data must be found, whichever it is.
+    path = bag / 'bag.mcap'
+    content = path.read_bytes()
+    start = content.index(b'\x28\xb5\x2f\xfd')  # zstd magic number
+    (size,) = struct.unpack_from('<Q', content, start - 8)
+    for place in range(start, start + size, max(1, size // 40)):
+        damaged = bytearray(content)
+        damaged[place] ^= 0x01
+        path.write_bytes(damaged)
+        assert 'is corrupt: chunk at byte' in error_of(path)
+
+
+def test_record_length_that_runs_past_the_end_of_a_closed_file(tmp_path: Path) -> None:
+    path = tmp_path / 'x.mcap'
+    write_file(path)
+    content = bytearray(path.read_bytes())
+    struct.pack_into('<Q', content, len(MAGIC) + 1, 1 << 60)
+    path.write_bytes(content)
+    assert error_of(path) == f'{path}: is corrupt: no valid record at byte {len(MAGIC)}'
+
+
+@pytest.mark.parametrize(
+    ('content', 'reason'),
+    [
+        (b'', 'is empty'),
+        (MAGIC, 'holds no records, only the MCAP signature'),
+        (b'no bag at all', 'is not an MCAP file'),
+        (MAGIC[:5], 'is not an MCAP file'),
+        (b'SQLite format 3\0', 'is an SQLite file, only mcap is supported'),
+        (MAGIC + bytes(100), 'was cut off before the first complete chunk, nothing can be recovered'),
+    ],
+)
+def test_file_without_content_is_named(tmp_path: Path, content: bytes, reason: str) -> None:
+    path = tmp_path / 'x.mcap'
+    path.write_bytes(content)
+    assert error_of(path) == f'{path}: {reason}'
+
+
+def test_missing_metadata_is_told_and_bridged(bag: Path, records: list[Record]) -> None:
+    (bag / 'metadata.yaml').unlink()
+    found, (warning,) = read(bag)
+    assert found == records
+    assert 'metadata.yaml is missing' in warning
+
+
+@pytest.mark.parametrize('text', ['{', 'nothing: here', '', 'rosbag2_bagfile_information: 3', '\udcff'])
+def test_unreadable_metadata_is_told_and_bridged(bag: Path, records: list[Record], text: str) -> None:
+    (bag / 'metadata.yaml').write_bytes(text.encode('utf-8', 'surrogateescape'))
+    found, (warning,) = read(bag)
+    assert found == records
+    assert 'metadata.yaml: unreadable' in warning
+    assert '\n' not in warning
+
+
+def test_file_named_in_metadata_but_missing(bag: Path) -> None:
+    (bag / 'bag.mcap').unlink()
+    assert error_of(bag) == f'{bag / "bag.mcap"}: file named in metadata.yaml is missing'
+
+
+def test_other_storage_is_named(bag: Path, tmp_path: Path) -> None:
+    change(bag, storage_identifier='sqlite3')
+    assert "storage 'sqlite3' is not supported" in error_of(bag)
+    (tmp_path / 'x.db3').write_bytes(b'SQLite format 3\0')
+    assert f'{tmp_path / "x.db3"}: storage sqlite3' in error_of(tmp_path / 'x.db3')
+    assert f'{tmp_path / "x.db3"}: storage sqlite3' in error_of(tmp_path)
+
+
+def test_compression_of_the_whole_bag_is_named(bag: Path) -> None:
+    change(bag, compression_mode='FILE')
+    assert "compression mode 'file'" in error_of(bag)
+
+
+def change(bag: Path, **values: str) -> None:
+    path = bag / 'metadata.yaml'
+    document = yaml.safe_load(path.read_text())
+    document['rosbag2_bagfile_information'] |= values
+    path.write_text(yaml.safe_dump(document))
+
+
+def test_nothing_at_the_path(tmp_path: Path) -> None:
+    assert error_of(tmp_path / 'nope') == f'{tmp_path / "nope"}: no such bag'
+
+
+def test_directory_without_bag(tmp_path: Path) -> None:
+    assert 'no bag in this directory' in error_of(tmp_path)
+
+
+def test_parts_of_a_split_bag_are_read_in_order(tmp_path: Path) -> None:
+    records = write_file(tmp_path / 'x_9.mcap')
+    write_file(tmp_path / 'x_10.mcap')
+    found, _ = read(tmp_path)
+    # Both parts have the same stamps; on a tie the part with the smaller number comes first.
+    assert found == [record for record in records for _ in range(2)]

@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import get_types_from_msg
+
+from trainid_ros.bag.reader import BagReader, LoggedRecord, require_topics
+from trainid_ros.bag.types import full_type, message_from_record, typestore
+from trainid_ros.bag.writer import BagWriter
+from trainid_ros.core.errors import InputError
+from trainid_ros.core.records import ForceRecord, MassRecord, Record, SpeedRecord
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+    from pathlib import Path
+
+STAMP = 1_700_000_000_000_000_000
+
+
+def write(path: Path, entries: Iterable[tuple[str, int, Record]]) -> Path:
+    """Write records on any topic at any log time."""
+    names = {SpeedRecord: 'AtoSpeed', ForceRecord: 'AtoForce', MassRecord: 'TrainMass'}
+    with BagWriter(path) as writer:
+        for topic, log_ns, record in entries:
+            writer.write_message(topic, names[type(record)], log_ns, message_from_record(record))
+    return path
+
+
+def test_records_come_back_as_written(bag: Path, records: list[Record]) -> None:
+    with BagReader(bag) as reader:
+        assert list(reader.records()) == records
+        assert list(reader.records()) == records  # a second pass starts over
+        assert (reader.message_count, reader.input_count) == (len(records), len(records))
+        assert reader.time_range() == (records[0].stamp_ns, records[-1].stamp_ns)
+        assert reader.warnings == []
+        require_topics(reader)
+
+
+def test_topics_are_listed_with_type_and_count(bag: Path, records: list[Record]) -> None:
+    with BagReader(bag) as reader:
+        topics = {topic.name: (topic.type, topic.count) for topic in reader.topics()}
+    each = len(records) // 4
+    assert topics['ato/speed'] == ('trainid_msgs/msg/AtoSpeed', each)
+    assert sorted(topics) == ['ato/brake_command', 'ato/force', 'ato/gradient', 'ato/speed']
+
+
+def test_bare_file_reads_like_its_directory(bag: Path, records: list[Record]) -> None:
+    with BagReader(bag / 'bag.mcap') as reader:
+        assert list(reader.records()) == records
+        assert reader.warnings == []
+
+
+def test_order_is_log_time_and_on_ties_that_of_the_file(tmp_path: Path) -> None:
+    late, first, tie_a, tie_b = (
+        SpeedRecord(STAMP + 9, 1.0, 0.0),
+        SpeedRecord(STAMP + 1, 2.0, 0.0),
+        ForceRecord(STAMP, 3.0),
+        SpeedRecord(STAMP + 3, 4.0, 0.0),
+    )
+    path = write(
+        tmp_path / 'bag',
+        [
+            ('ato/speed', STAMP + 30, late),
+            ('ato/force', STAMP + 20, tie_a),
+            ('ato/speed', STAMP + 20, tie_b),
+            ('ato/speed', STAMP + 10, first),
+        ],
+    )
+    with BagReader(path) as reader:
+        assert list(reader.records()) == [first, tie_a, tie_b, late]
+        assert next(iter(reader.logged_records())) == LoggedRecord(STAMP + 10, 'ato/speed', first)
+
+
+def test_order_holds_across_chunks_that_overlap(tmp_path: Path) -> None:
+    # 1.5 MB of a topic of others pushes the second half into later chunks of about 1 MB.
+    filler = typestore().types['std_msgs/msg/String'](data='x' * 500_000)
+    path = tmp_path / 'bag'
+    order = [50, 10, 40, 0, 30, 20]
+    with BagWriter(path) as writer:
+        for offset in order:
+            record = MassRecord(STAMP + offset, float(offset))
+            writer.write_message('ato/mass', 'TrainMass', STAMP + offset, message_from_record(record))
+            writer.write_message('chatter', 'std_msgs/msg/String', STAMP, filler)
+    with BagReader(path) as reader:
+        assert [record.stamp_ns - STAMP for record in reader.records()] == sorted(order)
+        assert (reader.message_count, reader.input_count) == (12, 6)
+
+
+def test_namespace_selects_the_train(tmp_path: Path) -> None:
+    one, two = SpeedRecord(STAMP, 1.0, 0.0), SpeedRecord(STAMP + 1, 2.0, 0.0)
+    path = write(tmp_path / 'bag', [('/train1/ato/speed', STAMP, one), ('/train2/ato/speed', STAMP + 1, two)])
+    for namespace in ('/train2', 'train2/'):
+        with BagReader(path, namespace) as reader:
+            assert list(reader.records()) == [two]
+            assert [topic.name for topic in reader.topics()] == ['/train1/ato/speed', 'ato/speed']
+    with BagReader(path) as reader:
+        assert list(reader.records()) == []
+
+
+def test_a_namespace_does_not_take_the_topics_of_the_root(tmp_path: Path) -> None:
+    root, other = SpeedRecord(STAMP, 1.0, 0.0), SpeedRecord(STAMP + 1, 2.0, 0.0)
+    path = write(tmp_path / 'bag', [('/ato/speed', STAMP, root), ('/t2/ato/speed', STAMP + 1, other)])
+    with BagReader(path, 't2') as reader:
+        assert list(reader.records()) == [other]
+    with BagReader(path) as reader:
+        assert list(reader.records()) == [root]
+
+
+def test_missing_topics_are_named_with_what_is_there(tmp_path: Path) -> None:
+    path = write(tmp_path / 'bag', [('ato/force', STAMP, ForceRecord(STAMP, 1.0))])
+    expected = r'bag: no messages on ato/speed, ato/gradient, ato/brake_command \(found: ato/force\)'
+    with BagReader(path) as reader, pytest.raises(InputError, match=expected):
+        require_topics(reader)
+
+
+def test_wrong_type_on_a_topic_is_named(tmp_path: Path) -> None:
+    path = write(tmp_path / 'bag', [('ato/speed', STAMP, ForceRecord(STAMP, 1.0))])
+    expected = r'bag\.mcap: topic ato/speed: type trainid_msgs/msg/AtoSpeed expected, trainid_msgs/msg/AtoForce'
+    with pytest.raises(InputError, match=expected), BagReader(path):
+        pass
+
+
+def test_same_name_with_another_definition_is_refused(tmp_path: Path) -> None:
+    text, _ = typestore().generate_msgdef(full_type('AtoSpeed'), ros_version=2)
+    other = text.replace('float64 position', 'float32 position')
+    with Writer(tmp_path / 'bag', version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection('/ato/speed', full_type('AtoSpeed'), msgdef=other, rihs01='RIHS01_0')
+        writer.write(connection, STAMP, b'\0' * 32)
+    expected = 'topic ato/speed: definition of trainid_msgs/msg/AtoSpeed differs: RIHS01_.* found'
+    with pytest.raises(InputError, match=expected), BagReader(tmp_path / 'bag'):
+        pass
+
+
+def test_type_hash_stands_in_for_a_missing_definition(tmp_path: Path) -> None:
+    good, name = typestore().hash_rihs01(full_type('TrainMass')), full_type('TrainMass')
+    record = MassRecord(STAMP, 2e5)
+    payload = typestore().serialize_cdr(message_from_record(record), name)
+    for path, told in ((tmp_path / 'good', good), (tmp_path / 'bad', 'RIHS01_0')):
+        with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+            writer.write(writer.add_connection('/ato/mass', name, msgdef=' ', rihs01=told), STAMP, payload)
+    with BagReader(tmp_path / 'good') as reader:
+        assert list(reader.records()) == [record]
+    with pytest.raises(InputError, match='RIHS01_0 found'), BagReader(tmp_path / 'bad'):
+        pass
+    # Nobody vouches for the bare file.
+    with pytest.raises(InputError, match='no definition found'), BagReader(tmp_path / 'good' / 'good.mcap'):
+        pass
+
+
+def test_topics_of_others_do_not_matter(tmp_path: Path) -> None:
+    store = typestore()
+    store.register(get_types_from_msg('float64 x', 'other_msgs/msg/Odd'))
+    record = MassRecord(STAMP, 2e5)
+    with BagWriter(tmp_path / 'bag') as writer:
+        writer.write_message('odd', 'other_msgs/msg/Odd', STAMP, store.types['other_msgs/msg/Odd'](x=1.0))
+        writer.write_record(record)
+    with BagReader(tmp_path / 'bag') as reader:
+        assert [entry.topic for entry in reader.messages()] == ['ato/mass']
+
+
+def test_unreadable_payload_is_named(tmp_path: Path) -> None:
+    with Writer(tmp_path / 'bag', version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connection = writer.add_connection('/ato/mass', full_type('TrainMass'), typestore=typestore())
+        writer.write(connection, STAMP, b'\0\1\0\0short')
+    with (
+        BagReader(tmp_path / 'bag') as reader,
+        pytest.raises(InputError, match=f'topic ato/mass: unreadable message logged at {STAMP} ns'),
+    ):
+        list(reader.records())

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs of several bags: one time scale, and the same from processes side by side as from this one."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from trainid_ros.bag.run_reader import POOL_FROM, read_runs, survey, worker_count
+from trainid_ros.bag.writer import BagWriter
+from trainid_ros.core.errors import InputError
+from trainid_ros.core.records import NS_PER_S
+from trainid_ros.explain.run_data import Run
+from trainid_ros.sim.scenario import DEFAULT_START_NS, Scenario, simulate
+from trainid_ros.train.train_file import Davis, Line, Train, TrainFile
+
+TRAIN = TrainFile(Train(mass=194e3), Davis(1.5, 0.02, 0.001), line=Line(stops=(0.0, 900.0)))
+APART_S = 1000.0
+
+
+@pytest.fixture(scope='module')
+def bags(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Return the second and the first of two drives, 1000 s apart."""
+    folder = tmp_path_factory.mktemp('runs')
+    for k, name in enumerate(('first', 'second')):
+        start_ns = DEFAULT_START_NS + round(k * APART_S * NS_PER_S)
+        with BagWriter(folder / name) as writer:
+            for record in simulate(Scenario(TRAIN, runs=1, start_ns=start_ns), np.random.default_rng(k)).records:
+                writer.write_record(record)
+    return [folder / 'second', folder / 'first']
+
+
+def same(a: Run, b: Run) -> bool:
+    names = ('time', 'speed', 'position', 'traction', 'brake')
+    return a.bag == b.bag and all(np.array_equal(getattr(a, name), getattr(b, name)) for name in names)
+
+
+def test_times_count_from_the_earliest_sample_of_all(bags: list[Path]) -> None:
+    later, sooner = read_runs(bags, TRAIN)
+    assert (later.bag, sooner.bag) == (0, 1)
+    assert 0.0 <= sooner.time[0] < 40.0
+    assert later.time[0] - sooner.time[0] == pytest.approx(APART_S, abs=20.0)
+
+
+def test_progress_counts_inputs(bags: list[Path]) -> None:
+    told: list[float] = []
+    read_runs(bags, TRAIN, advance=told.append)
+    total = sum(survey(bags).inputs)
+    assert total - 1000 <= sum(told) <= total
+
+
+def test_few_inputs_are_read_here_many_side_by_side() -> None:
+    assert worker_count([POOL_FROM // 4] * 3) == 1
+    assert worker_count([2 * POOL_FROM]) == 1
+    assert 1 <= worker_count([POOL_FROM] * 3) <= 3
+
+
+@pytest.mark.slow
+def test_processes_give_the_same_runs_and_progress(bags: list[Path]) -> None:
+    told: list[float] = []
+    together = read_runs(bags, TRAIN, workers=2, advance=told.append)
+    assert all(map(same, together, read_runs(bags, TRAIN)))
+    assert sum(told) > 1000
+
+
+@pytest.mark.slow
+def test_a_damaged_bag_is_told_by_the_process_that_reads_it(bags: list[Path], tmp_path: Path) -> None:
+    with pytest.raises(InputError, match='missing'):
+        read_runs([*bags, tmp_path / 'missing'], TRAIN, workers=2)
+
+
+def test_a_bag_counts_once(bags: list[Path]) -> None:
+    with pytest.raises(InputError, match='given twice'):
+        survey([bags[0], bags[1], bags[0].parent / '.' / bags[0].name])

@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import pytest
+import yaml
+from rosbags.highlevel import AnyReader
+from rosbags.interfaces import ConnectionExtRosbag2, QosDurability, QosHistory, QosReliability
+
+from trainid_ros.bag.reader import BagReader
+from trainid_ros.bag.types import digest, message_from_record
+from trainid_ros.bag.writer import BagWriter
+from trainid_ros.core.errors import InputError
+from trainid_ros.core.records import NS_PER_S, MassRecord, Record, SpeedRecord
+from trainid_ros.core.results import BrakeRateEstimate, Status
+from trainid_ros.estimators.pipeline import Output
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+STAMP = 1_700_000_000 * NS_PER_S
+ESTIMATE = BrakeRateEstimate(0.9, 0.1, 1.0, 2.0, -0.3, -0.4, 150.0, True, 0.01, 0.02, 0.03)
+
+
+def output(status: Status, stamp_ns: int = STAMP) -> Output[BrakeRateEstimate]:
+    return Output(stamp_ns, ESTIMATE, status, 5, 2, None)
+
+
+def test_another_reader_sees_messages_digests_and_qos(bag: Path, records: list[Record]) -> None:
+    with AnyReader([bag]) as reader:
+        assert reader.message_count == len(records)
+        for connection in reader.connections:
+            assert connection.digest == digest(connection.msgtype.rpartition('/')[2])
+            assert isinstance(connection.ext, ConnectionExtRosbag2)
+            (qos,) = connection.ext.offered_qos_profiles
+            assert (qos.reliability, qos.durability) == (QosReliability.RELIABLE, QosDurability.VOLATILE)
+            assert (qos.history, qos.depth) == (QosHistory.KEEP_LAST, 10)
+        speeds = [
+            reader.deserialize(raw, connection.msgtype).speed  # type: ignore[attr-defined]
+            for connection, _, raw in reader.messages()
+            if connection.topic == '/ato/speed'
+        ]
+    assert speeds == [record.speed for record in records if isinstance(record, SpeedRecord)]
+
+
+def test_metadata_is_that_of_a_jazzy_bag(bag: Path) -> None:
+    info = yaml.safe_load((bag / 'metadata.yaml').read_text())['rosbag2_bagfile_information']
+    assert (info['version'], info['storage_identifier']) == (9, 'mcap')
+    # Chunks are compressed inside the file; compression of the whole bag would need another player.
+    assert (info['compression_mode'], info['compression_format']) == ('', '')
+
+
+def test_compression_makes_the_bag_smaller(bag: Path, tmp_path: Path, records: list[Record]) -> None:
+    with BagWriter(tmp_path / 'plain', compress=False) as writer:
+        for record in records:
+            writer.write_record(record)
+    plain = (tmp_path / 'plain' / 'plain.mcap').stat().st_size
+    assert (bag / 'bag.mcap').stat().st_size < 0.7 * plain
+    with BagReader(tmp_path / 'plain') as reader:
+        assert list(reader.records()) == records
+
+
+def test_valid_estimate_is_latched_for_late_joiners(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / 'out') as writer:
+        writer.write_estimate(output(Status.CONVERGING))
+        writer.write_estimate(output(Status.VALID, STAMP + 1))
+    with AnyReader([tmp_path / 'out']) as reader:
+        counts = {c.topic: c.msgcount for c in reader.connections}
+        latched = next(c for c in reader.connections if c.topic == '/trainid/last_valid/brake_rate')
+        assert isinstance(latched.ext, ConnectionExtRosbag2)
+        (qos,) = latched.ext.offered_qos_profiles
+    assert counts == {'/trainid/brake_rate': 2, '/trainid/last_valid/brake_rate': 1}
+    assert (qos.durability, qos.depth) == (QosDurability.TRANSIENT_LOCAL, 1)
+
+
+def test_estimates_come_back(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / 'out') as writer:
+        writer.write_estimate(output(Status.HOLDING))
+    with BagReader(tmp_path / 'out') as reader:
+        (entry,) = reader.messages()
+        assert list(reader.records()) == []
+    assert (entry.topic, entry.log_ns) == ('trainid/brake_rate', STAMP)
+    assert entry.message.brake_rate == ESTIMATE.brake_rate
+
+
+def test_existing_path_is_not_touched(tmp_path: Path) -> None:
+    path = tmp_path / 'bag'
+    path.write_text('precious')
+    with pytest.raises(InputError, match='bag: exists already'), BagWriter(path):
+        pass
+    assert path.read_text() == 'precious'
+
+
+def test_failed_block_leaves_nothing_behind(tmp_path: Path, records: list[Record]) -> None:
+    def write_half() -> None:
+        with BagWriter(tmp_path / 'bag') as writer:
+            writer.write_record(records[0])
+            msg = 'boom'
+            raise RuntimeError(msg)
+
+    with pytest.raises(RuntimeError, match='boom'):
+        write_half()
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+    (tmp_path / 'file').write_text('')
+    with pytest.raises(InputError, match='file/bag: cannot be written'), BagWriter(tmp_path / 'file' / 'bag'):
+        pass
+
+
+def test_negative_log_time_is_refused(tmp_path: Path) -> None:
+    message = message_from_record(MassRecord(STAMP, 1e5))
+    with pytest.raises(InputError, match='ato/mass: log time -1 ns'), BagWriter(tmp_path / 'bag') as writer:
+        writer.write_message('ato/mass', 'TrainMass', -1, message)
+
+
+def test_writing_outside_the_context_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match='not open'):
+        BagWriter(tmp_path / 'bag').write_record(MassRecord(STAMP, 1e5))

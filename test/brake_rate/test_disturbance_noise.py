@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The learned size of the disturbance: right for its model, slow, bounded, and deaf to outliers."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.papers.brake_runs import metro_train, walk_run
+from trainid_ros.brake_rate.disturbance_noise import DisturbanceNoise, advance
+from trainid_ros.brake_rate.kalman import Kalman, KalmanConfig
+from trainid_ros.brake_rate.posterior import Transition
+from trainid_ros.core.codec import decode, encode
+from trainid_ros.core.errors import InputError
+
+DT, LENGTH, SPEED, R = 0.2, 200.0, 15.0, 0.025**2
+RHO = math.exp(-SPEED * DT / LENGTH)
+FREE = Transition(DT, 0.0, 0.6, 0.0, 0.0, RHO, 0.0, 0.002**2 * DT, 0.0)
+
+
+def rolled(std: float, seconds: float, seed: int, declared: float = 0.006, slip: float = 0.0) -> DisturbanceNoise:
+    """Return what is learned of a train that runs at some 15 m/s, of whose samples some slip by 1 m/s."""
+    rng = np.random.default_rng([seed, 9])
+    noise, b, v = DisturbanceNoise.declared(declared), std * float(rng.standard_normal()), SPEED
+    for _ in range(round(seconds / DT)):
+        v += DT * b - 0.1 * (v - SPEED) * DT + 0.002 * math.sqrt(DT) * float(rng.standard_normal())
+        b = RHO * b + std * math.sqrt(1.0 - RHO * RHO) * float(rng.standard_normal())
+        measured = v + math.sqrt(R) * float(rng.standard_normal()) + (1.0 if rng.random() < slip else 0.0)
+        noise = noise.add(FREE._replace(known=-0.1 * (v - SPEED) * DT), measured, R)
+    return noise
+
+
+@pytest.mark.parametrize('std', [0.004, 0.01, 0.03])
+def test_it_finds_the_deviation_whatever_was_declared(std: float) -> None:
+    found = [rolled(std, 500.0, seed, declared).std for seed, declared in ((7001, 0.006), (7002, 0.012))]
+    print(found)
+    assert np.mean(found) == pytest.approx(std, rel=0.3)
+
+
+def test_little_data_leave_it_wide_and_near_what_was_declared() -> None:
+    first = DisturbanceNoise.declared(0.006)
+    assert 0.006 < first.std < 0.03
+    assert rolled(0.02, 2.0, 7003).std == pytest.approx(first.std, rel=0.6)
+
+
+def test_it_stays_within_bounds() -> None:
+    assert rolled(0.0, 400.0, 7004, declared=0.05).std == pytest.approx(0.3 * 0.05, rel=0.2)
+    assert rolled(0.05, 200.0, 7005, declared=0.001).std == pytest.approx(10.0 * 0.001, rel=0.01)
+
+
+def test_slip_is_no_disturbance() -> None:
+    """One sample in a hundred is off by 40 deviations; it counts as one of three."""
+    clean, slipping = rolled(0.006, 300.0, 7006), rolled(0.006, 300.0, 7006, slip=0.01)
+    assert slipping.std < 2.5 * clean.std
+
+
+def test_a_train_that_stood_begins_anew_and_keeps_what_it_knows() -> None:
+    noise = rolled(0.02, 60.0, 7007)
+    paused = noise.paused()
+    assert (paused.variance, paused.evidence, paused.motions) == (noise.variance, noise.evidence, ())
+    assert paused.paused() is paused
+    assert paused.add(FREE, 3.0, R).variance == noise.variance
+    assert not DisturbanceNoise.declared(0.0).add(FREE, 3.0, R).motions
+
+
+def test_one_filter_is_the_kalman_filter() -> None:
+    F, variance = np.array([[1.0, DT], [0.0, RHO]]), 0.01**2
+    m, P = np.array([15.0, 0.004]), np.array([[4e-4, 1e-5], [1e-5, 9e-5]])
+    step = FREE._replace(known=-0.02)
+    after, likelihood = advance((m[0], m[1], P[0, 0], P[0, 1], P[1, 1]), step, variance, 15.01, R)
+    m = F @ m + [-0.02, 0.0]
+    P = F @ P @ F.T + np.diag([FREE.q_v, (1.0 - RHO * RHO) * variance])
+    S, nu = P[0, 0] + R, 15.01 - m[0]
+    m, P, expected = m + P[:, 0] / S * nu, P - np.outer(P[:, 0], P[:, 0]) / S, -0.5 * (nu * nu / S + math.log(S))
+    assert after == pytest.approx((*m, P[0, 0], P[0, 1], P[1, 1]), rel=1e-9)
+    assert likelihood == pytest.approx(expected, rel=1e-12)
+
+
+def test_estimators_learn_it_between_brakings_and_save_it() -> None:
+    run = walk_run(7008, stops=3)
+    first, second = (Kalman(metro_train(), KalmanConfig(), np.random.default_rng(1)) for _ in range(2))
+    seen = set()
+    for sample in run.samples:
+        before = first.state.disturbance
+        first.step(sample)
+        if first.state.observable:
+            assert first.state.disturbance.variance == before.variance
+            assert not first.state.disturbance.motions
+        seen.add(bool(first.state.disturbance.motions))
+    assert seen == {True, False}
+    assert 0.01 < first.state.disturbance.std < 0.035
+    second.restore(first.save())
+    assert second.state.disturbance == first.state.disturbance
+
+
+def test_a_saved_state_that_does_not_fit_is_refused() -> None:
+    estimator = Kalman(metro_train(), KalmanConfig(), np.random.default_rng(1))
+    noise = DisturbanceNoise.declared(0.006)
+    assert decode(encode(noise), DisturbanceNoise) == noise
+    for wrong in (
+        replace(noise, evidence=noise.evidence[1:]),
+        replace(noise, variance=math.nan),
+        replace(noise, motions=((0.0,) * 4,) * len(noise.evidence)),
+    ):
+        assert not wrong.is_valid
+        estimator.state.disturbance = wrong
+        with pytest.raises(InputError, match='disturbance'):
+            Kalman(metro_train(), KalmanConfig(), np.random.default_rng(1)).restore(estimator.save())

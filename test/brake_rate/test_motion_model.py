@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What moves the train over one sample, against the equations of the module, and what an estimate adds of its own."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from trainid_ros.brake_rate.brake_kinematics import BrakeStep
+from trainid_ros.brake_rate.kalman import Kalman, KalmanConfig
+from trainid_ros.brake_rate.motion_model import BLEND_SHAPE, MotionModel
+from trainid_ros.brake_rate.posterior import Transition
+from trainid_ros.brake_rate.timing import TimingStep
+from trainid_ros.core.samples import Sample
+from trainid_ros.train.train_file import TrainFile
+
+Make = Callable[..., Sample]
+Journey = Callable[..., list[Sample]]
+CONFIG = KalmanConfig()
+DT, LAG = 0.2, 0.4
+DECAY = math.exp(-DT / LAG)
+REACH = LAG * (1.0 - DECAY)
+
+
+def response(start: float, command: float) -> BrakeStep:
+    """Return the response of a lag from a target to a command [m/s^2]."""
+    return BrakeStep(DECAY, REACH, command * (1.0 - DECAY), command * (DT - REACH), start)
+
+
+def interval(
+    train_file: TrainFile, sample: Sample, motion: BrakeStep, gains: tuple[float, float] = (1.0, 1.0)
+) -> Transition:
+    return MotionModel(train_file, CONFIG).interval(
+        sample, motion, TimingStep(0.0, 0.0, 0.0), rate=1.0, gains=gains, variance=0.0, released=False
+    )
+
+
+def test_the_response_is_calm_while_it_stands_and_not_while_it_changes(train_file: TrainFile, sample: Make) -> None:
+    item = sample(1, brake_command=-0.5)
+    assert interval(train_file, item, response(-0.5, -0.5)).calm == pytest.approx(1.0)
+    assert interval(train_file, item, response(0.0, -0.5)).calm < 1e-6
+    # A tenth of itself in a second.
+    change = BrakeStep(1.0, DT, -0.01, 0.0, -0.49)
+    assert interval(train_file, item, change).calm == pytest.approx(math.exp(-1.0))
+
+
+def test_a_change_of_the_table_takes_the_response_along(train_file: TrainFile, sample: Make) -> None:
+    """The brake acts with f r y, so the acceleration left by the gain before counts with that of now."""
+    before, gain, f, start, command = 1.0, 0.6, 0.9, -0.5, -0.7
+    motion = response(start, command)
+    moved = interval(train_file, sample(1, brake_command=command), motion, (before, gain))
+    a = f * before * start
+    integral = REACH * start + command * (DT - REACH)
+    assert moved.reach * a + moved.gain_v * f == pytest.approx(f * gain * integral, rel=1e-12)
+    assert moved.decay * a + moved.gain_a * f == pytest.approx(f * gain * motion.end_target, rel=1e-12)
+
+
+@pytest.mark.parametrize('speed', [CONFIG.blend_speed, 0.5 * CONFIG.blend_speed, 15.0])
+def test_slope_changeover_and_level_lean_on_the_speed(train_file: TrainFile, sample: Make, speed: float) -> None:
+    braked, gain = -0.5 * DT, 0.8
+    item = sample(1, speed=speed, brake_command=-0.5)
+    lean = interval(train_file, item, response(-0.5, -0.5), (gain, gain)).lean
+    blend = {CONFIG.blend_speed: 1.0, 0.5 * CONFIG.blend_speed: 0.5}.get(speed, 0.0)
+    slope = speed / train_file.train.max_speed - 0.5
+    assert lean[5:] == pytest.approx((gain * braked * slope, gain * braked * blend, -DT), rel=1e-12)
+    # A brake that hardly acts has no level.
+    assert interval(train_file, item, response(-0.05, -0.05)).lean[7] == 0.0
+
+
+def test_the_brake_rate_has_its_share_of_the_error_at_its_level(train_file: TrainFile, sample: Make) -> None:
+    """An error of 0.01 m/s^2 is one of 0.02 at a level of 0.5 m/s^2."""
+    model, item = MotionModel(train_file, CONFIG), sample(1, brake_command=-0.5)
+    assert model.share(item, 0.5)[7] == pytest.approx(2.0)
+    assert model.share(item, 0.05)[7] == 0.0
+    assert not model.share(replace(item, brake_command=0.0), 0.5).any()
+
+
+def braked(train_file: TrainFile, samples: list[Sample]) -> Kalman:
+    estimator = Kalman(train_file, CONFIG, np.random.default_rng(1))
+    for item in samples:
+        estimator.step(item)
+    assert estimator.state.observable
+    return estimator
+
+
+def test_a_changeover_widens_the_brake_rate_by_its_shape(train_file: TrainFile, journey: Journey) -> None:
+    samples = journey(12.0, brake=lambda t: -0.4 if t > 2.0 else 0.0, speed=6.0)
+    slow = next(k for k, item in enumerate(samples) if item.speed < 1.1 * CONFIG.blend_speed)
+    fast = next(k for k, item in enumerate(samples) if item.speed < 2.1 * CONFIG.blend_speed)
+    there, before = braked(train_file, samples[: slow + 1]), braked(train_file, samples[:fast])
+    shape = BLEND_SHAPE * CONFIG.blend_std
+    for estimator, blending in ((there, shape), (before, 0.0)):
+        state, e = estimator.state, estimator.estimate(0.0)
+        seen = state.rate_variance + (CONFIG.scale_std * state.rate) ** 2
+        assert e.brake_rate_std**2 - seen == pytest.approx(blending**2, abs=1e-12)
+
+
+def test_innovations_that_are_too_large_count_as_noise(train_file: TrainFile, journey: Journey) -> None:
+    """With three times the variance the gate widens by it, and the brake rate is known less well."""
+    samples = journey(10.0, brake=lambda t: -0.4 if t > 2.0 else 0.0, speed=15.0)
+    plain = braked(train_file, samples[:30])
+    other = braked(train_file, samples[:30])
+    plain.state.excess, other.state.excess = 1.0, 3.0
+    for estimator in (plain, other):
+        estimator.step(samples[30])
+    noise = plain.state.noise.variance
+    assert other.state.innovation == plain.state.innovation
+    assert other.state.innovation_variance - plain.state.innovation_variance == pytest.approx(2.0 * noise, rel=1e-9)
+    assert other.state.rate_variance > 1.001 * plain.state.rate_variance

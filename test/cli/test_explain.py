@@ -1,0 +1,252 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``trainid explain``: the agreed JSON, its three files, exit codes, and bad input told in one line before the work."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from trainid_ros import __version__
+from trainid_ros.bag.reader import BagReader
+from trainid_ros.bag.writer import BagWriter
+from trainid_ros.cli import explain
+from trainid_ros.cli.explain import describe, no_answer, prepare_folder, provenance, to_json
+from trainid_ros.cli.main import main
+from trainid_ros.core.errors import InputError, NoAnswerError
+from trainid_ros.core.records import GradientRecord
+from trainid_ros.explain.explanation import Explanation, Gap, Verdict
+from trainid_ros.sim.scenario import Scenario, simulate
+from trainid_ros.train.effect_text import parse_effects
+from trainid_ros.train.train_file import Davis, Line, Train, TrainFile, dump_train_file, load_train_file
+
+Make = Callable[..., Explanation]
+KEYS = {'verdict', 'effects', 'gap', 'remaining', 'gradient_read_at'}
+EFFECT_KEYS = {'name', 'parameters', 'std', 'evidence', 'where', 'indistinguishable_from'}
+GAP_KEYS = {'metric', 'unit', 'before', 'after', 'noise_floor', 'runs_held_out'}
+DRAG = 'local_drag:start=900,end=1900,permille=2.5'
+
+
+def call(*bags: Path, train: Path, options: tuple[str, ...] = ()) -> int:
+    return main(['explain', *map(str, bags), '--train', str(train), *options])
+
+
+def rejection(capsys: pytest.CaptureFixture[str]) -> str:
+    """Return the one line of an error, with nothing on standard output."""
+    out, err = capsys.readouterr()
+    assert out == ''
+    assert err.count('\n') == 1
+    return str(err)
+
+
+def test_json_of_an_explanation(make_explanation: Make) -> None:
+    answer = to_json(make_explanation(ambiguous=True))
+    assert set(answer) == KEYS
+    assert answer['verdict'] == 'ambiguous'
+    (effect,) = answer['effects']
+    assert set(effect) == EFFECT_KEYS
+    assert effect['parameters'] == {'start': 300.0, 'end': 500.0, 'permille': 1.5}
+    assert effect['std'] == {'start': 12.0, 'end': 9.0, 'permille': 0.05}
+    assert effect['indistinguishable_from'] == ['gradient_error']
+    expected = {'metric': 'rms speed', 'unit': 'm/s', 'before': 0.4, 'after': 0.05, 'noise_floor': 0.049}
+    assert answer['gap'] == {**expected, 'runs_held_out': 2}
+    json.dumps(answer, allow_nan=False)
+
+
+@pytest.mark.parametrize('verdict', Verdict)
+def test_verdicts_have_the_agreed_names(make_explanation: Make, verdict: Verdict) -> None:
+    assert to_json(make_explanation(verdict=verdict))['verdict'] == verdict.value
+    assert {v.value for v in Verdict} == {'explained', 'no_gap', 'unexplained', 'ambiguous'}
+
+
+def test_what_is_not_known_is_null(make_explanation: Make) -> None:
+    gap = to_json(make_explanation(gap=None))['gap']
+    assert gap == dict.fromkeys(GAP_KEYS) | {'metric': 'rms speed', 'unit': 'm/s', 'runs_held_out': 0}
+    assert to_json(make_explanation(gap=Gap(float('nan'), 0.1, 0.1, 3)))['gap']['before'] is None
+    nothing = no_answer('too little')
+    assert set(nothing) == KEYS
+    assert (nothing['verdict'], nothing['effects'], nothing['remaining']) == (None, [], 'too little')
+
+
+def test_story_for_people(make_explanation: Make, believed: TrainFile) -> None:
+    text = describe(make_explanation(ambiguous=True), believed)
+    for part in (
+        'AMBIGUOUS: ', 'local_drag: drag at one place (physics)', 'permille = 1.500 ± 0.050 per mille', 'evidence 48',
+        'where: position 300', 'could also be gradient_error; to tell: run <both> ways', '0.400 m/s', '0.049 m/s',
+        '1.61 ± 0.12', 'What is left is noise.',
+    ):  # fmt: skip
+        assert part in text
+    bare = describe(make_explanation(verdict=Verdict.UNEXPLAINED, effects=()), believed)
+    assert 'At 300 to 400 m: 1.50 ± 0.10 N/kN more resistance than believed' in bare
+
+
+def test_provenance_names_version_bags_and_runs() -> None:
+    assert (
+        provenance([Path('x/day1'), Path('day2.mcap')], 9) == f'trainid explain {__version__}, day1, day2.mcap, 9 runs'
+    )
+    assert provenance([Path(f'd{k}') for k in range(5)], 9).endswith('d0, d1, d2 and 2 more, 9 runs')
+    assert provenance([Path('day1')], 1).endswith('day1, 1 run')
+
+
+def test_the_folder_is_made_and_no_train_file_is_lost(tmp_path: Path) -> None:
+    train = tmp_path / 'train.yaml'
+    train.write_text('x', encoding='utf-8')
+    prepare_folder(tmp_path / 'a' / 'b', train)
+    assert list((tmp_path / 'a' / 'b').iterdir()) == []
+    with pytest.raises(InputError, match='is the train file that is read'):
+        prepare_folder(tmp_path, train)
+    (tmp_path / 'link').symlink_to(tmp_path)
+    with pytest.raises(InputError, match='is the train file that is read'):
+        prepare_folder(tmp_path / 'link', train)
+    with pytest.raises(InputError, match='not written by trainid explain'):
+        prepare_folder(tmp_path, Path(__file__))
+    (tmp_path / 'report.json').write_text('{}', encoding='utf-8')
+    prepare_folder(tmp_path, Path(__file__))  # of an explanation before
+    with pytest.raises(InputError, match=r'train\.yaml: cannot be written'):
+        prepare_folder(train, train)
+
+
+def test_bad_input_is_told_before_the_work(
+    tmp_path: Path, driven_bag: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    train = driven_bag / 'train.yaml'
+    assert call(driven_bag, train=tmp_path / 'none.yaml') == 2
+    assert 'none.yaml' in rejection(capsys)
+    assert call(tmp_path / 'nobag', train=train) == 2
+    assert 'nobag' in rejection(capsys)
+    assert call(driven_bag, driven_bag, train=train) == 2
+    assert 'given twice' in rejection(capsys)
+    assert call(driven_bag, train=train, options=('--out', str(driven_bag))) == 2
+    assert 'is the train file that is read' in rejection(capsys)
+    assert call(driven_bag, train=train, options=('--namespace', '/other')) == 2
+    assert 'ato/speed' in rejection(capsys)
+
+
+def test_a_missing_topic_is_named(tmp_path: Path, driven_bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with BagReader(driven_bag) as reader, BagWriter(tmp_path / 'blind') as writer:
+        for record in reader.records():
+            if not isinstance(record, GradientRecord):
+                writer.write_record(record)
+    assert call(driven_bag, tmp_path / 'blind', train=driven_bag / 'train.yaml') == 2
+    assert 'blind: no messages on ato/gradient' in rejection(capsys)
+
+
+def test_without_runs_there_is_no_answer(tmp_path: Path, driven_bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with BagReader(driven_bag) as reader, BagWriter(tmp_path / 'short') as writer:
+        for record, _ in zip(reader.records(), range(120), strict=False):
+            writer.write_record(record)
+    assert call(tmp_path / 'short', train=driven_bag / 'train.yaml', options=('--json',)) == 1
+    out, err = capsys.readouterr()
+    assert json.loads(out)['verdict'] is None
+    assert err.count('\n') == 1
+    assert 'short: ' in err
+
+
+Stub = Callable[[Callable[[], Explanation]], None]
+
+
+@pytest.fixture
+def stub(monkeypatch: pytest.MonkeyPatch) -> Stub:
+    """Return a function that puts another answer in the place of the workflow's; no figures are drawn."""
+
+    def put(answer: Callable[[], Explanation]) -> None:
+        monkeypatch.setattr(explain, 'explain_runs', lambda *_: answer())
+        monkeypatch.setattr('trainid_ros.report.explained.write_page', lambda *_: None)
+        monkeypatch.setattr('trainid_ros.report.explained.render_explained', lambda _: '')
+
+    return put
+
+
+def test_outputs_are_written_before_anyone_stops_reading(
+    tmp_path: Path, driven_bag: Path, make_explanation: Make, stub: Stub, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def stop(*_: Any) -> str:
+        raise BrokenPipeError
+
+    stub(make_explanation)
+    monkeypatch.setattr(explain, 'describe', stop)
+    monkeypatch.setattr('trainid_ros.cli.main._drop_output', lambda: None)
+    assert call(driven_bag, train=driven_bag / 'train.yaml', options=('--out', str(tmp_path / 'a'))) == 141
+    assert {path.name for path in (tmp_path / 'a').iterdir()} == {'report.json', 'train.yaml'}
+
+
+@pytest.mark.parametrize(('error', 'code'), [(KeyboardInterrupt, 130), (NoAnswerError, 1)])
+def test_a_folder_that_nothing_comes_into_does_not_stay(
+    tmp_path: Path, driven_bag: Path, stub: Stub, error: type[BaseException], code: int
+) -> None:
+    def fail() -> Explanation:
+        raise error
+
+    stub(fail)
+    (tmp_path / 'old' / 'empty').mkdir(parents=True)
+    for out in ('new', 'old/new/new', 'old/empty'):
+        assert call(driven_bag, train=driven_bag / 'train.yaml', options=('--out', str(tmp_path / out))) == code
+    assert [path.name for path in sorted(tmp_path.rglob('*'))] == ['old', 'empty']
+
+
+def test_gradients_of_one_point_are_told_to_programs_and_people(
+    driven_bag: Path, make_explanation: Make, stub: Stub, capsys: pytest.CaptureFixture[str]
+) -> None:
+    for point, warnings in (('middle', 1), (None, 0)):
+        stub(partial(make_explanation, gradient_point=point))
+        assert call(driven_bag, train=driven_bag / 'train.yaml', options=('--json',)) == 0
+        out, err = capsys.readouterr()
+        assert json.loads(out)['gradient_read_at'] == point
+        assert err.count('warning: the gradients of the bags are those at the middle') == warnings
+
+
+@pytest.fixture(scope='module')
+def dragged(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Return a folder with a bag of six runs there and back with a drag at one place, and the train file without."""
+    folder = tmp_path_factory.mktemp('dragged')
+    gradient = ((0.0, 0.0), (400.0, 8.0), (900.0, -6.0), (1500.0, 4.0), (2100.0, 0.0))
+    train = TrainFile(Train(mass=194e3), Davis(1.5, 0.02, 0.004), line=Line((0.0, 2600.0), gradient))
+    (folder / 't.yaml').write_text(dump_train_file(train), encoding='utf-8')
+    true = replace(train, resistance=Davis(1.7, 0.02, 0.0035), effects=parse_effects([DRAG]))
+    with BagWriter(folder / 'bag') as writer:
+        for record in simulate(Scenario(true, runs=6), np.random.default_rng(8)).records:
+            writer.write_record(record)
+    return folder
+
+
+@pytest.mark.slow
+def test_a_hidden_drag_is_found_and_added(dragged: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = dragged / 'out'
+    before = (dragged / 't.yaml').read_text(encoding='utf-8')
+    assert call(dragged / 'bag', train=dragged / 't.yaml', options=('--out', str(out), '--json')) == 0
+    text, err = capsys.readouterr()
+    assert (text.count('\n'), err) == (1, '')
+    answer: dict[str, Any] = json.loads(text)
+    assert set(answer) == KEYS
+    assert set(answer['gap']) == GAP_KEYS
+    effect = answer['effects'][0]
+    assert set(effect) == EFFECT_KEYS
+    assert effect['name'] == 'local_drag'
+    assert effect['parameters']['permille'] == pytest.approx(2.5, abs=max(0.5, 4.0 * effect['std']['permille']))
+    assert answer['gap']['after'] < 0.6 * answer['gap']['before']
+    assert json.loads((out / 'report.json').read_text(encoding='utf-8')) == answer
+    assert (out / 'report.html').read_text(encoding='utf-8').count('<svg') == 5
+    found = load_train_file(out / 'train.yaml').effects[0]
+    assert dict(found.parameters) == effect['parameters']
+    assert found.provenance == f'trainid explain {__version__}, bag, 6 runs'
+    assert (dragged / 't.yaml').read_text(encoding='utf-8') == before
+    # What was written is a belief like any other, and explains itself.
+    assert call(dragged / 'bag', train=out / 'train.yaml', options=('--json',)) == 0
+    assert json.loads(capsys.readouterr().out)['verdict'] == 'no_gap'
+
+
+@pytest.mark.slow
+def test_two_bags_tell_one_story(dragged: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    if not (dragged / 'copy').exists():
+        shutil.copytree(dragged / 'bag', dragged / 'copy')
+    assert call(dragged / 'bag', dragged / 'copy', train=dragged / 't.yaml') == 0
+    out = capsys.readouterr().out
+    assert '12 runs in 2 bags' in out
+    assert 'local_drag' in out

@@ -1,0 +1,76 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+import pytest
+
+from trainid_ros.bag.writer import BagWriter
+from trainid_ros.cli.main import main
+from trainid_ros.core.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+STAMP = 1_700_000_000 * NS_PER_S
+
+
+def write(path: Path, *, force: bool = True) -> Path:
+    with BagWriter(path) as writer:
+        for i in range(20):
+            stamp = STAMP + i * NS_PER_S // 5
+            writer.write_record(SpeedRecord(stamp, 5.0, float('nan')))
+            if force:
+                writer.write_record(ForceRecord(stamp, 1e5))
+            writer.write_record(GradientRecord(stamp, 1.5, 0.0, tunnel=False))
+            writer.write_record(BrakeRecord(stamp, 0.0, emergency=False))
+    return path
+
+
+def test_usable_bag(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(['info', str(write(tmp_path / 'bag'))]) == 0
+    captured = capsys.readouterr()
+    assert captured.err == ''
+    rows = [line.split() for line in captured.out.splitlines()]
+    assert ['ato/speed', 'trainid_msgs/msg/AtoSpeed', '20', '5', '0', '0', '0', '0', '0', '0.000'] in rows
+    assert ['ato/force', 'force', '100000', '100000', 'N'] in rows
+    assert captured.out.endswith('\nusable\n')
+
+
+def test_columns_are_aligned(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    main(['info', str(write(tmp_path / 'bag'))])
+    table = capsys.readouterr().out.split('\n\n')[1].splitlines()
+    assert len({len(line) for line in table}) == 1
+
+
+def test_bag_without_a_required_topic(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write(tmp_path / 'bag', force=False)
+    assert main(['info', str(path)]) == 1
+    captured = capsys.readouterr()
+    assert captured.err == f'trainid: error: {path}: cannot be used: no messages on ato/force\n'
+    assert 'not usable' in captured.out
+
+
+def test_bag_that_cannot_be_read(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / 'x.mcap'
+    path.write_bytes(b'')
+    assert main(['info', str(path), '--json']) == 2
+    captured = capsys.readouterr()
+    assert (captured.out, captured.err) == ('', f'trainid: error: {path}: is empty\n')
+
+
+@pytest.mark.parametrize(('force', 'code'), [(True, 0), (False, 1)])
+def test_json_is_one_object_and_nothing_else(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], code: int, *, force: bool
+) -> None:
+    assert main(['info', str(write(tmp_path / 'bag', force=force)), '--json']) == code
+
+    def reject(name: str) -> None:
+        pytest.fail(f'{name} is not JSON')
+
+    answer = json.loads(capsys.readouterr().out, parse_constant=reject)
+    assert answer['usable'] is force
+    assert answer['missing'] == ([] if force else ['ato/force'])
+    positions = [item for item in answer['ranges'] if item['field'] == 'position']
+    assert [item['low'] for item in positions] == [None]

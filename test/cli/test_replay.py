@@ -1,0 +1,224 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``trainid replay``: one JSON object of the agreed shape, exit codes, one-line errors, files written once."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+from contextlib import redirect_stderr, redirect_stdout
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import pytest
+
+from trainid_ros.bag.bag_replay import replay
+from trainid_ros.bag.reader import BagReader
+from trainid_ros.bag.writer import BagWriter
+from trainid_ros.cli.main import main
+from trainid_ros.core.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
+from trainid_ros.estimators.pipeline import EstimatorSettings
+from trainid_ros.train.train_file import load_train_file
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+START_NS = 1_700_000_000 * NS_PER_S
+
+
+def call(bag: Path, *options: str, train: Path | None = None) -> int:
+    return main(['replay', str(bag), '--train', str(train or bag / 'train.yaml'), *options])
+
+
+class Told(NamedTuple):
+    """What a replay prints, with ``--json`` and without."""
+
+    out: str
+    err: str
+    text: str
+
+
+@pytest.fixture(scope='module')
+def told(driven_bag: Path) -> Told:
+    out, err, text = io.StringIO(), io.StringIO(), io.StringIO()
+    with redirect_stdout(out), redirect_stderr(err):
+        assert call(driven_bag, '--json') == 0
+    with redirect_stdout(text), redirect_stderr(io.StringIO()):
+        assert call(driven_bag) == 0
+    return Told(out.getvalue(), err.getvalue(), text.getvalue())
+
+
+@pytest.fixture
+def standing_bag(tmp_path: Path, driven_bag: Path) -> Path:
+    path = tmp_path / 'standing'
+    with BagWriter(path) as writer:
+        for i in range(50):
+            stamp = START_NS + i * NS_PER_S // 5
+            for record in (
+                SpeedRecord(stamp, 0.0, 100.0),
+                ForceRecord(stamp, 0.0),
+                GradientRecord(stamp, 0.0, 0.0, tunnel=False),
+                BrakeRecord(stamp, -0.6, emergency=False),
+            ):
+                writer.write_record(record)
+    (path / 'train.yaml').write_bytes((driven_bag / 'train.yaml').read_bytes())
+    return path
+
+
+def test_json_has_the_agreed_fields_and_nothing_else_is_printed(told: Told) -> None:
+    answer = json.loads(told.out)
+    assert told.out.count('\n') == 1
+    assert told.err == ''
+    agreed = {'samples', 'duration_s', 'used', 'rejected', 'resistance', 'speed_model', 'brake_rate', 'wall_s'}
+    assert agreed | {'algorithms'} == set(answer)
+    assert answer['algorithms'] == {'resistance': 'filter-bank', 'speed_model': 'AM-VFF-RLS', 'brake_rate': 'GSMA'}
+    known = {'a', 'b', 'c', 'std', 'status', 'speed_range', 'force_scale', 'force_delay', 'findings'}
+    assert known == set(answer['resistance'])
+    assert {'a1', 'a2', 'b1', 'd0', 'status'} <= set(answer['speed_model'])
+    assert {'value', 'std', 'status'} <= set(answer['brake_rate'])
+    assert len(answer['resistance']['std']) == 3
+    assert answer['used'] + sum(answer['rejected'].values()) >= answer['samples'] > 300
+
+
+def test_json_numbers_are_those_of_the_replay(driven_bag: Path, told: Told) -> None:
+    answer = json.loads(told.out)
+    with BagReader(driven_bag) as reader:
+        outcome = replay(reader, load_train_file(driven_bag / 'train.yaml'), EstimatorSettings())
+    w, f = outcome.resistance.output.estimate, outcome.brake_rate.output.estimate
+    assert [answer['resistance'][name] for name in 'abc'] == [w.a, w.b, w.c]
+    assert answer['resistance']['std'] == [math.sqrt(w.covariance[i]) for i in (0, 4, 8)]
+    assert answer['resistance']['speed_range'] == [w.speed_min, w.speed_max]
+    assert answer['resistance']['status'] == outcome.resistance.output.status.name
+    assert (answer['brake_rate']['value'], answer['brake_rate']['std']) == (f.brake_rate, f.brake_rate_std)
+    assert answer['rejected'] == {reason.name: count for reason, count in outcome.resistance.rejections}
+
+
+def test_summary_shows_estimates_reasons_and_speed(told: Told) -> None:
+    wanted_words = (
+        *('x real time', 'brake rate', 'w at 15 m/s', 'N/kN', 'not: BRAKING', 'used'),
+        *('resistance by filter-bank: uncertainty', 'speeds seen', 'prior variance removed: a'),
+    )
+    for wanted in wanted_words:
+        assert wanted in told.text
+
+
+def test_speed_outside_those_learned_from_is_marked(told: Told) -> None:
+    fastest = json.loads(told.out)['resistance']['speed_range'][1]
+    lines = [line for line in told.text.splitlines() if line.startswith('w at')]
+    assert [('*' in line) for line in lines] == [speed > fastest for speed in (10.0, 15.0, 20.0)]
+
+
+def test_parameters_of_the_nodes_hold(driven_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    params = tmp_path / 'params.yaml'
+    params.write_text(
+        '/**: {ros__parameters: {seed: 4}}\n'
+        'resistance_estimator: {ros__parameters: {estimator: {min_speed: 49}}}\n'
+        'brake_rate_estimator: {ros__parameters: {brake: {rate: 8e-1}, estimator: {min_speed: 49}}}\n',
+        encoding='utf-8',
+    )
+    assert call(driven_bag, '--params', str(params), '--algorithm', 'GSMA', '--json') == 1
+    out, err = capsys.readouterr()
+    answer = json.loads(out)
+    assert answer['used'] == 0
+    assert answer['brake_rate']['value'] == pytest.approx(0.8, abs=1e-9)
+    assert 'nothing was learned' in err
+
+
+@pytest.mark.parametrize(
+    ('options', 'reason'),
+    [
+        (('--algorithm', 'nonsense'), "algorithm 'nonsense' is unknown; there are resistance: filter-bank"),
+        (('--algorithm', 'brake_rate=V-MILS'), "algorithm 'V-MILS' is unknown; there are brake_rate: GSMA"),
+        (('--params', 'no/such.yaml'), 'no/such.yaml: cannot be read'),
+    ],
+)
+def test_wrong_choices_are_told_in_one_line(
+    driven_bag: Path, options: tuple[str, ...], reason: str, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert call(driven_bag, *options) == 2
+    assert reason in one_line(capsys)
+
+
+def test_out_is_a_bag_and_is_never_overwritten(
+    driven_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / 'out'
+    assert call(driven_bag, '--out', str(out)) == 0
+    with BagReader(out) as reader:
+        names = {topic.name for topic in reader.topics()}
+    assert {'ato/speed', 'ato/mass', 'trainid/resistance', 'trainid/speed_model', 'trainid/brake_rate'} <= names
+    before = sorted((item.name, item.stat().st_size) for item in out.iterdir())
+    capsys.readouterr()
+    assert call(driven_bag, '--out', str(out)) == 2
+    assert one_line(capsys) == f'trainid: error: {out}: exists already and is not overwritten'
+    assert sorted((item.name, item.stat().st_size) for item in out.iterdir()) == before
+
+
+@pytest.mark.slow
+def test_report_is_written_with_the_truth_of_the_bag(driven_bag: Path, tmp_path: Path) -> None:
+    report = tmp_path / 'new' / 'report.html'
+    assert call(driven_bag, '--report', str(report)) == 0
+    text = report.read_text(encoding='utf-8')
+    assert 'error / std' in text
+
+
+def test_wrong_truth_is_told_before_the_work(
+    driven_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    wrong = tmp_path / 'truth.yaml'
+    wrong.write_text('start_ns: 0\n', encoding='utf-8')
+    assert call(driven_bag, '--report', str(tmp_path / 'r.html'), '--truth', str(wrong)) == 2
+    assert 'truth.yaml' in one_line(capsys)
+    assert not (tmp_path / 'r.html').exists()
+
+
+def test_standing_train_is_no_answer_and_says_why(standing_bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(standing_bag, '--json') == 1
+    out, err = capsys.readouterr()
+    answer: dict[str, Any] = json.loads(out)
+    assert answer['used'] == 0
+    assert answer['resistance']['speed_range'] == [None, None]
+    assert err.count('\n') == 1
+    assert 'nothing was learned' in err
+    assert 'STANDSTILL' in err
+
+
+def test_missing_topic_is_bad_input(tmp_path: Path, driven_bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    with BagReader(driven_bag) as reader, BagWriter(tmp_path / 'blind') as writer:
+        for record in reader.records():
+            if not isinstance(record, GradientRecord):
+                writer.write_record(record)
+    assert call(tmp_path / 'blind', '--json', train=driven_bag / 'train.yaml') == 2
+    out, err = capsys.readouterr()
+    assert out == ''
+    assert 'blind' in err
+    assert 'ato/gradient' in err
+    assert err.count('\n') == 1
+
+
+@pytest.mark.parametrize('missing', ['bag', 'train'])
+def test_missing_files_are_bad_input(
+    missing: str, tmp_path: Path, driven_bag: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    nothing = tmp_path / 'nothing'
+    code = call(nothing, train=driven_bag / 'train.yaml') if missing == 'bag' else call(driven_bag, train=nothing)
+    assert code == 2
+    assert str(nothing) in one_line(capsys)
+
+
+def test_failed_replay_leaves_no_bag_behind(driven_bag: Path, tmp_path: Path, standing_bag: Path) -> None:
+    # No answer is an answer about the data: the bag is complete and stays.
+    assert call(standing_bag, '--out', str(tmp_path / 'kept')) == 1
+    assert (tmp_path / 'kept' / 'metadata.yaml').is_file()
+    with BagReader(driven_bag) as reader, BagWriter(tmp_path / 'blind') as writer:
+        for record in reader.records():
+            if not isinstance(record, ForceRecord):
+                writer.write_record(record)
+    code = call(tmp_path / 'blind', '--out', str(tmp_path / 'gone'), train=driven_bag / 'train.yaml')
+    assert code == 2
+    assert not (tmp_path / 'gone').exists()
+
+
+def one_line(capsys: pytest.CaptureFixture[str]) -> str:
+    err = capsys.readouterr().err
+    assert err.count('\n') == 1
+    return err.strip()

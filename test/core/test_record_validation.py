@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Single records: what is impossible is refused with value and limit, what is merely odd is not."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from trainid_ros.core.record_validation import find_fault
+from trainid_ros.core.records import BrakeRecord, ForceRecord, GradientRecord, MassRecord, Record, SpeedRecord
+from trainid_ros.core.results import Reason, Rejection
+
+NS = 1_700_000_000_000_000_000
+GOOD: tuple[Record, ...] = (
+    SpeedRecord(NS, 20.0, 1000.0),
+    SpeedRecord(NS, 0.0, math.nan),
+    SpeedRecord(NS, 20.0, -5000.0),
+    ForceRecord(NS, -3e5),
+    GradientRecord(NS, -35.0, 0.0, tunnel=True),
+    BrakeRecord(NS, 0.0, emergency=True),
+    BrakeRecord(NS, -1.2, emergency=False),
+    MassRecord(NS, 2e5),
+)
+
+
+@pytest.mark.parametrize('record', GOOD, ids=repr)
+def test_possible_records_pass(record: Record) -> None:
+    assert find_fault(record) is None
+
+
+@pytest.mark.parametrize('record', GOOD, ids=repr)
+@pytest.mark.parametrize('stamp_ns', [0, -1])
+def test_a_record_without_a_stamp_is_refused(record: Record, stamp_ns: int) -> None:
+    fault = find_fault(replace(record, stamp_ns=stamp_ns))
+    assert fault is not None
+    assert fault.reason is Reason.ZERO_STAMP
+
+
+@pytest.mark.parametrize('value', [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize(
+    'record',
+    [
+        SpeedRecord(NS, 1.0, 0.0),
+        ForceRecord(NS, 1.0),
+        GradientRecord(NS, 1.0, 0.0, tunnel=False),
+        BrakeRecord(NS, 0.0, emergency=False),
+        MassRecord(NS, 1e5),
+    ],
+    ids=lambda record: type(record).__name__,
+)
+def test_what_is_not_finite_is_refused(record: Record, value: float) -> None:
+    name = ('speed', 'force', 'gradient', 'target_acceleration', 'mass')
+    field = next(key for key in name if hasattr(record, key))
+    changes: Any = {field: value}
+    fault = find_fault(replace(record, **changes))
+    assert fault is not None
+    assert fault.reason is Reason.NOT_FINITE
+
+
+def test_a_radius_must_be_finite() -> None:
+    fault = find_fault(GradientRecord(NS, 1.0, math.nan, tunnel=False))
+    assert fault is not None
+    assert fault.reason is Reason.NOT_FINITE
+
+
+@pytest.mark.parametrize('position', [math.inf, -math.inf])
+def test_an_infinite_position_is_no_unknown_position(position: float) -> None:
+    # Only NaN means unknown; an infinity would set the direction of travel.
+    fault = find_fault(SpeedRecord(NS, 10.0, position))
+    assert fault is not None
+    assert fault.reason is Reason.NOT_FINITE
+
+
+@pytest.mark.parametrize(
+    ('record', 'value', 'limit'),
+    [
+        (SpeedRecord(NS, -0.01, 0.0), -0.01, 0.0),
+        (SpeedRecord(NS, 201.0, 0.0), 201.0, 200.0),
+        (ForceRecord(NS, 2e8), 2e8, 1e8),
+        (GradientRecord(NS, -300.0, 0.0, tunnel=False), -300.0, -200.0),
+        (GradientRecord(NS, 0.0, -400.0, tunnel=False), -400.0, 5.0),
+        (GradientRecord(NS, 0.0, 0.001, tunnel=False), 0.001, 5.0),
+        (BrakeRecord(NS, 0.1, emergency=False), 0.1, 0.0),
+        (BrakeRecord(NS, -11.0, emergency=False), -11.0, -10.0),
+        (MassRecord(NS, 0.0), 0.0, 100.0),
+    ],
+    ids=repr,
+)
+def test_what_is_impossible_is_refused_with_the_limit_it_broke(record: Record, value: float, limit: float) -> None:
+    assert find_fault(record) == Rejection(NS, Reason.OUT_OF_RANGE, value, limit)

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The drive so far against a simulated train, whose state is known."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+
+from trainid_ros.core.codec import decode, encode
+from trainid_ros.core.samples import NOT_FOLLOWED, BrakeCommandChange, Motion, Sample
+from trainid_ros.estimators.drive_history import DriveHistoryState, DriveHistoryTracker
+from trainid_ros.sim.plant import Plant
+from trainid_ros.train.brake import CommandHistory
+from trainid_ros.train.effects import BRAKE_APPLIED
+from trainid_ros.train.line import LineProfile
+from trainid_ros.train.train_file import Line, TrainFile
+
+Make = Callable[..., Sample]
+START = 1_700_000_000 * 10**9
+BRAKING = {0: 0.0, 40: -0.3, 55: -0.9, 90: -0.2, 120: 0.0, 200: -0.6, 230: 0.0}
+
+
+def test_time_distance_heat_and_brake_are_those_of_the_train(train_file: TrainFile, sample: Make) -> None:
+    file = replace(train_file, line=Line(stops=(0.0, 1e5)))
+    train = Plant(file, LineProfile(file.line, 100.0), START, 1.0)
+    train.speed = 22.0
+    tracker = DriveHistoryTracker(file)
+    released = math.inf
+    for i in range(300):
+        changes: tuple[BrakeCommandChange, ...] = ()
+        if i in BRAKING:
+            train.command(BRAKING[i])
+            changes = (BrakeCommandChange(train.now_ns, BRAKING[i]),)
+        released = 0.0 if train.brake < BRAKE_APPLIED else released + 0.2
+        motion = tracker.follow(sample(i, speed=train.speed, brake_changes=changes)).motion
+        assert motion.time_s == pytest.approx(0.2 * i)
+        assert motion.distance_run == pytest.approx(train.distance_run, abs=0.2)
+        assert motion.heat == pytest.approx(train.heat, rel=0.01, abs=0.02)
+        assert motion.brake == pytest.approx(train.brake, abs=1e-9)
+        assert motion.since_release == pytest.approx(released, abs=0.25)
+        for _ in range(10):
+            train.step(0.0)
+    assert train.heat > 100.0
+
+
+def test_a_state_read_back_goes_on_to_the_bit(train_file: TrainFile, sample: Make) -> None:
+    first, second = DriveHistoryTracker(train_file), DriveHistoryTracker(train_file)
+    for i in range(20):
+        first.follow(sample(i, brake_changes=(BrakeCommandChange(START + i * 10**8, -0.01 * i),)))
+    second.state = decode(encode(first.state), DriveHistoryState)
+    for i in range(20, 30):
+        assert first.follow(sample(i)) == second.follow(sample(i))
+    assert first.state == second.state
+
+
+@pytest.mark.parametrize(
+    'motion',
+    [{'heat': math.nan}, {'distance_run': -1.0}, {'time_s': math.inf}, {'brake': 0.5}, {'since_release': -1.0}],
+)
+def test_a_state_that_no_drive_leads_to_is_not_sound(motion: dict[str, float]) -> None:
+    plain = Motion(time_s=1.0, distance_run=1.0)
+    assert DriveHistoryState(motion=plain).sound
+    assert not DriveHistoryState(motion=replace(plain, **motion)).sound
+    changes = (BrakeCommandChange(2, 0.0), BrakeCommandChange(1, -0.5))
+    assert not DriveHistoryState(motion=plain, commands=CommandHistory(changes)).sound
+    assert not DriveHistoryState(motion=plain, commands=CommandHistory((BrakeCommandChange(2, math.nan),))).sound
+
+
+def test_a_night_in_the_depot_cools_and_runs_no_distance(train_file: TrainFile, sample: Make) -> None:
+    tracker = DriveHistoryTracker(train_file)
+    for i in range(50):
+        tracker.follow(sample(i, brake_changes=(BrakeCommandChange(START, -0.5),) if i == 0 else ()))
+    before = tracker.state.motion
+    assert before.heat > 10.0
+    tracker.follow(sample(50, brake_changes=(BrakeCommandChange(START + 50 * 10**9 // 5, 0.0),)))
+    after = tracker.follow(sample(5 * 36_000)).motion
+    assert after.distance_run == pytest.approx(before.distance_run + 3.0, abs=1e-6)
+    assert after.time_s == pytest.approx(36_000.0)
+    assert after.heat == pytest.approx(0.0, abs=1e-6)
+
+
+def test_another_time_base_keeps_the_drive_and_forgets_commands(train_file: TrainFile, sample: Make) -> None:
+    tracker = DriveHistoryTracker(train_file)
+    for i in range(100, 110):
+        tracker.follow(sample(i, brake_changes=(BrakeCommandChange(START + i * 2 * 10**8, -0.5),)))
+    before = tracker.state.motion
+    after = tracker.follow(sample(3)).motion
+    assert (after.time_s, after.distance_run, after.heat) == (before.time_s, before.distance_run, before.heat)
+    assert not tracker.state.commands.changes
+    tracker.reset()
+    assert tracker.follow(sample(4)).motion == Motion(time_s=0.0, distance_run=0.0)
+
+
+def test_a_sample_that_nobody_followed_has_effects_set_in_and_run_warm(sample: Make) -> None:
+    assert sample(0).motion is NOT_FOLLOWED
+    assert (NOT_FOLLOWED.time_s, NOT_FOLLOWED.distance_run, NOT_FOLLOWED.heat) == (math.inf, math.inf, 0.0)

@@ -1,0 +1,200 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every registered algorithm does its job on a real day through the one protocol."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields, replace
+from typing import Any, TypeAlias
+
+import numpy as np
+import pytest
+
+from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
+from trainid_ros.core.alignment import Aligner, AlignmentConfig
+from trainid_ros.core.errors import InputError
+from trainid_ros.core.records import NS_PER_S, Record, SpeedRecord
+from trainid_ros.core.results import Rejection
+from trainid_ros.core.samples import Sample
+from trainid_ros.core.settings import setting_info
+from trainid_ros.estimators.pipeline import (
+    EstimatorPipeline,
+    EstimatorSettings,
+    Output,
+    brake_rate_pipeline,
+    resistance_pipeline,
+    speed_model_pipeline,
+)
+from trainid_ros.estimators.registry import Algorithms
+from trainid_ros.resistance.resistance_algorithms import RESISTANCE
+from trainid_ros.speed_model.speed_model_algorithms import SPEED_MODEL
+from trainid_ros.train.train_file import TrainFile
+
+Make: TypeAlias = Any
+
+ALL: list[tuple[str, Algorithms[Any], Make, str]] = [
+    (field, algorithms, make, name)
+    for field, algorithms, make in (
+        ('resistance', RESISTANCE, resistance_pipeline),
+        ('speed_model', SPEED_MODEL, speed_model_pipeline),
+        ('brake_rate', BRAKE_RATE, brake_rate_pipeline),
+    )
+    for name in algorithms.names
+]
+IDS = [f'{field}-{name}' for field, _, _, name in ALL]
+
+
+def pipeline(
+    field: str, algorithms: Algorithms[Any], make: Make, name: str, train_file: TrainFile
+) -> EstimatorPipeline[Any]:
+    settings: Any = {field: algorithms.choose(name)}
+    made: EstimatorPipeline[Any] = make(train_file, EstimatorSettings(**settings))
+    return made
+
+
+def numbers(estimate: Any) -> list[float]:
+    values = [getattr(estimate, name) for name in estimate.__dataclass_fields__]
+    return [float(x) for value in values for x in (value if isinstance(value, tuple) else (value,))]
+
+
+@dataclass(frozen=True)
+class Drive:
+    """Four minutes with an algorithm.
+
+    Attributes:
+        chosen: The pipeline at the end.
+        prior: Estimate at 10 m/s at the start.
+        outputs: Of the whole drive.
+
+    """
+
+    chosen: EstimatorPipeline[Any]
+    prior: list[float]
+    outputs: list[Output[Any]]
+
+
+@pytest.fixture(scope='module', params=ALL, ids=IDS)
+def drive(request: pytest.FixtureRequest, metro: TrainFile, day: tuple[Record, ...]) -> Drive:
+    field, algorithms, make, name = request.param
+    whole = pipeline(field, algorithms, make, name, metro)
+    prior = numbers(whole.estimator.estimate(10.0))
+    records = [record for record in day if record.stamp_ns < day[0].stamp_ns + 240 * NS_PER_S]
+    return Drive(whole, prior, [output for record in records for output in whole.push(record)])
+
+
+@pytest.fixture(scope='module')
+def samples(day: tuple[Record, ...]) -> list[Sample]:
+    """Some minutes with some records lost, so that there are gaps, and some speeds beyond any gate."""
+    rng, aligner = np.random.default_rng(61), Aligner(AlignmentConfig())
+    found: list[Sample] = []
+    for record in day:
+        if record.stamp_ns < day[0].stamp_ns + 200 * NS_PER_S and rng.random() > 0.002:
+            found += [event for event in aligner.push(record) if isinstance(event, Sample)]
+    wrong = rng.random(len(found)) < 0.02
+    return [replace(s, speed=s.speed + 8.0) if bad else s for s, bad in zip(found, wrong, strict=True)]
+
+
+@pytest.mark.parametrize(('field', 'algorithms', 'make', 'name'), ALL, ids=IDS)
+def test_saved_anywhere_a_copy_goes_on_to_the_bit(
+    field: str, algorithms: Algorithms[Any], make: Make, name: str, metro: TrainFile, samples: list[Sample]
+) -> None:
+    whole, copy = (pipeline(field, algorithms, make, name, metro).estimator for _ in range(2))
+    used = 0
+    for k, item in enumerate(samples):
+        if k % 83 == 7:
+            copy.restore(whole.save())
+            assert repr(copy.estimate(10.0)) == repr(whole.estimate(10.0)), k
+        answer, copied = whole.step(item), copy.step(item) if k >= 7 else None
+        if copied is not None:
+            assert (repr(copied), copy.converged) == (repr(answer), whole.converged), k
+            used += not isinstance(answer, Rejection)
+    assert used > 100
+    assert copy.save() == whole.save()
+
+
+def test_nothing_but_numbers_leaves(drive: Drive) -> None:
+    assert drive.chosen.used > 100
+    assert all(np.isfinite([x for x in numbers(o.estimate) if x == x]).all() for o in drive.outputs)  # noqa: PLR0124
+
+
+def test_a_reset_is_the_prior_again(drive: Drive) -> None:
+    drive.chosen.reset()
+    assert numbers(drive.chosen.estimator.estimate(10.0)) == pytest.approx(drive.prior, nan_ok=True)
+
+
+def test_an_unknown_name_is_told() -> None:
+    with pytest.raises(InputError, match=r"algorithm = 'XYZ' must be one of filter-bank"):
+        RESISTANCE.choose('XYZ')
+
+
+def test_settings_are_changed_by_name() -> None:
+    assert RESISTANCE.choose().algorithm == RESISTANCE.default == 'filter-bank'
+    assert RESISTANCE.choose(patience=5.0).config != RESISTANCE.choose().config
+
+
+@pytest.mark.parametrize(
+    ('field', 'name', 'setting'),
+    [
+        ('brake_rate', 'SMA', 'prior_std'),
+        ('brake_rate', 'GSMA-printed', 'prior_std'),
+        ('speed_model', 'integral-RLS', 'readmit_after'),
+        ('speed_model', 'AM-VFF-RLS-printed', 'readmit_after'),
+        ('speed_model', 'AM-RLS', 'min_forgetting'),
+        ('resistance', 'LS', 'innovation_length'),
+        ('resistance', 'V-MILS-printed', 'record_length'),
+    ],
+)
+def test_what_an_algorithm_does_not_heed_is_no_setting_of_it(field: str, name: str, setting: str) -> None:
+    algorithms = {item[0]: item[1] for item in ALL}[field]
+    assert setting in algorithms[name].config.__dataclass_fields__
+    assert setting not in algorithms[name].settings
+    with pytest.raises(InputError, match=f"{name} has no setting '{setting}'"):
+        algorithms.choose(name, **{setting: 3})
+
+
+def test_fixed_settings_are_settings() -> None:
+    for _, algorithms, _, name in ALL:
+        assert algorithms[name].fixed <= set(algorithms[name].config.__dataclass_fields__)
+        assert algorithms[name].settings
+
+
+@pytest.fixture(scope='module')
+def spoiled(day: tuple[Record, ...]) -> list[Sample]:
+    """Samples of a day in which some speeds are far off, up to six in a row."""
+    aligner, samples, count = Aligner(AlignmentConfig()), [], 0
+    for record in day:
+        count += isinstance(record, SpeedRecord)
+        far_off = count % 97 == 0 or count % 400 in range(4) or count % 900 in range(6)
+        wrong = replace(record, speed=record.speed + 6.0) if isinstance(record, SpeedRecord) and far_off else record
+        samples += [event for event in aligner.push(wrong) if isinstance(event, Sample)]
+        if len(samples) > 1400:
+            break
+    return samples
+
+
+PRINTED = [(algorithms, name) for _, algorithms, _, name in ALL if algorithms[name].fixed and name != 'LS']
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(('algorithms', 'name'), PRINTED)
+def test_every_setting_that_can_be_changed_acts(
+    algorithms: Algorithms[Any], name: str, metro: TrainFile, spoiled: list[Sample]
+) -> None:
+    samples = spoiled[: 1400 if algorithms is RESISTANCE else 500]
+
+    def end(**changes: float) -> list[float]:
+        try:
+            chosen = algorithms.make(algorithms.choose(name, **changes), metro, np.random.default_rng(1))
+        except InputError:  # it does not fit the other settings
+            return []
+        for sample in samples:
+            chosen.step(sample)
+        return numbers(chosen.estimate(13.0))
+
+    usual, config = end(), algorithms[name].config
+    for item in fields(config):
+        info = setting_info(item)
+        # The limit of what is fit to use changes no estimate.
+        if info is not None and item.name in algorithms[name].settings and item.name != 'valid_std':
+            kind, span = type(getattr(config, item.name)), info.high - info.low
+            some = (kind(value) for value in (info.low, info.low + 0.01 * span, min(info.high, 100)))
+            assert any(end(**{item.name: value}) != usual for value in some), item.name

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The filter whitens: applied to the identity it gives Z with Z C Z' = 1 for the covariance C written out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from trainid_ros.explain.dataset import Dataset
+from trainid_ros.explain.noise import Grid, Noise, Whitener, share_of_mean
+
+Array = NDArray[np.float64]
+INERTIA = 110.0
+INITIAL_VARIANCE = 100.0
+
+
+def grid_of(times: Array, share: Array, change: Array) -> Grid:
+    """Return the grid of one run."""
+    index = np.arange(times.size)[:, None]
+    dt = np.concatenate([[0.0], np.diff(times)])[:, None]
+    return Grid(index, dt, share[:, None], change[:, None], INERTIA, times.size)
+
+
+def covariance(times: Array, share: Array, change: Array, noise: Noise) -> Array:
+    """Return the covariance of speed errors: integrated Ornstein-Uhlenbeck gusts, impulses, noise, initial speed."""
+    t, tau = times - times[0], noise.gust_time
+    earlier = np.minimum(t[:, None], t[None, :])
+    decay = np.exp(-t / tau)
+    apart = np.exp(-np.abs(t[:, None] - t[None, :]) / tau)
+    gusts = (noise.gust * tau / INERTIA) ** 2 * (2.0 * earlier / tau - 1.0 + decay[:, None] + decay[None, :] - apart)
+    impulses = np.cumsum(np.square(noise.jitter * change))
+    before = np.minimum(np.arange(t.size)[:, None], np.arange(t.size)[None, :])
+    return np.asarray(gusts + impulses[before] + noise.speed**2 * np.diag(share) + INITIAL_VARIANCE)
+
+
+@pytest.mark.parametrize('jitter', [0.0, 0.05])
+@pytest.mark.parametrize('gust_time', [1.5, 20.0])
+def test_the_filter_whitens_the_dense_covariance(jitter: float, gust_time: float) -> None:
+    rng = np.random.default_rng(3)
+    times = np.cumsum(rng.uniform(0.4, 3.0, 40))
+    share, change = rng.uniform(0.2, 1.0, 40), rng.uniform(0.0, 1.0, 40) * (rng.random(40) < 0.3)
+    change[0] = 0.0
+    noise = Noise(0.03, 0.4, gust_time, jitter)
+    whitener = Whitener.of(grid_of(times, share, change), noise)
+    Z = whitener.apply(np.eye(40)[:, None, :])[:, 0, :]
+    C = covariance(times, share, change, noise)
+    np.testing.assert_allclose(Z @ C @ Z.T, np.eye(40), atol=1e-6)
+    assert float(whitener.log_det.sum()) == pytest.approx(np.linalg.slogdet(C)[1], rel=1e-6)
+
+
+def test_what_was_not_measured_takes_no_part() -> None:
+    times, share, change = np.arange(30.0), np.ones(30), np.zeros(30)
+    noise = Noise(0.03, 0.4, 5.0, 0.0)
+    share[7] = np.inf
+    values = np.random.default_rng(0).standard_normal((30, 1, 1))
+    spoiled = values.copy()
+    spoiled[7] = 1e3
+    whitener = Whitener.of(grid_of(times, share, change), noise)
+    np.testing.assert_array_equal(whitener.apply(values), whitener.apply(spoiled))
+    assert whitener.apply(spoiled)[7, 0, 0] == 0.0
+
+
+def test_runs_side_by_side_are_whitened_as_each_alone(dataset: Dataset) -> None:
+    grid, noise = Grid.of(dataset), Noise(0.03, 0.2, 8.0, 0.02)
+    whitener = Whitener.of(grid, noise)
+    column = np.random.default_rng(1).standard_normal((dataset.node_time.size, 1))
+    together = whitener.apply(grid.spread(column))
+    for k in range(len(dataset.runs)):
+        part = grid.part(slice(k, k + 1))
+        alone = Whitener.of(part, noise)
+        own = alone.apply(part.spread(column))
+        np.testing.assert_array_equal(own, whitener.part(slice(k, k + 1)).apply(part.spread(column)))
+        np.testing.assert_allclose(together[: len(own), k], own[:, 0], rtol=1e-12)
+        assert not together[len(own) :, k].any()
+        assert alone.log_det[0] == pytest.approx(whitener.log_det[k], rel=1e-12)
+
+
+def test_a_long_mean_keeps_the_noise_that_its_samples_share() -> None:
+    np.testing.assert_allclose(share_of_mean(np.array([1.0, 5.0, 1e9])), [1.0, 0.28, 0.1])
+
+
+def test_a_node_without_samples_has_infinite_noise(dataset: Dataset) -> None:
+    count = dataset.node_count.copy()
+    count[4] = 0.0
+    grid = Grid.of(replace(dataset, node_count=count))
+    assert np.isinf(grid.share[4, 0])
+    assert np.isfinite(grid.share).sum() == count.size - 1

@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Eliminated nuisances and Bayes factors against Gaussian evidence written out."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.stats import multivariate_normal, norm
+
+from trainid_ros.explain.dataset import Dataset
+from trainid_ros.explain.noise import Grid, Noise, Whitener
+from trainid_ros.explain.nuisances import run_columns
+from trainid_ros.explain.regression import (
+    Gram,
+    Information,
+    eliminate,
+    group_log_bayes,
+    log_bayes,
+    posterior,
+)
+
+Array = NDArray[np.float64]
+ROWS, NUISANCES, CANDIDATES = 40, 4, 3
+
+
+@pytest.fixture(scope='module')
+def columns() -> Array:
+    """Return y, nuisances and candidates: unit noise, and one candidate in y."""
+    rng = np.random.default_rng(7)
+    X = rng.standard_normal((ROWS, 1 + NUISANCES + CANDIDATES))
+    X[:, 0] += 0.8 * X[:, 1 + NUISANCES] + X[:, 1:5] @ [1.0, -0.5, 0.3, 0.0]
+    return X
+
+
+@pytest.fixture(scope='module')
+def root() -> Array:
+    """Return a factor of a prior covariance that is not diagonal."""
+    return np.tril(np.random.default_rng(8).uniform(0.2, 1.0, (NUISANCES, NUISANCES)))
+
+
+@pytest.fixture(scope='module')
+def information(columns: Array, root: Array) -> Information:
+    return eliminate(columns.T @ columns, NUISANCES, root)
+
+
+def evidence(columns: Array, root: Array, candidates: list[int], std: float) -> float:
+    """Return twice the log density of y under nuisances and some candidates."""
+    N, C = columns[:, 1 : 1 + NUISANCES] @ root, columns[:, [1 + NUISANCES + k for k in candidates]]
+    covariance = np.eye(ROWS) + N @ N.T + std * std * C @ C.T
+    return 2.0 * float(multivariate_normal.logpdf(columns[:, 0], cov=covariance))
+
+
+def test_bayes_factors_of_single_columns(columns: Array, root: Array, information: Information) -> None:
+    nothing = evidence(columns, root, [], 1.0)
+    expected = [evidence(columns, root, [k], 0.7) - nothing for k in range(CANDIDATES)]
+    np.testing.assert_allclose(log_bayes(np.diag(information.A), information.b, 0.7), expected, atol=1e-9)
+    assert expected[0] > 5.0
+
+
+def test_bayes_factor_of_a_group(columns: Array, root: Array, information: Information) -> None:
+    expected = evidence(columns, root, [0, 1, 2], 0.4) - evidence(columns, root, [], 1.0)
+    assert group_log_bayes(information.A, information.b, 0.4) == pytest.approx(expected, abs=1e-9)
+
+
+def test_likelihood_without_candidates(columns: Array, root: Array, information: Information) -> None:
+    whole = evidence(columns, root, [], 1.0) + ROWS * np.log(2.0 * np.pi)
+    assert -information.yy - information.log_det == pytest.approx(whole, abs=1e-9)
+
+
+@pytest.mark.parametrize('sign', [1, -1])
+def test_a_sign_counts_only_sizes_on_its_side(information: Information, sign: int) -> None:
+    A, b, std = float(information.A[0, 0]), float(information.b[0]), 0.7
+    x = np.linspace(0.0, sign * 12.0, 200_001)
+    likelihood = np.exp(b * x - 0.5 * A * x * x)
+    mean = np.trapezoid(likelihood * 2.0 * norm.pdf(x, scale=std), sign * x)
+    found = log_bayes(np.array([A]), np.array([b]), std, sign)
+    assert float(found[0]) == pytest.approx(2.0 * np.log(mean), abs=1e-5)
+
+
+def test_columns_eliminated_together_or_after_each_other(columns: Array, root: Array, information: Information) -> None:
+    std = np.array([0.5, 1.0, 2.0])
+    bigger = np.zeros((NUISANCES + 2, NUISANCES + 2))
+    bigger[:NUISANCES, :NUISANCES] = root
+    bigger[NUISANCES:, NUISANCES:] = np.diag(std[:2])
+    together = eliminate(columns.T @ columns, NUISANCES + 2, bigger)
+    after = information.given([0, 1], std)
+    np.testing.assert_allclose(after.A[2:, 2:], together.A, atol=1e-10)
+    np.testing.assert_allclose(after.b[2:], together.b, atol=1e-10)
+    assert after.yy == pytest.approx(together.yy)
+    assert after.log_det == pytest.approx(together.log_det)
+    assert information.given([], std) is information
+
+
+def test_posterior_solves_the_normal_equations(columns: Array, root: Array) -> None:
+    X = columns[:, : 1 + NUISANCES]
+    mean, covariance = posterior(X.T @ X, root)
+    precision = X[:, 1:].T @ X[:, 1:] + np.linalg.inv(root @ root.T)
+    np.testing.assert_allclose(covariance, np.linalg.inv(precision), atol=1e-12)
+    np.testing.assert_allclose(mean, np.linalg.solve(precision, X[:, 1:].T @ X[:, 0]), atol=1e-12)
+
+
+def test_factors_of_single_runs_are_columns_of_their_own(dataset: Dataset) -> None:
+    """Elimination run by run is that of one column for each run and factor."""
+    grid, std = Grid.of(dataset), np.array([0.03, 0.02])
+    whitener = Whitener.of(grid, Noise(0.03, 0.2, 8.0, 0.02))
+    columns = np.random.default_rng(2).standard_normal((dataset.node_time.size, 2))
+    factors = dataset.column(run_columns(dataset))
+    total, cost = Gram.of(columns, factors, grid, whitener).reduced(std)
+    apart_by_run, _ = Gram.of(columns, factors, grid, whitener, by_run=True).reduced(std)
+    np.testing.assert_allclose(apart_by_run.sum(axis=0), total)
+    apart = [factors * (dataset.node_run == k)[:, None] for k in range(len(dataset.runs))]
+    white = whitener.apply(grid.spread(np.concatenate([columns, *apart], axis=1)))
+    X = white.reshape(-1, white.shape[2])
+    order = [0, *range(2, X.shape[1]), 1]
+    whole = eliminate((X.T @ X)[np.ix_(order, order)], 6, np.diag(np.tile(std, 3)))
+    assert (total[0, 0], total[0, 1], total[1, 1]) == pytest.approx((whole.yy, whole.b[0], whole.A[0, 0]))
+    assert cost == pytest.approx(whole.log_det)

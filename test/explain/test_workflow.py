@@ -1,0 +1,260 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The whole workflow: a case of each verdict, an effect of a user, and data that hold little or nothing."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import fields, is_dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from trainid_ros.core.errors import NoAnswerError
+from trainid_ros.explain.explanation import Explanation, Verdict
+from trainid_ros.explain.run_data import Run
+from trainid_ros.explain.workflow import explain
+from trainid_ros.train.effect_text import parse_effects
+from trainid_ros.train.train_file import Davis, TrainFile
+
+# Kinds have no edges; without runs to hold out there is no gap.
+UNKNOWN = {'locations[].places[].low', 'locations[].places[].high'}
+UNKNOWN_OF_ONE_RUN = UNKNOWN | {'traces[].before', 'traces[].after', 'traces[].band'}
+
+ARRAYS = (
+    'time', 'dt', 'speed', 'position', 'gradient', 'radius', 'tunnel', 'traction', 'brake', 'heat', 'since_release',
+    'distance_run',
+)  # fmt: skip
+
+RESONANCE = """
+import math
+
+from trainid_ros.train.effects import EffectKind, Parameter
+
+EFFECT = EffectKind(
+    name='resonance',
+    title='bogies that hunt at one speed',
+    equation='w = value exp(-((v - 10) / 1.5)^2)',
+    parameters={'value': Parameter('N/kN', 0.0, 20.0)},
+    amplitude='value',
+    usual=1.0,
+    resistance=lambda p, davis, at: p['value'] * math.exp(-(((at.speed - 10.0) / 1.5) ** 2)),
+)
+"""
+
+
+def hunting(_: float, v: float, _direction: int) -> float:
+    return 4.0 * math.exp(-(((v - 10.0) / 1.5) ** 2))
+
+
+def not_finite(value: Any, path: str = '') -> Iterator[str]:
+    """Yield where something holds a number that is none."""
+    if isinstance(value, np.ndarray):
+        if not np.isfinite(value).all():
+            yield path
+    elif is_dataclass(value):
+        for item in fields(value):
+            yield from not_finite(getattr(value, item.name), f'{path}.{item.name}'.lstrip('.'))
+    elif isinstance(value, tuple):
+        for part in value:
+            yield from not_finite(part, f'{path}[]')
+    elif isinstance(value, float) and not math.isfinite(value):
+        yield path
+
+
+def names(reported: Explanation) -> list[str]:
+    return [effect.name for effect in reported.effects]
+
+
+def test_nothing_is_missing(maker: Any, believed: TrainFile) -> None:
+    steps: list[str] = []
+    reported = explain(maker().runs(4, 41), believed, advance=steps.append)
+    assert reported.verdict is Verdict.NO_GAP
+    assert reported.effects == ()
+    assert reported.gap is not None
+    assert reported.gap.before == reported.gap.after < 1.2 * reported.gap.noise_floor
+    assert reported.train_file.effects == ()
+    assert abs(reported.train_file.resistance.a - believed.resistance.a) < 4.0 * reported.davis_std[0]
+    assert reported.remaining.startswith('What is left is noise')
+    assert len(reported.traces) == 4
+    assert {'noise', 'held-out runs', 'places'} <= set(steps)
+    assert set(not_finite(reported)) <= UNKNOWN
+
+
+@pytest.mark.slow
+def test_an_effect_is_named_added_and_proved(dragged: list[Run], believed: TrainFile) -> None:
+    reported = explain(dragged, believed, provenance='by a test')
+    assert reported.verdict in {Verdict.EXPLAINED, Verdict.AMBIGUOUS}
+    assert names(reported) == ['local_drag']
+    (effect,) = reported.effects
+    assert effect.evidence > 15.0
+    assert 'position' in effect.where
+    for name, true in (('start', 100.0), ('end', 350.0), ('permille', 2.5)):
+        assert abs(dict(effect.parameters)[name] - true) < 3.5 * dict(effect.std)[name] + 0.01 * true
+    assert reported.gap is not None
+    assert reported.gap.after < 0.6 * reported.gap.before
+    (added,) = reported.train_file.effects
+    assert (added.name, added.parameters, added.provenance) == ('local_drag', effect.parameters, 'by a test')
+    assert not set(not_finite(reported)) - UNKNOWN
+    # What was written is a belief like any other.
+    again = explain(dragged, reported.train_file)
+    assert again.verdict is Verdict.NO_GAP
+    assert again.train_file.effects == reported.train_file.effects
+
+
+@pytest.mark.slow
+def test_what_no_effect_fits_is_unexplained(maker: Any, believed: TrainFile) -> None:
+    reported = explain(maker().runs(8, 43, hunting), believed)
+    assert reported.verdict is Verdict.UNEXPLAINED
+    assert reported.effects == ()
+    assert reported.train_file.effects == ()
+    assert 'speed' in reported.remaining
+    assert 'no effect of the library fits' in reported.remaining
+    assert not set(not_finite(reported)) - UNKNOWN
+
+
+def windy(_: float, v: float, direction: int) -> float:
+    air = v + 6.0 * direction
+    return 0.003 * (air * abs(air) - v * v)
+
+
+@pytest.mark.slow
+def test_what_was_written_explains_the_data_whatever_c_was_believed(maker: Any, believed: TrainFile) -> None:
+    runs = maker().runs(10, 47, windy)
+    reported = explain(runs, replace(believed, resistance=replace(believed.resistance, c=0.0022)))
+    assert names(reported) == ['headwind']
+    speed, std = dict(reported.effects[0].parameters)['speed'], dict(reported.effects[0].std)['speed']
+    assert abs(speed - 6.0) < 3.0 * std
+    assert abs(reported.train_file.resistance.c - 0.003) < 3.0 * reported.davis_std[2]
+    assert explain(runs, reported.train_file).verdict is Verdict.NO_GAP
+
+
+@pytest.mark.slow
+def test_an_effect_that_is_believed_too_small_is_replaced(maker: Any, believed: TrainFile) -> None:
+    runs = maker().runs(10, 48, windy)
+    reported = explain(runs, replace(believed, effects=parse_effects(['headwind:speed=2'])))
+    assert names(reported) == [effect.name for effect in reported.train_file.effects] == ['headwind']
+    assert abs(dict(reported.effects[0].parameters)['speed'] - 6.0) < 3.0 * dict(reported.effects[0].std)['speed']
+
+
+@pytest.mark.slow
+def test_many_runs_of_unequal_length(maker: Any, drag_of: Any, believed: TrainFile) -> None:
+    runs = [run for k in range(12) for run in maker(coast_s=20.0 + 3.0 * k).runs(2, 60 + k, drag_of(2.5))]
+    reported = explain(runs, believed)
+    assert names(reported) == ['local_drag']
+    assert reported.gap is not None
+    assert reported.gap.runs_held_out == 24
+
+
+@pytest.mark.slow
+def test_without_positions_no_place_is_named(dragged: list[Run], believed: TrainFile) -> None:
+    reported = explain([replace(run, positioned=False) for run in dragged], believed)
+    assert not {'local_drag', 'gradient_error'} & set(names(reported))
+    assert 'position' not in ' '.join(location.axis for location in reported.locations)
+
+
+@pytest.mark.slow
+def test_an_effect_of_a_user_takes_part(
+    maker: Any, believed: TrainFile, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / 'resonance.py').write_text(RESONANCE, encoding='utf-8')
+    monkeypatch.setenv('TRAINID_EFFECTS', str(tmp_path))
+    reported = explain(maker().runs(8, 43, hunting), believed)
+    assert names(reported) == ['resonance']
+    (effect,) = reported.effects
+    value, std = dict(effect.parameters)['value'], dict(effect.std)['value']
+    assert abs(value - 4.0) < 3.0 * std
+    assert reported.gap is not None
+    assert reported.gap.after < reported.gap.before
+    assert reported.train_file.effects[0].name == 'resonance'
+
+
+def emptied(_: list[Run]) -> list[Run]:
+    return []
+
+
+def cut_short(runs: list[Run]) -> list[Run]:
+    return [cut(run, 3) for run in runs]
+
+
+@pytest.mark.parametrize('spoil', [emptied, cut_short])
+def test_too_little_motion_is_no_answer(
+    maker: Any, believed: TrainFile, spoil: Callable[[list[Run]], list[Run]]
+) -> None:
+    with pytest.raises(NoAnswerError, match='too little motion'):
+        explain(spoil(maker().runs(6, 44)), believed)
+
+
+def one_run(runs: list[Run]) -> list[Run]:
+    return runs[:1]
+
+
+def two_runs(runs: list[Run]) -> list[Run]:
+    return runs[:2]
+
+
+def without_position(runs: list[Run]) -> list[Run]:
+    return [replace(r, position=r.distance_run, positioned=False, stops=(math.nan, math.nan)) for r in runs]
+
+
+def at_constant_speed(runs: list[Run]) -> list[Run]:
+    """Return runs that tell nothing: without a force, at one place and one speed."""
+    ones, nothing = [np.ones(r.time.size) for r in runs], [np.zeros(r.time.size) for r in runs]
+    return [
+        replace(r, speed=10.0 * one, traction=2.0 * one, brake=zero, position=100.0 * one, gradient=zero)
+        for r, one, zero in zip(runs, ones, nothing, strict=True)
+    ]
+
+
+def without_brake(runs: list[Run]) -> list[Run]:
+    return [cut(r, int(np.argmax(r.brake < 0.0))) for r in runs]
+
+
+def without_traction(runs: list[Run]) -> list[Run]:
+    return [replace(r, traction=np.zeros(r.time.size)) for r in runs]
+
+
+def in_one_bag_of_crumbs(runs: list[Run]) -> list[Run]:
+    return [*runs[:2], cut(runs[2], 1), cut(runs[3], 2)]
+
+
+def in_whole_km_h(runs: list[Run]) -> list[Run]:
+    return [replace(r, speed=np.round(r.speed * 3.6) / 3.6) for r in runs]
+
+
+def cut(run: Run, count: int) -> Run:
+    return replace(run, **{name: getattr(run, name)[:count] for name in ARRAYS})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    'spoil',
+    [
+        one_run, two_runs, without_position, at_constant_speed, without_brake, without_traction, in_one_bag_of_crumbs,
+        in_whole_km_h,
+    ],
+)  # fmt: skip
+def test_poor_data_are_told_without_a_number_that_is_none(
+    maker: Any, believed: TrainFile, spoil: Callable[[list[Run]], list[Run]]
+) -> None:
+    reported = explain(spoil(maker().runs(6, 45)), believed)
+    # A force that was never measured is a gap, but none with a name.
+    assert reported.verdict is Verdict.NO_GAP or (spoil is without_traction and reported.verdict is Verdict.UNEXPLAINED)
+    assert reported.effects == ()
+    assert not set(not_finite(reported)) - (UNKNOWN_OF_ONE_RUN if spoil is one_run else UNKNOWN)
+    assert (reported.gap is None) == (spoil is one_run)
+
+
+@pytest.mark.slow
+def test_odd_beliefs(maker: Any, believed: TrainFile) -> None:
+    runs = maker().runs(4, 46)
+    beliefs = (
+        replace(believed, resistance=Davis(0.0, 0.0, 0.0)),
+        replace(believed, train=replace(believed.train, length=1e-3)),
+        replace(believed, train=replace(believed.train, length=3000.0)),
+        replace(believed, effects=parse_effects(['wheel_diameter:ratio=1.01', 'local_drag:start=0,end=9,permille=0'])),
+    )
+    for belief in beliefs:
+        assert not set(not_finite(explain(runs, belief))) - UNKNOWN

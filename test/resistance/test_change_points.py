@@ -1,0 +1,172 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The tracker follows steps, ignores bursts, finds back when locked out and otherwise forgets nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from trainid_ros.core.codec import decode, encode
+from trainid_ros.resistance.change_points import ChangePointConfig, ChangePointState, Tracker
+from trainid_ros.resistance.normal import independent
+from trainid_ros.resistance.robust_fit import robust_fit
+
+STD = 0.5
+PRIOR = independent((1.0, 0.0, 0.0), (4.0, 0.01, 1e-4))
+PLAN = ChangePointConfig(
+    p=4,
+    outliers=0.1,
+    step_variances=(1.0, 1e-4, 1e-6),
+    hazard=1e-3,
+    spacing=8,
+    hypotheses=5,
+    patience=32,
+    lockout=60,
+)
+Spoil = Callable[[int, np.random.Generator], float]
+
+
+def phi(v: float) -> NDArray[np.float64]:
+    return np.array((1.0, v, v * v))
+
+
+def w(v: float | NDArray[np.float64], a: float = 1.5) -> float | NDArray[np.float64]:
+    return a + 0.03 * v + 0.004 * v * v
+
+
+def track(seed: int, count: int, *, a: Callable[[int], float] = lambda _: 1.5, spoil: Spoil | None = None) -> Tracker:
+    rng, tracker = np.random.default_rng(seed), Tracker(PRIOR, PLAN)
+    for i, v in enumerate(rng.uniform(3.0, 20.0, count).tolist()):
+        y = float(w(v, a(i))) + STD * float(rng.standard_normal())
+        tracker.update(phi(v), y + (spoil(i, rng) if spoil else 0.0), STD * STD)
+    return tracker
+
+
+def error(tracker: Tracker, a: float = 1.5) -> float:
+    v = np.linspace(3.0, 20.0, 30)
+    x, y, z = tracker.estimate.theta
+    return float(np.sqrt(np.mean((x + y * v + z * v * v - w(v, a)) ** 2)))
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_while_nothing_changes_it_is_as_good_as_least_squares(seed: int) -> None:
+    tracker = track(seed, 2000)
+    std = np.mean([tracker.estimate.predict(phi(v))[1] for v in np.linspace(3.0, 20.0, 30).tolist()]) ** 0.5
+    assert tracker.steps_found == 0
+    # Three parameters from 2000 observations, and some variance since there may have been a step of late.
+    assert 0.9 < std / (STD * (3.0 / 2000.0) ** 0.5) < 1.7
+    assert error(tracker) < 3.0 * std
+
+
+@pytest.mark.parametrize('step', [0.5, -0.8, 6.0, -9.0])
+def test_a_step_is_followed(step: float) -> None:
+    tracker = track(11, 1120, a=lambda i: 1.5 + (step if i >= 1000 else 0.0))
+    assert error(tracker, 1.5 + step) < 0.2
+    tracker = track(11, 1400, a=lambda i: 1.5 + (step if i >= 1000 else 0.0))
+    assert tracker.steps_found >= 1
+    assert error(tracker, 1.5 + step) < 0.12
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_bursts_are_no_step(seed: int) -> None:
+    """A tenth of the observations lies in bursts of ten that are all off by the same."""
+    tracker = track(seed, 1500, spoil=lambda i, _: 5.0 if i % 100 >= 90 else 0.0)
+    assert tracker.steps_found == 0
+    assert error(tracker) < 0.12
+
+
+def test_where_most_is_bad_for_a_while_it_holds_on() -> None:
+    tracker = track(4, 1000, spoil=lambda _, rng: float(rng.uniform(4.0, 20.0)) if rng.random() < 0.3 else 0.0)
+    assert error(tracker) < 0.15
+
+
+def test_saved_and_restored_it_goes_on_to_the_bit() -> None:
+    tracker = track(5, 333)
+    state = tracker.state()
+    assert state.is_valid(3)
+    copy = Tracker(PRIOR, PLAN)
+    copy.restore(decode(encode(state), ChangePointState))
+    for item in (tracker, copy):
+        item.update(np.array((1.0, 10.0, 101.0)), 3.0, 0.2, 1.5)
+    assert copy.estimate.theta.tolist() == tracker.estimate.theta.tolist()
+    assert copy.state() == tracker.state()
+    copy.reset()
+    assert copy.estimate.theta == pytest.approx(PRIOR.theta)
+    assert pytest.approx(PRIOR.P) == copy.estimate.P
+
+
+def test_a_state_of_the_wrong_size_shows() -> None:
+    state = track(6, 40).state()
+    assert not replace(state, memory=state.memory[:-1]).is_valid(3)
+    assert not replace(state, memory=(float('nan'), *state.memory[1:])).is_valid(3)
+    assert not replace(state, rows=((1.0, 2.0),)).is_valid(3)
+    assert not state.is_valid(6)
+
+
+def test_the_robust_fit_finds_what_most_rows_agree_on() -> None:
+    rng = np.random.default_rng(8)
+    v = rng.uniform(3.0, 20.0, 200)
+    y = w(v) + STD * rng.standard_normal(200)
+    y = np.where(rng.random(200) < 0.3, y + rng.uniform(4.0, 20.0, 200), y)
+    rows = tuple((1.0, float(x), float(x * x), float(z), STD * STD, 1.0) for x, z in zip(v, y, strict=True))
+    fit = robust_fit(rows, PRIOR)
+    assert fit is not None
+    at = np.linspace(3.0, 20.0, 30)
+    wrong = np.array([fit.predict(phi(x))[0] for x in at.tolist()]) - w(at)
+    # Three parameters from 140 good rows: 0.07.
+    assert float(np.sqrt(np.mean(wrong**2))) < 0.25
+
+
+@pytest.mark.parametrize('index', [0, 1, 2, 5, 6, 10])
+def test_information_of_no_covariance_shows(index: int) -> None:
+    """The left part of [P^-1 | P^-1 theta], 3 by 4 numbers row by row."""
+    state = track(6, 40).state()
+    for wrong in (-1.0, 0.0, 1e30):
+        memory = [*state.memory]
+        memory[index] = -1e30 if index in {0, 5, 10} and wrong > 0.0 else wrong if index in {0, 5, 10} else 1e30
+        assert not replace(state, memory=tuple(memory)).is_valid(3)
+
+
+@pytest.mark.parametrize(
+    'changes', [{'P': (-1.0,) + (0.0,) * 8}, {'P': (1.0,)}, {'theta': (1.0,)}, {'evidence': 1e4}, {'age': -1}]
+)
+def test_a_hypothesis_of_no_covariance_or_beyond_its_bounds_shows(changes: dict[str, Any]) -> None:
+    state = track(6, 40).state()
+    wrong = replace(state.hypotheses[0], **changes)
+    assert not replace(state, hypotheses=(wrong,)).is_valid(3)
+
+
+def test_what_does_not_step_keeps_its_variance_in_a_hypothesis_and_its_value_after_a_lock_out() -> None:
+    """The second parameter has no step: a jump of the first by 9 leaves it alone."""
+    rng = np.random.default_rng(7)
+    plan = replace(PLAN, step_variances=(1.0, 0.0))
+    tracker = Tracker(independent((0.0, 0.0), (4.0, 4.0)), plan)
+    for i in range(700):
+        x = np.array((1.0, float(rng.uniform(-1.0, 1.0))))
+        tracker.update(x, (1.0 if i < 600 else 10.0) + 0.5 * x[1] + 0.1 * float(rng.standard_normal()), 0.01)
+        if i == 400:
+            long, born = tracker.state().memory, tracker.state().hypotheses[-1]
+            assert born.P[0] > 10.0 / long[0]
+            assert born.P[3] < 2.0 / long[4]
+    assert tracker.steps_found >= 1
+    assert tracker.estimate.theta == pytest.approx([10.0, 0.5], abs=0.1)
+
+
+def test_widening_adds_variance_up_to_the_most_in_all() -> None:
+    tracker = track(3, 300)
+    before, most = tracker.estimate, np.array((4.0, 0.01, 1e-4))
+    tracker.widen(np.array((0.5, 0.0, 0.0)), most)
+    assert tracker.estimate.theta == pytest.approx(before.theta, rel=1e-6)
+    assert tracker.estimate.P[0, 0] == pytest.approx(before.P[0, 0] + 0.5, rel=1e-6)
+    tracker.widen(np.array((50.0, 0.0, 0.0)), most)
+    assert tracker.estimate.P[0, 0] == pytest.approx(4.0, rel=0.01)
+
+
+@pytest.mark.parametrize('changes', [{'mean_weight': float('nan')}, {'mean_weight': -0.1}, {'count': -1}])
+def test_a_weight_or_count_beyond_its_bounds_shows(changes: dict[str, float]) -> None:
+    assert not replace(track(6, 40).state(), **changes).is_valid(3)  # type: ignore[arg-type]

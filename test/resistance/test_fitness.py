@@ -1,0 +1,129 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An estimate becomes fit at its limit and stays so a little beyond."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from trainid_ros.resistance.fitness import DrivenSpeeds, drift_rates, is_fit, is_fit_where_driven
+
+
+@pytest.mark.parametrize(
+    ('std', 'was_fit', 'expected'),
+    [(0.09, False, True), (0.11, False, False), (0.11, True, True), (0.149, True, True), (0.151, True, False)],
+)
+def test_the_limit_is_half_as_wide_again_for_what_was_fit(std: float, was_fit: bool, expected: bool) -> None:
+    assert is_fit(lambda _: std * std, (3.0, 20.0), 0.1, was_fit=was_fit) is expected
+
+
+def test_both_ends_and_the_middle_of_the_speeds_count_alike() -> None:
+    variances = {2.0: 0.01, 6.0: 0.02, 10.0: 0.03}
+    assert is_fit(variances.__getitem__, (2.0, 10.0), 0.02**0.5 + 1e-9, was_fit=False)
+    assert not is_fit(variances.__getitem__, (2.0, 10.0), 0.02**0.5 - 1e-9, was_fit=False)
+
+
+def test_after_an_hour_the_drift_is_its_share_of_the_prior() -> None:
+    rates = drift_rates(0.1, (4.0, 1.0, 0.25))
+    assert [3600.0 * rate for rate in rates] == pytest.approx([0.04, 0.01, 0.0025])
+
+
+def driven(*speeds: float) -> DrivenSpeeds:
+    found = DrivenSpeeds()
+    for v in speeds:
+        found = found.add(v)
+    return found
+
+
+def test_the_moments_of_driven_speeds_by_hand() -> None:
+    found = driven(2.0, 4.0, 3.0)
+    assert (found.count, found.slowest, found.fastest) == (3, 2.0, 4.0)
+    # 9/3, 29/3, 99/3, 353/3
+    assert found.moments == pytest.approx((3.0, 29.0 / 3.0, 33.0, 353.0 / 3.0), rel=1e-12)
+    phi = np.array([[1.0, v, v * v] for v in (2.0, 4.0, 3.0)])
+    assert found.mean_outer() == pytest.approx(phi.T @ phi / 3.0, rel=1e-12)
+
+
+def test_a_mean_of_speeds_brings_its_slowest_and_fastest_with_it() -> None:
+    found = driven(10.0).add(6.0, 4.0, 11.0)
+    assert (found.slowest, found.fastest) == (4.0, 11.0)
+    assert found.moments == driven(10.0, 6.0).moments
+
+
+def test_moments_of_a_day_lose_no_digits() -> None:
+    speeds = np.random.default_rng(1).uniform(0.0, 80.0, 50_000)
+    found = driven(*speeds.tolist()).moments
+    assert found == pytest.approx(tuple(np.mean(speeds**k) for k in (1, 2, 3, 4)), rel=1e-11)
+
+
+@pytest.mark.parametrize(
+    ('found', 'sound'),
+    [
+        (DrivenSpeeds(), True),
+        (driven(2.0, 4.0), True),
+        (DrivenSpeeds(-1, 0.0, 1.0, (0.0, 0.0, 0.0, 0.0)), False),
+        (DrivenSpeeds(1, 2.0, 1.0, (1.0, 1.0, 1.0, 1.0)), False),
+        (DrivenSpeeds(1, -1.0, 1.0, (1.0, 1.0, 1.0, 1.0)), False),
+        (DrivenSpeeds(1, 1.0, 1.0, (1.0, 1.0, 1.0, -1.0)), False),
+    ],
+)
+def test_moments_that_no_speeds_have_are_not_sound(found: DrivenSpeeds, sound: bool) -> None:
+    assert found.is_valid() is sound
+
+
+THETA = np.array([1.0, 0.1, 0.01])
+
+
+def fit(std_a: float, std_b: float = 0.0, *, share: float = 0.0, was_fit: bool = False) -> bool:
+    """Whether w is fit at 5 and 15 m/s, as often, with a limit of 0.1 N/kN."""
+    covariance = np.diag([std_a**2, std_b**2, 0.0])
+    return is_fit_where_driven(THETA, covariance, driven(5.0, 15.0), 0.1, share, was_fit=was_fit)
+
+
+def test_before_the_first_speed_nothing_is_fit() -> None:
+    nothing = DrivenSpeeds()
+    assert not is_fit_where_driven(THETA, np.zeros((3, 3)), nothing, 0.1, 0.05, was_fit=False)
+    assert not is_fit_where_driven(THETA, np.zeros((3, 3)), nothing, 0.1, 0.05, was_fit=True)
+
+
+@pytest.mark.parametrize(
+    ('std', 'was_fit', 'expected'),
+    [(0.099, False, True), (0.101, False, False), (0.101, True, True), (0.149, True, True), (0.151, True, False)],
+)
+def test_where_driven_too_the_limit_is_half_as_wide_again_for_what_was_fit(
+    std: float, was_fit: bool, expected: bool
+) -> None:
+    assert fit(std, was_fit=was_fit) is expected
+
+
+def test_the_root_mean_square_over_the_driven_speeds_counts() -> None:
+    # Of b 0.01 N/kN per m/s: 0.05 N/kN at 5 m/s, 0.15 N/kN at 15 m/s, in root mean square 0.1118 N/kN.
+    rms = math.sqrt((0.05**2 + 0.15**2) / 2.0)
+    assert fit(0.0, 0.01 * 0.1 / rms * 0.999)
+    assert not fit(0.0, 0.01 * 0.1 / rms * 1.001)
+
+
+def test_a_speed_counts_as_often_as_it_was_driven() -> None:
+    covariance = np.diag([0.0, 0.01**2, 0.0])
+    for speeds, expected in (((5.0, 5.0, 5.0, 15.0), True), ((5.0, 15.0, 15.0, 15.0), False)):
+        assert is_fit_where_driven(THETA, covariance, driven(*speeds), 0.1, 0.0, was_fit=False) is expected
+
+
+def test_a_share_of_the_resistance_adds_to_the_limit_in_squares() -> None:
+    # w is 1.75 and 4.75 N/kN: in root mean square 3.5795. A twentieth of it is 0.17897, with 0.1 it makes 0.20502.
+    limit = math.hypot(0.1, 0.05 * math.sqrt((1.75**2 + 4.75**2) / 2.0))
+    assert limit == pytest.approx(0.20502, abs=1e-5)
+    assert fit(0.999 * limit, share=0.05)
+    assert not fit(1.001 * limit, share=0.05)
+    assert fit(1.499 * limit, share=0.05, was_fit=True)
+    assert not fit(1.501 * limit, share=0.05, was_fit=True)
+
+
+def test_correlated_errors_may_cancel_where_driven() -> None:
+    # What is known is w at 10 m/s: a and b are off against each other.
+    direction = np.array([1.0, -0.1, 0.0])
+    covariance = np.outer(direction, direction)
+    assert is_fit_where_driven(THETA, covariance, driven(10.0, 10.0), 0.01, 0.0, was_fit=False)
+    assert not is_fit_where_driven(THETA, covariance, driven(5.0, 15.0), 0.4, 0.0, was_fit=False)

@@ -1,0 +1,487 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The bank: its mixture by hand, how it branches and prunes, that it finds steps and knows its own error."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from trainid_ros.resistance.hypotheses import PUBLISHED, Bank, BankPlan, Hypotheses
+from trainid_ros.resistance.speed_states import (
+    DELTA,
+    GUST,
+    KAPPA,
+    MAP,
+    STATES,
+    A,
+    B,
+    C,
+    Interval,
+    ProcessNoise,
+    V,
+)
+
+Array = NDArray[np.float64]
+INERTIA, DT, SPEED_STD = 110.0, 0.2, 0.02
+NOISE = ProcessNoise(INERTIA, gust_time=6.0, map_length=250.0, force_density=0.02, skew=0.0, outliers=0.001)
+# v, a, b, c, gust, map error, kappa, delta, kappa_R
+MEAN = np.array([0.0, 1.5, 0.03, 0.004, 0.0, 0.0, 0.0, 0.0, 0.0])
+STD = np.array([0.0, 0.5, 0.02, 0.001, 0.0, 0.0, 0.03, 0.0, 0.0])
+PLAN = BankPlan(
+    mean=MEAN,
+    variance=STD**2,
+    gust_stds=(0.1, 0.2, 0.4),
+    map_stds=(0.05, 0.25),
+    step_variances=(0.25, 1e-6),
+    hazard=1.0 / 3600.0,
+    spacing=10.0,
+    most=20,
+    patience=10.0,
+    youth=120.0,
+    suspicion=20.0,
+    wrong_prior=0.0,
+    drift=np.zeros(STATES),
+    noise=NOISE,
+)
+ONE = replace(PLAN, gust_stds=(0.1,), map_stds=(0.05,), spacing=1e9)
+
+
+def still(speed: float, dt: float = DT) -> Interval:
+    """Traction that holds the speed as far as the prior knows."""
+    w = MEAN[A] + speed * (MEAN[B] + speed * MEAN[C])
+    return Interval(dt, (w, w, w, w), 0.0, 0.0, speed, SPEED_STD**2, dt, dt)
+
+
+def held(plan: BankPlan = PLAN, speed: float = 12.0) -> Bank:
+    bank = Bank(plan)
+    bank.restart(speed, SPEED_STD**2)
+    return bank
+
+
+def hypotheses(weights: list[float], ages: list[float], seed: int = 0) -> Hypotheses:
+    rng = np.random.default_rng(seed)
+    n = len(weights)
+    root = rng.standard_normal((n, STATES, STATES))
+    log_weight = np.log(weights)
+    return Hypotheses(
+        x=rng.standard_normal((n, STATES)),
+        P=root @ root.transpose(0, 2, 1),
+        log_weight=log_weight - log_weight.max(),
+        age=np.array(ages),
+        size=np.zeros(n),
+    )
+
+
+def drive(davis: Callable[[float], Array], seconds: float, seed: int, plan: BankPlan = ONE) -> list[Interval]:
+    """A train whose power is switched by speed, disturbed as the plan says: first gust, first map error, white force.
+
+    davis gives a, b, c, kappa at a time [s].
+    """
+    rng = np.random.default_rng(seed)
+    gust_std, map_std = plan.gust_stds[0], plan.map_stds[0]
+    v, gust, error, pulls, level = 12.0, rng.normal(0.0, gust_std), rng.normal(0.0, map_std), True, 30.0
+    tractions, speeds = [0.0], [v]
+    for i in range(round(seconds / DT)):
+        pulls = v < 16.0 if pulls else v < 9.0
+        level = rng.uniform(15.0, 45.0) if not pulls else level
+        T = level if pulls else -6.0
+        a, b, c, kappa = davis(i * DT)
+        white = rng.normal(0.0, math.sqrt(NOISE.force_density / DT))
+        v += DT / INERTIA * ((1.0 + kappa) * T + white - a - b * v - c * v * v - gust - error)
+        rho_g, rho_e = math.exp(-DT / NOISE.gust_time), math.exp(-v * DT / NOISE.map_length)
+        gust = rho_g * gust + gust_std * math.sqrt(1.0 - rho_g**2) * rng.standard_normal()
+        error = rho_e * error + map_std * math.sqrt(1.0 - rho_e**2) * rng.standard_normal()
+        tractions.append(T)
+        speeds.append(v)
+    measured = np.array(speeds) + rng.normal(0.0, SPEED_STD, len(speeds))
+    tractions += [tractions[-1]] * 2
+    first = Interval(DT, (0.0, 0.0, 0.0, 0.0), 0.0, 0.0, float(measured[0]), SPEED_STD**2, DT, DT)
+    return [first] + [
+        Interval(
+            DT,
+            (tractions[i - 1], tractions[i], tractions[i + 1], tractions[i + 2]),
+            0.0,
+            0.0,
+            float(measured[i]),
+            SPEED_STD**2,
+            DT,
+            DT,
+        )
+        for i in range(1, len(speeds))
+    ]
+
+
+def follow(bank: Bank, intervals: list[Interval]) -> None:
+    bank.restart(intervals[0].speed, intervals[0].speed_variance)
+    for interval in intervals[1:]:
+        bank.advance(interval)
+
+
+# The mixture
+
+
+def test_the_mixture_of_two_has_the_moments_computed_by_hand() -> None:
+    bank = Bank(PLAN)
+    bank.state = hypotheses([0.75, 0.25], [1e9, 1e9])
+    x, P = bank.state.x[:, PUBLISHED], [p[np.ix_(PUBLISHED, PUBLISHED)] for p in bank.state.P]
+    found = bank.mixture()
+    apart = x[0] - x[1]
+    assert found.mean == pytest.approx(0.75 * x[0] + 0.25 * x[1], rel=1e-12)
+    assert found.covariance == pytest.approx(
+        0.75 * P[0] + 0.25 * P[1] + 0.75 * 0.25 * np.outer(apart, apart), rel=1e-12
+    )
+
+
+def test_a_young_hypothesis_counts_in_the_covariance_more_than_in_the_mean() -> None:
+    bank = Bank(PLAN)
+    bank.state = hypotheses([0.9, 0.1], [1e9, 119.0])
+    x, P = bank.state.x[:, PUBLISHED], [p[np.ix_(PUBLISHED, PUBLISHED)] for p in bank.state.P]
+    mean = 0.9 * x[0] + 0.1 * x[1]
+    # 0.9 : 20 * 0.1
+    old, young = 0.9 / 2.9, 2.0 / 2.9
+    spread = old * np.outer(x[0] - mean, x[0] - mean) + young * np.outer(x[1] - mean, x[1] - mean)
+    found = bank.mixture()
+    assert found.mean == pytest.approx(mean, rel=1e-12)
+    assert found.covariance == pytest.approx(old * P[0] + young * P[1] + spread, rel=1e-12)
+    plain = 0.9 * P[0] + 0.1 * P[1] + 0.09 * np.outer(x[0] - x[1], x[0] - x[1])
+    assert found.posterior == pytest.approx(plain, rel=1e-12)
+    bank.state.age[1] = 120.0
+    assert bank.mixture().covariance == pytest.approx(plain, rel=1e-12)
+
+
+def test_a_hypothesis_counts_from_the_patience_on() -> None:
+    bank = Bank(PLAN)
+    bank.state = hypotheses([0.2, 0.8], [1e9, 9.99])
+    assert bank.mixture().mean == pytest.approx(bank.state.x[0, PUBLISHED], rel=1e-12)
+    bank.state.age[1] = 10.0
+    assert bank.mixture().mean == pytest.approx(
+        0.2 * bank.state.x[0, PUBLISHED] + 0.8 * bank.state.x[1, PUBLISHED], rel=1e-12
+    )
+
+
+def test_where_all_that_is_likely_is_new_all_count() -> None:
+    bank = Bank(PLAN)
+    bank.state = hypotheses([1.0, 1.0], [1.0, 1.0])
+    assert bank.mixture().mean == pytest.approx(bank.state.x[:, PUBLISHED].mean(axis=0), rel=1e-12)
+    bank.state.age[0] = 1e9
+    bank.state.log_weight[0] = -1e4
+    assert bank.mixture().mean == pytest.approx(bank.state.x[1, PUBLISHED], rel=1e-12)
+
+
+def test_the_covariance_of_the_mixture_is_never_smaller_than_that_of_the_best_part() -> None:
+    for seed in range(20):
+        bank = Bank(PLAN)
+        bank.state = hypotheses([1.0, 0.7, 0.3], [1e9, 50.0, 12.0], seed)
+        values = np.linalg.eigvalsh(bank.mixture().covariance)
+        assert values[0] > 0.0
+
+
+# The prior, the load, and the innovation
+
+
+def test_the_bank_starts_with_each_pair_of_sizes_at_the_prior() -> None:
+    bank = held()
+    assert len(bank.state.size) == 6
+    pairs = set(zip(bank.state.P[:, GUST, GUST].round(9), bank.state.P[:, MAP, MAP].round(9), strict=True))
+    assert pairs == {(round(g * g, 9), round(m * m, 9)) for g in PLAN.gust_stds for m in PLAN.map_stds}
+    found = bank.mixture()
+    assert found.mean == pytest.approx(MEAN[list(PUBLISHED)])
+    assert found.covariance == pytest.approx(np.diag(STD[list(PUBLISHED)] ** 2))
+
+
+def test_a_wide_prior_goes_along_with_little_weight() -> None:
+    bank = held(replace(PLAN, wrong_prior=0.01))
+    assert bank.state.log_weight == pytest.approx([0.0] * 6 + [math.log(0.01)] * 6)
+    assert bank.state.size.tolist() == [*range(6), *range(6)]
+    std = np.sqrt(np.diagonal(bank.state.P, axis1=1, axis2=2))[:, PUBLISHED]
+    assert std[6:] == pytest.approx(std[:6] * [5.0, 5.0, 5.0, 5.0, 1.0])
+    exact = replace(PLAN, wrong_prior=0.01, variance=PLAN.variance * (np.arange(STATES) != KAPPA))
+    assert held(exact).state.P[6:, KAPPA, KAPPA] == pytest.approx([0.06**2] * 6)
+
+
+@pytest.mark.parametrize(('hours', 'steps'), [(0.5, 0.5), (1.0, 1.0), (1000.0, 1.0)])
+def test_while_nothing_is_seen_a_and_c_may_have_stepped_once(hours: float, steps: float) -> None:
+    bank = held(replace(PLAN, hazard=1.0 / 3600.0, drift=np.full(STATES, 1e-9)))
+    bank.state.P *= 0.01
+    before = bank.state.P.copy()
+    bank.idle(3600.0 * hours)
+    grown = bank.state.P - before
+    expected = np.minimum(steps * np.array(PLAN.step_variances), 0.99 * PLAN.variance[[A, C]])
+    assert grown[0][[A, C], [A, C]] == pytest.approx(expected)
+    grown[:, [A, C], [A, C]] = 0.0
+    assert not grown.any()
+
+
+def test_a_stop_widens_the_force_scale_up_to_the_prior_and_once_more() -> None:
+    bank = held()
+    bank.state.P[:, KAPPA, KAPPA] = [1e-6, 1e-4, 9e-4, 9.5e-4, 0.01, 0.0]
+    others = bank.state.P.copy()
+    bank.widen_force_scale(1e-4)
+    # The prior has 9e-4.
+    assert bank.state.P[:, KAPPA, KAPPA] == pytest.approx([1.01e-4, 2e-4, 1e-3, 1e-3, 0.01, 1e-4], rel=1e-12)
+    others[:, KAPPA, KAPPA] = bank.state.P[:, KAPPA, KAPPA]
+    assert np.array_equal(bank.state.P, others)
+
+
+def test_the_innovation_is_that_of_the_mixture_before_the_speed_is_taken_in() -> None:
+    bank = held(replace(PLAN, gust_stds=(0.1,), map_stds=(0.05, 0.25)))
+    bank.state.x[:, V] = [11.9, 12.2]
+    bank.state.log_weight[:] = [0.0, math.log(0.5)]
+    lost = Bank(bank.plan)
+    now = bank.state
+    lost.state = replace(now, x=now.x.copy(), P=now.P.copy(), log_weight=now.log_weight.copy())
+    blind = replace(still(12.0), speed_variance=1e12)
+    lost.advance(blind)
+    v, S = lost.state.x[:, V], lost.state.P[:, V, V]
+    found = bank.advance(still(12.0))
+    mean = (2.0 * v[0] + v[1]) / 3.0
+    variance = (2.0 * (S[0] + (v[0] - mean) ** 2) + S[1] + (v[1] - mean) ** 2) / 3.0
+    assert found.value == pytest.approx(12.0 - mean, abs=1e-9)
+    assert found.variance == pytest.approx(variance + SPEED_STD**2, rel=1e-6)
+
+
+def test_hypotheses_are_weighed_by_the_density_of_the_speed() -> None:
+    bank = held(replace(PLAN, gust_stds=(0.1,), map_stds=(0.05, 0.25), noise=replace(NOISE, outliers=1e-6)))
+    bank.state.x[:, V] = [12.0, 12.03]
+    bank.state.log_weight[:] = [0.0, -0.5]
+    bank.advance(replace(still(12.0), speed=12.01))
+    # Both have the variance 4e-4 of the start and as much of the measurement, that of the rest is small.
+    densities = [-0.5 * nu**2 / (8e-4 + NOISE.force_density * DT / INERTIA**2) for nu in (0.01, -0.02)]
+    expected = densities[1] - 0.5 - densities[0]
+    assert bank.state.log_weight == pytest.approx([0.0, expected], abs=2e-3)
+
+
+def test_the_parameters_drift_as_planned() -> None:
+    drift = np.zeros(STATES)
+    drift[[A, C]] = 1e-3, 1e-12
+    bank, steady = held(replace(ONE, drift=drift)), held(ONE)
+    blind = replace(still(12.0, dt=0.5), speed_variance=1e12)
+    for _ in range(20):
+        bank.advance(blind)
+        steady.advance(blind)
+    grown = np.diag(bank.state.P[0] - steady.state.P[0])
+    assert grown[[A, C]] == pytest.approx([1e-2, 1e-11], rel=1e-6)
+    assert abs(grown[[B, KAPPA, DELTA]]).max() < 1e-9
+
+
+# Branching
+
+
+def branched(bank: Bank) -> Hypotheses:
+    """Advance until the bank has branched once more."""
+    count = bank.state.branchings
+    while bank.state.branchings == count:
+        bank.advance(still(12.0))
+    return bank.state
+
+
+def test_the_best_branches_into_a_step_of_a_and_one_of_c() -> None:
+    now = branched(held(replace(ONE, spacing=10.0)))
+    assert len(now.age) == 3
+    assert now.age[1:].tolist() == [0.0, 0.0]
+    # Half of the probability of a step within ten seconds each.
+    assert now.log_weight == pytest.approx([0.0, math.log(0.5 / 360.0), math.log(0.5 / 360.0)], rel=1e-12)
+    for child, state, variance in ((1, A, 0.25), (2, C, 1e-6)):
+        assert (now.x[child] == now.x[0]).all()
+        wider = now.P[child] - now.P[0]
+        assert wider[state, state] == pytest.approx(variance, rel=1e-9)
+        wider[state, state] = 0.0
+        assert not wider.any()
+
+
+def test_branching_comes_once_in_each_spacing_of_driving_time() -> None:
+    bank = held()
+    for _ in range(round(35.0 / DT)):
+        bank.advance(still(12.0))
+    assert bank.state.branchings == 3
+    # Rounding may put a branching one sample later.
+    assert bank.state.since_s == pytest.approx(5.0, abs=4.0 * DT)
+
+
+def test_a_new_size_is_next_to_that_of_the_best_and_not_among_the_likely_ones() -> None:
+    bank = held()
+    # Sizes by gust, then map error: 0.1/0.05 0.1/0.25 0.2/0.05 0.2/0.25 0.4/0.05 0.4/0.25
+    neighbours = {0: {1, 2}, 1: {0, 3}, 2: {0, 3, 4}, 3: {1, 2, 5}, 4: {2, 5}, 5: {3, 4}}
+    for size, near in neighbours.items():
+        bank.reset()
+        bank.restart(12.0, SPEED_STD**2)
+        bank.state.log_weight[:] = -20.0
+        bank.state.log_weight[size] = 0.0
+        seen = set()
+        for _ in range(2 * len(near)):
+            before = len(bank.state.size)
+            bank.state.since_s = PLAN.spacing
+            bank.advance(still(12.0))
+            assert len(bank.state.size) == before + 3
+            new = bank.state.size[-1]
+            assert bank.state.log_weight[-1] == pytest.approx(math.log(1e-3), abs=0.5)
+            seen.add(int(new))
+            # Without it, and with none likely but the best, the next one is tried.
+            for name in ('x', 'P', 'log_weight', 'age', 'size'):
+                setattr(bank.state, name, getattr(bank.state, name)[:6])
+            bank.state.log_weight[:] = -20.0
+            bank.state.log_weight[size] = 0.0
+        assert seen == near
+
+
+def test_no_size_is_added_while_the_neighbours_are_likely() -> None:
+    bank = held()
+    bank.state.since_s = PLAN.spacing
+    bank.advance(still(12.0))
+    assert len(bank.state.size) == 8
+    assert bank.state.size[-2:].tolist() == [bank.state.size[np.argmax(bank.state.log_weight)]] * 2
+
+
+def test_the_number_of_hypotheses_is_capped_and_the_best_is_kept() -> None:
+    bank = held(replace(PLAN, most=9))
+    for interval in drive(lambda _: MEAN[[A, B, C, KAPPA]], 120.0, 3)[1:]:
+        before = bank.state.branchings
+        bank.advance(interval)
+        if bank.state.branchings > before:
+            assert len(bank.state.log_weight) <= 9
+        assert bank.state.log_weight.max() == 0.0
+    assert len(bank.state.log_weight) == 9
+
+
+@pytest.mark.parametrize('most', [4, 7])
+@pytest.mark.parametrize('patience', [0.0, 10.0, 60.0])
+def test_young_ones_never_displace_the_best(most: int, patience: float) -> None:
+    """With a long patience all places could go to those that are spared."""
+    bank = held(replace(PLAN, most=most, patience=patience, hazard=1.0 / 60.0))
+    for _ in range(8):
+        branched(bank)
+        assert 1 <= len(bank.state.log_weight) <= most
+        assert bank.state.log_weight.max() == 0.0
+
+
+def test_the_probability_of_a_step_never_exceeds_one() -> None:
+    bank = held(replace(ONE, spacing=100.0, hazard=1.0 / 10.0))
+    now = branched(bank)
+    assert now.log_weight == pytest.approx([0.0, math.log(0.5), math.log(0.5)], rel=1e-12)
+
+
+def test_young_hypotheses_are_spared_where_room_is_scarce_and_old_ones_go() -> None:
+    bank = held(replace(PLAN, most=4))
+    bank.state = hypotheses([1.0, math.exp(-4.0), math.exp(-5.0), math.exp(-7.0)], [1e9, 1e9, 1e9, 1e9])
+    bank.state.x[:] = MEAN
+    bank.state.P[:] = np.diag(STD**2 + 1e-12)
+    bank.state.size[:] = [0, 0, 1, 2]
+    bank.state.since_s = PLAN.spacing
+    bank.restart(12.0, SPEED_STD**2)
+    bank.advance(still(12.0))
+    now = bank.state
+    # A step has e^-6.6: less likely than the two before, but new. Of the old ones the best two stay.
+    assert sorted(now.age.round().tolist()) == [0.0, 0.0, 1e9, 1e9]
+    assert sorted(now.log_weight[now.age > 1.0]) == pytest.approx([-4.0, 0.0], abs=0.05)
+
+
+def test_what_is_as_good_as_impossible_is_dropped_even_if_there_is_room() -> None:
+    bank = held()
+    bank.state.log_weight[:] = [0.0, -39.0, -41.0, -300.0, -1e5, -20.0]
+    bank.state.since_s = PLAN.spacing
+    bank.advance(still(12.0))
+    old = bank.state.log_weight[bank.state.age > 1e8]
+    assert sorted(round(float(weight)) for weight in old if weight < -10.0) == [-39, -20]
+
+
+def test_after_a_speed_that_nothing_explains_all_are_still_there() -> None:
+    bank = held()
+    bank.advance(replace(still(12.0), speed=200.0))
+    assert len(bank.state.log_weight) == 6
+    assert bank.state.log_weight.max() == 0.0
+    assert bank.state.log_weight.min() > -0.01
+    assert bank.mixture().mean == pytest.approx(MEAN[list(PUBLISHED)], abs=1e-3)
+
+
+# What the bank learns
+
+
+def test_a_step_of_a_is_found() -> None:
+    plan = replace(PLAN, gust_stds=(0.1, 0.2), map_stds=(0.05,), step_variances=(1.0, 1e-6))
+    before, after = np.array([1.8, 0.03, 0.004, 0.0]), np.array([3.3, 0.03, 0.004, 0.0])
+    bank = Bank(plan)
+    intervals = drive(lambda t: after if t > 150.0 else before, 270.0, 2, plan)
+    follow(bank, intervals[:751])
+    phi = np.array([1.0, 12.0, 144.0, 0.0, 0.0])
+    assert bank.mixture().mean @ phi == pytest.approx(before[:3] @ phi[:3], abs=0.3)
+    for interval in intervals[751:]:
+        bank.advance(interval)
+    found = bank.mixture()
+    assert found.mean @ phi == pytest.approx(after[:3] @ phi[:3], abs=0.4)
+    # It was a step: the best hypothesis began near it.
+    best = int(np.argmax(bank.state.log_weight))
+    assert bank.state.age[best] == pytest.approx(120.0, abs=30.0)
+
+
+@pytest.mark.slow
+def test_without_branching_a_filter_does_not_find_it() -> None:
+    """So it is the bank that finds the step, not the drift of one filter."""
+    before, after = np.array([1.8, 0.03, 0.004, 0.0]), np.array([3.3, 0.03, 0.004, 0.0])
+    bank = Bank(ONE)
+    follow(bank, drive(lambda t: after if t > 150.0 else before, 270.0, 2))
+    phi = np.array([1.0, 12.0, 144.0, 0.0, 0.0])
+    assert abs(bank.mixture().mean @ phi - after[:3] @ phi[:3]) > 0.4
+
+
+def test_large_gusts_make_the_hypotheses_of_large_gusts_the_likely_ones() -> None:
+    plan = replace(PLAN, gust_stds=(0.1, 0.4), map_stds=(0.05,))
+    truth = MEAN[[A, B, C, KAPPA]]
+    for gust, expected in ((0.1, 0.0), (0.4, 1.0)):
+        bank = Bank(plan)
+        follow(bank, drive(lambda _: truth, 120.0, 11, replace(plan, gust_stds=(gust,))))
+        assert bank.state.size[np.argmax(bank.state.log_weight)] == expected
+
+
+def errors_squared(seeds: range, seconds: float) -> tuple[float, float]:
+    """Mean NEES of a, b, c, kappa, and mean NIS, of one filter over drives whose parameters come from the prior."""
+    states = [A, B, C, KAPPA]
+    nees, nis = [], []
+    for seed in seeds:
+        truth = MEAN[states] + STD[states] * np.random.default_rng((seed, 1)).standard_normal(4)
+        bank = Bank(ONE)
+        intervals = drive(lambda _, truth=truth: truth, seconds, seed)  # type: ignore[misc]
+        bank.restart(intervals[0].speed, intervals[0].speed_variance)
+        for interval in intervals[1:]:
+            innovation = bank.advance(interval)
+            nis.append(innovation.value**2 / innovation.variance)
+        error = bank.state.x[0, states] - truth
+        nees.append(error @ np.linalg.solve(bank.state.P[0][np.ix_(states, states)], error) / 4.0)
+    return float(np.mean(nees)), float(np.mean(nis))
+
+
+def test_one_filter_knows_its_own_error() -> None:
+    nees, nis = errors_squared(range(16), 40.0)
+    # Means of chi-squared numbers over their degrees of freedom, 64 and 3200: 3 standard deviations.
+    assert nees == pytest.approx(1.0, abs=0.53)
+    assert nis == pytest.approx(1.0, abs=0.075)
+
+
+@pytest.mark.slow
+def test_one_filter_knows_its_own_error_over_many_drives() -> None:
+    nees, nis = errors_squared(range(100, 200), 120.0)
+    assert nees == pytest.approx(1.0, abs=0.21)
+    assert nis == pytest.approx(1.0, abs=0.02)
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+def test_in_half_a_day_of_driving_covariances_stay_symmetric_and_positive() -> None:
+    plan = replace(PLAN, gust_stds=(0.1,), map_stds=(0.05,), most=4, drift=1e-3 / 3600.0 * STD**2)
+    bank = held(plan)
+    rng = np.random.default_rng(1)
+    speeds = 12.0 + np.cumsum(rng.normal(0.0, 1e-3, 200_000)) + rng.normal(0.0, SPEED_STD, 200_000)
+    for i, speed in enumerate(speeds.tolist()):
+        bank.advance(still(min(max(speed, 2.0), 30.0)))
+        if i % 20_000 < 3:
+            P = bank.state.P
+            std = np.sqrt(np.diagonal(P, axis1=1, axis2=2))
+            std = np.where(std > 0.0, std, 1.0)
+            R = P / (std[:, :, None] * std[:, None, :])
+            assert np.max(np.abs(R - R.transpose(0, 2, 1))) < 1e-7
+            assert np.linalg.eigvalsh(R).min() > -1e-7
+    assert bank.is_finite()

@@ -1,0 +1,306 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The filter kernel against an integration of its equation, textbook matrices and drawn samples."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from trainid_ros.resistance.speed_states import (
+    DELTA,
+    GUST,
+    KAPPA,
+    KAPPA_R,
+    MAP,
+    STATES,
+    A,
+    B,
+    C,
+    Interval,
+    ProcessNoise,
+    V,
+    correct,
+    predict,
+    restart,
+    shifted_traction,
+)
+
+Array = NDArray[np.float64]
+Reports = tuple[float, float, float, float]
+INERTIA = 110.0
+NOISE = ProcessNoise(inertia=INERTIA, gust_time=6.0, map_length=250.0, force_density=0.0245, skew=0.015, outliers=0.01)
+INTERVAL = Interval(0.2, (18.0, 22.0, 27.0, 29.0), 4.5, 1.6, 14.2, 4e-4, 0.2, 0.2)
+# v, a, b, c, gust, map error, kappa, delta, kappa_R
+MEAN = np.array([14.0, 1.5, 0.03, 0.004, 0.3, -0.2, 0.04, 0.07, 0.2])
+STD = np.array([0.03, 0.4, 0.02, 0.0015, 0.15, 0.2, 0.03, 0.04, 0.1])
+GUST_VAR, MAP_VAR = 0.04, 0.01
+
+
+def random_covariance(seed: int) -> Array:
+    """All states correlated, with the standard deviations STD."""
+    root = np.random.default_rng(seed).standard_normal((STATES, 2 * STATES))
+    P = root @ root.T
+    size = np.sqrt(np.diag(P))
+    return np.asarray(np.outer(STD / size, STD / size) * P)
+
+
+def cubic(reports: Reports, u: Array) -> Array:
+    """The cubic through the reports at -1, 0, 1 and 2, from the linear equations for its coefficients."""
+    coefficients = np.linalg.solve(np.vander([-1.0, 0.0, 1.0, 2.0]), np.array(reports))
+    return np.asarray(np.polyval(coefficients, u))
+
+
+def moved(x: Array, interval: Interval, substeps: int = 50) -> Array:
+    """Integrate (1) by Heun's method for many states at once, shape (n, 9); gust and map error decay on the way."""
+    y = x.copy()
+    dt = interval.dt / substeps
+    T = cubic(interval.traction, x[:, DELTA] / interval.spacing)
+
+    def derivative(z: Array) -> Array:
+        v = z[:, V]
+        out = np.zeros_like(z)
+        known = (1.0 + z[:, KAPPA]) * T - interval.track - interval.curve * z[:, KAPPA_R]
+        out[:, V] = (known - z[:, A] - z[:, B] * v - z[:, C] * v * v - z[:, GUST] - z[:, MAP]) / INERTIA
+        out[:, GUST] = -z[:, GUST] / NOISE.gust_time
+        out[:, MAP] = -z[:, MAP] * interval.speed / NOISE.map_length
+        return out
+
+    for _ in range(substeps):
+        start = derivative(y)
+        y = y + 0.5 * dt * (start + derivative(y + dt * start))
+    return y
+
+
+def process_noise(interval: Interval) -> Array:
+    """Variances that an interval adds to v, gust and map error, by the docstrings."""
+    Q = np.zeros(STATES)
+    jitter = NOISE.skew * (interval.traction[1] - interval.traction[0])
+    Q[V] = (NOISE.force_density * interval.dt + jitter**2) / INERTIA**2
+    Q[GUST] = GUST_VAR * (1.0 - math.exp(-2.0 * interval.dt / NOISE.gust_time))
+    Q[MAP] = MAP_VAR * (1.0 - math.exp(-2.0 * interval.speed * interval.dt / NOISE.map_length))
+    return Q
+
+
+def predicted(x: Array, P: Array, interval: Interval = INTERVAL) -> tuple[Array, Array]:
+    """Return one hypothesis one interval later."""
+    xs, Ps = x[None].copy(), P[None].copy()
+    predict(xs, Ps, interval, np.array([GUST_VAR]), np.array([MAP_VAR]), NOISE)
+    return xs[0], Ps[0]
+
+
+# Traction between the reports
+
+
+@pytest.mark.parametrize('power', range(4))
+def test_the_shifted_traction_is_exact_for_polynomials_up_to_a_cubic(power: int) -> None:
+    reports = (float((-1) ** power), float(power == 0), 1.0, 2.0**power)
+    u = np.linspace(-1.0, 2.0, 13)
+    value, slope = shifted_traction(reports, u)
+    assert value == pytest.approx(u**power, abs=1e-12)
+    assert slope == pytest.approx(power * u ** max(0, power - 1), abs=1e-12)
+
+
+def test_at_whole_shifts_the_traction_is_that_reported() -> None:
+    reports = (3.0, -7.0, 11.0, 5.0)
+    value, _ = shifted_traction(reports, np.array([-1.0, 0.0, 1.0, 2.0]))
+    assert value == pytest.approx(np.array(reports), abs=1e-12)
+    assert value[1] == -7.0
+
+
+def test_beyond_the_reports_the_traction_is_the_last_one_known() -> None:
+    value, _ = shifted_traction((3.0, -7.0, 11.0, 5.0), np.array([-30.0, 30.0]))
+    assert value == pytest.approx([3.0, 5.0])
+
+
+# Prediction
+
+
+@pytest.mark.parametrize('dt', [0.05, 0.2, 1.0])
+@pytest.mark.parametrize('seed', range(3))
+def test_the_predicted_mean_is_the_integral_of_the_equation(dt: float, seed: int) -> None:
+    interval = replace(INTERVAL, dt=dt, spacing=dt)
+    x = MEAN + STD * np.random.default_rng(seed).standard_normal(STATES)
+    x[DELTA] *= min(1.0, dt / 0.2)
+    expected = moved(x[None], interval)[0]
+    found, _ = predicted(x, np.diag(STD**2), interval)
+    # Gust and map error are held over the interval: half of what they lose in it counts too much.
+    lost = abs(x[GUST] - expected[GUST]) + abs(x[MAP] - expected[MAP])
+    assert found[V] == pytest.approx(expected[V], abs=1e-6 + 0.6 * dt / INERTIA * lost)
+    assert np.delete(found, V) == pytest.approx(np.delete(expected, V), rel=1e-4, abs=1e-12)
+
+
+def test_a_change_between_two_slow_reports_of_the_force_came_at_any_time_between_them() -> None:
+    """By 20 N/kN within one second, interpolated in five equal parts: a step at a time of variance 1 s^2 / 12."""
+    part = replace(INTERVAL, traction=(18.0, 22.0, 26.0, 30.0), force_interval=1.0)
+    fast = replace(part, force_interval=0.2)
+    added = 5 * (predicted(MEAN, np.diag(STD**2), part)[1] - predicted(MEAN, np.diag(STD**2), fast)[1])[V, V]
+    assert added == pytest.approx((20.0 / INERTIA) ** 2 / 12.0)
+
+
+def test_the_predicted_covariance_follows_the_numerical_jacobian() -> None:
+    P = random_covariance(1)
+    F = np.zeros((STATES, STATES))
+    for i in range(STATES):
+        e = np.eye(STATES)[i] * 1e-3 * STD[i]
+        F[:, i] = (moved((MEAN + e)[None], INTERVAL) - moved((MEAN - e)[None], INTERVAL))[0] / (2.0 * e[i])
+    # Gust and map error act as they were at the start.
+    F[V, GUST] = F[V, MAP] = -INTERVAL.dt / INERTIA
+    expected = F @ P @ F.T + np.diag(process_noise(INTERVAL))
+    _, found = predicted(MEAN, P)
+    std = np.sqrt(np.diag(expected))
+    assert np.max(np.abs(found - expected) / np.outer(std, std)) < 2e-3
+    # Speed and traction of the interval must be in it, and not only what was there before.
+    assert np.max(np.abs(P - expected) / np.outer(std, std)) > 0.02
+
+
+def test_each_derivative_of_the_speed_is_the_numerical_one() -> None:
+    quiet = replace(NOISE, force_density=0.0, skew=0.0)
+    slow = replace(INTERVAL, dt=1.0)
+    for i in range(STATES):
+        # A variance of one state alone: P_vi is then its derivative, or P_vv the square of that of v.
+        P = np.zeros((1, STATES, STATES))
+        P[0, i, i] = 1.0
+        predict(MEAN[None].copy(), P, slow, np.zeros(1), np.zeros(1), quiet)
+        found = math.sqrt(P[0, V, V]) - 1.0 if i == V else P[0, V, i] / math.sqrt(P[0, i, i])
+        e = np.eye(STATES)[i] * 1e-2 * STD[i]
+        step = moved((MEAN + e)[None], slow)[0, V] - moved((MEAN - e)[None], slow)[0, V]
+        expected = step / (2.0 * e[i]) - (i == V)
+        if i in (GUST, MAP):  # they act as they were at the start
+            expected = -slow.dt / INERTIA
+        assert found == pytest.approx(expected, rel=2e-3)
+
+
+def test_what_is_known_exactly_gains_the_noise_of_the_process() -> None:
+    _, found = predicted(MEAN, np.zeros((STATES, STATES)))
+    assert found == pytest.approx(np.diag(process_noise(INTERVAL)), rel=1e-9, abs=1e-20)
+    # White force for 0.2 s, and 15 ms of the 4 N/kN by which it rose.
+    assert found[V, V] == pytest.approx((0.0245 * 0.2 + (0.015 * 4.0) ** 2) / INERTIA**2, rel=1e-9)
+
+
+def test_the_predicted_covariance_is_that_of_drawn_states() -> None:
+    rng = np.random.default_rng(5)
+    P = random_covariance(2)
+    interval = replace(INTERVAL, dt=1.0, traction=(5.0, 20.0, 35.0, 50.0))
+    n = 40_000
+    drawn = moved(rng.multivariate_normal(MEAN, P, n), interval, substeps=8)
+    drawn += rng.standard_normal((n, STATES)) * np.sqrt(process_noise(interval))
+    expected = np.cov(drawn.T)
+    found = predicted(MEAN, P, interval)[1]
+    std = np.sqrt(np.diag(expected))
+    # Correlations of 40 000 draws have a standard deviation of 0.005 at most.
+    assert np.max(np.abs(found - expected) / np.outer(std, std)) < 0.03
+
+
+def test_hypotheses_do_not_disturb_each_other() -> None:
+    rng = np.random.default_rng(8)
+    x = MEAN + STD * rng.standard_normal((4, STATES))
+    P = np.array([random_covariance(seed) for seed in range(4)])
+    alone = [predicted(x[i], P[i]) for i in range(4)]
+    predict(x, P, INTERVAL, np.full(4, GUST_VAR), np.full(4, MAP_VAR), NOISE)
+    for i, (mean, covariance) in enumerate(alone):
+        assert x[i] == pytest.approx(mean, rel=1e-14)
+        assert P[i] == pytest.approx(covariance, rel=1e-12, abs=1e-18)
+
+
+def test_undisturbed_gusts_keep_their_stationary_variance() -> None:
+    x, P = MEAN.copy(), np.zeros((STATES, STATES))
+    P[GUST, GUST], P[MAP, MAP] = GUST_VAR, MAP_VAR
+    for _ in range(50):
+        x, P = predicted(x, P)
+    assert P[GUST, GUST] == pytest.approx(GUST_VAR, rel=1e-12)
+    assert P[MAP, MAP] == pytest.approx(MAP_VAR, rel=1e-12)
+
+
+# Correction
+
+
+def test_without_outliers_the_correction_is_the_textbook_kalman_update() -> None:
+    P, R = random_covariance(3), INTERVAL.speed_variance
+    x, Q = MEAN[None].copy(), P[None].copy()
+    log_density, weight = correct(x, Q, INTERVAL, 0.0)
+    H = np.zeros((1, STATES))
+    H[0, V] = 1.0
+    S = H @ P @ H.T + R
+    K = P @ H.T @ np.linalg.inv(S)
+    nu = INTERVAL.speed - MEAN[V]
+    left = np.eye(STATES) - K @ H
+    joseph = left @ P @ left.T + R * K @ K.T
+    assert x[0] == pytest.approx(MEAN + K[:, 0] * nu, rel=1e-12)
+    std = np.sqrt(np.diag(joseph))
+    assert np.max(np.abs(Q[0] - joseph) / np.outer(std, std)) < 1e-10
+    variance = float(S[0, 0])
+    assert log_density[0] == pytest.approx(-0.5 * (nu**2 / variance + math.log(2.0 * math.pi * variance)), rel=1e-12)
+    assert weight[0] == 1.0
+
+
+def test_a_speed_two_metres_per_second_off_hardly_counts() -> None:
+    P = random_covariance(4)
+    x, Q = MEAN[None].copy(), P[None].copy()
+    log_density, weight = correct(x, Q, replace(INTERVAL, speed=MEAN[V] + 2.0), 0.01)
+    assert np.max(np.abs(x[0] - MEAN) / STD) < 1e-3
+    assert np.max(np.abs(Q[0] - P) / np.outer(STD, STD)) < 1e-3
+    assert weight[0] < 1e-9
+    # What is left is the density of an outlier: 1 % of them, within 2 m/s.
+    assert log_density[0] == pytest.approx(math.log(0.01 / 2.0), rel=1e-9)
+
+
+def test_an_outlier_hardly_counts_however_unsure_the_prediction_is() -> None:
+    """As after a force beyond all measure: 10 m/s of standard deviation, and 500 m/s off."""
+    P = np.diag(STD**2)
+    P[V, V], P[V, KAPPA] = 100.0, 0.9 * 10.0 * STD[KAPPA]
+    P[KAPPA, V] = P[V, KAPPA]
+    x, Q = MEAN[None].copy(), P[None].copy()
+    correct(x, Q, replace(INTERVAL, speed=MEAN[V] + 500.0), 0.01)
+    assert np.max(np.abs(x[0] - MEAN) / STD) < 1e-3
+    assert pytest.approx(P, rel=1e-9) == Q[0]
+
+
+def test_a_speed_as_predicted_counts_by_the_odds_that_it_is_none_of_the_outliers() -> None:
+    P = np.diag(STD**2)
+    x, Q = MEAN[None].copy(), P[None].copy()
+    log_density, weight = correct(x, Q, replace(INTERVAL, speed=MEAN[V]), 0.01)
+    # S = 0.03^2 + 4e-4 = 1.3e-3: 0.99 * 11.064668 against 0.01 / 2
+    assert weight[0] == pytest.approx(10.954021 / (10.954021 + 0.005), rel=1e-6)
+    assert log_density[0] == pytest.approx(math.log(10.959021), rel=1e-6)
+    assert x[0] == pytest.approx(MEAN, rel=1e-15)
+    assert Q[0, V, V] == pytest.approx(9e-4 * 4e-4 / 1.3e-3, rel=1e-3)
+
+
+def test_the_more_a_speed_is_off_the_less_it_weighs() -> None:
+    weights = []
+    for nu in (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 1.0, 100.0):
+        x, Q = MEAN[None].copy(), np.diag(STD**2)[None]
+        weights.append(float(correct(x, Q, replace(INTERVAL, speed=MEAN[V] + nu), 0.01)[1][0]))
+    assert weights == sorted(weights, reverse=True)
+    assert (weights[0] > 0.999, weights[-1] < 1e-100) == (True, True)
+
+
+def test_what_is_certain_stays_certain() -> None:
+    certain = [C, MAP, DELTA]
+    P = random_covariance(6)
+    P[certain, :] = P[:, certain] = 0.0
+    x, Q = MEAN[None].copy(), P[None].copy()
+    for _ in range(20):
+        predict(x, Q, INTERVAL, np.array([GUST_VAR]), np.zeros(1), NOISE)
+        correct(x, Q, replace(INTERVAL, speed=float(x[0, V]) + 0.02), 0.01)
+    assert not Q[0, certain].any()
+    assert x[0, C] == MEAN[C]
+    assert x[0, DELTA] == MEAN[DELTA]
+
+
+def test_a_restart_forgets_the_motion_and_keeps_the_parameters() -> None:
+    P = random_covariance(7)
+    x, Q = MEAN[None].copy(), P[None].copy()
+    restart(x, Q, 9.0, 1e-3, np.array([GUST_VAR]), np.array([MAP_VAR]))
+    kept = [A, B, C, KAPPA, DELTA, KAPPA_R]
+    assert (x[0, kept] == MEAN[kept]).all()
+    assert (Q[0][np.ix_(kept, kept)] == P[np.ix_(kept, kept)]).all()
+    assert x[0, [V, GUST, MAP]].tolist() == [9.0, 0.0, 0.0]
+    forgotten = [V, GUST, MAP]
+    assert not Q[0][np.ix_(forgotten, kept)].any()
+    assert not Q[0][np.ix_(kept, forgotten)].any()
+    assert (Q[0][np.ix_(forgotten, forgotten)] == np.diag([1e-3, GUST_VAR, MAP_VAR])).all()

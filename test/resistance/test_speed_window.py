@@ -1,0 +1,170 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Resistance from a window of speed: exact without noise, as noisy as it says with it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from trainid_ros.core.records import NS_PER_S
+from trainid_ros.core.results import Reason, Rejection
+from trainid_ros.resistance.speed_window import Tick, WindowResult, observe_resistance, overlap_factor
+
+INERTIA, STD = 110.0, 0.025
+START = 1_700_000_000 * NS_PER_S
+
+
+def window(
+    count: int,
+    *,
+    a: float = 2.0,
+    b: float = 0.0,
+    c: float = 0.0,
+    seed: int = 0,
+    noise: float = 0.0,
+    force: bool = True,
+    speed: float = 15.0,
+) -> list[Tick]:
+    """Ticks of exact motion under a + b v + c v^2, with irregular steps and changing force."""
+    rng = np.random.default_rng(seed)
+    v, stamp, ticks = speed, START, []
+    for i in range(count):
+        dt_ns = int(rng.integers(120_000_000, 380_000_000))
+        u = float(rng.uniform(-20.0, 60.0)) if force else 0.0
+        dt = dt_ns / NS_PER_S
+        if i:
+            stamp += dt_ns
+            for _ in range(200):
+                middle = v + 0.5 * dt / 200 * (u - a - b * v - c * v * v) / INERTIA
+                v += dt / 200 * (u - a - b * middle - c * middle * middle) / INERTIA
+        ticks.append(Tick(stamp, dt, v + noise * float(rng.standard_normal()), u, u))
+    return ticks
+
+
+def observed(ticks: list[Tick]) -> WindowResult:
+    result = observe_resistance(ticks, INERTIA, STD)
+    assert isinstance(result, WindowResult)
+    return result
+
+
+@pytest.mark.parametrize('seed', range(5))
+@pytest.mark.parametrize('count', [5, 25, 60])
+def test_constant_resistance_is_exact_under_changing_force_and_irregular_steps(seed: int, count: int) -> None:
+    result = observed(window(count, seed=seed))
+    assert result.y == pytest.approx(2.0, abs=1e-9)
+    assert result.phi[0] == pytest.approx(1.0, abs=1e-12)
+
+
+@pytest.mark.parametrize('seed', range(5))
+def test_the_regressor_carries_resistance_that_grows_with_speed(seed: int) -> None:
+    a, b, c = 1.5, 0.03, 0.008
+    result = observed(window(40, a=a, b=b, c=c, seed=seed))
+    # Speed is taken as linear between samples; the curvature of 0.4 s of motion costs less than this.
+    assert result.y == pytest.approx(a + b * result.phi[1] + c * result.phi[2], abs=1e-5)
+
+
+def test_constant_speed_has_the_regressor_of_that_speed() -> None:
+    ticks = [Tick(START, 0.2, 12.0, 2.0, 2.0)] * 25
+    assert observed(ticks).phi == pytest.approx((1.0, 12.0, 144.0), rel=1e-12)
+    assert observed(ticks).y == pytest.approx(2.0, rel=1e-12)
+    assert observed(ticks).duration == pytest.approx(4.8)
+
+
+def test_three_spikes_in_a_window_change_nothing() -> None:
+    clean = observed(window(25, seed=1))
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        ticks = window(25, seed=1)
+        for k in rng.choice(25, 3, replace=False).tolist():
+            spike = float(rng.choice([-8.0, -1.0, 0.5, 20.0]))
+            ticks[k] = Tick(ticks[k].stamp_ns, ticks[k].dt, ticks[k].speed + spike, ticks[k].known_force, 0.0)
+        result = observed(ticks)
+        # The others are exact, so leaving the spikes out leaves the answer exact.
+        assert result.y == pytest.approx(clean.y, abs=1e-9), seed
+        # Resistance 2 and no noise: the mended speeds move the regressor's mean speed little.
+        assert result.phi[0] == pytest.approx(1.0, abs=1e-12)
+        assert result.phi[1] == pytest.approx(clean.phi[1], abs=0.1)
+        assert result.noise_std > clean.noise_std
+
+
+def test_slip_over_half_of_the_window_is_refused_with_its_numbers() -> None:
+    ticks = window(25, seed=1)
+    slipped = [
+        Tick(t.stamp_ns, t.dt, t.speed + (2.0 if 6 <= i < 18 else 0.0), t.known_force, 0.0) for i, t in enumerate(ticks)
+    ]
+    result = observe_resistance(slipped, INERTIA, STD)
+    assert isinstance(result, Rejection)
+    assert (result.reason, result.stamp_ns) == (Reason.SPEED_INCONSISTENT, ticks[-1].stamp_ns)
+    assert result.value > result.limit == 5.0 * STD
+
+
+def test_its_noise_is_what_it_says_and_it_has_no_bias() -> None:
+    results = [observed(window(25, seed=s, noise=STD, force=False)) for s in range(400)]
+    z = np.array([(r.y - 2.0) / r.noise_std for r in results])
+    # 400 windows: the mean is known to 0.05, the standard deviation to 0.035.
+    assert abs(z.mean()) < 0.2
+    assert z.std() == pytest.approx(1.0, abs=0.12)
+
+
+@pytest.mark.parametrize('late_s', [0.05, 0.2])
+def test_the_rate_of_the_traction_is_what_a_late_force_costs(late_s: float) -> None:
+    """Delay the force by d: the resistance appears to change by d times the slope of the traction."""
+    dt = 0.2
+    t: NDArray[np.float64] = dt * np.arange(30, dtype=np.float64)
+
+    def mean_force(at: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Mean since the sample before of a force that rises to 40 N/kN within a second."""
+        middle = at - 0.5 * dt
+        return 20.0 + 20.0 * np.tanh((middle - 3.0) / 0.5)
+
+    v = 15.0 + np.cumsum(np.where(t > 0.0, (mean_force(t) - 2.0) * dt / INERTIA, 0.0))
+
+    def result(known: NDArray[np.float64]) -> WindowResult:
+        columns = zip(t.tolist(), v.tolist(), known.tolist(), strict=True)
+        return observed([Tick(START + round(x * NS_PER_S), dt, s, u, u) for x, s, u in columns])
+
+    exact, delayed = result(mean_force(t)), result(mean_force(t - late_s))
+    # y = w - delta Dw: the reported force comes late, by delta.
+    assert delayed.y - 2.0 == pytest.approx(-late_s * delayed.traction_rate, abs=0.03 * late_s * exact.traction_rate)
+    assert exact.y == pytest.approx(2.0, abs=1e-9)
+
+
+@pytest.mark.parametrize('seed', range(3))
+def test_a_scale_of_the_traction_shows_by_its_weighted_mean(seed: int) -> None:
+    """Report 5 % too little force: y = w - kappa Tw holds exactly."""
+    ticks = window(25, seed=seed)
+    little = [replace(tick, known_force=tick.known_force / 1.05, traction=tick.traction / 1.05) for tick in ticks]
+    result = observed(little)
+    assert result.y == pytest.approx(2.0 - 0.05 * result.traction, abs=1e-9)
+    assert result.traction_size == pytest.approx(np.mean([abs(tick.traction) for tick in little[1:]]))
+
+
+def test_the_error_of_a_curve_shows_by_its_weighted_curvature() -> None:
+    """Resistance 2 + .3 per unit of curvature, of which .1 is known; curvature is the mean of each interval."""
+    rng = np.random.default_rng(3)
+    curve = np.clip(rng.normal(0.0, 1.0, 30).cumsum(), 0.0, 5.0)
+    v = 15.0 - np.append(0.0, np.cumsum(0.2 * (2.0 + 0.3 * curve[1:]) / INERTIA))
+    ticks = [
+        Tick(START + k * NS_PER_S // 5, 0.2, float(v[k]), -0.1 * float(x), 0.0, curve=float(x))
+        for k, x in enumerate(curve)
+    ]
+    result = observed(ticks)
+    assert result.y == pytest.approx(2.0 + 0.2 * result.curve, abs=1e-9)
+
+
+@pytest.mark.parametrize(('size', 'hop'), [(25, 12), (25, 5), (11, 3), (25, 25)])
+def test_overlap_factor_by_monte_carlo(size: int, hop: int) -> None:
+    """Variance of the mean of many slopes, over what independent slopes would have."""
+    rng = np.random.default_rng(4)
+    n, repeats = 60, 3000
+    noise = rng.standard_normal((repeats, (n - 1) * hop + size))
+    c = np.arange(size) - 0.5 * (size - 1)
+    slopes = np.stack([noise[:, k * hop : k * hop + size] @ c / (c @ c) for k in range(n)], axis=1)
+    measured = n * slopes.mean(axis=1).var() * (c @ c)
+    # 3000 repeats know a variance to 2.6 %; the ends of 60 slopes are missing some neighbours, which shrinks with 1/n.
+    ends = 2.0 * sum(k * (c[: -k * hop] @ c[k * hop :]) for k in range(1, -(-size // hop))) / (n * (c @ c))
+    assert measured + ends == pytest.approx(overlap_factor(size, hop), rel=0.1)
+    assert overlap_factor(25, 25) == 1.0

@@ -1,0 +1,146 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The batch fit in time: exact on exact motion, honest in gusts, deaf to slip."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from trainid_ros.core.errors import InputError, NoAnswerError
+from trainid_ros.resistance.trajectory.davis_fit import DavisFitConfig, fit_davis
+from trainid_ros.resistance.trajectory.pieces import Trajectory
+
+THETA = np.array([1.5, 0.03, 0.004])
+INERTIA = 110.0
+DT = 0.2
+WHITE = DavisFitConfig(
+    speed_std=0.02, disturbance_std=1e-5, learn_noise=False, force_skew=1e-9, force_error=1e-9, force_jitter=0.0
+)
+
+
+def pieces(count: int = 6, nodes: int = 400, gust: float = 0.0, seed: int = 0) -> Trajectory:
+    """Runs that accelerate, hold and coast, integrated in fine steps of (3)."""
+    rng = np.random.default_rng(seed)
+    a, b, c = THETA.tolist()
+    speeds, known, traction, dts = [], [], [], []
+    for k in range(count):
+        v, g = 2.0, gust * rng.standard_normal()
+        for i in range(nodes):
+            pull = 60.0 if i < 60 + 5 * k else (4.0 if i < 200 else 0.0)
+            hill = 3.0 * np.sin(0.02 * i + k)
+            if i:
+                for _ in range(2):
+                    middle = v + 0.05 * (pull - hill - g - a - v * (b + c * v)) / INERTIA
+                    v += 0.1 * (pull - hill - g - a - middle * (b + c * middle)) / INERTIA
+                g += -0.04 * g + gust * np.sqrt(0.08) * rng.standard_normal()
+            speeds.append(v)
+            known.append(pull - hill)
+            traction.append(pull)
+            dts.append(DT if i else 0.0)
+    return Trajectory(np.array(speeds), np.array(dts), np.array(known), np.array(traction), INERTIA)
+
+
+def noisy(given: Trajectory, std: float, seed: int) -> Trajectory:
+    return replace(given, speed=given.speed + std * np.random.default_rng(seed).standard_normal(given.speed.size))
+
+
+def curve(theta: np.ndarray, v: float) -> float:
+    return float((theta - THETA) @ [1.0, v, v * v])
+
+
+def test_exact_motion_gives_exact_parameters() -> None:
+    fit = fit_davis(pieces(), WHITE)
+    assert fit.converged
+    assert max(abs(curve(fit.theta, v)) for v in (5.0, 12.0, 20.0)) < 1e-3
+    assert fit.mse < 1e-9
+
+
+def test_white_noise_is_met_at_the_bound() -> None:
+    clean, nees = pieces(), []
+    for seed in range(20):
+        fit = fit_davis(noisy(clean, 0.02, seed), WHITE)
+        e = fit.theta - THETA
+        nees.append(e @ np.linalg.solve(fit.covariance / fit.inflation, e) / 3.0)
+    # Mean of 60 squares of normals, whose weights fall off beyond two standard deviations.
+    assert 0.5 < np.mean(nees) < 1.7
+
+
+def test_gusts_are_found_and_widen_the_deviations() -> None:
+    calm = fit_davis(noisy(pieces(), 0.02, 1), DavisFitConfig())
+    z = []
+    for seed in range(4):
+        fit = fit_davis(noisy(pieces(gust=0.5, seed=seed), 0.02, seed), DavisFitConfig())
+        assert fit.resistance(20.0)[1] > 2.0 * calm.resistance(20.0)[1]
+        z += [curve(fit.theta, v) / fit.resistance(v)[1] for v in (12.0, 20.0)]
+    assert np.sqrt(np.mean(np.square(z))) < 2.5
+
+
+def test_slip_does_not_count() -> None:
+    clean = noisy(pieces(), 0.02, 3)
+    speed, rng = clean.speed.copy(), np.random.default_rng(4)
+    for at in rng.integers(20, speed.size - 20, 30):
+        speed[at : at + int(rng.integers(2, 9))] += rng.uniform(0.3, 2.0)
+    slipped = replace(clean, speed=speed)
+    robust = fit_davis(slipped, DavisFitConfig())
+    plain = fit_davis(slipped, DavisFitConfig(huber=1e6, cut=1e6))
+    assert robust.outliers > 0.03
+    assert abs(curve(robust.theta, 15.0)) < 0.1
+    assert abs(curve(plain.theta, 15.0)) > 2.0 * abs(curve(robust.theta, 15.0))
+
+
+def test_a_late_force_is_found() -> None:
+    clean = pieces()
+    late = np.where(clean.dt > 0.0, np.concatenate((clean.traction[:1], clean.traction[:-1])), clean.traction)
+    shifted = replace(clean, traction=late, known=clean.known - clean.traction + late)
+    fit = fit_davis(noisy(shifted, 0.02, 5), replace(DavisFitConfig(), force_skew=0.5))
+    assert fit.force_delay == pytest.approx(0.2, abs=0.05)
+
+
+def test_one_speed_tells_no_parameters_apart() -> None:
+    count = 500
+    dt = np.full(count, DT)
+    dt[0] = 0.0
+    level = Trajectory(np.full(count, 15.0), dt, np.full(count, 2.85), np.zeros(count), INERTIA)
+    with pytest.raises(NoAnswerError, match='do not tell a, b and c apart'):
+        fit_davis(level, WHITE)
+
+
+def test_nothing_to_fit_and_wrong_settings_are_told() -> None:
+    empty = Trajectory(*(np.zeros(0) for _ in range(4)), INERTIA)  # type: ignore[call-arg, arg-type]
+    with pytest.raises(NoAnswerError, match='0 speeds without braking in 0 pieces'):
+        fit_davis(empty, DavisFitConfig())
+    with pytest.raises(InputError, match='huber'):
+        fit_davis(pieces(1), DavisFitConfig(huber=0.0))
+
+
+def test_few_lags_leave_the_density_near_the_declared_one() -> None:
+    """A calm piece shorter than two lags tells little; many calm pieces tell that little disturbs."""
+    config = DavisFitConfig()
+    declared = 2.0 * config.disturbance_time * config.disturbance_std**2
+    short = fit_davis(noisy(pieces(1, nodes=260), 0.02, 6), config)
+    long = fit_davis(noisy(pieces(12), 0.02, 6), config)
+    assert 0.3 * declared < short.disturbance < 3.0 * declared
+    assert long.disturbance < 0.15 * declared
+
+
+def test_deviations_of_one_short_piece_in_gusts_are_honest() -> None:
+    z = []
+    for seed in range(12):
+        fit = fit_davis(noisy(pieces(1, gust=0.15, seed=100 + seed), 0.02, seed), DavisFitConfig())
+        z += [curve(fit.theta, v) / fit.resistance(v)[1] for v in (5.0, 8.0, 11.0)]
+    assert 0.3 < np.sqrt(np.mean(np.square(z))) < 1.6
+
+
+@pytest.mark.parametrize('quantum', [1.0 / 3.6, 0.447])
+def test_a_coarse_speed_makes_no_outliers_and_no_gusts(quantum: float) -> None:
+    z, clean = [], pieces()
+    for seed in range(4):
+        exact = noisy(clean, 0.02, seed)
+        fit = fit_davis(replace(exact, speed=quantum * np.round(exact.speed / quantum)), DavisFitConfig())
+        assert fit.outliers < 0.01
+        assert fit.speed_std > 0.9 * quantum / 12.0**0.5
+        assert fit.resistance(8.0)[1] < 0.25
+        z += [curve(fit.theta, v) / fit.resistance(v)[1] for v in (5.0, 8.0, 11.0)]
+    assert np.sqrt(np.mean(np.square(z))) < 2.0

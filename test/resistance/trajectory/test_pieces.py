@@ -1,0 +1,53 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Pieces: brakes and gaps end them, short ones are left out."""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from trainid_ros.core.results import Reason
+from trainid_ros.core.samples import Sample
+from trainid_ros.resistance.trajectory.pieces import PieceCollector
+from trainid_ros.train.train_file import TrainFile
+
+
+def collect(train_file: TrainFile, samples: list[Sample]) -> tuple[PieceCollector, Counter[Reason]]:
+    collector, rejected = PieceCollector(train_file, 1.0, 2.0), Counter[Reason]()
+    for sample in samples:
+        collector.add(sample, rejected)
+    return collector, rejected
+
+
+def test_pieces_begin_after_gaps_and_short_ones_go(train_file: TrainFile, sample: Callable[..., Sample]) -> None:
+    given = [sample(i, dt=math.nan if i in (0, 30, 35) else 0.2) for i in range(80)]
+    collector, rejected = collect(train_file, given)
+    trajectory = collector.trajectory()
+    assert rejected == {Reason.GAP: 3}
+    assert trajectory.starts.tolist() == [0, 29]
+    assert trajectory.speed.size == 29 + 44
+    assert np.all(trajectory.known == 0.0)
+
+
+def test_traction_and_gradient_are_told_apart(train_file: TrainFile, sample: Callable[..., Sample]) -> None:
+    weight = 200e3 * 9.80665 / 1000.0
+    given = [sample(i, force_mean=8.0 * weight, force=8.0 * weight, gradient_mean=3.0) for i in range(40)]
+    trajectory = collect(train_file, given)[0].trajectory()
+    assert trajectory.traction == pytest.approx(8.0)
+    assert trajectory.known == pytest.approx(5.0)
+
+
+def test_a_brake_is_followed_without_being_learned_from(train_file: TrainFile, sample: Callable[..., Sample]) -> None:
+    collector = PieceCollector(train_file, 1.0, 2.0)
+    for i in range(1, 20):
+        collector.monitor(sample(i, speed=16.0 - 0.1 * i, brake_command=-0.5))
+    rejected: Counter[Reason] = Counter()
+    for i in range(20, 60):
+        collector.add(sample(i, speed=14.0 - 0.001 * i), rejected)
+    # The brake needs 0.6 s and eight time constants of 0.4 s after its release.
+    assert rejected[Reason.BRAKING] in (18, 19)
+    assert collector.trajectory().speed.size == 40 - rejected[Reason.BRAKING]

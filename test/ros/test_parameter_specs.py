@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every setting is a parameter, every parameter reaches its configuration."""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+import yaml
+
+from trainid_ros.core.alignment import AlignmentConfig
+from trainid_ros.core.errors import InputError
+from trainid_ros.core.settings import setting_info
+from trainid_ros.estimators.pipeline import EstimatorSettings, TimeJumpPolicy
+from trainid_ros.resistance.filter_bank import FilterBankConfig
+from trainid_ros.resistance.resistance_algorithms import RESISTANCE
+from trainid_ros.ros.parameter_specs import ParameterSpec, build_settings, build_train_file, estimator_parameters
+from trainid_ros.ros.params_file import find_misses, params_files
+from trainid_ros.ros.params_template import parameter_file
+from trainid_ros.train.train_file import parse_train_file
+
+SPECS = {spec.name: spec for spec in estimator_parameters(RESISTANCE)}
+DEFAULTS = {name: spec.default for name, spec in SPECS.items()}
+CONFIG = Path(__file__).parents[2] / 'config' / 'params.yaml'
+
+
+def test_the_defaults_are_those_of_the_core() -> None:
+    assert build_settings(DEFAULTS, RESISTANCE, 'resistance') == EstimatorSettings()
+
+
+@pytest.mark.parametrize(('prefix', 'config'), [('alignment.', AlignmentConfig), ('estimator.', FilterBankConfig)])
+def test_every_setting_is_a_parameter_with_unit_and_range(prefix: str, config: type) -> None:
+    for item in fields(config):
+        info = setting_info(item)
+        assert info is not None
+        spec = SPECS[prefix + item.name]
+        assert (spec.low, spec.high) == (info.low, info.high)
+        assert f'{info.description} [{info.unit}]' in spec.description
+        assert 'next configure' in spec.description
+
+
+def test_values_reach_the_settings() -> None:
+    values = DEFAULTS | {
+        'alignment.max_lag': 0.3,
+        'estimator.hypotheses': 40,
+        'stale_after': 2.0,
+        'seed': 7,
+        'time_jump_policy': 'refuse',
+    }
+    settings = build_settings(values, RESISTANCE, 'resistance')
+    assert settings.resistance == RESISTANCE.choose('filter-bank', hypotheses=40)
+    assert (settings.alignment.max_lag, settings.seed) == (0.3, 7)
+    assert (settings.pipeline.stale_after, settings.pipeline.time_jump_policy) == (2.0, TimeJumpPolicy.REFUSE)
+
+
+@pytest.mark.parametrize(
+    ('name', 'value', 'reason'),
+    [
+        ('estimator.step_share_c', 'abc', "estimator.step_share_c = 'abc' must be a number"),
+        ('estimator.step_share_c', True, 'estimator.step_share_c = True must be a number'),
+        ('estimator.step_share_c', float('nan'), 'estimator.step_share_c = nan is outside'),
+        ('estimator.step_share_c', float('inf'), 'estimator.step_share_c = inf is outside'),
+        ('estimator.step_share_c', 0.0001, r'estimator.step_share_c = 0.0001 is outside \[0.001, 10\]'),
+        ('estimator.hypotheses', 30.0, 'estimator.hypotheses = 30.0 must be a whole number'),
+        ('train_file', 3, 'train_file = 3 must be a text'),
+        ('autostart', 1, 'autostart = 1 must be true or false'),
+        ('time_jump_policy', 'panic', "time_jump_policy = 'panic' must be one of reset, ignore, refuse"),
+    ],
+)
+def test_wrong_values_are_refused_by_name(name: str, value: object, reason: str) -> None:
+    with pytest.raises(InputError, match=reason):
+        SPECS[name].coerce(value)
+
+
+def test_a_whole_number_will_do_for_a_real_one() -> None:
+    value = SPECS['train.mass'].coerce(194000)
+    assert value == 194000.0
+    assert isinstance(value, float)
+
+
+def test_the_train_file_holds_where_nothing_is_given() -> None:
+    base = parse_train_file('train: {mass: 1000.0}\nresistance: {a: 1.0, b: 0.0, c: 0.1}\n', 'x')
+    values = DEFAULTS | {'train.mass': 2000.0, 'brake.delay': 1.5}
+    merged = build_train_file(values, frozenset({'brake.delay'}), base)
+    assert (merged.train.mass, merged.brake.delay, merged.resistance) == (1000.0, 1.5, base.resistance)
+
+
+def test_without_a_train_file_the_missing_parameters_are_named() -> None:
+    with pytest.raises(InputError, match=r'give the parameter train_file, or resistance\.b, resistance\.c'):
+        build_train_file(DEFAULTS, frozenset({'train.mass', 'resistance.a'}), None)
+    given = frozenset({'train.mass', 'resistance.a', 'resistance.b', 'resistance.c'})
+    with pytest.raises(InputError, match=r'train\.mass = 0 kg must be > 0'):
+        build_train_file(DEFAULTS, given, None)
+    assert build_train_file(DEFAULTS | {'train.mass': 5e4}, given, None).train.mass == 5e4
+
+
+def test_config_params_yaml_is_up_to_date() -> None:
+    assert CONFIG.read_text(encoding='utf-8') == parameter_file(), (
+        'run: python -m trainid_ros.ros.params_template > config/params.yaml'
+    )
+
+
+def test_the_parameter_file_is_yaml_with_every_default() -> None:
+    section = yaml.safe_load(parameter_file())['/**/resistance_estimator']['ros__parameters']
+    for name, spec in SPECS.items():
+        node = section
+        if name.split('.')[0] in ('train', 'resistance', 'brake', 'line'):
+            assert name.split('.')[0] not in section  # commented out: the train file holds
+            continue
+        for part in name.split('.'):
+            node = node[part]
+        # YAML 1.1 has no 1e-05: such a number would arrive as a text.
+        assert spec.coerce(node) == spec.default
+
+
+@pytest.mark.parametrize(
+    ('section', 'node', 'usual', 'certain'),
+    [
+        ('resistance_estimator', '/resistance_estimator', 'resistance_estimator', None),
+        ('/**', '/a/b/resistance_estimator', 'resistance_estimator', None),
+        ('/**/resistance_estimator', '/resistance_estimator', 'resistance_estimator', None),
+        ('/*/resistance_estimator', '/t1/resistance_estimator', 'resistance_estimator', None),
+        ('/*/resistance_estimator', '/resistance_estimator', 'resistance_estimator', True),
+        ('resistance_estimator', '/t1/resistance_estimator', 'resistance_estimator', True),
+        ('resistence_estimator', '/resistance_estimator', 'resistance_estimator', True),
+        ('resistance_estimator', '/renamed', 'resistance_estimator', True),
+        ('camera', '/resistance_estimator', 'resistance_estimator', False),
+    ],
+)
+def test_sections_that_miss_the_node(tmp_path: Path, section: str, node: str, usual: str, certain: bool | None) -> None:
+    path = tmp_path / 'p.yaml'
+    path.write_text(f'{section}:\n  ros__parameters: {{seed: 1}}\n', encoding='utf-8')
+    found = find_misses(path, node, usual)
+    assert (found if found is None else found[1]) is certain
+
+
+def test_nested_sections_and_other_arguments(tmp_path: Path) -> None:
+    path = tmp_path / 'p.yaml'
+    path.write_text('t1:\n  gsma:\n    ros__parameters: {seed: 1}\n', encoding='utf-8')
+    assert find_misses(path, '/t1/gsma', 'gsma') is None
+    assert params_files(['--ros-args', '--params-file', str(path), '-p', 'a:=b']) == (path,)
+
+
+def test_bounds_are_inclusive() -> None:
+    spec = ParameterSpec('x', 1.0, 'x', 0.0, 1.0)
+    assert [spec.coerce(value) for value in (0.0, 1.0)] == [0.0, 1.0]

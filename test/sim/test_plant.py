@@ -1,0 +1,218 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The plant keeps the specific balance, brakes as its actuator says, and never rolls back."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from trainid_ros.core.errors import InputError
+from trainid_ros.sim.plant import STEP_NS, Plant
+from trainid_ros.train.davis import G, observed_resistance, required_force
+from trainid_ros.train.line import LineProfile
+from trainid_ros.train.train_file import Brake, Davis, Effect, Line, Train, TrainFile
+
+DAVIS = Davis(1.5, 0.03, 0.004)
+NO_RESISTANCE = Davis(0.0, 0.0, 0.0)
+FILE = TrainFile(Train(200e3, 0.08, 100.0), DAVIS, Brake(0.9, 0.4, 0.6), Line(stops=(0.0, 9000.0)))
+STEP_S = 0.02
+
+
+def plant(file: TrainFile = FILE, *, speed: float = 0.0, jerk: float = 1e9) -> Plant:
+    out = Plant(file, LineProfile(file.line, file.train.length), 10**9, jerk)
+    out.speed = speed
+    return out
+
+
+def effects(name: str, **parameters: float) -> TrainFile:
+    return replace(FILE, effects=(Effect(name, tuple(parameters.items())),))
+
+
+def run(train: Plant, seconds: float, traction: float = 0.0) -> None:
+    for _ in range(round(seconds / STEP_S)):
+        train.step(traction)
+
+
+def test_the_specific_balance_holds_over_a_step() -> None:
+    file = replace(FILE, line=Line(stops=(0.0, 9000.0), gradient=((0.0, 5.0),)))
+    train = plant(file, speed=15.0)
+    train.gust = 0.2
+    run(train, 0.1, 100e3)
+    train.step(100e3)
+    middle = train.speed - 0.5 * STEP_S * train.acceleration
+    w = DAVIS.a + DAVIS.b * middle + DAVIS.c * middle**2
+    seen = observed_resistance(train.reported_force, 200e3, 0.08, train.acceleration)
+    assert seen == pytest.approx(w + 5.0 + 0.2, abs=1e-6)
+
+
+def test_coasting_loses_the_energy_that_resistance_and_height_take() -> None:
+    # Without a, b, c the balance is mechanical energy: (1 + gamma) v^2 / 2 + g h stays.
+    line = Line(stops=(0.0, 9000.0), gradient=((0.0, 0.0), (500.0, 8.0), (900.0, -12.0)))
+    train = plant(replace(FILE, resistance=NO_RESISTANCE, line=line), speed=20.0)
+    run(train, 60.0)
+    profile = LineProfile(line, 100.0)
+    # Height of the mean of the train: the integral of the length-averaged gradient, in 0.1 m steps.
+    steps = round(train.position / 0.1)
+    height = sum(profile.gradient((i + 0.5) * train.position / steps, 1) for i in range(steps))
+    height *= train.position / steps / 1000.0
+    energy = 0.54 * train.speed**2 + G * height
+    # The midpoint rule leaves about 1e-8 of the energy after 3000 steps.
+    assert energy == pytest.approx(0.54 * 400.0, rel=1e-6)
+
+
+def test_coasting_against_c_follows_the_closed_form() -> None:
+    # dv/dt = -k v^2 has the solution v = v0 / (1 + k v0 t).
+    train = plant(replace(FILE, resistance=Davis(0.0, 0.0, 0.02)), speed=20.0)
+    run(train, 100.0)
+    k = 0.02 * G / 1080.0
+    assert train.speed == pytest.approx(20.0 / (1.0 + k * 20.0 * 100.0), rel=1e-7)
+    assert train.position == pytest.approx(math.log(1.0 + k * 20.0 * 100.0) / k, rel=1e-7)
+
+
+def test_delay_and_lag_of_the_brake_are_exact() -> None:
+    train = plant(replace(FILE, resistance=NO_RESISTANCE), speed=20.0)
+    train.command(-1.0)
+    run(train, 0.6)
+    assert train.speed == 20.0
+    assert train.brake == 0.0
+    run(train, 1.0)
+    assert train.brake == pytest.approx(-(1.0 - math.exp(-1.0 / 0.4)), rel=1e-12)
+    # The brake rate 0.9 multiplies the integral of the response, not the reported force.
+    integral = 1.0 - 0.4 * (1.0 - math.exp(-1.0 / 0.4))
+    assert train.speed == pytest.approx(20.0 - 0.9 * integral, rel=1e-12)
+    assert train.reported_force == pytest.approx(1.08 * 200e3 * train.brake)
+
+
+def test_a_delay_between_two_steps_is_exact_too() -> None:
+    file = replace(FILE, resistance=NO_RESISTANCE, brake=Brake(1.0, 0.4, 0.607))
+    train = plant(file, speed=20.0)
+    train.command(-1.0)
+    run(train, 1.6)
+    assert train.brake == pytest.approx(-(1.0 - math.exp(-0.993 / 0.4)), rel=1e-12)
+
+
+def test_a_braking_train_stops_and_stays() -> None:
+    train = plant(speed=3.0)
+    train.command(-1.0)
+    speeds = []
+    for _ in range(500):
+        train.step(0.0)
+        speeds.append(train.speed)
+    assert min(speeds) == 0.0
+    stopped = train.position
+    run(train, 5.0)
+    assert (train.speed, train.position) == (0.0, stopped)
+
+
+def test_a_train_does_not_roll_back_uphill_and_starts_when_the_force_is_enough() -> None:
+    file = replace(FILE, line=Line(stops=(0.0, 9000.0), gradient=((0.0, 30.0),)))
+    train = plant(file)
+    holding = required_force(0.0, 200e3, 0.08, 30.0 + DAVIS.a)
+    run(train, 2.0, 0.99 * holding)
+    assert (train.speed, train.position) == (0.0, 0.0)
+    run(train, 2.0, 1.01 * holding)
+    assert train.speed > 0.0
+
+
+def test_traction_is_jerk_limited() -> None:
+    train = plant(jerk=0.8)
+    run(train, 0.5, 300e3)
+    assert train.traction == pytest.approx(0.8 * 200e3 * 0.5)
+
+
+@pytest.mark.parametrize(
+    ('file', 'expected'),
+    [
+        (effects('mass_error', ratio=1.1), 100e3 / (1.1 * 216e3)),
+        (effects('traction_scale', ratio=0.9), 90e3 / 216e3),
+    ],
+)
+def test_scales_of_mass_and_traction(file: TrainFile, expected: float) -> None:
+    train = plant(replace(file, resistance=NO_RESISTANCE))
+    run(train, 1.0, 100e3)
+    assert train.acceleration == pytest.approx(expected, rel=1e-9)
+    assert train.reported_force == pytest.approx(100e3)
+
+
+def test_brake_delay_holds_the_brake_back_and_not_the_report() -> None:
+    """The report is that of the believed brake, so it is the same as without the effect."""
+    nominal = plant(replace(FILE, resistance=NO_RESISTANCE), speed=20.0)
+    late = plant(replace(effects('brake_delay', extra=0.4), resistance=NO_RESISTANCE), speed=20.0)
+    for train in (nominal, late):
+        train.command(-1.0)
+        run(train, 1.0)
+    assert late.reported_force == nominal.reported_force < 0.0
+    assert late.speed == pytest.approx(20.0, abs=1e-12)
+    for train in (nominal, late):
+        run(train, 1.0)
+        train.command(-0.5)
+    before = nominal.speed
+    run(late, 0.4)
+    # The same braking 0.4 s later.
+    assert late.speed == pytest.approx(before, abs=1e-12)
+    run(nominal, 2.0)
+    before = nominal.speed
+    run(late, 2.0)
+    assert late.speed == pytest.approx(before, abs=1e-12)
+
+
+def test_the_brake_is_as_strong_as_its_scale_says() -> None:
+    train = plant(replace(effects('brake_scale', ratio=0.8), resistance=NO_RESISTANCE), speed=20.0)
+    train.command(-1.0)
+    run(train, 8.0)
+    assert train.acceleration == pytest.approx(-0.9 * 0.8, rel=1e-6)
+    assert train.reported_force == pytest.approx(-216e3, rel=1e-6)
+
+
+def test_a_shifted_map_tells_of_a_hill_too_early() -> None:
+    line = Line(stops=(0.0, 9000.0), gradient=((0.0, 0.0), (1000.0, 20.0)))
+    file = replace(effects('map_shift', distance=50.0), resistance=NO_RESISTANCE, line=line)
+    train = plant(file, speed=20.0)
+    train.position = 1040.0
+    run(train, 0.1)
+    assert train.speed == 20.0
+    run(train, 0.5)
+    assert train.speed < 20.0
+    assert LineProfile(line, 100.0).gradient(1040.0, 1) == pytest.approx(8.0)
+
+
+def test_a_hot_brake_fades_to_its_loss() -> None:
+    train = plant(replace(effects('brake_fade', loss=0.3, energy=50.0), resistance=NO_RESISTANCE), speed=22.0)
+    train.command(-1.0)
+    run(train, 14.0)
+    # 22 m/s hold 242 J/kg; most is in the brake by now, so it has lost all of its 30 %.
+    assert train.acceleration == pytest.approx(-0.9 * 0.7, rel=1e-6)
+
+
+def test_a_released_brake_drags_for_its_time() -> None:
+    train = plant(replace(effects('dragging_brake', permille=3.0, time=5.0), resistance=NO_RESISTANCE), speed=20.0)
+    train.command(-0.5)
+    run(train, 2.0)
+    train.command(0.0)
+    run(train, 4.0)
+    assert train.acceleration == pytest.approx(-3.0 * G / 1080.0, rel=0.01)  # the lag is nearly out
+    run(train, 8.0)
+    assert train.acceleration == pytest.approx(0.0, abs=1e-6)
+
+
+def test_an_unknown_effect_is_named() -> None:
+    with pytest.raises(InputError, match='effect sun_spots is not known'):
+        plant(effects('sun_spots', size=3.0))
+
+
+def test_time_goes_on_in_whole_nanoseconds() -> None:
+    train = plant()
+    run(train, 1.0)
+    assert train.now_ns == 10**9 + 50 * STEP_NS
+
+
+def test_the_brake_follows_its_table_over_speed() -> None:
+    table = ((0.0, 1.1), (20.0, 0.9))
+    train = plant(replace(FILE, resistance=NO_RESISTANCE, brake=Brake(0.9, 0.4, 0.6, table)), speed=18.0)
+    train.command(-0.5)
+    run(train, 8.0)
+    before = train.speed
+    train.step(0.0)
+    assert train.acceleration == pytest.approx(-0.5 * 0.9 * (1.1 - 0.01 * before), rel=1e-3)

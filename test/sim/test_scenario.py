@@ -1,0 +1,215 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A whole simulation: stops, records, truth, determinism, and a fit that finds the truth again."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import pairwise
+from typing import TypeVar
+
+import numpy as np
+import pytest
+
+from trainid_ros.core.errors import InputError
+from trainid_ros.core.records import BrakeRecord, ForceRecord, GradientRecord, MassRecord, SpeedRecord
+from trainid_ros.sim.driver import DriverModel
+from trainid_ros.sim.gusts import GustModel
+from trainid_ros.sim.scenario import Change, Scenario, Simulation, simulate
+from trainid_ros.sim.sensors import SensorModel
+from trainid_ros.train.davis import observed_resistance
+from trainid_ros.train.train_file import Brake, Davis, Effect, Line, Train, TrainFile
+
+LINE = Line(
+    stops=(0.0, 1500.0, 3200.0),
+    gradient=((0.0, -3.0), (400.0, 12.0), (900.0, -20.0), (1400.0, 0.0), (2000.0, 8.0), (2600.0, -9.0)),
+    speed_limit=((0.0, 15.0), (200.0, 21.0), (2400.0, 14.0), (2700.0, 21.0)),
+)
+FILE = TrainFile(Train(200e3, 0.08, 100.0), Davis(1.5, 0.03, 0.004), Brake(), LINE)
+QUICK = DriverModel(dwell_low=5.0, dwell_high=8.0)
+EXACT = SensorModel(
+    speed_noise=0.0,
+    speed_quantum=0.0,
+    force_noise=0.0,
+    force_noise_relative=0.0,
+    position_drift=0.0,
+    map_error=0.0,
+    mass_noise=0.0,
+    stamp_jitter=0.0,
+)
+SCENARIO = Scenario(FILE, runs=4, driver=QUICK)
+QUIET = replace(SCENARIO, sensors=EXACT, gust=GustModel(std=0.0))
+
+
+def drive(scenario: Scenario, seed: int = 1) -> Simulation:
+    return simulate(scenario, np.random.default_rng(seed))
+
+
+Kind = TypeVar('Kind', SpeedRecord, ForceRecord, GradientRecord, BrakeRecord, MassRecord)
+
+
+def of(kind: type[Kind], simulation: Simulation) -> list[Kind]:
+    return [record for record in simulation.records if type(record) is kind]
+
+
+@pytest.fixture(scope='module')
+def day() -> Simulation:
+    return drive(SCENARIO)
+
+
+@pytest.fixture(scope='module')
+def quiet() -> Simulation:
+    return drive(QUIET)
+
+
+@pytest.mark.parametrize('rate', [0.7, 0.85, 1.0, 1.1])
+def test_the_train_stops_in_place_with_weak_and_strong_brakes(rate: float) -> None:
+    brake = replace(FILE.brake, rate=rate)
+    arrivals = drive(replace(SCENARIO, train_file=replace(FILE, brake=brake))).arrivals
+    assert [arrival.stop for arrival in arrivals] == [1500.0, 3200.0, 1500.0, 0.0]
+    assert max(abs(arrival.error) for arrival in arrivals) < 1.0
+
+
+def test_speed_limits_are_kept_in_both_directions(quiet: Simulation) -> None:
+    for record in of(SpeedRecord, quiet):
+        in_slow_part = 2400.0 < record.position < 2700.0
+        assert record.speed <= (14.0 if in_slow_part else 21.0)
+
+
+def test_records_come_in_order_with_their_own_stamps(day: Simulation) -> None:
+    stamps = [record.stamp_ns for record in day.records]
+    assert all(before <= after for before, after in pairwise(stamps))
+    assert stamps[0] == SCENARIO.start_ns
+    ticks = round(day.duration_s / 0.2)
+    for kind in (SpeedRecord, ForceRecord, GradientRecord, BrakeRecord):
+        assert sum(isinstance(record, kind) for record in day.records) == ticks
+    assert len(of(MassRecord, day)) == pytest.approx(day.duration_s, abs=1.0)
+
+
+def test_force_is_measured_20_ms_before_speed(quiet: Simulation) -> None:
+    pairs = zip(of(ForceRecord, quiet), of(SpeedRecord, quiet), strict=True)
+    assert {speed.stamp_ns - force.stamp_ns for force, speed in pairs} == {20_000_000}
+
+
+def test_the_same_seed_gives_the_same_records_and_another_one_others(day: Simulation) -> None:
+    assert drive(SCENARIO) == day
+    assert drive(replace(SCENARIO, runs=1), seed=2).records[:5000] != day.records[:5000]
+
+
+def test_other_sensors_do_not_change_the_driving(day: Simulation) -> None:
+    other = drive(replace(SCENARIO, sensors=EXACT))
+    assert other.arrivals == day.arrivals
+
+
+def test_the_load_changes_at_stops_and_the_mass_is_told(day: Simulation) -> None:
+    masses = [record.mass for record in of(MassRecord, day)]
+    changes = sum(before != after for before, after in pairwise(masses))
+    assert changes == 4
+    assert 200e3 * 0.98 < min(masses) < max(masses) < 230e3 * 1.02
+
+
+def test_all_phases_of_driving_occur(day: Simulation) -> None:
+    force = np.array([record.force for record in of(ForceRecord, day)])
+    brake = np.array([record.target_acceleration for record in of(BrakeRecord, day)])
+    speed = np.array([record.speed for record in of(SpeedRecord, day)])
+    moving = speed > 2.0
+    coasting = moving & (np.abs(force) < 3e3) & (brake == 0.0)
+    assert np.mean(force[moving] > 2e4) > 0.1
+    assert np.mean(coasting[moving]) > 0.05
+    assert np.mean(brake[moving] < -0.1) > 0.1
+    assert brake.max() <= 0.0
+    # The command has steps of 0.01 m/s^2 and keeps its jerk limit of 0.8 m/s^3.
+    assert np.abs(np.diff(brake)).max() <= 0.16 + 1e-9
+
+
+def power_and_coast(simulation: Simulation, file: TrainFile) -> tuple[np.ndarray, np.ndarray]:
+    """Return speed and observed w(v), shapes (n,), from exact records without braking."""
+    speeds, forces = of(SpeedRecord, simulation), of(ForceRecord, simulation)
+    gradients, brakes = of(GradientRecord, simulation), of(BrakeRecord, simulation)
+    masses = iter(of(MassRecord, simulation))
+    rows, mass, idle = [], next(masses).mass, 0
+    for i in range(1, len(speeds) - 1):
+        if i % 5 == 0:
+            mass = next(masses).mass
+        idle = 0 if brakes[i].target_acceleration < 0.0 else idle + 1
+        steady = abs(forces[i + 1].force - forces[i - 1].force) < 2e3
+        if idle < 30 or not steady or speeds[i - 1].speed < 2.0:
+            continue
+        a = (speeds[i + 1].speed - speeds[i - 1].speed) / 0.4
+        total = observed_resistance(forces[i].force, mass, file.train.rotary_mass, a)
+        rows.append((speeds[i].speed, total - gradients[i].gradient))
+    v, w = np.array(rows).T
+    return v, w
+
+
+def test_a_fit_of_exact_records_finds_the_true_resistance(quiet: Simulation) -> None:
+    v, w = power_and_coast(quiet, FILE)
+    design = np.stack([np.ones_like(v), v, v * v], axis=1)
+    a, b, c = np.linalg.lstsq(design, w, rcond=None)[0]
+    at = np.linspace(v.min(), v.max(), 20)
+    error = (a - 1.5) + (b - 0.03) * at + (c - 0.004) * at**2
+    # Central differences and the 20 ms between force and speed leave a few 0.01 N/kN on slopes.
+    assert len(v) > 300
+    assert np.abs(error).max() < 0.05
+
+
+def test_changes_are_driven_and_told() -> None:
+    rain = Davis(2.5, 0.03, 0.004)
+    changes = (Change(30.05, resistance=rain), Change(40.0, brake_rate=0.8))
+    truth = drive(replace(SCENARIO, runs=1, changes=changes)).truth
+    # Changes happen at the 5 Hz tick that follows.
+    assert truth.resistance == ((0.0, 1.5, 0.03, 0.004), (30.2, 2.5, 0.03, 0.004))
+    assert truth.brake_rate == ((0.0, 1.0), (40.0, 0.8))
+    assert truth.start_ns == SCENARIO.start_ns
+
+
+def test_effects_that_shift_the_truth_are_part_of_it() -> None:
+    step = Effect('resistance_step', (('time', 50.0), ('a', 0.5)))
+    scale = Effect('brake_scale', (('ratio', 0.9),))
+    changes = (Change(60.0, resistance=Davis(2.0, 0.03, 0.004)),)
+    scenario = replace(SCENARIO, runs=1, train_file=replace(FILE, effects=(step, scale)), changes=changes)
+    truth = drive(scenario).truth
+    assert [row[:2] for row in truth.resistance] == [(0.0, 1.5), (50.0, 2.0), (60.0, 2.5)]
+    assert truth.brake_rate == ((0.0, 0.9),)
+
+
+def test_wheel_diameter_scales_the_measured_speed(quiet: Simulation) -> None:
+    worn = replace(FILE, effects=(Effect('wheel_diameter', (('ratio', 1.02),)),))
+    true = of(SpeedRecord, quiet)
+    measured = of(SpeedRecord, drive(replace(QUIET, train_file=worn)))
+    ratios = [m.speed / t.speed for m, t in zip(measured, true, strict=True) if t.speed > 0.0]
+    assert ratios == pytest.approx([1.02] * len(ratios), rel=1e-12)
+
+
+def test_the_driver_goes_by_the_train_as_stated(day: Simulation) -> None:
+    assert drive(replace(SCENARIO, stated=FILE)) == day
+    quick = replace(FILE, brake=replace(FILE.brake, delay=0.1))
+    run = replace(SCENARIO, runs=1)
+    first = [
+        next(i for i, r in enumerate(of(BrakeRecord, drive(s))) if i > 200 and r.target_acceleration < 0.0)
+        for s in (run, replace(run, stated=quick))
+    ]
+    assert first[1] > first[0]
+
+
+@pytest.mark.parametrize(
+    ('scenario', 'message'),
+    [
+        (replace(SCENARIO, runs=0), 'runs = 0 must be >= 1'),
+        (replace(SCENARIO, start_ns=0), 'start_ns = 0 must be > 0'),
+        (replace(SCENARIO, passengers=-0.1), 'passengers = -0.1'),
+        (replace(SCENARIO, train_file=replace(FILE, line=Line(stops=(0.0,)))), 'line.stops has 1 stops'),
+        (replace(SCENARIO, changes=(Change(5.0), Change(4.0))), 'their times must rise'),
+        (replace(SCENARIO, changes=(Change(5.0, brake_rate=0.0),)), 'brake rate = 0 at 5 s'),
+        (replace(SCENARIO, train_file=replace(FILE, effects=(Effect('x'),))), 'effect x is not known'),
+    ],
+)
+def test_what_cannot_be_driven_is_named(scenario: Scenario, message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        drive(scenario)
+    assert message in str(caught.value)
+
+
+def test_a_train_that_is_too_heavy_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr('trainid_ros.sim.scenario.LONGEST_RUN_S', 60.0)
+    with pytest.raises(InputError, match='does not reach stop 1500 m within 60 s: check'):
+        drive(replace(SCENARIO, train_file=replace(FILE, train=Train(2e8))))

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The truth file reads back exactly and answers for any time."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from trainid_ros.core.errors import InputError
+from trainid_ros.sim.truth import Truth, TruthPoint, dump_truth, load_truth, parse_truth, save_truth
+from trainid_ros.train.train_file import Davis
+
+TRUTH = Truth(10**18, ((0.0, 1.0, 0.1 + 0.2, 0.003), (60.0, 1.5, 0.3, 1e-5)), ((0.0, 1.0), (30.0, 0.85)))
+
+
+def test_round_trip(tmp_path: Path) -> None:
+    save_truth(TRUTH, tmp_path / 'truth.yaml')
+    assert load_truth(tmp_path / 'truth.yaml') == TRUTH
+
+
+def test_unknowns_are_read_back_and_leave_no_trace_where_there_are_none(tmp_path: Path) -> None:
+    more = replace(TRUTH, unknowns=(('mass_ratio', 0.1 + 0.2), ('force_delay', 0.0)))
+    save_truth(more, tmp_path / 'truth.yaml')
+    assert load_truth(tmp_path / 'truth.yaml') == more
+    assert 'unknowns' in dump_truth(more)
+    assert 'unknowns' not in dump_truth(TRUTH)
+
+
+def test_each_value_holds_from_its_time_on() -> None:
+    assert TRUTH.truth_at(59.9) == TruthPoint(Davis(1.0, 0.1 + 0.2, 0.003), 0.85)
+    assert TRUTH.truth_at(60.0).resistance == Davis(1.5, 0.3, 1e-5)
+    assert TRUTH.truth_at(-5.0).brake_rate == 1.0
+    assert TRUTH.truth_at_ns(10**18 + 30 * 10**9).brake_rate == 0.85
+
+
+def test_an_unknown_brake_rate_is_none() -> None:
+    truth = parse_truth('start_ns: 5\nresistance: [[0, 1, 0, 0]]', 'truth.yaml')
+    assert truth.truth_at(1.0).brake_rate is None
+
+
+@pytest.mark.parametrize(
+    ('text', 'message'),
+    [
+        ('start_ns: 5', 'truth.yaml: resistance is missing: a truth has at least one row [time s, a, b, c]'),
+        ('resistance: [[0, 1, 2]]', 'truth.yaml: resistance[0] = [0, 1, 2] must be [time s, a, b, c]'),
+        (
+            'resistance: [[5, 1, 2, 3], [5, 1, 2, 4]]',
+            'truth.yaml: resistance[1] = 5 s must come after 5 s: times rise',
+        ),
+        (
+            'start_ns: 1.5\nresistance: [[5, 1, 2, 3]]',
+            'truth.yaml: start_ns = 1.5 must be a whole number',
+        ),
+        (
+            'resistance: [[5, 1, 2, 3]]\nunknowns: {mass_ratio: big}',
+            "truth.yaml: unknowns.mass_ratio = 'big' must be a number",
+        ),
+        (
+            'resistence: []',
+            "truth.yaml: resistence is not a known field; did you mean 'resistance'?",
+        ),
+    ],
+)
+def test_wrong_fields_are_named(text: str, message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        parse_truth(text, 'truth.yaml')
+    assert str(caught.value) == message
+
+
+def test_files_that_cannot_be_used_are_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r'none\.yaml: cannot be read'):
+        load_truth(tmp_path / 'none.yaml')
+    (tmp_path / 'binary.yaml').write_bytes(b'\xff')
+    with pytest.raises(InputError, match=r'binary\.yaml: is not UTF-8 text \(byte 0\)'):
+        load_truth(tmp_path / 'binary.yaml')
+    with pytest.raises(InputError, match=r'truth\.yaml: cannot be written'):
+        save_truth(TRUTH, tmp_path / 'none' / 'truth.yaml')

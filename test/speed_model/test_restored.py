@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A saved speed model that would break a later step is refused, by the name of the field, and nothing changes."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from trainid_ros.core.errors import InputError
+from trainid_ros.core.samples import Sample
+from trainid_ros.speed_model.speed_model_algorithms import SPEED_MODEL
+from trainid_ros.speed_model.speed_model_estimator import SpeedModelEstimator
+from trainid_ros.train.train_file import Effect, TrainFile
+
+Journey = Callable[..., list[Sample]]
+NAMES = ('AM-VFF-RLS', 'EKF', 'integral-RLS', 'RLS', 'VFF-RLS', 'AM-RLS', 'AM-VFF-RLS-printed')
+CURVES = Effect('curve_resistance', (('coefficient', 600.0),))
+
+
+def make(train_file: TrainFile, name: str) -> SpeedModelEstimator:
+    file = replace(train_file, effects=(CURVES,))
+    made = SPEED_MODEL.make(SPEED_MODEL.choose(name), file, np.random.default_rng(1))
+    assert isinstance(made, SpeedModelEstimator)
+    return made
+
+
+@pytest.fixture(scope='module')
+def curved(journey: Journey) -> list[Sample]:
+    """Power and coasting, curves, a gap, and a stop at the end."""
+    items = journey(
+        90.0, traction=lambda t: 30.0 if t < 25.0 else 0.0, brake=lambda t: -0.7 if t > 60.0 else 0.0, speed=8.0
+    )
+    radii = [400.0 if (k // 40) % 2 else 0.0 for k in range(len(items))]
+    return [
+        replace(item, curve_radius=radius, dt=math.nan if k == 150 else item.dt)
+        for k, (item, radius) in enumerate(zip(items, radii, strict=True))
+    ]
+
+
+def rejected(estimator: SpeedModelEstimator, path: tuple[Any, ...], wrong: object) -> str:
+    """Restore the state of the estimator with one number changed; return what was said."""
+    before, learned, braked_ns = estimator.save(), estimator.state, estimator._admission.braked_ns
+    data = json.loads(before)
+    part = data['state']
+    for key in path[:-1]:
+        part = part[key]
+    assert path[-1] in part if isinstance(part, dict) else path[-1] < len(part)
+    part[path[-1]] = wrong
+    with pytest.raises(InputError) as error:
+        estimator.restore(json.dumps(data))
+    assert estimator.state is learned
+    assert estimator._admission.braked_ns == braked_ns
+    return str(error.value)
+
+
+@pytest.mark.parametrize(
+    ('path', 'wrong'),
+    [
+        *(((name,), math.nan) for name in ('forgetting', 'predicted', 'error', 'variance', 'usual', 'spread', 'used')),
+        *(((name,), math.inf) for name in ('slowest', 'fastest', 'traction')),
+        (('predicted',), -math.inf),
+        *(((name,), -1.0) for name in ('variance', 'spread', 'used')),
+        *(((name,), -1) for name in ('rejected_in_a_row', 'slow_in_a_row')),
+        (('numbers', 0), math.nan),
+        (('numbers', 3), 0.0),
+        *((('numbers', place), -1.0) for place in (5, 10, 14, 17, 19)),
+        (('numbers', 6), 1e3),
+        *((('noise', name), math.nan) for name in ('declared_std', 'learned', 'last', 'before')),
+        *((('noise', name), 0.0) for name in ('declared_std', 'learned')),
+        (('noise', 'count'), -1),
+        (('noise', 'rounding', 'quantum'), -1.0),
+        (('noise', 'rounding', 'moving'), 1.5),
+        *(
+            (('disturbance', name), math.nan)
+            for name in ('density', 'windows', 'strayed', 'elapsed', 'known', 'agreed')
+        ),
+        *((('disturbance', 'density'), wrong) for wrong in (-1.0, 0.0, 1e-300, 1.0)),
+        *((('disturbance', 'windows'), wrong) for wrong in (-1.0, 0.0, 1e3)),
+        *((('disturbance', name), -1.0) for name in ('elapsed', 'known')),
+        (('disturbance', 'theta'), [1.0]),
+        (('disturbance', 'theta', 1), math.nan),
+        *((('late', name), math.nan) for name in ('delay', 'variance', 'gain')),
+        (('late', 'variance'), -1.0),
+        *((('curve', name), math.nan) for name in ('error', 'x', 'a1', 'a2', 'b1', 'd0', 'variance')),
+        (('curve', 'variance'), -1.0),
+        *((('curve', name), 1e3) for name in ('x', 'a1', 'a2', 'b1', 'd0')),
+        *(((name, 'values', 0), math.nan) for name in ('speeds', 'tracks', 'curves')),
+        (('speeds', 'steps', 0), -0.2),
+        (('tracks', 'steps'), []),
+        (('curves', 'values'), [0.0] * 7),
+    ],
+)
+def test_a_number_that_would_break_a_later_step_is_refused_by_name(
+    train_file: TrainFile, curved: list[Sample], path: tuple[Any, ...], wrong: object
+) -> None:
+    estimator = make(train_file, 'AM-VFF-RLS')
+    for item in curved[:125]:
+        estimator.step(item)
+    assert estimator.state.disturbance.elapsed > 0.0
+    assert estimator.state.curve.variance > 0.0
+    assert str(path[0]) in rejected(estimator, path, wrong)
+
+
+@pytest.mark.parametrize(
+    ('name', 'place', 'wrong'),
+    [
+        ('integral-RLS', 5, -1.0),
+        ('integral-RLS', 6, 1e3),
+        ('integral-RLS', 15, -1.0),
+        ('integral-RLS', 17, -1.0),
+        ('integral-RLS', 18, -1.0),
+        ('VFF-RLS', 5, -1.0),
+        # No variance is negative, but that of the resistance at the speeds driven is.
+        ('VFF-RLS', 8, -1e30),
+    ],
+)
+def test_the_other_algorithms_are_checked_too(
+    train_file: TrainFile, curved: list[Sample], name: str, place: int, wrong: float
+) -> None:
+    estimator = make(train_file, name)
+    for item in curved[:125]:
+        estimator.step(item)
+    assert 'numbers' in rejected(estimator, ('numbers', place), wrong)
+
+
+def test_a_window_longer_than_that_of_the_settings_is_refused(train_file: TrainFile, curved: list[Sample]) -> None:
+    """It would never be full, so nothing would be learned any more."""
+    estimator = make(train_file, 'integral-RLS')
+    for item in curved[:125]:
+        estimator.step(item)
+    assert 'numbers' in rejected(estimator, ('numbers',), [*estimator.state.numbers, *estimator.state.numbers[-5:]])
+
+
+@pytest.mark.parametrize('name', NAMES)
+def test_every_state_that_was_saved_is_taken_over(train_file: TrainFile, curved: list[Sample], name: str) -> None:
+    whole, copy = make(train_file, name), make(train_file, name)
+    copy.restore(whole.save())
+    for item in curved:
+        whole.step(item)
+        copy.restore(whole.save())
+        assert copy.save() == whole.save()

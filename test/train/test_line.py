@@ -1,0 +1,109 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The line under a train of some length, by hand and in both directions."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from trainid_ros.core.errors import InputError
+from trainid_ros.train.line import LineProfile
+from trainid_ros.train.train_file import Line
+
+LINE = Line(
+    stops=(0.0, 1450.0, 3000.0),
+    gradient=((0.0, 0.0), (620.0, -12.5), (700.0, 20.0)),
+    curve=((0.0, 0.0), (300.0, 400.0), (500.0, 0.0)),
+    tunnel=((700.0, 1400.0),),
+    speed_limit=((0.0, 10.0), (500.0, 20.0), (1000.0, 15.0)),
+)
+
+
+@pytest.fixture
+def profile() -> LineProfile:
+    return LineProfile(LINE, 100.0)
+
+
+def test_gradient_is_averaged_over_the_length(profile: LineProfile) -> None:
+    # Front at 660: 60 m level, 40 m at -12.5.
+    assert profile.gradient(660.0, 1) == pytest.approx(0.4 * -12.5)
+    # Front at 710: 10 m level, 80 m at -12.5, 10 m at 20.
+    assert profile.gradient(710.0, 1) == pytest.approx(0.8 * -12.5 + 0.1 * 20.0)
+
+
+def test_the_way_back_feels_the_opposite_sign_with_the_rear_on_the_other_side(profile: LineProfile) -> None:
+    # Front at 660 going down: the rear is at 760; 40 m at -12.5, 60 m at 20, felt with the other sign.
+    assert profile.gradient(660.0, -1) == pytest.approx(-(0.4 * -12.5 + 0.6 * 20.0))
+    # The same metres of track under the train, the other way round.
+    assert profile.gradient(700.0, 1) == pytest.approx(-profile.gradient(600.0, -1))
+
+
+def test_the_outer_values_go_on(profile: LineProfile) -> None:
+    assert profile.gradient(5000.0, 1) == pytest.approx(20.0)
+    assert profile.gradient(-5000.0, 1) == 0.0
+    assert LineProfile(Line(gradient=((0.0, 7.0),)), 50.0).gradient(-900.0, 1) == pytest.approx(7.0)
+
+
+def test_many_positions_at_once_give_the_same(profile: LineProfile) -> None:
+    at = np.linspace(-300.0, 3300.0, 997)
+    for direction in (1, -1):
+        one_by_one = [profile.gradient(float(x), direction) for x in at]
+        # Only the order of additions may differ.
+        assert profile.gradients(at, direction) == pytest.approx(one_by_one, abs=1e-9)
+
+
+def test_the_radius_follows_the_mean_curvature(profile: LineProfile) -> None:
+    assert profile.curve_radius(450.0, 1) == pytest.approx(400.0)
+    # Half of the train in the curve: half the curvature.
+    assert profile.curve_radius(350.0, 1) == pytest.approx(800.0)
+    assert profile.curve_radius(450.0, -1) == pytest.approx(800.0)
+    assert profile.curve_radius(250.0, 1) == 0.0
+
+
+def test_tunnel_holds_for_at_least_half_of_the_train(profile: LineProfile) -> None:
+    assert [profile.tunnel(x, 1) for x in (740.0, 760.0, 1440.0, 1460.0)] == [False, True, True, False]
+    assert [profile.tunnel(x, -1) for x in (640.0, 660.0, 1340.0, 1360.0)] == [False, True, True, False]
+
+
+def test_touching_tunnels_are_one() -> None:
+    profile = LineProfile(Line(tunnel=((0.0, 100.0), (100.0, 200.0))), 20.0)
+    assert [profile.tunnel(x, 1) for x in (5.0, 105.0, 110.0, 200.0, 215.0)] == [
+        False,
+        True,
+        True,
+        True,
+        False,
+    ]
+
+
+def test_speed_limit_is_the_lowest_under_the_train(profile: LineProfile) -> None:
+    assert profile.speed_limit(599.0, 1) == 10.0
+    assert profile.speed_limit(600.0, 1) == 20.0
+    assert profile.speed_limit(1001.0, 1) == 15.0
+    assert profile.speed_limit(1000.0, 1) == 20.0
+    assert profile.speed_limit(499.0, -1) == 10.0
+    assert profile.speed_limit(-50.0, 1) == 10.0
+    assert LineProfile(Line(), 10.0).speed_limit(0.0, 1) == math.inf
+
+
+def test_limits_ahead_in_both_directions(profile: LineProfile) -> None:
+    assert profile.limits_ahead(450.0, 1, 600.0) == ((50.0, 20.0), (550.0, 15.0))
+    assert profile.limits_ahead(450.0, 1, 100.0) == ((50.0, 20.0),)
+    assert profile.limits_ahead(1100.0, -1, 700.0) == ((100.0, 20.0), (600.0, 10.0))
+
+
+def test_next_stop(profile: LineProfile) -> None:
+    assert profile.next_stop(1450.3, 1) == 3000.0
+    assert profile.next_stop(1449.7, 1) == 3000.0
+    assert profile.next_stop(1440.0, 1) == 1450.0
+    assert profile.next_stop(1449.7, -1) == 0.0
+    assert profile.next_stop(3000.0, 1) is None
+    assert profile.next_stop(0.0, -1) is None
+
+
+@pytest.mark.parametrize('length', [0.0, -1.0, math.nan])
+def test_a_train_has_a_length(length: float) -> None:
+    with pytest.raises(InputError, match='train length'):
+        LineProfile(LINE, length)

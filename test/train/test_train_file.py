@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The train file reads back exactly and every wrong field is named in one line."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+
+from trainid_ros.core.errors import InputError
+from trainid_ros.train.train_file import (
+    Brake,
+    Davis,
+    Effect,
+    Line,
+    Train,
+    TrainFile,
+    dump_train_file,
+    load_train_file,
+    parse_train_file,
+)
+
+MINIMAL = 'train: {mass: 194000.0}\nresistance: {a: 1.0, b: 0.03, c: 0.003}\n'
+
+FULL = TrainFile(
+    Train(194e3, 0.08, 118.0, 6, 310e3, 3.1e6, 22.2),
+    Davis(1.0 / 3.0, -1e-17, 0.1 + 0.2),
+    Brake(0.93, 0.4, 0.0),
+    Line(
+        (0.0, 1450.0),
+        ((0.0, 0.0), (620.0, -12.5)),
+        ((0.0, 0.0), (300.0, 400.0)),
+        ((700.0, 1400.0),),
+        ((0.0, 20.0),),
+    ),
+    (
+        Effect('tunnel_drag', (('factor', 1.7),), (('factor', 0.05),), 'run 3: "tunnels" — 1 of 4'),
+        Effect('unheard_of', (('x', 1e5),)),
+    ),
+)
+
+
+def test_the_minimal_file_takes_defaults() -> None:
+    assert parse_train_file(MINIMAL, 'T.yaml') == TrainFile(Train(194e3), Davis(1.0, 0.03, 0.003))
+
+
+def test_dump_and_parse_give_exactly_the_same_values() -> None:
+    assert parse_train_file(dump_train_file(FULL), 'T.yaml') == FULL
+
+
+def test_the_interface_example_is_read(tmp_path: Path) -> None:
+    path = tmp_path / 'T.yaml'
+    path.write_text(
+        MINIMAL + 'brake: {rate: 1.0, time_constant: 0.4, delay: 0.6}\n'
+        'line:\n  stops: [0.0, 1450.0]\n  gradient: [[0.0, 0.0], [620.0, -12.5]]\n'
+        '  curve: [[0.0, 0.0], [300.0, 400.0]]\n  tunnel: [[700.0, 1400.0]]\neffects: []\n',
+        encoding='utf-8',
+    )
+    line = load_train_file(path).line
+    assert line == Line((0.0, 1450.0), ((0.0, 0.0), (620.0, -12.5)), ((0.0, 0.0), (300.0, 400.0)), ((700.0, 1400.0),))
+
+
+def test_a_brake_rate_over_speed_is_linear_between_and_reads_back() -> None:
+    brake = parse_train_file(MINIMAL + 'brake: {rate: [[5.0, 1.1], [15.0, 0.9]]}', 'T.yaml').brake
+    assert (brake.rate, brake.rate_table) == (1.0, ((5.0, 1.1), (15.0, 0.9)))
+    assert [brake.rate_at(v) for v in (0.0, 5.0, 10.0, 15.0, 40.0)] == pytest.approx([1.1, 1.1, 1.0, 0.9, 0.9])
+    assert Brake(rate=0.8).rate_at(12.0) == 0.8
+    file = replace(FULL, brake=brake)
+    assert parse_train_file(dump_train_file(file), 'T.yaml') == file
+    # A factor on the table is written into it.
+    scaled = parse_train_file(dump_train_file(replace(FULL, brake=replace(brake, rate=0.5))), 'T.yaml').brake
+    assert scaled.rate_at(10.0) == pytest.approx(0.5)
+
+
+def test_exponents_without_a_point_are_numbers() -> None:
+    assert parse_train_file(MINIMAL.replace('194000.0', '194e3'), 'T.yaml').train.mass == 194e3
+
+
+@pytest.mark.parametrize(
+    ('text', 'message'),
+    [
+        ('train: {mass: -1}\nresistance: {a: 1, b: 0, c: 0}', 'T.yaml: train.mass = -1 kg must be > 0'),
+        ('resistance: {a: 1, b: 0, c: 0}', 'T.yaml: train is missing'),
+        ('train: {mass: 1}', 'T.yaml: resistance is missing'),
+        ('train: {}\nresistance: {a: 1, b: 0, c: 0}', 'T.yaml: train.mass is missing'),
+        ('train: {mass: 1}\nresistance: {a: 1, b: 0}', 'T.yaml: resistance.c is missing'),
+        ('train: {mass: yes}\nresistance: {}', 'T.yaml: train.mass = True must be a number in kg'),
+        ('train: {mass: heavy}\nresistance: {}', "T.yaml: train.mass = 'heavy' must be a number in kg"),
+        ('train: {mass: .nan}\nresistance: {}', 'T.yaml: train.mass = nan must be finite'),
+        ('train: {mass: .inf}\nresistance: {}', 'T.yaml: train.mass = inf must be finite'),
+        ('train: 3\nresistance: {}', 'T.yaml: train = 3 must be a mapping of fields'),
+        ('[1, 2]', 'T.yaml = [1, 2] must be a mapping of fields'),
+        ('', 'T.yaml = None must be a mapping of fields'),
+        (
+            'train: {mass: 1, mas: 2}\nresistance: {}',
+            "T.yaml: train.mas is not a known field; did you mean 'mass'?",
+        ),
+        (
+            MINIMAL + 'zzz: 1',
+            'T.yaml: zzz is not a known field; known: brake, effects, line, resistance, train',
+        ),
+        (
+            'train: {mass: 1, mass: 2}\nresistance: {}',
+            "T.yaml: line 1, column 18 is not valid YAML: key 'mass' is given twice",
+        ),
+        ('train: {mass: 1, length: 0}\nresistance: {}', 'T.yaml: train.length = 0 m must be > 0'),
+        ('train: {mass: 1, rotary_mass: 8}\nresistance: {}', 'T.yaml: train.rotary_mass = 8 must be <= 1'),
+        ('train: {mass: 1, cars: 0}\nresistance: {}', 'T.yaml: train.cars = 0 must be >= 1'),
+        ('train: {mass: 1, cars: 2.5}\nresistance: {}', 'T.yaml: train.cars = 2.5 must be a whole number'),
+        ('train: {mass: 1}\nresistance: {a: -1, b: 0, c: 0}', 'T.yaml: resistance.a = -1 N/kN must be >= 0'),
+        (MINIMAL + 'brake: {rate: 0}', 'T.yaml: brake.rate = 0 must be >= 0.01'),
+        (MINIMAL + 'brake: {rate: []}', 'T.yaml: brake.rate = [] must be a number or have a row'),
+        (MINIMAL + 'brake: {rate: [[0, 1, 2]]}', 'T.yaml: brake.rate[0] = [0, 1, 2] must be [speed m/s, rate]'),
+        (MINIMAL + 'brake: {rate: [[-1, 1]]}', 'T.yaml: brake.rate[0][0] = -1 m/s must be >= 0'),
+        (MINIMAL + 'brake: {rate: [[0, 0]]}', 'T.yaml: brake.rate[0][1] = 0 is outside [0.01, 10]'),
+        (
+            MINIMAL + 'brake: {rate: [[5, 1], [5, 0.9]]}',
+            'T.yaml: brake.rate[1][0] = 5 m/s must be above 5 m/s: speeds rise',
+        ),
+        (
+            MINIMAL + 'brake: {rate_table: [[5, 1]]}',
+            'T.yaml: brake.rate_table is not a known field; known: delay, rate, time_constant, timing_std',
+        ),
+        (MINIMAL + 'brake: {delay: -0.1}', 'T.yaml: brake.delay = -0.1 s must be >= 0'),
+        (MINIMAL + 'line: {stops: 5}', 'T.yaml: line.stops = 5 must be a list'),
+        (
+            MINIMAL + 'line: {stops: [0, 5, 5]}',
+            'T.yaml: line.stops[2] = 5 m must lie after 5 m: positions rise',
+        ),
+        (MINIMAL + 'line: {stops: [0, x]}', "T.yaml: line.stops[1] = 'x' must be a number in m"),
+        (
+            MINIMAL + 'line: {gradient: [[0, 1], [0, 2]]}',
+            'T.yaml: line.gradient[1] = 0 m must lie after 0 m: positions rise',
+        ),
+        (
+            MINIMAL + 'line: {gradient: [[0, 1, 2]]}',
+            'T.yaml: line.gradient[0] = [0, 1, 2] must be [m, per mille]',
+        ),
+        (
+            MINIMAL + 'line: {gradient: [[0, true]]}',
+            'T.yaml: line.gradient[0][1] = True must be a number in per mille',
+        ),
+        (MINIMAL + 'line: {curve: [[0, -300]]}', 'T.yaml: line.curve[0][1] = -300 m radius must be >= 0'),
+        (MINIMAL + 'line: {speed_limit: [[0, 0]]}', 'T.yaml: line.speed_limit[0][1] = 0 m/s must be > 0'),
+        (MINIMAL + 'line: {tunnel: [[9, 4]]}', 'T.yaml: line.tunnel[0] = [9, 4] m must end after its start'),
+        (
+            MINIMAL + 'line: {tunnel: [[0, 9], [8, 20]]}',
+            'T.yaml: line.tunnel[1][0] = 8 m lies before the last end, 9 m',
+        ),
+        (MINIMAL + 'effects: [{name: 3}]', 'T.yaml: effects[0].name = 3 must be a text'),
+        (MINIMAL + 'effects: [{}]', 'T.yaml: effects[0].name is missing'),
+        (MINIMAL + 'effects: [5]', 'T.yaml: effects[0] = 5 must be a mapping of fields'),
+        (
+            MINIMAL + 'effects: [{name: x, parameters: {k: fast}}]',
+            "T.yaml: effects[0].parameters.k = 'fast' must be a number",
+        ),
+        (MINIMAL + 'effects: [{name: x, std: {k: -1}}]', 'T.yaml: effects[0].std.k = -1 must be >= 0'),
+        (
+            MINIMAL + 'effects: [{name: x, parameters: {coefficient: 600}, std: {coef: 1}}]',
+            'T.yaml: effects[0].std.coef is the std of no parameter',
+        ),
+        (MINIMAL + '[3]: 4', 'T.yaml: line 3, column 1 is not valid YAML: found unhashable key'),
+        (MINIMAL + '3: 4', 'T.yaml has the key 3, which is no field name'),
+    ],
+)
+def test_each_wrong_field_is_named_in_one_line(text: str, message: str) -> None:
+    with pytest.raises(InputError) as caught:
+        parse_train_file(text, 'T.yaml')
+    assert str(caught.value) == message
+
+
+@pytest.mark.parametrize(
+    'text', ['train: {mass: 1', 'a: &x [*x', '\ttrain: 1', 'train: !!python/name:os.system x', '\x00']
+)
+def test_bad_yaml_is_one_line_with_the_file(text: str) -> None:
+    with pytest.raises(InputError, match=r'^T\.yaml:.* is not valid YAML: ') as caught:
+        parse_train_file(text, 'T.yaml')
+    assert '\n' not in str(caught.value)
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r'none\.yaml: cannot be read: No such file'):
+        load_train_file(tmp_path / 'none.yaml')
+
+
+def test_a_file_that_is_no_text_is_named(tmp_path: Path) -> None:
+    path = tmp_path / 'binary.yaml'
+    path.write_bytes(b'train\xff')
+    with pytest.raises(InputError, match=r'binary\.yaml: is not UTF-8 text \(byte 5\)'):
+        load_train_file(path)

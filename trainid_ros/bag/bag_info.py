@@ -1,0 +1,292 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is in a bag, and whether the estimators can use it."""
+
+from __future__ import annotations
+
+from array import array
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+
+from trainid_ros.bag.reader import BagReader, missing_topics
+from trainid_ros.core.records import (
+    BRAKE_TOPIC,
+    FORCE_TOPIC,
+    GRADIENT_TOPIC,
+    MASS_TOPIC,
+    NS_PER_S,
+    REQUIRED_TOPICS,
+    SPEED_TOPIC,
+)
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from numpy.typing import NDArray
+
+    from trainid_ros.core.records import Record
+
+GAP_S: Final = 1.0
+MOVING_SPEED: Final = 0.1
+_INT64_MAX: Final = 2**63 - 1  # a log time is unsigned
+_REQUIRED: Final = tuple(topic.name for topic in REQUIRED_TOPICS)
+
+
+class _Quantity(NamedTuple):
+    """A field of an input topic whose range is reported."""
+
+    topic: str
+    field: str
+    unit: str
+
+
+_QUANTITIES: Final = (
+    _Quantity(SPEED_TOPIC.name, 'speed', 'm/s'),
+    _Quantity(SPEED_TOPIC.name, 'position', 'm'),
+    _Quantity(FORCE_TOPIC.name, 'force', 'N'),
+    _Quantity(GRADIENT_TOPIC.name, 'gradient', 'per mille'),
+    _Quantity(GRADIENT_TOPIC.name, 'curve_radius', 'm'),
+    _Quantity(BRAKE_TOPIC.name, 'target_acceleration', 'm/s^2'),
+    _Quantity(MASS_TOPIC.name, 'mass', 'kg'),
+)
+# An unknown position is NaN by the interface, so it is no fault.
+_MAY_BE_NAN: Final = frozenset({(SPEED_TOPIC.name, 'position')})
+
+
+@dataclass(frozen=True, slots=True)
+class StampInfo:
+    """The stamps of one input topic.
+
+    Attributes:
+        rate: Median rate [Hz], NaN below two messages.
+        first_ns: Smallest stamp that is not zero.
+        last_ns: Greatest stamp.
+        gaps: Number of pauses longer than one second.
+        longest_gap_s: Longest pause [s].
+        out_of_order: Messages older than one before them.
+        duplicates: Messages whose stamp was there before.
+        zero: Messages without a stamp.
+        log_offset_s: Median of log time less stamp [s].
+
+    """
+
+    rate: float
+    first_ns: int
+    last_ns: int
+    gaps: int
+    longest_gap_s: float
+    out_of_order: int
+    duplicates: int
+    zero: int
+    log_offset_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class TopicInfo:
+    """One topic; ``stamps`` is None for topics that are no input or have no messages."""
+
+    name: str
+    type: str
+    count: int
+    not_finite: int
+    stamps: StampInfo | None
+
+
+@dataclass(frozen=True, slots=True)
+class ValueRange:
+    """Least and greatest finite value of a field, NaN if there is none."""
+
+    topic: str
+    field: str
+    unit: str
+    low: float
+    high: float
+
+
+@dataclass(frozen=True, slots=True)
+class BagInfo:
+    """What a bag holds.
+
+    Attributes:
+        path: The bag.
+        duration_s: From the first to the last log time [s].
+        messages: Number of messages on all topics.
+        topics: All topics by name.
+        ranges: Ranges of the input values.
+        moving_share: Share of the time with the train moving, NaN if unknown.
+        braking_share: Share of the time with a brake command, NaN if unknown.
+        missing: Required topics without messages.
+        problems: Why the bag cannot be used; empty if it can.
+        warnings: What the estimators will refuse or bridge.
+
+    """
+
+    path: str
+    duration_s: float
+    messages: int
+    topics: tuple[TopicInfo, ...]
+    ranges: tuple[ValueRange, ...]
+    moving_share: float
+    braking_share: float
+    missing: tuple[str, ...]
+    problems: tuple[str, ...]
+    warnings: tuple[str, ...]
+
+    @property
+    def usable(self) -> bool:
+        """True if the estimators have something to work on."""
+        return not self.problems
+
+
+class _Column:
+    """Stamps, log times and values of one input topic, as compact arrays."""
+
+    def __init__(self, names: tuple[str, ...]) -> None:
+        self._stamps = array('q')
+        self._logs = array('q')
+        self._values = {name: array('d') for name in names}
+
+    def add(self, log_ns: int, record: Record) -> None:
+        self._stamps.append(record.stamp_ns)
+        self._logs.append(min(log_ns, _INT64_MAX))
+        for name, values in self._values.items():
+            values.append(getattr(record, name))
+
+    @property
+    def stamps(self) -> NDArray[np.int64]:
+        return np.array(self._stamps, dtype=np.int64)
+
+    @property
+    def logs(self) -> NDArray[np.int64]:
+        return np.array(self._logs, dtype=np.int64)
+
+    def values(self, name: str) -> NDArray[np.float64]:
+        return np.array(self._values[name], dtype=np.float64)
+
+    def not_finite(self, topic: str) -> int:
+        """Return the number of messages with a value that is not finite although it must be."""
+        names = [name for name in self._values if (topic, name) not in _MAY_BE_NAN]
+        columns = [~np.isfinite(self.values(name)) for name in names]
+        return int(np.count_nonzero(np.logical_or.reduce(columns)))
+
+
+def inspect(path: str | Path, namespace: str = '/') -> BagInfo:
+    """Read a bag once and tell what is in it.
+
+    Args:
+        path: Rosbag2 directory or ``.mcap`` file.
+        namespace: Namespace of the topics.
+
+    Raises:
+        InputError: If the bag cannot be read.
+
+    """
+    with BagReader(path, namespace) as reader:
+        columns = _read(reader)
+        missing = missing_topics(reader)
+        topics = tuple(
+            TopicInfo(topic.name, topic.type, topic.count, *_details(topic.name, columns)) for topic in reader.topics()
+        )
+        first, last = reader.time_range() or (0, 0)
+        moving = _share(columns, SPEED_TOPIC.name, 'speed')
+        return BagInfo(
+            path=str(path),
+            duration_s=(last - first) / NS_PER_S,
+            messages=reader.message_count,
+            topics=topics,
+            ranges=tuple(_range(columns, item) for item in _QUANTITIES if item.topic in columns),
+            moving_share=moving,
+            braking_share=_share(columns, BRAKE_TOPIC.name, 'target_acceleration'),
+            missing=missing,
+            problems=tuple(_problems(topics, missing, moving)),
+            warnings=(*reader.warnings, *(line for topic in topics for line in _remarks(topic))),
+        )
+
+
+def _read(reader: BagReader) -> dict[str, _Column]:
+    columns: dict[str, _Column] = {}
+    for log_ns, topic, record in reader.logged_records():
+        if topic not in columns:
+            columns[topic] = _Column(_number_fields(record))
+        columns[topic].add(log_ns, record)
+    return columns
+
+
+def _number_fields(record: Record) -> tuple[str, ...]:
+    return tuple(item.name for item in fields(record) if item.type in {'float', float})
+
+
+def _details(name: str, columns: dict[str, _Column]) -> tuple[int, StampInfo | None]:
+    column = columns.get(name)
+    return (0, None) if column is None else (column.not_finite(name), _stamp_info(column))
+
+
+def _stamp_info(column: _Column) -> StampInfo:
+    stamps, logs = column.stamps, column.logs
+    stamped = stamps[stamps != 0]
+    known = np.unique(stamped)
+    steps = np.diff(known) / NS_PER_S
+    newest = np.maximum.accumulate(stamped)
+    return StampInfo(
+        rate=1.0 / float(np.median(steps)) if steps.size else float('nan'),
+        first_ns=int(known[0]) if known.size else 0,
+        last_ns=int(known[-1]) if known.size else 0,
+        gaps=int(np.count_nonzero(steps > GAP_S)),
+        longest_gap_s=float(steps.max()) if steps.size else 0.0,
+        out_of_order=int(np.count_nonzero(stamped < newest)),
+        duplicates=int(stamped.size - known.size),
+        zero=int(stamps.size - stamped.size),
+        log_offset_s=float(np.median(logs - stamps)) / NS_PER_S,
+    )
+
+
+def _range(columns: dict[str, _Column], item: _Quantity) -> ValueRange:
+    values = columns[item.topic].values(item.field)
+    finite = values[np.isfinite(values)]
+    low, high = (float(finite.min()), float(finite.max())) if finite.size else (float('nan'),) * 2
+    return ValueRange(item.topic, item.field, item.unit, low, high)
+
+
+def _share(columns: dict[str, _Column], topic: str, name: str) -> float:
+    """Return the share of time in which a value is not zero; a message holds until the next, at most one second."""
+    if topic not in columns:
+        return float('nan')
+    order = np.argsort(columns[topic].stamps, kind='stable')
+    held = np.clip(np.diff(columns[topic].stamps[order]) / NS_PER_S, 0.0, GAP_S)
+    active = np.abs(columns[topic].values(name)[order][:-1]) > (MOVING_SPEED if name == 'speed' else 0.0)
+    total = float(held.sum())
+    return float(held[active].sum()) / total if total > 0.0 else float('nan')
+
+
+def _problems(topics: tuple[TopicInfo, ...], missing: tuple[str, ...], moving: float) -> list[str]:
+    if missing:
+        hints = [f'/{topic.name}' for topic in topics if topic.count and topic.name.endswith(_REQUIRED)]
+        other = [name for name in hints if name.lstrip('/') not in _REQUIRED]
+        hint = f' (other namespace: {", ".join(other)})' if other else ''
+        return [f'no messages on {", ".join(missing)}{hint}']
+    required = {topic.name: topic for topic in topics if topic.name in _REQUIRED}
+    problems = [f'{name}: no message can be used' for name, topic in required.items() if not _any_good(topic)]
+    spans = [topic.stamps for topic in required.values() if topic.stamps is not None and _any_good(topic)]
+    if not problems and max(span.first_ns for span in spans) > min(span.last_ns for span in spans):
+        problems.append('the stamps of the required topics do not overlap')
+    if not moving > 0.0:
+        problems.append('the train does not move')
+    return problems
+
+
+def _any_good(topic: TopicInfo) -> bool:
+    return topic.stamps is not None and topic.not_finite < topic.count and topic.stamps.zero < topic.count
+
+
+def _remarks(topic: TopicInfo) -> list[str]:
+    if (stamps := topic.stamps) is None:
+        return []
+    found = (
+        (topic.not_finite, 'messages with a value that is not finite'),
+        (stamps.gaps, f'gaps longer than {GAP_S:g} s, the longest {stamps.longest_gap_s:.1f} s'),
+        (stamps.out_of_order, 'messages out of order'),
+        (stamps.duplicates, 'messages with a stamp seen before'),
+        (stamps.zero, 'messages with a zero stamp'),
+    )
+    return [f'{topic.name}: {count} {what}' for count, what in found if count]

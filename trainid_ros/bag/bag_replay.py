@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The estimators over a bag: records in the order of the log go into the pipelines of the live nodes.
+
+Nothing is computed here; a replay is deterministic and equals what nodes that miss no message publish.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import takewhile
+from typing import TYPE_CHECKING, Final, Generic, NamedTuple, Protocol
+
+from trainid_ros.bag.reader import require_topics
+from trainid_ros.core.records import NS_PER_S
+from trainid_ros.core.results import BrakeRateEstimate, Reason, ResistanceEstimate, SpeedModelEstimate
+from trainid_ros.estimators.pipeline import (
+    BrakeRatePipeline,
+    EstimateT,
+    EstimatorPipeline,
+    Output,
+    ResistancePipeline,
+    SpeedModelPipeline,
+    brake_rate_pipeline,
+    resistance_pipeline,
+    speed_model_pipeline,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from trainid_ros.bag.reader import BagReader, LoggedRecord
+    from trainid_ros.estimators.consistency import Consistency
+    from trainid_ros.estimators.pipeline import EstimatorSettings
+    from trainid_ros.train.train_file import TrainFile
+
+AnyOutput = Output[ResistanceEstimate] | Output[SpeedModelEstimate] | Output[BrakeRateEstimate]
+
+_PROGRESS_EVERY: Final = 500
+
+
+class Observer(Protocol):
+    """Sees all that passes through a replay, in order."""
+
+    def on_record(self, entry: LoggedRecord) -> None:
+        """See an input before the estimators do."""
+
+    def on_output(self, output: AnyOutput, log_ns: int) -> None:
+        """See an output and the log time of the input that brought it about."""
+
+
+@dataclass(frozen=True, slots=True)
+class Result(Generic[EstimateT]):
+    """What one estimator said at the end of a replay.
+
+    Attributes:
+        prior: What it believed before the first record.
+        output: Its last output.
+        samples: Aligned samples since the last reset.
+        rejections: Why records and samples were not used, the commonest reason first.
+        resets: How often the stamps jumped back and it started over.
+        consistency: Whether its errors were as large as it stated, over the last samples it used.
+
+    """
+
+    prior: EstimateT
+    output: Output[EstimateT]
+    samples: int
+    rejections: tuple[tuple[Reason, int], ...]
+    resets: int
+    consistency: Consistency
+
+
+@dataclass(frozen=True, slots=True)
+class Replay:
+    """The outcome of a replay.
+
+    Attributes:
+        records: Number of inputs read.
+        duration_s: Time covered by the samples.
+        resistance: Running resistance.
+        speed_model: Speed model.
+        brake_rate: Brake rate.
+
+    """
+
+    records: int
+    duration_s: float
+    resistance: Result[ResistanceEstimate]
+    speed_model: Result[SpeedModelEstimate]
+    brake_rate: Result[BrakeRateEstimate]
+
+
+class Pipelines(NamedTuple):
+    """The three estimators, not used yet."""
+
+    resistance: ResistancePipeline
+    speed_model: SpeedModelPipeline
+    brake_rate: BrakeRatePipeline
+
+
+def replay(
+    reader: BagReader,
+    train_file: TrainFile,
+    settings: EstimatorSettings,
+    progress: Callable[[float], None] | None = None,
+    observers: Sequence[Observer] = (),
+    *,
+    duration_s: float = math.inf,
+) -> Replay:
+    """Run the three estimators over a bag.
+
+    Args:
+        reader: The bag, open.
+        train_file: What is believed of the train.
+        settings: Everything else that shapes the estimators.
+        progress: Called with the number of inputs read since its last call.
+        observers: Who sees inputs and outputs; nothing else is kept, so memory does not grow with the bag.
+        duration_s: How much of the bag to take, from its start on, by log time.
+
+    Raises:
+        InputError: A required topic has no messages, or a message cannot be read.
+
+    """
+    pipelines = Pipelines(
+        resistance_pipeline(train_file, settings),
+        speed_model_pipeline(train_file, settings),
+        brake_rate_pipeline(train_file, settings),
+    )
+    return replay_through(pipelines, reader, progress, observers, duration_s=duration_s)
+
+
+def replay_through(
+    pipelines: Pipelines,
+    reader: BagReader,
+    progress: Callable[[float], None] | None = None,
+    observers: Sequence[Observer] = (),
+    *,
+    duration_s: float = math.inf,
+) -> Replay:
+    """Run estimators that may each have settings of their own; see :func:`replay`."""
+    require_topics(reader)
+    resistance, speed_model, brake_rate = pipelines
+    priors = (resistance.current().estimate, speed_model.current().estimate, brake_rate.current().estimate)
+    clock = _Stopwatch()
+    records = 0
+    for entry in _until(reader, duration_s):
+        records += 1
+        for observer in observers:
+            observer.on_record(entry)
+        for pipeline in pipelines:
+            for output in pipeline.push(entry.record):
+                # One estimator tells the time for all: each repeats the stamps of the others.
+                if pipeline is resistance:
+                    clock.see(output.stamp_ns)
+                for observer in observers:
+                    observer.on_output(output, entry.log_ns)
+        if progress is not None and records % _PROGRESS_EVERY == 0:
+            progress(_PROGRESS_EVERY)
+    if progress is not None:
+        progress(records % _PROGRESS_EVERY)
+    return Replay(
+        records,
+        clock.total_s,
+        _result(resistance, priors[0]),
+        _result(speed_model, priors[1]),
+        _result(brake_rate, priors[2]),
+    )
+
+
+def _until(reader: BagReader, duration_s: float) -> Iterator[LoggedRecord]:
+    span = reader.time_range()
+    if span is None or math.isinf(duration_s):
+        return reader.logged_records()
+    last_ns = span[0] + round(duration_s * NS_PER_S)
+    return takewhile(lambda entry: entry.log_ns <= last_ns, reader.logged_records())
+
+
+def _result(pipeline: EstimatorPipeline[EstimateT], prior: EstimateT) -> Result[EstimateT]:
+    rejections = tuple(pipeline.rejections.most_common())
+    return Result(prior, pipeline.current(), pipeline.samples, rejections, pipeline.resets, pipeline.consistency)
+
+
+class _Stopwatch:
+    """Time covered by rising stamps; where they jump back the time before is kept."""
+
+    def __init__(self) -> None:
+        self._first = self._newest = self._before = 0
+
+    def see(self, stamp_ns: int) -> None:
+        if stamp_ns < self._newest:
+            self._before += self._newest - self._first
+            self._first = stamp_ns
+        self._first = self._first or stamp_ns
+        self._newest = stamp_ns
+
+    @property
+    def total_s(self) -> float:
+        return (self._before + self._newest - self._first) / NS_PER_S

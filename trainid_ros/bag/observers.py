@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Who may watch a replay: a bag that keeps all, traces for plots."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from trainid_ros.bag.types import ESTIMATE_TOPICS, LAST_VALID_TOPICS, estimate_message, message_from_record
+from trainid_ros.core.records import INPUT_TOPICS
+from trainid_ros.core.results import Status
+from trainid_ros.report.traces import TraceRecorder
+
+if TYPE_CHECKING:
+    from trainid_ros.bag.bag_replay import AnyOutput
+    from trainid_ros.bag.reader import LoggedRecord
+    from trainid_ros.bag.writer import BagWriter
+    from trainid_ros.report.traces import Traces
+
+_TYPES = {topic.record: topic.message for topic in INPUT_TOPICS}
+
+
+class BagRecorder:
+    """Writes inputs and estimates to a bag, logged when they came or would have been published."""
+
+    def __init__(self, writer: BagWriter) -> None:
+        self._writer = writer
+
+    def on_record(self, entry: LoggedRecord) -> None:
+        """Write an input with its own log time, so that the new bag replays in the same order."""
+        message = message_from_record(entry.record)
+        self._writer.write_message(entry.topic, _TYPES[type(entry.record)], entry.log_ns, message)
+
+    def on_output(self, output: AnyOutput, log_ns: int) -> None:
+        """Write an estimate, and its latched copy if it is valid."""
+        name, message = type(output.estimate).__name__, estimate_message(output)
+        self._writer.write_message(ESTIMATE_TOPICS[name], name, log_ns, message)
+        if output.status is Status.VALID and (latched := LAST_VALID_TOPICS.get(name)) is not None:
+            self._writer.write_message(latched, name, log_ns, message)
+
+
+class TraceObserver:
+    """Collects traces for a report."""
+
+    def __init__(self) -> None:
+        self._recorder = TraceRecorder()
+
+    def on_record(self, entry: LoggedRecord) -> None:
+        """Trace an input."""
+        self._recorder.on_record(entry.record)
+
+    def on_output(self, output: AnyOutput, log_ns: int) -> None:  # noqa: ARG002 - plots go by stamps
+        """Trace an output."""
+        self._recorder.on_output(output)
+
+    def finish(self) -> Traces:
+        """Return what was collected."""
+        return self._recorder.finish()

@@ -1,0 +1,279 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Records and messages of a bag in the order of their log times."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from heapq import heappop, heappush
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
+
+from rosbags.serde import SerdeError
+from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
+
+from trainid_ros.bag.bag_files import locate
+from trainid_ros.bag.mcap_file import McapFile
+from trainid_ros.bag.types import (
+    ESTIMATE_TOPICS,
+    LAST_VALID_TOPICS,
+    digest,
+    full_type,
+    record_from_message,
+    typestore,
+)
+from trainid_ros.core.errors import InputError
+from trainid_ros.core.records import INPUT_TOPICS, REQUIRED_TOPICS, InputTopic
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterable, Iterator
+    from types import TracebackType
+
+    from trainid_ros.core.records import Record
+
+_OURS: Final = {topic.name: topic.message for topic in INPUT_TOPICS} | {
+    topic: message for topics in (ESTIMATE_TOPICS, LAST_VALID_TOPICS) for message, topic in topics.items()
+}
+_INPUT_NAMES: Final = frozenset(topic.name for topic in INPUT_TOPICS)
+_IDL_LINE: Final = '=' * 80 + '\n'
+
+
+@dataclass(frozen=True, slots=True)
+class TopicSummary:
+    """One topic of a bag: name relative to the namespace where it lies in it, full type, messages."""
+
+    name: str
+    type: str
+    count: int
+
+
+class LoggedRecord(NamedTuple):
+    """A record with the time at which it was logged."""
+
+    log_ns: int
+    topic: str
+    record: Record
+
+
+class LoggedMessage(NamedTuple):
+    """A message with its topic and the time at which it was logged."""
+
+    log_ns: int
+    topic: str
+    message: Any
+
+
+class _Source(NamedTuple):
+    """One channel of one file: topic by our name, short type name."""
+
+    topic: str
+    name: str
+
+
+class BagReader:
+    """Reads a rosbag2 directory or a bare ``.mcap`` file, also a damaged one as far as it goes.
+
+    Use as a context manager; a bag can be iterated any number of times. Memory use does not grow with
+    the bag: only chunks whose log times overlap are held together.
+
+    Attributes:
+        path: The bag.
+        warnings: What is wrong with the bag although it can be read.
+
+    """
+
+    def __init__(self, path: str | Path, namespace: str = '/') -> None:
+        """Name the bag; it is opened on entering the context.
+
+        Args:
+            path: Rosbag2 directory or ``.mcap`` file.
+            namespace: Namespace of the topics; those outside keep their full name without the slash.
+
+        """
+        self.path = Path(path)
+        self.warnings: list[str] = []
+        self._prefix = f'/{namespace.strip("/")}/'.replace('//', '/')
+        self._files: list[McapFile] = []
+        self._sources: list[dict[int, _Source]] = []
+
+    def __enter__(self) -> Self:
+        """Open and check the bag.
+
+        Raises:
+            InputError: If the bag cannot be read, or one of our topics has another type.
+
+        """
+        located = locate(self.path)
+        self.warnings = list(located.warnings)
+        try:
+            for path in located.files:
+                self._files.append(McapFile(path))
+            hashes = dict(located.hashes)
+            self._sources = [self._check_types(file, hashes) for file in self._files]
+        except BaseException:
+            self.close()
+            raise
+        self.warnings += [warning for file in self._files for warning in file.warnings]
+        promised = located.message_count
+        if promised is not None and promised > self.message_count:
+            found = f'{self.message_count} of {promised} messages found'
+            self.warnings.append(f'{self.path}: {found}')
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Close the bag."""
+        self.close()
+
+    def close(self) -> None:
+        """Close all files."""
+        for file in self._files:
+            file.close()
+        self._files, self._sources = [], []
+
+    @property
+    def message_count(self) -> int:
+        """Number of messages on all topics."""
+        return sum(sum(file.counts.values()) for file in self._files)
+
+    @property
+    def input_count(self) -> int:
+        """Number of messages on the input topics: what :meth:`records` will yield."""
+        return sum(topic.count for topic in self.topics() if topic.name in _INPUT_NAMES)
+
+    def time_range(self) -> tuple[int, int] | None:
+        """Return the first and the last log time [ns], None for a bag without messages."""
+        segments = [segment for file in self._files for segment in file.segments]
+        if not segments:
+            return None
+        return min(segment.first_ns for segment in segments), max(segment.last_ns for segment in segments)
+
+    def topics(self) -> tuple[TopicSummary, ...]:
+        """Return all topics by name; a topic written in several types is listed once for each."""
+        counts: dict[tuple[str, str], int] = {}
+        for file in self._files:
+            for number, channel in file.channels.items():
+                key = (self._topic(channel.topic), _schema_name(file, number))
+                counts[key] = counts.get(key, 0) + file.counts.get(number, 0)
+        return tuple(TopicSummary(name, kind, count) for (name, kind), count in sorted(counts.items()))
+
+    def records(self) -> Iterator[Record]:
+        """Yield the records of the input topics by log time, on equal times as they lie in the bag.
+
+        Raises:
+            InputError: If a message cannot be read.
+
+        """
+        return (entry.record for entry in self.logged_records())
+
+    def logged_records(self) -> Iterator[LoggedRecord]:
+        """Yield what :meth:`records` yields, with log time and topic."""
+        for log_ns, topic, message in self.messages(_INPUT_NAMES):
+            yield LoggedRecord(log_ns, topic, record_from_message(_OURS[topic], message))
+
+    def messages(self, topics: Collection[str] | None = None) -> Iterator[LoggedMessage]:
+        """Yield our messages, inputs and estimates, by log time.
+
+        Args:
+            topics: Names of the topics wanted, all of ours if None; topics of others are left out.
+
+        Raises:
+            InputError: If a message cannot be read.
+
+        """
+        decode = typestore().deserialize_cdr
+        for log_ns, source, payload in self._raw(topics):
+            try:
+                message = decode(payload, full_type(source.name))
+            except (SerdeError, ValueError) as error:
+                msg = f'{self.path}: topic {source.topic}: unreadable message logged at {log_ns} ns ({error})'
+                raise InputError(msg) from None
+            yield LoggedMessage(log_ns, source.topic, message)
+
+    def _raw(self, topics: Collection[str] | None) -> Iterator[tuple[int, _Source, bytes]]:
+        """Merge the segments of all files; entries of the heap sort by log time, then by place in the bag."""
+        heap: list[tuple[int, int, int, _Source, bytes]] = []
+        segments = [(segment, index) for index, file in enumerate(self._files) for segment in file.segments]
+        ranked = sorted(enumerate(segments), key=lambda item: item[1][0].first_ns)
+        for rank, (segment, index) in ranked:
+            while heap and heap[0][0] < segment.first_ns:
+                log_ns, _, _, source, payload = heappop(heap)
+                yield log_ns, source, payload
+            wanted = self._wanted(index, topics)
+            for place, (log_ns, channel, payload) in enumerate(self._files[index].messages(segment)):
+                if (found := wanted.get(channel)) is not None:
+                    heappush(heap, (log_ns, rank, place, found, payload))
+        while heap:
+            log_ns, _, _, source, payload = heappop(heap)
+            yield log_ns, source, payload
+
+    def _wanted(self, index: int, topics: Collection[str] | None) -> dict[int, _Source]:
+        sources = self._sources[index].items()
+        return {number: source for number, source in sources if topics is None or source.topic in topics}
+
+    def _topic(self, name: str) -> str:
+        full = name if name.startswith('/') else f'/{name}'
+        # A name outside the namespace keeps its slash, so that it is nobody's input: two trains may share a bag.
+        return full.removeprefix(self._prefix)
+
+    def _check_types(self, file: McapFile, hashes: dict[str, str]) -> dict[int, _Source]:
+        """Return the channels of our topics; refuse those whose type is not the one of the interface."""
+        sources = {}
+        for number, channel in file.channels.items():
+            topic = self._topic(channel.topic)
+            if (name := _OURS.get(topic)) is None:
+                continue
+            where = f'{file.path}: topic {topic}'
+            if (found := _schema_name(file, number)) != full_type(name):
+                msg = f'{where}: type {full_type(name)} expected, {found or "none"} found'
+                raise InputError(msg)
+            if channel.message_encoding != 'cdr':
+                msg = f'{where}: encoding cdr expected, {channel.message_encoding!r} found'
+                raise InputError(msg)
+            told = channel.metadata.get('topic_type_hash') or hashes.get(channel.topic, '')
+            if (stored := _stored_digest(file, number) or told) != digest(name):
+                msg = f'{where}: definition of {full_type(name)} differs: {digest(name)} expected, '
+                raise InputError(msg + f'{stored or "no definition"} found')
+            sources[number] = _Source(topic, name)
+        return sources
+
+
+def require_topics(reader: BagReader, topics: Iterable[InputTopic] = REQUIRED_TOPICS) -> None:
+    """Raise InputError, naming them, if input topics have no messages in the bag."""
+    if not (missing := missing_topics(reader, topics)):
+        return
+    found = [topic.name for topic in reader.topics() if topic.count]
+    msg = f'{reader.path}: no messages on {", ".join(missing)} (found: {", ".join(found) or "nothing"})'
+    raise InputError(msg)
+
+
+def missing_topics(reader: BagReader, topics: Iterable[InputTopic] = REQUIRED_TOPICS) -> tuple[str, ...]:
+    """Return the names of those topics that have no messages in the bag."""
+    present = {topic.name for topic in reader.topics() if topic.count}
+    return tuple(topic.name for topic in topics if topic.name not in present)
+
+
+def _schema_name(file: McapFile, channel: int) -> str:
+    schema = file.schemas.get(file.channels[channel].schema_id)
+    return '' if schema is None else schema.name
+
+
+def _stored_digest(file: McapFile, channel: int) -> str:
+    """Return the RIHS01 digest of the definition stored with a channel, '' if there is none."""
+    schema = file.schemas[file.channels[channel].schema_id]
+    text = schema.data.decode('utf-8', errors='replace')
+    if not text.strip():
+        return ''
+    store = get_typestore(Stores.EMPTY)
+    try:
+        if schema.encoding == 'ros2msg':
+            store.register(get_types_from_msg(text, schema.name))
+        else:
+            for part in text.split(_IDL_LINE):
+                idl = part.partition('\n')[2] if part.startswith('IDL: ') else part
+                if idl.strip():
+                    store.register(get_types_from_idl(idl))
+        return str(store.hash_rihs01(schema.name))
+    except (TypesysError, KeyError) as error:
+        msg = f'{file.path}: unreadable definition of {schema.name} ({" ".join(str(error).split())})'
+        raise InputError(msg) from None

@@ -1,0 +1,192 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Runs of several bags on one time scale; long bags are read side by side, each in a process of its own."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+from concurrent.futures import FIRST_EXCEPTION, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Final
+
+from trainid_ros.bag.reader import BagReader, require_topics
+from trainid_ros.core.alignment import Aligner, AlignmentConfig, TimeJump
+from trainid_ros.core.errors import InputError
+from trainid_ros.core.records import NS_PER_S
+from trainid_ros.core.samples import Sample
+from trainid_ros.estimators.sensor_correction import SensorCorrection
+from trainid_ros.explain.run_data import RunCollector
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from concurrent.futures import Future
+    from pathlib import Path
+
+    from trainid_ros.explain.run_data import Run
+    from trainid_ros.train.train_file import TrainFile
+
+POOL_FROM: Final = 100_000
+"""Inputs from which on workers are worth the second in which they start."""
+_PROGRESS_EVERY: Final = 500
+_LOOK_EVERY_S: Final = 0.1
+# What the workers share with their parent, set as they start: a count of inputs read, and whether to stop.
+_shared: Final[list[Any]] = []
+
+
+@dataclass(frozen=True, slots=True)
+class Survey:
+    """What the bags hold, told before they are read.
+
+    Attributes:
+        inputs: Number of input messages in each.
+        warnings: What is wrong with them although they can be read.
+
+    """
+
+    inputs: tuple[int, ...]
+    warnings: tuple[str, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class _Reading:
+    """Runs of one bag, in seconds since its first sample at ``origin_ns``; 0 without samples."""
+
+    runs: tuple[Run, ...]
+    origin_ns: int
+
+
+class _StoppedError(Exception):
+    """The parent does not want the answer any more."""
+
+
+def survey(paths: Sequence[Path], namespace: str = '/') -> Survey:
+    """Check that all bags can be used.
+
+    Raises:
+        InputError: One is given twice, cannot be read, or lacks a required topic.
+
+    """
+    places = [path.resolve() for path in paths]
+    for i, place in enumerate(places):
+        if place in places[:i]:
+            msg = f'{paths[i]}: given twice; what it tells would count twice'
+            raise InputError(msg)
+    inputs, warnings = [], []
+    for path in paths:
+        with BagReader(path, namespace) as reader:
+            require_topics(reader)
+            inputs.append(reader.input_count)
+            warnings += reader.warnings
+    return Survey(tuple(inputs), tuple(warnings))
+
+
+def read_runs(
+    paths: Sequence[Path],
+    train_file: TrainFile,
+    namespace: str = '/',
+    *,
+    workers: int = 1,
+    advance: Callable[[float], None] = lambda _: None,
+) -> list[Run]:
+    """Return the runs of all bags, in seconds since the earliest sample of all.
+
+    Args:
+        paths: The bags; their numbers are their places in this list.
+        train_file: What is believed.
+        namespace: Namespace of their topics.
+        workers: Number of processes; 1 reads them here.
+        advance: Called with the number of inputs read since its last call.
+
+    Raises:
+        InputError: A bag cannot be read.
+
+    """
+    if workers > 1:
+        readings = _read_in_pool(paths, train_file, namespace, workers, advance)
+    else:
+        readings = [_read(path, k, train_file, namespace, advance) for k, path in enumerate(paths)]
+    known = [reading for reading in readings if reading.origin_ns]
+    first_ns = min((reading.origin_ns for reading in known), default=0)
+    return [
+        replace(run, time=run.time + (reading.origin_ns - first_ns) / NS_PER_S)
+        for reading in known
+        for run in reading.runs
+    ]
+
+
+def worker_count(inputs: Sequence[int]) -> int:
+    """Return how many processes to read bags of so many inputs with."""
+    if sum(inputs) < POOL_FROM:
+        return 1
+    return min(len(inputs), len(os.sched_getaffinity(0)))
+
+
+def _read(path: Path, bag: int, train_file: TrainFile, namespace: str, advance: Callable[[float], None]) -> _Reading:
+    correction = SensorCorrection(train_file.effects)
+    aligner, collector = Aligner(correction.widen(AlignmentConfig())), RunCollector(train_file, bag)
+    told = 0
+    with BagReader(path, namespace) as reader:
+        for i, record in enumerate(reader.records(), 1):
+            for event in aligner.push(correction.correct(record)):
+                if isinstance(event, Sample):
+                    collector.add(event)
+                elif isinstance(event, TimeJump):
+                    collector.end_run()
+            if i - told == _PROGRESS_EVERY:
+                told = i
+                advance(_PROGRESS_EVERY)
+    collector.end_run()
+    return _Reading(tuple(collector.runs), collector.origin_ns)
+
+
+def _read_in_pool(
+    paths: Sequence[Path], train_file: TrainFile, namespace: str, workers: int, advance: Callable[[float], None]
+) -> list[_Reading]:
+    # A fork would copy the threads of a progress bar in whatever state they are.
+    context = multiprocessing.get_context('spawn')
+    count, stop = context.Value('q', 0), context.Event()
+    with ProcessPoolExecutor(workers, context, _start_worker, (count, stop)) as pool:
+        try:
+            futures = [pool.submit(_read_in_worker, path, k, train_file, namespace) for k, path in enumerate(paths)]
+            _watch(futures, count, advance)
+            return [future.result() for future in futures]
+        except BrokenProcessPool:
+            msg = f'{paths[0]}: a process that read the bags was ended from outside (memory?)'
+            raise InputError(msg) from None
+        finally:
+            stop.set()
+            pool.shutdown(wait=False, cancel_futures=True)
+
+
+def _watch(futures: Sequence[Future[_Reading]], count: Any, advance: Callable[[float], None]) -> None:
+    """Tell the progress of all workers until all are done or one has failed."""
+    told = 0
+    pending = set(futures)
+    while pending:
+        done, pending = wait(pending, _LOOK_EVERY_S, FIRST_EXCEPTION)
+        read = int(count.value)
+        advance(read - told)
+        told = read
+        for future in done:
+            if (error := future.exception()) is not None:
+                raise error
+
+
+def _start_worker(count: Any, stop: Any) -> None:
+    # Ctrl-C reaches the whole group: the parent alone answers.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    _shared[:] = [count, stop]
+
+
+def _read_in_worker(path: Path, bag: int, train_file: TrainFile, namespace: str) -> _Reading:
+    count, stop = _shared
+
+    def advance(amount: float) -> None:
+        if stop.is_set():
+            raise _StoppedError
+        with count.get_lock():
+            count.value += int(amount)
+
+    return _read(path, bag, train_file, namespace, advance)

@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A linear state x with a parameter f that acts on a known input, x' = Phi x + f gamma + known, measured as y = H x.
+
+So f is in the mean of x alone, and whatever values of f the particles carry and carried, they share one
+covariance: one Riccati equation for all (Zheng et al. 2015, eqs. (14), (16), (20), (21) have one for each).
+Arrays over N particles have them in the last axis.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trainid_ros.brake_rate.posterior import STATES
+
+if TYPE_CHECKING:
+    from trainid_ros.brake_rate.posterior import Errors, Start, Transition
+
+Array = NDArray[np.float64]
+
+# v of x = [v, a, b, e] is measured.
+SPEED: Final = np.eye(1, STATES)
+_STAYING: Final = np.eye(STATES)
+
+
+class LinearStep(NamedTuple):
+    """One step of the model.
+
+    Attributes:
+        Phi: Transition, shape (n, n).
+        gamma: Effect of f = 1, shape (n,).
+        known: Effect of all that is known, shape (n,).
+        Q: Covariance of the process noise, shape (n, n).
+
+    """
+
+    Phi: Array
+    gamma: Array
+    known: Array
+    Q: Array
+
+    def predict(self, x: Array, f: Array) -> Array:
+        """Means of x after the step (14), shape (n, N), from those before it and the rates, shape (N,)."""
+        after: Array = self.Phi @ x
+        after += self.gamma[:, None] * f
+        after += self.known[:, None]
+        return after
+
+    def predict_covariance(self, P: Array) -> Array:
+        """Return the shared covariance after the step (14)."""
+        after: Array = self.Phi.dot(P).dot(self.Phi.T) + self.Q
+        return after
+
+
+class Correction(NamedTuple):
+    """What a measurement does to all particles alike.
+
+    Attributes:
+        K: Gain (20), shape (n, m).
+        P: Covariance after the measurement (21), shape (n, n).
+        W: Whitens innovations: W S W' = I with their covariance S (16), shape (m, m).
+
+    """
+
+    K: Array
+    P: Array
+    W: Array
+
+
+def correction(P: Array, H: Array, R: Array) -> Correction:
+    """Return gain, covariance and whitening for a predicted covariance P, shape (n, n), and a measurement."""
+    PH = P @ H.T
+    S = H @ PH + R
+    if S.size == 1:  # one measurement needs no matrix algebra
+        s = float(S[0, 0])
+        return Correction(PH / s, P - PH @ (PH.T / s), np.array([[1.0 / math.sqrt(s)]]))
+    W = np.linalg.inv(np.linalg.cholesky(S))
+    K = PH @ W.T @ W
+    A = np.eye(len(P)) - K @ H
+    return Correction(K, A @ P @ A.T + K @ R @ K.T, W)
+
+
+def speed_correction(P: Array, r: float) -> Correction:
+    """Return the same for x = [v, ...] of which v is measured with variance r, without matrix algebra."""
+    column = P[:, :1]
+    s = float(P[0, 0]) + r
+    K = column / s
+    return Correction(K, P - K.dot(column.T), np.array([[1.0 / math.sqrt(s)]]))
+
+
+def distance(W: Array, nu: Array) -> Array:
+    """Squared innovations in units of their covariance, shape (...), from shape (m, ...)."""
+    if len(W) == 1:
+        scaled: Array = W[0, 0] * nu[0]
+        return scaled * scaled
+    whitened = np.tensordot(W, nu, axes=1)
+    squares: Array = (whitened * whitened).sum(axis=0)
+    return squares
+
+
+def speed_step(interval: Transition) -> LinearStep:
+    """Return the step of x = [v, a, b, e] over an interval."""
+    Phi, gamma, known, Q = _STAYING.copy(), np.zeros(STATES), np.zeros(STATES), np.zeros((STATES, STATES))
+    Phi[0] = (1.0, interval.reach, interval.dt, *interval.lean)
+    Phi.flat[STATES + 1 :: STATES + 1] = (interval.decay, interval.rho, *interval.keep)
+    gamma[0], gamma[1], known[0] = interval.gain_v, interval.gain_a, interval.known
+    Q.flat[:: STATES + 1] = (interval.q_v, 0.0, interval.q_b, *interval.q_e)
+    return LinearStep(Phi, gamma, known, Q)
+
+
+def error_covariance(stds: Errors) -> Array:
+    """Return the covariance of x of which only the errors are uncertain, shape (n, n)."""
+    return np.diag([0.0, 0.0, 0.0, *np.square(stds)])
+
+
+def started(P: Array, start: Start) -> Array:
+    """Return the covariance of x where v, a and b start anew, shape (n, n)."""
+    after = np.zeros_like(P)
+    after[3:, 3:] = P[3:, 3:] * np.outer(start.keep, start.keep)
+    after.flat[:: len(P) + 1] += (*start.variances, *start.q_e)
+    return after

@@ -1,0 +1,222 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``trainid demo``: bags through the live nodes, compared with a replay; then a hidden effect, found and explained."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import signal
+import time
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NoReturn
+
+from trainid_ros.cli.output import add_json_option, print_json, progress
+from trainid_ros.demo.bags import STOCK, load_demo_bag, stock_bag
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from trainid_ros.demo.bags import DemoBag
+    from trainid_ros.demo.chapters import Outcome
+    from trainid_ros.demo.hidden import HiddenCase
+    from trainid_ros.demo.view import View
+    from trainid_ros.report.scores import AccuracyScore
+
+# Two cores keep up with three nodes, player and listener at this rate.
+_RATE: Final = 70.0
+_QUICK_S: Final = 300.0
+_NOT_ALL: Final = 1
+_EXPLAIN: Final = 'explain'
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument(
+        'bag', nargs='*', type=Path, metavar='BAG', help='bags with train.yaml inside (default: those of the package)'
+    )
+    parser.add_argument('--rate', type=_rate, default=_RATE, metavar='R', help=f'x real time (default: {_RATE:g})')
+    parser.add_argument(
+        '--out', type=Path, default=Path('out/demo'), metavar='DIR', help='report and logs (default: out/demo)'
+    )
+    parser.add_argument('--only', choices=(*STOCK, _EXPLAIN), help='only this chapter')
+    parser.add_argument('--quick', action='store_true', help=f'only the first {_QUICK_S:g} s of each bag')
+    add_json_option(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the demo; return 0 only if every live estimate equals its replayed one and the hidden effect was found.
+
+    Raises:
+        InputError: A bag, a train file or the output folder cannot be used.
+        NoAnswerError: A process failed.
+
+    """
+    # Imported here so that the help needs neither ROS nor matplotlib.
+    from rich.console import Console  # noqa: PLC0415
+
+    from trainid_ros.demo.view import View  # noqa: PLC0415
+
+    bags = _bags(args)
+    start = time.monotonic()
+    view = View(Console(stderr=args.json))
+    report = args.out / 'report.html' if bags else None
+    with _interruptible():
+        outcomes = [] if report is None else _live(bags, args, view, report)
+        hidden = _hidden(args, view)
+    wall_s = time.monotonic() - start
+    worked = all(outcome.worked for outcome in outcomes) and (hidden is None or hidden.worked)
+    if args.json:
+        print_json(_to_json(outcomes, hidden, report, wall_s) | {'worked': worked})
+    else:
+        print(summary(outcomes, hidden))
+        print(f'\nreport: {report}' if report else '')
+        print(f'{wall_s:.0f} s in all; {"all worked" if worked else "NOT all worked, see above"}')
+    return 0 if worked else _NOT_ALL
+
+
+def _bags(args: argparse.Namespace) -> list[DemoBag]:
+    names = (args.only,) if args.only else tuple(STOCK)
+    return [load_demo_bag(path) for path in args.bag or (stock_bag(name) for name in names if name in STOCK)]
+
+
+def _live(bags: Sequence[DemoBag], args: argparse.Namespace, view: View, report: Path) -> list[Outcome]:
+    """Play all bags through the live nodes and write the report."""
+    from trainid_ros.demo.domain import isolate  # noqa: PLC0415
+    from trainid_ros.report.content import Report  # noqa: PLC0415
+    from trainid_ros.report.html import write_report  # noqa: PLC0415
+
+    logs: Path = args.out / 'log'
+    logs.mkdir(parents=True, exist_ok=True)
+    domain = isolate(logs)
+    view.say(f'ROS 2 domain {domain}, logs in {logs}')
+    outcomes = [_play(bag, args, logs, view) for bag in bags]
+    write_report(Report('trainid demo', tuple(outcome.chapter for outcome in outcomes)), report)
+    return outcomes
+
+
+def _hidden(args: argparse.Namespace, view: View) -> HiddenCase | None:
+    """Hide an effect and find it, unless the demo is of bags alone."""
+    if args.bag or args.only not in (None, _EXPLAIN):
+        return None
+    from trainid_ros.demo.hidden import play_hidden  # noqa: PLC0415
+
+    return play_hidden(args.out / _EXPLAIN, view.say)
+
+
+def _play(bag: DemoBag, args: argparse.Namespace, logs: Path, view: View) -> Outcome:
+    from trainid_ros.demo.chapters import conclude, describe_comparison  # noqa: PLC0415
+    from trainid_ros.demo.live import run_live  # noqa: PLC0415
+
+    duration_s = _QUICK_S if args.quick else 0.0
+    folder = logs / bag.path.name
+    folder.mkdir(exist_ok=True)
+    view.say(f'\n{bag.title}: {bag.path} at {args.rate:g} x real time')
+    with view:
+        live = run_live(bag, args.rate, duration_s, folder, view)
+    view.say('the same bag off line, to compare')
+    with progress('replay') as advance:
+        outcome = conclude(bag, live, duration_s, advance)
+    for label, comparison in outcome.comparisons:
+        view.say(describe_comparison(label, comparison))
+    return outcome
+
+
+def summary(outcomes: Sequence[Outcome], hidden: HiddenCase | None = None) -> str:
+    """Return what came out, in plain lines."""
+    lines: list[str] = []
+    for outcome in outcomes:
+        chapter = outcome.chapter
+        lines += ['', chapter.title, f'  {chapter.traces.duration_s / 60.0:.0f} min of driving, {chapter.how}']
+        w, f = chapter.resistance, chapter.brake_rate
+        lines.append(
+            f'  w(v) = {w.estimate.a:.3f} + {w.estimate.b:.4f} v + {w.estimate.c:.5f} v² N/kN, '
+            f'{w.status.name}, {w.used} samples used, {w.rejected} not'
+        )
+        lines.append(f'  brake rate {f.estimate.brake_rate:.3f} ± {f.estimate.brake_rate_std:.3f}, {f.status.name}')
+        lines += _score_lines('w at the current speed', 'N/kN', outcome.resistance)
+        lines += _score_lines('brake rate', '', outcome.brake_rate)
+        lines += [f'  {note}' for note in chapter.notes]
+    if hidden is not None:
+        from trainid_ros.demo.hidden import describe_hidden  # noqa: PLC0415
+
+        lines += [
+            '',
+            'What a train file lacks',
+            *(f'  {line}'.rstrip() for line in describe_hidden(hidden).split('\n')),
+        ]
+    return '\n'.join(lines)
+
+
+def _score_lines(name: str, unit: str, score: AccuracyScore | None) -> list[str]:
+    if score is None:
+        return []
+    return [
+        f'  {name}, error against truth: rms {score.rms:.3f} {unit}'.rstrip()
+        + f', mean {score.bias:+.3f}, last {score.last:+.3f}; truth inside ±1 std {score.inside_68:.0%}, '
+        f'inside ±1.96 std {score.inside_95:.0%} of the time'
+    ]
+
+
+def _to_json(
+    outcomes: Sequence[Outcome], hidden: HiddenCase | None, report: Path | None, wall_s: float
+) -> dict[str, Any]:
+    return {
+        'report': report,
+        'wall_s': wall_s,
+        'bags': [
+            {
+                'bag': outcome.chapter.bag,
+                'duration_s': outcome.chapter.traces.duration_s,
+                'rate': outcome.rate,
+                'resistance': outcome.chapter.resistance,
+                'speed_model': outcome.chapter.speed_model,
+                'brake_rate': outcome.chapter.brake_rate,
+                'scores': {'resistance': outcome.resistance, 'brake_rate': outcome.brake_rate},
+                'live_against_replay': dict(outcome.comparisons),
+            }
+            for outcome in outcomes
+        ],
+        'explain': _hidden_to_json(hidden),
+    }
+
+
+def _hidden_to_json(hidden: HiddenCase | None) -> dict[str, Any] | None:
+    if hidden is None:
+        return None
+    from trainid_ros.demo.hidden import hidden_to_json  # noqa: PLC0415
+
+    return hidden_to_json(hidden)
+
+
+@contextmanager
+def _interruptible() -> Iterator[None]:
+    """End as on Ctrl-C when told to end, so that the children are stopped.
+
+    A signal during a call into ROS surfaces as whatever error that call makes of it, and is an interruption still.
+    """
+    told: list[int] = []
+
+    def interrupt(number: int, _frame: object) -> NoReturn:
+        told.append(number)
+        raise KeyboardInterrupt
+
+    for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, interrupt)
+    try:
+        yield
+    except RuntimeError:
+        if told:
+            raise KeyboardInterrupt from None
+        raise
+
+
+def _rate(text: str) -> float:
+    try:
+        value = float(text)
+    except ValueError:
+        value = math.nan
+    if not 0.0 < value < math.inf:
+        msg = f'{text!r} must be a number > 0'
+        raise argparse.ArgumentTypeError(msg)
+    return value

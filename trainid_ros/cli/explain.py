@@ -1,0 +1,293 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``trainid explain``: where simulation and data disagree, what is missing, and the model with it added."""
+
+from __future__ import annotations
+
+import json
+import sys
+from contextlib import contextmanager, nullcontext, suppress
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from trainid_ros import __version__
+from trainid_ros.bag.run_reader import read_runs, survey, worker_count
+from trainid_ros.cli.output import add_json_option, print_json, progress, table, to_plain, warn
+from trainid_ros.core.errors import InputError, NoAnswerError
+from trainid_ros.core.plural import counted
+from trainid_ros.train.train_file import dump_train_file, load_train_file
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Callable, Iterator, Sequence
+    from contextlib import AbstractContextManager
+
+    from trainid_ros.explain.explanation import Explanation, FoundEffect, Gap
+    from trainid_ros.explain.run_data import Run
+    from trainid_ros.train.train_file import TrainFile
+
+REPORT_JSON: Final = 'report.json'
+REPORT_HTML: Final = 'report.html'
+TRAIN_FILE: Final = 'train.yaml'
+_NAMED_BAGS: Final = 3
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument('bags', nargs='+', type=Path, metavar='BAG', help='rosbag2 directory or .mcap file')
+    parser.add_argument('--train', type=Path, required=True, metavar='T.yaml', help='train file: what is believed')
+    parser.add_argument(
+        '--out', type=Path, metavar='DIR', help=f'write {REPORT_HTML}, {REPORT_JSON} and the new {TRAIN_FILE} there'
+    )
+    parser.add_argument('--namespace', default='/', help='namespace of the topics (default: /)')
+    add_json_option(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Explain the gap between bags and train file, and print what was found.
+
+    Raises:
+        InputError: If a bag, the train file or the output folder cannot be used.
+        NoAnswerError: If the bags hold too little motion.
+
+    """
+    train_file = load_train_file(args.train)
+    with _outputs(args.out, args.train):
+        explanation = _explain(args, train_file)
+        if args.out is not None:
+            # Before anything is printed: who reads the text may stop reading.
+            write_all(args.out, explanation, train_file, str(args.train), args.bags)
+    if explanation.gradient_point is not None:
+        warn(misread_gradient(explanation.gradient_point))
+    if args.json:
+        print_json(to_json(explanation))
+        return 0
+    print(describe(explanation, train_file))
+    if args.out is not None:
+        print(f'\nreport: {args.out / REPORT_HTML}\nmodel with it: {args.out / TRAIN_FILE}')
+    return 0
+
+
+def _explain(args: argparse.Namespace, train_file: TrainFile) -> Explanation:
+    """Read the bags and explain them.
+
+    Raises:
+        InputError: If a bag cannot be used.
+        NoAnswerError: If the bags hold too little motion.
+
+    """
+    found = survey(args.bags, args.namespace)
+    for line in found.warnings:
+        warn(line)
+    name = args.bags[0].name if len(args.bags) == 1 else f'{len(args.bags)} bags'
+    with progress(f'read {name}', total=sum(found.inputs)) as advance:
+        workers = worker_count(found.inputs)
+        runs = read_runs(args.bags, train_file, args.namespace, workers=workers, advance=advance)
+    try:
+        return explain_runs(runs, train_file, args.bags)
+    except NoAnswerError as error:
+        if args.json:
+            print_json(no_answer(str(error)))
+        msg = f'{name}: {error}'
+        raise NoAnswerError(msg) from None
+
+
+def misread_gradient(point: str) -> str:
+    """Return the warning that gradients of the bags are those at one point of the train."""
+    return (
+        f'the gradients of the bags are those at the {point} of the train; here they were read so, but simulator and '
+        'live estimators take them for means under the train: mend what publishes them'
+    )
+
+
+def _outputs(folder: Path | None, train: Path) -> AbstractContextManager[None]:
+    return nullcontext() if folder is None else _output_folder(folder, train)
+
+
+@contextmanager
+def _output_folder(folder: Path, train: Path) -> Iterator[None]:
+    """Prepare the folder of the outputs; take away again what was made for it if nothing comes of it.
+
+    Raises:
+        InputError: As :func:`prepare_folder`.
+
+    """
+    made = [path for path in (folder, *folder.parents) if not path.exists()]
+    try:
+        prepare_folder(folder, train)
+        yield
+    except BaseException:
+        with suppress(OSError):  # the first that is not empty ends it
+            for path in made:
+                path.rmdir()
+        raise
+
+
+def prepare_folder(folder: Path, train: Path) -> None:
+    """Make the folder of the outputs, and see that they can be written.
+
+    Raises:
+        InputError: It cannot be made or written to, or a train file of the user would be lost.
+
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        probe = folder / f'.{REPORT_JSON}.part'
+        probe.write_text('', encoding='utf-8')
+        probe.unlink()
+    except OSError as error:
+        msg = f'{folder}: cannot be written ({error.strerror})'
+        raise InputError(msg) from None
+    target = folder / TRAIN_FILE
+    if not target.exists():
+        return
+    if target.samefile(train):
+        msg = f'{target}: is the train file that is read, and would be overwritten; choose another --out'
+        raise InputError(msg)
+    if not (folder / REPORT_JSON).exists():
+        msg = f'{target}: exists, and was not written by trainid explain; choose another --out'
+        raise InputError(msg)
+
+
+def explain_runs(runs: Sequence[Run], train_file: TrainFile, bags: Sequence[Path]) -> Explanation:
+    """Run the workflow with its steps shown on a terminal.
+
+    Raises:
+        NoAnswerError: There is too little motion.
+
+    """
+    # Imported here: linear algebra takes long to load, and errors in the input need not wait for it.
+    from trainid_ros.explain.workflow import explain  # noqa: PLC0415
+
+    with _steps() as advance:
+        return explain(runs, train_file, provenance=provenance(bags, len(runs)), advance=advance)
+
+
+@contextmanager
+def _steps() -> Iterator[Callable[[str], None]]:
+    """Yield a function that shows what is being done on standard error, if that is a terminal."""
+    if not sys.stderr.isatty():
+        yield lambda _text: None
+        return
+    from rich.console import Console  # noqa: PLC0415
+
+    with Console(stderr=True).status('explain') as status:
+        yield lambda text: status.update(f'explain: {text}')
+
+
+def provenance(bags: Sequence[Path], runs: int) -> str:
+    """Return where an added effect comes from."""
+    names = [bag.resolve().name for bag in bags]
+    more = f' and {len(names) - _NAMED_BAGS} more' if len(names) > _NAMED_BAGS else ''
+    return f'trainid explain {__version__}, {", ".join(names[:_NAMED_BAGS])}{more}, {counted(runs, "run")}'
+
+
+def to_json(explanation: Explanation) -> dict[str, Any]:
+    """Return the object of ``--json``."""
+    e = explanation
+    return _json(e.verdict.value, e.effects, e.gap, e.remaining, e.gradient_point)
+
+
+def no_answer(reason: str) -> dict[str, Any]:
+    """Return the object of ``--json`` where the data hold no answer."""
+    return _json(None, (), None, reason, None)
+
+
+def _json(
+    verdict: str | None, effects: Sequence[FoundEffect], gap: Gap | None, remaining: str, gradient_point: str | None
+) -> dict[str, Any]:
+    plain: dict[str, Any] = to_plain(
+        {
+            'verdict': verdict,
+            'effects': [
+                {
+                    'name': effect.name,
+                    'parameters': dict(effect.parameters),
+                    'std': dict(effect.std),
+                    'evidence': effect.evidence,
+                    'where': effect.where,
+                    'indistinguishable_from': [twin.name for twin in effect.twins],
+                }
+                for effect in effects
+            ],
+            'gap': {
+                'metric': 'rms speed',
+                'unit': 'm/s',
+                'before': None if gap is None else gap.before,
+                'after': None if gap is None else gap.after,
+                'noise_floor': None if gap is None else gap.noise_floor,
+                'runs_held_out': 0 if gap is None else gap.runs_held_out,
+            },
+            'remaining': remaining,
+            'gradient_read_at': gradient_point,
+        }
+    )
+    return plain
+
+
+def describe(explanation: Explanation, believed: TrainFile) -> str:
+    """Return what was found as text for people."""
+    from trainid_ros.report.words import davis_rows, drive_text, gap_sentence, headline  # noqa: PLC0415
+
+    head = f'{explanation.verdict.value.upper()}: {headline(explanation)}\n{drive_text(explanation)}'
+    davis = [('value', 'believed', 'found ± std', 'unit'), *davis_rows(explanation, believed)]
+    blocks = (
+        head,
+        *(_describe_effect(effect) for effect in explanation.effects),
+        *_unnamed(explanation),
+        gap_sentence(explanation),
+        table(davis, numbers=(1,)),
+        explanation.remaining,
+    )
+    return '\n\n'.join(blocks)
+
+
+def _describe_effect(effect: FoundEffect) -> str:
+    from trainid_ros.report.words import how_sure, parameters_text  # noqa: PLC0415
+
+    what = 'sensor' if effect.origin == 'sensor' else 'physics'
+    lines = [
+        f'{effect.name}: {effect.title} ({what})',
+        f'  {effect.equation}',
+        f'  {parameters_text(effect)}',
+        f'  {how_sure(effect)}',
+        f'  where: {effect.where}',
+    ]
+    lines += [f'  could also be {twin.name}; to tell: {twin.drive or "no drive is known"}' for twin in effect.twins]
+    return '\n'.join(lines)
+
+
+def _unnamed(explanation: Explanation) -> list[str]:
+    """Return where the gap is if no effect tells it."""
+    from trainid_ros.report.words import strong_text, strongest  # noqa: PLC0415
+
+    strong = [] if explanation.effects else strongest(explanation)
+    return ['\n'.join(strong_text(part) for part in strong)] if strong else []
+
+
+def write_all(
+    folder: Path, explanation: Explanation, believed: TrainFile, train: str, bags: Sequence[Path],
+    notes: tuple[str, ...] = (),
+) -> None:  # fmt: skip
+    """Write the three outputs into a folder that exists.
+
+    Raises:
+        InputError: One cannot be written.
+
+    """
+    # Imported here because matplotlib takes long to load and only reports need it.
+    from trainid_ros.report.explained import Explained, write_explained  # noqa: PLC0415
+
+    names = tuple(str(bag) for bag in bags)
+    title = f'trainid explain: {", ".join(bag.name for bag in bags[:_NAMED_BAGS])}'
+    text = json.dumps(to_json(explanation), indent=2, allow_nan=False, ensure_ascii=False)
+    _write(folder / REPORT_JSON, f'{text}\n')
+    _write(folder / TRAIN_FILE, dump_train_file(explanation.train_file))
+    write_explained(Explained(title, explanation, believed, train, names, notes), folder / REPORT_HTML)
+
+
+def _write(path: Path, text: str) -> None:
+    try:
+        path.write_text(text, encoding='utf-8')
+    except OSError as error:
+        msg = f'{path}: cannot be written ({error.strerror})'
+        raise InputError(msg) from None

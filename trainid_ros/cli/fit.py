@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``trainid fit``: Davis parameters of a whole bag at once, by fitting its speed trajectory between braking."""
+
+from __future__ import annotations
+
+import argparse
+import math
+from collections import Counter
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from trainid_ros.bag.reader import BagReader, require_topics
+from trainid_ros.cli.arguments import not_negative
+from trainid_ros.cli.output import add_json_option, print_json, progress, table, warn
+from trainid_ros.core.alignment import Aligner, AlignmentConfig, TimeJump
+from trainid_ros.core.errors import InputError, NoAnswerError
+from trainid_ros.core.records import NS_PER_S
+from trainid_ros.core.samples import Sample
+from trainid_ros.estimators.sensor_correction import SensorCorrection
+from trainid_ros.resistance.trajectory.davis_fit import DavisFit, DavisFitConfig, fit_davis
+from trainid_ros.resistance.trajectory.pieces import PieceCollector
+from trainid_ros.resistance.trajectory.plausible import check_plausible
+from trainid_ros.train.train_file import load_train_file
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from trainid_ros.core.results import Reason
+    from trainid_ros.resistance.trajectory.pieces import Trajectory
+
+_PROGRESS_EVERY: Final = 500
+_UNKNOWN: Final = {
+    **dict.fromkeys('abc'),
+    'std': [None] * 3,
+    'iterations': 0,
+    'mse': None,
+    'converged': False,
+    'speed_range': [None, None],
+}
+
+
+@dataclass(frozen=True, slots=True)
+class UndisturbedMotion:
+    """What a bag holds of undisturbed motion: the trajectory, the samples seen, and why others were refused."""
+
+    trajectory: Trajectory
+    samples: int
+    rejected: Counter[Reason]
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument('bag', type=Path, metavar='BAG', help='rosbag2 directory or .mcap file')
+    parser.add_argument('--train', type=Path, required=True, metavar='T.yaml', help='train file')
+    parser.add_argument('--start', type=not_negative, default=0.0, metavar='S', help='skip the first seconds')
+    parser.add_argument('--duration', type=not_negative, default=math.inf, metavar='S', help='fit only so many seconds')
+    parser.add_argument('--namespace', default='/', help='namespace of the topics (default: /)')
+    add_json_option(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Fit a bag and print what was found.
+
+    Raises:
+        InputError: If bag or train file cannot be used, or nothing of the bag lies in the time asked for.
+        NoAnswerError: If the motion does not tell a, b and c, or is none of a train in the units agreed.
+
+    """
+    config = DavisFitConfig()
+    collector = PieceCollector(load_train_file(args.train), config.min_speed, config.shortest)
+    with BagReader(args.bag, args.namespace) as reader:
+        for line in reader.warnings:
+            warn(line)
+        with progress(f'read {reader.path.name}', total=reader.input_count) as advance:
+            motion = collect(reader, collector, args.start, args.duration, advance)
+    try:
+        fit = fit_davis(motion.trajectory, config)
+        check_plausible(fit, config)
+    except NoAnswerError as error:
+        if args.json:
+            print_json(_UNKNOWN)
+        msg = f'{args.bag}: {error}{_commonest(motion.rejected)}'
+        raise NoAnswerError(msg) from None
+    if args.json:
+        print_json(to_json(fit))
+    else:
+        print(describe(fit, motion))
+    if not fit.converged:
+        msg = f'{args.bag}: the fit did not settle within {fit.iterations} iterations'
+        raise NoAnswerError(msg)
+    return 0
+
+
+def collect(
+    reader: BagReader, collector: PieceCollector, start_s: float, duration_s: float, advance: Callable[[float], None]
+) -> UndisturbedMotion:
+    """Return the undisturbed motion within a part of a bag, by log time.
+
+    Records before that part are followed too: they tell which brake acts and what the train weighs.
+
+    Raises:
+        InputError: A required topic is missing, or the part lies outside the bag.
+
+    """
+    require_topics(reader)
+    first_ns, last_ns = reader.time_range() or (0, 0)
+    begin_ns = first_ns + round(start_s * NS_PER_S)
+    if begin_ns > last_ns or duration_s == 0.0:
+        length = (last_ns - first_ns) / NS_PER_S
+        msg = f'{reader.path}: --start {start_s:g} --duration {duration_s:g} leaves nothing of its {length:.1f} s'
+        raise InputError(msg)
+    end_ns = math.inf if math.isinf(duration_s) else begin_ns + round(duration_s * NS_PER_S)
+    correction = SensorCorrection(collector.train_file.effects)
+    aligner, samples = Aligner(correction.widen(AlignmentConfig())), 0
+    rejected: Counter[Reason] = Counter()
+    for i, entry in enumerate(reader.logged_records(), 1):
+        if entry.log_ns > end_ns:
+            break
+        for event in aligner.push(correction.correct(entry.record)):
+            if isinstance(event, TimeJump):
+                collector.end_piece()
+            elif isinstance(event, Sample) and entry.log_ns < begin_ns:
+                collector.monitor(event)
+            elif isinstance(event, Sample):
+                samples += 1
+                collector.add(event, rejected)
+        if i % _PROGRESS_EVERY == 0:
+            advance(_PROGRESS_EVERY)
+    return UndisturbedMotion(collector.trajectory(), samples, rejected)
+
+
+def to_json(fit: DavisFit) -> dict[str, Any]:
+    """Return the object of ``--json``."""
+    a, b, c = fit.theta.tolist()
+    return {
+        **{'a': a, 'b': b, 'c': c, 'std': _deviations(fit)},
+        'iterations': fit.iterations,
+        'mse': fit.mse,
+        'converged': fit.converged,
+        'speed_range': list(fit.speed_range),
+    }
+
+
+def _deviations(fit: DavisFit) -> list[float]:
+    return [math.sqrt(variance) for variance in fit.covariance.diagonal().tolist()]
+
+
+def describe(fit: DavisFit, motion: UndisturbedMotion) -> str:
+    """Return the outcome as text for people."""
+    units = ('N/kN', 'N/kN per m/s', 'N/kN per (m/s)^2')
+    parameters = zip('abc', fit.theta.tolist(), _deviations(fit), units, strict=True)
+    rows = [('value', 'estimate', 'std', 'unit')]
+    rows += [(name, f'{value:.5g}', f'{std:.2g}', unit) for name, value, std, unit in parameters]
+    slow, fast = fit.speed_range
+    for v in (slow, 0.5 * (slow + fast), fast):
+        w, std = fit.resistance(v)
+        rows.append((f'w at {v:.1f} m/s', f'{w:.4g}', f'{std:.2g}', 'N/kN'))
+    used = f'{fit.nodes} of {motion.samples} samples'
+    head = f'{used} in {fit.pieces} pieces without braking, {slow:.1f} to {fast:.1f} m/s'
+    tail = (
+        f'mean square of measured less calculated speed {fit.mse:.3g} (m/s)^2, {fit.iterations} iterations\n'
+        f'speed noise {fit.speed_std:.3g} m/s, {fit.outliers:.1%} outliers; gusts {fit.disturbance:.2g} (N/kN)^2 s; '
+        f'force {1e3 * fit.force_delay:.0f} ms late, {fit.force_gain:+.2%}'
+    )
+    return '\n\n'.join((head, table(rows, numbers=(1, 2)), tail))
+
+
+def _commonest(rejected: Counter[Reason]) -> str:
+    if not rejected:
+        return ''
+    reason, count = rejected.most_common(1)[0]
+    return f' (most often refused: {reason.name}, {count} times)'

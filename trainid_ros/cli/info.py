@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``trainid info``: what is in a bag and whether it can be used."""
+
+from __future__ import annotations
+
+import math
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from trainid_ros.bag.bag_info import inspect
+from trainid_ros.cli.output import add_json_option, print_json, table, to_plain
+from trainid_ros.core.errors import NoAnswerError
+from trainid_ros.core.records import NS_PER_S
+
+if TYPE_CHECKING:
+    import argparse
+
+    from trainid_ros.bag.bag_info import BagInfo, TopicInfo
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument('bag', type=Path, metavar='BAG', help='rosbag2 directory or .mcap file')
+    parser.add_argument('--namespace', default='/', help='namespace of the topics (default: /)')
+    add_json_option(parser)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Print the contents of a bag.
+
+    Raises:
+        InputError: If it cannot be read.
+        NoAnswerError: If it was read but cannot be used.
+
+    """
+    info = inspect(args.bag, args.namespace)
+    if args.json:
+        print_json(to_plain(info) | {'usable': info.usable})
+    else:
+        print(describe(info))
+    if not info.usable:
+        msg = f'{info.path}: cannot be used: {"; ".join(info.problems)}'
+        raise NoAnswerError(msg)
+    return 0
+
+
+def describe(info: BagInfo) -> str:
+    """Return the contents of a bag as text for people."""
+    blocks = [
+        f'{info.path}: {info.messages} messages in {info.duration_s:.1f} s',
+        table([_HEADINGS, *(_topic_row(topic) for topic in info.topics)], numbers=range(2, 10)),
+    ]
+    if info.ranges:
+        heads = ('value', 'least', 'greatest', 'unit')
+        rows = [(f'{r.topic} {r.field}', f'{r.low:.6g}', f'{r.high:.6g}', r.unit) for r in info.ranges]
+        blocks.append(table([heads, *rows], numbers=(1, 2)))
+        blocks.append(f'moving {_percent(info.moving_share)}, braking {_percent(info.braking_share)} of the time')
+    if starts := [topic.stamps.first_ns for topic in info.topics if topic.stamps and topic.stamps.first_ns]:
+        blocks.append(f'first stamp {datetime.fromtimestamp(min(starts) / NS_PER_S, UTC):%Y-%m-%d %H:%M:%S} UTC')
+    blocks += [f'warning: {line}' for line in info.warnings]
+    blocks.append('usable' if info.usable else 'not usable')
+    return '\n\n'.join(blocks[:3]) + '\n' + '\n'.join(blocks[3:])
+
+
+_HEADINGS = (
+    'topic', 'type', 'count', 'rate Hz', 'gaps', 'late', 'double', 'zero', 'not finite', 'log - stamp s',
+)  # fmt: skip
+
+
+def _topic_row(topic: TopicInfo) -> tuple[str, ...]:
+    head = (topic.name, topic.type, str(topic.count))
+    if (stamps := topic.stamps) is None:
+        return (*head, *('',) * (len(_HEADINGS) - len(head)))
+    counts = (stamps.gaps, stamps.out_of_order, stamps.duplicates, stamps.zero, topic.not_finite)
+    rate = '' if math.isnan(stamps.rate) else f'{stamps.rate:.3g}'
+    return (*head, rate, *(str(count) for count in counts), f'{stamps.log_offset_s:.3f}')
+
+
+def _percent(share: float) -> str:
+    return 'unknown' if math.isnan(share) else f'{share:.0%}'

@@ -1,0 +1,130 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The ``trainid`` command.
+
+A verb is a module with ``configure(parser)`` and ``run(args) -> exit code``. It is imported only when it
+is called, so a verb that needs no ROS runs without ROS.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import signal
+import sys
+from importlib import import_module
+from importlib.metadata import PackageNotFoundError, version
+from typing import TYPE_CHECKING, Final, NamedTuple, NoReturn
+
+from trainid_ros.core.errors import InputError, NoAnswerError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+EXIT_NO_ANSWER: Final = 1
+EXIT_BAD_INPUT: Final = 2
+EXIT_INTERRUPTED: Final = 130
+EXIT_BROKEN_PIPE: Final = 141
+
+
+class Verb(NamedTuple):
+    """One sub-command."""
+
+    name: str
+    help: str
+    module: str
+
+
+VERBS: Final = (
+    Verb('demo', 'play a bag through the live nodes and write a report', 'trainid_ros.cli.demo'),
+    Verb('run', 'run the estimator nodes live', 'trainid_ros.cli.run'),
+    Verb('replay', 'run the estimators over a bag, off line', 'trainid_ros.cli.replay'),
+    Verb('play', "publish a bag's inputs with /clock", 'trainid_ros.cli.play'),
+    Verb('simulate', 'make a bag with the simulator', 'trainid_ros.cli.simulate'),
+    Verb('fit', 'fit Davis parameters to a whole bag at once', 'trainid_ros.cli.fit'),
+    Verb('explain', 'find what a train file lacks, name it and add it', 'trainid_ros.cli.explain'),
+    Verb('info', 'tell what is in a bag and whether it can be used', 'trainid_ros.cli.info'),
+)
+
+
+class _Parser(argparse.ArgumentParser):
+    """A parser that reports a usage error in one line."""
+
+    def error(self, message: str) -> NoReturn:
+        """Print the message and where to read more, exit with 2."""
+        self.exit(EXIT_BAD_INPUT, f'trainid: error: {message} (see {self.prog} --help)\n')
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit code.
+
+    Args:
+        argv: Arguments without the program name; those of the process if None.
+
+    """
+    if argv is None:  # a process of its own: leave nothing half done when told to end
+        signal.signal(signal.SIGTERM, _end)
+    # Matrices here are small: threads that wait for each other cost five times the time on a machine that is busy.
+    os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
+    arguments = list(sys.argv[1:] if argv is None else argv)
+    try:
+        code = _dispatch(arguments)
+        if sys.stdout is not None:
+            sys.stdout.flush()
+    except InputError as error:
+        return _report(error, EXIT_BAD_INPUT)
+    except NoAnswerError as error:
+        return _report(error, EXIT_NO_ANSWER)
+    except KeyboardInterrupt:
+        return EXIT_INTERRUPTED
+    except BrokenPipeError:
+        _drop_output()
+        return EXIT_BROKEN_PIPE
+    except OSError as error:
+        if error.filename is None:  # standard output is full
+            _drop_output()
+        return _report(f'{error.filename or "output"}: {error.strerror}', EXIT_BAD_INPUT)
+    return code
+
+
+def _end(number: int, _: object) -> NoReturn:
+    raise SystemExit(128 + number)
+
+
+def _dispatch(arguments: list[str]) -> int:
+    wanted = next((text for text in arguments if not text.startswith('-')), None)
+    parser = _Parser(prog='trainid', description='Identify train resistance and brake rate on board.')
+    parser.add_argument('--version', action='version', version=f'trainid {_version()}')
+    verbs = parser.add_subparsers(dest='verb', metavar='VERB', required=True)
+    runner = None
+    for verb in VERBS:
+        sub = verbs.add_parser(verb.name, help=verb.help, description=f'{verb.help[0].upper()}{verb.help[1:]}.')
+        if verb.name == wanted:
+            runner = import_module(verb.module)
+            runner.configure(sub)
+    args = parser.parse_args(arguments)
+    if runner is None:
+        parser.error(f'unknown verb {args.verb!r}')
+    return int(runner.run(args))
+
+
+def _version() -> str:
+    try:
+        return version('trainid_ros')
+    except PackageNotFoundError:
+        return 'unknown'
+
+
+def _report(error: object, code: int) -> int:
+    """Print an error as one line and return the exit code."""
+    print(f'trainid: error: {" ".join(str(error).split())}', file=sys.stderr)
+    return code
+
+
+def _drop_output() -> None:
+    """Point standard output at nothing, so that closing it at exit does not fail again."""
+    with open(os.devnull, 'w', encoding='utf-8') as nothing:  # noqa: PTH123
+        os.dup2(nothing.fileno(), sys.stdout.fileno())
+
+
+if __name__ == '__main__':
+    sys.exit(main())

@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``trainid play``: publish a bag's inputs with ``/clock``."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from trainid_ros.bag.reader import BagReader
+from trainid_ros.cli.arguments import not_negative, positive
+from trainid_ros.cli.output import progress
+from trainid_ros.core.errors import InputError
+from trainid_ros.core.records import NS_PER_S
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from trainid_ros.ros.bag_player import BagPlayer
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument('bag', type=Path, metavar='BAG', help='rosbag2 directory or .mcap file')
+    parser.add_argument('--rate', type=positive, default=1.0, metavar='R', help='recorded seconds in one (default: 1)')
+    parser.add_argument('--start', type=not_negative, default=0.0, metavar='S', help='skip the first seconds')
+    parser.add_argument('--duration', type=positive, default=0.0, metavar='S', help='play only so many seconds')
+    parser.add_argument('--loop', action='store_true', help='start over at the end')
+    parser.add_argument(
+        '--wait', type=int, default=0, metavar='N', help='wait for so many subscribers on each topic before starting'
+    )
+    parser.add_argument('--namespace', default='/', help='namespace of the topics in the bag (default: /)')
+    parser.add_argument(
+        '--ros-args', nargs=argparse.REMAINDER, default=[], metavar='...', help='the rest goes to ROS; must come last'
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Play a bag to its end or until SIGINT or SIGTERM.
+
+    Raises:
+        InputError: The bag or a ROS argument cannot be used.
+
+    """
+    with BagReader(args.bag, args.namespace):
+        pass  # a bag that cannot be read is told before ROS starts
+    # ROS is imported only here: the commands without it must not need it.
+    from rclpy.parameter import Parameter  # noqa: PLC0415
+
+    from trainid_ros.ros.bag_player import BagPlayer  # noqa: PLC0415
+    from trainid_ros.ros.runner import close_nodes, spin_nodes, start_ros, stop_ros  # noqa: PLC0415
+
+    arguments = start_ros(args.ros_args)
+    values = {
+        'bag': str(args.bag.absolute()),
+        'bag_namespace': args.namespace,
+        'rate': args.rate,
+        'start': args.start,
+        'duration': args.duration,
+        'loop': args.loop,
+        'wait': args.wait,
+    }
+    player = BagPlayer(arguments, parameter_overrides=[Parameter(name, value=value) for name, value in values.items()])
+    if not player.bring_up():
+        failure = player.failure
+        close_nodes([player])
+        stop_ros()
+        raise InputError(failure)
+    with progress(f'playing {args.bag.name}', player.timeline.duration_s) as advance:
+        shown = _Shown(player, advance)
+        spin_nodes([player], until=shown.is_done)
+    return 0
+
+
+class _Shown:
+    """Moves the progress bar on as the player goes."""
+
+    def __init__(self, player: BagPlayer, advance: Callable[[float], None]) -> None:
+        self._player = player
+        self._advance = advance
+        self._told_ns = player.timeline.first_ns
+
+    def is_done(self) -> bool:
+        """Tell the progress; return True at the end."""
+        position = self._player.position_ns
+        if position:
+            self._advance((position - self._told_ns) / NS_PER_S)
+            self._told_ns = position
+        return self._player.finished

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``trainid run``: the estimator nodes live, in one process."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import Final
+
+from trainid_ros.core.errors import InputError
+from trainid_ros.train.train_file import load_train_file
+
+_MODULES: Final = {
+    'resistance_estimator': 'trainid_ros.ros.resistance_node',
+    'speed_model_estimator': 'trainid_ros.ros.speed_model_node',
+    'brake_rate_estimator': 'trainid_ros.ros.brake_rate_node',
+}
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument('--train', type=Path, metavar='T.yaml', help='train file (parameter train_file)')
+    parser.add_argument(
+        '--node', action='append', choices=tuple(_MODULES), metavar='NAME', help='run only this node; repeatable'
+    )
+    parser.add_argument(
+        '--ros-args', nargs=argparse.REMAINDER, default=[], metavar='...', help='the rest goes to ROS; must come last'
+    )
+
+
+def run(args: argparse.Namespace) -> int:
+    """Run the nodes until SIGINT or SIGTERM.
+
+    Raises:
+        InputError: The train file, a ROS argument or a parameter cannot be used.
+
+    """
+    if args.train is not None:
+        load_train_file(args.train)
+    names = tuple(dict.fromkeys(args.node)) if args.node else tuple(_MODULES)
+    return run_live(names, args.train, args.ros_args)
+
+
+def run_live(names: tuple[str, ...], train: Path | None, ros_args: list[str]) -> int:
+    """Configure, activate and spin nodes; return the exit code."""
+    # ROS is imported only here: a wrong train file is told without it.
+    from importlib import import_module  # noqa: PLC0415
+
+    from rclpy.parameter import Parameter  # noqa: PLC0415
+
+    from trainid_ros.ros.runner import close_nodes, spin_nodes, start_ros, stop_ros  # noqa: PLC0415
+
+    arguments = start_ros(ros_args)
+    overrides = [Parameter('train_file', value=str(train.absolute()))] if train is not None else []
+    nodes = [import_module(_MODULES[name]).make_node(arguments, parameter_overrides=overrides) for name in names]
+    for node in nodes:
+        if not node.bring_up():
+            message = f'{node.get_name()}: {node.failure}'
+            close_nodes(nodes)
+            stop_ros()
+            raise InputError(message)
+        print(f'{node.get_name()} is active', flush=True)
+    spin_nodes(nodes)
+    return 0

@@ -1,0 +1,164 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``trainid simulate``: a bag from the simulator, with its truth beside it."""
+
+from __future__ import annotations
+
+import argparse
+from collections import Counter
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from trainid_ros.bag.writer import BagWriter
+from trainid_ros.cli.output import add_json_option, print_json, progress
+from trainid_ros.core.errors import InputError
+from trainid_ros.core.plural import counted
+from trainid_ros.core.records import INPUT_TOPICS
+from trainid_ros.sim.realism import REALISMS, UNKNOWNS, make_case, unknowns_of
+from trainid_ros.sim.scenario import Scenario, check_scenario, simulate
+from trainid_ros.sim.truth import plain_truth, save_truth
+from trainid_ros.sim.worlds import WORLDS, world_train
+from trainid_ros.train.effect_text import parse_effects
+from trainid_ros.train.train_file import dump_train_file, load_train_file
+
+if TYPE_CHECKING:
+    from trainid_ros.sim.realism import Case
+    from trainid_ros.sim.scenario import Simulation
+
+TRAIN_FILE: Final = 'train.yaml'
+TRUTH_FILE: Final = 'truth.yaml'
+_TOPIC_OF: Final = {topic.record: topic.name for topic in INPUT_TOPICS}
+_PROGRESS_EVERY: Final = 1000
+
+
+def configure(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments."""
+    parser.add_argument('out', type=Path, metavar='OUT', help='bag to make')
+    parser.add_argument(
+        '--train', type=Path, metavar='T.yaml', help='the train as it truly is; with --world as an engineer states it'
+    )
+    _configure_world(parser)
+    parser.add_argument(
+        '--effect',
+        action='append',
+        default=[],
+        metavar='NAME:key=value',
+        help='add an effect to the truth, as in tunnel_drag:factor=1.8 (again for more)',
+    )
+    parser.add_argument('--runs', type=int, default=4, metavar='N', help='runs from stop to stop (default: 4)')
+    parser.add_argument(
+        '--seed', type=_seed, default=1, metavar='S', help='seed of all that is random, >= 0 (default: 1)'
+    )
+    add_json_option(parser)
+
+
+def _configure_world(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument('--world', choices=tuple(WORLDS), help='type of railway: train, line and driver')
+    parser.add_argument(
+        '--realism',
+        choices=tuple(REALISMS),
+        help='clean: all that the train file states is exact; field: wrong as on real trains (default: clean)',
+    )
+    parser.add_argument(
+        '--unknown',
+        action='append',
+        default=[],
+        choices=UNKNOWNS,
+        metavar='NAME',
+        help=f'one thing that the train file states wrongly or not at all (again for more): {", ".join(UNKNOWNS)}',
+    )
+
+
+def _seed(text: str) -> int:
+    if not text.isdecimal():
+        msg = f'{text!r} is not a whole number >= 0'
+        raise argparse.ArgumentTypeError(msg)
+    return int(text)
+
+
+def run(args: argparse.Namespace) -> int:
+    """Simulate and write the bag and its truth; with a world also the train file that states what is known.
+
+    Raises:
+        InputError: If an argument or the train file cannot be used, or the bag exists already.
+
+    """
+    rng = np.random.default_rng(args.seed)
+    case = _case(args, rng)
+    scenario = case.scenario if case else scenario_from(_train_path(args), args.effect, args.runs)
+    # The bag is opened first: a path that cannot be written is told at once, not after the simulation.
+    with BagWriter(args.out) as writer:
+        with progress('simulating'):
+            simulation = simulate(scenario, rng)
+        _write(simulation, writer)
+    if case:
+        simulation = replace(simulation, truth=replace(simulation.truth, unknowns=case.true_values))
+        (args.out / TRAIN_FILE).write_text(dump_train_file(case.stated), encoding='utf-8')
+    save_truth(simulation.truth, args.out / TRUTH_FILE)
+    _tell(args, simulation)
+    return 0
+
+
+def _train_path(args: argparse.Namespace) -> Path:
+    if args.train is None:
+        msg = 'no train: give --train T.yaml or --world NAME'
+        raise InputError(msg)
+    return Path(args.train)
+
+
+def _case(args: argparse.Namespace, rng: np.random.Generator) -> Case | None:
+    """Return the case of the world asked for, None without a world."""
+    if args.world is None:
+        if args.realism or args.unknown:
+            msg = f'--{"realism" if args.realism else "unknown"} needs --world, one of {", ".join(WORLDS)}'
+            raise InputError(msg)
+        return None
+    world = WORLDS[args.world]
+    stated = load_train_file(args.train) if args.train else world_train(world)
+    names = unknowns_of(args.realism or 'clean', args.unknown, stated)
+    # Drawn from a generator of its own, so that driving and noise are the same with and without unknowns.
+    return make_case(world, stated, names, args.runs, rng.spawn(1)[0], parse_effects(args.effect))
+
+
+def scenario_from(train: Path, effects: list[str], runs: int) -> Scenario:
+    """Return the scenario of a train file and the effects named on the command line.
+
+    Raises:
+        InputError: If the train file, an effect or the number of runs cannot be used.
+
+    """
+    file = load_train_file(train)
+    file = replace(file, effects=(*file.effects, *parse_effects(effects)))
+    scenario = Scenario(file, runs=runs)
+    check_scenario(scenario)
+    return scenario
+
+
+def _write(simulation: Simulation, writer: BagWriter) -> None:
+    with progress('writing', len(simulation.records)) as advance:
+        for i, record in enumerate(simulation.records, 1):
+            writer.write_record(record)
+            if i % _PROGRESS_EVERY == 0:
+                advance(_PROGRESS_EVERY)
+
+
+def _tell(args: argparse.Namespace, simulation: Simulation) -> None:
+    counts = Counter(_TOPIC_OF[type(record)] for record in simulation.records)
+    if not args.json:
+        runs = f'{counted(len(simulation.arrivals), "run")}, {simulation.duration_s:.0f} s'
+        print(f'{args.out}: {len(simulation.records)} messages of {runs}; truth in {args.out / TRUTH_FILE}')
+        if args.world:
+            print(f'the train as stated: {args.out / TRAIN_FILE}')
+        return
+    print_json(
+        {
+            'out': args.out,
+            'messages': dict(sorted(counts.items())),
+            'duration_s': simulation.duration_s,
+            'runs': len(simulation.arrivals),
+            'seed': args.seed,
+            'truth': plain_truth(simulation.truth),
+        }
+    )

@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters of the demo's nodes: nothing may get lost, however fast the bag is played."""
+
+from __future__ import annotations
+
+from typing import Any, Final
+
+import yaml
+
+from trainid_ros.bag.types import ESTIMATE_TOPICS
+from trainid_ros.core.records import INPUT_TOPICS
+
+# Nodes and the message of their estimate, in the order in which they are started.
+NODES: Final = {
+    'resistance_estimator': 'ResistanceEstimate',
+    'speed_model_estimator': 'SpeedModelEstimate',
+    'brake_rate_estimator': 'BrakeRateEstimate',
+}
+# Deeper than any bag of the demo is long: a node that falls behind catches up at the end and loses nothing.
+_DEPTH: Final = 40000
+_LOSSLESS: Final = {'history': 'keep_last', 'depth': _DEPTH, 'reliability': 'reliable'}
+
+
+def parameter_file() -> str:
+    """Return a ROS parameter file with the QoS overrides of the three nodes."""
+    return yaml.safe_dump({node: {'ros__parameters': _overrides(message)} for node, message in NODES.items()})
+
+
+def _overrides(message: str) -> dict[str, Any]:
+    topics: dict[str, Any] = {f'/{topic.name}': {'subscription': dict(_LOSSLESS)} for topic in INPUT_TOPICS}
+    topics[f'/{ESTIMATE_TOPICS[message]}'] = {'publisher': dict(_LOSSLESS)}
+    return {'qos_overrides': topics}

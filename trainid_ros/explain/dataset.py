@@ -1,0 +1,245 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From runs to nodes: speed less what a model predicts, averaged over about a second.
+
+Integrated speed is compared, never differentiated speed: with the mean forces of each stage the simulated speed is
+``v_j = v_0 + sum dt (u - w(v) - ...) / inertia`` (after Xia et al. 2023, (2) and (7)), so every resistance r adds
+the *response* ``-sum dt r / inertia``, which is linear in r. The measured speed enters w(v), where its noise is
+averaged by the sum.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+
+from trainid_ros.train.davis import davis, specific_inertia
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    from trainid_ros.explain.run_data import Run
+    from trainid_ros.train.train_file import TrainFile
+
+    Array = NDArray[np.float64]
+
+NODE_S: Final = 1.0
+"""Length of a node [s]."""
+MAD_TO_STD: Final = 1.4826
+"""Standard deviation of normal noise over its median absolute deviation."""
+# Outliers: samples to either side that tell the level, how many std off it counts, and the least std [m/s].
+_AT_ONCE: Final = 16
+_REACH: Final = 15
+_OUTLIER: Final = 5.0
+_FLANK: Final = 2.0
+# A run may begin or end within a burst: a jump of so many m/s from one sample to the next, so near its edge, tells.
+_JUMP: Final = 0.5
+_EDGE: Final = 20
+_NEAR: Final = 5
+_LEAST_SCALE: Final = 0.03
+
+
+@dataclass(frozen=True, slots=True)
+class Dataset:
+    """All runs one after another, sample by sample, and the nodes made of them.
+
+    Attributes:
+        runs: The runs.
+        inertia: Specific force per acceleration [N/kN per m/s^2].
+        run_of: Run of each sample, shape (n,).
+        starts: First sample of each run, shape (R,).
+        dt: Length of the stage that ends at each sample [s], shape (n,).
+        time: Time [s], shape (n,).
+        speed: Speed, mean over the stage, outliers bridged [m/s], shape (n,).
+        gap: Measured less predicted speed [m/s], shape (n,).
+        outlier: True where the measured speed does not count, shape (n,).
+        deviation: How far such a speed lies from its neighbours [m/s], 0 elsewhere, shape (n,).
+        node_starts: First sample of each node, shape (m,).
+        node_run: Run of each node, shape (m,).
+        node_time: Time of each node [s], shape (m,).
+        node_count: Samples that count in each node, shape (m,).
+
+    """
+
+    runs: tuple[Run, ...]
+    inertia: float
+    run_of: NDArray[np.intp]
+    starts: NDArray[np.intp]
+    dt: Array
+    time: Array
+    speed: Array
+    gap: Array
+    outlier: NDArray[np.bool_]
+    deviation: Array
+    node_starts: NDArray[np.intp]
+    node_run: NDArray[np.intp]
+    node_time: Array
+    node_count: Array
+
+    @property
+    def direction(self) -> NDArray[np.int_]:
+        """Direction of the run of each sample, +1 while positions rise, shape (n,)."""
+        return np.array([run.direction for run in self.runs])[self.run_of]
+
+    @property
+    def positioned(self) -> bool:
+        """True if it is known of all runs where on the line they were."""
+        return all(run.positioned for run in self.runs)
+
+    def respond(self, resistance: Array) -> Array:
+        """Return the change of speed [m/s] at every sample by a resistance [N/kN] on each stage, shapes (n, ...)."""
+        kick = -resistance * (self.dt / self.inertia).reshape(-1, *[1] * (resistance.ndim - 1))
+        path = np.cumsum(kick, axis=0)
+        before = path[self.starts] - kick[self.starts]
+        return np.asarray(path - before[self.run_of])
+
+    def average(self, values: Array) -> Array:
+        """Return means over the samples of each node that count, shapes (n, ...) to (m, ...)."""
+        weight = (~self.outlier).astype(float).reshape(-1, *[1] * (values.ndim - 1))
+        total = np.add.reduceat(values * weight, self.node_starts, axis=0)
+        return np.asarray(total / np.maximum(self.node_count, 1.0).reshape(-1, *[1] * (values.ndim - 1)))
+
+    def column(self, resistance: Array) -> Array:
+        """Return the response to a resistance at the nodes, shapes (n, ...) to (m, ...)."""
+        if resistance.ndim == 1:
+            return self.average(self.respond(resistance))
+        # Some at a time: hours of samples of a hundred columns are gigabytes.
+        parts = [resistance[:, k : k + _AT_ONCE] for k in range(0, resistance.shape[1], _AT_ONCE)]
+        return np.concatenate([self.average(self.respond(part)) for part in parts], axis=1)
+
+    def joined(self, name: str) -> Array:
+        """Return one field of all runs, shape (n,)."""
+        return np.concatenate([getattr(run, name) for run in self.runs])
+
+
+def assemble(runs: Sequence[Run], train_file: TrainFile, extra: Array | None = None) -> Dataset:
+    """Return the drive of some runs, at least one.
+
+    Args:
+        runs: The runs.
+        train_file: What is believed.
+        extra: Resistance already modelled beside Davis and gradient, mean over each stage [N/kN], shape (n,).
+
+    """
+    inertia = specific_inertia(1.0, train_file.train.rotary_mass)
+    hyper = np.array([run.time.size for run in runs])
+    starts = np.concatenate([[0], np.cumsum(hyper)[:-1]]).astype(np.intp)
+    run_of = np.repeat(np.arange(len(runs)), hyper)
+    dt, time = np.concatenate([run.dt for run in runs]), np.concatenate([run.time for run in runs])
+    known = np.concatenate([run.traction + run.brake - run.gradient for run in runs])
+    measured = np.concatenate([run.speed for run in runs])
+    speed = measured
+    # The second time without the outliers that the first one has found.
+    for _ in range(2):
+        middle = _stage_means(speed, starts)
+        w = davis(train_file.resistance, middle) + (0.0 if extra is None else extra)
+        path = np.cumsum(dt * (known - w) / inertia)
+        gap = measured - (path - path[starts][run_of])
+        outlier = find_outliers(gap, starts)
+        bridged = _bridge(gap, outlier, run_of)
+        speed = np.maximum(measured + (bridged - gap), 0.0)
+    node_starts = _divide(time, starts, run_of)
+    node_time, count = _node_times(time, outlier, node_starts)
+    return Dataset(
+        tuple(runs), inertia, run_of, starts, dt, time, _stage_means(speed, starts), gap, outlier, gap - bridged,
+        node_starts, run_of[node_starts], node_time, count,
+    )  # fmt: skip
+
+
+def find_outliers(gap: Array, starts: NDArray[np.intp]) -> NDArray[np.bool_]:
+    """Return where speeds leave the level of the seconds around them and come back, shape (n,).
+
+    A step that stays, as a late brake makes, is none: the level steps as well.
+    """
+    edges = np.append(starts, gap.size)
+    return np.concatenate([_outliers_of(gap[a:b]) for a, b in pairwise(edges)])
+
+
+def _outliers_of(gap: Array) -> NDArray[np.bool_]:
+    """Return the outliers of one run, shape (n,); of two samples none can be told."""
+    if gap.size < 3:
+        return np.zeros(gap.size, dtype=bool)
+    reach = min(_REACH, (gap.size - 1) // 2)
+    windows = sliding_window_view(gap, 2 * reach + 1)
+    level = np.median(windows, axis=1)
+    slope = (np.median(windows[:, reach + 1 :], axis=1) - np.median(windows[:, :reach], axis=1)) / (reach + 1)
+    off = windows - level[:, None] - slope[:, None] * np.arange(-reach, reach + 1)
+    scale = MAD_TO_STD * np.median(np.abs(off), axis=1)
+    scale = np.minimum(scale, 2.0 * float(np.median(scale)))
+    # At both ends of a run the nearest whole window tells the level.
+    at = np.arange(gap.size)
+    window = np.clip(at - reach, 0, len(windows) - 1)
+    expected = level[window] + slope[window] * (at - reach - window)
+    floor = max(_LEAST_SCALE, float(np.median(scale)))
+    # A step that stays lifts one half of the window; what leaves and comes back goes beyond both halves.
+    step = np.abs(slope[window]) * (reach + 1)
+    off_by, usual = gap - expected, np.maximum(scale[window], floor)
+    clear = np.abs(off_by) > np.maximum(_OUTLIER * usual, 0.7 * step)
+    least = max(_JUMP, 2.0 * _OUTLIER * floor)
+    clear |= _begun_before(gap, least) | _begun_before(gap[::-1], least)[::-1]
+    return clear | _whole_bursts(clear, np.where(np.abs(off_by) > _FLANK * usual, np.sign(off_by), 0.0))
+
+
+def _begun_before(gap: Array, least: float) -> NDArray[np.bool_]:
+    """Return the first samples up to a jump that no train makes: a burst that began before the run did."""
+    early = gap[: _EDGE + _NEAR]
+    outlier = np.zeros(gap.size, dtype=bool)
+    for j in np.flatnonzero(np.abs(np.diff(early[:_EDGE])) > least).tolist():
+        before, after = early[max(j + 1 - _NEAR, 0) : j + 1], early[j + 1 : j + 1 + _NEAR]
+        if abs(float(np.median(after)) - float(np.median(before))) > least:
+            outlier[: j + 1] = True
+    return outlier
+
+
+def _whole_bursts(clear: NDArray[np.bool_], side: Array) -> NDArray[np.bool_]:
+    """Return outliers together with their flanks: neighbours that are off to the same side (1, -1, else 0)."""
+    edges = np.flatnonzero(np.diff(side)) + 1
+    burst = np.searchsorted(edges, np.arange(side.size), side='right')
+    return np.asarray((side != 0.0) & np.isin(burst, burst[clear]))
+
+
+def _stage_means(speed: Array, starts: NDArray[np.intp]) -> Array:
+    """Return the mean of the speeds before and after each stage [m/s], shape (n,)."""
+    means = speed.copy()
+    means[1:] = 0.5 * (speed[1:] + speed[:-1])
+    means[starts] = speed[starts]
+    return means
+
+
+def _bridge(gap: Array, outlier: NDArray[np.bool_], run_of: NDArray[np.intp]) -> Array:
+    """Interpolate over outliers within each run."""
+    if not outlier.any():
+        return gap
+    bridged = gap.copy()
+    for run in np.unique(run_of[outlier]):
+        at = np.flatnonzero(run_of == run)
+        bad = outlier[at]
+        if not bad.all():
+            bridged[at[bad]] = np.interp(at[bad], at[~bad], gap[at[~bad]])
+    return bridged
+
+
+def _divide(time: Array, starts: NDArray[np.intp], run_of: NDArray[np.intp]) -> NDArray[np.intp]:
+    """Return the first sample of each node, shape (m,)."""
+    since = time - time[starts][run_of]
+    number = np.floor(since / NODE_S + 1e-9)
+    fresh = np.ones(time.size, dtype=bool)
+    fresh[1:] = (np.diff(number) != 0.0) | (np.diff(run_of) != 0)
+    return np.flatnonzero(fresh)
+
+
+def _node_times(time: Array, outlier: NDArray[np.bool_], node_starts: NDArray[np.intp]) -> tuple[Array, Array]:
+    """Return the mean time of the samples that count in each node [s], and their number, shapes (m,).
+
+    Where none counts, the time is that of all.
+    """
+    weight = (~outlier).astype(float)
+    count = np.add.reduceat(weight, node_starts)
+    counting = np.add.reduceat(weight * time, node_starts) / np.maximum(count, 1.0)
+    every = np.add.reduceat(time, node_starts) / np.diff(np.append(node_starts, time.size))
+    return np.where(count > 0.0, counting, every), count

@@ -1,0 +1,349 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The believed model with some effects in it, linear about their parameters, ready to be compared with the data."""
+
+from __future__ import annotations
+
+import math
+from copy import copy
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from trainid_ros.explain.marginal_likelihood import MarginalLikelihood
+from trainid_ros.explain.noise import Grid, Whitener
+from trainid_ros.explain.nuisances import DAVIS, Bins, common_columns, common_std, prior_factor, run_columns
+from trainid_ros.explain.odometry import Odometry
+from trainid_ros.explain.regression import Gram, posterior
+from trainid_ros.train.effects import EFFECTS
+from trainid_ros.train.train_file import Davis
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from numpy.typing import NDArray
+
+    from trainid_ros.explain.dataset import Dataset
+    from trainid_ros.explain.effect_evaluation import EffectEvaluator
+    from trainid_ros.explain.marginal_likelihood import Hyperparameters
+    from trainid_ros.explain.nuisances import Spread
+    from trainid_ros.train.effects import Parameter
+    from trainid_ros.train.train_file import TrainFile
+
+    Array = NDArray[np.float64]
+
+WHEEL: Final = 'wheel_diameter'
+"""The effect that distances between stops tell of as well."""
+_RUNS_AT_ONCE: Final = 16
+_MOST_STEPS: Final = 5
+_SETTLED: Final = 0.1
+# Prior of a shape parameter that is refined, about where it was found.
+_METRES: Final = 80.0
+_SECONDS: Final = 60.0
+_LOG_WIDTH: Final = 1.0
+_SHORTEST_M: Final = 50.0
+"""Least length of an effect at one place [m]."""
+# A normal density at its top is that of a flat one this many standard deviations wide.
+_SPREAD: Final = math.sqrt(2.0 * math.pi)
+
+
+@dataclass(frozen=True, slots=True)
+class EffectTerm:
+    """An effect in the model: its parameters, and their covariance once fitted, in the same order."""
+
+    name: str
+    parameters: Mapping[str, float]
+    covariance: NDArray[np.float64] | None = None
+
+    @property
+    def size(self) -> float:
+        """How far the amplitude is from having no effect, in units of its usual size."""
+        kind = EFFECTS[self.name]
+        return abs(self.parameters[kind.amplitude] - kind.neutral) / kind.usual
+
+    @property
+    def significance(self) -> float:
+        """How far it is in standard deviations that it has with its shape given; infinite before a fit."""
+        if self.covariance is None:
+            return math.inf
+        kind = EFFECTS[self.name]
+        at = list(self.parameters).index(kind.amplitude)
+        return self.size * kind.usual * math.sqrt(max(float(np.linalg.pinv(self.covariance)[at, at]), 0.0))
+
+    @property
+    def std(self) -> dict[str, float]:
+        """Standard deviations of the parameters; empty before a fit."""
+        if self.covariance is None:
+            return {}
+        deviations = np.sqrt(np.maximum(np.diag(self.covariance), 0.0)).tolist()
+        return dict(zip(self.parameters, deviations, strict=True))
+
+
+class Model:
+    """Drive, nuisances and members; never changed once made.
+
+    Attributes:
+        evaluator: Stages of the drive.
+        dataset: What is explained.
+        train_file: What is believed.
+        terms: Effects in it.
+        davis: a, b, c about which the effects are linear.
+        residual: Measured less predicted speed at the nodes [m/s], shape (m,).
+        nuisance_columns: Responses at the nodes to nuisances that all runs share, first those of
+            :func:`common_columns`, then the members' parameters, then errors of the map, shape (m, q + k).
+        common_std: Prior std of the first q of them, shape (q,).
+        factor_columns: Responses at the nodes to the factors of single runs, shape (m, 2).
+        grid: Where the nodes lie.
+        weighed: True if the mass of all runs is measured.
+        odometry: What distances between stops tell.
+
+    """
+
+    def __init__(self, evaluator: EffectEvaluator, train_file: TrainFile, terms: tuple[EffectTerm, ...] = ()) -> None:
+        self.evaluator, self.dataset, self.train_file = evaluator, evaluator.dataset, train_file
+        dataset, length = self.dataset, train_file.train.length
+        bins = Bins.of(dataset, length)
+        self._common = dataset.column(common_columns(dataset))
+        self._map = dataset.column(dataset.direction[:, None] * bins.shares(dataset, length))
+        self._map_root = np.asarray(np.linalg.cholesky(bins.covariance() + 1e-9 * np.eye(bins.count)))
+        self.factor_columns = dataset.column(run_columns(dataset))
+        self.grid = Grid.of(dataset)
+        self.weighed = all(run.weighed for run in dataset.runs)
+        self._gap = dataset.average(dataset.gap)
+        self.odometry = Odometry.of(dataset, train_file.line.stops)
+        self._set(terms, train_file.resistance)
+
+    def having(self, terms: tuple[EffectTerm, ...], davis: Davis | None = None) -> Model:
+        """Return the same model with other members, and linear about another a, b, c."""
+        other = copy(self)
+        other._set(terms, davis or self.davis)
+        return other
+
+    def without(self, k: int) -> Model:
+        """Return the same model without member k."""
+        return self.having((*self.terms[:k], *self.terms[k + 1 :]))
+
+    def beside(self, columns: Array, std: float) -> Model:
+        """Return the same model with further nuisances that all runs share: columns at the nodes, shape (m, k)."""
+        other = copy(self)
+        other.common_std = np.concatenate([np.full(columns.shape[1], std), self.common_std])
+        other.nuisance_columns = np.concatenate([columns, self.nuisance_columns], axis=1)
+        return other
+
+    def _set(self, terms: tuple[EffectTerm, ...], davis: Davis) -> None:
+        """Linearise about the parameters of some members, and about a, b, c where these are part of an effect."""
+        self.terms, self.davis = terms, davis
+        derivatives, std = [], []
+        total = np.zeros(self.dataset.dt.size)
+        common, self._bends = self._common, False
+        beyond = _array(davis) - _array(self.train_file.resistance)
+        for term in terms:
+            total += self.evaluator.resistance(term.name, term.parameters, davis)
+            by_davis = self.evaluator.by_davis(term.name, term.parameters, davis)
+            if by_davis is not None:
+                self._bends = True
+                # The columns of a, b, c count from what is believed.
+                total -= by_davis @ beyond
+                common = common.copy()
+                common[:, DAVIS] += self.dataset.column(by_davis)
+            for name, value in term.parameters.items():
+                width = _width(term.name, name, value)
+                derivatives.append(self._derivative(term, name, 0.05 * width))
+                std.append(width)
+        self.residual = self._gap - self.dataset.column(total)
+        of_terms = [self.dataset.column(np.stack(derivatives, axis=1))] if derivatives else []
+        self.nuisance_columns = np.concatenate([common, *of_terms, self._map], axis=1)
+        self.common_std = np.concatenate([common_std(self.train_file, weighed=self.weighed), std])
+
+    def _derivative(self, term: EffectTerm, name: str, step: float) -> Array:
+        """Return the derivative of a member's resistance by one of its parameters, shape (n,)."""
+        limits, value = EFFECTS[term.name].parameters[name], term.parameters[name]
+        other = value + step if value + step <= limits.high else value - step
+        changed = self.evaluator.resistance(term.name, {**term.parameters, name: other}, self.davis)
+        here = self.evaluator.resistance(term.name, term.parameters, self.davis)
+        return np.asarray((changed - here) / (other - value))
+
+    @property
+    def columns(self) -> Array:
+        """Residual and nuisances, shape (m, 1 + q + k)."""
+        return np.concatenate([self.residual[:, None], self.nuisance_columns], axis=1)
+
+    def evidence(self) -> MarginalLikelihood:
+        """Return the marginal likelihood as a function of the sizes of noise and nuisances."""
+        return MarginalLikelihood(
+            self.grid, self.columns, self.factor_columns, self.common_std, self._map_root, weighed=self.weighed
+        )
+
+    def whitener(self, hyper: Hyperparameters) -> Whitener:
+        """Return the filter for these sizes."""
+        return Whitener.of(self.grid, hyper.noise)
+
+    def prior_factor(self, spread: Spread) -> Array:
+        """Return the factor of the prior covariance of all nuisances, shape (q + k, q + k)."""
+        return prior_factor(self.common_std, self._map_root, spread)
+
+    def products(self, columns: Array, spread: Spread, whitener: Whitener) -> Array:
+        """Return products of whitened columns at the nodes, less what factors of single runs explain.
+
+        Args:
+            columns: Shape (m, C).
+            spread: Sizes of these factors.
+            whitener: Filter.
+
+        Returns:
+            Sum over runs, shape (C, C).
+
+        """
+        total = np.zeros((columns.shape[1], columns.shape[1]))
+        for gram in self._grams(columns, whitener, by_run=False):
+            total += gram.reduced(spread.of_run)[0]
+        return total
+
+    def products_by_run(self, columns: Array, spread: Spread, whitener: Whitener) -> Array:
+        """Return the same run by run, shape (R, C, C)."""
+        grams = self._grams(columns, whitener, by_run=True)
+        return np.concatenate([gram.reduced(spread.of_run)[0] for gram in grams])
+
+    def _grams(self, columns: Array, whitener: Whitener, *, by_run: bool) -> Iterator[Gram]:
+        """Yield products of some runs at a time: columns of hours of driving are gigabytes."""
+        for first in range(0, len(self.dataset.runs), _RUNS_AT_ONCE):
+            part = slice(first, first + _RUNS_AT_ONCE)
+            yield Gram.of(columns, self.factor_columns, self.grid.part(part), whitener.part(part), by_run=by_run)
+
+    def fit(self, hyper: Hyperparameters) -> Model:
+        """Refine the parameters of all members together with the nuisances (Gauss-Newton)."""
+        model, whitener = self, self.whitener(hyper)
+        for _ in range(_MOST_STEPS):
+            terms, davis, moved = model._step(hyper, whitener)
+            model = model.having(terms, davis)
+            if moved < _SETTLED:
+                break
+        terms, _, _ = model._step(hyper, whitener, stay=True)
+        return model.having(terms)
+
+    def posterior(self, hyper: Hyperparameters, whitener: Whitener) -> tuple[Array, Array]:
+        """Return mean and covariance of all nuisances, members' parameters among them."""
+        total = self.products(self.columns, hyper.spread, whitener)
+        self.add_odometry(total)
+        return posterior(total, self.prior_factor(hyper.spread))
+
+    @property
+    def without_terms(self) -> NDArray[np.bool_]:
+        """Which nuisance columns are no parameters of members, shape (q + k,)."""
+        kept = np.ones(self.nuisance_columns.shape[1], dtype=bool)
+        for _, here in self.places():
+            kept[here] = False
+        return kept
+
+    @property
+    def odometer_excess(self) -> float:
+        """What distances between stops say of the wheel's ratio beyond what the members say."""
+        known = (term.parameters['ratio'] - 1.0 for term in self.terms if term.name == WHEEL)
+        return self.odometry.excess - sum(known)
+
+    @property
+    def odometry_cost(self) -> float:
+        """Twice the negative log-likelihood of the distances between stops, up to a constant."""
+        return self.odometry.precision * self.odometer_excess**2
+
+    def add_odometry(self, products: Array) -> None:
+        """Add the distances between stops to products of y and nuisances, as one more measurement of the wheel."""
+        for term, here in self.places():
+            if term.name == WHEEL:
+                at = 1 + here.start
+                products[at, at] += self.odometry.precision
+                products[0, at] += self.odometry.precision * self.odometer_excess
+                products[at, 0] = products[0, at]
+
+    def places(self) -> Iterator[tuple[EffectTerm, slice]]:
+        """Yield all members and where their parameters stand among the nuisances."""
+        at = len(self.common_std) - sum(len(term.parameters) for term in self.terms)
+        for term in self.terms:
+            yield term, slice(at, at + len(term.parameters))
+            at += len(term.parameters)
+
+    def found_davis(self, mean: Array) -> Davis:
+        """Return a, b, c by the mean of all nuisances; what no train has is cut off."""
+        a, b, c = (_array(self.train_file.resistance) + mean[DAVIS]).tolist()
+        return Davis(max(a, 0.0), b, max(c, 0.0))
+
+    def _step(
+        self, hyper: Hyperparameters, whitener: Whitener, *, stay: bool = False
+    ) -> tuple[tuple[EffectTerm, ...], Davis, float]:
+        """Return members one step on, with covariances, a, b, c, and the largest move in std; or where they are."""
+        mean, covariance = self.posterior(hyper, whitener)
+        terms = []
+        davis = self.found_davis(mean)
+        moved = self._moved(davis, covariance)
+        for term, here in self.places():
+            move = np.zeros(len(term.parameters)) if stay else mean[here]
+            width = self.common_std[here]
+            moved = max(moved, float(np.max(np.abs(move) / np.sqrt(np.diag(covariance)[here]))))
+            move = np.clip(move, -width, width)
+            parameters = {
+                name: _inside(value + delta, EFFECTS[term.name].parameters[name])
+                for (name, value), delta in zip(term.parameters.items(), move.tolist(), strict=True)
+            }
+            terms.append(EffectTerm(term.name, _ordered(parameters), covariance[here, here]))
+        return tuple(terms), davis, moved
+
+    def _moved(self, davis: Davis, covariance: Array) -> float:
+        """Return how far a, b, c are from where effects are linear, in std; 0 if no effect depends on them."""
+        if not self._bends:
+            return 0.0
+        off = np.abs(_array(davis) - _array(self.davis))
+        return float(np.max(off / np.sqrt(np.diag(covariance)[DAVIS])))
+
+
+def _array(davis: Davis) -> Array:
+    return np.array([davis.a, davis.b, davis.c])
+
+
+def prior_cost(term: EffectTerm, dataset: Dataset) -> float:
+    """Return what a member costs beyond the priors about where it was found, as twice a log.
+
+    An amplitude is unlikely to lie far from its neutral value; a place or a time could have been any other.
+    """
+    kind, cost = EFFECTS[term.name], 0.0
+    for name, value in term.parameters.items():
+        width = _width(term.name, name, value)
+        limits = kind.parameters[name]
+        if name == kind.amplitude:
+            cost += ((value - kind.neutral) / width) ** 2
+        elif limits.search is not None:
+            low, high = limits.search
+            span = math.log(high / low) * abs(value) if limits.grid == 'log' else high - low
+            cost += 2.0 * math.log(max(span / (_SPREAD * width), 1.0))
+        else:
+            along = dataset.joined('position') if limits.unit == 'm' else dataset.time
+            cost += 2.0 * math.log(max(float(np.ptp(along)) / (_SPREAD * width), 1.0))
+    return cost
+
+
+def _width(effect: str, name: str, value: float) -> float:
+    """Return the prior std of a parameter about where it was found."""
+    kind = EFFECTS[effect]
+    if name == kind.amplitude:
+        return 3.0 * kind.usual
+    limits = kind.parameters[name]
+    if limits.unit == 'm' and limits.search is None:
+        return _METRES
+    if limits.search is None:
+        return _SECONDS
+    return _LOG_WIDTH * max(abs(value), limits.search[0])
+
+
+def _inside(value: float, limits: Parameter) -> float:
+    """Return the nearest value that a parameter may have; not far beyond where it was looked for."""
+    low, high = limits.low, limits.high
+    if limits.search is not None:
+        low, high = max(low, 0.3 * limits.search[0]), min(high, 3.0 * limits.search[1])
+    return min(max(value, low), high)
+
+
+def _ordered(parameters: dict[str, float]) -> dict[str, float]:
+    """Keep an end behind its start, and so far that a train, under which all is averaged, can show the length."""
+    if 'start' in parameters and 'end' in parameters and parameters['end'] - parameters['start'] < _SHORTEST_M:
+        middle = 0.5 * (parameters['start'] + parameters['end'])
+        return {**parameters, 'start': middle - 0.5 * _SHORTEST_M, 'end': middle + 0.5 * _SHORTEST_M}
+    return parameters

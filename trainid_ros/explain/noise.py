@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Errors of the simulated speed that no model will explain, and the filter that whitens them.
+
+Three things make simulated and measured speed part although the model is right: gusts, a resistance that comes and
+goes as an Ornstein-Uhlenbeck process and whose response is its integral; noise of the measured speed; and an initial
+speed that nobody knows. A Kalman filter on the state [speed error, gust] turns them into independent unit noise. It
+is linear, so the columns of all candidates pass through it with the same gains.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from scipy.linalg import cholesky_banded
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from trainid_ros.explain.dataset import Dataset
+
+    Array = NDArray[np.float64]
+
+_DIFFUSE: Final = 1e2
+"""Variance of an unknown initial speed error [(m/s)^2]."""
+_LEAST: Final = 1e-12
+"""Least noise of a step [(m/s)^2, (N/kN)^2]: information must stay finite."""
+# Errors of neighbouring samples are not quite independent: quantised speeds repeat.
+_SHARED: Final = 0.1
+
+
+@dataclass(frozen=True, slots=True)
+class Noise:
+    """Sizes of what is random along a run.
+
+    Attributes:
+        speed: Noise of one measured speed [m/s].
+        gust: Standard deviation of the gusts [N/kN].
+        gust_time: Their correlation time [s].
+        jitter: Unknown delay of each change of traction or brake [s]: forces are read a few times a second.
+
+    """
+
+    speed: float
+    gust: float
+    gust_time: float
+    jitter: float
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """Nodes of all runs side by side, padded to the longest; N nodes by R runs.
+
+    Attributes:
+        index: Node at each place, the number of nodes where there is none, shape (N, R).
+        dt: Time since the node before [s], shape (N, R).
+        share: Variance of a node's error in those of one speed; infinite where nothing was measured, shape (N, R).
+        change: Change of the force since the node before, as acceleration [m/s^2], shape (N, R).
+        inertia: Specific force per acceleration [N/kN per m/s^2].
+        nodes: Number of nodes of all runs.
+
+    """
+
+    index: NDArray[np.intp]
+    dt: Array
+    share: Array
+    change: Array
+    inertia: float
+    nodes: int
+
+    @classmethod
+    def of(cls, dataset: Dataset) -> Grid:
+        """Return the grid of a drive."""
+        counts = np.unique(dataset.node_run, return_counts=True)[1]
+        first = np.concatenate([[0], np.cumsum(counts)[:-1]])
+        rows = np.arange(counts.max())[:, None]
+        inside = rows < counts[None, :]
+        index = np.where(inside, first[None, :] + rows, dataset.node_time.size).astype(np.intp)
+        time = np.append(dataset.node_time, 0.0)[index]
+        dt = np.zeros(index.shape)
+        dt[1:] = np.where(inside[1:], time[1:] - time[:-1], 1.0)
+        count = np.append(dataset.node_count, 0.0)[index]
+        share = np.where(count > 0.0, share_of_mean(count), np.inf)
+        force = dataset.joined('traction') + dataset.joined('brake')
+        first_force = np.append(force[dataset.node_starts], 0.0)[index]
+        change = np.zeros(index.shape)
+        change[1:] = np.where(inside[1:], np.abs(first_force[1:] - first_force[:-1]) / dataset.inertia, 0.0)
+        return cls(index, dt, share, change, dataset.inertia, dataset.node_time.size)
+
+    def part(self, runs: slice) -> Grid:
+        """Return the grid of some of the runs."""
+        longest = int((self.index[:, runs] < self.nodes).sum(axis=0).max())
+        dt, share, change = (array[:longest, runs] for array in (self.dt, self.share, self.change))
+        return Grid(self.index[:longest, runs], dt, share, change, self.inertia, self.nodes)
+
+    def spread(self, columns: Array) -> Array:
+        """Return columns of all nodes, shape (m, C), on the grid, shape (N, R, C)."""
+        padded = np.concatenate([columns, np.zeros((1, columns.shape[1]))])
+        return np.asarray(padded[self.index])
+
+
+@dataclass(frozen=True, slots=True)
+class Whitener:
+    """Gains of the filter for one noise; see :meth:`apply`.
+
+    Attributes:
+        step: Predicted state one node on, by predicted state and measurement here, shape (N, R, 2, 3).
+        scale: One over the standard deviation of the innovation, 0 where nothing was measured, shape (N, R).
+        log_det: Sum over all measurements of the log of the innovation's variance, by run, shape (R,).
+
+    """
+
+    step: Array
+    scale: Array
+    log_det: Array
+
+    @classmethod
+    def of(cls, grid: Grid, noise: Noise) -> Whitener:
+        """Find all gains at once; what is behind the last node of a run counts nowhere."""
+        inside = grid.index < grid.nodes
+        F, Q = _transitions(grid, noise)
+        R = np.where(inside, noise.speed**2 * grid.share, np.inf)
+        before = Q.copy()
+        before[1:] += F[1:] @ _filtered(F, Q, R)[:-1] @ F[1:].transpose(0, 1, 3, 2)
+        S = before[..., 0, 0] + R
+        K = before[..., :, :1] / S[..., None, None]
+        update = np.concatenate([np.eye(2) - K * np.array([1.0, 0.0]), K], axis=-1)
+        step = np.zeros_like(update)
+        step[:-1] = F[1:] @ update[:-1]
+        return cls(step, 1.0 / np.sqrt(S), np.log(np.where(np.isfinite(S), S, 1.0)).sum(axis=0))
+
+    def part(self, runs: slice) -> Whitener:
+        """Return the filter of some of the runs."""
+        return Whitener(self.step[:, runs], self.scale[:, runs], self.log_det[runs])
+
+    def apply(self, columns: Array) -> Array:
+        """Return whitened columns of the first N nodes, shape (N, R, C); zero where nothing was measured."""
+        N, runs, C = columns.shape
+        # Predicted speed error and gust, and the measurement, so that a step is one product of matrices.
+        state = np.zeros((N + 1, runs, 3, C))
+        state[:-1, :, 2] = columns
+        for i in range(N):
+            np.matmul(self.step[i], state[i], out=state[i + 1, :, :2])
+        return np.asarray((columns - state[:-1, :, 0]) * self.scale[:N, :, None])
+
+
+def share_of_mean(count: Array) -> Array:
+    """Return the variance of means of so many neighbouring speeds in that of one, shapes alike."""
+    return np.asarray(_SHARED + (1.0 - _SHARED) / np.maximum(count, 1.0))
+
+
+def _transitions(grid: Grid, noise: Noise) -> tuple[Array, Array]:
+    """Return transition and noise covariance of [speed error, gust] to each node, both of shape (N, R, 2, 2).
+
+    Those to the first node are the prior: its covariance, and a transition from nothing.
+    """
+    dt, inertia = grid.dt, grid.inertia
+    tau, variance = noise.gust_time, noise.gust**2
+    e = np.exp(-dt / tau)
+    F, Q = np.zeros((2, *dt.shape, 2, 2))
+    F[1:, :, 0, 0] = 1.0
+    F[1:, :, 0, 1] = (tau * (1.0 - e) / inertia)[1:]
+    F[1:, :, 1, 1] = e[1:]
+    # Exact discretisation of the gust and its integral, and the impulse that a late change of the force leaves.
+    Q[..., 0, 0] = variance * (tau / inertia) ** 2 * np.maximum(2.0 * dt / tau - 3.0 + 4.0 * e - e * e, 0.0)
+    Q[..., 0, 0] += np.square(noise.jitter * grid.change)
+    Q[..., 0, 1] = Q[..., 1, 0] = variance * tau * (1.0 - e) ** 2 / inertia
+    Q[..., 1, 1] = variance * (1.0 - e * e)
+    Q[0] = np.diag([_DIFFUSE, variance])
+    Q[..., (0, 1), (0, 1)] += _LEAST
+    return F, Q
+
+
+def _filtered(F: Array, Q: Array, R: Array) -> Array:
+    """Return the covariance of the state after each measurement, shape (N, R, 2, 2).
+
+    The information of all states of a run is a band of blocks, and its Cholesky factor runs through it as the
+    covariances of a Kalman filter do: what is left of a diagonal block is the information of all measurements so
+    far, and of the transition to the next node.
+    """
+    N, runs = R.shape
+    information = _inverse(Q)
+    across = -information @ F
+    onward = np.zeros_like(Q)
+    onward[:-1] = -F[1:].transpose(0, 1, 3, 2) @ across[1:]
+    diagonal = information + onward
+    diagonal[..., 0, 0] += 1.0 / R
+    # Lower band, run after run; states of different runs do not meet.
+    band = np.zeros((runs, N, 2, 4))
+    d, o = diagonal.transpose(1, 0, 2, 3), across.transpose(1, 0, 2, 3)
+    band[..., 0, 0], band[..., 0, 1], band[..., 1, 0] = d[..., 0, 0], d[..., 1, 0], d[..., 1, 1]
+    band[:, :-1, 0, 2], band[:, :-1, 0, 3] = o[:, 1:, 0, 0], o[:, 1:, 1, 0]
+    band[:, :-1, 1, 1], band[:, :-1, 1, 2] = o[:, 1:, 0, 1], o[:, 1:, 1, 1]
+    root = cholesky_banded(band.reshape(-1, 4).T, lower=True, check_finite=False).T.reshape(runs, N, 2, 4)
+    L = np.zeros((N, runs, 2, 2))
+    L[..., 0, 0], L[..., 1, 0], L[..., 1, 1] = root[..., 0, 0].T, root[..., 0, 1].T, root[..., 1, 0].T
+    return _inverse(L @ L.transpose(0, 1, 3, 2) - onward)
+
+
+def _inverse(A: Array) -> Array:
+    """Return the inverses of symmetric matrices, shape (..., 2, 2)."""
+    adjoint = np.stack([A[..., 1, 1], -A[..., 0, 1], -A[..., 1, 0], A[..., 0, 0]], axis=-1).reshape(A.shape)
+    determinant = A[..., 0, 0] * A[..., 1, 1] - A[..., 0, 1] * A[..., 1, 0]
+    return np.asarray(adjoint / determinant[..., None, None])

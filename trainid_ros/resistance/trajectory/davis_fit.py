@@ -1,0 +1,334 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Batch fit of a, b, c to speed trajectories in time, with gusts and slip.
+
+The model is that of Xia et al. 2023, (3), over stages in time,
+``v_i - v_{i-1} = mu_i (u_i - a - b m1_i - c m2_i)``, mu = dt/inertia, with the exact means m1, m2 of v and v^2 of a
+stage of constant acceleration, u the mean known force. The fit minimises, over a, b, c *and all speeds*,
+
+``sum rho((v~_i - v_i)/sigma) + sum (defect_i)^2 / (D dt_i / inertia^2)``.
+
+The first sum is objective (8), made robust by Huber's rho; the second one lets the trajectory stray where gusts and
+map errors push it, as a random walk of density D. D -> 0 gives (8) itself. Without it white noise is taken for the
+only error, and the standard deviations of a long drive come out ten times too small.
+
+Reported forces lag and have a gain error, which traction turns into resistance. Both are parameters beside a, b and
+c, with a prior about zero: what the data cannot tell of them stands in the covariance.
+
+Each Gauss-Newton step linearises all stages at the speeds believed and solves one tridiagonal system; the first one,
+from the measured speeds and theta = 0, is integrated linear least squares. Nothing is integrated from a doubtful
+start, so nothing can stall or diverge. Initial speeds are speeds like all others, hence free.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from trainid_ros.core.errors import NoAnswerError
+from trainid_ros.core.settings import check_settings, setting
+from trainid_ros.resistance.trajectory.bidiagonal import recur, solve_tridiagonal
+from trainid_ros.resistance.trajectory.increments import half_variance, rounding_variance
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from trainid_ros.resistance.trajectory.pieces import Trajectory
+
+# Natural size of a, b, c, force delay and force gain; steps are measured in it.
+_SCALE: Final = np.array([1.0, 0.02, 0.001, 0.05, 0.005])
+_STEP_TOLERANCE: Final = 1e-9
+_MOST_ITERATIONS: Final = 30
+# Weights and noise follow the residuals until they move by less than this, or for so many steps; then they stand,
+# and the step must vanish.
+_SETTLED: Final = 0.1
+_LEARNING_STEPS: Final = 8
+# A change of traction takes so many stages, whose errors in time are one.
+_CHANGE_STAGES: Final = 5.0
+_LEAST_STD: Final = 1e-4
+# What is declared of the disturbance counts as much as one lag seen, and that scores spread as expected as six
+# clusters: a short bag tells next to nothing of either.
+_DECLARED_LAGS: Final = 1.0
+_DECLARED_CLUSTERS: Final = 6.0
+
+
+@dataclass(frozen=True, slots=True)
+class DavisFitConfig:
+    """Settings of the batch fit."""
+
+    min_speed: float = setting(1.0, 'slowest speed to learn from', 'm/s', 0.0, 50.0)
+    shortest: float = setting(5.0, 'shortest piece between braking to learn from', 's', 1.0, 600.0)
+    speed_std: float = setting(0.025, 'noise of measured speed at the start (then learned)', 'm/s', 1e-4, 2.0)
+    disturbance_std: float = setting(0.1, 'unmodelled resistance at the start (then learned)', 'N/kN', 1e-6, 10.0)
+    disturbance_time: float = setting(10.0, 'its correlation time', 's', 0.01, 600.0)
+    force_skew: float = setting(0.06, 'unknown delay of the reported force, std', 's', 1e-9, 5.0)
+    force_error: float = setting(0.005, 'unknown relative error of the traction force, std', '1', 1e-9, 0.5)
+    force_jitter: float = setting(0.06, 'unknown delay of each change of the force, std', 's', 0.0, 5.0)
+    learn_noise: bool = True
+    huber: float = setting(2.0, "residuals beyond this count linearly (Huber's rho)", 'standard deviations', 1.0, 1e9)
+    cut: float = setting(6.0, 'residuals beyond this do not count', 'standard deviations', 2.0, 1e9)
+    noise_lag: float = setting(20.0, 'distance in time over which the disturbance is measured', 's', 1.0, 600.0)
+    cluster: float = setting(30.0, 'time after which errors count as new ones', 's', 1.0, 3600.0)
+
+
+@dataclass(frozen=True, slots=True)
+class DavisFit:
+    """Outcome of a batch fit.
+
+    Attributes:
+        theta: a, b, c [N/kN, v in m/s], shape (3,).
+        covariance: Of theta, shape (3, 3).
+        force_delay: Delay of the reported force found [s].
+        force_gain: Relative error of the traction force found.
+        iterations: Gauss-Newton steps.
+        converged: True if the last step was negligible.
+        mse: Objective (8): mean square of measured less calculated speed, without the disturbance [(m/s)^2].
+        speed_std: Noise of measured speed found [m/s].
+        disturbance: Density D of unmodelled resistance found [(N/kN)^2 s].
+        inflation: Factor on the covariance by which scores of clusters spread more than the noise model says, >= 1.
+        outliers: Share of speeds that did not count.
+        speed_range: Slowest and fastest speed [m/s].
+        pieces: Number of pieces.
+        nodes: Number of speeds.
+
+    """
+
+    theta: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    force_delay: float
+    force_gain: float
+    iterations: int
+    converged: bool
+    mse: float
+    speed_std: float
+    disturbance: float
+    inflation: float
+    outliers: float
+    speed_range: tuple[float, float]
+    pieces: int
+    nodes: int
+
+    def resistance(self, speed: float) -> tuple[float, float]:
+        """Return w(v) and its standard deviation [N/kN] at a speed [m/s]."""
+        phi = np.array([1.0, speed, speed * speed])
+        return float(phi @ self.theta), math.sqrt(max(0.0, float(phi @ self.covariance @ phi)))
+
+
+def fit_davis(trajectory: Trajectory, config: DavisFitConfig) -> DavisFit:
+    """Fit a, b, c to all pieces at once.
+
+    Raises:
+        InputError: A setting is out of range.
+        NoAnswerError: There is nothing to fit to, or its speeds do not tell a, b and c apart.
+
+    """
+    check_settings(config)
+    if trajectory.speed.size < 4 + trajectory.starts.size:
+        msg = f'{trajectory.speed.size} speeds without braking in {trajectory.starts.size} pieces are too few to fit'
+        raise NoAnswerError(msg)
+    work = _Iteration(trajectory, config)
+    step, iterations, learning = math.inf, 0, True
+    while (learning or step > _STEP_TOLERANCE) and iterations < _MOST_ITERATIONS:
+        step = work.advance()
+        iterations += 1
+        if learning:
+            learning = iterations <= _LEARNING_STEPS and work.learn() > _SETTLED
+            if not learning:
+                work.allow_for_parameters()
+                step = math.inf
+    return work.finish(iterations, step <= _STEP_TOLERANCE)
+
+
+@dataclass(frozen=True, slots=True)
+class _Linear:
+    """All stages, linear about speeds v and theta: defect_i + D_i dv_i - N_i dv_{i-1} + F_i dtheta = 0."""
+
+    defect: NDArray[np.float64]
+    D: NDArray[np.float64]
+    N: NDArray[np.float64]
+    F: NDArray[np.float64]
+
+
+class _Iteration:
+    """Speeds, parameters, weights and noise on their way to the minimum."""
+
+    def __init__(self, trajectory: Trajectory, config: DavisFitConfig) -> None:
+        self._given, self._config = trajectory, config
+        self._starts = trajectory.starts
+        self._mu = trajectory.dt / trajectory.inertia
+        self._stage = trajectory.dt > 0.0
+        self._piece = np.cumsum(~self._stage, dtype=np.intp)
+        self._lengths = np.diff(np.append(self._starts, trajectory.dt.size))
+        self._dt = float(np.median(trajectory.dt[self._stage]))
+        self._lag = max(2, min(round(config.noise_lag / self._dt), int(self._lengths.max()) // 2))
+        self._rounding = rounding_variance(trajectory)
+        self._lags = float(np.maximum(self._lengths - self._lag, 0).sum()) / self._lag
+        self._v = trajectory.speed.copy()
+        self._theta = np.zeros(5)
+        self._rate = trajectory.traction_rate()
+        self._change = self._rate * trajectory.dt
+        prior = np.array([math.inf, math.inf, math.inf, config.force_skew, config.force_error])
+        self._prior = np.square(_SCALE / prior)
+        self._weights = np.ones(self._v.size)
+        self._variance = config.speed_std**2
+        self._declared = 2.0 * config.disturbance_time * config.disturbance_std**2
+        self._density = self._declared
+        self._schur = np.eye(5)
+
+    def _linear(self) -> _Linear:
+        v1, mu = self._v, self._mu
+        v0 = np.concatenate((v1[:1], v1[:-1]))
+        m1 = 0.5 * (v0 + v1)
+        m2 = (v0 * v0 + v0 * v1 + v1 * v1) / 3.0
+        a, b, c, delay, gain = self._theta
+        force = self._given.known + delay * self._rate + gain * self._given.traction
+        defect = np.where(self._stage, v1 - v0 - mu * (force - a - b * m1 - c * m2), 0.0)
+        third = c / 3.0
+        half = 0.5 * b
+        D = np.where(self._stage, 1.0 + mu * (half + third * (v0 + 2.0 * v1)), 0.0)
+        N = np.where(self._stage, 1.0 - mu * (half + third * (2.0 * v0 + v1)), 0.0)
+        F = np.array((mu, mu * m1, mu * m2, -mu * self._rate, -mu * self._given.traction))
+        return _Linear(defect, D, N, F * _SCALE[:, None])
+
+    def advance(self) -> float:
+        """Make one Gauss-Newton step; return its largest part, scaled."""
+        lin, W = self._linear(), self._weights / self._variance
+        L = self._certainty()
+        # Normal equations of dv, tridiagonal, with dtheta and the right-hand side beside them.
+        LD, LN = L * lin.D, L * lin.N
+        diagonal = W + LD * lin.D + _ahead(LN * lin.N)
+        beside = np.empty((6, W.size))
+        FL = lin.F * L
+        beside[:5] = FL * lin.D - _ahead(FL * lin.N)
+        beside[5] = W * (self._given.speed - self._v) - LD * lin.defect + _ahead(LN * lin.defect)
+        solved = solve_tridiagonal(diagonal, -(LD * lin.N)[1:], beside)
+        S = np.diag(self._prior) + FL @ lin.F.T - beside[:5] @ solved[:5].T
+        h = -self._prior * self._theta / _SCALE - FL @ lin.defect - beside[:5] @ solved[5]
+        self._schur = 0.5 * (S + S.T)
+        delta = _solve(self._schur, h)
+        self._v = self._v + solved[5] - delta @ solved[:5]
+        self._theta = self._theta + _SCALE * delta
+        return float(np.max(np.abs(delta)))
+
+    def _certainty(self) -> NDArray[np.float64]:
+        """Return the inverse variances of the defects [(m/s)^-2], 0 where a piece begins."""
+        force = self._density * self._given.dt + _CHANGE_STAGES * np.square(self._config.force_jitter * self._change)
+        return np.where(self._stage, self._given.inertia**2 / np.where(self._stage, force, 1.0), 0.0)
+
+    def learn(self) -> float:
+        """Take noise and weights from the residuals; return how far they moved."""
+        config, before = self._config, (self._density, self._weights)
+        if config.learn_noise:
+            self._learn_noise()
+        z = np.abs(self._given.speed - self._v) / math.sqrt(self._variance)
+        weights = np.minimum(1.0, config.huber / np.maximum(z, config.huber))
+        self._weights = np.where(z > config.cut, 1e-9, weights)
+        moved = float(np.max(np.abs(self._weights - before[1])))
+        return max(moved, abs(math.log(self._density / before[0])))
+
+    def _learn_noise(self) -> None:
+        """Medians of increments of the speed error over one step and over a long time: noise, and noise with drift.
+
+        A few lags tell little of the density, so it is the mean of n of them and of the declared one, which counts as
+        n0: D = (n0 D0 + n found) / (n0 + n).
+        """
+        y, lag, dt = self._errors(self._linear()), self._lag, self._dt
+        # Rounding hides the noise of one step, and shows after many.
+        short, long = max(half_variance(y, self._piece, 1), self._rounding), half_variance(y, self._piece, lag)
+        drift = max(long - short, 0.0) / (lag - 1)  # D dt / (2 inertia^2)
+        self._variance = max(short - drift, 0.25 * short, _LEAST_STD**2)
+        found = 2.0 * drift / dt * self._given.inertia**2
+        n0, n = _DECLARED_LAGS, self._lags
+        self._density = (n0 * self._declared + n * found) / (n0 + n)
+
+    def allow_for_parameters(self) -> None:
+        """Of n lags, the p parameters fitted have taken p up: divide by n0 + n - p.
+
+        This waits until weights stand: with the larger density, slip in a short piece would pass for gusts.
+        """
+        if self._config.learn_noise:
+            n0, n = _DECLARED_LAGS, self._lags
+            self._density *= (n0 + n) / (n0 + max(0.0, n - self._parameters()))
+
+    def _parameters(self) -> float:
+        """Return how many parameters the data tell: 3 to 5, as the prior tells delay and gain in part."""
+        return 5.0 - float(np.trace(_solve(self._schur, np.diag(self._prior))))
+
+    def _errors(self, lin: _Linear) -> NDArray[np.float64]:
+        """Return measured speeds less those of the model without disturbance, up to an initial speed, shape (n,)."""
+        inverse = np.where(self._stage, 1.0 / np.where(self._stage, lin.D, 1.0), 0.0)
+        strayed = recur(lin.N * inverse, (lin.defect * inverse)[None, :])[0]
+        return np.asarray(self._given.speed - self._v + strayed)
+
+    def finish(self, iterations: int, converged: bool) -> DavisFit:
+        """Return the outcome."""
+        given, lin = self._given, self._linear()
+        inflation = self._inflation(lin)
+        factor = _SCALE[:, None] * np.linalg.inv(np.linalg.cholesky(self._schur)).T
+        kept = self._weights > 1e-3
+        speed = self._v[kept]
+        return DavisFit(
+            theta=self._theta[:3],
+            covariance=inflation * (factor @ factor.T)[:3, :3],
+            force_delay=float(self._theta[3]),
+            force_gain=float(self._theta[4]),
+            iterations=iterations,
+            converged=converged,
+            mse=self._mse(lin),
+            speed_std=math.sqrt(self._variance),
+            disturbance=self._density,
+            inflation=inflation,
+            outliers=float(1.0 - np.mean(kept)),
+            speed_range=(float(speed.min()), float(speed.max())),
+            pieces=self._starts.size,
+            nodes=given.speed.size,
+        )
+
+    def _mse(self, lin: _Linear) -> float:
+        """Objective (8) with the best initial speed of each piece, over the speeds that count."""
+        y, w = self._errors(lin), np.where(self._weights > 1e-3, 1.0, 0.0)
+        k = np.where(self._stage, lin.N / np.where(self._stage, lin.D, 1.0), 0.0)
+        grown = recur(k, np.where(self._stage, 0.0, 1.0)[None, :])[0]
+        best = np.add.reduceat(w * grown * y, self._starts) / np.maximum(
+            np.add.reduceat(w * grown * grown, self._starts), 1e-12
+        )
+        left = y - grown * np.repeat(best, self._lengths)
+        return float((w * left) @ left / max(1.0, w.sum()))
+
+    def _inflation(self, lin: _Linear) -> float:
+        """Spread of the scores of clusters over what the noise model expects, averaged over a, b and c; at least 1.
+
+        Few clusters tell little of their spread, so the mean is taken with that of clusters as expected.
+        """
+        clusters = np.add.reduceat(lin.F * (self._certainty() * lin.defect), self._cluster_starts(), axis=1)
+        count = clusters.shape[1]
+        spread = float(np.trace(_solve(self._schur, clusters @ clusters.T))) / self._parameters()
+        free = max(0.0, count - 3.0)
+        mean = (_DECLARED_CLUSTERS + count * spread) / (_DECLARED_CLUSTERS + free)
+        return max(1.0, float(mean))
+
+    def _cluster_starts(self) -> NDArray[np.intp]:
+        """Pieces, cut where they last longer than a cluster."""
+        time = np.cumsum(self._given.dt)
+        since = time - np.repeat(time[self._starts], self._lengths)
+        number = np.floor(since / self._config.cluster)
+        fresh = ~self._stage
+        fresh[1:] |= number[1:] != number[:-1]
+        return np.flatnonzero(fresh)
+
+
+def _ahead(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return what the stage after each node contributes to it."""
+    return np.concatenate((x[..., 1:], np.zeros_like(x[..., :1])), axis=-1)
+
+
+def _solve(S: NDArray[np.float64], h: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Solve with the information matrix of theta; NoAnswerError if it has no full rank."""
+    size = np.sqrt(np.maximum(np.diag(S), 1e-300))
+    unit = S / np.outer(size, size)
+    if not np.all(np.isfinite(unit)) or np.linalg.eigvalsh(unit)[0] < 1e-11:
+        msg = 'the speeds driven do not tell a, b and c apart'
+        raise NoAnswerError(msg)
+    return np.asarray(np.linalg.solve(S, h))

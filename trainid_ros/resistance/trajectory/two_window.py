@@ -1,0 +1,303 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Two windows: the streaming form of the trajectory fit of Xia et al. 2023 (section 4.2.3).
+
+The paper refits 20 samples of 100 m, which leaves w(v) unknown by 0.6 N/kN or more at its noise. Here a long window
+gives the estimate and a short one watches it: when they disagree on w(v) at the current speed by more than chance
+allows, a, b, c have changed, and what is older than the short window is forgotten. Both are linear fits with a prior
+(:mod:`window`). Braking, standstill and gaps end a piece; the next one has an initial speed of its own.
+
+Samples may come at 5 Hz or every 100 m: rows are means of ``stride`` samples, their stamps tell the time between.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from trainid_ros.core.codec import check_restored, decode, encode
+from trainid_ros.core.errors import InputError
+from trainid_ros.core.results import Reason, Rejection, ResistanceEstimate
+from trainid_ros.core.settings import check_settings, setting
+from trainid_ros.estimators.admission import Admission
+from trainid_ros.estimators.known_force import KnownForce
+from trainid_ros.estimators.prior import prior_variances
+from trainid_ros.estimators.speed_noise import SpeedNoise
+from trainid_ros.resistance.trajectory.window import (
+    Row,
+    RowNoise,
+    WindowPosterior,
+    WindowPrior,
+    fit_rows,
+    newest_regime,
+)
+
+if TYPE_CHECKING:
+    from trainid_ros.core.samples import Sample
+    from trainid_ros.train.train_file import TrainFile
+
+# Known force may err by so much more than gusts, while a speed is foretold [N/kN].
+_PREDICTION: Final = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class TwoWindowConfig:
+    """Settings of the two windows."""
+
+    stride: int = setting(10, 'samples in a row', 'samples', 1, 100)
+    short: int = setting(20, 'rows in the short window', 'rows', 5, 200)
+    long: int = setting(150, 'rows in the long window', 'rows', 6, 400)
+    switch: float = setting(3.5, 'difference of the windows that counts as a change', 'standard deviations', 1.0, 100.0)
+    min_speed: float = setting(1.0, 'slowest speed to learn from', 'm/s', 0.0, 50.0)
+    speed_std: float = setting(0.025, 'noise of measured speed at the start (then learned)', 'm/s', 1e-4, 2.0)
+    disturbance_std: float = setting(0.12, 'unmodelled resistance', 'N/kN', 0.0, 10.0)
+    disturbance_time: float = setting(6.0, 'correlation time of the disturbance', 's', 0.01, 600.0)
+    force_error: float = setting(0.005, 'relative error of the traction force', '1', 1e-9, 0.5)
+    force_skew: float = setting(0.06, 'unknown delay of the reported force', 's', 1e-9, 5.0)
+    prior_share: float = setting(0.5, 'prior std of a, b, c as a share of their believed values', '1', 0.0, 10.0)
+    prior_std_a: float = setting(0.6, 'added to the prior std of a (root of squares)', 'N/kN', 1e-6, 100.0)
+    prior_std_b: float = setting(0.02, 'added to the prior std of b', 'N/kN per m/s', 1e-8, 10.0)
+    prior_std_c: float = setting(0.0006, 'added to the prior std of c', 'N/kN per (m/s)^2', 1e-9, 1.0)
+    gate: float = setting(5.0, 'speeds farther from what is foretold are refused', 'standard deviations', 1.0, 100.0)
+    patience: float = setting(3.0, 'after so long a piece ends whose speeds were all refused', 's', 0.2, 60.0)
+    valid_std: float = setting(0.15, 'resistance is fit to use below this standard deviation', 'N/kN', 1e-3, 10.0)
+
+
+@dataclass(frozen=True, slots=True)
+class PieceState:
+    """The piece on its way.
+
+    Attributes:
+        speed: Last speed believed [m/s].
+        refused_s: Time since it was measured [s].
+        sums: Regressors at the last sample: three sums of powers of speed, traction, sum of traction.
+        impulse: Sum of the known force, as speed [m/s].
+        row: Sums of rest speed and regressors over the samples of the row begun.
+        filled: Their number.
+        speed_min: Slowest of them [m/s].
+        speed_max: Fastest of them [m/s].
+
+    """
+
+    speed: float
+    rejected_s: float = 0.0
+    sums: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    impulse: float = 0.0
+    row: tuple[float, ...] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    filled: int = 0
+    speed_min: float = 0.0
+    speed_max: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class TwoWindowState:
+    """All that the two windows remember."""
+
+    posterior: WindowPosterior
+    noise: SpeedNoise
+    rows: tuple[Row, ...] = ()
+    motion: PieceState | None = None
+    pieces: int = 0
+    row_time: float = 0.0
+    braked_ns: int = 0
+    switches: int = 0
+    innovation: float = 0.0
+    innovation_variance: float = 0.0
+    test_ratio: float = 0.0
+    converged: bool = False
+
+
+class TwoWindow:
+    """Estimate a, b, c of w(v) = a + b v + c v^2 [N/kN] from aligned samples.
+
+    In its estimates ``innovation`` is the difference of the windows in w at the current speed [N/kN].
+    """
+
+    def __init__(self, train_file: TrainFile, config: TwoWindowConfig) -> None:
+        check_settings(config)
+        if config.short >= config.long:
+            msg = f'short = {config.short} must be less than long = {config.long}'
+            raise InputError(msg)
+        self.config = config
+        self._known = KnownForce(train_file)
+        self._admission = Admission(self._known, config.min_speed)
+        davis = train_file.resistance
+        theta = (davis.a, davis.b, davis.c)
+        a, b, c = prior_variances(theta, config)
+        variance = (math.sqrt(a), math.sqrt(b), math.sqrt(c))
+        self._prior = WindowPrior(theta, (*variance, config.force_skew, config.force_error))
+        self._first = WindowPosterior(theta, (a, 0.0, 0.0, 0.0, b, 0.0, 0.0, 0.0, c))
+        self._density = 2.0 * config.disturbance_time * config.disturbance_std**2
+        self.reset()
+
+    def reset(self) -> None:
+        """Go back to the prior."""
+        self.state = TwoWindowState(self._first, SpeedNoise.declared(self.config.speed_std))
+        self._admission.braked_ns = 0
+
+    def save(self) -> str:
+        """Return the whole state as JSON text."""
+        return encode(self.state)
+
+    def restore(self, text: str) -> None:
+        """Take over a saved state; InputError if it does not fit."""
+        state = decode(text, TwoWindowState)
+        numbers = (*state.posterior.theta, *state.posterior.P)
+        fine = len(state.posterior.theta) == 3 and len(numbers) == 12 and all(map(math.isfinite, numbers))
+        check_restored(fine, 'TwoWindowState', 'posterior')
+        check_restored(all(_is_valid(row) for row in state.rows), 'TwoWindowState', 'rows')
+        motion = state.motion
+        check_restored(motion is None or len(motion.sums) + len(motion.row) == 11, 'TwoWindowState', 'motion')
+        self.state = state
+        self._admission.braked_ns = state.braked_ns
+
+    @property
+    def converged(self) -> bool:
+        """True while the resistance is known well enough at the speeds of the window."""
+        return self.state.converged
+
+    def step(self, sample: Sample) -> ResistanceEstimate | Rejection:
+        """Take one sample in; every ``stride`` good samples make one row and one fit."""
+        rejection = self._admission.reject(sample)
+        self.state = replace(self.state, braked_ns=self._admission.braked_ns)
+        noise = self.state.noise.add(sample.speed, math.nan if rejection else sample.dt)
+        if rejection is not None:
+            self.state = replace(self.state, motion=None, noise=noise)
+            return rejection
+        motion = self.state.motion
+        if motion is None:
+            self.state = replace(self.state, motion=PieceState(sample.speed), pieces=self.state.pieces + 1, noise=noise)
+            return self.estimate(sample.speed)
+        moved, rejection = self._move(motion, sample)
+        if rejection is not None:
+            lost = moved.rejected_s > self.config.patience
+            self.state = replace(self.state, motion=None if lost else moved)
+            return rejection
+        self.state = replace(self.state, motion=moved, noise=noise)
+        if moved.filled >= self.config.stride:
+            self._end_row(moved, sample)
+        return self.estimate(sample.speed)
+
+    def _move(self, motion: PieceState, sample: Sample) -> tuple[PieceState, Rejection | None]:
+        """Go on by one stage: foretell the speed, refuse one that is far off, add up what is known."""
+        inertia, dt, v0 = self._known.inertia, sample.dt, motion.speed
+        traction = self._known.traction(sample.force_mean, sample)
+        force = traction - self._known.track(sample)
+        w, variance = self.state.posterior.resistance(v0)
+        elapsed = motion.rejected_s + dt
+        predicted_speed = max(0.0, v0 + dt * (force - w) / inertia)
+        unknown = variance + _PREDICTION**2 + (self.config.force_error * traction) ** 2
+        walk = self._density * elapsed + unknown * elapsed**2
+        spread = math.sqrt(2.0 * self.state.noise.variance + walk / inertia**2)
+        off = sample.speed - predicted_speed
+        rejected = abs(off) > self.config.gate * spread
+        v1 = predicted_speed if rejected else sample.speed
+        sums = advance(motion.sums, v0, v1, dt / inertia, traction)
+        moved = replace(
+            motion,
+            speed=v1,
+            sums=sums,
+            impulse=motion.impulse + force * dt / inertia,
+            rejected_s=elapsed if rejected else 0.0,
+        )
+        if rejected:
+            return moved, Rejection(sample.stamp_ns, Reason.OUTLIER, off, self.config.gate * spread)
+        regressors = (-sums[0], -sums[1], -sums[2], sums[3] / inertia, sums[4])
+        row = tuple(map(sum, zip(motion.row, (v1 - moved.impulse, *regressors), strict=True)))
+        slow, fast = (v1, v1) if motion.filled == 0 else (motion.speed_min, motion.speed_max)
+        filled = motion.filled + 1
+        return replace(moved, row=row, filled=filled, speed_min=min(slow, v1), speed_max=max(fast, v1)), None
+
+    def _end_row(self, motion: PieceState, sample: Sample) -> None:
+        """Append the row that is full, fit both windows, and forget what is old if they disagree."""
+        config, state = self.config, self.state
+        rest, *sums = (total / motion.filled for total in motion.row)
+        row = Row(state.pieces, rest, tuple(sums), motion.speed_min, motion.speed_max)
+        rows = (*state.rows, row)[-config.long :]
+        time = config.stride * sample.dt
+        row_time = time if state.row_time == 0.0 else state.row_time + 0.05 * (time - state.row_time)
+        emptied = replace(motion, row=(0.0,) * 6, filled=0)
+        self.state = state = replace(state, rows=rows, row_time=row_time, motion=emptied)
+        noise = self._row_noise()
+        posterior = fit_rows(rows, noise, self._prior)
+        if len(rows) > config.short:
+            recent = fit_rows(rows[-config.short :], noise, self._prior)
+            self._compare(posterior, recent, sample.speed)
+            if self.state.test_ratio > 1.0:
+                posterior = self._switch(noise)
+        if all(map(math.isfinite, (*posterior.theta, *posterior.P))):
+            self.state = replace(self.state, posterior=posterior)
+        self._judge()
+
+    def _switch(self, noise: RowNoise) -> WindowPosterior:
+        """a, b, c have changed within the short window: forget all before."""
+        rows, short = self.state.rows, self.config.short
+        known = fit_rows(rows[:-short], noise, self._prior)
+        count, posterior = newest_regime(rows[-short:], noise, self._prior, known)
+        self.state = replace(self.state, rows=rows[-count:], switches=self.state.switches + 1)
+        return posterior
+
+    def _compare(self, steady: WindowPosterior, recent: WindowPosterior, speed: float) -> None:
+        """Test whether the two windows agree on w at a speed."""
+        (w, variance), (w_recent, variance_recent) = steady.resistance(speed), recent.resistance(speed)
+        # The long window is efficient, so the variance of the difference is the difference of the variances.
+        nu, S = w_recent - w, max(variance_recent - variance, 1e-3 * variance_recent)
+        ratio = nu * nu / (self.config.switch**2 * S)
+        self.state = replace(self.state, innovation=nu, innovation_variance=S, test_ratio=ratio)
+
+    def _row_noise(self) -> RowNoise:
+        walk = math.sqrt(self._density * self.state.row_time) / self._known.inertia
+        # Less noise than declared is not believed: a quiet stretch must not make chance look like a change.
+        std = max(self.config.speed_std, self.state.noise.std)
+        return RowNoise(std / math.sqrt(self.config.stride), walk)
+
+    def _judge(self) -> None:
+        """Fit to use while w is known over the speeds of the window (rms); hysteresis of one half."""
+        slow, fast = self._speeds()
+        variances = [self.state.posterior.resistance(v)[1] for v in (slow, 0.5 * (slow + fast), fast)]
+        limit = self.config.valid_std * (1.5 if self.state.converged else 1.0)
+        self.state = replace(self.state, converged=math.sqrt(float(np.mean(variances))) < limit)
+
+    def _speeds(self) -> tuple[float, float]:
+        rows = self.state.rows
+        return min((row.speed_min for row in rows), default=0.0), max((row.speed_max for row in rows), default=0.0)
+
+    def estimate(self, speed: float) -> ResistanceEstimate:
+        """Return the parameters and the resistance at a speed [m/s]."""
+        state = self.state
+        (a, b, c), (w, variance), (slow, fast) = (
+            state.posterior.theta,
+            state.posterior.resistance(speed),
+            self._speeds(),
+        )
+        return ResistanceEstimate(
+            a=a,
+            b=b,
+            c=c,
+            covariance=state.posterior.P,
+            resistance=w,
+            resistance_std=math.sqrt(variance),
+            speed=speed,
+            innovation=state.innovation,
+            innovation_variance=state.innovation_variance,
+            test_ratio=state.test_ratio,
+            speed_min=slow,
+            speed_max=fast,
+        )
+
+
+def advance(sums: tuple[float, ...], v0: float, v1: float, mu: float, traction: float) -> tuple[float, ...]:
+    """Return the regressors one stage on: sums of v^n mu with exact means of a stage, traction, its sum."""
+    return (
+        sums[0] + mu,
+        sums[1] + mu * 0.5 * (v0 + v1),
+        sums[2] + mu * (v0 * v0 + v0 * v1 + v1 * v1) / 3.0,
+        traction,
+        sums[4] + mu * traction,
+    )
+
+
+def _is_valid(row: Row) -> bool:
+    return len(row.sums) == 5 and all(map(math.isfinite, (row.rest, *row.sums)))

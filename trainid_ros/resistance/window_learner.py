@@ -1,0 +1,221 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From the speeds of a train and the forces known to act on it to an estimate of its resistance.
+
+A speed window makes one observation of the resistance, with Tw, Dw and (600/R)w the traction, its rate and the
+curvature, each weighted as the slope of the window weighs it:
+
+    y = a + b v + c s - kappa Tw - delta Dw + kappa_curve (600/R)w + noise.
+
+The tracker learns from it. Both need to know their noise: that of the speed, and what disturbances (gusts, map
+errors) add to one observation and to the mean of many. All of it is learned on the way, within bounds around what is
+declared.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from trainid_ros.core.codec import check_restored
+from trainid_ros.core.results import Reason, Rejection
+from trainid_ros.core.state_validation import check_not_negative
+from trainid_ros.resistance.change_points import ChangePointState
+from trainid_ros.resistance.fitness import DrivenSpeeds
+from trainid_ros.resistance.inflation import Inflation
+from trainid_ros.resistance.robust import gate
+from trainid_ros.resistance.sliding_window import SlidingWindow
+from trainid_ros.resistance.slow_noise import SlowNoise
+from trainid_ros.resistance.speed_window import Tick, WindowResult, observe_resistance, overlap_factor
+from trainid_ros.resistance.tachometer import Tachometer
+
+if TYPE_CHECKING:
+    from trainid_ros.resistance.change_points import Tracker
+    from trainid_ros.resistance.normal import Array
+    from trainid_ros.resistance.sliding_window import Cut
+
+_DISTURBANCE_MEMORY: Final = 0.03
+# Gusts of up to .8 N/kN and map errors of .5 per mille lie within.
+_DISTURBANCE_RANGE: Final = (0.3, 8.0)
+_SLOW_RANGE: Final = (0.2, 20.0)
+# One innovation cannot tell much more disturbance than is known: slip is none.
+_MOST_SIGMAS: Final = 3.0
+# An innovation that may stem from a step tells nothing of the noise of one observation.
+_UNCERTAIN: Final = 0.1
+# An observation of less weight is refused.
+_LEAST_WEIGHT: Final = 0.5
+
+
+@dataclass(frozen=True, slots=True)
+class WindowPlan:
+    """How windows are cut, and what noise is declared; see VMilsConfig.
+
+    ``inertia`` is 1000 (1 + gamma) / g [N/kN per m/s^2]; ``disturbance_std`` is that of gusts and map errors together.
+    """
+
+    window: float
+    hop: float
+    inertia: float
+    speed_std: float
+    disturbance_std: float
+    disturbance_time: float
+    force_error: float
+    force_skew: float
+    outliers: float
+
+
+@dataclass(frozen=True, slots=True)
+class LearnerState:
+    """All that a learner remembers beside its tracker."""
+
+    tracker: ChangePointState
+    tachometer: Tachometer
+    slow: SlowNoise
+    inflation: Inflation
+    ticks: tuple[Tick, ...]
+    fresh_s: float
+    disturbance_variance: float
+    innovation: float
+    innovation_variance: float
+    test_ratio: float
+    driven: DrivenSpeeds
+
+    def check(self, parameters: int) -> None:
+        """Raise InputError unless these numbers, finite ones of so many parameters, can be gone on from."""
+        check_restored(self.tracker.is_valid(parameters), 'LearnerState', 'tracker')
+        check_restored(self.tachometer.is_valid(), 'LearnerState', 'tachometer')
+        check_restored(self.slow.is_valid(), 'LearnerState', 'slow')
+        check_restored(self.inflation.is_valid(), 'LearnerState', 'inflation')
+        check_restored(self.driven.is_valid(), 'LearnerState', 'driven')
+        check_restored(all(tick.dt > 0.0 for tick in self.ticks), 'LearnerState', 'ticks')
+        check_not_negative(
+            'LearnerState',
+            fresh_s=self.fresh_s,
+            disturbance_variance=self.disturbance_variance,
+            innovation_variance=self.innovation_variance,
+            test_ratio=self.test_ratio,
+        )
+
+
+class WindowLearner:
+    """Learns from ticks; whoever knows that a tick tells nothing calls :meth:`interrupt` instead.
+
+    Attributes:
+        tracker: The estimate of a, b, c, kappa, delta, kappa_curve.
+        inflation: How much the covariance of the estimate is to grow for what the model does not know.
+        innovation: Of the last observation [N/kN].
+        innovation_variance: Its variance if the observation is good; 0 before the first.
+        test_ratio: Its square over that variance and the square of the gate; an observation above 1 counts for less
+            than half.
+        driven: Speeds learned from, by windows.
+
+    """
+
+    def __init__(self, tracker: Tracker, plan: WindowPlan) -> None:
+        self.tracker = tracker
+        self._plan = plan
+        self._windows = SlidingWindow(plan.window, plan.hop)
+        self._gate = gate(plan.outliers)
+        self._forget()
+
+    def _forget(self) -> None:
+        self._tachometer = Tachometer(self._plan.speed_std, self._plan.speed_std**2)
+        self._slow = SlowNoise()
+        self.inflation = Inflation()
+        self._windows.clear()
+        self._disturbance = self._plan.disturbance_std**2
+        self.innovation = self.innovation_variance = self.test_ratio = 0.0
+        self.driven = DrivenSpeeds()
+
+    def reset(self) -> None:
+        """Go back to the prior."""
+        self.tracker.reset()
+        self._forget()
+
+    def state(self) -> LearnerState:
+        """Return all that is remembered."""
+        return LearnerState(
+            tracker=self.tracker.state(),
+            tachometer=replace(self._tachometer),
+            slow=replace(self._slow),
+            inflation=replace(self.inflation),
+            ticks=tuple(self._windows.ticks),
+            fresh_s=self._windows.fresh_s,
+            disturbance_variance=self._disturbance,
+            innovation=self.innovation,
+            innovation_variance=self.innovation_variance,
+            test_ratio=self.test_ratio,
+            driven=self.driven,
+        )
+
+    def restore(self, state: LearnerState) -> None:
+        """Take over what was remembered."""
+        self.tracker.restore(state.tracker)
+        self._tachometer, self._slow = replace(state.tachometer), replace(state.slow)
+        self.inflation = replace(state.inflation)
+        self._windows.restore(state.ticks, state.fresh_s)
+        self._disturbance = state.disturbance_variance
+        self.innovation, self.innovation_variance = state.innovation, state.innovation_variance
+        self.test_ratio = state.test_ratio
+        self.driven = state.driven
+
+    def interrupt(self, speed: float) -> None:
+        """Begin a new window after a tick that tells nothing."""
+        self._windows.clear()
+        self._tachometer.add(speed, math.nan)
+
+    def push(self, tick: Tick) -> Rejection | None:
+        """Take a tick in; every ``hop`` seconds make an observation. Return why it was refused, if it was."""
+        self._tachometer.add(tick.speed, tick.dt)
+        cut = self._windows.push(tick)
+        if cut is None:
+            return None
+        observed = observe_resistance(cut.ticks, self._plan.inertia, self._tachometer.std)
+        if isinstance(observed, Rejection):
+            return observed
+        return self._learn(observed, cut)
+
+    def _learn(self, observed: WindowResult, cut: Cut) -> Rejection | None:
+        tracker, phi, stamp_ns = self.tracker, _regressor(observed), cut.ticks[-1].stamp_ns
+        noise, slow = self._noise_of(observed, cut)
+        expected, variance = tracker.estimate.predict(phi)
+        nu, S = observed.y - expected, variance + noise
+        if not math.isfinite(nu * nu / S):
+            return Rejection(stamp_ns, Reason.NUMERICAL, nu, math.nan)
+        weight = tracker.update(phi, observed.y, noise, slow)
+        self.innovation, self.innovation_variance = nu, S
+        self.test_ratio = nu * nu / (self._gate**2 * S)
+        if tracker.change_probability < _UNCERTAIN:
+            self._learn_disturbance(nu, S)
+        self._slow.add(weight * nu, variance, slow * noise, _SLOW_RANGE)
+        self.inflation.add(weight * nu, variance + slow * noise, cut.hop)
+        if weight < _LEAST_WEIGHT:
+            return Rejection(stamp_ns, Reason.OUTLIER, nu, self._gate * math.sqrt(S))
+        self.driven = self.driven.add(observed.phi[1], observed.speed_min, observed.speed_max)
+        return None
+
+    def _noise_of(self, item: WindowResult, cut: Cut) -> tuple[float, float]:
+        """Return the variance of one observation, and how many times that it counts in the mean of many."""
+        plan = self._plan
+        force = (plan.force_error * item.traction_size) ** 2 + (plan.force_skew * item.traction_rate) ** 2
+        one = item.noise_std**2 + self._disturbance + force
+        together = max(1.0, 2.0 * plan.disturbance_time / cut.hop)
+        overlap = overlap_factor(len(cut.ticks), cut.samples)
+        mean = overlap * item.noise_std**2 + together * plan.disturbance_std**2 + force
+        return one, self._slow.factor * mean / one
+
+    def _learn_disturbance(self, nu: float, S: float) -> None:
+        """Learn what innovations hold beyond the variances that are known, within bounds."""
+        low, high = ((factor * self._plan.disturbance_std) ** 2 for factor in _DISTURBANCE_RANGE)
+        bounded = min(nu * nu, _MOST_SIGMAS**2 * S)
+        # The noisier one innovation, the less it tells of what little lies beneath.
+        gain = _DISTURBANCE_MEMORY * min(1.0, high / S)
+        self._disturbance = min(max(self._disturbance + gain * (bounded - S), low), high)
+
+
+def _regressor(observed: WindowResult) -> Array:
+    """Return phi = [1, v, s, -Tw, -Dw, (600/R)w] of theta = [a, b, c, kappa, delta, kappa_curve], shape (6,)."""
+    _, v, s = observed.phi
+    return np.array((1.0, v, s, -observed.traction, -observed.traction_rate, observed.curve))

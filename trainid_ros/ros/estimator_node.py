@@ -1,0 +1,389 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The lifecycle node around any estimator: messages in, messages out, nothing computed here.
+
+Estimates leave in the callback of the message that completed their sample. Timers only tell what does
+not happen: inputs that stay away. They run on a steady clock, which a stopped ``/clock`` cannot stall.
+"""
+
+from __future__ import annotations
+
+import time
+import traceback
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.clock import Clock, JumpThreshold
+from rclpy.clock_type import ClockType
+from rclpy.duration import Duration
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
+
+from trainid_ros.core.errors import InputError, TrainIdError
+from trainid_ros.core.records import (
+    BRAKE_TOPIC,
+    FORCE_TOPIC,
+    GRADIENT_TOPIC,
+    INPUT_TOPICS,
+    NS_PER_S,
+    REQUIRED_TOPICS,
+    SPEED_TOPIC,
+    InputTopic,
+    Record,
+)
+from trainid_ros.core.results import Status
+from trainid_ros.estimators.pipeline import EstimatorPipeline, EstimatorSettings, TimeJumpPolicy
+from trainid_ros.ros import qos
+from trainid_ros.ros.conversion import fill_estimate, record_from_message, time_message
+from trainid_ros.ros.diagnostics import (
+    NodeHealth,
+    ShownValue,
+    estimator_status,
+    idle_status,
+    input_status,
+)
+from trainid_ros.ros.estimator_services import BROKEN_NUMBERS, EstimatorServices
+from trainid_ros.ros.intake import Intake
+from trainid_ros.ros.lifecycle import ManagedNode, guarded
+from trainid_ros.ros.monitors import InputMonitor, StepTimes
+from trainid_ros.ros.node_parameters import NodeParameters
+from trainid_ros.ros.parameter_specs import (
+    ALGORITHM,
+    TRAIN_PARAMETERS,
+    ParameterSpec,
+    algorithm_asked_for,
+    build_settings,
+    build_train_file,
+    estimator_parameters,
+    qos_overrides,
+)
+from trainid_ros.ros.watchdog import Watchdog
+from trainid_ros.train.train_file import load_train_file
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Sequence
+
+    from trainid_ros.ros.jobs import Job
+    from trainid_ros.train.train_file import TrainFile
+
+_FIRST_WATCH_S: Final = 0.1
+# States that say all there is to say of silence.
+_ALREADY_REPORTED: Final = (Status.STALE, Status.FAULT)
+_SUCCESS: Final = TransitionCallbackReturn.SUCCESS
+
+
+def _no_details(_prior: Any, _live: Any) -> Iterable[tuple[str, str]]:
+    return ()
+
+
+@dataclass(frozen=True, slots=True)
+class EstimatorSpec:
+    """What makes one estimator node different from the others.
+
+    Attributes:
+        job: What it estimates.
+        message: Message class of the estimates.
+        shown: What the diagnostics show, the most important value first.
+        details: What else they show of the estimate before the first sample and now, as names and values.
+
+    """
+
+    job: Job
+    message: Any
+    shown: tuple[ShownValue, ...]
+    details: Callable[[Any, Any], Iterable[tuple[str, str]]] = _no_details
+
+
+class EstimatorNode(ManagedNode):
+    """Lifecycle node that drives one pipeline."""
+
+    def __init__(self, spec: EstimatorSpec, *, arguments: Sequence[str] = (), **options: Any) -> None:
+        """Declare all parameters and offer the services; everything else waits for configure.
+
+        Args:
+            spec: Which estimator.
+            arguments: ROS arguments of the process, looked through for parameter files.
+            options: Options of the rclpy node.
+
+        """
+        super().__init__(spec.job.node_name, **options)
+        self.spec = spec
+        self.job = spec.job
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        expected = qos_overrides(self.job, self.resolve_topic_name)
+        self.parameters = NodeParameters(self, self._parameter_specs(), expected=expected)
+        self.parameters.check_sections(arguments, self.job.node_name)
+        self._preload_train_file()
+        self.parameters.report()
+        self.pipeline: EstimatorPipeline[Any] | None = None
+        self._diagnosed_ns = 0
+        self._settings = EstimatorSettings()
+        self._prior: Any = None
+        self._intake: Intake | None = None
+        self._monitors: dict[InputTopic, InputMonitor] = {}
+        self._estimates: Any = None
+        self._last_valid: Any = None
+        self._jump_handle: Any = None
+        self._watchdog_timer: Any = None
+        self._forget()
+        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', qos.diagnostics_qos())
+        self._diagnostic_timer = self._make_diagnostic_timer()
+        self._services_offered = EstimatorServices(self)
+
+    def _parameter_specs(self) -> tuple[ParameterSpec, ...]:
+        overrides = self._parameter_overrides  # rclpy has no public way to see them
+        given = {name: parameter.value for name, parameter in overrides.items()}
+        algorithms = self.job.algorithms
+        return estimator_parameters(algorithms, algorithm_asked_for(given, algorithms))
+
+    @property
+    def algorithm(self) -> str:
+        """Name of the algorithm that runs."""
+        return str(self.parameters.value(ALGORITHM))
+
+    def _make_diagnostic_timer(self) -> Any:
+        period = float(self.parameters.value('diagnostic_period'))
+        return self.create_timer(period, self.publish_diagnostics, clock=self._steady)
+
+    # Transitions
+
+    @guarded
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Build the pipeline from the parameters; subscribe."""
+        self.failure = ''
+        self.parameters.check()
+        train_file = self._train_file()
+        self._settings = build_settings(self.parameters.values(), self.job.algorithms, self.job.field)
+        self.pipeline = self.job.pipeline(train_file, self._settings)
+        self._prior = self.pipeline.current().estimate
+        self.watchdog = Watchdog(round(self._settings.pipeline.stale_after * NS_PER_S))
+        self._step_times = StepTimes()
+        self._open()
+        self.destroy_timer(self._diagnostic_timer)
+        self._diagnostic_timer = self._make_diagnostic_timer()
+        return super().on_configure(state)
+
+    @guarded
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Let inputs through."""
+        self.watchdog.restart()
+        self._watchdog_timer = self.create_timer(_FIRST_WATCH_S, self._watch, clock=self._steady)
+        result = super().on_activate(state)
+        self._listening = result == _SUCCESS
+        self.get_logger().info(f'active: {self.algorithm} on {self.resolve_topic_name(self.job.topic)}')
+        return result
+
+    @guarded
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Pause: inputs are ignored, the state stays."""
+        self._pause()
+        return super().on_deactivate(state)
+
+    @guarded
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Forget the state and unsubscribe."""
+        self._release()
+        return super().on_cleanup(state)
+
+    @guarded
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Let go of everything, from any state."""
+        self._release()
+        return super().on_shutdown(state)
+
+    @guarded
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Go back to unconfigured after a transition that broke."""
+        self._release()
+        return super().on_error(state)
+
+    # Resources
+
+    def _preload_train_file(self) -> None:
+        """Show the values of the train file from the start; whether it is usable is judged on configure."""
+        try:
+            self._load_train_file()
+        except InputError as error:
+            self.get_logger().error(str(error))
+
+    def _load_train_file(self) -> TrainFile | None:
+        path = str(self.parameters.value('train_file'))
+        if not path:
+            return None
+        train_file = load_train_file(Path(path).expanduser())
+        self.parameters.fall_back({item.name: item.of(train_file) for item in TRAIN_PARAMETERS}, path)
+        return train_file
+
+    def _train_file(self) -> TrainFile:
+        base = self._load_train_file()
+        return build_train_file(self.parameters.values(), frozenset(self.parameters.given), base)
+
+    def _open(self) -> None:
+        job = self.job
+        self._estimates = self._offer(job.topic, qos.estimate_qos())
+        if job.last_valid_topic is not None:
+            self._last_valid = self._offer(job.last_valid_topic, qos.latched_qos())
+        alignment = self._settings.alignment
+        longest = {
+            SPEED_TOPIC: alignment.max_dt,
+            FORCE_TOPIC: alignment.max_gap,
+            GRADIENT_TOPIC: alignment.max_gap,
+            BRAKE_TOPIC: alignment.command_timeout,
+        }
+        for topic in INPUT_TOPICS:
+            longest_s, optional = longest.get(topic, 0.0), topic not in longest
+            self._monitors[topic] = InputMonitor(topic, longest_s, alignment.max_interval, optional=optional)
+        self._intake = Intake(self, self.receive)
+        back = Duration(nanoseconds=-round(alignment.max_jump_back * NS_PER_S))
+        threshold = JumpThreshold(min_forward=None, min_backward=back, on_clock_change=False)
+        # The clock drops callbacks whose handle is not kept.
+        self._jump_handle = self.get_clock().create_jump_callback(threshold, post_callback=self._note_jump)
+
+    def _offer(self, topic: str, profile: Any) -> Any:
+        return self.create_lifecycle_publisher(
+            self.spec.message,
+            topic,
+            profile,
+            event_callbacks=qos.publisher_events(self.get_logger(), topic),
+            qos_overriding_options=qos.overridable(),
+        )
+
+    def _pause(self) -> None:
+        self._listening = False
+        if self._watchdog_timer is not None:
+            self.destroy_timer(self._watchdog_timer)
+            self._watchdog_timer = None
+
+    def _release(self) -> None:
+        """Drop all that configure made, as far as it got."""
+        self._pause()
+        if self._intake is not None:
+            self._intake.close()
+        for publisher in (self._estimates, self._last_valid):
+            if publisher is not None:
+                self.destroy_lifecycle_publisher(publisher)
+        if self._jump_handle is not None:
+            self._jump_handle.unregister()
+        self._monitors = {}
+        self._intake = self._estimates = self._last_valid = self._jump_handle = self._prior = None
+        self._forget()
+
+    def _forget(self) -> None:
+        self.pipeline = None
+        self.watchdog = Watchdog(0)
+        self._step_times = StepTimes()
+        self._jumped_s = 0.0
+        self._listening = False
+
+    # Data
+
+    def _now_ns(self) -> int:
+        return int(self.get_clock().now().nanoseconds)
+
+    def _steady_ns(self) -> int:
+        return int(self._steady.now().nanoseconds)
+
+    def receive(self, topic: InputTopic, message: Any) -> None:
+        """Take one input message; publish what it completes."""
+        record = record_from_message(topic, message)
+        now_ns = self._now_ns()
+        self._monitors[topic].arrived(record.stamp_ns, now_ns)
+        pipeline = self.pipeline
+        if not self._listening or pipeline is None:
+            return
+        self._follow_jump(pipeline)
+        resets, start = pipeline.resets, time.perf_counter()
+        outputs = self._push(pipeline, record)
+        if outputs:
+            self._step_times.add(time.perf_counter() - start)
+        for output in outputs:
+            self._publish(output)
+        if pipeline.resets != resets:
+            self.get_logger().warning('stamps jumped back: estimator reset (time_jump_policy)')
+        self.watchdog.saw(pipeline.newest_ns, now_ns, self._steady_ns())
+
+    def _push(self, pipeline: EstimatorPipeline[Any], record: Record) -> list[Any]:
+        """Hand a record on; an estimator that cannot go on is a FAULT, not the end of the process."""
+        try:
+            return pipeline.push(record)
+        except TrainIdError as error:
+            return [self.fail(pipeline, str(error))]
+        except BROKEN_NUMBERS:
+            return [self.fail(pipeline, traceback.format_exc())]
+
+    def fail(self, pipeline: EstimatorPipeline[Any], reason: str) -> Any:
+        """Return the output that tells of a fault; log why, once."""
+        if pipeline.status is not Status.FAULT:
+            self.get_logger().error(f'{self.algorithm} cannot go on until it is reset: {reason}')
+        return pipeline.fail()
+
+    def _publish(self, output: Any) -> None:
+        message = fill_estimate(self.spec.message(), output)
+        self._estimates.publish(message)
+        if self._last_valid is not None and message.status == int(Status.VALID):
+            self._last_valid.publish(message)
+
+    def _watch(self) -> None:
+        pipeline, intake = self.pipeline, self._intake
+        if pipeline is None or intake is None:
+            return
+        intake.drain()
+        self._follow_jump(pipeline)
+        # Whatever topic is the fastest, it is not due sooner than by its own rate.
+        self.watchdog.limit_ns = min(pipeline.timeout_ns(topic.record) for topic in REQUIRED_TOPICS)
+        if self.watchdog.is_missing(self._now_ns(), self._steady_ns()) and pipeline.status not in _ALREADY_REPORTED:
+            self._publish(pipeline.mark_stale())
+        simulated = self.get_clock().ros_time_is_active
+        self._watchdog_timer.timer_period_ns = self.watchdog.pause_ns(self._steady_ns(), simulated=simulated)
+        self._watchdog_timer.reset()
+
+    # Time
+
+    def _note_jump(self, jump: Any) -> None:
+        # Called from inside the clock; what follows waits until it has its new time.
+        self._jumped_s = jump.delta.nanoseconds / NS_PER_S
+
+    def _follow_jump(self, pipeline: EstimatorPipeline[Any]) -> None:
+        """Reset after a jump back of the clock, unless the stamps have shown it already."""
+        if self._jumped_s == 0.0:
+            return
+        jumped_s, self._jumped_s = self._jumped_s, 0.0
+        policy = self._settings.pipeline.time_jump_policy
+        limit_ns = round(self._settings.alignment.max_jump_back * NS_PER_S)
+        follow = policy is TimeJumpPolicy.RESET and pipeline.newest_ns - self._now_ns() > limit_ns
+        if follow:
+            pipeline.reset()
+        self.watchdog.restart()
+        done = 'estimator reset' if follow else 'estimator goes on'
+        self.get_logger().warning(f'clock jumped by {jumped_s:.3f} s: {done} (time_jump_policy {policy.value})')
+
+    # Diagnostics
+
+    def publish_diagnostics(self) -> None:
+        """Publish the health of the estimator and of its inputs."""
+        now_ns = self._now_ns()
+        health = NodeHealth(
+            self.get_fully_qualified_name().strip('/'), self.state, self.failure, now_ns, self._clock_trouble(now_ns)
+        )
+        array = DiagnosticArray()
+        array.header.stamp = time_message(now_ns)
+        if self.pipeline is None:
+            array.status = [idle_status(health)]
+        else:
+            steps = self._step_times.summary()
+            details = self.spec.details(self._prior, self.pipeline.current().estimate)
+            array.status = [estimator_status(health, self.pipeline, self.spec.shown, self._prior, steps, details)]
+            for monitor in self._monitors.values():
+                topic = self.resolve_topic_name(monitor.topic.name)
+                stale_s = 0.0 if monitor.optional else self.pipeline.timeout_ns(monitor.topic.record) / NS_PER_S
+                array.status.append(input_status(health, monitor, topic, self.count_publishers(topic), stale_s))
+        self._diagnostics.publish(array)
+
+    def _clock_trouble(self, now_ns: int) -> str:
+        """Return what is wrong with simulated time; called once for each diagnostic period."""
+        before, self._diagnosed_ns = self._diagnosed_ns, now_ns
+        if not self.get_clock().ros_time_is_active:
+            return ''
+        if now_ns == 0:
+            return 'use_sim_time is set, but no /clock has arrived'
+        return '/clock stands still' if now_ns == before else ''

@@ -1,0 +1,79 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Services of an estimator node: back to the prior, save the state, load it."""
+
+from __future__ import annotations
+
+import traceback
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from numpy.linalg import LinAlgError
+from std_srvs.srv import Trigger
+
+from trainid_ros import __version__
+from trainid_ros.core.errors import InputError
+from trainid_ros.ros.checkpoint import Checkpoint, default_path, read_checkpoint, write_checkpoint
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from trainid_ros.estimators.pipeline import EstimatorPipeline
+    from trainid_ros.ros.estimator_node import EstimatorNode
+
+BROKEN_NUMBERS: Final = (ArithmeticError, ValueError, LinAlgError)
+"""What arithmetic raises on a state that is wrong; in old versions of numpy a LinAlgError is no ValueError."""
+
+
+class EstimatorServices:
+    """Offers ``~/reset``, ``~/save_checkpoint`` and ``~/load_checkpoint``; each answers in every state."""
+
+    def __init__(self, node: EstimatorNode) -> None:
+        self._node = node
+        for name, serve in (('reset', self.reset), ('save_checkpoint', self.save), ('load_checkpoint', self.load)):
+            node.create_service(Trigger, f'~/{name}', partial(self._answer, serve))
+
+    def _answer(self, serve: Callable[[EstimatorPipeline[Any]], str], _request: Any, response: Any) -> Any:
+        node, logger = self._node, self._node.get_logger()
+        if node.pipeline is None:
+            response.success, response.message = False, f'{node.get_name()} is {node.state}: configure it first'
+            return response
+        try:
+            response.success, response.message = True, serve(node.pipeline)
+        except InputError as error:
+            response.success, response.message = False, str(error)
+        except BROKEN_NUMBERS as error:
+            node.fail(node.pipeline, traceback.format_exc())
+            response.success, response.message = False, f'{type(error).__name__}: {error}'
+        # One line each: rclpy lets no line of code change its severity.
+        if response.success:
+            logger.info(response.message)
+        else:
+            logger.error(response.message)
+        return response
+
+    def reset(self, pipeline: EstimatorPipeline[Any]) -> str:
+        """Go back to the prior."""
+        pipeline.reset()
+        self._node.watchdog.restart()
+        return f'reset to the prior; resets so far: {pipeline.resets}'
+
+    def save(self, pipeline: EstimatorPipeline[Any]) -> str:
+        """Write the estimator's state to the checkpoint file."""
+        node = self._node
+        path, stamp_ns = self._path(), pipeline.current().stamp_ns
+        state, now_ns = pipeline.save(), int(node.get_clock().now().nanoseconds)
+        write_checkpoint(path, Checkpoint(__version__, node.algorithm, now_ns, stamp_ns, state))
+        return f'saved {node.algorithm} to {path}'
+
+    def load(self, pipeline: EstimatorPipeline[Any]) -> str:
+        """Take the estimator's state from the checkpoint file."""
+        path, estimator = self._path(), self._node.algorithm
+        checkpoint = read_checkpoint(path, estimator)
+        pipeline.restore(checkpoint.state)
+        pipeline.current()  # Raises here, if at all, and not where it is published.
+        return f'loaded {estimator} from {path} (version {checkpoint.version})'
+
+    def _path(self) -> Path:
+        path = str(self._node.parameters.value('checkpoint_file'))
+        return Path(path).expanduser() if path else default_path(self._node.get_fully_qualified_name())

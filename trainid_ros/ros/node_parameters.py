@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Parameters of a node: declared at once, checked with a reason, never applied by surprise."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Final
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.parameter import Parameter
+
+from trainid_ros.core.errors import InputError
+from trainid_ros.ros.parameter_specs import ParameterSpec, Value, check_fallback, check_problems, judge
+from trainid_ros.ros.params_file import find_misses, params_files
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
+    from rclpy.node import Node
+
+_INT64: Final = (-(2**63), 2**63 - 1)
+
+
+class NodeParameters:
+    """All parameters of one node.
+
+    Attributes:
+        given: Names whose values the user gave, in a file, on the command line or later.
+
+    """
+
+    def __init__(self, node: Node, specs: Iterable[ParameterSpec], *, expected: Iterable[str] = ()) -> None:
+        """Declare the parameters; what is wrong with the given values is kept for :meth:`check`.
+
+        Args:
+            node: The node.
+            specs: What to declare.
+            expected: Names that others will declare later.
+
+        """
+        self._node = node
+        self._specs = {spec.name: spec for spec in specs}
+        self._internal = False
+        self._fallback: dict[str, str] = {}
+        overrides = node._parameter_overrides  # rclpy has no public way to see them
+        self.given = {name for name in overrides if name in self._specs}
+        given = {name: parameter.value for name, parameter in overrides.items()}
+        values, self._problems = judge(given, self._specs, {*node._parameters, *expected})
+        for spec in self._specs.values():
+            value = values.get(spec.name, spec.default)
+            node.declare_parameter(spec.name, value, _descriptor(spec), ignore_override=True)
+        node.add_on_set_parameters_callback(self._validate)
+        node.add_post_set_parameters_callback(self._note)
+
+    def check_sections(self, arguments: Sequence[str], usual_name: str) -> None:
+        """Look for parameter files among ROS arguments whose sections miss this node."""
+        node = self._node.get_fully_qualified_name()
+        for path in params_files(arguments):
+            if (found := find_misses(path, node, usual_name)) is None:
+                continue
+            complaint, certain = found
+            if certain:
+                self._problems[str(path)] = complaint
+            else:
+                self._node.get_logger().warning(complaint)
+
+    def report(self) -> None:
+        """Log every problem as an error, and one line that tells where the values come from."""
+        logger = self._node.get_logger()
+        for problem in self._problems.values():
+            logger.error(problem)
+        given = [f'{name} = {self.value(name)}' for name in self._specs if name in self.given - self._problems.keys()]
+        filed = [f'{name} = {self.value(name)}' for name in self._fallback if name not in self.given]
+        rest = [name for name in self._specs if name not in self.given and name not in self._fallback]
+        logger.info(
+            f'parameters given: {", ".join(given) or "none"}; from the train file: {", ".join(filed) or "none"}; '
+            f'defaults: {_grouped(rest)}'
+        )
+
+    def check(self) -> None:
+        """Raise InputError, naming the first one, while parameters are unknown or wrong."""
+        check_problems(self._problems)
+
+    def value(self, name: str) -> Value:
+        """Return the value of a parameter."""
+        value: Value = self._node.get_parameter(name).value
+        return value
+
+    def values(self) -> dict[str, Value]:
+        """Return all values by name."""
+        return {name: self.value(name) for name in self._specs}
+
+    def fall_back(self, values: Mapping[str, float], source: str) -> None:
+        """Take over values from a file for what the user did not give.
+
+        Raises:
+            InputError: A value is out of the parameter's range.
+
+        """
+        self._fallback = dict.fromkeys(values, source)
+        new = {name: value for name, value in values.items() if name not in self.given}
+        check_fallback(new, self._specs, source)
+        self._internal = True
+        self._node.set_parameters([Parameter(name, value=value) for name, value in new.items()])
+        self._internal = False
+
+    def _validate(self, parameters: list[Parameter]) -> SetParametersResult:
+        for parameter in parameters:
+            spec = self._specs.get(parameter.name)
+            if spec is None:
+                continue
+            try:
+                spec.check(parameter.value)
+            except InputError as error:
+                return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _note(self, parameters: list[Parameter]) -> None:
+        if self._internal:
+            return
+        for parameter in parameters:
+            if parameter.name in self._specs:
+                self.given.add(parameter.name)
+                self._problems.pop(parameter.name, None)
+
+
+def _descriptor(spec: ParameterSpec) -> ParameterDescriptor:
+    descriptor = ParameterDescriptor(description=spec.description, read_only=spec.read_only)
+    if spec.choices:
+        descriptor.additional_constraints = f'one of {", ".join(spec.choices)}'
+    if isinstance(spec.default, float) and spec.low > float('-inf'):
+        limits = FloatingPointRange(from_value=float(spec.low), to_value=float(spec.high), step=0.0)
+        descriptor.floating_point_range = [limits]
+    elif isinstance(spec.default, int) and not isinstance(spec.default, bool):
+        low, high = max(spec.low, _INT64[0]), min(spec.high, _INT64[1])
+        descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]
+    return descriptor
+
+
+def _grouped(names: list[str]) -> str:
+    groups: dict[str, list[str]] = {}
+    for name in names:
+        prefix, _, last = name.rpartition('.')
+        groups.setdefault(prefix, []).append(last)
+    texts = (f'{prefix}.{{{", ".join(last)}}}' if prefix else ', '.join(last) for prefix, last in groups.items())
+    return ', '.join(texts) or 'none'

@@ -1,0 +1,260 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What parameters the nodes have, as plain values, and how they become configurations.
+
+Everything an estimator can be told is declared once, in the metadata of its configuration; nothing is
+repeated here.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields, replace
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
+
+from trainid_ros.core.alignment import AlignmentConfig
+from trainid_ros.core.errors import InputError
+from trainid_ros.core.records import INPUT_TOPICS
+from trainid_ros.core.settings import setting_info
+from trainid_ros.estimators.pipeline import EstimatorSettings, PipelineConfig, TimeJumpPolicy
+from trainid_ros.estimators.registry import Choice
+from trainid_ros.train.fields import did_you_mean
+from trainid_ros.train.train_file import Brake, Davis, Line, Train, TrainFile
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Mapping
+
+    from _typeshed import DataclassInstance
+
+    from trainid_ros.estimators.registry import Algorithms
+    from trainid_ros.ros.jobs import Job
+
+Value: TypeAlias = bool | int | float | str
+Values: TypeAlias = 'Mapping[str, Value]'
+
+_NEXT: Final = 'takes effect on the next configure'
+
+
+@dataclass(frozen=True, slots=True)
+class ParameterSpec:
+    """One parameter: default (its type is the parameter's type), what it is, what it may be.
+
+    ``low`` and ``high`` bound a number, both ends included; ``choices`` lists what a text may be.
+    """
+
+    name: str
+    default: Value
+    description: str
+    low: float = -math.inf
+    high: float = math.inf
+    choices: tuple[str, ...] = ()
+    read_only: bool = False
+
+    def coerce(self, value: object) -> Value:
+        """Return a value from a file as the parameter's type; a whole number will do for a real one.
+
+        Raises:
+            InputError: The value is of another type, not finite, out of range or no choice.
+
+        """
+        if isinstance(self.default, float) and isinstance(value, int) and not isinstance(value, bool):
+            value = float(value)
+        if not isinstance(value, type(self.default)) or isinstance(value, bool) is not isinstance(self.default, bool):
+            wanted = {float: 'a number', int: 'a whole number', str: 'a text', bool: 'true or false'}
+            msg = f'{self.name} = {value!r} must be {wanted[type(self.default)]}'
+            raise InputError(msg)
+        self.check(value)
+        return value
+
+    def check(self, value: Value) -> None:
+        """Raise InputError, naming the parameter, if a value of the right type is not possible."""
+        if isinstance(value, str):
+            if self.choices and value not in self.choices:
+                msg = f'{self.name} = {value!r} must be one of {", ".join(self.choices)}'
+                raise InputError(msg)
+        elif not isinstance(value, bool) and not (math.isfinite(value) and self.low <= value <= self.high):
+            msg = f'{self.name} = {value:g} is outside [{self.low:g}, {self.high:g}]'
+            raise InputError(msg)
+
+
+@dataclass(frozen=True, slots=True)
+class TrainParameter:
+    """A parameter that stands for a field of the train file."""
+
+    section: str
+    field: str
+    spec: ParameterSpec
+    required: bool = False
+
+    @property
+    def name(self) -> str:
+        """Name of the parameter."""
+        return self.spec.name
+
+    def of(self, train_file: TrainFile) -> float:
+        """Return the value that a train file gives."""
+        return float(getattr(getattr(train_file, self.section), self.field))
+
+
+def _train(section: str, name: str, default: float, text: str, limits: tuple[float, float]) -> TrainParameter:
+    required = section == 'resistance' or name == 'mass'
+    source = 'no value without a train file' if required else 'default if neither given nor in the train file'
+    description = f'{text}; overrides the train file ({source}); {_NEXT}'
+    spec = ParameterSpec(f'{section}.{name}', default, description, *limits)
+    return TrainParameter(section, name, spec, required)
+
+
+_NOMINAL: Final = (Train(mass=0.0), Brake())
+TRAIN_PARAMETERS: Final = (
+    _train('train', 'mass', 0.0, 'train mass with its usual load [kg]', (0.0, 1e9)),
+    _train('train', 'rotary_mass', _NOMINAL[0].rotary_mass, 'rotating masses as a share of the mass [1]', (0.0, 1.0)),
+    _train('train', 'length', _NOMINAL[0].length, 'length of the train [m]', (0.1, 1e4)),
+    _train('train', 'mass_std', _NOMINAL[0].mass_std, 'std of the relative error of the mass [1]', (0.0, 0.5)),
+    _train('train', 'force_std', _NOMINAL[0].force_std, 'std of the relative error of the force [1]', (0.0, 0.5)),
+    _train('resistance', 'a', 0.0, 'prior Davis a [N/kN]', (0.0, 100.0)),
+    _train('resistance', 'b', 0.0, 'prior Davis b [N/kN per m/s]', (-10.0, 10.0)),
+    _train('resistance', 'c', 0.0, 'prior Davis c [N/kN per (m/s)^2]', (0.0, 1.0)),
+    _train('brake', 'rate', _NOMINAL[1].rate, 'prior brake rate, 1 = nominal [1]', (0.01, 10.0)),
+    _train('brake', 'time_constant', _NOMINAL[1].time_constant, 'time constant of the brake [s]', (0.0, 60.0)),
+    _train('brake', 'delay', _NOMINAL[1].delay, 'dead time of the brake [s]', (0.0, 60.0)),
+    _train('brake', 'timing_std', _NOMINAL[1].timing_std, 'std of the relative error of both [1]', (0.0, 1.0)),
+    _train('line', 'gradient_std', Line().gradient_std, 'std of the error of the gradients [per mille]', (0.0, 50.0)),
+)
+ALGORITHM: Final = 'algorithm'
+TRAIN_FILE: Final = ParameterSpec('train_file', '', f'path of the train file (YAML); {_NEXT}')
+AUTOSTART: Final = ParameterSpec('autostart', False, 'configure and activate at start', read_only=True)
+
+
+def estimator_parameters(algorithms: Algorithms[Any], name: str = '') -> tuple[ParameterSpec, ...]:
+    """Return all parameters of a node that runs the named one of these algorithms, the default if unnamed."""
+    algorithm = algorithms[name or algorithms.default]
+    policies = tuple(policy.value for policy in TimeJumpPolicy)
+    default = PipelineConfig().time_jump_policy.value
+    algorithm_text = 'algorithm of the estimator, chosen at start'
+    texts = (
+        TRAIN_FILE,
+        ParameterSpec(ALGORITHM, algorithms.default, algorithm_text, choices=algorithms.names, read_only=True),
+        ParameterSpec(
+            'time_jump_policy', default, f'what to do when stamps or /clock jump back; {_NEXT}', choices=policies
+        ),
+        ParameterSpec('checkpoint_file', '', 'path of the checkpoint; empty: $ROS_HOME/trainid/<node>.json'),
+        ParameterSpec('seed', EstimatorSettings().seed, f'seed of the random numbers; {_NEXT}', 0, 2**31 - 1),
+        ParameterSpec('diagnostic_period', 1.0, f'time between diagnostics [s]; {_NEXT}', 0.1, 60.0),
+        AUTOSTART,
+    )
+    return (
+        *texts,
+        *(item.spec for item in TRAIN_PARAMETERS),
+        *_settings('', PipelineConfig()),
+        *_settings('alignment.', AlignmentConfig()),
+        *_settings('estimator.', algorithm.config, algorithm.fixed),
+    )
+
+
+def _settings(prefix: str, config: DataclassInstance, fixed: frozenset[str] = frozenset()) -> tuple[ParameterSpec, ...]:
+    specs = []
+    for item in fields(config):
+        if (info := setting_info(item)) is not None and item.name not in fixed:
+            text = f'{info.description} [{info.unit}]; {_NEXT}'
+            specs.append(ParameterSpec(prefix + item.name, getattr(config, item.name), text, info.low, info.high))
+    return tuple(specs)
+
+
+def algorithm_asked_for(overrides: Mapping[str, object], algorithms: Algorithms[Any]) -> str:
+    """Return the algorithm whose settings are parameters; one that is unknown is told with the other parameters."""
+    name = overrides.get(ALGORITHM)
+    return str(name) if name in algorithms.names else algorithms.default
+
+
+def qos_overrides(job: Job, resolve: Callable[[str], str]) -> list[str]:
+    """Return the names of the parameters for QoS; ``resolve`` gives the full name of a topic."""
+    topics = [(topic.name, 'subscription') for topic in INPUT_TOPICS]
+    topics += [(topic, 'publisher') for topic in (job.topic, job.last_valid_topic) if topic]
+    policies = ('history', 'depth', 'reliability')
+    return [f'qos_overrides.{resolve(name)}.{entity}.{policy}' for name, entity in topics for policy in policies]
+
+
+def judge(
+    overrides: Mapping[str, object], specs: Mapping[str, ParameterSpec], others: Collection[str]
+) -> tuple[dict[str, Value], dict[str, str]]:
+    """Return the given values that can be used, and what is wrong with the others, by name.
+
+    Args:
+        overrides: What is given.
+        specs: The parameters.
+        others: Names of parameters that are dealt with elsewhere.
+
+    """
+    values: dict[str, Value] = {}
+    problems: dict[str, str] = {}
+    for name, value in overrides.items():
+        spec = specs.get(name)
+        if spec is None:
+            if name not in others:
+                problems[name] = f'unknown parameter {name!r}: {did_you_mean(name, {*specs, *others})}'
+            continue
+        try:
+            values[name] = spec.coerce(value)
+        except InputError as error:
+            problems[name] = str(error)
+    return values, problems
+
+
+def check_problems(problems: Mapping[str, str]) -> None:
+    """Raise InputError, naming them, if there are problems."""
+    if problems:
+        msg = f'not configured: {"; ".join(problems.values())}'
+        raise InputError(msg)
+
+
+def check_fallback(values: Mapping[str, Value], specs: Mapping[str, ParameterSpec], source: str) -> None:
+    """Raise InputError, naming the file they come from, if values are out of the range of their parameters."""
+    for name, value in values.items():
+        try:
+            specs[name].check(value)
+        except InputError as error:
+            msg = f'{source}: {error}'
+            raise InputError(msg) from None
+
+
+def build_settings(values: Values, algorithms: Algorithms[Any], field: str) -> EstimatorSettings:
+    """Return the settings that parameter values ask for; ``field`` is where EstimatorSettings has the choice."""
+    algorithm = algorithms[str(values[ALGORITHM])]
+    base = EstimatorSettings()
+    policy = TimeJumpPolicy(values['time_jump_policy'])
+    changes: dict[str, Any] = {
+        'alignment': _configure(base.alignment, 'alignment.', values),
+        'pipeline': replace(_configure(base.pipeline, '', values), time_jump_policy=policy),
+        field: Choice(algorithm.name, _configure(algorithm.config, 'estimator.', values, algorithm.fixed)),
+        'seed': values['seed'],
+    }
+    return replace(base, **changes)
+
+
+def _configure(config: Any, prefix: str, values: Values, fixed: frozenset[str] = frozenset()) -> Any:
+    names = [item.name for item in fields(config) if setting_info(item) is not None and item.name not in fixed]
+    return replace(config, **{name: values[prefix + name] for name in names})
+
+
+def build_train_file(values: Values, given: frozenset[str], base: TrainFile | None) -> TrainFile:
+    """Return the train file with the given parameters put over it.
+
+    Raises:
+        InputError: There is no train file and a required parameter is not given.
+
+    """
+    if base is None:
+        missing = [item.name for item in TRAIN_PARAMETERS if item.required and item.name not in given]
+        if missing:
+            msg = f'no train: give the parameter train_file, or {", ".join(missing)}'
+            raise InputError(msg)
+        base = TrainFile(Train(mass=float(values['train.mass'])), Davis(0.0, 0.0, 0.0))
+    sections: dict[str, Any] = {}
+    for item in TRAIN_PARAMETERS:
+        if item.name in given:
+            section = sections.get(item.section, getattr(base, item.section))
+            sections[item.section] = replace(section, **{item.field: values[item.name]})
+    train_file = replace(base, **sections)
+    if train_file.train.mass <= 0.0:
+        msg = f'train.mass = {train_file.train.mass:g} kg must be > 0'
+        raise InputError(msg)
+    return train_file

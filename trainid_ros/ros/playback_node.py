@@ -1,0 +1,239 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A lifecycle node that publishes records in time: activating it plays, deactivating it pauses."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any, Final
+
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.duration import Duration
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
+from rosgraph_msgs.msg import Clock as ClockMessage
+
+from trainid_ros.core.errors import InputError
+from trainid_ros.core.records import INPUT_TOPICS, NS_PER_S
+from trainid_ros.ros import qos
+from trainid_ros.ros.conversion import message_class, message_from_record, time_message
+from trainid_ros.ros.lifecycle import ManagedNode, guarded
+from trainid_ros.ros.node_parameters import NodeParameters
+from trainid_ros.ros.parameter_specs import AUTOSTART, ParameterSpec
+from trainid_ros.ros.playback import Pacer, Timeline, with_ticks
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+    from trainid_ros.core.records import Record
+    from trainid_ros.ros.playback import TimedRecord
+
+_POLL_NS: Final = NS_PER_S // 50
+_ACKNOWLEDGED_S: Final = 2.0
+# Best-effort subscribers acknowledge nothing; this long they get to take what was published last.
+_LINGER_S: Final = 0.3
+# A subscriber that we know may not know us yet, and then takes nothing with best effort.
+_ACQUAINTED_NS: Final = NS_PER_S // 2
+
+
+def playback_parameters(*, live: bool) -> tuple[ParameterSpec, ...]:
+    """Return the parameters of every playback node; ``live``: stamps are those of the present by default."""
+    late = 'takes effect on the next configure'
+    return (
+        ParameterSpec('rate', 1.0, f'recorded seconds in one second [1]; {late}', 0.01, 1000.0),
+        ParameterSpec('start', 0.0, f'where to start, from the beginning [s]; {late}', 0.0, 1e7),
+        ParameterSpec('duration', 0.0, f'how much to play, 0 = to the end [s]; {late}', 0.0, 1e7),
+        ParameterSpec('loop', False, f'start over at the end; {late}'),
+        ParameterSpec('wait', 0, f'subscribers to wait for on each topic; {late}', 0, 1000),
+        ParameterSpec('publish_clock', not live, f'publish recorded time on /clock; {late}'),
+        ParameterSpec('restamp', live, f'move all stamps to the present; needs rate 1; {late}'),
+        AUTOSTART,
+    )
+
+
+class PlaybackNode(ManagedNode):
+    """Base of bag player and simulator.
+
+    Attributes:
+        finished: True when all has been played and delivered.
+        position_ns: Recorded time of what was published last, 0 before the start.
+        played: Records published.
+
+    """
+
+    def __init__(
+        self, name: str, specs: Sequence[ParameterSpec], *, arguments: Sequence[str] = (), **options: Any
+    ) -> None:
+        """Declare all parameters.
+
+        Args:
+            name: Name of the node.
+            specs: All its parameters, those of :func:`playback_parameters` included.
+            arguments: ROS arguments of the process, looked through for parameter files.
+            options: Options of the rclpy node.
+
+        """
+        super().__init__(name, **options)
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        self.parameters = NodeParameters(self, specs)
+        self.parameters.check_sections(arguments, name)
+        self.parameters.report()
+        self._outputs: dict[type[Record], Any] = {}
+        self._clock_output: Any = None
+        self._timer: Any = None
+        self._release()
+
+    def open_timeline(self) -> Timeline:
+        """Return what to play; called on configure.
+
+        Raises:
+            InputError: There is nothing to play.
+
+        """
+        raise NotImplementedError
+
+    def close_timeline(self) -> None:
+        """Let go of what :meth:`open_timeline` holds."""
+
+    @guarded
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Open what is to be played and offer the topics."""
+        self.failure = ''
+        self.parameters.check()
+        if self.parameters.value('restamp') and self.parameters.value('rate') != 1.0:
+            msg = f'restamp needs rate = 1, not {self.parameters.value("rate")}'
+            raise InputError(msg)
+        self.timeline = self.open_timeline()
+        for topic in INPUT_TOPICS:
+            self._outputs[topic.record] = self.create_lifecycle_publisher(
+                message_class(topic), topic.name, qos.source_qos()
+            )
+        if self.parameters.value('publish_clock'):
+            self._clock_output = self.create_lifecycle_publisher(ClockMessage, '/clock', qos.source_qos())
+        self._pacer = Pacer(float(self.parameters.value('rate')))
+        self._rewind()
+        return super().on_configure(state)
+
+    @guarded
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Play."""
+        result = super().on_activate(state)
+        self._anchor()
+        self._timer = self.create_timer(_POLL_NS / NS_PER_S, self._play, clock=self._steady)
+        return result
+
+    @guarded
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Pause; activating goes on from here."""
+        self._stop()
+        return super().on_deactivate(state)
+
+    @guarded
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Close."""
+        self._release()
+        return super().on_cleanup(state)
+
+    @guarded
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Let go of everything, from any state."""
+        self._release()
+        return super().on_shutdown(state)
+
+    @guarded
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Go back to unconfigured after a transition that broke."""
+        self._release()
+        return super().on_error(state)
+
+    def _stop(self) -> None:
+        if self._timer is not None:
+            self.destroy_timer(self._timer)
+            self._timer = None
+
+    def _release(self) -> None:
+        self._stop()
+        for publisher in (*self._outputs.values(), self._clock_output):
+            if publisher is not None:
+                self.destroy_lifecycle_publisher(publisher)
+        self.close_timeline()
+        self._outputs = {}
+        self._clock_output = None
+        self._entries: Iterator[TimedRecord] = iter(())
+        self._next: TimedRecord | None = None
+        self._pacer = Pacer(1.0)
+        self.timeline = Timeline(0, 0, lambda: iter(()))
+        self.finished = False
+        self._complete_ns = 0
+        self.position_ns = 0
+        self.played = 0
+
+    def _rewind(self) -> None:
+        start, duration = float(self.parameters.value('start')), float(self.parameters.value('duration'))
+        self._entries = with_ticks(self.timeline, start, duration)
+        self._next = next(self._entries, None)
+        self._anchor()
+
+    def _anchor(self) -> None:
+        """Let the next entry be due now."""
+        self._pacer.release()
+        self._shift_ns: int | None = None
+
+    def _play(self) -> None:
+        """Publish what is due and sleep until the next is."""
+        if self.finished or self._is_waiting():
+            return
+        now = int(self._steady.now().nanoseconds)
+        while self._next is not None:
+            due = self._pacer.due_ns(self._next.time_ns, now)
+            if due > now:
+                self._sleep(due - now)
+                return
+            self._publish(self._next)
+            self._next = next(self._entries, None)
+        self._finish()
+
+    def _is_waiting(self) -> bool:
+        """True before the start while subscribers are missing or have only just come."""
+        wanted = int(self.parameters.value('wait'))
+        if not wanted or self.position_ns:
+            return False
+        outputs = [self._outputs[topic.record] for topic in INPUT_TOPICS]
+        if any(output.get_subscription_count() < wanted for output in outputs):
+            self._complete_ns = 0
+            return True
+        now = int(self._steady.now().nanoseconds)
+        self._complete_ns = self._complete_ns or now
+        return now - self._complete_ns < _ACQUAINTED_NS
+
+    def _sleep(self, pause_ns: int) -> None:
+        self._timer.timer_period_ns = max(pause_ns, 1000)
+        self._timer.reset()
+
+    def _publish(self, entry: TimedRecord) -> None:
+        if self._clock_output is not None and entry.time_ns != self.position_ns:
+            self._clock_output.publish(ClockMessage(clock=time_message(entry.time_ns)))
+        self.position_ns = entry.time_ns
+        if entry.record is not None:
+            self._outputs[type(entry.record)].publish(message_from_record(self._stamped(entry, entry.record)))
+            self.played += 1
+
+    def _stamped(self, entry: TimedRecord, record: Record) -> Record:
+        """Return the record with the stamp that it is to have."""
+        if not self.parameters.value('restamp'):
+            return record
+        if self._shift_ns is None:
+            self._shift_ns = int(self.get_clock().now().nanoseconds) - entry.time_ns
+        return replace(record, stamp_ns=record.stamp_ns + self._shift_ns)
+
+    def _finish(self) -> None:
+        if self.parameters.value('loop') and self.played:
+            self._rewind()
+            self._sleep(_POLL_NS)
+            return
+        for output in self._outputs.values():
+            output.wait_for_all_acked(Duration(seconds=_ACKNOWLEDGED_S))
+        time.sleep(_LINGER_S)
+        self._stop()
+        self.finished = True
+        self.get_logger().info(f'played {self.played} records')

@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Spinning nodes until a signal, and leaving without a trace of it.
+
+rclpy's own handlers close the context at once, under the feet of whatever runs: then a publish or a
+wait raises, and nodes cannot be deactivated any more. So signals are only noted here.
+"""
+
+from __future__ import annotations
+
+import signal
+import sys
+from typing import TYPE_CHECKING, Any, Final
+
+import rclpy
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.signals import SignalHandlerOptions
+
+from trainid_ros.core.errors import InputError
+from trainid_ros.ros.lifecycle import RCLError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from trainid_ros.ros.lifecycle import ManagedNode
+
+# A waiting executor sees a signal only when it returns.
+_REACTION_S: Final = 0.2
+
+
+class _StopRequest:
+    """Notes SIGINT and SIGTERM; a second one interrupts what does not listen to the first."""
+
+    def __init__(self) -> None:
+        self.requested = False
+
+    def install(self) -> None:
+        self.requested = False
+        for number in (signal.SIGINT, signal.SIGTERM):
+            signal.signal(number, self._note)
+
+    def _note(self, _number: int, _frame: Any) -> None:
+        if self.requested:
+            raise KeyboardInterrupt
+        self.requested = True
+
+
+_STOP: Final = _StopRequest()
+
+
+def start_ros(ros_args: Sequence[str]) -> list[str]:
+    """Start ROS with the arguments that follow ``--ros-args``; return them as ROS saw them.
+
+    From here on SIGINT and SIGTERM only end :func:`spin_nodes`.
+
+    Raises:
+        InputError: ROS cannot use the arguments.
+
+    """
+    return _start(['trainid', '--ros-args', *ros_args])
+
+
+def _start(arguments: list[str]) -> list[str]:
+    try:
+        rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
+    except (RCLError, RuntimeError, ValueError) as error:
+        msg = f'ROS does not start: {str(error).splitlines()[0]}'
+        raise InputError(msg) from error
+    _STOP.install()
+    return arguments
+
+
+def stop_ros() -> None:
+    """Stop ROS."""
+    rclpy.try_shutdown()
+
+
+def spin_nodes(nodes: Sequence[ManagedNode], *, until: Callable[[], bool] = lambda: False) -> None:
+    """Spin nodes in one thread until a signal or a condition; then deactivate and destroy them, and stop ROS.
+
+    Args:
+        nodes: The nodes, made in the default context after :func:`start_ros`.
+        until: Checked after every callback.
+
+    """
+    executor = SingleThreadedExecutor()
+    for node in nodes:
+        executor.add_node(node)
+    try:
+        while not (_STOP.requested or until()):
+            executor.spin_once(timeout_sec=_REACTION_S)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        pass
+    finally:
+        executor.shutdown()
+        close_nodes(nodes)
+        stop_ros()
+
+
+def close_nodes(nodes: Sequence[ManagedNode]) -> None:
+    """Deactivate what is active and destroy all."""
+    for node in nodes:
+        if node.state == 'active' and rclpy.ok():
+            node.trigger_deactivate()
+        node.destroy_node()
+
+
+def run_node(make: Callable[[Sequence[str]], ManagedNode]) -> int:
+    """Run one node as a program of its own; with the parameter ``autostart`` it activates itself."""
+    try:
+        arguments = _start(list(sys.argv))
+    except InputError as error:
+        sys.stderr.write(f'{error}\n')
+        return 2
+    node = make(arguments)
+    if node.get_parameter('autostart').value:
+        node.bring_up()
+    spin_nodes([node])
+    return 0

@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Lifecycle node ``train_simulator``: a simulated train on the input topics, in real time.
+
+Without ``publish_clock`` its stamps are those of the present, as a real train's would be.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from trainid_ros.core.errors import InputError
+from trainid_ros.ros.parameter_specs import TRAIN_FILE, ParameterSpec
+from trainid_ros.ros.playback import TimedRecord, Timeline
+from trainid_ros.ros.playback_node import PlaybackNode, playback_parameters
+from trainid_ros.ros.runner import run_node
+from trainid_ros.sim.realism import REALISMS, make_case, unknowns_of
+from trainid_ros.sim.scenario import Scenario, simulate
+from trainid_ros.sim.worlds import WORLDS, find_world, world_train
+from trainid_ros.train.train_file import load_train_file
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from trainid_ros.core.records import Record
+
+NAME: Final = 'train_simulator'
+_PARAMETERS: Final = (
+    TRAIN_FILE,
+    ParameterSpec(
+        'world',
+        '',
+        'type of railway; brings its own train unless train_file is given, which it takes as stated, not as true; '
+        'takes effect on the next configure',
+        choices=('', *WORLDS),
+    ),
+    ParameterSpec(
+        'realism',
+        'clean',
+        'of a world: clean, all that its train file states is exact, or field, wrong as on real trains; '
+        'takes effect on the next configure',
+        choices=tuple(REALISMS),
+    ),
+    ParameterSpec('runs', 4, 'runs from stop to stop; takes effect on the next configure', 1, 1000),
+    ParameterSpec('seed', 1, 'seed of the random numbers; takes effect on the next configure', 0, 2**31 - 1),
+    *playback_parameters(live=True),
+)
+
+
+class TrainSimulator(PlaybackNode):
+    """Simulates on configure, publishes while active."""
+
+    def __init__(self, arguments: Any = (), **options: Any) -> None:
+        super().__init__(NAME, _PARAMETERS, arguments=arguments, **options)
+
+    def open_timeline(self) -> Timeline:
+        """Simulate.
+
+        Raises:
+            InputError: The train file is missing or cannot be driven.
+
+        """
+        rng = np.random.default_rng(int(self.parameters.value('seed')))
+        records = simulate(self._scenario(rng), rng).records
+        return Timeline(records[0].stamp_ns, records[-1].stamp_ns, lambda: _entries(records))
+
+    def _scenario(self, rng: np.random.Generator) -> Scenario:
+        path, name = str(self.parameters.value('train_file')), str(self.parameters.value('world'))
+        realism, runs = str(self.parameters.value('realism')), int(self.parameters.value('runs'))
+        if not (path or name):
+            msg = 'no train: give the parameter train_file or world'
+            raise InputError(msg)
+        given = load_train_file(Path(path).expanduser()) if path else None
+        if not name and given:
+            if realism != 'clean':
+                msg = f'realism = {realism!r} needs the parameter world'
+                raise InputError(msg)
+            return Scenario(given, runs=runs)
+        world = find_world(name)
+        stated = given or world_train(world)
+        return make_case(world, stated, unknowns_of(realism, (), stated), runs, rng.spawn(1)[0]).scenario
+
+
+def _entries(records: tuple[Record, ...]) -> Iterator[TimedRecord]:
+    return (TimedRecord(record.stamp_ns, record) for record in records)
+
+
+def main() -> int:
+    """Run the node as a program."""
+    return run_node(TrainSimulator)

@@ -1,0 +1,217 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An ATO that drives from stop to stop: power, coast, brake to limits and stops, dwell.
+
+Braking follows speed-over-distance curves: ``v_ref(d) = sqrt(v_end^2 + 2 b d)``. The regulator sees the
+train where it will be once the brake acts (dead time plus lag), so the loop stays well damped, and its
+feedback lets it stop with a brake that is weaker or stronger than nominal.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from enum import Enum
+from typing import Final
+
+import numpy as np
+
+from trainid_ros.core.settings import check_settings, setting
+from trainid_ros.sim.plant import Plant
+from trainid_ros.train.davis import G, davis, required_force
+from trainid_ros.train.line import LineProfile
+from trainid_ros.train.train_file import TrainFile
+
+TICK_S: Final = 0.2
+_TAIL_M: Final = 1.0
+_BRAKE_AT: Final = -0.3
+_RELEASE_AT: Final = -0.8
+
+
+class Phase(Enum):
+    """What the driver is doing."""
+
+    DWELL = 'dwell'
+    POWER = 'power'
+    COAST = 'coast'
+    BRAKE = 'brake'
+
+
+@dataclass(frozen=True, slots=True)
+class DriverModel:
+    """How the train is driven."""
+
+    acceleration: float = setting(0.9, 'greatest acceleration', 'm/s^2', 0.05, 2.0)
+    deceleration: float = setting(0.65, 'deceleration of the braking curves', 'm/s^2', 0.05, 1.5)
+    max_deceleration: float = setting(1.2, 'greatest brake command', 'm/s^2', 0.1, 3.0)
+    jerk: float = setting(0.8, 'greatest change of acceleration', 'm/s^3', 0.05, 10.0)
+    speed_margin: float = setting(0.8, 'distance kept from speed limits', 'm/s', 0.0, 5.0)
+    dwell_low: float = setting(22.0, 'shortest dwell', 's', 0.0, 3600.0)
+    dwell_high: float = setting(35.0, 'longest dwell', 's', 0.0, 3600.0)
+    cruise_low: float = setting(5.0, 'shortest time of cruising before coasting', 's', 0.0, 3600.0)
+    cruise_high: float = setting(40.0, 'longest time of cruising before coasting', 's', 0.0, 3600.0)
+    coast_floor: float = setting(0.82, 'share of the target speed at which coasting ends', '', 0.1, 1.0)
+    holding: float = setting(0.6, 'brake command while standing', 'm/s^2', 0.1, 3.0)
+    brake_gain: float = setting(0.6, 'brake command per speed error', '1/s', 0.0, 3.0)
+    brake_integral: float = setting(0.08, 'brake command per integral of the speed error', '1/s^2', 0.0, 1.0)
+    stop_window: float = setting(1.0, 'distance before a stop at which a train that stands has arrived', 'm', 0.1, 4.5)
+
+
+@dataclass(frozen=True, slots=True)
+class Decision:
+    """What the driver asks for until the next tick."""
+
+    traction: float
+    brake: float
+
+
+@dataclass(frozen=True, slots=True)
+class StopEvent:
+    """An arrival: time since the start [s], stopping point [m], how far beyond it the train stands [m]."""
+
+    time_s: float
+    stop: float
+    error: float
+
+
+class Driver:
+    """Decides at 5 Hz; ``phase``, ``arrivals`` and ``finished`` tell how far it has come."""
+
+    def __init__(
+        self, model: DriverModel, train_file: TrainFile, profile: LineProfile, rng: np.random.Generator
+    ) -> None:
+        """Wait at the first stop.
+
+        Args:
+            model: How to drive.
+            train_file: The train; its brake is taken as nominal.
+            profile: The line under this train.
+            rng: Source of randomness for dwell and coasting, owned from here on.
+
+        Raises:
+            InputError: A setting is out of range.
+
+        """
+        check_settings(model)
+        self.phase = Phase.DWELL
+        self.arrivals: list[StopEvent] = []
+        self.stop = math.nan
+        self._model = model
+        self._file = train_file
+        self._profile = profile
+        self._rng = rng
+        self._lead = train_file.brake.delay + train_file.brake.time_constant
+        self._depart_s = 0.5 * self._draw(model.dwell_low, model.dwell_high)
+        self._brake = -model.holding
+        self._cruise_left = 0.0
+        self._coasted = 0.0
+        self._integral = 0.0
+        self._rolling = False
+
+    def may_depart(self, time_s: float) -> bool:
+        """Return True when the dwell is over."""
+        return self.phase is Phase.DWELL and not self._rolling and time_s >= self._depart_s
+
+    def depart(self, stop: float) -> None:
+        """Leave for the next stop [m]."""
+        self.stop = stop
+        self.phase = Phase.POWER
+        self._cruise_left = self._draw(self._model.cruise_low, self._model.cruise_high)
+
+    def decide(self, time_s: float, train: Plant) -> Decision:
+        """Return the demands for the next tick."""
+        if self.phase is not Phase.DWELL and self._is_at_stop(train):
+            self.phase, self._rolling = Phase.DWELL, True
+        if self.phase is Phase.DWELL:
+            if self._rolling and train.speed == 0.0:
+                self._arrive(time_s, train)
+            return Decision(0.0, self._slew(-self._model.holding))
+        allowed, slope = self._allowed(train)
+        excess = max(0.0, train.speed + self._lead * train.acceleration) - allowed
+        self._choose_phase(train, allowed, excess)
+        if self.phase is Phase.BRAKE:
+            return Decision(0.0, self._slew(-self._brake_effort(train, excess, slope)))
+        traction = self._traction(train, allowed) if self.phase is Phase.POWER else 0.0
+        return Decision(traction, self._slew(0.0))
+
+    def _is_at_stop(self, train: Plant) -> bool:
+        left = (self.stop - train.position) * train.direction
+        return (train.speed < 0.3 and left < 0.2) or (train.speed == 0.0 and left < self._model.stop_window)
+
+    def _arrive(self, time_s: float, train: Plant) -> None:
+        self._rolling = False
+        self._depart_s = time_s + self._draw(self._model.dwell_low, self._model.dwell_high)
+        error = (train.position - self.stop) * train.direction
+        self.arrivals.append(StopEvent(time_s, self.stop, error))
+
+    def _allowed(self, train: Plant) -> tuple[float, float]:
+        """Return the lowest reference speed once the brake acts, and the deceleration along its curve."""
+        model = self._model
+        run = max(0.0, self._lead * (train.speed + 0.5 * self._lead * train.acceleration))
+        here = self._profile.speed_limit(train.position, train.direction)
+        lowest, slope = min(here, self._file.train.max_speed) - model.speed_margin, 0.0
+        reach = train.speed**2 / (2.0 * model.deceleration) + run + 50.0
+        for distance, limit in self._profile.limits_ahead(train.position, train.direction, reach):
+            end = limit - model.speed_margin
+            curve = math.sqrt(end * end + 2.0 * model.deceleration * max(0.0, distance - run))
+            if curve < lowest:
+                lowest, slope = curve, model.deceleration
+        left = (self.stop - train.position) * train.direction - run
+        curve, steepness = self._stop_curve(left)
+        return (curve, steepness) if curve < lowest else (lowest, slope)
+
+    def _stop_curve(self, left: float) -> tuple[float, float]:
+        b = self._model.deceleration
+        if left > _TAIL_M:
+            return math.sqrt(2.0 * b * left), b
+        # The square root is infinitely steep at the stop: the last metre is driven on a line.
+        slope = math.sqrt(2.0 * b / _TAIL_M)
+        speed = slope * max(0.0, left)
+        return speed, slope * speed
+
+    def _choose_phase(self, train: Plant, allowed: float, excess: float) -> None:
+        model = self._model
+        if excess > _BRAKE_AT:
+            if self.phase is not Phase.BRAKE:
+                self._integral = 0.0
+            self.phase = Phase.BRAKE
+        elif self.phase is Phase.BRAKE and excess < _RELEASE_AT:
+            self.phase = Phase.POWER if train.speed < 0.5 else Phase.COAST
+            self._coasted = 0.0
+        elif self.phase is Phase.POWER and train.speed > allowed - model.speed_margin - 0.7:
+            self._cruise_left -= TICK_S
+            if self._cruise_left <= 0.0:
+                self.phase, self._coasted = Phase.COAST, 0.0
+        elif self.phase is Phase.COAST:
+            self._coasted += TICK_S
+            if self._coasted > 3.0 and train.speed < model.coast_floor * (allowed - model.speed_margin):
+                self.phase = Phase.POWER
+                self._cruise_left = self._draw(model.cruise_low, model.cruise_high)
+
+    def _brake_effort(self, train: Plant, excess: float, slope: float) -> float:
+        model = self._model
+        self._integral = min(0.3, max(-0.3, self._integral + model.brake_integral * excess * TICK_S))
+        resisted = self._resistance(train) * G / (1000.0 * (1.0 + self._file.train.rotary_mass))
+        wanted = slope + model.brake_gain * excess + self._integral - resisted
+        return min(model.max_deceleration, max(0.0, wanted))
+
+    def _traction(self, train: Plant, allowed: float) -> float:
+        vehicle, model = self._file.train, self._model
+        error = allowed - model.speed_margin - train.speed
+        wanted = min(model.acceleration, 0.5 * error)
+        force = required_force(wanted, train.mass, vehicle.rotary_mass, self._resistance(train))
+        most = min(vehicle.max_traction_force, vehicle.max_traction_power / max(train.speed, 0.1))
+        return min(most, max(0.0, force))
+
+    def _resistance(self, train: Plant) -> float:
+        gradient = self._profile.gradient(train.position, train.direction)
+        return davis(self._file.resistance, train.speed) + gradient
+
+    def _slew(self, target: float) -> float:
+        most = self._model.jerk * TICK_S
+        change = min(most, max(-most, target - self._brake))
+        # Commands have a resolution of 0.01 m/s^2, as on a train bus.
+        self._brake = min(0.0, round(self._brake + change, 2))
+        return self._brake
+
+    def _draw(self, low: float, high: float) -> float:
+        return float(self._rng.uniform(min(low, high), max(low, high)))

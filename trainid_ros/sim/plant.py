@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Train dynamics: the specific balance, integrated with an exact brake actuator.
+
+``(1 + gamma) M dv/dt = F + f (1 + gamma) M u - M g / 1000 (w(v) + i + w_extra + gust)`` with the reported traction F,
+the lagged and delayed brake target u <= 0, the brake rate f, times its table over speed if there is one, and the
+mass M as believed: all effects act as extra resistance. Speed and position use the midpoint rule, whose
+error at 20 ms steps is far below any sensor's.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from trainid_ros.core.records import NS_PER_S
+from trainid_ros.core.samples import BrakeCommandChange
+from trainid_ros.sim.delay_line import DelayLine
+from trainid_ros.train.brake import CommandHistory, lag_integral, lag_response
+from trainid_ros.train.davis import G, davis, specific_force, specific_inertia
+from trainid_ros.train.effects import BRAKE_APPLIED, TrackPoint, heat_after, resistance_terms
+from trainid_ros.train.line import LineProfile
+from trainid_ros.train.train_file import TrainFile
+
+STEP_NS: Final = 20_000_000
+
+
+class Plant:
+    """The train; its public attributes are the true state.
+
+    Attributes:
+        now_ns: Time of the state.
+        position: Position of the front [m].
+        direction: +1 while positions rise, -1 while they fall.
+        speed: Speed [m/s], never negative: a train that stops is held.
+        acceleration: Mean acceleration over the last step [m/s^2].
+        traction: Traction as reported by the drive [N].
+        brake: Lagged and delayed brake target [m/s^2, <= 0].
+        mass: Mass as believed [kg].
+        resistance: Davis resistance now.
+        brake_rate: Brake rate now, or the factor on its table over speed.
+        gust: Further resistance [N/kN].
+        distance_run: Distance run since the start [m].
+        heat: Heat in the brake, that of one without fade [J/kg].
+
+    """
+
+    def __init__(self, train_file: TrainFile, profile: LineProfile, start_ns: int, jerk: float) -> None:
+        """Stand still at the first stop of the line.
+
+        Args:
+            train_file: The true train.
+            profile: The true line under this train.
+            start_ns: Time of the state.
+            jerk: Greatest change of the traction, as acceleration per second [m/s^3].
+
+        Raises:
+            InputError: An effect is not known or has wrong parameters.
+
+        """
+        self.profile = profile
+        self.now_ns = start_ns
+        self.position = train_file.line.stops[0] if train_file.line.stops else 0.0
+        self.direction = 1
+        self.speed = self.acceleration = self.traction = self.brake = 0.0
+        self.mass = train_file.train.mass
+        self.resistance = train_file.resistance
+        self.brake_rate = train_file.brake.rate
+        self.gust = self.distance_run = self.heat = 0.0
+        self._train, self._rate_shape = train_file.train, train_file.brake.shape_at
+        self._jerk = jerk
+        self._start_ns = start_ns
+        self._time_constant = train_file.brake.time_constant
+        self._delay_ns = round(train_file.brake.delay * NS_PER_S)
+        self._commands = CommandHistory()
+        self._terms = resistance_terms(train_file.effects)
+        self._tractions, self._brakes = DelayLine(), DelayLine()
+        self._since_release = math.inf
+
+    @property
+    def reported_force(self) -> float:
+        """Force that drive and brake control report [N]: braking as that of a nominal brake."""
+        return self.traction + self.mass * (1.0 + self._train.rotary_mass) * self.brake
+
+    def command(self, target_acceleration: float) -> None:
+        """Give the brake a target from now on [m/s^2, <= 0]."""
+        change = BrakeCommandChange(self.now_ns, target_acceleration)
+        self._commands = self._commands.push(change).prune(self.now_ns - self._delay_ns)
+
+    def step(self, traction_demand: float, dt_ns: int = STEP_NS) -> None:
+        """Go on by one step with the traction on its way to a demand [N]."""
+        dt = dt_ns / NS_PER_S
+        brake = self._brake_acceleration(dt_ns)
+        traction = self._ramp_traction(traction_demand, dt)
+        driven = traction / (self.mass * (1.0 + self._train.rotary_mass)) + brake
+        if self._terms:
+            middle_ns = self.now_ns + dt_ns // 2
+            self._tractions.add(middle_ns, specific_force(traction, self.mass))
+            self._brakes.add(middle_ns, specific_inertia(brake, self._train.rotary_mass))
+        acceleration = driven - self._retardation(0.0)
+        middle = max(0.0, self.speed + 0.5 * dt * acceleration)
+        self.heat = heat_after(self.heat, brake, middle, dt)
+        self._move(driven - self._retardation(0.5 * dt, middle), dt)
+        self.now_ns += dt_ns
+
+    def _retardation(self, ahead_s: float, speed: float | None = None) -> float:
+        """Return the deceleration by all resistances at the middle of a step [m/s^2]."""
+        v = self.speed if speed is None else speed
+        position = self.position + self.direction * ahead_s * v
+        w = davis(self.resistance, v) + self.gust + self.profile.gradient(position, self.direction)
+        if self._terms:
+            point = self._track_point(position, v, ahead_s)
+            for term in self._terms:
+                w += term(self.resistance, point)
+        return w * G / (1000.0 * (1.0 + self._train.rotary_mass))
+
+    def _track_point(self, position: float, speed: float, ahead_s: float) -> TrackPoint:
+        profile, direction = self.profile, self.direction
+        return TrackPoint(
+            time_s=(self.now_ns - self._start_ns) / NS_PER_S + ahead_s,
+            position=position,
+            direction=direction,
+            speed=speed,
+            curve_radius=profile.curve_radius(position, direction),
+            tunnel=profile.tunnel(position, direction),
+            length=profile.length,
+            distance_run=self.distance_run,
+            since_release=self._since_release,
+            traction=self._tractions.before(0.0),
+            brake=self._brakes.before(0.0),
+            heat=self.heat,
+            acceleration=self.acceleration,
+            brake_before=self._brakes.before,
+            traction_before=self._tractions.before,
+            gradient_ahead=lambda ahead: profile.gradient(position + direction * ahead, direction),
+        )
+
+    def _move(self, acceleration: float, dt: float) -> None:
+        before = self.speed
+        after = before + acceleration * dt
+        if after > 0.0:
+            run = 0.5 * (before + after) * dt
+        else:
+            # The train comes to a stand within the step and is held there.
+            run = 0.5 * before * before / -acceleration if before > 0.0 else 0.0
+            after = 0.0
+        self.speed = after
+        self.acceleration = (after - before) / dt
+        self.position += self.direction * run
+        self.distance_run += run
+
+    def _ramp_traction(self, demand: float, dt: float) -> float:
+        """Move the traction towards its demand; return its mean over the step."""
+        most = self._jerk * self.mass * dt
+        before = self.traction
+        self.traction = before + min(most, max(-most, demand - before))
+        return 0.5 * (before + self.traction)
+
+    def _brake_acceleration(self, dt_ns: int) -> float:
+        """Let the actuator follow its delayed command; return the mean acceleration of the brake."""
+        start = self.now_ns - self._delay_ns
+        change = 0.0
+        for duration, target in self._commands.segments(start, start + dt_ns):
+            change += lag_integral(self.brake, target, self._time_constant, duration)
+            self.brake = lag_response(self.brake, target, self._time_constant, duration)
+        dt = dt_ns / NS_PER_S
+        self._since_release = 0.0 if self.brake < BRAKE_APPLIED else self._since_release + dt
+        return self.brake_rate * self._rate_shape(self.speed) * change / dt

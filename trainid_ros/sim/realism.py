@@ -1,0 +1,353 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a train file states wrongly or not at all, drawn in the sizes usual in the field.
+
+From a train file as stated and a source of randomness come the true scenario and the train file that the engineer
+has: the same values, with the standard deviations of mass, force and map. Each unknown draws from a generator of its
+own, so one alone has the same values as among all others.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterable, Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+from typing import Final
+
+import numpy as np
+
+from trainid_ros.core.errors import InputError
+from trainid_ros.sim.gusts import GustModel
+from trainid_ros.sim.scenario import Change, Scenario, check_scenario
+from trainid_ros.sim.sensors import SensorModel
+from trainid_ros.sim.worlds import World, usual_duration
+from trainid_ros.train.effects import effect_value
+from trainid_ros.train.fields import did_you_mean
+from trainid_ros.train.train_file import Brake, Davis, Effect, NamedValues, TrainFile
+
+_CURVE: Final = 'curve_resistance'
+_CURVE_STD: Final = 0.2
+_MOST_STDS: Final = 3.0
+"""Largest error in standard deviations: a ratio below zero is none."""
+# Shares of the day between which changes happen: there is something to learn before and after.
+_FIRST_CHANGE, _LAST_CHANGE = 0.15, 0.85
+
+
+@dataclass(frozen=True, slots=True)
+class ResistanceChange:
+    """From a share of the day on, the resistance of its start with a and c times these ratios."""
+
+    share: float
+    a: float
+    c: float
+
+
+@dataclass(frozen=True, slots=True)
+class BrakeChange:
+    """From a share of the day on, this brake rate (1 = nominal)."""
+
+    share: float
+    rate: float
+
+
+@dataclass(frozen=True, slots=True)
+class Unknowns:
+    """How truth and records differ from what a train file states; the defaults are those of ``clean``.
+
+    Attributes:
+        mass_std: Stated standard deviation of the mass, relative; that of each weighing where the mass is exact.
+        mass_ratio: True over stated (and weighed) mass.
+        force_std: Stated standard deviation of the force gain.
+        force_ratio: True over reported traction.
+        force_delay: How much later than the force its stamps are [s].
+        curve_std: Stated standard deviation of the curve coefficient, relative.
+        curve_ratio: True over stated curve coefficient.
+        map_std: Standard deviation of the map error [per mille], stated as such.
+        map_length: Correlation length of the map error [m].
+        wheel_ratio: Measured over true speed.
+        gust_std: Standard deviation of the gusts [N/kN].
+        gust_time_constant: Correlation time of the gusts [s].
+        speed_quantum: Resolution of the speed [m/s].
+        brake_timing_std: Stated standard deviation of dead time and time constant of the brake, relative.
+        brake_delay_error: True less stated dead time of the brake [s].
+        brake_time_ratio: True over stated time constant of the brake.
+        davis_ratios: True over stated a, b, c.
+        resistance_changes: Changes of the resistance on the way.
+        brake_changes: Changes of the brake rate on the way.
+
+    """
+
+    mass_std: float = SensorModel().mass_noise
+    mass_ratio: float = 1.0
+    force_std: float = 0.0
+    force_ratio: float = 1.0
+    force_delay: float = 0.0
+    curve_std: float = 0.0
+    curve_ratio: float = 1.0
+    map_std: float = 0.0
+    map_length: float = SensorModel().map_error_length
+    wheel_ratio: float = 1.0
+    gust_std: float = GustModel().std
+    gust_time_constant: float = GustModel().time_constant
+    speed_quantum: float = SensorModel().speed_quantum
+    brake_timing_std: float = 0.01
+    brake_delay_error: float = 0.0
+    brake_time_ratio: float = 1.0
+    davis_ratios: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    resistance_changes: tuple[ResistanceChange, ...] = ()
+    brake_changes: tuple[BrakeChange, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class Case:
+    """The true scenario, the train file that the engineer has, and the true values it does not hold."""
+
+    scenario: Scenario
+    stated: TrainFile
+    true_values: NamedValues
+
+
+def make_case(
+    world: World,
+    file: TrainFile,
+    names: Collection[str],
+    runs: int,
+    rng: np.random.Generator,
+    extra: tuple[Effect, ...] = (),
+) -> Case:
+    """Draw a case.
+
+    Args:
+        world: How the train is loaded and driven.
+        file: The train as an engineer describes it.
+        names: The unknowns that there are, see :func:`unknowns_of`.
+        runs: Number of runs from stop to stop.
+        rng: Source of randomness.
+        extra: Further effects of the true train, which the train file does not state.
+
+    Raises:
+        InputError: The scenario cannot be driven, or an effect is there already; the message names it.
+
+    """
+    unknowns = draw_unknowns(names, rng)
+    stated, true = stated_train(file, unknowns), true_train(file, unknowns)
+    for effect in extra:
+        if any(effect.name == other.name for other in true.effects):
+            msg = f'effect {effect.name}: the true train has it already, by its train file or the unknowns drawn'
+            raise InputError(msg)
+    true = replace(true, effects=(*true.effects, *extra))
+    scenario = replace(_scenario(world, true, unknowns, runs), stated=stated)
+    check_scenario(scenario)
+    return Case(scenario, stated, _true_values(unknowns, true))
+
+
+def unknowns_of(realism: str, names: Iterable[str], stated: TrainFile) -> frozenset[str]:
+    """Return the unknowns of a realism and those named beside it.
+
+    Raises:
+        InputError: The realism or a name is not known, or the named one has no meaning for this train file.
+
+    """
+    if realism not in REALISMS:
+        msg = f'realism {realism!r} is not known; {did_you_mean(realism, REALISMS)}'
+        raise InputError(msg)
+    named = tuple(names)
+    for name in named:
+        if name not in _DRAWS:
+            msg = f'unknown {name!r} is not known; {did_you_mean(name, _DRAWS)}'
+            raise InputError(msg)
+    if 'curve' in named and not (stated.line.curve and _curve_coefficient(stated) > 0.0):
+        msg = f'unknown curve: the train file has no line.curve or no effect {_CURVE}'
+        raise InputError(msg)
+    return REALISMS[realism].union(named)
+
+
+def draw_unknowns(names: Collection[str], rng: np.random.Generator) -> Unknowns:
+    """Return unknowns of random size for these names; all else is as in ``clean``."""
+    unknowns = Unknowns()
+    for (name, draw), own in zip(_DRAWS.items(), rng.spawn(len(_DRAWS)), strict=True):
+        if name in names:
+            unknowns = draw(unknowns, own)
+    return unknowns
+
+
+def stated_train(file: TrainFile, unknowns: Unknowns) -> TrainFile:
+    """Return the train file that the engineer has: as given, with how well mass, force, map and curves are known."""
+    curve_std = (('coefficient', unknowns.curve_std * _curve_coefficient(file)),)
+    return replace(
+        file,
+        train=replace(file.train, mass_std=unknowns.mass_std, force_std=unknowns.force_std),
+        brake=replace(file.brake, timing_std=unknowns.brake_timing_std),
+        line=replace(file.line, gradient_std=unknowns.map_std),
+        effects=tuple(replace(e, std=curve_std) if e.name == _CURVE else e for e in file.effects),
+    )
+
+
+def true_train(file: TrainFile, unknowns: Unknowns) -> TrainFile:
+    """Return the true train; its masses and reported forces stay the stated ones, effects say how they are wrong."""
+    effects = [_true_curve(effect, unknowns.curve_ratio) for effect in file.effects]
+    for name, ratio in (('mass_error', unknowns.mass_ratio), ('traction_scale', unknowns.force_ratio)):
+        if ratio != 1.0:
+            effects.append(Effect(name, (('ratio', ratio),)))
+    davis, (a, b, c) = file.resistance, unknowns.davis_ratios
+    return replace(
+        file,
+        resistance=Davis(davis.a * a, davis.b * b, davis.c * c),
+        brake=_true_brake(file.brake, unknowns),
+        effects=tuple(effects),
+    )
+
+
+def _scenario(world: World, true: TrainFile, unknowns: Unknowns, runs: int) -> Scenario:
+    return Scenario(
+        train_file=true,
+        runs=runs,
+        changes=_changes(unknowns, true.resistance, usual_duration(world, true.line.stops, runs)),
+        passengers=world.passengers,
+        sensors=_sensors(unknowns),
+        driver=world.driver,
+        gust=GustModel(unknowns.gust_std, unknowns.gust_time_constant),
+    )
+
+
+def _true_curve(effect: Effect, ratio: float) -> Effect:
+    if effect.name != _CURVE:
+        return effect
+    return replace(effect, parameters=tuple((key, ratio * value) for key, value in effect.parameters))
+
+
+def _true_brake(brake: Brake, unknowns: Unknowns) -> Brake:
+    return replace(
+        brake,
+        delay=max(0.0, brake.delay + unknowns.brake_delay_error),
+        time_constant=brake.time_constant * unknowns.brake_time_ratio,
+    )
+
+
+def _sensors(unknowns: Unknowns) -> SensorModel:
+    return SensorModel(
+        speed_quantum=unknowns.speed_quantum,
+        wheel_ratio=unknowns.wheel_ratio,
+        map_error=unknowns.map_std,
+        map_error_length=unknowns.map_length,
+        force_delay=unknowns.force_delay,
+    )
+
+
+def _changes(unknowns: Unknowns, start: Davis, duration: float) -> tuple[Change, ...]:
+    changes = [
+        Change(change.share * duration, resistance=replace(start, a=change.a * start.a, c=change.c * start.c))
+        for change in unknowns.resistance_changes
+    ]
+    changes += [Change(change.share * duration, brake_rate=change.rate) for change in unknowns.brake_changes]
+    return tuple(sorted(changes, key=lambda change: change.time_s))
+
+
+def _true_values(unknowns: Unknowns, true: TrainFile) -> NamedValues:
+    curve = _curve_coefficient(true)
+    return (
+        ('mass_ratio', unknowns.mass_ratio),
+        ('force_ratio', unknowns.force_ratio),
+        ('force_delay', unknowns.force_delay),
+        *((('curve_coefficient', curve),) if curve > 0.0 else ()),
+        ('map_std', unknowns.map_std),
+        ('map_length', unknowns.map_length),
+        ('wheel_ratio', unknowns.wheel_ratio),
+        ('gust_std', unknowns.gust_std),
+        ('gust_time_constant', unknowns.gust_time_constant),
+        ('speed_quantum', unknowns.speed_quantum),
+        ('brake_delay', true.brake.delay),
+        ('brake_time_constant', true.brake.time_constant),
+    )
+
+
+def _curve_coefficient(file: TrainFile) -> float:
+    return effect_value(file.effects, _CURVE, 'coefficient', 0.0)
+
+
+def _mass(unknowns: Unknowns, rng: np.random.Generator) -> Unknowns:
+    std = rng.uniform(0.02, 0.05)
+    return replace(unknowns, mass_std=std, mass_ratio=_ratio(std, rng))
+
+
+def _force_gain(unknowns: Unknowns, rng: np.random.Generator) -> Unknowns:
+    std = rng.uniform(0.01, 0.03)
+    return replace(unknowns, force_std=std, force_ratio=_ratio(std, rng))
+
+
+def _force_delay(unknowns: Unknowns, rng: np.random.Generator) -> Unknowns:
+    return replace(unknowns, force_delay=rng.uniform(0.0, 0.3))
+
+
+def _curve(unknowns: Unknowns, rng: np.random.Generator) -> Unknowns:
+    return replace(unknowns, curve_std=_CURVE_STD, curve_ratio=_ratio(_CURVE_STD, rng))
+
+
+def _map(unknowns: Unknowns, rng: np.random.Generator) -> Unknowns:
+    return replace(unknowns, map_std=rng.uniform(0.1, 0.5), map_length=rng.uniform(100.0, 500.0))
+
+
+def _wheels(unknowns: Unknowns, rng: np.random.Generator) -> Unknowns:
+    return replace(unknowns, wheel_ratio=1.0 + rng.uniform(-0.005, 0.005))
+
+
+def _gusts(unknowns: Unknowns, rng: np.random.Generator) -> Unknowns:
+    return replace(unknowns, gust_std=rng.uniform(0.1, 0.4), gust_time_constant=rng.uniform(3.0, 12.0))
+
+
+def _quantum(unknowns: Unknowns, rng: np.random.Generator) -> Unknowns:
+    return replace(unknowns, speed_quantum=rng.uniform(0.1, 0.5) / 3.6)
+
+
+def _on_the_way(unknowns: Unknowns, rng: np.random.Generator) -> Unknowns:
+    resistance = tuple(
+        ResistanceChange(share, 1.0 + _either_way(0.1, 0.3, rng), 1.0 + _either_way(0.05, 0.2, rng))
+        for share in _times(rng)
+    )
+    brake = tuple(BrakeChange(share, 1.0 + _either_way(0.05, 0.2, rng)) for share in _times(rng))
+    return replace(unknowns, resistance_changes=resistance, brake_changes=brake)
+
+
+def _brake(unknowns: Unknowns, rng: np.random.Generator) -> Unknowns:
+    error, ratio = rng.uniform(-0.3, 0.3), rng.uniform(0.7, 1.3)
+    return replace(unknowns, brake_timing_std=0.2, brake_delay_error=error, brake_time_ratio=ratio)
+
+
+def _resistance(unknowns: Unknowns, rng: np.random.Generator) -> Unknowns:
+    a, b, c = 1.0 + rng.uniform(-0.2, 0.2, 3)
+    return replace(unknowns, davis_ratios=(float(a), float(b), float(c)))
+
+
+def _ratio(std: float, rng: np.random.Generator) -> float:
+    error = float(rng.standard_normal())
+    return 1.0 + std * min(_MOST_STDS, max(-_MOST_STDS, error))
+
+
+def _either_way(low: float, high: float, rng: np.random.Generator) -> float:
+    size = rng.uniform(low, high)
+    return size if rng.random() < 0.5 else -size
+
+
+def _times(rng: np.random.Generator) -> list[float]:
+    """Return one or two shares of the day, rising."""
+    shares: list[float] = rng.uniform(_FIRST_CHANGE, _LAST_CHANGE, rng.integers(1, 3)).tolist()
+    return sorted(shares)
+
+
+# New ones come last: the order says which generator each draws from.
+_DRAWS: Final[Mapping[str, Callable[[Unknowns, np.random.Generator], Unknowns]]] = MappingProxyType(
+    {
+        'mass': _mass,
+        'force_gain': _force_gain,
+        'force_delay': _force_delay,
+        'curve': _curve,
+        'map': _map,
+        'wheels': _wheels,
+        'gusts': _gusts,
+        'quantum': _quantum,
+        'changes': _on_the_way,
+        'brake': _brake,
+        'resistance': _resistance,
+    }
+)
+UNKNOWNS: Final = tuple(_DRAWS)
+REALISMS: Final[Mapping[str, frozenset[str]]] = MappingProxyType({'clean': frozenset(), 'field': frozenset(UNKNOWNS)})

@@ -1,0 +1,154 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What was true while a bag was recorded: resistance and brake rate over time, and what the train file does not state.
+
+The file ``truth.yaml`` beside a bag holds it; bags from elsewhere whose truth is known use the same file.
+"""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Final
+
+import yaml
+
+from trainid_ros.core.errors import InputError
+from trainid_ros.core.records import NS_PER_S
+from trainid_ros.train.fields import Section, finite_number, parse_yaml
+from trainid_ros.train.train_file import Davis, NamedValues
+
+_HEAD: Final = '# resistance: [time s, a, b, c]; brake_rate: [time s, rate]\n'
+_HEAD_UNKNOWNS: Final = (
+    '# unknowns: mass_ratio true over stated, force_ratio true over reported traction, force_delay of its stamps [s],\n'
+    '# wheel_ratio measured over true; else true values in SI units, map_std in per mille, gust_std in N/kN\n'
+)
+
+
+@dataclass(frozen=True, slots=True)
+class TruthPoint:
+    """The truth at one moment; the brake rate is None where it is not known."""
+
+    resistance: Davis
+    brake_rate: float | None
+
+
+@dataclass(frozen=True, slots=True)
+class Truth:
+    """Piecewise-constant truth; times in seconds since the start, rising.
+
+    Attributes:
+        start_ns: Stamp of time zero.
+        resistance: (time, a, b, c) in s and N/kN; at least one entry.
+        brake_rate: (time, rate); empty where the rate is not known.
+        unknowns: True values of what the train file states wrongly or not at all, see ``realism.Unknowns``; SI units.
+
+    """
+
+    start_ns: int
+    resistance: tuple[tuple[float, float, float, float], ...]
+    brake_rate: tuple[tuple[float, float], ...] = ()
+    unknowns: NamedValues = ()
+
+    def truth_at(self, time_s: float) -> TruthPoint:
+        """Return the truth at a time since the start [s]; the first values also hold before theirs."""
+        _, a, b, c = self.resistance[_index([row[0] for row in self.resistance], time_s)]
+        if not self.brake_rate:
+            return TruthPoint(Davis(a, b, c), None)
+        rate = self.brake_rate[_index([row[0] for row in self.brake_rate], time_s)][1]
+        return TruthPoint(Davis(a, b, c), rate)
+
+    def truth_at_ns(self, stamp_ns: int) -> TruthPoint:
+        """Return the truth at a stamp."""
+        return self.truth_at((stamp_ns - self.start_ns) / NS_PER_S)
+
+
+def plain_truth(truth: Truth) -> dict[str, object]:
+    """Return the truth as lists and mappings; without the key ``unknowns`` where none are given."""
+    document: dict[str, object] = {
+        'start_ns': truth.start_ns,
+        'resistance': [[float(x) for x in row] for row in truth.resistance],
+        'brake_rate': [[float(x) for x in row] for row in truth.brake_rate],
+    }
+    if truth.unknowns:
+        document['unknowns'] = {name: float(value) for name, value in truth.unknowns}
+    return document
+
+
+def dump_truth(truth: Truth) -> str:
+    """Return the truth as YAML text that reads back as exactly the same values."""
+    return (
+        _HEAD
+        + (_HEAD_UNKNOWNS if truth.unknowns else '')
+        + yaml.safe_dump(plain_truth(truth), sort_keys=False, default_flow_style=None)
+    )
+
+
+def save_truth(truth: Truth, path: str | Path) -> None:
+    """Write a truth file.
+
+    Raises:
+        InputError: The file cannot be written.
+
+    """
+    try:
+        Path(path).write_text(dump_truth(truth), encoding='utf-8')
+    except OSError as error:
+        msg = f'{path}: cannot be written: {error.strerror or error}'
+        raise InputError(msg) from error
+
+
+def load_truth(path: str | Path) -> Truth:
+    """Read a truth file.
+
+    Raises:
+        InputError: The file cannot be read or a field cannot be used.
+
+    """
+    try:
+        text = Path(path).read_text(encoding='utf-8')
+    except OSError as error:
+        msg = f'{path}: cannot be read: {error.strerror or error}'
+        raise InputError(msg) from error
+    except UnicodeDecodeError as error:
+        msg = f'{path}: is not UTF-8 text (byte {error.start})'
+        raise InputError(msg) from error
+    return parse_truth(text, str(path))
+
+
+def parse_truth(text: str, source: str) -> Truth:
+    """Read a truth file from its text; ``source`` is the name that errors show.
+
+    Raises:
+        InputError: A field cannot be used.
+
+    """
+    top = parse_yaml(text, source).only(('start_ns', 'resistance', 'brake_rate', 'unknowns'))
+    resistance = top.rows('resistance', ('time s', 'a', 'b', 'c'))
+    brake_rate = top.rows('brake_rate', ('time s', 'rate'))
+    if not resistance:
+        top.fail('resistance', 'is missing: a truth has at least one row [time s, a, b, c]')
+    _check_rising(top, 'resistance', resistance)
+    _check_rising(top, 'brake_rate', brake_rate)
+    return Truth(
+        start_ns=top.integer('start_ns', 0, low=0),
+        resistance=tuple((t, a, b, c) for t, a, b, c in resistance),
+        brake_rate=tuple((t, rate) for t, rate in brake_rate),
+        unknowns=_named_values(top.section('unknowns')),
+    )
+
+
+def _named_values(section: Section) -> NamedValues:
+    return tuple((key, finite_number(section.source, section.name(key), x, '')) for key, x in section.data.items())
+
+
+def _check_rising(top: Section, key: str, rows: tuple[tuple[float, ...], ...]) -> None:
+    for i, (before, after) in enumerate(pairwise(rows)):
+        if after[0] <= before[0]:
+            problem = f'= {after[0]:g} s must come after {before[0]:g} s: times rise'
+            top.fail(f'{key}[{i + 1}]', problem)
+
+
+def _index(times: list[float], time_s: float) -> int:
+    return max(0, bisect_right(times, time_s) - 1)

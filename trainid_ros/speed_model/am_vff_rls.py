@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: Apache-2.0
+"""AM-VFF-RLS: the speed model by recursive least squares with auxiliary model and variable forgetting.
+
+After Yuan et al. 2017, algorithm (7), in the order in which it can be computed and with what it needs to work:
+
+* the gain from the true gradient of the auxiliary output, which is corrected by the measurement as theta is
+  (``auxiliary_model``); as printed the auxiliary output drifts away from a plant whose pole is 1 - 1e-4;
+* lambda from errors that agree (``forgetting``); what is forgotten is the resistance, not the mass, and forgetting
+  ends at the prior in every direction;
+* P in the units of the parameters; noise of the speed, strength of gusts and map errors (``disturbance``) and delay of
+  the reported force (``force_delay``) learned, slow changes of the weather allowed for: a covariance to rely on;
+* gradient and other known resistance change the speed beside u, so that d0 is the Davis a and not the gradient, and
+  the error of mass and force is that of traction alone;
+* a step of any duration, a gate for outliers, theta frozen at standstill and while the brake acts, another load
+  allowed for after each stop.
+
+With lambda = 1 and a drift of d0 this is the extended Kalman filter (``ekf``).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, NamedTuple
+
+from trainid_ros.core.samples import SAMPLE_PERIOD
+from trainid_ros.core.settings import setting
+from trainid_ros.core.state_validation import is_covariance
+from trainid_ros.speed_model.auxiliary_model import (
+    Floor,
+    anchor,
+    correct,
+    forget,
+    moments,
+    predict,
+    prior_floor,
+    widen_load,
+    widen_speed,
+)
+from trainid_ros.speed_model.forgetting import agreement, forgetting_factor
+from trainid_ros.speed_model.method import Learned, Numbers
+from trainid_ros.speed_model.physical_parameters import SpeedModelConfig, Symmetric, Theta
+from trainid_ros.speed_model.speed_model_estimator import SpeedModelEstimator, load_std
+
+if TYPE_CHECKING:
+    from trainid_ros.train.train_file import TrainFile
+
+
+@dataclass(frozen=True, slots=True)
+class AmVffRlsConfig(SpeedModelConfig):
+    """Settings of AM-VFF-RLS."""
+
+    drift: float = setting(0.004, 'drift of the Davis a in 1 s (0.1 if no gradient is known)', 'N/kN', 0.0, 10.0)
+    memory: float = setting(25.0, 'errors that must agree before something is forgotten', 'samples', 1.0, 1e4)
+    threshold: float = setting(6.0, 'chi-square of the agreement of samples from which on is forgotten', '1', 0.0, 1e3)
+    forgetting_scale: float = setting(50.0, 'sigma of (6): chi-square over the threshold to forget all', '1', 1.0, 1e9)
+    min_forgetting: float = setting(0.5, 'smallest forgetting factor', '1', 0.01, 1.0)
+    gate: float = setting(4.0, 'errors beyond this many standard deviations are refused', '1', 1.0, 100.0)
+    gate_floor: float = setting(0.0, 'errors below this are never refused', 'm/s', 0.0, 10.0)
+
+
+class Tuning(NamedTuple):
+    """What the kernel needs to know.
+
+    Attributes:
+        noise: Variance that x gains in a sample period besides what the estimator adds [(m/s)^2].
+        drift: Variance that d0 gains in a sample period [(m/s)^2].
+        load: Variance that b1 gains at a stop without weighing.
+        share: Weight of one error in the agreement.
+        threshold: See settings.
+        scale: See settings.
+        low: Smallest forgetting factor.
+        gate: See settings.
+        gate_floor: See settings [m/s].
+        floor: Prior that forgetting ends at.
+
+    """
+
+    noise: float
+    drift: float
+    load: float
+    share: float
+    threshold: float
+    scale: float
+    low: float
+    gate: float
+    gate_floor: float
+    floor: Floor
+
+
+def learn(numbers: Numbers, y: float, u: float, scale: float, variance: float, tuning: Tuning) -> Learned:
+    """Return (7) in its computable order; ``numbers`` are the moments of [x_a, theta] and the agreement of errors."""
+    noise, drift, _, share, threshold, sigma, low, gate, gate_floor, floor = tuning
+    # x_a = phi' theta(n-1), with its covariance
+    m = predict(numbers[:20], u, scale, noise, drift)  # type: ignore[arg-type]
+    predicted = m[0]
+    eps = y - predicted
+    s = m[5] + variance
+    std = math.sqrt(s)
+    limit = gate * std
+    limit = max(limit, gate_floor)
+    if not -limit <= eps <= limit:
+        return Learned((*m, numbers[20]), predicted, eps, limit, 1.0, s)
+    agreed, lam = agreement(numbers[20], eps / std, share), 1.0
+    # The variance of ``agreed`` is share / (2 - share) if errors are white.
+    chi2 = agreed * agreed * (2.0 - share) / share
+    if chi2 > threshold:
+        lam = forgetting_factor(chi2, threshold, sigma, low)
+        m = forget(m, lam, floor)
+    # theta(n) = theta(n-1) + K eps, x_a(n) = phi' theta(n) and P(n)
+    return Learned((*correct(m, eps, variance), agreed), predicted, eps, limit, lam, s)
+
+
+class AuxiliaryModel:
+    """The kernel with its tuning and prior."""
+
+    def __init__(self, theta0: Theta, P0: Symmetric, tuning: Tuning) -> None:
+        self.tuning = tuning
+        self._theta0, self._P0, self._floor = theta0, P0, prior_floor(P0)
+
+    def start(self, variance: float) -> Numbers:
+        """Return the prior."""
+        return (*moments(0.0, variance, self._theta0, self._P0), 0.0)
+
+    def fits(self, numbers: Numbers) -> bool:
+        """Return whether numbers are as many as a state has, with a covariance."""
+        return len(numbers) == 21 and is_covariance(numbers[5:20])
+
+    def learn(self, numbers: Numbers, y: float, u: float, scale: float, variance: float) -> Learned:
+        """Take in a measurement."""
+        return learn(numbers, y, u, scale, variance, self.tuning)
+
+    def coast(self, numbers: Numbers, u: float, scale: float) -> Numbers:
+        """Move on without a measurement."""
+        tuning = self.tuning
+        return (*predict(numbers[:20], u, scale, tuning.noise, tuning.drift), numbers[20])  # type: ignore[arg-type]
+
+    def anchor(self, numbers: Numbers, y: float, variance: float) -> Numbers:
+        """Start x_a anew from a measurement."""
+        return (*anchor(numbers[:20], y, variance), numbers[20])  # type: ignore[arg-type]
+
+    def shift(self, numbers: Numbers, change: float) -> Numbers:
+        """Change x."""
+        return (numbers[0] + change, *numbers[1:])
+
+    def widen_speed(self, numbers: Numbers, variance: float) -> Numbers:
+        """Widen x."""
+        return (*widen_speed(numbers[:20], variance), numbers[20])  # type: ignore[arg-type]
+
+    def widen_load(self, numbers: Numbers, share: float = 1.0) -> Numbers:
+        """Widen b1."""
+        return (*widen_load(numbers[:20], share * self.tuning.load), numbers[20])  # type: ignore[arg-type]
+
+    def forget(self, numbers: Numbers, factor: float) -> Numbers:
+        """Forget down to the prior."""
+        return (*forget(numbers[:20], factor, self._floor), 0.0)  # type: ignore[arg-type]
+
+    def theta(self, numbers: Numbers) -> Theta:
+        """Return a1, a2, b1, d0."""
+        return numbers[1:5]  # type: ignore[return-value]
+
+    def covariance(self, numbers: Numbers, variance: float) -> Symmetric:  # noqa: ARG002 - P has its units already
+        """Return the covariance of theta."""
+        return numbers[10:20]  # type: ignore[return-value]
+
+
+class AmVffRls(SpeedModelEstimator):
+    """Estimate a1, a2, b1, d0 from aligned samples."""
+
+    def __init__(self, train_file: TrainFile, config: AmVffRlsConfig) -> None:
+        def method(theta0: Theta, P0: Symmetric) -> AuxiliaryModel:
+            return AuxiliaryModel(theta0, P0, _tuning(theta0, P0, config, load_std(train_file, config)))
+
+        super().__init__(train_file, config, method, adaptive=True)
+
+
+def _tuning(theta0: Theta, P0: Symmetric, config: AmVffRlsConfig, load: float) -> Tuning:
+    b1 = theta0[2]
+    return Tuning(
+        noise=0.0,
+        drift=(config.drift * b1) ** 2 * SAMPLE_PERIOD,
+        load=(load * b1) ** 2,
+        share=1.0 / config.memory,
+        threshold=config.threshold,
+        scale=config.forgetting_scale,
+        low=config.min_forgetting,
+        gate=config.gate,
+        gate_floor=config.gate_floor,
+        floor=prior_floor(P0),
+    )

@@ -1,0 +1,187 @@
+# SPDX-License-Identifier: Apache-2.0
+"""RLS, VFF-RLS, AM-RLS and AM-VFF-RLS as Yuan et al. 2017 print them, for comparison.
+
+One recursion, algorithm (7), with two switches: phi of the measured speed (RLS, (5)) or of the auxiliary output
+(AM), and forgetting (VFF, (6)) or lambda = 1. It is computed in the order in which it can be,
+
+    eps(n) = y(n) - phi' theta(n-1),  then lambda, K, theta, P, and x_a(n) = phi' theta(n),
+
+since (7) prints eps and theta, lambda and K as functions of each other. As printed, lambda turns negative when
+eps^2 > sigma (1 + phi' P phi) and the run is lost. Corrections to choose: lambda clamped from below, the auxiliary
+output pulled towards the measurement by ``kappa`` (0: AM as printed, 1: no auxiliary model), a gate. P is the
+covariance over the variance of measured speed, whatever the paper calls it.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
+
+from trainid_ros.core.settings import setting
+from trainid_ros.speed_model.method import Learned, Numbers
+from trainid_ros.speed_model.physical_parameters import SpeedModelConfig, Symmetric, Theta
+from trainid_ros.speed_model.speed_model_estimator import SpeedModelEstimator
+
+if TYPE_CHECKING:
+    from trainid_ros.train.train_file import TrainFile
+
+Recursion: TypeAlias = tuple[
+    float, float, float, float, float,
+    float, float, float, float, float, float, float, float, float, float,
+]  # fmt: skip
+"""x, a1, a2, b1, d0 and the upper triangle of P."""
+
+NO_CLAMP: Final = -1e9
+"""A clamp that no forgetting factor reaches."""
+
+
+@dataclass(frozen=True, slots=True)
+class RlsConfig(SpeedModelConfig):
+    """Settings of the algorithms of the paper and of their corrections."""
+
+    kappa: float = setting(0.0, 'share of the measurement in x of phi: 0 auxiliary model, 1 measured', '1', 0.0, 1.0)
+    forgetting_scale: float = setting(0.0, 'sigma of (6) over the speed variance; 0: no forgetting', '1', 0.0, 1e9)
+    min_forgetting: float = setting(NO_CLAMP, 'smallest forgetting factor (printed: none)', '1', NO_CLAMP, 1.0)
+    gate: float = setting(1e9, 'errors beyond this many standard deviations are refused (printed: none)', '1', 1.0, 1e9)
+    prior_scale: float = setting(1e4, 'P(0) is the prior of the train file times this', '1', 1e-9, 1e12)
+
+
+RLS: Final = RlsConfig(kappa=1.0)
+VFF_RLS: Final = RlsConfig(kappa=1.0, forgetting_scale=250.0)
+AM_RLS: Final = RlsConfig()
+AM_VFF_RLS: Final = RlsConfig(forgetting_scale=75.0)
+
+
+class Tuning(NamedTuple):
+    """What the kernel needs to know: see the settings; ``sigma`` is that of (6) [(m/s)^2], 0 without forgetting."""
+
+    kappa: float
+    sigma: float
+    low: float
+    gate: float
+
+
+def regressor(x: float, u: float, scale: float) -> Theta:
+    """Return phi of (4) for a step of ``scale`` sample periods; with it x(n) = phi' theta + (1 - scale) x(n-1)."""
+    return scale * x * x, scale * x, scale * u, scale
+
+
+def times(S: Symmetric, h: Theta) -> tuple[float, float, float, float, float]:
+    """Return S h and h' S h."""
+    s11, s12, s13, s14, s22, s23, s24, s33, s34, s44 = S
+    h1, h2, h3, h4 = h
+    w1 = s11 * h1 + s12 * h2 + s13 * h3 + s14 * h4
+    w2 = s12 * h1 + s22 * h2 + s23 * h3 + s24 * h4
+    w3 = s13 * h1 + s23 * h2 + s33 * h3 + s34 * h4
+    w4 = s14 * h1 + s24 * h2 + s34 * h3 + s44 * h4
+    return w1, w2, w3, w4, h1 * w1 + h2 * w2 + h3 * w3 + h4 * w4
+
+
+def updated(
+    theta: Theta, P: Symmetric, w: tuple[float, float, float, float, float], eps: float, noise: float, lam: float = 1.0
+) -> tuple[Theta, Symmetric]:
+    """Return theta(n) and P(n) after an error whose noise has the variance ``noise``, over the units of P.
+
+    ``w`` is P phi and phi' P phi. With noise = lam this is (5) and (7). Also for arrays of equal shape.
+    """
+    a1, a2, b1, d0 = theta
+    s11, s12, s13, s14, s22, s23, s24, s33, s34, s44 = P
+    w1, w2, w3, w4, g = w
+    r, wider = 1.0 / (g + noise), 1.0 / lam
+    k1, k2, k3, k4 = w1 * r, w2 * r, w3 * r, w4 * r
+    return (a1 + k1 * eps, a2 + k2 * eps, b1 + k3 * eps, d0 + k4 * eps), (
+        (s11 - k1 * w1) * wider, (s12 - k1 * w2) * wider, (s13 - k1 * w3) * wider, (s14 - k1 * w4) * wider,
+        (s22 - k2 * w2) * wider, (s23 - k2 * w3) * wider, (s24 - k2 * w4) * wider,
+        (s33 - k3 * w3) * wider, (s34 - k3 * w4) * wider, (s44 - k4 * w4) * wider,
+    )  # fmt: skip
+
+
+def output(theta: Theta, phi: Theta) -> float:
+    """Return phi' theta."""
+    return phi[0] * theta[0] + phi[1] * theta[1] + phi[2] * theta[2] + phi[3] * theta[3]
+
+
+def learn(numbers: Numbers, y: float, u: float, scale: float, std: float, tuning: Tuning) -> Learned:
+    """Return one step of (7); ``std`` of measured speed [m/s] sizes the gate alone."""
+    x, theta, P = numbers[0], numbers[1:5], numbers[5:]
+    phi = regressor(x, u, scale)
+    base = (1.0 - scale) * x
+    predicted = output(theta, phi) + base  # type: ignore[arg-type]
+    eps = y - predicted
+    w = times(P, phi)  # type: ignore[arg-type]
+    g = w[4]
+    limit = tuning.gate * std * math.sqrt(1.0 + max(g, 0.0))
+    if not abs(eps) <= limit:
+        return Learned((predicted, *numbers[1:]), predicted, eps, limit, 1.0)
+    lam = 1.0
+    if tuning.sigma > 0.0:
+        lam = max(tuning.low, 1.0 - eps * eps / (tuning.sigma * (1.0 + g)))
+    if lam == 0.0 or g + lam == 0.0:  # as printed, P is then infinite
+        return Learned((math.nan, *numbers[1:]), predicted, eps, limit, lam)
+    theta, P = updated(theta, P, w, eps, lam, lam)  # type: ignore[arg-type]
+    x_a = output(theta, phi) + base
+    return Learned((x_a + tuning.kappa * (y - x_a), *theta, *P), predicted, eps, limit, lam)
+
+
+class Rls:
+    """The kernel with its tuning; P(0) is in units of the variance of measured speed at the start."""
+
+    def __init__(self, theta0: Theta, P0: Symmetric, config: RlsConfig) -> None:
+        self._config = config
+        self._start: Recursion = (0.0, *theta0, *P0)
+        self._tuning = Tuning(config.kappa, 0.0, config.min_forgetting, config.gate)
+
+    def start(self, variance: float) -> Numbers:
+        """Return theta(0) and P(0)."""
+        scale = self._config.prior_scale / variance
+        return (*self._start[:5], *(scale * p for p in self._start[5:]))
+
+    def fits(self, numbers: Numbers) -> bool:
+        """Return whether numbers are as many as a state has."""
+        return len(numbers) == len(self._start)
+
+    def learn(self, numbers: Numbers, y: float, u: float, scale: float, variance: float) -> Learned:
+        """Take in a measurement."""
+        tuning = self._tuning._replace(sigma=self._config.forgetting_scale * variance)
+        return learn(numbers, y, u, scale, math.sqrt(variance), tuning)
+
+    def coast(self, numbers: Numbers, u: float, scale: float) -> Numbers:
+        """Move on without a measurement."""
+        x = output(self.theta(numbers), regressor(numbers[0], u, scale)) + (1.0 - scale) * numbers[0]
+        return (x, *numbers[1:])
+
+    def anchor(self, numbers: Numbers, y: float, variance: float) -> Numbers:  # noqa: ARG002 - x has no variance here
+        """Start x anew from a measurement."""
+        return (y, *numbers[1:])
+
+    def shift(self, numbers: Numbers, change: float) -> Numbers:
+        """Change x."""
+        return (numbers[0] + change, *numbers[1:])
+
+    def widen_speed(self, numbers: Numbers, variance: float) -> Numbers:  # noqa: ARG002 - x has no variance here
+        """Leave all as it is."""
+        return numbers
+
+    def widen_load(self, numbers: Numbers, share: float = 1.0) -> Numbers:  # noqa: ARG002 - the paper knows no stops
+        """Leave P: the paper knows no stops."""
+        return numbers
+
+    def forget(self, numbers: Numbers, factor: float) -> Numbers:  # noqa: ARG002 - it forgets by itself, or not
+        """Leave all as it is."""
+        return numbers
+
+    def theta(self, numbers: Numbers) -> Theta:
+        """Return a1, a2, b1, d0."""
+        return numbers[1:5]  # type: ignore[return-value]
+
+    def covariance(self, numbers: Numbers, variance: float) -> Symmetric:
+        """Return P in the units of theta."""
+        return tuple(variance * p for p in numbers[5:])  # type: ignore[return-value]
+
+
+class PaperRls(SpeedModelEstimator):
+    """Estimate a1, a2, b1, d0 from aligned samples."""
+
+    def __init__(self, train_file: TrainFile, config: RlsConfig) -> None:
+        super().__init__(train_file, config, lambda theta0, P0: Rls(theta0, P0, config))

@@ -1,0 +1,57 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Algorithms that estimate the speed model."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from trainid_ros.core.results import SpeedModelEstimate
+from trainid_ros.estimators.registry import Algorithm, Algorithms
+from trainid_ros.speed_model.am_vff_rls import AmVffRls, AmVffRlsConfig
+from trainid_ros.speed_model.integral_rls import IntegralRlsConfig, SpeedIntegralRls
+from trainid_ros.speed_model.rls import AM_RLS, AM_VFF_RLS, RLS, VFF_RLS, PaperRls, RlsConfig
+from trainid_ros.speed_model.speed_model_ekf import EkfConfig, SpeedEkf
+
+# Methods without a covariance to widen: nothing is refused, the force is on time, no step of load or resistance.
+_NOT_ADAPTIVE: Final = frozenset({'readmit_after', 'force_skew', 'load_std', 'weighing_std', 'change_threshold'})
+_PRINTED: Final = _NOT_ADAPTIVE | {'gate', 'acceleration_noise'}
+_UNFORGETTING: Final = frozenset({'forgetting_scale', 'min_forgetting'})
+
+
+def _paper(
+    name: str, summary: str, config: RlsConfig, fixed: frozenset[str] = frozenset()
+) -> Algorithm[SpeedModelEstimate]:
+    return Algorithm(
+        name,
+        f'{summary}; for comparison',
+        config,
+        lambda train_file, config, _: PaperRls(train_file, config),
+        _PRINTED | fixed,
+    )
+
+
+SPEED_MODEL: Final = Algorithms[SpeedModelEstimate](
+    Algorithm(
+        'AM-VFF-RLS',
+        'recursive least squares with auxiliary model and variable forgetting; the default',
+        AmVffRlsConfig(),
+        lambda train_file, config, _: AmVffRls(train_file, config),
+    ),
+    Algorithm(
+        'EKF',
+        'extended Kalman filter on speed and parameters; for parameters that drift slowly and never jump',
+        EkfConfig(),
+        lambda train_file, config, _: SpeedEkf(train_file, config),
+    ),
+    Algorithm(
+        'integral-RLS',
+        'recursive least squares on the change of speed over 5 s; the simplest that is not misled by noise',
+        IntegralRlsConfig(),
+        lambda train_file, config, _: SpeedIntegralRls(train_file, config),
+        _NOT_ADAPTIVE,
+    ),
+    _paper('RLS', 'recursive least squares on measured speed, Yuan et al. (5)', RLS, _UNFORGETTING),
+    _paper('VFF-RLS', 'with variable forgetting, (6)', VFF_RLS),
+    _paper('AM-RLS', 'with auxiliary model instead', AM_RLS, _UNFORGETTING),
+    _paper('AM-VFF-RLS-printed', 'with both as printed, (7)', AM_VFF_RLS),
+)

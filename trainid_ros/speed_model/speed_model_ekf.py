@@ -1,0 +1,51 @@
+# SPDX-License-Identifier: Apache-2.0
+"""EKF: extended Kalman filter on [x, theta], the standard that AM-VFF-RLS is measured by.
+
+The state is theta and the true speed; d0 walks at random, b1 changes at stops only, and nothing else is forgotten.
+It is the kernel of AM-VFF-RLS with lambda = 1: both carry the same covariance.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+from trainid_ros.core.samples import SAMPLE_PERIOD
+from trainid_ros.core.settings import setting
+from trainid_ros.speed_model.am_vff_rls import AuxiliaryModel, Tuning
+from trainid_ros.speed_model.physical_parameters import SpeedModelConfig, Symmetric, Theta
+from trainid_ros.speed_model.speed_model_estimator import SpeedModelEstimator, load_std
+
+if TYPE_CHECKING:
+    from trainid_ros.train.train_file import TrainFile
+
+# Never used, for nothing is forgotten.
+_NO_FLOOR: Final = (1.0, 1.0, 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class EkfConfig(SpeedModelConfig):
+    """Settings of the EKF."""
+
+    drift: float = setting(0.004, 'drift of the Davis a in 1 s (0.2 if no gradient is known)', 'N/kN', 0.0, 10.0)
+    change_threshold: float = setting(1e3, 'chi-square of a change that is forgotten into (1000: none)', '1', 1.0, 1e3)
+    gate: float = setting(4.0, 'errors beyond this many standard deviations are refused', '1', 1.0, 100.0)
+    gate_floor: float = setting(0.0, 'errors below this are never refused', 'm/s', 0.0, 10.0)
+
+
+def ekf_tuning(noise: float, drift: float, load: float, gate: float, gate_floor: float = 0.0) -> Tuning:
+    """Return the tuning with which the kernel of AM-VFF-RLS is the EKF: variances per sample period and stop."""
+    return Tuning(noise, drift, load, 1.0, math.inf, 1.0, 1.0, gate, gate_floor, _NO_FLOOR)
+
+
+class SpeedEkf(SpeedModelEstimator):
+    """Estimate a1, a2, b1, d0 from aligned samples."""
+
+    def __init__(self, train_file: TrainFile, config: EkfConfig) -> None:
+        def method(theta0: Theta, P0: Symmetric) -> AuxiliaryModel:
+            b1 = theta0[2]
+            drift, load = (config.drift * b1) ** 2 * SAMPLE_PERIOD, (load_std(train_file, config) * b1) ** 2
+            return AuxiliaryModel(theta0, P0, ekf_tuning(0.0, drift, load, config.gate, config.gate_floor))
+
+        super().__init__(train_file, config, method, adaptive=True)

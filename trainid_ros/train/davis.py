@@ -1,0 +1,54 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The specific balance of a train, in newtons per kilonewton of its weight.
+
+``1000 F / (M g) = w(v) + i + w_extra + 1000 (1 + gamma) (dv/dt) / g`` with the Davis resistance
+``w(v) = a + b v + c v^2`` [N/kN, v in m/s], the gradient i [per mille, + uphill] and gamma the share of
+the rotating masses.
+"""
+
+from __future__ import annotations
+
+from typing import Final, TypeVar
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trainid_ros.train.train_file import Davis
+
+G: Final = 9.80665
+"""Standard gravity [m/s^2] (CODATA), used throughout the project."""
+
+Value = TypeVar('Value', float, NDArray[np.float64])
+
+
+def davis(resistance: Davis, v: Value) -> Value:
+    """Return the running resistance [N/kN] at a speed [m/s]."""
+    return resistance.a + v * (resistance.b + resistance.c * v)
+
+
+def specific_force(force: Value, mass: float) -> Value:
+    """Return ``1000 F / (M g)`` [N/kN] of a force [N] on a mass [kg]."""
+    return force * (1000.0 / (mass * G))
+
+
+def specific_inertia(acceleration: Value, rotary_mass: float) -> Value:
+    """Return ``1000 (1 + gamma) a / g`` [N/kN] of an acceleration [m/s^2]."""
+    return acceleration * (1000.0 * (1.0 + rotary_mass) / G)
+
+
+def acceleration(force: Value, mass: float, rotary_mass: float, resistance: Value) -> Value:
+    """Return the acceleration [m/s^2] under a force [N] against all resistances together [N/kN].
+
+    ``resistance`` is the sum w(v) + i + w_extra.
+    """
+    return (specific_force(force, mass) - resistance) * (G / (1000.0 * (1.0 + rotary_mass)))
+
+
+def required_force(acceleration: Value, mass: float, rotary_mass: float, resistance: Value) -> Value:
+    """Return the force [N] that gives an acceleration [m/s^2]; the inverse of :func:`acceleration`."""
+    return (specific_inertia(acceleration, rotary_mass) + resistance) * (mass * G / 1000.0)
+
+
+def observed_resistance(force: Value, mass: float, rotary_mass: float, acceleration: Value) -> Value:
+    """Return all resistances together [N/kN] that a force [N] and an acceleration [m/s^2] imply."""
+    return specific_force(force, mass) - specific_inertia(acceleration, rotary_mass)

@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Effects as a command line writes them: ``NAME:key=value`` or ``NAME:key=value,key=value``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from trainid_ros.core.errors import InputError
+from trainid_ros.train.effects import check_effects
+from trainid_ros.train.train_file import Effect
+
+
+def parse_effects(texts: Iterable[str]) -> tuple[Effect, ...]:
+    """Return the effects that texts name, checked.
+
+    Texts with the same name complete one effect until a key comes again, which starts another one.
+
+    Raises:
+        InputError: A text has another form, or an effect or a parameter is not known or out of range.
+
+    """
+    found: list[tuple[str, dict[str, float]]] = []
+    for text in texts:
+        name, colon, rest = text.partition(':')
+        if not (name and colon and rest):
+            msg = f'effect {text!r} must have the form NAME:key=value'
+            raise InputError(msg)
+        for assignment in rest.split(','):
+            key, value = _assignment(text, assignment)
+            if not (found and found[-1][0] == name and key not in found[-1][1]):
+                found.append((name, {}))
+            found[-1][1][key] = value
+    effects = tuple(Effect(name, tuple(values.items()), (), 'command line') for name, values in found)
+    check_effects(effects)
+    return effects
+
+
+def _assignment(text: str, assignment: str) -> tuple[str, float]:
+    key, equals, value = assignment.partition('=')
+    if not (key and equals):
+        msg = f'effect {text!r} must have the form NAME:key=value'
+        raise InputError(msg)
+    try:
+        return key.strip(), float(value)
+    except ValueError:
+        msg = f'effect {text!r}: {key} = {value!r} is not a number'
+        raise InputError(msg) from None

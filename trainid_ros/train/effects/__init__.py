@@ -1,0 +1,50 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Effects beyond Davis and gradient, each one module: physical name, equation, parameters, twins.
+
+Every effect is expressed as an *equivalent extra resistance* in the specific balance with the believed mass,
+``T + B = w(v) + i + w_extra + 1000 (1 + gamma) (dv/dt) / g``: T is the reported traction and B the believed brake.
+Simulator, live estimators and workflow evaluate this one function.
+
+A new effect is one file that defines ``EFFECT``: in ``library`` here, or in a folder named by TRAINID_EFFECTS.
+"""
+
+from __future__ import annotations
+
+from trainid_ros.train.effects.kind import EffectKind, Parameter, Parameters, Resistance, Twin
+from trainid_ros.train.effects.point import (
+    BRAKE_APPLIED,
+    COOLING_S,
+    TrackPoint,
+    heat_after,
+    share_inside,
+)
+from trainid_ros.train.effects.registry import EFFECTS, FOLDERS_VARIABLE
+from trainid_ros.train.effects.use import (
+    Term,
+    check_effects,
+    effect_value,
+    extra_resistance,
+    resistance_terms,
+)
+from trainid_ros.train.train_file import Davis
+
+__all__ = [
+    'BRAKE_APPLIED',
+    'COOLING_S',
+    'EFFECTS',
+    'FOLDERS_VARIABLE',
+    'Davis',
+    'EffectKind',
+    'Parameter',
+    'Parameters',
+    'Resistance',
+    'Term',
+    'TrackPoint',
+    'Twin',
+    'check_effects',
+    'effect_value',
+    'extra_resistance',
+    'heat_after',
+    'resistance_terms',
+    'share_inside',
+]

@@ -1,0 +1,31 @@
+# SPDX-License-Identifier: Apache-2.0
+"""From a time on everything runs harder, or more easily."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from trainid_ros.train.effects.kind import EffectKind, Parameter, Parameters, Twin
+from trainid_ros.train.effects.point import TrackPoint
+from trainid_ros.train.train_file import Davis
+
+
+def resistance(p: Parameters, _: Davis, at: TrackPoint) -> float:
+    """Return ``a`` [N/kN] from ``time`` [s since the start] on."""
+    return p['a'] if at.time_s >= p['time'] else 0.0
+
+
+EFFECT: Final = EffectKind(
+    name='resistance_step',
+    title='resistance that has changed at some time',
+    equation='w = a from time on',
+    parameters={'time': Parameter('s', 0.0, 1e9), 'a': Parameter('N/kN', -1000.0, 1000.0)},
+    amplitude='a',
+    usual=0.6,
+    resistance=resistance,
+    needs='runs over the same line before and after',
+    twins=(
+        Twin('bearing_warmup', 'a record from the start of the day: warming wears off with the distance'),
+        Twin('headwind', 'runs in both directions before and after'),
+    ),
+)

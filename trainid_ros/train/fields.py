@@ -1,0 +1,203 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Strict reading of a YAML document: every error is one line with file, dotted field and value."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Final, NoReturn
+
+from trainid_ros.core.errors import InputError
+
+_LONGEST_VALUE: Final = 60
+
+
+def shown(value: object) -> str:
+    """Return a value as it is best shown in an error message: short and on one line."""
+    if isinstance(value, float):
+        return f'{value:g}'
+    text = ' '.join(repr(value).split())
+    return text if len(text) <= _LONGEST_VALUE else text[: _LONGEST_VALUE - 3] + '...'
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """Return the hint that follows an unknown word: the nearest known one, or all of them."""
+    choices = sorted(known)
+    if near := difflib.get_close_matches(word, choices, n=1):
+        return f'did you mean {near[0]!r}?'
+    return f'known: {", ".join(choices)}'
+
+
+@dataclass(frozen=True, slots=True)
+class Section:
+    """A mapping of a YAML document, with the file and the dotted path that errors name."""
+
+    source: str
+    path: str
+    data: Mapping[str, object]
+
+    def name(self, key: str) -> str:
+        """Return the dotted name of a field of this section."""
+        return f'{self.path}.{key}' if self.path else key
+
+    def fail(self, key: str, problem: str) -> NoReturn:
+        """Raise InputError that says what is wrong with a field."""
+        msg = f'{self.source}: {self.name(key)} {problem}'
+        raise InputError(msg)
+
+    def only(self, known: Iterable[str]) -> Section:
+        """Return this section after refusing keys that are not known.
+
+        Raises:
+            InputError: A key is unknown.
+
+        """
+        allowed = set(known)
+        for key in self.data:
+            if key not in allowed:
+                self.fail(key, f'is not a known field; {did_you_mean(key, allowed)}')
+        return self
+
+    def section(self, key: str, *, required: bool = False) -> Section:
+        """Return a nested mapping, empty if it is not given and not required."""
+        value = self.data.get(key)
+        if value is None:
+            if required:
+                self.fail(key, 'is missing')
+            value = {}
+        return as_section(self.source, self.name(key), value)
+
+    def number(
+        self,
+        key: str,
+        unit: str,
+        default: float | None = None,
+        *,
+        low: float = -math.inf,
+        above: float = -math.inf,
+        high: float = math.inf,
+    ) -> float:
+        """Return a finite number with ``low <= x <= high`` and ``x > above``.
+
+        Raises:
+            InputError: It is missing without a default, not a number, not finite or out of range.
+
+        """
+        if key not in self.data:
+            if default is None:
+                self.fail(key, 'is missing')
+            return default
+        value = finite_number(self.source, self.name(key), self.data[key], unit)
+        if value <= above:
+            self.fail(key, _breaks(value, unit, f'> {above:g}'))
+        if value < low:
+            self.fail(key, _breaks(value, unit, f'>= {low:g}'))
+        if value > high:
+            self.fail(key, _breaks(value, unit, f'<= {high:g}'))
+        return value
+
+    def integer(self, key: str, default: int, *, low: int) -> int:
+        """Return a whole number that is at least ``low``."""
+        value = self.data.get(key, default)
+        if isinstance(value, bool) or not isinstance(value, int):
+            self.fail(key, f'= {shown(value)} must be a whole number')
+        if value < low:
+            self.fail(key, f'= {value} must be >= {low}')
+        return value
+
+    def text(self, key: str, default: str | None = None) -> str:
+        """Return a text."""
+        if key not in self.data and default is not None:
+            return default
+        value = self.data.get(key)
+        if not isinstance(value, str):
+            self.fail(key, f'= {shown(value)} must be a text' if key in self.data else 'is missing')
+        return value
+
+    def items(self, key: str) -> tuple[object, ...]:
+        """Return a list, empty if it is not given."""
+        value = self.data.get(key)
+        if value is None:
+            return ()
+        if not isinstance(value, list):
+            self.fail(key, f'= {shown(value)} must be a list')
+        return tuple(value)
+
+    def numbers(self, key: str, unit: str) -> tuple[float, ...]:
+        """Return a list of finite numbers."""
+        items = enumerate(self.items(key))
+        return tuple(finite_number(self.source, f'{self.name(key)}[{i}]', item, unit) for i, item in items)
+
+    def rows(self, key: str, units: tuple[str, ...]) -> tuple[tuple[float, ...], ...]:
+        """Return a list of rows with one finite number for each unit."""
+        out = []
+        for i, item in enumerate(self.items(key)):
+            name = f'{self.name(key)}[{i}]'
+            if not isinstance(item, list) or len(item) != len(units):
+                msg = f'{self.source}: {name} = {shown(item)} must be [{", ".join(units)}]'
+                raise InputError(msg)
+            cells = enumerate(zip(item, units, strict=True))
+            out.append(tuple(finite_number(self.source, f'{name}[{j}]', x, unit) for j, (x, unit) in cells))
+        return tuple(out)
+
+
+def finite_number(source: str, name: str, value: object, unit: str) -> float:
+    """Return a value as a float.
+
+    Raises:
+        InputError: It is not a number (a truth value is none) or not finite.
+
+    """
+    if isinstance(value, bool) or not isinstance(value, (int, float)):
+        msg = f'{source}: {name} = {shown(value)} must be a number{_in_unit(unit)}'
+        raise InputError(msg)
+    try:
+        number = float(value)
+    except OverflowError:
+        number = math.inf
+    if not math.isfinite(number):
+        msg = f'{source}: {name} = {number:g} must be finite'
+        raise InputError(msg)
+    return number
+
+
+def as_section(source: str, path: str, value: object) -> Section:
+    """Return a value as a section.
+
+    Raises:
+        InputError: It is not a mapping whose keys are texts.
+
+    """
+    where = f'{source}: {path}' if path else source
+    if not isinstance(value, dict):
+        msg = f'{where} = {shown(value)} must be a mapping of fields'
+        raise InputError(msg)
+    for key in value:
+        if not isinstance(key, str):
+            msg = f'{where} has the key {shown(key)}, which is no field name'
+            raise InputError(msg)
+    return Section(source, path, value)
+
+
+def parse_yaml(text: str, source: str) -> Section:
+    """Return the top mapping of a YAML text.
+
+    Raises:
+        InputError: The text is not YAML, a key is given twice, or the top is not a mapping.
+
+    """
+    # Only who reads a file pays for loading the reader.
+    from trainid_ros.train.strict_yaml import load  # noqa: PLC0415
+
+    return as_section(source, '', load(text, source))
+
+
+def _breaks(value: float, unit: str, rule: str) -> str:
+    shown_unit = f' {unit}' if unit else ''
+    return f'= {value:g}{shown_unit} must be {rule}'
+
+
+def _in_unit(unit: str) -> str:
+    return f' in {unit}' if unit else ''

@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The line as a train of some length feels it.
+
+Positions are those of the train's front. Its rear lies one length behind: at ``position - length`` while
+positions rise (direction +1), at ``position + length`` while they fall (-1). Values of the train file
+hold from their position on; the first one also holds before it.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_left, bisect_right
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trainid_ros.core.errors import InputError
+from trainid_ros.train.train_file import Line, Pairs
+
+SAME_STOP_M = 5.0
+"""A stop nearer than this is the one the train stands at, not the next one."""
+
+
+class LineProfile:
+    """Gradient, curve, tunnel and speed limit under a train, fast for one position at a time."""
+
+    def __init__(self, line: Line, train_length: float) -> None:
+        """Prepare the line for a train.
+
+        Args:
+            line: Line of a train file.
+            train_length: Length of the train [m, > 0].
+
+        Raises:
+            InputError: The length is not positive.
+
+        """
+        if not train_length > 0.0:
+            msg = f'train length = {train_length:g} m must be > 0'
+            raise InputError(msg)
+        self.line = line
+        self.length = train_length
+        self._gradient = _Steps(line.gradient)
+        self._curvature = _Steps(tuple((x, 1.0 / r if r > 0.0 else 0.0) for x, r in line.curve))
+        edges = tuple((x, inside) for start, end in line.tunnel for x, inside in ((start, 1.0), (end, 0.0)))
+        self._tunnel = _Steps(((edges[0][0] - 1.0, 0.0), *_merge(edges)) if edges else ())
+        self._limit_from = [x for x, _ in line.speed_limit]
+        self._limit = [v for _, v in line.speed_limit]
+
+    def gradient(self, position: float, direction: int) -> float:
+        """Return the gradient the train feels [per mille, + uphill in its direction].
+
+        It is the height gained from rear to front over the length: exact for a gradient that changes
+        under the train, in either direction.
+        """
+        rear = position - direction * self.length
+        return (self._gradient.integral(position) - self._gradient.integral(rear)) / self.length
+
+    def gradients(self, positions: NDArray[np.float64], direction: int) -> NDArray[np.float64]:
+        """Return :meth:`gradient` at many positions, shape (n,)."""
+        rear = positions - direction * self.length
+        return (self._gradient.integrals(positions) - self._gradient.integrals(rear)) / self.length
+
+    def curve_radius(self, position: float, direction: int) -> float:
+        """Return the radius of the mean curvature under the train [m]; 0 = straight."""
+        if self._curvature.always_zero:
+            return 0.0
+        curvature = self._mean(self._curvature, position, direction)
+        return 1.0 / curvature if curvature > 0.0 else 0.0
+
+    def tunnel(self, position: float, direction: int) -> bool:
+        """Return True while at least half of the train is in a tunnel."""
+        if self._tunnel.always_zero:
+            return False
+        return self._mean(self._tunnel, position, direction) >= 0.5
+
+    def speed_limit(self, position: float, direction: int) -> float:
+        """Return the lowest speed limit under the train [m/s], infinite where none is given."""
+        if not self._limit:
+            return math.inf
+        rear = position - direction * self.length
+        first = max(0, bisect_right(self._limit_from, min(position, rear)) - 1)
+        last = bisect_left(self._limit_from, max(position, rear))
+        return min(self._limit[first : max(last, first + 1)])
+
+    def limits_ahead(self, position: float, direction: int, distance: float) -> Pairs:
+        """Return the speed limits that begin within a distance ahead: (distance [m], limit [m/s])."""
+        starts, limits = self._limit_from, self._limit
+        out = []
+        if direction > 0:
+            for i in range(bisect_right(starts, position), len(starts)):
+                if starts[i] - position > distance:
+                    break
+                out.append((starts[i] - position, limits[i]))
+        else:
+            for i in range(bisect_left(starts, position) - 1, 0, -1):
+                if position - starts[i] > distance:
+                    break
+                out.append((position - starts[i], limits[i - 1]))
+        return tuple(out)
+
+    def next_stop(self, position: float, direction: int) -> float | None:
+        """Return the next stop ahead [m], None beyond the last one."""
+        stops = self.line.stops
+        if direction > 0:
+            i = bisect_right(stops, position + SAME_STOP_M)
+            return stops[i] if i < len(stops) else None
+        i = bisect_left(stops, position - SAME_STOP_M) - 1
+        return stops[i] if i >= 0 else None
+
+    def _mean(self, steps: _Steps, position: float, direction: int) -> float:
+        rear = position - direction * self.length
+        return abs(steps.integral(position) - steps.integral(rear)) / self.length
+
+
+class _Steps:
+    """A piecewise-constant function with its integral; the first and the last value go on outside."""
+
+    def __init__(self, pairs: Pairs) -> None:
+        knots = pairs or ((0.0, 0.0),)
+        self._x = [x for x, _ in knots]
+        self._value = [value for _, value in knots]
+        self._sum = [0.0]
+        for (x, value), (following, _) in pairwise(knots):
+            self._sum.append(self._sum[-1] + value * (following - x))
+        self.always_zero = not any(self._value)
+
+    def integral(self, x: float) -> float:
+        """Return the integral from the first knot to x."""
+        i = max(0, bisect_right(self._x, x) - 1)
+        return self._sum[i] + self._value[i] * (x - self._x[i])
+
+    def integrals(self, x: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Return :meth:`integral` at many points, shape (n,)."""
+        knots = np.array(self._x)
+        i = np.maximum(0, np.searchsorted(knots, x, side='right') - 1)
+        result: NDArray[np.float64] = np.array(self._sum)[i] + np.array(self._value)[i] * (x - knots[i])
+        return result
+
+
+def _merge(edges: Pairs) -> Pairs:
+    """Join tunnels that touch: of two edges at one position the later one holds."""
+    return tuple(dict(edges).items())

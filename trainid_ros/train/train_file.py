@@ -1,0 +1,354 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The train file: what the engineer believes about train, resistance, brake and line.
+
+One YAML file is read by the node parameters, the simulator and the workflow. Units are SI, specific
+resistance is in N/kN with v in m/s, gradients in per mille of rising position.
+"""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from dataclasses import dataclass, field, fields
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+from trainid_ros.core.errors import InputError
+from trainid_ros.train.fields import Section, as_section, finite_number, parse_yaml, shown
+
+Pairs = tuple[tuple[float, float], ...]
+NamedValues = tuple[tuple[str, float], ...]
+
+# A brake rate beyond is a mistake of units.
+_LEAST_RATE, _MOST_RATE = 0.01, 10.0
+
+
+@dataclass(frozen=True, slots=True)
+class Train:
+    """The vehicle; only its mass has no default.
+
+    Attributes:
+        mass: Mass with its usual load [kg].
+        rotary_mass: Rotating masses as a share of the mass (gamma).
+        length: Length over couplers [m].
+        cars: Number of cars.
+        max_traction_force: Greatest tractive force at the wheel rim [N].
+        max_traction_power: Greatest tractive power at the wheel rim [W].
+        max_speed: Greatest speed of the train [m/s].
+        mass_std: Standard deviation of the relative error of the mass, weighed or not.
+        force_std: Standard deviation of the relative error of the reported force.
+
+    """
+
+    mass: float
+    rotary_mass: float = 0.08
+    length: float = 118.0
+    cars: int = 6
+    max_traction_force: float = 310e3
+    max_traction_power: float = 3.1e6
+    max_speed: float = 80.0 / 3.6
+    mass_std: float = 0.03
+    force_std: float = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Davis:
+    """Running resistance ``w(v) = a + b v + c v^2`` [N/kN], v in m/s."""
+
+    a: float
+    b: float
+    c: float
+
+
+@dataclass(frozen=True, slots=True)
+class Brake:
+    """Brake actuator: actual over commanded acceleration, after a dead time and a first-order lag.
+
+    Attributes:
+        rate: Brake rate (1 = nominal); beside a table the factor on it.
+        time_constant: Lag [s].
+        delay: Dead time [s].
+        rate_table: Speed [m/s] and brake rate, speeds rise; empty: the rate is the same at all speeds.
+        timing_std: Standard deviation of the relative error of dead time and lag.
+
+    """
+
+    rate: float = 1.0
+    time_constant: float = 0.4
+    delay: float = 0.6
+    rate_table: Pairs = ()
+    timing_std: float = 0.12
+
+    def shape_at(self, speed: float) -> float:
+        """Return the table's value at a speed [m/s]: linear between, constant beyond its ends; 1 without a table."""
+        table = self.rate_table
+        if not table:
+            return 1.0
+        above = bisect_right(table, speed, key=_first)
+        if above == 0:
+            return table[0][1]
+        if above == len(table):
+            return table[-1][1]
+        (low, before), (high, after) = table[above - 1], table[above]
+        return before + (after - before) * (speed - low) / (high - low)
+
+    def rate_at(self, speed: float) -> float:
+        """Return the brake rate at a speed [m/s]."""
+        return self.rate * self.shape_at(speed)
+
+
+@dataclass(frozen=True, slots=True)
+class Line:
+    """The line by position [m]; each pair holds from its position on, positions rise.
+
+    Attributes:
+        stops: Stopping points of the train's front, in rising order.
+        gradient: Position and gradient [per mille in rising position].
+        curve: Position and radius [m], 0 = straight.
+        tunnel: Start and end of each tunnel.
+        speed_limit: Position and limit [m/s].
+        gradient_std: Standard deviation of the error of the gradients [per mille].
+
+    """
+
+    stops: tuple[float, ...] = ()
+    gradient: Pairs = ()
+    curve: Pairs = ()
+    tunnel: Pairs = ()
+    speed_limit: Pairs = ()
+    gradient_std: float = 0.2
+
+
+@dataclass(frozen=True, slots=True)
+class Effect:
+    """An effect the workflow has added: its parameters, their standard errors and where they come from."""
+
+    name: str
+    parameters: NamedValues = ()
+    std: NamedValues = ()
+    provenance: str = ''
+
+
+@dataclass(frozen=True, slots=True)
+class TrainFile:
+    """All of a train file."""
+
+    train: Train
+    resistance: Davis
+    brake: Brake = field(default_factory=Brake)
+    line: Line = field(default_factory=Line)
+    effects: tuple[Effect, ...] = ()
+
+
+def load_train_file(path: str | Path) -> TrainFile:
+    """Read a train file.
+
+    Raises:
+        InputError: The file cannot be read or a field cannot be used; one line names both.
+
+    """
+    try:
+        text = Path(path).read_text(encoding='utf-8')
+    except OSError as error:
+        msg = f'{path}: cannot be read: {error.strerror or error}'
+        raise InputError(msg) from error
+    except UnicodeDecodeError as error:
+        msg = f'{path}: is not UTF-8 text (byte {error.start})'
+        raise InputError(msg) from error
+    return parse_train_file(text, str(path))
+
+
+def parse_train_file(text: str, source: str) -> TrainFile:
+    """Read a train file from its text; ``source`` is the name that errors show.
+
+    Raises:
+        InputError: A field cannot be used.
+
+    """
+    top = parse_yaml(text, source).only(_names(TrainFile))
+    return TrainFile(
+        train=_train(top.section('train', required=True)),
+        resistance=_davis(top.section('resistance', required=True)),
+        brake=_brake(top.section('brake')),
+        line=_line(top.section('line')),
+        effects=_effects(top),
+    )
+
+
+def dump_train_file(train_file: TrainFile) -> str:
+    """Return a train file as YAML text that reads back as exactly the same values."""
+    line = train_file.line
+    document = {
+        'train': _plain(train_file.train),
+        'resistance': _plain(train_file.resistance),
+        'brake': _plain_brake(train_file.brake),
+        'line': {
+            'stops': [float(stop) for stop in line.stops],
+            'gradient': _lists(line.gradient),
+            'curve': _lists(line.curve),
+            'tunnel': _lists(line.tunnel),
+            'speed_limit': _lists(line.speed_limit),
+            'gradient_std': float(line.gradient_std),
+        },
+        'effects': [_plain_effect(effect) for effect in train_file.effects],
+    }
+    import yaml  # noqa: PLC0415 (slow to load)
+
+    return yaml.safe_dump(document, sort_keys=False, default_flow_style=None, width=100, allow_unicode=True)
+
+
+def _train(section: Section) -> Train:
+    section.only(_names(Train))
+    default = Train(mass=1.0)
+    return Train(
+        mass=section.number('mass', 'kg', above=0.0),
+        rotary_mass=section.number('rotary_mass', '', default.rotary_mass, low=0.0, high=1.0),
+        length=section.number('length', 'm', default.length, above=0.0),
+        cars=section.integer('cars', default.cars, low=1),
+        max_traction_force=section.number('max_traction_force', 'N', default.max_traction_force, above=0.0),
+        max_traction_power=section.number('max_traction_power', 'W', default.max_traction_power, above=0.0),
+        max_speed=section.number('max_speed', 'm/s', default.max_speed, above=0.0),
+        mass_std=section.number('mass_std', '', default.mass_std, low=0.0, high=0.5),
+        force_std=section.number('force_std', '', default.force_std, low=0.0, high=0.5),
+    )
+
+
+def _davis(section: Section) -> Davis:
+    # b alone may be negative: published fits of real stock have it, and w(v) stays positive.
+    section.only(_names(Davis))
+    return Davis(
+        a=section.number('a', 'N/kN', low=0.0),
+        b=section.number('b', 'N/kN/(m/s)'),
+        c=section.number('c', 'N/kN/(m/s)^2', low=0.0),
+    )
+
+
+def _brake(section: Section) -> Brake:
+    section.only(('rate', 'time_constant', 'delay', 'timing_std'))
+    default = Brake()
+    table = _rate_table(section) if isinstance(section.data.get('rate'), list) else ()
+    return Brake(
+        rate=default.rate if table else section.number('rate', '', default.rate, low=_LEAST_RATE, high=_MOST_RATE),
+        time_constant=section.number('time_constant', 's', default.time_constant, low=0.0),
+        delay=section.number('delay', 's', default.delay, low=0.0),
+        rate_table=table,
+        timing_std=section.number('timing_std', '', default.timing_std, low=0.0, high=1.0),
+    )
+
+
+def _rate_table(section: Section) -> Pairs:
+    rows = section.rows('rate', ('speed m/s', 'rate'))
+    if not rows:
+        section.fail('rate', '= [] must be a number or have a row')
+    for i, (speed, rate) in enumerate(rows):
+        if speed < 0.0:
+            section.fail(f'rate[{i}][0]', f'= {speed:g} m/s must be >= 0')
+        if not _LEAST_RATE <= rate <= _MOST_RATE:
+            section.fail(f'rate[{i}][1]', f'= {rate:g} is outside [{_LEAST_RATE:g}, {_MOST_RATE:g}]')
+    for i, ((before, _), (after, _)) in enumerate(pairwise(rows)):
+        if after <= before:
+            section.fail(f'rate[{i + 1}][0]', f'= {after:g} m/s must be above {before:g} m/s: speeds rise')
+    return tuple((speed, rate) for speed, rate in rows)
+
+
+def _line(section: Section) -> Line:
+    section.only(_names(Line))
+    stops = section.numbers('stops', 'm')
+    _check_rising(section, 'stops', stops)
+    return Line(
+        stops=stops,
+        gradient=_profile(section, 'gradient', 'per mille', low=-math.inf),
+        curve=_profile(section, 'curve', 'm radius', low=0.0),
+        tunnel=_tunnels(section),
+        speed_limit=_profile(section, 'speed_limit', 'm/s', low=0.0),
+        gradient_std=section.number('gradient_std', 'per mille', Line().gradient_std, low=0.0, high=50.0),
+    )
+
+
+def _profile(section: Section, key: str, unit: str, low: float) -> Pairs:
+    rows = section.rows(key, ('m', unit))
+    _check_rising(section, key, tuple(row[0] for row in rows))
+    for i, (_, value) in enumerate(rows):
+        if value < low or (key == 'speed_limit' and value == 0.0):
+            rule = '> 0' if key == 'speed_limit' else f'>= {low:g}'
+            section.fail(f'{key}[{i}][1]', f'= {value:g} {unit} must be {rule}')
+    return tuple((position, value) for position, value in rows)
+
+
+def _tunnels(section: Section) -> Pairs:
+    rows = section.rows('tunnel', ('start m', 'end m'))
+    for i, (start, end) in enumerate(rows):
+        if end <= start:
+            section.fail(f'tunnel[{i}]', f'= [{start:g}, {end:g}] m must end after its start')
+    for i, ((_, end), (start, _)) in enumerate(pairwise(rows)):
+        if start < end:
+            section.fail(f'tunnel[{i + 1}][0]', f'= {start:g} m lies before the last end, {end:g} m')
+    return tuple((start, end) for start, end in rows)
+
+
+def _check_rising(section: Section, key: str, positions: tuple[float, ...]) -> None:
+    for i, (before, after) in enumerate(pairwise(positions)):
+        if after <= before:
+            problem = f'= {after:g} m must lie after {before:g} m: positions rise'
+            section.fail(f'{key}[{i + 1}]', problem)
+
+
+def _effects(top: Section) -> tuple[Effect, ...]:
+    items = enumerate(top.items('effects'))
+    return tuple(_effect(as_section(top.source, f'effects[{i}]', item)) for i, item in items)
+
+
+def _effect(section: Section) -> Effect:
+    section.only(_names(Effect))
+    name = section.text('name')
+    if not name:
+        section.fail('name', f'= {shown(name)} must not be empty')
+    std = _named_values(section, 'std')
+    parameters = _named_values(section, 'parameters')
+    for key, value in std:
+        if value < 0.0:
+            section.fail(f'std.{key}', f'= {value:g} must be >= 0')
+        if key not in dict(parameters):
+            section.fail(f'std.{key}', 'is the std of no parameter')
+    return Effect(name, parameters, std, section.text('provenance', ''))
+
+
+def _named_values(section: Section, key: str) -> NamedValues:
+    inner = section.section(key)
+    return tuple((k, finite_number(inner.source, inner.name(k), v, '')) for k, v in inner.data.items())
+
+
+def _names(kind: type[Any]) -> tuple[str, ...]:
+    return tuple(item.name for item in fields(kind))
+
+
+def _plain_brake(brake: Brake) -> dict[str, object]:
+    rate = [[float(speed), brake.rate * rate] for speed, rate in brake.rate_table] or float(brake.rate)
+    times = {'time_constant': float(brake.time_constant), 'delay': float(brake.delay)}
+    return {'rate': rate, **times, 'timing_std': float(brake.timing_std)}
+
+
+def _first(row: tuple[float, float]) -> float:
+    return row[0]
+
+
+def _plain(value: Train | Davis) -> dict[str, float]:
+    out: dict[str, float] = {}
+    for item in fields(value):
+        number = getattr(value, item.name)
+        out[item.name] = number if isinstance(number, int) else float(number)
+    return out
+
+
+def _plain_effect(effect: Effect) -> dict[str, object]:
+    return {
+        'name': effect.name,
+        'parameters': {key: float(value) for key, value in effect.parameters},
+        'std': {key: float(value) for key, value in effect.std},
+        'provenance': effect.provenance,
+    }
+
+
+def _lists(pairs: Pairs) -> list[list[float]]:
+    return [[float(first), float(second)] for first, second in pairs]
