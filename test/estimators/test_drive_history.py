@@ -62,11 +62,11 @@ def test_a_state_read_back_goes_on_to_the_bit(train_file: TrainFile, sample: Mak
 )
 def test_a_state_that_no_drive_leads_to_is_not_sound(motion: dict[str, float]) -> None:
     plain = Motion(time_s=1.0, distance_run=1.0)
-    assert DriveHistoryState(motion=plain).sound
-    assert not DriveHistoryState(motion=replace(plain, **motion)).sound
+    assert DriveHistoryState(motion=plain).is_valid
+    assert not DriveHistoryState(motion=replace(plain, **motion)).is_valid
     changes = (BrakeCommandChange(2, 0.0), BrakeCommandChange(1, -0.5))
-    assert not DriveHistoryState(motion=plain, commands=CommandHistory(changes)).sound
-    assert not DriveHistoryState(motion=plain, commands=CommandHistory((BrakeCommandChange(2, math.nan),))).sound
+    assert not DriveHistoryState(motion=plain, commands=CommandHistory(changes)).is_valid
+    assert not DriveHistoryState(motion=plain, commands=CommandHistory((BrakeCommandChange(2, math.nan),))).is_valid
 
 
 def test_a_night_in_the_depot_cools_and_runs_no_distance(train_file: TrainFile, sample: Make) -> None:

@@ -16,6 +16,7 @@ from trainid_ros.core.errors import InputError
 from trainid_ros.core.records import Record
 from trainid_ros.core.results import Reason, Status
 from trainid_ros.core.samples import Sample
+from trainid_ros.estimators.drive_history import DriveHistoryTracker
 from trainid_ros.estimators.pipeline import (
     EstimatorPipeline,
     EstimatorSettings,
@@ -183,9 +184,9 @@ def test_a_restored_pipeline_remembers_how_far_the_train_has_run(line: TrainFile
 
 def test_a_fit_follows_the_drive_too(train_file: TrainFile, sample: Callable[..., Sample]) -> None:
     true = with_effect(train_file, 'bearing_warmup:value=4,distance=300')
-    collector, rejected = PieceCollector(true, 1.0, 2.0), Counter[Reason]()
+    collector, rejected, history = PieceCollector(true, 1.0, 2.0), Counter[Reason](), DriveHistoryTracker(true)
     for i in range(200):  # 3 m each
-        collector.add(sample(i, dt=0.2, speed=15.0 + 0.001 * (i % 2)), rejected)
+        collector.add(history.follow(sample(i, dt=0.2, speed=15.0 + 0.001 * (i % 2))), rejected)
     assert not rejected
     known = collector.trajectory().known
     assert (known[0], known[100], known[199]) == pytest.approx((-4.0, -4.0 / math.e, -4.0 * math.exp(-1.99)), rel=1e-3)

@@ -24,11 +24,11 @@ from trainid_ros.estimators.pipeline import (
     EstimatorSettings,
     Output,
     PipelineConfig,
-    TimeJumpPolicy,
     brake_rate_pipeline,
     resistance_pipeline,
     speed_model_pipeline,
 )
+from trainid_ros.estimators.stream import TimeJumpPolicy
 from trainid_ros.train.train_file import TrainFile
 
 MAKERS: dict[str, Callable[[TrainFile, EstimatorSettings], EstimatorPipeline[Any]]] = {

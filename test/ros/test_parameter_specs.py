@@ -12,7 +12,8 @@ import yaml
 from trainid_ros.core.alignment import AlignmentConfig
 from trainid_ros.core.errors import InputError
 from trainid_ros.core.settings import setting_info
-from trainid_ros.estimators.pipeline import EstimatorSettings, TimeJumpPolicy
+from trainid_ros.estimators.pipeline import EstimatorSettings
+from trainid_ros.estimators.stream import TimeJumpPolicy
 from trainid_ros.resistance.filter_bank import FilterBankConfig
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
 from trainid_ros.ros.parameter_specs import ParameterSpec, build_settings, build_train_file, estimator_parameters

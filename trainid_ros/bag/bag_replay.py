@@ -23,6 +23,7 @@ from trainid_ros.estimators.pipeline import (
     SpeedModelPipeline,
     brake_rate_pipeline,
     resistance_pipeline,
+    share_streams,
     speed_model_pipeline,
 )
 
@@ -141,6 +142,7 @@ def replay_through(
     """Run estimators that may each have settings of their own; see :func:`replay`."""
     require_topics(reader)
     resistance, speed_model, brake_rate = pipelines
+    streams = share_streams(pipelines)
     priors = (resistance.current().estimate, speed_model.current().estimate, brake_rate.current().estimate)
     clock = _Stopwatch()
     records = 0
@@ -148,10 +150,10 @@ def replay_through(
         records += 1
         for observer in observers:
             observer.on_record(entry)
+        events = {stream: stream.push(entry.record) for stream in streams}
         for pipeline in pipelines:
-            for output in pipeline.push(entry.record):
-                # One estimator tells the time for all: each repeats the stamps of the others.
-                if pipeline is resistance:
+            for output in pipeline.take(events[pipeline.stream]):
+                if pipeline is resistance:  # the others have the same stamps
                     clock.see(output.stamp_ns)
                 for observer in observers:
                     observer.on_output(output, entry.log_ns)

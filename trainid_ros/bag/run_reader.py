@@ -12,11 +12,11 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.bag.reader import BagReader, require_topics
-from trainid_ros.core.alignment import Aligner, AlignmentConfig, TimeJump
+from trainid_ros.core.alignment import TimeJump
 from trainid_ros.core.errors import InputError
 from trainid_ros.core.records import NS_PER_S
 from trainid_ros.core.samples import Sample
-from trainid_ros.estimators.sensor_correction import SensorCorrection
+from trainid_ros.estimators.stream import SampleStream, StreamConfig
 from trainid_ros.explain.run_data import RunCollector
 
 if TYPE_CHECKING:
@@ -124,12 +124,13 @@ def worker_count(inputs: Sequence[int]) -> int:
 
 
 def _read(path: Path, bag: int, train_file: TrainFile, namespace: str, advance: Callable[[float], None]) -> _Reading:
-    correction = SensorCorrection(train_file.effects)
-    aligner, collector = Aligner(correction.widen(AlignmentConfig())), RunCollector(train_file, bag)
+    # The train file may be what is wrong, so it must not decide which speeds are used.
+    stream = SampleStream(StreamConfig(train_file, rejects_stuck_speed=False))
+    collector = RunCollector(train_file, bag)
     told = 0
     with BagReader(path, namespace) as reader:
         for i, record in enumerate(reader.records(), 1):
-            for event in aligner.push(correction.correct(record)):
+            for event in stream.push(record):
                 if isinstance(event, Sample):
                     collector.add(event)
                 elif isinstance(event, TimeJump):

@@ -13,11 +13,11 @@ from typing import TYPE_CHECKING, Any, Final
 from trainid_ros.bag.reader import BagReader, require_topics
 from trainid_ros.cli.arguments import not_negative
 from trainid_ros.cli.output import add_json_option, print_json, progress, table, warn
-from trainid_ros.core.alignment import Aligner, AlignmentConfig, TimeJump
+from trainid_ros.core.alignment import TimeJump
 from trainid_ros.core.errors import InputError, NoAnswerError
 from trainid_ros.core.records import NS_PER_S
 from trainid_ros.core.samples import Sample
-from trainid_ros.estimators.sensor_correction import SensorCorrection
+from trainid_ros.estimators.stream import SampleStream, StreamConfig
 from trainid_ros.resistance.trajectory.davis_fit import DavisFit, DavisFitConfig, fit_davis
 from trainid_ros.resistance.trajectory.pieces import PieceCollector
 from trainid_ros.resistance.trajectory.plausible import check_plausible
@@ -111,13 +111,12 @@ def collect(
         msg = f'{reader.path}: --start {start_s:g} --duration {duration_s:g} leaves nothing of its {length:.1f} s'
         raise InputError(msg)
     end_ns = math.inf if math.isinf(duration_s) else begin_ns + round(duration_s * NS_PER_S)
-    correction = SensorCorrection(collector.train_file.effects)
-    aligner, samples = Aligner(correction.widen(AlignmentConfig())), 0
+    stream, samples = SampleStream(StreamConfig(collector.train_file)), 0
     rejected: Counter[Reason] = Counter()
     for i, entry in enumerate(reader.logged_records(), 1):
         if entry.log_ns > end_ns:
             break
-        for event in aligner.push(correction.correct(entry.record)):
+        for event in stream.push(entry.record):
             if isinstance(event, TimeJump):
                 collector.end_piece()
             elif isinstance(event, Sample) and entry.log_ns < begin_ns:

@@ -5,7 +5,10 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from trainid_ros.core.results import Rejection
 
 SAMPLE_PERIOD: Final = 0.2
 STANDING: Final = 0.5
@@ -68,6 +71,7 @@ class Sample:
         curvature_mean: Mean curvature since the previous sample [1/m], 0 = straight, NaN if not known.
         force_interval: Time between the two reports of the force around the stamp [s], 0 if not known.
         stood_since_weighing: True if the train has come to a stop since the mass was weighed.
+        rejection: Why its speed cannot be used (a stuck sensor), None if it can.
 
     """
 
@@ -91,6 +95,7 @@ class Sample:
     curvature_mean: float = math.nan
     force_interval: float = 0.0
     stood_since_weighing: bool = False
+    rejection: Rejection | None = None
 
     @property
     def weighed(self) -> bool:

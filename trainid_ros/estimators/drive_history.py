@@ -31,7 +31,7 @@ class DriveHistoryState:
     commands: CommandHistory = field(default_factory=CommandHistory)
 
     @property
-    def sound(self) -> bool:
+    def is_valid(self) -> bool:
         """True unless a number is none, or none that a drive can lead to."""
         motion, changes = self.motion, self.commands.changes
         amounts = (self.speed, motion.time_s, motion.distance_run, motion.heat, -motion.brake, float(self.stamp_ns))

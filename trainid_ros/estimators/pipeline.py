@@ -1,22 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
 """One pipeline for every driver: records in, outputs out.
 
-Live nodes, bag replay and fleets push the same records into the same pipeline and copy what comes out;
-no number is computed outside it.
+Live nodes, bag replay and fleets push the same records into the same pipelines and copy their outputs; no number is
+computed elsewhere.
 """
 
 from __future__ import annotations
 
-import math
 from collections import Counter
-from dataclasses import dataclass, field, replace
-from enum import Enum
-from typing import TYPE_CHECKING, Final, Generic, TypeAlias, TypeVar
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
 
 import numpy as np
 
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
-from trainid_ros.core.alignment import ONE_LOST, Aligner, AlignmentConfig, TimeJump
+from trainid_ros.core.alignment import AlignmentConfig
 from trainid_ros.core.codec import check_restored, decode, encode
 from trainid_ros.core.records import NS_PER_S, Record
 from trainid_ros.core.results import (
@@ -32,30 +30,20 @@ from trainid_ros.core.results import (
 from trainid_ros.core.samples import Sample
 from trainid_ros.core.settings import check_settings, setting
 from trainid_ros.estimators.consistency import Consistency, ConsistencyMonitor
-from trainid_ros.estimators.drive_history import DriveHistoryState, DriveHistoryTracker
-from trainid_ros.estimators.known_force import KnownForce
+from trainid_ros.estimators.drive_history import DriveHistoryState
 from trainid_ros.estimators.registry import Algorithms, Choice
-from trainid_ros.estimators.sensor_correction import SensorCorrection
-from trainid_ros.estimators.stuck_speed import StuckSpeed
+from trainid_ros.estimators.stream import SampleStream, StreamConfig, TimeJumpPolicy, is_reset_by
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
 from trainid_ros.speed_model.speed_model_algorithms import SPEED_MODEL
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from trainid_ros.estimators.protocol import Estimator
+    from trainid_ros.estimators.stream import StreamEvent
     from trainid_ros.train.train_file import TrainFile
 
 EstimateT = TypeVar('EstimateT', bound=Estimate)
-
-# Brake commands older than this, in samples, act no more.
-_MOST_UNSTEPPED: Final = 300
-
-
-class TimeJumpPolicy(Enum):
-    """What to do when the stamps jump back (a bag starts over, a clock is set)."""
-
-    RESET = 'reset'
-    IGNORE = 'ignore'
-    REFUSE = 'refuse'
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,11 +62,11 @@ class Output(Generic[EstimateT]):
 
     Attributes:
         stamp_ns: Stamp of the newest sample used.
-        estimate: What is believed now.
+        estimate: The estimate after that sample.
         status: Its health.
         used: Samples taken in by the estimator since the last reset.
         rejected: Records and samples not used since the last reset.
-        last_refusal: The newest refusal, None if there was none.
+        last_rejection: The newest rejection, None if there was none.
 
     """
 
@@ -92,54 +80,44 @@ class Output(Generic[EstimateT]):
 
 @dataclass(frozen=True, slots=True)
 class PipelineState:
-    """What a pipeline saves: the estimator's state as text, and the drive so far."""
+    """What a pipeline saves: the estimator's state as text, and the history of the drive."""
 
     estimator: str
     motion: DriveHistoryState
 
 
 class EstimatorPipeline(Generic[EstimateT]):
-    """Aligner, estimator and status of one estimate."""
+    """One estimator at the end of a stream of samples: its status, its counters, whether its uncertainty is true."""
 
-    def __init__(
-        self, estimator: Estimator[EstimateT], train_file: TrainFile, config: PipelineConfig, alignment: AlignmentConfig
-    ) -> None:
+    def __init__(self, estimator: Estimator[EstimateT], stream: SampleStream, config: PipelineConfig) -> None:
         check_settings(config)
-        check_settings(alignment)
         self.estimator = estimator
+        self.stream = stream
         self.config = config
-        self._known = KnownForce(train_file)
-        self._correction = SensorCorrection(train_file.effects)
-        self._motion = DriveHistoryTracker(train_file)
-        self._follows = bool(train_file.effects)
-        reject_jump_back = config.time_jump_policy is TimeJumpPolicy.REFUSE
-        self._aligner = Aligner(self._correction.widen(alignment), reject_jump_back=reject_jump_back)
-        self._stale_ns = round((config.stale_after + abs(self._correction.skew_s)) * NS_PER_S)
+        self._stale_ns = round(config.stale_after * NS_PER_S)
         self.resets = 0
         self._clear()
 
     def _clear(self) -> None:
-        self._correction.reset()
-        self._motion.reset()
         self.rejections: Counter[Reason] = Counter()
         self.used = 0
         self.samples = 0
         self.last_rejection: Rejection | None = None
         self._speed = 0.0
-        self._stuck = StuckSpeed(self._known)
-        self._unstepped: tuple[Sample, ...] = ()
         self._sample_ns = 0
-        self._first_ns = 0
         self._consistency = ConsistencyMonitor()
         self._status = Status.UNINITIALIZED
         self._published = self.estimator.estimate(self._speed)
 
-    def reset(self) -> None:
-        """Go back to the prior and forget all records and counters."""
+    def _start_over(self) -> None:
         self.estimator.reset()
-        self._aligner.reset()
         self._clear()
         self.resets += 1
+
+    def reset(self) -> None:
+        """Go back to the prior and forget all records and counters."""
+        self.stream.reset()
+        self._start_over()
 
     @property
     def status(self) -> Status:
@@ -153,67 +131,61 @@ class EstimatorPipeline(Generic[EstimateT]):
 
     @property
     def newest_ns(self) -> int:
-        """Newest stamp taken in on any topic; 0 before the first."""
-        return self._aligner.newest_ns
+        """Newest stamp on any topic; 0 before the first."""
+        return self.stream.newest_ns
 
     def timeout_ns(self, kind: type[Record]) -> int:
-        """Return how long a required topic may be silent until it is missing; longer for a slow one."""
-        return max(round(self.config.stale_after * NS_PER_S), round(ONE_LOST * self._aligner.interval_ns(kind)))
+        """Return how long a required topic may be missing [ns]; longer for a slow one."""
+        return self.stream.timeout_ns(kind, self._stale_ns)
 
     def push(self, record: Record) -> list[Output[EstimateT]]:
-        """Take one record in; return an output for each sample it completes."""
+        """Take in one record; return an output for each sample it completes."""
+        return self.take(self.stream.push(record))
+
+    def take(self, events: Iterable[StreamEvent]) -> list[Output[EstimateT]]:
+        """Take in what the stream made of one record; return an output for each sample."""
         outputs: list[Output[EstimateT]] = []
-        for event in self._aligner.push(self._correction.correct(record)):
+        for event in events:
             if isinstance(event, Sample):
                 outputs.append(self._step(event))
             elif isinstance(event, Rejection):
                 self._count(event)
-            else:
-                self._jump(event)
-        self._first_ns = self._first_ns or self.newest_ns
-        if self._inputs_missing() and self._status not in (Status.STALE, Status.FAULT):
+            elif is_reset_by(event, self.stream.config.time_jump_policy):
+                self._start_over()
+        if self._status not in (Status.STALE, Status.FAULT) and self.stream.is_input_missing(self._stale_ns):
             outputs.append(self.mark_stale())
         return outputs
 
-    def _inputs_missing(self) -> bool:
-        """True if a required topic is behind the others by too much, or has not begun in that time."""
-        reached_ns = self._aligner.complete_ns or self._first_ns
-        # A slow topic is behind the others until its next record: that is asked only where the first answer is yes.
-        return self.newest_ns - reached_ns > self._stale_ns and self._aligner.is_behind(self._stale_ns)
-
     def mark_stale(self) -> Output[EstimateT]:
-        """Tell that inputs are missing; the last estimate stands."""
+        """Mark the estimate as stale because inputs are missing; its value stays."""
         self._status = Status.STALE
         return self.current()
 
     def fail(self) -> Output[EstimateT]:
-        """Tell that the estimator cannot go on; holds, with the estimate told last, until a reset or a restore."""
+        """Mark the estimator as failed; the estimate published last stays until a reset or a restore."""
         self._status = Status.FAULT
         return self.current()
 
     def save(self) -> str:
-        """Return the estimator's whole state and the drive so far as JSON text."""
-        return encode(PipelineState(self.estimator.save(), self._motion.state))
+        """Return the whole state of the estimator and the history of the drive as JSON text."""
+        return encode(PipelineState(self.estimator.save(), self.stream.history))
 
     def restore(self, text: str) -> None:
-        """Take over what an estimator had learned, possibly on another drive; InputError if it does not fit.
+        """Continue from a saved state, possibly on another drive; InputError if it does not fit.
 
-        Records taken in before are forgotten, so the estimator begins anew with the train's speed. Time and distance
-        of the drive go on, for effects that depend on them.
+        Records taken in before are forgotten, so the estimator starts with the train's speed. Time and distance of
+        the drive continue, for effects that depend on them.
         """
         state = decode(text, PipelineState)
-        check_restored(state.motion.sound, 'PipelineState', 'motion')
+        check_restored(state.motion.is_valid, 'PipelineState', 'motion')
         self.estimator.restore(state.estimator)
-        self._motion.state = state.motion
+        self.stream.restore(state.motion)
         self._consistency.clear()
-        self._aligner.reset()
-        self._stuck, self._unstepped = StuckSpeed(self._known), ()
-        self._first_ns = 0
         if self._status is Status.FAULT:
             self._status = Status.UNINITIALIZED
 
     def current(self) -> Output[EstimateT]:
-        """Return what is believed now, without a new sample."""
+        """Return the output at the newest sample, without a new one."""
         return Output(
             stamp_ns=self._sample_ns,
             estimate=self._published if self._status is Status.FAULT else self.estimator.estimate(self._speed),
@@ -224,14 +196,10 @@ class EstimatorPipeline(Generic[EstimateT]):
         )
 
     def _step(self, sample: Sample) -> Output[EstimateT]:
-        if self._follows:
-            sample = self._motion.follow(sample)
-        result = self._stuck.reject(sample)
+        result = sample.rejection
         if result is None:
-            answer = self.estimator.step(self._after_gap(sample))
+            answer = self.estimator.step(sample)
             result = answer if isinstance(answer, Rejection) else None
-        else:
-            self._unstepped = (*self._unstepped, sample)[-_MOST_UNSTEPPED:]
         self.samples += 1
         self._speed = sample.speed
         self._sample_ns = sample.stamp_ns
@@ -245,18 +213,10 @@ class EstimatorPipeline(Generic[EstimateT]):
         self._consistency.see(*stated_innovation(output.estimate), used=result is None)
         return output
 
-    def _after_gap(self, sample: Sample) -> Sample:
-        """Return a sample as it looks to an estimator that missed those before it."""
-        if not self._unstepped:
-            return sample
-        missed, self._unstepped = self._unstepped, ()
-        changes = tuple(change for item in (*missed, sample) for change in item.brake_changes)
-        return replace(sample, dt=math.nan, brake_changes=changes, brake_gap=True)
-
     def _judge(self, rejection: Rejection | None) -> Status:
         if self._status is Status.FAULT:
             return Status.FAULT
-        if self._inputs_missing():
+        if self.stream.is_input_missing(self._stale_ns):
             return Status.STALE
         if not self.estimator.converged or self._consistency.current().refuted:
             return Status.CONVERGING
@@ -267,14 +227,6 @@ class EstimatorPipeline(Generic[EstimateT]):
             return
         self.rejections[rejection.reason] += 1
         self.last_rejection = rejection
-
-    def _jump(self, jump: TimeJump) -> None:
-        """Follow a jump of the stamps by the policy; the aligner has started over already."""
-        self._first_ns = 0
-        if jump.step_s < 0.0 and self.config.time_jump_policy is TimeJumpPolicy.RESET:
-            self.estimator.reset()
-            self._clear()
-            self.resets += 1
 
 
 @dataclass(frozen=True, slots=True)
@@ -314,4 +266,17 @@ def _pipeline(
 ) -> EstimatorPipeline[EstimateT]:
     """Each estimator draws from a generator of its own."""
     estimator = algorithms.make(choice, train_file, np.random.default_rng(settings.seed))
-    return EstimatorPipeline(estimator, train_file, settings.pipeline, settings.alignment)
+    stream = SampleStream(StreamConfig(train_file, settings.alignment, settings.pipeline.time_jump_policy))
+    return EstimatorPipeline(estimator, stream, settings.pipeline)
+
+
+def share_streams(pipelines: Iterable[EstimatorPipeline[Any]]) -> tuple[SampleStream, ...]:
+    """Let new pipelines whose streams would give the same samples share one; return the streams."""
+    streams: list[SampleStream] = []
+    for pipeline in pipelines:
+        equal = (stream for stream in streams if stream.config == pipeline.stream.config)
+        if (shared := next(equal, None)) is None:
+            streams.append(pipeline.stream)
+        else:
+            pipeline.stream = shared
+    return tuple(streams)

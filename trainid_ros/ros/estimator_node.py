@@ -32,7 +32,8 @@ from trainid_ros.core.records import (
     Record,
 )
 from trainid_ros.core.results import Status
-from trainid_ros.estimators.pipeline import EstimatorPipeline, EstimatorSettings, TimeJumpPolicy
+from trainid_ros.estimators.pipeline import EstimatorPipeline, EstimatorSettings
+from trainid_ros.estimators.stream import TimeJumpPolicy
 from trainid_ros.ros import qos
 from trainid_ros.ros.conversion import fill_estimate, record_from_message, time_message
 from trainid_ros.ros.diagnostics import (

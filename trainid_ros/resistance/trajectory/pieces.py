@@ -9,9 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from trainid_ros.estimators.admission import Admission
-from trainid_ros.estimators.drive_history import DriveHistoryTracker
 from trainid_ros.estimators.known_force import KnownForce
-from trainid_ros.estimators.stuck_speed import StuckSpeed
 
 if TYPE_CHECKING:
     from collections import Counter
@@ -74,26 +72,21 @@ class PieceCollector:
     _nodes: list[tuple[float, float, float, float]] = field(init=False, default_factory=list)
     _begun: int = field(init=False, default=0)
     _admission: Admission = field(init=False)
-    _stuck: StuckSpeed = field(init=False)
-    _motion: DriveHistoryTracker = field(init=False)
 
     def __post_init__(self) -> None:
         self.known = KnownForce(self.train_file)
         self._admission = Admission(self.known, self.min_speed)
-        self._stuck = StuckSpeed(self.known)
-        self._motion = DriveHistoryTracker(self.train_file)
 
     def monitor(self, sample: Sample) -> None:
         """Follow the drive without taking the sample in."""
-        self._reject(self._motion.follow(sample))
+        self._reject(sample)
 
     def _reject(self, sample: Sample) -> Rejection | None:
-        stuck, rejection = self._stuck.reject(sample), self._admission.reject(sample)
-        return stuck or rejection
+        rejection = self._admission.reject(sample)
+        return sample.rejection or rejection
 
     def add(self, sample: Sample, rejected: Counter[Reason]) -> None:
         """Take one sample in; count why it cannot be used."""
-        sample = self._motion.follow(sample)
         rejection = self._reject(sample)
         if rejection is not None:
             rejected[rejection.reason] += 1

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One stream of samples for all estimators."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from trainid_ros.core.alignment import AlignmentConfig, TimeJump
+from trainid_ros.core.records import NS_PER_S, ForceRecord, Record, SpeedRecord
+from trainid_ros.core.results import Reason
+from trainid_ros.core.samples import Sample
+from trainid_ros.estimators.pipeline import (
+    EstimatorPipeline,
+    EstimatorSettings,
+    Output,
+    PipelineConfig,
+    brake_rate_pipeline,
+    resistance_pipeline,
+    share_streams,
+    speed_model_pipeline,
+)
+from trainid_ros.estimators.stream import SampleStream, StreamConfig, TimeJumpPolicy
+from trainid_ros.train.effect_text import parse_effects
+from trainid_ros.train.train_file import TrainFile
+
+MAKERS = (resistance_pipeline, speed_model_pipeline, brake_rate_pipeline)
+SETTINGS = EstimatorSettings()
+
+
+def with_effect(train_file: TrainFile, text: str) -> TrainFile:
+    return replace(train_file, effects=parse_effects([text]))
+
+
+def with_trouble(day: tuple[Record, ...]) -> list[Record]:
+    """Return records with a stuck speed, a missing force and, in the middle, a jump back of the stamps."""
+    first = day[0].stamp_ns
+    records: list[Record] = []
+    for record in day:
+        t = (record.stamp_ns - first) / NS_PER_S
+        if isinstance(record, SpeedRecord) and 60.0 < t < 75.0:
+            records.append(replace(record, speed=14.0))
+        elif not (isinstance(record, ForceRecord) and 100.0 < t < 104.0):
+            records.append(record)
+    return [*records, *records[: len(records) // 2]]
+
+
+@pytest.mark.parametrize('policy', list(TimeJumpPolicy))
+def test_estimators_on_one_stream_publish_what_they_publish_alone(
+    policy: TimeJumpPolicy, metro: TrainFile, day: tuple[Record, ...]
+) -> None:
+    train_file = with_effect(metro, 'bearing_warmup:value=1,distance=3000')
+    settings = replace(SETTINGS, pipeline=PipelineConfig(time_jump_policy=policy))
+    alone: list[EstimatorPipeline[Any]] = [make(train_file, settings) for make in MAKERS]
+    together: list[EstimatorPipeline[Any]] = [make(train_file, settings) for make in MAKERS]
+    (stream,) = share_streams(together)
+    expected: list[list[Output[Any]]] = [[], [], []]
+    found: list[list[Output[Any]]] = [[], [], []]
+    for record in with_trouble(day):
+        events = stream.push(record)
+        for outputs, pipeline in zip(found, together, strict=True):
+            outputs.extend(pipeline.take(events))
+        for outputs, pipeline in zip(expected, alone, strict=True):
+            outputs.extend(pipeline.push(record))
+    assert repr(found) == repr(expected)
+    assert all(pipeline.rejections[Reason.SPEED_STUCK] for pipeline in together[:2]) or policy is TimeJumpPolicy.RESET
+    assert [pipeline.save() for pipeline in together] == [pipeline.save() for pipeline in alone]
+
+
+def test_only_streams_of_equal_configurations_are_shared(metro: TrainFile) -> None:
+    other = replace(SETTINGS, alignment=AlignmentConfig(max_lag=0.4))
+    heavier = replace(metro, train=replace(metro.train, mass=2.0 * metro.train.mass))
+    one, two, three, four = (
+        resistance_pipeline(metro, SETTINGS),
+        brake_rate_pipeline(metro, SETTINGS),
+        speed_model_pipeline(metro, other),
+        speed_model_pipeline(heavier, SETTINGS),
+    )
+    pipelines: list[EstimatorPipeline[Any]] = [one, two, three, four]
+    assert share_streams(pipelines) == (one.stream, three.stream, four.stream)
+    assert two.stream is one.stream
+
+
+def events_of(stream: SampleStream, day: tuple[Record, ...]) -> list[Any]:
+    return [event for record in with_trouble(day) for event in stream.push(record)]
+
+
+def test_a_stuck_speed_is_marked_and_the_next_sample_starts_anew(metro: TrainFile, day: tuple[Record, ...]) -> None:
+    samples = [event for event in events_of(SampleStream(StreamConfig(metro)), day) if isinstance(event, Sample)]
+    stuck = [i for i, sample in enumerate(samples) if sample.rejection is not None]
+    assert {sample.rejection.reason for sample in samples if sample.rejection is not None} == {Reason.SPEED_STUCK}
+    after = samples[stuck[-1] + 1]
+    assert math.isnan(after.dt)
+    assert after.brake_gap
+
+
+def test_a_stream_for_explain_uses_speeds_that_the_train_file_does_not_expect(
+    metro: TrainFile, day: tuple[Record, ...]
+) -> None:
+    events = events_of(SampleStream(StreamConfig(metro, rejects_stuck_speed=False)), day)
+    assert not any(isinstance(event, Sample) and event.rejection for event in events)
+    assert any(isinstance(event, TimeJump) for event in events)

@@ -1,0 +1,167 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The stream of samples: everything between the records of a train and the estimators, none of which it depends on.
+
+Records are corrected for sensor errors that the train file states, aligned to the stamps of the speed, given the
+history of the drive where effects depend on it, and checked for a stuck speed sensor. Estimators with the same train
+file and settings can share one stream.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from enum import Enum
+from typing import TYPE_CHECKING, Final, TypeAlias
+
+from trainid_ros.core.alignment import ONE_LOST, Aligner, AlignmentConfig, TimeJump
+from trainid_ros.core.codec import check_restored
+from trainid_ros.core.records import NS_PER_S
+from trainid_ros.core.results import Rejection
+from trainid_ros.core.samples import Sample
+from trainid_ros.core.settings import check_settings
+from trainid_ros.estimators.drive_history import DriveHistoryTracker
+from trainid_ros.estimators.known_force import KnownForce
+from trainid_ros.estimators.sensor_correction import SensorCorrection
+from trainid_ros.estimators.stuck_speed import StuckSpeed
+
+if TYPE_CHECKING:
+    from trainid_ros.core.records import Record
+    from trainid_ros.estimators.drive_history import DriveHistoryState
+    from trainid_ros.train.train_file import TrainFile
+
+StreamEvent: TypeAlias = Sample | Rejection | TimeJump
+
+# Brake commands of more samples than these ago have no effect any more.
+_MOST_SKIPPED: Final = 300
+
+
+class TimeJumpPolicy(Enum):
+    """What to do when the stamps jump back (a bag starts over, a clock is set)."""
+
+    RESET = 'reset'
+    IGNORE = 'ignore'
+    REFUSE = 'refuse'
+
+
+@dataclass(frozen=True, slots=True)
+class StreamConfig:
+    """What shapes a stream; streams of equal configurations give equal samples.
+
+    Attributes:
+        train_file: The train file.
+        alignment: Settings of the alignment.
+        time_jump_policy: What to do when the stamps jump back.
+        rejects_stuck_speed: Whether a speed that does not follow the forces of the train file is rejected as stuck.
+
+    """
+
+    train_file: TrainFile
+    alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
+    time_jump_policy: TimeJumpPolicy = TimeJumpPolicy.RESET
+    rejects_stuck_speed: bool = True
+
+
+class SampleStream:
+    """Turn the records of one train into samples."""
+
+    def __init__(self, config: StreamConfig) -> None:
+        """Prepare; InputError, naming the field, if a setting is out of range."""
+        check_settings(config.alignment)
+        self.config = config
+        self._known = KnownForce(config.train_file)
+        self._correction = SensorCorrection(config.train_file.effects)
+        self._aligner = Aligner(
+            self._correction.widen(config.alignment),
+            reject_jump_back=config.time_jump_policy is TimeJumpPolicy.REFUSE,
+        )
+        self._history = DriveHistoryTracker(config.train_file)
+        self._needs_history = bool(config.train_file.effects)
+        self._first_ns = 0
+        self._clear()
+
+    def _clear(self) -> None:
+        self._correction.reset()
+        self._history.reset()
+        self._start_over()
+
+    def _start_over(self) -> None:
+        self._stuck = StuckSpeed(self._known)
+        self._skipped: tuple[Sample, ...] = ()
+        self._first_ns = 0
+
+    def reset(self) -> None:
+        """Forget all records and the history of the drive."""
+        self._aligner.reset()
+        self._clear()
+
+    @property
+    def history(self) -> DriveHistoryState:
+        """The history of the drive, to be saved."""
+        return self._history.state
+
+    def restore(self, history: DriveHistoryState) -> None:
+        """Continue a saved history, possibly on another drive: records so far are forgotten; InputError if invalid."""
+        check_restored(history.is_valid, 'PipelineState', 'motion')
+        self._history.state = history
+        self._aligner.reset()
+        self._start_over()
+
+    @property
+    def newest_ns(self) -> int:
+        """Newest stamp on any topic; 0 before the first."""
+        return self._aligner.newest_ns
+
+    def timeout_ns(self, kind: type[Record], shortest_ns: int) -> int:
+        """Return how long a required topic may be missing [ns]: 2.5 intervals of a slow topic, ``shortest_ns`` else."""
+        return max(shortest_ns, round(ONE_LOST * self._aligner.interval_ns(kind)))
+
+    def is_input_missing(self, timeout_ns: int) -> bool:
+        """Return whether a required topic is behind the others by more than a timeout [ns] or has not started."""
+        timeout_ns += round(abs(self._correction.skew_s) * NS_PER_S)
+        reached_ns = self._aligner.complete_ns or self._first_ns
+        # A slow topic is behind the others until its next record: that is checked only if the first test fails.
+        return self.newest_ns - reached_ns > timeout_ns and self._aligner.is_behind(timeout_ns)
+
+    def push(self, record: Record) -> list[StreamEvent]:
+        """Take in one record; return the samples it completes, why records were rejected, and jumps of the stamps.
+
+        A sample whose ``rejection`` is set has a speed that must not be used.
+        """
+        events: list[StreamEvent] = []
+        for event in self._aligner.push(self._correction.correct(record)):
+            if isinstance(event, Sample):
+                events.append(self._follow(event))
+                continue
+            if isinstance(event, TimeJump):
+                self._jump(event)
+            events.append(event)
+        self._first_ns = self._first_ns or self.newest_ns
+        return events
+
+    def _follow(self, sample: Sample) -> Sample:
+        if self._needs_history:
+            sample = self._history.follow(sample)
+        if not self.config.rejects_stuck_speed:
+            return sample
+        rejection = self._stuck.reject(sample)
+        if rejection is not None:
+            self._skipped = (*self._skipped, sample)[-_MOST_SKIPPED:]
+            return replace(sample, rejection=rejection)
+        return self._after_skipped(sample) if self._skipped else sample
+
+    def _after_skipped(self, sample: Sample) -> Sample:
+        """Return a sample as it looks to who has not seen those before it."""
+        skipped, self._skipped = self._skipped, ()
+        changes = tuple(change for item in (*skipped, sample) for change in item.brake_changes)
+        return replace(sample, dt=math.nan, brake_changes=changes, brake_gap=True)
+
+    def _jump(self, jump: TimeJump) -> None:
+        """Follow a jump of the stamps by the policy; the aligner has started over already."""
+        self._first_ns = 0
+        if is_reset_by(jump, self.config.time_jump_policy):
+            self._clear()
+
+
+def is_reset_by(jump: TimeJump, policy: TimeJumpPolicy) -> bool:
+    """Return whether everything starts over after a jump of the stamps."""
+    return jump.step_s < 0.0 and policy is TimeJumpPolicy.RESET
