@@ -3,17 +3,18 @@
 
 from __future__ import annotations
 
-from array import array
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from trainid_ros.bag.reader import BagReader, missing_topics
+from trainid_ros.bag.record_table import EMPTY, joined
 from trainid_ros.core.records import (
     BRAKE_TOPIC,
     FORCE_TOPIC,
     GRADIENT_TOPIC,
+    INPUT_TOPICS,
     MASS_TOPIC,
     NS_PER_S,
     REQUIRED_TOPICS,
@@ -25,7 +26,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from trainid_ros.core.records import Record
+    from trainid_ros.bag.record_table import RecordTable
+    from trainid_ros.core.records import InputTopic
 
 GAP_S: Final = 1.0
 MOVING_SPEED: Final = 0.1
@@ -140,29 +142,16 @@ class BagInfo:
 
 
 class _Column:
-    """Stamps, log times and values of one input topic, as compact arrays."""
+    """Stamps, log times and values of one input topic."""
 
-    def __init__(self, names: tuple[str, ...]) -> None:
-        self._stamps = array('q')
-        self._logs = array('q')
-        self._values = {name: array('d') for name in names}
-
-    def add(self, log_ns: int, record: Record) -> None:
-        self._stamps.append(record.stamp_ns)
-        self._logs.append(min(log_ns, _INT64_MAX))
-        for name, values in self._values.items():
-            values.append(getattr(record, name))
-
-    @property
-    def stamps(self) -> NDArray[np.int64]:
-        return np.array(self._stamps, dtype=np.int64)
-
-    @property
-    def logs(self) -> NDArray[np.int64]:
-        return np.array(self._logs, dtype=np.int64)
+    def __init__(self, topic: InputTopic, table: RecordTable) -> None:
+        numbers = [item.name for item in fields(topic.record) if item.type in {'float', float}]
+        self.stamps = table.stamp_ns
+        self.logs = np.minimum(table.log_ns, _INT64_MAX).astype(np.int64)
+        self._values = dict(zip(numbers, (table.x, table.y), strict=False))
 
     def values(self, name: str) -> NDArray[np.float64]:
-        return np.array(self._values[name], dtype=np.float64)
+        return self._values[name]
 
     def not_finite(self, topic: str) -> int:
         """Return the number of messages with a value that is not finite although it must be."""
@@ -205,16 +194,9 @@ def inspect(path: str | Path, namespace: str = '/') -> BagInfo:
 
 
 def _read(reader: BagReader) -> dict[str, _Column]:
-    columns: dict[str, _Column] = {}
-    for log_ns, topic, record in reader.logged_records():
-        if topic not in columns:
-            columns[topic] = _Column(_number_fields(record))
-        columns[topic].add(log_ns, record)
-    return columns
-
-
-def _number_fields(record: Record) -> tuple[str, ...]:
-    return tuple(item.name for item in fields(record) if item.type in {'float', float})
+    table = joined(tuple(reader.tables()) or (EMPTY,))
+    rows = {topic: np.flatnonzero(table.topic == number) for number, topic in enumerate(INPUT_TOPICS)}
+    return {topic.name: _Column(topic, table[mine]) for topic, mine in rows.items() if mine.size}
 
 
 def _details(name: str, columns: dict[str, _Column]) -> tuple[int, StampInfo | None]:

@@ -16,6 +16,7 @@ from dataclasses import dataclass
 from io import BytesIO
 from typing import TYPE_CHECKING, BinaryIO, Final, NamedTuple, NoReturn
 
+import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
@@ -29,11 +30,15 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
+    from numpy.typing import NDArray
+
 MAGIC: Final = b'\x89MCAP0\r\n'
 _HEAD: Final = struct.Struct('<BQ')  # opcode, length of the record
-_MESSAGE: Final = struct.Struct('<HIQQ')  # channel, sequence, log time, publish time
+# Channel, sequence, log time and publish time of a message.
+_MESSAGE: Final = np.dtype([('channel', '<u2'), ('sequence', '<u4'), ('log_ns', '<u8'), ('publish_ns', '<u8')])
 _RUN_BYTES: Final = 1 << 20  # messages outside chunks are taken together up to this size
-_PLAIN: Final = (Opcode.SCHEMA, Opcode.CHANNEL, Opcode.MESSAGE)
+_DEFINITIONS: Final = (Opcode.SCHEMA, Opcode.CHANNEL)
+_PLAIN: Final = (*_DEFINITIONS, Opcode.MESSAGE)
 _DAMAGE: Final = (
     McapError,
     CRCValidationError,
@@ -46,12 +51,24 @@ _DAMAGE: Final = (
 )
 
 
-class RawMessage(NamedTuple):
-    """One message as stored."""
+@dataclass(frozen=True, slots=True)
+class MessageBlock:
+    """The messages of one segment, in the order of the file.
 
-    log_ns: int
-    channel_id: int
-    payload: bytes
+    Attributes:
+        data: The bytes they lie in, shape (m,).
+        start: Where their payloads start in ``data``, shape (n,).
+        end: Where they end, shape (n,).
+        channel: Numbers of their channels, shape (n,).
+        log_ns: Log times, shape (n,).
+
+    """
+
+    data: NDArray[np.uint8]
+    start: NDArray[np.intp]
+    end: NDArray[np.intp]
+    channel: NDArray[np.uint16]
+    log_ns: NDArray[np.uint64]
 
 
 class _Head(NamedTuple):
@@ -114,12 +131,10 @@ class McapFile:
         """Close the file."""
         self._file.close()
 
-    def messages(self, segment: Segment) -> Iterator[RawMessage]:
-        """Yield the messages of one segment in the order of the file."""
+    def messages(self, segment: Segment) -> MessageBlock:
+        """Return the messages of one segment."""
         data = self._load(segment.offset, segment.length, is_chunk=segment.is_chunk)
-        for head in self._heads(data, segment.offset):
-            if head.opcode == Opcode.MESSAGE:
-                yield self._message(data, head)
+        return self._walk(data, segment.offset)[0]
 
     def _scan(self) -> None:
         size = self._file.seek(0, 2)
@@ -190,20 +205,17 @@ class McapFile:
     def _add(self, start: int, end: int, *, is_chunk: bool) -> None:
         """Read the records between two offsets; note the channels and, if there are messages, the segment."""
         data = self._load(start, end - start, is_chunk=is_chunk)
-        first, last = 1 << 64, -1
-        counts: Counter[int] = Counter()
-        for head in self._heads(data, start):
-            if head.opcode == Opcode.MESSAGE:
-                log_ns, channel, _ = self._message(data, head)
-                if channel not in self.channels:
-                    self._fail(f'is corrupt: message on unknown channel {channel} near byte {start}')
-                counts[channel] += 1
-                first, last = min(first, log_ns), max(last, log_ns)
-            elif head.opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self._define(head.opcode, data[head.start : head.end], start)
-        if counts:
-            self.counts.update(counts)
-            self.segments.append(Segment(start, end - start, is_chunk, first, last))
+        block, definitions = self._walk(data, start)
+        for head in definitions:
+            self._define(head.opcode, data[head.start : head.end], start)
+        if not block.log_ns.size:
+            return
+        numbers, counts = np.unique(block.channel, return_counts=True)
+        if unknown := [channel for channel in numbers.tolist() if channel not in self.channels]:
+            self._fail(f'is corrupt: message on unknown channel {unknown[0]} near byte {start}')
+        self.counts.update(dict(zip(numbers.tolist(), counts.tolist(), strict=True)))
+        first, last = int(block.log_ns.min()), int(block.log_ns.max())
+        self.segments.append(Segment(start, end - start, is_chunk, first, last))
 
     def _define(self, opcode: int, content: bytes, offset: int) -> None:
         stream = ReadDataStream(BytesIO(content))
@@ -231,23 +243,28 @@ class McapFile:
             self._fail(f'is corrupt: chunk at byte {offset}: {size} of {chunk.uncompressed_size} bytes')
         return stream.read(size)
 
-    def _heads(self, data: bytes, offset: int) -> Iterator[_Head]:
-        """Yield the records in a block of bytes read at ``offset`` of the file."""
-        position, size = 0, len(data)
-        while position < size:
-            if position + _HEAD.size > size:
-                self._fail(f'is corrupt: broken record near byte {offset}')
-            opcode, length = _HEAD.unpack_from(data, position)
+    def _walk(self, data: bytes, offset: int) -> tuple[MessageBlock, list[_Head]]:
+        """Return the messages, and the schemas and channels, in a block of bytes read at ``offset`` of the file."""
+        starts, ends, definitions = [], [], []
+        position, size, unpack = 0, len(data), _HEAD.unpack_from
+        while position + _HEAD.size <= size:
+            opcode, length = unpack(data, position)
             start = position + _HEAD.size
             position = start + length
-            if position > size or (opcode == Opcode.MESSAGE and length < _MESSAGE.size):
-                self._fail(f'is corrupt: broken record near byte {offset}')
-            yield _Head(opcode, start, position)
-
-    @staticmethod
-    def _message(data: bytes, head: _Head) -> RawMessage:
-        channel, _, log_ns, _ = _MESSAGE.unpack_from(data, head.start)
-        return RawMessage(log_ns, channel, data[head.start + _MESSAGE.size : head.end])
+            if opcode == Opcode.MESSAGE:
+                starts.append(start)
+                ends.append(position)
+            elif opcode in _DEFINITIONS:
+                definitions.append(_Head(opcode, start, position))
+        if position != size:
+            self._fail(f'is corrupt: broken record near byte {offset}')
+        start_of, end_of = np.array(starts, dtype=np.intp), np.array(ends, dtype=np.intp)
+        if bool(np.any(end_of - start_of < _MESSAGE.itemsize)):
+            self._fail(f'is corrupt: broken record near byte {offset}')
+        content = np.frombuffer(data, dtype=np.uint8)
+        heads = content[start_of[:, None] + np.arange(_MESSAGE.itemsize)].view(_MESSAGE)[:, 0]
+        payload = start_of + _MESSAGE.itemsize
+        return MessageBlock(content, payload, end_of, heads['channel'], heads['log_ns']), definitions
 
     def _fail(self, what: str) -> NoReturn:
         msg = f'{self.path}: {what}'

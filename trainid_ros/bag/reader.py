@@ -5,14 +5,17 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from heapq import heappop, heappush
+from operator import itemgetter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
 
+import numpy as np
 from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 
 from trainid_ros.bag.bag_files import locate
 from trainid_ros.bag.mcap_file import McapFile
+from trainid_ros.bag.record_table import EMPTY, columns_of, decode, in_order_of, joined
 from trainid_ros.bag.types import (
     ESTIMATE_TOPICS,
     LAST_VALID_TOPICS,
@@ -28,12 +31,18 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator
     from types import TracebackType
 
+    from numpy.typing import NDArray
+
+    from trainid_ros.bag.mcap_file import MessageBlock, Segment
+    from trainid_ros.bag.record_table import RecordTable
     from trainid_ros.core.records import Record
 
 _OURS: Final = {topic.name: topic.message for topic in INPUT_TOPICS} | {
     topic: message for topics in (ESTIMATE_TOPICS, LAST_VALID_TOPICS) for message, topic in topics.items()
 }
 _INPUT_NAMES: Final = frozenset(topic.name for topic in INPUT_TOPICS)
+_TOPIC_NUMBERS: Final = {topic.name: number for number, topic in enumerate(INPUT_TOPICS)}
+_NO_ROWS: Final = np.empty(0, dtype=np.intp)
 _IDL_LINE: Final = '=' * 80 + '\n'
 
 
@@ -161,15 +170,68 @@ class BagReader:
         """Yield the records of the input topics by log time, on equal times as they lie in the bag.
 
         Raises:
-            InputError: If a message cannot be read.
+            InputError: A message cannot be read.
 
         """
         return (entry.record for entry in self.logged_records())
 
     def logged_records(self) -> Iterator[LoggedRecord]:
         """Yield what :meth:`records` yields, with log time and topic."""
-        for log_ns, topic, message in self.messages(_INPUT_NAMES):
-            yield LoggedRecord(log_ns, topic, record_from_message(_OURS[topic], message))
+        for table in self.tables():
+            for log_ns, topic, record in table.records():
+                yield LoggedRecord(log_ns, INPUT_TOPICS[topic].name, record)
+
+    def tables(self) -> Iterator[RecordTable]:
+        """Yield what :meth:`records` yields, as tables of many records each.
+
+        Raises:
+            InputError: A message cannot be read.
+
+        """
+        pending = EMPTY
+        for first_ns, index, segment in self._segments():
+            ready = int(np.searchsorted(pending.log_ns, np.uint64(first_ns)))
+            if ready:
+                yield pending[:ready]
+            pending = joined((pending[ready:], self._table(index, segment)))
+        if len(pending):
+            yield pending
+
+    def _segments(self) -> list[tuple[int, int, Segment]]:
+        """Return first log time, number of the file and segment, by first log time."""
+        segments = [(item.first_ns, index, item) for index, file in enumerate(self._files) for item in file.segments]
+        return sorted(segments, key=itemgetter(0))
+
+    def _table(self, index: int, segment: Segment) -> RecordTable:
+        """Return the records of one segment, by log time."""
+        block = self._files[index].messages(segment)
+        tables, places = [], []
+        for number, source in self._sources[index].items():
+            rows = np.flatnonzero(block.channel == number) if source.topic in _INPUT_NAMES else _NO_ROWS
+            if rows.size:
+                tables.append(self._decoded(block, rows, source))
+                places.append(rows)
+        if not tables:
+            return EMPTY
+        # Back into the order of the file, then by log time.
+        return joined((in_order_of(np.concatenate(places), tables),))
+
+    def _decoded(self, block: MessageBlock, rows: NDArray[np.intp], source: _Source) -> RecordTable:
+        topic = _TOPIC_NUMBERS[source.topic]
+        table, decoded = decode(block.data, block.start[rows], block.end[rows], block.log_ns[rows], topic)
+        for row in np.flatnonzero(~decoded).tolist():  # big endian, or broken
+            payload = block.data[block.start[rows[row]] : block.end[rows[row]]].tobytes()
+            message = self._deserialize(payload, source, int(block.log_ns[rows[row]]))
+            columns = columns_of(record_from_message(source.name, message))
+            table.stamp_ns[row], table.x[row], table.y[row], table.flag[row] = columns
+        return table
+
+    def _deserialize(self, payload: bytes, source: _Source, log_ns: int) -> Any:
+        try:
+            return typestore().deserialize_cdr(payload, full_type(source.name))
+        except (SerdeError, ValueError) as error:
+            msg = f'{self.path}: topic {source.topic}: unreadable message logged at {log_ns} ns ({error})'
+            raise InputError(msg) from None
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[LoggedMessage]:
         """Yield our messages, inputs and estimates, by log time.
@@ -178,34 +240,23 @@ class BagReader:
             topics: Names of the topics wanted, all of ours if None; topics of others are left out.
 
         Raises:
-            InputError: If a message cannot be read.
+            InputError: A message cannot be read.
 
         """
-        decode = typestore().deserialize_cdr
-        for log_ns, source, payload in self._raw(topics):
-            try:
-                message = decode(payload, full_type(source.name))
-            except (SerdeError, ValueError) as error:
-                msg = f'{self.path}: topic {source.topic}: unreadable message logged at {log_ns} ns ({error})'
-                raise InputError(msg) from None
-            yield LoggedMessage(log_ns, source.topic, message)
-
-    def _raw(self, topics: Collection[str] | None) -> Iterator[tuple[int, _Source, bytes]]:
-        """Merge the segments of all files; entries of the heap sort by log time, then by place in the bag."""
         heap: list[tuple[int, int, int, _Source, bytes]] = []
-        segments = [(segment, index) for index, file in enumerate(self._files) for segment in file.segments]
-        ranked = sorted(enumerate(segments), key=lambda item: item[1][0].first_ns)
-        for rank, (segment, index) in ranked:
-            while heap and heap[0][0] < segment.first_ns:
-                log_ns, _, _, source, payload = heappop(heap)
-                yield log_ns, source, payload
-            wanted = self._wanted(index, topics)
-            for place, (log_ns, channel, payload) in enumerate(self._files[index].messages(segment)):
-                if (found := wanted.get(channel)) is not None:
-                    heappush(heap, (log_ns, rank, place, found, payload))
+        for rank, (first_ns, index, segment) in enumerate(self._segments()):
+            while heap and heap[0][0] < first_ns:
+                yield self._logged(*heappop(heap))
+            block, wanted = self._files[index].messages(segment), self._wanted(index, topics)
+            columns = (block.channel, block.log_ns, block.start, block.end)
+            for place, (channel, log_ns, start, end) in enumerate(zip(*(c.tolist() for c in columns), strict=True)):
+                if (source := wanted.get(channel)) is not None:
+                    heappush(heap, (log_ns, rank, place, source, block.data[start:end].tobytes()))
         while heap:
-            log_ns, _, _, source, payload = heappop(heap)
-            yield log_ns, source, payload
+            yield self._logged(*heappop(heap))
+
+    def _logged(self, log_ns: int, _rank: int, _place: int, source: _Source, payload: bytes) -> LoggedMessage:
+        return LoggedMessage(log_ns, source.topic, self._deserialize(payload, source, log_ns))
 
     def _wanted(self, index: int, topics: Collection[str] | None) -> dict[int, _Source]:
         sources = self._sources[index].items()

@@ -1,0 +1,194 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Input messages of a chunk as columns: decoded all at once instead of one by one.
+
+The payload of every input message is CDR: four bytes that give the byte order, then the header (stamp, frame) and then
+its numbers, each float64 on a multiple of eight bytes, followed by at most one flag.
+"""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+from functools import cache
+from importlib import resources
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trainid_ros.core.records import (
+    INPUT_TOPICS,
+    NS_PER_S,
+    BrakeRecord,
+    ForceRecord,
+    GradientRecord,
+    MassRecord,
+    Record,
+    SpeedRecord,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+
+Bytes = NDArray[np.uint8]
+Places = NDArray[np.intp]
+
+_LITTLE_ENDIAN: Final = 1
+_CDR_START: Final = 4  # alignment counts from here
+_STAMP: Final = np.dtype([('sec', '<i4'), ('nanosec', '<u4'), ('frame', '<u4')])
+# A serializer may pad to a multiple of four bytes.
+_MOST_PADDING: Final = 3
+
+
+@dataclass(frozen=True, slots=True)
+class RecordTable:
+    """Records of input topics in the order of the log, one row each.
+
+    Attributes:
+        log_ns: Log times, shape (n,).
+        topic: Index of the topic in INPUT_TOPICS, shape (n,).
+        stamp_ns: Stamps, shape (n,).
+        x: First number of each record (speed, force, gradient, target acceleration or mass), shape (n,).
+        y: Second number (position or curve radius), 0 where there is none, shape (n,).
+        flag: Tunnel or emergency, shape (n,).
+
+    """
+
+    log_ns: NDArray[np.uint64]
+    topic: NDArray[np.int8]
+    stamp_ns: NDArray[np.int64]
+    x: NDArray[np.float64]
+    y: NDArray[np.float64]
+    flag: NDArray[np.bool_]
+
+    def __len__(self) -> int:
+        """Return the number of rows."""
+        return int(self.log_ns.size)
+
+    def __getitem__(self, rows: slice | NDArray[np.intp]) -> RecordTable:
+        """Return some of the rows, in the order given."""
+        return RecordTable(
+            self.log_ns[rows], self.topic[rows], self.stamp_ns[rows], self.x[rows], self.y[rows], self.flag[rows]
+        )
+
+    def records(self) -> Iterator[tuple[int, int, Record]]:
+        """Yield log time, index of the topic and record of each row."""
+        columns = (self.log_ns, self.topic, self.stamp_ns, self.x, self.y, self.flag)
+        for log_ns, topic, stamp_ns, x, y, flag in zip(*(column.tolist() for column in columns), strict=True):
+            yield log_ns, topic, _record(topic, stamp_ns, x, y, flag)
+
+
+EMPTY: Final = RecordTable(
+    np.empty(0, np.uint64), np.empty(0, np.int8), np.empty(0, np.int64), np.empty(0), np.empty(0), np.empty(0, np.bool_)
+)
+
+
+def _record(topic: int, stamp_ns: int, x: float, y: float, flag: bool) -> Record:
+    kind = INPUT_TOPICS[topic].record
+    if kind is SpeedRecord:
+        return SpeedRecord(stamp_ns, x, y)
+    if kind is ForceRecord:
+        return ForceRecord(stamp_ns, x)
+    if kind is GradientRecord:
+        return GradientRecord(stamp_ns, x, y, flag)
+    return BrakeRecord(stamp_ns, x, flag) if kind is BrakeRecord else MassRecord(stamp_ns, x)
+
+
+def columns_of(record: Record) -> tuple[int, float, float, bool]:
+    """Return stamp, x, y and flag of a record, as in a :class:`RecordTable`."""
+    match record:
+        case SpeedRecord():
+            return record.stamp_ns, record.speed, record.position, False
+        case ForceRecord():
+            return record.stamp_ns, record.force, 0.0, False
+        case GradientRecord():
+            return record.stamp_ns, record.gradient, record.curve_radius, record.tunnel
+        case BrakeRecord():
+            return record.stamp_ns, record.target_acceleration, 0.0, record.emergency
+        case MassRecord():
+            return record.stamp_ns, record.mass, 0.0, False
+
+
+@dataclass(frozen=True, slots=True)
+class Layout:
+    """Fields of an input message after its header: numbers, then flags."""
+
+    floats: int
+    flags: int
+
+
+@cache
+def layout(message: str) -> Layout:
+    """Return the layout of an input message, given its short type name, from its packaged definition."""
+    text = (resources.files('trainid_ros.bag') / 'msg' / f'{message}.msg').read_text(encoding='utf-8')
+    kinds = re.findall(r'^(\S+)\s+[a-z]\w*\s*(?:#|$)', text, re.MULTILINE)
+    expected = ['std_msgs/Header', *['float64'] * kinds.count('float64'), *['bool'] * kinds.count('bool')]
+    if kinds != expected or not 1 <= kinds.count('float64') <= 2 or kinds.count('bool') > 1:
+        msg = f'{message}.msg: a header, one or two float64 and at most one bool expected, {kinds} found'
+        raise ValueError(msg)
+    return Layout(kinds.count('float64'), kinds.count('bool'))
+
+
+def decode(
+    data: Bytes, start: Places, end: Places, log_ns: NDArray[np.uint64], topic: int
+) -> tuple[RecordTable, NDArray[np.bool_]]:
+    """Return the table of messages of one topic, and which rows could be decoded.
+
+    Args:
+        data: The bytes that the messages lie in.
+        start: Where their payloads start, shape (n,).
+        end: Where they end, shape (n,).
+        log_ns: Log times, shape (n,).
+        topic: Index of the topic in INPUT_TOPICS.
+
+    """
+    form, count = layout(INPUT_TOPICS[topic].message), start.size
+    stamp_ns, x, y, flag = np.zeros(count, np.int64), np.zeros(count), np.zeros(count), np.zeros(count, np.bool_)
+    decoded = np.zeros(count, np.bool_)
+    known = np.flatnonzero(end - start >= _CDR_START + _STAMP.itemsize)
+    known = known[(data[start[known]] == 0) & (data[start[known] + 1] == _LITTLE_ENDIAN)]
+    stamp = _gather(data, start[known] + _CDR_START, _STAMP.itemsize).view(_STAMP)[:, 0]
+    for frame in np.unique(stamp['frame']).tolist():  # one, as a rule
+        body = -(-(_STAMP.itemsize + frame) // 8) * 8
+        size = _CDR_START + body + 8 * form.floats + form.flags
+        mine = stamp['frame'] == frame
+        excess = end[known] - start[known] - size
+        mine &= (excess >= 0) & (excess <= _MOST_PADDING)
+        rows, when = known[mine], stamp[mine]
+        if not rows.size:
+            continue
+        numbers = _gather(data, start[rows] + _CDR_START + body, 8 * form.floats).view('<f8')
+        x[rows] = numbers[:, 0]
+        if form.floats > 1:
+            y[rows] = numbers[:, 1]
+        if form.flags:
+            flag[rows] = data[start[rows] + size - 1] != 0
+        stamp_ns[rows] = when['sec'].astype(np.int64) * NS_PER_S + when['nanosec']
+        decoded[rows] = True
+    return RecordTable(log_ns, np.full(count, topic, np.int8), stamp_ns, x, y, flag), decoded
+
+
+def in_order_of(places: Places, tables: Sequence[RecordTable]) -> RecordTable:
+    """Return the rows of several tables by their places in a file, one for each row, shape (n,)."""
+    return _concatenated(tables)[np.argsort(places)]
+
+
+def joined(tables: Sequence[RecordTable]) -> RecordTable:
+    """Return the rows of several tables as one, in the order of log times; on equal times in that of the tables."""
+    table = _concatenated(tables)
+    if bool(np.all(table.log_ns[1:] >= table.log_ns[:-1])):
+        return table
+    return table[np.argsort(table.log_ns, kind='stable')]
+
+
+def _concatenated(tables: Sequence[RecordTable]) -> RecordTable:
+    if len(tables) == 1:
+        return tables[0]
+    names = ('log_ns', 'topic', 'stamp_ns', 'x', 'y', 'flag')
+    return RecordTable(*(np.concatenate([getattr(table, name) for table in tables]) for name in names))
+
+
+def _gather(data: Bytes, at: Places, size: int) -> Bytes:
+    """Return ``size`` bytes from each place, shape (n, size)."""
+    rows: Bytes = data[at[:, None] + np.arange(size)]
+    return rows
