@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Small bags made on the spot."""
+"""Small bags created for the tests."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ COUNT = 50
 
 
 def drive(count: int = COUNT) -> list[Record]:
-    """Return the four required topics at 5 Hz, each with stamps of its own, in stamp order."""
+    """Return the four required topics at 5 Hz, each with its own stamps, in stamp order."""
     records: list[Record] = []
     for i in range(count):
         stamp = START_NS + i * PERIOD_NS

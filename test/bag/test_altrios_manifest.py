@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The converted freight run obeys its truth: an independent check of signs, units and stamps."""
+"""The converted freight run agrees with its ground truth: an independent check of signs, units and stamps."""
 
 from __future__ import annotations
 
@@ -52,15 +52,15 @@ def test_forces_balance_with_the_true_resistance(by_type: dict[type[Record], lis
         v = speed[i : i + WINDOW + 1]
         errors.append(pull - inertia - (davis.a + davis.b * v.mean() + davis.c * np.square(v).mean()))
     assert len(errors) > 200
-    # Speed noise of 0.05 m/s at both ends of 10 s makes 0.74 N/kN; the mean of the windows hides ten times less.
+    # Speed noise of 0.05 m/s at both ends of 10 s makes 0.74 N/kN; the mean over the windows has a tenth of that.
     assert np.nanstd(errors) < 1.0
     assert abs(np.nanmean(errors)) < 0.15
 
 
-def test_train_file_is_off_as_told() -> None:
+def test_the_train_file_deviates_as_documented() -> None:
     truth = load_truth(BAG / 'truth.yaml').truth_at(0.0).resistance
-    believed = load_train_file(BAG / 'train.yaml').resistance
-    ratios = (believed.a / truth.a, believed.b / truth.b, believed.c / truth.c)
+    nominal = load_train_file(BAG / 'train.yaml').resistance
+    ratios = (nominal.a / truth.a, nominal.b / truth.b, nominal.c / truth.c)
     assert ratios == pytest.approx((1.2, 0.8, 1.2), rel=1e-3)
 
 

@@ -45,8 +45,8 @@ def test_numbers_of_a_plain_bag(bag: Path, records: list[Record]) -> None:
     assert ranges['ato/force force'] == (1e5 - 49, 1e5)
     assert ranges['ato/gradient gradient'] == pytest.approx((-3.0, 1.9))
     assert ranges['ato/brake_command target_acceleration'] == (-0.5, 0.0)
-    # Speed exceeds 0.1 m/s from the third of 50 messages on, the brake acts from the 26th on; the last one's time
-    # is not known.
+    # Speed exceeds 0.1 m/s from the third of 50 messages on, the brake acts from the 26th on; how long the last
+    # one holds is not known.
     assert info.moving_share == pytest.approx(47 / 49)
     assert info.braking_share == pytest.approx(24 / 49)
 
@@ -78,7 +78,7 @@ def test_faults_of_stamps_and_values_are_counted(tmp_path: Path, records: list[R
     assert all(line.startswith('ato/speed: ') for line in info.warnings)
 
 
-def test_log_time_behind_the_stamps_is_told(tmp_path: Path, records: list[Record]) -> None:
+def test_a_log_time_behind_the_stamps_is_reported(tmp_path: Path, records: list[Record]) -> None:
     with BagWriter(tmp_path / 'bag') as writer:
         for record in records:
             if isinstance(record, ForceRecord):
@@ -89,7 +89,7 @@ def test_log_time_behind_the_stamps_is_told(tmp_path: Path, records: list[Record
     assert stamps.log_offset_s == pytest.approx(0.03)
 
 
-def test_missing_topics_make_a_bag_useless(tmp_path: Path, records: list[Record]) -> None:
+def test_missing_topics_make_a_bag_unusable(tmp_path: Path, records: list[Record]) -> None:
     path = write(tmp_path / 'bag', [record for record in records if not isinstance(record, ForceRecord | BrakeRecord)])
     info = inspect(path)
     assert not info.usable
@@ -97,7 +97,7 @@ def test_missing_topics_make_a_bag_useless(tmp_path: Path, records: list[Record]
     assert info.problems == ('no messages on ato/force, ato/brake_command',)
 
 
-def test_other_namespace_is_pointed_at(tmp_path: Path, records: list[Record]) -> None:
+def test_topics_in_another_namespace_are_suggested(tmp_path: Path, records: list[Record]) -> None:
     with BagWriter(tmp_path / 'bag') as writer:
         for record in records:
             if isinstance(record, SpeedRecord):
@@ -107,12 +107,12 @@ def test_other_namespace_is_pointed_at(tmp_path: Path, records: list[Record]) ->
     assert 'ato/speed' not in inspect(tmp_path / 'bag', '/t7').missing
 
 
-def test_train_at_rest_is_useless(tmp_path: Path, records: list[Record]) -> None:
+def test_a_train_at_rest_makes_a_bag_unusable(tmp_path: Path, records: list[Record]) -> None:
     still = [replace(record, speed=0.0) if isinstance(record, SpeedRecord) else record for record in records]
     assert inspect(write(tmp_path / 'bag', still)).problems == ('the train does not move',)
 
 
-def test_topics_that_never_meet_are_useless(tmp_path: Path, records: list[Record]) -> None:
+def test_topics_without_overlap_make_a_bag_unusable(tmp_path: Path, records: list[Record]) -> None:
     hour = 3600 * NS_PER_S
     moved = [
         replace(record, stamp_ns=record.stamp_ns + hour) if isinstance(record, ForceRecord) else record
@@ -121,12 +121,12 @@ def test_topics_that_never_meet_are_useless(tmp_path: Path, records: list[Record
     assert inspect(write(tmp_path / 'bag', moved)).problems == ('the stamps of the required topics do not overlap',)
 
 
-def test_topic_without_a_single_good_message_is_useless(tmp_path: Path, records: list[Record]) -> None:
+def test_a_topic_without_valid_messages_makes_a_bag_unusable(tmp_path: Path, records: list[Record]) -> None:
     broken = [replace(record, force=math.nan) if isinstance(record, ForceRecord) else record for record in records]
     assert inspect(write(tmp_path / 'bag', broken)).problems == ('ato/force: no message can be used',)
 
 
-def test_empty_bag_is_read_and_useless(tmp_path: Path) -> None:
+def test_an_empty_bag_is_read_and_unusable(tmp_path: Path) -> None:
     info = inspect(write(tmp_path / 'bag', []))
     assert (info.messages, info.duration_s, info.usable) == (0, 0.0, False)
     assert len(info.missing) == 4

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A replay says what the pipelines say, sees everything in order, and refuses a bag that lacks a topic."""
+"""A replay gives the outputs of the pipelines, passes all records in order, and rejects a bag that lacks a topic."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ TOPICS = {topic.record: topic for topic in INPUT_TOPICS}
 
 
 class Log:
-    """Notes all that passes through a replay."""
+    """Records all inputs and outputs of a replay."""
 
     def __init__(self) -> None:
         self.records: list[Record] = []
@@ -74,7 +74,7 @@ def run(bag: Path, *observers: Any, duration_s: float = float('inf')) -> Replay:
 
 @pytest.fixture(scope='module')
 def replayed(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Replay, Log, Path]:
-    """Return the outcome of a replay, all that passed, and the bag that it was recorded to."""
+    """Return the outcome of a replay, its inputs and outputs, and the bag they were recorded to."""
     log, path = Log(), tmp_path_factory.mktemp('recorded') / 'out'
     with BagWriter(path) as writer:
         return run(bag, log, BagRecorder(writer)), log, path
@@ -101,7 +101,7 @@ def test_outputs_are_those_of_the_pipelines_driven_by_hand(
     assert outcome.records == len(drive)
 
 
-def test_something_is_learned(replayed: tuple[Replay, Log, Path]) -> None:
+def test_the_estimators_use_samples(replayed: tuple[Replay, Log, Path]) -> None:
     outcome = replayed[0]
     assert outcome.resistance.output.used > 50
     assert outcome.brake_rate.output.used > 20
@@ -110,11 +110,11 @@ def test_something_is_learned(replayed: tuple[Replay, Log, Path]) -> None:
 
 def test_duration_is_that_of_the_samples(replayed: tuple[Replay, Log, Path], drive: tuple[Record, ...]) -> None:
     span_s = (drive[-1].stamp_ns - drive[0].stamp_ns) / NS_PER_S
-    # The first sample stands at the first speed, the last one at the last: both within a period of 0.2 s.
+    # The first and last samples lie at the first and last speeds, both within a period of 0.2 s.
     assert replayed[0].duration_s == pytest.approx(span_s, abs=0.5)
 
 
-def test_progress_adds_up_to_all_inputs_taken(bag: Path, drive: tuple[Record, ...]) -> None:
+def test_progress_adds_up_to_all_inputs_read(bag: Path, drive: tuple[Record, ...]) -> None:
     steps: list[float] = []
     taken = [r for r in drive if r.stamp_ns <= drive[0].stamp_ns + 60 * NS_PER_S]
     with BagReader(bag) as reader:
@@ -123,7 +123,7 @@ def test_progress_adds_up_to_all_inputs_taken(bag: Path, drive: tuple[Record, ..
     assert len(steps) > 2
 
 
-def test_only_the_start_is_taken_if_asked(bag: Path, drive: tuple[Record, ...]) -> None:
+def test_a_limited_duration_reads_only_the_start(bag: Path, drive: tuple[Record, ...]) -> None:
     log = Log()
     run(bag, log, duration_s=20.0)
     assert log.records == [r for r in drive if r.stamp_ns <= drive[0].stamp_ns + 20 * NS_PER_S]
@@ -139,7 +139,7 @@ def test_stamps_that_start_over_count_twice(tmp_path: Path, drive: tuple[Record,
     once_s = (drive[-1].stamp_ns - drive[0].stamp_ns) / NS_PER_S
     outcome = run(path)
     assert outcome.resistance.resets == 1
-    # The aligner needs some records to believe that the stamps jumped back.
+    # The aligner needs some records to accept that the stamps jumped back.
     assert outcome.duration_s == pytest.approx(2.0 * once_s, abs=2.0)
 
 

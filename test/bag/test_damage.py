@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every way in which a bag on disk may be broken."""
+"""All kinds of damage to a bag on disk."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def error_of(path: Path) -> str:
 
 @pytest.mark.parametrize('compression', list(CompressionType))
 @pytest.mark.parametrize('chunked', [True, False])
-def test_every_kind_of_whole_file_is_read(tmp_path: Path, compression: CompressionType, *, chunked: bool) -> None:
+def test_every_kind_of_intact_file_is_read(tmp_path: Path, compression: CompressionType, *, chunked: bool) -> None:
     records = write_file(tmp_path / 'x.mcap', compression, chunked=chunked)
     assert read(tmp_path / 'x.mcap') == (records, [])
 
@@ -91,7 +91,7 @@ def test_lost_index_loses_no_message(bag: Path) -> None:
     assert [('index' in text) for text in warnings] == [True]
 
 
-def test_lost_messages_are_told_by_the_metadata(bag: Path) -> None:
+def test_lost_messages_are_detected_by_the_metadata(bag: Path) -> None:
     text = (bag / 'metadata.yaml').read_text().replace('message_count: 200', 'message_count: 201')
     (bag / 'metadata.yaml').write_text(text)
     assert read(bag)[1] == [f'{bag}: 200 of 201 messages found']
@@ -132,7 +132,7 @@ def test_flipped_bit_in_a_chunk_is_found(tmp_path: Path, compression: Compressio
     assert f'{path}: is corrupt: ' in error_of(path)
 
 
-def test_our_own_chunks_carry_a_checksum(bag: Path) -> None:
+def test_written_chunks_carry_a_checksum(bag: Path) -> None:
     # Any flipped byte of the compressed data must be found, whichever it is.
     path = bag / 'bag.mcap'
     content = path.read_bytes()
@@ -171,7 +171,7 @@ def test_file_without_content_is_named(tmp_path: Path, content: bytes, reason: s
     assert error_of(path) == f'{path}: {reason}'
 
 
-def test_missing_metadata_is_told_and_bridged(bag: Path, records: list[Record]) -> None:
+def test_missing_metadata_is_reported_and_the_bag_read(bag: Path, records: list[Record]) -> None:
     (bag / 'metadata.yaml').unlink()
     found, (warning,) = read(bag)
     assert found == records
@@ -179,7 +179,7 @@ def test_missing_metadata_is_told_and_bridged(bag: Path, records: list[Record]) 
 
 
 @pytest.mark.parametrize('text', ['{', 'nothing: here', '', 'rosbag2_bagfile_information: 3', '\udcff'])
-def test_unreadable_metadata_is_told_and_bridged(bag: Path, records: list[Record], text: str) -> None:
+def test_unreadable_metadata_is_reported_and_the_bag_read(bag: Path, records: list[Record], text: str) -> None:
     (bag / 'metadata.yaml').write_bytes(text.encode('utf-8', 'surrogateescape'))
     found, (warning,) = read(bag)
     assert found == records
@@ -189,7 +189,7 @@ def test_unreadable_metadata_is_told_and_bridged(bag: Path, records: list[Record
 
 def test_file_named_in_metadata_but_missing(bag: Path) -> None:
     (bag / 'bag.mcap').unlink()
-    assert error_of(bag) == f'{bag / "bag.mcap"}: file named in metadata.yaml is missing'
+    assert error_of(bag) == f'{bag / "bag.mcap"}: file listed in metadata.yaml is missing'
 
 
 def test_other_storage_is_named(bag: Path, tmp_path: Path) -> None:

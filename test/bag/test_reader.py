@@ -29,7 +29,7 @@ def write(path: Path, entries: Iterable[tuple[str, int, Record]]) -> Path:
     return path
 
 
-def test_records_come_back_as_written(bag: Path, records: list[Record]) -> None:
+def test_records_are_read_back_as_written(bag: Path, records: list[Record]) -> None:
     with BagReader(bag) as reader:
         assert list(reader.records()) == records
         assert list(reader.records()) == records  # a second pass starts over
@@ -75,7 +75,7 @@ def test_order_is_log_time_and_on_ties_that_of_the_file(tmp_path: Path) -> None:
 
 
 def test_order_holds_across_chunks_that_overlap(tmp_path: Path) -> None:
-    # 1.5 MB of a topic of others pushes the second half into later chunks of about 1 MB.
+    # 1.5 MB on a foreign topic push the second half into later chunks of about 1 MB.
     filler = typestore().types['std_msgs/msg/String'](data='x' * 500_000)
     path = tmp_path / 'bag'
     order = [50, 10, 40, 0, 30, 20]
@@ -100,7 +100,7 @@ def test_namespace_selects_the_train(tmp_path: Path) -> None:
         assert list(reader.records()) == []
 
 
-def test_a_namespace_does_not_take_the_topics_of_the_root(tmp_path: Path) -> None:
+def test_a_namespace_does_not_include_the_topics_of_the_root(tmp_path: Path) -> None:
     root, other = SpeedRecord(STAMP, 1.0, 0.0), SpeedRecord(STAMP + 1, 2.0, 0.0)
     path = write(tmp_path / 'bag', [('/ato/speed', STAMP, root), ('/t2/ato/speed', STAMP + 1, other)])
     with BagReader(path, 't2') as reader:
@@ -109,7 +109,7 @@ def test_a_namespace_does_not_take_the_topics_of_the_root(tmp_path: Path) -> Non
         assert list(reader.records()) == [root]
 
 
-def test_missing_topics_are_named_with_what_is_there(tmp_path: Path) -> None:
+def test_missing_topics_are_named_with_those_found(tmp_path: Path) -> None:
     path = write(tmp_path / 'bag', [('ato/force', STAMP, ForceRecord(STAMP, 1.0))])
     expected = r'bag: no messages on ato/speed, ato/gradient, ato/brake_command \(found: ato/force\)'
     with BagReader(path) as reader, pytest.raises(InputError, match=expected):
@@ -123,7 +123,7 @@ def test_wrong_type_on_a_topic_is_named(tmp_path: Path) -> None:
         pass
 
 
-def test_same_name_with_another_definition_is_refused(tmp_path: Path) -> None:
+def test_a_type_with_another_definition_is_rejected(tmp_path: Path) -> None:
     text, _ = typestore().generate_msgdef(full_type('AtoSpeed'), ros_version=2)
     other = text.replace('float64 position', 'float32 position')
     with Writer(tmp_path / 'bag', version=9, storage_plugin=StoragePlugin.MCAP) as writer:
@@ -134,7 +134,7 @@ def test_same_name_with_another_definition_is_refused(tmp_path: Path) -> None:
         pass
 
 
-def test_type_hash_stands_in_for_a_missing_definition(tmp_path: Path) -> None:
+def test_the_type_hash_replaces_a_missing_definition(tmp_path: Path) -> None:
     good, name = typestore().hash_rihs01(full_type('TrainMass')), full_type('TrainMass')
     record = MassRecord(STAMP, 2e5)
     payload = typestore().serialize_cdr(message_from_record(record), name)
@@ -145,12 +145,12 @@ def test_type_hash_stands_in_for_a_missing_definition(tmp_path: Path) -> None:
         assert list(reader.records()) == [record]
     with pytest.raises(InputError, match='RIHS01_0 found'), BagReader(tmp_path / 'bad'):
         pass
-    # Nobody vouches for the bare file.
+    # The bare file has neither definition nor type hash.
     with pytest.raises(InputError, match='no definition found'), BagReader(tmp_path / 'good' / 'good.mcap'):
         pass
 
 
-def test_topics_of_others_do_not_matter(tmp_path: Path) -> None:
+def test_foreign_topics_are_ignored(tmp_path: Path) -> None:
     store = typestore()
     store.register(get_types_from_msg('float64 x', 'other_msgs/msg/Odd'))
     record = MassRecord(STAMP, 2e5)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The measured ride: none of it is made up, and its energy balance tells what the notes on it say."""
+"""The measured ride: no values are interpolated over pauses, and its energy balance agrees with its documentation."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def series() -> dict[str, Series]:
 
 
 def masses(series: dict[str, Series], late: float) -> tuple[float, float]:
-    """Return the mass [kg] that climbing and that acceleration show if the gradient is so many seconds late."""
+    """Return the masses [kg] that fit climbing and acceleration if the gradient is late by ``late`` [s]."""
     speed = series['speed']
     rows = []
     for first in np.arange(0.0, speed.time[-1] - WINDOW - 10.0, WINDOW):
@@ -65,7 +65,7 @@ def masses(series: dict[str, Series], late: float) -> tuple[float, float]:
             continue
         v = speed.every_second(first, WINDOW)
         force = series['force'].every_second(first, WINDOW)
-        if v.min() < 2.0 or force.min() <= 0.0:  # only who pedals does not brake
+        if v.min() < 2.0 or force.min() <= 0.0:  # a rider who pedals does not brake
             continue
         climb = G * series['gradient'].every_second(first + late, WINDOW).mean() / 1000.0
         rows.append((force.mean(), 1.0, np.square(v).mean(), climb, 1.01 * (v[-1] - v[0]) / WINDOW))
@@ -90,10 +90,10 @@ def test_distance_and_speed_agree(series: dict[str, Series]) -> None:
     assert distance == pytest.approx(float(np.diff(position)[riding].sum()), rel=0.02)
 
 
-def test_energy_tells_one_mass_if_the_altimeter_is_late(series: dict[str, Series]) -> None:
+def test_the_energy_balance_gives_one_mass_if_the_altimeter_is_late(series: dict[str, Series]) -> None:
     at_once, late = masses(series, 0.0), masses(series, 3.0)
-    believed = load_train_file(BAG / 'train.yaml').train.mass
-    assert 60.0 < late[0] < 0.9 * believed
+    nominal = load_train_file(BAG / 'train.yaml').train.mass
+    assert 60.0 < late[0] < 0.9 * nominal
     assert late[1] == pytest.approx(late[0], rel=0.15)
     assert at_once[1] < 0.8 * at_once[0]
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs of several bags: one time scale, and the same from processes side by side as from this one."""
+"""Runs of several bags: one time scale, and the same results from parallel processes as from a single one."""
 
 from __future__ import annotations
 
@@ -45,13 +45,13 @@ def test_times_count_from_the_earliest_sample_of_all(bags: list[Path]) -> None:
 
 
 def test_progress_counts_inputs(bags: list[Path]) -> None:
-    told: list[float] = []
-    read_runs(bags, TRAIN, advance=told.append)
+    steps: list[float] = []
+    read_runs(bags, TRAIN, advance=steps.append)
     total = sum(survey(bags).inputs)
-    assert total - 1000 <= sum(told) <= total
+    assert total - 1000 <= sum(steps) <= total
 
 
-def test_few_inputs_are_read_here_many_side_by_side() -> None:
+def test_only_many_inputs_are_read_in_parallel() -> None:
     assert worker_count([POOL_FROM // 4] * 3) == 1
     assert worker_count([2 * POOL_FROM]) == 1
     assert 1 <= worker_count([POOL_FROM] * 3) <= 3
@@ -59,18 +59,18 @@ def test_few_inputs_are_read_here_many_side_by_side() -> None:
 
 @pytest.mark.slow
 def test_processes_give_the_same_runs_and_progress(bags: list[Path]) -> None:
-    told: list[float] = []
-    together = read_runs(bags, TRAIN, workers=2, advance=told.append)
+    steps: list[float] = []
+    together = read_runs(bags, TRAIN, workers=2, advance=steps.append)
     assert all(map(same, together, read_runs(bags, TRAIN)))
-    assert sum(told) > 1000
+    assert sum(steps) > 1000
 
 
 @pytest.mark.slow
-def test_a_damaged_bag_is_told_by_the_process_that_reads_it(bags: list[Path], tmp_path: Path) -> None:
+def test_an_error_in_a_worker_process_is_raised(bags: list[Path], tmp_path: Path) -> None:
     with pytest.raises(InputError, match='missing'):
         read_runs([*bags, tmp_path / 'missing'], TRAIN, workers=2)
 
 
-def test_a_bag_counts_once(bags: list[Path]) -> None:
+def test_a_bag_given_twice_is_rejected(bags: list[Path]) -> None:
     with pytest.raises(InputError, match='given twice'):
         survey([bags[0], bags[1], bags[0].parent / '.' / bags[0].name])

@@ -68,7 +68,7 @@ def test_numpy_scalars_become_plain_numbers() -> None:
 
 
 def numbered(kind: type[Estimate], width: int) -> Estimate:
-    """Return an estimate in which each field has a value of its own."""
+    """Return an estimate in which each field has a different value."""
     values: dict[str, object] = {item.name: float(i) for i, item in enumerate(fields(kind), 1)}
     if width:
         values['covariance'] = tuple(float(i) for i in range(width))
@@ -93,13 +93,13 @@ def test_estimate_fills_every_field_of_its_message(kind: type[Estimate], width: 
     assert message.last_reject_text == str(rejection)  # type: ignore[attr-defined]
 
 
-def test_output_without_refusal_says_none() -> None:
+def test_an_output_without_rejection_has_reason_zero() -> None:
     message = estimate_message(Output(STAMP, numbered(BrakeRateEstimate, 0), Status.VALID, 1, 0, None))
     assert (message.last_reject_reason, message.last_reject_text) == (0, '')
 
 
 @pytest.mark.parametrize('stamp', [-1, 2**31 * 10**9])
-def test_stamp_outside_ros_time_is_refused(stamp: int) -> None:
+def test_a_stamp_outside_ros_time_is_rejected(stamp: int) -> None:
     with pytest.raises(InputError, match=str(stamp)):
         split_stamp(stamp)
 

@@ -27,7 +27,7 @@ def output(status: Status, stamp_ns: int = STAMP) -> Output[BrakeRateEstimate]:
     return Output(stamp_ns, ESTIMATE, status, 5, 2, None)
 
 
-def test_another_reader_sees_messages_digests_and_qos(bag: Path, records: list[Record]) -> None:
+def test_another_reader_reads_messages_digests_and_qos(bag: Path, records: list[Record]) -> None:
     with AnyReader([bag]) as reader:
         assert reader.message_count == len(records)
         for connection in reader.connections:
@@ -47,7 +47,7 @@ def test_another_reader_sees_messages_digests_and_qos(bag: Path, records: list[R
 def test_metadata_is_that_of_a_jazzy_bag(bag: Path) -> None:
     info = yaml.safe_load((bag / 'metadata.yaml').read_text())['rosbag2_bagfile_information']
     assert (info['version'], info['storage_identifier']) == (9, 'mcap')
-    # Chunks are compressed inside the file; compression of the whole bag would need another player.
+    # Chunks are compressed inside the file; compression of the whole bag would need a different player.
     assert (info['compression_mode'], info['compression_format']) == ('', '')
 
 
@@ -74,7 +74,7 @@ def test_valid_estimate_is_latched_for_late_joiners(tmp_path: Path) -> None:
     assert (qos.durability, qos.depth) == (QosDurability.TRANSIENT_LOCAL, 1)
 
 
-def test_estimates_come_back(tmp_path: Path) -> None:
+def test_estimates_are_read_back(tmp_path: Path) -> None:
     with BagWriter(tmp_path / 'out') as writer:
         writer.write_estimate(output(Status.HOLDING))
     with BagReader(tmp_path / 'out') as reader:
@@ -92,7 +92,7 @@ def test_existing_path_is_not_touched(tmp_path: Path) -> None:
     assert path.read_text() == 'precious'
 
 
-def test_failed_block_leaves_nothing_behind(tmp_path: Path, records: list[Record]) -> None:
+def test_a_failed_block_removes_the_bag(tmp_path: Path, records: list[Record]) -> None:
     def write_half() -> None:
         with BagWriter(tmp_path / 'bag') as writer:
             writer.write_record(records[0])
@@ -104,18 +104,18 @@ def test_failed_block_leaves_nothing_behind(tmp_path: Path, records: list[Record
     assert list(tmp_path.iterdir()) == []
 
 
-def test_place_that_cannot_be_written_is_named(tmp_path: Path) -> None:
+def test_a_path_that_cannot_be_written_is_named(tmp_path: Path) -> None:
     (tmp_path / 'file').write_text('')
     with pytest.raises(InputError, match='file/bag: cannot be written'), BagWriter(tmp_path / 'file' / 'bag'):
         pass
 
 
-def test_negative_log_time_is_refused(tmp_path: Path) -> None:
+def test_a_negative_log_time_is_rejected(tmp_path: Path) -> None:
     message = message_from_record(MassRecord(STAMP, 1e5))
     with pytest.raises(InputError, match='ato/mass: log time -1 ns'), BagWriter(tmp_path / 'bag') as writer:
         writer.write_message('ato/mass', 'TrainMass', -1, message)
 
 
-def test_writing_outside_the_context_is_refused(tmp_path: Path) -> None:
+def test_writing_outside_the_context_is_rejected(tmp_path: Path) -> None:
     with pytest.raises(InputError, match='not open'):
         BagWriter(tmp_path / 'bag').write_record(MassRecord(STAMP, 1e5))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Alignment: samples depend on stamps and values alone, and every record not used is accounted for."""
+"""Alignment: samples depend only on stamps and values, and every record not used is counted."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ from trainid_ros.core.samples import BrakeCommandChange, Sample
 START = 1_700_000_000 * NS_PER_S
 PERIOD = NS_PER_S // 5
 CONFIG = AlignmentConfig()
-# Examples are seeds: a smaller seed is no simpler example, so there is nothing to shrink.
+# Examples are seeds: a smaller seed is not a simpler example, so shrinking is useless.
 SEEDS = settings(max_examples=50, deadline=None, phases=(Phase.explicit, Phase.reuse, Phase.generate))
 Event = TypeVar('Event', Sample, Rejection, TimeJump)
 Kind = TypeVar('Kind', SpeedRecord, ForceRecord, GradientRecord, BrakeRecord, MassRecord)
@@ -42,7 +42,7 @@ def at(seconds: float) -> int:
 
 
 def drive(seconds: float, *, start_s: float = 0.0, rate: float = 5.0) -> list[Record]:
-    """Four topics with stamps of their own; values are linear in time, so that interpolation is exact."""
+    """Four topics, each with its own stamps; values are linear in time, so that interpolation is exact."""
     records: list[Record] = []
     for i in range(round(seconds * rate)):
         t = start_s + i / rate
@@ -193,8 +193,8 @@ def test_the_order_of_topics_does_not_matter(seed: int) -> None:
 
 @SEEDS
 @given(st.integers(0, 2**32 - 1))
-def test_nor_does_it_where_records_are_lost(seed: int) -> None:
-    """A lost record leaves gaps of 0.5 s, over which is interpolated: the record beyond is waited for."""
+def test_the_order_of_topics_does_not_matter_where_records_are_lost(seed: int) -> None:
+    """A lost record leaves gaps of 0.5 s, which are interpolated: samples wait for the next record."""
     orders = arrivals(seed, CONFIG.max_lag)
     gone = lost(orders[0], np.random.default_rng(seed))
     by_stamp, by_arrival = (run([r for r in records if id(r) not in gone]) for records in orders)
@@ -204,7 +204,7 @@ def test_nor_does_it_where_records_are_lost(seed: int) -> None:
 @SEEDS
 @given(st.integers(0, 2**32 - 1))
 def test_a_lagging_mass_gives_the_same_samples(seed: int) -> None:
-    """Mass is optional and never waited for; its lag must not decide from which sample on it counts."""
+    """Mass is optional and never waited for; its lag must not affect from which sample on it counts."""
     rng = np.random.default_rng(seed)
     records = drive(8.0)
     masses: list[Record] = [MassRecord(at(t), 2e5 + 1e3 * t) for t in np.arange(0.55, 8.0, 1.0)]
@@ -215,11 +215,11 @@ def test_a_lagging_mass_gives_the_same_samples(seed: int) -> None:
     expected, found = (run([r for _, r in sorted(order, key=lambda item: item[0])]) for order in (in_time, lagging))
     same = repr(of(Sample, found)) == repr(of(Sample, expected))
     assert same, f'seed {seed}: samples depend on when a mass arrives'
-    # No topic lags by more than it may, so there is nothing to complain of.
+    # No topic lags by more than the limit, so nothing is rejected.
     assert not reasons(found)
 
 
-def test_out_of_order_within_a_topic_is_put_in_order() -> None:
+def test_records_of_a_topic_out_of_order_are_sorted() -> None:
     records = drive(10.0)
     k = [i for i, r in enumerate(records) if isinstance(r, ForceRecord)][20:22]
     swapped = list(records)
@@ -236,7 +236,7 @@ def test_out_of_order_within_a_topic_is_put_in_order() -> None:
     assert repr(out_of_order) == repr(in_order)
 
 
-def test_speed_out_of_order_within_the_lag_is_put_in_order() -> None:
+def test_speeds_out_of_order_within_the_lag_are_sorted() -> None:
     records = drive(10.0)
     speeds = [i for i, r in enumerate(records) if isinstance(r, SpeedRecord)]
     swapped = list(records)
@@ -245,7 +245,7 @@ def test_speed_out_of_order_within_the_lag_is_put_in_order() -> None:
     events = run(swapped)
     stamps = [s.stamp_ns for s in of(Sample, events)]
     assert stamps == sorted(stamps)
-    # It is used, or counted as late; never lost silently.
+    # Each speed is used or counted as late, never dropped without a reason.
     assert len(stamps) + reasons(events)[Reason.LATE] >= len(speeds) - 2
 
 
@@ -284,11 +284,11 @@ def test_a_bad_record_is_counted_once_and_changes_nothing(bad: Record, reason: R
 
 
 @pytest.mark.parametrize('step_s', [100.0, -100.0])
-def test_a_refusal_tells_the_value_and_the_limit(step_s: float) -> None:
+def test_a_rejection_holds_the_value_and_the_limit(step_s: float) -> None:
     records = drive(5.0)
     newest_ns = records[-2].stamp_ns
     stray = ForceRecord(newest_ns + round(step_s * NS_PER_S), 1.0)
-    # What became of a stray stamp is known when the next record goes on as before.
+    # A stray stamp is rejected once the next record continues as before.
     (rejection,) = of(Rejection, run([*records[:-1], stray, records[-1]]))
     assert (rejection.stamp_ns, rejection.reason) == (stray.stamp_ns, Reason.STAMP_JUMP)
     assert rejection.value == pytest.approx(step_s)
@@ -299,11 +299,11 @@ def test_a_refusal_tells_the_value_and_the_limit(step_s: float) -> None:
 
 
 @pytest.mark.parametrize('kind', [ForceRecord, GradientRecord])
-def test_a_dropout_of_an_input_is_told_by_nan_and_ends(kind: type[Record]) -> None:
+def test_a_dropout_of_an_input_gives_nan_until_it_ends(kind: type[Record]) -> None:
     samples = of(Sample, run(without(kind, drive(20.0), 8.0, 11.0)))
     name = 'force' if kind is ForceRecord else 'gradient'
     unknown = [(s.stamp_ns - START) / NS_PER_S for s in samples if math.isnan(getattr(s, f'{name}_mean'))]
-    # No sample is lost, and only those without a record near by are without a value.
+    # No sample is lost, and only those without a record nearby have no value.
     assert len(samples) >= 98
     assert min(unknown) == pytest.approx(8.0)
     # The mean up to 11.2 s begins at 11.0 s, where the value is not known yet.
@@ -311,7 +311,7 @@ def test_a_dropout_of_an_input_is_told_by_nan_and_ends(kind: type[Record]) -> No
     assert len(unknown) == 17
 
 
-def test_a_short_dropout_is_interpolated_over() -> None:
+def test_a_short_dropout_is_interpolated() -> None:
     samples = of(Sample, run(without(ForceRecord, drive(20.0), 8.0, 8.35)))
     assert all(math.isfinite(s.force_mean) for s in samples[2:])
     sample = next(s for s in samples if s.stamp_ns == at(8.2))
@@ -327,7 +327,7 @@ def test_a_brake_command_is_unknown_once_it_is_older_than_the_timeout() -> None:
     assert all(not s.emergency for s in unknown)
 
 
-def test_a_sample_waits_for_a_lagging_topic_by_stamps_and_no_longer() -> None:
+def test_the_wait_for_a_lagging_topic_is_limited_by_stamps() -> None:
     aligner = Aligner(CONFIG)
     released = [
         (aligner.newest_ns - event.stamp_ns) / NS_PER_S
@@ -368,8 +368,8 @@ def test_every_change_of_the_command_is_delivered_once_with_its_stamp(commands: 
 
 
 @pytest.mark.parametrize(('missing_for_s', 'missed'), [(0.05, False), (0.2, True), (1.0, True)])
-def test_a_command_that_changed_over_a_gap_may_have_changed_unseen(missing_for_s: float, missed: bool) -> None:
-    # Commands come every 0.2 s, one of them at 4.99 s: the shortest silence loses none.
+def test_a_command_that_differs_after_a_gap_is_a_brake_gap(missing_for_s: float, missed: bool) -> None:
+    # Commands come every 0.2 s, one of them at 4.99 s: the shortest dropout loses none.
     records = without(BrakeRecord, drive(10.0), 4.9, 4.9 + missing_for_s)
     braked = [
         replace(r, target_acceleration=-0.5) if isinstance(r, BrakeRecord) and r.stamp_ns > at(4.9) else r
@@ -377,7 +377,7 @@ def test_a_command_that_changed_over_a_gap_may_have_changed_unseen(missing_for_s
     ]
     samples = of(Sample, run(braked))
     assert any(s.brake_gap for s in samples) is missed
-    # A gap over which the command stays the same hides nothing.
+    # A gap with the same command before and after is no brake gap.
     assert not any(s.brake_gap for s in of(Sample, run(records)))
 
 
@@ -414,8 +414,8 @@ def stopping(*, weighed_s: list[float]) -> list[Sample]:
     [
         ([], False, False),
         ([0.55], True, False),  # once, before the first departure
-        ([0.55, 5.05], True, False),  # dies before the stop
-        ([0.55, 6.55], True, True),  # once a stop
+        ([0.55, 5.05], True, False),  # weighing fails before the stop
+        ([0.55, 6.55], True, True),  # once per stop
         ([k + 0.05 for k in range(14)], True, True),  # every second
     ],
 )
@@ -427,7 +427,7 @@ def test_a_load_counts_as_weighed_until_the_train_next_stops(
     assert math.isnan(samples[5 * 12].mass) is (not weighed_s)
 
 
-def test_the_interval_of_the_force_is_that_of_the_reports_around_the_stamp() -> None:
+def test_the_force_interval_is_that_of_the_records_around_the_stamp() -> None:
     records = without(ForceRecord, drive(10.0), 4.9, 5.3)  # two are missing
     intervals = [sample.force_interval for sample in of(Sample, run(records))]
     assert intervals[10] == pytest.approx(0.2)
@@ -453,7 +453,7 @@ def test_curvature_is_interpolated_and_a_tunnel_holds_from_its_record() -> None:
 
 
 def in_a_curve(low_s: float, high_s: float, records: list[Record]) -> list[Record]:
-    """The records with a curve of 250 m from one time to another."""
+    """Return the records with a curve of 250 m radius between two times."""
     return [
         replace(r, curve_radius=250.0) if isinstance(r, GradientRecord) and at(low_s) <= r.stamp_ns < at(high_s) else r
         for r in records
@@ -474,7 +474,7 @@ def test_the_mean_curvature_is_that_of_the_interval() -> None:
         assert sample.curvature == sample.curvature_mean
 
 
-def test_where_a_curve_begins_the_part_inside_it_counts_in_the_mean() -> None:
+def test_where_a_curve_begins_the_mean_includes_the_part_inside_it() -> None:
     samples = of(Sample, run(in_a_curve(5.0, 99.0, drive(10.0))))
     means = {round((s.stamp_ns - START) / NS_PER_S, 1): 250.0 * s.curvature_mean for s in samples}
     # Between the records at 4.97 and 5.17 s the curvature rises: to 0.15 at 5.0 s, and on to 1.
@@ -483,7 +483,7 @@ def test_where_a_curve_begins_the_part_inside_it_counts_in_the_mean() -> None:
     assert samples[2].curvature == 0.0
 
 
-def test_a_curve_between_two_slow_samples_counts_in_the_mean() -> None:
+def test_the_mean_includes_a_curve_between_two_slow_samples() -> None:
     """Half a second of curve, speeds once a second: at the stamps there is none."""
     records = in_a_curve(5.2, 5.7, drive(20.0))
     slow = [r for r in records if not isinstance(r, SpeedRecord) or (r.stamp_ns - START) % NS_PER_S == 0]
@@ -516,7 +516,7 @@ def test_without_a_mean_the_curvature_is_that_at_the_stamp() -> None:
     curved = replace(sample, curve_radius=400.0, curvature_mean=math.nan)
     assert curved.curvature == pytest.approx(1.0 / 400.0, rel=1e-15)
     assert replace(curved, curve_radius=0.0).curvature == 0.0
-    # A mean that is known counts, also one of no curve.
+    # A known mean counts, even if it is zero.
     assert replace(curved, curvature_mean=0.0).curvature == 0.0
 
 
@@ -540,22 +540,22 @@ def test_the_direction_follows_the_positions_but_not_their_noise() -> None:
 # Clocks
 
 
-def test_a_bag_that_starts_over_is_one_jump_back_and_goes_on() -> None:
+def test_a_bag_that_starts_over_is_one_jump_back_and_continues() -> None:
     records = drive(20.0)
     events = run([*records, *records])
     (jump,) = of(TimeJump, events)
     assert jump.step_s == pytest.approx(-19.9, abs=0.3)
-    # Records wait until a third one agrees; none is lost.
+    # Records are held until a third one agrees; none is lost.
     assert not reasons(events)
     samples = of(Sample, events)
     assert len(samples) >= 2 * 100 - 1
     first = next(i for i, (a, b) in enumerate(pairwise(samples)) if b.stamp_ns < a.stamp_ns)
     assert math.isnan(samples[first + 1].dt)
-    # What the end of the first pass left is released before the jump, not lost.
+    # Samples pending at the end of the first pass are released before the jump, not lost.
     assert samples[first].stamp_ns == at(19.8)
 
 
-def test_a_jump_forward_is_one_jump_and_goes_on() -> None:
+def test_a_jump_forward_is_one_jump_and_continues() -> None:
     events = run([*drive(20.0), *drive(20.0, start_s=1000.0)])
     (jump,) = of(TimeJump, events)
     assert jump.step_s == pytest.approx(980.0, abs=0.5)
@@ -564,7 +564,7 @@ def test_a_jump_forward_is_one_jump_and_goes_on() -> None:
     assert [math.isnan(s.dt) for s in samples].count(True) == 2
 
 
-def test_where_a_jump_back_is_refused_all_is_refused_until_the_stamps_catch_up() -> None:
+def test_where_jumps_back_are_rejected_all_records_are_until_the_stamps_catch_up() -> None:
     events = run([*drive(20.0), *drive(25.0)], reject=True)
     assert not of(TimeJump, events)
     stamps = [s.stamp_ns for s in of(Sample, events)]
@@ -574,7 +574,7 @@ def test_where_a_jump_back_is_refused_all_is_refused_until_the_stamps_catch_up()
     assert reasons(events)[Reason.STAMP_JUMP] == pytest.approx(18 * 20, abs=10)
 
 
-def test_a_jump_forward_is_followed_also_where_jumps_back_are_refused() -> None:
+def test_a_jump_forward_is_followed_even_where_jumps_back_are_rejected() -> None:
     events = run([*drive(20.0), *drive(20.0, start_s=1000.0)], reject=True)
     assert len(of(TimeJump, events)) == 1
 
@@ -590,18 +590,18 @@ def test_one_stray_stamp_does_not_move_the_time_base(ahead_s: float) -> None:
     assert len(of(Sample, events)) >= 140
 
 
-def test_one_topic_with_a_clock_of_its_own_moves_nothing() -> None:
+def test_one_topic_with_a_different_clock_does_not_move_the_time_base() -> None:
     records = [
         replace(r, stamp_ns=r.stamp_ns + 3600 * NS_PER_S) if isinstance(r, GradientRecord) else r for r in drive(20.0)
     ]
     events = run(sorted(records, key=lambda r: r.stamp_ns - (3600 * NS_PER_S if isinstance(r, GradientRecord) else 0)))
     assert len(of(TimeJump, events)) <= 1
-    # It never flips between two time bases.
+    # The aligner never switches back and forth between two time bases.
     stamps = [s.stamp_ns for s in of(Sample, events)]
     assert sum(b < a for a, b in pairwise(stamps)) == 0
 
 
-def test_all_topics_silent_for_a_while_is_a_gap_not_a_jump() -> None:
+def test_a_dropout_of_all_topics_is_a_gap_and_not_a_jump() -> None:
     events = run([*drive(10.0), *drive(10.0, start_s=15.0)])
     assert not of(TimeJump, events)
     assert not reasons(events)
@@ -613,7 +613,7 @@ def test_all_topics_silent_for_a_while_is_a_gap_not_a_jump() -> None:
 
 
 @pytest.mark.parametrize('kind', [SpeedRecord, ForceRecord, GradientRecord, BrakeRecord, MassRecord])
-def test_one_topic_alone_fills_no_memory(kind: type[Record]) -> None:
+def test_one_topic_alone_does_not_exhaust_memory(kind: type[Record]) -> None:
     def record(i: int) -> Record:
         stamp = START + i * PERIOD
         if kind is SpeedRecord:

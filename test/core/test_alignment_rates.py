@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Alignment of topics of any rate from 1 to 50 Hz: limits follow the topic, and those of fast topics stay."""
+"""Alignment of topics at any rate from 1 to 50 Hz: limits follow slow topics and are fixed for fast ones."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ from trainid_ros.core.samples import Sample
 
 START = 1_700_000_000 * NS_PER_S
 CONFIG = AlignmentConfig()
-# No interval is as short, so the limits are those of the settings whatever the rates.
+# All intervals are longer, so the limits are those of the settings at any rate.
 FIXED = AlignmentConfig(max_interval=0.02)
 KINDS = (SpeedRecord, ForceRecord, GradientRecord, BrakeRecord)
 RATES = (1.0, 2.0, 5.0, 10.0, 50.0)
 LEARNED_S = 20.0
-"""From then on the rates are known, those that have changed too."""
+"""From this time on the rates are known, including changed ones [s]."""
 SEEDS = settings(max_examples=40, deadline=None, phases=(Phase.explicit, Phase.reuse, Phase.generate))
 Rates = tuple[float, float, float, float]
 
@@ -54,7 +54,7 @@ def record(kind: type[Record], t: float, command: Callable[[float], float] = no_
 
 
 def topic_times(rate: float, low: float, high: float, rng: np.random.Generator) -> list[float]:
-    """Return the times of one topic: a phase of its own, and jitter of up to a tenth of the interval."""
+    """Return the times of one topic: a random phase, and jitter of up to a tenth of the interval."""
     times = low + (np.arange(math.floor((high - low) * rate)) + rng.uniform(0.2, 0.8)) / rate
     jittered: list[float] = (times + rng.uniform(-0.1, 0.1, len(times)) / rate).tolist()
     return jittered
@@ -63,7 +63,7 @@ def topic_times(rate: float, low: float, high: float, rng: np.random.Generator) 
 def drive(
     rates: Rates, high: float, seed: int = 0, *, low: float = 0.0, command: Callable[[float], float] = no_brake
 ) -> list[Record]:
-    """Return records of speed, force, gradient and brake command at rates of their own."""
+    """Return records of speed, force, gradient and brake command, each at its own rate."""
     rng = np.random.default_rng(seed)
     records = [
         record(kind, t, command)
@@ -96,7 +96,7 @@ def assert_complete(samples: list[Sample]) -> None:
         assert math.isfinite(sample.brake_command)
 
 
-# Every rate, and mixtures
+# All rates and mixtures
 
 
 @pytest.mark.parametrize('rates', list(product((1.0, 10.0), (1.0, 5.0, 50.0), (1.0, 2.0), (1.0, 2.0, 50.0))), ids=str)
@@ -116,7 +116,7 @@ def test_one_rate_for_all_and_when_it_is_known(rate: float, known_s: float) -> N
     assert_complete(samples)
 
 
-def test_a_topic_slower_than_the_slowest_is_not_interpolated() -> None:
+def test_a_topic_slower_than_the_limit_is_not_interpolated() -> None:
     samples = samples_of(run(drive((5.0, 0.5, 5.0, 5.0), 60.0)))
     assert all(math.isnan(sample.force_mean) for sample in samples)
     slower = AlignmentConfig(max_interval=2.5)
@@ -146,7 +146,7 @@ def test_nothing_changes_for_topics_of_5_hz_and_more(seed: int, rates: Rates, lo
 @SEEDS
 @given(st.integers(0, 2**32 - 1), st.tuples(*(st.sampled_from(RATES) for _ in KINDS)))
 def test_the_order_of_topics_does_not_matter_at_any_rate(seed: int, rates: Rates) -> None:
-    """No topic is behind by more than it may, and none overtakes itself."""
+    """No topic lags by more than the limit, and each keeps its own order."""
     records = drive(rates, 40.0, seed, command=lambda t: -0.4 if t % 9.0 > 5.0 else 0.0)
     rng = np.random.default_rng(seed)
     delay: dict[type[Record], float] = {kind: rng.uniform(0.0, CONFIG.max_lag) for kind in KINDS}
@@ -162,7 +162,7 @@ def test_the_order_of_topics_does_not_matter_at_any_rate(seed: int, rates: Rates
 
 @pytest.mark.parametrize('rate', RATES)
 @pytest.mark.parametrize('kind', [ForceRecord, GradientRecord])
-def test_a_slow_topic_may_lose_one_record_in_a_row_and_no_more(kind: type[Record], rate: float) -> None:
+def test_a_slow_topic_may_lose_one_record_in_a_row_but_not_two(kind: type[Record], rate: float) -> None:
     rates: Rates = tuple(rate if k is kind else 5.0 for k in KINDS)  # type: ignore[assignment]
     records = drive(rates, 60.0)
     longest = max(CONFIG.max_gap, 2.5 / rate)
@@ -191,7 +191,7 @@ def test_a_command_is_known_for_as_long_as_one_may_be_lost(rate: float) -> None:
     assert unknown[0] == pytest.approx(last + max(CONFIG.command_timeout, 2.5 / rate), abs=0.4)
 
 
-def test_a_topic_that_becomes_slow_is_followed_and_back() -> None:
+def test_a_topic_that_becomes_slow_and_fast_again_is_followed() -> None:
     fast, slow, again = (
         drive(rates, high, low=low)
         for rates, low, high in (
@@ -202,7 +202,7 @@ def test_a_topic_that_becomes_slow_is_followed_and_back() -> None:
     )
     samples = samples_of(run([*fast, *slow, *again]))
     unknown = [seconds_of(s.stamp_ns) for s in samples if math.isnan(s.force_mean)]
-    # 14 intervals of a second, and those that samples have not passed.
+    # 14 intervals of one second, and those not yet passed by samples.
     assert 30.0 <= min(unknown) < 32.0
     assert 42.0 < max(unknown) < 48.0
     assert_complete([s for s in samples if s.stamp_ns > at(48.0)])
@@ -211,7 +211,7 @@ def test_a_topic_that_becomes_slow_is_followed_and_back() -> None:
     assert any(math.isnan(sample.force_mean) for sample in broken)
 
 
-def test_a_sample_waits_for_a_slow_topic_by_its_rate_and_no_longer() -> None:
+def test_the_wait_for_a_slow_topic_is_limited_by_its_rate() -> None:
     aligner = Aligner(CONFIG)
     records = without(ForceRecord, drive((5.0, 1.0, 5.0, 5.0), 60.0), 30.0, 99.0)
     waits = [
@@ -224,7 +224,7 @@ def test_a_sample_waits_for_a_slow_topic_by_its_rate_and_no_longer() -> None:
     assert max(waits) < 2.5 * 1.1 + CONFIG.max_lag + 0.3
 
 
-def test_a_record_that_comes_too_late_is_counted_and_the_rate_stands() -> None:
+def test_a_late_record_is_counted_and_leaves_the_rate_unchanged() -> None:
     records = drive((5.0, 1.0, 5.0, 5.0), 60.0)
     k = [i for i, item in enumerate(records) if isinstance(item, ForceRecord)][40]
     late = records.pop(k)
@@ -257,7 +257,7 @@ def test_a_change_of_a_slow_command_counts_from_the_middle_of_its_interval() -> 
     changes = [change.stamp_ns for s in known for change in s.brake_changes]
     assert changes == pytest.approx([m for m in middle if at(LEARNED_S) < m <= known[-1].stamp_ns], abs=1)
     assert not any(s.brake_gap for s in known)
-    # Before the rate is known the same changes are unseen ones.
+    # Before the rate is known the same changes count as missed.
     assert any(s.brake_gap for s in samples)
     for before, after in pairwise(known):
         assert all(before.stamp_ns < change.stamp_ns <= after.stamp_ns for change in after.brake_changes)
@@ -266,7 +266,7 @@ def test_a_change_of_a_slow_command_counts_from_the_middle_of_its_interval() -> 
 
 
 @pytest.mark.parametrize('rate', [1.0, 2.0])
-def test_a_change_of_a_slow_command_may_be_too_large_or_the_command_lost(rate: float) -> None:
+def test_a_large_change_or_a_lost_record_of_a_slow_command_is_a_brake_gap(rate: float) -> None:
     def gaps(step: float, *, lost_s: float = 0.0) -> int:
         records = drive((5.0, 5.0, 5.0, rate), 60.0, command=lambda t: -step if t > 40.0 else 0.0)
         return sum(s.brake_gap for s in samples_of(run(without(BrakeRecord, records, 40.0, 40.0 + lost_s))))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Saved states come back to the bit, and nothing else comes back."""
+"""Saved states are restored to the bit, and any other text is rejected."""
 
 from __future__ import annotations
 
@@ -88,13 +88,13 @@ def changed(**fields: Any) -> str:
         changed(inner={'value': 'NaN', 'count': 1}),
         changed(inner=['value', 'count']),
         changed(surplus=1),
-        pytest.param(changed(numbers=[10**400]), id='beyond floats'),
-        pytest.param(changed(inner={'value': 1.0, 'count': 10**400}), id='beyond counts'),
+        pytest.param(changed(numbers=[10**400]), id='too large for a float'),
+        pytest.param(changed(inner={'value': 1.0, 'count': 10**400}), id='too large for a count'),
         pytest.param('[' * 100_000, id='deep'),
         pytest.param('{"type": "Outer", "state": ' + '[' * 900 + ']' * 900 + '}', id='lists'),
     ],
 )
-def test_what_does_not_fit_is_an_input_error_that_names_the_class(text: str) -> None:
+def test_a_text_that_does_not_fit_raises_an_input_error_naming_the_class(text: str) -> None:
     with pytest.raises(InputError, match='Outer'):
         decode(text, Outer)
 
@@ -105,7 +105,7 @@ class Fixed:
 
 
 @pytest.mark.parametrize('pair', [[], [1.0], [1.0, 2.0, 3.0]])
-def test_a_tuple_of_fixed_length_has_it(pair: list[float]) -> None:
+def test_a_tuple_of_fixed_length_must_have_that_length(pair: list[float]) -> None:
     assert decode(encode(Fixed((1.0, 2.0))), Fixed) == Fixed((1.0, 2.0))
     with pytest.raises(InputError, match=r'Fixed\.pair has . entries, not 2'):
         decode(json.dumps({'type': 'Fixed', 'state': {'pair': pair}}), Fixed)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The core imports fast and pulls in neither ROS nor bag nor plot libraries."""
+"""The core imports fast and loads neither ROS nor bag nor plot libraries."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ import trainid_ros
 PACKAGE = Path(trainid_ros.__file__).parent
 PURE = ('core', 'train', 'estimators', 'resistance', 'speed_model', 'brake_rate', 'sim', 'explain')
 FOREIGN = ('rclpy', 'rosbags', 'mcap', 'matplotlib', 'trainid_msgs', 'std_msgs')
-# Loaded by whoever needs them, not by the core.
+# Loaded only where needed, not by the core.
 SLOW = ('scipy', 'numba', 'yaml')
 MOST_CPU_S = 0.3
-# A machine in its slow hours imports NumPy slowly too, which takes this long on one that is awake.
+# A slow machine also imports NumPy slowly; this is the CPU time on a fast one.
 NUMPY_CPU_S = 0.12
 RUNS = 3
 
 
 def run(code: str, bytecode: Path | None = None) -> str:
-    """Run code in a fresh interpreter, where nothing is imported yet; keep its bytecode in a folder."""
+    """Run code in a fresh interpreter with nothing imported; keep its bytecode in a folder."""
     env = {name: value for name, value in os.environ.items() if name != 'PYTHONDONTWRITEBYTECODE'}
     env['PYTHONPYCACHEPREFIX'] = str(bytecode or '')
     done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True, timeout=60, env=env)
@@ -49,7 +49,7 @@ def test_the_pipeline_loads_nothing_slow() -> None:
 
 
 def test_the_pipeline_imports_within_its_budget(tmp_path: Path) -> None:
-    """CPU time, not wall time, from compiled bytecode, best of three: other work on the machine must not decide."""
+    """CPU time, not wall time, from compiled bytecode, best of three: other load on the machine must not matter."""
     code = (
         'import time\n'
         'start = time.process_time()\n'

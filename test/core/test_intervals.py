@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The interval of a topic: followed when the rate changes, not moved by what happens to single records."""
+"""The interval of a topic follows changes of rate, but not faults of single records."""
 
 from __future__ import annotations
 
@@ -24,13 +24,13 @@ def test_the_interval_of_regular_stamps(interval_ms: int) -> None:
 
 
 @pytest.mark.parametrize('seed', range(5))
-def test_jitter_moves_the_interval_by_little(seed: int) -> None:
+def test_jitter_changes_the_interval_only_slightly(seed: int) -> None:
     rng = np.random.default_rng(seed)
     stamps = [1000 * k + int(rng.integers(-100, 101)) for k in range(40)]
     assert learn(stamps) == pytest.approx(1000 * MS, rel=0.12)
 
 
-def test_it_is_unknown_until_there_are_four_and_where_a_topic_is_too_slow() -> None:
+def test_the_interval_is_unknown_below_four_intervals_and_for_too_slow_topics() -> None:
     assert learn([]) == learn([5]) == learn([0, 1000, 2000, 3000]) == 0
     assert learn([0, 1000, 2000, 3000, 4000]) == 1000 * MS
     assert learn([1300 * k for k in range(40)]) == 0
@@ -38,7 +38,7 @@ def test_it_is_unknown_until_there_are_four_and_where_a_topic_is_too_slow() -> N
 
 @pytest.mark.parametrize('seed', range(20))
 def test_lost_records_do_not_make_a_fast_topic_slow(seed: int) -> None:
-    """5 Hz with jitter, a quarter of the records lost and dropouts of seconds: fast at all times but the start."""
+    """5 Hz with jitter, a quarter of the records lost and dropouts of seconds: fast at all times except the start."""
     rng = np.random.default_rng(seed)
     interval = LearnedInterval(LONGEST)
     for k in range(5000):

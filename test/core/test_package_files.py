@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that come with the package are found from anywhere."""
+"""Files shipped with the package are found from any working directory."""
 
 from __future__ import annotations
 
@@ -16,6 +16,6 @@ def test_files_of_the_source_tree_are_found(tmp_path: Path, monkeypatch: pytest.
     assert shared_path('config/trains/yizhuang.yaml').is_file()
 
 
-def test_what_is_missing_is_named_with_the_places() -> None:
+def test_a_missing_file_is_named_with_the_places_searched() -> None:
     with pytest.raises(InputError, match=r'config/none: not found \(looked in .*\)'):
         shared_path('config/none')

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Numbers of things in words."""
+"""Nouns are pluralised by their count."""
 
 from __future__ import annotations
 
 import pytest
 
-from trainid_ros.core.plural import counted
+from trainid_ros.core.plural import pluralise
 
 
 @pytest.mark.parametrize(('count', 'text'), [(0, '0 runs'), (1, '1 run'), (2, '2 runs')])
-def test_one_thing_has_no_plural(count: int, text: str) -> None:
-    assert counted(count, 'run') == text
+def test_only_a_count_of_one_has_no_plural(count: int, text: str) -> None:
+    assert pluralise(count, 'run') == text

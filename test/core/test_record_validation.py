@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Single records: what is impossible is refused with value and limit, what is merely odd is not."""
+"""Single records: impossible values are rejected with value and limit, unusual ones are not."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def test_possible_records_pass(record: Record) -> None:
 
 @pytest.mark.parametrize('record', GOOD, ids=repr)
 @pytest.mark.parametrize('stamp_ns', [0, -1])
-def test_a_record_without_a_stamp_is_refused(record: Record, stamp_ns: int) -> None:
+def test_a_record_without_a_stamp_is_rejected(record: Record, stamp_ns: int) -> None:
     fault = find_fault(replace(record, stamp_ns=stamp_ns))
     assert fault is not None
     assert fault.reason is Reason.ZERO_STAMP
@@ -51,7 +51,7 @@ def test_a_record_without_a_stamp_is_refused(record: Record, stamp_ns: int) -> N
     ],
     ids=lambda record: type(record).__name__,
 )
-def test_what_is_not_finite_is_refused(record: Record, value: float) -> None:
+def test_a_value_that_is_not_finite_is_rejected(record: Record, value: float) -> None:
     name = ('speed', 'force', 'gradient', 'target_acceleration', 'mass')
     field = next(key for key in name if hasattr(record, key))
     changes: Any = {field: value}
@@ -67,7 +67,7 @@ def test_a_radius_must_be_finite() -> None:
 
 
 @pytest.mark.parametrize('position', [math.inf, -math.inf])
-def test_an_infinite_position_is_no_unknown_position(position: float) -> None:
+def test_an_infinite_position_does_not_count_as_unknown(position: float) -> None:
     # Only NaN means unknown; an infinity would set the direction of travel.
     fault = find_fault(SpeedRecord(NS, 10.0, position))
     assert fault is not None
@@ -89,5 +89,5 @@ def test_an_infinite_position_is_no_unknown_position(position: float) -> None:
     ],
     ids=repr,
 )
-def test_what_is_impossible_is_refused_with_the_limit_it_broke(record: Record, value: float, limit: float) -> None:
+def test_an_impossible_value_is_rejected_with_the_limit_it_violates(record: Record, value: float, limit: float) -> None:
     assert find_fault(record) == Rejection(NS, Reason.OUT_OF_RANGE, value, limit)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Results mirror the messages: same numbers, same names, same sizes."""
+"""Results match the messages: same numbers, names and sizes."""
 
 from __future__ import annotations
 
@@ -57,14 +57,14 @@ def test_estimates_have_the_fields_of_the_message(kind: EstimateKind) -> None:
 
 
 @pytest.mark.parametrize(('kind', 'size'), [(ResistanceEstimate, 9), (SpeedModelEstimate, 16)])
-def test_covariances_have_a_place_of_their_size(kind: EstimateKind, size: int) -> None:
+def test_covariances_have_an_array_of_their_size(kind: EstimateKind, size: int) -> None:
     assert message_fields(kind.__name__)['covariance'] == f'float64[{size}]'
 
 
-def test_numbers_fit_the_byte_of_the_message() -> None:
+def test_numbers_fit_into_a_byte_of_the_message() -> None:
     assert max(Reason) < 256
     assert max(Status) < 256
 
 
-def test_a_refusal_reads_as_reason_value_and_limit() -> None:
+def test_a_rejection_reads_as_reason_value_and_limit() -> None:
     assert str(Rejection(1, Reason.OUTLIER, 1.25, 0.5)) == 'OUTLIER (value 1.25, limit 0.5)'

@@ -40,12 +40,12 @@ def test_the_range_is_closed(value: float) -> None:
 
 
 @pytest.mark.parametrize('value', [math.nextafter(1.0, 0.0), math.nextafter(3.0, 4.0), math.nan, math.inf, -math.inf])
-def test_outside_the_range_the_field_value_and_range_are_named(value: float) -> None:
+def test_an_error_names_field_value_and_range(value: float) -> None:
     with pytest.raises(InputError, match=r'gain = .* m/s is outside \[1, 3\]'):
         check_settings(Example(gain=value))
 
 
-def test_a_single_value_is_checked_alike() -> None:
+def test_a_single_value_is_checked_in_the_same_way() -> None:
     info = SettingInfo('x', 's', 0.0, 1.0)
     check_value('x', 0.5, info)
     with pytest.raises(InputError, match=r'x = 2 s is outside \[0, 1\]'):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Admission: only complete samples of a moving train whose brake is off."""
+"""Admission: only complete samples of a moving train with the brake off."""
 
 from __future__ import annotations
 
@@ -43,14 +43,14 @@ def test_a_coasting_sample_is_admitted(admission: Admission, sample: Make) -> No
         ({'speed': math.nan}, Reason.STANDSTILL),
         ({'brake_command': -0.01}, Reason.BRAKING),
         ({'emergency': True}, Reason.BRAKING),
-        # A command came and went between two samples.
+        # A command was given and withdrawn between two samples.
         ({'brake_changes': (BrakeCommandChange(1, -0.5), BrakeCommandChange(2, 0.0))}, Reason.BRAKING),
         # A brake that was not commanded on this topic: -2 N/kN.
         ({'force_mean': -2.0 * WEIGHT_KN}, Reason.BRAKING),
         ({'force': -2.0 * WEIGHT_KN}, Reason.BRAKING),
     ],
 )
-def test_each_flaw_is_refused_with_its_reason(
+def test_each_fault_is_rejected_with_its_reason(
     admission: Admission, sample: Make, fields: dict[str, Any], reason: Reason
 ) -> None:
     rejection = admission.reject(sample(1, **fields))
@@ -58,27 +58,27 @@ def test_each_flaw_is_refused_with_its_reason(
     assert rejection.reason is reason
 
 
-def test_force_noise_while_coasting_is_no_brake(admission: Admission, sample: Make) -> None:
+def test_force_noise_while_coasting_is_not_braking(admission: Admission, sample: Make) -> None:
     # Four standard deviations of 0.3 N/kN.
     assert admission.reject(sample(1, force=-1.2 * WEIGHT_KN, force_mean=-1.2 * WEIGHT_KN)) is None
 
 
-def test_a_released_brake_is_waited_for_by_stamps(admission: Admission, sample: Make) -> None:
+def test_samples_are_rejected_until_a_released_brake_has_settled(admission: Admission, sample: Make) -> None:
     # 0.6 s dead time and eight time constants of 0.4 s.
     assert admission.settling == pytest.approx(3.8)
     assert admission.reject(sample(1, brake_command=-0.5)) is not None
     admitted = {i: admission.reject(sample(i)) is None for i in range(2, 25)}
-    # At 3.8 s sharp, in sample 20, rounding decides.
+    # At exactly 3.8 s, in sample 20, rounding decides.
     assert not any(admitted[i] for i in range(2, 20))
     assert all(admitted[i] for i in range(21, 25))
 
 
-def test_a_brake_that_answers_late_is_waited_for_longer(train_file: TrainFile) -> None:
+def test_a_delayed_brake_takes_longer_to_settle(train_file: TrainFile) -> None:
     late = replace(train_file, effects=(Effect('brake_delay', (('extra', 0.5),)),))
     assert Admission(KnownForce(late), min_speed=1.0).settling == pytest.approx(4.3)
 
 
-def test_an_unknown_command_counts_as_braking_until_long_after(admission: Admission, sample: Make) -> None:
+def test_an_unknown_command_counts_as_braking_until_settled(admission: Admission, sample: Make) -> None:
     admission.reject(sample(1, brake_command=math.nan))
     rejection = admission.reject(sample(2))
     assert rejection is not None
@@ -86,6 +86,6 @@ def test_an_unknown_command_counts_as_braking_until_long_after(admission: Admiss
     assert rejection.value == pytest.approx(0.2)
 
 
-def test_a_brake_of_another_time_base_does_not_hold_for_ever(admission: Admission, sample: Make) -> None:
+def test_braking_in_another_time_base_is_forgotten(admission: Admission, sample: Make) -> None:
     admission.reject(sample(100_000, brake_command=-0.5))
     assert admission.reject(sample(1)) is None

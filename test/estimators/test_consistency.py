@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Variances that are true pass, whatever the seed; those too small are found; each update counts once."""
+"""Correct variances pass for any seed; too small ones are detected; each update counts once."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from trainid_ros.estimators.consistency import WINDOW, Consistency, ConsistencyM
 SEEDS = 200
 
 
-def watched(z: NDArray[np.float64], stated: float = 1.0) -> ConsistencyMonitor:
+def monitored(z: NDArray[np.float64], stated: float = 1.0) -> ConsistencyMonitor:
     monitor = ConsistencyMonitor()
     for innovation in z:
         monitor.see(float(innovation), stated, used=True)
     return monitor
 
 
-def leaning(rng: np.random.Generator, rho: float, count: int) -> NDArray[np.float64]:
+def correlated(rng: np.random.Generator, rho: float, count: int) -> NDArray[np.float64]:
     """Innovations of variance 1 with correlation rho of neighbours."""
     z = np.empty(count)
     z[0] = rng.standard_normal()
@@ -41,24 +41,24 @@ def test_the_band_is_that_of_chi_squared(count: int) -> None:
 
 
 @pytest.mark.parametrize('rho', [0.0, 0.5, 0.8])
-def test_true_variances_are_in_the_band_for_fresh_seeds(rho: float) -> None:
-    """Of 200 the band leaves out 2 in the mean, a little more where correlation is; over 14: 1e-7."""
+def test_correct_variances_are_in_the_band_for_new_seeds(rho: float) -> None:
+    """On average 2 of 200 lie outside the band, slightly more with correlation; more than 14 have probability 1e-7."""
     seed = int.from_bytes(os.urandom(4))
     rng = np.random.default_rng(seed)
-    verdicts = [watched(leaning(rng, rho, WINDOW)).current().verdict for _ in range(SEEDS)]
+    verdicts = [monitored(correlated(rng, rho, WINDOW)).current().verdict for _ in range(SEEDS)]
     assert verdicts.count(Verdict.CONSISTENT) >= SEEDS - 14, f'seed {seed}'
 
 
 @pytest.mark.parametrize(('stated', 'verdict'), [(0.5, Verdict.OPTIMISTIC), (2.0, Verdict.PESSIMISTIC)])
 @pytest.mark.parametrize('rho', [0.0, 0.4])
-def test_a_variance_wrong_by_two_is_found(stated: float, verdict: Verdict, rho: float) -> None:
+def test_a_variance_wrong_by_a_factor_of_two_is_detected(stated: float, verdict: Verdict, rho: float) -> None:
     seed = int.from_bytes(os.urandom(4))
     rng = np.random.default_rng(seed)
-    verdicts = [watched(leaning(rng, rho, WINDOW), stated).current().verdict for _ in range(50)]
+    verdicts = [monitored(correlated(rng, rho, WINDOW), stated).current().verdict for _ in range(50)]
     assert verdicts.count(verdict) >= 45, f'seed {seed}'
 
 
-def test_it_alarms_only_after_a_whole_window_of_optimism() -> None:
+def test_the_alarm_is_raised_only_after_a_full_optimistic_window() -> None:
     rng = np.random.default_rng(7001)
     monitor = ConsistencyMonitor()
     first, alarmed = 0, 0
@@ -66,19 +66,19 @@ def test_it_alarms_only_after_a_whole_window_of_optimism() -> None:
         monitor.see(float(rng.standard_normal()), 0.3, used=True)
         current = monitor.current()
         first = first or (k if current.verdict is Verdict.OPTIMISTIC else 0)
-        alarmed = alarmed or (k if current.alarming else 0)
+        alarmed = alarmed or (k if current.is_alarm else 0)
     assert 0 < first < WINDOW
     assert alarmed >= first + WINDOW - 1
     for innovation in rng.standard_normal(2 * WINDOW):
         monitor.see(float(innovation), 1.0, used=True)
-    assert not monitor.current().alarming
+    assert not monitor.current().is_alarm
 
 
-def test_an_update_counts_once_and_a_refused_one_never() -> None:
+def test_an_update_counts_once_and_a_rejected_one_never() -> None:
     monitor = ConsistencyMonitor()
     for innovation, used in ((1.0, True), (2.0, True), (50.0, False), (3.0, True)):
         monitor.see(innovation, 4.0, used=used)
-        for _ in range(5):  # samples between updates show the same pair, accepted or not
+        for _ in range(5):  # samples between updates repeat the pair, accepted or not
             monitor.see(innovation, 4.0, used=True)
             monitor.see(innovation, 4.0, used=False)
     current = monitor.current()
@@ -89,7 +89,7 @@ def test_an_update_counts_once_and_a_refused_one_never() -> None:
 @pytest.mark.parametrize(
     ('innovation', 'variance'), [(1.0, 0.0), (1.0, -1.0), (1.0, math.nan), (1.0, math.inf), (math.nan, 1.0)]
 )
-def test_what_states_no_variance_is_not_judged(innovation: float, variance: float) -> None:
+def test_an_innovation_without_a_variance_is_not_judged(innovation: float, variance: float) -> None:
     monitor = ConsistencyMonitor()
     monitor.see(innovation, variance, used=True)
     current = monitor.current()
@@ -100,7 +100,7 @@ def test_what_states_no_variance_is_not_judged(innovation: float, variance: floa
 def test_only_the_window_counts_and_running_sums_stay_exact() -> None:
     rng = np.random.default_rng(7002)
     z = np.concatenate((1e12 * rng.standard_normal(300), 1e-3 * rng.standard_normal(5000), rng.standard_normal(WINDOW)))
-    current = watched(z).current()
+    current = monitored(z).current()
     expected = z[-WINDOW:]
     correlation = float(sum(a * b for a, b in pairwise(expected)) / np.sum(expected**2))
     assert current.updates == WINDOW
@@ -108,14 +108,14 @@ def test_only_the_window_counts_and_running_sums_stay_exact() -> None:
     assert (current.low, current.high) == pytest.approx(band(WINDOW, correlation), rel=1e-9)
 
 
-def test_it_is_told_in_words_with_numbers() -> None:
-    told = str(Consistency(Verdict.OPTIMISTIC, 2.5, 0.76, 1.28, 200, 3))
-    assert told.startswith('optimistic (squared innovations 2.50 times the stated variance; ')
-    assert told.endswith('99 % band 0.76 to 1.28, 200 updates)')
+def test_the_text_states_verdict_and_numbers() -> None:
+    text = str(Consistency(Verdict.OPTIMISTIC, 2.5, 0.76, 1.28, 200, 3))
+    assert text.startswith('optimistic (squared innovations 2.50 times the stated variance; ')
+    assert text.endswith('99 % band 0.76 to 1.28, 200 updates)')
 
 
 @pytest.mark.parametrize(('size', 'refuted'), [(1.9, False), (2.1, True)])
-def test_errors_twice_as_large_as_stated_refute_after_a_whole_window(size: float, refuted: bool) -> None:
+def test_errors_twice_as_large_as_stated_refute_after_a_full_window(size: float, refuted: bool) -> None:
     z = size * np.resize([1.0, -1.0], 3 * WINDOW)
-    assert watched(z + 1e-9 * np.arange(len(z))).current().refuted is refuted
-    assert not watched(z[: WINDOW // 2]).current().refuted
+    assert monitored(z + 1e-9 * np.arange(len(z))).current().refuted is refuted
+    assert not monitored(z[: WINDOW // 2]).current().refuted

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The drive so far against a simulated train, whose state is known."""
+"""The drive history against a simulated train, whose state is known."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from dataclasses import replace
 import pytest
 
 from trainid_ros.core.codec import decode, encode
-from trainid_ros.core.samples import NOT_FOLLOWED, BrakeCommandChange, Motion, Sample
+from trainid_ros.core.samples import NO_HISTORY, BrakeCommandChange, Motion, Sample
 from trainid_ros.estimators.drive_history import DriveHistoryState, DriveHistoryTracker
 from trainid_ros.sim.plant import Plant
 from trainid_ros.train.brake import CommandHistory
@@ -46,7 +46,7 @@ def test_time_distance_heat_and_brake_are_those_of_the_train(train_file: TrainFi
     assert train.heat > 100.0
 
 
-def test_a_state_read_back_goes_on_to_the_bit(train_file: TrainFile, sample: Make) -> None:
+def test_a_restored_state_continues_to_the_bit(train_file: TrainFile, sample: Make) -> None:
     first, second = DriveHistoryTracker(train_file), DriveHistoryTracker(train_file)
     for i in range(20):
         first.follow(sample(i, brake_changes=(BrakeCommandChange(START + i * 10**8, -0.01 * i),)))
@@ -60,7 +60,7 @@ def test_a_state_read_back_goes_on_to_the_bit(train_file: TrainFile, sample: Mak
     'motion',
     [{'heat': math.nan}, {'distance_run': -1.0}, {'time_s': math.inf}, {'brake': 0.5}, {'since_release': -1.0}],
 )
-def test_a_state_that_no_drive_leads_to_is_not_sound(motion: dict[str, float]) -> None:
+def test_an_impossible_state_is_invalid(motion: dict[str, float]) -> None:
     plain = Motion(time_s=1.0, distance_run=1.0)
     assert DriveHistoryState(motion=plain).is_valid
     assert not DriveHistoryState(motion=replace(plain, **motion)).is_valid
@@ -69,7 +69,7 @@ def test_a_state_that_no_drive_leads_to_is_not_sound(motion: dict[str, float]) -
     assert not DriveHistoryState(motion=plain, commands=CommandHistory((BrakeCommandChange(2, math.nan),))).is_valid
 
 
-def test_a_night_in_the_depot_cools_and_runs_no_distance(train_file: TrainFile, sample: Make) -> None:
+def test_a_night_in_the_depot_cools_the_brake_and_adds_no_distance(train_file: TrainFile, sample: Make) -> None:
     tracker = DriveHistoryTracker(train_file)
     for i in range(50):
         tracker.follow(sample(i, brake_changes=(BrakeCommandChange(START, -0.5),) if i == 0 else ()))
@@ -82,7 +82,7 @@ def test_a_night_in_the_depot_cools_and_runs_no_distance(train_file: TrainFile, 
     assert after.heat == pytest.approx(0.0, abs=1e-6)
 
 
-def test_another_time_base_keeps_the_drive_and_forgets_commands(train_file: TrainFile, sample: Make) -> None:
+def test_another_time_base_keeps_the_motion_and_forgets_commands(train_file: TrainFile, sample: Make) -> None:
     tracker = DriveHistoryTracker(train_file)
     for i in range(100, 110):
         tracker.follow(sample(i, brake_changes=(BrakeCommandChange(START + i * 2 * 10**8, -0.5),)))
@@ -94,6 +94,6 @@ def test_another_time_base_keeps_the_drive_and_forgets_commands(train_file: Trai
     assert tracker.follow(sample(4)).motion == Motion(time_s=0.0, distance_run=0.0)
 
 
-def test_a_sample_that_nobody_followed_has_effects_set_in_and_run_warm(sample: Make) -> None:
-    assert sample(0).motion is NOT_FOLLOWED
-    assert (NOT_FOLLOWED.time_s, NOT_FOLLOWED.distance_run, NOT_FOLLOWED.heat) == (math.inf, math.inf, 0.0)
+def test_without_drive_history_effects_have_set_in_and_bearings_are_warm(sample: Make) -> None:
+    assert sample(0).motion is NO_HISTORY
+    assert (NO_HISTORY.time_s, NO_HISTORY.distance_run, NO_HISTORY.heat) == (math.inf, math.inf, 0.0)

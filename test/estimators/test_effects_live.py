@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A train with an effect, estimated with a train file that knows the effect and with one that does not."""
+"""A train with an effect, estimated with a train file that contains the effect and with one that does not."""
 
 from __future__ import annotations
 
@@ -38,16 +38,16 @@ MAKERS: dict[str, Callable[[TrainFile, EstimatorSettings], EstimatorPipeline[Any
     'brake_rate': brake_rate_pipeline,
 }
 SPEEDS = np.linspace(4.0, 20.0, 9)
-# What an estimate may lose against a train without any effect: N/kN, N/kN, share of the brake.
+# Allowed increase of the error over that of a train without any effect: N/kN, N/kN, brake rate [1].
 ALLOWANCE = {'resistance': 0.2, 'speed_model': 0.5, 'brake_rate': 0.01}
 
 
 @dataclass(frozen=True)
 class Case:
-    """An effect, the estimate that it spoils most while it is not known, and by how much at least."""
+    """An effect, the estimate that it degrades most while it is not modelled, and by how much at least."""
 
     text: str
-    spoils: str
+    degrades: str
     by: float
 
 
@@ -92,14 +92,14 @@ def run(job: str, file: TrainFile, records: Iterable[Record]) -> list[Output[Any
     return [output for record in records for output in pipeline.push(record)]
 
 
-def error(job: str, believed: TrainFile, simulation: Simulation) -> float:
+def error(job: str, train_file: TrainFile, simulation: Simulation) -> float:
     """Mean error over the second half: rms of w over speeds [N/kN], or of the brake rate while it brakes."""
-    outputs = run(job, believed, simulation.records)
+    outputs = run(job, train_file, simulation.records)
     late = outputs[len(outputs) // 2 :]
     if job == 'brake_rate':
         rates = [(o.estimate, simulation.truth.truth_at_ns(o.stamp_ns).brake_rate or 0.0) for o in late]
         return float(np.mean([abs(e.brake_rate - rate) for e, rate in rates if e.observable and e.speed > 3.0]))
-    errors = [np.array([getattr(o.estimate, key) - getattr(believed.resistance, key) for key in 'abc']) for o in late]
+    errors = [np.array([getattr(o.estimate, key) - getattr(train_file.resistance, key) for key in 'abc']) for o in late]
     return float(np.mean([np.sqrt(np.mean((a + SPEEDS * (b + SPEEDS * c)) ** 2)) for a, b, c in errors[::20]]))
 
 
@@ -112,22 +112,22 @@ def plain(line: TrainFile) -> dict[str, float]:
 
 @pytest.mark.slow
 @pytest.mark.parametrize('name', CASES)
-def test_an_effect_in_the_train_file_costs_nothing_and_one_that_is_missing_spoils(
+def test_a_modelled_effect_adds_no_error_and_a_missing_one_does(
     name: str, line: TrainFile, plain: dict[str, float]
 ) -> None:
     case = CASES[name]
     true = with_effect(line, case.text)
     simulation = day(true, 2)
     known = {job: error(job, true, simulation) for job in MAKERS}
-    unknown = error(case.spoils, line, simulation)
-    print(name, {job: round(e, 4) for job, e in known.items()}, 'unknown:', case.spoils, round(unknown, 4))
+    unknown = error(case.degrades, line, simulation)
+    print(name, {job: round(e, 4) for job, e in known.items()}, 'unknown:', case.degrades, round(unknown, 4))
     for job, found in known.items():
         assert found < plain[job] + ALLOWANCE[job], job
-    assert unknown > known[case.spoils] + case.by
+    assert unknown > known[case.degrades] + case.by
 
 
-def test_every_effect_is_tried() -> None:
-    # Slip cannot be mended, and a brake scale is learned as the brake rate.
+def test_every_effect_is_tested() -> None:
+    # Slip cannot be corrected, and a brake scale is learned as the brake rate.
     assert {*CASES, 'wheel_slip', 'brake_scale'} == set(EFFECTS)
 
 
@@ -135,11 +135,11 @@ def test_every_effect_is_tried() -> None:
     ('text', 'job', 'low', 'high'),
     [
         ('bearing_warmup:value=4,distance=3000', 'resistance', 0.5, 0.7),
-        # The dead time is learned, so a delay that is missing spoils little but the first braking.
+        # The dead time is learned, so a missing delay degrades little more than the first braking.
         ('brake_delay:extra=0.8', 'brake_rate', 0.03, 0.01),
     ],
 )
-def test_one_run_is_enough_to_see_the_difference(text: str, job: str, low: float, high: float, line: TrainFile) -> None:
+def test_one_run_suffices_to_show_the_difference(text: str, job: str, low: float, high: float, line: TrainFile) -> None:
     true = with_effect(line, text)
     simulation = day(true, 1)
     known, unknown = (error(job, file, simulation) for file in (true, line))
@@ -147,13 +147,13 @@ def test_one_run_is_enough_to_see_the_difference(text: str, job: str, low: float
     assert unknown > known + high
 
 
-def test_a_brake_scale_is_the_brake_rate_believed_at_first(line: TrainFile) -> None:
+def test_a_brake_scale_is_the_prior_brake_rate(line: TrainFile) -> None:
     pipeline = brake_rate_pipeline(with_effect(line, 'brake_scale:ratio=0.8'), SETTINGS)
     assert pipeline.current().estimate.brake_rate == pytest.approx(0.8)
 
 
 @pytest.mark.parametrize('delay', [-1.2, 1.2])
-def test_a_skew_of_stamps_makes_no_estimate_stale(delay: float, line: TrainFile) -> None:
+def test_a_stamp_skew_makes_no_estimate_stale(delay: float, line: TrainFile) -> None:
     true = with_effect(line, f'stamp_skew:delay={delay}')
     outputs = run('resistance', true, day(true, 1).records)
     assert Status.STALE not in {output.status for output in outputs[20:]}
@@ -175,14 +175,14 @@ def test_a_restored_pipeline_remembers_how_far_the_train_has_run(line: TrainFile
     assert second.save() == first.save()
     with pytest.raises(InputError, match='PipelineState'):
         second.restore(saved.replace('"distance_run": ', '"distance_run": -'))
-    # Without that memory cold bearings would be believed once more.
+    # Without the drive history the bearings would be assumed cold again.
     fresh = resistance_pipeline(true, SETTINGS)
     fresh.estimator.restore(first.estimator.save())
     fresh.push(records[-1])
     assert fresh.save() != first.save()
 
 
-def test_a_fit_follows_the_drive_too(train_file: TrainFile, sample: Callable[..., Sample]) -> None:
+def test_a_fit_uses_the_drive_history_too(train_file: TrainFile, sample: Callable[..., Sample]) -> None:
     true = with_effect(train_file, 'bearing_warmup:value=4,distance=300')
     collector, rejected, history = PieceCollector(true, 1.0, 2.0), Counter[Reason](), DriveHistoryTracker(true)
     for i in range(200):  # 3 m each

@@ -14,18 +14,18 @@ def estimate(scale: float, scale_std: float, delay: float = 0.0, delay_std: floa
     return ResistanceEstimate(*davis, scale, scale_std, delay, delay_std)
 
 
-def test_a_mass_that_is_5_per_cent_wrong_is_named() -> None:
+def test_a_force_scale_of_5_percent_error_is_reported() -> None:
     assert force_findings(estimate(0.953, 0.004)) == (
         'force scale 0.953 ± 0.004: mass or force of the train file is off',
     )
 
 
 @pytest.mark.parametrize(('scale', 'std'), [(1.0, 0.004), (0.96, 0.02), (1.008, 0.001), (math.nan, math.nan)])
-def test_what_is_small_uncertain_or_not_estimated_is_not_named(scale: float, std: float) -> None:
+def test_a_small_uncertain_or_missing_error_is_not_reported(scale: float, std: float) -> None:
     assert force_findings(estimate(scale, std)) == ()
 
 
-@pytest.mark.parametrize(('delay', 'word'), [(0.25, 'later'), (-0.25, 'earlier')])
-def test_a_late_force_is_named_with_its_sign(delay: float, word: str) -> None:
+@pytest.mark.parametrize(('delay', 'sense'), [(0.25, 'later'), (-0.25, 'earlier')])
+def test_a_force_delay_is_reported_with_its_sign(delay: float, sense: str) -> None:
     (found,) = force_findings(estimate(1.0, 0.004, delay))
-    assert found == f'force delay 0.25 ± 0.02 s: ato/force is stamped {word} than it acts'
+    assert found == f'force delay 0.25 ± 0.02 s: ato/force is stamped {sense} than it acts'

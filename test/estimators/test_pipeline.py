@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pipelines: statuses by stamps, counters, time jumps, and that they are robust to what must not matter."""
+"""Pipelines: statuses by stamps, counters, time jumps, and robustness to irrelevant changes of the input."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ Whole = tuple[EstimatorPipeline[Any], list[Output[Any]]]
 
 @pytest.fixture(scope='module', params=MAKERS)
 def whole(request: pytest.FixtureRequest, metro: TrainFile, day: Records) -> Whole:
-    """Return a pipeline at the end of the day, only to look at, and its outputs."""
+    """Return a pipeline at the end of the day, not to be changed, and its outputs."""
     pipeline = make(request.param, metro)
     return pipeline, run(pipeline, day)
 
@@ -94,7 +94,7 @@ def test_counters_account_for_every_sample(whole: Whole) -> None:
 
 
 @ALL
-def test_refused_records_are_counted_too(name: str, metro: TrainFile, day: Records) -> None:
+def test_rejected_records_are_counted_too(name: str, metro: TrainFile, day: Records) -> None:
     pipeline = make(name, metro)
     for record in seconds(day, 0.0, 60.0):
         pipeline.push(record)
@@ -110,14 +110,14 @@ def test_refused_records_are_counted_too(name: str, metro: TrainFile, day: Recor
 
 
 @ALL
-def test_a_topic_faster_than_the_period_is_no_fault(name: str, metro: TrainFile, day: Records) -> None:
+def test_a_topic_faster_than_the_period_is_not_a_fault(name: str, metro: TrainFile, day: Records) -> None:
     pipeline = make(name, metro, EstimatorSettings(alignment=AlignmentConfig(period=0.4)))
     outputs = run(pipeline, seconds(day, 0.0, 60.0))
     assert len(outputs) == pytest.approx(150, abs=3)
     assert Reason.THINNED not in pipeline.rejections
 
 
-def test_settings_out_of_range_are_refused(metro: TrainFile) -> None:
+def test_settings_out_of_range_are_rejected(metro: TrainFile) -> None:
     with pytest.raises(InputError, match='stale_after'):
         resistance_pipeline(metro, EstimatorSettings(pipeline=PipelineConfig(stale_after=0.0)))
     with pytest.raises(InputError, match='max_lag'):
@@ -128,13 +128,13 @@ def test_settings_out_of_range_are_refused(metro: TrainFile) -> None:
 
 
 @ALL
-def test_before_the_first_sample_there_is_only_the_prior(name: str, metro: TrainFile) -> None:
+def test_before_the_first_sample_the_status_is_uninitialized(name: str, metro: TrainFile) -> None:
     pipeline = make(name, metro)
     assert pipeline.status is Status.UNINITIALIZED
     assert pipeline.current().status is Status.UNINITIALIZED
 
 
-def test_from_nothing_over_converging_to_valid_and_holding(whole: Whole) -> None:
+def test_the_status_goes_from_converging_to_valid_and_holding(whole: Whole) -> None:
     outputs = whole[1]
     statuses = [output.status for output in outputs]
     assert statuses[0] is Status.CONVERGING
@@ -148,8 +148,8 @@ def test_from_nothing_over_converging_to_valid_and_holding(whole: Whole) -> None
             assert after.rejected == before.rejected + 1
 
 
-def test_once_valid_it_does_not_flicker(whole: Whole) -> None:
-    """Hysteresis: an estimate near its limit does not change between fit and unfit."""
+def test_a_valid_status_does_not_flicker(whole: Whole) -> None:
+    """Hysteresis: an estimate near its limit does not alternate between fit and unfit for use."""
     statuses = [output.status for output in whole[1]]
     fit = [status in (Status.VALID, Status.HOLDING) for status in statuses]
     assert sum(a != b for a, b in pairwise(fit)) <= 3
@@ -157,14 +157,14 @@ def test_once_valid_it_does_not_flicker(whole: Whole) -> None:
 
 @ALL
 @pytest.mark.parametrize('kind', [SpeedRecord, ForceRecord, GradientRecord, BrakeRecord])
-def test_inputs_that_stop_make_it_stale_within_a_second_of_stamps(
+def test_missing_input_makes_the_status_stale_within_one_second_of_stamps(
     name: str, kind: type[Record], metro: TrainFile, day: Records
 ) -> None:
     pipeline = make(name, metro)
     run(pipeline, seconds(day, 0.0, 20.0))
     assert pipeline.status is not Status.STALE
     stopped_ns = pipeline.newest_ns
-    # Commands hold for two seconds, but a topic that is silent is missing.
+    # Commands hold for two seconds, but a topic without records is missing.
     became: int | None = None
     for record in seconds(day, 20.0, 30.0):
         if isinstance(record, kind):
@@ -172,7 +172,7 @@ def test_inputs_that_stop_make_it_stale_within_a_second_of_stamps(
         for output in pipeline.push(record):
             if output.status is Status.STALE and became is None:
                 became = pipeline.newest_ns
-            # Once stale it says so until the input is back.
+            # The status remains STALE until the input is back.
             assert became is None or output.status is Status.STALE
     assert became is not None
     assert 0.5 < (became - stopped_ns) / NS_PER_S < 1.0
@@ -183,7 +183,7 @@ def test_inputs_that_stop_make_it_stale_within_a_second_of_stamps(
 
 
 @ALL
-def test_an_input_that_never_begins_makes_it_stale(name: str, metro: TrainFile, day: Records) -> None:
+def test_an_input_that_never_begins_makes_the_status_stale(name: str, metro: TrainFile, day: Records) -> None:
     pipeline = make(name, metro)
     records = [r for r in seconds(day, 0.0, 5.0) if not isinstance(r, GradientRecord)]
     outputs = run(pipeline, records)
@@ -224,14 +224,14 @@ def test_a_jump_back_can_be_ignored(name: str, metro: TrainFile, day: Records) -
     used = pipeline.used
     outputs = run(pipeline, seconds(day, 0.0, 150.0))
     assert pipeline.resets == 0
-    # What was learned stands, and it goes on learning in the new time base.
+    # The estimate is kept, and learning continues in the new time base.
     assert pipeline.used == pytest.approx(2 * used, rel=0.1)
     assert outputs[-1].stamp_ns < pipeline.newest_ns + 1
     assert outputs[-1].status in (Status.VALID, Status.HOLDING, Status.CONVERGING)
 
 
 @ALL
-def test_a_jump_back_can_be_refused(name: str, metro: TrainFile, day: Records) -> None:
+def test_a_jump_back_can_be_rejected(name: str, metro: TrainFile, day: Records) -> None:
     pipeline = make(name, metro, policy(TimeJumpPolicy.REFUSE))
     run(pipeline, seconds(day, 0.0, 100.0))
     state, used = pipeline.estimator.save(), pipeline.used
@@ -241,7 +241,7 @@ def test_a_jump_back_can_be_refused(name: str, metro: TrainFile, day: Records) -
 
 
 @ALL
-def test_a_jump_forward_keeps_what_was_learned(name: str, metro: TrainFile, day: Records) -> None:
+def test_a_jump_forward_keeps_the_estimate(name: str, metro: TrainFile, day: Records) -> None:
     pipeline = make(name, metro)
     run(pipeline, seconds(day, 0.0, 150.0))
     used = pipeline.used
@@ -278,7 +278,7 @@ def test_reset_equals_new(name: str, metro: TrainFile, day: Records) -> None:
 
 
 @ALL
-def test_a_restored_estimate_goes_on_after_a_break(name: str, metro: TrainFile, day: Records) -> None:
+def test_a_restored_estimate_continues_after_a_break(name: str, metro: TrainFile, day: Records) -> None:
     first, second = make(name, metro), make(name, metro)
     run(first, seconds(day, 0.0, 150.0))
     second.restore(first.save())
@@ -289,8 +289,8 @@ def test_a_restored_estimate_goes_on_after_a_break(name: str, metro: TrainFile, 
 
 
 @ALL
-def test_a_restore_forgets_what_was_seen_before_it(name: str, metro: TrainFile, day: Records) -> None:
-    """Speeds stand still until samples wait for the next one that is believed; then a state is taken over."""
+def test_a_restore_discards_earlier_records(name: str, metro: TrainFile, day: Records) -> None:
+    """The speed is stuck until samples wait for the next accepted one; then a state is restored."""
     used, new = make(name, metro), make(name, metro)
     state = make(name, metro).save()
     stuck_from = day[0].stamp_ns + 20 * NS_PER_S
@@ -308,7 +308,7 @@ def test_a_restore_forgets_what_was_seen_before_it(name: str, metro: TrainFile, 
 
 
 @ALL
-def test_a_state_taken_over_ends_a_fault(name: str, metro: TrainFile, day: Records) -> None:
+def test_a_restored_state_ends_a_fault(name: str, metro: TrainFile, day: Records) -> None:
     pipeline = make(name, metro)
     state = pipeline.save()
     run(pipeline, seconds(day, 0.0, 30.0))
@@ -317,7 +317,7 @@ def test_a_state_taken_over_ends_a_fault(name: str, metro: TrainFile, day: Recor
     assert run(pipeline, seconds(day, 30.0, 40.0))[-1].status is Status.CONVERGING
 
 
-# What must not matter
+# Irrelevant changes of the input
 
 
 def values(estimate: Estimate) -> list[float]:
@@ -326,7 +326,7 @@ def values(estimate: Estimate) -> list[float]:
 
 
 @ALL
-def test_the_same_records_give_the_same_bits(name: str, metro: TrainFile, day: Records) -> None:
+def test_the_same_records_give_the_same_outputs_to_the_bit(name: str, metro: TrainFile, day: Records) -> None:
     first, second = (make(name, metro) for _ in range(2))
     records = seconds(day, 0.0, 100.0)
     assert repr(run(first, records)) == repr(run(second, records))
@@ -343,11 +343,11 @@ def test_the_order_of_topics_does_not_matter(name: str, metro: TrainFile, day: R
 
 
 @pytest.mark.slow
-def test_a_microsecond_of_jitter_moves_nothing(metro: TrainFile, day: Records) -> None:
-    """All stamps of seven minutes jittered by 1 us: w(v) moves by less than 0.02 N/kN, the brake rate by 0.01.
+def test_a_microsecond_of_jitter_barely_changes_the_estimates(metro: TrainFile, day: Records) -> None:
+    """All stamps of seven minutes jittered by 1 us: w(v) changes by less than 0.02 N/kN, the brake rate by 0.01.
 
-    Both are an order below the deviations the estimates state of themselves. Resampling may pick other
-    particles after any change of its input, so the brake rate cannot move by nothing.
+    Both are an order of magnitude below the stated standard deviations. Resampling may select other particles after
+    any change of its input, so the brake rate cannot remain exactly the same.
     """
     rng = np.random.default_rng(4)
     jittered = [replace(r, stamp_ns=r.stamp_ns + int(rng.integers(-1000, 1001))) for r in day]
@@ -390,13 +390,13 @@ def test_each_update_is_judged_once(name: str, metro: TrainFile, day: Records) -
     squares = [nu * nu / variance for nu, variance in pairs[-WINDOW:]]
     assert pipeline.consistency.updates == len(squares)
     assert pipeline.consistency.ratio == pytest.approx(np.mean(np.minimum(squares, 100.0)))
-    # The resistance follows the samples two behind, and starts each piece of the drive with one speed.
+    # The resistance lags two samples behind, and starts each piece of the drive with one speed.
     assert pipeline.used - 20 < len(pairs) <= pipeline.used
     pipeline.restore(pipeline.save())
     assert pipeline.consistency.updates == 0
 
 
-def test_errors_larger_than_stated_are_noticed(metro: TrainFile, day: Records) -> None:
+def test_errors_larger_than_stated_are_detected(metro: TrainFile, day: Records) -> None:
     """SMA as printed leaves out what one of its particles moves by; the default does not."""
     printed = make('brake_rate', metro, EstimatorSettings(brake_rate=BRAKE_RATE.choose('SMA')))
     default = make('brake_rate', metro)
@@ -406,7 +406,7 @@ def test_errors_larger_than_stated_are_noticed(metro: TrainFile, day: Records) -
     assert default.consistency.verdict is Verdict.CONSISTENT
 
 
-def test_what_the_innovations_refute_is_not_valid(metro: TrainFile, day: Records) -> None:
+def test_an_estimate_refuted_by_its_innovations_is_not_valid(metro: TrainFile, day: Records) -> None:
     pipeline = make('resistance', metro)
     before = run(pipeline, seconds(day, 0.0, 280.0))
     assert before[-1].status in (Status.VALID, Status.HOLDING)

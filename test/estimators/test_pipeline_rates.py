@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pipelines fed at 1 to 5 Hz, each topic at a rate of its own: what is missing follows the rate, and they learn."""
+"""Pipelines fed at 1 to 5 Hz, each topic at its own rate: timeouts follow the rate, and the estimators learn."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def seconds_of(record: Record, records: Records) -> float:
 
 
 def at_rates(records: Records, rates: Rates, low: float = 0.0, high: float = math.inf) -> Iterator[Record]:
-    """Yield records made at 5 Hz, of some topics fewer; which of them is another for each topic."""
+    """Yield records at 5 Hz, some topics thinned to a lower rate, each with its own phase."""
     count: Counter[type[Record]] = Counter()
     for record in records:
         kind, t = type(record), seconds_of(record, records)
@@ -81,7 +81,7 @@ def test_inputs_of_any_rate_are_not_missing(name: str, rates: Rates, metro: Trai
 
 @pytest.mark.parametrize('kind', KINDS)
 @pytest.mark.parametrize('rate', [1.0, 2.5])
-def test_a_slow_topic_is_missing_by_its_own_rate(
+def test_the_timeout_of_a_slow_topic_follows_its_rate(
     kind: type[Record], rate: float, metro: TrainFile, day: Records
 ) -> None:
     pipeline, rates = resistance_pipeline(metro, SETTINGS), {kind: rate}
@@ -92,13 +92,13 @@ def test_a_slow_topic_is_missing_by_its_own_rate(
         if not isinstance(record, kind) and pipeline.push(record) and pipeline.status is Status.STALE:
             became = became or pipeline.newest_ns
     assert became is not None
-    # 2.5 intervals and what a topic may lag behind.
+    # 2.5 intervals and the lag allowed for a topic.
     assert (became - last_ns) / NS_PER_S == pytest.approx(2.5 / rate + 0.3, abs=0.25)
     outputs = run(pipeline, at_rates(day, rates, 50.0, 60.0))
     assert outputs[-1].status is not Status.STALE
 
 
-def test_how_long_a_topic_may_be_silent_follows_its_rate(metro: TrainFile, day: Records) -> None:
+def test_timeout_ns_follows_the_rate_of_the_topic(metro: TrainFile, day: Records) -> None:
     pipeline = resistance_pipeline(metro, SETTINGS)
     run(pipeline, at_rates(day, {ForceRecord: 1.0}, 0.0, LEARNED_S))
     assert pipeline.timeout_ns(ForceRecord) == pytest.approx(2.5 * NS_PER_S, rel=0.02)
@@ -108,7 +108,7 @@ def test_how_long_a_topic_may_be_silent_follows_its_rate(metro: TrainFile, day: 
 
 
 @pytest.mark.parametrize('rates', [ALL_SLOW, {BrakeRecord: 1.0}], ids=['all 1', 'brake 1'])
-def test_the_brake_rate_is_learned_at_one_record_a_second(rates: Rates, metro: TrainFile, day: Records) -> None:
+def test_the_brake_rate_is_learned_at_one_record_per_second(rates: Rates, metro: TrainFile, day: Records) -> None:
     pipeline = brake_rate_pipeline(metro, SETTINGS)
     outputs = run(pipeline, at_rates(day, rates))
     valid = [o.estimate for o in outputs if o.status is Status.VALID]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The prior scales with the train and leaves no parameter without doubt."""
+"""The prior scales with the train and leaves no parameter without uncertainty."""
 
 from __future__ import annotations
 
@@ -16,5 +16,5 @@ def test_variances_by_hand() -> None:
     assert np.count_nonzero(P) == 3
 
 
-def test_a_parameter_believed_zero_stays_free() -> None:
+def test_a_parameter_of_zero_in_the_train_file_stays_free() -> None:
     assert np.diag(davis_prior((1.4, 0.0, 0.01), 0.5, (0.6, 0.02, 0.0006)))[1] == pytest.approx(0.02**2)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every registered algorithm does its job on a real day through the one protocol."""
+"""Every registered algorithm works on a full day through the common protocol."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ class Drive:
     Attributes:
         chosen: The pipeline at the end.
         prior: Estimate at 10 m/s at the start.
-        outputs: Of the whole drive.
+        outputs: All outputs of the drive.
 
     """
 
@@ -75,15 +75,15 @@ class Drive:
 @pytest.fixture(scope='module', params=ALL, ids=IDS)
 def drive(request: pytest.FixtureRequest, metro: TrainFile, day: tuple[Record, ...]) -> Drive:
     field, algorithms, make, name = request.param
-    whole = pipeline(field, algorithms, make, name, metro)
-    prior = numbers(whole.estimator.estimate(10.0))
+    original = pipeline(field, algorithms, make, name, metro)
+    prior = numbers(original.estimator.estimate(10.0))
     records = [record for record in day if record.stamp_ns < day[0].stamp_ns + 240 * NS_PER_S]
-    return Drive(whole, prior, [output for record in records for output in whole.push(record)])
+    return Drive(original, prior, [output for record in records for output in original.push(record)])
 
 
 @pytest.fixture(scope='module')
 def samples(day: tuple[Record, ...]) -> list[Sample]:
-    """Some minutes with some records lost, so that there are gaps, and some speeds beyond any gate."""
+    """Some minutes with lost records, so that there are gaps, and with speeds beyond any gate."""
     rng, aligner = np.random.default_rng(61), Aligner(AlignmentConfig())
     found: list[Sample] = []
     for record in day:
@@ -94,34 +94,34 @@ def samples(day: tuple[Record, ...]) -> list[Sample]:
 
 
 @pytest.mark.parametrize(('field', 'algorithms', 'make', 'name'), ALL, ids=IDS)
-def test_saved_anywhere_a_copy_goes_on_to_the_bit(
+def test_a_copy_restored_at_any_sample_continues_to_the_bit(
     field: str, algorithms: Algorithms[Any], make: Make, name: str, metro: TrainFile, samples: list[Sample]
 ) -> None:
-    whole, copy = (pipeline(field, algorithms, make, name, metro).estimator for _ in range(2))
+    original, copy = (pipeline(field, algorithms, make, name, metro).estimator for _ in range(2))
     used = 0
     for k, item in enumerate(samples):
         if k % 83 == 7:
-            copy.restore(whole.save())
-            assert repr(copy.estimate(10.0)) == repr(whole.estimate(10.0)), k
-        answer, copied = whole.step(item), copy.step(item) if k >= 7 else None
+            copy.restore(original.save())
+            assert repr(copy.estimate(10.0)) == repr(original.estimate(10.0)), k
+        answer, copied = original.step(item), copy.step(item) if k >= 7 else None
         if copied is not None:
-            assert (repr(copied), copy.converged) == (repr(answer), whole.converged), k
+            assert (repr(copied), copy.converged) == (repr(answer), original.converged), k
             used += not isinstance(answer, Rejection)
     assert used > 100
-    assert copy.save() == whole.save()
+    assert copy.save() == original.save()
 
 
-def test_nothing_but_numbers_leaves(drive: Drive) -> None:
+def test_all_outputs_are_finite(drive: Drive) -> None:
     assert drive.chosen.used > 100
     assert all(np.isfinite([x for x in numbers(o.estimate) if x == x]).all() for o in drive.outputs)  # noqa: PLR0124
 
 
-def test_a_reset_is_the_prior_again(drive: Drive) -> None:
+def test_a_reset_restores_the_prior(drive: Drive) -> None:
     drive.chosen.reset()
     assert numbers(drive.chosen.estimator.estimate(10.0)) == pytest.approx(drive.prior, nan_ok=True)
 
 
-def test_an_unknown_name_is_told() -> None:
+def test_an_unknown_name_is_rejected_with_the_known_ones() -> None:
     with pytest.raises(InputError, match=r"algorithm = 'XYZ' must be one of filter-bank"):
         RESISTANCE.choose('XYZ')
 
@@ -143,7 +143,7 @@ def test_settings_are_changed_by_name() -> None:
         ('resistance', 'V-MILS-printed', 'record_length'),
     ],
 )
-def test_what_an_algorithm_does_not_heed_is_no_setting_of_it(field: str, name: str, setting: str) -> None:
+def test_an_algorithm_does_not_offer_settings_that_it_ignores(field: str, name: str, setting: str) -> None:
     algorithms = {item[0]: item[1] for item in ALL}[field]
     assert setting in algorithms[name].config.__dataclass_fields__
     assert setting not in algorithms[name].settings
@@ -151,7 +151,7 @@ def test_what_an_algorithm_does_not_heed_is_no_setting_of_it(field: str, name: s
         algorithms.choose(name, **{setting: 3})
 
 
-def test_fixed_settings_are_settings() -> None:
+def test_fixed_settings_exist() -> None:
     for _, algorithms, _, name in ALL:
         assert algorithms[name].fixed <= set(algorithms[name].config.__dataclass_fields__)
         assert algorithms[name].settings
@@ -176,7 +176,7 @@ PRINTED = [(algorithms, name) for _, algorithms, _, name in ALL if algorithms[na
 
 @pytest.mark.slow
 @pytest.mark.parametrize(('algorithms', 'name'), PRINTED)
-def test_every_setting_that_can_be_changed_acts(
+def test_every_setting_that_can_be_changed_has_an_effect(
     algorithms: Algorithms[Any], name: str, metro: TrainFile, spoiled: list[Sample]
 ) -> None:
     samples = spoiled[: 1400 if algorithms is RESISTANCE else 500]
@@ -184,7 +184,7 @@ def test_every_setting_that_can_be_changed_acts(
     def end(**changes: float) -> list[float]:
         try:
             chosen = algorithms.make(algorithms.choose(name, **changes), metro, np.random.default_rng(1))
-        except InputError:  # it does not fit the other settings
+        except InputError:  # incompatible with the other settings
             return []
         for sample in samples:
             chosen.step(sample)
@@ -193,7 +193,7 @@ def test_every_setting_that_can_be_changed_acts(
     usual, config = end(), algorithms[name].config
     for item in fields(config):
         info = setting_info(item)
-        # The limit of what is fit to use changes no estimate.
+        # The limit of fitness for use changes no estimate.
         if info is not None and item.name in algorithms[name].settings and item.name != 'valid_std':
             kind, span = type(getattr(config, item.name)), info.high - info.low
             some = (kind(value) for value in (info.low, info.low + 0.01 * span, min(info.high, 100)))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The error of a coarse speed is found; that of a fine one does not show."""
+"""The rounding error of a coarse speed is found; that of a fine one is negligible."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def after(speeds: list[float]) -> Rounding:
     return rounding
 
 
-def test_samples_between_two_jumps_count_as_one() -> None:
+def test_samples_between_two_jumps_count_as_one_sample() -> None:
     rounding = after(coasting(KMH, 0.0))
     jump_every = KMH / 0.01
     assert rounding.quantum == pytest.approx(KMH)
@@ -44,11 +44,11 @@ def test_a_wrong_message_is_forgotten() -> None:
     assert after(speeds + speeds + speeds).quantum == pytest.approx(KMH)
 
 
-def test_slip_is_no_quantum() -> None:
+def test_slip_is_not_taken_for_a_quantum() -> None:
     assert after([15.0] * 50 + [18.0, 15.0]).variance == 0.0
 
 
-def test_a_speed_that_stands_or_is_stuck_does_not_count_for_nothing() -> None:
+def test_the_variance_stays_bounded_at_rest_and_with_a_stuck_speed() -> None:
     moving = after(coasting(KMH, 0.0))
     stuck, standing = moving, moving
     for _ in range(10_000):
@@ -57,7 +57,7 @@ def test_a_speed_that_stands_or_is_stuck_does_not_count_for_nothing() -> None:
     assert stuck.variance == pytest.approx(KMH**2 / 12.0 * 50.0)
 
 
-def test_a_long_coast_does_not_make_the_noise_of_driving_too_small() -> None:
+def test_long_coasting_does_not_make_the_noise_of_driving_too_small() -> None:
     """While coasting most second differences of a coarse speed are zero."""
     quantum, rng = 0.4 * KMH, np.random.default_rng(7)
     true = [20.0 - 0.01 * i for i in range(300)] + [17.0 + 0.1 * i for i in range(50)]
@@ -72,7 +72,7 @@ def test_a_long_coast_does_not_make_the_noise_of_driving_too_small() -> None:
 
 
 @pytest.mark.parametrize(('quantum', 'coarse'), [(KMH, True), (0.1 * KMH, False), (1e-6, False)])
-def test_both_noises_know_of_coarse_rounding_and_only_of_that(quantum: float, coarse: bool) -> None:
+def test_both_noise_models_include_coarse_rounding_only(quantum: float, coarse: bool) -> None:
     tachometer, noise = Tachometer(0.025, 0.025**2), SpeedNoise.declared(0.025)
     for i, speed in enumerate(coasting(quantum, 0.02)):
         dt = math.nan if i == 0 else 0.2

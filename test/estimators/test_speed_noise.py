@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The learned speed noise: right for white noise, deaf to motion, bounded under faults."""
+"""The learned speed noise: correct for white noise, unaffected by motion, bounded under faults."""
 
 from __future__ import annotations
 
@@ -23,26 +23,26 @@ def test_white_noise_on_a_moving_train_is_learned(std: float) -> None:
     rng = np.random.default_rng(1)
     t = 0.2 * np.arange(3000)
     speeds = 15.0 + 5.0 * np.sin(0.1 * t) + std * rng.standard_normal(len(t))
-    # A memory of 100 correlated squares: 12 % of the variance, 6 % of the deviation; take the mean of some.
+    # With a memory of 100 correlated squares the error is 12 % of the variance, 6 % of the deviation: average some.
     found = [learned(speeds[:n].tolist()).std for n in range(1500, 3001, 250)]
     assert np.mean(found) == pytest.approx(std, rel=0.1)
 
 
-def test_accelerating_is_no_noise() -> None:
+def test_acceleration_is_not_taken_for_noise() -> None:
     t = 0.2 * np.arange(600)
     assert learned((0.9 * t).tolist()).std == pytest.approx(0.3 * 0.025)
 
 
-def test_slip_does_not_make_it_run_away() -> None:
+def test_the_noise_stays_bounded_under_slip() -> None:
     rng = np.random.default_rng(2)
     speeds = 15.0 + 0.025 * rng.standard_normal(2000)
     speeds[rng.choice(2000, 60, replace=False)] += 5.0
-    # 3 % of outliers touch 9 % of second differences, each counted as 3 sigma at most: it settles.
+    # 3 % outliers affect 9 % of the second differences, each limited to 3 sigma: the noise converges.
     assert learned(speeds.tolist()).std < 10.0 * 0.025
     assert learned([15.0, 100.0] * 1000).std == pytest.approx(10.0 * 0.025)
 
 
-def test_unequal_steps_and_gaps_teach_nothing() -> None:
+def test_unequal_steps_and_gaps_do_not_change_the_noise() -> None:
     noise = SpeedNoise.declared(0.025).add(10.0, math.nan).add(11.0, 0.2)
     assert noise.add(20.0, 0.4).variance == noise.variance
     assert noise.add(20.0, math.nan).variance == noise.variance

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A stuck speed sensor must not teach anything; a steady speed must not be taken for one."""
+"""Samples of a stuck speed sensor are rejected; a steady speed is not taken for a stuck sensor."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ Make = Callable[..., Sample]
 
 
 def rejections(train_file: TrainFile, samples: list[Sample]) -> list[Rejection | None]:
-    watch = StuckSpeed(KnownForce(train_file))
-    return [watch.reject(item) for item in samples]
+    detector = StuckSpeed(KnownForce(train_file))
+    return [detector.reject(item) for item in samples]
 
 
-def test_a_speed_that_ignores_the_brake_is_refused_once_half_a_metre_a_second_is_missing(
+def test_a_speed_unaffected_by_the_brake_is_rejected_once_half_a_metre_per_second_is_missing(
     train_file: TrainFile, sample: Make
 ) -> None:
     found = rejections(train_file, [sample(i + 1, speed=12.0, brake_command=-0.8) for i in range(20)])
@@ -34,18 +34,18 @@ def test_a_speed_that_ignores_the_brake_is_refused_once_half_a_metre_a_second_is
     assert found[4].value == pytest.approx(-0.64)
 
 
-def test_a_speed_that_ignores_traction_is_refused(train_file: TrainFile, sample: Make) -> None:
+def test_a_speed_unaffected_by_traction_is_rejected(train_file: TrainFile, sample: Make) -> None:
     pull = 2e5
     found = rejections(train_file, [sample(i + 1, speed=12.0, force=pull, force_mean=pull) for i in range(60)])
     assert found[-1] is not None
 
 
-def test_it_is_believed_again_as_soon_as_it_moves(train_file: TrainFile, sample: Make) -> None:
+def test_the_speed_is_accepted_again_as_soon_as_it_changes(train_file: TrainFile, sample: Make) -> None:
     stuck = [sample(i + 1, speed=12.0, brake_command=-0.8) for i in range(20)]
     assert rejections(train_file, [*stuck, sample(21, speed=11.0, brake_command=-0.8)])[-1] is None
 
 
-def test_a_steady_cruise_and_a_held_train_are_no_faults(train_file: TrainFile, sample: Make) -> None:
+def test_a_steady_cruise_and_a_held_train_are_accepted(train_file: TrainFile, sample: Make) -> None:
     davis = train_file.resistance
     pull = (davis.a + 20.0 * davis.b + 400.0 * davis.c) * train_file.train.mass * G / 1000.0
     cruise = [sample(i + 1, speed=20.0, force=pull, force_mean=pull) for i in range(500)]

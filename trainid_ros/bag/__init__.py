@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reading and writing rosbag2 bags (MCAP) without ROS."""
+"""Read and write rosbag2 bags (MCAP) without ROS."""

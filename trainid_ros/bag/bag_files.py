@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which MCAP files make up a bag: a rosbag2 directory, with or without its metadata, or a bare file."""
+"""Locate the MCAP files of a bag: a rosbag2 directory, with or without its metadata, or a bare file."""
 
 from __future__ import annotations
 
@@ -20,13 +20,13 @@ _ROOT_KEY: Final = 'rosbag2_bagfile_information'
 
 @dataclass(frozen=True, slots=True)
 class BagFiles:
-    """The files of a bag in the order of recording, and what ``metadata.yaml`` says of them.
+    """The files of a bag in the order of recording, and the contents of ``metadata.yaml``.
 
     Attributes:
         files: The MCAP files.
-        message_count: Number of messages promised, None if nobody says.
+        message_count: Number of messages according to the metadata, None if unknown.
         hashes: Pairs of full topic name and type hash.
-        warnings: What is wrong with the directory although it can be read.
+        warnings: Faults of the directory that do not prevent reading.
 
     """
 
@@ -40,32 +40,32 @@ def locate(path: Path) -> BagFiles:
     """Return the files of the bag at a path.
 
     Raises:
-        InputError: If there is nothing, no bag, a missing file, or a storage other than MCAP.
+        InputError: The path does not exist or is not a bag, a file is missing, or the storage is not MCAP.
 
     """
     if not path.exists():
         msg = f'{path}: no such bag'
         raise InputError(msg)
     if path.is_file():
-        _refuse_sqlite([path])
+        _reject_sqlite([path])
         return BagFiles((path,))
     if (path / METADATA).is_file():
         return _from_metadata(path)
-    return _from_folder(path, f'{path}: {METADATA} is missing, its .mcap files were read without it')
+    return _from_folder(path, f'{path}: {METADATA} is missing, the .mcap files were read without it')
 
 
 def _from_folder(path: Path, warning: str) -> BagFiles:
-    entries = sorted(path.iterdir(), key=_numbered)
+    entries = sorted(path.iterdir(), key=_part_number)
     files = tuple(entry for entry in entries if entry.suffix == '.mcap')
     if not files:
-        _refuse_sqlite(entries)
+        _reject_sqlite(entries)
         msg = f'{path}: no bag in this directory (neither {METADATA} nor an .mcap file)'
         raise InputError(msg)
     return BagFiles(files, warnings=(warning,))
 
 
-def _numbered(path: Path) -> tuple[str, int, str]:
-    """Sort ``bag_10.mcap`` after ``bag_9.mcap``, as rosbag2 numbers the parts of a split bag."""
+def _part_number(path: Path) -> tuple[str, int, str]:
+    """Return a sort key: ``bag_10.mcap`` comes after ``bag_9.mcap``, as rosbag2 numbers the parts of a split bag."""
     head, _, tail = path.stem.rpartition('_')
     return (head, int(tail), path.name) if tail.isdecimal() else (path.stem, -1, path.name)
 
@@ -79,14 +79,14 @@ def _from_metadata(path: Path) -> BagFiles:
         storage, mode = str(info['storage_identifier']), str(info.get('compression_mode') or 'none')
     except (yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError) as error:
         reason = ' '.join(str(error).split())
-        return _from_folder(path, f'{where}: unreadable ({reason}), its .mcap files were read without it')
+        return _from_folder(path, f'{where}: unreadable ({reason}), the .mcap files were read without it')
     _check_storage(where, storage, mode.lower())
     for name in names:
         if not (path / name).is_file():
-            msg = f'{path / name}: file named in {METADATA} is missing'
+            msg = f'{path / name}: file listed in {METADATA} is missing'
             raise InputError(msg)
     if not names:
-        msg = f'{where}: names no files'
+        msg = f'{where}: lists no files'
         raise InputError(msg)
     return BagFiles(tuple(path / name for name in names), count, hashes)
 
@@ -109,7 +109,7 @@ def _hashes(info: Any) -> Iterable[tuple[str, str]]:
         yield str(topic['name']), str(topic.get('type_description_hash') or '')
 
 
-def _refuse_sqlite(entries: Iterable[Path]) -> None:
+def _reject_sqlite(entries: Iterable[Path]) -> None:
     for entry in entries:
         if entry.suffix == '.db3':
             msg = f'{entry}: storage sqlite3 is not supported, only mcap (see ros2 bag convert)'

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is in a bag, and whether the estimators can use it."""
+"""Inspect the contents of a bag, and check that the estimators can use it."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ if TYPE_CHECKING:
     from trainid_ros.core.records import InputTopic
 
 GAP_S: Final = 1.0
-MOVING_SPEED: Final = 0.1
-_INT64_MAX: Final = 2**63 - 1  # a log time is unsigned
+MOVING_SPEED: Final = 0.1  # m/s
+_INT64_MAX: Final = 2**63 - 1  # log times are unsigned
 _REQUIRED: Final = tuple(topic.name for topic in REQUIRED_TOPICS)
 
 
@@ -52,7 +52,7 @@ _QUANTITIES: Final = (
     _Quantity(BRAKE_TOPIC.name, 'target_acceleration', 'm/s^2'),
     _Quantity(MASS_TOPIC.name, 'mass', 'kg'),
 )
-# An unknown position is NaN by the interface, so it is no fault.
+# By the interface an unknown position is NaN, which is not a fault.
 _MAY_BE_NAN: Final = frozenset({(SPEED_TOPIC.name, 'position')})
 
 
@@ -62,14 +62,14 @@ class StampInfo:
 
     Attributes:
         rate: Median rate [Hz], NaN below two messages.
-        first_ns: Smallest stamp that is not zero.
-        last_ns: Greatest stamp.
+        first_ns: Smallest stamp that is not zero [ns].
+        last_ns: Largest stamp [ns].
         gaps: Number of pauses longer than one second.
         longest_gap_s: Longest pause [s].
         out_of_order: Messages older than one before them.
-        duplicates: Messages whose stamp was there before.
-        zero: Messages without a stamp.
-        log_offset_s: Median of log time less stamp [s].
+        duplicates: Messages that repeat an earlier stamp.
+        zero: Messages with a zero stamp.
+        log_offset_s: Median of log time minus stamp [s].
 
     """
 
@@ -86,7 +86,7 @@ class StampInfo:
 
 @dataclass(frozen=True, slots=True)
 class TopicInfo:
-    """One topic; ``stamps`` is None for topics that are no input or have no messages."""
+    """One topic; ``stamps`` is None for topics that are not an input or have no messages."""
 
     name: str
     type: str
@@ -97,7 +97,7 @@ class TopicInfo:
 
 @dataclass(frozen=True, slots=True)
 class ValueRange:
-    """Least and greatest finite value of a field, NaN if there is none."""
+    """Smallest and largest finite value of a field in its unit, NaN if there is none."""
 
     topic: str
     field: str
@@ -108,7 +108,7 @@ class ValueRange:
 
 @dataclass(frozen=True, slots=True)
 class BagInfo:
-    """What a bag holds.
+    """Contents of a bag.
 
     Attributes:
         path: The bag.
@@ -116,11 +116,11 @@ class BagInfo:
         messages: Number of messages on all topics.
         topics: All topics by name.
         ranges: Ranges of the input values.
-        moving_share: Share of the time with the train moving, NaN if unknown.
-        braking_share: Share of the time with a brake command, NaN if unknown.
+        moving_share: Share of the time with the train moving [1], NaN if unknown.
+        braking_share: Share of the time with a brake command [1], NaN if unknown.
         missing: Required topics without messages.
         problems: Why the bag cannot be used; empty if it can.
-        warnings: What the estimators will refuse or bridge.
+        warnings: Faults that the estimators will reject or bridge.
 
     """
 
@@ -137,7 +137,7 @@ class BagInfo:
 
     @property
     def usable(self) -> bool:
-        """True if the estimators have something to work on."""
+        """True if the estimators can use the bag."""
         return not self.problems
 
 
@@ -161,7 +161,7 @@ class _Column:
 
 
 def inspect(path: str | Path, namespace: str = '/') -> BagInfo:
-    """Read a bag once and tell what is in it.
+    """Read a bag once and summarise its contents.
 
     Args:
         path: Rosbag2 directory or ``.mcap`` file.
@@ -189,7 +189,7 @@ def inspect(path: str | Path, namespace: str = '/') -> BagInfo:
             braking_share=_share(columns, BRAKE_TOPIC.name, 'target_acceleration'),
             missing=missing,
             problems=tuple(_problems(topics, missing, moving)),
-            warnings=(*reader.warnings, *(line for topic in topics for line in _remarks(topic))),
+            warnings=(*reader.warnings, *(line for topic in topics for line in _topic_warnings(topic))),
         )
 
 
@@ -248,8 +248,8 @@ def _problems(topics: tuple[TopicInfo, ...], missing: tuple[str, ...], moving: f
         hint = f' (other namespace: {", ".join(other)})' if other else ''
         return [f'no messages on {", ".join(missing)}{hint}']
     required = {topic.name: topic for topic in topics if topic.name in _REQUIRED}
-    problems = [f'{name}: no message can be used' for name, topic in required.items() if not _any_good(topic)]
-    spans = [topic.stamps for topic in required.values() if topic.stamps is not None and _any_good(topic)]
+    problems = [f'{name}: no message can be used' for name, topic in required.items() if not _has_usable(topic)]
+    spans = [topic.stamps for topic in required.values() if topic.stamps is not None and _has_usable(topic)]
     if not problems and max(span.first_ns for span in spans) > min(span.last_ns for span in spans):
         problems.append('the stamps of the required topics do not overlap')
     if not moving > 0.0:
@@ -257,18 +257,18 @@ def _problems(topics: tuple[TopicInfo, ...], missing: tuple[str, ...], moving: f
     return problems
 
 
-def _any_good(topic: TopicInfo) -> bool:
+def _has_usable(topic: TopicInfo) -> bool:
     return topic.stamps is not None and topic.not_finite < topic.count and topic.stamps.zero < topic.count
 
 
-def _remarks(topic: TopicInfo) -> list[str]:
+def _topic_warnings(topic: TopicInfo) -> list[str]:
     if (stamps := topic.stamps) is None:
         return []
     found = (
         (topic.not_finite, 'messages with a value that is not finite'),
         (stamps.gaps, f'gaps longer than {GAP_S:g} s, the longest {stamps.longest_gap_s:.1f} s'),
         (stamps.out_of_order, 'messages out of order'),
-        (stamps.duplicates, 'messages with a stamp seen before'),
+        (stamps.duplicates, 'messages with a repeated stamp'),
         (stamps.zero, 'messages with a zero stamp'),
     )
     return [f'{topic.name}: {count} {what}' for count, what in found if count]

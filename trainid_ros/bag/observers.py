@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Who may watch a replay: a bag that keeps all, traces for plots."""
+"""Observers of a replay: a bag that records everything, and traces for plots."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _TYPES = {topic.record: topic.message for topic in INPUT_TOPICS}
 
 
 class BagRecorder:
-    """Writes inputs and estimates to a bag, logged when they came or would have been published."""
+    """Writes inputs and estimates to a bag, logged when they arrived or would have been published."""
 
     def __init__(self, writer: BagWriter) -> None:
         self._writer = writer
@@ -48,7 +48,7 @@ class TraceObserver:
         """Trace an input."""
         self._recorder.on_record(entry.record)
 
-    def on_output(self, output: AnyOutput, log_ns: int) -> None:  # noqa: ARG002 - plots go by stamps
+    def on_output(self, output: AnyOutput, log_ns: int) -> None:  # noqa: ARG002 - plots use the stamps
         """Trace an output."""
         self._recorder.on_output(output)
 

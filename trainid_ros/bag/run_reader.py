@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs of several bags on one time scale; long bags are read side by side, each in a process of its own."""
+"""Read the runs of several bags on one time scale; long bags are read in parallel, each in its own process."""
 
 from __future__ import annotations
 
@@ -28,20 +28,20 @@ if TYPE_CHECKING:
     from trainid_ros.train.train_file import TrainFile
 
 POOL_FROM: Final = 100_000
-"""Inputs from which on workers are worth the second in which they start."""
+"""Number of inputs from which worker processes pay for the second that they take to start."""
 _PROGRESS_EVERY: Final = 500
-_LOOK_EVERY_S: Final = 0.1
-# What the workers share with their parent, set as they start: a count of inputs read, and whether to stop.
+_POLL_EVERY_S: Final = 0.1
+# Shared by the workers with their parent, set at their start: count of inputs read, and stop event.
 _shared: Final[list[Any]] = []
 
 
 @dataclass(frozen=True, slots=True)
 class Survey:
-    """What the bags hold, told before they are read.
+    """Summary of the bags before they are read.
 
     Attributes:
-        inputs: Number of input messages in each.
-        warnings: What is wrong with them although they can be read.
+        inputs: Number of input messages in each bag.
+        warnings: Faults of the bags that do not prevent reading.
 
     """
 
@@ -58,11 +58,11 @@ class _Reading:
 
 
 class _StoppedError(Exception):
-    """The parent does not want the answer any more."""
+    """The parent no longer needs the result."""
 
 
 def survey(paths: Sequence[Path], namespace: str = '/') -> Survey:
-    """Check that all bags can be used.
+    """Check that all bags can be used, and summarise them.
 
     Raises:
         InputError: One is given twice, cannot be read, or lacks a required topic.
@@ -71,7 +71,7 @@ def survey(paths: Sequence[Path], namespace: str = '/') -> Survey:
     places = [path.resolve() for path in paths]
     for i, place in enumerate(places):
         if place in places[:i]:
-            msg = f'{paths[i]}: given twice; what it tells would count twice'
+            msg = f'{paths[i]}: given twice; its data would count twice'
             raise InputError(msg)
     inputs, warnings = [], []
     for path in paths:
@@ -94,7 +94,7 @@ def read_runs(
 
     Args:
         paths: The bags; their numbers are their places in this list.
-        train_file: What is believed.
+        train_file: Train file, for its effects and parameters.
         namespace: Namespace of their topics.
         workers: Number of processes; 1 reads them here.
         advance: Called with the number of inputs read since its last call.
@@ -117,7 +117,7 @@ def read_runs(
 
 
 def worker_count(inputs: Sequence[int]) -> int:
-    """Return how many processes to read bags of so many inputs with."""
+    """Return the number of processes for reading bags with these numbers of inputs."""
     if sum(inputs) < POOL_FROM:
         return 1
     return min(len(inputs), len(os.sched_getaffinity(0)))
@@ -127,7 +127,7 @@ def _read(path: Path, bag: int, train_file: TrainFile, namespace: str, advance: 
     # The train file may be what is wrong, so it must not decide which speeds are used.
     stream = SampleStream(StreamConfig(train_file, rejects_stuck_speed=False))
     collector = RunCollector(train_file, bag)
-    told = 0
+    reported = 0
     with BagReader(path, namespace) as reader:
         for i, record in enumerate(reader.records(), 1):
             for event in stream.push(record):
@@ -135,8 +135,8 @@ def _read(path: Path, bag: int, train_file: TrainFile, namespace: str, advance: 
                     collector.add(event)
                 elif isinstance(event, TimeJump):
                     collector.end_run()
-            if i - told == _PROGRESS_EVERY:
-                told = i
+            if i - reported == _PROGRESS_EVERY:
+                reported = i
                 advance(_PROGRESS_EVERY)
     collector.end_run()
     return _Reading(tuple(collector.runs), collector.origin_ns)
@@ -151,32 +151,32 @@ def _read_in_pool(
     with ProcessPoolExecutor(workers, context, _start_worker, (count, stop)) as pool:
         try:
             futures = [pool.submit(_read_in_worker, path, k, train_file, namespace) for k, path in enumerate(paths)]
-            _watch(futures, count, advance)
+            _follow_progress(futures, count, advance)
             return [future.result() for future in futures]
         except BrokenProcessPool:
-            msg = f'{paths[0]}: a process that read the bags was ended from outside (memory?)'
+            msg = f'{paths[0]}: a process reading the bags was killed (out of memory?)'
             raise InputError(msg) from None
         finally:
             stop.set()
             pool.shutdown(wait=False, cancel_futures=True)
 
 
-def _watch(futures: Sequence[Future[_Reading]], count: Any, advance: Callable[[float], None]) -> None:
-    """Tell the progress of all workers until all are done or one has failed."""
-    told = 0
+def _follow_progress(futures: Sequence[Future[_Reading]], count: Any, advance: Callable[[float], None]) -> None:
+    """Report the progress of all workers until all are done or one has failed."""
+    reported = 0
     pending = set(futures)
     while pending:
-        done, pending = wait(pending, _LOOK_EVERY_S, FIRST_EXCEPTION)
+        done, pending = wait(pending, _POLL_EVERY_S, FIRST_EXCEPTION)
         read = int(count.value)
-        advance(read - told)
-        told = read
+        advance(read - reported)
+        reported = read
         for future in done:
             if (error := future.exception()) is not None:
                 raise error
 
 
 def _start_worker(count: Any, stop: Any) -> None:
-    # Ctrl-C reaches the whole group: the parent alone answers.
+    # Ctrl-C reaches the whole process group; only the parent handles it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     _shared[:] = [count, stop]
 

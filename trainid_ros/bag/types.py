@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The messages of ``trainid_msgs`` for rosbags, and how they map to the plain values of the core.
+"""Messages of ``trainid_msgs`` for rosbags, and their conversion from and to the records of the core.
 
 The definitions are the packaged ``.msg`` files, the same ones that ROS compiles, so a RIHS01 digest
-computed here equals the type hash on the wire.
+computed here equals the type hash that ROS uses.
 """
 
 from __future__ import annotations
@@ -48,19 +48,19 @@ _INT32_MAX: Final = 2**31 - 1
 
 
 class OutputLike(Protocol):
-    """What an estimator says after a sample: the estimate, its health and what was refused."""
+    """Output of an estimator after a sample: the estimate, its status and the rejections."""
 
     @property
     def stamp_ns(self) -> int:
-        """Stamp of the newest sample used."""
+        """Stamp of the newest sample used [ns]."""
 
     @property
     def estimate(self) -> Estimate:
-        """The estimate itself."""
+        """The estimate."""
 
     @property
     def status(self) -> Status:
-        """Health of the estimate."""
+        """Status of the estimate."""
 
     @property
     def used(self) -> int:
@@ -72,7 +72,7 @@ class OutputLike(Protocol):
 
     @property
     def last_rejection(self) -> Rejection | None:
-        """Last refusal, None before the first."""
+        """Last rejection, None before the first."""
 
 
 def full_type(name: str) -> str:
@@ -82,7 +82,7 @@ def full_type(name: str) -> str:
 
 @cache
 def typestore() -> Typestore:
-    """Return a Jazzy typestore that knows the packaged messages."""
+    """Return a Jazzy typestore with the packaged messages registered."""
     store = get_typestore(Stores.ROS2_JAZZY)
     folder = resources.files('trainid_ros.bag') / 'msg'
     for item in sorted(folder.iterdir(), key=lambda entry: entry.name):
@@ -99,10 +99,10 @@ def digest(message: str) -> str:
 
 
 def split_stamp(stamp_ns: int) -> tuple[int, int]:
-    """Return seconds and nanoseconds of a stamp.
+    """Return the seconds and nanoseconds of a stamp [ns].
 
     Raises:
-        InputError: If ``builtin_interfaces/Time`` cannot hold the stamp.
+        InputError: ``builtin_interfaces/Time`` cannot hold the stamp.
 
     """
     sec, nanosec = divmod(int(stamp_ns), NS_PER_S)
@@ -113,7 +113,7 @@ def split_stamp(stamp_ns: int) -> tuple[int, int]:
 
 
 def header(stamp_ns: int) -> Any:
-    """Return a ``std_msgs/Header`` with the stamp and an empty frame."""
+    """Return a ``std_msgs/Header`` with a stamp [ns] and an empty frame."""
     types = typestore().types
     sec, nanosec = split_stamp(stamp_ns)
     stamp = types['builtin_interfaces/msg/Time'](sec=sec, nanosec=nanosec)
@@ -121,7 +121,7 @@ def header(stamp_ns: int) -> Any:
 
 
 def message_stamp_ns(message: Any) -> int:
-    """Return the stamp of a message with a header, in nanoseconds."""
+    """Return the stamp of a message with a header [ns]."""
     stamp = message.header.stamp
     return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
 
@@ -151,7 +151,7 @@ def record_from_message(name: str, message: Any) -> Record:
 
 
 def message_from_record(record: Record) -> Any:
-    """Return the message of a record, of the rosbags class of its type."""
+    """Return the message of a record, as the rosbags class of its type."""
     name = _MESSAGE_OF[type(record)]
     values = {key: getattr(record, key) for key in _VALUES_OF[type(record)]}
     return _build(name, record.stamp_ns, values)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Writing a bag that ``ros2 bag play`` takes: rosbag2 directory, MCAP, chunks compressed with zstd."""
+"""Write bags that ``ros2 bag play`` can play: rosbag2 directory, MCAP, chunks compressed with zstd."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
     from trainid_ros.core.records import Record
 
 _VERSION: Final = 9
-# rmw writes "no limit" as the greatest duration it has.
+# rmw represents "no limit" by its largest duration.
 _NO_LIMIT: Final = QosTime(9223372036, 854775807)
 _TOPIC_OF: Final = {topic.record: topic for topic in INPUT_TOPICS}
 
@@ -65,16 +65,16 @@ LATCHED_QOS: Final = _qos(1, QosDurability.TRANSIENT_LOCAL)
 class BagWriter:
     """Writes one new bag; use as a context manager.
 
-    Chunks carry a checksum of zstd, which every reader verifies when it unpacks them. If the ``with``
-    block ends in an exception nothing is left behind.
+    Chunks carry a zstd checksum, which every reader verifies when it decompresses them. If the ``with``
+    block ends in an exception, the bag is removed.
     """
 
     def __init__(self, path: str | Path, *, compress: bool = True) -> None:
-        """Name the bag; it is made on entering the context.
+        """Set the path of the bag; it is created on entering the context.
 
         Args:
-            path: Directory to make.
-            compress: False stores plain chunks, without checksum.
+            path: Directory to create.
+            compress: False stores uncompressed chunks, without checksum.
 
         """
         self.path = Path(path)
@@ -85,10 +85,10 @@ class BagWriter:
         self._types = typestore()
 
     def __enter__(self) -> Self:
-        """Make the directory.
+        """Create the directory.
 
         Raises:
-            InputError: If the path exists or cannot be made.
+            InputError: The path exists or cannot be created.
 
         """
         if self.path.exists() or self.path.is_symlink():
@@ -104,7 +104,7 @@ class BagWriter:
             raise InputError(msg) from None
         storage = self._writer.storage
         if self._compress and isinstance(storage, McapWriter):
-            # rosbags writes no chunk CRC; without a checksum bit rot could pass unseen.
+            # rosbags writes no chunk CRC; without a checksum corruption could go unnoticed.
             options: dict[int, int] = {zstd.CompressionParameter.checksum_flag: 1}
             storage.compressor = partial(zstd.compress, options=options)
         return self
@@ -143,12 +143,12 @@ class BagWriter:
 
         Args:
             topic: Topic name, with or without leading slash.
-            msgtype: Type, the short name of one of ours or the full name of any that Jazzy has.
-            stamp_ns: Log time.
-            message: Message of the rosbags class of the type.
+            msgtype: Type: short name of one of our messages, or full name of any Jazzy message.
+            stamp_ns: Log time [ns].
+            message: Message, of the rosbags class of the type.
 
         Raises:
-            InputError: If the log time cannot be stored.
+            InputError: The log time cannot be stored.
 
         """
         if self._writer is None:

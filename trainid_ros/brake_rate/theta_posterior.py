@@ -23,7 +23,7 @@ from trainid_ros.brake_rate.posterior import STATES, Errors, Start, Transition, 
 from trainid_ros.brake_rate.resampling import effective_number, restore_generator
 from trainid_ros.brake_rate.theta_cloud import ThetaCloud
 from trainid_ros.core.codec import check_restored, decode, encode
-from trainid_ros.core.state_validation import HUGE, is_covariance_matrix
+from trainid_ros.core.state_validation import MAX_NUMBER, is_covariance_matrix
 
 if TYPE_CHECKING:
     from trainid_ros.brake_rate.particles import Array, LinearStep
@@ -169,7 +169,7 @@ class ThetaPosterior:
         state = decode(text, ThetaState)
         N = len(state.f)
         sized = state.log_weights.shape == (N,) and state.x.shape == (STATES, N) and state.P.shape == (STATES, STATES)
-        finite = all(bool((np.abs(item) < HUGE).all()) for item in (state.f, state.x, state.P))
+        finite = all(bool((np.abs(item) < MAX_NUMBER).all()) for item in (state.f, state.x, state.P))
         check_restored(finite and sized and 0 < N <= self._most, 'ThetaState', 'f, x or P')
         check_restored(is_covariance_matrix(state.P), 'ThetaState', 'P')
         normal = abs(float(np.exp(np.minimum(state.log_weights, 1.0)).sum()) - 1.0) < _ROUNDING

@@ -13,7 +13,7 @@ from trainid_ros import __version__
 from trainid_ros.bag.run_reader import read_runs, survey, worker_count
 from trainid_ros.cli.output import add_json_option, print_json, progress, table, to_plain, warn
 from trainid_ros.core.errors import InputError, NoAnswerError
-from trainid_ros.core.plural import counted
+from trainid_ros.core.plural import pluralise
 from trainid_ros.train.train_file import dump_train_file, load_train_file
 
 if TYPE_CHECKING:
@@ -178,7 +178,7 @@ def provenance(bags: Sequence[Path], runs: int) -> str:
     """Return where an added effect comes from."""
     names = [bag.resolve().name for bag in bags]
     more = f' and {len(names) - _NAMED_BAGS} more' if len(names) > _NAMED_BAGS else ''
-    return f'trainid explain {__version__}, {", ".join(names[:_NAMED_BAGS])}{more}, {counted(runs, "run")}'
+    return f'trainid explain {__version__}, {", ".join(names[:_NAMED_BAGS])}{more}, {pluralise(runs, "run")}'
 
 
 def to_json(explanation: Explanation) -> dict[str, Any]:

@@ -14,7 +14,7 @@ import numpy as np
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.cli.output import add_json_option, print_json, progress
 from trainid_ros.core.errors import InputError
-from trainid_ros.core.plural import counted
+from trainid_ros.core.plural import pluralise
 from trainid_ros.core.records import INPUT_TOPICS
 from trainid_ros.sim.realism import REALISMS, UNKNOWNS, make_case, unknowns_of
 from trainid_ros.sim.scenario import Scenario, check_scenario, simulate
@@ -147,7 +147,7 @@ def _write(simulation: Simulation, writer: BagWriter) -> None:
 def _tell(args: argparse.Namespace, simulation: Simulation) -> None:
     counts = Counter(_TOPIC_OF[type(record)] for record in simulation.records)
     if not args.json:
-        runs = f'{counted(len(simulation.arrivals), "run")}, {simulation.duration_s:.0f} s'
+        runs = f'{pluralise(len(simulation.arrivals), "run")}, {simulation.duration_s:.0f} s'
         print(f'{args.out}: {len(simulation.records)} messages of {runs}; truth in {args.out / TRUTH_FILE}')
         if args.world:
             print(f'the train as stated: {args.out / TRAIN_FILE}')

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every part shares: records, aligned samples, results, errors. No ROS, no files."""
+"""Shared types: records, aligned samples, results and errors. No ROS, no file formats."""

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Save and restore frozen dataclasses as JSON text, to the bit.
+"""Save and restore frozen dataclasses as JSON text, exact to the bit.
 
-States hold numbers, text, tuples, arrays and other dataclasses only. Floats are written so that they read back equal.
+States hold only numbers, text, tuples, arrays and other dataclasses. Floats are written so that they read back equal.
 """
 
 from __future__ import annotations
@@ -20,9 +20,9 @@ if TYPE_CHECKING:
     from _typeshed import DataclassInstance
 
 T = TypeVar('T')
-# Beyond all stamps and counts; greater ones overflow when they meet a float.
-_MOST_INT: Final = 2**100
-_LONGEST: Final = 60
+# Far above any stamp or count; larger integers may overflow on conversion to float.
+_MAX_INT: Final = 2**100
+_MAX_SHOWN: Final = 60
 
 
 def encode(state: DataclassInstance) -> str:
@@ -31,10 +31,10 @@ def encode(state: DataclassInstance) -> str:
 
 
 def decode(text: str, kind: type[T]) -> T:
-    """Return the dataclass that :func:`encode` wrote.
+    """Restore a dataclass from the text written by :func:`encode`.
 
     Raises:
-        InputError: The text is no JSON, of another class, or a field is missing or of the wrong kind.
+        InputError: The text is not JSON, holds another class, or a field is missing or has the wrong type.
 
     """
     try:
@@ -43,28 +43,28 @@ def decode(text: str, kind: type[T]) -> T:
             msg = f'saved state is a {data["type"]}, not a {kind.__name__}'
             raise InputError(msg)
         restored: T = _build(data['state'], kind, kind.__name__)
-    # Numbers beyond all floats overflow, lists in lists beyond all measure exhaust the stack.
+    # Integers too large for a float overflow; deeply nested lists exhaust the stack.
     except (ValueError, KeyError, TypeError, OverflowError, RecursionError) as error:
         msg = f'saved {kind.__name__} cannot be read: {error}'
         raise InputError(msg) from None
     return restored
 
 
-def check_restored(fine: bool, kind: str, what: str) -> None:
-    """Raise InputError unless a restored part is fine."""
-    if not fine:
-        msg = f'saved {kind}: {what} is not finite, not of the right size or beyond its bounds'
+def check_restored(valid: bool, kind: str, what: str) -> None:
+    """Raise InputError unless the part ``what`` of a restored state is valid."""
+    if not valid:
+        msg = f'saved {kind}: {what} is not finite, has the wrong size or is out of bounds'
         raise InputError(msg)
 
 
 def _build(data: Any, kind: Any, name: str) -> Any:
     if is_dataclass(kind):
         if not isinstance(data, dict):
-            msg = f'{name} = {_shown(data)} is no {kind}'
+            msg = f'{name} = {_shown(data)} is not a {kind}'
             raise InputError(msg)
         hints = typing.get_type_hints(kind)
         if set(data) != {item.name for item in fields(kind)}:
-            msg = f'{name} has other fields than this version: {sorted(data)}'
+            msg = f'{name}: fields do not match this version: {sorted(data)}'
             raise InputError(msg)
         return kind(**{key: _build(value, hints[key], f'{name}.{key}') for key, value in data.items()})  # type: ignore[operator]
     origin = typing.get_origin(kind)
@@ -74,7 +74,7 @@ def _build(data: Any, kind: Any, name: str) -> Any:
         return np.array(data, dtype=float)
     if origin is tuple:
         if not isinstance(data, list):
-            msg = f'{name} = {_shown(data)} is no list'
+            msg = f'{name} = {_shown(data)} is not a list'
             raise InputError(msg)
         first, *rest = typing.get_args(kind)
         if rest != [...] and len(data) != 1 + len(rest):
@@ -82,14 +82,14 @@ def _build(data: Any, kind: Any, name: str) -> Any:
             raise InputError(msg)
         return tuple(_build(item, first, name) for item in data)
     if not isinstance(data, (int, float)) if kind is float else type(data) is not kind:
-        msg = f'{name} = {_shown(data)} is no {kind.__name__}'
+        msg = f'{name} = {_shown(data)} is not a {kind.__name__}'
         raise InputError(msg)
-    if kind is int and abs(data) > _MOST_INT:
-        msg = f'{name} is an integer beyond all measure'
+    if kind is int and abs(data) > _MAX_INT:
+        msg = f'{name} is an integer out of range'
         raise InputError(msg)
     return float(data) if kind is float else data
 
 
 def _shown(data: Any) -> str:
     text = repr(data)
-    return text if len(text) <= _LONGEST else f'{text[:_LONGEST]}...'
+    return text if len(text) <= _MAX_SHOWN else f'{text[:_MAX_SHOWN]}...'

@@ -3,7 +3,7 @@
 
 
 class TrainIdError(Exception):
-    """Root of all errors raised on purpose by this package."""
+    """Base class of all errors raised deliberately by this package."""
 
 
 class InputError(TrainIdError):
@@ -11,4 +11,4 @@ class InputError(TrainIdError):
 
 
 class NoAnswerError(TrainIdError):
-    """The work ran, but the data holds no answer (exit code 1 on the command line)."""
+    """The command ran, but the data do not determine a result (exit code 1 on the command line)."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Files that come with the package: in the source tree, or in the share directory of an installation."""
+"""Locate files shipped with the package: in the source tree, or in the share directory of an installation."""
 
 from __future__ import annotations
 
@@ -10,10 +10,10 @@ from trainid_ros.core.errors import InputError
 
 
 def shared_path(relative: str) -> Path:
-    """Return the path of a file or folder that comes with the package.
+    """Return the path of a file or folder shipped with the package.
 
     Raises:
-        InputError: It is in neither place.
+        InputError: It is not found in either place.
 
     """
     places = [Path(__file__).parents[2], *_share()]

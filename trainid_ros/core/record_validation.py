@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Plausibility of single records: finite, stamped, physically possible."""
+"""Check single records: finite, stamped, physically possible."""
 
 from __future__ import annotations
 
@@ -9,18 +9,17 @@ from typing import Final
 from trainid_ros.core.records import BrakeRecord, ForceRecord, GradientRecord, MassRecord, Record, SpeedRecord
 from trainid_ros.core.results import Reason, Rejection
 
-# Wider than any railway, so that only impossible values are refused.
-SPEED_LIMITS: Final = (0.0, 200.0)
-FORCE_LIMITS: Final = (-1e8, 1e8)
-GRADIENT_LIMITS: Final = (-200.0, 200.0)
-# Of a curve; straight track has the radius 0.
-CURVE_RADIUS_LIMITS: Final = (5.0, 1e9)
-BRAKE_LIMITS: Final = (-10.0, 0.0)
-MASS_LIMITS: Final = (100.0, 1e9)
+# Wider than any railway, so that only impossible values are rejected.
+SPEED_LIMITS: Final = (0.0, 200.0)  # m/s
+FORCE_LIMITS: Final = (-1e8, 1e8)  # N
+GRADIENT_LIMITS: Final = (-200.0, 200.0)  # per mille
+CURVE_RADIUS_LIMITS: Final = (5.0, 1e9)  # m; of curves only, straight track has radius 0
+BRAKE_LIMITS: Final = (-10.0, 0.0)  # m/s^2
+MASS_LIMITS: Final = (100.0, 1e9)  # kg
 
 
 def find_fault(record: Record) -> Rejection | None:
-    """Return why a record cannot be used, or None if it can."""
+    """Return why a record must be rejected, or None if it can be used."""
     if record.stamp_ns <= 0:
         return Rejection(record.stamp_ns, Reason.ZERO_STAMP, record.stamp_ns * 1e-9, 0.0)
     if isinstance(record, SpeedRecord) and math.isinf(record.position):

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the topics carry, as plain values: one record per message, times in integer nanoseconds.
+"""Input messages as plain values: one record per message, times in integer nanoseconds.
 
 Signs and units follow the interface: SI, gradient in per mille and positive uphill in the
-direction of travel, force at the wheel rim positive in traction, NaN for what is not known.
+direction of travel, force at the wheel rim positive in traction, NaN for unknown values.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an estimator answers: an estimate, or a refusal with its reason and numbers.
+"""Results of an estimator: an estimate, or a rejection with its reason and numbers.
 
 Field names of the estimates are those of the messages in ``trainid_msgs``; drivers copy
 them by name.
@@ -13,7 +13,7 @@ from enum import IntEnum
 
 
 class Status(IntEnum):
-    """Health of an estimate; the same numbers as in the messages."""
+    """Status of an estimate; the same numbers as in the messages."""
 
     UNINITIALIZED = 0
     CONVERGING = 1
@@ -50,7 +50,7 @@ class Reason(IntEnum):
 
 @dataclass(frozen=True, slots=True)
 class Rejection:
-    """A sample that was not used: the reason, the value that offended and the limit it broke."""
+    """A record or sample that was not used: the reason, the offending value and the limit it violated."""
 
     stamp_ns: int
     reason: Reason
@@ -58,7 +58,7 @@ class Rejection:
     limit: float
 
     def __str__(self) -> str:
-        """Return the reason with its numbers, for people."""
+        """Return the reason with its numbers as text."""
         if math.isnan(self.value):
             return self.reason.name
         return f'{self.reason.name} (value {self.value:.6g}, limit {self.limit:.6g})'
@@ -66,10 +66,26 @@ class Rejection:
 
 @dataclass(frozen=True, slots=True)
 class ResistanceEstimate:
-    """Davis parameters w(v) = a + b v + c v^2 [N/kN, v in m/s] with their covariance (3x3, row-major).
+    """Running resistance w(v) = a + b v + c v^2 [N/kN, v in m/s].
 
-    ``force_scale`` is actual over reported specific force (force over weight), ``force_delay`` how much later than
-    the force its stamps are [s]; both NaN where the algorithm does not estimate them.
+    Attributes:
+        a: Davis parameter a [N/kN].
+        b: Davis parameter b [N/kN per m/s].
+        c: Davis parameter c [N/kN per (m/s)^2].
+        covariance: Of (a, b, c), 3x3, row-major.
+        resistance: w at ``speed`` [N/kN].
+        resistance_std: Standard deviation of ``resistance`` [N/kN].
+        speed: Current speed [m/s].
+        innovation: Innovation of the last update [N/kN].
+        innovation_variance: Its variance [(N/kN)^2]; 0 before the first update.
+        test_ratio: Squared innovation over gate^2 times its variance [1]; above 1 the sample is rejected.
+        speed_min: Slowest speed learned from [m/s].
+        speed_max: Fastest speed learned from [m/s]; 0 before the first.
+        force_scale: Actual over reported specific force (force over weight) [1]; NaN if not estimated.
+        force_scale_std: Standard deviation of ``force_scale`` [1]; NaN if not estimated.
+        force_delay: Delay of the stamps of the force [s], > 0 if stamped too late; NaN if not estimated.
+        force_delay_std: Standard deviation of ``force_delay`` [s]; NaN if not estimated.
+
     """
 
     a: float
@@ -92,11 +108,24 @@ class ResistanceEstimate:
 
 @dataclass(frozen=True, slots=True)
 class SpeedModelEstimate:
-    """Speed model x(n) = a1 x^2 + a2 x + b1 u + d0 of Yuan et al., eq. (2), and what it means.
+    """Speed model x(n) = a1 x^2 + a2 x + b1 u + d0 of Yuan et al., eq. (2), and the physical values derived from it.
 
-    ``covariance`` is 4x4 row-major in the order a1, a2, b1, d0. ``a b c`` are the Davis parameters
-    [N/kN] and ``mass_factor`` is (M / M_nominal)(1 + gamma). ``prediction_variance`` is that of
-    ``prediction_error`` as stated before the measurement, 0 if the algorithm states none.
+    Attributes:
+        a1: Coefficient of the squared speed [1/(m/s)].
+        a2: Coefficient of the speed [1].
+        b1: Coefficient of the specific force [m/s per N/kN].
+        d0: Constant [m/s].
+        covariance: Of (a1, a2, b1, d0), 4x4, row-major.
+        forgetting_factor: In (0, 1] [1].
+        predicted_speed: Prediction one step ahead of the previous sample [m/s].
+        prediction_error: Measured minus predicted speed [m/s].
+        a: Davis parameter a derived from the model [N/kN].
+        b: Davis parameter b derived from the model [N/kN per m/s].
+        c: Davis parameter c derived from the model [N/kN per (m/s)^2].
+        mass_factor: (M / M_nominal)(1 + gamma) derived from the model [1].
+        prediction_variance: Variance of ``prediction_error`` as stated before the measurement [(m/s)^2];
+            0 if the algorithm states none.
+
     """
 
     a1: float
@@ -116,7 +145,22 @@ class SpeedModelEstimate:
 
 @dataclass(frozen=True, slots=True)
 class BrakeRateEstimate:
-    """Brake rate (actual over expected braking, 1 = nominal) and the filtered train state."""
+    """Brake rate (actual over expected braking, 1 = nominal) and the filtered train state.
+
+    Attributes:
+        brake_rate: Brake rate [1].
+        brake_rate_std: Its standard deviation [1].
+        position: Filtered position along the line [m], NaN if unknown.
+        speed: Filtered speed [m/s].
+        control_acceleration: Present acceleration by the brake [m/s^2, <= 0].
+        filtered_target: Command after delay and lag of a nominal brake [m/s^2, <= 0].
+        effective_particles: Inverse of the sum of squared weights [1].
+        observable: True while braking provides information on the brake rate.
+        innovation: Speed innovation of the last update [m/s].
+        innovation_variance: Its variance [(m/s)^2]; 0 before the first update.
+        test_ratio: Squared innovation over gate^2 times its variance [1]; above 1 the sample is rejected.
+
+    """
 
     brake_rate: float
     brake_rate_std: float
@@ -135,7 +179,10 @@ Estimate = ResistanceEstimate | SpeedModelEstimate | BrakeRateEstimate
 
 
 def stated_innovation(estimate: Estimate) -> tuple[float, float]:
-    """Return the innovation of the last update and its variance as the estimator states it, 0 if it states none."""
+    """Return the innovation of the last update and the variance stated for it, 0 if the algorithm states none.
+
+    Units are N/kN and (N/kN)^2 for a resistance, m/s and (m/s)^2 for a speed model or a brake rate.
+    """
     if isinstance(estimate, SpeedModelEstimate):
         return estimate.prediction_error, estimate.prediction_variance
     return estimate.innovation, estimate.innovation_variance

@@ -43,7 +43,7 @@ class Motion:
     brake: float = 0.0
 
 
-NOT_FOLLOWED: Final = Motion()
+NO_HISTORY: Final = Motion()
 
 
 @dataclass(frozen=True, slots=True)
@@ -91,7 +91,7 @@ class Sample:
     brake_changes: tuple[BrakeCommandChange, ...]
     brake_gap: bool
     emergency: bool
-    motion: Motion = NOT_FOLLOWED
+    motion: Motion = NO_HISTORY
     curvature_mean: float = math.nan
     force_interval: float = 0.0
     stood_since_weighing: bool = False

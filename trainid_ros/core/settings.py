@@ -21,7 +21,7 @@ _KEY: Final = 'setting'
 
 @dataclass(frozen=True, slots=True)
 class SettingInfo:
-    """What is known of one setting: description, unit and the closed range it must lie in."""
+    """Description, unit and closed range of one setting."""
 
     description: str
     unit: str
@@ -35,13 +35,13 @@ def setting(default: float | int, description: str, unit: str, low: float, high:
 
 
 def setting_info(item: Field[Any]) -> SettingInfo | None:
-    """Return what :func:`setting` recorded on a dataclass field, if it was used there."""
+    """Return the metadata that :func:`setting` attached to a dataclass field, None for other fields."""
     info = item.metadata.get(_KEY)
     return info if isinstance(info, SettingInfo) else None
 
 
 def check_settings(config: DataclassInstance) -> None:
-    """Raise InputError, naming the field, if any setting is not finite or out of its range."""
+    """Raise InputError, naming the field, if a setting is not finite or out of its range."""
     for item in fields(config):
         if (info := setting_info(item)) is not None:
             check_value(item.name, float(getattr(config, item.name)), info)

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Streaming estimators of resistance, speed model and brake rate."""
+"""Shared parts of the streaming estimators of resistance, speed model and brake rate."""

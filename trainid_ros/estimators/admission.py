@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Which samples tell about the running resistance: moving, complete, and with the brake off.
+"""Select the samples that inform the running resistance: moving, complete, and with the brake off.
 
-What a brake does is not known well enough to learn resistance from: its rate is itself an unknown.
+The braking force is not known well enough to learn the resistance from: the brake rate is itself unknown.
 """
 
 from __future__ import annotations
@@ -18,23 +18,30 @@ if TYPE_CHECKING:
     from trainid_ros.core.samples import Sample
     from trainid_ros.estimators.known_force import KnownForce
 
-# After this many time constants a released brake is below 0.04 % of what it was.
+# After this many time constants a released brake is below 0.04 % of its initial force.
 _SETTLING: Final = 8.0
-# Force noise while coasting stays above this [N/kN]; a brake that is meant goes far below.
+# Force noise while coasting stays above this [N/kN]; deliberate braking is far below.
 _BRAKE_FORCE: Final = -1.5
 
 
 @dataclass(slots=True)
 class Admission:
-    """Decides sample by sample; ``braked_ns`` is the last stamp at which the brake was asked for, 0 if never."""
+    """Admits or rejects samples one by one.
+
+    Attributes:
+        known: Known part of the force balance.
+        min_speed: Slowest speed admitted [m/s].
+        braked_ns: Last stamp at which braking was requested [ns], 0 if never.
+
+    """
 
     known: KnownForce
     min_speed: float
     braked_ns: int = 0
 
     def reject(self, sample: Sample) -> Rejection | None:
-        """Return why a sample tells nothing about the resistance, or None if it does."""
-        acts = self._brake_acts(sample)
+        """Return why a sample cannot be used to learn the resistance, or None if it can."""
+        brake_acts = self._brake_acts(sample)
         checks = (
             (not math.isnan(sample.dt), Reason.GAP, sample.dt, math.nan),
             (math.isfinite(sample.force_mean), Reason.FORCE_MISSING, sample.force_mean, math.nan),
@@ -42,18 +49,18 @@ class Admission:
             (math.isfinite(sample.gradient_mean), Reason.GRADIENT_MISSING, sample.gradient_mean, math.nan),
             (math.isfinite(sample.brake_command), Reason.BRAKE_COMMAND_MISSING, sample.brake_command, math.nan),
             (sample.speed >= self.min_speed, Reason.STANDSTILL, sample.speed, self.min_speed),
-            (not acts, Reason.BRAKING, self._since_braked(sample), self.settling),
+            (not brake_acts, Reason.BRAKING, self._since_braked(sample), self.settling),
         )
-        for fine, reason, value, limit in checks:
-            if not fine:
+        for passed, reason, value, limit in checks:
+            if not passed:
                 return Rejection(sample.stamp_ns, reason, value, limit)
         return None
 
     def _brake_acts(self, sample: Sample) -> bool:
-        """True while the brake acts, still releases, or is not known to be off."""
+        """Return True while the brake acts, is releasing, or is not known to be off."""
         force = self.known.traction(min(sample.force, sample.force_mean), sample)
-        asked = not sample.brake_command >= 0.0 or sample.emergency or force < _BRAKE_FORCE
-        if asked or any(change.target_acceleration < 0.0 for change in sample.brake_changes):
+        requested = not sample.brake_command >= 0.0 or sample.emergency or force < _BRAKE_FORCE
+        if requested or any(change.target_acceleration < 0.0 for change in sample.brake_changes):
             self.braked_ns = sample.stamp_ns
             return True
         if sample.stamp_ns < self.braked_ns:  # the stamps jumped back
@@ -65,7 +72,7 @@ class Admission:
 
     @property
     def settling(self) -> float:
-        """Time after release from which on the brake is off for sure [s]."""
+        """Time after release until the brake is certainly off [s]."""
         file = self.known.train_file
-        late = effect_value(file.effects, 'brake_delay', 'extra', 0.0)
-        return file.brake.delay + late + _SETTLING * file.brake.time_constant
+        extra_delay = effect_value(file.effects, 'brake_delay', 'extra', 0.0)
+        return file.brake.delay + extra_delay + _SETTLING * file.brake.time_constant

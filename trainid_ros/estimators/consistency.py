@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Is the published uncertainty true? Squared innovations against the variances stated for them, as they come.
+"""Online consistency check of the published uncertainty: squared innovations against the variances stated for them.
 
-An update whose innovation has the variance stated for it adds a squared ratio of mean 1 (NIS). Over N updates N times
-their mean has a chi-squared distribution with N degrees of freedom (Bar-Shalom, Li, Kirubarajan 2001, section 5.4).
-Innovations that lean to one side for a while tell less than N: with the correlation rho of neighbours, and rho^k at a
-distance of k, the mean of squares varies as that of N (1 - rho^2) / (1 + rho^2) independent ones.
+If the stated variance is correct, the normalised innovation squared (NIS) has mean 1. Over N updates N times the mean
+NIS has a chi-squared distribution with N degrees of freedom (Bar-Shalom, Li, Kirubarajan 2001, section 5.4).
+Autocorrelated innovations carry less information: with the correlation rho between neighbours, and rho^k at lag k, the
+mean of squares varies like that of N (1 - rho^2) / (1 + rho^2) independent ones.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from statistics import NormalDist
 from typing import Final
 
 WINDOW: Final = 200
-_FEWEST: Final = 30
-# The mean of a window lies in its band this often.
+_MIN_UPDATES: Final = 30
+# Probability that the mean NIS of a window lies in its band.
 _CONFIDENCE: Final = 0.99
 _QUANTILE: Final = NormalDist().inv_cdf(0.5 + 0.5 * _CONFIDENCE)
-# One update cannot tell more than this many squared standard deviations; it also keeps running sums exact enough.
-_MOST: Final = 100.0
-# With errors twice as large as stated no estimate is fit to use.
+# Limit on the NIS of a single update; it also keeps the running sums accurate.
+_MAX_NIS: Final = 100.0
+# Mean NIS above which an estimate is not fit for use: errors are twice as large as stated.
 _REFUTED: Final = 4.0
-# Beyond this a lean is no noise; and some of the updates must be left to judge by.
-_MOST_CORRELATED: Final = 0.9
+# A higher correlation is not that of noise; and some degrees of freedom must remain for the test.
+_MAX_CORRELATION: Final = 0.9
 
 
 class Verdict(Enum):
-    """What the innovations say of the variances stated."""
+    """Result of testing the innovations against their stated variances."""
 
     UNKNOWN = 'unknown'
     CONSISTENT = 'consistent'
@@ -44,11 +44,11 @@ class Consistency:
 
     Attributes:
         verdict: Optimistic means that errors are larger than stated.
-        ratio: Mean of squared innovation over stated variance; 1 if that is true, NaN before the first update.
-        low: Lower end of the 99 % band of the ratio if the variances are true.
-        high: Its upper end.
-        updates: Updates in the window.
-        lasting: Updates in a row after which the verdict was optimistic.
+        ratio: Mean of squared innovation over stated variance [1]; 1 if that is correct, NaN before the first update.
+        low: Lower end of the 99 % band of the ratio if the variances are correct [1].
+        high: Upper end of the band [1].
+        updates: Number of updates in the window.
+        consecutive: Number of consecutive updates with the verdict optimistic.
 
     """
 
@@ -57,31 +57,31 @@ class Consistency:
     low: float
     high: float
     updates: int
-    lasting: int
+    consecutive: int
 
     @property
-    def alarming(self) -> bool:
-        """True if it has been optimistic for a whole window: no chance event."""
-        return self.lasting >= WINDOW
+    def is_alarm(self) -> bool:
+        """True if the verdict has been optimistic for a full window, which is not a chance event."""
+        return self.consecutive >= WINDOW
 
     @property
     def refuted(self) -> bool:
-        """True if errors have been more than twice as large as stated for a whole window: the model does not hold."""
-        return self.alarming and self.ratio > _REFUTED
+        """True if errors have been more than twice as large as stated for a full window: the model does not hold."""
+        return self.is_alarm and self.ratio > _REFUTED
 
     def __str__(self) -> str:
-        """Return verdict and numbers, for people."""
+        """Return verdict and numbers as text."""
         if not self.updates:
-            return f'{self.verdict.value} (no innovation with its variance stated)'
+            return f'{self.verdict.value} (no innovation with a stated variance)'
         band = f'99 % band {self.low:.2f} to {self.high:.2f}, {self.updates} updates'
         return f'{self.verdict.value} (squared innovations {self.ratio:.2f} times the stated variance; {band})'
 
 
-_UNJUDGED: Final = Consistency(Verdict.UNKNOWN, math.nan, math.nan, math.nan, 0, 0)
+_UNKNOWN: Final = Consistency(Verdict.UNKNOWN, math.nan, math.nan, math.nan, 0, 0)
 
 
 class ConsistencyMonitor:
-    """Running check over the last :data:`WINDOW` updates."""
+    """Checks the last :data:`WINDOW` updates."""
 
     def __init__(self) -> None:
         self.clear()
@@ -92,28 +92,28 @@ class ConsistencyMonitor:
         self._squares = 0.0
         self._products = 0.0
         self._last = (0.0, 0.0)
-        self._current = _UNJUDGED
+        self._current = _UNKNOWN
 
     def see(self, innovation: float, variance: float, *, used: bool) -> None:
-        """Look at what an estimate states of its last update.
+        """Take in the innovation that an estimate reports for its last update.
 
         Args:
-            innovation: Measured less predicted.
-            variance: Its variance as stated before the measurement came; not above 0 if none is stated.
-            used: False if the sample was refused: what a gate throws out is no noise.
+            innovation: Measured minus predicted.
+            variance: Its variance as stated before the measurement, in squared units; not above 0 if none is stated.
+            used: False if the sample was rejected: outliers beyond a gate are not noise.
 
         """
-        # Not every sample brings an update; the pair stays until the next one.
+        # Samples without an update repeat the pair of the last one.
         if (innovation, variance) == self._last:
             return
         self._last = (innovation, variance)
         if not (used and variance > 0.0 and math.isfinite(variance) and math.isfinite(innovation)):
             return
         self._add(innovation / math.sqrt(variance))
-        self._current = self._judged()
+        self._current = self._evaluate()
 
     def _add(self, z: float) -> None:
-        limit = math.sqrt(_MOST)
+        limit = math.sqrt(_MAX_NIS)
         z = min(max(z, -limit), limit)
         if self._z:
             self._products += self._z[-1] * z
@@ -125,35 +125,35 @@ class ConsistencyMonitor:
             self._products -= oldest * self._z[0]
 
     def current(self) -> Consistency:
-        """Return the outcome so far."""
+        """Return the current outcome."""
         return self._current
 
-    def _judged(self) -> Consistency:
+    def _evaluate(self) -> Consistency:
         count = len(self._z)
         ratio = self._squares / count
         correlation = self._products / self._squares if self._squares > 0.0 else 0.0
         low, high = band(count, correlation)
-        if count < _FEWEST:
+        if count < _MIN_UPDATES:
             verdict = Verdict.UNKNOWN
         elif ratio > high:
             verdict = Verdict.OPTIMISTIC
         else:
             verdict = Verdict.PESSIMISTIC if ratio < low else Verdict.CONSISTENT
-        lasting = self._current.lasting + 1 if verdict is Verdict.OPTIMISTIC else 0
-        return Consistency(verdict, ratio, low, high, count, lasting)
+        consecutive = self._current.consecutive + 1 if verdict is Verdict.OPTIMISTIC else 0
+        return Consistency(verdict, ratio, low, high, count, consecutive)
 
 
 def band(count: int, correlation: float = 0.0) -> tuple[float, float]:
-    """Return the 99 % band of a mean of squared ratios.
+    """Return the 99 % band of the mean NIS of consistent updates [1].
 
-    The quantiles of chi-squared are those of Wilson and Hilferty (1931), within 1 % from ten degrees of freedom on.
+    The chi-squared quantiles are approximated by Wilson and Hilferty (1931), within 1 % from ten degrees of freedom.
 
     Args:
-        count: Updates averaged.
-        correlation: Correlation of neighbours.
+        count: Number of updates averaged.
+        correlation: Correlation of neighbouring innovations [1].
 
     """
-    rho = min(abs(correlation), _MOST_CORRELATED)
+    rho = min(abs(correlation), _MAX_CORRELATION)
     freedom = max(1.0, count * (1.0 - rho * rho) / (1.0 + rho * rho))
     spread = 2.0 / (9.0 * freedom)
     low, high = (max(0.0, 1.0 - spread + sign * _QUANTILE * math.sqrt(spread)) ** 3 for sign in (-1.0, 1.0))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The drive so far, as far as effects depend on it: time, distance, the brake and its heat."""
+"""History of the drive that effects depend on: time, distance, brake response and brake heat."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ if TYPE_CHECKING:
     from trainid_ros.core.samples import Sample
     from trainid_ros.train.train_file import TrainFile
 
-# A train that drove before and after a longer gap may have stood in between.
-_LONGEST_GAP_S: Final = 10.0
+# During a longer gap the train may have stood still.
+_MAX_GAP_S: Final = 10.0
 
 
 @dataclass(frozen=True, slots=True)
 class DriveHistoryState:
-    """All that is remembered: the newest stamp, its speed and motion, and commands that may still act."""
+    """State of the tracker: newest stamp [ns], speed [m/s] and motion there, and commands that may still act."""
 
     stamp_ns: int = 0
     speed: float = 0.0
@@ -32,17 +32,17 @@ class DriveHistoryState:
 
     @property
     def is_valid(self) -> bool:
-        """True unless a number is none, or none that a drive can lead to."""
+        """True if all numbers are possible in a drive (finite, of the right sign) and the commands are in order."""
         motion, changes = self.motion, self.commands.changes
         amounts = (self.speed, motion.time_s, motion.distance_run, motion.heat, -motion.brake, float(self.stamp_ns))
-        wanted = [change.target_acceleration for change in changes]
+        targets = [change.target_acceleration for change in changes]
         in_order = all(a.stamp_ns < b.stamp_ns for a, b in pairwise(changes)) and len(changes) <= MOST_CHANGES
-        fine = all(0.0 <= amount < math.inf for amount in amounts) and motion.since_release >= 0.0
-        return fine and in_order and all(-math.inf < target <= 0.0 for target in wanted)
+        in_range = all(0.0 <= amount < math.inf for amount in amounts) and motion.since_release >= 0.0
+        return in_range and in_order and all(-math.inf < target <= 0.0 for target in targets)
 
 
 class DriveHistoryTracker:
-    """Follows a drive sample by sample; the brake is that of the train file."""
+    """Tracks a drive sample by sample, with the brake of the train file."""
 
     def __init__(self, train_file: TrainFile) -> None:
         self._brake = train_file.brake
@@ -54,7 +54,7 @@ class DriveHistoryTracker:
         self.state = DriveHistoryState()
 
     def follow(self, sample: Sample) -> Sample:
-        """Take a sample in; return it with the drive up to it."""
+        """Take in a sample; return it with the motion of the drive up to its stamp."""
         state = self.state
         same_drive = 0 < state.stamp_ns <= sample.stamp_ns
         start_ns = state.stamp_ns if same_drive else sample.stamp_ns
@@ -63,10 +63,10 @@ class DriveHistoryTracker:
             if not commands.changes or change.stamp_ns >= commands.changes[-1].stamp_ns:
                 commands = commands.push(change)
         before, elapsed = state.motion, (sample.stamp_ns - start_ns) / NS_PER_S
-        speed = 0.5 * (state.speed + sample.speed) if elapsed <= _LONGEST_GAP_S else 0.0
-        brake, braked = self._respond(commands, start_ns, sample.stamp_ns)
+        speed = 0.5 * (state.speed + sample.speed) if elapsed <= _MAX_GAP_S else 0.0
+        brake, brake_integral = self._respond(commands, start_ns, sample.stamp_ns)
         rate = self._brake.rate_at(speed)
-        heat = heat_after(before.heat, rate * braked / elapsed, speed, elapsed) if elapsed else before.heat
+        heat = heat_after(before.heat, rate * brake_integral / elapsed, speed, elapsed) if elapsed else before.heat
         motion = Motion(
             time_s=before.time_s + elapsed,
             distance_run=before.distance_run + speed * elapsed,
@@ -79,9 +79,9 @@ class DriveHistoryTracker:
         return replace(sample, motion=motion)
 
     def _respond(self, commands: CommandHistory, start_ns: int, end_ns: int) -> tuple[float, float]:
-        """Return the target after dead time and lag at the end, and its integral over the interval [m/s]."""
-        brake, total, tau = self.state.motion.brake, 0.0, self._brake.time_constant
+        """Return the target after dead time and lag at the end [m/s^2], and its integral over the interval [m/s]."""
+        brake, integral, tau = self.state.motion.brake, 0.0, self._brake.time_constant
         for duration, target in commands.segments(start_ns - self._delay_ns, end_ns - self._delay_ns):
-            total += lag_integral(brake, target, tau, duration)
+            integral += lag_integral(brake, target, tau, duration)
             brake = lag_response(brake, target, tau, duration)
-        return brake, total
+        return brake, integral

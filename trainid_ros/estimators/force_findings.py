@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a wrong force scale or a late force means, in words for those who keep the train file."""
+"""Report a wrong force scale or a delayed force as text for the maintainers of the train file."""
 
 from __future__ import annotations
 
@@ -10,23 +10,23 @@ from trainid_ros.resistance.force_errors import is_delay_at_end
 if TYPE_CHECKING:
     from trainid_ros.core.results import ResistanceEstimate
 
-# A finding is stated when it is this many standard deviations from none ...
+# An error is reported if it differs from zero by this many standard deviations ...
 _SIGNIFICANT: Final = 4.0
-# ... and large enough to matter: 1 % of the force, and half a sample.
-_LEAST_SCALE: Final = 0.01
-_LEAST_DELAY_S: Final = 0.1
+# ... and is large enough to matter: 1 % of the force, half a sample period.
+_MIN_SCALE_ERROR: Final = 0.01
+_MIN_DELAY_S: Final = 0.1
 
 
 def force_findings(estimate: ResistanceEstimate) -> tuple[str, ...]:
-    """Return a sentence for each error of the reported force that is certain; none where it is not estimated."""
+    """Return one sentence per significant error of the reported force; none where it is not estimated."""
     scale, delay = estimate.force_scale - 1.0, estimate.force_delay
     found = []
-    if abs(scale) > max(_LEAST_SCALE, _SIGNIFICANT * estimate.force_scale_std):
+    if abs(scale) > max(_MIN_SCALE_ERROR, _SIGNIFICANT * estimate.force_scale_std):
         value = f'{estimate.force_scale:.3f} ± {estimate.force_scale_std:.3f}'
         found.append(f'force scale {value}: mass or force of the train file is off')
-    if abs(delay) > max(_LEAST_DELAY_S, _SIGNIFICANT * estimate.force_delay_std):
-        word = 'later' if delay > 0.0 else 'earlier'
-        found.append(f'force delay {_delay(estimate)}: ato/force is stamped {word} than it acts')
+    if abs(delay) > max(_MIN_DELAY_S, _SIGNIFICANT * estimate.force_delay_std):
+        sense = 'later' if delay > 0.0 else 'earlier'
+        found.append(f'force delay {_delay(estimate)}: ato/force is stamped {sense} than it acts')
     return tuple(found)
 
 

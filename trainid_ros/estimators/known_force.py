@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The part of the specific balance that is known: traction, gradient and modelled effects."""
+"""Known part of the specific force balance: traction, gradient and modelled effects."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ if TYPE_CHECKING:
     from trainid_ros.core.samples import Sample
     from trainid_ros.train.train_file import TrainFile
 
-# Brake force that stands for all where none acts [N/kN]: effects are nearly linear in it.
-_SOME_BRAKE: Final = -1.0
+# Reference brake force where no brake acts [N/kN]: effects are nearly linear in it.
+_REFERENCE_BRAKE: Final = -1.0
 
 
 class KnownForce:
     """Specific force without the running resistance, u = 1000 F/(M g) - i - w_extra [N/kN].
 
-    With it the balance of the interface reads ``u - w(v) = inertia * dv/dt``. Effects of the train file count by
-    their equivalent resistance at the sample; what they make of the brake is told by :meth:`brake_share`.
+    With it the balance of the interface reads ``u - w(v) = inertia * dv/dt``. Effects of the train file enter as
+    their equivalent resistance at the sample; their influence on the brake is given by :meth:`brake_share`.
     """
 
     def __init__(self, train_file: TrainFile) -> None:
@@ -39,15 +39,15 @@ class KnownForce:
         return specific_inertia(1.0, self.train_file.train.rotary_mass)
 
     def mass(self, sample: Sample) -> float:
-        """Return the weighed mass, or that of the train file [kg]."""
+        """Return the weighed mass, or that of the train file if there is none [kg]."""
         return sample.mass if math.isfinite(sample.mass) else self.train_file.train.mass
 
     def traction(self, force: float, sample: Sample) -> float:
-        """Return 1000 F/(M g) as reported [N/kN]."""
+        """Return 1000 F/(M g) [N/kN] of a reported force [N]."""
         return specific_force(force, self.mass(sample))
 
     def largest_force(self, sample: Sample) -> float:
-        """Return the weight of the train [N]: no wheel transmits a force greater than its load."""
+        """Return the weight of the train [N]: no wheel can transmit a force greater than its load."""
         return self.mass(sample) * G
 
     def is_possible(self, sample: Sample) -> bool:
@@ -55,24 +55,24 @@ class KnownForce:
         return not max(abs(sample.force_mean), abs(sample.force)) > self.largest_force(sample)
 
     def track(self, sample: Sample) -> float:
-        """Return gradient and modelled extra resistance, mean since the previous sample [N/kN]."""
+        """Return the sum of gradient and modelled extra resistance, mean since the previous sample [N/kN]."""
         return sample.gradient_mean + self.extra(sample)
 
     def extra(self, sample: Sample) -> float:
-        """Return the resistance of the effects in the train file while no brake acts [N/kN]."""
+        """Return the resistance of the train file's effects, evaluated without brake force [N/kN]."""
         if not self._terms:
             return 0.0
-        # Under the brake a negative force is that of the brake, else it is noise.
-        pulls = sample.motion.brake >= BRAKE_APPLIED
-        return self._sum(sample, sample.force_mean if pulls else max(0.0, sample.force_mean), 0.0)
+        # A negative force is braking effort while the brake is applied, else it is noise.
+        released = sample.motion.brake >= BRAKE_APPLIED
+        return self._sum(sample, sample.force_mean if released else max(0.0, sample.force_mean), 0.0)
 
     def brake_share(self, sample: Sample) -> float:
-        """Return what effects of the train file leave of the brake: 0.9 under a fade by a tenth."""
+        """Return the share of the brake force left by the train file's effects [1]: 0.9 for a fade of 10 %."""
         if not self._terms:
             return 1.0
-        believed = self.train_file.brake.rate_at(sample.speed) * self.inertia * sample.motion.brake
-        brake = min(believed, _SOME_BRAKE)
-        # A train that brakes does not pull, and the force may be missing.
+        nominal = self.train_file.brake.rate_at(sample.speed) * self.inertia * sample.motion.brake
+        brake = min(nominal, _REFERENCE_BRAKE)
+        # A braking train has no traction, and the force may be missing.
         return 1.0 - (self._sum(sample, 0.0, brake) - self._sum(sample, 0.0, 0.0)) / brake
 
     def _sum(self, sample: Sample, force: float, brake: float) -> float:
@@ -94,14 +94,17 @@ class KnownForce:
             traction=traction,
             brake=brake,
             heat=motion.heat,
-            # A delay of the brake belongs to its dead time, and what it was before is not looked up.
+            # A delay of the brake is part of its dead time, so its earlier values are not looked up.
             brake_before=lambda _: brake,
             traction_before=lambda _: traction,
             gradient_ahead=self._gradient_ahead(sample),
         )
 
     def _gradient_ahead(self, sample: Sample) -> Callable[[float], float]:
-        """Return the gradient of the map around the train; that at the train where the line is not known."""
+        """Return the gradient [per mille] as a function of the distance ahead [m].
+
+        The line profile gives its change from the measured gradient; without line or position it is constant.
+        """
         line, here, direction = self._line, sample.position, sample.direction
         if line is None or not math.isfinite(here):
             return lambda _: sample.gradient_mean

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What of w(v) = a + b v + c v^2 the data have shown: each parameter in numbers and words, and how far w(v) reaches.
+"""Observability of w(v) = a + b v + c v^2: how well the data determine each parameter, and over which speeds w(v).
 
 Parameters alone can mislead: driven at one speed, w is known there while a, b and c are not. So each is judged by the
-share of its prior variance that is gone, and the whole by the standard deviation of w over the speeds seen and outside.
+relative reduction of its prior variance, and w by its standard deviation inside and outside the range of speeds seen.
 """
 
 from __future__ import annotations
@@ -15,31 +15,32 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 _NAMES: Final = ('a', 'b', 'c')
-# A parameter counts as seen once half of its prior variance is gone.
-_SEEN: Final = 0.5
-# Standard deviations of w by which a parameter must move it to show.
-_SHOWS: Final = 2.0
-# Where w counts as known: its deviation is at most this many times that over the speeds seen.
-_KNOWN: Final = 2.0
+# Relative reduction of the prior variance from which a parameter counts as seen.
+_SEEN_SHARE: Final = 0.5
+# A parameter is noticeable where its standard deviation changes w by this many standard deviations of w.
+_NOTICEABLE: Final = 2.0
+# w counts as known where its standard deviation is at most this many times the largest one over the speeds seen.
+_KNOWN_FACTOR: Final = 2.0
 _GRID_M_S: Final = 0.5
 REACH_M_S: Final = 25.0
+"""Fastest speed at which w is judged by default [m/s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Observability:
-    """What has been seen.
+    """How well the data determine w(v).
 
     Attributes:
-        shares: Shares of the prior variances of a, b, c that are gone, 0 (nothing seen) to 1.
-        std_seen: Largest standard deviation of w over the speeds seen [N/kN]; NaN if there are none.
-        std_outside: The same over all other speeds up to the reach [N/kN].
-        known: Speeds around those seen over which w is known nearly as well [m/s]; NaN if there are none.
-        text: The same in words.
+        shares: Relative reductions of the prior variances of a, b, c [1], from 0 (nothing learned) to 1.
+        std_observed: Largest standard deviation of w over the speeds seen [N/kN]; NaN if there are none.
+        std_outside: Largest standard deviation of w over all other speeds up to the reach [N/kN].
+        known: Range of speeds around those seen where w is known nearly as well [m/s]; NaN if there are none.
+        text: Summary as text.
 
     """
 
     shares: tuple[float, float, float]
-    std_seen: float
+    std_observed: float
     std_outside: float
     known: tuple[float, float]
     text: str
@@ -58,39 +59,39 @@ def observe(
     speed_max: float,
     reach: float = REACH_M_S,
 ) -> Observability:
-    """Judge what has been seen of a, b and c.
+    """Judge how well a, b, c and w(v) are determined.
 
     Args:
-        covariance: Of a, b, c now, 3x3, row-major.
-        prior_covariance: The same before the first sample.
+        covariance: Present covariance of a, b, c, 3x3, row-major.
+        prior_covariance: Covariance before the first sample, likewise.
         speed_min: Slowest speed learned from [m/s].
-        speed_max: Fastest one; 0 if nothing was learned.
-        reach: Fastest speed at which w is asked for [m/s].
+        speed_max: Fastest speed learned from [m/s]; 0 if nothing was learned.
+        reach: Fastest speed at which w is needed [m/s].
 
     """
     shares = tuple(_share(covariance[4 * i], prior_covariance[4 * i]) for i in range(3))
     if not speed_max > 0.0:
-        nothing = 'nothing seen yet: the prior holds'
+        nothing = 'nothing seen yet: estimates are the prior'
         return Observability((0.0, 0.0, 0.0), math.nan, math.nan, (math.nan, math.nan), nothing)
     top = max(reach, speed_max)
     speeds = [_GRID_M_S * k for k in range(int(top / _GRID_M_S) + 1)]
     seen = [speed_min, *(v for v in speeds if speed_min < v < speed_max), speed_max]
-    std_seen = max(resistance_std(covariance, v) for v in seen)
+    std_observed = max(resistance_std(covariance, v) for v in seen)
     outside = [v for v in (*speeds, top) if not speed_min <= v <= speed_max]
     std_outside = max((resistance_std(covariance, v) for v in outside), default=0.0)
-    known = _known(covariance, speeds, speed_min, speed_max, _KNOWN * std_seen)
-    text = _words(shares, covariance, std_seen, speed_min, speed_max)
-    return Observability((shares[0], shares[1], shares[2]), std_seen, std_outside, known, text)
+    known = _known_range(covariance, speeds, speed_min, speed_max, _KNOWN_FACTOR * std_observed)
+    text = _summary(shares, covariance, std_observed, speed_min, speed_max)
+    return Observability((shares[0], shares[1], shares[2]), std_observed, std_outside, known, text)
 
 
 def _share(variance: float, prior: float) -> float:
     return min(1.0, max(0.0, 1.0 - variance / prior)) if prior > 0.0 else 0.0
 
 
-def _known(
+def _known_range(
     covariance: Sequence[float], speeds: Sequence[float], low: float, high: float, limit: float
 ) -> tuple[float, float]:
-    """Return how far around the speeds seen the standard deviation of w stays within a limit."""
+    """Return the range of speeds around those seen where the standard deviation of w stays within a limit [m/s]."""
     slowest, fastest = low, high
     for v in reversed([v for v in speeds if v < low]):
         if resistance_std(covariance, v) > limit:
@@ -103,25 +104,25 @@ def _known(
     return slowest, fastest
 
 
-def _words(
-    shares: Sequence[float], covariance: Sequence[float], std_seen: float, speed_min: float, speed_max: float
+def _summary(
+    shares: Sequence[float], covariance: Sequence[float], std_observed: float, speed_min: float, speed_max: float
 ) -> str:
-    seen = [name for name, share in zip(_NAMES, shares, strict=True) if share >= _SEEN]
-    told = [f'{_listed(seen)} seen'] if seen else []
-    apart = []
+    seen = [name for name, share in zip(_NAMES, shares, strict=True) if share >= _SEEN_SHARE]
+    parts = [f'{_listed(seen)} seen'] if seen else []
+    confounded = []
     for power, name in enumerate(_NAMES):
         if name in seen:
             continue
-        # From this speed on what is doubted of the parameter would show beside the doubt of w where it is known.
-        doubt = math.sqrt(max(covariance[4 * power], 0.0))
-        shows = (_SHOWS * std_seen / doubt) ** (1.0 / power) if power and doubt > 0.0 else 0.0
+        # From this speed on the parameter's uncertainty would show against that of w at the speeds seen.
+        std = math.sqrt(max(covariance[4 * power], 0.0))
+        shows = (_NOTICEABLE * std_observed / std) ** (1.0 / power) if power and std > 0.0 else 0.0
         if shows > speed_max:
-            told.append(f'{name} not seen below {shows:.0f} m/s')
+            parts.append(f'{name} not seen below {shows:.0f} m/s')
         else:
-            apart.append(name)
-    if apart:
-        told.append(f'{_listed(apart)} not told apart from the others')
-    return f'{", ".join(told)}: speeds seen {speed_min:.1f} to {speed_max:.1f} m/s'
+            confounded.append(name)
+    if confounded:
+        parts.append(f'{_listed(confounded)} not distinguishable from the others')
+    return f'{", ".join(parts)}: speeds seen {speed_min:.1f} to {speed_max:.1f} m/s'
 
 
 def _listed(names: Sequence[str]) -> str:

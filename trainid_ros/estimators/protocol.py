@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What every estimator offers its drivers."""
+"""Interface of every estimator for its drivers."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ EstimateT_co = TypeVar('EstimateT_co', covariant=True)
 
 
 class Estimator(Protocol[EstimateT_co]):
-    """A streaming estimator: explicit state, one step per sample, an estimate or a refusal."""
+    """A streaming estimator: explicit state, one step per sample, an estimate or a rejection."""
 
     def step(self, sample: Sample) -> EstimateT_co | Rejection:
-        """Take one sample in; return the estimate, or why the sample was not used."""
+        """Take in one sample; return the estimate, or why the sample was not used."""
 
     def estimate(self, speed: float) -> EstimateT_co:
-        """Return what is believed now, at a speed [m/s]."""
+        """Return the current estimate at a speed [m/s]."""
 
     @property
     def converged(self) -> bool:
-        """True while the estimate is fit to use."""
+        """True while the estimate is fit for use."""
 
     def reset(self) -> None:
-        """Go back to the prior."""
+        """Return to the prior."""
 
     def save(self) -> str:
-        """Return the whole state as JSON text."""
+        """Return the complete state as JSON text."""
 
     def restore(self, text: str) -> None:
-        """Take over a state made by :meth:`save`; InputError if it does not fit."""
+        """Restore a state made by :meth:`save`; raise InputError if it does not fit."""

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The algorithms that can do one job, by name; drivers choose, and know no estimator's class."""
+"""Registry of the algorithms for each kind of estimate, by name: drivers need not know the estimator classes."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ EstimateT = TypeVar('EstimateT', bound='Estimate')
 
 @dataclass(frozen=True, slots=True)
 class Choice:
-    """An algorithm by name, and its settings."""
+    """A selected algorithm by name, and its settings."""
 
     algorithm: str
     config: DataclassInstance
@@ -35,12 +35,11 @@ class Algorithm(Generic[EstimateT]):
     """One algorithm.
 
     Attributes:
-        name: What users call it.
-        summary: What it is and when to choose it, in one line.
-        config: Its settings at their defaults.
-        make: Makes the estimator from the believed train, settings of the same class, and a generator.
-        fixed: Settings of that class that nobody can change here, since the algorithm is what it is by them or does
-            not heed them.
+        name: Name for users.
+        summary: Description and when to choose it, in one line.
+        config: Default settings.
+        make: Creates the estimator from the train file, settings of the same class, and a random generator.
+        fixed: Settings of that class that cannot be changed, since they define the algorithm or it ignores them.
 
     """
 
@@ -53,8 +52,8 @@ class Algorithm(Generic[EstimateT]):
     @property
     def settings(self) -> tuple[str, ...]:
         """Names of the settings that can be changed."""
-        given = (item.name for item in fields(self.config) if setting_info(item) is not None)
-        return tuple(name for name in given if name not in self.fixed)
+        names = (item.name for item in fields(self.config) if setting_info(item) is not None)
+        return tuple(name for name in names if name not in self.fixed)
 
 
 class Algorithms(Generic[EstimateT]):
@@ -74,14 +73,14 @@ class Algorithms(Generic[EstimateT]):
         return self.names[0]
 
     def __getitem__(self, name: str) -> Algorithm[EstimateT]:
-        """Return an algorithm by name; InputError if there is none."""
+        """Return an algorithm by name; raise InputError if the name is unknown."""
         if (algorithm := self._by_name.get(name)) is None:
             msg = f'algorithm = {name!r} must be one of {", ".join(self.names)}'
             raise InputError(msg)
         return algorithm
 
     def choose(self, name: str = '', **changes: float) -> Choice:
-        """Return a choice, the default if unnamed, with some settings changed; InputError if there is none."""
+        """Return a choice, the default if unnamed, with some settings changed; InputError if a name is unknown."""
         algorithm = self[name or self.default]
         for setting in changes:
             if setting not in algorithm.settings:
@@ -90,5 +89,5 @@ class Algorithms(Generic[EstimateT]):
         return Choice(algorithm.name, replace(algorithm.config, **changes))
 
     def make(self, choice: Choice, train_file: TrainFile, generator: np.random.Generator) -> Estimator[EstimateT]:
-        """Return the chosen estimator; InputError, naming the field, if a setting is out of range."""
+        """Return the chosen estimator; raise InputError, naming the field, if a setting is out of range."""
         return self[choice.algorithm].make(train_file, choice.config, generator)

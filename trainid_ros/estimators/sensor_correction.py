@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Records mended of what the train file says of sensors: a wrong wheel diameter, late stamps of the force."""
+"""Correct records for sensor errors in the train file: a wrong wheel diameter, delayed stamps of the force."""
 
 from __future__ import annotations
 
@@ -18,7 +18,12 @@ if TYPE_CHECKING:
 
 
 class SensorCorrection:
-    """Gives records as they would be without the effects ``wheel_diameter`` and ``stamp_skew``."""
+    """Corrects records for the effects ``wheel_diameter`` and ``stamp_skew``.
+
+    Attributes:
+        skew_s: Delay of the stamps of the force [s].
+
+    """
 
     def __init__(self, effects: Sequence[Effect]) -> None:
         self.skew_s = effect_value(effects, 'stamp_skew', 'delay', 0.0)
@@ -27,24 +32,26 @@ class SensorCorrection:
         self.reset()
 
     def reset(self) -> None:
-        """Forget where the train stood."""
-        self._stood_at = math.nan
+        """Forget the position of the last stop."""
+        self._stop_position = math.nan
 
     def widen(self, alignment: AlignmentConfig) -> AlignmentConfig:
-        """Return an alignment that bears mended stamps lying apart from those of the other topics."""
+        """Return alignment settings whose ``max_lag`` allows for the shift of the corrected stamps."""
         return replace(alignment, max_lag=alignment.max_lag + abs(self.skew_s))
 
     def correct(self, record: Record) -> Record:
-        """Return a record, mended if it needs to be."""
+        """Return a record, corrected where needed."""
         if self._ratio != 1.0 and isinstance(record, SpeedRecord):
             return self._correct_speed(record)
-        if self._skew_ns and isinstance(record, ForceRecord) and record.stamp_ns > 0:  # a zero stamp is a fault
+        if (
+            self._skew_ns and isinstance(record, ForceRecord) and record.stamp_ns > 0
+        ):  # a zero stamp stays one, to be rejected
             return replace(record, stamp_ns=record.stamp_ns - self._skew_ns)
         return record
 
     def _correct_speed(self, record: SpeedRecord) -> SpeedRecord:
-        """The position of a standing train is that of the platform; from there on the wheel counts."""
-        if record.speed == 0.0 or math.isnan(self._stood_at):
-            self._stood_at = record.position
-        position = self._stood_at + (record.position - self._stood_at) / self._ratio
+        """Correct speed and distance since the last stop; the position at rest is that of the platform."""
+        if record.speed == 0.0 or math.isnan(self._stop_position):
+            self._stop_position = record.position
+        position = self._stop_position + (record.position - self._stop_position) / self._ratio
         return replace(record, speed=record.speed / self._ratio, position=position)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The noise of measured speed, learned from the measurements alone.
+"""Noise of the measured speed, estimated from the measurements alone.
 
-Trains differ in their tachometers by a factor of ten. Second differences of equally spaced speeds hold
-the noise (with variance 6 sigma^2) and next to nothing of the motion, whose jerk is small. What coarse rounding hides
-from them is added by :mod:`trainid_ros.estimators.rounding`.
+Tachometers of trains differ by a factor of ten. Second differences of equally spaced speeds contain the noise (with
+variance 6 sigma^2) and almost none of the motion, whose jerk is small. The error that coarse rounding hides from them
+is added by :mod:`trainid_ros.estimators.rounding`.
 """
 
 from __future__ import annotations
@@ -15,18 +15,29 @@ from typing import Final
 from trainid_ros.estimators.rounding import EXACT, Rounding
 
 _MEMORY: Final = 0.01
-# Learned noise stays within these multiples of what is declared.
+# The learned standard deviation stays within these multiples of the declared one.
 _RANGE: Final = (0.3, 10.0)
-# One measurement cannot tell much more noise than is known: slip and outliers are no noise.
+# A measurement counts for at most this many learned standard deviations: slip and outliers are not noise.
 _GROWTH: Final = 3.0
 _POINTS: Final = 3
-# Steps that differ by more are no equal spacing.
+# Steps that differ by a larger share are not equally spaced.
 _SPACING: Final = 0.1
 
 
 @dataclass(frozen=True, slots=True)
 class SpeedNoise:
-    """Learned variance of one speed measurement [(m/s)^2]; last two speeds, step between them, number; rounding."""
+    """Noise of one speed measurement.
+
+    Attributes:
+        declared_std: Declared standard deviation [m/s].
+        learned: Variance learned from second differences [(m/s)^2].
+        last: Last speed [m/s].
+        before: Speed before the last [m/s].
+        dt: Time between the two [s].
+        count: Number of speeds since the last gap.
+        rounding: Coarse rounding of the speed.
+
+    """
 
     declared_std: float
     learned: float
@@ -38,7 +49,7 @@ class SpeedNoise:
 
     @classmethod
     def declared(cls, std: float) -> SpeedNoise:
-        """Return the noise as declared [m/s], nothing learned yet."""
+        """Return the noise with the declared standard deviation [m/s], nothing learned yet."""
         return cls(std, std * std)
 
     @property
@@ -52,17 +63,17 @@ class SpeedNoise:
         return math.sqrt(self.variance)
 
     def is_valid(self) -> bool:
-        """True if this is a noise that measurements can have, as it may not be when restored."""
+        """Return True if the values are possible; those of a restored state may not be."""
         return min(self.declared_std, self.learned) > 0.0 and self.count >= 0 and self.rounding.is_valid()
 
     def add(self, speed: float, dt: float) -> SpeedNoise:
-        """Return the noise after one more speed [m/s], measured ``dt`` [s] after the last; NaN = after a gap."""
+        """Return the noise after one more speed [m/s], measured ``dt`` [s] after the last one; NaN after a gap."""
         count = 1 if math.isnan(dt) else self.count + 1
         rounding = self.rounding.add(speed, self.last) if count > 1 else self.rounding
-        moved = replace(self, last=speed, before=self.last, dt=dt, count=count, rounding=rounding)
+        updated = replace(self, last=speed, before=self.last, dt=dt, count=count, rounding=rounding)
         if count < _POINTS or abs(dt - self.dt) > _SPACING * dt:
-            return moved
+            return updated
         second = speed - 2.0 * self.last + self.before
         low, high = (factor * self.declared_std for factor in _RANGE)
         sample = min(second * second / 6.0, _GROWTH**2 * self.learned)
-        return replace(moved, learned=min(max(self.learned + _MEMORY * (sample - self.learned), low**2), high**2))
+        return replace(updated, learned=min(max(self.learned + _MEMORY * (sample - self.learned), low**2), high**2))

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A speed that stands still to the last bit while traction or brake must change it: the sensor is stuck.
+"""Detect a stuck speed sensor: a speed constant to the last bit although traction or brake must change it.
 
-Estimators would believe it: a brake without effect, a resistance as large as the traction.
+Estimators would otherwise learn a brake without effect, or a resistance as large as the traction.
 """
 
 from __future__ import annotations
@@ -17,34 +17,41 @@ if TYPE_CHECKING:
     from trainid_ros.core.samples import Sample
     from trainid_ros.estimators.known_force import KnownForce
 
-# A train slower than this may stand, which is no fault.
+# A slower train may be at rest, where a constant speed is no fault [m/s].
 _MIN_SPEED: Final = 0.5
-# Beyond any quantum, and beyond what a wrongly believed resistance adds up to while a train cruises [m/s].
-_MOST_UNSEEN: Final = 0.5
+# More than any quantum, and more than the train file's error of the resistance adds up to while cruising [m/s].
+_MAX_MISSING: Final = 0.5
 
 
 @dataclass(slots=True)
 class StuckSpeed:
-    """Watches sample by sample; ``unseen`` is the change of speed due since the speed last changed [m/s]."""
+    """Checks the speed sample by sample.
+
+    Attributes:
+        known: Known part of the force balance.
+        speed: Last measured speed [m/s].
+        missing: Expected change of speed since the measured speed last changed [m/s].
+
+    """
 
     known: KnownForce
     speed: float = math.nan
-    unseen: float = 0.0
+    missing: float = 0.0
 
     def reject(self, sample: Sample) -> Rejection | None:
-        """Return why the speed of a sample is not believed, or None if it is."""
+        """Return why the speed of a sample is rejected, or None if it is accepted."""
         if sample.speed != self.speed or sample.speed < _MIN_SPEED or math.isnan(sample.dt):
-            self.speed, self.unseen = sample.speed, 0.0
+            self.speed, self.missing = sample.speed, 0.0
             return None
-        due = self._acceleration(sample) * sample.dt
-        if math.isfinite(due):
-            self.unseen += due
-        if abs(self.unseen) <= _MOST_UNSEEN:
+        expected = self._acceleration(sample) * sample.dt
+        if math.isfinite(expected):
+            self.missing += expected
+        if abs(self.missing) <= _MAX_MISSING:
             return None
-        return Rejection(sample.stamp_ns, Reason.SPEED_STUCK, self.unseen, _MOST_UNSEEN)
+        return Rejection(sample.stamp_ns, Reason.SPEED_STUCK, self.missing, _MAX_MISSING)
 
     def _acceleration(self, sample: Sample) -> float:
-        """Return what traction less believed resistance, or the brake, should give [m/s^2]."""
+        """Return the acceleration expected from the brake command, or from traction less resistance [m/s^2]."""
         if sample.brake_command < 0.0:
             return sample.brake_command
         resistance = davis(self.known.train_file.resistance, sample.speed) + self.known.track(sample)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from trainid_ros.core.errors import NoAnswerError
-from trainid_ros.core.plural import counted
+from trainid_ros.core.plural import pluralise
 from trainid_ros.explain.believed_effects import together, without_replaced
 from trainid_ros.explain.dataset import assemble
 from trainid_ros.explain.effect_evaluation import EffectEvaluator
@@ -85,7 +85,7 @@ def explain(
 
     """
     if sum(run.time.size for run in runs) < _FEWEST_SAMPLES:
-        msg = f'{counted(len(runs), "run")} from stop to stop: too little motion to compare'
+        msg = f'{pluralise(len(runs), "run")} from stop to stop: too little motion to compare'
         raise NoAnswerError(msg)
     compared = _some(runs, COMPARED_S)
     search = _search(compared, train_file, advance)

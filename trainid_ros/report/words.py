@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from trainid_ros.core.plural import counted
+from trainid_ros.core.plural import pluralise
 from trainid_ros.explain.explanation import Verdict
 from trainid_ros.explain.phrases import place_text
 from trainid_ros.train.effects import EFFECTS
@@ -124,7 +124,7 @@ def gap_sentence(explanation: Explanation) -> str:
     gap = explanation.gap
     if gap is None:
         return 'There are too few runs to hold one out, so nothing shows how large the gap is or whether it shrank.'
-    held_out = f'{counted(gap.runs_held_out, "run")}, each left out of the fit that simulates it'
+    held_out = f'{pluralise(gap.runs_held_out, "run")}, each left out of the fit that simulates it'
     head = f'On {held_out}, simulated and measured speed '
     noise = f'noise as found would leave {gap.noise_floor:.3f} m/s'
     if not explanation.effects:
@@ -198,4 +198,4 @@ def drive_text(explanation: Explanation) -> str:
     within = f' in {bags} bags' if bags > 1 else ''
     point = explanation.gradient_point
     read = f'; gradients read as those at the {point} of the train, which fits better' if point else ''
-    return f'{counted(len(traces), "run")}{within}, {metres / 1000.0:.1f} km in {seconds / 60.0:.0f} min, {way}{read}'
+    return f'{pluralise(len(traces), "run")}{within}, {metres / 1000.0:.1f} km in {seconds / 60.0:.0f} min, {way}{read}'

@@ -105,7 +105,7 @@ def estimator_status(
     if health.clock_trouble:
         level, message = max(level, DiagnosticStatus.WARN), f'{health.clock_trouble}; {message}'
     consistency = pipeline.consistency
-    if consistency.alarming:
+    if consistency.is_alarm:
         level, message = max(level, DiagnosticStatus.WARN), f'errors are larger than stated: {consistency}; {message}'
     rejection = output.last_rejection
     values: list[tuple[str, object]] = [

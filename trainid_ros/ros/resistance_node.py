@@ -28,7 +28,7 @@ def _details(prior: Any, live: Any) -> Iterator[tuple[str, str]]:
     yield 'observability', seen.text
     for name, share in zip('abc', seen.shares, strict=True):
         yield f'{name} prior variance removed', f'{share:.3f}'
-    yield 'resistance std at speeds seen, at most [N/kN]', f'{seen.std_seen:.3g}'
+    yield 'resistance std at speeds seen, at most [N/kN]', f'{seen.std_observed:.3g}'
     yield 'resistance std at other speeds, at most [N/kN]', f'{seen.std_outside:.3g}'
     yield 'resistance known from [m/s]', f'{seen.known[0]:.1f}'
     yield 'resistance known to [m/s]', f'{seen.known[1]:.1f}'
