@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fixtures of many folders: a train whose motion is known exactly, runs of the shipped day, an explanation."""
+"""Shared fixtures: a train with exactly known motion, records of the shipped day, an explanation."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from trainid_ros.sim.scenario import simulate
 from trainid_ros.sim.yizhuang_day import yizhuang_day
 from trainid_ros.train.train_file import Brake, Davis, Effect, Line, Train, TrainFile, load_train_file
 
-BELIEVED = TrainFile(
+STATED = TrainFile(
     Train(mass=194e3),
     Davis(1.5, 0.02, 0.001),
     line=Line(stops=(0.0, 900.0), curve=((0.0, 0.0), (100.0, 400.0), (200.0, 0.0)), tunnel=((600.0, 700.0),)),
@@ -58,27 +58,27 @@ def trace(direction: int) -> RunTrace:
 
 @pytest.fixture(scope='session')
 def believed() -> TrainFile:
-    """Return the train file that the explanation is of."""
-    return BELIEVED
+    """Return the train file of the explanation."""
+    return STATED
 
 
 @pytest.fixture(scope='session')
 def make_explanation() -> Callable[..., Explanation]:
-    """Return a function that makes an explanation by one effect, with other fields as wanted."""
+    """Return a factory of an explanation with one effect; fields can be overridden."""
     parts = tuple(
         Place(f'{100 * k} to {100 * k + 100} m', 100.0 * k, 100.0 * k + 100.0, 1.5 * (k in (3, 4)), 0.01, 0.1, 0.1)
         for k in range(9)
-        if k != 6  # never driven
+        if k != 6  # no data there
     )
     modes = tuple(Place(name, *NAN, 0.3, 0.1, 0.2, 0.5) for name in ('traction', 'coasting'))
     runs = tuple(Place(str(k), *NAN, 9.0, 9.0, 0.1, 0.1) for k in range(20))
-    whole = Explanation(
+    explained = Explanation(
         verdict=Verdict.EXPLAINED,
         effects=(DRAG,),
         gap=Gap(0.4, 0.05, 0.049, 2),
         remaining='What is left is noise.',
         train_file=replace(
-            BELIEVED, resistance=Davis(1.61, 0.02, 0.0011), effects=(Effect('local_drag', DRAG.parameters, DRAG.std),)
+            STATED, resistance=Davis(1.61, 0.02, 0.0011), effects=(Effect('local_drag', DRAG.parameters, DRAG.std),)
         ),
         davis_std=(0.12, 0.004, 0.0001),
         locations=(Location('position', 'm', parts), Location('mode', '', modes), Location('run', '', runs)),
@@ -92,7 +92,7 @@ def make_explanation() -> Callable[..., Explanation]:
     def make(*, ambiguous: bool = False, **changes: Any) -> Explanation:
         if ambiguous:
             changes = {'verdict': Verdict.AMBIGUOUS, 'effects': (replace(DRAG, twins=(TWIN,)),), **changes}
-        return replace(whole, **changes)
+        return replace(explained, **changes)
 
     return make
 
@@ -117,13 +117,13 @@ def metro() -> TrainFile:
 
 @pytest.fixture(scope='session')
 def day(metro: TrainFile) -> tuple[Record, ...]:
-    """Return the records of two runs of the shipped day: seven minutes, as long as the bag ``tiny``."""
+    """Return the records of two runs of the shipped day: seven minutes, as in the bag ``tiny``."""
     return simulate(yizhuang_day(metro, runs=2), np.random.default_rng(2015)).records
 
 
 @pytest.fixture(scope='session')
 def sample() -> Callable[..., Sample]:
-    """Return the maker of a sample of a train that coasts at 15 m/s; fields can be given."""
+    """Return a factory of samples of a train coasting at 15 m/s; fields can be overridden."""
 
     def make(index: int = 0, **fields: Any) -> Sample:
         plain = Sample(
@@ -151,7 +151,7 @@ def sample() -> Callable[..., Sample]:
 
 @pytest.fixture(scope='session')
 def journey(sample: Callable[..., Sample]) -> Callable[..., list[Sample]]:
-    """Return the maker of a journey up a gradient; traction, brake, rate and resistance are functions of time [s]."""
+    """Return a factory of uphill journeys; traction, brake, rate and resistance are functions of time [s]."""
 
     def drive(
         seconds: float,
@@ -172,13 +172,13 @@ def journey(sample: Callable[..., Sample]) -> Callable[..., list[Sample]]:
         lag = round(0.6 / 0.2)
         for i in range(round(5.0 * seconds)):
             t = 0.2 * i
-            wanted = brake(t)
-            changes = (BrakeCommandChange(START + i * NS_PER_S // 5, wanted),) if wanted != command else ()
-            command = wanted
+            target = brake(t)
+            changes = (BrakeCommandChange(START + i * NS_PER_S // 5, target),) if target != command else ()
+            command = target
             commands.append(command)
-            pull_kn = traction(t)
-            pull = pull_kn * MASS * G / 1000.0
-            reported = pull + MASS * (1.0 + GAMMA) * actuator
+            specific_traction = traction(t)
+            traction_force = specific_traction * MASS * G / 1000.0
+            reported = traction_force + MASS * (1.0 + GAMMA) * actuator
             measured = max(0.0, v + noise * float(rng.standard_normal())) if v > 0.0 else 0.0
             samples.append(
                 sample(
@@ -198,11 +198,11 @@ def journey(sample: Callable[..., Sample]) -> Callable[..., list[Sample]]:
             for _ in range(SUBSTEPS):
                 h = 0.2 / SUBSTEPS
                 after = delayed + (actuator - delayed) * math.exp(-h / 0.4)
-                pushed = (pull_kn - GRADIENT) / INERTIA + f * 0.5 * (actuator + after)
-                middle = v + 0.5 * h * (pushed - (w.a + w.b * v + w.c * v * v) / INERTIA)
-                v_next = max(0.0, v + h * (pushed - (w.a + w.b * middle + w.c * middle * middle) / INERTIA))
+                driven = (specific_traction - GRADIENT) / INERTIA + f * 0.5 * (actuator + after)
+                middle = v + 0.5 * h * (driven - (w.a + w.b * v + w.c * v * v) / INERTIA)
+                v_next = max(0.0, v + h * (driven - (w.a + w.b * middle + w.c * middle * middle) / INERTIA))
                 position += 0.5 * h * (v + v_next)
-                total += pull + MASS * (1.0 + GAMMA) * 0.5 * (actuator + after)
+                total += traction_force + MASS * (1.0 + GAMMA) * 0.5 * (actuator + after)
                 v, actuator = v_next, after
             force_mean = total / SUBSTEPS
         return samples

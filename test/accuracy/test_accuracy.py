@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How near the truth the estimates come, and whether their standard deviations are honest.
+"""Accuracy of the estimates and coverage of their standard deviations.
 
-One test for each data set, since each is run through the estimators once. The numbers are printed (-rP).
+One test per data set, so that each is run through the estimators once. The numbers are printed (-rP).
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ pytestmark = pytest.mark.slow
 
 REPOSITORY = Path(__file__).parents[2]
 SETTLED_S = 300.0
-# Slower than this the brake being released at departure is the only one seen.
+# Below this speed [m/s] the only braking seen is the brake release at departure.
 DRIVING = 3.0
 FRESH_DAYS, FRESH_RUNS = 4, 6
 Array = NDArray[np.float64]
@@ -36,7 +36,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Moment:
-    """What was believed and what was true at one sample."""
+    """Estimates and true values at one sample."""
 
     time_s: float
     resistance: ResistanceEstimate
@@ -59,7 +59,7 @@ def estimate(records: Iterable[Record], train_file: TrainFile, truth: Truth) -> 
     resistance, brake = resistance_pipeline(train_file, settings), brake_rate_pipeline(train_file, settings)
     moments = []
     for record in records:
-        # Both align the same records, so both release the same samples.
+        # Both align the same records, so both output the same samples.
         for first, second in zip(resistance.push(record), brake.push(record), strict=True):
             point = truth.truth_at_ns(first.stamp_ns)
             time_s = (first.stamp_ns - truth.start_ns) / NS_PER_S
@@ -82,16 +82,16 @@ def test_freight_run_of_an_independent_simulator() -> None:
     moments = replayed('altrios_manifest')
     last = moments[-1]
     at_end = [100.0 * last.error(v) / w(last.davis, v) for v in np.linspace(6.7, 20.0, 15).tolist()]
-    # On the way only at the speed driven: nobody knows the resistance at speeds not seen yet.
-    driven = [
+    # During the run only at the current speed: the resistance at speeds not yet seen is unknown.
+    current = [
         100.0 * abs(m.error(m.resistance.speed)) / w(m.davis, m.resistance.speed)
         for m in moments
         if m.time_s > SETTLED_S and m.resistance.speed >= 6.7
     ]
     print(f'w at the end, 6.7 to 20 m/s: errors {min(at_end):.2f} to {max(at_end):.2f} %')
-    print(f'w at the speed driven after 5 min: mean error {np.mean(driven):.2f} %, largest {max(driven):.1f} %')
+    print(f'w at the current speed after 5 min: mean error {np.mean(current):.2f} %, largest {max(current):.1f} %')
     assert max(map(abs, at_end)) < 2.0
-    assert np.mean(driven) < 2.0
+    assert np.mean(current) < 2.0
 
 
 def test_recorded_metro_day() -> None:
@@ -103,7 +103,7 @@ def test_recorded_metro_day() -> None:
         assert len(inside) > 1000
         mean_errors[name, '10'] = float(np.mean([abs(m.error(10.0)) for m in inside]))
         mean_errors[name, '15'] = float(np.mean([abs(m.error(15.0)) for m in inside]))
-        mean_errors[name, 'driven'] = float(np.mean([abs(m.error(m.resistance.speed)) for m in inside]))
+        mean_errors[name, 'current'] = float(np.mean([abs(m.error(m.resistance.speed)) for m in inside]))
     print('mean error of w, N/kN:', {' '.join(key): round(value, 3) for key, value in mean_errors.items()})
     first_s = next(m.time_s for m in moments if m.braking)
     brake = [abs(m.brake.brake_rate - m.rate) for m in moments if m.braking and m.time_s >= first_s + 7.0]
@@ -113,9 +113,9 @@ def test_recorded_metro_day() -> None:
     assert np.mean(brake) < 0.03
 
 
-def fresh_day(believed: TrainFile, rng: np.random.Generator) -> Scenario:
-    """A day whose brake rate is drawn, while the train file believes 1; it stays, so that belief must move."""
-    day = yizhuang_day(believed, runs=FRESH_RUNS)
+def fresh_day(stated: TrainFile, rng: np.random.Generator) -> Scenario:
+    """A day with a random constant brake rate, while the train file states 1, so that the estimate must move."""
+    day = yizhuang_day(stated, runs=FRESH_RUNS)
     brake = replace(day.train_file.brake, rate=float(rng.uniform(0.8, 1.15)))
     changes = tuple(change for change in day.changes if change.brake_rate is None)
     return replace(day, train_file=replace(day.train_file, brake=brake), changes=changes)
@@ -125,25 +125,25 @@ def coverage(what: str, z: list[float]) -> tuple[str, float, float]:
     size = np.abs(np.array(z))
     in_68, in_95 = float(np.mean(size < 1.0)), float(np.mean(size < 1.959964))
     rms = float(np.sqrt(np.mean(np.square(z))))
-    told = f'{what}: the 68 % band covers {100 * in_68:.0f} %, the 95 % band {100 * in_95:.0f} %, rms {rms:.2f}'
-    return told, in_68, in_95
+    summary = f'{what}: the 68 % band covers {100 * in_68:.0f} %, the 95 % band {100 * in_95:.0f} %, rms {rms:.2f}'
+    return summary, in_68, in_95
 
 
-def test_days_with_fresh_seeds_are_accurate_and_their_deviations_honest() -> None:
+def test_days_with_random_seeds_are_accurate_with_consistent_standard_deviations() -> None:
     """Set ACCURACY_SEED to repeat a run.
 
-    The limits of the coverage are wide: errors of one day hang together, so some days are some dozens of
+    The limits of the coverage are wide: errors within a day are correlated, so a few days contain only a few dozen
     independent errors.
     """
     given = os.environ.get('ACCURACY_SEED')
     seed = int(given) if given else int(np.random.SeedSequence().generate_state(1)[0])
     print(f'ACCURACY_SEED={seed}')
-    believed = load_train_file(REPOSITORY / 'config' / 'trains' / 'yizhuang.yaml')
+    stated = load_train_file(REPOSITORY / 'config' / 'trains' / 'yizhuang.yaml')
     w_errors, w_z, rate_errors, rate_z, first_errors = [], [], [], [], []
     for k in range(FRESH_DAYS):
         rng = np.random.default_rng([seed, k])
-        simulation = simulate(fresh_day(believed, rng), rng)
-        moments = estimate(simulation.records, believed, simulation.truth)
+        simulation = simulate(fresh_day(stated, rng), rng)
+        moments = estimate(simulation.records, stated, simulation.truth)
         first_s = next(m.time_s for m in moments if m.braking)
         after = [m for m in moments if m.braking and m.time_s >= first_s + 7.0]
         first_errors.append(abs(after[0].brake.brake_rate - after[0].rate))
@@ -155,16 +155,16 @@ def test_days_with_fresh_seeds_are_accurate_and_their_deviations_honest() -> Non
                 error = m.error(m.resistance.speed)
                 w_errors.append(abs(error))
                 w_z.append(error / m.resistance.resistance_std)
-    told_w, w_68, w_95 = coverage('w at the current speed', w_z)
-    told_rate, rate_68, rate_95 = coverage('brake rate', rate_z)
-    print(told_w, told_rate, sep='\n')
+    summary_w, w_68, w_95 = coverage('w at the current speed', w_z)
+    summary_rate, rate_68, rate_95 = coverage('brake rate', rate_z)
+    print(summary_w, summary_rate, sep='\n')
     print(f'mean error of w {np.mean(w_errors):.3f} N/kN, of the brake rate {np.mean(rate_errors):.4f}')
     print(f'error of the brake rate after 7 s of the first braking: {np.round(first_errors, 3)}')
     assert np.mean(w_errors) < 0.1
     assert np.mean(rate_errors) < 0.03
     assert np.median(first_errors) < 0.05
-    # Deviations that allow for steps not yet seen, drift and a coarse map are wide on days without them: w's
-    # about 1.7 times on average over seeds (2.5 on the calmest of 20), the brake rate's twice.
+    # Standard deviations that allow for future steps, drift and a coarse map are too wide on days without them: for w
+    # about 1.7 times on average over seeds (2.5 on the calmest of 20), for the brake rate twice.
     assert w_68 >= 0.55
     assert rate_68 >= 0.55
     assert min(w_95, rate_95) >= 0.88

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write the expected outputs: what the three pipelines say of two simulated runs, a row every five seconds.
+"""Write the expected outputs: estimates of the three pipelines over two simulated runs, a row every five seconds.
 
 Usage: python test/golden/make_golden.py [DIRECTORY]; the default is the directory of this script.
 """
@@ -39,7 +39,7 @@ Rows = list[dict[str, str]]
 
 
 def outputs() -> dict[str, Rows]:
-    """Return the rows of each estimate by its name."""
+    """Return the rows of each estimate by name."""
     train_file = load_train_file(TRAIN_FILE)
     simulation = simulate(yizhuang_day(train_file, runs=RUNS), np.random.default_rng(SEED))
     settings = EstimatorSettings()

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The estimates of two simulated runs are those of the last reviewed version.
+"""The estimates of two simulated runs equal those of the last reviewed version.
 
-Numbers may differ by 1e-6 of themselves: sums and matrix products of other numpy or BLAS builds, and the
-exponentials of other C libraries, round their last bits differently; a filter carries that along for
-2000 samples. A change of an algorithm, a default or the simulator is larger by orders.
+Numbers may differ by a relative 1e-6: sums and matrix products of other numpy or BLAS builds, and the
+exponentials of other C libraries, round their last bits differently, and a filter propagates this over
+2000 samples. A change of an algorithm, a default or the simulator is larger by orders of magnitude.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ import pytest
 
 HERE = Path(__file__).parent
 RELATIVE = 1e-6
-# Innovations and errors pass through zero, where nothing is relative.
+# Innovations and errors pass through zero, where a relative tolerance does not work.
 ABSOLUTE = 1e-9
 NAMES = ('resistance', 'speed_model', 'brake_rate')
 Rows = list[dict[str, str]]
@@ -45,7 +45,7 @@ def expected(name: str) -> Rows:
 
 
 def error(old: str, new: str) -> float:
-    """Return the difference in units of what is allowed; infinite for other text."""
+    """Return the difference in units of the tolerance; infinite for different text."""
     if old == new:
         return 0.0
     try:
@@ -58,7 +58,7 @@ def error(old: str, new: str) -> float:
 
 
 def differences(name: str, old: Rows, new: Rows) -> str:
-    """Return a summary for people, empty if all is well."""
+    """Return a readable summary, empty if there are no differences."""
     if [*old[0]] != [*new[0]]:
         return f'{name}.csv: columns were {[*old[0]]}, are {[*new[0]]}'
     lines = [] if len(old) == len(new) else [f'{name}.csv: {len(old)} rows before, {len(new)} now']
@@ -70,25 +70,25 @@ def differences(name: str, old: Rows, new: Rows) -> str:
             at = f'worst in row {worst + 2}: {old[worst][column]} -> {new[worst][column]}'
             lines.append(f'{name}.csv: {column}: {len(wrong)} of {len(errors)} rows from row {wrong[0] + 2} on, {at}')
     if lines:
-        lines.append("If this is meant, run 'make golden', look at the difference and commit it.")
+        lines.append("If this is intended, run 'make golden', review the difference and commit it.")
     return '\n'.join(lines)
 
 
 @pytest.mark.parametrize('name', NAMES)
-def test_the_estimates_are_those_that_were_reviewed(name: str, found: dict[str, Rows]) -> None:
+def test_the_estimates_equal_the_reviewed_ones(name: str, found: dict[str, Rows]) -> None:
     summary = differences(name, expected(name), found[name])
     assert not summary, summary
 
 
 @pytest.mark.parametrize('name', NAMES)
-def test_the_expectation_is_worth_comparing(name: str) -> None:
-    """Two runs with a stop, and an estimate that became valid on the way."""
+def test_the_expected_rows_cover_a_stop_and_all_statuses(name: str) -> None:
+    """They cover two runs with a stop and an estimate that becomes valid during them."""
     rows = expected(name)
     assert len(rows) > 50
     assert {'CONVERGING', 'VALID', 'HOLDING'} == {row['status'] for row in rows}
 
 
-def test_a_difference_is_told_by_column_row_and_size() -> None:
+def test_a_difference_is_reported_by_column_row_and_size() -> None:
     old = [{'a': '1.0', 'b': '2.0'}, {'a': '1.0', 'b': '2.0'}]
     new = [{'a': '1.0', 'b': '2.000001'}, {'a': '1.0000001', 'b': '2.5'}]
     summary = differences('x', old, new)

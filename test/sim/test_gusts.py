@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Gusts and map errors have the standard deviation and correlation they are given."""
+"""Gusts and map errors have the given standard deviation and correlation."""
 
 from __future__ import annotations
 
@@ -28,6 +28,6 @@ def test_map_error_path_has_its_std_and_correlation() -> None:
     assert float(np.corrcoef(path[:-1], path[1:])[0, 1]) == pytest.approx(0.95, abs=0.005)
 
 
-def test_settings_are_checked() -> None:
+def test_a_setting_out_of_range_is_rejected() -> None:
     with pytest.raises(InputError, match='time_constant = 0 s'):
         Gust(GustModel(time_constant=0.0), 0.2, np.random.default_rng(0))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The plant keeps the specific balance, brakes as its actuator says, and never rolls back."""
+"""The plant satisfies the specific balance, follows its brake actuator and never rolls back."""
 
 from __future__ import annotations
 
@@ -47,18 +47,18 @@ def test_the_specific_balance_holds_over_a_step() -> None:
     assert seen == pytest.approx(w + 5.0 + 0.2, abs=1e-6)
 
 
-def test_coasting_loses_the_energy_that_resistance_and_height_take() -> None:
-    # Without a, b, c the balance is mechanical energy: (1 + gamma) v^2 / 2 + g h stays.
+def test_coasting_without_resistance_conserves_mechanical_energy() -> None:
+    # Without a, b, c the balance conserves mechanical energy: (1 + gamma) v^2 / 2 + g h is constant.
     line = Line(stops=(0.0, 9000.0), gradient=((0.0, 0.0), (500.0, 8.0), (900.0, -12.0)))
     train = plant(replace(FILE, resistance=NO_RESISTANCE, line=line), speed=20.0)
     run(train, 60.0)
     profile = LineProfile(line, 100.0)
-    # Height of the mean of the train: the integral of the length-averaged gradient, in 0.1 m steps.
+    # Mean height of the train: the integral of the length-averaged gradient, in 0.1 m steps.
     steps = round(train.position / 0.1)
     height = sum(profile.gradient((i + 0.5) * train.position / steps, 1) for i in range(steps))
     height *= train.position / steps / 1000.0
     energy = 0.54 * train.speed**2 + G * height
-    # The midpoint rule leaves about 1e-8 of the energy after 3000 steps.
+    # The error of the midpoint rule is about 1e-8 of the energy after 3000 steps.
     assert energy == pytest.approx(0.54 * 400.0, rel=1e-6)
 
 
@@ -85,7 +85,7 @@ def test_delay_and_lag_of_the_brake_are_exact() -> None:
     assert train.reported_force == pytest.approx(1.08 * 200e3 * train.brake)
 
 
-def test_a_delay_between_two_steps_is_exact_too() -> None:
+def test_a_delay_that_ends_between_two_steps_is_exact() -> None:
     file = replace(FILE, resistance=NO_RESISTANCE, brake=Brake(1.0, 0.4, 0.607))
     train = plant(file, speed=20.0)
     train.command(-1.0)
@@ -93,7 +93,7 @@ def test_a_delay_between_two_steps_is_exact_too() -> None:
     assert train.brake == pytest.approx(-(1.0 - math.exp(-0.993 / 0.4)), rel=1e-12)
 
 
-def test_a_braking_train_stops_and_stays() -> None:
+def test_a_braking_train_stops_and_remains_at_rest() -> None:
     train = plant(speed=3.0)
     train.command(-1.0)
     speeds = []
@@ -106,7 +106,7 @@ def test_a_braking_train_stops_and_stays() -> None:
     assert (train.speed, train.position) == (0.0, stopped)
 
 
-def test_a_train_does_not_roll_back_uphill_and_starts_when_the_force_is_enough() -> None:
+def test_a_train_does_not_roll_back_uphill_and_starts_with_sufficient_force() -> None:
     file = replace(FILE, line=Line(stops=(0.0, 9000.0), gradient=((0.0, 30.0),)))
     train = plant(file)
     holding = required_force(0.0, 200e3, 0.08, 30.0 + DAVIS.a)
@@ -129,15 +129,15 @@ def test_traction_is_jerk_limited() -> None:
         (effects('traction_scale', ratio=0.9), 90e3 / 216e3),
     ],
 )
-def test_scales_of_mass_and_traction(file: TrainFile, expected: float) -> None:
+def test_mass_and_traction_ratios_scale_the_acceleration(file: TrainFile, expected: float) -> None:
     train = plant(replace(file, resistance=NO_RESISTANCE))
     run(train, 1.0, 100e3)
     assert train.acceleration == pytest.approx(expected, rel=1e-9)
     assert train.reported_force == pytest.approx(100e3)
 
 
-def test_brake_delay_holds_the_brake_back_and_not_the_report() -> None:
-    """The report is that of the believed brake, so it is the same as without the effect."""
+def test_brake_delay_delays_the_braking_but_not_the_reported_force() -> None:
+    """The reported force is that of the assumed brake, so it is the same as without the effect."""
     nominal = plant(replace(FILE, resistance=NO_RESISTANCE), speed=20.0)
     late = plant(replace(effects('brake_delay', extra=0.4), resistance=NO_RESISTANCE), speed=20.0)
     for train in (nominal, late):
@@ -158,7 +158,7 @@ def test_brake_delay_holds_the_brake_back_and_not_the_report() -> None:
     assert late.speed == pytest.approx(before, abs=1e-12)
 
 
-def test_the_brake_is_as_strong_as_its_scale_says() -> None:
+def test_brake_scale_multiplies_the_braking() -> None:
     train = plant(replace(effects('brake_scale', ratio=0.8), resistance=NO_RESISTANCE), speed=20.0)
     train.command(-1.0)
     run(train, 8.0)
@@ -166,7 +166,7 @@ def test_the_brake_is_as_strong_as_its_scale_says() -> None:
     assert train.reported_force == pytest.approx(-216e3, rel=1e-6)
 
 
-def test_a_shifted_map_tells_of_a_hill_too_early() -> None:
+def test_a_shifted_map_reports_a_hill_too_early() -> None:
     line = Line(stops=(0.0, 9000.0), gradient=((0.0, 0.0), (1000.0, 20.0)))
     file = replace(effects('map_shift', distance=50.0), resistance=NO_RESISTANCE, line=line)
     train = plant(file, speed=20.0)
@@ -178,11 +178,11 @@ def test_a_shifted_map_tells_of_a_hill_too_early() -> None:
     assert LineProfile(line, 100.0).gradient(1040.0, 1) == pytest.approx(8.0)
 
 
-def test_a_hot_brake_fades_to_its_loss() -> None:
+def test_a_hot_brake_fades_by_its_loss() -> None:
     train = plant(replace(effects('brake_fade', loss=0.3, energy=50.0), resistance=NO_RESISTANCE), speed=22.0)
     train.command(-1.0)
     run(train, 14.0)
-    # 22 m/s hold 242 J/kg; most is in the brake by now, so it has lost all of its 30 %.
+    # 22 m/s is 242 J/kg; most of it is in the brake by now, so the fade has reached its full 30 %.
     assert train.acceleration == pytest.approx(-0.9 * 0.7, rel=1e-6)
 
 
@@ -192,7 +192,7 @@ def test_a_released_brake_drags_for_its_time() -> None:
     run(train, 2.0)
     train.command(0.0)
     run(train, 4.0)
-    assert train.acceleration == pytest.approx(-3.0 * G / 1080.0, rel=0.01)  # the lag is nearly out
+    assert train.acceleration == pytest.approx(-3.0 * G / 1080.0, rel=0.01)  # the lag has nearly settled
     run(train, 8.0)
     assert train.acceleration == pytest.approx(0.0, abs=1e-6)
 
@@ -202,7 +202,7 @@ def test_an_unknown_effect_is_named() -> None:
         plant(effects('sun_spots', size=3.0))
 
 
-def test_time_goes_on_in_whole_nanoseconds() -> None:
+def test_time_advances_in_integer_nanoseconds() -> None:
     train = plant()
     run(train, 1.0)
     assert train.now_ns == 10**9 + 50 * STEP_NS

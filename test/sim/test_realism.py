@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Each unknown makes the records differ from what the train file states, in its own way and by the size given."""
+"""Each unknown makes the records differ from the train file in its own way and by the given size."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def case_of(names: Collection[str], seed: int = 1, runs: int = 2) -> Case:
 
 
 def noiseless(case: Case) -> Simulation:
-    """Drive a case with the errors of its unknowns alone: no noise, no gusts."""
+    """Simulate a case with only the errors of its unknowns: no noise, no gusts."""
     sensors = replace(
         case.scenario.sensors,
         speed_noise=0.0,
@@ -49,15 +49,15 @@ def noiseless(case: Case) -> Simulation:
 
 
 class Balance(NamedTuple):
-    """What is left of the specific balance, beside traction and curvature, shapes (n,)."""
+    """Residual of the specific balance with traction and curvature, shapes (n,)."""
 
-    rest: Floats
+    residual: Floats
     traction: Floats
     curvature: Floats
 
 
 def balance(simulation: Simulation, stated: TrainFile) -> Balance:
-    """Evaluate the specific balance with the train file as stated where no brake acts and the force is steady."""
+    """Evaluate the specific balance with the stated train file, without braking and at steady force."""
     speeds = [r for r in simulation.records if isinstance(r, SpeedRecord)]
     forces = [r for r in simulation.records if isinstance(r, ForceRecord)]
     tracks = [r for r in simulation.records if isinstance(r, GradientRecord)]
@@ -73,13 +73,13 @@ def balance(simulation: Simulation, stated: TrainFile) -> Balance:
         a = (speeds[i + 1].speed - speeds[i - 1].speed) / 0.4
         curvature = 1.0 / tracks[i].curve_radius if tracks[i].curve_radius > 0.0 else 0.0
         known = davis(stated.resistance, speeds[i].speed) + tracks[i].gradient + coefficient * curvature
-        rest = observed_resistance(force, mass, stated.train.rotary_mass, a) - known
-        rows.append((rest, specific_force(force, mass), curvature))
+        residual = observed_resistance(force, mass, stated.train.rotary_mass, a) - known
+        rows.append((residual, specific_force(force, mass), curvature))
     return Balance(*np.array(rows).T)
 
 
-def slope(rest: Floats, against: Floats) -> float:
-    return float(np.polyfit(against, rest, 1)[0])
+def slope(residual: Floats, against: Floats) -> float:
+    return float(np.polyfit(against, residual, 1)[0])
 
 
 @pytest.fixture(scope='module')
@@ -89,18 +89,18 @@ def clean() -> Simulation:
 
 def test_clean_is_exact(clean: Simulation) -> None:
     case = case_of(())
-    rest = balance(clean, case.stated).rest
-    assert len(rest) > 60
-    # Central differences and the 20 ms between force and speed leave a few 0.01 N/kN, more on steep slopes.
-    assert abs(np.mean(rest)) < 0.03
-    assert np.std(rest) < 0.15
+    residual = balance(clean, case.stated).residual
+    assert len(residual) > 60
+    # Central differences and the 20 ms between force and speed leave errors of a few 0.01 N/kN, more on steep slopes.
+    assert abs(np.mean(residual)) < 0.03
+    assert np.std(residual) < 0.15
     assert case.scenario.train_file.effects == FILE.effects
     assert case.scenario.sensors == SensorModel(map_error=0.0)
     assert case.scenario.gust == GustModel()
     assert case.scenario.changes == ()
 
 
-def test_clean_states_what_is_known_and_nothing_else() -> None:
+def test_clean_changes_only_the_stated_standard_deviations() -> None:
     stated = case_of(()).stated
     assert (stated.train.mass_std, stated.train.force_std, stated.line.gradient_std) == (0.002, 0.0, 0.0)
     assert stated.brake.timing_std == 0.01
@@ -109,33 +109,33 @@ def test_clean_states_what_is_known_and_nothing_else() -> None:
     assert replace(stated, train=FILE.train, brake=FILE.brake, line=FILE.line, effects=effects) == FILE
 
 
-def test_wrong_mass_shows_in_traction(clean: Simulation) -> None:
+def test_a_wrong_mass_gives_a_residual_proportional_to_traction(clean: Simulation) -> None:
     case = case_of(['mass'])
     ratio = dict(case.true_values)['mass_ratio']
     found = balance(noiseless(case), case.stated)
     assert abs(ratio - 1.0) > 0.005
-    assert slope(found.rest, found.traction) == pytest.approx(1.0 - 1.0 / ratio, abs=0.002)
+    assert slope(found.residual, found.traction) == pytest.approx(1.0 - 1.0 / ratio, abs=0.002)
     assert 0.02 <= case.stated.train.mass_std <= 0.05
-    # What the train weighs and reports stays the stated mass.
+    # The weighed and reported mass remains the stated one.
     weighed = [[r.mass for r in s.records if isinstance(r, MassRecord)] for s in (noiseless(case), clean)]
     assert weighed[0][:100] == weighed[1][:100]
 
 
-def test_wrong_force_gain_shows_in_traction() -> None:
+def test_a_wrong_force_gain_gives_a_residual_proportional_to_traction() -> None:
     case = case_of(['force_gain'])
     ratio = dict(case.true_values)['force_ratio']
     found = balance(noiseless(case), case.stated)
     assert abs(ratio - 1.0) > 0.005
-    assert slope(found.rest, found.traction) == pytest.approx(1.0 - ratio, abs=0.002)
+    assert slope(found.residual, found.traction) == pytest.approx(1.0 - ratio, abs=0.002)
     assert 0.01 <= case.stated.train.force_std <= 0.03
 
 
-def test_wrong_curve_coefficient_shows_in_curves() -> None:
+def test_a_wrong_curve_coefficient_gives_a_residual_proportional_to_curvature() -> None:
     case = case_of(['curve'])
     wrong = dict(case.true_values)['curve_coefficient'] - 400.0
     found = balance(noiseless(case), case.stated)
     assert abs(wrong) > 10.0
-    assert slope(found.rest, found.curvature) == pytest.approx(wrong, abs=12.0)
+    assert slope(found.residual, found.curvature) == pytest.approx(wrong, abs=12.0)
     assert dict(case.stated.effects[0].std) == {'coefficient': 80.0}
 
 
@@ -149,7 +149,7 @@ def test_late_force_has_later_stamps_and_the_same_values(clean: Simulation) -> N
     assert 0 < delay_ns <= 300_000_000
 
 
-def test_wheels_scale_the_measured_speed(clean: Simulation) -> None:
+def test_a_wrong_wheel_diameter_scales_the_measured_speed(clean: Simulation) -> None:
     case = case_of(['wheels'])
     ratio = dict(case.true_values)['wheel_ratio']
     here = np.array([r.speed for r in noiseless(case).records if isinstance(r, SpeedRecord)])
@@ -158,19 +158,19 @@ def test_wheels_scale_the_measured_speed(clean: Simulation) -> None:
     np.testing.assert_allclose(here, ratio * there, rtol=1e-12)
 
 
-def test_the_map_is_wrong_by_what_the_train_file_states(clean: Simulation) -> None:
+def test_the_map_error_has_the_stated_standard_deviation(clean: Simulation) -> None:
     case = case_of(['map'])
     here, there = ([r.gradient for r in s.records if isinstance(r, GradientRecord)] for s in (noiseless(case), clean))
     error = np.array(here) - np.array(there)
     std = dict(case.true_values)['map_std']
     assert case.stated.line.gradient_std == std
-    # Over 850 m there are only a few independent errors.
+    # 850 m contain only a few independent errors.
     assert 0.3 * std < np.sqrt(np.mean(error**2)) < 2.0 * std
     assert 0.1 <= std <= 0.5
     assert 100.0 <= case.scenario.sensors.map_error_length <= 500.0
 
 
-def test_gusts_blow_as_the_truth_says() -> None:
+def test_gusts_have_the_true_parameters() -> None:
     case = case_of(['gusts'])
     gust, values = case.scenario.gust, dict(case.true_values)
     assert (gust.std, gust.time_constant) == (values['gust_std'], values['gust_time_constant'])
@@ -188,31 +188,31 @@ def test_speeds_are_multiples_of_the_quantum() -> None:
 
 
 def reported_brake(simulation: Simulation, brake: Brake) -> tuple[Floats, Floats]:
-    """Return the braking force over the inertia as reported and as a brake makes it of the commands [m/s^2]."""
-    orders, pairs, acting, last_ns, mass = CommandHistory(), [], 0.0, simulation.truth.start_ns, 0.0
+    """Return the braking force over the inertia, as reported and as computed from the commands [m/s^2]."""
+    commands, pairs, output, last_ns, mass = CommandHistory(), [], 0.0, simulation.truth.start_ns, 0.0
     delay_ns = round(brake.delay * NS_PER_S)
     for record in simulation.records:
         if isinstance(record, BrakeRecord):
-            orders = orders.push(BrakeCommandChange(record.stamp_ns, record.target_acceleration))
+            commands = commands.push(BrakeCommandChange(record.stamp_ns, record.target_acceleration))
         elif isinstance(record, MassRecord):
             mass = record.mass
         elif isinstance(record, ForceRecord):
-            for duration, target in orders.segments(last_ns - delay_ns, record.stamp_ns - delay_ns):
-                acting = lag_response(acting, target, brake.time_constant, duration)
+            for duration, target in commands.segments(last_ns - delay_ns, record.stamp_ns - delay_ns):
+                output = lag_response(output, target, brake.time_constant, duration)
             last_ns = record.stamp_ns
             if record.force < 0.0:
-                pairs.append((record.force / mass / (1.0 + FILE.train.rotary_mass), acting))
-    reported, made = np.array(pairs).T
-    return reported, made
+                pairs.append((record.force / mass / (1.0 + FILE.train.rotary_mass), output))
+    reported, computed = np.array(pairs).T
+    return reported, computed
 
 
-def test_the_brake_answers_with_other_times_than_stated() -> None:
+def test_dead_time_and_lag_of_the_brake_differ_from_the_stated_ones() -> None:
     case = case_of(['brake'])
     values, simulation = dict(case.true_values), noiseless(case)
     true = replace(FILE.brake, delay=values['brake_delay'], time_constant=values['brake_time_constant'])
-    reported, made = reported_brake(simulation, true)
-    # All but the moments at departure when traction comes before the brake is off.
-    assert np.mean(np.abs(reported - made) < 1e-9) > 0.98
+    reported, computed = reported_brake(simulation, true)
+    # Except for the moments at departure when traction starts before the brake is released.
+    assert np.mean(np.abs(reported - computed) < 1e-9) > 0.98
     reported, stated = reported_brake(simulation, FILE.brake)
     assert np.mean(np.abs(reported - stated) > 0.01) > 0.05
     assert case.stated.brake == replace(FILE.brake, timing_std=0.2)
@@ -220,7 +220,7 @@ def test_the_brake_answers_with_other_times_than_stated() -> None:
     assert 0.7 <= true.time_constant / FILE.brake.time_constant <= 1.3
 
 
-def test_resistance_and_brake_rate_change_on_the_way() -> None:
+def test_resistance_and_brake_rate_change_during_the_day() -> None:
     case = case_of(['changes'])
     truth = noiseless(case).truth
     assert len(truth.resistance) in (2, 3)
@@ -233,7 +233,7 @@ def test_resistance_and_brake_rate_change_on_the_way() -> None:
     assert all(0.05 <= abs(rate - 1.0) <= 0.2 for _, rate in truth.brake_rate[1:])
 
 
-def test_the_stated_resistance_is_wrong() -> None:
+def test_the_stated_resistance_differs_from_the_true_one() -> None:
     case = case_of(['resistance'], runs=1)
     _, a, b, c = noiseless(case).truth.resistance[0]
     stated = case.stated.resistance
@@ -242,7 +242,7 @@ def test_the_stated_resistance_is_wrong() -> None:
     assert stated == FILE.resistance
 
 
-def test_one_unknown_is_the_same_alone_and_among_all() -> None:
+def test_an_unknown_has_the_same_value_alone_and_among_all() -> None:
     field = draw_unknowns(UNKNOWNS, np.random.default_rng(3))
     assert field == draw_unknowns(UNKNOWNS, np.random.default_rng(3))
     assert field != draw_unknowns(UNKNOWNS, np.random.default_rng(4))
@@ -255,7 +255,7 @@ def test_each_unknown_changes_something(name: str) -> None:
     assert draw_unknowns([name], np.random.default_rng(3)) != Unknowns()
 
 
-def test_errors_have_the_standard_deviation_stated() -> None:
+def test_errors_have_the_stated_standard_deviation() -> None:
     drawn = [draw_unknowns(['mass', 'force_gain', 'curve'], np.random.default_rng(seed)) for seed in range(300)]
     for std, ratio in (('mass_std', 'mass_ratio'), ('force_std', 'force_ratio'), ('curve_std', 'curve_ratio')):
         scores = np.array([(getattr(u, ratio) - 1.0) / getattr(u, std) for u in drawn])
@@ -263,7 +263,7 @@ def test_errors_have_the_standard_deviation_stated() -> None:
         assert np.abs(scores).max() < 3.0 + 1e-9
 
 
-def test_the_stated_file_differs_from_the_given_one_in_standard_deviations_alone() -> None:
+def test_the_stated_file_differs_from_the_given_one_only_in_standard_deviations() -> None:
     stated = case_of(UNKNOWNS).stated
     effects = tuple(replace(effect, std=()) for effect in stated.effects)
     assert replace(stated, train=FILE.train, brake=FILE.brake, line=FILE.line, effects=effects) == FILE
@@ -271,7 +271,7 @@ def test_the_stated_file_differs_from_the_given_one_in_standard_deviations_alone
     assert 'mass_std' in dump_train_file(stated)
 
 
-def test_realisms() -> None:
+def test_each_realism_has_its_unknowns() -> None:
     assert unknowns_of('clean', (), FILE) == frozenset()
     assert unknowns_of('field', (), FILE) == frozenset(UNKNOWNS) == REALISMS['field']
     assert unknowns_of('clean', ('mass', 'wheels'), FILE) == {'mass', 'wheels'}
@@ -285,7 +285,7 @@ def test_realisms() -> None:
         ('clean', ('curve',), 'unknown curve: the train file has no line.curve'),
     ],
 )
-def test_what_cannot_be_drawn_is_named(realism: str, names: tuple[str, ...], message: str) -> None:
+def test_an_invalid_realism_or_unknown_is_named(realism: str, names: tuple[str, ...], message: str) -> None:
     with pytest.raises(InputError) as caught:
         unknowns_of(realism, names, world_train(WORLDS['metro']))
     assert message in str(caught.value)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A whole simulation: stops, records, truth, determinism, and a fit that finds the truth again."""
+"""A complete simulation: stops, records, true values, determinism, and a fit that recovers the true resistance."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ def test_force_is_measured_20_ms_before_speed(quiet: Simulation) -> None:
     assert {speed.stamp_ns - force.stamp_ns for force, speed in pairs} == {20_000_000}
 
 
-def test_the_same_seed_gives_the_same_records_and_another_one_others(day: Simulation) -> None:
+def test_records_repeat_with_the_seed_and_differ_with_another(day: Simulation) -> None:
     assert drive(SCENARIO) == day
     assert drive(replace(SCENARIO, runs=1), seed=2).records[:5000] != day.records[:5000]
 
@@ -100,7 +100,7 @@ def test_other_sensors_do_not_change_the_driving(day: Simulation) -> None:
     assert other.arrivals == day.arrivals
 
 
-def test_the_load_changes_at_stops_and_the_mass_is_told(day: Simulation) -> None:
+def test_the_load_changes_at_stops_and_the_mass_is_reported(day: Simulation) -> None:
     masses = [record.mass for record in of(MassRecord, day)]
     changes = sum(before != after for before, after in pairwise(masses))
     assert changes == 4
@@ -117,7 +117,7 @@ def test_all_phases_of_driving_occur(day: Simulation) -> None:
     assert np.mean(coasting[moving]) > 0.05
     assert np.mean(brake[moving] < -0.1) > 0.1
     assert brake.max() <= 0.0
-    # The command has steps of 0.01 m/s^2 and keeps its jerk limit of 0.8 m/s^3.
+    # The command has steps of 0.01 m/s^2 and respects the jerk limit of 0.8 m/s^3.
     assert np.abs(np.diff(brake)).max() <= 0.16 + 1e-9
 
 
@@ -141,28 +141,28 @@ def power_and_coast(simulation: Simulation, file: TrainFile) -> tuple[np.ndarray
     return v, w
 
 
-def test_a_fit_of_exact_records_finds_the_true_resistance(quiet: Simulation) -> None:
+def test_a_fit_of_exact_records_recovers_the_true_resistance(quiet: Simulation) -> None:
     v, w = power_and_coast(quiet, FILE)
     design = np.stack([np.ones_like(v), v, v * v], axis=1)
     a, b, c = np.linalg.lstsq(design, w, rcond=None)[0]
     at = np.linspace(v.min(), v.max(), 20)
     error = (a - 1.5) + (b - 0.03) * at + (c - 0.004) * at**2
-    # Central differences and the 20 ms between force and speed leave a few 0.01 N/kN on slopes.
+    # Central differences and the 20 ms between force and speed leave errors of a few 0.01 N/kN on slopes.
     assert len(v) > 300
     assert np.abs(error).max() < 0.05
 
 
-def test_changes_are_driven_and_told() -> None:
+def test_changes_are_applied_and_recorded_in_the_truth() -> None:
     rain = Davis(2.5, 0.03, 0.004)
     changes = (Change(30.05, resistance=rain), Change(40.0, brake_rate=0.8))
     truth = drive(replace(SCENARIO, runs=1, changes=changes)).truth
-    # Changes happen at the 5 Hz tick that follows.
+    # Changes take effect at the next 5 Hz tick.
     assert truth.resistance == ((0.0, 1.5, 0.03, 0.004), (30.2, 2.5, 0.03, 0.004))
     assert truth.brake_rate == ((0.0, 1.0), (40.0, 0.8))
     assert truth.start_ns == SCENARIO.start_ns
 
 
-def test_effects_that_shift_the_truth_are_part_of_it() -> None:
+def test_effects_on_resistance_and_brake_rate_are_part_of_the_truth() -> None:
     step = Effect('resistance_step', (('time', 50.0), ('a', 0.5)))
     scale = Effect('brake_scale', (('ratio', 0.9),))
     changes = (Change(60.0, resistance=Davis(2.0, 0.03, 0.004)),)
@@ -180,7 +180,7 @@ def test_wheel_diameter_scales_the_measured_speed(quiet: Simulation) -> None:
     assert ratios == pytest.approx([1.02] * len(ratios), rel=1e-12)
 
 
-def test_the_driver_goes_by_the_train_as_stated(day: Simulation) -> None:
+def test_the_driver_uses_the_stated_train(day: Simulation) -> None:
     assert drive(replace(SCENARIO, stated=FILE)) == day
     quick = replace(FILE, brake=replace(FILE.brake, delay=0.1))
     run = replace(SCENARIO, runs=1)
@@ -198,18 +198,18 @@ def test_the_driver_goes_by_the_train_as_stated(day: Simulation) -> None:
         (replace(SCENARIO, start_ns=0), 'start_ns = 0 must be > 0'),
         (replace(SCENARIO, passengers=-0.1), 'passengers = -0.1'),
         (replace(SCENARIO, train_file=replace(FILE, line=Line(stops=(0.0,)))), 'line.stops has 1 stops'),
-        (replace(SCENARIO, changes=(Change(5.0), Change(4.0))), 'their times must rise'),
+        (replace(SCENARIO, changes=(Change(5.0), Change(4.0))), 'their times must increase'),
         (replace(SCENARIO, changes=(Change(5.0, brake_rate=0.0),)), 'brake rate = 0 at 5 s'),
         (replace(SCENARIO, train_file=replace(FILE, effects=(Effect('x'),))), 'effect x is not known'),
     ],
 )
-def test_what_cannot_be_driven_is_named(scenario: Scenario, message: str) -> None:
+def test_an_invalid_scenario_is_named(scenario: Scenario, message: str) -> None:
     with pytest.raises(InputError) as caught:
         drive(scenario)
     assert message in str(caught.value)
 
 
-def test_a_train_that_is_too_heavy_is_given_up(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr('trainid_ros.sim.scenario.LONGEST_RUN_S', 60.0)
+def test_a_train_too_heavy_to_move_raises_an_error(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr('trainid_ros.sim.scenario.MAX_RUN_S', 60.0)
     with pytest.raises(InputError, match='does not reach stop 1500 m within 60 s: check'):
         drive(replace(SCENARIO, train_file=replace(FILE, train=Train(2e8))))

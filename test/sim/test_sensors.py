@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Each sensor error has the size the model gives it."""
+"""Each sensor error has the size given in its model."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 
 from trainid_ros.core.errors import InputError
 from trainid_ros.core.records import ForceRecord, SpeedRecord
-from trainid_ros.sim.sensors import MOST_JITTER_NS, SensorModel, Sensors
+from trainid_ros.sim.sensors import MAX_JITTER_NS, SensorModel, Sensors
 from trainid_ros.train.davis import G
 
 CLEAN = SensorModel(
@@ -38,7 +38,7 @@ def speeds(device: Sensors, true: float = 10.0) -> np.ndarray:
     return np.array([record.speed for record in records if record is not None])
 
 
-def test_clean_sensors_tell_the_truth() -> None:
+def test_sensors_without_errors_report_true_values() -> None:
     device = sensors()
     assert device.speed(7, 10.0, 500.0, 1.0) == SpeedRecord(7, 10.0, 500.0)
     assert device.force(7, -3e4, 2e5) == ForceRecord(7, -3e4)
@@ -76,7 +76,7 @@ def test_wheel_ratio_scales_speed_and_odometry() -> None:
     assert record.position == pytest.approx(101.0)
 
 
-def test_a_standing_train_reads_zero_and_knows_its_place() -> None:
+def test_a_stationary_train_measures_zero_speed_and_its_exact_position() -> None:
     device = sensors(speed_noise=0.5, position_drift=5.0)
     device.speed(1, 10.0, 0.0, 1.0)
     assert device.speed(2, 0.0, 40.0, 0.0) == SpeedRecord(2, 0.0, 40.0)
@@ -113,7 +113,7 @@ def test_force_noise(settings: dict[str, float], force: float, expected: float) 
     assert measured.mean() == pytest.approx(force, abs=4 * expected / math.sqrt(COUNT))
 
 
-def test_the_map_error_stays_with_the_place_and_turns_with_the_direction() -> None:
+def test_the_map_error_depends_on_position_and_changes_sign_with_the_direction() -> None:
     device = sensors(map_error=0.5)
     there = device.gradient(1, 0.0, 1234.0, 1, radius=0.0, tunnel=False)
     back = device.gradient(2, 0.0, 1234.0, -1, radius=0.0, tunnel=False)
@@ -125,37 +125,37 @@ def test_the_map_error_stays_with_the_place_and_turns_with_the_direction() -> No
 def test_the_map_error_is_correlated_over_its_length() -> None:
     device = Sensors(replace(CLEAN, map_error=0.5), 0.2, (0.0, 2e6), np.random.default_rng(5))
     errors = np.array([device.map_error(x) for x in np.arange(0.0, 2e6, 100.0)])
-    # 2000 km hold about 5000 independent values of 400 m.
+    # 2000 km contain about 5000 independent values of 400 m.
     assert errors.std() == pytest.approx(0.5, rel=0.05)
     assert float(np.corrcoef(errors[:-2], errors[2:])[0, 1]) == pytest.approx(math.exp(-1.0), abs=0.06)
     assert device.map_error(-50.0) == device.map_error(0.0)
 
 
-def test_dropout_loses_its_share() -> None:
+def test_dropout_loses_the_given_share_of_messages() -> None:
     device = sensors(dropout=0.1)
     lost = sum(device.brake(1, -0.5) is None for _ in range(COUNT))
     # Binomial: std 42 of 20 000.
     assert lost == pytest.approx(0.1 * COUNT, abs=4 * 42)
 
 
-def test_stamp_jitter_is_small_and_cut() -> None:
+def test_stamp_jitter_is_clipped() -> None:
     device = sensors(stamp_jitter=0.002)
     records = [device.force(10**9, 0.0, 2e5) for _ in range(COUNT)]
     stamps = np.array([record.stamp_ns for record in records if record is not None]) - 10**9
-    # Cutting a normal at two standard deviations takes 4 % off its std (0.9594).
+    # Clipping a normal at two standard deviations reduces its std by 4 % (0.9594).
     assert stamps.std() == pytest.approx(0.9594 * 2e6, rel=0.02)
-    assert np.abs(stamps).max() == MOST_JITTER_NS
+    assert np.abs(stamps).max() == MAX_JITTER_NS
 
 
-def test_slip_takes_its_share_with_the_sign_of_the_force() -> None:
+def test_slip_has_the_given_share_and_the_sign_of_the_force() -> None:
     error = speeds(sensors(slip_share=0.05, slip_speed=3.0)) - 10.0
-    # 4000 s hold about 150 bursts: the share is known to 10 %.
+    # 4000 s contain about 150 bursts: the share is known to 10 %.
     assert np.mean(error != 0.0) == pytest.approx(0.05, rel=0.4)
     assert error.min() >= 0.0
     assert 2.0 < error.max() <= 3.0
 
 
-def test_nothing_slips_without_a_force_and_the_share_is_one_of_all_the_time() -> None:
+def test_slip_needs_a_force_and_its_share_refers_to_the_entire_time() -> None:
     device = sensors(slip_share=0.1, slip_speed=3.0, seed=31)
     # 10 s each of traction, coasting and braking.
     pulls = np.tile(np.repeat([PULL, 0.5, -PULL], 50), 400)
@@ -163,10 +163,10 @@ def test_nothing_slips_without_a_force_and_the_share_is_one_of_all_the_time() ->
     error = np.array([record.speed for record in records if record is not None]) - 10.0
     assert np.all(error[np.abs(pulls) < 1.0] == 0.0)
     assert np.all(error * pulls >= 0.0)
-    # 12 000 s hold about 900 bursts, of which the share is known to 4 %.
+    # 12 000 s contain about 900 bursts: the share is known to 4 %.
     assert np.mean(error != 0.0) == pytest.approx(0.1, rel=0.15)
 
 
-def test_settings_are_checked() -> None:
+def test_a_setting_out_of_range_is_rejected() -> None:
     with pytest.raises(InputError, match=r'dropout = 2 '):
         sensors(dropout=2.0)

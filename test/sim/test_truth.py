@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The truth file reads back exactly and answers for any time."""
+"""The truth file reads back exactly and gives the values at any time."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def test_round_trip(tmp_path: Path) -> None:
     assert load_truth(tmp_path / 'truth.yaml') == TRUTH
 
 
-def test_unknowns_are_read_back_and_leave_no_trace_where_there_are_none(tmp_path: Path) -> None:
+def test_unknowns_are_read_back_and_omitted_if_there_are_none(tmp_path: Path) -> None:
     more = replace(TRUTH, unknowns=(('mass_ratio', 0.1 + 0.2), ('force_delay', 0.0)))
     save_truth(more, tmp_path / 'truth.yaml')
     assert load_truth(tmp_path / 'truth.yaml') == more
@@ -28,7 +28,7 @@ def test_unknowns_are_read_back_and_leave_no_trace_where_there_are_none(tmp_path
     assert 'unknowns' not in dump_truth(TRUTH)
 
 
-def test_each_value_holds_from_its_time_on() -> None:
+def test_each_value_applies_from_its_time_on() -> None:
     assert TRUTH.truth_at(59.9) == TruthPoint(Davis(1.0, 0.1 + 0.2, 0.003), 0.85)
     assert TRUTH.truth_at(60.0).resistance == Davis(1.5, 0.3, 1e-5)
     assert TRUTH.truth_at(-5.0).brake_rate == 1.0
@@ -43,11 +43,11 @@ def test_an_unknown_brake_rate_is_none() -> None:
 @pytest.mark.parametrize(
     ('text', 'message'),
     [
-        ('start_ns: 5', 'truth.yaml: resistance is missing: a truth has at least one row [time s, a, b, c]'),
+        ('start_ns: 5', 'truth.yaml: resistance is missing: at least one row [time s, a, b, c] is required'),
         ('resistance: [[0, 1, 2]]', 'truth.yaml: resistance[0] = [0, 1, 2] must be [time s, a, b, c]'),
         (
             'resistance: [[5, 1, 2, 3], [5, 1, 2, 4]]',
-            'truth.yaml: resistance[1] = 5 s must come after 5 s: times rise',
+            'truth.yaml: resistance[1] = 5 s must be later than 5 s: times must increase',
         ),
         (
             'start_ns: 1.5\nresistance: [[5, 1, 2, 3]]',
@@ -63,13 +63,13 @@ def test_an_unknown_brake_rate_is_none() -> None:
         ),
     ],
 )
-def test_wrong_fields_are_named(text: str, message: str) -> None:
+def test_invalid_fields_are_named(text: str, message: str) -> None:
     with pytest.raises(InputError) as caught:
         parse_truth(text, 'truth.yaml')
     assert str(caught.value) == message
 
 
-def test_files_that_cannot_be_used_are_named(tmp_path: Path) -> None:
+def test_unreadable_and_unwritable_files_are_named(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r'none\.yaml: cannot be read'):
         load_truth(tmp_path / 'none.yaml')
     (tmp_path / 'binary.yaml').write_bytes(b'\xff')

@@ -32,7 +32,7 @@ def test_there_are_five_worlds() -> None:
 
 
 @pytest.mark.parametrize('name', WORLDS)
-def test_train_files_hold_all_that_the_simulator_reads(name: str) -> None:
+def test_train_files_have_all_fields_that_the_simulator_needs(name: str) -> None:
     file = world_train(find_world(name))
     assert len(file.line.stops) >= 3
     assert file.line.gradient
@@ -40,7 +40,7 @@ def test_train_files_hold_all_that_the_simulator_reads(name: str) -> None:
     assert file.line.curve or name == 'metro'
 
 
-def test_the_ato_of_freight_has_a_slow_brake() -> None:
+def test_the_freight_train_has_a_slow_brake() -> None:
     brake = world_train(WORLDS['freight']).brake
     assert (brake.delay, brake.time_constant) == (3.0, 4.0)
 
@@ -51,7 +51,7 @@ def test_the_resistance_of_the_emu_has_half_the_quadratic_term_of_its_source() -
     assert newton == pytest.approx(0.5 * 0.00093264e3 * 3.6**2, rel=1e-4)
 
 
-def test_usual_duration_counts_the_way_back() -> None:
+def test_usual_duration_includes_the_way_back() -> None:
     world = WORLDS['metro']
     dwell = 28.5
     assert usual_duration(world, (0.0, 1400.0, 1680.0), 1) == pytest.approx(100.0 + dwell)
@@ -60,7 +60,7 @@ def test_usual_duration_counts_the_way_back() -> None:
 
 
 @pytest.mark.parametrize('name', ['tram', 'freight'])
-def test_the_hardest_to_drive_stop_at_stations(name: str) -> None:
+def test_the_trains_hardest_to_drive_stop_at_stations(name: str) -> None:
     runs = {'tram': 2, 'freight': 1}[name]
     simulation = field_day(name, runs, seed=1)
     assert len(simulation.arrivals) == runs
@@ -77,7 +77,7 @@ def test_a_clean_world_is_its_train_file_driven_by_its_driver() -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize('name', WORLDS)
-def test_ten_days_are_driven_from_stop_to_stop(name: str) -> None:
+def test_ten_days_are_completed_from_stop_to_stop(name: str) -> None:
     world = WORLDS[name]
     stops = world_train(world).line.stops
     runs = {'metro': 6, 'emu': 4, 'high_speed': 2, 'freight': 2, 'tram': 15}[name]
@@ -86,7 +86,7 @@ def test_ten_days_are_driven_from_stop_to_stop(name: str) -> None:
         assert len(simulation.arrivals) == runs
         assert stop_error(simulation) < STOP_ERROR_M.get(name, 2.0)
         assert simulation.duration_s == pytest.approx(usual_duration(world, stops, runs), rel=0.2)
-        # Each change falls within the day, whatever its length.
+        # All changes happen within the day, regardless of its length.
         assert len(simulation.truth.resistance) in (2, 3)
         assert len(simulation.truth.brake_rate) in (2, 3)
         fastest = max(r.speed for r in simulation.records if isinstance(r, SpeedRecord))

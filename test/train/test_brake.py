@@ -20,7 +20,7 @@ def history(*changes: tuple[int, float]) -> CommandHistory:
     return out
 
 
-def test_a_command_holds_from_its_stamp_on() -> None:
+def test_a_command_applies_from_its_stamp_on() -> None:
     commands = history((10, -1.0), (20, -0.5))
     assert [commands.value(t) for t in (9, 10, 19, 20, 10**12)] == [0.0, -1.0, -1.0, -0.5, -0.5]
 
@@ -41,19 +41,19 @@ def test_repeats_are_dropped_and_equal_stamps_replaced() -> None:
 
 
 @pytest.mark.parametrize('target', [0.1, math.nan, -math.inf])
-def test_a_command_that_is_no_braking_is_refused(target: float) -> None:
+def test_an_invalid_target_acceleration_is_rejected(target: float) -> None:
     with pytest.raises(InputError, match='target_acceleration'):
         history((10, target))
 
 
-def test_out_of_order_is_refused() -> None:
-    with pytest.raises(InputError, match='stamp_ns = 9 lies before the last one, 10'):
+def test_times_out_of_order_are_rejected() -> None:
+    with pytest.raises(InputError, match='stamp_ns = 9 is earlier than the last one, 10'):
         history((10, -1.0), (9, -0.5))
     with pytest.raises(InputError, match='before its start'):
         history((10, -1.0)).segments(5, 4)
 
 
-def test_pruning_keeps_every_value_from_then_on() -> None:
+def test_pruning_keeps_every_value_from_the_given_time_on() -> None:
     commands = history(*((10 * i, -0.1 * i) for i in range(1, 20)))
     pruned = commands.prune(95)
     assert len(pruned.changes) == 11
@@ -67,21 +67,21 @@ def test_the_history_is_bounded() -> None:
     assert commands.value(10**9) == -0.2
 
 
-def test_lag_by_hand() -> None:
+def test_lag_against_hand_calculation() -> None:
     # tau = 0.4 s, 0 -> -1 m/s^2: after 0.4 s the output is -(1 - 1/e).
     assert lag_response(0.0, -1.0, 0.4, 0.4) == pytest.approx(-(1 - math.exp(-1)), rel=1e-15)
     assert lag_response(-0.3, -1.0, 0.4, 0.0) == -0.3
     assert lag_response(-0.3, -1.0, 0.0, 0.1) == -1.0
 
 
-def test_lag_does_not_depend_on_how_time_is_cut() -> None:
-    whole = lag_response(-0.2, -1.0, 0.7, 1.3)
-    halves = lag_response(lag_response(-0.2, -1.0, 0.7, 0.9), -1.0, 0.7, 0.4)
-    assert halves == pytest.approx(whole, rel=1e-14)
+def test_lag_does_not_depend_on_how_the_interval_is_split() -> None:
+    at_once = lag_response(-0.2, -1.0, 0.7, 1.3)
+    in_two_steps = lag_response(lag_response(-0.2, -1.0, 0.7, 0.9), -1.0, 0.7, 0.4)
+    assert in_two_steps == pytest.approx(at_once, rel=1e-14)
 
 
 def test_lag_integral_is_the_integral_of_the_response() -> None:
-    # Simpson's rule on 200 intervals errs by about (h/tau)^4/180 ~ 1e-12 of the integral.
+    # Simpson's rule on 200 intervals has an error of about (h/tau)^4/180 ~ 1e-12 of the integral.
     t = np.linspace(0.0, 1.3, 201)
     y = np.array([lag_response(-0.2, -1.0, 0.7, float(x)) for x in t])
     weights = np.ones(201)

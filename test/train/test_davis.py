@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The specific balance, by hand and as an inverse."""
+"""The specific balance against hand calculation, and its inverses."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ from trainid_ros.train.davis import (
 from trainid_ros.train.train_file import Davis
 
 
-def test_davis_by_hand() -> None:
+def test_davis_against_hand_calculation() -> None:
     assert davis(Davis(1.0, 0.03, 0.003), 20.0) == pytest.approx(1.0 + 0.6 + 1.2)
 
 
-def test_davis_takes_arrays() -> None:
+def test_davis_accepts_arrays() -> None:
     v = np.array([0.0, 10.0])
     assert davis(Davis(1.0, 0.03, 0.003), v) == pytest.approx([1.0, 1.6])
 
 
-def test_acceleration_by_hand() -> None:
-    # 200 t, 98.0665 kN: 50 N/kN; 10 N/kN resist; 40 N/kN accelerate 1.08 of the mass.
+def test_acceleration_against_hand_calculation() -> None:
+    # 200 t, 98.0665 kN: 50 N/kN; resistance takes 10 N/kN, the remaining 40 N/kN accelerate 1.08 times the mass.
     force = 0.05 * 200e3 * G
     assert specific_force(force, 200e3) == pytest.approx(50.0)
     assert acceleration(force, 200e3, 0.08, 10.0) == pytest.approx(0.04 * G / 1.08)

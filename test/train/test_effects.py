@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Each effect against its equation, by hand."""
+"""Each effect against hand calculation of its equation."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def at(**changes: Any) -> TrackPoint:
         ('wheel_diameter:ratio=1.02', at(traction=50.0), 0.0),
     ],
 )
-def test_each_effect_by_hand(text: str, point: TrackPoint, expected: float) -> None:
+def test_each_effect_against_hand_calculation(text: str, point: TrackPoint, expected: float) -> None:
     assert extra_resistance(parse_effects([text]), DAVIS, point) == pytest.approx(expected, abs=1e-12)
 
 
@@ -78,7 +78,7 @@ def test_effects_add_up() -> None:
     assert extra_resistance(effects, DAVIS, POINT) == pytest.approx(0.675 + 0.5)
 
 
-def test_texts_of_one_name_complete_one_effect_until_a_key_comes_again() -> None:
+def test_consecutive_texts_of_one_name_form_one_effect_until_a_key_is_repeated() -> None:
     texts = ['local_drag:start=1', 'local_drag:end=2', 'local_drag:permille=3']
     first, second = parse_effects([*texts, 'local_drag:start=4,end=5,permille=6'])
     assert first.parameters == (('start', 1.0), ('end', 2.0), ('permille', 3.0))
@@ -89,14 +89,14 @@ def test_texts_of_one_name_complete_one_effect_until_a_key_comes_again() -> None
     ('text', 'message'),
     [
         ('headwnd:speed=3', "effect headwnd is not known; did you mean 'headwind'?"),
-        ('headwind:sped=3', "effect headwind:sped is no parameter; did you mean 'speed'?"),
+        ('headwind:sped=3', "effect headwind:sped is not a parameter; did you mean 'speed'?"),
         ('headwind:speed=fast', "effect 'headwind:speed=fast': speed = 'fast' is not a number"),
         ('headwind:speed=nan', 'effect headwind:speed = nan m/s is outside [-60, 60]'),
         ('headwind', "effect 'headwind' must have the form NAME:key=value"),
         ('headwind:speed', "effect 'headwind:speed' must have the form NAME:key=value"),
         ('mass_error:ratio=9', 'effect mass_error:ratio = 9 is outside [0.2, 5]'),
         ('local_drag:start=1,end=2', 'effect local_drag:permille is missing'),
-        ('local_drag:start=3,end=2,permille=1', 'effect local_drag:end = 2 m must lie after start = 3 m'),
+        ('local_drag:start=3,end=2,permille=1', 'effect local_drag:end = 2 m must be greater than start = 3 m'),
     ],
 )
 def test_wrong_effects_are_named(text: str, message: str) -> None:
@@ -105,35 +105,35 @@ def test_wrong_effects_are_named(text: str, message: str) -> None:
     assert str(caught.value) == message
 
 
-def test_an_effect_without_a_near_name_lists_all_that_are_known() -> None:
+def test_an_unknown_effect_without_a_similar_name_lists_all_known_ones() -> None:
     with pytest.raises(InputError, match=f'known: {", ".join(sorted(EFFECTS))}'):
         check_effects([Effect('zzz')])
 
 
-def test_the_effect_of_a_name_gives_the_value() -> None:
+def test_a_parameter_value_is_found_by_the_name_of_its_effect() -> None:
     effects = parse_effects(['mass_error:ratio=1.2'])
     assert effect_value(effects, 'mass_error', 'ratio', 1.0) == 1.2
     assert effect_value(effects, 'brake_scale', 'ratio', 1.0) == 1.0
 
 
-def test_an_effect_without_a_place_of_its_own_stands_once() -> None:
-    with pytest.raises(InputError, match='mass_error: stands more than once'):
+def test_an_effect_without_its_own_position_or_time_may_occur_only_once() -> None:
+    with pytest.raises(InputError, match='mass_error: given more than once'):
         check_effects(parse_effects(['mass_error:ratio=1.1', 'mass_error:ratio=1.2']))
     drags = ['local_drag:start=0,end=9,permille=1', 'local_drag:start=20,end=29,permille=2']
     check_effects(parse_effects([*drags, 'resistance_step:time=9,a=1', 'resistance_step:time=99,a=1']))
 
 
-def test_a_force_that_is_stamped_late_acts_now() -> None:
+def test_a_force_stamped_late_already_acts_now() -> None:
     kind = EFFECTS['stamp_skew']
     assert kind.resistance is not None
-    # Traction rises by 4 N/kN/s; with stamps 0.5 s late the train already has what will be stamped 0.5 s later.
+    # Traction rises by 4 N/kN/s; with stamps 0.5 s late the force stamped 0.5 s from now already acts.
     rising = at(traction_before=lambda s: 30.0 - 4.0 * s)
     assert kind.resistance({'delay': 0.5}, DAVIS, rising) == pytest.approx(-2.0)
-    # A speed control changes the traction slowly, after the train has slowed: that looks late and is not.
+    # A speed control changes the traction slowly, after the train has slowed: it appears late but is not.
     assert kind.resistance({'delay': 0.5}, DAVIS, at(traction_before=lambda s: 30.0 - 1.0 * s)) == 0.0
 
 
-def test_what_records_show_is_no_resistance_in_the_balance() -> None:
+def test_effects_on_records_add_no_resistance_to_the_balance() -> None:
     rising = at(traction=30.0, traction_before=lambda s: 30.0 - 4.0 * s)
     assert extra_resistance(parse_effects(['stamp_skew:delay=0.5']), DAVIS, rising) == 0.0
     assert {name for name, kind in EFFECTS.items() if kind.on_records} == {'stamp_skew', 'wheel_diameter', 'wheel_slip'}
@@ -147,8 +147,8 @@ def test_heat_follows_its_equation() -> None:
     assert heat_after(120.0, 0.0, 15.0, COOLING_S) == pytest.approx(120.0 / math.e)
 
 
-def neutral_point() -> TrackPoint:
-    """A train in the middle of everything an effect can depend on."""
+def full_point() -> TrackPoint:
+    """A train at a point where every input of an effect is non-zero."""
     return at(
         curve_radius=300.0,
         tunnel=True,
@@ -164,7 +164,7 @@ def neutral_point() -> TrackPoint:
 
 
 @pytest.mark.parametrize('name', EFFECTS)
-def test_the_library_is_complete_in_itself(name: str) -> None:
+def test_each_library_effect_is_complete_and_consistent(name: str) -> None:
     kind = EFFECTS[name]
     assert kind.name == name
     assert kind.title
@@ -178,13 +178,13 @@ def test_the_library_is_complete_in_itself(name: str) -> None:
 
 
 @pytest.mark.parametrize('name', [name for name, kind in EFFECTS.items() if kind.resistance is not None])
-def test_an_effect_of_neutral_size_is_none_and_grows_with_its_amplitude(name: str) -> None:
+def test_an_effect_is_zero_at_neutral_and_grows_with_its_amplitude(name: str) -> None:
     kind = EFFECTS[name]
     assert kind.resistance is not None
     values = {'start': 100.0, 'end': 900.0, 'time': 60.0, 'speed': 3.0, 'distance': 500.0, 'energy': 200.0}
     parameters = {key: values.get(key, 1.0) for key in kind.parameters}
     none, little, more = (
-        kind.resistance(parameters | {kind.amplitude: kind.neutral + size}, DAVIS, neutral_point())
+        kind.resistance(parameters | {kind.amplitude: kind.neutral + size}, DAVIS, full_point())
         for size in (0.0, 1e-3, 2e-3)
     )
     assert none == pytest.approx(0.0, abs=1e-12)
@@ -192,7 +192,7 @@ def test_an_effect_of_neutral_size_is_none_and_grows_with_its_amplitude(name: st
     assert more == pytest.approx(2.0 * little, rel=0.01)
 
 
-def test_every_name_of_the_interface_is_there() -> None:
+def test_the_library_has_every_effect_of_the_interface() -> None:
     names = """tunnel_drag curve_resistance gradient_error headwind mass_error traction_scale brake_scale brake_fade
         brake_delay dragging_brake starting_resistance bearing_warmup wheel_diameter wheel_slip resistance_step
         local_drag higher_order_drag map_shift stamp_skew"""
@@ -216,7 +216,7 @@ EFFECT = EffectKind(
 """
 
 
-def test_a_file_in_a_users_folder_is_an_effect(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_file_in_a_user_folder_becomes_an_effect(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     (tmp_path / 'leaves.py').write_text(USERS, encoding='utf-8')
     (tmp_path / '_helper.py').write_text('', encoding='utf-8')
     monkeypatch.setenv('TRAINID_EFFECTS', str(tmp_path))
@@ -234,8 +234,8 @@ def test_a_file_in_a_users_folder_is_an_effect(tmp_path: Path, monkeypatch: pyte
         ('EFFECT = 3', r'bad\.py: must define EFFECT = EffectKind'),
         ('1 / 0', r'bad\.py: cannot be loaded: ZeroDivisionError: division by zero'),
         ('def', r'bad\.py: cannot be loaded: SyntaxError'),
-        (USERS.replace('leaves', 'headwind'), r'bad\.py: effect headwind is there already'),
-        (USERS.replace("amplitude='value'", "amplitude='size'"), r"bad\.py: .*amplitude = 'size' is none of"),
+        (USERS.replace('leaves', 'headwind'), r'bad\.py: effect headwind already exists'),
+        (USERS.replace("amplitude='value'", "amplitude='size'"), r"bad\.py: .*amplitude = 'size' is not one of"),
         (
             USERS.replace('parameters={', "parameters={'depth': Parameter('mm'), "),
             r"bad\.py: .*effect leaves: parameter depth needs search=.* its unit is 'mm'",
@@ -243,7 +243,7 @@ def test_a_file_in_a_users_folder_is_an_effect(tmp_path: Path, monkeypatch: pyte
         (USERS.replace("amplitude='value'", "amplitude='value', neutral=-1.0"), r'bad\.py: .*neutral = -1 is outside'),
     ],
 )
-def test_a_users_file_that_cannot_be_used_is_named(
+def test_an_invalid_user_file_is_named(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, text: str, message: str
 ) -> None:
     (tmp_path / 'bad.py').write_text(text, encoding='utf-8')
@@ -252,7 +252,7 @@ def test_a_users_file_that_cannot_be_used_is_named(
         check_effects([Effect('headwind', (('speed', 1.0),))])
 
 
-def test_a_folder_that_is_none_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_missing_effects_folder_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv('TRAINID_EFFECTS', '/nowhere/at/all')
-    with pytest.raises(InputError, match='TRAINID_EFFECTS: /nowhere/at/all is no folder'):
+    with pytest.raises(InputError, match='TRAINID_EFFECTS: /nowhere/at/all is not a folder'):
         check_effects([Effect('headwind', (('speed', 1.0),))])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The line under a train of some length, by hand and in both directions."""
+"""The line profile under a train against hand calculation, in both directions."""
 
 from __future__ import annotations
 
@@ -33,20 +33,20 @@ def test_gradient_is_averaged_over_the_length(profile: LineProfile) -> None:
     assert profile.gradient(710.0, 1) == pytest.approx(0.8 * -12.5 + 0.1 * 20.0)
 
 
-def test_the_way_back_feels_the_opposite_sign_with_the_rear_on_the_other_side(profile: LineProfile) -> None:
-    # Front at 660 going down: the rear is at 760; 40 m at -12.5, 60 m at 20, felt with the other sign.
+def test_the_gradient_changes_sign_on_the_way_back_with_the_rear_on_the_other_side(profile: LineProfile) -> None:
+    # Front at 660 going down: the rear is at 760; 40 m at -12.5, 60 m at 20, with the opposite sign.
     assert profile.gradient(660.0, -1) == pytest.approx(-(0.4 * -12.5 + 0.6 * 20.0))
-    # The same metres of track under the train, the other way round.
+    # The same track under the train, in the opposite direction.
     assert profile.gradient(700.0, 1) == pytest.approx(-profile.gradient(600.0, -1))
 
 
-def test_the_outer_values_go_on(profile: LineProfile) -> None:
+def test_the_first_and_last_values_extend_beyond_the_ends(profile: LineProfile) -> None:
     assert profile.gradient(5000.0, 1) == pytest.approx(20.0)
     assert profile.gradient(-5000.0, 1) == 0.0
     assert LineProfile(Line(gradient=((0.0, 7.0),)), 50.0).gradient(-900.0, 1) == pytest.approx(7.0)
 
 
-def test_many_positions_at_once_give_the_same(profile: LineProfile) -> None:
+def test_gradients_at_many_positions_equal_single_ones(profile: LineProfile) -> None:
     at = np.linspace(-300.0, 3300.0, 997)
     for direction in (1, -1):
         one_by_one = [profile.gradient(float(x), direction) for x in at]
@@ -62,12 +62,12 @@ def test_the_radius_follows_the_mean_curvature(profile: LineProfile) -> None:
     assert profile.curve_radius(250.0, 1) == 0.0
 
 
-def test_tunnel_holds_for_at_least_half_of_the_train(profile: LineProfile) -> None:
+def test_the_train_is_in_a_tunnel_with_at_least_half_its_length(profile: LineProfile) -> None:
     assert [profile.tunnel(x, 1) for x in (740.0, 760.0, 1440.0, 1460.0)] == [False, True, True, False]
     assert [profile.tunnel(x, -1) for x in (640.0, 660.0, 1340.0, 1360.0)] == [False, True, True, False]
 
 
-def test_touching_tunnels_are_one() -> None:
+def test_adjacent_tunnels_are_joined() -> None:
     profile = LineProfile(Line(tunnel=((0.0, 100.0), (100.0, 200.0))), 20.0)
     assert [profile.tunnel(x, 1) for x in (5.0, 105.0, 110.0, 200.0, 215.0)] == [
         False,
@@ -104,6 +104,6 @@ def test_next_stop(profile: LineProfile) -> None:
 
 
 @pytest.mark.parametrize('length', [0.0, -1.0, math.nan])
-def test_a_train_has_a_length(length: float) -> None:
+def test_a_train_length_that_is_not_positive_is_rejected(length: float) -> None:
     with pytest.raises(InputError, match='train length'):
         LineProfile(LINE, length)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The train file reads back exactly and every wrong field is named in one line."""
+"""The train file reads back exactly and every invalid field is named in one line."""
 
 from __future__ import annotations
 
@@ -36,12 +36,12 @@ FULL = TrainFile(
     ),
     (
         Effect('tunnel_drag', (('factor', 1.7),), (('factor', 0.05),), 'run 3: "tunnels" — 1 of 4'),
-        Effect('unheard_of', (('x', 1e5),)),
+        Effect('unknown_effect', (('x', 1e5),)),
     ),
 )
 
 
-def test_the_minimal_file_takes_defaults() -> None:
+def test_a_minimal_file_uses_defaults() -> None:
     assert parse_train_file(MINIMAL, 'T.yaml') == TrainFile(Train(194e3), Davis(1.0, 0.03, 0.003))
 
 
@@ -61,14 +61,14 @@ def test_the_interface_example_is_read(tmp_path: Path) -> None:
     assert line == Line((0.0, 1450.0), ((0.0, 0.0), (620.0, -12.5)), ((0.0, 0.0), (300.0, 400.0)), ((700.0, 1400.0),))
 
 
-def test_a_brake_rate_over_speed_is_linear_between_and_reads_back() -> None:
+def test_a_brake_rate_table_is_interpolated_linearly_and_reads_back() -> None:
     brake = parse_train_file(MINIMAL + 'brake: {rate: [[5.0, 1.1], [15.0, 0.9]]}', 'T.yaml').brake
     assert (brake.rate, brake.rate_table) == (1.0, ((5.0, 1.1), (15.0, 0.9)))
     assert [brake.rate_at(v) for v in (0.0, 5.0, 10.0, 15.0, 40.0)] == pytest.approx([1.1, 1.1, 1.0, 0.9, 0.9])
     assert Brake(rate=0.8).rate_at(12.0) == 0.8
     file = replace(FULL, brake=brake)
     assert parse_train_file(dump_train_file(file), 'T.yaml') == file
-    # A factor on the table is written into it.
+    # A factor on the table is multiplied into its rows.
     scaled = parse_train_file(dump_train_file(replace(FULL, brake=replace(brake, rate=0.5))), 'T.yaml').brake
     assert scaled.rate_at(10.0) == pytest.approx(0.5)
 
@@ -110,13 +110,13 @@ def test_exponents_without_a_point_are_numbers() -> None:
         ('train: {mass: 1, cars: 2.5}\nresistance: {}', 'T.yaml: train.cars = 2.5 must be a whole number'),
         ('train: {mass: 1}\nresistance: {a: -1, b: 0, c: 0}', 'T.yaml: resistance.a = -1 N/kN must be >= 0'),
         (MINIMAL + 'brake: {rate: 0}', 'T.yaml: brake.rate = 0 must be >= 0.01'),
-        (MINIMAL + 'brake: {rate: []}', 'T.yaml: brake.rate = [] must be a number or have a row'),
+        (MINIMAL + 'brake: {rate: []}', 'T.yaml: brake.rate = [] must be a number or have at least one row'),
         (MINIMAL + 'brake: {rate: [[0, 1, 2]]}', 'T.yaml: brake.rate[0] = [0, 1, 2] must be [speed m/s, rate]'),
         (MINIMAL + 'brake: {rate: [[-1, 1]]}', 'T.yaml: brake.rate[0][0] = -1 m/s must be >= 0'),
         (MINIMAL + 'brake: {rate: [[0, 0]]}', 'T.yaml: brake.rate[0][1] = 0 is outside [0.01, 10]'),
         (
             MINIMAL + 'brake: {rate: [[5, 1], [5, 0.9]]}',
-            'T.yaml: brake.rate[1][0] = 5 m/s must be above 5 m/s: speeds rise',
+            'T.yaml: brake.rate[1][0] = 5 m/s must be above 5 m/s: speeds must increase',
         ),
         (
             MINIMAL + 'brake: {rate_table: [[5, 1]]}',
@@ -126,12 +126,12 @@ def test_exponents_without_a_point_are_numbers() -> None:
         (MINIMAL + 'line: {stops: 5}', 'T.yaml: line.stops = 5 must be a list'),
         (
             MINIMAL + 'line: {stops: [0, 5, 5]}',
-            'T.yaml: line.stops[2] = 5 m must lie after 5 m: positions rise',
+            'T.yaml: line.stops[2] = 5 m must be above 5 m: positions must increase',
         ),
         (MINIMAL + 'line: {stops: [0, x]}', "T.yaml: line.stops[1] = 'x' must be a number in m"),
         (
             MINIMAL + 'line: {gradient: [[0, 1], [0, 2]]}',
-            'T.yaml: line.gradient[1] = 0 m must lie after 0 m: positions rise',
+            'T.yaml: line.gradient[1] = 0 m must be above 0 m: positions must increase',
         ),
         (
             MINIMAL + 'line: {gradient: [[0, 1, 2]]}',
@@ -143,12 +143,12 @@ def test_exponents_without_a_point_are_numbers() -> None:
         ),
         (MINIMAL + 'line: {curve: [[0, -300]]}', 'T.yaml: line.curve[0][1] = -300 m radius must be >= 0'),
         (MINIMAL + 'line: {speed_limit: [[0, 0]]}', 'T.yaml: line.speed_limit[0][1] = 0 m/s must be > 0'),
-        (MINIMAL + 'line: {tunnel: [[9, 4]]}', 'T.yaml: line.tunnel[0] = [9, 4] m must end after its start'),
+        (MINIMAL + 'line: {tunnel: [[9, 4]]}', 'T.yaml: line.tunnel[0] = [9, 4] m must end beyond its start'),
         (
             MINIMAL + 'line: {tunnel: [[0, 9], [8, 20]]}',
-            'T.yaml: line.tunnel[1][0] = 8 m lies before the last end, 9 m',
+            'T.yaml: line.tunnel[1][0] = 8 m is before the end of the previous tunnel, 9 m',
         ),
-        (MINIMAL + 'effects: [{name: 3}]', 'T.yaml: effects[0].name = 3 must be a text'),
+        (MINIMAL + 'effects: [{name: 3}]', 'T.yaml: effects[0].name = 3 must be a string'),
         (MINIMAL + 'effects: [{}]', 'T.yaml: effects[0].name is missing'),
         (MINIMAL + 'effects: [5]', 'T.yaml: effects[0] = 5 must be a mapping of fields'),
         (
@@ -158,13 +158,13 @@ def test_exponents_without_a_point_are_numbers() -> None:
         (MINIMAL + 'effects: [{name: x, std: {k: -1}}]', 'T.yaml: effects[0].std.k = -1 must be >= 0'),
         (
             MINIMAL + 'effects: [{name: x, parameters: {coefficient: 600}, std: {coef: 1}}]',
-            'T.yaml: effects[0].std.coef is the std of no parameter',
+            'T.yaml: effects[0].std.coef has no parameter of that name',
         ),
         (MINIMAL + '[3]: 4', 'T.yaml: line 3, column 1 is not valid YAML: found unhashable key'),
-        (MINIMAL + '3: 4', 'T.yaml has the key 3, which is no field name'),
+        (MINIMAL + '3: 4', 'T.yaml has the key 3, which is not a field name'),
     ],
 )
-def test_each_wrong_field_is_named_in_one_line(text: str, message: str) -> None:
+def test_each_invalid_field_is_named_in_one_line(text: str, message: str) -> None:
     with pytest.raises(InputError) as caught:
         parse_train_file(text, 'T.yaml')
     assert str(caught.value) == message
@@ -173,7 +173,7 @@ def test_each_wrong_field_is_named_in_one_line(text: str, message: str) -> None:
 @pytest.mark.parametrize(
     'text', ['train: {mass: 1', 'a: &x [*x', '\ttrain: 1', 'train: !!python/name:os.system x', '\x00']
 )
-def test_bad_yaml_is_one_line_with_the_file(text: str) -> None:
+def test_invalid_yaml_is_reported_in_one_line_with_the_file(text: str) -> None:
     with pytest.raises(InputError, match=r'^T\.yaml:.* is not valid YAML: ') as caught:
         parse_train_file(text, 'T.yaml')
     assert '\n' not in str(caught.value)
@@ -184,7 +184,7 @@ def test_a_missing_file_is_named(tmp_path: Path) -> None:
         load_train_file(tmp_path / 'none.yaml')
 
 
-def test_a_file_that_is_no_text_is_named(tmp_path: Path) -> None:
+def test_a_file_that_is_not_text_is_named(tmp_path: Path) -> None:
     path = tmp_path / 'binary.yaml'
     path.write_bytes(b'train\xff')
     with pytest.raises(InputError, match=r'binary\.yaml: is not UTF-8 text \(byte 5\)'):

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Train simulator with known truth: plant, driver, sensors, scenarios. No ROS, no files but the truth."""
+"""Train simulator with known true values: plant, driver, sensors, scenarios. No ROS; the only file is the truth."""

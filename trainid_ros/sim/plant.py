@@ -2,9 +2,9 @@
 """Train dynamics: the specific balance, integrated with an exact brake actuator.
 
 ``(1 + gamma) M dv/dt = F + f (1 + gamma) M u - M g / 1000 (w(v) + i + w_extra + gust)`` with the reported traction F,
-the lagged and delayed brake target u <= 0, the brake rate f, times its table over speed if there is one, and the
-mass M as believed: all effects act as extra resistance. Speed and position use the midpoint rule, whose
-error at 20 ms steps is far below any sensor's.
+the lagged and delayed brake target u <= 0, the brake rate f (times its table over speed if there is one) and the
+assumed mass M: all effects act as extra resistance. Speed and position use the midpoint rule, whose error at
+20 ms steps is far below that of any sensor.
 """
 
 from __future__ import annotations
@@ -25,36 +25,36 @@ STEP_NS: Final = 20_000_000
 
 
 class Plant:
-    """The train; its public attributes are the true state.
+    """Simulated train; its public attributes are the true state.
 
     Attributes:
-        now_ns: Time of the state.
+        now_ns: Time of the state [ns].
         position: Position of the front [m].
-        direction: +1 while positions rise, -1 while they fall.
-        speed: Speed [m/s], never negative: a train that stops is held.
+        direction: +1 while positions increase, -1 while they decrease.
+        speed: Speed [m/s], never negative: a stopped train is held in place.
         acceleration: Mean acceleration over the last step [m/s^2].
         traction: Traction as reported by the drive [N].
         brake: Lagged and delayed brake target [m/s^2, <= 0].
-        mass: Mass as believed [kg].
-        resistance: Davis resistance now.
-        brake_rate: Brake rate now, or the factor on its table over speed.
-        gust: Further resistance [N/kN].
+        mass: Assumed mass [kg].
+        resistance: Current Davis resistance.
+        brake_rate: Current brake rate, or the factor on its table over speed [1].
+        gust: Additional gust resistance [N/kN].
         distance_run: Distance run since the start [m].
-        heat: Heat in the brake, that of one without fade [J/kg].
+        heat: Heat in the brake, calculated without fade [J/kg].
 
     """
 
     def __init__(self, train_file: TrainFile, profile: LineProfile, start_ns: int, jerk: float) -> None:
-        """Stand still at the first stop of the line.
+        """Start at rest at the first stop of the line.
 
         Args:
             train_file: The true train.
-            profile: The true line under this train.
-            start_ns: Time of the state.
-            jerk: Greatest change of the traction, as acceleration per second [m/s^3].
+            profile: The true line profile for this train.
+            start_ns: Start time [ns].
+            jerk: Maximum rate of change of the traction, as jerk [m/s^3].
 
         Raises:
-            InputError: An effect is not known or has wrong parameters.
+            InputError: An effect is unknown or has invalid parameters.
 
         """
         self.profile = profile
@@ -78,16 +78,16 @@ class Plant:
 
     @property
     def reported_force(self) -> float:
-        """Force that drive and brake control report [N]: braking as that of a nominal brake."""
+        """Force reported by drive and brake control [N]; braking is reported as that of a nominal brake."""
         return self.traction + self.mass * (1.0 + self._train.rotary_mass) * self.brake
 
     def command(self, target_acceleration: float) -> None:
-        """Give the brake a target from now on [m/s^2, <= 0]."""
+        """Set the brake target [m/s^2, <= 0] from now on."""
         change = BrakeCommandChange(self.now_ns, target_acceleration)
         self._commands = self._commands.push(change).prune(self.now_ns - self._delay_ns)
 
     def step(self, traction_demand: float, dt_ns: int = STEP_NS) -> None:
-        """Go on by one step with the traction on its way to a demand [N]."""
+        """Advance by one step [ns] while the traction ramps towards a demand [N]."""
         dt = dt_ns / NS_PER_S
         brake = self._brake_acceleration(dt_ns)
         traction = self._ramp_traction(traction_demand, dt)
@@ -103,7 +103,7 @@ class Plant:
         self.now_ns += dt_ns
 
     def _retardation(self, ahead_s: float, speed: float | None = None) -> float:
-        """Return the deceleration by all resistances at the middle of a step [m/s^2]."""
+        """Return the deceleration by all resistances [m/s^2] a time [s] ahead of the state."""
         v = self.speed if speed is None else speed
         position = self.position + self.direction * ahead_s * v
         w = davis(self.resistance, v) + self.gust + self.profile.gradient(position, self.direction)
@@ -140,7 +140,7 @@ class Plant:
         if after > 0.0:
             run = 0.5 * (before + after) * dt
         else:
-            # The train comes to a stand within the step and is held there.
+            # The train stops within the step and is held there.
             run = 0.5 * before * before / -acceleration if before > 0.0 else 0.0
             after = 0.0
         self.speed = after
@@ -149,14 +149,14 @@ class Plant:
         self.distance_run += run
 
     def _ramp_traction(self, demand: float, dt: float) -> float:
-        """Move the traction towards its demand; return its mean over the step."""
-        most = self._jerk * self.mass * dt
+        """Ramp the traction towards its demand; return its mean over the step [N]."""
+        max_change = self._jerk * self.mass * dt
         before = self.traction
-        self.traction = before + min(most, max(-most, demand - before))
+        self.traction = before + min(max_change, max(-max_change, demand - before))
         return 0.5 * (before + self.traction)
 
     def _brake_acceleration(self, dt_ns: int) -> float:
-        """Let the actuator follow its delayed command; return the mean acceleration of the brake."""
+        """Advance the actuator under its delayed command; return the mean brake acceleration [m/s^2]."""
         start = self.now_ns - self._delay_ns
         change = 0.0
         for duration, target in self._commands.segments(start, start + dt_ns):

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a train file states wrongly or not at all, drawn in the sizes usual in the field.
+"""Random errors and omissions of a train file, with magnitudes typical of field data.
 
-From a train file as stated and a source of randomness come the true scenario and the train file that the engineer
-has: the same values, with the standard deviations of mass, force and map. Each unknown draws from a generator of its
-own, so one alone has the same values as among all others.
+From a stated train file and a random generator come the true scenario and the train file that the engineer has:
+the same values, with the standard deviations of mass, force and map. Each unknown draws from its own generator,
+so it has the same values alone and in combination with others.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ from trainid_ros.train.train_file import Brake, Davis, Effect, NamedValues, Trai
 
 _CURVE: Final = 'curve_resistance'
 _CURVE_STD: Final = 0.2
-_MOST_STDS: Final = 3.0
-"""Largest error in standard deviations: a ratio below zero is none."""
-# Shares of the day between which changes happen: there is something to learn before and after.
+_MAX_STDS: Final = 3.0
+"""Largest error in standard deviations, so that no ratio is negative."""
+# Changes happen between these shares of the day, so that there are data before and after.
 _FIRST_CHANGE, _LAST_CHANGE = 0.15, 0.85
 
 
 @dataclass(frozen=True, slots=True)
 class ResistanceChange:
-    """From a share of the day on, the resistance of its start with a and c times these ratios."""
+    """From a share of the day on, the initial resistance with a and c multiplied by these ratios [1]."""
 
     share: float
     a: float
@@ -43,7 +43,7 @@ class ResistanceChange:
 
 @dataclass(frozen=True, slots=True)
 class BrakeChange:
-    """From a share of the day on, this brake rate (1 = nominal)."""
+    """From a share of the day on, this brake rate (1 = nominal) [1]."""
 
     share: float
     rate: float
@@ -51,28 +51,28 @@ class BrakeChange:
 
 @dataclass(frozen=True, slots=True)
 class Unknowns:
-    """How truth and records differ from what a train file states; the defaults are those of ``clean``.
+    """Differences of truth and records from the train file; the defaults are those of ``clean``. Ratios are in [1].
 
     Attributes:
-        mass_std: Stated standard deviation of the mass, relative; that of each weighing where the mass is exact.
+        mass_std: Stated relative standard deviation of the mass; that of each weighing if the mass is exact.
         mass_ratio: True over stated (and weighed) mass.
-        force_std: Stated standard deviation of the force gain.
+        force_std: Stated relative standard deviation of the force gain.
         force_ratio: True over reported traction.
-        force_delay: How much later than the force its stamps are [s].
-        curve_std: Stated standard deviation of the curve coefficient, relative.
+        force_delay: Delay of the force stamps behind the force [s].
+        curve_std: Stated relative standard deviation of the curve coefficient.
         curve_ratio: True over stated curve coefficient.
-        map_std: Standard deviation of the map error [per mille], stated as such.
+        map_std: Standard deviation of the map error [per mille]; stated correctly in the train file.
         map_length: Correlation length of the map error [m].
         wheel_ratio: Measured over true speed.
         gust_std: Standard deviation of the gusts [N/kN].
         gust_time_constant: Correlation time of the gusts [s].
         speed_quantum: Resolution of the speed [m/s].
-        brake_timing_std: Stated standard deviation of dead time and time constant of the brake, relative.
-        brake_delay_error: True less stated dead time of the brake [s].
+        brake_timing_std: Stated relative standard deviation of dead time and time constant of the brake.
+        brake_delay_error: True minus stated dead time of the brake [s].
         brake_time_ratio: True over stated time constant of the brake.
         davis_ratios: True over stated a, b, c.
-        resistance_changes: Changes of the resistance on the way.
-        brake_changes: Changes of the brake rate on the way.
+        resistance_changes: Changes of the resistance during the day.
+        brake_changes: Changes of the brake rate during the day.
 
     """
 
@@ -99,7 +99,7 @@ class Unknowns:
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """The true scenario, the train file that the engineer has, and the true values it does not hold."""
+    """The true scenario, the train file that the engineer has, and the true values missing from it (SI units)."""
 
     scenario: Scenario
     stated: TrainFile
@@ -117,22 +117,22 @@ def make_case(
     """Draw a case.
 
     Args:
-        world: How the train is loaded and driven.
-        file: The train as an engineer describes it.
-        names: The unknowns that there are, see :func:`unknowns_of`.
+        world: Type of railway, with its load and driver.
+        file: The train as described by an engineer.
+        names: The unknowns to draw, see :func:`unknowns_of`.
         runs: Number of runs from stop to stop.
-        rng: Source of randomness.
-        extra: Further effects of the true train, which the train file does not state.
+        rng: Random generator.
+        extra: Further effects of the true train that are missing from the train file.
 
     Raises:
-        InputError: The scenario cannot be driven, or an effect is there already; the message names it.
+        InputError: The scenario cannot be driven, or an effect already exists; the message names it.
 
     """
     unknowns = draw_unknowns(names, rng)
     stated, true = stated_train(file, unknowns), true_train(file, unknowns)
     for effect in extra:
         if any(effect.name == other.name for other in true.effects):
-            msg = f'effect {effect.name}: the true train has it already, by its train file or the unknowns drawn'
+            msg = f'effect {effect.name}: the true train has it already, from its train file or from the unknowns drawn'
             raise InputError(msg)
     true = replace(true, effects=(*true.effects, *extra))
     scenario = replace(_scenario(world, true, unknowns, runs), stated=stated)
@@ -141,10 +141,10 @@ def make_case(
 
 
 def unknowns_of(realism: str, names: Iterable[str], stated: TrainFile) -> frozenset[str]:
-    """Return the unknowns of a realism and those named beside it.
+    """Return the unknowns of a realism level and those named in addition.
 
     Raises:
-        InputError: The realism or a name is not known, or the named one has no meaning for this train file.
+        InputError: The realism or a name is unknown, or a named unknown does not apply to this train file.
 
     """
     if realism not in REALISMS:
@@ -162,16 +162,16 @@ def unknowns_of(realism: str, names: Iterable[str], stated: TrainFile) -> frozen
 
 
 def draw_unknowns(names: Collection[str], rng: np.random.Generator) -> Unknowns:
-    """Return unknowns of random size for these names; all else is as in ``clean``."""
+    """Draw the named unknowns at random; all others are as in ``clean``."""
     unknowns = Unknowns()
-    for (name, draw), own in zip(_DRAWS.items(), rng.spawn(len(_DRAWS)), strict=True):
+    for (name, draw), generator in zip(_DRAWS.items(), rng.spawn(len(_DRAWS)), strict=True):
         if name in names:
-            unknowns = draw(unknowns, own)
+            unknowns = draw(unknowns, generator)
     return unknowns
 
 
 def stated_train(file: TrainFile, unknowns: Unknowns) -> TrainFile:
-    """Return the train file that the engineer has: as given, with how well mass, force, map and curves are known."""
+    """Return the train file that the engineer has: as given, with standard deviations of the uncertain values."""
     curve_std = (('coefficient', unknowns.curve_std * _curve_coefficient(file)),)
     return replace(
         file,
@@ -183,7 +183,7 @@ def stated_train(file: TrainFile, unknowns: Unknowns) -> TrainFile:
 
 
 def true_train(file: TrainFile, unknowns: Unknowns) -> TrainFile:
-    """Return the true train; its masses and reported forces stay the stated ones, effects say how they are wrong."""
+    """Return the true train; mass and reported force remain as stated, effects represent their errors."""
     effects = [_true_curve(effect, unknowns.curve_ratio) for effect in file.effects]
     for name, ratio in (('mass_error', unknowns.mass_ratio), ('traction_scale', unknowns.force_ratio)):
         if ratio != 1.0:
@@ -298,12 +298,12 @@ def _quantum(unknowns: Unknowns, rng: np.random.Generator) -> Unknowns:
     return replace(unknowns, speed_quantum=rng.uniform(0.1, 0.5) / 3.6)
 
 
-def _on_the_way(unknowns: Unknowns, rng: np.random.Generator) -> Unknowns:
+def _changes_during_day(unknowns: Unknowns, rng: np.random.Generator) -> Unknowns:
     resistance = tuple(
-        ResistanceChange(share, 1.0 + _either_way(0.1, 0.3, rng), 1.0 + _either_way(0.05, 0.2, rng))
-        for share in _times(rng)
+        ResistanceChange(share, 1.0 + _signed_uniform(0.1, 0.3, rng), 1.0 + _signed_uniform(0.05, 0.2, rng))
+        for share in _change_shares(rng)
     )
-    brake = tuple(BrakeChange(share, 1.0 + _either_way(0.05, 0.2, rng)) for share in _times(rng))
+    brake = tuple(BrakeChange(share, 1.0 + _signed_uniform(0.05, 0.2, rng)) for share in _change_shares(rng))
     return replace(unknowns, resistance_changes=resistance, brake_changes=brake)
 
 
@@ -319,21 +319,21 @@ def _resistance(unknowns: Unknowns, rng: np.random.Generator) -> Unknowns:
 
 def _ratio(std: float, rng: np.random.Generator) -> float:
     error = float(rng.standard_normal())
-    return 1.0 + std * min(_MOST_STDS, max(-_MOST_STDS, error))
+    return 1.0 + std * min(_MAX_STDS, max(-_MAX_STDS, error))
 
 
-def _either_way(low: float, high: float, rng: np.random.Generator) -> float:
+def _signed_uniform(low: float, high: float, rng: np.random.Generator) -> float:
     size = rng.uniform(low, high)
     return size if rng.random() < 0.5 else -size
 
 
-def _times(rng: np.random.Generator) -> list[float]:
-    """Return one or two shares of the day, rising."""
+def _change_shares(rng: np.random.Generator) -> list[float]:
+    """Return one or two shares of the day in increasing order."""
     shares: list[float] = rng.uniform(_FIRST_CHANGE, _LAST_CHANGE, rng.integers(1, 3)).tolist()
     return sorted(shares)
 
 
-# New ones come last: the order says which generator each draws from.
+# Append new ones at the end: the order determines the generator that each draws from.
 _DRAWS: Final[Mapping[str, Callable[[Unknowns, np.random.Generator], Unknowns]]] = MappingProxyType(
     {
         'mass': _mass,
@@ -344,7 +344,7 @@ _DRAWS: Final[Mapping[str, Callable[[Unknowns, np.random.Generator], Unknowns]]]
         'wheels': _wheels,
         'gusts': _gusts,
         'quantum': _quantum,
-        'changes': _on_the_way,
+        'changes': _changes_during_day,
         'brake': _brake,
         'resistance': _resistance,
     }

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A day on the line: what is driven, what changes on the way, and the records it leaves behind."""
+"""Simulation of a day on the line: runs, changes of the train during the day, and the resulting records."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from trainid_ros.train.train_file import Davis, TrainFile
 
 DEFAULT_START_NS: Final = 1_700_000_000 * NS_PER_S
 TICK_NS: Final = round(TICK_S * NS_PER_S)
-LONGEST_RUN_S: Final = 3600.0
+MAX_RUN_S: Final = 3600.0
 _MASS_EVERY: Final = 5
-# Steps after a tick at which topics are measured: each has its own stamps, as on a train.
+# Steps after a tick at which each topic is measured: topics have different stamps, as on a train.
 _GRADIENT_STEP, _FORCE_STEP, _SPEED_STEP = 5, 7, 8
 
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """From a time on [s since the start] another resistance, another brake rate, or both."""
+    """From a time on [s since the start] a new resistance, a new brake rate [1], or both."""
 
     time_s: float
     resistance: Davis | None = None
@@ -40,18 +40,18 @@ class Change:
 
 @dataclass(frozen=True, slots=True)
 class Scenario:
-    """What is simulated.
+    """Definition of a simulation.
 
     Attributes:
         train_file: The true train, line and effects.
         runs: Number of runs from stop to stop; the train turns at the ends of the line.
-        changes: What changes on the way, in rising time.
-        passengers: Greatest load as a share of the mass; each stop draws a load from 0 to this.
-        sensors: How good the sensors are.
-        driver: How the train is driven.
-        gust: Random resistance.
-        start_ns: Stamp of time zero, > 0.
-        stated: The train as the driver assumes it; None: as it truly is.
+        changes: Changes during the day, in increasing time.
+        passengers: Maximum load as a share of the mass [1]; each stop draws a load from 0 to this.
+        sensors: Errors of the sensors.
+        driver: Parameters of the driver.
+        gust: Random gust resistance.
+        start_ns: Stamp of time zero [ns], > 0.
+        stated: The train as assumed by the driver; None for the true train.
 
     """
 
@@ -68,7 +68,7 @@ class Scenario:
 
 @dataclass(frozen=True, slots=True)
 class Simulation:
-    """Records in the order of their stamps, the truth behind them and the arrivals."""
+    """Records in the order of their stamps, the true values, the arrivals and the duration [s]."""
 
     records: tuple[Record, ...]
     truth: Truth
@@ -77,10 +77,10 @@ class Simulation:
 
 
 def simulate(scenario: Scenario, rng: np.random.Generator) -> Simulation:
-    """Simulate a scenario; the same scenario and generator give the same records.
+    """Simulate a scenario; the same scenario and generator state give the same records.
 
-    Driving, gusts, sensors and passengers draw from generators of their own, so other sensors do not
-    change how the train is driven.
+    Driving, gusts, sensors and passengers draw from separate generators, so other sensors do not
+    change the driving.
 
     Raises:
         InputError: The scenario cannot be driven; the message names the field.
@@ -100,14 +100,14 @@ def check_scenario(scenario: Scenario) -> None:
         msg = f'runs = {scenario.runs} must be >= 1'
         raise InputError(msg)
     if scenario.start_ns <= 0:
-        msg = f'start_ns = {scenario.start_ns} must be > 0: a zero stamp is no time'
+        msg = f'start_ns = {scenario.start_ns} must be > 0: a zero stamp is not a valid time'
         raise InputError(msg)
     if not 0.0 <= scenario.passengers <= 2.0:
         msg = f'passengers = {scenario.passengers:g} is outside [0, 2] of the mass'
         raise InputError(msg)
     times = [change.time_s for change in scenario.changes]
     if times != sorted(times):
-        msg = 'changes: their times must rise'
+        msg = 'changes: their times must increase'
         raise InputError(msg)
     for change in scenario.changes:
         if change.brake_rate is not None and not change.brake_rate > 0.0:
@@ -118,7 +118,7 @@ def check_scenario(scenario: Scenario) -> None:
 
 
 class _Day:
-    """One simulation on its way."""
+    """State of a running simulation."""
 
     def __init__(self, scenario: Scenario, rng: np.random.Generator) -> None:
         drive, gust, sense, self._load = rng.spawn(4)
@@ -137,7 +137,7 @@ class _Day:
         self._brake_rate: list[tuple[float, float]] = []
         self._rate_ratio = effect_value(self._effects, 'brake_scale', 'ratio', 1.0)
         if scenario.stated is not None:
-            # The brake gives a force, so a train heavier than stated is braked less.
+            # The brake produces a force, so a train heavier than stated decelerates less.
             mass_ratios = [effect_value(f.effects, 'mass_error', 'ratio', 1.0) for f in (file, scenario.stated)]
             self._rate_ratio *= mass_ratios[1] / mass_ratios[0]
         steps = (dict(e.parameters) for e in self._effects if e.name == 'resistance_step')
@@ -147,7 +147,7 @@ class _Day:
         self._departed_s = 0.0
 
     def drive(self) -> Simulation:
-        """Drive all runs and a last dwell."""
+        """Simulate all runs and a final dwell."""
         self._board()
         tick = 0
         while not self._is_over(time_s := tick * TICK_NS / NS_PER_S):
@@ -161,8 +161,8 @@ class _Day:
         return Simulation(tuple(records), truth, tuple(self._driver.arrivals), tick * TICK_NS / NS_PER_S)
 
     def _is_over(self, time_s: float) -> bool:
-        if time_s - self._departed_s > LONGEST_RUN_S:
-            where = f'stop {self._driver.stop:g} m within {LONGEST_RUN_S:g} s'
+        if time_s - self._departed_s > MAX_RUN_S:
+            where = f'stop {self._driver.stop:g} m within {MAX_RUN_S:g} s'
             msg = f'the train does not reach {where}: check train.max_traction_force, line.gradient'
             raise InputError(msg)
         done = len(self._driver.arrivals) >= self._scenario.runs
@@ -183,8 +183,8 @@ class _Day:
             elif step == _FORCE_STEP:
                 self._records.append(sensors.force(plant.now_ns, plant.reported_force, plant.mass))
             elif step == _SPEED_STEP:
-                pull = specific_force(plant.reported_force, plant.mass)
-                self._records.append(sensors.speed(plant.now_ns, plant.speed, plant.position, pull))
+                force_per_weight = specific_force(plant.reported_force, plant.mass)
+                self._records.append(sensors.speed(plant.now_ns, plant.speed, plant.position, force_per_weight))
 
     def _gradient(self) -> Record | None:
         at, direction = self._plant.position, self._plant.direction
@@ -201,7 +201,7 @@ class _Day:
         plant = self._plant
         stop = self._profile.next_stop(plant.position, plant.direction)
         if stop is None:
-            # The train turns in the tail track and leaves from the same place with its other end.
+            # The train reverses in the tail track and departs from the same position with its other end in front.
             plant.direction = -plant.direction
             stop = self._profile.next_stop(plant.position, plant.direction)
         if stop is None:
@@ -217,14 +217,14 @@ class _Day:
         self._weighed = self._sensors.weigh(self._plant.mass)
 
     def _all_changes(self) -> list[Change]:
-        """Return the first values, all changes, and an empty change where an effect changes the truth."""
+        """Return the initial values, all changes, and an empty change where an effect changes the true values."""
         file = self._scenario.train_file
         first = Change(0.0, file.resistance, file.brake.rate)
         steps = [Change(time_s) for time_s, _ in self._steps]
         return sorted((first, *self._scenario.changes, *steps), key=attrgetter('time_s'))
 
     def _change(self, time_s: float) -> None:
-        """Let all changes up to now happen, and write the truth down."""
+        """Apply all changes due by now and record the true values."""
         while self._pending and self._pending[0].time_s <= time_s:
             change = self._pending.pop(0)
             self._plant.resistance = change.resistance or self._plant.resistance
@@ -251,7 +251,7 @@ _Row = TypeVar('_Row', tuple[float, float], tuple[float, float, float, float])
 
 
 def _append(rows: list[_Row], row: _Row) -> None:
-    """Append a row of truth; leave out one that changes nothing, replace one of the same time."""
+    """Append a row of true values; omit one without a change, replace one with the same time."""
     if rows and rows[-1][1:] == row[1:]:
         return
     if rows and rows[-1][0] == row[0]:

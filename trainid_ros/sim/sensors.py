@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the train's sensors make of the truth: noise, resolution, drift, map errors, lost messages."""
+"""Sensor models: noise, resolution, drift, map errors, stamp errors, lost messages."""
 
 from __future__ import annotations
 
@@ -22,45 +22,45 @@ from trainid_ros.sim.gusts import ar1_path
 from trainid_ros.train.davis import G
 
 MAP_STEP_M: Final = 10.0
-MOST_JITTER_NS: Final = 4_000_000
+MAX_JITTER_NS: Final = 4_000_000
 _SLIP_DURATION_S: Final = (0.6, 2.0)
-_SLIPPERY: Final = 10.0
-"""The poorest rails bear 1 % of the weight: a wheel that has to carry over less does not slip [N/kN]."""
-_MOST_SLIPPING: Final = 0.9
-"""Largest share of the time under force in which wheels slip."""
+_LOWEST_ADHESION: Final = 10.0
+"""Lowest adhesion, 1 % of the weight: a wheel that transmits less force does not slip [N/kN]."""
+_MAX_SLIP_SHARE: Final = 0.9
+"""Maximum share of slip in the time with a force above the lowest adhesion [1]."""
 
 
 @dataclass(frozen=True, slots=True)
 class SensorModel:
-    """How good the sensors are."""
+    """Errors of the sensors."""
 
     speed_noise: float = setting(0.02, 'standard deviation of the speed noise', 'm/s', 0.0, 10.0)
     speed_quantum: float = setting(0.1 / 3.6, 'resolution of the speed', 'm/s', 0.0, 10.0)
     force_noise: float = setting(0.3, 'standard deviation of the force noise, per weight', 'N/kN', 0.0, 100.0)
-    force_noise_relative: float = setting(0.003, 'further force noise as a share of the force', '', 0.0, 1.0)
+    force_noise_relative: float = setting(0.003, 'additional force noise as a share of the force', '', 0.0, 1.0)
     wheel_ratio: float = setting(1.0, 'measured over true speed', '', 0.5, 2.0)
-    position_drift: float = setting(0.03, 'random walk of the odometry between stops', 'm/sqrt(s)', 0.0, 10.0)
+    position_drift: float = setting(0.03, 'random walk of the odometry error between stops', 'm/sqrt(s)', 0.0, 10.0)
     map_error: float = setting(0.2, 'standard deviation of the map error', 'per mille', 0.0, 50.0)
     map_error_length: float = setting(200.0, 'correlation length of the map error', 'm', 1.0, 1e5)
-    mass_noise: float = setting(0.002, 'relative error of each load weighing', '', 0.0, 0.5)
+    mass_noise: float = setting(0.002, 'standard deviation of the relative error of each load weighing', '', 0.0, 0.5)
     dropout: float = setting(0.0, 'probability that a message is lost', '', 0.0, 1.0)
-    stamp_jitter: float = setting(0.0005, 'standard deviation of the stamps, cut at 4 ms', 's', 0.0, 0.004)
-    force_delay: float = setting(0.0, 'how much later than the force its stamps are', 's', -1.5, 1.5)
+    stamp_jitter: float = setting(0.0005, 'standard deviation of the stamp jitter, clipped at 4 ms', 's', 0.0, 0.004)
+    force_delay: float = setting(0.0, 'delay of the force stamps behind the force', 's', -1.5, 1.5)
     slip_share: float = setting(0.0, 'share of the running time with wheel slip or slide', '', 0.0, 0.5)
-    slip_speed: float = setting(3.0, 'greatest speed error in slip or slide', 'm/s', 0.0, 10.0)
+    slip_speed: float = setting(3.0, 'maximum speed error in slip or slide', 'm/s', 0.0, 10.0)
 
 
 class Sensors:
-    """Makes records of true values; a lost message is None."""
+    """Turn true values into records; a lost message is None."""
 
     def __init__(self, model: SensorModel, dt: float, extent: tuple[float, float], rng: np.random.Generator) -> None:
-        """Draw the errors that stay for the whole simulation.
+        """Draw the errors that are constant during the simulation.
 
         Args:
-            model: How good the sensors are.
+            model: Errors of the sensors.
             dt: Time between two speed measurements [s].
             extent: Lowest and highest position of the line [m].
-            rng: Source of randomness, owned from here on.
+            rng: Random generator; the sensors take ownership.
 
         Raises:
             InputError: A setting is out of range.
@@ -78,13 +78,13 @@ class Sensors:
         self._last_position = math.nan
         self._slip = 0.0
         self._slip_left_s = 0.0
-        self._running = self._forced = 0
+        self._running_count = self._forced_count = 0
 
-    def speed(self, stamp_ns: int, speed: float, position: float, pull: float) -> SpeedRecord | None:
-        """Measure speed and position; ``pull`` is the force per weight [N/kN]: what makes wheels slip, either way.
+    def speed(self, stamp_ns: int, speed: float, position: float, force_per_weight: float) -> SpeedRecord | None:
+        """Measure speed [m/s] and position [m]; ``force_per_weight`` [N/kN] causes wheel slip (> 0) or slide (< 0).
 
-        A standing wheel gives no pulses: it is measured as exactly zero, and the platform corrects the
-        position.
+        A stationary wheel gives no pulses: its speed is measured as exactly zero, and the position is corrected
+        at the platform.
         """
         model = self.model
         noise, drift = self._rng.standard_normal(2).tolist()
@@ -96,7 +96,7 @@ class Sensors:
         else:
             self._position_error += (model.wheel_ratio - 1.0) * moved
             self._position_error += model.position_drift * math.sqrt(self._dt) * drift
-            slip = self._slip_speed(pull) if model.slip_share > 0.0 else 0.0
+            slip = self._slip_speed(force_per_weight) if model.slip_share > 0.0 else 0.0
             measured = max(0.0, quantise(model.wheel_ratio * speed + slip + model.speed_noise * noise, model))
         stamp = self._stamp(stamp_ns)
         if self._lost():
@@ -104,7 +104,7 @@ class Sensors:
         return SpeedRecord(stamp, measured, position + self._position_error)
 
     def force(self, stamp_ns: int, force: float, mass: float) -> ForceRecord | None:
-        """Measure the wheel-rim force."""
+        """Measure the wheel-rim force [N] of a train with a mass [kg]."""
         white, relative = self._rng.standard_normal(2).tolist()
         noise = self.model.force_noise * mass * G / 1000.0 * white
         noise += self.model.force_noise_relative * abs(force) * relative
@@ -114,59 +114,63 @@ class Sensors:
     def gradient(
         self, stamp_ns: int, gradient: float, position: float, direction: int, *, radius: float, tunnel: bool
     ) -> GradientRecord | None:
-        """Look up the track in the map, whose error is the same at each passage."""
-        felt = gradient + direction * self.map_error(position)
+        """Read the track data from the map, whose gradient error is the same at each passage.
+
+        The gradient is in per mille, + uphill in the direction of travel; position and curve radius are in m.
+        """
+        measured = gradient + direction * self.map_error(position)
         stamp = self._stamp(stamp_ns)
-        return None if self._lost() else GradientRecord(stamp, felt, radius, tunnel)
+        return None if self._lost() else GradientRecord(stamp, measured, radius, tunnel)
 
     def brake(self, stamp_ns: int, target_acceleration: float) -> BrakeRecord | None:
-        """Pass a command on; commands are no measurements and carry neither noise nor jitter."""
+        """Record a brake command [m/s^2]; commands are not measurements and have neither noise nor jitter."""
         return None if self._lost() else BrakeRecord(stamp_ns, target_acceleration, emergency=False)
 
     def mass(self, stamp_ns: int, weighed: float) -> MassRecord | None:
-        """Pass on what the last load weighing gave."""
+        """Record the mass of the last load weighing [kg]."""
         return None if self._lost() else MassRecord(stamp_ns, weighed)
 
     def weigh(self, mass: float) -> float:
-        """Weigh the load; the result stands until the doors open again [kg]."""
+        """Return the weighed mass [kg]; it applies until the doors open again."""
         return mass * (1.0 + self.model.mass_noise * float(self._rng.standard_normal()))
 
     def map_error(self, position: float) -> float:
-        """Return what the map's gradient exceeds the true one by, in rising position [per mille]."""
+        """Return the gradient of the map minus the true one [per mille, + uphill in increasing position]."""
         place = min(max((position - self._map_start) / MAP_STEP_M, 0.0), len(self._map) - 1.0)
         i = min(int(place), len(self._map) - 2)
         return self._map[i] + (place - i) * (self._map[i + 1] - self._map[i])
 
-    def _slip_speed(self, pull: float) -> float:
-        """Return what the wheel turns too fast [m/s]: it slips when pulling, slides when braking, else rolls."""
+    def _slip_speed(self, force_per_weight: float) -> float:
+        """Return the speed error of the wheel [m/s]: > 0 for slip in traction, < 0 for slide in braking, else 0."""
         low, high = _SLIP_DURATION_S
         self._slip_left_s -= self._dt
-        self._running += 1
-        if abs(pull) < _SLIPPERY or pull * self._slip < 0.0:
+        self._running_count += 1
+        if abs(force_per_weight) < _LOWEST_ADHESION or force_per_weight * self._slip < 0.0:
             self._slip = self._slip_left_s = 0.0
-        if abs(pull) < _SLIPPERY:
+        if abs(force_per_weight) < _LOWEST_ADHESION:
             return 0.0
-        self._forced += 1
+        self._forced_count += 1
         if self._slip_left_s <= 0.0:
             self._slip = 0.0
-            # The share is one of all the time, so it is larger while there is force.
-            share = min(_MOST_SLIPPING, self.model.slip_share * self._running / self._forced)
-            # Bursts end with a sample, half of one late in the mean.
+            # The share refers to the entire running time, so it is larger in the time with force.
+            share = min(_MAX_SLIP_SHARE, self.model.slip_share * self._running_count / self._forced_count)
+            # Bursts end at a sample, on average half a sample late.
             starts = share / (1.0 - share) * self._dt / (0.5 * (low + high + self._dt))
             if float(self._rng.random()) < starts:
                 self._slip_left_s = float(self._rng.uniform(low, high))
-                self._slip = math.copysign(float(self._rng.uniform(0.15, 1.0)) * self.model.slip_speed, pull)
+                size = float(self._rng.uniform(0.15, 1.0)) * self.model.slip_speed
+                self._slip = math.copysign(size, force_per_weight)
         return self._slip
 
     def _stamp(self, stamp_ns: int) -> int:
         jitter = round(self.model.stamp_jitter * NS_PER_S * float(self._rng.standard_normal()))
-        return stamp_ns + max(-MOST_JITTER_NS, min(MOST_JITTER_NS, jitter))
+        return stamp_ns + max(-MAX_JITTER_NS, min(MAX_JITTER_NS, jitter))
 
     def _lost(self) -> bool:
         return float(self._rng.random()) < self.model.dropout
 
 
 def quantise(speed: float, model: SensorModel) -> float:
-    """Return a speed rounded to the resolution of the sensor [m/s]."""
+    """Round a speed [m/s] to the resolution of the sensor."""
     quantum = model.speed_quantum
     return round(speed / quantum) * quantum if quantum > 0.0 else speed

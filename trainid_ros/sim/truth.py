@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What was true while a bag was recorded: resistance and brake rate over time, and what the train file does not state.
+"""True values while a bag was recorded: resistance and brake rate over time, and values missing from the train file.
 
-The file ``truth.yaml`` beside a bag holds it; bags from elsewhere whose truth is known use the same file.
+They are in the file ``truth.yaml`` beside a bag; external bags with known true values use the same file.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ _HEAD_UNKNOWNS: Final = (
 
 @dataclass(frozen=True, slots=True)
 class TruthPoint:
-    """The truth at one moment; the brake rate is None where it is not known."""
+    """True values at one time; the brake rate [1] is None if it is not known."""
 
     resistance: Davis
     brake_rate: float | None
@@ -36,13 +36,13 @@ class TruthPoint:
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """Piecewise-constant truth; times in seconds since the start, rising.
+    """Piecewise-constant true values; times in seconds since the start, increasing.
 
     Attributes:
-        start_ns: Stamp of time zero.
-        resistance: (time, a, b, c) in s and N/kN; at least one entry.
-        brake_rate: (time, rate); empty where the rate is not known.
-        unknowns: True values of what the train file states wrongly or not at all, see ``realism.Unknowns``; SI units.
+        start_ns: Stamp of time zero [ns].
+        resistance: (time, a, b, c) in s and N/kN with v in m/s; at least one entry.
+        brake_rate: (time [s], rate [1]); empty if the rate is not known.
+        unknowns: True values that are wrong in the train file or missing from it, see ``realism.Unknowns``; SI units.
 
     """
 
@@ -52,7 +52,7 @@ class Truth:
     unknowns: NamedValues = ()
 
     def truth_at(self, time_s: float) -> TruthPoint:
-        """Return the truth at a time since the start [s]; the first values also hold before theirs."""
+        """Return the true values at a time since the start [s]; the first values also apply before their time."""
         _, a, b, c = self.resistance[_index([row[0] for row in self.resistance], time_s)]
         if not self.brake_rate:
             return TruthPoint(Davis(a, b, c), None)
@@ -60,12 +60,12 @@ class Truth:
         return TruthPoint(Davis(a, b, c), rate)
 
     def truth_at_ns(self, stamp_ns: int) -> TruthPoint:
-        """Return the truth at a stamp."""
+        """Return the true values at a stamp [ns]."""
         return self.truth_at((stamp_ns - self.start_ns) / NS_PER_S)
 
 
 def plain_truth(truth: Truth) -> dict[str, object]:
-    """Return the truth as lists and mappings; without the key ``unknowns`` where none are given."""
+    """Return the truth as lists and mappings; without the key ``unknowns`` if there are none."""
     document: dict[str, object] = {
         'start_ns': truth.start_ns,
         'resistance': [[float(x) for x in row] for row in truth.resistance],
@@ -103,7 +103,7 @@ def load_truth(path: str | Path) -> Truth:
     """Read a truth file.
 
     Raises:
-        InputError: The file cannot be read or a field cannot be used.
+        InputError: The file cannot be read or a field is invalid.
 
     """
     try:
@@ -118,17 +118,17 @@ def load_truth(path: str | Path) -> Truth:
 
 
 def parse_truth(text: str, source: str) -> Truth:
-    """Read a truth file from its text; ``source`` is the name that errors show.
+    """Read a truth file from its text; ``source`` is the name shown in errors.
 
     Raises:
-        InputError: A field cannot be used.
+        InputError: A field is invalid.
 
     """
     top = parse_yaml(text, source).only(('start_ns', 'resistance', 'brake_rate', 'unknowns'))
     resistance = top.rows('resistance', ('time s', 'a', 'b', 'c'))
     brake_rate = top.rows('brake_rate', ('time s', 'rate'))
     if not resistance:
-        top.fail('resistance', 'is missing: a truth has at least one row [time s, a, b, c]')
+        top.fail('resistance', 'is missing: at least one row [time s, a, b, c] is required')
     _check_rising(top, 'resistance', resistance)
     _check_rising(top, 'brake_rate', brake_rate)
     return Truth(
@@ -146,7 +146,7 @@ def _named_values(section: Section) -> NamedValues:
 def _check_rising(top: Section, key: str, rows: tuple[tuple[float, ...], ...]) -> None:
     for i, (before, after) in enumerate(pairwise(rows)):
         if after[0] <= before[0]:
-            problem = f'= {after[0]:g} s must come after {before[0]:g} s: times rise'
+            problem = f'= {after[0]:g} s must be later than {before[0]:g} s: times must increase'
             top.fail(f'{key}[{i + 1}]', problem)
 
 

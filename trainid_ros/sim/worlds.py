@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The types of railway that the simulator knows: each a train on its line, how it is loaded and driven."""
+"""Types of railway in the simulator: each has a train on its line, a load and a driver."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ class World:
 
     Attributes:
         train: Name of its train file in ``config/trains``.
-        passengers: Greatest load as a share of the mass.
-        driver: How the train is driven.
-        mean_speed: Usual mean speed from stop to stop, without dwell [m/s].
+        passengers: Maximum load as a share of the mass [1].
+        driver: Parameters of the driver.
+        mean_speed: Typical mean speed from stop to stop, without dwell [m/s].
 
     """
 
@@ -47,7 +47,7 @@ _HIGH_SPEED: Final = DriverModel(
     cruise_low=30.0,
     cruise_high=200.0,
 )
-# A brake of 7 s dead time and lag allows low gains only, and stops less exactly.
+# A brake with 7 s of dead time and lag allows only low gains and stops less accurately.
 _FREIGHT: Final = DriverModel(
     acceleration=0.3,
     deceleration=0.15,
@@ -103,17 +103,17 @@ def world_train(world: World) -> TrainFile:
     """Return the train file of a world.
 
     Raises:
-        InputError: The file does not come with this installation.
+        InputError: The file is not part of this installation.
 
     """
     return load_train_file(shared_path(f'config/trains/{world.train}.yaml'))
 
 
 def usual_duration(world: World, stops: tuple[float, ...], runs: int) -> float:
-    """Return about how long so many runs over these stops [m] take, with dwell [s]."""
+    """Return the approximate duration [s] of a number of runs over these stops [m], including dwell."""
     if len(stops) < 2:
         return 0.0
     there = [after - before for before, after in pairwise(stops)]
-    there_and_back = [*there, *reversed(there)]
-    distance = sum(there_and_back[i % len(there_and_back)] for i in range(runs))
+    round_trip = [*there, *reversed(there)]
+    distance = sum(round_trip[i % len(round_trip)] for i in range(runs))
     return distance / world.mean_speed + runs * 0.5 * (world.driver.dwell_low + world.driver.dwell_high)

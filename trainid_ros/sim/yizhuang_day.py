@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The stock scenario: the Beijing Yizhuang line there and back, with rain, wear and a tired brake.
+"""Standard scenario: the Beijing Yizhuang line there and back, with rain, added drag and brake wear.
 
-The believed train is ``config/trains/yizhuang.yaml``; the true one differs as real trains do:
+The stated train is ``config/trains/yizhuang.yaml``; the true one differs from it as real trains do:
 
 - The published resistance (a = 1.448, b = 0, c = 0.0106) has no term in v. The true one is
   a = 1.74, b = 0.020, c = 0.0086: 20 % up and 19 % down, with the linear term every real train has.
 - At 1300 s, after about nine runs, rain adds 0.5 N/kN to a. At 2500 s, c grows by 20 %.
-- The brake rate is 1.0 for six runs, wears down to 0.85 between 900 s and 1500 s in steps too small to
-  see one by one, and recovers to 0.95 at 2900 s.
+- The brake rate is 1.0 for six runs, falls to 0.85 by wear between 900 s and 1500 s in steps too small to be
+  detected individually, and recovers to 0.95 at 2900 s.
 
-The line is surveyed (map error 0.05 per mille, weighing error 0.1 %), speed and force are as noisy as
-elsewhere, and gusts of 0.1 N/kN blow.
+The line is surveyed (map error 0.05 per mille, weighing error 0.1 %), speed and force have
+the default noise, and gusts have a standard deviation of 0.1 N/kN.
 
 26 runs from stop to stop take about 64 minutes.
 """
@@ -41,20 +41,20 @@ WEIGHING_ERROR: Final = 0.001
 GUST: Final = 0.1
 
 
-def yizhuang_day(believed: TrainFile, *, runs: int = RUNS, start_ns: int = DEFAULT_START_NS) -> Scenario:
+def yizhuang_day(stated: TrainFile, *, runs: int = RUNS, start_ns: int = DEFAULT_START_NS) -> Scenario:
     """Return the scenario of the day.
 
     Args:
-        believed: The train file ``config/trains/yizhuang.yaml``.
+        stated: The train file ``config/trains/yizhuang.yaml``.
         runs: Number of runs from stop to stop.
-        start_ns: Stamp of the start.
+        start_ns: Stamp of the start [ns].
 
     Returns:
-        A scenario whose train file is the true one.
+        A scenario with the true train file.
 
     """
-    brake = replace(believed.brake, rate=WEAR_RATE[0])
-    true = replace(believed, resistance=DRY, brake=brake)
+    brake = replace(stated.brake, rate=WEAR_RATE[0])
+    true = replace(stated, resistance=DRY, brake=brake)
     changes = (
         *_wear(),
         Change(RAIN_S, resistance=RAIN),

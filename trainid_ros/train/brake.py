@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Brake actuator with exact dead time and exact first-order lag, for simulator and estimators alike.
+"""Brake actuator with exact dead time and exact first-order lag, used by simulator and estimators.
 
 The actuator follows ``tau a' = -a + u(t - delay)``. The command u is piecewise constant, so the
 response over each piece is known in closed form: no Pade approximation and no step-size error. The
-caller applies the dead time by shifting start and end back by it.
+caller applies the dead time by shifting the start and end of an interval back by it.
 """
 
 from __future__ import annotations
@@ -23,9 +23,9 @@ MOST_CHANGES: Final = 1024
 
 @dataclass(frozen=True, slots=True)
 class CommandHistory:
-    """Piecewise-constant brake command, bounded; changes oldest first.
+    """Bounded history of the piecewise-constant brake command; changes oldest first.
 
-    At most ``MOST_CHANGES`` are kept (more than 200 s at 5 Hz); older ones are forgotten.
+    At most ``MOST_CHANGES`` are kept (more than 200 s at 5 Hz); older ones are dropped.
     """
 
     changes: tuple[BrakeCommandChange, ...] = ()
@@ -33,10 +33,10 @@ class CommandHistory:
     def push(self, change: BrakeCommandChange) -> CommandHistory:
         """Return the history with one more change; a repeat of the last value is dropped.
 
-        A change at the stamp of the last one takes its place.
+        A change with the stamp of the last one replaces it.
 
         Raises:
-            InputError: The change is older than the last one, or its value is not finite or positive.
+            InputError: The change is older than the last one, or its value is not finite or is positive.
 
         """
         value = change.target_acceleration
@@ -45,7 +45,7 @@ class CommandHistory:
             raise InputError(msg)
         kept = self.changes
         if kept and change.stamp_ns < kept[-1].stamp_ns:
-            msg = f'brake command stamp_ns = {change.stamp_ns} lies before the last one, {kept[-1].stamp_ns}'
+            msg = f'brake command stamp_ns = {change.stamp_ns} is earlier than the last one, {kept[-1].stamp_ns}'
             raise InputError(msg)
         if kept and change.stamp_ns == kept[-1].stamp_ns:
             kept = kept[:-1]
@@ -54,20 +54,20 @@ class CommandHistory:
         return CommandHistory((*kept, change)[-MOST_CHANGES:])
 
     def prune(self, before_ns: int) -> CommandHistory:
-        """Return the history without changes that are not needed to know the value at and after a time."""
+        """Return the history without the changes that do not affect the command at or after a time [ns]."""
         first = self._count_until(before_ns) - 1
         return self if first <= 0 else CommandHistory(self.changes[first:])
 
     def value(self, at_ns: int) -> float:
-        """Return the command in force at a time [m/s^2]; 0.0 before the first change."""
+        """Return the command in force at a time [ns] in m/s^2; 0.0 before the first change."""
         count = self._count_until(at_ns)
         return self.changes[count - 1].target_acceleration if count else 0.0
 
     def segments(self, start_ns: int, end_ns: int) -> tuple[tuple[float, float], ...]:
-        """Return the pieces (duration [s], value [m/s^2]) of the command over (start, end].
+        """Return the pieces (duration [s], value [m/s^2]) of the command over (start, end] [ns].
 
         Raises:
-            InputError: The end lies before the start.
+            InputError: The end is before the start.
 
         """
         if end_ns < start_ns:
@@ -87,9 +87,10 @@ class CommandHistory:
 
 
 def lag_response(initial: float, target: float, time_constant: float, duration: float) -> float:
-    """Return the output of a first-order lag after a constant target has acted for a duration.
+    """Return the output of a first-order lag after a constant target has acted for a duration [s].
 
-    ``y(T) = target + (initial - target) exp(-T / tau)``; ``tau`` = 0 follows at once.
+    ``y(T) = target + (initial - target) exp(-T / tau)`` with the time constant tau [s], in the unit of the target;
+    with ``tau`` = 0 the output follows immediately.
     """
     if duration <= 0.0:
         return initial
@@ -99,9 +100,9 @@ def lag_response(initial: float, target: float, time_constant: float, duration: 
 
 
 def lag_integral(initial: float, target: float, time_constant: float, duration: float) -> float:
-    """Return the integral of :func:`lag_response` over the duration, exact.
+    """Return the exact integral of :func:`lag_response` over the duration [s].
 
-    ``target T + (initial - target) tau (1 - exp(-T / tau))``: for accelerations, the change of speed.
+    ``target T + (initial - target) tau (1 - exp(-T / tau))``: for accelerations [m/s^2], the change of speed [m/s].
     """
     if duration <= 0.0:
         return 0.0

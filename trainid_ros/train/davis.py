@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The specific balance of a train, in newtons per kilonewton of its weight.
+"""Longitudinal force balance of a train in specific form: newtons per kilonewton of its weight.
 
 ``1000 F / (M g) = w(v) + i + w_extra + 1000 (1 + gamma) (dv/dt) / g`` with the Davis resistance
-``w(v) = a + b v + c v^2`` [N/kN, v in m/s], the gradient i [per mille, + uphill] and gamma the share of
-the rotating masses.
+``w(v) = a + b v + c v^2`` [N/kN, v in m/s], the gradient i [per mille, + uphill] and gamma the
+rotating mass as a share of the mass [1].
 """
 
 from __future__ import annotations
@@ -32,23 +32,23 @@ def specific_force(force: Value, mass: float) -> Value:
 
 
 def specific_inertia(acceleration: Value, rotary_mass: float) -> Value:
-    """Return ``1000 (1 + gamma) a / g`` [N/kN] of an acceleration [m/s^2]."""
+    """Return ``1000 (1 + gamma) a / g`` [N/kN] of an acceleration [m/s^2]; ``rotary_mass`` is gamma [1]."""
     return acceleration * (1000.0 * (1.0 + rotary_mass) / G)
 
 
 def acceleration(force: Value, mass: float, rotary_mass: float, resistance: Value) -> Value:
-    """Return the acceleration [m/s^2] under a force [N] against all resistances together [N/kN].
+    """Return the acceleration [m/s^2] of a mass [kg] under a force [N] and the total resistance [N/kN].
 
-    ``resistance`` is the sum w(v) + i + w_extra.
+    ``resistance`` is the sum w(v) + i + w_extra, ``rotary_mass`` is gamma [1].
     """
     return (specific_force(force, mass) - resistance) * (G / (1000.0 * (1.0 + rotary_mass)))
 
 
 def required_force(acceleration: Value, mass: float, rotary_mass: float, resistance: Value) -> Value:
-    """Return the force [N] that gives an acceleration [m/s^2]; the inverse of :func:`acceleration`."""
+    """Return the force [N] that gives an acceleration [m/s^2]: the inverse of :func:`acceleration`."""
     return (specific_inertia(acceleration, rotary_mass) + resistance) * (mass * G / 1000.0)
 
 
 def observed_resistance(force: Value, mass: float, rotary_mass: float, acceleration: Value) -> Value:
-    """Return all resistances together [N/kN] that a force [N] and an acceleration [m/s^2] imply."""
+    """Return the total resistance [N/kN] implied by a force [N] and an acceleration [m/s^2] of a mass [kg]."""
     return specific_force(force, mass) - specific_inertia(acceleration, rotary_mass)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Effects as a command line writes them: ``NAME:key=value`` or ``NAME:key=value,key=value``."""
+"""Parser for effects given on the command line: ``NAME:key=value`` or ``NAME:key=value,key=value``."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from trainid_ros.train.train_file import Effect
 
 
 def parse_effects(texts: Iterable[str]) -> tuple[Effect, ...]:
-    """Return the effects that texts name, checked.
+    """Parse and check effects.
 
-    Texts with the same name complete one effect until a key comes again, which starts another one.
+    Consecutive texts with the same name add parameters to one effect; a repeated key starts another one.
 
     Raises:
-        InputError: A text has another form, or an effect or a parameter is not known or out of range.
+        InputError: A text has the wrong form, or an effect or parameter is unknown or out of range.
 
     """
     found: list[tuple[str, dict[str, float]]] = []

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Strict reading of a YAML document: every error is one line with file, dotted field and value."""
+"""Strict reader for YAML documents: every error is one line with file, dotted field and value."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _LONGEST_VALUE: Final = 60
 
 
 def shown(value: object) -> str:
-    """Return a value as it is best shown in an error message: short and on one line."""
+    """Format a value for an error message: short and on one line."""
     if isinstance(value, float):
         return f'{value:g}'
     text = ' '.join(repr(value).split())
@@ -23,7 +23,7 @@ def shown(value: object) -> str:
 
 
 def did_you_mean(word: str, known: Iterable[str]) -> str:
-    """Return the hint that follows an unknown word: the nearest known one, or all of them."""
+    """Return the hint for an unknown word: the closest known one, or all of them."""
     choices = sorted(known)
     if near := difflib.get_close_matches(word, choices, n=1):
         return f'did you mean {near[0]!r}?'
@@ -32,7 +32,7 @@ def did_you_mean(word: str, known: Iterable[str]) -> str:
 
 @dataclass(frozen=True, slots=True)
 class Section:
-    """A mapping of a YAML document, with the file and the dotted path that errors name."""
+    """A mapping in a YAML document, with its file and dotted path for error messages."""
 
     source: str
     path: str
@@ -43,12 +43,12 @@ class Section:
         return f'{self.path}.{key}' if self.path else key
 
     def fail(self, key: str, problem: str) -> NoReturn:
-        """Raise InputError that says what is wrong with a field."""
+        """Raise InputError naming a field and its problem."""
         msg = f'{self.source}: {self.name(key)} {problem}'
         raise InputError(msg)
 
     def only(self, known: Iterable[str]) -> Section:
-        """Return this section after refusing keys that are not known.
+        """Return this section; reject unknown keys.
 
         Raises:
             InputError: A key is unknown.
@@ -61,7 +61,7 @@ class Section:
         return self
 
     def section(self, key: str, *, required: bool = False) -> Section:
-        """Return a nested mapping, empty if it is not given and not required."""
+        """Return a nested mapping, empty if absent and not required."""
         value = self.data.get(key)
         if value is None:
             if required:
@@ -82,7 +82,7 @@ class Section:
         """Return a finite number with ``low <= x <= high`` and ``x > above``.
 
         Raises:
-            InputError: It is missing without a default, not a number, not finite or out of range.
+            InputError: The value is missing without a default, not a number, not finite or out of range.
 
         """
         if key not in self.data:
@@ -91,15 +91,15 @@ class Section:
             return default
         value = finite_number(self.source, self.name(key), self.data[key], unit)
         if value <= above:
-            self.fail(key, _breaks(value, unit, f'> {above:g}'))
+            self.fail(key, _out_of_range(value, unit, f'> {above:g}'))
         if value < low:
-            self.fail(key, _breaks(value, unit, f'>= {low:g}'))
+            self.fail(key, _out_of_range(value, unit, f'>= {low:g}'))
         if value > high:
-            self.fail(key, _breaks(value, unit, f'<= {high:g}'))
+            self.fail(key, _out_of_range(value, unit, f'<= {high:g}'))
         return value
 
     def integer(self, key: str, default: int, *, low: int) -> int:
-        """Return a whole number that is at least ``low``."""
+        """Return an integer that is at least ``low``."""
         value = self.data.get(key, default)
         if isinstance(value, bool) or not isinstance(value, int):
             self.fail(key, f'= {shown(value)} must be a whole number')
@@ -108,16 +108,16 @@ class Section:
         return value
 
     def text(self, key: str, default: str | None = None) -> str:
-        """Return a text."""
+        """Return a string."""
         if key not in self.data and default is not None:
             return default
         value = self.data.get(key)
         if not isinstance(value, str):
-            self.fail(key, f'= {shown(value)} must be a text' if key in self.data else 'is missing')
+            self.fail(key, f'= {shown(value)} must be a string' if key in self.data else 'is missing')
         return value
 
     def items(self, key: str) -> tuple[object, ...]:
-        """Return a list, empty if it is not given."""
+        """Return a list, empty if absent."""
         value = self.data.get(key)
         if value is None:
             return ()
@@ -147,7 +147,7 @@ def finite_number(source: str, name: str, value: object, unit: str) -> float:
     """Return a value as a float.
 
     Raises:
-        InputError: It is not a number (a truth value is none) or not finite.
+        InputError: The value is not a number (a boolean does not count as one) or not finite.
 
     """
     if isinstance(value, bool) or not isinstance(value, (int, float)):
@@ -167,7 +167,7 @@ def as_section(source: str, path: str, value: object) -> Section:
     """Return a value as a section.
 
     Raises:
-        InputError: It is not a mapping whose keys are texts.
+        InputError: The value is not a mapping with string keys.
 
     """
     where = f'{source}: {path}' if path else source
@@ -176,25 +176,25 @@ def as_section(source: str, path: str, value: object) -> Section:
         raise InputError(msg)
     for key in value:
         if not isinstance(key, str):
-            msg = f'{where} has the key {shown(key)}, which is no field name'
+            msg = f'{where} has the key {shown(key)}, which is not a field name'
             raise InputError(msg)
     return Section(source, path, value)
 
 
 def parse_yaml(text: str, source: str) -> Section:
-    """Return the top mapping of a YAML text.
+    """Return the top-level mapping of a YAML text.
 
     Raises:
-        InputError: The text is not YAML, a key is given twice, or the top is not a mapping.
+        InputError: The text is not YAML, a key is given twice, or the top level is not a mapping.
 
     """
-    # Only who reads a file pays for loading the reader.
+    # Imported here so that only code that reads a file loads PyYAML.
     from trainid_ros.train.strict_yaml import load  # noqa: PLC0415
 
     return as_section(source, '', load(text, source))
 
 
-def _breaks(value: float, unit: str, rule: str) -> str:
+def _out_of_range(value: float, unit: str, rule: str) -> str:
     shown_unit = f' {unit}' if unit else ''
     return f'= {value:g}{shown_unit} must be {rule}'
 

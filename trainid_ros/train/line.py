@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The line as a train of some length feels it.
+"""Line profile under a train of finite length.
 
-Positions are those of the train's front. Its rear lies one length behind: at ``position - length`` while
-positions rise (direction +1), at ``position + length`` while they fall (-1). Values of the train file
-hold from their position on; the first one also holds before it.
+Positions are those of the train's front. Its rear is one length behind: at ``position - length`` while
+positions increase (direction +1), at ``position + length`` while they decrease (-1). Values of the train file
+apply from their position on; the first one also applies before it.
 """
 
 from __future__ import annotations
@@ -19,11 +19,11 @@ from trainid_ros.core.errors import InputError
 from trainid_ros.train.train_file import Line, Pairs
 
 SAME_STOP_M = 5.0
-"""A stop nearer than this is the one the train stands at, not the next one."""
+"""A stop closer than this [m] is the one the train is standing at, not the next one."""
 
 
 class LineProfile:
-    """Gradient, curve, tunnel and speed limit under a train, fast for one position at a time."""
+    """Gradient, curve, tunnel and speed limit under a train; fast for single positions."""
 
     def __init__(self, line: Line, train_length: float) -> None:
         """Prepare the line for a train.
@@ -49,16 +49,16 @@ class LineProfile:
         self._limit = [v for _, v in line.speed_limit]
 
     def gradient(self, position: float, direction: int) -> float:
-        """Return the gradient the train feels [per mille, + uphill in its direction].
+        """Return the mean gradient under the train [per mille, + uphill in its direction].
 
-        It is the height gained from rear to front over the length: exact for a gradient that changes
+        It is the height difference from rear to front over the length: exact for a gradient that changes
         under the train, in either direction.
         """
         rear = position - direction * self.length
         return (self._gradient.integral(position) - self._gradient.integral(rear)) / self.length
 
     def gradients(self, positions: NDArray[np.float64], direction: int) -> NDArray[np.float64]:
-        """Return :meth:`gradient` at many positions, shape (n,)."""
+        """Return :meth:`gradient` [per mille] at many positions [m], shape (n,)."""
         rear = positions - direction * self.length
         return (self._gradient.integrals(positions) - self._gradient.integrals(rear)) / self.length
 
@@ -70,13 +70,13 @@ class LineProfile:
         return 1.0 / curvature if curvature > 0.0 else 0.0
 
     def tunnel(self, position: float, direction: int) -> bool:
-        """Return True while at least half of the train is in a tunnel."""
+        """Return whether at least half of the train is in a tunnel."""
         if self._tunnel.always_zero:
             return False
         return self._mean(self._tunnel, position, direction) >= 0.5
 
     def speed_limit(self, position: float, direction: int) -> float:
-        """Return the lowest speed limit under the train [m/s], infinite where none is given."""
+        """Return the lowest speed limit under the train [m/s], infinite if there is none."""
         if not self._limit:
             return math.inf
         rear = position - direction * self.length
@@ -101,7 +101,7 @@ class LineProfile:
         return tuple(out)
 
     def next_stop(self, position: float, direction: int) -> float | None:
-        """Return the next stop ahead [m], None beyond the last one."""
+        """Return the position of the next stop [m], None beyond the last one."""
         stops = self.line.stops
         if direction > 0:
             i = bisect_right(stops, position + SAME_STOP_M)
@@ -115,7 +115,7 @@ class LineProfile:
 
 
 class _Steps:
-    """A piecewise-constant function with its integral; the first and the last value go on outside."""
+    """A piecewise-constant function with its integral; the first and last values extend beyond the ends."""
 
     def __init__(self, pairs: Pairs) -> None:
         knots = pairs or ((0.0, 0.0),)
@@ -127,7 +127,7 @@ class _Steps:
         self.always_zero = not any(self._value)
 
     def integral(self, x: float) -> float:
-        """Return the integral from the first knot to x."""
+        """Return the integral from the first knot to x [m]."""
         i = max(0, bisect_right(self._x, x) - 1)
         return self._sum[i] + self._value[i] * (x - self._x[i])
 
@@ -140,5 +140,5 @@ class _Steps:
 
 
 def _merge(edges: Pairs) -> Pairs:
-    """Join tunnels that touch: of two edges at one position the later one holds."""
+    """Join adjacent tunnels: of two edges at one position the later one applies."""
     return tuple(dict(edges).items())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Reading YAML without its traps; apart from :mod:`fields`, so that only who reads a file loads the reader."""
+"""Strict YAML loader, separate from :mod:`fields` so that only code that reads a file loads PyYAML."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from trainid_ros.core.errors import InputError
 
 
 class StrictLoader(yaml.SafeLoader):
-    """Safe loader that reads 1e5 as a number and refuses a key that is given twice."""
+    """Safe loader that reads 1e5 as a number and rejects duplicate keys."""
 
     def construct_mapping(self, node: yaml.MappingNode, deep: bool = False) -> dict[Hashable, object]:
-        """Build a mapping; YAML itself would let the last of two equal keys win in silence."""
+        """Build a mapping; PyYAML by itself would keep the last of two equal keys without an error."""
         seen: set[str] = set()
         for key, _ in node.value:
             if not isinstance(key, yaml.ScalarNode):
@@ -27,14 +27,14 @@ class StrictLoader(yaml.SafeLoader):
         return super().construct_mapping(node, deep)
 
 
-# YAML 1.1 reads 1e5 as text; an engineer who writes it means a number.
+# YAML 1.1 reads 1e5 as a string, but a number is meant.
 StrictLoader.add_implicit_resolver(
     'tag:yaml.org,2002:float', re.compile(r'[-+]?(\d+\.?\d*|\.\d+)[eE][-+]?\d+$'), list('-+.0123456789')
 )
 
 
 def load(text: str, source: str) -> object:
-    """Return what a YAML text holds; ``source`` is the file that errors name.
+    """Return the content of a YAML text; ``source`` is the file named in errors.
 
     Raises:
         InputError: The text is not YAML, or a key is given twice.

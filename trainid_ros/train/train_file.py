@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The train file: what the engineer believes about train, resistance, brake and line.
+"""The train file: the engineer's prior values for train, resistance, brake and line.
 
 One YAML file is read by the node parameters, the simulator and the workflow. Units are SI, specific
-resistance is in N/kN with v in m/s, gradients in per mille of rising position.
+resistance is in N/kN with v in m/s, gradients are in per mille in the direction of increasing position.
 """
 
 from __future__ import annotations
@@ -20,24 +20,24 @@ from trainid_ros.train.fields import Section, as_section, finite_number, parse_y
 Pairs = tuple[tuple[float, float], ...]
 NamedValues = tuple[tuple[str, float], ...]
 
-# A brake rate beyond is a mistake of units.
+# A brake rate outside this range is a unit error.
 _LEAST_RATE, _MOST_RATE = 0.01, 10.0
 
 
 @dataclass(frozen=True, slots=True)
 class Train:
-    """The vehicle; only its mass has no default.
+    """Parameters of the vehicle; only the mass has no default.
 
     Attributes:
-        mass: Mass with its usual load [kg].
-        rotary_mass: Rotating masses as a share of the mass (gamma).
+        mass: Mass with the usual load [kg].
+        rotary_mass: Rotating mass as a share of the mass, gamma [1].
         length: Length over couplers [m].
         cars: Number of cars.
-        max_traction_force: Greatest tractive force at the wheel rim [N].
-        max_traction_power: Greatest tractive power at the wheel rim [W].
-        max_speed: Greatest speed of the train [m/s].
-        mass_std: Standard deviation of the relative error of the mass, weighed or not.
-        force_std: Standard deviation of the relative error of the reported force.
+        max_traction_force: Maximum tractive force at the wheel rim [N].
+        max_traction_power: Maximum tractive power at the wheel rim [W].
+        max_speed: Maximum speed of the train [m/s].
+        mass_std: Standard deviation of the relative error of the mass, weighed or not [1].
+        force_std: Standard deviation of the relative error of the reported force [1].
 
     """
 
@@ -54,7 +54,14 @@ class Train:
 
 @dataclass(frozen=True, slots=True)
 class Davis:
-    """Running resistance ``w(v) = a + b v + c v^2`` [N/kN], v in m/s."""
+    """Running resistance ``w(v) = a + b v + c v^2`` [N/kN], v in m/s.
+
+    Attributes:
+        a: Constant term [N/kN].
+        b: Linear term [N/kN/(m/s)].
+        c: Quadratic term [N/kN/(m/s)^2].
+
+    """
 
     a: float
     b: float
@@ -63,14 +70,14 @@ class Davis:
 
 @dataclass(frozen=True, slots=True)
 class Brake:
-    """Brake actuator: actual over commanded acceleration, after a dead time and a first-order lag.
+    """Brake actuator: a gain (actual over commanded acceleration) with a dead time and a first-order lag.
 
     Attributes:
-        rate: Brake rate (1 = nominal); beside a table the factor on it.
-        time_constant: Lag [s].
+        rate: Brake rate (1 = nominal) [1]; with a table, the factor on it.
+        time_constant: Time constant of the lag [s].
         delay: Dead time [s].
-        rate_table: Speed [m/s] and brake rate, speeds rise; empty: the rate is the same at all speeds.
-        timing_std: Standard deviation of the relative error of dead time and lag.
+        rate_table: Speed [m/s], increasing, and brake rate [1]; empty if the rate does not depend on speed.
+        timing_std: Standard deviation of the relative error of dead time and lag [1].
 
     """
 
@@ -81,7 +88,7 @@ class Brake:
     timing_std: float = 0.12
 
     def shape_at(self, speed: float) -> float:
-        """Return the table's value at a speed [m/s]: linear between, constant beyond its ends; 1 without a table."""
+        """Return the table's value [1] at a speed [m/s]: linear between rows, constant beyond; 1 without a table."""
         table = self.rate_table
         if not table:
             return 1.0
@@ -94,20 +101,20 @@ class Brake:
         return before + (after - before) * (speed - low) / (high - low)
 
     def rate_at(self, speed: float) -> float:
-        """Return the brake rate at a speed [m/s]."""
+        """Return the brake rate [1] at a speed [m/s]."""
         return self.rate * self.shape_at(speed)
 
 
 @dataclass(frozen=True, slots=True)
 class Line:
-    """The line by position [m]; each pair holds from its position on, positions rise.
+    """The line by position [m]; each pair applies from its position on, positions increase.
 
     Attributes:
-        stops: Stopping points of the train's front, in rising order.
-        gradient: Position and gradient [per mille in rising position].
-        curve: Position and radius [m], 0 = straight.
-        tunnel: Start and end of each tunnel.
-        speed_limit: Position and limit [m/s].
+        stops: Stopping points of the train's front [m], in increasing order.
+        gradient: Position [m] and gradient [per mille, + uphill in increasing position].
+        curve: Position [m] and radius [m], 0 = straight.
+        tunnel: Start and end of each tunnel [m].
+        speed_limit: Position [m] and limit [m/s].
         gradient_std: Standard deviation of the error of the gradients [per mille].
 
     """
@@ -122,7 +129,7 @@ class Line:
 
 @dataclass(frozen=True, slots=True)
 class Effect:
-    """An effect the workflow has added: its parameters, their standard errors and where they come from."""
+    """An effect added by the workflow: its parameters, their standard deviations and their provenance."""
 
     name: str
     parameters: NamedValues = ()
@@ -132,7 +139,7 @@ class Effect:
 
 @dataclass(frozen=True, slots=True)
 class TrainFile:
-    """All of a train file."""
+    """Content of a train file."""
 
     train: Train
     resistance: Davis
@@ -145,7 +152,7 @@ def load_train_file(path: str | Path) -> TrainFile:
     """Read a train file.
 
     Raises:
-        InputError: The file cannot be read or a field cannot be used; one line names both.
+        InputError: The file cannot be read or a field is invalid; one line names both.
 
     """
     try:
@@ -160,10 +167,10 @@ def load_train_file(path: str | Path) -> TrainFile:
 
 
 def parse_train_file(text: str, source: str) -> TrainFile:
-    """Read a train file from its text; ``source`` is the name that errors show.
+    """Read a train file from its text; ``source`` is the name shown in errors.
 
     Raises:
-        InputError: A field cannot be used.
+        InputError: A field is invalid.
 
     """
     top = parse_yaml(text, source).only(_names(TrainFile))
@@ -215,7 +222,7 @@ def _train(section: Section) -> Train:
 
 
 def _davis(section: Section) -> Davis:
-    # b alone may be negative: published fits of real stock have it, and w(v) stays positive.
+    # Only b may be negative: published fits of real rolling stock have such values, and w(v) stays positive.
     section.only(_names(Davis))
     return Davis(
         a=section.number('a', 'N/kN', low=0.0),
@@ -240,7 +247,7 @@ def _brake(section: Section) -> Brake:
 def _rate_table(section: Section) -> Pairs:
     rows = section.rows('rate', ('speed m/s', 'rate'))
     if not rows:
-        section.fail('rate', '= [] must be a number or have a row')
+        section.fail('rate', '= [] must be a number or have at least one row')
     for i, (speed, rate) in enumerate(rows):
         if speed < 0.0:
             section.fail(f'rate[{i}][0]', f'= {speed:g} m/s must be >= 0')
@@ -248,7 +255,7 @@ def _rate_table(section: Section) -> Pairs:
             section.fail(f'rate[{i}][1]', f'= {rate:g} is outside [{_LEAST_RATE:g}, {_MOST_RATE:g}]')
     for i, ((before, _), (after, _)) in enumerate(pairwise(rows)):
         if after <= before:
-            section.fail(f'rate[{i + 1}][0]', f'= {after:g} m/s must be above {before:g} m/s: speeds rise')
+            section.fail(f'rate[{i + 1}][0]', f'= {after:g} m/s must be above {before:g} m/s: speeds must increase')
     return tuple((speed, rate) for speed, rate in rows)
 
 
@@ -280,17 +287,17 @@ def _tunnels(section: Section) -> Pairs:
     rows = section.rows('tunnel', ('start m', 'end m'))
     for i, (start, end) in enumerate(rows):
         if end <= start:
-            section.fail(f'tunnel[{i}]', f'= [{start:g}, {end:g}] m must end after its start')
+            section.fail(f'tunnel[{i}]', f'= [{start:g}, {end:g}] m must end beyond its start')
     for i, ((_, end), (start, _)) in enumerate(pairwise(rows)):
         if start < end:
-            section.fail(f'tunnel[{i + 1}][0]', f'= {start:g} m lies before the last end, {end:g} m')
+            section.fail(f'tunnel[{i + 1}][0]', f'= {start:g} m is before the end of the previous tunnel, {end:g} m')
     return tuple((start, end) for start, end in rows)
 
 
 def _check_rising(section: Section, key: str, positions: tuple[float, ...]) -> None:
     for i, (before, after) in enumerate(pairwise(positions)):
         if after <= before:
-            problem = f'= {after:g} m must lie after {before:g} m: positions rise'
+            problem = f'= {after:g} m must be above {before:g} m: positions must increase'
             section.fail(f'{key}[{i + 1}]', problem)
 
 
@@ -310,7 +317,7 @@ def _effect(section: Section) -> Effect:
         if value < 0.0:
             section.fail(f'std.{key}', f'= {value:g} must be >= 0')
         if key not in dict(parameters):
-            section.fail(f'std.{key}', 'is the std of no parameter')
+            section.fail(f'std.{key}', 'has no parameter of that name')
     return Effect(name, parameters, std, section.text('provenance', ''))
 
 

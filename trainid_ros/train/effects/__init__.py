@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Effects beyond Davis and gradient, each one module: physical name, equation, parameters, twins.
+"""Effects beyond Davis resistance and gradient, one module each: name, equation, parameters, similar effects.
 
-Every effect is expressed as an *equivalent extra resistance* in the specific balance with the believed mass,
-``T + B = w(v) + i + w_extra + 1000 (1 + gamma) (dv/dt) / g``: T is the reported traction and B the believed brake.
-Simulator, live estimators and workflow evaluate this one function.
+Every effect is expressed as an *equivalent extra resistance* in the specific balance with the assumed mass,
+``T + B = w(v) + i + w_extra + 1000 (1 + gamma) (dv/dt) / g``, where T is the reported traction and B the braking
+force of the assumed brake, both in N/kN. Simulator, live estimators and workflow evaluate the same function.
 
-A new effect is one file that defines ``EFFECT``: in ``library`` here, or in a folder named by TRAINID_EFFECTS.
+A new effect is one file that defines ``EFFECT``, in ``library`` here or in a folder listed in TRAINID_EFFECTS.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an effect is: its equation, its parameters, what shows it and what it can be mistaken for."""
+"""Definition of an effect: equation, parameters, the data that identify it and the effects it is confused with."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ Parameters = Mapping[str, float]
 PLACE_UNIT: Final = 'm'
 TIME_UNIT: Final = 's'
 Resistance = Callable[[Parameters, Davis, TrackPoint], float]
-"""Equivalent extra resistance [N/kN] at one moment: what must be added to w(v) + i for the balance to hold."""
+"""Equivalent extra resistance [N/kN] at one time: the term added to w(v) + i that makes the balance hold."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,13 +24,13 @@ class Parameter:
     """One parameter of an effect.
 
     Attributes:
-        unit: Its unit, empty for a ratio.
-        low: Lowest value that is accepted.
-        high: Highest value that is accepted.
-        search: Range to look in for a value that is not known: of a shape, the values to try; of the amplitude, the
-            side of neutral on which it can lie. None where the data give it (positions in m, times in s since the
-            start) or it has either sign.
-        grid: How values to try are spaced over ``search``.
+        unit: Unit, empty for a ratio.
+        low: Lowest accepted value.
+        high: Highest accepted value.
+        search: Search range of an unknown value. For a shape parameter, the range of candidate values; for the
+            amplitude, the side of neutral on which it can lie. None where the data give the candidates (positions
+            in m, times in s since the start) or the amplitude can have either sign.
+        grid: Spacing of the candidate values over ``search``.
 
     """
 
@@ -42,13 +42,13 @@ class Parameter:
 
     @property
     def is_place(self) -> bool:
-        """True for a position on the line, looked for wherever was driven."""
+        """True for a position on the line, searched wherever the train has run."""
         return self.search is None and self.unit == PLACE_UNIT
 
 
 @dataclass(frozen=True, slots=True)
 class Twin:
-    """An effect that looks alike, and the drive that would tell the two apart."""
+    """Name of a similar effect, and the test run that distinguishes the two."""
 
     name: str
     drive: str
@@ -56,22 +56,22 @@ class Twin:
 
 @dataclass(frozen=True, slots=True)
 class EffectKind:
-    """What is known of an effect.
+    """Definition of an effect.
 
     Attributes:
         name: Name in train files and on the command line.
-        title: What it is, in words.
-        equation: Its equation in one line.
-        parameters: Its parameters by name.
-        amplitude: Name of the parameter that the effect is (nearly) linear in.
-        usual: How far from neutral the amplitude usually is: the scale of its prior when it is looked for.
-        resistance: Equivalent extra resistance; None if it cannot be expressed as one.
+        title: Short description.
+        equation: Equation in one line.
+        parameters: Parameters by name.
+        amplitude: Name of the parameter in which the effect is (nearly) linear.
+        usual: Typical distance of the amplitude from neutral: the scale of its prior in the search, in its unit.
+        resistance: Equivalent extra resistance [N/kN]; None if the effect cannot be expressed as one.
         neutral: Value of ``amplitude`` at which there is no effect.
-        origin: Whether the train runs otherwise, or only its data are wrong.
-        on_records: True if records show the effect themselves: the simulator spoils them, the live estimators
-            mend them, and neither adds ``resistance``, which is for fits to data that cannot be mended one by one.
-        needs: What the data must hold to show it.
-        twins: What it can be mistaken for.
+        origin: 'physics' if the motion of the train differs, 'sensor' if only its data are wrong.
+        on_records: True if the effect acts on the records: the simulator corrupts them, the live estimators correct
+            them, and neither adds ``resistance``, which is for fits to data that cannot be corrected one by one.
+        needs: What the data must contain to identify the effect.
+        twins: Similar effects that it can be confused with.
 
     """
 
@@ -90,20 +90,22 @@ class EffectKind:
 
     @property
     def repeatable(self) -> bool:
-        """True if it has a place or a time of its own, so that there may be several."""
+        """True if the effect has its own position or time, so that it may occur several times."""
         return any(p.search is None for name, p in self.parameters.items() if name != self.amplitude)
 
     def __post_init__(self) -> None:
-        """Check what a user can get wrong.
+        """Check the fields for consistency.
 
         Raises:
-            InputError: The amplitude is no parameter, the neutral value lies outside its range, or nothing tells which
-                values of a shape parameter to try.
+            InputError: The amplitude is not a parameter, the neutral value is outside its range, or a shape parameter
+                has no search range.
 
         """
         limits = self.parameters.get(self.amplitude)
         if limits is None:
-            msg = f'effect {self.name}: amplitude = {self.amplitude!r} is none of its parameters {[*self.parameters]}'
+            msg = (
+                f'effect {self.name}: amplitude = {self.amplitude!r} is not one of its parameters {[*self.parameters]}'
+            )
             raise InputError(msg)
         if not limits.low <= self.neutral <= limits.high:
             msg = f'effect {self.name}: neutral = {self.neutral:g} is outside the range of {self.amplitude}'
@@ -112,7 +114,7 @@ class EffectKind:
             given = parameter.search is not None or parameter.unit in {PLACE_UNIT, TIME_UNIT}
             if name != self.amplitude and not given:
                 msg = (
-                    f'effect {self.name}: parameter {name} needs search=(low, high), the values to try; only positions '
-                    f'[m] and times [s] are known from the drive, its unit is {parameter.unit!r}'
+                    f'effect {self.name}: parameter {name} needs search=(low, high), its range of values; only '
+                    f'positions [m] and times [s] need none, its unit is {parameter.unit!r}'
                 )
                 raise InputError(msg)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All that an effect may depend on: where and how the train runs at one moment."""
+"""Inputs of an effect: position and motion of the train at one time."""
 
 from __future__ import annotations
 
@@ -9,36 +9,36 @@ from dataclasses import dataclass
 from typing import Final
 
 COOLING_S: Final = 300.0
-"""Time in which a hot brake loses 63 % of its heat."""
+"""Cooling time constant of the brake [s]: a hot brake loses 63 % of its heat in this time."""
 BRAKE_APPLIED: Final = -0.02
-"""A nominal brake counts as applied below this acceleration [m/s^2]."""
+"""The brake counts as applied when its nominal acceleration is below this value [m/s^2]."""
 
 
-def _nothing(_: float) -> float:
+def _zero(_: float) -> float:
     return 0.0
 
 
 @dataclass(frozen=True, slots=True)
 class TrackPoint:
-    """Where and how the train runs at one moment; what is not known is neutral.
+    """Position and motion of the train at one time; unknown values have neutral defaults.
 
     Attributes:
         time_s: Time since the start [s].
         position: Position of the train's front [m], NaN if unknown.
-        direction: +1 while positions rise, -1 while they fall.
+        direction: +1 while positions increase, -1 while they decrease.
         speed: Speed [m/s, >= 0].
         curve_radius: Radius that gives the mean curvature under the train [m], 0 = straight.
         tunnel: True in a tunnel.
-        length: Length of the train [m]; 0 places all of it at its front.
+        length: Length of the train [m]; 0 treats it as a point at its front.
         distance_run: Distance run since the start [m].
-        since_release: Time since the brake was released [s]; 0 while it is applied, infinite while it has not been.
-        traction: Reported traction, 1000 F/(M g) with the believed mass M [N/kN].
-        brake: Force of a brake as believed, its rate included, per believed weight [N/kN, <= 0].
-        heat: Heat that this brake has put into itself, less what has cooled [J per kg of train].
-        acceleration: Acceleration [m/s^2]; live estimators, which measure speed alone, leave it 0.
-        brake_before: ``brake`` so many seconds ago; steady for live estimators, which shift its dead time instead.
-        traction_before: ``traction`` so many seconds ago; fits alone know those ahead (negative seconds).
-        gradient_ahead: Gradient as reported so many metres further ahead [per mille]; negative metres lie behind.
+        since_release: Time since the brake was released [s]; 0 while it is applied, infinite before its first use.
+        traction: Reported traction, 1000 F/(M g) with the assumed mass M [N/kN].
+        brake: Braking force of the assumed brake, including its rate, per assumed weight [N/kN, <= 0].
+        heat: Heat stored in this brake after cooling [J per kg of train].
+        acceleration: Acceleration [m/s^2]; 0 in live estimators, which measure only speed.
+        brake_before: ``brake`` a number of seconds ago; constant in live estimators, which shift its dead time instead.
+        traction_before: ``traction`` a number of seconds ago; only fits have future values (negative seconds).
+        gradient_ahead: Reported gradient [per mille] a number of metres ahead; negative metres are behind.
 
     """
 
@@ -55,27 +55,27 @@ class TrackPoint:
     brake: float = 0.0
     heat: float = 0.0
     acceleration: float = 0.0
-    brake_before: Callable[[float], float] = _nothing
-    traction_before: Callable[[float], float] = _nothing
-    gradient_ahead: Callable[[float], float] = _nothing
+    brake_before: Callable[[float], float] = _zero
+    traction_before: Callable[[float], float] = _zero
+    gradient_ahead: Callable[[float], float] = _zero
 
 
 def heat_after(heat: float, brake: float, speed: float, duration: float) -> float:
-    """Return the heat in a brake [J/kg] after a constant braking acceleration at a speed: h' = -brake v - h / T.
+    """Return the heat in a brake [J/kg] after braking at constant acceleration: the solution of h' = -brake v - h / T.
 
     Args:
         heat: Heat before [J/kg].
-        brake: Acceleration by the brake as believed [m/s^2, <= 0].
+        brake: Acceleration by the assumed brake [m/s^2, <= 0].
         speed: Mean speed [m/s].
         duration: Time [s].
 
     """
-    left = math.exp(-duration / COOLING_S)
-    return heat * left - brake * speed * COOLING_S * (1.0 - left)
+    decay = math.exp(-duration / COOLING_S)
+    return heat * decay - brake * speed * COOLING_S * (1.0 - decay)
 
 
 def share_inside(at: TrackPoint, start: float, end: float) -> float:
-    """Return the share of the train that is between two positions, 0 to 1; 0 while its position is unknown."""
+    """Return the share [0 to 1] of the train between two positions [m]; 0 while its position is unknown."""
     if math.isnan(at.position):
         return 0.0
     if at.length <= 0.0:

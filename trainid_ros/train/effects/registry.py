@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""All effects by name: one module each in ``library``, and users' modules in the folders of ``TRAINID_EFFECTS``."""
+"""Registry of effects by name: modules in ``library`` and users' modules in the folders of ``TRAINID_EFFECTS``."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from trainid_ros.train.effects import library
 from trainid_ros.train.effects.kind import EffectKind
 
 FOLDERS_VARIABLE: Final = 'TRAINID_EFFECTS'
-"""Environment variable with folders of users' effects, separated as in PATH; each ``*.py`` there defines ``EFFECT``."""
+"""Environment variable listing folders of user effects, separated as in PATH; each ``*.py`` defines ``EFFECT``."""
 
 
 class _Library(Mapping[str, EffectKind]):
-    """Reads the modules when first asked, so that a wrong file of a user stops only what uses effects."""
+    """Load the modules on first access, so that an invalid user file affects only code that uses effects."""
 
     def __getitem__(self, name: str) -> EffectKind:
         return _kinds(os.environ.get(FOLDERS_VARIABLE, ''))[name]
@@ -36,7 +36,7 @@ class _Library(Mapping[str, EffectKind]):
 
 
 EFFECTS: Final[Mapping[str, EffectKind]] = _Library()
-"""All effects by name. Any use raises InputError, which names the file, if a user's module cannot be used."""
+"""All effects by name. Any access raises InputError, naming the file, if a user's module is invalid."""
 
 
 @lru_cache(maxsize=8)
@@ -49,7 +49,7 @@ def _kinds(folders: str) -> Mapping[str, EffectKind]:
     for path in _user_files(folders):
         kind = _user_kind(path)
         if kind.name in found:
-            msg = f'{path}: effect {kind.name} is there already'
+            msg = f'{path}: effect {kind.name} already exists'
             raise InputError(msg)
         found[kind.name] = kind
     return MappingProxyType(found)
@@ -59,7 +59,7 @@ def _user_files(folders: str) -> list[Path]:
     files: list[Path] = []
     for folder in filter(None, folders.split(os.pathsep)):
         if not Path(folder).is_dir():
-            msg = f'{FOLDERS_VARIABLE}: {folder} is no folder'
+            msg = f'{FOLDERS_VARIABLE}: {folder} is not a folder'
             raise InputError(msg)
         files += sorted(path for path in Path(folder).glob('*.py') if not path.name.startswith('_'))
     return files
@@ -76,13 +76,13 @@ def _user_kind(path: Path) -> EffectKind:
 def _load(path: Path) -> ModuleType:
     spec = importlib.util.spec_from_file_location(f'trainid_user_effect_{path.stem}', path)
     if spec is None or spec.loader is None:
-        msg = f'{path}: is no Python module'
+        msg = f'{path}: is not a Python module'
         raise InputError(msg)
-    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)  # dataclasses look their module up
+    module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)  # dataclasses look up their module
     try:
         spec.loader.exec_module(module)
     except Exception as error:
-        # Whatever a user's file raises is told as what it is: a file that cannot be used.
+        # Any exception raised by a user's file is reported as a file that cannot be loaded.
         msg = f'{path}: cannot be loaded: {type(error).__name__}: {error}'
         raise InputError(msg) from error
     return module

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Effects of a train file checked and made ready to evaluate."""
+"""Check the effects of a train file and bind their parameters for evaluation."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ Term = Callable[[Davis, TrackPoint], float]
 
 
 def check_effects(effects: Sequence[Effect]) -> None:
-    """Check that every effect is known, has exactly its parameters, each in its range, and stands once.
+    """Check that every effect is known, has exactly its parameters, each in range, and occurs once.
 
-    Those with a place or a time of their own may stand several times.
+    Effects with their own position or time may occur several times.
 
     Raises:
-        InputError: It names the effect, or effect:key and the value.
+        InputError: A check fails; the message names the effect, or effect:key and the value.
 
     """
     for effect in effects:
@@ -34,23 +34,23 @@ def check_effects(effects: Sequence[Effect]) -> None:
         for key in values:
             if key not in kind.parameters:
                 hint = did_you_mean(key, kind.parameters)
-                msg = f'effect {effect.name}:{key} is no parameter; {hint}'
+                msg = f'effect {effect.name}:{key} is not a parameter; {hint}'
                 raise InputError(msg)
         for key, limits in kind.parameters.items():
             _check_parameter(f'effect {effect.name}:{key}', values.get(key), limits)
         if 'start' in values and 'end' in values and not values['start'] < values['end']:
             start, end = values['start'], values['end']
-            msg = f'effect {effect.name}:end = {end:g} m must lie after start = {start:g} m'
+            msg = f'effect {effect.name}:end = {end:g} m must be greater than start = {start:g} m'
             raise InputError(msg)
         if not kind.repeatable and sum(other.name == effect.name for other in effects) > 1:
-            msg = f'effect {effect.name}: stands more than once'
+            msg = f'effect {effect.name}: given more than once'
             raise InputError(msg)
 
 
 def resistance_terms(effects: Sequence[Effect]) -> tuple[Term, ...]:
-    """Return one function for each effect that acts in the balance, checked once and fast to call.
+    """Return one function for each effect that adds to the balance [N/kN]; parameters are checked once, here.
 
-    Effects that records show themselves (``on_records``) are not among them.
+    Effects that act on the records (``on_records``) are left out.
 
     Raises:
         InputError: As :func:`check_effects`.
@@ -66,7 +66,7 @@ def resistance_terms(effects: Sequence[Effect]) -> tuple[Term, ...]:
 
 
 def extra_resistance(effects: Sequence[Effect], davis: Davis, point: TrackPoint) -> float:
-    """Return the sum of all effects that act in the balance [N/kN].
+    """Return the sum of all effects that add to the balance [N/kN].
 
     Raises:
         InputError: As :func:`check_effects`.
@@ -76,7 +76,7 @@ def extra_resistance(effects: Sequence[Effect], davis: Davis, point: TrackPoint)
 
 
 def effect_value(effects: Sequence[Effect], name: str, key: str, default: float) -> float:
-    """Return a parameter of the effect of that name, which stands once, or the default."""
+    """Return a parameter of the only effect of that name, or the default if there is none."""
     for effect in effects:
         if effect.name == name:
             return dict(effect.parameters).get(key, default)

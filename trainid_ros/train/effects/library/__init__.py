@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One module for each effect; each defines ``EFFECT``."""
+"""Built-in effects, one module each; every module defines ``EFFECT``."""

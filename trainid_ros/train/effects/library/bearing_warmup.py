@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Cold bearings resist more until they have run warm."""
+"""Additional resistance of cold bearings until they have warmed up."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from trainid_ros.train.train_file import Davis
 
 
 def resistance(p: Parameters, _: Davis, at: TrackPoint) -> float:
-    """Return ``value exp(-s / distance)``: bearings run warm with the distance s [N/kN, m]."""
+    """Return ``value exp(-s / distance)`` [N/kN]: bearings warm up over the distance run s [m]."""
     return p['value'] * math.exp(-at.distance_run / p['distance'])
 
 
 EFFECT: Final = EffectKind(
     name='bearing_warmup',
-    title='cold bearings that run warm',
+    title='warm-up of cold bearings',
     equation='w = value exp(-s / distance), s = distance run since the start',
     parameters={
         'value': Parameter('N/kN', -1000.0, 1000.0, search=(0.0, 50.0)),
@@ -27,9 +27,9 @@ EFFECT: Final = EffectKind(
     amplitude='value',
     usual=1.0,
     resistance=resistance,
-    needs='a record from the start of the day until the bearings are warm',
+    needs='data from the start of the day until the bearings are warm',
     twins=(
-        Twin('resistance_step', 'a longer record: a step comes at once, warming wears off'),
+        Twin('resistance_step', 'a longer record: a step is sudden, the warm-up effect decays'),
         Twin('headwind', 'runs in both directions right after the start'),
     ),
 )

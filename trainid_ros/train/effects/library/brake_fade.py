@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A hot brake is weaker."""
+"""A hot brake loses braking force (fade)."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from trainid_ros.train.train_file import Davis
 
 
 def resistance(p: Parameters, _: Davis, at: TrackPoint) -> float:
-    """Return ``loss min(1, heat / energy) B``, which is <= 0 as B is: a fading brake leaves less to resist."""
+    """Return ``loss min(1, heat / energy) B`` [N/kN], <= 0 as B is: the lost braking force; ``energy`` in J/kg."""
     return p['loss'] * min(1.0, at.heat / p['energy']) * at.brake
 
 
 EFFECT: Final = EffectKind(
     name='brake_fade',
-    title='fading of the hot brake',
-    equation='w = loss min(1, heat / energy) B, B <= 0; heat of a brake without fade, cooling in 300 s',
+    title='fade of the hot brake',
+    equation='w = loss min(1, heat / energy) B, B <= 0; heat of a brake without fade, cooling time constant 300 s',
     parameters={
         'loss': Parameter('', 0.0, 0.9),
         'energy': Parameter('J/kg', 1e-6, 1e6, search=(30.0, 3000.0), grid='log'),
@@ -26,9 +26,9 @@ EFFECT: Final = EffectKind(
     amplitude='loss',
     usual=0.25,
     resistance=resistance,
-    needs='braking with a cold brake, and several times soon after one another',
+    needs='braking with a cold brake, and repeated braking in quick succession',
     twins=(
-        Twin('brake_scale', 'the first braking after a long rest, and several soon after one another'),
-        Twin('brake_delay', 'long braking from high speed: fade grows on the way, a delay does not'),
+        Twin('brake_scale', 'the first braking after a long pause, and repeated braking in quick succession'),
+        Twin('brake_delay', 'long braking from high speed: fade grows while braking, a delay does not'),
     ),
 )

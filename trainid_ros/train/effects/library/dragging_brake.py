@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Shoes do not come off at once."""
+"""The brake still drags for some time after its release."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from trainid_ros.train.train_file import Davis
 
 
 def resistance(p: Parameters, _: Davis, at: TrackPoint) -> float:
-    """Return ``permille`` for ``time`` seconds after a release."""
+    """Return ``permille`` [N/kN] for ``time`` [s] after a release while the train moves, else 0."""
     return p['permille'] if at.speed > 0.0 and 0.0 < at.since_release <= p['time'] else 0.0
 
 
 EFFECT: Final = EffectKind(
     name='dragging_brake',
-    title='brake that drags after its release',
+    title='dragging brake after release',
     equation='w = permille for time seconds after a release',
     parameters={
         'permille': Parameter('per mille', 0.0, 1000.0),
@@ -26,9 +26,9 @@ EFFECT: Final = EffectKind(
     amplitude='permille',
     usual=2.0,
     resistance=resistance,
-    needs='releases of the brake at speed, and motion long after them',
+    needs='brake releases at speed, and motion long after them',
     twins=(
-        Twin('starting_resistance', 'releases at high speed: what belongs to low speed does not show there'),
+        Twin('starting_resistance', 'releases at high speed: starting resistance is not visible there'),
         Twin('brake_delay', 'releases at high speed followed by long coasting'),
     ),
 )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Wind along the line."""
+"""Air resistance of wind along the line."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from trainid_ros.train.train_file import Davis
 
 
 def resistance(p: Parameters, davis: Davis, at: TrackPoint) -> float:
-    """Return ``c ((v + u) |v + u| - v^2)`` with the wind u [m/s] along the line.
+    """Return ``c ((v + u) |v + u| - v^2)`` [N/kN] with the headwind u [m/s].
 
-    ``speed`` > 0 blows against a train that runs up the line and drives the same train on its way back.
+    ``speed`` > 0 is a headwind in the direction of increasing position and a tailwind in the opposite direction.
     """
     air = at.speed + at.direction * p['speed']
     return davis.c * (air * abs(air) - at.speed * at.speed)
@@ -22,7 +22,7 @@ def resistance(p: Parameters, davis: Davis, at: TrackPoint) -> float:
 EFFECT: Final = EffectKind(
     name='headwind',
     title='wind along the line',
-    equation='w = c ((v + u) |v + u| - v^2), u = speed against rising positions, -speed with them',
+    equation='w = c ((v + u) |v + u| - v^2), u = headwind: speed in increasing position, -speed in decreasing position',
     parameters={'speed': Parameter('m/s', -60.0, 60.0)},
     amplitude='speed',
     usual=5.0,

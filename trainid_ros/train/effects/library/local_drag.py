@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Something resists at one place, whichever way a train runs."""
+"""Additional resistance in one section, equal in both directions."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from trainid_ros.train.train_file import Davis
 
 
 def resistance(p: Parameters, _: Davis, at: TrackPoint) -> float:
-    """Return ``permille`` times the share of the train between start and end; the same sign both ways."""
+    """Return ``permille`` times the share of the train between start and end [N/kN]; same sign in both directions."""
     return p['permille'] * share_inside(at, p['start'], p['end'])
 
 
 EFFECT: Final = EffectKind(
     name='local_drag',
-    title='drag at one place',
+    title='additional drag in one section',
     equation='w = permille between start and end, in both directions',
     parameters={'start': Parameter('m'), 'end': Parameter('m'), 'permille': Parameter('per mille', search=(0.0, 50.0))},
     amplitude='permille',
@@ -26,7 +26,7 @@ EFFECT: Final = EffectKind(
     needs='runs through the section and beyond it',
     twins=(
         Twin('gradient_error', 'runs through the section in both directions: a drag keeps its sign'),
-        Twin('curve_resistance', 'runs through other curves: there a drag at one place does not show'),
+        Twin('curve_resistance', 'runs through other curves: a local drag is not visible there'),
         Twin('tunnel_drag', 'runs through the section at clearly different speeds, and through other tunnels'),
     ),
 )

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From a time on everything runs harder, or more easily."""
+"""Step change of the resistance at some time."""
 
 from __future__ import annotations
 
@@ -11,21 +11,21 @@ from trainid_ros.train.train_file import Davis
 
 
 def resistance(p: Parameters, _: Davis, at: TrackPoint) -> float:
-    """Return ``a`` [N/kN] from ``time`` [s since the start] on."""
+    """Return ``a`` [N/kN] from ``time`` [s since the start] on, 0 before."""
     return p['a'] if at.time_s >= p['time'] else 0.0
 
 
 EFFECT: Final = EffectKind(
     name='resistance_step',
-    title='resistance that has changed at some time',
+    title='step change of the resistance',
     equation='w = a from time on',
     parameters={'time': Parameter('s', 0.0, 1e9), 'a': Parameter('N/kN', -1000.0, 1000.0)},
     amplitude='a',
     usual=0.6,
     resistance=resistance,
-    needs='runs over the same line before and after',
+    needs='runs over the same line before and after the step',
     twins=(
-        Twin('bearing_warmup', 'a record from the start of the day: warming wears off with the distance'),
-        Twin('headwind', 'runs in both directions before and after'),
+        Twin('bearing_warmup', 'data from the start of the day: the warm-up effect decays with distance'),
+        Twin('headwind', 'runs in both directions before and after the step'),
     ),
 )

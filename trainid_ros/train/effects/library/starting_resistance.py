@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bearings and flanges resist more at low speed."""
+"""Additional resistance of bearings and flanges at low speed."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from trainid_ros.train.train_file import Davis
 
 
 def resistance(p: Parameters, _: Davis, at: TrackPoint) -> float:
-    """Return ``value exp(-v / speed)`` [N/kN]."""
+    """Return ``value exp(-v / speed)`` [N/kN], ``speed`` in m/s."""
     return p['value'] * math.exp(-at.speed / p['speed'])
 
 
 EFFECT: Final = EffectKind(
     name='starting_resistance',
-    title='resistance at low speed',
+    title='additional resistance at low speed',
     equation='w = value exp(-v / speed)',
     parameters={
         'value': Parameter('N/kN', -1000.0, 1000.0, search=(0.0, 50.0)),
@@ -27,10 +27,10 @@ EFFECT: Final = EffectKind(
     amplitude='value',
     usual=2.0,
     resistance=resistance,
-    needs='slow driving, not only starts with full traction',
+    needs='running at low speed, not only starts with full traction',
     twins=(
-        Twin('dragging_brake', 'slow coasting long after the brake was released'),
-        Twin('mass_error', 'slow driving with weak traction'),
+        Twin('dragging_brake', 'coasting at low speed long after the brake was released'),
+        Twin('mass_error', 'running at low speed with low traction'),
         Twin('bearing_warmup', 'starts late in the day, with warm bearings'),
     ),
 )

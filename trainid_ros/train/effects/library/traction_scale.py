@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The drive pulls more or less than it reports."""
+"""The tractive force is larger or smaller than reported."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from trainid_ros.train.train_file import Davis
 
 
 def resistance(p: Parameters, _: Davis, at: TrackPoint) -> float:
-    """Return ``-(ratio - 1) T``: the drive pulls ratio times what it reports."""
+    """Return ``-(ratio - 1) T`` [N/kN]: the tractive force is ``ratio`` times the reported one."""
     return -(p['ratio'] - 1.0) * at.traction
 
 
@@ -25,10 +25,13 @@ EFFECT: Final = EffectKind(
     neutral=1.0,
     resistance=resistance,
     origin='sensor',
-    needs='strong and weak traction, and coasting',
+    needs='high and low traction, and coasting',
     twins=(
-        Twin('mass_error', 'runs over steep gradients or braking, or weigh the train: the gain leaves the brake alone'),
-        Twin('wheel_diameter', 'compare the distance between two stops with the line'),
-        Twin('stamp_skew', 'long steady traction: a skew shows only while the force changes'),
+        Twin(
+            'mass_error',
+            'runs over steep gradients or braking, or weighing the train: the gain does not affect braking',
+        ),
+        Twin('wheel_diameter', 'comparison of the distance between two stops with the line data'),
+        Twin('stamp_skew', 'long steady traction: a skew is visible only while the force changes'),
     ),
 )

@@ -12,7 +12,7 @@ from trainid_ros.train.train_file import Davis
 
 
 def resistance(p: Parameters, resistance: Davis, at: TrackPoint) -> float:
-    """Return what makes the balance of measured speed hold: ``-(ratio - 1) (T + B - i - w(v) + v w'(v))``."""
+    """Return ``-(ratio - 1) (T + B - i - w(v) + v w'(v))`` [N/kN]: it makes the balance of the measured speed hold."""
     v = at.speed
     free = at.traction + at.brake - at.gradient_ahead(0.0) - davis(resistance, v)
     return -(p['ratio'] - 1.0) * (free + v * (resistance.b + 2.0 * resistance.c * v))
@@ -29,10 +29,10 @@ EFFECT: Final = EffectKind(
     neutral=1.0,
     origin='sensor',
     on_records=True,
-    needs='positions between stops whose distance is known',
+    needs='positions between stops with a known distance',
     twins=(
-        Twin('traction_scale', 'compare the distance between two stops with the line'),
-        Twin('mass_error', 'compare the distance between two stops with the line'),
-        Twin('brake_scale', 'compare the distance between two stops with the line'),
+        Twin('traction_scale', 'comparison of the distance between two stops with the line data'),
+        Twin('mass_error', 'comparison of the distance between two stops with the line data'),
+        Twin('brake_scale', 'comparison of the distance between two stops with the line data'),
     ),
 )
