@@ -9,7 +9,7 @@ PYTEST := tools/with_test_env $(PYTHON_IN) -m pytest
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/\1\t\2/' | expand -t 14
 
-setup: ## make or refresh .venv: ROS 2 Jazzy, messages, trainid_ros (PYTHON=... chooses the interpreter)
+setup: ## make or refresh .venv: ROS 2 Jazzy, messages, trainid_ros (PYTHON=... selects the interpreter)
 	@PYTHON='$(PYTHON)' tools/setup
 
 demo: setup ## play a bag through the three live nodes and write a report
@@ -42,16 +42,16 @@ golden: setup ## regenerate expected outputs and config/params.yaml; review the 
 bench: setup .venv-peers/stamp ## measure speed and accuracy, also of the papers and of other libraries
 	$(PYTHON_IN) benchmarks/run.py
 
-bench-peers: setup .venv-peers/stamp ## measure other libraries beside ours on the same data
+bench-peers: setup .venv-peers/stamp ## compare with other libraries on the same data
 	$(PYTHON_IN) benchmarks/run.py --only peers
 
-# A folder that only the benchmark looks into, after .venv, whose versions it shares.
+# A folder that only the benchmarks use, after .venv on the path, with the same versions.
 .venv-peers/stamp: tools/requirements/peers.lock
 	rm -rf .venv-peers
 	$(PYTHON_IN) -m pip install --quiet --no-deps --require-hashes --no-build-isolation --target .venv-peers -r $<
 	touch $@
 
-lock: ## resolve the pinned requirements anew (needs uv)
+lock: ## resolve the pinned requirements again (needs uv)
 	python3 tools/lock.py
 
 clean: ## remove the environment and everything generated

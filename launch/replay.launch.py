@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A bag played through the three estimators on simulated time."""
+"""Play a bag through the three estimators on simulated time."""
 
 from pathlib import Path
 
@@ -17,7 +17,7 @@ def generate_launch_description():
     arguments = (
         ('bag', 'rosbag2 directory or .mcap file', None),
         ('train_file', 'train file (YAML)', None),
-        ('rate', 'recorded seconds in one second', '1.0'),
+        ('rate', 'recorded seconds per second', '1.0'),
         ('loop', 'start over at the end', 'false'),
     )
     declared = [

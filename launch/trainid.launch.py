@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The three estimators as lifecycle nodes; they configure and activate themselves."""
+"""Start the three estimators as lifecycle nodes that configure and activate themselves."""
 
 from launch.actions import DeclareLaunchArgument, OpaqueFunction
 from launch.substitutions import LaunchConfiguration
@@ -11,7 +11,7 @@ NODES = ('resistance_estimator', 'speed_model_estimator', 'brake_rate_estimator'
 
 
 def make_nodes(context):
-    """Return the nodes; the autostart of launch_ros is left alone, the nodes have their own."""
+    """Return the nodes; the autostart of launch_ros is not used, the nodes have their own."""
     values = {
         name: LaunchConfiguration(name).perform(context)
         for name in ('train_file', 'params_file', 'use_sim_time', 'autostart', 'namespace', 'log_level')

@@ -35,7 +35,7 @@ class SmokeError(Exception):
 
 @cache
 def own_domain() -> int:
-    """Return one domain that nobody uses, for all processes of this run."""
+    """Return one unused domain for all processes of this run."""
     return free_domain(os.getpid())
 
 
@@ -50,7 +50,7 @@ def sourced(setup: Path, scratch: Path) -> dict[str, str]:
         Environment variables.
 
     Raises:
-        SmokeError: If sourcing fails or complains.
+        SmokeError: If sourcing fails or prints anything.
     """
     base = {
         'HOME': str(scratch),
@@ -64,9 +64,9 @@ def sourced(setup: Path, scratch: Path) -> dict[str, str]:
     }
     command = ['bash', '--noprofile', '--norc', '-c', 'set -e; source "$0" 1>&2; env -0', str(setup)]
     done = subprocess.run(command, env=base, capture_output=True, check=False, stdin=subprocess.DEVNULL)
-    complaint = done.stderr.decode(errors='replace').strip()
-    if done.returncode or complaint:
-        msg = f'source {setup.name}: exit code {done.returncode}: {complaint}'
+    message = done.stderr.decode(errors='replace').strip()
+    if done.returncode or message:
+        msg = f'source {setup.name}: exit code {done.returncode}: {message}'
         raise SmokeError(msg)
     pairs = (item.partition('=') for item in done.stdout.decode().split('\0') if item)
     return {name: value for name, _, value in pairs}
@@ -112,7 +112,7 @@ def build(scratch: Path) -> None:
 
 
 def run_node(scratch: Path) -> str:
-    """Start the installed node, ask it for its lifecycle state, interrupt it.
+    """Start the installed node, query its lifecycle state and interrupt it.
 
     Args:
         scratch: Folder of the built workspace.
@@ -145,7 +145,7 @@ def run_node(scratch: Path) -> str:
             node.send_signal(signal.SIGINT)
             code = node.wait(timeout=EXIT_TIMEOUT_S)
         except subprocess.TimeoutExpired as error:
-            msg = f'{NODE} or its probe hangs: {error}\n{log.read_text(errors="replace")}'
+            msg = f'{NODE} or its probe does not end: {error}\n{log.read_text(errors="replace")}'
             raise SmokeError(msg) from error
         finally:
             if node.poll() is None:
@@ -202,7 +202,7 @@ def main() -> int:
         Exit code.
     """
     parser = argparse.ArgumentParser(description=__doc__.partition('\n')[0] if __doc__ else None)
-    parser.add_argument('--probe', action='store_true', help='only ask a running node (used by the script itself)')
+    parser.add_argument('--probe', action='store_true', help='only query a running node (used by the script itself)')
     if parser.parse_args().probe:
         return probe_node()
     began = time.monotonic()

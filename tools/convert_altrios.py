@@ -10,7 +10,7 @@ are those at t[i-1]; so
     (m_static + m_rot) (v[i] - v[i-1]) / dt = f_net[i] - sum(res[i]).
 
 Force and gradient are therefore stamped in the middle of that interval and the brake command at its
-start. The simulation has no noise; sensors are added here from one seeded generator.
+start. The simulation has no noise; sensor noise is added here from one seeded generator.
 """
 
 from __future__ import annotations
@@ -42,11 +42,11 @@ SPEED_QUANTUM: Final = 0.1 / 3.6  # m/s
 FORCE_NOISE_SHARE: Final = 0.005  # of the force
 FORCE_NOISE_WEIGHT: Final = 0.0002  # of the weight
 POSITION_QUANTUM: Final = 1.0  # m
-GREATEST_CURVATURE: Final = 0.01  # 1/m; the map holds some impossible ones
+GREATEST_CURVATURE: Final = 0.01  # 1/m; the map has some impossible ones
 STRAIGHT: Final = 1e-6  # 1/m
-# What the engineer believes in place of the truth: about 20 % off, each its own way.
-BELIEF: Final = (1.2, 0.8, 1.2)
-CARS: Final = 110  # not told by the source, a guess from the length; nothing depends on it
+# Factors on the true Davis parameters in the train file: each 20 % too high or too low.
+STATED_FACTORS: Final = (1.2, 0.8, 1.2)
+CARS: Final = 110  # not given by the source, estimated from the length; nothing depends on it
 
 TRAIN_HEADER: Final = """\
 # Freight train of bags/altrios_manifest as an engineer would describe it: the Davis parameters are about
@@ -59,13 +59,13 @@ class Run:
     """The part of the run that is used, forces in N; row i acts between t[i-1] and t[i].
 
     Attributes:
-        stamp_ns: Stamps of the speeds.
-        half_ns: Half a time step.
+        stamp_ns: Stamps of the speeds [ns].
+        half_ns: Half a time step [ns].
         speed: Speed at the stamp [m/s].
         position: Front of the train [m].
         force: Wheel force less friction brake [N].
         brakes: True while a brake acts.
-        known: False where the simulator reports a stale friction force.
+        known: False where the simulator reports an outdated friction force.
         gradient: Gradient resistance [N].
         curve: Curve resistance [N].
         curvature: Mean curvature under the train [1/m].
@@ -112,7 +112,7 @@ def load(path: Path) -> Run:
         speed=table['v'][part].astype(np.float64),
         position=table['s'][part],
         force=net,
-        # The reported friction force is stale now and then, so it is taken from the balance of forces.
+        # The reported friction force is sometimes outdated, so it is taken from the balance of forces.
         brakes=(wheel - net > 0.0) | (wheel < 0.0),
         known=table['ok'][part],
         gradient=table['res_grade'][part].astype(np.float64),
@@ -137,7 +137,7 @@ def mean_under_train(
 
 
 def curve_coefficient(run: Run) -> float:
-    """Return the coefficient of 1/R [N/kN m] that fits the curve resistance best where the map is possible."""
+    """Return the coefficient of 1/R [N/kN m] that best fits the curve resistance where the map is plausible."""
     curvature = run.curvature[run.possible]
     resistance = run.curve[run.possible] / run.weight * 1000.0
     return float(curvature @ resistance / (curvature @ curvature))
@@ -154,7 +154,7 @@ def records(run: Run, coefficient: float, rng: np.random.Generator) -> list[Reco
     inertia = run.meta['mass_static_kg'] + run.meta['mass_rot_kg']
     target = np.where(run.brakes, np.minimum(run.force, 0.0) / inertia, 0.0)
     gradient, bend = run.gradient / run.weight * 1000.0, run.curve / run.weight * 1000.0
-    # This radius gives the simulator's curve resistance exactly; its own formula is not quite one of 1/R.
+    # This radius gives the simulator's curve resistance exactly; its own formula is not exactly proportional to 1/R.
     radius = np.where(bend > coefficient * STRAIGHT, coefficient / np.maximum(bend, coefficient * STRAIGHT), 0.0)
     out: list[Record] = []
     for i, stamp in enumerate(run.stamp_ns.tolist()):
@@ -168,13 +168,13 @@ def records(run: Run, coefficient: float, rng: np.random.Generator) -> list[Reco
 
 
 def true_davis(run: Run) -> Davis:
-    """Return the Davis parameters the simulator used."""
+    """Return the Davis parameters of the simulator [N/kN, speed in m/s]."""
     values = (run.meta[name] / run.weight * 1000.0 for name in ('A_N', 'B_N_per_mps', 'C_N_per_mps2'))
     return Davis(*map(float, values))
 
 
-def believed_train(run: Run, coefficient: float) -> TrainFile:
-    """Return the train file an engineer would have."""
+def stated_train(run: Run, coefficient: float) -> TrainFile:
+    """Return the train file as an engineer would state it."""
     meta, davis = run.meta, true_davis(run)
     return TrainFile(
         Train(
@@ -186,8 +186,8 @@ def believed_train(run: Run, coefficient: float) -> TrainFile:
             max_traction_power=2.6e7,
             max_speed=20.2,
         ),
-        Davis(*(round(x * factor, 6) for x, factor in zip((davis.a, davis.b, davis.c), BELIEF, strict=True))),
-        # The simulator's friction brake acts at once and in full.
+        Davis(*(round(x * factor, 6) for x, factor in zip((davis.a, davis.b, davis.c), STATED_FACTORS, strict=True))),
+        # The simulator's friction brake acts without delay or lag.
         Brake(rate=1.0, time_constant=0.0, delay=0.0),
         effects=(
             Effect(
@@ -212,7 +212,7 @@ def main() -> int:
     """Convert the file named on the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('npz', type=Path, help='manifest_5hz.npz')
-    parser.add_argument('out', type=Path, help='bag to make')
+    parser.add_argument('out', type=Path, help='bag to create')
     args = parser.parse_args()
     run = load(args.npz)
     coefficient = curve_coefficient(run)
@@ -221,7 +221,7 @@ def main() -> int:
             writer.write_record(record)
     davis = true_davis(run)
     save_truth(Truth(START_NS, ((0.0, davis.a, davis.b, davis.c),)), args.out / 'truth.yaml')
-    text = TRAIN_HEADER + dump_train_file(believed_train(run, coefficient))
+    text = TRAIN_HEADER + dump_train_file(stated_train(run, coefficient))
     (args.out / 'train.yaml').write_text(text, encoding='utf-8')
     print(speed_shares(run))
     print(f'curve coefficient {coefficient:.1f} N/kN m, truth {davis}')

@@ -4,11 +4,11 @@
 Usage: python tools/convert_ride.py ride_cycleRtools_1.npz bags/ride
 
 The ride (package cycleRtools, MIT) holds speed, power, altitude and distance once a second. Nothing is simulated and
-no noise is added, but three things are assumed. Power is the mean over the second that ends at its stamp, and
+no noise is added, but three assumptions are made. Power is the mean over the second that ends at its stamp, and
 acts at the wheel without loss. Gradient is the slope of a local line through altitude over distance. The rider's
-brakes were not measured: the brake command is zero throughout, which here means that nothing is known of them.
+brakes were not measured: the brake command is zero throughout, which here means unknown.
 
-The windows of the estimators are made for five samples a second, so speed is interpolated to 5 Hz, force and
+The windows of the estimators are designed for five samples a second, so speed is interpolated to 5 Hz, force and
 gradient to 2 Hz. That adds no information; nothing is interpolated over pauses.
 """
 
@@ -40,11 +40,11 @@ PAUSE_S: Final = 1.5
 SPEED_STEP_S: Final = 0.2
 FORCE_STEP_S: Final = 0.5
 BRAKE_STEP_S: Final = 1.0
-# Slower than this, power over speed is no force any more.
+# Below this speed [m/s], power over speed is not a usable force.
 SLOWEST: Final = 1.0
-# The altitude has steps of 0.2 m; over this distance they make 2 per mille.
+# The altitude has steps of 0.2 m; over this distance they correspond to 2 per mille.
 SMOOTHING_M: Final = 30.0
-# What a cyclist would believe; nothing of it was measured.
+# Assumed values of rider and bicycle; none was measured.
 MASS: Final = 85.0  # kg, rider and bicycle
 ROLLING: Final = 5.0  # N/kN
 DRAG_AREA: Final = 0.35  # m^2
@@ -58,7 +58,7 @@ TRAIN_HEADER: Final = """\
 
 @dataclass(frozen=True, slots=True)
 class Ride:
-    """The ride, once a second but for pauses, shapes (n,).
+    """The ride, sampled once a second except in pauses, shapes (n,).
 
     Attributes:
         time: Time since the start [s].
@@ -129,16 +129,16 @@ def _records_of(ride: Ride, piece: slice) -> list[Record]:
 
 def _grid(time: Array, step: float) -> list[float]:
     """Return times from the first to the last of an array."""
-    whole: list[float] = (time[0] + step * np.arange(round((time[-1] - time[0]) / step) + 1)).tolist()
-    return whole
+    times: list[float] = (time[0] + step * np.arange(round((time[-1] - time[0]) / step) + 1)).tolist()
+    return times
 
 
 def _stamp(time: float) -> int:
     return START_NS + round(time * 1000.0) * (NS_PER_S // 1000)
 
 
-def believed() -> TrainFile:
-    """Return what one would guess of rider and bicycle."""
+def assumed_train() -> TrainFile:
+    """Return the assumed values of rider and bicycle as a train file."""
     c = 0.5 * AIR * DRAG_AREA / (MASS * G) * 1000.0
     train = Train(
         mass=MASS, rotary_mass=0.01, length=1.8, cars=1, max_traction_force=400.0, max_traction_power=1000.0,
@@ -151,13 +151,13 @@ def main() -> int:
     """Convert the file named on the command line."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument('npz', type=Path, help='ride_cycleRtools_1.npz')
-    parser.add_argument('out', type=Path, help='bag to make')
+    parser.add_argument('out', type=Path, help='bag to create')
     args = parser.parse_args()
     ride = load(args.npz)
     with BagWriter(args.out) as writer:
         for record in records(ride):
             writer.write_record(record)
-    (args.out / 'train.yaml').write_text(TRAIN_HEADER + dump_train_file(believed()), encoding='utf-8')
+    (args.out / 'train.yaml').write_text(TRAIN_HEADER + dump_train_file(assumed_train()), encoding='utf-8')
     idle = float(np.mean(ride.power == 0.0))
     print(f'{ride.time.size} seconds in {len(ride.pieces())} pieces, {idle:.1%} of them without power')
     return 0

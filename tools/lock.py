@@ -2,7 +2,7 @@
 """Write the hashed lock files of tools/requirements from the `.in` files beside them.
 
 Needs the resolver `uv` on the path or in the environment variable UV. With names of groups, only these are
-resolved anew, against the pins that stand in the locks before them. A lock lists only the wheels
+resolved again, against the pins in the locks of the groups before them. A lock lists only the wheels
 that the project can use (CPython 3.11 to 3.13 on glibc Linux), and neither addresses nor paths.
 """
 
@@ -26,13 +26,13 @@ PLATFORM_TAG = re.compile(r'(any|manylinux\w*_(x86_64|aarch64)|linux_(x86_64|aar
 
 
 def usable(wheel: str) -> bool:
-    """Tell whether a wheel file fits one of the supported interpreters and machines.
+    """Return whether a wheel file fits one of the supported interpreters and machines.
 
     Args:
         wheel: File name of the wheel.
 
     Returns:
-        True for a wheel that belongs into a lock.
+        True for a wheel that belongs in a lock.
     """
     python, abi, platform = wheel.removesuffix('.whl').split('-')[-3:]
     return bool(
@@ -94,7 +94,7 @@ def entry(package: dict[str, Any]) -> str:
 
 
 def pinned(group: str) -> list[str]:
-    """Read the pins of a lock written before.
+    """Read the pins of an existing lock.
 
     Args:
         group: Stem of the `.lock` file.
@@ -107,7 +107,7 @@ def pinned(group: str) -> list[str]:
 
 
 def main() -> int:
-    """Resolve the groups asked for, or every group, and write their locks.
+    """Resolve the named groups, or all groups, and write their locks.
 
     Returns:
         Exit code.

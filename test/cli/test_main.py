@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 @pytest.fixture
 def verb(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[argparse.Namespace], int]], None]:
-    """Put a function in the place of the module of ``info``."""
+    """Return a function that replaces the module of ``info``."""
 
     def install(run: Callable[[argparse.Namespace], int]) -> None:
         module = SimpleNamespace(configure=lambda parser: parser.add_argument('--x', type=int), run=run)
@@ -58,13 +58,15 @@ def test_errors_become_one_line_and_a_code(
     assert (captured.out, captured.err) == ('', text)
 
 
-def test_faults_of_the_program_are_not_hidden(verb: Callable[[Callable[[argparse.Namespace], int]], None]) -> None:
+def test_programming_errors_are_not_hidden(verb: Callable[[Callable[[argparse.Namespace], int]], None]) -> None:
     verb(raising(ZeroDivisionError()))
     with pytest.raises(ZeroDivisionError):
         entry.main(['info'])
 
 
-def test_code_and_arguments_pass_through(verb: Callable[[Callable[[argparse.Namespace], int]], None]) -> None:
+def test_exit_code_and_arguments_are_passed_through(
+    verb: Callable[[Callable[[argparse.Namespace], int]], None],
+) -> None:
     verb(lambda args: int(args.x))
     assert entry.main(['info', '--x', '7']) == 7
 

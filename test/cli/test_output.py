@@ -29,7 +29,7 @@ class Outer:
     path: Path
 
 
-def test_everything_an_answer_may_hold_becomes_plain() -> None:
+def test_all_permitted_types_become_json_types() -> None:
     value = {
         'outer': Outer(Inner((1.0, math.nan, -math.inf)), Colour.RED, Path('a/b')),
         'array': np.array([[1.0, math.inf]]),
@@ -51,7 +51,7 @@ def test_json_is_printed_on_one_line(capsys: pytest.CaptureFixture[str]) -> None
     assert json.loads(text) == {'x': None, 'name': 'Zürich'}
 
 
-def test_value_without_plain_form_is_refused() -> None:
+def test_value_without_json_form_is_rejected() -> None:
     with pytest.raises(TypeError, match='object has no JSON form'):
         to_plain({'x': object()})
 
@@ -60,7 +60,7 @@ def test_table_aligns_text_left_and_numbers_right() -> None:
     assert table([('name', 'n'), ('a', '1'), ('longer', '22')], numbers=(1,)) == 'name     n\na        1\nlonger  22'
 
 
-def test_progress_says_nothing_without_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+def test_progress_prints_nothing_without_a_terminal(capsys: pytest.CaptureFixture[str]) -> None:
     with progress('work', 10) as advance:
         advance(5)
     assert capsys.readouterr() == ('', '')

@@ -26,7 +26,7 @@ def simulate_world(out: Path, *arguments: str) -> int:
     return main(['simulate', str(out), '--runs', '1', *arguments])
 
 
-def test_bag_truth_and_answer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_bag_truth_and_json_agree(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out = tmp_path / 'bag'
     assert simulate(out, '--effect', 'resistance_step:time=60', '--effect', 'resistance_step:a=0.5', '--json') == 0
     answer = json.loads(capsys.readouterr().out)
@@ -82,7 +82,7 @@ def test_seed_must_be_a_whole_number(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "--seed: '-1' is not a whole number >= 0" in capsys.readouterr().err
 
 
-def test_the_effect_of_the_readme_takes_part(
+def test_the_effect_in_the_readme_works(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     readme = (REPOSITORY / 'README.md').read_text(encoding='utf-8')
@@ -95,7 +95,7 @@ def test_the_effect_of_the_readme_takes_part(
     monkeypatch.setenv('TRAINID_EFFECTS', str(folder))
     assert simulate(tmp_path / 'snow', '--effect', 'snow:drag=2') == 0
     assert simulate(tmp_path / 'clear') == 0
-    # The same driver with the same orders needs more force in snow.
+    # The same driver with the same timetable needs more force in snow.
     work = []
     for name in ('snow', 'clear'):
         with BagReader(tmp_path / name) as reader:
@@ -103,7 +103,7 @@ def test_the_effect_of_the_readme_takes_part(
     assert work[0] > 1.05 * work[1]
 
 
-def test_a_world_writes_the_train_as_stated_beside_the_truth(
+def test_a_world_writes_the_stated_train_file_beside_the_truth(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     out = tmp_path / 'bag'
@@ -120,7 +120,7 @@ def test_a_world_writes_the_train_as_stated_beside_the_truth(
     assert answer['truth']['unknowns'] == unknowns
 
 
-def test_clean_worlds_say_the_truth_and_unknowns_are_switched_on_top(tmp_path: Path) -> None:
+def test_clean_worlds_state_the_truth_and_unknowns_can_be_added(tmp_path: Path) -> None:
     speeds = []
     for name, more in (('clean', ()), ('wheels', ('--unknown', 'wheels'))):
         assert simulate_world(tmp_path / name, '--world', 'tram', *more) == 0
@@ -137,7 +137,7 @@ def test_clean_worlds_say_the_truth_and_unknowns_are_switched_on_top(tmp_path: P
     assert speeds[1] == pytest.approx([ratio * speed for speed in speeds[0]], abs=0.2 / 3.6)
 
 
-def test_a_world_drives_another_train_and_adds_effects_to_the_truth_alone(tmp_path: Path) -> None:
+def test_a_world_can_use_another_train_and_adds_effects_only_to_the_truth(tmp_path: Path) -> None:
     arguments = ('--world', 'metro', '--train', str(TRAIN), '--effect', 'brake_scale:ratio=0.9')
     assert simulate_world(tmp_path / 'bag', *arguments) == 0
     assert load_train_file(tmp_path / 'bag' / 'train.yaml').effects == ()
@@ -164,7 +164,7 @@ def test_without_a_world_nothing_but_bag_and_truth_is_written(
         (('--world', 'tram', '--effect', 'curve_resistance:coefficient=5'), 'curve_resistance: the true train has it'),
     ],
 )
-def test_what_a_world_cannot_do_is_named(
+def test_invalid_world_options_are_reported(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], named: str
 ) -> None:
     assert simulate_world(tmp_path / 'bag', *arguments) == 2
@@ -182,7 +182,7 @@ def test_what_a_world_cannot_do_is_named(
         (('--world', 'tram', '--unknown', 'weels'), '--unknown'),
     ],
 )
-def test_names_that_do_not_exist_are_usage_errors(
+def test_unknown_names_are_usage_errors(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], option: str
 ) -> None:
     with pytest.raises(SystemExit) as caught:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Live against replay: every way in which they can differ is told."""
+"""Live against replay: every kind of difference is reported."""
 
 from __future__ import annotations
 
@@ -22,8 +22,8 @@ ESTIMATE = ResistanceEstimate(
     speed_max=20.0,
 )  # fmt: skip
 NAMES = tuple(ESTIMATE.__dataclass_fields__)
-REFUSAL = Rejection(7, Reason.OUTLIER, 1.0, 0.5)
-OUTPUT = Output(1_700_000_000_200_000_000, ESTIMATE, Status.VALID, 10, 3, REFUSAL)
+REJECTION = Rejection(7, Reason.OUTLIER, 1.0, 0.5)
+OUTPUT = Output(1_700_000_000_200_000_000, ESTIMATE, Status.VALID, 10, 3, REJECTION)
 
 
 def prints(*stamps: int, estimate: bytes = b'e', status: Status = Status.VALID) -> list[Fingerprint]:
@@ -36,7 +36,7 @@ def test_message_of_an_output_has_its_fingerprint(output: Any) -> None:
     assert fingerprint_of_message(message, output.stamp_ns, NAMES) == fingerprint_of_output(output)
 
 
-def test_nan_equals_nan_and_bool_survives() -> None:
+def test_nan_equals_nan_and_bool_is_kept() -> None:
     estimate = BrakeRateEstimate(1.0, 0.1, float('nan'), 3.0, -0.1, -0.2, 50.0, True, 0.0, 1.0, 0.0)
     output = Output(5, estimate, Status.VALID, 1, 0, None)
     message = estimate_message(output)
@@ -80,7 +80,7 @@ def test_missing_and_different_messages_are_not_exact() -> None:
     assert '1 were missed' in text
 
 
-def test_message_told_by_the_clock_is_no_difference() -> None:
+def test_stale_message_by_the_clock_is_not_a_difference() -> None:
     result = compare([*prints(1, 2), *prints(2, status=Status.STALE)], prints(1, 2))
     assert result.exact
     assert result.reported_stale == 1
@@ -98,7 +98,7 @@ def test_messages_with_one_stamp_are_compared_in_their_order() -> None:
     assert compare(reversed(expected), expected).equal == 0
 
 
-def test_other_counters_are_told_but_leave_the_estimates_exact() -> None:
+def test_different_counters_are_reported_but_leave_the_estimates_exact() -> None:
     live = [Fingerprint(1, b'e', b'other', int(Status.VALID))]
     result = compare(live, prints(1))
     assert result.exact

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The last chapter of the demo: what was hidden is found, without ROS, also where an earlier demo left its bag."""
+"""Last chapter of the demo: the hidden effect is found, without ROS, also if an earlier demo left its bag."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def test_the_hidden_effect_is_found(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert HIDDEN in (folder / 'report.html').read_text(encoding='utf-8')
 
 
-def test_summary_tells_what_was_hidden_beside_what_was_found(
+def test_summary_shows_the_hidden_and_the_found_effect(
     make_explanation: Callable[..., Explanation], believed: TrainFile
 ) -> None:
     case = HiddenCase(believed, make_explanation(), Path('out/report.html'))

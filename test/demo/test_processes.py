@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Children never outlive the group, whatever they do with signals."""
+"""Child processes never outlive the group, however they handle signals."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from trainid_ros.demo import processes
 from trainid_ros.demo.domain import free_domain
 from trainid_ros.demo.processes import ProcessGroup
 
-# Reached only by what is broken: a busy machine may stall a process for seconds.
+# Reached only by failures: a busy machine may stall a process for seconds.
 DEADLINE_S = 50.0
 
 
 def is_alive(pid: int) -> bool:
-    """Return True for a process that is there and no zombie."""
+    """Return True for a process that exists and is not a zombie."""
     with suppress(OSError):
         return Path(f'/proc/{pid}/stat').read_text(encoding='utf-8').rpartition(')')[2].split()[0] != 'Z'
     return False
@@ -40,17 +40,17 @@ def test_child_runs_the_command_line_with_a_log(tmp_path: Path) -> None:
         child = group.start('version', ['--version'])
         assert child.process.wait(DEADLINE_S) == 0
         assert group.ended() == (child,)
-    assert child.last_words().startswith('trainid ')
+    assert child.log_tail().startswith('trainid ')
 
 
-def test_failed_child_says_why(tmp_path: Path) -> None:
+def test_log_of_a_failed_child_gives_the_reason(tmp_path: Path) -> None:
     with ProcessGroup(tmp_path) as group:
         child = group.start('info', ['info', str(tmp_path / 'nothing')])
         assert child.process.wait(DEADLINE_S) == 2
-    assert 'no such bag' in child.last_words()
+    assert 'no such bag' in child.log_tail()
 
 
-def test_stop_kills_who_ignores_the_request(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stop_kills_children_that_ignore_sigterm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(processes, '_PATIENCE_S', 0.5)
     code = 'import signal,time; signal.signal(15, signal.SIG_IGN); print("ready", flush=True); time.sleep(60)'
     monkeypatch.setattr(processes.subprocess, 'Popen', _instead(code))  # type: ignore[attr-defined]
@@ -62,7 +62,7 @@ def test_stop_kills_who_ignores_the_request(tmp_path: Path, monkeypatch: pytest.
     assert not is_alive(child.process.pid)
 
 
-def test_stop_reaches_grandchildren_and_is_done_on_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stop_reaches_grandchildren_and_runs_on_errors(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     code = (
         'import subprocess,sys,time\n'
         'p = subprocess.Popen([sys.executable, "-c", "import time; time.sleep(60)"])\n'
@@ -79,7 +79,7 @@ def test_stop_reaches_grandchildren_and_is_done_on_errors(tmp_path: Path, monkey
     assert not is_alive(child.process.pid)
 
 
-def test_child_dies_with_a_parent_that_was_killed() -> None:
+def test_child_ends_with_a_parent_that_was_killed() -> None:
     code = (
         'import sys, time\n'
         'from pathlib import Path\n'
@@ -98,7 +98,7 @@ def test_child_dies_with_a_parent_that_was_killed() -> None:
         wait_until_gone(pid)
 
 
-def test_domain_in_use_is_left_out() -> None:
+def test_domain_in_use_is_skipped() -> None:
     import socket  # noqa: PLC0415 - only here
 
     domain = free_domain(os.getpid())

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is shown while the demo runs, and the parameters its nodes are given."""
+"""Display of the running demo, and the parameters of its nodes."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ def drawn(item: Any) -> str:
     return text
 
 
-def test_line_holds_estimates_truth_and_status() -> None:
+def test_line_shows_estimates_truth_and_status() -> None:
     text = line(snapshot())
     for wanted in ('1:30/10:00', '36.0 km/h', 'w 1.900 ± 0.200 (truth 1.800) VALID', '0.910 ± 0.050 (truth 0.950)'):
         assert wanted in text
@@ -55,13 +55,13 @@ def test_line_without_truth_or_brake_rate() -> None:
     assert 'brake' not in line(shown)
 
 
-def test_table_holds_error_and_reasons() -> None:
+def test_table_shows_error_and_reasons() -> None:
     text = drawn(render(snapshot()))
     for wanted in ('+0.100', '-0.040', '8 (braking 5, standstill 3)', 'HOLDING', 'waiting', '36.0 km/h'):
         assert wanted in text
 
 
-def test_without_a_terminal_lines_come_now_and_then() -> None:
+def test_without_a_terminal_lines_are_printed_at_intervals() -> None:
     console = Console(file=io.StringIO(), width=200, force_terminal=False)
     with View(console, line_every_s=3600.0) as view:
         for _ in range(5):
@@ -88,7 +88,7 @@ def test_stock_bags_are_complete(name: str) -> None:
     assert bag.title != bag.path.name
 
 
-def test_bag_without_train_file_is_told(tmp_path: Any) -> None:
+def test_bag_without_train_file_is_reported(tmp_path: Any) -> None:
     with pytest.raises(InputError, match=r'train\.yaml'):
         load_demo_bag(tmp_path)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The demo end to end on a small bag: three nodes and a player as processes, and nothing left of them."""
+"""The demo end to end on a small bag: three nodes and a player as processes, none of which is left."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from trainid_ros.train.train_file import Davis, Line, Train, TrainFile, dump_tra
 
 pytestmark = [pytest.mark.ros, pytest.mark.timeout(700)]
 
-# Reached only by what is broken: a busy machine may stall a process for seconds.
+# Reached only by failures: a busy machine may stall a process for seconds.
 DEADLINE_S = 300.0
 TOPICS = 3
 Start: TypeAlias = Callable[..., subprocess.Popen[str]]
@@ -43,9 +43,9 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def start() -> Iterator[Start]:
-    """Return what starts a demo; none outlives the test."""
+    """Return a function that starts a demo; none outlives the test."""
     started: list[subprocess.Popen[str]] = []
-    # Tests that run in the background ignore SIGINT, and so would all that they start.
+    # Tests that run in the background ignore SIGINT, which their children would inherit.
     before = signal.signal(signal.SIGINT, signal.default_int_handler)
 
     def run(bag: Path, out: Path, *options: str) -> subprocess.Popen[str]:
@@ -62,7 +62,7 @@ def start() -> Iterator[Start]:
 
 
 def children_of(demo: subprocess.Popen[str]) -> list[int]:
-    """Return the processes that were started by a demo, alive or orphaned: they are told its number."""
+    """Return the processes started by a demo, orphaned or not: its process id is in their arguments."""
     found = []
     for entry in Path('/proc').iterdir():
         try:
@@ -94,7 +94,9 @@ def test_quick_demo_end_to_end(start: Start, bag: Path, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
-def test_interrupted_demo_leaves_nobody_behind(start: Start, bag: Path, tmp_path: Path, number: signal.Signals) -> None:
+def test_interrupted_demo_leaves_no_process_behind(
+    start: Start, bag: Path, tmp_path: Path, number: signal.Signals
+) -> None:
     process = start(bag, tmp_path / 'out', '--rate', '1')
     log = tmp_path / 'out' / 'log' / bag.name / 'bag_player.log'
     deadline = time.monotonic() + DEADLINE_S
@@ -110,12 +112,12 @@ def test_interrupted_demo_leaves_nobody_behind(start: Start, bag: Path, tmp_path
     assert children_of(process) == []
 
 
-def test_node_that_cannot_start_is_told_in_one_line(start: Start, bag: Path, tmp_path: Path) -> None:
+def test_node_that_cannot_start_is_reported_in_one_line(start: Start, bag: Path, tmp_path: Path) -> None:
     broken = tmp_path / 'broken'
     broken.mkdir()
     for item in bag.iterdir():
         (broken / item.name).write_bytes(item.read_bytes())
-    # Valid as a file, but outside of what the nodes take as a parameter.
+    # Valid as a file, but outside the range of the node parameter.
     text = (broken / 'train.yaml').read_text(encoding='utf-8')
     (broken / 'train.yaml').write_text(text.replace('time_constant: 0.4', 'time_constant: 5000.0'), encoding='utf-8')
     process = start(broken, tmp_path / 'out')

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The real commands as processes: a bag played through the live nodes equals its replay, and all leave cleanly."""
+"""The real commands as processes: a bag played through the live nodes equals its replay, and all exit cleanly."""
 
 from __future__ import annotations
 
@@ -46,12 +46,12 @@ OUTPUTS: dict[str, tuple[Any, Callable[..., EstimatorPipeline[Any]]]] = {
 }
 RATE = '8'
 PLAYED_S = 100.0
-# Reached only by what is broken: a busy machine may stall a process for seconds.
+# Reached only by failures: a busy machine may stall a process for seconds.
 DEADLINE_S = 100.0
 
 
 class Processes:
-    """Starts ``trainid`` and sees to it that nothing outlives the test."""
+    """Starts ``trainid`` commands and ensures that none outlives the test."""
 
     def __init__(self, folder: Path, domain: int) -> None:
         self.domain = domain
@@ -117,14 +117,14 @@ class Listener:
     """Collects all estimates on the graph of the processes."""
 
     def __init__(self, domain: int) -> None:
-        self.heard: dict[str, list[Any]] = {topic: [] for topic in OUTPUTS}
+        self.received: dict[str, list[Any]] = {topic: [] for topic in OUTPUTS}
         self._context = Context()
         rclpy.init(context=self._context, domain_id=domain)
         self._executor = SingleThreadedExecutor(context=self._context)
         self.node = rclpy.create_node('listener', context=self._context)
         self._executor.add_node(self.node)
         for topic, (kind, _) in OUTPUTS.items():
-            self.node.create_subscription(kind, topic, self.heard[topic].append, QoSProfile(depth=10000))
+            self.node.create_subscription(kind, topic, self.received[topic].append, QoSProfile(depth=10000))
 
     def until(self, condition: Callable[[], object]) -> None:
         end = time.monotonic() + DEADLINE_S
@@ -148,7 +148,7 @@ def listener(processes: Processes, monkeypatch: pytest.MonkeyPatch, tmp_path: Pa
 
 
 def replayed(bag: Path, topic: str) -> list[Any]:
-    """What the same records give in the pipeline alone."""
+    """Messages that the pipeline alone gives for the same records."""
     kind, make = OUTPUTS[topic]
     pipeline = make(load_train_file(TRAIN), EstimatorSettings())
     with BagReader(bag) as reader:
@@ -165,21 +165,21 @@ def content(message: Any) -> dict[str, bytes]:
     return fields
 
 
-def told_by_samples(outputs: list[Any]) -> list[dict[str, bytes]]:
-    """What messages say, those left out that only tell of silence: that goes by clocks, not by stamps."""
-    told, stamp = [], None
+def without_stale_repeats(outputs: list[Any]) -> list[dict[str, bytes]]:
+    """Contents of the messages without those that only report missing input: clocks, not stamps, trigger those."""
+    contents, stamp = [], None
     for message in outputs:
         if message.status != message.STALE or message.header.stamp != stamp:
-            told.append(content(message))
+            contents.append(content(message))
         stamp = message.header.stamp
-    return told
+    return contents
 
 
 @pytest.mark.timeout(400)
 def test_live_estimates_equal_the_replay_to_the_bit(
     processes: Processes, listener: Listener, bag: Path, tmp_path: Path
 ) -> None:
-    # By default inputs are best effort and may get lost where the machine is busy; these nodes lose none.
+    # By default inputs are best effort and may be lost on a busy machine; these nodes lose none.
     lossless = tmp_path / 'lossless.yaml'
     lossless.write_text(parameter_file(), encoding='utf-8')
     ros_args = ('--params-file', str(lossless), '-p', 'use_sim_time:=true')
@@ -196,16 +196,16 @@ def test_live_estimates_equal_the_replay_to_the_bit(
     assert (code, 'Traceback' in err) == (0, False), err
     expected = {topic: replayed(bag, topic) for topic in OUTPUTS}
     last = {topic: outputs[-1].header.stamp for topic, outputs in expected.items()}
-    listener.until(lambda: all(listener.heard[topic][-1].header.stamp == last[topic] for topic in OUTPUTS))
+    listener.until(lambda: all(listener.received[topic][-1].header.stamp == last[topic] for topic in OUTPUTS))
     code, _, err = finish(nodes, signal.SIGTERM)
     assert (code, 'Traceback' in err) == (0, False), err
     for topic, outputs in expected.items():
-        assert told_by_samples(listener.heard[topic]) == told_by_samples(outputs)
+        assert without_stale_repeats(listener.received[topic]) == without_stale_repeats(outputs)
         assert len(outputs) > 0.9 * 5.0 * PLAYED_S
 
 
 @pytest.mark.parametrize('signal_number', [signal.SIGINT, signal.SIGTERM])
-def test_run_leaves_cleanly(processes: Processes, signal_number: int) -> None:
+def test_run_exits_cleanly(processes: Processes, signal_number: int) -> None:
     nodes = processes.start('run', '--train', str(TRAIN), '--node', 'resistance_estimator')
     assert wait_for_lines(nodes, 1) == ['resistance_estimator is active']
     code, _, err = finish(nodes, signal_number)
@@ -213,7 +213,7 @@ def test_run_leaves_cleanly(processes: Processes, signal_number: int) -> None:
 
 
 @pytest.mark.parametrize('signal_number', [signal.SIGINT, signal.SIGTERM])
-def test_play_leaves_cleanly(processes: Processes, listener: Listener, bag: Path, signal_number: int) -> None:
+def test_play_exits_cleanly(processes: Processes, listener: Listener, bag: Path, signal_number: int) -> None:
     player = processes.start('play', str(bag), '--loop')
     listener.until(lambda: listener.node.count_publishers('ato/speed'))
     code, _, err = finish(player, signal_number)
@@ -233,7 +233,9 @@ def test_play_leaves_cleanly(processes: Processes, listener: Listener, bag: Path
         (('play', str(TRAIN), '--rate', '0'), '--rate'),
     ],
 )
-def test_wrong_input_is_one_line_and_exit_2(processes: Processes, arguments: tuple[str, ...], reason: str) -> None:
+def test_bad_input_gives_one_line_and_exit_code_2(
+    processes: Processes, arguments: tuple[str, ...], reason: str
+) -> None:
     code, _, err = finish(processes.start(*arguments))
     lines = [line for line in err.splitlines() if line.startswith('trainid: error:')]
     assert (code, len(lines), 'Traceback' in err) == (2, 1, False), err

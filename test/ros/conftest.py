@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A ROS graph of its own for every test module that asks for one."""
+"""A separate ROS graph for every test module that requests one."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from rclpy.parameter import Parameter
 from trainid_ros.demo.domain import free_domain
 
 TRAIN_FILE = 'train: {mass: 194000.0, length: 118.0}\nresistance: {a: 1.5, b: 0.02, c: 0.0012}\n'
-# Reached only by what is broken: a busy machine may stall a process for seconds.
+# Reached only by failures: a busy machine may stall a process for seconds.
 DEADLINE_S = 50.0
 
 

@@ -42,7 +42,7 @@ BRAKE = BrakeRateEstimate(0.93, 0.02, math.nan, 12.0, -0.5, -0.6, 77.5, True, 0.
         MassRecord(STAMP, 194e3),
     ],
 )
-def test_a_record_survives_the_message(record: Record) -> None:
+def test_a_record_is_unchanged_by_conversion_to_a_message_and_back(record: Record) -> None:
     topic = next(topic for topic in INPUT_TOPICS if topic.record is type(record))
     back = record_from_message(topic, message_from_record(record))
     for item in fields(record):
@@ -77,6 +77,6 @@ def test_an_estimate_that_is_not_finite_is_a_fault(change: dict[str, float]) -> 
     assert fill_estimate(messages.ResistanceEstimate(), output).status == Status.FAULT
 
 
-def test_an_unknown_position_is_no_fault() -> None:
+def test_an_unknown_position_is_not_a_fault() -> None:
     output = Output(STAMP, BRAKE, Status.VALID, 1, 0, None)
     assert fill_estimate(messages.BrakeRateEstimate(), output).status == Status.VALID

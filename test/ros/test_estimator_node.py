@@ -53,7 +53,7 @@ SUCCESS, FAILURE, ERROR = (
 
 
 def coasting(count: int, start_ns: int = START_NS, speed: float = 20.0) -> list[Record]:
-    """Records of a train that rolls out slowly, all topics on the same stamps, with a little noise."""
+    """Records of a coasting train, all topics on the same stamps, with a little noise."""
     rng = np.random.default_rng(5)
     records: list[Record] = []
     for k in range(count):
@@ -82,18 +82,18 @@ def feed(node: Any, records: Sequence[Record]) -> None:
         node.receive(topic_of(record), message_from_record(record))
 
 
-class Heard:
-    """What a node publishes, caught on its way out."""
+class Published:
+    """Collects the outputs that a node publishes."""
 
     def __init__(self, node: Any) -> None:
         self.messages: list[Any] = []
         publish = node._publish
 
-        def catch(output: Any) -> None:
+        def collect(output: Any) -> None:
             self.messages.append(output)
             publish(output)
 
-        node._publish = catch
+        node._publish = collect
 
 
 def active(graph: Graph, train_file: str, factory: Any = resistance.make_node, **parameters: object) -> Any:
@@ -103,7 +103,7 @@ def active(graph: Graph, train_file: str, factory: Any = resistance.make_node, *
 
 
 @pytest.mark.parametrize('factory', FACTORIES)
-def test_every_transition_twice_and_shutdown(graph: Graph, train_file: str, factory: Any) -> None:
+def test_every_transition_works_twice_before_shutdown(graph: Graph, train_file: str, factory: Any) -> None:
     node = graph.make(factory, train_file=train_file)
     assert node.state == 'unconfigured'
     for _ in range(2):
@@ -120,7 +120,7 @@ def test_every_transition_twice_and_shutdown(graph: Graph, train_file: str, fact
 
 
 @pytest.mark.parametrize('steps', [(), ('configure',), ('configure', 'activate')])
-def test_shutdown_from_every_state(graph: Graph, train_file: str, steps: tuple[str, ...]) -> None:
+def test_shutdown_works_from_every_state(graph: Graph, train_file: str, steps: tuple[str, ...]) -> None:
     node = graph.make(resistance.make_node, train_file=train_file)
     for step in steps:
         assert getattr(node, f'trigger_{step}')() == SUCCESS
@@ -128,13 +128,13 @@ def test_shutdown_from_every_state(graph: Graph, train_file: str, steps: tuple[s
     assert node.state == 'finalized'
 
 
-def test_inactive_inputs_are_ignored_and_the_state_stays(graph: Graph, train_file: str) -> None:
+def test_inputs_are_ignored_and_the_state_is_kept_while_inactive(graph: Graph, train_file: str) -> None:
     node = graph.make(resistance.make_node, train_file=train_file)
     node.trigger_configure()
-    heard = Heard(node)
+    published = Published(node)
     records = coasting(200)
     feed(node, records[:100])
-    assert (heard.messages, node.pipeline.newest_ns) == ([], 0)
+    assert (published.messages, node.pipeline.newest_ns) == ([], 0)
     node.trigger_activate()
     feed(node, records[100:400])
     before = node.pipeline.estimator.save()
@@ -147,7 +147,7 @@ def test_inactive_inputs_are_ignored_and_the_state_stays(graph: Graph, train_fil
     assert node.pipeline.resets == 0
 
 
-def test_an_illegal_transition_is_refused_and_the_node_lives(graph: Graph, train_file: str) -> None:
+def test_an_invalid_transition_is_rejected_and_the_node_keeps_running(graph: Graph, train_file: str) -> None:
     node = graph.make(resistance.make_node, train_file=train_file)
     caller = graph.plain('caller')
     wrong = ChangeState.Request(transition=Transition(id=Transition.TRANSITION_ACTIVATE))
@@ -158,7 +158,7 @@ def test_an_illegal_transition_is_refused_and_the_node_lives(graph: Graph, train
     assert node.state == 'inactive'
 
 
-def test_a_bad_train_file_is_a_failure_with_one_reason_and_the_node_stays_usable(
+def test_a_bad_train_file_fails_with_one_reason_and_the_node_stays_usable(
     graph: Graph, train_file: str, tmp_path: Path
 ) -> None:
     bad = tmp_path / 'bad.yaml'
@@ -230,7 +230,7 @@ def test_setting_a_parameter_live_changes_nothing_until_the_next_configure(graph
         ('autostart', True),
     ],
 )
-def test_bad_parameters_are_refused_with_a_reason_that_names_them(
+def test_invalid_parameters_are_rejected_with_a_reason_that_names_them(
     graph: Graph, train_file: str, name: str, value: object
 ) -> None:
     node = active(graph, train_file)
@@ -250,7 +250,7 @@ def test_bad_parameters_are_refused_with_a_reason_that_names_them(
         (('-p', 'estimator.step_share_c:=.nan'), 'estimator.step_share_c = nan is outside'),
     ],
 )
-def test_what_is_wrong_at_the_start_is_named_and_nothing_is_configured(
+def test_invalid_parameters_at_start_are_named_and_prevent_configuring(
     graph: Graph, train_file: str, arguments: tuple[str, ...], reason: str
 ) -> None:
     node = graph.make(resistance.make_node, arguments=arguments, train_file=train_file)
@@ -258,7 +258,7 @@ def test_what_is_wrong_at_the_start_is_named_and_nothing_is_configured(
     assert reason in node.failure
 
 
-def test_a_section_for_a_misspelt_node_is_named(graph: Graph, train_file: str, tmp_path: Path) -> None:
+def test_a_section_with_a_misspelt_node_name_is_reported(graph: Graph, train_file: str, tmp_path: Path) -> None:
     path = tmp_path / 'params.yaml'
     path.write_text('resistence_estimator:\n  ros__parameters: {seed: 3}\n', encoding='utf-8')
     node = graph.make(resistance.make_node, arguments=('--params-file', str(path)), train_file=train_file)
@@ -282,23 +282,23 @@ def test_a_whole_number_in_a_file_and_qos_overrides_are_accepted(graph: Graph, t
     assert profiles['/ato/force'].reliability == ReliabilityPolicy.BEST_EFFORT
 
 
-def test_reset_save_and_load(graph: Graph, train_file: str, tmp_path: Path) -> None:
+def test_services_reset_save_and_load_the_state(graph: Graph, train_file: str, tmp_path: Path) -> None:
     path = tmp_path / 'deep' / 'state.json'
     node = active(graph, train_file, checkpoint_file=str(path))
     caller = graph.plain('caller')
     prior = node.pipeline.estimator.save()
     feed(node, coasting(200))
-    learnt = node.pipeline.estimator.save()
-    assert learnt != prior
+    learned = node.pipeline.estimator.save()
+    assert learned != prior
     saved = graph.call(caller, Trigger, '/resistance_estimator/save_checkpoint')
     assert (saved.success, str(path) in saved.message) == (True, True)
     assert graph.call(caller, Trigger, '/resistance_estimator/reset').success
     assert (node.pipeline.estimator.save(), node.pipeline.resets) == (prior, 1)
     loaded = graph.call(caller, Trigger, '/resistance_estimator/load_checkpoint')
-    assert (loaded.success, node.pipeline.estimator.save()) == (True, learnt)
+    assert (loaded.success, node.pipeline.estimator.save()) == (True, learned)
 
 
-def test_services_say_why_they_cannot(graph: Graph, train_file: str, tmp_path: Path) -> None:
+def test_services_report_why_they_fail(graph: Graph, train_file: str, tmp_path: Path) -> None:
     path = str(tmp_path / 'state.json')
     first = active(graph, train_file, brake_rate.make_node, checkpoint_file=path)
     caller = graph.plain('caller')
@@ -322,13 +322,13 @@ BROKEN = (
 
 
 @pytest.mark.parametrize('error', BROKEN, ids=lambda error: type(error).__name__)
-def test_a_state_that_breaks_in_a_step_is_a_fault_until_a_reset(
+def test_a_numerical_error_in_a_step_is_a_fault_until_a_reset(
     graph: Graph, train_file: str, monkeypatch: pytest.MonkeyPatch, error: Exception
 ) -> None:
     node = active(graph, train_file)
-    heard, records = Heard(node), coasting(80)
+    published, records = Published(node), coasting(80)
     feed(node, records[:80])
-    told = heard.messages[-1].estimate
+    last = published.messages[-1].estimate
 
     def broken(*_: object) -> None:
         raise error
@@ -338,7 +338,7 @@ def test_a_state_that_breaks_in_a_step_is_a_fault_until_a_reset(
         patch.setattr(node.pipeline.estimator, 'estimate', broken)
         feed(node, records[80:160])
         node.publish_diagnostics()
-    assert (heard.messages[-1].status, heard.messages[-1].estimate) == (Status.FAULT, told)
+    assert (published.messages[-1].status, published.messages[-1].estimate) == (Status.FAULT, last)
     feed(node, records[160:200])
     assert node.pipeline.status is Status.FAULT
     node.pipeline.reset()
@@ -346,11 +346,11 @@ def test_a_state_that_breaks_in_a_step_is_a_fault_until_a_reset(
     assert node.pipeline.current().status is Status.CONVERGING
 
 
-def test_a_state_that_breaks_when_loaded_is_answered_and_the_node_lives(
+def test_a_numerical_error_on_loading_is_reported_and_the_node_keeps_running(
     graph: Graph, train_file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     node = active(graph, train_file, checkpoint_file=str(tmp_path / 'state.json'))
-    caller, heard, records = graph.plain('caller'), Heard(node), coasting(80)
+    caller, published, records = graph.plain('caller'), Published(node), coasting(80)
     feed(node, records[:80])
     assert graph.call(caller, Trigger, '/resistance_estimator/save_checkpoint').success
 
@@ -366,16 +366,16 @@ def test_a_state_that_breaks_when_loaded_is_answered_and_the_node_lives(
     assert node.pipeline.status is Status.FAULT
     assert graph.call(caller, Trigger, '/resistance_estimator/load_checkpoint').success
     feed(node, records[80:])
-    assert heard.messages[-1].status is Status.CONVERGING
+    assert published.messages[-1].status is Status.CONVERGING
 
 
 def test_a_late_joiner_gets_the_last_valid_estimate(graph: Graph, train_file: str) -> None:
     # A prior this narrow is fit to use at once.
-    sure = {'estimator__prior_std_a': 0.01, 'estimator__prior_std_b': 1e-5, 'estimator__prior_std_c': 1e-6}
-    node = active(graph, train_file, **sure, estimator__prior_share=0.0)
-    heard = Heard(node)
+    narrow = {'estimator__prior_std_a': 0.01, 'estimator__prior_std_b': 1e-5, 'estimator__prior_std_c': 1e-6}
+    node = active(graph, train_file, **narrow, estimator__prior_share=0.0)
+    published = Published(node)
     feed(node, coasting(150))
-    valid = [output for output in heard.messages if output.status is Status.VALID]
+    valid = [output for output in published.messages if output.status is Status.VALID]
     assert valid
     listener = graph.plain('listener')
     got: list[Any] = []
@@ -386,7 +386,7 @@ def test_a_late_joiner_gets_the_last_valid_estimate(graph: Graph, train_file: st
     assert (got[0].a, got[0].status) == (valid[-1].estimate.a, Status.VALID)
 
 
-def test_messages_over_the_graph_come_out_as_estimates(graph: Graph, train_file: str) -> None:
+def test_messages_over_the_graph_give_estimates(graph: Graph, train_file: str) -> None:
     node = active(graph, train_file, stale_after=60.0)
     source = graph.plain('source')
     got: list[Any] = []
@@ -406,8 +406,8 @@ def test_messages_over_the_graph_come_out_as_estimates(graph: Graph, train_file:
     assert [message.header.stamp for message in got] == [time_message(r.stamp_ns) for r in records[3::4]]
 
 
-def test_a_backlog_is_taken_in_the_order_of_arrival(graph: Graph, train_file: str) -> None:
-    # A slow topic's queue holds a longer time than a fast one's; emptied in turn it would run ahead.
+def test_a_backlog_is_processed_in_order_of_arrival(graph: Graph, train_file: str) -> None:
+    # The queue of a slow topic spans more time than that of a fast one; emptied in turn it would run ahead.
     node = active(graph, train_file)
     source = graph.plain('source')
     taken: list[str] = []
@@ -429,26 +429,26 @@ def test_a_backlog_is_taken_in_the_order_of_arrival(graph: Graph, train_file: st
     assert taken == (['ato/speed'] * 5 + ['ato/mass']) * 5
 
 
-def test_missing_inputs_are_told_once_when_they_are_due(graph: Graph, train_file: str) -> None:
+def test_missing_inputs_are_reported_once_after_the_timeout(graph: Graph, train_file: str) -> None:
     node = active(graph, train_file)
-    heard = Heard(node)
+    published = Published(node)
     feed(node, coasting(30))
-    newest = heard.messages[-1].stamp_ns
-    count = len(heard.messages)
+    newest = published.messages[-1].stamp_ns
+    count = len(published.messages)
     node._watch()
-    assert node._watchdog_timer.timer_period_ns < 0.9 * NS_PER_S  # it looks again within a second of the last input
-    graph.until(lambda: len(heard.messages) > count)
+    assert node._watchdog_timer.timer_period_ns < 0.9 * NS_PER_S  # it checks again within a second of the last input
+    graph.until(lambda: len(published.messages) > count)
     node._watch()
-    assert [(told.status, told.stamp_ns) for told in heard.messages[count:]] == [(Status.STALE, newest)]
+    assert [(output.status, output.stamp_ns) for output in published.messages[count:]] == [(Status.STALE, newest)]
 
 
-def test_without_a_sample_it_says_once_that_inputs_are_missing(graph: Graph, train_file: str) -> None:
+def test_missing_inputs_are_reported_once_without_any_sample(graph: Graph, train_file: str) -> None:
     node = active(graph, train_file, stale_after=0.1)
-    heard = Heard(node)
+    published = Published(node)
     feed(node, coasting(1)[:3])  # no speed, no sample
-    graph.until(lambda: heard.messages)
+    graph.until(lambda: published.messages)
     node._watch()
-    assert [(message.status, message.stamp_ns) for message in heard.messages] == [(Status.STALE, 0)]
+    assert [(message.status, message.stamp_ns) for message in published.messages] == [(Status.STALE, 0)]
 
 
 class Diagnosed:
@@ -456,7 +456,7 @@ class Diagnosed:
 
     def __init__(self, graph: Graph) -> None:
         self.by_name: dict[str, Any] = {}
-        graph.plain('watcher').create_subscription(DiagnosticArray, '/diagnostics', self._note, 10)
+        graph.plain('diagnostics_listener').create_subscription(DiagnosticArray, '/diagnostics', self._note, 10)
 
     def _note(self, message: Any) -> None:
         self.by_name |= {status.name: status for status in message.status}
@@ -465,7 +465,7 @@ class Diagnosed:
         return {pair.key: pair.value for pair in self.by_name[name].values}
 
 
-def test_diagnostics_tell_status_counts_and_inputs(graph: Graph, train_file: str) -> None:
+def test_diagnostics_show_status_counts_and_inputs(graph: Graph, train_file: str) -> None:
     diagnosed = Diagnosed(graph)
     # Nothing gets stale, however long the diagnostics take to arrive.
     node = graph.make(resistance.make_node, train_file=train_file, diagnostic_period=0.1, stale_after=60.0)
@@ -488,10 +488,10 @@ def test_diagnostics_tell_status_counts_and_inputs(graph: Graph, train_file: str
     assert diagnosed.by_name[speed].level == DiagnosticStatus.WARN
     assert 'use_sim_time?' in diagnosed.by_name[speed].message
     mass = diagnosed.by_name['resistance_estimator: input ato/mass']
-    assert (mass.level, mass.message) == (DiagnosticStatus.OK, 'optional, not received; the parameter holds')
+    assert (mass.level, mass.message) == (DiagnosticStatus.OK, 'optional, not received; the parameter is used')
 
 
-def test_diagnostics_judge_the_stated_uncertainty_and_tell_what_was_seen(graph: Graph, train_file: str) -> None:
+def test_diagnostics_show_consistency_and_observability(graph: Graph, train_file: str) -> None:
     diagnosed = Diagnosed(graph)
     node = active(graph, train_file, diagnostic_period=0.1, stale_after=60.0)
     feed(node, coasting(150))
@@ -503,14 +503,14 @@ def test_diagnostics_judge_the_stated_uncertainty_and_tell_what_was_seen(graph: 
     assert values['observability'].endswith('m/s')
     assert 0.0 <= float(values['a prior variance removed']) <= 1.0
     assert float(values['resistance std at speeds seen, at most [N/kN]']) > 0.0
-    assert 'errors are larger than stated' not in diagnosed.by_name[own].message
+    assert 'errors exceed the stated uncertainty' not in diagnosed.by_name[own].message
     for k in range(2 * WINDOW):
         node.pipeline._consistency.see(3.0 * (-1.0) ** k, 1.0 + 1e-9 * k, used=True)
-    graph.until(lambda: 'errors are larger than stated: optimistic' in diagnosed.by_name[own].message)
+    graph.until(lambda: 'errors exceed the stated uncertainty: optimistic' in diagnosed.by_name[own].message)
     assert diagnosed.by_name[own].level == DiagnosticStatus.WARN
 
 
-def test_diagnostics_tell_inputs_that_stopped(graph: Graph, train_file: str) -> None:
+def test_diagnostics_show_inputs_that_stopped(graph: Graph, train_file: str) -> None:
     diagnosed = Diagnosed(graph)
     node = active(graph, train_file, diagnostic_period=0.1)
     feed(node, coasting(30))
@@ -522,7 +522,7 @@ def test_diagnostics_tell_inputs_that_stopped(graph: Graph, train_file: str) -> 
     assert diagnosed.by_name[mass].level == DiagnosticStatus.OK
 
 
-def test_simulated_time_that_never_comes_is_told(graph: Graph, train_file: str) -> None:
+def test_simulated_time_that_never_starts_is_reported(graph: Graph, train_file: str) -> None:
     diagnosed = Diagnosed(graph)
     active(graph, train_file, diagnostic_period=0.1, use_sim_time=True)
     own = 'resistance_estimator: estimator'
@@ -530,16 +530,16 @@ def test_simulated_time_that_never_comes_is_told(graph: Graph, train_file: str) 
     assert 'no /clock has arrived' in diagnosed.by_name[own].message
 
 
-def test_simulated_time_that_stands_still_is_told(graph: Graph, train_file: str) -> None:
+def test_stopped_simulated_time_is_reported(graph: Graph, train_file: str) -> None:
     diagnosed = Diagnosed(graph)
     node = active(graph, train_file, diagnostic_period=0.1, use_sim_time=True)
     Simulated(graph, node).go(START_NS)
     own = 'resistance_estimator: estimator'
-    graph.until(lambda: own in diagnosed.by_name and '/clock stands still' in diagnosed.by_name[own].message)
+    graph.until(lambda: own in diagnosed.by_name and '/clock has stopped' in diagnosed.by_name[own].message)
 
 
 class Simulated:
-    """A clock that goes where it is told."""
+    """Simulated clock that can be set to any time."""
 
     def __init__(self, graph: Graph, node: Any) -> None:
         self._graph, self._node = graph, node
@@ -552,14 +552,14 @@ class Simulated:
         assert self._node.get_clock().ros_time_is_active
 
 
-def test_silence_is_measured_on_simulated_time(graph: Graph, train_file: str) -> None:
+def test_missing_input_is_measured_on_simulated_time(graph: Graph, train_file: str) -> None:
     # Longer than the test may take: only simulated time can have passed.
     node = active(graph, train_file, use_sim_time=True, stale_after=60.0)
-    clock, heard, records = Simulated(graph, node), Heard(node), coasting(30)
+    clock, published, records = Simulated(graph, node), Published(node), coasting(30)
     clock.go(records[-1].stamp_ns)
     feed(node, records)
     clock.go(records[-1].stamp_ns + 70 * NS_PER_S)
-    graph.until(lambda: heard.messages[-1].status is Status.STALE)
+    graph.until(lambda: published.messages[-1].status is Status.STALE)
 
 
 @pytest.mark.parametrize(('policy', 'resets', 'rejected'), [('reset', 1, 0), ('ignore', 0, 0), ('refuse', 0, 4 * 189)])
@@ -578,12 +578,12 @@ def test_a_looped_bag_follows_the_policy(
     assert pipeline.resets == resets
     jumps = sum(count for reason, count in pipeline.rejections.items() if reason.name == 'STAMP_JUMP')
     if policy == 'reset':
-        # The clock told it first, so not one record is lost: the second round is the first again.
+        # The clock jumps before the stamps, so no record is lost and the second round repeats the first.
         assert (pipeline.used, jumps) == (used, 0)
     elif policy == 'ignore':
         assert (pipeline.used > used, jumps) == (True, rejected)
     else:
-        # What lies within max_jump_back of the end is late or double, not a jump.
+        # Stamps within max_jump_back of the end are late or duplicate, not a jump.
         assert (pipeline.used, jumps) == (used, rejected)
 
 
@@ -614,11 +614,11 @@ def test_the_same_records_through_node_and_pipeline_are_equal_to_the_bit(graph: 
     from trainid_ros.train.train_file import load_train_file  # noqa: PLC0415
 
     node = active(graph, train_file, brake_rate.make_node)
-    heard, records = Heard(node), coasting(100)
+    published, records = Published(node), coasting(100)
     feed(node, records)
     pipeline = brake_rate_pipeline(load_train_file(train_file), EstimatorSettings())
     expected = [output for record in records for output in pipeline.push(record)]
-    assert repr(heard.messages) == repr(expected)
+    assert repr(published.messages) == repr(expected)
 
 
 @pytest.mark.parametrize(
@@ -639,17 +639,17 @@ def test_a_node_with_a_parameter_file_equals_a_replay_with_it_to_the_bit(
     )
     node = graph.make(factory, arguments=('--params-file', str(path)), train_file=train_file)
     assert node.bring_up(), node.failure
-    heard, records = Heard(node), coasting(150)
+    published, records = Published(node), coasting(150)
     feed(node, records)
     setups = {item.job.field: item for item in node_setups(load_train_file(train_file), train_file, path)}
     pipeline, plain = setups[field].pipeline(), node.job.pipeline(load_train_file(train_file), EstimatorSettings())
     expected, otherwise = ([o for r in records for o in p.push(r)] for p in (pipeline, plain))
-    assert repr(heard.messages) == repr(expected)
+    assert repr(published.messages) == repr(expected)
     assert repr(expected) != repr(otherwise)
 
 
 @pytest.mark.parametrize('factory', FACTORIES)
-def test_the_algorithm_is_a_parameter_and_a_wrong_name_is_told_with_the_choices(
+def test_the_algorithm_is_a_parameter_and_an_unknown_name_is_reported_with_the_choices(
     graph: Graph, train_file: str, factory: Any
 ) -> None:
     names = graph.make(factory, train_file=train_file).job.algorithms.names

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the diagnostics say of an input, also long after it has ended."""
+"""Input statistics of the diagnostics, also long after the input has ended."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from trainid_ros.core.records import NS_PER_S, SPEED_TOPIC
 from trainid_ros.ros.monitors import InputMonitor
 
 
-def test_silence_goes_on_counting_after_the_rate_is_gone() -> None:
+def test_time_since_the_last_message_keeps_growing_after_the_rate_is_unknown() -> None:
     monitor = InputMonitor(SPEED_TOPIC, 1.0, 1.25, optional=False)
     assert math.isinf(monitor.missing_for_s(0))
     for i in range(20):

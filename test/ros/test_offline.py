@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A parameter file means off line what it means to the nodes."""
+"""A parameter file gives the same settings off line as in the nodes."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def setups(folder: Path, text: str, *algorithms: str, namespace: str = '/') -> d
     return {setup.job.field: setup for setup in made}
 
 
-def test_without_a_file_all_is_default() -> None:
+def test_without_a_file_all_settings_are_defaults() -> None:
     for setup in node_setups(TRAIN, 'x'):
         assert (setup.train_file, setup.settings) == (TRAIN, EstimatorSettings())
         assert setup.algorithm == setup.job.algorithms.default
@@ -71,20 +71,20 @@ def test_each_node_gets_its_own_section_over_the_common_one(tmp_path: Path) -> N
         ('/**: {ros__parameters: {seed: .nan}}', 'seed = nan must be a whole number'),
         ('brake_rate_estimator: {ros__parameters: {algorithm: V-MILS}}', "algorithm = 'V-MILS' must be one of GSMA"),
         ('resistence_estimator: {ros__parameters: {seed: 1}}', "section '/resistence_estimator' does not apply"),
-        ('resistance_estimator: {seed: 1}', 'params.yaml: is no parameter file'),
+        ('resistance_estimator: {seed: 1}', 'params.yaml: is not a parameter file'),
         ('a: [', 'params.yaml: cannot be read'),
-        ('resistance_estimator: {ros__parameters: 5}', 'ros__parameters of /resistance_estimator must hold names with'),
-        ('? [1, 2]\n: {ros__parameters: {seed: 1}}', 'a key of it is no name (line 1)'),
-        ('/**: {ros__parameters: {? {a: 1} : 3}}', 'is no parameter file: a key of it is no name (line 1)'),
+        ('resistance_estimator: {ros__parameters: 5}', 'ros__parameters of /resistance_estimator must map names to'),
+        ('? [1, 2]\n: {ros__parameters: {seed: 1}}', 'a key of it is not a name (line 1)'),
+        ('/**: {ros__parameters: {? {a: 1} : 3}}', 'is not a parameter file: a key of it is not a name (line 1)'),
     ],
 )
-def test_what_a_node_would_refuse_is_refused(tmp_path: Path, text: str, reason: str) -> None:
+def test_errors_that_a_node_reports_are_raised(tmp_path: Path, text: str, reason: str) -> None:
     with pytest.raises(InputError) as caught:
         setups(tmp_path, text)
     assert reason in str(caught.value)
 
 
-def test_what_concerns_only_ros_is_no_mistake(tmp_path: Path) -> None:
+def test_parameters_of_ros_itself_are_accepted(tmp_path: Path) -> None:
     text = """
         /**: {ros__parameters: {use_sim_time: true, autostart: true,
                                 qos_overrides: {/t1/ato/speed: {subscription: {depth: 9}}}}}
@@ -94,7 +94,7 @@ def test_what_concerns_only_ros_is_no_mistake(tmp_path: Path) -> None:
         setups(tmp_path, text)
 
 
-def test_a_file_without_a_section_for_a_node_is_told(tmp_path: Path) -> None:
+def test_a_file_without_a_section_for_a_node_gives_a_warning(tmp_path: Path) -> None:
     warnings: list[str] = []
     path = write(tmp_path, 'resistance_estimator: {ros__parameters: {seed: 3}}')
     made = node_setups(TRAIN, 'x', path, warn=warnings.append)
@@ -110,7 +110,7 @@ def test_a_train_file_out_of_range_is_named_with_its_value() -> None:
 
 
 @pytest.mark.parametrize(
-    ('word', 'value'),
+    ('scalar', 'value'),
     [
         ('1e-05', 1e-5),
         ('010', 8),
@@ -130,12 +130,12 @@ def test_a_train_file_out_of_range_is_named_with_its_value() -> None:
         ('99999999999999999999', 1e20),
     ],
 )
-def test_words_are_read_as_ros_reads_them(tmp_path: Path, word: str, value: object) -> None:
-    found = read_overrides(write(tmp_path, f'/**: {{ros__parameters: {{x: {word}}}}}'), NODE)['x']
+def test_scalars_are_read_as_ros_reads_them(tmp_path: Path, scalar: str, value: object) -> None:
+    found = read_overrides(write(tmp_path, f'/**: {{ros__parameters: {{x: {scalar}}}}}'), NODE)['x']
     assert (found, type(found)) == (value, type(value))
 
 
-def test_of_sections_that_match_the_last_wins(tmp_path: Path) -> None:
+def test_the_last_of_several_matching_sections_wins(tmp_path: Path) -> None:
     text = """
         resistance_estimator: {ros__parameters: {x: 1, y: 1, a.b: 1}}
         /**/resistance_estimator: {ros__parameters: {x: 2, a: {b: 2, c: 2}}}
@@ -160,12 +160,12 @@ def many(monkeypatch: pytest.MonkeyPatch) -> None:
 
     fields = {'resistance': Named('V', 'EKF'), 'speed_model': Named('A', 'EKF'), 'brake_rate': Named('G')}
 
-    class Like:
+    class FakeJob:
         def __init__(self, field: str) -> None:
             self.field = field
             self.algorithms = fields[field]
 
-    monkeypatch.setattr(jobs, 'JOBS', tuple(Like(job.field) for job in JOBS))
+    monkeypatch.setattr(jobs, 'JOBS', tuple(FakeJob(job.field) for job in JOBS))
 
 
 @pytest.mark.usefixtures('many')
@@ -181,20 +181,20 @@ def test_algorithms_are_found_by_name_or_by_job_and_name() -> None:
 @pytest.mark.parametrize(
     ('wanted', 'reason'),
     [
-        (['EKF'], "algorithm 'EKF' is ambiguous: say resistance=EKF or speed_model=EKF"),
+        (['EKF'], "algorithm 'EKF' is ambiguous: use resistance=EKF or speed_model=EKF"),
         (['X'], "algorithm 'X' is unknown; there are resistance: V, EKF; speed_model: A, EKF; brake_rate: G"),
         (['resistance=G'], "algorithm 'G' is unknown; there are resistance: V, EKF"),
         (['speed=A'], "'speed' must be one of resistance, speed_model, brake_rate"),
-        (['V', 'resistance=EKF'], 'algorithm: resistance has two, V and EKF'),
+        (['V', 'resistance=EKF'], 'algorithm: two given for resistance, V and EKF'),
     ],
 )
-def test_what_cannot_be_chosen_is_told_with_the_choices(wanted: list[str], reason: str) -> None:
+def test_invalid_choices_are_reported_with_the_valid_ones(wanted: list[str], reason: str) -> None:
     with pytest.raises(InputError) as caught:
         chosen_algorithms(wanted)
     assert reason in str(caught.value)
 
 
-def test_an_algorithm_of_the_command_line_is_put_over_that_of_the_file(tmp_path: Path) -> None:
+def test_an_algorithm_of_the_command_line_overrides_that_of_the_file(tmp_path: Path) -> None:
     text = '/**/resistance_estimator: {ros__parameters: {algorithm: none}}\n/**: {ros__parameters: {seed: 2}}\n'
     made = setups(tmp_path, text, 'resistance=V-MILS')
     assert (made['resistance'].algorithm, made['resistance'].settings.seed) == ('V-MILS', 2)

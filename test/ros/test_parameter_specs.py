@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every setting is a parameter, every parameter reaches its configuration."""
+"""Every setting is a parameter, and every parameter reaches its configuration."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from trainid_ros.estimators.stream import TimeJumpPolicy
 from trainid_ros.resistance.filter_bank import FilterBankConfig
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
 from trainid_ros.ros.parameter_specs import ParameterSpec, build_settings, build_train_file, estimator_parameters
-from trainid_ros.ros.params_file import find_misses, params_files
+from trainid_ros.ros.params_file import find_mismatch, params_files
 from trainid_ros.ros.params_template import parameter_file
 from trainid_ros.train.train_file import parse_train_file
 
@@ -64,23 +64,23 @@ def test_values_reach_the_settings() -> None:
         ('estimator.step_share_c', float('inf'), 'estimator.step_share_c = inf is outside'),
         ('estimator.step_share_c', 0.0001, r'estimator.step_share_c = 0.0001 is outside \[0.001, 10\]'),
         ('estimator.hypotheses', 30.0, 'estimator.hypotheses = 30.0 must be a whole number'),
-        ('train_file', 3, 'train_file = 3 must be a text'),
+        ('train_file', 3, 'train_file = 3 must be a string'),
         ('autostart', 1, 'autostart = 1 must be true or false'),
         ('time_jump_policy', 'panic', "time_jump_policy = 'panic' must be one of reset, ignore, refuse"),
     ],
 )
-def test_wrong_values_are_refused_by_name(name: str, value: object, reason: str) -> None:
+def test_invalid_values_are_rejected_by_name(name: str, value: object, reason: str) -> None:
     with pytest.raises(InputError, match=reason):
         SPECS[name].coerce(value)
 
 
-def test_a_whole_number_will_do_for_a_real_one() -> None:
+def test_a_whole_number_is_accepted_for_a_float() -> None:
     value = SPECS['train.mass'].coerce(194000)
     assert value == 194000.0
     assert isinstance(value, float)
 
 
-def test_the_train_file_holds_where_nothing_is_given() -> None:
+def test_the_train_file_applies_where_no_parameter_is_given() -> None:
     base = parse_train_file('train: {mass: 1000.0}\nresistance: {a: 1.0, b: 0.0, c: 0.1}\n', 'x')
     values = DEFAULTS | {'train.mass': 2000.0, 'brake.delay': 1.5}
     merged = build_train_file(values, frozenset({'brake.delay'}), base)
@@ -107,11 +107,11 @@ def test_the_parameter_file_is_yaml_with_every_default() -> None:
     for name, spec in SPECS.items():
         node = section
         if name.split('.')[0] in ('train', 'resistance', 'brake', 'line'):
-            assert name.split('.')[0] not in section  # commented out: the train file holds
+            assert name.split('.')[0] not in section  # commented out: the train file applies
             continue
         for part in name.split('.'):
             node = node[part]
-        # YAML 1.1 has no 1e-05: such a number would arrive as a text.
+        # YAML 1.1 has no 1e-05: such a number would be read as a string.
         assert spec.coerce(node) == spec.default
 
 
@@ -129,17 +129,19 @@ def test_the_parameter_file_is_yaml_with_every_default() -> None:
         ('camera', '/resistance_estimator', 'resistance_estimator', False),
     ],
 )
-def test_sections_that_miss_the_node(tmp_path: Path, section: str, node: str, usual: str, certain: bool | None) -> None:
+def test_sections_that_do_not_match_the_node_are_found(
+    tmp_path: Path, section: str, node: str, usual: str, certain: bool | None
+) -> None:
     path = tmp_path / 'p.yaml'
     path.write_text(f'{section}:\n  ros__parameters: {{seed: 1}}\n', encoding='utf-8')
-    found = find_misses(path, node, usual)
+    found = find_mismatch(path, node, usual)
     assert (found if found is None else found[1]) is certain
 
 
-def test_nested_sections_and_other_arguments(tmp_path: Path) -> None:
+def test_nested_sections_match_and_other_arguments_are_ignored(tmp_path: Path) -> None:
     path = tmp_path / 'p.yaml'
     path.write_text('t1:\n  gsma:\n    ros__parameters: {seed: 1}\n', encoding='utf-8')
-    assert find_misses(path, '/t1/gsma', 'gsma') is None
+    assert find_mismatch(path, '/t1/gsma', 'gsma') is None
     assert params_files(['--ros-args', '--params-file', str(path), '-p', 'a:=b']) == (path,)
 
 

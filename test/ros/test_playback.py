@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The timeline ticks through gaps and keeps its pace."""
+"""The timeline has clock ticks in its gaps and keeps its pace."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ def test_the_pace_does_not_drift() -> None:
     pacer = Pacer(4.0)
     assert pacer.due_ns(1000 * MS, 50 * MS) == 50 * MS
     assert pacer.due_ns(9000 * MS, 51 * MS) == 2050 * MS
-    # A callback that comes late changes nothing for the next.
+    # A late callback does not change when the next entry is due.
     assert pacer.due_ns(9400 * MS, 2080 * MS) == 2150 * MS
 
 
-def test_after_a_long_stall_the_pace_starts_anew_instead_of_bursting() -> None:
+def test_after_a_long_stall_the_pacer_restarts_without_a_burst() -> None:
     pacer = Pacer(1.0)
     pacer.due_ns(0, 0)
     assert pacer.due_ns(100 * MS, 5000 * MS) == 5000 * MS

@@ -38,19 +38,19 @@ def bag(tmp_path: Path) -> str:
     return str(tmp_path / 'bag')
 
 
-class Audience:
-    """Hears every input topic and the clock; its queues hold all, should the player catch up after a stall."""
+class InputListener:
+    """Subscribes to every input topic and the clock; its queues hold all messages if the player catches up."""
 
     def __init__(self, graph: Graph) -> None:
-        node = graph.plain('audience')
+        node = graph.plain('listener')
         self.records: list[Record] = []
         self.clock: list[int] = []
         for topic in INPUT_TOPICS:
 
-            def hear(message: Any, topic: Any = topic) -> None:
+            def receive(message: Any, topic: Any = topic) -> None:
                 self.records.append(record_from_message(topic, message))
 
-            node.create_subscription(message_class(topic), topic.name, lambda m, h=hear: h(m), 5000)
+            node.create_subscription(message_class(topic), topic.name, lambda m, r=receive: r(m), 5000)
         node.create_subscription(Clock, '/clock', lambda m: self.clock.append(stamp_ns(m.clock)), 5000)
 
 
@@ -62,44 +62,44 @@ def by_kind(records: list[Record]) -> dict[str, list[Record]]:
 
 
 def test_everything_is_played_in_order_with_a_clock_that_never_steps_back(graph: Graph, bag: str) -> None:
-    audience = Audience(graph)
+    listener = InputListener(graph)
     player = graph.make(BagPlayer, bag=bag, rate=20.0, wait=1)
     assert player.bring_up(), player.failure
     graph.until(lambda: player.finished)
-    graph.until(lambda: len(audience.records) == len(RECORDS) and audience.clock[-1:] == [RECORDS[-1].stamp_ns])
-    assert by_kind(audience.records) == by_kind(RECORDS)
-    assert audience.clock == sorted(set(audience.clock))
-    assert {record.stamp_ns for record in RECORDS} <= set(audience.clock)
-    assert max(b - a for a, b in zip(audience.clock, audience.clock[1:], strict=False)) <= NS_PER_S // 20
+    graph.until(lambda: len(listener.records) == len(RECORDS) and listener.clock[-1:] == [RECORDS[-1].stamp_ns])
+    assert by_kind(listener.records) == by_kind(RECORDS)
+    assert listener.clock == sorted(set(listener.clock))
+    assert {record.stamp_ns for record in RECORDS} <= set(listener.clock)
+    assert max(b - a for a, b in zip(listener.clock, listener.clock[1:], strict=False)) <= NS_PER_S // 20
 
 
 def test_start_and_duration_choose_a_part(graph: Graph, bag: str) -> None:
-    audience = Audience(graph)
+    listener = InputListener(graph)
     player = graph.make(BagPlayer, bag=bag, rate=50.0, wait=1, start=2.0, duration=4.0)
     player.bring_up()
     graph.until(lambda: player.finished)
     expected = [r for r in RECORDS if 2.0 <= (r.stamp_ns - START_NS) / NS_PER_S <= 6.0]
-    graph.until(lambda: len(audience.records) == len(expected))
-    assert by_kind(audience.records) == by_kind(expected)
+    graph.until(lambda: len(listener.records) == len(expected))
+    assert by_kind(listener.records) == by_kind(expected)
 
 
-def test_those_who_just_came_get_time_to_know_the_player(
+def test_playback_waits_until_new_subscribers_have_discovered_the_player(
     graph: Graph, bag: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    audience = Audience(graph)
-    monkeypatch.setattr(playback_node, '_ACQUAINTED_NS', 10**15)
+    listener = InputListener(graph)
+    monkeypatch.setattr(playback_node, '_DISCOVERY_NS', 10**15)
     player = graph.make(BagPlayer, bag=bag, rate=50.0, wait=1)
     player.bring_up()
     graph.until(lambda: player._complete_ns)
     for _ in range(20):
         graph.executor.spin_once(timeout_sec=0.01)
     assert player.played == 0
-    monkeypatch.setattr(playback_node, '_ACQUAINTED_NS', 0)
-    graph.until(lambda: len(audience.records) == len(RECORDS))
+    monkeypatch.setattr(playback_node, '_DISCOVERY_NS', 0)
+    graph.until(lambda: len(listener.records) == len(RECORDS))
 
 
-def test_deactivating_pauses_and_activating_goes_on(graph: Graph, bag: str) -> None:
-    audience = Audience(graph)
+def test_deactivating_pauses_and_activating_resumes(graph: Graph, bag: str) -> None:
+    listener = InputListener(graph)
     player = graph.make(BagPlayer, bag=bag, rate=10.0, wait=1)
     player.bring_up()
     graph.until(lambda: player.played > 30)
@@ -109,15 +109,15 @@ def test_deactivating_pauses_and_activating_goes_on(graph: Graph, bag: str) -> N
         graph.executor.spin_once(timeout_sec=0.01)
     assert player.played == played
     player.trigger_activate()
-    graph.until(lambda: len(audience.records) == len(RECORDS))
-    assert by_kind(audience.records) == by_kind(RECORDS)
+    graph.until(lambda: len(listener.records) == len(RECORDS))
+    assert by_kind(listener.records) == by_kind(RECORDS)
 
 
 def test_a_loop_starts_over(graph: Graph, bag: str) -> None:
-    audience = Audience(graph)
+    listener = InputListener(graph)
     player = graph.make(BagPlayer, bag=bag, rate=50.0, wait=1, loop=True)
     player.bring_up()
-    graph.until(lambda: any(b < a for a, b in zip(audience.clock, audience.clock[1:], strict=False)))
+    graph.until(lambda: any(b < a for a, b in zip(listener.clock, listener.clock[1:], strict=False)))
     assert player.played > len(RECORDS)
     assert not player.finished
 
@@ -131,14 +131,14 @@ def test_a_loop_starts_over(graph: Graph, bag: str) -> None:
         ({'bag': 'x', 'rate': 0.0}, 'rate = 0 is outside'),
     ],
 )
-def test_what_cannot_be_played_is_a_failure(graph: Graph, parameters: dict[str, object], reason: str) -> None:
+def test_unplayable_parameters_fail_to_configure(graph: Graph, parameters: dict[str, object], reason: str) -> None:
     player = graph.make(BagPlayer, **parameters)
     assert player.trigger_configure() == TransitionCallbackReturn.FAILURE
     assert player.state == 'unconfigured'
     assert reason in player.failure
 
 
-def test_configured_twice(graph: Graph, bag: str) -> None:
+def test_a_player_can_be_configured_twice(graph: Graph, bag: str) -> None:
     player = graph.make(BagPlayer, bag=bag)
     for _ in range(2):
         assert player.bring_up(), player.failure
@@ -148,27 +148,27 @@ def test_configured_twice(graph: Graph, bag: str) -> None:
 
 
 def test_the_simulator_stamps_the_present_and_keeps_the_spacing(graph: Graph) -> None:
-    audience = Audience(graph)
+    listener = InputListener(graph)
     train = str(ROOT / 'config' / 'trains' / 'yizhuang.yaml')
     simulator = graph.make(TrainSimulator, train_file=train, runs=1, wait=1, duration=1.0)
     assert simulator.bring_up(), simulator.failure
     before = simulator.get_clock().now().nanoseconds
     graph.until(lambda: simulator.finished)
-    graph.until(lambda: len(audience.records) == simulator.played)
+    graph.until(lambda: len(listener.records) == simulator.played)
     after = simulator.get_clock().now().nanoseconds
-    stamps = [record.stamp_ns for record in audience.records]
+    stamps = [record.stamp_ns for record in listener.records]
     assert before - NS_PER_S // 2 <= min(stamps) <= max(stamps) <= after + NS_PER_S // 2
     assert 0.7 * NS_PER_S < max(stamps) - min(stamps) < 1.3 * NS_PER_S
-    assert audience.clock == []
+    assert listener.clock == []
 
 
-def test_the_simulator_has_worlds(graph: Graph) -> None:
-    audience = Audience(graph)
+def test_the_simulator_drives_a_world(graph: Graph) -> None:
+    listener = InputListener(graph)
     simulator = graph.make(TrainSimulator, world='tram', realism='field', runs=1, wait=1, duration=0.5)
     assert simulator.bring_up(), simulator.failure
     graph.until(lambda: simulator.finished)
-    graph.until(lambda: len(audience.records) == simulator.played)
-    masses = [record.mass for record in audience.records if isinstance(record, MassRecord)]
+    graph.until(lambda: len(listener.records) == simulator.played)
+    masses = [record.mass for record in listener.records if isinstance(record, MassRecord)]
     assert 54e3 * 0.98 < masses[0] < 1.3 * 54e3 * 1.02
 
 
@@ -183,7 +183,9 @@ def test_the_simulator_has_worlds(graph: Graph) -> None:
         ),
     ],
 )
-def test_what_cannot_be_simulated_is_a_failure(graph: Graph, parameters: dict[str, object], reason: str) -> None:
+def test_unusable_simulator_parameters_fail_to_configure(
+    graph: Graph, parameters: dict[str, object], reason: str
+) -> None:
     simulator = graph.make(TrainSimulator, **parameters)
     assert simulator.trigger_configure() == TransitionCallbackReturn.FAILURE
     assert reason in simulator.failure

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Types of command line arguments that several verbs share."""
+"""Argument types shared by several verbs."""
 
 from __future__ import annotations
 

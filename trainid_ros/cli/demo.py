@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``trainid demo``: bags through the live nodes, compared with a replay; then a hidden effect, found and explained."""
+"""``trainid demo``: play bags through the live nodes and compare with a replay; then find a hidden effect."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     from trainid_ros.demo.view import View
     from trainid_ros.report.scores import AccuracyScore
 
-# Two cores keep up with three nodes, player and listener at this rate.
+# At this rate two cores keep up with three nodes, player and listener.
 _RATE: Final = 70.0
 _QUICK_S: Final = 300.0
-_NOT_ALL: Final = 1
+_CHECK_FAILED: Final = 1
 _EXPLAIN: Final = 'explain'
 
 
@@ -35,17 +35,19 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         'bag', nargs='*', type=Path, metavar='BAG', help='bags with train.yaml inside (default: those of the package)'
     )
-    parser.add_argument('--rate', type=_rate, default=_RATE, metavar='R', help=f'x real time (default: {_RATE:g})')
+    parser.add_argument(
+        '--rate', type=_rate, default=_RATE, metavar='R', help=f'playback rate, x real time (default: {_RATE:g})'
+    )
     parser.add_argument(
         '--out', type=Path, default=Path('out/demo'), metavar='DIR', help='report and logs (default: out/demo)'
     )
-    parser.add_argument('--only', choices=(*STOCK, _EXPLAIN), help='only this chapter')
+    parser.add_argument('--only', choices=(*STOCK, _EXPLAIN), help='run only this chapter')
     parser.add_argument('--quick', action='store_true', help=f'only the first {_QUICK_S:g} s of each bag')
     add_json_option(parser)
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the demo; return 0 only if every live estimate equals its replayed one and the hidden effect was found.
+    """Run the demo; return 0 only if all live estimates equal the replayed ones and the hidden effect was found.
 
     Raises:
         InputError: A bag, a train file or the output folder cannot be used.
@@ -71,8 +73,8 @@ def run(args: argparse.Namespace) -> int:
     else:
         print(summary(outcomes, hidden))
         print(f'\nreport: {report}' if report else '')
-        print(f'{wall_s:.0f} s in all; {"all worked" if worked else "NOT all worked, see above"}')
-    return 0 if worked else _NOT_ALL
+        print(f'{wall_s:.0f} s in total; {"all checks passed" if worked else "NOT all checks passed, see above"}')
+    return 0 if worked else _CHECK_FAILED
 
 
 def _bags(args: argparse.Namespace) -> list[DemoBag]:
@@ -96,7 +98,7 @@ def _live(bags: Sequence[DemoBag], args: argparse.Namespace, view: View, report:
 
 
 def _hidden(args: argparse.Namespace, view: View) -> HiddenCase | None:
-    """Hide an effect and find it, unless the demo is of bags alone."""
+    """Hide an effect and find it, unless only bags are to be played."""
     if args.bag or args.only not in (None, _EXPLAIN):
         return None
     from trainid_ros.demo.hidden import play_hidden  # noqa: PLC0415
@@ -114,7 +116,7 @@ def _play(bag: DemoBag, args: argparse.Namespace, logs: Path, view: View) -> Out
     view.say(f'\n{bag.title}: {bag.path} at {args.rate:g} x real time')
     with view:
         live = run_live(bag, args.rate, duration_s, folder, view)
-    view.say('the same bag off line, to compare')
+    view.say('replaying the same bag off line for comparison')
     with progress('replay') as advance:
         outcome = conclude(bag, live, duration_s, advance)
     for label, comparison in outcome.comparisons:
@@ -123,7 +125,7 @@ def _play(bag: DemoBag, args: argparse.Namespace, logs: Path, view: View) -> Out
 
 
 def summary(outcomes: Sequence[Outcome], hidden: HiddenCase | None = None) -> str:
-    """Return what came out, in plain lines."""
+    """Return the results as lines of text."""
     lines: list[str] = []
     for outcome in outcomes:
         chapter = outcome.chapter
@@ -131,7 +133,7 @@ def summary(outcomes: Sequence[Outcome], hidden: HiddenCase | None = None) -> st
         w, f = chapter.resistance, chapter.brake_rate
         lines.append(
             f'  w(v) = {w.estimate.a:.3f} + {w.estimate.b:.4f} v + {w.estimate.c:.5f} v² N/kN, '
-            f'{w.status.name}, {w.used} samples used, {w.rejected} not'
+            f'{w.status.name}, {w.used} samples used, {w.rejected} rejected'
         )
         lines.append(f'  brake rate {f.estimate.brake_rate:.3f} ± {f.estimate.brake_rate_std:.3f}, {f.status.name}')
         lines += _score_lines('w at the current speed', 'N/kN', outcome.resistance)
@@ -142,7 +144,7 @@ def summary(outcomes: Sequence[Outcome], hidden: HiddenCase | None = None) -> st
 
         lines += [
             '',
-            'What a train file lacks',
+            'Effect missing from the train file',
             *(f'  {line}'.rstrip() for line in describe_hidden(hidden).split('\n')),
         ]
     return '\n'.join(lines)
@@ -153,8 +155,8 @@ def _score_lines(name: str, unit: str, score: AccuracyScore | None) -> list[str]
         return []
     return [
         f'  {name}, error against truth: rms {score.rms:.3f} {unit}'.rstrip()
-        + f', mean {score.bias:+.3f}, last {score.last:+.3f}; truth inside ±1 std {score.inside_68:.0%}, '
-        f'inside ±1.96 std {score.inside_95:.0%} of the time'
+        + f', mean {score.bias:+.3f}, last {score.last:+.3f}; truth within ±1 std {score.inside_68:.0%}, '
+        f'within ±1.96 std {score.inside_95:.0%} of the time'
     ]
 
 
@@ -191,14 +193,14 @@ def _hidden_to_json(hidden: HiddenCase | None) -> dict[str, Any] | None:
 
 @contextmanager
 def _interruptible() -> Iterator[None]:
-    """End as on Ctrl-C when told to end, so that the children are stopped.
+    """Handle termination signals like Ctrl-C, so that child processes are stopped.
 
-    A signal during a call into ROS surfaces as whatever error that call makes of it, and is an interruption still.
+    A signal during a call into ROS can surface as a RuntimeError of that call; it still counts as an interruption.
     """
-    told: list[int] = []
+    received: list[int] = []
 
     def interrupt(number: int, _frame: object) -> NoReturn:
-        told.append(number)
+        received.append(number)
         raise KeyboardInterrupt
 
     for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
@@ -206,7 +208,7 @@ def _interruptible() -> Iterator[None]:
     try:
         yield
     except RuntimeError:
-        if told:
+        if received:
             raise KeyboardInterrupt from None
         raise
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``trainid explain``: where simulation and data disagree, what is missing, and the model with it added."""
+"""``trainid explain``: find where model and data disagree and which effect is missing, and add it to the model."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ _NAMED_BAGS: Final = 3
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument('bags', nargs='+', type=Path, metavar='BAG', help='rosbag2 directory or .mcap file')
-    parser.add_argument('--train', type=Path, required=True, metavar='T.yaml', help='train file: what is believed')
+    parser.add_argument('--train', type=Path, required=True, metavar='T.yaml', help='train file: the model to check')
     parser.add_argument(
         '--out', type=Path, metavar='DIR', help=f'write {REPORT_HTML}, {REPORT_JSON} and the new {TRAIN_FILE} there'
     )
@@ -54,16 +54,16 @@ def run(args: argparse.Namespace) -> int:
     with _outputs(args.out, args.train):
         explanation = _explain(args, train_file)
         if args.out is not None:
-            # Before anything is printed: who reads the text may stop reading.
+            # Written before printing, which a closed pipe may interrupt.
             write_all(args.out, explanation, train_file, str(args.train), args.bags)
     if explanation.gradient_point is not None:
-        warn(misread_gradient(explanation.gradient_point))
+        warn(gradient_warning(explanation.gradient_point))
     if args.json:
         print_json(to_json(explanation))
         return 0
     print(describe(explanation, train_file))
     if args.out is not None:
-        print(f'\nreport: {args.out / REPORT_HTML}\nmodel with it: {args.out / TRAIN_FILE}')
+        print(f'\nreport: {args.out / REPORT_HTML}\nmodel with the effects: {args.out / TRAIN_FILE}')
     return 0
 
 
@@ -91,11 +91,11 @@ def _explain(args: argparse.Namespace, train_file: TrainFile) -> Explanation:
         raise NoAnswerError(msg) from None
 
 
-def misread_gradient(point: str) -> str:
+def gradient_warning(point: str) -> str:
     """Return the warning that gradients of the bags are those at one point of the train."""
     return (
-        f'the gradients of the bags are those at the {point} of the train; here they were read so, but simulator and '
-        'live estimators take them for means under the train: mend what publishes them'
+        f'the gradients in the bags are those at the {point} of the train and were used as such here, but simulator '
+        'and live estimators expect the mean under the train: correct the publisher of the gradient'
     )
 
 
@@ -105,7 +105,7 @@ def _outputs(folder: Path | None, train: Path) -> AbstractContextManager[None]:
 
 @contextmanager
 def _output_folder(folder: Path, train: Path) -> Iterator[None]:
-    """Prepare the folder of the outputs; take away again what was made for it if nothing comes of it.
+    """Prepare the output folder; remove the folders created for it if the work fails.
 
     Raises:
         InputError: As :func:`prepare_folder`.
@@ -116,17 +116,17 @@ def _output_folder(folder: Path, train: Path) -> Iterator[None]:
         prepare_folder(folder, train)
         yield
     except BaseException:
-        with suppress(OSError):  # the first that is not empty ends it
+        with suppress(OSError):  # stops at the first that is not empty
             for path in made:
                 path.rmdir()
         raise
 
 
 def prepare_folder(folder: Path, train: Path) -> None:
-    """Make the folder of the outputs, and see that they can be written.
+    """Create the output folder, and check that the outputs can be written.
 
     Raises:
-        InputError: It cannot be made or written to, or a train file of the user would be lost.
+        InputError: It cannot be created or written to, or a train file of the user would be overwritten.
 
     """
     try:
@@ -141,21 +141,21 @@ def prepare_folder(folder: Path, train: Path) -> None:
     if not target.exists():
         return
     if target.samefile(train):
-        msg = f'{target}: is the train file that is read, and would be overwritten; choose another --out'
+        msg = f'{target}: is the input train file and would be overwritten; choose another --out'
         raise InputError(msg)
     if not (folder / REPORT_JSON).exists():
-        msg = f'{target}: exists, and was not written by trainid explain; choose another --out'
+        msg = f'{target}: exists and was not written by trainid explain; choose another --out'
         raise InputError(msg)
 
 
 def explain_runs(runs: Sequence[Run], train_file: TrainFile, bags: Sequence[Path]) -> Explanation:
-    """Run the workflow with its steps shown on a terminal.
+    """Run the workflow, showing its steps on a terminal.
 
     Raises:
         NoAnswerError: There is too little motion.
 
     """
-    # Imported here: linear algebra takes long to load, and errors in the input need not wait for it.
+    # Imported here: linear algebra takes long to load, and input errors should be reported without it.
     from trainid_ros.explain.workflow import explain  # noqa: PLC0415
 
     with _steps() as advance:
@@ -164,7 +164,7 @@ def explain_runs(runs: Sequence[Run], train_file: TrainFile, bags: Sequence[Path
 
 @contextmanager
 def _steps() -> Iterator[Callable[[str], None]]:
-    """Yield a function that shows what is being done on standard error, if that is a terminal."""
+    """Yield a function that shows the current step on standard error, if that is a terminal."""
     if not sys.stderr.isatty():
         yield lambda _text: None
         return
@@ -175,7 +175,7 @@ def _steps() -> Iterator[Callable[[str], None]]:
 
 
 def provenance(bags: Sequence[Path], runs: int) -> str:
-    """Return where an added effect comes from."""
+    """Return the provenance of an added effect."""
     names = [bag.resolve().name for bag in bags]
     more = f' and {len(names) - _NAMED_BAGS} more' if len(names) > _NAMED_BAGS else ''
     return f'trainid explain {__version__}, {", ".join(names[:_NAMED_BAGS])}{more}, {pluralise(runs, "run")}'
@@ -188,7 +188,7 @@ def to_json(explanation: Explanation) -> dict[str, Any]:
 
 
 def no_answer(reason: str) -> dict[str, Any]:
-    """Return the object of ``--json`` where the data hold no answer."""
+    """Return the object of ``--json`` if the data hold no answer."""
     return _json(None, (), None, reason, None)
 
 
@@ -224,12 +224,12 @@ def _json(
     return plain
 
 
-def describe(explanation: Explanation, believed: TrainFile) -> str:
-    """Return what was found as text for people."""
+def describe(explanation: Explanation, prior: TrainFile) -> str:
+    """Return the findings as text; ``prior`` is the train file that was explained."""
     from trainid_ros.report.words import davis_rows, drive_text, gap_sentence, headline  # noqa: PLC0415
 
     head = f'{explanation.verdict.value.upper()}: {headline(explanation)}\n{drive_text(explanation)}'
-    davis = [('value', 'believed', 'found ± std', 'unit'), *davis_rows(explanation, believed)]
+    davis = [('value', 'train file', 'found ± std', 'unit'), *davis_rows(explanation, prior)]
     blocks = (
         head,
         *(_describe_effect(effect) for effect in explanation.effects),
@@ -252,12 +252,14 @@ def _describe_effect(effect: FoundEffect) -> str:
         f'  {how_sure(effect)}',
         f'  where: {effect.where}',
     ]
-    lines += [f'  could also be {twin.name}; to tell: {twin.drive or "no drive is known"}' for twin in effect.twins]
+    lines += [
+        f'  could also be {twin.name}; to distinguish: {twin.drive or "no drive is known"}' for twin in effect.twins
+    ]
     return '\n'.join(lines)
 
 
 def _unnamed(explanation: Explanation) -> list[str]:
-    """Return where the gap is if no effect tells it."""
+    """Return where the gap is if no effect explains it."""
     from trainid_ros.report.words import strong_text, strongest  # noqa: PLC0415
 
     strong = [] if explanation.effects else strongest(explanation)
@@ -265,7 +267,7 @@ def _unnamed(explanation: Explanation) -> list[str]:
 
 
 def write_all(
-    folder: Path, explanation: Explanation, believed: TrainFile, train: str, bags: Sequence[Path],
+    folder: Path, explanation: Explanation, prior: TrainFile, train: str, bags: Sequence[Path],
     notes: tuple[str, ...] = (),
 ) -> None:  # fmt: skip
     """Write the three outputs into a folder that exists.
@@ -282,7 +284,7 @@ def write_all(
     text = json.dumps(to_json(explanation), indent=2, allow_nan=False, ensure_ascii=False)
     _write(folder / REPORT_JSON, f'{text}\n')
     _write(folder / TRAIN_FILE, dump_train_file(explanation.train_file))
-    write_explained(Explained(title, explanation, believed, train, names, notes), folder / REPORT_HTML)
+    write_explained(Explained(title, explanation, prior, train, names, notes), folder / REPORT_HTML)
 
 
 def _write(path: Path, text: str) -> None:

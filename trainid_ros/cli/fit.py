@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``trainid fit``: Davis parameters of a whole bag at once, by fitting its speed trajectory between braking."""
+"""``trainid fit``: batch fit of the Davis parameters to the speed trajectory of a bag outside braking."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ _UNKNOWN: Final = {
 
 @dataclass(frozen=True, slots=True)
 class UndisturbedMotion:
-    """What a bag holds of undisturbed motion: the trajectory, the samples seen, and why others were refused."""
+    """Undisturbed motion in a bag: the trajectory, the number of samples, and the rejected samples by reason."""
 
     trajectory: Trajectory
     samples: int
@@ -54,7 +54,9 @@ def configure(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('bag', type=Path, metavar='BAG', help='rosbag2 directory or .mcap file')
     parser.add_argument('--train', type=Path, required=True, metavar='T.yaml', help='train file')
     parser.add_argument('--start', type=not_negative, default=0.0, metavar='S', help='skip the first seconds')
-    parser.add_argument('--duration', type=not_negative, default=math.inf, metavar='S', help='fit only so many seconds')
+    parser.add_argument(
+        '--duration', type=not_negative, default=math.inf, metavar='S', help='fit only this many seconds'
+    )
     parser.add_argument('--namespace', default='/', help='namespace of the topics (default: /)')
     add_json_option(parser)
 
@@ -63,8 +65,8 @@ def run(args: argparse.Namespace) -> int:
     """Fit a bag and print what was found.
 
     Raises:
-        InputError: If bag or train file cannot be used, or nothing of the bag lies in the time asked for.
-        NoAnswerError: If the motion does not tell a, b and c, or is none of a train in the units agreed.
+        InputError: If bag or train file cannot be used, or the bag has no data in the requested interval.
+        NoAnswerError: If the motion does not determine a, b and c, or the result is implausible (wrong units).
 
     """
     config = DavisFitConfig()
@@ -80,14 +82,14 @@ def run(args: argparse.Namespace) -> int:
     except NoAnswerError as error:
         if args.json:
             print_json(_UNKNOWN)
-        msg = f'{args.bag}: {error}{_commonest(motion.rejected)}'
+        msg = f'{args.bag}: {error}{_most_common(motion.rejected)}'
         raise NoAnswerError(msg) from None
     if args.json:
         print_json(to_json(fit))
     else:
         print(describe(fit, motion))
     if not fit.converged:
-        msg = f'{args.bag}: the fit did not settle within {fit.iterations} iterations'
+        msg = f'{args.bag}: the fit did not converge within {fit.iterations} iterations'
         raise NoAnswerError(msg)
     return 0
 
@@ -97,7 +99,7 @@ def collect(
 ) -> UndisturbedMotion:
     """Return the undisturbed motion within a part of a bag, by log time.
 
-    Records before that part are followed too: they tell which brake acts and what the train weighs.
+    Records before that part are processed too: they give the state of the brake and the mass of the train.
 
     Raises:
         InputError: A required topic is missing, or the part lies outside the bag.
@@ -108,7 +110,7 @@ def collect(
     begin_ns = first_ns + round(start_s * NS_PER_S)
     if begin_ns > last_ns or duration_s == 0.0:
         length = (last_ns - first_ns) / NS_PER_S
-        msg = f'{reader.path}: --start {start_s:g} --duration {duration_s:g} leaves nothing of its {length:.1f} s'
+        msg = f'{reader.path}: --start {start_s:g} --duration {duration_s:g} selects nothing of its {length:.1f} s'
         raise InputError(msg)
     end_ns = math.inf if math.isinf(duration_s) else begin_ns + round(duration_s * NS_PER_S)
     stream, samples = SampleStream(StreamConfig(collector.train_file)), 0
@@ -146,7 +148,7 @@ def _deviations(fit: DavisFit) -> list[float]:
 
 
 def describe(fit: DavisFit, motion: UndisturbedMotion) -> str:
-    """Return the outcome as text for people."""
+    """Return the fit as text."""
     units = ('N/kN', 'N/kN per m/s', 'N/kN per (m/s)^2')
     parameters = zip('abc', fit.theta.tolist(), _deviations(fit), units, strict=True)
     rows = [('value', 'estimate', 'std', 'unit')]
@@ -165,8 +167,8 @@ def describe(fit: DavisFit, motion: UndisturbedMotion) -> str:
     return '\n\n'.join((head, table(rows, numbers=(1, 2)), tail))
 
 
-def _commonest(rejected: Counter[Reason]) -> str:
+def _most_common(rejected: Counter[Reason]) -> str:
     if not rejected:
         return ''
     reason, count = rejected.most_common(1)[0]
-    return f' (most often refused: {reason.name}, {count} times)'
+    return f' (most often rejected: {reason.name}, {count} times)'

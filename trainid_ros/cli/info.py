@@ -46,13 +46,13 @@ def run(args: argparse.Namespace) -> int:
 
 
 def describe(info: BagInfo) -> str:
-    """Return the contents of a bag as text for people."""
+    """Return the contents of a bag as text."""
     blocks = [
         f'{info.path}: {info.messages} messages in {info.duration_s:.1f} s',
         table([_HEADINGS, *(_topic_row(topic) for topic in info.topics)], numbers=range(2, 10)),
     ]
     if info.ranges:
-        heads = ('value', 'least', 'greatest', 'unit')
+        heads = ('value', 'minimum', 'maximum', 'unit')
         rows = [(f'{r.topic} {r.field}', f'{r.low:.6g}', f'{r.high:.6g}', r.unit) for r in info.ranges]
         blocks.append(table([heads, *rows], numbers=(1, 2)))
         blocks.append(f'moving {_percent(info.moving_share)}, braking {_percent(info.braking_share)} of the time')
@@ -64,7 +64,7 @@ def describe(info: BagInfo) -> str:
 
 
 _HEADINGS = (
-    'topic', 'type', 'count', 'rate Hz', 'gaps', 'late', 'double', 'zero', 'not finite', 'log - stamp s',
+    'topic', 'type', 'count', 'rate Hz', 'gaps', 'late', 'duplicate', 'zero', 'not finite', 'log - stamp s',
 )  # fmt: skip
 
 

@@ -39,10 +39,10 @@ VERBS: Final = (
     Verb('run', 'run the estimator nodes live', 'trainid_ros.cli.run'),
     Verb('replay', 'run the estimators over a bag, off line', 'trainid_ros.cli.replay'),
     Verb('play', "publish a bag's inputs with /clock", 'trainid_ros.cli.play'),
-    Verb('simulate', 'make a bag with the simulator', 'trainid_ros.cli.simulate'),
-    Verb('fit', 'fit Davis parameters to a whole bag at once', 'trainid_ros.cli.fit'),
-    Verb('explain', 'find what a train file lacks, name it and add it', 'trainid_ros.cli.explain'),
-    Verb('info', 'tell what is in a bag and whether it can be used', 'trainid_ros.cli.info'),
+    Verb('simulate', 'create a bag with the simulator', 'trainid_ros.cli.simulate'),
+    Verb('fit', 'fit Davis parameters to a bag in one batch', 'trainid_ros.cli.fit'),
+    Verb('explain', 'find the effects that a train file lacks and add them', 'trainid_ros.cli.explain'),
+    Verb('info', 'show what is in a bag and whether it can be used', 'trainid_ros.cli.info'),
 )
 
 
@@ -50,7 +50,7 @@ class _Parser(argparse.ArgumentParser):
     """A parser that reports a usage error in one line."""
 
     def error(self, message: str) -> NoReturn:
-        """Print the message and where to read more, exit with 2."""
+        """Print the message and a pointer to the help, and exit with 2."""
         self.exit(EXIT_BAD_INPUT, f'trainid: error: {message} (see {self.prog} --help)\n')
 
 
@@ -61,9 +61,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         argv: Arguments without the program name; those of the process if None.
 
     """
-    if argv is None:  # a process of its own: leave nothing half done when told to end
+    if argv is None:  # stand-alone process: clean up on SIGTERM too
         signal.signal(signal.SIGTERM, _end)
-    # Matrices here are small: threads that wait for each other cost five times the time on a machine that is busy.
+    # The matrices are small: on a busy machine, threads waiting for each other make the work five times slower.
     os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
     arguments = list(sys.argv[1:] if argv is None else argv)
     try:
@@ -121,7 +121,7 @@ def _report(error: object, code: int) -> int:
 
 
 def _drop_output() -> None:
-    """Point standard output at nothing, so that closing it at exit does not fail again."""
+    """Redirect standard output to the null device, so that closing it at exit does not fail again."""
     with open(os.devnull, 'w', encoding='utf-8') as nothing:  # noqa: PTH123
         os.dup2(nothing.fileno(), sys.stdout.fileno())
 

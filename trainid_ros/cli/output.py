@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the commands share to talk to people and programs.
+"""Output functions shared by the commands.
 
-Answers go to standard output; progress and warnings go to standard error, so ``--json`` stays pure.
+Results go to standard output; progress and warnings go to standard error, so ``--json`` prints JSON only.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ def add_json_option(parser: ArgumentParser) -> None:
 
 
 def print_json(value: Any) -> None:
-    """Print one JSON object on standard output; see :func:`to_plain` for what it may hold."""
+    """Print one JSON object on standard output; see :func:`to_plain` for the permitted types."""
     print(json.dumps(to_plain(value), allow_nan=False, ensure_ascii=False))
 
 
 def to_plain(value: Any) -> Any:
-    """Return a value as JSON knows it.
+    """Return a value in JSON types.
 
-    Dataclasses become objects, enumerations their names, arrays lists, numbers that are not finite None.
+    Dataclasses become objects, enumerations their names, arrays lists, non-finite numbers None.
 
     Raises:
-        TypeError: If a value has no plain form.
+        TypeError: If a value has no JSON form.
 
     """
     if value is None or isinstance(value, (str, bool)):
@@ -94,7 +94,7 @@ def table(rows: Sequence[Sequence[str]], numbers: Sequence[int] = ()) -> str:
 
 @contextmanager
 def progress(text: str, total: float | None = None) -> Iterator[Callable[[float], None]]:
-    """Show progress on standard error while the block runs; show nothing if that is no terminal.
+    """Show progress on standard error while the block runs; show nothing if that is not a terminal.
 
     Args:
         text: What is being done.
@@ -107,7 +107,7 @@ def progress(text: str, total: float | None = None) -> Iterator[Callable[[float]
     if not sys.stderr.isatty():
         yield lambda _amount: None
         return
-    # Imported here because a command that shows no progress must not wait for it.
+    # Imported here so that commands without progress need not load it.
     from rich.console import Console  # noqa: PLC0415
     from rich.progress import Progress  # noqa: PLC0415
 

@@ -22,16 +22,22 @@ if TYPE_CHECKING:
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
     parser.add_argument('bag', type=Path, metavar='BAG', help='rosbag2 directory or .mcap file')
-    parser.add_argument('--rate', type=positive, default=1.0, metavar='R', help='recorded seconds in one (default: 1)')
+    parser.add_argument(
+        '--rate', type=positive, default=1.0, metavar='R', help='recorded seconds per second (default: 1)'
+    )
     parser.add_argument('--start', type=not_negative, default=0.0, metavar='S', help='skip the first seconds')
-    parser.add_argument('--duration', type=positive, default=0.0, metavar='S', help='play only so many seconds')
+    parser.add_argument('--duration', type=positive, default=0.0, metavar='S', help='play only this many seconds')
     parser.add_argument('--loop', action='store_true', help='start over at the end')
     parser.add_argument(
-        '--wait', type=int, default=0, metavar='N', help='wait for so many subscribers on each topic before starting'
+        '--wait', type=int, default=0, metavar='N', help='wait for this many subscribers on each topic before starting'
     )
     parser.add_argument('--namespace', default='/', help='namespace of the topics in the bag (default: /)')
     parser.add_argument(
-        '--ros-args', nargs=argparse.REMAINDER, default=[], metavar='...', help='the rest goes to ROS; must come last'
+        '--ros-args',
+        nargs=argparse.REMAINDER,
+        default=[],
+        metavar='...',
+        help='remaining arguments are passed to ROS; must come last',
     )
 
 
@@ -43,8 +49,8 @@ def run(args: argparse.Namespace) -> int:
 
     """
     with BagReader(args.bag, args.namespace):
-        pass  # a bag that cannot be read is told before ROS starts
-    # ROS is imported only here: the commands without it must not need it.
+        pass  # an unreadable bag is reported before ROS starts
+    # ROS is imported only here, so that other commands work without it.
     from rclpy.parameter import Parameter  # noqa: PLC0415
 
     from trainid_ros.ros.bag_player import BagPlayer  # noqa: PLC0415
@@ -73,17 +79,17 @@ def run(args: argparse.Namespace) -> int:
 
 
 class _Shown:
-    """Moves the progress bar on as the player goes."""
+    """Advances the progress bar with the player."""
 
     def __init__(self, player: BagPlayer, advance: Callable[[float], None]) -> None:
         self._player = player
         self._advance = advance
-        self._told_ns = player.timeline.first_ns
+        self._shown_ns = player.timeline.first_ns
 
     def is_done(self) -> bool:
-        """Tell the progress; return True at the end."""
+        """Update the progress; return True at the end."""
         position = self._player.position_ns
         if position:
-            self._advance((position - self._told_ns) / NS_PER_S)
-            self._told_ns = position
+            self._advance((position - self._shown_ns) / NS_PER_S)
+            self._shown_ns = position
         return self._player.finished

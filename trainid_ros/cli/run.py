@@ -24,7 +24,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         '--node', action='append', choices=tuple(_MODULES), metavar='NAME', help='run only this node; repeatable'
     )
     parser.add_argument(
-        '--ros-args', nargs=argparse.REMAINDER, default=[], metavar='...', help='the rest goes to ROS; must come last'
+        '--ros-args',
+        nargs=argparse.REMAINDER,
+        default=[],
+        metavar='...',
+        help='remaining arguments are passed to ROS; must come last',
     )
 
 
@@ -43,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
 
 def run_live(names: tuple[str, ...], train: Path | None, ros_args: list[str]) -> int:
     """Configure, activate and spin nodes; return the exit code."""
-    # ROS is imported only here: a wrong train file is told without it.
+    # ROS is imported only here, so that an invalid train file is reported without it.
     from importlib import import_module  # noqa: PLC0415
 
     from rclpy.parameter import Parameter  # noqa: PLC0415

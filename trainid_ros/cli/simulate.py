@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``trainid simulate``: a bag from the simulator, with its truth beside it."""
+"""``trainid simulate``: create a bag with the simulator, together with its truth."""
 
 from __future__ import annotations
 
@@ -35,9 +35,9 @@ _PROGRESS_EVERY: Final = 1000
 
 def configure(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments."""
-    parser.add_argument('out', type=Path, metavar='OUT', help='bag to make')
+    parser.add_argument('out', type=Path, metavar='OUT', help='bag to create')
     parser.add_argument(
-        '--train', type=Path, metavar='T.yaml', help='the train as it truly is; with --world as an engineer states it'
+        '--train', type=Path, metavar='T.yaml', help='the true train; with --world the train as an engineer states it'
     )
     _configure_world(parser)
     parser.add_argument(
@@ -45,11 +45,11 @@ def configure(parser: argparse.ArgumentParser) -> None:
         action='append',
         default=[],
         metavar='NAME:key=value',
-        help='add an effect to the truth, as in tunnel_drag:factor=1.8 (again for more)',
+        help='add an effect to the truth, e.g. tunnel_drag:factor=1.8; repeatable',
     )
     parser.add_argument('--runs', type=int, default=4, metavar='N', help='runs from stop to stop (default: 4)')
     parser.add_argument(
-        '--seed', type=_seed, default=1, metavar='S', help='seed of all that is random, >= 0 (default: 1)'
+        '--seed', type=_seed, default=1, metavar='S', help='seed of the random numbers, >= 0 (default: 1)'
     )
     add_json_option(parser)
 
@@ -59,7 +59,7 @@ def _configure_world(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--realism',
         choices=tuple(REALISMS),
-        help='clean: all that the train file states is exact; field: wrong as on real trains (default: clean)',
+        help='clean: the train file is exact; field: it has errors as on real trains (default: clean)',
     )
     parser.add_argument(
         '--unknown',
@@ -67,7 +67,7 @@ def _configure_world(parser: argparse.ArgumentParser) -> None:
         default=[],
         choices=UNKNOWNS,
         metavar='NAME',
-        help=f'one thing that the train file states wrongly or not at all (again for more): {", ".join(UNKNOWNS)}',
+        help=f'quantity that is wrong in the train file or missing from it; repeatable: {", ".join(UNKNOWNS)}',
     )
 
 
@@ -79,16 +79,16 @@ def _seed(text: str) -> int:
 
 
 def run(args: argparse.Namespace) -> int:
-    """Simulate and write the bag and its truth; with a world also the train file that states what is known.
+    """Simulate and write the bag and its truth; with a world also the stated train file.
 
     Raises:
-        InputError: If an argument or the train file cannot be used, or the bag exists already.
+        InputError: If an argument or the train file cannot be used, or the bag already exists.
 
     """
     rng = np.random.default_rng(args.seed)
     case = _case(args, rng)
     scenario = case.scenario if case else scenario_from(_train_path(args), args.effect, args.runs)
-    # The bag is opened first: a path that cannot be written is told at once, not after the simulation.
+    # The bag is opened first, so that a path that cannot be written is reported before the simulation.
     with BagWriter(args.out) as writer:
         with progress('simulating'):
             simulation = simulate(scenario, rng)
@@ -97,7 +97,7 @@ def run(args: argparse.Namespace) -> int:
         simulation = replace(simulation, truth=replace(simulation.truth, unknowns=case.true_values))
         (args.out / TRAIN_FILE).write_text(dump_train_file(case.stated), encoding='utf-8')
     save_truth(simulation.truth, args.out / TRUTH_FILE)
-    _tell(args, simulation)
+    _print_result(args, simulation)
     return 0
 
 
@@ -118,7 +118,7 @@ def _case(args: argparse.Namespace, rng: np.random.Generator) -> Case | None:
     world = WORLDS[args.world]
     stated = load_train_file(args.train) if args.train else world_train(world)
     names = unknowns_of(args.realism or 'clean', args.unknown, stated)
-    # Drawn from a generator of its own, so that driving and noise are the same with and without unknowns.
+    # Drawn from a separate generator, so that driving and noise are the same with and without unknowns.
     return make_case(world, stated, names, args.runs, rng.spawn(1)[0], parse_effects(args.effect))
 
 
@@ -144,13 +144,13 @@ def _write(simulation: Simulation, writer: BagWriter) -> None:
                 advance(_PROGRESS_EVERY)
 
 
-def _tell(args: argparse.Namespace, simulation: Simulation) -> None:
+def _print_result(args: argparse.Namespace, simulation: Simulation) -> None:
     counts = Counter(_TOPIC_OF[type(record)] for record in simulation.records)
     if not args.json:
         runs = f'{pluralise(len(simulation.arrivals), "run")}, {simulation.duration_s:.0f} s'
         print(f'{args.out}: {len(simulation.records)} messages of {runs}; truth in {args.out / TRUTH_FILE}')
         if args.world:
-            print(f'the train as stated: {args.out / TRAIN_FILE}')
+            print(f'stated train file: {args.out / TRAIN_FILE}')
         return
     print_json(
         {

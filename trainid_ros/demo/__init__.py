@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The main job end to end: bags through live nodes in processes of their own, watched, scored, reported."""
+"""End-to-end demo: bags played through live nodes in separate processes, monitored, scored and reported."""

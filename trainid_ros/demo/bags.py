@@ -26,7 +26,7 @@ _TITLES: Final = {
 
 @dataclass(frozen=True, slots=True)
 class DemoBag:
-    """A bag with all that belongs to it."""
+    """A bag with its title, train file and, if known, truth."""
 
     path: Path
     title: str
@@ -36,7 +36,7 @@ class DemoBag:
 
 
 def load_demo_bag(path: Path) -> DemoBag:
-    """Read what lies in the folder of a bag.
+    """Load the train file and, if there is one, the truth in the folder of a bag.
 
     Raises:
         InputError: There is no train file in it, or a file cannot be used.

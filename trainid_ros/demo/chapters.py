@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One bag of the demo: live, then off line, compared, scored, and put into a chapter of the report."""
+"""One bag of the demo: its live run is compared with a replay, scored and made a chapter of the report."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What the demo found out with one bag.
+    """Result of the demo for one bag.
 
     Attributes:
         chapter: For the report.
-        comparisons: Live against replay, by what is estimated.
-        resistance: Errors of w at the current speed, None without truth.
-        brake_rate: Errors of the brake rate, None without truth.
-        rate: Recorded seconds in one second that the live run made.
+        comparisons: Live against replay, by estimate.
+        resistance: Errors of w at the current speed [N/kN], None without truth.
+        brake_rate: Errors of the brake rate [1], None without truth.
+        rate: Recorded seconds per second of the live run [1].
 
     """
 
@@ -52,7 +52,7 @@ class Outcome:
 
 
 class _Check:
-    """Takes fingerprints of a replay, and traces the inputs that the live run had."""
+    """Takes fingerprints of a replay, and traces its inputs, which are those of the live run."""
 
     def __init__(self, recorder: TraceRecorder) -> None:
         self.fingerprints: dict[type, list[Fingerprint]] = {kind: [] for kind in LABELS}
@@ -61,7 +61,7 @@ class _Check:
     def on_record(self, entry: LoggedRecord) -> None:
         self._recorder.on_record(entry.record)
 
-    def on_output(self, output: AnyOutput, log_ns: int) -> None:  # noqa: ARG002 - stamps alone are compared
+    def on_output(self, output: AnyOutput, log_ns: int) -> None:  # noqa: ARG002 - only stamps are compared
         self.fingerprints[type(output.estimate)].append(fingerprint_of_output(output))
 
 
@@ -70,17 +70,17 @@ def conclude(bag: DemoBag, live: LiveRun, duration_s: float, progress: Callable[
 
     Args:
         bag: The bag.
-        live: What came of it live.
-        duration_s: How much of it was played [s], 0 for all.
+        live: Result of the live run.
+        duration_s: Length that was played [s], 0 for all.
         progress: Called with the number of inputs replayed since its last call.
 
     """
-    witness = _Check(live.recorder)
+    check = _Check(live.recorder)
     with BagReader(bag.path) as reader:
         limit_s = duration_s if duration_s > 0.0 else math.inf
-        replayed = replay(reader, bag.train_file, EstimatorSettings(), progress, (witness,), duration_s=limit_s)
-    pairs = ((label, live.fingerprints[kind], witness.fingerprints[kind]) for kind, label in LABELS.items())
-    comparisons = tuple((label, compare(heard, expected)) for label, heard, expected in pairs)
+        replayed = replay(reader, bag.train_file, EstimatorSettings(), progress, (check,), duration_s=limit_s)
+    pairs = ((label, live.fingerprints[kind], check.fingerprints[kind]) for kind, label in LABELS.items())
+    comparisons = tuple((label, compare(received, expected)) for label, received, expected in pairs)
     traces = live.recorder.finish()
     rate = traces.duration_s / live.wall_s if live.wall_s > 0.0 else math.nan
     notes = tuple(describe_comparison(label, comparison) for label, comparison in comparisons)
@@ -112,7 +112,7 @@ def describe_comparison(label: str, comparison: Comparison) -> str:
 
 
 def _chapter(bag: DemoBag, live: LiveRun, replayed: Replay, notes: tuple[str, ...], how: str) -> Chapter:
-    # A node that said nothing live has its prior, as the replay tells it too.
+    # A node that published nothing live still has its prior, which the replay shows too.
     newest: dict[type, Any] = {
         ResistanceEstimate: replayed.resistance.output,
         SpeedModelEstimate: replayed.speed_model.output,

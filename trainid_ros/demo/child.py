@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A ``trainid`` command as a child that ends when its parent does, even if that was killed."""
+"""Run a ``trainid`` command as a child process that ends with its parent, even if that is killed."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _PR_SET_PDEATHSIG: Final = 1
 
 
 def die_with(parent: int) -> None:
-    """Ask the kernel for SIGTERM when the parent process ends; only Linux knows this."""
+    """Ask the kernel for SIGTERM when the parent process ends; only Linux supports this."""
     if sys.platform == 'linux':
         ctypes.CDLL(None).prctl(_PR_SET_PDEATHSIG, signal.SIGTERM)
         if os.getppid() != parent:

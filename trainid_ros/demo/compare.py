@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Do the messages of the live nodes equal those of a replay, to the bit?"""
+"""Bitwise comparison of the messages of the live nodes with those of a replay."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 class Fingerprint(NamedTuple):
-    """What identifies a message: its stamp, the bits of its estimate, and of its status and counters."""
+    """What identifies a message: its stamp, digests of its estimate and of its status and counters, and the status."""
 
     stamp_ns: int
     estimate: bytes
@@ -37,7 +37,7 @@ class Comparison:
         equal_health: Those of them whose status and counters are equal too.
         missing: Replayed messages without a live one.
         extra: Live messages without a replayed one.
-        told_stale: Live messages that only say that inputs have stopped; a replay has no clock to tell.
+        reported_stale: Live messages that only report missing input, which a replay without a clock cannot detect.
 
     """
 
@@ -73,7 +73,7 @@ def fingerprint_of_message(message: Any, stamp_ns: int, names: Iterable[str]) ->
 
 
 def compare(live: Iterable[Fingerprint], replayed: Iterable[Fingerprint]) -> Comparison:
-    """Compare by stamps; of several messages with one stamp the first is compared with the first, and so on."""
+    """Compare by stamp; messages with the same stamp are compared in their order."""
     expected: dict[int, list[Fingerprint]] = defaultdict(list)
     for item in replayed:
         expected[item.stamp_ns].append(item)

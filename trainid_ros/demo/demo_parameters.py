@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of the demo's nodes: nothing may get lost, however fast the bag is played."""
+"""Parameters of the demo's nodes: no message may be lost at any playback rate."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ import yaml
 from trainid_ros.bag.types import ESTIMATE_TOPICS
 from trainid_ros.core.records import INPUT_TOPICS
 
-# Nodes and the message of their estimate, in the order in which they are started.
+# Nodes and the message of their estimate, in starting order.
 NODES: Final = {
     'resistance_estimator': 'ResistanceEstimate',
     'speed_model_estimator': 'SpeedModelEstimate',
     'brake_rate_estimator': 'BrakeRateEstimate',
 }
-# Deeper than any bag of the demo is long: a node that falls behind catches up at the end and loses nothing.
+# More than the messages in any demo bag: a node that falls behind catches up at the end and loses none.
 _DEPTH: Final = 40000
 _LOSSLESS: Final = {'history': 'keep_last', 'depth': _DEPTH, 'reliability': 'reliable'}
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A ROS domain that nobody else uses, on this machine only."""
+"""Select an unused ROS domain and restrict it to this machine."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
     from pathlib import Path
 
-# The specification of RTPS: ports of a domain, and of its first participants.
+# From the RTPS specification: ports of a domain and of its first participants.
 _BASE_PORT: Final = 7400
 _PORTS_OF_DOMAIN: Final = 250
 _OFFSETS: Final = (0, 10, 11, 12, 13)
-# ROS advises domains up to 101; 0 is where everybody is.
+# ROS recommends domains up to 101; 0 is the default of all processes.
 _DOMAINS: Final = 101
-# Fast DDS drops what does not fit into its shared memory, and a repair takes long at many times real time.
-# These queues hold seconds of a stalled process. Another middleware does not read this.
+# Fast DDS drops what does not fit into its shared memory, and resending takes long at many times real time.
+# These queues hold the messages of a process stalled for seconds. Other middlewares do not read this profile.
 _PROFILE: Final = """<?xml version="1.0" encoding="UTF-8"?>
 <dds xmlns="http://www.eprosima.com"><profiles>
   <transport_descriptors>
@@ -41,7 +41,7 @@ _PROFILE: Final = """<?xml version="1.0" encoding="UTF-8"?>
 
 
 def free_domain(first: int) -> int:
-    """Return a domain whose ports nobody has opened, looking from ``first`` on.
+    """Return a domain whose ports are all free, searching from ``first``.
 
     Raises:
         InputError: All are in use.
@@ -66,7 +66,7 @@ def _are_free(ports: Iterable[int]) -> bool:
 
 
 def isolate(logs: Path) -> int:
-    """Let this process and its children live in a domain of their own; return it."""
+    """Put this process and its children into an unused domain; return it."""
     domain = free_domain(os.getpid())
     profile = logs / 'fastdds.xml'
     profile.write_text(_PROFILE, encoding='utf-8')

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The last chapter of the demo: a train that runs otherwise than believed, and the workflow that finds out why."""
+"""Last chapter of the demo: a simulated train with an effect that its train file lacks, and the search for it."""
 
 from __future__ import annotations
 
@@ -33,27 +33,27 @@ _TRUE: Final = Davis(1.74, 0.02, 0.0086)
 
 @dataclass(frozen=True, slots=True)
 class HiddenCase:
-    """What came of it.
+    """Result of the chapter.
 
     Attributes:
-        believed: The train file that the workflow got.
-        explanation: What it found.
-        report: Its report.
+        train_file: The train file that the workflow was given.
+        explanation: Result of the workflow.
+        report: Path of its report.
 
     """
 
-    believed: TrainFile
+    train_file: TrainFile
     explanation: Explanation
     report: Path
 
     @property
     def worked(self) -> bool:
-        """True if the hidden effect was named."""
+        """True if the workflow found the hidden effect."""
         return HIDDEN.partition(':')[0] in [effect.name for effect in self.explanation.effects]
 
 
 def play_hidden(folder: Path, say: Callable[[str], None]) -> HiddenCase:
-    """Simulate a few stations there and back with a hidden effect, and explain what differs.
+    """Simulate runs over a few stations, there and back, with a hidden effect, and explain the gap.
 
     Raises:
         InputError: The train file of the package or the folder cannot be used.
@@ -61,21 +61,21 @@ def play_hidden(folder: Path, say: Callable[[str], None]) -> HiddenCase:
     """
     folder.mkdir(parents=True, exist_ok=True)
     train = stock_bag('yizhuang') / TRAIN_FILE
-    known = load_train_file(train)
-    believed = replace(known, line=replace(known.line, stops=known.line.stops[:_STOPS]))
+    full = load_train_file(train)
+    stated = replace(full, line=replace(full.line, stops=full.line.stops[:_STOPS]))
     prepare_folder(folder, train)
-    say(f'{RUNS} runs on the Yizhuang line, there and back; hidden: {HIDDEN}, and other a, b, c than believed')
+    say(f'{RUNS} runs on the Yizhuang line, there and back; hidden: {HIDDEN}, and a, b, c unlike the train file')
     bag = folder / 'bag'
     shutil.rmtree(bag, ignore_errors=True)  # of an earlier demo
-    _simulate(believed, bag)
-    explanation = explain_runs(read_runs([bag], believed), believed, [bag])
+    _simulate(stated, bag)
+    explanation = explain_runs(read_runs([bag], stated), stated, [bag])
     notes = (f'Hidden in the simulation: {HIDDEN}; a = {_TRUE.a}, b = {_TRUE.b}, c = {_TRUE.c}.',)
-    write_all(folder, explanation, believed, str(train), [bag], notes)
-    return HiddenCase(believed, explanation, folder / REPORT_HTML)
+    write_all(folder, explanation, stated, str(train), [bag], notes)
+    return HiddenCase(stated, explanation, folder / REPORT_HTML)
 
 
-def _simulate(believed: TrainFile, bag: Path) -> None:
-    true = replace(believed, resistance=_TRUE, effects=parse_effects([HIDDEN]))
+def _simulate(stated: TrainFile, bag: Path) -> None:
+    true = replace(stated, resistance=_TRUE, effects=parse_effects([HIDDEN]))
     simulation = simulate(Scenario(true, runs=RUNS), np.random.default_rng(_SEED))
     with BagWriter(bag) as writer:
         for record in simulation.records:
@@ -83,10 +83,10 @@ def _simulate(believed: TrainFile, bag: Path) -> None:
 
 
 def describe_hidden(case: HiddenCase) -> str:
-    """Return what was hidden and what was found, as text for people."""
-    return f'hidden: {HIDDEN}\n\n{describe(case.explanation, case.believed)}\n\nreport: {case.report}'
+    """Return the hidden and the found effects as text."""
+    return f'hidden: {HIDDEN}\n\n{describe(case.explanation, case.train_file)}\n\nreport: {case.report}'
 
 
 def hidden_to_json(case: HiddenCase) -> dict[str, Any]:
-    """Return what was hidden and what was found."""
+    """Return the hidden and the found effects as a JSON object."""
     return {'hidden': HIDDEN, 'found': to_json(case.explanation), 'report': case.report}

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an ATO controller sees: the estimates as they arrive, and the diagnostics."""
+"""Subscriber in the place of an ATO controller: receives the estimates and the diagnostics."""
 
 from __future__ import annotations
 
@@ -30,22 +30,22 @@ if TYPE_CHECKING:
 
     from trainid_ros.bag.bag_replay import AnyOutput
 
-# Deep enough that nothing is lost while the screen is drawn.
+# Deep enough that no message is lost while the screen is drawn.
 _DEPTH: Final = 40000
 _REJECTED: Final = 'rejected.'
 _KINDS: Final[tuple[type[Estimate], ...]] = (ResistanceEstimate, SpeedModelEstimate, BrakeRateEstimate)
 
 
 @dataclass(frozen=True, slots=True)
-class Heard:
-    """A message as an output, and its fingerprint."""
+class Received:
+    """A received message as an output, with its fingerprint."""
 
     output: AnyOutput
     fingerprint: Fingerprint
 
 
 class Listener:
-    """A node that polls: it takes what has arrived when it is asked; use as a context manager."""
+    """A node that is polled for what has arrived; use as a context manager."""
 
     def __init__(self) -> None:
         self.rejections: dict[str, dict[Reason, int]] = {}
@@ -74,21 +74,21 @@ class Listener:
             self._node.destroy_node()
         rclpy.try_shutdown(context=self._context)
 
-    def sees_all(self) -> bool:
+    def has_all_publishers(self) -> bool:
         """Return True once every estimate has a publisher."""
         return all(self._node.count_publishers(topic) for topic in ESTIMATE_TOPICS.values())
 
-    def take(self) -> list[Heard]:
+    def take(self) -> list[Received]:
         """Return the estimates that arrived since the last call, by topic; keep the newest diagnostics."""
         for message in _waiting(self._diagnostics):
             self._note(message)
         return [
-            self._heard(kind, message)
+            self._received(kind, message)
             for kind, subscription in self._estimates.items()
             for message in _waiting(subscription)
         ]
 
-    def _heard(self, kind: type[Estimate], message: Any) -> Heard:
+    def _received(self, kind: type[Estimate], message: Any) -> Received:
         stamp = message.header.stamp
         stamp_ns = int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
         names = self._names[kind]
@@ -101,7 +101,7 @@ class Listener:
             rejected=int(message.rejected),
             last_rejection=None,
         )
-        return Heard(output, fingerprint_of_message(message, stamp_ns, names))
+        return Received(output, fingerprint_of_message(message, stamp_ns, names))
 
     def _note(self, array: Any) -> None:
         for status in array.status:
@@ -114,7 +114,7 @@ class Listener:
 
 
 def _ignore(_message: Any) -> None:
-    """Stand in for a callback: messages are taken by hand, which costs far less than a wait set each."""
+    """Placeholder callback: messages are polled, which costs far less than a wait set for each."""
 
 
 def _waiting(subscription: Any) -> list[Any]:

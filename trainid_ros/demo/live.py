@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One bag through the live nodes: three estimators and a player, each a process, and a listener here."""
+"""Play one bag through the live nodes: three estimators and a player, each a process, and a listener here."""
 
 from __future__ import annotations
 
@@ -42,14 +42,14 @@ _END_S: Final = 2.0
 
 @dataclass(frozen=True, slots=True)
 class LiveRun:
-    """What came of a bag live.
+    """Result of the live run of a bag.
 
     Attributes:
-        fingerprints: Of all messages received, by the class of the estimate, in the order of arrival.
+        fingerprints: Those of all messages received, by class of the estimate, in order of arrival.
         newest: Last output of each estimator.
-        rejections: Why samples were not used, as the diagnostics told last.
-        recorder: Traces of the estimates; inputs are still to be traced.
-        wall_s: Time from the first to the last message.
+        rejections: Rejected samples by reason, from the last diagnostics.
+        recorder: Traces of the estimates; the inputs are traced later.
+        wall_s: Time from the first to the last message [s].
 
     """
 
@@ -61,18 +61,18 @@ class LiveRun:
 
 
 def run_live(bag: DemoBag, rate: float, duration_s: float, folder: Path, view: View) -> LiveRun:
-    """Play a bag to nodes in processes of their own and take in what they publish.
+    """Play a bag to nodes in separate processes and collect what they publish.
 
     Args:
         bag: The bag.
-        rate: Recorded seconds in one second.
-        duration_s: How much of the bag to play [s], 0 for all.
+        rate: Recorded seconds per second [1].
+        duration_s: Length of the bag to play [s], 0 for all.
         folder: Where logs and parameters go; it must exist.
-        view: Where to show what happens.
+        view: Display of the progress.
 
     Raises:
         InputError: The bag cannot be played.
-        NoAnswerError: A process failed; its last words are told.
+        NoAnswerError: A process failed; the message gives the end of its log.
 
     """
     start_ns, length_s = _extent(bag)
@@ -89,11 +89,11 @@ def run_live(bag: DemoBag, rate: float, duration_s: float, folder: Path, view: V
             session.wait_for_nodes()
             limit = ['--duration', repr(duration_s)] if duration_s > 0.0 else []
             play = ['play', str(bag.path), '--rate', repr(rate), '--wait', str(len(NODES)), *limit]
-            # Without /clock: the nodes judge by stamps, and simulated time would cost as much as the inputs.
-            quiet = ['--ros-args', '-p', 'publish_clock:=false']
-            session.follow(group.start('bag_player', [*play, *quiet]))
-            if stubborn := group.stop():
-                msg = f'{", ".join(child.name for child in stubborn)} did not stop on SIGTERM and was killed'
+            # Without /clock: the nodes work by stamps, and simulated time would cost as much as the inputs.
+            no_clock = ['--ros-args', '-p', 'publish_clock:=false']
+            session.follow(group.start('bag_player', [*play, *no_clock]))
+            if killed := group.stop():
+                msg = f'{", ".join(child.name for child in killed)} did not stop on SIGTERM and was killed'
                 raise NoAnswerError(msg)
             return session.result()
 
@@ -109,7 +109,7 @@ def _extent(bag: DemoBag) -> tuple[int, float]:
 
 
 class _Session:
-    """The listener's loop."""
+    """Polling loop of the listener during one live run."""
 
     def __init__(self, group: ProcessGroup, listener: Listener, snapshot: Snapshot, view: View) -> None:
         self._group = group
@@ -121,9 +121,9 @@ class _Session:
         self._first_s = self._last_s = 0.0
 
     def wait_for_nodes(self) -> None:
-        """Wait until all nodes offer their estimates."""
+        """Wait until all nodes publish their estimates."""
         deadline = time.monotonic() + _START_S
-        while not self._listener.sees_all():
+        while not self._listener.has_all_publishers():
             self._check(self._group.ended())
             if time.monotonic() > deadline:
                 msg = f'the nodes did not start within {_START_S:g} s'
@@ -131,45 +131,45 @@ class _Session:
             time.sleep(_POLL_S)
 
     def follow(self, player: Child) -> None:
-        """Take in estimates until the player is done and nothing more arrives."""
+        """Collect estimates until the player has ended and nothing more arrives."""
         while player.process.poll() is None:
             self._pause(lambda: player.process.poll() is not None)
             self._check(child for child in self._group.ended() if child is not player)
         if player.process.returncode != 0:
             self._check((player,))
         deadline = time.monotonic() + _DRAIN_S
-        quiet = time.monotonic() + _QUIET_S
-        while time.monotonic() < min(quiet, deadline):
+        quiet_end = time.monotonic() + _QUIET_S
+        while time.monotonic() < min(quiet_end, deadline):
             if self._pause(lambda: False):
-                quiet = time.monotonic() + _QUIET_S
+                quiet_end = time.monotonic() + _QUIET_S
 
     def result(self) -> LiveRun:
-        """Return what came of it."""
+        """Return the result of the run."""
         snapshot = self._snapshot
         wall_s = self._last_s - self._first_s
         return LiveRun(self._fingerprints, snapshot.newest, snapshot.rejections, self._recorder, wall_s)
 
     def _pause(self, is_over: Callable[[], bool]) -> int:
-        """Take in what has arrived, show it, and wait a little unless it is over."""
-        heard = self._listener.take()
-        for item in heard:
+        """Collect what has arrived, show it, and wait briefly unless ``is_over``."""
+        received = self._listener.take()
+        for item in received:
             kind = type(item.output.estimate)
             self._fingerprints[kind].append(item.fingerprint)
-            if not self._says_only_that_all_is_over(item.output):
+            if not self._reports_only_the_end(item.output):
                 self._snapshot.newest[kind] = item.output
                 self._recorder.on_output(item.output)
-        if heard:
+        if received:
             self._last_s = time.monotonic()
             self._first_s = self._first_s or self._last_s
-        self._snapshot.received += len(heard)
+        self._snapshot.received += len(received)
         self._snapshot.rejections = {KINDS[node]: counts for node, counts in self._listener.rejections.items()}
         self._view.show(self._snapshot)
         if not is_over():
             time.sleep(_POLL_S)
-        return len(heard)
+        return len(received)
 
-    def _says_only_that_all_is_over(self, output: AnyOutput) -> bool:
-        """True where a node rightly complains that the bag has ended."""
+    def _reports_only_the_end(self, output: AnyOutput) -> bool:
+        """Return True for a STALE message that only reports the end of the bag."""
         before = self._snapshot.newest.get(type(output.estimate))
         repeats = before is not None and before.stamp_ns == output.stamp_ns
         end_ns = self._snapshot.start_ns + round((self._snapshot.duration_s - _END_S) * NS_PER_S)
@@ -180,5 +180,5 @@ class _Session:
         """Raise NoAnswerError for a child that should not have ended."""
         for child in ended:
             code = child.process.returncode
-            msg = f'{child.name} ended with exit code {code} ({child.log}: {child.last_words()})'
+            msg = f'{child.name} ended with exit code {code} ({child.log}: {child.log_tail()})'
             raise NoAnswerError(msg)

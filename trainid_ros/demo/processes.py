@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Children in process groups of their own: started with a log each, never left behind."""
+"""Child processes, each with its own process group and log, that never outlive the parent's ``with`` block."""
 
 from __future__ import annotations
 
@@ -31,15 +31,15 @@ class Child:
     process: subprocess.Popen[bytes]
     log: Path
 
-    def last_words(self) -> str:
-        """Return the end of its log in one line."""
+    def log_tail(self) -> str:
+        """Return the last lines of its log as one line."""
         lines = self.log.read_text(encoding='utf-8', errors='replace').strip().splitlines()
         return ' | '.join(line.strip() for line in lines[-_LAST_LINES:]) or 'no output'
 
 
 @contextmanager
 def _signals_held() -> Iterator[None]:
-    """Keep SIGINT and SIGTERM back until the block has ended."""
+    """Defer SIGINT and SIGTERM until the block has ended."""
     caught: list[signal.Signals] = []
     before = {number: signal.signal(number, lambda n, _: caught.append(signal.Signals(n))) for number in _ENDING}
     try:
@@ -52,10 +52,10 @@ def _signals_held() -> Iterator[None]:
 
 
 class ProcessGroup:
-    """Children that all end with the ``with`` block: SIGTERM first, SIGKILL for those that stay."""
+    """Child processes that all end with the ``with`` block: SIGTERM first, SIGKILL for those that remain."""
 
     def __init__(self, folder: Path) -> None:
-        """Name the folder of the logs; it must exist."""
+        """Set the folder of the logs, which must exist."""
         self._folder = folder
         self._children: list[Child] = []
         self._logs: list[IO[bytes]] = []
@@ -76,7 +76,7 @@ class ProcessGroup:
         log = path.open('wb')
         self._logs.append(log)
         command = [sys.executable, '-m', 'trainid_ros.demo.child', str(os.getpid()), *arguments]
-        # A signal between the start of a child and its entry in the list would leave it behind.
+        # A signal between the start of a child and its entry in the list would leave it running.
         with _signals_held():
             process = subprocess.Popen(
                 command, stdin=subprocess.DEVNULL, stdout=log, stderr=subprocess.STDOUT, start_new_session=True
@@ -91,14 +91,14 @@ class ProcessGroup:
 
     def stop(self) -> tuple[Child, ...]:
         """End all children and wait for them; return those that had to be killed."""
-        # A second Ctrl-C must not break off the tidying-up.
+        # A second Ctrl-C must not interrupt the clean-up.
         before = signal.signal(signal.SIGINT, signal.SIG_IGN)
         try:
             self._signal_all(signal.SIGTERM)
             deadline = time.monotonic() + _PATIENCE_S
             while len(self.ended()) < len(self._children) and time.monotonic() < deadline:
                 time.sleep(_POLL_S)
-            stubborn = tuple(child for child in self._children if child.process.poll() is None)
+            killed = tuple(child for child in self._children if child.process.poll() is None)
             self._signal_all(signal.SIGKILL)
             for child in self._children:
                 child.process.wait()
@@ -107,7 +107,7 @@ class ProcessGroup:
         finally:
             signal.signal(signal.SIGINT, before)
         self._children, self._logs = [], []
-        return stubborn
+        return killed
 
     def _signal_all(self, number: int) -> None:
         for child in self._children:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the demo shows while it runs: a live table on a terminal, a plain line now and then elsewhere."""
+"""Display of the running demo: a live table on a terminal, elsewhere a line of text at intervals."""
 
 from __future__ import annotations
 
@@ -35,16 +35,16 @@ _REASONS: Final = 3
 
 @dataclass(slots=True)
 class Snapshot:
-    """What is known now.
+    """Current state of a live run.
 
     Attributes:
         title: What is being played.
-        rate: Recorded seconds in one second.
-        start_ns: Stamp of the start of the bag.
-        duration_s: Its length.
-        truth: What is true, None if nobody knows.
+        rate: Recorded seconds per second [1].
+        start_ns: Stamp of the start of the bag [ns].
+        duration_s: Length to play [s].
+        truth: The truth, None if unknown.
         newest: Newest output of each estimator, by the class of its estimate.
-        rejections: Why samples were not used, by the class of the estimate.
+        rejections: Rejected samples by reason, by the class of the estimate.
         received: Estimates received so far.
 
     """
@@ -60,12 +60,12 @@ class Snapshot:
 
     @property
     def elapsed_s(self) -> float:
-        """Recorded time so far."""
+        """Recorded time so far [s]."""
         stamps = [output.stamp_ns for output in self.newest.values()]
         return max(0.0, (max(stamps) - self.start_ns) * 1e-9) if stamps else 0.0
 
     def values(self, kind: type) -> tuple[float, float | None, float | None] | None:
-        """Return value, standard deviation and truth of an estimator's main value, None before the first."""
+        """Return w [N/kN], brake rate [1] or mass factor [1] with its std and truth, None before the first."""
         output = self.newest.get(kind)
         if output is None:
             return None
@@ -80,7 +80,7 @@ class Snapshot:
 
     @property
     def speed_kmh(self) -> float:
-        """Speed of the train as the resistance estimator last had it [km/h]."""
+        """Speed of the train in the newest resistance estimate [km/h]."""
         output = self.newest.get(ResistanceEstimate)
         estimate: Any = None if output is None else output.estimate
         return 0.0 if estimate is None else 3.6 * float(estimate.speed)
@@ -97,7 +97,7 @@ class View:
         self._next_s = 0.0
 
     def __enter__(self) -> Self:
-        """Take over the screen if it is a terminal."""
+        """Start the live table if the console is a terminal."""
         if self._console.is_terminal:
             self._live = self._stack.enter_context(Live(console=self._console, auto_refresh=False))
         return self
@@ -105,7 +105,7 @@ class View:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """Give the screen back."""
+        """End the live table."""
         self._stack.close()
         self._live = None
 
@@ -114,7 +114,7 @@ class View:
         self._console.print(text, highlight=False, markup=False, soft_wrap=True)
 
     def show(self, snapshot: Snapshot) -> None:
-        """Show a snapshot if it is time for one."""
+        """Show a snapshot if the next one is due."""
         now = time.monotonic()
         if now < self._next_s:
             return
@@ -174,8 +174,8 @@ def _row(snapshot: Snapshot, kind: type, label: str) -> tuple[str | Text, ...]:
 
 
 def _reasons(total: int, rejections: dict[Reason, int]) -> str:
-    commonest = sorted(rejections.items(), key=lambda item: -item[1])[:_REASONS]
-    text = ', '.join(f'{reason.name.lower()} {count}' for reason, count in commonest)
+    most_common = sorted(rejections.items(), key=lambda item: -item[1])[:_REASONS]
+    text = ', '.join(f'{reason.name.lower()} {count}' for reason, count in most_common)
     return f'{total} ({text})' if text else str(total)
 
 

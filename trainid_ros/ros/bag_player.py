@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lifecycle node ``bag_player``: the inputs of a bag and ``/clock``, in bag order, paced by log time."""
+"""Lifecycle node ``bag_player``: publishes a bag's inputs and ``/clock`` in bag order, paced by log time."""
 
 from __future__ import annotations
 
@@ -18,13 +18,13 @@ if TYPE_CHECKING:
 NAME: Final = 'bag_player'
 _PARAMETERS: Final = (
     ParameterSpec('bag', '', 'rosbag2 directory or .mcap file; takes effect on the next configure'),
-    ParameterSpec('bag_namespace', '/', 'namespace of the topics in the bag; on the next configure'),
+    ParameterSpec('bag_namespace', '/', 'namespace of the topics in the bag; takes effect on the next configure'),
     *playback_parameters(live=False),
 )
 
 
 class BagPlayer(PlaybackNode):
-    """Plays a bag."""
+    """Lifecycle node that plays a bag."""
 
     def __init__(self, arguments: Any = (), **options: Any) -> None:
         self._reader: BagReader | None = None

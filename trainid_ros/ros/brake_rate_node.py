@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lifecycle node ``brake_rate_estimator``: brake rate by GSMA."""
+"""Lifecycle node ``brake_rate_estimator``: estimates the brake rate, by default with GSMA."""
 
 from __future__ import annotations
 

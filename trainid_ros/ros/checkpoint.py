@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Checkpoints: the whole state of one estimator in a file that is either old or new, never half."""
+"""Checkpoint files: the complete state of one estimator, replaced atomically."""
 
 from __future__ import annotations
 
@@ -19,14 +19,14 @@ _DIGEST: Final = 'state_sha256'
 
 @dataclass(frozen=True, slots=True)
 class Checkpoint:
-    """A saved estimator.
+    """Saved state of an estimator.
 
     Attributes:
         version: Version of the package that wrote it.
         estimator: Name of the estimator.
         saved_ns: Node time at which it was written [ns].
-        stamp_ns: Stamp of the newest sample used, 0 if there was none.
-        state: What the estimator's ``save`` returned.
+        stamp_ns: Stamp of the newest sample used [ns], 0 if there was none.
+        state: State as returned by the estimator's ``save``.
 
     """
 
@@ -38,14 +38,14 @@ class Checkpoint:
 
 
 def default_path(node: str) -> Path:
-    """Return where the checkpoint of a node goes, given its fully qualified name."""
+    """Return the default checkpoint path of a node, given its fully qualified name."""
     home = os.environ.get('ROS_HOME')
     base = Path(home) if home else Path.home() / '.ros'
     return base.joinpath('trainid', *node.strip('/').split('/')).with_suffix('.json')
 
 
 def write_checkpoint(path: Path, checkpoint: Checkpoint) -> None:
-    """Write a checkpoint; an older file stays as it is until the new one is safely on disk.
+    """Write a checkpoint; an existing file is replaced only once the new one is safely on disk.
 
     Raises:
         InputError: The file cannot be written.
@@ -74,7 +74,7 @@ def read_checkpoint(path: Path, estimator: str) -> Checkpoint:
     """Read the checkpoint of an estimator.
 
     Raises:
-        InputError: The file cannot be read, is no checkpoint, was changed or belongs to another estimator.
+        InputError: The file cannot be read, is not a checkpoint, was modified or belongs to another estimator.
 
     """
     try:
@@ -83,19 +83,19 @@ def read_checkpoint(path: Path, estimator: str) -> Checkpoint:
         msg = f'{path}: checkpoint cannot be read: {error.strerror or error}'
         raise InputError(msg) from error
     except (ValueError, RecursionError) as error:
-        msg = f'{path}: is no checkpoint: {error}'
+        msg = f'{path}: is not a checkpoint: {error}'
         raise InputError(msg) from None
     if not isinstance(data, dict) or data.get('package') != 'trainid_ros' or data.get('format') != _FORMAT:
-        msg = f'{path}: is no checkpoint of this package (format {_FORMAT})'
+        msg = f'{path}: is not a checkpoint of this package (format {_FORMAT})'
         raise InputError(msg)
     kinds = {'version': str, 'estimator': str, 'saved_ns': int, 'stamp_ns': int, 'state': str}
     for item in fields(Checkpoint):
         if type(data.get(item.name)) is not kinds[item.name]:
-            msg = f'{path}: checkpoint field {item.name} = {data.get(item.name)!r} is not usable'
+            msg = f'{path}: checkpoint field {item.name} = {data.get(item.name)!r} is invalid'
             raise InputError(msg)
     checkpoint = Checkpoint(**{item.name: data[item.name] for item in fields(Checkpoint)})
     if data.get(_DIGEST) != _digest(checkpoint.state):
-        msg = f'{path}: checkpoint is damaged: its state is not the one that {_DIGEST} was computed of'
+        msg = f'{path}: checkpoint is damaged: its state does not match {_DIGEST}'
         raise InputError(msg)
     if checkpoint.estimator != estimator:
         msg = f'{path}: is a checkpoint of {checkpoint.estimator}, not of {estimator}'
@@ -104,5 +104,5 @@ def read_checkpoint(path: Path, estimator: str) -> Checkpoint:
 
 
 def _digest(state: str) -> str:
-    # A JSON text may hold half a surrogate pair, which strict UTF-8 refuses.
+    # JSON text may contain an unpaired surrogate, which strict UTF-8 rejects.
     return hashlib.sha256(state.encode('utf-8', 'surrogatepass')).hexdigest()

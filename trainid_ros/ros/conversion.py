@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages to records and outputs to messages, by field name.
+"""Convert input messages to records and outputs to messages, by field name.
 
-Generated messages store whatever they are given without looking at its type, so every value is cast.
+Generated messages store assigned values without checking their type, so every value is cast.
 """
 
 from __future__ import annotations
@@ -32,18 +32,18 @@ def message_class(topic: InputTopic) -> Any:
 
 
 def stamp_ns(stamp: Any) -> int:
-    """Return a ``builtin_interfaces/Time`` in nanoseconds."""
+    """Return a ``builtin_interfaces/Time`` as a number [ns]."""
     return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
 
 
 def time_message(time_ns: int) -> Time:
-    """Return nanoseconds as a ``builtin_interfaces/Time``."""
+    """Return a time [ns] as a ``builtin_interfaces/Time``."""
     sec, nanosec = divmod(time_ns, NS_PER_S)
     return Time(sec=sec, nanosec=nanosec)
 
 
 def record_from_message(topic: InputTopic, message: Any) -> Record:
-    """Return the record of an input message; values pass unchecked, NaN included."""
+    """Return the record of an input message; values, NaN included, are not checked."""
     values = [
         _CASTS[str(item.type)](getattr(message, item.name)) for item in fields(topic.record) if item.name != 'stamp_ns'
     ]
@@ -61,7 +61,7 @@ def message_from_record(record: Record) -> Any:
 
 
 def fill_estimate(message: Any, output: Output[Any]) -> Any:
-    """Copy an output into its message and return it; an estimate that is not finite is marked as a fault."""
+    """Copy an output into its message and return it; a non-finite estimate gets status FAULT."""
     estimate, rejection = output.estimate, output.last_rejection
     message.header.stamp = time_message(output.stamp_ns)
     finite = True

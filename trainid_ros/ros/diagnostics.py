@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What ``/diagnostics`` says: one status for the estimator, one for each input.
+"""Contents of ``/diagnostics``: one status for the estimator and one for each input.
 
-All ages are taken by the node's clock, so they are right under simulated time.
+Ages are measured with the node's clock, so they are correct under simulated time too.
 """
 
 from __future__ import annotations
@@ -31,21 +31,21 @@ _LEVELS: Final = {
 }
 _MEANINGS: Final = {
     Status.UNINITIALIZED: 'no sample yet',
-    Status.CONVERGING: 'learning, not yet fit to use',
-    Status.VALID: 'fit to use, learning now',
-    Status.HOLDING: 'fit to use, nothing to learn now',
-    Status.STALE: 'inputs missing, last value stands',
-    Status.FAULT: 'the estimator cannot go on: reset it',
+    Status.CONVERGING: 'converging, not yet fit to use',
+    Status.VALID: 'fit to use, updating',
+    Status.HOLDING: 'fit to use, not updating now',
+    Status.STALE: 'inputs missing, last estimate kept',
+    Status.FAULT: 'the estimator cannot continue: reset it',
 }
-# A stamp this far from the clock belongs to another clock, or something buffers.
+# A larger difference means that stamps come from another clock or that messages are buffered.
 _WORST_AGE_S: Final = 2.0
 
 
 @dataclass(frozen=True, slots=True)
 class ShownValue:
-    """A value of an estimate that people want to see, with its unit.
+    """A value of an estimate to show in the diagnostics, with its unit.
 
-    ``std`` names the field of its standard deviation; ``variance`` is its place on the diagonal of ``covariance``
+    ``std`` names the field of its standard deviation; ``variance`` is its index on the diagonal of ``covariance``
     (-1: none).
     """
 
@@ -55,7 +55,7 @@ class ShownValue:
     variance: int = -1
 
     def deviation(self, estimate: Any) -> float:
-        """Return the standard deviation, NaN if there is none."""
+        """Return the standard deviation in the unit of the value, NaN if there is none."""
         if self.std:
             return float(getattr(estimate, self.std))
         if self.variance < 0:
@@ -67,16 +67,17 @@ class ShownValue:
 
 @dataclass(frozen=True, slots=True)
 class NodeHealth:
-    """What is known of the node beside its estimator.
+    """State of the node apart from its estimator.
 
-    ``clock_trouble`` says in words what is wrong with the clock, empty if nothing is.
+    ``failure`` is the reason of the last failed transition; ``now_ns`` is the node's time [ns]; ``clock_problem``
+    describes what is wrong with the clock, empty if nothing is.
     """
 
     name: str
     state: str
     failure: str
     now_ns: int
-    clock_trouble: str
+    clock_problem: str
 
 
 def idle_status(health: NodeHealth) -> Any:
@@ -102,11 +103,14 @@ def estimator_status(
     message = f'{output.status.name}: {meaning}; {first.name} {live:.4g} {first.unit}'.rstrip()
     if health.state != 'active':
         level, message = DiagnosticStatus.WARN, f'{health.state}, inputs are ignored; last {message}'
-    if health.clock_trouble:
-        level, message = max(level, DiagnosticStatus.WARN), f'{health.clock_trouble}; {message}'
+    if health.clock_problem:
+        level, message = max(level, DiagnosticStatus.WARN), f'{health.clock_problem}; {message}'
     consistency = pipeline.consistency
     if consistency.is_alarm:
-        level, message = max(level, DiagnosticStatus.WARN), f'errors are larger than stated: {consistency}; {message}'
+        level, message = (
+            max(level, DiagnosticStatus.WARN),
+            f'errors exceed the stated uncertainty: {consistency}; {message}',
+        )
     rejection = output.last_rejection
     values: list[tuple[str, object]] = [
         ('state', health.state),
@@ -138,17 +142,17 @@ def _compared(shown: tuple[ShownValue, ...], prior: Any, live: Any) -> Iterable[
 
 
 def input_status(health: NodeHealth, monitor: InputMonitor, topic: str, publishers: int, stale_s: float) -> Any:
-    """Return the status of one input; ``topic`` is its name as remapped."""
+    """Return the status of one input; ``topic`` is its remapped name, ``stale_s`` its timeout [s]."""
     rate, missing_for = monitor.rate(health.now_ns), monitor.missing_for_s(health.now_ns)
     age = (health.now_ns - monitor.newest_ns) / NS_PER_S if monitor.count else math.nan
     level, message = _judge_input(monitor, publishers, rate=rate, missing_for=missing_for, age=age, stale_s=stale_s)
-    if health.clock_trouble:
-        level, message = max(level, DiagnosticStatus.WARN), f'{health.clock_trouble}; {message}'
+    if health.clock_problem:
+        level, message = max(level, DiagnosticStatus.WARN), f'{health.clock_problem}; {message}'
     values = (
         ('topic', topic),
         ('rate [Hz]', f'{rate:.2f}'),
         ('age [s]', f'{age:.3f}'),
-        ('silence [s]', f'{missing_for:.3f}'),
+        ('time since last message [s]', f'{missing_for:.3f}'),
         ('count', monitor.count),
         ('publishers', publishers),
     )
@@ -158,17 +162,17 @@ def input_status(health: NodeHealth, monitor: InputMonitor, topic: str, publishe
 def _judge_input(
     monitor: InputMonitor, publishers: int, *, rate: float, missing_for: float, age: float, stale_s: float
 ) -> tuple[bytes, str]:
-    """Return level and message of an input."""
+    """Return diagnostic level and message of an input."""
     if monitor.optional and not monitor.count:
-        return DiagnosticStatus.OK, 'optional, not received; the parameter holds'
+        return DiagnosticStatus.OK, 'optional, not received; the parameter is used'
     if missing_for > max(stale_s, monitor.longest_s) and not monitor.optional:
-        who = 'no publisher' if not publishers else f'{publishers} publisher(s), but nothing arrives'
-        since = 'never received' if math.isinf(missing_for) else f'silent for {missing_for:.1f} s'
+        who = 'no publisher' if not publishers else f'{publishers} publisher(s), but no messages arrive'
+        since = 'never received' if math.isinf(missing_for) else f'no message for {missing_for:.1f} s'
         return DiagnosticStatus.STALE, f'{since}, {who}'
     if abs(age) > _WORST_AGE_S and not monitor.optional:
-        return DiagnosticStatus.WARN, f'stamps are {age:.1f} s old by the clock of this node (use_sim_time?)'
+        return DiagnosticStatus.WARN, f"stamps are {age:.1f} s old by this node's clock (use_sim_time?)"
     if rate * monitor.slowest_s < 1.0 and not monitor.optional:
-        return DiagnosticStatus.WARN, f'slow: {rate:.2f} Hz, needed {1.0 / monitor.slowest_s:.2f} Hz'
+        return DiagnosticStatus.WARN, f'too slow: {rate:.2f} Hz, at least {1.0 / monitor.slowest_s:.2f} Hz needed'
     return DiagnosticStatus.OK, 'received' if math.isnan(rate) else f'{rate:.1f} Hz'
 
 

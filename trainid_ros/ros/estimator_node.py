@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The lifecycle node around any estimator: messages in, messages out, nothing computed here.
+"""Lifecycle node around any estimator; it converts messages and computes nothing itself.
 
-Estimates leave in the callback of the message that completed their sample. Timers only tell what does
-not happen: inputs that stay away. They run on a steady clock, which a stopped ``/clock`` cannot stall.
+Estimates are published from the callback of the message that completes their sample; timers only detect
+missing input. They run on a steady clock, which a stopped ``/clock`` cannot stall.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ from trainid_ros.ros.diagnostics import (
     idle_status,
     input_status,
 )
-from trainid_ros.ros.estimator_services import BROKEN_NUMBERS, EstimatorServices
+from trainid_ros.ros.estimator_services import NUMERICAL_ERRORS, EstimatorServices
 from trainid_ros.ros.intake import Intake
 from trainid_ros.ros.lifecycle import ManagedNode, guarded
 from trainid_ros.ros.monitors import InputMonitor, StepTimes
@@ -52,11 +52,11 @@ from trainid_ros.ros.parameter_specs import (
     ALGORITHM,
     TRAIN_PARAMETERS,
     ParameterSpec,
-    algorithm_asked_for,
     build_settings,
     build_train_file,
     estimator_parameters,
     qos_overrides,
+    requested_algorithm,
 )
 from trainid_ros.ros.watchdog import Watchdog
 from trainid_ros.train.train_file import load_train_file
@@ -68,7 +68,7 @@ if TYPE_CHECKING:
     from trainid_ros.train.train_file import TrainFile
 
 _FIRST_WATCH_S: Final = 0.1
-# States that say all there is to say of silence.
+# Statuses that already report missing input.
 _ALREADY_REPORTED: Final = (Status.STALE, Status.FAULT)
 _SUCCESS: Final = TransitionCallbackReturn.SUCCESS
 
@@ -79,13 +79,13 @@ def _no_details(_prior: Any, _live: Any) -> Iterable[tuple[str, str]]:
 
 @dataclass(frozen=True, slots=True)
 class EstimatorSpec:
-    """What makes one estimator node different from the others.
+    """What distinguishes one estimator node from the others.
 
     Attributes:
         job: What it estimates.
         message: Message class of the estimates.
-        shown: What the diagnostics show, the most important value first.
-        details: What else they show of the estimate before the first sample and now, as names and values.
+        shown: Values to show in the diagnostics, the most important first.
+        details: Returns further diagnostics, as names and values, for the prior and the current estimate.
 
     """
 
@@ -96,14 +96,14 @@ class EstimatorSpec:
 
 
 class EstimatorNode(ManagedNode):
-    """Lifecycle node that drives one pipeline."""
+    """Lifecycle node that runs one estimator pipeline."""
 
     def __init__(self, spec: EstimatorSpec, *, arguments: Sequence[str] = (), **options: Any) -> None:
-        """Declare all parameters and offer the services; everything else waits for configure.
+        """Declare all parameters and create the services; everything else is set up on configure.
 
         Args:
-            spec: Which estimator.
-            arguments: ROS arguments of the process, looked through for parameter files.
+            spec: The estimator to run.
+            arguments: ROS arguments of the process, searched for parameter files.
             options: Options of the rclpy node.
 
         """
@@ -132,14 +132,14 @@ class EstimatorNode(ManagedNode):
         self._services_offered = EstimatorServices(self)
 
     def _parameter_specs(self) -> tuple[ParameterSpec, ...]:
-        overrides = self._parameter_overrides  # rclpy has no public way to see them
+        overrides = self._parameter_overrides  # rclpy gives no public access to them
         given = {name: parameter.value for name, parameter in overrides.items()}
         algorithms = self.job.algorithms
-        return estimator_parameters(algorithms, algorithm_asked_for(given, algorithms))
+        return estimator_parameters(algorithms, requested_algorithm(given, algorithms))
 
     @property
     def algorithm(self) -> str:
-        """Name of the algorithm that runs."""
+        """Name of the running algorithm."""
         return str(self.parameters.value(ALGORITHM))
 
     def _make_diagnostic_timer(self) -> Any:
@@ -166,7 +166,7 @@ class EstimatorNode(ManagedNode):
 
     @guarded
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Let inputs through."""
+        """Start to process inputs."""
         self.watchdog.restart()
         self._watchdog_timer = self.create_timer(_FIRST_WATCH_S, self._watch, clock=self._steady)
         result = super().on_activate(state)
@@ -176,32 +176,32 @@ class EstimatorNode(ManagedNode):
 
     @guarded
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Pause: inputs are ignored, the state stays."""
+        """Pause: inputs are ignored, the estimator keeps its state."""
         self._pause()
         return super().on_deactivate(state)
 
     @guarded
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Forget the state and unsubscribe."""
+        """Discard the state and unsubscribe."""
         self._release()
         return super().on_cleanup(state)
 
     @guarded
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Let go of everything, from any state."""
+        """Release all resources, from any state."""
         self._release()
         return super().on_shutdown(state)
 
     @guarded
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Go back to unconfigured after a transition that broke."""
+        """Return to unconfigured after an error in a transition."""
         self._release()
         return super().on_error(state)
 
     # Resources
 
     def _preload_train_file(self) -> None:
-        """Show the values of the train file from the start; whether it is usable is judged on configure."""
+        """Show the values of the train file from the start; an unusable file is only logged until configure."""
         try:
             self._load_train_file()
         except InputError as error:
@@ -256,7 +256,7 @@ class EstimatorNode(ManagedNode):
             self._watchdog_timer = None
 
     def _release(self) -> None:
-        """Drop all that configure made, as far as it got."""
+        """Destroy what configure created, even if it did not finish."""
         self._pause()
         if self._intake is not None:
             self._intake.close()
@@ -285,7 +285,7 @@ class EstimatorNode(ManagedNode):
         return int(self._steady.now().nanoseconds)
 
     def receive(self, topic: InputTopic, message: Any) -> None:
-        """Take one input message; publish what it completes."""
+        """Process one input message; publish the estimates of the samples it completes."""
         record = record_from_message(topic, message)
         now_ns = self._now_ns()
         self._monitors[topic].arrived(record.stamp_ns, now_ns)
@@ -304,18 +304,18 @@ class EstimatorNode(ManagedNode):
         self.watchdog.saw(pipeline.newest_ns, now_ns, self._steady_ns())
 
     def _push(self, pipeline: EstimatorPipeline[Any], record: Record) -> list[Any]:
-        """Hand a record on; an estimator that cannot go on is a FAULT, not the end of the process."""
+        """Pass a record to the pipeline; an estimator error becomes a FAULT and does not end the process."""
         try:
             return pipeline.push(record)
         except TrainIdError as error:
             return [self.fail(pipeline, str(error))]
-        except BROKEN_NUMBERS:
+        except NUMERICAL_ERRORS:
             return [self.fail(pipeline, traceback.format_exc())]
 
     def fail(self, pipeline: EstimatorPipeline[Any], reason: str) -> Any:
-        """Return the output that tells of a fault; log why, once."""
+        """Put the pipeline into FAULT and return its output; log the reason once."""
         if pipeline.status is not Status.FAULT:
-            self.get_logger().error(f'{self.algorithm} cannot go on until it is reset: {reason}')
+            self.get_logger().error(f'{self.algorithm} cannot continue until it is reset: {reason}')
         return pipeline.fail()
 
     def _publish(self, output: Any) -> None:
@@ -330,7 +330,7 @@ class EstimatorNode(ManagedNode):
             return
         intake.drain()
         self._follow_jump(pipeline)
-        # Whatever topic is the fastest, it is not due sooner than by its own rate.
+        # Even the fastest topic is not overdue before its own timeout.
         self.watchdog.limit_ns = min(pipeline.timeout_ns(topic.record) for topic in REQUIRED_TOPICS)
         if self.watchdog.is_missing(self._now_ns(), self._steady_ns()) and pipeline.status not in _ALREADY_REPORTED:
             self._publish(pipeline.mark_stale())
@@ -341,11 +341,11 @@ class EstimatorNode(ManagedNode):
     # Time
 
     def _note_jump(self, jump: Any) -> None:
-        # Called from inside the clock; what follows waits until it has its new time.
+        # Called while the clock is being set; the jump is handled once the clock has its new time.
         self._jumped_s = jump.delta.nanoseconds / NS_PER_S
 
     def _follow_jump(self, pipeline: EstimatorPipeline[Any]) -> None:
-        """Reset after a jump back of the clock, unless the stamps have shown it already."""
+        """Reset after a backward jump of the clock, unless the stamps have shown it already."""
         if self._jumped_s == 0.0:
             return
         jumped_s, self._jumped_s = self._jumped_s, 0.0
@@ -355,16 +355,16 @@ class EstimatorNode(ManagedNode):
         if follow:
             pipeline.reset()
         self.watchdog.restart()
-        done = 'estimator reset' if follow else 'estimator goes on'
+        done = 'estimator reset' if follow else 'estimator continues'
         self.get_logger().warning(f'clock jumped by {jumped_s:.3f} s: {done} (time_jump_policy {policy.value})')
 
     # Diagnostics
 
     def publish_diagnostics(self) -> None:
-        """Publish the health of the estimator and of its inputs."""
+        """Publish the status of the estimator and of its inputs."""
         now_ns = self._now_ns()
         health = NodeHealth(
-            self.get_fully_qualified_name().strip('/'), self.state, self.failure, now_ns, self._clock_trouble(now_ns)
+            self.get_fully_qualified_name().strip('/'), self.state, self.failure, now_ns, self._clock_problem(now_ns)
         )
         array = DiagnosticArray()
         array.header.stamp = time_message(now_ns)
@@ -380,11 +380,11 @@ class EstimatorNode(ManagedNode):
                 array.status.append(input_status(health, monitor, topic, self.count_publishers(topic), stale_s))
         self._diagnostics.publish(array)
 
-    def _clock_trouble(self, now_ns: int) -> str:
-        """Return what is wrong with simulated time; called once for each diagnostic period."""
+    def _clock_problem(self, now_ns: int) -> str:
+        """Return what is wrong with simulated time, empty if nothing; called once per diagnostic period."""
         before, self._diagnosed_ns = self._diagnosed_ns, now_ns
         if not self.get_clock().ros_time_is_active:
             return ''
         if now_ns == 0:
             return 'use_sim_time is set, but no /clock has arrived'
-        return '/clock stands still' if now_ns == before else ''
+        return '/clock has stopped' if now_ns == before else ''

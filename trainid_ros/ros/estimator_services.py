@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Services of an estimator node: back to the prior, save the state, load it."""
+"""Services of an estimator node: reset to the prior, save and load a checkpoint."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ if TYPE_CHECKING:
     from trainid_ros.estimators.pipeline import EstimatorPipeline
     from trainid_ros.ros.estimator_node import EstimatorNode
 
-BROKEN_NUMBERS: Final = (ArithmeticError, ValueError, LinAlgError)
-"""What arithmetic raises on a state that is wrong; in old versions of numpy a LinAlgError is no ValueError."""
+NUMERICAL_ERRORS: Final = (ArithmeticError, ValueError, LinAlgError)
+"""What arithmetic on an invalid state raises; in old versions of numpy LinAlgError is not a ValueError."""
 
 
 class EstimatorServices:
-    """Offers ``~/reset``, ``~/save_checkpoint`` and ``~/load_checkpoint``; each answers in every state."""
+    """Services ``~/reset``, ``~/save_checkpoint`` and ``~/load_checkpoint``; each responds in every lifecycle state."""
 
     def __init__(self, node: EstimatorNode) -> None:
         self._node = node
@@ -42,10 +42,10 @@ class EstimatorServices:
             response.success, response.message = True, serve(node.pipeline)
         except InputError as error:
             response.success, response.message = False, str(error)
-        except BROKEN_NUMBERS as error:
+        except NUMERICAL_ERRORS as error:
             node.fail(node.pipeline, traceback.format_exc())
             response.success, response.message = False, f'{type(error).__name__}: {error}'
-        # One line each: rclpy lets no line of code change its severity.
+        # Two calls: rclpy does not allow one line of code to log with different severities.
         if response.success:
             logger.info(response.message)
         else:
@@ -53,7 +53,7 @@ class EstimatorServices:
         return response
 
     def reset(self, pipeline: EstimatorPipeline[Any]) -> str:
-        """Go back to the prior."""
+        """Reset the estimator to the prior."""
         pipeline.reset()
         self._node.watchdog.restart()
         return f'reset to the prior; resets so far: {pipeline.resets}'
@@ -67,11 +67,11 @@ class EstimatorServices:
         return f'saved {node.algorithm} to {path}'
 
     def load(self, pipeline: EstimatorPipeline[Any]) -> str:
-        """Take the estimator's state from the checkpoint file."""
+        """Load the estimator's state from the checkpoint file."""
         path, estimator = self._path(), self._node.algorithm
         checkpoint = read_checkpoint(path, estimator)
         pipeline.restore(checkpoint.state)
-        pipeline.current()  # Raises here, if at all, and not where it is published.
+        pipeline.current()  # An invalid state must raise here, not when it is published.
         return f'loaded {estimator} from {path} (version {checkpoint.version})'
 
     def _path(self) -> Path:

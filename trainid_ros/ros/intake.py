@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Subscriptions whose messages are handed on in the order in which they arrived, whatever their topic.
+"""Input subscriptions that deliver messages in order of arrival across all topics.
 
-An executor takes one message of each subscription in turn. After a stall the queue of a slow topic is
-then emptied sooner than that of a fast one: its stamps run ahead by as many periods, and to an estimator
-that looks like a jump of time. So whenever one message comes, all that wait are taken and sorted.
+An executor takes one message of each subscription in turn. After a stall, the queue of a slow topic is
+therefore emptied before that of a fast one: its stamps run ahead by as many periods, which an estimator takes
+for a time jump. So whenever a message arrives, all queued messages are taken and sorted by arrival.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
 
-_MOST_IDLE_ROUNDS: Final = 3
+_MAX_IDLE_ROUNDS: Final = 3
 
 
 class _Arrival(NamedTuple):
-    """A message that was taken, with the time at which the middleware received it [ns]."""
+    """A message taken from a queue, with the time at which the middleware received it [ns]."""
 
     received_ns: int
     topic: InputTopic
@@ -38,7 +38,7 @@ class Intake:
 
     Args:
         node: The node.
-        deliver: Called with topic and message, in the order of arrival.
+        deliver: Called with topic and message, in order of arrival.
 
     """
 
@@ -61,11 +61,12 @@ class Intake:
         )
 
     def drain(self, *first: _Arrival) -> None:
-        """Deliver what has arrived: the messages given and all that wait in the queues.
+        """Deliver the given messages and all queued ones.
 
-        The queues are emptied in turn, and what comes meanwhile on a later one would overtake what comes on an
-        earlier one. So each round delivers only what had arrived before it began; the rest waits for the next.
-        Rounds without any are those of a wall clock that was set back: then all is delivered as it is.
+        The queues are emptied in turn, so a message that arrives meanwhile on a later queue could overtake one on
+        an earlier queue. Each round therefore delivers only messages that arrived before the round began; the
+        others wait for the next round. Repeated rounds without such messages mean that the wall clock was set
+        back: then all are delivered as they are.
         """
         arrivals = list(first)
         idle_rounds = 0
@@ -75,7 +76,7 @@ class Intake:
             arrivals.sort(key=lambda arrival: arrival.received_ns)
             due = bisect_left(arrivals, begin_ns, key=lambda arrival: arrival.received_ns)
             idle_rounds = 0 if due else idle_rounds + 1
-            if idle_rounds > _MOST_IDLE_ROUNDS:
+            if idle_rounds > _MAX_IDLE_ROUNDS:
                 due = len(arrivals)
             for arrival in arrivals[:due]:
                 self._deliver(arrival.topic, arrival.message)
@@ -95,12 +96,12 @@ class Intake:
         return taken_now
 
     def close(self) -> None:
-        """Unsubscribe."""
+        """Destroy the subscriptions."""
         for subscription in self._subscriptions.values():
             self._node.destroy_subscription(subscription)
         self._subscriptions = {}
 
 
 def _received_ns(info: Any) -> int:
-    """Return the time of arrival; some middlewares know only when a message was sent."""
+    """Return the arrival time [ns], or the send time if the middleware does not report arrivals."""
     return int(info['received_timestamp'] or info['source_timestamp'])

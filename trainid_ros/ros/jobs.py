@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The three jobs of estimation and the node that does each; known without ROS."""
+"""The three estimation jobs and their nodes; importable without ROS."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Job:
-    """One estimate and who makes it.
+    """One estimate with its node, topics and algorithms.
 
     Attributes:
-        field: Its name in EstimatorSettings, among pipelines and results.
+        field: Its name in EstimatorSettings, in pipelines and results.
         node_name: Name of the node.
         topic: Topic of the estimates.
         last_valid_topic: Topic of the latched copy, None if there is none.
-        algorithms: What can be chosen.
-        pipeline: Makes the pipeline.
+        algorithms: Available algorithms.
+        pipeline: Creates the pipeline.
 
     """
 
@@ -65,20 +65,20 @@ JOBS: Final = (RESISTANCE_JOB, SPEED_MODEL_JOB, BRAKE_RATE_JOB)
 
 
 def chosen_algorithms(wanted: Iterable[str]) -> dict[str, str]:
-    """Return the algorithm of each job that is named, by the job's field.
+    """Return the chosen algorithms by the field of their job.
 
     Args:
         wanted: ``NAME``, or ``JOB=NAME`` where several jobs have an algorithm of that name.
 
     Raises:
-        InputError: There is no such job or algorithm, a name is ambiguous or a job is named twice.
+        InputError: A job or algorithm does not exist, a name is ambiguous, or a job is given two algorithms.
 
     """
     chosen: dict[str, str] = {}
     for text in wanted:
         field, name = _find(text)
         if chosen.setdefault(field, name) != name:
-            msg = f'algorithm: {field} has two, {chosen[field]} and {name}'
+            msg = f'algorithm: two given for {field}, {chosen[field]} and {name}'
             raise InputError(msg)
     return chosen
 
@@ -93,7 +93,7 @@ def _find(text: str) -> tuple[str, str]:
     if len(found) == 1:
         return found[0], name
     if found:
-        msg = f'algorithm {name!r} is ambiguous: say {" or ".join(f"{item}={name}" for item in found)}'
+        msg = f'algorithm {name!r} is ambiguous: use {" or ".join(f"{item}={name}" for item in found)}'
     else:
         choices = '; '.join(f'{job.field}: {", ".join(job.algorithms.names)}' for job in among)
         msg = f'algorithm {name!r} is unknown; there are {choices}'

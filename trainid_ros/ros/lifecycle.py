@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A lifecycle node that never fails in silence and never dies of a wrong request."""
+"""Lifecycle node that logs every failed transition and survives invalid requests."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ RCLError = rclpy_implementation.RCLError
 def guarded(
     transition: Callable[[NodeT, LifecycleState], TransitionCallbackReturn],
 ) -> Callable[[NodeT, LifecycleState], TransitionCallbackReturn]:
-    """Log why a transition did not succeed; rclpy itself would drop the exception.
+    """Wrap a transition so that the reason of a failure is logged; rclpy itself would drop the exception.
 
-    An error raised on purpose is one line and a FAILURE, which leaves the node in the state it came
-    from. Anything else is logged with its traceback and is an ERROR.
+    A TrainIdError is logged in one line and results in FAILURE, which leaves the node in its previous
+    state. Any other exception is logged with its traceback and results in ERROR.
     """
 
     @functools.wraps(transition)
@@ -39,7 +39,7 @@ def guarded(
             return TransitionCallbackReturn.FAILURE
         except (KeyboardInterrupt, ROSInterruptException):
             raise
-        except Exception as error:  # told in full, then handed to on_error
+        except Exception as error:  # logged in full, then handled by on_error
             node.failure = f'{type(error).__name__}: {error}'
             node.get_logger().error(f'{transition.__name__} failed\n{traceback.format_exc()}')
             return TransitionCallbackReturn.ERROR
@@ -48,10 +48,10 @@ def guarded(
 
 
 class ManagedNode(LifecycleNode):
-    """Lifecycle node whose refused transitions are answered and logged.
+    """Lifecycle node that answers and logs invalid transition requests.
 
     Attributes:
-        failure: Why the last transition did not succeed, empty if it did.
+        failure: Why the last transition failed, empty if it succeeded.
 
     """
 
@@ -61,11 +61,11 @@ class ManagedNode(LifecycleNode):
         change_state = self._service_change_state.callback
 
         def answer(request: Any, response: Any) -> Any:
-            # An illegal transition raises, and out of a service callback that ends the process.
+            # An invalid transition raises, and an exception from a service callback ends the process.
             try:
                 return change_state(request, response)
             except RCLError as error:
-                self.get_logger().warning(f'transition refused in state {self.state}: {error}')
+                self.get_logger().warning(f'transition rejected in state {self.state}: {error}')
                 response.success = False
                 return response
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Counting what comes in and how long a step takes, for the diagnostics."""
+"""Input statistics and step times for the diagnostics."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ OVERRUN_S: Final = 0.2
 
 
 class InputMonitor:
-    """Arrivals on one input topic, by the node's clock.
+    """Arrivals on one input topic, timed with the node's clock.
 
     Attributes:
         topic: The topic.
-        longest_s: Longest time between messages that the estimators can bridge, whatever the rate [s].
-        slowest_s: Longest interval between messages of a topic that is not too slow [s].
-        optional: True if the estimators do without it.
+        longest_s: Longest time between messages that the estimators can bridge at any rate [s].
+        slowest_s: Longest acceptable interval between messages [s].
+        optional: True if the estimators can run without it.
         count: Messages received.
-        newest_ns: Stamp of the last message, 0 before the first.
+        newest_ns: Stamp of the last message [ns], 0 before the first.
 
     """
 
@@ -43,7 +43,7 @@ class InputMonitor:
         self._arrivals: deque[int] = deque(maxlen=4096)
 
     def arrived(self, stamp_ns: int, now_ns: int) -> None:
-        """Note a message."""
+        """Record a message with this stamp [ns] that arrived now [ns]."""
         self.count += 1
         self.newest_ns = stamp_ns
         if self._arrivals and now_ns < self._arrivals[-1]:
@@ -52,7 +52,7 @@ class InputMonitor:
         self._last_ns = now_ns
 
     def rate(self, now_ns: int) -> float:
-        """Return messages per second over the last seconds; NaN while unknown."""
+        """Return the message rate over the last seconds [Hz]; NaN while unknown."""
         while self._arrivals and self._arrivals[0] < now_ns - _WINDOW_NS:
             self._arrivals.popleft()
         if len(self._arrivals) < 2:
@@ -69,7 +69,7 @@ class InputMonitor:
 
 @dataclass(frozen=True, slots=True)
 class StepTimeSummary:
-    """Times of the recent steps [s] and the number of overruns since the start."""
+    """Quantiles of the recent step times, the longest since the start [s], and the number of overruns since then."""
 
     p50: float
     p99: float
@@ -78,7 +78,7 @@ class StepTimeSummary:
 
 
 class StepTimes:
-    """How long the estimator took for each sample."""
+    """Computing time of the estimator per sample."""
 
     def __init__(self) -> None:
         self._recent: deque[float] = deque(maxlen=_STEPS_KEPT)
@@ -86,7 +86,7 @@ class StepTimes:
         self._overruns = 0
 
     def add(self, seconds: float) -> None:
-        """Note one step."""
+        """Record the time of one step [s]."""
         self._recent.append(seconds)
         self._longest = max(self._longest, seconds)
         self._overruns += seconds > OVERRUN_S

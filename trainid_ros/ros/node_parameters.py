@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of a node: declared at once, checked with a reason, never applied by surprise."""
+"""Parameters of a node: declared at start, checked with a reason, applied only on configure."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescri
 from rclpy.parameter import Parameter
 
 from trainid_ros.core.errors import InputError
-from trainid_ros.ros.parameter_specs import ParameterSpec, Value, check_fallback, check_problems, judge
-from trainid_ros.ros.params_file import find_misses, params_files
+from trainid_ros.ros.parameter_specs import ParameterSpec, Value, check_fallback, check_problems, validate_overrides
+from trainid_ros.ros.params_file import find_mismatch, params_files
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -24,27 +24,27 @@ class NodeParameters:
     """All parameters of one node.
 
     Attributes:
-        given: Names whose values the user gave, in a file, on the command line or later.
+        given: Names of the parameters that the user set, in a file, on the command line or later.
 
     """
 
     def __init__(self, node: Node, specs: Iterable[ParameterSpec], *, expected: Iterable[str] = ()) -> None:
-        """Declare the parameters; what is wrong with the given values is kept for :meth:`check`.
+        """Declare the parameters; problems with the given values are kept for :meth:`check`.
 
         Args:
             node: The node.
-            specs: What to declare.
-            expected: Names that others will declare later.
+            specs: The parameters to declare.
+            expected: Names of parameters that other code declares later.
 
         """
         self._node = node
         self._specs = {spec.name: spec for spec in specs}
         self._internal = False
         self._fallback: dict[str, str] = {}
-        overrides = node._parameter_overrides  # rclpy has no public way to see them
+        overrides = node._parameter_overrides  # rclpy gives no public access to them
         self.given = {name for name in overrides if name in self._specs}
         given = {name: parameter.value for name, parameter in overrides.items()}
-        values, self._problems = judge(given, self._specs, {*node._parameters, *expected})
+        values, self._problems = validate_overrides(given, self._specs, {*node._parameters, *expected})
         for spec in self._specs.values():
             value = values.get(spec.name, spec.default)
             node.declare_parameter(spec.name, value, _descriptor(spec), ignore_override=True)
@@ -52,19 +52,19 @@ class NodeParameters:
         node.add_post_set_parameters_callback(self._note)
 
     def check_sections(self, arguments: Sequence[str], usual_name: str) -> None:
-        """Look for parameter files among ROS arguments whose sections miss this node."""
+        """Find parameter files among ROS arguments whose sections do not match this node."""
         node = self._node.get_fully_qualified_name()
         for path in params_files(arguments):
-            if (found := find_misses(path, node, usual_name)) is None:
+            if (found := find_mismatch(path, node, usual_name)) is None:
                 continue
-            complaint, certain = found
+            message, certain = found
             if certain:
-                self._problems[str(path)] = complaint
+                self._problems[str(path)] = message
             else:
-                self._node.get_logger().warning(complaint)
+                self._node.get_logger().warning(message)
 
     def report(self) -> None:
-        """Log every problem as an error, and one line that tells where the values come from."""
+        """Log every problem as an error, and the sources of all values in one line."""
         logger = self._node.get_logger()
         for problem in self._problems.values():
             logger.error(problem)
@@ -77,7 +77,7 @@ class NodeParameters:
         )
 
     def check(self) -> None:
-        """Raise InputError, naming the first one, while parameters are unknown or wrong."""
+        """Raise InputError, naming them, while parameters are unknown or invalid."""
         check_problems(self._problems)
 
     def value(self, name: str) -> Value:
@@ -90,7 +90,7 @@ class NodeParameters:
         return {name: self.value(name) for name in self._specs}
 
     def fall_back(self, values: Mapping[str, float], source: str) -> None:
-        """Take over values from a file for what the user did not give.
+        """Use values from a file for the parameters that the user did not set.
 
         Raises:
             InputError: A value is out of the parameter's range.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the parameters of the nodes mean without nodes: the same file, the same checks, the same settings."""
+"""Settings of the nodes without running them: the same parameter file, checks and settings."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from trainid_ros.ros.jobs import JOBS, chosen_algorithms
 from trainid_ros.ros.parameter_specs import (
     ALGORITHM,
     TRAIN_PARAMETERS,
-    algorithm_asked_for,
     build_settings,
     build_train_file,
     check_fallback,
     check_problems,
     estimator_parameters,
-    judge,
     qos_overrides,
+    requested_algorithm,
+    validate_overrides,
 )
-from trainid_ros.ros.params_file import find_misses, read_overrides
+from trainid_ros.ros.params_file import find_mismatch, read_overrides
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping, Sequence
@@ -30,13 +30,13 @@ if TYPE_CHECKING:
     from trainid_ros.ros.jobs import Job
     from trainid_ros.train.train_file import TrainFile
 
-# What every node has besides.
+# Parameters that ROS adds to every node.
 _OF_ROS: Final = ('use_sim_time', 'start_type_description_service')
 
 
 @dataclass(frozen=True, slots=True)
 class Setup:
-    """What one node would run with."""
+    """Train file and settings that one node would run with."""
 
     job: Job
     train_file: TrainFile
@@ -61,18 +61,18 @@ def node_setups(
     namespace: str = '/',
     warn: Callable[[str], None] = lambda _: None,
 ) -> tuple[Setup, ...]:
-    """Return what the three nodes would run with.
+    """Return the train file and settings that the three nodes would run with.
 
     Args:
-        train_file: The train file that each node is given.
+        train_file: Train file of the nodes.
         source: Its name, for messages.
         params: Parameter file, None for defaults.
-        algorithms: Algorithms to take instead of those in the file, see :func:`chosen_algorithms`.
+        algorithms: Algorithms that replace those in the file, see :func:`chosen_algorithms`.
         namespace: Namespace of the nodes.
-        warn: Told what is odd, but no error.
+        warn: Called with each warning.
 
     Raises:
-        InputError: The file cannot be read, or a node would refuse to configure: the node and its reason are named.
+        InputError: The file cannot be read, or a node would fail to configure; the message names node and reason.
 
     """
     chosen = chosen_algorithms(algorithms)
@@ -89,20 +89,20 @@ def node_setups(
 
 def _given(job: Job, params: Path, node: str, warn: Callable[[str], None]) -> dict[str, object]:
     overrides = read_overrides(params, node)
-    if (found := find_misses(params, node, job.node_name)) is not None:
-        complaint, certain = found
+    if (found := find_mismatch(params, node, job.node_name)) is not None:
+        message, certain = found
         if certain:
-            raise InputError(complaint)
-        warn(complaint)
+            raise InputError(message)
+        warn(message)
     return overrides
 
 
 def _setup(
     job: Job, train_file: TrainFile, source: str, overrides: Mapping[str, object], others: Collection[str]
 ) -> Setup:
-    algorithm = algorithm_asked_for(overrides, job.algorithms)
+    algorithm = requested_algorithm(overrides, job.algorithms)
     specs = {spec.name: spec for spec in estimator_parameters(job.algorithms, algorithm)}
-    given, problems = judge(overrides, specs, others)
+    given, problems = validate_overrides(overrides, specs, others)
     fallback = {item.name: item.of(train_file) for item in TRAIN_PARAMETERS if item.name not in given}
     try:
         check_problems(problems)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What parameters the nodes have, as plain values, and how they become configurations.
+"""Parameters of the nodes as plain values, and their conversion to configurations.
 
-Everything an estimator can be told is declared once, in the metadata of its configuration; nothing is
+Every setting of an estimator is declared once, in the metadata of its configuration; nothing is
 repeated here.
 """
 
@@ -37,9 +37,9 @@ _NEXT: Final = 'takes effect on the next configure'
 
 @dataclass(frozen=True, slots=True)
 class ParameterSpec:
-    """One parameter: default (its type is the parameter's type), what it is, what it may be.
+    """One parameter: default (its type is the parameter's type), description and permitted values.
 
-    ``low`` and ``high`` bound a number, both ends included; ``choices`` lists what a text may be.
+    ``low`` and ``high`` are the inclusive bounds of a number; ``choices`` lists the permitted strings.
     """
 
     name: str
@@ -51,23 +51,23 @@ class ParameterSpec:
     read_only: bool = False
 
     def coerce(self, value: object) -> Value:
-        """Return a value from a file as the parameter's type; a whole number will do for a real one.
+        """Return a value from a file as the parameter's type; a whole number is accepted for a float.
 
         Raises:
-            InputError: The value is of another type, not finite, out of range or no choice.
+            InputError: The value is of another type, not finite, out of range or not among the choices.
 
         """
         if isinstance(self.default, float) and isinstance(value, int) and not isinstance(value, bool):
             value = float(value)
         if not isinstance(value, type(self.default)) or isinstance(value, bool) is not isinstance(self.default, bool):
-            wanted = {float: 'a number', int: 'a whole number', str: 'a text', bool: 'true or false'}
+            wanted = {float: 'a number', int: 'a whole number', str: 'a string', bool: 'true or false'}
             msg = f'{self.name} = {value!r} must be {wanted[type(self.default)]}'
             raise InputError(msg)
         self.check(value)
         return value
 
     def check(self, value: Value) -> None:
-        """Raise InputError, naming the parameter, if a value of the right type is not possible."""
+        """Raise InputError, naming the parameter, if a value of the right type is not permitted."""
         if isinstance(value, str):
             if self.choices and value not in self.choices:
                 msg = f'{self.name} = {value!r} must be one of {", ".join(self.choices)}'
@@ -79,7 +79,7 @@ class ParameterSpec:
 
 @dataclass(frozen=True, slots=True)
 class TrainParameter:
-    """A parameter that stands for a field of the train file."""
+    """A parameter that overrides a field of the train file."""
 
     section: str
     field: str
@@ -92,13 +92,13 @@ class TrainParameter:
         return self.spec.name
 
     def of(self, train_file: TrainFile) -> float:
-        """Return the value that a train file gives."""
+        """Return the value in a train file."""
         return float(getattr(getattr(train_file, self.section), self.field))
 
 
 def _train(section: str, name: str, default: float, text: str, limits: tuple[float, float]) -> TrainParameter:
     required = section == 'resistance' or name == 'mass'
-    source = 'no value without a train file' if required else 'default if neither given nor in the train file'
+    source = 'required without a train file' if required else 'default if set neither here nor in the train file'
     description = f'{text}; overrides the train file ({source}); {_NEXT}'
     spec = ParameterSpec(f'{section}.{name}', default, description, *limits)
     return TrainParameter(section, name, spec, required)
@@ -106,8 +106,10 @@ def _train(section: str, name: str, default: float, text: str, limits: tuple[flo
 
 _NOMINAL: Final = (Train(mass=0.0), Brake())
 TRAIN_PARAMETERS: Final = (
-    _train('train', 'mass', 0.0, 'train mass with its usual load [kg]', (0.0, 1e9)),
-    _train('train', 'rotary_mass', _NOMINAL[0].rotary_mass, 'rotating masses as a share of the mass [1]', (0.0, 1.0)),
+    _train('train', 'mass', 0.0, 'train mass at its usual load [kg]', (0.0, 1e9)),
+    _train(
+        'train', 'rotary_mass', _NOMINAL[0].rotary_mass, 'rotating mass as a fraction of the train mass [1]', (0.0, 1.0)
+    ),
     _train('train', 'length', _NOMINAL[0].length, 'length of the train [m]', (0.1, 1e4)),
     _train('train', 'mass_std', _NOMINAL[0].mass_std, 'std of the relative error of the mass [1]', (0.0, 0.5)),
     _train('train', 'force_std', _NOMINAL[0].force_std, 'std of the relative error of the force [1]', (0.0, 0.5)),
@@ -117,7 +119,7 @@ TRAIN_PARAMETERS: Final = (
     _train('brake', 'rate', _NOMINAL[1].rate, 'prior brake rate, 1 = nominal [1]', (0.01, 10.0)),
     _train('brake', 'time_constant', _NOMINAL[1].time_constant, 'time constant of the brake [s]', (0.0, 60.0)),
     _train('brake', 'delay', _NOMINAL[1].delay, 'dead time of the brake [s]', (0.0, 60.0)),
-    _train('brake', 'timing_std', _NOMINAL[1].timing_std, 'std of the relative error of both [1]', (0.0, 1.0)),
+    _train('brake', 'timing_std', _NOMINAL[1].timing_std, 'std of the relative error of both times [1]', (0.0, 1.0)),
     _train('line', 'gradient_std', Line().gradient_std, 'std of the error of the gradients [per mille]', (0.0, 50.0)),
 )
 ALGORITHM: Final = 'algorithm'
@@ -126,7 +128,7 @@ AUTOSTART: Final = ParameterSpec('autostart', False, 'configure and activate at 
 
 
 def estimator_parameters(algorithms: Algorithms[Any], name: str = '') -> tuple[ParameterSpec, ...]:
-    """Return all parameters of a node that runs the named one of these algorithms, the default if unnamed."""
+    """Return all parameters of a node that runs the named algorithm, the default one without a name."""
     algorithm = algorithms[name or algorithms.default]
     policies = tuple(policy.value for policy in TimeJumpPolicy)
     default = PipelineConfig().time_jump_policy.value
@@ -160,29 +162,29 @@ def _settings(prefix: str, config: DataclassInstance, fixed: frozenset[str] = fr
     return tuple(specs)
 
 
-def algorithm_asked_for(overrides: Mapping[str, object], algorithms: Algorithms[Any]) -> str:
-    """Return the algorithm whose settings are parameters; one that is unknown is told with the other parameters."""
+def requested_algorithm(overrides: Mapping[str, object], algorithms: Algorithms[Any]) -> str:
+    """Return the algorithm whose settings are parameters: the default if the given name is unknown (reported later)."""
     name = overrides.get(ALGORITHM)
     return str(name) if name in algorithms.names else algorithms.default
 
 
 def qos_overrides(job: Job, resolve: Callable[[str], str]) -> list[str]:
-    """Return the names of the parameters for QoS; ``resolve`` gives the full name of a topic."""
+    """Return the names of the QoS parameters; ``resolve`` returns the full name of a topic."""
     topics = [(topic.name, 'subscription') for topic in INPUT_TOPICS]
     topics += [(topic, 'publisher') for topic in (job.topic, job.last_valid_topic) if topic]
     policies = ('history', 'depth', 'reliability')
     return [f'qos_overrides.{resolve(name)}.{entity}.{policy}' for name, entity in topics for policy in policies]
 
 
-def judge(
+def validate_overrides(
     overrides: Mapping[str, object], specs: Mapping[str, ParameterSpec], others: Collection[str]
 ) -> tuple[dict[str, Value], dict[str, str]]:
-    """Return the given values that can be used, and what is wrong with the others, by name.
+    """Return the valid values and the problems of the others, both by parameter name.
 
     Args:
-        overrides: What is given.
-        specs: The parameters.
-        others: Names of parameters that are dealt with elsewhere.
+        overrides: Given values by name.
+        specs: Parameters by name.
+        others: Names of parameters that are handled elsewhere.
 
     """
     values: dict[str, Value] = {}
@@ -201,14 +203,14 @@ def judge(
 
 
 def check_problems(problems: Mapping[str, str]) -> None:
-    """Raise InputError, naming them, if there are problems."""
+    """Raise InputError with all problems, if there are any."""
     if problems:
         msg = f'not configured: {"; ".join(problems.values())}'
         raise InputError(msg)
 
 
 def check_fallback(values: Mapping[str, Value], specs: Mapping[str, ParameterSpec], source: str) -> None:
-    """Raise InputError, naming the file they come from, if values are out of the range of their parameters."""
+    """Raise InputError, naming the source file, if a value is outside the range of its parameter."""
     for name, value in values.items():
         try:
             specs[name].check(value)
@@ -218,7 +220,7 @@ def check_fallback(values: Mapping[str, Value], specs: Mapping[str, ParameterSpe
 
 
 def build_settings(values: Values, algorithms: Algorithms[Any], field: str) -> EstimatorSettings:
-    """Return the settings that parameter values ask for; ``field`` is where EstimatorSettings has the choice."""
+    """Return the settings for parameter values; ``field`` is the EstimatorSettings field of the algorithm choice."""
     algorithm = algorithms[str(values[ALGORITHM])]
     base = EstimatorSettings()
     policy = TimeJumpPolicy(values['time_jump_policy'])
@@ -237,7 +239,7 @@ def _configure(config: Any, prefix: str, values: Values, fixed: frozenset[str] =
 
 
 def build_train_file(values: Values, given: frozenset[str], base: TrainFile | None) -> TrainFile:
-    """Return the train file with the given parameters put over it.
+    """Return the train file overridden by the given parameters.
 
     Raises:
         InputError: There is no train file and a required parameter is not given.

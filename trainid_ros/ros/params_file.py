@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameter files: sections that miss the node, which ROS ignores in silence, and their values without ROS."""
+"""Parameter files: read the values of a node without ROS, and find sections that do not match, which ROS ignores."""
 
 from __future__ import annotations
 
@@ -18,35 +18,35 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
 _CLOSE: Final = 0.75
-# What the parser of ROS takes for what; PyYAML has other rules, 1e-05 is a text to it.
+# Types as the parser of ROS assigns them; PyYAML has other rules and reads 1e-05 as a string.
 _BOOLS: Final = {
     word: value
     for value, words in ((True, ('y', 'yes', 'true', 'on')), (False, ('n', 'no', 'false', 'off')))
     for plain in words
     for word in (plain, plain.capitalize(), plain.upper())
 }
-_WHOLE: Final = re.compile(r'[-+]?(0[xX][0-9a-fA-F]+|0[0-7]*|[1-9][0-9]*)')
+_INTEGER: Final = re.compile(r'[-+]?(0[xX][0-9a-fA-F]+|0[0-7]*|[1-9][0-9]*)')
 _REAL: Final = re.compile(r'[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?')
 _NOT_FINITE: Final = re.compile(r'[-+]?\.?(nan|inf|infinity)', re.IGNORECASE)
 _INT64: Final = 2**63
 
 
 def params_files(arguments: Sequence[str]) -> tuple[Path, ...]:
-    """Return the parameter files that ROS arguments name."""
+    """Return the parameter files named in ROS arguments."""
     return tuple(Path(value) for option, value in pairwise(arguments) if option == '--params-file')
 
 
-def find_misses(path: Path, node: str, usual_name: str) -> tuple[str, bool] | None:
-    """Return a complaint, and whether it is certain, if no section of a file is meant for a node.
+def find_mismatch(path: Path, node: str, usual_name: str) -> tuple[str, bool] | None:
+    """Return a message, and whether it is certainly an error, if no section of a file matches a node.
 
     Args:
-        path: Parameter file; one that cannot be read is left to ROS, which refuses it.
+        path: Parameter file; one that cannot be read is left to ROS, which reports it.
         node: Fully qualified name of the node.
         usual_name: Its name before remapping.
 
     Returns:
-        None if a section matches. A complaint is certain if a section is named almost like the node
-        or as the node is usually named.
+        None if a section matches. It is certainly an error if a section has almost the name of the node
+        or the usual name of the node.
 
     """
     try:
@@ -60,7 +60,7 @@ def find_misses(path: Path, node: str, usual_name: str) -> tuple[str, bool] | No
     likely = [section for section, name in names.items() if name == usual_name or name in near]
     if likely:
         return f'{path}: section {likely[0]!r} does not apply to this node, did you mean {node!r}?', True
-    return f'{path}: no section for {node!r}; it has {", ".join(sections)}', False
+    return f'{path}: no section for {node!r}; its sections are {", ".join(sections)}', False
 
 
 def _sections(tree: object, prefix: str) -> Iterator[str]:
@@ -75,14 +75,14 @@ def _sections(tree: object, prefix: str) -> Iterator[str]:
 
 
 def read_overrides(path: Path, node: str) -> dict[str, object]:
-    """Return the values that a file gives to a node, as ROS would: of several sections that match, the last one wins.
+    """Return the values that a file gives to a node, as in ROS: of several matching sections, the last one wins.
 
     Args:
         path: Parameter file.
         node: Fully qualified name of the node.
 
     Raises:
-        InputError: The file cannot be read or is no parameter file.
+        InputError: The file cannot be read or is not a parameter file.
 
     """
     try:
@@ -101,7 +101,7 @@ def read_overrides(path: Path, node: str) -> dict[str, object]:
 
 def _given(path: Path, tree: yaml.Node, prefix: str) -> Iterator[tuple[str, yaml.Node]]:
     if not isinstance(tree, yaml.MappingNode):
-        msg = f'{path}: is no parameter file: {prefix or "it"} holds no section with ros__parameters'
+        msg = f'{path}: is not a parameter file: {prefix or "it"} has no section with ros__parameters'
         raise InputError(msg)
     for key, value in tree.value:
         name = _name(path, key, prefix)
@@ -110,14 +110,14 @@ def _given(path: Path, tree: yaml.Node, prefix: str) -> Iterator[tuple[str, yaml
         elif isinstance(value, yaml.MappingNode):
             yield prefix, value
         else:
-            msg = f'{path}: ros__parameters of {prefix or "it"} must hold names with values'
+            msg = f'{path}: ros__parameters of {prefix or "the file"} must map names to values'
             raise InputError(msg)
 
 
 def _name(path: Path, key: yaml.Node, prefix: str) -> str:
     if isinstance(key, yaml.ScalarNode):
         return str(key.value)
-    msg = f'{path}: is no parameter file: a key of {prefix or "it"} is no name (line {key.start_mark.line + 1})'
+    msg = f'{path}: is not a parameter file: a key of {prefix or "it"} is not a name (line {key.start_mark.line + 1})'
     raise InputError(msg)
 
 
@@ -139,10 +139,10 @@ def _value(node: yaml.Node) -> object:
 
 
 def _plain(text: str) -> object:
-    """Return an unquoted word as the parser of ROS reads it."""
+    """Return an unquoted scalar as the parser of ROS reads it."""
     if text in _BOOLS:
         return _BOOLS[text]
-    if _WHOLE.fullmatch(text):
+    if _INTEGER.fullmatch(text):
         digits = text.lstrip('+-')
         base = 16 if digits[:2].lower() == '0x' else 8 if digits[0] == '0' else 10
         number = int(text, base)

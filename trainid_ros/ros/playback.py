@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is due when: a recorded timeline laid over a steady clock, without drift."""
+"""Playback timing: a recorded timeline mapped to a steady clock without drift."""
 
 from __future__ import annotations
 
@@ -13,14 +13,14 @@ if TYPE_CHECKING:
 
     from trainid_ros.core.records import Record
 
-# Without records the clock still ticks, so that dropouts are seen by those who live on simulated time.
+# /clock also ticks through gaps, so that nodes on simulated time detect dropouts.
 _TICK_NS: Final = NS_PER_S // 20
-# Catching up more than this at once could overflow the queues of the subscribers.
+# Catching up on more than this at once could overflow the queues of the subscribers.
 _LONGEST_BURST_NS: Final = NS_PER_S
 
 
 class TimedRecord(NamedTuple):
-    """A record and when it was logged [ns]; without a record only the clock moves."""
+    """A record and its log time [ns]; without a record only the clock advances."""
 
     time_ns: int
     record: Record | None
@@ -28,12 +28,12 @@ class TimedRecord(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Timeline:
-    """Records by time, any number of times.
+    """Records by time, which can be iterated any number of times.
 
     Attributes:
-        first_ns: Time of the start.
-        last_ns: Time of the end.
-        entries: Returns the records from the start on.
+        first_ns: Start time [ns].
+        last_ns: End time [ns].
+        entries: Returns an iterator over the records from the start.
 
     """
 
@@ -48,7 +48,7 @@ class Timeline:
 
 
 def with_ticks(timeline: Timeline, start_s: float, duration_s: float) -> Iterator[TimedRecord]:
-    """Yield a part of a timeline with ticks of the clock in its gaps; a duration of 0 is all of it."""
+    """Yield a part of a timeline with clock ticks in its gaps; start and duration in [s], a duration of 0 means all."""
     begin = timeline.first_ns + round(start_s * NS_PER_S)
     end = begin + round(duration_s * NS_PER_S) if duration_s > 0.0 else timeline.last_ns
     clock = begin
@@ -69,7 +69,7 @@ class Pacer:
     """Maps recorded time to steady time.
 
     Args:
-        rate: Recorded seconds in one second.
+        rate: Recorded seconds per second [1].
 
     """
 
@@ -78,11 +78,11 @@ class Pacer:
         self._anchor: tuple[int, int] | None = None
 
     def release(self) -> None:
-        """Forget the anchor: the next entry is due at once."""
+        """Drop the anchor: the next entry is due at once."""
         self._anchor = None
 
     def due_ns(self, time_ns: int, steady_ns: int) -> int:
-        """Return when an entry is due by the steady clock, which now reads ``steady_ns``."""
+        """Return when an entry is due by the steady clock [ns], which now reads ``steady_ns``."""
         if self._anchor is None:
             self._anchor = (time_ns, steady_ns)
         due = self._anchor[1] + round((time_ns - self._anchor[0]) / self._rate)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A lifecycle node that publishes records in time: activating it plays, deactivating it pauses."""
+"""Lifecycle node that publishes records at their recorded pace: activating it plays, deactivating it pauses."""
 
 from __future__ import annotations
 
@@ -30,34 +30,34 @@ if TYPE_CHECKING:
 
 _POLL_NS: Final = NS_PER_S // 50
 _ACKNOWLEDGED_S: Final = 2.0
-# Best-effort subscribers acknowledge nothing; this long they get to take what was published last.
+# Best-effort subscribers send no acknowledgement; they get this long to take the last messages.
 _LINGER_S: Final = 0.3
-# A subscriber that we know may not know us yet, and then takes nothing with best effort.
-_ACQUAINTED_NS: Final = NS_PER_S // 2
+# A subscriber discovered by this node may not have discovered it yet, and loses best-effort messages until then.
+_DISCOVERY_NS: Final = NS_PER_S // 2
 
 
 def playback_parameters(*, live: bool) -> tuple[ParameterSpec, ...]:
-    """Return the parameters of every playback node; ``live``: stamps are those of the present by default."""
-    late = 'takes effect on the next configure'
+    """Return the parameters of every playback node; if ``live``, records are stamped with the present by default."""
+    next_configure = 'takes effect on the next configure'
     return (
-        ParameterSpec('rate', 1.0, f'recorded seconds in one second [1]; {late}', 0.01, 1000.0),
-        ParameterSpec('start', 0.0, f'where to start, from the beginning [s]; {late}', 0.0, 1e7),
-        ParameterSpec('duration', 0.0, f'how much to play, 0 = to the end [s]; {late}', 0.0, 1e7),
-        ParameterSpec('loop', False, f'start over at the end; {late}'),
-        ParameterSpec('wait', 0, f'subscribers to wait for on each topic; {late}', 0, 1000),
-        ParameterSpec('publish_clock', not live, f'publish recorded time on /clock; {late}'),
-        ParameterSpec('restamp', live, f'move all stamps to the present; needs rate 1; {late}'),
+        ParameterSpec('rate', 1.0, f'recorded seconds per second [1]; {next_configure}', 0.01, 1000.0),
+        ParameterSpec('start', 0.0, f'where to start, after the beginning [s]; {next_configure}', 0.0, 1e7),
+        ParameterSpec('duration', 0.0, f'how long to play, 0 = to the end [s]; {next_configure}', 0.0, 1e7),
+        ParameterSpec('loop', False, f'start over at the end; {next_configure}'),
+        ParameterSpec('wait', 0, f'subscribers to wait for on each topic; {next_configure}', 0, 1000),
+        ParameterSpec('publish_clock', not live, f'publish recorded time on /clock; {next_configure}'),
+        ParameterSpec('restamp', live, f'shift all stamps to the present; needs rate 1; {next_configure}'),
         AUTOSTART,
     )
 
 
 class PlaybackNode(ManagedNode):
-    """Base of bag player and simulator.
+    """Base class of bag player and simulator.
 
     Attributes:
-        finished: True when all has been played and delivered.
-        position_ns: Recorded time of what was published last, 0 before the start.
-        played: Records published.
+        finished: True once all records have been played and delivered.
+        position_ns: Recorded time of the last entry published [ns], 0 before the start.
+        played: Number of records published.
 
     """
 
@@ -68,8 +68,8 @@ class PlaybackNode(ManagedNode):
 
         Args:
             name: Name of the node.
-            specs: All its parameters, those of :func:`playback_parameters` included.
-            arguments: ROS arguments of the process, looked through for parameter files.
+            specs: All its parameters, including those of :func:`playback_parameters`.
+            arguments: ROS arguments of the process, searched for parameter files.
             options: Options of the rclpy node.
 
         """
@@ -84,7 +84,7 @@ class PlaybackNode(ManagedNode):
         self._release()
 
     def open_timeline(self) -> Timeline:
-        """Return what to play; called on configure.
+        """Return the timeline to play; called on configure.
 
         Raises:
             InputError: There is nothing to play.
@@ -93,11 +93,11 @@ class PlaybackNode(ManagedNode):
         raise NotImplementedError
 
     def close_timeline(self) -> None:
-        """Let go of what :meth:`open_timeline` holds."""
+        """Release the resources of :meth:`open_timeline`."""
 
     @guarded
     def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Open what is to be played and offer the topics."""
+        """Open the timeline and create the publishers."""
         self.failure = ''
         self.parameters.check()
         if self.parameters.value('restamp') and self.parameters.value('rate') != 1.0:
@@ -116,7 +116,7 @@ class PlaybackNode(ManagedNode):
 
     @guarded
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Play."""
+        """Start or resume playback."""
         result = super().on_activate(state)
         self._anchor()
         self._timer = self.create_timer(_POLL_NS / NS_PER_S, self._play, clock=self._steady)
@@ -124,25 +124,25 @@ class PlaybackNode(ManagedNode):
 
     @guarded
     def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Pause; activating goes on from here."""
+        """Pause playback; activating resumes it."""
         self._stop()
         return super().on_deactivate(state)
 
     @guarded
     def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Close."""
+        """Close the timeline and destroy the publishers."""
         self._release()
         return super().on_cleanup(state)
 
     @guarded
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Let go of everything, from any state."""
+        """Release all resources, from any state."""
         self._release()
         return super().on_shutdown(state)
 
     @guarded
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Go back to unconfigured after a transition that broke."""
+        """Return to unconfigured after an error in a transition."""
         self._release()
         return super().on_error(state)
 
@@ -175,12 +175,12 @@ class PlaybackNode(ManagedNode):
         self._anchor()
 
     def _anchor(self) -> None:
-        """Let the next entry be due now."""
+        """Make the next entry due now."""
         self._pacer.release()
         self._shift_ns: int | None = None
 
     def _play(self) -> None:
-        """Publish what is due and sleep until the next is."""
+        """Publish the entries that are due and sleep until the next one is."""
         if self.finished or self._is_waiting():
             return
         now = int(self._steady.now().nanoseconds)
@@ -194,7 +194,7 @@ class PlaybackNode(ManagedNode):
         self._finish()
 
     def _is_waiting(self) -> bool:
-        """True before the start while subscribers are missing or have only just come."""
+        """Return True before the start while subscribers are missing or have only just been discovered."""
         wanted = int(self.parameters.value('wait'))
         if not wanted or self.position_ns:
             return False
@@ -204,7 +204,7 @@ class PlaybackNode(ManagedNode):
             return True
         now = int(self._steady.now().nanoseconds)
         self._complete_ns = self._complete_ns or now
-        return now - self._complete_ns < _ACQUAINTED_NS
+        return now - self._complete_ns < _DISCOVERY_NS
 
     def _sleep(self, pause_ns: int) -> None:
         self._timer.timer_period_ns = max(pause_ns, 1000)
@@ -219,7 +219,7 @@ class PlaybackNode(ManagedNode):
             self.played += 1
 
     def _stamped(self, entry: TimedRecord, record: Record) -> Record:
-        """Return the record with the stamp that it is to have."""
+        """Return the record with the stamp to publish."""
         if not self.parameters.value('restamp'):
             return record
         if self._shift_ns is None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Quality of service of every topic, in one place.
+"""Quality of service of all topics.
 
 Each function returns a new profile: rclpy writes a user's overrides into the profile it is given.
 """
@@ -29,22 +29,22 @@ def _keep_last(depth: int, reliability: ReliabilityPolicy, durability: Durabilit
 
 
 def input_qos() -> QoSProfile:
-    """Return what an estimator asks for: best effort, so that every sensor is compatible; deep enough to miss none."""
+    """Return the profile of estimator inputs: best effort, compatible with every sensor; deep enough to lose none."""
     return _keep_last(50, ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.VOLATILE)
 
 
 def source_qos() -> QoSProfile:
-    """Return what player and simulator offer on the input topics and on ``/clock``."""
+    """Return the profile of player and simulator on the input topics and on ``/clock``."""
     return _keep_last(100, ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE)
 
 
 def estimate_qos() -> QoSProfile:
-    """Return what the estimates are offered with."""
+    """Return the profile of the estimates."""
     return _keep_last(10, ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE)
 
 
 def latched_qos() -> QoSProfile:
-    """Return what the last valid estimates are offered with: a late joiner gets the newest one."""
+    """Return the profile of the last valid estimates: a late joiner gets the newest one."""
     return _keep_last(1, ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL)
 
 
@@ -58,19 +58,19 @@ def overridable() -> QoSOverridingOptions:
     return QoSOverridingOptions.with_default_policies()
 
 
-def _complain(logger: RcutilsLogger, topic: str, other: str) -> Callable[[Any], None]:
-    def tell(event: Any) -> None:
+def _log_incompatible(logger: RcutilsLogger, topic: str, other: str) -> Callable[[Any], None]:
+    def log(event: Any) -> None:
         policy = qos_policy_name_from_kind(event.last_policy_kind)
-        logger.error(f'{topic}: a {other} has an incompatible QoS ({policy}); nothing passes between us')
+        logger.error(f'{topic}: a {other} has an incompatible QoS ({policy}); no messages are exchanged with it')
 
-    return tell
+    return log
 
 
 def subscription_events(logger: RcutilsLogger, topic: str) -> SubscriptionEventCallbacks:
-    """Return event callbacks that log publishers which cannot be heard."""
-    return SubscriptionEventCallbacks(incompatible_qos=_complain(logger, topic, 'publisher'))
+    """Return event callbacks that log publishers with incompatible QoS."""
+    return SubscriptionEventCallbacks(incompatible_qos=_log_incompatible(logger, topic, 'publisher'))
 
 
 def publisher_events(logger: RcutilsLogger, topic: str) -> PublisherEventCallbacks:
-    """Return event callbacks that log subscribers which cannot be served."""
-    return PublisherEventCallbacks(incompatible_qos=_complain(logger, topic, 'subscriber'))
+    """Return event callbacks that log subscribers with incompatible QoS."""
+    return PublisherEventCallbacks(incompatible_qos=_log_incompatible(logger, topic, 'subscriber'))

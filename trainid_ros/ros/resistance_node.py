@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lifecycle node ``resistance_estimator``: running resistance."""
+"""Lifecycle node ``resistance_estimator``: estimates the running resistance."""
 
 from __future__ import annotations
 

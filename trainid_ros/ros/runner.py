@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Spinning nodes until a signal, and leaving without a trace of it.
+"""Spin nodes until a signal, then shut down cleanly.
 
-rclpy's own handlers close the context at once, under the feet of whatever runs: then a publish or a
-wait raises, and nodes cannot be deactivated any more. So signals are only noted here.
+rclpy's own handlers close the context at once, while callbacks may still run: a publish or a wait then
+raises, and nodes can no longer be deactivated. So signals are only recorded here.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ if TYPE_CHECKING:
 
     from trainid_ros.ros.lifecycle import ManagedNode
 
-# A waiting executor sees a signal only when it returns.
+# A waiting executor notices a signal only when it returns.
 _REACTION_S: Final = 0.2
 
 
 class _StopRequest:
-    """Notes SIGINT and SIGTERM; a second one interrupts what does not listen to the first."""
+    """Records SIGINT and SIGTERM; a second one interrupts code that did not react to the first."""
 
     def __init__(self) -> None:
         self.requested = False
@@ -48,9 +48,9 @@ _STOP: Final = _StopRequest()
 
 
 def start_ros(ros_args: Sequence[str]) -> list[str]:
-    """Start ROS with the arguments that follow ``--ros-args``; return them as ROS saw them.
+    """Start ROS with the arguments that follow ``--ros-args``; return all arguments passed to ROS.
 
-    From here on SIGINT and SIGTERM only end :func:`spin_nodes`.
+    From then on, SIGINT and SIGTERM only end :func:`spin_nodes`.
 
     Raises:
         InputError: ROS cannot use the arguments.
@@ -63,7 +63,7 @@ def _start(arguments: list[str]) -> list[str]:
     try:
         rclpy.init(args=arguments, signal_handler_options=SignalHandlerOptions.NO)
     except (RCLError, RuntimeError, ValueError) as error:
-        msg = f'ROS does not start: {str(error).splitlines()[0]}'
+        msg = f'ROS cannot start: {str(error).splitlines()[0]}'
         raise InputError(msg) from error
     _STOP.install()
     return arguments
@@ -78,7 +78,7 @@ def spin_nodes(nodes: Sequence[ManagedNode], *, until: Callable[[], bool] = lamb
     """Spin nodes in one thread until a signal or a condition; then deactivate and destroy them, and stop ROS.
 
     Args:
-        nodes: The nodes, made in the default context after :func:`start_ros`.
+        nodes: The nodes, created in the default context after :func:`start_ros`.
         until: Checked after every callback.
 
     """
@@ -97,7 +97,7 @@ def spin_nodes(nodes: Sequence[ManagedNode], *, until: Callable[[], bool] = lamb
 
 
 def close_nodes(nodes: Sequence[ManagedNode]) -> None:
-    """Deactivate what is active and destroy all."""
+    """Deactivate the active nodes and destroy all."""
     for node in nodes:
         if node.state == 'active' and rclpy.ok():
             node.trigger_deactivate()
@@ -105,7 +105,7 @@ def close_nodes(nodes: Sequence[ManagedNode]) -> None:
 
 
 def run_node(make: Callable[[Sequence[str]], ManagedNode]) -> int:
-    """Run one node as a program of its own; with the parameter ``autostart`` it activates itself."""
+    """Run one node as a stand-alone program; with the parameter ``autostart`` it activates itself."""
     try:
         arguments = _start(list(sys.argv))
     except InputError as error:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lifecycle node ``speed_model_estimator``: speed model by AM-VFF-RLS."""
+"""Lifecycle node ``speed_model_estimator``: estimates the speed model, by default with AM-VFF-RLS."""
 
 from __future__ import annotations
 

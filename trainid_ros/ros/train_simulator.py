@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lifecycle node ``train_simulator``: a simulated train on the input topics, in real time.
+"""Lifecycle node ``train_simulator``: publishes a simulated train on the input topics, in real time.
 
 Without ``publish_clock`` its stamps are those of the present, as a real train's would be.
 """
@@ -32,14 +32,14 @@ _PARAMETERS: Final = (
     ParameterSpec(
         'world',
         '',
-        'type of railway; brings its own train unless train_file is given, which it takes as stated, not as true; '
+        'type of railway, with its own train unless train_file is given, whose values are the stated ones, not true; '
         'takes effect on the next configure',
         choices=('', *WORLDS),
     ),
     ParameterSpec(
         'realism',
         'clean',
-        'of a world: clean, all that its train file states is exact, or field, wrong as on real trains; '
+        'with world only: clean, the train file is exact, or field, it has errors as on real trains; '
         'takes effect on the next configure',
         choices=tuple(REALISMS),
     ),
@@ -50,16 +50,16 @@ _PARAMETERS: Final = (
 
 
 class TrainSimulator(PlaybackNode):
-    """Simulates on configure, publishes while active."""
+    """Lifecycle node that simulates on configure and publishes while active."""
 
     def __init__(self, arguments: Any = (), **options: Any) -> None:
         super().__init__(NAME, _PARAMETERS, arguments=arguments, **options)
 
     def open_timeline(self) -> Timeline:
-        """Simulate.
+        """Simulate, and return the records as a timeline.
 
         Raises:
-            InputError: The train file is missing or cannot be driven.
+            InputError: The train file is missing or cannot be simulated.
 
         """
         rng = np.random.default_rng(int(self.parameters.value('seed')))

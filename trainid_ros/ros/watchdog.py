@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When inputs have gone silent: judged by the node's clock, and by a steady one while that stands still."""
+"""Detect missing inputs, by the node's clock and, while that is stopped, by a steady clock."""
 
 from __future__ import annotations
 
@@ -7,18 +7,18 @@ from typing import Final
 
 from trainid_ros.core.records import NS_PER_S
 
-# At high replay rates a short stall of the machine is long in simulated time; it is no dropout.
+# At high replay rates a short stall of the machine is long in simulated time, but is not a dropout.
 _SHORTEST_NS: Final = NS_PER_S // 4
-# Simulated time may run at any rate, so it has to be looked at often.
+# Simulated time may run at any rate, so it has to be polled often.
 _POLL_NS: Final = NS_PER_S // 10
 _MARGIN_NS: Final = NS_PER_S // 100
 
 
 class Watchdog:
-    """Tells once that nothing new has come for too long.
+    """Reports once that no new input has arrived for too long.
 
     Attributes:
-        limit_ns: How long inputs may be silent.
+        limit_ns: How long inputs may be missing [ns].
 
     """
 
@@ -30,23 +30,23 @@ class Watchdog:
         self._published = True
 
     def restart(self) -> None:
-        """Wait for the next record before judging again."""
+        """Wait for the next record before reporting again."""
         self._published = True
         self._newest_ns = 0
 
     def saw(self, newest_ns: int, now_ns: int, steady_ns: int) -> None:
-        """Note the newest stamp taken in so far; only a change of it is news."""
+        """Record the newest stamp so far [ns]; only a changed stamp counts as new input."""
         if newest_ns not in (0, self._newest_ns):
             self._published = False
             self._seen = (now_ns, steady_ns)
             self._newest_ns = newest_ns
 
     def is_missing(self, now_ns: int, steady_ns: int) -> bool:
-        """Return True once when inputs have been silent for too long.
+        """Return True once when inputs have been missing for too long.
 
         Args:
-            now_ns: The node's clock, which may be simulated, stand still or jump.
-            steady_ns: A clock that does none of this.
+            now_ns: Time of the node's clock [ns], which may be simulated, stop or jump.
+            steady_ns: Time of a clock that does none of this [ns].
 
         """
         if now_ns != self._clock[0]:
@@ -62,7 +62,7 @@ class Watchdog:
         return self._published
 
     def pause_ns(self, steady_ns: int, *, simulated: bool) -> int:
-        """Return how long nothing can be silent for too long, by the steady clock."""
+        """Return how long the limit cannot be exceeded, by the steady clock [ns]."""
         if simulated:
             return _POLL_NS
         waited = 0 if self._published else steady_ns - self._seen[1]
