@@ -11,7 +11,7 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 
 from trainid_ros.bag.reader import BagReader
-from trainid_ros.bag.record_table import EMPTY, columns_of, joined, layout
+from trainid_ros.bag.record_table import EMPTY, joined, layout
 from trainid_ros.bag.types import full_type, message_from_record, typestore
 from trainid_ros.core.errors import InputError
 from trainid_ros.core.records import (
@@ -23,6 +23,7 @@ from trainid_ros.core.records import (
     MassRecord,
     Record,
     SpeedRecord,
+    row_of,
 )
 
 if TYPE_CHECKING:
@@ -96,14 +97,12 @@ def test_a_message_that_is_too_short_is_named_with_topic_and_log_time(tmp_path: 
         list(reader.tables())
 
 
-def test_columns_of_a_record_are_those_of_its_table(tmp_path: Path) -> None:
+def test_rows_of_a_table_are_those_of_its_records(tmp_path: Path) -> None:
     rng = np.random.default_rng(93)
     expected = write(tmp_path / 'bag', random_records(rng, 50), rng)
     with BagReader(tmp_path / 'bag') as reader:
-        rows = [
-            row for table in reader.tables() for row in zip(table.stamp_ns, table.x, table.y, table.flag, strict=True)
-        ]
-    assert rows == [columns_of(record) for record in expected]
+        rows = [row for table in reader.tables() for row in table.rows()]
+    assert rows == [row_of(record) for record in expected]
 
 
 def test_layouts_are_those_of_the_definitions() -> None:

@@ -10,7 +10,16 @@ from typing import Any
 
 import pytest
 
-from trainid_ros.core.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
+from trainid_ros.core.records import (
+    FORCE,
+    NS_PER_S,
+    SPEED,
+    BrakeRecord,
+    ForceRecord,
+    GradientRecord,
+    Record,
+    SpeedRecord,
+)
 from trainid_ros.core.results import Status
 from trainid_ros.estimators.pipeline import (
     EstimatorPipeline,
@@ -101,10 +110,10 @@ def test_the_timeout_of_a_slow_topic_follows_its_rate(
 def test_timeout_ns_follows_the_rate_of_the_topic(metro: TrainFile, day: Records) -> None:
     pipeline = resistance_pipeline(metro, SETTINGS)
     run(pipeline, at_rates(day, {ForceRecord: 1.0}, 0.0, LEARNED_S))
-    assert pipeline.timeout_ns(ForceRecord) == pytest.approx(2.5 * NS_PER_S, rel=0.02)
-    assert pipeline.timeout_ns(SpeedRecord) == 0.8 * NS_PER_S
+    assert pipeline.timeout_ns(FORCE) == pytest.approx(2.5 * NS_PER_S, rel=0.02)
+    assert pipeline.timeout_ns(SPEED) == 0.8 * NS_PER_S
     pipeline.reset()
-    assert pipeline.timeout_ns(ForceRecord) == 0.8 * NS_PER_S
+    assert pipeline.timeout_ns(FORCE) == 0.8 * NS_PER_S
 
 
 @pytest.mark.parametrize('rates', [ALL_SLOW, {BrakeRecord: 1.0}], ids=['all 1', 'brake 1'])

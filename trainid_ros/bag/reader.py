@@ -15,7 +15,7 @@ from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_
 
 from trainid_ros.bag.bag_files import locate
 from trainid_ros.bag.mcap_file import McapFile
-from trainid_ros.bag.record_table import EMPTY, columns_of, decode, in_order_of, joined
+from trainid_ros.bag.record_table import EMPTY, decode, in_order_of, joined
 from trainid_ros.bag.types import (
     ESTIMATE_TOPICS,
     LAST_VALID_TOPICS,
@@ -25,7 +25,7 @@ from trainid_ros.bag.types import (
     typestore,
 )
 from trainid_ros.core.errors import InputError
-from trainid_ros.core.records import INPUT_TOPICS, REQUIRED_TOPICS, InputTopic
+from trainid_ros.core.records import INPUT_TOPICS, REQUIRED_TOPICS, InputTopic, row_of
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator
@@ -178,8 +178,9 @@ class BagReader:
     def logged_records(self) -> Iterator[LoggedRecord]:
         """Yield what :meth:`records` yields, with log time and topic."""
         for table in self.tables():
-            for log_ns, topic, record in table.records():
-                yield LoggedRecord(log_ns, INPUT_TOPICS[topic].name, record)
+            names = (INPUT_TOPICS[topic].name for topic in table.topic.tolist())
+            for (log_ns, record), name in zip(table.records(), names, strict=True):
+                yield LoggedRecord(log_ns, name, record)
 
     def tables(self) -> Iterator[RecordTable]:
         """Yield what :meth:`records` yields, as tables of many records each.
@@ -222,8 +223,8 @@ class BagReader:
         for row in np.flatnonzero(~decoded).tolist():  # big endian, or broken
             payload = block.data[block.start[rows[row]] : block.end[rows[row]]].tobytes()
             message = self._deserialize(payload, source, int(block.log_ns[rows[row]]))
-            columns = columns_of(record_from_message(source.name, message))
-            table.stamp_ns[row], table.x[row], table.y[row], table.flag[row] = columns
+            numbers = row_of(record_from_message(source.name, message))
+            _, table.stamp_ns[row], table.x[row], table.y[row], table.flag[row] = numbers
         return table
 
     def _deserialize(self, payload: bytes, source: _Source, log_ns: int) -> Any:

@@ -11,24 +11,18 @@ import re
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
+from itertools import starmap
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trainid_ros.core.records import (
-    INPUT_TOPICS,
-    NS_PER_S,
-    BrakeRecord,
-    ForceRecord,
-    GradientRecord,
-    MassRecord,
-    Record,
-    SpeedRecord,
-)
+from trainid_ros.core.records import INPUT_TOPICS, NS_PER_S, record_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
+
+    from trainid_ros.core.records import Record, Row
 
 Bytes = NDArray[np.uint8]
 Places = NDArray[np.intp]
@@ -71,42 +65,19 @@ class RecordTable:
             self.log_ns[rows], self.topic[rows], self.stamp_ns[rows], self.x[rows], self.y[rows], self.flag[rows]
         )
 
-    def records(self) -> Iterator[tuple[int, int, Record]]:
-        """Yield log time, index of the topic and record of each row."""
-        columns = (self.log_ns, self.topic, self.stamp_ns, self.x, self.y, self.flag)
-        for log_ns, topic, stamp_ns, x, y, flag in zip(*(column.tolist() for column in columns), strict=True):
-            yield log_ns, topic, _record(topic, stamp_ns, x, y, flag)
+    def rows(self) -> Iterator[Row]:
+        """Yield each row as numbers."""
+        columns = (self.topic, self.stamp_ns, self.x, self.y, self.flag)
+        return zip(*(column.tolist() for column in columns), strict=True)
+
+    def records(self) -> Iterator[tuple[int, Record]]:
+        """Yield log time and record of each row."""
+        return zip(self.log_ns.tolist(), starmap(record_of, self.rows()), strict=True)
 
 
 EMPTY: Final = RecordTable(
     np.empty(0, np.uint64), np.empty(0, np.int8), np.empty(0, np.int64), np.empty(0), np.empty(0), np.empty(0, np.bool_)
 )
-
-
-def _record(topic: int, stamp_ns: int, x: float, y: float, flag: bool) -> Record:
-    kind = INPUT_TOPICS[topic].record
-    if kind is SpeedRecord:
-        return SpeedRecord(stamp_ns, x, y)
-    if kind is ForceRecord:
-        return ForceRecord(stamp_ns, x)
-    if kind is GradientRecord:
-        return GradientRecord(stamp_ns, x, y, flag)
-    return BrakeRecord(stamp_ns, x, flag) if kind is BrakeRecord else MassRecord(stamp_ns, x)
-
-
-def columns_of(record: Record) -> tuple[int, float, float, bool]:
-    """Return stamp, x, y and flag of a record, as in a :class:`RecordTable`."""
-    match record:
-        case SpeedRecord():
-            return record.stamp_ns, record.speed, record.position, False
-        case ForceRecord():
-            return record.stamp_ns, record.force, 0.0, False
-        case GradientRecord():
-            return record.stamp_ns, record.gradient, record.curve_radius, record.tunnel
-        case BrakeRecord():
-            return record.stamp_ns, record.target_acceleration, 0.0, record.emergency
-        case MassRecord():
-            return record.stamp_ns, record.mass, 0.0, False
 
 
 @dataclass(frozen=True, slots=True)

@@ -57,6 +57,9 @@ class MassRecord:
     mass: float
 
 
+Row: TypeAlias = tuple[int, int, float, float, bool]
+"""A record as numbers: topic (its place in INPUT_TOPICS), stamp, first number, second number (0 without) and flag."""
+
 Record: TypeAlias = SpeedRecord | ForceRecord | GradientRecord | BrakeRecord | MassRecord
 
 
@@ -75,5 +78,38 @@ GRADIENT_TOPIC: Final = InputTopic('ato/gradient', 'TrackGradient', GradientReco
 BRAKE_TOPIC: Final = InputTopic('ato/brake_command', 'BrakeCommand', BrakeRecord)
 MASS_TOPIC: Final = InputTopic('ato/mass', 'TrainMass', MassRecord)
 
+# Places of the topics in INPUT_TOPICS.
+SPEED: Final = 0
+FORCE: Final = 1
+GRADIENT: Final = 2
+BRAKE: Final = 3
+MASS: Final = 4
+
 INPUT_TOPICS: Final = (SPEED_TOPIC, FORCE_TOPIC, GRADIENT_TOPIC, BRAKE_TOPIC, MASS_TOPIC)
 REQUIRED_TOPICS: Final = (SPEED_TOPIC, FORCE_TOPIC, GRADIENT_TOPIC, BRAKE_TOPIC)
+
+
+def row_of(record: Record) -> Row:
+    """Return a record as a row of numbers."""
+    match record:
+        case SpeedRecord():
+            return SPEED, record.stamp_ns, record.speed, record.position, False
+        case ForceRecord():
+            return FORCE, record.stamp_ns, record.force, 0.0, False
+        case GradientRecord():
+            return GRADIENT, record.stamp_ns, record.gradient, record.curve_radius, record.tunnel
+        case BrakeRecord():
+            return BRAKE, record.stamp_ns, record.target_acceleration, 0.0, record.emergency
+        case MassRecord():
+            return MASS, record.stamp_ns, record.mass, 0.0, False
+
+
+def record_of(topic: int, stamp_ns: int, x: float, y: float, flag: bool) -> Record:
+    """Return the record of a row of numbers."""
+    if topic == SPEED:
+        return SpeedRecord(stamp_ns, x, y)
+    if topic == FORCE:
+        return ForceRecord(stamp_ns, x)
+    if topic == GRADIENT:
+        return GradientRecord(stamp_ns, x, y, flag)
+    return BrakeRecord(stamp_ns, x, flag) if topic == BRAKE else MassRecord(stamp_ns, x)

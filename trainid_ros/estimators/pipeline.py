@@ -134,9 +134,9 @@ class EstimatorPipeline(Generic[EstimateT]):
         """Newest stamp on any topic; 0 before the first."""
         return self.stream.newest_ns
 
-    def timeout_ns(self, kind: type[Record]) -> int:
+    def timeout_ns(self, topic: int) -> int:
         """Return how long a required topic may be missing [ns]; longer for a slow one."""
-        return self.stream.timeout_ns(kind, self._stale_ns)
+        return self.stream.timeout_ns(topic, self._stale_ns)
 
     def push(self, record: Record) -> list[Output[EstimateT]]:
         """Take in one record; return an output for each sample it completes."""

@@ -7,7 +7,7 @@ import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from trainid_ros.core.records import NS_PER_S, ForceRecord, Record, SpeedRecord
+from trainid_ros.core.records import FORCE, NS_PER_S, SPEED
 from trainid_ros.train.effects import effect_value
 
 if TYPE_CHECKING:
@@ -39,19 +39,21 @@ class SensorCorrection:
         """Return alignment settings whose ``max_lag`` allows for the shift of the corrected stamps."""
         return replace(alignment, max_lag=alignment.max_lag + abs(self.skew_s))
 
-    def correct(self, record: Record) -> Record:
-        """Return a record, corrected where needed."""
-        if self._ratio != 1.0 and isinstance(record, SpeedRecord):
-            return self._correct_speed(record)
-        if (
-            self._skew_ns and isinstance(record, ForceRecord) and record.stamp_ns > 0
-        ):  # a zero stamp stays one, to be rejected
-            return replace(record, stamp_ns=record.stamp_ns - self._skew_ns)
-        return record
+    @property
+    def is_needed(self) -> bool:
+        """True if any record needs a correction."""
+        return self._ratio != 1.0 or self._skew_ns != 0
 
-    def _correct_speed(self, record: SpeedRecord) -> SpeedRecord:
+    def correct(self, topic: int, stamp_ns: int, x: float, y: float) -> tuple[int, float, float]:
+        """Return stamp and numbers of a record, corrected where needed; see :data:`~trainid_ros.core.records.Row`."""
+        if topic == SPEED and self._ratio != 1.0:
+            return stamp_ns, *self._correct_speed(x, y)
+        if topic == FORCE and stamp_ns > 0:  # a zero stamp stays one, to be rejected
+            return stamp_ns - self._skew_ns, x, y
+        return stamp_ns, x, y
+
+    def _correct_speed(self, speed: float, position: float) -> tuple[float, float]:
         """Correct speed and distance since the last stop; the position at rest is that of the platform."""
-        if record.speed == 0.0 or math.isnan(self._stop_position):
-            self._stop_position = record.position
-        position = self._stop_position + (record.position - self._stop_position) / self._ratio
-        return replace(record, speed=record.speed / self._ratio, position=position)
+        if speed == 0.0 or math.isnan(self._stop_position):
+            self._stop_position = position
+        return speed / self._ratio, self._stop_position + (position - self._stop_position) / self._ratio

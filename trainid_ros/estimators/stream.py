@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Final, TypeAlias
 
 from trainid_ros.core.alignment import ONE_LOST, Aligner, AlignmentConfig, TimeJump
 from trainid_ros.core.codec import check_restored
-from trainid_ros.core.records import NS_PER_S
+from trainid_ros.core.records import NS_PER_S, row_of
 from trainid_ros.core.results import Rejection
 from trainid_ros.core.samples import Sample
 from trainid_ros.core.settings import check_settings
@@ -111,9 +111,9 @@ class SampleStream:
         """Newest stamp on any topic; 0 before the first."""
         return self._aligner.newest_ns
 
-    def timeout_ns(self, kind: type[Record], shortest_ns: int) -> int:
+    def timeout_ns(self, topic: int, shortest_ns: int) -> int:
         """Return how long a required topic may be missing [ns]: 2.5 intervals of a slow topic, ``shortest_ns`` else."""
-        return max(shortest_ns, round(ONE_LOST * self._aligner.interval_ns(kind)))
+        return max(shortest_ns, round(ONE_LOST * self._aligner.interval_ns(topic)))
 
     def is_input_missing(self, timeout_ns: int) -> bool:
         """Return whether a required topic is behind the others by more than a timeout [ns] or has not started."""
@@ -127,14 +127,18 @@ class SampleStream:
 
         A sample whose ``rejection`` is set has a speed that must not be used.
         """
-        events: list[StreamEvent] = []
-        for event in self._aligner.push(self._correction.correct(record)):
+        return self.push_row(*row_of(record))
+
+    def push_row(self, topic: int, stamp_ns: int, x: float, y: float, flag: bool) -> list[StreamEvent]:
+        """Take in one record as a row of numbers, see :data:`~trainid_ros.core.records.Row`."""
+        if self._correction.is_needed:
+            stamp_ns, x, y = self._correction.correct(topic, stamp_ns, x, y)
+        events = self._aligner.push_row(topic, stamp_ns, x, y, flag)
+        for i, event in enumerate(events):
             if isinstance(event, Sample):
-                events.append(self._follow(event))
-                continue
-            if isinstance(event, TimeJump):
+                events[i] = self._follow(event)
+            elif isinstance(event, TimeJump):
                 self._jump(event)
-            events.append(event)
         self._first_ns = self._first_ns or self.newest_ns
         return events
 

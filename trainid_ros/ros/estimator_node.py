@@ -331,7 +331,7 @@ class EstimatorNode(ManagedNode):
         intake.drain()
         self._follow_jump(pipeline)
         # Even the fastest topic is not overdue before its own timeout.
-        self.watchdog.limit_ns = min(pipeline.timeout_ns(topic.record) for topic in REQUIRED_TOPICS)
+        self.watchdog.limit_ns = min(pipeline.timeout_ns(topic) for topic in range(len(REQUIRED_TOPICS)))
         if self.watchdog.is_missing(self._now_ns(), self._steady_ns()) and pipeline.status not in _ALREADY_REPORTED:
             self._publish(pipeline.mark_stale())
         simulated = self.get_clock().ros_time_is_active
@@ -376,7 +376,9 @@ class EstimatorNode(ManagedNode):
             array.status = [estimator_status(health, self.pipeline, self.spec.shown, self._prior, steps, details)]
             for monitor in self._monitors.values():
                 topic = self.resolve_topic_name(monitor.topic.name)
-                stale_s = 0.0 if monitor.optional else self.pipeline.timeout_ns(monitor.topic.record) / NS_PER_S
+                stale_s = (
+                    0.0 if monitor.optional else self.pipeline.timeout_ns(INPUT_TOPICS.index(monitor.topic)) / NS_PER_S
+                )
                 array.status.append(input_status(health, monitor, topic, self.count_publishers(topic), stale_s))
         self._diagnostics.publish(array)
 
