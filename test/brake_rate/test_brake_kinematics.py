@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The exact brake response against fine numerical integration, and against itself in two steps."""
+"""The exact brake response compared with fine numerical integration, and with itself in two steps."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def history(rng: np.random.Generator) -> CommandHistory:
 def integrate(
     commands: CommandHistory, brake: Brake, start_ns: int, end_ns: int, *, initial: float, rate: float
 ) -> tuple[float, float]:
-    """Midpoint rule in steps of 0.1 ms: (a at the end, gain of v)."""
+    """Return (a at the end, gain of v) by the midpoint rule in steps of 0.1 ms."""
     step = 100_000
     a, v = initial, 0.0
     h = step / NS_PER_S
@@ -40,28 +40,28 @@ def integrate(
 
 
 @pytest.mark.parametrize('seed', range(3))
-def test_it_equals_fine_integration(seed: int) -> None:
+def test_the_response_equals_fine_integration(seed: int) -> None:
     rng = np.random.default_rng(seed)
     commands, brake = history(rng), Brake(1.0, 0.4, 0.63)
     start = START + 1_000_000_000 + int(rng.integers(0, 10**6)) * 1000
     initial, rate = -0.35, 0.8
     step = brake_step(commands, brake, start, start + 700_000_000, initial)
     a, v = integrate(commands, brake, start, start + 700_000_000, initial=initial, rate=rate)
-    # A change of command inside a step of 0.1 ms moves a by some 1e-4 / 0.4 of its size at most.
+    # A change of command within a step of 0.1 ms changes a by about 1e-4 / 0.4 of its size at most.
     assert step.decay * initial + rate * step.gain_a == pytest.approx(a, abs=5e-4)
     assert step.reach * initial + rate * step.gain_v == pytest.approx(v, abs=5e-4)
 
 
-def test_two_intervals_make_one() -> None:
+def test_two_intervals_compose_to_one() -> None:
     commands, brake = history(np.random.default_rng(9)), Brake(1.0, 0.4, 0.6)
     edges = [START + 1_000_000_000, START + 1_313_131_313, START + 2_000_000_001]
-    first, second, whole = (brake_step(commands, brake, edges[i], edges[k], 0.0) for i, k in ((0, 1), (1, 2), (0, 2)))
+    first, second, total = (brake_step(commands, brake, edges[i], edges[k], 0.0) for i, k in ((0, 1), (1, 2), (0, 2)))
     a0, f = -0.2, 0.9
     a1 = first.decay * a0 + f * first.gain_a
     a2 = second.decay * a1 + f * second.gain_a
     v = first.reach * a0 + f * first.gain_v + second.reach * a1 + f * second.gain_v
-    assert whole.decay * a0 + f * whole.gain_a == pytest.approx(a2, rel=1e-12)
-    assert whole.reach * a0 + f * whole.gain_v == pytest.approx(v, rel=1e-12)
+    assert total.decay * a0 + f * total.gain_a == pytest.approx(a2, rel=1e-12)
+    assert total.reach * a0 + f * total.gain_v == pytest.approx(v, rel=1e-12)
 
 
 def test_the_dead_time_is_exact() -> None:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The learned size of the disturbance: right for its model, slow, bounded, and deaf to outliers."""
+"""The estimated size of the disturbance: correct for its model, slow, bounded, and robust to outliers."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ FREE = Transition(DT, 0.0, 0.6, 0.0, 0.0, RHO, 0.0, 0.002**2 * DT, 0.0)
 
 
 def rolled(std: float, seconds: float, seed: int, declared: float = 0.006, slip: float = 0.0) -> DisturbanceNoise:
-    """Return what is learned of a train that runs at some 15 m/s, of whose samples some slip by 1 m/s."""
+    """Return the estimate from a train that runs at about 15 m/s, with a share of samples that slip by 1 m/s."""
     rng = np.random.default_rng([seed, 9])
     noise, b, v = DisturbanceNoise.declared(declared), std * float(rng.standard_normal()), SPEED
     for _ in range(round(seconds / DT)):
@@ -34,30 +34,30 @@ def rolled(std: float, seconds: float, seed: int, declared: float = 0.006, slip:
 
 
 @pytest.mark.parametrize('std', [0.004, 0.01, 0.03])
-def test_it_finds_the_deviation_whatever_was_declared(std: float) -> None:
+def test_the_estimate_is_independent_of_the_configured_value(std: float) -> None:
     found = [rolled(std, 500.0, seed, declared).std for seed, declared in ((7001, 0.006), (7002, 0.012))]
     print(found)
     assert np.mean(found) == pytest.approx(std, rel=0.3)
 
 
-def test_little_data_leave_it_wide_and_near_what_was_declared() -> None:
+def test_with_little_data_the_estimate_stays_at_the_prior() -> None:
     first = DisturbanceNoise.declared(0.006)
     assert 0.006 < first.std < 0.03
     assert rolled(0.02, 2.0, 7003).std == pytest.approx(first.std, rel=0.6)
 
 
-def test_it_stays_within_bounds() -> None:
+def test_the_estimate_stays_within_bounds() -> None:
     assert rolled(0.0, 400.0, 7004, declared=0.05).std == pytest.approx(0.3 * 0.05, rel=0.2)
     assert rolled(0.05, 200.0, 7005, declared=0.001).std == pytest.approx(10.0 * 0.001, rel=0.01)
 
 
-def test_slip_is_no_disturbance() -> None:
-    """One sample in a hundred is off by 40 deviations; it counts as one of three."""
+def test_slip_is_not_a_disturbance() -> None:
+    """One sample in a hundred is off by 40 standard deviations; it is clipped at three."""
     clean, slipping = rolled(0.006, 300.0, 7006), rolled(0.006, 300.0, 7006, slip=0.01)
     assert slipping.std < 2.5 * clean.std
 
 
-def test_a_train_that_stood_begins_anew_and_keeps_what_it_knows() -> None:
+def test_a_pause_restarts_the_filters_and_keeps_the_estimate() -> None:
     noise = rolled(0.02, 60.0, 7007)
     paused = noise.paused()
     assert (paused.variance, paused.evidence, paused.motions) == (noise.variance, noise.evidence, ())
@@ -66,7 +66,7 @@ def test_a_train_that_stood_begins_anew_and_keeps_what_it_knows() -> None:
     assert not DisturbanceNoise.declared(0.0).add(FREE, 3.0, R).motions
 
 
-def test_one_filter_is_the_kalman_filter() -> None:
+def test_each_filter_equals_the_kalman_filter() -> None:
     F, variance = np.array([[1.0, DT], [0.0, RHO]]), 0.01**2
     m, P = np.array([15.0, 0.004]), np.array([[4e-4, 1e-5], [1e-5, 9e-5]])
     step = FREE._replace(known=-0.02)
@@ -79,7 +79,7 @@ def test_one_filter_is_the_kalman_filter() -> None:
     assert likelihood == pytest.approx(expected, rel=1e-12)
 
 
-def test_estimators_learn_it_between_brakings_and_save_it() -> None:
+def test_estimators_update_it_between_brakings_and_save_it() -> None:
     run = walk_run(7008, stops=3)
     first, second = (Kalman(metro_train(), KalmanConfig(), np.random.default_rng(1)) for _ in range(2))
     seen = set()
@@ -96,16 +96,16 @@ def test_estimators_learn_it_between_brakings_and_save_it() -> None:
     assert second.state.disturbance == first.state.disturbance
 
 
-def test_a_saved_state_that_does_not_fit_is_refused() -> None:
+def test_an_invalid_saved_state_is_rejected() -> None:
     estimator = Kalman(metro_train(), KalmanConfig(), np.random.default_rng(1))
     noise = DisturbanceNoise.declared(0.006)
     assert decode(encode(noise), DisturbanceNoise) == noise
-    for wrong in (
+    for invalid in (
         replace(noise, evidence=noise.evidence[1:]),
         replace(noise, variance=math.nan),
         replace(noise, motions=((0.0,) * 4,) * len(noise.evidence)),
     ):
-        assert not wrong.is_valid
-        estimator.state.disturbance = wrong
+        assert not invalid.is_valid
+        estimator.state.disturbance = invalid
         with pytest.raises(InputError, match='disturbance'):
             Kalman(metro_train(), KalmanConfig(), np.random.default_rng(1)).restore(estimator.save())

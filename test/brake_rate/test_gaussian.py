@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kernels of the Gaussian filters against the matrices of their model, written out."""
+"""Kernels of the Gaussian filters compared with the matrices of their model, written out."""
 
 from __future__ import annotations
 
@@ -12,10 +12,10 @@ from trainid_ros.brake_rate.posterior import STATES, Start, Transition
 
 Array = NDArray[np.float64]
 N, RATE = STATES + 1, STATES
-LEAN = (0.1, -0.2, 0.03, 0.02, -0.01, 0.05, 0.04, -0.2)
+GAINS = (0.1, -0.2, 0.03, 0.02, -0.01, 0.05, 0.04, -0.2)
 KEEP = (0.999, 0.998, 0.99, 0.99, 0.98, 1.0, 0.97, 0.5)
 Q_E = (1e-4, 2e-4, 3e-4, 4e-4, 5e-4, 6e-4, 8e-4, 7e-4)
-STEP = Transition(0.2, 0.15, 0.6, -0.05, -0.3, 0.97, 0.01, 1e-3, 2e-3, LEAN, KEEP, Q_E)
+STEP = Transition(0.2, 0.15, 0.6, -0.05, -0.3, 0.97, 0.01, 1e-3, 2e-3, GAINS, KEEP, Q_E)
 
 
 def draw(rng: np.random.Generator) -> tuple[Array, Array]:
@@ -25,7 +25,7 @@ def draw(rng: np.random.Generator) -> tuple[Array, Array]:
 
 def transition() -> Array:
     F = np.diag([1.0, 0.6, 0.97, *KEEP, 1.0])
-    F[0] = (1.0, 0.15, 0.2, *LEAN, -0.05)
+    F[0] = (1.0, 0.15, 0.2, *GAINS, -0.05)
     F[1, RATE] = -0.3
     return F
 
@@ -43,7 +43,7 @@ def test_prediction_and_drift(rng: np.random.Generator) -> None:
     expected[0] += 0.01
     assert np.allclose(mean, expected, rtol=1e-12)
     assert np.allclose(cov, F @ P @ F.T + Q, rtol=1e-12)
-    # A drift that acts from the start of the interval.
+    # The drift acts from the start of the interval.
     q = np.zeros((N, N))
     q[RATE, RATE] = 0.04
     assert np.allclose(drift(cov, STEP.gain_v, STEP.gain_a, 0.04), F @ (P + q) @ F.T + Q, rtol=1e-12)
@@ -71,7 +71,7 @@ def test_a_mixture_has_the_moments_of_its_parts(rng: np.random.Generator) -> Non
     assert np.allclose(cov, 0.3 * P0 + 0.7 * P1 + 0.21 * np.outer(d, d))
 
 
-def test_an_anchor_ties_the_brake_to_its_rate_and_keeps_the_errors(rng: np.random.Generator) -> None:
+def test_an_anchor_couples_the_brake_to_f_and_keeps_the_errors(rng: np.random.Generator) -> None:
     m, P = draw(rng)
     mean, cov = anchored(m, P, Start(12.0, -0.5, (0.01, 0.0025, 0.0001), KEEP, Q_E))
     assert mean[:3] == pytest.approx([12.0, -0.5 * m[RATE], 0.0])
@@ -82,8 +82,8 @@ def test_an_anchor_ties_the_brake_to_its_rate_and_keeps_the_errors(rng: np.rando
     assert np.min(np.linalg.eigvalsh(cov)) > 0.0
 
 
-def test_a_new_origin_moves_the_errors_alone(rng: np.random.Generator) -> None:
+def test_a_new_origin_shifts_only_the_errors(rng: np.random.Generator) -> None:
     m, _ = draw(rng)
-    moved = recentred(m, LEAN)
-    assert moved[3:RATE] == pytest.approx(m[3:RATE] - np.array(LEAN))
+    moved = recentred(m, GAINS)
+    assert moved[3:RATE] == pytest.approx(m[3:RATE] - np.array(GAINS))
     assert np.array_equal(moved[[0, 1, 2, RATE]], m[[0, 1, 2, RATE]])

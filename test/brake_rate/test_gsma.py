@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""GSMA against the exact linear Kalman filter on [v, a, b, f], and what its corrections promise."""
+"""GSMA compared with the exact linear Kalman filter on [v, a, b, f], and the effects of its corrections."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ from trainid_ros.train.train_file import Davis, TrainFile
 Make = Callable[..., Sample]
 Journey = Callable[..., list[Sample]]
 CONFIG = GsmaConfig()
-BELIEVED = Davis(1.5, 0.03, 0.004)
+STATED = Davis(1.5, 0.03, 0.004)
 TAU, LAG, DT, GRADIENT = 0.4, 3, 0.2, 6.0
 INERTIA = 1000.0 * 1.08 / 9.80665
 
@@ -52,7 +52,7 @@ def gsma(train_file: TrainFile, config: GsmaConfig = CONFIG, seed: int = 1) -> G
 
 
 def braking(t: float) -> float:
-    """Levels of one long braking from 4 s on; the gradient helps."""
+    """Return the levels of one long braking from 4 s on; the gradient assists it."""
     return 0.0 if t < 4.0 else -(0.35 + 0.15 * math.sin(0.4 * (0.2 * round(5 * t))))
 
 
@@ -65,7 +65,7 @@ def power(t: float) -> float:
 
 
 class Kalman:
-    """The exact filter for one uninterrupted braking of a train without traction; its own arithmetic throughout."""
+    """The exact filter for one uninterrupted braking of a train without traction, implemented independently."""
 
     def __init__(self, first: Sample, config: GsmaConfig, disturbance: float) -> None:
         self.config = config
@@ -82,12 +82,12 @@ class Kalman:
         rho = math.exp(-v * DT / config.disturbance_length)
         reach = TAU * (1.0 - decay)
         F = np.array([[1.0, reach, DT, gain_v], [0.0, decay, 0.0, gain_a], [0.0, 0.0, rho, 0.0], [0.0, 0.0, 0.0, 1.0]])
-        w = BELIEVED.a + BELIEVED.b * v + BELIEVED.c * v * v
+        w = STATED.a + STATED.b * v + STATED.c * v * v
         known = -(GRADIENT + w) / INERTIA
         before, self.target = self.target, decay * self.target + gain_a
         walk = config.drift**2 * DT
         observable = max(abs(before), abs(self.target)) >= config.min_braking
-        # f walks all the time, but while no brake acts it neither moves nor is seen.
+        # f always drifts, but without a brake it has no effect and is not observable.
         self.P[3, 3] += walk
         self.x = F @ self.x + np.array([known * DT, 0.0, 0.0, 0.0])
         Q = np.diag([config.acceleration_noise**2 * DT, 0.0, disturbance**2 * (1.0 - rho * rho), 0.0])
@@ -102,7 +102,7 @@ class Kalman:
 
 
 def compare(train_file: TrainFile, journey: Journey, config: GsmaConfig, seed: int) -> tuple[float, float]:
-    """Return rms difference of the means in KF deviations, and mean ratio of the deviations."""
+    """Return rms difference of the means in KF standard deviations, and mean ratio of the standard deviations."""
     rng = np.random.default_rng([seed, 7])
     start = 0.15 * float(np.clip(rng.standard_normal(), -2.0, 2.0))
     walk = 1.0 + start + config.drift * math.sqrt(DT) * np.cumsum(rng.standard_normal(251))
@@ -110,7 +110,7 @@ def compare(train_file: TrainFile, journey: Journey, config: GsmaConfig, seed: i
         46.0,
         brake=braking,
         rate=lambda t: float(walk[round(5 * t)]),
-        resistance=lambda _: BELIEVED,
+        resistance=lambda _: STATED,
         speed=25.0,
         seed=seed,
     )
@@ -134,11 +134,11 @@ def compare(train_file: TrainFile, journey: Journey, config: GsmaConfig, seed: i
 
 
 @pytest.mark.parametrize(('drift', 'particles', 'most'), [(0.003, 50, 0.1), (0.003, 300, 0.03), (0.02, 300, 0.08)])
-def test_it_is_the_exact_kalman_filter_but_for_its_finite_number(
+def test_it_equals_the_exact_kalman_filter_within_sampling_noise(
     train_file: TrainFile, journey: Journey, drift: float, particles: int, most: float
 ) -> None:
-    """Differences in deviations of the Kalman filter; a random-walk truth that starts within two prior deviations."""
-    # Not yet learned, this disturbance is held to be one of 0.006.
+    """Differences in stds of the Kalman filter; the true f is a random walk that starts within two prior stds."""
+    # Before any data, the prior mean of this disturbance is 0.006.
     config = GsmaConfig(
         particles=particles, drift=drift, jump_rate=0.0, gate=100.0, disturbance_std=0.0028, **NO_ERRORS
     )
@@ -148,20 +148,20 @@ def test_it_is_the_exact_kalman_filter_but_for_its_finite_number(
     assert found[:, 1].mean() == pytest.approx(1.0, abs=0.05)
 
 
-def test_a_group_spreads_as_the_random_walk_does(train_file: TrainFile, journey: Journey) -> None:
+def test_a_group_spreads_like_the_random_walk(train_file: TrainFile, journey: Journey) -> None:
     """One step without information: the variance grows by q dt, h^2 / 3."""
     config = GsmaConfig(particles=400, prior_std=1e-4, drift=0.1, jump_rate=0.0, speed_std=2.0, gate=100.0, **NO_ERRORS)
     estimator, grown = gsma(exactly_known(train_file), config), []
-    for item in journey(9.0, brake=braking, speed=25.0, noise=0.0, resistance=lambda _: BELIEVED):
+    for item in journey(9.0, brake=braking, speed=25.0, noise=0.0, resistance=lambda _: STATED):
         before = estimator.estimate(0.0).brake_rate_std if estimator.state.unbraked_s == 0.0 else None
         estimator.step(item)
         if before is not None and estimator.state.observable:
             grown.append(estimator.estimate(0.0).brake_rate_std ** 2 - before**2)
-    # Speed noise of 2 m/s (still 0.6 m/s when learned) tells next to nothing in the first second.
+    # With a speed noise of 2 m/s (0.6 m/s when estimated) the first second has almost no information.
     assert np.mean(grown[:6]) == pytest.approx(0.1**2 * DT, rel=0.1)
 
 
-def test_while_no_brake_acts_the_deviation_grows_by_the_law_and_the_mean_stands(
+def test_without_braking_the_std_grows_with_the_drift_and_the_mean_is_constant(
     train_file: TrainFile, journey: Journey
 ) -> None:
     """Four minutes of coasting, power and standing after a braking: std follows sqrt(s^2 + q t) within 2 %."""
@@ -191,7 +191,7 @@ def test_while_no_brake_acts_the_deviation_grows_by_the_law_and_the_mean_stands(
     assert samples[-1].speed == 0.0
 
 
-def test_standing_and_power_leave_the_rate_to_the_bit(train_file: TrainFile, journey: Journey) -> None:
+def test_standstill_and_traction_leave_the_rate_bit_identical(train_file: TrainFile, journey: Journey) -> None:
     estimator = gsma(train_file)
     seen = set()
     for item in journey(240.0, brake=stop_and_go, traction=power, speed=0.0, rate=lambda _: 0.85):
@@ -201,14 +201,14 @@ def test_standing_and_power_leave_the_rate_to_the_bit(train_file: TrainFile, jou
             seen.add(result.reason)
             after = estimator.estimate(0.0)
             assert after.brake_rate == before.brake_rate
-            # Equal but for rounding, or grown.
+            # Equal except for rounding, or larger.
             assert after.brake_rate_std >= before.brake_rate_std * (1.0 - 1e-12)
             assert not after.observable
     assert {Reason.STANDSTILL, Reason.NOT_BRAKING, Reason.GAP} <= seen
 
 
 @pytest.mark.parametrize('rate', [0.7, 0.85, 1.1])
-def test_it_finds_the_brake_rate_in_the_first_braking(train_file: TrainFile, journey: Journey, rate: float) -> None:
+def test_the_brake_rate_is_estimated_in_the_first_braking(train_file: TrainFile, journey: Journey, rate: float) -> None:
     errors = []
     for seed in range(5):
         estimator = gsma(train_file, seed=seed)
@@ -217,21 +217,19 @@ def test_it_finds_the_brake_rate_in_the_first_braking(train_file: TrainFile, jou
         e = estimator.estimate(0.0)
         errors.append(e.brake_rate - rate)
         assert abs(e.brake_rate - rate) < 4.0 * e.brake_rate_std
-    # The true resistance differs by 0.4 N/kN, 0.0036 m/s^2, from the believed: 0.005 of bias in the rate.
+    # The true resistance differs from the stated one by 0.4 N/kN, 0.0036 m/s^2: a bias of 0.005 in the rate.
     assert abs(float(np.mean(errors))) < 0.02
     assert float(np.max(np.abs(errors))) < 0.06
 
 
 @pytest.mark.parametrize('rate', [0.55, 1.45])
-def test_a_brake_three_deviations_from_belief_is_found_in_one_braking(
+def test_a_rate_three_standard_deviations_from_the_prior_is_found_in_one_braking(
     train_file: TrainFile, journey: Journey, rate: float
 ) -> None:
-    """The exact filter is within 0.01 there; a few particles in the tail of the prior must not stay alone."""
+    """The exact filter is within 0.01; the estimate must not depend on the few particles in the tail of the prior."""
     for seed in range(3):
         estimator = gsma(train_file, seed=seed)
-        samples = journey(
-            30.0, brake=braking, speed=25.0, rate=lambda _: rate, seed=seed, resistance=lambda _: BELIEVED
-        )
+        samples = journey(30.0, brake=braking, speed=25.0, rate=lambda _: rate, seed=seed, resistance=lambda _: STATED)
         for item in samples:
             estimator.step(item)
         e = estimator.estimate(0.0)
@@ -239,8 +237,8 @@ def test_a_brake_three_deviations_from_belief_is_found_in_one_braking(
         assert abs(e.brake_rate - rate) < 3.0 * e.brake_rate_std
 
 
-def test_the_dead_time_goes_by_stamps(train_file: TrainFile, journey: Journey) -> None:
-    """The command moved by 1 us against the speed moves the rate by 1e-6 s over the time braked: nothing."""
+def test_the_dead_time_uses_stamps(train_file: TrainFile, journey: Journey) -> None:
+    """A shift of the command by 1 us changes the rate by 1e-6 s over the time braked, which is negligible."""
 
     def shifted(item: Sample, by_ns: int) -> Sample:
         changes = tuple(BrakeCommandChange(c.stamp_ns + by_ns, c.target_acceleration) for c in item.brake_changes)
@@ -252,7 +250,7 @@ def test_the_dead_time_goes_by_stamps(train_file: TrainFile, journey: Journey) -
         plain.step(item)
         moved.step(shifted(item, -1000))
         assert moved.estimate(0.0).brake_rate == pytest.approx(plain.estimate(0.0).brake_rate, abs=1e-3)
-    # A whole second matters, so the stamps are looked at.
+    # A shift of one second has an effect, so the stamps are used.
     late = gsma(train_file)
     for item in samples:
         late.step(shifted(item, -NS_PER_S))
@@ -262,7 +260,7 @@ def test_the_dead_time_goes_by_stamps(train_file: TrainFile, journey: Journey) -
     early = gsma(train_file)
     for item in samples[:23]:
         early.step(item)
-    # The command of 4.0 s acts from 4.6 s on, in sample 23 and not before.
+    # The command at 4.0 s acts from 4.6 s on, not before sample 23.
     assert early.state.filtered_target == 0.0
     early.step(samples[23])
     assert early.state.filtered_target == 0.0
@@ -281,22 +279,22 @@ def test_the_filtered_target_is_the_command_after_dead_time_and_lag(train_file: 
         assert estimator.state.filtered_target == pytest.approx(target, abs=1e-12)
 
 
-def test_a_gap_of_the_speed_does_not_forget_the_brake(train_file: TrainFile, journey: Journey) -> None:
-    """The brake sets in while no speed is known: after it, the target is that of a filter that missed nothing."""
+def test_a_gap_of_the_speed_does_not_affect_the_brake_target(train_file: TrainFile, journey: Journey) -> None:
+    """The brake is applied while the speed is missing; then the target equals that of a filter without the gap."""
     samples = journey(20.0, brake=braking, speed=25.0)
     missing = range(18, 32)
     first = samples[missing.stop]
     changes = tuple(c for k in (*missing, missing.stop) for c in samples[k].brake_changes)
-    whole, gapped = gsma(train_file), gsma(train_file)
+    complete, gapped = gsma(train_file), gsma(train_file)
     for k, item in enumerate(samples):
-        whole.step(item)
+        complete.step(item)
         if k not in missing:
             gapped.step(item if item is not first else replace(item, dt=math.nan, brake_changes=changes))
         if k == missing.stop:
-            assert gapped.state.filtered_target == pytest.approx(whole.state.filtered_target, abs=1e-9)
+            assert gapped.state.filtered_target == pytest.approx(complete.state.filtered_target, abs=1e-9)
 
 
-def test_outliers_are_refused_and_several_in_a_row_are_believed(train_file: TrainFile, journey: Journey) -> None:
+def test_outliers_are_rejected_and_several_in_a_row_are_accepted(train_file: TrainFile, journey: Journey) -> None:
     estimator = gsma(train_file)
     samples = journey(30.0, brake=braking, speed=25.0)
     for item in samples[:75]:
@@ -306,7 +304,7 @@ def test_outliers_are_refused_and_several_in_a_row_are_believed(train_file: Trai
         result = estimator.step(replace(item, speed=item.speed + 3.0))
         assert isinstance(result, Rejection)
         assert result.reason is Reason.OUTLIER
-        # Not learned from; only resampled, within a fraction of its deviation.
+        # Not used; only resampled, within a fraction of the standard deviation.
         assert estimator.estimate(0.0).brake_rate == pytest.approx(before, abs=0.005)
     assert estimator.estimate(0.0).speed == pytest.approx(samples[79].speed + 3.0, abs=1e-9)
     assert isinstance(estimator.step(replace(samples[80], speed=samples[80].speed + 3.0)), BrakeRateEstimate)
@@ -323,7 +321,7 @@ def test_outliers_are_refused_and_several_in_a_row_are_believed(train_file: Trai
         ({'speed': 0.4}, Reason.STANDSTILL),
     ],
 )
-def test_bad_samples_are_skipped_with_their_reason(
+def test_invalid_samples_are_rejected_with_their_reason(
     train_file: TrainFile, journey: Journey, fields: dict[str, Any], reason: Reason
 ) -> None:
     estimator = gsma(train_file)
@@ -342,13 +340,13 @@ def test_bad_samples_are_skipped_with_their_reason(
 def test_the_particles_start_at_the_quantiles_of_the_prior(train_file: TrainFile) -> None:
     e = gsma(train_file).estimate(0.0)
     assert e.brake_rate == pytest.approx(1.0, abs=1e-12)
-    # Quantiles lack the outermost tails.
+    # Quantiles omit the outermost tails.
     assert e.brake_rate_std == pytest.approx(CONFIG.prior_std, rel=0.02)
     assert e.effective_particles == pytest.approx(CONFIG.particles)
     assert math.isnan(e.position)
 
 
-def test_position_follows_the_odometer_and_survives_its_loss(train_file: TrainFile, journey: Journey) -> None:
+def test_the_position_follows_the_odometer_and_bridges_its_loss(train_file: TrainFile, journey: Journey) -> None:
     estimator = gsma(train_file)
     for k, item in enumerate(journey(60.0, speed=20.0)):
         position = math.nan if 100 <= k < 120 else item.position
@@ -357,7 +355,7 @@ def test_position_follows_the_odometer_and_survives_its_loss(train_file: TrainFi
             assert estimator.estimate(0.0).position == pytest.approx(item.position, abs=0.5)
 
 
-def test_converged_has_hysteresis(train_file: TrainFile, journey: Journey) -> None:
+def test_the_convergence_flag_has_hysteresis(train_file: TrainFile, journey: Journey) -> None:
     estimator = gsma(train_file, GsmaConfig(drift=0.01))
     changes, stds = [], []
     was = False
@@ -374,7 +372,7 @@ def test_converged_has_hysteresis(train_file: TrainFile, journey: Journey) -> No
 
 @settings(max_examples=20, deadline=None, phases=(Phase.explicit, Phase.reuse, Phase.generate))
 @given(st.integers(0, 2**32 - 1))
-def test_no_input_makes_it_lose_itself(train_file: TrainFile, sample: Make, seed: int) -> None:
+def test_no_input_invalidates_the_estimate(train_file: TrainFile, sample: Make, seed: int) -> None:
     rng = np.random.default_rng(seed)
     estimator, stamp, command = gsma(train_file), 1_700_000_000 * NS_PER_S, 0.0
 
@@ -417,7 +415,9 @@ def test_no_input_makes_it_lose_itself(train_file: TrainFile, sample: Make, seed
             assert np.min(np.linalg.eigvalsh(P / np.outer(std, std))) > -1e-9
 
 
-def test_the_same_seed_gives_the_same_bits_and_another_one_others(train_file: TrainFile, journey: Journey) -> None:
+def test_the_same_seed_gives_identical_results_and_another_seed_different_ones(
+    train_file: TrainFile, journey: Journey
+) -> None:
     samples = journey(60.0, brake=stop_and_go, speed=20.0, rate=lambda _: 0.9)
     same, again, other = gsma(train_file, seed=5), gsma(train_file, seed=5), gsma(train_file, seed=6)
     for item in samples:
@@ -430,21 +430,23 @@ def test_the_same_seed_gives_the_same_bits_and_another_one_others(train_file: Tr
     assert other.estimate(0.0).brake_rate == pytest.approx(same.estimate(0.0).brake_rate, abs=0.02)
 
 
-def test_saved_and_restored_in_the_middle_it_goes_on_to_the_bit(train_file: TrainFile, journey: Journey) -> None:
+def test_a_run_saved_and_restored_in_the_middle_continues_bit_identical(
+    train_file: TrainFile, journey: Journey
+) -> None:
     samples = journey(120.0, brake=stop_and_go, traction=power, speed=10.0, rate=lambda _: 0.9)
-    # In traction, in the dead time, while braking (particles not pruned yet), at a stand.
+    # In traction, in the dead time, while braking (particles not pruned yet), at standstill.
     for middle in (100, 178, 250, 350):
-        whole, first, second = gsma(train_file), gsma(train_file), gsma(train_file, seed=99)
+        uninterrupted, first, second = gsma(train_file), gsma(train_file), gsma(train_file, seed=99)
         for item in samples[:middle]:
-            whole.step(item)
+            uninterrupted.step(item)
             first.step(item)
         second.restore(first.save())
         for item in samples[middle:]:
-            assert repr(second.step(item)) == repr(whole.step(item))
-        assert second.save() == whole.save()
+            assert repr(second.step(item)) == repr(uninterrupted.step(item))
+        assert second.save() == uninterrupted.save()
 
 
-def test_reset_equals_new(train_file: TrainFile, journey: Journey) -> None:
+def test_a_reset_estimator_equals_a_new_one(train_file: TrainFile, journey: Journey) -> None:
     used, new = gsma(train_file), gsma(train_file)
     samples = journey(60.0, brake=stop_and_go, speed=15.0)
     for item in samples:
@@ -472,7 +474,7 @@ def test_reset_equals_new(train_file: TrainFile, journey: Journey) -> None:
         ('random', '{}'),
     ],
 )
-def test_a_saved_belief_that_does_not_fit_is_refused(
+def test_an_invalid_saved_posterior_is_rejected(
     train_file: TrainFile, journey: Journey, key: str, value: object
 ) -> None:
     estimator = gsma(train_file)

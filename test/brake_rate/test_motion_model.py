@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What moves the train over one sample, against the equations of the module, and what an estimate adds of its own."""
+"""The motion model over one sample compared with the equations of the module, and the variances of an estimate."""
 
 from __future__ import annotations
 
@@ -39,17 +39,17 @@ def interval(
     )
 
 
-def test_the_response_is_calm_while_it_stands_and_not_while_it_changes(train_file: TrainFile, sample: Make) -> None:
+def test_calm_is_one_for_a_steady_response_and_small_while_it_changes(train_file: TrainFile, sample: Make) -> None:
     item = sample(1, brake_command=-0.5)
     assert interval(train_file, item, response(-0.5, -0.5)).calm == pytest.approx(1.0)
     assert interval(train_file, item, response(0.0, -0.5)).calm < 1e-6
-    # A tenth of itself in a second.
+    # A relative change of a tenth per second.
     change = BrakeStep(1.0, DT, -0.01, 0.0, -0.49)
     assert interval(train_file, item, change).calm == pytest.approx(math.exp(-1.0))
 
 
-def test_a_change_of_the_table_takes_the_response_along(train_file: TrainFile, sample: Make) -> None:
-    """The brake acts with f r y, so the acceleration left by the gain before counts with that of now."""
+def test_the_response_scales_with_a_change_of_the_table(train_file: TrainFile, sample: Make) -> None:
+    """The brake acts with f r y, so the acceleration computed with the previous gain is scaled to the present one."""
     before, gain, f, start, command = 1.0, 0.6, 0.9, -0.5, -0.7
     motion = response(start, command)
     moved = interval(train_file, sample(1, brake_command=command), motion, (before, gain))
@@ -60,19 +60,19 @@ def test_a_change_of_the_table_takes_the_response_along(train_file: TrainFile, s
 
 
 @pytest.mark.parametrize('speed', [CONFIG.blend_speed, 0.5 * CONFIG.blend_speed, 15.0])
-def test_slope_changeover_and_level_lean_on_the_speed(train_file: TrainFile, sample: Make, speed: float) -> None:
+def test_slope_changeover_and_level_errors_act_on_the_speed(train_file: TrainFile, sample: Make, speed: float) -> None:
     braked, gain = -0.5 * DT, 0.8
     item = sample(1, speed=speed, brake_command=-0.5)
-    lean = interval(train_file, item, response(-0.5, -0.5), (gain, gain)).lean
+    gains = interval(train_file, item, response(-0.5, -0.5), (gain, gain)).lean
     blend = {CONFIG.blend_speed: 1.0, 0.5 * CONFIG.blend_speed: 0.5}.get(speed, 0.0)
     slope = speed / train_file.train.max_speed - 0.5
-    assert lean[5:] == pytest.approx((gain * braked * slope, gain * braked * blend, -DT), rel=1e-12)
-    # A brake that hardly acts has no level.
+    assert gains[5:] == pytest.approx((gain * braked * slope, gain * braked * blend, -DT), rel=1e-12)
+    # A weak brake has no level error.
     assert interval(train_file, item, response(-0.05, -0.05)).lean[7] == 0.0
 
 
-def test_the_brake_rate_has_its_share_of_the_error_at_its_level(train_file: TrainFile, sample: Make) -> None:
-    """An error of 0.01 m/s^2 is one of 0.02 at a level of 0.5 m/s^2."""
+def test_the_brake_rate_includes_the_level_error(train_file: TrainFile, sample: Make) -> None:
+    """An error of 0.01 m/s^2 is an error of 0.02 in the brake rate at a level of 0.5 m/s^2."""
     model, item = MotionModel(train_file, CONFIG), sample(1, brake_command=-0.5)
     assert model.share(item, 0.5)[7] == pytest.approx(2.0)
     assert model.share(item, 0.05)[7] == 0.0
@@ -87,20 +87,20 @@ def braked(train_file: TrainFile, samples: list[Sample]) -> Kalman:
     return estimator
 
 
-def test_a_changeover_widens_the_brake_rate_by_its_shape(train_file: TrainFile, journey: Journey) -> None:
+def test_a_changeover_adds_its_shape_error_to_the_std(train_file: TrainFile, journey: Journey) -> None:
     samples = journey(12.0, brake=lambda t: -0.4 if t > 2.0 else 0.0, speed=6.0)
     slow = next(k for k, item in enumerate(samples) if item.speed < 1.1 * CONFIG.blend_speed)
     fast = next(k for k, item in enumerate(samples) if item.speed < 2.1 * CONFIG.blend_speed)
-    there, before = braked(train_file, samples[: slow + 1]), braked(train_file, samples[:fast])
+    during, before = braked(train_file, samples[: slow + 1]), braked(train_file, samples[:fast])
     shape = BLEND_SHAPE * CONFIG.blend_std
-    for estimator, blending in ((there, shape), (before, 0.0)):
+    for estimator, blending in ((during, shape), (before, 0.0)):
         state, e = estimator.state, estimator.estimate(0.0)
-        seen = state.rate_variance + (CONFIG.scale_std * state.rate) ** 2
-        assert e.brake_rate_std**2 - seen == pytest.approx(blending**2, abs=1e-12)
+        modelled = state.rate_variance + (CONFIG.scale_std * state.rate) ** 2
+        assert e.brake_rate_std**2 - modelled == pytest.approx(blending**2, abs=1e-12)
 
 
-def test_innovations_that_are_too_large_count_as_noise(train_file: TrainFile, journey: Journey) -> None:
-    """With three times the variance the gate widens by it, and the brake rate is known less well."""
+def test_excess_innovations_increase_the_noise(train_file: TrainFile, journey: Journey) -> None:
+    """With three times the noise variance the gate widens accordingly and the brake rate is less certain."""
     samples = journey(10.0, brake=lambda t: -0.4 if t > 2.0 else 0.0, speed=15.0)
     plain = braked(train_file, samples[:30])
     other = braked(train_file, samples[:30])

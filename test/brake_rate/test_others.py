@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""KF, IMM and RBPF of the nodes beside GSMA: one belief in four forms, and jumps for those that expect them."""
+"""KF, IMM and RBPF compared with GSMA: the same posterior in four forms, and jumps for those that model them."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ def make(train_file: TrainFile, name: str, **settings: float) -> BrakeRateEstima
 
 
 @pytest.mark.parametrize('name', ['GSMA', 'IMM', 'KF', 'RBPF'])
-def test_what_is_saved_long_after_the_brake_was_released_can_be_restored(
+def test_a_state_saved_long_after_the_brake_was_released_can_be_restored(
     train_file: TrainFile, journey: Journey, name: str
 ) -> None:
-    """With a lag of 0.3 s the variance of the brake's acceleration decays below the smallest number."""
+    """With a lag of 0.3 s the variance of the brake acceleration underflows."""
     file = replace(train_file, brake=replace(train_file.brake, time_constant=0.3))
-    whole = make(file, name)
+    original = make(file, name)
     coast = journey(200.0, brake=lambda t: -0.4 if t < 8.0 else 0.0, speed=35.0)
     for i, item in enumerate(coast):
-        whole.step(item)
+        original.step(item)
         if i % 100 == 99:
             copy = make(file, name)
-            copy.restore(whole.save())
-            assert copy.save() == whole.save()
+            copy.restore(original.save())
+            assert copy.save() == original.save()
 
 
 @pytest.fixture(scope='module')
@@ -61,10 +61,10 @@ def expected(_t: float) -> Davis:
 
 
 @pytest.mark.parametrize(('name', 'most'), [('RBPF', 0.25), ('GSMA', 0.1), ('IMM', 1e-9)])
-def test_without_jumps_all_are_the_kalman_filter(
+def test_without_jumps_all_equal_the_kalman_filter(
     train_file: TrainFile, braked: list[Sample], name: str, most: float
 ) -> None:
-    """Differences in deviations of the Kalman filter, until the jump that none of them expects."""
+    """Differences in standard deviations of the Kalman filter, before the jump."""
     plain = {} if name == 'RBPF' else {'jump_rate': 0.0}
     kalman, other = make(train_file, 'KF'), make(train_file, name, **plain)
     differences = []
@@ -78,7 +78,7 @@ def test_without_jumps_all_are_the_kalman_filter(
 
 
 @pytest.mark.parametrize('name', ['GSMA', 'IMM'])
-def test_a_jump_in_mid_brake_is_found(train_file: TrainFile, braked: list[Sample], name: str) -> None:
+def test_a_jump_during_braking_is_detected(train_file: TrainFile, braked: list[Sample], name: str) -> None:
     estimator, kalman = make(train_file, name), make(train_file, 'KF')
     wrong_s = kalman_s = 0.0
     for item in braked:
@@ -91,7 +91,7 @@ def test_a_jump_in_mid_brake_is_found(train_file: TrainFile, braked: list[Sample
     assert wrong_s < 4.0 < kalman_s
 
 
-def test_two_models_count_as_two_only_in_doubt(train_file: TrainFile, braked: list[Sample]) -> None:
+def test_the_effective_number_of_models_exceeds_one_only_at_a_jump(train_file: TrainFile, braked: list[Sample]) -> None:
     estimator, counts = make(train_file, 'IMM'), []
     for item in braked:
         estimator.step(item)
@@ -102,8 +102,8 @@ def test_two_models_count_as_two_only_in_doubt(train_file: TrainFile, braked: li
     assert max(counts[120:145]) > 1.5
 
 
-def in_doubt(jumping: float, config: ImmConfig) -> ImmPosterior:
-    """Return two models of one train, the quiet one far too sure that its speed is 10 m/s."""
+def ambiguous(jumping: float, config: ImmConfig) -> ImmPosterior:
+    """Return two models of one train, the quiet one overconfident that its speed is 10 m/s."""
     posterior, errors = ImmPosterior(config), (0.0,) * 8
     posterior.reset(1.0, 0.2, errors)
     posterior.anchor(Start(10.0, -0.5, (1e-4, 0.0, 0.0)))
@@ -119,14 +119,12 @@ def in_doubt(jumping: float, config: ImmConfig) -> ImmPosterior:
 @pytest.mark.parametrize(
     ('speed', 'calm', 'elapsed', 'jump_rate'),
     [
-        (25.0, 0.0, 0.2, 1e-4),  # a posterior of exactly one, and no time for the jump to end
+        (25.0, 0.0, 0.2, 1e-4),  # a posterior probability of exactly one, and no time for the jump to end
         (10.0, 0.0, 1e3, 1.0),  # a pause after which a jump is certain
     ],
 )
-def test_a_jump_that_is_certain_leaves_a_quiet_model(
-    speed: float, calm: float, elapsed: float, jump_rate: float
-) -> None:
-    posterior = in_doubt(0.5, ImmConfig(jump_rate=jump_rate))
+def test_a_certain_jump_keeps_a_valid_quiet_model(speed: float, calm: float, elapsed: float, jump_rate: float) -> None:
+    posterior = ambiguous(0.5, ImmConfig(jump_rate=jump_rate))
     interval = Transition(0.2, 0.15, 0.6, -0.02, -0.2, 0.99, -0.01, 1e-6, 0.0, calm=calm)
     for _ in range(3):
         posterior.predict(interval)
@@ -153,7 +151,7 @@ def test_a_jump_that_is_certain_leaves_a_quiet_model(
         ('SMA', 'log_weights', [math.nan]),
     ],
 )
-def test_a_saved_belief_that_does_not_fit_is_refused(
+def test_an_invalid_saved_posterior_is_rejected(
     train_file: TrainFile, braked: list[Sample], name: str, key: str, value: Any
 ) -> None:
     estimator = make(train_file, name)
@@ -196,7 +194,7 @@ def test_a_saved_belief_that_does_not_fit_is_refused(
         (('stamp_ns',), 10**40),
     ],
 )
-def test_a_saved_drive_that_would_break_later_is_refused(
+def test_an_invalid_saved_drive_state_is_rejected(
     train_file: TrainFile, braked: list[Sample], path: tuple[Any, ...], wrong: object
 ) -> None:
     estimator = make(train_file, 'KF')
@@ -215,11 +213,11 @@ def test_a_saved_drive_that_would_break_later_is_refused(
 
 
 @pytest.mark.parametrize('name', ['RBPF', 'SMA', 'GSMA-printed'])
-def test_right_after_it_was_restored_it_tells_the_same_to_the_bit(
+def test_the_estimate_right_after_a_restore_is_bit_identical(
     train_file: TrainFile, braked: list[Sample], name: str
 ) -> None:
-    whole, copy = make(train_file, name), make(train_file, name)
+    original, copy = make(train_file, name), make(train_file, name)
     for item in braked:
-        whole.step(item)
-        copy.restore(whole.save())
-        assert repr(copy.estimate(10.0)) == repr(whole.estimate(10.0))
+        original.step(item)
+        copy.restore(original.save())
+        assert repr(copy.estimate(10.0)) == repr(original.estimate(10.0))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The printed model in closed form against the matrix exponential, and the delay that it approximates."""
+"""The printed model in closed form compared with the matrix exponential, and its equilibrium."""
 
 from __future__ import annotations
 
@@ -13,7 +13,9 @@ from trainid_ros.core.errors import InputError
 
 @pytest.mark.parametrize(('dt', 'tau', 'lam'), [(1.0, 0.4, 1.6667), (0.2, 0.63, 2.9), (0.05, 1.5, 0.4)])
 @pytest.mark.parametrize('f', [0.0, 0.73, 1.1])
-def test_it_is_the_exact_discrete_form_of_the_printed_matrices(dt: float, tau: float, lam: float, f: float) -> None:
+def test_the_closed_form_is_the_exact_discretisation_of_the_printed_matrices(
+    dt: float, tau: float, lam: float, f: float
+) -> None:
     A = np.zeros((5, 5))
     A[0, 1] = A[1, 2] = 1.0
     A[2, 2:5] = -1.0 / tau, f / tau, -f / tau
@@ -24,7 +26,7 @@ def test_it_is_the_exact_discrete_form_of_the_printed_matrices(dt: float, tau: f
     assert np.max(np.abs(model.Gamma0 + f * model.Gamma1 - exact[:4, 4])) < 1e-13
 
 
-def test_the_printed_start_is_the_equilibrium_of_a_command_of_minus_one() -> None:
+def test_the_printed_initial_state_is_the_equilibrium_for_a_command_of_minus_one() -> None:
     model = pade_model(1.0, 0.4, 1.6667)
     x = (model.Phi0 + model.Phi1) @ [0.0, 20.0, -1.0, -2.0] - (model.Gamma0 + model.Gamma1)
     assert x == pytest.approx([19.5, 19.0, -1.0, -2.0])
@@ -33,6 +35,6 @@ def test_the_printed_start_is_the_equilibrium_of_a_command_of_minus_one() -> Non
     assert model.next_a_z(-2.0, -1.0) == pytest.approx(-2.0)
 
 
-def test_a_pole_of_the_closed_form_is_told() -> None:
-    with pytest.raises(InputError, match='lam tau not 1'):
+def test_a_pole_of_the_closed_form_is_rejected() -> None:
+    with pytest.raises(InputError, match='lam tau must not be 1'):
         pade_model(1.0, 0.5, 2.0)

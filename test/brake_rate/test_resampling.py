@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Weights and resampling against their definitions."""
+"""Weights and resampling compared with their definitions."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def test_normalised_weights_sum_to_one_at_any_scale(logs: list[float], shift: fl
     assert np.exp(ratio) == pytest.approx(weights, abs=1e-9)
 
 
-def test_impossible_particles_stay_so_unless_all_are() -> None:
+def test_impossible_particles_keep_zero_weight_unless_all_are_impossible() -> None:
     assert np.exp(normalise(np.array([-np.inf, 0.0, 0.0]))) == pytest.approx([0.0, 0.5, 0.5])
     assert np.exp(normalise(np.full(4, -np.inf))) == pytest.approx([0.25] * 4)
 
@@ -36,15 +36,15 @@ def test_effective_number_by_hand() -> None:
 
 
 @given(LOGS, st.integers(1, 50), st.floats(0.0, 1.0, exclude_max=True))
-def test_each_particle_is_kept_as_often_as_its_weight_says(logs: list[float], count: int, uniform: float) -> None:
+def test_each_particle_is_kept_in_proportion_to_its_weight(logs: list[float], count: int, uniform: float) -> None:
     weights = np.exp(normalise(0.01 * np.array(logs)))
     kept = np.bincount(systematic(weights, count, uniform), minlength=len(weights))
     assert kept.sum() == count
-    # Systematic resampling differs from the expectation by less than one; more by rounding only.
+    # Systematic resampling differs from the expectation by less than one, apart from rounding.
     assert np.all(np.abs(kept - count * weights) < 1.0 + 1e-6)
 
 
-def test_resampling_favours_none() -> None:
+def test_resampling_is_unbiased() -> None:
     weights = np.array([0.07, 0.53, 0.0, 0.29, 0.11])
     draws = (np.arange(20_000) + 0.5) / 20_000
     kept = sum(np.bincount(systematic(weights, 7, float(u)), minlength=5) for u in draws) / len(draws)
@@ -52,7 +52,7 @@ def test_resampling_favours_none() -> None:
     assert kept == pytest.approx(7 * weights, abs=1e-3)
 
 
-def test_weights_that_sum_to_less_than_one_do_not_run_over_the_end() -> None:
+def test_weights_that_sum_to_less_than_one_give_valid_indices() -> None:
     weights = np.full(10, 0.1 * (1.0 - 1e-9))
     assert weights.sum() < 1.0
     kept = systematic(weights, 1000, math.nextafter(1.0, 0.0))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Particle filters on a grid: what they branch into, keep and forget; RBPF against one covariance per particle."""
+"""Particle filters on a grid: branching, pruning and weights; RBPF compared with one covariance per particle."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def start(f: list[float]) -> tuple[ThetaCloud, LinearStep, Correction]:
     return ThetaCloud(cloud.f, cloud.log_weights, step.predict(cloud.x, cloud.f)), step, correction(P, H, R)
 
 
-def test_groups_are_those_printed_and_the_missing_one_can_be_had() -> None:
+def test_groups_equal_those_printed_and_the_missing_one_is_available() -> None:
     f = np.array([1.0, 0.9, 0.8, 0.5, 0.1, 0.0])
     printed = printed_groups(GRID, f, PRINTED_FIRST)
     rows = [[0.9, 0.8, 0.7]] * 3 + [[0.6, 0.5, 0.4], [0.2, 0.1, 0.0], [0.2, 0.1, 0.0]]
@@ -48,12 +48,12 @@ def test_children_have_the_state_of_their_own_value() -> None:
     for f in (1.0, 0.3):
         x = step.predict(np.array([[0.0], [20.0], [-1.0]]), np.array([f]))
         expected = (x + fix.K @ (y[:, None] - H @ x))[:, 0]
-        mine = everything.x[:, np.isclose(everything.f, f)]
-        assert mine == pytest.approx(np.column_stack([expected, expected]))
+        found = everything.x[:, np.isclose(everything.f, f)]
+        assert found == pytest.approx(np.column_stack([expected, expected]))
     assert everything.weights.sum() == pytest.approx(1.0)
 
 
-def test_printed_pruning_keeps_the_heaviest_and_stochastic_pruning_keeps_shares() -> None:
+def test_printed_pruning_keeps_the_largest_weights_and_stochastic_pruning_is_unbiased() -> None:
     cloud, step, fix = start([0.9, 0.5, 0.4])
     y = np.array([19.5, 19.0])
     children = all_values(GRID, cloud.f)
@@ -69,15 +69,15 @@ def test_printed_pruning_keeps_the_heaviest_and_stochastic_pruning_keeps_shares(
     assert np.mean(means) == pytest.approx(everything.f @ everything.weights, abs=0.01)
 
 
-def test_weights_carry_over_only_if_told() -> None:
+def test_weights_are_retained_only_if_the_rule_says_so() -> None:
     cloud, step, fix = start([0.9, 0.9])
     cloud = ThetaCloud(cloud.f, np.log([0.9, 0.1]), cloud.x)
     same = cloud.f[None, :]
     y = np.array([19.0, 19.0])
     carried = m_algorithm(cloud, same, step, fix, H, y, MRule(2, 5, carries=True, stochastic=True), 0.5)[0]
-    forgotten = m_algorithm(cloud, same, step, fix, H, y, MRule(2, 5, carries=False, stochastic=True), 0.5)[0]
+    discarded = m_algorithm(cloud, same, step, fix, H, y, MRule(2, 5, carries=False, stochastic=True), 0.5)[0]
     assert carried.weights == pytest.approx([0.9, 0.1])
-    assert forgotten.weights == pytest.approx([0.5, 0.5])
+    assert discarded.weights == pytest.approx([0.5, 0.5])
 
 
 def test_the_optimal_proposal_draws_from_the_posterior_of_the_grid() -> None:
@@ -94,7 +94,7 @@ def test_the_optimal_proposal_draws_from_the_posterior_of_the_grid() -> None:
     assert set(likeliest.f) == {GRID[int(np.argmax(posterior))]}
 
 
-def test_one_shared_covariance_is_the_same_as_one_for_each_particle() -> None:
+def test_one_shared_covariance_equals_one_for_each_particle() -> None:
     model, N, rng = pade_model(1.0, 0.4, 1.6667), 40, np.random.default_rng(5)
     H4, R3 = np.array([[1.0, 0, 0, 0], [0, 1.0, 0, 0], [0, 0, 0, 1.0]]), np.diag([0.3, 0.1, 1e-6])
     f = rng.uniform(0.3, 1.0, N)

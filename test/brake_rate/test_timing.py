@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Gains of speed by errors of dead time and lag, and that they are moved to what has been learned."""
+"""Gains of speed by errors of dead time and lag, and the update of both to their estimates."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ def test_the_gains_are_the_derivatives_of_the_response() -> None:
     h = 1e-3
     delay = (integral(0.6 + h, 0.4, 3.0) - integral(0.6 - h, 0.4, 3.0)) / (2.0 * h)
     lag = (integral(0.6, 0.4 + h, 3.0) - integral(0.6, 0.4 - h, 3.0)) / (2.0 * h)
-    assert sum(step.lean_delay for step in steps) == pytest.approx(delay, rel=0.01)
-    assert sum(step.lean_lag for step in steps) == pytest.approx(lag, rel=0.01)
-    # A late brake loses speed later by all of its acceleration, whatever is late.
+    assert sum(step.delay_gain for step in steps) == pytest.approx(delay, rel=0.01)
+    assert sum(step.lag_gain for step in steps) == pytest.approx(lag, rel=0.01)
+    # The gain is the full brake acceleration, for dead time and lag.
     assert delay == pytest.approx(0.8, rel=0.04)
     assert timing.targets == pytest.approx((-0.8,) * 4, abs=0.03)
 
 
-def test_a_wide_error_leaves_a_variance_while_the_response_changes() -> None:
+def test_a_large_timing_error_adds_variance_while_the_response_changes() -> None:
     _, steps = followed(Timing(0.6, 0.4, (0.3, 0.2)), 5.0)
     variances = np.array([step.variance for step in steps])
     assert variances[:4].max() < 1e-12
@@ -51,7 +51,7 @@ def test_a_wide_error_leaves_a_variance_while_the_response_changes() -> None:
     assert variances[-3:].max() < 1e-5
 
 
-def test_nothing_is_followed_at_rest() -> None:
+def test_without_commands_the_gains_are_zero() -> None:
     timing, step = timing_step(Timing(0.6, 0.4, (0.1, 0.1)), CommandHistory(), 0, STEP_NS, 0.0)
     assert step == TimingStep(0.0, 0.0, 0.0)
     assert not timing.fresh
@@ -59,7 +59,7 @@ def test_nothing_is_followed_at_rest() -> None:
     assert not timing.at_rest(COMMANDS, 2 * NS_PER_S)
 
 
-def test_it_moves_to_what_was_learned_and_stays_possible() -> None:
+def test_the_timing_moves_to_its_estimate_and_stays_valid() -> None:
     timing = Timing(0.6, 0.4, (0.3, 0.2), fresh=True)
     moved = timing.moved((0.15, -0.1), (0.05, 0.5), Brake())
     assert (moved.delay, moved.lag) == pytest.approx((0.75, 0.3))
@@ -68,11 +68,11 @@ def test_it_moves_to_what_was_learned_and_stays_possible() -> None:
     low = timing.moved((-9.0, -9.0), (0.0, 0.0), Brake())
     assert (low.delay, low.lag) == pytest.approx((0.0, 0.1))
     assert min(low.spread) > 0.0
-    # What is known is not learned.
+    # A known timing is not estimated.
     assert Timing(0.6, 0.4, (0.0, 0.0)).moved((0.0, 0.0), (1.0, 1.0), Brake()).spread == (0.0, 0.0)
 
 
-def test_the_four_targets_are_those_of_four_brakes() -> None:
+def test_the_four_targets_equal_those_of_four_brakes() -> None:
     timing, _ = followed(Timing(0.6, 0.4, (0.2, 0.1)), 2.2)
     brakes = ((0.8, 0.4), (0.4, 0.4), (0.6, 0.5), (0.6, 0.3))
     assert timing.variants == pytest.approx(np.array(brakes))

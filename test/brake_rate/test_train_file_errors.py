@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A train file that is wrong in dead time, resistance or brake rate over speed does not mislead the estimators."""
+"""Errors of a train file in dead time, resistance or brake rate over speed do not bias the estimators."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from trainid_ros.train.train_file import Brake, Davis, TrainFile
 
 Journey = Callable[..., list[Sample]]
 NAMES = ('GSMA', 'IMM', 'KF', 'RBPF')
-# Of the journeys.
+# True values of the journeys.
 DELAY, LAG = 0.6, 0.4
 TRUE = Davis(1.5, 0.03, 0.004)
 
@@ -29,7 +29,7 @@ def make(train_file: TrainFile, name: str = 'GSMA', seed: int = 3, **settings: f
 
 
 def stops(t: float) -> float:
-    """Brake in two levels every 50 s, from 20 s on."""
+    """Return a braking in two levels every 50 s, from 20 s on."""
     since = t % 50.0
     return -0.5 if 20.0 < since < 26.0 else -0.8 if 26.0 <= since < 32.0 else 0.0
 
@@ -46,7 +46,7 @@ def stopping(journey: Journey) -> list[Sample]:
 
 @pytest.mark.parametrize('name', NAMES)
 @pytest.mark.parametrize('late', [-0.3, 0.3])
-def test_a_dead_time_wrong_by_three_tenths_is_learned(
+def test_a_dead_time_error_of_three_tenths_is_estimated(
     train_file: TrainFile, stopping: list[Sample], name: str, late: float
 ) -> None:
     brake = Brake(1.0, LAG, DELAY + late)
@@ -54,14 +54,14 @@ def test_a_dead_time_wrong_by_three_tenths_is_learned(
     for item in stopping:
         estimator.step(item)
     timing, e = estimator.state.timing, estimator.estimate(0.0)
-    # Dead time and lag together are what delays the train.
+    # The train responds to the sum of dead time and lag.
     assert timing.delay + timing.lag == pytest.approx(DELAY + LAG, abs=0.14)
     assert e.brake_rate == pytest.approx(0.9, abs=0.04)
     assert abs(e.brake_rate - 0.9) < 3.0 * e.brake_rate_std
 
 
-def test_the_first_braking_is_not_misled_by_it(train_file: TrainFile, journey: Journey) -> None:
-    """The command comes 0.3 s early: at a rate of 0.9, as one of 1.03 in the first two seconds."""
+def test_a_dead_time_error_does_not_bias_the_first_braking(train_file: TrainFile, journey: Journey) -> None:
+    """The brake acts 0.3 s early: a rate of 0.9 looks like 1.03 in the first two seconds."""
     errors = []
     for seed in range(4):
         estimator = make(replace(train_file, brake=Brake(1.0, LAG, DELAY + 0.3)), seed=seed)
@@ -82,7 +82,7 @@ def test_the_first_braking_is_not_misled_by_it(train_file: TrainFile, journey: J
 
 
 @pytest.mark.parametrize('factor', [0.7, 1.3])
-def test_a_wrong_resistance_is_learned_between_brakings(
+def test_a_resistance_error_is_estimated_between_brakings(
     train_file: TrainFile, stopping: list[Sample], factor: float
 ) -> None:
     wrong = Davis(TRUE.a * factor, TRUE.b * factor, TRUE.c * factor)
@@ -97,47 +97,47 @@ def test_a_wrong_resistance_is_learned_between_brakings(
     assert learned + (1.0 + e[3]) * 400.0 * wrong.c == pytest.approx(w, rel=0.2)
 
 
-def test_a_table_over_speed_makes_the_estimate_its_factor(train_file: TrainFile, stopping: list[Sample]) -> None:
-    """With a table of 0.8 at all speeds, the rate of 0.9 is 1.125 of it."""
+def test_with_a_table_over_speed_the_estimate_is_a_factor_on_it(train_file: TrainFile, stopping: list[Sample]) -> None:
+    """With a table of 0.8 at all speeds, a rate of 0.9 is a factor of 1.125."""
     estimator = make(replace(train_file, brake=Brake(1.0, LAG, DELAY, ((0.0, 0.8), (30.0, 0.8)))))
     for item in stopping:
         estimator.step(item)
     assert estimator.estimate(0.0).brake_rate == pytest.approx(1.125, abs=0.02)
 
 
-def test_a_table_that_is_right_leaves_no_slope(train_file: TrainFile, journey: Journey) -> None:
+def test_a_correct_table_leaves_no_slope_error(train_file: TrainFile, journey: Journey) -> None:
     table, samples = ((0.0, 1.1), (25.0, 0.85)), []
     brake = Brake(1.0, LAG, DELAY, table)
     for item in journey(200.0, brake=stops, traction=power, rate=lambda _: 1.0, resistance=lambda _: TRUE, speed=24.0):
-        # The journey knows no table, but one command is as good: levels times the table at the speed.
+        # The journey has no table, so the commands are divided by the table at the speed.
         changes = tuple(
             replace(c, target_acceleration=c.target_acceleration / brake.rate_at(item.speed))
             for c in item.brake_changes
         )
         samples.append(replace(item, brake_changes=changes))
-    right = make(replace(train_file, brake=brake))
+    estimator = make(replace(train_file, brake=brake))
     for item in samples:
-        right.step(item)
-    assert right.estimate(0.0).brake_rate == pytest.approx(1.0, abs=0.06)
+        estimator.step(item)
+    assert estimator.estimate(0.0).brake_rate == pytest.approx(1.0, abs=0.06)
 
 
-def test_uncertain_timing_widens_the_band_while_the_brake_sets_in(train_file: TrainFile, journey: Journey) -> None:
+def test_uncertain_timing_widens_the_band_while_the_brake_is_applied(train_file: TrainFile, journey: Journey) -> None:
     samples = journey(10.0, brake=lambda t: -0.7 if t > 4.0 else 0.0, speed=22.0, rate=lambda _: 0.9)
     known = replace(train_file, brake=replace(train_file.brake, timing_std=0.0))
-    sure, unsure = make(known), make(train_file)
+    exact, uncertain = make(known), make(train_file)
     ratios = []
     for item in samples:
-        sure.step(item)
-        unsure.step(item)
-        if unsure.state.observable:
-            ratios.append(unsure.estimate(0.0).brake_rate_std / sure.estimate(0.0).brake_rate_std)
+        exact.step(item)
+        uncertain.step(item)
+        if uncertain.state.observable:
+            ratios.append(uncertain.estimate(0.0).brake_rate_std / exact.estimate(0.0).brake_rate_std)
     assert max(ratios[:6]) > 1.1
     assert ratios[-1] < 1.3
 
 
 @pytest.mark.parametrize('name', ['GSMA', 'KF'])
 def test_the_band_covers_the_truth_on_fresh_seeds(train_file: TrainFile, journey: Journey, name: str) -> None:
-    """Dead time, resistance and rate are drawn; 12 drives give 95 % with a spread of some 6 %."""
+    """Dead time, resistance and rate are random; 12 drives give 95 % with a spread of about 6 %."""
     rng, inside = np.random.default_rng(), []
     for _ in range(12):
         f, late, factor = float(rng.uniform(0.75, 1.1)), float(rng.uniform(-0.3, 0.3)), float(rng.uniform(0.7, 1.3))
@@ -156,17 +156,17 @@ def test_the_band_covers_the_truth_on_fresh_seeds(train_file: TrainFile, journey
 
 
 @pytest.mark.parametrize('name', NAMES)
-def test_saved_and_restored_at_any_time_it_goes_on_to_the_bit(
+def test_a_run_saved_and_restored_at_any_time_continues_bit_identical(
     train_file: TrainFile, stopping: list[Sample], name: str
 ) -> None:
-    """In the dead time, at a change of level, at release, and after timing was moved."""
+    """In the dead time, at a change of level, at release, and after the timing was updated."""
     file = replace(train_file, brake=Brake(1.0, LAG, DELAY + 0.2))
     for middle in (103, 132, 162, 190):
-        whole, copy = make(file, name), make(file, name, seed=99)
+        original, copy = make(file, name), make(file, name, seed=99)
         for item in stopping[:middle]:
-            whole.step(item)
-        copy.restore(whole.save())
+            original.step(item)
+        copy.restore(original.save())
         for item in stopping[middle : middle + 60]:
-            assert repr(copy.step(item)) == repr(whole.step(item))
-        assert copy.save() == whole.save()
-        assert math.isfinite(whole.estimate(0.0).brake_rate)
+            assert repr(copy.step(item)) == repr(original.step(item))
+        assert copy.save() == original.save()
+        assert math.isfinite(original.estimate(0.0).brake_rate)

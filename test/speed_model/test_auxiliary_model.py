@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The kernels on [x, theta] against matrices."""
+"""The kernels on [x, theta] compared with matrix algebra."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def relative(found: Array, expected: Array) -> float:
     return float(np.max(np.abs(found - expected) / np.outer(std, std)))
 
 
-def test_prediction_is_that_of_the_extended_kalman_filter() -> None:
+def test_prediction_equals_that_of_the_extended_kalman_filter() -> None:
     m, u, scale, noise, drift = driven(), 15.0, 1.3, 2e-6, 3e-9
     z, P = state(m), matrix(m)
 
@@ -61,7 +61,7 @@ def test_prediction_is_that_of_the_extended_kalman_filter() -> None:
         x, a1, a2, b1, d0 = z
         return np.array([x + scale * (a1 * x * x + (a2 - 1.0) * x + b1 * u + d0), a1, a2, b1, d0])
 
-    # Complex steps: the Jacobian to the last digit.
+    # Complex-step differentiation: the Jacobian to machine precision.
     h = 1e-20
     F = np.array([step(z + 1j * h * e).imag / h for e in np.eye(5)]).T
     Q = np.diag([noise * scale, 0.0, 0.0, 0.0, 0.0])
@@ -71,7 +71,7 @@ def test_prediction_is_that_of_the_extended_kalman_filter() -> None:
     assert relative(matrix(after), F @ P @ F.T + Q) < 1e-9
 
 
-def test_correction_is_that_of_the_kalman_filter() -> None:
+def test_correction_equals_that_of_the_kalman_filter() -> None:
     m = predict(driven(), 3.0, 1.0, 1e-6, 0.0)
     P, error = matrix(m), 0.03
     K = P[:, 0] / (P[0, 0] + R)
@@ -87,7 +87,7 @@ def given_b1(P: Array) -> Array:
     return np.array(P[np.ix_(rest, rest)] - np.outer(P[rest, 3], P[rest, 3]) / P[3, 3])
 
 
-def test_forgetting_multiplies_information_down_to_that_of_the_prior_and_keeps_the_mass() -> None:
+def test_forgetting_scales_information_towards_the_prior_and_keeps_the_mass() -> None:
     m, lam = driven(), 0.7
     after = forget(m, lam, prior_floor(P0))
     C, floor = given_b1(matrix(m)), np.diag(np.reciprocal(prior_floor(P0)))
@@ -99,7 +99,7 @@ def test_forgetting_multiplies_information_down_to_that_of_the_prior_and_keeps_t
     assert np.linalg.eigvalsh(matrix(after) / np.outer(std, std)).min() > -1e-9
 
 
-def test_forgetting_for_ever_ends_at_the_prior() -> None:
+def test_repeated_forgetting_converges_to_the_prior() -> None:
     m, before = driven(), matrix(driven())
     for _ in range(200):
         m = forget(m, 0.8, prior_floor(P0))
@@ -113,7 +113,7 @@ def test_the_prior_of_the_davis_parameters_given_the_mass_is_diagonal() -> None:
     assert relative(given_b1(P), np.diag(prior_floor(P0))) < 1e-9
 
 
-def test_an_anchor_leaves_theta_and_a_stop_widens_b1_alone() -> None:
+def test_an_anchor_keeps_theta_and_a_stop_widens_only_b1() -> None:
     m = driven()
     at = anchor(m, 3.0, R)
     assert state(at)[0] == 3.0
@@ -125,19 +125,19 @@ def test_an_anchor_leaves_theta_and_a_stop_widens_b1_alone() -> None:
     assert np.count_nonzero(wider) == 1
 
 
-def test_doubt_of_the_force_widens_x_alone() -> None:
+def test_force_uncertainty_widens_only_x() -> None:
     m = driven()
     after = widen_speed(m, 1e-4)
     assert after[5] - m[5] == pytest.approx(1e-4, rel=1e-9)
     assert (*after[:5], *after[6:]) == (*m[:5], *m[6:])
 
 
-def test_arrays_give_what_floats_give() -> None:
-    one = driven()
-    two: Any = tuple(np.array([x, x]) for x in one)
+def test_arrays_give_the_same_result_as_floats() -> None:
+    single = driven()
+    pair: Any = tuple(np.array([x, x]) for x in single)
     floor = prior_floor(P0)
 
     def all_three(m: Any) -> Array:
         return np.array(forget(correct(predict(m, 4.0, 1.0, 1e-6, 1e-9), 0.01, R), 0.9, floor))
 
-    assert all_three(two)[:, 1] == pytest.approx(all_three(one), rel=1e-14, abs=0)
+    assert all_three(pair)[:, 1] == pytest.approx(all_three(single), rel=1e-14, abs=0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The integral form: exact without noise, regressions by hand, and no bias where one step is biased."""
+"""The integral form: exact without noise, regressions computed by hand, and no bias, unlike the one-step form."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def model(x: float, u: float) -> float:
     return a1 * x * x + a2 * x + b1 * u + d0
 
 
-def test_the_true_model_without_noise_stays_and_is_ever_surer() -> None:
+def test_without_noise_the_true_model_is_kept_and_its_variance_shrinks() -> None:
     method = IntegralRls(THETA, P0, TUNING)
     numbers, x = method.anchor(method.start(1e-4), 8.0, 1e-4), 8.0
     for n in range(200):
@@ -46,18 +46,18 @@ def test_the_true_model_without_noise_stays_and_is_ever_surer() -> None:
     assert not method.fits(numbers[:-1])
 
 
-def test_a_regression_is_the_change_over_the_window() -> None:
+def test_a_regression_uses_the_change_over_the_window() -> None:
     xs, us = [8.0], [10.0, -3.0, 20.0]
     for u in us:
         xs.append(model(xs[-1], u))
     window = [value for x, u in zip(xs, us, strict=False) for value in (x * x, x, u, 1.0, x + 0.01)]
     error, summed = regression(THETA, tuple(window), xs[3] + 0.05)
-    # The model is right, so what is left is the noise at both ends.
+    # The model is exact, so only the noise at both ends remains.
     assert error == pytest.approx(0.05 - 0.01, abs=1e-12)
     assert summed == pytest.approx((sum(x * x for x in xs[:3]), sum(xs[:3]), 27.0, 3.0))
 
 
-def test_a_stop_begins_the_window_anew_and_widens_b1() -> None:
+def test_a_stop_restarts_the_window_and_widens_b1() -> None:
     method = IntegralRls(THETA, P0, TUNING)
     numbers = method.anchor(method.start(1e-4), 8.0, 1e-4)
     for _ in range(4):
@@ -68,7 +68,7 @@ def test_a_stop_begins_the_window_anew_and_widens_b1() -> None:
     assert stopped[12] - numbers[12] == pytest.approx(1e-8)
 
 
-def test_it_is_not_misled_by_white_noise(train_file: TrainFile, journey: Callable[..., list[Sample]]) -> None:
+def test_white_noise_causes_no_bias(train_file: TrainFile, journey: Callable[..., list[Sample]]) -> None:
     errors = []
     for seed in range(3):
         estimator = SpeedIntegralRls(train_file, IntegralRlsConfig())
@@ -82,8 +82,8 @@ def test_it_is_not_misled_by_white_noise(train_file: TrainFile, journey: Callabl
 
 
 @pytest.mark.parametrize('noise', [0.0, 4e-4])
-def test_the_stated_variance_is_that_of_the_error(noise: float) -> None:
-    """Parameters drawn from the prior (a tenth of it), white noise of speed, gusts of the stated size."""
+def test_the_predicted_variance_matches_the_error(noise: float) -> None:
+    """Parameters drawn from the prior (a tenth of it), white speed noise, gusts of the modelled size."""
     rng, variance, few = np.random.default_rng(20), 4e-4, tuple(0.01 * p for p in P0)
     tuning = TUNING._replace(window=10, hop=1, noise=noise)
     L = np.linalg.cholesky(np.array(full(few)).reshape(4, 4))  # type: ignore[arg-type]
@@ -99,12 +99,12 @@ def test_the_stated_variance_is_that_of_the_error(noise: float) -> None:
             learned = method.learn(numbers, x + 0.02 * rng.standard_normal(), u, 1.0, variance)
             numbers = learned.numbers
             (early if n < 20 else late).append(learned.error**2 / learned.variance)
-    # Of 1000 and 6500 squares that are correlated; clipping is rare.
+    # From 1000 and 6500 correlated squares; clipping is rare.
     assert np.mean(early) == pytest.approx(1.0, abs=0.2)
     assert np.mean(late) == pytest.approx(1.0, abs=0.1)
 
 
-def test_it_becomes_sure_enough_to_use_and_says_how_sure(
+def test_the_estimate_becomes_valid_and_its_variance_matches_the_errors(
     train_file: TrainFile, journey: Callable[..., list[Sample]]
 ) -> None:
     estimator = SpeedIntegralRls(train_file, IntegralRlsConfig())
@@ -117,7 +117,7 @@ def test_it_becomes_sure_enough_to_use_and_says_how_sure(
     assert 0.6 < np.mean(ratios) < 1.25
 
 
-def test_an_outlier_counts_little_and_a_lasting_change_is_believed() -> None:
+def test_an_outlier_is_clipped_and_a_lasting_change_is_followed() -> None:
     method = IntegralRls(THETA, tuple(1e-6 * p for p in P0), TUNING._replace(noise=3e-6))  # type: ignore[arg-type]
     numbers = method.anchor(method.start(4e-4), 8.0, 4e-4)
     for _ in range(50):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The map between speed model and physics, and the prior through it."""
+"""The map between speed model and physical parameters, and the prior of theta."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ T = 0.2
 DAVIS, K = (1.7, 0.02, 0.0086), 9.80665 / 1080.0
 
 
-def test_the_map_is_forward_euler_and_goes_back() -> None:
+def test_the_map_is_forward_euler_and_invertible() -> None:
     theta = to_speed_model(DAVIS, K)
     x, u = 14.0, 25.0
     stepped = x + T * K * (u - (1.7 + 0.02 * x + 0.0086 * x * x))
@@ -31,8 +31,8 @@ def test_the_map_is_forward_euler_and_goes_back() -> None:
     assert to_physical(theta, K) == pytest.approx((*DAVIS, 1.0), rel=1e-10)
 
 
-def test_the_prior_means_what_the_settings_say() -> None:
-    """By Monte Carlo, with a tenth of the deviations, where the map is linear enough; the covariance is scaled back."""
+def test_the_prior_follows_from_the_settings() -> None:
+    """Monte Carlo with a tenth of the standard deviations, where the map is linear; the covariance is scaled back."""
     config, davis = SpeedModelConfig(), (1.5, 0.03, 0.004)
     rng = np.random.default_rng(3)
     n = 100_000
@@ -50,13 +50,13 @@ def test_the_prior_means_what_the_settings_say() -> None:
     assert np.cov(thetas) * 100.0 / np.outer(std, std) == pytest.approx(found / np.outer(std, std), abs=0.02)
 
 
-def test_a_symmetric_matrix_goes_in_and_out() -> None:
+def test_a_symmetric_matrix_survives_the_round_trip() -> None:
     rng = np.random.default_rng(1)
     A = rng.standard_normal((4, 4))
     assert np.array(full(upper(A + A.T))).reshape(4, 4) == pytest.approx(A + A.T)
 
 
-def test_the_variance_of_the_resistance_is_that_of_its_gradient() -> None:
+def test_the_variance_of_the_resistance_follows_from_its_jacobian() -> None:
     theta, S = prior(DAVIS, K, SpeedModelConfig(), 0.05)
 
     def w(t: np.ndarray, v: float) -> float:

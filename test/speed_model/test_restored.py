@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A saved speed model that would break a later step is refused, by the name of the field, and nothing changes."""
+"""An invalid saved speed model is rejected with the name of the field, and the estimator is unchanged."""
 
 from __future__ import annotations
 
@@ -44,8 +44,8 @@ def curved(journey: Journey) -> list[Sample]:
 
 
 def rejected(estimator: SpeedModelEstimator, path: tuple[Any, ...], wrong: object) -> str:
-    """Restore the state of the estimator with one number changed; return what was said."""
-    before, learned, braked_ns = estimator.save(), estimator.state, estimator._admission.braked_ns
+    """Restore the state of the estimator with one number changed; return the error message."""
+    before, state, braked_ns = estimator.save(), estimator.state, estimator._admission.braked_ns
     data = json.loads(before)
     part = data['state']
     for key in path[:-1]:
@@ -54,7 +54,7 @@ def rejected(estimator: SpeedModelEstimator, path: tuple[Any, ...], wrong: objec
     part[path[-1]] = wrong
     with pytest.raises(InputError) as error:
         estimator.restore(json.dumps(data))
-    assert estimator.state is learned
+    assert estimator.state is state
     assert estimator._admission.braked_ns == braked_ns
     return str(error.value)
 
@@ -96,7 +96,7 @@ def rejected(estimator: SpeedModelEstimator, path: tuple[Any, ...], wrong: objec
         (('curves', 'values'), [0.0] * 7),
     ],
 )
-def test_a_number_that_would_break_a_later_step_is_refused_by_name(
+def test_an_invalid_number_is_rejected_by_name(
     train_file: TrainFile, curved: list[Sample], path: tuple[Any, ...], wrong: object
 ) -> None:
     estimator = make(train_file, 'AM-VFF-RLS')
@@ -116,11 +116,11 @@ def test_a_number_that_would_break_a_later_step_is_refused_by_name(
         ('integral-RLS', 17, -1.0),
         ('integral-RLS', 18, -1.0),
         ('VFF-RLS', 5, -1.0),
-        # No variance is negative, but that of the resistance at the speeds driven is.
+        # All variances are positive except that of the resistance at the speeds driven.
         ('VFF-RLS', 8, -1e30),
     ],
 )
-def test_the_other_algorithms_are_checked_too(
+def test_states_of_the_other_algorithms_are_checked_too(
     train_file: TrainFile, curved: list[Sample], name: str, place: int, wrong: float
 ) -> None:
     estimator = make(train_file, name)
@@ -129,8 +129,8 @@ def test_the_other_algorithms_are_checked_too(
     assert 'numbers' in rejected(estimator, ('numbers', place), wrong)
 
 
-def test_a_window_longer_than_that_of_the_settings_is_refused(train_file: TrainFile, curved: list[Sample]) -> None:
-    """It would never be full, so nothing would be learned any more."""
+def test_a_window_longer_than_in_the_settings_is_rejected(train_file: TrainFile, curved: list[Sample]) -> None:
+    """It would never have the right length, so theta would never be updated again."""
     estimator = make(train_file, 'integral-RLS')
     for item in curved[:125]:
         estimator.step(item)
@@ -138,10 +138,10 @@ def test_a_window_longer_than_that_of_the_settings_is_refused(train_file: TrainF
 
 
 @pytest.mark.parametrize('name', NAMES)
-def test_every_state_that_was_saved_is_taken_over(train_file: TrainFile, curved: list[Sample], name: str) -> None:
-    whole, copy = make(train_file, name), make(train_file, name)
-    copy.restore(whole.save())
+def test_every_saved_state_is_restored(train_file: TrainFile, curved: list[Sample], name: str) -> None:
+    original, copy = make(train_file, name), make(train_file, name)
+    copy.restore(original.save())
     for item in curved:
-        whole.step(item)
-        copy.restore(whole.save())
-        assert copy.save() == whole.save()
+        original.step(item)
+        copy.restore(original.save())
+        assert copy.save() == original.save()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The algorithms of the paper against a literal reading of (5) and (7) in their computable order."""
+"""The algorithms of the paper compared with (5) and (7) written out in their computable order."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ CASES = [
 
 
 @pytest.mark.parametrize('tuning', CASES)
-def test_it_is_the_algorithm_of_the_paper(tuning: Tuning) -> None:
+def test_the_recursion_is_the_algorithm_of_the_paper(tuning: Tuning) -> None:
     rng = np.random.default_rng(11)
     u = 30.0 * (np.arange(300) % 40 < 20) - 10.0
     y = 10.0 + np.concatenate([[0.0], np.cumsum(0.0018 * u[:-1])]) + 0.03 * rng.standard_normal(300)
@@ -73,7 +73,7 @@ def test_as_printed_the_forgetting_factor_turns_negative() -> None:
     assert learn(numbers, 12.0, 0.0, 1.0, 0.02, Tuning(0.0, 1e-3, 0.9, 1e9)).forgetting == 0.9
 
 
-def test_the_gate_refuses_and_coasts() -> None:
+def test_the_gate_rejects_and_predicts() -> None:
     numbers = (10.0, *THETA, *(1e-12 * p for p in P0))
     learned = learn(numbers, 12.0, 0.0, 1.0, 0.02, Tuning(0.0, 0.0, 0.9, 5.0))
     assert learned.rejected
@@ -82,7 +82,7 @@ def test_the_gate_refuses_and_coasts() -> None:
 
 
 @pytest.mark.parametrize('config', [RLS, VFF_RLS, AM_RLS, AM_VFF_RLS])
-def test_on_a_journey_the_mass_is_found_or_the_run_is_lost_and_begun_anew(
+def test_on_a_journey_the_mass_is_estimated_and_few_samples_are_lost(
     train_file: TrainFile, journey: Journey, config: RlsConfig
 ) -> None:
     estimator = PaperRls(train_file, config)
@@ -95,7 +95,7 @@ def test_on_a_journey_the_mass_is_found_or_the_run_is_lost_and_begun_anew(
     assert used[-1].mass_factor == pytest.approx(1.08, rel=0.15)
 
 
-def test_a_lost_run_begins_anew(train_file: TrainFile, sample: Callable[..., Sample]) -> None:
+def test_a_diverged_run_restarts(train_file: TrainFile, sample: Callable[..., Sample]) -> None:
     config = replace(AM_VFF_RLS, forgetting_scale=1e-3)
     estimator = PaperRls(train_file, config)
     answers = [estimator.step(sample(i, speed=15.0 + (i % 3))) for i in range(50)]

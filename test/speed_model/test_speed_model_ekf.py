@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The EKF: what it finds, and that it is AM-VFF-RLS without forgetting."""
+"""The EKF: accuracy, and equality with AM-VFF-RLS without forgetting."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def saw_tooth(t: float) -> float:
     return 30.0 if t % 140.0 < 40.0 else 0.0
 
 
-def test_it_finds_resistance_and_mass(train_file: TrainFile, journey: Journey) -> None:
+def test_resistance_and_mass_are_estimated(train_file: TrainFile, journey: Journey) -> None:
     estimator = SpeedEkf(train_file, EkfConfig())
     for item in journey(400.0, traction=saw_tooth, speed=8.0):
         estimator.step(item)
@@ -30,7 +30,7 @@ def test_it_finds_resistance_and_mass(train_file: TrainFile, journey: Journey) -
     assert e.forgetting_factor == 1.0
 
 
-def test_it_is_am_vff_rls_that_never_forgets(train_file: TrainFile, journey: Journey) -> None:
+def test_it_equals_am_vff_rls_without_forgetting(train_file: TrainFile, journey: Journey) -> None:
     ekf = SpeedEkf(train_file, EkfConfig())
     config = replace(AmVffRlsConfig(), threshold=1e3, change_threshold=1e3, drift=EkfConfig().drift)
     never = AmVffRls(train_file, config)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the estimator does around an algorithm: stops with and without weighing, changes, and the delay of the force."""
+"""The estimator apart from the algorithm: stops with and without weighing, changes, and the delay of the force."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from trainid_ros.train.train_file import TrainFile
 Make = Callable[..., Sample]
 Journey = Callable[..., list[Sample]]
 CONFIG = AmVffRlsConfig()
-# Places of var(a2), var(b1) and var(d0) in the numbers.
+# Indices of var(a2), var(b1) and var(d0) in the numbers.
 A2, B1, D0 = 14, 17, 19
 
 
@@ -51,24 +51,24 @@ def test_a_stop_adds_the_error_of_weighing_or_of_the_load(
     assert estimator.state.numbers[B1] - before == pytest.approx(added, rel=1e-6, abs=0.0)
 
 
-def test_windows_that_agree_make_it_forget_the_resistance_and_not_the_mass(
+def test_window_errors_of_one_sign_cause_forgetting_of_the_resistance_only(
     train_file: TrainFile, powered: list[Sample]
 ) -> None:
     estimator = learned(train_file, powered)
     numbers, disturbance = estimator.state.numbers, replace(estimator.state.disturbance, elapsed=0.0, density=2e-3)
     share = 1.1 * math.sqrt(CONFIG.change_threshold) / math.sqrt(disturbance.chi2 / disturbance.agreed**2)
-    below, kept = estimator._changed(numbers, replace(disturbance, agreed=0.8 * share))
+    below, kept = estimator._detect_change(numbers, replace(disturbance, agreed=0.8 * share))
     assert (below, kept.agreed) == (numbers, 0.8 * share)
-    after, begun = estimator._changed(numbers, replace(disturbance, agreed=share))
+    after, restarted = estimator._detect_change(numbers, replace(disturbance, agreed=share))
     assert min(after[A2] / numbers[A2], after[D0] / numbers[D0]) > 1.01
     assert after[B1] == pytest.approx(numbers[B1], rel=1e-9)
     assert after[:5] == numbers[:5]
-    # What the change did to the windows was no gust.
-    assert (begun.agreed, begun.density) == (0.0, estimator.state.disturbance.density)
+    # The effect of the change on the windows does not count as gusts.
+    assert (restarted.agreed, restarted.density) == (0.0, estimator.state.disturbance.density)
 
 
-def test_x_moves_with_the_time_that_it_is_compared_at(train_file: TrainFile, powered: list[Sample]) -> None:
-    """At 0.8 m/s^2 a delay that is longer by d puts the train 0.8 d back, less what the force explains by now."""
+def test_x_moves_with_a_change_of_the_delay(train_file: TrainFile, powered: list[Sample]) -> None:
+    """At 0.8 m/s^2 a delay longer by d lowers x by 0.8 d, minus d times the remaining sensitivity to the delay."""
     estimator = learned(train_file, powered)
     speeds = RecentValues()
     for k in range(6):

@@ -22,7 +22,16 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class BrakeStep:
-    """Coefficients of the exact response over an interval; see the module. ``start_target`` is for f = 1."""
+    """Coefficients of the exact response over an interval; see the module.
+
+    Attributes:
+        decay: Share of the initial brake acceleration left at the end [1].
+        reach: Gain of speed per initial brake acceleration [s].
+        gain_a: Gain of brake acceleration by the command for f = 1 [m/s^2].
+        gain_v: Gain of speed by the command for f = 1 [m/s].
+        start_target: Brake acceleration at the start for f = 1 [m/s^2].
+
+    """
 
     decay: float
     reach: float
@@ -37,7 +46,7 @@ class BrakeStep:
 
 
 def brake_step(commands: CommandHistory, brake: Brake, start_ns: int, end_ns: int, start_target: float) -> BrakeStep:
-    """Return the response over (start, end] to the command before the dead time.
+    """Return the response over (start, end] [ns] to the command delayed by the dead time, eq. (1).
 
     ``start_target`` is the brake acceleration at the start for f = 1 [m/s^2].
     """

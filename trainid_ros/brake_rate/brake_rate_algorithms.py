@@ -13,7 +13,7 @@ from trainid_ros.brake_rate.rbpf import Rbpf, RbpfConfig
 from trainid_ros.core.results import BrakeRateEstimate
 from trainid_ros.estimators.registry import Algorithm, Algorithms
 
-# They begin with the whole grid, whatever is believed.
+# Settings not offered for the printed algorithms: they start with all values of the grid, whatever the prior.
 _GRID: Final = frozenset({'prior_std'})
 
 BRAKE_RATE: Final = Algorithms[BrakeRateEstimate](
@@ -23,8 +23,10 @@ BRAKE_RATE: Final = Algorithms[BrakeRateEstimate](
         GsmaConfig(),
         Gsma,
     ),
-    Algorithm('KF', 'linear Kalman filter: exact and cheapest, but slow to follow a jump', KalmanConfig(), Kalman),
-    Algorithm('IMM', 'two Kalman filters, drifting and jumping; as good as GSMA and cheaper', ImmConfig(), Imm),
+    Algorithm('KF', 'linear Kalman filter: exact and cheapest, but slow after a jump', KalmanConfig(), Kalman),
+    Algorithm(
+        'IMM', 'two Kalman filters, one for drift and one for jumps; as accurate as GSMA and cheaper', ImmConfig(), Imm
+    ),
     Algorithm('RBPF', 'Rao-Blackwellised particle filter of a drifting rate', RbpfConfig(), Rbpf),
     Algorithm('SMA', 'stochastic M-algorithm as printed; for comparison', PrintedConfig(), Sma, _GRID),
     Algorithm(

@@ -1,15 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What all estimators of the brake rate have in common: which samples tell of f, and what moves the train.
+"""Common part of all brake rate estimators: which samples update f, and the motion model of the train.
 
-After Zheng et al. 2015, section 2, with these corrections:
+Based on Zheng et al. 2015, section 2, with these corrections:
 
 * The command passes an exact dead time (the paper: first-order Pade); a_z is then known and needs no state.
-* b, an unmodelled acceleration that decorrelates over distance (gradient map, wind), is a state: without it
-  it would be taken for brake rate (the paper: white noise). The gradient and running resistance that are
-  known act as input.
-* What the train file states wrong is a state too: dead time and lag, running resistance, traction, and a brake
-  rate that changes with speed and with the level of the brake.
-* Standstill and traction never feed f. While no brake acts, its variance grows by q per second, exactly.
+* b, an unmodelled acceleration that decorrelates over distance (gradient map, wind), is a state: otherwise it would
+  be attributed to the brake rate (the paper: white noise). The known gradient and running resistance are inputs.
+* Errors of the train file are states too: dead time and lag, running resistance, traction, and a brake rate that
+  changes with speed and with the brake level.
+* Standstill and traction never update f. While no brake acts, its variance grows by exactly q per second.
 """
 
 from __future__ import annotations
@@ -36,46 +35,52 @@ if TYPE_CHECKING:
     from trainid_ros.core.samples import Sample
     from trainid_ros.train.train_file import TrainFile
 
-# The brake is known again this many time constants after its command is.
+# After missing commands the state of the brake is known again this many time constants later.
 _SETTLING: Final = 6.0
 _POSITION_GAIN: Final = 0.1
-# Doubt about the brake's acceleration where the train state starts anew [m/s^2].
+# Standard deviation of the brake acceleration at a restart of the train state [m/s^2].
 _ANCHOR_BRAKE_STD: Final = 0.05
 _ANCHORING: Final = frozenset({Reason.GAP, Reason.STANDSTILL, Reason.BRAKE_COMMAND_MISSING, Reason.BRAKE_UNCERTAIN})
 _HISTORY_S: Final = 60.0
-# A brake that is released, and traction whose error is small enough, to learn of the disturbance.
+# The disturbance is estimated while braking is below this [m/s^2] and the traction error below this share of its std.
 _RELEASED: Final = 1e-3
 _SLACK: Final = 0.5
-# Memory of the squared innovations in samples, most that one of them counts, and most that all of them do.
+# Memory of the squared innovations in samples, limit of each of them, and limit of the resulting factor.
 _MEMORY: Final = 100.0
 _MOST: Final = 9.0
 _MOST_EXCESS: Final = 10.0
-# A rate is below its limit if it is so by this many standard deviations.
+# A valid rate is below its limit by at least this many standard deviations.
 _CLEAR: Final = 3.0
 LARGEST_RATE: Final = 3.0
-"""The brake rate is at most so many times the believed one."""
+"""Largest brake rate, as a multiple of the train file's value."""
 
 
 @dataclass(slots=True)
 class DriveState:
-    """All that is remembered besides the belief.
+    """State other than the posterior.
 
     Attributes:
         noise: Noise of the measured speed.
         disturbance: Size of the unmodelled acceleration.
         commands: Brake commands that may still act.
-        stamp_ns: Stamp of the newest sample, 0 before the first.
+        stamp_ns: Stamp of the newest sample [ns], 0 before the first.
         filtered_target: Command after dead time and lag of a nominal brake [m/s^2].
-        unbraked_s: Time since f last learned [s], whose drift the belief does not hold yet.
-        certain_ns: Stamp from which on the brake's state is known again after commands were missed.
-        timing: Dead time and lag of the brake as learned.
-        rate: Brake rate at the speed and level at which it was last learned.
-        rate_variance: Its variance.
-        blending: Standard deviation of the changeover between brakes, at the newest sample.
-        excess: Variance of the innovations of speed over that of its noise, as learned while braking; at least 1.
-        gain: Brake rate by the table and by effects of the train file, for f = 1.
+        unbraked_s: Time since the last update of f [s]; the drift over it is not yet in the posterior.
+        certain_ns: Stamp from which the state of the brake is known again after missing commands [ns].
+        timing: Estimated dead time and lag of the brake.
+        rate: Brake rate at the speed and level of its last update [1].
+        rate_variance: Its variance [1].
+        blending: Standard deviation due to the changeover between brakes, at the newest sample [1].
+        excess: Factor on the variance of the speed noise, estimated from innovations while braking [1]; at least 1.
+        gain: Brake rate by the table and the effects of the train file, for f = 1 [1].
         position: Filtered position [m], NaN while unknown.
-        belief: State of the belief as JSON text, filled in when saved.
+        rejected_in_a_row: Outliers in a row.
+        innovation: Last innovation of speed [m/s].
+        innovation_variance: Its variance [(m/s)^2].
+        test_ratio: Square of the innovation over the limit of the gate [1].
+        observable: Whether the last sample updated f.
+        converged: Whether the brake rate is valid.
+        posterior: State of the posterior as JSON text, set only when saved.
 
     """
 
@@ -103,7 +108,7 @@ class DriveState:
 
 
 class BrakeRateEstimator:
-    """Estimate the brake rate f = actual over expected braking from aligned samples."""
+    """Estimate the brake rate f [1], actual over expected braking, from aligned samples."""
 
     def __init__(self, train_file: TrainFile, config: BrakeRateConfig, posterior: Posterior) -> None:
         check_settings(config)
@@ -115,7 +120,7 @@ class BrakeRateEstimator:
         self.reset()
 
     def reset(self) -> None:
-        """Go back to the prior."""
+        """Reset to the prior."""
         config, brake = self.config, self._brake
         self.posterior.reset(brake.rate, config.prior_std, self._model.stds)
         noise = SpeedNoise.declared(config.speed_std)
@@ -125,11 +130,11 @@ class BrakeRateEstimator:
         self.state.rate, self.state.rate_variance = self.posterior.rate, self.posterior.variance
 
     def save(self) -> str:
-        """Return the whole state, that of a generator included, as JSON text."""
+        """Return the complete state as JSON text, including that of a random generator."""
         return encode(replace(self.state, posterior=self.posterior.save()))
 
     def restore(self, text: str) -> None:
-        """Take over a saved state; InputError if it does not fit."""
+        """Restore a saved state; raise InputError if it is invalid."""
         state = decode(text, DriveState)
         check_numbers(state, may_be_nan=('dt', 'position'))
         check_not_negative('DriveState', unbraked_s=state.unbraked_s, rate_variance=state.rate_variance)
@@ -148,24 +153,24 @@ class BrakeRateEstimator:
 
     @property
     def converged(self) -> bool:
-        """True while the brake rate is known well enough."""
+        """Whether the brake rate is known accurately enough."""
         return self.state.converged
 
     def step(self, sample: Sample) -> BrakeRateEstimate | Rejection:
-        """Take one sample in; f learns only while the brake acts on a moving train."""
+        """Process one sample; f is updated only while the brake acts on a moving train."""
         before_ns = self.state.stamp_ns
         motion, timing = self._follow_command(sample)
         elapsed = (sample.stamp_ns - before_ns) / NS_PER_S if before_ns else 0.0
-        result = self._take(sample, max(0.0, elapsed), motion, timing)
+        result = self._process(sample, max(0.0, elapsed), motion, timing)
         if result is None or result.reason is not Reason.NOT_BRAKING:
             self.state.disturbance = self.state.disturbance.paused()
-        # Fit to use while the uncertainty is small, with a hysteresis of two; a rate at its limit may be beyond it.
+        # Valid while the uncertainty is small, with a hysteresis of factor two; a rate at its limit may exceed it.
         limit = self.config.valid_std * (2.0 if self.state.converged else 1.0)
         rate, std = self._rate()
         self.state.converged = std < limit and rate + _CLEAR * std < LARGEST_RATE * self._brake.rate
         return result or self.estimate(sample.speed)
 
-    def _take(self, sample: Sample, elapsed: float, motion: BrakeStep, timing: TimingStep) -> Rejection | None:
+    def _process(self, sample: Sample, elapsed: float, motion: BrakeStep, timing: TimingStep) -> Rejection | None:
         state = self.state
         if (rejection := self._reject(sample)) is not None:
             if rejection.reason in _ANCHORING:
@@ -177,7 +182,7 @@ class BrakeRateEstimator:
         interval = self._interval(sample, motion, timing)
         self.posterior.predict(interval)
         if (rejection := self._gate(sample)) is not None:
-            if state.rejected_in_a_row >= self.config.readmit_after:  # then believe the speed again
+            if state.rejected_in_a_row >= self.config.readmit_after:  # then accept the speed
                 self._anchor(sample, 0.0)
             return rejection
         braking = max(abs(state.filtered_target), abs(motion.start_target))
@@ -191,7 +196,7 @@ class BrakeRateEstimator:
         state.excess = min(max(1.0, state.excess * math.exp((ratio - 1.0) / _MEMORY)), _MOST_EXCESS)
         share = self._model.share(sample, abs(state.filtered_target))
         state.rate, state.rate_variance = self.posterior.total_rate(share)
-        # A changeover is as wide as the model has it, but not of its shape.
+        # The model has the width of a changeover, but not its exact shape.
         state.blending = BLEND_SHAPE * self.config.blend_std if share[6] > 0.0 else 0.0
         state.unbraked_s = 0.0
         state.observable = True
@@ -214,9 +219,9 @@ class BrakeRateEstimator:
         return None
 
     def _follow_command(self, sample: Sample) -> tuple[BrakeStep, TimingStep]:
-        """Bring the brake command up to the stamp; return the brake's response since the last sample."""
+        """Advance the brake command to the stamp; return the response of the brake since the last sample."""
         state = self.state
-        if sample.stamp_ns <= state.stamp_ns:  # another time base: commands of the old one mean nothing in it
+        if sample.stamp_ns <= state.stamp_ns:  # another time base, in which the old commands are invalid
             state.commands = CommandHistory()
             state.filtered_target, state.certain_ns, state.stamp_ns = 0.0, 0, 0
             state.timing = replace(state.timing, targets=(0.0, 0.0, 0.0, 0.0))
@@ -236,24 +241,24 @@ class BrakeRateEstimator:
         if sample.brake_gap or sample.emergency or math.isnan(sample.brake_command):
             state.certain_ns = sample.stamp_ns + self._settling_ns
         state.unbraked_s += (sample.stamp_ns - start_ns) / NS_PER_S
-        # A train at rest reads zero without noise.
+        # At standstill the measured speed is zero without noise.
         state.noise = state.noise.add(sample.speed, sample.dt if sample.speed >= self.config.min_speed else math.nan)
         state.observable = False
         return motion, timing
 
     def _move_timing(self, now_ns: int) -> None:
-        """Take over what has been learned of dead time and lag while the brake is released."""
+        """Apply the estimated errors of dead time and lag while the brake is released."""
         state, timing = self.state, self.state.timing
         if not timing.fresh or not timing.at_rest(state.commands, now_ns):
             return
         e, variances, f = self.posterior.errors, self.posterior.error_variances, max(self.posterior.rate, LEAST_RATE)
         stds = (math.sqrt(variances[0]) / f, math.sqrt(variances[1]) / f)
         state.timing = timing.moved((e[0] / f, e[1] / f), stds, self._brake)
-        learned = (f * (state.timing.delay - timing.delay), f * (state.timing.lag - timing.lag))
-        self.posterior.recentre((*learned, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+        applied = (f * (state.timing.delay - timing.delay), f * (state.timing.lag - timing.lag))
+        self.posterior.recentre((*applied, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
 
     def _interval(self, sample: Sample, motion: BrakeStep, timing: TimingStep) -> Transition:
-        """Return what moved the train since the last sample."""
+        """Return the motion model since the last sample."""
         state = self.state
         gains = state.gain, self._model.gain(sample)
         state.gain = gains[1]
@@ -268,24 +273,24 @@ class BrakeRateEstimator:
         )
 
     def _released(self, sample: Sample) -> bool:
-        """True while the brake lets go: traction may begin that the reported force does not show."""
+        """Whether the brake is released: traction may begin that the reported force does not show."""
         state = self.state
         return state.commands.value(sample.stamp_ns - round(state.timing.delay * NS_PER_S)) >= 0.0
 
     def _learn_disturbance(self, sample: Sample, interval: Transition, braking: float) -> None:
-        """Learn of the size of b where nothing else that is uncertain acts."""
+        """Update the size of b if no other uncertain force acts; ``braking`` is the brake acceleration [m/s^2]."""
         state = self.state
         slack = interval.q_v / interval.dt - self.config.acceleration_noise**2
         e = self.posterior.errors
-        learned = sum(gain * error for gain, error in zip(interval.lean[2:5], e[2:5], strict=True))
-        interval = interval._replace(known=interval.known + learned)
+        estimated = sum(gain * error for gain, error in zip(interval.lean[2:5], e[2:5], strict=True))
+        interval = interval._replace(known=interval.known + estimated)
         if braking > _RELEASED or slack > (_SLACK * self.config.disturbance_std) ** 2:
             state.disturbance = state.disturbance.paused()
             return
         state.disturbance = state.disturbance.add(interval, sample.speed, state.noise.variance)
 
     def _anchor(self, sample: Sample, elapsed: float) -> None:
-        """Start the train state anew from the measured speed after a time [s]; f stands."""
+        """Restart the train state from the measured speed after ``elapsed`` [s]; f is unchanged."""
         state = self.state
         state.gain = self._model.gain(sample)
         variances = (state.noise.variance, _ANCHOR_BRAKE_STD**2, state.disturbance.variance)
@@ -295,7 +300,7 @@ class BrakeRateEstimator:
         state.rejected_in_a_row = 0
 
     def _follow_position(self, sample: Sample) -> None:
-        """Dead-reckon by filtered speed, pulled towards the odometer (which adds nothing to f)."""
+        """Integrate the filtered speed and correct towards the odometer (which gives no information on f)."""
         state, measured = self.state, sample.position
         if math.isnan(measured) or math.isnan(state.position):
             state.position = measured
@@ -304,7 +309,7 @@ class BrakeRateEstimator:
         state.position = position + _POSITION_GAIN * (measured - position)
 
     def _gate(self, sample: Sample) -> Rejection | None:
-        """Gate on the innovation of the whole belief."""
+        """Return a rejection if the innovation, relative to the complete posterior, exceeds the gate."""
         state = self.state
         expected, variance = self.posterior.predicted()
         variance += self._noise_variance()
@@ -319,17 +324,17 @@ class BrakeRateEstimator:
         return Rejection(sample.stamp_ns, Reason.OUTLIER, innovation, limit)
 
     def _noise_variance(self) -> float:
-        """Return the variance of measured speed that the innovations under the brake bear out [(m/s)^2]."""
+        """Return the variance of measured speed, scaled to match the innovations while braking [(m/s)^2]."""
         return self.state.noise.variance * self.state.excess
 
     def _rate(self) -> tuple[float, float]:
-        """Mean and standard deviation of the brake rate: sqrt(s^2 + drift^2 t) while no brake acts."""
+        """Return mean and standard deviation of the brake rate [1]: sqrt(s^2 + drift^2 t) while no brake acts."""
         mean, config = self.state.rate, self.config
-        unseen = config.drift**2 * self.state.unbraked_s + (config.scale_std * mean) ** 2 + self.state.blending**2
-        return mean, math.sqrt(self.state.rate_variance + unseen)
+        added = config.drift**2 * self.state.unbraked_s + (config.scale_std * mean) ** 2 + self.state.blending**2
+        return mean, math.sqrt(self.state.rate_variance + added)
 
     def estimate(self, speed: float) -> BrakeRateEstimate:  # noqa: ARG002 - one signature for all estimators
-        """Return the brake rate (19) and the filtered train state (22)."""
+        """Return the brake rate, eq. (19), and the filtered train state, eq. (22); ``speed`` [m/s] is unused."""
         state, posterior = self.state, self.posterior
         rate, std = self._rate()
         return BrakeRateEstimate(

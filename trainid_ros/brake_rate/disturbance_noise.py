@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How large the unmodelled acceleration b is, learned from a train that runs with its brake released.
+"""Size of the unmodelled acceleration b, estimated while the train runs with its brake released.
 
-Maps are wrong by 0.05 per mille or by 2, and the deviation of the brake rate stands and falls with it. While no
-brake acts, speed shows b: one Kalman filter on [v, b] runs for each of some deviations of b, and the innovations
-tell how likely each is. The mean variance over them is what is believed, wide while little is known.
+Errors of gradient maps range from 0.05 to 2 per mille, and the uncertainty of the brake rate depends directly on them.
+While no brake acts, the speed shows b: a bank of Kalman filters on [v, b], one for each candidate standard deviation
+of b, gives their likelihoods through the innovations. The estimate is the posterior mean of the variance, which stays
+large while there is little data.
 """
 
 from __future__ import annotations
@@ -17,16 +18,16 @@ from trainid_ros.core.state_validation import is_covariance
 if TYPE_CHECKING:
     from trainid_ros.brake_rate.posterior import Transition
 
-# Deviations that are held possible, as multiples of what is declared: a factor 1.42 apart.
+# Candidate standard deviations, as multiples of the configured one: a factor of 1.42 apart.
 _RANGE: Final = (0.3, 10.0)
 _LEVELS: Final = 11
 _FACTORS: Final = tuple(_RANGE[0] * (_RANGE[1] / _RANGE[0]) ** (k / (_LEVELS - 1)) for k in range(_LEVELS))
-# What is declared is believed to a factor of this, one standard deviation of the logarithm.
-_TRUST: Final = 2.5
-_PRIOR: Final = tuple(-0.5 * (math.log(factor) / math.log(_TRUST)) ** 2 for factor in _FACTORS)
-# What was seen counts less and less over this distance [m].
+# Prior of the configured value: log-normal, one standard deviation is this factor.
+_PRIOR_FACTOR: Final = 2.5
+_PRIOR: Final = tuple(-0.5 * (math.log(factor) / math.log(_PRIOR_FACTOR)) ** 2 for factor in _FACTORS)
+# The evidence is forgotten exponentially over this distance [m].
 _MEMORY_M: Final = 5_000.0
-# An innovation beyond this many deviations tells no more than one of this size: slip is no disturbance.
+# Innovations are clipped at this many standard deviations: slip is not a disturbance.
 _MOST: Final = 3.0
 
 # Means of v and b, then the covariance vv, vb, bb.
@@ -36,13 +37,13 @@ _SIZE: Final = 5
 
 @dataclass(frozen=True, slots=True)
 class DisturbanceNoise:
-    """What is believed of the deviation of b.
+    """Posterior of the standard deviation of b.
 
     Attributes:
-        declared_std: Deviation as declared [m/s^2]; 0: nothing is learned.
+        declared_std: Configured standard deviation [m/s^2]; 0: no estimation.
         variance: Mean variance of b [(m/s^2)^2].
-        evidence: Log-likelihood of each deviation, the largest 0.
-        motions: State of the filter of each deviation; none while the brake acts or the train stands.
+        evidence: Log-likelihood of each candidate; the largest is 0.
+        motions: State of the filter of each candidate; empty while the brake acts or the train stands.
 
     """
 
@@ -53,37 +54,37 @@ class DisturbanceNoise:
 
     @classmethod
     def declared(cls, std: float) -> DisturbanceNoise:
-        """Return the deviation as declared [m/s^2], nothing learned yet."""
+        """Return the prior for a configured standard deviation [m/s^2]."""
         evidence = (0.0,) * _LEVELS
         return cls(std, mean_variance(std, evidence), evidence)
 
     @classmethod
     def reported(cls, std: float) -> DisturbanceNoise:
-        """Return a deviation that is known [m/s^2], and not learned."""
+        """Return a known standard deviation [m/s^2], which is not estimated."""
         return cls(0.0, std * std, (0.0,) * _LEVELS)
 
     @property
     def std(self) -> float:
-        """Deviation of b [m/s^2]."""
+        """Standard deviation of b [m/s^2]."""
         return math.sqrt(self.variance)
 
     @property
     def is_valid(self) -> bool:
-        """True if all is finite, of the right size and no variance negative, as it may not be when restored."""
+        """Whether a restored state is finite, of the right size and without negative variances."""
         numbers = (self.declared_std, self.variance, *self.evidence, *(x for item in self.motions for x in item))
         sized = len(self.evidence) == _LEVELS and len(self.motions) in {0, _LEVELS}
-        followed = all(len(item) == _SIZE and is_covariance(item[2:]) for item in self.motions)
+        valid_motions = all(len(item) == _SIZE and is_covariance(item[2:]) for item in self.motions)
         positive = self.variance >= 0.0 and self.declared_std >= 0.0
-        return sized and all(map(math.isfinite, numbers)) and followed and positive
+        return sized and all(map(math.isfinite, numbers)) and valid_motions and positive
 
     def paused(self) -> DisturbanceNoise:
-        """Return the same at a train that brakes or stands."""
+        """Return the state without filters, for a train that brakes or stands."""
         if not self.motions:
             return self
         return DisturbanceNoise(self.declared_std, self.variance, self.evidence)
 
     def add(self, interval: Transition, speed: float, r: float) -> DisturbanceNoise:
-        """Return what is believed after a speed with variance r of a freely running train."""
+        """Update with a measured speed [m/s] of variance r [(m/s)^2] while no brake acts."""
         if self.declared_std <= 0.0:
             return self
         variances = tuple((factor * self.declared_std) ** 2 for factor in _FACTORS)
@@ -102,14 +103,14 @@ class DisturbanceNoise:
 
 
 def advance(motion: Motion, interval: Transition, variance: float, speed: float, r: float) -> tuple[Motion, float]:
-    """Follow v' = v + dt b + known, b' = rho b over an interval, and take in a speed.
+    """Predict v' = v + dt b + known, b' = rho b over an interval, and update with a measured speed.
 
     Args:
         motion: Mean and covariance before.
-        interval: What moves the train; no brake.
-        variance: Stationary variance of b.
-        speed: Measured speed.
-        r: Its variance.
+        interval: Motion model without a brake.
+        variance: Stationary variance of b [(m/s^2)^2].
+        speed: Measured speed [m/s].
+        r: Its variance [(m/s)^2].
 
     Returns:
         Mean and covariance after, and the log-likelihood of the speed.
@@ -129,7 +130,7 @@ def advance(motion: Motion, interval: Transition, variance: float, speed: float,
 
 
 def mean_variance(std: float, evidence: tuple[float, ...]) -> float:
-    """Return the mean variance of b over all deviations, from what is declared and the evidence."""
+    """Return the posterior mean of the variance of b [(m/s^2)^2]; ``std`` is the configured value [m/s^2]."""
     logs = [a + b for a, b in zip(evidence, _PRIOR, strict=True)]
     best = max(logs)
     weights = [math.exp(item - best) for item in logs]

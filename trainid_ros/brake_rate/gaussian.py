@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kernels of a Gaussian distribution of z = [x, f], x = [v, a, b, e]: no particle is needed where all is linear.
+"""Kalman filter kernels for z = [x, f], x = [v, a, b, e]: the model is linear, so no particles are needed.
 
 f enters speed v and brake acceleration a with known coefficients (Zheng et al. 2015, eqs. (1), (2): f multiplies
 the command after its dead time), so the Kalman filter is the exact posterior of a Gaussian random walk of f.
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 def prior(rate: float, std: float, error_stds: Errors) -> tuple[Array, Array]:
-    """Return mean and covariance before the first sample."""
+    """Return the prior mean and covariance; ``rate`` and ``std`` of f [1], errors as in :class:`Transition`."""
     m, P = np.zeros(STATES + 1), np.zeros((STATES + 1, STATES + 1))
     P[:STATES, :STATES] = error_covariance(error_stds)
     m[STATES], P[STATES, STATES] = rate, std * std
@@ -30,7 +30,7 @@ def prior(rate: float, std: float, error_stds: Errors) -> tuple[Array, Array]:
 
 
 def predict(m: Array, P: Array, interval: Transition) -> tuple[Array, Array]:
-    """Follow x = F x + known input, P = F P F' + Q; f stands."""
+    """Predict x = F x + known input, P = F P F' + Q; f is constant."""
     step = speed_step(interval)
     F = np.eye(STATES + 1)
     F[:STATES, :STATES], F[:STATES, STATES] = step.Phi, step.gamma
@@ -42,7 +42,7 @@ def predict(m: Array, P: Array, interval: Transition) -> tuple[Array, Array]:
 
 
 def drift(P: Array, gain_v: float, gain_a: float, q: float) -> Array:
-    """Add the drift of f over an interval, of variance q, which has acted on v and a since its start."""
+    """Add the drift of f over an interval, of variance q [1]; it acted on v and a from the start of the interval."""
     along = np.zeros(STATES + 1)
     along[0], along[1], along[STATES] = gain_v, gain_a, 1.0
     after: Array = P + np.outer(q * along, along)
@@ -50,9 +50,9 @@ def drift(P: Array, gain_v: float, gain_a: float, q: float) -> Array:
 
 
 def update(m: Array, P: Array, speed: float, r: float, *, learns: bool) -> tuple[Array, Array]:
-    """Take in a measured speed, K = P h / S.
+    """Update with a measured speed [m/s] of variance r [(m/s)^2], K = P h / S.
 
-    With ``learns`` False the gain of f is zero, and f stands (the filter of Schmidt).
+    With ``learns`` False the gain of f is zero and f is unchanged (Schmidt-Kalman filter).
     """
     column = P[0].copy()
     S = float(column[0]) + r
@@ -65,13 +65,13 @@ def update(m: Array, P: Array, speed: float, r: float, *, learns: bool) -> tuple
 
 
 def anchored(m: Array, P: Array, start: Start) -> tuple[Array, Array]:
-    """Start v, a = f target and b anew; f stands, and so do the errors but for what they forget."""
+    """Restart v, a = f target and b; f is unchanged, and the errors e decay by ``keep`` and gain ``q_e``."""
     f, ff, keep = float(m[STATES]), float(P[STATES, STATES]), np.array(start.keep)
     mean, cov = np.concatenate([[start.speed, f * start.target, 0.0], keep * m[3:STATES], [f]]), np.zeros_like(P)
     cov[:STATES, :STATES] = started(P[:STATES, :STATES], start)
     with_f = np.concatenate([[0.0, ff * start.target, 0.0], keep * P[3:STATES, STATES]])
     cov[:STATES, STATES] = cov[STATES, :STATES] = with_f
-    # a = f target goes with the errors as f does.
+    # a = f target is correlated with the errors through f.
     cov[1, 3:STATES] = cov[3:STATES, 1] = start.target * with_f[3:]
     cov[1, 1] += ff * start.target**2
     cov[STATES, STATES] = ff
@@ -79,20 +79,20 @@ def anchored(m: Array, P: Array, start: Start) -> tuple[Array, Array]:
 
 
 def total_rate(m: Array, P: Array, share: Array) -> tuple[float, float]:
-    """Return mean and variance of f + share e."""
+    """Return mean and variance of f + share e [1]."""
     along = np.concatenate([[0.0, 0.0, 0.0], share, [1.0]])
     return float(along.dot(m)), float(along.dot(P).dot(along))
 
 
 def recentred(m: Array, shift: Errors) -> Array:
-    """Count the errors from a new origin."""
+    """Return the mean with the errors relative to a new origin, ``shift`` away from the old."""
     after = m.copy()
     after[3 : 3 + ERRORS] -= shift
     return after
 
 
 def mixed(weights: tuple[float, ...], means: Sequence[Array], covs: Sequence[Array]) -> tuple[Array, Array]:
-    """Mean and covariance of a mixture; weights sum to one."""
+    """Return mean and covariance of a mixture; weights sum to one."""
     mean = sum((w * m for w, m in zip(weights, means, strict=True)), np.zeros_like(means[0]))
     cov = np.zeros_like(covs[0])
     for w, m, P in zip(weights, means, covs, strict=True):

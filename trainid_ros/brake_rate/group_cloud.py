@@ -1,22 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
 """One step of the group stochastic M-algorithm on any linear state, in strata of a Markov chain.
 
-After Zheng et al. 2015, section 3.5 and eqs. (14)-(22), with these corrections:
+Based on Zheng et al. 2015, section 3.5 and eqs. (14)-(22), with these corrections:
 
-* A particle's group is {f - h, f, f + h} around its own value with prior weights 1/6, 2/3, 1/6 and
-  h = sqrt(3 q dt): every value has its group (the paper leaves one out), none is bound to a grid, and the
+* The group of a particle is {f - h, f, f + h} around its own value with prior weights 1/6, 2/3, 1/6 and
+  h = sqrt(3 q dt): every value has its group (the paper omits one), values are not bound to a grid, and the
   transition has the variance of a random walk per second instead of a grid step per sample.
-* Weights carry over: w_k = w_{k-1} p(f_k | f_{k-1}) N(y_k); pruning is systematic resampling in the order of f.
-* Particles belong to strata, each with a q of its own (quiet, jumping), between which a Markov chain moves
-  their weight. Each stratum keeps its number of particles however small its weight, so a hypothesis that is
-  rarely true is not pruned before the measurements can tell.
-* Before it branches a stratum shrinks by sqrt(1 - kappa^2) towards its mean and h grows to
-  sqrt(3 (q dt + kappa^2 s^2)), which leaves its mean and variance s^2 + q dt and keeps its values apart. x moves
-  along by its regression on f. Pruned particles are moved to the mean and variance of those that they stand
-  for. In a stratum whose posterior is Gaussian no sampling noise is left in either.
+* Weights are retained: w_k = w_{k-1} p(f_k | f_{k-1}) N(y_k); pruning is systematic resampling in the order of f.
+* Particles belong to strata with different q (quiet, jumping); a Markov chain transfers weight between the strata.
+  Each stratum keeps its number of particles however small its weight, so an improbable hypothesis is not pruned
+  before the measurements can decide.
+* Before branching, a stratum shrinks by sqrt(1 - kappa^2) towards its mean and h grows to
+  sqrt(3 (q dt + kappa^2 s^2)), which preserves its mean and its variance s^2 + q dt and keeps its values distinct. x
+  moves with f according to its regression on f. After pruning, the particles are shifted and scaled to the mean and
+  variance before pruning. In a stratum with a Gaussian posterior no sampling noise is left in either.
 
-A particle is a column z = [1, f, x] and its stratum a line along which f and x go together, so that all that happens
-to the particles of a stratum between two prunings is one matrix: a step costs few operations on arrays.
+A particle is a column z = [1, f, x], and its stratum has a line, the regression of x on f; so everything that happens
+to the particles of a stratum between two prunings is one matrix, and a step needs few array operations.
 """
 
 from __future__ import annotations
@@ -40,25 +40,25 @@ if TYPE_CHECKING:
 _LOG_PRIOR: Final = np.log([1.0 / 6.0, 4.0 / 6.0, 1.0 / 6.0])
 KAPPA: Final = 0.2
 SHRUNK: Final = math.sqrt(1.0 - KAPPA**2) - 1.0
-# Survivors are not spread by more than this to match those that they stand for.
+# Limit of the factor that scales survivors to the variance before pruning.
 MOST_SPREAD: Final = 2.0
 TINY: Final = 1e-300
-# Where one child outweighs all others, the spread of its group is still unknown.
+# Lower limit of the variance: if one child has all the weight, the spread within its group is still unknown.
 LEAST_VARIANCE: Final = 1e-10
 
 
 @dataclass(frozen=True, slots=True)
 class Strata:
-    """How N particles are divided among M strata.
+    """Division of N particles into M strata.
 
     Attributes:
-        sizes: Particles of each stratum.
+        sizes: Number of particles of each stratum.
         of: Stratum of each particle, shape (N,).
-        members: One where a particle belongs to a stratum, else zero, shape (M, N).
-        children: The same of all children, shape (M, 3 N).
+        members: One if a particle belongs to a stratum, else zero, shape (M, N).
+        children: The same for all children, shape (M, 3 N).
         shares: Share of each particle in its stratum, zero elsewhere, shape (M, N).
         average: The same transposed: averages over each stratum, shape (N, M).
-        ranks: Number of its stratum and, as a share of it, of the particles before each, shape (N,).
+        ranks: Index of its stratum plus the share of the stratum before each particle, shape (N,).
         log_shares: Logarithm of a child's prior share in its stratum, shape (3, M).
 
     """
@@ -85,13 +85,13 @@ class Strata:
 
 
 class GroupCloud(NamedTuple):
-    """Particles in strata; equal weights within each.
+    """Particles in strata; the weights within a stratum are equal.
 
     Attributes:
-        z: One, brake rate f and means of the linear state x given f of each particle, shape (2 + n, N).
-        weight: Weight of each stratum, shape (M,); they sum to one.
-        mean: Mean of f in each stratum, shape (M,).
-        variance: Variance of f in each stratum, shape (M,).
+        z: One, brake rate f [1] and mean of the linear state x given f of each particle, shape (2 + n, N).
+        weight: Weight of each stratum, shape (M,), with the sum one.
+        mean: Mean of f in each stratum [1], shape (M,).
+        variance: Variance of f in each stratum [1], shape (M,).
         line: Zero, one and the regression of x on f in each stratum, shape (2 + n, M).
 
     """
@@ -111,7 +111,7 @@ class GroupCloud(NamedTuple):
 
     @property
     def f(self) -> Array:
-        """Brake rates, shape (N,)."""
+        """Brake rates [1], shape (N,)."""
         f: Array = self.z[1]
         return f
 
@@ -127,18 +127,18 @@ class GroupCloud(NamedTuple):
 
     @property
     def rate(self) -> float:
-        """Mean of f (19)."""
+        """Mean of f [1], eq. (19)."""
         return float(self.weight.dot(self.mean))
 
     @property
     def total_variance(self) -> float:
-        """Variance of f."""
+        """Variance of f [1]."""
         d = self.mean - self.rate
         return float(self.weight.dot(self.variance + d * d))
 
 
 def _keeping_f(known: Array, gamma: Array, Phi: Array) -> Array:
-    """Return the matrix that leaves f and makes of x known + gamma f + Phi x."""
+    """Return the matrix that keeps f and maps x to known + gamma f + Phi x."""
     A = np.zeros((2 + len(Phi), 2 + len(Phi)))
     A[0, 0] = A[1, 1] = 1.0
     A[2:, 0], A[2:, 1], A[2:, 2:] = known, gamma, Phi
@@ -150,22 +150,22 @@ def _moved(cloud: GroupCloud, A: Array) -> GroupCloud:
 
 
 def anchored(cloud: GroupCloud, start: Array, slope: Array, keep: Array) -> GroupCloud:
-    """Make of x ``start + f slope + keep x``, each of shape (n,); f stands."""
+    """Map x to ``start + f slope + keep x``, each of shape (n,); f is unchanged."""
     return _moved(cloud, _keeping_f(start, slope, np.diag(keep)))
 
 
 def predicted(cloud: GroupCloud, step: LinearStep) -> GroupCloud:
-    """Follow a step while f stands (14)."""
+    """Predict over a step with constant f, eq. (14)."""
     return _moved(cloud, _keeping_f(step.known, step.gamma, step.Phi))
 
 
 def followed(cloud: GroupCloud, fix: Correction, H: Array, y: Array) -> GroupCloud:
-    """Take in a measurement y, shape (m,), that tells nothing of f."""
+    """Update x only, with a measurement y, shape (m,), that carries no information on f."""
     return _moved(cloud, _measured(fix, H, y)[: len(cloud.z)])
 
 
 def _measured(fix: Correction, H: Array, y: Array) -> Array:
-    """Return the matrix that makes of x x + K (y - H x) (21) and adds W (y - H x), shape (2 + n + m, 2 + n)."""
+    """Return the matrix that maps x to x + K (y - H x), eq. (21), and appends W (y - H x), shape (2 + n + m, 2 + n)."""
     m, n = H.shape
     innovation = np.zeros((m, 2 + n))
     innovation[:, 0], innovation[:, 2:] = y, -H
@@ -177,7 +177,7 @@ def _measured(fix: Correction, H: Array, y: Array) -> Array:
 
 
 def widened(cloud: GroupCloud, step: LinearStep, variance: float) -> GroupCloud:
-    """Add to the variance of f what it drifted by before the predicted step, by moving values apart."""
+    """Add to the variance of f [1] the drift before the predicted step, by spreading the values."""
     total, rate = cloud.total_variance, cloud.rate
     if total <= 0.0:
         return cloud
@@ -193,12 +193,12 @@ def widened(cloud: GroupCloud, step: LinearStep, variance: float) -> GroupCloud:
 
 
 class Branches(NamedTuple):
-    """The groups of all particles: what makes children of particles.
+    """The groups of all particles: the maps from particles to children.
 
     Attributes:
-        z: For each stratum one and f of its particles, zero elsewhere, then x; shape (2 M + n, N).
-        maps: Matrices that make [1, f - centre, x] of each child of that, shape (2 + n, 3, 2 M + n).
-        centre: What f of the children is relative to, so that their moments are not differences of large numbers.
+        z: For each stratum one and f of its particles, zero elsewhere; then x; shape (2 M + n, N).
+        maps: Matrices that map it to [1, f - centre, x] of each child, shape (2 + n, 3, 2 M + n).
+        centre: Origin of f of the children [1], so that their moments are not differences of large numbers.
         log_prior: Logarithm of the weight of each child, shape (3, N).
 
     """
@@ -210,11 +210,11 @@ class Branches(NamedTuple):
 
 
 class Children(NamedTuple):
-    """All children, first those at f - h of all particles.
+    """All children, ordered by offset: those at f - h of all particles first.
 
     Attributes:
         z: [1, f - centre, x] of each, shape (2 + n, 3 N).
-        centre: What f is relative to.
+        centre: Origin of f [1].
 
     """
 
@@ -223,17 +223,17 @@ class Children(NamedTuple):
 
 
 def branch(cloud: GroupCloud, strata: Strata, step: LinearStep, walk: Array) -> Branches:
-    """Return the groups of predicted particles; ``walk`` is the variance q dt of each stratum, shape (M,)."""
+    """Return the groups of predicted particles; ``walk`` is the variance q dt [1] of each stratum, shape (M,)."""
     line, centre, M = cloud.line, cloud.rate, len(walk)
     kernel = KAPPA**2 * cloud.variance
     both = np.maximum(walk + kernel, TINY)
     h = np.sqrt(3.0 * both)
-    # The kernel moves f throughout its past, so x along its regression; the walk has moved it in this step only.
+    # The kernel moves f over its entire past, so x along its regression; the walk moves f in this step only.
     now = np.array([0.0, 1.0, *step.gamma.tolist()])[:, None]
     c = now + kernel / both * (line - now)
     # A particle shrinks by (f - mean) along the line; its children are h apart along c.
     shrink, apart = SHRUNK * line, h * c
-    maps = _staying(len(now), M).copy()
+    maps = _identity_maps(len(now), M).copy()
     constant, of_f = maps[:, :, :M], maps[:, :, M : 2 * M]
     of_f += shrink[:, None]
     constant -= (cloud.mean * shrink)[:, None]
@@ -248,8 +248,8 @@ def branch(cloud: GroupCloud, strata: Strata, step: LinearStep, walk: Array) -> 
 
 
 @cache
-def _staying(n: int, M: int) -> Array:
-    """Return maps of children [1, f, x] of n numbers that are where their particle is."""
+def _identity_maps(n: int, M: int) -> Array:
+    """Return maps to children [1, f, x] of length n that equal their particles."""
     maps = np.zeros((n, 3, 2 * M + n - 2))
     maps[0, :, :M] = maps[1, :, M : 2 * M] = 1.0
     maps[2:, :, 2 * M :] = np.eye(n - 2)[:, None]
@@ -257,76 +257,78 @@ def _staying(n: int, M: int) -> Array:
 
 
 def weigh(groups: Branches, fix: Correction, H: Array, y: Array, largest: float) -> tuple[Children, Array]:
-    """Take in a measurement, shape (m,): children after it, and their normalised weights (17), (18), shape (3 N,).
+    """Update with a measurement, shape (m,): return the children and their normalised weights, shape (3 N,).
 
-    No child beyond 0 <= f <= largest remains.
+    Children outside 0 <= f <= largest [1] get the weight zero.
     """
     n, m, N = len(groups.maps), len(y), groups.z.shape[1]
     # Below [1, f, x] after the measurement comes the whitened innovation W (y - H x).
     maps = _measured(fix, H, y).dot(groups.maps.reshape(n, -1)).reshape(3 * (n + m), -1)
     rows = maps.dot(groups.z).reshape(n + m, 3, N)
+    # Eq. (17), times the weight of the particle and the prior of the child.
     log_weights = _summed(np.square(rows[n:]))
     log_weights *= -0.5
     log_weights += groups.log_prior
     f, low, high = rows[1], -groups.centre, largest - groups.centre
     if f[0].min() < low or f[2].max() > high:
         log_weights[(f < low) | (f > high)] = -np.inf
+    # Eq. (18).
     return Children(rows[:n].reshape(n, 3 * N), groups.centre), normal_weights(log_weights.ravel())
 
 
 def _summed(squares: Array) -> Array:
-    """Return the sum over measurements, as a rule one."""
+    """Return the sum over the measurements; usually there is only one."""
     total: Array = squares[0] if len(squares) == 1 else squares.sum(axis=0)
     return total
 
 
 def prune(children: Children, weights: Array, strata: Strata, chain: Array, uniforms: Array) -> GroupCloud:
-    """Move weight between the strata and keep the number of particles of each.
+    """Transfer weight between the strata and resample each to its number of particles.
 
     Args:
         children: All children.
         weights: Their weights, shape (3 N,).
-        strata: How particles are divided.
-        chain: Probabilities to go from one stratum (row) to another (column) for the next step, shape (M, M).
+        strata: Division of the particles.
+        chain: Transition probabilities from stratum (row) to stratum (column) for the next step, shape (M, M).
         uniforms: A draw in [0, 1) for each stratum, shape (M,).
 
     Returns:
-        The particles that the next step begins with.
+        The particles for the next step.
 
     """
     z, M = children.z, len(chain)
-    # Weights of all children as each stratum sees them, and these times f, give its moments.
-    seen = np.empty((2, M, z.shape[1]))
-    np.multiply(chain.T.dot(strata.children), weights, out=seen[0])
-    np.multiply(seen[0], z[1], out=seen[1])
-    sums = seen.reshape(2 * M, -1).dot(z.T).reshape(2, M, -1)
+    # Moments of each stratum from the weights of all children in it, and from these weights times f.
+    weighted = np.empty((2, M, z.shape[1]))
+    np.multiply(chain.T.dot(strata.children), weights, out=weighted[0])
+    np.multiply(weighted[0], z[1], out=weighted[1])
+    sums = weighted.reshape(2 * M, -1).dot(z.T).reshape(2, M, -1)
     weight = np.maximum(sums[0, :, 0], TINY)
     mean, product = sums / weight[:, None]
     along = product - mean * mean[:, 1:2]
     variance = np.maximum(along[:, 1], LEAST_VARIANCE)
     along[:, 0], along[:, 1] = 0.0, variance
     line = (along / variance[:, None]).T.copy()
-    kept = _chosen(seen[0] / weight[:, None], z[1], strata, uniforms)
-    survivors = _matched(z.take(kept, axis=1), mean.T, variance, line, strata)
+    kept = _resample(weighted[0] / weight[:, None], z[1], strata, uniforms)
+    survivors = _match_moments(z.take(kept, axis=1), mean.T, variance, line, strata)
     survivors[0] = 1.0
     survivors[1] += children.centre
     return GroupCloud(survivors, weight / np.add.reduce(weight), mean[:, 1] + children.centre, variance, line)
 
 
-def _chosen(seen: Array, f: Array, strata: Strata, uniforms: Array) -> NDArray[np.intp]:
-    """Systematic resampling in the order of f: which children each stratum keeps, shape (N,)."""
+def _resample(weights: Array, f: Array, strata: Strata, uniforms: Array) -> NDArray[np.intp]:
+    """Return the children that each stratum keeps, shape (N,): systematic resampling in the order of f."""
     order = f.argsort(kind='stable')
-    # One stratum after another: the weights that the m-th sees are cumulated from m to m + 1.
-    cumulated = seen.take(order, axis=1).ravel().cumsum()
+    # One stratum after another: the weights in the m-th are cumulated from m to m + 1.
+    cumulated = weights.take(order, axis=1).ravel().cumsum()
     places = cumulated.searchsorted(strata.ranks + uniforms.dot(strata.shares), side='right')
     places -= strata.of * len(f)
-    # By rounding, the sum of a stratum can end beside m + 1.
+    # Due to rounding the sum of a stratum may differ from m + 1.
     kept: NDArray[np.intp] = order.take(places, mode='clip')
     return kept
 
 
-def _matched(z: Array, mean: Array, variance: Array, line: Array, strata: Strata) -> Array:
-    """Move survivors to the mean and variance of f, and to the mean of x, of those that they stand for."""
+def _match_moments(z: Array, mean: Array, variance: Array, line: Array, strata: Strata) -> Array:
+    """Shift and scale survivors to the mean and variance of f, and to the mean of x, before pruning."""
     members = strata.members
     average = z.dot(strata.average)
     off = z[1] - average[1].dot(members)

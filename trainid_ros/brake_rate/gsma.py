@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """GSMA: brake rate by the group stochastic M-algorithm, a Rao-Blackwellised particle filter.
 
-The algorithm and how it differs from Zheng et al. 2015 is in :mod:`group_cloud`; what moves the train, and which
-samples it learns from, in :mod:`brake_rate_estimator`. Two strata, a brake rate that drifts and one that jumps, make it find
-a jump within seconds; without jumps it is the exact filter but for sampling noise.
+The algorithm and its differences from Zheng et al. 2015 are in :mod:`group_cloud`, the motion model and the selection
+of samples in :mod:`brake_rate_estimator`. With two strata, one for a drifting and one for a jumping brake rate, it
+detects a jump within seconds; without jumps it is the exact filter except for sampling noise.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _JUMPING_SHARE: Final = 1.0 / 3.0
 _LEAST_PARTICLES: Final = 3
 _ROUNDING: Final = 1e-6
 LEAST_PAUSE: Final = 1e-6
-"""Times differ by less than this by rounding [s]."""
+"""Shorter times without braking are rounding [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,16 +53,16 @@ class GsmaConfig(JumpConfig):
     """Settings of GSMA."""
 
     particles: int = setting(100, 'particles kept after pruning, a third of them for jumps', '1', 6, 100_000)
-    compiled: int = setting(0, '1: a faster loop, needs trainid_ros[fast]; starts seconds later', '1', 0, 1)
+    compiled: int = setting(0, '1: faster compiled loop, needs trainid_ros[fast]; starts seconds later', '1', 0, 1)
 
 
 @dataclass(frozen=True, slots=True)
 class GsmaState:
-    """All that GSMA believes; arrays as in :class:`GroupCloud`.
+    """Posterior of GSMA; arrays as in :class:`GroupCloud`.
 
     Attributes:
         P: Covariance of x = [v, a, b, e], shared by all particles, shape (n, n).
-        effective: Effective number of children in the newest step that learned.
+        effective: Effective number of children in the last step that updated f [1].
         random: State of the generator as JSON text.
 
     """
@@ -94,16 +94,16 @@ class GsmaPosterior:
 
     @property
     def rate(self) -> float:
-        """Mean of f."""
+        """Mean of f [1]."""
         return self._rate
 
     @property
     def variance(self) -> float:
-        """Variance of f."""
+        """Variance of f [1]."""
         return self._variance
 
     def total_rate(self, share: Array) -> tuple[float, float]:
-        """Return mean and variance of f + share e: within the strata from f and its regression, of x given f from P."""
+        """Return mean and variance of f + share e [1]: from the particles, plus the variance of e given f from P."""
         off, e = self.cloud.f - self._rate, self.cloud.x[3:]
         extra = share.dot(e)
         mean = float(extra.dot(self._weights))
@@ -124,7 +124,7 @@ class GsmaPosterior:
 
     @property
     def effective(self) -> float:
-        """Effective number of children in the newest step that learned."""
+        """Effective number of children in the last step that updated f [1]."""
         return self._effective
 
     @property
@@ -133,7 +133,7 @@ class GsmaPosterior:
         return errors_of(self.cloud.x[3:].dot(self._weights))
 
     def _take(self, cloud: GroupCloud) -> None:
-        """Take over particles, and compute once what is asked often."""
+        """Set the particles and cache their weights and moments."""
         self.cloud = cloud
         self._weights = (cloud.weight / self._counts).take(self.strata.of)
         self._rate, self._variance = cloud.rate, cloud.total_variance
@@ -146,8 +146,8 @@ class GsmaPosterior:
         return errors_of(within + spread)
 
     def reset(self, rate: float, std: float, error_stds: Errors) -> None:
-        """Go back to the prior: particles at its quantiles, strata as often as they are in the long run."""
-        # The standard library's normal distribution: importing SciPy's would take longer than all the rest.
+        """Reset to the prior: particles at its quantiles, strata at the stationary weights of the Markov chain."""
+        # The normal distribution of the standard library, because importing that of SciPy is slow.
         prior = NormalDist(rate, std)
         f = np.concatenate([[max(0.0, prior.inv_cdf((i + 0.5) / n)) for i in range(n)] for n in self.strata.sizes])
         starts, ends = transition(self._config, 1.0)
@@ -161,36 +161,36 @@ class GsmaPosterior:
         self._rng.bit_generator.state = json.loads(self._random0)
 
     def anchor(self, start: Start) -> None:
-        """Start v, a and b anew."""
+        """Restart v, a and b."""
         first, slope = np.zeros(STATES), np.zeros(STATES)
         first[0], slope[1] = start.speed, start.target
         self.cloud = group_cloud.anchored(self.cloud, first, slope, np.array([0.0, 0.0, 0.0, *start.keep]))
         self.P = started(self.P, start)
 
     def recentre(self, shift: Errors) -> None:
-        """Count the errors from a new origin."""
+        """Express the errors relative to a new origin, ``shift`` away from the old."""
         known = np.array([0.0, 0.0, 0.0, *shift])
         self.cloud = group_cloud.anchored(self.cloud, -known, np.zeros(STATES), np.ones(STATES))
 
     def predict(self, interval: Transition) -> None:
-        """Follow the motion over an interval."""
+        """Predict the motion over an interval."""
         self._step = speed_step(interval)
         self.cloud = group_cloud.predicted(self.cloud, self._step)
         self.P = self._step.predict_covariance(self.P)
 
     def predicted(self) -> tuple[float, float]:
-        """Return mean and variance of v."""
+        """Return mean [m/s] and variance [(m/s)^2] of v."""
         v, mean = self.cloud.x[0], self.speed
         return mean, float(self.P[0, 0] + np.square(v - mean) @ self._weights)
 
     def follow(self, speed: float, r: float) -> None:
-        """Take in a speed that tells nothing of f."""
+        """Update without f, with a measured speed [m/s] of variance r [(m/s)^2]."""
         fix = speed_correction(self.P, r)
         self.cloud = group_cloud.followed(self.cloud, fix, SPEED, np.array([speed]))
         self.P = fix.P
 
     def learn(self, interval: Transition, elapsed: float, speed: float, r: float) -> bool:
-        """One step of GSMA, eqs. (14)-(22)."""
+        """Update with a measured speed [m/s] of variance r [(m/s)^2]: one step of GSMA, eqs. (14)-(22)."""
         step, config, dt = self._step, self._config, interval.dt
         fix = speed_correction(self.P, r)
         cloud, pause = self.cloud, elapsed - dt
@@ -208,24 +208,24 @@ class GsmaPosterior:
         return True
 
     def _walk(self, calm: float) -> Array:
-        """Return the variance per second of f in each stratum: it jumps as far as the response stands."""
+        """Return the variance of f in each stratum [1/s]; a jump is possible only as far as the response is steady."""
         walk: Array = self._q[0] + calm * (self._q - self._q[0])
         return walk
 
     def _chain(self, dt: float, pause: float) -> Array:
-        """Return the chances to go from one stratum to another."""
+        """Return the transition probabilities between the strata; times in [s]."""
         if len(self._q) == 1:
             return np.ones((1, 1))
         starts, ends = transition(self._config, dt, max(0.0, pause))
         return np.array([[1.0 - starts, starts], [ends, 1.0 - ends]])
 
     def save(self) -> str:
-        """Return the whole state, generator included, as JSON text."""
+        """Return the complete state, including the random generator, as JSON text."""
         c, random = self.cloud, json.dumps(self._rng.bit_generator.state)
         return encode(GsmaState(c.f, c.x, c.weight, c.mean, c.variance, c.slope, self.P, self._effective, random))
 
     def restore(self, text: str) -> None:
-        """Take over a saved state."""
+        """Restore a saved state."""
         state = decode(text, GsmaState)
         N, M = len(self.strata.of), len(self.strata.sizes)
         if len(state.f) != N:

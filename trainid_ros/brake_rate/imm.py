@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""IMM: two Kalman filters that mix, one for a brake rate that drifts and one for a brake rate that jumps.
+"""IMM: two mixing Kalman filters, one for a brake rate that drifts and one for a brake rate that jumps.
 
-The interacting multiple model of Blom and Bar-Shalom: each step begins with every model at the mixture to
-which the Markov chain of the models leads, so a jump is found as soon as the wide model explains speed better.
+The interacting multiple model of Blom and Bar-Shalom: each step starts every model from the mixture given by the
+Markov chain of the models, so a jump is detected as soon as the wide model explains the speed better.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
     Models = tuple[tuple[Array, Array], tuple[Array, Array]]
 
-# No jump is ever certain: what is left of the quiet model is divided by.
+# The probability of a jump stays below one, because the mixing divides by that of the quiet model.
 _MOST_CERTAIN: Final = 1.0 - 1e-12
 
 
@@ -38,7 +38,7 @@ class ImmConfig(JumpConfig):
 
 @dataclass(frozen=True, slots=True)
 class ImmState:
-    """Probability of the jumping model; means of z = [v, a, b, e, f], shape (2, n + 1), covariances (2, n + 1, n + 1).
+    """Probability of the jumping model, means of z = [v, a, b, e, f], shape (2, n + 1), covariances (2, n + 1, n + 1).
 
     The quiet model is the first.
     """
@@ -54,27 +54,27 @@ class ImmPosterior:
     def __init__(self, config: ImmConfig) -> None:
         self._config = config
         self._q = drifts(config)
-        nothing = gaussian.prior(0.0, 0.0, NO_ERRORS)
-        self._take(0.0, (nothing, nothing))
+        empty = gaussian.prior(0.0, 0.0, NO_ERRORS)
+        self._take(0.0, (empty, empty))
 
     def _take(self, jumping: float, models: Models) -> None:
-        """Take over a mixture, and compute once what is asked often."""
+        """Set the mixture and cache its moments."""
         self.jumping, self.models = jumping, models
         weights = (1.0 - jumping, jumping)
         self._m, self._P = gaussian.mixed(weights, (models[0][0], models[1][0]), (models[0][1], models[1][1]))
 
     @property
     def rate(self) -> float:
-        """Mean of f."""
+        """Mean of f [1]."""
         return float(self._m[STATES])
 
     @property
     def variance(self) -> float:
-        """Variance of f."""
+        """Variance of f [1]."""
         return float(self._P[STATES, STATES])
 
     def total_rate(self, share: Array) -> tuple[float, float]:
-        """Return mean and variance of f + share e."""
+        """Return mean and variance of f + share e [1]."""
         return gaussian.total_rate(self._m, self._P, share)
 
     @property
@@ -103,37 +103,37 @@ class ImmPosterior:
         return errors_of(np.diag(self._P)[3:STATES])
 
     def reset(self, rate: float, std: float, error_stds: Errors) -> None:
-        """Go back to the prior."""
+        """Reset to the prior."""
         prior = gaussian.prior(rate, std, error_stds)
         self._take(0.0, (prior, prior))
 
     def anchor(self, start: Start) -> None:
-        """Start v, a and b anew."""
+        """Restart v, a and b."""
         first, second = (gaussian.anchored(m, P, start) for m, P in self.models)
         self._take(self.jumping, (first, second))
 
     def recentre(self, shift: Errors) -> None:
-        """Count the errors from a new origin."""
+        """Express the errors relative to a new origin, ``shift`` away from the old."""
         (m0, P0), (m1, P1) = self.models
         self._take(self.jumping, ((gaussian.recentred(m0, shift), P0), (gaussian.recentred(m1, shift), P1)))
 
     def predict(self, interval: Transition) -> None:
-        """Follow the motion over an interval."""
+        """Predict the motion over an interval."""
         (m0, P0), (m1, P1) = self.models
         self._take(self.jumping, (gaussian.predict(m0, P0, interval), gaussian.predict(m1, P1, interval)))
 
     def predicted(self) -> tuple[float, float]:
-        """Return mean and variance of v."""
+        """Return mean [m/s] and variance [(m/s)^2] of v."""
         return float(self._m[0]), float(self._P[0, 0])
 
     def follow(self, speed: float, r: float) -> None:
-        """Take in a speed that tells nothing of f."""
+        """Update without f, with a measured speed [m/s] of variance r [(m/s)^2]."""
         (m0, P0), (m1, P1) = self.models
         quiet = gaussian.update(m0, P0, speed, r, learns=False)
         self._take(self.jumping, (quiet, gaussian.update(m1, P1, speed, r, learns=False)))
 
     def learn(self, interval: Transition, elapsed: float, speed: float, r: float) -> bool:
-        """Take in a speed that tells of f; then mix for the next step."""
+        """Update with a measured speed [m/s] of variance r [(m/s)^2]; then mix for the next step."""
         quiet, pause = self._q[0], elapsed - interval.dt
         likelihoods, updated = [], []
         for (m, P), q in zip(self.models, self._q, strict=True):
@@ -152,7 +152,7 @@ class ImmPosterior:
         starts, ends = transition(self._config, dt, pause)
         means, covs = (models[0][0], models[1][0]), (models[0][1], models[1][1])
         into_jump = starts * (1.0 - jumping), (1.0 - ends) * jumping
-        after = min(sum(into_jump), _MOST_CERTAIN)  # after a long pause a jump is as good as certain
+        after = min(sum(into_jump), _MOST_CERTAIN)  # after a long pause a jump is almost certain
         quiet_share = (1.0 - starts) * (1.0 - jumping) / (1.0 - after)
         quiet = gaussian.mixed((quiet_share, 1.0 - quiet_share), means, covs)
         jump = models[1]
@@ -162,12 +162,12 @@ class ImmPosterior:
         self._take(after, (quiet, jump))
 
     def save(self) -> str:
-        """Return the whole state as JSON text."""
+        """Return the complete state as JSON text."""
         means, covariances = (np.array(parts) for parts in zip(*self.models, strict=True))
         return encode(ImmState(self.jumping, means, covariances))
 
     def restore(self, text: str) -> None:
-        """Take over a saved state."""
+        """Restore a saved state."""
         state = decode(text, ImmState)
         n, m, P = STATES + 1, state.means, state.covariances
         sized = m.shape == (2, n) and P.shape == (2, n, n) and 0.0 <= state.jumping < 1.0
@@ -177,7 +177,7 @@ class ImmPosterior:
 
 
 def _posterior(prior: float, log_ratio: float) -> float:
-    """Probability of the jumping model after its likelihood, given as log-ratio to the quiet one."""
+    """Return the posterior probability of the jumping model from the log-likelihood ratio to the quiet one."""
     if prior <= 0.0:
         return 0.0
     odds = math.log(prior) - math.log1p(-prior) + log_ratio

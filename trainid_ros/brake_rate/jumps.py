@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A brake rate that drifts quietly, and rarely moves fast for a short time: a two-state Markov chain.
+"""Markov chain of a brake rate with two states: slow drift (quiet) and a rare, short, fast change (jumping).
 
-Whether it jumped since the last braking shows only when the response of the brake to its command stands: until then
-an error of dead time or lag looks alike. So the chain moves with the calm of the response, and what may have
-happened while no brake acted waits for it.
+A jump since the last braking can be detected only when the response of the brake to its command is steady: before
+that, an error of dead time or lag has the same effect. So time in the chain is scaled by ``calm``, the steadiness of
+the response, and the probability of a jump while no brake acted is kept until then.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from trainid_ros.core.settings import setting
 
 @dataclass(frozen=True, slots=True)
 class JumpConfig(BrakeRateConfig):
-    """Settings of estimators that expect jumps."""
+    """Settings of estimators that model jumps."""
 
     jump_rate: float = setting(0.0001, 'jumps of the brake rate per second', '1/s', 0.0, 1.0)
     jump_std: float = setting(0.2, 'standard deviation of a jump', '1', 1e-3, 2.0)
@@ -25,11 +25,11 @@ class JumpConfig(BrakeRateConfig):
 
 
 def transition(config: JumpConfig, dt: float, pause: float = 0.0) -> tuple[float, float]:
-    """Return the probabilities that a quiet brake began to jump, and that a jump ended.
+    """Return the probabilities [1] that a quiet brake started to jump, and that a jump ended.
 
     Args:
         config: Settings.
-        dt: Time in which jumps show, the sample times the calm of the response [s].
+        dt: Time in which jumps are observable, the sample period times ``calm`` [s].
         pause: Time before the sample in which no brake acted [s].
 
     """
@@ -37,7 +37,7 @@ def transition(config: JumpConfig, dt: float, pause: float = 0.0) -> tuple[float
 
 
 def drifts(config: JumpConfig) -> tuple[float, float]:
-    """Return the variance per second of f in the quiet and in the jumping state.
+    """Return the variance of f per second in the quiet and in the jumping state [1/s].
 
     Over its mean duration a jump has the variance ``jump_std^2``.
     """

@@ -36,7 +36,7 @@ class KalmanState:
 
 
 class KalmanPosterior:
-    """One Gaussian."""
+    """Gaussian posterior."""
 
     def __init__(self, config: KalmanConfig) -> None:
         self._q = config.drift**2
@@ -46,16 +46,16 @@ class KalmanPosterior:
 
     @property
     def rate(self) -> float:
-        """Mean of f."""
+        """Mean of f [1]."""
         return float(self.m[STATES])
 
     @property
     def variance(self) -> float:
-        """Variance of f."""
+        """Variance of f [1]."""
         return float(self.P[STATES, STATES])
 
     def total_rate(self, share: Array) -> tuple[float, float]:
-        """Return mean and variance of f + share e."""
+        """Return mean and variance of f + share e [1]."""
         return gaussian.total_rate(self.m, self.P, share)
 
     @property
@@ -79,31 +79,31 @@ class KalmanPosterior:
         return errors_of(np.diag(self.P)[3:STATES])
 
     def reset(self, rate: float, std: float, error_stds: Errors) -> None:
-        """Go back to the prior."""
+        """Reset to the prior."""
         self.m, self.P = gaussian.prior(rate, std, error_stds)
 
     def anchor(self, start: Start) -> None:
-        """Start v, a and b anew."""
+        """Restart v, a and b."""
         self.m, self.P = gaussian.anchored(self.m, self.P, start)
 
     def recentre(self, shift: Errors) -> None:
-        """Count the errors from a new origin."""
+        """Express the errors relative to a new origin, ``shift`` away from the old."""
         self.m = gaussian.recentred(self.m, shift)
 
     def predict(self, interval: Transition) -> None:
-        """Follow the motion over an interval."""
+        """Predict the motion over an interval."""
         self.m, self.P = gaussian.predict(self.m, self.P, interval)
 
     def predicted(self) -> tuple[float, float]:
-        """Return mean and variance of v."""
+        """Return mean [m/s] and variance [(m/s)^2] of v."""
         return float(self.m[0]), float(self.P[0, 0])
 
     def follow(self, speed: float, r: float) -> None:
-        """Take in a speed that tells nothing of f."""
+        """Update without f, with a measured speed [m/s] of variance r [(m/s)^2]."""
         self.m, self.P = gaussian.update(self.m, self.P, speed, r, learns=False)
 
     def learn(self, interval: Transition, elapsed: float, speed: float, r: float) -> bool:
-        """Take in a speed that tells of f."""
+        """Update with a measured speed [m/s] of variance r [(m/s)^2]; f drifted over ``elapsed`` [s]."""
         P = gaussian.drift(self.P, interval.gain_v, interval.gain_a, self._q * elapsed)
         m, P = gaussian.update(self.m, P, speed, r, learns=True)
         if not math.isfinite(m.sum() + P.sum()):
@@ -112,11 +112,11 @@ class KalmanPosterior:
         return True
 
     def save(self) -> str:
-        """Return the whole state as JSON text."""
+        """Return the complete state as JSON text."""
         return encode(KalmanState(self.m, self.P))
 
     def restore(self, text: str) -> None:
-        """Take over a saved state."""
+        """Restore a saved state."""
         state = decode(text, KalmanState)
         check_numbers(state)
         sized = state.m.shape == (STATES + 1,) and state.P.shape == (STATES + 1, STATES + 1)

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The train of Zheng et al. 2015, eqs. (1)-(4), in exact discrete time: x = [D, v, a, a_z], f enters linearly.
+"""Train model of Zheng et al. 2015, eqs. (1)-(4), in exact discrete time: x = [D, v, a, a_z], linear in f.
 
     D' = v,  v' = a + d(t),  tau a' = -a + f (a_z - u),  a_z' = -lam a_z + 2 lam u.
 
 u is the command a_Tar and a_z - u is u after a first-order Pade delay, exp(-Ts) ~ (lam - s)/(lam + s), lam = 2/T
-(which starts the wrong way: the estimators on samples use the exact dead time instead). The printed A and b are
-right; in (1) the delay must be T, not tau. What the paper leaves unsaid: Phi(f) = Phi0 + f Phi1 and
+(its initial response has the wrong sign, so the estimators on samples use the exact dead time instead). The printed A
+and b are correct; in (1) the delay must be T, not tau. Not stated in the paper: Phi(f) = Phi0 + f Phi1 and
 Gamma(f) = Gamma0 + f Gamma1 exactly, and a_z is a known function of the command, so f multiplies a known signal.
 """
 
@@ -44,7 +44,7 @@ class PadeModel:
     E: Array
 
     def step(self, a_z: float, u: float, variance: float) -> LinearStep:
-        """Return the step of [D, v, a] with a_z known; ``variance`` is that of d [m^2/s^4]."""
+        """Return the step of [D, v, a] for known a_z and u [m/s^2]; ``variance`` is that of d [m^2/s^4]."""
         return LinearStep(
             Phi=self.Phi0[:3, :3],
             gamma=self.Phi1[:3, 3] * a_z + self.Gamma1[:3] * u,
@@ -53,7 +53,7 @@ class PadeModel:
         )
 
     def next_a_z(self, a_z: float, u: float) -> float:
-        """Return a_z one sample later."""
+        """Return a_z [m/s^2] one sample later."""
         return float(self.Phi0[3, 3] * a_z + self.Gamma0[3] * u)
 
 
@@ -65,15 +65,15 @@ def pade_model(dt: float, tau: float, lam: float) -> PadeModel:
 
     """
     if not (dt > 0.0 and tau > 0.0 and lam > 0.0 and lam * tau != 1.0):
-        msg = f'dt = {dt:g} s, tau = {tau:g} s and lam = {lam:g} 1/s must be > 0, and lam tau not 1'
+        msg = f'dt = {dt:g} s, tau = {tau:g} s and lam = {lam:g} 1/s must be > 0, and lam tau must not be 1'
         raise InputError(msg)
-    # A mode exp(-r t): itself, its integral and the integral of that.
+    # A mode exp(-r t), its integral and its double integral.
     lag, delay = _mode(1.0 / tau, dt), _mode(lam, dt)
     unit = (1.0, dt, 0.5 * dt * dt)
     c = 1.0 / (1.0 - lam * tau)
     Phi0, Phi1 = np.zeros((4, 4)), np.zeros((4, 4))
     Phi0[0, :3], Phi0[1, 1:3], Phi0[2, 2], Phi0[3, 3] = (1.0, dt, lag[2]), (1.0, lag[1]), lag[0], delay[0]
-    # Rows D, v, a of what f adds: the response of the lag to a decaying a_z, and to u with the a_z that it raises.
+    # Rows D, v, a of the terms with f: the response of the lag to a decaying a_z, and to u including the a_z it causes.
     from_a_z = [c * (delay[i] - lag[i]) for i in (2, 1, 0)]
     from_u = [unit[i] - lag[i] - 2.0 * c * (delay[i] - lag[i]) for i in (2, 1, 0)]
     Phi1[:3, 3] = from_a_z

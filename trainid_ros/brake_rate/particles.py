@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """A linear state x with a parameter f that acts on a known input, x' = Phi x + f gamma + known, measured as y = H x.
 
-So f is in the mean of x alone, and whatever values of f the particles carry and carried, they share one
-covariance: one Riccati equation for all (Zheng et al. 2015, eqs. (14), (16), (20), (21) have one for each).
-Arrays over N particles have them in the last axis.
+f affects only the mean of x, so all particles share one covariance, whatever their present and past values of f: one
+Riccati equation for all (Zheng et al. 2015, eqs. (14), (16), (20), (21) use one for each particle).
+Arrays over N particles have the particles in the last axis.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ Array = NDArray[np.float64]
 
 # v of x = [v, a, b, e] is measured.
 SPEED: Final = np.eye(1, STATES)
-_STAYING: Final = np.eye(STATES)
+_IDENTITY: Final = np.eye(STATES)
 
 
 class LinearStep(NamedTuple):
@@ -32,7 +32,7 @@ class LinearStep(NamedTuple):
     Attributes:
         Phi: Transition, shape (n, n).
         gamma: Effect of f = 1, shape (n,).
-        known: Effect of all that is known, shape (n,).
+        known: Effect of all known inputs, shape (n,).
         Q: Covariance of the process noise, shape (n, n).
 
     """
@@ -43,25 +43,25 @@ class LinearStep(NamedTuple):
     Q: Array
 
     def predict(self, x: Array, f: Array) -> Array:
-        """Means of x after the step (14), shape (n, N), from those before it and the rates, shape (N,)."""
+        """Return the means of x after the step, eq. (14), from x, shape (n, N), and the rates f, shape (N,)."""
         after: Array = self.Phi @ x
         after += self.gamma[:, None] * f
         after += self.known[:, None]
         return after
 
     def predict_covariance(self, P: Array) -> Array:
-        """Return the shared covariance after the step (14)."""
+        """Return the shared covariance after the step, eq. (14)."""
         after: Array = self.Phi.dot(P).dot(self.Phi.T) + self.Q
         return after
 
 
 class Correction(NamedTuple):
-    """What a measurement does to all particles alike.
+    """Measurement update, the same for all particles.
 
     Attributes:
-        K: Gain (20), shape (n, m).
-        P: Covariance after the measurement (21), shape (n, n).
-        W: Whitens innovations: W S W' = I with their covariance S (16), shape (m, m).
+        K: Gain, eq. (20), shape (n, m).
+        P: Covariance after the measurement, eq. (21), shape (n, n).
+        W: Whitening matrix of innovations: W S W' = I with their covariance S, eq. (16), shape (m, m).
 
     """
 
@@ -71,20 +71,22 @@ class Correction(NamedTuple):
 
 
 def correction(P: Array, H: Array, R: Array) -> Correction:
-    """Return gain, covariance and whitening for a predicted covariance P, shape (n, n), and a measurement."""
+    """Return the update of a predicted covariance P, shape (n, n), with y = H x of noise covariance R."""
     PH = P @ H.T
+    # Eq. (16).
     S = H @ PH + R
     if S.size == 1:  # one measurement needs no matrix algebra
         s = float(S[0, 0])
         return Correction(PH / s, P - PH @ (PH.T / s), np.array([[1.0 / math.sqrt(s)]]))
     W = np.linalg.inv(np.linalg.cholesky(S))
+    # Eqs. (20), (21), in Joseph form.
     K = PH @ W.T @ W
     A = np.eye(len(P)) - K @ H
     return Correction(K, A @ P @ A.T + K @ R @ K.T, W)
 
 
 def speed_correction(P: Array, r: float) -> Correction:
-    """Return the same for x = [v, ...] of which v is measured with variance r, without matrix algebra."""
+    """Return the same for x = [v, ...] with v measured with variance r [(m/s)^2], without matrix algebra."""
     column = P[:, :1]
     s = float(P[0, 0]) + r
     K = column / s
@@ -92,7 +94,7 @@ def speed_correction(P: Array, r: float) -> Correction:
 
 
 def distance(W: Array, nu: Array) -> Array:
-    """Squared innovations in units of their covariance, shape (...), from shape (m, ...)."""
+    """Return the squared Mahalanobis distance [1] of innovations, shape (...), from shape (m, ...)."""
     if len(W) == 1:
         scaled: Array = W[0, 0] * nu[0]
         return scaled * scaled
@@ -103,7 +105,7 @@ def distance(W: Array, nu: Array) -> Array:
 
 def speed_step(interval: Transition) -> LinearStep:
     """Return the step of x = [v, a, b, e] over an interval."""
-    Phi, gamma, known, Q = _STAYING.copy(), np.zeros(STATES), np.zeros(STATES), np.zeros((STATES, STATES))
+    Phi, gamma, known, Q = _IDENTITY.copy(), np.zeros(STATES), np.zeros(STATES), np.zeros((STATES, STATES))
     Phi[0] = (1.0, interval.reach, interval.dt, *interval.lean)
     Phi.flat[STATES + 1 :: STATES + 1] = (interval.decay, interval.rho, *interval.keep)
     gamma[0], gamma[1], known[0] = interval.gain_v, interval.gain_a, interval.known
@@ -112,12 +114,12 @@ def speed_step(interval: Transition) -> LinearStep:
 
 
 def error_covariance(stds: Errors) -> Array:
-    """Return the covariance of x of which only the errors are uncertain, shape (n, n)."""
+    """Return the covariance of x with uncertainty in the errors only, shape (n, n)."""
     return np.diag([0.0, 0.0, 0.0, *np.square(stds)])
 
 
 def started(P: Array, start: Start) -> Array:
-    """Return the covariance of x where v, a and b start anew, shape (n, n)."""
+    """Return the covariance of x after a restart of v, a and b, shape (n, n)."""
     after = np.zeros_like(P)
     after[3:, 3:] = P[3:, 3:] * np.outer(start.keep, start.keep)
     after.flat[:: len(P) + 1] += (*start.variances, *start.q_e)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an estimator of the brake rate believes, whatever form the belief has: Gaussian, mixture or particles."""
+"""Interface of the posterior of a brake rate estimator: Gaussian, mixture or particles."""
 
 from __future__ import annotations
 
@@ -19,29 +19,30 @@ STATES: Final = 3 + ERRORS
 
 
 class Transition(NamedTuple):
-    """What moves the train over one sample, linear in x = [v, a, b, e] and the brake rate f.
+    """Motion of the train over one sample, linear in x = [v, a, b, e] and the brake rate f.
 
     v' = v + reach a + dt b + lean e + gain_v f + known,   a' = decay a + gain_a f,   b' = rho b,   e' = keep e.
 
-    v is speed, a the acceleration by the brake, b a disturbance along the line. The errors e of the train file are
-    those of dead time and lag, times f [s]; the relative errors of a + b v, of c v^2 and of the traction; the
-    change of the brake rate from standstill to full speed; its change where electric and friction brakes change over;
-    and the error of the brake at its present level [m/s^2].
+    v is the speed [m/s], a the acceleration by the brake [m/s^2], b a disturbance along the line [m/s^2]. The errors e
+    of the train file are those of dead time and lag, times f [s]; the relative errors of a + b v, of c v^2 and of the
+    traction [1]; the change of the brake rate from standstill to full speed [1]; its change where electric and friction
+    brakes change over [1]; and the error of the brake at its present level [m/s^2].
 
     Attributes:
         dt: Duration [s].
         reach: Gain of speed by the brake acceleration at the start [s].
-        decay: What is left of that acceleration at the end.
+        decay: Share of that acceleration left at the end [1].
         gain_v: Gain of speed by the command at f = 1 [m/s].
-        gain_a: The same of acceleration [m/s^2].
-        rho: What is left of the disturbance at the end.
+        gain_a: Gain of brake acceleration by the command at f = 1 [m/s^2].
+        rho: Share of the disturbance left at the end [1].
         known: Gain of speed by all known forces [m/s].
         q_v: Variance that white acceleration adds to v [(m/s)^2].
-        q_b: Variance that enters b [(m/s^2)^2].
-        lean: Gain of speed by one unit of each error.
-        keep: What is left of each error at the end.
-        q_e: Variance that enters each error.
-        calm: 1 while the response of the brake stands, towards 0 while it changes: then f is not seen to jump.
+        q_b: Variance added to b [(m/s^2)^2].
+        lean: Gain of speed per unit of each error [m/s per unit].
+        keep: Share of each error left at the end [1].
+        q_e: Variance added to each error.
+        calm: Steadiness of the brake response [1]: 1 while it is constant, towards 0 while it changes, when a jump of f
+            cannot be detected.
 
     """
 
@@ -61,14 +62,14 @@ class Transition(NamedTuple):
 
 
 class Start(NamedTuple):
-    """How speed v, brake acceleration a = f target and disturbance b start anew, and how the errors e go on.
+    """Restart of speed v, brake acceleration a = f target and disturbance b; propagation of the errors e.
 
     Attributes:
         speed: Speed [m/s].
         target: Brake acceleration at f = 1 [m/s^2].
-        variances: Variances of v, a and b.
-        keep: What is left of each error.
-        q_e: Variance that enters each error.
+        variances: Variances of v [(m/s)^2], a given f [(m/s^2)^2] and b [(m/s^2)^2].
+        keep: Share of each error that is left [1].
+        q_e: Variance added to each error.
 
     """
 
@@ -84,14 +85,14 @@ class Posterior(Protocol):
 
     @property
     def rate(self) -> float:
-        """Mean of f."""
+        """Mean of f [1]."""
 
     @property
     def variance(self) -> float:
-        """Variance of f when it last learned."""
+        """Variance of f at its last update [1]."""
 
     def total_rate(self, share: Array) -> tuple[float, float]:
-        """Return mean and variance of f + share e, shape (8,): the brake rate at this speed and level."""
+        """Return mean and variance of f + share e [1], the brake rate at this speed and level; share of shape (8,)."""
 
     @property
     def speed(self) -> float:
@@ -103,50 +104,56 @@ class Posterior(Protocol):
 
     @property
     def effective(self) -> float:
-        """Effective number of hypotheses; 1 for a Gaussian."""
+        """Effective number of hypotheses [1]; 1 for a Gaussian."""
 
     @property
     def errors(self) -> Errors:
-        """Means of the errors of the train file."""
+        """Means of the errors of the train file; units as in :class:`Transition`."""
 
     @property
     def error_variances(self) -> Errors:
         """Variances of the errors of the train file."""
 
     def reset(self, rate: float, std: float, error_stds: Errors) -> None:
-        """Go back to the prior: mean and standard deviation of f, and of the errors, whose mean is zero."""
+        """Reset to the prior: mean and std of f [1], and standard deviations of the errors, whose mean is zero."""
 
     def anchor(self, start: Start) -> None:
-        """Start v, a and b anew; f stands."""
+        """Restart v, a and b; f is unchanged."""
 
     def recentre(self, shift: Errors) -> None:
-        """Count the errors from a new origin, ``shift`` away from the old."""
+        """Express the errors relative to a new origin, ``shift`` away from the old."""
 
     def predict(self, interval: Transition) -> None:
-        """Follow the motion over an interval; f stands."""
+        """Predict the motion over an interval; f is constant."""
 
     def predicted(self) -> tuple[float, float]:
-        """Return mean and variance of v over all hypotheses."""
+        """Return mean [m/s] and variance [(m/s)^2] of v over all hypotheses."""
 
     def follow(self, speed: float, r: float) -> None:
-        """Take in a speed with variance r that tells nothing of f."""
+        """Update all states except f with a measured speed [m/s] of variance r [(m/s)^2]."""
 
     def learn(self, interval: Transition, elapsed: float, speed: float, r: float) -> bool:
-        """Take in a speed that also tells of f, which drifted over ``elapsed`` [s]; after :meth:`predict`.
+        """Update all states and f, which drifted over ``elapsed`` [s], with a measured speed; after :meth:`predict`.
+
+        Args:
+            interval: Motion model since the last sample.
+            elapsed: Time since the last update of f [s].
+            speed: Measured speed [m/s].
+            r: Its variance [(m/s)^2].
 
         Returns:
-            False, and nothing changes, if a number is no longer finite.
+            False if a number is no longer finite; the posterior is then unchanged.
 
         """
 
     def save(self) -> str:
-        """Return the whole state as JSON text."""
+        """Return the complete state as JSON text."""
 
     def restore(self, text: str) -> None:
-        """Take over a saved state; InputError, and nothing changes, if it does not fit."""
+        """Restore a saved state; raise InputError and leave the state unchanged if it is invalid."""
 
 
 def errors_of(values: Array | list[float]) -> Errors:
-    """Return eight numbers as errors."""
+    """Return eight numbers as a tuple of errors."""
     e: list[float] = values if isinstance(values, list) else values.tolist()
     return e[0], e[1], e[2], e[3], e[4], e[5], e[6], e[7]

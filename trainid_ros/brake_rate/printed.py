@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""SMA and GSMA as Zheng et al. 2015 print them, on the dynamics of :mod:`brake_rate_estimator`: for comparison only.
+"""SMA and GSMA as printed in Zheng et al. 2015, on the dynamics of :mod:`brake_rate_estimator`, for comparison only.
 
-f is bound to a grid, the N particles of highest weight survive, weights do not carry over, and one step of the
-grid per sample is the transition, whatever the time between samples. Sections 3.4, 3.5 and 4.
+f is restricted to a grid, the N particles of highest weight survive, weights are not retained between samples, and the
+transition is one grid step per sample, whatever the time between samples. Sections 3.4, 3.5 and 4.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ if TYPE_CHECKING:
     from trainid_ros.brake_rate.particles import Array, Correction, LinearStep
     from trainid_ros.train.train_file import TrainFile
 
-# Values 1.0, 0.9 ... 0 of the paper.
+# Grid of the paper: 1.0, 0.9 ... 0.
 GRID: Final = np.round(np.linspace(1.0, 0.0, 11), 12)
-# The group {1.0, 0.9, 0.8} is not among those printed.
+# The group {1.0, 0.9, 0.8} is missing in the paper.
 PRINTED_FIRST: Final = 2
 
 
@@ -36,7 +36,7 @@ class PrintedConfig(BrakeRateConfig):
     """Settings of SMA and of GSMA as printed."""
 
     particles: int = setting(50, 'particles kept after pruning, N', '1', 2, 10_000)
-    most_particles: int = setting(500, 'particles beyond which it prunes, Q', '1', 2, 100_000)
+    most_particles: int = setting(500, 'number of particles above which they are pruned, Q', '1', 2, 100_000)
 
 
 class PrintedPosterior(ThetaPosterior):
@@ -48,12 +48,12 @@ class PrintedPosterior(ThetaPosterior):
         self._rule = MRule(config.particles, config.most_particles, carries=False, stochastic=False)
         self._branch = branch
 
-    def first_values(self, rate: float, std: float) -> Array:  # noqa: ARG002 - the printed start knows no belief
-        """Return the values of the grid by turns."""
+    def first_values(self, rate: float, std: float) -> Array:  # noqa: ARG002 - as printed, without a prior
+        """Return the values of the grid [1], repeated in turn."""
         return np.resize(GRID, self._config.particles)
 
     def learned(self, step: LinearStep, fix: Correction, y: Array, dt: float, elapsed: float) -> ThetaCloud:  # noqa: ARG002
-        """Return the particles after a measurement; the estimate is that of the survivors."""
+        """Return the particles after a measurement; the estimate is the mean of the survivors."""
         children = self._branch(self.cloud.f)
         return m_algorithm(self.cloud, children, step, fix, SPEED, y, self._rule, 0.0)[1]
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """RBPF: Rao-Blackwellised particle filter of the brake rate with a shared covariance.
 
-Zheng et al. 2015, section 3.3, keep f static: after some resampling all particles are one value. Here f drifts by
-q per second, which is its transition, so values stay apart.
+In Zheng et al. 2015, section 3.3, f is static: after some resampling all particles have the same value. Here f is a
+random walk of variance q per second, so the values stay distinct.
 """
 
 from __future__ import annotations
@@ -41,12 +41,12 @@ class RbpfPosterior(ThetaPosterior):
         self._config = config
 
     def first_values(self, rate: float, std: float) -> Array:
-        """Return the quantiles of the prior."""
+        """Return the quantiles of the prior of f [1]."""
         prior, N = NormalDist(rate, std), self._config.particles
         return np.array([max(0.0, prior.inv_cdf((i + 0.5) / N)) for i in range(N)])
 
     def learned(self, step: LinearStep, fix: Correction, y: Array, dt: float, elapsed: float) -> ThetaCloud:  # noqa: ARG002
-        """Return the particles after a measurement."""
+        """Return the particles after a measurement; f drifted over ``elapsed`` [s]."""
         std = self._config.drift * math.sqrt(elapsed)
         jitter = std * self.rng.standard_normal(len(self.cloud.f))
         return rbpf(self.cloud, step, fix, SPEED, y, jitter, float(self.rng.random()))

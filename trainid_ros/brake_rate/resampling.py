@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Weights of particles in the log domain, systematic resampling, and the generator's state."""
+"""Particle weights in the log domain, systematic resampling, and the state of the random generator."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 def normalise(log_weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return log-weights whose exponentials sum to one; equal ones if all are -inf."""
+    """Return log-weights whose exponentials sum to one; equal weights if all are -inf."""
     peak = float(np.max(log_weights))
     if not np.isfinite(peak):
         return np.full(len(log_weights), -np.log(len(log_weights)))
@@ -26,7 +26,7 @@ def normalise(log_weights: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def normal_weights(log_weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return weights that sum to one; equal ones if all log-weights are -inf."""
+    """Return weights that sum to one; equal weights if all log-weights are -inf."""
     peak = float(log_weights.max())
     if not math.isfinite(peak):
         return np.full(log_weights.shape, 1.0 / log_weights.size)
@@ -37,7 +37,7 @@ def normal_weights(log_weights: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def effective_number(weights: NDArray[np.float64]) -> float:
-    """1 / sum of squared normalised weights (Zheng et al. print it with unnormalised ones)."""
+    """Return 1 / sum of squared normalised weights [1]; Zheng et al. print it with unnormalised weights."""
     flat = weights.ravel()
     return 1.0 / float(flat.dot(flat))
 
@@ -54,7 +54,7 @@ def systematic(weights: NDArray[np.float64], count: int, uniform: float) -> NDAr
 
 
 def restore_generator(rng: np.random.Generator, text: str, kind: str) -> None:
-    """Take over the state of a generator from JSON text; InputError, naming the ``kind`` of state, if it is none."""
+    """Restore a generator from JSON text; raise InputError, naming the ``kind`` of state, if it is invalid."""
     try:
         rng.bit_generator.state = json.loads(text)
     except (ValueError, TypeError, KeyError) as error:

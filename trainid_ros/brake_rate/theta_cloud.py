@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Particles of a parameter with the filters of Zheng et al. 2015: RBPF, SMA and GSMA, as printed and corrected.
+"""Particle filters of Zheng et al. 2015 for a parameter f: RBPF, SMA and GSMA, as printed and corrected.
 
-They run on any linear step, so on the paper's data as well as in the nodes. States have been predicted with the
-particles' own values of f before, see :class:`LinearStep`; a value that changes moves x by gamma.
+They run on any linear step, on the data of the paper as well as in the nodes. The states have already been predicted
+with each particle's own f, see :class:`LinearStep`; a change of f then moves x by gamma times the change.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from trainid_ros.brake_rate.resampling import effective_number, normalise, syste
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-# A particle in the middle of a printed group takes the values of this group.
+# Index offsets of the values in a printed group from its middle.
 _GROUP: Final = np.array([[1], [0], [-1]])
 
 
 class ThetaCloud(NamedTuple):
-    """Rates f, shape (N,), normalised log-weights, shape (N,), and means of x given f, shape (n, N)."""
+    """Rates f [1], shape (N,), normalised log-weights, shape (N,), and means of x given f, shape (n, N)."""
 
     f: Array
     log_weights: Array
@@ -38,13 +38,13 @@ class ThetaCloud(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class MRule:
-    """How an M-algorithm prunes.
+    """Pruning rule of an M-algorithm.
 
     Attributes:
-        keep: Particles kept, N.
-        most: Particles at which it prunes, Q.
-        carries: Weights carry over, w_k = w_{k-1} p(y_k); printed (17): they do not.
-        stochastic: Systematic resampling; printed: the N of highest weight, which is biased.
+        keep: Number of particles kept, N.
+        most: Number of particles above which they are pruned, Q.
+        carries: Whether weights are retained, w_k = w_{k-1} p(y_k); as printed in (17) they are not.
+        stochastic: Whether pruning is systematic resampling; printed: the N of highest weight, which is biased.
 
     """
 
@@ -57,10 +57,10 @@ class MRule:
 def rbpf(
     cloud: ThetaCloud, step: LinearStep, fix: Correction, H: Array, y: Array, jitter: Array, uniform: float
 ) -> ThetaCloud:
-    """Rao-Blackwellised particle filter; values move by ``jitter``, shape (N,), zero for a static parameter."""
+    """Return one step of the RBPF; values move by ``jitter`` [1], shape (N,), zero for a static parameter."""
     f, x = cloud.f + jitter, cloud.x + step.gamma[:, None] * jitter
     nu = y[:, None] - H @ x
-    # Paper, step 3: divided by the sum of squares; and N_eff from weights that were not normalised.
+    # Normalised by the sum; the paper, step 3, divides by the sum of squares and uses unnormalised weights in N_eff.
     log_weights = normalise(cloud.log_weights - 0.5 * distance(fix.W, nu))
     x = x + fix.K @ nu
     N = len(f)
@@ -80,9 +80,10 @@ def rbpf_optimal(
     y: Array,
     uniforms: Array | None,
 ) -> ThetaCloud:
-    """RBPF that draws each value from p(theta_k | y_k), eqs. (9)-(13); as the text says the likeliest, if no uniforms.
+    """Return one step of the RBPF that draws each value from p(theta_k | y_k), eqs. (9)-(13).
 
-    The printed (13) lacks w_{k-1} and the prior, which is uniform over the grid here.
+    Without ``uniforms`` it takes the value of largest probability, as in the text of the paper. The printed (13) lacks
+    w_{k-1} and the prior, which is uniform over the grid here.
     """
     nu = y[:, None, None] - _child_measurements(cloud, np.repeat(grid[:, None], len(cloud.f), axis=1), step, H)
     log_likelihood = -0.5 * distance(fix.W, nu)  # (M, N)
@@ -93,6 +94,7 @@ def rbpf_optimal(
     f = grid[np.minimum(chosen, len(grid) - 1)]
     x = cloud.x + step.gamma[:, None] * (f - cloud.f)
     x = x + fix.K @ (y[:, None] - H @ x)
+    # Eq. (13), with w_{k-1}.
     log_weights = normalise(cloud.log_weights + peak + np.log(total))
     N, weights = len(f), np.exp(log_weights)
     if effective_number(weights) >= 0.5 * N:
@@ -102,26 +104,26 @@ def rbpf_optimal(
 
 
 def _child_measurements(cloud: ThetaCloud, children: Array, step: LinearStep, H: Array) -> Array:
-    """Expected measurements of children, shape (m, M, N)."""
-    at_own = H @ cloud.x
-    lean = H @ step.gamma
-    expected: Array = at_own[:, None, :] + lean[:, None, None] * (children - cloud.f)
+    """Return the predicted measurements of children, shape (m, M, N)."""
+    own = H @ cloud.x
+    gain = H @ step.gamma
+    expected: Array = own[:, None, :] + gain[:, None, None] * (children - cloud.f)
     return expected
 
 
 def all_values(grid: Array, f: Array) -> Array:
-    """SMA: from anywhere to any value, shape (M, N)."""
+    """Return the children of SMA: all values of the grid for each particle, shape (M, N)."""
     return np.repeat(grid[:, None], len(f), axis=1)
 
 
 def printed_groups(grid: Array, f: Array, first: int) -> Array:
-    """GSMA: the three neighbours of the group whose mean is nearest, shape (3, N).
+    """Return the children of GSMA: the three values of the group with the nearest mean, shape (3, N).
 
     Args:
-        grid: Values in falling order, equally spaced, shape (M,).
+        grid: Values in descending order, equally spaced, shape (M,).
         f: Values of the particles, shape (N,).
         first: Index in the grid of the middle of the first group. Printed is 2: the group of the second value is
-            missing, against the paper's own rule; corrected is 1.
+            missing, contrary to the rule in the paper; 1 is the corrected value.
 
     """
     spacing = grid[0] - grid[1]
@@ -140,11 +142,12 @@ def m_algorithm(
     rule: MRule,
     uniform: float,
 ) -> tuple[ThetaCloud, ThetaCloud]:
-    """Branch to children, shape (M, N), weigh them, and prune: all particles, and those that the next step gets."""
+    """Branch to children, shape (M, N), weigh and prune; return all particles, and those for the next step."""
     M = len(children)
     f = children.ravel()
     x = np.tile(cloud.x, M) + step.gamma[:, None] * (f - np.tile(cloud.f, M))
     nu = y[:, None] - H @ x
+    # Eq. (17); as printed without the previous weight.
     before = np.tile(cloud.log_weights, M) if rule.carries else 0.0
     log_weights = normalise(before - 0.5 * distance(fix.W, nu))
     everything = ThetaCloud(f, log_weights, x + fix.K @ nu)

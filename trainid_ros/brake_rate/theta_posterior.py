@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Belief in form of weighted particles with one shared covariance; how they learn is left to subclasses."""
+"""Posterior of weighted particles with one shared covariance; subclasses define the update of f."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ _ROUNDING: Final = 1e-6
 
 @dataclass(frozen=True, slots=True)
 class ThetaState:
-    """All that is believed, arrays as in :class:`ThetaCloud`; the state of the generator as JSON text."""
+    """State of the posterior, arrays as in :class:`ThetaCloud`; state of the random generator as JSON text."""
 
     f: NDArray[np.float64]
     log_weights: NDArray[np.float64]
@@ -53,8 +53,8 @@ class ThetaPosterior:
         self.take(ThetaCloud(np.zeros(1), np.zeros(1), np.zeros((STATES, 1))))
 
     def take(self, cloud: ThetaCloud) -> None:
-        """Take over particles, and compute once what is asked often."""
-        # Sums depend on the order in memory, and what is restored is in this one.
+        """Set the particles and cache their weights and moments."""
+        # Sums depend on the memory layout, and restored arrays are contiguous.
         self.cloud = cloud = cloud._replace(x=np.ascontiguousarray(cloud.x))
         self._weights = cloud.weights
         self._rate = float(cloud.f @ self._weights)
@@ -62,16 +62,16 @@ class ThetaPosterior:
 
     @property
     def rate(self) -> float:
-        """Mean of f."""
+        """Mean of f [1]."""
         return self._rate
 
     @property
     def variance(self) -> float:
-        """Variance of f."""
+        """Variance of f [1]."""
         return self._variance
 
     def total_rate(self, share: Array) -> tuple[float, float]:
-        """Return mean and variance of f + share e."""
+        """Return mean and variance of f + share e [1]."""
         total = self.cloud.f + share @ self.cloud.x[3:]
         mean = float(total @ self._weights)
         variance = float(np.square(total - mean) @ self._weights) + float(share @ self.P[3:, 3:] @ share)
@@ -89,7 +89,7 @@ class ThetaPosterior:
 
     @property
     def effective(self) -> float:
-        """Effective number of particles."""
+        """Effective number of particles [1]."""
         return effective_number(self._weights)
 
     @property
@@ -105,48 +105,48 @@ class ThetaPosterior:
         return errors_of(np.diag(self.P)[3:] + spread)
 
     def reset(self, rate: float, std: float, error_stds: Errors) -> None:
-        """Go back to the prior."""
+        """Reset to the prior."""
         f = self.first_values(rate, std)
         self.P = error_covariance(error_stds)
         self.rng.bit_generator.state = json.loads(self._random0)
         self.take(ThetaCloud(f, np.full(len(f), -math.log(len(f))), np.zeros((STATES, len(f)))))
 
     def first_values(self, rate: float, std: float) -> Array:
-        """Return the values of f to begin with, shape (N,)."""
+        """Return the initial values of f [1], shape (N,)."""
         raise NotImplementedError
 
     def anchor(self, start: Start) -> None:
-        """Start v, a and b anew."""
+        """Restart v, a and b."""
         f, keep = self.cloud.f, np.array(start.keep)[:, None]
         x = np.vstack([np.full(len(f), start.speed), start.target * f, np.zeros(len(f)), keep * self.cloud.x[3:]])
         self.cloud = ThetaCloud(f, self.cloud.log_weights, x)
         self.P = started(self.P, start)
 
     def recentre(self, shift: Errors) -> None:
-        """Count the errors from a new origin."""
+        """Express the errors relative to a new origin, ``shift`` away from the old."""
         x = self.cloud.x - np.array([0.0, 0.0, 0.0, *shift])[:, None]
         self.cloud = ThetaCloud(self.cloud.f, self.cloud.log_weights, x)
 
     def predict(self, interval: Transition) -> None:
-        """Follow the motion over an interval."""
+        """Predict the motion over an interval."""
         self._step = speed_step(interval)
         self.cloud = ThetaCloud(self.cloud.f, self.cloud.log_weights, self._step.predict(self.cloud.x, self.cloud.f))
         self.P = self._step.predict_covariance(self.P)
 
     def predicted(self) -> tuple[float, float]:
-        """Return mean and variance of v."""
+        """Return mean [m/s] and variance [(m/s)^2] of v."""
         mean = self.speed
         return mean, float(self.P[0, 0] + np.square(self.cloud.x[0] - mean) @ self._weights)
 
     def follow(self, speed: float, r: float) -> None:
-        """Take in a speed that tells nothing of f."""
+        """Update without f, with a measured speed [m/s] of variance r [(m/s)^2]."""
         fix = speed_correction(self.P, r)
         x = self.cloud.x + fix.K @ (speed - SPEED @ self.cloud.x)
         self.cloud = ThetaCloud(self.cloud.f, self.cloud.log_weights, x)
         self.P = fix.P
 
     def learn(self, interval: Transition, elapsed: float, speed: float, r: float) -> bool:
-        """Take in a speed that tells of f."""
+        """Update with a measured speed [m/s] of variance r [(m/s)^2]; f drifted over ``elapsed`` [s]."""
         fix = speed_correction(self.P, r)
         cloud = self.learned(self._step, fix, np.array([speed]), interval.dt, elapsed)
         if not math.isfinite(cloud.x.sum() + cloud.f.sum() + fix.P.sum()):
@@ -156,16 +156,16 @@ class ThetaPosterior:
         return True
 
     def learned(self, step: LinearStep, fix: Correction, y: Array, dt: float, elapsed: float) -> ThetaCloud:
-        """Return the particles after a measurement."""
+        """Return the particles after a measurement ``dt`` [s] after the last; f drifted over ``elapsed`` [s]."""
         raise NotImplementedError
 
     def save(self) -> str:
-        """Return the whole state, generator included, as JSON text."""
+        """Return the complete state, including the random generator, as JSON text."""
         c = self.cloud
         return encode(ThetaState(c.f, c.log_weights, c.x, self.P, json.dumps(self.rng.bit_generator.state)))
 
     def restore(self, text: str) -> None:
-        """Take over a saved state."""
+        """Restore a saved state."""
         state = decode(text, ThetaState)
         N = len(state.f)
         sized = state.log_weights.shape == (N,) and state.x.shape == (STATES, N) and state.P.shape == (STATES, STATES)

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How the response of the brake changes with its dead time T and lag tau, which a train file may state wrong.
+"""Sensitivity of the brake response to dead time T and lag tau, which may be wrong in a train file.
 
-The integral of the lagged target y over a sample, s(T, tau), is followed for T +- h and tau +- h. Its differences are
-the gains of speed by the errors of dead time and lag, for f = 1, statistically linearised over what is possible:
+The integral of the lagged target y over a sample, s(T, tau), is computed for T +- h and tau +- h. Its differences give
+the gains of speed by the errors of dead time and lag, for f = 1, by statistical linearisation:
 
-    lean_T = (s(T + h, tau) - s(T - h, tau)) / 2 h,
+    gain_T = (s(T + h, tau) - s(T - h, tau)) / 2 h,
 
-and the variance that is left, of an error with standard deviation h, is half the square of the second difference.
-Whenever the brake is released, T and tau move to what has been learned, and h to its standard deviation.
+and the remaining variance, for an error with standard deviation h, is half the square of the second difference.
+Whenever the brake is released, T and tau are set to their estimates, and h to their standard deviations.
 """
 
 from __future__ import annotations
@@ -22,23 +22,23 @@ if TYPE_CHECKING:
     from trainid_ros.train.brake import CommandHistory
     from trainid_ros.train.train_file import Brake
 
-# Differences over less than this are rounding [s].
+# Smallest step of a difference quotient; below it rounding dominates [s].
 _LEAST_SPREAD: Final = 0.02
-# A target below this acts no more [m/s^2].
+# A smaller target has no effect [m/s^2].
 _NOTHING: Final = 1e-4
 Four = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True, slots=True)
 class Timing:
-    """What is known of dead time and lag.
+    """Estimates of dead time and lag.
 
     Attributes:
         delay: Dead time [s].
         lag: Time constant [s].
-        spread: Standard deviations h of both [s]; 0: known.
+        spread: Standard deviations h of both [s]; 0: known exactly.
         targets: Lagged targets of a brake of rate 1 with T + h, T - h, tau + h, tau - h [m/s^2].
-        fresh: True if the brake has acted since the last move.
+        fresh: Whether the brake has acted since the last update.
 
     """
 
@@ -50,23 +50,23 @@ class Timing:
 
     @property
     def variants(self) -> tuple[tuple[float, float], ...]:
-        """Dead time and lag of the four targets."""
+        """Dead time and lag of the four targets [s]."""
         delay, lag, (h, k) = self.delay, self.lag, self.spread
         return (delay + h, lag), (max(0.0, delay - h), lag), (delay, lag + k), (delay, max(0.25 * lag, lag - k))
 
     def is_valid(self) -> bool:
-        """True if a brake can have these times and targets, as it may not when restored."""
+        """Return whether restored times and targets are physically possible."""
         return min(self.delay, self.lag, *self.spread) >= 0.0 and max(self.targets) <= 0.0
 
     def at_rest(self, commands: CommandHistory, stamp_ns: int) -> bool:
-        """True if no command acts, acted recently, or will act whatever the dead time is."""
+        """Return whether no command acts, acted recently, or is still pending for any possible dead time."""
         if commands.value(stamp_ns) != 0.0 or min(self.targets) < -_NOTHING:
             return False
         longest_ns = round(self.variants[0][0] * NS_PER_S)
         return not commands.changes or commands.changes[-1].stamp_ns < stamp_ns - longest_ns
 
     def moved(self, errors: tuple[float, float], stds: tuple[float, float], brake: Brake) -> Timing:
-        """Return the same after errors of T and tau have been learned with standard deviations [s]."""
+        """Return the timing corrected by estimated errors of T and tau with standard deviations [s]."""
         delay, lag = max(0.0, self.delay + errors[0]), max(0.25 * brake.time_constant, self.lag + errors[1])
         spread = (_spread(stds[0], self.spread[0]), _spread(stds[1], self.spread[1]))
         return Timing(delay, lag, spread)
@@ -74,17 +74,17 @@ class Timing:
 
 @dataclass(frozen=True, slots=True)
 class TimingStep:
-    """Gains of speed by errors of dead time and lag for f = 1 [m/s per s], and the variance left [(m/s)^2]."""
+    """Gains of speed by errors of dead time and lag for f = 1 [m/s per s], and the remaining variance [(m/s)^2]."""
 
-    lean_delay: float
-    lean_lag: float
+    delay_gain: float
+    lag_gain: float
     variance: float
 
 
 def timing_step(
     timing: Timing, commands: CommandHistory, start_ns: int, end_ns: int, nominal: float
 ) -> tuple[Timing, TimingStep]:
-    """Follow the four targets over (start, end]; ``nominal`` is the integral of the target itself [m/s]."""
+    """Propagate the four targets over (start, end] [ns]; ``nominal`` is the integral of the nominal target [m/s]."""
     if timing.at_rest(commands, end_ns):
         return replace(timing, targets=(0.0, 0.0, 0.0, 0.0)), TimingStep(0.0, 0.0, 0.0)
     ends, sums = [], []
@@ -96,11 +96,11 @@ def timing_step(
         ends.append(y)
         sums.append(total)
     (later, _), (sooner, _), (_, slower), (_, faster) = timing.variants
-    lean_delay = (sums[0] - sums[1]) / max(later - sooner, _LEAST_SPREAD)
-    lean_lag = (sums[2] - sums[3]) / max(slower - faster, _LEAST_SPREAD)
-    left = 0.5 * (sums[0] + sums[1] - 2.0 * nominal) ** 2 + 0.5 * (sums[2] + sums[3] - 2.0 * nominal) ** 2
+    delay_gain = (sums[0] - sums[1]) / max(later - sooner, _LEAST_SPREAD)
+    lag_gain = (sums[2] - sums[3]) / max(slower - faster, _LEAST_SPREAD)
+    remaining = 0.5 * (sums[0] + sums[1] - 2.0 * nominal) ** 2 + 0.5 * (sums[2] + sums[3] - 2.0 * nominal) ** 2
     targets = (ends[0], ends[1], ends[2], ends[3])
-    return replace(timing, targets=targets, fresh=True), TimingStep(lean_delay, lean_lag, left)
+    return replace(timing, targets=targets, fresh=True), TimingStep(delay_gain, lag_gain, remaining)
 
 
 def _spread(std: float, before: float) -> float:

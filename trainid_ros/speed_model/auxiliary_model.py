@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Kernels on the auxiliary output x_a and theta together: [x_a, a1, a2, b1, d0] and their covariance.
+"""Kernels on the joint state of auxiliary output x_a and theta, [x_a, a1, a2, b1, d0], and its covariance.
 
-Algorithm (7) of Yuan et al. 2017 takes phi(n) for the gradient of x_a(n) with respect to theta. It is not: x_a(n-1)
-depends on theta too. The true gradient obeys psi(n) = phi(n) + f psi(n-1), f = 2 a1 x + a2 = 1 - 1e-4, and
-carrying the covariance of x_a and theta is carrying it, weighed by what was measured since. Without it the loop of
-x_a error and d0 error is all but undamped, so (7) must forget fast or drift.
+Algorithm (7) of Yuan et al. 2017 uses phi(n) as the gradient of x_a(n) with respect to theta. This neglects that
+x_a(n-1) depends on theta too. The true gradient obeys psi(n) = phi(n) + f psi(n-1), f = 2 a1 x + a2 = 1 - 1e-4;
+propagating the joint covariance of x_a and theta propagates this gradient, weighted by the measurements since then.
+Without it the loop of x_a error and d0 error is almost undamped, so (7) must forget fast or it drifts.
 
-Pure arithmetic on tuples: floats for one train, arrays of equal shape for many at once. A ``Moments`` is
+Pure arithmetic on tuples: floats for one train, arrays of equal shape for many trains. ``Moments`` are
 x, a1, a2, b1, d0, then var(x), cov(x, theta) (4) and the upper triangle of cov(theta) (10).
 """
 
@@ -25,17 +25,17 @@ Floor: TypeAlias = tuple[float, float, float]
 
 
 def moments(x: float, variance: float, theta: Theta, S: Symmetric) -> Moments:
-    """Return x with its variance, theta with covariance S, uncorrelated."""
+    """Return the moments of x [m/s] with a variance [(m/s)^2] and theta with covariance S, uncorrelated."""
     return (x, *theta, variance, 0.0, 0.0, 0.0, 0.0, *S)
 
 
 def predict(m: Moments, u: float, scale: float, noise: float, drift: float) -> Moments:
-    """Step the auxiliary model, x(n) = phi(n)' theta, and the covariance with its gradient.
+    """Propagate the auxiliary model over one step, x(n) = phi(n)' theta, and the covariance with its gradient.
 
     Args:
-        m: Moments at the sample before.
+        m: Moments at the previous sample.
         u: Specific force over the step [N/kN].
-        scale: Duration of the step over the sample period.
+        scale: Duration of the step over the sample period [1].
         noise: Variance that x gains in one sample period [(m/s)^2].
         drift: Variance that d0 gains in one sample period [(m/s)^2].
 
@@ -56,12 +56,13 @@ def predict(m: Moments, u: float, scale: float, noise: float, drift: float) -> M
         + (q1 * phi1 + q2 * phi2 + q3 * phi3 + q4 * scale)
         + noise * scale
     )
+    # Eq. (2) for a step of ``scale`` sample periods.
     x = x + a1 * phi1 + (a2 - 1.0) * phi2 + b1 * phi3 + d0 * scale
     return x, a1, a2, b1, d0, pxx, q1, q2, q3, q4, s11, s12, s13, s14, s22, s23, s24, s33, s34, s44
 
 
 def correct(m: Moments, error: float, variance: float) -> Moments:
-    """Take in a measurement of x that differs by ``error`` from the prediction [m/s], noise variance [(m/s)^2]."""
+    """Update with a measurement of x: innovation ``error`` [m/s], noise variance [(m/s)^2]."""
     x, a1, a2, b1, d0, pxx, p1, p2, p3, p4, s11, s12, s13, s14, s22, s23, s24, s33, s34, s44 = m
     r = 1.0 / (pxx + variance)
     k1, k2, k3, k4 = p1 * r, p2 * r, p3 * r, p4 * r
@@ -75,34 +76,34 @@ def correct(m: Moments, error: float, variance: float) -> Moments:
 
 
 def anchor(m: Moments, x: float, variance: float) -> Moments:
-    """Start x anew from a measurement and forget how it hung together with theta, which stands."""
+    """Restart x from a measurement [m/s] with a variance [(m/s)^2], uncorrelated with theta; theta is unchanged."""
     zero = 0.0 * variance
     return (x, *m[1:5], variance, zero, zero, zero, zero, *m[10:])
 
 
 def widen_speed(m: Moments, variance: float) -> Moments:
-    """Allow for a force other than reported: widen x."""
+    """Add to the variance of x [(m/s)^2], for forces that are not reported."""
     return (*m[:5], m[5] + variance, *m[6:])
 
 
 def widen_load(m: Moments, variance: float) -> Moments:
-    """Allow for another load: widen b1."""
+    """Add to the variance of b1 [(m/s per N/kN)^2], for a change of load."""
     return (*m[:17], m[17] + variance, *m[18:])
 
 
 def forget(m: Moments, factor: float, floor: Floor) -> Moments:
-    """Forget what was learned of the resistance by ``factor``, down to the prior and never below.
+    """Reduce the information on the resistance by ``factor``, never below that of the prior.
 
     The mass changes at stops only, so b1 is kept: with c the column of b1, P - c c' / var(b1) is the covariance
-    given b1. There the information of a1, a2, d0 becomes lambda times what it was plus (1 - lambda) times that of
-    the prior: their covariance is divided by lambda, then the prior is taken in as three observations with the
-    weight 1 - lambda in which nothing new is seen. A direction in which nothing is learned ends as uncertain as it
-    began: nothing winds up.
+    given b1. There the information matrix of a1, a2, d0 becomes lambda times itself plus (1 - lambda) times that of
+    the prior: their covariance is divided by lambda, then the prior is applied as three observations of weight
+    1 - lambda with zero innovation. A direction without excitation returns to its prior variance, so the covariance
+    does not wind up.
 
     Args:
         m: Moments.
         factor: lambda in (0, 1].
-        floor: Variances of a1, a2, d0 given b1, of the prior.
+        floor: Prior variances of a1, a2, d0 given b1.
 
     """
     x, a1, a2, b1, d0, pxx, p1, p2, p3, p4, s11, s12, s13, s14, s22, s23, s24, s33, s34, s44 = m
@@ -137,6 +138,6 @@ def forget(m: Moments, factor: float, floor: Floor) -> Moments:
 
 
 def prior_floor(P0: Symmetric) -> Floor:
-    """Return what ``forget`` ends at. The prior of the Davis parameters, given b1, is diagonal."""
+    """Return the prior variances of a1, a2, d0 given b1, where ``forget`` ends; given b1 the prior is diagonal."""
     s11, _, s13, _, s22, s23, _, s33, s34, s44 = P0
     return s11 - s13 * s13 / s33, s22 - s23 * s23 / s33, s44 - s34 * s34 / s33

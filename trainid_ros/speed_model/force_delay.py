@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How late the reported force is, from what the speed does when the force changes.
+"""Delay of the reported force, estimated from the response of the speed to changes of the force.
 
-With a force f whose stamps are late by delta the model is where the train was delta ago, so it is compared with the
-speed measured then. What delta is off by leaves the model behind by k delta (f - f0), with f0 the force where the model
-started from a measurement and k its acceleration coefficient: each change of the force shows it in the errors of
-prediction. The model follows the measurement, and with each correction the share of the error that delta explains
-becomes smaller: ``gain``. One recursion on delta alone, beside that on theta: both are shown by the same errors, and
-what one is uncertain of widens the variance of x for the other.
+If the stamps of the force f are late by delta, the model output equals the train's speed delta ago, so it is compared
+with the speed measured then. An error in delta puts the model off by k delta (f - f0), where f0 is the force at the
+last restart of the model from a measurement and k the acceleration coefficient: each change of the force makes the
+error visible in the innovations. Measurement updates correct the model, so the sensitivity ``gain`` of x to delta
+shrinks with each update. delta has a scalar recursion of its own, separate from that of theta: both use the same
+innovations, and the uncertainty of one adds to the variance of x for the other.
 """
 
 from __future__ import annotations
@@ -14,13 +14,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import Final
 
-# The delay is never known better [s]: lags and the grid of the samples are no pure delay.
+# Smallest standard deviation of the delay [s]: lags and the sampling grid are not a pure delay.
 _LEAST_STD: Final = 0.003
 
 
 @dataclass(frozen=True, slots=True)
 class ForceDelay:
-    """Delay of the reported force [s], its variance [s^2], and change of x for a change of the delay [m/s^2]."""
+    """Delay of the reported force [s], its variance [s^2], and sensitivity of x to the delay [m/s^2]."""
 
     delay: float
     variance: float
@@ -28,32 +28,32 @@ class ForceDelay:
 
     @classmethod
     def unknown(cls, std: float) -> ForceDelay:
-        """Return the prior: no delay, with a standard deviation [s]."""
+        """Return the prior: zero delay with a standard deviation [s]."""
         return cls(0.0, std * std)
 
     def changed(self, change: float) -> ForceDelay:
-        """Return it after a change of the acceleration by the force [m/s^2], before its measurement."""
+        """Return the prediction after the force changed the acceleration by ``change`` [m/s^2]."""
         return replace(self, gain=self.gain + change)
 
     def speed_variance(self, before: ForceDelay) -> float:
-        """Return what the variance of x gains by the uncertain delay [(m/s)^2]."""
+        """Return the variance that the uncertainty of the delay adds to x [(m/s)^2]."""
         return max(self.gain * self.gain - before.gain * before.gain, 0.0) * self.variance
 
     def learn(self, error: float, variance: float, noise: float) -> ForceDelay:
-        """Return it after an error of prediction [m/s].
+        """Update with an innovation of speed.
 
         Args:
             error: Measured less predicted speed [m/s].
-            variance: Variance of the error [(m/s)^2].
-            noise: Part of the variance that is noise of the measurement [(m/s)^2].
+            variance: Variance of that innovation [(m/s)^2].
+            noise: Variance of the measurement noise, a part of it [(m/s)^2].
 
         """
         step = self.variance * self.gain / variance
-        left = self.variance - step * self.gain * self.variance
+        remaining = self.variance - step * self.gain * self.variance
         return ForceDelay(
-            self.delay + step * error, max(left, min(self.variance, _LEAST_STD**2)), self.gain * noise / variance
+            self.delay + step * error, max(remaining, min(self.variance, _LEAST_STD**2)), self.gain * noise / variance
         )
 
     def anchored(self) -> ForceDelay:
-        """Return it where x starts anew from a measurement."""
+        """Return the delay after a restart of x from a measurement."""
         return replace(self, gain=0.0)

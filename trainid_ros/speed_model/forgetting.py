@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How much to forget: eq. (6) of Yuan et al. 2017 on errors that agree, instead of on each error alone.
+"""Variable forgetting: eq. (6) of Yuan et al. 2017 on the running mean of the errors instead of on each error.
 
-One squared error tells noise, not change: under white noise (6) forgets all the time (lambda = 1 - 1/sigma on the
-mean), and a change that moves the speed by half a standard deviation goes unseen in it. Errors of a right model
-are uncorrelated, so their running mean stays small; a change makes them agree in sign.
+A single squared error shows noise, not a change: under white noise (6) forgets all the time (lambda = 1 - 1/sigma on
+average) and does not detect a change that moves the speed by half a standard deviation. The errors of a correct
+model are uncorrelated, so their running mean stays small; after a change they have the same sign.
 """
 
 from __future__ import annotations
@@ -11,19 +11,20 @@ from __future__ import annotations
 import math
 from typing import Final
 
-# One error counts for no more standard deviations than this.
+# Limit of one error, in standard deviations.
 MOST: Final = 3.0
 
 
-def agreement(mean: float, z: float, share: float) -> float:
-    """Return the running mean of errors in standard deviations with one more, which counts by ``share``."""
+def running_mean(mean: float, z: float, share: float) -> float:
+    """Return the running mean of errors in standard deviations [1] after one more error z of weight ``share``."""
     bounded = z if -MOST < z < MOST else math.copysign(MOST, z)
     return mean + share * (bounded - mean)
 
 
 def forgetting_factor(chi2: float, threshold: float, scale: float, low: float) -> float:
-    """Return lambda = 1 - (chi2 - threshold) / scale in [low, 1]; chi2 has the mean 1 while the model is right."""
+    """Return lambda = 1 - (chi2 - threshold) / scale in [low, 1]; chi2 has mean 1 while the model is correct."""
     if chi2 <= threshold:
         return 1.0
+    # Eq. (6) with chi2 - threshold instead of the squared error.
     lam = 1.0 - (chi2 - threshold) / scale
     return max(lam, low)

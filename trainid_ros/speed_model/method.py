@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What an algorithm for the speed model must offer to be driven by samples."""
+"""Interface of an algorithm for the speed model, as used by the estimator."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ if TYPE_CHECKING:
     from trainid_ros.speed_model.physical_parameters import Symmetric, Theta
 
 Numbers: TypeAlias = tuple[float, ...]
-"""All that an algorithm remembers; the first is its speed x, then theta."""
+"""State of an algorithm: its speed x, then theta, then what else it stores."""
 
 
 class Learned(NamedTuple):
-    """What became of one measurement.
+    """Result of one measurement update.
 
     Attributes:
-        numbers: State after it.
-        predicted: Speed predicted for it [m/s].
-        error: Measured less predicted [m/s].
-        limit: Errors beyond this are refused [m/s]; the state has then only moved on.
-        forgetting: Forgetting factor.
-        variance: Variance of the error as the algorithm states it [(m/s)^2]; 0 if it states none.
+        numbers: State after the update.
+        predicted: Predicted speed [m/s].
+        error: Measured less predicted speed [m/s].
+        limit: Errors beyond this are rejected [m/s]; the state is then only predicted.
+        forgetting: Forgetting factor [1].
+        variance: Variance of the error as computed by the algorithm [(m/s)^2]; 0 if it computes none.
 
     """
 
@@ -34,42 +34,42 @@ class Learned(NamedTuple):
 
     @property
     def rejected(self) -> bool:
-        """True if the measurement was not believed."""
+        """Whether the measurement was rejected."""
         return abs(self.error) > self.limit
 
 
 class Method(Protocol):
-    """An algorithm on (y, u): pure functions of its state, no samples."""
+    """An algorithm on (y, u): pure functions of its state, independent of samples."""
 
     def start(self, variance: float) -> Numbers:
-        """Return the state before the first measurement."""
+        """Return the state before the first measurement; ``variance`` is that of measured speed [(m/s)^2]."""
 
     def fits(self, numbers: Numbers) -> bool:
-        """Return whether finite numbers are as many as a state of this algorithm has, and no variance is negative."""
+        """Return whether finite numbers have the length of a state of this algorithm and no negative variance."""
 
     def learn(self, numbers: Numbers, y: float, u: float, scale: float, variance: float) -> Learned:
-        """Take in a speed y [m/s] after the force u [N/kN] over ``scale`` sample periods; variance of y [(m/s)^2]."""
+        """Update with y [m/s] of a variance [(m/s)^2] after the force u [N/kN] over ``scale`` sample periods [1]."""
 
     def coast(self, numbers: Numbers, u: float, scale: float) -> Numbers:
-        """Move on without a measurement."""
+        """Predict over ``scale`` sample periods with the force u [N/kN], without a measurement."""
 
     def anchor(self, numbers: Numbers, y: float, variance: float) -> Numbers:
-        """Start the speed anew from a measurement; theta stands."""
+        """Restart x from a measured speed y [m/s] with a variance [(m/s)^2]; theta is unchanged."""
 
     def shift(self, numbers: Numbers, change: float) -> Numbers:
-        """Change the speed by what gradient and other known resistance do to it over a step [m/s]."""
+        """Add to x the change of speed by gradient and other known resistance over a step [m/s]."""
 
     def widen_speed(self, numbers: Numbers, variance: float) -> Numbers:
-        """Allow for what else changes the speed over a step [(m/s)^2]."""
+        """Add the variance of unmodelled changes of speed over a step to that of x [(m/s)^2]."""
 
     def widen_load(self, numbers: Numbers, share: float = 1.0) -> Numbers:
-        """Allow for another load after a stop; ``share`` of the variance that is set."""
+        """Add a ``share`` [1] of the load variance to b1, for a change of load at a stop."""
 
     def forget(self, numbers: Numbers, factor: float) -> Numbers:
-        """Forget what was learned of the resistance by a factor."""
+        """Reduce the information on the resistance by a factor in (0, 1]."""
 
     def theta(self, numbers: Numbers) -> Theta:
-        """Return a1, a2, b1, d0."""
+        """Return a1 [s/m], a2 [1], b1 [m/s per N/kN], d0 [m/s]."""
 
     def covariance(self, numbers: Numbers, variance: float) -> Symmetric:
-        """Return the covariance of theta, ``variance`` that of measured speed."""
+        """Return the covariance of theta; ``variance`` is that of measured speed [(m/s)^2]."""

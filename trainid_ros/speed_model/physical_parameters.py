@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters of the speed model, what they mean physically, and what is believed of them at first.
+"""Parameters of the speed model, their physical meaning and their prior.
 
 Yuan et al. 2017, eq. (2): x(n) = a1 x(n-1)^2 + a2 x(n-1) + b1 u(n-1) + d0, by forward Euler of (1):
 
     a1 = -T k c,   a2 = 1 - T k b,   b1 = T k,   d0 = -T k a
 
 with the Davis resistance a + b v + c v^2 [N/kN] and the acceleration coefficient k [m/s^2 per N/kN]. Resistance and
-gradient are forces over the actual weight, so their k is k0 = g / (1000 (1 + gamma)), of the rotating masses alone.
-The reported traction is over the weighed or believed weight and has a gain error: b1 = T k0 kappa with the force scale
-kappa = (1 + gamma) / mass_factor, the same as that of the resistance estimators.
+gradient are forces per actual weight, so their k is k0 = g / (1000 (1 + gamma)), which depends on the rotating masses
+only. The reported traction is per weighed or assumed weight and has a gain error: b1 = T k0 kappa with the force scale
+kappa = (1 + gamma) / mass_factor, the same as in the resistance estimators.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from trainid_ros.core.settings import setting
 from trainid_ros.estimators.prior import prior_variances
 
 Theta: TypeAlias = tuple[float, float, float, float]
-"""a1, a2, b1, d0."""
+"""a1 [s/m], a2 [1], b1 [m/s per N/kN], d0 [m/s]."""
 Symmetric: TypeAlias = tuple[float, float, float, float, float, float, float, float, float, float]
-"""Upper triangle of a symmetric 4x4 matrix, row by row: stored so, it cannot lose its symmetry."""
+"""Upper triangle of a symmetric 4x4 matrix, row by row; stored this way it cannot lose its symmetry."""
 
-# A mass is never known exactly; forgetting divides by its variance.
+# Lower limit of the relative std of mass and force, because forgetting divides by the variance of b1.
 _LEAST_MASS_STD: Final = 1e-4
 
 UPPER: Final = tuple((i, j) for i in range(4) for j in range(i, 4))
@@ -36,40 +36,41 @@ UPPER: Final = tuple((i, j) for i in range(4) for j in range(i, 4))
 
 @dataclass(frozen=True, slots=True)
 class SpeedModelConfig:
-    """Settings that all estimators of the speed model share."""
+    """Settings shared by all estimators of the speed model."""
 
-    speed_std: float = setting(0.025, 'noise of measured speed at the start (then learned)', 'm/s', 1e-4, 2.0)
+    speed_std: float = setting(0.025, 'noise of measured speed at the start (then estimated)', 'm/s', 1e-4, 2.0)
     min_speed: float = setting(0.5, 'slowest speed to learn from', 'm/s', 0.0, 50.0)
     acceleration_noise: float = setting(
-        0.006, 'gusts, force noise and map errors at the start (then learned)', 'm/s per sqrt(s)', 1e-3, 0.05
+        0.006, 'gusts, force noise and map errors at the start (then estimated)', 'm/s per sqrt(s)', 1e-3, 0.05
     )
-    force_skew: float = setting(0.15, 'unknown delay of the reported force (then learned)', 's', 0.0, 5.0)
+    force_skew: float = setting(0.15, 'prior std of the delay of the reported force (then estimated)', 's', 0.0, 5.0)
     load_std: float = setting(
-        0.03, 'change of the mass at a stop that is not weighed, a share; at most train.mass_std', '1', 0.0, 1.0
+        0.03, 'relative change of the mass at a stop without weighing; at most train.mass_std', '1', 0.0, 1.0
     )
-    weighing_std: float = setting(0.004, 'error of weighing, drawn anew at each stop, a share', '1', 0.0, 1.0)
+    weighing_std: float = setting(0.004, 'relative error of weighing, independent at each stop', '1', 0.0, 1.0)
     change_threshold: float = setting(
-        9.0, 'chi-square of the agreement of windows from which on the resistance has changed', '1', 1.0, 1e3
+        9.0, 'chi-square of the mean window error above which the resistance has changed', '1', 1.0, 1e3
     )
-    readmit_after: int = setting(5, 'refused samples in a row after which the measurement is believed', '', 1, 1000)
-    prior_share: float = setting(0.5, 'prior std of a, b, c as a share of their believed values', '1', 0.0, 10.0)
+    readmit_after: int = setting(5, 'rejected samples in a row after which the measurement is accepted', '', 1, 1000)
+    prior_share: float = setting(0.5, 'prior std of a, b, c as a share of their stated values', '1', 0.0, 10.0)
     prior_std_a: float = setting(0.6, 'added to the prior std of the Davis a', 'N/kN', 1e-6, 100.0)
     prior_std_b: float = setting(0.02, 'added to the prior std of the Davis b', 'N/kN per m/s', 1e-8, 10.0)
     prior_std_c: float = setting(0.0006, 'added to the prior std of the Davis c', 'N/kN per (m/s)^2', 1e-9, 1.0)
     valid_std: float = setting(
-        0.25, 'fit to use while the rms std of w over the speeds driven is below this', 'N/kN', 1e-3, 100.0
+        0.25, 'valid while the rms std of w over the speeds driven is below this', 'N/kN', 1e-3, 100.0
     )
 
 
 def to_speed_model(davis: tuple[float, float, float], k: float) -> Theta:
-    """Map Davis parameters and k [m/s^2 per N/kN] to (a1, a2, b1, d0)."""
+    """Map Davis a [N/kN], b [N/kN per m/s], c [N/kN per (m/s)^2] and k [m/s^2 per N/kN] to (a1, a2, b1, d0)."""
     a, b, c = davis
     scale = SAMPLE_PERIOD * k
+    # Eq. (2).
     return -scale * c, 1.0 - scale * b, scale, -scale * a
 
 
 def to_physical(theta: Theta, k: float) -> tuple[float, float, float, float]:
-    """Map (a1, a2, b1 > 0, d0) back to Davis (a, b, c) and the force scale; k of the rotating masses alone."""
+    """Map (a1, a2, b1 > 0, d0) to Davis (a, b, c) and the force scale [1]; k = k0 [m/s^2 per N/kN]."""
     a1, a2, b1, d0 = theta
     scale = SAMPLE_PERIOD * k
     return -d0 / scale, (1.0 - a2) / scale, -a1 / scale, b1 / scale
@@ -78,7 +79,15 @@ def to_physical(theta: Theta, k: float) -> tuple[float, float, float, float]:
 def prior(
     davis: tuple[float, float, float], k: float, config: SpeedModelConfig, mass_std: float
 ) -> tuple[Theta, Symmetric]:
-    """Return theta(0) and its covariance; ``mass_std`` is that of mass and force together, relative."""
+    """Return theta(0) and its covariance.
+
+    Args:
+        davis: Davis a [N/kN], b [N/kN per m/s], c [N/kN per (m/s)^2].
+        k: k0 [m/s^2 per N/kN].
+        config: Settings.
+        mass_std: Relative standard deviation of mass and force together [1].
+
+    """
     a, b, c = prior_variances(davis, config)
     scale = (SAMPLE_PERIOD * k) ** 2
     return to_speed_model(davis, k), (
@@ -99,7 +108,7 @@ def full(S: Symmetric) -> tuple[float, ...]:
 
 
 def resistance_variance(S: Symmetric, v: float, k: float) -> float:
-    """Return the variance of w(v) [(N/kN)^2], S the covariance of theta, k of the rotating masses alone."""
+    """Return the variance of w(v) [(N/kN)^2] at v [m/s] from the covariance S of theta; k = k0 [m/s^2 per N/kN]."""
     s11, s12, _, s14, s22, _, s24, _, _, s44 = S
     # w = -(a1 v^2 + (a2 - 1) v + d0) / (T k)
     square = v * v

@@ -1,15 +1,15 @@
 # SPDX-License-Identifier: Apache-2.0
-"""RLS, VFF-RLS, AM-RLS and AM-VFF-RLS as Yuan et al. 2017 print them, for comparison.
+"""RLS, VFF-RLS, AM-RLS and AM-VFF-RLS as printed in Yuan et al. 2017, for comparison.
 
 One recursion, algorithm (7), with two switches: phi of the measured speed (RLS, (5)) or of the auxiliary output
-(AM), and forgetting (VFF, (6)) or lambda = 1. It is computed in the order in which it can be,
+(AM), and forgetting (VFF, (6)) or lambda = 1. The computable order is
 
     eps(n) = y(n) - phi' theta(n-1),  then lambda, K, theta, P, and x_a(n) = phi' theta(n),
 
-since (7) prints eps and theta, lambda and K as functions of each other. As printed, lambda turns negative when
-eps^2 > sigma (1 + phi' P phi) and the run is lost. Corrections to choose: lambda clamped from below, the auxiliary
-output pulled towards the measurement by ``kappa`` (0: AM as printed, 1: no auxiliary model), a gate. P is the
-covariance over the variance of measured speed, whatever the paper calls it.
+because (7) prints eps and theta, and lambda and K, as functions of each other. As printed, lambda turns negative when
+eps^2 > sigma (1 + phi' P phi), and the estimate diverges. Optional corrections: a lower limit of lambda, an auxiliary
+output corrected towards the measurement with the gain ``kappa`` (0: AM as printed, 1: no auxiliary model), a gate. P
+is the covariance divided by the variance of measured speed (the paper calls it the error covariance).
 """
 
 from __future__ import annotations
@@ -33,17 +33,19 @@ Recursion: TypeAlias = tuple[
 """x, a1, a2, b1, d0 and the upper triangle of P."""
 
 NO_CLAMP: Final = -1e9
-"""A clamp that no forgetting factor reaches."""
+"""A lower limit that no forgetting factor reaches."""
 
 
 @dataclass(frozen=True, slots=True)
 class RlsConfig(SpeedModelConfig):
-    """Settings of the algorithms of the paper and of their corrections."""
+    """Settings of the algorithms of the paper and of the optional corrections."""
 
     kappa: float = setting(0.0, 'share of the measurement in x of phi: 0 auxiliary model, 1 measured', '1', 0.0, 1.0)
     forgetting_scale: float = setting(0.0, 'sigma of (6) over the speed variance; 0: no forgetting', '1', 0.0, 1e9)
     min_forgetting: float = setting(NO_CLAMP, 'smallest forgetting factor (printed: none)', '1', NO_CLAMP, 1.0)
-    gate: float = setting(1e9, 'errors beyond this many standard deviations are refused (printed: none)', '1', 1.0, 1e9)
+    gate: float = setting(
+        1e9, 'errors beyond this many standard deviations are rejected (printed: none)', '1', 1.0, 1e9
+    )
     prior_scale: float = setting(1e4, 'P(0) is the prior of the train file times this', '1', 1e-9, 1e12)
 
 
@@ -54,7 +56,7 @@ AM_VFF_RLS: Final = RlsConfig(forgetting_scale=75.0)
 
 
 class Tuning(NamedTuple):
-    """What the kernel needs to know: see the settings; ``sigma`` is that of (6) [(m/s)^2], 0 without forgetting."""
+    """Parameters of the kernel: see the settings; ``sigma`` is that of (6) [(m/s)^2], 0 without forgetting."""
 
     kappa: float
     sigma: float
@@ -63,7 +65,14 @@ class Tuning(NamedTuple):
 
 
 def regressor(x: float, u: float, scale: float) -> Theta:
-    """Return phi of (4) for a step of ``scale`` sample periods; with it x(n) = phi' theta + (1 - scale) x(n-1)."""
+    """Return phi of (4) for a step of ``scale`` sample periods, such that x(n) = phi' theta + (1 - scale) x(n-1).
+
+    Args:
+        x: Speed at the start of the step [m/s].
+        u: Specific force over the step [N/kN].
+        scale: Duration of the step over the sample period [1].
+
+    """
     return scale * x * x, scale * x, scale * u, scale
 
 
@@ -81,7 +90,7 @@ def times(S: Symmetric, h: Theta) -> tuple[float, float, float, float, float]:
 def updated(
     theta: Theta, P: Symmetric, w: tuple[float, float, float, float, float], eps: float, noise: float, lam: float = 1.0
 ) -> tuple[Theta, Symmetric]:
-    """Return theta(n) and P(n) after an error whose noise has the variance ``noise``, over the units of P.
+    """Return theta(n) and P(n) after an error ``eps`` [m/s] of noise variance ``noise``, in the units of phi' P phi.
 
     ``w`` is P phi and phi' P phi. With noise = lam this is (5) and (7). Also for arrays of equal shape.
     """
@@ -98,12 +107,22 @@ def updated(
 
 
 def output(theta: Theta, phi: Theta) -> float:
-    """Return phi' theta."""
+    """Return phi' theta [m/s]."""
     return phi[0] * theta[0] + phi[1] * theta[1] + phi[2] * theta[2] + phi[3] * theta[3]
 
 
 def learn(numbers: Numbers, y: float, u: float, scale: float, std: float, tuning: Tuning) -> Learned:
-    """Return one step of (7); ``std`` of measured speed [m/s] sizes the gate alone."""
+    """Return one step of (7).
+
+    Args:
+        numbers: x, theta and the upper triangle of P.
+        y: Measured speed [m/s].
+        u: Specific force over the step [N/kN].
+        scale: Duration of the step over the sample period [1].
+        std: Standard deviation of y [m/s], used for the gate only.
+        tuning: Parameters of the kernel.
+
+    """
     x, theta, P = numbers[0], numbers[1:5], numbers[5:]
     phi = regressor(x, u, scale)
     base = (1.0 - scale) * x
@@ -116,16 +135,18 @@ def learn(numbers: Numbers, y: float, u: float, scale: float, std: float, tuning
         return Learned((predicted, *numbers[1:]), predicted, eps, limit, 1.0)
     lam = 1.0
     if tuning.sigma > 0.0:
+        # Eq. (6).
         lam = max(tuning.low, 1.0 - eps * eps / (tuning.sigma * (1.0 + g)))
     if lam == 0.0 or g + lam == 0.0:  # as printed, P is then infinite
         return Learned((math.nan, *numbers[1:]), predicted, eps, limit, lam)
+    # Eq. (7); with lam = 1, eq. (5).
     theta, P = updated(theta, P, w, eps, lam, lam)  # type: ignore[arg-type]
     x_a = output(theta, phi) + base
     return Learned((x_a + tuning.kappa * (y - x_a), *theta, *P), predicted, eps, limit, lam)
 
 
 class Rls:
-    """The kernel with its tuning; P(0) is in units of the variance of measured speed at the start."""
+    """The kernel with its parameters; P(0) is in units of the initial variance of measured speed."""
 
     def __init__(self, theta0: Theta, P0: Symmetric, config: RlsConfig) -> None:
         self._config = config
@@ -133,50 +154,50 @@ class Rls:
         self._tuning = Tuning(config.kappa, 0.0, config.min_forgetting, config.gate)
 
     def start(self, variance: float) -> Numbers:
-        """Return theta(0) and P(0)."""
+        """Return theta(0) and P(0); ``variance`` is that of measured speed [(m/s)^2]."""
         scale = self._config.prior_scale / variance
         return (*self._start[:5], *(scale * p for p in self._start[5:]))
 
     def fits(self, numbers: Numbers) -> bool:
-        """Return whether numbers are as many as a state has."""
+        """Return whether the numbers have the length of a state."""
         return len(numbers) == len(self._start)
 
     def learn(self, numbers: Numbers, y: float, u: float, scale: float, variance: float) -> Learned:
-        """Take in a measurement."""
+        """Update with a measured speed y [m/s] after the force u [N/kN]; see :class:`Method`."""
         tuning = self._tuning._replace(sigma=self._config.forgetting_scale * variance)
         return learn(numbers, y, u, scale, math.sqrt(variance), tuning)
 
     def coast(self, numbers: Numbers, u: float, scale: float) -> Numbers:
-        """Move on without a measurement."""
+        """Predict over ``scale`` sample periods with the force u [N/kN], without a measurement."""
         x = output(self.theta(numbers), regressor(numbers[0], u, scale)) + (1.0 - scale) * numbers[0]
         return (x, *numbers[1:])
 
     def anchor(self, numbers: Numbers, y: float, variance: float) -> Numbers:  # noqa: ARG002 - x has no variance here
-        """Start x anew from a measurement."""
+        """Restart x from a measured speed y [m/s]."""
         return (y, *numbers[1:])
 
     def shift(self, numbers: Numbers, change: float) -> Numbers:
-        """Change x."""
+        """Add a change of speed [m/s] to x."""
         return (numbers[0] + change, *numbers[1:])
 
     def widen_speed(self, numbers: Numbers, variance: float) -> Numbers:  # noqa: ARG002 - x has no variance here
-        """Leave all as it is."""
+        """Return the state unchanged."""
         return numbers
 
-    def widen_load(self, numbers: Numbers, share: float = 1.0) -> Numbers:  # noqa: ARG002 - the paper knows no stops
-        """Leave P: the paper knows no stops."""
+    def widen_load(self, numbers: Numbers, share: float = 1.0) -> Numbers:  # noqa: ARG002 - no stops in the paper
+        """Return the state unchanged: the paper has no stops."""
         return numbers
 
-    def forget(self, numbers: Numbers, factor: float) -> Numbers:  # noqa: ARG002 - it forgets by itself, or not
-        """Leave all as it is."""
+    def forget(self, numbers: Numbers, factor: float) -> Numbers:  # noqa: ARG002 - no forgetting on demand
+        """Return the state unchanged."""
         return numbers
 
     def theta(self, numbers: Numbers) -> Theta:
-        """Return a1, a2, b1, d0."""
+        """Return a1 [s/m], a2 [1], b1 [m/s per N/kN], d0 [m/s]."""
         return numbers[1:5]  # type: ignore[return-value]
 
     def covariance(self, numbers: Numbers, variance: float) -> Symmetric:
-        """Return P in the units of theta."""
+        """Return the covariance of theta: P times the ``variance`` of measured speed [(m/s)^2]."""
         return tuple(variance * p for p in numbers[5:])  # type: ignore[return-value]
 
 

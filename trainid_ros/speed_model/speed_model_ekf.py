@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""EKF: extended Kalman filter on [x, theta], the standard that AM-VFF-RLS is measured by.
+"""EKF: extended Kalman filter on [x, theta], the reference for AM-VFF-RLS.
 
-The state is theta and the true speed; d0 walks at random, b1 changes at stops only, and nothing else is forgotten.
-It is the kernel of AM-VFF-RLS with lambda = 1: both carry the same covariance.
+The state is the true speed and theta; d0 is a random walk, b1 changes at stops only, a1 and a2 are constant.
+It is the kernel of AM-VFF-RLS with lambda = 1: both have the same covariance.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from trainid_ros.speed_model.speed_model_estimator import SpeedModelEstimator, l
 if TYPE_CHECKING:
     from trainid_ros.train.train_file import TrainFile
 
-# Never used, for nothing is forgotten.
+# Never used, because nothing is forgotten.
 _NO_FLOOR: Final = (1.0, 1.0, 1.0)
 
 
@@ -29,13 +29,24 @@ class EkfConfig(SpeedModelConfig):
     """Settings of the EKF."""
 
     drift: float = setting(0.004, 'drift of the Davis a in 1 s (0.2 if no gradient is known)', 'N/kN', 0.0, 10.0)
-    change_threshold: float = setting(1e3, 'chi-square of a change that is forgotten into (1000: none)', '1', 1.0, 1e3)
-    gate: float = setting(4.0, 'errors beyond this many standard deviations are refused', '1', 1.0, 100.0)
-    gate_floor: float = setting(0.0, 'errors below this are never refused', 'm/s', 0.0, 10.0)
+    change_threshold: float = setting(
+        1e3, 'chi-square of a change that triggers forgetting (1000: never)', '1', 1.0, 1e3
+    )
+    gate: float = setting(4.0, 'errors beyond this many standard deviations are rejected', '1', 1.0, 100.0)
+    gate_floor: float = setting(0.0, 'errors below this are never rejected', 'm/s', 0.0, 10.0)
 
 
 def ekf_tuning(noise: float, drift: float, load: float, gate: float, gate_floor: float = 0.0) -> Tuning:
-    """Return the tuning with which the kernel of AM-VFF-RLS is the EKF: variances per sample period and stop."""
+    """Return the parameters with which the kernel of AM-VFF-RLS is the EKF.
+
+    Args:
+        noise: Variance that x gains in a sample period [(m/s)^2].
+        drift: Variance that d0 gains in a sample period [(m/s)^2].
+        load: Variance that b1 gains at a stop without weighing [(m/s per N/kN)^2].
+        gate: Errors beyond this many standard deviations are rejected [1].
+        gate_floor: Errors below this are never rejected [m/s].
+
+    """
     return Tuning(noise, drift, load, 1.0, math.inf, 1.0, 1.0, gate, gate_floor, _NO_FLOOR)
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From samples to an algorithm for the speed model: what is admitted, what is known of the force, what comes out."""
+"""Estimator of the speed model: admits samples, computes the known forces, runs an algorithm, returns the estimate."""
 
 from __future__ import annotations
 
@@ -31,48 +31,48 @@ if TYPE_CHECKING:
     from trainid_ros.speed_model.physical_parameters import SpeedModelConfig, Symmetric, Theta
     from trainid_ros.train.train_file import TrainFile
 
-# Slow samples in a row that mean standstill: one may be an outlier.
+# Slow samples in a row that indicate standstill: a single one may be an outlier.
 _STANDING: Final = 3
-# A train does not lose more speed from one sample to the next [m/s].
+# Largest plausible loss of speed from one sample to the next [m/s].
 _SUDDEN: Final = 1.0
-# A change leaves at least the square of this share of what was known.
+# A detected change keeps at least the square of this share of the information.
 _LEAST_FACTOR: Final = 0.1
-# Speeds driven are those of about half an hour, and reach so many standard deviations from their mean.
+# The range of speeds driven: memory of about half an hour, and its half-width in standard deviations.
 _USUAL_SAMPLES: Final = 9000.0
 _USUAL_SPREAD: Final = 1.5
 _NOTHING: Final = RecentValues()
-# No traction changes by more from sample to sample [N/kN]; what does is an outlier and no worse for being greater.
+# Limit of the change of traction from sample to sample [N/kN]; beyond it is an outlier.
 _MOST_CHANGE: Final = 500.0
 
 
 @dataclass(frozen=True, slots=True)
 class SpeedModelState:
-    """All that an estimator of the speed model remembers.
+    """State of an estimator of the speed model.
 
     Attributes:
         numbers: State of the algorithm.
         noise: Noise of measured speed.
-        disturbance: Strength of gusts and of all else that is not modelled.
+        disturbance: Strength of gusts and other unmodelled disturbances.
         late: Delay of the reported force.
         curve: Error of the curve resistance.
-        forgetting: Last forgetting factor.
+        forgetting: Last forgetting factor [1].
         predicted: Last predicted speed [m/s].
-        error: Last error of prediction [m/s].
-        variance: Its variance as stated before the measurement [(m/s)^2].
-        slowest: Slowest speed learned from [m/s].
-        fastest: Fastest speed learned from [m/s]; below the slowest: none yet.
-        usual: Running mean of the speeds learned from [m/s].
-        spread: Running mean of their squared distance from it [(m/s)^2].
-        used: Samples learned from, up to the memory of these means.
-        refused_in_a_row: Outliers in a row.
-        slow_in_a_row: Samples in a row that are too slow to learn from.
-        braked_ns: Last stamp at which the brake was asked for.
+        error: Last prediction error [m/s].
+        variance: Its predicted variance [(m/s)^2].
+        slowest: Slowest speed used [m/s].
+        fastest: Fastest speed used [m/s]; less than ``slowest`` if there is none yet.
+        usual: Running mean of the speeds used [m/s].
+        spread: Their running variance [(m/s)^2].
+        used: Number of samples used, up to the memory of these means.
+        rejected_in_a_row: Outliers in a row.
+        slow_in_a_row: Samples in a row below the minimum speed.
+        braked_ns: Last stamp at which the brake was commanded [ns].
         traction: Last known traction [N/kN].
-        weighed: The mass was weighed at the last sample.
+        weighed: Whether the mass was weighed at the last sample.
         speeds: Last measured speeds [m/s].
-        tracks: Last gradients with other known resistance [N/kN].
-        curves: 600 m over the last radii, 0 on straight track.
-        fit: The resistance is fit to use.
+        tracks: Last known resistances of the track, gradient included [N/kN].
+        curves: 600 m over the last curve radii, 0 on straight track [1].
+        fit: Whether the resistance is valid.
 
     """
 
@@ -102,7 +102,7 @@ class SpeedModelState:
 
 
 class Traction(NamedTuple):
-    """Traction of one step: at its end and in the mean [N/kN], and its length in sample periods."""
+    """Traction of one step: at its end and its mean [N/kN], and the duration of the step in sample periods [1]."""
 
     end: float
     mean: float
@@ -110,15 +110,15 @@ class Traction(NamedTuple):
 
 
 def load_std(train_file: TrainFile, config: SpeedModelConfig) -> float:
-    """Return by how much the relative error of the mass may change at a stop that is not weighed."""
+    """Return the standard deviation of the relative change of mass at a stop without weighing [1]."""
     return min(config.load_std, train_file.train.mass_std)
 
 
 class SpeedModelEstimator:
-    """Drives a method by samples.
+    """Run a method on samples.
 
-    A method with a covariance of its own is ``adaptive``: strength of the disturbances and delay of the reported force
-    are learned for it.
+    For an ``adaptive`` method, one whose covariance can be widened, the strength of the disturbances and the delay of
+    the reported force are estimated too.
     """
 
     def __init__(
@@ -146,7 +146,7 @@ class SpeedModelEstimator:
         self.reset()
 
     def reset(self) -> None:
-        """Go back to the prior."""
+        """Reset to the prior."""
         config = self._config
         noise = SpeedNoise.declared(config.speed_std)
         disturbance, late = Disturbance.declared(config.acceleration_noise), ForceDelay.unknown(config.force_skew)
@@ -155,28 +155,28 @@ class SpeedModelEstimator:
         self._admission.braked_ns = 0
 
     def save(self) -> str:
-        """Return the whole state as JSON text."""
+        """Return the complete state as JSON text."""
         return encode(self.state)
 
     def restore(self, text: str) -> None:
-        """Take over a saved state; InputError if it does not fit."""
+        """Restore a saved state; raise InputError if it is invalid."""
         state = decode(text, SpeedModelState)
         self._check(state)
         try:
-            state = self._judged(state)
-        except ValueError:  # the variance of the resistance is negative at a speed that was driven
+            state = self._with_validity(state)
+        except ValueError:  # the variance of the resistance is negative at a speed driven
             check_restored(False, 'SpeedModelState', 'numbers')
         self.state = state
         self._admission.braked_ns = state.braked_ns
 
     def _check(self, state: SpeedModelState) -> None:
-        """Raise InputError, naming the field, unless a saved state can be gone on from."""
+        """Raise InputError, naming the field, if a saved state is invalid."""
         kind, numbers = 'SpeedModelState', state.numbers
-        # Algorithms as printed grow beyond all measure before they start anew, so these need be finite alone.
+        # The algorithms as printed can diverge before they restart, so these values are only required to be finite.
         for name in ('forgetting', 'predicted', 'error', 'variance'):
             check_restored(math.isfinite(getattr(state, name)), kind, name)
         bounded = replace(state, numbers=(), forgetting=1.0, predicted=0.0, error=0.0, variance=0.0)
-        check_numbers(bounded, may_be_nan=('dt',))  # of the noise, after a gap
+        check_numbers(bounded, may_be_nan=('dt',))  # dt of the noise is NaN after a gap
         check_restored(state.noise.is_valid(), kind, 'noise')
         fits = all(map(math.isfinite, numbers)) and self._method.fits(numbers)
         check_restored(fits and numbers[3] > 0.0, kind, 'numbers')
@@ -184,7 +184,7 @@ class SpeedModelEstimator:
         check_restored(min(variances) > 0.0, kind, 'numbers')
         check_restored(state.disturbance.is_valid(), kind, 'disturbance')
         check_restored(state.late.variance >= 0.0, kind, 'late')
-        # An algorithm that does not learn it has no variance of x either.
+        # A non-adaptive algorithm does not estimate the curve error and has no variance of x.
         of_x = numbers[5] if self._adaptive else 0.0
         check_restored(state.curve.is_valid((of_x, *variances)), kind, 'curve')
         for name in ('speeds', 'tracks', 'curves'):
@@ -193,11 +193,11 @@ class SpeedModelEstimator:
         check_not_negative(kind, rejected_in_a_row=state.rejected_in_a_row, slow_in_a_row=state.slow_in_a_row)
 
     def step(self, sample: Sample) -> SpeedModelEstimate | Rejection:
-        """Take one sample in."""
-        self._remember(sample)
+        """Process one sample; return the estimate or the reason for rejection."""
+        self._store(sample)
         rejection = self._admission.reject(sample)
         if rejection is not None:
-            self._rest(sample, rejection)
+            self._hold(sample, rejection)
             return rejection
         state, traction = self.state, self._traction(sample)
         y, noise = self._speed(), state.noise
@@ -221,8 +221,8 @@ class SpeedModelEstimator:
     def _delay(self) -> float:
         return self.state.late.delay if self._adaptive else 0.0
 
-    def _remember(self, sample: Sample) -> None:
-        """Take in what a sample says of speed and track."""
+    def _store(self, sample: Sample) -> None:
+        """Store speed, track resistance and curvature of a sample."""
         state, dt = self.state, sample.dt
         track, curve = self._known.track(sample), CURVE_RADIUS * sample.curvature
         if not (math.isfinite(track) and math.isfinite(curve)):
@@ -236,13 +236,13 @@ class SpeedModelEstimator:
         )
 
     def _traction(self, sample: Sample) -> Traction:
-        """Return the traction of a sample; that at its end is the mean if the force at the stamp is not known."""
+        """Return the traction of a sample; the mean is used for its end if the force at the stamp is missing."""
         mean = self._known.traction(sample.force_mean, sample)
         end = self._known.traction(sample.force, sample) if math.isfinite(sample.force) else mean
         return Traction(end, mean, sample.dt / SAMPLE_PERIOD)
 
     def _moved(self, sample: Sample, traction: Traction) -> tuple[Numbers, ForceDelay, CurveShare]:
-        """Return the state with all that changes the speed over this step besides theta, and the delay of the force."""
+        """Apply known resistance, disturbance, force delay and curve error of this step; return the new states."""
         state, method = self.state, self._method
         change = -self._k * state.tracks.before(self._delay) * sample.dt
         if not self._adaptive:
@@ -259,7 +259,7 @@ class SpeedModelEstimator:
         return numbers, late, curve
 
     def _learn(self, sample: Sample, learned: Learned, late: ForceDelay, curve: CurveShare, traction: Traction) -> None:
-        """Take over what was learned from a sample."""
+        """Store the result of a measurement update and update the estimates other than theta."""
         state, y, numbers = self.state, sample.speed, learned.numbers
         disturbance, noise = state.disturbance, state.noise
         if self._adaptive:
@@ -270,10 +270,10 @@ class SpeedModelEstimator:
             scale = traction.scale
             phi = (scale * x * x, scale * x, scale * traction.mean, scale)
             correction = learned.numbers[0] - learned.predicted
-            numbers, disturbance = self._changed(
+            numbers, disturbance = self._detect_change(
                 numbers, disturbance.add(correction, state.numbers[1:5], phi, sample.dt, variance)
             )
-        seen, share = state.fastest >= state.slowest, 1.0 / min(state.used + 1.0, _USUAL_SAMPLES)
+        started, share = state.fastest >= state.slowest, 1.0 / min(state.used + 1.0, _USUAL_SAMPLES)
         self.state = SpeedModelState(
             numbers=numbers,
             noise=noise,
@@ -284,8 +284,8 @@ class SpeedModelEstimator:
             predicted=learned.predicted,
             error=learned.error,
             variance=learned.variance,
-            slowest=min(y, state.slowest) if seen else y,
-            fastest=max(y, state.fastest) if seen else y,
+            slowest=min(y, state.slowest) if started else y,
+            fastest=max(y, state.fastest) if started else y,
             usual=state.usual + share * (y - state.usual),
             spread=(1.0 - share) * (state.spread + share * (y - state.usual) ** 2),
             used=1.0 / share,
@@ -297,10 +297,10 @@ class SpeedModelEstimator:
             curves=state.curves,
             fit=state.fit,
         )
-        self._judge()
+        self._update_validity()
 
-    def _changed(self, numbers: Numbers, disturbance: Disturbance) -> tuple[Numbers, Disturbance]:
-        """Forget what was learned of the resistance if the windows show that it has changed."""
+    def _detect_change(self, numbers: Numbers, disturbance: Disturbance) -> tuple[Numbers, Disturbance]:
+        """Reduce the information on the resistance if the window errors show that it has changed."""
         threshold = self._config.change_threshold
         if disturbance.elapsed > 0.0 or disturbance.chi2 <= threshold:
             return numbers, disturbance
@@ -309,27 +309,27 @@ class SpeedModelEstimator:
         return self._method.forget(numbers, factor), replace(disturbance, agreed=0.0, density=density)
 
     def _learn_delay(self, learned: Learned, late: ForceDelay) -> tuple[Numbers, ForceDelay]:
-        """Return state and delay of the force after a sample; x moves with the time that it is now compared at."""
+        """Update the delay of the force; x is moved to the time to which the new delay refers."""
         recent, noise = self.state.speeds, self.state.noise
         after = late.learn(learned.error, learned.variance, noise.variance)
         moved = recent.before(after.delay) - recent.before(late.delay) + after.gain * (after.delay - late.delay)
         return self._method.shift(learned.numbers, moved), after
 
-    def _judge(self) -> None:
-        """Judge whether the resistance is fit to use at the speeds that are driven."""
-        self.state = self._judged(self.state)
+    def _update_validity(self) -> None:
+        """Update whether the resistance is valid at the speeds driven."""
+        self.state = self._with_validity(self.state)
 
-    def _judged(self, state: SpeedModelState) -> SpeedModelState:
+    def _with_validity(self, state: SpeedModelState) -> SpeedModelState:
         if state.fastest < state.slowest:
             return state
-        most = _USUAL_SPREAD * math.sqrt(state.spread)
-        speeds = max(state.usual - most, state.slowest), min(state.usual + most, state.fastest)
+        width = _USUAL_SPREAD * math.sqrt(state.spread)
+        speeds = max(state.usual - width, state.slowest), min(state.usual + width, state.fastest)
         S = self._method.covariance(state.numbers, state.noise.variance)
         fit = is_fit(lambda v: resistance_variance(S, v, self._k), speeds, self._config.valid_std, was_fit=state.fit)
         return state if fit == state.fit else replace(state, fit=fit)
 
     def _variance(self, speed: float) -> float:
-        """Return the variance of w at a speed [(N/kN)^2]."""
+        """Return the variance of w [(N/kN)^2] at a speed [m/s]."""
         state = self.state
         return resistance_variance(self._method.covariance(state.numbers, state.noise.variance), speed, self._k)
 
@@ -337,8 +337,8 @@ class SpeedModelEstimator:
         S = self._method.covariance(numbers, noise.variance)
         return S[0], S[4], S[7], S[9]
 
-    def _rest(self, sample: Sample, rejection: Rejection) -> None:
-        """Nothing to learn: theta stands, the model's speed follows the measurement."""
+    def _hold(self, sample: Sample, rejection: Rejection) -> None:
+        """Hold theta over a rejected sample; x follows the measurement."""
         state, method, y = self.state, self._method, sample.speed
         noise = state.noise
         slow = state.slow_in_a_row + 1 if y < self._config.min_speed else 0
@@ -365,17 +365,17 @@ class SpeedModelEstimator:
         )
 
     def _load_share(self) -> float:
-        """Return what a stop adds to the variance of b1, as a share of that of a stop without weighing.
+        """Return what a stop adds to the variance of b1, as a share of that of a stop without weighing [1].
 
-        The load varies about what the train file says, so the nearer b1 is to its prior the less is added.
+        The load varies about the train file's value, so less is added the closer the variance of b1 is to its prior.
         """
         state = self.state
         known = self._method.covariance(state.numbers, state.noise.variance)[7]
-        left = max(1.0 - known / self._mass_variance, 0.0)
-        return left * (self._weighed_share if state.weighed else 1.0)
+        share = max(1.0 - known / self._mass_variance, 0.0)
+        return share * (self._weighed_share if state.weighed else 1.0)
 
     def _reject(self, y: float, learned: Learned, traction: float) -> None:
-        """Coast on the model over a refused sample; after several in a row believe the measurement."""
+        """Predict over an outlier; after several in a row accept the measured speed y [m/s]."""
         state, in_a_row = self.state, self.state.rejected_in_a_row + 1
         anchored = in_a_row >= self._config.readmit_after
         numbers = self._finite(learned.numbers, y)
@@ -394,18 +394,18 @@ class SpeedModelEstimator:
         )
 
     def _finite(self, numbers: tuple[float, ...], y: float) -> tuple[float, ...]:
-        """Return numbers, or the last ones anchored if a force beyond all measure spoilt these."""
+        """Return the numbers, or if they overflowed, the previous ones restarted from the speed y [m/s]."""
         if math.isfinite(sum(numbers)):
             return numbers
         return self._method.anchor(self.state.numbers, y, self.state.noise.variance)
 
     @property
     def converged(self) -> bool:
-        """True while w is known well enough over the speeds learned from."""
+        """Whether w is known accurately enough over the speeds driven."""
         return self.state.fit
 
     def estimate(self, speed: float) -> SpeedModelEstimate:  # noqa: ARG002 - one signature for all estimators
-        """Return the model and what it means physically."""
+        """Return the speed model and its physical parameters; ``speed`` [m/s] is unused."""
         state = self.state
         theta = self._method.theta(state.numbers)
         S = self._method.covariance(state.numbers, state.noise.variance)
