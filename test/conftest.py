@@ -15,10 +15,10 @@ import pytest
 from trainid_ros.core.records import NS_PER_S, Record
 from trainid_ros.core.samples import BrakeCommandChange, Sample
 from trainid_ros.explain.explanation import (
+    Alternative,
     Explanation,
     FoundEffect,
     Gap,
-    Likeness,
     Location,
     NoiseLevels,
     Place,
@@ -45,7 +45,7 @@ DRAG = FoundEffect(
     where='position 300 to 500 m (+1.50 N/kN)',
     twins=(),
 )
-TWIN = Likeness('gradient_error', 'run <both> ways')
+TWIN = Alternative('gradient_error', 'run <both> ways')
 NAN = (math.nan, math.nan)
 
 

@@ -84,7 +84,7 @@ def test_text_shows_effects_evidence_and_gap(make_explanation: Make, believed: T
     ):  # fmt: skip
         assert part in text
     bare = describe(make_explanation(verdict=Verdict.UNEXPLAINED, effects=()), believed)
-    assert 'At 300 to 400 m: 1.50 ± 0.10 N/kN more resistance than believed' in bare
+    assert 'At 300 to 400 m: 1.50 ± 0.10 N/kN more resistance than modelled' in bare
 
 
 def test_provenance_names_version_bags_and_runs() -> None:

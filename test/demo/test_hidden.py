@@ -35,6 +35,6 @@ def test_summary_shows_the_hidden_and_the_found_effect(
 ) -> None:
     case = HiddenCase(believed, make_explanation(), Path('out/report.html'))
     text = summary([], case)
-    assert text.index(HIDDEN) < text.index('EXPLAINED: The believed model lacks local_drag')
+    assert text.index(HIDDEN) < text.index('EXPLAINED: The current model lacks local_drag')
     assert case.worked
     assert not HiddenCase(believed, make_explanation(effects=()), Path('r')).worked

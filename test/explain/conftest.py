@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs of a train whose motion is known: stage by stage, without aligner or simulator."""
+"""Runs of a train with known motion, made stage by stage without aligner or simulator."""
 
 from __future__ import annotations
 
@@ -25,11 +25,11 @@ DT = 0.2
 PULL, PUSH = 90.0, -80.0  # N/kN
 
 Extra = Callable[[float, float, int], float]
-"""Resistance that is not believed [N/kN] at position [m] and speed [m/s] in a direction."""
+"""Resistance missing in the train file [N/kN], by position [m], speed [m/s] and direction."""
 
 
 def drag(permille: float) -> Extra:
-    """Return a drag on the part of the train between 100 and 350 m."""
+    """Return a drag [per mille] on the part of the train between 100 and 350 m."""
 
     def extra(position: float, _: float, direction: int) -> float:
         rear = position - direction * TRAIN.train.length
@@ -41,13 +41,14 @@ def drag(permille: float) -> Extra:
 
 @dataclass(frozen=True)
 class Maker:
-    """Makes runs up and down a line with a hill.
+    """Makes runs in both directions of a line with a hill.
 
     Attributes:
-        noise: Of measured speeds [m/s].
-        coast_s: How long a train coasts before it brakes.
+        noise: Noise of measured speeds [m/s].
+        coast_s: Time of coasting before the train brakes [s].
         pull: Traction [N/kN].
-        push: Brake [N/kN]; 0 ends the run while it coasts.
+        push: Brake [N/kN]; 0 ends the run after coasting.
+        weighed: True if the mass is measured.
 
     """
 
@@ -95,42 +96,42 @@ class Maker:
 
 
 @pytest.fixture(scope='session')
-def believed() -> TrainFile:
-    """Return what is believed of the train of all runs."""
+def train_file() -> TrainFile:
+    """Return the train file of all runs."""
     return TRAIN
 
 
 @pytest.fixture(scope='session')
 def maker() -> type[Maker]:
-    """Return the maker of runs."""
+    """Return the class that makes runs."""
     return Maker
 
 
 @pytest.fixture(scope='session')
 def dragged() -> list[Run]:
-    """Return six runs there and back over a drag of 2.5 per mille from 100 to 350 m."""
+    """Return six runs in alternating directions over a drag of 2.5 per mille from 100 to 350 m."""
     return Maker().runs(6, 42, drag(2.5))
 
 
 @pytest.fixture(scope='session')
 def drag_of() -> Callable[[float], Extra]:
-    """Return a function that makes a drag of some per mille from 100 to 350 m."""
+    """Return a function that makes a drag of a given size [per mille] from 100 to 350 m."""
     return drag
 
 
 @pytest.fixture(scope='session')
 def dragged_model(dragged: list[Run]) -> Model:
-    """Return their model without the drag."""
+    """Return the model of these runs without the drag."""
     return Model(EffectEvaluator(assemble(dragged, TRAIN), TRAIN), TRAIN)
 
 
 @pytest.fixture(scope='session')
 def dragged_sizes(dragged_model: Model) -> tuple[Hyperparameters, NDArray[np.float64]]:
-    """Return the sizes of noise found with that model, and their logs."""
+    """Return the hyperparameters estimated with that model, and their logs."""
     return dragged_model.evidence().maximise()
 
 
 @pytest.fixture(scope='session')
 def dataset() -> Dataset:
-    """Return three runs of which all is as believed."""
+    """Return the dataset of three runs that agree with the train file."""
     return assemble(Maker().runs(3, 5), TRAIN)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Nodes: the response to a resistance, means over a second, and which speeds are outliers."""
+"""Nodes: the response to a resistance, means over one second, and outliers of the speed."""
 
 from __future__ import annotations
 
@@ -13,43 +13,43 @@ from trainid_ros.explain.dataset import Dataset, assemble, find_outliers
 from trainid_ros.train.train_file import TrainFile
 
 
-def test_a_right_belief_leaves_noise(dataset: Dataset) -> None:
+def test_correct_model_leaves_only_noise(dataset: Dataset) -> None:
     assert 0.015 < dataset.gap.std() < 0.03
     assert dataset.node_count.sum() == (~dataset.outlier).sum()
     assert np.all(dataset.node_count <= 5.0)
 
 
-def test_response_to_a_resistance_is_the_gap_it_leaves(maker: Any, believed: TrainFile) -> None:
+def test_response_to_a_missing_resistance_is_its_gap(maker: Any, train_file: TrainFile) -> None:
     runs = maker(noise=0.0).runs(2, 4, lambda *_: 0.5)
-    found = assemble(runs, believed)
+    found = assemble(runs, train_file)
     missing = found.respond(np.full(found.dt.size, 0.5))
     initial = found.gap[found.starts][found.run_of]
     np.testing.assert_allclose(found.gap - initial, missing, atol=0.03)
     assert np.abs(missing).max() > 0.3
     assert not missing[found.starts].any()
-    known = assemble(runs, believed, np.full(found.dt.size, 0.5))
+    known = assemble(runs, train_file, np.full(found.dt.size, 0.5))
     np.testing.assert_allclose(known.gap, initial, atol=0.03)
 
 
-def test_columns_respond_one_by_one(dataset: Dataset) -> None:
+def test_columns_are_integrated_independently(dataset: Dataset) -> None:
     both = np.random.default_rng(0).standard_normal((dataset.dt.size, 2))
     np.testing.assert_allclose(dataset.column(both)[:, 1], dataset.column(both[:, 1]))
 
 
-def test_single_outliers_are_found(maker: Any, believed: TrainFile) -> None:
+def test_single_outliers_are_detected(maker: Any, train_file: TrainFile) -> None:
     runs = maker().runs(2, 6)
     speed = runs[0].speed.copy()
     spoiled = [20, 60, 61, 130, 250]
     speed[spoiled] += [0.5, -0.6, -0.6, 1.0, -0.4]
-    found = assemble([replace(runs[0], speed=speed), runs[1]], believed)
+    found = assemble([replace(runs[0], speed=speed), runs[1]], train_file)
     assert found.outlier[spoiled].all()
     assert found.outlier.sum() <= len(spoiled) + 3
     np.testing.assert_allclose(found.deviation[spoiled], [0.5, -0.6, -0.6, 1.0, -0.4], atol=0.1)
-    clean = assemble(runs, believed)
+    clean = assemble(runs, train_file)
     np.testing.assert_allclose(found.speed, clean.speed, atol=0.1)
 
 
-def test_a_step_that_stays_is_no_outlier() -> None:
+def test_permanent_step_is_no_outlier() -> None:
     gap = 0.02 * np.random.default_rng(1).standard_normal(300)
     starts = np.array([0])
     few = find_outliers(gap, starts).sum()
@@ -58,9 +58,9 @@ def test_a_step_that_stays_is_no_outlier() -> None:
     assert few <= 1
 
 
-def test_a_burst_is_an_outlier_with_its_flanks() -> None:
+def test_burst_is_an_outlier_with_its_flanks() -> None:
     gap = 0.01 * np.random.default_rng(3).standard_normal(200)
-    # A burst of slip comes and goes: its foot is too small to be an outlier of its own.
+    # The flanks of a burst of slip are too small to be outliers by themselves.
     gap[100:107] += [0.1, 0.6, 1.2, 1.3, 1.2, 0.6, 0.1]
     outlier = find_outliers(gap, np.array([0]))
     assert outlier[100:107].all()
@@ -68,7 +68,7 @@ def test_a_burst_is_an_outlier_with_its_flanks() -> None:
     assert not outlier[108:].any()
 
 
-def test_a_burst_that_began_before_the_run_is_an_outlier() -> None:
+def test_burst_cut_by_the_edge_of_a_run_is_an_outlier() -> None:
     gap = 0.01 * np.random.default_rng(4).standard_normal(200)
     gap[:12] += 1.1
     gap[50] += 3.0
@@ -82,11 +82,11 @@ def test_runs_of_few_samples_have_no_outliers() -> None:
     assert not find_outliers(np.array([0.0, 5.0, 0.0, 9.0]), np.array([0, 1, 2])).any()
 
 
-def test_a_node_of_outliers_alone_counts_nothing(maker: Any, believed: TrainFile) -> None:
+def test_node_of_outliers_only_has_no_samples(maker: Any, train_file: TrainFile) -> None:
     runs = maker().runs(1, 6)
     speed = runs[0].speed.copy()
     speed[100:105] += 3.0
-    found = assemble([replace(runs[0], speed=speed)], believed)
+    found = assemble([replace(runs[0], speed=speed)], train_file)
     node = int(np.searchsorted(found.node_starts, 100, side='right')) - 1
     assert found.node_count[node] == 0.0
     assert found.time[100] <= found.node_time[node] <= found.time[104]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Effects along a drive: what lies ahead on the way, what was a moment ago, and what records show themselves."""
+"""Effects along a drive: gradients ahead, forces a moment ago, and effects on the records themselves."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ EFFECT = EffectKind(
 
 
 @pytest.fixture(scope='module')
-def evaluator(maker: Any, believed: TrainFile) -> EffectEvaluator:
-    return EffectEvaluator(assemble(maker(noise=0.0).runs(2, 5), believed), believed)
+def evaluator(maker: Any, train_file: TrainFile) -> EffectEvaluator:
+    return EffectEvaluator(assemble(maker(noise=0.0).runs(2, 5), train_file), train_file)
 
 
-def test_a_shifted_map_differs_where_the_gradient_changes(evaluator: EffectEvaluator) -> None:
-    """The hill of 5 per mille from 300 to 600 m; reported 40 m early it is missing there, and too much at its end."""
+def test_shifted_map_acts_where_the_gradient_changes(evaluator: EffectEvaluator) -> None:
+    """The hill of 5 per mille is from 300 to 600 m; a shift of 40 m gives -5 at its start and +5 beyond its end."""
     dataset = evaluator.dataset
     w = evaluator.resistance('map_shift', {'distance': 40.0})
     position, up = (
@@ -49,24 +49,24 @@ def test_a_shifted_map_differs_where_the_gradient_changes(evaluator: EffectEvalu
     assert inner.sum() > 4
     np.testing.assert_allclose(w[inner], -5.0)
     np.testing.assert_allclose(w[up & (position > 606.0) & (position < 634.0)], 5.0)
-    # Downhill the other way: ahead is below.
+    # Downhill in the other direction.
     back = ~up & (position < 594.0) & (position > 566.0)
     np.testing.assert_allclose(w[back], 5.0)
     assert not w[(position < 250.0) & (position > 0.0) & up].any()
 
 
-def test_late_stamps_differ_where_the_force_changes(evaluator: EffectEvaluator) -> None:
+def test_late_stamps_act_where_the_force_changes(evaluator: EffectEvaluator) -> None:
     dataset = evaluator.dataset
     traction = dataset.joined('traction')
     w = evaluator.resistance('stamp_skew', {'delay': 0.4})
     off = int(np.flatnonzero(np.diff(traction) < -20.0)[0]) + 1
-    assert w[off - 1] > 20.0  # what acts here is stamped when the traction is off already
+    assert w[off - 1] > 20.0  # the traction acting here has a stamp after it is off
     assert abs(w[off + 3]) < 1e-9
     changed = np.abs(w) > 10.0
     assert 0 < changed.sum() <= 8
 
 
-def test_what_depends_on_the_way_so_far(evaluator: EffectEvaluator) -> None:
+def test_effects_that_depend_on_distance_or_brake_release(evaluator: EffectEvaluator) -> None:
     dataset = evaluator.dataset
     w = evaluator.resistance('bearing_warmup', {'value': 2.0, 'distance': 500.0})
     assert w[0] == pytest.approx(2.0, abs=0.01)
@@ -78,7 +78,7 @@ def test_what_depends_on_the_way_so_far(evaluator: EffectEvaluator) -> None:
     np.testing.assert_allclose(drag[released], 3.0)
 
 
-def test_effects_that_records_show_are_not_added(evaluator: EffectEvaluator) -> None:
+def test_effects_on_records_are_not_added(evaluator: EffectEvaluator) -> None:
     effects = parse_effects(
         ['local_drag:start=0,end=200,permille=1', 'stamp_skew:delay=0.3', 'wheel_diameter:ratio=1.02']
     )
@@ -87,9 +87,9 @@ def test_effects_that_records_show_are_not_added(evaluator: EffectEvaluator) -> 
     )
 
 
-def test_what_is_kept_is_bounded(dataset: Dataset, believed: TrainFile, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr('trainid_ros.explain.effect_evaluation._MOST_KNOWN', 3)
-    evaluator = EffectEvaluator(dataset, believed)
+def test_cache_is_bounded(dataset: Dataset, train_file: TrainFile, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr('trainid_ros.explain.effect_evaluation._CACHE_SIZE', 3)
+    evaluator = EffectEvaluator(dataset, train_file)
     first = evaluator.resistance('traction_scale', {'ratio': 0.9})
     assert evaluator.resistance('traction_scale', {'ratio': 0.9}) is first
     for k in range(4):
@@ -99,7 +99,7 @@ def test_what_is_kept_is_bounded(dataset: Dataset, believed: TrainFile, monkeypa
     np.testing.assert_array_equal(again, first)
 
 
-def test_wind_and_tunnel_act_by_the_davis_c(evaluator: EffectEvaluator) -> None:
+def test_headwind_acts_through_the_davis_c(evaluator: EffectEvaluator) -> None:
     davis = evaluator.davis
     by_c = evaluator.by_davis('headwind', {'speed': 5.0}, davis)
     assert by_c is not None
@@ -109,7 +109,7 @@ def test_wind_and_tunnel_act_by_the_davis_c(evaluator: EffectEvaluator) -> None:
 
 
 @pytest.mark.parametrize(('value', 'what'), [('math.nan', 'not finite'), ('math.sqrt(-1.0)', 'math domain error')])
-def test_an_effect_of_a_user_that_fails_is_named(
+def test_error_names_the_failing_user_effect(
     evaluator: EffectEvaluator, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, value: str, what: str
 ) -> None:
     (tmp_path / 'wrong.py').write_text(WRONG.replace('VALUE', value), encoding='utf-8')

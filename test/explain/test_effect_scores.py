@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stretches of the line as sums of blocks, and how effects and groups are judged."""
+"""Sections of the line as block sums, and the scores of effects and groups."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from trainid_ros.train.train_file import TrainFile
 Found = tuple[Hyperparameters, NDArray[np.float64]]
 
 
-def test_block_sums_are_products_of_explicit_columns() -> None:
+def test_block_sums_equal_products_of_explicit_columns() -> None:
     rng = np.random.default_rng(4)
     X, y = rng.standard_normal((30, 7)), rng.standard_normal(30)
     first, end = np.triu_indices(8, 1)
@@ -31,7 +31,7 @@ def test_block_sums_are_products_of_explicit_columns() -> None:
     np.testing.assert_allclose(b, stretches.T @ y)
 
 
-def test_what_is_there_has_the_greatest_evidence(dragged_model: Model, dragged_sizes: Found) -> None:
+def test_true_effect_has_the_greatest_evidence(dragged_model: Model, dragged_sizes: Found) -> None:
     model, (hyper, _) = dragged_model, dragged_sizes
     named, groups = EffectScorer(model).scores(model, hyper)
     assert named[0].name == 'local_drag'
@@ -59,15 +59,15 @@ EFFECT = EffectKind(
 """
 
 
-def test_a_users_effect_is_found_at_its_place(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, maker: Any, believed: TrainFile
+def test_user_effect_is_found_at_its_place(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, maker: Any, train_file: TrainFile
 ) -> None:
     (tmp_path / 'ballast.py').write_text(BALLAST, encoding='utf-8')
     monkeypatch.setenv('TRAINID_EFFECTS', str(tmp_path))
     runs = maker().runs(6, 77, lambda position, _v, _way: 2.0 if position >= 480.0 else 0.0)
-    # No number of seconds of the drive is such a position.
+    # Positions far above any time of the drive, so that the two cannot be confused.
     runs = [replace(run, position=run.position + 5000.0) for run in runs]
-    model = Model(EffectEvaluator(assemble(runs, believed), believed), believed)
+    model = Model(EffectEvaluator(assemble(runs, train_file), train_file), train_file)
     hyper, _ = model.evidence().maximise()
     named, _ = EffectScorer(model).scores(model, hyper)
     assert named[0].name == 'new_ballast'
@@ -75,12 +75,12 @@ def test_a_users_effect_is_found_at_its_place(
     assert named[0].parameters['value'] == pytest.approx(2.0, abs=0.7)
 
 
-def test_members_that_stand_leave_more_to_be_seen(dragged_model: Model, dragged_sizes: Found) -> None:
-    """A member that may move takes what a column like it would explain."""
+def test_fixed_effects_leave_more_information(dragged_model: Model, dragged_sizes: Found) -> None:
+    """An effect with free parameters absorbs what a similar column would explain."""
     model, (hyper, _) = dragged_model, dragged_sizes
-    fitted = model.having((EffectTerm('local_drag', {'start': 110.0, 'end': 340.0, 'permille': 1.8}),)).fit(hyper)
+    fitted = model.with_terms((EffectTerm('local_drag', {'start': 110.0, 'end': 340.0, 'permille': 1.8}),)).fit(hyper)
     unit = fitted.evaluator.resistance('local_drag', {**fitted.terms[0].parameters, 'permille': 1.0})
     column = fitted.dataset.column(unit[:, None])
-    moving = reduced_information(fitted, hyper, column)
-    standing = reduced_information(fitted, hyper, column, terms=False)
-    assert float(moving.A[0, 0]) < 0.2 * float(standing.A[0, 0])
+    free = reduced_information(fitted, hyper, column)
+    fixed = reduced_information(fitted, hyper, column, terms=False)
+    assert float(free.A[0, 0]) < 0.2 * float(fixed.A[0, 0])

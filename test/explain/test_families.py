@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Columns of named effects and of nameless dependences."""
+"""Columns of named effects and of generic dependences."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from trainid_ros.train.effects import EFFECTS, EffectKind, Parameter
 from trainid_ros.train.train_file import TrainFile
 
 
-def test_families_are_linear_columns_of_what_the_drive_shows(dataset: Dataset, believed: TrainFile) -> None:
-    evaluator = EffectEvaluator(dataset, believed)
+def test_families_are_columns_of_effects_that_act_in_the_data(dataset: Dataset, train_file: TrainFile) -> None:
+    evaluator = EffectEvaluator(dataset, train_file)
     families = {family.name: family for family in named_families(evaluator)}
     assert {'traction_scale', 'resistance_step', 'bearing_warmup'} <= families.keys()
-    # No curve and no tunnel was seen, stretches are scanned apart, and slip is no resistance.
+    # There is no curve and no tunnel, sections are scanned separately, and slip is no resistance.
     assert not {'curve_resistance', 'tunnel_drag', 'wheel_slip', *SECTIONS} & families.keys()
     for family in families.values():
         assert family.resistance.shape == (dataset.dt.size, len(family.shapes))
@@ -30,19 +30,19 @@ def test_families_are_linear_columns_of_what_the_drive_shows(dataset: Dataset, b
     np.testing.assert_allclose(0.3 * families['traction_scale'].resistance[:, 0], stronger, atol=1e-9)
 
 
-def test_what_bends_with_its_amplitude_is_tried_at_several(dataset: Dataset, believed: TrainFile) -> None:
-    evaluator = EffectEvaluator(dataset, believed)
+def test_non_linear_effect_is_tried_at_several_amplitudes(dataset: Dataset, train_file: TrainFile) -> None:
+    evaluator = EffectEvaluator(dataset, train_file)
     families = {family.name: family for family in named_families(evaluator)}
     assert families['traction_scale'].resistance.shape[1] == 1
-    # A shift of the map to one side meets other gradients than one to the other side.
+    # Shifts of the map in opposite directions lead to different gradients.
     shifts = families['map_shift'].resistance
     assert shifts.shape[1] == len(families['map_shift'].shapes) > 1
     usual = EFFECTS['map_shift'].usual
     np.testing.assert_allclose(-usual * shifts[:, 1], evaluator.resistance('map_shift', {'distance': -usual}))
 
 
-def test_a_change_that_sets_in_leaves_time_to_be_seen(dataset: Dataset, believed: TrainFile) -> None:
-    families = {family.name: family for family in named_families(EffectEvaluator(dataset, believed))}
+def test_onset_times_leave_enough_driving_before_and_after(dataset: Dataset, train_file: TrainFile) -> None:
+    families = {family.name: family for family in named_families(EffectEvaluator(dataset, train_file))}
     times = np.array([shape['time'] for shape in families['resistance_step'].shapes])
     driven = np.cumsum(dataset.dt)
     assert driven[np.searchsorted(dataset.time, times.min())] > 60.0
@@ -54,7 +54,7 @@ def user_kind(**parameters: Parameter) -> EffectKind:
     return EffectKind('ballast', 'new ballast', 'w = size', parameters, 'size', 1.0, lambda *_: 1.0)
 
 
-def test_places_are_tried_where_was_driven_and_times_when(dataset: Dataset) -> None:
+def test_grids_cover_the_positions_and_times_driven(dataset: Dataset) -> None:
     place, time = Parameter('m'), Parameter('s')
     position = dataset.joined('position')
     starts = np.array([shape['start'] for shape in _shapes(user_kind(start=place), dataset)])
@@ -72,16 +72,16 @@ def test_places_are_tried_where_was_driven_and_times_when(dataset: Dataset) -> N
 
 
 @pytest.mark.parametrize(('name', 'side'), [('local_drag', 1), ('gradient_error', 0), ('brake_fade', 1)])
-def test_sides_of_amplitudes(name: str, side: int) -> None:
+def test_sign_of_amplitudes(name: str, side: int) -> None:
     assert sign(EFFECTS[name]) == side
 
 
-def test_groups_are_finite_and_told_apart_by_name(dataset: Dataset) -> None:
+def test_groups_are_finite_with_unique_names(dataset: Dataset) -> None:
     groups = generic_groups(dataset, 100.0)
     assert len({group.name for group in groups}) == len({group.text for group in groups}) == len(groups)
     for group in groups:
         assert group.resistance.shape[0] == dataset.dt.size
         assert np.isfinite(group.resistance).all()
-    whole = {group.name: group.resistance for group in groups}
+    columns = {group.name: group.resistance for group in groups}
     for name in ('run', 'place', 'time', 'speed'):
-        np.testing.assert_allclose(whole[name].sum(axis=1), 1.0)
+        np.testing.assert_allclose(columns[name].sum(axis=1), 1.0)

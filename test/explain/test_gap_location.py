@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The gap along axes: greatest where something is missing, gone once it is added."""
+"""Missing resistance along axes: greatest where an effect is missing, near zero once it is added."""
 
 from __future__ import annotations
 
@@ -10,10 +10,12 @@ from trainid_ros.explain.marginal_likelihood import Hyperparameters
 from trainid_ros.explain.model import EffectTerm, Model
 
 
-def test_the_gap_is_at_its_place(dragged_model: Model, dragged_sizes: tuple[Hyperparameters, object]) -> None:
+def test_missing_resistance_is_located_at_the_effect(
+    dragged_model: Model, dragged_sizes: tuple[Hyperparameters, object]
+) -> None:
     model, (hyper, _) = dragged_model, dragged_sizes
     drag = EffectTerm('local_drag', {'start': 100.0, 'end': 350.0, 'permille': 2.5})
-    locations = {one.axis: one for one in locate(model, model.having((drag,)), hyper)}
+    locations = {one.axis: one for one in locate(model, model.with_terms((drag,)), hyper)}
     assert {'position, rising', 'position, falling', 'speed', 'mode', 'direction', 'run'} == locations.keys() - {
         'heat of the brake'
     }
@@ -24,7 +26,7 @@ def test_the_gap_is_at_its_place(dragged_model: Model, dragged_sizes: tuple[Hype
     assert strongest.before > 3.0 * strongest.std
     assert abs(strongest.after) < 0.5 * strongest.before
     for location in locations.values():
-        # Parts are told by how they differ from the mean of all.
+        # Parts are deviations from the mean of all parts.
         total = sum(place.share for place in location.places)
         assert sum(place.share * place.before for place in location.places) / total == pytest.approx(0.0, abs=1e-6)
     assert [place.label for place in locations['mode'].places] == ['traction', 'coasting', 'braking']

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Gradients known at one point of the train."""
+"""Gradients given at one point of the train."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def hill(position: Any) -> Any:
     return np.where((position > 300.0) & (position < 600.0), 5.0, 0.0)
 
 
-def felt(point: str) -> Callable[[float, float, int], float]:
-    """Return what the mean under the train exceeds the gradient by that is known at a point of it."""
+def mean_excess(point: str) -> Callable[[float, float, int], float]:
+    """Return the mean gradient under the train less the gradient given at one of its points."""
 
     def extra(position: float, _: float, direction: int) -> float:
         under = hill(position - direction * (BEHIND - POINTS[point] * LENGTH)).mean()
@@ -38,14 +38,14 @@ def felt(point: str) -> Callable[[float, float, int], float]:
     return extra
 
 
-def model_of(runs: list[Run], believed: TrainFile) -> Model:
-    return Model(EffectEvaluator(assemble(runs, believed), believed), believed)
+def model_of(runs: list[Run], train_file: TrainFile) -> Model:
+    return Model(EffectEvaluator(assemble(runs, train_file), train_file), train_file)
 
 
 @pytest.mark.parametrize('point', POINTS)
-def test_the_point_is_found_and_the_mean_under_the_train_restored(maker: Any, believed: TrainFile, point: str) -> None:
-    runs = maker().runs(6, 11, felt(point))
-    model = model_of(runs, believed)
+def test_point_is_found_and_mean_under_train_restored(maker: Any, train_file: TrainFile, point: str) -> None:
+    runs = maker().runs(6, 11, mean_excess(point))
+    model = model_of(runs, train_file)
     hyper, _ = model.evidence().maximise()
     assert preferred_point(model, hyper, 0.0) == point
     assert preferred_point(model, hyper, 1e6) is None
@@ -58,20 +58,20 @@ def test_the_point_is_found_and_the_mean_under_the_train_restored(maker: Any, be
         assert np.abs(run.gradient - true).mean() < 0.1
 
 
-def test_means_under_the_train_are_read_as_such(maker: Any, believed: TrainFile) -> None:
-    model = model_of(maker().runs(6, 12), believed)
+def test_means_under_the_train_are_recognised(maker: Any, train_file: TrainFile) -> None:
+    model = model_of(maker().runs(6, 12), train_file)
     hyper, _ = model.evidence().maximise()
     assert preferred_point(model, hyper, 0.0) is None
 
 
-def test_level_track_tells_no_point(maker: Any, believed: TrainFile) -> None:
+def test_level_track_gives_no_point(maker: Any, train_file: TrainFile) -> None:
     runs = [replace(run, gradient=np.zeros(run.time.size)) for run in maker().runs(4, 13)]
-    model = model_of(runs, believed)
+    model = model_of(runs, train_file)
     hyper, _ = model.evidence().maximise()
     assert preferred_point(model, hyper, 0.0) is None
 
 
-def test_another_reading_is_no_gap(maker: Any, believed: TrainFile) -> None:
-    reported = explain(maker().runs(8, 14, felt('middle')), believed)
+def test_gradients_at_a_point_cause_no_gap(maker: Any, train_file: TrainFile) -> None:
+    reported = explain(maker().runs(8, 14, mean_excess('middle')), train_file)
     assert reported.gradient_point == 'middle'
     assert reported.verdict is Verdict.NO_GAP

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs held out: by subtraction as by a fit without them, and a gap that shrinks when what is there is added."""
+"""Held-out runs: subtraction equals a fit without them, and the gap shrinks when the missing effect is added."""
 
 from __future__ import annotations
 
@@ -19,12 +19,12 @@ from trainid_ros.explain.nuisances import Spread
 from trainid_ros.explain.regression import Gram, posterior
 from trainid_ros.train.train_file import TrainFile
 
-SIZES = Hyperparameters(Noise(0.02, 0.05, 8.0, 0.02), Spread(0.005, 0.01, 0.2), 0.0)
+HYPER = Hyperparameters(Noise(0.02, 0.05, 8.0, 0.02), Spread(0.005, 0.01, 0.2), 0.0)
 
 
-def test_subtraction_is_a_fit_without_the_run(dragged_model: Model) -> None:
+def test_subtraction_equals_a_fit_without_the_run(dragged_model: Model) -> None:
     model = dragged_model
-    held = hold_out(model, SIZES)
+    held = hold_out(model, HYPER)
     assert held is not None
     others = model.dataset.node_run != 1
     grid = Grid.of(model.dataset)
@@ -33,10 +33,10 @@ def test_subtraction_is_a_fit_without_the_run(dragged_model: Model) -> None:
         grid.index[:, columns], grid.dt[:, columns], grid.share[:, columns], grid.change[:, columns],
         grid.inertia, grid.nodes,
     )  # fmt: skip
-    gram = Gram.of(model.columns, model.factor_columns, kept, Whitener.of(kept, SIZES.noise))
-    total, _ = gram.reduced(SIZES.spread.of_run)
+    gram = Gram.of(model.columns, model.factor_columns, kept, Whitener.of(kept, HYPER.noise))
+    total, _ = gram.reduced(HYPER.spread.of_run)
     model.add_odometry(total)
-    mean, _ = posterior(total, model.prior_factor(SIZES.spread))
+    mean, _ = posterior(total, model.prior_factor(HYPER.spread))
     gap = model.residual[~others] - model.nuisance_columns[~others] @ mean
     known = model.dataset.node_count[~others] > 0.0
     np.testing.assert_allclose(held.gap[~others], gap - gap[known].mean(), atol=1e-9)
@@ -45,8 +45,8 @@ def test_subtraction_is_a_fit_without_the_run(dragged_model: Model) -> None:
 def test_the_gap_shrinks_to_the_noise(dragged_model: Model) -> None:
     model = dragged_model
     drag = EffectTerm('local_drag', {'start': 120.0, 'end': 330.0, 'permille': 1.5})
-    added = model.having((drag,)).fit(SIZES)
-    gap = gap_of(hold_out(model, SIZES), hold_out(added, SIZES), added)
+    added = model.with_terms((drag,)).fit(HYPER)
+    gap = gap_of(hold_out(model, HYPER), hold_out(added, HYPER), added)
     assert gap is not None
     assert gap.after < 0.6 * gap.before
     assert gap.after < 1.1 * gap.noise_floor
@@ -56,36 +56,36 @@ def test_the_gap_shrinks_to_the_noise(dragged_model: Model) -> None:
     assert abs(found['start'] - 100.0) < 4.0 * std['start']
 
 
-def test_one_run_cannot_be_held_out(maker: Any, believed: TrainFile) -> None:
-    alone = Model(EffectEvaluator(assemble(maker().runs(1, 3), believed), believed), believed)
-    held = hold_out(alone, SIZES)
+def test_one_run_cannot_be_held_out(maker: Any, train_file: TrainFile) -> None:
+    alone = Model(EffectEvaluator(assemble(maker().runs(1, 3), train_file), train_file), train_file)
+    held = hold_out(alone, HYPER)
     assert held is None
     assert gap_of(held, held, alone) is None
 
 
-def test_an_effect_that_only_the_run_held_out_has_seen_does_not_help_there(
-    maker: Any, drag_of: Any, believed: TrainFile
+def test_effect_in_the_held_out_run_only_does_not_reduce_its_gap(
+    maker: Any, drag_of: Any, train_file: TrainFile
 ) -> None:
     runs = [*maker().runs(4, 31), *maker().runs(5, 32, drag_of(4.0))[4:]]
-    model = Model(EffectEvaluator(assemble(runs, believed), believed), believed)
+    model = Model(EffectEvaluator(assemble(runs, train_file), train_file), train_file)
     seen = [replace(run, position=run.position + 1e4 * (k < 4)) for k, run in enumerate(runs)]
-    apart = Model(EffectEvaluator(assemble(seen, believed), believed), believed)
+    apart = Model(EffectEvaluator(assemble(seen, train_file), train_file), train_file)
     drag = EffectTerm('local_drag', {'start': 100.0, 'end': 350.0, 'permille': 4.0})
     last = apart.dataset.node_run == 4
-    for one, helped in ((model, True), (apart, False)):
-        added = one.having((drag,)).fit(SIZES)
-        held, without = hold_out(added, SIZES), hold_out(one, SIZES)
+    for one, same_place in ((model, True), (apart, False)):
+        added = one.with_terms((drag,)).fit(HYPER)
+        held, without = hold_out(added, HYPER), hold_out(one, HYPER)
         assert held is not None
         assert without is not None
-        # Where the other runs pass the place they say that nothing is there; elsewhere they say nothing.
+        # If the other runs pass the place, they show no effect there; otherwise they give no information.
         before, after = np.std(without.gap[last]), np.std(held.gap[last])
-        assert after > 0.8 * before, helped
+        assert after > 0.8 * before, same_place
 
 
-def test_the_floor_does_not_hold_what_is_not_known_of_effects(dragged_model: Model) -> None:
+def test_noise_floor_excludes_the_uncertainty_of_effects(dragged_model: Model) -> None:
     model = dragged_model
-    added = model.having((EffectTerm('local_drag', {'start': 100.0, 'end': 350.0, 'permille': 2.5}),)).fit(SIZES)
-    unseen = model.having((EffectTerm('local_drag', {'start': 1e4, 'end': 1.1e4, 'permille': 2.5}),)).fit(SIZES)
-    floors = [hold_out(one, SIZES) for one in (model, added, unseen)]
-    hyper = [float(np.mean(floor.std)) for floor in floors if floor is not None]
-    assert hyper[1:] == pytest.approx([hyper[0]] * 2, rel=0.15)
+    added = model.with_terms((EffectTerm('local_drag', {'start': 100.0, 'end': 350.0, 'permille': 2.5}),)).fit(HYPER)
+    unseen = model.with_terms((EffectTerm('local_drag', {'start': 1e4, 'end': 1.1e4, 'permille': 2.5}),)).fit(HYPER)
+    floors = [hold_out(one, HYPER) for one in (model, added, unseen)]
+    floor_means = [float(np.mean(floor.std)) for floor in floors if floor is not None]
+    assert floor_means[1:] == pytest.approx([floor_means[0]] * 2, rel=0.15)

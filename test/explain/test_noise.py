@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The filter whitens: applied to the identity it gives Z with Z C Z' = 1 for the covariance C written out."""
+"""The filter whitens: applied to the identity it gives Z with Z C Z' = 1 for the explicit covariance C."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ def test_the_filter_whitens_the_dense_covariance(jitter: float, gust_time: float
     assert float(whitener.log_det.sum()) == pytest.approx(np.linalg.slogdet(C)[1], rel=1e-6)
 
 
-def test_what_was_not_measured_takes_no_part() -> None:
+def test_missing_measurement_has_no_weight() -> None:
     times, share, change = np.arange(30.0), np.ones(30), np.zeros(30)
     noise = Noise(0.03, 0.4, 5.0, 0.0)
     share[7] = np.inf
@@ -63,7 +63,7 @@ def test_what_was_not_measured_takes_no_part() -> None:
     assert whitener.apply(spoiled)[7, 0, 0] == 0.0
 
 
-def test_runs_side_by_side_are_whitened_as_each_alone(dataset: Dataset) -> None:
+def test_runs_are_whitened_independently(dataset: Dataset) -> None:
     grid, noise = Grid.of(dataset), Noise(0.03, 0.2, 8.0, 0.02)
     whitener = Whitener.of(grid, noise)
     column = np.random.default_rng(1).standard_normal((dataset.node_time.size, 1))
@@ -78,7 +78,7 @@ def test_runs_side_by_side_are_whitened_as_each_alone(dataset: Dataset) -> None:
         assert alone.log_det[0] == pytest.approx(whitener.log_det[k], rel=1e-12)
 
 
-def test_a_long_mean_keeps_the_noise_that_its_samples_share() -> None:
+def test_mean_of_many_samples_keeps_their_common_noise() -> None:
     np.testing.assert_allclose(share_of_mean(np.array([1.0, 5.0, 1e9])), [1.0, 0.28, 0.1])
 
 

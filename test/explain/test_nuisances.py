@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Bins of the line under a train, and the columns and priors of nuisances."""
+"""Bins of the line, and the columns and priors of nuisances."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from trainid_ros.train.train_file import TrainFile
 
 
 @pytest.mark.parametrize('length', [1.0, 100.0, 350.0])
-def test_all_of_the_train_is_on_the_bins(dataset: Dataset, length: float) -> None:
+def test_shares_of_the_train_sum_to_one(dataset: Dataset, length: float) -> None:
     bins = Bins.of(dataset, length)
     shares = bins.shares(dataset, length)
     assert shares.shape == (dataset.time.size, bins.count)
@@ -23,7 +23,7 @@ def test_all_of_the_train_is_on_the_bins(dataset: Dataset, length: float) -> Non
     assert fine.edges[-1] >= dataset.joined('position').max() + length
 
 
-def test_the_train_trails_its_front(dataset: Dataset) -> None:
+def test_train_lies_behind_its_front(dataset: Dataset) -> None:
     bins = Bins(-1000.0, 100.0, 30)
     shares = bins.shares(dataset, 100.0)
     middle = bins.edges[:-1] + 50.0
@@ -32,14 +32,14 @@ def test_the_train_trails_its_front(dataset: Dataset) -> None:
     assert np.all(behind < 1e-9)
 
 
-def test_each_nuisance_has_a_column_and_a_prior(dataset: Dataset, believed: TrainFile) -> None:
+def test_each_nuisance_has_a_column_and_a_prior(dataset: Dataset, train_file: TrainFile) -> None:
     columns = common_columns(dataset)
-    unweighed, weighed = common_std(believed, weighed=False), common_std(believed, weighed=True)
+    unweighed, weighed = common_std(train_file, weighed=False), common_std(train_file, weighed=True)
     assert columns.shape == (dataset.time.size, unweighed.size)
     assert np.isfinite(columns).all()
     assert np.all(unweighed > 0.0)
     assert weighed[-1] < unweighed[-1]
-    # A mass that is wrong looks like a wrong gain of both forces.
+    # A mass error is equivalent to a common gain error of both forces.
     np.testing.assert_allclose(columns[:, -1], run_columns(dataset).sum(axis=1))
 
 

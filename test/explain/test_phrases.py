@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parts of the data in words: every axis of the location has some, and none repeats the name of its axis."""
+"""Text for parts of the data: every axis has its own phrase, and none repeats the name of the axis."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ from trainid_ros.train.train_file import TrainFile
         ('run', '3', 'run 3'),
     ],
 )
-def test_words(axis: str, label: str, text: str) -> None:
+def test_phrases(axis: str, label: str, text: str) -> None:
     assert place_text(axis, label) == text
 
 
-def test_every_part_that_is_located_has_words(maker: Any, believed: TrainFile) -> None:
+def test_every_located_part_has_a_phrase(maker: Any, train_file: TrainFile) -> None:
     runs = []
     for run in maker().runs(2, 3):
         inside = (run.position > 300.0) & (run.position < 600.0)
         runs.append(replace(run, tunnel=inside.astype(float), radius=300.0 * inside, heat=np.cumsum(-run.brake)))
-    model = Model(EffectEvaluator(assemble(runs, believed), believed), believed)
+    model = Model(EffectEvaluator(assemble(runs, train_file), train_file), train_file)
     hyper, _ = model.evidence().maximise()
     locations = locate(model, model, hyper)
     assert {'position, rising', 'speed', 'mode', 'direction', 'tunnel', 'curve', 'heat of the brake'} <= {

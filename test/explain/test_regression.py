@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Eliminated nuisances and Bayes factors against Gaussian evidence written out."""
+"""Elimination of nuisances and Bayes factors against explicit Gaussian evidence."""
 
 from __future__ import annotations
 
@@ -64,12 +64,12 @@ def test_bayes_factor_of_a_group(columns: Array, root: Array, information: Infor
 
 
 def test_likelihood_without_candidates(columns: Array, root: Array, information: Information) -> None:
-    whole = evidence(columns, root, [], 1.0) + ROWS * np.log(2.0 * np.pi)
-    assert -information.yy - information.log_det == pytest.approx(whole, abs=1e-9)
+    total = evidence(columns, root, [], 1.0) + ROWS * np.log(2.0 * np.pi)
+    assert -information.yy - information.log_det == pytest.approx(total, abs=1e-9)
 
 
 @pytest.mark.parametrize('sign', [1, -1])
-def test_a_sign_counts_only_sizes_on_its_side(information: Information, sign: int) -> None:
+def test_sign_restricts_the_amplitude_to_one_side(information: Information, sign: int) -> None:
     A, b, std = float(information.A[0, 0]), float(information.b[0]), 0.7
     x = np.linspace(0.0, sign * 12.0, 200_001)
     likelihood = np.exp(b * x - 0.5 * A * x * x)
@@ -78,7 +78,7 @@ def test_a_sign_counts_only_sizes_on_its_side(information: Information, sign: in
     assert float(found[0]) == pytest.approx(2.0 * np.log(mean), abs=1e-5)
 
 
-def test_columns_eliminated_together_or_after_each_other(columns: Array, root: Array, information: Information) -> None:
+def test_joint_and_sequential_elimination_agree(columns: Array, root: Array, information: Information) -> None:
     std = np.array([0.5, 1.0, 2.0])
     bigger = np.zeros((NUISANCES + 2, NUISANCES + 2))
     bigger[:NUISANCES, :NUISANCES] = root
@@ -100,8 +100,8 @@ def test_posterior_solves_the_normal_equations(columns: Array, root: Array) -> N
     np.testing.assert_allclose(mean, np.linalg.solve(precision, X[:, 1:].T @ X[:, 0]), atol=1e-12)
 
 
-def test_factors_of_single_runs_are_columns_of_their_own(dataset: Dataset) -> None:
-    """Elimination run by run is that of one column for each run and factor."""
+def test_factors_of_single_runs_equal_separate_columns(dataset: Dataset) -> None:
+    """Elimination by run equals elimination of one column for each run and factor."""
     grid, std = Grid.of(dataset), np.array([0.03, 0.02])
     whitener = Whitener.of(grid, Noise(0.03, 0.2, 8.0, 0.02))
     columns = np.random.default_rng(2).standard_normal((dataset.node_time.size, 2))
@@ -113,6 +113,6 @@ def test_factors_of_single_runs_are_columns_of_their_own(dataset: Dataset) -> No
     white = whitener.apply(grid.spread(np.concatenate([columns, *apart], axis=1)))
     X = white.reshape(-1, white.shape[2])
     order = [0, *range(2, X.shape[1]), 1]
-    whole = eliminate((X.T @ X)[np.ix_(order, order)], 6, np.diag(np.tile(std, 3)))
-    assert (total[0, 0], total[0, 1], total[1, 1]) == pytest.approx((whole.yy, whole.b[0], whole.A[0, 0]))
-    assert cost == pytest.approx(whole.log_det)
+    joint = eliminate((X.T @ X)[np.ix_(order, order)], 6, np.diag(np.tile(std, 3)))
+    assert (total[0, 0], total[0, 1], total[1, 1]) == pytest.approx((joint.yy, joint.b[0], joint.A[0, 0]))
+    assert cost == pytest.approx(joint.log_det)

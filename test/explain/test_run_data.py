@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs: where they begin and end, and what is known of brake and position."""
+"""Runs: where they begin and end, and their brake forces and positions."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ PLAIN = Sample(START, 0.2, 0.0, 0.0, 1, 0.0, 0.0, 2.0, 2.0, 0.0, False, math.nan
 
 
 def samples(speeds: Sequence[float], changes: dict[int, dict[str, Any]] | None = None) -> list[Sample]:
-    """Return samples at 5 Hz with these speeds; fields of some of them can be given."""
+    """Return samples at 5 Hz with these speeds [m/s], with changed fields by index of the sample."""
     made, position = [], 100.0
     for k, speed in enumerate(speeds):
         position += 0.2 * speed
@@ -62,19 +62,19 @@ def test_a_gap_ends_a_run() -> None:
 @pytest.mark.parametrize(
     'field', [{'emergency': True}, {'force_mean': math.nan}, {'gradient_mean': math.nan}, {'brake_command': math.nan}]
 )
-def test_what_cannot_be_simulated_ends_a_run(field: dict[str, Any]) -> None:
+def test_unusable_sample_ends_a_run(field: dict[str, Any]) -> None:
     first, second = collect(samples([10.0] * 201, {100: field}))
     assert (first.time.size, second.time.size) == (100, 100)
 
 
-def test_short_runs_are_forgotten_and_long_ones_cut() -> None:
+def test_short_runs_are_discarded_and_long_ones_split() -> None:
     assert collect(samples([10.0] * 70)) == []
     runs = collect(samples([10.0] * round(2.5 * LONGEST_S * 5)))
     assert len(runs) == 3
     assert all(run.time[-1] - run.time[0] <= LONGEST_S + 0.3 for run in runs)
 
 
-def test_an_unknown_position_is_integrated() -> None:
+def test_unknown_position_is_replaced_by_distance() -> None:
     fields = {k: {'position': math.nan} for k in range(101)}
     (run,) = collect(samples([10.0] * 101, fields))
     assert not run.positioned
@@ -83,13 +83,13 @@ def test_an_unknown_position_is_integrated() -> None:
     assert run.direction == 1
 
 
-def test_positions_that_fall_are_the_other_direction() -> None:
+def test_falling_positions_give_the_negative_direction() -> None:
     fields = {k: {'position': 500.0 - 2.0 * k} for k in range(101)}
     (run,) = collect(samples([10.0] * 101, fields))
     assert run.direction == -1
 
 
-def test_mass_is_weighed_or_believed() -> None:
+def test_mass_is_measured_or_from_the_train_file() -> None:
     loaded = {k: {'mass': 250e3, 'force_mean': 50e3} for k in range(101)}
     (run,) = collect(samples([10.0] * 101, loaded))
     assert run.weighed
@@ -99,15 +99,15 @@ def test_mass_is_weighed_or_believed() -> None:
     assert run.traction[5] == pytest.approx(1000.0 * 50e3 / (200e3 * 9.80665))
 
 
-def test_the_brake_is_known_by_its_command() -> None:
-    """The measured force says nothing while the brake acts, unless it is a traction still."""
+def test_brake_force_follows_the_command() -> None:
+    """While the brake acts, a measured force is used only if it is still traction."""
     at, back = START + 50 * NS_PER_S // 5, START + 75 * NS_PER_S // 5
     changes: dict[int, dict[str, Any]] = {k: {'force_mean': -90e3} for k in range(50, 120)}
     changes[50]['brake_changes'] = (BrakeCommandChange(at, -0.8),)
     changes[75]['brake_changes'] = (BrakeCommandChange(back, 0.0),)
     (run,) = collect(samples([15.0] * 120, changes))
     inertia = specific_inertia(1.0, FILE.train.rotary_mass)
-    assert not run.brake[:53].any()  # its dead time of 0.6 s
+    assert not run.brake[:53].any()  # dead time of 0.6 s
     assert run.brake[74] == pytest.approx(-0.9 * 0.8 * inertia, rel=0.01)
     assert 0.0 > run.brake[54] > -0.9 * 0.8 * inertia
     assert not run.traction[56:76].any()
@@ -118,14 +118,14 @@ def test_the_brake_is_known_by_its_command() -> None:
     assert run.heat[80] == pytest.approx(0.9 * 0.8 * 15.0 * 5.0, rel=0.1)
 
 
-def test_traction_against_the_brake_is_the_rest() -> None:
+def test_traction_against_the_brake_is_the_difference() -> None:
     changes: dict[int, dict[str, Any]] = {k: {'force_mean': 40e3} for k in range(120)}
     changes[50]['brake_changes'] = (BrakeCommandChange(START + 10 * NS_PER_S, -0.5),)
     (run,) = collect(samples([15.0] * 120, changes))
     np.testing.assert_allclose(run.traction + run.brake, run.traction[0])
 
 
-def test_a_brake_that_still_releases_holds_the_start_back() -> None:
+def test_run_starts_after_the_brake_is_released() -> None:
     changes: dict[int, dict[str, Any]] = {
         1: {'brake_changes': (BrakeCommandChange(START, -0.8),)},
         20: {'brake_changes': (BrakeCommandChange(START + 4 * NS_PER_S, 0.0),)},
@@ -135,12 +135,12 @@ def test_a_brake_that_still_releases_holds_the_start_back() -> None:
     assert not run.brake.any()
 
 
-def test_holes_of_positions_are_bridged_by_the_distance_run() -> None:
+def test_gaps_in_positions_are_bridged_by_the_distance() -> None:
     speeds = [0.0] * 5 + [10.0] * 100 + [0.0]
-    (whole,) = collect(samples(speeds))
-    (holed,) = collect(samples(speeds, {k: {'position': math.nan} for k in range(30, 60)}))
-    assert holed.positioned
-    np.testing.assert_allclose(holed.position, whole.position, atol=1e-6)
+    (complete,) = collect(samples(speeds))
+    (interrupted,) = collect(samples(speeds, {k: {'position': math.nan} for k in range(30, 60)}))
+    assert interrupted.positioned
+    np.testing.assert_allclose(interrupted.position, complete.position, atol=1e-6)
     (none,) = collect(samples(speeds, {k: {'position': math.nan} for k in range(10, 106)}))
     assert not none.positioned
     np.testing.assert_array_equal(none.position, none.distance_run)

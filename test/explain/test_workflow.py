@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The whole workflow: a case of each verdict, an effect of a user, and data that hold little or nothing."""
+"""The complete workflow: a case of each verdict, a user effect, and poor data."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from trainid_ros.explain.workflow import explain
 from trainid_ros.train.effect_text import parse_effects
 from trainid_ros.train.train_file import Davis, TrainFile
 
-# Kinds have no edges; without runs to hold out there is no gap.
+# Categories have no edges; without runs to hold out there is no gap.
 UNKNOWN = {'locations[].places[].low', 'locations[].places[].high'}
 UNKNOWN_OF_ONE_RUN = UNKNOWN | {'traces[].before', 'traces[].after', 'traces[].band'}
 
@@ -50,7 +50,7 @@ def hunting(_: float, v: float, _direction: int) -> float:
 
 
 def not_finite(value: Any, path: str = '') -> Iterator[str]:
-    """Yield where something holds a number that is none."""
+    """Yield the paths of values that are not finite."""
     if isinstance(value, np.ndarray):
         if not np.isfinite(value).all():
             yield path
@@ -68,15 +68,15 @@ def names(reported: Explanation) -> list[str]:
     return [effect.name for effect in reported.effects]
 
 
-def test_nothing_is_missing(maker: Any, believed: TrainFile) -> None:
+def test_no_gap(maker: Any, train_file: TrainFile) -> None:
     steps: list[str] = []
-    reported = explain(maker().runs(4, 41), believed, advance=steps.append)
+    reported = explain(maker().runs(4, 41), train_file, advance=steps.append)
     assert reported.verdict is Verdict.NO_GAP
     assert reported.effects == ()
     assert reported.gap is not None
     assert reported.gap.before == reported.gap.after < 1.2 * reported.gap.noise_floor
     assert reported.train_file.effects == ()
-    assert abs(reported.train_file.resistance.a - believed.resistance.a) < 4.0 * reported.davis_std[0]
+    assert abs(reported.train_file.resistance.a - train_file.resistance.a) < 4.0 * reported.davis_std[0]
     assert reported.remaining.startswith('What is left is noise')
     assert len(reported.traces) == 4
     assert {'noise', 'held-out runs', 'places'} <= set(steps)
@@ -84,8 +84,8 @@ def test_nothing_is_missing(maker: Any, believed: TrainFile) -> None:
 
 
 @pytest.mark.slow
-def test_an_effect_is_named_added_and_proved(dragged: list[Run], believed: TrainFile) -> None:
-    reported = explain(dragged, believed, provenance='by a test')
+def test_effect_is_named_added_and_validated(dragged: list[Run], train_file: TrainFile) -> None:
+    reported = explain(dragged, train_file, provenance='by a test')
     assert reported.verdict in {Verdict.EXPLAINED, Verdict.AMBIGUOUS}
     assert names(reported) == ['local_drag']
     (effect,) = reported.effects
@@ -98,15 +98,15 @@ def test_an_effect_is_named_added_and_proved(dragged: list[Run], believed: Train
     (added,) = reported.train_file.effects
     assert (added.name, added.parameters, added.provenance) == ('local_drag', effect.parameters, 'by a test')
     assert not set(not_finite(reported)) - UNKNOWN
-    # What was written is a belief like any other.
+    # The resulting train file is a valid input.
     again = explain(dragged, reported.train_file)
     assert again.verdict is Verdict.NO_GAP
     assert again.train_file.effects == reported.train_file.effects
 
 
 @pytest.mark.slow
-def test_what_no_effect_fits_is_unexplained(maker: Any, believed: TrainFile) -> None:
-    reported = explain(maker().runs(8, 43, hunting), believed)
+def test_gap_that_no_effect_fits_is_unexplained(maker: Any, train_file: TrainFile) -> None:
+    reported = explain(maker().runs(8, 43, hunting), train_file)
     assert reported.verdict is Verdict.UNEXPLAINED
     assert reported.effects == ()
     assert reported.train_file.effects == ()
@@ -121,9 +121,9 @@ def windy(_: float, v: float, direction: int) -> float:
 
 
 @pytest.mark.slow
-def test_what_was_written_explains_the_data_whatever_c_was_believed(maker: Any, believed: TrainFile) -> None:
+def test_result_explains_the_data_for_a_wrong_initial_c(maker: Any, train_file: TrainFile) -> None:
     runs = maker().runs(10, 47, windy)
-    reported = explain(runs, replace(believed, resistance=replace(believed.resistance, c=0.0022)))
+    reported = explain(runs, replace(train_file, resistance=replace(train_file.resistance, c=0.0022)))
     assert names(reported) == ['headwind']
     speed, std = dict(reported.effects[0].parameters)['speed'], dict(reported.effects[0].std)['speed']
     assert abs(speed - 6.0) < 3.0 * std
@@ -132,36 +132,36 @@ def test_what_was_written_explains_the_data_whatever_c_was_believed(maker: Any, 
 
 
 @pytest.mark.slow
-def test_an_effect_that_is_believed_too_small_is_replaced(maker: Any, believed: TrainFile) -> None:
+def test_effect_too_small_in_the_train_file_is_replaced(maker: Any, train_file: TrainFile) -> None:
     runs = maker().runs(10, 48, windy)
-    reported = explain(runs, replace(believed, effects=parse_effects(['headwind:speed=2'])))
+    reported = explain(runs, replace(train_file, effects=parse_effects(['headwind:speed=2'])))
     assert names(reported) == [effect.name for effect in reported.train_file.effects] == ['headwind']
     assert abs(dict(reported.effects[0].parameters)['speed'] - 6.0) < 3.0 * dict(reported.effects[0].std)['speed']
 
 
 @pytest.mark.slow
-def test_many_runs_of_unequal_length(maker: Any, drag_of: Any, believed: TrainFile) -> None:
+def test_many_runs_of_unequal_length(maker: Any, drag_of: Any, train_file: TrainFile) -> None:
     runs = [run for k in range(12) for run in maker(coast_s=20.0 + 3.0 * k).runs(2, 60 + k, drag_of(2.5))]
-    reported = explain(runs, believed)
+    reported = explain(runs, train_file)
     assert names(reported) == ['local_drag']
     assert reported.gap is not None
     assert reported.gap.runs_held_out == 24
 
 
 @pytest.mark.slow
-def test_without_positions_no_place_is_named(dragged: list[Run], believed: TrainFile) -> None:
-    reported = explain([replace(run, positioned=False) for run in dragged], believed)
+def test_without_positions_no_place_is_reported(dragged: list[Run], train_file: TrainFile) -> None:
+    reported = explain([replace(run, positioned=False) for run in dragged], train_file)
     assert not {'local_drag', 'gradient_error'} & set(names(reported))
     assert 'position' not in ' '.join(location.axis for location in reported.locations)
 
 
 @pytest.mark.slow
-def test_an_effect_of_a_user_takes_part(
-    maker: Any, believed: TrainFile, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+def test_user_effect_is_found(
+    maker: Any, train_file: TrainFile, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / 'resonance.py').write_text(RESONANCE, encoding='utf-8')
     monkeypatch.setenv('TRAINID_EFFECTS', str(tmp_path))
-    reported = explain(maker().runs(8, 43, hunting), believed)
+    reported = explain(maker().runs(8, 43, hunting), train_file)
     assert names(reported) == ['resonance']
     (effect,) = reported.effects
     value, std = dict(effect.parameters)['value'], dict(effect.std)['value']
@@ -171,7 +171,7 @@ def test_an_effect_of_a_user_takes_part(
     assert reported.train_file.effects[0].name == 'resonance'
 
 
-def emptied(_: list[Run]) -> list[Run]:
+def no_runs(_: list[Run]) -> list[Run]:
     return []
 
 
@@ -179,12 +179,12 @@ def cut_short(runs: list[Run]) -> list[Run]:
     return [cut(run, 3) for run in runs]
 
 
-@pytest.mark.parametrize('spoil', [emptied, cut_short])
-def test_too_little_motion_is_no_answer(
-    maker: Any, believed: TrainFile, spoil: Callable[[list[Run]], list[Run]]
+@pytest.mark.parametrize('spoil', [no_runs, cut_short])
+def test_too_little_motion_is_an_error(
+    maker: Any, train_file: TrainFile, spoil: Callable[[list[Run]], list[Run]]
 ) -> None:
     with pytest.raises(NoAnswerError, match='too little motion'):
-        explain(spoil(maker().runs(6, 44)), believed)
+        explain(spoil(maker().runs(6, 44)), train_file)
 
 
 def one_run(runs: list[Run]) -> list[Run]:
@@ -200,7 +200,7 @@ def without_position(runs: list[Run]) -> list[Run]:
 
 
 def at_constant_speed(runs: list[Run]) -> list[Run]:
-    """Return runs that tell nothing: without a force, at one place and one speed."""
+    """Return runs without information: constant force, place and speed, without braking."""
     ones, nothing = [np.ones(r.time.size) for r in runs], [np.zeros(r.time.size) for r in runs]
     return [
         replace(r, speed=10.0 * one, traction=2.0 * one, brake=zero, position=100.0 * one, gradient=zero)
@@ -216,7 +216,7 @@ def without_traction(runs: list[Run]) -> list[Run]:
     return [replace(r, traction=np.zeros(r.time.size)) for r in runs]
 
 
-def in_one_bag_of_crumbs(runs: list[Run]) -> list[Run]:
+def with_very_short_runs(runs: list[Run]) -> list[Run]:
     return [*runs[:2], cut(runs[2], 1), cut(runs[3], 2)]
 
 
@@ -232,15 +232,15 @@ def cut(run: Run, count: int) -> Run:
 @pytest.mark.parametrize(
     'spoil',
     [
-        one_run, two_runs, without_position, at_constant_speed, without_brake, without_traction, in_one_bag_of_crumbs,
+        one_run, two_runs, without_position, at_constant_speed, without_brake, without_traction, with_very_short_runs,
         in_whole_km_h,
     ],
 )  # fmt: skip
-def test_poor_data_are_told_without_a_number_that_is_none(
-    maker: Any, believed: TrainFile, spoil: Callable[[list[Run]], list[Run]]
+def test_poor_data_give_finite_values(
+    maker: Any, train_file: TrainFile, spoil: Callable[[list[Run]], list[Run]]
 ) -> None:
-    reported = explain(spoil(maker().runs(6, 45)), believed)
-    # A force that was never measured is a gap, but none with a name.
+    reported = explain(spoil(maker().runs(6, 45)), train_file)
+    # A force that was not measured is a gap that no named effect fits.
     assert reported.verdict is Verdict.NO_GAP or (spoil is without_traction and reported.verdict is Verdict.UNEXPLAINED)
     assert reported.effects == ()
     assert not set(not_finite(reported)) - (UNKNOWN_OF_ONE_RUN if spoil is one_run else UNKNOWN)
@@ -248,13 +248,15 @@ def test_poor_data_are_told_without_a_number_that_is_none(
 
 
 @pytest.mark.slow
-def test_odd_beliefs(maker: Any, believed: TrainFile) -> None:
+def test_unusual_train_files(maker: Any, train_file: TrainFile) -> None:
     runs = maker().runs(4, 46)
-    beliefs = (
-        replace(believed, resistance=Davis(0.0, 0.0, 0.0)),
-        replace(believed, train=replace(believed.train, length=1e-3)),
-        replace(believed, train=replace(believed.train, length=3000.0)),
-        replace(believed, effects=parse_effects(['wheel_diameter:ratio=1.01', 'local_drag:start=0,end=9,permille=0'])),
+    files = (
+        replace(train_file, resistance=Davis(0.0, 0.0, 0.0)),
+        replace(train_file, train=replace(train_file.train, length=1e-3)),
+        replace(train_file, train=replace(train_file.train, length=3000.0)),
+        replace(
+            train_file, effects=parse_effects(['wheel_diameter:ratio=1.01', 'local_drag:start=0,end=9,permille=0'])
+        ),
     )
-    for belief in beliefs:
-        assert not set(not_finite(explain(runs, belief))) - UNKNOWN
+    for file in files:
+        assert not set(not_finite(explain(runs, file))) - UNKNOWN

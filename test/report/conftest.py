@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Outputs and inputs of a made-up drive whose numbers are known."""
+"""Inputs and outputs of a synthetic drive with known values."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ TRAIN = TrainFile(Train(mass=194e3), Davis(1.4, 0.02, 0.001))
 
 
 def inputs(i: int) -> tuple[Record, ...]:
-    """Return the inputs of second ``i``: pulling, coasting, braking and standing for 30 s each, again and again."""
+    """Return the inputs of second ``i``: cycles of traction, coasting, braking and standstill for 30 s each."""
     stamp, mode = START_NS + i * NS_PER_S, i // 30 % 4
     return (
         ForceRecord(stamp, 2e5 if mode == 0 else 0.0),
@@ -51,7 +51,7 @@ def output(i: int, estimate: ResistanceEstimate | SpeedModelEstimate | BrakeRate
 
 @pytest.fixture(scope='session')
 def make_chapter() -> Callable[..., Chapter]:
-    """Return a function that makes the chapter of a drive of so many seconds."""
+    """Return a function that makes the chapter of a drive of a given duration [s]."""
 
     def make(seconds: int = 240, *, truth: Truth | None = TRUTH, braking: bool = True) -> Chapter:
         recorder = TraceRecorder()

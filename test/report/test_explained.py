@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The report of an explanation: one file, story before figures, and little data breaks nothing."""
+"""Report of an explanation: one file, findings before figures, and little data causes no errors."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ pytestmark = pytest.mark.slow  # drawing takes seconds
 
 Make = Callable[..., Explanation]
 FIGURES = (
-    'Gap before and after beside the noise',
+    'Gap before and after, with the noise floor',
     'Missing resistance by position',
     'Speed gap by position in both directions',
     'Missing resistance by speed, driving mode and so on',
@@ -30,7 +30,7 @@ VOID = {'meta', 'br', 'use', 'path', 'rect'}
 
 
 class Balance(HTMLParser):
-    """Checks that elements close in the order in which they were opened."""
+    """Checks that elements are closed in reverse order of opening."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -48,8 +48,8 @@ class Balance(HTMLParser):
             assert self.open.pop() == tag
 
 
-def render(explanation: Explanation, believed: TrainFile) -> str:
-    return render_explained(Explained('Why <slow>', explanation, believed, 't.yaml', ('a', 'b'), ('a <note>',)))
+def render(explanation: Explanation, train_file: TrainFile) -> str:
+    return render_explained(Explained('Why <slow>', explanation, train_file, 't.yaml', ('a', 'b'), ('a <note>',)))
 
 
 @pytest.fixture(scope='module')
@@ -57,17 +57,17 @@ def text(make_explanation: Make, believed: TrainFile) -> str:
     return render(make_explanation(ambiguous=True), believed)
 
 
-def test_story_comes_first_then_all_figures(text: str) -> None:
+def test_findings_come_first_then_all_figures(text: str) -> None:
     heads = re.findall(r'<h[23]>(.*?)</h[23]>', text)
     assert 'ambiguous' in heads[0]
-    story = ['What is missing', 'Where', 'How sure', 'What else it could be, and what to drive next']
-    assert heads[1:5] == story
+    findings = ['Missing effects', 'Where', 'Evidence', 'Alternatives, and test runs to distinguish them']
+    assert heads[1:5] == findings
     for label in FIGURES:
         assert text.count(f'aria-label="{label}"') == 1
-    assert text.index('What remains') < text.index('<svg')
+    assert text.index('Remaining gap') < text.index('<svg')
 
 
-def test_nothing_is_fetched_or_run_and_text_is_escaped(text: str) -> None:
+def test_page_loads_and_runs_nothing_and_text_is_escaped(text: str) -> None:
     assert 'http' not in text
     assert not re.search(r'<(script|link|iframe|img)\b', text)
     assert len(text.encode()) < 1_500_000
@@ -80,7 +80,7 @@ def test_nothing_is_fetched_or_run_and_text_is_escaped(text: str) -> None:
     assert 'a &lt;note&gt;' in text
 
 
-def test_numbers_of_the_tables(text: str) -> None:
+def test_table_values(text: str) -> None:
     cells = re.findall(r'<td[^>]*>(.*?)</td>', text)
     at = cells.index('local_drag')
     assert cells[at : at + 5] == ['local_drag', 'start', 'm', '300 ± 12', '48']
@@ -88,7 +88,7 @@ def test_numbers_of_the_tables(text: str) -> None:
     assert cells[a : a + 4] == ['a', 'N/kN', '1.5', '1.61 ± 0.12']
 
 
-def test_colours_follow_the_page(text: str) -> None:
+def test_figures_use_the_colours_of_the_page(text: str) -> None:
     figures = ''.join(re.findall(r'<svg.*?</svg>', text, flags=re.DOTALL))
     assert {'brake', 'estimate', 'stand', 'wait'} <= set(re.findall(r'var\(--(\w+)\)', figures))
     assert not re.search(r'#[0-9a-f]{6}\b', figures)
@@ -97,33 +97,33 @@ def test_colours_follow_the_page(text: str) -> None:
 @pytest.mark.parametrize('verdict', [Verdict.UNEXPLAINED, Verdict.NO_GAP])
 def test_without_effects(make_explanation: Make, believed: TrainFile, verdict: Verdict) -> None:
     text = render(make_explanation(verdict=verdict, effects=()), believed)
-    assert 'What is missing' not in text
-    assert 'more resistance than believed' in text
+    assert 'Missing effects' not in text
+    assert 'more resistance than modelled' in text
     assert 'Effects added' not in text
 
 
-def test_little_data_breaks_nothing(make_explanation: Make, believed: TrainFile) -> None:
-    whole = make_explanation()
-    short = replace(whole.traces[0], **{name: getattr(whole.traces[0], name)[:1] for name in (
+def test_little_data_causes_no_error(make_explanation: Make, believed: TrainFile) -> None:
+    full = make_explanation()
+    short = replace(full.traces[0], **{name: getattr(full.traces[0], name)[:1] for name in (
         'time', 'position', 'speed', 'before', 'after', 'band')})  # fmt: skip
-    unknown = replace(whole.traces[0], before=np.full(60, np.nan), after=np.full(60, np.nan), band=np.full(60, np.nan))
+    unknown = replace(full.traces[0], before=np.full(60, np.nan), after=np.full(60, np.nan), band=np.full(60, np.nan))
     bare = replace(believed, line=Line())
     for explanation in (
         make_explanation(traces=(), locations=(), gap=None),
-        make_explanation(traces=(short,), locations=(replace(whole.locations[0], places=()),)),
+        make_explanation(traces=(short,), locations=(replace(full.locations[0], places=()),)),
         make_explanation(traces=(unknown,), gap=None),
     ):
         page = render(explanation, bare)
-        assert 'What remains' in page
+        assert 'Remaining gap' in page
         assert ('Speed gap along the line' in page) == any(np.isfinite(t.before).any() for t in explanation.traces)
         assert not re.search(r'\b1 runs', page)
         assert 'nan' not in re.sub(r'<style.*?</style>|<svg.*?</svg>|<[^>]+>', ' ', page, flags=re.DOTALL).split()
 
 
-def test_hundreds_of_runs_stay_readable_and_small(make_explanation: Make, believed: TrainFile, tmp_path: Path) -> None:
+def test_report_of_hundreds_of_runs_is_small(make_explanation: Make, believed: TrainFile, tmp_path: Path) -> None:
     write_explained(
         Explained('Many', make_explanation(traces=make_explanation().traces * 150), believed, 't', ('a',)),
         tmp_path / 'new' / 'report.html',
     )
-    assert 'Those of the 300 runs' in (tmp_path / 'new' / 'report.html').read_text(encoding='utf-8')
+    assert 'Of 300 runs those with the largest gaps' in (tmp_path / 'new' / 'report.html').read_text(encoding='utf-8')
     assert (tmp_path / 'new' / 'report.html').stat().st_size < 1_500_000

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Errors and coverage against numbers worked out by hand."""
+"""Errors and coverage against values calculated by hand."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from trainid_ros.report.scores import resistance_at, resistance_std, score_brake
 from trainid_ros.sim.truth import Truth
 
 
-def test_resistance_and_its_deviation() -> None:
+def test_resistance_and_its_standard_deviation() -> None:
     theta = np.array([[1.0, 0.1, 0.01], [2.0, 0.0, 0.0]])
     np.testing.assert_allclose(resistance_at(theta, 10.0), [3.0, 2.0])
     P = np.array([[4.0, -0.1, 0.0], [-0.1, 0.01, 0.0], [0.0, 0.0, 1e-4]])
@@ -21,7 +21,7 @@ def test_resistance_and_its_deviation() -> None:
     assert resistance_std(P, 10.0) == pytest.approx(2.0)
 
 
-def test_negative_variance_by_rounding_is_no_deviation() -> None:
+def test_negative_variance_by_rounding_gives_zero_deviation() -> None:
     assert resistance_std(np.diag([-1e-18, 0.0, 0.0]), 5.0) == 0.0
 
 
@@ -29,7 +29,7 @@ def test_scores_follow_steps_of_the_truth(make_chapter: Callable[..., Any]) -> N
     chapter = make_chapter(120)
     score = score_resistance(chapter.traces, chapter.truth)
     assert score is not None
-    # a = 1.6 throughout, truth 1.5 up to 60 s and 1.7 after; the first 20 s are not fit to use.
+    # a = 1.6 throughout, truth 1.5 up to 60 s and 1.7 after; the first 20 s are not usable.
     assert score.outputs == 100
     assert score.bias == pytest.approx((40 * 0.1 - 60 * 0.1) / 100)
     assert score.rms == pytest.approx(0.1)
@@ -38,7 +38,7 @@ def test_scores_follow_steps_of_the_truth(make_chapter: Callable[..., Any]) -> N
     assert score.inside_68 == 1.0
 
 
-def test_coverage_counts_what_is_inside(make_chapter: Callable[..., Any]) -> None:
+def test_coverage_is_the_share_inside_the_band(make_chapter: Callable[..., Any]) -> None:
     chapter = make_chapter(120)
     score = score_brake_rate(chapter.traces, chapter.truth)
     assert score is not None

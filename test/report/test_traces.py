@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Traces keep what a plot needs, however long the drive is."""
+"""Traces keep the data that a plot needs, for drives of any length."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def outputs(count: int, **changes: Callable[[int], float]) -> TraceRecorder:
     return recorder
 
 
-def test_short_trace_is_kept_whole() -> None:
+def test_short_trace_is_kept_unthinned() -> None:
     trace = outputs(100, a=float).finish().resistance
     np.testing.assert_array_equal(trace.theta[:, 0], np.arange(100.0))
     np.testing.assert_allclose(trace.time_s, 0.2 * np.arange(100), atol=1e-9)
@@ -51,7 +51,7 @@ def test_long_trace_is_thinned_evenly_and_ends_with_the_newest() -> None:
     np.testing.assert_allclose(steps, steps[0], rtol=1e-6)
 
 
-def test_greatest_test_ratio_survives_thinning() -> None:
+def test_greatest_test_ratio_is_kept_by_thinning() -> None:
     trace = outputs(4 * CAPACITY, test_ratio=lambda i: 50.0 if i == 1234 else 0.1).finish().resistance
     assert trace.ratio.max() == 50.0
     assert trace.ratio_time_s[trace.ratio.argmax()] == pytest.approx(1234 / 5)
@@ -85,7 +85,7 @@ def test_statuses_and_observability_are_spans(make_chapter: Callable[..., Any]) 
     ],
     ids=['no stamp', 'stamp far ahead', 'no speed'],
 )
-def test_impossible_speed_does_not_stretch_the_plot(record: SpeedRecord) -> None:
+def test_implausible_speed_does_not_extend_the_time_axis(record: SpeedRecord) -> None:
     recorder = outputs(10)
     recorder.on_record(SpeedRecord(START_NS, 5.0, 0.0))
     recorder.on_record(record)
@@ -94,14 +94,14 @@ def test_impossible_speed_does_not_stretch_the_plot(record: SpeedRecord) -> None
     assert traces.drive.speed.tolist() == [5.0]
 
 
-def test_inputs_may_be_traced_after_the_outputs() -> None:
+def test_inputs_may_be_recorded_after_the_outputs() -> None:
     recorder = outputs(10_000)
     for i in range(10):
         recorder.on_record(SpeedRecord(START_NS + i * NS_PER_S, 5.0, 0.0))
     assert len(recorder.finish().drive.time_s) == 10
 
 
-def test_nothing_seen_gives_empty_traces() -> None:
+def test_no_input_gives_empty_traces() -> None:
     traces = TraceRecorder().finish()
     assert traces.resistance.theta.shape == (0, 3)
     assert traces.resistance.covariance.shape == (0, 3, 3)

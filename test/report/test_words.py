@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An explanation in words: rounding, sentences for each verdict, what is told where little is known."""
+"""Text of an explanation: rounding, sentences for each verdict, and text where values are unknown."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from dataclasses import replace
 
 import pytest
 
-from trainid_ros.explain.explanation import Explanation, Gap, Likeness, Verdict
+from trainid_ros.explain.explanation import Alternative, Explanation, Gap, Verdict
 from trainid_ros.report.words import (
+    alternatives,
     davis_rows,
-    doubts,
     drive_text,
     gap_sentence,
     headline,
@@ -42,7 +42,7 @@ Make = Callable[..., Explanation]
         (1.0, 3e-9, '1 ± 3e-09'),
     ],
 )
-def test_values_are_rounded_to_their_std(value: float, std: float, text: str) -> None:
+def test_values_are_rounded_by_their_std(value: float, std: float, text: str) -> None:
     assert plus_minus(value, std) == text
 
 
@@ -51,21 +51,21 @@ def test_enumerations() -> None:
 
 
 def test_each_verdict_has_its_headline(make_explanation: Make) -> None:
-    assert headline(make_explanation()) == 'The believed model lacks local_drag.'
-    assert 'local_drag fits best, but gradient_error fits as well' in headline(make_explanation(ambiguous=True))
+    assert headline(make_explanation()) == 'The current model lacks local_drag.'
+    assert 'local_drag fits best, but gradient_error fits equally well' in headline(make_explanation(ambiguous=True))
     drag, wind = make_explanation().effects[0], replace(make_explanation().effects[0], name='headwind')
     assert headline(make_explanation(effects=(drag, wind, drag))).endswith('lacks local_drag twice and headwind.')
     assert headline(make_explanation(effects=(drag, drag, drag))).endswith('lacks local_drag three times.')
-    both = tuple(replace(effect, twins=(Likeness('gradient_error', ''),)) for effect in (drag, wind))
+    both = tuple(replace(effect, twins=(Alternative('gradient_error', ''),)) for effect in (drag, wind))
     ambiguous = make_explanation(verdict=Verdict.AMBIGUOUS, effects=both)
     assert 'local_drag and headwind fit best, but' in headline(ambiguous)
     assert 'no effect of the library fits' in headline(make_explanation(verdict=Verdict.UNEXPLAINED, effects=()))
-    # Bursts of slip show whatever else is missing.
+    # Slip is reported whatever else is missing.
     assert 'lacks local_drag, and something that no' in headline(make_explanation(verdict=Verdict.UNEXPLAINED))
-    assert 'lacks nothing' in headline(make_explanation(verdict=Verdict.NO_GAP, effects=()))
+    assert 'lacks no effect' in headline(make_explanation(verdict=Verdict.NO_GAP, effects=()))
 
 
-def test_an_effect_is_told_with_units_and_certainty(make_explanation: Make) -> None:
+def test_effect_is_reported_with_units_and_evidence(make_explanation: Make) -> None:
     effect = make_explanation().effects[0]
     assert parameters_text(effect) == 'start = 300 ± 12 m, end = 500.0 ± 9.0 m and permille = 1.500 ± 0.050 per mille'
     # e^24 to one, and 1.5 over 0.05
@@ -74,23 +74,23 @@ def test_an_effect_is_told_with_units_and_certainty(make_explanation: Make) -> N
     assert 'are 4e+02 times' in how_sure(replace(effect, evidence=12.0))
 
 
-def test_an_effect_that_the_library_does_not_know(make_explanation: Make) -> None:
+def test_effect_not_in_the_library(make_explanation: Make) -> None:
     effect = replace(make_explanation().effects[0], name='snow')
     assert sigmas_from_neutral(effect) is None
     assert parameters_text(effect).endswith('permille = 1.500 ± 0.050')
     assert 'std' not in how_sure(effect)
 
 
-def test_twins_come_with_the_drive_that_tells(make_explanation: Make) -> None:
-    assert doubts(make_explanation()) == []
-    assert doubts(make_explanation(ambiguous=True)) == [
-        'local_drag could also be gradient_error. To tell them apart: run <both> ways.'
+def test_alternatives_name_the_test_run_that_distinguishes_them(make_explanation: Make) -> None:
+    assert alternatives(make_explanation()) == []
+    assert alternatives(make_explanation(ambiguous=True)) == [
+        'local_drag could also be gradient_error. To distinguish them: run <both> ways.'
     ]
     twice = make_explanation(ambiguous=True, effects=make_explanation(ambiguous=True).effects * 2)
-    assert len(doubts(twice)) == 1
+    assert len(alternatives(twice)) == 1
 
 
-def test_gap_in_words(make_explanation: Make) -> None:
+def test_gap_sentence(make_explanation: Make) -> None:
     text = gap_sentence(make_explanation())
     assert all(part in text for part in ('2 runs', '0.400 m/s (rms) without', '0.050 m/s with', '0.049 m/s'))
     assert 'above the noise' not in text
@@ -100,22 +100,22 @@ def test_gap_in_words(make_explanation: Make) -> None:
     assert 'too few runs' in gap_sentence(make_explanation(gap=None))
 
 
-def test_where_most_is_missing(make_explanation: Make) -> None:
-    # Runs are no cause, and what is within 3 std of nothing is no place.
+def test_parts_with_most_missing_resistance(make_explanation: Make) -> None:
+    # Runs are not a cause, and parts within 3 std of zero are left out.
     found = strongest(make_explanation())
     assert [strong.where for strong in found] == ['at 300 to 400 m', 'at 400 to 500 m']
-    assert strong_text(found[0]) == 'At 300 to 400 m: 1.50 ± 0.10 N/kN more resistance than believed'
+    assert strong_text(found[0]) == 'At 300 to 400 m: 1.50 ± 0.10 N/kN more resistance than modelled'
 
 
-def test_tables_of_numbers(make_explanation: Make, believed: TrainFile) -> None:
+def test_table_rows(make_explanation: Make, believed: TrainFile) -> None:
     rows = davis_rows(make_explanation(), believed)
     assert rows[0] == ('a', '1.5', '1.61 ± 0.12', 'N/kN')
-    assert ('speeds that did not count (slip, outliers)', '1.2', '%') in noise_rows(make_explanation())
+    assert ('speeds excluded (slip, outliers)', '1.2', '%') in noise_rows(make_explanation())
     assert ('error of the weighed load', '0.3', '% of the mass') in noise_rows(make_explanation())
     assert any('not weighed)' in name for name, _, _ in noise_rows(make_explanation(weighed=False)))
 
 
-def test_drive_in_words(make_explanation: Make) -> None:
+def test_drive_text(make_explanation: Make) -> None:
     assert drive_text(make_explanation()) == '2 runs, 1.8 km in 2 min, both directions'
     one = make_explanation(traces=make_explanation().traces[:1])
     assert drive_text(one).startswith('1 run, ')

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The discrepancy workflow: where simulation and measured data disagree, and which physical effect is missing."""
+"""Discrepancy workflow: find where simulation and measurement disagree and which physical effect is missing."""

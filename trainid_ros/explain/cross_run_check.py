@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Whether an effect at one place is seen by all trains that pass it.
+"""Check that an effect at one place shows in all runs that pass it.
 
-A burst of slip or a brake that nobody reported makes a gap at one place too, but in one run only.
+A burst of slip or an unreported brake application causes a gap at one place too, but in a single run.
 """
 
 from __future__ import annotations
@@ -18,13 +18,17 @@ if TYPE_CHECKING:
     from trainid_ros.explain.marginal_likelihood import Hyperparameters
     from trainid_ros.explain.model import Model
 
-# Standard deviations at which the other runs would see it, and the share of its size that they must see.
+# Significance in standard deviations at which the other runs can detect the effect, and the share of its amplitude
+# that they must show.
 _VISIBLE: Final = 3.0
 _SHARE: Final = 0.4
 
 
-def is_seen_by_others(model: Model, k: int, hyper: Hyperparameters) -> bool:
-    """Return False if the runs beside the one that tells most of member k could see it and do not."""
+def is_confirmed_by_other_runs(model: Model, k: int, hyper: Hyperparameters) -> bool:
+    """Return False if effect k is detectable in the other runs but does not show there.
+
+    The other runs are all but the one that contributes most of its evidence.
+    """
     term, kind = model.terms[k], EFFECTS[model.terms[k].name]
     without = model.without(k)
     shape = {name: term.parameters[name] for name in shape_names(kind)}

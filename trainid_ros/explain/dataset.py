@@ -1,10 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From runs to nodes: speed less what a model predicts, averaged over about a second.
+"""Nodes of all runs: measured less predicted speed, averaged over about one second.
 
-Integrated speed is compared, never differentiated speed: with the mean forces of each stage the simulated speed is
+Speeds are compared, not accelerations: with the mean forces of each stage the simulated speed is
 ``v_j = v_0 + sum dt (u - w(v) - ...) / inertia`` (after Xia et al. 2023, (2) and (7)), so every resistance r adds
-the *response* ``-sum dt r / inertia``, which is linear in r. The measured speed enters w(v), where its noise is
-averaged by the sum.
+the *response* ``-sum dt r / inertia``, which is linear in r. w(v) uses the measured speed; the sum averages its noise.
 """
 
 from __future__ import annotations
@@ -32,21 +31,24 @@ NODE_S: Final = 1.0
 """Length of a node [s]."""
 MAD_TO_STD: Final = 1.4826
 """Standard deviation of normal noise over its median absolute deviation."""
-# Outliers: samples to either side that tell the level, how many std off it counts, and the least std [m/s].
-_AT_ONCE: Final = 16
-_REACH: Final = 15
+# Columns integrated at once.
+_COLUMN_BATCH: Final = 16
+# Outliers: samples on either side that define the level, thresholds in std of an outlier and of the flank of a burst.
+_HALF_WINDOW: Final = 15
 _OUTLIER: Final = 5.0
 _FLANK: Final = 2.0
-# A run may begin or end within a burst: a jump of so many m/s from one sample to the next, so near its edge, tells.
+# A run may begin or end within a burst, detected by a jump between two samples: minimum jump [m/s], maximum distance
+# from the edge [samples], number of samples before and after it whose medians must confirm it.
 _JUMP: Final = 0.5
 _EDGE: Final = 20
 _NEAR: Final = 5
-_LEAST_SCALE: Final = 0.03
+# Lower limit of the std of the speed [m/s].
+_MIN_SCALE: Final = 0.03
 
 
 @dataclass(frozen=True, slots=True)
 class Dataset:
-    """All runs one after another, sample by sample, and the nodes made of them.
+    """Samples of all runs, one run after another, and the nodes they are averaged to.
 
     Attributes:
         runs: The runs.
@@ -55,14 +57,14 @@ class Dataset:
         starts: First sample of each run, shape (R,).
         dt: Length of the stage that ends at each sample [s], shape (n,).
         time: Time [s], shape (n,).
-        speed: Speed, mean over the stage, outliers bridged [m/s], shape (n,).
+        speed: Mean speed of the stage, interpolated over outliers [m/s], shape (n,).
         gap: Measured less predicted speed [m/s], shape (n,).
-        outlier: True where the measured speed does not count, shape (n,).
-        deviation: How far such a speed lies from its neighbours [m/s], 0 elsewhere, shape (n,).
+        outlier: True where the measured speed is excluded, shape (n,).
+        deviation: Deviation of an outlier from its neighbours [m/s], 0 elsewhere, shape (n,).
         node_starts: First sample of each node, shape (m,).
         node_run: Run of each node, shape (m,).
-        node_time: Time of each node [s], shape (m,).
-        node_count: Samples that count in each node, shape (m,).
+        node_time: Mean time of each node [s], shape (m,).
+        node_count: Number of samples in each node without outliers, shape (m,).
 
     """
 
@@ -83,61 +85,62 @@ class Dataset:
 
     @property
     def direction(self) -> NDArray[np.int_]:
-        """Direction of the run of each sample, +1 while positions rise, shape (n,)."""
+        """Direction of travel of each sample, +1 for rising positions, -1 for falling ones, shape (n,)."""
         return np.array([run.direction for run in self.runs])[self.run_of]
 
     @property
     def positioned(self) -> bool:
-        """True if it is known of all runs where on the line they were."""
+        """True if the position on the line is known for all runs."""
         return all(run.positioned for run in self.runs)
 
     def respond(self, resistance: Array) -> Array:
-        """Return the change of speed [m/s] at every sample by a resistance [N/kN] on each stage, shapes (n, ...)."""
+        """Return the speed change [m/s] at each sample caused by a resistance [N/kN] on each stage, shapes (n, ...)."""
         kick = -resistance * (self.dt / self.inertia).reshape(-1, *[1] * (resistance.ndim - 1))
         path = np.cumsum(kick, axis=0)
         before = path[self.starts] - kick[self.starts]
         return np.asarray(path - before[self.run_of])
 
     def average(self, values: Array) -> Array:
-        """Return means over the samples of each node that count, shapes (n, ...) to (m, ...)."""
+        """Return the mean of each node without outliers, shapes (n, ...) to (m, ...)."""
         weight = (~self.outlier).astype(float).reshape(-1, *[1] * (values.ndim - 1))
         total = np.add.reduceat(values * weight, self.node_starts, axis=0)
         return np.asarray(total / np.maximum(self.node_count, 1.0).reshape(-1, *[1] * (values.ndim - 1)))
 
     def column(self, resistance: Array) -> Array:
-        """Return the response to a resistance at the nodes, shapes (n, ...) to (m, ...)."""
+        """Return the response [m/s] to a resistance [N/kN] at the nodes, shapes (n, ...) to (m, ...)."""
         if resistance.ndim == 1:
             return self.average(self.respond(resistance))
-        # Some at a time: hours of samples of a hundred columns are gigabytes.
-        parts = [resistance[:, k : k + _AT_ONCE] for k in range(0, resistance.shape[1], _AT_ONCE)]
+        # In batches: a hundred columns over hours of samples take gigabytes.
+        parts = [resistance[:, k : k + _COLUMN_BATCH] for k in range(0, resistance.shape[1], _COLUMN_BATCH)]
         return np.concatenate([self.average(self.respond(part)) for part in parts], axis=1)
 
     def joined(self, name: str) -> Array:
-        """Return one field of all runs, shape (n,)."""
+        """Return one field of all runs, concatenated, shape (n,)."""
         return np.concatenate([getattr(run, name) for run in self.runs])
 
 
 def assemble(runs: Sequence[Run], train_file: TrainFile, extra: Array | None = None) -> Dataset:
-    """Return the drive of some runs, at least one.
+    """Return the dataset of one or more runs.
 
     Args:
         runs: The runs.
-        train_file: What is believed.
-        extra: Resistance already modelled beside Davis and gradient, mean over each stage [N/kN], shape (n,).
+        train_file: Train file with the model to compare with.
+        extra: Resistance of known effects, in addition to Davis and gradient, mean over each stage [N/kN], shape (n,).
 
     """
     inertia = specific_inertia(1.0, train_file.train.rotary_mass)
-    hyper = np.array([run.time.size for run in runs])
-    starts = np.concatenate([[0], np.cumsum(hyper)[:-1]]).astype(np.intp)
-    run_of = np.repeat(np.arange(len(runs)), hyper)
+    sizes = np.array([run.time.size for run in runs])
+    starts = np.concatenate([[0], np.cumsum(sizes)[:-1]]).astype(np.intp)
+    run_of = np.repeat(np.arange(len(runs)), sizes)
     dt, time = np.concatenate([run.dt for run in runs]), np.concatenate([run.time for run in runs])
     known = np.concatenate([run.traction + run.brake - run.gradient for run in runs])
     measured = np.concatenate([run.speed for run in runs])
     speed = measured
-    # The second time without the outliers that the first one has found.
+    # The second pass predicts with the outliers of the first one interpolated.
     for _ in range(2):
         middle = _stage_means(speed, starts)
         w = davis(train_file.resistance, middle) + (0.0 if extra is None else extra)
+        # Xia et al. 2023, (2) and (7), with the mean forces of each stage.
         path = np.cumsum(dt * (known - w) / inertia)
         gap = measured - (path - path[starts][run_of])
         outlier = find_outliers(gap, starts)
@@ -152,41 +155,46 @@ def assemble(runs: Sequence[Run], train_file: TrainFile, extra: Array | None = N
 
 
 def find_outliers(gap: Array, starts: NDArray[np.intp]) -> NDArray[np.bool_]:
-    """Return where speeds leave the level of the seconds around them and come back, shape (n,).
+    """Return the samples whose speed leaves the level of the surrounding seconds and returns to it, shape (n,).
 
-    A step that stays, as a late brake makes, is none: the level steps as well.
+    A permanent step, as a late brake causes, is not an outlier: the level steps as well.
+
+    Args:
+        gap: Measured less predicted speed [m/s], shape (n,).
+        starts: First sample of each run, shape (R,).
+
     """
     edges = np.append(starts, gap.size)
     return np.concatenate([_outliers_of(gap[a:b]) for a, b in pairwise(edges)])
 
 
 def _outliers_of(gap: Array) -> NDArray[np.bool_]:
-    """Return the outliers of one run, shape (n,); of two samples none can be told."""
+    """Return the outliers of one run, shape (n,); fewer than three samples define no level."""
     if gap.size < 3:
         return np.zeros(gap.size, dtype=bool)
-    reach = min(_REACH, (gap.size - 1) // 2)
-    windows = sliding_window_view(gap, 2 * reach + 1)
+    half = min(_HALF_WINDOW, (gap.size - 1) // 2)
+    windows = sliding_window_view(gap, 2 * half + 1)
     level = np.median(windows, axis=1)
-    slope = (np.median(windows[:, reach + 1 :], axis=1) - np.median(windows[:, :reach], axis=1)) / (reach + 1)
-    off = windows - level[:, None] - slope[:, None] * np.arange(-reach, reach + 1)
+    slope = (np.median(windows[:, half + 1 :], axis=1) - np.median(windows[:, :half], axis=1)) / (half + 1)
+    off = windows - level[:, None] - slope[:, None] * np.arange(-half, half + 1)
     scale = MAD_TO_STD * np.median(np.abs(off), axis=1)
     scale = np.minimum(scale, 2.0 * float(np.median(scale)))
-    # At both ends of a run the nearest whole window tells the level.
+    # At both ends of a run the nearest complete window defines the level.
     at = np.arange(gap.size)
-    window = np.clip(at - reach, 0, len(windows) - 1)
-    expected = level[window] + slope[window] * (at - reach - window)
-    floor = max(_LEAST_SCALE, float(np.median(scale)))
-    # A step that stays lifts one half of the window; what leaves and comes back goes beyond both halves.
-    step = np.abs(slope[window]) * (reach + 1)
+    window = np.clip(at - half, 0, len(windows) - 1)
+    expected = level[window] + slope[window] * (at - half - window)
+    floor = max(_MIN_SCALE, float(np.median(scale)))
+    # A permanent step lifts one half of the window only; an outlier lies outside the levels of both halves.
+    step = np.abs(slope[window]) * (half + 1)
     off_by, usual = gap - expected, np.maximum(scale[window], floor)
     clear = np.abs(off_by) > np.maximum(_OUTLIER * usual, 0.7 * step)
     least = max(_JUMP, 2.0 * _OUTLIER * floor)
-    clear |= _begun_before(gap, least) | _begun_before(gap[::-1], least)[::-1]
-    return clear | _whole_bursts(clear, np.where(np.abs(off_by) > _FLANK * usual, np.sign(off_by), 0.0))
+    clear |= _cut_bursts(gap, least) | _cut_bursts(gap[::-1], least)[::-1]
+    return clear | _with_flanks(clear, np.where(np.abs(off_by) > _FLANK * usual, np.sign(off_by), 0.0))
 
 
-def _begun_before(gap: Array, least: float) -> NDArray[np.bool_]:
-    """Return the first samples up to a jump that no train makes: a burst that began before the run did."""
+def _cut_bursts(gap: Array, least: float) -> NDArray[np.bool_]:
+    """Return the samples before a jump that no train can make: a burst that began before the run."""
     early = gap[: _EDGE + _NEAR]
     outlier = np.zeros(gap.size, dtype=bool)
     for j in np.flatnonzero(np.abs(np.diff(early[:_EDGE])) > least).tolist():
@@ -196,15 +204,15 @@ def _begun_before(gap: Array, least: float) -> NDArray[np.bool_]:
     return outlier
 
 
-def _whole_bursts(clear: NDArray[np.bool_], side: Array) -> NDArray[np.bool_]:
-    """Return outliers together with their flanks: neighbours that are off to the same side (1, -1, else 0)."""
+def _with_flanks(clear: NDArray[np.bool_], side: Array) -> NDArray[np.bool_]:
+    """Return outliers with their flanks: adjacent samples that deviate to the same side (1, -1, else 0)."""
     edges = np.flatnonzero(np.diff(side)) + 1
     burst = np.searchsorted(edges, np.arange(side.size), side='right')
     return np.asarray((side != 0.0) & np.isin(burst, burst[clear]))
 
 
 def _stage_means(speed: Array, starts: NDArray[np.intp]) -> Array:
-    """Return the mean of the speeds before and after each stage [m/s], shape (n,)."""
+    """Return the mean of the speeds at both ends of each stage [m/s], shape (n,)."""
     means = speed.copy()
     means[1:] = 0.5 * (speed[1:] + speed[:-1])
     means[starts] = speed[starts]
@@ -234,9 +242,9 @@ def _divide(time: Array, starts: NDArray[np.intp], run_of: NDArray[np.intp]) -> 
 
 
 def _node_times(time: Array, outlier: NDArray[np.bool_], node_starts: NDArray[np.intp]) -> tuple[Array, Array]:
-    """Return the mean time of the samples that count in each node [s], and their number, shapes (m,).
+    """Return the mean time [s] and the number of the samples of each node that are no outliers, shapes (m,).
 
-    Where none counts, the time is that of all.
+    If all are outliers, the time is the mean of all.
     """
     weight = (~outlier).astype(float)
     count = np.add.reduceat(weight, node_starts)

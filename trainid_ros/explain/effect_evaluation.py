@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Effects evaluated along a drive, by the same functions as simulator and live estimators use."""
+"""Evaluate effects along the runs, with the functions that the simulator and the live estimators use."""
 
 from __future__ import annotations
 
@@ -26,22 +26,28 @@ if TYPE_CHECKING:
 
 _DAVIS_STEPS: Final = (0.1, 0.01, 0.0002)
 _PROBES: Final = 60
-"""So many points tell whether an effect depends on a, b, c."""
-_MOST_KNOWN: Final = 400
-"""So many resistances are kept; memory is bounded."""
+"""Points used to test whether an effect depends on a, b, c."""
+_CACHE_SIZE: Final = 400
+"""Resistances kept in the cache, to bound the memory."""
 
 
 class EffectEvaluator:
-    """All stages of a drive as points of the track, and the resistances of effects at them."""
+    """Resistances of effects at all stages of a dataset.
+
+    Attributes:
+        dataset: The dataset.
+        davis: Davis parameters a, b, c of the train file.
+
+    """
 
     def __init__(self, dataset: Dataset, train_file: TrainFile) -> None:
         self.dataset, self.davis = dataset, train_file.resistance
-        self._known: dict[tuple[str, tuple[tuple[str, float], ...], Davis], Array] = {}
+        self._cache: dict[tuple[str, tuple[tuple[str, float], ...], Davis], Array] = {}
         length = train_file.train.length
-        self._evaluator: list[TrackPoint] = []
+        self._points: list[TrackPoint] = []
         for run, start in zip(dataset.runs, dataset.starts.tolist(), strict=True):
             speed = dataset.speed[start : start + run.time.size]
-            self._evaluator += _points_of(run, speed, length, dataset.inertia, self.davis)
+            self._points += _points_of(run, speed, length, dataset.inertia, self.davis)
 
     def resistance(self, name: str, parameters: Mapping[str, float], davis: Davis | None = None) -> Array:
         """Return the resistance of an effect on each stage [N/kN], shape (n,).
@@ -49,25 +55,25 @@ class EffectEvaluator:
         Args:
             name: The effect.
             parameters: Its parameters.
-            davis: Of the train, where it is not as believed: headwind and tunnel act by its c.
+            davis: Davis parameters, where they differ from the train file: headwind and tunnel act through c.
 
         Raises:
-            InputError: The effect is not finite, or cannot be calculated.
+            InputError: The resistance is not finite or cannot be calculated.
 
         """
         key = name, tuple(parameters.items()), davis or self.davis
-        if key not in self._known:
-            if len(self._known) >= _MOST_KNOWN:
-                self._known.clear()
-            self._known[key] = self._evaluate(name, parameters, davis or self.davis)
-        return self._known[key]
+        if key not in self._cache:
+            if len(self._cache) >= _CACHE_SIZE:
+                self._cache.clear()
+            self._cache[key] = self._evaluate(name, parameters, davis or self.davis)
+        return self._cache[key]
 
     def _evaluate(self, name: str, parameters: Mapping[str, float], davis: Davis) -> Array:
         function = EFFECTS[name].resistance
         if function is None:
-            return np.zeros(len(self._evaluator))
+            return np.zeros(len(self._points))
         try:
-            values = np.array([function(parameters, davis, point) for point in self._evaluator], dtype=float)
+            values = np.array([function(parameters, davis, point) for point in self._points], dtype=float)
         except (ArithmeticError, ValueError, TypeError, LookupError, AttributeError) as error:
             msg = f'effect {name}: its resistance cannot be calculated for {_formatted(parameters)}: {error}'
             raise InputError(msg) from error
@@ -77,9 +83,9 @@ class EffectEvaluator:
         return values
 
     def by_davis(self, name: str, parameters: Mapping[str, float], davis: Davis) -> Array | None:
-        """Return how the resistance of an effect changes with a, b, c, shape (n, 3); None if it does not."""
+        """Return the derivative of an effect's resistance by a, b, c, shape (n, 3); None if independent of them."""
         function = EFFECTS[name].resistance
-        some = self._evaluator[:: max(1, len(self._evaluator) // _PROBES)]
+        some = self._points[:: max(1, len(self._points) // _PROBES)]
         changed = [
             replace(davis, **{key: getattr(davis, key) + step}) for key, step in zip('abc', _DAVIS_STEPS, strict=True)
         ]
@@ -94,8 +100,8 @@ class EffectEvaluator:
         return np.stack([(self.resistance(name, parameters, other) - here) / step for other, step in rows], axis=1)
 
     def total(self, effects: Sequence[Effect]) -> Array:
-        """Return the resistance of effects that records do not show themselves, on each stage [N/kN], shape (n,)."""
-        total = np.zeros(len(self._evaluator))
+        """Return the total resistance of effects, except those on the records, on each stage [N/kN], shape (n,)."""
+        total = np.zeros(len(self._points))
         for effect in effects:
             if not EFFECTS[effect.name].on_records:
                 total += self.resistance(effect.name, dict(effect.parameters))
@@ -107,10 +113,10 @@ def _formatted(parameters: Mapping[str, float]) -> str:
 
 
 def _points_of(run: Run, speed: Array, length: float, inertia: float, resistance: Davis) -> list[TrackPoint]:
-    """Return the middles of all stages of a run; ``speed`` [m/s] is the mean over each, shape (n,)."""
+    """Return the track points at mid-stage of a run; ``speed`` [m/s] is the mean over each stage, shape (n,)."""
     middle = run.time - 0.5 * run.dt
     place = run.position - 0.5 * run.direction * run.dt * speed
-    # Implied by the force: measured acceleration would carry the noise of the speed into both sides of a regression.
+    # Acceleration implied by the forces: the measured one would bring the noise of the speed into the regressors.
     acceleration = (run.traction + run.brake - run.gradient - davis(resistance, speed)) / inertia
     brake, traction = _before(middle, run.brake), _before(middle, run.traction)
     travelled = np.maximum.accumulate(run.direction * place + 1e-6 * np.arange(place.size))
@@ -144,19 +150,19 @@ def _points_of(run: Run, speed: Array, length: float, inertia: float, resistance
 
 
 def _before(time: Array, value: Array) -> Callable[[float], Callable[[float], float]]:
-    """Return a function that gives, for a time, the value so many seconds before it."""
+    """Return a function of the time [s] that returns the value a number of seconds earlier."""
     at = _Line(time, value)
     return lambda t: lambda seconds: at(t - seconds)
 
 
 def _ahead(travelled: Array, value: Array) -> Callable[[float], Callable[[float], float]]:
-    """Return a function that gives, for a place by the way travelled, the value so many metres ahead of it."""
+    """Return a function of the distance travelled [m] that returns the value a number of metres ahead."""
     at = _Line(travelled, value)
     return lambda way: lambda metres: at(way + metres)
 
 
 class _Line:
-    """Linear interpolation at one place at a time, held at both ends; numpy's is made for many."""
+    """Linear interpolation at a single point, constant beyond both ends; faster than numpy's for one point."""
 
     def __init__(self, x: Array, y: Array) -> None:
         self._x: list[float] = x.tolist()

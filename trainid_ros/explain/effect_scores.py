@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How well every effect, and every nameless dependence, explains what a model leaves.
+"""Score every effect and every generic dependence by how well it explains the residual of a model.
 
-All columns pass through the same whitening and elimination of nuisances, so all hypotheses are judged by one number:
-twice the log Bayes factor against nothing more being there.
+All columns pass through the same whitening and elimination of nuisances, so all hypotheses are compared by one number:
+twice the log Bayes factor against the model without the hypothesis.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 _GROUP_STD: Final = (0.1, 0.3, 1.0)
-"""Prior std of the sizes of a group [N/kN]; the evidence is averaged over them."""
+"""Prior std of the coefficients of a group [N/kN]; the Bayes factor is averaged over them."""
 _SHARES: Final = (0.3, 1.0)
-"""The same of an amplitude, in its usual size."""
-# Lengths of stretches that are tried.
+"""The same for the amplitude of an effect, in units of its usual value."""
+# Limits of the section lengths that are tried.
 _SHORTEST_M: Final = 60.0
 _LONGEST_M: Final = 2500.0
 
@@ -49,9 +49,9 @@ class EffectScore:
 
     Attributes:
         name: Effect, or group of columns.
-        evidence: 2 ln of its Bayes factor.
-        parameters: Best parameters seen; empty for a group.
-        text: On what a group depends, in words; empty for an effect.
+        evidence: 2 ln of its Bayes factor [1].
+        parameters: Best parameters tried, in the units of the effect; empty for a group.
+        text: What a group depends on, as text; empty for an effect.
 
     """
 
@@ -62,7 +62,7 @@ class EffectScore:
 
 
 class EffectScorer:
-    """Columns of all hypotheses for one drive, at the nodes."""
+    """Columns of all hypotheses for one dataset, at the nodes."""
 
     def __init__(self, model: Model) -> None:
         dataset, length = model.dataset, model.train_file.train.length
@@ -70,7 +70,7 @@ class EffectScorer:
         self._groups: tuple[Group, ...] = generic_groups(dataset, length)
         self._bins = Bins.of(dataset, length, fine=True)
         shares = self._bins.shares(dataset, length)
-        # In the order of SECTIONS: an error of the map changes its sign with the direction, a drag does not.
+        # In the order of SECTIONS: the sign of a gradient error depends on the direction, that of a drag does not.
         sections = (dataset.direction[:, None] * shares, shares) if dataset.positioned else ()
         self._sections = SECTIONS[: len(sections)]
         resistances = [*(f.resistance for f in self._families), *(g.resistance for g in self._groups)]
@@ -79,7 +79,7 @@ class EffectScorer:
         self._columns = np.concatenate(blocks, axis=1)
 
     def scores(self, model: Model, hyper: Hyperparameters) -> tuple[list[EffectScore], list[EffectScore]]:
-        """Return the evidence of all named effects and of all groups beside the model, best first."""
+        """Return the evidence of all named effects and of all groups when added to the model, best first."""
         information = reduced_information(model, hyper, self._columns)
         blocks = iter([(information.A[part, part], information.b[part]) for part in self._parts])
         named, groups = [], []
@@ -102,9 +102,9 @@ class EffectScorer:
 
 
 def reduced_information(model: Model, hyper: Hyperparameters, candidates: Array, *, terms: bool = True) -> Information:
-    """Return what the data tell of columns at the nodes, shape (m, k), beside all nuisances of a model.
+    """Return the information on candidate columns at the nodes, shape (m, k), with all nuisances of a model eliminated.
 
-    With ``members`` its effects may move as well, otherwise they stand.
+    With ``terms`` the parameters of its effects are eliminated too, otherwise they are fixed.
     """
     nuisances, root = model.nuisance_columns, model.prior_factor(hyper.spread)
     if not terms:
@@ -116,7 +116,7 @@ def reduced_information(model: Model, hyper: Hyperparameters, candidates: Array,
 
 
 def stretch_sums(A: Array, b: Array, first: NDArray[np.intp], end: NDArray[np.intp]) -> tuple[Array, Array]:
-    """Return A and b of the sums of columns ``first`` to before ``end``, shapes (k, k) and (k,) to (s,) each."""
+    """Return A and b of the sums of columns ``first`` to ``end - 1``, shapes (k, k) and (k,) to (s,) each."""
     n = len(b)
     corner = np.zeros((n + 1, n + 1))
     corner[1:, 1:] = A.cumsum(axis=0).cumsum(axis=1)
@@ -126,7 +126,7 @@ def stretch_sums(A: Array, b: Array, first: NDArray[np.intp], end: NDArray[np.in
 
 
 def _family(family: Family, A: Array, b: Array) -> EffectScore:
-    """Return the evidence of an effect averaged over its shapes; A is the diagonal."""
+    """Return the evidence of an effect, averaged over its shapes; A is the diagonal of the matrix."""
     values = [log_bayes(A, b, share * family.std, family.sign) for share in _SHARES]
     best = int(np.argmax(values[-1]))
     kind = EFFECTS[family.name]
@@ -136,7 +136,7 @@ def _family(family: Family, A: Array, b: Array) -> EffectScore:
 
 
 def _section(name: str, bins: Bins, A: Array, b: Array) -> EffectScore:
-    """Return the evidence of a constant resistance over a stretch, averaged over all stretches of bins."""
+    """Return the evidence of a constant resistance over a section of the line, averaged over all sections of bins."""
     kind = EFFECTS[name]
     i, j = np.triu_indices(bins.count + 1, 1)
     length = (j - i) * bins.width
@@ -145,7 +145,7 @@ def _section(name: str, bins: Bins, A: Array, b: Array) -> EffectScore:
     block, along = stretch_sums(A, b, i, j)
     block = np.maximum(block, 1e-9)
     values = np.stack([log_bayes(block, along, share * kind.usual, sign(kind)) for share in _SHARES])
-    # Lengths are as likely on a log scale.
+    # The prior of the length is uniform on a log scale.
     weight = 1.0 / (j - i)
     best = int(np.argmax(values[-1]))
     size = along[best] / (block[best] + kind.usual**-2)
@@ -159,7 +159,7 @@ def _section(name: str, bins: Bins, A: Array, b: Array) -> EffectScore:
 
 
 def _mean_evidence(values: Array, weight: Array | None = None) -> float:
-    """Return 2 ln of the mean of Bayes factors given as 2 ln B, shape (sizes, shapes) or any."""
+    """Return 2 ln of the weighted mean of Bayes factors, which are given as 2 ln B."""
     weights = np.full(values.shape, 1.0) if weight is None else np.broadcast_to(weight, values.shape)
     return float(2.0 * (logsumexp(0.5 * values, b=weights) - np.log(weights.sum())))
 

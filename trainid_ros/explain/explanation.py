@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the discrepancy workflow tells: the verdict, the effects, where the gap is, and what shows it."""
+"""Result of the discrepancy workflow: the verdict, the effects, where the gap is, and the data that show it."""
 
 from __future__ import annotations
 
@@ -26,8 +26,14 @@ class Verdict(Enum):
 
 
 @dataclass(frozen=True, slots=True)
-class Likeness:
-    """An effect that explains the data as well, and the drive that would tell the two apart."""
+class Alternative:
+    """An alternative effect that explains the data equally well.
+
+    Attributes:
+        name: Its name in train files.
+        drive: The test run that would distinguish the two.
+
+    """
 
     name: str
     drive: str
@@ -39,14 +45,14 @@ class FoundEffect:
 
     Attributes:
         name: Its name in train files.
-        title: What it is, in words.
+        title: Short description.
         equation: Its equation in one line.
         origin: 'physics' or 'sensor'.
-        parameters: Its parameters.
+        parameters: Its parameters, in the units of the effect.
         std: Their standard deviations.
-        evidence: Twice the log of its Bayes factor, given the other effects.
-        where: Where and when it shows, in words.
-        twins: Effects that explain the data as well, nearest first.
+        evidence: 2 ln of its Bayes factor, given the other effects [1].
+        where: Where and when it shows, as text.
+        twins: Alternative effects that explain the data equally well, nearest first.
 
     """
 
@@ -58,18 +64,18 @@ class FoundEffect:
     std: NamedValues
     evidence: float
     where: str
-    twins: tuple[Likeness, ...]
+    twins: tuple[Alternative, ...]
 
 
 @dataclass(frozen=True, slots=True)
 class Gap:
-    """RMS of simulated less measured speed on runs that the fit never saw, with their best initial speeds [m/s].
+    """RMS of simulated less measured speed on runs held out of the fit, with fitted initial speeds [m/s].
 
     Attributes:
         before: Without the effects; a, b, c and nuisances are fitted.
-        after: With them.
-        noise_floor: What noise, gusts, map errors and payload leave of a model that is right.
-        runs_held_out: Number of runs it was measured on, each by a fit to others.
+        after: With the effects.
+        noise_floor: RMS expected of a correct model, from noise, gusts, map errors and payload.
+        runs_held_out: Number of runs it was measured on, each simulated by a fit to other runs.
 
     """
 
@@ -84,13 +90,13 @@ class Place:
     """Mean resistance that a model lacks in one part of the data.
 
     Attributes:
-        label: Which part.
-        low: Where it begins on its axis, NaN for a kind.
-        high: Where it ends.
+        label: Name of the part.
+        low: Lower edge on its axis, NaN for a category.
+        high: Upper edge on its axis, NaN for a category.
         before: Missing resistance without the effects [N/kN].
-        after: Missing resistance with them [N/kN].
-        std: Standard deviation, which knows that errors last [N/kN].
-        share: Share of the driving time.
+        after: Missing resistance with the effects [N/kN].
+        std: Standard deviation, allowing for errors that are correlated in time [N/kN].
+        share: Share of the driving time [1].
 
     """
 
@@ -105,7 +111,7 @@ class Place:
 
 @dataclass(frozen=True, slots=True)
 class Location:
-    """The gap along one axis: position, speed, driving mode and so on."""
+    """Missing resistance along one axis: position, speed, driving mode and so on."""
 
     axis: str
     unit: str
@@ -114,17 +120,17 @@ class Location:
 
 @dataclass(frozen=True, slots=True)
 class RunTrace:
-    """One run for plots, at the nodes (about one a second), shapes (n,).
+    """One run for plots, at the nodes (about one per second), shapes (n,).
 
     Attributes:
         bag: Number of its bag.
-        direction: +1 while positions rise.
+        direction: +1 for rising positions, -1 for falling ones.
         time: Time since departure [s].
         position: Position [m].
         speed: Measured speed [m/s].
         before: Measured less simulated speed without the effects [m/s].
-        after: The same with them.
-        band: Standard deviation that a right model would have [m/s].
+        after: Measured less simulated speed with the effects [m/s].
+        band: Standard deviation expected of a correct model [m/s].
 
     """
 
@@ -140,14 +146,14 @@ class RunTrace:
 
 @dataclass(frozen=True, slots=True)
 class NoiseLevels:
-    """Sizes of noise and nuisances found.
+    """Estimated standard deviations of noise and nuisances.
 
     Attributes:
         speed: Noise of one measured speed [m/s].
         gust: Standard deviation of gusts [N/kN].
-        gust_time: Their correlation time [s].
-        payload: Relative error of the mass of a run.
-        brake: Relative change of the brake from run to run.
+        gust_time: Correlation time of gusts [s].
+        payload: Relative error of the mass of a run [1].
+        brake: Relative change of the brake force from run to run [1].
         map: Error of the map's gradient [per mille].
 
     """
@@ -162,21 +168,21 @@ class NoiseLevels:
 
 @dataclass(frozen=True, slots=True)
 class Explanation:
-    """All that the workflow found.
+    """Result of the workflow.
 
     Attributes:
         verdict: Outcome.
-        effects: Effects added to the model, strongest first; empty without a fit that holds.
-        gap: Before and after; None with too few runs to hold one out.
+        effects: Effects added to the model, strongest first; empty if no fit is supported by the data.
+        gap: Gap before and after; None with too few runs to hold one out.
         remaining: One sentence on what the rest of the gap depends on.
-        train_file: The model with the effects, and a, b, c as found with them.
-        davis_std: Standard deviations of a, b, c.
+        train_file: Train file with the effects added, and a, b, c as estimated with them.
+        davis_std: Standard deviations of a [N/kN], b [N/kN per m/s], c [N/kN per (m/s)^2].
         locations: Where the gap is.
         traces: All runs, for plots.
-        noise: Sizes of noise and nuisances.
-        outliers: Share of speeds that did not count.
+        noise: Standard deviations of noise and nuisances.
+        outliers: Share of speeds excluded as outliers [1].
         weighed: True if the mass was measured.
-        gradient_point: Point of the train that gradients were read as known at; None where they are means under it.
+        gradient_point: Point of the train at which gradients were taken to be given; None if they are means under it.
 
     """
 

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Named effects as families of columns: one column for each value of the shape parameters that is tried.
 
-An effect is nearly linear in its amplitude. Its other parameters, its shape, are tried on a grid, and the evidence is
-averaged over the grid: a family that can look like anything pays for it.
+An effect is nearly linear in its amplitude. Its other parameters, the shape, are tried on a grid, and the Bayes factor
+is averaged over the grid, which penalises flexible families.
 """
 
 from __future__ import annotations
@@ -27,19 +27,21 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 _SHAPES: Final = 6
-"""Values tried of each shape parameter."""
-_MOST_TIMES: Final = 40
-"""The same of a time."""
+"""Grid points of a shape parameter."""
+_MAX_TIMES: Final = 40
+"""Maximum number of grid points of a time."""
 _PLACES: Final = {1: 40, 2: 16}
-"""The same of each place, by how many places a shape has."""
+"""Grid points of each position, by the number of positions in a shape."""
 _PLACES_OF_MANY: Final = 6
+"""Grid points of each position of shapes with more positions."""
 _LASTING_S: Final = 60.0
+"""Driving time needed before and after a change in time to detect it [s]."""
 _SIZES: Final = (1.0, -1.0, 2.0, -2.0)
-"""Amplitudes tried of an effect without a shape that is not linear in it, in its usual size."""
-_BENT: Final = 0.05
-"""Columns that differ by less are one."""
+"""Amplitudes tried for an effect without shape parameters, in units of its usual value: it may be non-linear."""
+_SAME: Final = 0.05
+"""Relative tolerance within which two columns count as equal."""
 SECTIONS: Final = ('gradient_error', 'local_drag')
-"""Families scanned by sums over stretches of the line: all starts and ends at once."""
+"""Effects on a section of the line, scanned over all starts and ends at once by sums over bins."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,10 +50,10 @@ class Family:
 
     Attributes:
         name: Name of the effect.
-        shapes: Shape parameters of each column.
+        shapes: Shape parameters of each column, in the units of the effect.
         resistance: Resistance per unit of amplitude [N/kN], shape (n, k).
-        std: Prior standard deviation of the amplitude.
-        sign: +1 or -1 if the amplitude lies above or below its neutral value only, otherwise 0.
+        std: Prior standard deviation of the amplitude, in its unit.
+        sign: +1 or -1 if the amplitude can only lie above or below its neutral value, otherwise 0.
 
     """
 
@@ -63,7 +65,7 @@ class Family:
 
 
 def named_families(evaluator: EffectEvaluator) -> tuple[Family, ...]:
-    """Return the families of all effects of the library but those of :data:`SECTIONS`, without empty ones."""
+    """Return the families of all effects of the library except :data:`SECTIONS` and those without any response."""
     families = []
     for kind in EFFECTS.values():
         if kind.resistance is None or kind.name in SECTIONS:
@@ -79,39 +81,39 @@ def named_families(evaluator: EffectEvaluator) -> tuple[Family, ...]:
 def unit_resistance(
     evaluator: EffectEvaluator, kind: EffectKind, shape: Mapping[str, float], times: float = 1.0
 ) -> Array:
-    """Return the resistance of an effect some times its usual size, per unit of its amplitude, shape (n,)."""
+    """Return the resistance [N/kN] of an effect at ``times`` its usual amplitude, per unit of amplitude, shape (n,)."""
     size = times * kind.usual
     parameters = {**shape, kind.amplitude: kind.neutral + size}
     return evaluator.resistance(kind.name, parameters) / size
 
 
 def shape_names(kind: EffectKind) -> tuple[str, ...]:
-    """Return the names of all parameters but the amplitude."""
+    """Return the names of all parameters except the amplitude."""
     return tuple(name for name in kind.parameters if name != kind.amplitude)
 
 
 def sign(kind: EffectKind) -> int:
-    """Return which side of its neutral value an amplitude can lie on, 0 for both."""
+    """Return the side of its neutral value on which an amplitude can lie: +1, -1, or 0 for both."""
     limits = kind.parameters[kind.amplitude]
     low, high = limits.search or (limits.low, limits.high)
     return int(low >= kind.neutral) - int(high <= kind.neutral)
 
 
 def _columns(kind: EffectKind, evaluator: EffectEvaluator) -> tuple[list[dict[str, float]], list[Array]]:
-    """Return shapes and their columns; one shape several times where the response bends with the amplitude."""
+    """Return shapes and their columns; a shape is repeated where the response is not linear in the amplitude."""
     shapes = _shapes(kind, evaluator.dataset)
     if shape_names(kind) or sign(kind):
         return shapes, [unit_resistance(evaluator, kind, shape) for shape in shapes]
     columns: list[Array] = []
     for times in _SIZES:
         column = unit_resistance(evaluator, kind, shapes[0], times)
-        if not any(np.allclose(column, other, rtol=_BENT, atol=_BENT * np.abs(other).max()) for other in columns):
+        if not any(np.allclose(column, other, rtol=_SAME, atol=_SAME * np.abs(other).max()) for other in columns):
             columns.append(column)
     return shapes * len(columns), columns
 
 
 def _shapes(kind: EffectKind, dataset: Dataset) -> list[dict[str, float]]:
-    """Return all combinations of the values tried of all parameters but the amplitude."""
+    """Return the grid of all parameters except the amplitude."""
     names = shape_names(kind)
     axes = [_axis(kind.parameters[name], dataset, _place_count(kind, names)) for name in names]
     shapes = (dict(zip(names, values, strict=True)) for values in product(*axes))
@@ -119,25 +121,25 @@ def _shapes(kind: EffectKind, dataset: Dataset) -> list[dict[str, float]]:
 
 
 def _place_count(kind: EffectKind, names: Sequence[str]) -> int:
-    """Return how many values to try of each place, so that there are not too many combinations."""
+    """Return the number of grid points of each position, which limits the number of combinations."""
     places = sum(kind.parameters[name].is_place for name in names)
     return _PLACES.get(places, _PLACES_OF_MANY)
 
 
 def _axis(limits: Parameter, dataset: Dataset, places: int) -> list[float]:
-    """Return the values tried of one parameter."""
+    """Return the grid points of one parameter."""
     if limits.is_place:
         if not dataset.positioned:
             return []
         position = dataset.joined('position')
-        # Beyond the ends of what was driven there is nothing to see.
+        # Positions outside the section driven have no effect on the data.
         tried = np.linspace(position.min(), position.max(), places + 2)[1:-1]
         return [float(place) for place in tried if limits.low <= place <= limits.high]
     if limits.search is None:
-        # Times: whenever the train moves, with so much of the drive on either side that a change could be seen.
+        # Times: while the train moves, with enough driving before and after for a change to be detectable.
         driven = np.cumsum(dataset.dt)
         moving = dataset.time[(driven > _LASTING_S) & (driven < driven[-1] - _LASTING_S)]
-        return [float(t) for t in moving[:: max(1, moving.size // _MOST_TIMES)]]
+        return [float(t) for t in moving[:: max(1, moving.size // _MAX_TIMES)]]
     low, high = limits.search
     values = np.geomspace(low, high, _SHAPES) if limits.grid == 'log' else np.linspace(low, high, _SHAPES)
     return [float(value) for value in values]

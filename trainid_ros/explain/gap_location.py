@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Where simulation and data disagree: the missing resistance along position, speed, mode, time and so on.
+"""Locate the gap between simulation and data: the missing resistance by position, speed, driving mode and so on.
 
-Each axis is cut into parts, and the mean resistance that the model lacks in each part is estimated jointly with all
-nuisances, by the same whitened regression as everything else; so its standard deviation knows that errors last. What
-all parts of an axis have in common is Davis ``a``, which is fitted anyway: parts are told by how they differ from the
-mean of all.
+Each axis is divided into parts, and the mean resistance that the model lacks in each part is estimated jointly with all
+nuisances, by the same whitened regression as the effects; its standard deviation thus allows for errors that are
+correlated in time. What all parts of an axis have in common is Davis ``a``, which is fitted anyway, so each part is
+given as its deviation from the mean of all parts.
 """
 
 from __future__ import annotations
@@ -33,18 +33,18 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 PRIOR: Final = 3.0
-"""Prior std of the missing resistance in one part [N/kN]: what no data tell stays near zero and says so."""
+"""Prior std of the missing resistance in one part [N/kN]: without data the estimate stays near zero with this std."""
 RELEASED_S: Final = 10.0
-"""So long after the brake was released the train counts as just released [s]."""
+"""Time after brake release for which the mode is 'just released' [s]."""
 _PLACES: Final = 40
-# Where an effect is told to act: so many places, each so many standard deviations clear.
+# Where an effect is reported to act: number of places, and significance of each in standard deviations.
 _NAMED_PLACES: Final = 3
 _CLEAR: Final = 3.0
 
 
 @dataclass(frozen=True, slots=True)
 class _Axis:
-    """One axis: labels and edges of its k parts, and which samples lie in each, shape (n, k)."""
+    """One axis: labels and edges of its k parts, and the samples that lie in each, shape (n, k)."""
 
     name: str
     unit: str
@@ -54,7 +54,14 @@ class _Axis:
 
 
 def locate(before: Model, after: Model, hyper: Hyperparameters) -> tuple[Location, ...]:
-    """Return the missing resistance along all axes that the data cover, with and without the effects."""
+    """Return the missing resistance along all axes that the data cover.
+
+    Args:
+        before: Model without the effects.
+        after: Model with the effects.
+        hyper: Hyperparameters of noise and nuisances.
+
+    """
     axes = _axes(before.dataset)
     columns = [before.dataset.column(axis.inside.astype(float)) for axis in axes]
     estimates = [_estimate(model, hyper, columns) for model in (before, after)]
@@ -62,7 +69,7 @@ def locate(before: Model, after: Model, hyper: Hyperparameters) -> tuple[Locatio
     locations = []
     for k, axis in enumerate(axes):
         share = (axis.inside * weight[:, None]).sum(axis=0)
-        (first, std), (second, _) = (_beside_mean(*estimate[k], share / share.sum()) for estimate in estimates)
+        (first, std), (second, _) = (_deviation_from_mean(*estimate[k], share / share.sum()) for estimate in estimates)
         rows = zip(axis.labels, axis.edges, first.tolist(), second.tolist(), std.tolist(), share.tolist(), strict=True)
         places = tuple(Place(label, low, high, a, b, s, part) for label, (low, high), a, b, s, part in rows)
         locations.append(Location(axis.name, axis.unit, places))
@@ -70,12 +77,12 @@ def locate(before: Model, after: Model, hyper: Hyperparameters) -> tuple[Locatio
 
 
 def where(resistance: Array, dataset: Dataset, locations: Sequence[Location]) -> str:
-    """Return in words where an effect acts most clearly, as far as it does so apart from its mean.
+    """Return as text where the resistance of an effect differs most significantly from its mean.
 
     Args:
-        resistance: Of the effect on each stage [N/kN], shape (n,).
-        dataset: The drive.
-        locations: What :func:`locate` said of it.
+        resistance: Resistance of the effect on each stage [N/kN], shape (n,).
+        dataset: The dataset.
+        locations: Result of :func:`locate` for the dataset.
 
     """
     weight = dataset.dt / dataset.dt.sum()
@@ -83,18 +90,18 @@ def where(resistance: Array, dataset: Dataset, locations: Sequence[Location]) ->
     found = []
     for axis, location in zip(_axes(dataset), locations, strict=True):
         parts = axis.inside * weight[:, None]
-        apart = (parts.T @ resistance) / parts.sum(axis=0) - mean
+        deviation = (parts.T @ resistance) / parts.sum(axis=0) - mean
         found += [
             (abs(size) / place.std, f'{place_text(axis.name, place.label)} ({size:+.2f} N/kN)')
-            for size, place in zip(apart.tolist(), location.places, strict=True)
+            for size, place in zip(deviation.tolist(), location.places, strict=True)
             if axis.name != 'run' and place.std > 0.0
         ]
     clear = [text for z, text in sorted(found, reverse=True)[:_NAMED_PLACES] if z > _CLEAR]
-    return ', '.join(clear) or 'nowhere in particular'
+    return ', '.join(clear) or 'no distinct location'
 
 
 def _estimate(model: Model, hyper: Hyperparameters, columns: list[Array]) -> list[tuple[Array, Array]]:
-    """Return means and covariances of the parts of each axis; axes are judged one by one."""
+    """Return means and covariances of the parts of each axis, one axis at a time."""
     information = reduced_information(model, hyper, np.concatenate(columns, axis=1), terms=False)
     estimates: list[tuple[Array, Array]] = []
     for low, high in pairwise(np.cumsum([0, *(c.shape[1] for c in columns)]).tolist()):
@@ -104,11 +111,11 @@ def _estimate(model: Model, hyper: Hyperparameters, columns: list[Array]) -> lis
     return estimates
 
 
-def _beside_mean(value: Array, covariance: Array, share: Array) -> tuple[Array, Array]:
-    """Return deviations from the mean of all parts, weighted by their shares, and standard deviations."""
-    apart = np.eye(share.size) - share[None, :]
-    variance = np.einsum('ij,jk,ik->i', apart, covariance, apart)
-    return apart @ value, np.sqrt(np.maximum(variance, 0.0))
+def _deviation_from_mean(value: Array, covariance: Array, share: Array) -> tuple[Array, Array]:
+    """Return deviations from the mean of all parts, weighted by their shares, and their standard deviations."""
+    deviation = np.eye(share.size) - share[None, :]
+    variance = np.einsum('ij,jk,ik->i', deviation, covariance, deviation)
+    return deviation @ value, np.sqrt(np.maximum(variance, 0.0))
 
 
 def _axes(dataset: Dataset) -> list[_Axis]:
@@ -136,7 +143,7 @@ def _axes(dataset: Dataset) -> list[_Axis]:
 
 
 def _cut(name: str, unit: str, x: Array, count: int) -> _Axis:
-    """Return an axis cut into so many parts of equal length, without those never seen; x is NaN outside."""
+    """Return an axis divided into ``count`` parts of equal length, without empty ones; NaN lies outside the axis."""
     known = x[np.isfinite(x)]
     if known.size == 0 or known.max() <= known.min():
         return _Axis(name, unit, (), (), np.zeros((x.size, 0), dtype=bool))
@@ -150,7 +157,7 @@ def _cut(name: str, unit: str, x: Array, count: int) -> _Axis:
 
 
 def _kinds(name: str, labels: tuple[str, ...], kinds: tuple[NDArray[np.bool_], ...]) -> _Axis:
-    """Return an axis of kinds, without those never seen."""
+    """Return an axis of categories, without empty ones."""
     inside = np.stack(kinds, axis=1)
     seen = np.flatnonzero(inside.any(axis=0)).tolist()
     edges = ((math.nan, math.nan),) * len(seen)

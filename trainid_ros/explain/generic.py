@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a gap may depend on without a physical name: groups of columns that compete with the named effects.
+"""Generic dependences of the gap: groups of columns without a physical name that compete with the named effects.
 
-If such a group explains far more than any effect of the library, no name fits; and what is left after the named
+If such a group explains far more than any effect of the library, no named effect fits. The residual after the named
 effects is described by the group that explains most of it.
 """
 
@@ -23,18 +23,19 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 _KNOTS: Final = 5
-_MOST_RUNS: Final = 60
-"""More runs than this are told by their time."""
+"""Knots of a piecewise-linear dependence."""
+_MAX_RUNS: Final = 60
+"""With more runs than this, the dependence on the run is replaced by one on time."""
 
 
 @dataclass(frozen=True, slots=True)
 class Group:
-    """Columns of one dependence, with sizes in N/kN.
+    """Columns of one dependence, with coefficients in N/kN.
 
     Attributes:
         name: Short name.
-        text: On what the resistance depends, in words.
-        resistance: Shape (n, k).
+        text: What the resistance depends on, as text.
+        resistance: Resistance per unit of each coefficient [1], shape (n, k).
 
     """
 
@@ -44,7 +45,7 @@ class Group:
 
 
 def generic_groups(dataset: Dataset, length: float) -> tuple[Group, ...]:
-    """Return all groups for a drive of a train of some length [m]."""
+    """Return all groups for a dataset and the length of the train [m]."""
     v, traction, brake = dataset.speed, dataset.joined('traction'), dataset.joined('brake')
     pulling, braking = traction > PULLING, brake < BRAKING
     coasting = ~pulling & ~braking
@@ -52,7 +53,7 @@ def generic_groups(dataset: Dataset, length: float) -> tuple[Group, ...]:
     tunnel, radius = dataset.joined('tunnel'), dataset.joined('radius')
     curvature = np.where(radius > 0.0, 300.0 / np.maximum(radius, 100.0), 0.0)
     since = dataset.time - dataset.time[dataset.starts][dataset.run_of]
-    # Implied by the force: measured acceleration has the noise of the speed on both sides of the regression.
+    # Acceleration implied by the forces: the measured one would bring the noise of the speed into the regressors.
     acceleration = traction + brake - dataset.joined('gradient') - 2.0
     relative = v / max(float(v.max()), 1.0)
     heat = dataset.joined('heat')
@@ -85,9 +86,9 @@ def generic_groups(dataset: Dataset, length: float) -> tuple[Group, ...]:
 
 
 def _runs(dataset: Dataset) -> Array:
-    """Return a column for each run, or for stretches of time where there are many, shape (n, k)."""
-    if len(dataset.runs) > _MOST_RUNS:
-        return _hats(dataset.time, _MOST_RUNS)
+    """Return a column for each run, or functions of time if there are many runs, shape (n, k)."""
+    if len(dataset.runs) > _MAX_RUNS:
+        return _hats(dataset.time, _MAX_RUNS)
     return np.asarray(dataset.run_of[:, None] == np.arange(len(dataset.runs)), dtype=float)
 
 
@@ -97,7 +98,7 @@ def _gradient(dataset: Dataset) -> Array:
 
 
 def _hats(x: Array, count: int) -> Array:
-    """Return piecewise-linear functions with knots at quantiles, which sum to one; shape (n, count)."""
+    """Return piecewise-linear hat functions with knots at quantiles, which sum to one; shape (n, up to count)."""
     knots = np.unique(np.quantile(x, np.linspace(0.0, 1.0, count)))
     if knots.size < 2:
         return np.ones((x.size, 1))

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The gap on runs that the fit never saw, beside what noise alone would leave.
+"""Gap on held-out runs, compared with the gap that noise alone would leave.
 
-The base model, the nuisances and the sizes of all effects are fitted to the other runs; the run held out gets its
-best initial speed, no more. Which effects there are, where they lie and how large the noise is, all runs have told:
-an effect that only the run held out has seen has no size in the fit to the others, and does not help there. Products
-of whitened columns are kept by run, so a fit without some runs is a subtraction.
+The base model, the nuisances and the amplitudes of all effects are fitted to the other runs; only the initial speed is
+fitted to the run held out. The set of effects, their positions and the noise level come from all runs, but an effect
+that shows in the held-out run only gets no amplitude from the others and does not reduce the gap there. Products of
+whitened columns are kept by run, so leaving runs out is a subtraction.
 """
 
 from __future__ import annotations
@@ -29,13 +29,20 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 _FOLDS: Final = 12
+"""Maximum number of fits."""
 FEWEST: Final = 2
-"""Runs that are needed to hold one out."""
+"""Minimum number of runs to hold one out."""
 
 
 @dataclass(frozen=True, slots=True)
 class HeldOut:
-    """Speed gaps at all nodes, each from a fit to other runs, and their standard deviations [m/s], shape (m,)."""
+    """Speed gaps at all nodes, each from a fit to other runs.
+
+    Attributes:
+        gap: Measured less simulated speed [m/s], shape (m,).
+        std: Standard deviation expected of a correct model [m/s], shape (m,).
+
+    """
 
     gap: Array
     std: Array
@@ -63,9 +70,9 @@ def hold_out(model: Model, hyper: Hyperparameters) -> HeldOut | None:
 
 
 def _neutral(model: Model) -> Array:
-    """Return the change of columns that takes all effects out of the residual, shape (1 + q + k, 1 + q + k).
+    """Return the transformation of columns that removes all effects from the residual, shape (1 + q + k, 1 + q + k).
 
-    So a fit to other runs finds their sizes from none, by a prior that is wide and centred there.
+    A fit to other runs then estimates their amplitudes from zero effect, with a wide prior centred there.
     """
     change = np.eye(model.columns.shape[1])
     for term, here in model.places():
@@ -76,7 +83,7 @@ def _neutral(model: Model) -> Array:
 
 
 def _centred(model: Model, at: NDArray[np.bool_], left: Array, expected: Array) -> tuple[Array, Array]:
-    """Return what is left of one run less its own mean, and the std it should have [m/s], shapes (m,)."""
+    """Return the residual of one run less its mean, and the std expected of it [m/s], shapes (m,)."""
     known = (model.dataset.node_count[at] > 0.0).astype(float)
     centre = np.eye(known.size) - known[None, :] / max(known.sum(), 1.0)
     variance = np.einsum('ij,jk,ik->i', centre, expected, centre)
@@ -84,7 +91,7 @@ def _centred(model: Model, at: NDArray[np.bool_], left: Array, expected: Array) 
 
 
 def gap_of(before: HeldOut | None, after: HeldOut | None, model: Model) -> Gap | None:
-    """Return the RMS of both over all nodes that were measured, and that of the noise."""
+    """Return the RMS gap without and with the effects over all measured nodes, and the noise floor; None if unknown."""
     if before is None or after is None:
         return None
     known = model.dataset.node_count > 0.0
@@ -92,10 +99,10 @@ def gap_of(before: HeldOut | None, after: HeldOut | None, model: Model) -> Gap |
 
 
 def _noise(model: Model, hyper: Hyperparameters, at: NDArray[np.bool_], covariance: Array) -> Array:
-    """Return the covariance of the speed errors of one run that a right model leaves.
+    """Return the covariance of the speed errors of one run that a correct model leaves [(m/s)^2].
 
-    These are integrated gusts, sensor noise, payload and brake, and what other runs do not tell of a, b, c and of the
-    map; not what they do not tell of effects.
+    It covers integrated gusts, sensor noise, payload and brake, and the uncertainty of a, b, c and of the map as fitted
+    to the other runs, but not the uncertainty of the effects.
     """
     base = model.without_terms
     columns = model.nuisance_columns[at][:, base]

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sizes of noise and nuisances from the data: the greatest marginal likelihood times a prior.
+"""Estimate the hyperparameters of noise and nuisances by maximum marginal likelihood times a prior.
 
-Sizes that are declared wrong by a half name effects that are not there; so they are estimated, again whenever the
-model has gained an effect.
+Hyperparameters that are wrong by a half lead to false effects; so they are estimated from the data, and again whenever
+an effect is added to the model.
 """
 
 from __future__ import annotations
@@ -22,7 +22,8 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-# Median and log-width of the prior of speed noise, gust, gust time, jitter, payload, brake, map.
+# Median and std of the log of each hyperparameter: speed noise [m/s], gust [N/kN], gust time [s], jitter [s],
+# payload [1], brake [1], map [per mille].
 _WEIGHED: Final = 0.005
 _UNWEIGHED: Final = 0.03
 _MEDIAN: Final = np.log([0.03, 0.12, 8.0, 0.02, _WEIGHED, 0.01, 0.25])
@@ -31,7 +32,7 @@ _STEP: Final = 0.05
 _SMALL: Final = 1e-3
 _LARGEST_MOVE: Final = 2.0
 _SETTLED: Final = 0.05
-_MOST_STEPS: Final = 30
+_MAX_STEPS: Final = 30
 _OUTER: Final = 4
 _PAYLOAD: Final = 4
 _GUST, _GUST_TIME = 1, 2
@@ -39,7 +40,14 @@ _GUST, _GUST_TIME = 1, 2
 
 @dataclass(frozen=True, slots=True)
 class Hyperparameters:
-    """All sizes, and twice the log evidence of the data at them."""
+    """Standard deviations of noise and nuisances.
+
+    Attributes:
+        noise: Those of noise along a run.
+        spread: Those of nuisances by run and by place.
+        evidence: 2 ln of marginal likelihood times prior at these values, up to a constant.
+
+    """
 
     noise: Noise
     spread: Spread
@@ -47,19 +55,19 @@ class Hyperparameters:
 
 
 class MarginalLikelihood:
-    """Marginal likelihood of the data as a function of the logs of all sizes."""
+    """Marginal likelihood of the data as a function of the logs of all hyperparameters."""
 
     def __init__(
         self, grid: Grid, columns: Array, factors: Array, common_std: Array, map_root: Array, *, weighed: bool
     ) -> None:
-        """Prepare.
+        """Prepare the evaluation.
 
         Args:
-            grid: Where the nodes lie.
-            columns: y, common nuisances, bins of the map, shape (m, 1 + q + k).
+            grid: Grid of the nodes.
+            columns: y [m/s], common nuisances, bins of the map, shape (m, 1 + q + k).
             factors: Columns of payload and brake, shape (m, 2).
             common_std: Prior std of the common nuisances, shape (q,).
-            map_root: Factor of the correlation of the map's errors, shape (k, k).
+            map_root: Cholesky factor of the correlation of map errors, shape (k, k).
             weighed: True if the mass is measured.
 
         """
@@ -71,18 +79,18 @@ class MarginalLikelihood:
         self._gram: tuple[tuple[float, ...], Gram, float] | None = None
 
     def at(self, logs: Array) -> float:
-        """Return twice the log of likelihood times prior at the logs of all sizes."""
+        """Return 2 ln of likelihood times prior at the logs of all hyperparameters, shape (7,)."""
         return -self._value(logs)
 
     def usual(self, hyper: Hyperparameters) -> Hyperparameters:
-        """Return sizes with the spread of payload, brake and map as it usually is."""
+        """Return hyperparameters with payload, brake and map at the median of their priors."""
         return replace(hyper, spread=_hyperparameters(self._median)[1])
 
     def excess(self, logs: Array) -> float:
-        """Return how far passing forces and what differs by run and place lie above what they usually are.
+        """Return how far gusts, payload, brake and map errors lie above the medians of their priors [1].
 
-        That is the sum of squares of their distances in standard deviations of their priors. Of gusts that is how
-        far they drive the speed off, as the product of their size and the root of their time says.
+        That is the sum of squares of their distances in standard deviations of their priors. For gusts it is the
+        distance of the speed error they cause, proportional to their std times the root of their correlation time.
         """
         above = logs - self._median
         drift = (above[_GUST] + 0.5 * above[_GUST_TIME]) / math.hypot(_WIDTH[_GUST], 0.5 * _WIDTH[_GUST_TIME])
@@ -90,13 +98,13 @@ class MarginalLikelihood:
         return float(distances @ distances)
 
     def maximise(self, start: Array | None = None) -> tuple[Hyperparameters, Array]:
-        """Return the best sizes and their logs, from a start or the prior's median, whichever is better."""
+        """Return the best hyperparameters and their logs, starting from the prior's median or a better given start."""
         x, value = self._median.copy(), self._value(self._median)
-        # Sizes found without an effect can be far off with it.
+        # Hyperparameters estimated without an effect can be far off with it.
         if start is not None and (there := self._value(start)) < value:
             x, value = start.copy(), there
         gradient, curvature = self._slopes(x, value)
-        for _ in range(_MOST_STEPS):
+        for _ in range(_MAX_STEPS):
             move = -np.linalg.solve(curvature, gradient)
             move *= min(1.0, _LARGEST_MOVE / float(np.abs(move).max()))
             while (found := self._value(x + move)) > value + 1e-6 and np.abs(move).max() > _SETTLED:
@@ -110,9 +118,9 @@ class MarginalLikelihood:
         return Hyperparameters(*_hyperparameters(x), -value), x
 
     def _slopes(self, x: Array, value: float) -> tuple[Array, Array]:
-        """Return gradient and a first guess of the curvature, diagonal and positive, by differences."""
+        """Return gradient and initial curvature, diagonal and positive, by central differences."""
         gradient, curvature = np.empty_like(x), np.empty_like(x)
-        # The inner sizes come first, while the filter is that of x; the outer ones need others.
+        # Payload, brake and map first: they need no new filter, while noise, gusts and jitter do.
         for i, step in reversed([*enumerate(_STEP * np.eye(x.size))]):
             up, down = self._value(x + step), self._value(x - step)
             gradient[i] = (up - down) / (2.0 * _STEP)
@@ -120,13 +128,13 @@ class MarginalLikelihood:
         return gradient, np.diag(curvature)
 
     def _gradient(self, x: Array, value: float) -> Array:
-        """Return the gradient by small differences to one side, shape (7,)."""
-        # In the order of _slopes.
+        """Return the gradient by forward differences, shape (7,)."""
+        # Same order as in _slopes, to reuse the filter.
         up = [self._value(x + step) for step in _SMALL * np.eye(x.size)[::-1]]
         return np.asarray((np.array(up[::-1]) - value) / _SMALL)
 
     def _value(self, x: Array) -> float:
-        """Return minus twice the log of likelihood times prior."""
+        """Return -2 ln of likelihood times prior."""
         noise, spread = _hyperparameters(x)
         key = tuple(x[:_OUTER].tolist())
         if self._gram is None or self._gram[0] != key:
@@ -142,7 +150,7 @@ class MarginalLikelihood:
 
 
 def _updated(curvature: Array, move: Array, change: Array) -> Array:
-    """Return the curvature (7, 7) after a move that changed the gradient (Broyden, Fletcher, Goldfarb, Shanno)."""
+    """Return the BFGS update of the curvature (7, 7) for a step ``move`` that changed the gradient by ``change``."""
     along = float(move @ change)
     seen = curvature @ move
     if along <= 1e-3 * float(move @ seen):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The believed model with some effects in it, linear about their parameters, ready to be compared with the data."""
+"""The model of the train file with some effects added, linearised about their parameters, to compare with the data."""
 
 from __future__ import annotations
 
@@ -33,23 +33,30 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 WHEEL: Final = 'wheel_diameter'
-"""The effect that distances between stops tell of as well."""
-_RUNS_AT_ONCE: Final = 16
-_MOST_STEPS: Final = 5
+"""The effect on which distances between stops give information too."""
+_RUN_BATCH: Final = 16
+_MAX_STEPS: Final = 5
 _SETTLED: Final = 0.1
-# Prior of a shape parameter that is refined, about where it was found.
+# Prior std of a shape parameter about its initial value: a position [m], a time [s], relative for others.
 _METRES: Final = 80.0
 _SECONDS: Final = 60.0
 _LOG_WIDTH: Final = 1.0
 _SHORTEST_M: Final = 50.0
-"""Least length of an effect at one place [m]."""
-# A normal density at its top is that of a flat one this many standard deviations wide.
+"""Minimum length of an effect on a section of the line [m]."""
+# The peak of a normal density equals a uniform density over this many standard deviations.
 _SPREAD: Final = math.sqrt(2.0 * math.pi)
 
 
 @dataclass(frozen=True, slots=True)
 class EffectTerm:
-    """An effect in the model: its parameters, and their covariance once fitted, in the same order."""
+    """An effect in the model.
+
+    Attributes:
+        name: Its name in train files.
+        parameters: Its parameters, in the units of the effect.
+        covariance: Their covariance in the same order, None before a fit.
+
+    """
 
     name: str
     parameters: Mapping[str, float]
@@ -57,13 +64,13 @@ class EffectTerm:
 
     @property
     def size(self) -> float:
-        """How far the amplitude is from having no effect, in units of its usual size."""
+        """Distance of the amplitude from its neutral value, in units of its usual value [1]."""
         kind = EFFECTS[self.name]
         return abs(self.parameters[kind.amplitude] - kind.neutral) / kind.usual
 
     @property
     def significance(self) -> float:
-        """How far it is in standard deviations that it has with its shape given; infinite before a fit."""
+        """The same distance in standard deviations conditional on the shape [1]; infinite before a fit."""
         if self.covariance is None:
             return math.inf
         kind = EFFECTS[self.name]
@@ -80,22 +87,22 @@ class EffectTerm:
 
 
 class Model:
-    """Drive, nuisances and members; never changed once made.
+    """Dataset, nuisances and effect terms; immutable.
 
     Attributes:
-        evaluator: Stages of the drive.
-        dataset: What is explained.
-        train_file: What is believed.
-        terms: Effects in it.
-        davis: a, b, c about which the effects are linear.
+        evaluator: Resistances of effects on the dataset.
+        dataset: The dataset to explain.
+        train_file: The train file to extend.
+        terms: Effects in the model.
+        davis: a, b, c about which the effects are linearised.
         residual: Measured less predicted speed at the nodes [m/s], shape (m,).
-        nuisance_columns: Responses at the nodes to nuisances that all runs share, first those of
-            :func:`common_columns`, then the members' parameters, then errors of the map, shape (m, q + k).
+        nuisance_columns: Responses [m/s] at the nodes to nuisances that all runs share, first those of
+            :func:`common_columns`, then the parameters of effects, then map errors, shape (m, q + k).
         common_std: Prior std of the first q of them, shape (q,).
-        factor_columns: Responses at the nodes to the factors of single runs, shape (m, 2).
-        grid: Where the nodes lie.
+        factor_columns: Responses [m/s] at the nodes to the factors of single runs, shape (m, 2).
+        grid: Grid of the nodes.
         weighed: True if the mass of all runs is measured.
-        odometry: What distances between stops tell.
+        odometry: Wheel ratio from the distances between stops.
 
     """
 
@@ -113,36 +120,42 @@ class Model:
         self.odometry = Odometry.of(dataset, train_file.line.stops)
         self._set(terms, train_file.resistance)
 
-    def having(self, terms: tuple[EffectTerm, ...], davis: Davis | None = None) -> Model:
-        """Return the same model with other members, and linear about another a, b, c."""
+    def with_terms(self, terms: tuple[EffectTerm, ...], davis: Davis | None = None) -> Model:
+        """Return the same model with other effects, linearised about another a, b, c if given."""
         other = copy(self)
         other._set(terms, davis or self.davis)
         return other
 
     def without(self, k: int) -> Model:
-        """Return the same model without member k."""
-        return self.having((*self.terms[:k], *self.terms[k + 1 :]))
+        """Return the same model without effect k."""
+        return self.with_terms((*self.terms[:k], *self.terms[k + 1 :]))
 
-    def beside(self, columns: Array, std: float) -> Model:
-        """Return the same model with further nuisances that all runs share: columns at the nodes, shape (m, k)."""
+    def with_nuisances(self, columns: Array, std: float) -> Model:
+        """Return the same model with further nuisances that all runs share.
+
+        Args:
+            columns: Responses at the nodes [m/s], shape (m, k).
+            std: Prior std of their coefficients.
+
+        """
         other = copy(self)
         other.common_std = np.concatenate([np.full(columns.shape[1], std), self.common_std])
         other.nuisance_columns = np.concatenate([columns, self.nuisance_columns], axis=1)
         return other
 
     def _set(self, terms: tuple[EffectTerm, ...], davis: Davis) -> None:
-        """Linearise about the parameters of some members, and about a, b, c where these are part of an effect."""
+        """Linearise about the parameters of effects, and about a, b, c where an effect depends on them."""
         self.terms, self.davis = terms, davis
         derivatives, std = [], []
         total = np.zeros(self.dataset.dt.size)
-        common, self._bends = self._common, False
+        common, self._depends_on_davis = self._common, False
         beyond = _array(davis) - _array(self.train_file.resistance)
         for term in terms:
             total += self.evaluator.resistance(term.name, term.parameters, davis)
             by_davis = self.evaluator.by_davis(term.name, term.parameters, davis)
             if by_davis is not None:
-                self._bends = True
-                # The columns of a, b, c count from what is believed.
+                self._depends_on_davis = True
+                # The columns of a, b, c are deviations from the train file.
                 total -= by_davis @ beyond
                 common = common.copy()
                 common[:, DAVIS] += self.dataset.column(by_davis)
@@ -156,7 +169,7 @@ class Model:
         self.common_std = np.concatenate([common_std(self.train_file, weighed=self.weighed), std])
 
     def _derivative(self, term: EffectTerm, name: str, step: float) -> Array:
-        """Return the derivative of a member's resistance by one of its parameters, shape (n,)."""
+        """Return the derivative of an effect's resistance by one of its parameters, shape (n,)."""
         limits, value = EFFECTS[term.name].parameters[name], term.parameters[name]
         other = value + step if value + step <= limits.high else value - step
         changed = self.evaluator.resistance(term.name, {**term.parameters, name: other}, self.davis)
@@ -165,17 +178,17 @@ class Model:
 
     @property
     def columns(self) -> Array:
-        """Residual and nuisances, shape (m, 1 + q + k)."""
+        """Residual and nuisance columns [m/s], shape (m, 1 + q + k)."""
         return np.concatenate([self.residual[:, None], self.nuisance_columns], axis=1)
 
     def evidence(self) -> MarginalLikelihood:
-        """Return the marginal likelihood as a function of the sizes of noise and nuisances."""
+        """Return the marginal likelihood as a function of the hyperparameters."""
         return MarginalLikelihood(
             self.grid, self.columns, self.factor_columns, self.common_std, self._map_root, weighed=self.weighed
         )
 
     def whitener(self, hyper: Hyperparameters) -> Whitener:
-        """Return the filter for these sizes."""
+        """Return the whitening filter for these hyperparameters."""
         return Whitener.of(self.grid, hyper.noise)
 
     def prior_factor(self, spread: Spread) -> Array:
@@ -183,12 +196,12 @@ class Model:
         return prior_factor(self.common_std, self._map_root, spread)
 
     def products(self, columns: Array, spread: Spread, whitener: Whitener) -> Array:
-        """Return products of whitened columns at the nodes, less what factors of single runs explain.
+        """Return products of whitened columns at the nodes, with the factors of single runs eliminated.
 
         Args:
-            columns: Shape (m, C).
-            spread: Sizes of these factors.
-            whitener: Filter.
+            columns: Columns at the nodes, shape (m, C).
+            spread: Standard deviations of these factors.
+            whitener: Whitening filter.
 
         Returns:
             Sum over runs, shape (C, C).
@@ -200,36 +213,36 @@ class Model:
         return total
 
     def products_by_run(self, columns: Array, spread: Spread, whitener: Whitener) -> Array:
-        """Return the same run by run, shape (R, C, C)."""
+        """Return the products of :meth:`products` by run, shape (R, C, C)."""
         grams = self._grams(columns, whitener, by_run=True)
         return np.concatenate([gram.reduced(spread.of_run)[0] for gram in grams])
 
     def _grams(self, columns: Array, whitener: Whitener, *, by_run: bool) -> Iterator[Gram]:
-        """Yield products of some runs at a time: columns of hours of driving are gigabytes."""
-        for first in range(0, len(self.dataset.runs), _RUNS_AT_ONCE):
-            part = slice(first, first + _RUNS_AT_ONCE)
+        """Yield products in batches of runs: columns over hours of driving take gigabytes."""
+        for first in range(0, len(self.dataset.runs), _RUN_BATCH):
+            part = slice(first, first + _RUN_BATCH)
             yield Gram.of(columns, self.factor_columns, self.grid.part(part), whitener.part(part), by_run=by_run)
 
     def fit(self, hyper: Hyperparameters) -> Model:
-        """Refine the parameters of all members together with the nuisances (Gauss-Newton)."""
+        """Fit the parameters of all effects together with the nuisances (Gauss-Newton)."""
         model, whitener = self, self.whitener(hyper)
-        for _ in range(_MOST_STEPS):
+        for _ in range(_MAX_STEPS):
             terms, davis, moved = model._step(hyper, whitener)
-            model = model.having(terms, davis)
+            model = model.with_terms(terms, davis)
             if moved < _SETTLED:
                 break
-        terms, _, _ = model._step(hyper, whitener, stay=True)
-        return model.having(terms)
+        terms, _, _ = model._step(hyper, whitener, hold=True)
+        return model.with_terms(terms)
 
     def posterior(self, hyper: Hyperparameters, whitener: Whitener) -> tuple[Array, Array]:
-        """Return mean and covariance of all nuisances, members' parameters among them."""
+        """Return mean and covariance of all nuisances, which include the parameters of effects."""
         total = self.products(self.columns, hyper.spread, whitener)
         self.add_odometry(total)
         return posterior(total, self.prior_factor(hyper.spread))
 
     @property
     def without_terms(self) -> NDArray[np.bool_]:
-        """Which nuisance columns are no parameters of members, shape (q + k,)."""
+        """True for nuisance columns that are not parameters of effects, shape (q + k,)."""
         kept = np.ones(self.nuisance_columns.shape[1], dtype=bool)
         for _, here in self.places():
             kept[here] = False
@@ -237,7 +250,7 @@ class Model:
 
     @property
     def odometer_excess(self) -> float:
-        """What distances between stops say of the wheel's ratio beyond what the members say."""
+        """Wheel ratio from distances between stops, less one and less that of the effects in the model [1]."""
         known = (term.parameters['ratio'] - 1.0 for term in self.terms if term.name == WHEEL)
         return self.odometry.excess - sum(known)
 
@@ -247,7 +260,7 @@ class Model:
         return self.odometry.precision * self.odometer_excess**2
 
     def add_odometry(self, products: Array) -> None:
-        """Add the distances between stops to products of y and nuisances, as one more measurement of the wheel."""
+        """Add the distances between stops to products of y and nuisances, as another measurement of the wheel."""
         for term, here in self.places():
             if term.name == WHEEL:
                 at = 1 + here.start
@@ -256,27 +269,30 @@ class Model:
                 products[at, 0] = products[0, at]
 
     def places(self) -> Iterator[tuple[EffectTerm, slice]]:
-        """Yield all members and where their parameters stand among the nuisances."""
+        """Yield all effects with the indices of their parameters among the nuisances."""
         at = len(self.common_std) - sum(len(term.parameters) for term in self.terms)
         for term in self.terms:
             yield term, slice(at, at + len(term.parameters))
             at += len(term.parameters)
 
     def found_davis(self, mean: Array) -> Davis:
-        """Return a, b, c by the mean of all nuisances; what no train has is cut off."""
+        """Return a, b, c from the mean of all nuisances; negative a and c are set to zero."""
         a, b, c = (_array(self.train_file.resistance) + mean[DAVIS]).tolist()
         return Davis(max(a, 0.0), b, max(c, 0.0))
 
     def _step(
-        self, hyper: Hyperparameters, whitener: Whitener, *, stay: bool = False
+        self, hyper: Hyperparameters, whitener: Whitener, *, hold: bool = False
     ) -> tuple[tuple[EffectTerm, ...], Davis, float]:
-        """Return members one step on, with covariances, a, b, c, and the largest move in std; or where they are."""
+        """Return the effects after one step, with covariances, a, b, c, and the largest change in standard deviations.
+
+        With ``hold`` the parameters stay where they are and only get their covariances.
+        """
         mean, covariance = self.posterior(hyper, whitener)
         terms = []
         davis = self.found_davis(mean)
         moved = self._moved(davis, covariance)
         for term, here in self.places():
-            move = np.zeros(len(term.parameters)) if stay else mean[here]
+            move = np.zeros(len(term.parameters)) if hold else mean[here]
             width = self.common_std[here]
             moved = max(moved, float(np.max(np.abs(move) / np.sqrt(np.diag(covariance)[here]))))
             move = np.clip(move, -width, width)
@@ -288,8 +304,8 @@ class Model:
         return tuple(terms), davis, moved
 
     def _moved(self, davis: Davis, covariance: Array) -> float:
-        """Return how far a, b, c are from where effects are linear, in std; 0 if no effect depends on them."""
-        if not self._bends:
+        """Return the distance of a, b, c from the linearisation point in std; 0 if no effect depends on them."""
+        if not self._depends_on_davis:
             return 0.0
         off = np.abs(_array(davis) - _array(self.davis))
         return float(np.max(off / np.sqrt(np.diag(covariance)[DAVIS])))
@@ -300,9 +316,10 @@ def _array(davis: Davis) -> Array:
 
 
 def prior_cost(term: EffectTerm, dataset: Dataset) -> float:
-    """Return what a member costs beyond the priors about where it was found, as twice a log.
+    """Return -2 ln of the prior of an effect relative to the priors of the fit, which are centred at its parameters.
 
-    An amplitude is unlikely to lie far from its neutral value; a place or a time could have been any other.
+    The prior of an amplitude is centred at its neutral value; that of another parameter is uniform over its range, for
+    a place or a time that of the data.
     """
     kind, cost = EFFECTS[term.name], 0.0
     for name, value in term.parameters.items():
@@ -321,7 +338,7 @@ def prior_cost(term: EffectTerm, dataset: Dataset) -> float:
 
 
 def _width(effect: str, name: str, value: float) -> float:
-    """Return the prior std of a parameter about where it was found."""
+    """Return the prior std of a parameter about its initial value."""
     kind = EFFECTS[effect]
     if name == kind.amplitude:
         return 3.0 * kind.usual
@@ -334,7 +351,7 @@ def _width(effect: str, name: str, value: float) -> float:
 
 
 def _inside(value: float, limits: Parameter) -> float:
-    """Return the nearest value that a parameter may have; not far beyond where it was looked for."""
+    """Return the nearest admissible value of a parameter, at most a factor of about three outside its search range."""
     low, high = limits.low, limits.high
     if limits.search is not None:
         low, high = max(low, 0.3 * limits.search[0]), min(high, 3.0 * limits.search[1])
@@ -342,7 +359,7 @@ def _inside(value: float, limits: Parameter) -> float:
 
 
 def _ordered(parameters: dict[str, float]) -> dict[str, float]:
-    """Keep an end behind its start, and so far that a train, under which all is averaged, can show the length."""
+    """Keep the end beyond the start by a minimum length: averaged under a train, shorter effects cannot be resolved."""
     if 'start' in parameters and 'end' in parameters and parameters['end'] - parameters['start'] < _SHORTEST_M:
         middle = 0.5 * (parameters['start'] + parameters['end'])
         return {**parameters, 'start': middle - 0.5 * _SHORTEST_M, 'end': middle + 0.5 * _SHORTEST_M}

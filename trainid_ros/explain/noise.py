@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Errors of the simulated speed that no model will explain, and the filter that whitens them.
+"""Noise of the speed gap of a correct model, and the filter that whitens it.
 
-Three things make simulated and measured speed part although the model is right: gusts, a resistance that comes and
-goes as an Ornstein-Uhlenbeck process and whose response is its integral; noise of the measured speed; and an initial
-speed that nobody knows. A Kalman filter on the state [speed error, gust] turns them into independent unit noise. It
-is linear, so the columns of all candidates pass through it with the same gains.
+Simulated and measured speed differ for three reasons although the model is correct: gusts, a random resistance modelled
+as an Ornstein-Uhlenbeck process whose response is its integral; noise of the measured speed; and the unknown initial
+speed. A Kalman filter on the state [speed error, gust] turns them into independent unit noise. It is linear, so the
+columns of all candidates pass through it with the same gains.
 """
 
 from __future__ import annotations
@@ -24,21 +24,21 @@ if TYPE_CHECKING:
 
 _DIFFUSE: Final = 1e2
 """Variance of an unknown initial speed error [(m/s)^2]."""
-_LEAST: Final = 1e-12
-"""Least noise of a step [(m/s)^2, (N/kN)^2]: information must stay finite."""
-# Errors of neighbouring samples are not quite independent: quantised speeds repeat.
+_MIN_VARIANCE: Final = 1e-12
+"""Minimum process noise of a step [(m/s)^2, (N/kN)^2], which keeps the information matrix finite."""
+# Share of the variance that neighbouring samples have in common: quantised speeds repeat.
 _SHARED: Final = 0.1
 
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """Sizes of what is random along a run.
+    """Standard deviations of the noise along a run.
 
     Attributes:
         speed: Noise of one measured speed [m/s].
-        gust: Standard deviation of the gusts [N/kN].
-        gust_time: Their correlation time [s].
-        jitter: Unknown delay of each change of traction or brake [s]: forces are read a few times a second.
+        gust: Standard deviation of gusts [N/kN].
+        gust_time: Correlation time of gusts [s].
+        jitter: Random delay of each change of traction or brake [s], since forces are sampled a few times a second.
 
     """
 
@@ -53,10 +53,10 @@ class Grid:
     """Nodes of all runs side by side, padded to the longest; N nodes by R runs.
 
     Attributes:
-        index: Node at each place, the number of nodes where there is none, shape (N, R).
-        dt: Time since the node before [s], shape (N, R).
-        share: Variance of a node's error in those of one speed; infinite where nothing was measured, shape (N, R).
-        change: Change of the force since the node before, as acceleration [m/s^2], shape (N, R).
+        index: Index of the node, equal to ``nodes`` for padding, shape (N, R).
+        dt: Time since the previous node [s], shape (N, R).
+        share: Noise variance of a node relative to that of one speed [1]; infinite without a measurement, shape (N, R).
+        change: Change of the force since the previous node, as acceleration [m/s^2], shape (N, R).
         inertia: Specific force per acceleration [N/kN per m/s^2].
         nodes: Number of nodes of all runs.
 
@@ -71,7 +71,7 @@ class Grid:
 
     @classmethod
     def of(cls, dataset: Dataset) -> Grid:
-        """Return the grid of a drive."""
+        """Return the grid of a dataset."""
         counts = np.unique(dataset.node_run, return_counts=True)[1]
         first = np.concatenate([[0], np.cumsum(counts)[:-1]])
         rows = np.arange(counts.max())[:, None]
@@ -102,12 +102,12 @@ class Grid:
 
 @dataclass(frozen=True, slots=True)
 class Whitener:
-    """Gains of the filter for one noise; see :meth:`apply`.
+    """Gains of the whitening Kalman filter; see :meth:`apply`.
 
     Attributes:
-        step: Predicted state one node on, by predicted state and measurement here, shape (N, R, 2, 3).
-        scale: One over the standard deviation of the innovation, 0 where nothing was measured, shape (N, R).
-        log_det: Sum over all measurements of the log of the innovation's variance, by run, shape (R,).
+        step: Matrix from [predicted state, measurement] to the predicted state at the next node, shape (N, R, 2, 3).
+        scale: Inverse standard deviation of the innovation [s/m], 0 without a measurement, shape (N, R).
+        log_det: Sum of the log of the innovation variance over all measurements of a run, shape (R,).
 
     """
 
@@ -117,7 +117,7 @@ class Whitener:
 
     @classmethod
     def of(cls, grid: Grid, noise: Noise) -> Whitener:
-        """Find all gains at once; what is behind the last node of a run counts nowhere."""
+        """Compute all gains at once; padding after the last node of a run has no weight."""
         inside = grid.index < grid.nodes
         F, Q = _transitions(grid, noise)
         R = np.where(inside, noise.speed**2 * grid.share, np.inf)
@@ -135,9 +135,9 @@ class Whitener:
         return Whitener(self.step[:, runs], self.scale[:, runs], self.log_det[runs])
 
     def apply(self, columns: Array) -> Array:
-        """Return whitened columns of the first N nodes, shape (N, R, C); zero where nothing was measured."""
+        """Return whitened columns of the first N nodes, shape (N, R, C); zero without a measurement."""
         N, runs, C = columns.shape
-        # Predicted speed error and gust, and the measurement, so that a step is one product of matrices.
+        # The measurement is appended to the predicted state, so that a step is one matrix product.
         state = np.zeros((N + 1, runs, 3, C))
         state[:-1, :, 2] = columns
         for i in range(N):
@@ -146,14 +146,14 @@ class Whitener:
 
 
 def share_of_mean(count: Array) -> Array:
-    """Return the variance of means of so many neighbouring speeds in that of one, shapes alike."""
+    """Return the variance of the mean of ``count`` neighbouring speeds relative to that of one [1], same shape."""
     return np.asarray(_SHARED + (1.0 - _SHARED) / np.maximum(count, 1.0))
 
 
 def _transitions(grid: Grid, noise: Noise) -> tuple[Array, Array]:
     """Return transition and noise covariance of [speed error, gust] to each node, both of shape (N, R, 2, 2).
 
-    Those to the first node are the prior: its covariance, and a transition from nothing.
+    At the first node Q is the prior covariance and F is zero.
     """
     dt, inertia = grid.dt, grid.inertia
     tau, variance = noise.gust_time, noise.gust**2
@@ -162,22 +162,22 @@ def _transitions(grid: Grid, noise: Noise) -> tuple[Array, Array]:
     F[1:, :, 0, 0] = 1.0
     F[1:, :, 0, 1] = (tau * (1.0 - e) / inertia)[1:]
     F[1:, :, 1, 1] = e[1:]
-    # Exact discretisation of the gust and its integral, and the impulse that a late change of the force leaves.
+    # Exact discretisation of the gust and its integral, plus the impulse caused by a delayed change of the force.
     Q[..., 0, 0] = variance * (tau / inertia) ** 2 * np.maximum(2.0 * dt / tau - 3.0 + 4.0 * e - e * e, 0.0)
     Q[..., 0, 0] += np.square(noise.jitter * grid.change)
     Q[..., 0, 1] = Q[..., 1, 0] = variance * tau * (1.0 - e) ** 2 / inertia
     Q[..., 1, 1] = variance * (1.0 - e * e)
     Q[0] = np.diag([_DIFFUSE, variance])
-    Q[..., (0, 1), (0, 1)] += _LEAST
+    Q[..., (0, 1), (0, 1)] += _MIN_VARIANCE
     return F, Q
 
 
 def _filtered(F: Array, Q: Array, R: Array) -> Array:
     """Return the covariance of the state after each measurement, shape (N, R, 2, 2).
 
-    The information of all states of a run is a band of blocks, and its Cholesky factor runs through it as the
-    covariances of a Kalman filter do: what is left of a diagonal block is the information of all measurements so
-    far, and of the transition to the next node.
+    The information matrix of all states of a run is block-tridiagonal, and its Cholesky factorisation is equivalent to
+    the forward recursion of a Kalman filter: the remaining diagonal block is the information of all measurements so
+    far plus that of the transition to the next node.
     """
     N, runs = R.shape
     information = _inverse(Q)
@@ -186,7 +186,7 @@ def _filtered(F: Array, Q: Array, R: Array) -> Array:
     onward[:-1] = -F[1:].transpose(0, 1, 3, 2) @ across[1:]
     diagonal = information + onward
     diagonal[..., 0, 0] += 1.0 / R
-    # Lower band, run after run; states of different runs do not meet.
+    # Lower band of one run after another; states of different runs are independent.
     band = np.zeros((runs, N, 2, 4))
     d, o = diagonal.transpose(1, 0, 2, 3), across.transpose(1, 0, 2, 3)
     band[..., 0, 0], band[..., 0, 1], band[..., 1, 0] = d[..., 0, 0], d[..., 1, 0], d[..., 1, 1]

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is always estimated together with any candidate: base Davis, payload, brakes, clocks and the map's errors.
+"""Nuisances estimated together with every candidate: base Davis, payload, brakes, clocks and map errors.
 
-A base that stands still has its own errors named as effects. Each nuisance is a column with a Gaussian prior; sizes
-that the data tell (payload, brake, map) are hyperparameters.
+If the base model were fixed, its own errors would be named as effects. Each nuisance is a column with a Gaussian prior;
+standard deviations that the data determine (payload, brake, map) are hyperparameters.
 """
 
 from __future__ import annotations
@@ -21,12 +21,13 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-_MOST_BINS: Final = 100
-_LEAST_BIN_M: Final = 100.0
-# Stretches are looked for on a finer scale than errors of the map, which are smooth.
+_MAX_BINS: Final = 100
+_MIN_BIN_M: Final = 100.0
+# Effects on sections are searched on a finer scale than map errors, which are smooth.
 _FINER: Final = 2.0
 _MAP_LENGTH_M: Final = 200.0
 """Correlation length of map errors [m]."""
+# Prior std of a, b, c: share of the train file's value plus a minimum in their units.
 _DAVIS_SHARE: Final = 0.4
 _DAVIS_FLOOR: Final = np.array([0.15, 0.02, 0.0004])
 _TRACTION_SKEW_S: Final = 0.1
@@ -37,16 +38,16 @@ _MAP_SHIFT_M: Final = 15.0
 _MASS_WEIGHED: Final = 0.003
 _MASS_UNWEIGHED: Final = 0.015
 DAVIS: Final = slice(0, 3)
-"""Where a, b, c stand among the nuisances."""
+"""Indices of a, b, c among the nuisances."""
 
 
 @dataclass(frozen=True, slots=True)
 class Spread:
-    """Sizes of what differs from run to run and from place to place.
+    """Standard deviations of nuisances that differ from run to run and from place to place.
 
     Attributes:
-        payload: Relative error of the mass of a run.
-        brake: Relative change of the brake from run to run.
+        payload: Relative error of the mass of a run [1].
+        brake: Relative change of the brake force from run to run [1].
         map: Error of the map's gradient [per mille].
 
     """
@@ -57,16 +58,16 @@ class Spread:
 
     @property
     def of_run(self) -> Array:
-        """Prior std of the factors of single runs, payload and brake; see :func:`run_columns`."""
+        """Prior std of the factors of single runs, payload and brake [1]; see :func:`run_columns`."""
         return np.array([self.payload, self.brake])
 
 
 @dataclass(frozen=True, slots=True)
 class Bins:
-    """Stretches of the line of equal length.
+    """Sections of the line of equal length.
 
     Attributes:
-        low: Where the first one begins [m].
+        low: Start of the first section [m].
         width: Their length [m].
         count: Their number.
 
@@ -78,19 +79,19 @@ class Bins:
 
     @classmethod
     def of(cls, dataset: Dataset, length: float, *, fine: bool = False) -> Bins:
-        """Return bins over all that the train, of some length [m], has passed."""
+        """Return bins over the line that a train of the given length [m] has passed."""
         position = dataset.joined('position')
         low, high = float(position.min()) - length, float(position.max()) + length
-        width = max(_LEAST_BIN_M, (high - low) / _MOST_BINS) / (_FINER if fine else 1.0)
+        width = max(_MIN_BIN_M, (high - low) / _MAX_BINS) / (_FINER if fine else 1.0)
         return cls(low, width, math.ceil((high - low) / width))
 
     @property
     def edges(self) -> Array:
-        """Where they begin and end [m], shape (count + 1,)."""
+        """Positions of the edges [m], shape (count + 1,)."""
         return np.asarray(self.low + self.width * np.arange(self.count + 1))
 
     def shares(self, dataset: Dataset, length: float) -> Array:
-        """Return how much of the train is on each bin, shape (n, count)."""
+        """Return the share of the train's length [m] on each bin [1], shape (n, count)."""
         front = dataset.joined('position')
         rear = front - dataset.direction * length
         low, high = np.minimum(front, rear)[:, None], np.maximum(front, rear)[:, None]
@@ -99,13 +100,13 @@ class Bins:
         return np.asarray(np.maximum(inside, 0.0) / length)
 
     def covariance(self) -> Array:
-        """Return the correlation of map errors of bins, shape (count, count)."""
+        """Return the correlation matrix of the map errors of bins, shape (count, count)."""
         middle = self.edges[:-1]
         return np.asarray(np.exp(-np.abs(middle[:, None] - middle[None, :]) / _MAP_LENGTH_M))
 
 
 def common_columns(dataset: Dataset) -> Array:
-    """Return resistances of the nuisances that all runs share, shape (n, 9); see :func:`common_std`."""
+    """Return the resistances [N/kN per unit] of nuisances that all runs share, shape (n, 9); see :func:`common_std`."""
     v, traction, brake = dataset.speed, dataset.joined('traction'), dataset.joined('brake')
     slope = _rate(dataset.joined('gradient'), dataset) / np.maximum(v, 1.0)
     rates = _rate(traction, dataset), _rate(brake, dataset)
@@ -116,22 +117,22 @@ def common_columns(dataset: Dataset) -> Array:
 def common_std(train_file: TrainFile, *, weighed: bool) -> Array:
     """Return the prior standard deviations of :func:`common_columns`, shape (9,).
 
-    They are a, b, c; skew of traction and brake [s]; shift of the map [m]; gains of traction, brake and mass.
+    They are a, b, c; skew of traction and of brake [s]; shift of the map [m]; gains of traction, brake and mass [1].
     """
     davis = train_file.resistance
-    believed = np.abs(np.array([davis.a, davis.b, davis.c]))
+    magnitude = np.abs(np.array([davis.a, davis.b, davis.c]))
     mass = _MASS_WEIGHED if weighed else _MASS_UNWEIGHED
     others = (_TRACTION_SKEW_S, _BRAKE_SKEW_S, _MAP_SHIFT_M, _TRACTION_GAIN, _BRAKE_GAIN, mass)
-    return np.concatenate([_DAVIS_SHARE * believed + _DAVIS_FLOOR, others])
+    return np.concatenate([_DAVIS_SHARE * magnitude + _DAVIS_FLOOR, others])
 
 
 def prior_factor(common: Array, map_root: Array, spread: Spread) -> Array:
-    """Return L with L L' the prior covariance of nuisances that all runs share and errors of the map.
+    """Return L with L L' the prior covariance of nuisances that all runs share and of map errors.
 
     Args:
         common: Prior std of the former, shape (q,).
-        map_root: Factor of the correlation of the latter, shape (k, k).
-        spread: Sizes.
+        map_root: Cholesky factor of the correlation of the latter, shape (k, k).
+        spread: Standard deviations, of which that of the map is used.
 
     """
     q, k = len(common), len(map_root)
@@ -142,12 +143,12 @@ def prior_factor(common: Array, map_root: Array, spread: Spread) -> Array:
 
 
 def run_columns(dataset: Dataset) -> Array:
-    """Return resistances that each run has a factor of its own for, payload and brake, shape (n, 2)."""
+    """Return the resistances [N/kN] that each run scales with its own factors, payload and brake, shape (n, 2)."""
     return np.stack((-dataset.joined('traction'), -dataset.joined('brake')), axis=1)
 
 
 def _rate(force: Array, dataset: Dataset) -> Array:
-    """Return the rate of change of a force over each stage, per second."""
+    """Return the rate of change of a force over each stage, per second, shape (n,)."""
     change = np.zeros_like(force)
     change[1:-1] = 0.5 * (force[2:] - force[:-2])
     change[dataset.starts] = 0.0

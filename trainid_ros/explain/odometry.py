@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What distances between stops tell of the wheel: the integral of measured speed over the distance that is known.
+"""Wheel ratio from distances between stops: the integral of measured speed over the known distance.
 
-It is evidence for a wrong wheel diameter alone, apart from all dynamics.
+It is evidence for a wrong wheel diameter that is independent of the dynamics.
 """
 
 from __future__ import annotations
@@ -22,24 +22,24 @@ if TYPE_CHECKING:
     from trainid_ros.explain.run_data import Run
 
 _STOPPING_M: Final = 1.5
-"""How far from its stopping point a train may stand, both ends of a run together."""
+"""Std of the stopping position, both ends of a run together [m]."""
 _COMMON: Final = 0.0015
-"""Relative error of distances that all runs share: a map is no measuring tape."""
-_MOST: Final = 0.1
-"""A ratio further from one is no wheel's."""
+"""Relative error of the map's distances, common to all runs [1]."""
+_MAX_EXCESS: Final = 0.1
+"""Deviation of the ratio from one beyond which it is not due to the wheel [1]."""
 _NEAR_M: Final = 60.0
-"""How far from a stopping point a train counts as standing at it."""
+"""Distance from a stopping point within which a train counts as stopped there [m]."""
 _MEDIAN_VARIANCE: Final = 1.6
-"""Variance of the median of normal values over that of their mean (pi / 2, and a little for few values)."""
+"""Ratio of the variances of median and mean of normal values (pi / 2, slightly more for few values)."""
 
 
 @dataclass(frozen=True, slots=True)
 class Odometry:
-    """Measured over true distance, less one, from all runs together.
+    """Ratio of measured to true distance, from all runs.
 
     Attributes:
-        excess: The ratio less one, 0 if nothing is known.
-        precision: One over its variance, 0 if nothing is known.
+        excess: The ratio less one [1], 0 if unknown.
+        precision: Inverse of its variance [1], 0 if unknown.
 
     """
 
@@ -48,11 +48,17 @@ class Odometry:
 
     @classmethod
     def of(cls, dataset: Dataset, stops: Sequence[float]) -> Odometry:
-        """Return what the runs between two standstills tell."""
+        """Return the ratio from all runs between two standstills.
+
+        Args:
+            dataset: The dataset.
+            stops: Stopping positions of the line [m].
+
+        """
         ratios, weights = [], []
         for run, travelled in zip(dataset.runs, _travelled(dataset), strict=True):
             distance = _distance(run, travelled, stops)
-            if distance is not None and abs(travelled / distance - 1.0) < _MOST:
+            if distance is not None and abs(travelled / distance - 1.0) < _MAX_EXCESS:
                 ratios.append(travelled / distance - 1.0)
                 weights.append(distance)
         if len(ratios) < 2:
@@ -64,7 +70,7 @@ class Odometry:
 
 
 def _travelled(dataset: Dataset) -> list[float]:
-    """Return the integrals of speed without outliers, from standstill to standstill [m]."""
+    """Return the integrals of speed from standstill to standstill, with outliers interpolated [m]."""
     out = []
     edges = pairwise(np.append(dataset.starts, dataset.dt.size).tolist())
     for run, (start, end) in zip(dataset.runs, edges, strict=True):
@@ -74,14 +80,14 @@ def _travelled(dataset: Dataset) -> list[float]:
 
 
 def _distance(run: Run, travelled: float, stops: Sequence[float]) -> float | None:
-    """Return the distance between the stops of a run [m]: by the line if both are on it, otherwise as measured."""
+    """Return the distance between the stops of a run [m]: from the line if both are on it, otherwise as measured."""
     begin, end = run.stops
     if not (math.isfinite(begin) and math.isfinite(end)) or not run.positioned:
         return None
     if stops:
         line = np.array(stops)
         first, last = line[np.argmin(np.abs(line - begin))], line[np.argmin(np.abs(line - end))]
-        near = _NEAR_M + _MOST * travelled
+        near = _NEAR_M + _MAX_EXCESS * travelled
         if first != last and abs(first - begin) < near and abs(last - end) < near:
             return float(abs(last - first))
     return abs(end - begin) or None

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When an effect set in: the posterior over all times, since a slope at one time says nothing of others.
+"""Onset time of an effect: its posterior over all times, since a linearisation at one time is not valid at others.
 
-While the train stands nothing tells one time from another, so the likelihood is flat there and jumps elsewhere.
+While the train stands, the onset time has no influence on the data, so the likelihood is flat there and changes
+abruptly elsewhere.
 """
 
 from __future__ import annotations
@@ -21,22 +22,23 @@ if TYPE_CHECKING:
     from trainid_ros.explain.model import EffectTerm, Model
 
 _TIMES: Final = 120
+"""Grid points of the onset time."""
 
 
 def with_onsets(model: Model, hyper: Hyperparameters) -> Model:
-    """Return a fitted model whose effects that set in at some time have the spread of all times."""
+    """Return a fitted model in which effects with an onset time have the mean and variance of its posterior."""
     terms = model.terms
     timed = tuple(with_onset(term, model.without(k), hyper) for k, term in enumerate(terms))
-    return model if all(a is b for a, b in zip(timed, terms, strict=True)) else model.having(timed)
+    return model if all(a is b for a, b in zip(timed, terms, strict=True)) else model.with_terms(timed)
 
 
 def with_onset(term: EffectTerm, without: Model, hyper: Hyperparameters) -> EffectTerm:
-    """Return a fitted member with the best time of all and its true spread; as it is if it has no such parameter.
+    """Return a fitted effect with the posterior mean and variance of its onset time; unchanged if it has none.
 
     Args:
-        term: A fitted member.
+        term: The fitted effect.
         without: The model without it.
-        hyper: Sizes of noise and nuisances.
+        hyper: Hyperparameters of noise and nuisances.
 
     """
     kind = EFFECTS[term.name]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parts of the data in words that can stand in a sentence."""
+"""Names of parts of the data for use in sentences."""
 
 from __future__ import annotations
 
@@ -27,5 +27,5 @@ _RANGES: Final = {
 
 
 def place_text(axis: str, label: str) -> str:
-    """Return one part of an axis of :func:`~trainid_ros.explain.gap_location.locate` in words."""
+    """Return one part of an axis of :func:`~trainid_ros.explain.gap_location.locate` as text."""
     return _KINDS.get((axis, label)) or _RANGES.get(axis, f'{axis} {{}}').format(label)

@@ -5,7 +5,7 @@ With unit noise, columns C, nuisances N with prior covariance K and measurements
 
     A = C'C - C'N (N'N + K^-1)^-1 N'C,      b = C'y - C'N (N'N + K^-1)^-1 N'y,
 
-and an effect with column c and prior std s of its size has the Bayes factor
+and an effect with column c and prior std s of its amplitude has the Bayes factor
 
     2 ln B = b^2 / (A + s^-2) - ln(1 + s^2 A).
 
@@ -32,17 +32,17 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Gram:
-    """Products of whitened columns, those with the factors of single runs apart; summed over runs or run by run.
+    """Products of whitened columns, summed over runs or by run; those with the factors of single runs are separate.
 
     Attributes:
         total: Products of columns, sum over runs, shape (C, C), or by run, shape (R, C, C).
-        beside: Products of columns with the factors of the run, shape (R, C, F).
+        cross: Products of columns with the factors of the run, shape (R, C, F).
         own: Products of those factors, shape (R, F, F).
 
     """
 
     total: Array
-    beside: Array
+    cross: Array
     own: Array
 
     @classmethod
@@ -57,31 +57,34 @@ class Gram:
         return cls(total, runs[:, :, :C].transpose(0, 2, 1) @ own, own.transpose(0, 2, 1) @ own)
 
     def reduced(self, std: Array) -> tuple[Array, float]:
-        """Integrate the factors of runs out: products of columns like ``total``, and the log determinant it costs.
+        """Integrate out the factors of runs.
 
         Args:
             std: Prior standard deviation of each factor, shape (F,).
 
+        Returns:
+            Products of columns, shaped like ``total``, and the log determinant of the marginalisation.
+
         """
         weighted = self.own + np.diag(1.0 / np.square(std))
         _, log_det = np.linalg.slogdet(weighted)
-        scaled = self.beside @ np.linalg.inv(weighted)
+        scaled = self.cross @ np.linalg.inv(weighted)
         if self.total.ndim == 3:
-            left = self.total - scaled @ self.beside.transpose(0, 2, 1)
+            left = self.total - scaled @ self.cross.transpose(0, 2, 1)
         else:
-            left = self.total - np.concatenate([*scaled], axis=1) @ np.concatenate([*self.beside], axis=1).T
+            left = self.total - np.concatenate([*scaled], axis=1) @ np.concatenate([*self.cross], axis=1).T
         return left, float(log_det.sum() + len(self.own) * 2.0 * np.log(std).sum())
 
 
 @dataclass(frozen=True, slots=True)
 class Information:
-    """What the data tell of k columns after all nuisances; see the module.
+    """Information on k columns after elimination of all nuisances; see the module.
 
     Attributes:
         A: Products of the columns, shape (k, k).
         b: Products of the columns with y, shape (k,).
         yy: Product of y with itself.
-        log_det: Log determinant that the nuisances cost.
+        log_det: Log determinant of the marginalisation of the nuisances.
 
     """
 
@@ -91,7 +94,13 @@ class Information:
     log_det: float
 
     def given(self, terms: Sequence[int], std: Array) -> Information:
-        """Return what is left after some columns, with these prior stds, have become nuisances as well."""
+        """Return the information after elimination of some of the columns too.
+
+        Args:
+            terms: Indices of these columns.
+            std: Prior std of all columns, shape (k,).
+
+        """
         if not len(terms):
             return self
         index = list(terms)
@@ -109,7 +118,7 @@ class Information:
 
 
 def eliminate(products: Array, nuisances: int, prior_factor: Array) -> Information:
-    """Integrate the first columns but one out; column 0 is y.
+    """Integrate out the nuisances, which follow y in column 0.
 
     Args:
         products: Products of y, nuisances and candidates, shape (C, C).
@@ -120,6 +129,7 @@ def eliminate(products: Array, nuisances: int, prior_factor: Array) -> Informati
     n = nuisances
     own = products[1 : 1 + n, 1 : 1 + n]
     rest = np.concatenate([products[1 : 1 + n, :1], products[1 : 1 + n, 1 + n :]], axis=1)
+    # A and b of the module docstring, with K = L L'.
     inner = np.eye(n) + prior_factor.T @ own @ prior_factor
     factor = cho_factor(inner, lower=True)
     scaled = prior_factor.T @ rest
@@ -130,7 +140,7 @@ def eliminate(products: Array, nuisances: int, prior_factor: Array) -> Informati
 
 
 def posterior(products: Array, prior_factor: Array) -> tuple[Array, Array]:
-    """Return mean and covariance of all columns but y, which is column 0, shapes (n,) and (n, n).
+    """Return the posterior mean and covariance of the coefficients of all columns after y, shapes (n,) and (n, n).
 
     Args:
         products: Products of y and the columns, shape (1 + n, 1 + n).
@@ -143,23 +153,25 @@ def posterior(products: Array, prior_factor: Array) -> tuple[Array, Array]:
 
 
 def log_bayes(A: Array, b: Array, std: Array | float, sign: int = 0) -> Array:
-    """Return 2 ln B of single columns (see the module), shapes alike; ``sign`` keeps sizes above or below zero."""
+    """Return 2 ln B of single columns (see the module), same shape; ``sign`` restricts amplitudes to one side of 0."""
     from scipy.special import log_ndtr  # noqa: PLC0415 (slow to load)
 
     precision = A + 1.0 / np.square(std)
+    # 2 ln B of the module docstring.
     value = b * b / precision - np.log1p(A * np.square(std))
     if sign:
+        # Half-normal prior: twice the posterior probability of the permitted side.
         value = value + 2.0 * (log_ndtr(sign * b / np.sqrt(precision)) + np.log(2.0))
     return np.asarray(value)
 
 
 def group_log_bayes(A: Array, b: Array, std: float) -> float:
-    """Return 2 ln B of a group of columns whose sizes are independent with one prior std."""
+    """Return 2 ln B of a group of columns whose coefficients are independent with a common prior std."""
     inner = np.eye(len(b)) + std * std * A
     _, log_det = np.linalg.slogdet(inner)
     return float(std * std * b @ np.linalg.solve(inner, b) - log_det)
 
 
 def _log_det(factor: tuple[Array, bool]) -> float:
-    """Return the log determinant of a matrix by its Cholesky factor."""
+    """Return the log determinant of a matrix from its Cholesky factor."""
     return 2.0 * float(np.log(np.diag(factor[0])).sum())

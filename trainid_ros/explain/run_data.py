@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Runs: what a bag tells of the drive from one standstill to the next, as arrays.
+"""Runs: the samples of a bag from one standstill to the next, as arrays.
 
-A run begins when the train moves and ends when it stands. A gap in the data, an emergency brake or too long a drive
-ends it too; every run has an initial speed of its own.
+A run begins when the train moves and ends when it stands. A gap in the data, an emergency brake application or the
+maximum length ends it too; every run has its own initial speed.
 """
 
 from __future__ import annotations
@@ -27,41 +27,43 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 SLOWEST: Final = 0.3
-"""Below this speed [m/s] a train may be held, so the balance tells nothing."""
+"""Speed [m/s] below which the brake may hold the train, so the force balance is not valid."""
 LONGEST_S: Final = 240.0
-"""A drive without a stop is cut into runs of this length, so that gusts do not carry errors through all of it."""
+"""Maximum length of a run [s]: a longer drive is split, so that errors by gusts do not accumulate over all of it."""
 SHORTEST_S: Final = 15.0
-_PARTING: Final = 1e-3
-# Share of the positions of a run that must be measured to know where it is.
+"""Minimum length of a run [s]."""
+_STANDSTILL: Final = 1e-3
+"""Speed up to which the train stands [m/s]."""
+# Share of measured positions that a run needs to be located on the line.
 _MEASURED: Final = 0.5
 PULLING: Final = 1.0
-"""A traction above this counts as one [N/kN]; less is noise."""
+"""Traction above this is taken as traction [N/kN]; less is noise."""
 BRAKING: Final = -1.0
-"""The same of a brake [N/kN]."""
+"""Brake force below this is taken as braking [N/kN]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One run; row j tells of the stage from the sample before to sample j, row 0 of an instant.
+    """One run; row j describes the stage from sample j - 1 to sample j, row 0 a single instant.
 
     Attributes:
         bag: Number of the bag.
-        direction: +1 while positions rise, -1 while they fall.
-        time: Time since the first sample of all [s], shape (n,).
+        direction: +1 for rising positions, -1 for falling ones.
+        time: Time since the first sample of all bags [s], shape (n,).
         dt: Length of the stage [s], 0 in row 0.
         speed: Measured speed at the end of the stage [m/s].
-        position: Position of the front at the end of the stage [m]; the distance run if not measured.
+        position: Position of the front at the end of the stage [m]; the distance travelled if not measured.
         gradient: Mean over the stage [per mille, + uphill in the direction of travel].
         radius: Curve radius [m], 0 = straight.
         tunnel: 1 in a tunnel.
-        traction: Mean reported force beside the brake, per weight [N/kN].
-        brake: Mean force of the believed brake, per weight [N/kN, <= 0].
-        heat: Energy in the brake [J/kg].
+        traction: Mean reported force without that of the brake, per weight [N/kN].
+        brake: Mean brake force by the brake model of the train file, per weight [N/kN, <= 0].
+        heat: Energy stored in the brake per mass of the train [J/kg].
         since_release: Time since the brake was released [s], infinite before its first use.
         distance_run: Distance since the first sample of the bag [m].
-        positioned: True if position was measured, all but holes that are bridged.
-        weighed: True if the mass was.
-        stops: Measured positions at the standstills before and after [m], NaN where there is none.
+        positioned: True if the position was measured, except for interpolated gaps.
+        weighed: True if the mass was measured.
+        stops: Measured positions at the standstills before and after [m], NaN if there is none.
         travelled: Integral of measured speed between those standstills [m].
 
     """
@@ -91,12 +93,13 @@ _Row = tuple[float, float, float, float, float, float, float, float, float, floa
 
 @dataclass(slots=True)
 class RunCollector:
-    """Takes the samples of one bag in; gives its runs.
+    """Collects the samples of one bag into runs.
 
     Attributes:
-        train_file: What is believed.
+        train_file: Train file with the mass and the brake model.
         bag: Number of the bag.
-        origin_ns: Stamp from which times count; 0 = that of the first sample.
+        origin_ns: Time stamp at which times are zero; 0 = that of the first sample.
+        runs: Completed runs.
 
     """
 
@@ -117,7 +120,7 @@ class RunCollector:
     _weighed: bool = field(init=False, default=False)
 
     def add(self, sample: Sample) -> None:
-        """Take one sample in."""
+        """Add one sample."""
         self.origin_ns = self.origin_ns or sample.stamp_ns
         for change in sample.brake_changes:
             self._commands = self._commands.push(change)
@@ -130,8 +133,8 @@ class RunCollector:
             self._distance += moved
             self._travelled += moved
         self._speed = sample.speed
-        if sample.speed <= _PARTING:
-            self._stand(sample)
+        if sample.speed <= _STANDSTILL:
+            self._on_standstill(sample)
             return
         known = (sample.force_mean, sample.gradient_mean, sample.brake_command)
         if sample.emergency or not all(map(math.isfinite, known)):
@@ -140,7 +143,7 @@ class RunCollector:
         self._add_row(sample, brake)
 
     def _add_row(self, sample: Sample, brake: float) -> None:
-        # A brake that still releases at departure holds the train or drags it; who knows which.
+        # A brake that is still releasing at departure may hold the train or drag; which of them is unknown.
         if not self._rows and (sample.speed < SLOWEST or brake < BRAKE_APPLIED):
             return
         mass = sample.mass if math.isfinite(sample.mass) else self.train_file.train.mass
@@ -157,14 +160,19 @@ class RunCollector:
         if row[0] - self._rows[0][0] > LONGEST_S:
             self.end_run()
 
-    def _stand(self, sample: Sample) -> None:
+    def _on_standstill(self, sample: Sample) -> None:
         if self._rows:
             self.end_run(sample.position)
         self._start_position = sample.position
         self._travelled = 0.0
 
     def end_run(self, stop_position: float = math.nan) -> None:
-        """What comes next is another run; forget this one if it is too short."""
+        """End the current run; discard it if it is too short.
+
+        Args:
+            stop_position: Measured position of the standstill that ends it [m], NaN if there is none.
+
+        """
         rows, self._rows = self._rows, []
         while rows and rows[-1][2] < SLOWEST:
             rows.pop()
@@ -183,7 +191,7 @@ class RunCollector:
         self.runs.append(run)
 
     def _follow_brake(self, sample: Sample, *, gap: bool) -> float:
-        """Return the mean acceleration of the believed brake since the sample before [m/s^2, <= 0]."""
+        """Return the mean acceleration by the train file's brake model since the previous sample [m/s^2, <= 0]."""
         brake, now = self.train_file.brake, sample.stamp_ns
         delay_ns = round(brake.delay * NS_PER_S)
         before, self._stamp_ns = self._stamp_ns, now
@@ -195,7 +203,6 @@ class RunCollector:
         for duration, target in self._commands.segments(before - delay_ns, now - delay_ns):
             change += lag_integral(self._brake, target, brake.time_constant, duration)
             self._brake = lag_response(self._brake, target, brake.time_constant, duration)
-        # A delay found longer than believed looks back further than the believed one.
         self._commands = self._commands.prune(now - delay_ns)
         mean = brake.rate_at(sample.speed) * change / sample.dt
         self._since_release = 0.0 if self._brake < BRAKE_APPLIED else self._since_release + sample.dt
@@ -204,9 +211,9 @@ class RunCollector:
 
 
 def _bridged(position: Array, distance: Array) -> tuple[Array, bool]:
-    """Return positions with holes bridged by the distance run [m], shape (n,), and True if most were measured.
+    """Return positions with gaps bridged by the distance travelled [m], shape (n,), and True if most were measured.
 
-    Otherwise they are the distance run: no place on the line, but a way.
+    Otherwise return the distance travelled, which gives no location on the line.
     """
     known = np.isfinite(position)
     if np.mean(known) < _MEASURED:
@@ -217,10 +224,10 @@ def _bridged(position: Array, distance: Array) -> tuple[Array, bool]:
 
 
 def _traction(reported: float, brake: float) -> float:
-    """Return the force beside the brake [N/kN].
+    """Return the traction without the force of the brake [N/kN].
 
-    While the brake acts, it is known by its command. What is reported is the sum of both: above zero there is traction
-    still, below there is none.
+    While the brake acts, its force follows from its command. The reported force is the sum of both: if it is positive
+    there is still traction, otherwise there is none.
     """
     if not brake:
         return reported

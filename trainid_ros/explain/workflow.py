@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The workflow: simulate the belief, locate the gap, name what is missing, add it, show that the gap shrank."""
+"""The workflow: simulate the current model, locate the gap, identify missing effects, add them, validate the result."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ import numpy as np
 
 from trainid_ros.core.errors import NoAnswerError
 from trainid_ros.core.plural import pluralise
-from trainid_ros.explain.believed_effects import together, without_replaced
+from trainid_ros.explain.believed_effects import merged, without_replaced
 from trainid_ros.explain.dataset import assemble
 from trainid_ros.explain.effect_evaluation import EffectEvaluator
 from trainid_ros.explain.explanation import (
+    Alternative,
     Explanation,
     FoundEffect,
-    Likeness,
     NoiseLevels,
     RunTrace,
     Verdict,
@@ -28,7 +28,7 @@ from trainid_ros.explain.holdout import gap_of, hold_out
 from trainid_ros.explain.model import EffectTerm, Model
 from trainid_ros.explain.nuisances import DAVIS
 from trainid_ros.explain.onset import with_onsets
-from trainid_ros.explain.selection import LEFT_OVER, NAMELESS, Search
+from trainid_ros.explain.selection import GENERIC, LEFT_OVER, Search
 from trainid_ros.explain.slip import find_slip
 from trainid_ros.train.effects import EFFECTS
 from trainid_ros.train.train_file import Davis, Effect
@@ -47,21 +47,22 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-_FEWEST_SAMPLES: Final = 200
+_MIN_SAMPLES: Final = 200
 SEARCHED_S: Final = 3000.0
-"""Of longer drives, so much is searched for effects [s]."""
+"""Maximum driving time that is searched for effects [s]."""
 COMPARED_S: Final = 12000.0
-"""Of longer drives, so much tells the parameters of effects and the gap [s], so that time and memory are bounded."""
-# The equations of real effects differ a little from those of the library, and clocks are read at 5 Hz.
+"""Maximum driving time used to fit the effects and to measure the gap [s], to bound time and memory."""
+# Relative error of parameters, since equations of real effects differ slightly from those of the library.
 _EQUATION_SHARE: Final = 0.03
-# Gusts, loads and maps are nowhere so far from what they usually are; see Evidence.excess.
-_MOST_EXCESS: Final = 14.0
-# Beside effects with evidence of their own, they may be worse.
-_MOST_EXCESS_NAMED: Final = 30.0
-# No effect is so many times as large as it usually is.
-_MOST_USUAL: Final = 12.0
+# Limit of plausible gusts, payloads, brakes and map errors; see MarginalLikelihood.excess.
+_MAX_EXCESS: Final = 14.0
+# The same when effects with evidence of their own have been found.
+_MAX_EXCESS_NAMED: Final = 30.0
+# Limit of a plausible amplitude, in units of its usual value.
+_MAX_USUAL: Final = 12.0
 _WORSE: Final = 1.1
-"""Effects that make runs held out so much worse are not told, whatever their evidence."""
+"""Effects that increase the gap on held-out runs by this factor are not reported, whatever their evidence."""
+# Error of times [s]: time stamps are read at 5 Hz.
 _CLOCK_S: Final = 0.04
 
 
@@ -72,19 +73,19 @@ def _quiet(_: str) -> None:
 def explain(
     runs: Sequence[Run], train_file: TrainFile, *, provenance: str = '', advance: Callable[[str], None] = _quiet
 ) -> Explanation:
-    """Find what a believed model lacks.
+    """Find the effects that the model of a train file lacks.
 
     Args:
-        runs: Runs from station to station, of one or more bags.
-        train_file: What is believed.
-        provenance: Where added effects come from, for the train file.
-        advance: Called with the name of what is being done.
+        runs: Runs from stop to stop, of one or more bags.
+        train_file: Train file with the current model.
+        provenance: Origin of added effects, for the train file.
+        advance: Called with the name of each step.
 
     Raises:
         NoAnswerError: There is too little motion.
 
     """
-    if sum(run.time.size for run in runs) < _FEWEST_SAMPLES:
+    if sum(run.time.size for run in runs) < _MIN_SAMPLES:
         msg = f'{pluralise(len(runs), "run")} from stop to stop: too little motion to compare'
         raise NoAnswerError(msg)
     compared = _some(runs, COMPARED_S)
@@ -97,42 +98,42 @@ def explain(
         return explain(runs, rest, provenance=provenance, advance=advance)
     slip = find_slip(search.base.model.dataset)
     advance('held-out runs')
-    proof = _prove(selection, compared, train_file, slipping=slip is not None)
+    outcome = _assess(selection, compared, train_file, slipping=slip is not None)
     advance('places')
-    locations = locate(proof.base, proof.final, proof.hyper)
-    found = [] if proof.verdict is Verdict.UNEXPLAINED else _found(selection, proof.final, locations)
+    locations = locate(outcome.base, outcome.final, outcome.hyper)
+    found = [] if outcome.verdict is Verdict.UNEXPLAINED else _found(selection, outcome.final, locations)
     if slip is not None:
         found.append(_effect(*slip, (), 'bursts under traction and braking'))
-    davis, davis_std = _davis(proof.final, proof.hyper)
+    davis, davis_std = _davis(outcome.final, outcome.hyper)
     added = tuple(Effect(e.name, e.parameters, e.std, provenance) for e in found)
     return Explanation(
-        verdict=proof.verdict,
+        verdict=outcome.verdict,
         effects=tuple(found),
-        gap=proof.gap,
-        remaining=proof.remaining,
-        train_file=replace(train_file, resistance=davis, effects=together(train_file.effects, added)),
+        gap=outcome.gap,
+        remaining=outcome.remaining,
+        train_file=replace(train_file, resistance=davis, effects=merged(train_file.effects, added)),
         davis_std=davis_std,
         locations=locations,
-        traces=_traces(proof),
-        noise=_noise(proof.hyper),
-        outliers=float(np.mean(proof.base.dataset.outlier)),
-        weighed=proof.final.weighed,
+        traces=_traces(outcome),
+        noise=_noise(outcome.hyper),
+        outliers=float(np.mean(outcome.base.dataset.outlier)),
+        weighed=outcome.final.weighed,
         gradient_point=point,
     )
 
 
 @dataclass(frozen=True, slots=True)
-class _Proof:
-    """What can be told, and what shows it.
+class _Outcome:
+    """Verdict with the models and held-out gaps behind it.
 
     Attributes:
-        verdict: Outcome.
-        remaining: On what the rest of the gap depends.
-        hyper: Sizes of noise and nuisances.
+        verdict: The verdict.
+        remaining: One sentence on what the rest of the gap depends on.
+        hyper: Hyperparameters of noise and nuisances.
         base: Model without effects, of all runs compared.
-        final: Model with those that are told.
-        before: Gaps of runs held out, without effects; None with too few runs.
-        after: The same with them.
+        final: Model with the effects that are reported.
+        before: Gaps of held-out runs without effects; None with too few runs.
+        after: Gaps of held-out runs with the effects; None with too few runs.
 
     """
 
@@ -150,30 +151,30 @@ class _Proof:
         return gap_of(self.before, self.after, self.final)
 
 
-def _prove(selection: Selection, runs: Sequence[Run], train_file: TrainFile, *, slipping: bool) -> _Proof:
-    """Return the verdict on what was selected, with all runs compared."""
+def _assess(selection: Selection, runs: Sequence[Run], train_file: TrainFile, *, slipping: bool) -> _Outcome:
+    """Return the verdict on the selected effects, from all runs compared."""
     verdict = _verdict(selection, slipping=slipping)
-    # Effects that do not fit are not told, and nothing is calculated with them.
+    # Effects that do not fit are not reported and not used.
     reported = selection.base if verdict is Verdict.UNEXPLAINED else selection.final
     hyper, base, final = reported.hyper, selection.base.model, reported.model
     if len(base.dataset.runs) < len(runs):
         base = Model(_evaluator(runs, train_file), train_file)
-        final = with_onsets(base.having(reported.model.terms).fit(hyper), hyper)
+        final = with_onsets(base.with_terms(reported.model.terms).fit(hyper), hyper)
     before = hold_out(base, hyper)
-    proof = _Proof(verdict, _remaining(selection, verdict), hyper, base, final, before, hold_out(final, hyper))
-    if (gap := proof.gap) is None or gap.after <= _WORSE * gap.before:
-        return proof
-    # Whatever the likelihood says, runs that the fit never saw are not simulated better.
-    return _Proof(Verdict.UNEXPLAINED, _no_better(final, gap), hyper, base, base, before, before)
+    outcome = _Outcome(verdict, _remaining(selection, verdict), hyper, base, final, before, hold_out(final, hyper))
+    if (gap := outcome.gap) is None or gap.after <= _WORSE * gap.before:
+        return outcome
+    # Despite their evidence, the effects do not improve the simulation of held-out runs.
+    return _Outcome(Verdict.UNEXPLAINED, _no_better(final, gap), hyper, base, base, before, before)
 
 
 def _search(runs: Sequence[Run], train_file: TrainFile, advance: Callable[[str], None]) -> Search:
-    """Return the search in as many of the runs as are looked into for effects."""
+    """Return the search over a subset of the runs of at most :data:`SEARCHED_S`."""
     return Search(Model(_evaluator(_some(runs, SEARCHED_S), train_file), train_file), advance)
 
 
 def _evaluator(runs: Sequence[Run], train_file: TrainFile) -> EffectEvaluator:
-    """Return runs with what is believed of effects taken into account."""
+    """Return the evaluator of the runs, with the effects of the train file in the predicted speed."""
     evaluator = EffectEvaluator(assemble(runs, train_file), train_file)
     if not train_file.effects:
         return evaluator
@@ -181,7 +182,7 @@ def _evaluator(runs: Sequence[Run], train_file: TrainFile) -> EffectEvaluator:
 
 
 def _some(runs: Sequence[Run], seconds: float) -> Sequence[Run]:
-    """Return all runs, or so many of them, spread evenly, that they last so long."""
+    """Return all runs, or an evenly spaced subset that lasts about ``seconds``."""
     driven = sum(float(run.time[-1] - run.time[0]) for run in runs)
     if driven <= seconds:
         return runs
@@ -191,8 +192,8 @@ def _some(runs: Sequence[Run], seconds: float) -> Sequence[Run]:
 
 
 def _verdict(selection: Selection, *, slipping: bool) -> Verdict:
-    nameless = selection.groups[0].evidence if selection.groups else 0.0
-    if nameless > max(NAMELESS, LEFT_OVER * sum(selection.evidence)) or not _credible(selection, slipping=slipping):
+    generic = selection.groups[0].evidence if selection.groups else 0.0
+    if generic > max(GENERIC, LEFT_OVER * sum(selection.evidence)) or not _credible(selection, slipping=slipping):
         return Verdict.UNEXPLAINED
     if not selection.evidence:
         return Verdict.EXPLAINED if slipping else Verdict.NO_GAP
@@ -200,14 +201,14 @@ def _verdict(selection: Selection, *, slipping: bool) -> Verdict:
 
 
 def _credible(selection: Selection, *, slipping: bool) -> bool:
-    """Return False where effects were stretched beyond what they can be, or noise beyond what it is anywhere.
+    """Return False if an amplitude or the noise is implausibly large.
 
-    Bursts of slip are no gusts, but look like them.
+    With slip the noise is not checked, since its bursts look like gusts.
     """
     terms = selection.final.model.terms
-    most = _MOST_EXCESS_NAMED if terms else _MOST_EXCESS
+    most = _MAX_EXCESS_NAMED if terms else _MAX_EXCESS
     usual = slipping or selection.final.excess < most
-    return usual and all(term.size < _MOST_USUAL for term in terms)
+    return usual and all(term.size < _MAX_USUAL for term in terms)
 
 
 def _found(selection: Selection, model: Model, locations: tuple[Location, ...]) -> list[FoundEffect]:
@@ -222,19 +223,19 @@ def _found(selection: Selection, model: Model, locations: tuple[Location, ...]) 
 def _effect(term: EffectTerm, evidence: float, twins: Sequence[str], place: str) -> FoundEffect:
     kind = EFFECTS[term.name]
     drives = {twin.name: twin.drive for twin in kind.twins}
-    likenesses = tuple(Likeness(name, drives.get(name, kind.needs)) for name in twins)
+    alternatives = tuple(Alternative(name, drives.get(name, kind.needs)) for name in twins)
     parameters = tuple((name, float(value)) for name, value in term.parameters.items())
     std = tuple((name, _total_std(term, name, value)) for name, value in term.std.items())
     return FoundEffect(
-        kind.name, kind.title, kind.equation, kind.origin, parameters, std, float(evidence), place, likenesses
+        kind.name, kind.title, kind.equation, kind.origin, parameters, std, float(evidence), place, alternatives
     )
 
 
 def _total_std(term: EffectTerm, name: str, std: float) -> float:
-    """Return a standard deviation that knows that equations and clocks are not exact either."""
+    """Return a standard deviation that includes the errors of equations and clocks."""
     kind = EFFECTS[term.name]
     off = term.parameters[name] - (kind.neutral if name == kind.amplitude else 0.0)
-    # Places and times of day are no sizes.
+    # Positions and times have no relative error.
     sized = name == kind.amplitude or (kind.parameters[name].unit != 'm' and kind.parameters[name].search is not None)
     equation = _EQUATION_SHARE * off if sized else 0.0
     clock = _CLOCK_S if kind.parameters[name].unit == 's' else 0.0
@@ -242,7 +243,7 @@ def _total_std(term: EffectTerm, name: str, std: float) -> float:
 
 
 def _davis(model: Model, hyper: Hyperparameters) -> tuple[Davis, tuple[float, float, float]]:
-    """Return a, b, c as found together with the effects; what a train file cannot hold is cut off."""
+    """Return a, b, c as estimated with the effects, with their std; negative a and c are set to zero."""
     mean, covariance = model.posterior(hyper, model.whitener(hyper))
     std = np.sqrt(np.diag(covariance)[DAVIS]).tolist()
     return model.found_davis(mean), (std[0], std[1], std[2])
@@ -250,35 +251,35 @@ def _davis(model: Model, hyper: Hyperparameters) -> tuple[Davis, tuple[float, fl
 
 def _remaining(selection: Selection, verdict: Verdict) -> str:
     strongest = selection.groups[0] if selection.groups else None
-    if strongest is not None and strongest.evidence >= NAMELESS:
-        size = 'depends' if verdict is Verdict.UNEXPLAINED else 'depends a little'
+    if strongest is not None and strongest.evidence >= GENERIC:
+        size = 'depends' if verdict is Verdict.UNEXPLAINED else 'depends slightly'
         return f'The rest of the gap {size} on {strongest.text}, and no effect of the library fits it.'
     if verdict is Verdict.UNEXPLAINED:
-        return f'Forces that nobody measured are larger than noise can be: {_unusual(selection.final.hyper)}.'
+        return f'Unmeasured forces exceed plausible noise: {_unusual(selection.final.hyper)}.'
     return 'What is left is noise: gusts, errors of the map and of the sensors.'
 
 
 def _no_better(model: Model, gap: Gap) -> str:
-    """Return why effects with evidence are not told."""
+    """Return why effects with enough evidence are not reported."""
     names = ' and '.join(sorted({term.name for term in model.terms}))
     return (
-        f'What looks like {names} does not hold: runs that the fit never saw would be simulated worse with it '
-        f'({gap.before:.3f} to {gap.after:.3f} m/s).'
+        f'The evidence for {names} is not confirmed: the gap on held-out runs would increase from {gap.before:.3f} to '
+        f'{gap.after:.3f} m/s.'
     )
 
 
 def _unusual(hyper: Hyperparameters) -> str:
-    """Return the sizes that passing forces, loads, brakes and maps would need to have, in words."""
+    """Return as text the gusts, payloads, brakes and map errors that would be needed to explain the gap."""
     noise, spread = hyper.noise, hyper.spread
     return (
-        f'gusts of {noise.gust:.2f} N/kN that last {noise.gust_time:.0f} s, loads off by {spread.payload:.1%}, '
-        f'brakes by {spread.brake:.1%} from run to run, the map by {spread.map:.2f} per mille'
+        f'gusts of {noise.gust:.2f} N/kN lasting {noise.gust_time:.0f} s, errors of {spread.payload:.1%} of the mass, '
+        f'{spread.brake:.1%} of the brake force from run to run and {spread.map:.2f} per mille of the map gradient'
     )
 
 
-def _traces(proof: _Proof) -> tuple[RunTrace, ...]:
+def _traces(outcome: _Outcome) -> tuple[RunTrace, ...]:
     """Return all runs with their gaps for plots."""
-    model, before, after = proof.final, proof.before, proof.after
+    model, before, after = outcome.final, outcome.before, outcome.after
     dataset = model.dataset
     position, speed = dataset.average(dataset.joined('position')), dataset.average(dataset.speed)
     nothing = np.full(model.residual.size, np.nan)

@@ -1,2 +1,2 @@
 # SPDX-License-Identifier: Apache-2.0
-"""HTML reports of what was identified."""
+"""HTML reports of the identification."""

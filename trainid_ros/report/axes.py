@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What several figures of a report draw alike: bands, steps of the truth, spans, time axes, legends."""
+"""Elements shared by the figures of a report: bands, steps of the truth, spans, time axes, legends."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from trainid_ros.report.traces import Array, Span
 
-# More points than a figure has dots say nothing more.
+# More points than a figure has pixels add no information.
 POINTS: Final = 700
 _LIGHT: Final = 0.16
 _DARK: Final = 0.3
@@ -34,12 +34,12 @@ PRIOR_LINE: Final = Line2D([], [], color=MUTED, linestyle=(0, (1, 1.5)), label='
 
 
 def pick(length: int) -> slice:
-    """Return a slice that leaves at most about :data:`POINTS` of so many points."""
+    """Return a slice that thins ``length`` points to at most :data:`POINTS`."""
     return slice(None, None, max(1, -(-length // POINTS)))
 
 
 def minutes(time_s: Array) -> Array:
-    """Return seconds in minutes, the unit of all time axes."""
+    """Convert seconds to minutes, the unit of all time axes."""
     return time_s / 60.0
 
 
@@ -57,7 +57,7 @@ def draw_steps(axes: Axes, x: Array, value: Array) -> None:
 
 
 def draw_prior(axes: Axes, value: float) -> None:
-    """Draw what the train file says."""
+    """Draw the value of the train file."""
     axes.axhline(value, color=MUTED, linestyle=(0, (1, 1.5)), linewidth=1.2)
 
 
@@ -77,7 +77,7 @@ def draw_spans(axes: Axes, spans: Iterable[Span], colours: Mapping[str, str], al
 
 
 def limit(axes: Axes, values: Sequence[Array], margins: float = 0.12) -> None:
-    """Fit the value axis to what matters, so that a wide band at the start does not flatten the rest."""
+    """Fit the value axis to these values, so that a wide band at the start does not compress the rest."""
     known = np.concatenate([value[np.isfinite(value)] for value in values])
     if not len(known):
         return
@@ -93,5 +93,5 @@ def time_axis(axes: Axes, duration_s: float) -> None:
 
 
 def legend_above(figure: Figure, handles: Sequence[Artist]) -> None:
-    """Put one legend for all panels in a row above them."""
+    """Draw one legend for all panels in a row above them."""
     figure.legend(handles=list(handles), loc='outside upper right', ncols=len(handles))

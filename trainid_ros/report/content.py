@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a report says: chapters of traces with the numbers that belong to them."""
+"""Content of a report: chapters of traces with their estimates."""
 
 from __future__ import annotations
 
@@ -22,7 +22,13 @@ _LIBRARIES: Final = ('numpy', 'scipy', 'rclpy')
 
 @dataclass(frozen=True, slots=True)
 class RejectionCounts:
-    """Why records and samples were not used by one estimator: (reason, how often)."""
+    """Records and samples that one estimator did not use.
+
+    Attributes:
+        estimator: Name of the estimator.
+        counts: Number by reason.
+
+    """
 
     estimator: str
     counts: tuple[tuple[Reason, int], ...]
@@ -36,14 +42,14 @@ class Chapter:
         title: Heading.
         bag: Name of the bag.
         train_file_name: Name of the train file.
-        train_file: What was believed before.
-        how: How it was run, in words.
-        traces: What to plot.
-        resistance: Last output of the resistance.
+        train_file: The train file, whose values are the priors.
+        how: How the estimators were run, as text.
+        traces: Time series to plot.
+        resistance: Last output of the resistance estimator.
         speed_model: Last output of AM-VFF-RLS.
         brake_rate: Last output of GSMA.
-        rejections: Why samples were not used, by estimator.
-        truth: What was true, None if nobody knows.
+        rejections: Rejected samples by estimator.
+        truth: True parameters, None if unknown.
         notes: Further sentences, such as the outcome of a comparison.
 
     """
@@ -71,7 +77,7 @@ class Report:
 
 
 def versions() -> tuple[str, ...]:
-    """Return names and versions of what computed the numbers; libraries that are not installed are left out."""
+    """Return names and versions of the software used; libraries that are not installed are left out."""
     found = [f'trainid_ros {__version__}', f'Python {platform.python_version()}']
     for library in _LIBRARIES:
         try:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The report of an explanation: the story in words first, then the figures, then the numbers."""
+"""Report of an explanation: the findings as text, then the figures, then the tables."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ from trainid_ros.report.page import page, write_page
 from trainid_ros.report.place_figures import missing_along_line, missing_by_part
 from trainid_ros.report.tables import html_table
 from trainid_ros.report.words import (
+    alternatives,
     davis_rows,
-    doubts,
     drive_text,
     gap_sentence,
     headline,
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from trainid_ros.report.gap_figures import Stretches
     from trainid_ros.train.train_file import TrainFile
 
-# The tag has the colours of an estimator's status.
+# The tag has the colours of the estimators' statuses.
 _TAGS: Final = {
     Verdict.EXPLAINED: 'VALID',
     Verdict.NO_GAP: 'HOLDING',
@@ -42,35 +42,35 @@ _TAGS: Final = {
     Verdict.UNEXPLAINED: 'FAULT',
 }
 _FOOTER: Final = (
-    'Missing resistance is what the believed model lacks, in N per kN of train weight, + where the train runs harder. '
-    'Speed gap is measured less simulated speed. Bands are two standard deviations.'
+    'Missing resistance is what the current model (train file) lacks, in N per kN of train weight; positive: more '
+    'resistance. Speed gap is measured less simulated speed. Bands are ±2 standard deviations.'
 )
 
 
 @dataclass(frozen=True, slots=True)
 class Explained:
-    """An explanation with what belongs to it.
+    """An explanation with the inputs it was made from.
 
     Attributes:
         title: Heading.
-        explanation: What the workflow found.
-        believed: The train file before.
-        train_file_name: Its name.
+        explanation: Result of the workflow.
+        train_file: Train file given to the workflow.
+        train_file_name: Name of the train file.
         bags: Names of the bags.
-        notes: Further sentences, such as what was true.
+        notes: Further sentences, such as the truth.
 
     """
 
     title: str
     explanation: Explanation
-    believed: TrainFile
+    train_file: TrainFile
     train_file_name: str
     bags: tuple[str, ...]
     notes: tuple[str, ...] = ()
 
 
 def write_explained(explained: Explained, path: str | Path) -> None:
-    """Write the report, with the folders it needs.
+    """Write the report and create missing folders.
 
     Raises:
         InputError: The file cannot be written.
@@ -82,7 +82,7 @@ def write_explained(explained: Explained, path: str | Path) -> None:
 def render_explained(explained: Explained) -> str:
     """Return the report as HTML text."""
     return page(
-        explained.title, _head(explained) + _story(explained) + _figures(explained) + _tables(explained), _FOOTER
+        explained.title, _head(explained) + _findings(explained) + _figures(explained) + _tables(explained), _FOOTER
     )
 
 
@@ -101,23 +101,23 @@ def _head(explained: Explained) -> str:
     )
 
 
-def _story(explained: Explained) -> str:
+def _findings(explained: Explained) -> str:
     explanation = explained.explanation
     where = [f'{effect.name}: {effect.where}' for effect in explanation.effects]
     parts = (
-        ('What is missing', [_what(explanation, i) for i in range(len(explanation.effects))]),
+        ('Missing effects', [_what(explanation, i) for i in range(len(explanation.effects))]),
         ('Where', where or [strong_text(strong) for strong in strongest(explanation)]),
-        ('How sure', [f'{effect.name}: {how_sure(effect)}' for effect in explanation.effects]),
-        ('What else it could be, and what to drive next', doubts(explanation)),
-        ('Does the gap shrink', [gap_sentence(explanation)]),
-        ('What remains', [explanation.remaining]),
+        ('Evidence', [f'{effect.name}: {how_sure(effect)}' for effect in explanation.effects]),
+        ('Alternatives, and test runs to distinguish them', alternatives(explanation)),
+        ('Gap before and after', [gap_sentence(explanation)]),
+        ('Remaining gap', [explanation.remaining]),
     )
     return ''.join(f'<h3>{name}</h3>{_paragraphs(lines)}' for name, lines in parts if lines)
 
 
 def _what(explanation: Explanation, index: int) -> str:
     effect = explanation.effects[index]
-    side = 'A sensor is wrong, not the train.' if effect.origin == 'sensor' else 'The train runs so, no sensor errs.'
+    side = 'This is a sensor error.' if effect.origin == 'sensor' else 'This is physical, not a sensor error.'
     return f'{effect.name}, {effect.title}: {effect.equation}, with {parameters_text(effect)}. {side}'
 
 
@@ -128,28 +128,28 @@ def _paragraphs(lines: list[str]) -> str:
 
 
 def _figures(explained: Explained) -> str:
-    explanation, line = explained.explanation, explained.believed.line
+    explanation, line = explained.explanation, explained.train_file.line
     found = _stretches(explanation)
     figures = (
         (
             'Gap',
-            'The sizes of effects come from other runs; which there are, and where, all have told.',
+            'Amplitudes of effects are fitted to the other runs; which effects and where comes from all runs.',
             gap_bars(explanation),
         ),
         (
             'Missing resistance along the line',
-            'What has to be added to the model for it to follow the data, with ±2 std.',
+            'Resistance to be added to the model to match the data, with ±2 std.',
             missing_along_line(explanation, line, found),
         ),
         (
             'Speed gap along the line',
-            'Measured less simulated speed, run by run. What belongs to a place bends every run there: a drag slows '
-            'the train down both ways, a wrong gradient one way only.',
+            'Measured less simulated speed of each run. An effect at one place changes the slope of every run there: '
+            'a drag slows the train in both directions, a wrong gradient in one direction only.',
             gap_along_line(explanation, line, found),
         ),
         (
             'Missing resistance by speed, mode and so on',
-            'Each axis by itself, with ±2 std: an effect shows along several of them.',
+            'Each axis separately, with ±2 std; one effect may show on several axes.',
             missing_by_part(explanation),
         ),
         ('Single runs', _runs_caption(explanation), gap_of_runs(explanation)),
@@ -162,12 +162,12 @@ def _figures(explained: Explained) -> str:
 
 
 def _runs_caption(explanation: Explanation) -> str:
-    runs, band = len(explanation.traces), 'the band in which a right model would stay 95 % of the time'
-    return f'The only run, and {band}.' if runs == 1 else f'Those of the {runs} runs with the largest gaps, and {band}.'
+    runs, band = len(explanation.traces), 'the band that contains 95 % of the gap of a correct model'
+    return f'The only run, and {band}.' if runs == 1 else f'Of {runs} runs those with the largest gaps, and {band}.'
 
 
 def _stretches(explanation: Explanation) -> Stretches:
-    """Return from where to where those effects reach that have a place."""
+    """Return start and end [m] of the effects that act on a section of the line."""
     found = []
     for effect in explanation.effects:
         values = dict(effect.parameters)
@@ -196,11 +196,11 @@ def _effects_table(explanation: Explanation) -> str:
 
 
 def _davis_table(explained: Explained) -> str:
-    rows = [(name, unit, old, new) for name, old, new, unit in davis_rows(explained.explanation, explained.believed)]
+    rows = [(name, unit, old, new) for name, old, new, unit in davis_rows(explained.explanation, explained.train_file)]
     caption = 'Running resistance w(v) = a + b v + c v²'
-    return html_table(caption, ('', 'unit', 'believed', 'found ± std'), rows, text_columns=2)
+    return html_table(caption, ('', 'unit', 'train file', 'estimate ± std'), rows, text_columns=2)
 
 
 def _noise_table(explanation: Explanation) -> str:
     rows = [(name, unit, size) for name, size, unit in noise_rows(explanation)]
-    return html_table('Noise and nuisances, estimated with the effects', ('', 'unit', 'size'), rows, text_columns=2)
+    return html_table('Noise and nuisances, estimated with the effects', ('', 'unit', 'value'), rows, text_columns=2)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The figures of a report; each returns an SVG element, or nothing where there is nothing to show."""
+"""Figures of a report; each function returns an SVG element, or an empty string without data."""
 
 from __future__ import annotations
 
@@ -79,7 +79,7 @@ _PARAMETERS: Final = ('a [N/kN]', 'b [N/kN per m/s]', 'c [N/kN per (m/s)²]')
 
 
 def shown_speeds(chapter: Chapter) -> tuple[float, ...]:
-    """Return three speeds [m/s] among those learned from: low, middle, high."""
+    """Return a low, a middle and a high speed [m/s] of the range learned from."""
     low, high = chapter.traces.resistance.speed_range
     if high <= low:
         low, high = 0.0, chapter.train_file.train.max_speed
@@ -92,14 +92,14 @@ def _handles(chapter: Chapter) -> list[Artist]:
 
 
 def _settled(values: Array, std: Array, usable: NDArray[np.bool_]) -> list[Array]:
-    """Return what the value axis must show: the band where the estimate is fit to use, else the estimate."""
+    """Return the values that the axis must show: the band where the estimate is usable, otherwise the estimate."""
     if usable.any():
         return [(values - SIGMA_95 * std)[usable], (values + SIGMA_95 * std)[usable]]
     return [values]
 
 
 def resistance_over_time(chapter: Chapter) -> str:
-    """Return w at three speeds, and a, b, c, over time."""
+    """Plot w at three speeds, and a, b, c, over time."""
     if not len(chapter.traces.resistance.time_s):
         return ''
     with house_style():
@@ -146,7 +146,7 @@ def _draw_quantity(axes: Axes, chapter: Chapter, phi: Array) -> None:
 
 
 def resistance_curve(chapter: Chapter) -> str:
-    """Return w(v) at the end with its band, the prior, the truth, and how long each speed was driven."""
+    """Plot w(v) at the end with its band, the prior, the truth, and the driving time at each speed."""
     trace = chapter.traces.resistance
     if not len(trace.time_s):
         return ''
@@ -189,7 +189,7 @@ def _draw_time_driven(axes: Axes, chapter: Chapter) -> None:
 
 
 def brake_rate_over_time(chapter: Chapter) -> str:
-    """Return the brake rate over time, shaded where braking tells something about it."""
+    """Plot the brake rate over time, shaded where it is observable."""
     trace, duration_s = chapter.traces.brake_rate, chapter.traces.duration_s
     if not len(trace.time_s):
         return ''
@@ -217,7 +217,7 @@ def brake_rate_over_time(chapter: Chapter) -> str:
 
 
 def speed_profile(chapter: Chapter) -> str:
-    """Return speed and gradient over time with the driving modes shaded."""
+    """Plot speed and gradient over time with the driving modes shaded."""
     drive, duration_s = chapter.traces.drive, chapter.traces.duration_s
     if not len(drive.time_s):
         return ''
@@ -238,7 +238,7 @@ def speed_profile(chapter: Chapter) -> str:
 
 
 def innovation_ratios(chapter: Chapter) -> str:
-    """Return the innovation test ratios of resistance and brake rate on a logarithmic scale with their gate."""
+    """Plot the innovation test ratios of resistance and brake rate on a logarithmic scale with their gate."""
     traces = chapter.traces
     both = (
         ('Resistance', traces.resistance.ratio_time_s, traces.resistance.ratio),
@@ -258,7 +258,7 @@ def innovation_ratios(chapter: Chapter) -> str:
 
 
 def _draw_ratio(axes: Axes, time_s: Array, ratio: Array) -> None:
-    # Bins keep their greatest ratio, so no refused innovation is lost to thinning.
+    # Bins keep their greatest ratio, so no rejected innovation is lost by thinning.
     step = max(1, -(-len(ratio) // 900))
     starts = np.arange(0, len(ratio), step)
     greatest = np.maximum(np.maximum.reduceat(ratio, starts), 1e-4)
@@ -273,7 +273,7 @@ def _draw_ratio(axes: Axes, time_s: Array, ratio: Array) -> None:
 
 
 def speed_model_over_time(chapter: Chapter) -> str:
-    """Return what the speed model means physically: w at the middle speed and the mass factor."""
+    """Plot the speed model in physical terms: w at the middle speed and the mass factor."""
     trace = chapter.traces.speed_model
     if not len(trace.time_s):
         return ''
@@ -300,7 +300,7 @@ def speed_model_over_time(chapter: Chapter) -> str:
 
 
 def status_timeline(chapter: Chapter) -> str:
-    """Return the status of the three estimators over time."""
+    """Plot the status of the three estimators over time."""
     traces = chapter.traces
     lanes: tuple[tuple[str, tuple[Span, ...]], ...] = (
         ('resistance', traces.resistance.statuses),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A chapter from a replay."""
+"""Make a chapter of a report from a replay."""
 
 from __future__ import annotations
 

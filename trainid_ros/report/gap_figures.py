@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of the gap between simulation and data; each returns an SVG element, or nothing without data."""
+"""Figures of the gap between simulation and data; each returns an SVG element, or an empty string without data."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 BEFORE: Final = BRAKE
 AFTER: Final = ESTIMATE
-BEFORE_LINE: Final = Line2D([], [], color=BEFORE, label='believed model')
+BEFORE_LINE: Final = Line2D([], [], color=BEFORE, label='current model')
 AFTER_LINE: Final = Line2D([], [], color=AFTER, label='with the effects')
 NOISE_BAND: Final = Patch(color=STAND, alpha=0.35, linewidth=0, label='±2 std of noise')
 _STRETCH: Final = Patch(color=WAIT, alpha=0.3, linewidth=0, label='effect found here')
@@ -35,17 +35,17 @@ _CURVE: Final = Patch(color=GOOD, alpha=0.35, linewidth=0, label='curve')
 _WIDE: Final = 10.4
 _RUNS: Final = 12
 _ACROSS: Final = 3
-# More lines than these in one panel cannot be told apart.
+# With more lines in one panel they cannot be distinguished.
 _LINES: Final = 60
 Stretches = tuple[tuple[float, float], ...]
 
 
 def gap_bars(explanation: Explanation) -> str:
-    """Return the gap before and after beside what noise would leave."""
+    """Plot the gap before and after, with the noise floor."""
     gap = explanation.gap
     if gap is None:
         return ''
-    bars = [('noise alone', gap.noise_floor, STAND), ('believed model', gap.before, BEFORE)]
+    bars = [('noise alone', gap.noise_floor, STAND), ('current model', gap.before, BEFORE)]
     if explanation.effects:
         bars.insert(1, ('with the effects', gap.after, AFTER))
     names, values, colours = zip(*bars, strict=True)
@@ -54,14 +54,14 @@ def gap_bars(explanation: Explanation) -> str:
         axes = figure.subplots()
         drawn = axes.barh(names, values, color=colours)
         axes.bar_label(drawn, [f'{value:.3f}' for value in values], padding=4)
-        axes.set_xlabel('rms of simulated less measured speed on runs held out [m/s]')
+        axes.set_xlabel('RMS of simulated less measured speed on held-out runs [m/s]')
         axes.set_xlim(0.0, 1.12 * max(values) or 1.0)
         axes.grid(visible=False, axis='y')
-        return to_svg(figure, 'Gap before and after beside the noise')
+        return to_svg(figure, 'Gap before and after, with the noise floor')
 
 
 def gap_along_line(explanation: Explanation, line: Line, found: Stretches) -> str:
-    """Return the speed gap of the runs, at most some 60 of them, by position, each direction by itself."""
+    """Plot the speed gap by position, each direction separately, of at most about 60 runs each."""
     seen = [trace for trace in explanation.traces if _has_gap(trace)]
     ways = [way for way in (1, -1) if any(trace.direction == way for trace in seen)]
     if not ways:
@@ -85,14 +85,14 @@ def gap_along_line(explanation: Explanation, line: Line, found: Stretches) -> st
 
 
 def line_handles(line: Line, found: Stretches) -> list[Patch]:
-    """Return the legend of what :func:`draw_place` draws."""
+    """Return the legend entries of :func:`draw_place`."""
     curved = any(radius > 0.0 for _, radius in line.curve)
     shown = ((_STRETCH, bool(found)), (_TUNNEL, bool(line.tunnel)), (_CURVE, curved))
     return [handle for handle, there in shown if there]
 
 
 def draw_place(axes: Axes, line: Line, found: Stretches) -> None:
-    """Draw tunnels, curves and stops of a line into a plot by position, and shade where effects were found."""
+    """Draw tunnels, curves and stops of a line into a plot by position, and shade the sections of effects found."""
     across = axes.get_xaxis_transform()
     for start, end in found:
         axes.axvspan(start, end, color=WAIT, alpha=0.3, linewidth=0)
@@ -113,7 +113,7 @@ def _fit_positions(axes: Axes, positions: Array) -> None:
 
 
 def gap_of_runs(explanation: Explanation) -> str:
-    """Return speed gaps by time with the noise band, for the runs with the largest ones."""
+    """Plot speed gaps by time with the noise band, for the runs with the largest gaps."""
     traces = _worst(explanation.traces)
     if not traces:
         return ''
@@ -134,7 +134,7 @@ def gap_of_runs(explanation: Explanation) -> str:
 
 
 def _has_gap(trace: RunTrace) -> bool:
-    """Return False for a run that nothing was fitted beside: it has no gap to show."""
+    """Return False for a run without a gap: it could not be held out because there are too few runs."""
     return bool(trace.time.size and np.isfinite(trace.before).any())
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A report as one HTML file that needs nothing else: styles and figures are inside, there are no scripts."""
+"""Render a report as one self-contained HTML file: styles and figures are embedded, there are no scripts."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
 
 
 def write_report(report: Report, path: str | Path) -> None:
-    """Write a report, with the folders it needs.
+    """Write a report and create missing folders.
 
     Raises:
         InputError: The file cannot be written.
@@ -78,21 +78,21 @@ def _facts(chapter: Chapter) -> str:
 def _figures(chapter: Chapter) -> str:
     figures = (
         ('Resistance over time', _over_time_caption(chapter), resistance_over_time(chapter)),
-        ('Resistance curve', 'What an ATO controller or a driver advisory would use.', resistance_curve(chapter)),
+        ('Resistance curve', 'Resistance for use by ATO or driver advisory systems.', resistance_curve(chapter)),
         (
             'Brake rate',
-            'Actual over expected braking. It can be learned only while the brake acts; in between the band widens.',
+            'Ratio of actual to nominal braking. Observable only while the brake acts; in between the band widens.',
             brake_rate_over_time(chapter),
         ),
-        ('Drive', 'What the train did.', speed_profile(chapter)),
-        ('Status', 'HOLDING: inputs are fine, there is nothing to learn now.', status_timeline(chapter)),
+        ('Drive', 'Speed, gradient and driving modes.', speed_profile(chapter)),
+        ('Status', 'HOLDING: inputs are valid, but there is no information to learn from.', status_timeline(chapter)),
         (
             'Innovations',
-            'Squared innovation over squared gate times its variance, the greatest of each bin; above 1 (red) no '
-            'sample is learned from.',
+            'Squared innovation over squared gate times its variance, the greatest of each bin; above 1 (red) the '
+            'sample is rejected.',
             innovation_ratios(chapter),
         ),
-        ('Speed model', 'The second estimator, in the same physical terms.', speed_model_over_time(chapter)),
+        ('Speed model', 'Parameters of the speed model in the same physical terms.', speed_model_over_time(chapter)),
     )
     return ''.join(
         f'<figure><h3>{name}</h3><p class="caption">{escape(caption)}</p>{svg}</figure>'
@@ -102,5 +102,5 @@ def _figures(chapter: Chapter) -> str:
 
 
 def _over_time_caption(chapter: Chapter) -> str:
-    truth = ' Dashed: what was true.' if chapter.truth is not None else ''
-    return f'Left: running resistance at three speeds. Right: the parameters behind it.{truth}'
+    truth = ' Dashed: truth.' if chapter.truth is not None else ''
+    return f'Left: running resistance at three speeds. Right: its Davis parameters.{truth}'

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The frame of every report: one HTML file with its style inside, without scripts."""
+"""Page frame of all reports: one HTML file with embedded style, without scripts."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from trainid_ros.report.style import css
 
 
 def page(title: str, body: str, footer: str) -> str:
-    """Return a page.
+    """Return a page as HTML text.
 
     Args:
-        title: Its heading, as text.
-        body: What stands below, as HTML.
-        footer: A last line, as text.
+        title: Heading, as text.
+        body: Content, as HTML.
+        footer: Last line, as text.
 
     """
     name = escape(title)
@@ -31,7 +31,7 @@ def page(title: str, body: str, footer: str) -> str:
 
 
 def write_page(text: str, path: str | Path) -> None:
-    """Write a page, with the folders it needs.
+    """Write a page and create missing folders.
 
     Raises:
         InputError: The file cannot be written.

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of the resistance that a model lacks, along the line and by whatever else it may depend on."""
+"""Figures of the resistance that a model lacks, along the line and by speed, driving mode and so on."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ _WIDE: Final = 10.4
 _ACROSS: Final = 2
 _SIGMAS: Final = 2.0
 _MISSING: Final = 'missing [N/kN]'
-# With more names than these none could be read.
+# With more labels they would not be readable.
 _NAMES: Final = 10
-# Where little was driven the std is that of no knowledge, and would flatten the rest.
-_VAGUE: Final = 4.0
+# Multiple of the median std beyond which a part does not define the axis: with little driving it is almost the prior.
+_MAX_STD: Final = 4.0
 
 
 def missing_along_line(explanation: Explanation, line: Line, found: Stretches) -> str:
-    """Return the missing resistance by position, before and after."""
+    """Plot the missing resistance by position, before and after."""
     shown = [location for location in explanation.locations if _is_position(location) and location.places]
     if not shown:
         return ''
@@ -56,7 +56,7 @@ def missing_along_line(explanation: Explanation, line: Line, found: Stretches) -
 
 
 def missing_by_part(explanation: Explanation) -> str:
-    """Return the missing resistance along all other axes."""
+    """Plot the missing resistance along all other axes."""
     shown = [location for location in explanation.locations if not _is_position(location) and location.places]
     if not shown:
         return ''
@@ -131,8 +131,8 @@ def _draw_kinds(axes: Axes, places: Sequence[Place]) -> None:
 
 
 def _fit(axes: Axes, places: Sequence[Place]) -> None:
-    vague = _VAGUE * float(np.median([place.std for place in places]))
-    known = [place for place in places if place.std <= vague]
+    largest = _MAX_STD * float(np.median([place.std for place in places]))
+    known = [place for place in places if place.std <= largest]
     ends = [
         np.array([value - _SIGMAS * place.std, value + _SIGMAS * place.std, 0.0])
         for place in known

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far estimates were from a known truth, and whether their standard deviations were honest."""
+"""Accuracy of estimates against a known truth, and coverage of their standard deviations."""
 
 from __future__ import annotations
 
@@ -24,15 +24,15 @@ SIGMA_95: Final = 1.959964
 
 @dataclass(frozen=True, slots=True)
 class AccuracyScore:
-    """Errors over all outputs that were fit to use.
+    """Errors over all usable outputs (VALID or HOLDING), in the unit of the quantity.
 
     Attributes:
-        outputs: How many outputs were compared.
-        bias: Mean of estimate less truth.
-        rms: Root mean square of it.
-        last: The last of these errors.
-        inside_68: Share of them within one published standard deviation.
-        inside_95: Share of them within 1.96 of it.
+        outputs: Number of outputs compared.
+        bias: Mean error, estimate less truth.
+        rms: Root mean square error.
+        last: Error of the last output.
+        inside_68: Share of errors within one published standard deviation [1].
+        inside_95: Share of errors within 1.96 standard deviations [1].
 
     """
 
@@ -45,7 +45,7 @@ class AccuracyScore:
 
 
 def resistance_std(covariance: Array, speed: float | Array) -> Array:
-    """Return the standard deviation of w [N/kN] at a speed [m/s] for covariances of shape (..., 3, 3)."""
+    """Return the standard deviation of w [N/kN] at a speed [m/s] for covariances of a, b, c, shape (..., 3, 3)."""
     v = np.asarray(speed, dtype=np.float64)
     phi = np.stack([np.ones_like(v), v, v * v], axis=-1)
     variance: Array = np.einsum('...i,...ij,...j->...', phi, covariance, phi)
@@ -54,19 +54,19 @@ def resistance_std(covariance: Array, speed: float | Array) -> Array:
 
 
 def resistance_at(theta: Array, speed: float | Array) -> Array:
-    """Return w [N/kN] at a speed [m/s] for parameters of shape (..., 3)."""
+    """Return w = a + b v + c v^2 [N/kN] at a speed [m/s] for parameters of shape (..., 3)."""
     w: Array = theta[..., 0] + speed * (theta[..., 1] + speed * theta[..., 2])
     return w
 
 
 def true_theta(truth: Truth, start_ns: int, time_s: Array) -> Array:
-    """Return the true a, b, c at times since ``start_ns``, shape (n, 3)."""
+    """Return the true a, b, c [N/kN, v in m/s] at times since ``start_ns`` [s], shape (n, 3)."""
     points = (truth.truth_at_ns(start_ns + round(t * NS_PER_S)).resistance for t in time_s)
     return np.array([(point.a, point.b, point.c) for point in points]).reshape(-1, 3)
 
 
 def true_rate(truth: Truth, start_ns: int, time_s: Array) -> Array | None:
-    """Return the true brake rate at times since ``start_ns``, None where it is not known."""
+    """Return the true brake rate [1] at times since ``start_ns`` [s], None if it is unknown."""
     if not truth.brake_rate:
         return None
     rates = [truth.truth_at_ns(start_ns + round(t * NS_PER_S)).brake_rate for t in time_s]
@@ -74,7 +74,7 @@ def true_rate(truth: Truth, start_ns: int, time_s: Array) -> Array | None:
 
 
 def score_resistance(traces: Traces, truth: Truth) -> AccuracyScore | None:
-    """Score w [N/kN] at the current speed, None if no output was fit to use."""
+    """Score w [N/kN] at the current speed, None if no output was usable."""
     trace = traces.resistance
     w = resistance_at(trace.theta, trace.speed)
     true = resistance_at(true_theta(truth, traces.start_ns, trace.time_s), trace.speed)
@@ -82,7 +82,7 @@ def score_resistance(traces: Traces, truth: Truth) -> AccuracyScore | None:
 
 
 def score_brake_rate(traces: Traces, truth: Truth) -> AccuracyScore | None:
-    """Score the brake rate, None if the truth is not known or no output was fit to use."""
+    """Score the brake rate [1], None if the truth is unknown or no output was usable."""
     trace = traces.brake_rate
     if (true := true_rate(truth, traces.start_ns, trace.time_s)) is None:
         return None
@@ -90,7 +90,7 @@ def score_brake_rate(traces: Traces, truth: Truth) -> AccuracyScore | None:
 
 
 def final_truth(traces: Traces, truth: Truth) -> tuple[Davis, float | None]:
-    """Return the true resistance and brake rate at the end of the traces."""
+    """Return the true resistance and brake rate [1] at the end of the traces."""
     point = truth.truth_at_ns(traces.start_ns + round(traces.duration_s * NS_PER_S))
     return point.resistance, point.brake_rate
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Look of reports: colours that follow the reader's light or dark page, and figures as inline SVG."""
+"""Style of reports: colours for light and dark pages, and figures as inline SVG."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from matplotlib.figure import Figure
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-# Figures are drawn in these colours and then refer to the variables of the page: (colour, variable, dark colour).
+# Figures are drawn in these colours, which are then replaced by CSS variables: (colour, variable, dark colour).
 INK: Final = '#1b1f24'
 MUTED: Final = '#6b7280'
 GRID: Final = '#d9dde3'
@@ -78,7 +78,7 @@ _RC: Final[Any] = {
 
 @contextmanager
 def house_style() -> Iterator[None]:
-    """Draw in the style of the reports, whatever the user's own settings are."""
+    """Draw in the style of the reports, independently of the user's settings."""
     with mpl.rc_context():
         mpl.rcdefaults()
         mpl.rcParams.update(_RC)
@@ -86,13 +86,13 @@ def house_style() -> Iterator[None]:
 
 
 def to_svg(figure: Figure, label: str) -> str:
-    """Return a figure as an SVG element for a page; ``label`` tells what it shows to those who cannot see it."""
+    """Return a figure as an SVG element for a page; ``label`` is its description for screen readers."""
     buffer = StringIO()
     figure.savefig(buffer, format='svg', metadata={'Date': None, 'Creator': None, 'Format': None, 'Type': None})
     text = buffer.getvalue()
     text = text[text.index('<svg') :]
     text = re.sub(r'<metadata>.*?</metadata>', '', text, flags=re.DOTALL)
-    # Inside HTML the name spaces are implied, and the page scales the figure.
+    # Namespaces are implied in HTML, and the page scales the figure.
     text = re.sub(r'\s(xmlns|xmlns:xlink)="[^"]*"', '', text)
     text = re.sub(r'(<svg[^>]*?)\swidth="[^"]*"', r'\1', text, count=1)
     text = re.sub(r'(<svg[^>]*?)\sheight="[^"]*"', r'\1', text, count=1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The numbers of a report as HTML tables and cards."""
+"""Estimates of a report as HTML tables and cards."""
 
 from __future__ import annotations
 
@@ -31,17 +31,17 @@ _PARAMETERS: Final = (('a', 'N/kN'), ('b', 'N/kN per m/s'), ('c', 'N/kN per (m/s
 
 
 def number(value: float, digits: int = 4) -> str:
-    """Return a number for people; what is not finite is a dash."""
+    """Return a number as text, a dash if it is not finite."""
     return f'{value:.{digits}g}' if math.isfinite(value) else _DASH
 
 
 def status_tag(status: Status) -> str:
-    """Return a status as a coloured word."""
+    """Return a status as a coloured tag."""
     return f'<span class="tag {status.name}">{status.name}</span>'
 
 
 def html_table(caption: str, head: Sequence[str], rows: Iterable[Sequence[str]], text_columns: int = 1) -> str:
-    """Return a table; cells of the rows are HTML, the first ``text_columns`` hold words."""
+    """Return a table; cells of the rows are HTML, the first ``text_columns`` hold text."""
     heads = ''.join(f'<th{_text(i, text_columns)}>{escape(name)}</th>' for i, name in enumerate(head))
     lines = (''.join(f'<td{_text(i, text_columns)}>{cell}</td>' for i, cell in enumerate(row)) for row in rows)
     body = ''.join(f'<tr>{line}</tr>' for line in lines)
@@ -53,7 +53,7 @@ def _text(column: int, text_columns: int) -> str:
 
 
 def cards(chapter: Chapter) -> str:
-    """Return the answers at a glance: resistance, brake rate, speed model."""
+    """Return a summary of the estimates: resistance, brake rate, speed model."""
     return f'<div class="cards">{_resistance_card(chapter)}{_brake_card(chapter)}{_model_card(chapter)}</div>'
 
 
@@ -76,7 +76,7 @@ def _resistance_card(chapter: Chapter) -> str:
 
 
 def _card_speed(chapter: Chapter) -> float:
-    """Return the speed [m/s] of the table that lies nearest to the middle of those learned from."""
+    """Return the speed [m/s] of the table nearest to the middle of the range learned from."""
     middle = 0.5 * sum(chapter.traces.resistance.speed_range)
     return min(SPEEDS, key=lambda speed: abs(speed - middle))
 
@@ -106,7 +106,7 @@ def _model_card(chapter: Chapter) -> str:
 
 
 def estimates_table(chapter: Chapter) -> str:
-    """Return parameters and resistances at the end with standard deviation, prior, and truth where known."""
+    """Return parameters and resistances at the end, with standard deviation, prior, and truth if known."""
     basis = _basis(chapter)
     low, high = chapter.traces.resistance.speed_range
     rows = []
@@ -121,12 +121,12 @@ def estimates_table(chapter: Chapter) -> str:
     head = ['', 'unit', 'estimate', 'std', 'train file']
     if basis.truth is not None:
         head += ['truth', 'error', 'error / std']
-    caption = 'Estimates at the end. * outside the speeds learned from.'
+    caption = 'Estimates at the end. * outside the speed range learned from.'
     return html_table(caption, head, rows, text_columns=2)
 
 
 class _Basis(NamedTuple):
-    """Parameters a, b, c at the end: estimate with covariance, train file, truth."""
+    """Parameters a, b, c at the end: estimate, covariance, train file, truth if known."""
 
     theta: Array
     P: Array
@@ -182,12 +182,12 @@ def scores_table(chapter: Chapter) -> str:
     if not rows:
         return ''
     head = ('', 'unit', 'rms error', 'mean error', 'truth inside ±1 std', 'inside ±1.96 std')
-    caption = 'Over the whole drive, while VALID or HOLDING; an honest std would give 68 % and 95 %'
+    caption = 'Over the whole drive, while VALID or HOLDING; a consistent std gives 68 % and 95 %'
     return html_table(caption, head, rows, text_columns=2)
 
 
 def rejections_table(chapter: Chapter) -> str:
-    """Return how many samples each estimator used and why it did not use the others."""
+    """Return the number of samples that each estimator used, and of those it rejected by reason."""
     names = [item.estimator for item in chapter.rejections]
     counts = [dict(item.counts) for item in chapter.rejections]
     reasons = sorted({reason for count in counts for reason in count})
@@ -196,4 +196,4 @@ def rejections_table(chapter: Chapter) -> str:
     for reason in reasons:
         word = reason.name.lower().replace('_', ' ')
         rows.append([word, *(f'{count[reason]}' if reason in count else _DASH for count in counts)])
-    return html_table('Samples used, and why the others were not', ('', *names), rows)
+    return html_table('Samples used, and samples rejected by reason', ('', *names), rows)

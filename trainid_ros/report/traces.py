@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What was seen and estimated over time, thinned to what a plot can show.
+"""Time series of measurements and estimates, thinned to the resolution of a plot.
 
 Replay and live drivers push the same records and outputs into a :class:`TraceRecorder`; the
-:class:`Traces` it returns are the only source of the plots.
+:class:`Traces` it returns are the only input of the plots.
 """
 
 from __future__ import annotations
@@ -28,14 +28,15 @@ TRACTION: Final = 'traction'
 COAST: Final = 'coast'
 BRAKE: Final = 'brake'
 _STANDING_SPEED: Final = 0.3
-# Auxiliaries draw a little power while coasting: a fiftieth of the greatest force seen is none.
+# Share of the greatest force up to which a train coasts: auxiliaries draw some power then.
 _TRACTION_SHARE: Final = 0.02
 _FARTHEST_S: Final = 600.0
+"""Step between stamps beyond which a speed is left out [s]."""
 
 
 @dataclass(frozen=True, slots=True)
 class Span:
-    """A time [s since the start] during which one label held."""
+    """A period [s since the start] with one label."""
 
     start_s: float
     end_s: float
@@ -44,7 +45,7 @@ class Span:
 
 @dataclass(frozen=True, slots=True)
 class DriveTrace:
-    """The train: time [s], speed [m/s], gradient [per mille], and the driving modes."""
+    """Motion of the train: time [s], speed [m/s], gradient [per mille], and the driving modes."""
 
     time_s: Array
     speed: Array
@@ -57,13 +58,13 @@ class ResistanceTrace:
     """The resistance over time.
 
     Attributes:
-        time_s: Time since the start, shape (n,).
+        time_s: Time since the start [s], shape (n,).
         theta: a, b, c [N/kN, v in m/s], shape (n, 3).
         covariance: Their covariance, shape (n, 3, 3).
         speed: Speed at that time [m/s], shape (n,).
         usable: True where the status was VALID or HOLDING, shape (n,).
-        ratio_time_s: Times of the test ratios, shape (k,).
-        ratio: Greatest test ratio around each of these times, shape (k,).
+        ratio_time_s: Times of the test ratios [s], shape (k,).
+        ratio: Greatest test ratio around each of these times [1], shape (k,).
         speed_range: Slowest and fastest speed learned from at the end [m/s]; (0, 0) = none.
         statuses: Status over time.
 
@@ -82,7 +83,7 @@ class ResistanceTrace:
 
 @dataclass(frozen=True, slots=True)
 class SpeedModelTrace:
-    """AM-VFF-RLS over time: Davis parameters (n, 3) [N/kN], mass factor and prediction error [m/s]."""
+    """AM-VFF-RLS over time [s]: Davis parameters (n, 3) [N/kN], mass factor [1] and prediction error [m/s]."""
 
     time_s: Array
     davis: Array
@@ -93,7 +94,7 @@ class SpeedModelTrace:
 
 @dataclass(frozen=True, slots=True)
 class BrakeTrace:
-    """GSMA over time; rate and standard deviation have no unit, 1 = nominal."""
+    """GSMA over time [s]; rate, standard deviation and test ratio are dimensionless, rate 1 = nominal."""
 
     time_s: Array
     rate: Array
@@ -107,7 +108,7 @@ class BrakeTrace:
 
 @dataclass(frozen=True, slots=True)
 class Traces:
-    """All that a report plots of one drive; times count from ``start_ns``."""
+    """All time series of one drive; times are relative to ``start_ns``."""
 
     start_ns: int
     duration_s: float
@@ -126,7 +127,7 @@ def _greater(first: Row, second: Row) -> Row:
 
 
 class _Thinned:
-    """Rows of a stream of unknown length: when full, neighbours merge and from then on arrive merged."""
+    """Rows of a stream of unknown length: when full, pairs of rows are merged, and the stride doubles."""
 
     def __init__(self, width: int, merge: Callable[[Row, Row], Row] = _later) -> None:
         self._width = width
@@ -149,13 +150,13 @@ class _Thinned:
             self._stride *= 2
 
     def array(self) -> Array:
-        """Return the rows, shape (n, width), the one begun last included."""
+        """Return the rows including an incomplete last one, shape (n, width)."""
         rows = [*self._rows, self._pending] if self._count else self._rows
         return np.array(rows, dtype=np.float64).reshape(len(rows), self._width)
 
 
 class _Spans:
-    """A label over time, kept as its changes."""
+    """A label over time, stored as spans."""
 
     def __init__(self) -> None:
         self._spans: list[Span] = []
@@ -163,7 +164,7 @@ class _Spans:
         self._start = 0.0
 
     def add(self, time_s: float, label: str | None) -> None:
-        """Let a label hold from a time on, None for no label."""
+        """Set the label from a time on, None for no label."""
         if label == self._label:
             return
         if self._label is not None and time_s > self._start:
@@ -177,7 +178,7 @@ class _Spans:
 
 
 class TraceRecorder:
-    """Collects traces while a drive goes on; memory stays bounded however long it is."""
+    """Collects traces during a drive; memory is bounded for any duration."""
 
     def __init__(self) -> None:
         self._start_ns = 0
@@ -197,7 +198,7 @@ class TraceRecorder:
         self._innovations: dict[type, float] = {}
 
     def on_record(self, record: Record) -> None:
-        """Take an input in; records without a stamp or far from the others are left out."""
+        """Add an input; records without a stamp, and speeds far from the others in time, are left out."""
         if record.stamp_ns <= 0:
             return
         match record:
@@ -214,7 +215,7 @@ class TraceRecorder:
                 pass
 
     def on_output(self, output: AnyOutput) -> None:
-        """Take the output of an estimator in; those without a sample say nothing."""
+        """Add the output of an estimator; outputs without a sample are left out."""
         if output.stamp_ns <= 0:
             return
         time_s = self._time(output.stamp_ns)
@@ -227,7 +228,7 @@ class TraceRecorder:
                 self._add_brake(time_s, estimate, output.status)
 
     def finish(self) -> Traces:
-        """Return what was collected."""
+        """Return the traces collected."""
         return Traces(
             start_ns=self._start_ns,
             duration_s=self._newest_s,
@@ -245,7 +246,7 @@ class TraceRecorder:
         return time_s
 
     def _add_speed(self, record: SpeedRecord) -> None:
-        # Only believable stamps may stretch the time axis; the estimators judge the rest.
+        # Only plausible stamps may extend the time axis; the estimators check all others.
         step_s = (record.stamp_ns - self._speed_ns) / NS_PER_S
         if (self._speed_ns and not -_FARTHEST_S < step_s < _FARTHEST_S) or not np.isfinite(record.speed):
             return
@@ -284,7 +285,7 @@ class TraceRecorder:
             self._brake_ratio.add((time_s, estimate.test_ratio))
 
     def _is_new(self, estimate: ResistanceEstimate | BrakeRateEstimate) -> bool:
-        """Return False where an output only repeats the last innovation."""
+        """Return False if an output only repeats the last innovation."""
         before = self._innovations.get(type(estimate))
         self._innovations[type(estimate)] = estimate.innovation
         return before != estimate.innovation

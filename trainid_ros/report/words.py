@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An explanation in words and rounded numbers, for the terminal and for the report."""
+"""Text and rounded numbers of an explanation, for the terminal and for the report."""
 
 from __future__ import annotations
 
@@ -24,12 +24,12 @@ DAVIS_UNITS: Final = ('N/kN', 'N/kN per m/s', 'N/kN per (m/s)²')
 _CLEAR: Final = 3.0
 _STRONGEST: Final = 3
 _TIMES: Final = {2: 'twice', 3: 'three times'}
-# Axes that tell how the data are cut, not what the gap depends on.
+# Axes that only describe the division of the data, not a cause of the gap.
 _NO_CAUSE: Final = ('run',)
 
 
 class Strong(NamedTuple):
-    """A part of the data where much is missing: where in words, how much, and its standard deviation [N/kN]."""
+    """A part of the data with significant missing resistance: place as text, value and standard deviation [N/kN]."""
 
     where: str
     missing: float
@@ -41,36 +41,36 @@ def headline(explanation: Explanation) -> str:
     names = _counted([effect.name for effect in explanation.effects])
     match explanation.verdict:
         case Verdict.EXPLAINED:
-            return f'The believed model lacks {names}.'
+            return f'The current model lacks {names}.'
         case Verdict.AMBIGUOUS:
             best = 'fits' if len(explanation.effects) == 1 else 'fit'
-            return f'The believed model lacks something: {names} {best} best, but {_rivals(explanation)} as well.'
+            return f'The current model lacks an effect: {names} {best} best, but {_twins(explanation)} equally well.'
         case Verdict.UNEXPLAINED:
-            beside = f'{names}, and ' if names else ''
-            return f'The believed model lacks {beside}something that no effect of the library fits.'
+            named = f'{names}, and ' if names else ''
+            return f'The current model lacks {named}something that no effect of the library fits.'
         case Verdict.NO_GAP:
-            return 'The believed model lacks nothing that the data could show, once a, b and c are fitted.'
+            return 'The current model lacks no effect detectable in the data, once a, b and c are fitted.'
 
 
 def _counted(names: Sequence[str]) -> str:
-    """Return names as an enumeration in which each stands once."""
+    """Return names as an enumeration without repetitions, with counts."""
     counts = Counter(names)
     return join([f'{name} {_TIMES.get(n, f"{n} times")}' if n > 1 else name for name, n in counts.items()])
 
 
-def _rivals(explanation: Explanation) -> str:
+def _twins(explanation: Explanation) -> str:
     names = dict.fromkeys(twin.name for effect in explanation.effects for twin in effect.twins)
     fit = 'fits' if len(names) == 1 else 'fit'
     return f'{join([*names])} {fit}'
 
 
 def join(words: Sequence[str]) -> str:
-    """Return words as an enumeration."""
+    """Return words as an enumeration with commas and 'and'."""
     return ' and '.join(filter(None, (', '.join(words[:-1]), *words[-1:])))
 
 
 def plus_minus(value: float, std: float) -> str:
-    """Return a value with its standard deviation, both to the places that matter."""
+    """Return a value with its standard deviation, both rounded to two significant digits of the latter."""
     if not (math.isfinite(std) and std > 0.0 and math.isfinite(value)):
         return number(value)
     places = max(0, 1 - math.floor(math.log10(std)))
@@ -78,19 +78,19 @@ def plus_minus(value: float, std: float) -> str:
 
 
 def number(value: float, digits: int = 4) -> str:
-    """Return a number for people; what is not finite is a dash."""
+    """Return a number as text, a dash if it is not finite."""
     return f'{value:.{digits}g}' if math.isfinite(value) else '–'
 
 
 def unit_of(effect: str, parameter: str) -> str:
-    """Return the unit of a parameter, '' for ratios and for effects that the library does not know."""
+    """Return the unit of a parameter, '' for ratios and for effects not in the library."""
     kind = EFFECTS.get(effect)
     known = None if kind is None else kind.parameters.get(parameter)
     return '' if known is None else known.unit
 
 
 def parameters_text(effect: FoundEffect) -> str:
-    """Return its parameters with their standard deviations and units."""
+    """Return the parameters of an effect with standard deviations and units."""
     std = dict(effect.std)
     texts = [
         f'{name} = {plus_minus(value, std.get(name, 0.0))} {unit_of(effect.name, name)}'.rstrip()
@@ -100,16 +100,16 @@ def parameters_text(effect: FoundEffect) -> str:
 
 
 def how_sure(effect: FoundEffect) -> str:
-    """Return how sure an effect is."""
+    """Return the evidence for an effect as text."""
     digits = effect.evidence / (2.0 * math.log(10.0))
     odds = 'more than a million' if digits > 6.0 else f'{10.0**digits:.2g}'
     text = f'evidence {effect.evidence:.0f}: the data are {odds} times as likely with it as without'
     sigmas = sigmas_from_neutral(effect)
-    return text if sigmas is None else f'{text}; its size is {sigmas:.1f} std from none'
+    return text if sigmas is None else f'{text}; its amplitude is {sigmas:.1f} std from zero effect'
 
 
 def sigmas_from_neutral(effect: FoundEffect) -> float | None:
-    """Return by how many standard deviations its amplitude differs from that of no effect, None if unknown."""
+    """Return the distance of its amplitude from the neutral value in standard deviations, None if unknown."""
     kind = EFFECTS.get(effect.name)
     if kind is None:
         return None
@@ -120,25 +120,25 @@ def sigmas_from_neutral(effect: FoundEffect) -> float | None:
 
 
 def gap_sentence(explanation: Explanation) -> str:
-    """Return what the gap was, became, and could become."""
+    """Return the gap before and after, and the noise floor, as text."""
     gap = explanation.gap
     if gap is None:
-        return 'There are too few runs to hold one out, so nothing shows how large the gap is or whether it shrank.'
+        return 'There are too few runs to hold one out, so the gap cannot be measured.'
     held_out = f'{pluralise(gap.runs_held_out, "run")}, each left out of the fit that simulates it'
     head = f'On {held_out}, simulated and measured speed '
-    noise = f'noise as found would leave {gap.noise_floor:.3f} m/s'
+    noise = f'the estimated noise alone would leave {gap.noise_floor:.3f} m/s'
     if not explanation.effects:
         return f'{head}differ by {gap.before:.3f} m/s (rms); {noise}.'
     text = f'{head}differ by {gap.before:.3f} m/s (rms) without the effects and {gap.after:.3f} m/s with them; {noise}.'
     if gap.noise_floor > 0.0 and gap.after > 1.1 * gap.noise_floor:
-        text += f' What is left is {gap.after / gap.noise_floor - 1.0:.0%} above the noise.'
+        text += f' The rest is {gap.after / gap.noise_floor - 1.0:.0%} above the noise.'
     return text
 
 
-def doubts(explanation: Explanation) -> list[str]:
-    """Return what else each effect could be, and the drive that would tell; two of a name are told once."""
+def alternatives(explanation: Explanation) -> list[str]:
+    """Return the alternatives to each effect and the test run that would distinguish them, without repetitions."""
     lines = [
-        f'{effect.name} could also be {twin.name}. To tell them apart: {twin.drive or "no drive is known"}.'
+        f'{effect.name} could also be {twin.name}. To distinguish them: {twin.drive or "no test run is known"}.'
         for effect in explanation.effects
         for twin in effect.twins
     ]
@@ -146,7 +146,7 @@ def doubts(explanation: Explanation) -> list[str]:
 
 
 def strongest(explanation: Explanation) -> list[Strong]:
-    """Return the parts of the data where the believed model lacks most, by significance."""
+    """Return the parts of the data where the current model lacks most, by significance."""
     places = [
         (abs(place.before) / place.std, Strong(place_text(location.axis, place.label), place.before, place.std))
         for location in explanation.locations
@@ -158,37 +158,37 @@ def strongest(explanation: Explanation) -> list[Strong]:
 
 
 def strong_text(strong: Strong) -> str:
-    """Return one such part in words."""
+    """Return one such part as text."""
     more = 'more' if strong.missing > 0.0 else 'less'
     size = plus_minus(abs(strong.missing), strong.std)
-    return f'{strong.where[0].upper()}{strong.where[1:]}: {size} N/kN {more} resistance than believed'
+    return f'{strong.where[0].upper()}{strong.where[1:]}: {size} N/kN {more} resistance than modelled'
 
 
 def noise_rows(explanation: Explanation) -> list[tuple[str, str, str]]:
-    """Return sizes of noise and nuisances: what, size, unit."""
+    """Return the estimates of noise and nuisances: name, value, unit."""
     noise = explanation.noise
     return [
         ('noise of the measured speed', number(noise.speed, 2), 'm/s'),
-        ('gusts and other passing forces', number(noise.gust, 2), 'N/kN'),
-        ('how long these last', number(noise.gust_time, 2), 's'),
+        ('gusts and other transient forces', number(noise.gust, 2), 'N/kN'),
+        ('correlation time of these', number(noise.gust_time, 2), 's'),
         ('error of the weighed load' if explanation.weighed else 'load (the train is not weighed)',
          number(100.0 * noise.payload, 2), '% of the mass'),
         ('brake from run to run', number(100.0 * noise.brake, 2), '% of its force'),
         ('error of the gradient in the map', number(noise.map, 2), 'per mille'),
-        ('speeds that did not count (slip, outliers)', number(100.0 * explanation.outliers, 2), '%'),
+        ('speeds excluded (slip, outliers)', number(100.0 * explanation.outliers, 2), '%'),
     ]  # fmt: skip
 
 
-def davis_rows(explanation: Explanation, believed: TrainFile) -> list[tuple[str, str, str, str]]:
-    """Return a, b, c: name, believed, found with standard deviation, unit."""
-    before, after = believed.resistance, explanation.train_file.resistance
+def davis_rows(explanation: Explanation, train_file: TrainFile) -> list[tuple[str, str, str, str]]:
+    """Return a, b, c: name, train file's value, estimate with standard deviation, unit."""
+    before, after = train_file.resistance, explanation.train_file.resistance
     rows = zip('abc', (before.a, before.b, before.c), (after.a, after.b, after.c), explanation.davis_std, DAVIS_UNITS,
                strict=True)  # fmt: skip
     return [(name, number(old), plus_minus(new, std), unit) for name, old, new, std, unit in rows]
 
 
 def drive_text(explanation: Explanation) -> str:
-    """Return how much driving was compared."""
+    """Return the amount of driving compared, as text."""
     traces = explanation.traces
     seconds = sum(float(trace.time[-1] - trace.time[0]) for trace in traces if trace.time.size)
     metres = sum(float(np.sum(0.5 * (trace.speed[1:] + trace.speed[:-1]) * np.diff(trace.time))) for trace in traces)
@@ -197,5 +197,5 @@ def drive_text(explanation: Explanation) -> str:
     bags = len({trace.bag for trace in traces})
     within = f' in {bags} bags' if bags > 1 else ''
     point = explanation.gradient_point
-    read = f'; gradients read as those at the {point} of the train, which fits better' if point else ''
+    read = f'; gradients taken as those at the {point} of the train, which fits better' if point else ''
     return f'{pluralise(len(traces), "run")}{within}, {metres / 1000.0:.1f} km in {seconds / 60.0:.0f} min, {way}{read}'
