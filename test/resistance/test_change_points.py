@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The tracker follows steps, ignores bursts, finds back when locked out and otherwise forgets nothing."""
+"""The tracker follows steps, ignores bursts, recovers from lock-out and otherwise does not forget."""
 
 from __future__ import annotations
 
@@ -54,11 +54,11 @@ def error(tracker: Tracker, a: float = 1.5) -> float:
 
 
 @pytest.mark.parametrize('seed', range(3))
-def test_while_nothing_changes_it_is_as_good_as_least_squares(seed: int) -> None:
+def test_without_changes_it_is_as_accurate_as_least_squares(seed: int) -> None:
     tracker = track(seed, 2000)
     std = np.mean([tracker.estimate.predict(phi(v))[1] for v in np.linspace(3.0, 20.0, 30).tolist()]) ** 0.5
     assert tracker.steps_found == 0
-    # Three parameters from 2000 observations, and some variance since there may have been a step of late.
+    # Three parameters from 2000 observations, and some variance for a possible recent step.
     assert 0.9 < std / (STD * (3.0 / 2000.0) ** 0.5) < 1.7
     assert error(tracker) < 3.0 * std
 
@@ -73,19 +73,19 @@ def test_a_step_is_followed(step: float) -> None:
 
 
 @pytest.mark.parametrize('seed', range(3))
-def test_bursts_are_no_step(seed: int) -> None:
-    """A tenth of the observations lies in bursts of ten that are all off by the same."""
+def test_bursts_are_not_detected_as_steps(seed: int) -> None:
+    """A tenth of the observations lies in bursts of ten that have the same error."""
     tracker = track(seed, 1500, spoil=lambda i, _: 5.0 if i % 100 >= 90 else 0.0)
     assert tracker.steps_found == 0
     assert error(tracker) < 0.12
 
 
-def test_where_most_is_bad_for_a_while_it_holds_on() -> None:
+def test_it_is_robust_to_30_per_cent_one_sided_outliers() -> None:
     tracker = track(4, 1000, spoil=lambda _, rng: float(rng.uniform(4.0, 20.0)) if rng.random() < 0.3 else 0.0)
     assert error(tracker) < 0.15
 
 
-def test_saved_and_restored_it_goes_on_to_the_bit() -> None:
+def test_a_restored_tracker_continues_bit_identically() -> None:
     tracker = track(5, 333)
     state = tracker.state()
     assert state.is_valid(3)
@@ -100,7 +100,7 @@ def test_saved_and_restored_it_goes_on_to_the_bit() -> None:
     assert pytest.approx(PRIOR.P) == copy.estimate.P
 
 
-def test_a_state_of_the_wrong_size_shows() -> None:
+def test_a_state_of_the_wrong_size_is_invalid() -> None:
     state = track(6, 40).state()
     assert not replace(state, memory=state.memory[:-1]).is_valid(3)
     assert not replace(state, memory=(float('nan'), *state.memory[1:])).is_valid(3)
@@ -108,7 +108,7 @@ def test_a_state_of_the_wrong_size_shows() -> None:
     assert not state.is_valid(6)
 
 
-def test_the_robust_fit_finds_what_most_rows_agree_on() -> None:
+def test_the_robust_fit_follows_the_rows_that_agree() -> None:
     rng = np.random.default_rng(8)
     v = rng.uniform(3.0, 20.0, 200)
     y = w(v) + STD * rng.standard_normal(200)
@@ -123,7 +123,7 @@ def test_the_robust_fit_finds_what_most_rows_agree_on() -> None:
 
 
 @pytest.mark.parametrize('index', [0, 1, 2, 5, 6, 10])
-def test_information_of_no_covariance_shows(index: int) -> None:
+def test_information_that_is_no_inverse_covariance_is_invalid(index: int) -> None:
     """The left part of [P^-1 | P^-1 theta], 3 by 4 numbers row by row."""
     state = track(6, 40).state()
     for wrong in (-1.0, 0.0, 1e30):
@@ -135,14 +135,14 @@ def test_information_of_no_covariance_shows(index: int) -> None:
 @pytest.mark.parametrize(
     'changes', [{'P': (-1.0,) + (0.0,) * 8}, {'P': (1.0,)}, {'theta': (1.0,)}, {'evidence': 1e4}, {'age': -1}]
 )
-def test_a_hypothesis_of_no_covariance_or_beyond_its_bounds_shows(changes: dict[str, Any]) -> None:
+def test_a_hypothesis_without_a_covariance_or_outside_its_bounds_is_invalid(changes: dict[str, Any]) -> None:
     state = track(6, 40).state()
     wrong = replace(state.hypotheses[0], **changes)
     assert not replace(state, hypotheses=(wrong,)).is_valid(3)
 
 
-def test_what_does_not_step_keeps_its_variance_in_a_hypothesis_and_its_value_after_a_lock_out() -> None:
-    """The second parameter has no step: a jump of the first by 9 leaves it alone."""
+def test_a_parameter_without_steps_keeps_its_variance_in_a_hypothesis_and_its_value_after_a_lock_out() -> None:
+    """The second parameter has no step: a jump of the first by 9 does not affect it."""
     rng = np.random.default_rng(7)
     plan = replace(PLAN, step_variances=(1.0, 0.0))
     tracker = Tracker(independent((0.0, 0.0), (4.0, 4.0)), plan)
@@ -150,14 +150,14 @@ def test_what_does_not_step_keeps_its_variance_in_a_hypothesis_and_its_value_aft
         x = np.array((1.0, float(rng.uniform(-1.0, 1.0))))
         tracker.update(x, (1.0 if i < 600 else 10.0) + 0.5 * x[1] + 0.1 * float(rng.standard_normal()), 0.01)
         if i == 400:
-            long, born = tracker.state().memory, tracker.state().hypotheses[-1]
-            assert born.P[0] > 10.0 / long[0]
-            assert born.P[3] < 2.0 / long[4]
+            long, newest = tracker.state().memory, tracker.state().hypotheses[-1]
+            assert newest.P[0] > 10.0 / long[0]
+            assert newest.P[3] < 2.0 / long[4]
     assert tracker.steps_found >= 1
     assert tracker.estimate.theta == pytest.approx([10.0, 0.5], abs=0.1)
 
 
-def test_widening_adds_variance_up_to_the_most_in_all() -> None:
+def test_widening_adds_variance_up_to_the_limit() -> None:
     tracker = track(3, 300)
     before, most = tracker.estimate, np.array((4.0, 0.01, 1e-4))
     tracker.widen(np.array((0.5, 0.0, 0.0)), most)
@@ -168,5 +168,5 @@ def test_widening_adds_variance_up_to_the_most_in_all() -> None:
 
 
 @pytest.mark.parametrize('changes', [{'mean_weight': float('nan')}, {'mean_weight': -0.1}, {'count': -1}])
-def test_a_weight_or_count_beyond_its_bounds_shows(changes: dict[str, float]) -> None:
+def test_a_weight_or_count_outside_its_bounds_is_invalid(changes: dict[str, float]) -> None:
     assert not replace(track(6, 40).state(), **changes).is_valid(3)  # type: ignore[arg-type]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The filter bank on a train simulated here: what it learns, what it ignores, and that it never loses itself."""
+"""The filter bank on a simulated train: accuracy, rejected input, and robustness to any input."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ from trainid_ros.train.train_file import Brake, Davis, Effect, Line, Train, Trai
 Make = Callable[..., Sample]
 Array = NDArray[np.float64]
 CONFIG = FilterBankConfig()
-# With fewer hypotheses the filters are the same, and faster.
+# Fewer hypotheses: the same filters, but faster.
 SMALL = FilterBankConfig(hypotheses=8, valid_std=0.25)
-# The train file is believed.
+# Without the wide prior.
 STATED = replace(SMALL, wrong_prior=0.0)
 START = 1_700_000_000 * NS_PER_S
 G, GAMMA, MASS = 9.80665, 0.08, 200e3
@@ -44,16 +44,16 @@ def w(davis: Davis, v: float) -> float:
 
 @dataclass(frozen=True)
 class World:
-    """What is true of train and line; mass and force gain over those of the file and of the report.
+    """True train and line.
 
     Attributes:
-        davis: Resistance at a time [s].
-        mass: True mass over that of the file.
-        gain: True force over that reported.
-        delay: How much later than the force its stamps are [s].
+        davis: Resistance as a function of time [s].
+        mass: Ratio of the true mass to that of the train file [1].
+        gain: Ratio of the true force to the reported one [1].
+        delay: Delay of the force stamps relative to the force [s].
         curve: Coefficient of the curve resistance [N/kN m]; every third 150 m are a curve of 300 m.
-        gust_std: Size of gusts [N/kN].
-        map_std: Size of map errors [N/kN].
+        gust_std: Standard deviation of gusts [N/kN].
+        map_std: Standard deviation of map errors [N/kN].
         force_noise: White noise of the mean force of a sample [N/kN].
         speed_noise: Noise of the measured speed [m/s].
 
@@ -79,12 +79,12 @@ def markov(rng: np.random.Generator, std: float, rho: float, n: int) -> list[flo
 
 
 def drive(seconds: float, world: World | None = None, *, seed: int = 0, period: float = 0.2) -> list[Sample]:
-    """Uphill, with power of changing level that ramps within a second, and coasting; by Euler steps of 25 ms."""
+    """Drive uphill with changing power levels, ramped within a second, and coasting; Euler steps of 25 ms."""
     world = world or World()
     rng = np.random.default_rng(seed)
     n, lag = round(seconds / FINE), round(world.delay / FINE)
     gust = markov(rng, world.gust_std, math.exp(-FINE / 6.0), n)
-    # By metre of the line; no train here is faster than 40 m/s.
+    # One value per metre of the line; the train stays below 40 m/s.
     error = markov(rng, world.map_std, math.exp(-1.0 / 250.0), round(40.0 * seconds))
     v, position, pulls, level, force = 11.0, 0.0, True, 30.0, 0.0
     forces, speeds, positions, bends = [], [], [], []
@@ -102,7 +102,7 @@ def drive(seconds: float, world: World | None = None, *, seed: int = 0, period: 
         pull = force / world.mass - GRADIENT - bend - gust[k] - error[int(position)]
         v += FINE / INERTIA * (pull - w(davis, v))
         position += FINE * v
-    # What was reported at t is the force at t - delay, over the gain.
+    # The report at t is the force at t - delay, divided by the gain.
     padded = [0.0] * max(0, lag) + forces + [force] * max(0, -lag)
     reported = np.array(padded[max(0, -lag) :][:n]) / world.gain
     many = round(period / FINE)
@@ -143,7 +143,7 @@ def run(samples: list[Sample], file: TrainFile = FILE, config: FilterBankConfig 
 
 
 def check_finite(estimate: ResistanceEstimate) -> None:
-    """All numbers are finite and the covariance is one."""
+    """Check that all numbers are finite and the covariance is valid."""
     values = [getattr(estimate, name) for name in ResistanceEstimate.__dataclass_fields__ if name != 'covariance']
     assert all(map(math.isfinite, [*values, *estimate.covariance]))
     P = np.array(estimate.covariance).reshape(3, 3)
@@ -153,7 +153,7 @@ def check_finite(estimate: ResistanceEstimate) -> None:
     assert np.linalg.eigvalsh(R)[0] > -1e-9
 
 
-def fields_but_speed(estimate: ResistanceEstimate) -> tuple[Any, ...]:
+def fields_except_speed(estimate: ResistanceEstimate) -> tuple[Any, ...]:
     names = ('a', 'b', 'c', 'covariance', 'force_scale', 'force_scale_std', 'force_delay', 'force_delay_std')
     return tuple(getattr(estimate, name) for name in names)
 
@@ -166,7 +166,7 @@ def minutes() -> list[Sample]:
 
 @pytest.fixture(scope='module')
 def followed(minutes: list[Sample]) -> tuple[str, list[bool]]:
-    """What the small bank has saved after them, and when it was fit to use."""
+    """Saved state of the small bank after five minutes, and for each sample whether it was fit to use."""
     bank = FilterBank(FILE, SMALL)
     fit = []
     for item in minutes:
@@ -177,7 +177,7 @@ def followed(minutes: list[Sample]) -> tuple[str, list[bool]]:
 
 @pytest.fixture(scope='module')
 def learned(followed: tuple[str, list[bool]]) -> str:
-    """What the small bank has saved after them."""
+    """Saved state of the small bank after five minutes."""
     return followed[0]
 
 
@@ -188,21 +188,21 @@ def restored(text: str, config: FilterBankConfig = SMALL) -> FilterBank:
 
 
 def after(samples: list[Sample], **fields: Any) -> Sample:
-    """A good sample one period after the last of some; fields can be given."""
+    """Return a good sample one period after the last one, with some fields replaced."""
     last = samples[-1]
     return replace(last, stamp_ns=last.stamp_ns + NS_PER_S // 5, **fields)
 
 
 def shifted(samples: list[Sample], seconds: float) -> list[Sample]:
-    """The same drive again, later."""
+    """Return the same drive at a later time."""
     return [replace(item, stamp_ns=item.stamp_ns + round(seconds * NS_PER_S)) for item in samples]
 
 
-# What it learns
+# Estimation
 
 
 def check_resistance(bank: FilterBank, davis: Davis, *, at_most: float) -> None:
-    """w(v) is right over the speeds driven, within the stated band, and the band is narrow."""
+    """Check that w(v) is correct within the stated band over the driven speeds, and that the band is narrow."""
     found = bank.estimate(12.0)
     for v in np.linspace(found.speed_min, found.speed_max, 5).tolist():
         here = bank.estimate(v)
@@ -210,7 +210,7 @@ def check_resistance(bank: FilterBank, davis: Davis, *, at_most: float) -> None:
         assert here.resistance_std < at_most
 
 
-def test_it_learns_the_resistance_over_the_speeds_it_saw(learned: str) -> None:
+def test_it_estimates_the_resistance_over_the_driven_speeds(learned: str) -> None:
     bank = restored(learned)
     found = bank.estimate(12.0)
     assert found.speed_max - found.speed_min > 5.0
@@ -222,7 +222,7 @@ def test_it_learns_the_resistance_over_the_speeds_it_saw(learned: str) -> None:
 @pytest.mark.parametrize(
     ('world', 'scale'),
     [
-        # A train 5 % heavier than stated: of the force over the stated weight 1/1.05 acts.
+        # A train 5 % heavier than stated: the actual specific force is 1/1.05 of the reported one.
         (World(mass=1.05), 1.0 / 1.05),
         pytest.param(World(mass=0.95), 1.0 / 0.95, marks=pytest.mark.slow),
         # A force 5 % larger than reported.
@@ -230,7 +230,7 @@ def test_it_learns_the_resistance_over_the_speeds_it_saw(learned: str) -> None:
     ],
     ids=['heavier', 'lighter', 'stronger'],
 )
-def test_a_mass_or_force_five_per_cent_off_is_a_force_scale_and_no_resistance(world: World, scale: float) -> None:
+def test_a_mass_or_force_error_of_five_per_cent_is_a_force_scale_not_resistance(world: World, scale: float) -> None:
     bank = run(drive(200.0, world, seed=4))
     check_resistance(bank, TRUTH, at_most=0.4)
     found = bank.estimate(12.0)
@@ -240,7 +240,7 @@ def test_a_mass_or_force_five_per_cent_off_is_a_force_scale_and_no_resistance(wo
 
 
 @pytest.mark.parametrize('delay', [0.2, pytest.param(-0.1, marks=pytest.mark.slow)])
-def test_a_force_that_is_reported_late_or_early_is_a_delay_and_no_resistance(delay: float) -> None:
+def test_a_force_that_is_reported_late_or_early_is_a_delay_not_resistance(delay: float) -> None:
     bank = run(drive(200.0, World(delay=delay), seed=5))
     check_resistance(bank, TRUTH, at_most=0.4)
     found = bank.estimate(12.0)
@@ -249,7 +249,7 @@ def test_a_force_that_is_reported_late_or_early_is_a_delay_and_no_resistance(del
     assert found.force_delay_std < 0.04
 
 
-def test_a_delay_beyond_what_can_be_estimated_is_not_fit_to_use() -> None:
+def test_with_a_delay_outside_the_estimable_range_the_estimate_is_not_fit_to_use() -> None:
     bank = FilterBank(FILE, SMALL)
     fit = []
     for item in drive(240.0, World(delay=0.8), seed=5):
@@ -257,13 +257,13 @@ def test_a_delay_beyond_what_can_be_estimated_is_not_fit_to_use() -> None:
         fit.append(bank.converged)
     found = bank.estimate(12.0)
     assert found.force_delay == pytest.approx(0.4, abs=0.01)
-    # Narrow enough to be fit but for the delay.
+    # Except for the delay it is accurate enough to be fit.
     assert found.resistance_std < 0.3
     assert not any(fit[300:])
 
 
 @pytest.mark.slow
-def test_a_curve_resistance_a_fifth_too_small_does_not_spoil_the_resistance_on_straight_track() -> None:
+def test_a_curve_resistance_error_of_a_fifth_does_not_affect_the_resistance_on_straight_track() -> None:
     file = replace(FILE, effects=(Effect('curve_resistance', (('coefficient', 600.0),)),))
     bank = run(drive(200.0, World(curve=720.0), seed=6), file)
     check_resistance(bank, TRUTH, at_most=0.4)
@@ -274,7 +274,7 @@ def test_a_curve_resistance_a_fifth_too_small_does_not_spoil_the_resistance_on_s
     assert x[best, KAPPA_R] > 0.05
 
 
-def test_narrow_priors_leave_the_force_scale_where_it_is() -> None:
+def test_narrow_priors_keep_the_force_scale_near_one() -> None:
     exact = replace(FILE, train=replace(FILE.train, mass_std=0.0, force_std=0.0))
     bank = run(drive(60.0, World(mass=1.05), seed=7), exact, STATED)
     assert bank.estimate(12.0).force_scale == pytest.approx(1.0, abs=1e-4)
@@ -283,7 +283,7 @@ def test_narrow_priors_leave_the_force_scale_where_it_is() -> None:
     assert found.force_scale == pytest.approx(1.0, abs=0.008)
 
 
-def test_a_train_file_that_is_surer_than_it_should_be_is_found_out() -> None:
+def test_an_overconfident_train_file_is_detected() -> None:
     exact = replace(FILE, train=replace(FILE.train, mass_std=0.0, force_std=0.0))
     bank = run(drive(200.0, World(mass=1.05), seed=7), exact, CONFIG)
     check_resistance(bank, TRUTH, at_most=0.5)
@@ -318,7 +318,7 @@ def test_it_works_at_twenty_samples_a_second() -> None:
 
 
 def coverage(seeds: range, seconds: float, config: FilterBankConfig) -> tuple[Array, Array]:
-    """Errors over stated standard deviations: of w at four speeds, shape (n, 4), and of scale and delay, (n, 2)."""
+    """Return normalised errors of w at four speeds, shape (n, 4), and of force scale and delay, (n, 2)."""
     in_w, in_force = [], []
     prior = bank_plan(FILE, config, INERTIA)
     for seed in seeds:
@@ -347,19 +347,19 @@ def coverage(seeds: range, seconds: float, config: FilterBankConfig) -> tuple[Ar
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-def test_the_stated_errors_cover_those_of_many_fresh_drives() -> None:
+def test_the_stated_standard_deviations_cover_the_errors_of_many_new_drives() -> None:
     in_w, in_force = coverage(range(24), 180.0, CONFIG)
     for z in (*in_w.T, *in_force.T):
-        # Of 24 normal numbers four or more lie beyond 2 with a probability of 2 %, and the rms is below 1.4 but for
-        # 0.4 %. The band is meant to be wide rather than narrow.
+        # Four or more of 24 normal numbers exceed 2 with a probability of 2 %, and the rms exceeds 1.4 with one of
+        # 0.4 %. The band is intentionally conservative.
         assert np.mean(np.abs(z) > 2.0) <= 0.17
         assert 0.35 < math.sqrt(np.mean(z**2)) < 1.4
 
 
-# The answer
+# The published estimate
 
 
-def test_the_estimate_is_consistent_in_itself(learned: str) -> None:
+def test_the_fields_of_an_estimate_are_consistent(learned: str) -> None:
     e = restored(learned).estimate(13.0)
     P = np.array(e.covariance).reshape(3, 3)
     phi = np.array([1.0, 13.0, 169.0])
@@ -389,20 +389,20 @@ def test_a_new_bank_states_the_prior(sample: Make) -> None:
     assert isinstance(second, ResistanceEstimate)
     assert isinstance(third, ResistanceEstimate)
     assert (second.a, second.b, second.c) == pytest.approx((1.5, 0.03, 0.004))
-    # Half of each, and the floors; 0.3 % of wheels go with a and against c.
+    # Half of each value, and the minimum; a wheel diameter error of 0.3 % raises a and lowers c.
     S = np.array(second.covariance).reshape(3, 3)
     a, b, c = 0.75**2 + 0.6**2, 0.015**2 + 0.02**2, 0.002**2 + 0.0006**2
     assert np.diag(S) == pytest.approx([a + 0.0045**2, b, c + 1.2e-5**2], rel=1e-9)
     assert S[0, 2] == pytest.approx(-0.0045 * 1.2e-5, rel=1e-9)
-    assert fields_but_speed(third) == fields_but_speed(second)
+    assert fields_except_speed(third) == fields_except_speed(second)
     assert second.force_scale == 1.0
     assert second.force_delay == 0.0
     assert second.force_delay_std == pytest.approx(0.15)
     assert not bank.converged
 
 
-def test_the_filters_follow_two_samples_behind(sample: Make) -> None:
-    """Of the samples 1, 2, 3 the first starts the filters; the fifth one lets the second in."""
+def test_the_filters_run_two_samples_late(sample: Make) -> None:
+    """After samples 1, 2 and 3, sample 1 starts the filters; sample 4 completes the update with sample 2."""
     bank = FilterBank(FILE, SMALL)
     answers = [bank.step(sample(i)) for i in range(5)]
     before, now = answers[3], answers[4]
@@ -413,23 +413,23 @@ def test_the_filters_follow_two_samples_behind(sample: Make) -> None:
     assert (now.speed_min, now.speed_max) == (15.0, 15.0)
 
 
-def test_the_mean_curvature_counts_as_a_share_of_that_at_600_metres(sample: Make) -> None:
+def test_the_mean_curvature_is_stored_relative_to_that_at_600_metres(sample: Make) -> None:
     bank = FilterBank(FILE, SMALL)
     bank.step(sample(1, curve_radius=600.0, curvature_mean=1.0 / 300.0))
     assert bank._ticks[-1].curve == pytest.approx(2.0, rel=1e-12)
 
 
-def test_wheels_that_are_off_are_an_error_of_the_force_scale_too(sample: Make) -> None:
+def test_a_wheel_diameter_error_adds_to_the_std_of_the_force_scale(sample: Make) -> None:
     bank = FilterBank(replace(FILE, train=replace(FILE.train, mass_std=0.0, force_std=0.0)), STATED)
     bank.step(sample(0))
     assert bank.estimate(12.0).force_scale_std == pytest.approx(0.003, rel=1e-3)
 
 
-def test_the_priors_of_the_errors_of_the_force_come_from_the_train_file() -> None:
+def test_the_priors_of_the_force_errors_come_from_the_train_file() -> None:
     def with_curve(std: tuple[tuple[str, float], ...]) -> TrainFile:
         return replace(FILE, effects=(Effect('curve_resistance', (('coefficient', 600.0),), std),))
 
-    # Stated, a fifth of the coefficient where not, 0.5 N/kN at 600 m where nothing is known of curves.
+    # The stated std; a fifth of the coefficient if not stated; 0.5 N/kN at 600 m without a curve effect.
     for file, std in ((with_curve((('coefficient', 45.0),)), 0.075), (with_curve(()), 0.2), (FILE, 0.5)):
         assert bank_plan(file, CONFIG, INERTIA).variance[KAPPA_R] == pytest.approx(std**2)
     plan = bank_plan(FILE, CONFIG, INERTIA)
@@ -437,7 +437,7 @@ def test_the_priors_of_the_errors_of_the_force_come_from_the_train_file() -> Non
     assert plan.variance[DELTA] == pytest.approx(0.15**2)
 
 
-def test_steps_are_as_large_as_the_settings_and_the_resistance_say() -> None:
+def test_step_sizes_follow_the_settings_and_the_resistance() -> None:
     of_a, of_c = bank_plan(FILE, CONFIG, INERTIA).step_variances
     assert of_a == pytest.approx((0.3 + 0.15 * 1.5) ** 2)
     assert of_c == pytest.approx((0.2 * 0.004) ** 2)
@@ -446,11 +446,11 @@ def test_steps_are_as_large_as_the_settings_and_the_resistance_say() -> None:
 # Fit to use
 
 
-def test_it_becomes_fit_stays_so_and_is_not_after_a_reset(followed: tuple[str, list[bool]]) -> None:
+def test_it_becomes_and_stays_fit_to_use_until_a_reset(followed: tuple[str, list[bool]]) -> None:
     text, fit = followed
     assert not any(fit[:100])
     assert fit[-1]
-    # A limit with hysteresis does not flicker.
+    # With hysteresis the status does not flicker.
     assert sum(a != b for a, b in pairwise(fit)) <= 3
     bank = restored(text)
     assert bank.converged
@@ -459,7 +459,7 @@ def test_it_becomes_fit_stays_so_and_is_not_after_a_reset(followed: tuple[str, l
 
 
 @pytest.mark.parametrize('was_fit', [False, True])
-def test_between_the_limit_and_half_as_much_again_it_stays_what_it_was(
+def test_between_the_limit_and_one_and_a_half_times_it_the_status_does_not_change(
     learned: str, minutes: list[Sample], was_fit: bool
 ) -> None:
     found = restored(learned)
@@ -475,7 +475,7 @@ def test_between_the_limit_and_half_as_much_again_it_stays_what_it_was(
     assert bank.converged is was_fit
 
 
-# Refused samples, stops and loads
+# Rejected samples, stops and loads
 
 
 @pytest.mark.parametrize(
@@ -489,7 +489,7 @@ def test_between_the_limit_and_half_as_much_again_it_stays_what_it_was(
         ({'brake_command': -0.5}, Reason.BRAKING),
     ],
 )
-def test_a_refused_sample_changes_no_estimate(
+def test_a_rejected_sample_changes_no_estimate(
     learned: str, minutes: list[Sample], fields: dict[str, Any], reason: Reason
 ) -> None:
     bank = restored(learned)
@@ -501,7 +501,7 @@ def test_a_refused_sample_changes_no_estimate(
 
 
 @pytest.mark.parametrize(('mass', 'step'), [(MASS, 0.004), (math.nan, 0.015)])
-def test_at_a_stop_the_force_scale_may_have_changed_by_what_is_weighed_or_not(
+def test_a_stop_widens_the_force_scale_by_the_step_of_a_weighed_or_unweighed_load(
     sample: Make, mass: float, step: float
 ) -> None:
     bank = FilterBank(FILE, STATED)
@@ -509,7 +509,7 @@ def test_at_a_stop_the_force_scale_may_have_changed_by_what_is_weighed_or_not(
     before = bank.estimate(0.0).force_scale_std
     for i in range(1, 50):
         bank.step(sample(i, speed=0.0, mass=mass))
-    # At rest nothing is lost; the load counts at departure, once, however long the train stood.
+    # Nothing changes at rest; the step is added once at departure, independent of the duration of the stop.
     assert bank.estimate(0.0).force_scale_std == before
     for i in range(50, 53):
         bank.step(sample(i, mass=mass))
@@ -517,7 +517,7 @@ def test_at_a_stop_the_force_scale_may_have_changed_by_what_is_weighed_or_not(
     assert found**2 - before**2 == pytest.approx(step**2, rel=1e-9)
 
 
-def test_a_load_changes_by_half_of_what_the_mass_is_uncertain_at_most(sample: Make) -> None:
+def test_a_load_changes_by_at_most_half_of_the_mass_std(sample: Make) -> None:
     bank = FilterBank(replace(FILE, train=replace(FILE.train, mass_std=0.002)), STATED)
     bank.step(sample(0))
     before = bank.estimate(0.0).force_scale_std
@@ -527,7 +527,7 @@ def test_a_load_changes_by_half_of_what_the_mass_is_uncertain_at_most(sample: Ma
     assert bank.estimate(0.0).force_scale_std ** 2 - before**2 == pytest.approx(0.001**2, rel=1e-6)
 
 
-def test_a_load_taken_up_unweighed_at_a_stop_is_learned_anew(learned: str, minutes: list[Sample]) -> None:
+def test_the_force_scale_adapts_to_an_unweighed_load_after_a_stop(learned: str, minutes: list[Sample]) -> None:
     found = {}
     for weighed in (False, True):
         bank = restored(learned)
@@ -537,11 +537,11 @@ def test_a_load_taken_up_unweighed_at_a_stop_is_learned_anew(learned: str, minut
             bank.step(replace(item, mass=mass))
         found[weighed] = bank.estimate(12.0)
     assert found[False].force_scale == pytest.approx(1.0 / 1.04, abs=3.0 * found[False].force_scale_std)
-    # With a load that is said to be weighed the force scale is held on to.
+    # With a load reported as weighed the force scale changes less.
     assert found[True].force_scale - found[False].force_scale > 0.01
 
 
-def test_standing_for_half_an_hour_changes_nothing_but_the_load(sample: Make, learned: str) -> None:
+def test_standing_for_half_an_hour_does_not_change_the_bank(sample: Make, learned: str) -> None:
     bank = restored(learned)
     bank.step(sample(10_000, speed=0.0))
     state = json.loads(bank.save())['state']['bank']
@@ -554,7 +554,7 @@ def test_standing_for_half_an_hour_changes_nothing_but_the_load(sample: Make, le
 
 
 def check_recovers(bank: FilterBank, seed: int = 12, sigmas: float = 3.0) -> None:
-    """Good driving brings w back to within what it then states, or near."""
+    """Check that after good driving w is within, or near, its stated band again."""
     for item in shifted(drive(100.0, seed=seed), 10_000.0):
         bank.step(item)
     found = bank.estimate(12.0)
@@ -562,7 +562,7 @@ def check_recovers(bank: FilterBank, seed: int = 12, sigmas: float = 3.0) -> Non
     assert found.resistance == pytest.approx(w(TRUTH, 12.0), abs=max(0.5, sigmas * found.resistance_std))
 
 
-def test_single_outliers_are_refused_and_hardly_count(learned: str) -> None:
+def test_single_outliers_are_rejected_and_hardly_affect_the_estimate(learned: str) -> None:
     good = shifted(drive(60.0, seed=13), 1000.0)
     odd = [replace(s, speed=s.speed + 2.0) if i % 20 == 10 else s for i, s in enumerate(good)]
     plain, hit = restored(learned), restored(learned)
@@ -574,7 +574,7 @@ def test_single_outliers_are_refused_and_hardly_count(learned: str) -> None:
     assert hit.estimate(12.0).resistance == pytest.approx(expected.resistance, abs=0.5 * expected.resistance_std)
 
 
-def test_a_lasting_error_of_the_speed_is_refused_25_times_and_then_started_from(learned: str) -> None:
+def test_a_lasting_speed_error_is_rejected_25_times_and_then_restarts_the_filters(learned: str) -> None:
     bank = restored(learned)
     before = bank.estimate(12.0)
     good = shifted(drive(8.0, seed=18), 1000.0)
@@ -586,7 +586,7 @@ def test_a_lasting_error_of_the_speed_is_refused_25_times_and_then_started_from(
     assert bank.estimate(12.0).resistance == pytest.approx(before.resistance, abs=before.resistance_std)
 
 
-def test_dropouts_cost_nothing_but_the_samples_around_them(learned: str) -> None:
+def test_dropouts_do_not_affect_the_accuracy(learned: str) -> None:
     good = shifted(drive(90.0, seed=14), 1000.0)
     bank = restored(learned)
     for i, item in enumerate(good):
@@ -598,8 +598,8 @@ def test_dropouts_cost_nothing_but_the_samples_around_them(learned: str) -> None
     assert found.resistance == pytest.approx(w(TRUTH, 12.0), abs=3.0 * found.resistance_std)
 
 
-def test_bursts_of_wheel_slip_do_not_bend_the_resistance(learned: str) -> None:
-    """Wheels that spin up by 2 m/s within a second and grip again, each half minute."""
+def test_bursts_of_wheel_slip_do_not_bias_the_resistance(learned: str) -> None:
+    """Wheels spin up by 2 m/s within a second and regain adhesion, every half minute."""
     slip = [0.3, 0.8, 1.3, 1.8, 2.0, 2.0, 1.5, 1.0, 0.5, 0.2]
     samples = shifted(drive(120.0, seed=15), 1000.0)
     bank = restored(learned)
@@ -611,7 +611,7 @@ def test_bursts_of_wheel_slip_do_not_bend_the_resistance(learned: str) -> None:
 
 
 @pytest.mark.parametrize('force', [1e6, -1e6, 1e8])
-def test_forces_beyond_any_train_lose_nothing(learned: str, force: float) -> None:
+def test_after_impossible_forces_the_estimate_is_finite_and_recovers(learned: str, force: float) -> None:
     samples = shifted(drive(12.0, seed=16), 1000.0)
     bank = restored(learned)
     for i, item in enumerate(samples):
@@ -631,9 +631,7 @@ def test_a_force_above_the_weight_of_the_train_changes_no_estimate(learned: str,
     assert bank.estimate(12.0) == before
 
 
-def test_while_a_force_beyond_any_train_lasts_what_is_saved_can_be_restored(
-    learned: str, minutes: list[Sample]
-) -> None:
+def test_states_saved_during_a_lasting_impossible_force_can_be_restored(learned: str, minutes: list[Sample]) -> None:
     bank = restored(learned)
     item, force = minutes[-1], 0.99 * G * FILE.train.mass
     fastest = 0.0
@@ -647,7 +645,9 @@ def test_while_a_force_beyond_any_train_lasts_what_is_saved_can_be_restored(
     assert fastest > 40.0
 
 
-def test_a_bank_that_has_lost_a_number_says_so_and_starts_from_the_prior(learned: str, minutes: list[Sample]) -> None:
+def test_a_bank_with_a_non_finite_number_reports_it_and_restarts_from_the_prior(
+    learned: str, minutes: list[Sample]
+) -> None:
     bank = restored(learned)
     assert bank.converged
     bank._bank.state.x[0, B] = math.nan
@@ -656,19 +656,19 @@ def test_a_bank_that_has_lost_a_number_says_so_and_starts_from_the_prior(learned
     assert rejection.reason is Reason.NUMERICAL
     assert not bank.converged
     found, prior = bank.estimate(12.0), FilterBank(FILE, SMALL).estimate(12.0)
-    assert fields_but_speed(found) == fields_but_speed(prior)
+    assert fields_except_speed(found) == fields_except_speed(prior)
     assert (found.speed_min, found.speed_max) == (0.0, 0.0)
     check_recovers(bank)
 
 
-def test_speeds_that_jump_between_nothing_and_two_hundred_lose_nothing(learned: str) -> None:
+def test_after_speed_jumps_up_to_two_hundred_the_estimate_is_finite_and_recovers(learned: str) -> None:
     rng = np.random.default_rng(17)
     samples = shifted(drive(12.0, seed=17), 1000.0)
     bank = restored(learned)
     for item in samples:
         bank.step(replace(item, speed=float(rng.choice([item.speed, 1.0, 200.0]))))
         check_finite(bank.estimate(item.speed))
-    # So often that each run of refusals ends and the filters start anew.
+    # Long enough that the filters restart after consecutive rejections.
     for item in samples:
         bank.step(replace(item, stamp_ns=item.stamp_ns + 100 * NS_PER_S, speed=200.0))
         check_finite(bank.estimate(item.speed))
@@ -676,7 +676,7 @@ def test_speeds_that_jump_between_nothing_and_two_hundred_lose_nothing(learned: 
 
 
 def wild(seed: int, make: Make) -> list[Sample]:
-    """Samples as bad as the aligner lets them through."""
+    """Samples as bad as the aligner passes on."""
     rng = np.random.default_rng(seed)
 
     def maybe(value: float, spread: float, low: float, high: float) -> float:
@@ -711,7 +711,7 @@ def wild(seed: int, make: Make) -> list[Sample]:
 
 
 @pytest.mark.parametrize('seed', range(4))
-def test_no_input_makes_it_lose_itself(sample: Make, seed: int) -> None:
+def test_the_estimate_stays_finite_for_any_input(sample: Make, seed: int) -> None:
     bank = FilterBank(FILE, SMALL)
     for i, item in enumerate(wild(seed, sample)):
         bank.step(item)
@@ -722,19 +722,21 @@ def test_no_input_makes_it_lose_itself(sample: Make, seed: int) -> None:
 
 @pytest.mark.slow
 @pytest.mark.parametrize('seed', range(100, 140))
-def test_nor_do_many_more(sample: Make, seed: int) -> None:
+def test_after_many_random_inputs_it_stays_finite_and_recovers(sample: Make, seed: int) -> None:
     bank = FilterBank(FILE, SMALL)
     for i, item in enumerate(wild(seed, sample)):
         bank.step(item)
         check_finite(bank.estimate(item.speed))
         if i % 10 == 9:
             restored(bank.save())
-    # Where wild numbers were plausible, they have been learned from.
+    # Plausible ones among the random values have changed the estimate.
     check_recovers(bank, sigmas=5.0)
 
 
-def test_a_microsecond_of_the_stamps_is_worth_less_than_a_thousandth(minutes: list[Sample]) -> None:
-    """Stamps one microsecond to and fro; all that a step takes from them changes by 1e-5 at most."""
+def test_a_stamp_jitter_of_a_microsecond_changes_the_resistance_by_less_than_a_thousandth(
+    minutes: list[Sample],
+) -> None:
+    """Stamps alternate by one microsecond; the intervals of a step change by 1e-5 at most."""
     jittered = [
         replace(s, stamp_ns=s.stamp_ns + (-1) ** i * 1000, dt=s.dt + (-1) ** i * 2e-6) for i, s in enumerate(minutes)
     ]
@@ -749,7 +751,7 @@ def test_a_microsecond_of_the_stamps_is_worth_less_than_a_thousandth(minutes: li
 # Saved states
 
 
-def test_saved_and_restored_at_any_sample_it_goes_on_to_the_bit(minutes: list[Sample]) -> None:
+def test_restored_at_any_sample_it_continues_bit_identically(minutes: list[Sample]) -> None:
     samples = [
         *minutes[:330],
         *(replace(s, brake_command=-0.5) for s in minutes[330:340]),
@@ -759,20 +761,20 @@ def test_saved_and_restored_at_any_sample_it_goes_on_to_the_bit(minutes: list[Sa
         *minutes[460:520],
     ]
     middles = (0, 1, 2, 3, 4, 199, 256, 335, 366, 367, 368, 369, 422, 426, 440, 459, 519)
-    whole = FilterBank(FILE, SMALL)
+    original = FilterBank(FILE, SMALL)
     saved: dict[int, str] = {}
     answers = []
     for i, item in enumerate(samples):
         if i in middles:
-            saved[i] = whole.save()
-        answers.append(repr(whole.step(item)))
+            saved[i] = original.save()
+        answers.append(repr(original.step(item)))
     for i, text in saved.items():
         copy = restored(text)
         assert copy.save() == text
         until = len(samples) if i in (366, 440) else min(i + 25, len(samples))
         assert [repr(copy.step(item)) for item in samples[i:until]] == answers[i:until]
         if until == len(samples):
-            assert copy.save() == whole.save()
+            assert copy.save() == original.save()
 
 
 def test_reset_equals_new(minutes: list[Sample]) -> None:
@@ -783,7 +785,7 @@ def test_reset_equals_new(minutes: list[Sample]) -> None:
 
 
 @pytest.mark.parametrize('key', ['bank', 'tachometer', 'driven', 'ticks', 'running', 'rejected_s'])
-def test_a_saved_part_of_another_kind_is_refused_by_name(learned: str, key: str) -> None:
+def test_a_saved_part_of_the_wrong_type_is_rejected_by_name(learned: str, key: str) -> None:
     data = json.loads(learned)
     data['state'][key] = 'seven'
     with pytest.raises(InputError, match=key):
@@ -833,7 +835,7 @@ def test_a_saved_part_of_another_kind_is_refused_by_name(learned: str, key: str)
         (('test_ratio',), -1.0, 'test_ratio'),
     ],
 )
-def test_numbers_that_would_break_later_are_refused_by_name_and_nothing_changes(
+def test_invalid_numbers_in_a_saved_state_are_rejected_by_name_and_nothing_changes(
     learned: str, path: tuple[Any, ...], wrong: object, part: str
 ) -> None:
     bank = restored(learned)
@@ -847,22 +849,22 @@ def test_numbers_that_would_break_later_are_refused_by_name_and_nothing_changes(
     assert bank.save() == learned
 
 
-def test_log_weights_of_another_shape_are_refused(learned: str) -> None:
+def test_log_weights_of_the_wrong_shape_are_rejected(learned: str) -> None:
     data = json.loads(learned)
     data['state']['bank']['log_weight'] = [[value] for value in data['state']['bank']['log_weight']]
     with pytest.raises(InputError, match='bank'):
         FilterBank(FILE, SMALL).restore(json.dumps(data))
 
 
-def test_settings_out_of_range_are_refused() -> None:
+def test_settings_out_of_range_are_rejected() -> None:
     with pytest.raises(InputError, match='hypotheses'):
         FilterBank(FILE, FilterBankConfig(hypotheses=1))
 
 
-# What is published, and what is not known after a night
+# The published band, and the uncertainty after a night
 
 
-def test_the_published_band_is_wider_than_that_it_is_judged_by(learned: str) -> None:
+def test_the_published_band_is_wider_than_that_of_the_fitness_test(learned: str) -> None:
     bank = restored(learned)
     stated, now = bank.estimate(12.0), bank._now()
     phi = np.array([1.0, 12.0, 144.0])
@@ -870,17 +872,17 @@ def test_the_published_band_is_wider_than_that_it_is_judged_by(learned: str) -> 
     assert stated.resistance_std**2 > 1.2 * (phi @ now.posterior[:3, :3] @ phi)
 
 
-def test_errors_that_are_larger_than_stated_widen_the_published_band(learned: str) -> None:
+def test_a_larger_inflation_ratio_widens_the_published_band(learned: str) -> None:
     data = json.loads(learned)
     data['state']['inflation']['ratio'] = 1.0
     plain = restored(json.dumps(data)).estimate(12.0).resistance_std
     data['state']['inflation']['ratio'] = 4.0
     wide = restored(json.dumps(data)).estimate(12.0).resistance_std
-    # But for the wheels, which are not known any worse.
+    # Less than twice, since the wheel diameter error is not inflated.
     assert 1.9 * plain < wide <= 2.0 * plain
 
 
-def test_an_outlier_is_no_error_of_the_model(learned: str, minutes: list[Sample]) -> None:
+def test_an_outlier_does_not_inflate_the_covariance(learned: str, minutes: list[Sample]) -> None:
     totals = []
     for off in (0.0, 3.0):
         bank, item = restored(learned), after(minutes, speed=minutes[-1].speed + off)
@@ -888,14 +890,12 @@ def test_an_outlier_is_no_error_of_the_model(learned: str, minutes: list[Sample]
             bank.step(item)
             item = replace(after([item]), speed=minutes[-1].speed)
         totals.append(bank._inflation.total)
-    # The outlier alone is dozens of standard deviations.
+    # The outlier alone has dozens of standard deviations.
     assert totals[1] == pytest.approx(totals[0], abs=6.0)
 
 
 @pytest.mark.parametrize(('hours', 'grows'), [(0.1, False), (8.0, True)])
-def test_after_a_night_less_is_known_than_before(
-    learned: str, minutes: list[Sample], hours: float, grows: bool
-) -> None:
+def test_the_uncertainty_grows_over_a_night(learned: str, minutes: list[Sample], hours: float, grows: bool) -> None:
     bank, last_s = restored(learned, CONFIG), (minutes[-1].stamp_ns - START) / NS_PER_S
     before = bank.estimate(12.0).resistance_std
     assert bank.converged

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""An estimate becomes fit at its limit and stays so a little beyond."""
+"""An estimate becomes fit to use at its limit, with hysteresis."""
 
 from __future__ import annotations
 
@@ -15,11 +15,13 @@ from trainid_ros.resistance.fitness import DrivenSpeeds, drift_rates, is_fit, is
     ('std', 'was_fit', 'expected'),
     [(0.09, False, True), (0.11, False, False), (0.11, True, True), (0.149, True, True), (0.151, True, False)],
 )
-def test_the_limit_is_half_as_wide_again_for_what_was_fit(std: float, was_fit: bool, expected: bool) -> None:
+def test_the_limit_is_half_as_large_again_for_an_estimate_that_was_fit(
+    std: float, was_fit: bool, expected: bool
+) -> None:
     assert is_fit(lambda _: std * std, (3.0, 20.0), 0.1, was_fit=was_fit) is expected
 
 
-def test_both_ends_and_the_middle_of_the_speeds_count_alike() -> None:
+def test_both_ends_and_the_middle_of_the_speeds_have_equal_weight() -> None:
     variances = {2.0: 0.01, 6.0: 0.02, 10.0: 0.03}
     assert is_fit(variances.__getitem__, (2.0, 10.0), 0.02**0.5 + 1e-9, was_fit=False)
     assert not is_fit(variances.__getitem__, (2.0, 10.0), 0.02**0.5 - 1e-9, was_fit=False)
@@ -46,7 +48,7 @@ def test_the_moments_of_driven_speeds_by_hand() -> None:
     assert found.mean_outer() == pytest.approx(phi.T @ phi / 3.0, rel=1e-12)
 
 
-def test_a_mean_of_speeds_brings_its_slowest_and_fastest_with_it() -> None:
+def test_a_mean_speed_updates_slowest_and_fastest() -> None:
     found = driven(10.0).add(6.0, 4.0, 11.0)
     assert (found.slowest, found.fastest) == (4.0, 11.0)
     assert found.moments == driven(10.0, 6.0).moments
@@ -59,7 +61,7 @@ def test_moments_of_a_day_lose_no_digits() -> None:
 
 
 @pytest.mark.parametrize(
-    ('found', 'sound'),
+    ('found', 'valid'),
     [
         (DrivenSpeeds(), True),
         (driven(2.0, 4.0), True),
@@ -69,15 +71,15 @@ def test_moments_of_a_day_lose_no_digits() -> None:
         (DrivenSpeeds(1, 1.0, 1.0, (1.0, 1.0, 1.0, -1.0)), False),
     ],
 )
-def test_moments_that_no_speeds_have_are_not_sound(found: DrivenSpeeds, sound: bool) -> None:
-    assert found.is_valid() is sound
+def test_impossible_moments_are_invalid(found: DrivenSpeeds, valid: bool) -> None:
+    assert found.is_valid() is valid
 
 
 THETA = np.array([1.0, 0.1, 0.01])
 
 
 def fit(std_a: float, std_b: float = 0.0, *, share: float = 0.0, was_fit: bool = False) -> bool:
-    """Whether w is fit at 5 and 15 m/s, as often, with a limit of 0.1 N/kN."""
+    """Return whether w is fit at 5 and 15 m/s, driven equally often, with a limit of 0.1 N/kN."""
     covariance = np.diag([std_a**2, std_b**2, 0.0])
     return is_fit_where_driven(THETA, covariance, driven(5.0, 15.0), 0.1, share, was_fit=was_fit)
 
@@ -92,14 +94,14 @@ def test_before_the_first_speed_nothing_is_fit() -> None:
     ('std', 'was_fit', 'expected'),
     [(0.099, False, True), (0.101, False, False), (0.101, True, True), (0.149, True, True), (0.151, True, False)],
 )
-def test_where_driven_too_the_limit_is_half_as_wide_again_for_what_was_fit(
+def test_over_driven_speeds_the_limit_is_half_as_large_again_if_it_was_fit(
     std: float, was_fit: bool, expected: bool
 ) -> None:
     assert fit(std, was_fit=was_fit) is expected
 
 
-def test_the_root_mean_square_over_the_driven_speeds_counts() -> None:
-    # Of b 0.01 N/kN per m/s: 0.05 N/kN at 5 m/s, 0.15 N/kN at 15 m/s, in root mean square 0.1118 N/kN.
+def test_the_limit_applies_to_the_root_mean_square_over_the_driven_speeds() -> None:
+    # An error of b of 0.01 N/kN per m/s: 0.05 N/kN at 5 m/s, 0.15 N/kN at 15 m/s, 0.1118 N/kN in root mean square.
     rms = math.sqrt((0.05**2 + 0.15**2) / 2.0)
     assert fit(0.0, 0.01 * 0.1 / rms * 0.999)
     assert not fit(0.0, 0.01 * 0.1 / rms * 1.001)
@@ -112,7 +114,7 @@ def test_a_speed_counts_as_often_as_it_was_driven() -> None:
 
 
 def test_a_share_of_the_resistance_adds_to_the_limit_in_squares() -> None:
-    # w is 1.75 and 4.75 N/kN: in root mean square 3.5795. A twentieth of it is 0.17897, with 0.1 it makes 0.20502.
+    # w is 1.75 and 4.75 N/kN: 3.5795 in root mean square. A twentieth of it is 0.17897; with 0.1 the limit is 0.20502.
     limit = math.hypot(0.1, 0.05 * math.sqrt((1.75**2 + 4.75**2) / 2.0))
     assert limit == pytest.approx(0.20502, abs=1e-5)
     assert fit(0.999 * limit, share=0.05)
@@ -122,7 +124,7 @@ def test_a_share_of_the_resistance_adds_to_the_limit_in_squares() -> None:
 
 
 def test_correlated_errors_may_cancel_where_driven() -> None:
-    # What is known is w at 10 m/s: a and b are off against each other.
+    # Only w at 10 m/s is known: the errors of a and b cancel there.
     direction = np.array([1.0, -0.1, 0.0])
     covariance = np.outer(direction, direction)
     assert is_fit_where_driven(THETA, covariance, driven(10.0, 10.0), 0.01, 0.0, was_fit=False)

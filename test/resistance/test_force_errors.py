@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a train file says about its forces, as prior standard deviations."""
+"""Prior standard deviations of the force errors from a train file."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def test_the_scale_follows_mass_and_force_and_the_delay_its_setting() -> None:
     assert usual.delay == 0.15
     known = force_errors(replace(FILE, train=replace(FILE.train, mass_std=0.002, force_std=0.003)), 0.15)
     assert known.scale == pytest.approx(math.hypot(0.002, 0.003))
-    assert known.delay == 0.15  # how well a force is known says nothing of its stamps
+    assert known.delay == 0.15  # the uncertainty of the force is independent of that of its stamps
 
 
 def test_the_curve_has_its_stated_uncertainty_or_a_fifth() -> None:
@@ -37,7 +37,7 @@ def test_no_prior_variance_is_zero() -> None:
     assert min(EXACT.variances) > 0.0
 
 
-def test_a_stop_changes_no_more_than_half_of_what_is_unknown() -> None:
+def test_a_stop_changes_the_scale_by_at_most_half_of_the_mass_std() -> None:
     assert scale_step(FILE.train, weighed=True) == 0.004
     assert scale_step(FILE.train, weighed=False) == 0.015
     assert scale_step(replace(FILE.train, mass_std=0.2), weighed=False) == 0.03

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The bank: its mixture by hand, how it branches and prunes, that it finds steps and knows its own error."""
+"""The bank: its mixture by hand, branching and pruning, detection of steps, and consistency of its covariance."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ ONE = replace(PLAN, gust_stds=(0.1,), map_stds=(0.05,), spacing=1e9)
 
 
 def still(speed: float, dt: float = DT) -> Interval:
-    """Traction that holds the speed as far as the prior knows."""
+    """Traction that holds the speed if the prior mean is correct."""
     w = MEAN[A] + speed * (MEAN[B] + speed * MEAN[C])
     return Interval(dt, (w, w, w, w), 0.0, 0.0, speed, SPEED_STD**2, dt, dt)
 
@@ -78,9 +78,9 @@ def hypotheses(weights: list[float], ages: list[float], seed: int = 0) -> Hypoth
 
 
 def drive(davis: Callable[[float], Array], seconds: float, seed: int, plan: BankPlan = ONE) -> list[Interval]:
-    """A train whose power is switched by speed, disturbed as the plan says: first gust, first map error, white force.
+    """A train with power switched by speed, disturbed by the plan's first gust and map error sizes and white force.
 
-    davis gives a, b, c, kappa at a time [s].
+    davis returns a, b, c, kappa at a time [s].
     """
     rng = np.random.default_rng(seed)
     gust_std, map_std = plan.gust_stds[0], plan.map_stds[0]
@@ -137,7 +137,7 @@ def test_the_mixture_of_two_has_the_moments_computed_by_hand() -> None:
     )
 
 
-def test_a_young_hypothesis_counts_in_the_covariance_more_than_in_the_mean() -> None:
+def test_a_young_hypothesis_has_more_weight_in_the_covariance_than_in_the_mean() -> None:
     bank = Bank(PLAN)
     bank.state = hypotheses([0.9, 0.1], [1e9, 119.0])
     x, P = bank.state.x[:, PUBLISHED], [p[np.ix_(PUBLISHED, PUBLISHED)] for p in bank.state.P]
@@ -154,7 +154,7 @@ def test_a_young_hypothesis_counts_in_the_covariance_more_than_in_the_mean() -> 
     assert bank.mixture().covariance == pytest.approx(plain, rel=1e-12)
 
 
-def test_a_hypothesis_counts_from_the_patience_on() -> None:
+def test_a_hypothesis_counts_from_the_minimum_age() -> None:
     bank = Bank(PLAN)
     bank.state = hypotheses([0.2, 0.8], [1e9, 9.99])
     assert bank.mixture().mean == pytest.approx(bank.state.x[0, PUBLISHED], rel=1e-12)
@@ -164,7 +164,7 @@ def test_a_hypothesis_counts_from_the_patience_on() -> None:
     )
 
 
-def test_where_all_that_is_likely_is_new_all_count() -> None:
+def test_if_no_old_hypothesis_is_likely_all_count() -> None:
     bank = Bank(PLAN)
     bank.state = hypotheses([1.0, 1.0], [1.0, 1.0])
     assert bank.mixture().mean == pytest.approx(bank.state.x[:, PUBLISHED].mean(axis=0), rel=1e-12)
@@ -173,7 +173,7 @@ def test_where_all_that_is_likely_is_new_all_count() -> None:
     assert bank.mixture().mean == pytest.approx(bank.state.x[1, PUBLISHED], rel=1e-12)
 
 
-def test_the_covariance_of_the_mixture_is_never_smaller_than_that_of_the_best_part() -> None:
+def test_the_covariance_of_the_mixture_is_positive_definite() -> None:
     for seed in range(20):
         bank = Bank(PLAN)
         bank.state = hypotheses([1.0, 0.7, 0.3], [1e9, 50.0, 12.0], seed)
@@ -184,7 +184,7 @@ def test_the_covariance_of_the_mixture_is_never_smaller_than_that_of_the_best_pa
 # The prior, the load, and the innovation
 
 
-def test_the_bank_starts_with_each_pair_of_sizes_at_the_prior() -> None:
+def test_the_bank_starts_at_the_prior_with_each_pair_of_sizes() -> None:
     bank = held()
     assert len(bank.state.size) == 6
     pairs = set(zip(bank.state.P[:, GUST, GUST].round(9), bank.state.P[:, MAP, MAP].round(9), strict=True))
@@ -194,7 +194,7 @@ def test_the_bank_starts_with_each_pair_of_sizes_at_the_prior() -> None:
     assert found.covariance == pytest.approx(np.diag(STD[list(PUBLISHED)] ** 2))
 
 
-def test_a_wide_prior_goes_along_with_little_weight() -> None:
+def test_the_wide_prior_starts_with_a_small_weight() -> None:
     bank = held(replace(PLAN, wrong_prior=0.01))
     assert bank.state.log_weight == pytest.approx([0.0] * 6 + [math.log(0.01)] * 6)
     assert bank.state.size.tolist() == [*range(6), *range(6)]
@@ -205,7 +205,7 @@ def test_a_wide_prior_goes_along_with_little_weight() -> None:
 
 
 @pytest.mark.parametrize(('hours', 'steps'), [(0.5, 0.5), (1.0, 1.0), (1000.0, 1.0)])
-def test_while_nothing_is_seen_a_and_c_may_have_stepped_once(hours: float, steps: float) -> None:
+def test_an_idle_time_adds_the_variance_of_at_most_one_step_of_a_and_c(hours: float, steps: float) -> None:
     bank = held(replace(PLAN, hazard=1.0 / 3600.0, drift=np.full(STATES, 1e-9)))
     bank.state.P *= 0.01
     before = bank.state.P.copy()
@@ -217,7 +217,7 @@ def test_while_nothing_is_seen_a_and_c_may_have_stepped_once(hours: float, steps
     assert not grown.any()
 
 
-def test_a_stop_widens_the_force_scale_up_to_the_prior_and_once_more() -> None:
+def test_a_stop_widens_the_force_scale_up_to_the_prior_plus_one_step() -> None:
     bank = held()
     bank.state.P[:, KAPPA, KAPPA] = [1e-6, 1e-4, 9e-4, 9.5e-4, 0.01, 0.0]
     others = bank.state.P.copy()
@@ -228,16 +228,16 @@ def test_a_stop_widens_the_force_scale_up_to_the_prior_and_once_more() -> None:
     assert np.array_equal(bank.state.P, others)
 
 
-def test_the_innovation_is_that_of_the_mixture_before_the_speed_is_taken_in() -> None:
+def test_the_innovation_is_that_of_the_mixture_before_the_correction() -> None:
     bank = held(replace(PLAN, gust_stds=(0.1,), map_stds=(0.05, 0.25)))
     bank.state.x[:, V] = [11.9, 12.2]
     bank.state.log_weight[:] = [0.0, math.log(0.5)]
-    lost = Bank(bank.plan)
+    predicted = Bank(bank.plan)
     now = bank.state
-    lost.state = replace(now, x=now.x.copy(), P=now.P.copy(), log_weight=now.log_weight.copy())
-    blind = replace(still(12.0), speed_variance=1e12)
-    lost.advance(blind)
-    v, S = lost.state.x[:, V], lost.state.P[:, V, V]
+    predicted.state = replace(now, x=now.x.copy(), P=now.P.copy(), log_weight=now.log_weight.copy())
+    unmeasured = replace(still(12.0), speed_variance=1e12)
+    predicted.advance(unmeasured)
+    v, S = predicted.state.x[:, V], predicted.state.P[:, V, V]
     found = bank.advance(still(12.0))
     mean = (2.0 * v[0] + v[1]) / 3.0
     variance = (2.0 * (S[0] + (v[0] - mean) ** 2) + S[1] + (v[1] - mean) ** 2) / 3.0
@@ -245,12 +245,12 @@ def test_the_innovation_is_that_of_the_mixture_before_the_speed_is_taken_in() ->
     assert found.variance == pytest.approx(variance + SPEED_STD**2, rel=1e-6)
 
 
-def test_hypotheses_are_weighed_by_the_density_of_the_speed() -> None:
+def test_hypotheses_are_weighted_by_the_density_of_the_speed() -> None:
     bank = held(replace(PLAN, gust_stds=(0.1,), map_stds=(0.05, 0.25), noise=replace(NOISE, outliers=1e-6)))
     bank.state.x[:, V] = [12.0, 12.03]
     bank.state.log_weight[:] = [0.0, -0.5]
     bank.advance(replace(still(12.0), speed=12.01))
-    # Both have the variance 4e-4 of the start and as much of the measurement, that of the rest is small.
+    # Both have the initial variance 4e-4 and the same measurement variance; the other terms are small.
     densities = [-0.5 * nu**2 / (8e-4 + NOISE.force_density * DT / INERTIA**2) for nu in (0.01, -0.02)]
     expected = densities[1] - 0.5 - densities[0]
     assert bank.state.log_weight == pytest.approx([0.0, expected], abs=2e-3)
@@ -260,10 +260,10 @@ def test_the_parameters_drift_as_planned() -> None:
     drift = np.zeros(STATES)
     drift[[A, C]] = 1e-3, 1e-12
     bank, steady = held(replace(ONE, drift=drift)), held(ONE)
-    blind = replace(still(12.0, dt=0.5), speed_variance=1e12)
+    unmeasured = replace(still(12.0, dt=0.5), speed_variance=1e12)
     for _ in range(20):
-        bank.advance(blind)
-        steady.advance(blind)
+        bank.advance(unmeasured)
+        steady.advance(unmeasured)
     grown = np.diag(bank.state.P[0] - steady.state.P[0])
     assert grown[[A, C]] == pytest.approx([1e-2, 1e-11], rel=1e-6)
     assert abs(grown[[B, KAPPA, DELTA]]).max() < 1e-9
@@ -284,7 +284,7 @@ def test_the_best_branches_into_a_step_of_a_and_one_of_c() -> None:
     now = branched(held(replace(ONE, spacing=10.0)))
     assert len(now.age) == 3
     assert now.age[1:].tolist() == [0.0, 0.0]
-    # Half of the probability of a step within ten seconds each.
+    # Each has half of the probability of a step within ten seconds.
     assert now.log_weight == pytest.approx([0.0, math.log(0.5 / 360.0), math.log(0.5 / 360.0)], rel=1e-12)
     for child, state, variance in ((1, A, 0.25), (2, C, 1e-6)):
         assert (now.x[child] == now.x[0]).all()
@@ -294,7 +294,7 @@ def test_the_best_branches_into_a_step_of_a_and_one_of_c() -> None:
         assert not wider.any()
 
 
-def test_branching_comes_once_in_each_spacing_of_driving_time() -> None:
+def test_the_bank_branches_once_per_spacing_of_driving_time() -> None:
     bank = held()
     for _ in range(round(35.0 / DT)):
         bank.advance(still(12.0))
@@ -303,7 +303,7 @@ def test_branching_comes_once_in_each_spacing_of_driving_time() -> None:
     assert bank.state.since_s == pytest.approx(5.0, abs=4.0 * DT)
 
 
-def test_a_new_size_is_next_to_that_of_the_best_and_not_among_the_likely_ones() -> None:
+def test_a_new_size_is_adjacent_to_that_of_the_best_and_not_among_the_likely_ones() -> None:
     bank = held()
     # Sizes by gust, then map error: 0.1/0.05 0.1/0.25 0.2/0.05 0.2/0.25 0.4/0.05 0.4/0.25
     neighbours = {0: {1, 2}, 1: {0, 3}, 2: {0, 3, 4}, 3: {1, 2, 5}, 4: {2, 5}, 5: {3, 4}}
@@ -321,7 +321,7 @@ def test_a_new_size_is_next_to_that_of_the_best_and_not_among_the_likely_ones() 
             new = bank.state.size[-1]
             assert bank.state.log_weight[-1] == pytest.approx(math.log(1e-3), abs=0.5)
             seen.add(int(new))
-            # Without it, and with none likely but the best, the next one is tried.
+            # With it removed and only the best hypothesis likely, the next size is tried.
             for name in ('x', 'P', 'log_weight', 'age', 'size'):
                 setattr(bank.state, name, getattr(bank.state, name)[:6])
             bank.state.log_weight[:] = -20.0
@@ -329,7 +329,7 @@ def test_a_new_size_is_next_to_that_of_the_best_and_not_among_the_likely_ones() 
         assert seen == near
 
 
-def test_no_size_is_added_while_the_neighbours_are_likely() -> None:
+def test_no_size_is_added_while_the_adjacent_ones_are_likely() -> None:
     bank = held()
     bank.state.since_s = PLAN.spacing
     bank.advance(still(12.0))
@@ -351,7 +351,7 @@ def test_the_number_of_hypotheses_is_capped_and_the_best_is_kept() -> None:
 @pytest.mark.parametrize('most', [4, 7])
 @pytest.mark.parametrize('patience', [0.0, 10.0, 60.0])
 def test_young_ones_never_displace_the_best(most: int, patience: float) -> None:
-    """With a long patience all places could go to those that are spared."""
+    """With a long minimum age, young hypotheses could otherwise fill all places."""
     bank = held(replace(PLAN, most=most, patience=patience, hazard=1.0 / 60.0))
     for _ in range(8):
         branched(bank)
@@ -365,7 +365,7 @@ def test_the_probability_of_a_step_never_exceeds_one() -> None:
     assert now.log_weight == pytest.approx([0.0, math.log(0.5), math.log(0.5)], rel=1e-12)
 
 
-def test_young_hypotheses_are_spared_where_room_is_scarce_and_old_ones_go() -> None:
+def test_old_unlikely_hypotheses_are_pruned_before_young_ones() -> None:
     bank = held(replace(PLAN, most=4))
     bank.state = hypotheses([1.0, math.exp(-4.0), math.exp(-5.0), math.exp(-7.0)], [1e9, 1e9, 1e9, 1e9])
     bank.state.x[:] = MEAN
@@ -375,12 +375,12 @@ def test_young_hypotheses_are_spared_where_room_is_scarce_and_old_ones_go() -> N
     bank.restart(12.0, SPEED_STD**2)
     bank.advance(still(12.0))
     now = bank.state
-    # A step has e^-6.6: less likely than the two before, but new. Of the old ones the best two stay.
+    # A step has e^-6.6: less likely than two of the old ones, but young. The best two old ones are kept.
     assert sorted(now.age.round().tolist()) == [0.0, 0.0, 1e9, 1e9]
     assert sorted(now.log_weight[now.age > 1.0]) == pytest.approx([-4.0, 0.0], abs=0.05)
 
 
-def test_what_is_as_good_as_impossible_is_dropped_even_if_there_is_room() -> None:
+def test_hypotheses_of_negligible_weight_are_pruned_even_below_the_maximum_number() -> None:
     bank = held()
     bank.state.log_weight[:] = [0.0, -39.0, -41.0, -300.0, -1e5, -20.0]
     bank.state.since_s = PLAN.spacing
@@ -389,7 +389,7 @@ def test_what_is_as_good_as_impossible_is_dropped_even_if_there_is_room() -> Non
     assert sorted(round(float(weight)) for weight in old if weight < -10.0) == [-39, -20]
 
 
-def test_after_a_speed_that_nothing_explains_all_are_still_there() -> None:
+def test_after_an_outlier_of_the_speed_all_hypotheses_remain() -> None:
     bank = held()
     bank.advance(replace(still(12.0), speed=200.0))
     assert len(bank.state.log_weight) == 6
@@ -398,10 +398,10 @@ def test_after_a_speed_that_nothing_explains_all_are_still_there() -> None:
     assert bank.mixture().mean == pytest.approx(MEAN[list(PUBLISHED)], abs=1e-3)
 
 
-# What the bank learns
+# Estimation
 
 
-def test_a_step_of_a_is_found() -> None:
+def test_a_step_of_a_is_detected() -> None:
     plan = replace(PLAN, gust_stds=(0.1, 0.2), map_stds=(0.05,), step_variances=(1.0, 1e-6))
     before, after = np.array([1.8, 0.03, 0.004, 0.0]), np.array([3.3, 0.03, 0.004, 0.0])
     bank = Bank(plan)
@@ -413,14 +413,14 @@ def test_a_step_of_a_is_found() -> None:
         bank.advance(interval)
     found = bank.mixture()
     assert found.mean @ phi == pytest.approx(after[:3] @ phi[:3], abs=0.4)
-    # It was a step: the best hypothesis began near it.
+    # The best hypothesis branched off near the step.
     best = int(np.argmax(bank.state.log_weight))
     assert bank.state.age[best] == pytest.approx(120.0, abs=30.0)
 
 
 @pytest.mark.slow
-def test_without_branching_a_filter_does_not_find_it() -> None:
-    """So it is the bank that finds the step, not the drift of one filter."""
+def test_without_branching_a_filter_does_not_follow_the_step() -> None:
+    """The bank follows the step, not the drift of one filter."""
     before, after = np.array([1.8, 0.03, 0.004, 0.0]), np.array([3.3, 0.03, 0.004, 0.0])
     bank = Bank(ONE)
     follow(bank, drive(lambda t: after if t > 150.0 else before, 270.0, 2))
@@ -428,7 +428,7 @@ def test_without_branching_a_filter_does_not_find_it() -> None:
     assert abs(bank.mixture().mean @ phi - after[:3] @ phi[:3]) > 0.4
 
 
-def test_large_gusts_make_the_hypotheses_of_large_gusts_the_likely_ones() -> None:
+def test_the_most_likely_hypothesis_has_the_size_of_the_gusts() -> None:
     plan = replace(PLAN, gust_stds=(0.1, 0.4), map_stds=(0.05,))
     truth = MEAN[[A, B, C, KAPPA]]
     for gust, expected in ((0.1, 0.0), (0.4, 1.0)):
@@ -438,7 +438,7 @@ def test_large_gusts_make_the_hypotheses_of_large_gusts_the_likely_ones() -> Non
 
 
 def errors_squared(seeds: range, seconds: float) -> tuple[float, float]:
-    """Mean NEES of a, b, c, kappa, and mean NIS, of one filter over drives whose parameters come from the prior."""
+    """Return mean NEES of a, b, c, kappa and mean NIS of one filter over drives with parameters from the prior."""
     states = [A, B, C, KAPPA]
     nees, nis = [], []
     for seed in seeds:
@@ -454,15 +454,15 @@ def errors_squared(seeds: range, seconds: float) -> tuple[float, float]:
     return float(np.mean(nees)), float(np.mean(nis))
 
 
-def test_one_filter_knows_its_own_error() -> None:
+def test_one_filter_is_consistent() -> None:
     nees, nis = errors_squared(range(16), 40.0)
-    # Means of chi-squared numbers over their degrees of freedom, 64 and 3200: 3 standard deviations.
+    # Means of chi-squared numbers over their 64 and 3200 degrees of freedom: 3 standard deviations.
     assert nees == pytest.approx(1.0, abs=0.53)
     assert nis == pytest.approx(1.0, abs=0.075)
 
 
 @pytest.mark.slow
-def test_one_filter_knows_its_own_error_over_many_drives() -> None:
+def test_one_filter_is_consistent_over_many_drives() -> None:
     nees, nis = errors_squared(range(100, 200), 120.0)
     assert nees == pytest.approx(1.0, abs=0.21)
     assert nis == pytest.approx(1.0, abs=0.02)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The published covariance grows where predictions are worse than stated, and never shrinks below the model's."""
+"""The published covariance grows when innovations exceed their variance, and never falls below the model's."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from trainid_ros.resistance.inflation import Inflation
 
 
 def inflation(std: float, rho: float = 0.0, seed: int = 1) -> list[float]:
-    """Return the factors under innovations of unit stated variance."""
+    """Return the factors for innovations of unit predicted variance."""
     rng, item, x, found = np.random.default_rng(seed), Inflation(), 0.0, []
     for _ in range(20_000):
         x = rho * x + (1.0 - rho * rho) ** 0.5 * float(rng.standard_normal())
@@ -19,19 +19,19 @@ def inflation(std: float, rho: float = 0.0, seed: int = 1) -> list[float]:
     return found
 
 
-def test_true_variances_leave_the_covariance_nearly_alone() -> None:
+def test_correct_variances_hardly_inflate_the_covariance() -> None:
     found = inflation(1.0)
     assert min(found) == 1.0
-    # A mean of about 15 squares scatters by a third.
+    # A mean of about 15 squares has a standard deviation of a third.
     assert np.mean(found) < 1.25
 
 
-def test_it_counts_errors_that_are_too_large_and_such_that_are_correlated() -> None:
-    assert np.mean(inflation(2.0)) == pytest.approx(3.6, rel=0.2)  # 4 less what one batch may say at most
+def test_large_and_correlated_errors_inflate_the_covariance() -> None:
+    assert np.mean(inflation(2.0)) == pytest.approx(3.6, rel=0.2)  # 4, reduced by the limit of one batch
     assert np.mean(inflation(1.0, rho=0.5)) == pytest.approx(3.0, rel=0.2)  # (1 + rho) / (1 - rho)
 
 
-def test_one_batch_says_no_more_than_its_share() -> None:
+def test_the_contribution_of_one_batch_is_limited() -> None:
     item = Inflation()
     for _ in range(40):
         item.add(1e6, 1.0, 1.2)
@@ -40,5 +40,5 @@ def test_one_batch_says_no_more_than_its_share() -> None:
 
 
 @pytest.mark.parametrize('wrong', [Inflation(ratio=0.0), Inflation(variance=-1.0), Inflation(length=48.0)])
-def test_an_unsound_state_shows(wrong: Inflation) -> None:
+def test_an_invalid_state_is_detected(wrong: Inflation) -> None:
     assert not wrong.is_valid()

@@ -44,14 +44,14 @@ def test_the_order_inside_a_step_does_not_matter() -> None:
 
 
 @given(FLAGS, st.integers(1, 6))
-def test_a_strict_step_needs_p_good_ones_in_a_row(good: tuple[bool, ...], p: int) -> None:
+def test_a_strict_step_needs_p_consecutive_good_observations(good: tuple[bool, ...], p: int) -> None:
     windows = [range(t - p + 1, t + 1) for t in range(p - 1, len(good)) if all(good[t - p + 1 : t + 1])]
     counts = use_counts(good, p, strict=True)
     assert counts == tuple(sum(t in window for window in windows) for t in range(len(good)))
     assert all(count == 0 for count, fine in zip(counts, good, strict=True) if not fine)
 
 
-def test_without_bad_ones_each_is_used_p_times_but_for_the_ends() -> None:
+def test_without_bad_observations_each_is_used_p_times_except_at_the_ends() -> None:
     assert use_counts((True,) * 6, 3, strict=False) == (3, 3, 3, 3, 2, 1)
     assert use_counts((True,) * 6, 3, strict=True) == (1, 2, 3, 3, 2, 1)
     assert use_counts((True, True, False, True, True, True), 3, strict=True) == (0, 0, 0, 1, 1, 1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The noise of speed and the correlation of innovations are found, gross errors or not."""
+"""The speed noise and the correlation of innovations are estimated with and without gross errors."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from trainid_ros.resistance.tachometer import Tachometer
 
 
 def learned(speeds: list[float], declared: float) -> float:
-    """Return the median of what is believed over the second half."""
+    """Return the median of the learned standard deviation over the second half."""
     tachometer, found = Tachometer(declared, declared**2), []
     for i, speed in enumerate(speeds):
         tachometer.add(speed, math.nan if i == 0 else 0.2)
@@ -22,7 +22,7 @@ def learned(speeds: list[float], declared: float) -> float:
 
 
 @pytest.mark.parametrize('std', [0.01, 0.03, 0.1])
-def test_speed_noise_is_found_also_among_gross_errors(std: float) -> None:
+def test_speed_noise_is_estimated_also_with_gross_errors(std: float) -> None:
     rng = np.random.default_rng(21)
     i = np.arange(4000)
     clean = 12.0 + 3.0 * np.sin(i / 150.0) + std * rng.standard_normal(4000)
@@ -31,7 +31,7 @@ def test_speed_noise_is_found_also_among_gross_errors(std: float) -> None:
     assert std < learned(spoiled.tolist(), 0.025) < 1.35 * std
 
 
-def test_gaps_and_uneven_steps_tell_nothing_of_the_noise() -> None:
+def test_gaps_and_uneven_steps_do_not_change_the_noise() -> None:
     tachometer = Tachometer(0.02, 0.02**2)
     for i, (speed, dt) in enumerate([(10.0, math.nan), (11.0, 0.2), (13.0, math.nan), (17.0, 0.2), (25.0, 0.4)]):
         tachometer.add(speed, dt)
@@ -42,7 +42,7 @@ def test_gaps_and_uneven_steps_tell_nothing_of_the_noise() -> None:
 
 @pytest.mark.parametrize(('rho', 'expected'), [(0.0, 1.0), (0.6, 4.0), (-0.5, 1.0 / 3.0)])
 def test_the_factor_is_long_run_over_marginal_variance(rho: float, expected: float) -> None:
-    """AR(1): (1 + rho) / (1 - rho). A batch of 20 sees most of it, and large sums are capped."""
+    """AR(1): (1 + rho) / (1 - rho). A batch of 20 contains most of it, and large sums are capped."""
     rng = np.random.default_rng(22)
     slow, x, found = SlowNoise(), 0.0, []
     for _ in range(40_000):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Least squares and its regularised forms against numpy and against what they minimise."""
+"""Least squares and its regularised forms against numpy and against their criteria."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def test_least_squares_is_that_of_numpy() -> None:
     assert least_squares(Phi, y).theta == pytest.approx(np.linalg.lstsq(Phi, y, rcond=None)[0], rel=1e-9)
 
 
-def test_weights_are_repetitions() -> None:
+def test_an_integer_weight_equals_repeated_observations() -> None:
     Phi, y = observations(2, 30)
     counts = np.random.default_rng(4).integers(1, 5, 30)
     repeated = least_squares(np.repeat(Phi, counts, axis=0), np.repeat(y, counts))
@@ -43,7 +43,7 @@ def test_weights_are_repetitions() -> None:
 
 
 @pytest.mark.parametrize('penalty', [0.5, 50.0, 5000.0])
-def test_ridge_minimises_the_sum_with_the_whole_penalty(penalty: float) -> None:
+def test_ridge_minimises_the_sum_with_the_full_penalty(penalty: float) -> None:
     Phi, y = observations(3)
     theta = ridge(Phi, y, penalty).theta
 
@@ -68,14 +68,14 @@ def test_only_the_scaled_penalty_does_not_depend_on_units() -> None:
     assert np.abs(printed[0] - printed[1]).max() > 0.01
 
 
-def test_a_prior_alone_is_returned_and_drowns_in_data() -> None:
+def test_without_data_the_prior_is_returned_and_many_data_outweigh_it() -> None:
     Phi, y = observations(6, 5000)
     prior = Prior(np.array([5.0, 0.1, 0.003]), np.diag([1.0, 0.01, 1e-6]))
     assert fit_with_prior(Phi[:0], y[:0], prior).theta == pytest.approx(prior.theta)
     assert Phi @ fit_with_prior(Phi, y, prior).theta == pytest.approx(Phi @ least_squares(Phi, y).theta, abs=0.02)
 
 
-def test_the_covariance_holds() -> None:
+def test_the_covariance_is_consistent_with_the_errors() -> None:
     errors = []
     for seed in range(300):
         Phi, y = observations(9000 + seed, 60)
@@ -85,7 +85,7 @@ def test_the_covariance_holds() -> None:
     assert np.mean(errors) == pytest.approx(1.04, abs=0.2)
 
 
-def test_what_is_not_determined_is_told() -> None:
+def test_undetermined_parameters_raise_an_error() -> None:
     Phi, y = observations(7)
     two_speeds = Phi[[0, 1, 0, 1, 0, 1]]
     for regressors in (Phi[:2], two_speeds):
@@ -94,7 +94,7 @@ def test_what_is_not_determined_is_told() -> None:
     assert np.isfinite(ridge(two_speeds, y[:6], 1.0).theta).all()
 
 
-def test_normal_equations_grow_by_one_observation() -> None:
+def test_normal_equations_updated_by_single_observations_equal_the_batch() -> None:
     Phi, y = observations(8, 40)
     information, moment = (0.0,) * 6, (0.0,) * 3
     for (one, v, v2), value in zip(Phi.tolist(), y.tolist(), strict=True):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Multi-innovation steps against batch least squares written here."""
+"""Multi-innovation steps against an independent batch least squares."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ def observations(count: int, seed: int) -> tuple[Array, Array, Array]:
     return v, 1.7 + 0.02 * v + 0.008 * v * v + np.sqrt(variance) * rng.standard_normal(count), variance
 
 
-def matrix(belief: Belief) -> Array:
+def matrix(estimate: Belief) -> Array:
     P = np.zeros((3, 3))
-    P[UPPER] = belief[3:]
+    P[UPPER] = estimate[3:]
     return P + np.triu(P, 1).T
 
 
@@ -55,14 +55,14 @@ def scaled_error(found: Belief, theta: Array, P: Array) -> float:
 
 
 @pytest.mark.parametrize('p', [1, 2, 4, 10])
-def test_p_uses_at_p_times_the_variance_weigh_exactly_once(p: int) -> None:
-    """The newest p - 1 observations have been used in part so far: 1/p, 2/p and so on."""
+def test_p_uses_at_p_times_the_variance_have_total_weight_one(p: int) -> None:
+    """The newest p - 1 observations have been used only in part: 1/p, 2/p and so on."""
     v, y, variance = observations(80, seed=p)
     used = np.minimum(1.0, np.arange(80, 0, -1) / p)
     assert scaled_error(belief_of(run(v, y, variance, p)), *batch(v, y, used / variance)) < 1e-9
 
 
-def test_noise_that_hangs_together_weighs_less() -> None:
+def test_observations_with_correlated_noise_have_less_weight() -> None:
     v, y, variance = observations(80, seed=3)
     found = belief_of(run(v, y, variance, 1, slow=2.5))
     assert scaled_error(found, *batch(v, y, 1.0 / (2.5 * variance))) < 1e-9
@@ -78,7 +78,7 @@ def test_one_innovation_from_a_ridge_prior_is_the_ridge_regression_of_the_paper(
         assert scaled_error(belief_of(run(*some, 1, prior=ridge)), *batch(*some, prior=ridge)) < 1e-9
 
 
-def test_belief_and_information_are_two_sides_of_one_thing() -> None:
+def test_estimate_and_information_convert_into_each_other() -> None:
     assert belief_of(information_of(PRIOR)) == pytest.approx(PRIOR, rel=1e-12)
     A, B, C, D, E, F, *h = information_of(PRIOR)
     assert np.array([[A, B, C], [B, D, E], [C, E, F]]) == pytest.approx(np.linalg.inv(matrix(PRIOR)), rel=1e-9)

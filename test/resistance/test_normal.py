@@ -25,7 +25,7 @@ STD = np.array([0.9, 0.02, 5e-3, 0.03, 0.15, 0.2])
 
 
 def some(n: int, seed: int = 1) -> Normal:
-    """Correlated parameters whose standard deviations lie decades apart."""
+    """Correlated parameters whose standard deviations differ by orders of magnitude."""
     rng = np.random.default_rng(seed)
     root = rng.standard_normal((n, 2 * n))
     S = root @ root.T
@@ -50,7 +50,7 @@ def test_without_outliers_an_update_is_that_of_recursive_least_squares(n: int) -
 
 
 @pytest.mark.parametrize('n', [3, 6])
-def test_information_adds_up_to_the_same_update(n: int) -> None:
+def test_adding_information_gives_the_same_update(n: int) -> None:
     before, phi, y, R = some(n), regressor(n), 5.0, 0.3
     found = normal_of(information_of(before) + information_in(phi, y, R))
     expected = soft_update(before, phi, y, R, 1.0, 0.0)[0]
@@ -60,7 +60,7 @@ def test_information_adds_up_to_the_same_update(n: int) -> None:
 
 
 @pytest.mark.parametrize('y', [1e3, -1e9, 1e150])
-def test_an_outlier_changes_nothing_and_its_score_does_not_sink_further(y: float) -> None:
+def test_an_outlier_changes_nothing_and_its_likelihood_is_bounded_below(y: float) -> None:
     before = some(6)
     found, weight, score = soft_update(before, regressor(6), y, 0.3, 1.0, 0.05)
     assert found is before
@@ -84,7 +84,7 @@ def test_a_mixture_has_the_moments_of_samples_drawn_from_it() -> None:
     assert pytest.approx(one.P, rel=1e-12) == mixed([one], [0.3]).P
 
 
-def test_steps_widen_up_to_the_most_and_keep_correlations() -> None:
+def test_steps_increase_variances_up_to_the_limit_and_keep_correlations() -> None:
     item = some(3)
     steps = np.array([1e-2, 1e-5, 1e-6])
     assert pytest.approx(np.diag(steps), abs=1e-15) == widened(item, steps).P - item.P

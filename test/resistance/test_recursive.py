@@ -8,7 +8,15 @@ import pytest
 from numpy.typing import NDArray
 
 from trainid_ros.resistance.least_squares import ridge, unpacked
-from trainid_ros.resistance.recursive import covariance, doubt, forget, regularised_rls, rls, shrink, start
+from trainid_ros.resistance.recursive import (
+    covariance,
+    forget,
+    prediction_variance,
+    regularised_rls,
+    rls,
+    shrink,
+    start,
+)
 
 Array = NDArray[np.float64]
 TRUTH = np.array([2.0, 0.06, 1.8e-3])
@@ -22,7 +30,7 @@ def observations(seed: int, count: int) -> tuple[Array, Array]:
 
 
 def printed(theta: Array, P: Array, phi: Array, y: float, N: float, penalty: float) -> tuple[Array, Array]:
-    """One step of (12)-(16), letter by letter."""
+    """One step of (12)-(16) exactly as printed."""
     Q = N / penalty * P @ np.linalg.inv(N / penalty * np.eye(3) + P)
     L = Q @ phi / (1.0 + phi @ Q @ phi)
     P = (np.eye(3) - np.outer(L, phi)) @ Q
@@ -69,18 +77,18 @@ def test_factors_are_those_of_the_covariance() -> None:
     P = U @ D @ U.T
     assert unpacked(covariance(UD)) == pytest.approx(P)
     phi = np.array([1.0, -2.0, 0.5])
-    assert doubt(UD, (1.0, -2.0, 0.5)) == pytest.approx(phi @ P @ phi)
+    assert prediction_variance(UD, (1.0, -2.0, 0.5)) == pytest.approx(phi @ P @ phi)
 
 
-def test_the_covariance_stays_positive_where_nothing_new_is_seen() -> None:
+def test_the_covariance_stays_positive_without_excitation() -> None:
     theta, UD = start(1e6, 1e-6)
     for _ in range(20_000):
         theta, UD = rls(theta, UD, (1.0, 60.0, 3600.0), 8.0)
     assert min(UD[3:]) > 0.0
-    assert doubt(UD, (1.0, 60.0, 3600.0)) == pytest.approx(1.0 / 20_000, rel=1e-3)
+    assert prediction_variance(UD, (1.0, 60.0, 3600.0)) == pytest.approx(1.0 / 20_000, rel=1e-3)
 
 
-def test_forgetting_weighs_the_past_less() -> None:
+def test_forgetting_reduces_the_weight_of_older_observations() -> None:
     Phi, y = observations(24, 100)
     mu = 0.95
     theta, UD = start(1e8)

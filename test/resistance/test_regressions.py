@@ -70,7 +70,7 @@ def test_least_squares_step_by_step() -> None:
             assert curve_difference(Phi, state.theta, least_squares(Phi[:t], y[:t]).theta) < 1e-6
 
 
-def test_all_corrected_forms_are_ridge_whatever_p_is() -> None:
+def test_all_corrected_forms_are_ridge_for_any_p() -> None:
     Phi, y, pairs = observations(71)
     expected = ridge(Phi, y, 50.0).theta
     for step, p, tolerance in ((solve_step, 1, 1e-9), (innovation_step, 1, 1e-9), (innovation_step, 4, 0.01)):
@@ -93,7 +93,7 @@ def test_forgetting_in_both_forms_is_the_same() -> None:
     assert curve_difference(Phi, recursive.theta, np.array(solved.theta)) < 1e-4
 
 
-def test_no_stack_reaches_across_a_bad_observation() -> None:
+def test_no_stack_extends_across_a_bad_observation() -> None:
     state = begin(Regression(3))
     for phi, y in observations(74)[2][:2]:
         state = strict_step(state, phi, y, Regression(3))

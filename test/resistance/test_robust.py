@@ -10,11 +10,11 @@ import pytest
 
 from trainid_ros.resistance.robust import OUTLIER_WIDTH, Belief, drifted, gate, predict, weigh
 
-BELIEF: Belief = (1.4, 0.02, 0.01, 0.81, 0.001, -1e-5, 4e-4, 1e-6, 2.5e-5)
+ESTIMATE: Belief = (1.4, 0.02, 0.01, 0.81, 0.001, -1e-5, 4e-4, 1e-6, 2.5e-5)
 
 
-def matrix(belief: Belief) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
-    A, B, C, D, E, F = belief[3:]
+def matrix(estimate: Belief) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+    A, B, C, D, E, F = estimate[3:]
     return np.array([[A, B, C], [B, D, E], [C, E, F]])
 
 
@@ -24,23 +24,23 @@ def test_the_weight_is_the_probability_that_an_observation_is_good() -> None:
     anything = 0.1 / (OUTLIER_WIDTH * 0.5)
     assert weigh(nu, S, R, eps)[0] == pytest.approx(good / (good + anything), rel=1e-12)
     assert weigh(nu, S, R, eps)[1] == pytest.approx(math.log(good + anything), rel=1e-12)
-    # At the gate good and bad are as likely.
+    # At the gate good and bad are equally likely.
     assert weigh(gate(eps) * 0.5, R, R, eps)[0] == pytest.approx(0.5, abs=1e-9)
     assert gate(0.0) == math.inf
 
 
 def test_prediction_is_the_quadratic_form() -> None:
     phi = np.array([1.0, 7.0, 53.0])
-    mean, variance = predict(BELIEF, 7.0, 53.0)
-    assert mean == pytest.approx(float(phi @ np.array(BELIEF[:3])))
-    assert variance == pytest.approx(float(phi @ matrix(BELIEF) @ phi))
+    mean, variance = predict(ESTIMATE, 7.0, 53.0)
+    assert mean == pytest.approx(float(phi @ np.array(ESTIMATE[:3])))
+    assert variance == pytest.approx(float(phi @ matrix(ESTIMATE) @ phi))
 
 
-def test_drift_widens_up_to_the_most_and_keeps_correlations() -> None:
+def test_drift_increases_variances_up_to_the_limit_and_keeps_correlations() -> None:
     rates = 1e-3, 1e-6, 1e-7
-    some = drifted(BELIEF, rates, 10.0, (9.0, 9.0, 9.0))
-    assert np.diag(matrix(some)) - np.diag(matrix(BELIEF)) == pytest.approx([1e-2, 1e-5, 1e-6])
-    most = drifted(BELIEF, rates, 1e9, (1.0, 1e-3, 1e-4))
+    some = drifted(ESTIMATE, rates, 10.0, (9.0, 9.0, 9.0))
+    assert np.diag(matrix(some)) - np.diag(matrix(ESTIMATE)) == pytest.approx([1e-2, 1e-5, 1e-6])
+    most = drifted(ESTIMATE, rates, 1e9, (1.0, 1e-3, 1e-4))
     assert np.diag(matrix(most)) == pytest.approx([1.0, 1e-3, 1e-4])
     assert np.min(np.linalg.eigvalsh(matrix(most))) > 0.0
-    assert most[:3] == BELIEF[:3]
+    assert most[:3] == ESTIMATE[:3]

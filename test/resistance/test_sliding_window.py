@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Windows are cut by time: 25 samples every 6 at 5 Hz, as many as a line needs at 1 Hz."""
+"""Windows are cut by time: 25 samples every 6 at 5 Hz, the minimum for a line at 1 Hz."""
 
 from __future__ import annotations
 
@@ -41,14 +41,14 @@ def test_jitter_changes_no_window() -> None:
     assert np.diff([i for i, _ in found]).mean() == pytest.approx(6.0, abs=0.05)
 
 
-def test_missing_samples_leave_the_duration() -> None:
+def test_missing_samples_do_not_change_the_duration() -> None:
     found = cuts([0.2, 0.2, 0.4] * 60)
     for _, cut in found:
         duration = (cut.ticks[-1].stamp_ns - cut.ticks[0].stamp_ns) / NS_PER_S
         assert duration == pytest.approx(4.8, abs=0.25)
 
 
-def test_after_clearing_a_window_begins_anew() -> None:
+def test_after_clearing_a_new_window_begins() -> None:
     window = SlidingWindow(4.8, 1.2)
     for i in range(24):
         assert window.push(Tick(i * NS_PER_S // 5, 0.2, 10.0, 0.0, 0.0)) is None

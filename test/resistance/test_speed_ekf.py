@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The speed EKF: its kernel against matrices written here, what it learns, and what cannot lead it astray."""
+"""The speed EKF: its kernel against independent matrix equations, accuracy, and robustness to faults."""
 
 from __future__ import annotations
 
@@ -79,7 +79,9 @@ def test_the_correction_is_that_of_a_kalman_filter() -> None:
 
 
 @pytest.mark.parametrize('seed', range(2))
-def test_it_learns_the_resistance_over_the_speeds_it_saw(train_file: TrainFile, journey: Journey, seed: int) -> None:
+def test_it_estimates_the_resistance_over_the_observed_speeds(
+    train_file: TrainFile, journey: Journey, seed: int
+) -> None:
     estimator = SpeedEkf(train_file, CONFIG)
     for item in journey(600.0, traction=saw_tooth, speed=8.0, seed=40 + seed):
         estimator.step(item)
@@ -92,30 +94,30 @@ def test_it_learns_the_resistance_over_the_speeds_it_saw(train_file: TrainFile, 
         assert here.resistance_std < 0.15
 
 
-def test_a_stuck_speed_leaves_no_trace(train_file: TrainFile, journey: Journey) -> None:
-    """While coasting a speed held for three seconds looks like no resistance at all."""
+def test_a_stuck_speed_does_not_affect_the_estimate(train_file: TrainFile, journey: Journey) -> None:
+    """While coasting, a speed held for three seconds looks like zero resistance."""
     samples = journey(400.0, traction=saw_tooth, speed=12.0, seed=9)
     held = [
         replace(item, speed=samples[i - i % 75].speed) if i % 75 < 15 and i > 500 else item
         for i, item in enumerate(samples)
     ]
-    plain, watchful, unaware = (SpeedEkf(train_file, CONFIG) for _ in range(3))
-    unaware = SpeedEkf(train_file, replace(CONFIG, stuck_sigmas=1e6))
+    plain, checked, unchecked = (SpeedEkf(train_file, CONFIG) for _ in range(3))
+    unchecked = SpeedEkf(train_file, replace(CONFIG, stuck_sigmas=1e6))
     reasons = []
     for good, bad in zip(samples, held, strict=True):
         plain.step(good)
-        unaware.step(bad)
-        answer = watchful.step(bad)
+        unchecked.step(bad)
+        answer = checked.step(bad)
         reasons.append(answer.reason if isinstance(answer, Rejection) else Reason.NONE)
     assert reasons.count(Reason.SPEED_STUCK) > 100
     expected = plain.estimate(12.0)
-    assert watchful.estimate(12.0).resistance == pytest.approx(expected.resistance, abs=2.0 * expected.resistance_std)
-    assert abs(unaware.estimate(12.0).resistance - w(TRUTH, 12.0)) > abs(
-        watchful.estimate(12.0).resistance - w(TRUTH, 12.0)
+    assert checked.estimate(12.0).resistance == pytest.approx(expected.resistance, abs=2.0 * expected.resistance_std)
+    assert abs(unchecked.estimate(12.0).resistance - w(TRUTH, 12.0)) > abs(
+        checked.estimate(12.0).resistance - w(TRUTH, 12.0)
     )
 
 
-def test_gross_errors_are_refused_and_a_lasting_one_starts_the_speed_anew(
+def test_gross_errors_are_rejected_and_a_lasting_one_restarts_the_speed(
     train_file: TrainFile, journey: Journey
 ) -> None:
     samples = journey(300.0, traction=saw_tooth, speed=12.0, seed=3)
@@ -130,20 +132,20 @@ def test_gross_errors_are_refused_and_a_lasting_one_starts_the_speed_anew(
     assert after.resistance == pytest.approx(before.resistance, abs=0.5)
 
 
-def test_saved_and_restored_in_the_middle_it_goes_on_to_the_bit(train_file: TrainFile, journey: Journey) -> None:
+def test_a_restored_estimator_continues_bit_identically(train_file: TrainFile, journey: Journey) -> None:
     samples = journey(200.0, traction=saw_tooth, brake=lambda t: -0.5 if 120.0 < t < 130.0 else 0.0)
     for middle in (333, 777):
-        whole, copy = SpeedEkf(train_file, CONFIG), SpeedEkf(train_file, CONFIG)
+        original, copy = SpeedEkf(train_file, CONFIG), SpeedEkf(train_file, CONFIG)
         for item in samples[:middle]:
-            whole.step(item)
-        copy.restore(whole.save())
+            original.step(item)
+        copy.restore(original.save())
         for item in samples[middle:]:
-            assert repr(copy.step(item)) == repr(whole.step(item))
-        assert copy.save() == whole.save()
+            assert repr(copy.step(item)) == repr(original.step(item))
+        assert copy.save() == original.save()
 
 
 @pytest.mark.parametrize('key', ['filter', 'held', 'tachometer'])
-def test_a_saved_state_that_does_not_fit_is_refused(train_file: TrainFile, key: str) -> None:
+def test_an_invalid_saved_state_is_rejected(train_file: TrainFile, key: str) -> None:
     estimator = SpeedEkf(train_file, CONFIG)
     data = json.loads(estimator.save())
     data['state'][key] = [[math.inf]] if key == 'held' else [1.0]
@@ -168,7 +170,7 @@ def test_a_saved_state_that_does_not_fit_is_refused(train_file: TrainFile, key: 
         (('speed_min',), math.nan),
     ],
 )
-def test_numbers_that_would_break_later_are_refused_and_nothing_changes(
+def test_invalid_numbers_in_a_saved_state_are_rejected_and_nothing_changes(
     train_file: TrainFile, journey: Journey, path: tuple[Any, ...], wrong: object
 ) -> None:
     estimator = SpeedEkf(train_file, CONFIG)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The filter kernel against an integration of its equation, textbook matrices and drawn samples."""
+"""The filter kernel against numerical integration, textbook matrix equations and random samples."""
 
 from __future__ import annotations
 
@@ -55,7 +55,7 @@ def cubic(reports: Reports, u: Array) -> Array:
 
 
 def moved(x: Array, interval: Interval, substeps: int = 50) -> Array:
-    """Integrate (1) by Heun's method for many states at once, shape (n, 9); gust and map error decay on the way."""
+    """Integrate (1) by Heun's method for many states at once, shape (n, 9); gust and map error decay meanwhile."""
     y = x.copy()
     dt = interval.dt / substeps
     T = cubic(interval.traction, x[:, DELTA] / interval.spacing)
@@ -76,7 +76,7 @@ def moved(x: Array, interval: Interval, substeps: int = 50) -> Array:
 
 
 def process_noise(interval: Interval) -> Array:
-    """Variances that an interval adds to v, gust and map error, by the docstrings."""
+    """Return the variances that an interval adds to v, gust and map error, as documented."""
     Q = np.zeros(STATES)
     jitter = NOISE.skew * (interval.traction[1] - interval.traction[0])
     Q[V] = (NOISE.force_density * interval.dt + jitter**2) / INERTIA**2
@@ -86,7 +86,7 @@ def process_noise(interval: Interval) -> Array:
 
 
 def predicted(x: Array, P: Array, interval: Interval = INTERVAL) -> tuple[Array, Array]:
-    """Return one hypothesis one interval later."""
+    """Return the prediction of one hypothesis over one interval."""
     xs, Ps = x[None].copy(), P[None].copy()
     predict(xs, Ps, interval, np.array([GUST_VAR]), np.array([MAP_VAR]), NOISE)
     return xs[0], Ps[0]
@@ -104,14 +104,14 @@ def test_the_shifted_traction_is_exact_for_polynomials_up_to_a_cubic(power: int)
     assert slope == pytest.approx(power * u ** max(0, power - 1), abs=1e-12)
 
 
-def test_at_whole_shifts_the_traction_is_that_reported() -> None:
+def test_at_integer_shifts_the_traction_is_the_reported_one() -> None:
     reports = (3.0, -7.0, 11.0, 5.0)
     value, _ = shifted_traction(reports, np.array([-1.0, 0.0, 1.0, 2.0]))
     assert value == pytest.approx(np.array(reports), abs=1e-12)
     assert value[1] == -7.0
 
 
-def test_beyond_the_reports_the_traction_is_the_last_one_known() -> None:
+def test_outside_the_reports_the_traction_is_the_nearest_one() -> None:
     value, _ = shifted_traction((3.0, -7.0, 11.0, 5.0), np.array([-30.0, 30.0]))
     assert value == pytest.approx([3.0, 5.0])
 
@@ -127,14 +127,14 @@ def test_the_predicted_mean_is_the_integral_of_the_equation(dt: float, seed: int
     x[DELTA] *= min(1.0, dt / 0.2)
     expected = moved(x[None], interval)[0]
     found, _ = predicted(x, np.diag(STD**2), interval)
-    # Gust and map error are held over the interval: half of what they lose in it counts too much.
-    lost = abs(x[GUST] - expected[GUST]) + abs(x[MAP] - expected[MAP])
-    assert found[V] == pytest.approx(expected[V], abs=1e-6 + 0.6 * dt / INERTIA * lost)
+    # Gust and map error are held constant over the interval: half of their decay in it is neglected.
+    decay = abs(x[GUST] - expected[GUST]) + abs(x[MAP] - expected[MAP])
+    assert found[V] == pytest.approx(expected[V], abs=1e-6 + 0.6 * dt / INERTIA * decay)
     assert np.delete(found, V) == pytest.approx(np.delete(expected, V), rel=1e-4, abs=1e-12)
 
 
-def test_a_change_between_two_slow_reports_of_the_force_came_at_any_time_between_them() -> None:
-    """By 20 N/kN within one second, interpolated in five equal parts: a step at a time of variance 1 s^2 / 12."""
+def test_a_force_change_between_two_slow_reports_is_uniform_in_time() -> None:
+    """20 N/kN within one second, interpolated in five equal parts: a step at a time of variance 1 s^2 / 12."""
     part = replace(INTERVAL, traction=(18.0, 22.0, 26.0, 30.0), force_interval=1.0)
     fast = replace(part, force_interval=0.2)
     added = 5 * (predicted(MEAN, np.diag(STD**2), part)[1] - predicted(MEAN, np.diag(STD**2), fast)[1])[V, V]
@@ -147,13 +147,13 @@ def test_the_predicted_covariance_follows_the_numerical_jacobian() -> None:
     for i in range(STATES):
         e = np.eye(STATES)[i] * 1e-3 * STD[i]
         F[:, i] = (moved((MEAN + e)[None], INTERVAL) - moved((MEAN - e)[None], INTERVAL))[0] / (2.0 * e[i])
-    # Gust and map error act as they were at the start.
+    # Gust and map error act with their initial values.
     F[V, GUST] = F[V, MAP] = -INTERVAL.dt / INERTIA
     expected = F @ P @ F.T + np.diag(process_noise(INTERVAL))
     _, found = predicted(MEAN, P)
     std = np.sqrt(np.diag(expected))
     assert np.max(np.abs(found - expected) / np.outer(std, std)) < 2e-3
-    # Speed and traction of the interval must be in it, and not only what was there before.
+    # The result must include the effect of the interval, not only the initial covariance.
     assert np.max(np.abs(P - expected) / np.outer(std, std)) > 0.02
 
 
@@ -169,19 +169,19 @@ def test_each_derivative_of_the_speed_is_the_numerical_one() -> None:
         e = np.eye(STATES)[i] * 1e-2 * STD[i]
         step = moved((MEAN + e)[None], slow)[0, V] - moved((MEAN - e)[None], slow)[0, V]
         expected = step / (2.0 * e[i]) - (i == V)
-        if i in (GUST, MAP):  # they act as they were at the start
+        if i in (GUST, MAP):  # they act with their initial values
             expected = -slow.dt / INERTIA
         assert found == pytest.approx(expected, rel=2e-3)
 
 
-def test_what_is_known_exactly_gains_the_noise_of_the_process() -> None:
+def test_an_exact_state_gains_the_process_noise() -> None:
     _, found = predicted(MEAN, np.zeros((STATES, STATES)))
     assert found == pytest.approx(np.diag(process_noise(INTERVAL)), rel=1e-9, abs=1e-20)
-    # White force for 0.2 s, and 15 ms of the 4 N/kN by which it rose.
+    # White force noise for 0.2 s, and a jitter of 15 ms of the rise by 4 N/kN.
     assert found[V, V] == pytest.approx((0.0245 * 0.2 + (0.015 * 4.0) ** 2) / INERTIA**2, rel=1e-9)
 
 
-def test_the_predicted_covariance_is_that_of_drawn_states() -> None:
+def test_the_predicted_covariance_is_that_of_random_states() -> None:
     rng = np.random.default_rng(5)
     P = random_covariance(2)
     interval = replace(INTERVAL, dt=1.0, traction=(5.0, 20.0, 35.0, 50.0))
@@ -195,7 +195,7 @@ def test_the_predicted_covariance_is_that_of_drawn_states() -> None:
     assert np.max(np.abs(found - expected) / np.outer(std, std)) < 0.03
 
 
-def test_hypotheses_do_not_disturb_each_other() -> None:
+def test_hypotheses_do_not_affect_each_other() -> None:
     rng = np.random.default_rng(8)
     x = MEAN + STD * rng.standard_normal((4, STATES))
     P = np.array([random_covariance(seed) for seed in range(4)])
@@ -237,19 +237,19 @@ def test_without_outliers_the_correction_is_the_textbook_kalman_update() -> None
     assert weight[0] == 1.0
 
 
-def test_a_speed_two_metres_per_second_off_hardly_counts() -> None:
+def test_a_speed_error_of_two_metres_per_second_has_negligible_weight() -> None:
     P = random_covariance(4)
     x, Q = MEAN[None].copy(), P[None].copy()
     log_density, weight = correct(x, Q, replace(INTERVAL, speed=MEAN[V] + 2.0), 0.01)
     assert np.max(np.abs(x[0] - MEAN) / STD) < 1e-3
     assert np.max(np.abs(Q[0] - P) / np.outer(STD, STD)) < 1e-3
     assert weight[0] < 1e-9
-    # What is left is the density of an outlier: 1 % of them, within 2 m/s.
+    # The remaining density is that of an outlier: 1 % of them, uniform over 2 m/s.
     assert log_density[0] == pytest.approx(math.log(0.01 / 2.0), rel=1e-9)
 
 
-def test_an_outlier_hardly_counts_however_unsure_the_prediction_is() -> None:
-    """As after a force beyond all measure: 10 m/s of standard deviation, and 500 m/s off."""
+def test_an_outlier_has_negligible_weight_even_with_an_uncertain_prediction() -> None:
+    """As after an impossible force: a standard deviation of 10 m/s and an error of 500 m/s."""
     P = np.diag(STD**2)
     P[V, V], P[V, KAPPA] = 100.0, 0.9 * 10.0 * STD[KAPPA]
     P[KAPPA, V] = P[V, KAPPA]
@@ -259,7 +259,7 @@ def test_an_outlier_hardly_counts_however_unsure_the_prediction_is() -> None:
     assert pytest.approx(P, rel=1e-9) == Q[0]
 
 
-def test_a_speed_as_predicted_counts_by_the_odds_that_it_is_none_of_the_outliers() -> None:
+def test_a_speed_as_predicted_is_weighted_by_the_probability_that_it_is_no_outlier() -> None:
     P = np.diag(STD**2)
     x, Q = MEAN[None].copy(), P[None].copy()
     log_density, weight = correct(x, Q, replace(INTERVAL, speed=MEAN[V]), 0.01)
@@ -270,7 +270,7 @@ def test_a_speed_as_predicted_counts_by_the_odds_that_it_is_none_of_the_outliers
     assert Q[0, V, V] == pytest.approx(9e-4 * 4e-4 / 1.3e-3, rel=1e-3)
 
 
-def test_the_more_a_speed_is_off_the_less_it_weighs() -> None:
+def test_the_weight_falls_with_the_innovation() -> None:
     weights = []
     for nu in (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 1.0, 100.0):
         x, Q = MEAN[None].copy(), np.diag(STD**2)[None]
@@ -279,20 +279,20 @@ def test_the_more_a_speed_is_off_the_less_it_weighs() -> None:
     assert (weights[0] > 0.999, weights[-1] < 1e-100) == (True, True)
 
 
-def test_what_is_certain_stays_certain() -> None:
-    certain = [C, MAP, DELTA]
+def test_zero_variance_stays_zero() -> None:
+    exact = [C, MAP, DELTA]
     P = random_covariance(6)
-    P[certain, :] = P[:, certain] = 0.0
+    P[exact, :] = P[:, exact] = 0.0
     x, Q = MEAN[None].copy(), P[None].copy()
     for _ in range(20):
         predict(x, Q, INTERVAL, np.array([GUST_VAR]), np.zeros(1), NOISE)
         correct(x, Q, replace(INTERVAL, speed=float(x[0, V]) + 0.02), 0.01)
-    assert not Q[0, certain].any()
+    assert not Q[0, exact].any()
     assert x[0, C] == MEAN[C]
     assert x[0, DELTA] == MEAN[DELTA]
 
 
-def test_a_restart_forgets_the_motion_and_keeps_the_parameters() -> None:
+def test_a_restart_resets_the_motion_and_keeps_the_parameters() -> None:
     P = random_covariance(7)
     x, Q = MEAN[None].copy(), P[None].copy()
     restart(x, Q, 9.0, 1e-3, np.array([GUST_VAR]), np.array([MAP_VAR]))
@@ -300,7 +300,7 @@ def test_a_restart_forgets_the_motion_and_keeps_the_parameters() -> None:
     assert (x[0, kept] == MEAN[kept]).all()
     assert (Q[0][np.ix_(kept, kept)] == P[np.ix_(kept, kept)]).all()
     assert x[0, [V, GUST, MAP]].tolist() == [9.0, 0.0, 0.0]
-    forgotten = [V, GUST, MAP]
-    assert not Q[0][np.ix_(forgotten, kept)].any()
-    assert not Q[0][np.ix_(kept, forgotten)].any()
-    assert (Q[0][np.ix_(forgotten, forgotten)] == np.diag([1e-3, GUST_VAR, MAP_VAR])).all()
+    reset = [V, GUST, MAP]
+    assert not Q[0][np.ix_(reset, kept)].any()
+    assert not Q[0][np.ix_(kept, reset)].any()
+    assert (Q[0][np.ix_(reset, reset)] == np.diag([1e-3, GUST_VAR, MAP_VAR])).all()

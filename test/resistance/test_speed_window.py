@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Resistance from a window of speed: exact without noise, as noisy as it says with it."""
+"""Resistance from a window of speed: exact without noise, consistent with its stated noise otherwise."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ def test_constant_resistance_is_exact_under_changing_force_and_irregular_steps(s
 
 
 @pytest.mark.parametrize('seed', range(5))
-def test_the_regressor_carries_resistance_that_grows_with_speed(seed: int) -> None:
+def test_the_regressor_includes_resistance_that_grows_with_speed(seed: int) -> None:
     a, b, c = 1.5, 0.03, 0.008
     result = observed(window(40, a=a, b=b, c=c, seed=seed))
     # Speed is taken as linear between samples; the curvature of 0.4 s of motion costs less than this.
@@ -82,15 +82,15 @@ def test_three_spikes_in_a_window_change_nothing() -> None:
             spike = float(rng.choice([-8.0, -1.0, 0.5, 20.0]))
             ticks[k] = Tick(ticks[k].stamp_ns, ticks[k].dt, ticks[k].speed + spike, ticks[k].known_force, 0.0)
         result = observed(ticks)
-        # The others are exact, so leaving the spikes out leaves the answer exact.
+        # The other speeds are exact, so without the spikes the result is exact.
         assert result.y == pytest.approx(clean.y, abs=1e-9), seed
-        # Resistance 2 and no noise: the mended speeds move the regressor's mean speed little.
+        # Resistance 2 and no noise: the interpolated speeds change the mean speed of the regressor little.
         assert result.phi[0] == pytest.approx(1.0, abs=1e-12)
         assert result.phi[1] == pytest.approx(clean.phi[1], abs=0.1)
         assert result.noise_std > clean.noise_std
 
 
-def test_slip_over_half_of_the_window_is_refused_with_its_numbers() -> None:
+def test_slip_over_half_of_the_window_is_rejected_with_value_and_limit() -> None:
     ticks = window(25, seed=1)
     slipped = [
         Tick(t.stamp_ns, t.dt, t.speed + (2.0 if 6 <= i < 18 else 0.0), t.known_force, 0.0) for i, t in enumerate(ticks)
@@ -101,7 +101,7 @@ def test_slip_over_half_of_the_window_is_refused_with_its_numbers() -> None:
     assert result.value > result.limit == 5.0 * STD
 
 
-def test_its_noise_is_what_it_says_and_it_has_no_bias() -> None:
+def test_the_stated_noise_is_correct_and_there_is_no_bias() -> None:
     results = [observed(window(25, seed=s, noise=STD, force=False)) for s in range(400)]
     z = np.array([(r.y - 2.0) / r.noise_std for r in results])
     # 400 windows: the mean is known to 0.05, the standard deviation to 0.035.
@@ -110,13 +110,13 @@ def test_its_noise_is_what_it_says_and_it_has_no_bias() -> None:
 
 
 @pytest.mark.parametrize('late_s', [0.05, 0.2])
-def test_the_rate_of_the_traction_is_what_a_late_force_costs(late_s: float) -> None:
-    """Delay the force by d: the resistance appears to change by d times the slope of the traction."""
+def test_the_rate_of_the_traction_is_the_error_per_second_of_delay(late_s: float) -> None:
+    """With a force delayed by d the observed resistance changes by d times the slope of the traction."""
     dt = 0.2
     t: NDArray[np.float64] = dt * np.arange(30, dtype=np.float64)
 
     def mean_force(at: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Mean since the sample before of a force that rises to 40 N/kN within a second."""
+        """Mean since the previous sample of a force that rises to 40 N/kN within a second."""
         middle = at - 0.5 * dt
         return 20.0 + 20.0 * np.tanh((middle - 3.0) / 0.5)
 
@@ -133,8 +133,8 @@ def test_the_rate_of_the_traction_is_what_a_late_force_costs(late_s: float) -> N
 
 
 @pytest.mark.parametrize('seed', range(3))
-def test_a_scale_of_the_traction_shows_by_its_weighted_mean(seed: int) -> None:
-    """Report 5 % too little force: y = w - kappa Tw holds exactly."""
+def test_a_scale_error_of_the_traction_changes_y_by_its_weighted_mean(seed: int) -> None:
+    """With 5 % too little reported force, y = w - kappa Tw holds exactly."""
     ticks = window(25, seed=seed)
     little = [replace(tick, known_force=tick.known_force / 1.05, traction=tick.traction / 1.05) for tick in ticks]
     result = observed(little)
@@ -142,8 +142,8 @@ def test_a_scale_of_the_traction_shows_by_its_weighted_mean(seed: int) -> None:
     assert result.traction_size == pytest.approx(np.mean([abs(tick.traction) for tick in little[1:]]))
 
 
-def test_the_error_of_a_curve_shows_by_its_weighted_curvature() -> None:
-    """Resistance 2 + .3 per unit of curvature, of which .1 is known; curvature is the mean of each interval."""
+def test_a_curve_resistance_error_changes_y_by_the_weighted_curvature() -> None:
+    """Resistance 2 + 0.3 per unit of curvature, of which 0.1 is known; curvature is the mean of each interval."""
     rng = np.random.default_rng(3)
     curve = np.clip(rng.normal(0.0, 1.0, 30).cumsum(), 0.0, 5.0)
     v = 15.0 - np.append(0.0, np.cumsum(0.2 * (2.0 + 0.3 * curve[1:]) / INERTIA))
@@ -157,14 +157,14 @@ def test_the_error_of_a_curve_shows_by_its_weighted_curvature() -> None:
 
 @pytest.mark.parametrize(('size', 'hop'), [(25, 12), (25, 5), (11, 3), (25, 25)])
 def test_overlap_factor_by_monte_carlo(size: int, hop: int) -> None:
-    """Variance of the mean of many slopes, over what independent slopes would have."""
+    """Variance of the mean of many slopes, relative to that of independent slopes."""
     rng = np.random.default_rng(4)
     n, repeats = 60, 3000
     noise = rng.standard_normal((repeats, (n - 1) * hop + size))
     c = np.arange(size) - 0.5 * (size - 1)
     slopes = np.stack([noise[:, k * hop : k * hop + size] @ c / (c @ c) for k in range(n)], axis=1)
     measured = n * slopes.mean(axis=1).var() * (c @ c)
-    # 3000 repeats know a variance to 2.6 %; the ends of 60 slopes are missing some neighbours, which shrinks with 1/n.
+    # 3000 repeats determine a variance to 2.6 %; the ends of 60 slopes lack some neighbours, an effect of order 1/n.
     ends = 2.0 * sum(k * (c[: -k * hop] @ c[k * hop :]) for k in range(1, -(-size // hop))) / (n * (c @ c))
     assert measured + ends == pytest.approx(overlap_factor(size, hop), rel=0.1)
     assert overlap_factor(25, 25) == 1.0

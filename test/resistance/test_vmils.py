@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""V-MILS: what it skips, what it learns, that it recovers and that it never loses itself."""
+"""V-MILS: rejected samples, accuracy, recovery from steps, and robustness to any input."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def w(davis: Davis, v: float) -> float:
         ({'brake_command': -0.5}, Reason.BRAKING),
     ],
 )
-def test_bad_samples_are_skipped_and_change_no_estimate(
+def test_bad_samples_are_rejected_and_change_no_estimate(
     train_file: TrainFile, sample: Make, journey: Journey, fields: dict[str, Any], reason: Reason
 ) -> None:
     estimator = VMils(train_file, CONFIG)
@@ -62,8 +62,8 @@ def test_bad_samples_are_skipped_and_change_no_estimate(
     assert estimator.state.learner.ticks == ()
 
 
-def test_standing_and_braking_leave_the_parameters_alone(train_file: TrainFile, journey: Journey) -> None:
-    """Ten minutes of stops: between the start of a braking and the next departure only kappa may have stepped."""
+def test_standing_and_braking_do_not_change_the_parameters(train_file: TrainFile, journey: Journey) -> None:
+    """Ten minutes of stops: between the start of braking and the next departure only kappa may step."""
     samples = journey(
         600.0,
         traction=lambda t: 40.0 if t % 150.0 < 35.0 else 0.0,
@@ -85,7 +85,7 @@ def test_standing_and_braking_leave_the_parameters_alone(train_file: TrainFile, 
     assert learned > 20
 
 
-def test_it_learns_the_resistance_over_the_speeds_it_saw(train_file: TrainFile, journey: Journey) -> None:
+def test_it_estimates_the_resistance_over_the_observed_speeds(train_file: TrainFile, journey: Journey) -> None:
     estimator = VMils(train_file, CONFIG)
     for item in journey(840.0, traction=saw_tooth, speed=8.0):
         estimator.step(item)
@@ -94,12 +94,12 @@ def test_it_learns_the_resistance_over_the_speeds_it_saw(train_file: TrainFile, 
     assert found.speed_max - found.speed_min > 4.0
     for v in np.linspace(found.speed_min, found.speed_max, 5).tolist():
         here = estimator.estimate(v)
-        # 180 observations of about 0.1 N/kN and none of them biased: 0.03 N/kN, and what it says of itself.
+        # 180 unbiased observations of about 0.1 N/kN: 0.03 N/kN, and within the stated standard deviation.
         assert here.resistance == pytest.approx(w(TRUTH, v), abs=max(0.05, 3.0 * here.resistance_std))
         assert here.resistance_std < 0.1
 
 
-def test_the_estimate_is_consistent_in_itself(train_file: TrainFile, journey: Journey) -> None:
+def test_the_fields_of_an_estimate_are_consistent(train_file: TrainFile, journey: Journey) -> None:
     estimator = VMils(train_file, CONFIG)
     for item in journey(120.0, traction=saw_tooth):
         estimator.step(item)
@@ -118,7 +118,7 @@ def test_the_estimate_is_consistent_in_itself(train_file: TrainFile, journey: Jo
 def test_it_recovers_after_a_jump_of_the_resistance(
     train_file: TrainFile, journey: Journey, step: float, seed: int
 ) -> None:
-    """A hard gate alone never would: +5 N/kN lies far beyond it."""
+    """A hard gate alone would never recover: +5 N/kN is far beyond it."""
     jump_s = 420.0
     samples = journey(
         840.0,
@@ -131,7 +131,7 @@ def test_it_recovers_after_a_jump_of_the_resistance(
     for item in samples[: round(5 * (jump_s + 120.0))]:
         estimator.step(item)
     after = replace(TRUTH, a=TRUTH.a + step)
-    # Two minutes later most of the step is found, a few minutes later all of it.
+    # Two minutes later most of the step is followed, a few minutes later all of it.
     assert abs(estimator.estimate(14.0).resistance - w(after, 14.0)) < 0.35 * abs(step)
     for item in samples[round(5 * (jump_s + 120.0)) :]:
         estimator.step(item)
@@ -139,7 +139,7 @@ def test_it_recovers_after_a_jump_of_the_resistance(
     assert estimator.learner.tracker.steps_found >= 1
 
 
-def test_without_a_jump_it_finds_no_step(train_file: TrainFile, journey: Journey) -> None:
+def test_without_a_jump_no_step_is_detected(train_file: TrainFile, journey: Journey) -> None:
     found = 0
     for seed in range(3):
         estimator = VMils(train_file, CONFIG)
@@ -150,7 +150,7 @@ def test_without_a_jump_it_finds_no_step(train_file: TrainFile, journey: Journey
     assert found <= 1
 
 
-def test_slipping_windows_are_refused(train_file: TrainFile, journey: Journey) -> None:
+def test_windows_with_slip_are_rejected(train_file: TrainFile, journey: Journey) -> None:
     samples = journey(400.0, traction=saw_tooth)
     slipping = [
         replace(item, speed=item.speed + 2.0) if i >= 1000 and i % 25 < 11 else item for i, item in enumerate(samples)
@@ -161,7 +161,7 @@ def test_slipping_windows_are_refused(train_file: TrainFile, journey: Journey) -
     assert estimator.estimate(14.0).resistance == pytest.approx(w(TRUTH, 14.0), abs=0.4)
 
 
-def test_used_samples_make_an_observation_every_hop(train_file: TrainFile, journey: Journey) -> None:
+def test_accepted_samples_give_an_observation_every_hop(train_file: TrainFile, journey: Journey) -> None:
     estimator = VMils(train_file, CONFIG)
     results = [estimator.step(item) for item in journey(100.0, speed=20.0)]
     accepted = sum(isinstance(r, ResistanceEstimate) for r in results)
@@ -171,7 +171,7 @@ def test_used_samples_make_an_observation_every_hop(train_file: TrainFile, journ
 
 
 def garbage(seed: int, make: Make) -> list[Sample]:
-    """Samples as bad as the aligner lets them through, mixed with good ones."""
+    """Samples as bad as the aligner passes on, mixed with good ones."""
     rng = np.random.default_rng(seed)
     wild = rng.random() < 0.5
 
@@ -218,7 +218,7 @@ def garbage(seed: int, make: Make) -> list[Sample]:
 
 @settings(max_examples=20, deadline=None, phases=(Phase.explicit, Phase.reuse, Phase.generate))
 @given(st.integers(0, 2**32 - 1))
-def test_no_input_makes_it_lose_itself(train_file: TrainFile, sample: Make, seed: int) -> None:
+def test_the_estimate_stays_finite_for_any_input(train_file: TrainFile, sample: Make, seed: int) -> None:
     estimator = VMils(train_file, CONFIG)
     for item in garbage(seed, sample):
         estimator.step(item)
@@ -231,19 +231,19 @@ def test_no_input_makes_it_lose_itself(train_file: TrainFile, sample: Make, seed
         assert np.min(np.linalg.eigvalsh(P / np.outer(std, std))) > -1e-9
 
 
-def test_saved_and_restored_in_the_middle_it_goes_on_to_the_bit(train_file: TrainFile, journey: Journey) -> None:
+def test_a_restored_estimator_continues_bit_identically(train_file: TrainFile, journey: Journey) -> None:
     samples = journey(300.0, traction=saw_tooth, brake=lambda t: -0.5 if 170.0 < t < 180.0 else 0.0)
-    # Also within a window, and while the brake still releases.
+    # Also within a window, and while the brake is still releasing.
     for middle in (333, 777, 905):
-        whole, first, second = (VMils(train_file, CONFIG) for _ in range(3))
+        original, first, second = (VMils(train_file, CONFIG) for _ in range(3))
         for item in samples[:middle]:
-            whole.step(item)
+            original.step(item)
             first.step(item)
         second.restore(first.save())
         assert repr(second.state) == repr(first.state)
         for item in samples[middle:]:
-            assert repr(second.step(item)) == repr(whole.step(item))
-        assert second.save() == whole.save()
+            assert repr(second.step(item)) == repr(original.step(item))
+        assert second.save() == original.save()
 
 
 def test_reset_equals_new(train_file: TrainFile, journey: Journey) -> None:
@@ -257,7 +257,7 @@ def test_reset_equals_new(train_file: TrainFile, journey: Journey) -> None:
 
 
 @pytest.mark.parametrize('key', ['tracker', 'tachometer', 'ticks', 'slow', 'inflation'])
-def test_a_saved_state_that_does_not_fit_is_refused(train_file: TrainFile, journey: Journey, key: str) -> None:
+def test_an_invalid_saved_state_is_rejected(train_file: TrainFile, journey: Journey, key: str) -> None:
     estimator = VMils(train_file, CONFIG)
     for item in journey(60.0, traction=saw_tooth):
         estimator.step(item)
@@ -291,7 +291,7 @@ def test_a_saved_state_that_does_not_fit_is_refused(train_file: TrainFile, journ
         (('observations',), 10**40),
     ],
 )
-def test_numbers_that_would_break_later_are_refused_and_nothing_changes(
+def test_invalid_numbers_in_a_saved_state_are_rejected_and_nothing_changes(
     train_file: TrainFile, journey: Journey, path: tuple[Any, ...], wrong: float
 ) -> None:
     estimator = VMils(train_file, CONFIG)
@@ -308,18 +308,18 @@ def test_numbers_that_would_break_later_are_refused_and_nothing_changes(
     assert estimator.save() == before
 
 
-def test_a_hop_longer_than_the_window_is_refused(train_file: TrainFile) -> None:
+def test_a_hop_longer_than_the_window_is_rejected(train_file: TrainFile) -> None:
     with pytest.raises(InputError, match=r'hop = 6 s must not exceed window = 4.8 s'):
         VMils(train_file, VMilsConfig(hop=6.0))
 
 
 def known_file(train_file: TrainFile) -> TrainFile:
-    """Return a train whose mass and force are known to .2 and .3 %."""
+    """Return a train file with standard deviations of mass and force of 0.2 and 0.3 %."""
     return replace(train_file, train=replace(train_file.train, mass_std=0.002, force_std=0.003))
 
 
 def misreported(samples: list[Sample], *, scale: float = 1.0, late_s: float = 0.0) -> list[Sample]:
-    """Report a force that is too small by a factor and late; the force acts as it was."""
+    """Report a force that is too small by a factor and late; the actual force is unchanged."""
     t = np.array([(item.stamp_ns - samples[0].stamp_ns) / NS_PER_S for item in samples])
     # Cumulative force, so that the mean over any interval is exact.
     dt = np.diff(t, prepend=t[0])
@@ -341,18 +341,18 @@ def after(train_file: TrainFile, samples: list[Sample], config: VMilsConfig = CO
 def test_a_wrong_mass_gives_the_right_resistance_and_scale(
     train_file: TrainFile, journey: Journey, scale: float
 ) -> None:
-    """Mass or gain wrong by 5 % is 1.5 N/kN under power: known to 3.6 % a priori, found to 1 %."""
+    """A mass or gain error of 5 % is 1.5 N/kN under power; the prior std is 3.6 %, the estimate is within 1 %."""
     samples = misreported(journey(1400.0, traction=saw_tooth, speed=8.0), scale=scale)
     found = after(train_file, samples).estimate(13.0)
     assert found.resistance == pytest.approx(w(TRUTH, 13.0), abs=0.15)
     assert found.force_scale == pytest.approx(scale, abs=0.01)
     assert abs(found.force_scale - scale) < 3.0 * found.force_scale_std < 0.03
-    trusting = after(known_file(train_file), samples).estimate(13.0)
-    assert abs(trusting.resistance - w(TRUTH, 13.0)) > 2.0 * abs(found.resistance - w(TRUTH, 13.0))
+    narrow = after(known_file(train_file), samples).estimate(13.0)
+    assert abs(narrow.resistance - w(TRUTH, 13.0)) > 2.0 * abs(found.resistance - w(TRUTH, 13.0))
 
 
 @pytest.mark.parametrize('late_s', [0.0, 0.3])
-def test_a_late_force_is_found(train_file: TrainFile, journey: Journey, late_s: float) -> None:
+def test_the_delay_of_the_force_is_estimated(train_file: TrainFile, journey: Journey, late_s: float) -> None:
     samples = misreported(journey(1400.0, traction=saw_tooth, speed=8.0), late_s=late_s)
     found = after(train_file, samples).estimate(13.0)
     assert found.force_delay == pytest.approx(late_s, abs=0.08)
@@ -360,8 +360,8 @@ def test_a_late_force_is_found(train_file: TrainFile, journey: Journey, late_s: 
     assert found.resistance == pytest.approx(w(TRUTH, 13.0), abs=0.15)
 
 
-def test_the_resistance_of_curves_is_found_along(train_file: TrainFile, journey: Journey) -> None:
-    """A third of the time in a curve of 300 m that resists by 1.6 N/kN more than the train file says."""
+def test_the_curve_resistance_is_estimated_too(train_file: TrainFile, journey: Journey) -> None:
+    """A third of the time in a curve of 300 m with 1.6 N/kN more resistance than in the train file."""
 
     def curved(t: float) -> bool:
         return t % 90.0 > 60.0
@@ -378,7 +378,7 @@ def test_the_resistance_of_curves_is_found_along(train_file: TrainFile, journey:
     assert estimator.estimate(13.0).resistance == pytest.approx(w(TRUTH, 13.0), abs=0.15)
 
 
-def test_passengers_change_the_scale_at_stops_only(train_file: TrainFile, sample: Make) -> None:
+def test_the_force_scale_changes_only_at_stops(train_file: TrainFile, sample: Make) -> None:
     """Weighed or not, the variance of kappa grows by one step at each standstill, up to the prior and one step."""
 
     def variance(mass: float, stops: int, file: TrainFile) -> float:
@@ -397,8 +397,10 @@ def test_passengers_change_the_scale_at_stops_only(train_file: TrainFile, sample
     assert variance(2e5, 9, known) == pytest.approx(0.002**2 + 0.003**2 + 0.001**2)
 
 
-def test_where_the_force_is_known_its_errors_cost_nothing(train_file: TrainFile, journey: Journey) -> None:
-    """With a narrow prior the error is that without the states of the force, five drives together."""
+def test_with_a_known_force_the_force_error_states_do_not_reduce_accuracy(
+    train_file: TrainFile, journey: Journey
+) -> None:
+    """With a narrow prior the error is that without the force error states, over five drives."""
     errors = []
     for seed in range(5):
         samples = journey(700.0, traction=saw_tooth, speed=8.0, seed=20 + seed)
@@ -413,11 +415,11 @@ def test_where_the_force_is_known_its_errors_cost_nothing(train_file: TrainFile,
     assert narrow < none + 0.02
 
 
-def test_the_band_covers_over_fresh_drives(train_file: TrainFile, journey: Journey) -> None:
-    """Twelve drives with another scale, delay, gusts and noise each: 95 % bands of w at three speeds.
+def test_the_95_per_cent_band_covers_the_truth_over_new_drives(train_file: TrainFile, journey: Journey) -> None:
+    """Twelve drives with different scale, delay, gusts and noise: 95 % bands of w at three speeds.
 
-    The three speeds of a drive are correlated, so 12 to 20 independent trials: fewer than 80 % in about one of 50
-    runs of an honest band.
+    The three speeds of a drive are correlated, so there are 12 to 20 independent trials: a consistent band covers
+    fewer than 80 % in about one of 50 runs.
     """
     inside = []
     for seed in range(12):
@@ -442,8 +444,8 @@ def test_the_band_covers_over_fresh_drives(train_file: TrainFile, journey: Journ
     assert np.mean(inside) >= 0.8
 
 
-def test_samples_once_a_second_do(train_file: TrainFile, journey: Journey) -> None:
-    """Windows of 8 s: half as many observations, each as good."""
+def test_one_sample_per_second_is_sufficient(train_file: TrainFile, journey: Journey) -> None:
+    """Windows of 8 s: half as many observations, each as accurate."""
     samples = journey(1400.0, traction=saw_tooth, speed=8.0)
     slow = []
     for k in range(5, len(samples), 5):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The streaming regressions on coasts whose resistance is known."""
+"""The streaming regressions on coasting runs with known resistance."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def curve_error(estimate: ResistanceEstimate) -> float:
 
 
 @pytest.mark.parametrize('name', NAMES)
-def test_the_resistance_of_coasts_is_found(name: str) -> None:
+def test_the_resistance_of_coasting_runs_is_estimated(name: str) -> None:
     estimator = made(name, window=11, hop=5)
     estimate = learned(estimator, data.drive(PLAN, np.random.default_rng(91)))
     assert curve_error(estimate) < 0.2
@@ -49,9 +49,9 @@ def test_the_resistance_of_coasts_is_found(name: str) -> None:
     assert 19.0 < estimate.speed_max < 22.5
 
 
-def test_one_pass_of_the_stream_is_the_batch() -> None:
+def test_one_pass_of_the_stream_equals_the_batch() -> None:
     coasts = data.drive(PLAN, np.random.default_rng(92))
-    # The first sample of a coast comes after a gap and is not used.
+    # The first sample of a coasting run follows a gap and is not used.
     records = coasts.speed[:, 1:]
     for cutter, changes in (
         (Windows(11, 5), {'window': 11, 'hop': 5}),
@@ -61,7 +61,7 @@ def test_one_pass_of_the_stream_is_the_batch() -> None:
         expected = least_squares(seen.regressors(), seen.y).theta
         found = learned(made('LS', **changes), coasts)
         theta = np.array([found.a, found.b * data.KMH, found.c * data.KMH**2])
-        # Only the regressor differs: mean of v^2, weighted as the slope weighs it, not the mean speed squared.
+        # Only the regressor differs: mean of v^2 with the weights of the slope, not the square of the mean speed.
         assert data.curve_error(theta - expected, (0.0, 0.0, 0.0)) < 2e-3
 
 
@@ -82,7 +82,7 @@ def test_vmils_skips_a_bad_observation_and_ls_does_not() -> None:
     assert curve_error(estimator.estimate(14.0)) < 0.4 * curve_error(learned(made('LS'), spoiled))
 
 
-def test_wind_up_ends_in_a_refusal_never_in_nan() -> None:
+def test_wind_up_ends_in_a_rejection_never_in_nan() -> None:
     estimator = made('RLS', forgetting=0.5, window=5, hop=1)
     coast = data.drive(data.CoastPlan(coasts=1, samples=40), np.random.default_rng(95))
     steady = replace(coast, speed=np.full((1, 1100), 60.0))
@@ -92,13 +92,13 @@ def test_wind_up_ends_in_a_refusal_never_in_nan() -> None:
     assert answers[-1].reason is Reason.NUMERICAL
 
 
-def test_a_saved_state_goes_on_to_the_bit_and_a_broken_one_is_refused() -> None:
+def test_a_restored_state_continues_bit_identically_and_an_invalid_one_is_rejected() -> None:
     samples = list(data.samples(data.drive(PLAN, np.random.default_rng(96))))[:900]
-    whole, copy = made('V-MILS-printed', window=11, hop=5), made('V-MILS-printed', window=11, hop=5)
+    original, copy = made('V-MILS-printed', window=11, hop=5), made('V-MILS-printed', window=11, hop=5)
     for sample in samples[:500]:
-        whole.step(sample)
-    copy.restore(whole.save())
-    assert [whole.step(s) for s in samples[500:]] == [copy.step(s) for s in samples[500:]]
+        original.step(sample)
+    copy.restore(original.save())
+    assert [original.step(s) for s in samples[500:]] == [copy.step(s) for s in samples[500:]]
     before = copy.save()
     for right, wrong in (
         ('"theta": [', '"theta": [NaN, '),

@@ -1,20 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Parameters that follow steps and forget nothing else.
+"""Parameter estimation that follows steps without forgetting between them.
 
-Forgetting factors buy speed after a step with noise at all other times. Here one long memory (multi-innovation
-least squares) runs beside a few hypotheses, each of which supposes that the parameters stepped when it was born: it
-started from the long memory of that time, with the variance of a step added. Each keeps the score of its predictions
-against those of the long memory: the logarithm of a Bayes factor. The estimate is the mixture of all by their
-probability; as soon as the long memory has none left, the likeliest hypothesis takes its place.
-This is Bayesian detection of change points (Adams and MacKay 2007) with few run lengths.
+A forgetting factor responds to a step faster at the price of more noise at all other times. Here one long-memory
+estimate (multi-innovation least squares) runs beside a few run-length hypotheses. Each assumes that the parameters
+stepped when it was created: it starts from the long-memory estimate of that time with the variance of a step added,
+and accumulates the log Bayes factor of its predictions against those of the long memory. The estimate is the
+mixture of all, weighted by their probability. Once the long memory has negligible probability, the most likely
+hypothesis replaces it. This is Bayesian change-point detection (Adams and MacKay 2007) with few run lengths.
 
 The long memory is that of :mod:`multi_innovation`, for n parameters: with information I = [P^-1 | P^-1 theta],
 
     I(t) = I(t-1) + sum_{i=t-p+1..t} phi(i) [phi(i)', y(i)] / (p R(i)).
 
-Outliers fade for each by its own prediction, so a burst that tempts a young hypothesis does not reach the memory;
-hypotheses count only after some ``patience``, longer than bursts. A step so large that none follows shows by
-weights that stay low: then a robust fit of the latest observations begins a new memory.
+Each hypothesis weights outliers by its own prediction, so a burst that a young hypothesis follows does not affect the
+long memory. Hypotheses count only after ``patience`` observations, longer than a burst. A step so large that no
+hypothesis follows it shows in weights that stay low; the long memory then restarts from a robust fit of the latest
+observations.
 """
 
 from __future__ import annotations
@@ -37,32 +38,33 @@ from trainid_ros.resistance.normal import (
     widened,
 )
 from trainid_ros.resistance.robust import weigh
-from trainid_ros.resistance.robust_fit import LEAST_ROWS, robust_fit
+from trainid_ros.resistance.robust_fit import MIN_ROWS, robust_fit
 
 if TYPE_CHECKING:
     from trainid_ros.resistance.normal import Array
 
-# Odds against the long memory at which it is given up.
-_GIVEN_UP: Final = math.log(1e3)
+# Log odds against the long memory at which it is replaced.
+_REPLACED: Final = math.log(1e3)
 # Mean weight of the observations below which the long memory is locked out.
 _LOCKED_OUT: Final = 0.4
-# Scores beyond this decide all the same.
-_MOST_EVIDENCE: Final = 300.0
+# Limit of the log Bayes factor, far beyond any decision threshold.
+_MAX_EVIDENCE: Final = 300.0
 
 
 @dataclass(frozen=True, slots=True)
 class ChangePointConfig:
-    """How steps are looked for.
+    """Settings of the change-point detection.
 
     Attributes:
         p: Innovation length of the long memory.
-        outliers: Share of observations that may be anything.
+        outliers: Share of outliers.
         step_variances: Variances that a step adds to the n parameters; 0 for those that do not step.
         hazard: Probability of a step at each observation.
-        spacing: Observations between the births of two hypotheses.
-        hypotheses: Most hypotheses at a time.
-        patience: Observations after which a hypothesis counts.
-        lockout: Observations over which weights are averaged to notice a lock-out, and kept for a new beginning.
+        spacing: Number of observations between the creation of two hypotheses.
+        hypotheses: Maximum number of hypotheses.
+        patience: Number of observations after which a hypothesis counts.
+        lockout: Number of observations over which weights are averaged to detect a lock-out, and from which the long
+            memory then restarts.
 
     """
 
@@ -87,7 +89,7 @@ class Hypothesis:
 
 @dataclass(frozen=True, slots=True)
 class RunLengthState:
-    """A hypothesis in numbers: theta, n, and P row by row, n n."""
+    """Saved state of a hypothesis: the n entries of theta and the n^2 entries of P, row by row."""
 
     theta: tuple[float, ...]
     P: tuple[float, ...]
@@ -95,28 +97,28 @@ class RunLengthState:
     age: int
 
     def is_valid(self, n: int) -> bool:
-        """True if its finite numbers are those of n parameters and within their bounds."""
+        """Return whether the numbers, which must be finite, fit n parameters and lie within their bounds."""
         sized = len(self.theta) == n and len(self.P) == n * n
         return (
             sized
             and is_covariance_matrix(np.array(self.P).reshape(n, n))
-            and self.evidence <= _MOST_EVIDENCE
+            and self.evidence <= _MAX_EVIDENCE
             and self.age >= 0
         )
 
 
 @dataclass(frozen=True, slots=True)
 class ChangePointState:
-    """All that a tracker remembers; ``memory`` and ``parts`` are information, n (n + 1) numbers row by row each.
+    """Saved state of a tracker; ``memory`` and each of ``parts`` are information, n (n + 1) numbers row by row.
 
     Attributes:
         memory: Information of the long memory.
-        parts: What the last p observations add to it at a step.
-        hypotheses: Oldest first.
-        rows: The latest observations: phi, y, R, slow.
-        mean_weight: Of the observations of late.
+        parts: Information that each of the last p observations adds at a step.
+        hypotheses: Run-length hypotheses, oldest first.
+        rows: Latest observations: phi, y, R, slow.
+        mean_weight: Recent mean weight of the observations [1].
         count: Number of observations.
-        steps_found: How often the parameters were found to have stepped.
+        steps_found: Number of detected steps.
 
     """
 
@@ -129,7 +131,7 @@ class ChangePointState:
     steps_found: int
 
     def is_valid(self, n: int) -> bool:
-        """True if all its parts, finite ones, fit n parameters and are within their bounds."""
+        """Return whether all numbers, which must be finite, fit n parameters and lie within their bounds."""
         size = n * (n + 1)
         if not all(len(item) == size for item in (self.memory, *self.parts)):
             return False
@@ -143,12 +145,12 @@ class ChangePointState:
 
 
 class Tracker:
-    """Estimate of n parameters theta of y = phi' theta + noise, observation by observation.
+    """Recursive estimate of the n parameters theta of y = phi' theta + noise.
 
     Attributes:
         estimate: Mixture of the long memory and the hypotheses.
-        steps_found: How often the parameters were found to have stepped.
-        change_probability: Probability that they stepped since the long memory began, below 0.001 when settled.
+        steps_found: Number of detected steps.
+        change_probability: Probability of a step since the long memory began [1], below 0.001 when settled.
 
     """
 
@@ -160,11 +162,11 @@ class Tracker:
         self.reset()
 
     def reset(self) -> None:
-        """Go back to the prior."""
+        """Return to the prior."""
         self.restore(ChangePointState(_numbers(information_of(self.prior)), (), (), (), 1.0, 0, 0))
 
     def state(self) -> ChangePointState:
-        """Return all that is remembered."""
+        """Return the state to save."""
         return ChangePointState(
             memory=_numbers(self._memory),
             parts=tuple(map(_numbers, self._parts)),
@@ -176,7 +178,7 @@ class Tracker:
         )
 
     def restore(self, state: ChangePointState) -> None:
-        """Take over what was remembered."""
+        """Restore a saved state."""
         n, plan = len(self.prior.theta), self.plan
         self._set_memory(_information(state.memory, n))
         self._parts = deque((_information(part, n) for part in state.parts), maxlen=plan.p)
@@ -187,7 +189,7 @@ class Tracker:
         self._mix()
 
     def begin(self, normal: Normal) -> None:
-        """Start a new long memory from a distribution; hypotheses beside the old one go."""
+        """Start a new long memory from a distribution and remove all hypotheses."""
         self._set_memory(information_of(normal))
         self._parts.clear()
         self._hypotheses = []
@@ -199,18 +201,18 @@ class Tracker:
         self._long = normal_of(information)
 
     def update(self, phi: Array, y: float, R: float, slow: float = 1.0) -> float:
-        """Take in one observation y = phi' theta + noise; return its weight in the long memory.
+        """Process one observation y = phi' theta + noise; return its weight in the long memory.
 
         Args:
             phi: Regressor, shape (n,).
             y: Observation.
             R: Variance of the noise.
-            slow: How many times R an observation counts in the mean of many; 1 if the noise is white.
+            slow: Factor on R in the mean of many observations with correlated noise; 1 if the noise is white.
 
         """
         plan, long = self.plan, self._long
         if self._count % plan.spacing == 0 and self._count > 0:
-            self._bear()
+            self._add_hypothesis()
         self._count += 1
         self._rows.append((*phi.tolist(), y, R, slow))
         expected, variance = long.predict(phi)
@@ -220,18 +222,18 @@ class Tracker:
         self._follow(phi, y, R, slow, score)
         self._mean_weight += (weight - self._mean_weight) / plan.lockout
         if self._mean_weight < _LOCKED_OUT:
-            self._begin_anew()
+            self._restart_from_latest()
         self._mix()
         return weight
 
     def widen(self, variances: Array, most: Array) -> None:
-        """Let the parameters have wandered, see :func:`normal.widened`."""
+        """Add the variances of random steps of the parameters, see :func:`normal.widened`."""
         self._set_memory(information_of(widened(self._long, variances, most)))
         self._hypotheses = [replace(item, normal=widened(item.normal, variances, most)) for item in self._hypotheses]
         self._mix()
 
-    def _bear(self) -> None:
-        """Add a hypothesis; where there is no room, the one that the evidence speaks against most goes."""
+    def _add_hypothesis(self) -> None:
+        """Add a hypothesis; at the maximum number, remove the least likely one first."""
         if not self.plan.hypotheses:
             return
         if len(self._hypotheses) >= self.plan.hypotheses:
@@ -240,12 +242,12 @@ class Tracker:
         self._hypotheses.append(Hypothesis(widened(self._long, self._steps)))
 
     def _follow(self, phi: Array, y: float, R: float, slow: float, score: float) -> None:
-        """Let all hypotheses learn, and count what they predicted better; the likeliest may take over."""
-        best, most = None, _GIVEN_UP - self._log_hazard
+        """Update all hypotheses and their Bayes factors; the most likely one may replace the long memory."""
+        best, most = None, _REPLACED - self._log_hazard
         for i, item in enumerate(self._hypotheses):
             normal, _, found = soft_update(item.normal, phi, y, R, slow, self.plan.outliers)
-            # Correlated noise says the same thing several times.
-            evidence = min(item.evidence + (found - score) / max(slow, 1.0), _MOST_EVIDENCE)
+            # Observations with correlated noise carry repeated evidence.
+            evidence = min(item.evidence + (found - score) / max(slow, 1.0), _MAX_EVIDENCE)
             self._hypotheses[i] = Hypothesis(normal, evidence, item.age + 1)
             if item.age >= self.plan.patience and evidence > most:
                 best, most = self._hypotheses[i], evidence
@@ -258,17 +260,17 @@ class Tracker:
         self._hypotheses = [replace(item, evidence=item.evidence - chosen.evidence) for item in younger]
         self.steps_found += 1
 
-    def _begin_anew(self) -> None:
-        """Most observations contradict the memory: learn from the latest alone, if they agree among themselves."""
-        if len(self._rows) < LEAST_ROWS:
+    def _restart_from_latest(self) -> None:
+        """Restart from the latest observations, which contradict the long memory, if most of them agree."""
+        if len(self._rows) < MIN_ROWS:
             return
-        fit = robust_fit(tuple(self._rows), self._restart())
+        fit = robust_fit(tuple(self._rows), self._restart_prior())
         if fit is not None:
             self.begin(fit)
             self.steps_found += 1
 
-    def _restart(self) -> Normal:
-        """Return what a new beginning starts from: the prior of what steps, and what is known of the rest."""
+    def _restart_prior(self) -> Normal:
+        """Return the prior of a restart: the initial prior for parameters that step, the long memory for the rest."""
         stepping = self._steps > 0.0
         theta = np.where(stepping, self.prior.theta, self._long.theta)
         P = np.where(np.outer(stepping, stepping), self.prior.P, 0.0)
@@ -276,10 +278,10 @@ class Tracker:
         return Normal(theta, P)
 
     def _mix(self) -> None:
-        """Weigh all by their probability."""
+        """Update the mixture, weighted by probability."""
         normals, odds = [self._long], [1.0]
         for item in self._hypotheses:
-            if item.age > self.plan.patience and item.evidence + self._log_hazard > -_GIVEN_UP:
+            if item.age > self.plan.patience and item.evidence + self._log_hazard > -_REPLACED:
                 normals.append(item.normal)
                 odds.append(math.exp(item.evidence + self._log_hazard))
         self.change_probability = 1.0 - 1.0 / math.fsum(odds)
@@ -287,7 +289,7 @@ class Tracker:
 
 
 def is_definite(information: Array) -> bool:
-    """True if P^-1, the left part of an information of shape (n, n + 1), is the inverse of a covariance."""
+    """Return whether P^-1, the left part of an information of shape (n, n + 1), is the inverse of a covariance."""
     inverse, variances = information[:, :-1], information.diagonal()
     if not bool((variances > 0.0).all()):
         return False

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""filter-bank: Davis parameters where mass, force, map and wheels are known only as well as on a real train.
+"""filter-bank: Davis parameters with realistic uncertainty of mass, force, map and wheel diameter.
 
-A bank of extended Kalman filters on raw speed, see :mod:`hypotheses` and :mod:`speed_states`. What makes it right on
-real trains is that the errors of the force are states: a scale kappa on the specific force, since mass and force gain
-are known to a few per cent, and a delay delta, since forces are reported late. Both show by themselves, kappa by
-driving with different tractive efforts, delta where the traction ramps.
+A bank of extended Kalman filters on raw speed, see :mod:`hypotheses` and :mod:`speed_states`. For real trains the
+force errors are states: a scale kappa on the specific force, since mass and force gain are known only to a few per
+cent, and a delay delta, since forces are reported late. Both are observable in normal operation: kappa by driving
+with different tractive efforts, delta while the traction ramps.
 
-The filters run two steps late, 0.4 s or two samples, since a delayed force needs the force reports that follow.
+The filters run two steps (0.4 s or two samples) late, since a delayed force needs the following force reports.
 """
 
 from __future__ import annotations
@@ -50,32 +50,32 @@ if TYPE_CHECKING:
     from trainid_ros.resistance.hypotheses import Innovation
     from trainid_ros.train.train_file import TrainFile
 
-# Sizes of the disturbances that are tried, as multiples of the settings.
+# Hypothetical disturbance sizes, as multiples of the settings.
 _GUST_SIZES: Final = (1.0, 2.0, 4.0, 8.0)
 _MAP_SIZES: Final = (0.25, 1.25)
-# The traction is looked at in steps of so long, or of one sample where that is longer; two steps must have followed.
+# Step of the traction interpolation [s], at least one sample; two later steps must be available.
 _SPACING_S: Final = 0.2
 _STEPS_AHEAD: Final = 2
-# Most samples that two steps ahead and one behind may be.
-_MOST_TICKS: Final = 200
-# Innovations beyond this many standard deviations have a weight below a thousandth.
+# Maximum number of samples in two steps ahead and one behind.
+_MAX_TICKS: Final = 200
+# Innovations beyond this many standard deviations have a weight below 0.001.
 _GATE: Final = 5.5
-# A speed that is refused for so long is not the one to predict from [s].
+# Duration of consecutive rejections after which the filters restart from the measured speed [s].
 _RESTART_AFTER_S: Final = 5.0
-# Longer than a stop, so that weather and train may have changed unseen [s].
+# Longer than a stop, so that weather and train may have changed in the meantime [s].
 _IDLE_S: Final = 600.0
-# Samples between two judgements whether the estimate is fit to use.
+# Number of accepted samples between two tests whether the estimate is fit to use.
 _JUDGED_EVERY: Final = 5
-# Wheel diameters are off by up to half a per cent or so, a standard deviation of this.
+# Standard deviation of the relative error of the wheel diameter, which is up to about half a per cent.
 _WHEEL_STD: Final = 0.003
-# Forces that are plausible to the records alone lead to less; beyond, the steps of the filters would diverge.
-_MOST_SPEED: Final = 1e5
-# A step of a is the larger, the larger a; one of c is never none [N/kN per (m/s)^2].
+# Forces within the valid range of the records lead to lower speeds; beyond, the filter steps would diverge [m/s].
+_MAX_SPEED: Final = 1e5
+# Share of a added to the std of its steps; minimum std of a step of c [N/kN per (m/s)^2].
 _STEP_SHARE_A: Final = 0.15
-_LEAST_STEP_C: Final = 1e-6
-# Up to this age a hypothesis is young [s].
+_MIN_STEP_C: Final = 1e-6
+# Age up to which a hypothesis is young [s].
 _YOUTH_S: Final = 120.0
-# The white noise of the force is stated for samples at this interval [s].
+# Sample interval for which the white noise of the force is stated [s].
 _FORCE_INTERVAL_S: Final = 0.2
 
 
@@ -85,7 +85,7 @@ class FilterBankConfig:
 
     min_speed: float = setting(1.0, 'slowest speed to learn from', 'm/s', 0.0, 50.0)
     speed_std: float = setting(0.025, 'noise of measured speed at the start (then learned)', 'm/s', 1e-4, 2.0)
-    gust_std: float = setting(0.1, 'smallest size of gusts; 2, 4 and 8 times as large are tried', 'N/kN', 1e-3, 10.0)
+    gust_std: float = setting(0.1, 'smallest std of gusts; 2, 4 and 8 times it are tried too', 'N/kN', 1e-3, 10.0)
     gust_time: float = setting(6.0, 'correlation time of gusts', 's', 0.1, 600.0)
     map_length: float = setting(250.0, 'correlation length of map errors', 'm', 1.0, 1e5)
     force_noise: float = setting(0.35, 'white noise of the reported specific force', 'N/kN', 0.0, 100.0)
@@ -96,26 +96,39 @@ class FilterBankConfig:
     prior_std_b: float = setting(0.02, 'added to the prior std of b', 'N/kN per m/s', 1e-8, 10.0)
     prior_std_c: float = setting(0.0006, 'added to the prior std of c', 'N/kN per (m/s)^2', 1e-9, 1.0)
     drift_share: float = setting(
-        0.03, 'drift in one hour, not of the force scale, share of the prior std', '1', 0.0, 100.0
+        0.03, 'drift in one hour, except of the force scale, std as a share of the prior std', '1', 0.0, 100.0
     )
-    outlier_share: float = setting(0.01, 'share of speeds that may be anything', '1', 1e-6, 0.5)
+    outlier_share: float = setting(0.01, 'share of outliers among the speeds', '1', 1e-6, 0.5)
     step_interval: float = setting(3600.0, 'mean time between steps of a or c', 's', 60.0, 1e7)
-    step_a: float = setting(0.3, 'size of a step of a, std, to which 15 % of a are added', 'N/kN', 1e-3, 10.0)
-    step_share_c: float = setting(0.2, 'size of a step of c, std as a share of c', '1', 1e-3, 10.0)
-    hypotheses: int = setting(28, 'most hypotheses at a time', '', 4, 1000)
+    step_a: float = setting(0.3, 'std of a step of a, to which 15 % of a are added', 'N/kN', 1e-3, 10.0)
+    step_share_c: float = setting(0.2, 'std of a step of c as a share of c', '1', 1e-3, 10.0)
+    hypotheses: int = setting(28, 'maximum number of hypotheses', '', 4, 1000)
     branch_interval: float = setting(10.0, 'driving time between branchings', 's', 1.0, 1000.0)
-    patience: float = setting(10.0, 'age from which on a hypothesis counts', 's', 0.0, 1000.0)
+    patience: float = setting(10.0, 'minimum age of a hypothesis in the estimate', 's', 0.0, 1000.0)
     suspicion: float = setting(200.0, 'weight of young hypotheses in the stated covariance', '1', 1.0, 1000.0)
-    wrong_prior: float = setting(0.01, 'odds that the train file is surer than it should be', '1', 0.0, 1.0)
+    wrong_prior: float = setting(0.01, 'prior odds that the train file is overconfident', '1', 0.0, 1.0)
     valid_std: float = setting(
-        0.15, 'fit to use below this standard deviation, suspected steps not counted', 'N/kN', 1e-3, 10.0
+        0.15, 'fit to use below this standard deviation, without suspected steps', 'N/kN', 1e-3, 10.0
     )
     valid_share: float = setting(0.05, 'or below this share of the resistance (root of squares)', '1', 0.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
 class Tick:
-    """One admitted sample: speed [m/s], forces [N/kN], 600 m over radius, variance of the speed, force interval [s]."""
+    """One admitted sample.
+
+    Attributes:
+        stamp_ns: Time stamp [ns].
+        dt: Time since the previous sample [s].
+        speed: Measured speed [m/s].
+        traction: Mean reported specific traction [N/kN].
+        track: Mean gradient and known extra resistance [N/kN].
+        curve: 600 m over the mean radius [1], 0 on straight track.
+        variance: Variance of the measured speed [(m/s)^2].
+        weighed: Whether the load is weighed.
+        force_interval: Time between the force reports used for interpolation [s].
+
+    """
 
     stamp_ns: int
     dt: float
@@ -130,7 +143,7 @@ class Tick:
 
 @dataclass(frozen=True, slots=True)
 class FilterBankState:
-    """All that the filter bank remembers."""
+    """Saved state of the filter bank."""
 
     bank: Hypotheses
     tachometer: Tachometer
@@ -159,9 +172,9 @@ class FilterBank:
         self._known = KnownForce(train_file)
         self._admission = Admission(self._known, config.min_speed)
         self._bank = Bank(bank_plan(train_file, config, self._known.inertia))
-        self._forget()
+        self._clear()
 
-    def _forget(self) -> None:
+    def _clear(self) -> None:
         self._tachometer = Tachometer(self.config.speed_std, self.config.speed_std**2)
         self._inflation = Inflation()
         self._ticks: deque[Tick] = deque()
@@ -173,24 +186,24 @@ class FilterBank:
         self._mixture: Mixture | None = None
 
     def reset(self) -> None:
-        """Go back to the prior."""
+        """Return to the prior."""
         self._bank.reset()
-        self._forget()
+        self._clear()
 
     @property
     def converged(self) -> bool:
-        """True while the resistance is known well enough at the speeds driven."""
+        """True while the resistance is known well enough over the driven speeds."""
         return self._converged
 
     def step(self, sample: Sample) -> ResistanceEstimate | Rejection:
-        """Take one sample in; the filters follow two steps behind."""
+        """Process one sample; the filters run two steps late."""
         if (rejection := self._admission.reject(sample)) is not None:
             self._interrupt(sample)
             return rejection
         self._tachometer.add(sample.speed, sample.dt)
         self._ticks.append(self._tick(sample))
-        if len(self._ticks) <= _STEPS_AHEAD:  # all of a drive have the stride of its first samples
-            self._stride = max(1, min(round(_SPACING_S / sample.dt), _MOST_TICKS // 4))
+        if len(self._ticks) <= _STEPS_AHEAD:  # the first samples of a drive set its stride
+            self._stride = max(1, min(round(_SPACING_S / sample.dt), _MAX_TICKS // 4))
         while len(self._ticks) > (_STEPS_AHEAD + 1) * self._stride + 1:
             self._ticks.popleft()
         if len(self._ticks) > _STEPS_AHEAD * self._stride:
@@ -211,15 +224,15 @@ class FilterBank:
         )
 
     def _interrupt(self, sample: Sample) -> None:
-        """The next admitted sample starts a new drive."""
+        """End the drive, so that the next admitted sample starts a new one."""
         self._ticks.clear()
         self._running = False
-        # A train at rest reads zero without noise, and one that brakes hard has jerks.
+        # NaN marks a gap: speed is zero without noise at rest, and has jerks under hard braking.
         self._tachometer.add(sample.speed, math.nan)
         self._stopped = self._stopped or sample.speed < STANDING
 
     def _advance(self) -> Rejection | None:
-        """Move the filters over the newest interval whose force is known well enough ahead."""
+        """Move the filters over the newest interval with enough later force reports."""
         stride = self._stride
         tick, next_, last = (self._ticks[-1 - k * stride] for k in (2, 1, 0))
         if not self._running:
@@ -241,14 +254,14 @@ class FilterBank:
         self._mixture = None
         if not self._bank.is_finite():
             self._bank.reset()
-            # What was known is lost, so nothing is fit to use and no speed has been learned from.
+            # The estimate is lost, so it is not fit to use, and the driven speeds are cleared.
             self._driven, self._inflation = DrivenSpeeds(), Inflation()
             self._running = self._converged = False
             return Rejection(tick.stamp_ns, Reason.NUMERICAL, innovation.value, math.nan)
         return self._account(tick, innovation)
 
     def _depart(self, tick: Tick) -> None:
-        """Start the speed anew; after a stop the load may be another, after a long one all."""
+        """Restart the speed; after a stop the load may have changed, after a long idle time also a and c."""
         idle_s = (tick.stamp_ns - self._advanced_ns) / NS_PER_S if self._advanced_ns else 0.0
         if idle_s > _IDLE_S:
             self._bank.idle(idle_s)
@@ -261,7 +274,7 @@ class FilterBank:
         self._mixture = None
 
     def _account(self, tick: Tick, innovation: Innovation) -> Rejection | None:
-        """Note the innovation, as resistance; return the refusal of an outlier."""
+        """Record the innovation as a resistance [N/kN]; return the rejection of an outlier."""
         nu, S = innovation.value, innovation.variance
         per_speed = self._known.inertia / tick.dt
         self._innovation, self._innovation_variance = -per_speed * nu, per_speed**2 * S
@@ -278,9 +291,9 @@ class FilterBank:
         return None
 
     def _judge(self) -> None:
-        """Judge whether w is fit to use at the speeds driven."""
+        """Decide whether w is fit to use at the driven speeds."""
         now, config = self._now(), self.config
-        # A delay beyond what can be estimated spoils the rest.
+        # A delay outside the range that can be estimated biases the other states.
         self._converged = not is_delay_at_end(float(now.mean[-1])) and is_fit_where_driven(
             now.theta,
             now.posterior[:3, :3],
@@ -291,10 +304,10 @@ class FilterBank:
         )
 
     def _now(self) -> Mixture:
-        """Return the mixture, its covariances grown by what the model does not know of, and by wrong wheels."""
+        """Return the mixture with covariances inflated for unmodelled errors and wheel diameter errors."""
         if self._mixture is None:
             found = self._bank.mixture()
-            # Wheels that are off by a share r change a by r a and c by -r c, and the force scale by r.
+            # A relative wheel diameter error r changes a by r a, c by -r c, and the force scale 1 + kappa by a share r.
             a, _, c, kappa, _ = found.mean.tolist()
             wheel = np.array([a, 0.0, -c, 1.0 + kappa, 0.0])
             by_wheels = _WHEEL_STD**2 * np.outer(wheel, wheel)
@@ -303,7 +316,7 @@ class FilterBank:
         return self._mixture
 
     def estimate(self, speed: float) -> ResistanceEstimate:
-        """Return the parameters and the resistance at a speed [m/s]."""
+        """Return the parameters for v in m/s and the resistance [N/kN] at a speed [m/s]."""
         now = self._now()
         a, b, c, kappa, delta = now.mean.tolist()
         S, (*_, scale_std, delay_std) = now.theta_covariance, now.stds
@@ -328,7 +341,7 @@ class FilterBank:
         )
 
     def save(self) -> str:
-        """Return the whole state as JSON text."""
+        """Return the state as JSON text."""
         return encode(
             FilterBankState(
                 bank=self._bank.state,
@@ -350,7 +363,7 @@ class FilterBank:
         )
 
     def restore(self, text: str) -> None:
-        """Take over a saved state; InputError if it does not fit."""
+        """Restore a saved state; raise InputError if it is invalid."""
         state = decode(text, FilterBankState)
         check_numbers(state, may_be_nan=('dt',))  # of the tachometer, after a gap
         check_restored(self._fits(state.bank), 'FilterBankState', 'bank')
@@ -358,9 +371,7 @@ class FilterBank:
         check_restored(state.inflation.is_valid(), 'FilterBankState', 'inflation')
         check_restored(state.driven.is_valid(), 'FilterBankState', 'driven')
         ticks = (
-            len(state.ticks) <= _MOST_TICKS
-            and all(map(_is_valid, state.ticks))
-            and 0 < state.stride <= _MOST_TICKS // 4
+            len(state.ticks) <= _MAX_TICKS and all(map(_is_valid, state.ticks)) and 0 < state.stride <= _MAX_TICKS // 4
         )
         check_restored(ticks, 'FilterBankState', 'ticks')
         check_not_negative(
@@ -381,34 +392,34 @@ class FilterBank:
         self._mixture = None
 
     def _fits(self, bank: Hypotheses) -> bool:
-        """True if the hypotheses are some that this bank can lead to."""
+        """Return whether the hypotheses are a possible state of this bank."""
         n = bank.log_weight.size
         sized = bank.x.shape == (n, STATES) and bank.P.shape == (n, STATES, STATES)
         if not (n and sized and bank.log_weight.shape == bank.age.shape == bank.size.shape == (n,)):
             return False
         plan = self._bank.plan
         sizes = len(plan.gust_stds) * len(plan.map_stds)
-        whole = bool(np.isin(bank.size, np.arange(sizes)).all())
+        indexed = bool(np.isin(bank.size, np.arange(sizes)).all())
         weighed = bool((bank.log_weight <= 0.0).all() and bank.log_weight.max() == 0.0 and (bank.age >= 0.0).all())
-        slow = bool((np.abs(bank.x[:, V]) < _MOST_SPEED).all())
+        slow = bool((np.abs(bank.x[:, V]) < _MAX_SPEED).all())
         counted = bank.since_s >= 0.0 and bank.branchings >= 0
-        return whole and weighed and slow and counted and all(map(is_covariance_matrix, bank.P))
+        return indexed and weighed and slow and counted and all(map(is_covariance_matrix, bank.P))
 
 
 def _is_valid(tick: Tick) -> bool:
-    return tick.dt > 0.0 and 0.0 <= tick.speed < _MOST_SPEED and tick.variance > 0.0 and tick.force_interval >= 0.0
+    return tick.dt > 0.0 and 0.0 <= tick.speed < _MAX_SPEED and tick.variance > 0.0 and tick.force_interval >= 0.0
 
 
 def bank_plan(train_file: TrainFile, config: FilterBankConfig, inertia: float) -> BankPlan:
-    """Return how the bank is made for a train; inertia = 1000 (1 + gamma) / g [N/kN per m/s^2]."""
+    """Return the settings of the bank for a train; inertia = 1000 (1 + gamma) / g [N/kN per m/s^2]."""
     davis, errors = train_file.resistance, force_errors(train_file, config.force_delay_std)
     mean, variance = np.zeros(STATES), np.zeros(STATES)
     mean[[A, B, C]] = davis.a, davis.b, davis.c
     variance[[A, B, C]] = prior_variances((davis.a, davis.b, davis.c), config)
     variance[[KAPPA, DELTA, KAPPA_R]] = errors.variances
     drift = drift_growth(config.drift_share) * variance
-    drift[KAPPA] = 0.0  # it changes at stops
-    step_a, step_c = config.step_a + _STEP_SHARE_A * davis.a, max(config.step_share_c * davis.c, _LEAST_STEP_C)
+    drift[KAPPA] = 0.0  # kappa changes only at stops
+    step_a, step_c = config.step_a + _STEP_SHARE_A * davis.a, max(config.step_share_c * davis.c, _MIN_STEP_C)
     gradient_std = train_file.line.gradient_std
     map_stds = tuple(size * gradient_std for size in _MAP_SIZES) if gradient_std > 0.0 else (0.0,)
     return BankPlan(

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""When a resistance is fit to use: known well enough over the speeds seen, and for as long as it nearly is."""
+"""Test whether a resistance is fit to use: known well enough over the observed speeds, with hysteresis."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# An estimate that is fit stays so up to this multiple of the limit: it must not flicker.
+# An estimate that is fit stays so up to this multiple of the limit, so that the status does not flicker.
 _HYSTERESIS: Final = 1.5
 _SECONDS_PER_HOUR: Final = 3600.0
 
 
 def is_fit(variance: Callable[[float], float], speeds: tuple[float, float], valid_std: float, *, was_fit: bool) -> bool:
-    """Return whether the resistance is known well enough over the speeds seen, in root mean square.
+    """Return whether the standard deviation of w, in root mean square over the observed speeds, is small enough.
 
     Args:
-        variance: Variance of the resistance at a speed [(N/kN)^2].
-        speeds: Slowest and fastest speed seen [m/s].
+        variance: Variance of the resistance [(N/kN)^2] as a function of speed [m/s].
+        speeds: Slowest and fastest observed speed [m/s].
         valid_std: Largest standard deviation of a resistance that is fit to use [N/kN].
         was_fit: Whether it was fit so far.
 
@@ -36,7 +36,7 @@ def is_fit(variance: Callable[[float], float], speeds: tuple[float, float], vali
 
 
 def drift_growth(share: float) -> float:
-    """Return the growth of a variance per second, as a share of the prior one; ``share`` as in :func:`drift_rates`."""
+    """Return the growth of a variance per second as a share of the prior one [1/s]; share as in drift_rates."""
     return share**2 / _SECONDS_PER_HOUR
 
 
@@ -44,8 +44,8 @@ def drift_rates(share: float, prior: tuple[float, float, float]) -> tuple[float,
     """Return the growth of three variances per second.
 
     Args:
-        share: Drift in one hour, standard deviation as a share of the prior one.
-        prior: Variances of the prior.
+        share: Standard deviation of the drift in one hour as a share of the prior one [1].
+        prior: Prior variances.
 
     """
     growth = drift_growth(share)
@@ -55,12 +55,12 @@ def drift_rates(share: float, prior: tuple[float, float, float]) -> tuple[float,
 
 @dataclass(frozen=True, slots=True)
 class DrivenSpeeds:
-    """Moments of the speeds learned from, over all time.
+    """Moments of all speeds used for estimation.
 
     Attributes:
         count: Number of speeds.
-        slowest: Slowest one [m/s], 0 before the first.
-        fastest: Fastest one [m/s].
+        slowest: Slowest speed [m/s], 0 before the first.
+        fastest: Fastest speed [m/s].
         moments: Means of v, v^2, v^3 and v^4 [(m/s)^k].
 
     """
@@ -71,7 +71,7 @@ class DrivenSpeeds:
     moments: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
 
     def add(self, v: float, slowest: float | None = None, fastest: float | None = None) -> DrivenSpeeds:
-        """Return the moments with one more speed [m/s], or the mean of some from the slowest to the fastest."""
+        """Return the moments with one more speed [m/s]; v may be the mean of speeds from slowest to fastest."""
         count = self.count + 1
         low, high = v if slowest is None else slowest, v if fastest is None else fastest
         m1, m2, m3, m4 = self.moments
@@ -95,7 +95,7 @@ class DrivenSpeeds:
         return np.array([[1.0, m1, m2], [m1, m2, m3], [m2, m3, m4]])
 
     def is_valid(self) -> bool:
-        """True if these are moments of speeds."""
+        """Return whether the numbers are possible moments of speeds."""
         return self.count >= 0 and 0.0 <= self.slowest <= self.fastest and min(self.moments) >= 0.0
 
 
@@ -108,14 +108,16 @@ def is_fit_where_driven(
     *,
     was_fit: bool,
 ) -> bool:
-    """Return whether w is known well enough, in root mean square over the speeds as often as they were driven.
+    """Return whether the standard deviation of w, in root mean square over the driven speeds, is small enough.
+
+    Each speed counts as often as it was driven.
 
     Args:
-        theta: a, b, c, shape (3,).
+        theta: a, b, c [N/kN, v in m/s], shape (3,).
         covariance: Their covariance, shape (3, 3).
-        driven: The speeds.
+        driven: Moments of the driven speeds.
         valid_std: Largest standard deviation of a resistance that is fit to use [N/kN].
-        valid_share: The same as a share of the resistance; the two add in squares.
+        valid_share: Largest standard deviation as a share of the resistance [1]; both limits add in squares.
         was_fit: Whether it was fit so far.
 
     """

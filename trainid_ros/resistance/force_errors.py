@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far the known forces may be wrong: their scale and delay, and the resistance of curves.
+"""Error model of the known forces: scale and delay of the traction, and error of the curve resistance.
 
-With T the reported specific traction [N/kN] and R the radius of the curve, the true forces are taken as
+With T the reported specific traction [N/kN] and R the curve radius, the true forces are modelled as
 
     (1 + kappa) T(t + delta)   and   w_curve + kappa_curve 600 m / R.
 
-The force gain over the mass is one scale: only their ratio shows in the motion.
+Force gain and mass share one scale kappa: only their ratio is observable in the motion.
 """
 
 from __future__ import annotations
@@ -20,18 +20,19 @@ if TYPE_CHECKING:
 CURVE_RADIUS: Final = 600.0
 """Radius at which the error of the curve resistance is stated [m]."""
 DELAY_RANGE: Final = (-0.2, 0.4)
-"""Delays of the force that can be estimated [s]: later reports must have come, and the cubic reaches no farther."""
-# A delay so near the end of its range is one beyond it; a mixture of delays at the end is never quite there.
+"""Range of estimable force delays [s], limited by the reports available ahead and the range of the cubic."""
+# A delay this near the end of the range counts as beyond it; the mean of a mixture never quite reaches the end.
 _AT_END_S: Final = 0.01
-# Uncertainty of the curve resistance: share of the coefficient where no std is stated, and where there is no effect.
+# Standard deviation of the curve resistance: share of the coefficient if no std is stated, and value at 600 m [N/kN]
+# if the train file has no curve effect.
 _CURVE_SHARE: Final = 0.2
 _CURVE_STD: Final = 0.5
-# Change of a weighed load's error from stop to stop, and of a load that is not weighed.
+# Std of the change of kappa at a stop with a weighed load and with an unweighed one.
 _WEIGHED_STEP: Final = 0.004
 _UNWEIGHED_STEP: Final = 0.03
-# The error of a mass is that of the empty train and the scales, which stays, and of the load: this share of it changes.
+# The mass error of empty train and scales is constant, that of the load is not: share of the mass error that changes.
 _CHANGING: Final = 0.5
-_LEAST_STD: Final = 1e-4
+_MIN_STD: Final = 1e-4
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,17 +45,17 @@ class ForceErrors:
 
     @property
     def variances(self) -> tuple[float, float, float]:
-        """Variances of kappa, delta and kappa_curve; none is zero, so that information is finite."""
-        scale, delay, curve = (max(std, _LEAST_STD) ** 2 for std in (self.scale, self.delay, self.curve))
+        """Variances of kappa [1], delta [s^2] and kappa_curve [(N/kN)^2], positive so that information is finite."""
+        scale, delay, curve = (max(std, _MIN_STD) ** 2 for std in (self.scale, self.delay, self.curve))
         return scale, delay, curve
 
 
 EXACT: Final = ForceErrors(0.0, 0.0, 0.0)
-"""Forces that are known exactly."""
+"""No force errors."""
 
 
 def force_errors(train_file: TrainFile, delay_std: float) -> ForceErrors:
-    """Return how well a train file knows its forces; ``delay_std`` [s] is that of a setting."""
+    """Return the prior standard deviations of the force errors from a train file; ``delay_std`` [s] is a setting."""
     train = train_file.train
     return ForceErrors(
         scale=math.hypot(train.mass_std, train.force_std),
@@ -64,7 +65,7 @@ def force_errors(train_file: TrainFile, delay_std: float) -> ForceErrors:
 
 
 def curve_std(train_file: TrainFile) -> float:
-    """Return the standard deviation of the curve resistance at 600 m [N/kN]."""
+    """Return the prior standard deviation of the curve resistance at 600 m [N/kN]."""
     for effect in train_file.effects:
         if effect.name == 'curve_resistance':
             coefficient = dict(effect.parameters).get('coefficient', 0.0)
@@ -73,10 +74,10 @@ def curve_std(train_file: TrainFile) -> float:
 
 
 def is_delay_at_end(delay: float) -> bool:
-    """Return whether a delay [s] is at the end of what can be estimated, so that the true one may lie beyond."""
+    """Return whether a delay [s] is at an end of :data:`DELAY_RANGE`, so that the true one may lie beyond."""
     return any(abs(delay - end) < _AT_END_S for end in DELAY_RANGE)
 
 
 def scale_step(train: Train, *, weighed: bool) -> float:
-    """Return the standard deviation of the change of kappa at a stop, where passengers change [1]."""
+    """Return the standard deviation of the change of kappa at a stop [1], where the passenger load changes."""
     return min(_WEIGHED_STEP if weighed else _UNWEIGHED_STEP, _CHANGING * train.mass_std)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How much larger the errors of prediction are than the model says, over the recent past.
+"""Covariance inflation from the recent ratio of actual to predicted innovation variance.
 
-Sums over batches of innovations count their correlation: if the stated variances are true, the squared sum over a
-batch has the sum of the variances as its mean (normalised innovation squared of the sum, 1). What lies above is
-error that the model does not know of, and the published covariance grows by it.
+Sums of innovations over batches include their correlation: if the predicted variances are correct, the expected
+squared sum over a batch equals the sum of the variances, that is, the normalised squared sum is 1. Any excess is
+unmodelled error, by which the published covariance is inflated.
 """
 
 from __future__ import annotations
@@ -13,19 +13,19 @@ from typing import Final
 
 # Driving time of a batch [s], several times the correlation time of gusts.
 _BATCH_S: Final = 48.0
-# A batch knows a variance to a factor 1.4, so some are averaged; one alone counts so much at most.
+# One batch determines a variance only to a factor 1.4, so several are averaged and each ratio is limited.
 _MEMORY: Final = 8.0
-_MOST_RATIO: Final = 9.0
+_MAX_RATIO: Final = 9.0
 
 
 @dataclass(slots=True)
 class Inflation:
-    """Mean ratio of squared to stated innovations; the batch on its way.
+    """Mean ratio of squared innovation sums to predicted variances, and the current batch.
 
     Attributes:
-        ratio: 1 where the model is consistent.
-        total: Sum of the innovations of the batch, in any unit, as over their standard deviations.
-        variance: Sum of their stated variances, in the square of that unit.
+        ratio: Mean ratio, 1 if the model is consistent.
+        total: Sum of the innovations of the batch, in any unit or normalised by their standard deviations.
+        variance: Sum of their predicted variances, in the square of that unit.
         length: Driving time of the batch so far [s].
 
     """
@@ -37,20 +37,20 @@ class Inflation:
 
     @property
     def factor(self) -> float:
-        """Factor on the covariance of the parameters, never below 1."""
+        """Factor on the covariance of the parameters [1], at least 1."""
         return max(1.0, self.ratio)
 
     def is_valid(self) -> bool:
-        """True if the ratio is positive and no variance is negative."""
+        """Return whether the ratio is positive and no variance is negative."""
         return self.ratio > 0.0 and self.variance >= 0.0 and 0.0 <= self.length < _BATCH_S
 
     def add(self, nu: float, variance: float, dt: float) -> None:
-        """Take in one innovation, faded out if it is an outlier, its variance in the mean of many, and its time [s]."""
+        """Add one innovation times its outlier weight, its variance in the mean of many, and its driving time [s]."""
         self.total += nu
         self.variance += variance
         self.length += dt
         if self.length < _BATCH_S - 0.5 * dt:
             return
-        found = min(self.total * self.total / self.variance, _MOST_RATIO)
+        found = min(self.total * self.total / self.variance, _MAX_RATIO)
         self.ratio += (found - self.ratio) / _MEMORY
         self.total = self.variance = self.length = 0.0

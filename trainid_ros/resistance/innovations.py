@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Multi-innovation least squares as printed (Liu et al. 2018, sections 3 and 4.2; Ding et al. 2010).
 
-Pure functions on floats, see :mod:`recursive` for the factors UD of P. ``Phi`` and ``Y`` hold the last p regressors and
-observations, the newest last. A step of MILS with p innovations,
+Pure functions on floats, see :mod:`recursive` for the factors UD of P. ``Phi`` and ``Y`` hold the last p regressors
+and observations, the newest last. A step of MILS with p innovations,
 
     ``L = P Phi [I + Phi' P Phi]^-1,  theta += L [Y - Phi' theta],  P -= L Phi' P``,
 
-adds the information Phi Phi' and is therefore the same as p steps of RLS: MILS is weighted least squares that
-uses every observation p times. It is no more accurate than RLS; only its P is p times too small, and, in the
-regularised form, so is the weight of the penalty.
+adds the information Phi Phi' and therefore equals p steps of RLS: MILS is weighted least squares that uses every
+observation p times. It is no more accurate than RLS; its P is p times too small, and in the regularised form so is
+the weight of the penalty.
 
-V-MILS makes such a step only at times t_s whose last p observations are all good; :func:`stacked` keeps a stack
-for it. What lies in a run of fewer than p good observations is never used.
+V-MILS makes such a step only at times t_s whose last p observations are all good; :func:`stacked` maintains the
+stack. Observations in a run of fewer than p good ones are never used.
 """
 
 from __future__ import annotations
@@ -25,24 +25,24 @@ Values: TypeAlias = tuple[float, ...]
 
 
 def mils(theta: Vector, UD: Factors, Phi: Regressors, Y: Values) -> tuple[Vector, Factors]:
-    """One step of MILS with the p = len(Y) innovations of the stack."""
+    """Make one step of MILS with the p = len(Y) innovations of the stack."""
     for i in range(len(Y)):
         theta, UD = rls(theta, UD, Phi[i], Y[i])
     return theta, UD
 
 
 def regularised_mils(theta: Vector, UD: Factors, Phi: Regressors, Y: Values, rate: float) -> tuple[Vector, Factors]:
-    """One step of regularised MILS as printed, rate = lambda/N.
+    """Make one step of regularised MILS as printed, with rate = lambda/N.
 
-    Every step adds p observations and one p-th of what would be their share of the penalty: at t = N the result
-    is ridge regression with lambda/p.
+    Every step adds p observations but only 1/p of their share of the penalty: at t = N the result is ridge
+    regression with lambda/p.
     """
     theta, UD = shrink(theta, UD, rate)
     return mils(theta, UD, Phi, Y)
 
 
 def stacked(Phi: Regressors, Y: Values, phi: Vector, y: float, p: int) -> tuple[Regressors, Values]:
-    """Return the last p regressors and observations with one more; fewer at the start, where the rest are zeros."""
+    """Return the last p regressors and observations including a new one; fewer at the start (the rest are zero)."""
     return (*Phi, phi)[-p:], (*Y, y)[-p:]
 
 
@@ -50,9 +50,9 @@ def use_counts(good: tuple[bool, ...], p: int, *, strict: bool) -> tuple[int, ..
     """Return how often each observation of a record is used.
 
     Args:
-        good: Which observations are good; bad ones empty the stack.
+        good: Which observations are good; a bad one empties the stack.
         p: Innovation length.
-        strict: True for V-MILS, which steps with full stacks only; False for MILS, whose first stacks are shorter.
+        strict: True for V-MILS, which steps only with a full stack; False for MILS, whose first stacks are shorter.
 
     """
     counts, run = [0] * len(good), 0

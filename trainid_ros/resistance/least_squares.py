@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Least squares for the three Davis parameters: in batch, and as normal equations that grow by one observation.
+"""Least squares for the three Davis parameters: batch fits, and normal equations updated by one observation.
 
-Regularised (Liu et al. 2018, eq. (7)). The criterion that (7) minimises is ``SSE + lambda |theta|^2``; the paper
-prints lambda/2, whose minimiser is (7) with half the lambda. The penalty lambda |theta|^2 is no
-property of the train: with v in km/h it acts on ``a`` almost only, with v in m/s the same lambda gives another
-curve. :func:`ridge` takes it also relative to what the data say of each parameter, or as a Gaussian prior, neither
-of which depends on units.
+The regularised form is (7) of Liu et al. 2018. It minimises ``SSE + lambda |theta|^2``; the paper prints lambda/2,
+whose minimiser is (7) with half the lambda. The penalty lambda |theta|^2 depends on the units: with v in km/h it acts
+almost only on ``a``; with v in m/s the same lambda gives another curve. :func:`ridge` can scale the penalty by the
+mean square of each regressor, and :func:`fit_with_prior` takes a Gaussian prior; neither depends on units.
 """
 
 from __future__ import annotations
@@ -24,8 +23,8 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-# A parameter of which less than this share is its own, not explained by the other two, is not determined.
-_LEAST_PIVOT: Final = 1e-11
+# Smallest share of a regressor not explained by the other two; below it the parameter is not determined.
+_MIN_PIVOT: Final = 1e-11
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,10 +32,10 @@ class Fit:
     """Result of a batch fit.
 
     Attributes:
-        theta: Parameters, shape (3,).
-        covariance: Covariance, shape (3, 3), for the noise variance found in the residuals; what a penalty biases is
-            not in it.
-        variance: Noise variance, weighted residuals over degrees of freedom.
+        theta: a [N/kN], b and c [N/kN over the unit of v and of v^2], shape (3,).
+        covariance: Covariance of theta, shape (3, 3), for the noise variance of the residuals; the bias caused by a
+            penalty is not included.
+        variance: Noise variance [(N/kN)^2], weighted sum of squared residuals over degrees of freedom.
 
     """
 
@@ -47,10 +46,10 @@ class Fit:
 
 @dataclass(frozen=True, slots=True)
 class Prior:
-    """Gaussian belief before the data.
+    """Gaussian prior.
 
     Attributes:
-        theta: Mean, shape (3,).
+        theta: Mean, in the units of :class:`Fit`, shape (3,).
         covariance: Covariance, shape (3, 3), in units of the noise variance.
 
     """
@@ -63,9 +62,9 @@ def least_squares(Phi: Array, y: Array, weights: Array | None = None) -> Fit:
     """Return the least-squares fit.
 
     Args:
-        Phi: Regressors, shape (n, 3).
-        y: Observations, shape (n,).
-        weights: Weight of each squared residual, shape (n,); None = all alike.
+        Phi: Regressors [1, v, v^2], shape (n, 3).
+        y: Observed resistance [N/kN], shape (n,).
+        weights: Weight of each squared residual, shape (n,); None = equal weights.
 
     Raises:
         NoAnswerError: The observations do not determine three parameters.
@@ -78,11 +77,12 @@ def ridge(Phi: Array, y: Array, penalty: float, weights: Array | None = None, *,
     """Return the regularised fit (7), the minimiser of SSE + penalty |theta|^2.
 
     Args:
-        Phi: Regressors, shape (n, 3).
-        y: Observations, shape (n,).
+        Phi: Regressors [1, v, v^2], shape (n, 3).
+        y: Observed resistance [N/kN], shape (n,).
         penalty: lambda.
-        weights: Weight of each squared residual, shape (n,); None = all alike.
-        scaled: True measures each parameter in the root mean square of its regressor, so that units do not matter.
+        weights: Weight of each squared residual, shape (n,); None = equal weights.
+        scaled: True multiplies the penalty of each parameter by the mean square of its regressor, so that units do
+            not matter.
 
     Raises:
         NoAnswerError: Data and penalty do not determine three parameters.
@@ -117,7 +117,7 @@ def _fit(Phi: Array, y: Array, weights: Array | None, penalty: Array, centre: Ar
 
 
 def add(information: Symmetric, moment: Vector, phi: Vector, y: float) -> tuple[Symmetric, Vector]:
-    """Return the normal equations, sum phi phi' and sum phi y, with one more observation."""
+    """Return the normal equations, sum phi phi' and sum phi y [N/kN], with one more observation."""
     f1, f2, f3 = phi
     M11, M12, M13, M22, M23, M33 = information
     m1, m2, m3 = moment
@@ -128,9 +128,10 @@ def add(information: Symmetric, moment: Vector, phi: Vector, y: float) -> tuple[
 
 
 def solve(information: Symmetric, moment: Vector) -> tuple[Vector, Factors] | None:
-    """Return theta and the factors of P = information^-1, or None while three parameters are not determined.
+    """Return theta and the factors of P = information^-1, or None if three parameters are not determined.
 
-    Cholesky factors of the matrix scaled to a unit diagonal, so that units do not decide what is determined.
+    Uses the Cholesky factors of the matrix scaled to a unit diagonal, so that the rank decision does not depend on
+    units.
     """
     M11, M12, M13, M22, M23, M33 = information
     if not (M11 > 0.0 and M22 > 0.0 and M33 > 0.0):
@@ -139,12 +140,12 @@ def solve(information: Symmetric, moment: Vector) -> tuple[Vector, Factors] | No
     # C = [[1, 0, 0], [C21, C22, 0], [C31, C32, C33]] with C C' = D M D
     C21, C31 = M12 * d1 * d2, M13 * d1 * d3
     pivot2 = 1.0 - C21 * C21
-    if not pivot2 > _LEAST_PIVOT:
+    if not pivot2 > _MIN_PIVOT:
         return None
     C22 = math.sqrt(pivot2)
     C32 = (M23 * d2 * d3 - C31 * C21) / C22
     pivot3 = 1.0 - C31 * C31 - C32 * C32
-    if not pivot3 > _LEAST_PIVOT:
+    if not pivot3 > _MIN_PIVOT:
         return None
     C33 = math.sqrt(pivot3)
     # K = C^-1 D, lower triangular: P = K' K, theta = K' (K m)
@@ -158,7 +159,7 @@ def solve(information: Symmetric, moment: Vector) -> tuple[Vector, Factors] | No
 
 
 def unpacked(P: Symmetric) -> Array:
-    """Return a symmetric matrix of six entries in full, shape (3, 3)."""
+    """Return the full matrix of the six entries of a symmetric one, shape (3, 3)."""
     P11, P12, P13, P22, P23, P33 = P
     return np.array([[P11, P12, P13], [P12, P22, P23], [P13, P23, P33]])
 

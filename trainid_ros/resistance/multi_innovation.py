@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Multi-innovation least squares, each observation used p times and counted once, at a cost that p does not change.
+"""Multi-innovation least squares that uses each observation p times with total weight one, at a cost independent of p.
 
-Liu et al. 2018, section 3, after Ding et al. 2010: step t takes the innovations of the last p observations together.
-The paper gives them unit variance each time, so an observation used p times counts p times and P is no covariance.
-Given p times their variance, all uses of an observation weigh exactly once. Then the information after step t is
-that of step t - 1 plus the mean information of the last p observations,
+Liu et al. 2018, section 3, after Ding et al. 2010: step t uses the innovations of the last p observations together.
+The paper gives them unit variance each time, so an observation used p times has p times its weight and P is not a
+covariance. With p times their variance, all uses of an observation together have its weight exactly once. The
+information after step t is then that of step t - 1 plus the mean information of the last p observations,
 
     P^-1(t) = P^-1(t-1) + sum_{i=t-p+1..t} phi(i) phi(i)' / (p R(i)),
 
-and so is the vector P^-1 theta. The sum runs along: the newest comes in, the oldest goes out.
+and likewise for the vector P^-1 theta. The sum is a running one: the newest term is added, the oldest subtracted.
 
 Information is a tuple of nine floats: the upper triangle of P^-1 row by row, then P^-1 theta.
 """
@@ -29,17 +29,17 @@ NOTHING: Final[Information] = (0.0,) * 9
 def mils_step(
     state: MilsState, oldest: Information, v: float, s: float, y: float, R: float, slow: float, eps: float, p: int
 ) -> tuple[MilsState, Information, float, float]:
-    """One step of multi-innovation least squares with the soft gate of :mod:`robust`.
+    """Make one step of multi-innovation least squares with the soft gate of :mod:`robust`.
 
     Args:
         state: Information before the step, then the mean information of the last p observations: 18 floats.
-        oldest: What leaves that mean: ``newest`` of p steps ago, NOTHING in the first p steps.
-        v: Speed in the observation [m/s].
-        s: Mean square of the speed in it.
+        oldest: Term to subtract from that mean: ``newest`` of p steps ago, NOTHING in the first p steps.
+        v: Mean speed of the observation [m/s].
+        s: Mean square speed of the observation [(m/s)^2].
         y: Observed resistance [N/kN].
-        R: Its variance.
-        slow: How many times R an observation counts in the mean of many, 1 for white noise.
-        eps: Share of outliers, 0 for plain least squares.
+        R: Its noise variance [(N/kN)^2].
+        slow: Factor on R in the mean of many observations with correlated noise; 1 if the noise is white.
+        eps: Share of outliers [1], 0 for plain least squares.
         p: Innovation length.
 
     Returns:
@@ -60,7 +60,7 @@ def mils_step(
     z1 = v - l1
     z2 = s - l2 - l3 * z1
     weight, log_likelihood = weigh(nu, 1.0 / A + z1 * z1 / d1 + z2 * z2 / d2 + R, R, eps)
-    # recent += phi phi' / (p R) - what is p steps old;  information += recent
+    # recent += phi phi' / (p R) - oldest;  information += recent
     k = weight / (p * slow * R)
     kv, ks = k * v, k * s
     newest = k, kv, ks, kv * v, kv * s, ks * s, k * y, kv * y, ks * y
@@ -79,7 +79,7 @@ def mils_step(
 
 
 def belief_of(info: Information) -> Belief:
-    """Return a, b, c and the upper triangle of their covariance."""
+    """Return a, b, c [N/kN, v in m/s] and the upper triangle of their covariance."""
     A, B, C, D, E, F, h0, h1, h2 = info
     l1, l2 = B / A, C / A
     d1, e = D - l1 * B, E - l1 * C
@@ -95,15 +95,15 @@ def belief_of(info: Information) -> Belief:
     return a, b, c, P00, P01, P02, P11, P12, P22
 
 
-def information_of(belief: Belief) -> Information:
-    """Return P^-1 and P^-1 theta of a belief."""
-    a, b, c, *P = belief
+def information_of(estimate: Belief) -> Information:
+    """Return P^-1 and P^-1 theta of an estimate."""
+    a, b, c, *P = estimate
     A, B, C, D, E, F = belief_of((*P, 0.0, 0.0, 0.0))[3:]
     return A, B, C, D, E, F, A * a + B * b + C * c, B * a + D * b + E * c, C * a + E * b + F * c
 
 
 def is_definite(info: Information) -> bool:
-    """True if P^-1 has only positive pivots, so that it is the inverse of a covariance."""
+    """Return whether P^-1 has only positive pivots, so that it is the inverse of a covariance."""
     A, B, C, D, E, F = info[:6]
     if not A > 0.0:
         return False
@@ -112,5 +112,5 @@ def is_definite(info: Information) -> bool:
 
 
 def is_finite(numbers: tuple[float, ...]) -> bool:
-    """True if all are finite."""
+    """Return whether all numbers are finite."""
     return all(map(math.isfinite, numbers))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Normal distributions of n parameters theta, and what observations y = phi' theta + noise make of them.
+"""Normal distributions of n parameters theta and their update by observations y = phi' theta + noise.
 
-Two forms: mean and covariance P; and the information [P^-1 | P^-1 theta], shape (n, n + 1), in which independent
-observations add up. The gate is the soft one of :mod:`robust`.
+There are two forms: mean and covariance P; and the information [P^-1 | P^-1 theta], shape (n, n + 1), in which
+independent observations add. The gate is the soft gate of :mod:`robust`.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-_LEAST_WEIGHT: Final = 1e-9
+_MIN_WEIGHT: Final = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,22 +38,22 @@ class Normal:
     P: Array
 
     def predict(self, phi: Array) -> tuple[float, float]:
-        """Return mean and variance of phi' theta for a regressor of shape (n,)."""
+        """Return mean and variance of phi' theta, in the unit of y and its square, for a regressor of shape (n,)."""
         return float(phi @ self.theta), max(float(phi @ self.P @ phi), 0.0)
 
 
 def independent(theta: Sequence[float], variances: Sequence[float]) -> Normal:
-    """Return independent parameters with these means and variances."""
+    """Return the distribution of independent parameters with these means and variances."""
     return Normal(np.array(theta, dtype=np.float64), np.diag(np.array(variances, dtype=np.float64)))
 
 
 def widened(item: Normal, variances: Array, most: Array | None = None) -> Normal:
-    """Return a distribution after independent random steps of the parameters.
+    """Return the distribution after independent random steps of the parameters.
 
     Args:
-        item: The distribution before.
+        item: Distribution before the steps.
         variances: Variances of the steps, shape (n,).
-        most: Limits of the variances afterwards, shape (n,); where one is reached, correlations stay.
+        most: Upper limits of the variances afterwards, shape (n,); limiting keeps the correlations.
 
     """
     P = item.P + np.diag(variances)
@@ -67,11 +67,11 @@ def soft_update(item: Normal, phi: Array, y: float, R: float, slow: float, eps: 
     """Return the distribution after one observation, the weight of the observation and its log likelihood.
 
     Args:
-        item: The distribution before.
+        item: Distribution before the observation.
         phi: Regressor, shape (n,).
         y: Observation.
         R: Variance of its noise.
-        slow: How many times R it counts in the mean of many, since noise may be correlated; 1 if white.
+        slow: Factor on R in the mean of many observations with correlated noise; 1 if the noise is white.
         eps: Share of outliers, 0 for plain least squares.
 
     """
@@ -79,15 +79,15 @@ def soft_update(item: Normal, phi: Array, y: float, R: float, slow: float, eps: 
     variance = float(phi @ g)
     nu = y - float(phi @ item.theta)
     weight, log_likelihood = weigh(nu, variance + R, R, eps)
-    if weight < _LEAST_WEIGHT:
+    if weight < _MIN_WEIGHT:
         return item, weight, log_likelihood
-    # theta += K nu, P -= g g' / (phi' P phi + R / weight): the weight divides the noise
+    # theta += K nu, P -= g g' / (phi' P phi + slow R / weight): the weight divides the noise variance
     k = 1.0 / (variance + slow * R / weight)
     return Normal(item.theta + k * nu * g, item.P - k * np.outer(g, g)), weight, log_likelihood
 
 
 def mixed(items: Sequence[Normal], weights: Sequence[float]) -> Normal:
-    """Return mean and covariance of a mixture; weights need not add up to one."""
+    """Return mean and covariance of a mixture; the weights need not sum to one."""
     share = np.array(weights) / math.fsum(weights)
     thetas = np.array([item.theta for item in items])
     theta = share @ thetas
@@ -109,12 +109,15 @@ def normal_of(information: Array) -> Normal:
 
 
 def information_in(phi: Array, y: float, variance: float) -> Array:
-    """Return what one observation adds to the information: phi [phi', y] / variance, shape (n, n + 1)."""
+    """Return the information of one observation, phi [phi', y] / variance, shape (n, n + 1)."""
     return np.outer(phi, np.append(phi, y)) / variance
 
 
 def _inverse(S: Array) -> Array:
-    """Return the inverse of a covariance or an information; parameters lie decades apart, so it is scaled to 1."""
+    """Return the inverse of a covariance or information matrix.
+
+    The matrix is scaled to a unit diagonal first, since the parameters differ by orders of magnitude.
+    """
     scale = 1.0 / np.sqrt(S.diagonal())
     inverse = np.linalg.inv(scale[:, None] * S * scale)
     scaled: Array = scale[:, None] * (0.5 * (inverse + inverse.T)) * scale

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The eight regressions of Liu et al. 2018 as recursions of one state: a step per observation (phi, y).
+"""The eight regressions of Liu et al. 2018 as recursions on one state, one step per observation (phi, y).
 
 ======================  ==============================================================
 LS, regularised LS      :func:`solve_step`, penalty 0 or lambda
@@ -8,8 +8,8 @@ MILS, regularised MILS  :func:`innovation_step` with p > 1
 V-MILS, regularised     :func:`strict_step`; :func:`skip` when an observation is bad
 ======================  ==============================================================
 
-Regularised recursions come in two forms. With ``record_length`` N > 0 they are as printed, (12)-(16). With N = 0
-they start from P(0) = I/(p lambda), theta(0) = 0, and equal (7) at every t whatever p is.
+Regularised recursions have two forms. With ``record_length`` N > 0 they are as printed, (12)-(16). With N = 0 they
+start from P(0) = I/(p lambda), theta(0) = 0, and equal (7) at every t for any p.
 """
 
 from __future__ import annotations
@@ -29,13 +29,13 @@ _P0: Final = 1e6
 
 @dataclass(frozen=True, slots=True)
 class Regression:
-    """What a regression is told.
+    """Settings of a regression.
 
     Attributes:
         innovation_length: p.
         penalty: lambda, 0 = not regularised.
-        record_length: N of (12)-(14); 0 = the penalty is all in P(0).
-        forgetting: mu, the weight of all that is older, per step; 1 = nothing is forgotten.
+        record_length: N of (12)-(14); 0 = the full penalty is in P(0).
+        forgetting: Forgetting factor mu per step; 1 = no forgetting.
 
     """
 
@@ -52,12 +52,12 @@ class Regression:
 
 @dataclass(frozen=True, slots=True)
 class RegressionState:
-    """What a regression remembers.
+    """State of a regression.
 
     Attributes:
         theta: Estimate.
-        UD: Factors of P, the inverse information; where p = 1, the covariance in units of the noise variance.
-        determined: False while theta is only a start.
+        UD: Factors of P, the inverse information; for p = 1 the covariance in units of the noise variance.
+        determined: False while theta is only the initial value.
         Phi: Stack of regressors.
         Y: Stack of observations.
         information: sum phi phi' (LS only).
@@ -89,31 +89,31 @@ def begin(regression: Regression) -> RegressionState:
 
 
 def solve_step(state: RegressionState, phi: Vector, y: float, regression: Regression) -> RegressionState:
-    """LS and regularised LS (7): add to the normal equations and solve them."""
+    """Make one step of LS or regularised LS (7): update the normal equations and solve them."""
     mu, penalty = regression.forgetting, regression.penalty
     (M11, M12, M13, M22, M23, M33), (m1, m2, m3) = state.information, state.moment
-    remembered = mu * M11, mu * M12, mu * M13, mu * M22, mu * M23, mu * M33
-    M, m = add(remembered, (mu * m1, mu * m2, mu * m3), phi, y)
+    decayed = mu * M11, mu * M12, mu * M13, mu * M22, mu * M23, mu * M33
+    M, m = add(decayed, (mu * m1, mu * m2, mu * m3), phi, y)
     solved = solve((M[0] + penalty, M[1], M[2], M[3] + penalty, M[4], M[5] + penalty), m)
     state = replace(state, information=M, moment=m, steps=state.steps + 1, determined=solved is not None)
     return state if solved is None else replace(state, theta=solved[0], UD=solved[1])
 
 
 def innovation_step(state: RegressionState, phi: Vector, y: float, regression: Regression) -> RegressionState:
-    """RLS and MILS, regularised or not: a step with each observation, at the start with fewer than p."""
+    """Make one step of RLS or MILS, regularised or not; the first stacks have fewer than p observations."""
     Phi, Y = stacked(state.Phi, state.Y, phi, y, regression.innovation_length)
     return _step(replace(state, Phi=Phi, Y=Y), regression)
 
 
 def strict_step(state: RegressionState, phi: Vector, y: float, regression: Regression) -> RegressionState:
-    """V-MILS, regularised or not: a step at t_s, when the last p observations are all good."""
+    """Make one step of V-MILS, regularised or not, at t_s, when the last p observations are all good."""
     Phi, Y = stacked(state.Phi, state.Y, phi, y, regression.innovation_length)
     state = replace(state, Phi=Phi, Y=Y)
     return _step(state, regression) if len(Y) == regression.innovation_length else state
 
 
 def skip(state: RegressionState) -> RegressionState:
-    """An observation is bad or missing: no stack may reach across it."""
+    """Empty the stack at a bad or missing observation, so that no stack extends across it."""
     return replace(state, Phi=(), Y=())
 
 
@@ -123,7 +123,7 @@ def run(
     observations: Iterable[tuple[Vector, float]],
     good: Iterable[bool] | None = None,
 ) -> RegressionState:
-    """Return the state after all observations (phi, y); those not good are skipped."""
+    """Return the state after all observations (phi, y), skipping those that are not good."""
     state = begin(regression)
     if good is None:
         for phi, y in observations:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What residuals tell: how noisy observations are, how they hang together, and which one is bad.
+"""Statistics of residuals: noise variance, autocorrelation and outliers.
 
-The paper's P is a covariance only once it is multiplied with the variance of the noise, which the paper never
-estimates; and only if the noise is white, which overlapping windows and gusts are not.
+The P of Liu et al. 2018 is a covariance only after multiplication by the noise variance, which the paper never
+estimates, and only for white noise; with overlapping windows and gusts the noise is correlated.
 """
 
 from __future__ import annotations
@@ -14,9 +14,9 @@ from typing import Final
 
 _LAGS: Final = 8
 _MEMORY: Final = 51
-# Observations that the declared noise counts as.
+# Weight of the declared noise, in observations.
 _DECLARED: Final = 4
-# Standard deviation over median absolute deviation of a Gaussian.
+# Ratio of the standard deviation to the median absolute deviation of a Gaussian.
 _MAD: Final = 1.4826
 
 
@@ -27,9 +27,9 @@ class Residuals:
     Attributes:
         count: Number of residuals.
         squares: Sum of their squares [(N/kN)^2].
-        products: Sums of products of residuals 1, 2, ... places apart.
-        last: The last residuals, oldest first.
-        recent: The last ones, bad ones too, from which :meth:`is_outlier` judges.
+        products: Sums of products of residuals at lags 1, 2, ... [(N/kN)^2].
+        last: Latest residuals, oldest first [N/kN].
+        recent: Latest innovations, including those of bad observations, used by :meth:`is_outlier` [N/kN].
 
     """
 
@@ -40,12 +40,12 @@ class Residuals:
     recent: tuple[float, ...] = ()
 
     def is_valid(self) -> bool:
-        """True if all parts are of the right size and no sum of squares or count is negative."""
+        """Return whether all parts have the right size and no sum of squares or count is negative."""
         sized = len(self.products) == _LAGS and len(self.last) <= _LAGS and len(self.recent) <= _MEMORY
         return sized and self.count >= 0 and self.squares >= 0.0
 
     def add(self, residual: float) -> Residuals:
-        """Return the sums with one more residual of a good observation [N/kN]."""
+        """Return the sums after one more residual of a good observation [N/kN]."""
         products = list(self.products)
         for lag, earlier in enumerate(reversed(self.last)):
             products[lag] += residual * earlier
@@ -58,11 +58,11 @@ class Residuals:
         )
 
     def see(self, innovation: float) -> Residuals:
-        """Return the same with one more innovation to judge others by."""
+        """Return the statistics after one more innovation [N/kN] for :meth:`is_outlier`; the sums do not change."""
         return Residuals(self.count, self.squares, self.products, self.last, (*self.recent, innovation)[-_MEMORY:])
 
     def is_outlier(self, innovation: float, gate: float) -> bool:
-        """Return whether an innovation lies more than ``gate`` robust standard deviations from the median."""
+        """Return whether an innovation [N/kN] lies more than ``gate`` robust standard deviations from the median."""
         if len(self.recent) < _MEMORY:
             return False
         middle = statistics.median(self.recent)
@@ -70,14 +70,14 @@ class Residuals:
         return abs(innovation - middle) > gate * spread
 
     def variance(self, declared_std: float) -> float:
-        """Return the variance of one observation; what was declared counts as a few observations."""
+        """Return the variance of one observation [(N/kN)^2]; the declared std [N/kN] counts as a few residuals."""
         return (_DECLARED * declared_std**2 + self.squares) / (_DECLARED + self.count)
 
     def long_run_variance(self, declared_std: float) -> float:
-        """Return the variance, per observation, of the sum of many (Newey and West 1987)."""
+        """Return the long-run variance per observation [(N/kN)^2] (Newey and West 1987); declared std in N/kN."""
         if self.squares <= 0.0:
             return self.variance(declared_std)
         taper = (1.0 - lag / (_LAGS + 1) for lag in range(1, _LAGS + 1))
         factor = 1.0 + 2.0 * math.fsum(w * p for w, p in zip(taper, self.products, strict=True)) / self.squares
-        # The tapered sum is never negative; near zero it would promise what a finite record cannot know.
+        # The tapered sum is never negative; near zero it would be overconfident for a finite record.
         return self.variance(declared_std) * max(factor, 0.1)

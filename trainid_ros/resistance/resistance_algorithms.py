@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Algorithms that estimate the running resistance."""
+"""Registry of the algorithms that estimate the running resistance."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _NO_PENALTY: Final = frozenset({'penalty', 'record_length'})
 def _regression(
     name: str, summary: str, step: Step, config: WindowedConfig, fixed: frozenset[str] = frozenset()
 ) -> Algorithm[ResistanceEstimate]:
-    """Return a regression of Liu et al. 2018."""
+    """Return the registry entry of a regression of Liu et al. 2018."""
     return Algorithm(
         name,
         f'{summary}; for comparison',
@@ -38,19 +38,19 @@ def _regression(
 RESISTANCE: Final = Algorithms[ResistanceEstimate](
     Algorithm(
         'filter-bank',
-        'change-point bank of Kalman filters on raw speed, with the errors of the force as states; the default',
+        'change-point bank of Kalman filters on raw speed, with the force errors as states; default',
         FilterBankConfig(),
         lambda train_file, config, _: FilterBank(train_file, config),
     ),
     Algorithm(
         'V-MILS',
-        'interval-varying multi-innovation least squares on speed windows; half the computing time',
+        'interval-varying multi-innovation least squares on speed windows; half the computing time of filter-bank',
         VMilsConfig(),
         lambda train_file, config, _: VMils(train_file, config),
     ),
     Algorithm(
         'speed-EKF',
-        'extended Kalman filter on raw speed; most exact while little disturbs the train and nothing steps',
+        'extended Kalman filter on raw speed; most accurate with small disturbances and no parameter steps',
         SpeedEkfConfig(),
         lambda train_file, config, _: SpeedEkf(train_file, config),
     ),
@@ -64,21 +64,21 @@ RESISTANCE: Final = Algorithms[ResistanceEstimate](
     ),
     _regression(
         'RLS',
-        'recursive least squares, started as printed',
+        'recursive least squares, initialised as printed',
         innovation_step,
         WindowedConfig(),
         _ONE | _NO_PENALTY,
     ),
     _regression(
         'regularised-RLS',
-        'RLS from P(0) = I/lambda, the regularised LS at every step',
+        'RLS from P(0) = I/lambda, equal to regularised-LS at every step',
         innovation_step,
         WindowedConfig(penalty=50.0),
         _ONE,
     ),
     _regression(
         'MILS',
-        'LS in which each window counts p times',
+        'LS that counts each window p times',
         innovation_step,
         WindowedConfig(innovation_length=4),
         _NO_PENALTY,
@@ -91,20 +91,20 @@ RESISTANCE: Final = Algorithms[ResistanceEstimate](
     ),
     _regression(
         'V-MILS-printed',
-        'MILS that steps only where the last p windows are good',
+        'MILS that updates only when the last p windows are all good',
         strict_step,
         WindowedConfig(innovation_length=4, gate=3.0),
         _NO_PENALTY,
     ),
     _regression(
         'regularised-V-MILS',
-        'the same from P(0) = I/(p lambda)',
+        'V-MILS-printed from P(0) = I/(p lambda)',
         strict_step,
         WindowedConfig(innovation_length=4, penalty=50.0, gate=3.0),
     ),
     Algorithm(
         'two-window',
-        'trajectory fit over a long window, watched by a short one; for records every 100 m or so',
+        'trajectory fit over a long window, monitored by a short one; for records about every 100 m',
         TwoWindowConfig(),
         lambda train_file, config, _: TwoWindow(train_file, config),
     ),

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Batch fit of y = phi' theta that up to 45 % of the observations cannot lead astray.
+"""Robust batch fit of y = phi' theta, insensitive to up to 45 % outliers.
 
-For the start of an estimate from bad data, and for a new beginning when an estimate has lost touch. Least trimmed
-squares finds the 55 % that agree best, by concentration from many small subsets (Rousseeuw and Van Driessen 2006);
-least squares over all that lie near that fit gives the estimate.
+Used to start an estimate from bad data and to restart one that has diverged. Least trimmed squares finds the 55 % of
+the observations that agree best, by concentration steps from many small subsets (Rousseeuw and Van Driessen 2006);
+least squares over all observations near that fit gives the estimate.
 """
 
 from __future__ import annotations
@@ -19,24 +19,25 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-LEAST_ROWS: Final = 12
+MIN_ROWS: Final = 12
+"""Smallest number of rows to fit."""
 _AGREEING: Final = 0.55
 _STARTS, _SUBSET = 60, 4
 _CONCENTRATIONS: Final = 12
-# Half-width of what counts as near, and the standard deviation of normal noise cut there.
+# Inlier threshold in standard deviations, and the standard deviation of unit normal noise truncated there.
 _NEAR, _CUT_STD = 2.5, 0.9497
-# |z| that the agreeing share of normal noise stays within.
+# |z| that contains the agreeing share of normal noise.
 _AGREEING_Z: Final = 0.7554
 _ROUNDS: Final = 10
 
 
 def robust_fit(rows: tuple[tuple[float, ...], ...], prior: Normal) -> Normal | None:
-    """Return the distribution of the parameters that most rows agree on, or None if they do not.
+    """Return the posterior of the parameters from the rows that agree, or None if fewer than half of them do.
 
     Args:
-        rows: The n of the regressor phi, y, variance R of the noise of one, and how many times R it counts in the
-            mean of many.
-        prior: Distribution of the n parameters without them.
+        rows: Rows of the n entries of the regressor phi, the observation y, its noise variance R, and the factor on
+            R in the mean of many observations.
+        prior: Prior distribution of the n parameters.
 
     """
     table = np.array(rows)
@@ -59,7 +60,7 @@ def robust_fit(rows: tuple[tuple[float, ...], ...], prior: Normal) -> Normal | N
 
 
 def _trimmed(Phi: Array, y: Array, information: Array, vector: Array) -> tuple[Array, float]:
-    """Return the parameters of least trimmed squares and the scale of what agrees with them, not below 1."""
+    """Return the parameters of least trimmed squares and the scale of the agreeing residuals, at least 1."""
     generator = np.random.default_rng(0)
     count = round(_AGREEING * len(y))
     best, least = np.zeros(Phi.shape[1]), np.inf

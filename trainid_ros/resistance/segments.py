@@ -4,13 +4,13 @@
 The difference of two neighbouring speeds (6) is mostly noise, so a line is fitted through a piece of the record.
 
 * :class:`Segments` are those of Fig. 2: a piece ends once the measured speed has changed by ``change``, and the
-  next one starts from its middle (by index; the paper does not say). A piece that ends where noise first carries
-  the speed over a limit is too steep on average, so the observed resistance is too high, by 0.04 N/kN at
-  25 km/h and 0.2 N/kN at 75 km/h with a tachometer of 0.1 km/h, and the noisier the faster.
-* :class:`Windows` have a fixed number of samples, and no such bias.
+  next one starts from its middle (by index; the paper does not define it). A piece that ends where noise first
+  carries the speed over a limit is too steep on average, so the observed resistance is too high: by 0.04 N/kN at
+  25 km/h and 0.2 N/kN at 75 km/h with a tachometer resolution of 0.1 km/h. Its noise also grows with speed.
+* :class:`Windows` have a fixed number of samples and no such bias.
 
 The resistance of a piece is ``w0 = 1000 F/(M g) - 1000 (1 + gamma) alpha/g - i``. The paper's (5), -100 alpha - i,
-leaves out the rotating masses and takes g = 10.
+omits the rotating masses and uses g = 10.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-# Rounded speeds differ by whole quanta; without this, 62.3 - 61.8 falls short of 0.5.
+# Rounded speeds differ by whole quanta; without this tolerance, 62.3 - 61.8 falls short of 0.5.
 _ROUNDING = 1e-9
 
 
@@ -39,7 +39,7 @@ class HasSpeed(Protocol):
 
     @property
     def speed(self) -> float:
-        """Measured speed."""
+        """Measured speed, in the unit of the record."""
 
 
 Item = TypeVar('Item', bound=HasSpeed)
@@ -52,25 +52,25 @@ class Cutter(Protocol):
         """Return whether a piece is complete with its last item."""
 
     def next_start(self, length: int) -> int:
-        """Return how many items after the start of a piece of that length the next one starts."""
+        """Return the offset of the next piece from the start of a piece of that length, in items."""
 
     @property
     def longest(self) -> int:
-        """Most items that may be pending."""
+        """Maximum number of pending items."""
 
 
 @dataclass(frozen=True, slots=True)
 class Segments:
-    """Fig. 2: a piece ends when measured speed differs from its first by ``change``, in the unit of the speeds.
+    """Segments of Fig. 2: a piece ends when the measured speed differs from its first by ``change``.
 
-    While the speed hardly changes no more than ``longest`` samples are kept.
+    ``change`` is in the unit of the speeds. At most ``longest`` samples are kept while the speed hardly changes.
     """
 
     change: float
     longest: int = 250
 
     def ends(self, piece: Sequence[HasSpeed]) -> bool:
-        """Return whether the last speed is far enough from the first."""
+        """Return whether the last speed differs from the first by at least ``change``."""
         return abs(piece[-1].speed - piece[0].speed) >= self.change - _ROUNDING
 
     def next_start(self, length: int) -> int:
@@ -91,7 +91,7 @@ class Windows:
         return self.length
 
     def __post_init__(self) -> None:
-        """Refuse what cannot be cut."""
+        """Raise InputError if the hop is not within [1, length]."""
         if not 1 <= self.hop <= self.length:
             msg = f'hop = {self.hop} must lie in [1, window = {self.length}]'
             raise InputError(msg)
@@ -106,10 +106,10 @@ class Windows:
 
 
 def cut(pending: tuple[Item, ...], item: Item, cutter: Cutter) -> tuple[tuple[Item, ...], tuple[Item, ...]]:
-    """Take one more item of a stream in.
+    """Add one item of a stream.
 
     Returns:
-        What is pending now, and the piece that is complete with the item, empty if none is.
+        The items pending now, and the piece that the item completes, empty if none.
 
     """
     piece = (*pending, item)[-cutter.longest :]
@@ -125,8 +125,8 @@ class Observations:
     Attributes:
         v: Mean speed, in the unit of the record.
         y: Observed resistance [N/kN].
-        weight: S_tt, sum of squared times from the middle of the piece [s^2]; the variance of y that white noise
-            of speed causes is inverse to it.
+        weight: S_tt, sum of squared times from the middle of the piece [s^2]; the variance of y due to white speed
+            noise is inversely proportional to it.
 
     """
 
@@ -140,7 +140,7 @@ class Observations:
 
 
 def bounds(speed: Array, cutter: Cutter) -> list[tuple[int, int]]:
-    """Return start and end (the first index after it) of all complete pieces of one record, shape (samples,)."""
+    """Return start and end (exclusive) indices of all complete pieces of one record of shape (samples,)."""
     if isinstance(cutter, Windows):
         return [(i, i + cutter.length) for i in range(0, len(speed) - cutter.length + 1, cutter.hop)]
     items = [_Speed(float(value)) for value in speed]
@@ -161,13 +161,13 @@ def observe(
     speed_unit: float = 1.0,
     gradient: float = 0.0,
 ) -> Observations:
-    """Observe the resistance of a coasting train from records of its speed, one for each coast.
+    """Return the resistance of a coasting train observed in records of its speed, one for each coasting run.
 
     Args:
         records: Speeds, each of shape (samples,), in any unit.
-        cutter: How to cut them.
+        cutter: Rule that cuts them into pieces.
         period: Time between samples [s].
-        rotary_mass: Share of the rotating masses, gamma.
+        rotary_mass: Share of the rotating masses, gamma [1].
         speed_unit: Unit of the speeds [m/s], 1/3.6 for km/h.
         gradient: Gradient i [per mille].
 
@@ -176,14 +176,15 @@ def observe(
     rows = np.array([_slope(piece, period) for piece in pieces]).reshape(-1, 3)
     v, slope, S_tt = rows.T
     acceleration = speed_unit * slope
-    y = observed_resistance(np.zeros_like(v), 1.0, rotary_mass, acceleration) - gradient  # (5), corrected
+    # (5), corrected
+    y = observed_resistance(np.zeros_like(v), 1.0, rotary_mass, acceleration) - gradient
     return Observations(v, y, S_tt)
 
 
 def difference(
     records: Sequence[Array] | Array, *, period: float, rotary_mass: float, speed_unit: float = 1.0
 ) -> Observations:
-    """Observe the resistance from the difference of each two neighbouring speeds, (6); see :func:`observe`."""
+    """Return the resistance observed in the differences of neighbouring speeds, (6); see :func:`observe`."""
     pairs = Windows(length=2, hop=1)
     return observe(records, pairs, period=period, rotary_mass=rotary_mass, speed_unit=speed_unit)
 

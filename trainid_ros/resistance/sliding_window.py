@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The latest samples as windows of fixed duration, whatever the rate of the samples."""
+"""Sliding windows of fixed duration over the latest samples, independent of the sample rate."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ if TYPE_CHECKING:
 
     from trainid_ros.resistance.speed_window import Tick
 
-# A line through fewer samples cannot tell outliers; where samples are rare, windows are longer.
-_FEWEST: Final = 8
+# A line fit through fewer samples cannot detect outliers; at low sample rates the windows are longer.
+_MIN_SAMPLES: Final = 8
 
 
 @dataclass(frozen=True, slots=True)
 class Cut:
-    """A window, and the time from one window to the next [s]."""
+    """Samples of a window, and the time from one window to the next [s]."""
 
     ticks: list[Tick]
     hop: float
@@ -33,9 +33,9 @@ class Cut:
 
 
 class SlidingWindow:
-    """Gives the window of the latest ``length`` seconds every ``hop`` seconds, both to half a sample.
+    """Window of the latest ``length`` seconds every ``hop`` seconds, both to half a sample period.
 
-    At rates that leave fewer than 8 samples in it, the window grows to 8 samples and the hop in proportion.
+    At rates with fewer than 8 samples in a window, the window grows to 8 samples and the hop in proportion.
     """
 
     def __init__(self, length: float, hop: float) -> None:
@@ -43,26 +43,26 @@ class SlidingWindow:
         self.clear()
 
     def clear(self) -> None:
-        """Begin anew."""
+        """Remove all samples."""
         self.ticks: deque[Tick] = deque()
         self.fresh_s = 0.0
 
     def restore(self, ticks: Iterable[Tick], fresh_s: float) -> None:
-        """Take over samples and the time since the last window [s]."""
+        """Restore samples and the time since the last window [s]."""
         self.ticks, self.fresh_s = deque(ticks), fresh_s
 
     def push(self, tick: Tick) -> Cut | None:
-        """Take in one sample; return a window if it completes one that is due."""
+        """Add one sample; return a window if the sample completes one that is due."""
         ticks = self.ticks
         ticks.append(tick)
         self.fresh_s += tick.dt
-        if len(ticks) < _FEWEST:
+        if len(ticks) < _MIN_SAMPLES:
             return None
         half = 0.5 * self._span(0) / (len(ticks) - 1)
-        while len(ticks) > _FEWEST and self._span(1) > self._length - half:
+        while len(ticks) > _MIN_SAMPLES and self._span(1) > self._length - half:
             ticks.popleft()
         span = self._span(0)
-        hop = self._hop * max(1.0, span / self._length) if len(ticks) == _FEWEST else self._hop
+        hop = self._hop * max(1.0, span / self._length) if len(ticks) == _MIN_SAMPLES else self._hop
         if span < self._length - half or self.fresh_s < hop - half:
             return None
         self.fresh_s = 0.0

@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """speed-EKF: Davis parameters from raw speed by an extended Kalman filter, see :mod:`speed_filter`.
 
-More exact than windows where little disturbs the train, and quicker at first; it does not look for steps of the
-parameters, only for drift. Around the filter:
+More accurate than windows while disturbances are small, and converges faster; it models drift of the parameters but
+not steps. In addition to the filter there are:
 
-* a gate on the innovation; after many refusals in a row the speed starts anew and the parameters stay;
-* a speed that stays equal to the last bit longer than motion and rounding allow is stuck. The filter believed it
-  for a while, so it goes back to where that began and runs on without measurements;
-* if the parameters leave the region of the prior, they were led astray: back to the prior.
+* a gate on the innovation; after many consecutive rejections the speed restarts and the parameters are kept;
+* stuck-speed detection: a speed that stays bit-identical longer than motion and rounding allow is stuck. The filter
+  has already used it for a while, so it returns to the state before and predicts from there without measurements;
+* a divergence check: if the parameters leave the region of the prior, the filter returns to the prior.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ if TYPE_CHECKING:
     from trainid_ros.core.samples import Sample
     from trainid_ros.train.train_file import TrainFile
 
-# Square of the distance from the prior, in its standard deviations, that no honest train has.
-_ASTRAY: Final = 30.0
-# A speed that was not stuck for so many samples is one to go on from.
-_MOST_HELD: Final = 50
-_MOST_SPEED: Final = 1e3
+# Largest plausible squared distance from the prior, normalised by its standard deviations.
+_MAX_PRIOR_DISTANCE: Final = 30.0
+# Number of equal speeds without detection after which the state before a possible fault advances.
+_MAX_HELD: Final = 50
+_MAX_SPEED: Final = 1e3
 
 
 @dataclass(frozen=True, slots=True)
@@ -46,26 +46,31 @@ class SpeedEkfConfig:
 
     min_speed: float = setting(1.0, 'slowest speed to learn from', 'm/s', 0.0, 50.0)
     speed_std: float = setting(0.025, 'noise of measured speed at the start (then learned)', 'm/s', 1e-4, 2.0)
-    disturbance_std: float = setting(0.15, 'unmodelled resistance; rather too much', 'N/kN', 0.0, 10.0)
+    disturbance_std: float = setting(
+        0.15, 'unmodelled resistance; choose too large rather than too small', 'N/kN', 0.0, 10.0
+    )
     disturbance_time: float = setting(6.0, 'correlation time of the disturbance', 's', 0.0, 600.0)
     force_error: float = setting(0.005, 'relative error of the traction force', '1', 0.0, 0.5)
     force_skew: float = setting(0.06, 'unknown delay of the reported force', 's', 0.0, 5.0)
-    prior_share: float = setting(0.5, 'prior std of a, b, c as a share of their believed values', '1', 0.0, 10.0)
+    prior_share: float = setting(0.5, 'prior std of a, b, c as a share of their stated values', '1', 0.0, 10.0)
     prior_std_a: float = setting(0.6, 'added to the prior std of a (root of squares)', 'N/kN', 1e-6, 100.0)
     prior_std_b: float = setting(0.02, 'added to the prior std of b', 'N/kN per m/s', 1e-8, 10.0)
     prior_std_c: float = setting(0.0006, 'added to the prior std of c', 'N/kN per (m/s)^2', 1e-9, 1.0)
     drift_share: float = setting(0.15, 'drift in one hour, std as a share of the prior std', '1', 0.0, 100.0)
-    gate: float = setting(3.5, 'innovations beyond this many standard deviations are refused', '1', 1.0, 100.0)
-    restart_after: int = setting(25, 'refusals in a row after which the speed starts anew', 'samples', 1, 10000)
+    gate: float = setting(3.5, 'innovations beyond this many standard deviations are rejected', '1', 1.0, 100.0)
+    restart_after: int = setting(25, 'consecutive rejections after which the speed restarts', 'samples', 1, 10000)
     stuck_sigmas: float = setting(
-        5.0, 'change due that an equal speed must hide to be stuck', 'standard deviations', 1.0, 1e6
+        5.0, 'predicted change above which an unchanged speed is stuck', 'standard deviations', 1.0, 1e6
     )
     valid_std: float = setting(0.15, 'resistance is fit to use below this standard deviation', 'N/kN', 1e-3, 10.0)
 
 
 @dataclass(frozen=True, slots=True)
 class SpeedEkfState:
-    """All that the speed EKF remembers; ``before`` and ``held`` are the state and (dt, u, q) since a speed repeats."""
+    """Saved state of the speed EKF.
+
+    While a speed repeats, ``before`` is the filter state at its first occurrence and ``held`` the (dt, u, q) since.
+    """
 
     filter: State
     before: State
@@ -102,7 +107,7 @@ class SpeedEkf:
         self.reset()
 
     def reset(self) -> None:
-        """Go back to the prior."""
+        """Return to the prior."""
         a, b, c = self._max_variance
         self._filter: State = (0.0, *self._theta0, 1.0, 0.0, 0.0, 0.0, a, 0.0, 0.0, b, 0.0, c)
         self._before: State = self._filter
@@ -116,7 +121,7 @@ class SpeedEkf:
 
     @property
     def state(self) -> SpeedEkfState:
-        """All that is remembered."""
+        """The state to save."""
         return SpeedEkfState(
             filter=self._filter,
             before=self._before,
@@ -138,16 +143,16 @@ class SpeedEkf:
         )
 
     def save(self) -> str:
-        """Return the whole state as JSON text."""
+        """Return the state as JSON text."""
         return encode(self.state)
 
     def restore(self, text: str) -> None:
-        """Take over a saved state; InputError if it does not fit."""
+        """Restore a saved state; raise InputError if it is invalid."""
         state = decode(text, SpeedEkfState)
         check_numbers(state, may_be_nan=('dt',))  # of the tachometer, after a gap
         for item in (state.filter, state.before):
-            sized = len(item) == 14 and is_covariance(item[4:]) and abs(item[0]) < _MOST_SPEED
-            check_restored(sized and not self._is_astray(item), 'SpeedEkfState', 'filter')
+            sized = len(item) == 14 and is_covariance(item[4:]) and abs(item[0]) < _MAX_SPEED
+            check_restored(sized and not self._is_diverged(item), 'SpeedEkfState', 'filter')
         held = all(len(item) == 3 and min(item[0], item[2]) >= 0.0 for item in state.held)
         check_restored(held, 'SpeedEkfState', 'held')
         check_restored(state.tachometer.is_valid(), 'SpeedEkfState', 'tachometer')
@@ -164,11 +169,11 @@ class SpeedEkf:
 
     @property
     def converged(self) -> bool:
-        """True while the resistance is known well enough at the speeds seen."""
+        """True while the resistance is known well enough over the speeds observed."""
         return self._converged
 
     def step(self, sample: Sample) -> ResistanceEstimate | Rejection:
-        """Take one sample in."""
+        """Process one sample."""
         self._stamp_ns = sample.stamp_ns
         self._tachometer.add(sample.speed, sample.dt)
         if (rejection := self._admission.reject(sample)) is not None:
@@ -183,13 +188,13 @@ class SpeedEkf:
         rejection = self._correct(sample)
         self._force = u
         if not is_finite(self._filter):
-            self._go_home(sample.speed)
+            self._return_to_prior(sample.speed)
             return Rejection(sample.stamp_ns, Reason.NUMERICAL, self._innovation, math.nan)
         self._judge()
         return rejection or self.estimate(sample.speed)
 
     def _begin(self, speed: float, u: float) -> None:
-        """Start the speed anew."""
+        """Restart from a measured speed [m/s] with the known specific force u [N/kN]."""
         self._filter = restarted(self._filter, speed, self._tachometer.variance)
         self._before, self._held = self._filter, []
         self._speed, self._force = speed, u
@@ -197,7 +202,7 @@ class SpeedEkf:
 
     def _predict(self, dt: float, u: float, traction: float) -> None:
         config = self.config
-        # A slow disturbance acts on speed like white noise of its spectral density at zero.
+        # A slow disturbance acts on speed like white noise with its spectral density at zero frequency.
         density = 2.0 * config.disturbance_time * (config.disturbance_std**2 + (config.force_error * traction) ** 2)
         q = self._k**2 * (density * dt + (config.force_skew * (u - self._force)) ** 2)
         v, _, _, _, Pvv, Pva, Pvb, Pvc, *P = predicted(self._filter, dt, u, self._k, q)
@@ -206,7 +211,7 @@ class SpeedEkf:
         self._held.append((dt, u, q))
 
     def _correct(self, sample: Sample) -> Rejection | None:
-        """Take the measurement in unless it is stuck or beyond the gate."""
+        """Correct with the measurement unless it is stuck or beyond the gate."""
         R, limit = self._tachometer.variance, self.config.gate
         v, S = self._filter[0], self._filter[4] + R
         nu = sample.speed - v
@@ -221,11 +226,11 @@ class SpeedEkf:
             return self._reject(sample, Reason.OUTLIER, nu, limit * math.sqrt(S))
         self._rejected = 0
         self._filter = corrected(self._filter, sample.speed, R)
-        if not self._held or len(self._held) >= _MOST_HELD:
+        if not self._held or len(self._held) >= _MAX_HELD:
             self._before = self._filter
             self._held.clear()
-        if self._is_astray(self._filter):
-            self._go_home(sample.speed)
+        if self._is_diverged(self._filter):
+            self._return_to_prior(sample.speed)
             return Rejection(sample.stamp_ns, Reason.NUMERICAL, nu, math.nan)
         self._accepted += 1
         self._speed_min = min(self._speed_min, v) if self._accepted > 1 else v
@@ -233,7 +238,7 @@ class SpeedEkf:
         return None
 
     def _is_stuck(self) -> bool:
-        """True if an equal speed hides a change that must be; the filter then forgets what it saw since."""
+        """Return whether an unchanged speed contradicts the predicted change; if so, discard it from the filter."""
         state = self._before
         for dt, u, q in self._held:
             state = predicted(state, dt, u, self._k, q)
@@ -244,30 +249,30 @@ class SpeedEkf:
 
     def _reject(self, sample: Sample, reason: Reason, nu: float, limit: float) -> Rejection:
         self._rejected += 1
-        # A stuck speed is no speed to start from.
+        # A restart from a stuck speed would be wrong.
         if self._rejected >= self.config.restart_after and reason is Reason.OUTLIER:
             self._begin(sample.speed, self._force)
         return Rejection(sample.stamp_ns, reason, nu, limit)
 
-    def _is_astray(self, state: State) -> bool:
+    def _is_diverged(self, state: State) -> bool:
         pairs = zip(state[1:4], self._theta0, self._max_variance, strict=True)
-        return sum((x - x0) ** 2 / P for x, x0, P in pairs) > _ASTRAY
+        return sum((x - x0) ** 2 / P for x, x0, P in pairs) > _MAX_PRIOR_DISTANCE
 
-    def _go_home(self, speed: float) -> None:
-        """Back to the prior."""
+    def _return_to_prior(self, speed: float) -> None:
+        """Return to the prior, at a measured speed [m/s]."""
         a, b, c = self._max_variance
         self._filter = (speed, *self._theta0, self._tachometer.variance, 0.0, 0.0, 0.0, a, 0.0, 0.0, b, 0.0, c)
         self._before, self._held = self._filter, []
 
     def _judge(self) -> None:
-        """Judge whether w is fit to use."""
-        belief, speeds = (*self._filter[1:4], *self._filter[8:]), (self._speed_min, self._speed_max)
+        """Decide whether w is fit to use."""
+        posterior, speeds = (*self._filter[1:4], *self._filter[8:]), (self._speed_min, self._speed_max)
         self._converged = self._accepted > 0 and is_fit(
-            lambda v: predict(belief, v, v * v)[1], speeds, self.config.valid_std, was_fit=self._converged
+            lambda v: predict(posterior, v, v * v)[1], speeds, self.config.valid_std, was_fit=self._converged
         )
 
     def estimate(self, speed: float) -> ResistanceEstimate:
-        """Return the parameters and the resistance at a speed [m/s]."""
+        """Return the parameters for v in m/s and the resistance [N/kN] at a speed [m/s]."""
         a, b, c = self._filter[1:4]
         A, B, C, D, E, F = self._filter[8:]
         resistance, variance = predict((a, b, c, A, B, C, D, E, F), speed, speed * speed)

@@ -3,8 +3,8 @@
 
     v' = v + k dt (u - a - b v - c v^2),  k = 1 / inertia,  u the known specific force,
 
-with white noise of variance q on v for what the force does not explain. Nothing is lost to windows: on clean coasts
-it reaches the Cramer-Rao bound, gusts or not.
+with white process noise of variance q on v for unmodelled forces. Unlike windows, the filter loses no information: on
+clean coasting runs it reaches the Cramer-Rao bound with and without gusts.
 
 A state is a tuple of 14 floats: x, then the upper triangle of its covariance, row by row.
 """
@@ -15,18 +15,18 @@ State = tuple[float, ...]
 
 
 def predicted(state: State, dt: float, u: float, k: float, q: float) -> State:
-    """Return the state ``dt`` [s] later.
+    """Return the state predicted ``dt`` [s] ahead.
 
     Args:
-        state: What is believed.
-        dt: Time passed [s].
-        u: Known specific force in it [N/kN].
+        state: State estimate.
+        dt: Time step [s].
+        u: Mean known specific force over the step [N/kN].
         k: Acceleration per specific force [m/s^2 per N/kN].
-        q: Variance that v gains [(m/s)^2].
+        q: Process noise variance added to v [(m/s)^2].
 
     """
     v, a, b, c, Pvv, Pva, Pvb, Pvc, Paa, Pab, Pac, Pbb, Pbc, Pcc = state
-    # The speed in the middle of the step: with that at its start w would lag by what it falls in half a step.
+    # Speed in the middle of the step; w at the initial speed would lag by half a step.
     h = k * dt
     m = v + 0.5 * h * (u - a - v * (b + c * v))
     # F = [1 - h (b + 2 c m), -h, -h m, -h m^2; 0 I];  P = F P F' + Q
@@ -39,7 +39,7 @@ def predicted(state: State, dt: float, u: float, k: float, q: float) -> State:
 
 
 def corrected(state: State, speed: float, R: float) -> State:
-    """Return the state after a measurement of v with variance R."""
+    """Return the state after a measurement of v [m/s] with variance R [(m/s)^2]."""
     v, a, b, c, Pvv, Pva, Pvb, Pvc, Paa, Pab, Pac, Pbb, Pbc, Pcc = state
     # K = P e / S;  P -= K S K'
     S = Pvv + R
@@ -55,5 +55,5 @@ def corrected(state: State, speed: float, R: float) -> State:
 
 
 def restarted(state: State, speed: float, R: float) -> State:
-    """Return the state with nothing known of v but one measurement; the parameters stay."""
+    """Return the state with v reset to one measurement [m/s] of variance R [(m/s)^2]; the parameters are kept."""
     return speed, *state[1:4], R, 0.0, 0.0, 0.0, *state[8:]

@@ -1,20 +1,20 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Extended Kalman filters on raw speed, several hypotheses at once, with the errors of force and track as states.
+"""Extended Kalman filters on raw speed for several hypotheses at once, with force and track errors as states.
 
 x = [v, a, b, c, g, e, kappa, delta, kappa_R]:
 
 * v [m/s], and a, b, c of the resistance a + b v + c v^2 [N/kN];
 * g: gust, first-order Gauss-Markov in time [N/kN];
-* e: error of the map, first-order Gauss-Markov in distance [N/kN, the same as per mille];
-* kappa: actual over reported specific force, less one. Errors of mass and of force gain show only as their ratio;
-* delta: how much later than the force its stamps are [s];
-* kappa_R: error of the curve resistance, at a radius of 600 m [N/kN].
+* e: error of the map, first-order Gauss-Markov in distance [N/kN, equal to per mille];
+* kappa: ratio of actual to reported specific force, minus one [1]. Only the ratio of force gain to mass is observable;
+* delta: delay of the force stamps relative to the force [s];
+* kappa_R: error of the curve resistance at a radius of 600 m [N/kN].
 
-With the reported specific traction T, the gradient and all known extra resistance i, and the radius R:
+With the reported specific traction T, the gradient plus all known extra resistance i, and the radius R:
 
     (1)  m dv/dt = (1 + kappa) T(t + delta) - i - 600/R kappa_R - a - b v - c v^2 - g - e,   m = 1000 (1 + gamma)/g0
 
-Arrays have the hypotheses along their first axis: x of shape (n, 9), P of shape (n, 9, 9).
+The first axis of arrays is the hypothesis: x of shape (n, 9), P of shape (n, 9, 9).
 """
 
 from __future__ import annotations
@@ -34,30 +34,30 @@ Array: TypeAlias = NDArray[np.float64]
 
 STATES: Final = 9
 V, A, B, C, GUST, MAP, KAPPA, DELTA, KAPPA_R = range(STATES)
-# The density of an outlier is that of one anywhere within this range of speed [m/s].
+# Outliers are uniformly distributed over this range of speed [m/s].
 _OUTLIER_RANGE: Final = 2.0
-# Outliers weigh less than this only where R over their weight is beyond every variance of a predicted speed.
-_LEAST_WEIGHT: Final = 1e-30
-# Beyond this squared ratio the exponential is zero.
-_MOST_NIS: Final = 1200.0
-# Forces that are reported more often ramp from report to report: interpolation follows them [s].
+# Lower limit of the weight, so small that R over it exceeds any variance of a predicted speed.
+_MIN_WEIGHT: Final = 1e-30
+# Limit of the normalised innovation squared, beyond which the exponential is zero.
+_MAX_NIS: Final = 1200.0
+# Interpolation is accurate for forces reported at this interval or faster, which ramp between reports [s].
 _FAST_FORCE_S: Final = FAST_NS / NS_PER_S
 _ROOT_2_PI: Final = math.sqrt(2.0 * math.pi)
 
 
 @dataclass(frozen=True, slots=True)
 class Interval:
-    """What acted from one speed measurement to the next.
+    """Forces from one speed measurement to the next, and the measurement at the end.
 
     Attributes:
-        dt: Its length [s].
+        dt: Length of the interval [s].
         traction: Mean reported specific traction [N/kN] one ``spacing`` before, in it, and one and two after it.
         track: Gradient and known extra resistance [N/kN].
-        curve: 600 m over the mean radius, 0 on straight track.
+        curve: 600 m over the mean radius [1], 0 on straight track.
         speed: Speed measured at its end [m/s].
         speed_variance: Variance of that measurement [(m/s)^2].
         spacing: Time between the four values of the traction [s].
-        force_interval: Time between the two reports of the force that the traction was interpolated from [s].
+        force_interval: Time between the two force reports from which the traction was interpolated [s].
 
     """
 
@@ -73,15 +73,15 @@ class Interval:
 
 @dataclass(frozen=True, slots=True)
 class ProcessNoise:
-    """What disturbs the states.
+    """Inertia and noise parameters of the filters.
 
     Attributes:
         inertia: m of (1) [N/kN per m/s^2].
         gust_time: Correlation time of the gusts [s].
         map_length: Correlation length of the map error [m].
         force_density: Spectral density of the white noise of the force [(N/kN)^2 s].
-        skew: Jitter between the stamps of force and speed [s], drawn anew for each ``spacing``.
-        outliers: Share of speeds that may be anything.
+        skew: Jitter between the stamps of force and speed [s], independent for each ``spacing``.
+        outliers: Share of outliers among the speeds [1].
 
     """
 
@@ -94,9 +94,9 @@ class ProcessNoise:
 
 
 def shifted_traction(traction: tuple[float, float, float, float], shift: Array) -> tuple[Array, Array]:
-    """Return T at a shift in spacings, shape (n,), and its derivative, by the cubic through four values.
+    """Return T [N/kN] at a shift in spacings, shape (n,), and its derivative, by the cubic through four values.
 
-    Traction ramps within a few tenths of a second, so the first order of a delay of that size is not enough.
+    Traction ramps within a few tenths of a second, so a first-order approximation of such a delay is not accurate.
     """
     before, now, next_, last = traction
     u = np.minimum(np.maximum(shift, -1.0), 2.0)
@@ -108,15 +108,15 @@ def shifted_traction(traction: tuple[float, float, float, float], shift: Array) 
 
 
 def predict(x: Array, P: Array, interval: Interval, gust_var: Array, map_var: Array, noise: ProcessNoise) -> None:
-    """Move all hypotheses to the end of an interval, in place.
+    """Predict all hypotheses to the end of an interval, in place.
 
     Args:
         x: Means, shape (n, 9).
         P: Covariances, shape (n, 9, 9).
-        interval: What acted.
+        interval: Forces over the interval.
         gust_var: Stationary variance of the gusts [(N/kN)^2], shape (n,).
         map_var: Stationary variance of the map error [(N/kN)^2], shape (n,).
-        noise: What else disturbs the states.
+        noise: Inertia and other noise parameters.
 
     """
     dt, m = interval.dt, noise.inertia
@@ -136,20 +136,20 @@ def predict(x: Array, P: Array, interval: Interval, gust_var: Array, map_var: Ar
 
 
 def _unseen_change(interval: Interval) -> float:
-    """Return the variance of the time at which the force changed between two slow reports, for each spacing [s^2].
+    """Return the variance of the time at which the force changed between two slow reports, per spacing [s^2].
 
-    A step anywhere within an interval D of the reports has the variance D^2 / 12 about its middle. Interpolation
-    spreads it over D / spacing equal changes, of which each must have D / spacing times as much.
+    A step at any time within a report interval D has the variance D^2 / 12 about its middle. Interpolation spreads it
+    over D / spacing equal changes, each of which must have D / spacing times that variance.
     """
     D = interval.force_interval
     return D**3 / (12.0 * interval.spacing) if D > _FAST_FORCE_S else 0.0
 
 
 def _transition(x: Array, interval: Interval, h: float) -> tuple[Array, Array]:
-    """Return the speed at the end of an interval by (1), shape (n,), and F = dx'/dx, (n, 9, 9); h = dt / m."""
+    """Return the speed at the end of an interval by (1), shape (n,), and the Jacobian F, (n, 9, 9); h = dt / m."""
     T, slope = shifted_traction(interval.traction, x[:, DELTA] / interval.spacing)
     v, a, b, c, kappa = x[:, V], x[:, A], x[:, B], x[:, C], x[:, KAPPA]
-    # (1), with the speed in the middle of the interval: with that at its start w would lag by half an interval.
+    # (1) with the speed in the middle of the interval; w at the initial speed would lag by half an interval.
     pull = (1.0 + kappa) * T - interval.track - interval.curve * x[:, KAPPA_R] - a - x[:, GUST] - x[:, MAP]
     vm = v + 0.5 * h * (pull - v * (b + c * v))
     F = np.tile(np.eye(STATES), (len(x), 1, 1))
@@ -164,30 +164,30 @@ def _transition(x: Array, interval: Interval, h: float) -> tuple[Array, Array]:
 
 
 def correct(x: Array, P: Array, interval: Interval, outliers: float) -> tuple[Array, Array]:
-    """Take the measured speed in, in place; a speed that may be an outlier weighs less.
+    """Correct all hypotheses with the measured speed, in place; a likely outlier has less weight.
 
     Returns:
-        Logarithm of the density of the measurement, and its weight, 1 = no outlier, both of shape (n,).
+        Logarithm of the density of the measurement [(m/s)^-1], and its weight [1], 1 = no outlier, shape (n,) each.
 
     """
     R = interval.speed_variance
     S = P[:, V, V] + R
     nu = interval.speed - x[:, V]
-    good = (1.0 - outliers) / (_ROOT_2_PI * np.sqrt(S)) * np.exp(-0.5 * np.minimum(nu * nu / S, _MOST_NIS))
+    good = (1.0 - outliers) / (_ROOT_2_PI * np.sqrt(S)) * np.exp(-0.5 * np.minimum(nu * nu / S, _MAX_NIS))
     density = good + outliers / _OUTLIER_RANGE
     weight = good / density
     # K = P e_v / (P_vv + R / w);  x += K nu;  P -= K e_v' P
     column = P[:, :, V].copy()
-    K = column / (P[:, V, V] + R / np.maximum(weight, _LEAST_WEIGHT))[:, None]
+    K = column / (P[:, V, V] + R / np.maximum(weight, _MIN_WEIGHT))[:, None]
     x += K * nu[:, None]
     P -= K[:, :, None] * column[:, None, :]
-    # Beyond, the force of that time is not known: the delay would run away.
+    # Outside this range the force is not known and the delay would diverge.
     np.clip(x[:, DELTA], *DELAY_RANGE, out=x[:, DELTA])
     return np.log(density), weight
 
 
 def restart(x: Array, P: Array, speed: float, variance: float, gust_var: Array, map_var: Array) -> None:
-    """Forget speed, gust and map error; one measured speed is all that is known. In place."""
+    """Reset speed, gust and map error to one measured speed [m/s] and stationary variances, in place."""
     x[:, V], x[:, GUST], x[:, MAP] = speed, 0.0, 0.0
     for state, start in ((V, variance), (GUST, gust_var), (MAP, map_var)):
         P[:, state, :] = P[:, :, state] = 0.0

@@ -1,11 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Resistance from a short window of speed: the least-squares slope of speed less known force.
+"""Resistance from a short window of speed: least-squares slope of the speed minus the effect of the known force.
 
-Differenced 5 Hz speed is too noisy to learn from (Liu et al. 2018, Fig. 1), so a line is fitted through a
-window of it. The paper's acceleration of that line assumes constant forces inside the window; here the
-speed that the known force alone would give, v_u, is taken off first. What is left,
-``v - v_u = v0 - (1/m) * integral of w(v)``, falls with the resistance only, and its slope is exact also
-while traction or gradient change inside the window.
+Differenced 5 Hz speed is too noisy (Liu et al. 2018, Fig. 1), so a line is fitted through a window. The paper's
+acceleration of that line assumes constant forces within the window; here the speed v_u that the known force alone
+would give is subtracted first. The remainder, ``v - v_u = v0 - (1/m) * integral of w(v)``, depends on the resistance
+only, and its slope is exact even if traction or gradient change within the window.
 """
 
 from __future__ import annotations
@@ -33,12 +32,12 @@ class Tick:
     """One sample of a window.
 
     Attributes:
-        stamp_ns: Stamp of the speed.
-        dt: Time since the sample before [s].
+        stamp_ns: Time stamp of the speed [ns].
+        dt: Time since the previous sample [s].
         speed: Measured speed [m/s].
-        known_force: Mean known specific force since the sample before [N/kN].
-        traction: Mean specific traction in it [N/kN].
-        curve: Mean curvature in it, as 600 m over the radius; 0 on straight track.
+        known_force: Mean known specific force since the previous sample [N/kN].
+        traction: Mean specific traction since the previous sample [N/kN].
+        curve: Mean curvature since the previous sample as 600 m over the radius [1]; 0 on straight track.
 
     """
 
@@ -56,16 +55,16 @@ class WindowResult:
 
     Attributes:
         y: Observed mean resistance [N/kN], eq. (5) of Liu et al. with rotating mass, gradient and traction.
-        phi: Regressor [1, v, v^2], shape (3,), weighted as the slope weighs them.
-        noise_std: Standard deviation of y from speed noise alone [N/kN].
-        traction: Specific traction Tw, weighted as the slope weighs it [N/kN].
+        phi: Regressor [1, v, v^2] with v in m/s, averaged with the weights of the slope, shape (3,).
+        noise_std: Standard deviation of y due to speed noise alone [N/kN].
+        traction: Specific traction Tw, averaged with the weights of the slope [N/kN].
         traction_size: Mean absolute specific traction [N/kN].
-        traction_rate: Slope Dw of the traction by the weights of the slope of speed [N/kN per s]; what a late
-            force costs.
-        curve: 600 m over the radius, weighted as the slope weighs it.
+        traction_rate: Slope Dw of the traction with the weights of the speed slope [N/kN per s]: the error of y per
+            second of force delay.
+        curve: 600 m over the radius, averaged with the weights of the slope [1].
         duration: Time from the first to the last sample [s].
-        speed_min: Slowest speed in the window, outliers left out [m/s].
-        speed_max: Fastest speed in the window, outliers left out [m/s].
+        speed_min: Slowest speed in the window without outliers [m/s].
+        speed_max: Fastest speed in the window without outliers [m/s].
 
     """
 
@@ -90,7 +89,7 @@ def observe_resistance(ticks: list[Tick], inertia: float, speed_std: float) -> W
         speed_std: Standard deviation of one speed measurement [m/s].
 
     Returns:
-        The observation, or a refusal if the speed does not follow the forces within its noise.
+        The observation, or a rejection if the speed is inconsistent with the forces beyond its noise.
 
     """
     times, rest = _unforced(ticks, inertia)
@@ -109,7 +108,7 @@ def observe_resistance(ticks: list[Tick], inertia: float, speed_std: float) -> W
 
 
 def _unforced(ticks: list[Tick], inertia: float) -> tuple[list[float], list[float]]:
-    """Return the times since the first tick, and the speeds less what the known forces alone have changed."""
+    """Return the times since the first tick, and the speeds minus the change due to the known forces."""
     time = pushed = 0.0
     times, rest = [0.0], [ticks[0].speed]
     for tick in ticks[1:]:
@@ -121,7 +120,7 @@ def _unforced(ticks: list[Tick], inertia: float) -> tuple[list[float], list[floa
 
 
 def _plain_weights(times: list[float]) -> list[float]:
-    """Return the weights of the speeds in the slope of a line through all of them."""
+    """Return the weights of the speeds in the least-squares slope through all of them."""
     middle = math.fsum(times) / len(times)
     centred = [time - middle for time in times]
     square = math.fsum([x * x for x in centred])
@@ -144,11 +143,11 @@ def _result(
     inertia: float,
     speed_std: float,
 ) -> WindowResult:
-    """Return the observation of a line with these weights; a loop of floats, which beats arrays of 25."""
+    """Return the observation of a line with these weights; a float loop is faster than arrays of 25."""
     phi0 = phi1 = phi2 = traction = size = curve = later = 0.0
     for k in range(len(ticks) - 1, 0, -1):
         tick, v1, v0 = ticks[k], speeds[k], speeds[k - 1]
-        # Share of the interval in the slope: a change of speed there moves all later speeds.
+        # Share of the interval in the slope: a change of speed there shifts all later speeds.
         later += weights[k]
         share = tick.dt * later
         phi0 += share
@@ -175,9 +174,9 @@ def _result(
 def _traction_rate(ticks: list[Tick], weights: list[float]) -> float:
     """Return sum w_k T(t_k), the slope of the traction [N/kN per s].
 
-    A force that acts delta later changes the slope of speed by delta times this: summation by parts turns the
-    changes of T, weighted by the shares of the intervals, into T weighted by w. T at a stamp is the mean of the
-    intervals on its two sides.
+    A force that acts delta later changes the speed slope by delta times this value: summation by parts turns the
+    changes of T, weighted by the shares of the intervals, into T weighted by w. T at a stamp is the mean of the two
+    adjacent intervals.
     """
     means = [tick.traction for tick in ticks]
     at = [0.5 * (before + after) for before, after in pairwise(means)]
@@ -186,9 +185,9 @@ def _traction_rate(ticks: list[Tick], weights: list[float]) -> float:
 
 @lru_cache(maxsize=64)
 def overlap_factor(window: int, hop: int) -> float:
-    """Return long-run over marginal variance of slopes of overlapping windows in white speed noise.
+    """Return the ratio of long-run to marginal variance of slopes of overlapping windows in white speed noise.
 
-    Neighbouring slopes share speeds with opposite signs, so their errors cancel when averaged.
+    Neighbouring slopes share speeds with opposite signs, so their errors partly cancel in the mean.
     """
     c = np.arange(window) - 0.5 * (window - 1)
     lags = range(hop, window, hop)
@@ -208,7 +207,7 @@ def _line(time: NDArray[np.float64], y: NDArray[np.float64], kept: NDArray[np.bo
 
 
 def _robust_line(time: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Line through the medians of the two halves."""
+    """Return the line through the medians of the two halves."""
     half = len(y) // 2
     slope = (np.median(y[-half:]) - np.median(y[:half])) / (np.median(time[-half:]) - np.median(time[:half]))
     line: NDArray[np.float64] = slope * time + np.median(y - slope * time)
@@ -218,7 +217,7 @@ def _robust_line(time: NDArray[np.float64], y: NDArray[np.float64]) -> NDArray[n
 def _inliers(
     time: NDArray[np.float64], y: NDArray[np.float64], robust: NDArray[np.float64], tolerance: float
 ) -> NDArray[np.bool_]:
-    """Mark what lies within ``tolerance`` of the line; single spikes cost no window."""
+    """Mark the speeds within ``tolerance`` of the line, so that single spikes do not invalidate a window."""
     kept = np.ones(len(y), dtype=bool)
     if np.max(np.abs(y - _line(time, y, kept))) <= tolerance:
         return kept

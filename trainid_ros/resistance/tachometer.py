@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The noise of measured speed, learned from the measurements alone, gross errors or not.
+"""Robust estimate of the noise of measured speed from the measurements alone.
 
-Second differences of equally spaced speeds hold the noise (with variance 6 sigma^2) and next to nothing of the
-motion, whose jerk is small. One gross error spoils three of them, so each square counts up to its expectation
-only (Huber's proposal 2): with 5 % gross errors the noise is found 15 % too large, not tenfold. What coarse rounding
-hides from differences is added by :mod:`trainid_ros.estimators.rounding`.
+Second differences of equally spaced speeds contain the noise (with variance 6 sigma^2) and almost none of the motion,
+whose jerk is small. One gross error affects three of them, so each square is capped at its expectation (Huber's
+proposal 2): with 5 % gross errors the noise is overestimated by 15 %, not tenfold. The rounding error that coarse
+quantisation hides from differences is added by :mod:`trainid_ros.estimators.rounding`.
 """
 
 from __future__ import annotations
@@ -16,18 +16,29 @@ from typing import Final
 from trainid_ros.estimators.rounding import EXACT, Rounding
 
 _MEMORY: Final = 0.01
-# Learned noise stays within these multiples of what is declared.
+# Limits of the learned noise, as multiples of the declared noise.
 _RANGE: Final = (0.3, 10.0)
 # E min(z^2, 1) of a standard normal z.
 _CAPPED_MEAN: Final = 0.51606
 _POINTS: Final = 3
-# Steps that differ by more are no equal spacing.
+# Time steps that differ by more than this share are not equally spaced.
 _SPACING: Final = 0.1
 
 
 @dataclass(slots=True)
 class Tachometer:
-    """Learned variance of one speed measurement [(m/s)^2]; last two speeds, step between them, number; rounding."""
+    """Learned noise of one speed measurement.
+
+    Attributes:
+        declared_std: Declared standard deviation [m/s].
+        learned: Learned variance [(m/s)^2].
+        last: Last speed [m/s].
+        before: Speed before the last [m/s].
+        dt: Time between the two [s].
+        count: Number of speeds since the last gap.
+        rounding: Rounding of the speeds.
+
+    """
 
     declared_std: float
     learned: float
@@ -48,11 +59,11 @@ class Tachometer:
         return math.sqrt(self.variance)
 
     def is_valid(self) -> bool:
-        """True if this is a noise that measurements can have, as it may not be when restored."""
+        """Return whether a restored state is possible: positive noise, valid rounding, no negative count."""
         return min(self.declared_std, self.learned) > 0.0 and self.count >= 0 and self.rounding.is_valid()
 
     def add(self, speed: float, dt: float) -> None:
-        """Take in one more speed [m/s], measured ``dt`` [s] after the last; NaN = after a gap."""
+        """Add one speed [m/s], measured ``dt`` [s] after the last; NaN = after a gap."""
         before, last, last_dt = self.before, self.last, self.dt
         self.before, self.last, self.dt = last, speed, dt
         self.count = 1 if math.isnan(dt) else self.count + 1

@@ -1,19 +1,19 @@
 # SPDX-License-Identifier: Apache-2.0
-"""V-MILS: Davis parameters by interval-varying multi-innovation least squares, robust and aware of steps.
+"""V-MILS: Davis parameters by interval-varying multi-innovation least squares, robust and with step detection.
 
 theta = [a, b, c, kappa, delta, kappa_curve]: the resistance w(v) = a + b v + c v^2, and the errors of the known forces,
 see :mod:`force_errors`. After Liu et al. 2018 (sections 3 and 4.2), with these corrections:
 
-* y carries rotating mass, gradient and traction instead of eq. (5), see :mod:`speed_window`;
+* y includes rotating mass, gradient and traction instead of eq. (5), see :mod:`speed_window`;
 * regularisation is a Gaussian prior (P(0), theta(0)), which equals ridge regression (7) at every step,
   instead of (12)-(16), whose penalty grows with time;
-* the p innovations of a step have p times their noise variance, so that all uses of an observation together weigh
-  exactly once and P is a covariance, see :mod:`multi_innovation`;
-* "interval-varying": only good observations enter the p of a step. A soft gate says how good one is;
-* traction is not exact: its scale and delay are estimated along, and so is the resistance of curves;
-* the correlation of the noise is learned, see :mod:`slow_noise`, and so is the noise of speed;
-* a step of a, b, c is found and followed, see :mod:`change_points`;
-* the published covariance is P times the factor of :mod:`inflation`, and a share of w for errors of the wheels.
+* the p innovations of a step have p times their noise variance, so that all uses of an observation together have its
+  weight exactly once and P is a covariance, see :mod:`multi_innovation`;
+* "interval-varying": only good observations enter the p of a step. A soft gate weights them;
+* traction is not exact: its scale and delay are estimated too, and so is the curve resistance;
+* the correlation of the noise is learned, see :mod:`slow_noise`, and so is the speed noise;
+* steps of a, b, c are detected and followed, see :mod:`change_points`;
+* the published covariance is P times the factor of :mod:`inflation`, plus a share of w for wheel diameter errors.
 """
 
 from __future__ import annotations
@@ -47,14 +47,14 @@ if TYPE_CHECKING:
     from trainid_ros.resistance.robust import Belief
     from trainid_ros.train.train_file import TrainFile
 
-# Drift enters the memory, and an estimate without news is judged again, after this time [s].
+# Interval at which drift is added, and the estimate is tested again without new observations [s].
 _DRIFT_LUMP_S: Final = 60.0
-# Observations between the births of two hypotheses, and most of them at a time.
+# Observations between the creation of two hypotheses, and maximum number of hypotheses.
 _SPACING: Final = 6
 _HYPOTHESES: Final = 5
-# Observations over which a lock-out shows, and that a new beginning learns from.
+# Observations over which a lock-out is detected and from which the estimate restarts.
 _LOCKOUT: Final = 30
-# Slower than this the train stands and passengers change [m/s].
+# Speed below which the train is at a stop, where the passenger load changes [m/s].
 _STANDING: Final = 0.3
 # Index of kappa and delta in theta.
 _KAPPA, _DELTA = 3, 4
@@ -70,29 +70,29 @@ class VMilsConfig:
     min_speed: float = setting(1.0, 'slowest speed to learn from', 'm/s', 0.0, 50.0)
     speed_std: float = setting(0.025, 'noise of measured speed at the start (then learned)', 'm/s', 1e-4, 2.0)
     disturbance_std: float = setting(
-        0.11, 'unmodelled resistance beside map errors at the start (then learned)', 'N/kN', 0.0, 10.0
+        0.11, 'unmodelled resistance without map errors at the start (then learned)', 'N/kN', 0.0, 10.0
     )
     disturbance_time: float = setting(12.0, 'its correlation time at the start (then learned)', 's', 0.0, 600.0)
-    force_error: float = setting(0.003, 'relative error of the traction force beside its scale', '1', 0.0, 0.5)
-    force_skew: float = setting(0.03, 'error of the time of the force beside its delay', 's', 0.0, 5.0)
+    force_error: float = setting(0.003, 'relative error of the traction force besides its scale', '1', 0.0, 0.5)
+    force_skew: float = setting(0.03, 'timing error of the force besides its delay', 's', 0.0, 5.0)
     force_delay_std: float = setting(0.15, 'prior std of the delay of the reported force', 's', 0.0, 5.0)
-    model_error: float = setting(0.006, 'error of w that the model does not know, as a share of w', '1', 0.0, 0.5)
-    prior_share: float = setting(0.5, 'prior std of a, b, c as a share of their believed values', '1', 0.0, 10.0)
+    model_error: float = setting(0.006, 'unmodelled error of w, as a share of w', '1', 0.0, 0.5)
+    prior_share: float = setting(0.5, 'prior std of a, b, c as a share of their stated values', '1', 0.0, 10.0)
     prior_std_a: float = setting(0.6, 'added to the prior std of a (root of squares)', 'N/kN', 1e-6, 100.0)
     prior_std_b: float = setting(0.02, 'added to the prior std of b', 'N/kN per m/s', 1e-8, 10.0)
     prior_std_c: float = setting(0.0006, 'added to the prior std of c', 'N/kN per (m/s)^2', 1e-9, 1.0)
     drift_share: float = setting(0.08, 'drift in one hour, std as a share of the prior std', '1', 0.0, 100.0)
-    outlier_share: float = setting(0.05, 'share of observations that may be anything', '1', 0.0, 0.5)
+    outlier_share: float = setting(0.05, 'share of outliers among the observations', '1', 0.0, 0.5)
     step_interval: float = setting(3600.0, 'mean time between steps of the parameters', 's', 60.0, 1e7)
-    step_share: float = setting(0.5, 'added by a step, std as a share of the prior std', '1', 0.01, 10.0)
-    step_patience: int = setting(12, 'observations before a step counts', 'observations', 1, 1000)
+    step_share: float = setting(0.5, 'std of a step as a share of the prior std', '1', 0.01, 10.0)
+    step_patience: int = setting(12, 'observations after which a step hypothesis counts', 'observations', 1, 1000)
     valid_std: float = setting(0.15, 'fit to use below this standard deviation', 'N/kN', 1e-3, 10.0)
     valid_share: float = setting(0.05, 'or below this share of the resistance (root of squares)', '1', 0.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
 class VMilsState:
-    """All that V-MILS remembers; tuples only, so that it saves as JSON."""
+    """Saved state of V-MILS; tuples only, so that it can be saved as JSON."""
 
     learner: LearnerState
     stamp_ns: int
@@ -121,22 +121,22 @@ class VMils:
         self._rates = drift_rates(config.drift_share, self._most)
         plan = window_plan(config, self._known.inertia, train_file.line.gradient_std)
         self.learner = WindowLearner(tracker, plan)
-        self._forget()
+        self._clear()
 
-    def _forget(self) -> None:
+    def _clear(self) -> None:
         self._stamp_ns = self._drifted_ns = self._judged_ns = self._admission.braked_ns = 0
         self._converged = False
-        # What the load changes by at the first stop is in the prior.
+        # The prior already includes the change of load at the first stop.
         self._standing = True
 
     def reset(self) -> None:
-        """Go back to the prior."""
+        """Return to the prior."""
         self.learner.reset()
-        self._forget()
+        self._clear()
 
     @property
     def state(self) -> VMilsState:
-        """All that is remembered."""
+        """The state to save."""
         return VMilsState(
             learner=self.learner.state(),
             stamp_ns=self._stamp_ns,
@@ -148,11 +148,11 @@ class VMils:
         )
 
     def save(self) -> str:
-        """Return the whole state as JSON text."""
+        """Return the state as JSON text."""
         return encode(self.state)
 
     def restore(self, text: str) -> None:
-        """Take over a saved state; InputError if it does not fit."""
+        """Restore a saved state; raise InputError if it is invalid."""
         state = decode(text, VMilsState)
         check_numbers(state, may_be_nan=('dt',))  # of the tachometer, after a gap
         state.learner.check(len(self.learner.tracker.prior.theta))
@@ -163,16 +163,16 @@ class VMils:
 
     @property
     def converged(self) -> bool:
-        """True while the resistance is known well enough at the speeds seen."""
+        """True while the resistance is known well enough over the driven speeds."""
         return self._converged
 
     def step(self, sample: Sample) -> ResistanceEstimate | Rejection:
-        """Take one sample in; every ``hop`` seconds of good samples make one observation and one update."""
+        """Process one sample; every ``hop`` seconds of good samples give one observation and one update."""
         self._stamp_ns = sample.stamp_ns
-        self._watch_stops(sample)
+        self._widen_at_stops(sample)
         if (rejection := self._admission.reject(sample)) is not None:
             self.learner.interrupt(sample.speed)
-            self._judge(news=False)
+            self._judge(updated=False)
             return rejection
         self._drift()
         before = self.learner.driven.count
@@ -186,11 +186,11 @@ class VMils:
             curve=CURVE_RADIUS * sample.curvature,
         )
         rejection = self.learner.push(tick)
-        self._judge(news=self.learner.driven.count != before)
+        self._judge(updated=self.learner.driven.count != before)
         return rejection or self.estimate(sample.speed)
 
-    def _watch_stops(self, sample: Sample) -> None:
-        """Let kappa take a step at each standstill: passengers change."""
+    def _widen_at_stops(self, sample: Sample) -> None:
+        """Add the variance of a step of kappa at each standstill, where the passenger load changes."""
         if self._standing:
             self._standing = sample.speed < self.config.min_speed
         elif sample.speed < _STANDING:
@@ -201,13 +201,13 @@ class VMils:
             self.learner.tracker.widen(variances, self._limits())
 
     def _limits(self) -> Array:
-        """Return the most that the variances of theta may become: the prior, and one step of kappa."""
+        """Return the upper limits of the variances of theta: the prior ones, plus one step of kappa."""
         limits = self.learner.tracker.prior.P.diagonal().copy()
         limits[_KAPPA] += scale_step(self._known.train_file.train, weighed=False) ** 2
         return limits
 
     def _drift(self) -> None:
-        """Let a, b, c drift, in lumps."""
+        """Add the drift variance of a, b, c at intervals."""
         elapsed_s = (self._stamp_ns - self._drifted_ns) / NS_PER_S
         if self._drifted_ns == 0 or elapsed_s < 0.0:
             self._drifted_ns = self._stamp_ns
@@ -221,7 +221,8 @@ class VMils:
     def _published(self) -> Belief:
         """Return a, b, c and the upper triangle of their covariance as published.
 
-        After the drift since the last lump; P grows by the factor of the innovations, and by (e w)^2 at every speed:
+        This includes the drift since it was last added. P is multiplied by the inflation factor of the innovations,
+        and (e w)^2 with e the model error is added to the variance of w at every speed:
 
             P_published = factor P + e^2 theta theta'.
         """
@@ -236,11 +237,11 @@ class VMils:
         squares = (a * a, a * b, a * c, b * b, b * c, c * c)
         return (a, b, c, *(factor * x + e2 * square for x, square in zip(P, squares, strict=True)))
 
-    def _judge(self, *, news: bool) -> None:
-        """Judge whether w is fit to use: after news, and from time to time without."""
+    def _judge(self, *, updated: bool) -> None:
+        """Decide whether w is fit to use: after a new observation, and at intervals without one."""
         learner = self.learner
         waited_s = (self._stamp_ns - self._judged_ns) / NS_PER_S
-        if not learner.driven.count or not (news or waited_s < 0.0 or waited_s >= _DRIFT_LUMP_S):
+        if not learner.driven.count or not (updated or waited_s < 0.0 or waited_s >= _DRIFT_LUMP_S):
             return
         self._judged_ns = self._stamp_ns
         a, b, c, A, B, C, D, E, F = self._published()
@@ -254,7 +255,7 @@ class VMils:
         )
 
     def estimate(self, speed: float) -> ResistanceEstimate:
-        """Return the parameters and the resistance at a speed [m/s]."""
+        """Return the parameters for v in m/s and the resistance [N/kN] at a speed [m/s]."""
         learner, published = self.learner, self._published()
         a, b, c, A, B, C, D, E, F = published
         resistance, variance = predict(published, speed, speed * speed)
@@ -286,7 +287,7 @@ def tracker_of(davis: tuple[float, float, float], errors: ForceErrors, config: V
 
     Args:
         davis: Prior means of a, b, c [N/kN, v in m/s].
-        errors: Prior standard deviations of the errors of the known forces; their means are 0.
+        errors: Prior standard deviations of the force errors, whose means are 0.
         config: Settings of V-MILS.
 
     """
@@ -298,7 +299,7 @@ def tracker_of(davis: tuple[float, float, float], errors: ForceErrors, config: V
 
 
 def change_point_config(config: VMilsConfig, step_variances: tuple[float, ...]) -> ChangePointConfig:
-    """Return how V-MILS looks for steps."""
+    """Return the settings of the step detection of V-MILS."""
     return ChangePointConfig(
         p=config.innovation_length,
         outliers=config.outlier_share,
@@ -312,7 +313,7 @@ def change_point_config(config: VMilsConfig, step_variances: tuple[float, ...]) 
 
 
 def window_plan(config: VMilsConfig, inertia: float, gradient_std: float) -> WindowPlan:
-    """Return how V-MILS cuts windows.
+    """Return the window lengths and declared noise of V-MILS.
 
     Args:
         config: Settings of V-MILS.

@@ -1,14 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From the speeds of a train and the forces known to act on it to an estimate of its resistance.
+"""Estimation of the resistance from speed windows and known forces.
 
-A speed window makes one observation of the resistance, with Tw, Dw and (600/R)w the traction, its rate and the
-curvature, each weighted as the slope of the window weighs it:
+A speed window gives one observation of the resistance, with Tw, Dw and (600/R)w the traction, its rate and the
+curvature, each averaged with the weights of the slope of the window:
 
     y = a + b v + c s - kappa Tw - delta Dw + kappa_curve (600/R)w + noise.
 
-The tracker learns from it. Both need to know their noise: that of the speed, and what disturbances (gusts, map
-errors) add to one observation and to the mean of many. All of it is learned on the way, within bounds around what is
-declared.
+The tracker is updated with it. Window and tracker need noise levels: that of the speed, and the variance that
+disturbances (gusts, map errors) add to one observation and to the mean of many. All are learned online, within bounds
+around the declared values.
 """
 
 from __future__ import annotations
@@ -37,22 +37,22 @@ if TYPE_CHECKING:
     from trainid_ros.resistance.sliding_window import Cut
 
 _DISTURBANCE_MEMORY: Final = 0.03
-# Gusts of up to .8 N/kN and map errors of .5 per mille lie within.
+# The range includes gusts of up to 0.8 N/kN and map errors of 0.5 per mille.
 _DISTURBANCE_RANGE: Final = (0.3, 8.0)
 _SLOW_RANGE: Final = (0.2, 20.0)
-# One innovation cannot tell much more disturbance than is known: slip is none.
-_MOST_SIGMAS: Final = 3.0
-# An innovation that may stem from a step tells nothing of the noise of one observation.
+# Cap on one innovation in the learned disturbance, since slip is not a disturbance [standard deviations].
+_MAX_SIGMAS: Final = 3.0
+# Probability of a step above which an innovation is not used to learn the noise of one observation.
 _UNCERTAIN: Final = 0.1
-# An observation of less weight is refused.
-_LEAST_WEIGHT: Final = 0.5
+# Observations with less weight are rejected.
+_MIN_WEIGHT: Final = 0.5
 
 
 @dataclass(frozen=True, slots=True)
 class WindowPlan:
-    """How windows are cut, and what noise is declared; see VMilsConfig.
+    """Window lengths and declared noise, see VMilsConfig for the units.
 
-    ``inertia`` is 1000 (1 + gamma) / g [N/kN per m/s^2]; ``disturbance_std`` is that of gusts and map errors together.
+    ``inertia`` is 1000 (1 + gamma) / g [N/kN per m/s^2]; ``disturbance_std`` [N/kN] includes gusts and map errors.
     """
 
     window: float
@@ -68,7 +68,7 @@ class WindowPlan:
 
 @dataclass(frozen=True, slots=True)
 class LearnerState:
-    """All that a learner remembers beside its tracker."""
+    """Saved state of a learner and its tracker."""
 
     tracker: ChangePointState
     tachometer: Tachometer
@@ -83,7 +83,7 @@ class LearnerState:
     driven: DrivenSpeeds
 
     def check(self, parameters: int) -> None:
-        """Raise InputError unless these numbers, finite ones of so many parameters, can be gone on from."""
+        """Raise InputError unless the state is valid for this number of parameters; all numbers must be finite."""
         check_restored(self.tracker.is_valid(parameters), 'LearnerState', 'tracker')
         check_restored(self.tachometer.is_valid(), 'LearnerState', 'tachometer')
         check_restored(self.slow.is_valid(), 'LearnerState', 'slow')
@@ -100,16 +100,16 @@ class LearnerState:
 
 
 class WindowLearner:
-    """Learns from ticks; whoever knows that a tick tells nothing calls :meth:`interrupt` instead.
+    """Estimator updated by ticks; the caller uses :meth:`interrupt` instead for a tick that cannot be used.
 
     Attributes:
-        tracker: The estimate of a, b, c, kappa, delta, kappa_curve.
-        inflation: How much the covariance of the estimate is to grow for what the model does not know.
-        innovation: Of the last observation [N/kN].
-        innovation_variance: Its variance if the observation is good; 0 before the first.
-        test_ratio: Its square over that variance and the square of the gate; an observation above 1 counts for less
-            than half.
-        driven: Speeds learned from, by windows.
+        tracker: Estimate of a, b, c, kappa, delta, kappa_curve.
+        inflation: Inflation of the covariance for unmodelled errors.
+        innovation: Innovation of the last observation [N/kN].
+        innovation_variance: Its variance if the observation is good [(N/kN)^2]; 0 before the first.
+        test_ratio: Its square over that variance and the square of the gate [1]; above 1 the weight of the
+            observation is less than one half.
+        driven: Speeds of the windows used.
 
     """
 
@@ -118,9 +118,9 @@ class WindowLearner:
         self._plan = plan
         self._windows = SlidingWindow(plan.window, plan.hop)
         self._gate = gate(plan.outliers)
-        self._forget()
+        self._clear()
 
-    def _forget(self) -> None:
+    def _clear(self) -> None:
         self._tachometer = Tachometer(self._plan.speed_std, self._plan.speed_std**2)
         self._slow = SlowNoise()
         self.inflation = Inflation()
@@ -130,12 +130,12 @@ class WindowLearner:
         self.driven = DrivenSpeeds()
 
     def reset(self) -> None:
-        """Go back to the prior."""
+        """Return to the prior."""
         self.tracker.reset()
-        self._forget()
+        self._clear()
 
     def state(self) -> LearnerState:
-        """Return all that is remembered."""
+        """Return the state to save."""
         return LearnerState(
             tracker=self.tracker.state(),
             tachometer=replace(self._tachometer),
@@ -151,7 +151,7 @@ class WindowLearner:
         )
 
     def restore(self, state: LearnerState) -> None:
-        """Take over what was remembered."""
+        """Restore a saved state."""
         self.tracker.restore(state.tracker)
         self._tachometer, self._slow = replace(state.tachometer), replace(state.slow)
         self.inflation = replace(state.inflation)
@@ -162,12 +162,12 @@ class WindowLearner:
         self.driven = state.driven
 
     def interrupt(self, speed: float) -> None:
-        """Begin a new window after a tick that tells nothing."""
+        """Start a new window after a tick that cannot be used; speed in m/s."""
         self._windows.clear()
         self._tachometer.add(speed, math.nan)
 
     def push(self, tick: Tick) -> Rejection | None:
-        """Take a tick in; every ``hop`` seconds make an observation. Return why it was refused, if it was."""
+        """Add a tick; every ``hop`` seconds make an observation. Return the rejection, if any."""
         self._tachometer.add(tick.speed, tick.dt)
         cut = self._windows.push(tick)
         if cut is None:
@@ -191,13 +191,13 @@ class WindowLearner:
             self._learn_disturbance(nu, S)
         self._slow.add(weight * nu, variance, slow * noise, _SLOW_RANGE)
         self.inflation.add(weight * nu, variance + slow * noise, cut.hop)
-        if weight < _LEAST_WEIGHT:
+        if weight < _MIN_WEIGHT:
             return Rejection(stamp_ns, Reason.OUTLIER, nu, self._gate * math.sqrt(S))
         self.driven = self.driven.add(observed.phi[1], observed.speed_min, observed.speed_max)
         return None
 
     def _noise_of(self, item: WindowResult, cut: Cut) -> tuple[float, float]:
-        """Return the variance of one observation, and how many times that it counts in the mean of many."""
+        """Return the variance of one observation [(N/kN)^2], and the factor on it in the mean of many."""
         plan = self._plan
         force = (plan.force_error * item.traction_size) ** 2 + (plan.force_skew * item.traction_rate) ** 2
         one = item.noise_std**2 + self._disturbance + force
@@ -207,10 +207,10 @@ class WindowLearner:
         return one, self._slow.factor * mean / one
 
     def _learn_disturbance(self, nu: float, S: float) -> None:
-        """Learn what innovations hold beyond the variances that are known, within bounds."""
+        """Learn the disturbance variance from the innovations beyond their predicted variance, within bounds."""
         low, high = ((factor * self._plan.disturbance_std) ** 2 for factor in _DISTURBANCE_RANGE)
-        bounded = min(nu * nu, _MOST_SIGMAS**2 * S)
-        # The noisier one innovation, the less it tells of what little lies beneath.
+        bounded = min(nu * nu, _MAX_SIGMAS**2 * S)
+        # The noisier an innovation, the less information it carries on a small disturbance.
         gain = _DISTURBANCE_MEMORY * min(1.0, high / S)
         self._disturbance = min(max(self._disturbance + gain * (bounded - S), low), high)
 

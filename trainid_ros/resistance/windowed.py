@@ -2,12 +2,14 @@
 """The regressions of Liu et al. 2018 as streaming estimators, for comparison with V-MILS.
 
 Samples are cut into windows of fixed length, or into the segments of Fig. 2; each gives one observation of the
-resistance; each observation is one step of a regression. Inside, v is in km/h as in the paper, since the
-penalty of regularised forms depends on it. Nothing else protects them: no prior of the train, no drift, no
-step detection; V-MILS as printed skips what a robust gate calls bad (how it is found the paper does not say).
+resistance and one step of a regression. Internally v is in km/h as in the paper, since the penalty of the
+regularised forms depends on the unit. There are no other safeguards: no prior from the train file, no drift and no
+step detection. V-MILS as printed skips observations that a robust gate marks as bad; the paper does not state how
+bad data are found.
 
-The covariance is ``p sigma^2 P`` with sigma^2 from the residuals, correlation counted. Each observation is used
-up to p times, so that P is about p times too small. What a penalty biases is not in it.
+The covariance is ``p sigma^2 P`` with the long-run variance sigma^2 of the residuals, which includes their
+correlation. Each observation is used up to p times, so P is about p times too small. The bias caused by a penalty is
+not included.
 """
 
 from __future__ import annotations
@@ -23,7 +25,7 @@ from trainid_ros.core.state_validation import check_not_negative, check_numbers
 from trainid_ros.estimators.admission import Admission
 from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.resistance.fitness import is_fit
-from trainid_ros.resistance.recursive import covariance, doubt
+from trainid_ros.resistance.recursive import covariance, prediction_variance
 from trainid_ros.resistance.regressions import Regression, RegressionState, begin, skip, strict_step
 from trainid_ros.resistance.residuals import Residuals
 from trainid_ros.resistance.segments import Segments, Windows, cut
@@ -36,40 +38,40 @@ if TYPE_CHECKING:
     from trainid_ros.train.train_file import TrainFile
 
 _KMH: Final = 3.6
-# Before, three parameters fit any observations.
-_FEWEST: Final = 10
-# Forgetting where nothing new is seen lets P grow without end; so far nothing overflows.
+# With fewer residuals the three parameters may fit the noise.
+_MIN_RESIDUALS: Final = 10
+# Forgetting without excitation lets P grow without bound; below this limit nothing overflows.
 _HUGE: Final = 1e100
 
 
 @dataclass(frozen=True, slots=True)
 class WindowedConfig:
-    """Settings of the regressions; each heeds those that it knows of."""
+    """Settings of the regressions; each algorithm uses those that apply to it."""
 
     innovation_length: int = setting(1, 'innovation length p', 'observations', 1, 50)
     penalty: float = setting(0.0, 'penalty lambda on a, b, c with v in km/h, 0 = none', '1', 0.0, 1e9)
     record_length: int = setting(
         0,
-        'length N of the whole record, for the penalty as printed; 0 = all of it at the start',
+        'length N of the record, for the penalty as printed; 0 = the full penalty at the start',
         'observations',
         0,
         1e9,
     )
-    forgetting: float = setting(1.0, 'weight of older observations, per observation', '1', 0.5, 1.0)
+    forgetting: float = setting(1.0, 'forgetting factor per observation', '1', 0.5, 1.0)
     gate: float = setting(
-        0.0, 'observations this many robust standard deviations off are bad, 0 = none is', '1', 0.0, 100.0
+        0.0, 'observations beyond this many robust standard deviations are bad, 0 = no gate', '1', 0.0, 100.0
     )
     segment: float = setting(0.0, 'change of speed that ends a segment (Fig. 2), 0 = fixed windows', 'm/s', 0.0, 5.0)
     window: int = setting(25, 'samples in a fixed window', 'samples', 5, 200)
     hop: int = setting(12, 'samples between fixed windows', 'samples', 1, 200)
     min_speed: float = setting(1.0, 'slowest speed to learn from', 'm/s', 0.0, 50.0)
-    noise_std: float = setting(0.8, 'noise of an observation before residuals tell it', 'N/kN', 1e-3, 100.0)
+    noise_std: float = setting(0.8, 'noise of an observation at the start (then learned)', 'N/kN', 1e-3, 100.0)
     valid_std: float = setting(0.15, 'resistance is fit to use below this standard deviation', 'N/kN', 1e-3, 10.0)
 
 
 @dataclass(frozen=True, slots=True)
 class WindowedState:
-    """All that a windowed regression remembers; P times ``scale`` is a covariance."""
+    """Saved state of a windowed regression; P times ``scale`` [(N/kN)^2] is the covariance."""
 
     regression: RegressionState
     scale: float
@@ -99,16 +101,16 @@ class WindowedRegression:
         self.reset()
 
     def reset(self) -> None:
-        """Go back to knowing nothing."""
+        """Return to the initial state."""
         self.state = WindowedState(begin(self._regression), self._scale(Residuals()))
         self._admission.braked_ns = 0
 
     def save(self) -> str:
-        """Return the whole state as JSON text."""
+        """Return the state as JSON text."""
         return encode(self.state)
 
     def restore(self, text: str) -> None:
-        """Take over a saved state; InputError if it does not fit."""
+        """Restore a saved state; raise InputError if it is invalid."""
         state = decode(text, WindowedState)
         check_numbers(state)
         regression, p = state.regression, self.config.innovation_length
@@ -122,11 +124,11 @@ class WindowedRegression:
 
     @property
     def converged(self) -> bool:
-        """True while the resistance is known well enough at the speeds seen."""
+        """True while the resistance is known well enough over the speeds observed."""
         return self.state.converged
 
     def step(self, sample: Sample) -> ResistanceEstimate | Rejection:
-        """Take one sample in; each complete window or segment makes one observation."""
+        """Process one sample; each complete window or segment gives one observation."""
         if (rejection := self._admission.reject(sample)) is not None:
             self.state = replace(self._skipped(), ticks=(), braked_ns=self._admission.braked_ns)
             return rejection
@@ -137,7 +139,7 @@ class WindowedRegression:
         return (self._observe(piece) if piece else None) or self.estimate(sample.speed)
 
     def _observe(self, piece: tuple[Tick, ...]) -> Rejection | None:
-        # Speeds are taken as they are: the paper leaves none of them out.
+        # An infinite noise level disables outlier removal: the paper uses all speeds.
         observed = observe_resistance(list(piece), self._known.inertia, math.inf)
         if isinstance(observed, Rejection):
             self.state = self._skipped()
@@ -145,12 +147,13 @@ class WindowedRegression:
         return self._update(observed, piece[-1].stamp_ns)
 
     def _update(self, observed: WindowResult, stamp_ns: int) -> Rejection | None:
-        """One step of the regression, unless the observation is bad."""
+        """Make one step of the regression, unless the observation is bad."""
         state, config = self.state, self.config
         phi = _in_kmh(observed.phi)
-        e = observed.y - sum(f * x for f, x in zip(phi, state.regression.theta, strict=True))  # (16)
-        # What theta adds to the variance of the innovation; P is p times too small.
-        added = config.innovation_length * doubt(state.regression.UD, phi)
+        # (16)
+        e = observed.y - sum(f * x for f, x in zip(phi, state.regression.theta, strict=True))
+        # Variance of the prediction, p phi' P phi, in units of the noise variance; P is p times too small.
+        added = config.innovation_length * prediction_variance(state.regression.UD, phi)
         S = state.residuals.variance(config.noise_std) * (1.0 + added)
         bad = config.gate > 0.0 and state.residuals.is_outlier(e, config.gate)
         self.state = replace(
@@ -174,7 +177,7 @@ class WindowedRegression:
         state = self.state
         first = state.speed_max == 0.0
         known = state.regression.determined and state.regression.steps >= 3
-        # The first three innovations tell the start, not the noise.
+        # The first three innovations depend on the initial theta, not on the noise alone.
         residuals = state.residuals.add(residual) if known else state.residuals
         self.state = replace(
             state,
@@ -187,27 +190,30 @@ class WindowedRegression:
         self._judge()
 
     def _skipped(self) -> WindowedState:
-        """V-MILS alone minds what lies between observations."""
+        """Return the state after a bad or missing observation; only V-MILS clears its stack."""
         if self._learn is not strict_step:
             return self.state
         return replace(self.state, regression=skip(self.state.regression))
 
     def _judge(self) -> None:
-        """Judge whether w is fit to use."""
+        """Decide whether w is fit to use."""
         state = self.state
         speeds, scale, UD = (state.speed_min, state.speed_max), state.scale, state.regression.UD
-        enough = state.regression.determined and state.residuals.count >= _FEWEST
+        enough = state.regression.determined and state.residuals.count >= _MIN_RESIDUALS
         converged = enough and is_fit(
-            lambda v: scale * doubt(UD, _regressor(v)), speeds, self.config.valid_std, was_fit=state.converged
+            lambda v: scale * prediction_variance(UD, _regressor(v)),
+            speeds,
+            self.config.valid_std,
+            was_fit=state.converged,
         )
         self.state = replace(state, converged=converged)
 
     def _scale(self, residuals: Residuals) -> float:
-        """Return p sigma^2."""
+        """Return p sigma^2 [(N/kN)^2]."""
         return self.config.innovation_length * residuals.long_run_variance(self.config.noise_std)
 
     def estimate(self, speed: float) -> ResistanceEstimate:
-        """Return the parameters and the resistance at a speed [m/s]."""
+        """Return the parameters for v in m/s and the resistance [N/kN] at a speed [m/s]."""
         state = self.state
         a, b, c = _in_kmh(state.regression.theta)
         P11, P12, P13, P22, P23, P33 = (state.scale * value for value in covariance(state.regression.UD))
@@ -218,7 +224,7 @@ class WindowedRegression:
             c=c,
             covariance=(P11, k * P12, k2 * P13, k * P12, k2 * P22, k3 * P23, k2 * P13, k3 * P23, k4 * P33),
             resistance=a + speed * (b + speed * c),
-            resistance_std=math.sqrt(state.scale * doubt(state.regression.UD, _regressor(speed))),
+            resistance_std=math.sqrt(state.scale * prediction_variance(state.regression.UD, _regressor(speed))),
             speed=speed,
             innovation=state.innovation,
             innovation_variance=state.innovation_variance,
@@ -229,13 +235,13 @@ class WindowedRegression:
 
 
 def _regressor(speed: float) -> Vector:
-    """Return [1, v, v^2] in km/h of a speed in m/s."""
+    """Return [1, v, v^2] with v in km/h for a speed in m/s."""
     v = _KMH * speed
     return 1.0, v, v * v
 
 
 def _in_kmh(values: Vector) -> Vector:
-    """Return [1, v, v^2] of m/s in km/h; and parameters for v in km/h as those for v in m/s."""
+    """Convert [1, v, v^2] from m/s to km/h, or parameters from v in km/h to v in m/s: both use the same factors."""
     return values[0], _KMH * values[1], _KMH**2 * values[2]
 
 

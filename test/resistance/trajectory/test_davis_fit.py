@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The batch fit in time: exact on exact motion, honest in gusts, deaf to slip."""
+"""The batch fit in time: exact on exact motion, consistent covariance in gusts, robust to slip."""
 
 from __future__ import annotations
 
@@ -57,17 +57,17 @@ def test_exact_motion_gives_exact_parameters() -> None:
     assert fit.mse < 1e-9
 
 
-def test_white_noise_is_met_at_the_bound() -> None:
+def test_the_covariance_is_consistent_with_white_noise() -> None:
     clean, nees = pieces(), []
     for seed in range(20):
         fit = fit_davis(noisy(clean, 0.02, seed), WHITE)
         e = fit.theta - THETA
         nees.append(e @ np.linalg.solve(fit.covariance / fit.inflation, e) / 3.0)
-    # Mean of 60 squares of normals, whose weights fall off beyond two standard deviations.
+    # Mean of 60 squares of normal numbers, with smaller weights beyond two standard deviations.
     assert 0.5 < np.mean(nees) < 1.7
 
 
-def test_gusts_are_found_and_widen_the_deviations() -> None:
+def test_gusts_are_estimated_and_increase_the_standard_deviations() -> None:
     calm = fit_davis(noisy(pieces(), 0.02, 1), DavisFitConfig())
     z = []
     for seed in range(4):
@@ -77,7 +77,7 @@ def test_gusts_are_found_and_widen_the_deviations() -> None:
     assert np.sqrt(np.mean(np.square(z))) < 2.5
 
 
-def test_slip_does_not_count() -> None:
+def test_slip_does_not_affect_the_fit() -> None:
     clean = noisy(pieces(), 0.02, 3)
     speed, rng = clean.speed.copy(), np.random.default_rng(4)
     for at in rng.integers(20, speed.size - 20, 30):
@@ -90,7 +90,7 @@ def test_slip_does_not_count() -> None:
     assert abs(curve(plain.theta, 15.0)) > 2.0 * abs(curve(robust.theta, 15.0))
 
 
-def test_a_late_force_is_found() -> None:
+def test_the_delay_of_the_force_is_estimated() -> None:
     clean = pieces()
     late = np.where(clean.dt > 0.0, np.concatenate((clean.traction[:1], clean.traction[:-1])), clean.traction)
     shifted = replace(clean, traction=late, known=clean.known - clean.traction + late)
@@ -98,16 +98,16 @@ def test_a_late_force_is_found() -> None:
     assert fit.force_delay == pytest.approx(0.2, abs=0.05)
 
 
-def test_one_speed_tells_no_parameters_apart() -> None:
+def test_a_constant_speed_does_not_determine_the_parameters() -> None:
     count = 500
     dt = np.full(count, DT)
     dt[0] = 0.0
     level = Trajectory(np.full(count, 15.0), dt, np.full(count, 2.85), np.zeros(count), INERTIA)
-    with pytest.raises(NoAnswerError, match='do not tell a, b and c apart'):
+    with pytest.raises(NoAnswerError, match='do not determine a, b and c separately'):
         fit_davis(level, WHITE)
 
 
-def test_nothing_to_fit_and_wrong_settings_are_told() -> None:
+def test_missing_speeds_and_invalid_settings_raise_errors() -> None:
     empty = Trajectory(*(np.zeros(0) for _ in range(4)), INERTIA)  # type: ignore[call-arg, arg-type]
     with pytest.raises(NoAnswerError, match='0 speeds without braking in 0 pieces'):
         fit_davis(empty, DavisFitConfig())
@@ -116,7 +116,7 @@ def test_nothing_to_fit_and_wrong_settings_are_told() -> None:
 
 
 def test_few_lags_leave_the_density_near_the_declared_one() -> None:
-    """A calm piece shorter than two lags tells little; many calm pieces tell that little disturbs."""
+    """A calm piece shorter than two lags has little information; many calm pieces show small disturbances."""
     config = DavisFitConfig()
     declared = 2.0 * config.disturbance_time * config.disturbance_std**2
     short = fit_davis(noisy(pieces(1, nodes=260), 0.02, 6), config)
@@ -125,7 +125,7 @@ def test_few_lags_leave_the_density_near_the_declared_one() -> None:
     assert long.disturbance < 0.15 * declared
 
 
-def test_deviations_of_one_short_piece_in_gusts_are_honest() -> None:
+def test_standard_deviations_of_one_short_piece_in_gusts_are_consistent() -> None:
     z = []
     for seed in range(12):
         fit = fit_davis(noisy(pieces(1, gust=0.15, seed=100 + seed), 0.02, seed), DavisFitConfig())
@@ -134,7 +134,7 @@ def test_deviations_of_one_short_piece_in_gusts_are_honest() -> None:
 
 
 @pytest.mark.parametrize('quantum', [1.0 / 3.6, 0.447])
-def test_a_coarse_speed_makes_no_outliers_and_no_gusts(quantum: float) -> None:
+def test_a_coarse_speed_causes_no_outliers_and_no_gusts(quantum: float) -> None:
     z, clean = [], pieces()
     for seed in range(4):
         exact = noisy(clean, 0.02, seed)

@@ -54,7 +54,7 @@ def test_gradient_is_that_of_the_objective(ride: Any) -> None:
         assert abs((f[1] - f[0]) / (2.0 * unit[k]) / at.g[k] - 1.0) < 1e-6
 
 
-def test_a_train_that_stalls_runs_on_without_derivative(ride: Any) -> None:
+def test_a_stalled_train_continues_at_the_stall_speed_with_zero_derivatives(ride: Any) -> None:
     theta = np.array([40.0, 0.0, 0.0])
     v = ride.stages.speeds(theta, 17.0)
     assert v.min() == STALL_SPEED

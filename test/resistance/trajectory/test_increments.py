@@ -23,7 +23,7 @@ def test_increments_between_pieces_do_not_count() -> None:
 
 
 @pytest.mark.parametrize('quantum', [0.01, 0.28])
-def test_rounding_is_what_increments_of_rounded_motion_hold(quantum: float) -> None:
+def test_rounding_variance_is_that_of_increments_of_rounded_motion(quantum: float) -> None:
     rng = np.random.default_rng(32)
     dt = np.full(20_000, 0.2)
     dt[0] = 0.0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The fit in distance: exact from anywhere without noise, at the bound with noise."""
+"""The fit in distance: exact from any start without noise, consistent covariance with noise."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def test_integrated_least_squares_is_exact_without_noise(ride: Any) -> None:
 
 
 @pytest.mark.parametrize('seed', range(8))
-def test_random_starts_end_at_the_truth(ride: Any, seed: int) -> None:
+def test_random_starts_converge_to_the_truth(ride: Any, seed: int) -> None:
     box = NewtonConfig()
     start = np.random.default_rng(seed).uniform(box.low, box.high)
     fit = levenberg(ride.stages, ride.speed, np.array([*start, 17.0]))
@@ -26,17 +26,17 @@ def test_random_starts_end_at_the_truth(ride: Any, seed: int) -> None:
     assert np.max(np.abs(fit.theta - ride.theta)) < 1e-9
 
 
-def test_deviations_are_honest(ride: Any) -> None:
+def test_standard_deviations_are_consistent(ride: Any) -> None:
     rng, nees = np.random.default_rng(11), []
     for _ in range(40):
         fit = levenberg(ride.stages, ride.speed + 0.18 * rng.standard_normal(ride.speed.size))
         e = fit.theta - ride.theta
         nees.append(e @ np.linalg.solve(0.18**2 * fit.covariance[:3, :3], e) / 3.0)
-    # Mean of 120 squares of normals: 0.6 to 1.5 fails by chance in one of 10^4 runs.
+    # Mean of 120 squares of normal numbers: outside 0.6 to 1.5 by chance in one of 10^4 runs.
     assert 0.6 < np.mean(nees) < 1.5
 
 
-def test_a_held_initial_speed_is_held(ride: Any) -> None:
+def test_a_fixed_initial_speed_stays_fixed(ride: Any) -> None:
     guess = np.array([*ride.theta, 17.2])
     assert levenberg(ride.stages, ride.speed, guess, free_start=False).start == 17.2
     assert levenberg(ride.stages, ride.speed, guess).start == pytest.approx(17.0, abs=1e-9)

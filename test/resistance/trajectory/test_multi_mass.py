@@ -14,9 +14,9 @@ LINE = Line(gradient=((0.0, 0.0), (1000.0, 10.0), (2000.0, -4.0)), curve=((0.0, 
 CARS = Cars.of_lengths(np.array([60.0, 40.0]), np.array([20.0, 20.0]))
 
 
-def test_cars_count_by_their_mass_where_they_are() -> None:
+def test_cars_are_weighted_by_mass_at_their_own_position() -> None:
     line = MultiMassLine(LINE, CARS)
-    # At 1020 m the first centroid is at 1010 m, on the hill, the second one at 990 m, before it.
+    # With the head at 1020 m the first centroid is at 1010 m, on the hill, the second one at 990 m, before it.
     assert line.at(np.array([900.0, 1020.0, 1100.0])) == pytest.approx([0.0, 6.0, 10.0])
     assert line.at(np.array([1600.0])) == pytest.approx([11.0])
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Algorithm 1: it descends where the problem is convex, keeps to its box, and ends for a stated reason."""
+"""Algorithm 1: it descends if the problem is convex, stays in its box, and ends with a stated reason."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ H = np.diag([2.0, 3000.0, 4e6])
 CONFIG = replace(NewtonConfig(), accepted=1e-12, restart=Restart.NEVER)
 
 
-def bowl(at: NDArray[np.float64]) -> Evaluate:
+def quadratic(at: NDArray[np.float64]) -> Evaluate:
     def evaluate(x: NDArray[np.float64]) -> Objective:
         return Objective(float(0.5 * (x - at) @ H @ (x - at)), H @ (x - at), H)
 
@@ -31,13 +31,13 @@ def run(evaluate: Evaluate, config: NewtonConfig = CONFIG) -> NewtonOutcome:
     return newton(evaluate, np.array([2.0, 0.1, 0.005]), config, np.random.default_rng(0))
 
 
-def test_one_step_ends_in_a_bowl() -> None:
-    done = run(bowl(np.array([1.0, 0.02, 0.001])))
+def test_a_quadratic_is_minimised_in_one_step() -> None:
+    done = run(quadratic(np.array([1.0, 0.02, 0.001])))
     assert (done.stop, done.iterations) == (Stop.FITTED, 1)
 
 
 def test_no_step_leaves_the_box() -> None:
-    done = run(bowl(np.array([0.1, 0.02, 0.001])))
+    done = run(quadratic(np.array([0.1, 0.02, 0.001])))
     assert done.stop in (Stop.NO_STEP, Stop.SMALL_STEP)
     assert done.theta[0] >= CONFIG.low[0]
 
@@ -52,7 +52,7 @@ def test_an_ascent_direction_has_no_step_length() -> None:
 @pytest.mark.parametrize('restart', [Restart.SMALL_STEP, Restart.EVERY_STEP])
 def test_restarts_stay_in_the_box_and_reach_the_limit(restart: Restart) -> None:
     config = replace(CONFIG, restart=restart, most=20)
-    done = run(bowl(np.array([-5.0, 0.02, 0.001])), config)
+    done = run(quadratic(np.array([-5.0, 0.02, 0.001])), config)
     assert (done.stop, done.iterations) == (Stop.LIMIT, 20)
     assert np.all(done.theta >= config.low)
     assert np.all(done.theta <= config.high)

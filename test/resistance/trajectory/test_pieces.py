@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Pieces: brakes and gaps end them, short ones are left out."""
+"""Pieces: braking and gaps end them, short ones are removed."""
 
 from __future__ import annotations
 
@@ -23,7 +23,9 @@ def collect(train_file: TrainFile, samples: list[Sample]) -> tuple[PieceCollecto
     return collector, rejected
 
 
-def test_pieces_begin_after_gaps_and_short_ones_go(train_file: TrainFile, sample: Callable[..., Sample]) -> None:
+def test_pieces_begin_after_gaps_and_short_ones_are_removed(
+    train_file: TrainFile, sample: Callable[..., Sample]
+) -> None:
     given = [sample(i, dt=math.nan if i in (0, 30, 35) else 0.2) for i in range(80)]
     collector, rejected = collect(train_file, given)
     trajectory = collector.trajectory()
@@ -33,7 +35,7 @@ def test_pieces_begin_after_gaps_and_short_ones_go(train_file: TrainFile, sample
     assert np.all(trajectory.known == 0.0)
 
 
-def test_traction_and_gradient_are_told_apart(train_file: TrainFile, sample: Callable[..., Sample]) -> None:
+def test_traction_and_gradient_are_stored_separately(train_file: TrainFile, sample: Callable[..., Sample]) -> None:
     weight = 200e3 * 9.80665 / 1000.0
     given = [sample(i, force_mean=8.0 * weight, force=8.0 * weight, gradient_mean=3.0) for i in range(40)]
     trajectory = collect(train_file, given)[0].trajectory()
@@ -41,7 +43,9 @@ def test_traction_and_gradient_are_told_apart(train_file: TrainFile, sample: Cal
     assert trajectory.known == pytest.approx(5.0)
 
 
-def test_a_brake_is_followed_without_being_learned_from(train_file: TrainFile, sample: Callable[..., Sample]) -> None:
+def test_monitored_braking_is_tracked_and_rejects_samples_until_released(
+    train_file: TrainFile, sample: Callable[..., Sample]
+) -> None:
     collector = PieceCollector(train_file, 1.0, 2.0)
     for i in range(1, 20):
         collector.monitor(sample(i, speed=16.0 - 0.1 * i, brake_command=-0.5))

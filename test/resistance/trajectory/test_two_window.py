@@ -56,14 +56,14 @@ def test_the_posterior_is_that_of_ordinary_least_squares() -> None:
     assert np.array(posterior.P).reshape(3, 3) == pytest.approx(C[1:, 1:], rel=1e-3)
 
 
-def test_without_rows_the_prior_stands() -> None:
+def test_without_rows_the_posterior_is_the_prior() -> None:
     prior = WindowPrior((1.0, 0.02, 0.003), (0.5, 0.01, 0.001, 0.1, 0.01))
     posterior = fit_rows([], RowNoise(0.01, 0.001), prior)
     assert posterior.theta == pytest.approx(prior.theta)
     assert posterior.resistance(10.0)[1] == pytest.approx(0.25 + 0.01 + 0.01)
 
 
-def test_a_change_is_found_where_it_happened() -> None:
+def test_a_change_is_located_where_it_happened() -> None:
     before, after = np.array([1.2, 0.03, 0.004]), np.array([3.2, 0.03, 0.004])
     calm = rows(30, before)
     shift = calm[-9].rest - float(after @ np.array(calm[-9].sums[:3]))
@@ -87,7 +87,7 @@ def stepped(journey: Callable[..., list[Sample]]) -> list[Sample]:
     )
 
 
-def test_a_step_is_found_and_followed(train_file: TrainFile, stepped: list[Sample]) -> None:
+def test_a_step_is_detected_and_followed(train_file: TrainFile, stepped: list[Sample]) -> None:
     estimator = TwoWindow(train_file, CONFIG)
     errors: dict[int, list[float]] = {}
     for i, sample in enumerate(stepped):
@@ -102,14 +102,14 @@ def test_a_step_is_found_and_followed(train_file: TrainFile, stepped: list[Sampl
     assert np.abs(errors[17]).max() < 0.25
 
 
-def test_a_brake_ends_a_piece(train_file: TrainFile, stepped: list[Sample]) -> None:
+def test_braking_ends_a_piece(train_file: TrainFile, stepped: list[Sample]) -> None:
     estimator = TwoWindow(train_file, CONFIG)
     reasons = [r.reason for r in map(estimator.step, stepped[: 5 * 160]) if isinstance(r, Rejection)]
     assert Reason.BRAKING in reasons
     assert len({row.piece for row in estimator.state.rows}) == 2
 
 
-def test_slip_is_refused_and_outlived(train_file: TrainFile, stepped: list[Sample]) -> None:
+def test_slip_is_rejected_without_changing_the_estimate(train_file: TrainFile, stepped: list[Sample]) -> None:
     estimator = TwoWindow(train_file, CONFIG)
     for sample in stepped[: 5 * 100]:
         estimator.step(sample)
@@ -119,12 +119,12 @@ def test_slip_is_refused_and_outlived(train_file: TrainFile, stepped: list[Sampl
     assert all(isinstance(r, Rejection) and r.reason is Reason.OUTLIER for r in answers)
     assert not isinstance(estimator.step(stepped[508]), Rejection)
     assert estimator.estimate(15.0).resistance == before.resistance
-    # A speed that stays elsewhere begins another piece.
+    # A lasting speed offset starts a new piece.
     far = [replace(sample, speed=sample.speed + 1.5) for sample in stepped[509:560]]
     assert not isinstance([estimator.step(sample) for sample in far][-1], Rejection)
 
 
-def test_windows_must_differ_and_states_must_fit(train_file: TrainFile) -> None:
+def test_equal_windows_and_invalid_states_are_rejected(train_file: TrainFile) -> None:
     with pytest.raises(InputError, match='short = 60'):
         TwoWindow(train_file, replace(CONFIG, short=60))
     estimator = TwoWindow(train_file, CONFIG)

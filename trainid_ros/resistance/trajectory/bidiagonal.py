@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recursions and chains of stages as banded systems: one call of LAPACK instead of a loop over stages."""
+"""Recursions over stages as banded systems: one LAPACK call instead of a loop over stages."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ def recur(k: NDArray[np.float64], rows: NDArray[np.float64]) -> NDArray[np.float
         rows: Right-hand sides, shape (m, I).
 
     Returns:
-        x_1 to x_I of each, shape (m, I).
+        x_1 to x_I for each right-hand side, shape (m, I).
 
     """
     band = np.ones((2, k.size))
     band[1, :-1] = -k[1:]
-    # Rows of C order are columns of Fortran order: nothing is copied but the result.
+    # Rows in C order are columns in Fortran order, so only the result is copied.
     x, _ = dtbtrs(band, rows.T, uplo='L', diag='U')
     result: NDArray[np.float64] = x.T
     return result

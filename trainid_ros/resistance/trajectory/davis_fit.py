@@ -1,22 +1,22 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Batch fit of a, b, c to speed trajectories in time, with gusts and slip.
+"""Batch fit of a, b, c to speed trajectories in time, robust to gusts and slip.
 
 The model is that of Xia et al. 2023, (3), over stages in time,
-``v_i - v_{i-1} = mu_i (u_i - a - b m1_i - c m2_i)``, mu = dt/inertia, with the exact means m1, m2 of v and v^2 of a
-stage of constant acceleration, u the mean known force. The fit minimises, over a, b, c *and all speeds*,
+``v_i - v_{i-1} = mu_i (u_i - a - b m1_i - c m2_i)``, with mu = dt/inertia, the exact means m1, m2 of v and v^2 over a
+stage of constant acceleration, and the mean known force u. The fit minimises, over a, b, c *and all speeds*,
 
 ``sum rho((v~_i - v_i)/sigma) + sum (defect_i)^2 / (D dt_i / inertia^2)``.
 
-The first sum is objective (8), made robust by Huber's rho; the second one lets the trajectory stray where gusts and
-map errors push it, as a random walk of density D. D -> 0 gives (8) itself. Without it white noise is taken for the
-only error, and the standard deviations of a long drive come out ten times too small.
+The first sum is objective (8), made robust by Huber's rho; the second one lets the trajectory deviate due to gusts and
+map errors, as a random walk of density D. D -> 0 gives (8) itself. Without it all errors are modelled as white noise,
+and the standard deviations of a long drive are ten times too small.
 
-Reported forces lag and have a gain error, which traction turns into resistance. Both are parameters beside a, b and
-c, with a prior about zero: what the data cannot tell of them stands in the covariance.
+Reported forces have a delay and a gain error, which under traction bias the resistance. Both are parameters in
+addition to a, b and c, with zero-mean priors, so that their remaining uncertainty is included in the covariance.
 
-Each Gauss-Newton step linearises all stages at the speeds believed and solves one tridiagonal system; the first one,
-from the measured speeds and theta = 0, is integrated linear least squares. Nothing is integrated from a doubtful
-start, so nothing can stall or diverge. Initial speeds are speeds like all others, hence free.
+Each Gauss-Newton step linearises all stages at the current speeds and solves one tridiagonal system; the first one,
+from the measured speeds and theta = 0, is integrated linear least squares. No speed is integrated from an uncertain
+initial value, so the model can neither stall nor diverge. The initial speeds are free like all others.
 """
 
 from __future__ import annotations
@@ -37,19 +37,19 @@ if TYPE_CHECKING:
 
     from trainid_ros.resistance.trajectory.pieces import Trajectory
 
-# Natural size of a, b, c, force delay and force gain; steps are measured in it.
+# Typical sizes of a, b, c, force delay and force gain, used to scale the steps.
 _SCALE: Final = np.array([1.0, 0.02, 0.001, 0.05, 0.005])
 _STEP_TOLERANCE: Final = 1e-9
-_MOST_ITERATIONS: Final = 30
-# Weights and noise follow the residuals until they move by less than this, or for so many steps; then they stand,
-# and the step must vanish.
+_MAX_ITERATIONS: Final = 30
+# Weights and noise are updated from the residuals until they change by less than this, or for this many steps; then
+# they are fixed, and the iteration continues until the step is negligible.
 _SETTLED: Final = 0.1
 _LEARNING_STEPS: Final = 8
-# A change of traction takes so many stages, whose errors in time are one.
+# Number of stages of one change of traction, which share a timing error.
 _CHANGE_STAGES: Final = 5.0
-_LEAST_STD: Final = 1e-4
-# What is declared of the disturbance counts as much as one lag seen, and that scores spread as expected as six
-# clusters: a short bag tells next to nothing of either.
+_MIN_STD: Final = 1e-4
+# Weights of the declared values, since a short bag contains almost no information on either: that of the declared
+# disturbance in observed lags, and that of the expected spread of the scores in clusters.
 _DECLARED_LAGS: Final = 1.0
 _DECLARED_CLUSTERS: Final = 6.0
 
@@ -59,7 +59,7 @@ class DavisFitConfig:
     """Settings of the batch fit."""
 
     min_speed: float = setting(1.0, 'slowest speed to learn from', 'm/s', 0.0, 50.0)
-    shortest: float = setting(5.0, 'shortest piece between braking to learn from', 's', 1.0, 600.0)
+    shortest: float = setting(5.0, 'shortest piece between brakings to learn from', 's', 1.0, 600.0)
     speed_std: float = setting(0.025, 'noise of measured speed at the start (then learned)', 'm/s', 1e-4, 2.0)
     disturbance_std: float = setting(0.1, 'unmodelled resistance at the start (then learned)', 'N/kN', 1e-6, 10.0)
     disturbance_time: float = setting(10.0, 'its correlation time', 's', 0.01, 600.0)
@@ -68,27 +68,27 @@ class DavisFitConfig:
     force_jitter: float = setting(0.06, 'unknown delay of each change of the force, std', 's', 0.0, 5.0)
     learn_noise: bool = True
     huber: float = setting(2.0, "residuals beyond this count linearly (Huber's rho)", 'standard deviations', 1.0, 1e9)
-    cut: float = setting(6.0, 'residuals beyond this do not count', 'standard deviations', 2.0, 1e9)
-    noise_lag: float = setting(20.0, 'distance in time over which the disturbance is measured', 's', 1.0, 600.0)
-    cluster: float = setting(30.0, 'time after which errors count as new ones', 's', 1.0, 3600.0)
+    cut: float = setting(6.0, 'residuals beyond this are excluded', 'standard deviations', 2.0, 1e9)
+    noise_lag: float = setting(20.0, 'time lag over which the disturbance is measured', 's', 1.0, 600.0)
+    cluster: float = setting(30.0, 'time after which errors count as independent', 's', 1.0, 3600.0)
 
 
 @dataclass(frozen=True, slots=True)
 class DavisFit:
-    """Outcome of a batch fit.
+    """Result of a batch fit.
 
     Attributes:
         theta: a, b, c [N/kN, v in m/s], shape (3,).
-        covariance: Of theta, shape (3, 3).
-        force_delay: Delay of the reported force found [s].
-        force_gain: Relative error of the traction force found.
-        iterations: Gauss-Newton steps.
+        covariance: Covariance of theta, shape (3, 3).
+        force_delay: Estimated delay of the reported force [s].
+        force_gain: Estimated relative error of the traction force [1].
+        iterations: Number of Gauss-Newton steps.
         converged: True if the last step was negligible.
-        mse: Objective (8): mean square of measured less calculated speed, without the disturbance [(m/s)^2].
-        speed_std: Noise of measured speed found [m/s].
-        disturbance: Density D of unmodelled resistance found [(N/kN)^2 s].
-        inflation: Factor on the covariance by which scores of clusters spread more than the noise model says, >= 1.
-        outliers: Share of speeds that did not count.
+        mse: Objective (8): mean square of measured minus calculated speed, without the disturbance [(m/s)^2].
+        speed_std: Estimated noise of measured speed [m/s].
+        disturbance: Estimated density D of unmodelled resistance [(N/kN)^2 s].
+        inflation: Factor on the covariance, the spread of the cluster scores relative to the noise model, >= 1 [1].
+        outliers: Share of excluded speeds [1].
         speed_range: Slowest and fastest speed [m/s].
         pieces: Number of pieces.
         nodes: Number of speeds.
@@ -121,7 +121,7 @@ def fit_davis(trajectory: Trajectory, config: DavisFitConfig) -> DavisFit:
 
     Raises:
         InputError: A setting is out of range.
-        NoAnswerError: There is nothing to fit to, or its speeds do not tell a, b and c apart.
+        NoAnswerError: There are too few speeds, or they do not determine a, b and c separately.
 
     """
     check_settings(config)
@@ -130,7 +130,7 @@ def fit_davis(trajectory: Trajectory, config: DavisFitConfig) -> DavisFit:
         raise NoAnswerError(msg)
     work = _Iteration(trajectory, config)
     step, iterations, learning = math.inf, 0, True
-    while (learning or step > _STEP_TOLERANCE) and iterations < _MOST_ITERATIONS:
+    while (learning or step > _STEP_TOLERANCE) and iterations < _MAX_ITERATIONS:
         step = work.advance()
         iterations += 1
         if learning:
@@ -143,7 +143,7 @@ def fit_davis(trajectory: Trajectory, config: DavisFitConfig) -> DavisFit:
 
 @dataclass(frozen=True, slots=True)
 class _Linear:
-    """All stages, linear about speeds v and theta: defect_i + D_i dv_i - N_i dv_{i-1} + F_i dtheta = 0."""
+    """All stages linearised about v and theta: defect_i + D_i dv_i - N_i dv_{i-1} + F_i dtheta = 0."""
 
     defect: NDArray[np.float64]
     D: NDArray[np.float64]
@@ -152,7 +152,7 @@ class _Linear:
 
 
 class _Iteration:
-    """Speeds, parameters, weights and noise on their way to the minimum."""
+    """State of the iteration: speeds, parameters, weights and noise."""
 
     def __init__(self, trajectory: Trajectory, config: DavisFitConfig) -> None:
         self._given, self._config = trajectory, config
@@ -193,10 +193,10 @@ class _Iteration:
         return _Linear(defect, D, N, F * _SCALE[:, None])
 
     def advance(self) -> float:
-        """Make one Gauss-Newton step; return its largest part, scaled."""
+        """Make one Gauss-Newton step; return its largest scaled component."""
         lin, W = self._linear(), self._weights / self._variance
-        L = self._certainty()
-        # Normal equations of dv, tridiagonal, with dtheta and the right-hand side beside them.
+        L = self._precision()
+        # Tridiagonal normal equations of dv, with dtheta and the right-hand side as additional columns.
         LD, LN = L * lin.D, L * lin.N
         diagonal = W + LD * lin.D + _ahead(LN * lin.N)
         beside = np.empty((6, W.size))
@@ -212,13 +212,13 @@ class _Iteration:
         self._theta = self._theta + _SCALE * delta
         return float(np.max(np.abs(delta)))
 
-    def _certainty(self) -> NDArray[np.float64]:
+    def _precision(self) -> NDArray[np.float64]:
         """Return the inverse variances of the defects [(m/s)^-2], 0 where a piece begins."""
         force = self._density * self._given.dt + _CHANGE_STAGES * np.square(self._config.force_jitter * self._change)
         return np.where(self._stage, self._given.inertia**2 / np.where(self._stage, force, 1.0), 0.0)
 
     def learn(self) -> float:
-        """Take noise and weights from the residuals; return how far they moved."""
+        """Update noise and weights from the residuals; return their largest change."""
         config, before = self._config, (self._density, self._weights)
         if config.learn_noise:
             self._learn_noise()
@@ -229,41 +229,42 @@ class _Iteration:
         return max(moved, abs(math.log(self._density / before[0])))
 
     def _learn_noise(self) -> None:
-        """Medians of increments of the speed error over one step and over a long time: noise, and noise with drift.
+        """Estimate noise and density from medians of increments of the speed error over one step and a long lag.
 
-        A few lags tell little of the density, so it is the mean of n of them and of the declared one, which counts as
-        n0: D = (n0 D0 + n found) / (n0 + n).
+        Increments over one step show the noise, those over a long lag noise plus drift. A few lags contain little
+        information on the density, so it is the mean of n lags and of the declared density with the weight n0:
+        D = (n0 D0 + n found) / (n0 + n).
         """
         y, lag, dt = self._errors(self._linear()), self._lag, self._dt
-        # Rounding hides the noise of one step, and shows after many.
+        # Rounding hides the noise of one step, but is visible after many.
         short, long = max(half_variance(y, self._piece, 1), self._rounding), half_variance(y, self._piece, lag)
         drift = max(long - short, 0.0) / (lag - 1)  # D dt / (2 inertia^2)
-        self._variance = max(short - drift, 0.25 * short, _LEAST_STD**2)
+        self._variance = max(short - drift, 0.25 * short, _MIN_STD**2)
         found = 2.0 * drift / dt * self._given.inertia**2
         n0, n = _DECLARED_LAGS, self._lags
         self._density = (n0 * self._declared + n * found) / (n0 + n)
 
     def allow_for_parameters(self) -> None:
-        """Of n lags, the p parameters fitted have taken p up: divide by n0 + n - p.
+        """Correct the density for the p fitted parameters, which use up p of n lags: divide by n0 + n - p.
 
-        This waits until weights stand: with the larger density, slip in a short piece would pass for gusts.
+        Done only after the weights are fixed: with the larger density, slip in a short piece would count as gusts.
         """
         if self._config.learn_noise:
             n0, n = _DECLARED_LAGS, self._lags
             self._density *= (n0 + n) / (n0 + max(0.0, n - self._parameters()))
 
     def _parameters(self) -> float:
-        """Return how many parameters the data tell: 3 to 5, as the prior tells delay and gain in part."""
+        """Return the effective number of parameters: 3 to 5, as the prior partly determines delay and gain."""
         return 5.0 - float(np.trace(_solve(self._schur, np.diag(self._prior))))
 
     def _errors(self, lin: _Linear) -> NDArray[np.float64]:
-        """Return measured speeds less those of the model without disturbance, up to an initial speed, shape (n,)."""
+        """Return measured speeds minus those of the model without disturbance, up to an initial speed, shape (n,)."""
         inverse = np.where(self._stage, 1.0 / np.where(self._stage, lin.D, 1.0), 0.0)
-        strayed = recur(lin.N * inverse, (lin.defect * inverse)[None, :])[0]
-        return np.asarray(self._given.speed - self._v + strayed)
+        deviation = recur(lin.N * inverse, (lin.defect * inverse)[None, :])[0]
+        return np.asarray(self._given.speed - self._v + deviation)
 
     def finish(self, iterations: int, converged: bool) -> DavisFit:
-        """Return the outcome."""
+        """Return the result."""
         given, lin = self._given, self._linear()
         inflation = self._inflation(lin)
         factor = _SCALE[:, None] * np.linalg.inv(np.linalg.cholesky(self._schur)).T
@@ -287,7 +288,7 @@ class _Iteration:
         )
 
     def _mse(self, lin: _Linear) -> float:
-        """Objective (8) with the best initial speed of each piece, over the speeds that count."""
+        """Return objective (8) with the best initial speed of each piece, over the speeds not excluded."""
         y, w = self._errors(lin), np.where(self._weights > 1e-3, 1.0, 0.0)
         k = np.where(self._stage, lin.N / np.where(self._stage, lin.D, 1.0), 0.0)
         grown = recur(k, np.where(self._stage, 0.0, 1.0)[None, :])[0]
@@ -298,11 +299,11 @@ class _Iteration:
         return float((w * left) @ left / max(1.0, w.sum()))
 
     def _inflation(self, lin: _Linear) -> float:
-        """Spread of the scores of clusters over what the noise model expects, averaged over a, b and c; at least 1.
+        """Return the spread of the cluster scores relative to the noise model, averaged over a, b and c; at least 1.
 
-        Few clusters tell little of their spread, so the mean is taken with that of clusters as expected.
+        A few clusters contain little information on their spread, so it is averaged with the expected spread.
         """
-        clusters = np.add.reduceat(lin.F * (self._certainty() * lin.defect), self._cluster_starts(), axis=1)
+        clusters = np.add.reduceat(lin.F * (self._precision() * lin.defect), self._cluster_starts(), axis=1)
         count = clusters.shape[1]
         spread = float(np.trace(_solve(self._schur, clusters @ clusters.T))) / self._parameters()
         free = max(0.0, count - 3.0)
@@ -310,7 +311,7 @@ class _Iteration:
         return max(1.0, float(mean))
 
     def _cluster_starts(self) -> NDArray[np.intp]:
-        """Pieces, cut where they last longer than a cluster."""
+        """Return the start indices of the pieces, split where they last longer than a cluster."""
         time = np.cumsum(self._given.dt)
         since = time - np.repeat(time[self._starts], self._lengths)
         number = np.floor(since / self._config.cluster)
@@ -320,15 +321,15 @@ class _Iteration:
 
 
 def _ahead(x: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return what the stage after each node contributes to it."""
+    """Return the contribution of the stage after each node."""
     return np.concatenate((x[..., 1:], np.zeros_like(x[..., :1])), axis=-1)
 
 
 def _solve(S: NDArray[np.float64], h: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Solve with the information matrix of theta; NoAnswerError if it has no full rank."""
+    """Solve with the information matrix of theta; raise NoAnswerError if it is rank deficient."""
     size = np.sqrt(np.maximum(np.diag(S), 1e-300))
     unit = S / np.outer(size, size)
     if not np.all(np.isfinite(unit)) or np.linalg.eigvalsh(unit)[0] < 1e-11:
-        msg = 'the speeds driven do not tell a, b and c apart'
+        msg = 'the driven speeds do not determine a, b and c separately'
         raise NoAnswerError(msg)
     return np.asarray(np.linalg.solve(S, h))

@@ -2,7 +2,7 @@
 """Objective (8) of Xia et al. 2023 with its gradient and Hessian, (11)-(23) corrected.
 
 Corrections: (14) needs dv/db on its right-hand side; the sign of q in (18), lines 2-3, and in (19)-(23) is plus;
-(16) adds the curvature term; the mean over I stands in all forms of (8), (11) and (16). All of them are linear
+(16) adds the curvature term; all forms of (8), (11) and (16) have the mean over I. The derivatives are linear
 recursions with the same coefficients k, so each set is one bidiagonal system.
 """
 
@@ -51,13 +51,13 @@ def second_derivatives(
 ) -> NDArray[np.float64]:
     """Return the second derivatives of v_i by a, b, c in the order of :data:`PAIRS`, shape (6, I).
 
-    (18)-(23): ``v_xy,i = k v_xy,i-1 + q v_x,i-1 v_y,i-1 - u v_x,i v_y,i - p E_xy``; the extras E_xy are derivatives
-    of ``b v + c v^2`` by one parameter through v and by the other one explicitly.
+    (18)-(23): ``v_xy,i = k v_xy,i-1 + q v_x,i-1 v_y,i-1 - u v_x,i v_y,i - p E_xy``; the additional terms E_xy are the
+    derivatives of ``b v + c v^2`` with respect to one parameter through v and to the other one explicitly.
     """
     now = first[:3]
     last = np.concatenate((np.zeros((3, 1)), now[:, :-1]), axis=1)
     powers = v[:-1] ** np.arange(3)[:, None]
-    # d(v^n)/dx = n v^(n-1) v_x, explicit in the parameter that v^n belongs to.
+    # d(v^n)/dx = n v^(n-1) v_x, for the parameter with regressor v^n.
     slope = np.vstack((np.zeros_like(powers[0]), powers[0], 2.0 * powers[1]))
     rows = [
         coefficients.q * last[x] * last[y]
@@ -69,12 +69,12 @@ def second_derivatives(
 
 
 def objective(stages: Stages, measured: NDArray[np.float64], theta: NDArray[np.float64], start: float) -> Objective:
-    """Return (8), (11) and (16) for speeds that begin at a given initial speed.
+    """Return (8), (11) and (16) for speeds computed from a given initial speed.
 
     Args:
-        stages: What is known of the stages.
+        stages: Known quantities of the stages.
         measured: v~_1 to v~_I [m/s], shape (I,).
-        theta: a, b, c, shape (3,).
+        theta: a, b, c [N/kN, v in m/s], shape (3,).
         start: v_0 [m/s].
 
     """

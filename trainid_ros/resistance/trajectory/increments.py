@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Variances from medians of increments, which gross errors hardly move."""
+"""Robust variances from medians of increments."""
 
 from __future__ import annotations
 
@@ -13,20 +13,21 @@ if TYPE_CHECKING:
 
     from trainid_ros.resistance.trajectory.pieces import Trajectory
 
+# Ratio of the standard deviation to the median absolute deviation of a Gaussian.
 _MAD: Final = 1.4826
-# Median of the difference of two roundings, in quanta.
+# Median absolute difference of two rounding errors, in quanta.
 _ROUNDED: Final = 1.0 - math.sqrt(0.5)
-# Steps of a rounded speed that are no whole numbers of its quantum: errors of single messages.
+# Share of steps of a rounded speed that are not whole multiples of its quantum, due to errors of single messages.
 _STRAY_STEPS: Final = 0.05
 
 
 def half_variance(y: NDArray[np.float64], piece: NDArray[np.intp], lag: int) -> float:
-    """Return half the variance of increments over a lag within pieces; of white noise its variance.
+    """Return half the variance of increments over a lag within pieces; for white noise this is its variance.
 
     Args:
         y: A signal, shape (n,).
-        piece: Number of the piece of each value, shape (n,).
-        lag: Distance of the values; some piece must be longer.
+        piece: Index of the piece of each value, shape (n,).
+        lag: Lag in values; at least one piece must be longer.
 
     """
     change = np.abs(y[lag:] - y[:-lag])[piece[lag:] == piece[:-lag]]
@@ -35,10 +36,10 @@ def half_variance(y: NDArray[np.float64], piece: NDArray[np.intp], lag: int) -> 
 
 
 def rounding_variance(given: Trajectory) -> float:
-    """Return what :func:`half_variance` makes of rounding alone, over lags of many quanta [(m/s)^2].
+    """Return the :func:`half_variance` of rounding alone, for lags over which speed changes many quanta [(m/s)^2].
 
-    The quantum is the smallest step of the measured speed, but for a few. Where rounding is fine, that is less than
-    the noise.
+    The quantum is the smallest step of the measured speed, except for a few percent of the steps. With fine rounding
+    the result is less than the noise.
     """
     steps = np.abs(np.diff(given.speed))[given.dt[1:] > 0.0]
     steps = steps[steps > 0.0]

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What works for (9) of Xia et al. 2023: Gauss-Newton with Levenberg's damping and a free initial speed.
+"""Solution of (9) of Xia et al. 2023 by Gauss-Newton with Levenberg's damping and a free initial speed.
 
-* (7) is linear in a, b, c once the speeds are known: *integrated linear least squares* on the sums of the measured
-  speeds starts at the answer, as good as the fit itself.
-* v_0 is a parameter. Taking the noisy v~_0 for it, as the paper does, multiplies the normalised error by twelve.
-* Parameters are scaled, the step comes from an orthogonal factor of J (not from J'J), and the iteration stops on the
-  size of the step: a limit on f stops short of the answer, or never.
-* The exact Hessian gains nothing: with it the same iteration takes longer.
+* (7) is linear in a, b, c for given speeds: *integrated linear least squares* on the sums of the measured speeds
+  gives a starting point as accurate as the fit itself.
+* v_0 is a parameter. Using the noisy v~_0 for it, as the paper does, multiplies the normalised error by twelve.
+* Parameters are scaled, the step is computed from an orthogonal factor of J (not from J'J), and the iteration stops
+  on the size of the step: a limit on f stops before the minimum, or never.
+* The exact Hessian has no benefit: with it the same iteration takes longer.
 """
 
 from __future__ import annotations
@@ -23,26 +23,26 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
 SCALE: Final = np.array([1.0, 0.02, 0.001, 1.0])
-"""Natural size of a, b, c and v_0; steps are measured in it."""
+"""Typical sizes of a, b, c and v_0, used to scale the steps."""
 _STEP_TOLERANCE: Final = 1e-9
-_MOST_ITERATIONS: Final = 100
+_MAX_ITERATIONS: Final = 100
 _FIRST_DAMPING: Final = 1e-3
-# Integrated least squares is near enough for almost undamped steps.
+# Factor on the damping from integrated least squares, which is near enough for almost undamped steps.
 _NEAR: Final = 1e-9
-# A trial train this far off the measured speed [m/s] has run away; its squares might overflow.
+# Speed error of a trial that has diverged [m/s]; its squares might overflow.
 _RUNAWAY: Final = 1e6
 
 
 @dataclass(frozen=True, slots=True)
 class TrajectoryFit:
-    """Outcome of a fit.
+    """Result of a fit.
 
     Attributes:
-        theta: a, b, c, shape (3,).
+        theta: a, b, c [N/kN, v in m/s], shape (3,).
         start: v_0 [m/s].
-        covariance: Of a, b, c and v_0 for noise of unit variance, shape (4, 4).
+        covariance: Covariance of a, b, c and v_0 for noise of unit variance, shape (4, 4).
         mse: Objective (8) [(m/s)^2].
-        iterations: Steps tried.
+        iterations: Number of steps tried.
         converged: True if the last step was negligible.
 
     """
@@ -56,19 +56,19 @@ class TrajectoryFit:
 
 
 def integrated_least_squares(stages: Stages, measured: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return a, b, c and v_0 from sums of the measured speeds, without iteration.
+    """Return a, b, c [N/kN, v in m/s] and v_0 [m/s] from sums of the measured speeds, without iteration.
 
     (7) summed: ``v_i^2 = v_0^2 + 2 sum lambda_j [drive_j - w(v_{j-1})]``; divided by 2 v_i its errors are those of v_i.
 
     Args:
-        stages: What is known of I stages.
+        stages: Known quantities of I stages.
         measured: v~_0 to v~_I [m/s], shape (I + 1,).
 
     """
     powers = measured[:-1] ** np.arange(3)[:, None]
     sums = np.zeros((4, measured.size))
     sums[:3, 1:] = -np.cumsum(stages.lam * powers, axis=1)
-    sums[3] = measured[0]  # v_0^2 / 2, linear about v~_0
+    sums[3] = measured[0]  # v_0^2 / 2, linearised about v~_0
     energy = 0.5 * (measured * measured - measured[0] ** 2)
     energy[1:] -= np.cumsum(stages.lam * stages.drive)
     inverse = 1.0 / np.maximum(measured, 1.0)
@@ -88,10 +88,10 @@ def levenberg(
     """Fit a, b, c and v_0 to measured speeds v~_0 to v~_I [m/s], shape (I + 1,).
 
     Args:
-        stages: What is known of I stages.
-        measured: Speeds where stages begin and end.
-        first_guess: a, b, c, v_0 to start from, shape (4,); from integrated least squares if None.
-        free_start: False holds v_0, as the paper does.
+        stages: Known quantities of I stages.
+        measured: Speeds at the boundaries of the stages [m/s].
+        first_guess: Starting point a, b, c, v_0, shape (4,); from integrated least squares if None.
+        free_start: False keeps v_0 fixed, as the paper does.
 
     """
     x = integrated_least_squares(stages, measured) if first_guess is None else np.array(first_guess, dtype=float)
@@ -99,7 +99,7 @@ def levenberg(
     damping, growth, iterations, step = _FIRST_DAMPING * model.stiffness, 2.0, 0, np.inf
     if first_guess is None:
         damping *= _NEAR
-    while iterations < _MOST_ITERATIONS and step > _STEP_TOLERANCE:
+    while iterations < _MAX_ITERATIONS and step > _STEP_TOLERANCE:
         iterations += 1
         delta, gain = model.damped_step(damping)
         step = float(np.max(np.abs(delta)))
@@ -108,7 +108,7 @@ def levenberg(
             ratio = min((model.cost - trial.cost) / gain, 1.0)
             x, model, growth = x + SCALE * delta, trial, 2.0
             damping *= max(1.0 / 3.0, 1.0 - (2.0 * ratio - 1.0) ** 3)  # Nielsen's rule
-        else:  # steps shrink until one succeeds or, at the minimum, is negligible
+        else:  # steps shrink until one reduces the cost or is negligible, at the minimum
             damping, growth = damping * growth, 2.0 * growth
     return TrajectoryFit(
         theta=x[:3],
@@ -122,7 +122,7 @@ def levenberg(
 
 @dataclass(frozen=True, slots=True)
 class _Model:
-    """The model at one guess: sum of squares, orthogonal factor R of the scaled Jacobian, and Q' e."""
+    """Linearised model at one point: sum of squares, factor R of the scaled Jacobian QR, and Q' e."""
 
     cost: float
     R: NDArray[np.float64]
@@ -149,7 +149,7 @@ class _Model:
         return float(np.max(np.sum(self.R * self.R, axis=0)))
 
     def damped_step(self, damping: float) -> tuple[NDArray[np.float64], float]:
-        """Return the scaled step, shape (4,), and how much it should take off the cost."""
+        """Return the scaled step, shape (4,), and the predicted reduction of the cost."""
         stacked = np.vstack((self.R, np.sqrt(damping) * np.eye(4)))
         delta = np.linalg.lstsq(stacked, np.concatenate((self.rotated, np.zeros(4))))[0]
         left = self.rotated - self.R @ delta
@@ -157,7 +157,7 @@ class _Model:
         return delta, max(gain, np.finfo(float).tiny)
 
     def covariance(self) -> NDArray[np.float64]:
-        """Return S (J'J)^-1 S from the factor, which loses half as many digits as J'J; NaN if J has no full rank."""
+        """Return S (J'J)^-1 S from R, which loses half as many digits as J'J; NaN if J is rank deficient."""
         if not np.all(np.abs(np.diag(self.R)) > 0.0):
             return np.full((4, 4), np.nan)
         factor = SCALE[:, None] * np.linalg.inv(self.R)

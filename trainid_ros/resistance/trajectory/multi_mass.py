@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Additional resistance of a train of several masses on its line, eq. (5) of Xia et al. 2023.
+"""Additional resistance of a train of several masses on a line, eq. (5) of Xia et al. 2023.
 
 The paper divides G(s) [kN] by 1000 once more in (7); here it is specific, ``w_add = sum m_j/M (i(s_j) + alpha/r(s_j))``
-in N/kN. Sampled where a stage begins, as (7) has it, it costs accuracy where the line changes inside a stage, so
-:meth:`MultiMassLine.means` gives the exact mean over each stage, from the integrals of gradient and curvature.
+in N/kN. Sampling it at the start of a stage, as in (7), is inaccurate if the line changes within the stage, so
+:meth:`MultiMassLine.means` gives the exact mean over each stage from the integrals of gradient and curvature.
 """
 
 from __future__ import annotations
@@ -27,10 +27,10 @@ CURVE_COEFFICIENT: Final = 600.0
 
 @dataclass(frozen=True, slots=True)
 class Cars:
-    """The masses of a train.
+    """Masses of a train.
 
     Attributes:
-        mass: Mass of each car [any one unit], shape (J,), the head first.
+        mass: Mass of each car [any common unit], shape (J,), head first.
         offset: Distance of each car's centroid behind the head [m], shape (J,).
 
     """
@@ -40,15 +40,15 @@ class Cars:
 
     @classmethod
     def of_lengths(cls, mass: NDArray[np.float64], length: NDArray[np.float64]) -> Cars:
-        """Return cars of given lengths [m] one behind the other, their centroids in the middle."""
+        """Return consecutive cars of given masses [any common unit] and lengths [m], their centroids in the middle."""
         if len(mass) != len(length) or not np.all(mass > 0.0) or not np.all(length > 0.0):
-            msg = f'cars: {len(mass)} masses and {len(length)} lengths must be as many and > 0'
+            msg = f'cars: {len(mass)} masses and {len(length)} lengths must be equal in number and > 0'
             raise InputError(msg)
         return cls(mass, np.cumsum(length) - 0.5 * length)
 
 
 class MultiMassLine:
-    """The line under all cars; positions are those of the head, which rise."""
+    """Line under all cars; positions are those of the head [m], in increasing order."""
 
     def __init__(self, line: Line, cars: Cars, curve_coefficient: float = CURVE_COEFFICIENT) -> None:
         self._share = cars.mass / cars.mass.sum()
@@ -71,7 +71,7 @@ class MultiMassLine:
 
 
 class _Steps:
-    """A piecewise-constant function of position; its first and its last value go on outside."""
+    """Piecewise-constant function of position; its first and last values extend outside."""
 
     def __init__(self, pairs: Pairs) -> None:
         knots = pairs or ((0.0, 0.0),)

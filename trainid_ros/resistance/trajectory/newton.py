@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Algorithm 1 of Xia et al. 2023 as printed: Newton's method in a box, Wolfe's rule at its walls, random restarts.
+"""Algorithm 1 of Xia et al. 2023 as printed: Newton's method with box bounds, Wolfe conditions and random restarts.
 
-For comparison only. From random starts it hardly ever arrives: H is indefinite over nearly all of the box, so that
-(24) has no solution, and steps jam at the walls. :mod:`levenberg` solves the same problem from any start.
+For comparison only. From random starts it rarely converges: H is indefinite over nearly all of the box, so that (24)
+has no solution, and steps get stuck at the bounds. :mod:`levenberg` solves the same problem from any start.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ Triple: TypeAlias = tuple[float, float, float]
 
 
 class Restart(Enum):
-    """When parameters are drawn anew: never, after small steps (section 3.3), after each step (step 11 as listed)."""
+    """When parameters are redrawn: never, after small steps (section 3.3), after each step (step 11 as listed)."""
 
     NEVER = 'never'
     SMALL_STEP = 'small step'
@@ -46,19 +46,19 @@ class Stop(Enum):
 
 @dataclass(frozen=True, slots=True)
 class NewtonConfig:
-    """Table 2, and what it leaves open.
+    """Settings of Table 2, and those that it does not define.
 
     Attributes:
-        most: N.
-        low: theta_min.
-        high: theta_max.
-        c1: Sufficient decrease of (24).
-        c2: Curvature of (24).
+        most: N, maximum number of iterations.
+        low: theta_min [N/kN, v in m/s].
+        high: theta_max [N/kN, v in m/s].
+        c1: Sufficient-decrease constant of (24).
+        c2: Curvature constant of (24).
         accepted: epsilon_1 of (25) [(m/s)^2].
         small: Delta theta_T, below which a step counts as stuck.
-        apart: Delta theta hat, by which a random restart must differ.
-        shrink: From one step length to the next one tried.
-        restart: When to draw anew.
+        apart: Delta theta hat, the minimum difference of a random restart.
+        shrink: Factor from one step length to the next one tried.
+        restart: When to redraw the parameters.
 
     """
 
@@ -76,7 +76,7 @@ class NewtonConfig:
 
 @dataclass(frozen=True, slots=True)
 class NewtonOutcome:
-    """Last parameters, their objective [(m/s)^2], iterations, and why it ended."""
+    """Last parameters, their objective [(m/s)^2], number of iterations, and reason of termination."""
 
     theta: NDArray[np.float64]
     f: float
@@ -96,7 +96,7 @@ def newton(
         evaluate: (8), (11) and (16) at parameters of shape (3,).
         first: theta_1.
         config: Table 2.
-        rng: Source of the restarts.
+        rng: Random generator of the restarts.
 
     """
     theta, now = first, evaluate(first)
@@ -109,7 +109,8 @@ def newton(
         else:
             after, stuck = moved, bool(np.all(np.abs(moved - theta) < config.small))
         now = evaluate(after)
-        if now.f < config.accepted:  # (25)
+        # (25)
+        if now.f < config.accepted:
             return NewtonOutcome(after, now.f, n, Stop.FITTED)
         if stuck and config.restart is Restart.NEVER:
             return NewtonOutcome(after, now.f, n, Stop.SMALL_STEP)
@@ -126,14 +127,15 @@ def _step(
     now: Objective,
     config: NewtonConfig,
 ) -> NDArray[np.float64] | Stop:
-    """Step 10: the full step if it stays in the box, else a length that meets (24) and does."""
+    """Return the result of step 10: the full step if it stays in the box, else one shortened to satisfy (24) too."""
     try:
         direction = np.linalg.solve(now.H, now.g)
     except np.linalg.LinAlgError:
         return Stop.SINGULAR
+    # (10)
     full = theta - direction
     if _inside(full, config):
-        return full  # (10)
+        return full
     slope = float(now.g @ direction)
     if slope <= 0.0:
         return Stop.ASCENT
@@ -142,8 +144,9 @@ def _step(
         trial = theta - alpha * direction
         if _inside(trial, config):
             there = evaluate(trial)
-            falls = there.f <= now.f - config.c1 * alpha * slope
-            if falls and float(there.g @ direction) <= config.c2 * slope:  # (24)
+            # (24)
+            decreases = there.f <= now.f - config.c1 * alpha * slope
+            if decreases and float(there.g @ direction) <= config.c2 * slope:
                 return trial
         alpha *= config.shrink
     return Stop.NO_STEP
@@ -154,7 +157,7 @@ def _inside(theta: NDArray[np.float64], config: NewtonConfig) -> bool:
 
 
 def _draw(theta: NDArray[np.float64], config: NewtonConfig, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Return parameters anywhere in the box, but not near the last ones."""
+    """Return uniformly drawn parameters in the box, not near the last ones."""
     while True:
         drawn = rng.uniform(config.low, config.high)
         if np.all(np.abs(drawn - theta) > config.apart):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Undisturbed motion as arrays: pieces of a drive between braking, each with an initial speed of its own."""
+"""Motion without braking as arrays: pieces of a drive, each with its own initial speed."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Trajectory:
-    """Pieces one after another; a stage leads from each node to the next one of its piece.
+    """Concatenated pieces; a stage leads from each node to the next one of its piece.
 
     Attributes:
         speed: Measured speed at the nodes [m/s], shape (n,).
-        dt: Time since the node before [s], 0 where a piece begins, shape (n,).
-        known: Mean known specific force since the node before [N/kN], shape (n,).
-        traction: The part of it that is traction [N/kN], shape (n,).
+        dt: Time since the previous node [s], 0 at the start of a piece, shape (n,).
+        known: Mean known specific force since the previous node [N/kN], shape (n,).
+        traction: Traction part of it [N/kN], shape (n,).
         inertia: Specific force per acceleration, 1000 (1 + gamma) / g [N/kN per m/s^2].
 
     """
@@ -42,7 +42,7 @@ class Trajectory:
 
     @property
     def starts(self) -> NDArray[np.intp]:
-        """Indices at which pieces begin, shape (m,)."""
+        """Start indices of the pieces, shape (m,)."""
         return np.flatnonzero(self.dt == 0.0)
 
     def traction_rate(self) -> NDArray[np.float64]:
@@ -56,12 +56,12 @@ class Trajectory:
 
 @dataclass(slots=True)
 class PieceCollector:
-    """Takes samples, keeps those without braking, and makes a trajectory of them.
+    """Collector of the samples without braking for a trajectory.
 
     Attributes:
-        train_file: What is believed of train and effects.
+        train_file: Train file with train and effects.
         min_speed: Slowest speed to learn from [m/s].
-        shortest: Shortest piece worth an initial speed of its own [s].
+        shortest: Shortest piece to use, given that each needs its own initial speed [s].
 
     """
 
@@ -78,7 +78,7 @@ class PieceCollector:
         self._admission = Admission(self.known, self.min_speed)
 
     def monitor(self, sample: Sample) -> None:
-        """Follow the drive without taking the sample in."""
+        """Update the drive history without adding the sample."""
         self._reject(sample)
 
     def _reject(self, sample: Sample) -> Rejection | None:
@@ -86,7 +86,7 @@ class PieceCollector:
         return sample.rejection or rejection
 
     def add(self, sample: Sample, rejected: Counter[Reason]) -> None:
-        """Take one sample in; count why it cannot be used."""
+        """Add one sample, or count the reason for its rejection."""
         rejection = self._reject(sample)
         if rejection is not None:
             rejected[rejection.reason] += 1
@@ -97,13 +97,13 @@ class PieceCollector:
         self._nodes.append((sample.speed, dt, traction - self.known.track(sample), traction))
 
     def end_piece(self) -> None:
-        """What comes next begins another piece; forget the last one if it was too short."""
+        """End the current piece, and remove it if it is too short."""
         if sum(node[1] for node in self._nodes[self._begun :]) < self.shortest:
             del self._nodes[self._begun :]
         self._begun = len(self._nodes)
 
     def trajectory(self) -> Trajectory:
-        """Return all pieces so far."""
+        """Return all pieces collected so far."""
         self.end_piece()
         speed, dt, known, traction = np.array(self._nodes, dtype=float).reshape(-1, 4).T.copy()
         return Trajectory(speed, dt, known, traction, self.known.inertia)

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What no train does, though a fit to it converges: a sign of a wrong unit or sign in what was measured.
+"""Plausibility check of a converged fit, to detect wrong units or signs in the measurements.
 
-Force in kN, speed in km/h or gradient in percent leave a motion that the model cannot follow. The fit then calls
-speeds outliers, takes all of the motion for gusts, or finds a resistance that drives the train.
+With force in kN, speed in km/h or gradient in percent the model cannot follow the motion. The fit then classifies
+speeds as outliers, attributes the motion to gusts, or gives a negative resistance.
 """
 
 from __future__ import annotations
@@ -15,18 +15,18 @@ from trainid_ros.core.errors import NoAnswerError
 if TYPE_CHECKING:
     from trainid_ros.resistance.trajectory.davis_fit import DavisFit, DavisFitConfig
 
-_MOST_OUTLIERS: Final = 0.3
-# Resistance below zero by so many standard deviations is no chance.
+_MAX_OUTLIERS: Final = 0.3
+# A resistance below zero by this many standard deviations is significant.
 _SIGMAS: Final = 3.0
-# Gusts as strong as the resistance of a train itself [N/kN]; map errors of two per mille make half of it.
-_MOST_GUST: Final = 4.0
-_MOST_GAIN: Final = 0.1
-# Of the speed [m/s]; a quantum of 1 mph makes an eighth of it.
-_MOST_NOISE: Final = 1.0
+# Gusts as large as the resistance of a train [N/kN]; map errors of two per mille give half of it.
+_MAX_GUST: Final = 4.0
+_MAX_GAIN: Final = 0.1
+# Noise of the speed [m/s]; a quantum of 1 mph gives an eighth of it.
+_MAX_NOISE: Final = 1.0
 
 
 def check_plausible(fit: DavisFit, config: DavisFitConfig) -> None:
-    """Raise NoAnswerError, telling what is odd, if a fit is none of a train measured in the units agreed."""
+    """Raise NoAnswerError, naming the cause, if a fit is implausible for a train measured in the specified units."""
     odd = _oddity(fit, config)
     if odd:
         msg = f'{odd}: check the units and signs of speed, force, mass and gradient, and the speed sensor'
@@ -38,14 +38,14 @@ def _oddity(fit: DavisFit, config: DavisFitConfig) -> str:
     for v in (slow, 0.5 * (slow + fast), fast):
         w, std = fit.resistance(v)
         if w < -_SIGMAS * std:
-            return f'a resistance of {w:.3g} N/kN (std {std:.2g}) at {v:.1f} m/s would drive the train'
-    if abs(fit.force_gain) > _MOST_GAIN:
-        return f'the force would have to be wrong by {fit.force_gain:+.0%}'
-    if fit.speed_std > _MOST_NOISE:
-        return f'the speed scatters by {fit.speed_std:.2g} m/s'
+            return f'a negative resistance of {w:.3g} N/kN (std {std:.2g}) at {v:.1f} m/s would drive the train'
+    if abs(fit.force_gain) > _MAX_GAIN:
+        return f'the fit requires a force error of {fit.force_gain:+.0%}'
+    if fit.speed_std > _MAX_NOISE:
+        return f'the speed noise is {fit.speed_std:.2g} m/s'
     gust = math.sqrt(fit.disturbance / (2.0 * config.disturbance_time))
-    if gust > _MOST_GUST:
+    if gust > _MAX_GUST:
         return f'forces and resistance leave {gust:.2g} N/kN of the motion unexplained'
-    if fit.outliers > _MOST_OUTLIERS:
+    if fit.outliers > _MAX_OUTLIERS:
         return f'{fit.outliers:.0%} of the speeds are outliers'
     return ''

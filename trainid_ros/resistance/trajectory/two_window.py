@@ -1,12 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two windows: the streaming form of the trajectory fit of Xia et al. 2023 (section 4.2.3).
+"""two-window: streaming form of the trajectory fit of Xia et al. 2023 (section 4.2.3).
 
-The paper refits 20 samples of 100 m, which leaves w(v) unknown by 0.6 N/kN or more at its noise. Here a long window
-gives the estimate and a short one watches it: when they disagree on w(v) at the current speed by more than chance
-allows, a, b, c have changed, and what is older than the short window is forgotten. Both are linear fits with a prior
-(:mod:`window`). Braking, standstill and gaps end a piece; the next one has an initial speed of its own.
+The paper refits 20 samples of 100 m, which at its noise gives an error of w(v) of 0.6 N/kN or more. Here a long window
+gives the estimate and a short one monitors it: when they differ significantly in w(v) at the current speed, a, b, c
+have changed, and rows older than the short window are discarded. Both are linear fits with a prior (:mod:`window`).
+Braking, standstill and gaps end a piece; the next one has its own initial speed.
 
-Samples may come at 5 Hz or every 100 m: rows are means of ``stride`` samples, their stamps tell the time between.
+Samples may come at 5 Hz or every 100 m: rows are means of ``stride`` samples, and the time between comes from their
+stamps.
 """
 
 from __future__ import annotations
@@ -38,7 +39,7 @@ if TYPE_CHECKING:
     from trainid_ros.core.samples import Sample
     from trainid_ros.train.train_file import TrainFile
 
-# Known force may err by so much more than gusts, while a speed is foretold [N/kN].
+# Standard deviation of the known force in the speed prediction, in addition to gusts [N/kN].
 _PREDICTION: Final = 1.0
 
 
@@ -56,28 +57,28 @@ class TwoWindowConfig:
     disturbance_time: float = setting(6.0, 'correlation time of the disturbance', 's', 0.01, 600.0)
     force_error: float = setting(0.005, 'relative error of the traction force', '1', 1e-9, 0.5)
     force_skew: float = setting(0.06, 'unknown delay of the reported force', 's', 1e-9, 5.0)
-    prior_share: float = setting(0.5, 'prior std of a, b, c as a share of their believed values', '1', 0.0, 10.0)
+    prior_share: float = setting(0.5, 'prior std of a, b, c as a share of their stated values', '1', 0.0, 10.0)
     prior_std_a: float = setting(0.6, 'added to the prior std of a (root of squares)', 'N/kN', 1e-6, 100.0)
     prior_std_b: float = setting(0.02, 'added to the prior std of b', 'N/kN per m/s', 1e-8, 10.0)
     prior_std_c: float = setting(0.0006, 'added to the prior std of c', 'N/kN per (m/s)^2', 1e-9, 1.0)
-    gate: float = setting(5.0, 'speeds farther from what is foretold are refused', 'standard deviations', 1.0, 100.0)
-    patience: float = setting(3.0, 'after so long a piece ends whose speeds were all refused', 's', 0.2, 60.0)
+    gate: float = setting(5.0, 'speeds farther from the prediction are rejected', 'standard deviations', 1.0, 100.0)
+    patience: float = setting(3.0, 'duration of consecutive rejections after which a piece ends', 's', 0.2, 60.0)
     valid_std: float = setting(0.15, 'resistance is fit to use below this standard deviation', 'N/kN', 1e-3, 10.0)
 
 
 @dataclass(frozen=True, slots=True)
 class PieceState:
-    """The piece on its way.
+    """State of the current piece.
 
     Attributes:
-        speed: Last speed believed [m/s].
-        refused_s: Time since it was measured [s].
+        speed: Last accepted or predicted speed [m/s].
+        rejected_s: Time since the last accepted speed [s].
         sums: Regressors at the last sample: three sums of powers of speed, traction, sum of traction.
-        impulse: Sum of the known force, as speed [m/s].
-        row: Sums of rest speed and regressors over the samples of the row begun.
-        filled: Their number.
-        speed_min: Slowest of them [m/s].
-        speed_max: Fastest of them [m/s].
+        impulse: Integral of the known force, as speed [m/s].
+        row: Sums of residual speed and regressors over the samples of the current row.
+        filled: Number of these samples.
+        speed_min: Their slowest speed [m/s].
+        speed_max: Their fastest speed [m/s].
 
     """
 
@@ -93,7 +94,7 @@ class PieceState:
 
 @dataclass(frozen=True, slots=True)
 class TwoWindowState:
-    """All that the two windows remember."""
+    """Saved state of the two windows."""
 
     posterior: WindowPosterior
     noise: SpeedNoise
@@ -112,7 +113,7 @@ class TwoWindowState:
 class TwoWindow:
     """Estimate a, b, c of w(v) = a + b v + c v^2 [N/kN] from aligned samples.
 
-    In its estimates ``innovation`` is the difference of the windows in w at the current speed [N/kN].
+    In its estimates ``innovation`` is the difference of w between the windows at the current speed [N/kN].
     """
 
     def __init__(self, train_file: TrainFile, config: TwoWindowConfig) -> None:
@@ -133,16 +134,16 @@ class TwoWindow:
         self.reset()
 
     def reset(self) -> None:
-        """Go back to the prior."""
+        """Return to the prior."""
         self.state = TwoWindowState(self._first, SpeedNoise.declared(self.config.speed_std))
         self._admission.braked_ns = 0
 
     def save(self) -> str:
-        """Return the whole state as JSON text."""
+        """Return the state as JSON text."""
         return encode(self.state)
 
     def restore(self, text: str) -> None:
-        """Take over a saved state; InputError if it does not fit."""
+        """Restore a saved state; raise InputError if it is invalid."""
         state = decode(text, TwoWindowState)
         numbers = (*state.posterior.theta, *state.posterior.P)
         fine = len(state.posterior.theta) == 3 and len(numbers) == 12 and all(map(math.isfinite, numbers))
@@ -155,11 +156,11 @@ class TwoWindow:
 
     @property
     def converged(self) -> bool:
-        """True while the resistance is known well enough at the speeds of the window."""
+        """True while the resistance is known well enough over the speeds of the window."""
         return self.state.converged
 
     def step(self, sample: Sample) -> ResistanceEstimate | Rejection:
-        """Take one sample in; every ``stride`` good samples make one row and one fit."""
+        """Process one sample; every ``stride`` good samples give one row and one fit."""
         rejection = self._admission.reject(sample)
         self.state = replace(self.state, braked_ns=self._admission.braked_ns)
         noise = self.state.noise.add(sample.speed, math.nan if rejection else sample.dt)
@@ -181,7 +182,7 @@ class TwoWindow:
         return self.estimate(sample.speed)
 
     def _move(self, motion: PieceState, sample: Sample) -> tuple[PieceState, Rejection | None]:
-        """Go on by one stage: foretell the speed, refuse one that is far off, add up what is known."""
+        """Advance by one stage: predict the speed, reject an outlier, update the sums."""
         inertia, dt, v0 = self._known.inertia, sample.dt, motion.speed
         traction = self._known.traction(sample.force_mean, sample)
         force = traction - self._known.track(sample)
@@ -211,7 +212,7 @@ class TwoWindow:
         return replace(moved, row=row, filled=filled, speed_min=min(slow, v1), speed_max=max(fast, v1)), None
 
     def _end_row(self, motion: PieceState, sample: Sample) -> None:
-        """Append the row that is full, fit both windows, and forget what is old if they disagree."""
+        """Append the full row, fit both windows, and discard old rows if they disagree."""
         config, state = self.config, self.state
         rest, *sums = (total / motion.filled for total in motion.row)
         row = Row(state.pieces, rest, tuple(sums), motion.speed_min, motion.speed_max)
@@ -232,7 +233,7 @@ class TwoWindow:
         self._judge()
 
     def _switch(self, noise: RowNoise) -> WindowPosterior:
-        """a, b, c have changed within the short window: forget all before."""
+        """Discard all rows before the change of a, b, c, which lies within the short window; return the posterior."""
         rows, short = self.state.rows, self.config.short
         known = fit_rows(rows[:-short], noise, self._prior)
         count, posterior = newest_regime(rows[-short:], noise, self._prior, known)
@@ -249,12 +250,12 @@ class TwoWindow:
 
     def _row_noise(self) -> RowNoise:
         walk = math.sqrt(self._density * self.state.row_time) / self._known.inertia
-        # Less noise than declared is not believed: a quiet stretch must not make chance look like a change.
+        # The declared noise is the lower limit, so that noise after a quiet stretch is not detected as a change.
         std = max(self.config.speed_std, self.state.noise.std)
         return RowNoise(std / math.sqrt(self.config.stride), walk)
 
     def _judge(self) -> None:
-        """Fit to use while w is known over the speeds of the window (rms); hysteresis of one half."""
+        """Decide whether w is fit to use: rms standard deviation over the speeds of the window; hysteresis of 50 %."""
         slow, fast = self._speeds()
         variances = [self.state.posterior.resistance(v)[1] for v in (slow, 0.5 * (slow + fast), fast)]
         limit = self.config.valid_std * (1.5 if self.state.converged else 1.0)
@@ -265,7 +266,7 @@ class TwoWindow:
         return min((row.speed_min for row in rows), default=0.0), max((row.speed_max for row in rows), default=0.0)
 
     def estimate(self, speed: float) -> ResistanceEstimate:
-        """Return the parameters and the resistance at a speed [m/s]."""
+        """Return the parameters for v in m/s and the resistance [N/kN] at a speed [m/s]."""
         state = self.state
         (a, b, c), (w, variance), (slow, fast) = (
             state.posterior.theta,
@@ -289,7 +290,16 @@ class TwoWindow:
 
 
 def advance(sums: tuple[float, ...], v0: float, v1: float, mu: float, traction: float) -> tuple[float, ...]:
-    """Return the regressors one stage on: sums of v^n mu with exact means of a stage, traction, its sum."""
+    """Return the regressors one stage later: sums of mu times the exact means of v^n, traction, sum of mu traction.
+
+    Args:
+        sums: Regressors before the stage.
+        v0: Speed at the start of the stage [m/s].
+        v1: Speed at its end [m/s].
+        mu: dt / inertia [m/s per N/kN].
+        traction: Specific traction [N/kN].
+
+    """
     return (
         sums[0] + mu,
         sums[1] + mu * 0.5 * (v0 + v1),

@@ -1,11 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The trajectory fit over a window of a few dozen rows, in one linear step.
+"""Trajectory fit over a window of a few dozen rows, in one linear step.
 
-In time the balance of Xia et al. 2023 (3) is linear in a, b, c once the speeds are known. The speed that the known
-force alone would give is taken off; the *rest speed* then is ``r_i = r_0 - (a S0 + b S1 + c S2)``, S_n the sums of
-v^n dt / inertia. A row holds the mean of r and of the sums over a few samples. Rows of one piece share a free r_0,
-and their errors are white noise and a random walk (gusts, map), so each piece is whitened by one triangular matrix.
-A Gaussian prior stands where the paper has a box: 20 rows alone leave w(v) unknown by 3 N/kN.
+In time the balance of Xia et al. 2023 (3) is linear in a, b, c for given speeds. The speed that the known force alone
+would give is subtracted; the *residual speed* is then ``r_i = r_0 - (a S0 + b S1 + c S2)``, with S_n the sums of
+v^n dt / inertia. A row is the mean of r and of the sums over a few samples. Rows of one piece share a free r_0, and
+their errors are white noise plus a random walk (gusts, map), so each piece is whitened by one triangular matrix.
+A Gaussian prior replaces the box constraints of the paper: with 20 rows alone the error of w(v) is 3 N/kN.
 """
 
 from __future__ import annotations
@@ -23,18 +23,18 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# Natural size of a, b, c, force delay and force gain.
+# Typical sizes of a, b, c, force delay and force gain.
 SCALE: Final = np.array([1.0, 0.02, 0.001, 0.05, 0.005])
-# The same of all columns of a row, the rest speed last, and of a, b, c alone.
+# Typical sizes of all columns of a row, the residual speed last, and of a, b, c alone.
 _COLUMNS: Final = np.append(SCALE, 1.0)
 _SCALE_ABC: Final = SCALE[:3, None]
 _UPPER: Final = np.triu(np.ones((5, 5)))
-# A free initial speed, in standard deviations of a row: large beside any rest speed within a window.
+# Prior std of the free initial speed, in standard deviations of a row: large relative to any residual speed.
 _FREE: Final = 1e4
-# Ratios of noises are told apart by so many steps per factor e; each has its own whitening matrix.
+# Noise ratios are quantised to this many steps per factor e; each has its own whitening matrix.
 _STEPS_PER_E: Final = 8.0
-# Fewer rows than these tell nothing of a change.
-_FEWEST_ROWS: Final = 5
+# Minimum number of rows after a change.
+_MIN_ROWS: Final = 5
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,9 +42,9 @@ class Row:
     """One row: mean of a few samples of one piece.
 
     Attributes:
-        piece: Number of the piece.
-        rest: Rest speed [m/s].
-        sums: Regressors of a, b, c, force delay and force gain.
+        piece: Index of the piece.
+        rest: Residual speed [m/s].
+        sums: Regressors of a, b, c, force delay and force gain [m/s per unit of the parameter].
         speed_min: Slowest speed of its samples [m/s].
         speed_max: Fastest speed of its samples [m/s].
 
@@ -67,13 +67,13 @@ class RowNoise:
 
 @dataclass(frozen=True, slots=True)
 class WindowPosterior:
-    """a, b, c and their covariance, row-major."""
+    """a, b, c [N/kN, v in m/s] and their covariance, row-major."""
 
     theta: tuple[float, ...]
     P: tuple[float, ...]
 
     def resistance(self, speed: float) -> tuple[float, float]:
-        """Return w [N/kN] and its variance at a speed [m/s]."""
+        """Return w [N/kN] and its variance [(N/kN)^2] at a speed [m/s]."""
         (a, b, c), P, v = self.theta, self.P, speed
         variance = P[0] + v * (2.0 * P[1] + v * (2.0 * P[2] + P[4] + v * (2.0 * P[5] + v * P[8])))
         return a + v * (b + v * c), max(0.0, variance)
@@ -81,7 +81,7 @@ class WindowPosterior:
 
 @dataclass(frozen=True, slots=True)
 class WindowPrior:
-    """What is believed before: a, b, c; standard deviations of them, of the force delay [s] and of its gain."""
+    """Prior means of a, b, c [N/kN, v in m/s]; prior stds of them, of the force delay [s] and of its gain [1]."""
 
     theta: tuple[float, float, float]
     std: tuple[float, float, float, float, float]
@@ -95,19 +95,19 @@ def fit_rows(rows: Sequence[Row], noise: RowNoise, prior: WindowPrior) -> Window
 def newest_regime(
     rows: Sequence[Row], noise: RowNoise, prior: WindowPrior, known: WindowPosterior
 ) -> tuple[int, WindowPosterior]:
-    """Find where a, b, c ceased to be those known, by the least sum of squares of all splits.
+    """Locate the change of a, b, c by the least sum of squares over all splits of a window.
 
     Args:
-        rows: A window in which they changed.
-        noise: Of the rows.
-        prior: Believed after the change.
-        known: Believed before it.
+        rows: Window that contains the change.
+        noise: Noise of the rows.
+        prior: Prior after the change.
+        known: Posterior before the change.
 
     Returns:
-        The number of newest rows after the change, and what they tell.
+        The number of rows after the change, and their posterior.
 
     """
-    splits = range(_FEWEST_ROWS, len(rows) + 1)
+    splits = range(_MIN_ROWS, len(rows) + 1)
     theta = np.array((*known.theta, 0.0, 0.0))
     costs, posteriors = [], []
     for count in splits:
@@ -121,9 +121,9 @@ def newest_regime(
 
 
 def _posterior(white: NDArray[np.float64], prior: WindowPrior) -> tuple[WindowPosterior, float]:
-    """Return the posterior, and the sum of squares that it leaves."""
+    """Return the posterior and the remaining sum of squares."""
     count = len(white)
-    # R, and below its diagonal the reflections: to be rid of them here is faster than to ask for R alone.
+    # The raw mode returns R with the reflectors below its diagonal; masking them here is faster than mode='r'.
     R = np.linalg.qr(np.concatenate((white * _COLUMNS, _prior_rows(prior))), mode='raw')[0].T
     inverse = _SCALE_ABC * np.linalg.inv(_UPPER * R[:5, :5])[:3]
     theta, P = inverse @ R[:5, 5], inverse @ inverse.T
@@ -133,7 +133,7 @@ def _posterior(white: NDArray[np.float64], prior: WindowPrior) -> tuple[WindowPo
 
 @lru_cache(maxsize=16)
 def _prior_rows(prior: WindowPrior) -> NDArray[np.float64]:
-    """Return the prior as rows beside those of the window, in the units of SCALE, shape (5, 6)."""
+    """Return the prior as additional rows in the units of SCALE, shape (5, 6)."""
     weights = SCALE / np.array(prior.std)
     rows = np.column_stack((np.diag(weights), weights * np.array((*prior.theta, 0.0, 0.0)) / SCALE))
     rows.flags.writeable = False
@@ -141,7 +141,7 @@ def _prior_rows(prior: WindowPrior) -> NDArray[np.float64]:
 
 
 def _whitened(rows: Sequence[Row], noise: RowNoise) -> NDArray[np.float64]:
-    """Return regressors and rest speeds with independent errors of unit variance, shape (n, 6)."""
+    """Return regressors and residual speeds with independent errors of unit variance, shape (n, 6)."""
     numbers = chain.from_iterable((*row.sums, row.rest) for row in rows)
     raw = np.fromiter(numbers, float, 6 * len(rows)).reshape(-1, 6)
     step = round(2.0 * _STEPS_PER_E * math.log(max(noise.walk, 1e-12) / noise.std))
