@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every registered algorithm over simulated days of different seeds, beside two measures."""
+"""Accuracy of every registered algorithm on simulated days of different seeds, with two reference methods."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.bounds import BrakeKalman, InformedWindows
-from benchmarks.days import believed_train, samples_of, simulated_day
+from benchmarks.days import assumed_train, samples_of, simulated_day
 from benchmarks.papers.seeds import over_seeds
 from benchmarks.tables import Table
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from trainid_ros.sim.truth import Truth
 
 Array = NDArray[np.float64]
-# Values, standard deviation, and whether fit to use, after one sample.
+# Values, standard deviation, and 1 if fit to use, after one sample.
 Row: TypeAlias = tuple[float, ...]
 Stepper: TypeAlias = Callable[['Sample'], Row]
 
@@ -45,7 +45,7 @@ _SPEEDS: Final = (10.0, 15.0)
 _AFTER_CHANGE_S: Final = 300.0
 _AFTER_BRAKE_S: Final = 7.0
 _MOVING: Final = 1.0
-# Slower than this a brake that is on is one being released at departure.
+# Below this speed an applied brake is one being released at departure [m/s].
 _DRIVING: Final = 3.0
 _CLOSE: Final = 0.1
 # Two-sided normal quantile of 95 %.
@@ -55,10 +55,10 @@ _CHANGES: Final = ('start', 'rain (a + 0.5)', 'drag (c + 20 %)')
 
 @dataclass(frozen=True, slots=True)
 class Trace:
-    """An estimate at every sample: values of shape (n, k), standard deviations of shape (n,), fit to use or not.
+    """Estimates at every sample: values of shape (n, k), standard deviations and fit-to-use flags of shape (n,).
 
-    For the resistance the values are a, b, c and the deviation is that of w at the current speed. ``cost_us`` is the
-    CPU time of one sample.
+    For the resistance the values are a, b, c and the standard deviation is that of w at the current speed [N/kN].
+    ``cost_us`` is the CPU time per sample [us].
     """
 
     values: Array
@@ -69,7 +69,7 @@ class Trace:
 
 @dataclass(frozen=True, slots=True)
 class Day:
-    """The samples of one day and what was true at each: time [s], speed [m/s], (a, b, c), brake rate, braking."""
+    """The samples of one day and the truth at each: time [s], speed [m/s], (a, b, c), brake rate [1], braking."""
 
     samples: tuple[Sample, ...]
     truth: Truth
@@ -81,7 +81,7 @@ class Day:
 
 
 @dataclass(frozen=True, slots=True)
-class Honesty:
+class Calibration:
     """Shares of errors within 1 and 1.96 published standard deviations, share of samples fit to use, CPU time [us]."""
 
     inside_68: float
@@ -92,32 +92,32 @@ class Honesty:
 
 @dataclass(frozen=True, slots=True)
 class ResistanceScore:
-    """Errors of w [N/kN] five minutes after each change, and how honest the deviations are.
+    """Errors of w [N/kN] five minutes after each change, and the calibration of the standard deviations.
 
     Attributes:
-        errors: Mean absolute error over 10 m/s, 15 m/s and the current speed, one per change.
+        errors: Mean absolute error over 10 m/s, 15 m/s and the last speed in motion, one per change [N/kN].
         close: Share of all these errors within 0.1 N/kN.
-        honesty: Of w at the current speed while moving.
+        calibration: Of w at the current speed while moving.
 
     """
 
     errors: tuple[float, ...]
     close: float
-    honesty: Honesty
+    calibration: Calibration
 
 
 @dataclass(frozen=True, slots=True)
 class BrakeScore:
-    """Absolute errors of the brake rate: 7 s after the first brake command on the move, and the mean from then on."""
+    """Absolute errors of the brake rate [1]: 7 s after the first brake command in motion, and the mean from then on."""
 
     early: float
     mean: float
-    honesty: Honesty
+    calibration: Calibration
 
 
 @dataclass(frozen=True, slots=True)
 class DayScores:
-    """All scores of one day, in the order of the registries; the measure of each job last."""
+    """All scores of one day, in the order of the registries; the reference method of each job last."""
 
     resistance: tuple[ResistanceScore, ...]
     speed_model: tuple[ResistanceScore, ...]
@@ -127,7 +127,7 @@ class DayScores:
 def measure() -> tuple[Table, ...]:
     """Score all seeds on all cores; return the tables."""
     scores = over_seeds(score_seed, SEEDS)
-    informed, kalman = 'windows, informed of changes', 'Kalman on v, a, b, f'
+    informed, kalman = 'windows, given the changes', 'Kalman on v, a, b, f'
     return (
         _resistance_table('Resistance', (*RESISTANCE.names, informed), [day.resistance for day in scores]),
         _resistance_table('Speed model', (*SPEED_MODEL.names, informed), [day.speed_model for day in scores]),
@@ -138,13 +138,13 @@ def measure() -> tuple[Table, ...]:
 def _resistance_table(title: str, names: Sequence[str], days: Sequence[Sequence[ResistanceScore]]) -> Table:
     rows = tuple(_resistance_row(name, [day[k] for day in days]) for k, name in enumerate(names))
     after = tuple(f'after {name}' for name in _CHANGES)
-    header = ('|error of w|, N/kN', *after, 'all', f'within {_CLOSE:g}', *_HONESTY)
+    header = ('|error of w|, N/kN', *after, 'all', f'within {_CLOSE:g}', *_CALIBRATION)
     note = (
         f'{len(days)} days, mean ± standard error over days. Five minutes after each change, mean over 10 m/s, '
-        '15 m/s and the speed last driven. Bands: w at the current speed, all moving samples that were fit to use, '
-        'so also right after a change. The last row is least squares over windows that starts anew from the train '
-        'file at every true change; it is no bound, since windows lose what raw speed shows. '
-        'CPU time is of this run, all cores at work.'
+        '15 m/s and the last speed in motion. Bands: coverage for w at the current speed, over all samples in motion '
+        'that were fit to use, including those right after a change. The last row is least squares over windows that '
+        'restarts from the train file at every true change; it is not a bound, since windows discard information of '
+        'the raw speed. CPU time of this run, with all cores in use.'
     )
     return Table(title, header, rows, note)
 
@@ -153,28 +153,33 @@ def _resistance_row(name: str, scores: Sequence[ResistanceScore]) -> tuple[str, 
     errors = np.array([score.errors for score in scores])
     columns = [*errors.T, errors.mean(axis=1)]
     close = _percent([score.close for score in scores])
-    return name, *(_spread(column) for column in columns), close, *_honesty([score.honesty for score in scores])
+    return (
+        name,
+        *(_spread(column) for column in columns),
+        close,
+        *_calibration_cells([score.calibration for score in scores]),
+    )
 
 
 def _brake_table(names: Sequence[str], days: Sequence[Sequence[BrakeScore]]) -> Table:
     rows = tuple(_brake_row(name, [day[k] for day in days]) for k, name in enumerate(names))
-    header = ('|error of the brake rate|', '7 s after the first brake', 'mean after', *_HONESTY)
+    header = ('|error of the brake rate|', '7 s after the first brake', 'mean after', *_CALIBRATION)
     note = (
-        'The filter on [v, a, b, f] is exact for a rate that drifts as the settings of GSMA say. Bands: all samples '
-        'that were fit to use, while braking.'
+        'The filter on [v, a, b, f] is exact for a rate that drifts as in the settings of GSMA. Bands: coverage over '
+        'all samples while braking that were fit to use.'
     )
     return Table('Brake rate', header, rows, note)
 
 
 def _brake_row(name: str, scores: Sequence[BrakeScore]) -> tuple[str, ...]:
     errors = (_spread(np.array([s.early for s in scores])), _spread(np.array([s.mean for s in scores])))
-    return name, *errors, *_honesty([score.honesty for score in scores])
+    return name, *errors, *_calibration_cells([score.calibration for score in scores])
 
 
-_HONESTY: Final = ('68 % band', '95 % band', 'fit to use', 'us a sample')
+_CALIBRATION: Final = ('68 % band', '95 % band', 'fit to use', 'us per sample')
 
 
-def _honesty(scores: Sequence[Honesty]) -> tuple[str, ...]:
+def _calibration_cells(scores: Sequence[Calibration]) -> tuple[str, ...]:
     inside = (_percent([s.inside_68 for s in scores]), _percent([s.inside_95 for s in scores]))
     usable, cost = np.mean([s.usable for s in scores]), np.mean([s.cost_us for s in scores])
     return *inside, f'{usable:.0%}', f'{cost:.0f}'
@@ -185,7 +190,7 @@ def _spread(values: Array) -> str:
 
 
 def _percent(shares: Sequence[float]) -> str:
-    """An algorithm that was never fit to use has no share."""
+    """Return mean and standard error in percent; "-" with fewer than two days on which the algorithm was fit to use."""
     values = 100.0 * np.array([share for share in shares if not math.isnan(share)])
     if len(values) < 2:
         return '-'
@@ -193,15 +198,15 @@ def _percent(shares: Sequence[float]) -> str:
 
 
 def score_seed(seed: int) -> DayScores:
-    """Simulate one day, run everything over it and score it."""
+    """Simulate one day, run all algorithms on it and score them."""
     day = _day(seed)
     change_ns = [day.truth.start_ns + round(row[0] * NS_PER_S) for row in day.truth.resistance]
-    informed = _trace(day, _informed_row(InformedWindows(believed_train(), VMilsConfig(), change_ns)))
-    beside = _score_resistance(informed, day)
-    kalman = _trace(day, _kalman_row(BrakeKalman(believed_train(), GsmaConfig())))
+    informed = _trace(day, _informed_row(InformedWindows(assumed_train(), VMilsConfig(), change_ns)))
+    reference = _score_resistance(informed, day)
+    kalman = _trace(day, _kalman_row(BrakeKalman(assumed_train(), GsmaConfig())))
     return DayScores(
-        resistance=(*(_score_resistance(trace, day) for trace in _traces(RESISTANCE, day, seed)), beside),
-        speed_model=(*(_score_resistance(trace, day) for trace in _traces(SPEED_MODEL, day, seed)), beside),
+        resistance=(*(_score_resistance(trace, day) for trace in _traces(RESISTANCE, day, seed)), reference),
+        speed_model=(*(_score_resistance(trace, day) for trace in _traces(SPEED_MODEL, day, seed)), reference),
         brake_rate=(*(_score_brake(trace, day) for trace in _traces(BRAKE_RATE, day, seed)), _score_brake(kalman, day)),
     )
 
@@ -217,7 +222,7 @@ def _day(seed: int) -> Day:
     samples, truth = samples_of(simulated.records), simulated.truth
     time_s = np.array([(sample.stamp_ns - truth.start_ns) / NS_PER_S for sample in samples])
     points = [truth.truth_at(t) for t in time_s]
-    known = BRAKE_RATE.make(BRAKE_RATE.choose(), believed_train(), np.random.default_rng(seed))
+    known = BRAKE_RATE.make(BRAKE_RATE.choose(), assumed_train(), np.random.default_rng(seed))
     return Day(
         samples=samples,
         truth=truth,
@@ -234,7 +239,7 @@ def _traces(algorithms: Algorithms[Any], day: Day, seed: int) -> Iterable[Trace]
 
 
 def _trace_of(algorithms: Algorithms[Any], name: str, day: Day, seed: int) -> Trace:
-    estimator = algorithms.make(algorithms.choose(name), believed_train(), np.random.default_rng(seed))
+    estimator = algorithms.make(algorithms.choose(name), assumed_train(), np.random.default_rng(seed))
     return _trace(day, _estimator_row(estimator))
 
 
@@ -263,8 +268,8 @@ def _shown(now: ResistanceEstimate | SpeedModelEstimate | BrakeRateEstimate, spe
 
 @cache
 def _acceleration_coefficient() -> float:
-    """Return the acceleration per specific force of the believed train [m/s^2 per N/kN]."""
-    return 1.0 / specific_inertia(1.0, believed_train().train.rotary_mass)
+    """Return the acceleration per specific force of the assumed train [m/s^2 per N/kN]."""
+    return 1.0 / specific_inertia(1.0, assumed_train().train.rotary_mass)
 
 
 def _informed_row(informed: InformedWindows) -> Stepper:
@@ -305,7 +310,7 @@ def _score_resistance(trace: Trace, day: Day) -> ResistanceScore:
     return ResistanceScore(
         errors=tuple(float(np.mean(row)) for row in errors),
         close=float(np.mean(np.array(errors) <= _CLOSE)),
-        honesty=_total_std(trace, error, moving),
+        calibration=_calibration(trace, error, moving),
     )
 
 
@@ -313,11 +318,11 @@ def _score_brake(trace: Trace, day: Day) -> BrakeScore:
     error = np.abs(trace.values[:, 0] - day.brake_rate)
     asked = np.array([sample.brake_command < 0.0 and sample.speed > _DRIVING for sample in day.samples])
     later = day.time_s >= day.time_s[int(np.argmax(asked))] + _AFTER_BRAKE_S
-    return BrakeScore(float(error[later][0]), float(error[later].mean()), _total_std(trace, error, day.braking))
+    return BrakeScore(float(error[later][0]), float(error[later].mean()), _calibration(trace, error, day.braking))
 
 
-def _total_std(trace: Trace, error: Array, counted: NDArray[np.bool_]) -> Honesty:
+def _calibration(trace: Trace, error: Array, counted: NDArray[np.bool_]) -> Calibration:
     used = counted & trace.usable
     error, std = error[used], trace.std[used]
     inside = [float(np.mean(error <= z * std)) if error.size else math.nan for z in (1.0, _SIGMA_95)]
-    return Honesty(inside[0], inside[1], float(np.mean(trace.usable)), trace.cost_us)
+    return Calibration(inside[0], inside[1], float(np.mean(trace.usable)), trace.cost_us)

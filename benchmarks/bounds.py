@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measures of accuracy: an exact Kalman filter of the brake rate, and least squares informed of every change.
+"""Reference methods: an exact Kalman filter of the brake rate, and least squares given the time of every change.
 
-The least squares are no bound: windows lose what raw speed shows, and a filter bank does better uninformed. Both use
-the settings, the speed noise and the windows of the estimators that they are a measure for. What GSMA learns besides,
-the size of the disturbance, the filter takes as declared.
+The least squares are not a bound: windows discard information of the raw speed, and a filter bank is more accurate
+without being given the changes. Both use the settings, speed noise and windows of the estimators that they are compared
+with. The size of the disturbance, which GSMA also estimates, is the declared one in the Kalman filter.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from trainid_ros.train.train_file import TrainFile
 
 _ANCHOR_STD_A: Final = 0.05
-# Scale and delay of the force are taken as known to this.
+# Standard deviations assumed for the scale [1] and the delay [s] of the force.
 _FORCE_ERROR: Final = 0.005
 _FORCE_SKEW: Final = 0.06
 
@@ -44,11 +44,11 @@ _FORCE_SKEW: Final = 0.06
 class BrakeKalman:
     """Kalman filter on x = [v, a, b, f]: speed, brake acceleration, disturbance and brake rate.
 
-    f enters linearly with known coefficients, so nothing is approximated. Unlike GSMA it also learns of f from
-    the samples between brakings, through the disturbance that both share.
+    f enters linearly with known coefficients, so the filter is exact. Unlike GSMA it also gains information about f
+    from samples between brakings, through the common disturbance.
 
     Attributes:
-        x: Mean, shape (4,).
+        x: Mean [m/s, m/s^2, m/s^2, 1], shape (4,).
         P: Covariance, shape (4, 4).
 
     """
@@ -65,7 +65,7 @@ class BrakeKalman:
         self.P = np.diag([0.0, 0.0, 0.0, config.prior_std**2])
 
     def step(self, sample: Sample) -> None:
-        """Take one sample in."""
+        """Process one sample."""
         for change in sample.brake_changes:
             self._commands = self._commands.push(change)
         self._noise = self._noise.add(sample.speed, sample.dt)
@@ -96,7 +96,7 @@ class BrakeKalman:
         return Phi
 
     def _anchor(self, sample: Sample, elapsed: float) -> None:
-        """Start v, a and b anew; f stands, its variance grows."""
+        """Reinitialise v, a and b; keep f and increase its variance by the drift."""
         config, target = self._config, self._target
         f, variance = self.x[3], self.P[3, 3] + config.drift**2 * elapsed
         self.x = np.array([sample.speed, f * target, 0.0, f])
@@ -110,7 +110,7 @@ class BrakeKalman:
         traction = self._known.traction(max(sample.force_mean, 0.0), sample)
         slack = config.force_error * traction / self._known.inertia
         white = (config.acceleration_noise**2 + slack**2) * dt
-        # f drifts before it acts, so its drift reaches v and a within the same step.
+        # f drifts before it acts, so its drift affects v and a within the same step.
         Q = np.diag([white, 0.0, config.disturbance_std**2 * (1.0 - rho * rho), 0.0])
         Q += config.drift**2 * dt * np.outer(Phi[:, 3], Phi[:, 3])
         resistance = self._known.track(sample) + davis(self._train_file.resistance, sample.speed)
@@ -138,12 +138,12 @@ class BrakeKalman:
 class InformedWindows:
     """Weighted least squares of the Davis parameters over all windows since the last true change.
 
-    It is informed when the truth changes and starts again from the prior of the train file then, since it does not
-    know which parameter has changed. Windows are those of V-MILS, weighed by their long-run variance.
+    It is given the times of the true changes and then restarts from the prior of the train file, since it does not
+    know which parameter has changed. Windows are those of V-MILS, weighted by their long-run variance.
 
     Attributes:
-        theta: Parameters a, b, c, shape (3,).
-        P: Their covariance, shape (3, 3).
+        theta: Parameters a, b, c [N/kN, v in m/s], shape (3,).
+        P: Covariance of theta, shape (3, 3).
 
     """
 
@@ -153,9 +153,9 @@ class InformedWindows:
         self._admission = Admission(self._known, config.min_speed)
         self._windows = SlidingWindow(config.window, config.hop)
         resistance = train_file.resistance
-        believed = (resistance.a, resistance.b, resistance.c)
-        self._theta0 = np.array(believed)
-        self._P0: NDArray[np.float64] = np.diag(prior_variances(believed, config))
+        prior = (resistance.a, resistance.b, resistance.c)
+        self._theta0 = np.array(prior)
+        self._P0: NDArray[np.float64] = np.diag(prior_variances(prior, config))
         self._since_ns = 0
         self._noise = SpeedNoise.declared(config.speed_std)
         self._begin()
@@ -170,7 +170,7 @@ class InformedWindows:
         self.theta: NDArray[np.float64] = self.P @ self._vector
 
     def step(self, sample: Sample) -> None:
-        """Take one sample in."""
+        """Process one sample."""
         if self._change_ns and sample.stamp_ns >= self._change_ns[0]:
             self._since_ns = self._change_ns.pop(0)
             self._begin()

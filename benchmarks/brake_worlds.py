@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Brake rate on independent drives of five kinds of train, with a right train file and with what is really unknown.
+"""Brake rate on independent drives of five kinds of train, clean and with the unknowns of real operation.
 
-Beside GSMA run the IMM, the Kalman filter, a least-squares fit with forgetting as one writes it on an afternoon, and
-an oracle: the Kalman filter that is given dead time, lag, resistance, mass, force and gradient of the truth, so that
-speed noise, gusts and the wandering of the brake rate itself are all that is left.
+GSMA is compared with the IMM, the Kalman filter, a simple least-squares fit with forgetting, and an oracle: the Kalman
+filter given the true dead time, lag, resistance, mass, force and gradient, so that only speed noise, gusts and the
+variation of the brake rate itself remain.
 """
 
 from __future__ import annotations
@@ -40,13 +40,13 @@ if TYPE_CHECKING:
 
 Array = NDArray[np.float64]
 
-# From here on seeds were never looked at while estimators were built.
+# Seeds from here on were not used during development of the estimators.
 _FIRST_SEED: Final = 1001
 METHODS: Final = ('GSMA', 'IMM', 'KF')
 SIMPLE, ORACLE = 'least squares', 'oracle'
 CONDITIONS: Final = {'clean': CLEAN, 'field': FIELD}
-# What the oracle of field data does not know.
-_SEEN_BY_NOBODY: Final = frozenset({'changes', 'gusts', 'quantum', 'wheels', 'brake'})
+# Unknowns that remain for the oracle on field data.
+_UNKNOWN_TO_ORACLE: Final = frozenset({'changes', 'gusts', 'quantum', 'wheels', 'brake'})
 _AFTER_S: Final = 7.0
 _DRIVING: Final = 3.0
 _SLOWEST: Final = 0.5
@@ -57,7 +57,7 @@ _SIGMA_95: Final = 1.959964
 
 @dataclass(frozen=True, slots=True)
 class Data:
-    """Samples of a drive, and of the truth at each brake rate, whether the brake acts, and whether the train moves."""
+    """Samples of a drive, and at each the true brake rate, whether the brake acts and whether the train moves."""
 
     samples: tuple[Sample, ...]
     rate: Array
@@ -70,11 +70,11 @@ class Score:
     """Scores of one method on one drive.
 
     Attributes:
-        error: Mean absolute error while the brake acts, from 7 s after the first braking on.
-        inside: Share of these errors within the 95 % band, of samples fit to use.
+        error: Mean absolute error while the brake acts, from 7 s after the first braking on [1].
+        inside: Share of these errors within the 95 % band, over samples that are fit to use.
         usable: Share of these samples that are fit to use.
-        minutes: Time in motion until the estimate was first fit to use [min]; infinite if it never was.
-        braked: The same until 7 s after the first braking.
+        minutes: Time in motion until the estimate is first fit to use [min]; infinite if it never is.
+        braked: Time in motion until 7 s after the first braking [min].
 
     """
 
@@ -89,7 +89,7 @@ Scores = dict[tuple[str, str, str], Score]
 
 
 class LeastSquares:
-    """Mean acceleration over five samples against the nominal brake, with a forgetting factor; no track error."""
+    """Least squares of mean accelerations over five samples on the nominal brake, with forgetting; no track error."""
 
     def __init__(self, train_file: TrainFile) -> None:
         self._file, self._known = train_file, KnownForce(train_file)
@@ -98,7 +98,7 @@ class LeastSquares:
         self.rate, self.P, self._noise = train_file.brake.rate, 0.2**2, 0.02**2
 
     def step(self, sample: Sample) -> tuple[float, float, float]:
-        """Take a sample in; return brake rate, standard deviation, and 1 if fit to use."""
+        """Process a sample; return brake rate, its standard deviation and 1 if fit to use."""
         for change in sample.brake_changes:
             self._commands = self._commands.push(change)
         start_ns, self._stamp_ns = self._stamp_ns or sample.stamp_ns, sample.stamp_ns
@@ -128,7 +128,7 @@ class LeastSquares:
 
 
 def measure(seeds: int) -> tuple[Table, ...]:
-    """Score all methods in all worlds over some seeds on all cores; return a table for each condition."""
+    """Score all methods in all worlds over the seeds, on all cores; return a table for each condition."""
     return measured(range(_FIRST_SEED, _FIRST_SEED + seeds))
 
 
@@ -173,8 +173,8 @@ def data_of(driven: Drive) -> Data:
 
 
 def oracle_data(world: str, seed: int, unknowns: Collection[str], driven: Drive) -> tuple[Data, TrainFile]:
-    """Return the samples of the same motion with all that the oracle is given, and its train file."""
-    known = driven if unknowns == CLEAN else drive(world, seed, _SEEN_BY_NOBODY & set(unknowns))
+    """Return the samples of the same motion with the truth data given to the oracle, and its train file."""
+    known = driven if unknowns == CLEAN else drive(world, seed, _UNKNOWN_TO_ORACLE & set(unknowns))
     vehicle, stated = draw_vehicle(KINDS[world], random_of(world, seed, 'train')), known.train_file
     delay = stated.brake.delay + known.truth.brake_delay_error
     brake = replace(stated.brake, delay=delay, time_constant=vehicle.brake_lag)
@@ -192,7 +192,7 @@ def _with_true_resistance(sample: Sample, known: Drive) -> Sample:
 
 
 def _run(estimator: Estimator[object], data: Data) -> Array:
-    """Return brake rate, standard deviation and whether fit to use after each sample, shape (n, 3)."""
+    """Return brake rate, its standard deviation and 1 if fit to use after each sample, shape (n, 3)."""
     rows = []
     for sample in data.samples:
         answer = estimator.step(sample)
@@ -223,13 +223,14 @@ def _table(condition: str, scores: Sequence[Scores]) -> Table:
     rows = tuple(
         _row(f'{world}, {name}', [one[condition, world, name] for one in scores]) for world in WORLDS for name in names
     )
-    times = ('min to fit', 'fit in 15 min', 'min to first braking')
+    times = ('min to fit to use', 'fit within 15 min', 'min to first braking')
     header = ('|error of the brake rate|', 'mean', '95 % band', 'fit to use', *times)
     note = (
         f'{len(scores)} drives of about an hour in each world, mean ± standard error over drives. Errors count while '
-        f'the brake acts, from {_AFTER_S:g} s after the first braking on; the band where fit to use. Times are minutes '
-        'of motion, longest of all drives. The oracle is given dead time, lag, resistance, mass, force and gradient. '
-        'GSMA, IMM and KF have states for the kinds of error that these worlds have, not for their sizes.'
+        f'the brake acts, from {_AFTER_S:g} s after the first braking on; band coverage over samples fit to use. '
+        'Times are minutes of motion, the longest over all drives. The oracle is given dead time, lag, resistance, '
+        'mass, force and gradient. GSMA, IMM and KF model the kinds of error of these worlds but are not given their '
+        'sizes.'
     )
     return Table(f'Brake rate in five worlds: {condition}', header, rows, note)
 

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""CPU time of one step of everything that runs per tick or per record, beside a plain RLS in the same run.
+"""CPU time per tick or record of all estimators and pipelines, compared with a plain RLS in the same run.
 
-The clock counts the CPU time of this thread only, so others on the machine do not enter directly; how fast
-the machine goes while they run still does, which is why all subjects take turns in short blocks and why the
-ratio to the reference is the number to compare.
+The clock counts the CPU time of this thread only, so other load does not enter directly but still affects the speed
+of the machine. Therefore all subjects take turns in short blocks, and the ratio to the reference is the number to
+compare.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from benchmarks.days import believed_train, simulated_day, ticks_of
+from benchmarks.days import assumed_train, simulated_day, ticks_of
 from benchmarks.tables import Table
 from trainid_ros.core.alignment import Aligner, AlignmentConfig
 from trainid_ros.core.results import Rejection
@@ -39,7 +39,7 @@ _REFERENCE: Final = 'reference: plain RLS, 3 parameters'
 
 @dataclass(frozen=True, slots=True)
 class Subject:
-    """Something to time: what it is given, call by call."""
+    """A function to time, with the argument of each call."""
 
     name: str
     items: Sequence[Any]
@@ -48,26 +48,26 @@ class Subject:
 
 @dataclass(frozen=True, slots=True)
 class Cost:
-    """CPU time of one call in microseconds; ``worked`` are those calls that were not refused."""
+    """CPU time of one call [us]; ``accepted_...`` over the calls whose sample was not rejected."""
 
     name: str
     calls: int
     mean: float
     p50: float
     p99: float
-    worked_share: float
-    worked_p50: float
+    accepted_share: float
+    accepted_p50: float
 
 
 class PlainRls:
-    """Recursive least squares on [1, v, v^2] as one writes it with numpy: the measure for all others."""
+    """Recursive least squares on [1, v, v^2] in plain numpy, the reference."""
 
     def __init__(self) -> None:
         self.theta = np.zeros(3)
         self.P = np.eye(3) * 1e3
 
     def step(self, sample: Sample) -> float:
-        """Take one sample in; return its innovation."""
+        """Process one sample; return its innovation."""
         phi = np.array([1.0, sample.speed, sample.speed * sample.speed])
         K = self.P @ phi / (1.0 + phi @ self.P @ phi)
         error = float(sample.gradient_mean - phi @ self.theta)
@@ -80,10 +80,10 @@ def measure() -> tuple[Table, ...]:
     """Time all subjects; return the table."""
     costs = time_in_turns(_subjects())
     reference = next(cost for cost in costs if cost.name == _REFERENCE)
-    header = ('us of CPU time', 'calls', 'mean', 'p50', 'p99', 'mean / reference', 'worked', 'p50 worked')
+    header = ('us of CPU time', 'calls', 'mean', 'p50', 'p99', 'mean / reference', 'accepted', 'p50 accepted')
     rows = tuple(_row(cost, reference) for cost in costs)
     note = (
-        f'Day of seed {_SEED}. "worked": calls whose sample was not refused (standstill, brake acting or not acting). '
+        f'Day of seed {_SEED}. "accepted": calls whose sample was not rejected (at standstill, brake on or off). '
         'A tick is the four or five records that complete one sample.'
     )
     return (Table('CPU time of one call', header, rows, note),)
@@ -91,11 +91,11 @@ def measure() -> tuple[Table, ...]:
 
 def _row(cost: Cost, reference: Cost) -> tuple[str, ...]:
     numbers = (f'{value:.1f}' for value in (cost.mean, cost.p50, cost.p99, cost.mean / reference.mean))
-    return cost.name, str(cost.calls), *numbers, f'{cost.worked_share:.0%}', f'{cost.worked_p50:.1f}'
+    return cost.name, str(cost.calls), *numbers, f'{cost.accepted_share:.0%}', f'{cost.accepted_p50:.1f}'
 
 
 def _subjects() -> tuple[Subject, ...]:
-    train, settings = believed_train(), EstimatorSettings()
+    train, settings = assumed_train(), EstimatorSettings()
     records = simulated_day(_SEED).records
     ticks = ticks_of(records)
     samples = [tick.sample for tick in ticks]
@@ -122,28 +122,28 @@ def _push_all(push: Callable[[Any], object]) -> Callable[[TickOfRecords], object
 
 
 def time_in_turns(subjects: Sequence[Subject]) -> tuple[Cost, ...]:
-    """Time every call of every subject, block by block in turns."""
+    """Time every call of all subjects, taking turns block by block."""
     times: list[list[int]] = [[] for _ in subjects]
-    worked: list[list[bool]] = [[] for _ in subjects]
+    accepted: list[list[bool]] = [[] for _ in subjects]
     longest = max(len(subject.items) for subject in subjects)
     overhead = _clock_cost()
     gc.disable()
     for start in range(0, longest, _BLOCK):
-        for subject, spent, fine in zip(subjects, times, worked, strict=True):
-            _time_block(subject, start, spent, fine)
+        for subject, spent, accepted_calls in zip(subjects, times, accepted, strict=True):
+            _time_block(subject, start, spent, accepted_calls)
         gc.collect()
     gc.enable()
-    results = zip(subjects, times, worked, strict=True)
-    return tuple(_summary(subject.name, spent, fine, overhead) for subject, spent, fine in results)
+    results = zip(subjects, times, accepted, strict=True)
+    return tuple(_summary(subject.name, spent, accepted_calls, overhead) for subject, spent, accepted_calls in results)
 
 
-def _time_block(subject: Subject, start: int, spent: list[int], fine: list[bool]) -> None:
+def _time_block(subject: Subject, start: int, spent: list[int], accepted_calls: list[bool]) -> None:
     call, clock = subject.call, time.thread_time_ns
     for item in subject.items[start : start + _BLOCK]:
         before = clock()
         result = call(item)
         spent.append(clock() - before)
-        fine.append(not isinstance(result, Rejection))
+        accepted_calls.append(not isinstance(result, Rejection))
 
 
 def _clock_cost() -> float:
@@ -151,8 +151,8 @@ def _clock_cost() -> float:
     return float(np.median([-(clock() - clock()) for _ in range(20_000)]))
 
 
-def _summary(name: str, spent: list[int], fine: list[bool], overhead: float) -> Cost:
+def _summary(name: str, spent: list[int], accepted_calls: list[bool], overhead: float) -> Cost:
     us = np.maximum(np.array(spent, dtype=np.float64) - overhead, 0.0) / 1e3
-    good = np.array(fine)
+    good = np.array(accepted_calls)
     p50, p99 = np.percentile(us, (50.0, 99.0))
     return Cost(name, len(us), float(us.mean()), float(p50), float(p99), float(good.mean()), float(np.median(us[good])))

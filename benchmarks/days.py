@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The simulated day of Yizhuang as records, as ticks and as aligned samples."""
+"""The simulated day on the Yizhuang line as records, ticks and aligned samples."""
 
 from __future__ import annotations
 
@@ -27,25 +27,25 @@ TRAIN_FILE: Final = REPOSITORY / 'config' / 'trains' / 'yizhuang.yaml'
 
 @dataclass(frozen=True, slots=True)
 class TickOfRecords:
-    """The records since the last sample; the last of them completes ``sample``."""
+    """The records since the last sample; the last record completes ``sample``."""
 
     records: tuple[Record, ...]
     sample: Sample
 
 
-def believed_train() -> TrainFile:
-    """Return the train file that the estimators start from."""
+def assumed_train() -> TrainFile:
+    """Return the train file given to the estimators."""
     return load_train_file(TRAIN_FILE)
 
 
 @cache
 def simulated_day(seed: int) -> Simulation:
-    """Return one day; the same seed gives the same day."""
-    return simulate(yizhuang_day(believed_train()), np.random.default_rng(seed))
+    """Return one simulated day; equal seeds give equal days."""
+    return simulate(yizhuang_day(assumed_train()), np.random.default_rng(seed))
 
 
 def ticks_of(records: Iterable[Record]) -> tuple[TickOfRecords, ...]:
-    """Return the records grouped by the sample that they complete."""
+    """Return the records grouped by the sample they complete."""
     aligner, ticks, waiting = Aligner(AlignmentConfig()), [], []
     for record in records:
         waiting.append(record)

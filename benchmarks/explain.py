@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The discrepancy workflow on hidden cases: ``python -m benchmarks.explain --generator A --cases 60 --seed 3``.
+"""Run the discrepancy workflow on hidden cases: ``python -m benchmarks.explain --generator A --cases 60 --seed 3``.
 
-Prints a line for each case and the tables. The workflow gets bags and the believed train file; only the scoring
-opens the truth.
+Prints one line per case, then the tables. The workflow gets the bags and the assumed train file; only the scoring
+reads the truth.
 """
 
 from __future__ import annotations
@@ -15,16 +15,16 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-# Set before numpy loads, here and in the processes that are started.
+# Must be set before numpy loads, here and in child processes.
 os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
 
 from benchmarks.explain_cases import GENERATORS, Generator, draw_specs
 from benchmarks.explain_plots import gap_plot, visibility_plot
 from benchmarks.explain_score import (
+    acceptable,
     alarmed,
     both,
     exact,
-    honest,
     parameter_errors,
     visible,
     within_two,
@@ -46,51 +46,53 @@ _PROGRESS_EVERY: Final = 10
 
 
 def measure(seeds: int) -> list[Table | Plot]:
-    """Score five cases of the first generator and two and a half of the second for each seed."""
-    told = {generator: _scored(generator, round(each * seeds)) for generator, each in _CASES_PER_SEED.items()}
-    everything = [outcome for of_one in told.values() for outcome in of_one]
+    """Score five cases of generator A and 2.5 of generator B per seed."""
+    by_generator = {generator: _scored(generator, round(each * seeds)) for generator, each in _CASES_PER_SEED.items()}
+    everything = [outcome for of_one in by_generator.values() for outcome in of_one]
     tables: list[Table | Plot] = [targets(everything, 'both generators')]
-    for generator, of_one in told.items():
+    for generator, of_one in by_generator.items():
         title = f'generator {generator}'
         tables += [targets(of_one, title), *tables_of(of_one, title)]
     return [*tables, visibility_plot(everything), gap_plot(everything)]
 
 
 def _scored(generator: Generator, count: int) -> list[Outcome]:
-    told: list[Outcome] = []
+    done: list[Outcome] = []
     for outcome in outcomes(draw_specs(generator, _SEED, count), _JOBS):
-        told.append(outcome)
-        if not len(told) % _PROGRESS_EVERY:
-            print(f'generator {generator}: {len(told)} of {count} cases', file=sys.stderr, flush=True)
-    # In the order of names and seeds, so that the tables do not depend on which process was faster.
-    return sorted(told, key=lambda outcome: (outcome.spec.name, outcome.spec.seed))
+        done.append(outcome)
+        if not len(done) % _PROGRESS_EVERY:
+            print(f'generator {generator}: {len(done)} of {count} cases', file=sys.stderr, flush=True)
+    # Sorted by name and seed, so that the tables do not depend on the order of completion.
+    return sorted(done, key=lambda outcome: (outcome.spec.name, outcome.spec.seed))
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Run the cases that the arguments ask for."""
+    """Run the selected cases."""
     parser = argparse.ArgumentParser(prog='python -m benchmarks.explain', description=__doc__.splitlines()[0])
     parser.add_argument('--generator', choices=GENERATORS, default='A')
     parser.add_argument('--cases', type=int, default=60, metavar='N')
     parser.add_argument('--seed', type=int, default=1)
-    parser.add_argument('--names', default='', metavar='A,B', help='only these, in turn; pairs joined by +')
-    parser.add_argument('--jobs', type=int, default=_JOBS, metavar='N', help='processes; 1 stays in this one')
-    parser.add_argument('--json', type=Path, metavar='FILE', help='write all outcomes down')
+    parser.add_argument('--names', default='', metavar='A,B', help='effect names to use in turn; pairs joined by +')
+    parser.add_argument(
+        '--jobs', type=int, default=_JOBS, metavar='N', help='number of processes; 1 runs in this process'
+    )
+    parser.add_argument('--json', type=Path, metavar='FILE', help='write all outcomes to this file')
     args = parser.parse_args(arguments)
     specs = draw_specs(args.generator, args.seed, args.cases, tuple(filter(None, args.names.split(','))))
-    told = []
+    done = []
     for outcome in outcomes(specs, args.jobs):
-        told.append(outcome)
-        print(f'{len(told)}/{len(specs)} {line_of(outcome)}', flush=True)
+        done.append(outcome)
+        print(f'{len(done)}/{len(specs)} {line_of(outcome)}', flush=True)
     title = f'generator {args.generator}'
-    for table in (*tables_of(told, title), targets(told, title)):
+    for table in (*tables_of(done, title), targets(done, title)):
         print(f'\n{as_text(table)}')
     if args.json:
-        args.json.write_text(json.dumps([asdict(outcome) for outcome in told], indent=1) + '\n', encoding='utf-8')
+        args.json.write_text(json.dumps([asdict(outcome) for outcome in done], indent=1) + '\n', encoding='utf-8')
     return 0
 
 
 def line_of(outcome: Outcome) -> str:
-    """Return one case in a line."""
+    """Return a one-line summary of a case."""
     answer = outcome.answer
     found = ' + '.join(
         f'{one.name}[{one.evidence:.0f}]' + ''.join(f'~{twin}' for twin in one.twins) for one in outcome.found
@@ -111,17 +113,17 @@ def line_of(outcome: Outcome) -> str:
 
 
 def mark(outcome: Outcome) -> str:
-    """Return how an outcome fared: right, set (among two), part (one of two), (unseen) where too small, WRONG."""
+    """Return the mark of an outcome: right, set (truth among two names), WRONG or ALARM; in brackets if not visible."""
     kind = outcome.answer.kind
     if kind == 'none':
         return 'ALARM' if alarmed(outcome) else 'right'
     if kind == 'outside':
-        fared = 'right' if honest(outcome) else 'WRONG'
+        result = 'right' if acceptable(outcome) else 'WRONG'
     elif exact(outcome) or (kind == 'pair' and both(outcome)):
-        fared = 'right'
+        result = 'right'
     else:
-        fared = 'set' if within_two(outcome) else 'WRONG'
-    return fared if visible(outcome) else f'({fared.lower()})'
+        result = 'set' if within_two(outcome) else 'WRONG'
+    return result if visible(outcome) else f'({result.lower()})'
 
 
 if __name__ == '__main__':

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hidden cases of both generators in one form: what the workflow gets, and what the scoring holds against it."""
+"""Hidden cases of both generators in one form: input of the workflow, and truth for the scoring."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _CONTAMINATION_B: Final = {'outliers': 'outliers', 'dropouts': 'dropouts', 'slip
 
 @dataclass(frozen=True, slots=True)
 class Spec:
-    """Which case: generator, name and seed make it again."""
+    """Identification of a case; generator, name and seed reproduce it."""
 
     generator: Generator
     name: str
@@ -34,8 +34,8 @@ class HiddenEffect:
 
     Attributes:
         name: Its name.
-        parameters: (name, value) of those that an estimate may be held against.
-        near: For effects outside the library, names that would be an honest generic answer.
+        parameters: (name, value) of those that an estimate may be compared with.
+        near: For effects outside the library, acceptable generic names.
         visible: How much it raises the gap over the noise floor [%].
 
     """
@@ -54,10 +54,10 @@ class Answer:
         kind: none, single, pair or outside.
         effects: What is hidden.
         visible: How much all effects raise the gap over the noise floor [%].
-        floor: Speed gap that noise leaves of the right model, by the generator [m/s].
+        floor: RMS speed gap of the true model due to noise, by the generator [m/s].
         one_way: All runs go up the line.
         contamination: Any of outliers, dropouts, slip.
-        flags: Further circumstances in words.
+        flags: Names of further circumstances.
 
     """
 
@@ -72,15 +72,15 @@ class Answer:
 
 @dataclass(frozen=True, slots=True)
 class Opened:
-    """A case that was made; the workflow gets the first two alone."""
+    """A generated case; the workflow gets only the train file and the bags."""
 
-    believed: str
+    train_yaml: str
     bags: tuple[tuple[Record, ...], ...]
     answer: Answer
 
 
 def draw_specs(generator: Generator, seed: int, count: int, names: Sequence[str] = ()) -> tuple[Spec, ...]:
-    """Return a mix of cases as the generator draws it, or some names in turn."""
+    """Return a mix of cases drawn by the generator, or the given names in turn."""
     if names:
         turns = islice(cycle(names), count)
         return tuple(Spec(generator, name, seed * 100_003 + k // len(names)) for k, name in enumerate(turns))
@@ -89,7 +89,7 @@ def draw_specs(generator: Generator, seed: int, count: int, names: Sequence[str]
 
 
 def open_case(spec: Spec) -> Opened:
-    """Make a case."""
+    """Generate a case."""
     return _case_a(spec) if spec.generator == 'A' else _case_b(spec)
 
 
@@ -102,7 +102,7 @@ def _case_a(spec: Spec) -> Opened:
     )
     flags = () if truth.mass_topic else ('no_mass_topic',)
     answer = Answer(truth.kind, effects, truth.visible_percent, truth.floor, truth.one_way, truth.contamination, flags)
-    return Opened(case.believed, case.bags, answer)
+    return Opened(case.train_yaml, case.bags, answer)
 
 
 def _case_b(spec: Spec) -> Opened:
@@ -117,7 +117,7 @@ def _case_b(spec: Spec) -> Opened:
         )
         for name in truth.effects
     )
-    contamination = tuple(word for flag, word in _CONTAMINATION_B.items() if flag in truth.flags)
+    contamination = tuple(name for flag, name in _CONTAMINATION_B.items() if flag in truth.flags)
     flags = (truth.service, *(flag for flag in truth.flags if flag != 'one_way' and flag not in _CONTAMINATION_B))
     answer = Answer(truth.kind, effects, truth.visible, truth.gap.floor, 'one_way' in truth.flags, contamination, flags)
     return Opened(case.train_yaml, case.bags, answer)

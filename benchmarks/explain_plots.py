@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How the chance of being named grows with the size of an effect, and what is left of the gap."""
+"""Plots of the identification rate over the visibility of an effect, and of the remaining gap."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _TICKS: Final = (0.5, 1.0, 2.0, 5.0, 10.0)
 
 
 def visibility_plot(outcomes: Sequence[Outcome]) -> Plot:
-    """Return how often single effects are named, over how visible they are."""
+    """Return the share of single effects identified, over their visibility."""
     figure = Figure(figsize=(8.0, 3.6), layout='constrained')
     axes = figure.subplots()
     single = [one for one in outcomes if one.answer.kind == 'single']
@@ -40,12 +40,12 @@ def visibility_plot(outcomes: Sequence[Outcome]) -> Plot:
     axes.set_ylim(0.0, 105.0)
     axes.set_ylabel('of the cases, %')
     axes.legend()
-    note = 'Single effects of both generators, 95 % intervals. The targets count what is right of the dotted line.'
-    return Plot('explain_visibility', 'Named right, by how visible the effect is', figure, note)
+    note = 'Single effects of both generators, 95 % intervals. The targets count cases to the right of the dotted line.'
+    return Plot('explain_visibility', 'Correctly named effects by visibility', figure, note)
 
 
 def gap_plot(outcomes: Sequence[Outcome]) -> Plot:
-    """Return the gap before and after over the noise floor, for single effects named right."""
+    """Return the gap before and after over the noise floor, for correctly named single effects."""
     figure = Figure(figsize=(8.0, 3.6), layout='constrained')
     axes = figure.subplots()
     right = [one for one in outcomes if one.answer.kind == 'single' and exact(one)]
@@ -61,5 +61,5 @@ def gap_plot(outcomes: Sequence[Outcome]) -> Plot:
     axes.set_xlabel('held-out gap / noise floor')
     axes.set_ylabel('of the cases below, %')
     axes.legend()
-    note = 'Single effects of both generators that were named right. Dotted: 10 % above the floor.'
+    note = 'Correctly named single effects of both generators. Dotted: 10 % above the floor.'
     return Plot('explain_gap', 'Held-out gap before and after the effect is added', figure, note)

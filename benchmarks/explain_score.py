@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What counts as right: an outcome of the workflow held against the truth."""
+"""Score outcomes of the workflow against the truth."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ if TYPE_CHECKING:
     from benchmarks.explain_trial import Named, Outcome
 
 VISIBLE: Final = 20.0
-"""Percent by which an effect must raise the gap over the noise floor to be asked for."""
+"""Least rise of the gap over the noise floor at which an effect counts [%]."""
 GENERIC: Final = frozenset({'local_drag', 'resistance_step'})
-"""Names that claim no mechanism, so honest for what no effect of the library describes."""
+"""Names that imply no mechanism, so acceptable for effects outside the library."""
 _Z95: Final = 1.959964
 _WITHOUT_NAME: Final = frozenset({'no_gap', 'unexplained', CRASHED})
 _SLIP: Final = 'wheel_slip'
@@ -25,7 +25,7 @@ _SLIP: Final = 'wheel_slip'
 
 @dataclass(frozen=True, slots=True)
 class Rate:
-    """How many of how many."""
+    """A number of hits among a number of cases."""
 
     hits: int
     cases: int
@@ -47,7 +47,7 @@ class Rate:
 
 
 def rate(outcomes: Iterable[Outcome], holds: Callable[[Outcome], bool]) -> Rate:
-    """Return of how many outcomes a statement holds."""
+    """Return the rate of outcomes for which a predicate holds."""
     answers = [holds(outcome) for outcome in outcomes]
     return Rate(sum(answers), len(answers))
 
@@ -57,18 +57,18 @@ def truth_names(outcome: Outcome) -> tuple[str, ...]:
 
 
 def visible(outcome: Outcome) -> bool:
-    """Each of the effects moves the gap enough to be asked for."""
+    """True if all effects together and each alone raise the gap by at least ``VISIBLE``."""
     return outcome.answer.visible >= VISIBLE and all(one.visible >= VISIBLE for one in outcome.answer.effects)
 
 
 def slip_excused(outcome: Outcome) -> bool:
-    """The data are spoiled by slip beside what is hidden, and the workflow says so: that is right."""
+    """True if slip is reported that contaminates the data without being a hidden effect: this is correct."""
     spoiled = 'slip' in outcome.answer.contamination and _SLIP not in truth_names(outcome)
     return spoiled and any(effect.name == _SLIP for effect in outcome.found)
 
 
 def named(outcome: Outcome) -> tuple[Named, ...]:
-    """Return the effects named, without slip that spoils the data beside what is hidden."""
+    """Return the effects named, without correctly reported slip contamination."""
     excused = slip_excused(outcome)
     return tuple(effect for effect in outcome.found if not (excused and effect.name == _SLIP))
 
@@ -81,20 +81,20 @@ def reported(outcome: Outcome) -> tuple[str, ...]:
 
 
 def alarmed(outcome: Outcome) -> bool:
-    """Anything but "no gap" is a false alarm where there is no effect."""
+    """True if the outcome is a false alarm on a case without effect: anything but "no gap"."""
     if named(outcome) or outcome.verdict in {'unexplained', CRASHED}:
         return True
     return outcome.verdict != 'no_gap' and not slip_excused(outcome)
 
 
 def exact(outcome: Outcome) -> bool:
-    """What was named is the truth, no less and no more."""
+    """True if exactly the hidden effects were named."""
     names = {effect.name for effect in named(outcome)}
     return outcome.verdict not in _WITHOUT_NAME and names == set(truth_names(outcome))
 
 
 def within_two(outcome: Outcome) -> bool:
-    """The truth is among at most two names reported."""
+    """True if at most two names were reported and the truth is among them."""
     names = reported(outcome)
     return outcome.verdict not in _WITHOUT_NAME and len(names) <= 2 and set(truth_names(outcome)) <= set(names)
 
@@ -109,16 +109,16 @@ def both(outcome: Outcome) -> bool:
 
 
 def generic(outcome: Outcome) -> bool:
-    """Unexplained, or only names that claim no mechanism."""
-    return _total_std(outcome, frozenset())
+    """True if unexplained, or only names that imply no mechanism."""
+    return _only_names(outcome, frozenset())
 
 
-def honest(outcome: Outcome) -> bool:
-    """Unexplained, or only names that are near to what is hidden or claim no mechanism."""
-    return _total_std(outcome, frozenset(name for effect in outcome.answer.effects for name in effect.near))
+def acceptable(outcome: Outcome) -> bool:
+    """True if unexplained, or only names that imply no mechanism or are near to the hidden effect."""
+    return _only_names(outcome, frozenset(name for effect in outcome.answer.effects for name in effect.near))
 
 
-def _total_std(outcome: Outcome, near: frozenset[str]) -> bool:
+def _only_names(outcome: Outcome, near: frozenset[str]) -> bool:
     if outcome.verdict == 'unexplained':
         return True
     names = {effect.name for effect in named(outcome)}
@@ -128,8 +128,7 @@ def _total_std(outcome: Outcome, near: frozenset[str]) -> bool:
 def parameter_errors(outcome: Outcome) -> tuple[tuple[str, float], ...]:
     """Return (effect.parameter, error in its own std) of all named effects that are in the data.
 
-    Of a name that was given more than once only the strongest counts. A parameter without a usable std is infinitely
-    wrong: it claims nothing that one could hold it to.
+    Of a name reported more than once only the strongest counts. A parameter without a usable std has an infinite error.
     """
     truth = {effect.name: dict(effect.parameters) for effect in outcome.answer.effects}
     strongest = {effect.name: effect for effect in reversed(named(outcome))}
@@ -150,16 +149,16 @@ def within_std(errors: Sequence[float]) -> Rate:
 
 
 def rms(errors: Sequence[float]) -> float:
-    """Return the rms of the finite ones, NaN without."""
+    """Return the rms of the finite errors, NaN if there are none."""
     finite = [error for error in errors if math.isfinite(error)]
     return math.sqrt(sum(error * error for error in finite) / len(finite)) if finite else math.nan
 
 
 def over_floor(outcome: Outcome) -> float:
-    """Return the gap after over the noise floor, NaN where nothing was held out."""
+    """Return the ratio of the gap after to the noise floor, NaN if no run was held out."""
     return math.nan if outcome.gap is None else outcome.gap[1] / outcome.gap[2]
 
 
 def seconds_for_eight(outcome: Outcome) -> float:
-    """Return CPU time from aligned records to the explanation, for eight runs [s]."""
+    """Return the CPU time from aligned records to the explanation, scaled to eight runs [s]."""
     return outcome.explain_s * 8.0 / max(outcome.runs, 1)

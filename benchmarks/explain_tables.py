@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of the workflow on hidden cases."""
+"""Tables of the discrepancy workflow on hidden cases."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ import numpy as np
 from benchmarks.explain_score import (
     VISIBLE,
     Rate,
+    acceptable,
     alarmed,
     both,
     exact,
     found_of_truth,
     generic,
-    honest,
     named,
     over_floor,
     parameter_errors,
@@ -49,7 +49,7 @@ def tables_of(outcomes: Outcomes, title: str) -> list[Table]:
 
 
 def targets(outcomes: Outcomes, title: str) -> Table:
-    """Return what must be reached, what was, and whether."""
+    """Return targets, reached values and whether each target is met."""
     shown = [one for one in outcomes if visible(one)]
     single, pair, outside = (_kind(shown, kind) for kind in ('single', 'pair', 'outside'))
     errors = [error for one in outcomes for _, error in parameter_errors(one)]
@@ -60,22 +60,22 @@ def targets(outcomes: Outcomes, title: str) -> Table:
         _target('exact name, single effects', rate(single, exact), 0.85),
         _target('truth in a reported set of at most two, single effects', rate(single, within_two), 0.95),
         _target('both of two', rate(pair, both), 0.75),
-        _target('outside the library: unexplained or an honest name', rate(outside, honest), 0.80),
+        _target('outside the library: unexplained or an acceptable name', rate(outside, acceptable), 0.80),
         _target('parameters within 2 of their std', within_std(errors), 0.90),
-        _limit('gap after / noise floor, single effects named right: median', _quantile(ratios, 0.5), _SLACK, ''),
-        _limit('CPU time for 8 runs: 90 % below', _quantile(times, 0.9), 3.0, ' s'),
+        _limit('gap after / noise floor, correctly named single effects: median', _quantile(ratios, 0.5), _SLACK, ''),
+        _limit('CPU time for 8 runs: 90th percentile', _quantile(times, 0.9), 3.0, ' s'),
         _limit('crashes', float(sum(one.verdict == CRASHED for one in outcomes)), 0.0, ''),
     ]
     note = (
         f'In brackets the number of cases and the 95 % interval. Single effects, pairs and effects outside the library '
-        f'count where each raises the gap by >= {VISIBLE:.0f} %. Wheel slip named where slip spoils the data is right. '
-        f'Gap after / floor: {_within_slack(ratios)} of these cases are within 10 %.'
+        f'count if each raises the gap by >= {VISIBLE:.0f} %. Naming wheel slip is correct if slip contaminates the '
+        f'data. Gap after / floor: {_within_slack(ratios)} of these cases are within 10 %.'
     )
-    return Table(f'Targets, {title}', ('what must be reached', 'target', 'reached', 'met?'), tuple(rows), note)
+    return Table(f'Targets, {title}', ('quantity', 'target', 'reached', 'met?'), tuple(rows), note)
 
 
 def singles(outcomes: Outcomes, title: str) -> Table:
-    """Return a row per effect of the library."""
+    """Return a table with a row per effect of the library."""
     cases = _kind(outcomes, 'single')
     header = (
         'effect',
@@ -95,8 +95,8 @@ def singles(outcomes: Outcomes, title: str) -> Table:
     rows = [_single_row(name, _of(cases, name)) for name in sorted({truth_names(one)[0] for one in cases})]
     rows += [_single_row('all', cases)] if cases else []
     note = (
-        f'Visible: raises the gap by >= {VISIBLE:.0f} %; exact and set count those. Errors of parameters of all cases '
-        'in which the effect was named. Gaps: medians over visible cases, on held-out runs. Time: CPU, as it is.'
+        f'Visible: raises the gap by >= {VISIBLE:.0f} %; exact and set: visible cases. Parameter errors: all cases '
+        'in which the effect was named. Gaps: medians over visible cases, on held-out runs. Time: CPU, not scaled.'
     )
     return Table(f'Single effects, {title}', header, tuple(rows), note)
 
@@ -123,7 +123,7 @@ def _single_row(name: str, cases: Outcomes) -> tuple[str, ...]:
 
 
 def nothing_hidden(outcomes: Outcomes, title: str) -> Table:
-    """Return a row per verdict on cases in which nothing is hidden."""
+    """Return a table with a row per verdict on cases without hidden effect."""
     cases = _kind(outcomes, 'none')
     counts = Counter(f'{one.verdict}: {_formatted(one)}' if named(one) else one.verdict for one in cases)
     rows = [('false alarms', _long(rate(cases, alarmed)))] if cases else []
@@ -132,7 +132,7 @@ def nothing_hidden(outcomes: Outcomes, title: str) -> Table:
 
 
 def pairs(outcomes: Outcomes, title: str) -> Table:
-    """Return how pairs fared."""
+    """Return the table of pairs of effects."""
     cases = _kind(outcomes, 'pair')
     shown = [one for one in cases if visible(one)]
     rows = [
@@ -147,20 +147,28 @@ def pairs(outcomes: Outcomes, title: str) -> Table:
         for text, chosen in (('both visible', shown), ('all', cases))
         if cases
     ]
-    header = ('pairs', 'cases', 'both found', 'both and no other', 'one found', 'none found')
+    header = ('pairs', 'cases', 'both found', 'exactly both', 'one found', 'none found')
     return Table(f'Two effects, {title}', header, tuple(rows))
 
 
 def outsiders(outcomes: Outcomes, title: str) -> Table:
-    """Return a row per effect outside the library."""
+    """Return a table with a row per effect outside the library."""
     cases = [one for one in _kind(outcomes, 'outside') if visible(one)]
     names = sorted({truth_names(one)[0] for one in cases})
     rows = [_outside_row(name, _of(cases, name)) for name in names]
     rows += [_outside_row('all', cases)] if cases else []
-    header = ('effect', 'visible cases', 'honest', 'unexplained', 'unexplained or generic name', 'no gap', 'told')
+    header = (
+        'effect',
+        'visible cases',
+        'acceptable',
+        'unexplained',
+        'unexplained or generic name',
+        'no gap',
+        'reported',
+    )
     note = (
-        'Honest: unexplained, or only names that claim no mechanism (local_drag, resistance_step) or are near to what '
-        'is hidden, as the generator says. Generic: without the near ones.'
+        'Acceptable: unexplained, or only names that imply no mechanism (local_drag, resistance_step) or that the '
+        'generator lists as near to the hidden effect. Generic: without the near names.'
     )
     return Table(f'Outside the library, {title}', header, tuple(rows), note)
 
@@ -169,7 +177,7 @@ def _outside_row(name: str, cases: Outcomes) -> tuple[str, ...]:
     return (
         name,
         str(len(cases)),
-        _short(rate(cases, honest)),
+        _short(rate(cases, acceptable)),
         _short(rate(cases, lambda one: one.verdict == 'unexplained')),
         _short(rate(cases, generic)),
         _short(rate(cases, lambda one: one.verdict == 'no_gap')),
@@ -178,7 +186,7 @@ def _outside_row(name: str, cases: Outcomes) -> tuple[str, ...]:
 
 
 def circumstances(outcomes: Outcomes, title: str) -> Table:
-    """Return how cases fared in spoiled data, in one direction and so on."""
+    """Return the results by circumstance: contaminated data, one direction of travel and so on."""
     words = sorted({flag for one in outcomes for flag in one.answer.flags})
     picks: list[tuple[str, Callable[[Outcome], bool]]] = [
         ('clean data', lambda one: not one.answer.contamination),
@@ -188,7 +196,7 @@ def circumstances(outcomes: Outcomes, title: str) -> Table:
         *((word, lambda one, word=word: word in one.answer.flags) for word in words),
     ]
     rows = [_circumstance_row(text, [one for one in outcomes if pick(one)]) for text, pick in picks]
-    header = ('circumstance', 'cases', 'alarms', 'exact, single', 'in set of two', 'both of two', 'honest outside')
+    header = ('circumstance', 'cases', 'alarms', 'exact, single', 'in set of two', 'both of two', 'acceptable outside')
     return Table(f'By circumstance, {title}', header, tuple(row for row in rows if row[1] != '0'))
 
 
@@ -202,20 +210,20 @@ def _circumstance_row(text: str, cases: Outcomes) -> tuple[str, ...]:
         _short(rate(single, exact)),
         _short(rate(single, within_two)),
         _short(rate(pair, both)),
-        _short(rate(outside, honest)),
+        _short(rate(outside, acceptable)),
     )
 
 
 def confusions(outcomes: Outcomes, title: str) -> Table:
-    """Return what was told for each visible single effect."""
+    """Return the reported effects for each visible single effect."""
     cases = [one for one in _kind(outcomes, 'single') if visible(one)]
     rows = tuple((name, _counted(_of(cases, name))) for name in sorted({truth_names(one)[0] for one in cases}))
-    note = 'Visible single effects. After ~ the twins that were told with the name.'
-    return Table(f'What was told, {title}', ('hidden', 'told: cases'), rows, note)
+    note = 'Visible single effects. After ~ the twins reported with the name.'
+    return Table(f'Reported effects, {title}', ('hidden', 'reported: cases'), rows, note)
 
 
 def parameters(outcomes: Outcomes, title: str) -> Table:
-    """Return a row per parameter."""
+    """Return a table with a row per parameter."""
     errors: dict[str, list[float]] = {}
     for one in outcomes:
         for name, error in parameter_errors(one):

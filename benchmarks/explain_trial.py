@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One hidden case through the workflow: its bags and the believed train file go in, what came out is kept."""
+"""Run the discrepancy workflow on one hidden case and keep its result with the truth."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from trainid_ros.train.train_file import NamedValues, TrainFile
 
 CRASHED: Final = 'crashed'
-"""Verdict of a case on which the workflow raised."""
+"""Verdict of a case on which the workflow raised an exception."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,15 +42,15 @@ class Named:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What the workflow told of one case, beside the truth.
+    """Result of the workflow on one case, with the truth.
 
     Attributes:
-        spec: Which case.
+        spec: The case.
         answer: The truth.
         verdict: Of the workflow, or ``CRASHED``.
         found: Effects, strongest first.
-        gap: RMS speed before, after, noise floor [m/s]; None where nothing could be held out.
-        remaining: What the rest depends on, or how it crashed.
+        gap: RMS speed gap before, after, noise floor [m/s]; None if no run could be held out.
+        remaining: What the remaining gap depends on, or the error message of a crash.
         runs: Number of runs.
         align_s: CPU time from records to runs [s].
         explain_s: CPU time of the workflow [s].
@@ -69,50 +69,59 @@ class Outcome:
 
 
 def outcomes(specs: Sequence[Spec], jobs: int) -> Iterator[Outcome]:
-    """Yield outcomes in the order of completion; one job stays in this process."""
+    """Yield outcomes in the order of completion; one job runs in this process."""
     if jobs == 1:
         yield from map(try_case, specs)
         return
-    # Children start anew: a fork of a process with threads may hang.
+    # Spawn, because a fork of a process with threads may hang.
     with ProcessPoolExecutor(jobs, mp_context=get_context('spawn')) as pool:
         for future in as_completed([pool.submit(try_case, spec) for spec in specs]):
             yield future.result()
 
 
 def try_case(spec: Spec) -> Outcome:
-    """Make a case and explain it; a crash of the workflow is an outcome too."""
+    """Generate a case and explain it; a crash of the workflow is an outcome too."""
     return explain_case(spec, open_case(spec))
 
 
 def explain_case(spec: Spec, opened: Opened) -> Outcome:
-    """Explain a case that is made."""
-    believed = parse_train_file(opened.believed, 'believed')
+    """Explain a generated case."""
+    assumed = parse_train_file(opened.train_yaml, 'assumed train file')
     start = time.process_time()
-    runs = runs_of(opened.bags, believed)
+    runs = runs_of(opened.bags, assumed)
     aligned = time.process_time()
-    told = _explained(runs, believed)
+    explanation = _explained(runs, assumed)
     times = (aligned - start, time.process_time() - aligned)
-    if isinstance(told, str):
-        return Outcome(spec, opened.answer, CRASHED, (), None, told, len(runs), *times)
-    found = tuple(_one(effect) for effect in told.effects)
-    return Outcome(spec, opened.answer, told.verdict.value, found, _gap(told), told.remaining, len(runs), *times)
+    if isinstance(explanation, str):
+        return Outcome(spec, opened.answer, CRASHED, (), None, explanation, len(runs), *times)
+    found = tuple(_one(effect) for effect in explanation.effects)
+    return Outcome(
+        spec,
+        opened.answer,
+        explanation.verdict.value,
+        found,
+        _gap(explanation),
+        explanation.remaining,
+        len(runs),
+        *times,
+    )
 
 
-def _explained(runs: Sequence[Run], believed: TrainFile) -> Explanation | str:
-    """Return the explanation, or how the workflow crashed."""
+def _explained(runs: Sequence[Run], assumed: TrainFile) -> Explanation | str:
+    """Return the explanation, or the error message if the workflow crashed."""
     try:
-        return explain(runs, believed)
-    except Exception as error:  # A benchmark of hundreds of cases must tell which of them fail, not stop at one.
+        return explain(runs, assumed)
+    except Exception as error:  # A benchmark of hundreds of cases must report failures, not stop at one.
         frame = traceback.extract_tb(error.__traceback__)[-1]
         return f'{type(error).__name__}: {error} ({frame.name}, line {frame.lineno})'
 
 
-def runs_of(bags: Sequence[Sequence[Record]], believed: TrainFile) -> tuple[Run, ...]:
-    """Return the runs of all bags, by the aligner and collector that the command uses."""
+def runs_of(bags: Sequence[Sequence[Record]], assumed: TrainFile) -> tuple[Run, ...]:
+    """Return the runs of all bags, with the aligner and collector of the command."""
     runs: list[Run] = []
     origin = 0
     for number, records in enumerate(bags):
-        aligner, collector = Aligner(AlignmentConfig()), RunCollector(believed, number, origin)
+        aligner, collector = Aligner(AlignmentConfig()), RunCollector(assumed, number, origin)
         for record in records:
             for event in aligner.push(record):
                 if isinstance(event, Sample):
@@ -130,5 +139,9 @@ def _one(effect: FoundEffect) -> Named:
     return Named(effect.name, effect.parameters, effect.std, effect.evidence, twins)
 
 
-def _gap(told: Explanation) -> tuple[float, float, float] | None:
-    return None if told.gap is None else (told.gap.before, told.gap.after, told.gap.noise_floor)
+def _gap(explanation: Explanation) -> tuple[float, float, float] | None:
+    return (
+        None
+        if explanation.gap is None
+        else (explanation.gap.before, explanation.gap.after, explanation.gap.noise_floor)
+    )

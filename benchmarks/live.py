@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The nodes live at 5 Hz: how long an estimate takes on its way, and what the nodes cost.
+"""The running nodes at 5 Hz: latency of the estimates, and CPU time and memory of the nodes.
 
-This process publishes the records of a simulated day at the pace of their stamps and hears the estimates. The
-time of an estimate runs from just before its last input is published until the callback that receives it: two
-trips through the middleware, all three nodes and this listener are inside.
+This process publishes the records of a simulated day in real time and subscribes to the estimates. The latency is
+measured from just before the last input is published until the callback that receives the estimate: it includes two
+transfers through the middleware, all three nodes and this subscriber.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from trainid_ros.core.records import Record
 
 _SEED: Final = 1
-# A stretch of the day with traction, coasting, braking and standstill.
+# A part of the day with traction, coasting, braking and standstill.
 _START_S: Final = 40.0
 _WARM_UP_TICKS: Final = 25
 _TICKS: Final = 310
@@ -50,12 +50,12 @@ _NODES: Final = ('resistance_estimator', 'speed_model_estimator', 'brake_rate_es
 
 
 @dataclass(frozen=True, slots=True)
-class Delay:
-    """Time from the last input to the estimate, in milliseconds, over all estimates of one topic."""
+class Latency:
+    """Latency from the last input to the estimate, over all estimates of one topic [ms]."""
 
     topic: str
     sent: int
-    heard: int
+    received: int
     p50: float
     p99: float
     longest: float
@@ -63,7 +63,7 @@ class Delay:
 
 @dataclass(frozen=True, slots=True)
 class ProcessLoad:
-    """What one process of nodes took of one core, idle and at 5 Hz, and its memory."""
+    """Share of one core used by a process of nodes, idle and at 5 Hz, and its memory [MB]."""
 
     name: str
     idle_share: float
@@ -73,33 +73,33 @@ class ProcessLoad:
 
 @dataclass(frozen=True, slots=True)
 class LiveResult:
-    """One arrangement of nodes."""
+    """Results of one distribution of nodes over processes."""
 
     arrangement: str
-    delays: tuple[Delay, ...]
+    latencies: tuple[Latency, ...]
     loads: tuple[ProcessLoad, ...]
 
 
 def measure() -> tuple[Table, ...]:
-    """Run both arrangements; return the tables."""
+    """Run both distributions of nodes over processes; return the tables."""
     together = run_nodes('one process', (_NODES,))
     apart = run_nodes('three processes', tuple((name,) for name in _NODES))
-    return _delay_table((together, apart)), _load_table((together, apart))
+    return _latency_table((together, apart)), _load_table((together, apart))
 
 
-def _delay_table(results: Sequence[LiveResult]) -> Table:
+def _latency_table(results: Sequence[LiveResult]) -> Table:
     rows = tuple(
         (
-            f'{result.arrangement}: {delay.topic}',
-            str(delay.sent),
-            str(delay.heard),
-            *(f'{value:.2f}' for value in (delay.p50, delay.p99, delay.longest)),
+            f'{result.arrangement}: {latency.topic}',
+            str(latency.sent),
+            str(latency.received),
+            *(f'{value:.2f}' for value in (latency.p50, latency.p99, latency.longest)),
         )
         for result in results
-        for delay in result.delays
+        for latency in result.latencies
     )
-    header = ('last input to estimate, ms', 'ticks', 'heard', 'p50', 'p99', 'longest')
-    return Table('Delay of estimates at 5 Hz', header, rows)
+    header = ('last input to estimate, ms', 'ticks', 'received', 'p50', 'p99', 'longest')
+    return Table('Latency of estimates at 5 Hz', header, rows)
 
 
 def _load_table(results: Sequence[LiveResult]) -> Table:
@@ -114,11 +114,11 @@ def _load_table(results: Sequence[LiveResult]) -> Table:
         for load in result.loads
     )
     header = ('share of one core', 'idle', 'at 5 Hz', 'resident MB')
-    return Table('Cost of the nodes', header, rows, 'Idle: active nodes without any input.')
+    return Table('CPU time and memory of the nodes', header, rows, 'Idle: active nodes without input.')
 
 
 class _Meter:
-    """Publishes records and notes when the estimates come back."""
+    """Publishes records and stores the times at which the estimates are received."""
 
     def __init__(self) -> None:
         self._context = rclpy.Context()
@@ -129,10 +129,10 @@ class _Meter:
             for topic in INPUT_TOPICS
         }
         self.sent_ns: dict[int, int] = {}
-        self.heard_ns: dict[str, dict[int, int]] = {topic: {} for topic in ESTIMATE_TOPICS.values()}
+        self.received_ns: dict[str, dict[int, int]] = {topic: {} for topic in ESTIMATE_TOPICS.values()}
         for kind, topic in ESTIMATE_TOPICS.items():
             self._node.create_subscription(
-                getattr(trainid_msgs, kind), topic, self._hearer(self.heard_ns[topic]), qos.estimate_qos()
+                getattr(trainid_msgs, kind), topic, self._receiver(self.received_ns[topic]), qos.estimate_qos()
             )
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
@@ -146,23 +146,23 @@ class _Meter:
             return
 
     @staticmethod
-    def _hearer(heard: dict[int, int]) -> Any:
-        def hear(message: Any) -> None:
-            heard.setdefault(stamp_ns(message.header.stamp), time.perf_counter_ns())
+    def _receiver(received: dict[int, int]) -> Any:
+        def receive(message: Any) -> None:
+            received.setdefault(stamp_ns(message.header.stamp), time.perf_counter_ns())
 
-        return hear
+        return receive
 
     def close(self) -> None:
-        """Leave the graph."""
+        """Shut down the executor, the context and the thread."""
         self._executor.shutdown()
         rclpy.try_shutdown(context=self._context)
         self._thread.join()
 
     def wait_for_nodes(self) -> None:
-        """Wait until all nodes hear and are heard.
+        """Wait until all nodes subscribe to the inputs and publish the estimates.
 
         Raises:
-            TimeoutError: They did not come.
+            TimeoutError: The nodes did not start.
 
         """
         end = time.monotonic() + _DISCOVERY_S
@@ -173,11 +173,11 @@ class _Meter:
             time.sleep(0.1)
 
     def _sees_all(self) -> bool:
-        hearing = all(self._node.count_subscribers(topic.name) == len(_NODES) for topic in INPUT_TOPICS)
-        return hearing and all(self._node.count_publishers(topic) for topic in ESTIMATE_TOPICS.values())
+        subscribed = all(self._node.count_subscribers(topic.name) == len(_NODES) for topic in INPUT_TOPICS)
+        return subscribed and all(self._node.count_publishers(topic) for topic in ESTIMATE_TOPICS.values())
 
     def publish(self, records: Sequence[Record]) -> None:
-        """Publish records at the pace of their stamps; note when each sample was complete."""
+        """Publish records in real time; store the time at which each sample is complete."""
         aligner = Aligner(AlignmentConfig())
         start_s, first_ns = time.perf_counter(), records[0].stamp_ns
         for record in records:
@@ -190,35 +190,35 @@ class _Meter:
             self._publishers[type(record)].publish(message)
         time.sleep(1.0)
 
-    def delays(self) -> tuple[Delay, ...]:
-        """Return the delays of all estimates after the first ticks."""
+    def latencies(self) -> tuple[Latency, ...]:
+        """Return the latencies of all estimates after the warm-up."""
         sent = dict(list(self.sent_ns.items())[_WARM_UP_TICKS:])
-        return tuple(_delay(topic, sent, heard) for topic, heard in self.heard_ns.items())
+        return tuple(_latency(topic, sent, received) for topic, received in self.received_ns.items())
 
 
-def _delay(topic: str, sent: dict[int, int], heard: dict[int, int]) -> Delay:
-    both = [stamp for stamp in sent if stamp in heard]
-    ms = np.array([heard[stamp] - sent[stamp] for stamp in both]) / 1e6
+def _latency(topic: str, sent: dict[int, int], received: dict[int, int]) -> Latency:
+    both = [stamp for stamp in sent if stamp in received]
+    ms = np.array([received[stamp] - sent[stamp] for stamp in both]) / 1e6
     p50, p99, longest = np.percentile(ms, (50.0, 99.0, 100.0))
-    return Delay(topic, len(sent), len(both), float(p50), float(p99), float(longest))
+    return Latency(topic, len(sent), len(both), float(p50), float(p99), float(longest))
 
 
 def run_nodes(arrangement: str, groups: Sequence[Sequence[str]]) -> LiveResult:
-    """Run nodes, some together in one process, and measure them."""
-    with tempfile.TemporaryDirectory() as name, _private_graph(Path(name)), ProcessGroup(Path(name)) as processes:
+    """Run groups of nodes, each group in one process, and measure them."""
+    with tempfile.TemporaryDirectory() as name, _private_domain(Path(name)), ProcessGroup(Path(name)) as processes:
         pids = [processes.start('+'.join(nodes), _command(nodes)).process.pid for nodes in groups]
         meter = _Meter()
         try:
             meter.wait_for_nodes()
             time.sleep(1.0)
             idle = _shares(pids, lambda: time.sleep(_IDLE_S))
-            busy = _shares(pids, lambda: meter.publish(_stretch()))
+            busy = _shares(pids, lambda: meter.publish(_records()))
             memory = [_resident_mb(pid) for pid in pids]
         finally:
             meter.close()
     names = ['all three' if len(nodes) == len(_NODES) else nodes[0] for nodes in groups]
     loads = tuple(ProcessLoad(*row) for row in zip(names, idle, busy, memory, strict=True))
-    return LiveResult(arrangement, meter.delays(), loads)
+    return LiveResult(arrangement, meter.latencies(), loads)
 
 
 def _command(nodes: Sequence[str]) -> list[str]:
@@ -226,7 +226,7 @@ def _command(nodes: Sequence[str]) -> list[str]:
     return ['run', '--train', str(TRAIN_FILE), *chosen]
 
 
-def _stretch() -> tuple[Record, ...]:
+def _records() -> tuple[Record, ...]:
     day = simulated_day(_SEED)
     first_ns = day.records[0].stamp_ns + round(_START_S * NS_PER_S)
     last_ns = first_ns + round((_WARM_UP_TICKS + _TICKS) * AlignmentConfig().period * NS_PER_S)
@@ -234,8 +234,8 @@ def _stretch() -> tuple[Record, ...]:
 
 
 @contextmanager
-def _private_graph(logs: Path) -> Iterator[None]:
-    """Let this process and its children live in a domain of their own, on this machine only."""
+def _private_domain(logs: Path) -> Iterator[None]:
+    """Put this process and its children into a ROS domain of their own, on this machine only."""
     before = dict(os.environ)
     os.environ |= {
         'ROS_DOMAIN_ID': str(free_domain(os.getpid())),
@@ -251,7 +251,7 @@ def _private_graph(logs: Path) -> Iterator[None]:
 
 
 def _shares(pids: Sequence[int], work: Any) -> list[float]:
-    """Return the share of one core that each process took while work was done."""
+    """Return the share of one core that each process used during ``work``."""
     before, start = [_cpu_s(pid) for pid in pids], time.perf_counter()
     work()
     wall = time.perf_counter() - start
@@ -259,7 +259,7 @@ def _shares(pids: Sequence[int], work: Any) -> list[float]:
 
 
 def _cpu_s(pid: int) -> float:
-    """Return user and system time of a process, all threads."""
+    """Return user and system time of a process, all threads [s]."""
     after_name = Path(f'/proc/{pid}/stat').read_text(encoding='ascii').rpartition(')')[2].split()
     return (int(after_name[11]) + int(after_name[12])) / os.sysconf('SC_CLK_TCK')
 

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measured trips of an electric car through the resistance estimators, beside a regression on the same trips.
+"""Resistance estimators on measured trips of an electric car, compared with a regression on the same trips.
 
 The data are those of Steinstraeter, Buberger, Trifonov, "Battery and Heating Data in Real Driving Cycles", IEEE
-DataPort 2020, doi 10.21227/6jr9-5235; they are no part of the repository. A folder holds ``trips.csv`` and one npz file
-per trip whose columns are stored as differences in steps. Neither brake pedal nor mass is recorded, so samples count
-only while the accelerator pedal is down, and the mass is nominal.
+DataPort 2020, doi 10.21227/6jr9-5235; they are not part of the repository. A folder holds ``trips.csv`` and one npz
+file per trip, whose columns are stored as differences in steps. Neither brake pedal nor mass is recorded, so samples
+count only while the accelerator pedal is pressed, and the mass is nominal.
 
 Usage: python -m benchmarks.measured_car [FOLDER [ALGORITHM]]
 """
@@ -46,28 +46,28 @@ DRIVER: Final = 80.0
 MASS: Final = 1370.0 + DRIVER
 # Ratio of gear and final drive, and rolling radius [m].
 _GEAR, _RADIUS = 9.665, 0.3397
-# Coast-down of the model year 2016 at the EPA: N, N per m/s, N per (m/s)^2.
+# Coast-down coefficients of the EPA, model year 2016: N, N per m/s, N per (m/s)^2.
 _COAST_DOWN: Final = (101.9, 3.443, 0.3619)
-# Above this period the gradient is that of the elevation, below it that of the accelerometer [s].
+# Above this period the gradient is taken from the elevation, below it from the accelerometer [s].
 _CROSSOVER_S: Final = 30.0
 _PERIOD: Final = 0.1
 # Standard deviations of the smoothing of speed and acceleration, and of the elevation in steps of 1 m [samples].
 _SMOOTH, _SMOOTH_ELEVATION = 5.0, 10.0
 _SLOWEST: Final = 1.0
-# The pedal is down above this [%]; the brake command that stands for a brake that may act [m/s^2].
+# The pedal counts as pressed above this [%]; brake command used where the brake may act [m/s^2].
 _PEDAL: Final = 1.0
 _MAY_BRAKE: Final = -0.1
 _SPEED: Final = 20.0
 _SEASONS: Final = (('summer', 'A', 312.0), ('winter', 'B', 421.0))
-# The regression: samples in a window, samples with the pedal down before it, slowest speed [m/s], fewest windows.
+# The regression: samples per window, samples with the pedal pressed before it, least speed [m/s], least windows.
 _WINDOW, _BEFORE, _WINDOW_SPEED, _FEWEST = 40, 10, 3.0, 11
-# Tukey's biweight, in robust standard deviations.
+# Tukey's biweight: limit in robust standard deviations, MAD factor, iterations.
 _BIWEIGHT, _MAD, _ROUNDS = 4.685, 1.4826, 30
 
 
 @dataclass(frozen=True, slots=True)
 class Trip:
-    """A trip in SI units, ten times a second; acceleration is that of the accelerometer, with g sin(gradient)."""
+    """A trip in SI units at 10 Hz; the acceleration is that of the accelerometer, including g sin(gradient)."""
 
     name: str
     start_ns: int
@@ -79,7 +79,7 @@ class Trip:
 
     @property
     def stamps_ns(self) -> NDArray[np.int64]:
-        """Times of the samples."""
+        """Stamps of the samples [ns]."""
         return self.start_ns + np.round(np.arange(self.speed.size) * _PERIOD * NS_PER_S).astype(np.int64)
 
 
@@ -95,14 +95,14 @@ class Regression:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """What an algorithm made of a season.
+    """Result of an algorithm on the trips of a season.
 
     Attributes:
         force: Resistance at 20 m/s [N of the nominal mass] after the last trip.
-        std: Its standard deviation as stated [N].
+        std: Its reported standard deviation [N].
         scale: Force scale with its standard deviation, NaN if not estimated.
-        to_valid: Time in motion with the pedal down until the estimate was fit to use [min], infinite if never.
-        valid: Share of the samples in motion with the pedal down at which it was.
+        to_valid: Time in motion with the pedal pressed until the estimate is first fit to use [min], infinite if never.
+        valid: Share of the samples in motion with the pedal pressed at which the estimate is fit to use.
         status: Status at the end.
         trips: Resistance at 20 m/s after each trip, with its standard deviation [N].
 
@@ -118,7 +118,7 @@ class Outcome:
 
 
 def stated_car() -> TrainFile:
-    """Return the train file: nominal mass with a driver, resistance by coast-down, mass and force to a tenth."""
+    """Return the train file: nominal mass with driver, resistance by coast-down, 10 % uncertainty of mass and force."""
     a, b, c = (1000.0 * value / (MASS * G) for value in _COAST_DOWN)
     return TrainFile(
         Train(
@@ -178,7 +178,7 @@ def wheel_force(torque: Array) -> Array:
 def gradient(trip: Trip) -> Array:
     """Return the gradient [per mille]: accelerometer less dv/dt for short periods, elevation for long ones.
 
-    Not causal: both smoothing and crossover look ahead, as a map would know the road ahead.
+    Not causal: smoothing and crossover use future samples, as a map would provide the road ahead.
     """
     slope = _smooth(trip.acceleration, _SMOOTH) / G - acceleration(trip) / G
     climb = np.gradient(_smooth(trip.elevation, _SMOOTH_ELEVATION), _PERIOD)
@@ -196,7 +196,7 @@ def _smooth(values: Array, width: float) -> Array:
 
 
 def _slow(values: Array) -> Array:
-    """Return the part with long periods: a low-pass of first order, forward and back."""
+    """Return the low-frequency part: a first-order low-pass, forward and backward."""
     gain = 1.0 - math.exp(-_PERIOD / _CROSSOVER_S)
 
     def forward(x: Array) -> Array:
@@ -207,7 +207,7 @@ def _slow(values: Array) -> Array:
 
 
 def records(trip: Trip) -> Iterator[Record]:
-    """Yield the records of a trip: a brake command while the accelerator pedal is up, for a brake may act."""
+    """Yield the records of a trip, with a brake command while the pedal is released, since a brake may act then."""
     position = np.cumsum(trip.speed) * _PERIOD
     command = np.where(trip.pedal, 0.0, _MAY_BRAKE)
     columns = (trip.stamps_ns, trip.speed, position, trip.force, gradient(trip), command)
@@ -219,9 +219,9 @@ def records(trip: Trip) -> Iterator[Record]:
 
 
 def regress(trips: Sequence[Trip]) -> Regression:
-    """Return resistance and masses by robust least squares on windows with the pedal down.
+    """Return resistance and masses by robust least squares on windows with the pedal pressed.
 
-    ``F = m (dv/dt + g i) + A + B v + C v^2`` with one effective mass m a trip and A, B, C common to all.
+    ``F = m (dv/dt + g i) + A + B v + C v^2`` with one effective mass m per trip and A, B, C common to all.
     """
     parts = [(trip.name, part) for trip in trips if len(part := _windows(trip)) >= _FEWEST]
     X = np.vstack([_rows(part, i, len(parts)) for i, (_, part) in enumerate(parts)])
@@ -249,8 +249,8 @@ def _windows(trip: Trip) -> Array:
             part = slice(begin, begin + _WINDOW)
             v = trip.speed[part]
             rate = (trip.speed[begin + _WINDOW] - v[0]) / (_WINDOW * _PERIOD)
-            felt = rate + G * slope[part].mean() / 1000.0
-            rows.append((felt, v.mean(), np.square(v).mean(), trip.force[part].mean()))
+            specific = rate + G * slope[part].mean() / 1000.0
+            rows.append((specific, v.mean(), np.square(v).mean(), trip.force[part].mean()))
     return np.array(rows).reshape(-1, 4)
 
 
@@ -262,7 +262,7 @@ def _rows(part: Array, index: int, trips: int) -> Array:
 
 
 def identify(trips: Sequence[Trip], algorithm: str) -> Outcome:
-    """Run a resistance algorithm through trips in one stream of records, with the real gaps between them."""
+    """Run a resistance algorithm over the trips as one stream of records, with the real gaps between them."""
     settings = EstimatorSettings(resistance=RESISTANCE.choose(algorithm))
     pipeline = resistance_pipeline(stated_car(), settings)
     moving = valid = 0
@@ -285,9 +285,9 @@ def identify(trips: Sequence[Trip], algorithm: str) -> Outcome:
 
 
 def force_at(estimate: ResistanceEstimate) -> tuple[float, float]:
-    """Return the resistance in newtons as the motor reports them, and its standard deviation, at the estimate's speed.
+    """Return resistance and standard deviation at the estimate's speed, in the force unit of the motor [N].
 
-    The specific resistance is one of the true weight, of which only the ratio to the force gain is known:
+    The specific resistance refers to the true weight, of which only the ratio to the force gain is known:
     ``(1 + kappa) F / (M g) = w`` with the nominal mass M.
     """
     scale = 1.0 if math.isnan(estimate.force_scale) else estimate.force_scale
@@ -314,11 +314,11 @@ def measure(folder: Path | str = FOLDER, algorithm: str = '') -> tuple[Table, ..
         'force scale',
         'to VALID, min',
         'VALID',
-        'end',
+        'final status',
     )
     note = (
-        'Resistance at 20 m/s. Minutes and shares count samples in motion with the accelerator pedal down. '
-        'The regression has effective masses of its own: force gain and rotating masses are in them.'
+        'Resistance at 20 m/s. Minutes and shares count samples in motion with the accelerator pedal pressed. '
+        'The regression estimates effective masses, which include force gain and rotating masses.'
     )
     trip_header = ('after trip', f'{algorithm}, N', 'mass by regression, kg')
     return Table('Measured car', header, tuple(rows), note), Table('By trip', trip_header, tuple(trip_rows))

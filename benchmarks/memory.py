@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Memory over a day and a night: all three pipelines in one fresh process, 24 h of input at 5 Hz.
+"""Memory over 24 h of input at 5 Hz: all three pipelines in one fresh process.
 
-The records of one simulated day come again and again with their stamps moved on, without any bag.
+The records of one simulated day are repeated with shifted stamps; no bag is involved.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from multiprocessing import get_context
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
-from benchmarks.days import believed_train, simulated_day
+from benchmarks.days import assumed_train, simulated_day
 from benchmarks.tables import Table
 from trainid_ros.core.records import NS_PER_S
 from trainid_ros.estimators.pipeline import (
@@ -38,7 +38,7 @@ _ESTIMATORS: Final = ('filter bank', 'AM-VFF-RLS', 'GSMA')
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """Memory of the process and sizes of the saved states after some hours of input."""
+    """Memory of the process [kB] and sizes of the saved states [bytes] after some hours of input."""
 
     hours: float
     samples: int
@@ -47,7 +47,7 @@ class Reading:
 
 
 def measure() -> tuple[Table, ...]:
-    """Run 24 h of input in a process of its own; return the table."""
+    """Run 24 h of input in a separate process; return the table."""
     with ProcessPoolExecutor(1, mp_context=get_context('spawn')) as pool:
         readings = pool.submit(read_memory).result()
     first = readings[0].resident_kb
@@ -62,13 +62,13 @@ def measure() -> tuple[Table, ...]:
         )
         for reading in readings
     )
-    note = 'The process holds the records of one day throughout; growth is counted from the first reading.'
+    note = 'The process holds the records of one day throughout; growth is relative to the first reading.'
     return (Table('Memory of three pipelines over 24 h at 5 Hz', header, rows, note),)
 
 
 def read_memory() -> tuple[Reading, ...]:
-    """Push 24 h of records; read the memory on the way."""
-    train, settings = believed_train(), EstimatorSettings()
+    """Push 24 h of records and read the memory at intervals."""
+    train, settings = assumed_train(), EstimatorSettings()
     pipelines: tuple[EstimatorPipeline[Any], ...] = (
         resistance_pipeline(train, settings),
         speed_model_pipeline(train, settings),
@@ -81,7 +81,7 @@ def read_memory() -> tuple[Reading, ...]:
             pipeline.push(record)
         if record.stamp_ns - start_ns >= due[0] * _SECONDS_PER_HOUR * NS_PER_S:
             readings.append(_read(due.pop(0), pipelines))
-            # Told at once: the last reading takes minutes, and a run that is broken off has shown the others.
+            # Printed at once, because the last reading takes minutes and the run may be interrupted.
             print(readings[-1], flush=True)
             if not due:
                 break

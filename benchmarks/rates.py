@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the rates of the topics cost the resistance of a metro."""
+"""Effect of the topic rates on resistance estimation of a metro."""
 
 from __future__ import annotations
 
@@ -23,5 +23,5 @@ def measure(seeds: int) -> tuple[Table, ...]:
 
 
 def trials_of(seeds: Sequence[int]) -> tuple[Trial, ...]:
-    """Return all drives to simulate, each once."""
+    """Return all drives to simulate, without duplicates."""
     return tuple(Trial('metro', seed, rates=rate) for seed in seeds for rate in RATES.values())

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The filter of filter-bank, informed of what the bank has to find out: sizes of disturbances and times of changes.
+"""A single filter of filter-bank, given what the bank has to estimate: sizes of disturbances and times of changes.
 
-It shows what the search over hypotheses costs. It is no bound: force scale and delay are as unknown to it as on a
-train, and which coefficient changes, and by how much, is not stated either.
+It shows what the search over hypotheses costs. It is not a bound: force scale and delay remain unknown, as on a real
+train, and which coefficient changes, and by how much, is not given either.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Information:
-    """What the filter is informed of: sizes [N/kN], correlation time [s] and length [m], stamps of the changes."""
+    """Truth data given to the filter: stds [N/kN], correlation time [s] and length [m], stamps of the changes [ns]."""
 
     gust_std: float
     gust_time: float
@@ -36,14 +36,14 @@ class Information:
 
 
 def information_of(truth: Truth) -> Information:
-    """Return what the filter is informed of about a drive."""
+    """Return the truth data of a drive that the filter is given."""
     start_ns = int(truth.time_ns[0])
     changes_ns = tuple(start_ns + round(change * NS_PER_S) for change in truth.changes)
     return Information(truth.gust_std, truth.gust_time, truth.map_std, truth.map_length, changes_ns)
 
 
 class InformedFilter(FilterBank):
-    """One hypothesis with the true sizes; at each change of resistance a and c become uncertain by a step."""
+    """One hypothesis with the true disturbance sizes; each change of resistance adds the step variances to a and c."""
 
     def __init__(self, train_file: TrainFile, known: Information) -> None:
         config = FilterBankConfig()
@@ -54,7 +54,7 @@ class InformedFilter(FilterBank):
                 plan,
                 gust_stds=(known.gust_std,),
                 map_stds=(known.map_std,),
-                # It never branches.
+                # No branching into further hypotheses.
                 spacing=math.inf,
                 noise=replace(plan.noise, gust_time=known.gust_time, map_length=known.map_length),
             )
@@ -62,7 +62,7 @@ class InformedFilter(FilterBank):
         self._changes_ns = list(known.changes_ns)
 
     def step(self, sample: Sample) -> ResistanceEstimate | Rejection:
-        """Take one sample in, after the changes of resistance before it."""
+        """Process one sample, after the changes of resistance before it."""
         while self._changes_ns and sample.stamp_ns >= self._changes_ns[0]:
             self._changes_ns.pop(0)
             self._widen()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How estimates of the resistance over a drive are scored against its truth."""
+"""Score resistance estimates over a drive against the truth."""
 
 from __future__ import annotations
 
@@ -24,9 +24,9 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
-# Below this true speed no algorithm learns [m/s].
+# Below this true speed no algorithm updates [m/s].
 MOVING: Final = 1.0
-# Motion after the start and after every change from which on an estimate should have settled [s].
+# Time in motion after the start and after each change by which an estimate should have settled [s].
 SETTLED_S: Final = 300.0
 # Two-sided normal quantile of 95 %.
 _SIGMA_95: Final = 1.96
@@ -36,14 +36,14 @@ _S_PER_MIN: Final = 60.0
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """What was true at each sample.
+    """Truth at each sample.
 
     Attributes:
         speed: Speed [m/s].
         davis: a, b, c, shape (n, 3).
         moving: The train moves.
         motion_s: Time in motion so far [s].
-        settled: It moves, and has for long enough since the start and since the last change of resistance.
+        settled: The train moves, and has moved for ``SETTLED_S`` since the start and since the last change.
 
     """
 
@@ -56,13 +56,13 @@ class Course:
 
 @dataclass(frozen=True, slots=True)
 class Answers:
-    """What an algorithm published at each sample.
+    """Output of an algorithm at each sample.
 
     Attributes:
         davis: a, b, c, shape (n, 3).
         std: Standard deviation of w at the measured speed [N/kN].
         used: The sample was used.
-        valid: It was, and the estimate is fit to use.
+        valid: The sample was used and the estimate is fit to use.
 
     """
 
@@ -74,14 +74,14 @@ class Answers:
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """How one algorithm fared in one drive; NaN where there was nothing to score.
+    """Score of one algorithm on one drive; NaN where there was nothing to score.
 
     Attributes:
         error: Mean absolute error of w over settled samples [N/kN].
-        cover: Share of them with an error within 1.96 standard deviations.
+        cover: Share of settled samples with an error within 1.96 standard deviations.
         valid: Share of the time in motion with status VALID.
         first_valid_min: Time in motion to the first VALID [min], infinite if there is none.
-        wrong: Share of the samples used in motion that are VALID and off by more than 3 standard deviations.
+        wrong: Share of the samples used in motion that are VALID with an error above 3 standard deviations.
 
     """
 
@@ -93,7 +93,7 @@ class Score:
 
 
 def course_of(truth: Truth, stamps_ns: NDArray[np.int64]) -> Course:
-    """Return what was true at the stamps of samples."""
+    """Return the truth at the stamps of samples."""
     at = np.maximum(np.searchsorted(truth.time_ns, stamps_ns, side='right') - 1, 0)
     start_ns = truth.time_ns[0]
     time_s = (stamps_ns - start_ns) / NS_PER_S
@@ -123,7 +123,7 @@ def motion_since_change(time_s: Array, motion_s: Array, changes: Sequence[float]
 
 
 def answers_of(estimator: Estimator[ResistanceEstimate], samples: Sequence[Sample]) -> Answers:
-    """Return what an estimator publishes over samples; one that is not used leaves the status at HOLDING."""
+    """Return the outputs of an estimator over samples; after a rejected sample the status is HOLDING."""
     rows = np.array([_row(estimator, sample) for sample in samples])
     used = rows[:, 4] > 0.5
     return Answers(rows[:, :3], rows[:, 3], used, used & (rows[:, 5] > 0.5))
@@ -137,7 +137,7 @@ def _row(estimator: Estimator[ResistanceEstimate], sample: Sample) -> tuple[floa
 
 
 def score(answers: Answers, course: Course) -> Score:
-    """Score the answers of one algorithm."""
+    """Score the outputs of one algorithm."""
     v = course.speed
     wrong = answers.davis - course.davis
     error = np.abs(wrong[:, 0] + v * (wrong[:, 1] + v * wrong[:, 2]))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of how algorithms fared in drives of five worlds."""
+"""Tables of the scores of the resistance algorithms on drives of five worlds."""
 
 from __future__ import annotations
 
@@ -27,12 +27,12 @@ RATES: Final = {
 }
 ALONE: Final = tuple(name for name in UNKNOWNS if name not in CLEAN)
 _SETTLED: Final = 'settled |error of w|, N/kN'
-_LESS: Final = 'filter-bank less V-MILS'
+_LESS: Final = 'filter-bank minus V-MILS'
 
 
 @dataclass(frozen=True, slots=True)
 class Quantity:
-    """What one table shows of each algorithm in each world."""
+    """A quantity that one table shows for each algorithm in each world."""
 
     name: str
     cell: Callable[[Sequence[Score]], str]
@@ -40,7 +40,7 @@ class Quantity:
 
 
 def spread(values: Array, unit: float = 1.0, digits: int = 3, sign: str = '') -> str:
-    """Return the mean and its standard error; what could not be scored is left out."""
+    """Return the mean and its standard error; values that are not finite are left out."""
     finite = unit * values[np.isfinite(values)]
     if not finite.size:
         return '-'
@@ -50,7 +50,7 @@ def spread(values: Array, unit: float = 1.0, digits: int = 3, sign: str = '') ->
 
 
 def error_cell(scores: Sequence[Score]) -> str:
-    """Return the settled error [N/kN]."""
+    """Return the settled error [N/kN] as text."""
     return spread(np.array([score.error for score in scores]))
 
 
@@ -64,7 +64,7 @@ def _cover_cell(scores: Sequence[Score]) -> str:
 
 
 def valid_cell(scores: Sequence[Score]) -> str:
-    """Return the share of the time in motion with status VALID."""
+    """Return the share of the time in motion with status VALID as text."""
     return _percent([score.valid for score in scores], 1)
 
 
@@ -73,33 +73,33 @@ def _wrong_cell(scores: Sequence[Score]) -> str:
 
 
 def first_cell(scores: Sequence[Score]) -> str:
-    """Return the median time to the first VALID, and the share of drives that have it soon."""
+    """Return the median time to the first VALID [min] and the share of drives that reach it within ``SOON_MIN``."""
     first = np.array([score.first_valid_min for score in scores])
     median, soon = float(np.median(first)), float(np.mean(first <= SOON_MIN))
     return f'{median:.1f}, {soon:.0%}' if math.isfinite(median) else f'never, {soon:.0%}'
 
 
 _ERROR: Final = Quantity(_SETTLED, error_cell)
-_COVER: Final = Quantity('cover of the 95 % band', _cover_cell)
+_COVER: Final = Quantity('coverage of the 95 % band', _cover_cell)
 _FIELD_ONLY: Final = (
     Quantity('VALID, share of the time in motion', valid_cell),
     Quantity(f'first VALID: median, min in motion; share within {SOON_MIN:g} min', first_cell),
-    Quantity('used, VALID and beyond 3 std, share of samples used', _wrong_cell),
+    Quantity('VALID with an error above 3 std, share of samples used', _wrong_cell),
 )
 _NOTE: Final = (
-    '{seeds} drives a world, mean ± standard error over drives. Settled: the train moves (1 m/s and more), and has '
-    'for 300 s since the start and since the last change of resistance; w at the true speed. VALID: the sample was '
-    'used and the estimate is fit to use; samples that are not used are HOLDING, as in braking. The band is '
-    '1.96 standard deviations, over the same samples as the error. '
+    '{seeds} drives per world, mean ± standard error over drives. Settled: the train moves (1 m/s or more), and has '
+    'moved for 300 s since the start and since the last change of resistance; w at the true speed. VALID: the sample '
+    'was used and the estimate is fit to use; rejected samples (as in braking) count as HOLDING. The band is '
+    '± 1.96 standard deviations, over the same samples as the error. '
 )
 _INFORMED_NOTE: Final = (
-    f'The {INFORMED} is one filter of filter-bank that is informed of the sizes of gusts and map errors and of the '
-    'times of the changes; force scale and delay it has to learn, so it is no bound.'
+    f'The {INFORMED} is a single filter of filter-bank that is given the sizes of gusts and map errors and the times '
+    'of the changes; it must estimate force scale and delay, so it is not a bound.'
 )
 
 
 def world_tables(results: Results, seeds: Sequence[int]) -> tuple[Table, ...]:
-    """Return one table a quantity, algorithms by worlds, in the field and clean."""
+    """Return one table per quantity, algorithms by worlds, in the field and clean."""
     field = [_world_table(results, seeds, FIELD, quantity) for quantity in (_ERROR, _COVER, *_FIELD_ONLY)]
     clean = [_world_table(results, seeds, CLEAN, quantity) for quantity in (_ERROR, _COVER)]
     return *field, *clean
@@ -122,23 +122,23 @@ def _picked(
 
 
 def errors_of(scores: Sequence[Score]) -> Array:
-    """Return the settled errors."""
+    """Return the settled errors [N/kN]."""
     return np.array([score.error for score in scores])
 
 
 def paired_table(results: Results, seeds: Sequence[int], days: Sequence[tuple[float, float]]) -> Table:
-    """Return filter-bank against V-MILS on the same drives; ``days`` are the errors of both on stock days."""
+    """Return filter-bank against V-MILS on the same drives; ``days`` are the errors of both on Yizhuang days [N/kN]."""
     rows = []
     for condition, unknowns in (('field', FIELD), ('clean', CLEAN)):
         for world in WORLDS:
             pair = [errors_of(_picked(results, name, world, seeds, unknowns)) for name in PAIR]
             rows.append((f'{world}, {condition}', *_paired(pair[0], pair[1])))
     ours = np.array(days)
-    rows.append(('stock days', *_paired(ours[:, 0], ours[:, 1])))
+    rows.append(('Yizhuang days', *_paired(ours[:, 0], ours[:, 1])))
     note = (
-        f'{len(seeds)} drives a world and {len(days)} stock days, mean ± standard error. Stock days: the simulated day '
-        'of Yizhuang, whose train file is exact but for the resistance, as scored in the part accuracy: five minutes '
-        'after each change, mean over 10 m/s, 15 m/s and the speed last driven.'
+        f'{len(seeds)} drives per world and {len(days)} Yizhuang days, mean ± standard error. Yizhuang days: the '
+        'simulated day on the Yizhuang line, whose train file is exact except for the resistance, scored as in the '
+        'part accuracy: five minutes after each change, mean over 10 m/s, 15 m/s and the last speed in motion.'
     )
     header = ('|error of w|, N/kN', *PAIR, _LESS, 'filter-bank is better')
     return Table('Resistance on real trains: filter-bank and V-MILS on the same drives', header, tuple(rows), note)
@@ -152,22 +152,22 @@ def _paired(vmils: Array, bank: Array) -> tuple[str, ...]:
 
 
 def costs() -> dict[str, tuple[frozenset[str], frozenset[str]]]:
-    """Return, by the name of its row, each set of unknowns and the set it is compared with."""
+    """Return each set of unknowns and the set it is compared with, by row name."""
     alone = {f'clean + {name}': (CLEAN | {name}, CLEAN) for name in ALONE}
     without = {f'field - {name}': (FIELD - {name}, FIELD) for name in UNKNOWNS}
     return {'clean': (CLEAN, CLEAN), **alone, 'field': (FIELD, FIELD), **without}
 
 
 def cost_tables(results: Results, seeds: Sequence[int]) -> tuple[Table, ...]:
-    """Return what each unknown costs, one table an algorithm."""
+    """Return the error that each unknown adds, one table per algorithm."""
     note = (
-        f'{len(seeds)} drives a world, the same trains and drivers in all rows: mean settled error of w [N/kN], and in '
-        'brackets what the row adds to it, mean ± standard error of the paired differences. Clean has changes of '
-        'resistance but no other unknown.'
+        f'{len(seeds)} drives per world, the same trains and drivers in all rows: mean settled error of w [N/kN], and '
+        'in brackets its difference to the reference row (clean or field), mean ± standard error of the paired '
+        'differences. Clean: changes of resistance are the only unknown.'
     )
     return tuple(
         Table(
-            f'What each unknown costs: {_SETTLED}, {name}',
+            f'Error added by each unknown: {_SETTLED}, {name}',
             ('unknowns', *WORLDS),
             tuple(
                 (row, *(_cost_cell(results, name, world, seeds, *pair) for world in WORLDS))
@@ -180,18 +180,18 @@ def cost_tables(results: Results, seeds: Sequence[int]) -> tuple[Table, ...]:
 
 
 def _cost_cell(
-    results: Results, name: str, world: str, seeds: Sequence[int], unknowns: frozenset[str], beside: frozenset[str]
+    results: Results, name: str, world: str, seeds: Sequence[int], unknowns: frozenset[str], reference: frozenset[str]
 ) -> str:
     with_it = errors_of(_picked(results, name, world, seeds, unknowns))
-    if unknowns == beside:
+    if unknowns == reference:
         return spread(with_it)
-    added = with_it - errors_of(_picked(results, name, world, seeds, beside))
+    added = with_it - errors_of(_picked(results, name, world, seeds, reference))
     return f'{np.nanmean(with_it):.3f} ({spread(added, sign="+")})' if np.isfinite(with_it).any() else '-'
 
 
 def rate_tables(results: Results, seeds: Sequence[int]) -> tuple[Table, ...]:
-    """Return how rates of the topics matter to a metro."""
-    note = f'{len(seeds)} drives, the same motion in all rows. Samples are 0.2 s apart, or as far as the speeds are.'
+    """Return the effect of the topic rates on a metro."""
+    note = f'{len(seeds)} drives, the same motion in all rows. Samples are 0.2 s apart, or further if the speeds are.'
     return tuple(
         Table(
             f'Rates of the topics, metro in the field: {name}',

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One simulated drive and how each algorithm fares in it."""
+"""Run the resistance algorithms on one simulated drive and score them."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ EVERY_TOPIC_5_HZ: Final = Rates()
 
 @dataclass(frozen=True, slots=True)
 class Trial:
-    """A drive, and which algorithms go along; see :func:`benchmarks.worlds.drive`."""
+    """A drive and the algorithms to run on it; see :func:`benchmarks.worlds.drive`."""
 
     world: str
     seed: int
@@ -42,12 +42,12 @@ class Trial:
 
 
 def results_of(trials: Sequence[Trial], name: str) -> dict[Trial, Mapping[str, Score]]:
-    """Return the scores of all trials, run on all cores; progress shows under a name."""
+    """Return the scores of all trials, run on all cores; progress is printed under ``name``."""
     return dict(zip(trials, over_seeds(run, trials, f'{name}: drives'), strict=True))
 
 
 def run(trial: Trial) -> Mapping[str, Score]:
-    """Simulate a drive once, and score all algorithms on the same samples."""
+    """Simulate a drive once and score all algorithms on the same samples."""
     ride = drive(trial.world, trial.seed, trial.unknowns, trial.rates, trial.duration)
     samples = samples_of(ride.records)
     course = course_of(ride.truth, np.array([sample.stamp_ns for sample in samples]))
@@ -55,7 +55,7 @@ def run(trial: Trial) -> Mapping[str, Score]:
 
 
 def estimator_of(name: str, ride: Drive, seed: int) -> Estimator[ResistanceEstimate]:
-    """Return an algorithm for the train of a drive; only the informed filter sees the truth."""
+    """Return an algorithm for the train of a drive; only the informed filter is given truth data."""
     if name == INFORMED:
         return InformedFilter(ride.train_file, information_of(ride.truth))
     return RESISTANCE.make(RESISTANCE.choose(name), ride.train_file, np.random.default_rng(seed))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The resistance on trains of five worlds, with all that is not known of a real train."""
+"""Resistance estimation on simulated trains of five worlds, with the unknowns of real operation."""
 
 from __future__ import annotations
 
@@ -18,28 +18,28 @@ if TYPE_CHECKING:
 
     from benchmarks.tables import Plot, Table
 
-# From here on seeds were never looked at while estimators were built.
+# Seeds from here on were not used during development of the estimators.
 FIRST_SEED: Final = 1001
 
 
 def measure(seeds: int) -> tuple[Table | Plot, ...]:
-    """Score all algorithms on drives of all worlds, one a seed, and on as many stock days."""
+    """Score all algorithms on one drive per world and seed, and on one Yizhuang day per seed."""
     return measured(range(FIRST_SEED, FIRST_SEED + seeds))
 
 
 def measured(seeds: Sequence[int]) -> tuple[Table | Plot, ...]:
     """Score all algorithms on drives of these seeds."""
     results = results_of(trials_of(seeds), 'real_trains')
-    days = over_seeds(stock_day, seeds, 'real_trains: stock days')
+    days = over_seeds(yizhuang_errors, seeds, 'real_trains: Yizhuang days')
     return *world_tables(results, seeds), paired_table(results, seeds, days)
 
 
 def trials_of(seeds: Sequence[int]) -> tuple[Trial, ...]:
-    """Return the drives of all worlds, in the field and where all but the changes is known."""
+    """Return the drives of all worlds, in the field (all unknowns) and clean (changes of resistance only)."""
     return tuple(Trial(world, seed, unknowns) for unknowns in (FIELD, CLEAN) for seed in seeds for world in WORLDS)
 
 
-def stock_day(seed: int) -> tuple[float, float]:
-    """Return the errors of V-MILS and of filter-bank on one stock day [N/kN]."""
+def yizhuang_errors(seed: int) -> tuple[float, float]:
+    """Return the mean errors of w of V-MILS and of filter-bank on one Yizhuang day [N/kN]."""
     vmils, bank = (float(np.mean(one.errors)) for one in resistance_scores(PAIR, seed))
     return vmils, bank

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Replay of the bags of ``bags/``: how many times real time, and where the time goes."""
+"""Replay of the bags in ``bags/``: speed relative to real time, and share of each stage."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 _BAGS: Final = ('yizhuang_day', 'altrios_manifest')
-# What is done, and the function in which it is done with all that it calls.
+# Stage, and the function that does it (including its callees).
 _STAGES: Final = (
     ('reading', 'BagReader.messages'),
     ('to records', 'record_from_message'),
@@ -32,7 +32,7 @@ _STAGES: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Pace:
-    """One bag: what was replayed, how long it took, and the share of each stage."""
+    """Replay of one bag: size, duration and computing time [s], and the share of each stage."""
 
     bag: str
     records: int
@@ -46,12 +46,12 @@ def measure() -> tuple[Table, ...]:
     """Replay all bags; return the table."""
     paces = [_pace(REPOSITORY / 'bags' / name) for name in _BAGS]
     speed_header = ('bag', 'records', 'recorded s', 'wall s', 'CPU s', 'x real time (wall)', 'x real time (CPU)')
-    speed = Table('Pace of trainid replay', speed_header, tuple(_speed_row(pace) for pace in paces))
+    speed = Table('Speed of trainid replay', speed_header, tuple(_speed_row(pace) for pace in paces))
     share_header = ('share of the time', *(name for name, _ in _STAGES), 'rest')
     rows = tuple((pace.bag, *(f'{share:.0%}' for share in (*pace.shares, 1.0 - sum(pace.shares)))) for pace in paces)
     note = (
-        'By cProfile, which makes small Python functions look dearer than they are. Each estimator aligns for itself, '
-        'as in its node. "rest": pipelines, the estimates made for outputs, the loop.'
+        'By cProfile, which overstates the cost of small Python functions. Each estimator has its own aligner, as in '
+        'its node. "rest": pipelines, estimates computed for outputs, the loop.'
     )
     return speed, Table('Where the time goes', share_header, rows, note)
 

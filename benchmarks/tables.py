@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Results for people: tables, as aligned text and as Markdown, and plots beside them."""
+"""Tables as aligned text and as Markdown, and plots."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Table:
-    """Title, headings, rows of as many cells, and what a reader must know to understand them."""
+    """Title, header, rows with as many cells as the header, and an explanatory note."""
 
     title: str
     header: tuple[str, ...]
@@ -22,7 +22,7 @@ class Table:
 
 @dataclass(frozen=True, slots=True)
 class Plot:
-    """A figure with a file name (no ending), its title, and what it shows in a sentence."""
+    """A figure with its file name (no extension), title and explanatory note."""
 
     name: str
     title: str
@@ -31,13 +31,13 @@ class Plot:
 
 
 def as_text(table: Table) -> str:
-    """Return a table for a terminal: the first column to the left, all others to the right."""
+    """Return a table for a terminal: first column left-aligned, all others right-aligned."""
     lines = [table.title, *_lines((table.header, *table.rows), '  ', '')]
     return '\n'.join([*lines, table.note] if table.note else lines)
 
 
 def as_markdown(table: Table) -> str:
-    """Return a table as Markdown, aligned also in its source."""
+    """Return a table as Markdown, with aligned source."""
     rows = _lines((table.header, *table.rows), ' | ', '| ')
     lines = [f'### {table.title}', '', rows[0] + ' |', _rule(table), *(row + ' |' for row in rows[1:])]
     return '\n'.join([*lines, '', table.note] if table.note else lines)

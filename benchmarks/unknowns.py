@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What each unknown of a real train costs the resistance."""
+"""Effect of each unknown of a real train on resistance estimation."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ if TYPE_CHECKING:
 
 
 def measure(seeds: int) -> tuple[Table, ...]:
-    """Score V-MILS and the filter bank with each unknown alone and with all but one."""
+    """Score V-MILS and filter-bank with each unknown alone and with all but one."""
     chosen = range(FIRST_SEED, FIRST_SEED + seeds)
     results = results_of(trials_of(chosen), 'unknowns')
     return cost_tables(results, chosen)
 
 
 def trials_of(seeds: Sequence[int]) -> tuple[Trial, ...]:
-    """Return all drives to simulate, each once."""
+    """Return all drives to simulate, without duplicates."""
     apart = [
         Trial(world, seed, unknowns, algorithms=PAIR)
         for seed in seeds

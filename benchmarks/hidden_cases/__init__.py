@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Hidden cases for the discrepancy workflow: rides of trains that do not quite obey the believed train file.
+"""Hidden cases for the discrepancy workflow: rides of trains that deviate from the assumed train file.
 
-Physics of its own: nothing here comes from the equations, the simulator or the estimators of the package.
+Independent physics: nothing here uses the equations, the simulator or the estimators of the package.
 """
 
 from __future__ import annotations

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The train file as the engineer believes it: no effects, Davis somewhat wrong, the rest as far as it goes."""
+"""The assumed train file: no effects, Davis coefficients with errors of up to 15 %, the rest as known on board."""
 
 from __future__ import annotations
 
@@ -13,8 +13,8 @@ if TYPE_CHECKING:
 _DAVIS_ERROR = 0.15
 
 
-def believed_file(world: World, rng: Generator) -> str:
-    """Return the YAML text."""
+def assumed_file(world: World, rng: Generator) -> str:
+    """Return the assumed train file as YAML text."""
     vehicle, route = world.vehicle, world.route
     wrong = [value * (1.0 + float(rng.uniform(-_DAVIS_ERROR, _DAVIS_ERROR))) for value in vehicle.davis]
     a, b, c = (f'{value:.4g}' for value in wrong)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A hidden case: what the workflow gets, and apart from it the truth for the scoring code."""
+"""A hidden case: input of the workflow, and separately the truth for the scoring."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ Kind = Literal['none', 'single', 'pair', 'outside']
 
 @dataclass(frozen=True, slots=True)
 class EffectTruth:
-    """One effect that is in the data and not in the believed train file.
+    """One effect that is in the data but not in the assumed train file.
 
     Attributes:
-        name: Name of the interface, or one of ours for an effect outside the library.
+        name: Name in the interface, or a name of this generator for an effect outside the library.
         parameters: (name, value) in the form of the interface.
-        comparable: Whether an estimate may be held against the parameters.
-        near: For outside effects, names that would be an honest generic answer.
-        gap: RMS speed that the believed model misses for want of this effect alone, after its refit [m/s].
-        visible_percent: How much this raises the rms gap over the noise floor.
+        comparable: Whether an estimate may be compared with the parameters.
+        near: For outside effects, acceptable generic names.
+        gap: RMS speed gap of the refitted assumed model due to this effect alone [m/s].
+        visible_percent: Rise of the rms gap over the noise floor due to this effect [%].
 
     """
 
@@ -36,7 +36,7 @@ class EffectTruth:
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """What only the scoring code opens.
+    """Truth of a case, for the scoring only.
 
     Attributes:
         kind: None, one effect of the library, two of them, or one outside of it.
@@ -44,9 +44,9 @@ class Truth:
         one_way: All runs go up the line.
         mass_topic: The load is weighed and published.
         contamination: Any of outliers, dropouts, slip.
-        davis: True a, b, c [N/kN, m/s].
-        floor: RMS speed gap of the believed model with the effects known [m/s].
-        gap: RMS speed that is missed for want of all effects, after the refit of a, b, c and initial speeds [m/s].
+        davis: True a, b, c [N/kN, v in m/s].
+        floor: RMS speed gap of the assumed model with the effects known [m/s].
+        gap: RMS speed gap due to all effects, after the refit of a, b, c and initial speeds [m/s].
         visible_percent: ``100 (sqrt(floor^2 + gap^2) / floor - 1)``.
 
     """
@@ -64,10 +64,10 @@ class Truth:
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """Bags in memory, the believed train file and the truth."""
+    """Bags in memory, the assumed train file (YAML) and the truth."""
 
     name: str
     seed: int
-    believed: str
+    train_yaml: str
     bags: tuple[tuple[Record, ...], ...]
     truth: Truth

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The driver: pulls away, holds the speed or pulls and coasts in turn, obeys restrictions, brakes to the stop."""
+"""The driver: accelerates, holds the speed or alternates power and coasting, obeys restrictions, brakes to the stop."""
 
 from __future__ import annotations
 
@@ -17,15 +17,18 @@ _JERK = 0.6
 class Driver:
     """Decides every 0.2 s on traction [m/s^2, force over weighed mass] and brake command [m/s^2]."""
 
-    def __init__(self, vehicle: Vehicle, leg: Leg, believed: tuple[float, float, float]) -> None:
+    def __init__(self, vehicle: Vehicle, leg: Leg, davis: tuple[float, float, float]) -> None:
         self._leg = leg
         self._lead = vehicle.brake_dead + vehicle.brake_lag + 0.2
-        self._davis = believed
+        self._davis = davis
         self._stopping = self._slowing = self._resting = self._nearing = False
         self._last = 0.0
 
     def decide(self, front: float, speed: float, gradient: float) -> tuple[float, float]:
-        """Return wanted traction and brake command; gradient in the direction of travel [per mille]."""
+        """Return the demanded traction and brake command [m/s^2].
+
+        Position of the front [m], speed [m/s], gradient in the direction of travel [per mille].
+        """
         leg = self._leg
         left = leg.heading * (leg.end - front)
         if self._stopping or left <= speed * self._lead + speed * speed / (2.0 * leg.brake):
@@ -74,6 +77,6 @@ class Driver:
 
 
 def slew(now: float, wanted: float, step: float) -> float:
-    """Return traction one step later under the limit of jerk."""
+    """Return the traction one step later, limited by jerk [m/s^2]."""
     most = _JERK * step
     return min(now + most, max(now - 2.0 * most, wanted))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a hidden effect may touch, and the moment of the ride at which it is asked."""
+"""Definition of a hidden effect, and the state of the ride that it depends on."""
 
 from __future__ import annotations
 
@@ -12,21 +12,21 @@ G = 9.81
 
 @dataclass(slots=True)
 class Moment:
-    """State of the true train that effects see; one object, renewed at each step.
+    """State of the true train on which effects depend; one object, updated at each step.
 
     Attributes:
-        time: Since the start of the bag [s].
+        time: Time since the start of the bag [s].
         front: Position of the train's front [m].
         heading: +1 while positions rise, -1 while they fall.
-        speed: [m/s].
+        speed: Speed [m/s].
         tunnel_share: Share of the train that is in a tunnel.
         curvature: Mean curvature under the train [1/m].
         travelled: Distance since the start of the bag [m].
-        released_for: Time since the brake came off [s], infinite before its first use.
-        applied_for: Time since the brake came on [s], 0 while it is off.
+        released_for: Time since the brake was released [s], infinite before its first use.
+        applied_for: Time since the brake was applied [s], 0 while it is released.
         pull: Reported traction over weight [N/kN].
         heat: Energy in the brake [J/kg].
-        acceleration: Of the step before [m/s^2].
+        acceleration: Acceleration of the previous step [m/s^2].
         load: True mass over the mean mass of the case.
         run: Number of the run in the bag.
 
@@ -53,21 +53,21 @@ Law = Callable[[Moment], float]
 
 @dataclass(frozen=True, slots=True)
 class Hidden:
-    """One effect with its size, as the ride feels it.
+    """One effect with its size, as it acts in the ride.
 
     Attributes:
-        name: Name of the interface, or one of ours for an effect outside the library.
-        parameters: Parameters in the form of the interface; for outside effects our own.
-        comparable: False where the law has another form than the usual one, so that parameters can't be compared.
-        near: Names that would be an honest generic answer for an effect outside the library.
-        drag: Further resistance [N/kN].
+        name: Name in the interface, or a name of this generator for an effect outside the library.
+        parameters: Parameters in the form of the interface; for outside effects those of this generator.
+        comparable: False if the law differs from that of the interface, so that parameters cannot be compared.
+        near: Acceptable generic names for an effect outside the library.
+        drag: Additional resistance [N/kN].
         pull_gain: True over reported traction.
         brake_gain: True over nominal brake force.
-        mass_ratio: True over believed mass.
-        inertia_ratio: True over believed (1 + rotary mass).
-        brake_wait: Further dead time of the brake [s].
+        mass_ratio: True over assumed mass.
+        inertia_ratio: True over assumed (1 + rotary mass).
+        brake_wait: Additional dead time of the brake [s].
         wheel_ratio: Measured over true speed.
-        slip: Share of the running time in slip and greatest slip speed [m/s].
+        slip: Share of the running time with slip [1] and greatest slip speed [m/s].
 
     """
 

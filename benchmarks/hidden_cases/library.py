@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The effects that have a name in the interface, as physics of our own, with sizes from barely visible to large."""
+"""Effects named in the interface, as independent physics, with sizes from barely visible to large."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Draw = Callable[[World, 'Generator'], Hidden]
 
 
 def tunnel_drag(world: World, rng: Generator) -> Hidden:
-    # Air pressed past the train: drag of the part inside.
+    # Higher aerodynamic drag of the part of the train inside the tunnel.
     factor = 1.0 + log_uniform(rng, 0.25, 3.5)
     more = (factor - 1.0) * world.vehicle.davis[2]
     return Hidden('tunnel_drag', (('factor', factor),), drag=lambda m: more * m.tunnel_share * m.speed * m.speed)
@@ -70,7 +70,7 @@ def brake_scale(_: World, rng: Generator) -> Hidden:
 
 
 def brake_fade(_: World, rng: Generator) -> Hidden:
-    """Friction falls with the heat in the discs: down to a floor, or towards one."""
+    """Friction falls with the heat in the discs: linearly down to a floor, or exponentially."""
     loss, energy, bends = log_uniform(rng, 0.03, 0.3), log_uniform(rng, 80.0, 500.0), bool(rng.random() < 0.5)
 
     def gain(m: Moment) -> float:
@@ -99,7 +99,7 @@ def starting_resistance(_: World, rng: Generator) -> Hidden:
     def drag(m: Moment) -> float:
         if steep:
             return value * math.exp(-m.speed / speed)
-        # Stribeck's curve of a bearing that comes to float on its grease.
+        # Stribeck curve of a bearing.
         return value / (1.0 + (m.speed / speed) ** 2)
 
     return Hidden('starting_resistance', (('value', value), ('speed', speed)), comparable=steep, drag=drag)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Make a hidden case by the name of its effect and a seed, and draw a mix of them."""
+"""Generate a hidden case from the name of its effect and a seed, and draw a mix of cases."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from zlib import crc32
 
 import numpy as np
 
-from benchmarks.hidden_cases.believed import believed_file
+from benchmarks.hidden_cases.believed import assumed_file
 from benchmarks.hidden_cases.case import Case, EffectTruth, Kind, Truth
 from benchmarks.hidden_cases.library import COUNTS_FROM_START, LIBRARY
 from benchmarks.hidden_cases.motion import Ride
@@ -47,10 +47,10 @@ _CONTAMINATING_SLIP = (0.015, 1.5)
 
 
 def make_case(name: str, seed: int) -> Case:
-    """Return a case, the same for the same name and seed.
+    """Return a case; equal names and seeds give equal cases.
 
     Args:
-        name: 'none', an effect, two effects joined by '+', or 'pair' for two drawn ones. Cases of one seed
+        name: 'none', an effect, two effects joined by '+', or 'pair' for two random ones. Cases of one seed
             share train, line and timetable.
         seed: Not negative.
 
@@ -93,7 +93,7 @@ def _pair(rng: Generator) -> str:
 
 
 def ride_case(name: str, seed: int, world: World, effects: Sequence[Hidden]) -> Case:
-    """Return the case of a world and effects at hand; the seed draws gusts, map and sensor errors."""
+    """Return the case of a given world and effects; the seed determines gusts, map and sensor errors."""
     nuisance = world.nuisance
     track = Track(world.route, world.vehicle.length, nuisance, np.random.default_rng([seed, 2]))
     wheel = math.prod(effect.wheel_ratio for effect in effects)
@@ -108,12 +108,12 @@ def ride_case(name: str, seed: int, world: World, effects: Sequence[Hidden]) -> 
         bags.append(sense(log, track, nuisance, wheel, slip, _EPOCH_NS + k * _BAG_NS, rng))
         runs += len(legs)
     truth = _truth(world, effects, logs, sensed)
-    believed = believed_file(world, np.random.default_rng([seed, 4]))
-    return Case(name, seed, believed, tuple(bags), truth)
+    train_yaml = assumed_file(world, np.random.default_rng([seed, 4]))
+    return Case(name, seed, train_yaml, tuple(bags), truth)
 
 
 def _sensed(log: Log, effects: Sequence[Hidden], rng: Generator) -> Array:
-    """Return what each effect adds to the measured speed: (effects, n) [m/s]."""
+    """Return the direct contribution of each effect to the measured speed, shape (effects, n) [m/s]."""
     rows = [slip_path(log, *effect.slip, rng) + (effect.wheel_ratio - 1.0) * log.speed for effect in effects]
     return np.array(rows).reshape(len(effects), len(log.speed))
 
@@ -134,13 +134,13 @@ def _truth(world: World, effects: Sequence[Hidden], logs: Sequence[Log], sensed:
     nuisance = world.nuisance
     gaps = measure_gaps(logs, sensed, world.vehicle)
     floor = math.sqrt(gaps.noise**2 + nuisance.speed_noise**2 + nuisance.speed_step**2 / 12.0)
-    told = tuple(
+    effect_truths = tuple(
         EffectTruth(effect.name, effect.parameters, effect.comparable, effect.near, gap, _percent(gap, floor))
         for effect, gap in zip(effects, gaps.effects, strict=True)
     )
     return Truth(
         kind=_kind(effects),
-        effects=told,
+        effects=effect_truths,
         one_way=world.one_way,
         mass_topic=nuisance.mass_topic,
         contamination=nuisance.contamination,

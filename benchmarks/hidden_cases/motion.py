@@ -2,8 +2,8 @@
 """The ride: the true train's equation of motion, in steps of 20 ms.
 
 ``(1 + gamma) dv/dt = F / M - g / 1000 (w(v) + i + w_hidden + gust)`` with the true force, mass and rotary mass.
-Beside the motion, each step notes what the effects and the nuisances change in dv/dt at this very state: what
-the believed equation with the reported force lacks.
+Each step also logs the change of dv/dt due to the effects and nuisances at the present state: the residual of the
+assumed equation with the reported force.
 """
 
 from __future__ import annotations
@@ -39,18 +39,18 @@ _STOP_WINDOW = 120.0
 
 @dataclass(frozen=True, slots=True)
 class Log:
-    """One bag's truth, a row each 20 ms, from time 0.
+    """Truth of one bag, one row per 20 ms from time 0.
 
     Attributes:
         front: Position of the front [m].
         heading: +1 or -1.
-        run: Number of the run, -1 while standing.
-        speed: [m/s].
-        force: As the drive reports it, without noise [N].
+        run: Number of the run, -1 at standstill.
+        speed: Speed [m/s].
+        force: Force reported by the drive, without noise [N].
         command: Brake command [m/s^2].
-        weighed: Mass as weighed [kg].
-        noise: dv/dt that nuisances add [m/s^2].
-        added: dv/dt that each effect adds, (effects, n) [m/s^2].
+        weighed: Weighed mass [kg].
+        noise: Contribution of the nuisances to dv/dt [m/s^2].
+        added: Contribution of each effect to dv/dt, shape (effects, n) [m/s^2].
 
     """
 
@@ -67,7 +67,7 @@ class Log:
 
 @dataclass(slots=True)
 class _Brake:
-    """Dead time and first-order lag of the brake; the true one may wait longer than the nominal one."""
+    """Dead time and first-order lag of the brake; the true dead time may exceed the nominal one."""
 
     dead: int
     dead_true: int
@@ -130,7 +130,7 @@ class Ride:
         brake, commands, moment = self._brake, self._commands, self._moment
         inertia = leg.weighed * (1.0 + self._world.vehicle.rotary)
         nothing = (0.0,) * len(self._effects)
-        # The next run begins with a tick of the driver.
+        # Aligns the next run with a tick of the driver.
         for _ in range(round(seconds / STEP / _TICK) * _TICK + -len(self._rows) % _TICK):
             commands.append(HOLD)
             brake.step(commands)
@@ -150,15 +150,15 @@ class Ride:
         a, b, c = vehicle.davis
         driver, heading = Driver(vehicle, leg, vehicle.davis), leg.heading
         moment.load, moment.heading, moment.run = leg.mass / world.mean_mass, heading, number
-        believed = leg.weighed if world.nuisance.mass_topic else world.mean_mass
+        assumed_mass = leg.weighed if world.nuisance.mass_topic else world.mean_mass
         nothing = (0.0,) * len(self._effects)
         speed = pull = wanted = command = 0.0
         started = False
         for k in range(round(_MOST_S / STEP)):
-            true, mapped = self._look(front, heading)
+            true, mapped = self._track_at(front, heading)
             if k % _TICK == 0:
                 wanted, command = driver.decide(front, speed, mapped)
-                self._blow()
+                self._update_gust()
             self._commands.append(command)
             brake.step(self._commands)
             most = min(vehicle.start_acceleration, vehicle.power / leg.weighed / max(speed, 1.0))
@@ -167,14 +167,14 @@ class Ride:
             self._report(force)
             davis = a + b * speed + c * speed * speed
             base = (force / leg.mass - _WEIGHT * (davis + true + self._gust)) / rotary
-            plain = (self._reported / believed - _WEIGHT * (davis + mapped)) / rotary
+            plain = (self._reported / assumed_mass - _WEIGHT * (davis + mapped)) / rotary
             moment.time, moment.front, moment.speed = len(rows) * STEP, front, speed
             moment.pull = pull / _WEIGHT
             acceleration, added = self._hidden(base, leg.weighed / leg.mass, pull)
             started = started or base + acceleration > 0.0
             gone = started and (speed > 0.0 or base + acceleration > 0.0)
-            noted = ((base - plain), *added) if gone else (0.0, *nothing)
-            rows.append((front, heading, number if gone else -1, speed, self._reported, command, leg.weighed, *noted))
+            logged = ((base - plain), *added) if gone else (0.0, *nothing)
+            rows.append((front, heading, number if gone else -1, speed, self._reported, command, leg.weighed, *logged))
             if gone:
                 new = max(0.0, speed + STEP * (base + acceleration))
                 moment.acceleration = (new - speed) / STEP
@@ -183,11 +183,11 @@ class Ride:
                 moment.travelled += moved
                 if new <= 0.0 and command < 0.0:
                     return front
-        msg = f'run {number} of the ride found no end'
+        msg = f'run {number} of the ride did not reach its stop within {_MOST_S:.0f} s'
         raise RuntimeError(msg)
 
-    def _look(self, front: float, heading: int) -> tuple[float, float]:
-        """Return true and mapped gradient in the direction of travel; tell the moment the rest."""
+    def _track_at(self, front: float, heading: int) -> tuple[float, float]:
+        """Return true and mapped gradient in the direction of travel [per mille]; update curvature and tunnel share."""
         place = self._track.index(front, heading)
         low = int(place)
         part = place - low
@@ -196,13 +196,13 @@ class Ride:
         self._moment.tunnel_share = tube0 + part * (tube1 - tube0)
         return heading * (true0 + part * (true1 - true0)), heading * (map0 + part * (map1 - map0))
 
-    def _blow(self) -> None:
+    def _update_gust(self) -> None:
         nuisance = self._world.nuisance
         keep = math.exp(-_TICK * STEP / nuisance.gust_time)
         self._gust = keep * self._gust + nuisance.gust * math.sqrt(1.0 - keep * keep) * self._random.gauss(0.0, 1.0)
 
     def _hidden(self, base: float, scale: float, pull: float) -> tuple[float, tuple[float, ...]]:
-        """Return dv/dt that all effects add to ``base``, and that of each alone; renew the state of the brake."""
+        """Return the change of dv/dt by all effects and by each alone [m/s^2]; update the state of the brake."""
         moment, brake = self._moment, self._brake
         applied = brake.true < _APPLIED
         moment.applied_for = moment.applied_for + STEP if applied else 0.0
@@ -223,7 +223,7 @@ class Ride:
             pulls *= effect.pull_gain(moment) if effect.pull_gain else 1.0
             brakes *= effect.brake_gain(moment) if effect.brake_gain else 1.0
         braked = brakes * (brake.true if late else brake.nominal)
-        believed, true = pull + rotary * brake.nominal, pulls * pull + rotary * braked
-        # All but the force is a share of the weight, so a heavier train feels the same resistance.
-        rest = base * rotary - scale * believed - _WEIGHT * drag
+        nominal, true = pull + rotary * brake.nominal, pulls * pull + rotary * braked
+        # All terms but the force are proportional to the weight, so a heavier train has the same specific resistance.
+        rest = base * rotary - scale * nominal - _WEIGHT * drag
         return (scale * true / heavier + rest) / (rotary * inertia) - base

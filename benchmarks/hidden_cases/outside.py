@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Effects that no name of the interface describes; ``near`` lists what would be an honest generic answer."""
+"""Effects outside the library of the interface; ``near`` lists acceptable generic names."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 
 def wavy_drag(_: World, rng: Generator) -> Hidden:
-    """Track of changing stiffness: resistance that swings along the line, the same both ways."""
+    """Varying track stiffness: resistance that oscillates along the line, equal in both directions."""
     size, wave, phase = log_uniform(rng, 0.8, 6.0), float(rng.uniform(300.0, 900.0)), float(rng.uniform(0.0, 6.28))
     parameters = (('size', size), ('wave', wave), ('phase', phase))
     near = ('local_drag', 'gradient_error')
@@ -28,14 +28,14 @@ def wavy_drag(_: World, rng: Generator) -> Hidden:
 
 
 def growing_drag(world: World, rng: Generator) -> Hidden:
-    """A bearing on its way to running hot: drag that grows all day."""
+    """Overheating bearing: drag that grows all day."""
     rate = log_uniform(rng, 0.6, 5.0) / world.duration
     near = ('resistance_step', 'bearing_warmup')
     return Hidden('growing_drag', (('rate', rate),), near=near, drag=lambda m: rate * m.time)
 
 
 def brake_speed_rate(world: World, rng: Generator) -> Hidden:
-    """Friction of a cast-iron block: falls with speed."""
+    """Cast-iron brake blocks: friction falls with speed."""
     loss, top = log_uniform(rng, 0.05, 0.45), world.vehicle.top_speed
     return Hidden(
         'brake_speed_rate',
@@ -46,7 +46,7 @@ def brake_speed_rate(world: World, rng: Generator) -> Hidden:
 
 
 def field_weakening(world: World, rng: Generator) -> Hidden:
-    """The drive reports what it was asked for, but gives less the faster it turns."""
+    """Drive with field weakening: reports the demanded force, but gives less above a speed."""
     loss, knee = log_uniform(rng, 0.05, 0.4), world.vehicle.top_speed * float(rng.uniform(0.35, 0.6))
     span = world.vehicle.top_speed - knee
     return Hidden(
@@ -58,7 +58,7 @@ def field_weakening(world: World, rng: Generator) -> Hidden:
 
 
 def sagging_voltage(world: World, rng: Generator) -> Hidden:
-    """Far from the substation the drive gives less than it reports."""
+    """Voltage drop: on a section of the line the drive gives less than it reports."""
     loss, stops = log_uniform(rng, 0.05, 0.35), world.route.stops
     middle, width = float(rng.uniform(0.15, 0.85)) * stops[-1], float(rng.uniform(400.0, 1200.0))
     parameters = (('loss', loss), ('place', middle), ('width', width))
@@ -77,14 +77,14 @@ def rotary_mass(world: World, rng: Generator) -> Hidden:
 
 
 def jerked_drag(_: World, rng: Generator) -> Hidden:
-    """Resistance while the speed changes, whichever way: couplers and suspension that work."""
+    """Resistance proportional to |acceleration|, as by couplers and suspension."""
     size = log_uniform(rng, 0.8, 8.0)
     near = ('mass_error', 'traction_scale', 'brake_scale')
     return Hidden('jerked_drag', (('size', size),), near=near, drag=lambda m: size * min(1.2, abs(m.acceleration)))
 
 
 def pull_drag_one_way(_: World, rng: Generator) -> Hidden:
-    """Extra drag only under traction and only up the line."""
+    """Extra drag under traction in one direction only."""
     size, heading = log_uniform(rng, 0.6, 5.0), 1 if rng.random() < 0.5 else -1
     near = ('traction_scale', 'headwind', 'gradient_error')
     return Hidden(
@@ -96,14 +96,14 @@ def pull_drag_one_way(_: World, rng: Generator) -> Hidden:
 
 
 def random_runs(world: World, rng: Generator) -> Hidden:
-    """Another resistance in each run."""
+    """Random resistance in each run."""
     size, runs = log_uniform(rng, 0.3, 2.0), sum(len(legs) for legs in world.bags)
     levels: list[float] = np.clip(size * rng.standard_normal(runs), -0.7, None).tolist()
     return Hidden('random_runs', (('size', size),), near=('resistance_step',), drag=lambda m: levels[m.run])
 
 
 def speed_band_drag(world: World, rng: Generator) -> Hidden:
-    """Resonance of the running gear: drag in a band of speed."""
+    """Resonance of the running gear: drag in a speed band."""
     size, width = log_uniform(rng, 0.8, 7.0), float(rng.uniform(0.8, 2.0))
     centre = world.vehicle.top_speed * float(rng.uniform(0.35, 0.65))
     parameters = (('size', size), ('centre', centre), ('width', width))
@@ -113,7 +113,7 @@ def speed_band_drag(world: World, rng: Generator) -> Hidden:
 
 
 def wet_brake(_: World, rng: Generator) -> Hidden:
-    """Wet discs grip badly at first in each braking, until rubbed dry."""
+    """Wet discs: reduced friction at the start of each braking."""
     loss, seconds = log_uniform(rng, 0.08, 0.5), float(rng.uniform(3.0, 8.0))
     near = ('brake_delay', 'brake_scale')
 
@@ -124,7 +124,7 @@ def wet_brake(_: World, rng: Generator) -> Hidden:
 
 
 def crowded_drag(_: World, rng: Generator) -> Hidden:
-    """Specific resistance that falls as the train fills."""
+    """Specific resistance that falls with the load."""
     slope = log_uniform(rng, 2.0, 15.0)
     near = ('resistance_step', 'mass_error')
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the sensors make of a ride: noise, resolution, drift, jitter, lost messages, outliers, slip."""
+"""Sensor model of a ride: noise, resolution, drift, jitter, lost messages, outliers, slip."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ _LEAST_CURVATURE = 2e-5
 
 
 def slip_path(log: Log, share: float, most: float, rng: Generator) -> Array:
-    """Return the wheel's speed over the train's [m/s] at each row of the log: bursts where the force is high."""
+    """Return the slip speed (wheel minus train) [m/s] per row of the log: bursts where the specific force is high."""
     slip = np.zeros(len(log.speed))
     if share <= 0.0:
         return slip
@@ -87,7 +87,7 @@ def _stamps(times: Array, start_ns: int) -> list[int]:
 
 
 def _odometer_walk(log: Log, rng: Generator) -> Array:
-    """Position error that grows while the train runs; each stop corrects it [m]."""
+    """Return the position error, a random walk in motion that is reset at each stop [m]."""
     shocks = np.where(log.run >= 0, _WALK * np.sqrt(STEP) * rng.standard_normal(len(log.run)), 0.0)
     return _since_stop(log, shocks)
 
@@ -115,7 +115,7 @@ def _speeds(
         measured += np.where(hit, rng.uniform(1.0, 8.0, len(times)) * rng.choice([-1.0, 1.0], len(times)), 0.0)
     measured = np.round(np.maximum(0.0, measured) / nuisance.speed_step) * nuisance.speed_step
     measured[speed <= 0.0] = 0.0
-    # The odometer counts turns of the wheel: its distance is wrong by the same ratio.
+    # The odometer counts wheel turns, so its distance has the same relative error.
     counted = _since_stop(log, (ratio - 1.0) * log.heading * log.speed * STEP)
     position = _at(times, log.front) + _at(times, walk + counted)
     rows = zip(_stamps(times, start_ns), measured.tolist(), position.tolist(), strict=True)
@@ -137,5 +137,5 @@ def _tracks(log: Log, times: Array, track: Track, walk: Array, start_ns: int) ->
     curved = under[:, 2] > _LEAST_CURVATURE
     radius = np.divide(1.0, under[:, 2], out=np.zeros(len(rows)), where=curved)
     columns = (heading * under[:, 1]).tolist(), radius.tolist(), (under[:, 3] >= 0.5).tolist()
-    felt = zip(_stamps(times, start_ns), *columns, strict=True)
-    return (GradientRecord(stamp, gradient, curve, tunnel) for stamp, gradient, curve, tunnel in felt)
+    values = zip(_stamps(times, start_ns), *columns, strict=True)
+    return (GradientRecord(stamp, gradient, curve, tunnel) for stamp, gradient, curve, tunnel in values)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The line under the train: means over its length, tabulated for each metre of the front's position."""
+"""The line under the train: means over its length, tabulated per metre of the front's position."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ _MARGIN = 400
 
 
 class Track:
-    """True gradient, mapped gradient, curvature and tunnel share as felt under the train."""
+    """True gradient, mapped gradient, curvature and tunnel share, averaged over the train length."""
 
     def __init__(self, route: Route, length: int, nuisance: Nuisance, rng: Generator) -> None:
         count = int(route.stops[-1]) + 2 * _MARGIN + 1
@@ -31,23 +31,23 @@ class Track:
         tunnel = np.zeros(count)
         for low, high in route.tunnels:
             tunnel[(place > low) & (place < high)] = 1.0
-        true = mapped + _wander(count, nuisance, rng)
+        true = mapped + _map_error(count, nuisance, rng)
         self.length = length
-        # Row k: front at k - margin metres while positions rise, rear one length lower.
-        self._felt = np.column_stack([_mean_behind(of, length) for of in (true, mapped, curvature, tunnel)])
-        self.rows: list[list[float]] = self._felt.tolist()
+        # Row k: front at k - margin metres for rising positions, rear one train length lower.
+        self._table = np.column_stack([_mean_behind(of, length) for of in (true, mapped, curvature, tunnel)])
+        self.rows: list[list[float]] = self._table.tolist()
 
     def index(self, front: float, heading: int) -> float:
-        """Return the place in the table; a train that runs down the line lies one length above its front."""
+        """Return the index in the table; a train with falling positions extends one length above its front."""
         return front + _MARGIN + (self.length if heading < 0 else 0)
 
     def under(self, front: Array, heading: Array) -> Array:
-        """Return (n, 4): true and mapped gradient in rising position, curvature, tunnel share."""
+        """Return true and map gradient for rising position [per mille], curvature [1/m], tunnel share; shape (n, 4)."""
         at = front + _MARGIN + np.where(heading < 0, self.length, 0)
         low = np.clip(at.astype(int), 0, len(self.rows) - 2)
         share = (at - low)[:, None]
-        felt: Array = self._felt[low] * (1.0 - share) + self._felt[low + 1] * share
-        return felt
+        means: Array = self._table[low] * (1.0 - share) + self._table[low + 1] * share
+        return means
 
 
 def _steps(pairs: Pairs, place: Array) -> Array:
@@ -64,7 +64,7 @@ def _mean_behind(values: Array, length: int) -> Array:
     return mean
 
 
-def _wander(count: int, nuisance: Nuisance, rng: Generator) -> Array:
+def _map_error(count: int, nuisance: Nuisance, rng: Generator) -> Array:
     keep = math.exp(-1.0 / nuisance.map_length)
     value = nuisance.map_error * float(rng.standard_normal())
     path = np.empty(count)

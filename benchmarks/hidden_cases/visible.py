@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How visible effects are in speed, by linear response along the true ride.
+"""Visibility of effects in the speed, by linear response along the true ride.
 
-A change f(t) of dv/dt moves the speed that the believed model integrates by
+A change f(t) of dv/dt changes the speed integrated by the assumed model by d with
 ``d' = -g/(1000 (1 + gamma)) (b + 2 c v) d + f``.
-What the best initial speed of each run and the best common a, b, c can take up of it is no gap.
+The part of d that the best initial speed of each run and the best common a, b, c can fit does not count as gap.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ _EVERY = 5
 
 @dataclass(frozen=True, slots=True)
 class Gaps:
-    """RMS speeds [m/s] that the refitted believed model misses: by noise of the physics, each effect, all effects."""
+    """RMS speed gaps [m/s] of the refitted assumed model: by process noise, by each effect, by all effects."""
 
     noise: float
     effects: tuple[float, ...]
@@ -43,20 +43,20 @@ def measure_gaps(logs: Sequence[Log], sensed: Sequence[Array], vehicle: Vehicle)
 
     Args:
         logs: One per bag.
-        sensed: Per bag (effects, n): what each effect adds to the measured speed itself [m/s].
+        sensed: Per bag, the direct contribution of each effect to the measured speed, shape (effects, n) [m/s].
         vehicle: True Davis and rotary mass.
 
     """
     runs = [_Run.cut(log, own, number) for log, own in zip(logs, sensed, strict=True) for number in _numbers(log)]
-    answers = _respond(runs, vehicle)
-    columns = [_without_start(run, answer) for run, answer in zip(runs, answers, strict=True)]
+    responses = _respond(runs, vehicle)
+    columns = [_without_start(run, response) for run, response in zip(runs, responses, strict=True)]
     everything = np.concatenate(columns, axis=0)
     davis, signals = everything[:, :3], everything[:, 3:]
     signals = np.column_stack([signals, signals[:, 1:].sum(axis=1)])
     scale = np.linalg.norm(davis, axis=0)
-    taken, *_ = np.linalg.lstsq(davis / scale, signals, rcond=None)
-    missed: list[float] = np.sqrt(np.mean((signals - davis / scale @ taken) ** 2, axis=0)).tolist()
-    return Gaps(missed[0], tuple(missed[1:-1]), missed[-1])
+    fitted, *_ = np.linalg.lstsq(davis / scale, signals, rcond=None)
+    remaining: list[float] = np.sqrt(np.mean((signals - davis / scale @ fitted) ** 2, axis=0)).tolist()
+    return Gaps(remaining[0], tuple(remaining[1:-1]), remaining[-1])
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,7 +80,7 @@ def _numbers(log: Log) -> list[int]:
 
 
 def _respond(runs: list[_Run], vehicle: Vehicle) -> list[Array]:
-    """Return per run (n, 1 + 3 + 1 + effects): answer to the initial speed, a, b, c, noise and each effect."""
+    """Return the responses per run to initial speed, a, b, c, noise and each effect, shape (n, 1 + 3 + 1 + effects)."""
     _, b, c = vehicle.davis
     rate = G / 1000.0 / (1.0 + vehicle.rotary)
     longest, width = max(len(run.speed) for run in runs), 4 + runs[0].forcing.shape[1]
@@ -101,8 +101,8 @@ def _respond(runs: list[_Run], vehicle: Vehicle) -> list[Array]:
     return [path[: len(run.speed), k] for k, run in enumerate(runs)]
 
 
-def _without_start(run: _Run, answer: Array) -> Array:
-    start, rest = answer[:, :1], answer[:, 1:].copy()
+def _without_start(run: _Run, response: Array) -> Array:
+    start, rest = response[:, :1], response[:, 1:].copy()
     rest[:, 3:] += run.sensed
     cleaned: Array = rest - start @ (start.T @ rest) / np.sum(start * start)
     return cleaned

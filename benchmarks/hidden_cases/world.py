@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The train, the line and the timetable of a case, drawn at random."""
+"""Random train, line and timetable of a case."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class Vehicle:
 
 @dataclass(frozen=True, slots=True)
 class Route:
-    """The line as the map has it: steps of gradient [per mille, rising position] and radius [m], tunnels."""
+    """The line of the map: steps of gradient [per mille, rising position] and curve radius [m], tunnels [m]."""
 
     stops: tuple[float, ...]
     gradient: Pairs
@@ -41,7 +41,7 @@ class Route:
 
 @dataclass(frozen=True, slots=True)
 class Leg:
-    """One run from stop to stop, and how it is driven."""
+    """One run from stop to stop, and its driving style."""
 
     start: float
     end: float
@@ -58,7 +58,7 @@ class Leg:
 
 @dataclass(frozen=True, slots=True)
 class Nuisance:
-    """Sizes of what nobody models: gusts [N/kN, s], map error [per mille, m], weighing, sensors."""
+    """Sizes of unmodelled errors: gusts [N/kN, s], map error [per mille, m], weighing [1], sensors."""
 
     gust: float
     gust_time: float
@@ -77,7 +77,7 @@ class Nuisance:
 
 @dataclass(frozen=True, slots=True)
 class World:
-    """All of a case but its effects; one tuple of legs for each bag."""
+    """A case without its effects; one tuple of legs per bag."""
 
     vehicle: Vehicle
     route: Route
@@ -89,7 +89,7 @@ class World:
 
     @property
     def duration(self) -> float:
-        """What the day may take, roughly [s]."""
+        """Approximate duration of the day [s]."""
         legs = [leg for bag in self.bags for leg in bag]
         return sum(leg.dwell + 40.0 + abs(leg.end - leg.start) / (0.8 * leg.cruise) for leg in legs)
 
@@ -99,10 +99,10 @@ def log_uniform(rng: Generator, low: float, high: float) -> float:
 
 
 def draw_world(rng: Generator, *, one_bag: bool = False) -> World:
-    """Draw a case; ``one_bag`` keeps the whole day in one bag, for effects that count from its start."""
+    """Draw a case; ``one_bag``: the day is one bag, for effects that depend on time or distance since its start."""
     one_way = bool(rng.random() < 0.2)
     two_bags = bool(rng.random() < 0.35) and not one_bag
-    # A fast train between towns, where the shape of the drag curve shows.
+    # A fast train between towns, on which the shape of the drag curve is observable.
     fast = bool(rng.random() < 0.15) and not one_way
     count = int(rng.integers(3, 5)) if fast else _stop_count(rng, one_way=one_way, two_bags=two_bags)
     vehicle = _draw_vehicle(rng, fast=fast)
@@ -217,7 +217,7 @@ def _draw_leg(
     if nuisance.mass_topic:
         mass = vehicle.tare * float(rng.uniform(1.0, full))
     else:
-        # Without load weighing only a narrow range of payloads leaves anything to find.
+        # Without load weighing, effects are identifiable only in a narrow range of payloads.
         mass = mean * (1.0 + 0.02 * min(2.0, max(-2.0, float(rng.standard_normal()))))
     restriction = None
     if rng.random() < 0.35:
@@ -225,7 +225,7 @@ def _draw_leg(
         restriction = (
             start + heading * begin,
             start + heading * (begin + float(rng.uniform(100.0, 250.0))),
-            # Some lines have works on the track that are passed at walking pace.
+            # Some lines have track works that are passed at walking pace.
             float(rng.uniform(3.0, 5.5)) if crawls else vehicle.top_speed * float(rng.uniform(0.4, 0.75)),
         )
     return Leg(

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 def write_case(case: Case, out: Path) -> tuple[Path, ...]:
     """Write believed.yaml, truth.json and the bags (bag, or bag1 and bag2) to a folder; return the bags."""
     out.mkdir(parents=True, exist_ok=True)
-    (out / 'believed.yaml').write_text(case.believed, encoding='utf-8')
+    (out / 'believed.yaml').write_text(case.train_yaml, encoding='utf-8')
     effects = [asdict(effect) | {'parameters': dict(effect.parameters)} for effect in case.truth.effects]
     truth = {'name': case.name, 'seed': case.seed} | asdict(case.truth) | {'effects': effects}
     (out / 'truth.json').write_text(json.dumps(truth, indent=1) + '\n', encoding='utf-8')
@@ -35,7 +35,7 @@ def write_case(case: Case, out: Path) -> tuple[Path, ...]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Write the case that the arguments ask for."""
+    """Write the selected case."""
     parser = argparse.ArgumentParser(prog='python -m benchmarks.hidden_cases.write', description='Write a hidden case.')
     parser.add_argument('--effect', required=True, metavar='NAME', help='none, pair, an effect, or two joined by +')
     parser.add_argument('--seed', type=int, default=1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Second generator of hidden cases: regional, freight, main line and metro, with physics of its own."""
+"""Second generator of hidden cases: regional, freight, main line and metro, with independent physics."""
 
 from __future__ import annotations
 

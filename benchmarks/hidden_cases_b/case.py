@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A hidden case: what the workflow may see, and the truth that only the scoring opens."""
+"""A hidden case: input of the workflow, and the truth for the scoring only."""
 
 from __future__ import annotations
 
@@ -43,18 +43,18 @@ NAMES: Final = ('none', *LIBRARY, *SENSOR_EXTRA, *PAIRS, *OUTSIDE)
 
 @dataclass(frozen=True, slots=True)
 class Truth:
-    """What is hidden.
+    """Truth of a case, for the scoring only.
 
     Attributes:
         kind: none, single, pair or outside.
-        effects: Names, in the interface's words where it has one.
-        parameters: Per effect; empty for effects outside.
-        exact: Per effect, parameters whose law is the interface's one to one; the others are only of that size.
-        flags: One_way, contamination and other circumstances.
+        effects: Names, those of the interface where it has one.
+        parameters: Per effect; empty for effects outside the library.
+        exact: Per effect, the parameters whose law equals that of the interface; the others are approximate.
+        flags: one_way, contamination and other circumstances.
         visible: Excess of the refitted model's rms speed gap over the noise floor [%], all effects together.
-        visible_each: The same of every effect alone in the same scene.
+        visible_each: The same for every effect alone in the same scene.
         gap: Details of the gap [m/s].
-        davis: True a, b, c.
+        davis: True a, b, c [N/kN, v in m/s].
         service: Kind of train.
 
     """
@@ -73,7 +73,7 @@ class Truth:
 
 @dataclass(frozen=True, slots=True)
 class Case:
-    """Believed train file and bags, beside the truth."""
+    """Assumed train file (YAML), bags and truth."""
 
     name: str
     seed: int
@@ -83,15 +83,15 @@ class Case:
 
 
 def make_case(name: str, seed: int) -> Case:
-    """Make a case.
+    """Generate a case.
 
     Args:
         name: One of ``NAMES``, or any names of single effects joined by '+'.
-        seed: Any non-negative integer; same name and seed, same case.
+        seed: Any non-negative integer; equal names and seeds give equal cases.
 
     Raises:
         KeyError: The name is not known.
-        RuntimeError: No drivable scene was found (not seen).
+        RuntimeError: No drivable scene was found in eight attempts (has not occurred).
 
     """
     names = () if name == 'none' else tuple(name.split('+'))
@@ -109,12 +109,12 @@ def make_case(name: str, seed: int) -> Case:
             return _observe(name, seed, scene, quirks, draws, log, np.random.default_rng([root, attempt, 7]))
         except RuntimeError:
             continue
-    msg = f'{name} {seed}: no scene could be driven'
+    msg = f'{name} {seed}: no drivable scene found'
     raise RuntimeError(msg)
 
 
 def draw_cases(seed: int, count: int) -> list[tuple[str, int]]:
-    """Draw names and seeds: 15 % none, 60 % single, 10 % pairs, 15 % outside, every name equally often."""
+    """Draw names and seeds: 15 % none, 60 % single, 10 % pairs, 15 % outside, all names equally often."""
     rng = np.random.default_rng([seed, 17])
     pools = (['none'], [*LIBRARY, *SENSOR_EXTRA], list(PAIRS), list(OUTSIDE))
     shares = np.array([0.15, 0.60, 0.10, 0.15])
@@ -163,11 +163,11 @@ def _observe(
         (stock.a, stock.b, stock.c),
         scene.service,
     )
-    return Case(name, seed, believed_yaml(scene, rng), tuple(tuple(bag) for bag in bags), truth)
+    return Case(name, seed, assumed_yaml(scene, rng), tuple(tuple(bag) for bag in bags), truth)
 
 
-def believed_yaml(scene: Scene, rng: np.random.Generator) -> str:
-    """Write what the engineer believes: Davis a little wrong, the brake nominal, the map as it is on board."""
+def assumed_yaml(scene: Scene, rng: np.random.Generator) -> str:
+    """Return the assumed train file as YAML: Davis coefficients off by up to 15 %, nominal brake, onboard map."""
     stock, ground = scene.stocks[0], scene.ground
     a, b, c = (value * (1.0 + float(rng.uniform(-0.15, 0.15))) for value in (stock.a, stock.b, stock.c))
     detailed = bool(rng.random() < 0.75)
@@ -176,7 +176,7 @@ def believed_yaml(scene: Scene, rng: np.random.Generator) -> str:
         return '[' + ', '.join(f'[{x}, {y}]' for x, y in pairs) + ']'
 
     lines = [
-        f'train: {{mass: {scene.believed_mass:.1f}, rotary_mass: {stock.gamma}, length: {stock.length}, '
+        f'train: {{mass: {scene.assumed_mass:.1f}, rotary_mass: {stock.gamma}, length: {stock.length}, '
         f'cars: {scene.cars}}}',
         f'resistance: {{a: {a:.4f}, b: {b:.6f}, c: {c:.7f}}}',
         f'brake: {{rate: 1.0, time_constant: {stock.lag}, delay: {stock.delay:.2f}}}',

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The driver, compiled with numba: what to pull or brake at each tick."""
+"""The driver, compiled with numba: traction and brake command at each tick."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from numba import njit
 
 from benchmarks.hidden_cases_b.forces import GRAV, Stock
 
-# What the driver is doing.
+# Modes of the driver.
 PULLING: Final = 0
 KEEPING: Final = 1
 COASTING: Final = 2
@@ -33,7 +33,7 @@ def decide(
     demand: float,
     brake_wait: int,
 ) -> tuple[int, float, float, int]:
-    """Return mode, brake command [m/s^2], traction asked for [N] and ticks until the brake may change."""
+    """Return mode, brake command [m/s^2], demanded traction [N] and ticks until the brake may change."""
     limit = s.cruise
     plan_w = s.a + s.b * v + s.c * v * v + slope
     if s.zone_from >= 0.0 and s.zone_from <= covered <= s.zone_to + s.length:

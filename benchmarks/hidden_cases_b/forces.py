@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Forces on the train, compiled with numba. Written for itself: shares no code or formula with what is tested."""
+"""Forces on the train, compiled with numba; shares no code or formula with the package under test."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Stock(NamedTuple):
     delay: float
     weighed: float
     loaded: float  # true mass without the effect mass_error
-    crowding: float  # per cent above the usual load
+    crowding: float  # load above the usual one [%]
     whim: float
     pull_max: float
     power: float
@@ -88,7 +88,7 @@ def drags(
     gust_v: float,
     gust_w: float,
 ) -> tuple[float, float, float, float]:
-    """Return all resistances [N/kN] but those of brake and acceleration, then the shares of gust and flaw."""
+    """Return the total resistance without brake and inertia, then gradient, gust and map error [N/kN]."""
     rear = x - way * s.length
     slope = (_read(climb, origin, x) - _read(climb, origin, rear)) / s.length
     miss = (_read(flaw, origin, x) - _read(flaw, origin, rear)) / s.length
@@ -134,7 +134,7 @@ def drags(
 def rate(
     q: Quirks, s: Stock, push: float, nominal: float, heat: float, v: float, w: float, x: float
 ) -> tuple[float, float]:
-    """Return acceleration [m/s^2] and the brake's deceleration of the nominal inertia (<= 0)."""
+    """Return the acceleration, and the brake deceleration of the nominal inertia (<= 0) [m/s^2]."""
     mass = s.loaded * q.heavy
     loss = q.fade_loss * (1.0 - math.exp(-heat / q.fade_heat))
     brake = q.bite * (1.0 - loss) * (1.0 - q.bite_speed * v) * nominal

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A railway line drawn at random: stations, map of gradient, curves, tunnels, and what the map has wrong."""
+"""A random railway line: stations, map of gradients, curves and tunnels, and the error of the map."""
 
 from __future__ import annotations
 
@@ -49,8 +49,8 @@ class Ground:
         """Return the mean of the integrand between rear and front."""
         return np.abs(self.at(table, front) - self.at(table, front - facing * length)) / length
 
-    def felt(self, table: Array, front: Array, facing: Array, length: float) -> Array:
-        """Return the mean of the integrand, + when it rises in the direction of travel."""
+    def signed_mean_under(self, table: Array, front: Array, facing: Array, length: float) -> Array:
+        """Return the mean of the integrand under the train, with the sign of the direction of travel."""
         return (self.at(table, front) - self.at(table, front - facing * length)) / length
 
 
@@ -90,7 +90,7 @@ def draw_ground(
 def _gradients(
     rng: np.random.Generator, low: float, high: float, steepest: float, gap: float, stops: tuple[float, ...]
 ) -> tuple[tuple[float, float], ...]:
-    """Lengths between breaks are lognormal; slopes revert to level, so that the line stays on the map."""
+    """Draw gradients in pieces of lognormal length; they revert to level, so that the height stays bounded."""
     out, x, slope = [], low, 0.0
     typical = float(np.clip(0.12 * gap, 150.0, 700.0))
     while x < high:
@@ -115,7 +115,7 @@ def _curves(
 
 
 def _tunnels(rng: np.random.Generator, stops: tuple[float, ...]) -> tuple[tuple[float, float], ...]:
-    """One tunnel on a random leg, a second one on another."""
+    """Draw a tunnel on one or two random legs."""
     legs = rng.permutation(len(stops) - 1)[: int(rng.integers(1, 3))]
     out = []
     for leg in sorted(legs.tolist()):
@@ -137,7 +137,7 @@ def _integral(values: Array) -> Array:
 
 
 def _coloured(rng: np.random.Generator, count: int, std: float, length: float) -> Array:
-    """Return a stationary second-order-smooth process: white noise through a Gaussian window."""
+    """Return a smooth stationary process: white noise filtered with a Gaussian window."""
     reach = int(3.0 * length / CELL)
     window = np.exp(-0.5 * (np.arange(-reach, reach + 1) * CELL / (0.7 * length)) ** 2)
     window /= np.sqrt(np.sum(window**2))

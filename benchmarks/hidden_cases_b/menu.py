@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The effects by name: size drawn at random, quirks to set, and the parameters that a finder should report."""
+"""The effects by name: random size, quirks to set, and the parameters that should be reported."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Draw:
-    """Quirks to set, the parameters in the interface's words, and which of these compare one to one."""
+    """Quirks to set, the parameters in the form of the interface, and those that can be compared exactly."""
 
     quirks: Mapping[str, float]
     parameters: Mapping[str, float] = field(default_factory=dict)
@@ -28,7 +28,7 @@ class Draw:
 
 @dataclass(frozen=True, slots=True)
 class Context:
-    """What sizes may depend on: the scene and the ride without the effect."""
+    """Inputs on which sizes may depend: the scene and the log without the effect."""
 
     scene: Scene
     log: Array
@@ -58,7 +58,7 @@ def _ratio(quirk: str, low: float, high: float, down: float = 0.5) -> Maker:
 
 
 def _place(rng: Rng, at: Context, low: float, high: float) -> tuple[float, float]:
-    """A section of the leg that is driven most, both ways if any is."""
+    """Return a section of the leg that is driven most often, in both directions if there is one."""
     seen: dict[tuple[float, float], list[float]] = {}
     for leg in at.scene.legs:
         seen.setdefault((min(leg.start, leg.target), max(leg.start, leg.target)), []).append(leg.way)
@@ -107,7 +107,7 @@ def _dragging_brake(rng: Rng, _: Context) -> Draw:
 
 
 def _strength(at: Context) -> float:
-    """Half of the traction at the start [N/kN]."""
+    """Return half of the starting traction [N/kN]."""
     stock = at.scene.stocks[0]
     return 0.5 * stock.pull_max / (stock.weighed * 9.81 / 1000.0)
 
@@ -165,7 +165,7 @@ LIBRARY: Final[Mapping[str, Maker]] = {
     'local_drag': _local_drag,
     'higher_order_drag': _plain('cubic', 'coefficient', lambda rng, at: _log(rng, 2.0, 18.0) / _top(at) ** 3),
 }
-"""Names of the interface."""
+"""Effects named in the interface."""
 
 
 def _wave(rng: Rng, _: Context) -> Draw:
@@ -229,7 +229,7 @@ OUTSIDE: Final[Mapping[str, Maker]] = {
     'weak_feeder': _feeder,
     'uphill_drag': _only('hill', 0.03, 0.3),
 }
-"""Names of our own; no library has these equations."""
+"""Effects outside the library, with names of this generator."""
 
 NEAR: Final[Mapping[str, tuple[str, ...]]] = {
     'resistance_wave': ('local_drag', 'gradient_error'),
@@ -247,13 +247,13 @@ NEAR: Final[Mapping[str, tuple[str, ...]]] = {
     'weak_feeder': ('traction_scale', 'local_drag'),
     'uphill_drag': ('gradient_error', 'local_drag'),
 }
-"""Names that would be an honest generic answer for effects outside."""
+"""Acceptable generic names for effects outside the library."""
 
 SENSOR_EXTRA: Final[Mapping[str, Maker]] = {
     'map_shift': _plain('map_ahead', 'distance', lambda rng, _: _sign(rng) * _log(rng, 15.0, 150.0)),
     'stamp_skew': _plain('force_late', 'delay', lambda rng, _: _log(rng, 0.12, 1.2)),
 }
-"""Sensor effects that the issue names and the interface does not."""
+"""Sensor effects that are required but not named in the interface."""
 
 MENU: Final[Mapping[str, Maker]] = {**LIBRARY, **SENSOR_EXTRA, **OUTSIDE}
 
@@ -273,6 +273,6 @@ _WISHES: Final = {
 
 
 def wish_for(names: tuple[str, ...]) -> Wish:
-    """Return what all of the effects need together."""
+    """Return the combined requirements of all effects."""
     wishes = [_WISHES.get(name, Wish()) for name in names]
     return Wish(*(any(getattr(w, key) for w in wishes) for key in Wish.__slots__))

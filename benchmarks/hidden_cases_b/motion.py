@@ -21,7 +21,7 @@ COLUMNS = 14
 
 
 @njit(cache=True)
-def run_leg(  # noqa: PLR0915 - one loop over plain numbers, as compiled code is best
+def run_leg(  # noqa: PLR0915 - one loop over plain numbers compiles best
     q: Quirks,
     s: Stock,
     origin: float,
@@ -44,23 +44,23 @@ def run_leg(  # noqa: PLR0915 - one loop over plain numbers, as compiled code is
     Args:
         q: Quirks.
         s: Stock of this leg.
-        origin: Position of the first node of the tables.
-        climb: Integral of the map's gradient; likewise flaw, bend, bore of the ground.
-        flaw: Of the map.
-        bend: Of 1/R.
-        bore: Of the tunnels.
+        origin: Position of the first node of the tables [m].
+        climb: Integral of the map's gradient [per mille m].
+        flaw: Integral of the map error [per mille m].
+        bend: Integral of 1/R [1].
+        bore: Integral of the tunnel indicator [m].
         state: [time s, position, heat J/kg, distance run, seconds since brake release], changed in place.
         way: +1 or -1.
         leg: Number of the leg.
         target: Where to stop [m].
         dwell: Time to stand [s].
-        gust_v: Gust speed, 0.1 s.
-        gust_w: Further gust resistance [N/kN], 0.1 s.
+        gust_v: Gust speed [m/s], every 0.1 s.
+        gust_w: Additional gust resistance [N/kN], every 0.1 s.
         log: Rows of 0.1 s, filled from ``row`` on.
         row: First free row.
 
     Returns:
-        The next free row, or -1 if the log is full or the stop was never reached.
+        The next free row, or -1 if the log is full or the stop was not reached.
 
     """
     now, x, heat, gone, freed = state[0], state[1], state[2], state[3], state[4]
@@ -171,7 +171,7 @@ def run_leg(  # noqa: PLR0915 - one loop over plain numbers, as compiled code is
         )
         a2, brake = rate(q, s, mid_push, mid_real, heat, vm, w2, x)
         heat += H * (max(-brake, 0.0) * vm - heat / q.fade_cool)
-        # Once it has arrived a train is held, by its brake or by its doors.
+        # After arrival the train is held by its brake or interlocked doors.
         nv = 0.0 if arrived else v + H * a2
         if nv <= 0.0:
             ds = 0.5 * v * H if v > 0.0 else 0.0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Everything that can be wrong with the believed model, as one flat tuple of numbers; all neutral by default."""
+"""All possible errors of the assumed model, as one flat tuple of numbers; all neutral by default."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 
 class Quirks(NamedTuple):
-    """Strength of every effect; compiled code reads it, so it holds floats only."""
+    """Strength of every effect; read by compiled code, so it holds floats only."""
 
     bore_gain: float = 1.0  # aerodynamic drag inside a tunnel over that outside
     flange: float = 0.0  # N/kN m
@@ -16,8 +16,8 @@ class Quirks(NamedTuple):
     slope_miss: float = 0.0  # true minus map gradient, rising position
     wind: float = 0.0  # m/s, + against rising position
     heavy: float = 1.0  # true over weighed mass
-    pull: float = 1.0  # real over reported traction
-    bite: float = 1.0  # real over nominal brake
+    pull: float = 1.0  # true over reported traction
+    bite: float = 1.0  # true over nominal brake
     fade_loss: float = 0.0
     fade_heat: float = 1.0  # J/kg
     fade_cool: float = 250.0  # s
@@ -43,7 +43,7 @@ class Quirks(NamedTuple):
     bite_speed: float = 0.0  # loss of brake per m/s
     sag: float = 0.0  # loss of traction per m/s beyond sag_from
     sag_from: float = 1e9
-    rotary: float = 0.0  # true minus believed gamma
+    rotary: float = 0.0  # true minus assumed gamma
     surge: float = 0.0  # N/kN per m/s^2 of |acceleration|
     oneway_pull: float = 0.0  # N/kN, in traction, rising position only
     whim: float = 0.0  # N/kN, times a factor of the run

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""From the log of a day to records: sampling, quantisation, late flags, lost and wild messages."""
+"""Convert the log of a day to records: sampling, quantisation, delayed flags, lost messages, outliers."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from benchmarks.hidden_cases_b.forces import GRAV
 from benchmarks.hidden_cases_b.motion import CMD, LEG, NOM, PULL, REAL, WAY, WEIGHED, T, V, X
 from benchmarks.hidden_cases_b.quirks import Quirks
 from benchmarks.hidden_cases_b.scene import Scene
-from benchmarks.hidden_cases_b.sensing import Instruments, felt_gradient, odometer_error, slip_bursts
+from benchmarks.hidden_cases_b.sensing import Instruments, map_gradient, odometer_error, slip_bursts
 from trainid_ros.core.records import BrakeRecord, ForceRecord, GradientRecord, MassRecord, Record, SpeedRecord
 
 Array = NDArray[np.float64]
@@ -37,7 +37,7 @@ def sense(rng: np.random.Generator, scene: Scene, quirks: Quirks, kit: Instrumen
 
 @dataclass(frozen=True, slots=True)
 class _Recorder:
-    """One bag; its methods draw from one generator, so that their order counts."""
+    """Records of one bag; the methods share one random generator, so their order matters."""
 
     rng: np.random.Generator
     scene: Scene
@@ -52,10 +52,10 @@ class _Recorder:
         at = self._grid(kit.period, float(rng.uniform(0.0, 0.04)))
         true = self._of(V, at)
         raw = self.quirks.wheel * true + self._between(self.slip, at) + kit.speed_noise * rng.standard_normal(len(at))
-        wild = rng.random(len(at)) < kit.outliers
-        raw = np.where(wild, raw + rng.choice([-1.0, 1.0], len(at)) * rng.uniform(1.0, 8.0, len(at)), raw)
+        outlier = rng.random(len(at)) < kit.outliers
+        raw = np.where(outlier, raw + rng.choice([-1.0, 1.0], len(at)) * rng.uniform(1.0, 8.0, len(at)), raw)
         seen = np.maximum(np.round(raw / kit.quantum) * kit.quantum, 0.0)
-        seen = np.where((true <= 0.0) & ~wild, 0.0, seen)
+        seen = np.where((true <= 0.0) & ~outlier, 0.0, seen)
         place = self._of(X, at) + self._between(self.odometer, at)
         ok = self._kept(at)
         rows = zip(self._stamps(at), seen.tolist(), place.tolist(), ok, strict=True)
@@ -78,7 +78,7 @@ class _Recorder:
         at = self._fast_grid()
         way = self._held(WAY, at)
         front = self._of(X, at) + (self._between(self.odometer, at) if kit.lookup_measured else 0.0)
-        slope = felt_gradient(self.scene, front + way * self.quirks.map_ahead, way, point=kit.point_gradient)
+        slope = map_gradient(self.scene, front + way * self.quirks.map_ahead, way, point=kit.point_gradient)
         behind = front - way * kit.flags_late
         bend = ground.mean_under(ground.bend, behind, way, length)
         radius = np.where(bend > _STRAIGHT, 1.0 / np.maximum(bend, _STRAIGHT), 0.0)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One day of one train: line, vehicle, legs, loads, winds; drawn once, driven with or without quirks."""
+"""One day of one train: line, vehicle, legs, loads, winds; drawn once, simulated with or without quirks."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ _WAIT_LIMIT: Final = 2500.0
 
 @dataclass(frozen=True, slots=True)
 class Leg:
-    """From stop to stop; ``bag`` counts the bags, a new one begins at its first stop."""
+    """A run from stop to stop; ``bag`` is the number of its bag."""
 
     start: float
     target: float
@@ -33,13 +33,13 @@ class Leg:
 
 @dataclass(frozen=True, slots=True)
 class Scene:
-    """All that is drawn before the train moves."""
+    """All random parameters of a day."""
 
     service: str
     ground: Ground
     legs: tuple[Leg, ...]
     stocks: tuple[Stock, ...]
-    believed_mass: float
+    assumed_mass: float
     mass_topic: bool
     weigh_error: float
     cars: int
@@ -51,7 +51,7 @@ class Scene:
 
 @dataclass(frozen=True, slots=True)
 class Wish:
-    """What an effect needs to show itself."""
+    """Features of a scene that an effect needs to be observable."""
 
     tunnels: bool = False
     curves: bool = False
@@ -66,7 +66,7 @@ def draw_scene(seed: int, wish: Wish) -> Scene:
 
     Args:
         seed: Any integer.
-        wish: What must be there.
+        wish: Required features.
 
     """
     rng = np.random.default_rng([seed, 11])
@@ -94,7 +94,7 @@ def draw_scene(seed: int, wish: Wish) -> Scene:
     base, usual, cars = _vehicle(rng, service, wish)
     mass_topic = bool(rng.random() < 2.0 / 3.0)
     weigh = float(np.exp(rng.uniform(np.log(0.002), np.log(0.02)))) if mass_topic else 0.0
-    believed = usual * float(1.0 + 0.01 * rng.standard_normal())
+    assumed = usual * float(1.0 + 0.01 * rng.standard_normal())
     swing = float(rng.uniform(0.02, 0.08)) if mass_topic else float(rng.uniform(0.01, 0.03))
     zoned = wish.zones or rng.random() < 0.35
     stocks = []
@@ -102,7 +102,7 @@ def draw_scene(seed: int, wish: Wish) -> Scene:
     for leg in legs:
         walk = 0.6 * walk + 0.8 * swing * float(rng.standard_normal())
         loaded = usual * (1.0 + walk)
-        weighed = loaded * (1.0 + weigh * float(rng.standard_normal())) if mass_topic else believed
+        weighed = loaded * (1.0 + weigh * float(rng.standard_normal())) if mass_topic else assumed
         stocks.append(_for_leg(rng, base, leg, loaded=loaded, weighed=weighed, walk=walk, zoned=zoned))
     if not mass_topic:
         flags.append('no_mass_topic')
@@ -119,7 +119,7 @@ def draw_scene(seed: int, wish: Wish) -> Scene:
         ground,
         legs,
         tuple(stocks),
-        round(believed, -1),
+        round(assumed, -1),
         mass_topic,
         weigh,
         cars,
@@ -270,9 +270,9 @@ def _vehicle(rng: np.random.Generator, service: str, wish: Wish) -> tuple[Stock,
 def _for_leg(
     rng: np.random.Generator, base: Stock, leg: Leg, *, loaded: float, weighed: float, walk: float, zoned: bool
 ) -> Stock:
-    """Each leg has its own load, speed, restriction and point where coasting begins."""
+    """Return the stock of a leg with its own load, speed, restriction and start of coasting."""
     gap = abs(leg.target - leg.start)
-    # A short leg leaves no room for the top speed.
+    # A short leg does not allow the top speed.
     cruise = min(base.cruise * float(rng.uniform(0.72, 1.0)), 0.75 * (base.serve * gap) ** 0.5)
     coast = float(rng.uniform(0.12, 0.5)) * gap if base.style > 1.5 else 0.0
     zone = (-1.0, -1.0, 0.0)
@@ -294,17 +294,17 @@ def _for_leg(
 
 
 def _winds(rng: np.random.Generator, base: Stock, legs: int) -> tuple[Array, Array]:
-    """Gust speed [m/s] and a rest that does not come from air [N/kN], both Ornstein-Uhlenbeck, at 0.1 s."""
+    """Return gust speed [m/s] and other random resistance [N/kN], both Ornstein-Uhlenbeck, every 0.1 s."""
     count = int(legs * (_WAIT_LIMIT + 620.0) * 10.0)
     goal = float(rng.uniform(0.05, 0.25))
     tau = float(rng.uniform(3.0, 20.0))
     speed = 0.75 * base.cruise
     std = min(0.85 * goal / (2.0 * base.c * speed), 2.5)
     rest = max(goal**2 - (2.0 * base.c * speed * std) ** 2, 0.0) ** 0.5
-    return _wander(rng, count, std, tau), _wander(rng, count, rest, tau)
+    return _gauss_markov(rng, count, std, tau), _gauss_markov(rng, count, rest, tau)
 
 
-def _wander(rng: np.random.Generator, count: int, std: float, tau: float) -> Array:
+def _gauss_markov(rng: np.random.Generator, count: int, std: float, tau: float) -> Array:
     keep = float(np.exp(-0.1 / tau))
     noise = rng.standard_normal(count) * std * (1.0 - keep * keep) ** 0.5
     noise[0] = std * rng.standard_normal()

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sensors of a case: how good they are, how wheels slip, how the odometer drifts, what the map says."""
+"""Sensors of a case: accuracy, wheel slip, odometer drift, gradient of the map."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, slots=True)
 class Instruments:
-    """How the signals of one case are made."""
+    """Sensor parameters of one case, in SI units."""
 
     period: float
     speed_noise: float
@@ -39,7 +39,7 @@ class Instruments:
 
 
 def draw_instruments(rng: np.random.Generator, scene: Scene, quirks: Quirks) -> Instruments:
-    """Draw sensors; contamination in about a quarter of the cases."""
+    """Draw sensors; about a quarter of the cases are contaminated."""
     corrected = bool(rng.random() < 0.65)
     slips = rng.random() < 0.1 and quirks.slip_share == 0.0
     return Instruments(
@@ -64,7 +64,7 @@ def draw_instruments(rng: np.random.Generator, scene: Scene, quirks: Quirks) -> 
 
 
 def flags_of(kit: Instruments, quirks: Quirks) -> tuple[str, ...]:
-    """Return words for what the scoring may want to tell apart."""
+    """Return the names of circumstances that the scoring may distinguish."""
     words = {
         'outliers': kit.outliers > 0.0,
         'dropouts': kit.dropouts > 0.0,
@@ -80,7 +80,7 @@ def flags_of(kit: Instruments, quirks: Quirks) -> tuple[str, ...]:
 
 
 def slip_bursts(rng: np.random.Generator, log: Array, share: float, speed: float) -> Array:
-    """Return what the wheel turns too fast or too slow [m/s]: humps of 0.8 to 3 s where the pull is greatest."""
+    """Return the slip speed (wheel minus train) [m/s]: bursts of 0.8 to 3 s, likelier at high specific force."""
     out = np.zeros(len(log))
     push = log[:, PULL] / log[:, WEIGHED] + log[:, NOM]
     moving = np.flatnonzero((log[:, V] > 1.0) & (np.abs(push) > 0.05))
@@ -118,10 +118,10 @@ def odometer_error(rng: np.random.Generator, log: Array, kit: Instruments, wheel
     return error
 
 
-def felt_gradient(scene: Scene, front: Array, way: Array, *, point: bool = False) -> Array:
-    """Return the map's gradient under the train, or at the middle of the train."""
+def map_gradient(scene: Scene, front: Array, way: Array, *, point: bool = False) -> Array:
+    """Return the map gradient in the direction of travel [per mille], averaged under the train or at its middle."""
     ground, length = scene.ground, scene.stocks[0].length
     if not point:
-        return ground.felt(ground.climb, front, way, length)
+        return ground.signed_mean_under(ground.climb, front, way, length)
     middle = front - way * 0.5 * length
     return way * (ground.at(ground.climb, middle + 1.0) - ground.at(ground.climb, middle - 1.0)) / 2.0

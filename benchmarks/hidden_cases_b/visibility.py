@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How far an effect stands out: the speed gap it leaves after the best Davis fit, against the noise floor.
+"""Visibility of an effect: speed gap after the best Davis fit, relative to the noise floor.
 
-The gap e = simulated - measured speed obeys e' = -g / (1000 (1 + gamma)) (r + w'(v) e), where r [N/kN] is what the
-believed balance lacks on the true ride. Refitting a, b, c and the initial speed of each leg is linear in e.
+The gap e = simulated - measured speed obeys e' = -g / (1000 (1 + gamma)) (r + w'(v) e), where r [N/kN] is the
+residual of the assumed balance on the true ride. Refitting a, b, c and the initial speed of each leg is linear in e.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from benchmarks.hidden_cases_b.forces import GRAV
 from benchmarks.hidden_cases_b.motion import FLAW, GUST, LEG, NOM, PULL, REAL, WAY, WEIGHED, T, V, X
 from benchmarks.hidden_cases_b.quirks import Quirks
 from benchmarks.hidden_cases_b.scene import Scene
-from benchmarks.hidden_cases_b.sensing import Instruments, felt_gradient, slip_bursts
+from benchmarks.hidden_cases_b.sensing import Instruments, map_gradient, slip_bursts
 
 Array = NDArray[np.float64]
 
@@ -43,28 +43,28 @@ def _gaps(load: Array, damping: Array, dt: float) -> Array:
     return out
 
 
-def lacking(scene: Scene, quirks: Quirks, kit: Instruments, log: Array) -> Array:
-    """Return r [N/kN]: what the clean believed balance lacks, without gusts, map flaws and weighing errors."""
+def balance_residual(scene: Scene, quirks: Quirks, kit: Instruments, log: Array) -> Array:
+    """Return the residual r of the assumed balance, without gusts, map and weighing errors [N/kN]."""
     stock = scene.stocks[0]
     gamma = stock.gamma
     time = log[:, T]
     weighed = log[:, WEIGHED]
-    # The load without the weighing error: specific force on the mass that a perfect scale would have shown.
+    # The true load, so that the specific force has no weighing error.
     loaded = np.array([s.loaded for s in scene.stocks])[log[:, LEG].astype(int)]
     effort = log[:, REAL] if kit.force_carries_delay else log[:, NOM]
     pull = log[:, PULL] / loaded
     bite = (1.0 + gamma) * effort * weighed / loaded
     specific = 1000.0 / GRAV * np.interp(time - quirks.force_late, time, pull + bite)
     v = quirks.wheel * log[:, V]
-    slope = felt_gradient(scene, log[:, X] + log[:, WAY] * quirks.map_ahead, log[:, WAY])
+    slope = map_gradient(scene, log[:, X] + log[:, WAY] * quirks.map_ahead, log[:, WAY])
     rise = np.gradient(v, 0.1)
     balance = specific - (stock.a + stock.b * v + stock.c * v * v) - slope
     r: Array = balance - 1000.0 / GRAV * (1.0 + gamma) * rise - log[:, GUST] - log[:, FLAW]
     return r
 
 
-def misjudged(scene: Scene, kit: Instruments, log: Array) -> Array:
-    """Return what the believed balance lacks since nobody knows the load exactly [N/kN]: part of the floor."""
+def weighing_residual(scene: Scene, kit: Instruments, log: Array) -> Array:
+    """Return the residual of the assumed balance due to the weighing error, part of the floor [N/kN]."""
     weighed = log[:, WEIGHED]
     loaded = np.array([s.loaded for s in scene.stocks])[log[:, LEG].astype(int)]
     effort = log[:, REAL] if kit.force_carries_delay else log[:, NOM]
@@ -74,10 +74,10 @@ def misjudged(scene: Scene, kit: Instruments, log: Array) -> Array:
 
 
 def visible(scene: Scene, quirks: Quirks, kit: Instruments, log: Array) -> Visible:
-    """Return how much the effects raise the rms speed gap of the refitted believed model."""
+    """Return the rise of the rms speed gap of the refitted assumed model due to the effects."""
     stock = scene.stocks[0]
-    r = lacking(scene, quirks, kit, log)
-    noise = log[:, GUST] + log[:, FLAW] + misjudged(scene, kit, log)
+    r = balance_residual(scene, quirks, kit, log)
+    noise = log[:, GUST] + log[:, FLAW] + weighing_residual(scene, kit, log)
     slip = slip_bursts(np.random.default_rng([kit.base_ns % 2**31, 5]), log, quirks.slip_share, quirks.slip_speed)
     scale = -GRAV / (1000.0 * (1.0 + stock.gamma))
     blocks: list[Array] = []
@@ -96,8 +96,8 @@ def visible(scene: Scene, quirks: Quirks, kit: Instruments, log: Array) -> Visib
         blocks.append(inside[::2])
     stack = np.vstack(blocks)
     base = stack[:, 2:5] / np.linalg.norm(stack[:, 2:5], axis=0)
-    answer = np.linalg.lstsq(base, stack[:, :2], rcond=None)[0]
-    rest = stack[:, :2] - base @ answer
+    fitted = np.linalg.lstsq(base, stack[:, :2], rcond=None)[0]
+    rest = stack[:, :2] - base @ fitted
     effect, drift = np.sqrt(np.mean(rest**2, axis=0)).tolist()
     floor = float(np.sqrt(drift**2 + kit.speed_noise**2 + kit.quantum**2 / 12.0))
     raw = float(np.sqrt(np.mean(stack[:, 0] ** 2)))

@@ -33,7 +33,7 @@ def write_case(case: Case, out: Path) -> tuple[Path, ...]:
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Write the case that the arguments ask for."""
+    """Write the selected case."""
     parser = argparse.ArgumentParser(
         prog='python -m benchmarks.hidden_cases_b.write', description='Write a hidden case.'
     )

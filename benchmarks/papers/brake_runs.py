@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Data for estimators of the brake rate: the experiment of Zheng et al. 2015, and a metro train at 5 Hz.
 
-The metro train is made to be hard in the ways that real ones are: the gradient map is wrong by 2 per mille over
-some 200 m, the running resistance by 10 %, the wheel diameter by 0.5 %, speed comes in steps of 0.1 km/h, and
-the dead time of the brake is 1.2 s. Only what an estimator is told stands in the train file and the samples.
+The metro train has realistic errors: the gradient map is wrong by 2 per mille with a correlation length of 200 m, the
+running resistance by 10 %, the wheel diameter by 0.5 %, speed has a resolution of 0.1 km/h, and the dead time of the
+brake is 1.2 s. Train file and samples contain only what the estimators are given.
 """
 
 from __future__ import annotations
@@ -41,19 +41,19 @@ _WALK: Final = 0.003
 _POWER: Final = 0.9
 _DWELL_S: Final = 25.0
 _STANDING: Final = 0.2
-# Braking asked for [m/s^2].
+# Range of the commanded deceleration [m/s^2].
 _LEVELS: Final = (0.3, 1.2)
-# The longest a phase that ends by speed may last [s].
+# Longest duration of a phase that ends by speed [s].
 _LONGEST_S: Final = 200.0
 
 
 def metro_train() -> TrainFile:
-    """Return what the estimators are told of the train."""
+    """Return the train file given to the estimators."""
     return TrainFile(Train(200e3, 0.08, 118.0), Davis(1.5, 0.03, 0.004), Brake(1.0, 0.4, _LAG * DT))
 
 
 class Kind(Enum):
-    """What the driver does."""
+    """Phase of driving."""
 
     POWER = 'power'
     COAST = 'coast'
@@ -64,9 +64,9 @@ class Kind(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Phase:
-    """A part of a run, until ``seconds`` have passed or, powering and braking, ``speed`` is reached [m/s].
+    """A part of a run, until ``seconds`` [s] have passed or, under power, ``speed`` [m/s] is reached.
 
-    A brake without a ``level`` [m/s^2] draws one, and another if the train still moves after 15 to 30 s.
+    A brake phase ends near standstill. Without a ``level`` [m/s^2] it draws one, and a new one every 15 to 30 s.
     """
 
     kind: Kind
@@ -77,13 +77,13 @@ class Phase:
 
 @dataclass(frozen=True, slots=True)
 class BrakeRun:
-    """Samples of one drive, and the truth at each of them.
+    """Samples of one drive and the truth at each.
 
     Attributes:
-        samples: What the estimators get.
-        rate: True brake rate.
+        samples: Input of the estimators.
+        rate: True brake rate [1].
         speed: True speed [m/s].
-        braked_s: Time since the brake was first asked for in this phase [s], NaN in other phases.
+        braked_s: Time since the first brake command of this phase [s], NaN in other phases.
         phase: Index of the phase.
 
     """
@@ -95,19 +95,19 @@ class BrakeRun:
     phase: NDArray[np.intp]
 
 
-# From the time in a phase [s], its index and the rate before: the rate now.
+# Brake rate [1] as a function of the time in a phase [s], its index and the previous rate.
 Rate = Callable[[float, int, float], float]
 
 
 def metro_run(seed: int, stops: int = 5) -> BrakeRun:
-    """Return a drive with several stops; f starts in 0.75 to 1.05 and walks 0.003 per sqrt(s)."""
+    """Return a drive with several stops; f starts in 0.75 to 1.05 and is a random walk of 0.003 per sqrt(s)."""
     rng = np.random.default_rng([seed, 2015])
     plan = [phase for _ in range(stops) for phase in _stop(rng)]
     return _drive(rng, plan, _walk(rng), float(rng.uniform(0.75, 1.05)))
 
 
 def hard_run(seed: int, stops: int = 5) -> BrakeRun:
-    """Return the same with one level for each braking, held until standstill: weak ones last long and tell little."""
+    """Return the same with one level per braking, held until standstill: weak braking is long and uninformative."""
     rng = np.random.default_rng([seed, 2016])
     plan: list[Phase] = []
     for _ in range(stops):
@@ -117,7 +117,7 @@ def hard_run(seed: int, stops: int = 5) -> BrakeRun:
 
 
 def walk_run(seed: int, drift: float = _WALK, stops: int = 5) -> BrakeRun:
-    """Return a drive of which the estimators are told all, whose f starts N(1, 0.2^2) and walks: their own model."""
+    """Return a drive by the model of the estimators: exact train file, f(0) ~ N(1, 0.2^2), then a random walk."""
     rng = np.random.default_rng([seed, 1985])
     plan = [phase for _ in range(stops) for phase in _stop(rng)]
     start = float(np.clip(1.0 + 0.2 * rng.standard_normal(), 0.5, 1.5))
@@ -125,7 +125,7 @@ def walk_run(seed: int, drift: float = _WALK, stops: int = 5) -> BrakeRun:
 
 
 def unbraked_run(seed: int, seconds: float = 240.0) -> BrakeRun:
-    """Return two stops with f = 0.95, a cruise in which f falls to 0.80 unseen, and a third braking."""
+    """Return two stops with f = 0.95, a cruise in which f falls unobserved to 0.80, and a third braking."""
     rng = np.random.default_rng([seed, 240])
     plan = [*_stop(rng), *_stop(rng), Phase(Kind.POWER, speed=18.0), Phase(Kind.CRUISE, seconds), Phase(Kind.BRAKE)]
     cruise = len(plan) - 2
@@ -164,7 +164,7 @@ def _walk(rng: np.random.Generator, drift: float = _WALK) -> Rate:
 
 @dataclass(slots=True)
 class _Train:
-    """The true train and its track, stepped in samples."""
+    """The true train and its track, advanced by one sample per step."""
 
     rng: np.random.Generator
     resistance: float
@@ -177,7 +177,7 @@ class _Train:
     error: float = 0.0
 
     def step(self, traction: float, delayed: float, f: float) -> None:
-        """Move on by one sample; traction and command in m/s^2."""
+        """Advance by one sample; traction and delayed command [m/s^2], brake rate f [1]."""
         train, rng = metro_train(), self.rng
         if self.position >= self.gradient_until:
             self.gradient = float(rng.uniform(-_STEEPEST, _STEEPEST))
@@ -199,7 +199,7 @@ class _Train:
 def _drive(
     rng: np.random.Generator, plan: Sequence[Phase], rate: Rate, first: float, *, exact: bool = False
 ) -> BrakeRun:
-    """Drive through a plan; ``exact``: the train file is right and speed is not quantised."""
+    """Drive a plan; ``exact``: the train file has no errors and the speed is not quantised."""
     error = 0.0 if exact else 1.0
     train = _Train(rng, 1.0 + error * _RESISTANCE_ERROR * float(rng.standard_normal()), MAP_ERROR)
     scale = 1.0 + error * _WHEEL_ERROR * float(rng.standard_normal())
@@ -254,7 +254,7 @@ def _drive(
 
 
 def _pull(phase: Phase, train: _Train) -> float:
-    """Traction of the driver [m/s^2]."""
+    """Return the traction of the driver [m/s^2]."""
     if phase.kind is Kind.POWER:
         return _POWER
     if phase.kind is Kind.CRUISE:

@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Metro coasts as in the experiment of Liu et al. 2018, and the least error that any estimator can reach on them.
+"""Metro coasts as in the experiment of Liu et al. 2018, and the Cramer-Rao bound on them.
 
 24 coasts of 45 s at 5 Hz (5400 speeds, about one round trip of a metro line) on level track, speed with white
-noise and rounded as a tachometer rounds it. A gust is an AR(1) disturbance of the resistance. As in the paper
+noise and the resolution of a tachometer. A gust is an AR(1) disturbance of the resistance. As in the paper
 speeds are in km/h and parameters are those of ``w(v) = a + b v + c v^2`` [N/kN, v in km/h]; :func:`in_si`
-converts them, and :func:`samples` makes what estimators step on.
+converts them, and :func:`samples` makes samples for the estimators.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ INERTIA: Final = specific_inertia(KMH, GAMMA)
 PAPER: Final = (0.515, 8.597e-2, 7.512e-4)
 """Parameters of eq. (8) of the paper, v in km/h."""
 LARGE_A: Final = (2.031, 6.22e-2, 1.807e-3)
-"""A second truth, in which resistance at standstill counts."""
+"""A second truth, with a large resistance at standstill."""
 
 GRID: Final = np.linspace(20.0, 80.0, 121)
-"""Speeds [km/h] over which a curve is judged."""
+"""Speeds at which the error of a curve is evaluated [km/h]."""
 _GRID_PHI: Final = np.stack([np.ones_like(GRID), GRID, GRID**2], axis=1)
 _START_NS: Final = 1_600_000_000 * NS_PER_S
 _PAUSE_S: Final = 60
@@ -46,7 +46,7 @@ _PAUSE_S: Final = 60
 
 @dataclass(frozen=True, slots=True)
 class CoastPlan:
-    """What is driven and how it is measured.
+    """Plan of the coasts and their measurement.
 
     Attributes:
         truth: a, b, c with v in km/h.
@@ -55,10 +55,10 @@ class CoastPlan:
         slowest: Least speed a coast starts from [km/h]; starts are spread evenly up to ``fastest``, in random order.
         fastest: Greatest speed a coast starts from [km/h].
         noise_std: White noise of measured speed [km/h].
-        quantum: Step that measured speed is rounded to [km/h], 0 = not rounded.
+        quantum: Resolution of measured speed [km/h], 0 = not rounded.
         gust_std: Disturbance of the resistance, an AR(1) process [N/kN].
-        gust_time: Its correlation time [s].
-        grade_std: Error of the gradient map, one for each coast [per mille].
+        gust_time: Correlation time of the disturbance [s].
+        grade_std: Standard deviation of the gradient error, constant in each coast [per mille].
 
     """
 
@@ -75,13 +75,13 @@ class CoastPlan:
 
     @property
     def speed_std(self) -> float:
-        """Standard deviation of one measured speed, noise and rounding together [km/h]."""
+        """Standard deviation of a measured speed, noise and rounding combined [km/h]."""
         return math.hypot(self.noise_std, self.quantum / math.sqrt(12.0))
 
 
 @dataclass(frozen=True, slots=True)
 class Coasts:
-    """Coasts driven to a plan; arrays of shape (coasts, samples), a row a coast.
+    """Coasts driven to a plan; arrays of shape (coasts, samples), one row per coast.
 
     Attributes:
         plan: The plan.
@@ -124,7 +124,7 @@ def curve_error(theta: tuple[float, ...] | Array, truth: tuple[float, float, flo
 
 
 def curve_std(covariance: Array) -> float:
-    """Return the root mean variance of w(v) over 20-80 km/h [N/kN] of a covariance of (a, b, c), shape (3, 3)."""
+    """Return the root mean variance of w(v) over 20-80 km/h [N/kN] for a covariance of (a, b, c), shape (3, 3)."""
     return float(np.sqrt(np.mean(np.sum((_GRID_PHI @ covariance) * _GRID_PHI, axis=1))))
 
 
@@ -136,8 +136,8 @@ def pooled(errors: list[float] | Array) -> float:
 def cramer_rao(coasts: Coasts, theta_prior: Array | None = None) -> Array:
     """Return the Cramer-Rao bound on (a, b, c) from the measured speeds, shape (3, 3); v in km/h.
 
-    The first speed of each coast is unknown; statistics of noise, gusts and gradient errors are known. Rounding
-    counts as white noise. A prior covariance of the parameters, shape (3, 3), may add to the information.
+    The initial speed of each coast is unknown; statistics of noise, gusts and gradient errors are known. Rounding
+    counts as white noise. A prior covariance of the parameters, shape (3, 3), adds information.
     """
     plan = coasts.plan
     information = np.zeros((3, 3)) if theta_prior is None else np.linalg.inv(theta_prior)
@@ -149,7 +149,7 @@ def cramer_rao(coasts: Coasts, theta_prior: Array | None = None) -> Array:
         phi = np.stack([np.ones_like(speed), speed, speed**2], axis=1)
         J = np.column_stack([response @ phi, decay])
         F = J.T @ np.linalg.solve(C, J)
-        # The Schur complement: what is left of the information when the first speed is unknown.
+        # Schur complement: information with the initial speed unknown.
         information += F[:3, :3] - np.outer(F[:3, 3], F[3, :3]) / F[3, 3]
     return np.linalg.inv(information)
 
@@ -165,9 +165,9 @@ def in_kmh(davis: Davis) -> tuple[float, float, float]:
     return davis.a, davis.b * KMH, davis.c * KMH**2
 
 
-def train_file(believed: tuple[float, float, float] = PAPER) -> TrainFile:
-    """Return the train of the coasts, with believed parameters (v in km/h)."""
-    return TrainFile(Train(mass=200e3, rotary_mass=GAMMA), in_si(believed))
+def train_file(prior: tuple[float, float, float] = PAPER) -> TrainFile:
+    """Return the train of the coasts, with prior parameters (v in km/h)."""
+    return TrainFile(Train(mass=200e3, rotary_mass=GAMMA), in_si(prior))
 
 
 def samples(coasts: Coasts, speed: Array | None = None) -> Iterator[Sample]:
@@ -175,7 +175,7 @@ def samples(coasts: Coasts, speed: Array | None = None) -> Iterator[Sample]:
 
     Args:
         coasts: The coasts.
-        speed: Measured speeds [km/h] in place of those of the coasts, same shape; NaN is left out.
+        speed: Measured speeds [km/h] instead of those of the coasts, same shape; NaN is missing.
 
     """
     measured = coasts.speed if speed is None else speed
@@ -197,7 +197,7 @@ def white_observations(
 ) -> tuple[Array, Array]:
     """Return speeds [km/h] and observed resistances [N/kN] in white noise, shape (count,) each, coast by coast.
 
-    What an estimator of section 3 of the paper assumes; 1032 is how many windows of 11 samples the coasts hold.
+    The assumption of the estimators in section 3 of the paper; the coasts contain 1032 windows of 11 samples.
     """
     true_speed = drive(plan, generator).true_speed
     per_coast = -(-count // plan.coasts)
@@ -217,7 +217,7 @@ def _gusts(plan: CoastPlan, generator: np.random.Generator) -> Array:
 
 
 def trajectories(truth: tuple[float, float, float], starts: Array, disturbance: Array) -> Array:
-    """Integrate dv/dt = -(w(v) + d) / inertia by Runge-Kutta; d holds over a sample, so steps have no corner."""
+    """Integrate dv/dt = -(w(v) + d) / inertia by Runge-Kutta, with d constant over each step."""
     speed = np.empty_like(disturbance)
     speed[:, 0] = starts
     h = SAMPLE_PERIOD
@@ -232,12 +232,12 @@ def trajectories(truth: tuple[float, float, float], starts: Array, disturbance: 
 
 
 def _responses(truth: tuple[float, float, float], speed: Array) -> tuple[Array, Array]:
-    """Return how later speeds answer to a force in each interval, shape (N, N), and to the first speed, (N,)."""
+    """Return the response of the speeds to a force in each interval, shape (N, N), and to the initial speed, (N,)."""
     _, b, c = truth
     rate = (b + 2.0 * c * speed) / INERTIA
     exponent = np.concatenate([[0.0], np.cumsum(0.5 * SAMPLE_PERIOD * (rate[1:] + rate[:-1]))])
     decay = np.exp(-exponent)
-    # Force in interval j acts, on average, from its middle on.
+    # A force in interval j acts, on average, from its midpoint.
     middle = np.exp(0.5 * (exponent + np.append(exponent[1:], exponent[-1])))
     response = np.tril(np.outer(decay, middle), -1) * (-SAMPLE_PERIOD / INERTIA)
     return response, decay

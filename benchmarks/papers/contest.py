@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""How contestants are timed, weighed and saved, whatever they estimate."""
+"""Measure CPU time, memory and saving of the compared estimators."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 REPOSITORY: Final = Path(__file__).resolve().parents[2]
 PEERS: Final = REPOSITORY / '.venv-peers'
 FIRST_SEED: Final = 5000
-"""Seeds below are for tuning."""
+"""Lower seeds are for tuning."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -39,10 +39,10 @@ def installed(*packages: str) -> bool:
 
 
 def time_in_turns(calls: Sequence[tuple[Callable[..., object], Sequence[Any]]], block: int = 100) -> list[Times]:
-    """Time functions on their arguments, block by block in turns, so that all see the machine alike.
+    """Time functions on their arguments, taking turns block by block, so that machine load affects all equally.
 
     Args:
-        calls: Each function with the tuples of arguments of its calls, one after the other.
+        calls: Each function with the argument tuples of its calls, in order.
         block: Calls in one turn.
 
     """
@@ -63,19 +63,19 @@ def time_in_turns(calls: Sequence[tuple[Callable[..., object], Sequence[Any]]], 
 
 
 def _summary(times: NDArray[np.float64], overhead: float) -> Times:
-    # The first tenth warms up.
+    # The first tenth is warm-up.
     us = np.maximum(times[len(times) // 10 :] - overhead, 0.0) / 1e3
     return Times(*map(float, np.percentile(us, (50.0, 99.0))))
 
 
 def resident_bytes() -> int:
-    """Return the memory of this process, after collecting what is left over."""
+    """Return the resident memory of this process after garbage collection [bytes]."""
     gc.collect()
     return int(Path('/proc/self/statm').read_text(encoding='ascii').split()[1]) * resource.getpagesize()
 
 
 def growth(step: Callable[..., object], items: Sequence[Any], first: int, last: int) -> float:
-    """Return by how many bytes memory grows per call between the calls ``first`` and ``last``; items come again."""
+    """Return the memory growth per call between the calls ``first`` and ``last`` [bytes]; items are repeated."""
     before = 0
     for k in range(last):
         if k == first:
@@ -85,7 +85,7 @@ def growth(step: Callable[..., object], items: Sequence[Any], first: int, last: 
 
 
 def copied(item: Any) -> tuple[int, Any] | None:
-    """Return the size of a pickle and what it restores to; None if pickle cannot."""
+    """Return the size of a pickle and the restored object; None if it cannot be pickled."""
     try:
         text = pickle.dumps(item)
         return len(text), pickle.loads(text)

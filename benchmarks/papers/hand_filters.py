@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recursive least squares as one writes it by hand, the reference for every other estimator of a, b, c."""
+"""Hand-written recursive least squares, the reference for all other estimators of a, b, c."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ if TYPE_CHECKING:
 Item = tuple[Any, ...]
 
 START: Final = (1.0, 0.0, 0.001)
-"""What every estimator believes at first of a, b, c [N/kN, m/s]."""
+"""Prior mean of a, b, c for all estimators [N/kN, v in m/s]."""
 START_SD: Final = (1.0, 0.1, 0.003)
 VARIANCE: Final = NOISE_SD**2
 GATE: Final = 4.0
-"""Standard deviations beyond which a gate refuses."""
+"""Limit of a gate, in standard deviations."""
 
 
 class RowPeer:
-    """An estimator of the regression form; ``step(y, phi, v)`` takes one row in."""
+    """An estimator of the regression form; ``step(y, phi, v)`` processes one row."""
 
     def items(self, stream: MetroStream) -> list[Item]:
-        """Return what the steps are given, one after the other."""
+        """Return the arguments of the steps, in order."""
         rows = stream.rows
         return list(zip(rows.y.tolist(), list(rows.phi), rows.phi[:, 1].tolist(), strict=True))
 
@@ -42,7 +42,7 @@ class RowPeer:
 
     @property
     def covariance(self) -> NDArray[np.float64] | None:
-        """Return the covariance of a, b, c, shape (3, 3), if the estimator tells one."""
+        """Return the covariance of a, b, c, shape (3, 3), if the estimator provides one."""
         return None
 
 

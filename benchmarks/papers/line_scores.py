@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scores of speed models on station lines, and what could be had at best."""
+"""Scores of speed models on station lines, and the Cramer-Rao bound."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 Mask = NDArray[np.bool_]
 
 START: Final = 200
-"""Samples before this are not scored: the paper lets its parameters settle for as long."""
+"""Samples before this are not scored, the convergence time of the paper."""
 MOVING: Final = 1.0
 _LOST_RMS: Final = 1.0
 _LOST_SPEED: Final = 100.0
@@ -32,17 +32,17 @@ _SPEED: Final = 18.0
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """How a method did on some lines.
+    """Score of a method on some lines.
 
     Attributes:
-        error: Measured less predicted, root mean square [m/s].
-        ahead: Speed predicted for the next sample less true speed, root mean square [m/s].
-        five: Error of the speed driven freely for 5 s from the method's own state: median and 95th percentile [m/s].
-        thirty: The same after 30 s.
+        error: Measured minus predicted speed, root mean square [m/s].
+        ahead: Predicted minus true speed at the next sample, root mean square [m/s].
+        five: Error of a 5 s free run from the method's own state: median and 95th percentile [m/s].
+        thirty: The same for 30 s.
         b1: Median error of b1 [%].
         r18: Median error of the resistance at 18 m/s with the gradient [mm/s^2].
-        step: Median error of the acceleration at samples 1130, 1160 and 1200, gradient fallen at 1100-1130 [mm/s^2].
-        lost: Share of lines that end as no number, far away, or with an error above 1 m/s.
+        step: Median error of the acceleration at samples 1130, 1160 and 1200, gradient drop at 1100-1130 [mm/s^2].
+        lost: Share of lines that end not finite, diverged, or with an error above 1 m/s.
 
     """
 
@@ -57,7 +57,7 @@ class Score:
 
 
 def moving(lines: Lines, start: int = START) -> Mask:
-    """Return which samples are scored."""
+    """Return a mask of the samples that are scored."""
     mask: Mask = lines.x > MOVING
     mask[:start] = False
     return mask
@@ -86,9 +86,9 @@ def score(lines: Lines, track: Track) -> Score:
 
 
 def rms(values: Array) -> float:
-    """Return the root mean square; values that are none count as a line lost."""
-    wild = np.where(np.isnan(values), 0.0, np.clip(values, -1e6, 1e6))
-    return math.sqrt(float(np.sum(wild**2)) / max(1, int(np.sum(~np.isnan(values)))))
+    """Return the root mean square of the values that are not NaN, clipped to 1e6."""
+    finite = np.where(np.isnan(values), 0.0, np.clip(values, -1e6, 1e6))
+    return math.sqrt(float(np.sum(finite**2)) / max(1, int(np.sum(~np.isnan(values)))))
 
 
 def true(lines: Lines) -> Array:
@@ -103,19 +103,19 @@ def acceleration(theta: Array, x: Array | float, u: Array | float) -> Array:
 
 
 def free_run(lines: Lines, track: Track, steps: int) -> Array:
-    """Return |error| of the speed after ``steps`` with true force and parameters frozen, for starts on the move."""
+    """Return |error| of the speed [m/s] after ``steps`` with true force and frozen parameters, starting in motion."""
     mask = moving(lines)
     starts = np.arange(START, len(lines.x) - steps, _EVERY)
-    whole = np.stack([mask[n : n + steps + 1].all(axis=0) for n in starts])
+    in_motion = np.stack([mask[n : n + steps + 1].all(axis=0) for n in starts])
     z, theta = track.state[starts, 0], np.moveaxis(track.state[starts, 1:], 1, 0)
     for k in range(steps):
         z = z + SAMPLE_PERIOD * acceleration(theta, z, lines.u[starts + k])
-    error = np.abs(z - lines.x[starts + steps])[whole]
+    error = np.abs(z - lines.x[starts + steps])[in_motion]
     return np.where(np.isfinite(error), error, 1e9)
 
 
 def lost(lines: Lines, track: Track) -> Mask:
-    """Return which lines are lost."""
+    """Return a mask of the lines that are lost."""
     wrong = np.where(moving(lines), track.predicted - lines.x, 0.0)
     share = np.sqrt(np.sum(np.clip(wrong, -1e3, 1e3) ** 2, axis=0) / moving(lines).sum(axis=0))
     speed = np.max(np.abs(track.state[:, 0]), axis=0)
@@ -124,7 +124,7 @@ def lost(lines: Lines, track: Track) -> Mask:
 
 
 def nees(lines: Lines, track: Track) -> Array:
-    """Return (theta - true)' S^-1 (theta - true) / 4 at every tenth sample on the move."""
+    """Return (theta - true)' S^-1 (theta - true) / 4 at every tenth sample in motion."""
     rows = np.arange(0, len(lines.x), 10)
     mask = moving(lines)[rows]
     error = (track.state[rows, 1:] - lines.theta[rows]).transpose(0, 2, 1)[mask]
@@ -140,14 +140,14 @@ def nees(lines: Lines, track: Track) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class OneRun:
-    """One run with constant parameters: samples on the move only, theta and the Cramer-Rao bound of each line.
+    """One run with constant parameters: samples in motion only, theta and the Cramer-Rao bound of each line.
 
     Attributes:
         theta: True parameters, shape (lines, 4).
         bound: Standard deviations of a1, a2, b1, d0 and of the acceleration at 18 m/s, shape (lines, 5).
         fitted: Parameters by maximum likelihood (output error), shape (lines, 4).
-        one_step: By least squares on single steps, (5), shape (lines, 4).
-        integral: By least squares on changes over 25 samples, shape (lines, 4).
+        one_step: Parameters by least squares on single steps, (5), shape (lines, 4).
+        integral: Parameters by least squares on changes over 25 samples, shape (lines, 4).
 
     """
 
@@ -165,7 +165,7 @@ def identify(lines: Lines, y: Array, std: float) -> OneRun:
 
 
 def _identify_line(lines: Lines, y: Array, line: int, std: float) -> tuple[Array, ...]:
-    # As the estimators: up to the third slow sample after the run; from the last sample at rest.
+    # From the last sample before the first fast one, up to the last fast one.
     fast = np.nonzero(y[:, line] >= 0.5)[0]
     first, last = int(fast[0]) - 1, int(fast[-1])
     seen, u = y[first : last + 1, line], lines.u[first:last, line]
@@ -184,7 +184,7 @@ def _identify_line(lines: Lines, y: Array, line: int, std: float) -> tuple[Array
 
 
 def _sensitivity(start: Array, u: Array) -> tuple[Array, Array]:
-    """Return x of the model from x(0), theta, and its gradient, shape (samples, 5)."""
+    """Return x [m/s] simulated from x(0) and theta, and its gradient, shape (samples, 5)."""
     x, (a1, a2, b1, d0) = float(start[0]), start[1:].tolist()
     psi = np.array([1.0, 0.0, 0.0, 0.0, 0.0])
     xs, rows = [x], [psi]
@@ -198,14 +198,14 @@ def _sensitivity(start: Array, u: Array) -> tuple[Array, Array]:
 
 
 def _solve(phi: Array, y: Array) -> Array:
-    """Return the least squares solution, columns scaled."""
+    """Return the least-squares solution, computed with scaled columns."""
     scale = np.linalg.norm(phi, axis=0)
     solution: Array = np.linalg.lstsq(phi / scale, y, rcond=None)[0] / scale
     return solution
 
 
 def _bound(rows: Array, std: float) -> Array:
-    """Return bounds from rows of the gradient over the noise; x(0) is known from one measurement."""
+    """Return the bounds from rows of the gradient over the noise, with x(0) known from one measurement."""
     rows = np.vstack([rows, np.array([1.0 / std, 0.0, 0.0, 0.0, 0.0])])
     scale = np.linalg.norm(rows, axis=0)
     R = np.linalg.qr(rows / scale, mode='r')

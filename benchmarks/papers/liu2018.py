@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Train basic resistance by multi-innovation least squares (Liu et al. 2018): every claim beside what is so.
+"""Train basic resistance by multi-innovation least squares (Liu et al. 2018): every claim with a check.
 
-The data of the paper are not public. Ours are synthetic coasts on which its method leaves the residual variance
-that it prints, once there are gusts; see :mod:`benchmarks.papers.coasts`.
+The data of the paper are not public. These are synthetic coasts on which its method leaves the printed residual
+variance if there are gusts; see :mod:`benchmarks.papers.coasts`.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _SHORT: Final = 20_000
 
 
 def measure(seeds: int) -> list[Table | Plot]:
-    """Return all tables and plots, over so many seeds."""
+    """Return all tables and plots, over ``seeds`` seeds."""
     trials = over_seeds(trial, range(_FIRST, _FIRST + seeds))
     return [
         tables.targets(trials),
@@ -42,7 +42,7 @@ def measure(seeds: int) -> list[Table | Plot]:
         tables.convergence(trials),
         tables.bad_data(trials),
         tables.tracking(trials),
-        tables.honesty(trials),
+        tables.consistency(trials),
         _rounding(_FIRST),
         _costs(_FIRST),
     ]
@@ -72,8 +72,8 @@ def _rounding(seed: int) -> Table:
         ('speeds, form (matrices as printed unless said)', 'steps', 'P indefinite at', 'not finite at', 'RMSE, N/kN'),
         tuple((name, *_outcome(outcome)) for name, outcome in rows),
         f"Condition of the sum of phi phi': {km_h:.1e} with v in km/h, {normalised:.0f} with v normalised. Factors "
-        'keep P positive, but it grows without end where nothing new is seen and all is forgotten: wind-up is not '
-        'a matter of rounding.',
+        'keep P positive definite, but it grows without bound under forgetting without excitation: wind-up is not '
+        'a rounding effect.',
     )
 
 
@@ -85,6 +85,4 @@ def _outcome(outcome: Outcome) -> tuple[str, ...]:
 
 def _costs(seed: int) -> Table:
     rows = tuple((name, f'{cost:.1f}') for name, cost in numerics.costs(seed))
-    return Table(
-        'Cost of one observation', ('recursion', 'microseconds'), rows, 'Processor time in plain Python floats.'
-    )
+    return Table('Cost of one observation', ('recursion', 'microseconds'), rows, 'CPU time in plain Python floats.')

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Claims of Liu et al. 2018, one a row; every verdict is decided by the numbers beside it."""
+"""Claims of Liu et al. 2018, one per row; every verdict follows from the numbers in its row."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def judged(refuted: bool, reason: str) -> str:
 
 
 def equations(trials: list[Trial]) -> Table:
-    """Return what is wrong in the equations."""
+    """Return the table of errors in the equations."""
     return Table(
         'Equations of Liu et al. 2018',
         _HEADER,
@@ -40,7 +40,7 @@ def equations(trials: list[Trial]) -> Table:
             *_skipping_rows(trials),
             *_sign_rows(trials),
         ),
-        'Off: greatest relative difference of a parameter, median over seeds, or the worst where it is rounding. '
+        'Error: greatest relative difference of a parameter, median over seeds, or the worst if due to rounding. '
         '1032 observations in white noise of 0.75 N/kN, lambda = 50.',
     )
 
@@ -62,7 +62,7 @@ def _data_rows(trials: list[Trial]) -> Iterable[Row]:
         _list(bias[:2], '.3f'),
         f'{_list(bias[2:], ".3f")} (11 samples)',
         '0',
-        judged(bool(bias[1] > 0.1), 'they stop where noise crosses'),
+        judged(bool(bias[1] > 0.1), 'they end where noise crosses the limit'),
     )
 
 
@@ -73,7 +73,7 @@ def _penalty_rows(trials: list[Trial]) -> Iterable[Row]:
     ends, exact = _worst(trials, 'ends'), f'{_worst(trials, "exact"):.0e}'
     biased, unbiased = (data.pooled(_of(trials, name)) for name in ('bias_printed', 'bias_ls'))
     yield (
-        '(7) minimises J with lambda/2; off by',
+        '(7) minimises J with lambda/2; error',
         '0',
         _percent(halved),
         '0 (J with lambda)',
@@ -81,7 +81,7 @@ def _penalty_rows(trials: list[Trial]) -> Iterable[Row]:
         judged(halved > 0.01, 'it minimises SSE + lambda |theta|^2'),
     )
     yield (
-        '(12)-(16) equal (7) at t = N; off by',
+        '(12)-(16) equal (7) at t = N; error',
         '0',
         f'{ends:.0e}',
         f'{exact} (P(0) = I/lambda)',
@@ -89,7 +89,7 @@ def _penalty_rows(trials: list[Trial]) -> Iterable[Row]:
         judged(ends > 1e-6, 'not equal'),
     )
     yield (
-        '(12)-(16) equal (7) online; off at t = N/2 by',
+        '(12)-(16) equal (7) online; error at t = N/2',
         '0',
         _percent(middle),
         f'{exact} (P(0) = I/lambda)',
@@ -97,7 +97,7 @@ def _penalty_rows(trials: list[Trial]) -> Iterable[Row]:
         judged(middle > 0.01, 'the penalty grows with t'),
     )
     yield (
-        'P(t) in (12) may be P(t-1); off at t = N, greatest |theta|',
+        'P(t) in (12) may be P(t-1); error at t = N, greatest |theta|',
         'no',
         f'{earlier:.1f}x, {peak:.0f}',
         _NONE,
@@ -110,7 +110,7 @@ def _penalty_rows(trials: list[Trial]) -> Iterable[Row]:
         f'{biased:.3f}',
         f'{unbiased:.3f} (LS)',
         _NONE,
-        judged(biased > 2.0 * unbiased, 'the penalty never dies'),
+        judged(biased > 2.0 * unbiased, 'the penalty does not decay'),
     )
     yield (
         'lambda is a property of the train: a with v in km/h, in m/s',
@@ -131,9 +131,9 @@ def _innovation_rows(trials: list[Trial]) -> Iterable[Row]:
         'MILS is more accurate than RLS: curves differ by at most, N/kN',
         'yes',
         f'{differs:.4f}',
-        f'{weighted:.0e} off weighted LS',
+        f'{weighted:.0e} from weighted LS',
         _NONE,
-        judged(differs < 0.01, 'it is LS that counts each datum p times'),
+        judged(differs < 0.01, 'it is LS with each observation counted p times'),
     )
     yield (
         f'P is the covariance: NEES/3 over sigma^2 P, p = {_list(LENGTHS)}',
@@ -144,7 +144,7 @@ def _innovation_rows(trials: list[Trial]) -> Iterable[Row]:
         judged(bool(nees[-1] > 3.0), 'p times too small, and no sigma^2'),
     )
     yield (
-        f'regularised MILS keeps lambda; off lambda/p by, p = {_list(LENGTHS)}',
+        f'regularised MILS keeps lambda; difference from lambda/p, p = {_list(LENGTHS)}',
         'yes',
         ', '.join(_percent(value) for value in diluted),
         'P(0) = I/(p lambda)',
@@ -156,15 +156,15 @@ def _innovation_rows(trials: list[Trial]) -> Iterable[Row]:
 def _skipping_rows(trials: list[Trial]) -> Iterable[Row]:
     unused, missing = _median(trials, 'strict_unused'), data.pooled(_of(trials, 'missing'))
     yield (
-        'V-MILS skips bad data only: good ones unused, p = 4, 30 % bad',
+        'V-MILS skips only bad data: good data unused, p = 4, 30 % bad',
         'yes',
         _percent(unused),
         '0 % (p = 1)',
         '0 %',
-        judged(unused > 0.1, 'a step needs p good ones in a row'),
+        judged(unused > 0.1, 'a step needs p consecutive good observations'),
     )
     yield (
-        'RLS suffers where data are missing: error over bound, 50 % missing',
+        'RLS degrades with missing data: error over bound, 50 % missing',
         'yes',
         f'{missing:.2f}',
         _NONE,
@@ -185,7 +185,7 @@ def _sign_rows(trials: list[Trial]) -> Iterable[Row]:
         judged(lowest > 0.0, 'it is positive at 20-80 km/h'),
     )
     yield (
-        'the penalty keeps b, c >= 0: negative in, four short coasts, lambda = 1',
+        'the penalty keeps b, c >= 0: share negative, four short coasts, lambda = 1',
         'never',
         _percent(negative),
         '0 % (NNLS)',
@@ -195,7 +195,7 @@ def _sign_rows(trials: list[Trial]) -> Iterable[Row]:
 
 
 def table_one(trials: list[Trial]) -> Table:
-    """Return Tables 1 and 2 of the paper beside ours."""
+    """Return Tables 1 and 2 of the paper with our results."""
     rows = (*_falls(trials), *_growth(trials), _misprint(), _residuals(trials), _velocities(trials))
     return Table(
         'Tables 1 and 2 of the paper',
@@ -214,12 +214,12 @@ def _falls(trials: list[Trial]) -> Iterable[Row]:
         paper = 100.0 * (PRINTED[k + 1][4] / PRINTED[1][4] - 1.0)
         mean = float(plain[:, k].mean())
         yield (
-            f'residual variance falls from p = 1 to {LENGTHS[k]}; in share of seeds',
+            f'residual variance falls from p = 1 to {LENGTHS[k]}; share of seeds',
             f'{paper:.2f} %',
             f'{shrunk[:, k].mean():.3f} %; {_percent(np.mean(shrunk[:, k] < 0.0))}',
             f'{mean:+.4f} %; {_percent(np.mean(plain[:, k] < 0.0))}; held out {unseen[:, k].mean():+.4f} %',
             '0 %',
-            judged(mean >= 0.0, 'it is the penalty that falls'),
+            judged(mean >= 0.0, 'only the penalty decreases'),
         )
 
 
@@ -256,7 +256,7 @@ def _misprint() -> Row:
         f'p = 4 with c = 1.122e-3: {corrected:.2f}',
         _NONE,
         _NONE,
-        'c of p = 4 likely misprinted for 1.122' if outlying else 'consistent',
+        'c of p = 4 probably a misprint of 1.122' if outlying else 'consistent',
     )
 
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Errors and ambiguities of Liu et al. 2018, each shown by a number, for one seed."""
+"""Errors and ambiguities of Liu et al. 2018, each quantified for one seed."""
 
 from __future__ import annotations
 
@@ -39,32 +39,32 @@ _EXACT_PENALTIES: Final = (1.0, 50.0, 5000.0)
 
 @dataclass(frozen=True, slots=True)
 class Errata:
-    """What one seed shows; differences of parameters relative to those of (7), of curves in N/kN.
+    """Results of one seed; differences of parameters relative to those of (7) [1], of curves in N/kN.
 
     Attributes:
-        halved: Minimiser of the printed J (lambda/2) off the printed solution (7).
-        ends: (12)-(16) off (7) at t = N.
+        halved: Difference of the minimiser of the printed J (lambda/2) from the printed solution (7).
+        ends: Difference of (12)-(16) from (7) at t = N.
         middle: The same at t = N/2.
-        middle_half: (12)-(16) off ridge regression with lambda/2 at t = N/2.
-        twice_double: (12)-(16) off ridge regression with 2 lambda at t = 2N.
-        earlier: The same with P(t-1) in (12), off (7) at t = N.
-        earlier_peak: Its greatest |theta| on the way.
-        exact: RLS from P(0) = I/lambda off (7), greatest over all t and three lambda.
+        middle_half: Difference of (12)-(16) from ridge regression with lambda/2 at t = N/2.
+        twice_double: Difference of (12)-(16) from ridge regression with 2 lambda at t = 2N.
+        earlier: Difference of (12)-(16) with P(t-1) in (12) from (7) at t = N.
+        earlier_peak: Greatest |theta| of that recursion.
+        exact: Difference of RLS from P(0) = I/lambda from (7), greatest over all t and three lambda.
         bias_printed: Curve error of (12)-(16) at t = N, large a.
         bias_ls: Curve error of LS, large a.
-        weighted: MILS off weighted least squares, greatest difference of the curve over 20-80 km/h and p.
-        printed_mils: The kernel of MILS off the printed matrices, likewise.
-        mils_ls: Curve of MILS off that of LS, rms, greatest over p.
+        weighted: Difference of MILS from weighted least squares, greatest over the curve (20-80 km/h) and p.
+        printed_mils: The same of the MILS kernel from the printed matrices.
+        mils_ls: Difference of the MILS curve from that of LS, rms, greatest over p.
         trace: tr P over that of LS, by p.
         nees: Squared error over sigma^2 P, per parameter, by p: 1 if P were a covariance.
-        diluted: Regularised MILS off ridge regression with lambda/p, relative, by p.
-        used: Regularised V-MILS off ridge regression weighted by use, penalty lambda (steps)/N.
+        diluted: Relative difference of regularised MILS from ridge regression with lambda/p, by p.
+        used: Difference of regularised V-MILS from ridge regression weighted by use, penalty lambda (steps)/N.
         strict_steps: Steps of V-MILS with p = 4 and 30 % missing.
-        strict_good: Good observations there.
+        strict_good: Good observations in that record.
         strict_unused: Share of good observations never used.
         a_kmh: a of ridge regression with v in km/h.
         a_ms: a of ridge regression with the same lambda and v in m/s.
-        missing: Error of RLS with half of the data missing over that of the bound of the rest.
+        missing: Error of RLS with half of the data missing over the bound of the remaining data.
 
     """
 
@@ -95,19 +95,19 @@ class Errata:
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """Observations in white noise, in the forms that batch and recursion take."""
+    """Observations in white noise, in the forms for batch and recursive estimators."""
 
     Phi: Array
     y: Array
 
     @property
     def pairs(self) -> list[tuple[Vector, float]]:
-        """Regressor and observation, one after another."""
+        """Regressor and observation pairs, in order."""
         return [((f1, f2, f3), y) for (f1, f2, f3), y in zip(self.Phi.tolist(), self.y.tolist(), strict=True)]
 
 
 def record(truth: tuple[float, float, float], seed: int, count: int = COUNT) -> Record:
-    """Return observations of a truth."""
+    """Return observations of true parameters."""
     v, y = data.white_observations(data.CoastPlan(truth=truth), np.random.default_rng(seed), STD, count)
     return Record(regressors(v), y)
 
@@ -118,7 +118,7 @@ def regressors(v: Array) -> Array:
 
 
 def errata(seed: int) -> Errata:
-    """Return what one seed shows."""
+    """Compute all differences for one seed."""
     rows = record(data.PAPER, seed)
     solution = ridge(rows.Phi, rows.y, PENALTY).theta
     path = _regularised_path(record(data.PAPER, seed, 2 * COUNT), earlier=False)
@@ -134,18 +134,18 @@ def errata(seed: int) -> Errata:
     units = np.array([1.0, 3.6, 3.6**2])
     a_ms = float(ridge(rows.Phi / units, rows.y, PENALTY).theta[0])
     return Errata(
-        halved=_off(ridge(rows.Phi, rows.y, 0.5 * PENALTY).theta, solution),
-        ends=_off(path[COUNT - 1], ridge(first.Phi, first.y, PENALTY).theta),
-        middle=_off(path[half - 1], ridge(first.Phi[:half], first.y[:half], PENALTY).theta),
-        middle_half=_off(path[half - 1], ridge(first.Phi[:half], first.y[:half], 0.5 * PENALTY).theta),
-        twice_double=_off(path[-1], ridge(doubled.Phi, doubled.y, 2.0 * PENALTY).theta),
-        earlier=_off(other[-1], solution),
+        halved=_difference(ridge(rows.Phi, rows.y, 0.5 * PENALTY).theta, solution),
+        ends=_difference(path[COUNT - 1], ridge(first.Phi, first.y, PENALTY).theta),
+        middle=_difference(path[half - 1], ridge(first.Phi[:half], first.y[:half], PENALTY).theta),
+        middle_half=_difference(path[half - 1], ridge(first.Phi[:half], first.y[:half], 0.5 * PENALTY).theta),
+        twice_double=_difference(path[-1], ridge(doubled.Phi, doubled.y, 2.0 * PENALTY).theta),
+        earlier=_difference(other[-1], solution),
         earlier_peak=float(np.linalg.norm(other, axis=1).max()),
         exact=max(_exactness(rows, penalty) for penalty in _EXACT_PENALTIES),
         bias_printed=data.curve_error(_regularised_path(large, earlier=False)[-1], data.LARGE_A),
         bias_ls=data.curve_error(least_squares(large.Phi, large.y).theta, data.LARGE_A),
-        weighted=max(_apart(recursions[p].theta, _weighted(rows, p)) for p in LENGTHS),
-        printed_mils=max(_apart(recursions[p].theta, _printed_mils(rows, p)) for p in LENGTHS),
+        weighted=max(_curve_difference(recursions[p].theta, _weighted(rows, p)) for p in LENGTHS),
+        printed_mils=max(_curve_difference(recursions[p].theta, _printed_mils(rows, p)) for p in LENGTHS),
         mils_ls=max(data.curve_error(np.array(recursions[p].theta) - plain, (0.0, 0.0, 0.0)) for p in LENGTHS),
         trace=tuple(_trace(recursions[p]) / _trace(recursions[1]) for p in LENGTHS),
         nees=tuple(_nees(recursions[p]) for p in LENGTHS),
@@ -161,16 +161,16 @@ def errata(seed: int) -> Errata:
 
 
 def resistance_printed(true_w: float, gradient: float) -> float:
-    """Return what (5), -100 alpha - i, makes of a coasting train with resistance ``true_w`` [N/kN]."""
+    """Return w by (5), -100 alpha - i, for a coasting train with resistance ``true_w`` [N/kN]; gradient [per mille]."""
     alpha = -(true_w + gradient) * G / (1000.0 * (1.0 + data.GAMMA))
     return -100.0 * alpha - gradient
 
 
-def _off(theta: Array, expected: Array) -> float:
+def _difference(theta: Array, expected: Array) -> float:
     return float(np.max(np.abs(theta - expected) / np.abs(expected)))
 
 
-def _apart(theta: Array | tuple[float, ...], other: Array) -> float:
+def _curve_difference(theta: Array | tuple[float, ...], other: Array) -> float:
     return float(np.max(np.abs(regressors(data.GRID) @ (np.asarray(theta) - other))))
 
 
@@ -185,7 +185,7 @@ def _regularised_path(rows: Record, *, earlier: bool) -> Array:
 
 
 def _exactness(rows: Record, penalty: float) -> float:
-    """Greatest difference of a parameter between RLS from P(0) = I/lambda and (7), over all t."""
+    """Return the greatest difference of a parameter between RLS from P(0) = I/lambda and (7), over all t."""
     regression = Regression(penalty=penalty)
     state, information, moment, worst = begin(regression), penalty * np.eye(3), np.zeros(3), 0.0
     for (phi, y), row in zip(rows.pairs, rows.Phi, strict=True):
@@ -222,13 +222,13 @@ def _nees(state: RegressionState) -> float:
 
 def _dilution(rows: Record, p: int) -> float:
     state = run(innovation_step, Regression(p, PENALTY, COUNT), rows.pairs)
-    return _off(np.array(state.theta), ridge(rows.Phi, rows.y, PENALTY / p).theta)
+    return _difference(np.array(state.theta), ridge(rows.Phi, rows.y, PENALTY / p).theta)
 
 
 def _regularised_strict(rows: Record, good: NDArray[np.bool_]) -> float:
     state = run(strict_step, Regression(4, PENALTY, COUNT), rows.pairs, good.tolist())
     uses = np.array(use_counts(tuple(good.tolist()), 4, strict=True), dtype=float)
-    return _off(np.array(state.theta), ridge(rows.Phi, rows.y, PENALTY * state.steps / COUNT, uses).theta)
+    return _difference(np.array(state.theta), ridge(rows.Phi, rows.y, PENALTY * state.steps / COUNT, uses).theta)
 
 
 def _missing(rows: Record, kept: NDArray[np.bool_]) -> float:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What rounding and forgetting do to the recursions of Liu et al. 2018: printed matrices against factors of P."""
+"""Effect of rounding and forgetting on the recursions of Liu et al. 2018: printed matrices against factors of P."""
 
 from __future__ import annotations
 
@@ -33,12 +33,12 @@ _MILS: Final = 6
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """How a recursion ended.
+    """Result of a recursion.
 
     Attributes:
-        steps: Steps made.
-        indefinite: First step after which P has a negative eigenvalue, inf if none was seen.
-        broken: First step after which a number is not finite, inf if none was.
+        steps: Number of steps.
+        indefinite: First step after which P has a negative eigenvalue, inf if none.
+        broken: First step after which a number is not finite, inf if none.
         asymmetry: Greatest relative asymmetry of the last P.
         error: Curve error over 20-80 km/h at the end [N/kN].
 
@@ -52,13 +52,13 @@ class Outcome:
 
 
 def excited(seed: int, count: int) -> Iterator[Pair]:
-    """Yield observations at speeds all over 20-80 km/h."""
+    """Yield observations at speeds uniform in 20-80 km/h."""
     rng = np.random.default_rng(seed)
     return _observed(rng.uniform(20.0, 80.0, count), rng)
 
 
 def steady(seed: int, count: int) -> Iterator[Pair]:
-    """Yield observations at 60 km/h, give or take 0.05 km/h."""
+    """Yield observations at 60 km/h with a standard deviation of 0.05 km/h."""
     rng = np.random.default_rng(seed)
     return _observed(60.0 + 0.05 * rng.standard_normal(count), rng)
 
@@ -94,7 +94,7 @@ def as_printed(
 
 
 def factored(pairs: Iterator[Pair], *, mu: float = 1.0) -> Outcome:
-    """Run the kernel, from the same start."""
+    """Run the factored kernel from the same initial values."""
     theta, UD = start(_P0, 1.0 / _P0)
     indefinite, t = math.inf, 0
     for t, (phi, y) in enumerate(pairs, 1):
@@ -107,18 +107,18 @@ def factored(pairs: Iterator[Pair], *, mu: float = 1.0) -> Outcome:
 
 
 def _least(P: Array) -> float:
-    """Least eigenvalue of the symmetric part, scaled to a unit diagonal so that units do not matter."""
+    """Return the least eigenvalue of the symmetric part, scaled to a unit diagonal to be independent of units."""
     diagonal = np.diag(P)
     if (diagonal <= 0.0).any():
         return -1.0
     scale = 1.0 / np.sqrt(diagonal)
     scaled = 0.5 * (P + P.T) * np.outer(scale, scale)
-    # Rounding in the eigenvalues themselves is no loss of P.
+    # Tolerance for the rounding error of the eigenvalues themselves.
     return float(np.linalg.eigvalsh(scaled).min()) + 8.0 * float(np.finfo(P.dtype).eps)
 
 
 def conditions(seed: int) -> tuple[float, float]:
-    """Return the condition number of sum phi phi' with v in km/h, and with each speed in 50 km/h from the mean."""
+    """Return the condition number of sum phi phi' with v in km/h, and with v normalised to zero mean and unit std."""
     v, _ = data.white_observations(data.CoastPlan(), np.random.default_rng(seed), _STD)
     u = (v - v.mean()) / v.std()
     bases = (np.stack([np.ones_like(x), x, x * x], axis=1) for x in (v, u))
@@ -127,7 +127,7 @@ def conditions(seed: int) -> tuple[float, float]:
 
 
 def costs(seed: int, count: int = 5000) -> tuple[tuple[str, float], ...]:
-    """Return what one observation costs in each recursion [microseconds of processor time]."""
+    """Return the CPU time per observation of each recursion [us]."""
     pairs = list(excited(seed, count))
     stack = tuple(phi for phi, _ in pairs[:_MILS])
     values = tuple(y for _, y in pairs[:_MILS])

@@ -20,7 +20,7 @@ _BANDS: Final = np.arange(25.0, 80.0, 5.0)
 
 
 def segments(seed: int) -> Plot:
-    """Return the observations of Fig. 2 and of fixed windows on the same coasts."""
+    """Return the plot of the observations of Fig. 2 and of fixed windows on the same coasts."""
     coasts = data.drive(data.CoastPlan(coasts=96), np.random.default_rng(seed))
     figure = Figure(figsize=(9.0, 3.6), layout='constrained')
     axes = figure.subplots(1, 2, sharey=True)
@@ -39,15 +39,15 @@ def segments(seed: int) -> Plot:
     axes[0].set_ylabel('error of observed resistance [N/kN]')
     return Plot(
         'liu2018_segments',
-        'What stopping at a change of speed does',
+        'Effect of ending segments at a change of speed',
         figure,
         'Errors of single observations without gusts, mean and standard deviation by speed. Segments that end where '
-        'noise crosses a limit are too steep, the more so the faster; fixed windows are not.',
+        'noise crosses a limit overestimate the slope, more so at high speed; fixed windows do not.',
     )
 
 
 def dilution_plot(trials: list[Trial]) -> Plot:
-    """Return the parameter a against p, printed and ours."""
+    """Return the plot of the parameter a against p, printed and ours."""
     figure = Figure(figsize=(6.4, 3.6), layout='constrained')
     ax = figure.subplots()
     a4, a1 = dilution()
@@ -64,5 +64,5 @@ def dilution_plot(trials: list[Trial]) -> Plot:
         'liu2018_dilution',
         'Why a grows with the innovation length in Table 1',
         figure,
-        'Regularised MILS is ridge regression with lambda/p: more innovations are less penalty, not more accuracy.',
+        'Regularised MILS is ridge regression with lambda/p: more innovations reduce the penalty, not the error.',
     )

@@ -41,14 +41,14 @@ _EARLY: Final = 70
 
 @dataclass(frozen=True, slots=True)
 class Prepared:
-    """Curve errors of one seed by preparation [N/kN], the bound, and what biases segments.
+    """Curve errors of one seed by preparation [N/kN], the bound, and the bias of segments.
 
     Attributes:
-        errors: By :data:`PREPARATIONS`.
+        errors: Curve errors by :data:`PREPARATIONS`.
         bound: Cramer-Rao bound from the raw speed.
         residual: Residual variance of Fig. 2 with LS [(N/kN)^2].
         bias: Mean error of y at 20-30 and 70-80 km/h, Fig. 2, then fixed windows [N/kN].
-        spread: Its standard deviation, likewise.
+        spread: Standard deviation of the error of y, in the same order.
 
     """
 
@@ -60,7 +60,7 @@ class Prepared:
 
 
 def prepared(seed: int, plan: data.CoastPlan) -> Prepared:
-    """Return what each preparation makes of the same coasts."""
+    """Apply each preparation to the same coasts."""
     coasts = data.drive(plan, np.random.default_rng(seed))
     fig2 = seen_by(coasts, Segments(CHANGES[0]))
     fixed = [seen_by(coasts, Windows(length, length // 2)) for length in LENGTHS]
@@ -86,11 +86,11 @@ def _band(seen: Observations, band: tuple[float, float], truth: Theta) -> Array:
 
 @dataclass(frozen=True, slots=True)
 class Settling:
-    """How one recursion settles.
+    """Convergence of one recursion.
 
     Attributes:
         parameters: Observations until a, b, c stay within 10 % of their last values.
-        curve: Observations until the curve (rms over 20-80 km/h) does.
+        curve: Observations until the curve (rms over 20-80 km/h) stays within 10 % of its last value.
         early: Curve error after 70 observations [N/kN].
         end: Curve error at the end [N/kN].
 
@@ -103,7 +103,7 @@ class Settling:
 
 
 def settling(seed: int, truth: Theta, *, single: bool, penalty: float) -> Settling:
-    """Return how RLS settles, regularised as printed if a penalty is given; ``single`` is one coast 80 -> 20 km/h."""
+    """Return the convergence of RLS, regularised as printed if penalty > 0; ``single``: one coast 80 -> 20 km/h."""
     plan = data.CoastPlan(truth=truth)
     if single:
         plan = data.CoastPlan(truth=truth, coasts=1, samples=1500, slowest=80.0, fastest=80.0)
@@ -145,7 +145,7 @@ FAULTS: Final[tuple[Fault, ...]] = (
     '30 % one sign, bursts',
     '50 % missing',
 )
-BY_FLAG: Final = ('LS = RLS = MILS', 'V-MILS p = 4, told which', 'p = 1, told which', 'V-MILS p = 4, gate 3 MAD')
+BY_FLAG: Final = ('LS = RLS = MILS', 'V-MILS p = 4, true flags', 'p = 1, true flags', 'V-MILS p = 4, gate 3 MAD')
 _BURST: Final = 10
 
 
@@ -170,7 +170,7 @@ def spoiled(seed: int, fault: Fault) -> tuple[float, ...]:
 
 
 def _faults(fault: Fault, rng: np.random.Generator) -> tuple[Flags, Flags]:
-    """Return which observations are good, and which are missing."""
+    """Return masks of the good and of the missing observations."""
     none = np.zeros(COUNT, dtype=bool)
     if fault == 'clean':
         return ~none, none
@@ -184,7 +184,7 @@ def _faults(fault: Fault, rng: np.random.Generator) -> tuple[Flags, Flags]:
 
 
 def _gated(rows: Record, seen: Flags) -> Theta:
-    """V-MILS with p = 4 as printed; what lies beyond 3 robust standard deviations of the innovations is skipped."""
+    """Run V-MILS with p = 4 as printed, skipping innovations beyond 3 robust standard deviations."""
     regression, residuals = Regression(4), Residuals()
     state = begin(regression)
     for (phi, y), there in zip(rows.pairs, seen.tolist(), strict=True):
@@ -208,7 +208,7 @@ _JUMP_STD: Final = 0.57
 
 
 def tracked(seed: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Return, by :data:`TRACKERS`, observations until 90 % of a jump of ``a`` is found, and the error before it."""
+    """Return, by :data:`TRACKERS`, observations until 90 % of a jump of ``a`` is followed, and the error before it."""
     rng = np.random.default_rng(seed)
     a, b, c = data.PAPER
     parts = [data.white_observations(data.CoastPlan(truth=(x, b, c)), rng, _JUMP_STD) for x in (a, a + JUMP)]

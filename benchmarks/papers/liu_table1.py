@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Table 1 and 2 of Liu et al. 2018 on synthetic coasts: what the innovation length does to residuals and parameters."""
+"""Table 1 and 2 of Liu et al. 2018 on synthetic coasts: effect of the innovation length on residuals and parameters."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ PRINTED: Final = (
 )
 """Table 1 of the paper; v in km/h."""
 PLAIN_LS: Final = (23.74, -6.99e-1, 7.23e-3)
-"""What the paper found by LS without regularisation."""
+"""LS result of the paper without regularisation."""
 FIG2: Final = Segments(0.5)
 WINDOWS: Final = Windows(11, 5)
 _PRIOR_STD: Final = (2.0, 0.09, 1e-3)
@@ -39,15 +39,14 @@ _PRIOR_STD: Final = (2.0, 0.09, 1e-3)
 
 @dataclass(frozen=True, slots=True)
 class Shape:
-    """Residual variances of one seed by innovation length, and a.
+    """Residual variances of one seed by innovation length [(N/kN)^2], and a [N/kN].
 
     Attributes:
         training: Residual variance without regularisation, by p.
         held_out: The same on other coasts of the same train.
-        penalised: Residual variance of the form printed, lambda = 50, by p.
-        a: Estimate of a there, by p.
-        velocity: Variance of the speed that a curve predicts less the measured one, as in Table 2, [(km/h)^2]: LS,
-            then MILS with p = 4.
+        penalised: Residual variance of the printed form, lambda = 50, by p.
+        a: Estimate of a in the printed form, by p.
+        velocity: Variance of predicted minus measured speed, as in Table 2 [(km/h)^2]: LS, then MILS with p = 4.
 
     """
 
@@ -60,11 +59,11 @@ class Shape:
 
 @dataclass(frozen=True, slots=True)
 class Batch:
-    """Curve errors of batch estimators on fixed windows, one seed, one truth, [N/kN].
+    """Curve errors of batch estimators on fixed windows for one seed and truth [N/kN].
 
     Attributes:
-        errors: LS, ridge with lambda = 50, non-negative LS, LS with a prior 20 % off.
-        negative: Whether ridge with lambda = 1 gives a negative b or c.
+        errors: LS, ridge with lambda = 50, non-negative LS, LS with a prior that is 20 % off.
+        negative: True if ridge with lambda = 1 gives a negative b or c.
 
     """
 
@@ -89,15 +88,15 @@ def shape(seed: int) -> Shape:
 
 
 def batch(seed: int, truth: tuple[float, float, float], *, narrow: bool) -> Batch:
-    """Return what batch estimators make of fixed windows: the whole record, or four short coasts in gusts."""
+    """Run the batch estimators on fixed windows of the full record, or of four short coasts in gusts."""
     plan = data.CoastPlan(truth=truth)
     if narrow:
         plan = data.CoastPlan(truth=truth, coasts=4, samples=120, slowest=50.0, fastest=64.0, gust_std=0.3)
     rng = np.random.default_rng(seed)
     seen = seen_by(data.drive(plan, rng), WINDOWS)
     Phi, y = seen.regressors(), seen.y
-    believed = np.array(truth) * (1.0 + 0.2 * rng.choice([-1.0, 1.0], 3))
-    prior = Prior(believed, np.diag(np.square(_PRIOR_STD)) / least_squares(Phi, y).variance)
+    prior_mean = np.array(truth) * (1.0 + 0.2 * rng.choice([-1.0, 1.0], 3))
+    prior = Prior(prior_mean, np.diag(np.square(_PRIOR_STD)) / least_squares(Phi, y).variance)
     estimates = (
         least_squares(Phi, y).theta,
         ridge(Phi, y, PENALTY).theta,
@@ -109,7 +108,7 @@ def batch(seed: int, truth: tuple[float, float, float], *, narrow: bool) -> Batc
 
 
 def dilution() -> tuple[float, float]:
-    """Return what a(p) = A p/(p + k), fitted to the printed a of p = 2 and p = 6, says of p = 4 and p = 1."""
+    """Return a for p = 4 and p = 1 by a(p) = A p/(p + k), fitted to the printed a of p = 2 and p = 6 [N/kN]."""
     a2, a6 = PRINTED[2][1], PRINTED[4][1]
     # a2 (2 + k) = 2 A and a6 (6 + k) = 6 A
     k = (6.0 * a6 - 6.0 * a2) / (3.0 * a2 - a6)
@@ -118,7 +117,7 @@ def dilution() -> tuple[float, float]:
 
 
 def seen_by(coasts: data.Coasts, cutter: Cutter) -> Observations:
-    """Return the observations that coasts give."""
+    """Return the observations extracted from coasts."""
     return observe(coasts.speed, cutter, period=0.2, rotary_mass=data.GAMMA, speed_unit=data.KMH)
 
 
@@ -134,6 +133,6 @@ def residual_variance(theta: Array, seen: Observations) -> float:
 
 
 def _velocity(theta: Array, coasts: data.Coasts) -> float:
-    """Variance of measured speed less that of a curve, each coast from its first measured speed."""
+    """Return the variance of measured minus predicted speed [(km/h)^2], each coast from its first measured speed."""
     predicted = data.trajectories((theta[0], theta[1], theta[2]), coasts.speed[:, 0], np.zeros_like(coasts.speed))
     return float(np.var(coasts.speed - predicted))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Tables of the experiment of Liu et al. 2018: what its methods reach on synthetic coasts."""
+"""Tables of the experiment of Liu et al. 2018: accuracy of its methods on synthetic coasts."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _LATE: Final = 100.0
 
 
 def preparations(trials: list[Trial]) -> Table:
-    """Return the preparations of data beside the bound from raw speed."""
+    """Return the table of data preparations, with the bound from raw speed."""
     rows = []
     for i, name in enumerate(PREPARATIONS):
         cells = [name]
@@ -37,7 +37,7 @@ def preparations(trials: list[Trial]) -> Table:
         'Preparation of the data: RMSE of w over 20-80 km/h, N/kN, and its ratio to the bound',
         ('preparation', *header),
         (*rows, ('Cramer-Rao bound of raw speed', *bounds)),
-        'Bound: unknown first speed of each coast, statistics of gusts and map errors known. '
+        'Bound: initial speed of each coast unknown, statistics of gusts and map errors known. '
         f'Standard error of a ratio over these seeds: {_percent_error(trials)} %.',
     )
 
@@ -55,7 +55,7 @@ def bound(trials: list[Trial], plan: int) -> float:
 
 
 def batches(trials: list[Trial]) -> Table:
-    """Return the batch estimators."""
+    """Return the table of batch estimators."""
     names = ('LS', 'regularised LS, lambda = 50', 'non-negative LS', 'LS with prior 20 % off')
     rows = []
     for i, name in enumerate(names):
@@ -70,12 +70,12 @@ def batches(trials: list[Trial]) -> Table:
         'Batch estimators on fixed windows of 11 samples: RMSE of w, N/kN',
         ('estimator', *header),
         tuple(rows),
-        'Short coasts: 24 s each from 50-64 km/h in gusts of 0.3 N/kN, judged over 20-80 km/h all the same.',
+        'Short coasts: 24 s each from 50-64 km/h in gusts of 0.3 N/kN, evaluated over 20-80 km/h as well.',
     )
 
 
 def convergence(trials: list[Trial]) -> Table:
-    """Return the claim of Fig. 8, that parameters settle after about 70 recursions."""
+    """Return the check of the claim of Fig. 8 that parameters settle after about 70 recursions."""
     rows = []
     for i, (truth, single, penalty) in enumerate(SETTLINGS):
         record = 'one coast 80 to 20 km/h' if single else '24 coasts'
@@ -103,7 +103,7 @@ def _settled(settled: list[Settling]) -> tuple[str, ...]:
 
 
 def bad_data(trials: list[Trial]) -> Table:
-    """Return the claim of Fig. 9, that V-MILS skips bad data."""
+    """Return the check of the claim of Fig. 9 that V-MILS skips bad data."""
     rows = []
     for i, fault in enumerate(FAULTS):
         ratios = [data.pooled([trial.spoiled[i][k] for trial in trials]) for k in range(len(BY_FLAG))]
@@ -113,21 +113,21 @@ def bad_data(trials: list[Trial]) -> Table:
         'Fig. 9: bad data, RMSE of w over the bound of the good observations',
         ('bad observations (4-14 N/kN off)', *BY_FLAG, 'verdict on V-MILS p = 4'),
         tuple(rows),
-        'Told which: flags without error, which no train has; the paper does not say how bad data are found. The gate: '
+        'True flags: error-free, not available on a train; the paper does not say how bad data are detected. Gate: '
         '3 robust standard deviations of the last 51 innovations.',
     )
 
 
 def _fault_verdict(ratios: list[float]) -> str:
-    ls, told, single, gated = ratios
-    if told >= ls:
+    ls, flagged, single, gated = ratios
+    if flagged >= ls:
         return 'refuted: worse than LS'
-    worse = ', worse than p = 1' if told > 1.1 * single else ''
-    return f'confirmed if told{worse}' + ('' if gated < 2.0 else '; a gate does not tell')
+    worse = ', worse than p = 1' if flagged > 1.1 * single else ''
+    return f'confirmed with true flags{worse}' + ('' if gated < 2.0 else '; refuted with a gate')
 
 
 def tracking(trials: list[Trial]) -> Table:
-    """Return how forgetting follows a jump."""
+    """Return the table of tracking a jump with forgetting."""
     rows = []
     for i, (name, _) in enumerate(TRACKERS):
         delay = float(np.median([trial.delays[i] for trial in trials]))
@@ -135,14 +135,14 @@ def tracking(trials: list[Trial]) -> Table:
         rows.append((name, f'{delay:.0f}' if np.isfinite(delay) else '> 1032', f'{error:.3f}'))
     return Table(
         'A jump of a by 1.22 N/kN after 1032 observations',
-        ('recursion', '90 % found after (median)', 'RMSE before, N/kN'),
+        ('recursion', '90 % followed after (median)', 'RMSE before, N/kN'),
         tuple(rows),
-        'White noise of 0.57 N/kN. No forgetting factor is both quick and quiet.',
+        'White noise of 0.57 N/kN. No forgetting factor gives both fast tracking and low noise.',
     )
 
 
-def honesty(trials: list[Trial]) -> Table:
-    """Return the consistency of the streaming estimators."""
+def consistency(trials: list[Trial]) -> Table:
+    """Return the table of the consistency (NEES) of the streaming estimators."""
     means = np.mean([trial.nees for trial in trials], axis=0)
     rows = tuple((name, f'{mean:.2f}', '1') for name, mean in zip(STREAMS, means, strict=True))
     note = '24 coasts in gusts of 0.3 N/kN, covariance p sigma^2 P with sigma^2 and its correlation from residuals.'
@@ -150,19 +150,19 @@ def honesty(trials: list[Trial]) -> Table:
 
 
 def targets(trials: list[Trial]) -> Table:
-    """Return what must be reached and what is."""
+    """Return the targets and the reached values."""
     exact = max(trial.errata.exact for trial in trials)
     weighted = max(trial.errata.weighted for trial in trials)
     windows = PREPARATIONS.index(_TARGETED)
     ratio = data.pooled([trial.prepared[1].errors[windows] for trial in trials]) / bound(trials, 1)
     rows = (
-        ('RLS from P(0) = I/lambda off (7), every t, lambda = 1, 50, 5000', 1e-9, exact, '.0e'),
-        ('MILS off weighted LS, N/kN, p = 1, 2, 4, 6', 1e-6, weighted, '.0e'),
+        ('RLS from P(0) = I/lambda minus (7), every t, lambda = 1, 50, 5000', 1e-9, exact, '.0e'),
+        ('MILS minus weighted LS, N/kN, p = 1, 2, 4, 6', 1e-6, weighted, '.0e'),
         ('windows of 11 samples + LS over the bound, gusts 0.3 N/kN', 1.15, ratio, '.3f'),
     )
     return Table(
         'Targets of liu2018',
-        ('what', 'target', 'reached', 'met?'),
+        ('quantity', 'target', 'reached', 'met?'),
         tuple(
             (name, f'<= {limit:g}', format(value, form), 'yes' if value <= limit else 'no')
             for name, limit, value, form in rows

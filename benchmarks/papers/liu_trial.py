@@ -32,14 +32,14 @@ class Trial:
     """Results of one seed.
 
     Attributes:
-        errata: What is wrong in the equations.
+        errata: Errors of the equations.
         shape: Table 1 and 2.
-        full: Batch estimators on the whole record, by :data:`TRUTHS`.
+        full: Batch estimators on the full record, by :data:`TRUTHS`.
         narrow: The same on four short coasts.
         prepared: Preparations, by :data:`PLANS`.
         settled: Convergence, by :data:`SETTLINGS`.
-        spoiled: Bad data, by fault and estimator, over the bound.
-        delays: Observations until a jump is found.
+        spoiled: Errors with bad data over the bound, by fault and estimator.
+        delays: Observations until a jump is followed.
         before: Curve errors before the jump [N/kN].
         nees: Squared error over covariance, per parameter, of the streaming estimators, by :data:`STREAMS`.
 
@@ -58,7 +58,7 @@ class Trial:
 
 
 def trial(seed: int) -> Trial:
-    """Run everything on one seed."""
+    """Run all experiments on one seed."""
     delays, before = tracked(seed)
     return Trial(
         errata=errata(seed),

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The speed-model algorithms on raw (y, u): on one line by the product's kernels, on many lines in lockstep.
+"""The speed-model algorithms on raw (y, u): on one line with the product's kernels, on many lines in lockstep.
 
-Lines of the experiments have no samples and no admission: ``drive`` gives a ``Method`` of the product what its
-estimator would. ``drive_many`` does the same for all lines at once. The arithmetic is the product's, called with
-arrays; only decisions are written twice, and a test holds both to the same numbers.
+Lines of the experiments have no samples and no admission checks: ``drive`` calls a ``Method`` of the product as its
+estimator would, ``drive_many`` does the same for all lines at once. The arithmetic is that of the product, called with
+arrays; only decisions are implemented twice, and a test checks that both give the same numbers.
 """
 
 from __future__ import annotations
@@ -35,14 +35,14 @@ READMIT: Final = 5
 
 @dataclass(frozen=True, slots=True)
 class Track:
-    """What an algorithm made of some lines.
+    """Results of an algorithm on some lines.
 
     Attributes:
-        state: x, a1, a2, b1, d0 after every sample, shape (samples, 5, lines).
+        state: x [m/s], a1, a2, b1, d0 after every sample, shape (samples, 5, lines).
         S: Covariance of theta, upper triangle, after every tenth sample, shape (samples / 10, 10, lines).
         predicted: Speed predicted for every sample [m/s], shape (samples, lines).
-        error: Measured less predicted, NaN where nothing was measured.
-        nis: Squared error over its variance where one was learned from, else NaN.
+        error: Measured minus predicted speed [m/s], NaN without measurement.
+        nis: Squared error over its variance at updates, else NaN.
         factor: Forgetting factor.
 
     """
@@ -68,7 +68,7 @@ class ManyLearned:
 
 
 class ManyMethod(Protocol):
-    """``Method`` for arrays: numbers have the shape (numbers, lines)."""
+    """``Method`` for arrays: ``numbers`` has the shape (numbers, lines)."""
 
     def start(self, lines: int) -> Array: ...
     def learn(self, numbers: Array, y: Array, u: Array) -> ManyLearned: ...
@@ -79,7 +79,7 @@ class ManyMethod(Protocol):
 
 
 def drive(method: Method, y: Array, u: Array, variance: float, *, freeze: bool = True) -> Array:
-    """Drive one line by the product's kernel; return (x, theta) after every sample, shape (samples, 5)."""
+    """Run one line with the product's kernel; return (x, theta) after every sample, shape (samples, 5)."""
     numbers = method.anchor(method.start(variance), float(y[0]), variance)
     states, slow, rejected = [numbers[:5]], 0, 0
     for now, force in zip(y[1:].tolist(), u[:-1].tolist(), strict=True):
@@ -101,7 +101,7 @@ def drive(method: Method, y: Array, u: Array, variance: float, *, freeze: bool =
 
 
 def drive_many(method: ManyMethod, y: Array, u: Array, *, freeze: bool = True) -> Track:
-    """Drive all lines, shapes (samples, lines), sample by sample."""
+    """Run all lines, shapes (samples, lines), sample by sample."""
     samples, lines = y.shape
     numbers = method.anchor(method.start(lines), y[0])
     slow, rejected = np.zeros(lines, dtype=np.int64), np.zeros(lines, dtype=np.int64)
@@ -115,17 +115,17 @@ def drive_many(method: ManyMethod, y: Array, u: Array, *, freeze: bool = True) -
             learning = have & ~still
             coasted, learned = method.coast(numbers, u[n - 1]), method.learn(numbers, now, u[n - 1])
             slow = np.where(learning, 0, slow + still)
-            out = learning & learned.rejected
-            rejected = np.where(out, rejected + 1, np.where(have, 0, rejected))
+            outliers = learning & learned.rejected
+            rejected = np.where(outliers, rejected + 1, np.where(have, 0, rejected))
             new = np.where(learning, learned.numbers, coasted)
             standing = still & (slow >= STANDING)
-            # A standing train keeps theta and its covariance, whatever coasting would add.
+            # At standstill theta and its covariance stay constant, without the drift of coasting.
             new = np.where(standing, numbers, new)
             new = np.where(standing | (rejected >= READMIT), method.anchor(new, now), new)
             numbers = np.where(still & (slow == STANDING), method.widen_load(new), new)
             rejected = np.where(rejected >= READMIT, 0, rejected)
-            nis = np.where(learning & ~out, learned.error**2 / learned.variance, np.nan)
-            factor = np.where(learning & ~out, learned.factor, 1.0)
+            nis = np.where(learning & ~outliers, learned.error**2 / learned.variance, np.nan)
+            factor = np.where(learning & ~outliers, learned.factor, 1.0)
             rows.append((numbers[:5], learned.predicted, np.where(have, learned.error, np.nan), nis, factor))
             if n % 10 == 0:
                 S.append(method.covariance(numbers))
@@ -181,7 +181,7 @@ class ManyAuxiliary:
 
 
 class ManyRls:
-    """The algorithms of the paper."""
+    """The algorithms of the paper (RLS, VFF-RLS, AM-RLS, AM-VFF-RLS as printed)."""
 
     def __init__(self, theta0: Theta, P0: Symmetric, tuning: rls.Tuning, variance: float) -> None:
         self._start = (0.0, *theta0, *P0)
@@ -225,7 +225,10 @@ class ManyRls:
 
 
 class ManyIntegral:
-    """The integral RLS: x, theta, P, waited, seen, its two doubts, number of steps, then the windows, oldest first."""
+    """The integral RLS.
+
+    Numbers: x, theta, P, waited, seen, variance of x by noise, std of x by theta, steps, windows (oldest first).
+    """
 
     def __init__(self, theta0: Theta, P0: Symmetric, tuning: integral_rls.Tuning, variance: float) -> None:
         self._tuning = tuning
@@ -237,21 +240,21 @@ class ManyIntegral:
         return np.tile(np.array(self._start)[:, None], lines)
 
     def _moved(self, numbers: Array, u: Array) -> tuple[Array, tuple[Array, Array], Array, Array]:
-        """Return the predicted speed, its doubts, the number of steps and the window with one more step."""
+        """Return predicted speed [m/s], its variance by noise and std by theta, number of steps and the new window."""
         x = numbers[0]
         phi = np.stack([x * x, x, u, np.ones_like(u)])
         predicted: Any = rls.output(tuple(numbers[1:5]), tuple(phi))
         g: Any = rls.times(tuple(numbers[5:15]), tuple(phi))[4]
-        doubts = numbers[17] + self._tuning.noise, numbers[18] + np.sqrt(np.maximum(g, 0.0))
+        spreads = numbers[17] + self._tuning.noise, numbers[18] + np.sqrt(np.maximum(g, 0.0))
         window = np.concatenate([numbers[25:], phi, numbers[16:17]])
-        return predicted, doubts, np.minimum(numbers[19] + 1.0, self._tuning.window), window
+        return predicted, spreads, np.minimum(numbers[19] + 1.0, self._tuning.window), window
 
     def learn(self, numbers: Array, y: Array, u: Array) -> ManyLearned:
         tuning, K = self._tuning, self._tuning.window
         predicted, (by_noise, by_theta), count, window = self._moved(numbers, u)
         error = y - predicted
-        told = by_noise + by_theta * by_theta + self._variance
-        limit = tuning.clip * np.sqrt(told)
+        error_variance = by_noise + by_theta * by_theta + self._variance
+        limit = tuning.clip * np.sqrt(error_variance)
         seen = np.minimum(np.maximum(y, predicted - limit), predicted + limit)
         waited = numbers[15] + 1.0
         due = (count == K) & (waited >= tuning.hop)
@@ -264,21 +267,21 @@ class ManyIntegral:
         kept = np.where(due, np.stack([*after[0], *after[1]]), numbers[1:15])
         kappa, left = tuning.kappa, 1.0 - tuning.kappa
         now = predicted + kappa * (seen - predicted)
-        surer, whole = (left * left * by_noise + kappa * kappa * self._variance, left * by_theta), seen == y
-        after = np.where(whole, surer[0], by_noise), np.where(whole, surer[1], by_theta)
+        corrected, unclipped = (left * left * by_noise + kappa * kappa * self._variance, left * by_theta), seen == y
+        after = np.where(unclipped, corrected[0], by_noise), np.where(unclipped, corrected[1], by_theta)
         head = np.stack([now, *kept, np.where(due, 0.0, waited), seen, *after, count])
         none = np.zeros_like(error, dtype=np.bool_)
-        return ManyLearned(np.concatenate([head, window]), predicted, error, none, told, np.ones_like(error))
+        return ManyLearned(np.concatenate([head, window]), predicted, error, none, error_variance, np.ones_like(error))
 
     def coast(self, numbers: Array, u: Array) -> Array:
-        predicted, doubts, count, window = self._moved(numbers, u)
-        head = np.stack([predicted, *numbers[1:15], numbers[15] + 1.0, predicted, *doubts, count])
+        predicted, spreads, count, window = self._moved(numbers, u)
+        head = np.stack([predicted, *numbers[1:15], numbers[15] + 1.0, predicted, *spreads, count])
         return np.concatenate([head, window])
 
     def anchor(self, numbers: Array, y: Array) -> Array:
         zero = np.zeros_like(y)
-        doubts = np.full_like(y, self._variance), zero
-        return np.concatenate([y[None], numbers[1:15], np.stack([zero, y, *doubts, zero]), 0.0 * numbers[20:]])
+        spreads = np.full_like(y, self._variance), zero
+        return np.concatenate([y[None], numbers[1:15], np.stack([zero, y, *spreads, zero]), 0.0 * numbers[20:]])
 
     def widen_load(self, numbers: Array) -> Array:
         wider = numbers.copy()

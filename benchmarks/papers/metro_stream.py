@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: Apache-2.0
 """A metro on its line as a stream of numbers, to compare recursive estimators of w(v) = a + b v + c v².
 
-Station to station at 5 Hz between 0 and 21.6 m/s, on known gradients, with gusts that no estimator is told of,
-and four scenarios: ``clean``; ``out5``, 5 % gross errors; ``slip``, bursts in which the wheels do not roll;
-``step``, the resistance changes half an hour before the end. It comes in two forms: ``raw`` ticks (speed, force,
-gradient), and ``rows`` for whoever wants y = w + noise with phi = [1, v, v²], read from a window of 2 s. Rows overlap,
-so their noise is correlated: sd 1.13 N/kN, autocorrelation .73, .47, .22, -.17, -.39 at lags 1, 2, 3, 5, 7.
+Station to station at 5 Hz between 0 and 21.6 m/s, on known gradients, with gusts unknown to the estimators,
+and four scenarios: ``clean``; ``out5``, 5 % gross errors; ``slip``, bursts of wheel slip; ``step``, the resistance
+changes half an hour before the end. It has two forms: ``raw`` ticks (speed, force, gradient), and ``rows`` for
+estimators of y = w + noise with phi = [1, v, v²], computed from windows of 2 s. Rows overlap, so their noise is
+correlated: sd 1.13 N/kN, autocorrelation .73, .47, .22, -.17, -.39 at lags 1, 2, 3, 5, 7.
 
-Everything is an array operation; one seed takes some 20 ms. The scenarios of one seed share ride and noise.
+All operations are vectorised; one seed takes about 20 ms. The scenarios of one seed share ride and noise.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ SCENARIOS: Final[tuple[Scenario, ...]] = get_args(Scenario)
 PERIOD: Final = 0.2
 """Time between two ticks [s]."""
 INERTIA: Final = 1000.0 * 1.08 / G
-"""Specific force [N/kN] per acceleration [m/s²]: with 8 % for the rotating masses."""
+"""Specific force [N/kN] per acceleration [m/s²], with 8 % rotating masses."""
 BEFORE: Final = Davis(0.8, 0.02, 0.0012)
 AFTER: Final = Davis(1.2, 0.02, 0.00144)
 """The resistance [N/kN, m/s] in the scenario ``step`` after a has grown by 0.4 and c by 20 %."""
 NOISE_SD: Final = 1.13
-"""Standard deviation of the noise of a clean row [N/kN]; the bound of a gate is a multiple of it."""
+"""Standard deviation of the noise of a clean row [N/kN]; the limit of a gate is a multiple of it."""
 SPEED_SD: Final = float(np.hypot(0.02, 0.1 / 3.6 / np.sqrt(12.0)))
-"""Noise of a raw speed [m/s]: 0.02 of the sensor and a quantum of 0.1 km/h."""
+"""Standard deviation of a raw speed [m/s]: sensor noise of 0.02 m/s and a resolution of 0.1 km/h."""
 
 _TOP_SPEED: Final = 21.6
 _QUANTUM: Final = 0.1 / 3.6
@@ -57,7 +57,7 @@ _SLIPPING: Final = 0.05
 
 @dataclass(frozen=True, slots=True)
 class Raw:
-    """Ticks of 0.2 s, shapes (ticks,), with the stops, where ``moving`` is false.
+    """Ticks of 0.2 s, shapes (ticks,), including the stops, where ``moving`` is false.
 
     The force and the gradient of a tick are the means over the 0.2 s that end with it, the speed is that of its end.
     """
@@ -71,7 +71,7 @@ class Raw:
 
 @dataclass(frozen=True, slots=True)
 class Rows:
-    """Regression form: y (n,) [N/kN], phi (n, 3) = [1, v, v²], the tick that ends each window, which are spoiled."""
+    """Regression form: y (n,) [N/kN], phi (n, 3) = [1, v, v²], the tick that ends each window, outlier flags."""
 
     y: Floats
     phi: Floats
@@ -92,36 +92,36 @@ class MetroStream:
 
 
 def metro_stream(seed: int, scenario: Scenario = 'clean', rows: int = 20_000) -> MetroStream:
-    """Return the ride of a seed with so many rows; ticks end with the last row.
+    """Return the ride of a seed; ticks end with the last row.
 
     Args:
-        seed: What is random, apart from the scenario.
+        seed: Seed of the random numbers, independent of the scenario.
         scenario: One of ``SCENARIOS``.
         rows: Number of windows of 2 s in motion.
     """
     ride, line, noise, trouble = (np.random.default_rng([seed, part]) for part in range(4))
     speed = _speeds(ride, rows)
     moving = speed > _SLOWEST
-    whole = np.flatnonzero(np.convolve(moving, np.ones(_WINDOW), 'full')[: speed.size] > _WINDOW - 0.5)[:rows]
-    speed, moving = speed[: whole[-1] + 1], moving[: whole[-1] + 1]
+    ends = np.flatnonzero(np.convolve(moving, np.ones(_WINDOW), 'full')[: speed.size] > _WINDOW - 0.5)[:rows]
+    speed, moving = speed[: ends[-1] + 1], moving[: ends[-1] + 1]
     change = max(rows - _STEP_ROWS, rows // 2) if scenario == 'step' else rows
     gradient = _gradients(line, speed)
-    resistance = _resistances(speed, int(whole[change]) if change < rows else speed.size)
+    resistance = _resistances(speed, int(ends[change]) if change < rows else speed.size)
     force = INERTIA * np.diff(speed, prepend=speed[0]) / PERIOD + resistance + gradient + _gusts(noise, speed.size)
-    felt = force + noise.standard_normal(speed.size) * (_FORCE_NOISE + _FORCE_SHARE * np.abs(force))
+    measured = force + noise.standard_normal(speed.size) * (_FORCE_NOISE + _FORCE_SHARE * np.abs(force))
     seen = speed + noise.normal(0.0, _SPEED_NOISE, speed.size)
     spoiled = np.zeros(speed.size, dtype=np.bool_)
     if scenario == 'slip':
         excess = _slips(trouble, force, moving)
         seen, spoiled = seen + excess, excess != 0.0
     seen = np.maximum(np.round(seen / _QUANTUM) * _QUANTUM, 0.0)
-    table = _rows(seen, felt - gradient, whole, spoiled)
+    table = _rows(seen, measured - gradient, ends, spoiled)
     if scenario == 'out5':
         table = _with_gross_errors(trouble, table)
         spoiled = (trouble.random(speed.size) < _OUTLIERS) & moving
         error = trouble.uniform(0.5, 3.0, speed.size) * trouble.choice((-1.0, 1.0), speed.size)
         seen = np.where(spoiled, np.maximum(seen + error, 0.0), seen)
-    raw = Raw(seen, felt, gradient, moving, spoiled)
+    raw = Raw(seen, measured, gradient, moving, spoiled)
     return MetroStream(scenario, raw, table, BEFORE, AFTER if scenario == 'step' else BEFORE, change)
 
 
@@ -144,7 +144,7 @@ def _speeds(rng: np.random.Generator, rows: int) -> Floats:
 
 
 def _leg(rng: np.random.Generator) -> Floats:
-    """Return one ride between stations: traction that fades with speed, holding, coasting, holding again, braking."""
+    """Return one ride between stations: traction (power-limited), holding, coasting, braking; speeds [m/s]."""
     top = rng.uniform(0.72, 1.0) * (_TOP_SPEED - 0.2)
     rate, brake = rng.uniform(0.8, 1.05), rng.uniform(0.7, 1.0)
     # dv/dt = rate up to 9 m/s, then at constant power.
@@ -157,12 +157,12 @@ def _leg(rng: np.random.Generator) -> Floats:
     final = float(coasting[-1]) if coasting.size else top
     falling = np.arange(final, 0.0, -brake * PERIOD)
     leg = np.concatenate([rising, holding, coasting, falling, np.zeros(5)])
-    # Over 1.2 s, for the jerk.
+    # Smoothed over seven samples (1.2 s) to limit the jerk.
     return np.convolve(np.pad(leg, 3, mode='edge'), np.full(7, 1.0 / 7.0), 'valid')
 
 
 def _gradients(rng: np.random.Generator, speed: Floats) -> Floats:
-    """Return gradients [per mille, 25 at most] under the train: a new one each 250 m, smoothed over its length."""
+    """Return gradients under the train [per mille, at most 25], new every 250 m, smoothed over the train length."""
     place = np.cumsum(speed) * PERIOD
     values = np.clip(rng.normal(0.0, 9.0, int(place[-1] / 250.0) + 3), -25.0, 25.0)
     knots = np.arange(values.size) * 250.0
@@ -183,7 +183,7 @@ def _resistances(speed: Floats, change: int) -> Floats:
 
 
 def _gusts(rng: np.random.Generator, size: int) -> Floats:
-    """Return gusts [N/kN]: a first-order autoregression, summed up as a filter does."""
+    """Return gusts [N/kN], a first-order autoregressive process."""
     from scipy.signal import lfilter  # noqa: PLC0415 (slow to load)
 
     pole = float(np.exp(-PERIOD / _GUST_TIME))
@@ -193,7 +193,7 @@ def _gusts(rng: np.random.Generator, size: int) -> Floats:
 
 
 def _slips(rng: np.random.Generator, force: Floats, moving: Flags) -> Floats:
-    """Return by how much the wheels are too fast [m/s], too slow in braking: 0.6-2 s each, 5 % of the motion."""
+    """Return the slip speed [m/s], negative in braking: bursts of 0.6-2 s, 5 % of the time in motion."""
     excess = np.zeros(force.size)
     ticks = np.flatnonzero(moving)
     missing = int(_SLIPPING * ticks.size)
@@ -203,7 +203,7 @@ def _slips(rng: np.random.Generator, force: Floats, moving: Flags) -> Floats:
         if start + length >= force.size or excess[start : start + length].any():
             continue
         peak = rng.uniform(0.5, 3.0) * (1.0 if force[start] > 0.0 else -1.0)
-        # Up slowly, back fast.
+        # Slow rise, fast fall.
         shape = np.interp(np.arange(1, length + 1) / (length + 1.0), (0.0, 0.7, 1.0), (0.0, 1.0, 0.0))
         excess[start : start + length] = peak * shape
         missing -= length
@@ -213,11 +213,11 @@ def _slips(rng: np.random.Generator, force: Floats, moving: Flags) -> Floats:
 def _rows(speed: Floats, balance: Floats, ends: NDArray[np.int64], spoiled: Flags) -> Rows:
     """Return y = f - i - (1 + gamma) slope and phi at the ends of windows of 11 ticks.
 
-    The forces between the ticks get the weight that they have in the slope of the speeds.
+    The forces between the ticks are weighted as in the slope of the speeds.
     """
     place = np.arange(_WINDOW) - (_WINDOW - 1) / 2
     slope = place / (place @ place)
-    # d(slope)/d(acceleration of the interval before each tick): the sum of the weights from there on.
+    # d(slope)/d(acceleration of the interval before each tick): sum of the weights from that tick on.
     share = np.cumsum(slope[::-1])[::-1][1:]
     windows = np.lib.stride_tricks.sliding_window_view(speed, _WINDOW)[ends - (_WINDOW - 1)]
     forces = np.lib.stride_tricks.sliding_window_view(balance, _WINDOW)[ends - (_WINDOW - 1)]
@@ -229,7 +229,7 @@ def _rows(speed: Floats, balance: Floats, ends: NDArray[np.int64], spoiled: Flag
 
 
 def _with_gross_errors(rng: np.random.Generator, rows: Rows) -> Rows:
-    """Add 10 to 60 N/kN to 5 % of the y, in 70 % of them upwards."""
+    """Add errors of 10 to 60 N/kN to 5 % of the y, 70 % of them positive."""
     spoiled = rng.random(rows.y.size) < _OUTLIERS
     sign = np.where(rng.random(rows.y.size) < 0.7, 1.0, -1.0)
     error = rng.uniform(10.0, 60.0, rows.y.size) * sign

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The estimators of trainid on the metro ride, as the comparison sees them."""
+"""The estimators of trainid on the metro ride, with the interface of the comparison."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ PLAN: Final = ChangePointConfig(
     patience=300,
     lockout=100,
 )
-# Of a surveyed line [per mille].
+# Standard deviation of the gradient of a surveyed line [per mille].
 GRADIENT_STD: Final = 0.05
 _TICK_NS: Final = round(PERIOD * NS_PER_S)
 
@@ -93,7 +93,7 @@ class MilsCompiled(RowPeer):
 
 
 class MilsTracker(RowPeer):
-    """V-MILS on rows: the recursion, and hypotheses of steps, born every minute and counted after another one."""
+    """V-MILS on rows: the recursion and step hypotheses, created every minute and evaluated after another minute."""
 
     def __init__(self) -> None:
         self._tracker = Tracker(independent(START, np.square(START_SD).tolist()), PLAN)
@@ -115,7 +115,7 @@ class MilsTracker(RowPeer):
 
 
 class VMilsRaw(RowPeer):
-    """V-MILS as it ships, from raw ticks of exact force: windows, soft gate, hypotheses of steps, learned noise."""
+    """V-MILS as shipped, from raw ticks with exact force: windows, soft gate, step hypotheses, estimated noise."""
 
     def __init__(self) -> None:
         config = VMilsConfig()

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Particle filters of the brake rate: filterpy and particles beside ours, on the metro drives of `brake_runs`.
+"""Particle filters of the brake rate: filterpy and particles compared with ours, on the metro drives of `brake_runs`.
 
-All of them sit in the same estimator, which knows the brake, its dead time and which samples tell of it; they
-differ in how they carry the belief in [v, a, b] and the rate f. A filter of filterpy is one Kalman filter for each
-particle, copied where resampling wants it; of particles come the weights and the resampling, with all four states
+All run in the same estimator, which models the brake and its dead time and selects the informative samples; they
+differ in the representation of the posterior of [v, a, b] and the rate f. With filterpy each particle has its own
+Kalman filter, copied at resampling; the library particles provides weights and resampling, with all four states
 sampled.
 """
 
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-# Fewer in a drive, so that the seeds can be many: one stop differs from the next less than drives do.
+# Few stops per drive allow many seeds; the variation between drives exceeds that between stops.
 _STOPS: Final = 2
 _SHORT_STOPS: Final = 1
 _FEW: Final = 2
@@ -48,8 +48,8 @@ _SLOWEST: Final = 1.0
 RATIO: Final = 'trainid GSMA, 500 particles'
 
 
-class PeerBelief:
-    """What the beliefs of other libraries share: weights and f; the mean of f and its variance."""
+class PeerPosterior:
+    """Common part of the posteriors of other libraries: weights, f, and mean and variance of f [1]."""
 
     def __init__(self, particles: int, drift: float, seed: int) -> None:
         self.N, self._q = particles, drift * drift
@@ -59,11 +59,11 @@ class PeerBelief:
         self.step = LinearStep(np.eye(3), np.zeros(3), np.zeros(3), np.zeros((3, 3)))
 
     def means(self) -> Array:
-        """Return the states v, a, b of all particles, shape (3, N)."""
+        """Return the states of all particles, v, a, b first, shape (STATES, N)."""
         raise NotImplementedError
 
     def spread(self) -> float:
-        """Return the variance of v within a particle."""
+        """Return the variance of v within a particle [(m/s)^2]."""
         return 0.0
 
     @property
@@ -121,7 +121,7 @@ class PeerBelief:
         raise NotImplementedError
 
 
-class FilterpyBelief(PeerBelief):
+class FilterpyPosterior(PeerPosterior):
     """A filterpy KalmanFilter for each particle."""
 
     def __init__(self, particles: int, drift: float, seed: int) -> None:
@@ -179,7 +179,7 @@ class FilterpyBelief(PeerBelief):
         return True
 
 
-class ParticlesBelief(PeerBelief):
+class ParticlesPosterior(PeerPosterior):
     """Bootstrap filter on [v, a, b, f] with the weights and the resampling of the library particles."""
 
     def __init__(self, particles: int, drift: float, seed: int) -> None:
@@ -231,9 +231,9 @@ class ParticlesBelief(PeerBelief):
 
 @dataclass(frozen=True, slots=True)
 class Contestant:
-    """A filter: its name, the package it needs, the belief or our algorithm with its particles.
+    """A filter: its name, required package, posterior or our algorithm, and number of particles.
 
-    A drive has so many stops; ``drives`` bounds their number for who would take hours.
+    ``stops`` is the number of stops per drive; ``drives`` limits the number of drives of slow filters.
     """
 
     name: str
@@ -260,7 +260,7 @@ CONTESTANTS: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """One drive: mean error of f, and CPU time of each step that learns [us]."""
+    """One drive: mean error of f [1], and CPU time of each step with an update [us]."""
 
     name: str
     error: float
@@ -283,21 +283,21 @@ def measure(seeds: int) -> list[Table]:
         error += '' if item.stops == _STOPS else f' ({item.stops} stop)'
         rows.append((item.name, f'{p50 / 1e3:.4f}', f'{p99 / 1e3:.4f}', f'{ratio:.2f}', error, str(len(errors))))
     note = (
-        f'CPU time of predicting and learning from one sample. Error: mean |f - truth| from {_SETTLED_S:.0f} s after '
-        f'the command and above {_SLOWEST:.0f} m/s, with its standard error over drives of {_STOPS} stops. All sit in '
-        f'the same estimator of trainid. {_spared(seeds)}'
+        f'CPU time of prediction and update for one sample. Error: mean |f - truth| from {_SETTLED_S:.0f} s after '
+        f'the command and above {_SLOWEST:.0f} m/s, with its standard error over drives of {_STOPS} stops. All run in '
+        f'the same estimator of trainid. {_limited(seeds)}'
     )
     header = ('filter', 'ms p50', 'ms p99', 'p50 / GSMA 500', 'mean error', 'drives')
-    return [Table('Particle filters of the brake rate beside other libraries', header, tuple(rows), note)]
+    return [Table('Particle filters of the brake rate compared with other libraries', header, tuple(rows), note)]
 
 
-def _spared(seeds: int) -> str:
-    spared = [f'{item.name}, over {item.drives} drives of {seeds}' for item in CONTESTANTS if item.drives < seeds]
-    return f'Slow, so not over all: {"; ".join(spared)}.' if spared else ''
+def _limited(seeds: int) -> str:
+    limited = [f'{item.name}, over {item.drives} drives of {seeds}' for item in CONTESTANTS if item.drives < seeds]
+    return f'Slow filters run over fewer drives: {"; ".join(limited)}.' if limited else ''
 
 
 def drives(number: int) -> list[Result]:
-    """Drive with whoever takes part in this seed."""
+    """Run all filters that take part in this seed."""
     runs = {stops: metro_run(FIRST_SEED + number, stops) for stops in (_SHORT_STOPS, _STOPS)}
     return [
         _drive(item, runs[item.stops], number)
@@ -308,7 +308,7 @@ def drives(number: int) -> list[Result]:
 
 def _drive(item: Contestant, run: BrakeRun, number: int) -> Result:
     estimator = _estimator(item, number)
-    timed = TimedBelief(estimator.posterior)
+    timed = TimedPosterior(estimator.posterior)
     estimator.posterior = timed
     errors, times = [], []
     for k, sample in enumerate(run.samples):
@@ -321,25 +321,25 @@ def _drive(item: Contestant, run: BrakeRun, number: int) -> Result:
     return Result(item.name, float(np.mean(errors)), tuple(times[len(times) // 10 :]))
 
 
-class TimedBelief:
-    """A belief that adds up the CPU time [ns] in which it predicts and learns."""
+class TimedPosterior:
+    """A posterior that sums up the CPU time of prediction and update [ns]."""
 
-    def __init__(self, belief: Any) -> None:
-        self._belief = belief
+    def __init__(self, posterior: Any) -> None:
+        self._posterior = posterior
         self.spent_ns = 0
         self.learned = False
 
     def __getattr__(self, name: str) -> Any:
-        return getattr(self._belief, name)
+        return getattr(self._posterior, name)
 
     def predict(self, interval: Transition) -> None:
         begun = time.thread_time_ns()
-        self._belief.predict(interval)
+        self._posterior.predict(interval)
         self.spent_ns += time.thread_time_ns() - begun
 
     def learn(self, *arguments: Any) -> bool:
         begun = time.thread_time_ns()
-        fine: bool = self._belief.learn(*arguments)
+        fine: bool = self._posterior.learn(*arguments)
         self.spent_ns += time.thread_time_ns() - begun
         self.learned = True
         return fine
@@ -356,4 +356,4 @@ def _estimator(item: Contestant, seed: int) -> Any:
     return BRAKE_RATE.make(BRAKE_RATE.choose(name, **changes), metro_train(), np.random.default_rng(seed))
 
 
-_PEERS: Final[dict[str, Any]] = {'filterpy': FilterpyBelief, 'particles': ParticlesBelief}
+_PEERS: Final[dict[str, Any]] = {'filterpy': FilterpyPosterior, 'particles': ParticlesPosterior}

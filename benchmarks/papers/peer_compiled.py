@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the optional compiler gives: recursions of V-MILS and AM-VFF-RLS, a step of GSMA, and what importing costs."""
+"""Effect of the optional compiler on V-MILS, AM-VFF-RLS and GSMA steps, and import time."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ _NO_GROWTH: Final = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Kernel:
-    """A recursion: as it is, compiled call by call, and over a whole record at once; ``same`` compares all three."""
+    """A recursion: plain Python, compiled per call, and compiled over a record; ``same`` compares all three."""
 
     name: str
     items: Sequence[Item]
@@ -87,7 +87,7 @@ class PlainSpeedModel:
 
 
 def measure(seeds: int) -> list[Table]:
-    """Return the table of the kernels and that of the targets; once, whatever the number of seeds."""
+    """Return the tables of the kernels and of the targets; ``seeds`` has no effect."""
     del seeds
     kernels = (_mils(), _speed_model())
     reference, stream = HandRls(4.0), metro_stream(FIRST_SEED)
@@ -108,9 +108,9 @@ def measure(seeds: int) -> list[Table]:
     rows.append(_row(f'GSMA, {_PARTICLES} particles, NumPy', times[4], first, '-', '-'))
     rows.append(_row(f'GSMA, {_PARTICLES} particles, compiled', times[5], first, '-', 'to rounding'))
     header = ('step', 'us p50', 'us p99', 'p50 / reference', 'us in a batch', 'same bits', 'B per step')
-    missing = '' if compiler_present() else ' numba is not installed: "compiled" ran in plain Python.'
+    missing = '' if compiler_present() else ' numba is not installed: "compiled" ran as plain Python.'
     note = (
-        'CPU time of a step, all in turns in one process. GSMA: predicting and learning. Memory between the steps '
+        'CPU time of a step, all in turns in one process. GSMA: prediction and update. Memory between the steps '
         f'{_MEMORY_CALLS // 10} and {_MEMORY_CALLS}; 0 below {_NO_GROWTH:.0f} B.{missing}'
     )
     return [Table('Recursions with and without the compiler', header, tuple(rows), note), _targets(times, rows)]
@@ -142,11 +142,11 @@ def _targets(times: list[Times], rows: list[tuple[str, ...]]) -> Table:
     grown = [row[6] for row in rows if row[6] != '-']
     lines.append(('memory over 1e6 steps', 'no growth', ', '.join(grown), 'yes' if set(grown) == {'0'} else 'NO'))
     note = f'CPU time, median of steps and best of {_IMPORTS} imports; numpy alone imports in {numpy:.3f} s.'
-    return Table('Targets of cost', ('target', 'must be', 'reached', 'met?'), tuple(lines), note)
+    return Table('Targets for CPU time and memory', ('quantity', 'target', 'reached', 'met?'), tuple(lines), note)
 
 
 def import_seconds(module: str) -> float:
-    """Return the CPU time of importing a module in a fresh interpreter, from compiled bytecode, best of several [s]."""
+    """Return the CPU time to import a module in a fresh interpreter, from cached bytecode, best of several [s]."""
     code = f'import time; t = time.process_time(); import {module}; print(time.process_time() - t)'
     env = {name: value for name, value in os.environ.items() if name != 'PYTHONDONTWRITEBYTECODE'}
     with tempfile.TemporaryDirectory() as folder:
@@ -209,14 +209,14 @@ def _speed_model() -> Kernel:
 
 def _brake_step(compiled: int) -> tuple[Callable[..., object], list[Item]]:
     config = GsmaConfig(particles=_PARTICLES, compiled=compiled)
-    belief: Any = Gsma(metro_train(), config, np.random.default_rng(1)).posterior
-    belief.anchor(Start(20.0, -0.8, (1e-3, 1e-3, 1e-4)))
+    posterior: Any = Gsma(metro_train(), config, np.random.default_rng(1)).posterior
+    posterior.anchor(Start(20.0, -0.8, (1e-3, 1e-3, 1e-4)))
 
     def step(seen: float) -> None:
-        belief.predict(_INTERVAL)
-        belief.learn(_INTERVAL, _INTERVAL.dt, seen, SPEED_SD**2)
+        posterior.predict(_INTERVAL)
+        posterior.learn(_INTERVAL, _INTERVAL.dt, seen, SPEED_SD**2)
 
-    # A train that does what the model says, in white noise.
+    # Data from the model itself, in white noise.
     rng, v, a = np.random.default_rng(2), 20.0, -0.8
     items: list[Item] = []
     for _ in range(_LEARNS):

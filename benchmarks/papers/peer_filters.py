@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Filters of other libraries behind one interface, each as its manual says to use it.
+"""Filters of other libraries behind one interface, each used according to its manual.
 
-A library is imported when its first filter is made. All start from the same belief and know the same noise;
-who has no covariance gets a rate of learning chosen by hand, and features scaled to the order of 1.
+A library is imported when its first filter is created. All use the same prior and noise variance; filters without
+covariance get a hand-chosen learning rate, and features scaled to the order of 1.
 """
 
 from __future__ import annotations
@@ -25,15 +25,15 @@ if TYPE_CHECKING:
     Floats = NDArray[np.float64]
 
 DRIFT: Final = 4e-5
-"""Drift of a, b, c in one update, as a share of what they are."""
+"""Drift of a, b, c per update, relative to their values."""
 _TRUTH: Final = np.array((BEFORE.a, BEFORE.b, BEFORE.c))
 _SCALE: Final = np.array((1.0, 1.0 / 15.0, 1.0 / 225.0))
-# Gusts of 0.1 N/kN over 10 s weigh in the long run like white noise of 1 N/kN per tick; force noise beside it.
+# White noise per tick equivalent to gusts of 0.1 N/kN with 10 s correlation time (1 N/kN), and force noise [N/kN].
 _FORCE_SD: Final = 1.05
 
 
 def drift_covariance(share: float) -> Floats:
-    """Return the covariance (3, 3) that one update adds to a, b, c."""
+    """Return the process noise covariance of a, b, c per update, shape (3, 3)."""
     return np.diag((share * _TRUTH) ** 2)
 
 
@@ -63,7 +63,7 @@ class PadasipRls(RowPeer):
 
 
 class PadasipGmcc(RowPeer):
-    """padasip FilterGMCC: gradient steps that vanish for large errors."""
+    """padasip FilterGMCC: gradient steps that decrease for large errors."""
 
     def __init__(self) -> None:
         start = np.array(START) / _SCALE
@@ -141,7 +141,7 @@ class SklearnHuber(RowPeer):
 
 
 class FilterpyKalman(RowPeer):
-    """filterpy KalmanFilter with drift, on request with a gate before the update."""
+    """filterpy KalmanFilter with drift, optionally with a gate before the update."""
 
     def __init__(self, gate: float = 0.0, drift: float = DRIFT, factor: float = 1.0) -> None:
         self._filter = filterpy_kalman(drift, factor)
@@ -215,11 +215,11 @@ class SimdKalman(RowPeer):
         self._m, self._P = self._primitives.update(m, P, phi[np.newaxis], self._R, np.array([y]))
 
     def __getstate__(self) -> dict[str, Any]:
-        """Return what pickle can take: a module it cannot."""
+        """Return the state without the module, which cannot be pickled."""
         return {name: value for name, value in self.__dict__.items() if name != '_primitives'}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
-        """Take it back."""
+        """Restore the state and import the module again."""
         self.__dict__.update(state, _primitives=import_module('simdkalman.primitives'))
 
     @property
@@ -290,7 +290,7 @@ class StoneSoupKalman(RowPeer):
 
 
 class RawPeer(RowPeer):
-    """A filter of [v, a, b, c] from raw ticks; ``step(seen, force, moving)`` takes one tick in."""
+    """A filter of [v, a, b, c] from raw ticks; ``step(seen, force, moving)`` processes one tick."""
 
     def items(self, stream: MetroStream) -> list[Item]:
         raw = stream.raw
@@ -305,7 +305,7 @@ class RawPeer(RowPeer):
         self._was_moving = False
 
     def departs(self, seen: float, moving: bool, x: Floats, P: Floats) -> bool:
-        """After a stop, take the speed as seen; true if there is nothing to predict and update with."""
+        """Reset the speed to the measurement at departure; return True if the tick needs no prediction and update."""
         starts = moving and not self._was_moving
         self._was_moving = moving
         if starts:
@@ -324,7 +324,7 @@ def next_state(x: Floats, dt: float, force: float) -> Floats:
 
 
 def seen_speed(x: Floats) -> Floats:
-    """Return what of the state is measured."""
+    """Return the measured part of the state, the speed [m/s]."""
     return x[:1]
 
 

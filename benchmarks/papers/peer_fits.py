@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Fits of a, b, c to the speed trajectory of 100 s between two stations: scipy beside the batch fit of trainid.
+"""Fits of a, b, c to a speed trajectory of 100 s between two stations: scipy compared with the batch fit of trainid.
 
-A trajectory has an initial speed of its own; the model of the others is a simulation from it, in a Python loop or in
-one compiled by numba, which `scipy.optimize.least_squares` calls as often as it likes.
+Each trajectory has a free initial speed; the model for scipy is a simulation from it, in a Python loop or compiled by
+numba, called by `scipy.optimize.least_squares`.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ _OURS: Final = 'trainid batch fit, robust'
 
 @dataclass(frozen=True, slots=True)
 class Piece:
-    """One ride between two stations: speeds at n ticks, and the force less gradient before each but the first."""
+    """One ride between two stations: speeds [m/s] at n ticks, force minus gradient and traction [N/kN] before each."""
 
     speed: Floats
     force: Floats
@@ -54,7 +54,7 @@ class Piece:
 
 @dataclass(frozen=True, slots=True)
 class Result:
-    """One fit."""
+    """One fit: error of w [N/kN] and CPU time [ms]."""
 
     name: str
     scenario: str
@@ -74,11 +74,11 @@ def measure(seeds: int) -> list[Table]:
         rows.append((name, f'{p50:.2f}', f'{p90:.2f}', *(f'{error:.3f}' for error in errors)))
     note = (
         f'Median over {seeds} seeds of the RMSE of w(v) over 5 to 22 m/s [N/kN], CPU time in ms on '
-        f'clean data. One piece: {_LEAST_TICKS} ticks or more. slip and out5 as in the streaming table. The batch fit '
-        'also estimates delay and gain of the force, the noise and the gusts; the others take all for white noise.'
+        f'clean data. One piece: at least {_LEAST_TICKS} ticks. slip and out5 as in the streaming table. The batch fit '
+        'also estimates delay and gain of the force, noise and gusts; the others assume white noise only.'
     )
-    header = ('fit', 'ms', 'ms, 90 % below', *_RIDES)
-    return [Table('Fits of a speed trajectory beside scipy', header, tuple(rows), note)]
+    header = ('fit', 'ms', 'ms, p90', *_RIDES)
+    return [Table('Fits of a speed trajectory compared with scipy', header, tuple(rows), note)]
 
 
 def fits(number: int) -> list[Result]:
@@ -98,8 +98,8 @@ def fits(number: int) -> list[Result]:
         pieces, truth = pieces_of(FIRST_SEED + number, ride)
         for method, given in ((methods, pieces[:1]), (joint, pieces[:_MANY])):
             for name, fit in method.items():
-                if ride == _RIDES[0]:  # of which the times are
-                    fit(given)  # warm
+                if ride == _RIDES[0]:  # the scenario that is timed
+                    fit(given)  # warm-up
                 begun = time.thread_time()
                 theta = fit(given)
                 results.append(Result(name, ride, curve_error(theta, truth), 1e3 * (time.thread_time() - begun)))
@@ -107,7 +107,7 @@ def fits(number: int) -> list[Result]:
 
 
 def pieces_of(seed: int, scenario: Scenario) -> tuple[list[Piece], Davis]:
-    """Return the rides between stations that last long enough, and the truth."""
+    """Return the rides between stations with enough ticks, and the true resistance."""
     stream = metro_stream(seed, scenario, _MANY_ROWS)
     raw = stream.raw
     edges = np.flatnonzero(np.diff(np.concatenate([[0], raw.moving.astype(np.int8), [0]])))
@@ -120,7 +120,7 @@ def pieces_of(seed: int, scenario: Scenario) -> tuple[list[Piece], Davis]:
 
 
 def _simulate(a: float, b: float, c: float, v: float, force: Floats, path: Floats) -> None:
-    """Write the speeds from v on into ``path``, shape (n,): half a step ahead for w, then the whole one."""
+    """Write the speeds [m/s] from the initial speed v into ``path``, shape (n,), by the midpoint rule."""
     gain = PERIOD / INERTIA
     path[0] = v
     for k in range(1, path.size):

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Streaming estimators of a, b, c on the metro ride: what an update costs, and how far off they end."""
+"""Streaming estimators of a, b, c on the metro ride: CPU time per update and final error."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from trainid_ros.train.train_file import Davis
 
 REFERENCE: Final = 'hand RLS, floats'
-OURS: Final = 'trainid V-MILS p = 10, steps watched for'
+OURS: Final = 'trainid V-MILS p = 10, with step detection'
 OUR_NODE: Final = 'trainid V-MILS as shipped, raw speed'
 OUR_KERNEL: Final = 'trainid V-MILS p = 10, recursion'
 OUR_COMPILED: Final = 'the same, compiled'
@@ -48,7 +48,7 @@ _NORMALISED: Final = (0.7, 1.3)
 
 @dataclass(frozen=True, slots=True)
 class Contestant:
-    """An estimator: its name, the package it needs, how it is made, and over which share of the seeds it runs."""
+    """An estimator: its name, the package it needs, its constructor, and the share of the seeds it runs over."""
 
     name: str
     package: str
@@ -87,7 +87,7 @@ _SAME_AS_FILTERPY: Final = ('simdkalman primitives', 'stonesoup KalmanUpdater', 
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """Error of w(v) at the end of a ride [N/kN], and in units of the standard deviation told; nan if none is."""
+    """Error of w(v) at the end of a ride [N/kN], and in units of the reported standard deviation; nan without one."""
 
     name: str
     scenario: str
@@ -97,7 +97,7 @@ class Outcome:
 
 @dataclass(frozen=True, slots=True)
 class Keeping:
-    """Memory gained per update [bytes], size of the saved state [bytes], and if it goes on to the bit."""
+    """Memory growth per update [bytes], size of the saved state [bytes], and whether it continues bit-identically."""
 
     growth: float
     size: int
@@ -118,12 +118,15 @@ def measure(seeds: int) -> list[Table]:
         for item in CONTESTANTS
     )
     header = ('estimator', 'p50 / reference', 'p99 / p50', 'us', *SCENARIOS, 'z clean', 'seeds')
-    header = (*header, 'B per update', 'saved B', 'goes on exactly')
-    return [Table('Streaming estimates of a, b, c beside other libraries', header, rows, _note(times)), targets(rows)]
+    header = (*header, 'B per update', 'saved B', 'continues exactly')
+    return [
+        Table('Streaming estimates of a, b, c compared with other libraries', header, rows, _note(times)),
+        targets(rows),
+    ]
 
 
 def rides(seeds: int, number: int) -> list[Outcome]:
-    """Run all scenarios of one seed with whoever takes part in that many."""
+    """Run all scenarios of one seed with the estimators that take part in it."""
     found: list[Outcome] = []
     for scenario in SCENARIOS:
         stream = metro_stream(FIRST_SEED + number, scenario)
@@ -147,7 +150,7 @@ def _outcome(item: Contestant, stream: MetroStream) -> Outcome:
 
 
 def _normalised(theta: Floats, covariance: Floats | None, truth: Davis) -> float:
-    """Return the root mean square over 5 to 22 m/s of the error of w(v) in standard deviations told."""
+    """Return the root mean square over 5 to 22 m/s of the error of w(v) in reported standard deviations."""
     if covariance is None:
         return float('nan')
     Phi = np.vander(np.linspace(5.0, 22.0, 69), 3, increasing=True)
@@ -156,7 +159,7 @@ def _normalised(theta: Floats, covariance: Floats | None, truth: Davis) -> float
 
 
 def _times(present: Sequence[Contestant]) -> list[Times]:
-    """Time all in turns; the slow ones on fewer rows, since a turn of theirs takes as long as hundreds of ours."""
+    """Time all in turns; slow estimators on fewer rows, since their turns take hundreds of times as long as ours."""
     stream = metro_stream(FIRST_SEED)
     calls = []
     for item in present:
@@ -172,7 +175,7 @@ def _memory_calls(item: Contestant) -> int:
 
 
 def keep(name: str) -> Keeping:
-    """Measure memory and saving of one estimator; for a process of its own."""
+    """Measure memory and saving of one estimator; to be run in a separate process."""
     item = next(item for item in CONTESTANTS if item.name == name)
     estimator = item.make()
     items = estimator.items(metro_stream(FIRST_SEED))
@@ -194,7 +197,7 @@ def _row(item: Contestant, times: Times, reference: Times, outcomes: list[Outcom
     rides_done = len(normalised)
     z = float(np.sqrt(np.mean(np.square(normalised)))) if normalised else float('nan')
     cost = (f'{times.p50 / reference.p50:.1f}', f'{times.p99 / times.p50:.1f}', f'{times.p50:.1f}')
-    # Pages come in larger steps than that.
+    # Memory pages are larger than such a growth.
     grown = '0' if abs(kept.growth) < _NO_GROWTH else f'{kept.growth:.1f}'
     state = (str(kept.size), 'yes' if kept.exact else 'no') if kept.size else ('-', 'cannot')
     return item.name, *cost, *map(_number, (*errors,)), _number(z, 2), str(rides_done), grown, *state
@@ -211,23 +214,23 @@ def _number(value: float, digits: int = 4) -> str:
 
 def _note(times: dict[str, Times]) -> str:
     same = [item for item in CONTESTANTS if item.name in _SAME_AS_FILTERPY and item.name in times]
-    told = ''
+    same_note = ''
     if same and installed('filterpy'):
         most = max(_difference(item.make(), peers.FilterpyKalman()) for item in same)
         names = ', '.join(item.package for item in same)
-        told = (
+        same_note = (
             f' {names}: after {_SAME_ROWS} rows no further than {most:.0e} from filterpy KalmanFilter, so timed only.'
         )
     return (
         f'RMSE of w(v) over 5 to 22 m/s after 20 000 rows (66 min) [N/kN], median over seeds from {FIRST_SEED}; z: the '
-        f'same on clean data in standard deviations told, root mean square over seeds. Reference: {REFERENCE}. CPU '
+        f'same on clean data in reported standard deviations, root mean square over seeds. Reference: {REFERENCE}. CPU '
         f'time of a call, all in turns. Memory between the calls {_OUR_MEMORY_CALLS // 10} and {_OUR_MEMORY_CALLS} '
-        f'of ours, a tenth of that or less of the others; growth below {_NO_GROWTH:.0f} B is what pages hide.{told}'
+        f'of ours, a tenth of that or less of the others; growth below {_NO_GROWTH:.0f} B is not resolved.{same_note}'
     )
 
 
 def _difference(one: RowPeer, other: RowPeer) -> float:
-    """Return by how much, relatively, two estimators differ after some rows."""
+    """Return the greatest relative difference of two estimators after some rows."""
     for arguments in one.items(metro_stream(FIRST_SEED))[:_SAME_ROWS]:
         one.step(*arguments)
         other.step(*arguments)
@@ -235,7 +238,7 @@ def _difference(one: RowPeer, other: RowPeer) -> float:
 
 
 def targets(rows: tuple[tuple[str, ...], ...]) -> Table:
-    """Return what issue 3 asks of a single setting, ours and the best of the others in each column."""
+    """Return the targets of issue 3 for a single setting, with ours and the best other estimator per column."""
     by_name = {row[0]: row for row in rows}
     ours, node = by_name[OURS], by_name[OUR_NODE]
     others = [row for row in rows if row[0] not in _TRAINID]
@@ -251,10 +254,9 @@ def targets(rows: tuple[tuple[str, ...], ...]) -> Table:
     all_met = [row[0] for row in others if all(row[k + 4] != '-' for k in range(4)) and _meets(row)]
     note = (
         f'All four columns at once, of {len(others)} others: {", ".join(all_met) or "none"}. On rows: {OURS}; on raw '
-        f'speed, of which the errors of out5 and slip are others: {OUR_NODE}. The best of the others may have run over '
-        'fewer seeds.'
+        f'speed, with other errors in out5 and slip: {OUR_NODE}. The best of the others may have run over fewer seeds.'
     )
-    header = ('target', 'must be', 'on rows', 'met?', 'as shipped', 'met?', 'best of the others in this column')
+    header = ('quantity', 'target', 'on rows', 'met?', 'as shipped', 'met?', 'best of the others in this column')
     return Table('Targets of V-MILS: one setting for all four', header, tuple(lines), note)
 
 
@@ -262,5 +264,5 @@ def _meets(row: tuple[str, ...]) -> bool:
     return all(float(row[k + 4]) <= _BOUNDS[scenario] for k, scenario in enumerate(SCENARIOS))
 
 
-def _met(fine: bool) -> str:
-    return 'yes' if fine else 'NO'
+def _met(reached: bool) -> str:
+    return 'yes' if reached else 'NO'

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Other libraries beside ours, on the same data in one run: cost, accuracy, memory, saving.
+"""Other libraries compared with ours on the same data in one run: CPU time, accuracy, memory, saving.
 
-Libraries come from `.venv-peers` (``make bench-peers``); where that is missing only ours and what is written by hand
-run, and the tables say so.
+Libraries come from `.venv-peers` (``make bench-peers``); without it only our estimators and the hand-written ones run,
+and the tables say so.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ _PARTS: Final = (peer_stream, peer_fits, peer_brake, peer_compiled)
 
 
 def measure(seeds: int) -> list[Table | Plot]:
-    """Return the tables of all comparisons, over so many seeds where that is cheap."""
+    """Return the tables of all comparisons; slow parts use fewer than ``seeds`` seeds."""
     if PEERS.is_dir() and str(PEERS) not in sys.path:
-        # Last, so that what .venv has stays; children of this process get the same path.
+        # Appended last, so that packages of .venv have priority; child processes inherit the path.
         sys.path.append(str(PEERS))
     return [table for part in _PARTS for table in part.measure(seeds)]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The strong resistance estimators beside the bounds: V-MILS as shipped, its robust kernel, the speed EKF."""
+"""The main resistance estimators compared with bounds: V-MILS as shipped, its robust kernel, the speed EKF."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ _P: Final = 10
 
 
 def measure(seeds: int) -> list[Table | Plot]:
-    """Run all experiments over so many seeds."""
+    """Run all experiments over ``seeds`` seeds."""
     chosen = range(FIRST_SEED, FIRST_SEED + seeds)
     cost = kernel_cost(_P), kernel_cost(1)
     coasts = over_seeds(coast_errors, chosen)
@@ -110,11 +110,11 @@ def _targets(
     rows = [(name, f'<= {limit:g}', f'{value:.3g}', 'yes' if value <= limit else 'NO') for name, value, limit in limits]
     rows.append(('metro ride, normalised error', '0.7-1.3', f'{z:.2f}', 'yes' if 0.7 <= z <= 1.3 else 'NO'))
     note = (
-        f'{len(coasts)} seeds. Ratios are root mean squares over seeds. The metro ride is judged by the median over '
-        f'seeds as the peers are, all four scenarios with one setting, that which is shipped. p = 1 costs '
-        f'{cost[1]:.1f} us on this machine in the same run.'
+        f'{len(coasts)} seeds. Ratios are root mean squares over seeds. Metro ride: median over seeds, as for '
+        f'the peers, all four scenarios with the shipped settings. p = 1 takes {cost[1]:.1f} us on this machine in the '
+        'same run.'
     )
-    return Table('Targets', ('what', 'target', 'reached', 'met?'), tuple(rows), note)
+    return Table('Targets', ('quantity', 'target', 'reached', 'met?'), tuple(rows), note)
 
 
 def _coast_table(runs: Sequence[CoastErrors]) -> Table:
@@ -124,10 +124,10 @@ def _coast_table(runs: Sequence[CoastErrors]) -> Table:
         for label, name in (('speed EKF', 'ekf'), ('V-MILS', 'vmils'))
     ]
     note = (
-        f'24 coasts, gusts of {GUST:g} N/kN; root mean square of the error of w over 20-80 km/h by the Cramer-Rao '
-        f'bound of the untouched speeds ({np.sqrt(np.mean(np.square(bounds))):.4f} N/kN); in brackets the share of '
-        f'seeds beyond {_FAILED:g} times the bound. Believed before: 20 % too much. The EKF is told the statistics of '
-        'the gusts, V-MILS learns them; both are told that the parameters do not drift.'
+        f'24 coasts, gusts of {GUST:g} N/kN; root mean square of the error of w over 20-80 km/h, divided by the '
+        f'Cramer-Rao bound of the clean speeds ({np.sqrt(np.mean(np.square(bounds))):.4f} N/kN); in brackets the share '
+        f'of seeds beyond {_FAILED:g} times the bound. Prior: 20 % too high. The EKF is given the statistics of the '
+        'gusts, V-MILS estimates them; both assume constant parameters.'
     )
     return Table('Coasts with bad speeds', ('error / bound', *(s.name for s in SPEEDS)), tuple(rows), note)
 
@@ -138,8 +138,8 @@ def _observed_table(runs: Sequence[ObservedErrors]) -> Table:
         cells = [_cell([getattr(r, name)[i] for r in runs], [r.bound[i] for r in runs]) for i in range(len(OBSERVED))]
         rows.append((label, *cells))
     note = (
-        '1032 observations (v, y) in white noise of 0.75 N/kN that nobody is told; bad ones are 4 to 20 N/kN off. By '
-        f'the bound of the good observations; in brackets the share of seeds beyond {_FAILED:g} times it.'
+        '1032 observations (v, y) in white noise of 0.75 N/kN, unknown to the estimators; outliers of 4 to 20 N/kN. '
+        f'Divided by the bound of the good observations; in brackets the share of seeds beyond {_FAILED:g} times it.'
     )
     return Table('Bad observations', ('error / bound', *(s.name for s in OBSERVED)), tuple(rows), note)
 
@@ -151,9 +151,9 @@ def _jump_table(runs: Sequence[Sequence[JumpResult]]) -> Table:
         for k, factor in enumerate(FORGETTING):
             name = f'a + {size:g} N/kN: RLS, forgetting {factor:g}'
             rows.append(_jump_row(name, [run[i].forgetting[k] for run in runs]))
-    note = f'a jumps after 1032 of 2064 observations in noise of {JUMP_STD:g} N/kN; RLS is that of the part "peers".'
+    note = f'a jumps after 1032 of 2064 observations in noise of {JUMP_STD:g} N/kN; RLS as in the part "peers".'
     header = ('jump', 'observations to 90 %, median', '90th percentile', 'RMSE before, N/kN')
-    return Table('Following a jump', header, tuple(rows), note)
+    return Table('Tracking a jump', header, tuple(rows), note)
 
 
 def _jump_row(name: str, runs: Sequence[tuple[int, float]]) -> tuple[str, ...]:
@@ -169,13 +169,13 @@ def _metro_table(runs: Sequence[Sequence[MetroResult]]) -> Table:
     steps = [float(np.mean([run[i].steps for run in runs])) for i in range(len(SCENARIOS))]
     rows = [
         ('V-MILS as shipped', *(f'{x:.4f}' for x in medians)),
-        ('its normalised error', *(f'{x:.2f}' for x in z)),
-        ('steps it found', *(f'{x:.2f}' for x in steps)),
-        ('least squares, all rows of 2 s, same rides', *(f'{x:.4f}' for x in plain)),
+        ('normalised error', *(f'{x:.2f}' for x in z)),
+        ('steps detected', *(f'{x:.2f}' for x in steps)),
+        ('least squares on all 2 s rows, same rides', *(f'{x:.4f}' for x in plain)),
     ]
     note = (
         '20 000 ticks in motion; root mean square error of w over 5-22 m/s at the end, median over seeds, N/kN. The '
-        'part "peers" runs other libraries over the same rides.'
+        'part "peers" runs other libraries on the same rides.'
     )
     return Table('Metro ride', ('', *SCENARIOS), tuple(rows), note)
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the strong resistance estimators make of one seed of each experiment; all errors are curve errors [N/kN]."""
+"""Run the main resistance estimators on one seed of each experiment; all errors are curve errors [N/kN]."""
 
 from __future__ import annotations
 
@@ -39,16 +39,16 @@ FORGETTING: Final = (0.995, 0.99, 0.95)
 GUST: Final = 0.3
 _SI: Final = GRID * KMH
 _PHI: Final = np.stack([np.ones_like(_SI), _SI, _SI**2], axis=1)
-# What is believed before: 20 % too much of everything.
+# Prior over true parameters: 20 % too high.
 _WRONG: Final = 1.2
-_METRO_BELIEF: Final = (1.5, 0.03, 0.003)
+_METRO_PRIOR: Final = (1.5, 0.03, 0.003)
 _METRO_GRID: Final = np.linspace(5.0, 22.0, 69)
 _METRO_PHI: Final = np.stack([np.ones_like(_METRO_GRID), _METRO_GRID, _METRO_GRID**2], axis=1)
 
 
 @dataclass(frozen=True, slots=True)
 class CoastErrors:
-    """Errors on coasts with gusts: one for each kind of bad speeds, in the order of SPEEDS; and the bound."""
+    """Errors on coasts with gusts, one per kind of bad speeds in the order of SPEEDS, and the bound [N/kN]."""
 
     ekf: tuple[float, ...]
     vmils: tuple[float, ...]
@@ -59,7 +59,7 @@ class CoastErrors:
 
 @dataclass(frozen=True, slots=True)
 class ObservedErrors:
-    """Errors for each kind of bad observations, in the order of OBSERVED."""
+    """Errors for each kind of bad observations, in the order of OBSERVED [N/kN]."""
 
     least_squares: tuple[float, ...]
     robust: tuple[float, ...]
@@ -68,9 +68,9 @@ class ObservedErrors:
 
 @dataclass(frozen=True, slots=True)
 class JumpResult:
-    """Observations until nine tenths of a jump are followed, error just before it, mean of w over time less the old.
+    """Observations until 90 % of a jump is followed, error just before it, mean change of w over time [N/kN].
 
-    ``forgetting`` holds the first two of recursive least squares with each fixed forgetting factor of FORGETTING.
+    ``forgetting`` holds delay and error of recursive least squares for each forgetting factor of FORGETTING.
     """
 
     delay: int
@@ -81,9 +81,9 @@ class JumpResult:
 
 @dataclass(frozen=True, slots=True)
 class MetroResult:
-    """Error of w over 5-22 m/s at the end, rms of that error in its own standard deviations, steps found.
+    """Error of w over 5-22 m/s at the end, rms of that error in its own standard deviations, steps detected.
 
-    ``least_squares`` is the error of least squares over all rows of the same ride, which nothing can follow.
+    ``least_squares`` is the error of least squares over all rows of the same ride, without tracking of changes.
     """
 
     error: float
@@ -93,7 +93,7 @@ class MetroResult:
 
 
 def coast_errors(seed: int) -> CoastErrors:
-    """Run both estimators on the coasts of one seed, clean and spoiled."""
+    """Run both estimators on the coasts of one seed, clean and contaminated."""
     truth = PAPER if seed % 2 else LARGE_A
     coasts = coast_data.drive(CoastPlan(truth, gust_std=GUST), np.random.default_rng(seed))
     calm = coast_data.drive(CoastPlan(truth), np.random.default_rng(seed))
@@ -111,13 +111,13 @@ def coast_errors(seed: int) -> CoastErrors:
     )
 
 
-def _believed(truth: tuple[float, ...]) -> tuple[float, float, float]:
+def _wrong_prior(truth: tuple[float, ...]) -> tuple[float, float, float]:
     a, b, c = (_WRONG * x for x in truth)
     return a, b, c
 
 
 def ekf_of(plan: CoastPlan) -> SpeedEkf:
-    """Return the filter that knows the statistics of gusts and noise, with a wide prior, of constant parameters."""
+    """Return the EKF with the true statistics of gusts and noise, a wide prior and constant parameters."""
     config = SpeedEkfConfig(
         prior_share=0.0,
         prior_std_a=2.0,
@@ -128,17 +128,17 @@ def ekf_of(plan: CoastPlan) -> SpeedEkf:
         disturbance_time=plan.gust_time,
         speed_std=plan.speed_std * KMH,
     )
-    return SpeedEkf(coast_data.train_file(_believed(plan.truth)), config)
+    return SpeedEkf(coast_data.train_file(_wrong_prior(plan.truth)), config)
 
 
 def vmils_of(truth: tuple[float, float, float]) -> VMils:
-    """Return V-MILS as shipped, but with the same prior and constant parameters."""
+    """Return V-MILS as shipped, except for the same prior and constant parameters."""
     config = VMilsConfig(prior_share=0.0, prior_std_a=2.0, prior_std_b=0.2, prior_std_c=0.01, drift_share=0.0)
-    return VMils(coast_data.train_file(_believed(truth)), replace(config, step_share=0.25))
+    return VMils(coast_data.train_file(_wrong_prior(truth)), replace(config, step_share=0.25))
 
 
 def on_coasts(estimator: SpeedEkf | VMils, coasts: coast_data.Coasts, speed: Array) -> float:
-    """Return the error of an estimator after all coasts, with these speeds measured."""
+    """Return the error of an estimator after all coasts with the given measured speeds [km/h]."""
     for sample in coast_data.samples(coasts, speed):
         estimator.step(sample)
     found = estimator.estimate(15.0)
@@ -146,7 +146,7 @@ def on_coasts(estimator: SpeedEkf | VMils, coasts: coast_data.Coasts, speed: Arr
 
 
 def observed_errors(seed: int) -> ObservedErrors:
-    """Run least squares and the robust kernel on the observations of one seed, clean and spoiled."""
+    """Run least squares and the robust kernel on the observations of one seed, clean and contaminated."""
     truth = PAPER if seed % 2 else LARGE_A
     rows = [observed_error(truth, seed, i) for i in range(len(OBSERVED))]
     least_squares, robust, bound = zip(*rows, strict=True)
@@ -160,7 +160,7 @@ def observed_error(truth: tuple[float, float, float], seed: int, kind: int) -> t
     true = np.array(_si(truth))
     good = Phi[data.good]
     P = NOISE_STD**2 * np.linalg.inv(good.T @ good)
-    stream = RobustStream(_si(_believed(truth)))
+    stream = RobustStream(_si(_wrong_prior(truth)))
     for v, y in zip(data.v.tolist(), data.y.tolist(), strict=True):
         stream.update(v, y)
     batch = np.linalg.lstsq(Phi, data.y, rcond=None)[0]
@@ -178,7 +178,7 @@ def _rms(errors: Array) -> float:
 
 
 def jump_results(seed: int) -> tuple[JumpResult, ...]:
-    """Let a jump in the middle of 2064 observations, once for each size."""
+    """Run a jump of a in the middle of 2064 observations, for each size."""
     return tuple(_jump(seed, size) for size in JUMPS)
 
 
@@ -189,14 +189,14 @@ def _jump(seed: int, size: float) -> JumpResult:
     v = np.concatenate([half[0] for half in halves])
     y = np.concatenate([halves[0][1], halves[1][1] + size])
     at, rows = len(halves[0][0]), list(zip((v * KMH).tolist(), y.tolist(), strict=True))
-    stream, thetas = RobustStream(_si(_believed(truth))), []
+    stream, thetas = RobustStream(_si(_wrong_prior(truth))), []
     for speed, value in rows:
         stream.update(speed, value)
         thetas.append(stream.estimate.theta)
-    wrong = (np.array(thetas) - np.array(_si(truth))) @ _PHI.T
+    error_w = (np.array(thetas) - np.array(_si(truth))) @ _PHI.T
     followed = tuple(_followed(_forgetful(factor, rows, truth), at, size) for factor in FORGETTING)
-    track = wrong.mean(axis=1)[at - 100 : at + 300]
-    return JumpResult(*_followed(wrong, at, size), tuple(track.tolist()), followed)
+    track = error_w.mean(axis=1)[at - 100 : at + 300]
+    return JumpResult(*_followed(error_w, at, size), tuple(track.tolist()), followed)
 
 
 def _forgetful(factor: float, rows: list[tuple[float, float]], truth: tuple[float, float, float]) -> Array:
@@ -208,10 +208,10 @@ def _forgetful(factor: float, rows: list[tuple[float, float]], truth: tuple[floa
     return np.asarray((np.array(thetas) - np.array(_si(truth))) @ _PHI.T)
 
 
-def _followed(wrong: Array, at: int, size: float) -> tuple[int, float]:
-    """Return the delay of nine tenths of a jump and the error just before it."""
-    followed = wrong[at:].mean(axis=1) >= 0.9 * size
-    return int(np.argmax(followed)) if followed.any() else len(followed), _rms(wrong[at - 1])
+def _followed(error_w: Array, at: int, size: float) -> tuple[int, float]:
+    """Return the delay until 90 % of a jump is followed and the error just before it."""
+    followed = error_w[at:].mean(axis=1) >= 0.9 * size
+    return int(np.argmax(followed)) if followed.any() else len(followed), _rms(error_w[at - 1])
 
 
 def metro_results(seed: int) -> tuple[MetroResult, ...]:
@@ -220,9 +220,9 @@ def metro_results(seed: int) -> tuple[MetroResult, ...]:
 
 
 def metro_result(seed: int, scenario: metro.Scenario) -> MetroResult:
-    """Return the result of one scenario; ticks under braking count too, since here the force of the brake is known."""
+    """Return the result of one scenario, including ticks under braking, since here the brake force is known."""
     data, config = metro.metro_stream(seed, scenario), VMilsConfig()
-    tracker = tracker_of(_METRO_BELIEF, EXACT, config)
+    tracker = tracker_of(_METRO_PRIOR, EXACT, config)
     learner = WindowLearner(tracker, window_plan(config, metro.INERTIA, GRADIENT_STD))
     raw = data.raw
     columns = (raw.speed.tolist(), raw.force.tolist(), raw.gradient.tolist(), raw.moving.tolist())
@@ -232,15 +232,15 @@ def metro_result(seed: int, scenario: metro.Scenario) -> MetroResult:
         else:
             learner.interrupt(speed)
     true, found = data.after, tracker.estimate
-    wrong = _METRO_PHI @ (found.theta[:3] - np.array([true.a, true.b, true.c]))
+    error_w = _METRO_PHI @ (found.theta[:3] - np.array([true.a, true.b, true.c]))
     variance = np.sum((_METRO_PHI @ found.P[:3, :3]) * _METRO_PHI, axis=1)
     batch = np.asarray(np.linalg.lstsq(data.rows.phi, data.rows.y, rcond=None)[0], dtype=np.float64)
     plain = metro.curve_error(batch, true)
-    return MetroResult(_rms(wrong), _rms(wrong / np.sqrt(variance)), tracker.steps_found, plain)
+    return MetroResult(_rms(error_w), _rms(error_w / np.sqrt(variance)), tracker.steps_found, plain)
 
 
 def kernel_cost(p: int, updates: int = 20_000, repeats: int = 9) -> float:
-    """Return the least CPU time of one update of the kernel over some repeats [us]."""
+    """Return the least CPU time of one kernel update over some repeats [us]."""
     rng = np.random.default_rng(1)
     v = rng.uniform(2.0, 22.0, updates)
     rows = list(zip(v.tolist(), (1.5 + 0.02 * v + 0.5 * rng.standard_normal(updates)).tolist(), strict=True))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The robust kernel of V-MILS on plain observations (v, y) whose noise nobody knows, as in the tables of the paper."""
+"""The robust kernel of V-MILS on observations (v, y) with unknown noise, as in the tables of the paper."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from trainid_ros.resistance.robust_fit import robust_fit
 if TYPE_CHECKING:
     from trainid_ros.resistance.normal import Array, Normal
 
-# Deviation of w from what is believed of each parameter, at 22 m/s [N/kN].
+# Prior standard deviation of the term of each parameter in w at 22 m/s [N/kN].
 PRIOR_STD: Final = (2.0, 4.0, 4.0)
 _FAST: Final = 22.0
 PLAN: Final = ChangePointConfig(
@@ -27,7 +27,7 @@ PLAN: Final = ChangePointConfig(
     patience=60,
     lockout=120,
 )
-# A first belief, and another look at all so far: in bursts most of a short stretch may be bad.
+# Observations before the initial fit, and before a refit: in bursts most data of a short period may be bad.
 _WARM_UP: Final = 100
 _SECOND_LOOK: Final = 500
 _MEMORY: Final = 0.01
@@ -37,15 +37,15 @@ _TINY: Final = 1e-8
 
 
 class RobustStream:
-    """Robust multi-innovation least squares with warm-up and learned noise.
+    """Robust multi-innovation least squares with warm-up and estimated noise.
 
     Attributes:
-        estimate: Mean and covariance of a, b, c (v in m/s).
+        estimate: Mean and covariance of a, b, c [N/kN, v in m/s].
 
     """
 
-    def __init__(self, believed: tuple[float, float, float], plan: ChangePointConfig = PLAN) -> None:
-        self._prior = independent(believed, [(std / _FAST**i) ** 2 for i, std in enumerate(PRIOR_STD)])
+    def __init__(self, prior_mean: tuple[float, float, float], plan: ChangePointConfig = PLAN) -> None:
+        self._prior = independent(prior_mean, [(std / _FAST**i) ** 2 for i, std in enumerate(PRIOR_STD)])
         self._tracker = Tracker(self._prior, plan)
         self._rows: list[tuple[float, ...]] = []
         self._seen = 0
@@ -58,27 +58,27 @@ class RobustStream:
 
     @property
     def steps_found(self) -> int:
-        """How often the parameters were found to have stepped."""
+        """Number of parameter steps detected."""
         return self._tracker.steps_found
 
     def update(self, v: float, y: float) -> None:
-        """Take one observation in."""
+        """Process one observation, speed v [m/s] and resistance y [N/kN]."""
         self._seen += 1
         if self._seen <= _SECOND_LOOK:
             self._rows.append((1.0, v, v * v, y, _TINY, 1.0))
         if self._seen in (_WARM_UP, _SECOND_LOOK):
-            self._look()
+            self._refit()
         elif self._seen > _WARM_UP:
             self._learn(v, y)
 
-    def _look(self) -> None:
-        """Begin from what most observations so far agree on."""
-        # Variances so small that the fit takes the scale from the residuals.
+    def _refit(self) -> None:
+        """Start from a robust fit of all observations so far."""
+        # The row variances are tiny, so the fit takes the scale from the residuals.
         fit = robust_fit(tuple(self._rows), self._prior)
         start = self._prior if fit is None else fit
         rows = np.array(self._rows)
         residuals = np.abs(rows[:, 3] - rows[:, :3] @ start.theta)
-        # The median of one-sided errors lies higher than that of noise: rather too small, since it is learned.
+        # One-sided errors raise the median; the variance is rather set too small, since it is updated later.
         self._variance = max((1.2 * float(np.median(residuals))) ** 2, _TINY)
         if fit is not None:
             self._tracker.begin(fit)

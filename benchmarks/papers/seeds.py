@@ -14,14 +14,14 @@ if TYPE_CHECKING:
 
 S = TypeVar('S')
 T = TypeVar('T')
-# Results between two lines of progress.
+# Results between two progress messages.
 _SHOWN_EVERY: Final = 20
 
 
 def over_seeds(run: Callable[[S], T], seeds: Iterable[S], progress: str = '') -> list[T]:
-    """Return what a function of module level gives for each seed, or trial with a seed, in order.
+    """Return the results of a module-level function for each seed (or trial), in order, run on all cores.
 
-    Children start anew: a fork of a process with threads may hang. With a name of what is counted, progress shows.
+    Child processes are spawned, because a fork of a process with threads may hang. Progress is printed if named.
     """
     trials, results = list(seeds), list[T]()
     with ProcessPoolExecutor(os.cpu_count(), mp_context=get_context('spawn')) as pool:

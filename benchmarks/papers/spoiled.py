@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Data as bad as sensors make them: observations (v, y) in white noise, and the speeds of coasts.
+"""Data with sensor faults: observations (v, y) in white noise, and the speeds of coasts.
 
-Shares are of the samples. Bursts are 5 to 15 samples long. A bad observation is 4 to 20 N/kN off: in ``sym``
-either way, in ``one`` always upwards, in ``burst`` upwards for the whole burst, in ``slip`` down in the first half of a
-burst and up in the second, as a wheel that runs away and grips again makes the acceleration look.
+Shares refer to samples. Bursts are 5 to 15 samples long. A bad observation has an error of 4 to 20 N/kN: in ``sym`` of
+random sign, in ``one`` positive, in ``burst`` positive and constant over the burst, in ``slip`` negative in the first
+half of a burst and positive in the second, as by a wheel that slips and regains adhesion.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ _ERROR_V: Final = (1.0, 12.0)
 
 @dataclass(frozen=True, slots=True)
 class Spoil:
-    """A kind of bad data with its share, and the share that is missing besides."""
+    """A kind of bad data with its share, and the share of missing data."""
 
     name: str
     kind: str = ''
@@ -65,7 +65,7 @@ SPEEDS: Final = (
 
 @dataclass(frozen=True, slots=True)
 class Observations:
-    """Speeds [m/s], observed resistances [N/kN] and which of them are good; missing ones are left out."""
+    """Speeds [m/s], observed resistances [N/kN] and which of them are good; missing ones are omitted."""
 
     v: Array
     y: Array
@@ -73,7 +73,7 @@ class Observations:
 
 
 def spoiled_observations(spoil: Spoil, truth: tuple[float, float, float], rng: np.random.Generator) -> Observations:
-    """Return 1032 observations in white noise, spoiled."""
+    """Return 1032 observations in white noise with faults."""
     v, y = white_observations(CoastPlan(truth), rng, NOISE_STD)
     error = np.zeros(y.size)
     if spoil.kind in ('burst', 'slip'):
@@ -92,7 +92,7 @@ def spoiled_observations(spoil: Spoil, truth: tuple[float, float, float], rng: n
 
 
 def spoiled_speeds(spoil: Spoil, coasts: Coasts, rng: np.random.Generator) -> Array:
-    """Return the measured speeds of coasts [km/h], spoiled; NaN is missing."""
+    """Return the measured speeds of coasts with faults [km/h]; NaN is missing."""
     rows = [_SPEED_KINDS[spoil.kind](row, spoil.share, rng) for row in coasts.speed]
     for row in rows:
         if spoil.in_bursts:
@@ -104,7 +104,7 @@ def spoiled_speeds(spoil: Spoil, coasts: Coasts, rng: np.random.Generator) -> Ar
 
 
 def bursts(count: int, share: float, rng: np.random.Generator) -> list[tuple[int, int]]:
-    """Return where bursts begin and end that cover a share of the samples; gaps are exponential."""
+    """Return start and end of bursts that cover a share of the samples; gaps are exponential."""
     low, high = _BURST
     mean_gap = 0.5 * (low + high) * (1.0 - share) / share
     found, at = [], round(rng.exponential(mean_gap))
@@ -139,7 +139,7 @@ def _held(row: Array, share: float, rng: np.random.Generator) -> Array:
 
 
 def _slips(row: Array, share: float, rng: np.random.Generator) -> Array:
-    """A wheel that runs away by 1 to 12 km/h and comes back, up slowly and down fast."""
+    """Add bursts of slip of 1 to 12 km/h with a slow rise and a fast fall."""
     bad = row.copy()
     for start, stop in bursts(row.size, share, rng):
         place = np.arange(1, stop - start + 1) / (stop - start + 1.0)

@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Synthetic station lines for the experiments on Yuan et al. 2017, many lines at once.
 
-The data of the paper (Hangzhou Line 4) are not public. These lines have what it describes: a train under closed-loop
-ATO from stop to stop at 5 Hz, another load after every stop, gradients that nobody tells the estimators, and a fast
-change of d0 around sample 1100. The force is exact; speed is measured with one of several kinds of noise.
+The data of the paper (Hangzhou Line 4) are not public. These lines follow its description: a train under closed-loop
+ATO from stop to stop at 5 Hz, a new load after every stop, gradients unknown to the estimators, and a fast change of
+d0 around sample 1100. The force is exact; speed is measured with one of several kinds of noise.
 
 The truth is a differential equation, not the model (2): ``dv/dt = c (u - w(v)) - k i`` with the Davis resistance
 w [N/kN of the nominal weight], ``c = k m_nominal / m``, the gradient i [per mille] and ``k = g / (1000 (1 + gamma))``.
@@ -38,19 +38,19 @@ _WAVE: Final = 1.2
 _MAP_STEP_M: Final = 10.0
 _TRAIN_M: Final = 120.0
 _SUBSTEPS: Final = 2
-# Force that motors and brakes can give [N/kN].
+# Greatest force of motors and brakes [N/kN].
 _MOST_FORCE: Final = 120.0
 
 
 @dataclass(frozen=True, slots=True)
 class LineShape:
-    """How a line is driven.
+    """Shape of a line and its runs.
 
     Attributes:
         samples: Number of samples.
         distance: Shortest and longest run from stop to stop [m].
-        first: Added to the first run, so that most trains run while the gradient falls [m].
-        constant: One load and no gradient at all.
+        first: Added to the first run, so that most trains are in motion while the gradient falls [m].
+        constant: Constant load and no gradient.
 
     """
 
@@ -66,7 +66,7 @@ LONG_CRUISE: Final = LineShape(samples=6700, distance=(18_500.0, 19_500.0), firs
 
 @dataclass(frozen=True, slots=True)
 class Lines:
-    """What is true, a column for each line.
+    """Truth, one column per line.
 
     Attributes:
         x: Speed [m/s], shape (samples, lines).
@@ -84,7 +84,7 @@ class Lines:
 
 @dataclass(frozen=True, slots=True)
 class _Draws:
-    """What chance decides about some lines; the columns are lines, the rows stops or places."""
+    """Random parameters of lines; columns are lines, rows are stops or places."""
 
     davis: Array
     mass: Array
@@ -97,7 +97,7 @@ class _Draws:
 
 
 def station_lines(seeds: Sequence[int], shape: LineShape = LineShape()) -> Lines:
-    """Drive one line for each seed; the same seed gives the same line in whatever company."""
+    """Simulate one line per seed; a line depends on its own seed only."""
     draws = _draw(seeds, shape)
     drive = _Drive(draws, shape)
     rows = [drive.sample(n) for n in range(shape.samples)]
@@ -126,17 +126,17 @@ def _draw_line(rng: np.random.Generator, shape: LineShape) -> tuple[Array, ...]:
 
 
 def _gradient(rng: np.random.Generator, length: float) -> Array:
-    """Return gradients of some hundred metres each, every 10 m, as a train of some length feels them [per mille]."""
+    """Return gradients every 10 m in pieces of some hundred metres, averaged over the train length [per mille]."""
     places = math.ceil(length / _MAP_STEP_M)
     steps = rng.integers(20, 60, places // 20 + 1)
     values = np.repeat(rng.uniform(-_WAVE, _WAVE, len(steps)), steps)[:places]
     window = round(_TRAIN_M / _MAP_STEP_M)
-    felt: Array = np.convolve(values, np.full(window, 1.0 / window))[:places]
-    return felt
+    smoothed: Array = np.convolve(values, np.full(window, 1.0 / window))[:places]
+    return smoothed
 
 
 class _Drive:
-    """Train and automatic driver, vectors over the lines."""
+    """Train and automatic driver, vectorised over the lines."""
 
     def __init__(self, draws: _Draws, shape: LineShape) -> None:
         self._draws, self._shape = draws, shape
@@ -147,7 +147,7 @@ class _Drive:
         self._run = np.zeros(len(self._lines), dtype=np.int64)
 
     def sample(self, n: int) -> tuple[Array, Array, Array, NDArray[np.int64]]:
-        """Return (x, u, theta, run) now, and drive on to the next sample."""
+        """Return the present (x, u, theta, run) and advance to the next sample."""
         v, run = self._v, self._run
         mass = self._at_stop(self._draws.mass)
         c, i = _K * NOMINAL_MASS_T / mass, self._gradient(n)
@@ -172,7 +172,7 @@ class _Drive:
         return wave + _BASE - RAMP_DROP * fallen
 
     def _force(self, c: Array) -> Array:
-        """Follow a speed that rises, holds, and falls to zero at the stop."""
+        """Return the force [N/kN] to track a speed profile of acceleration, cruise and braking to the stop."""
         T, b = SAMPLE_PERIOD, self._at_stop(self._draws.braking)
         left = np.maximum(self._at_stop(self._draws.distance) - self._gone - self._v * T, 0.0)
         rise = self._wanted + T * self._at_stop(self._draws.acceleration)
@@ -182,7 +182,7 @@ class _Drive:
         return np.clip(force, -_MOST_FORCE, _MOST_FORCE)
 
     def _move(self, u: Array, c: Array, i: Array) -> None:
-        """Integrate over one period (Runge-Kutta); stop at the platform, wait, change the load."""
+        """Integrate over one period (Runge-Kutta); stop at the platform, dwell, change the load."""
         a, b, c2 = self._draws.davis
         h, v = SAMPLE_PERIOD / _SUBSTEPS, self._v
 
@@ -209,15 +209,15 @@ class _Drive:
 
 @dataclass(frozen=True, slots=True)
 class Noise:
-    """A way to measure speed.
+    """Noise model of the measured speed.
 
     Attributes:
-        name: What to call it.
+        name: Name in the tables.
         std: White noise [m/s].
-        rho: Correlation of neighbours, of AR(1) noise with the same standard deviation.
+        rho: Correlation of adjacent samples, of AR(1) noise with the same standard deviation.
         quantum: Resolution [m/s].
         missing: Share of samples that are lost.
-        outliers: Share of samples that are wrong by 0.3 to 2 m/s.
+        outliers: Share of samples with an error of 0.3 to 2 m/s.
 
     """
 
@@ -230,7 +230,7 @@ class Noise:
 
     @property
     def declared(self) -> float:
-        """Standard deviation of the noise without outliers: what an estimator is told [m/s]."""
+        """Standard deviation of the noise without outliers, as given to the estimators [m/s]."""
         return math.hypot(self.std, self.quantum / math.sqrt(12.0))
 
 
@@ -244,7 +244,7 @@ NOISES: Final = (
 
 
 def measured(lines: Lines, noise: Noise, seeds: Sequence[int]) -> Array:
-    """Return measured speeds [m/s], shape (samples, lines); NaN where lost. A wheel at rest gives exactly zero."""
+    """Return measured speeds [m/s], shape (samples, lines); NaN if lost, exactly zero at standstill."""
     columns = [_measured(x, noise, np.random.default_rng([seed, 7])) for x, seed in zip(lines.x.T, seeds, strict=True)]
     return np.stack(columns, axis=1)
 

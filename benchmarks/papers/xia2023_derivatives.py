@@ -58,7 +58,7 @@ def complex_speeds(stages: Stages, theta: NDArray[np.float64], start: float, k: 
 def _differenced(
     stages: Stages, seen: NDArray[np.float64], theta: NDArray[np.float64], start: float
 ) -> NDArray[np.float64]:
-    """Hessian from central differences of the exact gradient, extrapolated once (Richardson)."""
+    """Return the Hessian from central differences of the exact gradient with one Richardson extrapolation."""
 
     def gradient(x: NDArray[np.float64]) -> NDArray[np.float64]:
         return objective(stages, seen, x, start).g

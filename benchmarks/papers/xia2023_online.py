@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Identification on the way (Table 4 of Xia et al. 2023): a, b, c change with the position, one record every 100 m."""
+"""Online identification (Table 4 of Xia et al. 2023): a, b, c change with the position, one record every 100 m."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from trainid_ros.resistance.trajectory.derivatives import Objective
 
 ENDS: Final = (22e3, 52e3, 64e3, 82e3, 120e3)
-# b as printed, ten times less than in Table 3.
+# b as printed, a tenth of that in Table 3.
 LAWS: Final = (
     (0.79, 0.002288, 0.001368),
     (0.49, 0.001208, 0.001368),
@@ -43,8 +43,8 @@ CONFIG: Final = TwoWindowConfig(
     stride=1, short=20, long=60, switch=4.0, speed_std=NOISE, disturbance_std=0.005, force_error=1e-9, force_skew=1e-9,
     prior_share=0.0, prior_std_a=0.4, prior_std_b=0.004, prior_std_c=0.0008,
 )  # fmt: skip
-# What is believed at first, 9 % off on purpose.
-BELIEVED: Final = Davis(*(1.09 * x for x in LAWS[0]))
+# Prior, 9 % off on purpose.
+PRIOR: Final = Davis(*(1.09 * x for x in LAWS[0]))
 _SETTLING: Final = 6e3
 _BEFORE_SWITCH: Final = 500.0
 _HEAVY_EVERY: Final = 5
@@ -52,7 +52,7 @@ _START_NS: Final = 1_700_000_000 * NS_PER_S
 
 
 def law_at(position: float) -> data.Law:
-    """Return a, b, c at a position since the start [m]."""
+    """Return a, b, c [N/kN, v in m/s] at a position from the start [m]."""
     return LAWS[min(len(LAWS) - 1, sum(position >= end for end in ENDS))]
 
 
@@ -65,12 +65,12 @@ class Drive:
 
     @property
     def position(self) -> NDArray[np.float64]:
-        """Positions since the start [m]."""
+        """Positions from the start [m]."""
         return np.asarray(self.record.position - self.record.position[0])
 
 
 def drive(seed: int, source: str) -> Drive:
-    """Return a drive on a line of its own; noise acts in the last two sections."""
+    """Return a drive on a random line; noise acts in the last two sections."""
     rng = np.random.default_rng(seed)
     line, plan = data.make_line(rng), data.cruise_plan(rng)
     record = (data.drive_scheme if source == 'scheme' else data.drive_ode)(line, plan, law_at, DISTANCE)
@@ -80,7 +80,7 @@ def drive(seed: int, source: str) -> Drive:
 
 
 def samples(given: Drive) -> list[Sample]:
-    """Return the drive as the product sees it: stamps, means in time."""
+    """Return the drive as samples of the product, with means in time."""
     record, dt = given.record, np.diff(given.record.time)
     newton_per_unit = data.MASS_T * 9.80665
     out = []
@@ -111,8 +111,8 @@ def samples(given: Drive) -> list[Sample]:
 
 
 def train_file() -> TrainFile:
-    """Return what the two windows believe of the train."""
-    return TrainFile(Train(1000.0 * data.MASS_T, data.GAMMA, data.LENGTH), BELIEVED, Brake(1.0, 0.0, 0.0))
+    """Return the train file for the two windows, with the prior resistance."""
+    return TrainFile(Train(1000.0 * data.MASS_T, data.GAMMA, data.LENGTH), PRIOR, Brake(1.0, 0.0, 0.0))
 
 
 def two_window(given: Drive) -> NDArray[np.float64]:
@@ -130,13 +130,13 @@ def refitted(given: Drive, method: str, every: int = 1) -> NDArray[np.float64]:
 
     Args:
         given: The drive.
-        method: 'left' samples force and load where a stage begins, 'mean' takes means, 'printed' is Algorithm 1.
-        every: Samples from fit to fit.
+        method: 'left' samples force and load at the start of a stage, 'mean' uses means, 'printed' is Algorithm 1.
+        every: Samples between two fits.
 
     """
     mean = method != 'left'
     stages = given.record.stages(mean_force=mean, mean_load=mean)
-    theta = np.array((BELIEVED.a, BELIEVED.b, BELIEVED.c))
+    theta = np.array((PRIOR.a, PRIOR.b, PRIOR.c))
     rng, config = np.random.default_rng(0), NewtonConfig()
     theta = np.clip(theta, config.low, config.high)
     out = np.full(given.seen.size, np.nan)
@@ -156,7 +156,7 @@ def _evaluated(stages: Stages, seen: NDArray[np.float64], theta: NDArray[np.floa
 
 
 def _boxed(stages: Stages, seen: NDArray[np.float64], config: NewtonConfig) -> NDArray[np.float64]:
-    """The least squares of the paper in its box, v_0 as measured: what Algorithm 1 would find if it arrived."""
+    """Return the least-squares solution of the paper in its box, v_0 as measured: the limit of Algorithm 1."""
     scale = np.array([1.0, 0.02, 0.001])
     lam_v = stages.lam * seen[:-1] ** np.arange(3)[:, None]
     A = -np.cumsum(lam_v, axis=1).T * scale / seen[1:, None]
@@ -170,7 +170,7 @@ class Score:
     """Errors of one method on one drive.
 
     Attributes:
-        method: Its name.
+        method: Name of the method.
         clean: Settled errors of w(v_now) in sections 1 to 3 [N/kN].
         fourth: The same in section 4.
         fifth: The same in section 5.
@@ -186,7 +186,7 @@ class Score:
 
 
 def score(given: Drive, method: str, w: NDArray[np.float64]) -> Score:
-    """Judge estimates of w(v_now)."""
+    """Score estimates of w(v_now) [N/kN]."""
     s, v = given.position, given.record.speed
     truth = np.array([law_at(x) for x in s.tolist()])
     error = w - np.sum(truth * v[:, None] ** np.arange(3), axis=1)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What Xia et al. 2023 print and do, errors included: for comparison with what is right."""
+"""Equations and methods of Xia et al. 2023 as printed, including errors, for comparison with the corrected ones."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def printed_objective(
 def full_steps(
     stages: Stages, measured: NDArray[np.float64], theta: NDArray[np.float64], accepted: float, most: int = 50
 ) -> tuple[NDArray[np.float64], float, int]:
-    """Gauss-Newton with full steps, no box, v_0 as measured, ended by (25): what explains the published iterations."""
+    """Run Gauss-Newton with full steps, no box, v_0 as measured, ended by (25); explains the published iterations."""
     f = np.inf
     for n in range(most):
         v = stages.speeds(theta, float(measured[0]))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The fits as the product runs them: metro pieces with slip and outliers, honesty of the deviations, and cost."""
+"""The fits of the product: metro pieces with slip and outliers, consistency of standard deviations, CPU time."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from benchmarks.days import believed_train, samples_of
+from benchmarks.days import assumed_train, samples_of
 from benchmarks.papers.metro_stream import BEFORE, INERTIA, PERIOD, Raw, Scenario, curve_error, metro_stream
 from benchmarks.papers.xia2023_fits import NOISE, WHITE, in_time, record
 from benchmarks.papers.xia2023_online import CONFIG, drive, samples, train_file
@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 SEGMENT: Final = 513
 TROUBLES: Final[tuple[Scenario, ...]] = ('clean', 'slip', 'out5')
 _ROWS: Final = 24 * SEGMENT
-HONEST_RUNS: Final = (1, 3, 9)
+BAG_RUNS: Final = (1, 3, 9)
 JUDGED_AT: Final = (5.0, 12.0, 20.0)
 
 
@@ -50,14 +50,14 @@ class SegmentErrors:
 
 
 def segments(seed: int, scenario: Scenario, count: int) -> Trajectory:
-    """Return segments of 513 moving ticks, each with an initial speed of its own; short rests are left out."""
+    """Return segments of 513 moving ticks, each with a free initial speed; short remainders are omitted."""
     raw = metro_stream(seed, scenario, _ROWS).raw
     starts = np.flatnonzero(raw.moving & ~np.concatenate(([False], raw.moving[:-1])))
     return _cut(raw, starts, count)
 
 
 def _cut(raw: Raw, starts: NDArray[np.intp], count: int) -> Trajectory:
-    """Fill segments with whole rides and parts of rides until each has its ticks."""
+    """Fill segments with complete and partial rides up to their number of ticks."""
     moving = np.flatnonzero(raw.moving)[: count * SEGMENT]
     dt = np.full(moving.size, PERIOD)
     dt[0] = 0.0
@@ -83,8 +83,8 @@ def segment_errors(seed: int) -> list[SegmentErrors]:
 
 
 @dataclass(frozen=True, slots=True)
-class Honesty:
-    """Errors of a batch fit of some metro runs over their stated deviations: w at three speeds, and NEES / 3."""
+class Consistency:
+    """Errors of a batch fit of metro runs over their standard deviations and in N/kN: w at three speeds; NEES / 3."""
 
     runs: int
     z: tuple[float, ...]
@@ -92,22 +92,22 @@ class Honesty:
     nees: float
 
 
-def honesty(seed: int) -> tuple[Honesty, ...]:
+def consistency(seed: int) -> tuple[Consistency, ...]:
     """Simulate one, three and nine dry runs on the metro line and fit each bag."""
-    return tuple(_honesty(seed, runs) for runs in HONEST_RUNS)
+    return tuple(_consistency(seed, runs) for runs in BAG_RUNS)
 
 
-def _honesty(seed: int, runs: int) -> Honesty:
-    believed, config = believed_train(), DavisFitConfig()
-    simulation = simulate(yizhuang_day(believed, runs=runs), np.random.default_rng([seed, runs]))
-    collector, rejected = PieceCollector(believed, config.min_speed, config.shortest), Counter[Reason]()
+def _consistency(seed: int, runs: int) -> Consistency:
+    train, config = assumed_train(), DavisFitConfig()
+    simulation = simulate(yizhuang_day(train, runs=runs), np.random.default_rng([seed, runs]))
+    collector, rejected = PieceCollector(train, config.min_speed, config.shortest), Counter[Reason]()
     for sample in samples_of(simulation.records):
         collector.add(sample, rejected)
     fit = fit_davis(collector.trajectory(), config)
     e = fit.theta - np.array([DRY.a, DRY.b, DRY.c])
     errors = tuple(float(e @ v ** np.arange(3)) for v in JUDGED_AT)
     z = tuple(error / fit.resistance(v)[1] for error, v in zip(errors, JUDGED_AT, strict=True))
-    return Honesty(runs, z, errors, float(e @ np.linalg.solve(fit.covariance, e)) / 3.0)
+    return Consistency(runs, z, errors, float(e @ np.linalg.solve(fit.covariance, e)) / 3.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -154,7 +154,7 @@ def timings() -> list[Timing]:
         *out,
         _timed('window of 20 rows with prior', lambda: fit_rows(rows[-20:], noise, prior)),
         _timed('window of 60 rows with prior', lambda: fit_rows(rows, noise, prior)),
-        _timed('two windows, a whole step', lambda: estimator.step(next(feed)), 50),
+        _timed('two windows, a complete step', lambda: estimator.step(next(feed)), 50),
         _timed('batch fit in time, I = 2000', lambda: fit_davis(twice, WHITE), 10),
         _timed('batch fit of a segment of 100 s, robust', lambda: fit_davis(one, DavisFitConfig()), 10),
         _timed('batch fit of 20 segments, robust', lambda: fit_davis(twenty, DavisFitConfig()), 10),

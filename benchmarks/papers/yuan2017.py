@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Yuan et al. 2017 (AM-VFF-RLS): what its algorithm does on station lines, beside bounds and corrections."""
+"""Yuan et al. 2017 (AM-VFF-RLS): its algorithm on station lines, compared with bounds and corrections."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ _CRUISE_LINES: Final = 20
 
 @dataclass(frozen=True, slots=True)
 class Target:
-    """What must be reached: at most ``limit``; what was reached, by which method."""
+    """A target: the limit and the values reached by method."""
 
     name: str
     limit: float
@@ -82,7 +82,7 @@ def measure(seeds: int) -> list[Table | Plot]:
         claims_table(lines, tracks[_WHITE.name], scores, chosen),
         _lost_table(lines, chosen),
         *(_ordering_table(noise, scores[noise.name], count) for noise in NOISES),
-        _honesty_table(lines, tracks),
+        _consistency_table(lines, tracks),
         bounds,
         cruise,
         step_plot(lines, tracks[_WHITE.name]),
@@ -92,7 +92,7 @@ def measure(seeds: int) -> list[Table | Plot]:
 
 _TARGET_NOTE: Final = (
     'Ratios are of medians or 95th percentiles over all lines. "VFF-RLS" has the sigma with the least one-step error '
-    'for each noise. The integral RLS is bound by its own target alone.'
+    'for each noise. The integral RLS has a target of its own only.'
 )
 
 
@@ -112,9 +112,9 @@ def _ordering_table(noise: Noise, scores: dict[str, Score], count: int) -> Table
         'step 1130', '1160', '1200', 'lost',
     )  # fmt: skip
     note = (
-        f'{count} lines. "x ahead": predicted less true speed, rms. 5 s, 30 s: free run with true force from the own '
-        'state [m/s]. R18: resistance at 18 m/s with the gradient. Step: acceleration error [mm/s2] after d0 changed '
-        'at 1100-1130. Lost: share of lines.'
+        f'{count} lines. "x ahead": predicted minus true speed, rms. 5 s, 30 s: free run with true force from the own '
+        'state [m/s]. R18: resistance at 18 m/s with the gradient. Step: acceleration error [mm/s2] after the change '
+        'of d0 at 1100-1130. Lost: share of lines.'
     )
     return Table(f'Ordering, {noise.name}', header, tuple(_ordering_row(*item) for item in scores.items()), note)
 
@@ -123,7 +123,7 @@ def _ordering_row(name: str, s: Score) -> tuple[str, ...]:
     speeds = (s.error, s.ahead, *s.five, *s.thirty)
     return (
         name,
-        *(f'{v:.4f}' if v < 100.0 else 'away' for v in speeds),
+        *(f'{v:.4f}' if v < 100.0 else 'diverged' for v in speeds),
         f'{s.b1:.2f}',
         f'{s.r18:.1f}',
         *(f'{v:.1f}' for v in s.step),
@@ -163,7 +163,7 @@ def _ordering_targets(scores: dict[str, dict[str, Score]]) -> list[Target]:
 
 
 def _lost_table(lines: Lines, seeds: Sequence[int]) -> Table:
-    """Section 2 of the findings: does (7) work as printed?"""
+    """Return the table of section 2 of the notes: does (7) work as printed?"""
     outliers, missing = NOISES[4], NOISES[3]
     cases = [(_WHITE, 8.0), (_WHITE, 25.0), (_WHITE, 75.0), (missing, 75.0), (outliers, 250.0), (outliers, 2500.0)]
     rows = []
@@ -195,7 +195,7 @@ def _shares(lines: Lines, track: Track) -> str:
 
 
 def _bound_table(seeds: Sequence[int]) -> tuple[Table, list[Target]]:
-    """Section 4: one run with constant parameters, errors over the Cramer-Rao bound."""
+    """Return the table of section 4: one run with constant parameters, errors over the Cramer-Rao bound."""
     lines = station_lines(seeds, ONE_RUN)
     y, variance = measured(lines, _WHITE, seeds), _WHITE.std**2
     run = identify(lines, y, _WHITE.std)
@@ -215,8 +215,8 @@ def _bound_table(seeds: Sequence[int]) -> tuple[Table, list[Target]]:
     note = (
         f'{len(seeds)} runs, white noise {_WHITE.std} m/s; root mean square error over the bound, rows 1 to 5 without '
         f'prior. The bound is {relative[0]:.0%} of a1, {relative[1]:.0%} of a2 - 1, {relative[2]:.2%} of b1, '
-        f'{relative[3]:.0%} of d0 and {1e3 * float(np.median(run.bound[:, 4])):.2f} mm/s2 at 18 m/s. b1 carries the '
-        'bias of Euler steps.'
+        f'{relative[3]:.0%} of d0 and {1e3 * float(np.median(run.bound[:, 4])):.2f} mm/s2 at 18 m/s. b1 has a '
+        'bias due to Euler steps.'
     )
     table = Table('One run: error over the Cramer-Rao bound', ('', 'a1', 'a2', 'b1', 'd0', 'R18'), rows, note)
     scored = [0, 1, 3, 4]
@@ -234,14 +234,14 @@ def _integral_still(variance: float) -> ManyIntegral:
 
 
 def _at_end(lines: Lines, y: Array, method: ManyAuxiliary | ManyIntegral) -> Array:
-    """Return theta at the last sample fast enough to learn from, shape (lines, 4)."""
+    """Return theta at the last sample above the least speed, shape (lines, 4)."""
     track = Named('', method, freeze=True).drive(lines, y)
     ends = [int(np.nonzero(column >= 0.5)[0][-1]) for column in y.T]
     return np.stack([track.state[end, 1:, k] for k, end in enumerate(ends)])
 
 
 def _cruise_table() -> tuple[Table, Target]:
-    """Section 5: the one-step error at the first braking after 16 minutes of cruise."""
+    """Return the table of section 5: one-step error at the first braking after 16 minutes of cruise."""
     seeds = range(_FIRST_SEED, _FIRST_SEED + _CRUISE_LINES)
     lines = station_lines(seeds, LONG_CRUISE)
     y, variance = measured(lines, _WHITE, seeds), _WHITE.std**2
@@ -256,13 +256,13 @@ def _cruise_table() -> tuple[Table, Target]:
         braking = rms(np.concatenate([wrong[n : n + 25, k] for k, n in enumerate(onset)]))
         ratios[kind.name] = braking / cruise
         rows.append((kind.name, f'{cruise:.4f}', f'{braking:.4f}', f'{braking / cruise:.2f}'))
-    header = ('predicted less true speed, rms m/s', 'cruise', 'first 5 s of braking', 'ratio')
+    header = ('predicted minus true speed, rms m/s', 'cruise', 'first 5 s of braking', 'ratio')
     table = Table('Braking after a long cruise', header, tuple(rows), f'{len(seeds)} lines.')
     return table, Target('brake onset over cruise', 1.3, {name: ratios[name] for name in _PRODUCT})
 
 
 def _standstill_target(lines: Lines, tracks: dict[str, dict[str, Track]]) -> Target:
-    """Standing since two seconds and still standing: theta must not move at all."""
+    """Return the target for samples at rest for more than two seconds: theta must be constant."""
     rest = lines.x == 0.0
     long = rest[:-1] & rest[1:]
     for n in range(1, 10):
@@ -277,7 +277,7 @@ def _standstill_target(lines: Lines, tracks: dict[str, dict[str, Track]]) -> Tar
     return Target('largest change of a parameter at standstill', 0.0, largest)
 
 
-def _honesty_table(lines: Lines, tracks: dict[str, dict[str, Track]]) -> Table:
+def _consistency_table(lines: Lines, tracks: dict[str, dict[str, Track]]) -> Table:
     mask = moving(lines)
     rows = []
     for noise in NOISES:
@@ -286,13 +286,13 @@ def _honesty_table(lines: Lines, tracks: dict[str, dict[str, Track]]) -> Table:
             values = nees(lines, track)
             nis = track.nis[mask & np.isfinite(track.nis)]
             within = float(np.mean(values * 4.0 < 9.488))
-            told = f'{nis.mean():.2f}' if len(nis) else '-'
+            nis_text = f'{nis.mean():.2f}' if len(nis) else '-'
             rows.append(
-                (f'{noise.name}: {name}', told, f'{np.median(values):.2f}', f'{values.mean():.2f}', f'{within:.0%}')
+                (f'{noise.name}: {name}', nis_text, f'{np.median(values):.2f}', f'{values.mean():.2f}', f'{within:.0%}')
             )
-    header = ('1 (and .84, 95 %) if honest', 'NIS', 'NEES/4 median', 'NEES/4 mean', 'inside 95 %')
+    header = ('ideal: 1, .84, 1, 95 %', 'NIS', 'NEES/4 median', 'NEES/4 mean', 'inside 95 %')
     note = (
-        'All samples on the move, right after changes of the gradient too: nobody told those, so tails are heavy. NIS: '
-        'squared error of prediction over its stated variance. NEES: of all four parameters.'
+        'All samples in motion, including those after unknown changes of the gradient, so tails are heavy. NIS: '
+        'squared prediction error over its reported variance. NEES: of all four parameters.'
     )
-    return Table('Are the stated variances honest?', header, tuple(rows), note)
+    return Table('Consistency of the reported variances', header, tuple(rows), note)

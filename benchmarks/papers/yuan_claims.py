@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What Yuan et al. 2017 claim of Figs. 4 and 5, and what is so on station lines."""
+"""Claims of Yuan et al. 2017 on Figs. 4 and 5, checked on station lines."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ _SHARP: Final = 0.005
 _MOST_OF_THE_TIME: Final = 0.5
 _SHARP_NOISES: Final = (0.002, 0.005, 0.02)
 _CONVERGED: Final = 0.2
-# Fig. 4: from the lowest to the highest value of each parameter that is printed.
+# Fig. 4: lowest and highest printed value of each parameter.
 PRINTED_RANGES: Final = {'a1': (-0.012, 0.008), 'a2': (0.96, 1.02), 'b1': (-0.003, 0.01)}
-# What is possible: resistance slows down and traction speeds up.
+# Physical limits: resistance decelerates and traction accelerates.
 _PHYSICAL: Final = {'a1': (-math.inf, 0.0), 'a2': (-math.inf, 1.0), 'b1': (0.0, math.inf)}
 
 
@@ -50,7 +50,7 @@ def claims_table(
         (
             'Fig. 5: AM-VFF-RLS better than VFF-RLS', 'smaller error', f'{wins:.0%} of lines, one step',
             f'one step / 5 s, ratio to VFF-RLS: {by_noise}', f'{ours.five[0] / white["VFF-RLS"].five[0]:.2f} (5 s)',
-            f'one step: so under {better[0]} of {len(scores)} noises; 5 s, which ranks models: under {better[1]}',
+            f'one step: confirmed for {better[0]} of {len(scores)} noises; 5 s, which ranks models: for {better[1]}',
         ),
         (
             'Fig. 5: error of AM-RLS grows', 'close at first, then "significantly"',
@@ -63,7 +63,7 @@ def claims_table(
         ),
         (
             'Fig. 4: parameters converge in 200 samples', '200',
-            'median errors at 200 samples on the move: ' + ', '.join(f'{e:.0%}' for e in at_200), '', '',
+            'median errors at 200 samples in motion: ' + ', '.join(f'{e:.0%}' for e in at_200), '', '',
             parameters_verdict(at_200),
         ),
         (
@@ -105,22 +105,23 @@ def _parameter_error(lines: Lines, track: Track, n: int) -> tuple[float, ...]:
 
 
 def sharp_noise(std: float) -> float:
-    """Return how often white noise alone stays below 0.005 m/s."""
+    """Return the probability that white noise alone is below 0.005 m/s."""
     return math.erf(_SHARP / (std * math.sqrt(2.0)))
 
 
 def sharp_verdict(sharp: dict[float, float]) -> str:
-    """Return at which noise small errors are the rule, and whether noise alone would say the same."""
+    """Return the noises [m/s] for which most errors are small, and whether noise alone gives the same result."""
     so = [std for std, share in sharp.items() if share > _MOST_OF_THE_TIME]
-    alike = all((sharp_noise(std) > _MOST_OF_THE_TIME) == (std in so) for std in sharp)
+    as_noise = all((sharp_noise(std) > _MOST_OF_THE_TIME) == (std in so) for std in sharp)
     found = f'confirmed at noise of {", ".join(f"{std:g}" for std in so)} m/s' if so else 'refuted at every noise'
     if so and len(so) < len(sharp):
         found += f', refuted at {", ".join(f"{std:g}" for std in sharp if std not in so)}'
-    return f'{found}: {"as of noise alone, so it tells the sensor" if alike else "noise alone is otherwise"}'
+    reason = 'as with noise alone, so it characterises the sensor' if as_noise else 'noise alone gives another result'
+    return f'{found}: {reason}'
 
 
 def parameters_verdict(errors: tuple[float, ...]) -> str:
-    """Return which of a1, a2 - 1, b1, d0 are known."""
+    """Return which of a1, a2 - 1, b1, d0 have converged."""
     known = [name for name, error in zip(('a1', 'a2', 'b1', 'd0'), errors, strict=True) if error < _CONVERGED]
     if len(known) == len(errors):
         return 'confirmed'
@@ -129,7 +130,7 @@ def parameters_verdict(errors: tuple[float, ...]) -> str:
 
 
 def ranges_verdict(ours: dict[str, tuple[float, float]]) -> str:
-    """Return what is wrong with the printed ranges, beside the true ones."""
+    """Return the verdict on the printed ranges, compared with the true ones."""
     signs = []
     for name, (low, high) in PRINTED_RANGES.items():
         least, most = _PHYSICAL[name]

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The algorithms as they run on station lines: one fleet prior for all, the settings of each."""
+"""The algorithms for station lines: a common fleet prior, and the settings of each."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from trainid_ros.speed_model.physical_parameters import SpeedModelConfig, Symmet
 from trainid_ros.speed_model.speed_model_ekf import ekf_tuning
 from trainid_ros.train.davis import G
 
-# The fleet as one knows it before: Davis parameters, their spread, and a load of +-12 %.
+# Fleet prior: Davis parameters, their standard deviations, and a load of +-12 %.
 _FLEET: Final = SpeedModelConfig(prior_share=0.0, prior_std_a=3.0, prior_std_b=0.03, prior_std_c=0.004)
 _FLEET_MASS: Final = 0.12
 
 
 def _fleet_prior(davis: tuple[float, float, float], k: float) -> tuple[Theta, Symmetric]:
-    """Return theta(0) and its covariance where nobody weighs: another mass changes all of theta alike, as in (2)."""
+    """Return theta(0) and its covariance without load weighing: the mass scales all of theta, as in (2)."""
     theta, P = prior(davis, k, _FLEET, _FLEET_MASS)
     a1, a2, b1, d0 = theta
     by_mass = np.array([a1, a2 - 1.0, b1, d0])
@@ -34,7 +34,7 @@ def _fleet_prior(davis: tuple[float, float, float], k: float) -> tuple[Theta, Sy
 THETA0, P0 = _fleet_prior((2.0, 0.05, 0.0105), G / (1000.0 * 1.08))
 LOAD: Final = (2e-4) ** 2
 """Variance of the change of b1 at a stop."""
-# Nobody tells the gradient here, so d0 walks; chosen on lines of seeds below 1000, as all settings.
+# The gradient is unknown here, so d0 is a random walk; tuned on lines of seeds below 1000, as all settings.
 _DRIFT_AM: Final = 1e-8
 _DRIFT_EKF: Final = 3e-8
 _DRIFT_INTEGRAL: Final = 1e-7
@@ -44,7 +44,7 @@ PRINTED: Final = 'AM-VFF-RLS (7), lambda >= .9'
 
 @dataclass(frozen=True, slots=True)
 class Named:
-    """A method under its name in the tables; ``freeze``: theta stands while the train does."""
+    """A method with its name in the tables; ``freeze``: theta is constant at standstill."""
 
     name: str
     method: ManyMethod
@@ -56,7 +56,7 @@ class Named:
 
 
 def am_tuning(P: Symmetric, drift: float = _DRIFT_AM, load: float = LOAD) -> am_vff_rls.Tuning:
-    """Return the tuning of AM-VFF-RLS: the settings of the product but for what these lines differ in."""
+    """Return the tuning of AM-VFF-RLS: the settings of the product except noise, drift and load of these lines."""
     config = AmVffRlsConfig()
     return am_vff_rls.Tuning(
         noise=0.0,
@@ -89,7 +89,7 @@ def integral(variance: float) -> Named:
 
 
 def paper(name: str, variance: float, kappa: float, scale: float, low: float = 0.9) -> Named:
-    """Return an algorithm of the paper, ignorant at first; ``scale`` is sigma of (6) over the variance, 0: none."""
+    """Return an algorithm of the paper with a diffuse prior; ``scale`` is sigma of (6) over the variance, 0: none."""
     tuning = rls.Tuning(kappa, scale * variance, low, 1e9)
     return Named(name, ManyRls(THETA0, scaled(P0, _WIDE / variance), tuning, variance), freeze=False)
 
@@ -117,7 +117,7 @@ SCALES: Final = {
 
 
 def all_methods(noise: Noise) -> tuple[Named, ...]:
-    """Return all methods, tuned for a noise as far as their sigma goes; the last are the product's."""
+    """Return all methods, with sigma tuned for a noise; the last are the product's."""
     variance = noise.declared**2
     vff, am, corrected = SCALES[noise.name]
     return (
@@ -133,7 +133,7 @@ def all_methods(noise: Noise) -> tuple[Named, ...]:
 
 
 def oracle(lines: Lines, y: np.ndarray) -> Track:
-    """Return the track of one who knows theta but has only measured speed (true speed where it is missing)."""
+    """Return the track with the true theta and the measured speed (true speed where it is missing)."""
     x = np.where(np.isnan(y), lines.x, y)
     none = np.full_like(x, np.nan)
     state = np.concatenate([x[:, None], lines.theta], axis=1)

@@ -18,17 +18,19 @@ from benchmarks.tables import Plot
 def step_plot(lines: Lines, tracks: dict[str, Track]) -> Plot:
     figure = Figure(figsize=(8.0, 3.6), layout='constrained')
     axes = figure.subplots()
-    whole = moving(lines)[1095:1201].all(axis=0)
+    in_motion = moving(lines)[1095:1201].all(axis=0)
     n = np.arange(1080, 1260)
     for name in ('VFF-RLS', PRINTED, 'EKF', 'AM-VFF-RLS'):
         state = np.moveaxis(tracks[name].state, 1, 0)
         wrong = acceleration(state[1:], lines.x, lines.u) - acceleration(true(lines), lines.x, lines.u)
-        axes.plot(n, 1e3 * np.median(np.abs(wrong[n][:, whole]), axis=1), label=name)
+        axes.plot(n, 1e3 * np.median(np.abs(wrong[n][:, in_motion]), axis=1), label=name)
     axes.set_xlabel('sample')
     axes.set_ylabel('median |error of acceleration|, mm/s²')
     axes.legend()
-    note = 'The gradient falls by 6.5 per mille at samples 1100 to 1130 and nobody says so; white noise of 0.02 m/s.'
-    return Plot('yuan2017_step', 'Following a change of d0', figure, note)
+    note = (
+        'The gradient falls by 6.5 per mille at samples 1100 to 1130 without being reported; white noise of 0.02 m/s.'
+    )
+    return Plot('yuan2017_step', 'Tracking a change of d0', figure, note)
 
 
 def error_plot(lines: Lines, tracks: dict[str, Track]) -> Plot:
@@ -40,7 +42,7 @@ def error_plot(lines: Lines, tracks: dict[str, Track]) -> Plot:
         axes.plot(blocks + 50, [math.sqrt(float(np.nanmedian(wrong[b : b + 100]))) for b in blocks], label=name)
     axes.set_yscale('log')
     axes.set_xlabel('sample')
-    axes.set_ylabel('median |predicted less true speed|, m/s')
+    axes.set_ylabel('median |predicted minus true speed|, m/s')
     axes.legend()
     note = 'As Fig. 5 of the paper, against the true speed instead of the measured one; white noise of 0.02 m/s.'
     return Plot('yuan2017_errors', 'Errors of the algorithms over time', figure, note)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Brake rate: the experiment and claims of Zheng et al. 2015, what can be had, and the estimators of the nodes."""
+"""Brake rate: the experiment and claims of Zheng et al. 2015, bounds, and the estimators of the nodes."""
 
 from __future__ import annotations
 
@@ -29,29 +29,29 @@ SCALES: Final = (1.0, 0.25, 0.1, 0.05, 0.02)
 _RW: Final = 0.01
 _SLOPE: Final = (0.0, 0.01)
 
-# What Table 1 prints: f, D, v, a.
+# Table 1 as printed: f, D, v, a.
 PRINTED: Final = {
     'RBPF': (0.105, 0.305, 0.185, 0.095),
     'SMA': (0.027, 0.304, 0.181, 0.037),
     'GSMA': (0.023, 0.304, 0.180, 0.036),
 }
-# What Table 2 prints: time of 150 steps [s].
+# Table 2 as printed: time of 150 steps [s].
 PRINTED_S: Final = {'RBPF': 6.590, 'SMA': 56.505, 'GSMA': 16.760}
-# Updates of a Kalman filter in a step: 50 particles of SMA with 11 values each, 50 of GSMA with three if always pruned.
+# Kalman updates per step: 50 particles of SMA with 11 values each, 50 of GSMA with three if always pruned.
 _SMA_UPDATES: Final = 550.0
 _PRUNED_UPDATES: Final = 150.0
 _SAME_COST: Final = 0.25
 
-# Row, what the paper calls it, filter.
+# Row, name in the paper, filter.
 ON_PAPER: Final[tuple[tuple[str, str, Filter], ...]] = (
     ('RBPF-250, static f', 'RBPF', paper.rbpf_static),
     ('RBPF-250, optimal proposal (9)-(13)', 'RBPF', paper.rbpf_drawing),
-    ('RBPF-250, likeliest value (text)', 'RBPF', partial(paper.rbpf_drawing, likeliest=True)),
+    ('RBPF-250, most likely value (text)', 'RBPF', partial(paper.rbpf_drawing, likeliest=True)),
     ('SMA as printed', 'SMA', paper.sma),
     ('SMA corrected: weights, stochastic', 'SMA', partial(paper.sma, stochastic=True)),
     ('GSMA as printed', 'GSMA', paper.gsma),
     ('GSMA: weights, stochastic', 'GSMA', partial(paper.gsma, stochastic=True)),
-    ('GSMA: and the missing group', 'GSMA', partial(paper.gsma, stochastic=True, first=1)),
+    ('GSMA: weights, stochastic, missing group', 'GSMA', partial(paper.gsma, stochastic=True, first=1)),
     ('GSMA corrected: no grid, 100', 'GSMA', paper.gsma_free),
     ('RBPF-500, walking f', '', paper.rbpf_walking),
     ('linear KF, walk 0.03', '', lambda run, _: paper.kalman(run, paper.WALK)),
@@ -70,7 +70,7 @@ ON_WALK: Final[tuple[tuple[str, Filter], ...]] = (
     ('linear KF: PCRB', lambda run, _: paper.kalman(run, _RW)),
     ('GSMA corrected: no grid, 100', partial(paper.gsma_free, walk=_RW)),
     ('RBPF-500, walking f', partial(paper.rbpf_walking, walk=_RW)),
-    ('GSMA: and the missing group', partial(paper.gsma, stochastic=True, first=1)),
+    ('GSMA: weights, stochastic, missing group', partial(paper.gsma, stochastic=True, first=1)),
     ('GSMA as printed', paper.gsma),
     ('SMA as printed', paper.sma),
 )
@@ -78,7 +78,7 @@ ON_WALK: Final[tuple[tuple[str, Filter], ...]] = (
 
 @dataclass(frozen=True, slots=True)
 class SeedScores:
-    """All that one seed gives; the order is that of the lists above."""
+    """All results of one seed, in the order of the lists above."""
 
     paper: tuple[Errors, ...]
     scales: tuple[tuple[float, ...], ...]
@@ -88,7 +88,7 @@ class SeedScores:
 
 
 def measure(seeds: int) -> list[Table | Plot]:
-    """Run everything over some seeds."""
+    """Run all experiments over ``seeds`` seeds."""
     scores = over_seeds(score_seed, range(metro.FIRST_SEED, metro.FIRST_SEED + seeds))
     timings, difference = cost.compare_covariances(metro.FIRST_SEED)
     steps = cost.time_estimators(metro.FIRST_SEED)
@@ -145,9 +145,9 @@ def _table_1(scores: Sequence[SeedScores]) -> Table:
     header = ('mean absolute errors', 'f printed', 'f', 'D m', 'v m/s', 'a m/s^2', '68 / 95 %', 'verdict')
     note = (
         f'{len(scores)} seeds of 150 steps of 1 s, f = 1 - 0.005 k. The command is -1 m/s^2 and the measurement noise '
-        f'{paper.STD_D} m and {paper.STD_V} m/s: with those a filter that is told f has the printed errors of D and v. '
+        f'{paper.STD_D} m and {paper.STD_V} m/s: with those a filter that is given f has the printed errors of D, v. '
         'The printed errors of f lie below those of a filter that knows the slope of the ramp, so no causal filter '
-        'has them with the printed errors of D and v.'
+        'can reach them together with the printed errors of D and v.'
     )
     return Table('Zheng et al., table 1', header, tuple(rows), note)
 
@@ -177,17 +177,17 @@ def _table_2(scores: Sequence[SeedScores]) -> Table:
     each, count = float(np.mean([s.pruned_each_step_s for s in scores])) / base, _PRUNED_UPDATES / _SMA_UPDATES
     said = PRINTED_S['GSMA'] / PRINTED_S['SMA']
     cells = (f'{said:.3f}', f'{_PRUNED_UPDATES:.0f}', f'{count:.2f}', f'{each:.2f}')
-    rows.append(('GSMA, pruned each step', *cells, cost_verdict(said, count, each)))
-    header = ('time / SMA', 'printed', 'updates a step', 'in count', 'in CPU time', 'verdict')
+    rows.append(('GSMA, pruned at each step', *cells, cost_verdict(said, count, each)))
+    header = ('time / SMA', 'printed', 'updates per step', 'in count', 'in CPU time', 'verdict')
     note = (
-        'Updates of a Kalman filter a step: GSMA grows 150, 450, 1350 before it passes its limit of 500 and is pruned, '
-        'as printed. CPU time of arrays with one shared covariance, where overhead counts as much as updates.'
+        'Kalman updates per step: GSMA grows to 150, 450, 1350 before it exceeds its limit of 500 and is pruned, as '
+        'printed. CPU time with arrays and one shared covariance, where overhead costs as much as updates.'
     )
     return Table('Zheng et al., table 2: SMA / GSMA / RBPF', header, tuple(rows), note)
 
 
 def cost_verdict(said: float, count: float, share: float) -> str:
-    """Return whether a printed share of the time of SMA is that of ours, in updates and in CPU time."""
+    """Return the verdict on a printed time relative to SMA, by number of updates and by CPU time."""
     by_count, by_time = (abs(ours / said - 1.0) < _SAME_COST for ours in (count, share))
     if by_count and by_time:
         return 'confirmed'
@@ -202,11 +202,11 @@ def _noise_table(scores: Sequence[SeedScores]) -> Table:
     rows = tuple((name, *(f'{x:.4f}' for x in row)) for (name, _), row in zip(ON_SCALES, values, strict=True))
     header = ('mean absolute error of f', *(f'noise x {scale:g}' for scale in SCALES))
     note = (
-        'The printed .027 and .023 are near the .025 to which a grid of 0.1 can round a ramp: the noise of the paper '
-        'must have been some 20 times lower than its own errors of D and v say. There, too, filters without a grid are '
-        'better. (Walk or trend of f are not retuned to the noise.)'
+        'The printed .027 and .023 are near .025, the mean rounding error of a ramp on a grid of 0.1: the noise of the '
+        'paper must have been about 20 times lower than its own errors of D and v imply. There, too, filters without '
+        'a grid are better. (Walk or trend of f are not retuned to the noise.)'
     )
-    return Table('Which noise the paper had', header, rows, note)
+    return Table('Noise level of the paper', header, rows, note)
 
 
 def _walk_table(scores: Sequence[SeedScores]) -> Table:
@@ -215,14 +215,14 @@ def _walk_table(scores: Sequence[SeedScores]) -> Table:
         (name, f'{rms:.4f}', f'{rms / values[0][0]:.2f}', f'{a:.2f} / {b:.2f}')
         for (name, _), (rms, a, b) in zip(ON_WALK, values, strict=True)
     )
-    header = ('f walks 0.01 a step', 'rms error', '/ PCRB', '68 / 95 %')
-    note = 'Truth from the model of the linear Kalman filter, which is then the posterior Cramer-Rao bound.'
-    return Table("The paper's train, a walking brake rate", header, rows, note)
+    header = ('random walk of f, 0.01 per step', 'rms error', '/ PCRB', '68 / 95 %')
+    note = 'Truth from the model of the linear Kalman filter, which then attains the posterior Cramer-Rao bound.'
+    return Table("The paper's train, random walk of the brake rate", header, rows, note)
 
 
 def _metro_tables(scores: Sequence[SeedScores]) -> list[Table]:
     got = [s.metro for s in scores]
-    header = ('while braking', 'MAE', 'bias', '68 %', '95 %', 'good after s')
+    header = ('while braking', 'MAE', 'bias', '68 %', '95 %', 'within 0.05 after s')
     hard_rows = tuple((name, *_common([s.hard[i] for s in got])) for i, (name, *_) in enumerate(metro.ON_HARD))
     metro_rows = tuple((name, *_common([s.metro[i] for s in got])) for i, (name, *_) in enumerate(metro.ON_METRO))
     exact = float(np.mean([s.walk[-1].mae for s in got]))
@@ -237,33 +237,33 @@ def _metro_tables(scores: Sequence[SeedScores]) -> list[Table]:
     later = tuple(f'+{t:g} s' for t in metro.LATER_S)
     return [
         Table(
-            'Metro train at 5 Hz, one level for each braking',
+            'Metro train at 5 Hz, one level per braking',
             header,
             hard_rows,
-            f'{len(got)} seeds, five stops each. Map error 0.02 m/s^2 over 200 m; as shipped the estimators expect '
-            '0.006 and learn the rest while coasting. Resistance 10 %, wheel 0.5 %, speed in steps of 0.1 km/h, dead '
-            'time 1.2 s. From 3 s after the command on and above 1 m/s; "good": the first braking stays within 0.05 '
-            'from then on, median.',
+            f'{len(got)} seeds, five stops each. Map error 0.02 m/s^2 over 200 m; as shipped the estimators assume '
+            '0.006 and estimate the actual size while coasting. Resistance 10 %, wheel 0.5 %, resolution 0.1 km/h, '
+            'dead time 1.2 s. From 3 s after the command on and above 1 m/s; last column: time from which on the first '
+            'braking stays within 0.05, median.',
         ),
-        Table('The same, other levels every 15 to 30 s', header, metro_rows, 'Levels of 0.3 to 1.2 m/s^2 in both.'),
+        Table('The same, new level every 15 to 30 s', header, metro_rows, 'Levels of 0.3 to 1.2 m/s^2 in both.'),
         Table(
-            'Metro train whose brake rate walks as declared',
+            'Metro train, random walk of the brake rate as declared',
             (*header, '/ KF'),
             walk_rows,
-            'All that the train file says is right; f starts N(1, 0.2^2) and walks 0.003 per sqrt(s). The exact filter '
-            'is told the noise and the size of the disturbance, the others learn both.',
+            'The train file is exact; f(0) ~ N(1, 0.2^2), then a random walk of 0.003 per sqrt(s). The exact filter is '
+            'given the noise and the size of the disturbance, the others estimate both.',
         ),
         Table(
-            'A jump of -0.25 in mid-brake',
-            ('', 'found after s, median', 'p90', 'MAE elsewhere', '68 %', '95 %'),
+            'A jump of -0.25 during braking',
+            ('', 'detected after s, median', 'p90', 'MAE elsewhere', '68 %', '95 %'),
             jump_rows,
-            'Found: error below 0.07. Elsewhere: all but the 10 s after the jump.',
+            'Detected: error below 0.07. Elsewhere: all except the 10 s after the jump.',
         ),
         Table(
-            'Four minutes unbraked while f falls by 0.15',
-            ('absolute error after the command', *later, 'law of std, worst'),
+            'Four minutes without braking while f falls by 0.15',
+            ('absolute error after the command', *later, 'growth of std, worst'),
             unbraked_rows,
-            'Law: deviation from sqrt(s^2 + drift^2 t), from 3 s after the brake was released.',
+            'Growth of std: deviation from sqrt(s^2 + drift^2 t), from 3 s after brake release.',
         ),
     ]
 
@@ -281,7 +281,7 @@ def _jump_row(name: str, scores: Sequence[metro.Score]) -> tuple[str, ...]:
 
 
 def quantile(values: Sequence[float], share: float) -> float:
-    """Quantile that may be infinite, no interpolation."""
+    """Return a quantile without interpolation, since values may be infinite."""
     return float(np.quantile(values, share, method='higher'))
 
 
@@ -299,8 +299,8 @@ def _cost_table(timings: Sequence[cost.Timing], difference: float, steps: Sequen
     rows = [(t.name, f'{t.p50:.0f}', f'{t.p99:.0f}', f'{t.p50 / timings[0].p50:.1f}') for t in timings]
     rows += [(f'node step: {t.name}', f'{t.p50:.0f}', f'{t.p99:.0f}', '-') for t in steps]
     note = (
-        f'With equal draws the three forms of RBPF differ by {difference:.0e} in f at most. '
-        'Loops: 20 steps timed, arrays 150. Node steps: a whole step of the estimator on a sample it learns from.'
+        f'With equal random numbers the three forms of RBPF differ by at most {difference:.0e} in f. '
+        'Loops: 20 steps timed, arrays 150. Node steps: a complete step of the estimator with update.'
     )
     return Table('CPU time of a step', ('us', 'p50', 'p99', '/ shared'), tuple(rows), note)
 
@@ -327,8 +327,8 @@ def _targets(
         _within('GSMA: coverage of 68 % on metro data', (0.63, 0.73), hard_68),
         _within('GSMA: coverage of 95 % on metro data', (0.92, 0.98), hard_95),
         _at_most('GSMA: first braking within 0.05 after, s, median', 7.0, good_s),
-        _at_most('GSMA: law of std while unbraked, worst deviation', 0.02, max(s.unbraked[0].law for s in got)),
-        _at_most('GSMA: jump of -0.25 found after, s, median', 2.2, quantile(found, 0.5)),
+        _at_most('GSMA: growth of std without braking, worst deviation', 0.02, max(s.unbraked[0].law for s in got)),
+        _at_most('GSMA: jump of -0.25 detected after, s, median', 2.2, quantile(found, 0.5)),
         _at_most('GSMA: the same, p90', 4.5, quantile(found, 0.9)),
         _at_most('GSMA: MAE elsewhere with the jump', 0.037, float(np.mean([s.jump[0].mae for s in got]))),
         _at_most("RBPF-500 / PCRB, the paper's train", 1.03, float(rms[2] / rms[0])),
@@ -338,7 +338,7 @@ def _targets(
         _at_least('RBPF: loops / shared covariance', 100.0, timings[2].p50 / timings[0].p50),
         _at_most('RBPF: difference to own covariances', 1e-9, difference),
     ]
-    return Table('Targets', ('', 'must be', 'reached', 'met'), tuple(rows))
+    return Table('Targets', ('', 'target', 'reached', 'met?'), tuple(rows))
 
 
 def _at_most(name: str, limit: float, got: float) -> tuple[str, ...]:

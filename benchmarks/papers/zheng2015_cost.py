@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""CPU time of a step: particles with one shared covariance beside one for each, in arrays and in loops."""
+"""CPU time of a step: particles with a shared covariance or one each, in arrays and in loops."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ Array = NDArray[np.float64]
 N: Final = 500
 _WALK: Final = 0.03
 _P0: Final = 1e-3
-# a_z is known; so that S can be inverted it has some noise.
+# a_z is known; a small noise keeps S invertible.
 _R_A_Z: Final = 1e-6
 _H4: Final = np.array([[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0]])
 _COMMAND: Final = -1.0
@@ -45,7 +45,7 @@ class Timing:
 
 @dataclass(frozen=True, slots=True)
 class Draws:
-    """The random numbers of a run of K steps: first rates (N,), their walks (K, N), one uniform per step (K,)."""
+    """Random numbers of a run of K steps: initial rates (N,), their walks (K, N), one uniform per step (K,)."""
 
     f: Array
     walk: Array
@@ -59,7 +59,7 @@ class Draws:
 
 
 def shared(run: PaperRun, draws: Draws) -> tuple[Array, Array]:
-    """RBPF with one covariance for all; means of f and CPU times [us] of the steps."""
+    """Run the RBPF with one covariance for all particles; return means of f and CPU times of the steps [us]."""
     cloud = ThetaCloud(draws.f, np.full(N, -math.log(N)), np.repeat([[0.0], [20.0], [-1.0]], N, axis=1))
     P, means, times = _P0 * np.eye(3), [], []
     for step, y, walk, uniform in zip(run.steps, run.y, draws.walk, draws.uniform, strict=False):
@@ -78,7 +78,7 @@ Advance = Callable[[Array, Array, Array, Array, Array], tuple[Array, Array, Arra
 
 
 def own_covariance(run: PaperRun, draws: Draws, steps: int, advance: Advance) -> tuple[Array, Array]:
-    """RBPF with a covariance for every particle, on the paper's four states; as :func:`shared`."""
+    """Run the RBPF with a covariance per particle on the paper's four states; return as :func:`shared`."""
     f, log_weights = draws.f, np.full(N, -math.log(N))
     x = np.tile([0.0, 20.0, -1.0, -2.0], (N, 1))
     P = np.tile(np.diag([_P0, _P0, _P0, 0.0]), (N, 1, 1))
@@ -100,7 +100,7 @@ def own_covariance(run: PaperRun, draws: Draws, steps: int, advance: Advance) ->
 
 
 def batched(f: Array, x: Array, P: Array, y: Array, R: Array) -> tuple[Array, Array, Array]:
-    """All particles at once in arrays of matrices."""
+    """Advance all particles at once in arrays of matrices."""
     Phi = MODEL.Phi0 + f[:, None, None] * MODEL.Phi1
     x = (Phi @ x[:, :, None])[:, :, 0] + _COMMAND * (MODEL.Gamma0 + f[:, None] * MODEL.Gamma1)
     P = Phi @ P @ Phi.transpose(0, 2, 1) + DISTURBANCE * np.outer(MODEL.E, MODEL.E)
@@ -115,7 +115,7 @@ def batched(f: Array, x: Array, P: Array, y: Array, R: Array) -> tuple[Array, Ar
 
 
 def looped(f: Array, x: Array, P: Array, y: Array, R: Array) -> tuple[Array, Array, Array]:
-    """One particle after another."""
+    """Advance one particle after another."""
     log_likelihood, x_after, P_after = np.empty(N), np.empty_like(x), np.empty_like(P)
     for i in range(N):
         Phi = MODEL.Phi0 + f[i] * MODEL.Phi1
@@ -145,7 +145,7 @@ def compare_covariances(seed: int) -> tuple[tuple[Timing, ...], float]:
 
 
 def time_estimators(seed: int) -> tuple[Timing, ...]:
-    """Time the estimators of the nodes while they learn; p50 and p99 of the samples of one run."""
+    """Time the estimators of the nodes at updates; p50 and p99 over the samples of one run."""
     subjects: tuple[tuple[str, str, Mapping[str, float]], ...] = (
         ('KF', 'KF', METRO),
         ('IMM', 'IMM', METRO),

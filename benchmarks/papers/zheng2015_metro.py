@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Brake rate estimators of the nodes on a metro train at 5 Hz: accuracy, coverage, jumps, long rides unbraked."""
+"""Brake rate estimators of the nodes on a metro train at 5 Hz: accuracy, coverage, jumps, long runs without braking."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 Array = NDArray[np.float64]
 
 FIRST_SEED: Final = 5000
-# What the train is like: as good a map as there is, and on the random walk the exact noise.
+# True settings of the train: the map error, and on the random walk the exact noise.
 METRO: Final[dict[str, float]] = {'disturbance_std': MAP_ERROR, 'acceleration_noise': 0.002}
 WALK: Final = METRO | {'speed_std': 0.02, 'force_error': 0.0}
 SHIPPED: Final[dict[str, float]] = {}
@@ -42,15 +42,15 @@ _SIGMA_95: Final = 1.959964
 _SETTLED_S: Final = 3.0
 _MOVING: Final = 1.0
 _GOOD: Final = 0.05
-# Printed filters may be left with one value.
+# Printed filters may collapse to one value.
 _LEAST_STD: Final = 1e-12
 _FOUND: Final = 0.07
 _AFTER_JUMP_S: Final = 10.0
-# The law of the deviation is judged from so long after the brake was released [s].
+# The growth law of the standard deviation is checked from this time after brake release on [s].
 _RELEASED_S: Final = 3.0
 LATER_S: Final = (0.0, 2.0, 4.0, 10.0)
 
-# Name of the row, algorithm, changed settings, disturbance that it is told instead of learning it (NaN: learns).
+# Name of the row, algorithm, changed settings, given size of the disturbance [m/s^2] (NaN: estimated).
 Rows = tuple[tuple[str, str, dict[str, float], float], ...]
 
 ON_HARD: Final[Rows] = (
@@ -59,23 +59,23 @@ ON_HARD: Final[Rows] = (
     ('KF as shipped', 'KF', SHIPPED, math.nan),
     ('IMM as shipped', 'IMM', SHIPPED, math.nan),
     ('RBPF as shipped', 'RBPF', SHIPPED, math.nan),
-    ('GSMA told the disturbance', 'GSMA', METRO, MAP_ERROR),
-    ('KF told the disturbance', 'KF', METRO, MAP_ERROR),
-    ('GSMA told 0.006 m/s^2, wrongly', 'GSMA', SHIPPED, 0.006),
+    ('GSMA, disturbance size given', 'GSMA', METRO, MAP_ERROR),
+    ('KF, disturbance size given', 'KF', METRO, MAP_ERROR),
+    ('GSMA, wrong size 0.006 m/s^2 given', 'GSMA', SHIPPED, 0.006),
     ('KF without disturbance state', 'KF', METRO, 0.0),
     ('SMA as printed', 'SMA', METRO, MAP_ERROR),
     ('GSMA as printed', 'GSMA-printed', METRO, MAP_ERROR),
 )
 ON_METRO: Final[Rows] = (
     ('GSMA as shipped', 'GSMA', SHIPPED, math.nan),
-    ('KF told the disturbance', 'KF', METRO, MAP_ERROR),
+    ('KF, disturbance size given', 'KF', METRO, MAP_ERROR),
 )
 ON_WALK: Final[Rows] = (
     ('GSMA as shipped', 'GSMA', SHIPPED, math.nan),
     ('GSMA without jumps', 'GSMA', {'jump_rate': 0.0}, math.nan),
     ('IMM as shipped', 'IMM', SHIPPED, math.nan),
     ('RBPF as shipped', 'RBPF', SHIPPED, math.nan),
-    ('KF told all: exact', 'KF', WALK, MAP_ERROR),
+    ('KF, all noises given: exact', 'KF', WALK, MAP_ERROR),
 )
 ON_JUMP: Final[Rows] = (
     ('GSMA as shipped', 'GSMA', SHIPPED, math.nan),
@@ -93,17 +93,17 @@ ON_UNBRAKED: Final[Rows] = (
 
 @dataclass(frozen=True, slots=True)
 class Score:
-    """One estimator on one run, while braking from 3 s after the command on, above 1 m/s.
+    """Score of an estimator on one run, while braking, from 3 s after the command on and above 1 m/s.
 
     Attributes:
-        mae: Mean absolute error.
-        bias: Mean error.
+        mae: Mean absolute error of the brake rate [1].
+        bias: Mean error of the brake rate [1].
         inside_68: Share of errors within one standard deviation.
         inside_95: The same within 1.96.
-        good_s: Time after the first command from which on the first braking is within 0.05 [s].
+        good_s: Time after the first command from which on the error stays within 0.05 in the first braking [s].
         found_s: Time from the jump to an error below 0.07 [s], inf if never; NaN without a jump.
-        law: Largest deviation of std from sqrt(s^2 + drift^2 t) while unbraked, relative; NaN if not judged.
-        later: Absolute error 0, 2, 4 and 10 s after the brake of the last phase was asked for.
+        law: Largest relative deviation of std from sqrt(s^2 + drift^2 t) without braking; NaN if not evaluated.
+        later: Absolute error 0, 2, 4 and 10 s after the brake command of the last phase [1].
 
     """
 
@@ -133,23 +133,26 @@ def score_seed(seed: int) -> MetroScores:
     hard, metro, walk = hard_run(seed), metro_run(seed), walk_run(seed)
     jump, unbraked = jump_run(seed), unbraked_run(seed)
     return MetroScores(
-        tuple(score(hard, trace(hard, name, seed, s, told)) for _, name, s, told in ON_HARD),
-        tuple(score(metro, trace(metro, name, seed, s, told)) for _, name, s, told in ON_METRO),
-        tuple(score(walk, trace(walk, name, seed, s, told)) for _, name, s, told in ON_WALK),
-        tuple(_score_jump(jump, trace(jump, name, seed, s, told)) for _, name, s, told in ON_JUMP),
-        tuple(_score_unbraked(unbraked, trace(unbraked, name, seed, s, told), s) for _, name, s, told in ON_UNBRAKED),
+        tuple(score(hard, trace(hard, name, seed, s, known_std)) for _, name, s, known_std in ON_HARD),
+        tuple(score(metro, trace(metro, name, seed, s, known_std)) for _, name, s, known_std in ON_METRO),
+        tuple(score(walk, trace(walk, name, seed, s, known_std)) for _, name, s, known_std in ON_WALK),
+        tuple(_score_jump(jump, trace(jump, name, seed, s, known_std)) for _, name, s, known_std in ON_JUMP),
+        tuple(
+            _score_unbraked(unbraked, trace(unbraked, name, seed, s, known_std), s)
+            for _, name, s, known_std in ON_UNBRAKED
+        ),
     )
 
 
-def trace(run: BrakeRun, name: str, seed: int, settings: Mapping[str, float], told: float = math.nan) -> Array:
-    """Return mean and standard deviation of f, and 1 where it learned, after every sample, shape (n, 3).
+def trace(run: BrakeRun, name: str, seed: int, settings: Mapping[str, float], known_std: float = math.nan) -> Array:
+    """Return mean and standard deviation of f, and 1 if f was observable, after every sample, shape (n, 3).
 
-    The size of the disturbance is learned, or told [m/s^2].
+    The size of the disturbance is estimated, or given as ``known_std`` [m/s^2].
     """
     choice = BRAKE_RATE.choose(name, **settings)
     estimator = BRAKE_RATE.make(choice, metro_train(), np.random.default_rng(seed))
-    if math.isfinite(told) and isinstance(estimator, BrakeRateEstimator):
-        estimator.state.disturbance = DisturbanceNoise.reported(told)
+    if math.isfinite(known_std) and isinstance(estimator, BrakeRateEstimator):
+        estimator.state.disturbance = DisturbanceNoise.reported(known_std)
     rows = []
     for sample in run.samples:
         estimator.step(sample)
@@ -159,7 +162,7 @@ def trace(run: BrakeRun, name: str, seed: int, settings: Mapping[str, float], to
 
 
 def score(run: BrakeRun, got: Array, without: NDArray[np.bool_] | None = None) -> Score:
-    """Score all brakings, but for samples that are left out."""
+    """Score all braking samples except those in ``without``."""
     counted = (run.braked_s > _SETTLED_S) & (run.speed > _MOVING)
     if without is not None:
         counted &= ~without
@@ -177,7 +180,7 @@ def score(run: BrakeRun, got: Array, without: NDArray[np.bool_] | None = None) -
 
 
 def _score_jump(run: BrakeRun, got: Array) -> Score:
-    """Score the time to find the jump, and all but the ten seconds after it."""
+    """Score the time to detect the jump, and all samples except the ten seconds after it."""
     since = np.where(run.phase == run.phase[-1], run.braked_s - JUMP_AFTER_S, math.nan)
     after = since > 0.0
     found = after & (np.abs(got[:, 0] - run.rate) < _FOUND)
@@ -187,7 +190,7 @@ def _score_jump(run: BrakeRun, got: Array) -> Score:
 
 
 def _score_unbraked(run: BrakeRun, got: Array, settings: Mapping[str, float]) -> Score:
-    """Score the law of the deviation between the brakings, and the errors when the brake acts at last."""
+    """Score the growth of the standard deviation between the brakings, and the errors at the next braking."""
     drift = settings.get('drift', BrakeRateConfig().drift)
     times = np.array([(s.stamp_ns - run.samples[0].stamp_ns) / NS_PER_S for s in run.samples])
     last_learned = int(np.flatnonzero((got[:, 2] > 0.5) & (run.phase < run.phase[-1]))[-1])

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The experiment of Zheng et al. 2015: their train at 1 s, their ramp of f, all filters on it.
+"""The experiment of Zheng et al. 2015: their train at 1 s steps, their ramp of f, and all filters.
 
-What the paper does not say is chosen so that its table holds where it can: a command of -1 m/s^2 keeps the printed
-initial state in equilibrium, and the measurement noise is the one at which a filter that knows f has exactly the
+Unpublished values are chosen to match the printed table as far as possible: a command of -1 m/s^2 keeps the printed
+initial state in equilibrium, and the measurement noise is the one at which a filter that is given f has exactly the
 printed errors of displacement and speed.
 """
 
@@ -45,7 +45,7 @@ _X0: Final = np.array([0.0, 20.0, -1.0])
 _A_Z0: Final = -2.0
 _P0: Final = 1e-3
 _SIGMA_95: Final = 1.959964
-# Walk of f per step of the filters that have one.
+# Standard deviation of the random walk of f per step in the filters that have one.
 WALK: Final = 0.03
 _RAMP: Final = 0.005
 
@@ -63,7 +63,7 @@ class PaperRun:
 
 @dataclass(frozen=True, slots=True)
 class Estimates:
-    """Means and standard deviations of f, shape (K,), and means of x, shape (K, 3); CPU time of the whole [s]."""
+    """Means and standard deviations of f, shape (K,), and means of x, shape (K, 3); total CPU time [s]."""
 
     f: Array
     std: Array
@@ -73,7 +73,7 @@ class Estimates:
 
 @dataclass(frozen=True, slots=True)
 class Errors:
-    """Mean absolute errors of f, D, v and a, the shares of f within one and 1.96 deviations, CPU time [s]."""
+    """Mean absolute errors of f, D, v and a, shares of f within 1 and 1.96 standard deviations, CPU time [s]."""
 
     f: float
     D: float
@@ -85,13 +85,13 @@ class Errors:
 
 
 def ramp() -> Array:
-    """f_k = 1 - 0.005 k (23), shape (K,)."""
+    """Return f_k = 1 - 0.005 k, eq. (23), shape (K,)."""
     f: Array = 1.0 - _RAMP * np.arange(1.0, STEPS + 1.0)
     return f
 
 
 def paper_run(seed: int, f: Array | None = None, noise: float = 1.0) -> PaperRun:
-    """Return the paper's data, or those of another path of f; all noise times ``noise``."""
+    """Return the paper's data, or those for another path of f; all noises are scaled by ``noise``."""
     rng = np.random.default_rng([seed, 27])
     f = ramp() if f is None else f
     R = np.diag(np.square([noise * STD_D, noise * STD_V]))
@@ -109,25 +109,25 @@ def paper_run(seed: int, f: Array | None = None, noise: float = 1.0) -> PaperRun
 
 
 def walking_run(seed: int, drift: float) -> PaperRun:
-    """Return data whose f starts N(0.6, 0.2^2) and walks, the model of the linear filters."""
+    """Return data with f(0) ~ N(0.6, 0.2^2) and a random walk, the model of the linear filters."""
     rng = np.random.default_rng([seed, 31])
     return paper_run(seed, 0.6 + 0.2 * rng.standard_normal() + drift * np.cumsum(rng.standard_normal(STEPS)))
 
 
 def errors(run: PaperRun, got: Estimates) -> Errors:
-    """Score a filter; its deviations count where they are finite."""
+    """Score a filter against the truth of a run."""
     e = np.abs(got.f - run.f)
     z = e / np.maximum(got.std, 1e-12)
     D, v, a = np.abs(got.x - run.x).mean(axis=0)
     return Errors(float(e.mean()), D, v, a, float((z <= 1.0).mean()), float((z <= _SIGMA_95).mean()), got.cpu_s)
 
 
-# One step of particles: cloud, step, correction, measurement, generator -> those to estimate from, those that go on.
+# One step of particles: cloud, step, correction, measurement, generator -> particles to estimate from, particles kept.
 Learn = Callable[[ThetaCloud, LinearStep, Correction, Array, Rng], tuple[ThetaCloud, ThetaCloud]]
 
 
 def particles(run: PaperRun, seed: int, count: int, learn: Learn) -> Estimates:
-    """Run particles that start on the printed grid, their states drawn as printed."""
+    """Run particles that start on the printed grid, with initial states drawn as printed."""
     rng = np.random.default_rng([seed, 250])
     f = rng.choice(GRID, count)
     x0 = _X0[:, None] + math.sqrt(_P0) * rng.standard_normal((3, count))
@@ -148,7 +148,7 @@ def particles(run: PaperRun, seed: int, count: int, learn: Learn) -> Estimates:
 
 
 def rbpf_static(run: PaperRun, seed: int) -> Estimates:
-    """RBPF with 250 static values."""
+    """Run the RBPF with 250 static values."""
 
     def learn(c: ThetaCloud, s: LinearStep, k: Correction, y: Array, rng: Rng) -> tuple[ThetaCloud, ThetaCloud]:
         after = rbpf(c, s, k, H, y, np.zeros(len(c.f)), float(rng.random()))
@@ -158,7 +158,7 @@ def rbpf_static(run: PaperRun, seed: int) -> Estimates:
 
 
 def rbpf_walking(run: PaperRun, seed: int, walk: float = WALK, count: int = 500) -> Estimates:
-    """RBPF whose values drift."""
+    """Run the RBPF with drifting values."""
 
     def learn(c: ThetaCloud, s: LinearStep, k: Correction, y: Array, rng: Rng) -> tuple[ThetaCloud, ThetaCloud]:
         after = rbpf(c, s, k, H, y, walk * rng.standard_normal(len(c.f)), float(rng.random()))
@@ -168,7 +168,7 @@ def rbpf_walking(run: PaperRun, seed: int, walk: float = WALK, count: int = 500)
 
 
 def rbpf_drawing(run: PaperRun, seed: int, *, likeliest: bool = False) -> Estimates:
-    """RBPF with the optimal proposal (9)-(13), or with the likeliest value as section 3.4 words it."""
+    """Run the RBPF with the optimal proposal (9)-(13), or with the most likely value as in section 3.4."""
 
     def learn(c: ThetaCloud, s: LinearStep, k: Correction, y: Array, rng: Rng) -> tuple[ThetaCloud, ThetaCloud]:
         after = rbpf_optimal(c, GRID, s, k, H, y, None if likeliest else rng.random(len(c.f)))
@@ -178,7 +178,7 @@ def rbpf_drawing(run: PaperRun, seed: int, *, likeliest: bool = False) -> Estima
 
 
 def sma(run: PaperRun, seed: int, *, stochastic: bool = False) -> Estimates:
-    """SMA as printed, or with carried weights and stochastic pruning."""
+    """Run SMA as printed, or with carried weights and stochastic pruning."""
     rule = MRule(50, 500, carries=stochastic, stochastic=stochastic)
 
     def learn(c: ThetaCloud, s: LinearStep, k: Correction, y: Array, rng: Rng) -> tuple[ThetaCloud, ThetaCloud]:
@@ -190,7 +190,7 @@ def sma(run: PaperRun, seed: int, *, stochastic: bool = False) -> Estimates:
 def gsma(
     run: PaperRun, seed: int, *, stochastic: bool = False, first: int = PRINTED_FIRST, most: int = 500
 ) -> Estimates:
-    """GSMA on the printed grid: as printed, or with carried weights, stochastic pruning and all groups."""
+    """Run GSMA on the printed grid: as printed, or with carried weights, stochastic pruning and all groups."""
     rule = MRule(50, most, carries=stochastic, stochastic=stochastic)
 
     def learn(c: ThetaCloud, s: LinearStep, k: Correction, y: Array, rng: Rng) -> tuple[ThetaCloud, ThetaCloud]:
@@ -200,7 +200,7 @@ def gsma(
 
 
 def gsma_free(run: PaperRun, seed: int, walk: float = WALK, count: int = 100) -> Estimates:
-    """GSMA without a grid, as the node runs it, without jumps; f starts N(0.6, 0.2^2)."""
+    """Run GSMA without a grid, as in the node but without jumps; f(0) ~ N(0.6, 0.2^2)."""
     rng = np.random.default_rng([seed, 251])
     strata = Strata.divide([count])
     f = 0.6 + 0.2 * rng.standard_normal(count)
@@ -221,13 +221,13 @@ def gsma_free(run: PaperRun, seed: int, walk: float = WALK, count: int = 100) ->
 
 
 def kalman(run: PaperRun, walk: float, trend: float = 0.0, slope: tuple[float, float] = (0.0, 0.0)) -> Estimates:
-    """Linear Kalman filter on [D, v, a, f, df]: the exact posterior for Gaussian dynamics of f.
+    """Run the linear Kalman filter on [D, v, a, f, df], the exact posterior for Gaussian dynamics of f.
 
     Args:
         run: The data.
-        walk: Standard deviation of the walk of f per step.
-        trend: The same of its slope.
-        slope: Prior mean and standard deviation of the slope; both 0 = no trend.
+        walk: Standard deviation of the random walk of f per step.
+        trend: Standard deviation of the random walk of its slope per step.
+        slope: Prior mean and standard deviation of the slope per step; both 0 = no trend.
 
     """
     m = np.array([*_X0, 0.6, slope[0]])
@@ -236,7 +236,7 @@ def kalman(run: PaperRun, walk: float, trend: float = 0.0, slope: tuple[float, f
     rows = []
     begin = time.thread_time()
     for step, y in zip(run.steps, run.y, strict=True):
-        # f moves first, then acts.
+        # f changes before it acts.
         move = np.eye(5)
         move[3, 4] = 1.0
         act = np.eye(5)
@@ -255,7 +255,7 @@ def kalman(run: PaperRun, walk: float, trend: float = 0.0, slope: tuple[float, f
 
 
 def known_rate(run: PaperRun) -> Estimates:
-    """Kalman filter that is told f: the floor of the errors of D, v and a."""
+    """Run the Kalman filter with the true f: the lower bound of the errors of D, v and a."""
     m, P, rows = _X0, _P0 * np.eye(3), []
     begin = time.thread_time()
     for step, y, f in zip(run.steps, run.y, run.f, strict=True):

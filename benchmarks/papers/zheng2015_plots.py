@@ -20,7 +20,7 @@ _SHOWN_S: Final = (8.0, 30.0)
 
 
 def plot_claims() -> Plot:
-    """One run of the paper's experiment."""
+    """Return the plot of one run of the paper's experiment."""
     run = paper_run(FIRST_SEED)
     figure = Figure(figsize=(8.0, 4.0), layout='constrained')
     axes: Axes = figure.subplots()
@@ -32,12 +32,12 @@ def plot_claims() -> Plot:
     axes.plot(k, kalman(run, 0.0, 2e-4, (0.0, 0.01)).f, lw=1.2, label='linear KF with trend')
     axes.set(xlabel='step of 1 s', ylabel='brake rate f')
     axes.legend(fontsize=8)
-    note = 'One seed. As printed, f hangs on the grid and on the newest sample; without a grid it follows the ramp.'
+    note = 'One seed. As printed, f depends on the grid and on the newest sample; without a grid it follows the ramp.'
     return Plot('zheng2015_ramp', 'Brake rate on the data of Zheng et al.', figure, note)
 
 
 def plot_jump() -> Plot:
-    """A jump in mid-brake."""
+    """Return the plot of a jump during braking."""
     run = jump_run(FIRST_SEED)
     shown = (run.phase == run.phase[-1]) & (run.braked_s > _SHOWN_S[0]) & (run.braked_s < _SHOWN_S[1])
     t = run.braked_s[shown] - JUMP_AFTER_S
@@ -52,4 +52,4 @@ def plot_jump() -> Plot:
     axes.set(xlabel='time since the jump, s', ylabel='brake rate f')
     axes.legend(fontsize=8)
     note = 'One seed; the band is one standard deviation of GSMA.'
-    return Plot('zheng2015_jump', 'A jump of the brake rate in mid-brake', figure, note)
+    return Plot('zheng2015_jump', 'A jump of the brake rate during braking', figure, note)

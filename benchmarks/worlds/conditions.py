@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What varies during a drive: resistance by weather, the brake rate, gusts, and the load."""
+"""Conditions that vary during a drive: resistance by weather, brake rate, gusts and load."""
 
 from __future__ import annotations
 
@@ -15,38 +15,38 @@ if TYPE_CHECKING:
 
 Coefficients = tuple[float, float, float]
 
-# Changes fall in this part of the drive, so that there is something to see before and after each.
+# Changes fall in this part of the drive, so that there is data before and after each.
 FIRST_CHANGE: Final = 0.3
 LAST_CHANGE: Final = 0.8
 
 
 @dataclass(frozen=True, slots=True)
 class Resistance:
-    """Davis coefficients by time [s]; ``values[i]`` hold from ``times[i]`` on."""
+    """Davis coefficients [N/kN, v in m/s] by time [s]; ``values[i]`` hold from ``times[i]`` on."""
 
     times: tuple[float, ...]
     values: tuple[Coefficients, ...]
 
     def at(self, time: float) -> Coefficients:
-        """Return a, b, c at a time."""
+        """Return a, b, c [N/kN, v in m/s] at a time [s]."""
         return self.values[bisect_right(self.times, time) - 1]
 
 
 @dataclass(frozen=True, slots=True)
 class BrakeRate:
-    """The brake rate by time: linear between the points (time [s], rate)."""
+    """Brake rate by time: linear between the points (time [s], rate [1])."""
 
     times: tuple[float, ...]
     rates: tuple[float, ...]
     changes: tuple[float, ...]
 
     def at(self, time: float) -> float:
-        """Return the rate at a time."""
+        """Return the rate [1] at a time [s]."""
         return float(np.interp(time, self.times, self.rates))
 
 
 def draw_resistance(vehicle: Vehicle, duration: float, changes: bool, rng: np.random.Generator) -> Resistance:
-    """Draw one or two steps of resistance: rain wets the bearings' and flanges' contact, wind raises the drag."""
+    """Draw one or two steps of resistance: of a as by rain, or of c as by wind."""
     times, values = [0.0], [vehicle.davis]
     for at in _change_times(rng, duration) if changes else ():
         a, b, c = values[-1]
@@ -61,7 +61,7 @@ def draw_resistance(vehicle: Vehicle, duration: float, changes: bool, rng: np.ra
 
 
 def draw_brake_rate(vehicle: Vehicle, duration: float, changes: bool, rng: np.random.Generator) -> BrakeRate:
-    """Draw a slow drift of the brake rate with one or two steps or ramps in it."""
+    """Draw a slow drift of the brake rate with one or two steps or ramps."""
     rate = vehicle.brake_rate
     if not changes:
         return BrakeRate((0.0,), (rate,), ())
@@ -82,7 +82,7 @@ def draw_brake_rate(vehicle: Vehicle, duration: float, changes: bool, rng: np.ra
 
 
 def draw_gusts(errors: Errors, count: int, step: float, rng: np.random.Generator) -> list[float]:
-    """Draw the random specific resistance [N/kN], one value per step of time."""
+    """Draw the random specific resistance [N/kN], one value per time step (first-order Gauss-Markov process)."""
     keep = float(np.exp(-step / errors.gust_time))
     noise = (errors.gust_std * np.sqrt(1.0 - keep**2) * rng.normal(size=count)).tolist()
     out, value = [], errors.gust_std * float(rng.normal())
@@ -93,7 +93,7 @@ def draw_gusts(errors: Errors, count: int, step: float, rng: np.random.Generator
 
 
 def draw_loads(vehicle: Vehicle, count: int, rng: np.random.Generator) -> list[float]:
-    """Draw the mass from each stop to the next one [kg]: a part of the riders changes."""
+    """Draw the mass from each stop to the next one [kg]: part of the passengers changes."""
     most = vehicle.kind.load
     load, out = float(rng.uniform(0.0, most)), []
     for _ in range(count):
@@ -103,7 +103,7 @@ def draw_loads(vehicle: Vehicle, count: int, rng: np.random.Generator) -> list[f
 
 
 def _changed(rate: float, rng: np.random.Generator) -> float:
-    """Return a rate in 0.75 to 1.1 that differs by enough to be seen."""
+    """Return a rate in 0.75 to 1.1 that differs by more than 0.07."""
     while True:
         new = float(rng.uniform(0.75, 1.1))
         if abs(new - rate) > 0.07:

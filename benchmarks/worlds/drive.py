@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One drive: its records, the train file and the truth."""
+"""Simulate one drive: records, train file and truth."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ if TYPE_CHECKING:
 
 WORLDS: Final = ('metro', 'emu', 'high_speed', 'freight', 'tram')
 DURATIONS: Final = {'metro': 3700.0, 'emu': 3500.0, 'high_speed': 3200.0, 'freight': 3200.0, 'tram': 3900.0}
-# More than any drive needs: the last run goes on to its stop after the duration is over.
+# Upper limit of the time that the last run needs to reach its stop after the duration is over [s].
 SPARE: Final = 7200.0
 MOST_RUNS: Final = 200
 
 
 @dataclass(frozen=True, slots=True)
 class Drive:
-    """Records in order of arrival, what the engineer believes, and what is true."""
+    """Records in order of arrival, the assumed train file, and the truth."""
 
     records: tuple[Record, ...]
     train_file: TrainFile
@@ -55,12 +55,12 @@ def drive(
     Args:
         world: One of ``WORLDS``.
         seed: Draws train, driver and errors, but not the line.
-        unknowns: What is switched on.
+        unknowns: Names of the unknowns that are switched on.
         rate_hz: Messages per second of all topics but mass, or of each topic.
         duration: Time after which the next stop ends the drive [s]; about an hour if not given.
 
     Raises:
-        ValueError: World or unknowns are not known.
+        ValueError: World or unknowns are not among the known names.
 
     """
     if world not in WORLDS:
@@ -91,7 +91,7 @@ def _plan(world: str, seed: int, unknowns: Collection[str], duration: float) -> 
         habits=HABITS[world],
         ways=(ways[0], ways[1]),
         first=int(route.integers(2)),
-        # Some trains begin on the way.
+        # Some trains start at a later stop.
         start=int(route.integers(max(len(track.stops) // 2, 1))) if len(track.stops) > 4 else 0,
         resistance=draw_resistance(vehicle, duration, changes, random_of(world, seed, 'resistance')),
         brake_rate=draw_brake_rate(vehicle, duration, changes, random_of(world, seed, 'brake rate')),

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The driver: powers up, holds a speed or coasts, and brakes in steps to lower limits and stops."""
+"""The driver: accelerates, holds a speed or coasts, and brakes in steps before lower limits and stops."""
 
 from __future__ import annotations
 
@@ -23,16 +23,18 @@ class Habits:
     """How trains of a world are driven.
 
     Attributes:
-        plan: Deceleration with which braking is begun [m/s^2].
+        plan: Deceleration at which braking begins [m/s^2].
         level: Step of the brake command [m/s^2].
         patience: Least time between changes of the brake command [s].
-        kinds: How speed is held, each as likely: ``pi`` exactly, ``band`` by power and coasting in turn,
+        kinds: How speed is held, equally likely: ``pi`` by PI control, ``band`` by alternating power and coasting,
             ``coast`` by one long coasting.
-        band: Width of that band [m/s].
-        coast: Last part of the way to a stop that may be coasted [m].
+        band: Width of the speed band of ``band`` [m/s].
+        coast: Last part of the distance to a stop that may be coasted [m].
         fill: Cruising speed as a share of the limit.
         power: Traction levels as shares of the greatest effort.
         sway: Standard deviation of slow changes of the cruising speed [m/s].
+        dwell: Time at a stop [s].
+        tolerance: Distance short of the stop that is accepted [m].
 
     """
 
@@ -65,7 +67,7 @@ HABITS: Final = {
 
 @dataclass(frozen=True, slots=True)
 class Sight:
-    """What the driver sees: time [s], way [m], speed [m/s], acceleration and brake deceleration [m/s^2]."""
+    """Input of the driver: time [s], way [m], speed [m/s], acceleration and brake deceleration [m/s^2]."""
 
     time: float
     way: float
@@ -75,7 +77,7 @@ class Sight:
 
 
 class Driver:
-    """Gives tractive effort [N] and brake command [m/s^2, >= 0] five times a second."""
+    """Sets tractive effort [N] and brake command [m/s^2, >= 0] five times per second."""
 
     def __init__(self, vehicle: Vehicle, habits: Habits, rng: np.random.Generator) -> None:
         self._vehicle = vehicle
@@ -86,7 +88,7 @@ class Driver:
         self._starts: list[float] = []
 
     def start(self, way: Way, stop: float, mass: float, time: float) -> None:
-        """Begin the run to the stop at a way; how it is driven is drawn anew."""
+        """Begin the run to the stop at way ``stop`` [m] with a new random driving style; mass [kg], time [s]."""
         habits, rng = self._habits, self._rng
         self._limits, self._starts = way.limits, [start for start, _ in way.limits]
         self._stop, self._mass = stop, mass
@@ -100,7 +102,7 @@ class Driver:
         self._redraw_at = time
 
     def act(self, sight: Sight) -> tuple[float, float]:
-        """Return tractive effort and brake command."""
+        """Return tractive effort [N] and brake command [m/s^2]."""
         here = max(bisect_right(self._starts, sight.way) - 1, 0)
         limit = self._limits[here][1]
         if sight.time >= self._redraw_at:
@@ -116,9 +118,9 @@ class Driver:
         return self._effort(sight, target), 0.0
 
     def _need(self, sight: Sight, here: int, limit: float, target: float) -> tuple[float, bool]:
-        """Return the deceleration needed for the nearest of stop and lower limits, and whether it is the stop."""
+        """Return the largest deceleration needed for stop and limits [m/s^2], and whether the stop needs it."""
         lead, speed = self._lead, sight.speed
-        # Where the train is once a new command acts: the brake goes on as it is commanded now.
+        # Position at which a new command takes effect, with the present command until then.
         other = -sight.acceleration - sight.braking if self._brake > 0.0 else 0.0
         slowing = other + 0.5 * (sight.braking + self._brake) if self._brake > 0.0 else 0.0
         then = max(speed - slowing * lead, 0.0)
@@ -143,7 +145,7 @@ class Driver:
     def _set_brake(self, sight: Sight, need: float, stopping: bool, target: float) -> None:
         level = self._habits.level
         if self._brake <= 0.0:
-            # The driver knows the grade: downhill, braking is begun earlier and harder.
+            # The driver knows the gradient: downhill, braking begins earlier and harder.
             grade = self._slope[int(sight.way + self._offset)] * G / 1000.0
             if need > max(self._plan + min(grade, 0.0), 0.3 * self._plan) or sight.speed > target + 2.0:
                 self._command(sight, max(need, 0.5 * self._plan) - grade)
@@ -154,7 +156,7 @@ class Driver:
         if released or (stopping and need < 0.4 * self._plan and sight.speed > 3.0):
             self._brake, self._brake_since = 0.0, sight.time
             return
-        # The last half metre per second is left to the set command, if that stops the train.
+        # Below 0.6 m/s the command stays unchanged if it stops the train.
         if sight.speed < 0.6 and sight.acceleration < -0.1 * self._plan:
             return
         command = max(need, 0.3 * self._plan) + sight.acceleration + sight.braking
@@ -185,7 +187,7 @@ class Driver:
             error = target - speed
             self._integral += 0.02 * error * TICK
             return min(max(self._mass * (0.15 * error + self._integral), 0.0), most)
-        # Slow trains get full power, so that none stalls on a grade.
+        # Slow trains get at least 90 % power, so that none stalls on a gradient.
         level = self._level if speed > 0.6 * target else max(self._level, 0.9)
         return level * most if self._mode == 'power' else 0.0
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The motion of a train over its stops, in steps of 20 ms."""
+"""Motion of a train from stop to stop, in steps of 20 ms."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ if TYPE_CHECKING:
 
 STEP: Final = 0.02
 STEPS_PER_TICK: Final = round(TICK / STEP)
-# Command that holds the train in a stop [m/s^2].
+# Brake command at a stop [m/s^2].
 HOLD: Final = 0.4
-# The drive is locked until the brake has released to this deceleration [m/s^2].
+# Traction is locked until the brake has released to this deceleration [m/s^2].
 RELEASED: Final = 0.03
 
 
 @dataclass(frozen=True, slots=True)
 class Plan:
-    """All that a drive needs: train, ways in both directions, conditions and the drawn loads."""
+    """Inputs of a drive: train, ways in both directions, conditions and drawn loads."""
 
     vehicle: Vehicle
     habits: Habits
@@ -57,10 +57,10 @@ class Log:
         speed: Speed [m/s].
         force: Tractive effort [N].
         command: Brake command [m/s^2, >= 0].
-        nominal: Deceleration that a nominal brake would give after the response [m/s^2].
-        rate: True brake rate.
+        nominal: Deceleration of a nominal brake after dead time and lag [m/s^2].
+        rate: True brake rate [1].
         leg: Number of the run between stops.
-        stops: Way of each stop that was made, less where it should have been [m].
+        stops: Way of each stop minus that of its stopping point [m].
 
     """
 
@@ -77,7 +77,7 @@ class Log:
 
 
 class Motion:
-    """The train in motion; a step moves it by 20 ms."""
+    """State of the moving train, integrated in steps of 20 ms."""
 
     def __init__(self, plan: Plan) -> None:
         vehicle, errors = plan.vehicle, plan.errors
@@ -100,7 +100,7 @@ class Motion:
         return self.tick * TICK
 
     def advance(self, way: Way, leg: int, effort: float, command: float) -> None:
-        """Move by one tick of the driver with a set effort and brake command."""
+        """Advance by one tick of the driver with an effort [N] and a brake command [m/s^2]."""
         a, b, c = self.plan.resistance.at(self.time)
         before = self.speed
         self._steps(way, (a + self.plan.gusts[self.tick], b, c), self.plan.masses[leg], effort, command)
@@ -131,14 +131,14 @@ class Motion:
             force += (effort - force) * force_gain
             if v > 0.0 or force > 0.0:
                 acceleration = inertia * (force * per_newton - a - (b + c * v) * v - slope[int(x + offset)]) - slowing
-                # Brakes and the driver let no train roll back; resistance ends with motion.
+                # The train never rolls back; resistance acts in motion only.
                 new = max(v + acceleration * STEP, 0.0)
                 x += (v + new) * lasting
                 v = new
         self.way, self.speed, self.force, self.nominal, self.acted = x, v, force, nominal, acted
 
     def rate_at(self, base: float, speed: float, nominal: float, acted: float) -> float:
-        """Return the true brake rate: friction falls with speed, blending dips, and valves act in steps."""
+        """Return the true brake rate [1]: falls with speed, dips at blending, and acts in steps."""
         errors = self.plan.errors
         if not errors.brake_speed:
             return base
@@ -151,7 +151,7 @@ class Motion:
 
 
 def simulate(plan: Plan, rng: np.random.Generator) -> Log:
-    """Drive from stop to stop until the duration is over; at the end of the line the train turns back."""
+    """Drive from stop to stop until the duration is over; the train reverses at the end of the line."""
     motion, driver = Motion(plan), Driver(plan.vehicle, plan.habits, rng)
     side, at, leg = plan.first, plan.start, 0
     motion.way = plan.ways[side].stops[at]
@@ -170,7 +170,7 @@ def simulate(plan: Plan, rng: np.random.Generator) -> Log:
 
 
 def run(motion: Motion, driver: Driver, way: Way, leg: int, to: int) -> None:
-    """Drive to a stop; a train that stands short of it draws on."""
+    """Drive to a stop; a train that halts short of it starts again."""
     stop = way.stops[to]
     driver.start(way, stop, motion.plan.masses[leg], motion.time)
     while True:

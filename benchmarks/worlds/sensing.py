@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The records that sensors, drive control and brake control send on the topics."""
+"""Records that sensors, drive control and brake control publish on the topics."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ if TYPE_CHECKING:
 
 EPOCH_NS: Final = 1_700_000_000_000_000_000
 JITTER: Final = 0.5e-3
-# A share of the value and of the weight: noise of the reported force.
+# Noise of the reported force: shares of the value and of the weight.
 FORCE_NOISE: Final = (0.003, 0.0002)
 MAP_STEP: Final = 5.0
-# Spacing of the gradients that the train file states when they are not exact [m].
+# Spacing of the gradients in the train file when they have errors [m].
 MAP_PIECE: Final = 50.0
 
 
@@ -47,12 +47,12 @@ class MapError:
     error: NDArray[np.float64]
 
     def at(self, position: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return the error at positions."""
+        """Return the error at positions [m] [per mille]."""
         return np.interp(position, self.position, self.error)
 
 
 def draw_map_error(plan: Plan, world: str, seed: int) -> MapError:
-    """Draw the error of the gradients, a first-order random process in position."""
+    """Draw the error of the gradients, a first-order Gauss-Markov process in position."""
     errors, way = plan.errors, plan.ways[0]
     rng = random_of(world, seed, 'map along the line')
     count = int(way.gradient.size / MAP_STEP) + 2
@@ -68,14 +68,14 @@ def draw_map_error(plan: Plan, world: str, seed: int) -> MapError:
 
 
 def draw_weighed(plan: Plan, world: str, seed: int) -> NDArray[np.float64]:
-    """Draw the weighed mass of each run."""
+    """Draw the weighed mass of each run [kg]."""
     errors, masses = plan.errors, np.array(plan.masses)
     noise = random_of(world, seed, 'load weighing').normal(size=masses.size)
     return np.asarray(masses * (1.0 + errors.mass) * (1.0 + errors.weighing * noise))
 
 
 class Sensors:
-    """Turns the true motion into records."""
+    """Converts the true motion to records."""
 
     def __init__(self, plan: Plan, log: Log, weighed: NDArray[np.float64], map_error: MapError) -> None:
         self.plan, self.log, self.weighed, self.map_error = plan, log, weighed, map_error
@@ -95,7 +95,7 @@ class Sensors:
             yield SpeedRecord(at, v, s)
 
     def force(self, stamps: NDArray[np.float64], rng: np.random.Generator) -> Iterator[Record]:
-        """Yield reported efforts; while braking that of a nominal brake."""
+        """Yield reported efforts; while braking, that of a nominal brake."""
         plan, log = self.plan, self.log
         inertia = self.weighed[log.leg] * (1.0 + plan.vehicle.kind.rotary_mass)
         reported = log.force / (1.0 + plan.errors.force_gain) - inertia * log.nominal
@@ -107,7 +107,7 @@ class Sensors:
             yield ForceRecord(at, force)
 
     def gradient(self, stamps: NDArray[np.float64], _: np.random.Generator) -> Iterator[Record]:
-        """Yield gradient and curve under the train, by the map."""
+        """Yield gradient and curve radius under the train, from the map."""
         plan, log = self.plan, self.log
         at_way = np.interp(stamps, log.time, log.way)
         side = log.direction[self._before(stamps)]
@@ -139,7 +139,7 @@ class Sensors:
 
 
 def sense(sensors: Sensors, rates: Rates, world: str, seed: int) -> tuple[Record, ...]:
-    """Return the records of all topics in order of arrival; freight wagons weigh no load."""
+    """Return the records of all topics in order of arrival; freight trains have no load weighing."""
     senders = (
         ('speed', rates.speed, sensors.speed),
         ('force', rates.force, sensors.force),
@@ -151,7 +151,7 @@ def sense(sensors: Sensors, rates: Rates, world: str, seed: int) -> tuple[Record
     end = float(sensors.log.time[-1])
     for name, rate, sender in senders:
         rng = random_of(world, seed, f'sensor {name}')
-        # Commands are sent as soon as they are made; the other topics have a phase of their own.
+        # Commands are sent at once; the other topics have a random phase.
         phase = 1.0e-3 if name == 'brake' else float(rng.uniform(2e-3, 1.0 / rate))
         stamps = np.arange(phase, end - 2.0 * JITTER, 1.0 / rate)
         stamps = stamps + np.clip(JITTER * rng.normal(size=stamps.size), -0.9e-3, 0.9e-3)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The train file: what the engineer takes train and line to be."""
+"""The train file: assumed parameters of train and line."""
 
 from __future__ import annotations
 
@@ -46,12 +46,12 @@ def stated_file(
 
 
 def stated_dead_time(plan: Plan) -> float:
-    """Return the stated dead time [s]; it is never below a twentieth of a second."""
+    """Return the stated dead time [s], at least 0.05 s."""
     return max(plan.vehicle.brake_delay - plan.errors.brake_delay, 0.05)
 
 
 def _davis(plan: Plan, world: str, seed: int) -> Davis:
-    """Return coefficients that are each 15 to 30 % too high or too low."""
+    """Return Davis coefficients, each 15 to 30 % too high or too low."""
     rng = random_of(world, seed, 'believed resistance')
     a, b, c = (
         value * (1.0 + float(rng.uniform(0.15, 0.3)) * (1.0 if rng.uniform() < 0.5 else -1.0))
@@ -72,7 +72,7 @@ def _curve(plan: Plan, unknowns: Collection[str]) -> Effect:
 
 
 def _gradients(track: Track, map_error: MapError) -> Pairs:
-    """Return the gradients of the map, in pieces short enough to follow its error."""
+    """Return the gradients of the map, in pieces short enough to represent its error."""
     starts = np.array([start for start, _ in track.gradient])
     values = np.array([value for _, value in track.gradient])
     grid = np.arange(min(starts[0], track.stops[0]), track.stops[-1], MAP_PIECE)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The lines, two public (TTOBench, BSD-2, licence in ``data``) and three drawn, and the ways of a train on them."""
+"""The lines: two public (TTOBench, BSD-2, licence in ``data``) and three random, in both directions of travel."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ Range = tuple[float, float]
 Pairs = tuple[tuple[float, float], ...]
 
 
-# Wider curves count as straight; room before the first and behind the last stop.
+# Curvature below which track counts as straight [1/m]; margin before the first and after the last stop [m].
 LEAST_CURVATURE: Final = 1e-5
 MARGIN: Final = 1500.0
 DATA: Final = Path(__file__).parent / 'data'
@@ -37,16 +37,17 @@ class Track:
 
 @dataclass(frozen=True, slots=True)
 class Way:
-    """A line in one direction; index ``i`` is the way ``i - offset`` m of the train's front from the first stop.
+    """A line in one direction; index ``i`` is the distance ``i - offset`` m of the train's front from the first stop.
 
     Attributes:
         sign: 1 if positions rise in the direction of travel, else -1.
         origin: Position of the first stop of this direction [m].
+        offset: Index of that stop.
         gradient: Mean gradient under the train [per mille, + uphill in the direction of travel].
         curvature: Mean curvature under the train [1/m].
         slope: Gradient and curve resistance together [N/kN].
-        stops: Ways of the stops [m].
-        limits: Way from which a speed limit holds for the whole train, and the limit [m/s].
+        stops: Distances of the stops from the first one [m].
+        limits: Distance from which a speed limit holds for the entire train [m], and the limit [m/s].
 
     """
 
@@ -60,12 +61,12 @@ class Way:
     limits: Pairs
 
     def position(self, way: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Return positions along the line."""
+        """Return positions along the line [m]."""
         return self.origin + self.sign * way
 
 
 def lay_way(track: Track, sign: int, length: float, curve: float) -> Way:
-    """Return a line as a train of a length and a curve resistance coefficient meets it."""
+    """Return a line in one direction for a train length [m] and a curve resistance coefficient [N/kN m]."""
     first, last = track.stops[0] - MARGIN, track.stops[-1] + MARGIN
     grid = np.arange(first, last, 1.0) + 0.5
     gradient, limit = _sampled(track.gradient, grid), _sampled(track.limit, grid)
@@ -96,7 +97,7 @@ def _sampled(pairs: Pairs, grid: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _under_train(values: NDArray[np.float64], length: float) -> NDArray[np.float64]:
-    """Return the means over a length behind each whole metre; ``values[i]`` holds from i to i + 1 m."""
+    """Return the means over ``length`` behind each integer metre; ``values[i]`` holds from i to i + 1 m."""
     total = np.concatenate(([0.0], np.cumsum(values)))
     at = np.arange(values.size + 1, dtype=np.float64)
     rear = np.maximum(at - length, 0.0)
@@ -129,7 +130,7 @@ def _public(name: str) -> dict[str, Any]:
 
 
 def _metro() -> Track:
-    """Return the Yizhuang line; its file has no curves, so that they are drawn."""
+    """Return the Yizhuang line; its file has no curves, so they are random."""
     data = _public('CN_Songjiazhuang_Yizhuang')
     rng = np.random.default_rng(11)
     stops = tuple(float(stop) for stop in data['stops']['values'])
@@ -142,7 +143,7 @@ def _metro() -> Track:
 
 
 def _emu() -> Track:
-    """Return St. Gallen - Wil with its stations on the way and limits of a faster train category."""
+    """Return St. Gallen - Wil with its intermediate stations and the limits of a faster train category."""
     data = _public('CH_StGallen_Wil')
     radius = []
     for start, first, last in data['curvatures']['values']:
@@ -189,12 +190,12 @@ def _tram() -> Track:
     radius = _curves(rng, end, (30.0, 300.0), (20.0, 90.0), (60.0, 420.0))
     limit = tuple((s, 15.3 if r == 0.0 else min(15.3, float(np.sqrt(0.85 * r)))) for s, r in radius)
     grades = _grades(rng, end, 22.0, 60.0, (60.0, 350.0))
-    # Stops of trams lie on gentler grades than the streets between them.
-    return Track(tuple(float(s) for s in stops), _calmed(grades, stops, 20.0), radius, limit)
+    # Tram stops lie on smaller gradients than the streets between them.
+    return Track(tuple(float(s) for s in stops), _limited_at_stops(grades, stops, 20.0), radius, limit)
 
 
 def _grades(rng: np.random.Generator, end: float, std: float, most: float, lengths: Range) -> Pairs:
-    """Return gradients that lead back to the height of the start, in pieces of varied length."""
+    """Return random gradients that revert to the initial height, in pieces of random length."""
     starts, values = [-MARGIN], [0.0]
     height = 0.0
     while starts[-1] < end + MARGIN:
@@ -206,7 +207,7 @@ def _grades(rng: np.random.Generator, end: float, std: float, most: float, lengt
     return tuple(zip(starts, values, strict=True))
 
 
-def _calmed(grades: Pairs, stops: NDArray[np.float64], most: float) -> Pairs:
+def _limited_at_stops(grades: Pairs, stops: NDArray[np.float64], most: float) -> Pairs:
     cuts = sorted({start for start, _ in grades} | {float(s + d) for s in stops for d in (-40.0, 10.0)})
     values = _sampled(grades, np.array(cuts) + 0.5)
     at_stop = [bool(np.any((cut >= stops - 40.0) & (cut < stops + 10.0))) for cut in cuts]
@@ -217,7 +218,7 @@ def _calmed(grades: Pairs, stops: NDArray[np.float64], most: float) -> Pairs:
 
 
 def _curves(rng: np.random.Generator, end: float, radii: Range, curved: Range, straight: Range) -> Pairs:
-    """Return curves and straight pieces in turn; tight curves are as frequent as wide ones."""
+    """Return alternating curves and straights; radii are log-uniform."""
     out = [(-MARGIN, 0.0)]
     at = float(rng.uniform(*straight))
     while at < end:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What is not known of a real train and its sensors, each drawn by itself so that it can be switched on alone."""
+"""Unknowns of a real train and its sensors, each drawn independently so that it can be switched on alone."""
 
 from __future__ import annotations
 
@@ -21,27 +21,27 @@ CLEAN: Final = frozenset({'changes'})
 
 @dataclass(frozen=True, slots=True)
 class Errors:
-    """The drawn errors of a drive; the values without an error are the defaults.
+    """The drawn errors of a drive; the defaults are the values without the error.
 
     Attributes:
-        mass: Relative error of the stated and weighed mass.
-        weighing: Standard deviation of the relative weighing error, drawn anew at each stop.
-        force_gain: True over reported tractive effort, minus one.
-        force_delay: By how much the stamps of the force are late [s].
-        curve: Relative error of the stated curve coefficient.
+        mass: Relative error of the stated and weighed mass [1].
+        weighing: Standard deviation of the relative weighing error, independent at each stop [1].
+        force_gain: True over reported tractive effort, minus one [1].
+        force_delay: Delay of the reported force relative to its stamp [s].
+        curve: Relative error of the stated curve coefficient [1].
         map_std: Standard deviation of the error of the gradients [per mille].
-        map_length: Its correlation length [m].
-        wheels: Measured over true speed, minus one.
+        map_length: Correlation length of that error [m].
+        wheels: Measured over true speed, minus one [1].
         gust_std: Standard deviation of the random specific resistance [N/kN].
-        gust_time: Its correlation time [s].
-        speed_noise: Standard deviation of the noise of the speed [m/s].
-        quantum: Step of the measured speed [m/s].
+        gust_time: Correlation time of the random resistance [s].
+        speed_noise: Standard deviation of the speed noise [m/s].
+        quantum: Resolution of the measured speed [m/s].
         brake_delay: True minus stated dead time of the brake [s].
-        brake_lag: Stated over true time constant of the brake.
-        brake_speed: How strongly the brake rate depends on speed, from 0 to 1.
-        brake_step: Steps in which the brake acts, as a share of the greatest command, 0 = without steps.
+        brake_lag: Stated over true time constant of the brake [1].
+        brake_speed: Strength of the speed dependence of the brake rate, from 0 to 1.
+        brake_step: Resolution of the brake force as a share of the greatest command, 0 = continuous.
         blend_speed: Speed of the change from electric to friction brake [m/s].
-        blend_dip: Loss of brake rate there.
+        blend_dip: Loss of brake rate at that speed [1].
 
     """
 
@@ -66,7 +66,7 @@ class Errors:
 
 
 def random_of(world: str, seed: int, purpose: str) -> np.random.Generator:
-    """Return the random numbers of one purpose, so that what is switched on elsewhere does not change them."""
+    """Return a generator for one purpose, so that switching on other unknowns does not change its numbers."""
     return np.random.default_rng([seed, zlib.crc32(f'{world}/{purpose}'.encode())])
 
 
@@ -74,7 +74,7 @@ def draw_errors(world: str, seed: int, unknowns: Collection[str]) -> Errors:
     """Draw the errors that are switched on.
 
     Raises:
-        ValueError: A name is none of the unknowns.
+        ValueError: A name is not among ``UNKNOWNS``.
 
     """
     wrong = sorted(set(unknowns) - FIELD)

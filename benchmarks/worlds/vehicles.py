@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The five kinds of train and how one of them is drawn for a drive."""
+"""The five kinds of train, and random vehicles of each kind."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ if TYPE_CHECKING:
     import numpy as np
 
 G: Final = 9.80665
-# Dead times are whole numbers of the steps of the motion [s].
+# Dead times are multiples of the step of the motion [s].
 DELAY_STEP: Final = 0.02
 
 Range = tuple[float, float]
@@ -18,16 +18,19 @@ Range = tuple[float, float]
 
 @dataclass(frozen=True, slots=True)
 class Kind:
-    """What trains of one world have in common; ranges are uniform.
+    """Parameters of the trains of one world; ranges are those of uniform distributions.
 
     Attributes:
         mass: Mass without the variable load [kg].
         load: Greatest variable load as a share of that mass.
         rotary_mass: Rotating masses as a share of the mass.
+        length: Length [m].
+        cars: Number of cars.
+        max_speed: Greatest speed [m/s].
         force: Greatest specific tractive effort [N/kN of the mass without load].
         power: Greatest specific tractive power [W/kg].
         traction_lag: Time constant of the tractive effort [s].
-        davis: Usual a, b, c [N/kN, v in m/s].
+        davis: Nominal a, b, c [N/kN, v in m/s].
         curve: Curve resistance coefficient [N/kN m].
         brake_delay: Dead time of the brake [s].
         brake_lag: Time constant of the brake [s].
@@ -53,7 +56,7 @@ class Kind:
 
 @dataclass(frozen=True, slots=True)
 class Vehicle:
-    """One true train."""
+    """True parameters of one train, in the units of :class:`Kind`; max_force in N, max_power in W."""
 
     kind: Kind
     mass: float
@@ -84,7 +87,7 @@ KINDS: Final = {
 
 
 def draw_vehicle(kind: Kind, rng: np.random.Generator) -> Vehicle:
-    """Draw a train of a kind; a long train is a heavy one."""
+    """Draw a train of a kind; mass grows with length."""
     place = float(rng.uniform())
     mass = kind.mass[0] + place * (kind.mass[1] - kind.mass[0])
     a, b, c = (value * float(rng.uniform(0.85, 1.15)) for value in kind.davis)

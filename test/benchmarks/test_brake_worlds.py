@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The benchmark of the brake rate in five worlds: its simple method, its scores and its tables."""
+"""The brake rate benchmark in five worlds: least-squares method, scores and tables."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from benchmarks.papers.brake_runs import metro_run, metro_train
 from benchmarks.worlds import WORLDS
 
 
-def test_least_squares_finds_a_brake_rate_that_is_not_that_of_the_train_file() -> None:
+def test_least_squares_estimates_a_brake_rate_different_from_the_train_file() -> None:
     run = metro_run(11, stops=3)
     simple = LeastSquares(metro_train())
     rows = np.array([simple.step(sample) for sample in run.samples])
@@ -36,7 +36,7 @@ def test_scores_count_while_the_brake_acts_after_the_first_braking() -> None:
     assert _score(trace, data).inside == 0.0
 
 
-def test_a_table_has_a_row_for_each_world_and_method() -> None:
+def test_table_has_a_row_for_each_world_and_method() -> None:
     names, score = (*METHODS, SIMPLE, ORACLE), Score(0.0123, 0.951, 0.98, 1.5, 1.6)
     scores = {(condition, world, name): score for condition in CONDITIONS for world in WORLDS for name in names}
     for condition in CONDITIONS:

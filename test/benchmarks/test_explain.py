@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The workflow on a few hidden cases; hundreds of them are in the benchmark."""
+"""The discrepancy workflow on a few hidden cases; the benchmark runs hundreds."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ if TYPE_CHECKING:
 
 pytestmark = pytest.mark.slow
 
-# How large the effects of the fresh cases are [% of the noise floor]; and of such cases, how often the benchmark does
-# not tell the truth in a set of at most two, and how often it raises a false alarm where nothing is hidden: at most.
+# Least size of the effects of fresh cases [% of the noise floor]; highest rates in the benchmark of such cases whose
+# truth is not in a reported set of at most two, and of false alarms on cases without effect.
 LARGE = 100.0
 MISSED = 0.12
 ALARMS = 0.03
@@ -48,18 +48,18 @@ def test_hidden_effect_is_named_with_its_parameters(generator: Generator, name: 
 
 
 @pytest.mark.timeout(400)
-def test_fresh_large_effects_are_told_as_often_as_in_the_benchmark() -> None:
+def test_fresh_large_effects_are_identified_as_often_as_in_the_benchmark() -> None:
     seed = int.from_bytes(os.urandom(4))
     single = list(islice(fresh_singles(seed), 16))
     missed = sum(not within_two(one) for one in single)
-    assert missed <= tolerated(len(single), MISSED), told(seed, single)
+    assert missed <= tolerated(len(single), MISSED), report(seed, single)
 
 
 @pytest.mark.timeout(400)
-def test_fresh_cases_without_effect_raise_alarms_as_seldom_as_in_the_benchmark() -> None:
+def test_fresh_cases_without_effect_raise_no_more_alarms_than_in_the_benchmark() -> None:
     seed = int.from_bytes(os.urandom(4))
     quiet = [try_case(Spec(GENERATORS[k % 2], 'none', seed + k)) for k in range(12)]
-    assert sum(map(alarmed, quiet)) <= tolerated(len(quiet), ALARMS), told(seed, quiet)
+    assert sum(map(alarmed, quiet)) <= tolerated(len(quiet), ALARMS), report(seed, quiet)
 
 
 def fresh_singles(seed: int) -> Iterator[Outcome]:
@@ -70,20 +70,20 @@ def fresh_singles(seed: int) -> Iterator[Outcome]:
         for generator in reversed(GENERATORS):
             spec = Spec(generator, str(rng.choice(names[generator])), int(rng.integers(2**31)))
             opened = open_case(spec)
-            # Long days take long, and tell no more.
+            # Long days only take more time.
             if opened.answer.visible >= LARGE and sum(map(len, opened.bags)) < LONGEST:
                 yield explain_case(spec, opened)
 
 
 def tolerated(cases: int, wrong: float) -> int:
-    """Return how many may be wrong: more are so in fewer than one of a thousand runs of the test.
+    """Return the number of wrong cases tolerated; more occur in fewer than one of a thousand runs of the test.
 
-    A workflow that is wrong half the time fails in most of them.
+    A workflow that is wrong half the time fails in most runs.
     """
     most = int(binom.isf(FALSE_FAILURE, cases, wrong))
-    assert binom.sf(most, cases, 0.5) > 0.5, 'a test that cannot fail'
+    assert binom.sf(most, cases, 0.5) > 0.5, 'the test has no power'
     return most
 
 
-def told(seed: int, outcomes: list[Outcome]) -> str:
+def report(seed: int, outcomes: list[Outcome]) -> str:
     return '\n'.join([f'seed {seed}', *map(line_of, outcomes)])

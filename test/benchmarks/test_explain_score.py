@@ -11,11 +11,11 @@ from benchmarks.explain_cases import GENERATORS, Answer, HiddenEffect, Spec, dra
 from benchmarks.explain_plots import gap_plot, visibility_plot
 from benchmarks.explain_score import (
     Rate,
+    acceptable,
     alarmed,
     both,
     exact,
     generic,
-    honest,
     parameter_errors,
     reported,
     rms,
@@ -33,7 +33,7 @@ DRAG = HiddenEffect('local_drag', (), (), 40.0)
 WAVE = HiddenEffect('wavy_drag', (), ('gradient_error',), 50.0)
 
 
-def told(
+def outcome_of(
     *hidden: HiddenEffect,
     kind: str = 'single',
     verdict: str = 'explained',
@@ -52,66 +52,66 @@ def name(text: str, *twins: str, speed: float = 5.0, std: float = 1.0) -> Named:
 SLIP = name('wheel_slip')
 
 
-def test_exact_is_the_truth_and_nothing_else() -> None:
-    assert exact(told(WIND, found=(name('headwind'),)))
-    assert exact(told(WIND, verdict='ambiguous', found=(name('headwind', 'tunnel_drag'),)))
-    assert not exact(told(WIND, found=(name('tunnel_drag', 'headwind'),)))
-    assert not exact(told(WIND, found=(name('headwind'), name('mass_error'))))
-    assert not exact(told(WIND, verdict='no_gap'))
-    assert exact(told(WIND, DRAG, kind='pair', found=(name('local_drag'), name('headwind'))))
+def test_exact_requires_all_hidden_effects_and_no_other() -> None:
+    assert exact(outcome_of(WIND, found=(name('headwind'),)))
+    assert exact(outcome_of(WIND, verdict='ambiguous', found=(name('headwind', 'tunnel_drag'),)))
+    assert not exact(outcome_of(WIND, found=(name('tunnel_drag', 'headwind'),)))
+    assert not exact(outcome_of(WIND, found=(name('headwind'), name('mass_error'))))
+    assert not exact(outcome_of(WIND, verdict='no_gap'))
+    assert exact(outcome_of(WIND, DRAG, kind='pair', found=(name('local_drag'), name('headwind'))))
 
 
-def test_set_holds_at_most_two_names() -> None:
-    assert within_two(told(WIND, verdict='ambiguous', found=(name('tunnel_drag', 'headwind'),)))
-    assert not within_two(told(WIND, verdict='ambiguous', found=(name('tunnel_drag', 'mass_error', 'headwind'),)))
-    assert not within_two(told(WIND, found=(name('tunnel_drag'),)))
-    assert not within_two(told(WIND, verdict='unexplained'))
-    assert reported(told(WIND, found=(name('a', 'b'), name('b', 'a')))) == ('a', 'b')
+def test_within_two_accepts_at_most_two_reported_names() -> None:
+    assert within_two(outcome_of(WIND, verdict='ambiguous', found=(name('tunnel_drag', 'headwind'),)))
+    assert not within_two(outcome_of(WIND, verdict='ambiguous', found=(name('tunnel_drag', 'mass_error', 'headwind'),)))
+    assert not within_two(outcome_of(WIND, found=(name('tunnel_drag'),)))
+    assert not within_two(outcome_of(WIND, verdict='unexplained'))
+    assert reported(outcome_of(WIND, found=(name('a', 'b'), name('b', 'a')))) == ('a', 'b')
 
 
-def test_anything_told_of_nothing_is_a_false_alarm() -> None:
-    assert not alarmed(told(kind='none', verdict='no_gap'))
-    assert alarmed(told(kind='none', verdict='unexplained'))
-    assert alarmed(told(kind='none', verdict='ambiguous', found=(name('headwind'),)))
-    assert alarmed(told(kind='none', verdict=CRASHED))
-    assert alarmed(told(kind='none', found=(SLIP,)))
+def test_any_report_on_a_case_without_effect_is_a_false_alarm() -> None:
+    assert not alarmed(outcome_of(kind='none', verdict='no_gap'))
+    assert alarmed(outcome_of(kind='none', verdict='unexplained'))
+    assert alarmed(outcome_of(kind='none', verdict='ambiguous', found=(name('headwind'),)))
+    assert alarmed(outcome_of(kind='none', verdict=CRASHED))
+    assert alarmed(outcome_of(kind='none', found=(SLIP,)))
 
 
-def test_slip_that_spoils_the_data_may_be_named() -> None:
+def test_slip_that_contaminates_the_data_may_be_named() -> None:
     spoiled = ('slip',)
-    assert not alarmed(told(kind='none', found=(SLIP,), contamination=spoiled))
-    assert alarmed(told(kind='none', found=(SLIP, name('headwind')), contamination=spoiled))
-    assert alarmed(told(kind='none', verdict='unexplained', found=(SLIP,), contamination=spoiled))
-    assert exact(told(WIND, found=(SLIP, name('headwind')), contamination=spoiled))
-    assert exact(told(WIND, found=(name('headwind'),), contamination=spoiled))
-    assert not exact(told(WIND, found=(SLIP, name('headwind'))))
+    assert not alarmed(outcome_of(kind='none', found=(SLIP,), contamination=spoiled))
+    assert alarmed(outcome_of(kind='none', found=(SLIP, name('headwind')), contamination=spoiled))
+    assert alarmed(outcome_of(kind='none', verdict='unexplained', found=(SLIP,), contamination=spoiled))
+    assert exact(outcome_of(WIND, found=(SLIP, name('headwind')), contamination=spoiled))
+    assert exact(outcome_of(WIND, found=(name('headwind'),), contamination=spoiled))
+    assert not exact(outcome_of(WIND, found=(SLIP, name('headwind'))))
 
 
-def test_honest_outside_the_library() -> None:
-    assert honest(told(WAVE, kind='outside', verdict='unexplained'))
-    assert honest(told(WAVE, kind='outside', found=(name('local_drag'),)))
-    near = told(WAVE, kind='outside', found=(name('gradient_error'),))
-    assert honest(near)
+def test_acceptable_names_outside_the_library() -> None:
+    assert acceptable(outcome_of(WAVE, kind='outside', verdict='unexplained'))
+    assert acceptable(outcome_of(WAVE, kind='outside', found=(name('local_drag'),)))
+    near = outcome_of(WAVE, kind='outside', found=(name('gradient_error'),))
+    assert acceptable(near)
     assert not generic(near)
-    assert not honest(told(WAVE, kind='outside', found=(name('gradient_error'), name('headwind'))))
-    assert not honest(told(WAVE, kind='outside', verdict='no_gap'))
-    assert not honest(told(WAVE, kind='outside', verdict=CRASHED))
+    assert not acceptable(outcome_of(WAVE, kind='outside', found=(name('gradient_error'), name('headwind'))))
+    assert not acceptable(outcome_of(WAVE, kind='outside', verdict='no_gap'))
+    assert not acceptable(outcome_of(WAVE, kind='outside', verdict=CRASHED))
 
 
-def test_pair_is_visible_if_each_is() -> None:
+def test_pair_is_visible_if_each_effect_is() -> None:
     small = HiddenEffect('mass_error', (), (), 3.0)
-    assert visible(told(WIND, DRAG, kind='pair'))
-    assert not visible(told(WIND, small, kind='pair'))
-    assert both(told(WIND, DRAG, kind='pair', found=(name('headwind'), name('local_drag'), name('mass_error'))))
-    assert not both(told(WIND, DRAG, kind='pair', found=(name('headwind'),)))
+    assert visible(outcome_of(WIND, DRAG, kind='pair'))
+    assert not visible(outcome_of(WIND, small, kind='pair'))
+    assert both(outcome_of(WIND, DRAG, kind='pair', found=(name('headwind'), name('local_drag'), name('mass_error'))))
+    assert not both(outcome_of(WIND, DRAG, kind='pair', found=(name('headwind'),)))
 
 
-def test_errors_are_counted_in_their_own_std() -> None:
-    errors = parameter_errors(told(WIND, found=(name('headwind', speed=8.0, std=2.0), name('mass_error'))))
+def test_parameter_errors_are_in_units_of_their_std() -> None:
+    errors = parameter_errors(outcome_of(WIND, found=(name('headwind', speed=8.0, std=2.0), name('mass_error'))))
     assert errors == (('headwind.speed', 1.5),)
-    [(_, unknown)] = parameter_errors(told(WIND, found=(name('headwind', std=math.nan),)))
+    [(_, unknown)] = parameter_errors(outcome_of(WIND, found=(name('headwind', std=math.nan),)))
     assert math.isinf(unknown)
-    twice = told(WIND, found=(name('headwind', speed=6.0), name('headwind', speed=9.0)))
+    twice = outcome_of(WIND, found=(name('headwind', speed=6.0), name('headwind', speed=9.0)))
     assert parameter_errors(twice) == (('headwind.speed', 1.0),)
     assert exact(twice)
     assert within_std([1.5, -2.5, math.inf, -0.2]).hits == 2
@@ -125,10 +125,10 @@ def test_wilson_interval() -> None:
 
 
 def test_targets_are_judged_from_the_outcomes() -> None:
-    right = [told(WIND, found=(name('headwind'),))] * 9
-    wrong = [told(WIND, verdict='no_gap')]
-    quiet = [told(kind='none', verdict='no_gap')] * 49
-    table = targets([*right, *wrong, *quiet, told(kind='none', verdict='unexplained')], 'test')
+    right = [outcome_of(WIND, found=(name('headwind'),))] * 9
+    wrong = [outcome_of(WIND, verdict='no_gap')]
+    quiet = [outcome_of(kind='none', verdict='no_gap')] * 49
+    table = targets([*right, *wrong, *quiet, outcome_of(kind='none', verdict='unexplained')], 'test')
     met = {row[0].split(',')[0]: row[-1] for row in table.rows}
     assert met['false alarms on no-effect cases'] == 'yes'
     assert met['exact name'] == 'yes'
@@ -139,13 +139,13 @@ def test_targets_are_judged_from_the_outcomes() -> None:
     assert seconds_for_eight(right[0]) == pytest.approx(2.0)
 
 
-def test_tables_and_lines_hold_what_was_told() -> None:
+def test_tables_and_lines_contain_the_reported_effects() -> None:
     mixed = [
-        told(WIND, found=(name('headwind', 'tunnel_drag'),), verdict='ambiguous', contamination=('outliers',)),
-        told(kind='none', verdict='no_gap'),
-        told(WAVE, kind='outside', verdict='unexplained'),
-        told(WIND, DRAG, kind='pair', found=(name('headwind'),)),
-        told(WIND, verdict=CRASHED),
+        outcome_of(WIND, found=(name('headwind', 'tunnel_drag'),), verdict='ambiguous', contamination=('outliers',)),
+        outcome_of(kind='none', verdict='no_gap'),
+        outcome_of(WAVE, kind='outside', verdict='unexplained'),
+        outcome_of(WIND, DRAG, kind='pair', found=(name('headwind'),)),
+        outcome_of(WIND, verdict=CRASHED),
     ]
     text = '\n'.join(as_markdown(table) for table in tables_of(mixed, 'test'))
     for part in ('headwind~tunnel_drag: 1', 'crashed: 1', 'wavy_drag', 'outliers', 'headwind.speed'):
@@ -154,14 +154,14 @@ def test_tables_and_lines_hold_what_was_told() -> None:
     assert 'headwind[50]~tunnel_drag' in line_of(mixed[0])
 
 
-def test_plots_take_few_cases_too() -> None:
-    few: list[list[Outcome]] = [[told(WIND, found=(name('headwind'),))], []]
+def test_plots_accept_one_case_and_none() -> None:
+    few: list[list[Outcome]] = [[outcome_of(WIND, found=(name('headwind'),))], []]
     for outcomes in few:
         for plot in (visibility_plot(outcomes), gap_plot(outcomes)):
             plot.figure.savefig(io.BytesIO(), format='svg')
 
 
-def test_specs_are_drawn_or_asked_for() -> None:
+def test_specs_are_drawn_at_random_or_by_name() -> None:
     for generator in GENERATORS:
         assert len(set(draw_specs(generator, 3, 60))) == 60
     asked = draw_specs('B', 2, 4, ('none', 'headwind'))

@@ -42,7 +42,7 @@ ALLOWED = {'trainid_ros.core.records', 'trainid_ros.bag.writer'}
 
 
 def small_world(seed: int, legs: int = 2, *, calm: bool = False) -> World:
-    """A run up the line and one back over the same rails, if ``calm`` with nothing in them that nobody models."""
+    """A run up the line and one back on the same track; ``calm``: without gusts, map and sensor errors."""
     world = draw_world(np.random.default_rng([seed, 1]))
     day = [leg for bag in world.bags for leg in bag]
     back = [leg for leg in reversed(day) if leg.heading < 0] or day[1:]
@@ -73,7 +73,7 @@ def gap(world: World, effect: Hidden) -> float:
     return measure_gaps([log], [np.zeros((1, len(log.speed)))], world.vehicle).total
 
 
-def test_imports_nothing_that_could_share_a_mistake() -> None:
+def test_generator_imports_no_code_under_test() -> None:
     trees = [ast.parse(path.read_text(encoding='utf-8')) for path in FOLDER.glob('*.py')]
     imported = {node.module for tree in trees for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
     assert {name for name in imported if name and name.startswith('trainid_ros')} == ALLOWED
@@ -82,7 +82,7 @@ def test_imports_nothing_that_could_share_a_mistake() -> None:
 
 
 def test_records_of_a_calm_day_balance_energy() -> None:
-    """Work of the force less that of resistance and gradient is kinetic energy, over every run, from records alone."""
+    """Work of the force minus that of resistance and gradient is kinetic energy, in every run, from records alone."""
     world = small_world(two_way_seed(7001), calm=True)
     records = ride_case('none', 1, world, []).bags[0]
     gamma, (a, b, c) = world.vehicle.rotary, world.vehicle.davis
@@ -106,7 +106,7 @@ def test_conventions_of_the_interface() -> None:
     assert position[-1] > position[0] + 1000.0
     assert np.all(column(records, BrakeRecord, 'target_acceleration') <= 0.0)
     assert np.all(column(records, SpeedRecord, 'speed') >= 0.0)
-    # The force while braking is that of the nominal brake, though the true one is weaker.
+    # The reported force while braking is that of the nominal brake, although the true one is weaker.
     log = ridden(world, [weak])
     braking = np.flatnonzero((log.command < -0.3) & (log.run == 0))
     settled = braking[np.all([log.command[braking - k] == log.command[braking] for k in range(0, 300, 20)], axis=0)]
@@ -114,17 +114,17 @@ def test_conventions_of_the_interface() -> None:
     assert log.force[settled] == pytest.approx(nominal, rel=0.03)
 
 
-def test_track_is_felt_under_the_train_with_the_sign_of_travel() -> None:
+def test_track_values_are_means_under_the_train_with_the_sign_of_travel() -> None:
     world = small_world(two_way_seed(7201), calm=True)
     length = world.vehicle.length
     track = Track(world.route, length, world.nuisance, np.random.default_rng(1))
     front = np.array([500.0, 500.0 - length])
-    felt = track.under(front, np.array([1, -1]))
-    # Both stand on the same rails, once heading up and once down the line.
-    assert felt[0] == pytest.approx(felt[1], abs=1e-12)
+    means = track.under(front, np.array([1, -1]))
+    # Both trains cover the same track, in opposite directions.
+    assert means[0] == pytest.approx(means[1], abs=1e-12)
     place = np.arange(500 - length, 500) + 0.5
     starts, values = np.array(world.route.gradient).T
-    assert felt[0, 1] == pytest.approx(np.mean(values[np.searchsorted(starts, place, side='right') - 1]), abs=1e-9)
+    assert means[0, 1] == pytest.approx(np.mean(values[np.searchsorted(starts, place, side='right') - 1]), abs=1e-9)
     records = ride_case('none', 1, world, []).bags[0]
     gradient, place = column(records, GradientRecord, 'gradient'), column(records, SpeedRecord, 'position')
     away, back = np.abs(place - 700.0) < 8.0, np.abs(place - (700.0 - length)) < 8.0
@@ -145,7 +145,7 @@ def test_sign_of_a_section(name: str, same_both_ways: bool) -> None:
     assert down == pytest.approx(up if same_both_ways else -up)
 
 
-def test_wind_blows_against_a_train_that_runs_up_the_line() -> None:
+def test_positive_headwind_opposes_a_train_with_rising_positions() -> None:
     world = small_world(7401)
     effect = LIBRARY['headwind'](world, np.random.default_rng(2))
     wind, c = effect.parameters[0][1], world.vehicle.davis[2]
@@ -153,7 +153,7 @@ def test_wind_blows_against_a_train_that_runs_up_the_line() -> None:
     assert effect.drag(Moment(speed=20.0, heading=1)) == pytest.approx(c * ((20.0 + wind) ** 2 - 400.0))
 
 
-def test_heavier_train_accelerates_less_and_weighs_the_same_to_its_resistance() -> None:
+def test_mass_ratio_changes_acceleration_but_not_specific_resistance() -> None:
     world = small_world(7501, legs=1, calm=True)
     heavy = Hidden('mass_error', (), mass_ratio=1.1)
     log = ridden(world, [heavy])
@@ -162,7 +162,7 @@ def test_heavier_train_accelerates_less_and_weighs_the_same_to_its_resistance() 
     assert log.added[0][moving] == pytest.approx(reported * (1.0 / 1.1 - 1.0), abs=1e-9)
 
 
-def test_what_davis_takes_up_is_no_gap_and_other_drag_is() -> None:
+def test_drag_of_davis_form_leaves_no_gap_and_other_drag_does() -> None:
     world = small_world(two_way_seed(7601), calm=True)
     davis = Hidden('x', (), drag=lambda m: 0.3 + 0.02 * m.speed + 0.0004 * m.speed**2)
     one_way = Hidden('x', (), drag=lambda m: 0.3 * m.heading)
@@ -170,8 +170,8 @@ def test_what_davis_takes_up_is_no_gap_and_other_drag_is() -> None:
     assert gap(world, one_way) > 0.03
 
 
-def test_gap_is_that_of_a_nonlinear_refit() -> None:
-    """Integrate the believed equation itself, and search initial speeds and a, b, c by brute force."""
+def test_gap_equals_that_of_a_nonlinear_refit() -> None:
+    """Integrate the assumed equation and fit initial speeds and a, b, c by nonlinear least squares."""
     world = small_world(7701, calm=True)
     effect = traction_scale(world, np.random.default_rng(4))
     log = ridden(world, [effect])
@@ -182,7 +182,7 @@ def test_gap_is_that_of_a_nonlinear_refit() -> None:
     known = (log.force / log.weighed - G / 1000.0 * mapped) / rotary
     means = [known[rows].reshape(-1, every).mean(axis=1).tolist() for rows in runs]
 
-    def missed(x: NDArray[np.float64]) -> NDArray[np.float64]:
+    def gaps(x: NDArray[np.float64]) -> NDArray[np.float64]:
         a, b, c = (x[:3] * np.array([1.0, 0.1, 0.005])).tolist()
         path: list[float] = []
         for v, forces in zip(x[3:].tolist(), means, strict=True):
@@ -197,13 +197,13 @@ def test_gap_is_that_of_a_nonlinear_refit() -> None:
         return apart
 
     a, b, c = world.vehicle.davis
-    best = least_squares(missed, [a, b / 0.1, c / 0.005, 0.0, 0.0])
+    best = least_squares(gaps, [a, b / 0.1, c / 0.005, 0.0, 0.0])
     nonlinear = math.sqrt(float(np.mean(best.fun**2)))
     assert gap(world, effect) == pytest.approx(nonlinear, rel=0.1)
 
 
 @pytest.mark.parametrize('name', [*LIBRARY, *OUTSIDE])
-def test_every_effect_moves_the_train_or_its_sensors(name: str) -> None:
+def test_every_effect_changes_the_motion_or_the_sensors(name: str) -> None:
     rng = np.random.default_rng(5)
     world = small_world(7801)
     effect = (LIBRARY | OUTSIDE)[name](world, rng)
@@ -234,19 +234,19 @@ def _spots(world: World) -> list[tuple[float, int]]:
     return [(float(x), heading) for x in range(0, int(world.route.stops[-1]), 50) for heading in (1, -1)]
 
 
-def test_truth_stays_apart_from_what_is_believed() -> None:
+def test_assumed_train_file_contains_no_truth() -> None:
     world = small_world(7901, legs=1)
     effect = LIBRARY['dragging_brake'](world, np.random.default_rng(1))
     case = ride_case('dragging_brake', 7901, world, [effect])
     assert case.truth.kind == 'single'
     assert case.truth.effects[0].parameters == effect.parameters
     assert case.truth.visible_percent > 0.0
-    assert 'dragging' not in case.believed
-    assert 'effects: []' in case.believed
+    assert 'dragging' not in case.train_yaml
+    assert 'effects: []' in case.train_yaml
     assert case == ride_case('dragging_brake', 7901, world, [effect])
 
 
-def test_pairs_tell_each_effect_its_part() -> None:
+def test_pairs_have_a_gap_for_each_effect() -> None:
     world = small_world(7951, legs=1)
     both = [draw(world, np.random.default_rng(1)) for draw in (LIBRARY['brake_delay'], LIBRARY['local_drag'])]
     truth = ride_case('brake_delay+local_drag', 3, world, both).truth
@@ -266,12 +266,12 @@ def test_mix_of_cases() -> None:
     assert set(LIBRARY) | set(OUTSIDE) <= set(names)
 
 
-def test_unknown_name_is_refused() -> None:
+def test_unknown_name_is_rejected() -> None:
     with pytest.raises(ValueError, match="'gremlins' is not known"):
         make_case('gremlins', 1)
 
 
-def test_effects_that_count_from_the_start_keep_to_one_bag() -> None:
+def test_effects_that_depend_on_the_start_use_one_bag() -> None:
     assert set(LIBRARY | OUTSIDE) >= COUNTS_FROM_START
     worlds = [draw_world(np.random.default_rng([seed, 1]), one_bag=True) for seed in range(40)]
     assert {len(world.bags) for world in worlds} == {1}

@@ -14,7 +14,7 @@ from benchmarks.hidden_cases_b import LIBRARY, NAMES, NEAR, OUTSIDE, PAIRS, SENS
 from benchmarks.hidden_cases_b.quirks import NEUTRAL
 from benchmarks.hidden_cases_b.scene import Wish, draw_scene, drive
 from benchmarks.hidden_cases_b.sensing import draw_instruments
-from benchmarks.hidden_cases_b.visibility import lacking
+from benchmarks.hidden_cases_b.visibility import balance_residual
 from benchmarks.hidden_cases_b.write import write_case
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.core.alignment import Aligner, AlignmentConfig
@@ -31,44 +31,44 @@ FOLDER = Path(hidden_cases_b.__file__).parent
 ALLOWED = {'trainid_ros.core.records', 'trainid_ros.bag.writer'}
 
 
-def test_imports_nothing_that_could_share_a_mistake() -> None:
+def test_generator_imports_no_code_under_test() -> None:
     trees = [ast.parse(path.read_text(encoding='utf-8')) for path in FOLDER.glob('*.py')]
     modules = {node.module or '' for tree in trees for node in ast.walk(tree) if isinstance(node, ast.ImportFrom)}
     assert {name for name in modules if name.startswith('trainid_ros')} == ALLOWED
-    # Two minds: the first generator is no source either.
+    # Nor does it use the first generator.
     assert not [name for name in modules if name.startswith('benchmarks') and 'hidden_cases_b' not in name]
     plain = [node for tree in trees for node in ast.walk(tree) if isinstance(node, ast.Import)]
     assert not [name for node in plain for name in node.names if name.name.startswith(('trainid', 'benchmarks'))]
 
 
-def test_names_are_those_of_the_library_or_have_none_there() -> None:
+def test_names_are_in_the_library_or_outside_effects() -> None:
     assert set(LIBRARY) | set(SENSOR_EXTRA) <= set(EFFECTS)
     assert not set(OUTSIDE) & set(EFFECTS)
     assert set(NEAR) <= set(OUTSIDE)
     assert {name for names in NEAR.values() for name in names} <= set(EFFECTS)
 
 
-def test_same_name_and_seed_make_the_same_case() -> None:
+def test_equal_names_and_seeds_give_equal_cases() -> None:
     assert make_case('local_drag', 5) == make_case('local_drag', 5)
     assert make_case('local_drag', 5).bags != make_case('local_drag', 6).bags
 
 
-def test_balance_closes_where_nothing_is_hidden() -> None:
+def test_residual_is_small_without_hidden_effects() -> None:
     for seed in range(4):
         scene = draw_scene(seed, Wish())
         log = drive(scene, NEUTRAL)
         kit = draw_instruments(np.random.default_rng(seed), scene, NEUTRAL)
-        lacks = lacking(scene, NEUTRAL, kit, log)[log[:, 2] > 1.0]
-        assert abs(np.mean(lacks)) < 0.06
-        assert np.median(np.abs(lacks)) < 0.02
+        residual = balance_residual(scene, NEUTRAL, kit, log)[log[:, 2] > 1.0]
+        assert abs(np.mean(residual)) < 0.06
+        assert np.median(np.abs(residual)) < 0.02
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize('name', [*(name for name in NAMES if '+' not in name), *PAIRS[::5]])
 def test_every_name_gives_usable_data(name: str) -> None:
     case = make_case(name, 77)
-    believed = parse_train_file(case.train_yaml, 'believed')
-    assert not believed.effects
+    assumed = parse_train_file(case.train_yaml, 'assumed train file')
+    assert not assumed.effects
     assert case.truth.effects == (() if name == 'none' else tuple(name.split('+')))
     assert np.isfinite(case.truth.visible)
     for bag in case.bags:
@@ -91,16 +91,16 @@ def aligned_share(case: Case) -> float:
 
 
 @pytest.mark.slow
-def test_gradient_topic_is_the_map_under_the_train() -> None:
+def test_gradient_topic_equals_the_map_under_the_train() -> None:
     seen = 0
     for seed in range(16):
         case = make_case('none', seed)
-        believed = parse_train_file(case.train_yaml, 'believed')
+        assumed = parse_train_file(case.train_yaml, 'assumed train file')
         flags = case.truth.flags
-        if not believed.line.gradient or 'point_gradient' in flags or 'one_way' not in flags:
+        if not assumed.line.gradient or 'point_gradient' in flags or 'one_way' not in flags:
             continue
         seen += 1
-        profile = LineProfile(believed.line, believed.train.length)
+        profile = LineProfile(assumed.line, assumed.train.length)
         speeds = [record for record in case.bags[0] if isinstance(record, SpeedRecord)]
         slopes = [record for record in case.bags[0] if isinstance(record, GradientRecord)]
         times = [record.stamp_ns for record in slopes]
@@ -111,8 +111,8 @@ def test_gradient_topic_is_the_map_under_the_train() -> None:
 
 
 @pytest.mark.parametrize(('effect', 'fitted'), [('tunnel_drag', 2.0), ('mass_error', 1.1), ('local_drag', 3.0)])
-def test_hidden_effect_is_what_the_balance_lacks(effect: str, fitted: float) -> None:
-    """What the believed balance lacks on the ride is the effect's own equation, to the size of what was hidden."""
+def test_residual_has_the_form_and_size_of_the_hidden_effect(effect: str, fitted: float) -> None:
+    """The residual of the assumed balance follows the equation of the effect, with the hidden size."""
     quirk = {'tunnel_drag': 'bore_gain', 'mass_error': 'heavy', 'local_drag': 'rub'}[effect]
     wish = Wish(tunnels=True)
     scene = draw_scene(11, wish)
@@ -120,7 +120,7 @@ def test_hidden_effect_is_what_the_balance_lacks(effect: str, fitted: float) -> 
     quirks = NEUTRAL._replace(**{quirk: fitted, 'rub_from': low, 'rub_to': high})
     log = drive(scene, quirks)
     kit = draw_instruments(np.random.default_rng(11), scene, quirks)
-    lacks, speed = lacking(scene, quirks, kit, log), log[:, 2]
+    residual, speed = balance_residual(scene, quirks, kit, log), log[:, 2]
     stock, ground = scene.stocks[0], scene.ground
     dark = ground.mean_under(ground.bore, log[:, 1], log[:, 3], stock.length)
     rise = 1000.0 / 9.81 * (1.0 + stock.gamma) * np.gradient(speed, 0.1)
@@ -129,10 +129,10 @@ def test_hidden_effect_is_what_the_balance_lacks(effect: str, fitted: float) -> 
         'mass_error': rise + stock.a + stock.b * speed + stock.c * speed**2,
         'local_drag': np.ones_like(speed),
     }
-    # Well inside the line, so that the whole train is on it.
+    # Far enough inside the line that the entire train is on it.
     inside = (speed > 3.0) & (np.minimum(log[:, 1] - low, high - log[:, 1]) > stock.length)
     column, neutral = columns[effect][inside], 1.0 if effect != 'local_drag' else 0.0
-    size = float(column @ lacks[inside] / (column @ column))
+    size = float(column @ residual[inside] / (column @ column))
     assert size == pytest.approx(fitted - neutral, rel=0.15)
 
 

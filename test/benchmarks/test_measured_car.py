@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The conversion of measured trips to records: on a synthetic trip, and on the real ones where they are at hand."""
+"""Conversion of measured trips to records, on a synthetic trip and on the real trips if available."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ STEPS = {'t': 0.1, 'speed_kmh': 0.01, 'elevation_m': 0.01, 'throttle': 0.01, 'mo
 
 
 def write_trip(folder: Path, name: str, seconds: float = 600.0) -> None:
-    """Write a trip up a slope of 12 per mille; the pedal is up in the last fifth of each minute."""
+    """Write a trip up a slope of 12 per mille; the pedal is released in the last fifth of each minute."""
     t = np.arange(0.0, seconds, 0.1)
     v = 18.0 + 8.0 * np.sin(t / 15.0)
     rate = np.gradient(v, 0.1)
@@ -40,7 +40,7 @@ def write_trip(folder: Path, name: str, seconds: float = 600.0) -> None:
         'elevation_m': 500.0 + np.cumsum(v) * 0.1 * GRADE / 1000.0,
         'throttle': np.where(t % 60.0 < 48.0, 20.0, 0.0),
         'motor_torque_nm': force * 0.3397 / 9.665,
-        'acc_long': rate + G * GRADE / 1000.0 + 0.3,  # the accelerometer is mounted askew
+        'acc_long': rate + G * GRADE / 1000.0 + 0.3,  # offset of the accelerometer
     }
     stored = {key: np.diff(np.round(columns[key] / step).astype(np.int64), prepend=0) for key, step in STEPS.items()}
     np.savez(folder / f'{name}.npz', names=list(STEPS), steps=list(STEPS.values()), **stored)  # type: ignore[arg-type]
@@ -55,26 +55,26 @@ def folder(tmp_path: Path) -> Path:
     return tmp_path
 
 
-def test_trips_of_a_season_are_in_order_of_date(folder: Path) -> None:
+def test_trips_of_a_season_are_sorted_by_date(folder: Path) -> None:
     assert trip_names(folder, 'B') == ('TripB02', 'TripB05')
     assert trip_names(folder, 'A') == ('TripA02',)
 
 
-def test_the_stated_car_resists_as_it_coasted_down() -> None:
+def test_stated_car_has_the_coast_down_resistance() -> None:
     car = stated_car()
     force = MASS * G / 1000.0 * davis(car.resistance, 20.0)
     assert force == pytest.approx(101.9 + 3.443 * 20.0 + 0.3619 * 400.0)
     assert (car.train.mass_std, car.train.force_std, car.line.gradient_std) == (0.1, 0.1, 5.0)
 
 
-def test_the_gradient_is_free_of_the_offset_of_the_accelerometer(folder: Path) -> None:
+def test_gradient_does_not_contain_the_accelerometer_offset(folder: Path) -> None:
     slope = gradient(load_trip(folder, 'TripB02'))
-    # At the ends the low-pass has but one side.
+    # At the ends the low-pass has data on one side only.
     assert slope[1500:-1500] == pytest.approx(GRADE, abs=2.0)
     assert slope[1500:-1500].mean() == pytest.approx(GRADE, abs=0.5)
 
 
-def test_records_carry_speed_force_gradient_and_a_brake_where_the_pedal_is_up(folder: Path) -> None:
+def test_records_contain_speed_force_gradient_and_a_brake_command_while_the_pedal_is_released(folder: Path) -> None:
     trip = load_trip(folder, 'TripB02')
     found = list(records(trip))
     assert len(found) == 4 * trip.speed.size
@@ -89,7 +89,7 @@ def test_records_carry_speed_force_gradient_and_a_brake_where_the_pedal_is_up(fo
     assert sum(isinstance(record, GradientRecord) for record in found) == trip.speed.size
 
 
-def test_the_regression_finds_resistance_and_mass(folder: Path) -> None:
+def test_regression_recovers_resistance_and_mass(folder: Path) -> None:
     found = regress([load_trip(folder, 'TripB02')])
     assert found.force == pytest.approx(150.0 + 40.0 + 140.0, abs=15.0)
     assert found.masses['TripB02'] == pytest.approx(EFFECTIVE, rel=0.03)
@@ -97,7 +97,7 @@ def test_the_regression_finds_resistance_and_mass(folder: Path) -> None:
 
 
 @pytest.mark.parametrize(('season', 'reference'), [('A', 312.0), ('B', 421.0)])
-def test_on_the_real_trips_the_regression_is_that_of_the_reference(season: str, reference: float) -> None:
+def test_regression_on_the_real_trips_matches_the_reference(season: str, reference: float) -> None:
     if not (FOLDER / 'trips.csv').is_file():
         pytest.skip(f'the measured trips are not in {FOLDER}: they are not part of the repository')
     found = regress([load_trip(FOLDER, name) for name in trip_names(FOLDER, season)])

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Scores of the resistance on real trains, on small cases made by hand and on one short drive."""
+"""Scores of resistance estimates on real trains: small hand-made cases and one short drive."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ from benchmarks.worlds import CLEAN, FIELD, WORLDS, Rates, drive
 from trainid_ros.resistance.speed_states import A, B, C
 
 N = 4
-# Speed 2 m/s: w is off by 1 + 2 * 0.5 + 4 * 0.25 = 3 in the last two samples.
+# Speed 2 m/s: the error of w is 1 + 2 * 0.5 + 4 * 0.25 = 3 in the last two samples.
 COURSE = Course(
     speed=np.full(N, 2.0),
     davis=np.tile((1.0, 0.5, 0.25), (N, 1)),
@@ -54,7 +54,7 @@ ANSWERS = Answers(
 )
 
 
-def test_error_and_cover_are_of_settled_samples() -> None:
+def test_error_and_coverage_use_settled_samples_only() -> None:
     found = score(ANSWERS, COURSE)
     assert found.error == pytest.approx(3.0)
     # 3 lies within 1.96 * 1.6, but not within 1.96 * 0.9.
@@ -65,18 +65,18 @@ def test_status_is_scored_over_the_time_in_motion() -> None:
     found = score(ANSWERS, COURSE)
     assert found.valid == pytest.approx(1.0 / 3.0)
     assert found.first_valid_min == 2.0
-    # Two samples in motion were used; one is VALID and 3 > 3 * 0.9 off.
+    # Two samples in motion were used; one is VALID with an error of 3 > 3 * 0.9.
     assert found.wrong == 0.5
     assert score(replace(ANSWERS, std=np.full(N, 1.1)), COURSE).wrong == 0.0
 
 
-def test_without_settled_samples_there_is_no_error() -> None:
+def test_error_is_nan_without_settled_samples() -> None:
     found = score(ANSWERS, replace(COURSE, settled=np.zeros(N, bool)))
     assert math.isnan(found.error)
     assert math.isnan(found.cover)
 
 
-def test_never_valid_is_infinitely_late() -> None:
+def test_time_to_first_valid_is_infinite_if_never_valid() -> None:
     assert first_valid(COURSE.motion_s, np.zeros(N, bool)) == math.inf
 
 
@@ -89,7 +89,7 @@ def test_time_in_motion_counts_from_the_last_change() -> None:
     assert motion_since_change(time_s, motion_s, (3.0, 6.0)).tolist() == [0, 1, 0, 0, 0, 0, 1, 2]
 
 
-def test_a_course_settles_after_motion_not_after_time() -> None:
+def test_settling_counts_time_in_motion_not_elapsed_time() -> None:
     truth = drive('metro', 21, CLEAN, duration=900.0).truth
     course = course_of(truth, truth.time_ns)
     assert course.motion_s[-1] == pytest.approx(0.2 * np.count_nonzero(truth.speed >= 1.0), rel=0.01)
@@ -99,16 +99,16 @@ def test_a_course_settles_after_motion_not_after_time() -> None:
     assert np.array_equal(course.davis[-1], (truth.a[-1], truth.b[-1], truth.c[-1]))
 
 
-def test_all_algorithms_go_along_on_a_short_drive() -> None:
+def test_all_algorithms_are_scored_on_a_short_drive() -> None:
     found = run(Trial('metro', 21, FIELD - {'changes'}, duration=600.0))
     assert tuple(found) == ALL
-    # The train file itself is .31 N/kN off; two-window and speed-EKF take its mass and force as exact.
+    # The train file itself has an error of .31 N/kN; two-window and speed-EKF take its mass and force as exact.
     assert max(found[name].error for name in (*PAIR, INFORMED)) < 0.25
     assert max(one.error for one in found.values()) < 0.8
     assert all(0.0 <= one.valid < 1.0 and 0.0 <= one.cover <= 1.0 for one in found.values())
 
 
-def test_the_informed_filter_widens_a_and_c_at_a_change() -> None:
+def test_informed_filter_adds_variance_to_a_and_c_at_a_change() -> None:
     made = drive('metro', 21, FIELD, duration=60.0)
     known = replace(information_of(made.truth), changes_ns=())
     assert (known.gust_std, known.map_std) == (made.truth.gust_std, made.truth.map_std)
@@ -124,7 +124,7 @@ def test_the_informed_filter_widens_a_and_c_at_a_change() -> None:
     assert grown[B - 1] == 0.0
 
 
-def test_information_has_the_stamps_of_the_changes() -> None:
+def test_information_contains_the_stamps_of_the_changes() -> None:
     truth = drive('metro', 21, CLEAN, duration=300.0).truth
     known = information_of(truth)
     assert known.changes_ns
@@ -132,19 +132,19 @@ def test_information_has_the_stamps_of_the_changes() -> None:
         assert (stamp_ns - int(truth.time_ns[0])) * 1e-9 == pytest.approx(change)
 
 
-def test_means_leave_out_what_was_not_scored() -> None:
+def test_means_leave_out_values_that_are_not_finite() -> None:
     assert spread(np.array([1.0, 3.0, math.nan])) == '2.000 ± 1.000'
     assert spread(np.array([math.nan])) == '-'
     assert spread(np.array([1.0]), sign='+') == '+1.000'
 
 
-def test_first_valid_shows_drives_without_one() -> None:
+def test_first_valid_cell_counts_drives_that_never_become_valid() -> None:
     scores = [Score(0.1, 0.9, 0.5, minutes, 0.0) for minutes in (4.0, 20.0, math.inf)]
     assert first_cell(scores) == '20.0, 33%'
     assert first_cell(scores[2:]) == 'never, 0%'
 
 
-def test_every_drive_is_simulated_once_and_every_cell_has_its_drives() -> None:
+def test_each_drive_is_simulated_once_and_every_cell_has_its_drives() -> None:
     seeds, fewer = range(1, 4), range(1, 3)
     parts = (rates.trials_of(fewer), unknowns.trials_of(fewer), trials_of(seeds))
     # The drives of rates and of real_trains have all algorithms.
@@ -158,7 +158,7 @@ def test_every_drive_is_simulated_once_and_every_cell_has_its_drives() -> None:
     worlds = world_tables(results, seeds)
     assert [len(table.rows) for table in worlds] == [len(ALL)] * 7
     paired = paired_table(results, seeds, [(0.1, 0.3), (0.2, 0.2)])
-    assert paired.rows[-1] == ('stock days', '0.150 ± 0.050', '0.250 ± 0.050', '+0.100 ± 0.100', '0%')
+    assert paired.rows[-1] == ('Yizhuang days', '0.150 ± 0.050', '0.250 ± 0.050', '+0.100 ± 0.100', '0%')
     assert len(paired.rows) == 2 * len(WORLDS) + 1
     costly = cost_tables(results, fewer)
     assert [len(table.rows) for table in costly] == [len(costs())] * len(PAIR)

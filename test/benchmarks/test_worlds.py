@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The drives of the benchmark keep to physics, to the interface and to what is switched on."""
+"""The simulated drives obey the force balance, the interface and the selected unknowns."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 G = 9.80665
 TOPICS: tuple[type[Record], ...] = (SpeedRecord, ForceRecord, GradientRecord, BrakeRecord, MassRecord)
-# How far from its stopping point a train may stand [m].
+# Greatest distance of a stop from its stopping point [m].
 ROOM = {'freight': 90.0, 'high_speed': 40.0, 'emu': 20.0, 'metro': 12.0, 'tram': 8.0}
 # Which topics an unknown of the sensors may change; the others change the motion itself.
 TOUCHED: dict[str, set[type[Record]]] = {
@@ -56,9 +56,9 @@ def column(run: Drive, kind: type[Record], name: str) -> tuple[NDArray[np.float6
 
 
 def balance(run: Drive, window: float = 10.0) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Return what is missing in the balance [N/kN], mean over windows, and which windows lie in braking.
+    """Return the residual of the force balance [N/kN], averaged over windows, and which windows include braking.
 
-    All from records, but for Davis coefficients, masses and brake rate: speed changes against mean forces.
+    Computed from records except for Davis coefficients, masses and brake rate: speed changes against mean forces.
     """
     truth, train = run.truth, run.train_file.train
     grid = (truth.time_ns - truth.time_ns[0]) * 1e-9
@@ -70,25 +70,25 @@ def balance(run: Drive, window: float = 10.0) -> tuple[NDArray[np.float64], NDAr
     force = np.where(force < -0.001 * truth.mass * G, force * truth.brake_rate, force * truth.force_scale)
     coefficient = dict(run.train_file.effects[0].parameters)['coefficient']
     w = truth.a + truth.b * speed + truth.c * speed**2 + gradient + coefficient * bend
-    missing = 1000.0 * force / (truth.mass * G) - w
+    residual = 1000.0 * force / (truth.mass * G) - w
     n = round(window / 0.2)
     out, braked = [], []
     for i in range(0, grid.size - n - 1, n):
         if truth.moving[i : i + n + 1].all():
             change = 1000.0 * (1.0 + train.rotary_mass) * (speed[i + n] - speed[i]) / window / G
-            out.append(0.5 * (missing[i : i + n].mean() + missing[i + 1 : i + n + 1].mean()) - change)
+            out.append(0.5 * (residual[i : i + n].mean() + residual[i + 1 : i + n + 1].mean()) - change)
             braked.append(bool(truth.braking[i : i + n + 1].any()))
     return np.array(out), np.array(braked)
 
 
 @pytest.mark.parametrize('world', WORLDS)
-def test_records_and_truth_keep_the_balance_of_forces(world: str) -> None:
-    missing, braked = balance(made(world))
-    assert missing[~braked].size > 20
-    assert abs(missing[~braked].mean()) < 0.03
-    assert np.std(missing[~braked]) < 0.25
-    assert abs(missing[braked].mean()) < 0.2
-    assert np.std(missing[braked]) < 0.35
+def test_records_and_truth_satisfy_the_force_balance(world: str) -> None:
+    residual, braked = balance(made(world))
+    assert residual[~braked].size > 20
+    assert abs(residual[~braked].mean()) < 0.03
+    assert np.std(residual[~braked]) < 0.25
+    assert abs(residual[braked].mean()) < 0.2
+    assert np.std(residual[braked]) < 0.35
 
 
 @pytest.mark.parametrize('world', WORLDS)
@@ -124,12 +124,12 @@ def test_all_records_are_valid_and_in_order(world: str) -> None:
 
 
 @pytest.mark.parametrize('world', WORLDS)
-def test_stops_are_in_the_stations(world: str) -> None:
+def test_stops_are_near_the_stopping_points(world: str) -> None:
     assert all(abs(error) < ROOM[world] for error in made(world).truth.stop_errors)
 
 
 @pytest.mark.parametrize('world', WORLDS)
-def test_limits_are_kept(world: str) -> None:
+def test_speed_limits_are_obeyed(world: str) -> None:
     run = made(world)
     limits = np.array(run.train_file.line.speed_limit)
     at, position = column(run, SpeedRecord, 'position')
@@ -140,19 +140,19 @@ def test_limits_are_kept(world: str) -> None:
     assert over.max() < 4.0
 
 
-def test_the_train_file_reads_back() -> None:
+def test_train_file_survives_a_round_trip() -> None:
     file = made('tram').train_file
     assert parse_train_file(dump_train_file(file), 'text') == file
 
 
-def test_a_seed_gives_the_same_drive_and_another_seed_another_one() -> None:
+def test_equal_seeds_give_equal_drives_and_other_seeds_others() -> None:
     again = drive('emu', 3, CLEAN, duration=500.0)
     assert again.records == short().records
     assert drive('emu', 4, CLEAN, duration=10.0).records[:100] != short().records[:100]
 
 
 @pytest.mark.parametrize('name', list(TOUCHED))
-def test_an_error_of_a_sensor_changes_no_other_topic(name: str) -> None:
+def test_sensor_error_changes_no_other_topic(name: str) -> None:
     clean, run = short(), short(name)
     assert np.array_equal(clean.truth.speed, run.truth.speed)
     changed = {kind for kind in TOPICS if of(clean.records, kind) != of(run.records, kind)}
@@ -162,21 +162,21 @@ def test_an_error_of_a_sensor_changes_no_other_topic(name: str) -> None:
 @pytest.mark.parametrize(
     ('name', 'part'), [('mass', 'train'), ('curve', 'effects'), ('map', 'line'), ('brake', 'brake')]
 )
-def test_an_error_shows_in_its_part_of_the_train_file_alone(name: str, part: str) -> None:
+def test_error_changes_only_its_part_of_the_train_file(name: str, part: str) -> None:
     clean, run = short().train_file, short(name).train_file
     assert getattr(clean, part) != getattr(run, part)
     assert replace(clean, **{part: getattr(run, part)}) == run
 
 
 @pytest.mark.parametrize('name', ['gusts', 'brake'])
-def test_an_error_of_the_motion_leaves_train_and_resistance_alone(name: str) -> None:
+def test_error_of_the_motion_does_not_change_resistance(name: str) -> None:
     clean, run = short(), short(name)
     assert not np.array_equal(clean.truth.speed[:2500], run.truth.speed[:2500])
     assert clean.truth.changes == run.truth.changes
     assert clean.truth.davis_at(0) == run.truth.davis_at(0)
 
 
-def test_changes_are_where_the_truth_says() -> None:
+def test_changes_occur_at_the_times_in_the_truth() -> None:
     truth = made('metro').truth
     steps = np.flatnonzero(np.diff(truth.a) + np.diff(truth.b) + np.diff(truth.c)) + 1
     assert np.allclose(steps * 0.2, truth.changes, atol=0.2)
@@ -218,7 +218,7 @@ def test_topics_have_their_own_rates() -> None:
     assert counts[3] == pytest.approx(counts[1] / 2.5, abs=2)
 
 
-def test_wrong_names_are_refused() -> None:
+def test_unknown_names_are_rejected() -> None:
     with pytest.raises(ValueError, match='unknowns must be of'):
         drive('metro', 1, {'moon'})
     with pytest.raises(ValueError, match='world must be one of'):
@@ -229,7 +229,7 @@ def test_wrong_names_are_refused() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize('world', WORLDS)
 @pytest.mark.parametrize('seed', range(6))
-def test_field_drives_are_whole(world: str, seed: int) -> None:
+def test_field_drives_are_valid_and_long_enough(world: str, seed: int) -> None:
     run = drive(world, seed)
     assert not [record for record in run.records if find_fault(*row_of(record)[:4])]
     assert all(abs(error) < ROOM[world] for error in run.truth.stop_errors)

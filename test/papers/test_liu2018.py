@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Claims about Liu et al. 2018 on seeds that are new in every run; each limit is passed by chance in less than 1e-4."""
+"""Claims about Liu et al. 2018 on fresh seeds in every run; each limit fails by chance in less than 1e-4."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ pytestmark = pytest.mark.slow
 
 
 def fresh(count: int) -> list[int]:
-    """Return seeds that no one has chosen; pytest shows them when a test fails."""
+    """Return random seeds; pytest shows them when a test fails."""
     seeds = [int.from_bytes(os.urandom(4)) for _ in range(count)]
     print('seeds', seeds)
     return seeds
@@ -37,7 +37,7 @@ def test_recursions_equal_their_batch_forms_and_the_printed_one_only_at_the_end(
         assert found.used < 1e-5
         assert max(found.ends, found.middle_half, found.twice_double) < 1e-4
         assert found.middle > 0.01
-        # The start of P reaches the trace a little where speeds happen to be alike: .003 on average, at times .02.
+        # P(0) affects the trace slightly if speeds happen to be similar: .003 on average, at times .02.
         assert np.array(found.trace) == pytest.approx([1.0, 1 / 2, 1 / 4, 1 / 6], rel=0.08)
 
 
@@ -61,14 +61,14 @@ def test_windows_reach_the_bound_in_gusts_and_segments_are_biased() -> None:
     assert np.mean([item.bias[1] for item in still]) > 0.15
 
 
-def test_the_covariance_of_the_stream_is_honest_whatever_the_innovation_length() -> None:
+def test_stream_covariance_is_consistent_for_any_innovation_length() -> None:
     seeds = fresh(10)
     for name in ('RLS', 'MILS'):
         assert 0.15 < np.mean([nees(seed, name) for seed in seeds]) < 4.5
 
 
-def test_vmils_that_is_told_skips_what_spoils_ls() -> None:
+def test_vmils_with_true_flags_skips_bad_data_that_bias_ls() -> None:
     for seed in fresh(2):
-        ls, told, single, _ = spoiled(seed, '30 % one sign')
+        ls, flagged, single, _ = spoiled(seed, '30 % one sign')
         assert ls > 20.0
-        assert max(told, single) < 6.0
+        assert max(flagged, single) < 6.0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The ride on which estimators are compared is as it says, on a fresh seed, and tells good estimators from others."""
+"""The ride for the comparison has its documented statistics on a fresh seed, and separates the estimators."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_the_same_seed_gives_the_same_ride() -> None:
 
 
 @pytest.mark.parametrize('scenario', SCENARIOS)
-def test_rows_are_as_many_as_asked_and_lie_in_motion(scenario: Scenario) -> None:
+def test_rows_have_the_requested_number_and_lie_in_motion(scenario: Scenario) -> None:
     stream = metro_stream(9, scenario, 1000)
     assert stream.rows.y.shape == (1000,)
     assert stream.rows.tick[-1] == stream.raw.speed.size - 1
@@ -60,7 +60,7 @@ def test_rows_are_as_many_as_asked_and_lie_in_motion(scenario: Scenario) -> None
     assert np.abs(stream.raw.gradient).max() <= 25.0
 
 
-def test_curve_error_is_that_of_the_curve() -> None:
+def test_curve_error_is_the_rms_over_the_curve() -> None:
     assert curve_error((BEFORE.a + 0.3, BEFORE.b, BEFORE.c), BEFORE) == pytest.approx(0.3)
     v = np.linspace(5.0, 22.0, 69)
     expected = np.sqrt(np.mean((0.4 + 0.00024 * v * v) ** 2))
@@ -77,7 +77,7 @@ def test_noise_of_clean_rows() -> None:
 
 
 @pytest.mark.slow
-def test_what_is_spoiled() -> None:
+def test_statistics_of_outliers_and_slip() -> None:
     out, slip, clean = (metro_stream(SEED, scenario) for scenario in ('out5', 'slip', 'clean'))
     errors = out.rows.y - clean.rows.y
     bad = np.abs(errors) > 0.0
@@ -90,8 +90,8 @@ def test_what_is_spoiled() -> None:
 
 
 @pytest.mark.slow
-def test_the_ride_tells_estimators_apart() -> None:
-    """Bounds far from what was found over 30 seeds: clean .002 to .036, gross errors .59 to .93, slip .12 to .35."""
+def test_ride_separates_robust_from_plain_estimators() -> None:
+    """Limits far from the values over 30 seeds: clean .002 to .036, gross errors .59 to .93, slip .12 to .35."""
     rides = {scenario: metro_stream(SEED, scenario) for scenario in SCENARIOS}
     plain = {scenario: final_error(HandRls(), ride) for scenario, ride in rides.items()}
     gated = {scenario: final_error(HandRls(GATE), ride) for scenario, ride in rides.items()}
@@ -106,7 +106,7 @@ def test_the_ride_tells_estimators_apart() -> None:
     assert final_error(HandRls(GATE, 0.9995), rides['step']) < 0.14, SEED
 
 
-def test_by_hand_and_with_numpy_agree() -> None:
+def test_hand_and_numpy_rls_agree() -> None:
     stream = metro_stream(10, 'clean', 800)
     one, other = HandRls(), NumpyRls()
     final_error(one, stream)
@@ -115,12 +115,12 @@ def test_by_hand_and_with_numpy_agree() -> None:
     np.testing.assert_allclose(one.covariance, other.covariance, rtol=1e-7)
 
 
-def test_contest_times_copies_and_weighs() -> None:
+def test_contest_measures_time_memory_and_copies() -> None:
     quick, slow = time_in_turns([(lambda n: n, [(1,)] * 400), (lambda n: sum(range(n)), [(3000,)] * 400)])
     assert quick.p50 < slow.p50
     assert slow.p50 <= slow.p99
     kept: list[bytes] = []
-    # Pieces above 32 MiB, which malloc takes from the system always; smaller ones may come from what it holds already.
+    # Blocks above 32 MiB, which malloc always requests from the system; smaller ones may be reused memory.
     assert growth(lambda: kept.append(b'x' * 40_000_000), [()], 1, 4) > 30_000_000.0
     saved = copied(HandRls())
     assert saved is not None
@@ -128,7 +128,7 @@ def test_contest_times_copies_and_weighs() -> None:
     assert copied(lambda: None) is None
 
 
-def test_everybody_drives_over_all_seeds_or_the_table_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_all_filters_run_over_all_seeds_or_the_note_lists_them(monkeypatch: pytest.MonkeyPatch) -> None:
     quick = [item for item in peer_brake.CONTESTANTS if item.kind == 'KF']
     slow = replace(quick[0], name='slow', drives=2, stops=1)
     monkeypatch.setattr(peer_brake, 'CONTESTANTS', (*quick, slow, replace(quick[0], name=peer_brake.RATIO)))

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the strong resistance estimators must reach, on seeds that are new in every run.
+"""Required accuracy of the main resistance estimators, on fresh seeds in every run.
 
-Each limit is passed by chance in less than 1e-4 of the runs, and by far by least squares, a fixed memory or a
-filter that bad data lead astray.
+Each limit is exceeded by chance in less than 1e-4 of the runs, and by far by least squares, a fixed memory or a
+filter that is biased by bad data.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ pytestmark = pytest.mark.slow
 
 
 def fresh(count: int) -> list[int]:
-    """Return seeds that no one has chosen; pytest shows them when a test fails."""
+    """Return random seeds; pytest shows them when a test fails."""
     seeds = [int.from_bytes(os.urandom(4)) for _ in range(count)]
     print('seeds', seeds)
     return seeds
 
 
 @pytest.mark.parametrize('gust', [0.0, GUST])
-def test_the_speed_ekf_is_near_the_bound(gust: float) -> None:
+def test_speed_ekf_is_near_the_bound(gust: float) -> None:
     """Ratios of single seeds scatter by half; windows with least squares are 4 times the bound without gusts."""
     ratios = []
     for seed in fresh(4):
@@ -37,14 +37,14 @@ def test_the_speed_ekf_is_near_the_bound(gust: float) -> None:
 
 
 @pytest.mark.parametrize('name', ['30 % one-sided', '30 % one-sided bursts', '30 % slip bursts'])
-def test_bad_observations_do_not_lead_the_robust_kernel_astray(name: str) -> None:
-    """Least squares is off by 5 to 60 times the bound; the median of seeds forgives the rare bad start."""
+def test_bad_observations_do_not_bias_the_robust_kernel(name: str) -> None:
+    """Least squares has 5 to 60 times the bound; the median over seeds tolerates a rare bad start."""
     kind = [spoil.name for spoil in OBSERVED].index(name)
     runs = [observed_error(data.PAPER, seed, kind) for seed in fresh(5)]
     assert np.median([robust / bound for _, robust, bound in runs]) < 2.5
 
 
-def test_a_jump_is_followed_soon_and_costs_nothing_before() -> None:
+def test_jump_is_followed_fast_without_a_larger_error_before() -> None:
     """Of 60 jumps of the smaller size 3 took longer than 400 observations: the median of 9 does in 4e-5 of the runs."""
     runs = [jump_results(seed) for seed in fresh(9)]
     for i in range(2):
@@ -52,9 +52,9 @@ def test_a_jump_is_followed_soon_and_costs_nothing_before() -> None:
         assert np.median([run[i].before for run in runs]) < 0.12
 
 
-def test_one_setting_serves_a_metro_ride_with_outliers_and_with_a_step() -> None:
+def test_one_setting_handles_a_metro_ride_with_outliers_and_with_a_step() -> None:
     spoiled, stepped = (metro_result(fresh(1)[0], name) for name in ('out5', 'step'))
-    # Least squares without forgetting is off by 0.25 N/kN after the step, and by 0.7 with outliers.
+    # Least squares without forgetting has an error of 0.25 N/kN after the step, and of 0.7 with outliers.
     assert spoiled.error < 0.1
     assert stepped.error < 0.12
     assert stepped.steps >= 1

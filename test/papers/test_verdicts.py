@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Verdicts of the benchmark follow the numbers: other numbers, another verdict."""
+"""Verdicts of the benchmark depend on the numbers."""
 
 from __future__ import annotations
 
@@ -32,25 +32,25 @@ def test_cost_is_confirmed_by_count_and_by_time(count: float, share: float, verd
     assert cost_verdict(0.3, count, share) == verdict
 
 
-def test_noise_alone_stays_small_as_the_normal_law_says() -> None:
+def test_share_of_small_noise_follows_the_normal_distribution() -> None:
     assert sharp_noise(0.005) == pytest.approx(0.6827, abs=1e-4)
     assert sharp_noise(0.005 / 1.959964) == pytest.approx(0.95, abs=1e-5)
 
 
-def test_small_errors_are_the_rule_only_where_they_are() -> None:
-    as_noise = 'as of noise alone, so it tells the sensor'
+def test_verdict_on_small_errors_depends_on_noise() -> None:
+    as_noise = 'as with noise alone, so it characterises the sensor'
     assert sharp_verdict({0.002: 0.9, 0.02: 0.2}) == f'confirmed at noise of 0.002 m/s, refuted at 0.02: {as_noise}'
-    assert sharp_verdict({0.002: 0.4, 0.02: 0.2}) == 'refuted at every noise: noise alone is otherwise'
+    assert sharp_verdict({0.002: 0.4, 0.02: 0.2}) == 'refuted at every noise: noise alone gives another result'
     assert sharp_verdict({0.002: 0.9, 0.02: 0.6}).startswith('confirmed at noise of 0.002, 0.02 m/s: noise alone')
 
 
-def test_parameters_that_are_known_are_named() -> None:
+def test_converged_parameters_are_listed() -> None:
     assert parameters_verdict((0.1, 0.1, 0.0, 0.19)) == 'confirmed'
     assert parameters_verdict((3.0, 0.9, 0.01, 0.5)) == 'refuted: of four only b1 within 20%'
     assert parameters_verdict((3.0, 0.9, 0.3, math.nan)) == 'refuted: of four none within 20%'
 
 
-def test_ranges_are_judged_by_sign_and_size() -> None:
+def test_verdict_on_ranges_uses_sign_and_size() -> None:
     true = {'a1': (-3e-5, -1e-5), 'a2': (0.99, 0.9999), 'b1': (0.0016, 0.002), 'd0': (-0.3, 0.3)}
     verdict = ranges_verdict(true)
     assert 'a1 up to 400 times' in verdict
@@ -60,13 +60,13 @@ def test_ranges_are_judged_by_sign_and_size() -> None:
     assert set(PRINTED_RANGES) < set(true)
 
 
-def test_the_unit_is_that_in_which_random_starts_lie() -> None:
+def test_verdict_on_unit_uses_the_largest_random_start() -> None:
     assert unit_verdict(40.0, 2000.0) == 'confirmed'
     assert unit_verdict(904.0, 2000.0) == 'confirmed with another unit: (m/s)^2'
     assert unit_verdict(904.0, 500.0).startswith('refuted')
 
 
-def test_mean_squares_are_those_of_noise_at_the_end_and_large_at_the_start() -> None:
+def test_mean_square_is_that_of_noise_at_the_minimum_and_large_at_starts() -> None:
     starts, least = mean_squares(6000)
     assert least == pytest.approx(0.18**2, rel=0.2)
     assert starts > 100.0

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of the benchmark of Xia et al. 2023 on seeds that nobody has seen."""
+"""Results of the benchmark of Xia et al. 2023 on fresh seeds."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def seed() -> int:
     return drawn
 
 
-def test_derivatives_are_right_as_corrected_and_wrong_as_printed() -> None:
+def test_derivatives_are_correct_as_corrected_and_wrong_as_printed() -> None:
     errors = derivative_errors()
     assert errors['Jacobian (13)-(15), corrected'] <= 1e-12
     assert errors['Hessian (16)-(23), corrected'] <= 1e-9
@@ -34,7 +34,7 @@ def test_derivatives_are_right_as_corrected_and_wrong_as_printed() -> None:
 
 
 @pytest.mark.parametrize('kind', fits.KINDS)
-def test_random_starts_end_at_the_truth(kind: str, seed: int) -> None:
+def test_random_starts_converge_to_the_truth(kind: str, seed: int) -> None:
     rng, box = np.random.default_rng(seed), NewtonConfig()
     given = fits.record(kind, 0, 'scheme')
     for _ in range(8):
@@ -43,7 +43,7 @@ def test_random_starts_end_at_the_truth(kind: str, seed: int) -> None:
         assert np.max(np.abs(fit.theta - fits.CASES[0])) < 1e-9, (seed, start)
 
 
-def test_noise_is_met_at_the_bound(seed: int) -> None:
+def test_errors_in_noise_match_the_bound(seed: int) -> None:
     draws = [draw for k in range(5) for draw in fits.noisy(seed + k)]
     ours, papers = 'Levenberg, v0 free (ours)', 'v0 as measured (the paper)'
     for kind, method, low, high in (
@@ -56,15 +56,15 @@ def test_noise_is_met_at_the_bound(seed: int) -> None:
         assert low < nees < high, (seed, kind, method)
 
 
-def test_mean_force_leaves_next_to_no_error() -> None:
+def test_mean_force_gives_a_negligible_error() -> None:
     for item in models.scheme_errors():
         if 'ours' in item.name:
             assert item.w <= {'cruise': 0.002, 'full': 0.007}[item.kind]
 
 
-def test_two_windows_settle_and_follow(seed: int) -> None:
+def test_two_windows_converge_and_track(seed: int) -> None:
     scores = [ways.online(seed + k)[0] for k in range(3)]
     assert max(np.sqrt(np.mean(s.clean**2)) for s in scores) < 0.05, seed
-    # 0.11 on average; a change seen where there is none spoils one drive in hundreds, but not two of three.
+    # 0.11 on average; a false change detection affects one drive in hundreds, but not two of three.
     assert np.median([np.sqrt(np.mean(s.fourth**2)) for s in scores]) < 0.25, seed
     assert np.median([s.delays[2] for s in scores]) <= 1800.0, seed

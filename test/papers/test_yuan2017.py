@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Yuan et al. 2017 on fresh lines: lockstep is the product, and the targets hold with statistical margins."""
+"""Yuan et al. 2017 on fresh lines: lockstep equals the product, and targets are met with statistical margins."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def fresh(count: int) -> range:
 
 
 def pairs(variance: float) -> list[tuple[str, Method, ManyMethod, bool]]:
-    """Return each method of the product and its twin in lockstep."""
+    """Return each method of the product with its lockstep version."""
     am, kalman = am_tuning(P0), ekf_tuning(0.0, 3e-8, LOAD, 4.0)
     change = integral_rls.Tuning(25, 5, 0.3, 4.0, 1e-6, 1e-7, LOAD)
     config = rls.RlsConfig(kappa=0.1, forgetting_scale=100.0, min_forgetting=0.9, gate=5.0, prior_scale=1.0)
@@ -56,7 +56,7 @@ def pairs(variance: float) -> list[tuple[str, Method, ManyMethod, bool]]:
 
 
 @pytest.mark.parametrize('noise', [WHITE, MISSING, replace(OUTLIERS, missing=0.1)], ids=['white', 'missing', 'both'])
-def test_lockstep_gives_what_the_product_gives(noise: Noise) -> None:
+def test_lockstep_equals_the_product(noise: Noise) -> None:
     seeds = fresh(2)
     lines = station_lines(seeds, SHORT)
     assert (lines.x == 0.0).any()
@@ -65,11 +65,11 @@ def test_lockstep_gives_what_the_product_gives(noise: Noise) -> None:
         together = drive_many(many, y, lines.u, freeze=freeze).state
         for k in range(len(seeds)):
             alone = drive(method, y[:, k], lines.u[:, k], variance, freeze=freeze)
-            # Sums in another order round otherwise; what was refused or forgotten must be the same.
+            # Sums in another order round differently; rejections and forgetting must be identical.
             assert together[:, :, k] == pytest.approx(alone, rel=1e-6, abs=1e-8), name
 
 
-def test_the_default_and_the_ekf_reach_their_targets() -> None:
+def test_default_and_ekf_meet_their_targets() -> None:
     """With 40 lines instead of 200, and limits a few standard errors wider."""
     seeds = fresh(40)
     lines = station_lines(seeds)
@@ -86,7 +86,7 @@ def test_the_default_and_the_ekf_reach_their_targets() -> None:
         assert found.lost == 0.0, method.name
 
 
-def test_outliers_and_gaps_lose_no_line() -> None:
+def test_no_line_is_lost_with_outliers_and_missing_samples() -> None:
     seeds = fresh(24)
     lines = station_lines(seeds)
     clean = score(lines, am_vff(WHITE.std**2).drive(lines, measured(lines, WHITE, seeds)))
@@ -96,7 +96,7 @@ def test_outliers_and_gaps_lose_no_line() -> None:
         assert found.five[0] < most * clean.five[0], noise.name
 
 
-def test_with_constant_parameters_the_bound_is_reached() -> None:
+def test_bound_is_attained_with_constant_parameters() -> None:
     """A root mean square over 60 runs has a standard error of 9 %, the mean of four correlated ones little less."""
     seeds = fresh(60)
     lines = station_lines(seeds, ONE_RUN)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the benchmark of the brake rate promises, on seeds that nobody has seen."""
+"""Results of the brake rate benchmark on fresh seeds."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def seeds() -> list[int]:
     return [first + k for k in range(12)]
 
 
-def test_the_claims_of_the_paper(seeds: list[int]) -> None:
+def test_claims_of_the_paper(seeds: list[int]) -> None:
     """Errors of f over 12 runs; one run has a standard deviation of .03 at most, so the mean .01."""
     runs = [paper_run(seed) for seed in seeds]
     got = {
@@ -42,7 +42,7 @@ def test_the_claims_of_the_paper(seeds: list[int]) -> None:
     assert got['free'] == pytest.approx(exact, rel=0.06)
 
 
-def test_one_covariance_is_enough(seeds: list[int]) -> None:
+def test_shared_covariance_equals_own_covariances(seeds: list[int]) -> None:
     run = paper_run(seeds[0])
     draws = Draws.of(seeds[0], len(run.steps))
     own = own_covariance(run, draws, 60, batched)[0]
@@ -52,17 +52,19 @@ def test_one_covariance_is_enough(seeds: list[int]) -> None:
 def test_gsma_is_as_good_as_the_exact_filter_on_a_random_walk(seeds: list[int]) -> None:
     runs = [walk_run(seed, stops=2) for seed in seeds[:5]]
     found = {}
-    for name, settings, told in (('GSMA', SHIPPED, math.nan), ('KF', WALK, MAP_ERROR)):
-        scores = [score(run, trace(run, name, seed, settings, told)) for run, seed in zip(runs, seeds, strict=False)]
+    for name, settings, known_std in (('GSMA', SHIPPED, math.nan), ('KF', WALK, MAP_ERROR)):
+        scores = [
+            score(run, trace(run, name, seed, settings, known_std)) for run, seed in zip(runs, seeds, strict=False)
+        ]
         found[name] = [float(np.mean([getattr(s, key) for s in scores])) for key in ('mae', 'inside_95')]
     print(found)
-    # They see the same data, so the ratio varies far less than the errors.
+    # Both use the same data, so the ratio varies far less than the errors.
     assert found['GSMA'][0] < 1.3 * found['KF'][0]
     assert found['GSMA'][1] > 0.6
 
 
-def test_the_deviation_is_honest_on_a_map_three_times_worse_than_declared(seeds: list[int]) -> None:
-    """A run covers 92 % with a spread of 12 %, so ten of them 92 +- 4 %; not learning, it would be 60 %."""
+def test_coverage_on_a_map_three_times_worse_than_declared(seeds: list[int]) -> None:
+    """The coverage of a run is 92 % with a std of 12 %, of ten runs 92 +- 4 %; without noise estimation 60 %."""
     covers = []
     for seed in seeds[:10]:
         run = hard_run(seed, stops=3)
@@ -71,7 +73,7 @@ def test_the_deviation_is_honest_on_a_map_three_times_worse_than_declared(seeds:
     assert np.mean(covers) > 0.76
 
 
-def test_gsma_finds_a_jump_in_mid_brake(seeds: list[int]) -> None:
+def test_gsma_detects_a_jump_during_braking(seeds: list[int]) -> None:
     times = []
     for seed in seeds[:5]:
         run = jump_run(seed)
@@ -83,7 +85,7 @@ def test_gsma_finds_a_jump_in_mid_brake(seeds: list[int]) -> None:
     assert np.median(times) < 6.0
 
 
-def test_the_deviation_grows_by_the_law_while_unbraked(seeds: list[int]) -> None:
+def test_std_grows_with_the_drift_without_braking(seeds: list[int]) -> None:
     run = unbraked_run(seeds[0])
     got = trace(run, 'GSMA', seeds[0], SHIPPED)
     learned = np.flatnonzero((got[:, 2] > 0.5) & (run.phase < run.phase[-1]))[-1]
