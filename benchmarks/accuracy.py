@@ -20,7 +20,7 @@ from benchmarks.tables import Table
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.brake_rate.gsma import GsmaConfig
 from trainid_ros.core.records import NS_PER_S
-from trainid_ros.core.results import BrakeRateEstimate, Rejection, ResistanceEstimate, SpeedModelEstimate
+from trainid_ros.core.results import BrakeRateEstimate, ResistanceEstimate, SpeedModelEstimate
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
 from trainid_ros.resistance.vmils import VMilsConfig
 from trainid_ros.speed_model.physical_parameters import resistance_variance, upper
@@ -244,8 +244,8 @@ def _trace_of(algorithms: Algorithms[Any], name: str, day: Day, seed: int) -> Tr
 
 
 def _stepped(estimator: Estimator[Any], sample: Sample) -> Any:
-    answer = estimator.step(sample)
-    return estimator.estimate(sample.speed) if isinstance(answer, Rejection) else answer
+    estimator.step(sample)
+    return estimator.estimate(sample.speed)
 
 
 def _estimator_row(estimator: Estimator[Any]) -> Stepper:

@@ -25,7 +25,6 @@ from trainid_ros.brake_rate.brake_kinematics import brake_step
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.core.alignment import Aligner, AlignmentConfig
 from trainid_ros.core.records import NS_PER_S
-from trainid_ros.core.results import Rejection
 from trainid_ros.core.samples import Sample
 from trainid_ros.estimators.drive_history import DriveHistoryTracker
 from trainid_ros.estimators.known_force import KnownForce
@@ -195,8 +194,8 @@ def _run(estimator: Estimator[object], data: Data) -> Array:
     """Return brake rate, its standard deviation and 1 if fit to use after each sample, shape (n, 3)."""
     rows = []
     for sample in data.samples:
-        answer = estimator.step(sample)
-        now = estimator.estimate(sample.speed) if isinstance(answer, Rejection) else answer
+        estimator.step(sample)
+        now = estimator.estimate(sample.speed)
         rows.append((now.brake_rate, now.brake_rate_std, float(estimator.converged)))  # type: ignore[attr-defined]
     return np.array(rows)
 

@@ -19,7 +19,7 @@ from trainid_ros.resistance.speed_states import A, C
 
 if TYPE_CHECKING:
     from benchmarks.worlds import Truth
-    from trainid_ros.core.results import Rejection, ResistanceEstimate
+    from trainid_ros.core.results import Rejection
     from trainid_ros.core.samples import Sample
     from trainid_ros.train.train_file import TrainFile
 
@@ -61,7 +61,7 @@ class InformedFilter(FilterBank):
         )
         self._changes_ns = list(known.changes_ns)
 
-    def step(self, sample: Sample) -> ResistanceEstimate | Rejection:
+    def step(self, sample: Sample) -> Rejection | None:
         """Process one sample, after the changes of resistance before it."""
         while self._changes_ns and sample.stamp_ns >= self._changes_ns[0]:
             self._changes_ns.pop(0)

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trainid_ros.core.records import NS_PER_S
-from trainid_ros.core.results import Rejection
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -130,9 +129,8 @@ def answers_of(estimator: Estimator[ResistanceEstimate], samples: Sequence[Sampl
 
 
 def _row(estimator: Estimator[ResistanceEstimate], sample: Sample) -> tuple[float, ...]:
-    answer = estimator.step(sample)
-    rejected = isinstance(answer, Rejection)
-    now = estimator.estimate(sample.speed) if isinstance(answer, Rejection) else answer
+    rejected = estimator.step(sample) is not None
+    now = estimator.estimate(sample.speed)
     return now.a, now.b, now.c, now.resistance_std, float(not rejected), float(estimator.converged)
 
 

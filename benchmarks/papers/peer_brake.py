@@ -30,6 +30,7 @@ from trainid_ros.brake_rate.particles import SPEED, LinearStep, error_covariance
 from trainid_ros.brake_rate.posterior import STATES, errors_of
 from trainid_ros.brake_rate.resampling import effective_number, normal_weights, systematic
 from trainid_ros.core.results import Rejection
+from trainid_ros.estimators.protocol import step_and_estimate
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -313,7 +314,7 @@ def _drive(item: Contestant, run: BrakeRun, number: int) -> Result:
     errors, times = [], []
     for k, sample in enumerate(run.samples):
         timed.spent_ns, timed.learned = 0, False
-        estimate = estimator.step(sample)
+        estimate = step_and_estimate(estimator, sample)
         if timed.learned:
             times.append(timed.spent_ns / 1e3)
         if not isinstance(estimate, Rejection) and run.braked_s[k] > _SETTLED_S and run.speed[k] > _SLOWEST:

@@ -62,7 +62,7 @@ def test_estimators_on_one_stream_publish_what_they_publish_alone(
     for record in with_trouble(day):
         events = stream.push(record)
         for outputs, pipeline in zip(found, together, strict=True):
-            outputs.extend(pipeline.take(events))
+            pipeline.take(events, outputs.append)
         for outputs, pipeline in zip(expected, alone, strict=True):
             outputs.extend(pipeline.push(record))
     assert repr(found) == repr(expected)
@@ -103,3 +103,25 @@ def test_a_stream_for_explain_uses_speeds_that_the_train_file_does_not_expect(
     events = events_of(SampleStream(StreamConfig(metro, rejects_stuck_speed=False)), day)
     assert not any(isinstance(event, Sample) and event.rejection for event in events)
     assert any(isinstance(event, TimeJump) for event in events)
+
+
+def test_an_estimate_is_computed_once_a_sample_and_only_if_somebody_looks(
+    metro: TrainFile, day: tuple[Record, ...], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    pipeline = resistance_pipeline(metro, SETTINGS)
+    calls: list[float] = []
+    estimate = pipeline.estimator.estimate
+
+    def counted(speed: float) -> Any:
+        calls.append(speed)
+        return estimate(speed)
+
+    monkeypatch.setattr(pipeline.estimator, 'estimate', counted)
+    for record in day[:2000]:
+        pipeline.take(pipeline.stream.push(record))
+    assert pipeline.samples > 300
+    assert calls == []
+    assert pipeline.current() == pipeline.current()
+    assert len(calls) == 1
+    outputs = [output for record in day[2000:3000] for output in pipeline.push(record)]
+    assert len(calls) == 1 + len(outputs)

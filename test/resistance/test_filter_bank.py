@@ -18,6 +18,7 @@ from trainid_ros.core.errors import InputError
 from trainid_ros.core.records import NS_PER_S
 from trainid_ros.core.results import Reason, Rejection, ResistanceEstimate
 from trainid_ros.core.samples import BrakeCommandChange, Sample
+from trainid_ros.estimators.protocol import step_and_estimate
 from trainid_ros.resistance.filter_bank import FilterBank, FilterBankConfig, bank_plan
 from trainid_ros.resistance.speed_states import DELTA, KAPPA, KAPPA_R, A, B, C
 from trainid_ros.train.train_file import Brake, Davis, Effect, Line, Train, TrainFile
@@ -383,7 +384,7 @@ def test_the_innovation_is_a_resistance_with_its_sign(learned: str, minutes: lis
 
 def test_a_new_bank_states_the_prior(sample: Make) -> None:
     bank = FilterBank(FILE, STATED)
-    first, second, third = (bank.step(sample(i)) for i in range(3))
+    first, second, third = (step_and_estimate(bank, sample(i)) for i in range(3))
     assert isinstance(first, Rejection)
     assert first.reason is Reason.GAP
     assert isinstance(second, ResistanceEstimate)
@@ -404,7 +405,7 @@ def test_a_new_bank_states_the_prior(sample: Make) -> None:
 def test_the_filters_run_two_samples_late(sample: Make) -> None:
     """After samples 1, 2 and 3, sample 1 starts the filters; sample 4 completes the update with sample 2."""
     bank = FilterBank(FILE, SMALL)
-    answers = [bank.step(sample(i)) for i in range(5)]
+    answers = [step_and_estimate(bank, sample(i)) for i in range(5)]
     before, now = answers[3], answers[4]
     assert isinstance(before, ResistanceEstimate)
     assert isinstance(now, ResistanceEstimate)
@@ -580,7 +581,7 @@ def test_a_lasting_speed_error_is_rejected_25_times_and_then_restarts_the_filter
     good = shifted(drive(8.0, seed=18), 1000.0)
     for item in good[:5]:
         bank.step(item)
-    answers = [bank.step(replace(item, speed=item.speed + 3.0)) for item in good[5:]]
+    answers = [step_and_estimate(bank, replace(item, speed=item.speed + 3.0)) for item in good[5:]]
     reasons = [answer.reason for answer in answers if isinstance(answer, Rejection)]
     assert reasons == [Reason.OUTLIER] * 25
     assert bank.estimate(12.0).resistance == pytest.approx(before.resistance, abs=before.resistance_std)
@@ -592,7 +593,7 @@ def test_dropouts_do_not_affect_the_accuracy(learned: str) -> None:
     for i, item in enumerate(good):
         if i % 40 < 3:
             continue
-        bank.step(replace(item, dt=math.nan) if i % 40 == 3 else item)
+        step_and_estimate(bank, replace(item, dt=math.nan) if i % 40 == 3 else item)
         check_finite(bank.estimate(item.speed))
     found = bank.estimate(12.0)
     assert found.resistance == pytest.approx(w(TRUTH, 12.0), abs=3.0 * found.resistance_std)
@@ -615,7 +616,7 @@ def test_after_impossible_forces_the_estimate_is_finite_and_recovers(learned: st
     samples = shifted(drive(12.0, seed=16), 1000.0)
     bank = restored(learned)
     for i, item in enumerate(samples):
-        bank.step(replace(item, force=force, force_mean=force) if i % 15 == 9 else item)
+        step_and_estimate(bank, replace(item, force=force, force_mean=force) if i % 15 == 9 else item)
         check_finite(bank.estimate(item.speed))
     check_recovers(bank)
 
@@ -625,7 +626,7 @@ def test_a_force_above_the_weight_of_the_train_changes_no_estimate(learned: str,
     before, item = bank.estimate(12.0), minutes[-1]
     for _ in range(10):
         item = after([item], force=1e8, force_mean=1e8)
-        answer = bank.step(item)
+        answer = step_and_estimate(bank, item)
         assert isinstance(answer, Rejection)
         assert answer.reason is Reason.OUT_OF_RANGE
     assert bank.estimate(12.0) == before
@@ -767,12 +768,12 @@ def test_restored_at_any_sample_it_continues_bit_identically(minutes: list[Sampl
     for i, item in enumerate(samples):
         if i in middles:
             saved[i] = original.save()
-        answers.append(repr(original.step(item)))
+        answers.append(repr(step_and_estimate(original, item)))
     for i, text in saved.items():
         copy = restored(text)
         assert copy.save() == text
         until = len(samples) if i in (366, 440) else min(i + 25, len(samples))
-        assert [repr(copy.step(item)) for item in samples[i:until]] == answers[i:until]
+        assert [repr(step_and_estimate(copy, item)) for item in samples[i:until]] == answers[i:until]
         if until == len(samples):
             assert copy.save() == original.save()
 

@@ -18,6 +18,7 @@ from trainid_ros.core.errors import InputError
 from trainid_ros.core.records import NS_PER_S
 from trainid_ros.core.results import Reason, Rejection, ResistanceEstimate
 from trainid_ros.core.samples import BrakeCommandChange, Sample
+from trainid_ros.estimators.protocol import step_and_estimate
 from trainid_ros.resistance.robust import gate
 from trainid_ros.resistance.vmils import VMils, VMilsConfig
 from trainid_ros.train.train_file import Davis, TrainFile
@@ -55,7 +56,7 @@ def test_bad_samples_are_rejected_and_change_no_estimate(
     for item in journey(60.0, traction=saw_tooth):
         estimator.step(item)
     before = estimator.state.learner.tracker
-    result = estimator.step(sample(301, **fields))
+    result = step_and_estimate(estimator, sample(301, **fields))
     assert isinstance(result, Rejection)
     assert result.reason is reason
     assert estimator.state.learner.tracker == before
@@ -163,7 +164,7 @@ def test_windows_with_slip_are_rejected(train_file: TrainFile, journey: Journey)
 
 def test_accepted_samples_give_an_observation_every_hop(train_file: TrainFile, journey: Journey) -> None:
     estimator = VMils(train_file, CONFIG)
-    results = [estimator.step(item) for item in journey(100.0, speed=20.0)]
+    results = [step_and_estimate(estimator, item) for item in journey(100.0, speed=20.0)]
     accepted = sum(isinstance(r, ResistanceEstimate) for r in results)
     # The first sample has no dt; the first window has 25, then one every 6.
     assert accepted == 499
@@ -242,7 +243,7 @@ def test_a_restored_estimator_continues_bit_identically(train_file: TrainFile, j
         second.restore(first.save())
         assert repr(second.state) == repr(first.state)
         for item in samples[middle:]:
-            assert repr(second.step(item)) == repr(original.step(item))
+            assert repr(step_and_estimate(second, item)) == repr(step_and_estimate(original, item))
         assert second.save() == original.save()
 
 
@@ -253,7 +254,9 @@ def test_reset_equals_new(train_file: TrainFile, journey: Journey) -> None:
         used.step(item)
     used.reset()
     assert used.save() == new.save()
-    assert [repr(used.step(item)) for item in samples] == [repr(new.step(item)) for item in samples]
+    assert [repr(step_and_estimate(used, item)) for item in samples] == [
+        repr(step_and_estimate(new, item)) for item in samples
+    ]
 
 
 @pytest.mark.parametrize('key', ['tracker', 'tachometer', 'ticks', 'slow', 'inflation'])

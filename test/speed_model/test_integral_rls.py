@@ -11,6 +11,7 @@ import pytest
 
 from trainid_ros.core.results import Rejection
 from trainid_ros.core.samples import Sample
+from trainid_ros.estimators.protocol import step_and_estimate
 from trainid_ros.speed_model.integral_rls import (
     IntegralRls,
     IntegralRlsConfig,
@@ -110,7 +111,7 @@ def test_the_estimate_becomes_valid_and_its_variance_matches_the_errors(
     estimator = SpeedIntegralRls(train_file, IntegralRlsConfig())
     ratios = []
     for item in journey(700.0, traction=lambda t: 30.0 if t % 140.0 < 40.0 else 0.0, speed=8.0, seed=4):
-        e = estimator.step(item)
+        e = step_and_estimate(estimator, item)
         if not isinstance(e, Rejection):
             ratios.append(e.prediction_error**2 / e.prediction_variance)
     assert estimator.converged

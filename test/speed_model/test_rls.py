@@ -12,6 +12,7 @@ import pytest
 
 from trainid_ros.core.results import Reason, Rejection, SpeedModelEstimate
 from trainid_ros.core.samples import Sample
+from trainid_ros.estimators.protocol import step_and_estimate
 from trainid_ros.speed_model.rls import (
     AM_RLS,
     AM_VFF_RLS,
@@ -87,7 +88,8 @@ def test_on_a_journey_the_mass_is_estimated_and_few_samples_are_lost(
 ) -> None:
     estimator = PaperRls(train_file, config)
     answers = [
-        estimator.step(item) for item in journey(300.0, traction=lambda t: 30.0 if t % 140.0 < 40.0 else 0.0, speed=8.0)
+        step_and_estimate(estimator, item)
+        for item in journey(300.0, traction=lambda t: 30.0 if t % 140.0 < 40.0 else 0.0, speed=8.0)
     ]
     used = [a for a in answers if isinstance(a, SpeedModelEstimate)]
     assert len(used) > 1400
@@ -98,6 +100,6 @@ def test_on_a_journey_the_mass_is_estimated_and_few_samples_are_lost(
 def test_a_diverged_run_restarts(train_file: TrainFile, sample: Callable[..., Sample]) -> None:
     config = replace(AM_VFF_RLS, forgetting_scale=1e-3)
     estimator = PaperRls(train_file, config)
-    answers = [estimator.step(sample(i, speed=15.0 + (i % 3))) for i in range(50)]
+    answers = [step_and_estimate(estimator, sample(i, speed=15.0 + (i % 3))) for i in range(50)]
     assert any(isinstance(a, Rejection) and a.reason is Reason.NUMERICAL for a in answers)
     assert estimator.state.numbers[3] > 0.0

@@ -9,6 +9,7 @@ from dataclasses import replace
 import pytest
 
 from trainid_ros.core.samples import Sample
+from trainid_ros.estimators.protocol import step_and_estimate
 from trainid_ros.speed_model.am_vff_rls import AmVffRls, AmVffRlsConfig
 from trainid_ros.speed_model.speed_model_ekf import EkfConfig, SpeedEkf
 from trainid_ros.train.train_file import TrainFile
@@ -35,4 +36,4 @@ def test_it_equals_am_vff_rls_without_forgetting(train_file: TrainFile, journey:
     config = replace(AmVffRlsConfig(), threshold=1e3, change_threshold=1e3, drift=EkfConfig().drift)
     never = AmVffRls(train_file, config)
     for item in journey(200.0, traction=saw_tooth, speed=8.0):
-        assert repr(ekf.step(item)) == repr(never.step(item))
+        assert repr(step_and_estimate(ekf, item)) == repr(step_and_estimate(never, item))

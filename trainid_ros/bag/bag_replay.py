@@ -8,12 +8,15 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import takewhile
+from functools import partial
 from typing import TYPE_CHECKING, Final, Generic, NamedTuple, Protocol
 
-from trainid_ros.bag.reader import require_topics
-from trainid_ros.core.records import NS_PER_S
+import numpy as np
+
+from trainid_ros.bag.reader import LoggedRecord, require_topics
+from trainid_ros.core.records import INPUT_TOPICS, NS_PER_S, record_of
 from trainid_ros.core.results import BrakeRateEstimate, Reason, ResistanceEstimate, SpeedModelEstimate
+from trainid_ros.core.samples import Sample
 from trainid_ros.estimators.pipeline import (
     BrakeRatePipeline,
     EstimateT,
@@ -30,7 +33,8 @@ from trainid_ros.estimators.pipeline import (
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    from trainid_ros.bag.reader import BagReader, LoggedRecord
+    from trainid_ros.bag.reader import BagReader
+    from trainid_ros.core.records import Row
     from trainid_ros.estimators.consistency import Consistency
     from trainid_ros.estimators.pipeline import EstimatorSettings
     from trainid_ros.train.train_file import TrainFile
@@ -144,19 +148,20 @@ def replay_through(
     resistance, speed_model, brake_rate = pipelines
     streams = share_streams(pipelines)
     priors = (resistance.current().estimate, speed_model.current().estimate, brake_rate.current().estimate)
-    clock = _Stopwatch()
-    records = 0
-    for entry in _until(reader, duration_s):
+    clock, records = _Stopwatch(), 0
+    for log_ns, row in _rows(reader, duration_s):
         records += 1
-        for observer in observers:
-            observer.on_record(entry)
-        events = {stream: stream.push(entry.record) for stream in streams}
+        if observers:
+            entry = LoggedRecord(log_ns, INPUT_TOPICS[row[0]].name, record_of(*row))
+            for observer in observers:
+                observer.on_record(entry)
+        events = {stream: stream.push_row(*row) for stream in streams}
+        for event in events[resistance.stream]:  # the others have the same stamps
+            if isinstance(event, Sample):
+                clock.see(event.stamp_ns)
+        publish = partial(_publish, observers, log_ns) if observers else None
         for pipeline in pipelines:
-            for output in pipeline.take(events[pipeline.stream]):
-                if pipeline is resistance:  # the others have the same stamps
-                    clock.see(output.stamp_ns)
-                for observer in observers:
-                    observer.on_output(output, entry.log_ns)
+            pipeline.take(events[pipeline.stream], publish)
         if progress is not None and records % _PROGRESS_EVERY == 0:
             progress(_PROGRESS_EVERY)
     if progress is not None:
@@ -170,12 +175,21 @@ def replay_through(
     )
 
 
-def _until(reader: BagReader, duration_s: float) -> Iterator[LoggedRecord]:
-    span = reader.time_range()
-    if span is None or math.isinf(duration_s):
-        return reader.logged_records()
-    last_ns = span[0] + round(duration_s * NS_PER_S)
-    return takewhile(lambda entry: entry.log_ns <= last_ns, reader.logged_records())
+def _publish(observers: Sequence[Observer], log_ns: int, output: AnyOutput) -> None:
+    for observer in observers:
+        observer.on_output(output, log_ns)
+
+
+def _rows(reader: BagReader, duration_s: float) -> Iterator[tuple[int, Row]]:
+    """Yield log time and numbers of each record, as far as the duration goes [s]."""
+    first_ns, last_ns = reader.time_range() or (0, 0)
+    if not math.isinf(duration_s):
+        last_ns = min(last_ns, first_ns + round(duration_s * NS_PER_S))
+    for table in reader.tables():
+        until = int(np.searchsorted(table.log_ns, np.uint64(last_ns), side='right'))
+        yield from zip(table.log_ns[:until].tolist(), table[:until].rows(), strict=True)
+        if until < len(table):
+            return
 
 
 def _result(pipeline: EstimatorPipeline[EstimateT], prior: EstimateT) -> Result[EstimateT]:

@@ -156,7 +156,7 @@ class BrakeRateEstimator:
         """Whether the brake rate is known accurately enough."""
         return self.state.converged
 
-    def step(self, sample: Sample) -> BrakeRateEstimate | Rejection:
+    def step(self, sample: Sample) -> Rejection | None:
         """Process one sample; f is updated only while the brake acts on a moving train."""
         before_ns = self.state.stamp_ns
         motion, timing = self._follow_command(sample)
@@ -168,7 +168,7 @@ class BrakeRateEstimator:
         limit = self.config.valid_std * (2.0 if self.state.converged else 1.0)
         rate, std = self._rate()
         self.state.converged = std < limit and rate + _CLEAR * std < LARGEST_RATE * self._brake.rate
-        return result or self.estimate(sample.speed)
+        return result
 
     def _process(self, sample: Sample, elapsed: float, motion: BrakeStep, timing: TimingStep) -> Rejection | None:
         state = self.state
@@ -332,6 +332,11 @@ class BrakeRateEstimator:
         mean, config = self.state.rate, self.config
         added = config.drift**2 * self.state.unbraked_s + (config.scale_std * mean) ** 2 + self.state.blending**2
         return mean, math.sqrt(self.state.rate_variance + added)
+
+    @property
+    def innovation(self) -> tuple[float, float]:
+        """Innovation of the last update and its variance before the measurement, as in the estimate."""
+        return self.state.innovation, self.state.innovation_variance
 
     def estimate(self, speed: float) -> BrakeRateEstimate:  # noqa: ARG002 - one signature for all estimators
         """Return the brake rate, eq. (19), and the filtered train state, eq. (22); ``speed`` [m/s] is unused."""

@@ -176,13 +176,3 @@ class BrakeRateEstimate:
 
 
 Estimate = ResistanceEstimate | SpeedModelEstimate | BrakeRateEstimate
-
-
-def stated_innovation(estimate: Estimate) -> tuple[float, float]:
-    """Return the innovation of the last update and the variance stated for it, 0 if the algorithm states none.
-
-    Units are N/kN and (N/kN)^2 for a resistance, m/s and (m/s)^2 for a speed model or a brake rate.
-    """
-    if isinstance(estimate, SpeedModelEstimate):
-        return estimate.prediction_error, estimate.prediction_variance
-    return estimate.innovation, estimate.innovation_variance

@@ -25,7 +25,6 @@ from trainid_ros.core.results import (
     ResistanceEstimate,
     SpeedModelEstimate,
     Status,
-    stated_innovation,
 )
 from trainid_ros.core.samples import Sample
 from trainid_ros.core.settings import check_settings, setting
@@ -37,7 +36,7 @@ from trainid_ros.resistance.resistance_algorithms import RESISTANCE
 from trainid_ros.speed_model.speed_model_algorithms import SPEED_MODEL
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
 
     from trainid_ros.estimators.protocol import Estimator
     from trainid_ros.estimators.stream import StreamEvent
@@ -107,6 +106,8 @@ class EstimatorPipeline(Generic[EstimateT]):
         self._sample_ns = 0
         self._consistency = ConsistencyMonitor()
         self._status = Status.UNINITIALIZED
+        # Of the newest sample, None until it is asked for; and the last one that was.
+        self._estimate: EstimateT | None = None
         self._published = self.estimator.estimate(self._speed)
 
     def _start_over(self) -> None:
@@ -140,21 +141,31 @@ class EstimatorPipeline(Generic[EstimateT]):
 
     def push(self, record: Record) -> list[Output[EstimateT]]:
         """Take in one record; return an output for each sample it completes."""
-        return self.take(self.stream.push(record))
-
-    def take(self, events: Iterable[StreamEvent]) -> list[Output[EstimateT]]:
-        """Take in what the stream made of one record; return an output for each sample."""
         outputs: list[Output[EstimateT]] = []
+        self.take(self.stream.push(record), outputs.append)
+        return outputs
+
+    def take(self, events: Iterable[StreamEvent], publish: Callable[[Output[EstimateT]], object] | None = None) -> None:
+        """Take in what the stream made of one record.
+
+        Args:
+            events: What :meth:`SampleStream.push` returned.
+            publish: Called with the output after each sample; without it no estimate is computed.
+
+        """
         for event in events:
             if isinstance(event, Sample):
-                outputs.append(self._step(event))
+                self._step(event)
+                if publish is not None:
+                    publish(self.current())
             elif isinstance(event, Rejection):
                 self._count(event)
             elif is_reset_by(event, self.stream.config.time_jump_policy):
                 self._start_over()
         if self._status not in (Status.STALE, Status.FAULT) and self.stream.is_input_missing(self._stale_ns):
-            outputs.append(self.mark_stale())
-        return outputs
+            self._status = Status.STALE
+            if publish is not None:
+                publish(self.current())
 
     def mark_stale(self) -> Output[EstimateT]:
         """Mark the estimate as stale because inputs are missing; its value stays."""
@@ -179,39 +190,38 @@ class EstimatorPipeline(Generic[EstimateT]):
         state = decode(text, PipelineState)
         check_restored(state.motion.is_valid, 'PipelineState', 'motion')
         self.estimator.restore(state.estimator)
+        self._estimate = None
         self.stream.restore(state.motion)
         self._consistency.clear()
         if self._status is Status.FAULT:
             self._status = Status.UNINITIALIZED
 
     def current(self) -> Output[EstimateT]:
-        """Return the output at the newest sample, without a new one."""
+        """Return the output at the newest sample."""
+        if self._estimate is None and self._status is not Status.FAULT:
+            self._published = self._estimate = self.estimator.estimate(self._speed)
         return Output(
             stamp_ns=self._sample_ns,
-            estimate=self._published if self._status is Status.FAULT else self.estimator.estimate(self._speed),
+            estimate=self._published,
             status=self._status,
             used=self.used,
             rejected=self.rejections.total(),
             last_rejection=self.last_rejection,
         )
 
-    def _step(self, sample: Sample) -> Output[EstimateT]:
-        result = sample.rejection
-        if result is None:
-            answer = self.estimator.step(sample)
-            result = answer if isinstance(answer, Rejection) else None
+    def _step(self, sample: Sample) -> None:
+        self._estimate = None
+        rejection = sample.rejection or self.estimator.step(sample)
         self.samples += 1
         self._speed = sample.speed
         self._sample_ns = sample.stamp_ns
-        if result is None:
+        if rejection is None:
             self.used += 1
         else:
-            self._count(result)
-        self._status = self._judge(result)
-        output = self.current()
-        self._published = output.estimate
-        self._consistency.see(*stated_innovation(output.estimate), used=result is None)
-        return output
+            self._count(rejection)
+        # The consistency of this sample counts from the next one on.
+        self._status = self._judge(rejection)
+        self._consistency.see(*self.estimator.innovation, used=rejection is None)
 
     def _judge(self, rejection: Rejection | None) -> Status:
         if self._status is Status.FAULT:

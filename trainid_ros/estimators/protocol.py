@@ -13,10 +13,14 @@ EstimateT_co = TypeVar('EstimateT_co', covariant=True)
 
 
 class Estimator(Protocol[EstimateT_co]):
-    """A streaming estimator: explicit state, one step per sample, an estimate or a rejection."""
+    """A streaming estimator: explicit state, one step per sample, an estimate when asked for."""
 
-    def step(self, sample: Sample) -> EstimateT_co | Rejection:
-        """Take in one sample; return the estimate, or why the sample was not used."""
+    def step(self, sample: Sample) -> Rejection | None:
+        """Take in one sample; return why it was not used, None if it was."""
+
+    @property
+    def innovation(self) -> tuple[float, float]:
+        """Innovation of the last update and its variance as stated before the measurement, 0 if none is stated."""
 
     def estimate(self, speed: float) -> EstimateT_co:
         """Return the current estimate at a speed [m/s]."""
@@ -33,3 +37,8 @@ class Estimator(Protocol[EstimateT_co]):
 
     def restore(self, text: str) -> None:
         """Restore a state made by :meth:`save`; raise InputError if it does not fit."""
+
+
+def step_and_estimate(estimator: Estimator[EstimateT_co], sample: Sample) -> EstimateT_co | Rejection:
+    """Step an estimator; return its estimate at the speed of the sample, or why the sample was not used."""
+    return estimator.step(sample) or estimator.estimate(sample.speed)

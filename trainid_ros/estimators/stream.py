@@ -76,7 +76,7 @@ class SampleStream:
         )
         self._history = DriveHistoryTracker(config.train_file)
         self._needs_history = bool(config.train_file.effects)
-        self._first_ns = 0
+        self._skew_ns = round(abs(self._correction.skew_s) * NS_PER_S)
         self._clear()
 
     def _clear(self) -> None:
@@ -88,6 +88,8 @@ class SampleStream:
         self._stuck = StuckSpeed(self._known)
         self._skipped: tuple[Sample, ...] = ()
         self._first_ns = 0
+        # How far the last required topic is behind the newest stamp, beyond the correction of the force's stamps [ns].
+        self._behind_ns = 0
 
     def reset(self) -> None:
         """Forget all records and the history of the drive."""
@@ -117,10 +119,8 @@ class SampleStream:
 
     def is_input_missing(self, timeout_ns: int) -> bool:
         """Return whether a required topic is behind the others by more than a timeout [ns] or has not started."""
-        timeout_ns += round(abs(self._correction.skew_s) * NS_PER_S)
-        reached_ns = self._aligner.complete_ns or self._first_ns
         # A slow topic is behind the others until its next record: that is checked only if the first test fails.
-        return self.newest_ns - reached_ns > timeout_ns and self._aligner.is_behind(timeout_ns)
+        return self._behind_ns > timeout_ns and self._aligner.is_behind(timeout_ns + self._skew_ns)
 
     def push(self, record: Record) -> list[StreamEvent]:
         """Take in one record; return the samples it completes, why records were rejected, and jumps of the stamps.
@@ -139,7 +139,9 @@ class SampleStream:
                 events[i] = self._follow(event)
             elif isinstance(event, TimeJump):
                 self._jump(event)
-        self._first_ns = self._first_ns or self.newest_ns
+        newest_ns = self._aligner.newest_ns
+        self._first_ns = self._first_ns or newest_ns
+        self._behind_ns = newest_ns - (self._aligner.complete_ns or self._first_ns) - self._skew_ns
         return events
 
     def _follow(self, sample: Sample) -> Sample:

@@ -195,7 +195,7 @@ class FilterBank:
         """True while the resistance is known well enough over the driven speeds."""
         return self._converged
 
-    def step(self, sample: Sample) -> ResistanceEstimate | Rejection:
+    def step(self, sample: Sample) -> Rejection | None:
         """Process one sample; the filters run two steps late."""
         if (rejection := self._admission.reject(sample)) is not None:
             self._interrupt(sample)
@@ -207,8 +207,8 @@ class FilterBank:
         while len(self._ticks) > (_STEPS_AHEAD + 1) * self._stride + 1:
             self._ticks.popleft()
         if len(self._ticks) > _STEPS_AHEAD * self._stride:
-            rejection = self._advance()
-        return rejection or self.estimate(sample.speed)
+            return self._advance()
+        return None
 
     def _tick(self, sample: Sample) -> Tick:
         return Tick(
@@ -314,6 +314,11 @@ class FilterBank:
             stated, posterior = (self._inflation.factor * S + by_wheels for S in (found.covariance, found.posterior))
             self._mixture = Mixture(found.mean, stated, posterior)
         return self._mixture
+
+    @property
+    def innovation(self) -> tuple[float, float]:
+        """Innovation of the last update and its variance before the measurement, as in the estimate."""
+        return self._innovation, self._innovation_variance
 
     def estimate(self, speed: float) -> ResistanceEstimate:
         """Return the parameters for v in m/s and the resistance [N/kN] at a speed [m/s]."""

@@ -172,7 +172,7 @@ class SpeedEkf:
         """True while the resistance is known well enough over the speeds observed."""
         return self._converged
 
-    def step(self, sample: Sample) -> ResistanceEstimate | Rejection:
+    def step(self, sample: Sample) -> Rejection | None:
         """Process one sample."""
         self._stamp_ns = sample.stamp_ns
         self._tachometer.add(sample.speed, sample.dt)
@@ -183,7 +183,7 @@ class SpeedEkf:
         u = traction - self._known.track(sample)
         if not self._running:
             self._begin(sample.speed, u)
-            return self.estimate(sample.speed)
+            return None
         self._predict(sample.dt, u, traction)
         rejection = self._correct(sample)
         self._force = u
@@ -191,7 +191,7 @@ class SpeedEkf:
             self._return_to_prior(sample.speed)
             return Rejection(sample.stamp_ns, Reason.NUMERICAL, self._innovation, math.nan)
         self._judge()
-        return rejection or self.estimate(sample.speed)
+        return rejection
 
     def _begin(self, speed: float, u: float) -> None:
         """Restart from a measured speed [m/s] with the known specific force u [N/kN]."""
@@ -270,6 +270,11 @@ class SpeedEkf:
         self._converged = self._accepted > 0 and is_fit(
             lambda v: predict(posterior, v, v * v)[1], speeds, self.config.valid_std, was_fit=self._converged
         )
+
+    @property
+    def innovation(self) -> tuple[float, float]:
+        """Innovation of the last update and its variance before the measurement, as in the estimate."""
+        return self._innovation, self._innovation_variance
 
     def estimate(self, speed: float) -> ResistanceEstimate:
         """Return the parameters for v in m/s and the resistance [N/kN] at a speed [m/s]."""

@@ -166,7 +166,7 @@ class VMils:
         """True while the resistance is known well enough over the driven speeds."""
         return self._converged
 
-    def step(self, sample: Sample) -> ResistanceEstimate | Rejection:
+    def step(self, sample: Sample) -> Rejection | None:
         """Process one sample; every ``hop`` seconds of good samples give one observation and one update."""
         self._stamp_ns = sample.stamp_ns
         self._widen_at_stops(sample)
@@ -187,7 +187,7 @@ class VMils:
         )
         rejection = self.learner.push(tick)
         self._judge(updated=self.learner.driven.count != before)
-        return rejection or self.estimate(sample.speed)
+        return rejection
 
     def _widen_at_stops(self, sample: Sample) -> None:
         """Add the variance of a step of kappa at each standstill, where the passenger load changes."""
@@ -253,6 +253,11 @@ class VMils:
             self.config.valid_share,
             was_fit=self._converged,
         )
+
+    @property
+    def innovation(self) -> tuple[float, float]:
+        """Innovation of the last update and its variance before the measurement, as in the estimate."""
+        return self.learner.innovation, self.learner.innovation_variance
 
     def estimate(self, speed: float) -> ResistanceEstimate:
         """Return the parameters for v in m/s and the resistance [N/kN] at a speed [m/s]."""

@@ -127,7 +127,7 @@ class WindowedRegression:
         """True while the resistance is known well enough over the speeds observed."""
         return self.state.converged
 
-    def step(self, sample: Sample) -> ResistanceEstimate | Rejection:
+    def step(self, sample: Sample) -> Rejection | None:
         """Process one sample; each complete window or segment gives one observation."""
         if (rejection := self._admission.reject(sample)) is not None:
             self.state = replace(self._skipped(), ticks=(), braked_ns=self._admission.braked_ns)
@@ -136,7 +136,7 @@ class WindowedRegression:
         tick = Tick(sample.stamp_ns, sample.dt, sample.speed, traction - self._known.track(sample), traction)
         ticks, piece = cut(self.state.ticks, tick, self._cutter)
         self.state = replace(self.state, ticks=ticks, braked_ns=self._admission.braked_ns)
-        return (self._observe(piece) if piece else None) or self.estimate(sample.speed)
+        return self._observe(piece) if piece else None
 
     def _observe(self, piece: tuple[Tick, ...]) -> Rejection | None:
         # An infinite noise level disables outlier removal: the paper uses all speeds.
@@ -211,6 +211,11 @@ class WindowedRegression:
     def _scale(self, residuals: Residuals) -> float:
         """Return p sigma^2 [(N/kN)^2]."""
         return self.config.innovation_length * residuals.long_run_variance(self.config.noise_std)
+
+    @property
+    def innovation(self) -> tuple[float, float]:
+        """Innovation of the last update and its variance before the measurement, as in the estimate."""
+        return self.state.innovation, self.state.innovation_variance
 
     def estimate(self, speed: float) -> ResistanceEstimate:
         """Return the parameters for v in m/s and the resistance [N/kN] at a speed [m/s]."""

@@ -192,8 +192,8 @@ class SpeedModelEstimator:
         check_not_negative(kind, variance=state.variance, spread=state.spread, used=state.used)
         check_not_negative(kind, rejected_in_a_row=state.rejected_in_a_row, slow_in_a_row=state.slow_in_a_row)
 
-    def step(self, sample: Sample) -> SpeedModelEstimate | Rejection:
-        """Process one sample; return the estimate or the reason for rejection."""
+    def step(self, sample: Sample) -> Rejection | None:
+        """Process one sample; return the reason if it is rejected."""
         self._store(sample)
         rejection = self._admission.reject(sample)
         if rejection is not None:
@@ -211,7 +211,7 @@ class SpeedModelEstimator:
             self.state = replace(state, numbers=self._method.anchor(self._method.start(noise.variance), y, 1.0))
             return Rejection(sample.stamp_ns, Reason.NUMERICAL, numbers[3], 0.0)
         self._learn(sample, learned, late, curve, traction)
-        return self.estimate(sample.speed)
+        return None
 
     def _speed(self) -> float:
         """Return the speed at the time to which the reported force belongs [m/s]."""
@@ -403,6 +403,11 @@ class SpeedModelEstimator:
     def converged(self) -> bool:
         """Whether w is known accurately enough over the speeds driven."""
         return self.state.fit
+
+    @property
+    def innovation(self) -> tuple[float, float]:
+        """Innovation of the last update and its variance before the measurement, as in the estimate."""
+        return self.state.error, self.state.variance
 
     def estimate(self, speed: float) -> SpeedModelEstimate:  # noqa: ARG002 - one signature for all estimators
         """Return the speed model and its physical parameters; ``speed`` [m/s] is unused."""

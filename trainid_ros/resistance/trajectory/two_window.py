@@ -159,7 +159,7 @@ class TwoWindow:
         """True while the resistance is known well enough over the speeds of the window."""
         return self.state.converged
 
-    def step(self, sample: Sample) -> ResistanceEstimate | Rejection:
+    def step(self, sample: Sample) -> Rejection | None:
         """Process one sample; every ``stride`` good samples give one row and one fit."""
         rejection = self._admission.reject(sample)
         self.state = replace(self.state, braked_ns=self._admission.braked_ns)
@@ -170,7 +170,7 @@ class TwoWindow:
         motion = self.state.motion
         if motion is None:
             self.state = replace(self.state, motion=PieceState(sample.speed), pieces=self.state.pieces + 1, noise=noise)
-            return self.estimate(sample.speed)
+            return None
         moved, rejection = self._move(motion, sample)
         if rejection is not None:
             lost = moved.rejected_s > self.config.patience
@@ -179,7 +179,7 @@ class TwoWindow:
         self.state = replace(self.state, motion=moved, noise=noise)
         if moved.filled >= self.config.stride:
             self._end_row(moved, sample)
-        return self.estimate(sample.speed)
+        return None
 
     def _move(self, motion: PieceState, sample: Sample) -> tuple[PieceState, Rejection | None]:
         """Advance by one stage: predict the speed, reject an outlier, update the sums."""
@@ -264,6 +264,11 @@ class TwoWindow:
     def _speeds(self) -> tuple[float, float]:
         rows = self.state.rows
         return min((row.speed_min for row in rows), default=0.0), max((row.speed_max for row in rows), default=0.0)
+
+    @property
+    def innovation(self) -> tuple[float, float]:
+        """Innovation of the last update and its variance before the measurement, as in the estimate."""
+        return self.state.innovation, self.state.innovation_variance
 
     def estimate(self, speed: float) -> ResistanceEstimate:
         """Return the parameters for v in m/s and the resistance [N/kN] at a speed [m/s]."""
