@@ -25,14 +25,14 @@ from trainid_msgs import msg as trainid_msgs
 
 from benchmarks.days import TRAIN_FILE, simulated_day
 from benchmarks.tables import Table
-from trainid_ros.bag.types import ESTIMATE_TOPICS
 from trainid_ros.core.alignment import Aligner, AlignmentConfig
+from trainid_ros.core.messages import OUTPUT_TOPICS, stamp_of
 from trainid_ros.core.records import INPUT_TOPICS, NS_PER_S
 from trainid_ros.core.samples import Sample
 from trainid_ros.demo.domain import free_domain
 from trainid_ros.demo.processes import ProcessGroup
 from trainid_ros.ros import qos
-from trainid_ros.ros.conversion import message_class, message_from_record, stamp_ns
+from trainid_ros.ros.conversion import message_class, message_from_record
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from trainid_ros.core.records import Record
 
 _SEED: Final = 1
+_OUTPUTS: Final = {topic.message: topic.name for topic in OUTPUT_TOPICS}
 # A part of the day with traction, coasting, braking and standstill.
 _START_S: Final = 40.0
 _WARM_UP_TICKS: Final = 25
@@ -129,8 +130,8 @@ class _Meter:
             for topic in INPUT_TOPICS
         }
         self.sent_ns: dict[int, int] = {}
-        self.received_ns: dict[str, dict[int, int]] = {topic: {} for topic in ESTIMATE_TOPICS.values()}
-        for kind, topic in ESTIMATE_TOPICS.items():
+        self.received_ns: dict[str, dict[int, int]] = {topic: {} for topic in _OUTPUTS.values()}
+        for kind, topic in _OUTPUTS.items():
             self._node.create_subscription(
                 getattr(trainid_msgs, kind), topic, self._receiver(self.received_ns[topic]), qos.estimate_qos()
             )
@@ -148,7 +149,7 @@ class _Meter:
     @staticmethod
     def _receiver(received: dict[int, int]) -> Any:
         def receive(message: Any) -> None:
-            received.setdefault(stamp_ns(message.header.stamp), time.perf_counter_ns())
+            received.setdefault(stamp_of(message), time.perf_counter_ns())
 
         return receive
 
@@ -174,7 +175,7 @@ class _Meter:
 
     def _sees_all(self) -> bool:
         subscribed = all(self._node.count_subscribers(topic.name) == len(_NODES) for topic in INPUT_TOPICS)
-        return subscribed and all(self._node.count_publishers(topic) for topic in ESTIMATE_TOPICS.values())
+        return subscribed and all(self._node.count_publishers(topic) for topic in _OUTPUTS.values())
 
     def publish(self, records: Sequence[Record]) -> None:
         """Publish records in real time; store the time at which each sample is complete."""

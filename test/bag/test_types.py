@@ -13,12 +13,14 @@ from trainid_ros.bag.types import (
     estimate_message,
     full_type,
     message_from_record,
-    record_from_message,
     split_stamp,
     typestore,
 )
 from trainid_ros.core.errors import InputError
+from trainid_ros.core.messages import record_from_message
 from trainid_ros.core.records import (
+    INPUT_TOPICS,
+    SPEED_TOPIC,
     BrakeRecord,
     ForceRecord,
     GradientRecord,
@@ -37,6 +39,7 @@ from trainid_ros.core.results import (
 )
 from trainid_ros.estimators.pipeline import Output
 
+TOPICS = {topic.message: topic for topic in INPUT_TOPICS}
 STAMP = 1_700_000_000_123_456_789
 RECORDS: list[tuple[str, Record]] = [
     ('AtoSpeed', SpeedRecord(STAMP, 12.5, 1450.25)),
@@ -51,12 +54,12 @@ RECORDS: list[tuple[str, Record]] = [
 def test_record_survives_serialisation(name: str, record: Record) -> None:
     store, kind = typestore(), full_type(name)
     message = store.deserialize_cdr(store.serialize_cdr(message_from_record(record), kind), kind)
-    assert record_from_message(name, message) == record
+    assert record_from_message(TOPICS[name], message) == record
 
 
 def test_values_that_are_not_finite_are_passed_on() -> None:
     message = message_from_record(SpeedRecord(STAMP, math.inf, math.nan))
-    back = record_from_message('AtoSpeed', message)
+    back = record_from_message(SPEED_TOPIC, message)
     assert isinstance(back, SpeedRecord)
     assert back.speed == math.inf
     assert math.isnan(back.position)

@@ -11,10 +11,11 @@ from rclpy.lifecycle import TransitionCallbackReturn
 from rosgraph_msgs.msg import Clock
 
 from trainid_ros.bag.writer import BagWriter
+from trainid_ros.core.messages import record_from_message
 from trainid_ros.core.records import INPUT_TOPICS, NS_PER_S, BrakeRecord, ForceRecord, MassRecord, Record, SpeedRecord
 from trainid_ros.ros import playback_node
 from trainid_ros.ros.bag_player import BagPlayer
-from trainid_ros.ros.conversion import message_class, record_from_message, stamp_ns
+from trainid_ros.ros.conversion import message_class
 from trainid_ros.ros.train_simulator import TrainSimulator
 
 pytestmark = pytest.mark.ros
@@ -51,7 +52,9 @@ class InputListener:
                 self.records.append(record_from_message(topic, message))
 
             node.create_subscription(message_class(topic), topic.name, lambda m, r=receive: r(m), 5000)
-        node.create_subscription(Clock, '/clock', lambda m: self.clock.append(stamp_ns(m.clock)), 5000)
+        node.create_subscription(
+            Clock, '/clock', lambda m: self.clock.append(m.clock.sec * NS_PER_S + m.clock.nanosec), 5000
+        )
 
 
 def by_kind(records: list[Record]) -> dict[str, list[Record]]:

@@ -5,9 +5,8 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from trainid_ros.bag.types import ESTIMATE_TOPICS, LAST_VALID_TOPICS, estimate_message, message_from_record
+from trainid_ros.bag.types import message_from_record
 from trainid_ros.core.records import INPUT_TOPICS
-from trainid_ros.core.results import Status
 from trainid_ros.report.traces import TraceRecorder
 
 if TYPE_CHECKING:
@@ -32,10 +31,7 @@ class BagRecorder:
 
     def on_output(self, output: AnyOutput, log_ns: int) -> None:
         """Write an estimate, and its latched copy if it is valid."""
-        name, message = type(output.estimate).__name__, estimate_message(output)
-        self._writer.write_message(ESTIMATE_TOPICS[name], name, log_ns, message)
-        if output.status is Status.VALID and (latched := LAST_VALID_TOPICS.get(name)) is not None:
-            self._writer.write_message(latched, name, log_ns, message)
+        self._writer.write_estimate(output, log_ns)
 
 
 class TraceObserver:

@@ -17,14 +17,12 @@ from trainid_ros.bag.bag_files import locate
 from trainid_ros.bag.mcap_file import McapFile
 from trainid_ros.bag.record_table import EMPTY, decode, in_order_of, joined
 from trainid_ros.bag.types import (
-    ESTIMATE_TOPICS,
-    LAST_VALID_TOPICS,
     digest,
     full_type,
-    record_from_message,
     typestore,
 )
 from trainid_ros.core.errors import InputError
+from trainid_ros.core.messages import OUTPUT_TOPICS, record_from_message
 from trainid_ros.core.records import INPUT_TOPICS, REQUIRED_TOPICS, InputTopic, row_of
 
 if TYPE_CHECKING:
@@ -38,7 +36,7 @@ if TYPE_CHECKING:
     from trainid_ros.core.records import Record
 
 _OURS: Final = {topic.name: topic.message for topic in INPUT_TOPICS} | {
-    topic: message for topics in (ESTIMATE_TOPICS, LAST_VALID_TOPICS) for message, topic in topics.items()
+    name: topic.message for topic in OUTPUT_TOPICS for name in (topic.name, topic.last_valid) if name
 }
 _INPUT_NAMES: Final = frozenset(topic.name for topic in INPUT_TOPICS)
 _TOPIC_NUMBERS: Final = {topic.name: number for number, topic in enumerate(INPUT_TOPICS)}
@@ -223,7 +221,7 @@ class BagReader:
         for row in np.flatnonzero(~decoded).tolist():  # big endian, or broken
             payload = block.data[block.start[rows[row]] : block.end[rows[row]]].tobytes()
             message = self._deserialize(payload, source, int(block.log_ns[rows[row]]))
-            numbers = row_of(record_from_message(source.name, message))
+            numbers = row_of(record_from_message(INPUT_TOPICS[topic], message))
             _, table.stamp_ns[row], table.x[row], table.y[row], table.flag[row] = numbers
         return table
 

@@ -14,14 +14,13 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.rosbag2.storage_mcap import McapWriter
 
 from trainid_ros.bag.types import (
-    ESTIMATE_TOPICS,
-    LAST_VALID_TOPICS,
     estimate_message,
     full_type,
     message_from_record,
     typestore,
 )
 from trainid_ros.core.errors import InputError
+from trainid_ros.core.messages import OUTPUT_TOPICS, output_topic
 from trainid_ros.core.records import INPUT_TOPICS
 from trainid_ros.core.results import Status
 
@@ -35,12 +34,13 @@ if TYPE_CHECKING:
 
     from rosbags.interfaces import Connection
 
-    from trainid_ros.bag.types import OutputLike
+    from trainid_ros.core.messages import OutputLike
     from trainid_ros.core.records import Record
 
 _VERSION: Final = 9
 # rmw represents "no limit" by its largest duration.
 _NO_LIMIT: Final = QosTime(9223372036, 854775807)
+_LATCHED: Final = frozenset(topic.last_valid for topic in OUTPUT_TOPICS)
 _TOPIC_OF: Final = {topic.record: topic for topic in INPUT_TOPICS}
 
 
@@ -131,12 +131,13 @@ class BagWriter:
         topic = _TOPIC_OF[type(record)]
         self.write_message(topic.name, topic.message, record.stamp_ns, message_from_record(record))
 
-    def write_estimate(self, output: OutputLike) -> None:
-        """Write an estimator output, and its latched copy if it is valid, logged at its stamp."""
-        name, message = type(output.estimate).__name__, estimate_message(output)
-        self.write_message(ESTIMATE_TOPICS[name], name, output.stamp_ns, message)
-        if output.status is Status.VALID and (latched := LAST_VALID_TOPICS.get(name)) is not None:
-            self.write_message(latched, name, output.stamp_ns, message)
+    def write_estimate(self, output: OutputLike, log_ns: int | None = None) -> None:
+        """Write an estimator output, and its latched copy if it is valid, logged at a time [ns] or at its stamp."""
+        topic, message = output_topic(output.estimate), estimate_message(output)
+        logged_ns = output.stamp_ns if log_ns is None else log_ns
+        self.write_message(topic.name, topic.message, logged_ns, message)
+        if topic.last_valid and message.status == Status.VALID:
+            self.write_message(topic.last_valid, topic.message, logged_ns, message)
 
     def write_message(self, topic: str, msgtype: str, stamp_ns: int, message: Any) -> None:
         """Write a message.
@@ -164,7 +165,7 @@ class BagWriter:
 
     def _connect(self, writer: Writer, topic: str, name: str) -> Connection:
         full = topic if topic.startswith('/') else f'/{topic}'
-        latched = full.removeprefix('/') in LAST_VALID_TOPICS.values()
+        latched = full.removeprefix('/') in _LATCHED
         profile = LATCHED_QOS if latched else STREAM_QOS
         connection = writer.add_connection(full, name, typestore=self._types, offered_qos_profiles=[profile])
         self._connections[topic] = connection

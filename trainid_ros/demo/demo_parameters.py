@@ -7,9 +7,10 @@ from typing import Any, Final
 
 import yaml
 
-from trainid_ros.bag.types import ESTIMATE_TOPICS
+from trainid_ros.core.messages import OUTPUT_TOPICS
 from trainid_ros.core.records import INPUT_TOPICS
 
+_OUTPUTS: Final = {topic.message: topic.name for topic in OUTPUT_TOPICS}
 # Nodes and the message of their estimate, in starting order.
 NODES: Final = {
     'resistance_estimator': 'ResistanceEstimate',
@@ -28,5 +29,5 @@ def parameter_file() -> str:
 
 def _overrides(message: str) -> dict[str, Any]:
     topics: dict[str, Any] = {f'/{topic.name}': {'subscription': dict(_LOSSLESS)} for topic in INPUT_TOPICS}
-    topics[f'/{ESTIMATE_TOPICS[message]}'] = {'publisher': dict(_LOSSLESS)}
+    topics[f'/{_OUTPUTS[message]}'] = {'publisher': dict(_LOSSLESS)}
     return {'qos_overrides': topics}

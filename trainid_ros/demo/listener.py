@@ -12,7 +12,7 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from trainid_msgs import msg as trainid_msgs
 
-from trainid_ros.bag.types import ESTIMATE_TOPICS
+from trainid_ros.core.messages import OUTPUT_TOPICS
 from trainid_ros.core.records import NS_PER_S
 from trainid_ros.core.results import (
     BrakeRateEstimate,
@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 # Deep enough that no message is lost while the screen is drawn.
 _DEPTH: Final = 40000
+_OUTPUTS: Final = {topic.message: topic.name for topic in OUTPUT_TOPICS}
 _REJECTED: Final = 'rejected.'
 _KINDS: Final[tuple[type[Estimate], ...]] = (ResistanceEstimate, SpeedModelEstimate, BrakeRateEstimate)
 
@@ -61,7 +62,7 @@ class Listener:
         self._node = rclpy.create_node('ato_controller', context=self._context)
         qos = QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.RELIABLE)
         for kind in _KINDS:
-            message, topic = getattr(trainid_msgs, kind.__name__), ESTIMATE_TOPICS[kind.__name__]
+            message, topic = getattr(trainid_msgs, kind.__name__), _OUTPUTS[kind.__name__]
             self._estimates[kind] = self._node.create_subscription(message, topic, _ignore, qos)
         self._diagnostics = self._node.create_subscription(DiagnosticArray, '/diagnostics', _ignore, qos)
         return self
@@ -76,7 +77,7 @@ class Listener:
 
     def has_all_publishers(self) -> bool:
         """Return True once every estimate has a publisher."""
-        return all(self._node.count_publishers(topic) for topic in ESTIMATE_TOPICS.values())
+        return all(self._node.count_publishers(topic) for topic in _OUTPUTS.values())
 
     def take(self) -> list[Received]:
         """Return the estimates that arrived since the last call, by topic; keep the newest diagnostics."""

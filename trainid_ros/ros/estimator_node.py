@@ -20,6 +20,7 @@ from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 
 from trainid_ros.core.errors import InputError, TrainIdError
+from trainid_ros.core.messages import record_from_message
 from trainid_ros.core.records import (
     BRAKE_TOPIC,
     FORCE_TOPIC,
@@ -35,7 +36,7 @@ from trainid_ros.core.results import Status
 from trainid_ros.estimators.pipeline import EstimatorPipeline, EstimatorSettings
 from trainid_ros.estimators.stream import TimeJumpPolicy
 from trainid_ros.ros import qos
-from trainid_ros.ros.conversion import fill_estimate, record_from_message, time_message
+from trainid_ros.ros.conversion import fill_estimate, time_message
 from trainid_ros.ros.diagnostics import (
     NodeHealth,
     ShownValue,
@@ -171,7 +172,7 @@ class EstimatorNode(ManagedNode):
         self._watchdog_timer = self.create_timer(_FIRST_WATCH_S, self._watch, clock=self._steady)
         result = super().on_activate(state)
         self._listening = result == _SUCCESS
-        self.get_logger().info(f'active: {self.algorithm} on {self.resolve_topic_name(self.job.topic)}')
+        self.get_logger().info(f'active: {self.algorithm} on {self.resolve_topic_name(self.job.topic.name)}')
         return result
 
     @guarded
@@ -221,9 +222,9 @@ class EstimatorNode(ManagedNode):
 
     def _open(self) -> None:
         job = self.job
-        self._estimates = self._offer(job.topic, qos.estimate_qos())
-        if job.last_valid_topic is not None:
-            self._last_valid = self._offer(job.last_valid_topic, qos.latched_qos())
+        self._estimates = self._offer(job.topic.name, qos.estimate_qos())
+        if job.topic.last_valid:
+            self._last_valid = self._offer(job.topic.last_valid, qos.latched_qos())
         alignment = self._settings.alignment
         longest = {
             SPEED_TOPIC: alignment.max_dt,

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.core.errors import InputError
+from trainid_ros.core.messages import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, SPEED_MODEL_TOPIC, OutputTopic
 from trainid_ros.estimators.pipeline import brake_rate_pipeline, resistance_pipeline, speed_model_pipeline
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
 from trainid_ros.speed_model.speed_model_algorithms import SPEED_MODEL
@@ -28,7 +29,6 @@ class Job:
         field: Its name in EstimatorSettings, in pipelines and results.
         node_name: Name of the node.
         topic: Topic of the estimates.
-        last_valid_topic: Topic of the latched copy, None if there is none.
         algorithms: Available algorithms.
         pipeline: Creates the pipeline.
 
@@ -36,8 +36,7 @@ class Job:
 
     field: str
     node_name: str
-    topic: str
-    last_valid_topic: str | None
+    topic: OutputTopic
     algorithms: Algorithms[Any]
     pipeline: Callable[[TrainFile, EstimatorSettings], EstimatorPipeline[Any]]
 
@@ -45,19 +44,17 @@ class Job:
 RESISTANCE_JOB: Final = Job(
     'resistance',
     'resistance_estimator',
-    'trainid/resistance',
-    'trainid/last_valid/resistance',
+    RESISTANCE_TOPIC,
     RESISTANCE,
     resistance_pipeline,
 )
 SPEED_MODEL_JOB: Final = Job(
-    'speed_model', 'speed_model_estimator', 'trainid/speed_model', None, SPEED_MODEL, speed_model_pipeline
+    'speed_model', 'speed_model_estimator', SPEED_MODEL_TOPIC, SPEED_MODEL, speed_model_pipeline
 )
 BRAKE_RATE_JOB: Final = Job(
     'brake_rate',
     'brake_rate_estimator',
-    'trainid/brake_rate',
-    'trainid/last_valid/brake_rate',
+    BRAKE_RATE_TOPIC,
     BRAKE_RATE,
     brake_rate_pipeline,
 )

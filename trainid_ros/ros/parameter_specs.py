@@ -171,7 +171,7 @@ def requested_algorithm(overrides: Mapping[str, object], algorithms: Algorithms[
 def qos_overrides(job: Job, resolve: Callable[[str], str]) -> list[str]:
     """Return the names of the QoS parameters; ``resolve`` returns the full name of a topic."""
     topics = [(topic.name, 'subscription') for topic in INPUT_TOPICS]
-    topics += [(topic, 'publisher') for topic in (job.topic, job.last_valid_topic) if topic]
+    topics += [(topic, 'publisher') for topic in (job.topic.name, job.topic.last_valid) if topic]
     policies = ('history', 'depth', 'reliability')
     return [f'qos_overrides.{resolve(name)}.{entity}.{policy}' for name, entity in topics for policy in policies]
 

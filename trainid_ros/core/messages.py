@@ -1,0 +1,125 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How messages map to records and outputs, by field name; the same for the classes of ROS and of rosbags."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any, Final, Protocol
+
+from trainid_ros.core.records import NS_PER_S
+from trainid_ros.core.results import (
+    BrakeRateEstimate,
+    Estimate,
+    Rejection,
+    ResistanceEstimate,
+    SpeedModelEstimate,
+    Status,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from trainid_ros.core.records import InputTopic, Record
+
+    Value = float | bool | int | str | list[float]
+
+# Generated messages store values without checking their type, so every value is cast.
+_CASTS: Final[dict[str, Callable[[Any], Any]]] = {'float': float, 'int': int, 'bool': bool}
+# NaN where an algorithm does not estimate them; the position may be unknown.
+_MAY_BE_UNKNOWN: Final = frozenset({'position', 'force_scale', 'force_scale_std', 'force_delay', 'force_delay_std'})
+
+
+@dataclass(frozen=True, slots=True)
+class OutputTopic:
+    """Topic of an estimate, its message type, its class, and the topic of the latched copy, '' if there is none."""
+
+    name: str
+    message: str
+    estimate: type[Estimate]
+    last_valid: str
+
+
+RESISTANCE_TOPIC: Final = OutputTopic(
+    'trainid/resistance', 'ResistanceEstimate', ResistanceEstimate, 'trainid/last_valid/resistance'
+)
+SPEED_MODEL_TOPIC: Final = OutputTopic('trainid/speed_model', 'SpeedModelEstimate', SpeedModelEstimate, '')
+BRAKE_RATE_TOPIC: Final = OutputTopic(
+    'trainid/brake_rate', 'BrakeRateEstimate', BrakeRateEstimate, 'trainid/last_valid/brake_rate'
+)
+OUTPUT_TOPICS: Final = (RESISTANCE_TOPIC, SPEED_MODEL_TOPIC, BRAKE_RATE_TOPIC)
+_TOPIC_OF: Final[dict[type[Any], OutputTopic]] = {topic.estimate: topic for topic in OUTPUT_TOPICS}
+
+
+class OutputLike(Protocol):
+    """Output of an estimator after a sample: the estimate, its status, and counts of used and rejected samples."""
+
+    @property
+    def stamp_ns(self) -> int:
+        """Stamp of the newest sample used [ns]."""
+
+    @property
+    def estimate(self) -> Estimate:
+        """The estimate itself."""
+
+    @property
+    def status(self) -> Status:
+        """Status of the estimate."""
+
+    @property
+    def used(self) -> int:
+        """Samples used since the last reset."""
+
+    @property
+    def rejected(self) -> int:
+        """Samples not used since the last reset."""
+
+    @property
+    def last_rejection(self) -> Rejection | None:
+        """Last rejection, None before the first."""
+
+
+def output_topic(estimate: Estimate) -> OutputTopic:
+    """Return the topic of an estimate."""
+    return _TOPIC_OF[type(estimate)]
+
+
+def stamp_of(message: Any) -> int:
+    """Return the stamp of a message with a header [ns]."""
+    stamp = message.header.stamp
+    return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
+
+
+def record_from_message(topic: InputTopic, message: Any) -> Record:
+    """Return the record of an input message; values are passed on unchecked, NaN included."""
+    values = [_CASTS[str(item.type)](getattr(message, item.name)) for item in fields(topic.record)[1:]]
+    return topic.record(stamp_of(message), *values)
+
+
+def record_values(record: Record) -> dict[str, Value]:
+    """Return the fields of the message of a record, but for its header."""
+    return {item.name: _CASTS[str(item.type)](getattr(record, item.name)) for item in fields(record)[1:]}
+
+
+def output_values(output: OutputLike) -> dict[str, Value]:
+    """Return the fields of the message of an output, but for its header; a number that is not finite makes it FAULT."""
+    estimate, rejection = output.estimate, output.last_rejection
+    values: dict[str, Value] = {item.name: _plain(getattr(estimate, item.name)) for item in fields(estimate)}
+    finite = all(name in _MAY_BE_UNKNOWN or _is_finite(value) for name, value in values.items())
+    return values | {
+        'status': int(output.status) if finite else int(Status.FAULT),
+        'used': int(output.used),
+        'rejected': int(output.rejected),
+        'last_reject_reason': 0 if rejection is None else int(rejection.reason),
+        'last_reject_text': '' if rejection is None else str(rejection),
+    }
+
+
+def _plain(value: Any) -> Value:
+    if isinstance(value, tuple):
+        return [float(item) for item in value]
+    return value if isinstance(value, bool) else float(value)
+
+
+def _is_finite(value: Any) -> bool:
+    return all(map(math.isfinite, value)) if isinstance(value, list) else math.isfinite(value)
