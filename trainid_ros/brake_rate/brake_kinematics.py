@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from trainid_ros.core.records import NS_PER_S
-from trainid_ros.train.brake import lag_integral, lag_response
+from trainid_ros.train.brake import actuator_response, lag_integral, lag_response
 
 if TYPE_CHECKING:
     from trainid_ros.train.brake import CommandHistory
@@ -52,9 +52,6 @@ def brake_step(commands: CommandHistory, brake: Brake, start_ns: int, end_ns: in
     """
     delay_ns = round(brake.delay * NS_PER_S)
     tau = brake.time_constant
-    a = v = 0.0
-    for duration, u in commands.segments(start_ns - delay_ns, end_ns - delay_ns):
-        v += lag_integral(a, u, tau, duration)
-        a = lag_response(a, u, tau, duration)
+    a, v = actuator_response(commands, start_ns, end_ns, 0.0, delay_ns=delay_ns, time_constant=tau)
     elapsed = (end_ns - start_ns) / NS_PER_S
     return BrakeStep(lag_response(1.0, 0.0, tau, elapsed), lag_integral(1.0, 0.0, tau, elapsed), a, v, start_target)

@@ -16,7 +16,7 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 from trainid_ros.core.records import NS_PER_S
-from trainid_ros.train.brake import lag_integral, lag_response
+from trainid_ros.train.brake import actuator_response
 
 if TYPE_CHECKING:
     from trainid_ros.train.brake import CommandHistory
@@ -89,11 +89,9 @@ def timing_step(
         return replace(timing, targets=(0.0, 0.0, 0.0, 0.0)), TimingStep(0.0, 0.0, 0.0)
     ends, sums = [], []
     for (delay, lag), before in zip(timing.variants, timing.targets, strict=True):
-        y, total, shift = before, 0.0, round(delay * NS_PER_S)
-        for duration, u in commands.segments(start_ns - shift, end_ns - shift):
-            total += lag_integral(y, u, lag, duration)
-            y = lag_response(y, u, lag, duration)
-        ends.append(y)
+        shift = round(delay * NS_PER_S)
+        end, total = actuator_response(commands, start_ns, end_ns, before, delay_ns=shift, time_constant=lag)
+        ends.append(end)
         sums.append(total)
     (later, _), (sooner, _), (_, slower), (_, faster) = timing.variants
     delay_gain = (sums[0] - sums[1]) / max(later - sooner, _LEAST_SPREAD)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 from trainid_ros.core.records import NS_PER_S
 from trainid_ros.core.samples import Motion
-from trainid_ros.train.brake import MOST_CHANGES, CommandHistory, lag_integral, lag_response
+from trainid_ros.train.brake import MOST_CHANGES, CommandHistory, actuator_response
 from trainid_ros.train.effects import BRAKE_APPLIED, heat_after
 
 if TYPE_CHECKING:
@@ -64,7 +64,14 @@ class DriveHistoryTracker:
                 commands = commands.push(change)
         before, elapsed = state.motion, (sample.stamp_ns - start_ns) / NS_PER_S
         speed = 0.5 * (state.speed + sample.speed) if elapsed <= _MAX_GAP_S else 0.0
-        brake, brake_integral = self._respond(commands, start_ns, sample.stamp_ns)
+        brake, brake_integral = actuator_response(
+            commands,
+            start_ns,
+            sample.stamp_ns,
+            before.brake,
+            delay_ns=self._delay_ns,
+            time_constant=self._brake.time_constant,
+        )
         rate = self._brake.rate_at(speed)
         heat = heat_after(before.heat, rate * brake_integral / elapsed, speed, elapsed) if elapsed else before.heat
         motion = Motion(
@@ -77,11 +84,3 @@ class DriveHistoryTracker:
         commands = commands.prune(sample.stamp_ns - self._delay_ns)
         self.state = DriveHistoryState(sample.stamp_ns, sample.speed, motion, commands)
         return replace(sample, motion=motion)
-
-    def _respond(self, commands: CommandHistory, start_ns: int, end_ns: int) -> tuple[float, float]:
-        """Return the target after dead time and lag at the end [m/s^2], and its integral over the interval [m/s]."""
-        brake, integral, tau = self.state.motion.brake, 0.0, self._brake.time_constant
-        for duration, target in commands.segments(start_ns - self._delay_ns, end_ns - self._delay_ns):
-            integral += lag_integral(brake, target, tau, duration)
-            brake = lag_response(brake, target, tau, duration)
-        return brake, integral

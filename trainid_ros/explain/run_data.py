@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from trainid_ros.core.records import NS_PER_S
-from trainid_ros.train.brake import CommandHistory, lag_integral, lag_response
+from trainid_ros.train.brake import CommandHistory, actuator_response
 from trainid_ros.train.davis import specific_force, specific_inertia
 from trainid_ros.train.effects import BRAKE_APPLIED, heat_after
 
@@ -199,10 +199,10 @@ class RunCollector:
             self._brake = min(0.0, self._commands.value(now - delay_ns))
             self._commands = self._commands.prune(now - delay_ns)
             return brake.rate_at(sample.speed) * self._brake
-        change = 0.0
-        for duration, target in self._commands.segments(before - delay_ns, now - delay_ns):
-            change += lag_integral(self._brake, target, brake.time_constant, duration)
-            self._brake = lag_response(self._brake, target, brake.time_constant, duration)
+        tau = brake.time_constant
+        self._brake, change = actuator_response(
+            self._commands, before, now, self._brake, delay_ns=delay_ns, time_constant=tau
+        )
         self._commands = self._commands.prune(now - delay_ns)
         mean = brake.rate_at(sample.speed) * change / sample.dt
         self._since_release = 0.0 if self._brake < BRAKE_APPLIED else self._since_release + sample.dt

@@ -15,7 +15,7 @@ from typing import Final
 from trainid_ros.core.records import NS_PER_S
 from trainid_ros.core.samples import BrakeCommandChange
 from trainid_ros.sim.delay_line import DelayLine
-from trainid_ros.train.brake import CommandHistory, lag_integral, lag_response
+from trainid_ros.train.brake import CommandHistory, actuator_response
 from trainid_ros.train.davis import G, davis, specific_force, specific_inertia
 from trainid_ros.train.effects import BRAKE_APPLIED, TrackPoint, heat_after, resistance_terms
 from trainid_ros.train.line import LineProfile
@@ -157,11 +157,10 @@ class Plant:
 
     def _brake_acceleration(self, dt_ns: int) -> float:
         """Advance the actuator under its delayed command; return the mean brake acceleration [m/s^2]."""
-        start = self.now_ns - self._delay_ns
-        change = 0.0
-        for duration, target in self._commands.segments(start, start + dt_ns):
-            change += lag_integral(self.brake, target, self._time_constant, duration)
-            self.brake = lag_response(self.brake, target, self._time_constant, duration)
+        start_ns, delay_ns, tau = self.now_ns, self._delay_ns, self._time_constant
+        self.brake, change = actuator_response(
+            self._commands, start_ns, start_ns + dt_ns, self.brake, delay_ns=delay_ns, time_constant=tau
+        )
         dt = dt_ns / NS_PER_S
         self._since_release = 0.0 if self.brake < BRAKE_APPLIED else self._since_release + dt
         return self.brake_rate * self._rate_shape(self.speed) * change / dt

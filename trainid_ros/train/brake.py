@@ -2,8 +2,7 @@
 """Brake actuator with exact dead time and exact first-order lag, used by simulator and estimators.
 
 The actuator follows ``tau a' = -a + u(t - delay)``. The command u is piecewise constant, so the
-response over each piece is known in closed form: no Pade approximation and no step-size error. The
-caller applies the dead time by shifting the start and end of an interval back by it.
+response over each piece is known in closed form: no Pade approximation and no step-size error.
 """
 
 from __future__ import annotations
@@ -84,6 +83,27 @@ class CommandHistory:
 
     def _count_until(self, at_ns: int) -> int:
         return bisect_right(self.changes, at_ns, key=_stamp)
+
+
+def actuator_response(
+    commands: CommandHistory, start_ns: int, end_ns: int, initial: float, *, delay_ns: int, time_constant: float
+) -> tuple[float, float]:
+    """Return the output [m/s^2] at the end of (start, end], and its integral over it [m/s].
+
+    Args:
+        commands: History of the command.
+        start_ns: Start of the interval [ns].
+        end_ns: Its end [ns].
+        initial: Output at the start [m/s^2].
+        delay_ns: Dead time [ns].
+        time_constant: Time constant of the lag [s].
+
+    """
+    output, integral = initial, 0.0
+    for duration, target in commands.segments(start_ns - delay_ns, end_ns - delay_ns):
+        integral += lag_integral(output, target, time_constant, duration)
+        output = lag_response(output, target, time_constant, duration)
+    return output, integral
 
 
 def lag_response(initial: float, target: float, time_constant: float, duration: float) -> float:
