@@ -24,8 +24,9 @@ if TYPE_CHECKING:
     from trainid_ros.estimators.protocol import Estimator
 
 INFORMED: Final = 'informed filter'
-PAIR: Final = ('V-MILS', 'filter-bank')
-ALL: Final = (*PAIR, 'two-window', 'speed-EKF', INFORMED)
+ON_BOARD: Final = ('V-MILS', 'filter-bank', 'two-window')
+PAIRS: Final = (('V-MILS', 'filter-bank'), ('V-MILS', 'two-window'))
+ALL: Final = (*ON_BOARD, 'speed-EKF', INFORMED)
 EVERY_TOPIC_5_HZ: Final = Rates()
 
 

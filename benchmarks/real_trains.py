@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.accuracy import resistance_scores
 from benchmarks.papers.seeds import over_seeds
 from benchmarks.real_train_tables import paired_table, world_tables
-from benchmarks.real_train_trials import PAIR, Trial, results_of
+from benchmarks.real_train_trials import ON_BOARD, PAIRS, Trial, results_of
 from benchmarks.worlds import CLEAN, FIELD, WORLDS
 
 if TYPE_CHECKING:
@@ -31,7 +31,8 @@ def measured(seeds: Sequence[int]) -> tuple[Table | Plot, ...]:
     """Score all algorithms on drives of these seeds."""
     results = results_of(trials_of(seeds), 'real_trains')
     days = over_seeds(yizhuang_errors, seeds, 'real_trains: Yizhuang days')
-    return *world_tables(results, seeds), paired_table(results, seeds, days)
+    pairs = (paired_table(results, seeds, pair, days) for pair in PAIRS)
+    return *world_tables(results, seeds), *pairs
 
 
 def trials_of(seeds: Sequence[int]) -> tuple[Trial, ...]:
@@ -39,7 +40,7 @@ def trials_of(seeds: Sequence[int]) -> tuple[Trial, ...]:
     return tuple(Trial(world, seed, unknowns) for unknowns in (FIELD, CLEAN) for seed in seeds for world in WORLDS)
 
 
-def yizhuang_errors(seed: int) -> tuple[float, float]:
-    """Return the mean errors of w of V-MILS and of filter-bank on one Yizhuang day [N/kN]."""
-    vmils, bank = (float(np.mean(one.errors)) for one in resistance_scores(PAIR, seed))
-    return vmils, bank
+def yizhuang_errors(seed: int) -> dict[str, float]:
+    """Return the mean error of w of each on-board algorithm on one Yizhuang day [N/kN]."""
+    scores = zip(ON_BOARD, resistance_scores(ON_BOARD, seed), strict=True)
+    return {name: float(np.mean(one.errors)) for name, one in scores}

@@ -32,7 +32,7 @@ from benchmarks.real_train_tables import (
     spread,
     world_tables,
 )
-from benchmarks.real_train_trials import ALL, INFORMED, PAIR, Trial, run
+from benchmarks.real_train_trials import ALL, INFORMED, PAIRS, Trial, run
 from benchmarks.real_trains import trials_of
 from benchmarks.worlds import CLEAN, FIELD, WORLDS, Rates, drive
 from trainid_ros.resistance.speed_states import A, B, C
@@ -103,7 +103,7 @@ def test_all_algorithms_are_scored_on_a_short_drive() -> None:
     found = run(Trial('metro', 21, FIELD - {'changes'}, duration=600.0))
     assert tuple(found) == ALL
     # The train file itself has an error of .31 N/kN; two-window and speed-EKF take its mass and force as exact.
-    assert max(found[name].error for name in (*PAIR, INFORMED)) < 0.25
+    assert max(found[name].error for name in (*PAIRS[0], INFORMED)) < 0.25
     assert max(one.error for one in found.values()) < 0.8
     assert all(0.0 <= one.valid < 1.0 and 0.0 <= one.cover <= 1.0 for one in found.values())
 
@@ -157,9 +157,11 @@ def test_each_drive_is_simulated_once_and_every_cell_has_its_drives() -> None:
     }
     worlds = world_tables(results, seeds)
     assert [len(table.rows) for table in worlds] == [len(ALL)] * 7
-    paired = paired_table(results, seeds, [(0.1, 0.3), (0.2, 0.2)])
+    paired = paired_table(
+        results, seeds, PAIRS[0], [{'V-MILS': 0.1, 'filter-bank': 0.3}, {'V-MILS': 0.2, 'filter-bank': 0.2}]
+    )
     assert paired.rows[-1] == ('Yizhuang days', '0.150 ± 0.050', '0.250 ± 0.050', '+0.100 ± 0.100', '0%')
     assert len(paired.rows) == 2 * len(WORLDS) + 1
     costly = cost_tables(results, fewer)
-    assert [len(table.rows) for table in costly] == [len(costs())] * len(PAIR)
+    assert [len(table.rows) for table in costly] == [len(costs())] * len(PAIRS[0])
     assert [len(table.rows) for table in rate_tables(results, fewer)] == [len(RATES)] * 3
