@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -208,3 +209,19 @@ def journey(sample: Callable[..., Sample]) -> Callable[..., list[Sample]]:
         return samples
 
     return drive
+
+
+@pytest.fixture(scope='session')
+def changed_state() -> Callable[[str, tuple[Any, ...], object], str]:
+    """Return a function that changes one number of a saved state; the path of keys and indices must exist."""
+
+    def change(text: str, path: tuple[Any, ...], value: object) -> str:
+        data = json.loads(text)
+        part = data['state']
+        for key in path[:-1]:
+            part = part[key]
+        assert path[-1] in part if isinstance(part, dict) else path[-1] < len(part)
+        part[path[-1]] = value
+        return json.dumps(data)
+
+    return change

@@ -819,7 +819,7 @@ def test_a_saved_part_of_the_wrong_type_is_rejected_by_name(learned: str, key: s
         (('tachometer', 'last'), math.inf, 'tachometer.last'),
         (('tachometer', 'rounding', 'quantum'), -1.0, 'tachometer'),
         (('inflation', 'ratio'), -1.0, 'inflation'),
-        (('inflation', 'batch'), 3, 'inflation'),
+        (('inflation', 'length'), -1.0, 'inflation'),
         (('inflation', 'total'), math.nan, 'inflation.total'),
         (('driven', 'count'), -1, 'driven'),
         (('driven', 'slowest'), 1e3, 'driven'),
@@ -837,16 +837,15 @@ def test_a_saved_part_of_the_wrong_type_is_rejected_by_name(learned: str, key: s
     ],
 )
 def test_invalid_numbers_in_a_saved_state_are_rejected_by_name_and_nothing_changes(
-    learned: str, path: tuple[Any, ...], wrong: object, part: str
+    learned: str,
+    path: tuple[Any, ...],
+    wrong: object,
+    part: str,
+    changed_state: Callable[[str, tuple[Any, ...], object], str],
 ) -> None:
     bank = restored(learned)
-    data = json.loads(learned)
-    inner = data['state']
-    for key in path[:-1]:
-        inner = inner[key]
-    inner[path[-1]] = wrong
     with pytest.raises(InputError, match=part):
-        bank.restore(json.dumps(data))
+        bank.restore(changed_state(learned, path, wrong))
     assert bank.save() == learned
 
 
