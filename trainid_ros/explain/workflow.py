@@ -88,22 +88,38 @@ def explain(
     if sum(run.time.size for run in runs) < _MIN_SAMPLES:
         msg = f'{pluralise(len(runs), "run")} from stop to stop: too little motion to compare'
         raise NoAnswerError(msg)
+    # 1. Data: runs simulated with the train file, and where on the train their gradients are read.
     compared = _some(runs, COMPARED_S)
     search = _search(compared, train_file, advance)
     if point := search.gradient_point():
         compared = read_at(point, compared, train_file.train.length)
         search = _search(compared, train_file, advance)
+    # 2. Search: the effects that the marginal likelihood calls for, and what else explains the data as well.
     selection = search.run()
     if (rest := without_replaced(selection.final.model.terms, train_file)) is not None:
         return explain(runs, rest, provenance=provenance, advance=advance)
     slip = find_slip(search.base.model.dataset)
+    # 3. Proof: the gap on runs that the fit has not seen, and the verdict.
     advance('held-out runs')
     outcome = _assess(selection, compared, train_file, slipping=slip is not None)
+    # 4. Location: where along position, speed, mode and time the gap lies.
     advance('places')
     locations = locate(outcome.base, outcome.final, outcome.hyper)
     found = [] if outcome.verdict is Verdict.UNEXPLAINED else _found(selection, outcome.final, locations)
     if slip is not None:
         found.append(_effect(*slip, (), 'bursts under traction and braking'))
+    # 5. Result: the train file with the effects added, and the numbers of the report.
+    return _result(outcome, train_file, found, locations, point, provenance)
+
+
+def _result(
+    outcome: _Outcome,
+    train_file: TrainFile,
+    found: Sequence[FoundEffect],
+    locations: tuple[Location, ...],
+    point: str | None,
+    provenance: str,
+) -> Explanation:
     davis, davis_std = _davis(outcome.final, outcome.hyper)
     added = tuple(Effect(e.name, e.parameters, e.std, provenance) for e in found)
     return Explanation(
