@@ -45,26 +45,26 @@ _PROGRESS_EVERY: Final = 500
 
 
 class Observer(Protocol):
-    """Sees all that passes through a replay, in order."""
+    """Receives all inputs and outputs of a replay, in order."""
 
     def on_record(self, entry: LoggedRecord) -> None:
-        """See an input before the estimators do."""
+        """Receive an input before the estimators do."""
 
     def on_output(self, output: AnyOutput, log_ns: int) -> None:
-        """See an output and the log time of the input that brought it about."""
+        """Receive an output and the log time [ns] of the input that completed its sample."""
 
 
 @dataclass(frozen=True, slots=True)
 class Result(Generic[EstimateT]):
-    """What one estimator said at the end of a replay.
+    """State of one estimator at the end of a replay.
 
     Attributes:
-        prior: What it believed before the first record.
-        output: Its last output.
+        prior: Estimate before the first record.
+        output: Last output.
         samples: Aligned samples since the last reset.
-        rejections: Why records and samples were not used, the commonest reason first.
-        resets: How often the stamps jumped back and it started over.
-        consistency: Whether its errors were as large as it stated, over the last samples it used.
+        rejections: Why records and samples were not used, with their counts, the most frequent reason first.
+        resets: Number of resets after a backward jump of the stamps.
+        consistency: Whether errors agree with the stated uncertainty, over the last samples used.
 
     """
 
@@ -97,7 +97,7 @@ class Replay:
 
 
 class Pipelines(NamedTuple):
-    """The three estimators, not used yet."""
+    """The three estimators, before the first record."""
 
     resistance: ResistancePipeline
     speed_model: SpeedModelPipeline
@@ -117,11 +117,11 @@ def replay(
 
     Args:
         reader: The bag, open.
-        train_file: What is believed of the train.
-        settings: Everything else that shapes the estimators.
+        train_file: Train file.
+        settings: All other settings of the estimators.
         progress: Called with the number of inputs read since its last call.
-        observers: Who sees inputs and outputs; nothing else is kept, so memory does not grow with the bag.
-        duration_s: How much of the bag to take, from its start on, by log time.
+        observers: Receive inputs and outputs; nothing else is kept, so memory does not grow with the bag.
+        duration_s: Part of the bag to replay, from its start, by log time [s].
 
     Raises:
         InputError: A required topic has no messages, or a message cannot be read.

@@ -267,7 +267,7 @@ class BagReader:
         return full.removeprefix(self._prefix)
 
     def _check_types(self, file: McapFile, hashes: dict[str, str]) -> dict[int, _Source]:
-        """Return the channels of our topics; refuse those whose type is not the one of the interface."""
+        """Return the channels of our topics; raise InputError for a type that is not the one of the interface."""
         sources = {}
         for number, channel in file.channels.items():
             topic = self._topic(channel.topic)
@@ -280,8 +280,8 @@ class BagReader:
             if channel.message_encoding != 'cdr':
                 msg = f'{where}: encoding cdr expected, {channel.message_encoding!r} found'
                 raise InputError(msg)
-            told = channel.metadata.get('topic_type_hash') or hashes.get(channel.topic, '')
-            if (stored := _stored_digest(file, number) or told) != digest(name):
+            recorded = channel.metadata.get('topic_type_hash') or hashes.get(channel.topic, '')
+            if (stored := _stored_digest(file, number) or recorded) != digest(name):
                 msg = f'{where}: definition of {full_type(name)} differs: {digest(name)} expected, '
                 raise InputError(msg + f'{stored or "no definition"} found')
             sources[number] = _Source(topic, name)

@@ -68,7 +68,7 @@ def run(args: argparse.Namespace) -> int:
     train_file = load_train_file(args.train)
     setups = node_setups(train_file, str(args.train), args.params, args.algorithm, namespace=args.namespace, warn=warn)
     if args.report is not None:
-        find_truth(args.bag, args.truth)  # a truth that cannot be read is told before the work
+        find_truth(args.bag, args.truth)  # a truth that cannot be read is reported before the work
     traces = TraceObserver() if args.report else None
     with ExitStack() as stack:
         reader = stack.enter_context(BagReader(args.bag, args.namespace))
@@ -112,7 +112,7 @@ def find_truth(bag: Path, given: Path | None) -> Truth | None:
 
 
 def check_answer(bag: Path, outcome: Replay) -> None:
-    """Raise NoAnswerError, with the commonest reason, if nothing was learned of the resistance."""
+    """Raise NoAnswerError, with the most frequent reason of rejection, if nothing was learned of the resistance."""
     result = outcome.resistance
     estimate = result.output.estimate
     if result.output.used and estimate.speed_max > 0.0:
@@ -120,7 +120,7 @@ def check_answer(bag: Path, outcome: Replay) -> None:
     msg = f'{bag}: nothing was learned of the resistance: {result.samples} samples, {result.output.used} used'
     if result.rejections:
         reason, count = result.rejections[0]
-        msg += f', most often refused: {reason.name} ({count} times), last: {result.output.last_rejection}'
+        msg += f', most often rejected: {reason.name} ({count} times), last: {result.output.last_rejection}'
     raise NoAnswerError(msg)
 
 
@@ -172,7 +172,7 @@ def describe(outcome: Replay, setups: Sequence[Setup], wall_s: float) -> str:
         f'{outcome.records} messages, {outcome.resistance.samples} samples over {outcome.duration_s:.1f} s, '
         f'replayed {_pace(outcome, wall_s)}'
     )
-    return '\n\n'.join((head, _estimates(outcome), _usage(outcome), _doubts(outcome, setups)))
+    return '\n\n'.join((head, _estimates(outcome), _usage(outcome), _uncertainty(outcome, setups)))
 
 
 def _estimates(outcome: Replay) -> str:
@@ -223,8 +223,8 @@ def _usage(outcome: Replay) -> str:
     return table(rows, numbers=(1, 2, 3))
 
 
-def _doubts(outcome: Replay, setups: Sequence[Setup]) -> str:
-    """Return which algorithms ran, whether their uncertainty was true, and what of the resistance was seen."""
+def _uncertainty(outcome: Replay, setups: Sequence[Setup]) -> str:
+    """Return the algorithms, the consistency of their uncertainty, and the observability of the resistance."""
     results: tuple[Result[Any], ...] = (outcome.resistance, outcome.speed_model, outcome.brake_rate)
     lines = [
         f'{setup.job.field.replace("_", " ")} by {setup.algorithm}: uncertainty {result.consistency}'

@@ -52,7 +52,9 @@ class AlignmentConfig:
     max_interval: float = setting(
         1.25, 'slowest topic that these limits grow with: 2.5 of its intervals, command_gap 1.5', 's', 0.02, 10.0
     )
-    max_jump: float = setting(10.0, 'longest silence of all topics that is no jump of the clock', 's', 1.0, 3600.0)
+    max_jump: float = setting(
+        10.0, 'longest time without any message that is not taken for a jump of the clock', 's', 1.0, 3600.0
+    )
     max_jump_back: float = setting(2.0, 'step of the stamps that one topic alone cannot make', 's', 0.5, 3600.0)
 
 
@@ -106,7 +108,7 @@ class _Track:
         del self.stamps[:count], self.x[:count], self.y[:count], self.flags[:count]
 
     def prune(self, before_ns: int) -> None:
-        """Forget what lies before the last record at or before ``before_ns``."""
+        """Drop the records before the last one at or before ``before_ns``."""
         keep = bisect_right(self.stamps, before_ns) - 1
         if keep > 0:
             self.interval.see(self.stamps[:keep])
@@ -284,7 +286,7 @@ class Aligner:
         return [*rejected, *self._follow_step()] if agreed else rejected
 
     def _follow_step(self) -> list[AlignmentEvent]:
-        """All topics have stepped: forward after a silence, or to another time base."""
+        """Follow a step of all topics: forward after a time without messages, or to another time base."""
         suspects, self._suspects = self._suspects, []
         step_ns = suspects[-1].stamp_ns - self._newest_ns
         # A time base that only one topic has shown may itself have been the wrong one.

@@ -25,14 +25,14 @@ class BrakeCommandChange:
 
 @dataclass(frozen=True, slots=True)
 class Motion:
-    """What the drive so far has done to the train; where nobody has followed it: set in, run warm, cold brake.
+    """History of the drive, for effects that depend on it; by default run in, warm, and with a cold brake.
 
     Attributes:
         time_s: Time since the start [s].
         distance_run: Distance run since the start [m].
         since_release: Time since the brake was released [s]; 0 while applied, infinite while it has not been.
-        heat: Heat that the brake holds as believed [J per kg of train].
-        brake: Acceleration target of the brake after its dead time and lag as believed [m/s^2, <= 0].
+        heat: Heat of the brake by the train file [J per kg of train].
+        brake: Acceleration target of the brake after the dead time and lag of the train file [m/s^2, <= 0].
 
     """
 
