@@ -417,6 +417,7 @@ def test_with_a_known_force_the_force_error_states_do_not_reduce_accuracy(
     assert narrow < none + 0.02
 
 
+@pytest.mark.slow
 def test_the_95_per_cent_band_covers_the_truth_over_new_drives(train_file: TrainFile, journey: Journey) -> None:
     """Twelve drives with different scale, delay, gusts and noise: 95 % bands of w at three speeds.
 
