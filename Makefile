@@ -9,7 +9,7 @@ PYTEST := tools/with_test_env $(PYTHON_IN) -m pytest
 help: ## list the targets
 	@grep -hE '^[a-z-]+:.*## ' $(MAKEFILE_LIST) | sed -E 's/^([a-z-]+):.*## (.*)/\1\t\2/' | expand -t 14
 
-setup: ## make or refresh .venv: ROS 2 Jazzy, messages, trainid_ros (PYTHON=... selects the interpreter)
+setup: ## make or refresh .venv: ROS 2 Jazzy, messages, trainid_ros, lab/ (PYTHON=... selects the interpreter)
 	@PYTHON='$(PYTHON)' tools/setup
 
 demo: setup ## play a bag through the three live nodes and write a report
@@ -55,5 +55,5 @@ lock: ## resolve the pinned requirements again (needs uv)
 	python3 tools/lock.py
 
 clean: ## remove the environment and everything generated
-	rm -rf .venv .venv-peers build install log .mypy_cache .ruff_cache .pytest_cache .hypothesis trainid_ros.egg-info
+	rm -rf .venv .venv-peers build install log .mypy_cache .ruff_cache .pytest_cache .hypothesis trainid_ros.egg-info lab/trainid_lab.egg-info lab/build
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

@@ -17,13 +17,14 @@ from benchmarks.bounds import BrakeKalman, InformedWindows
 from benchmarks.days import assumed_train, samples_of, simulated_day
 from benchmarks.papers.seeds import over_seeds
 from benchmarks.tables import Table
+from trainid_lab.speed_model.physical_parameters import upper
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.brake_rate.gsma import GsmaConfig
 from trainid_ros.core.records import NS_PER_S
 from trainid_ros.core.results import BrakeRateEstimate, ResistanceEstimate, SpeedModelEstimate
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
 from trainid_ros.resistance.vmils import VMilsConfig
-from trainid_ros.speed_model.physical_parameters import resistance_variance, upper
+from trainid_ros.speed_model.physical_parameters import resistance_variance
 from trainid_ros.speed_model.speed_model_algorithms import SPEED_MODEL
 from trainid_ros.train.davis import specific_inertia
 

@@ -30,12 +30,13 @@ VENV = ROOT / '.venv'
 REQUIREMENTS = ROOT / 'tools' / 'requirements'
 MESSAGES = ROOT / 'msg_defs'
 TEMPLATES = ROOT / 'tools' / 'environment'
+LAB = ROOT / 'lab'
 LOG = VENV / 'setup.log'
 STAMP = VENV / 'setup.stamp.json'
 INTERPRETER = f'python{sys.version_info.major}.{sys.version_info.minor}'
 SITE = VENV / 'lib' / INTERPRETER / 'site-packages'
 PYTHON = VENV / 'bin' / 'python'
-PACKAGE_INPUTS = ('setup.py', 'setup.cfg', 'package.xml')
+PACKAGE_INPUTS = ('setup.py', 'setup.cfg', 'package.xml', 'lab/pyproject.toml')
 SHARED = ('package.xml', 'bags', 'config', 'launch')
 LOG_LINES_SHOWN = 15
 # Messages of pip if the index does not answer or its answer is empty.
@@ -216,13 +217,13 @@ def remove_old_messages() -> None:
 
 
 def install_project() -> None:
-    """Make trainid_ros importable from the source tree and install its commands.
+    """Make trainid_ros and the algorithms of lab/ importable from the source tree and install their commands.
 
     An editable install leaves out the data files, so the ROS index and the share folder of the package
     are filled with links: edited configurations take effect at once.
     """
     pip: list[str | Path] = [PYTHON, '-m', 'pip', 'install', '--quiet', '--no-deps', '--no-build-isolation']
-    run([*pip, '--editable', ROOT], 'cannot install trainid_ros into the virtual environment')
+    run([*pip, '--editable', ROOT, '--editable', LAB], 'cannot install trainid_ros and lab/ into the environment')
     share = VENV / 'share' / 'trainid_ros'
     programs = VENV / 'lib' / 'trainid_ros'
     for folder in (share, programs):
@@ -256,7 +257,7 @@ def refresh() -> bool:
     steps = (
         ('packages', packages, install_packages, 'ROS 2 Jazzy and Python packages (about a minute)'),
         ('messages', messages, build_messages, 'interface package trainid_msgs (about half a minute)'),
-        ('project', project, install_project, 'trainid_ros, from the source tree'),
+        ('project', project, install_project, 'trainid_ros and lab/, from the source tree'),
     )
     worked = False
     for name, stamp, action, text in steps:

@@ -16,8 +16,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.resistance.trajectory.multi_mass import Cars, MultiMassLine
-from trainid_ros.resistance.trajectory.stages import Stages, reach
+from trainid_lab.resistance.trajectory.multi_mass import Cars, MultiMassLine
+from trainid_lab.resistance.trajectory.stages import Stages, reach
 from trainid_ros.train.davis import G
 from trainid_ros.train.train_file import Line
 

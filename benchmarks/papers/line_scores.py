@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from trainid_lab.speed_model.physical_parameters import UPPER
 from trainid_ros.core.samples import SAMPLE_PERIOD
-from trainid_ros.speed_model.physical_parameters import UPPER
 
 if TYPE_CHECKING:
     from benchmarks.papers.lockstep import Track

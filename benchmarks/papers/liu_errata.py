@@ -10,10 +10,10 @@ import numpy as np
 
 from benchmarks.papers import coasts as data
 from benchmarks.papers import liu_printed as printed
-from trainid_ros.resistance.innovations import use_counts
-from trainid_ros.resistance.least_squares import least_squares, ridge, unpacked
-from trainid_ros.resistance.recursive import covariance
-from trainid_ros.resistance.regressions import (
+from trainid_lab.resistance.innovations import use_counts
+from trainid_lab.resistance.least_squares import least_squares, ridge, unpacked
+from trainid_lab.resistance.recursive import covariance
+from trainid_lab.resistance.regressions import (
     Regression,
     RegressionState,
     begin,
@@ -26,7 +26,7 @@ from trainid_ros.train.davis import G
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from trainid_ros.resistance.recursive import Vector
+    from trainid_lab.resistance.recursive import Vector
 
     Array = NDArray[np.float64]
 

@@ -12,9 +12,9 @@ import numpy as np
 
 from benchmarks.papers import coasts as data
 from benchmarks.papers import liu_printed as printed
-from trainid_ros.resistance.innovations import mils
-from trainid_ros.resistance.least_squares import add, solve, unpacked
-from trainid_ros.resistance.recursive import Factors, Vector, covariance, forget, rls, shrink, start
+from trainid_lab.resistance.innovations import mils
+from trainid_lab.resistance.least_squares import add, solve, unpacked
+from trainid_lab.resistance.recursive import Factors, Vector, covariance, forget, rls, shrink, start
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

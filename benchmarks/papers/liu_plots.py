@@ -14,7 +14,7 @@ from benchmarks.tables import Plot
 
 if TYPE_CHECKING:
     from benchmarks.papers.liu_trial import Trial
-    from trainid_ros.resistance.segments import Cutter
+    from trainid_lab.resistance.segments import Cutter
 
 _BANDS: Final = np.arange(25.0, 80.0, 5.0)
 

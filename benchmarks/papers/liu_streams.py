@@ -12,10 +12,10 @@ import numpy as np
 from benchmarks.papers import coasts as data
 from benchmarks.papers.liu_errata import COUNT, STD, Record, regressors
 from benchmarks.papers.liu_table1 import WINDOWS, seen_by
-from trainid_ros.resistance.least_squares import least_squares
-from trainid_ros.resistance.regressions import Regression, begin, innovation_step, run, skip, strict_step
-from trainid_ros.resistance.residuals import Residuals
-from trainid_ros.resistance.segments import Observations, Segments, Windows, difference
+from trainid_lab.resistance.least_squares import least_squares
+from trainid_lab.resistance.regressions import Regression, begin, innovation_step, run, skip, strict_step
+from trainid_lab.resistance.residuals import Residuals
+from trainid_lab.resistance.segments import Observations, Segments, Windows, difference
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -10,9 +10,9 @@ import numpy as np
 from scipy.optimize import nnls
 
 from benchmarks.papers import coasts as data
-from trainid_ros.resistance.least_squares import Prior, fit_with_prior, least_squares, ridge
-from trainid_ros.resistance.regressions import Regression, innovation_step, run
-from trainid_ros.resistance.segments import Cutter, Observations, Segments, Windows, observe
+from trainid_lab.resistance.least_squares import Prior, fit_with_prior, least_squares, ridge
+from trainid_lab.resistance.regressions import Regression, innovation_step, run
+from trainid_lab.resistance.segments import Cutter, Observations, Segments, Windows, observe
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -15,7 +15,8 @@ from typing import TYPE_CHECKING, Final, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from trainid_ros.speed_model import am_vff_rls, integral_rls, rls
+from trainid_lab.speed_model import integral_rls, rls
+from trainid_ros.speed_model import am_vff_rls
 from trainid_ros.speed_model.auxiliary_model import anchor, correct, forget, moments, predict, widen_load
 from trainid_ros.speed_model.forgetting import MOST
 

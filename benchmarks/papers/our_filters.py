@@ -10,11 +10,11 @@ import numpy as np
 
 from benchmarks.papers.hand_filters import START, START_SD, VARIANCE, RowPeer
 from benchmarks.papers.metro_stream import INERTIA, PERIOD
+from trainid_lab.resistance.multi_innovation import NOTHING, belief_of, information_of, mils_step
 from trainid_ros.core.records import NS_PER_S
 from trainid_ros.estimators.compiled.streams import VMilsStream
 from trainid_ros.resistance.change_points import ChangePointConfig, Tracker
-from trainid_ros.resistance.force_errors import EXACT
-from trainid_ros.resistance.multi_innovation import NOTHING, belief_of, information_of, mils_step
+from trainid_ros.resistance.force_errors import ForceErrors
 from trainid_ros.resistance.normal import independent
 from trainid_ros.resistance.speed_window import Tick
 from trainid_ros.resistance.vmils import VMilsConfig, tracker_of, window_plan
@@ -119,7 +119,7 @@ class VMilsRaw(RowPeer):
 
     def __init__(self) -> None:
         config = VMilsConfig()
-        self._tracker = tracker_of(START, EXACT, config)
+        self._tracker = tracker_of(START, ForceErrors(0.0, 0.0, 0.0), config)
         self._learner = WindowLearner(self._tracker, window_plan(config, INERTIA, GRADIENT_STD))
 
     def items(self, stream: MetroStream) -> list[Item]:

@@ -23,12 +23,13 @@ from benchmarks.papers.brake_runs import metro_run, metro_train
 from benchmarks.papers.contest import FIRST_SEED, installed
 from benchmarks.papers.seeds import over_seeds
 from benchmarks.tables import Table
+from trainid_lab.brake_rate.resampling import systematic
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
 from trainid_ros.brake_rate.config import BrakeRateConfig
 from trainid_ros.brake_rate.particles import SPEED, LinearStep, error_covariance, speed_step, started
 from trainid_ros.brake_rate.posterior import STATES, errors_of
-from trainid_ros.brake_rate.resampling import effective_number, normal_weights, systematic
+from trainid_ros.brake_rate.resampling import effective_number, normal_weights
 from trainid_ros.core.results import Rejection
 from trainid_ros.estimators.protocol import step_and_estimate
 

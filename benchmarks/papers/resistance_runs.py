@@ -17,10 +17,10 @@ from benchmarks.papers.hand_filters import HandRls
 from benchmarks.papers.our_filters import GRADIENT_STD
 from benchmarks.papers.robust_stream import RobustStream
 from benchmarks.papers.spoiled import NOISE_STD, OBSERVED, SPEEDS, spoiled_observations, spoiled_speeds
+from trainid_lab.resistance.multi_innovation import NOTHING, information_of, mils_step
+from trainid_lab.resistance.speed_ekf import SpeedEkf, SpeedEkfConfig
 from trainid_ros.core.records import NS_PER_S
-from trainid_ros.resistance.force_errors import EXACT
-from trainid_ros.resistance.multi_innovation import NOTHING, information_of, mils_step
-from trainid_ros.resistance.speed_ekf import SpeedEkf, SpeedEkfConfig
+from trainid_ros.resistance.force_errors import ForceErrors
 from trainid_ros.resistance.speed_window import Tick
 from trainid_ros.resistance.vmils import VMils, VMilsConfig, tracker_of, window_plan
 from trainid_ros.resistance.window_learner import WindowLearner
@@ -222,7 +222,7 @@ def metro_results(seed: int) -> tuple[MetroResult, ...]:
 def metro_result(seed: int, scenario: metro.Scenario) -> MetroResult:
     """Return the result of one scenario, including ticks under braking, since here the brake force is known."""
     data, config = metro.metro_stream(seed, scenario), VMilsConfig()
-    tracker = tracker_of(_METRO_PRIOR, EXACT, config)
+    tracker = tracker_of(_METRO_PRIOR, ForceErrors(0.0, 0.0, 0.0), config)
     learner = WindowLearner(tracker, window_plan(config, metro.INERTIA, GRADIENT_STD))
     raw = data.raw
     columns = (raw.speed.tolist(), raw.force.tolist(), raw.gradient.tolist(), raw.moving.tolist())

@@ -10,8 +10,8 @@ import numpy as np
 
 from benchmarks.papers.xia2023_fits import CASES, NOISE, record
 from benchmarks.papers.xia2023_printed import printed_objective
-from trainid_ros.resistance.trajectory.derivatives import first_derivatives, objective
-from trainid_ros.resistance.trajectory.stages import Coefficients, Stages
+from trainid_lab.resistance.trajectory.derivatives import first_derivatives, objective
+from trainid_lab.resistance.trajectory.stages import Coefficients, Stages
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -12,20 +12,20 @@ import numpy as np
 
 from benchmarks.papers import highspeed_line as data
 from benchmarks.papers.xia2023_printed import differenced_least_squares, full_steps, printed_objective
+from trainid_lab.resistance.trajectory.derivatives import first_derivatives, objective
+from trainid_lab.resistance.trajectory.levenberg import integrated_least_squares, levenberg
+from trainid_lab.resistance.trajectory.newton import NewtonConfig, Restart, newton
+from trainid_lab.resistance.trajectory.stages import Coefficients
 from trainid_ros.resistance.trajectory.davis_fit import DavisFitConfig, fit_davis
-from trainid_ros.resistance.trajectory.derivatives import first_derivatives, objective
-from trainid_ros.resistance.trajectory.levenberg import integrated_least_squares, levenberg
-from trainid_ros.resistance.trajectory.newton import NewtonConfig, Restart, newton
 from trainid_ros.resistance.trajectory.pieces import Trajectory
-from trainid_ros.resistance.trajectory.stages import Coefficients
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from numpy.typing import NDArray
 
-    from trainid_ros.resistance.trajectory.derivatives import Objective
-    from trainid_ros.resistance.trajectory.stages import Stages
+    from trainid_lab.resistance.trajectory.derivatives import Objective
+    from trainid_lab.resistance.trajectory.stages import Stages
 
 KINDS: Final = ('cruise', 'full')
 CASES: Final = (

@@ -14,18 +14,18 @@ from scipy.optimize import lsq_linear
 
 from benchmarks.papers import highspeed_line as data
 from benchmarks.papers.xia2023_fits import DISTANCE, NOISE
+from trainid_lab.resistance.trajectory.derivatives import objective
+from trainid_lab.resistance.trajectory.newton import NewtonConfig, newton
+from trainid_lab.resistance.trajectory.stages import Stages
 from trainid_ros.core.records import NS_PER_S
 from trainid_ros.core.samples import Sample
-from trainid_ros.resistance.trajectory.derivatives import objective
-from trainid_ros.resistance.trajectory.newton import NewtonConfig, newton
-from trainid_ros.resistance.trajectory.stages import Stages
 from trainid_ros.resistance.trajectory.two_window import TwoWindow, TwoWindowConfig
 from trainid_ros.train.train_file import Brake, Davis, Train, TrainFile
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from trainid_ros.resistance.trajectory.derivatives import Objective
+    from trainid_lab.resistance.trajectory.derivatives import Objective
 
 ENDS: Final = (22e3, 52e3, 64e3, 82e3, 120e3)
 # b as printed, a tenth of that in Table 3.

@@ -15,12 +15,12 @@ from benchmarks.days import assumed_train, samples_of
 from benchmarks.papers.metro_stream import BEFORE, INERTIA, PERIOD, Raw, Scenario, curve_error, metro_stream
 from benchmarks.papers.xia2023_fits import NOISE, WHITE, in_time, record
 from benchmarks.papers.xia2023_online import CONFIG, drive, samples, train_file
+from trainid_lab.resistance.trajectory.derivatives import first_derivatives, second_derivatives
+from trainid_lab.resistance.trajectory.levenberg import integrated_least_squares, levenberg
+from trainid_lab.resistance.trajectory.stages import Coefficients, Stages
 from trainid_ros.core.results import Reason
 from trainid_ros.resistance.trajectory.davis_fit import DavisFitConfig, fit_davis
-from trainid_ros.resistance.trajectory.derivatives import first_derivatives, second_derivatives
-from trainid_ros.resistance.trajectory.levenberg import integrated_least_squares, levenberg
 from trainid_ros.resistance.trajectory.pieces import PieceCollector, Trajectory
-from trainid_ros.resistance.trajectory.stages import Coefficients, Stages
 from trainid_ros.resistance.trajectory.two_window import TwoWindow
 from trainid_ros.resistance.trajectory.window import RowNoise, WindowPrior, fit_rows
 from trainid_ros.sim.scenario import simulate

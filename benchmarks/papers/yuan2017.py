@@ -37,9 +37,9 @@ from benchmarks.papers.yuan_methods import (
 )
 from benchmarks.papers.yuan_plots import error_plot, step_plot
 from benchmarks.tables import Plot, Table
-from trainid_ros.speed_model import integral_rls
-from trainid_ros.speed_model.rls import NO_CLAMP
-from trainid_ros.speed_model.speed_model_ekf import ekf_tuning
+from trainid_lab.speed_model import integral_rls
+from trainid_lab.speed_model.rls import NO_CLAMP
+from trainid_lab.speed_model.speed_model_ekf import ekf_tuning
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -10,11 +10,13 @@ import numpy as np
 
 from benchmarks.papers.lockstep import ManyAuxiliary, ManyIntegral, ManyMethod, ManyRls, Track, drive_many
 from benchmarks.papers.station_lines import Lines, Noise
-from trainid_ros.speed_model import am_vff_rls, integral_rls, rls
+from trainid_lab.speed_model import integral_rls, rls
+from trainid_lab.speed_model.physical_parameters import upper
+from trainid_lab.speed_model.speed_model_ekf import ekf_tuning
+from trainid_ros.speed_model import am_vff_rls
 from trainid_ros.speed_model.am_vff_rls import AmVffRlsConfig
 from trainid_ros.speed_model.auxiliary_model import prior_floor
-from trainid_ros.speed_model.physical_parameters import SpeedModelConfig, Symmetric, Theta, prior, upper
-from trainid_ros.speed_model.speed_model_ekf import ekf_tuning
+from trainid_ros.speed_model.physical_parameters import SpeedModelConfig, Symmetric, Theta, prior
 from trainid_ros.train.davis import G
 
 # Fleet prior: Davis parameters, their standard deviations, and a load of +-12 %.

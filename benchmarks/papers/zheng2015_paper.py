@@ -17,12 +17,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from trainid_ros.brake_rate import group_cloud
-from trainid_ros.brake_rate.group_cloud import GroupCloud, Strata
-from trainid_ros.brake_rate.pade_model import pade_model
-from trainid_ros.brake_rate.particles import Correction, LinearStep, correction
-from trainid_ros.brake_rate.printed import GRID, PRINTED_FIRST
-from trainid_ros.brake_rate.theta_cloud import (
+from trainid_lab.brake_rate.pade_model import pade_model
+from trainid_lab.brake_rate.particles import correction
+from trainid_lab.brake_rate.printed import GRID, PRINTED_FIRST
+from trainid_lab.brake_rate.theta_cloud import (
     MRule,
     ThetaCloud,
     all_values,
@@ -31,6 +29,9 @@ from trainid_ros.brake_rate.theta_cloud import (
     rbpf,
     rbpf_optimal,
 )
+from trainid_ros.brake_rate import group_cloud
+from trainid_ros.brake_rate.group_cloud import GroupCloud, Strata
+from trainid_ros.brake_rate.particles import Correction, LinearStep
 
 Array = NDArray[np.float64]
 Rng = np.random.Generator

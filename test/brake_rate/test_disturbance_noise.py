@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from benchmarks.papers.brake_runs import metro_train, walk_run
+from trainid_lab.brake_rate.kalman import Kalman, KalmanConfig
 from trainid_ros.brake_rate.disturbance_noise import DisturbanceNoise, advance
-from trainid_ros.brake_rate.kalman import Kalman, KalmanConfig
 from trainid_ros.brake_rate.posterior import Transition
 from trainid_ros.core.codec import decode, encode
 from trainid_ros.core.errors import InputError

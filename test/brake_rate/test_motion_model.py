@@ -10,8 +10,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from trainid_lab.brake_rate.kalman import Kalman, KalmanConfig
 from trainid_ros.brake_rate.brake_kinematics import BrakeStep
-from trainid_ros.brake_rate.kalman import Kalman, KalmanConfig
 from trainid_ros.brake_rate.motion_model import BLEND_SHAPE, MotionModel
 from trainid_ros.brake_rate.posterior import Transition
 from trainid_ros.brake_rate.timing import TimingStep

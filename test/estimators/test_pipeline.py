@@ -13,12 +13,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.core.alignment import AlignmentConfig
 from trainid_ros.core.errors import InputError
 from trainid_ros.core.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
 from trainid_ros.core.results import Estimate, Reason, Status
-from trainid_ros.estimators.consistency import WINDOW, Verdict
+from trainid_ros.estimators.consistency import WINDOW
 from trainid_ros.estimators.pipeline import (
     EstimatorPipeline,
     EstimatorSettings,
@@ -394,16 +393,6 @@ def test_each_update_is_judged_once(name: str, metro: TrainFile, day: Records) -
     assert pipeline.used - 20 < len(pairs) <= pipeline.used
     pipeline.restore(pipeline.save())
     assert pipeline.consistency.updates == 0
-
-
-def test_errors_larger_than_stated_are_detected(metro: TrainFile, day: Records) -> None:
-    """SMA as printed leaves out what one of its particles moves by; the default does not."""
-    printed = make('brake_rate', metro, EstimatorSettings(brake_rate=BRAKE_RATE.choose('SMA')))
-    default = make('brake_rate', metro)
-    run(printed, seconds(day, 0.0, 240.0))
-    run(default, seconds(day, 0.0, 240.0))
-    assert printed.consistency.verdict is Verdict.OPTIMISTIC
-    assert default.consistency.verdict is Verdict.CONSISTENT
 
 
 def test_an_estimate_refuted_by_its_innovations_is_not_valid(metro: TrainFile, day: Records) -> None:

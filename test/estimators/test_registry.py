@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Every registered algorithm works on a full day through the common protocol."""
+"""Every algorithm, built in or of an installed plug-in, works on a full day through the common protocol."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Any, TypeAlias
 
 import numpy as np
@@ -12,10 +12,9 @@ import pytest
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.core.alignment import Aligner, AlignmentConfig
 from trainid_ros.core.errors import InputError
-from trainid_ros.core.records import NS_PER_S, Record, SpeedRecord
+from trainid_ros.core.records import NS_PER_S, Record
 from trainid_ros.core.results import Rejection
 from trainid_ros.core.samples import Sample
-from trainid_ros.core.settings import setting_info
 from trainid_ros.estimators.pipeline import (
     EstimatorPipeline,
     EstimatorSettings,
@@ -132,70 +131,7 @@ def test_settings_are_changed_by_name() -> None:
     assert RESISTANCE.choose(patience=5.0).config != RESISTANCE.choose().config
 
 
-@pytest.mark.parametrize(
-    ('field', 'name', 'setting'),
-    [
-        ('brake_rate', 'SMA', 'prior_std'),
-        ('brake_rate', 'GSMA-printed', 'prior_std'),
-        ('speed_model', 'integral-RLS', 'readmit_after'),
-        ('speed_model', 'AM-VFF-RLS-printed', 'readmit_after'),
-        ('speed_model', 'AM-RLS', 'min_forgetting'),
-        ('resistance', 'LS', 'innovation_length'),
-        ('resistance', 'V-MILS-printed', 'record_length'),
-    ],
-)
-def test_an_algorithm_does_not_offer_settings_that_it_ignores(field: str, name: str, setting: str) -> None:
-    algorithms = {item[0]: item[1] for item in ALL}[field]
-    assert setting in algorithms[name].config.__dataclass_fields__
-    assert setting not in algorithms[name].settings
-    with pytest.raises(InputError, match=f"{name} has no setting '{setting}'"):
-        algorithms.choose(name, **{setting: 3})
-
-
 def test_fixed_settings_exist() -> None:
     for _, algorithms, _, name in ALL:
         assert algorithms[name].fixed <= set(algorithms[name].config.__dataclass_fields__)
         assert algorithms[name].settings
-
-
-@pytest.fixture(scope='module')
-def spoiled(day: tuple[Record, ...]) -> list[Sample]:
-    """Samples of a day in which some speeds are far off, up to six in a row."""
-    aligner, samples, count = Aligner(AlignmentConfig()), [], 0
-    for record in day:
-        count += isinstance(record, SpeedRecord)
-        far_off = count % 97 == 0 or count % 400 in range(4) or count % 900 in range(6)
-        wrong = replace(record, speed=record.speed + 6.0) if isinstance(record, SpeedRecord) and far_off else record
-        samples += [event for event in aligner.push(wrong) if isinstance(event, Sample)]
-        if len(samples) > 1400:
-            break
-    return samples
-
-
-PRINTED = [(algorithms, name) for _, algorithms, _, name in ALL if algorithms[name].fixed and name != 'LS']
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(('algorithms', 'name'), PRINTED)
-def test_every_setting_that_can_be_changed_has_an_effect(
-    algorithms: Algorithms[Any], name: str, metro: TrainFile, spoiled: list[Sample]
-) -> None:
-    samples = spoiled[: 1400 if algorithms is RESISTANCE else 500]
-
-    def end(**changes: float) -> list[float]:
-        try:
-            chosen = algorithms.make(algorithms.choose(name, **changes), metro, np.random.default_rng(1))
-        except InputError:  # incompatible with the other settings
-            return []
-        for sample in samples:
-            chosen.step(sample)
-        return numbers(chosen.estimate(13.0))
-
-    usual, config = end(), algorithms[name].config
-    for item in fields(config):
-        info = setting_info(item)
-        # The limit of fitness for use changes no estimate.
-        if info is not None and item.name in algorithms[name].settings and item.name != 'valid_std':
-            kind, span = type(getattr(config, item.name)), info.high - info.low
-            some = (kind(value) for value in (info.low, info.low + 0.01 * span, min(info.high, 100)))
-            assert any(end(**{item.name: value}) != usual for value in some), item.name

@@ -12,8 +12,8 @@ from benchmarks.papers import xia2023_fits as fits
 from benchmarks.papers import xia2023_models as models
 from benchmarks.papers import xia2023_online as ways
 from benchmarks.papers.xia2023_derivatives import derivative_errors
-from trainid_ros.resistance.trajectory.levenberg import levenberg
-from trainid_ros.resistance.trajectory.newton import NewtonConfig
+from trainid_lab.resistance.trajectory.levenberg import levenberg
+from trainid_lab.resistance.trajectory.newton import NewtonConfig
 
 pytestmark = pytest.mark.slow
 

@@ -13,10 +13,10 @@ from benchmarks.papers.line_scores import identify, over_bound, score
 from benchmarks.papers.lockstep import ManyAuxiliary, ManyIntegral, ManyMethod, ManyRls, drive, drive_many
 from benchmarks.papers.station_lines import NOISES, ONE_RUN, LineShape, Noise, measured, station_lines
 from benchmarks.papers.yuan_methods import LOAD, P0, THETA0, all_methods, am_tuning, am_vff, ekf, oracle, scaled
-from trainid_ros.speed_model import integral_rls, rls
+from trainid_lab.speed_model import integral_rls, rls
+from trainid_lab.speed_model.speed_model_ekf import ekf_tuning
 from trainid_ros.speed_model.am_vff_rls import AuxiliaryModel
 from trainid_ros.speed_model.method import Method
-from trainid_ros.speed_model.speed_model_ekf import ekf_tuning
 
 pytestmark = pytest.mark.slow
 

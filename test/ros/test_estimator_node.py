@@ -663,5 +663,19 @@ def test_the_algorithm_is_a_parameter_and_an_unknown_name_is_reported_with_the_c
     assert wrong.failure == f"not configured: algorithm = 'nonsense' must be one of {', '.join(names)}"
 
 
+@pytest.mark.parametrize('factory', FACTORIES)
+def test_without_the_laboratory_a_node_runs_and_refuses_other_names(
+    graph: Graph, train_file: str, factory: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    node = graph.make(factory, train_file=train_file)
+    monkeypatch.setattr(node.job.algorithms, '_others', {})
+    assert node.bring_up(), node.failure
+    graph.drop()
+    name = graph.make(factory, arguments=('-p', 'algorithm:=RLS'), train_file=train_file)
+    assert name.trigger_configure() == FAILURE
+    known = ', '.join(node.job.algorithms.built_in)
+    assert name.failure == f"not configured: algorithm = 'RLS' must be one of {known}; others come with lab/"
+
+
 def test_nothing_is_left_in_the_default_context() -> None:
     assert not rclpy.ok()

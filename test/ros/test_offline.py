@@ -5,12 +5,14 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Any
 
 import pytest
 
 from trainid_ros.core.errors import InputError
 from trainid_ros.estimators.pipeline import EstimatorSettings
-from trainid_ros.estimators.registry import Algorithms
+from trainid_ros.estimators.registry import Algorithm, Algorithms
+from trainid_ros.resistance.trajectory.two_window import TwoWindow, TwoWindowConfig
 from trainid_ros.ros import jobs
 from trainid_ros.ros.jobs import JOBS, chosen_algorithms
 from trainid_ros.ros.offline import Setup, node_setups
@@ -154,11 +156,13 @@ def test_the_last_of_several_matching_sections_wins(tmp_path: Path) -> None:
 def many(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two jobs that share a name of an algorithm."""
 
-    class Named(Algorithms[object]):  # type: ignore[type-var]
-        def __init__(self, *names: str) -> None:
-            self._by_name = dict.fromkeys(names)  # type: ignore[assignment]
+    def algorithm(name: str) -> Algorithm[Any]:
+        return Algorithm(name, '', TwoWindowConfig(), lambda train_file, config, _: TwoWindow(train_file, config))
 
-    fields = {'resistance': Named('V', 'EKF'), 'speed_model': Named('A', 'EKF'), 'brake_rate': Named('G')}
+    def named(*names: str) -> Algorithms[Any]:
+        return Algorithms('no such job', *map(algorithm, names))
+
+    fields = {'resistance': named('V', 'EKF'), 'speed_model': named('A', 'EKF'), 'brake_rate': named('G')}
 
     class FakeJob:
         def __init__(self, field: str) -> None:

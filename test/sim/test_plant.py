@@ -10,7 +10,7 @@ import pytest
 
 from trainid_ros.core.errors import InputError
 from trainid_ros.sim.plant import STEP_NS, Plant
-from trainid_ros.train.davis import G, observed_resistance, required_force
+from trainid_ros.train.davis import G, required_force, specific_force, specific_inertia
 from trainid_ros.train.line import LineProfile
 from trainid_ros.train.train_file import Brake, Davis, Effect, Line, Train, TrainFile
 
@@ -43,7 +43,7 @@ def test_the_specific_balance_holds_over_a_step() -> None:
     train.step(100e3)
     middle = train.speed - 0.5 * STEP_S * train.acceleration
     w = DAVIS.a + DAVIS.b * middle + DAVIS.c * middle**2
-    seen = observed_resistance(train.reported_force, 200e3, 0.08, train.acceleration)
+    seen = specific_force(train.reported_force, 200e3) - specific_inertia(train.acceleration, 0.08)
     assert seen == pytest.approx(w + 5.0 + 0.2, abs=1e-6)
 
 

@@ -20,7 +20,7 @@ from trainid_ros.sim.scenario import Simulation, simulate
 from trainid_ros.sim.sensors import SensorModel
 from trainid_ros.sim.worlds import WORLDS, world_train
 from trainid_ros.train.brake import CommandHistory, lag_response
-from trainid_ros.train.davis import davis, observed_resistance, specific_force
+from trainid_ros.train.davis import davis, specific_force, specific_inertia
 from trainid_ros.train.effects import effect_value
 from trainid_ros.train.train_file import Brake, TrainFile, dump_train_file
 
@@ -73,7 +73,7 @@ def balance(simulation: Simulation, stated: TrainFile) -> Balance:
         a = (speeds[i + 1].speed - speeds[i - 1].speed) / 0.4
         curvature = 1.0 / tracks[i].curve_radius if tracks[i].curve_radius > 0.0 else 0.0
         known = davis(stated.resistance, speeds[i].speed) + tracks[i].gradient + coefficient * curvature
-        residual = observed_resistance(force, mass, stated.train.rotary_mass, a) - known
+        residual = specific_force(force, mass) - specific_inertia(a, stated.train.rotary_mass) - known
         rows.append((residual, specific_force(force, mass), curvature))
     return Balance(*np.array(rows).T)
 

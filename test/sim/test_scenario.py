@@ -16,7 +16,7 @@ from trainid_ros.sim.driver import DriverModel
 from trainid_ros.sim.gusts import GustModel
 from trainid_ros.sim.scenario import Change, Scenario, Simulation, simulate
 from trainid_ros.sim.sensors import SensorModel
-from trainid_ros.train.davis import observed_resistance
+from trainid_ros.train.davis import specific_force, specific_inertia
 from trainid_ros.train.train_file import Brake, Davis, Effect, Line, Train, TrainFile
 
 LINE = Line(
@@ -135,7 +135,7 @@ def power_and_coast(simulation: Simulation, file: TrainFile) -> tuple[np.ndarray
         if idle < 30 or not steady or speeds[i - 1].speed < 2.0:
             continue
         a = (speeds[i + 1].speed - speeds[i - 1].speed) / 0.4
-        total = observed_resistance(forces[i].force, mass, file.train.rotary_mass, a)
+        total = specific_force(forces[i].force, mass) - specific_inertia(a, file.train.rotary_mass)
         rows.append((speeds[i].speed, total - gradients[i].gradient))
     v, w = np.array(rows).T
     return v, w

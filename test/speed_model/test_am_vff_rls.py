@@ -20,7 +20,7 @@ from trainid_ros.core.results import Reason, Rejection, SpeedModelEstimate
 from trainid_ros.core.samples import Sample
 from trainid_ros.estimators.protocol import step_and_estimate
 from trainid_ros.speed_model.am_vff_rls import AmVffRls, AmVffRlsConfig
-from trainid_ros.speed_model.physical_parameters import resistance_variance, upper
+from trainid_ros.speed_model.physical_parameters import resistance_variance
 from trainid_ros.train.davis import davis
 from trainid_ros.train.train_file import Davis, Effect, TrainFile
 
@@ -111,7 +111,7 @@ def test_a_late_reported_force_does_not_bias_the_resistance(train_file: TrainFil
         for item in samples:
             estimator.step(item)
         e = estimator.estimate(0.0)
-        S = upper(np.array(e.covariance).reshape(4, 4))
+        S = np.array(e.covariance).reshape(4, 4)[np.triu_indices(4)].tolist()
         std = math.sqrt(resistance_variance(S, 12.0, K))
         z.append(abs(e.a + 12.0 * e.b + 144.0 * e.c - davis(Davis(1.8, 0.02, 0.005), 12.0)) / std)
     biased, corrected = z

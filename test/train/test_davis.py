@@ -10,7 +10,6 @@ from trainid_ros.train.davis import (
     G,
     acceleration,
     davis,
-    observed_resistance,
     required_force,
     specific_force,
     specific_inertia,
@@ -35,7 +34,6 @@ def test_acceleration_against_hand_calculation() -> None:
     assert specific_inertia(0.04 * G / 1.08, 0.08) == pytest.approx(40.0)
 
 
-def test_force_and_resistance_invert_the_acceleration() -> None:
+def test_the_required_force_inverts_the_acceleration() -> None:
     a = acceleration(-120e3, 194e3, 0.08, 4.2)
     assert required_force(a, 194e3, 0.08, 4.2) == pytest.approx(-120e3, rel=1e-12)
-    assert observed_resistance(-120e3, 194e3, 0.08, a) == pytest.approx(4.2, rel=1e-12)

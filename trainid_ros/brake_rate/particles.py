@@ -70,37 +70,12 @@ class Correction(NamedTuple):
     W: Array
 
 
-def correction(P: Array, H: Array, R: Array) -> Correction:
-    """Return the update of a predicted covariance P, shape (n, n), with y = H x of noise covariance R."""
-    PH = P @ H.T
-    # Eq. (16).
-    S = H @ PH + R
-    if S.size == 1:  # one measurement needs no matrix algebra
-        s = float(S[0, 0])
-        return Correction(PH / s, P - PH @ (PH.T / s), np.array([[1.0 / math.sqrt(s)]]))
-    W = np.linalg.inv(np.linalg.cholesky(S))
-    # Eqs. (20), (21), in Joseph form.
-    K = PH @ W.T @ W
-    A = np.eye(len(P)) - K @ H
-    return Correction(K, A @ P @ A.T + K @ R @ K.T, W)
-
-
 def speed_correction(P: Array, r: float) -> Correction:
-    """Return the same for x = [v, ...] with v measured with variance r [(m/s)^2], without matrix algebra."""
+    """Return the update of x = [v, ...] for v measured with variance r [(m/s)^2], without matrix algebra."""
     column = P[:, :1]
     s = float(P[0, 0]) + r
     K = column / s
     return Correction(K, P - K.dot(column.T), np.array([[1.0 / math.sqrt(s)]]))
-
-
-def distance(W: Array, nu: Array) -> Array:
-    """Return the squared Mahalanobis distance [1] of innovations, shape (...), from shape (m, ...)."""
-    if len(W) == 1:
-        scaled: Array = W[0, 0] * nu[0]
-        return scaled * scaled
-    whitened = np.tensordot(W, nu, axes=1)
-    squares: Array = (whitened * whitened).sum(axis=0)
-    return squares
 
 
 def speed_step(interval: Transition) -> LinearStep:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Particle weights in the log domain, systematic resampling, and the state of the random generator."""
+"""Particle weights from the log domain, and the state of the random generator."""
 
 from __future__ import annotations
 
@@ -13,16 +13,6 @@ from trainid_ros.core.errors import InputError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-
-
-def normalise(log_weights: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Return log-weights whose exponentials sum to one; equal weights if all are -inf."""
-    peak = float(np.max(log_weights))
-    if not np.isfinite(peak):
-        return np.full(len(log_weights), -np.log(len(log_weights)))
-    shifted = log_weights - peak
-    normal: NDArray[np.float64] = shifted - np.log(np.sum(np.exp(shifted)))
-    return normal
 
 
 def normal_weights(log_weights: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -40,17 +30,6 @@ def effective_number(weights: NDArray[np.float64]) -> float:
     """Return 1 / sum of squared normalised weights [1]; Zheng et al. print it with unnormalised weights."""
     flat = weights.ravel()
     return 1.0 / float(flat.dot(flat))
-
-
-def systematic(weights: NDArray[np.float64], count: int, uniform: float) -> NDArray[np.intp]:
-    """Return ``count`` ancestor indices, shape (count,), from one uniform draw in [0, 1).
-
-    Unbiased, unlike keeping the largest weights. The index is clamped because the cumulated weights can
-    end below one by rounding.
-    """
-    positions = (np.arange(count) + uniform) / count
-    ancestors = np.searchsorted(np.cumsum(weights), positions, side='right')
-    return np.minimum(ancestors, len(weights) - 1)
 
 
 def restore_generator(rng: np.random.Generator, text: str, kind: str) -> None:

@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
+from functools import cached_property
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from trainid_ros.core.errors import InputError
 from trainid_ros.core.settings import setting_info
+from trainid_ros.estimators.plugins import plugged_in
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -57,27 +59,54 @@ class Algorithm(Generic[EstimateT]):
 
 
 class Algorithms(Generic[EstimateT]):
-    """All algorithms for one kind of estimate; the first one is the default."""
+    """All algorithms for one kind of estimate: the built-in ones, the first of which is the default, and plug-ins."""
 
-    def __init__(self, *algorithms: Algorithm[EstimateT]) -> None:
-        self._by_name = {item.name: item for item in algorithms}
+    def __init__(self, job: str, *algorithms: Algorithm[EstimateT]) -> None:
+        self.job = job
+        self._built_in = {item.name: item for item in algorithms}
+
+    @property
+    def built_in(self) -> tuple[str, ...]:
+        """Names of the built-in algorithms, the default first."""
+        return tuple(self._built_in)
 
     @property
     def names(self) -> tuple[str, ...]:
-        """All names, the default first."""
-        return tuple(self._by_name)
+        """All names, the built-in ones first; raises InputError if a plug-in cannot be used."""
+        return (*self._built_in, *self._others)
 
     @property
     def default(self) -> str:
         """Name of the default."""
-        return self.names[0]
+        return self.built_in[0]
+
+    @property
+    def hint(self) -> str:
+        """End of a message that lists all names: where others come from if there are no plug-ins."""
+        return '' if self._others else '; others come with lab/'
+
+    def __contains__(self, name: str) -> bool:
+        """Return whether there is an algorithm of that name; raises InputError if a plug-in cannot be used."""
+        return name in self._built_in or name in self._others
 
     def __getitem__(self, name: str) -> Algorithm[EstimateT]:
-        """Return an algorithm by name; raise InputError if the name is unknown."""
-        if (algorithm := self._by_name.get(name)) is None:
-            msg = f'algorithm = {name!r} must be one of {", ".join(self.names)}'
+        """Return an algorithm by name; raise InputError if the name is unknown or a plug-in cannot be used."""
+        if (algorithm := self._built_in.get(name) or self._others.get(name)) is None:
+            msg = f'algorithm = {name!r} must be one of {", ".join(self.names)}{self.hint}'
             raise InputError(msg)
         return algorithm
+
+    @cached_property
+    def _others(self) -> dict[str, Algorithm[EstimateT]]:
+        """Algorithms of plug-ins by name, read at the first look-up of a name that is not built in."""
+        found: dict[str, Algorithm[EstimateT]] = {}
+        for source, given in plugged_in(self.job):
+            for item in _algorithms(source, given):
+                if item.name in self._built_in or item.name in found:
+                    msg = f'{source}: there are two algorithms {item.name!r}'
+                    raise InputError(msg)
+                found[item.name] = item
+        return found
 
     def choose(self, name: str = '', **changes: float) -> Choice:
         """Return a choice, the default if unnamed, with some settings changed; InputError if a name is unknown."""
@@ -91,3 +120,11 @@ class Algorithms(Generic[EstimateT]):
     def make(self, choice: Choice, train_file: TrainFile, generator: np.random.Generator) -> Estimator[EstimateT]:
         """Return the chosen estimator; raise InputError, naming the field, if a setting is out of range."""
         return self[choice.algorithm].make(train_file, choice.config, generator)
+
+
+def _algorithms(source: str, given: object) -> tuple[Algorithm[Any], ...]:
+    """Return what a plug-in gives; raise InputError, naming the plug-in, if it is not a tuple of algorithms."""
+    if not isinstance(given, tuple) or not all(isinstance(item, Algorithm) for item in given):
+        msg = f'{source} must be a tuple of Algorithm, not {type(given).__name__}'
+        raise InputError(msg)
+    return given

@@ -50,10 +50,6 @@ class ForceErrors:
         return scale, delay, curve
 
 
-EXACT: Final = ForceErrors(0.0, 0.0, 0.0)
-"""No force errors."""
-
-
 def force_errors(train_file: TrainFile, delay_std: float) -> ForceErrors:
     """Return the prior standard deviations of the force errors from a train file; ``delay_std`` [s] is a setting."""
     train = train_file.train

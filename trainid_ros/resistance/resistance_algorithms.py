@@ -3,39 +3,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from trainid_ros.core.results import ResistanceEstimate
 from trainid_ros.estimators.registry import Algorithm, Algorithms
 from trainid_ros.resistance.filter_bank import FilterBank, FilterBankConfig
-from trainid_ros.resistance.regressions import innovation_step, solve_step, strict_step
-from trainid_ros.resistance.speed_ekf import SpeedEkf, SpeedEkfConfig
 from trainid_ros.resistance.trajectory.two_window import TwoWindow, TwoWindowConfig
 from trainid_ros.resistance.vmils import VMils, VMilsConfig
-from trainid_ros.resistance.windowed import WindowedConfig, WindowedRegression
-
-if TYPE_CHECKING:
-    from trainid_ros.resistance.regressions import Step
-
-
-_ONE: Final = frozenset({'innovation_length'})
-_NO_PENALTY: Final = frozenset({'penalty', 'record_length'})
-
-
-def _regression(
-    name: str, summary: str, step: Step, config: WindowedConfig, fixed: frozenset[str] = frozenset()
-) -> Algorithm[ResistanceEstimate]:
-    """Return the registry entry of a regression of Liu et al. 2018."""
-    return Algorithm(
-        name,
-        f'{summary}; for comparison',
-        config,
-        lambda train_file, chosen, _: WindowedRegression(train_file, chosen, step),
-        fixed,
-    )
-
 
 RESISTANCE: Final = Algorithms[ResistanceEstimate](
+    'resistance',
     Algorithm(
         'filter-bank',
         'change-point bank of Kalman filters on raw speed, with the force errors as states; default',
@@ -47,60 +24,6 @@ RESISTANCE: Final = Algorithms[ResistanceEstimate](
         'interval-varying multi-innovation least squares on speed windows; half the computing time of filter-bank',
         VMilsConfig(),
         lambda train_file, config, _: VMils(train_file, config),
-    ),
-    Algorithm(
-        'speed-EKF',
-        'extended Kalman filter on raw speed; most accurate with small disturbances and no parameter steps',
-        SpeedEkfConfig(),
-        lambda train_file, config, _: SpeedEkf(train_file, config),
-    ),
-    _regression('LS', 'least squares over all windows so far', solve_step, WindowedConfig(), _ONE | _NO_PENALTY),
-    _regression(
-        'regularised-LS',
-        'LS with a penalty on the parameters',
-        solve_step,
-        WindowedConfig(penalty=50.0),
-        _ONE | {'record_length'},
-    ),
-    _regression(
-        'RLS',
-        'recursive least squares, initialised as printed',
-        innovation_step,
-        WindowedConfig(),
-        _ONE | _NO_PENALTY,
-    ),
-    _regression(
-        'regularised-RLS',
-        'RLS from P(0) = I/lambda, equal to regularised-LS at every step',
-        innovation_step,
-        WindowedConfig(penalty=50.0),
-        _ONE,
-    ),
-    _regression(
-        'MILS',
-        'LS that counts each window p times',
-        innovation_step,
-        WindowedConfig(innovation_length=4),
-        _NO_PENALTY,
-    ),
-    _regression(
-        'regularised-MILS',
-        'MILS from P(0) = I/(p lambda)',
-        innovation_step,
-        WindowedConfig(innovation_length=4, penalty=50.0),
-    ),
-    _regression(
-        'V-MILS-printed',
-        'MILS that updates only when the last p windows are all good',
-        strict_step,
-        WindowedConfig(innovation_length=4, gate=3.0),
-        _NO_PENALTY,
-    ),
-    _regression(
-        'regularised-V-MILS',
-        'V-MILS-printed from P(0) = I/(p lambda)',
-        strict_step,
-        WindowedConfig(innovation_length=4, penalty=50.0, gate=3.0),
     ),
     Algorithm(
         'two-window',

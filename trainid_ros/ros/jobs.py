@@ -86,12 +86,14 @@ def _find(text: str) -> tuple[str, str]:
         msg = f'algorithm {text!r}: {field!r} must be one of {", ".join(job.field for job in JOBS)}'
         raise InputError(msg)
     among = [job for job in JOBS if job.field == field or not equals]
-    found = [job.field for job in among if name in job.algorithms.names]
+    # A built-in name means the same whatever plug-ins are installed.
+    found = [job.field for job in among if name in job.algorithms.built_in]
+    found = found or [job.field for job in among if name in job.algorithms]
     if len(found) == 1:
         return found[0], name
     if found:
         msg = f'algorithm {name!r} is ambiguous: use {" or ".join(f"{item}={name}" for item in found)}'
     else:
         choices = '; '.join(f'{job.field}: {", ".join(job.algorithms.names)}' for job in among)
-        msg = f'algorithm {name!r} is unknown; there are {choices}'
+        msg = f'algorithm {name!r} is unknown; there are {choices}{among[0].algorithms.hint}'
     raise InputError(msg)

@@ -126,7 +126,8 @@ class NodeParameters:
 def _descriptor(spec: ParameterSpec) -> ParameterDescriptor:
     descriptor = ParameterDescriptor(description=spec.description, read_only=spec.read_only)
     if spec.choices:
-        descriptor.additional_constraints = f'one of {", ".join(spec.choices)}'
+        others = ' or of an installed plug-in' if spec.look_up is not None else ''
+        descriptor.additional_constraints = f'one of {", ".join(spec.choices)}{others}'
     if isinstance(spec.default, float) and spec.low > float('-inf'):
         limits = FloatingPointRange(from_value=float(spec.low), to_value=float(spec.high), step=0.0)
         descriptor.floating_point_range = [limits]

@@ -39,7 +39,9 @@ _NEXT: Final = 'takes effect on the next configure'
 class ParameterSpec:
     """One parameter: default (its type is the parameter's type), description and permitted values.
 
-    ``low`` and ``high`` are the inclusive bounds of a number; ``choices`` lists the permitted strings.
+    ``low`` and ``high`` are the inclusive bounds of a number; ``choices`` lists the permitted strings. ``look_up``, if
+    given, decides instead of ``choices`` and raises InputError for a string that is not permitted: plug-ins may add
+    strings, and are only read when one is looked up.
     """
 
     name: str
@@ -48,6 +50,7 @@ class ParameterSpec:
     low: float = -math.inf
     high: float = math.inf
     choices: tuple[str, ...] = ()
+    look_up: Callable[[str], object] | None = None
     read_only: bool = False
 
     def coerce(self, value: object) -> Value:
@@ -69,7 +72,9 @@ class ParameterSpec:
     def check(self, value: Value) -> None:
         """Raise InputError, naming the parameter, if a value of the right type is not permitted."""
         if isinstance(value, str):
-            if self.choices and value not in self.choices:
+            if self.look_up is not None:
+                self.look_up(value)
+            elif self.choices and value not in self.choices:
                 msg = f'{self.name} = {value!r} must be one of {", ".join(self.choices)}'
                 raise InputError(msg)
         elif not isinstance(value, bool) and not (math.isfinite(value) and self.low <= value <= self.high):
@@ -132,10 +137,17 @@ def estimator_parameters(algorithms: Algorithms[Any], name: str = '') -> tuple[P
     algorithm = algorithms[name or algorithms.default]
     policies = tuple(policy.value for policy in TimeJumpPolicy)
     default = PipelineConfig().time_jump_policy.value
-    algorithm_text = 'algorithm of the estimator, chosen at start'
+    algorithm_spec = ParameterSpec(
+        ALGORITHM,
+        algorithms.default,
+        'algorithm of the estimator, chosen at start (others come with lab/)',
+        choices=algorithms.built_in,
+        look_up=algorithms.__getitem__,
+        read_only=True,
+    )
     texts = (
         TRAIN_FILE,
-        ParameterSpec(ALGORITHM, algorithms.default, algorithm_text, choices=algorithms.names, read_only=True),
+        algorithm_spec,
         ParameterSpec(
             'time_jump_policy', default, f'what to do when stamps or /clock jump back; {_NEXT}', choices=policies
         ),
@@ -163,9 +175,12 @@ def _settings(prefix: str, config: DataclassInstance, fixed: frozenset[str] = fr
 
 
 def requested_algorithm(overrides: Mapping[str, object], algorithms: Algorithms[Any]) -> str:
-    """Return the algorithm whose settings are parameters: the default if the given name is unknown (reported later)."""
+    """Return the algorithm whose settings are parameters: the default if the given one is unusable (reported later)."""
     name = overrides.get(ALGORITHM)
-    return str(name) if name in algorithms.names else algorithms.default
+    try:
+        return algorithms[name].name if isinstance(name, str) else algorithms.default
+    except InputError:
+        return algorithms.default
 
 
 def qos_overrides(job: Job, resolve: Callable[[str], str]) -> list[str]:

@@ -48,7 +48,7 @@ def parameter_file() -> str:
 
 def _other_algorithms(job: Job) -> Iterator[str]:
     """Yield the estimator sections of the algorithms that are not the default, commented out."""
-    for name in job.algorithms.names[1:]:
+    for name in job.algorithms.built_in[1:]:
         specs = estimator_parameters(job.algorithms, name)
         yield from textwrap.wrap(
             f'{name}: {job.algorithms[name].summary}', _WIDTH, initial_indent='    # ', subsequent_indent='    #   '

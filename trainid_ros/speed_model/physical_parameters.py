@@ -16,9 +16,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final, TypeAlias
 
-import numpy as np
-from numpy.typing import NDArray
-
 from trainid_ros.core.samples import SAMPLE_PERIOD
 from trainid_ros.core.settings import setting
 from trainid_ros.estimators.prior import prior_variances
@@ -30,8 +27,6 @@ Symmetric: TypeAlias = tuple[float, float, float, float, float, float, float, fl
 
 # Lower limit of the relative std of mass and force, because forgetting divides by the variance of b1.
 _LEAST_MASS_STD: Final = 1e-4
-
-UPPER: Final = tuple((i, j) for i in range(4) for j in range(i, 4))
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,12 +88,6 @@ def prior(
     return to_speed_model(davis, k), (
         scale * c, 0.0, 0.0, 0.0, scale * b, 0.0, 0.0, scale * max(mass_std, _LEAST_MASS_STD) ** 2, 0.0, scale * a
     )  # fmt: skip
-
-
-def upper(matrix: NDArray[np.float64]) -> Symmetric:
-    """Return the upper triangle of a symmetric matrix, shape (4, 4)."""
-    s11, s12, s13, s14, s22, s23, s24, s33, s34, s44 = (float(matrix[i, j]) for i, j in UPPER)
-    return s11, s12, s13, s14, s22, s23, s24, s33, s34, s44
 
 
 def full(S: Symmetric) -> tuple[float, ...]:

@@ -47,8 +47,3 @@ def acceleration(force: Value, mass: float, rotary_mass: float, resistance: Valu
 def required_force(acceleration: Value, mass: float, rotary_mass: float, resistance: Value) -> Value:
     """Return the force [N] that gives an acceleration [m/s^2]: the inverse of :func:`acceleration`."""
     return (specific_inertia(acceleration, rotary_mass) + resistance) * (mass * G / 1000.0)
-
-
-def observed_resistance(force: Value, mass: float, rotary_mass: float, acceleration: Value) -> Value:
-    """Return the total resistance [N/kN] implied by a force [N] and an acceleration [m/s^2] of a mass [kg]."""
-    return specific_force(force, mass) - specific_inertia(acceleration, rotary_mass)

@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 
 from benchmarks.papers.brake_runs import metro_run, metro_train
+from trainid_lab.brake_rate.particles import correction
 from trainid_ros.brake_rate.group_cloud import GroupCloud, Strata, branch, prune, weigh
 from trainid_ros.brake_rate.gsma import Gsma, GsmaConfig
-from trainid_ros.brake_rate.particles import SPEED, correction, speed_step
+from trainid_ros.brake_rate.particles import SPEED, speed_step
 from trainid_ros.brake_rate.posterior import STATES, Transition
 from trainid_ros.core.errors import InputError
 from trainid_ros.core.results import Rejection

@@ -12,9 +12,9 @@ from pathlib import Path
 
 import pytest
 
+from trainid_lab.resistance.recursive import rls
 from trainid_ros.core.errors import InputError
 from trainid_ros.estimators.compiled.jit import compiled, compiler_present, require_compiler
-from trainid_ros.resistance.recursive import rls
 
 needs_compiler = pytest.mark.skipif(not compiler_present(), reason='numba is not installed')
 

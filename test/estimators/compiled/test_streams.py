@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from benchmarks.papers.brake_runs import metro_train
+from trainid_lab.resistance.multi_innovation import NOTHING, belief_of, information_of, mils_step
 from trainid_ros.estimators.compiled.jit import compiler_present
 from trainid_ros.estimators.compiled.streams import SpeedModelStream, VMilsStream
-from trainid_ros.resistance.multi_innovation import NOTHING, belief_of, information_of, mils_step
 from trainid_ros.speed_model.am_vff_rls import AmVffRls, AmVffRlsConfig
 
 if TYPE_CHECKING:

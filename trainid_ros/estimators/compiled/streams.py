@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from trainid_lab.resistance.multi_innovation import NOTHING, belief_of, information_of, mils_step
 from trainid_ros.estimators.compiled.jit import compiled
-from trainid_ros.resistance.multi_innovation import NOTHING, belief_of, information_of, mils_step
 from trainid_ros.speed_model.am_vff_rls import learn
 
 if TYPE_CHECKING:

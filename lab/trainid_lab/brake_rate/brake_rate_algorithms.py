@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Algorithms for the brake rate that are for comparison only."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from trainid_lab.brake_rate.imm import Imm, ImmConfig
+from trainid_lab.brake_rate.kalman import Kalman, KalmanConfig
+from trainid_lab.brake_rate.printed import PrintedConfig, PrintedGsma, Sma
+from trainid_lab.brake_rate.rbpf import Rbpf, RbpfConfig
+from trainid_ros.core.results import BrakeRateEstimate
+from trainid_ros.estimators.registry import Algorithm
+
+# Settings not offered for the printed algorithms: they start with all values of the grid, whatever the prior.
+_GRID: Final = frozenset({'prior_std'})
+
+ALGORITHMS: Final[tuple[Algorithm[BrakeRateEstimate], ...]] = (
+    Algorithm('KF', 'linear Kalman filter: exact and cheapest, but slow after a jump', KalmanConfig(), Kalman),
+    Algorithm(
+        'IMM', 'two Kalman filters, one for drift and one for jumps; as accurate as GSMA and cheaper', ImmConfig(), Imm
+    ),
+    Algorithm('RBPF', 'Rao-Blackwellised particle filter of a drifting rate', RbpfConfig(), Rbpf),
+    Algorithm('SMA', 'stochastic M-algorithm as printed; for comparison', PrintedConfig(), Sma, _GRID),
+    Algorithm(
+        'GSMA-printed',
+        'group stochastic M-algorithm as printed; for comparison',
+        PrintedConfig(),
+        PrintedGsma,
+        _GRID,
+    ),
+)

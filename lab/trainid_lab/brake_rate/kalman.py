@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""KF: brake rate by the linear Kalman filter on [v, a, b, e, f], exact for a brake rate that drifts."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trainid_lab.brake_rate import gaussian
+from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
+from trainid_ros.brake_rate.config import BrakeRateConfig
+from trainid_ros.brake_rate.posterior import NO_ERRORS, STATES, Errors, Start, Transition, errors_of
+from trainid_ros.core.codec import check_restored, decode, encode
+from trainid_ros.core.state_validation import check_numbers, is_covariance_matrix
+
+if TYPE_CHECKING:
+    from trainid_ros.brake_rate.particles import Array
+    from trainid_ros.train.train_file import TrainFile
+
+
+@dataclass(frozen=True, slots=True)
+class KalmanConfig(BrakeRateConfig):
+    """Settings of KF."""
+
+
+@dataclass(frozen=True, slots=True)
+class KalmanState:
+    """Mean of z = [v, a, b, e, f], shape (n + 1,), and covariance, shape (n + 1, n + 1)."""
+
+    m: NDArray[np.float64]
+    P: NDArray[np.float64]
+
+
+class KalmanPosterior:
+    """Gaussian posterior."""
+
+    def __init__(self, config: KalmanConfig) -> None:
+        self._q = config.drift**2
+        self.m, self.P = gaussian.prior(0.0, 0.0, NO_ERRORS)
+
+    effective = 1.0
+
+    @property
+    def rate(self) -> float:
+        """Mean of f [1]."""
+        return float(self.m[STATES])
+
+    @property
+    def variance(self) -> float:
+        """Variance of f [1]."""
+        return float(self.P[STATES, STATES])
+
+    def total_rate(self, share: Array) -> tuple[float, float]:
+        """Return mean and variance of f + share e [1]."""
+        return gaussian.total_rate(self.m, self.P, share)
+
+    @property
+    def speed(self) -> float:
+        """Mean of v [m/s]."""
+        return float(self.m[0])
+
+    @property
+    def acceleration(self) -> float:
+        """Mean of a [m/s^2]."""
+        return float(self.m[1])
+
+    @property
+    def errors(self) -> Errors:
+        """Means of the errors of the train file."""
+        return errors_of(self.m[3:STATES])
+
+    @property
+    def error_variances(self) -> Errors:
+        """Variances of the errors of the train file."""
+        return errors_of(np.diag(self.P)[3:STATES])
+
+    def reset(self, rate: float, std: float, error_stds: Errors) -> None:
+        """Reset to the prior."""
+        self.m, self.P = gaussian.prior(rate, std, error_stds)
+
+    def anchor(self, start: Start) -> None:
+        """Restart v, a and b."""
+        self.m, self.P = gaussian.anchored(self.m, self.P, start)
+
+    def recentre(self, shift: Errors) -> None:
+        """Express the errors relative to a new origin, ``shift`` away from the old."""
+        self.m = gaussian.recentred(self.m, shift)
+
+    def predict(self, interval: Transition) -> None:
+        """Predict the motion over an interval."""
+        self.m, self.P = gaussian.predict(self.m, self.P, interval)
+
+    def predicted(self) -> tuple[float, float]:
+        """Return mean [m/s] and variance [(m/s)^2] of v."""
+        return float(self.m[0]), float(self.P[0, 0])
+
+    def follow(self, speed: float, r: float) -> None:
+        """Update without f, with a measured speed [m/s] of variance r [(m/s)^2]."""
+        self.m, self.P = gaussian.update(self.m, self.P, speed, r, learns=False)
+
+    def learn(self, interval: Transition, elapsed: float, speed: float, r: float) -> bool:
+        """Update with a measured speed [m/s] of variance r [(m/s)^2]; f drifted over ``elapsed`` [s]."""
+        P = gaussian.drift(self.P, interval.gain_v, interval.gain_a, self._q * elapsed)
+        m, P = gaussian.update(self.m, P, speed, r, learns=True)
+        if not math.isfinite(m.sum() + P.sum()):
+            return False
+        self.m, self.P = m, P
+        return True
+
+    def save(self) -> str:
+        """Return the complete state as JSON text."""
+        return encode(KalmanState(self.m, self.P))
+
+    def restore(self, text: str) -> None:
+        """Restore a saved state."""
+        state = decode(text, KalmanState)
+        check_numbers(state)
+        sized = state.m.shape == (STATES + 1,) and state.P.shape == (STATES + 1, STATES + 1)
+        check_restored(sized and is_covariance_matrix(state.P), 'KalmanState', 'm or P')
+        self.m, self.P = state.m, state.P
+
+
+class Kalman(BrakeRateEstimator):
+    """Linear Kalman filter."""
+
+    def __init__(self, train_file: TrainFile, config: KalmanConfig, rng: np.random.Generator) -> None:  # noqa: ARG002
+        super().__init__(train_file, config, KalmanPosterior(config))

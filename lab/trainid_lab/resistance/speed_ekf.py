@@ -1,0 +1,297 @@
+# SPDX-License-Identifier: Apache-2.0
+"""speed-EKF: Davis parameters from raw speed by an extended Kalman filter, see :mod:`speed_filter`.
+
+More accurate than windows while disturbances are small, and converges faster; it models drift of the parameters but
+not steps. In addition to the filter there are:
+
+* a gate on the innovation; after many consecutive rejections the speed restarts and the parameters are kept;
+* stuck-speed detection: a speed that stays bit-identical longer than motion and rounding allow is stuck. The filter
+  has already used it for a while, so it returns to the state before and predicts from there without measurements;
+* a divergence check: if the parameters leave the region of the prior, the filter returns to the prior.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+from trainid_lab.resistance.multi_innovation import is_finite
+from trainid_lab.resistance.speed_filter import State, corrected, predicted, restarted
+from trainid_ros.core.codec import check_restored, decode, encode
+from trainid_ros.core.results import Reason, Rejection, ResistanceEstimate
+from trainid_ros.core.settings import check_settings, setting
+from trainid_ros.core.state_validation import check_not_negative, check_numbers, is_covariance
+from trainid_ros.estimators.admission import Admission
+from trainid_ros.estimators.known_force import KnownForce
+from trainid_ros.estimators.prior import prior_variances
+from trainid_ros.resistance.fitness import drift_rates, is_fit
+from trainid_ros.resistance.robust import drifted, predict
+from trainid_ros.resistance.tachometer import Tachometer
+
+if TYPE_CHECKING:
+    from trainid_ros.core.samples import Sample
+    from trainid_ros.train.train_file import TrainFile
+
+# Largest plausible squared distance from the prior, normalised by its standard deviations.
+_MAX_PRIOR_DISTANCE: Final = 30.0
+# Number of equal speeds without detection after which the state before a possible fault advances.
+_MAX_HELD: Final = 50
+_MAX_SPEED: Final = 1e3
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedEkfConfig:
+    """Settings of the speed EKF."""
+
+    min_speed: float = setting(1.0, 'slowest speed to learn from', 'm/s', 0.0, 50.0)
+    speed_std: float = setting(0.025, 'noise of measured speed at the start (then learned)', 'm/s', 1e-4, 2.0)
+    disturbance_std: float = setting(
+        0.15, 'unmodelled resistance; choose too large rather than too small', 'N/kN', 0.0, 10.0
+    )
+    disturbance_time: float = setting(6.0, 'correlation time of the disturbance', 's', 0.0, 600.0)
+    force_error: float = setting(0.005, 'relative error of the traction force', '1', 0.0, 0.5)
+    force_skew: float = setting(0.06, 'unknown delay of the reported force', 's', 0.0, 5.0)
+    prior_share: float = setting(0.5, 'prior std of a, b, c as a share of their stated values', '1', 0.0, 10.0)
+    prior_std_a: float = setting(0.6, 'added to the prior std of a (root of squares)', 'N/kN', 1e-6, 100.0)
+    prior_std_b: float = setting(0.02, 'added to the prior std of b', 'N/kN per m/s', 1e-8, 10.0)
+    prior_std_c: float = setting(0.0006, 'added to the prior std of c', 'N/kN per (m/s)^2', 1e-9, 1.0)
+    drift_share: float = setting(0.15, 'drift in one hour, std as a share of the prior std', '1', 0.0, 100.0)
+    gate: float = setting(3.5, 'innovations beyond this many standard deviations are rejected', '1', 1.0, 100.0)
+    restart_after: int = setting(25, 'consecutive rejections after which the speed restarts', 'samples', 1, 10000)
+    stuck_sigmas: float = setting(
+        5.0, 'predicted change above which an unchanged speed is stuck', 'standard deviations', 1.0, 1e6
+    )
+    valid_std: float = setting(0.15, 'resistance is fit to use below this standard deviation', 'N/kN', 1e-3, 10.0)
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedEkfState:
+    """Saved state of the speed EKF.
+
+    While a speed repeats, ``before`` is the filter state at its first occurrence and ``held`` the (dt, u, q) since.
+    """
+
+    filter: State
+    before: State
+    held: tuple[tuple[float, ...], ...]
+    tachometer: Tachometer
+    speed: float
+    force: float
+    running: bool
+    rejected: int
+    stamp_ns: int
+    braked_ns: int
+    innovation: float
+    innovation_variance: float
+    test_ratio: float
+    speed_min: float
+    speed_max: float
+    accepted: int
+    converged: bool
+
+
+class SpeedEkf:
+    """Estimate a, b, c of w(v) = a + b v + c v^2 [N/kN] from aligned samples, one update per sample."""
+
+    def __init__(self, train_file: TrainFile, config: SpeedEkfConfig) -> None:
+        check_settings(config)
+        self.config = config
+        self._known = KnownForce(train_file)
+        self._admission = Admission(self._known, config.min_speed)
+        self._k = 1.0 / self._known.inertia
+        davis = train_file.resistance
+        self._theta0 = (davis.a, davis.b, davis.c)
+        self._max_variance = prior_variances(self._theta0, config)
+        self._drift_rates = drift_rates(config.drift_share, self._max_variance)
+        self.reset()
+
+    def reset(self) -> None:
+        """Return to the prior."""
+        a, b, c = self._max_variance
+        self._filter: State = (0.0, *self._theta0, 1.0, 0.0, 0.0, 0.0, a, 0.0, 0.0, b, 0.0, c)
+        self._before: State = self._filter
+        self._held: list[tuple[float, ...]] = []
+        self._tachometer = Tachometer(self.config.speed_std, self.config.speed_std**2)
+        self._speed = self._force = 0.0
+        self._running = self._converged = False
+        self._rejected = self._stamp_ns = self._accepted = self._admission.braked_ns = 0
+        self._innovation = self._innovation_variance = self._test_ratio = 0.0
+        self._speed_min = self._speed_max = 0.0
+
+    @property
+    def state(self) -> SpeedEkfState:
+        """The state to save."""
+        return SpeedEkfState(
+            filter=self._filter,
+            before=self._before,
+            held=tuple(self._held),
+            tachometer=replace(self._tachometer),
+            speed=self._speed,
+            force=self._force,
+            running=self._running,
+            rejected=self._rejected,
+            stamp_ns=self._stamp_ns,
+            braked_ns=self._admission.braked_ns,
+            innovation=self._innovation,
+            innovation_variance=self._innovation_variance,
+            test_ratio=self._test_ratio,
+            speed_min=self._speed_min,
+            speed_max=self._speed_max,
+            accepted=self._accepted,
+            converged=self._converged,
+        )
+
+    def save(self) -> str:
+        """Return the state as JSON text."""
+        return encode(self.state)
+
+    def restore(self, text: str) -> None:
+        """Restore a saved state; raise InputError if it is invalid."""
+        state = decode(text, SpeedEkfState)
+        check_numbers(state, may_be_nan=('dt',))  # of the tachometer, after a gap
+        for item in (state.filter, state.before):
+            sized = len(item) == 14 and is_covariance(item[4:]) and abs(item[0]) < _MAX_SPEED
+            check_restored(sized and not self._is_diverged(item), 'SpeedEkfState', 'filter')
+        held = all(len(item) == 3 and min(item[0], item[2]) >= 0.0 for item in state.held)
+        check_restored(held, 'SpeedEkfState', 'held')
+        check_restored(state.tachometer.is_valid(), 'SpeedEkfState', 'tachometer')
+        check_not_negative('SpeedEkfState', innovation_variance=state.innovation_variance, test_ratio=state.test_ratio)
+        self._filter, self._before, self._held = state.filter, state.before, list(state.held)
+        self._tachometer = state.tachometer
+        self._speed, self._force, self._running = state.speed, state.force, state.running
+        self._rejected, self._stamp_ns, self._accepted = state.rejected, state.stamp_ns, state.accepted
+        self._admission.braked_ns = state.braked_ns
+        self._innovation, self._innovation_variance = state.innovation, state.innovation_variance
+        self._test_ratio = state.test_ratio
+        self._speed_min, self._speed_max = state.speed_min, state.speed_max
+        self._converged = state.converged
+
+    @property
+    def converged(self) -> bool:
+        """True while the resistance is known well enough over the speeds observed."""
+        return self._converged
+
+    def step(self, sample: Sample) -> Rejection | None:
+        """Process one sample."""
+        self._stamp_ns = sample.stamp_ns
+        self._tachometer.add(sample.speed, sample.dt)
+        if (rejection := self._admission.reject(sample)) is not None:
+            self._running = False
+            return rejection
+        traction = self._known.traction(sample.force_mean, sample)
+        u = traction - self._known.track(sample)
+        if not self._running:
+            self._begin(sample.speed, u)
+            return None
+        self._predict(sample.dt, u, traction)
+        rejection = self._correct(sample)
+        self._force = u
+        if not is_finite(self._filter):
+            self._return_to_prior(sample.speed)
+            return Rejection(sample.stamp_ns, Reason.NUMERICAL, self._innovation, math.nan)
+        self._judge()
+        return rejection
+
+    def _begin(self, speed: float, u: float) -> None:
+        """Restart from a measured speed [m/s] with the known specific force u [N/kN]."""
+        self._filter = restarted(self._filter, speed, self._tachometer.variance)
+        self._before, self._held = self._filter, []
+        self._speed, self._force = speed, u
+        self._running, self._rejected = True, 0
+
+    def _predict(self, dt: float, u: float, traction: float) -> None:
+        config = self.config
+        # A slow disturbance acts on speed like white noise with its spectral density at zero frequency.
+        density = 2.0 * config.disturbance_time * (config.disturbance_std**2 + (config.force_error * traction) ** 2)
+        q = self._k**2 * (density * dt + (config.force_skew * (u - self._force)) ** 2)
+        v, _, _, _, Pvv, Pva, Pvb, Pvc, *P = predicted(self._filter, dt, u, self._k, q)
+        wandered = drifted((*self._filter[1:4], *P), self._drift_rates, dt, self._max_variance)
+        self._filter = (v, *wandered[:3], Pvv, Pva, Pvb, Pvc, *wandered[3:])
+        self._held.append((dt, u, q))
+
+    def _correct(self, sample: Sample) -> Rejection | None:
+        """Correct with the measurement unless it is stuck or beyond the gate."""
+        R, limit = self._tachometer.variance, self.config.gate
+        v, S = self._filter[0], self._filter[4] + R
+        nu = sample.speed - v
+        self._innovation, self._innovation_variance = nu / self._k, S / self._k**2
+        self._test_ratio = nu * nu / (limit * limit * S)
+        if sample.speed != self._speed:
+            self._speed = sample.speed
+            self._held.clear()
+        elif self._is_stuck():
+            return self._reject(sample, Reason.SPEED_STUCK, nu, self.config.stuck_sigmas * math.sqrt(R))
+        if self._test_ratio > 1.0:
+            return self._reject(sample, Reason.OUTLIER, nu, limit * math.sqrt(S))
+        self._rejected = 0
+        self._filter = corrected(self._filter, sample.speed, R)
+        if not self._held or len(self._held) >= _MAX_HELD:
+            self._before = self._filter
+            self._held.clear()
+        if self._is_diverged(self._filter):
+            self._return_to_prior(sample.speed)
+            return Rejection(sample.stamp_ns, Reason.NUMERICAL, nu, math.nan)
+        self._accepted += 1
+        self._speed_min = min(self._speed_min, v) if self._accepted > 1 else v
+        self._speed_max = max(self._speed_max, v)
+        return None
+
+    def _is_stuck(self) -> bool:
+        """Return whether an unchanged speed contradicts the predicted change; if so, discard it from the filter."""
+        state = self._before
+        for dt, u, q in self._held:
+            state = predicted(state, dt, u, self._k, q)
+        if abs(state[0] - self._speed) <= self.config.stuck_sigmas * self._tachometer.std:
+            return False
+        self._filter = state
+        return True
+
+    def _reject(self, sample: Sample, reason: Reason, nu: float, limit: float) -> Rejection:
+        self._rejected += 1
+        # A restart from a stuck speed would be wrong.
+        if self._rejected >= self.config.restart_after and reason is Reason.OUTLIER:
+            self._begin(sample.speed, self._force)
+        return Rejection(sample.stamp_ns, reason, nu, limit)
+
+    def _is_diverged(self, state: State) -> bool:
+        pairs = zip(state[1:4], self._theta0, self._max_variance, strict=True)
+        return sum((x - x0) ** 2 / P for x, x0, P in pairs) > _MAX_PRIOR_DISTANCE
+
+    def _return_to_prior(self, speed: float) -> None:
+        """Return to the prior, at a measured speed [m/s]."""
+        a, b, c = self._max_variance
+        self._filter = (speed, *self._theta0, self._tachometer.variance, 0.0, 0.0, 0.0, a, 0.0, 0.0, b, 0.0, c)
+        self._before, self._held = self._filter, []
+
+    def _judge(self) -> None:
+        """Decide whether w is fit to use."""
+        posterior, speeds = (*self._filter[1:4], *self._filter[8:]), (self._speed_min, self._speed_max)
+        self._converged = self._accepted > 0 and is_fit(
+            lambda v: predict(posterior, v, v * v)[1], speeds, self.config.valid_std, was_fit=self._converged
+        )
+
+    @property
+    def innovation(self) -> tuple[float, float]:
+        """Innovation of the last update and its variance before the measurement, as in the estimate."""
+        return self._innovation, self._innovation_variance
+
+    def estimate(self, speed: float) -> ResistanceEstimate:
+        """Return the parameters for v in m/s and the resistance [N/kN] at a speed [m/s]."""
+        a, b, c = self._filter[1:4]
+        A, B, C, D, E, F = self._filter[8:]
+        resistance, variance = predict((a, b, c, A, B, C, D, E, F), speed, speed * speed)
+        return ResistanceEstimate(
+            a=a,
+            b=b,
+            c=c,
+            covariance=(A, B, C, B, D, E, C, E, F),
+            resistance=resistance,
+            resistance_std=math.sqrt(variance),
+            speed=speed,
+            innovation=self._innovation,
+            innovation_variance=self._innovation_variance,
+            test_ratio=self._test_ratio,
+            speed_min=self._speed_min,
+            speed_max=self._speed_max,
+        )

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Particle filters on a grid: branching, pruning and weights; RBPF compared with one covariance per particle."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from trainid_lab.brake_rate.pade_model import pade_model
+from trainid_lab.brake_rate.particles import correction, distance
+from trainid_lab.brake_rate.printed import GRID, PRINTED_FIRST
+from trainid_lab.brake_rate.theta_cloud import (
+    MRule,
+    ThetaCloud,
+    all_values,
+    m_algorithm,
+    printed_groups,
+    rbpf,
+    rbpf_optimal,
+)
+from trainid_ros.brake_rate.particles import Correction, LinearStep
+
+H = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+R = np.diag([0.3, 0.1])
+
+
+def start(f: list[float]) -> tuple[ThetaCloud, LinearStep, Correction]:
+    N = len(f)
+    step = pade_model(1.0, 0.4, 1.6667).step(-2.0, -1.0, 0.05)
+    cloud = ThetaCloud(np.array(f), np.full(N, -np.log(N)), np.repeat([[0.0], [20.0], [-1.0]], N, axis=1))
+    P = step.predict_covariance(1e-3 * np.eye(3))
+    return ThetaCloud(cloud.f, cloud.log_weights, step.predict(cloud.x, cloud.f)), step, correction(P, H, R)
+
+
+def test_groups_equal_those_printed_and_the_missing_one_is_available() -> None:
+    f = np.array([1.0, 0.9, 0.8, 0.5, 0.1, 0.0])
+    printed = printed_groups(GRID, f, PRINTED_FIRST)
+    rows = [[0.9, 0.8, 0.7]] * 3 + [[0.6, 0.5, 0.4], [0.2, 0.1, 0.0], [0.2, 0.1, 0.0]]
+    assert np.allclose(printed.T, rows)
+    assert np.allclose(printed_groups(GRID, f, 1)[:, 0], [1.0, 0.9, 0.8])
+
+
+def test_children_have_the_state_of_their_own_value() -> None:
+    cloud, step, fix = start([0.9, 0.5])
+    y = np.array([19.4, 19.1])
+    rule = MRule(2, 100, carries=True, stochastic=True)
+    everything, rest = m_algorithm(cloud, all_values(GRID, cloud.f), step, fix, H, y, rule, 0.5)
+    assert rest is everything
+    for f in (1.0, 0.3):
+        x = step.predict(np.array([[0.0], [20.0], [-1.0]]), np.array([f]))
+        expected = (x + fix.K @ (y[:, None] - H @ x))[:, 0]
+        found = everything.x[:, np.isclose(everything.f, f)]
+        assert found == pytest.approx(np.column_stack([expected, expected]))
+    assert everything.weights.sum() == pytest.approx(1.0)
+
+
+def test_printed_pruning_keeps_the_largest_weights_and_stochastic_pruning_is_unbiased() -> None:
+    cloud, step, fix = start([0.9, 0.5, 0.4])
+    y = np.array([19.5, 19.0])
+    children = all_values(GRID, cloud.f)
+    heavy = m_algorithm(cloud, children, step, fix, H, y, MRule(3, 5, carries=False, stochastic=False), 0.5)
+    assert sorted(heavy[1].log_weights)[0] - sorted(heavy[1].log_weights)[2] > np.log(0.5)
+    assert set(heavy[1].f) == {heavy[0].f[int(np.argmax(heavy[0].log_weights))]}
+    means = []
+    for u in np.linspace(0.0, 0.999, 200):
+        everything, kept = m_algorithm(
+            cloud, children, step, fix, H, y, MRule(3, 5, carries=True, stochastic=True), float(u)
+        )
+        means.append(kept.f.mean())
+    assert np.mean(means) == pytest.approx(everything.f @ everything.weights, abs=0.01)
+
+
+def test_weights_are_retained_only_if_the_rule_says_so() -> None:
+    cloud, step, fix = start([0.9, 0.9])
+    cloud = ThetaCloud(cloud.f, np.log([0.9, 0.1]), cloud.x)
+    same = cloud.f[None, :]
+    y = np.array([19.0, 19.0])
+    carried = m_algorithm(cloud, same, step, fix, H, y, MRule(2, 5, carries=True, stochastic=True), 0.5)[0]
+    discarded = m_algorithm(cloud, same, step, fix, H, y, MRule(2, 5, carries=False, stochastic=True), 0.5)[0]
+    assert carried.weights == pytest.approx([0.9, 0.1])
+    assert discarded.weights == pytest.approx([0.5, 0.5])
+
+
+def test_the_optimal_proposal_draws_from_the_posterior_of_the_grid() -> None:
+    cloud, step, fix = start([0.5] * 4000)
+    y = np.array([19.5, 19.0])
+    rng = np.random.default_rng(8)
+    drawn = rbpf_optimal(cloud, GRID, step, fix, H, y, rng.random(4000))
+    x = step.predict(np.repeat([[0.0], [20.0], [-1.0]], len(GRID), axis=1), GRID)
+    posterior = np.exp(-0.5 * distance(fix.W, y[:, None] - H @ x))
+    posterior /= posterior.sum()
+    shares = np.array([(drawn.f == value).mean() for value in GRID])
+    assert np.max(np.abs(shares - posterior)) < 0.035
+    likeliest = rbpf_optimal(cloud, GRID, step, fix, H, y, None)
+    assert set(likeliest.f) == {GRID[int(np.argmax(posterior))]}
+
+
+def test_one_shared_covariance_equals_one_for_each_particle() -> None:
+    model, N, rng = pade_model(1.0, 0.4, 1.6667), 40, np.random.default_rng(5)
+    H4, R3 = np.array([[1.0, 0, 0, 0], [0, 1.0, 0, 0], [0, 0, 0, 1.0]]), np.diag([0.3, 0.1, 1e-6])
+    f = rng.uniform(0.3, 1.0, N)
+    cloud = ThetaCloud(f, np.full(N, -np.log(N)), np.repeat([[0.0], [20.0], [-1.0]], N, axis=1))
+    P = 1e-3 * np.eye(3)
+    own_f, own_x, log_weights = f, np.tile([0.0, 20.0, -1.0, -2.0], (N, 1)), np.full(N, -np.log(N))
+    truth, equal_steps = np.array([0.0, 20.0, -1.0, -2.0]), 0
+    own_P = [np.diag([1e-3, 1e-3, 1e-3, 0.0]) for _ in range(N)]
+    for k in range(8):
+        # A command that changes, so that f multiplies a signal and not a constant.
+        u = -1.0 + 0.1 * k
+        a_z = float(own_x[0, 3])
+        truth = (model.Phi0 + 0.7 * model.Phi1) @ truth + (model.Gamma0 + 0.7 * model.Gamma1) * u
+        y = truth[:2] + rng.standard_normal(2) @ np.sqrt(R)
+        jitter = 0.03 * rng.standard_normal(N)
+        step = model.step(a_z, u, 0.05)
+        cloud = ThetaCloud(cloud.f, cloud.log_weights, step.predict(cloud.x, cloud.f))
+        fix = correction(step.predict_covariance(P), H, R)
+        cloud = rbpf(cloud, step, fix, H, y, jitter, 0.5)
+        P = fix.P
+        own_f = own_f + jitter
+        for i in range(N):
+            Phi = model.Phi0 + own_f[i] * model.Phi1
+            own_x[i] = Phi @ own_x[i] + (model.Gamma0 + own_f[i] * model.Gamma1) * u
+            C = Phi @ own_P[i] @ Phi.T + 0.05 * np.outer(model.E, model.E)
+            S = H4 @ C @ H4.T + R3
+            nu = np.array([*y, model.next_a_z(a_z, u)]) - H4 @ own_x[i]
+            K = C @ H4.T @ np.linalg.inv(S)
+            own_x[i] += K @ nu
+            own_P[i] = C - K @ S @ K.T
+            log_weights[i] -= 0.5 * nu @ np.linalg.solve(S, nu)
+        if not np.array_equal(cloud.f, own_f):  # resampled
+            break
+        equal_steps += 1
+        weights = np.exp(log_weights - log_weights.max())
+        assert cloud.weights == pytest.approx(weights / weights.sum(), abs=1e-9)
+        assert np.max(np.abs(cloud.x.T - own_x[:, :3])) < 1e-9
+    assert equal_steps >= 3
