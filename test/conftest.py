@@ -58,7 +58,7 @@ def trace(direction: int) -> RunTrace:
 
 
 @pytest.fixture(scope='session')
-def believed() -> TrainFile:
+def stated() -> TrainFile:
     """Return the train file of the explanation."""
     return STATED
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.papers.hand_filters import START, START_SD, VARIANCE, RowPeer
 from benchmarks.papers.metro_stream import INERTIA, PERIOD
-from trainid_lab.resistance.multi_innovation import NOTHING, belief_of, information_of, mils_step
+from trainid_lab.resistance.multi_innovation import NOTHING, information_of, mils_step, posterior_of
 from trainid_ros.core.records import NS_PER_S
 from trainid_ros.estimators.compiled.streams import VMilsStream
 from trainid_ros.resistance.change_points import ChangePointConfig, Tracker
@@ -63,11 +63,11 @@ class MilsPlain(RowPeer):
 
     @property
     def theta(self) -> NDArray[np.float64]:
-        return np.array(belief_of(self._state[:9])[:3])
+        return np.array(posterior_of(self._state[:9])[:3])
 
     @property
     def covariance(self) -> NDArray[np.float64]:
-        return _square(belief_of(self._state[:9])[3:])
+        return _square(posterior_of(self._state[:9])[3:])
 
 
 class MilsCompiled(RowPeer):
@@ -85,11 +85,11 @@ class MilsCompiled(RowPeer):
 
     @property
     def theta(self) -> NDArray[np.float64]:
-        return np.array(self._stream.belief[:3])
+        return np.array(self._stream.posterior[:3])
 
     @property
     def covariance(self) -> NDArray[np.float64]:
-        return _square(self._stream.belief[3:])
+        return _square(self._stream.posterior[3:])
 
 
 class MilsTracker(RowPeer):

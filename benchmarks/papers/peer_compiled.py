@@ -20,7 +20,7 @@ from benchmarks.papers.hand_filters import VARIANCE, HandRls
 from benchmarks.papers.metro_stream import SPEED_SD, metro_stream
 from benchmarks.papers.our_filters import OUTLIERS, PRIOR, P
 from benchmarks.tables import Table
-from trainid_lab.resistance.multi_innovation import NOTHING, belief_of, information_of, mils_step
+from trainid_lab.resistance.multi_innovation import NOTHING, information_of, mils_step, posterior_of
 from trainid_ros.brake_rate.gsma import Gsma, GsmaConfig
 from trainid_ros.brake_rate.posterior import Start, Transition
 from trainid_ros.estimators.compiled.jit import compiler_present
@@ -181,7 +181,7 @@ def _mils() -> Kernel:
             one.step(*item)
             other.step(*item)
         third.run(table)
-        return bool(belief_of(one.state[:9]) == other.belief == third.belief)
+        return bool(posterior_of(one.state[:9]) == other.posterior == third.posterior)
 
     batch = VMilsStream(PRIOR, P, OUTLIERS)
     return Kernel(f'V-MILS p = {P}', items, PlainMils().step, fast.step, lambda: batch.run(table), same)

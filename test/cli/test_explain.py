@@ -75,15 +75,15 @@ def test_unknown_values_are_null(make_explanation: Make) -> None:
     assert (nothing['verdict'], nothing['effects'], nothing['remaining']) == (None, [], 'too little')
 
 
-def test_text_shows_effects_evidence_and_gap(make_explanation: Make, believed: TrainFile) -> None:
-    text = describe(make_explanation(ambiguous=True), believed)
+def test_text_shows_effects_evidence_and_gap(make_explanation: Make, stated: TrainFile) -> None:
+    text = describe(make_explanation(ambiguous=True), stated)
     for part in (
         'AMBIGUOUS: ', 'local_drag: drag at one place (physics)', 'permille = 1.500 ± 0.050 per mille', 'evidence 48',
         'where: position 300', 'could also be gradient_error; to distinguish: run <both> ways', '0.400 m/s',
         '0.049 m/s', '1.61 ± 0.12', 'What is left is noise.',
     ):  # fmt: skip
         assert part in text
-    bare = describe(make_explanation(verdict=Verdict.UNEXPLAINED, effects=()), believed)
+    bare = describe(make_explanation(verdict=Verdict.UNEXPLAINED, effects=()), stated)
     assert 'At 300 to 400 m: 1.50 ± 0.10 N/kN more resistance than modelled' in bare
 
 

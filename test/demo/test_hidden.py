@@ -31,10 +31,10 @@ def test_the_hidden_effect_is_found(tmp_path: Path, capsys: pytest.CaptureFixtur
 
 
 def test_summary_shows_the_hidden_and_the_found_effect(
-    make_explanation: Callable[..., Explanation], believed: TrainFile
+    make_explanation: Callable[..., Explanation], stated: TrainFile
 ) -> None:
-    case = HiddenCase(believed, make_explanation(), Path('out/report.html'))
+    case = HiddenCase(stated, make_explanation(), Path('out/report.html'))
     text = summary([], case)
     assert text.index(HIDDEN) < text.index('EXPLAINED: The current model lacks local_drag')
     assert case.worked
-    assert not HiddenCase(believed, make_explanation(effects=()), Path('r')).worked
+    assert not HiddenCase(stated, make_explanation(effects=()), Path('r')).worked

@@ -53,8 +53,8 @@ def render(explanation: Explanation, train_file: TrainFile) -> str:
 
 
 @pytest.fixture(scope='module')
-def text(make_explanation: Make, believed: TrainFile) -> str:
-    return render(make_explanation(ambiguous=True), believed)
+def text(make_explanation: Make, stated: TrainFile) -> str:
+    return render(make_explanation(ambiguous=True), stated)
 
 
 def test_findings_come_first_then_all_figures(text: str) -> None:
@@ -95,19 +95,19 @@ def test_figures_use_the_colours_of_the_page(text: str) -> None:
 
 
 @pytest.mark.parametrize('verdict', [Verdict.UNEXPLAINED, Verdict.NO_GAP])
-def test_without_effects(make_explanation: Make, believed: TrainFile, verdict: Verdict) -> None:
-    text = render(make_explanation(verdict=verdict, effects=()), believed)
+def test_without_effects(make_explanation: Make, stated: TrainFile, verdict: Verdict) -> None:
+    text = render(make_explanation(verdict=verdict, effects=()), stated)
     assert 'Missing effects' not in text
     assert 'more resistance than modelled' in text
     assert 'Effects added' not in text
 
 
-def test_little_data_causes_no_error(make_explanation: Make, believed: TrainFile) -> None:
+def test_little_data_causes_no_error(make_explanation: Make, stated: TrainFile) -> None:
     full = make_explanation()
     short = replace(full.traces[0], **{name: getattr(full.traces[0], name)[:1] for name in (
         'time', 'position', 'speed', 'before', 'after', 'band')})  # fmt: skip
     unknown = replace(full.traces[0], before=np.full(60, np.nan), after=np.full(60, np.nan), band=np.full(60, np.nan))
-    bare = replace(believed, line=Line())
+    bare = replace(stated, line=Line())
     for explanation in (
         make_explanation(traces=(), locations=(), gap=None),
         make_explanation(traces=(short,), locations=(replace(full.locations[0], places=()),)),
@@ -120,9 +120,9 @@ def test_little_data_causes_no_error(make_explanation: Make, believed: TrainFile
         assert 'nan' not in re.sub(r'<style.*?</style>|<svg.*?</svg>|<[^>]+>', ' ', page, flags=re.DOTALL).split()
 
 
-def test_report_of_hundreds_of_runs_is_small(make_explanation: Make, believed: TrainFile, tmp_path: Path) -> None:
+def test_report_of_hundreds_of_runs_is_small(make_explanation: Make, stated: TrainFile, tmp_path: Path) -> None:
     write_explained(
-        Explained('Many', make_explanation(traces=make_explanation().traces * 150), believed, 't', ('a',)),
+        Explained('Many', make_explanation(traces=make_explanation().traces * 150), stated, 't', ('a',)),
         tmp_path / 'new' / 'report.html',
     )
     assert 'Of 300 runs those with the largest gaps' in (tmp_path / 'new' / 'report.html').read_text(encoding='utf-8')

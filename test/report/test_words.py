@@ -107,8 +107,8 @@ def test_parts_with_most_missing_resistance(make_explanation: Make) -> None:
     assert strong_text(found[0]) == 'At 300 to 400 m: 1.50 ± 0.10 N/kN more resistance than modelled'
 
 
-def test_table_rows(make_explanation: Make, believed: TrainFile) -> None:
-    rows = davis_rows(make_explanation(), believed)
+def test_table_rows(make_explanation: Make, stated: TrainFile) -> None:
+    rows = davis_rows(make_explanation(), stated)
     assert rows[0] == ('a', '1.5', '1.61 ± 0.12', 'N/kN')
     assert ('speeds excluded (slip, outliers)', '1.2', '%') in noise_rows(make_explanation())
     assert ('error of the weighed load', '0.3', '% of the mass') in noise_rows(make_explanation())

@@ -8,12 +8,12 @@ import math
 import numpy as np
 import pytest
 
-from trainid_ros.resistance.robust import OUTLIER_WIDTH, Belief, drifted, gate, predict, weigh
+from trainid_ros.resistance.robust import OUTLIER_WIDTH, DavisPosterior, drifted, gate, predict, weigh
 
-ESTIMATE: Belief = (1.4, 0.02, 0.01, 0.81, 0.001, -1e-5, 4e-4, 1e-6, 2.5e-5)
+ESTIMATE: DavisPosterior = (1.4, 0.02, 0.01, 0.81, 0.001, -1e-5, 4e-4, 1e-6, 2.5e-5)
 
 
-def matrix(estimate: Belief) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
+def matrix(estimate: DavisPosterior) -> np.ndarray[tuple[int, ...], np.dtype[np.float64]]:
     A, B, C, D, E, F = estimate[3:]
     return np.array([[A, B, C], [B, D, E], [C, E, F]])
 

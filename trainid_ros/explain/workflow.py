@@ -11,7 +11,6 @@ import numpy as np
 
 from trainid_ros.core.errors import NoAnswerError
 from trainid_ros.core.plural import pluralise
-from trainid_ros.explain.believed_effects import merged, without_replaced
 from trainid_ros.explain.dataset import assemble
 from trainid_ros.explain.effect_evaluation import EffectEvaluator
 from trainid_ros.explain.explanation import (
@@ -25,6 +24,7 @@ from trainid_ros.explain.explanation import (
 from trainid_ros.explain.gap_location import locate, where
 from trainid_ros.explain.gradient_reference import read_at
 from trainid_ros.explain.holdout import gap_of, hold_out
+from trainid_ros.explain.known_effects import merged, without_replaced
 from trainid_ros.explain.model import EffectTerm, Model
 from trainid_ros.explain.nuisances import DAVIS
 from trainid_ros.explain.onset import with_onsets

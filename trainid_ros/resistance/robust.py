@@ -5,7 +5,7 @@ An observation is good with probability 1 - eps; otherwise it is uniformly distr
 ``OUTLIER_WIDTH`` standard deviations. Its weight is the posterior probability that it is good. A hard gate cannot
 recover from a wrong estimate; this one scores how well an estimate predicts, outliers included.
 
-A :data:`Belief` is a Gaussian estimate as a tuple of nine floats: a, b, c, then the upper triangle of their
+A :data:`DavisPosterior` is a Gaussian estimate as a tuple of nine floats: a, b, c, then the upper triangle of their
 covariance, row by row, in N/kN with v in m/s. The regressor is [1, v, s] with s the mean of v^2. Floats are used
 since arrays of three cost more than the arithmetic.
 """
@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-Belief = tuple[float, ...]
+DavisPosterior = tuple[float, ...]
 
 OUTLIER_WIDTH: Final = 40.0
 _ROOT_2PI: Final = math.sqrt(2.0 * math.pi)
@@ -45,8 +45,8 @@ def gate(eps: float) -> float:
 
 
 def drifted(
-    estimate: Belief, rates: tuple[float, float, float], elapsed_s: float, most: tuple[float, float, float]
-) -> Belief:
+    estimate: DavisPosterior, rates: tuple[float, float, float], elapsed_s: float, most: tuple[float, float, float]
+) -> DavisPosterior:
     """Return an estimate after a random walk of the parameters.
 
     Args:
@@ -64,7 +64,7 @@ def drifted(
     return a, b, c, A * r0 * r0, B * r0 * r1, C * r0 * r2, D * r1 * r1, E * r1 * r2, F * r2 * r2
 
 
-def predict(estimate: Belief, v: float, s: float) -> tuple[float, float]:
+def predict(estimate: DavisPosterior, v: float, s: float) -> tuple[float, float]:
     """Return mean [N/kN] and variance [(N/kN)^2] of a + b v + c s at speed v [m/s] and mean square speed s."""
     a, b, c, A, B, C, D, E, F = estimate
     variance = A + v * (2.0 * (B + E * s) + D * v) + s * (2.0 * C + F * s)

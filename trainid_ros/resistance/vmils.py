@@ -44,7 +44,7 @@ from trainid_ros.resistance.window_learner import LearnerState, WindowLearner, W
 if TYPE_CHECKING:
     from trainid_ros.core.samples import Sample
     from trainid_ros.resistance.normal import Array
-    from trainid_ros.resistance.robust import Belief
+    from trainid_ros.resistance.robust import DavisPosterior
     from trainid_ros.train.train_file import TrainFile
 
 # Interval at which drift is added, and the estimate is tested again without new observations [s].
@@ -218,7 +218,7 @@ class VMils:
             self.learner.tracker.widen(variances, limits)
             self._drifted_ns = self._stamp_ns
 
-    def _published(self) -> Belief:
+    def _published(self) -> DavisPosterior:
         """Return a, b, c and the upper triangle of their covariance as published.
 
         This includes the drift since it was last added. P is multiplied by the inflation factor of the innovations,
@@ -229,7 +229,7 @@ class VMils:
         learner, estimate = self.learner, self.learner.tracker.estimate
         (A, B, C), (_, D, E), (_, _, F) = estimate.P[:3, :3].tolist()
         theta = estimate.theta[:3].tolist()
-        now: Belief = (*theta, A, B, C, D, E, F)
+        now: DavisPosterior = (*theta, A, B, C, D, E, F)
         if 0 < self._drifted_ns < self._stamp_ns:
             now = drifted(now, self._rates, (self._stamp_ns - self._drifted_ns) / NS_PER_S, self._most)
         a, b, c, *P = now

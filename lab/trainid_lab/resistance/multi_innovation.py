@@ -18,7 +18,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from trainid_ros.resistance.robust import Belief, weigh
+from trainid_ros.resistance.robust import DavisPosterior, weigh
 
 Information = tuple[float, ...]
 MilsState = tuple[float, ...]
@@ -78,7 +78,7 @@ def mils_step(
     return (*information, r0, r1, r2, r3, r4, r5, r6, r7, r8), newest, weight, log_likelihood
 
 
-def belief_of(info: Information) -> Belief:
+def posterior_of(info: Information) -> DavisPosterior:
     """Return a, b, c [N/kN, v in m/s] and the upper triangle of their covariance."""
     A, B, C, D, E, F, h0, h1, h2 = info
     l1, l2 = B / A, C / A
@@ -95,10 +95,10 @@ def belief_of(info: Information) -> Belief:
     return a, b, c, P00, P01, P02, P11, P12, P22
 
 
-def information_of(estimate: Belief) -> Information:
+def information_of(estimate: DavisPosterior) -> Information:
     """Return P^-1 and P^-1 theta of an estimate."""
     a, b, c, *P = estimate
-    A, B, C, D, E, F = belief_of((*P, 0.0, 0.0, 0.0))[3:]
+    A, B, C, D, E, F = posterior_of((*P, 0.0, 0.0, 0.0))[3:]
     return A, B, C, D, E, F, A * a + B * b + C * c, B * a + D * b + E * c, C * a + E * b + F * c
 
 

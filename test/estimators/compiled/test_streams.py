@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from benchmarks.papers.brake_runs import metro_train
-from trainid_lab.resistance.multi_innovation import NOTHING, belief_of, information_of, mils_step
+from trainid_lab.resistance.multi_innovation import NOTHING, information_of, mils_step, posterior_of
 from trainid_ros.estimators.compiled.jit import compiler_present
 from trainid_ros.estimators.compiled.streams import SpeedModelStream, VMilsStream
 from trainid_ros.speed_model.am_vff_rls import AmVffRls, AmVffRlsConfig
@@ -58,7 +58,7 @@ def v_mils(rows: NDArray[np.float64]) -> tuple[tuple[float, ...], list[float]]:
     for k, (v, s, y, R, slow) in enumerate(rows.tolist()):
         state, parts[k % P], weight, _ = mils_step(state, parts[k % P], v, s, y, R, slow, OUTLIERS, P)
         weights.append(weight)
-    return belief_of(state[:9]), weights
+    return posterior_of(state[:9]), weights
 
 
 def am_vff_rls(rows: NDArray[np.float64]) -> tuple[tuple[float, ...], list[float], float]:
@@ -77,9 +77,9 @@ def test_v_mils_row_by_row_and_at_once() -> None:
     belief, weights = v_mils(rows)
     single, batch = VMilsStream(PRIOR, P, OUTLIERS), VMilsStream(PRIOR, P, OUTLIERS)
     assert [single.step(*row) for row in rows.tolist()] == weights
-    assert single.belief == belief
+    assert single.posterior == belief
     assert batch.run(rows[:700]).tolist() + batch.run(rows[700:]).tolist() == weights
-    assert batch.belief == belief
+    assert batch.posterior == belief
     assert min(weights) < 1e-6
     assert max(weights) > 0.9
 
@@ -102,7 +102,7 @@ def test_without_a_compiler_the_numbers_are_the_same(monkeypatch: pytest.MonkeyP
     rows = resistance_rows(63, 200)
     stream = VMilsStream(PRIOR, P, OUTLIERS)
     stream.run(rows)
-    assert stream.belief == v_mils(rows)[0]
+    assert stream.posterior == v_mils(rows)[0]
 
 
 @pytest.mark.slow

@@ -172,17 +172,16 @@ def test_an_invalid_saved_state_is_rejected(train_file: TrainFile, key: str) -> 
     ],
 )
 def test_invalid_numbers_in_a_saved_state_are_rejected_and_nothing_changes(
-    train_file: TrainFile, journey: Journey, path: tuple[Any, ...], wrong: object
+    train_file: TrainFile,
+    journey: Journey,
+    path: tuple[Any, ...],
+    wrong: object,
+    changed_state: Callable[[str, tuple[Any, ...], object], str],
 ) -> None:
     estimator = SpeedEkf(train_file, CONFIG)
     for item in journey(60.0, traction=saw_tooth):
         estimator.step(item)
     before = estimator.save()
-    data = json.loads(before)
-    part = data['state']
-    for key in path[:-1]:
-        part = part[key]
-    part[path[-1]] = wrong
     with pytest.raises(InputError):
-        estimator.restore(json.dumps(data))
+        estimator.restore(changed_state(before, path, wrong))
     assert estimator.save() == before

@@ -25,9 +25,9 @@ if TYPE_CHECKING:
 class CompiledGsmaPosterior(GsmaPosterior):
     """The particles of GSMA; the same states, saved and restored alike."""
 
-    def __init__(self, config: GsmaConfig, believed: float, rng: np.random.Generator) -> None:
+    def __init__(self, config: GsmaConfig, expected: float, rng: np.random.Generator) -> None:
         self._predict, self._learn = compiled(group_loops.predict), compiled(group_loops.learn)
-        super().__init__(config, believed, rng)
+        super().__init__(config, expected, rng)
         self._edges = np.concatenate([[0], np.cumsum(self.strata.sizes)]).astype(np.intp)
         # Now, not when the brake first acts: compiling takes seconds.
         interval = Transition(0.2, 0.1, 0.6, 0.01, 0.4, 1.0, 0.0, 1e-6, 0.0)

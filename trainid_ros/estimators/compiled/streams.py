@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from trainid_lab.resistance.multi_innovation import NOTHING, belief_of, information_of, mils_step
+from trainid_lab.resistance.multi_innovation import NOTHING, information_of, mils_step, posterior_of
 from trainid_ros.estimators.compiled.jit import compiled
 from trainid_ros.speed_model.am_vff_rls import learn
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from trainid_ros.resistance.robust import Belief
+    from trainid_ros.resistance.robust import DavisPosterior
     from trainid_ros.speed_model.am_vff_rls import Tuning
     from trainid_ros.speed_model.method import Numbers
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 class VMilsStream:
     """Multi-innovation least squares with the soft gate, see :func:`multi_innovation.mils_step`."""
 
-    def __init__(self, prior: Belief, p: int, outliers: float) -> None:
+    def __init__(self, prior: DavisPosterior, p: int, outliers: float) -> None:
         self.__setstate__(np.array((*information_of(prior), *NOTHING, 0.0, outliers, *NOTHING * p)))
 
     def __getstate__(self) -> Floats:
@@ -45,9 +45,9 @@ class VMilsStream:
         self._row, self._rows = compiled(mils_row), compiled(mils_rows)
 
     @property
-    def belief(self) -> Belief:
+    def posterior(self) -> DavisPosterior:
         """Return a, b, c and the upper triangle of their covariance."""
-        return belief_of(tuple(self._memory[:9].tolist()))
+        return posterior_of(tuple(self._memory[:9].tolist()))
 
     def step(self, v: float, s: float, y: float, R: float, slow: float) -> float:
         """Take in one row; return its weight, 0 for an outlier."""

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import pytest
 
-from trainid_ros.explain.believed_effects import merged, without_replaced
+from trainid_ros.explain.known_effects import merged, without_replaced
 from trainid_ros.explain.model import EffectTerm
 from trainid_ros.train.effect_text import parse_effects
 from trainid_ros.train.train_file import TrainFile
