@@ -157,8 +157,8 @@ def test_an_invalid_saved_state_is_rejected(train_file: TrainFile, key: str) -> 
 @pytest.mark.parametrize(
     ('path', 'wrong'),
     [
-        (('tachometer', 'variance'), math.nan),
-        (('tachometer', 'variance'), -1.0),
+        (('tachometer', 'learned'), math.nan),
+        (('tachometer', 'learned'), -1.0),
         (('filter', 0), 1e17),
         (('filter', 3), 1e17),
         (('filter', 4), -1.0),
