@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help setup demo test test-fast test-unit test-ros lint typecheck colcon-smoke golden bench bench-peers lock clean
+.PHONY: help setup demo test test-fast test-unit test-ros lint typecheck colcon-smoke golden docs bench bench-peers lock clean
 
 PYTHON_IN := .venv/bin/python
 PYTEST := tools/with_test_env $(PYTHON_IN) -m pytest
@@ -39,21 +39,25 @@ golden: setup ## regenerate expected outputs and config/params.yaml; review the 
 	tools/with_test_env $(PYTHON_IN) test/golden/make_golden.py
 	tools/with_test_env $(PYTHON_IN) -m trainid_ros.ros.params_template > config/params.yaml
 
+docs: setup .venv-docs/stamp ## build the documentation site in out/site; a broken link is an error
+	PYTHONPATH=.venv-docs NO_MKDOCS_2_WARNING=1 $(PYTHON_IN) -m mkdocs build --strict
+
 bench: setup .venv-peers/stamp ## measure speed and accuracy, also of the papers and of other libraries
 	$(PYTHON_IN) benchmarks/run.py
 
 bench-peers: setup .venv-peers/stamp ## compare with other libraries on the same data
 	$(PYTHON_IN) benchmarks/run.py --only peers
 
-# A folder that only the benchmarks use, after .venv on the path, with the same versions.
-.venv-peers/stamp: tools/requirements/peers.lock
-	rm -rf .venv-peers
-	$(PYTHON_IN) -m pip install --quiet --no-deps --require-hashes --no-build-isolation --target .venv-peers -r $<
+# Folders that only the benchmarks and only the site use, beside .venv, with the same versions.
+.venv-%/stamp: tools/requirements/%.lock
+	rm -rf $(@D)
+	$(PYTHON_IN) -m pip install --quiet --no-deps --require-hashes --no-build-isolation --target $(@D) -r $<
 	touch $@
 
 lock: ## resolve the pinned requirements again (needs uv)
 	python3 tools/lock.py
 
 clean: ## remove the environment and everything generated
-	rm -rf .venv .venv-peers build install log .mypy_cache .ruff_cache .pytest_cache .hypothesis trainid_ros.egg-info lab/trainid_lab.egg-info lab/build
+	rm -rf .venv .venv-peers .venv-docs build install log .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	rm -rf trainid_ros.egg-info lab/trainid_lab.egg-info lab/build
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +

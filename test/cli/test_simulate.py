@@ -2,12 +2,12 @@
 from __future__ import annotations
 
 import json
-import re
 from dataclasses import replace
 from pathlib import Path
 
 import pytest
 
+from tools.documents import blocks
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.cli.main import main
 from trainid_ros.core.records import ForceRecord, SpeedRecord
@@ -82,11 +82,11 @@ def test_seed_must_be_a_whole_number(tmp_path: Path, capsys: pytest.CaptureFixtu
     assert "--seed: '-1' is not a whole number >= 0" in capsys.readouterr().err
 
 
-def test_the_effect_in_the_readme_works(
+def test_the_effect_in_the_documents_works(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    readme = (REPOSITORY / 'README.md').read_text(encoding='utf-8')
-    (example,) = re.findall(r'A new effect is one file.*?```python\n(.*?)```', readme, re.DOTALL)
+    page = (REPOSITORY / 'docs' / 'effects.md').read_text(encoding='utf-8')
+    (example,) = (block.text for block in blocks(page) if block.title == 'effects/snow.py')
     folder = tmp_path / 'effects'
     folder.mkdir()
     (folder / 'snow.py').write_text(example, encoding='utf-8')

@@ -1,2 +1,27 @@
 # SPDX-License-Identifier: Apache-2.0
 """Read and write rosbag2 bags (MCAP) without ROS."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from trainid_ros.core.errors import InputError
+
+PACKAGES: Final = frozenset({'rosbags', 'mcap', 'zstandard'})
+"""Python packages of the extra ``trainid_ros[bags]``; the live nodes need none of them."""
+
+
+def missing_package_error(error: ModuleNotFoundError) -> InputError:
+    """Return the error to report instead of a failed import of the extra.
+
+    Args:
+        error: The failed import.
+
+    Raises:
+        ModuleNotFoundError: The import of another module failed.
+
+    """
+    package = (error.name or '').partition('.')[0]
+    if package not in PACKAGES:
+        raise error
+    return InputError(f"bags need the Python package {package}: pip install 'trainid_ros[bags]'")

@@ -57,6 +57,8 @@ def run(args: argparse.Namespace) -> int:
     # Imported here so that the help needs neither ROS nor matplotlib.
     from rich.console import Console  # noqa: PLC0415
 
+    # Before anything starts: the optional packages for bags may be missing.
+    import trainid_ros.bag.reader  # noqa: F401, PLC0415
     from trainid_ros.demo.view import View  # noqa: PLC0415
 
     bags = _bags(args)

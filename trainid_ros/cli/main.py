@@ -15,6 +15,7 @@ from importlib import import_module
 from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Final, NamedTuple, NoReturn
 
+from trainid_ros.bag import missing_package_error
 from trainid_ros.core.errors import InputError, NoAnswerError
 
 if TYPE_CHECKING:
@@ -67,7 +68,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     os.environ.setdefault('OPENBLAS_NUM_THREADS', '1')
     arguments = list(sys.argv[1:] if argv is None else argv)
     try:
-        code = _dispatch(arguments)
+        code = _run(arguments)
         if sys.stdout is not None:
             sys.stdout.flush()
     except InputError as error:
@@ -88,6 +89,14 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _end(number: int, _: object) -> NoReturn:
     raise SystemExit(128 + number)
+
+
+def _run(arguments: list[str]) -> int:
+    """Run a verb; InputError if it needs an optional package that is not installed."""
+    try:
+        return _dispatch(arguments)
+    except ModuleNotFoundError as error:
+        raise missing_package_error(error) from None
 
 
 def _dispatch(arguments: list[str]) -> int:

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from trainid_ros.bag.reader import BagReader
+from trainid_ros.bag import missing_package_error
 from trainid_ros.core.errors import InputError
 from trainid_ros.ros.parameter_specs import ParameterSpec
 from trainid_ros.ros.playback import TimedRecord, Timeline
@@ -14,6 +14,8 @@ from trainid_ros.ros.runner import run_node
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+
+    from trainid_ros.bag.reader import BagReader
 
 NAME: Final = 'bag_player'
 _PARAMETERS: Final = (
@@ -34,9 +36,14 @@ class BagPlayer(PlaybackNode):
         """Open the bag.
 
         Raises:
-            InputError: It cannot be read or has no messages on the input topics.
+            InputError: It cannot be read or has no messages on the input topics, or the packages for bags are missing.
 
         """
+        # Imported here so that the node can tell what is missing.
+        try:
+            from trainid_ros.bag.reader import BagReader  # noqa: PLC0415
+        except ModuleNotFoundError as error:
+            raise missing_package_error(error) from None
         path = str(self.parameters.value('bag'))
         if not path:
             msg = 'no bag: give the parameter bag'

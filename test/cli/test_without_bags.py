@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Without the optional packages for bags, a command that needs them says so in one line; the others work."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from types import SimpleNamespace
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from trainid_ros.bag import PACKAGES, missing_package_error
+from trainid_ros.core.errors import InputError
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+NEED_BAGS = {
+    'replay': ['replay', 'bag', '--train', 'T.yaml'],
+    'play': ['play', 'bag'],
+    'simulate': ['simulate', 'out', '--train', 'T.yaml'],
+    'fit': ['fit', 'bag', '--train', 'T.yaml'],
+    'explain': ['explain', 'bag', '--train', 'T.yaml'],
+    'info': ['info', 'bag'],
+    'demo': ['demo', '--only', 'yizhuang'],
+}
+HINT = "pip install 'trainid_ros[bags]'"
+
+
+def trainid(folder: Path, *arguments: str, hidden: frozenset[str] = PACKAGES) -> subprocess.CompletedProcess[str]:
+    """Run the command line in a fresh interpreter in which packages cannot be imported."""
+    code = (
+        'import sys\n'
+        f'sys.modules.update(dict.fromkeys({sorted(hidden)!r}))\n'
+        'from trainid_ros.cli.main import main\n'
+        f'sys.exit(main({list(arguments)!r}))\n'
+    )
+    return subprocess.run(
+        [sys.executable, '-c', code], cwd=folder, capture_output=True, text=True, timeout=60, check=False
+    )
+
+
+@pytest.mark.parametrize('verb', NEED_BAGS)
+def test_a_command_on_bags_says_what_to_install(verb: str, tmp_path: Path) -> None:
+    done = trainid(tmp_path, *NEED_BAGS[verb])
+    assert done.returncode == 2
+    assert done.stdout == ''
+    (line,) = done.stderr.splitlines()
+    assert line.startswith('trainid: error: ')
+    assert line.endswith(HINT)
+
+
+@pytest.mark.parametrize('package', sorted(PACKAGES))
+def test_each_package_is_named(package: str, tmp_path: Path) -> None:
+    done = trainid(tmp_path, 'info', 'bag', hidden=frozenset({package}))
+    assert done.returncode == 2
+    assert done.stderr == f'trainid: error: bags need the Python package {package}: {HINT}\n'
+
+
+@pytest.mark.parametrize('arguments', [('--help',), ('--version',), ('run', '--help')], ids=' '.join)
+def test_other_commands_work(arguments: tuple[str, ...], tmp_path: Path) -> None:
+    assert trainid(tmp_path, *arguments).returncode == 0
+
+
+def test_run_gets_as_far_as_its_train_file(tmp_path: Path) -> None:
+    done = trainid(tmp_path, 'run', '--train', 'none.yaml')
+    assert done.returncode == 2
+    assert 'none.yaml: cannot be read' in done.stderr
+
+
+def test_the_player_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
+    from trainid_ros.ros.bag_player import BagPlayer  # noqa: PLC0415
+
+    monkeypatch.setitem(sys.modules, 'rosbags', None)
+    for name in [name for name in sys.modules if name.startswith(('rosbags.', 'trainid_ros.bag.'))]:
+        monkeypatch.delitem(sys.modules, name)
+    node: Any = SimpleNamespace(parameters=SimpleNamespace(value=lambda _: 'bag'))
+    with pytest.raises(InputError, match=r'rosbags: pip install'):
+        BagPlayer.open_timeline(node)
+
+
+def test_other_missing_modules_are_no_input_error() -> None:
+    error = ModuleNotFoundError("No module named 'numpy'", name='numpy')
+    with pytest.raises(ModuleNotFoundError):
+        missing_package_error(error)

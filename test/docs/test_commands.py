@@ -1,0 +1,230 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Every command line of the documents is valid, and those that need no ROS graph and little time work."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import re
+import shlex
+import subprocess
+import sys
+from importlib import import_module
+from pathlib import Path
+from typing import NamedTuple
+
+import pytest
+
+from benchmarks.run import PAPERS, PARTS, SEEDED
+from tools.documents import ROOT, Block, blocks, documents
+from trainid_ros.cli.main import VERBS
+
+TRAINID = '.venv/bin/trainid'
+TIMEOUT_S = 100.0
+LIVE = 'needs a ROS graph and runs until it is stopped'
+BUILT = 'needs an installed workspace'
+WHOLE = 'takes minutes; make itself is checked by the test run'
+# Command lines that are only checked, by page and with the reason.
+NOT_RUN = {
+    'README.md': {
+        'make demo': WHOLE,
+        'make test': WHOLE,
+        'cd ws/src && git clone <this repository> trainid_ros && cd ..': 'needs the network',
+        'colcon build --base-paths src src/trainid_ros/msg_defs && . install/setup.bash': 'see tools/colcon_smoke.py',
+        'ros2 launch trainid_ros trainid.launch.py train_file:=$PWD/src/trainid_ros/config/trains/yizhuang.yaml': BUILT,
+        '.venv/bin/trainid run --train config/trains/yizhuang.yaml': LIVE,
+    },
+    'CONTRIBUTING.md': {
+        'make test-fast': WHOLE,
+        'make test': WHOLE,
+        'make docs': 'needs the network',
+        'make golden': 'writes into the repository',
+        'git diff --stat test/golden config/params.yaml': 'needs a repository',
+    },
+    'docs/nodes.md': {
+        '.venv/bin/trainid run --train config/trains/yizhuang.yaml': LIVE,
+        '.venv/bin/trainid run --train config/trains/yizhuang.yaml --node resistance_estimator': LIVE,
+        '.venv/bin/trainid play bags/yizhuang_day --rate 5': LIVE,
+        'ros2 launch trainid_ros trainid.launch.py train_file:=/path/to/train.yaml params_file:=/path/to/params.yaml': (
+            BUILT
+        ),
+        'ros2 launch trainid_ros replay.launch.py bag:=/path/to/bag train_file:=/path/to/train.yaml rate:=5.0': BUILT,
+        'ros2 run trainid_ros resistance_estimator --ros-args -p train_file:=/path/to/train.yaml -p autostart:=true': (
+            BUILT
+        ),
+        'ros2 service call /resistance_estimator/save_checkpoint std_srvs/srv/Trigger': BUILT,
+    },
+    'docs/parameters.md': {
+        '.venv/bin/trainid run --train config/trains/yizhuang.yaml --ros-args --params-file out/params.yaml': LIVE,
+        'ros2 launch trainid_ros trainid.launch.py train_file:=/path/to/train.yaml params_file:=/path/to/params.yaml': (
+            BUILT
+        ),
+    },
+    'docs/replay.md': {'.venv/bin/trainid play bags/yizhuang_day --rate 5 --start 600 --duration 900': LIVE},
+    'docs/results.md': {
+        'make bench': 'takes hours',
+        '.venv/bin/python benchmarks/run.py --only liu2018 --seeds 60': 'takes minutes',
+    },
+    'docs/simulator.md': {
+        'ros2 run trainid_ros train_simulator --ros-args -p world:=tram -p realism:=field -p autostart:=true': BUILT,
+    },
+}
+# Pages whose commands, taken together, or single commands that take longer than the inner loop should.
+SLOW_PAGES = ('docs/algorithms.md', 'docs/explain.md', 'docs/parameters.md', 'docs/simulator.md')
+SLOW = ('replay bags/yizhuang_day', 'demo --only explain', '--report', '--params config/params.yaml')
+
+
+class Command(NamedTuple):
+    """A command line, without its comment."""
+
+    page: str
+    line: int
+    text: str
+
+    @property
+    def reason(self) -> str | None:
+        return NOT_RUN.get(self.page, {}).get(self.text)
+
+    @property
+    def slow(self) -> bool:
+        return self.page in SLOW_PAGES or any(part in self.text for part in SLOW)
+
+
+class Page(NamedTuple):
+    name: str
+    blocks: tuple[Block, ...]
+
+
+def pages() -> list[Page]:
+    return [Page(p.relative_to(ROOT).as_posix(), tuple(blocks(p.read_text(encoding='utf-8')))) for p in documents()]
+
+
+def commands(page: Page, block: Block) -> list[Command]:
+    lines = (line.split(' #', 1)[0].rstrip() for line in block.text.splitlines())
+    return [Command(page.name, block.line + i, text) for i, text in enumerate(lines) if text]
+
+
+def all_commands() -> list[Command]:
+    return [
+        item for page in pages() for block in page.blocks if block.language == 'sh' for item in commands(page, block)
+    ]
+
+
+def variable(text: str) -> tuple[str, str] | None:
+    """Return name and value of an export."""
+    found = re.fullmatch(r'export (\w+)=(\S+)', text)
+    return (found[1], found[2]) if found else None
+
+
+def check(text: str) -> None:
+    """Check program, verb and options of one command without running it."""
+    words = shlex.split(text)
+    if words[0] == TRAINID:
+        check_verb(words[1], words[2:])
+    elif words[0] == 'make':
+        (target,) = words[1:]
+        assert re.search(rf'^{target}:', (ROOT / 'Makefile').read_text(encoding='utf-8'), re.MULTILINE), text
+    elif words[:2] == ['ros2', 'launch']:
+        assert words[2] == 'trainid_ros'
+        source = (ROOT / 'launch' / words[3]).read_text(encoding='utf-8')
+        for word in words[4:]:
+            assert f"('{word.partition(':=')[0]}', " in source, word
+    elif words[:2] == ['ros2', 'run']:
+        assert words[2] == 'trainid_ros'
+        assert f"'{words[3]} = " in (ROOT / 'setup.py').read_text(encoding='utf-8')
+        sources = ''.join(path.read_text(encoding='utf-8') for path in (ROOT / 'trainid_ros' / 'ros').glob('*.py'))
+        for name in re.findall(r'-p (\w+):=', text):
+            assert f"'{name}'" in sources, name
+    elif words[:3] == ['ros2', 'service', 'call']:
+        service = words[3].rpartition('/')[2]
+        assert f"('{service}', " in (ROOT / 'trainid_ros/ros/estimator_services.py').read_text(encoding='utf-8')
+    elif words[0] == '.venv/bin/python':
+        check_benchmark(words)
+    else:
+        assert words[0] in {'cd', 'git', 'colcon', '.'}, text
+
+
+def check_verb(name: str, arguments: list[str]) -> None:
+    (module,) = (verb.module for verb in VERBS if verb.name == name)
+    parser = argparse.ArgumentParser(prog=name)
+    import_module(module).configure(parser)
+    parser.parse_args(arguments)
+    for word in arguments:
+        if word.startswith(('bags/', 'config/')):
+            assert (ROOT / word).exists(), word
+
+
+def check_benchmark(words: list[str]) -> None:
+    assert words[1] == 'benchmarks/run.py'
+    source = (ROOT / words[1]).read_text(encoding='utf-8')
+    for option, value in zip(words[2::2], words[3::2], strict=True):
+        assert f"'{option}'" in source
+        assert option != '--only' or value in (*PARTS, *SEEDED, *PAPERS)
+
+
+@pytest.mark.parametrize('command', all_commands(), ids=lambda command: f'{command.page}:{command.line}')
+def test_a_command_is_valid(command: Command) -> None:
+    if variable(command.text) is None:
+        for part in command.text.split(' && '):
+            check(part)
+
+
+def test_the_list_of_commands_that_do_not_run_is_up_to_date() -> None:
+    present = {(command.page, command.text) for command in all_commands()}
+    assert {(page, text) for page, listed in NOT_RUN.items() for text in listed} <= present
+    assert all(part in ' '.join(text for _, text in present) for part in SLOW)
+
+
+def workspace(folder: Path) -> None:
+    """Give a folder what commands in the root of the repository find."""
+    for name in ('bags', 'config'):
+        (folder / name).symlink_to(ROOT / name)
+    (folder / '.venv').symlink_to(sys.prefix)
+
+
+def run_page(page: Page, folder: Path, *, slow: bool) -> int:
+    """Write the files of a page and run its commands in their order; return how many ran."""
+    workspace(folder)
+    environment, count = dict(os.environ), 0
+    for block in page.blocks:
+        if block.title:
+            path = folder / block.title
+            path.parent.mkdir(parents=True, exist_ok=True)
+            path.write_text(block.text, encoding='utf-8')
+        for command in commands(page, block) if block.language == 'sh' else ():
+            if named := variable(command.text):
+                environment[named[0]] = named[1].replace('$PWD', str(folder))
+            elif command.reason is None and command.slow == slow:
+                run(command, folder, environment)
+                count += 1
+    return count
+
+
+def run(command: Command, folder: Path, environment: dict[str, str]) -> None:
+    done = subprocess.run(
+        shlex.split(command.text),
+        cwd=folder,
+        env=environment,
+        stdin=subprocess.DEVNULL,
+        capture_output=True,
+        text=True,
+        timeout=TIMEOUT_S,
+        check=False,
+    )
+    assert done.returncode == 0, f'{command.page}:{command.line}: {command.text}\n{done.stdout}{done.stderr}'
+
+
+def with_commands(*, slow: bool) -> list[Page]:
+    wanted = {item.page for item in all_commands() if item.reason is None and item.slow == slow}
+    return [page for page in pages() if page.name in wanted]
+
+
+@pytest.mark.parametrize('page', with_commands(slow=False), ids=lambda page: page.name)
+def test_commands_work(page: Page, tmp_path: Path) -> None:
+    assert run_page(page, tmp_path, slow=False)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('page', with_commands(slow=True), ids=lambda page: page.name)
+def test_slow_commands_work(page: Page, tmp_path: Path) -> None:
+    assert run_page(page, tmp_path, slow=True)

@@ -1,0 +1,113 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Code and tables of the documents agree with the package."""
+
+from __future__ import annotations
+
+import ast
+import re
+from dataclasses import fields
+from typing import TYPE_CHECKING
+
+import pytest
+
+from tools.documents import ROOT, Block, blocks, documents
+from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
+from trainid_ros.core.messages import OUTPUT_TOPICS, RESISTANCE_TOPIC
+from trainid_ros.core.records import INPUT_TOPICS
+from trainid_ros.core.results import ResistanceEstimate, Status
+from trainid_ros.resistance.resistance_algorithms import RESISTANCE
+from trainid_ros.sim.realism import UNKNOWNS
+from trainid_ros.sim.worlds import WORLDS
+from trainid_ros.speed_model.speed_model_algorithms import SPEED_MODEL
+from trainid_ros.train.effects import EFFECTS, FOLDERS_VARIABLE, Davis, TrackPoint
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+def text_of(name: str) -> str:
+    return (ROOT / name).read_text(encoding='utf-8')
+
+
+def titled(page: str, title: str) -> Block:
+    (found,) = (block for block in blocks(text_of(page)) if block.title == title)
+    return found
+
+
+def first_cells(page: str) -> set[str]:
+    """Return the names in the first cells of all tables of a page."""
+    rows = re.findall(r'^\| (`[^|]*`) \|', text_of(page), re.MULTILINE)
+    return {name for cell in rows for name in re.findall(r'`([^`]+)`', cell)}
+
+
+def test_python_examples_compile() -> None:
+    found = [(page, block) for page in documents() for block in blocks(page.read_text(encoding='utf-8'))]
+    python = [(page, block) for page, block in found if block.language == 'python']
+    assert len(python) >= 2
+    for page, block in python:
+        compile(block.text, f'{page.name}:{block.line}', 'exec')
+
+
+def test_the_controller_reads_fields_and_topics_that_exist() -> None:
+    code = ast.parse(titled('README.md', 'controller.py').text)
+    read = {
+        node.attr
+        for node in ast.walk(code)
+        if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == 'w'
+    }
+    assert read
+    assert read <= {item.name for item in fields(ResistanceEstimate)}
+    texts = {node.value for node in ast.walk(code) if isinstance(node, ast.Constant)}
+    assert RESISTANCE_TOPIC.last_valid in texts
+
+
+def test_the_new_effect_is_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / 'snow.py').write_text(titled('docs/effects.md', 'effects/snow.py').text, encoding='utf-8')
+    monkeypatch.setenv(FOLDERS_VARIABLE, str(tmp_path))
+    snow = EFFECTS['snow']
+    assert snow.resistance is not None
+    davis = Davis(1.0, 0.0, 0.001)
+    outside = TrackPoint(time_s=0.0, position=0.0, direction=1, speed=10.0)
+    inside = TrackPoint(time_s=0.0, position=0.0, direction=1, speed=10.0, tunnel=True)
+    assert snow.resistance({'drag': 0.8}, davis, outside) == pytest.approx(1.6)
+    assert snow.resistance({'drag': 0.8}, davis, inside) == 0.0
+    assert {twin.name for twin in snow.twins} <= set(EFFECTS)
+
+
+def test_the_table_of_effects_is_complete() -> None:
+    assert first_cells('docs/effects.md') == set(EFFECTS)
+
+
+def test_the_table_of_statuses_is_complete() -> None:
+    assert {status.name for status in Status} <= first_cells('docs/status.md')
+    assert all(f'`{status.name}`' in text_of('README.md') for status in Status)
+
+
+@pytest.mark.parametrize('page', ['README.md', 'docs/nodes.md'])
+def test_the_table_of_topics_is_complete(page: str) -> None:
+    named = first_cells(page)
+    assert {topic.name for topic in (*INPUT_TOPICS, *OUTPUT_TOPICS)} <= named
+    assert RESISTANCE_TOPIC.last_valid in named
+
+
+def test_the_tables_of_the_simulator_are_complete() -> None:
+    assert set(UNKNOWNS) == first_cells('docs/simulator.md')
+    text = text_of('docs/simulator.md')
+    assert all(re.search(rf'`(--world )?{name}`', text) for name in WORLDS)
+
+
+def test_the_algorithms_exist() -> None:
+    text = text_of('docs/algorithms.md')
+    table = text[text.index('## Which to choose') : text.index('```sh')]
+    offered = {*RESISTANCE.names, *SPEED_MODEL.names, *BRAKE_RATE.names}
+    chosen = set(re.findall(r'^\|[^|]*\| `([^`]+)` \|', table, re.MULTILINE))
+    assert chosen
+    assert chosen <= offered
+    assert {RESISTANCE.default, SPEED_MODEL.default, BRAKE_RATE.default} <= chosen
+
+
+@pytest.mark.parametrize(
+    'folder', sorted(p.name for p in (ROOT / 'trainid_ros').iterdir() if (p / '__init__.py').is_file())
+)
+def test_every_folder_of_the_package_is_described(folder: str) -> None:
+    assert f'`trainid_ros/{folder}`' in text_of('docs/architecture.md')

@@ -1,0 +1,48 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What setup.py and package.xml promise is there."""
+
+from __future__ import annotations
+
+import ast
+from importlib.metadata import metadata
+from pathlib import Path
+from typing import Any
+from xml.etree import ElementTree
+
+from tools.setup_env import SHARED
+from trainid_ros.bag import PACKAGES
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def setup_value(name: str) -> Any:
+    """Return a constant of setup.py without running it."""
+    for node in ast.parse((ROOT / 'setup.py').read_text(encoding='utf-8')).body:
+        if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Name) and node.targets[0].id == name:
+            return ast.literal_eval(node.value)
+    raise AssertionError(name)
+
+
+def test_shared_folders_exist_and_are_those_of_the_set_up() -> None:
+    folders = setup_value('SHARED_FOLDERS')
+    assert all(any((ROOT / folder).iterdir()) for folder in folders)
+    assert {*folders, 'package.xml'} == set(SHARED)
+
+
+def test_packages_for_bags_are_an_extra() -> None:
+    required = metadata('trainid_ros').get_all('Requires-Dist') or []
+    always = {line.split()[0].strip(';') for line in required if 'extra ==' not in line}
+    bags = {line.partition(';')[0].strip() for line in required if 'extra ==' in line and 'bags' in line}
+    assert bags == set(PACKAGES)
+    assert not always & PACKAGES
+
+
+def test_the_set_up_of_the_repository_installs_them() -> None:
+    wanted = (ROOT / 'tools' / 'requirements' / 'runtime.in').read_text(encoding='utf-8').split('\n')
+    assert set(wanted) >= PACKAGES
+
+
+def test_package_xml_needs_nothing_from_pip() -> None:
+    names = [item.text or '' for item in ElementTree.parse(ROOT / 'package.xml').iter('exec_depend')]
+    assert {'rclpy', 'python3-numpy', 'python3-yaml'} <= set(names)
+    assert not [name for name in names if name.endswith('-pip')]

@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The live nodes load only packages that Ubuntu 24.04 and ROS 2 Jazzy offer through apt."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from pathlib import Path
+from xml.etree import ElementTree
+
+ROOT = Path(__file__).resolve().parents[2]
+# Python package and the deb that holds it.
+UBUNTU = {
+    'numpy': 'python3-numpy',
+    'scipy': 'python3-scipy',
+    'yaml': 'python3-yaml',
+    '_yaml': 'python3-yaml',
+}
+JAZZY = {
+    'action_msgs': 'ros-jazzy-action-msgs',
+    'ament_index_python': 'ros-jazzy-ament-index-python',
+    'builtin_interfaces': 'ros-jazzy-builtin-interfaces',
+    'diagnostic_msgs': 'ros-jazzy-diagnostic-msgs',
+    'lifecycle_msgs': 'ros-jazzy-lifecycle-msgs',
+    'rcl_interfaces': 'ros-jazzy-rcl-interfaces',
+    'rclpy': 'ros-jazzy-rclpy',
+    'rosgraph_msgs': 'ros-jazzy-rosgraph-msgs',
+    'rosidl_parser': 'ros-jazzy-rosidl-parser',
+    'rosidl_pycommon': 'ros-jazzy-rosidl-pycommon',
+    'rpyutils': 'ros-jazzy-rpyutils',
+    'service_msgs': 'ros-jazzy-service-msgs',
+    'std_msgs': 'ros-jazzy-std-msgs',
+    'std_srvs': 'ros-jazzy-std-srvs',
+    'type_description_interfaces': 'ros-jazzy-type-description-interfaces',
+    'unique_identifier_msgs': 'ros-jazzy-unique-identifier-msgs',
+}
+OURS = {'trainid_ros', 'trainid_msgs'}
+NEVER = {'rosbags', 'mcap', 'zstandard', 'numba', 'matplotlib'}
+NODES = ('resistance_node', 'speed_model_node', 'brake_rate_node')
+# Modules without a specification are made by compiled extensions and belong to no package.
+CODE = """
+import sys
+before = set(sys.modules)
+{work}
+found = {{name.partition('.')[0] for name in set(sys.modules) - before}}
+found = {{name for name in found if getattr(sys.modules.get(name), '__spec__', None) is not None}}
+print(*sorted(name for name in found - set(sys.stdlib_module_names) if not name.startswith('_sysconfigdata')))
+"""
+IMPORTS = '\n'.join(f'import trainid_ros.ros.{node}' for node in NODES)
+# A run from stop to stop through the pipelines of all three nodes.
+DRIVE = f"""
+{IMPORTS}
+import numpy
+from trainid_ros.estimators.pipeline import EstimatorSettings
+from trainid_ros.ros.jobs import JOBS
+from trainid_ros.sim.scenario import Scenario, simulate
+from trainid_ros.train.train_file import load_train_file
+file = load_train_file({str(ROOT / 'config/trains/yizhuang.yaml')!r})
+pipelines = [job.pipeline(file, EstimatorSettings()) for job in JOBS]
+for record in simulate(Scenario(file, runs=1), numpy.random.default_rng(1)).records:
+    for pipeline in pipelines:
+        pipeline.push(record)
+assert all(pipeline.used for pipeline in pipelines)
+"""
+
+
+def loaded(work: str) -> set[str]:
+    """Return the third-party packages that code loads in a fresh interpreter."""
+    code = CODE.format(work=work)
+    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, timeout=100, check=False)
+    assert done.returncode == 0, done.stderr
+    return set(done.stdout.split()) - OURS
+
+
+def test_nodes_import_only_packages_from_apt() -> None:
+    found = loaded(IMPORTS)
+    assert {'rclpy', 'numpy'} <= found
+    assert not found & NEVER
+    assert found <= {*UBUNTU, *JAZZY}
+
+
+def test_driving_loads_nothing_more() -> None:
+    found = loaded(DRIVE)
+    assert not found & NEVER
+    assert found <= {*UBUNTU, *JAZZY}
+
+
+def test_package_xml_names_the_packages_of_ubuntu() -> None:
+    named = {item.text for item in ElementTree.parse(ROOT / 'package.xml').iter('exec_depend')}
+    assert {UBUNTU[name] for name in loaded(IMPORTS) & set(UBUNTU)} <= named
