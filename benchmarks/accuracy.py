@@ -20,10 +20,10 @@ from benchmarks.tables import Table
 from trainid_lab.speed_model.physical_parameters import upper
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.brake_rate.gsma import GsmaConfig
-from trainid_ros.core.records import NS_PER_S
-from trainid_ros.core.results import BrakeRateEstimate, ResistanceEstimate, SpeedModelEstimate
+from trainid_ros.records import NS_PER_S
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
 from trainid_ros.resistance.vmils import VMilsConfig
+from trainid_ros.results import BrakeRateEstimate, ResistanceEstimate, SpeedModelEstimate
 from trainid_ros.speed_model.physical_parameters import resistance_variance
 from trainid_ros.speed_model.speed_model_algorithms import SPEED_MODEL
 from trainid_ros.train.davis import specific_inertia
@@ -31,10 +31,10 @@ from trainid_ros.train.davis import specific_inertia
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from trainid_ros.core.samples import Sample
     from trainid_ros.estimators.protocol import Estimator
     from trainid_ros.estimators.registry import Algorithms
     from trainid_ros.sim.truth import Truth
+    from trainid_ros.stream.samples import Sample
 
 Array = NDArray[np.float64]
 # Values, standard deviation, and 1 if fit to use, after one sample.

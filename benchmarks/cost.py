@@ -17,20 +17,20 @@ import numpy as np
 
 from benchmarks.days import assumed_train, simulated_day, ticks_of
 from benchmarks.tables import Table
-from trainid_ros.core.alignment import Aligner, AlignmentConfig
-from trainid_ros.core.results import Rejection
 from trainid_ros.estimators.pipeline import (
     EstimatorSettings,
     brake_rate_pipeline,
     resistance_pipeline,
     speed_model_pipeline,
 )
+from trainid_ros.results import Rejection
+from trainid_ros.stream.alignment import Aligner, AlignmentConfig
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from benchmarks.days import TickOfRecords
-    from trainid_ros.core.samples import Sample
+    from trainid_ros.stream.samples import Sample
 
 _SEED: Final = 1
 _BLOCK: Final = 400

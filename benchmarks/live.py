@@ -25,19 +25,19 @@ from trainid_msgs import msg as trainid_msgs
 
 from benchmarks.days import TRAIN_FILE, simulated_day
 from benchmarks.tables import Table
-from trainid_ros.core.alignment import Aligner, AlignmentConfig
-from trainid_ros.core.messages import OUTPUT_TOPICS, stamp_of
-from trainid_ros.core.records import INPUT_TOPICS, NS_PER_S
-from trainid_ros.core.samples import Sample
 from trainid_ros.demo.domain import free_domain
 from trainid_ros.demo.processes import ProcessGroup
+from trainid_ros.messages import OUTPUT_TOPICS, stamp_of
+from trainid_ros.records import INPUT_TOPICS, NS_PER_S
 from trainid_ros.ros import qos
 from trainid_ros.ros.conversion import message_class, message_from_record
+from trainid_ros.stream.alignment import Aligner, AlignmentConfig
+from trainid_ros.stream.samples import Sample
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from trainid_ros.core.records import Record
+    from trainid_ros.records import Record
 
 _SEED: Final = 1
 _OUTPUTS: Final = {topic.message: topic.name for topic in OUTPUT_TOPICS}

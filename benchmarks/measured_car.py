@@ -25,19 +25,19 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
 from benchmarks.tables import Table, as_text
-from trainid_ros.core.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
-from trainid_ros.core.results import Status
-from trainid_ros.core.samples import SAMPLE_PERIOD
 from trainid_ros.estimators.pipeline import EstimatorSettings, resistance_pipeline
+from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
+from trainid_ros.results import Status
+from trainid_ros.stream.samples import SAMPLE_PERIOD
 from trainid_ros.train.davis import G
 from trainid_ros.train.train_file import Brake, Davis, Line, Train, TrainFile
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from trainid_ros.core.records import Record
-    from trainid_ros.core.results import ResistanceEstimate
+    from trainid_ros.records import Record
+    from trainid_ros.results import ResistanceEstimate
 
 Array = NDArray[np.float64]
 

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 from benchmarks.days import assumed_train, simulated_day
 from benchmarks.tables import Table
-from trainid_ros.core.records import NS_PER_S
 from trainid_ros.estimators.pipeline import (
     EstimatorPipeline,
     EstimatorSettings,
@@ -24,11 +23,12 @@ from trainid_ros.estimators.pipeline import (
     resistance_pipeline,
     speed_model_pipeline,
 )
+from trainid_ros.records import NS_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from trainid_ros.core.records import Record
+    from trainid_ros.records import Record
 
 _SEED: Final = 1
 _HOURS: Final = (0.1, 1.0, 6.0, 24.0)

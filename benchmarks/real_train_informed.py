@@ -11,16 +11,16 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from trainid_ros.core.records import NS_PER_S
 from trainid_ros.estimators.known_force import KnownForce
+from trainid_ros.records import NS_PER_S
 from trainid_ros.resistance.filter_bank import FilterBank, FilterBankConfig, bank_plan
 from trainid_ros.resistance.hypotheses import Bank
 from trainid_ros.resistance.speed_states import A, C
 
 if TYPE_CHECKING:
     from benchmarks.worlds import Truth
-    from trainid_ros.core.results import Rejection
-    from trainid_ros.core.samples import Sample
+    from trainid_ros.results import Rejection
+    from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import TrainFile
 
 

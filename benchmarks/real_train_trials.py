@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
     from benchmarks.real_train_scores import Score
     from benchmarks.worlds import Drive
-    from trainid_ros.core.results import ResistanceEstimate
     from trainid_ros.estimators.protocol import Estimator
+    from trainid_ros.results import ResistanceEstimate
 
 INFORMED: Final = 'informed filter'
 ON_BOARD: Final = ('V-MILS', 'filter-bank', 'two-window')

@@ -38,7 +38,8 @@ def as_text(table: Table) -> str:
 
 def as_markdown(table: Table) -> str:
     """Return a table as Markdown, with aligned source."""
-    rows = _lines((table.header, *table.rows), ' | ', '| ')
+    escaped = (tuple(cell.replace('|', r'\|') for cell in row) for row in (table.header, *table.rows))
+    rows = _lines(tuple(escaped), ' | ', '| ')
     lines = [f'### {table.title}', '', rows[0] + ' |', _rule(table), *(row + ' |' for row in rows[1:])]
     return '\n'.join([*lines, '', table.note] if table.note else lines)
 

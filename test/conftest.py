@@ -13,8 +13,6 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trainid_ros.core.records import NS_PER_S, Record
-from trainid_ros.core.samples import BrakeCommandChange, Sample
 from trainid_ros.explain.explanation import (
     Alternative,
     Explanation,
@@ -26,8 +24,10 @@ from trainid_ros.explain.explanation import (
     RunTrace,
     Verdict,
 )
+from trainid_ros.records import NS_PER_S, Record
 from trainid_ros.sim.scenario import simulate
 from trainid_ros.sim.yizhuang_day import yizhuang_day
+from trainid_ros.stream.samples import BrakeCommandChange, Sample
 from trainid_ros.train.train_file import Brake, Davis, Effect, Line, Train, TrainFile, load_train_file
 
 STATED = TrainFile(

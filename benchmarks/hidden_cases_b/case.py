@@ -17,7 +17,7 @@ from benchmarks.hidden_cases_b.recorder import sense
 from benchmarks.hidden_cases_b.scene import Scene, draw_scene, drive
 from benchmarks.hidden_cases_b.sensing import draw_instruments, flags_of
 from benchmarks.hidden_cases_b.visibility import Visible, visible
-from trainid_ros.core.records import Record
+from trainid_ros.records import Record
 
 Array = NDArray[np.float64]
 PAIRS: Final = (

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.core.records import NS_PER_S
-from trainid_ros.core.samples import SAMPLE_PERIOD, Sample
+from trainid_ros.records import NS_PER_S
+from trainid_ros.stream.samples import SAMPLE_PERIOD, Sample
 from trainid_ros.train.davis import specific_inertia
 from trainid_ros.train.train_file import Davis, Train, TrainFile
 

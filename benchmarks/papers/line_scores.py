@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trainid_lab.speed_model.physical_parameters import UPPER
-from trainid_ros.core.samples import SAMPLE_PERIOD
+from trainid_ros.stream.samples import SAMPLE_PERIOD
 
 if TYPE_CHECKING:
     from benchmarks.papers.lockstep import Track

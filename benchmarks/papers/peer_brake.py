@@ -30,8 +30,8 @@ from trainid_ros.brake_rate.config import BrakeRateConfig
 from trainid_ros.brake_rate.particles import SPEED, LinearStep, error_covariance, speed_step, started
 from trainid_ros.brake_rate.posterior import STATES, errors_of
 from trainid_ros.brake_rate.resampling import effective_number, normal_weights
-from trainid_ros.core.results import Rejection
 from trainid_ros.estimators.protocol import step_and_estimate
+from trainid_ros.results import Rejection
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -19,7 +19,7 @@ from benchmarks.papers.contest import FIRST_SEED, installed
 from benchmarks.papers.metro_stream import INERTIA, PERIOD, SPEED_SD, curve_error, metro_stream
 from benchmarks.papers.seeds import over_seeds
 from benchmarks.tables import Table
-from trainid_ros.core.errors import NoAnswerError
+from trainid_ros.errors import NoAnswerError
 from trainid_ros.resistance.trajectory.davis_fit import DavisFitConfig, fit_davis
 from trainid_ros.resistance.trajectory.pieces import Trajectory
 

@@ -19,7 +19,7 @@ from benchmarks.papers.robust_stream import RobustStream
 from benchmarks.papers.spoiled import NOISE_STD, OBSERVED, SPEEDS, spoiled_observations, spoiled_speeds
 from trainid_lab.resistance.multi_innovation import NOTHING, information_of, mils_step
 from trainid_lab.resistance.speed_ekf import SpeedEkf, SpeedEkfConfig
-from trainid_ros.core.records import NS_PER_S
+from trainid_ros.records import NS_PER_S
 from trainid_ros.resistance.force_errors import ForceErrors
 from trainid_ros.resistance.speed_window import Tick
 from trainid_ros.resistance.vmils import VMils, VMilsConfig, tracker_of, window_plan

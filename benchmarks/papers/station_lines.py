@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from trainid_ros.core.samples import SAMPLE_PERIOD
+from trainid_ros.stream.samples import SAMPLE_PERIOD
 from trainid_ros.train.davis import G
 
 if TYPE_CHECKING:

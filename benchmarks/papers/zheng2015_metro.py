@@ -25,7 +25,7 @@ from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
 from trainid_ros.brake_rate.config import BrakeRateConfig
 from trainid_ros.brake_rate.disturbance_noise import DisturbanceNoise
-from trainid_ros.core.records import NS_PER_S
+from trainid_ros.records import NS_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

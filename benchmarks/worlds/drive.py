@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from benchmarks.worlds.motion import Log
-    from trainid_ros.core.records import Record
+    from trainid_ros.records import Record
     from trainid_ros.train.train_file import TrainFile
 
 WORLDS: Final = ('metro', 'emu', 'high_speed', 'freight', 'tram')

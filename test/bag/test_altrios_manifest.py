@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from trainid_ros.bag.reader import BagReader
-from trainid_ros.core.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
+from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
 from trainid_ros.sim.truth import load_truth
 from trainid_ros.train.davis import G
 from trainid_ros.train.train_file import load_train_file

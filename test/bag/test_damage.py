@@ -15,13 +15,13 @@ from mcap.writer import Writer as McapWriter
 from trainid_ros.bag.mcap_file import MAGIC
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.types import full_type, message_from_record, typestore
-from trainid_ros.core.errors import InputError
-from trainid_ros.core.records import MassRecord
+from trainid_ros.errors import InputError
+from trainid_ros.records import MassRecord
 
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from trainid_ros.core.records import Record
+    from trainid_ros.records import Record
 
 STAMP = 1_700_000_000_000_000_000
 COUNT = 2000

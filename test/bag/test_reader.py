@@ -10,8 +10,8 @@ from rosbags.typesys import get_types_from_msg
 from trainid_ros.bag.reader import BagReader, LoggedRecord, require_topics
 from trainid_ros.bag.types import full_type, message_from_record, typestore
 from trainid_ros.bag.writer import BagWriter
-from trainid_ros.core.errors import InputError
-from trainid_ros.core.records import ForceRecord, MassRecord, Record, SpeedRecord
+from trainid_ros.errors import InputError
+from trainid_ros.records import ForceRecord, MassRecord, Record, SpeedRecord
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

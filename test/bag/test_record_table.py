@@ -13,8 +13,8 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.record_table import EMPTY, joined, layout
 from trainid_ros.bag.types import full_type, message_from_record, typestore
-from trainid_ros.core.errors import InputError
-from trainid_ros.core.records import (
+from trainid_ros.errors import InputError
+from trainid_ros.records import (
     INPUT_TOPICS,
     NS_PER_S,
     BrakeRecord,

@@ -16,9 +16,10 @@ from trainid_ros.bag.types import (
     split_stamp,
     typestore,
 )
-from trainid_ros.core.errors import InputError
-from trainid_ros.core.messages import record_from_message
-from trainid_ros.core.records import (
+from trainid_ros.errors import InputError
+from trainid_ros.estimators.pipeline import Output
+from trainid_ros.messages import record_from_message
+from trainid_ros.records import (
     INPUT_TOPICS,
     SPEED_TOPIC,
     BrakeRecord,
@@ -28,7 +29,7 @@ from trainid_ros.core.records import (
     Record,
     SpeedRecord,
 )
-from trainid_ros.core.results import (
+from trainid_ros.results import (
     BrakeRateEstimate,
     Estimate,
     Reason,
@@ -37,7 +38,6 @@ from trainid_ros.core.results import (
     SpeedModelEstimate,
     Status,
 )
-from trainid_ros.estimators.pipeline import Output
 
 TOPICS = {topic.message: topic for topic in INPUT_TOPICS}
 STAMP = 1_700_000_000_123_456_789

@@ -19,7 +19,7 @@ from benchmarks.measured_car import (
     trip_names,
     wheel_force,
 )
-from trainid_ros.core.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
+from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
 from trainid_ros.train.davis import G, davis
 
 EFFECTIVE = 1550.0

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from trainid_ros.brake_rate.brake_kinematics import brake_step
-from trainid_ros.core.records import NS_PER_S
-from trainid_ros.core.samples import BrakeCommandChange
+from trainid_ros.records import NS_PER_S
+from trainid_ros.stream.samples import BrakeCommandChange
 from trainid_ros.train.brake import CommandHistory
 from trainid_ros.train.train_file import Brake
 

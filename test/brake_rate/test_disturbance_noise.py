@@ -13,8 +13,8 @@ from benchmarks.papers.brake_runs import metro_train, walk_run
 from trainid_lab.brake_rate.kalman import Kalman, KalmanConfig
 from trainid_ros.brake_rate.disturbance_noise import DisturbanceNoise, advance
 from trainid_ros.brake_rate.posterior import Transition
-from trainid_ros.core.codec import decode, encode
-from trainid_ros.core.errors import InputError
+from trainid_ros.errors import InputError
+from trainid_ros.state import decode, encode
 
 DT, LENGTH, SPEED, R = 0.2, 200.0, 15.0, 0.025**2
 RHO = math.exp(-SPEED * DT / LENGTH)

@@ -15,7 +15,7 @@ from trainid_ros.brake_rate.brake_kinematics import BrakeStep
 from trainid_ros.brake_rate.motion_model import BLEND_SHAPE, MotionModel
 from trainid_ros.brake_rate.posterior import Transition
 from trainid_ros.brake_rate.timing import TimingStep
-from trainid_ros.core.samples import Sample
+from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import TrainFile
 
 Make = Callable[..., Sample]

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from trainid_ros.brake_rate.gsma import Gsma, GsmaConfig
-from trainid_ros.core.errors import InputError
-from trainid_ros.core.samples import Sample
+from trainid_ros.errors import InputError
+from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import Davis, TrainFile
 
 Journey = Callable[..., list[Sample]]

@@ -12,8 +12,8 @@ import pytest
 
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
-from trainid_ros.core.samples import Sample
 from trainid_ros.estimators.protocol import step_and_estimate
+from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import Brake, Davis, TrainFile
 
 Journey = Callable[..., list[Sample]]

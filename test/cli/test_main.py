@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import pytest
 
 from trainid_ros.cli import main as entry
-from trainid_ros.core.errors import InputError, NoAnswerError
+from trainid_ros.errors import InputError, NoAnswerError
 
 if TYPE_CHECKING:
     import argparse

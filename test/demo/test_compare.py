@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from trainid_ros.bag.types import estimate_message
-from trainid_ros.core.results import BrakeRateEstimate, Reason, Rejection, ResistanceEstimate, Status
 from trainid_ros.demo.chapters import describe_comparison
 from trainid_ros.demo.compare import Fingerprint, compare, fingerprint_of_message, fingerprint_of_output
 from trainid_ros.estimators.pipeline import Output
+from trainid_ros.results import BrakeRateEstimate, Reason, Rejection, ResistanceEstimate, Status
 
 ESTIMATE = ResistanceEstimate(
     a=1.6, b=0.02, c=0.001, covariance=(0.04, 0.0, 0.0, 0.0, 1e-4, 0.0, 0.0, 0.0, 1e-8), resistance=1.9,

@@ -12,10 +12,10 @@ import pytest
 
 from tools.documents import ROOT, Block, blocks, documents
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
-from trainid_ros.core.messages import OUTPUT_TOPICS, RESISTANCE_TOPIC
-from trainid_ros.core.records import INPUT_TOPICS
-from trainid_ros.core.results import ResistanceEstimate, Status
+from trainid_ros.messages import OUTPUT_TOPICS, RESISTANCE_TOPIC
+from trainid_ros.records import INPUT_TOPICS
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
+from trainid_ros.results import ResistanceEstimate, Status
 from trainid_ros.sim.realism import UNKNOWNS
 from trainid_ros.sim.worlds import WORLDS
 from trainid_ros.speed_model.speed_model_algorithms import SPEED_MODEL

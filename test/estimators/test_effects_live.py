@@ -12,11 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trainid_ros.core.errors import InputError
-from trainid_ros.core.records import Record
-from trainid_ros.core.results import Reason, Status
-from trainid_ros.core.samples import Sample
-from trainid_ros.estimators.drive_history import DriveHistoryTracker
+from trainid_ros.errors import InputError
 from trainid_ros.estimators.pipeline import (
     EstimatorPipeline,
     EstimatorSettings,
@@ -25,8 +21,12 @@ from trainid_ros.estimators.pipeline import (
     resistance_pipeline,
     speed_model_pipeline,
 )
+from trainid_ros.records import Record
 from trainid_ros.resistance.trajectory.pieces import PieceCollector
+from trainid_ros.results import Reason, Status
 from trainid_ros.sim.scenario import Scenario, Simulation, simulate
+from trainid_ros.stream.drive_history import DriveHistoryTracker
+from trainid_ros.stream.samples import Sample
 from trainid_ros.train.effect_text import parse_effects
 from trainid_ros.train.effects import EFFECTS
 from trainid_ros.train.train_file import TrainFile

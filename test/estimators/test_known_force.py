@@ -9,8 +9,8 @@ from dataclasses import replace
 
 import pytest
 
-from trainid_ros.core.samples import Motion, Sample
 from trainid_ros.estimators.known_force import KnownForce
+from trainid_ros.stream.samples import Motion, Sample
 from trainid_ros.train.train_file import Effect, Line, TrainFile
 
 Make = Callable[..., Sample]

@@ -13,10 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trainid_ros.core.alignment import AlignmentConfig
-from trainid_ros.core.errors import InputError
-from trainid_ros.core.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
-from trainid_ros.core.results import Estimate, Reason, Status
+from trainid_ros.errors import InputError
 from trainid_ros.estimators.consistency import WINDOW
 from trainid_ros.estimators.pipeline import (
     EstimatorPipeline,
@@ -27,7 +24,10 @@ from trainid_ros.estimators.pipeline import (
     resistance_pipeline,
     speed_model_pipeline,
 )
-from trainid_ros.estimators.stream import TimeJumpPolicy
+from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
+from trainid_ros.results import Estimate, Reason, Status
+from trainid_ros.stream.alignment import AlignmentConfig
+from trainid_ros.stream.sample_stream import TimeJumpPolicy
 from trainid_ros.train.train_file import TrainFile
 
 MAKERS: dict[str, Callable[[TrainFile, EstimatorSettings], EstimatorPipeline[Any]]] = {

@@ -10,7 +10,15 @@ from typing import Any
 
 import pytest
 
-from trainid_ros.core.records import (
+from trainid_ros.estimators.pipeline import (
+    EstimatorPipeline,
+    EstimatorSettings,
+    Output,
+    brake_rate_pipeline,
+    resistance_pipeline,
+    speed_model_pipeline,
+)
+from trainid_ros.records import (
     FORCE,
     NS_PER_S,
     SPEED,
@@ -20,15 +28,7 @@ from trainid_ros.core.records import (
     Record,
     SpeedRecord,
 )
-from trainid_ros.core.results import Status
-from trainid_ros.estimators.pipeline import (
-    EstimatorPipeline,
-    EstimatorSettings,
-    Output,
-    brake_rate_pipeline,
-    resistance_pipeline,
-    speed_model_pipeline,
-)
+from trainid_ros.results import Status
 from trainid_ros.train.train_file import TrainFile
 
 Records = tuple[Record, ...]

@@ -14,10 +14,10 @@ import pytest
 
 import trainid_ros
 from trainid_ros.bag.writer import BagWriter
-from trainid_ros.core.errors import InputError
-from trainid_ros.core.records import NS_PER_S, Record
+from trainid_ros.errors import InputError
 from trainid_ros.estimators import registry
 from trainid_ros.estimators.registry import Algorithm, Algorithms
+from trainid_ros.records import NS_PER_S, Record
 from trainid_ros.resistance.trajectory.two_window import TwoWindow, TwoWindowConfig
 from trainid_ros.ros.jobs import JOBS, chosen_algorithms
 from trainid_ros.ros.params_template import parameter_file

@@ -10,11 +10,7 @@ import numpy as np
 import pytest
 
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
-from trainid_ros.core.alignment import Aligner, AlignmentConfig
-from trainid_ros.core.errors import InputError
-from trainid_ros.core.records import NS_PER_S, Record
-from trainid_ros.core.results import Rejection
-from trainid_ros.core.samples import Sample
+from trainid_ros.errors import InputError
 from trainid_ros.estimators.pipeline import (
     EstimatorPipeline,
     EstimatorSettings,
@@ -25,8 +21,12 @@ from trainid_ros.estimators.pipeline import (
 )
 from trainid_ros.estimators.protocol import step_and_estimate
 from trainid_ros.estimators.registry import Algorithms
+from trainid_ros.records import NS_PER_S, Record
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
+from trainid_ros.results import Rejection
 from trainid_ros.speed_model.speed_model_algorithms import SPEED_MODEL
+from trainid_ros.stream.alignment import Aligner, AlignmentConfig
+from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import TrainFile
 
 Make: TypeAlias = Any

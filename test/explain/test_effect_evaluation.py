@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trainid_ros.core.errors import InputError
+from trainid_ros.errors import InputError
 from trainid_ros.explain.dataset import Dataset, assemble
 from trainid_ros.explain.effect_evaluation import EffectEvaluator
 from trainid_ros.train.effect_text import parse_effects

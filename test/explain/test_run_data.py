@@ -10,9 +10,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trainid_ros.core.records import NS_PER_S
-from trainid_ros.core.samples import BrakeCommandChange, Sample
 from trainid_ros.explain.run_data import LONGEST_S, Run, RunCollector
+from trainid_ros.records import NS_PER_S
+from trainid_ros.stream.samples import BrakeCommandChange, Sample
 from trainid_ros.train.davis import specific_inertia
 from trainid_ros.train.train_file import Brake, Davis, Train, TrainFile
 

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trainid_ros.core.errors import NoAnswerError
+from trainid_ros.errors import NoAnswerError
 from trainid_ros.explain.explanation import Explanation, Verdict
 from trainid_ros.explain.run_data import Run
 from trainid_ros.explain.workflow import explain

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from trainid_ros.core.records import NS_PER_S
 from trainid_ros.estimators.pipeline import (
     EstimatorPipeline,
     EstimatorSettings,
@@ -23,6 +22,7 @@ from trainid_ros.estimators.pipeline import (
     resistance_pipeline,
     speed_model_pipeline,
 )
+from trainid_ros.records import NS_PER_S
 from trainid_ros.sim.scenario import simulate
 from trainid_ros.sim.yizhuang_day import yizhuang_day
 from trainid_ros.train.train_file import load_train_file

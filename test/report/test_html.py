@@ -12,7 +12,7 @@ from typing import Any
 
 import pytest
 
-from trainid_ros.core.errors import InputError
+from trainid_ros.errors import InputError
 from trainid_ros.report.content import Report
 from trainid_ros.report.html import render, write_report
 from trainid_ros.report.traces import TraceRecorder

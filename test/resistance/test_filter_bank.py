@@ -14,13 +14,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from trainid_ros.core.errors import InputError
-from trainid_ros.core.records import NS_PER_S
-from trainid_ros.core.results import Reason, Rejection, ResistanceEstimate
-from trainid_ros.core.samples import BrakeCommandChange, Sample
+from trainid_ros.errors import InputError
 from trainid_ros.estimators.protocol import step_and_estimate
+from trainid_ros.records import NS_PER_S
 from trainid_ros.resistance.filter_bank import FilterBank, FilterBankConfig, bank_plan
 from trainid_ros.resistance.speed_states import DELTA, KAPPA, KAPPA_R, A, B, C
+from trainid_ros.results import Reason, Rejection, ResistanceEstimate
+from trainid_ros.stream.samples import BrakeCommandChange, Sample
 from trainid_ros.train.train_file import Brake, Davis, Effect, Line, Train, TrainFile
 
 Make = Callable[..., Sample]

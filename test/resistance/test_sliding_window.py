@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from trainid_ros.core.records import NS_PER_S
+from trainid_ros.records import NS_PER_S
 from trainid_ros.resistance.sliding_window import Cut, SlidingWindow
 from trainid_ros.resistance.speed_window import Tick
 

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from trainid_ros.core.records import NS_PER_S
-from trainid_ros.core.results import Reason, Rejection
+from trainid_ros.records import NS_PER_S
 from trainid_ros.resistance.speed_window import Tick, WindowResult, observe_resistance, overlap_factor
+from trainid_ros.results import Reason, Rejection
 
 INERTIA, STD = 110.0, 0.025
 START = 1_700_000_000 * NS_PER_S

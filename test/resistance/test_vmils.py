@@ -14,13 +14,13 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from trainid_ros.core.errors import InputError
-from trainid_ros.core.records import NS_PER_S
-from trainid_ros.core.results import Reason, Rejection, ResistanceEstimate
-from trainid_ros.core.samples import BrakeCommandChange, Sample
+from trainid_ros.errors import InputError
 from trainid_ros.estimators.protocol import step_and_estimate
+from trainid_ros.records import NS_PER_S
 from trainid_ros.resistance.robust import gate
 from trainid_ros.resistance.vmils import VMils, VMilsConfig
+from trainid_ros.results import Reason, Rejection, ResistanceEstimate
+from trainid_ros.stream.samples import BrakeCommandChange, Sample
 from trainid_ros.train.train_file import Davis, TrainFile
 
 Make = Callable[..., Sample]

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from trainid_ros.core.errors import InputError
+from trainid_ros.errors import InputError
 from trainid_ros.ros.checkpoint import Checkpoint, default_path, read_checkpoint, write_checkpoint
 
 SAVED = Checkpoint('0.1.0', 'V-MILS', 12, 34, '{"x": 0.1}')

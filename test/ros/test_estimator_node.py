@@ -21,7 +21,9 @@ from rosgraph_msgs.msg import Clock
 from std_srvs.srv import Trigger
 from trainid_msgs.msg import AtoSpeed, ResistanceEstimate, TrainMass
 
-from trainid_ros.core.records import (
+from trainid_ros.estimators.consistency import WINDOW
+from trainid_ros.estimators.pipeline import EstimatorSettings
+from trainid_ros.records import (
     INPUT_TOPICS,
     NS_PER_S,
     BrakeRecord,
@@ -31,9 +33,7 @@ from trainid_ros.core.records import (
     Record,
     SpeedRecord,
 )
-from trainid_ros.core.results import Status
-from trainid_ros.estimators.consistency import WINDOW
-from trainid_ros.estimators.pipeline import EstimatorSettings
+from trainid_ros.results import Status
 from trainid_ros.ros import brake_rate_node as brake_rate
 from trainid_ros.ros import resistance_node as resistance
 from trainid_ros.ros import speed_model_node as speed_model

@@ -7,7 +7,7 @@ import math
 
 import pytest
 
-from trainid_ros.core.records import NS_PER_S, SPEED_TOPIC
+from trainid_ros.records import NS_PER_S, SPEED_TOPIC
 from trainid_ros.ros.monitors import InputMonitor
 
 

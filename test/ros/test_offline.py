@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from trainid_ros.core.errors import InputError
+from trainid_ros.errors import InputError
 from trainid_ros.estimators.pipeline import EstimatorSettings
 from trainid_ros.estimators.registry import Algorithm, Algorithms
 from trainid_ros.resistance.trajectory.two_window import TwoWindow, TwoWindowConfig

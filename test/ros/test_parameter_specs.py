@@ -9,16 +9,16 @@ from pathlib import Path
 import pytest
 import yaml
 
-from trainid_ros.core.alignment import AlignmentConfig
-from trainid_ros.core.errors import InputError
-from trainid_ros.core.settings import setting_info
+from trainid_ros.errors import InputError
 from trainid_ros.estimators.pipeline import EstimatorSettings
-from trainid_ros.estimators.stream import TimeJumpPolicy
 from trainid_ros.resistance.filter_bank import FilterBankConfig
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
 from trainid_ros.ros.parameter_specs import ParameterSpec, build_settings, build_train_file, estimator_parameters
 from trainid_ros.ros.params_file import find_mismatch, params_files
 from trainid_ros.ros.params_template import parameter_file
+from trainid_ros.settings import setting_info
+from trainid_ros.stream.alignment import AlignmentConfig
+from trainid_ros.stream.sample_stream import TimeJumpPolicy
 from trainid_ros.train.train_file import parse_train_file
 
 SPECS = {spec.name: spec for spec in estimator_parameters(RESISTANCE)}

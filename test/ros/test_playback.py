@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from trainid_ros.core.records import NS_PER_S, ForceRecord
+from trainid_ros.records import NS_PER_S, ForceRecord
 from trainid_ros.ros.playback import Pacer, TimedRecord, Timeline, with_ticks
 
 MS = NS_PER_S // 1000

@@ -11,8 +11,8 @@ from rclpy.lifecycle import TransitionCallbackReturn
 from rosgraph_msgs.msg import Clock
 
 from trainid_ros.bag.writer import BagWriter
-from trainid_ros.core.messages import record_from_message
-from trainid_ros.core.records import INPUT_TOPICS, NS_PER_S, BrakeRecord, ForceRecord, MassRecord, Record, SpeedRecord
+from trainid_ros.messages import record_from_message
+from trainid_ros.records import INPUT_TOPICS, NS_PER_S, BrakeRecord, ForceRecord, MassRecord, Record, SpeedRecord
 from trainid_ros.ros import playback_node
 from trainid_ros.ros.bag_player import BagPlayer
 from trainid_ros.ros.conversion import message_class

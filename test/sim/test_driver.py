@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from trainid_ros.core.errors import InputError
+from trainid_ros.errors import InputError
 from trainid_ros.sim.driver import Driver, DriverModel, Phase
 from trainid_ros.sim.plant import Plant
 from trainid_ros.train.line import LineProfile

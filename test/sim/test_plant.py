@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import pytest
 
-from trainid_ros.core.errors import InputError
+from trainid_ros.errors import InputError
 from trainid_ros.sim.plant import STEP_NS, Plant
 from trainid_ros.train.davis import G, required_force, specific_force, specific_inertia
 from trainid_ros.train.line import LineProfile

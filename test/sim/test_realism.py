@@ -11,14 +11,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from trainid_ros.core.errors import InputError
-from trainid_ros.core.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, MassRecord, SpeedRecord
-from trainid_ros.core.samples import BrakeCommandChange
+from trainid_ros.errors import InputError
+from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, MassRecord, SpeedRecord
 from trainid_ros.sim.gusts import GustModel
 from trainid_ros.sim.realism import REALISMS, UNKNOWNS, Case, Unknowns, draw_unknowns, make_case, unknowns_of
 from trainid_ros.sim.scenario import Simulation, simulate
 from trainid_ros.sim.sensors import SensorModel
 from trainid_ros.sim.worlds import WORLDS, world_train
+from trainid_ros.stream.samples import BrakeCommandChange
 from trainid_ros.train.brake import CommandHistory, lag_response
 from trainid_ros.train.davis import davis, specific_force, specific_inertia
 from trainid_ros.train.effects import effect_value

@@ -10,8 +10,8 @@ from typing import TypeVar
 import numpy as np
 import pytest
 
-from trainid_ros.core.errors import InputError
-from trainid_ros.core.records import BrakeRecord, ForceRecord, GradientRecord, MassRecord, SpeedRecord
+from trainid_ros.errors import InputError
+from trainid_ros.records import BrakeRecord, ForceRecord, GradientRecord, MassRecord, SpeedRecord
 from trainid_ros.sim.driver import DriverModel
 from trainid_ros.sim.gusts import GustModel
 from trainid_ros.sim.scenario import Change, Scenario, Simulation, simulate

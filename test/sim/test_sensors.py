@@ -9,8 +9,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from trainid_ros.core.errors import InputError
-from trainid_ros.core.records import ForceRecord, SpeedRecord
+from trainid_ros.errors import InputError
+from trainid_ros.records import ForceRecord, SpeedRecord
 from trainid_ros.sim.sensors import MAX_JITTER_NS, SensorModel, Sensors
 from trainid_ros.train.davis import G
 

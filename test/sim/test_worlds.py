@@ -6,8 +6,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from trainid_ros.core.errors import InputError
-from trainid_ros.core.records import SpeedRecord
+from trainid_ros.errors import InputError
+from trainid_ros.records import SpeedRecord
 from trainid_ros.sim.realism import UNKNOWNS, make_case
 from trainid_ros.sim.scenario import Scenario, Simulation, simulate
 from trainid_ros.sim.worlds import WORLDS, find_world, usual_duration, world_train

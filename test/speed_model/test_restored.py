@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trainid_ros.core.errors import InputError
-from trainid_ros.core.samples import Sample
+from trainid_ros.errors import InputError
 from trainid_ros.speed_model.speed_model_algorithms import SPEED_MODEL
 from trainid_ros.speed_model.speed_model_estimator import SpeedModelEstimator
+from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import Effect, TrainFile
 
 Journey = Callable[..., list[Sample]]

@@ -9,11 +9,11 @@ from dataclasses import replace
 
 import pytest
 
-from trainid_ros.core.samples import Sample
 from trainid_ros.speed_model.am_vff_rls import AmVffRls, AmVffRlsConfig
 from trainid_ros.speed_model.force_delay import ForceDelay
 from trainid_ros.speed_model.method import Learned
 from trainid_ros.speed_model.recent_values import RecentValues
+from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import TrainFile
 
 Make = Callable[..., Sample]

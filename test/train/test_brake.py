@@ -8,8 +8,8 @@ import math
 import numpy as np
 import pytest
 
-from trainid_ros.core.errors import InputError
-from trainid_ros.core.samples import BrakeCommandChange
+from trainid_ros.errors import InputError
+from trainid_ros.stream.samples import BrakeCommandChange
 from trainid_ros.train.brake import MOST_CHANGES, CommandHistory, lag_integral, lag_response
 
 

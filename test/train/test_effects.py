@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from trainid_ros.core.errors import InputError
+from trainid_ros.errors import InputError
 from trainid_ros.train.effect_text import parse_effects
 from trainid_ros.train.effects import (
     COOLING_S,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import yaml
 
-from trainid_ros.core.errors import InputError
+from trainid_ros.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

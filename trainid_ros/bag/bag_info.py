@@ -10,7 +10,7 @@ import numpy as np
 
 from trainid_ros.bag.reader import BagReader, missing_topics
 from trainid_ros.bag.record_table import EMPTY, joined
-from trainid_ros.core.records import (
+from trainid_ros.records import (
     BRAKE_TOPIC,
     FORCE_TOPIC,
     GRADIENT_TOPIC,
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from trainid_ros.bag.record_table import RecordTable
-    from trainid_ros.core.records import InputTopic
+    from trainid_ros.records import InputTopic
 
 GAP_S: Final = 1.0
 MOVING_SPEED: Final = 0.1  # m/s

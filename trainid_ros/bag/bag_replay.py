@@ -14,9 +14,6 @@ from typing import TYPE_CHECKING, Final, Generic, NamedTuple, Protocol
 import numpy as np
 
 from trainid_ros.bag.reader import LoggedRecord, require_topics
-from trainid_ros.core.records import INPUT_TOPICS, NS_PER_S, record_of
-from trainid_ros.core.results import BrakeRateEstimate, Reason, ResistanceEstimate, SpeedModelEstimate
-from trainid_ros.core.samples import Sample
 from trainid_ros.estimators.pipeline import (
     BrakeRatePipeline,
     EstimateT,
@@ -29,14 +26,17 @@ from trainid_ros.estimators.pipeline import (
     share_streams,
     speed_model_pipeline,
 )
+from trainid_ros.records import INPUT_TOPICS, NS_PER_S, record_of
+from trainid_ros.results import BrakeRateEstimate, Reason, ResistanceEstimate, SpeedModelEstimate
+from trainid_ros.stream.samples import Sample
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from trainid_ros.bag.reader import BagReader
-    from trainid_ros.core.records import Row
     from trainid_ros.estimators.consistency import Consistency
     from trainid_ros.estimators.pipeline import EstimatorSettings
+    from trainid_ros.records import Row
     from trainid_ros.train.train_file import TrainFile
 
 AnyOutput = Output[ResistanceEstimate] | Output[SpeedModelEstimate] | Output[BrakeRateEstimate]

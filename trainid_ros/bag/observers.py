@@ -6,7 +6,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from trainid_ros.bag.types import message_from_record
-from trainid_ros.core.records import INPUT_TOPICS
+from trainid_ros.records import INPUT_TOPICS
 from trainid_ros.report.traces import TraceRecorder
 
 if TYPE_CHECKING:

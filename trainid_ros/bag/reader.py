@@ -21,9 +21,9 @@ from trainid_ros.bag.types import (
     full_type,
     typestore,
 )
-from trainid_ros.core.errors import InputError
-from trainid_ros.core.messages import OUTPUT_TOPICS, record_from_message
-from trainid_ros.core.records import INPUT_TOPICS, REQUIRED_TOPICS, InputTopic, row_of
+from trainid_ros.errors import InputError
+from trainid_ros.messages import OUTPUT_TOPICS, record_from_message
+from trainid_ros.records import INPUT_TOPICS, REQUIRED_TOPICS, InputTopic, row_of
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator
@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     from trainid_ros.bag.mcap_file import MessageBlock, Segment
     from trainid_ros.bag.record_table import RecordTable
-    from trainid_ros.core.records import Record
+    from trainid_ros.records import Record
 
 _OURS: Final = {topic.name: topic.message for topic in INPUT_TOPICS} | {
     name: topic.message for topic in OUTPUT_TOPICS for name in (topic.name, topic.last_valid) if name

@@ -17,12 +17,12 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from trainid_ros.core.records import INPUT_TOPICS, NS_PER_S, record_of
+from trainid_ros.records import INPUT_TOPICS, NS_PER_S, record_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from trainid_ros.core.records import Record, Row
+    from trainid_ros.records import Record, Row
 
 Bytes = NDArray[np.uint8]
 Places = NDArray[np.intp]

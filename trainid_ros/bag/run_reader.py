@@ -12,12 +12,12 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.bag.reader import BagReader, require_topics
-from trainid_ros.core.alignment import TimeJump
-from trainid_ros.core.errors import InputError
-from trainid_ros.core.records import NS_PER_S
-from trainid_ros.core.samples import Sample
-from trainid_ros.estimators.stream import SampleStream, StreamConfig
+from trainid_ros.errors import InputError
 from trainid_ros.explain.run_data import RunCollector
+from trainid_ros.records import NS_PER_S
+from trainid_ros.stream.alignment import TimeJump
+from trainid_ros.stream.sample_stream import SampleStream, StreamConfig
+from trainid_ros.stream.samples import Sample
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
-from trainid_ros.core.errors import InputError
-from trainid_ros.core.messages import output_topic, output_values, record_values
-from trainid_ros.core.records import (
+from trainid_ros.errors import InputError
+from trainid_ros.messages import output_topic, output_values, record_values
+from trainid_ros.records import (
     INPUT_TOPICS,
     NS_PER_S,
     Record,
@@ -25,7 +25,7 @@ from trainid_ros.core.records import (
 if TYPE_CHECKING:
     from rosbags.typesys.store import Typestore
 
-    from trainid_ros.core.messages import OutputLike
+    from trainid_ros.messages import OutputLike
 
 
 PACKAGE: Final = 'trainid_msgs'

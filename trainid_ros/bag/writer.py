@@ -19,10 +19,10 @@ from trainid_ros.bag.types import (
     message_from_record,
     typestore,
 )
-from trainid_ros.core.errors import InputError
-from trainid_ros.core.messages import OUTPUT_TOPICS, output_topic
-from trainid_ros.core.records import INPUT_TOPICS
-from trainid_ros.core.results import Status
+from trainid_ros.errors import InputError
+from trainid_ros.messages import OUTPUT_TOPICS, output_topic
+from trainid_ros.records import INPUT_TOPICS
+from trainid_ros.results import Status
 
 if sys.version_info >= (3, 14):
     from compression import zstd
@@ -34,8 +34,8 @@ if TYPE_CHECKING:
 
     from rosbags.interfaces import Connection
 
-    from trainid_ros.core.messages import OutputLike
-    from trainid_ros.core.records import Record
+    from trainid_ros.messages import OutputLike
+    from trainid_ros.records import Record
 
 _VERSION: Final = 9
 # rmw represents "no limit" by its largest duration.

@@ -12,7 +12,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
-from trainid_ros.core.records import NS_PER_S
+from trainid_ros.records import NS_PER_S
 from trainid_ros.train.brake import actuator_response, lag_integral, lag_response
 
 if TYPE_CHECKING:

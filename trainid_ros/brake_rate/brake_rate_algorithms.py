@@ -6,8 +6,8 @@ from __future__ import annotations
 from typing import Final
 
 from trainid_ros.brake_rate.gsma import Gsma, GsmaConfig
-from trainid_ros.core.results import BrakeRateEstimate
 from trainid_ros.estimators.registry import Algorithm, Algorithms
+from trainid_ros.results import BrakeRateEstimate
 
 BRAKE_RATE: Final = Algorithms[BrakeRateEstimate](
     'brake_rate',

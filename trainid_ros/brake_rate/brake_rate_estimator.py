@@ -22,17 +22,16 @@ from trainid_ros.brake_rate.disturbance_noise import DisturbanceNoise
 from trainid_ros.brake_rate.motion_model import BLEND_SHAPE, LEAST_RATE, MotionModel
 from trainid_ros.brake_rate.posterior import Posterior, Start, Transition
 from trainid_ros.brake_rate.timing import Timing, TimingStep, timing_step
-from trainid_ros.core.codec import check_restored, decode, encode
-from trainid_ros.core.records import NS_PER_S
-from trainid_ros.core.results import BrakeRateEstimate, Reason, Rejection
-from trainid_ros.core.settings import check_settings
-from trainid_ros.core.state_validation import check_not_negative, check_numbers
 from trainid_ros.estimators.speed_noise import SpeedNoise
+from trainid_ros.records import NS_PER_S
+from trainid_ros.results import BrakeRateEstimate, Reason, Rejection
+from trainid_ros.settings import check_settings
+from trainid_ros.state import check_not_negative, check_numbers, check_restored, decode, encode
 from trainid_ros.train.brake import CommandHistory
 
 if TYPE_CHECKING:
     from trainid_ros.brake_rate.config import BrakeRateConfig
-    from trainid_ros.core.samples import Sample
+    from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import TrainFile
 
 # After missing commands the state of the brake is known again this many time constants later.

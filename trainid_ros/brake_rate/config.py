@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from trainid_ros.core.settings import setting
+from trainid_ros.settings import setting
 
 
 @dataclass(frozen=True, slots=True)

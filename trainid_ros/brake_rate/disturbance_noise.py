@@ -13,7 +13,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from trainid_ros.core.state_validation import is_covariance
+from trainid_ros.state import is_covariance
 
 if TYPE_CHECKING:
     from trainid_ros.brake_rate.posterior import Transition

@@ -31,11 +31,10 @@ from trainid_ros.brake_rate.particles import (
 )
 from trainid_ros.brake_rate.posterior import NO_ERRORS, STATES, Errors, Start, Transition, errors_of
 from trainid_ros.brake_rate.resampling import effective_number, restore_generator
-from trainid_ros.core.codec import check_restored, decode, encode
-from trainid_ros.core.errors import InputError
-from trainid_ros.core.settings import check_settings, setting
-from trainid_ros.core.state_validation import check_not_negative, check_numbers, is_covariance_matrix
+from trainid_ros.errors import InputError
 from trainid_ros.estimators.compiled.jit import require_compiler
+from trainid_ros.settings import check_settings, setting
+from trainid_ros.state import check_not_negative, check_numbers, check_restored, decode, encode, is_covariance_matrix
 
 if TYPE_CHECKING:
     from trainid_ros.brake_rate.particles import Array

@@ -12,7 +12,7 @@ import math
 from dataclasses import dataclass
 
 from trainid_ros.brake_rate.config import BrakeRateConfig
-from trainid_ros.core.settings import setting
+from trainid_ros.settings import setting
 
 
 @dataclass(frozen=True, slots=True)

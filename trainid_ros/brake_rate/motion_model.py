@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from trainid_ros.brake_rate.config import BrakeRateConfig
     from trainid_ros.brake_rate.posterior import Array
     from trainid_ros.brake_rate.timing import TimingStep
-    from trainid_ros.core.samples import Sample
+    from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import Brake, TrainFile
 
 LEAST_RATE: Final = 0.05

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from trainid_ros.core.errors import InputError
+from trainid_ros.errors import InputError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

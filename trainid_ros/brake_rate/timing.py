@@ -15,7 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
-from trainid_ros.core.records import NS_PER_S
+from trainid_ros.records import NS_PER_S
 from trainid_ros.train.brake import actuator_response
 
 if TYPE_CHECKING:

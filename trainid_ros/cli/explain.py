@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, Final
 from trainid_ros import __version__
 from trainid_ros.bag.run_reader import read_runs, survey, worker_count
 from trainid_ros.cli.output import add_json_option, print_json, progress, table, to_plain, warn
-from trainid_ros.core.errors import InputError, NoAnswerError
-from trainid_ros.core.plural import pluralise
+from trainid_ros.errors import InputError, NoAnswerError
+from trainid_ros.plural import pluralise
 from trainid_ros.train.train_file import dump_train_file, load_train_file
 
 if TYPE_CHECKING:

@@ -13,21 +13,21 @@ from typing import TYPE_CHECKING, Any, Final
 from trainid_ros.bag.reader import BagReader, require_topics
 from trainid_ros.cli.arguments import not_negative
 from trainid_ros.cli.output import add_json_option, print_json, progress, table, warn
-from trainid_ros.core.alignment import TimeJump
-from trainid_ros.core.errors import InputError, NoAnswerError
-from trainid_ros.core.records import NS_PER_S
-from trainid_ros.core.samples import Sample
-from trainid_ros.estimators.stream import SampleStream, StreamConfig
+from trainid_ros.errors import InputError, NoAnswerError
+from trainid_ros.records import NS_PER_S
 from trainid_ros.resistance.trajectory.davis_fit import DavisFit, DavisFitConfig, fit_davis
 from trainid_ros.resistance.trajectory.pieces import PieceCollector
 from trainid_ros.resistance.trajectory.plausible import check_plausible
+from trainid_ros.stream.alignment import TimeJump
+from trainid_ros.stream.sample_stream import SampleStream, StreamConfig
+from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from trainid_ros.core.results import Reason
     from trainid_ros.resistance.trajectory.pieces import Trajectory
+    from trainid_ros.results import Reason
 
 _PROGRESS_EVERY: Final = 500
 _UNKNOWN: Final = {

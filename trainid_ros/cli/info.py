@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 
 from trainid_ros.bag.bag_info import inspect
 from trainid_ros.cli.output import add_json_option, print_json, table, to_plain
-from trainid_ros.core.errors import NoAnswerError
-from trainid_ros.core.records import NS_PER_S
+from trainid_ros.errors import NoAnswerError
+from trainid_ros.records import NS_PER_S
 
 if TYPE_CHECKING:
     import argparse

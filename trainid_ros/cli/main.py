@@ -16,7 +16,7 @@ from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Final, NamedTuple, NoReturn
 
 from trainid_ros.bag import missing_package_error
-from trainid_ros.core.errors import InputError, NoAnswerError
+from trainid_ros.errors import InputError, NoAnswerError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

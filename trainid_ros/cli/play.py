@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.cli.arguments import not_negative, positive
 from trainid_ros.cli.output import progress
-from trainid_ros.core.errors import InputError
-from trainid_ros.core.records import NS_PER_S
+from trainid_ros.errors import InputError
+from trainid_ros.records import NS_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -14,7 +14,7 @@ from trainid_ros.bag.observers import BagRecorder, TraceObserver
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.cli.output import add_json_option, print_json, progress, table, to_plain, warn
-from trainid_ros.core.errors import NoAnswerError
+from trainid_ros.errors import NoAnswerError
 from trainid_ros.estimators.force_findings import force_findings
 from trainid_ros.estimators.observability import observe
 from trainid_ros.ros.offline import node_setups
@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from trainid_ros.bag.bag_replay import Observer, Replay, Result
-    from trainid_ros.core.results import Reason
     from trainid_ros.report.traces import Traces
+    from trainid_ros.results import Reason
     from trainid_ros.ros.offline import Setup
     from trainid_ros.sim.truth import Truth
     from trainid_ros.train.train_file import TrainFile

@@ -7,7 +7,7 @@ import argparse
 from pathlib import Path
 from typing import Final
 
-from trainid_ros.core.errors import InputError
+from trainid_ros.errors import InputError
 from trainid_ros.train.train_file import load_train_file
 
 _MODULES: Final = {

@@ -13,9 +13,9 @@ import numpy as np
 
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.cli.output import add_json_option, print_json, progress
-from trainid_ros.core.errors import InputError
-from trainid_ros.core.plural import pluralise
-from trainid_ros.core.records import INPUT_TOPICS
+from trainid_ros.errors import InputError
+from trainid_ros.plural import pluralise
+from trainid_ros.records import INPUT_TOPICS
 from trainid_ros.sim.realism import REALISMS, UNKNOWNS, make_case, unknowns_of
 from trainid_ros.sim.scenario import Scenario, check_scenario, simulate
 from trainid_ros.sim.truth import plain_truth, save_truth

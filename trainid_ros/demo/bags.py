@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
-from trainid_ros.core.package_files import shared_path
+from trainid_ros.package_files import shared_path
 from trainid_ros.sim.truth import load_truth
 from trainid_ros.train.train_file import load_train_file
 

@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING, Any
 
 from trainid_ros.bag.bag_replay import replay
 from trainid_ros.bag.reader import BagReader
-from trainid_ros.core.results import BrakeRateEstimate, ResistanceEstimate, SpeedModelEstimate
 from trainid_ros.demo.compare import Comparison, Fingerprint, compare, fingerprint_of_output
 from trainid_ros.demo.view import LABELS
 from trainid_ros.estimators.pipeline import EstimatorSettings
 from trainid_ros.report.content import Chapter, RejectionCounts
 from trainid_ros.report.scores import AccuracyScore, score_brake_rate, score_resistance
+from trainid_ros.results import BrakeRateEstimate, ResistanceEstimate, SpeedModelEstimate
 
 if TYPE_CHECKING:
     from collections.abc import Callable

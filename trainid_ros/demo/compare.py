@@ -9,7 +9,7 @@ from dataclasses import dataclass, fields
 from hashlib import blake2b
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from trainid_ros.core.results import Status
+from trainid_ros.results import Status
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

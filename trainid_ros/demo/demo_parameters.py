@@ -7,8 +7,8 @@ from typing import Any, Final
 
 import yaml
 
-from trainid_ros.core.messages import OUTPUT_TOPICS
-from trainid_ros.core.records import INPUT_TOPICS
+from trainid_ros.messages import OUTPUT_TOPICS
+from trainid_ros.records import INPUT_TOPICS
 
 _OUTPUTS: Final = {topic.message: topic.name for topic in OUTPUT_TOPICS}
 # Nodes and the message of their estimate, in starting order.

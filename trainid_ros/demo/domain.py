@@ -7,7 +7,7 @@ import os
 import socket
 from typing import TYPE_CHECKING, Final
 
-from trainid_ros.core.errors import InputError
+from trainid_ros.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

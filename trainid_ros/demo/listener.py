@@ -12,9 +12,11 @@ from rclpy.qos import QoSProfile, ReliabilityPolicy
 from rclpy.signals import SignalHandlerOptions
 from trainid_msgs import msg as trainid_msgs
 
-from trainid_ros.core.messages import OUTPUT_TOPICS
-from trainid_ros.core.records import NS_PER_S
-from trainid_ros.core.results import (
+from trainid_ros.demo.compare import Fingerprint, fingerprint_of_message
+from trainid_ros.estimators.pipeline import Output
+from trainid_ros.messages import OUTPUT_TOPICS
+from trainid_ros.records import NS_PER_S
+from trainid_ros.results import (
     BrakeRateEstimate,
     Estimate,
     Reason,
@@ -22,8 +24,6 @@ from trainid_ros.core.results import (
     SpeedModelEstimate,
     Status,
 )
-from trainid_ros.demo.compare import Fingerprint, fingerprint_of_message
-from trainid_ros.estimators.pipeline import Output
 
 if TYPE_CHECKING:
     from types import TracebackType

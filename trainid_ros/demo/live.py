@@ -8,25 +8,25 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from trainid_ros.bag.reader import BagReader, require_topics
-from trainid_ros.core.errors import InputError, NoAnswerError
-from trainid_ros.core.records import NS_PER_S
-from trainid_ros.core.results import BrakeRateEstimate, ResistanceEstimate, SpeedModelEstimate, Status
 from trainid_ros.demo.demo_parameters import NODES, parameter_file
 from trainid_ros.demo.listener import Listener
 from trainid_ros.demo.processes import ProcessGroup
 from trainid_ros.demo.view import Snapshot
+from trainid_ros.errors import InputError, NoAnswerError
+from trainid_ros.records import NS_PER_S
 from trainid_ros.report.traces import TraceRecorder
+from trainid_ros.results import BrakeRateEstimate, ResistanceEstimate, SpeedModelEstimate, Status
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
     from pathlib import Path
 
     from trainid_ros.bag.bag_replay import AnyOutput
-    from trainid_ros.core.results import Reason
     from trainid_ros.demo.bags import DemoBag
     from trainid_ros.demo.compare import Fingerprint
     from trainid_ros.demo.processes import Child
     from trainid_ros.demo.view import View
+    from trainid_ros.results import Reason
 
 KINDS: Final = {
     'resistance_estimator': ResistanceEstimate,

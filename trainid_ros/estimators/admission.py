@@ -10,13 +10,13 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from trainid_ros.core.records import NS_PER_S
-from trainid_ros.core.results import Reason, Rejection
+from trainid_ros.records import NS_PER_S
+from trainid_ros.results import Reason, Rejection
 from trainid_ros.train.effects import effect_value
 
 if TYPE_CHECKING:
-    from trainid_ros.core.samples import Sample
     from trainid_ros.estimators.known_force import KnownForce
+    from trainid_ros.stream.samples import Sample
 
 # After this many time constants a released brake is below 0.04 % of its initial force.
 _SETTLING: Final = 8.0

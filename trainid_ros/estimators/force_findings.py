@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 from trainid_ros.resistance.force_errors import is_delay_at_end
 
 if TYPE_CHECKING:
-    from trainid_ros.core.results import ResistanceEstimate
+    from trainid_ros.results import ResistanceEstimate
 
 # An error is reported if it differs from zero by this many standard deviations ...
 _SIGNIFICANT: Final = 4.0

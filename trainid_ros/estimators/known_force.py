@@ -13,7 +13,7 @@ from trainid_ros.train.line import LineProfile
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from trainid_ros.core.samples import Sample
+    from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import TrainFile
 
 # Reference brake force where no brake acts [N/kN]: effects are nearly linear in it.

@@ -14,10 +14,11 @@ from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
 import numpy as np
 
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
-from trainid_ros.core.alignment import AlignmentConfig
-from trainid_ros.core.codec import check_restored, decode, encode
-from trainid_ros.core.records import NS_PER_S, Record
-from trainid_ros.core.results import (
+from trainid_ros.estimators.consistency import Consistency, ConsistencyMonitor
+from trainid_ros.estimators.registry import Algorithms, Choice
+from trainid_ros.records import NS_PER_S, Record
+from trainid_ros.resistance.resistance_algorithms import RESISTANCE
+from trainid_ros.results import (
     BrakeRateEstimate,
     Estimate,
     Reason,
@@ -26,20 +27,19 @@ from trainid_ros.core.results import (
     SpeedModelEstimate,
     Status,
 )
-from trainid_ros.core.samples import Sample
-from trainid_ros.core.settings import check_settings, setting
-from trainid_ros.estimators.consistency import Consistency, ConsistencyMonitor
-from trainid_ros.estimators.drive_history import DriveHistoryState
-from trainid_ros.estimators.registry import Algorithms, Choice
-from trainid_ros.estimators.stream import SampleStream, StreamConfig, TimeJumpPolicy, is_reset_by
-from trainid_ros.resistance.resistance_algorithms import RESISTANCE
+from trainid_ros.settings import check_settings, setting
 from trainid_ros.speed_model.speed_model_algorithms import SPEED_MODEL
+from trainid_ros.state import check_restored, decode, encode
+from trainid_ros.stream.alignment import AlignmentConfig
+from trainid_ros.stream.drive_history import DriveHistoryState
+from trainid_ros.stream.sample_stream import SampleStream, StreamConfig, TimeJumpPolicy, is_reset_by
+from trainid_ros.stream.samples import Sample
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from trainid_ros.estimators.protocol import Estimator
-    from trainid_ros.estimators.stream import StreamEvent
+    from trainid_ros.stream.sample_stream import StreamEvent
     from trainid_ros.train.train_file import TrainFile
 
 EstimateT = TypeVar('EstimateT', bound=Estimate)

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from trainid_ros.core.errors import InputError
+from trainid_ros.errors import InputError
 
 GROUP: Final = 'trainid_ros.algorithms'
 

@@ -6,8 +6,8 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Protocol, TypeVar
 
 if TYPE_CHECKING:
-    from trainid_ros.core.results import Rejection
-    from trainid_ros.core.samples import Sample
+    from trainid_ros.results import Rejection
+    from trainid_ros.stream.samples import Sample
 
 EstimateT_co = TypeVar('EstimateT_co', covariant=True)
 

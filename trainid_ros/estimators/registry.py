@@ -7,9 +7,9 @@ from dataclasses import dataclass, fields, replace
 from functools import cached_property
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-from trainid_ros.core.errors import InputError
-from trainid_ros.core.settings import setting_info
+from trainid_ros.errors import InputError
 from trainid_ros.estimators.plugins import plugged_in
+from trainid_ros.settings import setting_info
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -17,8 +17,8 @@ if TYPE_CHECKING:
     import numpy as np
     from _typeshed import DataclassInstance
 
-    from trainid_ros.core.results import Estimate
     from trainid_ros.estimators.protocol import Estimator
+    from trainid_ros.results import Estimate
     from trainid_ros.train.train_file import TrainFile
 
 EstimateT = TypeVar('EstimateT', bound='Estimate')

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.core.errors import InputError
+from trainid_ros.errors import InputError
 from trainid_ros.train.davis import davis
 from trainid_ros.train.effects import EFFECTS, TrackPoint
 

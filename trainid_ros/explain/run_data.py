@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.core.records import NS_PER_S
+from trainid_ros.records import NS_PER_S
 from trainid_ros.train.brake import CommandHistory, actuator_response
 from trainid_ros.train.davis import specific_force, specific_inertia
 from trainid_ros.train.effects import BRAKE_APPLIED, heat_after
@@ -21,7 +21,7 @@ from trainid_ros.train.effects import BRAKE_APPLIED, heat_after
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from trainid_ros.core.samples import Sample
+    from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import TrainFile
 
     Array = NDArray[np.float64]

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.core.errors import NoAnswerError
-from trainid_ros.core.plural import pluralise
+from trainid_ros.errors import NoAnswerError
 from trainid_ros.explain.dataset import assemble
 from trainid_ros.explain.effect_evaluation import EffectEvaluator
 from trainid_ros.explain.explanation import (
@@ -30,6 +29,7 @@ from trainid_ros.explain.nuisances import DAVIS
 from trainid_ros.explain.onset import with_onsets
 from trainid_ros.explain.selection import GENERIC, LEFT_OVER, Search
 from trainid_ros.explain.slip import find_slip
+from trainid_ros.plural import pluralise
 from trainid_ros.train.effects import EFFECTS
 from trainid_ros.train.train_file import Davis, Effect
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.core.records import NS_PER_S
+from trainid_ros.records import NS_PER_S
 from trainid_ros.train.train_file import Davis
 
 if TYPE_CHECKING:

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from trainid_ros.core.plural import pluralise
 from trainid_ros.explain.explanation import Verdict
 from trainid_ros.explain.phrases import place_text
+from trainid_ros.plural import pluralise
 from trainid_ros.train.effects import EFFECTS
 
 if TYPE_CHECKING:

@@ -27,7 +27,6 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.core.state_validation import is_covariance_matrix
 from trainid_ros.resistance.normal import (
     Normal,
     information_in,
@@ -39,6 +38,7 @@ from trainid_ros.resistance.normal import (
 )
 from trainid_ros.resistance.robust import weigh
 from trainid_ros.resistance.robust_fit import MIN_ROWS, robust_fit
+from trainid_ros.state import is_covariance_matrix
 
 if TYPE_CHECKING:
     from trainid_ros.resistance.normal import Array

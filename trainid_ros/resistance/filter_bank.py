@@ -18,15 +18,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.core.codec import check_restored, decode, encode
-from trainid_ros.core.records import NS_PER_S
-from trainid_ros.core.results import Reason, Rejection, ResistanceEstimate
-from trainid_ros.core.samples import STANDING
-from trainid_ros.core.settings import check_settings, setting
-from trainid_ros.core.state_validation import check_not_negative, check_numbers, is_covariance_matrix
 from trainid_ros.estimators.admission import Admission
 from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.estimators.prior import prior_variances
+from trainid_ros.records import NS_PER_S
 from trainid_ros.resistance.fitness import DrivenSpeeds, drift_growth, is_fit_where_driven
 from trainid_ros.resistance.force_errors import CURVE_RADIUS, force_errors, is_delay_at_end, scale_step
 from trainid_ros.resistance.hypotheses import Bank, BankPlan, Hypotheses, Mixture
@@ -44,10 +39,14 @@ from trainid_ros.resistance.speed_states import (
     V,
 )
 from trainid_ros.resistance.tachometer import Tachometer
+from trainid_ros.results import Reason, Rejection, ResistanceEstimate
+from trainid_ros.settings import check_settings, setting
+from trainid_ros.state import check_not_negative, check_numbers, check_restored, decode, encode, is_covariance_matrix
+from trainid_ros.stream.samples import STANDING
 
 if TYPE_CHECKING:
-    from trainid_ros.core.samples import Sample
     from trainid_ros.resistance.hypotheses import Innovation
+    from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import TrainFile
 
 # Hypothetical disturbance sizes, as multiples of the settings.

@@ -5,11 +5,11 @@ from __future__ import annotations
 
 from typing import Final
 
-from trainid_ros.core.results import ResistanceEstimate
 from trainid_ros.estimators.registry import Algorithm, Algorithms
 from trainid_ros.resistance.filter_bank import FilterBank, FilterBankConfig
 from trainid_ros.resistance.trajectory.two_window import TwoWindow, TwoWindowConfig
 from trainid_ros.resistance.vmils import VMils, VMilsConfig
+from trainid_ros.results import ResistanceEstimate
 
 RESISTANCE: Final = Algorithms[ResistanceEstimate](
     'resistance',
@@ -21,7 +21,7 @@ RESISTANCE: Final = Algorithms[ResistanceEstimate](
     ),
     Algorithm(
         'V-MILS',
-        'interval-varying multi-innovation least squares on speed windows; half the computing time of filter-bank',
+        'interval-varying multi-innovation least squares on speed windows; a quarter of the computing time of filter-bank',
         VMilsConfig(),
         lambda train_file, config, _: VMils(train_file, config),
     ),

@@ -26,9 +26,9 @@ from typing import Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from trainid_ros.core.intervals import FAST_NS
-from trainid_ros.core.records import NS_PER_S
+from trainid_ros.records import NS_PER_S
 from trainid_ros.resistance.force_errors import DELAY_RANGE
+from trainid_ros.stream.intervals import FAST_NS
 
 Array: TypeAlias = NDArray[np.float64]
 

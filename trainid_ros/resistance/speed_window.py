@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.core.results import Reason, Rejection
+from trainid_ros.results import Reason, Rejection
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -24,15 +24,11 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.core.codec import decode, encode
-from trainid_ros.core.errors import InputError
-from trainid_ros.core.records import NS_PER_S
-from trainid_ros.core.results import Rejection, ResistanceEstimate
-from trainid_ros.core.settings import check_settings, setting
-from trainid_ros.core.state_validation import check_numbers
+from trainid_ros.errors import InputError
 from trainid_ros.estimators.admission import Admission
 from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.estimators.prior import prior_variances
+from trainid_ros.records import NS_PER_S
 from trainid_ros.resistance.change_points import ChangePointConfig, Tracker
 from trainid_ros.resistance.fitness import drift_rates, is_fit_where_driven
 from trainid_ros.resistance.force_errors import CURVE_RADIUS, ForceErrors, force_errors, scale_step
@@ -40,11 +36,14 @@ from trainid_ros.resistance.normal import independent
 from trainid_ros.resistance.robust import drifted, predict
 from trainid_ros.resistance.speed_window import Tick
 from trainid_ros.resistance.window_learner import LearnerState, WindowLearner, WindowPlan
+from trainid_ros.results import Rejection, ResistanceEstimate
+from trainid_ros.settings import check_settings, setting
+from trainid_ros.state import check_numbers, decode, encode
 
 if TYPE_CHECKING:
-    from trainid_ros.core.samples import Sample
     from trainid_ros.resistance.normal import Array
     from trainid_ros.resistance.robust import DavisPosterior
+    from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import TrainFile
 
 # Interval at which drift is added, and the estimate is tested again without new observations [s].

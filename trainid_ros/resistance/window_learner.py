@@ -19,9 +19,6 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.core.codec import check_restored
-from trainid_ros.core.results import Reason, Rejection
-from trainid_ros.core.state_validation import check_not_negative
 from trainid_ros.resistance.change_points import ChangePointState
 from trainid_ros.resistance.fitness import DrivenSpeeds
 from trainid_ros.resistance.inflation import Inflation
@@ -30,6 +27,8 @@ from trainid_ros.resistance.sliding_window import SlidingWindow
 from trainid_ros.resistance.slow_noise import SlowNoise
 from trainid_ros.resistance.speed_window import Tick, WindowResult, observe_resistance, overlap_factor
 from trainid_ros.resistance.tachometer import Tachometer
+from trainid_ros.results import Reason, Rejection
+from trainid_ros.state import check_not_negative, check_restored
 
 if TYPE_CHECKING:
     from trainid_ros.resistance.change_points import Tracker

@@ -6,7 +6,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.bag import missing_package_error
-from trainid_ros.core.errors import InputError
+from trainid_ros.errors import InputError
 from trainid_ros.ros.parameter_specs import ParameterSpec
 from trainid_ros.ros.playback import TimedRecord, Timeline
 from trainid_ros.ros.playback_node import PlaybackNode, playback_parameters

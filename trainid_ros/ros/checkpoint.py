@@ -11,7 +11,7 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Final
 
-from trainid_ros.core.errors import InputError
+from trainid_ros.errors import InputError
 
 _FORMAT: Final = 2
 _DIGEST: Final = 'state_sha256'

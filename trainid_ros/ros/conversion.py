@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages of ROS from records and outputs; see :mod:`trainid_ros.core.messages` for how fields map."""
+"""Messages of ROS from records and outputs; see :mod:`trainid_ros.messages` for how fields map."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Any, Final
 from builtin_interfaces.msg import Time
 from trainid_msgs import msg as trainid_msgs
 
-from trainid_ros.core.messages import output_values, record_values
-from trainid_ros.core.records import INPUT_TOPICS, NS_PER_S, InputTopic, Record
+from trainid_ros.messages import output_values, record_values
+from trainid_ros.records import INPUT_TOPICS, NS_PER_S, InputTopic, Record
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from trainid_ros.core.messages import OutputLike
+    from trainid_ros.messages import OutputLike
 
 _MESSAGES: Final = {topic.record: getattr(trainid_msgs, topic.message) for topic in INPUT_TOPICS}
 

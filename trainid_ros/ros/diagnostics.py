@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
-from trainid_ros.core.records import NS_PER_S
-from trainid_ros.core.results import Status
+from trainid_ros.records import NS_PER_S
+from trainid_ros.results import Status
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

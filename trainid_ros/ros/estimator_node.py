@@ -19,9 +19,10 @@ from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 
-from trainid_ros.core.errors import InputError, TrainIdError
-from trainid_ros.core.messages import record_from_message
-from trainid_ros.core.records import (
+from trainid_ros.errors import InputError, TrainIdError
+from trainid_ros.estimators.pipeline import EstimatorPipeline, EstimatorSettings
+from trainid_ros.messages import record_from_message
+from trainid_ros.records import (
     BRAKE_TOPIC,
     FORCE_TOPIC,
     GRADIENT_TOPIC,
@@ -32,9 +33,7 @@ from trainid_ros.core.records import (
     InputTopic,
     Record,
 )
-from trainid_ros.core.results import Status
-from trainid_ros.estimators.pipeline import EstimatorPipeline, EstimatorSettings
-from trainid_ros.estimators.stream import TimeJumpPolicy
+from trainid_ros.results import Status
 from trainid_ros.ros import qos
 from trainid_ros.ros.conversion import fill_estimate, time_message
 from trainid_ros.ros.diagnostics import (
@@ -60,6 +59,7 @@ from trainid_ros.ros.parameter_specs import (
     requested_algorithm,
 )
 from trainid_ros.ros.watchdog import Watchdog
+from trainid_ros.stream.sample_stream import TimeJumpPolicy
 from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:

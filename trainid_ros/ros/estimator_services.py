@@ -12,7 +12,7 @@ from numpy.linalg import LinAlgError
 from std_srvs.srv import Trigger
 
 from trainid_ros import __version__
-from trainid_ros.core.errors import InputError
+from trainid_ros.errors import InputError
 from trainid_ros.ros.checkpoint import Checkpoint, default_path, read_checkpoint, write_checkpoint
 
 if TYPE_CHECKING:

@@ -12,7 +12,7 @@ import time
 from bisect import bisect_left
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from trainid_ros.core.records import INPUT_TOPICS, InputTopic
+from trainid_ros.records import INPUT_TOPICS, InputTopic
 from trainid_ros.ros import qos
 from trainid_ros.ros.conversion import message_class
 

@@ -11,7 +11,7 @@ from rclpy.exceptions import ROSInterruptException
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 
-from trainid_ros.core.errors import TrainIdError
+from trainid_ros.errors import TrainIdError
 
 if TYPE_CHECKING:
     from collections.abc import Callable

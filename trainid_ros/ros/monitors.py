@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.core.records import NS_PER_S
+from trainid_ros.records import NS_PER_S
 
 if TYPE_CHECKING:
-    from trainid_ros.core.records import InputTopic
+    from trainid_ros.records import InputTopic
 
 _WINDOW_NS: Final = 5 * NS_PER_S
 _STEPS_KEPT: Final = 3000

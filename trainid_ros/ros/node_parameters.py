@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.parameter import Parameter
 
-from trainid_ros.core.errors import InputError
+from trainid_ros.errors import InputError
 from trainid_ros.ros.parameter_specs import ParameterSpec, Value, check_fallback, check_problems, validate_overrides
 from trainid_ros.ros.params_file import find_mismatch, params_files
 

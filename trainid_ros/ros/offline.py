@@ -6,7 +6,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
-from trainid_ros.core.errors import InputError
+from trainid_ros.errors import InputError
 from trainid_ros.ros.jobs import JOBS, chosen_algorithms
 from trainid_ros.ros.parameter_specs import (
     ALGORITHM,

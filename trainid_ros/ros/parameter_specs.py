@@ -11,13 +11,13 @@ import math
 from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
-from trainid_ros.core.alignment import AlignmentConfig
-from trainid_ros.core.errors import InputError
-from trainid_ros.core.records import INPUT_TOPICS
-from trainid_ros.core.settings import setting_info
+from trainid_ros.errors import InputError
 from trainid_ros.estimators.pipeline import EstimatorSettings, PipelineConfig
 from trainid_ros.estimators.registry import Choice
-from trainid_ros.estimators.stream import TimeJumpPolicy
+from trainid_ros.records import INPUT_TOPICS
+from trainid_ros.settings import setting_info
+from trainid_ros.stream.alignment import AlignmentConfig
+from trainid_ros.stream.sample_stream import TimeJumpPolicy
 from trainid_ros.train.fields import did_you_mean
 from trainid_ros.train.train_file import Brake, Davis, Line, Train, TrainFile
 

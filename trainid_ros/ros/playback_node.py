@@ -13,8 +13,8 @@ from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rosgraph_msgs.msg import Clock as ClockMessage
 
-from trainid_ros.core.errors import InputError
-from trainid_ros.core.records import INPUT_TOPICS, NS_PER_S
+from trainid_ros.errors import InputError
+from trainid_ros.records import INPUT_TOPICS, NS_PER_S
 from trainid_ros.ros import qos
 from trainid_ros.ros.conversion import message_class, message_from_record, time_message
 from trainid_ros.ros.lifecycle import ManagedNode, guarded
@@ -25,7 +25,7 @@ from trainid_ros.ros.playback import Pacer, Timeline, with_ticks
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from trainid_ros.core.records import Record
+    from trainid_ros.records import Record
     from trainid_ros.ros.playback import TimedRecord
 
 _POLL_NS: Final = NS_PER_S // 50

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from trainid_ros.core.errors import InputError
+from trainid_ros.errors import InputError
 from trainid_ros.ros.parameter_specs import TRAIN_FILE, ParameterSpec
 from trainid_ros.ros.playback import TimedRecord, Timeline
 from trainid_ros.ros.playback_node import PlaybackNode, playback_parameters
@@ -24,7 +24,7 @@ from trainid_ros.train.train_file import load_train_file
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from trainid_ros.core.records import Record
+    from trainid_ros.records import Record
 
 NAME: Final = 'train_simulator'
 _PARAMETERS: Final = (

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import Final
 
-from trainid_ros.core.records import NS_PER_S
+from trainid_ros.records import NS_PER_S
 
 # At high replay rates a short stall of the machine is long in simulated time, but is not a dropout.
 _SHORTEST_NS: Final = NS_PER_S // 4

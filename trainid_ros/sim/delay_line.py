@@ -6,7 +6,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from typing import Final
 
-from trainid_ros.core.records import NS_PER_S
+from trainid_ros.records import NS_PER_S
 
 MAX_DELAY_S: Final = 12.0
 """Length of the history [s]; no effect looks back further."""

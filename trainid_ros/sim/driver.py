@@ -15,7 +15,7 @@ from typing import Final
 
 import numpy as np
 
-from trainid_ros.core.settings import check_settings, setting
+from trainid_ros.settings import check_settings, setting
 from trainid_ros.sim.plant import Plant
 from trainid_ros.train.davis import G, davis, required_force
 from trainid_ros.train.line import LineProfile

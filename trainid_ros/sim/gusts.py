@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from trainid_ros.core.settings import check_settings, setting
+from trainid_ros.settings import check_settings, setting
 
 
 @dataclass(frozen=True, slots=True)

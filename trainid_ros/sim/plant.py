@@ -12,9 +12,9 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from trainid_ros.core.records import NS_PER_S
-from trainid_ros.core.samples import BrakeCommandChange
+from trainid_ros.records import NS_PER_S
 from trainid_ros.sim.delay_line import DelayLine
+from trainid_ros.stream.samples import BrakeCommandChange
 from trainid_ros.train.brake import CommandHistory, actuator_response
 from trainid_ros.train.davis import G, davis, specific_force, specific_inertia
 from trainid_ros.train.effects import BRAKE_APPLIED, TrackPoint, heat_after, resistance_terms

@@ -9,8 +9,8 @@ from typing import Final, TypeVar
 
 import numpy as np
 
-from trainid_ros.core.errors import InputError
-from trainid_ros.core.records import NS_PER_S, Record
+from trainid_ros.errors import InputError
+from trainid_ros.records import NS_PER_S, Record
 from trainid_ros.sim.driver import TICK_S, Driver, DriverModel, StopEvent
 from trainid_ros.sim.gusts import Gust, GustModel
 from trainid_ros.sim.plant import STEP_NS, Plant

@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from trainid_ros.core.records import (
+from trainid_ros.records import (
     NS_PER_S,
     BrakeRecord,
     ForceRecord,
@@ -17,7 +17,7 @@ from trainid_ros.core.records import (
     MassRecord,
     SpeedRecord,
 )
-from trainid_ros.core.settings import check_settings, setting
+from trainid_ros.settings import check_settings, setting
 from trainid_ros.sim.gusts import ar1_path
 from trainid_ros.train.davis import G
 

@@ -14,8 +14,8 @@ from typing import Final
 
 import yaml
 
-from trainid_ros.core.errors import InputError
-from trainid_ros.core.records import NS_PER_S
+from trainid_ros.errors import InputError
+from trainid_ros.records import NS_PER_S
 from trainid_ros.train.fields import Section, finite_number, parse_yaml
 from trainid_ros.train.train_file import Davis, NamedValues
 

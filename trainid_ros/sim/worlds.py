@@ -9,8 +9,8 @@ from itertools import pairwise
 from types import MappingProxyType
 from typing import Final
 
-from trainid_ros.core.errors import InputError
-from trainid_ros.core.package_files import shared_path
+from trainid_ros.errors import InputError
+from trainid_ros.package_files import shared_path
 from trainid_ros.sim.driver import DriverModel
 from trainid_ros.train.fields import did_you_mean
 from trainid_ros.train.train_file import TrainFile, load_train_file

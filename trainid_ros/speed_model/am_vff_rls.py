@@ -24,9 +24,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
-from trainid_ros.core.samples import SAMPLE_PERIOD
-from trainid_ros.core.settings import setting
-from trainid_ros.core.state_validation import is_covariance
+from trainid_ros.settings import setting
 from trainid_ros.speed_model.auxiliary_model import (
     Floor,
     anchor,
@@ -42,6 +40,8 @@ from trainid_ros.speed_model.forgetting import forgetting_factor, running_mean
 from trainid_ros.speed_model.method import Learned, Numbers
 from trainid_ros.speed_model.physical_parameters import SpeedModelConfig, Symmetric, Theta
 from trainid_ros.speed_model.speed_model_estimator import SpeedModelEstimator, load_std
+from trainid_ros.state import is_covariance
+from trainid_ros.stream.samples import SAMPLE_PERIOD
 
 if TYPE_CHECKING:
     from trainid_ros.train.train_file import TrainFile

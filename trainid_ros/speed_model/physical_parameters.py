@@ -16,9 +16,9 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final, TypeAlias
 
-from trainid_ros.core.samples import SAMPLE_PERIOD
-from trainid_ros.core.settings import setting
 from trainid_ros.estimators.prior import prior_variances
+from trainid_ros.settings import setting
+from trainid_ros.stream.samples import SAMPLE_PERIOD
 
 Theta: TypeAlias = tuple[float, float, float, float]
 """a1 [s/m], a2 [1], b1 [m/s per N/kN], d0 [m/s]."""

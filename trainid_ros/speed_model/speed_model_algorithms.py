@@ -5,8 +5,8 @@ from __future__ import annotations
 
 from typing import Final
 
-from trainid_ros.core.results import SpeedModelEstimate
 from trainid_ros.estimators.registry import Algorithm, Algorithms
+from trainid_ros.results import SpeedModelEstimate
 from trainid_ros.speed_model.am_vff_rls import AmVffRls, AmVffRlsConfig
 
 SPEED_MODEL: Final = Algorithms[SpeedModelEstimate](

@@ -7,28 +7,27 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from trainid_ros.core.codec import check_restored, decode, encode
-from trainid_ros.core.results import Reason, Rejection, SpeedModelEstimate
-from trainid_ros.core.samples import SAMPLE_PERIOD
-from trainid_ros.core.settings import check_settings
-from trainid_ros.core.state_validation import check_not_negative, check_numbers
 from trainid_ros.estimators.admission import Admission
 from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.estimators.speed_noise import SpeedNoise
 from trainid_ros.resistance.fitness import is_fit
 from trainid_ros.resistance.force_errors import CURVE_RADIUS, curve_std
+from trainid_ros.results import Reason, Rejection, SpeedModelEstimate
+from trainid_ros.settings import check_settings
 from trainid_ros.speed_model.curve_share import CurveShare
 from trainid_ros.speed_model.disturbance_observer import Disturbance
 from trainid_ros.speed_model.force_delay import ForceDelay
 from trainid_ros.speed_model.physical_parameters import full, prior, resistance_variance, to_physical
 from trainid_ros.speed_model.recent_values import RecentValues
+from trainid_ros.state import check_not_negative, check_numbers, check_restored, decode, encode
+from trainid_ros.stream.samples import SAMPLE_PERIOD
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from trainid_ros.core.samples import Sample
     from trainid_ros.speed_model.method import Learned, Method, Numbers
     from trainid_ros.speed_model.physical_parameters import SpeedModelConfig, Symmetric, Theta
+    from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import TrainFile
 
 # Slow samples in a row that indicate standstill: a single one may be an outlier.

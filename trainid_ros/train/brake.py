@@ -13,9 +13,9 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Final
 
-from trainid_ros.core.errors import InputError
-from trainid_ros.core.records import NS_PER_S
-from trainid_ros.core.samples import BrakeCommandChange
+from trainid_ros.errors import InputError
+from trainid_ros.records import NS_PER_S
+from trainid_ros.stream.samples import BrakeCommandChange
 
 MOST_CHANGES: Final = 1024
 

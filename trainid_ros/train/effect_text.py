@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 
-from trainid_ros.core.errors import InputError
+from trainid_ros.errors import InputError
 from trainid_ros.train.effects import check_effects
 from trainid_ros.train.train_file import Effect
 

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from typing import Final, NoReturn
 
-from trainid_ros.core.errors import InputError
+from trainid_ros.errors import InputError
 
 _LONGEST_VALUE: Final = 60
 

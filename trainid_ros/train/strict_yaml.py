@@ -8,7 +8,7 @@ from collections.abc import Hashable
 
 import yaml
 
-from trainid_ros.core.errors import InputError
+from trainid_ros.errors import InputError
 
 
 class StrictLoader(yaml.SafeLoader):

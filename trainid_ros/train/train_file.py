@@ -14,7 +14,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from trainid_ros.core.errors import InputError
+from trainid_ros.errors import InputError
 from trainid_ros.train.fields import Section, as_section, finite_number, parse_yaml, shown
 
 Pairs = tuple[tuple[float, float], ...]

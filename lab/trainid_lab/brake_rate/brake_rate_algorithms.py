@@ -9,8 +9,8 @@ from trainid_lab.brake_rate.imm import Imm, ImmConfig
 from trainid_lab.brake_rate.kalman import Kalman, KalmanConfig
 from trainid_lab.brake_rate.printed import PrintedConfig, PrintedGsma, Sma
 from trainid_lab.brake_rate.rbpf import Rbpf, RbpfConfig
-from trainid_ros.core.results import BrakeRateEstimate
 from trainid_ros.estimators.registry import Algorithm
+from trainid_ros.results import BrakeRateEstimate
 
 # Settings not offered for the printed algorithms: they start with all values of the grid, whatever the prior.
 _GRID: Final = frozenset({'prior_std'})

@@ -18,8 +18,7 @@ from trainid_lab.brake_rate import gaussian
 from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
 from trainid_ros.brake_rate.jumps import JumpConfig, drifts, transition
 from trainid_ros.brake_rate.posterior import NO_ERRORS, STATES, Errors, Start, Transition, errors_of
-from trainid_ros.core.codec import check_restored, decode, encode
-from trainid_ros.core.state_validation import check_numbers, is_covariance_matrix
+from trainid_ros.state import check_numbers, check_restored, decode, encode, is_covariance_matrix
 
 if TYPE_CHECKING:
     from trainid_ros.brake_rate.particles import Array

@@ -17,7 +17,7 @@ from trainid_lab.brake_rate.theta_posterior import ThetaPosterior
 from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
 from trainid_ros.brake_rate.config import BrakeRateConfig
 from trainid_ros.brake_rate.particles import SPEED
-from trainid_ros.core.settings import check_settings, setting
+from trainid_ros.settings import check_settings, setting
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -22,8 +22,7 @@ from trainid_ros.brake_rate.particles import (
 )
 from trainid_ros.brake_rate.posterior import STATES, Errors, Start, Transition, errors_of
 from trainid_ros.brake_rate.resampling import effective_number, restore_generator
-from trainid_ros.core.codec import check_restored, decode, encode
-from trainid_ros.core.state_validation import MAX_NUMBER, is_covariance_matrix
+from trainid_ros.state import MAX_NUMBER, check_restored, decode, encode, is_covariance_matrix
 
 if TYPE_CHECKING:
     from trainid_ros.brake_rate.particles import Array, LinearStep

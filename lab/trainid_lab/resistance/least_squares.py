@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from trainid_lab.resistance.recursive import Factors, Symmetric, Vector, covariance
-from trainid_ros.core.errors import NoAnswerError
+from trainid_ros.errors import NoAnswerError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

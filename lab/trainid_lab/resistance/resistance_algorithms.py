@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Final
 from trainid_lab.resistance.regressions import innovation_step, solve_step, strict_step
 from trainid_lab.resistance.speed_ekf import SpeedEkf, SpeedEkfConfig
 from trainid_lab.resistance.windowed import WindowedConfig, WindowedRegression
-from trainid_ros.core.results import ResistanceEstimate
 from trainid_ros.estimators.registry import Algorithm
+from trainid_ros.results import ResistanceEstimate
 
 if TYPE_CHECKING:
     from trainid_lab.resistance.regressions import Step

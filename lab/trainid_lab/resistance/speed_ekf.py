@@ -18,19 +18,18 @@ from typing import TYPE_CHECKING, Final
 
 from trainid_lab.resistance.multi_innovation import is_finite
 from trainid_lab.resistance.speed_filter import State, corrected, predicted, restarted
-from trainid_ros.core.codec import check_restored, decode, encode
-from trainid_ros.core.results import Reason, Rejection, ResistanceEstimate
-from trainid_ros.core.settings import check_settings, setting
-from trainid_ros.core.state_validation import check_not_negative, check_numbers, is_covariance
 from trainid_ros.estimators.admission import Admission
 from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.estimators.prior import prior_variances
 from trainid_ros.resistance.fitness import drift_rates, is_fit
 from trainid_ros.resistance.robust import drifted, predict
 from trainid_ros.resistance.tachometer import Tachometer
+from trainid_ros.results import Reason, Rejection, ResistanceEstimate
+from trainid_ros.settings import check_settings, setting
+from trainid_ros.state import check_not_negative, check_numbers, check_restored, decode, encode, is_covariance
 
 if TYPE_CHECKING:
-    from trainid_ros.core.samples import Sample
+    from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import TrainFile
 
 # Largest plausible squared distance from the prior, normalised by its standard deviations.

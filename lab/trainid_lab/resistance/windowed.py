@@ -22,19 +22,18 @@ from trainid_lab.resistance.recursive import covariance, prediction_variance
 from trainid_lab.resistance.regressions import Regression, RegressionState, begin, skip, strict_step
 from trainid_lab.resistance.residuals import Residuals
 from trainid_lab.resistance.segments import Segments, Windows, cut
-from trainid_ros.core.codec import check_restored, decode, encode
-from trainid_ros.core.results import Reason, Rejection, ResistanceEstimate
-from trainid_ros.core.settings import check_settings, setting
-from trainid_ros.core.state_validation import check_not_negative, check_numbers
 from trainid_ros.estimators.admission import Admission
 from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.resistance.fitness import is_fit
 from trainid_ros.resistance.speed_window import Tick, WindowResult, observe_resistance
+from trainid_ros.results import Reason, Rejection, ResistanceEstimate
+from trainid_ros.settings import check_settings, setting
+from trainid_ros.state import check_not_negative, check_numbers, check_restored, decode, encode
 
 if TYPE_CHECKING:
     from trainid_lab.resistance.recursive import Vector
     from trainid_lab.resistance.regressions import Step
-    from trainid_ros.core.samples import Sample
+    from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import TrainFile
 
 _KMH: Final = 3.6

@@ -18,7 +18,7 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
 
-from trainid_ros.core.settings import setting
+from trainid_ros.settings import setting
 from trainid_ros.speed_model.method import Learned, Numbers
 from trainid_ros.speed_model.physical_parameters import SpeedModelConfig, Symmetric, Theta
 from trainid_ros.speed_model.speed_model_estimator import SpeedModelEstimator

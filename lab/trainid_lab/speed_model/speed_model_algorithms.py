@@ -8,8 +8,8 @@ from typing import Final
 from trainid_lab.speed_model.integral_rls import IntegralRlsConfig, SpeedIntegralRls
 from trainid_lab.speed_model.rls import AM_RLS, AM_VFF_RLS, RLS, VFF_RLS, PaperRls, RlsConfig
 from trainid_lab.speed_model.speed_model_ekf import EkfConfig, SpeedEkf
-from trainid_ros.core.results import SpeedModelEstimate
 from trainid_ros.estimators.registry import Algorithm
+from trainid_ros.results import SpeedModelEstimate
 
 # Settings not offered for non-adaptive methods: no rejection, no force delay, no step of load or resistance.
 _NOT_ADAPTIVE: Final = frozenset({'readmit_after', 'force_skew', 'load_std', 'weighing_std', 'change_threshold'})

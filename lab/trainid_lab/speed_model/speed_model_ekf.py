@@ -11,11 +11,11 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from trainid_ros.core.samples import SAMPLE_PERIOD
-from trainid_ros.core.settings import setting
+from trainid_ros.settings import setting
 from trainid_ros.speed_model.am_vff_rls import AuxiliaryModel, Tuning
 from trainid_ros.speed_model.physical_parameters import SpeedModelConfig, Symmetric, Theta
 from trainid_ros.speed_model.speed_model_estimator import SpeedModelEstimator, load_std
+from trainid_ros.stream.samples import SAMPLE_PERIOD
 
 if TYPE_CHECKING:
     from trainid_ros.train.train_file import TrainFile

@@ -15,11 +15,11 @@ from trainid_ros.brake_rate.group_cloud import GroupCloud, Strata, branch, prune
 from trainid_ros.brake_rate.gsma import Gsma, GsmaConfig
 from trainid_ros.brake_rate.particles import SPEED, speed_step
 from trainid_ros.brake_rate.posterior import STATES, Transition
-from trainid_ros.core.errors import InputError
-from trainid_ros.core.results import Rejection
+from trainid_ros.errors import InputError
 from trainid_ros.estimators.compiled import group_loops
 from trainid_ros.estimators.compiled.jit import compiled, compiler_present
 from trainid_ros.estimators.protocol import step_and_estimate
+from trainid_ros.results import Rejection
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

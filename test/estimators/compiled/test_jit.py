@@ -13,7 +13,7 @@ from pathlib import Path
 import pytest
 
 from trainid_lab.resistance.recursive import rls
-from trainid_ros.core.errors import InputError
+from trainid_ros.errors import InputError
 from trainid_ros.estimators.compiled.jit import compiled, compiler_present, require_compiler
 
 needs_compiler = pytest.mark.skipif(not compiler_present(), reason='numba is not installed')

@@ -16,9 +16,9 @@ from trainid_lab.brake_rate.imm import ImmConfig, ImmPosterior
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
 from trainid_ros.brake_rate.posterior import Start, Transition
-from trainid_ros.core.errors import InputError
-from trainid_ros.core.samples import Sample
-from trainid_ros.core.state_validation import is_covariance_matrix
+from trainid_ros.errors import InputError
+from trainid_ros.state import is_covariance_matrix
+from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import Davis, TrainFile
 
 Journey = Callable[..., list[Sample]]

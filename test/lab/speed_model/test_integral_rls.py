@@ -16,10 +16,10 @@ from trainid_lab.speed_model.integral_rls import (
     Tuning,
     regression,
 )
-from trainid_ros.core.results import Rejection
-from trainid_ros.core.samples import Sample
 from trainid_ros.estimators.protocol import step_and_estimate
+from trainid_ros.results import Rejection
 from trainid_ros.speed_model.physical_parameters import SpeedModelConfig, full, prior
+from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import TrainFile
 
 K = 9.80665 / 1080.0

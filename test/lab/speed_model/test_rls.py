@@ -22,9 +22,9 @@ from trainid_lab.speed_model.rls import (
     Tuning,
     learn,
 )
-from trainid_ros.core.results import Reason, Rejection, SpeedModelEstimate
-from trainid_ros.core.samples import Sample
 from trainid_ros.estimators.protocol import step_and_estimate
+from trainid_ros.results import Reason, Rejection, SpeedModelEstimate
+from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import TrainFile
 
 Journey = Callable[..., list[Sample]]

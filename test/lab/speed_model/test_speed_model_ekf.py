@@ -9,9 +9,9 @@ from dataclasses import replace
 import pytest
 
 from trainid_lab.speed_model.speed_model_ekf import EkfConfig, SpeedEkf
-from trainid_ros.core.samples import Sample
 from trainid_ros.estimators.protocol import step_and_estimate
 from trainid_ros.speed_model.am_vff_rls import AmVffRls, AmVffRlsConfig
+from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import TrainFile
 
 Journey = Callable[..., list[Sample]]

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from trainid_ros.core.errors import InputError, NoAnswerError
+from trainid_ros.errors import InputError, NoAnswerError
 from trainid_ros.resistance.trajectory.davis_fit import DavisFitConfig, fit_davis
 from trainid_ros.resistance.trajectory.pieces import Trajectory
 

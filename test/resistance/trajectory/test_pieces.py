@@ -10,9 +10,9 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from trainid_ros.core.results import Reason
-from trainid_ros.core.samples import Sample
 from trainid_ros.resistance.trajectory.pieces import PieceCollector
+from trainid_ros.results import Reason
+from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import TrainFile
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trainid_ros.core.errors import NoAnswerError
+from trainid_ros.errors import NoAnswerError
 from trainid_ros.resistance.trajectory.davis_fit import DavisFit, DavisFitConfig
 from trainid_ros.resistance.trajectory.plausible import check_plausible
 

@@ -10,9 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from trainid_ros.core.errors import InputError
-from trainid_ros.core.results import Reason, Rejection
-from trainid_ros.core.samples import Sample
+from trainid_ros.errors import InputError
 from trainid_ros.estimators.protocol import step_and_estimate
 from trainid_ros.resistance.trajectory.two_window import TwoWindow, TwoWindowConfig
 from trainid_ros.resistance.trajectory.window import (
@@ -23,6 +21,8 @@ from trainid_ros.resistance.trajectory.window import (
     fit_rows,
     newest_regime,
 )
+from trainid_ros.results import Reason, Rejection
+from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import Davis, TrainFile
 
 CONFIG = TwoWindowConfig(stride=5, short=10, long=60)

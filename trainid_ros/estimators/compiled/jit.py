@@ -8,7 +8,7 @@ from importlib import import_module
 from types import FunctionType
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
-from trainid_ros.core.errors import InputError
+from trainid_ros.errors import InputError
 
 if TYPE_CHECKING:
     from collections.abc import Callable

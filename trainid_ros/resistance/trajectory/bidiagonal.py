@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy.linalg.lapack import dptsv, dtbtrs
 
-from trainid_ros.core.errors import NoAnswerError
+from trainid_ros.errors import NoAnswerError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -27,10 +27,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.core.errors import NoAnswerError
-from trainid_ros.core.settings import check_settings, setting
+from trainid_ros.errors import NoAnswerError
 from trainid_ros.resistance.trajectory.bidiagonal import recur, solve_tridiagonal
 from trainid_ros.resistance.trajectory.increments import half_variance, rounding_variance
+from trainid_ros.settings import check_settings, setting
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

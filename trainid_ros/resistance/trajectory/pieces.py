@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from trainid_ros.core.results import Reason, Rejection
-    from trainid_ros.core.samples import Sample
+    from trainid_ros.results import Reason, Rejection
+    from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import TrainFile
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final
 
-from trainid_ros.core.errors import NoAnswerError
+from trainid_ros.errors import NoAnswerError
 
 if TYPE_CHECKING:
     from trainid_ros.resistance.trajectory.davis_fit import DavisFit, DavisFitConfig

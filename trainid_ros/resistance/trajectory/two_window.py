@@ -18,10 +18,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.core.codec import check_restored, decode, encode
-from trainid_ros.core.errors import InputError
-from trainid_ros.core.results import Reason, Rejection, ResistanceEstimate
-from trainid_ros.core.settings import check_settings, setting
+from trainid_ros.errors import InputError
 from trainid_ros.estimators.admission import Admission
 from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.estimators.prior import prior_variances
@@ -34,9 +31,12 @@ from trainid_ros.resistance.trajectory.window import (
     fit_rows,
     newest_regime,
 )
+from trainid_ros.results import Reason, Rejection, ResistanceEstimate
+from trainid_ros.settings import check_settings, setting
+from trainid_ros.state import check_restored, decode, encode
 
 if TYPE_CHECKING:
-    from trainid_ros.core.samples import Sample
+    from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import TrainFile
 
 # Standard deviation of the known force in the speed prediction, in addition to gusts [N/kN].

@@ -6,7 +6,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 
-from trainid_ros.core.errors import InputError
+from trainid_ros.errors import InputError
 from trainid_ros.train.effects.kind import Parameter, Parameters, Resistance
 from trainid_ros.train.effects.point import TrackPoint
 from trainid_ros.train.effects.registry import EFFECTS

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.core.errors import InputError
+from trainid_ros.errors import InputError
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from trainid_ros.core.errors import InputError
-from trainid_ros.core.state_validation import check_not_negative, check_numbers, is_covariance, is_covariance_matrix
+from trainid_ros.errors import InputError
+from trainid_ros.state import check_not_negative, check_numbers, is_covariance, is_covariance_matrix
 
 
 @dataclass(frozen=True, slots=True)

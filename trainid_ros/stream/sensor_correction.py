@@ -7,13 +7,13 @@ import math
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from trainid_ros.core.records import FORCE, NS_PER_S, SPEED
+from trainid_ros.records import FORCE, NS_PER_S, SPEED
 from trainid_ros.train.effects import effect_value
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from trainid_ros.core.alignment import AlignmentConfig
+    from trainid_ros.stream.alignment import AlignmentConfig
     from trainid_ros.train.train_file import Effect
 
 
@@ -45,7 +45,7 @@ class SensorCorrection:
         return self._ratio != 1.0 or self._skew_ns != 0
 
     def correct(self, topic: int, stamp_ns: int, x: float, y: float) -> tuple[int, float, float]:
-        """Return stamp and numbers of a record, corrected where needed; see :data:`~trainid_ros.core.records.Row`."""
+        """Return stamp and numbers of a record, corrected where needed; see :data:`~trainid_ros.records.Row`."""
         if topic == SPEED and self._ratio != 1.0:
             return stamp_ns, *self._correct_speed(x, y)
         if topic == FORCE and stamp_ns > 0:  # a zero stamp stays one, to be rejected

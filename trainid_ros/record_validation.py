@@ -6,8 +6,8 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from trainid_ros.core.records import GRADIENT, SPEED
-from trainid_ros.core.results import Reason, Rejection
+from trainid_ros.records import GRADIENT, SPEED
+from trainid_ros.results import Reason, Rejection
 
 # Wider than any railway, so that only impossible values are rejected.
 SPEED_LIMITS: Final = (0.0, 200.0)  # m/s

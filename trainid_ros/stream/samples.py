@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
-    from trainid_ros.core.results import Rejection
+    from trainid_ros.results import Rejection
 
 SAMPLE_PERIOD: Final = 0.2
 STANDING: Final = 0.5

@@ -13,10 +13,10 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from trainid_ros.core.alignment import Aligner, AlignmentConfig, AlignmentEvent
-from trainid_ros.core.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
-from trainid_ros.core.results import Reason, Rejection
-from trainid_ros.core.samples import Sample
+from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
+from trainid_ros.results import Reason, Rejection
+from trainid_ros.stream.alignment import Aligner, AlignmentConfig, AlignmentEvent
+from trainid_ros.stream.samples import Sample
 
 START = 1_700_000_000 * NS_PER_S
 CONFIG = AlignmentConfig()

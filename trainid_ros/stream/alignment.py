@@ -21,12 +21,12 @@ from dataclasses import dataclass
 from operator import attrgetter
 from typing import Final, NamedTuple, TypeAlias
 
-from trainid_ros.core.intervals import LearnedInterval
-from trainid_ros.core.record_validation import find_fault
-from trainid_ros.core.records import BRAKE, FORCE, GRADIENT, MASS, NS_PER_S, SPEED, Record, row_of
-from trainid_ros.core.results import Reason, Rejection
-from trainid_ros.core.samples import SAMPLE_PERIOD, STANDING, BrakeCommandChange, Sample
-from trainid_ros.core.settings import setting
+from trainid_ros.record_validation import find_fault
+from trainid_ros.records import BRAKE, FORCE, GRADIENT, MASS, NS_PER_S, SPEED, Record, row_of
+from trainid_ros.results import Reason, Rejection
+from trainid_ros.settings import setting
+from trainid_ros.stream.intervals import LearnedInterval
+from trainid_ros.stream.samples import SAMPLE_PERIOD, STANDING, BrakeCommandChange, Sample
 
 _CONFIRMATIONS: Final = 3
 _THINNING_SHARE: Final = 0.4
@@ -254,7 +254,7 @@ class Aligner:
         return self.push_row(*row_of(record))
 
     def push_row(self, topic: int, stamp_ns: int, x: float, y: float, flag: bool) -> list[AlignmentEvent]:
-        """Take in one record as a row of numbers, see :data:`~trainid_ros.core.records.Row`."""
+        """Take in one record as a row of numbers, see :data:`~trainid_ros.records.Row`."""
         if (fault := find_fault(topic, stamp_ns, x, y)) is not None:
             return [fault]
         if self._newest_ns and abs(stamp_ns - self._newest_ns) > self._max_jump_back_ns:

@@ -8,13 +8,13 @@ from dataclasses import dataclass, field, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
-from trainid_ros.core.records import NS_PER_S
-from trainid_ros.core.samples import Motion
+from trainid_ros.records import NS_PER_S
+from trainid_ros.stream.samples import Motion
 from trainid_ros.train.brake import MOST_CHANGES, CommandHistory, actuator_response
 from trainid_ros.train.effects import BRAKE_APPLIED, heat_after
 
 if TYPE_CHECKING:
-    from trainid_ros.core.samples import Sample
+    from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import TrainFile
 
 # During a longer gap the train may have stood still.

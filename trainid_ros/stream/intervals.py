@@ -7,7 +7,7 @@ from collections import deque
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
-from trainid_ros.core.records import NS_PER_S
+from trainid_ros.records import NS_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

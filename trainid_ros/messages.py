@@ -7,8 +7,8 @@ import math
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
-from trainid_ros.core.records import NS_PER_S
-from trainid_ros.core.results import (
+from trainid_ros.records import NS_PER_S
+from trainid_ros.results import (
     BrakeRateEstimate,
     Estimate,
     Rejection,
@@ -20,7 +20,7 @@ from trainid_ros.core.results import (
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from trainid_ros.core.records import InputTopic, Record
+    from trainid_ros.records import InputTopic, Record
 
     Value = float | bool | int | str | list[float]
 

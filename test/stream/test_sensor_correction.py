@@ -5,9 +5,9 @@ from __future__ import annotations
 
 import math
 
-from trainid_ros.core.alignment import AlignmentConfig
-from trainid_ros.core.records import FORCE, GRADIENT, SPEED
-from trainid_ros.estimators.sensor_correction import SensorCorrection
+from trainid_ros.records import FORCE, GRADIENT, SPEED
+from trainid_ros.stream.alignment import AlignmentConfig
+from trainid_ros.stream.sensor_correction import SensorCorrection
 from trainid_ros.train.train_file import Effect
 
 WHEEL = (Effect('wheel_diameter', (('ratio', 1.05),)),)

@@ -13,20 +13,20 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import TYPE_CHECKING, Final, TypeAlias
 
-from trainid_ros.core.alignment import ONE_LOST, Aligner, AlignmentConfig, TimeJump
-from trainid_ros.core.codec import check_restored
-from trainid_ros.core.records import NS_PER_S, row_of
-from trainid_ros.core.results import Rejection
-from trainid_ros.core.samples import Sample
-from trainid_ros.core.settings import check_settings
-from trainid_ros.estimators.drive_history import DriveHistoryTracker
 from trainid_ros.estimators.known_force import KnownForce
-from trainid_ros.estimators.sensor_correction import SensorCorrection
-from trainid_ros.estimators.stuck_speed import StuckSpeed
+from trainid_ros.records import NS_PER_S, row_of
+from trainid_ros.results import Rejection
+from trainid_ros.settings import check_settings
+from trainid_ros.state import check_restored
+from trainid_ros.stream.alignment import ONE_LOST, Aligner, AlignmentConfig, TimeJump
+from trainid_ros.stream.drive_history import DriveHistoryTracker
+from trainid_ros.stream.samples import Sample
+from trainid_ros.stream.sensor_correction import SensorCorrection
+from trainid_ros.stream.stuck_speed import StuckSpeed
 
 if TYPE_CHECKING:
-    from trainid_ros.core.records import Record
-    from trainid_ros.estimators.drive_history import DriveHistoryState
+    from trainid_ros.records import Record
+    from trainid_ros.stream.drive_history import DriveHistoryState
     from trainid_ros.train.train_file import TrainFile
 
 StreamEvent: TypeAlias = Sample | Rejection | TimeJump
@@ -130,7 +130,7 @@ class SampleStream:
         return self.push_row(*row_of(record))
 
     def push_row(self, topic: int, stamp_ns: int, x: float, y: float, flag: bool) -> list[StreamEvent]:
-        """Take in one record as a row of numbers, see :data:`~trainid_ros.core.records.Row`."""
+        """Take in one record as a row of numbers, see :data:`~trainid_ros.records.Row`."""
         if self._correction.is_needed:
             stamp_ns, x, y = self._correction.correct(topic, stamp_ns, x, y)
         events = self._aligner.push_row(topic, stamp_ns, x, y, flag)

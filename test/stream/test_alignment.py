@@ -15,8 +15,7 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
-from trainid_ros.core.alignment import Aligner, AlignmentConfig, AlignmentEvent, TimeJump
-from trainid_ros.core.records import (
+from trainid_ros.records import (
     NS_PER_S,
     BrakeRecord,
     ForceRecord,
@@ -25,8 +24,9 @@ from trainid_ros.core.records import (
     Record,
     SpeedRecord,
 )
-from trainid_ros.core.results import Reason, Rejection
-from trainid_ros.core.samples import BrakeCommandChange, Sample
+from trainid_ros.results import Reason, Rejection
+from trainid_ros.stream.alignment import Aligner, AlignmentConfig, AlignmentEvent, TimeJump
+from trainid_ros.stream.samples import BrakeCommandChange, Sample
 
 START = 1_700_000_000 * NS_PER_S
 PERIOD = NS_PER_S // 5

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from trainid_ros.core.results import (
+from trainid_ros.results import (
     BrakeRateEstimate,
     Reason,
     Rejection,
@@ -18,7 +18,7 @@ from trainid_ros.core.results import (
     Status,
 )
 
-MESSAGES = Path(__file__).parents[2] / 'msg_defs' / 'msg'
+MESSAGES = Path(__file__).parents[1] / 'msg_defs' / 'msg'
 ESTIMATES = (ResistanceEstimate, SpeedModelEstimate, BrakeRateEstimate)
 # What drivers add to an estimate; see trainid_ros.estimators.pipeline.Output.
 ADDED = {'header', 'status', 'used', 'rejected', 'last_reject_reason', 'last_reject_text'}

@@ -9,10 +9,6 @@ from typing import Any
 
 import pytest
 
-from trainid_ros.core.alignment import AlignmentConfig, TimeJump
-from trainid_ros.core.records import NS_PER_S, ForceRecord, Record, SpeedRecord
-from trainid_ros.core.results import Reason
-from trainid_ros.core.samples import Sample
 from trainid_ros.estimators.pipeline import (
     EstimatorPipeline,
     EstimatorSettings,
@@ -23,7 +19,11 @@ from trainid_ros.estimators.pipeline import (
     share_streams,
     speed_model_pipeline,
 )
-from trainid_ros.estimators.stream import SampleStream, StreamConfig, TimeJumpPolicy
+from trainid_ros.records import NS_PER_S, ForceRecord, Record, SpeedRecord
+from trainid_ros.results import Reason
+from trainid_ros.stream.alignment import AlignmentConfig, TimeJump
+from trainid_ros.stream.sample_stream import SampleStream, StreamConfig, TimeJumpPolicy
+from trainid_ros.stream.samples import Sample
 from trainid_ros.train.effect_text import parse_effects
 from trainid_ros.train.train_file import TrainFile
 

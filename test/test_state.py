@@ -14,8 +14,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from trainid_ros.core.codec import decode, encode
-from trainid_ros.core.errors import InputError
+from trainid_ros.errors import InputError
+from trainid_ros.state import decode, encode
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,7 +11,7 @@ from pathlib import Path
 import trainid_ros
 
 PACKAGE = Path(trainid_ros.__file__).parent
-PURE = ('core', 'train', 'estimators', 'resistance', 'speed_model', 'brake_rate', 'sim', 'explain')
+PURE = ('stream', 'train', 'estimators', 'resistance', 'speed_model', 'brake_rate', 'sim', 'explain')
 FOREIGN = ('rclpy', 'rosbags', 'mcap', 'matplotlib', 'trainid_msgs', 'std_msgs')
 # Loaded only where needed, not by the core.
 SLOW = ('scipy', 'numba', 'yaml')
@@ -30,7 +30,8 @@ def run(code: str, bytecode: Path | None = None) -> str:
 
 
 def modules() -> list[str]:
-    found = (path for folder in PURE for path in sorted((PACKAGE / folder).rglob('*.py')))
+    inner = (path for folder in PURE for path in sorted((PACKAGE / folder).rglob('*.py')))
+    found = (*sorted(PACKAGE.glob('*.py')), *inner)
     parts = (path.relative_to(PACKAGE.parent).with_suffix('').parts for path in found if path.stem != '__init__')
     return ['.'.join(names) for names in parts]
 

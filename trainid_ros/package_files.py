@@ -6,7 +6,7 @@ from __future__ import annotations
 from importlib.util import find_spec
 from pathlib import Path
 
-from trainid_ros.core.errors import InputError
+from trainid_ros.errors import InputError
 
 
 def shared_path(relative: str) -> Path:
@@ -16,7 +16,7 @@ def shared_path(relative: str) -> Path:
         InputError: It is not found in either place.
 
     """
-    places = [Path(__file__).parents[2], *_share()]
+    places = [Path(__file__).parents[1], *_share()]
     for place in places:
         if (place / relative).exists():
             return place / relative

@@ -9,9 +9,9 @@ from typing import Any
 
 import pytest
 
-from trainid_ros.core.record_validation import find_fault
-from trainid_ros.core.records import BrakeRecord, ForceRecord, GradientRecord, MassRecord, Record, SpeedRecord, row_of
-from trainid_ros.core.results import Reason, Rejection
+from trainid_ros.record_validation import find_fault
+from trainid_ros.records import BrakeRecord, ForceRecord, GradientRecord, MassRecord, Record, SpeedRecord, row_of
+from trainid_ros.results import Reason, Rejection
 
 NS = 1_700_000_000_000_000_000
 GOOD: tuple[Record, ...] = (
