@@ -21,7 +21,7 @@ RESISTANCE: Final = Algorithms[ResistanceEstimate](
     ),
     Algorithm(
         'V-MILS',
-        'interval-varying multi-innovation least squares on speed windows; a quarter of the computing time of filter-bank',
+        'interval-varying multi-innovation least squares on speed windows; a quarter of the computing time',
         VMilsConfig(),
         lambda train_file, config, _: VMils(train_file, config),
     ),
