@@ -24,9 +24,9 @@ if TYPE_CHECKING:
     from trainid_ros.results import ResistanceEstimate
 
 INFORMED: Final = 'informed filter'
-ON_BOARD: Final = ('V-MILS', 'filter-bank', 'two-window')
+COMPARED: Final = ('V-MILS', 'filter-bank', 'two-window')
 PAIRS: Final = (('V-MILS', 'filter-bank'), ('V-MILS', 'two-window'))
-ALL: Final = (*ON_BOARD, 'speed-EKF', INFORMED)
+ALL: Final = (*COMPARED, 'speed-EKF', INFORMED)
 EVERY_TOPIC_5_HZ: Final = Rates()
 
 

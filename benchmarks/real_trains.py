@@ -10,7 +10,7 @@ import numpy as np
 from benchmarks.accuracy import resistance_scores
 from benchmarks.papers.seeds import over_seeds
 from benchmarks.real_train_tables import paired_table, world_tables
-from benchmarks.real_train_trials import ON_BOARD, PAIRS, Trial, results_of
+from benchmarks.real_train_trials import COMPARED, PAIRS, Trial, results_of
 from benchmarks.worlds import CLEAN, FIELD, WORLDS
 
 if TYPE_CHECKING:
@@ -41,6 +41,6 @@ def trials_of(seeds: Sequence[int]) -> tuple[Trial, ...]:
 
 
 def yizhuang_errors(seed: int) -> dict[str, float]:
-    """Return the mean error of w of each on-board algorithm on one Yizhuang day [N/kN]."""
-    scores = zip(ON_BOARD, resistance_scores(ON_BOARD, seed), strict=True)
+    """Return the mean error of w of each algorithm that is compared in pairs on one Yizhuang day [N/kN]."""
+    scores = zip(COMPARED, resistance_scores(COMPARED, seed), strict=True)
     return {name: float(np.mean(one.errors)) for name, one in scores}

@@ -17,8 +17,8 @@ from benchmarks.papers.xia2023_fits import DISTANCE, NOISE
 from trainid_lab.resistance.trajectory.derivatives import objective
 from trainid_lab.resistance.trajectory.newton import NewtonConfig, newton
 from trainid_lab.resistance.trajectory.stages import Stages
+from trainid_lab.resistance.trajectory.two_window import TwoWindow, TwoWindowConfig
 from trainid_ros.records import NS_PER_S
-from trainid_ros.resistance.trajectory.two_window import TwoWindow, TwoWindowConfig
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import Brake, Davis, Train, TrainFile
 

@@ -18,10 +18,10 @@ from benchmarks.papers.xia2023_online import CONFIG, drive, samples, train_file
 from trainid_lab.resistance.trajectory.derivatives import first_derivatives, second_derivatives
 from trainid_lab.resistance.trajectory.levenberg import integrated_least_squares, levenberg
 from trainid_lab.resistance.trajectory.stages import Coefficients, Stages
+from trainid_lab.resistance.trajectory.two_window import TwoWindow
+from trainid_lab.resistance.trajectory.window import RowNoise, WindowPrior, fit_rows
 from trainid_ros.resistance.trajectory.davis_fit import DavisFitConfig, fit_davis
 from trainid_ros.resistance.trajectory.pieces import PieceCollector, Trajectory
-from trainid_ros.resistance.trajectory.two_window import TwoWindow
-from trainid_ros.resistance.trajectory.window import RowNoise, WindowPrior, fit_rows
 from trainid_ros.results import Reason
 from trainid_ros.sim.scenario import simulate
 from trainid_ros.sim.yizhuang_day import DRY, yizhuang_day

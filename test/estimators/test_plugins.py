@@ -18,7 +18,7 @@ from trainid_ros.errors import InputError
 from trainid_ros.estimators import registry
 from trainid_ros.estimators.registry import Algorithm, Algorithms
 from trainid_ros.records import NS_PER_S, Record
-from trainid_ros.resistance.trajectory.two_window import TwoWindow, TwoWindowConfig
+from trainid_ros.resistance.vmils import VMils, VMilsConfig
 from trainid_ros.ros.jobs import JOBS, chosen_algorithms
 from trainid_ros.ros.params_template import parameter_file
 
@@ -35,15 +35,15 @@ sys.modules['trainid_lab'] = None  # an import of it fails
 """
 FOUND = """
 from trainid_ros.estimators.registry import Algorithm
-from trainid_ros.resistance.trajectory.two_window import TwoWindow, TwoWindowConfig
-ALGORITHMS = (Algorithm('NAME', 'a plug-in', TwoWindowConfig(), lambda train, config, _: TwoWindow(train, config)),)
+from trainid_ros.resistance.vmils import VMils, VMilsConfig
+ALGORITHMS = (Algorithm('NAME', 'a plug-in', VMilsConfig(), lambda train, config, _: VMils(train, config)),)
 """
 
 Install = Callable[..., None]
 
 
 def built_in() -> Algorithms[Any]:
-    made: Algorithm[Any] = Algorithm('known', '', TwoWindowConfig(), lambda train, config, _: TwoWindow(train, config))
+    made: Algorithm[Any] = Algorithm('known', '', VMilsConfig(), lambda train, config, _: VMils(train, config))
     return Algorithms(JOB, made)
 
 
@@ -120,7 +120,7 @@ def test_built_in_algorithms_and_the_parameter_file_need_no_plug_in() -> None:
         for name in job.algorithms.built_in:
             assert chosen_algorithms([name]) == {job.field: name}
             assert job.algorithms.choose(name).algorithm == name
-    assert 'two-window' in parameter_file()
+    assert 'V-MILS' in parameter_file()
 
 
 def imported(path: Path) -> set[str]:

@@ -12,7 +12,7 @@ import pytest
 from trainid_ros.errors import InputError
 from trainid_ros.estimators.pipeline import EstimatorSettings
 from trainid_ros.estimators.registry import Algorithm, Algorithms
-from trainid_ros.resistance.trajectory.two_window import TwoWindow, TwoWindowConfig
+from trainid_ros.resistance.vmils import VMils, VMilsConfig
 from trainid_ros.ros import jobs
 from trainid_ros.ros.jobs import JOBS, chosen_algorithms
 from trainid_ros.ros.offline import Setup, node_setups
@@ -157,7 +157,7 @@ def many(monkeypatch: pytest.MonkeyPatch) -> None:
     """Two jobs that share a name of an algorithm."""
 
     def algorithm(name: str) -> Algorithm[Any]:
-        return Algorithm(name, '', TwoWindowConfig(), lambda train_file, config, _: TwoWindow(train_file, config))
+        return Algorithm(name, '', VMilsConfig(), lambda train_file, config, _: VMils(train_file, config))
 
     def named(*names: str) -> Algorithms[Any]:
         return Algorithms('no such job', *map(algorithm, names))

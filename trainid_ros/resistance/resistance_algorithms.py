@@ -7,7 +7,6 @@ from typing import Final
 
 from trainid_ros.estimators.registry import Algorithm, Algorithms
 from trainid_ros.resistance.filter_bank import FilterBank, FilterBankConfig
-from trainid_ros.resistance.trajectory.two_window import TwoWindow, TwoWindowConfig
 from trainid_ros.resistance.vmils import VMils, VMilsConfig
 from trainid_ros.results import ResistanceEstimate
 
@@ -24,11 +23,5 @@ RESISTANCE: Final = Algorithms[ResistanceEstimate](
         'interval-varying multi-innovation least squares on speed windows; a quarter of the computing time',
         VMilsConfig(),
         lambda train_file, config, _: VMils(train_file, config),
-    ),
-    Algorithm(
-        'two-window',
-        'trajectory fit over a long window, monitored by a short one; for records about every 100 m',
-        TwoWindowConfig(),
-        lambda train_file, config, _: TwoWindow(train_file, config),
     ),
 )

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 from trainid_lab.resistance.regressions import innovation_step, solve_step, strict_step
 from trainid_lab.resistance.speed_ekf import SpeedEkf, SpeedEkfConfig
+from trainid_lab.resistance.trajectory.two_window import TwoWindow, TwoWindowConfig
 from trainid_lab.resistance.windowed import WindowedConfig, WindowedRegression
 from trainid_ros.estimators.registry import Algorithm
 from trainid_ros.results import ResistanceEstimate
@@ -32,6 +33,12 @@ def _regression(
 
 
 ALGORITHMS: Final[tuple[Algorithm[ResistanceEstimate], ...]] = (
+    Algorithm(
+        'two-window',
+        'trajectory fit over a long window, monitored by a short one; for records about every 100 m',
+        TwoWindowConfig(),
+        lambda train_file, config, _: TwoWindow(train_file, config),
+    ),
     Algorithm(
         'speed-EKF',
         'extended Kalman filter on raw speed; most accurate with small disturbances and no parameter steps',

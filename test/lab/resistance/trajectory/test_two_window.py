@@ -10,10 +10,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from trainid_ros.errors import InputError
-from trainid_ros.estimators.protocol import step_and_estimate
-from trainid_ros.resistance.trajectory.two_window import TwoWindow, TwoWindowConfig
-from trainid_ros.resistance.trajectory.window import (
+from trainid_lab.resistance.trajectory.two_window import TwoWindow, TwoWindowConfig
+from trainid_lab.resistance.trajectory.window import (
     Row,
     RowNoise,
     WindowPosterior,
@@ -21,6 +19,8 @@ from trainid_ros.resistance.trajectory.window import (
     fit_rows,
     newest_regime,
 )
+from trainid_ros.errors import InputError
+from trainid_ros.estimators.protocol import step_and_estimate
 from trainid_ros.results import Reason, Rejection
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import Davis, TrainFile

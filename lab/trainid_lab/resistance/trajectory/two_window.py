@@ -18,12 +18,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.errors import InputError
-from trainid_ros.estimators.admission import Admission
-from trainid_ros.estimators.known_force import KnownForce
-from trainid_ros.estimators.prior import prior_variances
-from trainid_ros.estimators.speed_noise import SpeedNoise
-from trainid_ros.resistance.trajectory.window import (
+from trainid_lab.resistance.trajectory.window import (
     Row,
     RowNoise,
     WindowPosterior,
@@ -31,6 +26,11 @@ from trainid_ros.resistance.trajectory.window import (
     fit_rows,
     newest_regime,
 )
+from trainid_ros.errors import InputError
+from trainid_ros.estimators.admission import Admission
+from trainid_ros.estimators.known_force import KnownForce
+from trainid_ros.estimators.prior import prior_variances
+from trainid_ros.estimators.speed_noise import SpeedNoise
 from trainid_ros.results import Reason, Rejection, ResistanceEstimate
 from trainid_ros.settings import check_settings, setting
 from trainid_ros.state import check_restored, decode, encode
