@@ -69,7 +69,7 @@ def test_an_algorithm_of_a_plug_in_is_found_by_name(install: Install) -> None:
     install('good', FOUND.replace('NAME', 'new'))
     algorithms = built_in()
     assert 'new' in algorithms
-    assert algorithms.choose('new', stride=3).algorithm == 'new'
+    assert algorithms.choose('new', hop=3).algorithm == 'new'
     assert algorithms.names == ('known', 'new')
     assert (algorithms.built_in, algorithms.default) == (('known',), 'known')
     with pytest.raises(InputError, match=r"^algorithm = 'nonsense' must be one of known, new$"):
