@@ -10,8 +10,8 @@ import numpy as np
 
 from benchmarks.papers.hand_filters import START, START_SD, VARIANCE, RowPeer
 from benchmarks.papers.metro_stream import INERTIA, PERIOD
+from trainid_lab.compiled_streams import VMilsStream
 from trainid_lab.resistance.multi_innovation import NOTHING, information_of, mils_step, posterior_of
-from trainid_ros.estimators.compiled.streams import VMilsStream
 from trainid_ros.records import NS_PER_S
 from trainid_ros.resistance.change_points import ChangePointConfig, Tracker
 from trainid_ros.resistance.force_errors import ForceErrors

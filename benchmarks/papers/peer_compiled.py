@@ -20,11 +20,11 @@ from benchmarks.papers.hand_filters import VARIANCE, HandRls
 from benchmarks.papers.metro_stream import SPEED_SD, metro_stream
 from benchmarks.papers.our_filters import OUTLIERS, PRIOR, P
 from benchmarks.tables import Table
+from trainid_lab.compiled_streams import SpeedModelStream, VMilsStream
 from trainid_lab.resistance.multi_innovation import NOTHING, information_of, mils_step, posterior_of
 from trainid_ros.brake_rate.gsma import Gsma, GsmaConfig
 from trainid_ros.brake_rate.posterior import Start, Transition
 from trainid_ros.estimators.compiled.jit import compiler_present
-from trainid_ros.estimators.compiled.streams import SpeedModelStream, VMilsStream
 from trainid_ros.speed_model.am_vff_rls import AmVffRls, AmVffRlsConfig
 
 if TYPE_CHECKING:

@@ -91,7 +91,7 @@ def test_the_compiler_loads_only_when_something_is_compiled() -> None:
     assert importlib.util.find_spec('trainid_ros.estimators.compiled.compiled_gsma')
     code = (
         'import sys; import trainid_ros.estimators.pipeline, trainid_ros.estimators.compiled.compiled_gsma, '
-        'trainid_ros.estimators.compiled.streams; print("numba" in sys.modules)'
+        'trainid_lab.compiled_streams; print("numba" in sys.modules)'
     )
     done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, check=True, timeout=60)
     assert done.stdout.strip() == 'False'

@@ -55,10 +55,11 @@ def _compiled(kernel: FunctionType) -> Any:
     from numba import njit  # noqa: PLC0415 (half a second)
 
     # A copy that sees the compiled forms of what it calls: the module itself stays as it is.
-    names, package = dict(kernel.__globals__), kernel.__module__.partition('.')[0]
+    names = dict(kernel.__globals__)
+    packages = {name.partition('.')[0] for name in (kernel.__module__, __name__)}
     for name in kernel.__code__.co_names:
         called = names.get(name)
-        if isinstance(called, FunctionType) and called.__module__.partition('.')[0] == package:
+        if isinstance(called, FunctionType) and called.__module__.partition('.')[0] in packages:
             names[name] = _compiled(called)
     copy = FunctionType(kernel.__code__, names, kernel.__name__, kernel.__defaults__, kernel.__closure__)
     copy.__kwdefaults__ = kernel.__kwdefaults__

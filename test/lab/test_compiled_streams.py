@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 from benchmarks.papers.brake_runs import metro_train
+from trainid_lab.compiled_streams import SpeedModelStream, VMilsStream
 from trainid_lab.resistance.multi_innovation import NOTHING, information_of, mils_step, posterior_of
 from trainid_ros.estimators.compiled.jit import compiler_present
-from trainid_ros.estimators.compiled.streams import SpeedModelStream, VMilsStream
 from trainid_ros.speed_model.am_vff_rls import AmVffRls, AmVffRlsConfig
 
 if TYPE_CHECKING:
@@ -98,7 +98,7 @@ def test_am_vff_rls_row_by_row_and_at_once() -> None:
 
 
 def test_without_a_compiler_the_numbers_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr('trainid_ros.estimators.compiled.streams.compiled', lambda kernel: kernel)
+    monkeypatch.setattr('trainid_lab.compiled_streams.compiled', lambda kernel: kernel)
     rows = resistance_rows(63, 200)
     stream = VMilsStream(PRIOR, P, OUTLIERS)
     stream.run(rows)
