@@ -229,7 +229,7 @@ def describe(explanation: Explanation, prior: TrainFile) -> str:
     from trainid_ros.report.words import davis_rows, drive_text, gap_sentence, headline  # noqa: PLC0415
 
     head = f'{explanation.verdict.value.upper()}: {headline(explanation)}\n{drive_text(explanation)}'
-    davis = [('value', 'train file', 'found ± std', 'unit'), *davis_rows(explanation, prior)]
+    davis = [('value', 'train file', 'estimate ± std', 'unit'), *davis_rows(explanation, prior)]
     blocks = (
         head,
         *(_describe_effect(effect) for effect in explanation.effects),
