@@ -86,7 +86,13 @@ BRAKE: Final = 3
 MASS: Final = 4
 
 INPUT_TOPICS: Final = (SPEED_TOPIC, FORCE_TOPIC, GRADIENT_TOPIC, BRAKE_TOPIC, MASS_TOPIC)
+_TOPIC_OF: Final[dict[type[Record], InputTopic]] = {topic.record: topic for topic in INPUT_TOPICS}
 REQUIRED_TOPICS: Final = (SPEED_TOPIC, FORCE_TOPIC, GRADIENT_TOPIC, BRAKE_TOPIC)
+
+
+def input_topic(record: Record) -> InputTopic:
+    """Return the topic of a record."""
+    return _TOPIC_OF[type(record)]
 
 
 def row_of(record: Record) -> Row:

@@ -11,8 +11,6 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Final, Generic, NamedTuple, Protocol
 
-import numpy as np
-
 from trainid_ros.bag.reader import LoggedRecord, require_topics
 from trainid_ros.estimators.pipeline import (
     BrakeRatePipeline,
@@ -31,12 +29,11 @@ from trainid_ros.results import BrakeRateEstimate, Reason, ResistanceEstimate, S
 from trainid_ros.stream.samples import Sample
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Sequence
 
     from trainid_ros.bag.reader import BagReader
     from trainid_ros.estimators.consistency import Consistency
     from trainid_ros.estimators.pipeline import EstimatorSettings
-    from trainid_ros.records import Row
     from trainid_ros.train.train_file import TrainFile
 
 AnyOutput = Output[ResistanceEstimate] | Output[SpeedModelEstimate] | Output[BrakeRateEstimate]
@@ -149,7 +146,7 @@ def replay_through(
     streams = share_streams(pipelines)
     priors = (resistance.current().estimate, speed_model.current().estimate, brake_rate.current().estimate)
     clock, records = _Stopwatch(), 0
-    for log_ns, row in _rows(reader, duration_s):
+    for log_ns, row in reader.rows(_end_ns(reader, duration_s)):
         records += 1
         if observers:
             entry = LoggedRecord(log_ns, INPUT_TOPICS[row[0]].name, record_of(*row))
@@ -180,16 +177,10 @@ def _publish(observers: Sequence[Observer], log_ns: int, output: AnyOutput) -> N
         observer.on_output(output, log_ns)
 
 
-def _rows(reader: BagReader, duration_s: float) -> Iterator[tuple[int, Row]]:
-    """Yield log time and numbers of each record, as far as the duration goes [s]."""
-    first_ns, last_ns = reader.time_range() or (0, 0)
-    if not math.isinf(duration_s):
-        last_ns = min(last_ns, first_ns + round(duration_s * NS_PER_S))
-    for table in reader.tables():
-        until = int(np.searchsorted(table.log_ns, np.uint64(last_ns), side='right'))
-        yield from zip(table.log_ns[:until].tolist(), table[:until].rows(), strict=True)
-        if until < len(table):
-            return
+def _end_ns(reader: BagReader, duration_s: float) -> float:
+    """Return the last log time of the part to replay [ns]."""
+    span = reader.time_range()
+    return math.inf if span is None or math.isinf(duration_s) else span[0] + round(duration_s * NS_PER_S)
 
 
 def _result(pipeline: EstimatorPipeline[EstimateT], prior: EstimateT) -> Result[EstimateT]:

@@ -5,8 +5,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from trainid_ros.bag.types import message_from_record
-from trainid_ros.records import INPUT_TOPICS
 from trainid_ros.report.traces import TraceRecorder
 
 if TYPE_CHECKING:
@@ -14,8 +12,6 @@ if TYPE_CHECKING:
     from trainid_ros.bag.reader import LoggedRecord
     from trainid_ros.bag.writer import BagWriter
     from trainid_ros.report.traces import Traces
-
-_TYPES = {topic.record: topic.message for topic in INPUT_TOPICS}
 
 
 class BagRecorder:
@@ -26,8 +22,7 @@ class BagRecorder:
 
     def on_record(self, entry: LoggedRecord) -> None:
         """Write an input with its own log time, so that the new bag replays in the same order."""
-        message = message_from_record(entry.record)
-        self._writer.write_message(entry.topic, _TYPES[type(entry.record)], entry.log_ns, message)
+        self._writer.write_record(entry.record, entry.log_ns)
 
     def on_output(self, output: AnyOutput, log_ns: int) -> None:
         """Write an estimate, and its latched copy if it is valid."""

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import math
+from bisect import bisect_right
 from dataclasses import dataclass
 from heapq import heappop, heappush
 from operator import itemgetter
@@ -23,7 +25,7 @@ from trainid_ros.bag.types import (
 )
 from trainid_ros.errors import InputError
 from trainid_ros.messages import OUTPUT_TOPICS, record_from_message
-from trainid_ros.records import INPUT_TOPICS, REQUIRED_TOPICS, InputTopic, row_of
+from trainid_ros.records import INPUT_TOPICS, REQUIRED_TOPICS, InputTopic, record_of, row_of
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator
@@ -33,7 +35,7 @@ if TYPE_CHECKING:
 
     from trainid_ros.bag.mcap_file import MessageBlock, Segment
     from trainid_ros.bag.record_table import RecordTable
-    from trainid_ros.records import Record
+    from trainid_ros.records import Record, Row
 
 _OURS: Final = {topic.name: topic.message for topic in INPUT_TOPICS} | {
     name: topic.message for topic in OUTPUT_TOPICS for name in (topic.name, topic.last_valid) if name
@@ -175,10 +177,21 @@ class BagReader:
 
     def logged_records(self) -> Iterator[LoggedRecord]:
         """Yield what :meth:`records` yields, with log time and topic."""
+        return (LoggedRecord(log_ns, INPUT_TOPICS[row[0]].name, record_of(*row)) for log_ns, row in self.rows())
+
+    def rows(self, last_ns: float = math.inf) -> Iterator[tuple[int, Row]]:
+        """Yield what :meth:`records` yields as log time [ns] and row of numbers, up to a log time [ns].
+
+        Raises:
+            InputError: A message cannot be read.
+
+        """
         for table in self.tables():
-            names = (INPUT_TOPICS[topic].name for topic in table.topic.tolist())
-            for (log_ns, record), name in zip(table.records(), names, strict=True):
-                yield LoggedRecord(log_ns, name, record)
+            logs = table.log_ns.tolist()
+            count = len(logs) if last_ns >= logs[-1] else bisect_right(logs, last_ns)
+            yield from zip(logs[:count], table[:count].rows(), strict=True)
+            if count < len(logs):
+                return
 
     def tables(self) -> Iterator[RecordTable]:
         """Yield what :meth:`records` yields, as tables of many records each.

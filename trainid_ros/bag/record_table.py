@@ -11,18 +11,17 @@ import re
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
-from itertools import starmap
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trainid_ros.records import INPUT_TOPICS, NS_PER_S, record_of
+from trainid_ros.records import INPUT_TOPICS, NS_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from trainid_ros.records import Record, Row
+    from trainid_ros.records import Row
 
 Bytes = NDArray[np.uint8]
 Places = NDArray[np.intp]
@@ -69,10 +68,6 @@ class RecordTable:
         """Yield each row as numbers."""
         columns = (self.topic, self.stamp_ns, self.x, self.y, self.flag)
         return zip(*(column.tolist() for column in columns), strict=True)
-
-    def records(self) -> Iterator[tuple[int, Record]]:
-        """Yield log time and record of each row."""
-        return zip(self.log_ns.tolist(), starmap(record_of, self.rows()), strict=True)
 
 
 EMPTY: Final = RecordTable(

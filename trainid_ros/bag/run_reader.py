@@ -129,8 +129,8 @@ def _read(path: Path, bag: int, train_file: TrainFile, namespace: str, advance: 
     collector = RunCollector(train_file, bag)
     reported = 0
     with BagReader(path, namespace) as reader:
-        for i, record in enumerate(reader.records(), 1):
-            for event in stream.push(record):
+        for i, (_, row) in enumerate(reader.rows(), 1):
+            for event in stream.push_row(*row):
                 if isinstance(event, Sample):
                     collector.add(event)
                 elif isinstance(event, TimeJump):

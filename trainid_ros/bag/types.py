@@ -17,9 +17,9 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from trainid_ros.errors import InputError
 from trainid_ros.messages import output_topic, output_values, record_values
 from trainid_ros.records import (
-    INPUT_TOPICS,
     NS_PER_S,
     Record,
+    input_topic,
 )
 
 if TYPE_CHECKING:
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 
 PACKAGE: Final = 'trainid_msgs'
 _INT32_MAX: Final = 2**31 - 1
-_MESSAGE_OF: Final = {topic.record: topic.message for topic in INPUT_TOPICS}
 
 
 def full_type(name: str) -> str:
@@ -80,7 +79,7 @@ def header(stamp_ns: int) -> Any:
 
 def message_from_record(record: Record) -> Any:
     """Return the message of a record, as the rosbags class of its type."""
-    return _build(_MESSAGE_OF[type(record)], record.stamp_ns, record_values(record))
+    return _build(input_topic(record).message, record.stamp_ns, record_values(record))
 
 
 def estimate_message(output: OutputLike) -> Any:

@@ -21,7 +21,7 @@ from trainid_ros.bag.types import (
 )
 from trainid_ros.errors import InputError
 from trainid_ros.messages import OUTPUT_TOPICS, output_topic
-from trainid_ros.records import INPUT_TOPICS
+from trainid_ros.records import input_topic
 from trainid_ros.results import Status
 
 if sys.version_info >= (3, 14):
@@ -41,7 +41,6 @@ _VERSION: Final = 9
 # rmw represents "no limit" by its largest duration.
 _NO_LIMIT: Final = QosTime(9223372036, 854775807)
 _LATCHED: Final = frozenset(topic.last_valid for topic in OUTPUT_TOPICS)
-_TOPIC_OF: Final = {topic.record: topic for topic in INPUT_TOPICS}
 
 
 def _qos(depth: int, durability: QosDurability) -> Qos:
@@ -126,10 +125,11 @@ class BagWriter:
                 writer.abort()
                 shutil.rmtree(self.path, ignore_errors=True)
 
-    def write_record(self, record: Record) -> None:
-        """Write a record on its topic, logged at its stamp."""
-        topic = _TOPIC_OF[type(record)]
-        self.write_message(topic.name, topic.message, record.stamp_ns, message_from_record(record))
+    def write_record(self, record: Record, log_ns: int | None = None) -> None:
+        """Write a record on its topic, logged at a time [ns] or at its stamp."""
+        topic = input_topic(record)
+        logged_ns = record.stamp_ns if log_ns is None else log_ns
+        self.write_message(topic.name, topic.message, logged_ns, message_from_record(record))
 
     def write_estimate(self, output: OutputLike, log_ns: int | None = None) -> None:
         """Write an estimator output, and its latched copy if it is valid, logged at a time [ns] or at its stamp."""

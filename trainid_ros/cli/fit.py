@@ -115,13 +115,11 @@ def collect(
     end_ns = math.inf if math.isinf(duration_s) else begin_ns + round(duration_s * NS_PER_S)
     stream, samples = SampleStream(StreamConfig(collector.train_file)), 0
     rejected: Counter[Reason] = Counter()
-    for i, entry in enumerate(reader.logged_records(), 1):
-        if entry.log_ns > end_ns:
-            break
-        for event in stream.push(entry.record):
+    for i, (log_ns, row) in enumerate(reader.rows(end_ns), 1):
+        for event in stream.push_row(*row):
             if isinstance(event, TimeJump):
                 collector.end_piece()
-            elif isinstance(event, Sample) and entry.log_ns < begin_ns:
+            elif isinstance(event, Sample) and log_ns < begin_ns:
                 collector.monitor(event)
             elif isinstance(event, Sample):
                 samples += 1

@@ -17,7 +17,6 @@ from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.records import NS_PER_S, row_of
 from trainid_ros.results import Rejection
 from trainid_ros.settings import check_settings
-from trainid_ros.state import check_restored
 from trainid_ros.stream.alignment import ONE_LOST, Aligner, AlignmentConfig, TimeJump
 from trainid_ros.stream.drive_history import DriveHistoryTracker
 from trainid_ros.stream.samples import Sample
@@ -102,8 +101,7 @@ class SampleStream:
         return self._history.state
 
     def restore(self, history: DriveHistoryState) -> None:
-        """Continue a saved history, possibly on another drive: records so far are forgotten; InputError if invalid."""
-        check_restored(history.is_valid, 'PipelineState', 'motion')
+        """Continue a saved, valid history, possibly on another drive: records so far are forgotten."""
         self._history.state = history
         self._aligner.reset()
         self._start_over()
