@@ -14,6 +14,7 @@ import json
 import os
 import platform
 import re
+import runpy
 import shutil
 import subprocess
 import sys
@@ -223,7 +224,8 @@ def install_project() -> None:
     are filled with links: edited configurations take effect at once.
     """
     pip: list[str | Path] = [PYTHON, '-m', 'pip', 'install', '--quiet', '--no-deps', '--no-build-isolation']
-    run([*pip, '--editable', ROOT, '--editable', LAB], 'cannot install trainid_ros and lab/ into the environment')
+    failure = 'cannot install trainid_ros and lab/ into the environment'
+    run([*pip, '--editable', ROOT, '--editable', LAB], failure, {'TRAINID_COMPILED': '0'})
     share = VENV / 'share' / 'trainid_ros'
     programs = VENV / 'lib' / 'trainid_ros'
     for folder in (share, programs):
@@ -236,6 +238,19 @@ def install_project() -> None:
     (record,) = SITE.glob('trainid_ros-*.dist-info/entry_points.txt')
     for name in re.findall(r'^(\w+)\s*=', record.read_text(encoding='utf-8'), re.MULTILINE):
         (programs / name).symlink_to(VENV / 'bin' / name)
+
+
+def compiled_sources() -> list[Path]:
+    """List the sources of the compiled modules."""
+    package = ROOT / 'trainid_ros'
+    return [package / f'{name}.py' for name in runpy.run_path(str(package / 'compiled.py'))['MODULES']]
+
+
+def compile_modules() -> None:
+    """Compile modules of trainid_ros, beside their sources."""
+    for library in (ROOT / 'trainid_ros').rglob('*.cpython-*.so'):
+        library.unlink()
+    run([PYTHON, 'setup.py', '--quiet', 'build_ext', '--inplace'], 'cannot compile trainid_ros')
 
 
 def existing_shared() -> list[str]:
@@ -254,10 +269,12 @@ def refresh() -> bool:
     packages = fingerprint([*sorted(REQUIREMENTS.glob('*.lock')), TEMPLATES, Path(__file__)])
     messages = fingerprint([MESSAGES], packages)
     project = fingerprint([ROOT / name for name in PACKAGE_INPUTS], packages, *existing_shared())
+    compiled = fingerprint([*compiled_sources(), ROOT / 'setup.py'], packages)
     steps = (
         ('packages', packages, install_packages, 'ROS 2 Jazzy and Python packages (about a minute)'),
         ('messages', messages, build_messages, 'interface package trainid_msgs (about half a minute)'),
         ('project', project, install_project, 'trainid_ros and lab/, from the source tree'),
+        ('compiled', compiled, compile_modules, 'compiled modules of trainid_ros (about half a minute)'),
     )
     worked = False
     for name, stamp, action, text in steps:

@@ -1,0 +1,66 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Compiled modules: plain Python modules that mypyc also translates to C, with the same numbers to the bit.
+
+The sources run where nothing was compiled, where librt, the run-time library of mypyc, is missing, and where
+``TRAINID_COMPILED=0`` is set: for debugging, coverage, and to compare both. In a source tree that was changed since the
+build they run too, with a warning.
+"""
+
+from __future__ import annotations
+
+import os
+import sys
+import warnings
+from functools import cache
+from importlib.machinery import EXTENSION_SUFFIXES, SOURCE_SUFFIXES, FileFinder, ModuleSpec, SourceFileLoader
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from types import ModuleType
+
+PACKAGE: Final = 'trainid_ros'
+SWITCH: Final = 'TRAINID_COMPILED'
+MODULES: Final = (
+    'stream/intervals',
+)
+"""The modules to compile, as paths below the package without suffix."""
+
+
+@cache
+def uses_sources() -> bool:
+    """Return whether the sources of the compiled modules run."""
+    folder = Path(__file__).parent
+    library = folder / f'modules__mypyc{EXTENSION_SUFFIXES[0]}'
+    if os.environ.get(SWITCH) == '0' or not library.exists() or find_spec('librt') is None:
+        return True
+    if not (folder.parent / 'setup.py').exists():
+        return False
+    built = library.stat().st_mtime
+    changed = [name for name in MODULES if (folder / f'{name}.py').stat().st_mtime > built]
+    if changed:
+        warnings.warn(f'{changed[0]}.py is newer than its compiled form: run make setup', RuntimeWarning, stacklevel=2)
+    return bool(changed)
+
+
+class _SourceFinder:
+    """Finds the modules of this package by their sources, although compiled ones lie beside them."""
+
+    @staticmethod
+    def find_spec(name: str, path: Sequence[str] | None, target: ModuleType | None = None) -> ModuleSpec | None:
+        """Return the spec of a module of this package, None for others."""
+        if path is None or not name.startswith(f'{PACKAGE}.'):
+            return None
+        for folder in path:
+            spec = FileFinder(folder, (SourceFileLoader, SOURCE_SUFFIXES)).find_spec(name, target)
+            if spec is not None:
+                return spec
+        return None
+
+
+def choose_modules() -> None:
+    """Let imports of this package find sources only, if compiled modules must not be used."""
+    if uses_sources():
+        sys.meta_path.insert(0, _SourceFinder)
