@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 .DEFAULT_GOAL := help
 .NOTPARALLEL:
-.PHONY: help setup demo test test-fast test-unit test-ros lint typecheck colcon-smoke golden docs bench bench-peers lock clean
+.PHONY: help setup demo test test-fast test-unit test-ros lint typecheck colcon-smoke wheel golden docs bench bench-peers lock clean
 
 PYTHON_IN := .venv/bin/python
 PYTEST := tools/with_test_env $(PYTHON_IN) -m pytest
@@ -15,7 +15,7 @@ setup: ## make or refresh .venv: ROS 2 Jazzy, messages, trainid_ros, lab/ (PYTHO
 demo: setup ## play a bag through the three live nodes and write a report
 	.venv/bin/trainid demo
 
-test: lint typecheck colcon-smoke test-unit test-ros ## everything that must pass before a change lands
+test: lint typecheck colcon-smoke wheel test-unit test-ros ## everything that must pass before a change lands
 
 test-fast: setup ## inner loop: the unit tests alone
 	$(PYTEST) -m 'not ros and not slow' -n 2 -q
@@ -34,6 +34,9 @@ typecheck: setup ## static types, strict
 
 colcon-smoke: setup ## build the workspace with colcon, start an installed node, stop it
 	tools/with_test_env $(PYTHON_IN) tools/colcon_smoke.py
+
+wheel: setup ## build wheels with compiled modules in out/wheels and try each in a clean environment
+	$(PYTHON_IN) tools/wheel_smoke.py --out out/wheels
 
 golden: setup ## regenerate expected outputs and config/params.yaml; review the difference before committing it
 	tools/with_test_env $(PYTHON_IN) test/golden/make_golden.py

@@ -1,0 +1,190 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Build wheels with compiled modules, one per interpreter, and replay a bag with each in a clean environment.
+
+The interpreters are those of Python 3.11 and 3.12 that this machine has; 3.11 or 3.12 of the project's environment is
+always among them. Each wheel gets the oldest manylinux tag that auditwheel finds it to satisfy. The replay must give
+the same numbers as the sources in this repository do.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Final
+
+ROOT: Final = Path(__file__).resolve().parent.parent
+VENV: Final = ROOT / '.venv'
+REQUIREMENTS: Final = ROOT / 'tools' / 'requirements'
+VERSIONS: Final = ('3.11', '3.12')
+BAG: Final = ROOT / 'bags' / 'tiny'
+REPLAY: Final = ('replay', str(BAG), '--train', str(BAG / 'train.yaml'), '--json')
+# Prints the files of all modules that a wheel must have compiled.
+PROBE: Final = """
+from importlib import import_module
+from trainid_ros.compiled import MODULES
+print(*(import_module("trainid_ros." + name.replace("/", ".")).__file__ for name in MODULES))
+"""
+
+
+class SmokeError(Exception):
+    """A check failed; the message says which."""
+
+
+def main() -> int:
+    """Build, try, report.
+
+    Returns:
+        Exit code.
+
+    """
+    parser = argparse.ArgumentParser(description=__doc__.partition('\n')[0] if __doc__ else None)
+    parser.add_argument('--out', type=Path, help='keep the wheels in this folder')
+    out = parser.parse_args().out
+    with tempfile.TemporaryDirectory(prefix='trainid_wheel_') as folder:
+        scratch = Path(folder)
+        try:
+            expected = replayed(VENV / 'bin' / 'trainid', TRAINID_COMPILED='0')
+            for python in interpreters():
+                began = time.monotonic()
+                wheel = build(python, scratch)
+                try_out(python, wheel, scratch, expected)
+                print(f'wheel smoke: {wheel.name} replays as its sources do ({time.monotonic() - began:.0f} s)')
+                if out:
+                    out.mkdir(parents=True, exist_ok=True)
+                    shutil.copy(wheel, out)
+        except SmokeError as error:
+            print(f'wheel smoke: {error}', file=sys.stderr)
+            return 1
+    return 0
+
+
+def interpreters() -> list[Path]:
+    """Return the interpreters to build for, that of the project's environment first."""
+    own = VENV / 'bin' / 'python'
+    found = {version_of(own): own}
+    for version in VERSIONS:
+        on_path = shutil.which(f'python{version}')
+        candidates = [Path(on_path)] if on_path else []
+        for program in (*candidates, *Path.home().glob(f'.pyenv/versions/{version}.*/bin/python')):
+            if version not in found and version_of(program) == version:
+                found[version] = program
+    missing = [version for version in VERSIONS if version not in found]
+    if missing:
+        print(f'wheel smoke: no Python {" and ".join(missing)} on this machine: left out')
+    return list(found.values())
+
+
+def version_of(python: Path) -> str:
+    """Return the version of an interpreter, such as 3.11; empty if it does not run or cannot make environments."""
+    program = 'import ensurepip, sys, venv; print("%d.%d" % sys.version_info[:2])'
+    done = subprocess.run([python, '-c', program], capture_output=True, text=True, check=False)
+    return done.stdout.strip() if not done.returncode else ''
+
+
+def build(python: Path, scratch: Path) -> Path:
+    """Build a wheel.
+
+    Args:
+        python: Interpreter to build for.
+        scratch: Empty or earlier used folder for everything that is made.
+
+    Returns:
+        The wheel, with a manylinux tag.
+
+    Raises:
+        SmokeError: It cannot be built, or contains no compiled modules.
+
+    """
+    name = version_of(python)
+    source, raw, tagged = (scratch / f'{part}{name}' for part in ('source', 'raw', 'tagged'))
+    files = run(['git', '-C', ROOT, 'ls-files', '-z', '--cached', '--others', '--exclude-standard']).split('\0')
+    for file in filter(None, files):
+        if (ROOT / file).exists() and not file.startswith(('test/', 'benchmarks/', 'docs/')):
+            (source / file).parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy(ROOT / file, source / file, follow_symlinks=False)
+    if python != VENV / 'bin' / 'python':
+        python = environment(python, scratch / f'build{name}', 'bootstrap', 'runtime', 'dev')
+    run([python, '-m', 'pip', 'wheel', '--quiet', '--no-deps', '--no-build-isolation', '--wheel-dir', raw, source])
+    (wheel,) = raw.glob('*.whl')
+    tools = f'{python.parent}{os.pathsep}{os.environ.get("PATH", os.defpath)}'
+    run([python, '-m', 'auditwheel', 'repair', '--wheel-dir', tagged, wheel], PATH=tools)
+    (wheel,) = tagged.glob('*.whl')
+    return wheel
+
+
+def try_out(python: Path, wheel: Path, scratch: Path, expected: dict[str, object]) -> None:
+    """Install a wheel into a clean environment and replay a bag there.
+
+    Args:
+        python: Interpreter of the wheel.
+        wheel: The wheel.
+        scratch: Folder for the environment.
+        expected: What the replay must give.
+
+    Raises:
+        SmokeError: It does not work, does not use its compiled modules, or gives something else.
+
+    """
+    clean = environment(python, scratch / f'clean{version_of(python)}', 'runtime')
+    run([clean, '-m', 'pip', 'install', '--quiet', '--no-deps', wheel])
+    home = clean.parent.parent
+    for place in run([clean, '-c', PROBE], cwd=scratch).split():
+        if not (place.endswith('.so') and place.startswith(str(home))):
+            msg = f'{wheel.name}: uses {place}'
+            raise SmokeError(msg)
+    found = replayed(next(home.rglob('bin/trainid')))
+    if found != expected:
+        msg = f'{wheel.name}: trainid {" ".join(REPLAY)} gives\n{found}\nnot\n{expected}'
+        raise SmokeError(msg)
+
+
+def replayed(program: Path, **variables: str) -> dict[str, object]:
+    """Return what a replay prints, without the time it took."""
+    result: dict[str, object] = json.loads(run([program, *REPLAY], Path(tempfile.gettempdir()), **variables))
+    del result['wall_s']
+    return result
+
+
+def environment(python: Path, folder: Path, *locks: str) -> Path:
+    """Make a virtual environment with locked packages; return its interpreter."""
+    run([python, '-m', 'venv', folder])
+    inside = folder / 'bin' / 'python'
+    requirements = [word for lock in locks for word in ('--requirement', REQUIREMENTS / f'{lock}.lock')]
+    run([inside, '-m', 'pip', 'install', '--quiet', '--no-deps', '--require-hashes', *requirements])
+    return inside
+
+
+def run(command: list[str | Path], cwd: Path = ROOT, **variables: str) -> str:
+    """Run a command; return what it prints.
+
+    Args:
+        command: Program and arguments.
+        cwd: Folder to run in.
+        variables: Environment variables to set; those of the project's own environment are removed.
+
+    Raises:
+        SmokeError: If it fails; carries its output.
+
+    """
+    hidden = {'PYTHONPATH', 'PYTHONHOME', 'LD_LIBRARY_PATH', '_ROS_WHEELS_BOOTSTRAP_COMPLETE', 'TRAINID_COMPILED'}
+    env = {name: value for name, value in os.environ.items() if name not in hidden}
+    words = [str(word) for word in command]
+    pip = {'PIP_DISABLE_PIP_VERSION_CHECK': '1', 'PIP_NO_INPUT': '1'}
+    done = subprocess.run(
+        words, cwd=cwd, env=env | pip | variables, capture_output=True, text=True, check=False, stdin=subprocess.DEVNULL
+    )
+    if done.returncode:
+        msg = f'{" ".join(words)}: exit code {done.returncode}\n{done.stdout}{done.stderr}'
+        raise SmokeError(msg)
+    return done.stdout
+
+
+if __name__ == '__main__':
+    sys.exit(main())
