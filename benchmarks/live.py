@@ -40,7 +40,6 @@ if TYPE_CHECKING:
     from trainid_ros.records import Record
 
 _SEED: Final = 1
-_OUTPUTS: Final = {topic.message: topic.name for topic in OUTPUT_TOPICS}
 # A part of the day with traction, coasting, braking and standstill.
 _START_S: Final = 40.0
 _WARM_UP_TICKS: Final = 25
@@ -130,10 +129,11 @@ class _Meter:
             for topic in INPUT_TOPICS
         }
         self.sent_ns: dict[int, int] = {}
-        self.received_ns: dict[str, dict[int, int]] = {topic: {} for topic in _OUTPUTS.values()}
-        for kind, topic in _OUTPUTS.items():
+        self.received_ns: dict[str, dict[int, int]] = {topic.name: {} for topic in OUTPUT_TOPICS}
+        for topic in OUTPUT_TOPICS:
+            receiver = self._receiver(self.received_ns[topic.name])
             self._node.create_subscription(
-                getattr(trainid_msgs, kind), topic, self._receiver(self.received_ns[topic]), qos.estimate_qos()
+                getattr(trainid_msgs, topic.message), topic.name, receiver, qos.estimate_qos()
             )
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
@@ -175,7 +175,7 @@ class _Meter:
 
     def _sees_all(self) -> bool:
         subscribed = all(self._node.count_subscribers(topic.name) == len(_NODES) for topic in INPUT_TOPICS)
-        return subscribed and all(self._node.count_publishers(topic) for topic in _OUTPUTS.values())
+        return subscribed and all(self._node.count_publishers(topic.name) for topic in OUTPUT_TOPICS)
 
     def publish(self, records: Sequence[Record]) -> None:
         """Publish records in real time; store the time at which each sample is complete."""

@@ -7,15 +7,14 @@ from typing import Any, Final
 
 import yaml
 
-from trainid_ros.messages import OUTPUT_TOPICS
+from trainid_ros.messages import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, SPEED_MODEL_TOPIC, OutputTopic
 from trainid_ros.records import INPUT_TOPICS
 
-_OUTPUTS: Final = {topic.message: topic.name for topic in OUTPUT_TOPICS}
-# Nodes and the message of their estimate, in starting order.
+# Nodes and the topic of their estimate, in starting order.
 NODES: Final = {
-    'resistance_estimator': 'ResistanceEstimate',
-    'speed_model_estimator': 'SpeedModelEstimate',
-    'brake_rate_estimator': 'BrakeRateEstimate',
+    'resistance_estimator': RESISTANCE_TOPIC,
+    'speed_model_estimator': SPEED_MODEL_TOPIC,
+    'brake_rate_estimator': BRAKE_RATE_TOPIC,
 }
 # More than the messages in any demo bag: a node that falls behind catches up at the end and loses none.
 _DEPTH: Final = 40000
@@ -24,10 +23,10 @@ _LOSSLESS: Final = {'history': 'keep_last', 'depth': _DEPTH, 'reliability': 'rel
 
 def parameter_file() -> str:
     """Return a ROS parameter file with the QoS overrides of the three nodes."""
-    return yaml.safe_dump({node: {'ros__parameters': _overrides(message)} for node, message in NODES.items()})
+    return yaml.safe_dump({node: {'ros__parameters': _overrides(topic)} for node, topic in NODES.items()})
 
 
-def _overrides(message: str) -> dict[str, Any]:
+def _overrides(output: OutputTopic) -> dict[str, Any]:
     topics: dict[str, Any] = {f'/{topic.name}': {'subscription': dict(_LOSSLESS)} for topic in INPUT_TOPICS}
-    topics[f'/{_OUTPUTS[message]}'] = {'publisher': dict(_LOSSLESS)}
+    topics[f'/{output.name}'] = {'publisher': dict(_LOSSLESS)}
     return {'qos_overrides': topics}

@@ -17,11 +17,8 @@ from trainid_ros.estimators.pipeline import Output
 from trainid_ros.messages import OUTPUT_TOPICS
 from trainid_ros.records import NS_PER_S
 from trainid_ros.results import (
-    BrakeRateEstimate,
     Estimate,
     Reason,
-    ResistanceEstimate,
-    SpeedModelEstimate,
     Status,
 )
 
@@ -32,9 +29,7 @@ if TYPE_CHECKING:
 
 # Deep enough that no message is lost while the screen is drawn.
 _DEPTH: Final = 40000
-_OUTPUTS: Final = {topic.message: topic.name for topic in OUTPUT_TOPICS}
 _REJECTED: Final = 'rejected.'
-_KINDS: Final[tuple[type[Estimate], ...]] = (ResistanceEstimate, SpeedModelEstimate, BrakeRateEstimate)
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,16 +49,16 @@ class Listener:
         self._node: Any = None
         self._estimates: dict[type[Estimate], Any] = {}
         self._diagnostics: Any = None
-        self._names = {kind: tuple(item.name for item in fields(kind)) for kind in _KINDS}
+        self._names = {topic.estimate: tuple(item.name for item in fields(topic.estimate)) for topic in OUTPUT_TOPICS}
 
     def __enter__(self) -> Self:
         """Subscribe."""
         rclpy.init(context=self._context, args=[], signal_handler_options=SignalHandlerOptions.NO)
         self._node = rclpy.create_node('ato_controller', context=self._context)
         qos = QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.RELIABLE)
-        for kind in _KINDS:
-            message, topic = getattr(trainid_msgs, kind.__name__), _OUTPUTS[kind.__name__]
-            self._estimates[kind] = self._node.create_subscription(message, topic, _ignore, qos)
+        for topic in OUTPUT_TOPICS:
+            message = getattr(trainid_msgs, topic.message)
+            self._estimates[topic.estimate] = self._node.create_subscription(message, topic.name, _ignore, qos)
         self._diagnostics = self._node.create_subscription(DiagnosticArray, '/diagnostics', _ignore, qos)
         return self
 
@@ -77,7 +72,7 @@ class Listener:
 
     def has_all_publishers(self) -> bool:
         """Return True once every estimate has a publisher."""
-        return all(self._node.count_publishers(topic) for topic in _OUTPUTS.values())
+        return all(self._node.count_publishers(topic.name) for topic in OUTPUT_TOPICS)
 
     def take(self) -> list[Received]:
         """Return the estimates that arrived since the last call, by topic; keep the newest diagnostics."""

@@ -14,8 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from diagnostic_msgs.msg import DiagnosticArray
-from rclpy.clock import Clock, JumpThreshold
-from rclpy.clock_type import ClockType
+from rclpy.clock import JumpThreshold
 from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 
@@ -111,7 +110,6 @@ class EstimatorNode(ManagedNode):
         super().__init__(spec.job.node_name, **options)
         self.spec = spec
         self.job = spec.job
-        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         expected = qos_overrides(self.job, self.resolve_topic_name)
         self.parameters = NodeParameters(self, self._parameter_specs(), expected=expected)
         self.parameters.check_sections(arguments, self.job.node_name)
@@ -175,30 +173,6 @@ class EstimatorNode(ManagedNode):
         self.get_logger().info(f'active: {self.algorithm} on {self.resolve_topic_name(self.job.topic.name)}')
         return result
 
-    @guarded
-    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Pause: inputs are ignored, the estimator keeps its state."""
-        self._pause()
-        return super().on_deactivate(state)
-
-    @guarded
-    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Discard the state and unsubscribe."""
-        self._release()
-        return super().on_cleanup(state)
-
-    @guarded
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Release all resources, from any state."""
-        self._release()
-        return super().on_shutdown(state)
-
-    @guarded
-    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Return to unconfigured after an error in a transition."""
-        self._release()
-        return super().on_error(state)
-
     # Resources
 
     def _preload_train_file(self) -> None:
@@ -257,7 +231,6 @@ class EstimatorNode(ManagedNode):
             self._watchdog_timer = None
 
     def _release(self) -> None:
-        """Destroy what configure created, even if it did not finish."""
         self._pause()
         if self._intake is not None:
             self._intake.close()

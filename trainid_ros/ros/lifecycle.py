@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Lifecycle node that logs every failed transition and survives invalid requests."""
+"""Lifecycle node that logs every failed transition, survives invalid requests and releases what it holds."""
 
 from __future__ import annotations
 
@@ -7,6 +7,8 @@ import functools
 import traceback
 from typing import TYPE_CHECKING, Any, TypeVar
 
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
 from rclpy.exceptions import ROSInterruptException
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
@@ -50,6 +52,8 @@ def guarded(
 class ManagedNode(LifecycleNode):
     """Lifecycle node that answers and logs invalid transition requests.
 
+    A subclass pauses its work in ``_pause`` and releases in ``_release`` what configuring it created.
+
     Attributes:
         failure: Why the last transition failed, empty if it succeeded.
 
@@ -58,6 +62,7 @@ class ManagedNode(LifecycleNode):
     def __init__(self, name: str, **options: Any) -> None:
         super().__init__(name, **options)
         self.failure = ''
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         change_state = self._service_change_state.callback
 
         def answer(request: Any, response: Any) -> Any:
@@ -83,3 +88,35 @@ class ManagedNode(LifecycleNode):
             if trigger() != TransitionCallbackReturn.SUCCESS:
                 return False
         return True
+
+    def _pause(self) -> None:
+        """Stop working until the next activation; also called when nothing runs."""
+        raise NotImplementedError
+
+    def _release(self) -> None:
+        """Destroy what configure created, even if it did not finish."""
+        raise NotImplementedError
+
+    @guarded
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Pause; activating resumes."""
+        self._pause()
+        return super().on_deactivate(state)
+
+    @guarded
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Discard the state and release all resources."""
+        self._release()
+        return super().on_cleanup(state)
+
+    @guarded
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Release all resources, from any state."""
+        self._release()
+        return super().on_shutdown(state)
+
+    @guarded
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Return to unconfigured after an error in a transition."""
+        self._release()
+        return super().on_error(state)

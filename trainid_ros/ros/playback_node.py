@@ -7,8 +7,6 @@ import time
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
-from rclpy.clock import Clock
-from rclpy.clock_type import ClockType
 from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rosgraph_msgs.msg import Clock as ClockMessage
@@ -74,7 +72,6 @@ class PlaybackNode(ManagedNode):
 
         """
         super().__init__(name, **options)
-        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         self.parameters = NodeParameters(self, specs)
         self.parameters.check_sections(arguments, name)
         self.parameters.report()
@@ -122,37 +119,13 @@ class PlaybackNode(ManagedNode):
         self._timer = self.create_timer(_POLL_NS / NS_PER_S, self._play, clock=self._steady)
         return result
 
-    @guarded
-    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Pause playback; activating resumes it."""
-        self._stop()
-        return super().on_deactivate(state)
-
-    @guarded
-    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Close the timeline and destroy the publishers."""
-        self._release()
-        return super().on_cleanup(state)
-
-    @guarded
-    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Release all resources, from any state."""
-        self._release()
-        return super().on_shutdown(state)
-
-    @guarded
-    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Return to unconfigured after an error in a transition."""
-        self._release()
-        return super().on_error(state)
-
-    def _stop(self) -> None:
+    def _pause(self) -> None:
         if self._timer is not None:
             self.destroy_timer(self._timer)
             self._timer = None
 
     def _release(self) -> None:
-        self._stop()
+        self._pause()
         for publisher in (*self._outputs.values(), self._clock_output):
             if publisher is not None:
                 self.destroy_lifecycle_publisher(publisher)
@@ -234,6 +207,6 @@ class PlaybackNode(ManagedNode):
         for output in self._outputs.values():
             output.wait_for_all_acked(Duration(seconds=_ACKNOWLEDGED_S))
         time.sleep(_LINGER_S)
-        self._stop()
+        self._pause()
         self.finished = True
         self.get_logger().info(f'played {self.played} records')
