@@ -68,7 +68,7 @@ class BrakeKalman:
         """Process one sample."""
         for change in sample.brake_changes:
             self._commands = self._commands.push(change)
-        self._noise = self._noise.add(sample.speed, sample.dt)
+        self._noise.add(sample.speed, sample.dt)
         start_ns, self._stamp_ns = self._stamp_ns, sample.stamp_ns
         if start_ns == 0:
             self._anchor(sample, 0.0)
@@ -176,9 +176,9 @@ class InformedWindows:
             self._begin()
         if self._admission.reject(sample) is not None:
             self._windows.clear()
-            self._noise = self._noise.add(sample.speed, math.nan)
+            self._noise.add(sample.speed, math.nan)
             return
-        self._noise = self._noise.add(sample.speed, sample.dt)
+        self._noise.add(sample.speed, sample.dt)
         traction = self._known.traction(sample.force_mean, sample)
         known = traction - self._known.track(sample)
         cut = self._windows.push(Tick(sample.stamp_ns, sample.dt, sample.speed, known, traction))

@@ -24,6 +24,12 @@ if TYPE_CHECKING:
 PACKAGE: Final = 'trainid_ros'
 SWITCH: Final = 'TRAINID_COMPILED'
 MODULES: Final = (
+    'estimators/speed_noise',
+    'speed_model/am_vff_rls',
+    'speed_model/method',
+    'speed_model/nuisance_parameters',
+    'speed_model/physical_parameters',
+    'speed_model/speed_model_estimator',
     'stream/intervals',
 )
 """The modules to compile, as paths below the package without suffix."""

@@ -86,6 +86,8 @@ def _build(data: Any, kind: Any, name: str) -> Any:
             msg = f'{name} has {len(data)} entries, not {1 + len(rest)}'
             raise InputError(msg)
         return tuple(_build(item, first, name) for item in data)
+    if kind is tuple:  # compiled classes do not keep the type of its items
+        return _build(data, tuple[float, ...], name)
     if not isinstance(data, (int, float)) if kind is float else type(data) is not kind:
         msg = f'{name} = {_shown(data)} is not a {kind.__name__}'
         raise InputError(msg)

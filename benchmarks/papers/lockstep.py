@@ -2,25 +2,23 @@
 """The speed-model algorithms on raw (y, u): on one line with the product's kernels, on many lines in lockstep.
 
 Lines of the experiments have no samples and no admission checks: ``drive`` calls a ``Method`` of the product as its
-estimator would, ``drive_many`` does the same for all lines at once. The arithmetic is that of the product, called with
-arrays; only decisions are implemented twice, and a test checks that both give the same numbers.
+estimator would. ``drive_many`` does the same for all lines at once with the algorithms for comparison, whose kernels
+also take arrays; only decisions are implemented twice, and a test checks that both give the same numbers.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from trainid_lab.speed_model import integral_rls, rls
-from trainid_ros.speed_model import am_vff_rls
-from trainid_ros.speed_model.auxiliary_model import anchor, correct, forget, moments, predict, widen_load
-from trainid_ros.speed_model.forgetting import MOST
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from typing import Any
 
     from trainid_ros.speed_model.method import Method
@@ -79,26 +77,46 @@ class ManyMethod(Protocol):
     def covariance(self, numbers: Array) -> Array: ...
 
 
-def drive(method: Method, y: Array, u: Array, variance: float, *, freeze: bool = True) -> Array:
-    """Run one line with the product's kernel; return (x, theta) after every sample, shape (samples, 5)."""
-    numbers = method.anchor(method.start(variance), float(y[0]), variance)
-    states, slow, rejected = [numbers[:5]], 0, 0
+def drive(method: Method, y: Array, u: Array, variance: float, *, freeze: bool = True) -> Track:
+    """Run one line with a kernel of the product, from its start; shapes as in :class:`Track` without the lines."""
+    method.start(variance)
+    method.anchor(float(y[0]), variance)
+    rows: list[tuple[float, ...]] = [(*method.numbers()[:5], float(y[0]), math.nan, math.nan, 1.0)]
+    S = [method.covariance(variance)]
+    slow = rejected = 0
     for now, force in zip(y[1:].tolist(), u[:-1].tolist(), strict=True):
-        if math.isnan(now):
-            numbers = method.coast(numbers, force, 1.0)
-        elif freeze and now < MIN_SPEED:
-            slow, rejected = slow + 1, 0
-            standing = slow >= STANDING
-            numbers = method.anchor(numbers, now, variance) if standing else method.coast(numbers, force, 1.0)
-            numbers = method.widen_load(numbers) if slow == STANDING else numbers
+        nis, factor = math.nan, 1.0
+        if math.isnan(now) or (freeze and now < MIN_SPEED):
+            before = method.numbers()
+            method.coast(force, 1.0)
+            predicted = method.speed()
+            if not math.isnan(now):
+                slow, rejected = slow + 1, 0
+                if slow >= STANDING:  # theta and its covariance stay constant
+                    method.restore(before)
+                    method.anchor(now, variance)
+                if slow == STANDING:
+                    method.widen_load(1.0)
         else:
-            learned = method.learn(numbers, now, force, 1.0, variance)
-            numbers, slow = learned.numbers, 0
+            learned, slow = method.learn(now, force, 1.0, variance), 0
+            predicted = learned.predicted
             rejected = rejected + 1 if learned.rejected else 0
+            if not learned.rejected and learned.variance > 0.0:
+                nis, factor = learned.error**2 / learned.variance, learned.forgetting
             if rejected >= READMIT:
-                numbers, rejected = method.anchor(numbers, now, variance), 0
-        states.append(numbers[:5])
-    return np.array(states)
+                method.anchor(now, variance)
+                rejected = 0
+        rows.append((*method.numbers()[:5], predicted, now - predicted, nis, factor))
+        if len(rows) % 10 == 1:
+            S.append(method.covariance(variance))
+    table = np.array(rows)
+    return Track(table[:, :5], np.array(S), table[:, 5], table[:, 6], table[:, 7], table[:, 8])
+
+
+def drive_each(make: Callable[[], Method], y: Array, u: Array, variance: float, *, freeze: bool = True) -> Track:
+    """Run all lines one by one, each with a kernel of its own."""
+    tracks = [drive(make(), y[:, k], u[:, k], variance, freeze=freeze) for k in range(y.shape[1])]
+    return Track(*(np.stack([getattr(track, item.name) for track in tracks], axis=-1) for item in fields(Track)))
 
 
 def drive_many(method: ManyMethod, y: Array, u: Array, *, freeze: bool = True) -> Track:
@@ -132,53 +150,6 @@ def drive_many(method: ManyMethod, y: Array, u: Array, *, freeze: bool = True) -
                 S.append(method.covariance(numbers))
     state, predicted, error, nis_all, factors = (np.array(column) for column in zip(*rows, strict=True))
     return Track(state, np.array(S), predicted, error, nis_all, factors)
-
-
-class ManyAuxiliary:
-    """AM-VFF-RLS and, with ``ekf_tuning``, the EKF."""
-
-    def __init__(self, theta0: Theta, P0: Symmetric, tuning: am_vff_rls.Tuning, variance: float) -> None:
-        self._start = (*moments(0.0, variance, theta0, P0), 0.0)
-        self._tuning, self._variance = tuning, variance
-
-    def start(self, lines: int) -> Array:
-        return np.tile(np.array(self._start)[:, None], lines)
-
-    def learn(self, numbers: Array, y: Array, u: Array) -> ManyLearned:
-        tuning, R = self._tuning, self._variance
-        m: Any = predict(tuple(numbers[:20]), u, 1.0, tuning.noise, tuning.drift)  # type: ignore[arg-type]
-        before = np.stack([*m, numbers[20]])
-        error, s = y - before[0], before[5] + R
-        std = np.sqrt(s)
-        rejected = ~(np.abs(error) <= np.maximum(tuning.gate_floor, tuning.gate * std))
-        share = tuning.share
-        agreed = numbers[20] + share * (np.clip(error / std, -MOST, MOST) - numbers[20])
-        chi2 = agreed * agreed * (2.0 - share) / share
-        factor = np.clip(1.0 - (chi2 - tuning.threshold) / tuning.scale, tuning.low, 1.0)
-        some = (factor < 1.0) & ~rejected
-        moved = before[:20].copy()
-        if some.any():
-            widened: Any = forget(tuple(moved[:, some]), factor[some], tuning.floor)
-            moved[:, some] = np.stack(widened)
-        after: Any = correct(tuple(moved), error, R)
-        learned = np.stack([*after, agreed])
-        return ManyLearned(np.where(rejected, before, learned), before[0], error, rejected, s, factor)
-
-    def coast(self, numbers: Array, u: Array) -> Array:
-        m: Any = predict(tuple(numbers[:20]), u, 1.0, self._tuning.noise, self._tuning.drift)  # type: ignore[arg-type]
-        return np.stack([*m, numbers[20]])
-
-    def anchor(self, numbers: Array, y: Array) -> Array:
-        R = np.full_like(y, self._variance)
-        m: Any = anchor(tuple(numbers[:20]), y, R)  # type: ignore[arg-type]
-        return np.stack([*m, numbers[20]])
-
-    def widen_load(self, numbers: Array) -> Array:
-        m: Any = widen_load(tuple(numbers[:20]), self._tuning.load)
-        return np.stack([*m, numbers[20]])
-
-    def covariance(self, numbers: Array) -> Array:
-        return numbers[10:20]
 
 
 class ManyRls:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Effect of the optional compiler on V-MILS, AM-VFF-RLS and GSMA steps, and import time."""
+"""Effect of the optional compiler on V-MILS and GSMA steps, the time of an AM-VFF-RLS step, and import time."""
 
 from __future__ import annotations
 
@@ -20,18 +20,18 @@ from benchmarks.papers.hand_filters import VARIANCE, HandRls
 from benchmarks.papers.metro_stream import SPEED_SD, metro_stream
 from benchmarks.papers.our_filters import OUTLIERS, PRIOR, P
 from benchmarks.tables import Table
-from trainid_lab.compiled_streams import SpeedModelStream, VMilsStream
+from trainid_lab.compiled_streams import VMilsStream
 from trainid_lab.resistance.multi_innovation import NOTHING, information_of, mils_step, posterior_of
 from trainid_ros.brake_rate.gsma import Gsma, GsmaConfig
 from trainid_ros.brake_rate.posterior import Start, Transition
 from trainid_ros.estimators.compiled.jit import compiler_present
-from trainid_ros.speed_model.am_vff_rls import AmVffRls, AmVffRlsConfig
+from trainid_ros.speed_model.config import AmVffRlsConfig
+from trainid_ros.speed_model.speed_model_algorithms import am_vff_rls
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from benchmarks.papers.contest import Times
-    from trainid_ros.speed_model.am_vff_rls import AuxiliaryModel
 
     Item = tuple[Any, ...]
 
@@ -74,26 +74,24 @@ class PlainMils:
         self._parts.append(newest)
 
 
-class PlainSpeedModel:
-    """AM-VFF-RLS in plain Python."""
-
-    def __init__(self) -> None:
-        estimator: Any = AmVffRls(metro_train(), AmVffRlsConfig())
-        self.method: AuxiliaryModel = estimator._method
-        self.numbers = self.method.start(SPEED_SD**2)
-
-    def step(self, y: float, u: float, scale: float, variance: float) -> None:
-        self.numbers = self.method.learn(self.numbers, y, u, scale, variance).numbers
+def _speed_step() -> tuple[Callable[..., object], list[Item]]:
+    """Return the step of AM-VFF-RLS and its y, u, scale and variance."""
+    model = am_vff_rls(metro_train(), AmVffRlsConfig()).method
+    raw = metro_stream(FIRST_SEED, 'out5').raw
+    y, u = raw.speed[raw.moving], (raw.force - raw.gradient)[raw.moving]
+    return model.learn, [(one, force, 1.0, SPEED_SD**2) for one, force in zip(y.tolist(), u.tolist(), strict=True)]
 
 
 def measure(seeds: int) -> list[Table]:
     """Return the tables of the kernels and of the targets; ``seeds`` has no effect."""
     del seeds
-    kernels = (_mils(), _speed_model())
+    kernels = (_mils(),)
+    speed_step, speed_items = _speed_step()
     reference, stream = HandRls(4.0), metro_stream(FIRST_SEED)
     calls: list[tuple[Callable[..., object], Sequence[Item]]] = [(reference.step, reference.items(stream)[:_CALLS])]
     for kernel in kernels:
         calls += [(kernel.plain, kernel.items[:_CALLS]), (kernel.call, kernel.items[:_CALLS])]
+    calls.append((speed_step, speed_items[:_CALLS]))
     for flag in (0, 1):
         calls.append(_brake_step(flag))
     first, *times = time_in_turns(calls, _BLOCK)
@@ -105,8 +103,10 @@ def measure(seeds: int) -> list[Table]:
         same = 'yes' if kernel.same() else 'NO'
         rows.append(_row(f'{kernel.name}, plain Python', times[2 * k], first, _grown(grown), '-'))
         rows.append(_row(f'{kernel.name}, compiled', times[2 * k + 1], first, _grown(faster), same, batch))
-    rows.append(_row(f'GSMA, {_PARTICLES} particles, NumPy', times[4], first, '-', '-'))
-    rows.append(_row(f'GSMA, {_PARTICLES} particles, compiled', times[5], first, '-', 'to rounding'))
+    grown = growth(speed_step, speed_items, _MEMORY_CALLS // 10, _MEMORY_CALLS)
+    rows.append(_row('AM-VFF-RLS', times[2], first, _grown(grown), '-'))
+    rows.append(_row(f'GSMA, {_PARTICLES} particles, NumPy', times[3], first, '-', '-'))
+    rows.append(_row(f'GSMA, {_PARTICLES} particles, compiled', times[4], first, '-', 'to rounding'))
     header = ('step', 'us p50', 'us p99', 'p50 / reference', 'us in a batch', 'same bits', 'B per step')
     missing = '' if compiler_present() else ' numba is not installed: "compiled" ran as plain Python.'
     note = (
@@ -128,11 +128,10 @@ def _targets(times: list[Times], rows: list[tuple[str, ...]]) -> Table:
     core, numpy = import_seconds('trainid_ros.estimators.pipeline'), import_seconds('numpy')
     checks = (
         ('V-MILS p = 10, plain Python', times[0].p50, _PLAIN_US, 'us'),
-        ('AM-VFF-RLS, plain Python', times[2].p50, _PLAIN_US, 'us'),
         ('V-MILS p = 10, compiled', times[1].p50, _COMPILED_US, 'us'),
-        ('AM-VFF-RLS, compiled', times[3].p50, _COMPILED_US, 'us'),
-        (f'GSMA, {_PARTICLES} particles, NumPy', times[4].p50 / 1e3, _NUMPY_MS, 'ms'),
-        (f'GSMA, {_PARTICLES} particles, compiled', times[5].p50 / 1e3, _LOOP_MS, 'ms'),
+        ('AM-VFF-RLS', times[2].p50, _COMPILED_US, 'us'),
+        (f'GSMA, {_PARTICLES} particles, NumPy', times[3].p50 / 1e3, _NUMPY_MS, 'ms'),
+        (f'GSMA, {_PARTICLES} particles, compiled', times[4].p50 / 1e3, _LOOP_MS, 'ms'),
         ('import of the core', core, _IMPORT_S, 's'),
     )
     lines = [
@@ -185,26 +184,6 @@ def _mils() -> Kernel:
 
     batch = VMilsStream(PRIOR, P, OUTLIERS)
     return Kernel(f'V-MILS p = {P}', items, PlainMils().step, fast.step, lambda: batch.run(table), same)
-
-
-def _speed_model() -> Kernel:
-    raw = metro_stream(FIRST_SEED, 'out5').raw
-    y, u = raw.speed[raw.moving], (raw.force - raw.gradient)[raw.moving]
-    table = np.column_stack([y, u, np.ones(y.size), np.full(y.size, SPEED_SD**2)])
-    items = [tuple(row) for row in table.tolist()]
-    tuning = PlainSpeedModel().method.tuning
-    start = PlainSpeedModel().numbers
-    fast, batch = SpeedModelStream(start, tuning), SpeedModelStream(start, tuning)
-
-    def same() -> bool:
-        one, other, third = PlainSpeedModel(), SpeedModelStream(start, tuning), SpeedModelStream(start, tuning)
-        for item in items:
-            one.step(*item)
-            other.step(*item)
-        third.run(table)
-        return bool(one.numbers == other.numbers == third.numbers)
-
-    return Kernel('AM-VFF-RLS', items, PlainSpeedModel().step, fast.step, lambda: batch.run(table), same)
 
 
 def _brake_step(compiled: int) -> tuple[Callable[..., object], list[Item]]:

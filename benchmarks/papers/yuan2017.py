@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -19,13 +19,14 @@ from benchmarks.papers.line_scores import (
     rms,
     score,
 )
-from benchmarks.papers.lockstep import ManyAuxiliary, ManyIntegral, Track
+from benchmarks.papers.lockstep import ManyIntegral, Track
 from benchmarks.papers.station_lines import LONG_CRUISE, NOISES, ONE_RUN, Lines, Noise, measured, station_lines
 from benchmarks.papers.yuan_claims import claims_table
 from benchmarks.papers.yuan_methods import (
     P0,
     PRINTED,
     THETA0,
+    Auxiliary,
     Named,
     all_methods,
     am_tuning,
@@ -201,13 +202,13 @@ def _bound_table(seeds: Sequence[int]) -> tuple[Table, list[Target]]:
     run = identify(lines, y, _WHITE.std)
     wide = scaled(P0, 1e4)
     nothing = ekf_tuning(0.0, 0.0, 0.0, 1e3)
-    still = am_tuning(wide, drift=0.0, load=0.0)._replace(gate=1e3)
+    still = replace(am_tuning(drift=0.0, load=0.0), gate=1e3)
     ratios = {
         'least squares on one step, (5)': over_bound(run, run.one_step),
         'least squares on 25 samples': over_bound(run, run.integral),
         'maximum likelihood': over_bound(run, run.fitted),
-        'EKF, no drift': over_bound(run, _at_end(lines, y, ManyAuxiliary(THETA0, wide, nothing, variance))),
-        'AM-VFF-RLS, no drift': over_bound(run, _at_end(lines, y, ManyAuxiliary(THETA0, wide, still, variance))),
+        'EKF, no drift': over_bound(run, _at_end(lines, y, Auxiliary('', nothing, variance, wide))),
+        'AM-VFF-RLS, no drift': over_bound(run, _at_end(lines, y, Auxiliary('', still, variance, wide))),
         'integral-RLS, fleet prior': over_bound(run, _at_end(lines, y, _integral_still(variance))),
     }
     rows = tuple((name, *(f'{v:.2f}' for v in values)) for name, values in ratios.items())
@@ -229,13 +230,14 @@ def _bound_table(seeds: Sequence[int]) -> tuple[Table, list[Target]]:
     ]
 
 
-def _integral_still(variance: float) -> ManyIntegral:
-    return ManyIntegral(THETA0, P0, integral_rls.Tuning(25, 1, 0.3, 4.0, 0.0, 0.0, 0.0), variance)
+def _integral_still(variance: float) -> Named:
+    tuning = integral_rls.Tuning(25, 1, 0.3, 4.0, 0.0, 0.0, 0.0)
+    return Named('', ManyIntegral(THETA0, P0, tuning, variance), freeze=True)
 
 
-def _at_end(lines: Lines, y: Array, method: ManyAuxiliary | ManyIntegral) -> Array:
+def _at_end(lines: Lines, y: Array, method: Named | Auxiliary) -> Array:
     """Return theta at the last sample above the least speed, shape (lines, 4)."""
-    track = Named('', method, freeze=True).drive(lines, y)
+    track = method.drive(lines, y)
     ends = [int(np.nonzero(column >= 0.5)[0][-1]) for column in y.T]
     return np.stack([track.state[end, 1:, k] for k, end in enumerate(ends)])
 

@@ -8,15 +8,14 @@ from typing import Final
 
 import numpy as np
 
-from benchmarks.papers.lockstep import ManyAuxiliary, ManyIntegral, ManyMethod, ManyRls, Track, drive_many
+from benchmarks.papers.lockstep import ManyIntegral, ManyMethod, ManyRls, Track, drive_each, drive_many
 from benchmarks.papers.station_lines import Lines, Noise
 from trainid_lab.speed_model import integral_rls, rls
 from trainid_lab.speed_model.physical_parameters import upper
 from trainid_lab.speed_model.speed_model_ekf import ekf_tuning
-from trainid_ros.speed_model import am_vff_rls
-from trainid_ros.speed_model.am_vff_rls import AmVffRlsConfig
-from trainid_ros.speed_model.auxiliary_model import prior_floor
-from trainid_ros.speed_model.physical_parameters import SpeedModelConfig, Symmetric, Theta, prior
+from trainid_ros.speed_model.am_vff_rls import AuxiliaryModel, Tuning
+from trainid_ros.speed_model.config import AmVffRlsConfig, SpeedModelConfig
+from trainid_ros.speed_model.physical_parameters import Symmetric, Theta, prior
 from trainid_ros.train.davis import G
 
 # Fleet prior: Davis parameters, their standard deviations, and a load of +-12 %.
@@ -57,10 +56,24 @@ class Named:
         return drive_many(self.method, y, lines.u, freeze=self.freeze)
 
 
-def am_tuning(P: Symmetric, drift: float = _DRIFT_AM, load: float = LOAD) -> am_vff_rls.Tuning:
+@dataclass(frozen=True, slots=True)
+class Auxiliary:
+    """AM-VFF-RLS and, with ``ekf_tuning``, the EKF."""
+
+    name: str
+    tuning: Tuning
+    variance: float
+    P0: Symmetric
+
+    def drive(self, lines: Lines, y: np.ndarray) -> Track:
+        """Drive all lines."""
+        return drive_each(lambda: AuxiliaryModel(THETA0, self.P0, self.tuning), y, lines.u, self.variance)
+
+
+def am_tuning(drift: float = _DRIFT_AM, load: float = LOAD) -> Tuning:
     """Return the tuning of AM-VFF-RLS: the settings of the product except noise, drift and load of these lines."""
     config = AmVffRlsConfig()
-    return am_vff_rls.Tuning(
+    return Tuning(
         noise=0.0,
         drift=drift,
         load=load,
@@ -70,18 +83,17 @@ def am_tuning(P: Symmetric, drift: float = _DRIFT_AM, load: float = LOAD) -> am_
         low=config.min_forgetting,
         gate=config.gate,
         gate_floor=config.gate_floor,
-        floor=prior_floor(P),
     )
 
 
-def am_vff(variance: float) -> Named:
+def am_vff(variance: float) -> Auxiliary:
     """Return the product's AM-VFF-RLS."""
-    return Named('AM-VFF-RLS', ManyAuxiliary(THETA0, P0, am_tuning(P0), variance), freeze=True)
+    return Auxiliary('AM-VFF-RLS', am_tuning(), variance, P0)
 
 
-def ekf(variance: float) -> Named:
+def ekf(variance: float) -> Auxiliary:
     """Return the product's EKF."""
-    return Named('EKF', ManyAuxiliary(THETA0, P0, ekf_tuning(0.0, _DRIFT_EKF, LOAD, 4.0), variance), freeze=True)
+    return Auxiliary('EKF', ekf_tuning(0.0, _DRIFT_EKF, LOAD, 4.0), variance, P0)
 
 
 def integral(variance: float) -> Named:
@@ -118,7 +130,7 @@ SCALES: Final = {
 }
 
 
-def all_methods(noise: Noise) -> tuple[Named, ...]:
+def all_methods(noise: Noise) -> tuple[Named | Auxiliary, ...]:
     """Return all methods, with sigma tuned for a noise; the last are the product's."""
     variance = noise.declared**2
     vff, am, corrected = SCALES[noise.name]

@@ -1,30 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The recursions of V-MILS and AM-VFF-RLS with their memory in arrays, which is what makes a compiled call short.
+"""The recursion of V-MILS with its memory in an array, which is what makes a compiled call short.
 
-Turning tuples of floats into objects and back takes longer than the recursions themselves. Here only what is
+Turning tuples of floats into objects and back takes longer than the recursion itself. Here only what is
 measured goes in and what is asked comes out, one row at a time or a record at once. Without a compiler the same
 functions run as they are, more slowly.
 """
 
 from __future__ import annotations
 
-from functools import cache
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from trainid_lab.resistance.multi_innovation import NOTHING, information_of, mils_step, posterior_of
 from trainid_ros.estimators.compiled.jit import compiled
-from trainid_ros.speed_model.am_vff_rls import learn
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import NDArray
 
     from trainid_ros.resistance.robust import DavisPosterior
-    from trainid_ros.speed_model.am_vff_rls import Tuning
-    from trainid_ros.speed_model.method import Numbers
 
     Floats = NDArray[np.float64]
 
@@ -93,63 +87,3 @@ def mils_rows(memory: Floats, rows: Floats, weights: Floats) -> None:
     """Take in rows; write their weights."""
     for k in range(rows.shape[0]):
         weights[k] = mils_row(memory, rows[k, 0], rows[k, 1], rows[k, 2], rows[k, 3], rows[k, 4])
-
-
-class SpeedModelStream:
-    """AM-VFF-RLS, see :func:`am_vff_rls.learn`."""
-
-    def __init__(self, start: Numbers, tuning: Tuning) -> None:
-        self.__setstate__((np.array(start), tuning))
-
-    def __getstate__(self) -> tuple[Floats, Tuning]:
-        """Return what a copy needs: the numbers, not the code."""
-        return self._memory, self._tuning
-
-    def __setstate__(self, state: tuple[Floats, Tuning]) -> None:
-        """Go on from them."""
-        self._memory, self._tuning = state
-        self._row, self._rows = speed_kernels(self._tuning)
-
-    @property
-    def numbers(self) -> Numbers:
-        """Return the state, as :func:`am_vff_rls.learn` takes it."""
-        return tuple(self._memory.tolist())
-
-    def step(self, y: float, u: float, scale: float, variance: float) -> float:
-        """Take in a measurement; return its error [m/s]."""
-        return self._row(self._memory, y, u, scale, variance)
-
-    def run(self, rows: Floats) -> Floats:
-        """Take in rows of y, u, scale and variance, shape (n, 4); return their errors [m/s], shape (n,)."""
-        errors = np.empty(len(rows))
-        self._rows(self._memory, np.ascontiguousarray(rows, dtype=np.float64), errors)
-        return errors
-
-
-@cache
-def speed_kernels(
-    tuning: Tuning,
-) -> tuple[Callable[[Floats, float, float, float, float], float], Callable[[Floats, Floats, Floats], None]]:
-    """Return what takes one measurement, and rows of them, into the 21 numbers of a state.
-
-    The tuning is part of the code: handing it over with each call would take longer than the step.
-    """
-
-    def row(memory: Floats, y: float, u: float, scale: float, variance: float) -> float:
-        m = memory
-        learned = learn(
-            (m[0], m[1], m[2], m[3], m[4], m[5], m[6], m[7], m[8], m[9], m[10],
-             m[11], m[12], m[13], m[14], m[15], m[16], m[17], m[18], m[19], m[20]),
-            y, u, scale, variance, tuning,
-        )  # fmt: skip
-        for i in range(21):
-            m[i] = learned.numbers[i]
-        return learned.error
-
-    fast_row = compiled(row)
-
-    def rows(memory: Floats, given: Floats, errors: Floats) -> None:
-        for k in range(given.shape[0]):
-            errors[k] = fast_row(memory, given[k, 0], given[k, 1], given[k, 2], given[k, 3])
-
-    return fast_row, compiled(rows)

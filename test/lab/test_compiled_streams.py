@@ -1,26 +1,21 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Recursions with their memory in arrays, compiled or not: to the bit those of V-MILS and AM-VFF-RLS."""
+"""A recursion with its memory in an array, compiled or not: to the bit that of V-MILS."""
 
 from __future__ import annotations
 
-import math
 import pickle
 import tracemalloc
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
 
-from benchmarks.papers.brake_runs import metro_train
-from trainid_lab.compiled_streams import SpeedModelStream, VMilsStream
+from trainid_lab.compiled_streams import VMilsStream
 from trainid_lab.resistance.multi_innovation import NOTHING, information_of, mils_step, posterior_of
 from trainid_ros.estimators.compiled.jit import compiler_present
-from trainid_ros.speed_model.am_vff_rls import AmVffRls, AmVffRlsConfig
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
-
-    from trainid_ros.speed_model.am_vff_rls import AuxiliaryModel
 
 PRIOR = (1.0, 0.0, 0.001, 1.0, 0.0, 0.0, 0.01, 0.0, 1e-5)
 P, OUTLIERS = 10, 0.05
@@ -35,40 +30,12 @@ def resistance_rows(seed: int, n: int = 1500) -> NDArray[np.float64]:
     return np.column_stack([v, v * v, y, rng.uniform(0.9, 1.3, n), np.full(n, 1.5)])
 
 
-def speed_rows(seed: int, n: int = 1500) -> NDArray[np.float64]:
-    """Return y, u, scale, variance of a train whose resistance doubles in the middle, so that it must forget."""
-    rng = np.random.default_rng(seed)
-    v, rows = 10.0, []
-    for k in range(n):
-        u = 20.0 * math.cos(k / 60.0)
-        factor = 1.0 if k < n // 2 else 3.0
-        v = max(v + 0.2 * (u - factor * (1.5 + 0.03 * v + 0.004 * v * v)) / 110.0, 1.0)
-        rows.append((v + 0.02 * rng.standard_normal(), u, 1.0, 4e-4))
-    return np.array(rows)
-
-
-def model() -> AuxiliaryModel:
-    estimator: Any = AmVffRls(metro_train(), AmVffRlsConfig())
-    method: AuxiliaryModel = estimator._method
-    return method
-
-
 def v_mils(rows: NDArray[np.float64]) -> tuple[tuple[float, ...], list[float]]:
     state, parts, weights = (*information_of(PRIOR), *NOTHING), [NOTHING] * P, []
     for k, (v, s, y, R, slow) in enumerate(rows.tolist()):
         state, parts[k % P], weight, _ = mils_step(state, parts[k % P], v, s, y, R, slow, OUTLIERS, P)
         weights.append(weight)
     return posterior_of(state[:9]), weights
-
-
-def am_vff_rls(rows: NDArray[np.float64]) -> tuple[tuple[float, ...], list[float], float]:
-    method, errors, least = model(), [], 1.0
-    numbers = method.start(4e-4)
-    for y, u, scale, variance in rows.tolist():
-        learned = method.learn(numbers, y, u, scale, variance)
-        numbers, least = learned.numbers, min(least, learned.forgetting)
-        errors.append(learned.error)
-    return numbers, errors, least
 
 
 @pytest.mark.slow
@@ -84,19 +51,6 @@ def test_v_mils_row_by_row_and_at_once() -> None:
     assert max(weights) > 0.9
 
 
-@pytest.mark.slow
-def test_am_vff_rls_row_by_row_and_at_once() -> None:
-    rows = speed_rows(62)
-    numbers, errors, least = am_vff_rls(rows)
-    start, tuning = model().start(4e-4), model().tuning
-    single, batch = SpeedModelStream(start, tuning), SpeedModelStream(start, tuning)
-    assert [single.step(*row) for row in rows.tolist()] == errors
-    assert single.numbers == numbers
-    assert batch.run(rows).tolist() == errors
-    assert batch.numbers == numbers
-    assert least < 1.0, 'nothing was forgotten, so that part was not compared'
-
-
 def test_without_a_compiler_the_numbers_are_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr('trainid_lab.compiled_streams.compiled', lambda kernel: kernel)
     rows = resistance_rows(63, 200)
@@ -107,16 +61,11 @@ def test_without_a_compiler_the_numbers_are_the_same(monkeypatch: pytest.MonkeyP
 
 @pytest.mark.slow
 def test_copies_go_on_to_the_bit_and_are_small() -> None:
-    rows, motion = resistance_rows(65), speed_rows(66)
-    resistance = VMilsStream(PRIOR, P, OUTLIERS)
-    speed = SpeedModelStream(model().start(4e-4), model().tuning)
+    rows, resistance = resistance_rows(65), VMilsStream(PRIOR, P, OUTLIERS)
     resistance.run(rows[:700])
-    speed.run(motion[:700])
-    text = pickle.dumps(resistance), pickle.dumps(speed)
-    assert max(map(len, text)) < 1600
-    copies = pickle.loads(text[0]), pickle.loads(text[1])
-    assert np.array_equal(copies[0].run(rows[700:]), resistance.run(rows[700:]))
-    assert np.array_equal(copies[1].run(motion[700:]), speed.run(motion[700:]))
+    text = pickle.dumps(resistance)
+    assert len(text) < 1600
+    assert np.array_equal(pickle.loads(text).run(rows[700:]), resistance.run(rows[700:]))
 
 
 @pytest.mark.slow

@@ -817,7 +817,7 @@ def test_a_saved_part_of_the_wrong_type_is_rejected_by_name(learned: str, key: s
         (('bank', 'branchings'), -1, 'bank'),
         (('tachometer', 'learned'), -1.0, 'tachometer'),
         (('tachometer', 'last'), math.inf, 'tachometer.last'),
-        (('tachometer', 'rounding', 'quantum'), -1.0, 'tachometer'),
+        (('tachometer', 'quantum'), -1.0, 'tachometer'),
         (('inflation', 'ratio'), -1.0, 'inflation'),
         (('inflation', 'length'), -1.0, 'inflation'),
         (('inflation', 'total'), math.nan, 'inflation.total'),

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from trainid_ros.resistance.fitness import DrivenSpeeds, drift_rates, is_fit, is_fit_where_driven
+from trainid_ros.resistance.fitness import DrivenSpeeds, drift_rates, is_fit, is_fit_where_driven, representative_speeds
 
 
 @pytest.mark.parametrize(
@@ -18,13 +18,14 @@ from trainid_ros.resistance.fitness import DrivenSpeeds, drift_rates, is_fit, is
 def test_the_limit_is_half_as_large_again_for_an_estimate_that_was_fit(
     std: float, was_fit: bool, expected: bool
 ) -> None:
-    assert is_fit(lambda _: std * std, (3.0, 20.0), 0.1, was_fit=was_fit) is expected
+    assert is_fit((std * std,) * 3, 0.1, was_fit=was_fit) is expected
 
 
 def test_both_ends_and_the_middle_of_the_speeds_have_equal_weight() -> None:
-    variances = {2.0: 0.01, 6.0: 0.02, 10.0: 0.03}
-    assert is_fit(variances.__getitem__, (2.0, 10.0), 0.02**0.5 + 1e-9, was_fit=False)
-    assert not is_fit(variances.__getitem__, (2.0, 10.0), 0.02**0.5 - 1e-9, was_fit=False)
+    assert representative_speeds(2.0, 10.0) == (2.0, 6.0, 10.0)
+    variances = (0.01, 0.02, 0.03)
+    assert is_fit(variances, 0.02**0.5 + 1e-9, was_fit=False)
+    assert not is_fit(variances, 0.02**0.5 - 1e-9, was_fit=False)
 
 
 def test_after_an_hour_the_drift_is_its_share_of_the_prior() -> None:

@@ -8,8 +8,8 @@ import math
 import numpy as np
 import pytest
 
+from trainid_ros.speed_model.config import SpeedModelConfig
 from trainid_ros.speed_model.physical_parameters import (
-    SpeedModelConfig,
     full,
     prior,
     resistance_variance,

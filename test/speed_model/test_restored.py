@@ -62,10 +62,13 @@ def rejected(estimator: SpeedModelEstimator, path: tuple[Any, ...], wrong: objec
 @pytest.mark.parametrize(
     ('path', 'wrong'),
     [
-        *(((name,), math.nan) for name in ('forgetting', 'predicted', 'error', 'variance', 'usual', 'spread', 'used')),
+        *(
+            ((name,), math.nan)
+            for name in ('forgetting', 'predicted', 'error', 'variance', 'speed_mean', 'speed_variance', 'used')
+        ),
         *(((name,), math.inf) for name in ('slowest', 'fastest', 'traction')),
         (('predicted',), -math.inf),
-        *(((name,), -1.0) for name in ('variance', 'spread', 'used')),
+        *(((name,), -1.0) for name in ('variance', 'speed_variance', 'used')),
         *(((name,), -1) for name in ('rejected_in_a_row', 'slow_in_a_row')),
         (('numbers', 0), math.nan),
         (('numbers', 3), 0.0),
@@ -74,26 +77,25 @@ def rejected(estimator: SpeedModelEstimator, path: tuple[Any, ...], wrong: objec
         *((('noise', name), math.nan) for name in ('declared_std', 'learned', 'last', 'before')),
         *((('noise', name), 0.0) for name in ('declared_std', 'learned')),
         (('noise', 'count'), -1),
-        (('noise', 'rounding', 'quantum'), -1.0),
-        (('noise', 'rounding', 'moving'), 1.5),
+        (('noise', 'quantum'), -1.0),
+        (('noise', 'changed'), 1.5),
         *(
             (('disturbance', name), math.nan)
-            for name in ('density', 'windows', 'strayed', 'elapsed', 'known', 'agreed')
+            for name in ('density', 'windows', 'deviation', 'elapsed', 'theta_variance', 'mean_error', 'a2')
         ),
         *((('disturbance', 'density'), wrong) for wrong in (-1.0, 0.0, 1e-300, 1.0)),
         *((('disturbance', 'windows'), wrong) for wrong in (-1.0, 0.0, 1e3)),
-        *((('disturbance', name), -1.0) for name in ('elapsed', 'known')),
-        (('disturbance', 'theta'), [1.0]),
-        (('disturbance', 'theta', 1), math.nan),
-        *((('late', name), math.nan) for name in ('delay', 'variance', 'gain')),
-        (('late', 'variance'), -1.0),
+        *((('disturbance', name), -1.0) for name in ('elapsed', 'theta_variance')),
+        *((('force_delay', name), math.nan) for name in ('delay', 'variance', 'sensitivity')),
+        (('force_delay', 'variance'), -1.0),
         *((('curve', name), math.nan) for name in ('error', 'x', 'a1', 'a2', 'b1', 'd0', 'variance')),
         (('curve', 'variance'), -1.0),
         *((('curve', name), 1e3) for name in ('x', 'a1', 'a2', 'b1', 'd0')),
-        *(((name, 'values', 0), math.nan) for name in ('speeds', 'tracks', 'curves')),
-        (('speeds', 'steps', 0), -0.2),
-        (('tracks', 'steps'), []),
-        (('curves', 'values'), [0.0] * 7),
+        *((('recent', place), math.nan) for place in range(4)),
+        (('recent', 4), -0.2),
+        (('recent', 5), 'fast'),
+        (('recent',), [0.2] * 23),
+        (('recent',), [0.2] * 28),
     ],
 )
 def test_an_invalid_number_is_rejected_by_name(
@@ -134,7 +136,8 @@ def test_a_window_longer_than_in_the_settings_is_rejected(train_file: TrainFile,
     estimator = make(train_file, 'integral-RLS')
     for item in curved[:125]:
         estimator.step(item)
-    assert 'numbers' in rejected(estimator, ('numbers',), [*estimator.state.numbers, *estimator.state.numbers[-5:]])
+    numbers = estimator.method.numbers()
+    assert 'numbers' in rejected(estimator, ('numbers',), [*numbers, *numbers[-5:]])
 
 
 @pytest.mark.parametrize('name', NAMES)

@@ -9,18 +9,19 @@ from dataclasses import replace
 
 import pytest
 
-from trainid_ros.speed_model.am_vff_rls import AmVffRls, AmVffRlsConfig
-from trainid_ros.speed_model.force_delay import ForceDelay
+from trainid_ros.speed_model.config import AmVffRlsConfig
 from trainid_ros.speed_model.method import Learned
-from trainid_ros.speed_model.recent_values import RecentValues
+from trainid_ros.speed_model.nuisance_parameters import ForceDelay, RecentSamples
+from trainid_ros.speed_model.speed_model_algorithms import am_vff_rls
+from trainid_ros.speed_model.speed_model_estimator import SpeedModelEstimator
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import TrainFile
 
 Make = Callable[..., Sample]
 Journey = Callable[..., list[Sample]]
 CONFIG = AmVffRlsConfig()
-# Indices of var(a2), var(b1) and var(d0) in the numbers.
-A2, B1, D0 = 14, 17, 19
+# Indices of var(a2), var(b1) and var(d0) in the covariance of theta.
+A2, B1, D0 = 4, 7, 9
 
 
 @pytest.fixture(scope='module')
@@ -28,8 +29,8 @@ def powered(journey: Journey) -> list[Sample]:
     return journey(60.0, traction=lambda t: 30.0 if t % 40.0 < 20.0 else 0.0, speed=8.0)
 
 
-def learned(train_file: TrainFile, samples: list[Sample]) -> AmVffRls:
-    estimator = AmVffRls(train_file, CONFIG)
+def learned(train_file: TrainFile, samples: list[Sample]) -> SpeedModelEstimator:
+    estimator = am_vff_rls(train_file, CONFIG)
     for item in samples:
         estimator.step(item)
     return estimator
@@ -41,45 +42,52 @@ def test_a_stop_adds_the_error_of_weighing_or_of_the_load(
 ) -> None:
     file = replace(train_file, train=replace(train_file.train, mass_std=0.08, force_std=0.0))
     estimator = learned(file, powered)
-    start = AmVffRls(file, CONFIG).state.numbers
-    prior, b1 = start[B1], start[3]
-    estimator.state = replace(estimator.state, weighed=weighed)
-    before = estimator.state.numbers[B1]
+    start = am_vff_rls(file, CONFIG).method
+    prior, b1 = start.covariance(0.0)[B1], start.theta()[2]
+    estimator.state.weighed = weighed
+    before = estimator.method.covariance(0.0)[B1]
     for k in range(3):
         estimator.step(sample(len(powered) + k, speed=0.0))
     added = (1.0 - before / prior) * (std * b1) ** 2
-    assert estimator.state.numbers[B1] - before == pytest.approx(added, rel=1e-6, abs=0.0)
+    assert estimator.method.covariance(0.0)[B1] - before == pytest.approx(added, rel=1e-6, abs=0.0)
 
 
 def test_window_errors_of_one_sign_cause_forgetting_of_the_resistance_only(
     train_file: TrainFile, powered: list[Sample]
 ) -> None:
     estimator = learned(train_file, powered)
-    numbers, disturbance = estimator.state.numbers, replace(estimator.state.disturbance, elapsed=0.0, density=2e-3)
-    share = 1.1 * math.sqrt(CONFIG.change_threshold) / math.sqrt(disturbance.chi2 / disturbance.agreed**2)
-    below, kept = estimator._detect_change(numbers, replace(disturbance, agreed=0.8 * share))
-    assert (below, kept.agreed) == (numbers, 0.8 * share)
-    after, restarted = estimator._detect_change(numbers, replace(disturbance, agreed=share))
-    assert min(after[A2] / numbers[A2], after[D0] / numbers[D0]) > 1.01
-    assert after[B1] == pytest.approx(numbers[B1], rel=1e-9)
-    assert after[:5] == numbers[:5]
+    model, disturbance = estimator._auxiliary, estimator.state.disturbance
+    assert model is not None
+    numbers, before, density = model.numbers(), model.covariance(0.0), disturbance.density
+    disturbance.density, disturbance.mean_error = 2e-3, 1.0
+    share = 1.1 * math.sqrt(CONFIG.change_threshold / disturbance.chi2)
+    disturbance.mean_error = 0.8 * share
+    estimator._detect_change(model, density)
+    assert (model.numbers(), disturbance.mean_error) == (numbers, 0.8 * share)
+    disturbance.mean_error = share
+    estimator._detect_change(model, density)
+    after = model.covariance(0.0)
+    assert min(after[A2] / before[A2], after[D0] / before[D0]) > 1.01
+    assert after[B1] == pytest.approx(before[B1], rel=1e-9)
+    assert model.numbers()[:5] == numbers[:5]
     # The effect of the change on the windows does not count as gusts.
-    assert (restarted.agreed, restarted.density) == (0.0, estimator.state.disturbance.density)
+    assert (disturbance.mean_error, disturbance.density) == (0.0, density)
 
 
 def test_x_moves_with_a_change_of_the_delay(train_file: TrainFile, powered: list[Sample]) -> None:
     """At 0.8 m/s^2 a delay longer by d lowers x by 0.8 d, minus d times the remaining sensitivity to the delay."""
     estimator = learned(train_file, powered)
-    speeds = RecentValues()
+    model, estimator._recent = estimator._auxiliary, RecentSamples()
+    assert model is not None
     for k in range(6):
-        speeds = speeds.add(10.0 + 0.8 * 0.2 * k, math.nan if k == 0 else 0.2)
-    estimator.state = replace(estimator.state, speeds=speeds)
-    noise, variance, gain, error = estimator.state.noise.variance, 4e-3, 0.5, -0.05
-    late = ForceDelay(0.3, 0.02, gain)
-    numbers = estimator.state.numbers
-    after, moved = estimator._learn_delay(Learned(numbers, 11.0, error, 1.0, 1.0, variance), late)
-    longer = 0.02 * gain / variance * error
-    assert moved.delay - late.delay == pytest.approx(longer)
+        estimator._recent.add(math.nan if k == 0 else 0.2, 10.0 + 0.8 * 0.2 * k, 0.0, 0.0)
+    noise, variance, sensitivity, error = estimator.state.noise.variance, 4e-3, 0.5, -0.05
+    estimator.state.force_delay = late = ForceDelay(0.3, 0.02, sensitivity)
+    numbers = model.numbers()
+    estimator._learn_delay(model, Learned(11.0, error, 1.0, 1.0, variance))
+    longer = 0.02 * sensitivity / variance * error
+    assert late.delay - 0.3 == pytest.approx(longer)
     assert abs(longer) > 0.05
-    assert after[0] - numbers[0] == pytest.approx((gain * noise / variance - 0.8) * longer)
+    after = model.numbers()
+    assert after[0] - numbers[0] == pytest.approx((sensitivity * noise / variance - 0.8) * longer)
     assert after[1:] == numbers[1:]

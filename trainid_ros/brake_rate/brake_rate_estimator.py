@@ -241,7 +241,7 @@ class BrakeRateEstimator:
             state.certain_ns = sample.stamp_ns + self._settling_ns
         state.unbraked_s += (sample.stamp_ns - start_ns) / NS_PER_S
         # At standstill the measured speed is zero without noise.
-        state.noise = state.noise.add(sample.speed, sample.dt if sample.speed >= self.config.min_speed else math.nan)
+        state.noise.add(sample.speed, sample.dt if sample.speed >= self.config.min_speed else math.nan)
         state.observable = False
         return motion, timing
 

@@ -21,6 +21,7 @@ import numpy as np
 from trainid_ros.estimators.admission import Admission
 from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.estimators.prior import prior_variances
+from trainid_ros.estimators.speed_noise import SpeedNoise
 from trainid_ros.records import NS_PER_S
 from trainid_ros.resistance.fitness import DrivenSpeeds, drift_growth, is_fit_where_driven
 from trainid_ros.resistance.force_errors import CURVE_RADIUS, force_errors, is_delay_at_end, scale_step
@@ -38,7 +39,6 @@ from trainid_ros.resistance.speed_states import (
     ProcessNoise,
     V,
 )
-from trainid_ros.resistance.tachometer import Tachometer
 from trainid_ros.results import Reason, Rejection, ResistanceEstimate
 from trainid_ros.settings import check_settings, setting
 from trainid_ros.state import check_not_negative, check_numbers, check_restored, decode, encode, is_covariance_matrix
@@ -145,7 +145,7 @@ class FilterBankState:
     """Saved state of the filter bank."""
 
     bank: Hypotheses
-    tachometer: Tachometer
+    tachometer: SpeedNoise
     inflation: Inflation
     ticks: tuple[Tick, ...]
     driven: DrivenSpeeds
@@ -174,7 +174,7 @@ class FilterBank:
         self._clear()
 
     def _clear(self) -> None:
-        self._tachometer = Tachometer(self.config.speed_std, self.config.speed_std**2)
+        self._tachometer = SpeedNoise.declared(self.config.speed_std, robust=True)
         self._inflation = Inflation()
         self._ticks: deque[Tick] = deque()
         self._stride = 1

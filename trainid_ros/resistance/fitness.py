@@ -10,8 +10,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from numpy.typing import NDArray
 
 # An estimate that is fit stays so up to this multiple of the limit, so that the status does not flicker.
@@ -19,19 +17,22 @@ _HYSTERESIS: Final = 1.5
 _SECONDS_PER_HOUR: Final = 3600.0
 
 
-def is_fit(variance: Callable[[float], float], speeds: tuple[float, float], valid_std: float, *, was_fit: bool) -> bool:
+def representative_speeds(slowest: float, fastest: float) -> tuple[float, float, float]:
+    """Return the speeds at which :func:`is_fit` needs the variance of the resistance [m/s]."""
+    return slowest, 0.5 * (slowest + fastest), fastest
+
+
+def is_fit(variances: tuple[float, float, float], valid_std: float, *, was_fit: bool) -> bool:
     """Return whether the standard deviation of w, in root mean square over the observed speeds, is small enough.
 
     Args:
-        variance: Variance of the resistance [(N/kN)^2] as a function of speed [m/s].
-        speeds: Slowest and fastest observed speed [m/s].
+        variances: Variance of the resistance at the :func:`representative_speeds` [(N/kN)^2].
         valid_std: Largest standard deviation of a resistance that is fit to use [N/kN].
         was_fit: Whether it was fit so far.
 
     """
-    slowest, fastest = speeds
-    at = (slowest, 0.5 * (slowest + fastest), fastest)
-    rms = math.sqrt(sum(map(variance, at)) / len(at))
+    at_slowest, between, at_fastest = variances
+    rms = math.sqrt((at_slowest + between + at_fastest) / 3.0)
     return rms < valid_std * (_HYSTERESIS if was_fit else 1.0)
 
 

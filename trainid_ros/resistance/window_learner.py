@@ -19,6 +19,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from trainid_ros.estimators.speed_noise import SpeedNoise
 from trainid_ros.resistance.change_points import ChangePointState
 from trainid_ros.resistance.fitness import DrivenSpeeds
 from trainid_ros.resistance.inflation import Inflation
@@ -26,7 +27,6 @@ from trainid_ros.resistance.robust import gate
 from trainid_ros.resistance.sliding_window import SlidingWindow
 from trainid_ros.resistance.slow_noise import SlowNoise
 from trainid_ros.resistance.speed_window import Tick, WindowResult, observe_resistance, overlap_factor
-from trainid_ros.resistance.tachometer import Tachometer
 from trainid_ros.results import Reason, Rejection
 from trainid_ros.state import check_not_negative, check_restored
 
@@ -70,7 +70,7 @@ class LearnerState:
     """Saved state of a learner and its tracker."""
 
     tracker: ChangePointState
-    tachometer: Tachometer
+    tachometer: SpeedNoise
     slow: SlowNoise
     inflation: Inflation
     ticks: tuple[Tick, ...]
@@ -120,7 +120,7 @@ class WindowLearner:
         self._clear()
 
     def _clear(self) -> None:
-        self._tachometer = Tachometer(self._plan.speed_std, self._plan.speed_std**2)
+        self._tachometer = SpeedNoise.declared(self._plan.speed_std, robust=True)
         self._slow = SlowNoise()
         self.inflation = Inflation()
         self._windows.clear()

@@ -4,65 +4,52 @@
 Algorithm (7) of Yuan et al. 2017, in the order in which it can be computed, with these corrections:
 
 * The gain uses the true gradient of the auxiliary output, and the measurement corrects that output together with
-  theta (``auxiliary_model``). As printed, the auxiliary output drifts away from a plant whose pole is 1 - 1e-4.
-* lambda is computed from the running mean of the errors (``forgetting``). Only the resistance is forgotten, not the
-  mass, and forgetting ends at the prior in every direction.
+  theta. As printed, (7) uses phi(n) as the gradient of x_a(n) with respect to theta. This neglects that x_a(n-1)
+  depends on theta too. The true gradient obeys psi(n) = phi(n) + f psi(n-1), f = 2 a1 x + a2 = 1 - 1e-4; propagating
+  the joint covariance of x_a and theta propagates this gradient, weighted by the measurements since then. Without it
+  the loop of x_a error and d0 error is almost undamped, so (7) must forget fast or it drifts.
+* lambda is computed by (6) from the running mean of the errors instead of each error. A single squared error shows
+  noise, not a change: under white noise (6) forgets all the time (lambda = 1 - 1/sigma on average) and does not detect
+  a change that moves the speed by half a standard deviation. The errors of a correct model are uncorrelated, so their
+  running mean stays small; after a change they have the same sign.
+* Only the resistance is forgotten, not the mass, and forgetting ends at the prior in every direction.
 * P has the units of the parameters and is a consistent covariance: the speed noise, the strength of gusts and map
-  errors (``disturbance_observer``) and the delay of the reported force (``force_delay``) are estimated, and slow
-  changes of the weather are modelled as a drift of d0.
+  errors and the delay of the reported force are estimated (``nuisance_parameters``), and slow changes of the weather
+  are modelled as a drift of d0.
 * Gradient and other known resistance act on the speed separately from u, so d0 is the Davis a without the gradient,
   and the error of mass and force affects traction only.
 * A step may have any duration, outliers are gated, theta is frozen at standstill and while the brake acts, and b1
   gains variance at each stop for a change of load.
 
-With lambda = 1 and a drift of d0 this is the extended Kalman filter (``speed_model_ekf``).
+With lambda = 1 and a drift of d0 this is the extended Kalman filter.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import Final
 
-from trainid_ros.settings import setting
-from trainid_ros.speed_model.auxiliary_model import (
-    Floor,
-    anchor,
-    correct,
-    forget,
-    moments,
-    predict,
-    prior_floor,
-    widen_load,
-    widen_speed,
-)
-from trainid_ros.speed_model.forgetting import forgetting_factor, running_mean
 from trainid_ros.speed_model.method import Learned, Numbers
-from trainid_ros.speed_model.physical_parameters import SpeedModelConfig, Symmetric, Theta
-from trainid_ros.speed_model.speed_model_estimator import SpeedModelEstimator, load_std
+from trainid_ros.speed_model.physical_parameters import Symmetric, Theta, full
 from trainid_ros.state import is_covariance
-from trainid_ros.stream.samples import SAMPLE_PERIOD
+from trainid_ros.vectors import i64, vec
 
-if TYPE_CHECKING:
-    from trainid_ros.train.train_file import TrainFile
-
-
-@dataclass(frozen=True, slots=True)
-class AmVffRlsConfig(SpeedModelConfig):
-    """Settings of AM-VFF-RLS."""
-
-    drift: float = setting(0.004, 'drift of the Davis a in 1 s (0.1 if no gradient is known)', 'N/kN', 0.0, 10.0)
-    memory: float = setting(25.0, 'memory of the running mean of the errors', 'samples', 1.0, 1e4)
-    threshold: float = setting(6.0, 'chi-square of the mean error above which lambda falls below 1', '1', 0.0, 1e3)
-    forgetting_scale: float = setting(
-        50.0, 'sigma of (6): chi-square above the threshold for lambda = 0', '1', 1.0, 1e9
-    )
-    min_forgetting: float = setting(0.5, 'smallest forgetting factor', '1', 0.01, 1.0)
-    gate: float = setting(4.0, 'errors beyond this many standard deviations are rejected', '1', 1.0, 100.0)
-    gate_floor: float = setting(0.0, 'errors below this are never rejected', 'm/s', 0.0, 10.0)
+# Places of x_a and of the parameters in the joint state.
+_X: Final = 0
+_A1: Final = 1
+_A2: Final = 2
+_B1: Final = 3
+_D0: Final = 4
+_SIZE: Final = 5
+_RESISTANCE: Final = (_A1, _A2, _D0)
+_SAVED: Final = 21
+# Limit of one error in the running mean, in standard deviations.
+_MOST: Final = 3.0
 
 
-class Tuning(NamedTuple):
+@dataclass(frozen=True)
+class Tuning:
     """Parameters of the kernel.
 
     Attributes:
@@ -70,12 +57,11 @@ class Tuning(NamedTuple):
         drift: Variance that d0 gains in a sample period [(m/s)^2].
         load: Variance that b1 gains at a stop without weighing [(m/s per N/kN)^2].
         share: Weight of one error in the running mean [1].
-        threshold: See the setting [1].
-        scale: See the setting ``forgetting_scale`` [1].
+        threshold: Chi-square of the mean error above which lambda falls below 1 [1].
+        scale: sigma of (6): chi-square above the threshold for lambda = 0 [1].
         low: Smallest forgetting factor [1].
-        gate: See the setting [1].
-        gate_floor: See the setting [m/s].
-        floor: Prior variances at which forgetting ends.
+        gate: Errors beyond this many standard deviations are rejected [1].
+        gate_floor: Errors below this are never rejected [m/s].
 
     """
 
@@ -88,117 +74,247 @@ class Tuning(NamedTuple):
     low: float
     gate: float
     gate_floor: float
-    floor: Floor
-
-
-def learn(numbers: Numbers, y: float, u: float, scale: float, variance: float, tuning: Tuning) -> Learned:
-    """Return one step of (7) in its computable order.
-
-    Args:
-        numbers: Moments of [x_a, theta] and the running mean of the normalised errors.
-        y: Measured speed [m/s].
-        u: Specific force over the step [N/kN].
-        scale: Duration of the step over the sample period [1].
-        variance: Variance of y [(m/s)^2].
-        tuning: Parameters of the kernel.
-
-    """
-    noise, drift, _, share, threshold, sigma, low, gate, gate_floor, floor = tuning
-    # Eq. (7): x_a = phi' theta(n-1), with its covariance.
-    m = predict(numbers[:20], u, scale, noise, drift)  # type: ignore[arg-type]
-    predicted = m[0]
-    eps = y - predicted
-    s = m[5] + variance
-    std = math.sqrt(s)
-    limit = gate * std
-    limit = max(limit, gate_floor)
-    if not -limit <= eps <= limit:
-        return Learned((*m, numbers[20]), predicted, eps, limit, 1.0, s)
-    mean, lam = running_mean(numbers[20], eps / std, share), 1.0
-    # The variance of ``mean`` is share / (2 - share) if the errors are white.
-    chi2 = mean * mean * (2.0 - share) / share
-    if chi2 > threshold:
-        # Eq. (6) on the mean error.
-        lam = forgetting_factor(chi2, threshold, sigma, low)
-        m = forget(m, lam, floor)
-    # Eq. (7): theta(n) = theta(n-1) + K eps, x_a(n) = phi' theta(n) and P(n).
-    return Learned((*correct(m, eps, variance), mean), predicted, eps, limit, lam, s)
 
 
 class AuxiliaryModel:
-    """The kernel with its parameters and prior."""
+    """Joint mean and covariance of the auxiliary output x_a and theta.
+
+    Attributes:
+        tuning: Parameters.
+        z: x_a, a1, a2, b1, d0, shape (5,).
+        P: Their covariance, shape (5, 5), row by row.
+        mean_error: Running mean of the errors, in standard deviations [1].
+
+    """
 
     def __init__(self, theta0: Theta, P0: Symmetric, tuning: Tuning) -> None:
         self.tuning = tuning
-        self._theta0, self._P0, self._floor = theta0, P0, prior_floor(P0)
+        self._theta0, self._P0, self._prior = theta0, P0, prior_variances_given_b1(P0)
+        self.z = vec[float]([0.0] * _SIZE)
+        self.P = vec[float]([0.0] * (_SIZE * _SIZE))
+        # Derivatives of x_a(n) with respect to x_a(n-1) and theta.
+        self._gradient = vec[float]([0.0] * _SIZE)
+        self.mean_error = 0.0
 
-    def start(self, variance: float) -> Numbers:
-        """Return the prior; ``variance`` is that of x [(m/s)^2]."""
-        return (*moments(0.0, variance, self._theta0, self._P0), 0.0)
+    def start(self, variance: float) -> None:
+        """Go to the prior; ``variance`` is that of x [(m/s)^2]."""
+        self._set((0.0, *self._theta0), (variance, 0.0, 0.0, 0.0, 0.0), self._P0)
+        self.mean_error = 0.0
 
-    def fits(self, numbers: Numbers) -> bool:
-        """Return whether the numbers have the length of a state and hold a valid covariance."""
-        return len(numbers) == 21 and is_covariance(numbers[5:20])
+    def _set(self, z: Numbers, of_x: Numbers, S: Symmetric) -> None:
+        """Set the mean, the variance of x with its covariances with theta, and the covariance of theta."""
+        n: i64 = _SIZE
+        columns = full(S)
+        for i in range(n):
+            self.z[i] = z[i]
+            self.P[i] = self.P[n * i] = of_x[i]
+            for j in range(1, n):
+                if i > 0:
+                    self.P[n * i + j] = columns[4 * (i - 1) + j - 1]
 
-    def learn(self, numbers: Numbers, y: float, u: float, scale: float, variance: float) -> Learned:
-        """Update with a measured speed y [m/s] after the force u [N/kN]; see :class:`Method`."""
-        return learn(numbers, y, u, scale, variance, self.tuning)
+    def numbers(self) -> Numbers:
+        """Return x, theta, variance of x, its covariances with theta, covariance of theta, mean error."""
+        z, P = tuple(self.z), tuple(self.P)
+        return (*z, *P[:_SIZE], *self.covariance(0.0), self.mean_error)
 
-    def coast(self, numbers: Numbers, u: float, scale: float) -> Numbers:
-        """Predict over ``scale`` sample periods with the force u [N/kN], without a measurement."""
-        tuning = self.tuning
-        return (*predict(numbers[:20], u, scale, tuning.noise, tuning.drift), numbers[20])  # type: ignore[arg-type]
+    def restore(self, numbers: Numbers) -> bool:
+        """Continue from saved numbers; return False if they are no state with a valid covariance."""
+        if len(numbers) != _SAVED or not all(map(math.isfinite, numbers)) or not is_covariance(numbers[5:20]):
+            return False
+        s11, s12, s13, s14, s22, s23, s24, s33, s34, s44 = numbers[10:20]
+        self._set(numbers[:5], numbers[5:10], (s11, s12, s13, s14, s22, s23, s24, s33, s34, s44))
+        self.mean_error = numbers[20]
+        return True
 
-    def anchor(self, numbers: Numbers, y: float, variance: float) -> Numbers:
-        """Restart x_a from a measured speed y [m/s] with a variance [(m/s)^2]."""
-        return (*anchor(numbers[:20], y, variance), numbers[20])  # type: ignore[arg-type]
+    def speed(self) -> float:
+        """Return x [m/s]."""
+        return self.z[_X]
 
-    def shift(self, numbers: Numbers, change: float) -> Numbers:
-        """Add a change of speed [m/s] to x_a."""
-        return (numbers[0] + change, *numbers[1:])
-
-    def widen_speed(self, numbers: Numbers, variance: float) -> Numbers:
-        """Add to the variance of x_a [(m/s)^2]."""
-        return (*widen_speed(numbers[:20], variance), numbers[20])  # type: ignore[arg-type]
-
-    def widen_load(self, numbers: Numbers, share: float = 1.0) -> Numbers:
-        """Add a share of the load variance to the variance of b1."""
-        return (*widen_load(numbers[:20], share * self.tuning.load), numbers[20])  # type: ignore[arg-type]
-
-    def forget(self, numbers: Numbers, factor: float) -> Numbers:
-        """Forget the resistance by a factor, down to the prior."""
-        return (*forget(numbers[:20], factor, self._floor), 0.0)  # type: ignore[arg-type]
-
-    def theta(self, numbers: Numbers) -> Theta:
+    def theta(self) -> Theta:
         """Return a1 [s/m], a2 [1], b1 [m/s per N/kN], d0 [m/s]."""
-        return numbers[1:5]  # type: ignore[return-value]
+        z = self.z
+        return z[_A1], z[_A2], z[_B1], z[_D0]
 
-    def covariance(self, numbers: Numbers, variance: float) -> Symmetric:  # noqa: ARG002 - P has the units of theta already
+    def covariance(self, variance: float) -> Symmetric:  # noqa: ARG002 - P has the units of theta already
         """Return the covariance of theta."""
-        return numbers[10:20]  # type: ignore[return-value]
+        P = self.P
+        return P[6], P[7], P[8], P[9], P[12], P[13], P[14], P[18], P[19], P[24]
+
+    def _mirror(self) -> None:
+        """Set the covariances of theta with x to those of x with theta."""
+        n: i64 = _SIZE
+        P = self.P
+        for i in range(1, n):
+            P[n * i] = P[i]
+
+    def is_usable(self) -> bool:
+        """Return whether all numbers are finite, b1 > 0 and the variances of theta > 0."""
+        n: i64 = _SIZE
+        z, P = self.z, self.P
+        total = self.mean_error
+        for i in range(n):
+            total += z[i]
+            for j in range(i, n):
+                total += P[n * i + j]
+        if math.isnan(total) or math.isinf(total):
+            return False
+        return z[_B1] > 0.0 and P[6] > 0.0 and P[12] > 0.0 and P[18] > 0.0 and P[24] > 0.0
+
+    def learn(self, y: float, u: float, scale: float, variance: float) -> Learned:
+        """Update by one step of (7) in its computable order.
+
+        Args:
+            y: Measured speed [m/s].
+            u: Specific force over the step [N/kN].
+            scale: Duration of the step over the sample period [1].
+            variance: Variance of y [(m/s)^2].
+
+        """
+        tuning = self.tuning
+        # Eq. (7): x_a = phi' theta(n-1), with its covariance.
+        self.coast(u, scale)
+        predicted = self.z[_X]
+        eps = y - predicted
+        s = self.P[0] + variance
+        std = math.sqrt(s)
+        limit = max(tuning.gate * std, tuning.gate_floor)
+        if not -limit <= eps <= limit:
+            return Learned(predicted, eps, limit, 1.0, s)
+        mean, lam = running_mean(self.mean_error, eps / std, tuning.share), 1.0
+        # The variance of ``mean`` is share / (2 - share) if the errors are white.
+        chi2 = mean * mean * (2.0 - tuning.share) / tuning.share
+        if chi2 > tuning.threshold:
+            lam = forgetting_factor(chi2, tuning)
+            self.forget(lam)
+        self.mean_error = mean
+        # Eq. (7): theta(n) = theta(n-1) + K eps, x_a(n) = phi' theta(n) and P(n).
+        self.correct(eps, variance)
+        return Learned(predicted, eps, limit, lam, s)
+
+    def coast(self, u: float, scale: float) -> None:
+        """Propagate over ``scale`` sample periods, x(n) = phi(n)' theta, and the covariance with its gradient."""
+        n: i64 = _SIZE
+        z, P, g = self.z, self.P, self._gradient
+        x = z[_X]
+        # phi, and before it f.
+        g[_A2], g[_B1], g[_D0] = scale * x, scale * u, scale
+        g[_A1] = g[_A2] * x
+        g[_X] = 1.0 + scale * (2.0 * z[_A1] * x + z[_A2] - 1.0)
+        P[24] += self.tuning.drift * scale
+        # var(x): f^2 var(x) + 2 f phi'p + phi'S phi, with p = cov(x, theta) and S = cov(theta)
+        before = g[_X] * P[0]
+        for j in range(1, n):
+            before += P[j] * g[j]
+        # cov(x, theta): f p + S phi
+        after = 0.0
+        for j in range(1, n):
+            q = g[_X] * P[j]
+            for i in range(1, n):
+                q += P[n * i + j] * g[i]
+            P[j] = q
+            after += q * g[j]
+        self._mirror()
+        P[0] = g[_X] * before + after + self.tuning.noise * scale
+        # Eq. (2) for a step of ``scale`` sample periods.
+        z[_X] = x + z[_A1] * g[_A1] + (z[_A2] - 1.0) * g[_A2] + z[_B1] * g[_B1] + z[_D0] * scale
+
+    def correct(self, error: float, variance: float) -> None:
+        """Update with a measurement of x: innovation ``error`` [m/s], noise variance [(m/s)^2]."""
+        n: i64 = _SIZE
+        z, P = self.z, self.P
+        r = 1.0 / (P[0] + variance)
+        for i in range(n):
+            # K = P e / (e'P e + variance), e = (1, 0, 0, 0, 0)
+            K = P[i] * r
+            z[i] += K * error
+            for j in range(i, n):
+                if i > 0:
+                    P[n * i + j] -= K * P[j]
+                    P[n * j + i] = P[n * i + j]
+        for i in range(n):
+            P[i] *= variance * r
+        self._mirror()
+
+    def anchor(self, y: float, variance: float) -> None:
+        """Restart x from a measured speed y [m/s] with a variance [(m/s)^2], uncorrelated with theta."""
+        n: i64 = _SIZE
+        self.z[_X] = y
+        self.P[0] = variance
+        for i in range(1, n):
+            self.P[i] = 0.0
+        self._mirror()
+
+    def shift(self, change: float) -> None:
+        """Add a change of speed [m/s] to x."""
+        self.z[_X] += change
+
+    def widen_speed(self, variance: float) -> None:
+        """Add to the variance of x [(m/s)^2], for forces that are not reported."""
+        self.P[0] += variance
+
+    def add_input(self, mean: float, variance: float, covariance: Theta) -> None:
+        """Add to x a correlated input: its mean [m/s], what it adds to var(x) and to the covariances of x and theta."""
+        P = self.P
+        self.z[_X] += mean
+        P[0] += variance
+        P[1] += covariance[0]
+        P[2] += covariance[1]
+        P[3] += covariance[2]
+        P[4] += covariance[3]
+        self._mirror()
+
+    def widen_load(self, share: float) -> None:
+        """Add a share of the load variance to the variance of b1."""
+        self.P[18] += share * self.tuning.load
+
+    def forget(self, factor: float) -> None:
+        """Reduce the information on the resistance by ``factor``, never below that of the prior.
+
+        The mass changes at stops only, so b1 is kept: with c the column of b1, P - c c' / var(b1) is the covariance
+        given b1. There the information matrix of a1, a2, d0 becomes lambda times itself plus (1 - lambda) times that of
+        the prior: their covariance is divided by lambda, then the prior is applied as three observations of weight
+        1 - lambda with zero innovation. A direction without excitation returns to its prior variance, so the covariance
+        does not wind up.
+
+        Args:
+            factor: lambda in (0, 1].
+
+        """
+        n: i64 = _SIZE
+        b1 = [self.P[n * i + _B1] for i in range(n)]
+        r, wider, weight = 1.0 / b1[_B1], 1.0 / factor, 1.0 - factor
+        given = [[self.P[n * i + j] - b1[i] * b1[j] * r for j in range(n)] for i in range(n)]
+        for i in _RESISTANCE:
+            for j in _RESISTANCE:
+                given[i][j] *= wider
+        for i, prior in zip(_RESISTANCE, self._prior, strict=True):
+            column = list(given[i])
+            k = weight / (prior + weight * column[i])
+            order = (*_RESISTANCE, _X)
+            for place, j in enumerate(order):
+                for m in order[place:]:
+                    given[j][m] = given[m][j] = given[j][m] - k * column[j] * column[m]
+        for i in (_X, *_RESISTANCE):
+            for j in (_X, *_RESISTANCE):
+                self.P[n * i + j] = given[i][j] + b1[i] * b1[j] * r
+        self.mean_error = 0.0
 
 
-class AmVffRls(SpeedModelEstimator):
-    """Estimate a1, a2, b1, d0 from aligned samples."""
-
-    def __init__(self, train_file: TrainFile, config: AmVffRlsConfig) -> None:
-        def method(theta0: Theta, P0: Symmetric) -> AuxiliaryModel:
-            return AuxiliaryModel(theta0, P0, _tuning(theta0, P0, config, load_std(train_file, config)))
-
-        super().__init__(train_file, config, method, adaptive=True)
+def prior_variances_given_b1(P0: Symmetric) -> tuple[float, float, float]:
+    """Return the prior variances of a1, a2, d0 given b1, where forgetting ends; given b1 the prior is diagonal."""
+    s11, _, s13, _, s22, s23, _, s33, s34, s44 = P0
+    return s11 - s13 * s13 / s33, s22 - s23 * s23 / s33, s44 - s34 * s34 / s33
 
 
-def _tuning(theta0: Theta, P0: Symmetric, config: AmVffRlsConfig, load: float) -> Tuning:
-    b1 = theta0[2]
-    return Tuning(
-        noise=0.0,
-        drift=(config.drift * b1) ** 2 * SAMPLE_PERIOD,
-        load=(load * b1) ** 2,
-        share=1.0 / config.memory,
-        threshold=config.threshold,
-        scale=config.forgetting_scale,
-        low=config.min_forgetting,
-        gate=config.gate,
-        gate_floor=config.gate_floor,
-        floor=prior_floor(P0),
-    )
+def running_mean(mean: float, z: float, share: float) -> float:
+    """Return the running mean of errors in standard deviations [1] after one more error z of weight ``share``."""
+    bounded = z if -_MOST < z < _MOST else math.copysign(_MOST, z)
+    return mean + share * (bounded - mean)
+
+
+def forgetting_factor(chi2: float, tuning: Tuning) -> float:
+    """Return lambda = 1 - (chi2 - threshold) / scale in [low, 1]; chi2 has mean 1 while the model is correct."""
+    if chi2 <= tuning.threshold:
+        return 1.0
+    # Eq. (6) with chi2 - threshold instead of the squared error.
+    return max(1.0 - (chi2 - tuning.threshold) / tuning.scale, tuning.low)

@@ -13,12 +13,13 @@ kappa = (1 + gamma) / mass_factor, the same as in the resistance estimators.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Final, TypeAlias
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 from trainid_ros.estimators.prior import prior_variances
-from trainid_ros.settings import setting
 from trainid_ros.stream.samples import SAMPLE_PERIOD
+
+if TYPE_CHECKING:
+    from trainid_ros.speed_model.config import SpeedModelConfig
 
 Theta: TypeAlias = tuple[float, float, float, float]
 """a1 [s/m], a2 [1], b1 [m/s per N/kN], d0 [m/s]."""
@@ -27,33 +28,6 @@ Symmetric: TypeAlias = tuple[float, float, float, float, float, float, float, fl
 
 # Lower limit of the relative std of mass and force, because forgetting divides by the variance of b1.
 _LEAST_MASS_STD: Final = 1e-4
-
-
-@dataclass(frozen=True, slots=True)
-class SpeedModelConfig:
-    """Settings shared by all estimators of the speed model."""
-
-    speed_std: float = setting(0.025, 'noise of measured speed at the start (then estimated)', 'm/s', 1e-4, 2.0)
-    min_speed: float = setting(0.5, 'slowest speed to learn from', 'm/s', 0.0, 50.0)
-    acceleration_noise: float = setting(
-        0.006, 'gusts, force noise and map errors at the start (then estimated)', 'm/s per sqrt(s)', 1e-3, 0.05
-    )
-    force_skew: float = setting(0.15, 'prior std of the delay of the reported force (then estimated)', 's', 0.0, 5.0)
-    load_std: float = setting(
-        0.03, 'relative change of the mass at a stop without weighing; at most train.mass_std', '1', 0.0, 1.0
-    )
-    weighing_std: float = setting(0.004, 'relative error of weighing, independent at each stop', '1', 0.0, 1.0)
-    change_threshold: float = setting(
-        9.0, 'chi-square of the mean window error above which the resistance has changed', '1', 1.0, 1e3
-    )
-    readmit_after: int = setting(5, 'rejected samples in a row after which the measurement is accepted', '', 1, 1000)
-    prior_share: float = setting(0.5, 'prior std of a, b, c as a share of their stated values', '1', 0.0, 10.0)
-    prior_std_a: float = setting(0.6, 'added to the prior std of the Davis a', 'N/kN', 1e-6, 100.0)
-    prior_std_b: float = setting(0.02, 'added to the prior std of the Davis b', 'N/kN per m/s', 1e-8, 10.0)
-    prior_std_c: float = setting(0.0006, 'added to the prior std of the Davis c', 'N/kN per (m/s)^2', 1e-9, 1.0)
-    valid_std: float = setting(
-        0.25, 'valid while the rms std of w over the speeds driven is below this', 'N/kN', 1e-3, 100.0
-    )
 
 
 def to_speed_model(davis: tuple[float, float, float], k: float) -> Theta:

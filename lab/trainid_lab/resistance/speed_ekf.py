@@ -21,9 +21,9 @@ from trainid_lab.resistance.speed_filter import State, corrected, predicted, res
 from trainid_ros.estimators.admission import Admission
 from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.estimators.prior import prior_variances
-from trainid_ros.resistance.fitness import drift_rates, is_fit
+from trainid_ros.estimators.speed_noise import SpeedNoise
+from trainid_ros.resistance.fitness import drift_rates, is_fit, representative_speeds
 from trainid_ros.resistance.robust import drifted, predict
-from trainid_ros.resistance.tachometer import Tachometer
 from trainid_ros.results import Reason, Rejection, ResistanceEstimate
 from trainid_ros.settings import check_settings, setting
 from trainid_ros.state import check_not_negative, check_numbers, check_restored, decode, encode, is_covariance
@@ -74,7 +74,7 @@ class SpeedEkfState:
     filter: State
     before: State
     held: tuple[tuple[float, ...], ...]
-    tachometer: Tachometer
+    tachometer: SpeedNoise
     speed: float
     force: float
     running: bool
@@ -111,7 +111,7 @@ class SpeedEkf:
         self._filter: State = (0.0, *self._theta0, 1.0, 0.0, 0.0, 0.0, a, 0.0, 0.0, b, 0.0, c)
         self._before: State = self._filter
         self._held: list[tuple[float, ...]] = []
-        self._tachometer = Tachometer(self.config.speed_std, self.config.speed_std**2)
+        self._tachometer = SpeedNoise.declared(self.config.speed_std, robust=True)
         self._speed = self._force = 0.0
         self._running = self._converged = False
         self._rejected = self._stamp_ns = self._accepted = self._admission.braked_ns = 0
@@ -266,9 +266,8 @@ class SpeedEkf:
     def _judge(self) -> None:
         """Decide whether w is fit to use."""
         posterior, speeds = (*self._filter[1:4], *self._filter[8:]), (self._speed_min, self._speed_max)
-        self._converged = self._accepted > 0 and is_fit(
-            lambda v: predict(posterior, v, v * v)[1], speeds, self.config.valid_std, was_fit=self._converged
-        )
+        v1, v2, v3 = (predict(posterior, v, v * v)[1] for v in representative_speeds(*speeds))
+        self._converged = self._accepted > 0 and is_fit((v1, v2, v3), self.config.valid_std, was_fit=self._converged)
 
     @property
     def innovation(self) -> tuple[float, float]:

@@ -24,7 +24,7 @@ from trainid_lab.resistance.residuals import Residuals
 from trainid_lab.resistance.segments import Segments, Windows, cut
 from trainid_ros.estimators.admission import Admission
 from trainid_ros.estimators.known_force import KnownForce
-from trainid_ros.resistance.fitness import is_fit
+from trainid_ros.resistance.fitness import is_fit, representative_speeds
 from trainid_ros.resistance.speed_window import Tick, WindowResult, observe_resistance
 from trainid_ros.results import Reason, Rejection, ResistanceEstimate
 from trainid_ros.settings import check_settings, setting
@@ -197,14 +197,13 @@ class WindowedRegression:
     def _judge(self) -> None:
         """Decide whether w is fit to use."""
         state = self.state
-        speeds, scale, UD = (state.speed_min, state.speed_max), state.scale, state.regression.UD
+        scale, UD = state.scale, state.regression.UD
         enough = state.regression.determined and state.residuals.count >= _MIN_RESIDUALS
-        converged = enough and is_fit(
-            lambda v: scale * prediction_variance(UD, _regressor(v)),
-            speeds,
-            self.config.valid_std,
-            was_fit=state.converged,
+        v1, v2, v3 = (
+            scale * prediction_variance(UD, _regressor(v))
+            for v in representative_speeds(state.speed_min, state.speed_max)
         )
+        converged = enough and is_fit((v1, v2, v3), self.config.valid_std, was_fit=state.converged)
         self.state = replace(state, converged=converged)
 
     def _scale(self, residuals: Residuals) -> float:

@@ -21,8 +21,9 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 from trainid_lab.speed_model.rls import output, regressor, times, updated
 from trainid_ros.settings import setting
+from trainid_ros.speed_model.config import SpeedModelConfig
 from trainid_ros.speed_model.method import Learned, Numbers
-from trainid_ros.speed_model.physical_parameters import SpeedModelConfig, Symmetric, Theta
+from trainid_ros.speed_model.physical_parameters import Symmetric, Theta
 from trainid_ros.speed_model.speed_model_estimator import SpeedModelEstimator, load_std
 from trainid_ros.state import is_covariance
 from trainid_ros.stream.samples import SAMPLE_PERIOD
@@ -63,8 +64,10 @@ class Tuning(NamedTuple):
     load: float
 
 
-def learn(numbers: Numbers, y: float, u: float, scale: float, variance: float, tuning: Tuning) -> Learned:
-    """Return one step: update the observer and, with a full window, every ``hop`` steps theta.
+def learn(
+    numbers: Numbers, y: float, u: float, scale: float, variance: float, tuning: Tuning
+) -> tuple[Numbers, Learned]:
+    """Return the state after one step, and its result: the observer is updated, every ``hop`` steps also theta.
 
     Args:
         numbers: State; see the layout above.
@@ -96,7 +99,7 @@ def learn(numbers: Numbers, y: float, u: float, scale: float, variance: float, t
     after = (
         (rest * rest * by_noise + kappa * kappa * variance, rest * by_theta) if clipped == y else (by_noise, by_theta)
     )
-    return Learned((x, *theta, *P, steps, clipped, *after, *window), predicted, eps, math.inf, 1.0, total)
+    return (x, *theta, *P, steps, clipped, *after, *window), Learned(predicted, eps, math.inf, 1.0, total)
 
 
 def observer_variance(by_noise: float, by_theta: float, P: Symmetric, phi: Theta, noise: float) -> tuple[float, float]:
@@ -136,75 +139,83 @@ def regression_variance(variance: float, noise: float, window: int, hop: int) ->
 
 
 class IntegralRls:
-    """The kernel with its parameters and prior."""
+    """The kernel with its state."""
 
     def __init__(self, theta0: Theta, P0: Symmetric, tuning: Tuning) -> None:
-        self._start, self._tuning = (0.0, *theta0, *P0, 0.0, 0.0, 0.0, 0.0), tuning
+        self._tuning = tuning
+        self._prior: Numbers = (0.0, *theta0, *P0, 0.0, 0.0, 0.0, 0.0)
+        self._numbers: Numbers = self._prior
 
-    def start(self, variance: float) -> Numbers:  # noqa: ARG002 - x has no variance here
-        """Return the prior."""
-        return self._start
+    def start(self, variance: float) -> None:  # noqa: ARG002 - x has no variance here
+        """Go to the prior."""
+        self._numbers = self._prior
 
-    def fits(self, numbers: Numbers) -> bool:
-        """Return whether the numbers have the length of a state, a valid covariance and no negative variance."""
+    def numbers(self) -> Numbers:
+        """Return the state; see the layout above."""
+        return self._numbers
+
+    def restore(self, numbers: Numbers) -> bool:
+        """Continue from a saved state; return False if its length, covariance or a variance is invalid."""
         steps, remainder = divmod(len(numbers) - _HEAD, _BLOCK)
         sized = remainder == 0 and 0 <= steps <= self._tuning.window
-        return sized and is_covariance(numbers[5:15]) and min(numbers[15], numbers[17], numbers[18]) >= 0.0
+        if not (sized and is_covariance(numbers[5:15]) and min(numbers[15], numbers[17], numbers[18]) >= 0.0):
+            return False
+        self._numbers = numbers
+        return True
 
-    def learn(self, numbers: Numbers, y: float, u: float, scale: float, variance: float) -> Learned:
+    def speed(self) -> float:
+        """Return x [m/s]."""
+        return self._numbers[0]
+
+    def theta(self) -> Theta:
+        """Return a1 [s/m], a2 [1], b1 [m/s per N/kN], d0 [m/s]."""
+        return self._numbers[1:5]  # type: ignore[return-value]
+
+    def covariance(self, variance: float) -> Symmetric:  # noqa: ARG002 - P has the units of theta already
+        """Return the covariance of theta."""
+        return self._numbers[5:15]  # type: ignore[return-value]
+
+    def learn(self, y: float, u: float, scale: float, variance: float) -> Learned:
         """Update with a measured speed y [m/s] after the force u [N/kN]; see :class:`Method`."""
-        return learn(numbers, y, u, scale, variance, self._tuning)
+        self._numbers, learned = learn(self._numbers, y, u, scale, variance, self._tuning)
+        return learned
 
-    def coast(self, numbers: Numbers, u: float, scale: float) -> Numbers:
+    def coast(self, u: float, scale: float) -> None:
         """Predict, taking the predicted speed as the measured one in the window."""
+        numbers = self._numbers
         phi = regressor(numbers[0], u, scale)
-        x = output(self.theta(numbers), phi) + (1.0 - scale) * numbers[0]
-        noise, P = scale * self._tuning.noise, self.covariance(numbers, 0.0)
+        x = output(self.theta(), phi) + (1.0 - scale) * numbers[0]
+        noise, P = scale * self._tuning.noise, self.covariance(0.0)
         spread = observer_variance(numbers[17], numbers[18], P, phi, noise)
-        return (x, *numbers[1:15], numbers[15] + 1.0, x, *spread, *_shifted(numbers, phi, self._tuning.window))
+        window = _shifted(numbers, phi, self._tuning.window)
+        self._numbers = (x, *numbers[1:15], numbers[15] + 1.0, x, *spread, *window)
 
-    def anchor(self, numbers: Numbers, y: float, variance: float) -> Numbers:
+    def anchor(self, y: float, variance: float) -> None:
         """Restart x and the window from a measured speed y [m/s] with a variance [(m/s)^2]."""
-        return (y, *numbers[1:15], 0.0, y, variance, 0.0)
+        self._numbers = (y, *self._numbers[1:15], 0.0, y, variance, 0.0)
 
-    def shift(self, numbers: Numbers, change: float) -> Numbers:
+    def shift(self, change: float) -> None:
         """Add a change of speed [m/s] to x and to all speeds at the starts of the window's steps."""
-        moved = list(numbers)
+        moved = list(self._numbers)
         moved[0] += change
         for i in (16, *range(_HEAD + _BLOCK - 1, len(moved), _BLOCK)):
             moved[i] += change
-        return tuple(moved)
+        self._numbers = tuple(moved)
 
-    def widen_speed(self, numbers: Numbers, variance: float) -> Numbers:  # noqa: ARG002 - noise is added per window
-        """Return the state unchanged."""
-        return numbers
-
-    def widen_load(self, numbers: Numbers, share: float = 1.0) -> Numbers:
+    def widen_load(self, share: float) -> None:
         """Add a share of the load variance to the variance of b1."""
-        return (*numbers[:12], numbers[12] + share * self._tuning.load, *numbers[13:])
-
-    def forget(self, numbers: Numbers, factor: float) -> Numbers:  # noqa: ARG002 - no forgetting on demand
-        """Return the state unchanged."""
-        return numbers
-
-    def theta(self, numbers: Numbers) -> Theta:
-        """Return a1 [s/m], a2 [1], b1 [m/s per N/kN], d0 [m/s]."""
-        return numbers[1:5]  # type: ignore[return-value]
-
-    def covariance(self, numbers: Numbers, variance: float) -> Symmetric:  # noqa: ARG002 - P has the units of theta already
-        """Return the covariance of theta."""
-        return numbers[5:15]  # type: ignore[return-value]
+        numbers = self._numbers
+        self._numbers = (*numbers[:12], numbers[12] + share * self._tuning.load, *numbers[13:])
 
 
-class SpeedIntegralRls(SpeedModelEstimator):
-    """Estimate a1, a2, b1, d0 from aligned samples."""
+def speed_integral_rls(train_file: TrainFile, config: IntegralRlsConfig) -> SpeedModelEstimator:
+    """Return an estimator of a1, a2, b1, d0 from aligned samples by the integral RLS."""
 
-    def __init__(self, train_file: TrainFile, config: IntegralRlsConfig) -> None:
-        def method(theta0: Theta, P0: Symmetric) -> IntegralRls:
-            noise = config.acceleration_noise**2 * SAMPLE_PERIOD
-            drift = (config.drift * theta0[2]) ** 2 * SAMPLE_PERIOD
-            load = (load_std(train_file, config) * theta0[2]) ** 2
-            window, hop = int(config.window), int(config.hop)
-            return IntegralRls(theta0, P0, Tuning(window, hop, config.kappa, config.clip, noise, drift, load))
+    def method(theta0: Theta, P0: Symmetric) -> IntegralRls:
+        noise = config.acceleration_noise**2 * SAMPLE_PERIOD
+        drift = (config.drift * theta0[2]) ** 2 * SAMPLE_PERIOD
+        load = (load_std(train_file, config) * theta0[2]) ** 2
+        window, hop = int(config.window), int(config.hop)
+        return IntegralRls(theta0, P0, Tuning(window, hop, config.kappa, config.clip, noise, drift, load))
 
-        super().__init__(train_file, config, method)
+    return SpeedModelEstimator(train_file, config, method)

@@ -19,8 +19,9 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
 
 from trainid_ros.settings import setting
+from trainid_ros.speed_model.config import SpeedModelConfig
 from trainid_ros.speed_model.method import Learned, Numbers
-from trainid_ros.speed_model.physical_parameters import SpeedModelConfig, Symmetric, Theta
+from trainid_ros.speed_model.physical_parameters import Symmetric, Theta
 from trainid_ros.speed_model.speed_model_estimator import SpeedModelEstimator
 
 if TYPE_CHECKING:
@@ -111,8 +112,8 @@ def output(theta: Theta, phi: Theta) -> float:
     return phi[0] * theta[0] + phi[1] * theta[1] + phi[2] * theta[2] + phi[3] * theta[3]
 
 
-def learn(numbers: Numbers, y: float, u: float, scale: float, std: float, tuning: Tuning) -> Learned:
-    """Return one step of (7).
+def learn(numbers: Numbers, y: float, u: float, scale: float, std: float, tuning: Tuning) -> tuple[Numbers, Learned]:
+    """Return the state after one step of (7), and its result.
 
     Args:
         numbers: x, theta and the upper triangle of P.
@@ -132,77 +133,82 @@ def learn(numbers: Numbers, y: float, u: float, scale: float, std: float, tuning
     g = w[4]
     limit = tuning.gate * std * math.sqrt(1.0 + max(g, 0.0))
     if not abs(eps) <= limit:
-        return Learned((predicted, *numbers[1:]), predicted, eps, limit, 1.0)
+        return (predicted, *numbers[1:]), Learned(predicted, eps, limit, 1.0)
     lam = 1.0
     if tuning.sigma > 0.0:
         # Eq. (6).
         lam = max(tuning.low, 1.0 - eps * eps / (tuning.sigma * (1.0 + g)))
     if lam == 0.0 or g + lam == 0.0:  # as printed, P is then infinite
-        return Learned((math.nan, *numbers[1:]), predicted, eps, limit, lam)
+        return (math.nan, *numbers[1:]), Learned(predicted, eps, limit, lam)
     # Eq. (7); with lam = 1, eq. (5).
     theta, P = updated(theta, P, w, eps, lam, lam)  # type: ignore[arg-type]
     x_a = output(theta, phi) + base
-    return Learned((x_a + tuning.kappa * (y - x_a), *theta, *P), predicted, eps, limit, lam)
+    return (x_a + tuning.kappa * (y - x_a), *theta, *P), Learned(predicted, eps, limit, lam)
 
 
 class Rls:
-    """The kernel with its parameters; P(0) is in units of the initial variance of measured speed."""
+    """The kernel with its state; P(0) is in units of the initial variance of measured speed."""
 
     def __init__(self, theta0: Theta, P0: Symmetric, config: RlsConfig) -> None:
         self._config = config
-        self._start: Recursion = (0.0, *theta0, *P0)
+        self._prior: Recursion = (0.0, *theta0, *P0)
         self._tuning = Tuning(config.kappa, 0.0, config.min_forgetting, config.gate)
+        self._numbers: Numbers = self._prior
 
-    def start(self, variance: float) -> Numbers:
-        """Return theta(0) and P(0); ``variance`` is that of measured speed [(m/s)^2]."""
+    def start(self, variance: float) -> None:
+        """Go to theta(0) and P(0); ``variance`` is that of measured speed [(m/s)^2]."""
         scale = self._config.prior_scale / variance
-        return (*self._start[:5], *(scale * p for p in self._start[5:]))
+        self._numbers = (*self._prior[:5], *(scale * p for p in self._prior[5:]))
 
-    def fits(self, numbers: Numbers) -> bool:
-        """Return whether the numbers have the length of a state."""
-        return len(numbers) == len(self._start)
+    def numbers(self) -> Numbers:
+        """Return x, theta and the upper triangle of P."""
+        return self._numbers
 
-    def learn(self, numbers: Numbers, y: float, u: float, scale: float, variance: float) -> Learned:
+    def restore(self, numbers: Numbers) -> bool:
+        """Continue from a saved state; return False if it has the wrong length."""
+        if len(numbers) != len(self._prior):
+            return False
+        self._numbers = numbers
+        return True
+
+    def speed(self) -> float:
+        """Return x [m/s]."""
+        return self._numbers[0]
+
+    def theta(self) -> Theta:
+        """Return a1 [s/m], a2 [1], b1 [m/s per N/kN], d0 [m/s]."""
+        return self._numbers[1:5]  # type: ignore[return-value]
+
+    def covariance(self, variance: float) -> Symmetric:
+        """Return the covariance of theta: P times the ``variance`` of measured speed [(m/s)^2]."""
+        return tuple(variance * p for p in self._numbers[5:])  # type: ignore[return-value]
+
+    def learn(self, y: float, u: float, scale: float, variance: float) -> Learned:
         """Update with a measured speed y [m/s] after the force u [N/kN]; see :class:`Method`."""
         tuning = self._tuning._replace(sigma=self._config.forgetting_scale * variance)
-        return learn(numbers, y, u, scale, math.sqrt(variance), tuning)
+        self._numbers, learned = learn(self._numbers, y, u, scale, math.sqrt(variance), tuning)
+        return learned
 
-    def coast(self, numbers: Numbers, u: float, scale: float) -> Numbers:
+    def coast(self, u: float, scale: float) -> None:
         """Predict over ``scale`` sample periods with the force u [N/kN], without a measurement."""
-        x = output(self.theta(numbers), regressor(numbers[0], u, scale)) + (1.0 - scale) * numbers[0]
-        return (x, *numbers[1:])
+        x = self._numbers[0]
+        self._set_speed(output(self.theta(), regressor(x, u, scale)) + (1.0 - scale) * x)
 
-    def anchor(self, numbers: Numbers, y: float, variance: float) -> Numbers:  # noqa: ARG002 - x has no variance here
+    def anchor(self, y: float, variance: float) -> None:  # noqa: ARG002 - x has no variance here
         """Restart x from a measured speed y [m/s]."""
-        return (y, *numbers[1:])
+        self._set_speed(y)
 
-    def shift(self, numbers: Numbers, change: float) -> Numbers:
+    def shift(self, change: float) -> None:
         """Add a change of speed [m/s] to x."""
-        return (numbers[0] + change, *numbers[1:])
+        self._set_speed(self._numbers[0] + change)
 
-    def widen_speed(self, numbers: Numbers, variance: float) -> Numbers:  # noqa: ARG002 - x has no variance here
-        """Return the state unchanged."""
-        return numbers
+    def _set_speed(self, x: float) -> None:
+        self._numbers = (x, *self._numbers[1:])
 
-    def widen_load(self, numbers: Numbers, share: float = 1.0) -> Numbers:  # noqa: ARG002 - no stops in the paper
-        """Return the state unchanged: the paper has no stops."""
-        return numbers
-
-    def forget(self, numbers: Numbers, factor: float) -> Numbers:  # noqa: ARG002 - no forgetting on demand
-        """Return the state unchanged."""
-        return numbers
-
-    def theta(self, numbers: Numbers) -> Theta:
-        """Return a1 [s/m], a2 [1], b1 [m/s per N/kN], d0 [m/s]."""
-        return numbers[1:5]  # type: ignore[return-value]
-
-    def covariance(self, numbers: Numbers, variance: float) -> Symmetric:
-        """Return the covariance of theta: P times the ``variance`` of measured speed [(m/s)^2]."""
-        return tuple(variance * p for p in numbers[5:])  # type: ignore[return-value]
+    def widen_load(self, share: float) -> None:
+        """Change nothing: the paper has no stops."""
 
 
-class PaperRls(SpeedModelEstimator):
-    """Estimate a1, a2, b1, d0 from aligned samples."""
-
-    def __init__(self, train_file: TrainFile, config: RlsConfig) -> None:
-        super().__init__(train_file, config, lambda theta0, P0: Rls(theta0, P0, config))
+def paper_rls(train_file: TrainFile, config: RlsConfig) -> SpeedModelEstimator:
+    """Return an estimator of a1, a2, b1, d0 from aligned samples by an algorithm of the paper."""
+    return SpeedModelEstimator(train_file, config, lambda theta0, P0: Rls(theta0, P0, config))

@@ -5,9 +5,9 @@ from __future__ import annotations
 
 from typing import Final
 
-from trainid_lab.speed_model.integral_rls import IntegralRlsConfig, SpeedIntegralRls
-from trainid_lab.speed_model.rls import AM_RLS, AM_VFF_RLS, RLS, VFF_RLS, PaperRls, RlsConfig
-from trainid_lab.speed_model.speed_model_ekf import EkfConfig, SpeedEkf
+from trainid_lab.speed_model.integral_rls import IntegralRlsConfig, speed_integral_rls
+from trainid_lab.speed_model.rls import AM_RLS, AM_VFF_RLS, RLS, VFF_RLS, RlsConfig, paper_rls
+from trainid_lab.speed_model.speed_model_ekf import EkfConfig, speed_ekf
 from trainid_ros.estimators.registry import Algorithm
 from trainid_ros.results import SpeedModelEstimate
 
@@ -24,7 +24,7 @@ def _paper(
         name,
         f'{summary}; for comparison',
         config,
-        lambda train_file, config, _: PaperRls(train_file, config),
+        lambda train_file, config, _: paper_rls(train_file, config),
         _PRINTED | fixed,
     )
 
@@ -34,13 +34,13 @@ ALGORITHMS: Final[tuple[Algorithm[SpeedModelEstimate], ...]] = (
         'EKF',
         'extended Kalman filter on speed and parameters; for parameters that drift slowly without jumps',
         EkfConfig(),
-        lambda train_file, config, _: SpeedEkf(train_file, config),
+        lambda train_file, config, _: speed_ekf(train_file, config),
     ),
     Algorithm(
         'integral-RLS',
         'recursive least squares on the change of speed over 5 s; the simplest one not biased by noise',
         IntegralRlsConfig(),
-        lambda train_file, config, _: SpeedIntegralRls(train_file, config),
+        lambda train_file, config, _: speed_integral_rls(train_file, config),
         _NOT_ADAPTIVE,
     ),
     _paper('RLS', 'recursive least squares on measured speed, Yuan et al. (5)', RLS, _NO_FORGETTING),

@@ -9,19 +9,17 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from trainid_ros.settings import setting
 from trainid_ros.speed_model.am_vff_rls import AuxiliaryModel, Tuning
-from trainid_ros.speed_model.physical_parameters import SpeedModelConfig, Symmetric, Theta
+from trainid_ros.speed_model.config import SpeedModelConfig
 from trainid_ros.speed_model.speed_model_estimator import SpeedModelEstimator, load_std
 from trainid_ros.stream.samples import SAMPLE_PERIOD
 
 if TYPE_CHECKING:
+    from trainid_ros.speed_model.physical_parameters import Symmetric, Theta
     from trainid_ros.train.train_file import TrainFile
-
-# Never used, because nothing is forgotten.
-_NO_FLOOR: Final = (1.0, 1.0, 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -47,16 +45,15 @@ def ekf_tuning(noise: float, drift: float, load: float, gate: float, gate_floor:
         gate_floor: Errors below this are never rejected [m/s].
 
     """
-    return Tuning(noise, drift, load, 1.0, math.inf, 1.0, 1.0, gate, gate_floor, _NO_FLOOR)
+    return Tuning(noise, drift, load, 1.0, math.inf, 1.0, 1.0, gate, gate_floor)
 
 
-class SpeedEkf(SpeedModelEstimator):
-    """Estimate a1, a2, b1, d0 from aligned samples."""
+def speed_ekf(train_file: TrainFile, config: EkfConfig) -> SpeedModelEstimator:
+    """Return an estimator of a1, a2, b1, d0 from aligned samples by the EKF."""
 
-    def __init__(self, train_file: TrainFile, config: EkfConfig) -> None:
-        def method(theta0: Theta, P0: Symmetric) -> AuxiliaryModel:
-            b1 = theta0[2]
-            drift, load = (config.drift * b1) ** 2 * SAMPLE_PERIOD, (load_std(train_file, config) * b1) ** 2
-            return AuxiliaryModel(theta0, P0, ekf_tuning(0.0, drift, load, config.gate, config.gate_floor))
+    def method(theta0: Theta, P0: Symmetric) -> AuxiliaryModel:
+        b1 = theta0[2]
+        drift, load = (config.drift * b1) ** 2 * SAMPLE_PERIOD, (load_std(train_file, config) * b1) ** 2
+        return AuxiliaryModel(theta0, P0, ekf_tuning(0.0, drift, load, config.gate, config.gate_floor))
 
-        super().__init__(train_file, config, method, adaptive=True)
+    return SpeedModelEstimator(train_file, config, method)

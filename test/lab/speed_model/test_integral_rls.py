@@ -12,13 +12,14 @@ import pytest
 from trainid_lab.speed_model.integral_rls import (
     IntegralRls,
     IntegralRlsConfig,
-    SpeedIntegralRls,
     Tuning,
     regression,
+    speed_integral_rls,
 )
 from trainid_ros.estimators.protocol import step_and_estimate
 from trainid_ros.results import Rejection
-from trainid_ros.speed_model.physical_parameters import SpeedModelConfig, full, prior
+from trainid_ros.speed_model.config import SpeedModelConfig
+from trainid_ros.speed_model.physical_parameters import full, prior
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import TrainFile
 
@@ -34,17 +35,17 @@ def model(x: float, u: float) -> float:
 
 def test_without_noise_the_true_model_is_kept_and_its_variance_shrinks() -> None:
     method = IntegralRls(THETA, P0, TUNING)
-    numbers, x = method.anchor(method.start(1e-4), 8.0, 1e-4), 8.0
+    x = 8.0
+    method.anchor(x, 1e-4)
     for n in range(200):
         u = 30.0 if n % 50 < 25 else -5.0
         x = model(x, u)
-        learned = method.learn(numbers, x, u, 1.0, 1e-4)
-        numbers = learned.numbers
+        learned = method.learn(x, u, 1.0, 1e-4)
         assert learned.error == pytest.approx(0.0, abs=1e-9)
-    assert method.theta(numbers) == pytest.approx(THETA, rel=1e-9)
-    assert method.covariance(numbers, 1.0)[7] < 0.2 * P0[7]
-    assert method.fits(numbers)
-    assert not method.fits(numbers[:-1])
+    assert method.theta() == pytest.approx(THETA, rel=1e-9)
+    assert method.covariance(1.0)[7] < 0.2 * P0[7]
+    assert method.restore(method.numbers())
+    assert not method.restore(method.numbers()[:-1])
 
 
 def test_a_regression_uses_the_change_over_the_window() -> None:
@@ -60,11 +61,14 @@ def test_a_regression_uses_the_change_over_the_window() -> None:
 
 def test_a_stop_restarts_the_window_and_widens_b1() -> None:
     method = IntegralRls(THETA, P0, TUNING)
-    numbers = method.anchor(method.start(1e-4), 8.0, 1e-4)
+    method.anchor(8.0, 1e-4)
     for _ in range(4):
-        numbers = method.coast(numbers, 5.0, 1.0)
+        method.coast(5.0, 1.0)
+    numbers = method.numbers()
     assert len(numbers) == 19 + 4 * 5
-    stopped = method.widen_load(method.anchor(numbers, 0.0, 1e-4))
+    method.anchor(0.0, 1e-4)
+    method.widen_load(1.0)
+    stopped = method.numbers()
     assert len(stopped) == 19
     assert stopped[12] - numbers[12] == pytest.approx(1e-8)
 
@@ -72,7 +76,7 @@ def test_a_stop_restarts_the_window_and_widens_b1() -> None:
 def test_white_noise_causes_no_bias(train_file: TrainFile, journey: Callable[..., list[Sample]]) -> None:
     errors = []
     for seed in range(3):
-        estimator = SpeedIntegralRls(train_file, IntegralRlsConfig())
+        estimator = speed_integral_rls(train_file, IntegralRlsConfig())
         for item in journey(400.0, traction=lambda t: 30.0 if t % 140.0 < 40.0 else 0.0, speed=8.0, seed=seed):
             estimator.step(item)
         e = estimator.estimate(0.0)
@@ -93,12 +97,11 @@ def test_the_predicted_variance_matches_the_error(noise: float) -> None:
     for _ in range(50):
         a1, a2, b1, d0 = np.array(THETA) + L @ rng.standard_normal(4)
         method, x = IntegralRls(THETA, few, tuning), 8.0  # type: ignore[arg-type]
-        numbers = method.anchor(method.start(variance), x + 0.02 * rng.standard_normal(), variance)
+        method.anchor(x + 0.02 * rng.standard_normal(), variance)
         for n in range(150):
             u = 30.0 if n % 60 < 30 else -5.0
             x = a1 * x * x + a2 * x + b1 * u + d0 + math.sqrt(noise) * rng.standard_normal()
-            learned = method.learn(numbers, x + 0.02 * rng.standard_normal(), u, 1.0, variance)
-            numbers = learned.numbers
+            learned = method.learn(x + 0.02 * rng.standard_normal(), u, 1.0, variance)
             (early if n < 20 else late).append(learned.error**2 / learned.variance)
     # From 1000 and 6500 correlated squares; clipping is rare.
     assert np.mean(early) == pytest.approx(1.0, abs=0.2)
@@ -108,7 +111,7 @@ def test_the_predicted_variance_matches_the_error(noise: float) -> None:
 def test_the_estimate_becomes_valid_and_its_variance_matches_the_errors(
     train_file: TrainFile, journey: Callable[..., list[Sample]]
 ) -> None:
-    estimator = SpeedIntegralRls(train_file, IntegralRlsConfig())
+    estimator = speed_integral_rls(train_file, IntegralRlsConfig())
     ratios = []
     for item in journey(700.0, traction=lambda t: 30.0 if t % 140.0 < 40.0 else 0.0, speed=8.0, seed=4):
         e = step_and_estimate(estimator, item)
@@ -120,12 +123,14 @@ def test_the_estimate_becomes_valid_and_its_variance_matches_the_errors(
 
 def test_an_outlier_is_clipped_and_a_lasting_change_is_followed() -> None:
     method = IntegralRls(THETA, tuple(1e-6 * p for p in P0), TUNING._replace(noise=3e-6))  # type: ignore[arg-type]
-    numbers = method.anchor(method.start(4e-4), 8.0, 4e-4)
+    method.anchor(8.0, 4e-4)
     for _ in range(50):
-        numbers = method.learn(numbers, numbers[0], 0.0, 1.0, 4e-4).numbers
-    std = math.sqrt(method.learn(numbers, numbers[0], 0.0, 1.0, 4e-4).variance)
-    learned = method.learn(numbers, numbers[0] + 5.0, 0.0, 1.0, 4e-4)
-    assert learned.numbers[0] - learned.predicted == pytest.approx(0.3 * 4.0 * std)
+        method.learn(method.speed(), 0.0, 1.0, 4e-4)
+    numbers = method.numbers()
+    std = math.sqrt(method.learn(method.speed(), 0.0, 1.0, 4e-4).variance)
+    method.restore(numbers)
+    learned = method.learn(method.speed() + 5.0, 0.0, 1.0, 4e-4)
+    assert method.speed() - learned.predicted == pytest.approx(0.3 * 4.0 * std)
     for _ in range(200):
-        learned = method.learn(learned.numbers, 13.0, 0.0, 1.0, 4e-4)
-    assert learned.numbers[0] == pytest.approx(13.0, abs=0.1)
+        method.learn(13.0, 0.0, 1.0, 4e-4)
+    assert method.speed() == pytest.approx(13.0, abs=0.1)

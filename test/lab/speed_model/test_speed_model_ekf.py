@@ -8,9 +8,10 @@ from dataclasses import replace
 
 import pytest
 
-from trainid_lab.speed_model.speed_model_ekf import EkfConfig, SpeedEkf
+from trainid_lab.speed_model.speed_model_ekf import EkfConfig, speed_ekf
 from trainid_ros.estimators.protocol import step_and_estimate
-from trainid_ros.speed_model.am_vff_rls import AmVffRls, AmVffRlsConfig
+from trainid_ros.speed_model.config import AmVffRlsConfig
+from trainid_ros.speed_model.speed_model_algorithms import am_vff_rls
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import TrainFile
 
@@ -22,7 +23,7 @@ def saw_tooth(t: float) -> float:
 
 
 def test_resistance_and_mass_are_estimated(train_file: TrainFile, journey: Journey) -> None:
-    estimator = SpeedEkf(train_file, EkfConfig())
+    estimator = speed_ekf(train_file, EkfConfig())
     for item in journey(400.0, traction=saw_tooth, speed=8.0):
         estimator.step(item)
     e = estimator.estimate(0.0)
@@ -32,8 +33,8 @@ def test_resistance_and_mass_are_estimated(train_file: TrainFile, journey: Journ
 
 
 def test_it_equals_am_vff_rls_without_forgetting(train_file: TrainFile, journey: Journey) -> None:
-    ekf = SpeedEkf(train_file, EkfConfig())
+    ekf = speed_ekf(train_file, EkfConfig())
     config = replace(AmVffRlsConfig(), threshold=1e3, change_threshold=1e3, drift=EkfConfig().drift)
-    never = AmVffRls(train_file, config)
+    never = am_vff_rls(train_file, config)
     for item in journey(200.0, traction=saw_tooth, speed=8.0):
         assert repr(step_and_estimate(ekf, item)) == repr(step_and_estimate(never, item))

@@ -163,7 +163,8 @@ class TwoWindow:
         """Process one sample; every ``stride`` good samples give one row and one fit."""
         rejection = self._admission.reject(sample)
         self.state = replace(self.state, braked_ns=self._admission.braked_ns)
-        noise = self.state.noise.add(sample.speed, math.nan if rejection else sample.dt)
+        noise = replace(self.state.noise)
+        noise.add(sample.speed, math.nan if rejection else sample.dt)
         if rejection is not None:
             self.state = replace(self.state, motion=None, noise=noise)
             return rejection

@@ -1,0 +1,86 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Estimates of the speed model other than theta: force delay, disturbance strength, error of the curve resistance."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from trainid_ros.speed_model.am_vff_rls import AuxiliaryModel, Tuning
+from trainid_ros.speed_model.nuisance_parameters import CurveError, Disturbance, ForceDelay, RecentSamples
+
+NONE = (0.0, 0.0, 0.0, 0.0)
+UNIT = (1.0, 0.0, 0.0, 0.0)
+
+
+def recent(rows: list[tuple[float, float]]) -> RecentSamples:
+    samples = RecentSamples()
+    for dt, speed in rows:
+        samples.add(dt, speed, -speed, 2.0 * speed)
+    return samples
+
+
+def test_a_past_value_is_interpolated_and_limited_to_the_oldest() -> None:
+    samples = recent([(math.nan, 1.0), (0.2, 2.0), (0.2, 4.0)])
+    expected = [4.0, 4.0, 3.0, 2.0, 1.5, 1.0]
+    assert [samples.speed(t) for t in (-1.0, 0.0, 0.1, 0.2, 0.3, 9.0)] == pytest.approx(expected)
+    assert (samples.track(0.3), samples.curve(0.3)) == pytest.approx((-1.5, 3.0))
+    samples.add(math.nan, 7.0, 0.0, 0.0)
+    assert samples.speed(0.3) == 7.0
+
+
+def test_the_last_second_of_samples_is_kept_and_restored() -> None:
+    samples, copy = recent([(0.2, float(k)) for k in range(20)]), RecentSamples()
+    numbers = samples.numbers()
+    assert numbers[1::4] == (14.0, 15.0, 16.0, 17.0, 18.0, 19.0)
+    assert samples.speed(9.0) == 14.0
+    assert copy.restore(numbers)
+    assert copy.numbers() == numbers
+    assert [copy.speed(t) for t in (0.1, 0.5, 9.0)] == [samples.speed(t) for t in (0.1, 0.5, 9.0)]
+
+
+def test_changes_of_the_force_reveal_its_delay() -> None:
+    rng, late = np.random.default_rng(1), ForceDelay.unknown(0.15)
+    for _ in range(50):
+        late.sensitivity = 0.0
+        assert late.predict(0.9) == pytest.approx(0.81 * late.variance)
+        error = 0.9 * (0.2 - late.delay) + 0.03 * float(rng.standard_normal())
+        late.learn(error, 0.03**2 + late.sensitivity**2 * late.variance, 0.03**2)
+    assert late.delay == pytest.approx(0.2, abs=0.02)
+    assert math.sqrt(late.variance) < 0.01
+
+
+@pytest.mark.parametrize('density', [1e-5, 4e-4])
+def test_the_strength_of_a_disturbance_is_estimated(density: float) -> None:
+    rng, disturbance = np.random.default_rng(2), Disturbance.declared(0.006)
+    for _ in range(9000):
+        disturbance.add(float(rng.normal(0.0, math.sqrt(0.2 * density))), NONE, UNIT, 0.2, 0.0)
+    assert disturbance.density == pytest.approx(density, rel=0.6)
+
+
+def test_window_errors_of_one_sign_indicate_a_change() -> None:
+    disturbance = Disturbance.declared(0.01)
+    for _ in range(450):
+        disturbance.add(0.0015, NONE, UNIT, 0.2, 0.0)
+    assert disturbance.chi2 > 9.0
+
+
+def test_the_curve_error_is_estimated_as_by_a_kalman_filter() -> None:
+    """For x and the error only: a matrix Kalman filter with two states."""
+    tuning = Tuning(0.0, 0.0, 0.0, 1.0, math.inf, 1.0, 1.0, 4.0, 0.0)
+    model, curve = AuxiliaryModel((0.0, 1.0, 1e-3, 0.0), (0.0,) * 7 + (1.0, 0.0, 0.0), tuning), CurveError(0.0, 0.04)
+    model.start(1e-2)
+    model.anchor(10.0, 1e-2)
+    P, R, change = np.diag([1e-2, 0.04]), 4e-4, -0.05
+    F = np.array([[1.0, change], [0.0, 1.0]])
+    curve.predict(model, change, 0.0, 1.0)
+    P = F @ P @ F.T
+    assert (model.P[0], curve.x) == pytest.approx((P[0, 0], P[0, 1]))
+    S, error = P[0, 0] + R, 0.03
+    model.correct(error, R)
+    curve.learn(model, error, S, R)
+    K = P[:, 0] / S
+    expected = P - np.outer(K, P[0])
+    assert (curve.error, curve.x, curve.variance) == pytest.approx((K[1] * error, expected[0, 1], expected[1, 1]))

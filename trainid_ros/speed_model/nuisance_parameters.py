@@ -1,0 +1,346 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is estimated in addition to theta: force delay, error of the curve resistance, strength of disturbances."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+from trainid_ros.speed_model.am_vff_rls import AuxiliaryModel
+from trainid_ros.speed_model.method import Numbers
+from trainid_ros.speed_model.physical_parameters import Theta
+from trainid_ros.vectors import i64, vec
+
+# Measurements kept: more than a second at the sample period, longer than any delay of the force.
+_KEPT: Final = 6
+# Numbers of each: time since the one before, speed, resistance of the track, curvature.
+_FIELDS: Final = 4
+# Smallest standard deviation of the delay [s]: lags and the sampling grid are not a pure delay.
+_LEAST_DELAY_STD: Final = 0.003
+# One update leaves at least this share of the variance, so that rounding cannot make it negative.
+_LEAST_SHARE: Final = 1e-3
+# Limit of a squared correlation in a restored state: one, with a margin for rounding.
+_MOST_CORRELATED: Final = 1.01
+# Longest window of the disturbances, and shortest one that is used [s].
+_LONGEST: Final = 30.0
+_SHORTEST: Final = 8.0
+# Weight of the initial value, and memory, both in windows.
+_PRIOR_WINDOWS: Final = 3.0
+_MEMORY: Final = 60.0
+# Limit of a squared window error over its expectation: a step of the resistance is not a gust.
+_MOST_SQUARE: Final = 5.0
+# Weight of one window in the running mean, and its limit in standard deviations.
+_SHARE: Final = 0.4
+_MOST_ERROR: Final = 4.0
+# Map errors extend beyond one window: their power at long periods over that within a window.
+_LONG_TERM: Final = 1.4
+# Limits of the strength, as a standard deviation [m/s per sqrt(s)].
+_LEAST_STD: Final = 0.001
+_MOST_STD: Final = 0.05
+
+
+class RecentSamples:
+    """Last samples, to look up the values at the time to which a delayed force belongs."""
+
+    def __init__(self) -> None:
+        # A ring: each value is followed by a newer one, the newest by the oldest.
+        self._dt = vec[float]([0.0] * _KEPT)
+        self._speeds = vec[float]([0.0] * _KEPT)
+        self._tracks = vec[float]([0.0] * _KEPT)
+        self._curves = vec[float]([0.0] * _KEPT)
+        self._newest: i64 = 0
+        self._count: i64 = 0
+
+    def add(self, dt: float, speed: float, track: float, curve: float) -> None:
+        """Add the values of a sample ``dt`` [s] after the last one; NaN after a gap, which discards the older values.
+
+        Args:
+            dt: Time since the last sample [s].
+            speed: Measured speed [m/s].
+            track: Resistance of the track, gradient included [N/kN].
+            curve: 600 m over the curve radius, 0 on straight track [1].
+
+        """
+        if math.isnan(dt):
+            self._count = 0
+        k: i64 = self._newest + 1
+        if k == _KEPT:
+            k = 0
+        self._dt[k] = 0.0 if math.isnan(dt) else dt
+        self._speeds[k], self._tracks[k], self._curves[k] = speed, track, curve
+        self._newest = k
+        if self._count < _KEPT:
+            self._count += 1
+
+    def speed(self, delay: float) -> float:
+        """Return the speed ``delay`` [s] ago, interpolated; beyond the ends the newest or the oldest one [m/s]."""
+        return self._before(self._speeds, delay)
+
+    def track(self, delay: float) -> float:
+        """Return the resistance of the track ``delay`` [s] ago [N/kN]."""
+        return self._before(self._tracks, delay)
+
+    def curve(self, delay: float) -> float:
+        """Return 600 m over the curve radius ``delay`` [s] ago [1]."""
+        return self._before(self._curves, delay)
+
+    def _before(self, values: vec[float], delay: float) -> float:
+        remaining = delay
+        newer: i64 = self._newest
+        for _ in range(self._count - 1):
+            older: i64 = newer - 1 if newer > 0 else _KEPT - 1
+            dt = self._dt[newer]
+            if remaining <= dt:
+                if dt <= 0.0:
+                    return values[newer]
+                return values[newer] + (values[older] - values[newer]) * max(remaining, 0.0) / dt
+            remaining -= dt
+            newer = older
+        return values[newer]
+
+    def numbers(self) -> Numbers:
+        """Return the values of all samples in the order of :meth:`add`, oldest sample first."""
+        found: list[float] = []
+        for place in range(self._newest + 1 - self._count, self._newest + 1):
+            k = place % _KEPT
+            found += (self._dt[k], self._speeds[k], self._tracks[k], self._curves[k])
+        return tuple(found)
+
+    def restore(self, numbers: Numbers) -> bool:
+        """Continue from saved numbers; return False if their number is wrong or a time is negative."""
+        samples, rest = divmod(len(numbers), _FIELDS)
+        if rest or samples > _KEPT or min(numbers[::_FIELDS], default=0.0) < 0.0:
+            return False
+        self._count = 0
+        for k in range(0, len(numbers), _FIELDS):
+            dt, speed, track, curve = numbers[k : k + _FIELDS]
+            self.add(dt, speed, track, curve)
+        return True
+
+
+@dataclass
+class ForceDelay:
+    """Delay of the reported force, estimated from the response of the speed to changes of the force.
+
+    If the stamps of the force f are late by delta, the model output equals the train's speed delta ago, so it is
+    compared with the speed measured then. An error in delta puts the model off by k delta (f - f0), where f0 is the
+    force at the last restart of the model from a measurement and k the acceleration coefficient: each change of the
+    force makes the error visible in the innovations. Measurement updates correct the model, so the sensitivity of x to
+    delta shrinks with each update. delta has a scalar recursion of its own, separate from that of theta: both use the
+    same innovations, and the uncertainty of one adds to the variance of x for the other.
+
+    Attributes:
+        delay: delta [s].
+        variance: Its variance [s^2].
+        sensitivity: Derivative of x with respect to delta [m/s^2].
+
+    """
+
+    delay: float
+    variance: float
+    sensitivity: float = 0.0
+
+    @classmethod
+    def unknown(cls, std: float) -> ForceDelay:
+        """Return the prior: zero delay with a standard deviation [s]."""
+        return cls(0.0, std * std)
+
+    def predict(self, change: float) -> float:
+        """Predict after the force changed the acceleration by ``change`` [m/s^2].
+
+        Returns:
+            Variance that the uncertainty of the delay adds to x [(m/s)^2].
+
+        """
+        before = self.sensitivity
+        self.sensitivity += change
+        return max(self.sensitivity * self.sensitivity - before * before, 0.0) * self.variance
+
+    def learn(self, error: float, variance: float, noise: float) -> None:
+        """Update with an innovation of speed.
+
+        Args:
+            error: Measured less predicted speed [m/s].
+            variance: Variance of that innovation [(m/s)^2].
+            noise: Variance of the measurement noise, a part of it [(m/s)^2].
+
+        """
+        gain = self.variance * self.sensitivity / variance
+        remaining = self.variance - gain * self.sensitivity * self.variance
+        self.delay += gain * error
+        self.variance = max(remaining, min(self.variance, _LEAST_DELAY_STD * _LEAST_DELAY_STD))
+        self.sensitivity = self.sensitivity * noise / variance
+
+
+@dataclass
+class CurveError:
+    """Error of the train file's curve resistance, estimated as one more parameter in addition to theta.
+
+    A typical curve coefficient is accurate to 20 %, and on a line with many curves this is the largest error. It
+    changes the speed by a known amount per step, so it is estimated jointly with x and theta: the auxiliary model holds
+    their covariance; this class holds the variance of the curve error and its covariance with x and theta.
+
+    Attributes:
+        error: Error at 600 m [N/kN].
+        variance: Its variance [(N/kN)^2].
+        x: Its covariance with x, and so on with a1, a2, b1, d0.
+        a1: See ``x``.
+        a2: See ``x``.
+        b1: See ``x``.
+        d0: See ``x``.
+
+    """
+
+    error: float
+    variance: float
+    x: float = 0.0
+    a1: float = 0.0
+    a2: float = 0.0
+    b1: float = 0.0
+    d0: float = 0.0
+
+    def is_valid(self, variances: tuple[float, float, float, float, float]) -> bool:
+        """Return whether a restored state is consistent with these variances of x, a1, a2, b1, d0."""
+        most, own = _MOST_CORRELATED * self.variance, (self.x, self.a1, self.a2, self.b1, self.d0)
+        return most >= 0.0 and all(c * c <= most * v for c, v in zip(own, variances, strict=True))
+
+    def predict(self, model: AuxiliaryModel, change: float, u: float, scale: float) -> None:
+        """Apply the error to a step, before the step of the model.
+
+        Args:
+            model: The auxiliary model, of which x and its covariances are changed.
+            change: Change of speed over the step by 1 N/kN at 600 m radius [m/s].
+            u: Specific force over the step [N/kN].
+            scale: Duration of the step over the sample period [1].
+
+        """
+        model.add_input(
+            change * self.error,
+            change * (2.0 * self.x + change * self.variance),
+            (change * self.a1, change * self.a2, change * self.b1, change * self.d0),
+        )
+        self.x += change * self.variance
+        x = model.speed()
+        a1, a2, _, _ = model.theta()
+        slope = 1.0 + scale * (2.0 * a1 * x + a2 - 1.0)
+        self.x = slope * self.x + scale * (x * x * self.a1 + x * self.a2 + u * self.b1 + self.d0)
+
+    def learn(self, model: AuxiliaryModel, error: float, variance: float, noise: float) -> None:
+        """Update after the measurement update of the model.
+
+        Args:
+            model: The auxiliary model after the update.
+            error: Measured less predicted speed [m/s].
+            variance: Variance of that innovation [(m/s)^2].
+            noise: Variance of the measurement noise, a part of it [(m/s)^2].
+
+        """
+        gain = self.x / variance
+        # Gains of the model: the covariance with x before the update is that after it times variance / noise.
+        share = gain * variance / noise
+        P = model.P
+        self.error += gain * error
+        self.variance = max(self.variance - gain * self.x, _LEAST_SHARE * self.variance)
+        self.x -= share * P[0]
+        self.a1 -= share * P[1]
+        self.a2 -= share * P[2]
+        self.b1 -= share * P[3]
+        self.d0 -= share * P[4]
+
+
+@dataclass
+class Disturbance:
+    """Strength of unmodelled disturbances (gusts, map errors), from the speed error over windows of half a minute.
+
+    The disturbances are not white: a gust lasts for seconds, a map error for hundreds of metres. For parameters that
+    are estimated over many minutes their power at low frequency matters, which shows in the deviation of the speed from
+    the model over a long window, not from one sample to the next. This deviation is the sum of the corrections of x
+    over the window, without the effect of the updates of theta meanwhile. Consecutive windows with errors of the same
+    sign indicate a change of the resistance, not a disturbance.
+
+    Attributes:
+        density: Variance that the speed gains in a second [(m/s)^2/s].
+        windows: Number of windows used for it [1].
+        mean_error: Running mean of the window errors, in standard deviations [1].
+        elapsed: Duration of the current window so far [s].
+        deviation: Sum of the corrections of x in it [m/s].
+        a1: Parameter a1 at its start [s/m].
+        a2: Parameter a2 at its start [1].
+        b1: Parameter b1 at its start [m/s per N/kN].
+        d0: Parameter d0 at its start [m/s].
+        theta_variance: Variance of the speed at its end due to the uncertainty of theta, over the square of its
+            duration [(m/s^2)^2].
+
+    """
+
+    density: float
+    windows: float = _PRIOR_WINDOWS
+    mean_error: float = 0.0
+    elapsed: float = 0.0
+    deviation: float = 0.0
+    a1: float = 0.0
+    a2: float = 0.0
+    b1: float = 0.0
+    d0: float = 0.0
+    theta_variance: float = 0.0
+
+    @classmethod
+    def declared(cls, std: float) -> Disturbance:
+        """Return the initial state with the configured strength [m/s per sqrt(s)]."""
+        return cls(std * std)
+
+    def add(self, correction: float, theta: Theta, phi: Theta, dt: float, variance: float) -> None:
+        """Add a measurement to the current window.
+
+        Args:
+            correction: Correction of x by the measurement [m/s].
+            theta: Parameters used to predict x.
+            phi: Regressor of the step.
+            dt: Time since the previous measurement [s].
+            variance: Variance of the acceleration due to that of theta [(m/s^2)^2]; used at the start of a window.
+
+        """
+        a1, a2, b1, d0 = theta
+        if self.elapsed == 0.0:
+            self.a1, self.a2, self.b1, self.d0 = theta
+            self.deviation, self.elapsed, self.theta_variance = correction, dt, variance
+            return
+        updates = (a1 - self.a1) * phi[0] + (a2 - self.a2) * phi[1] + (b1 - self.b1) * phi[2] + (d0 - self.d0) * phi[3]
+        self.deviation = self.deviation + correction + updates
+        self.elapsed += dt
+        if self.elapsed >= _LONGEST:
+            self.end_window()
+
+    def end_window(self) -> None:
+        """Close the current window and update the strength, unless the window is too short."""
+        elapsed, deviation, theta_variance = self.elapsed, self.deviation, self.theta_variance
+        self.elapsed = self.deviation = self.theta_variance = 0.0
+        if elapsed < _SHORTEST:
+            return
+        own = self.density * elapsed
+        expected = own + theta_variance * elapsed * elapsed
+        ratio = min(deviation * deviation / expected, _MOST_SQUARE)
+        # Share of the error variance not due to theta; a window dominated by theta's uncertainty has little weight.
+        share = own / expected
+        weight = share * share * elapsed / _LONGEST
+        self.windows = min(self.windows + weight, _MEMORY)
+        density = self.density * (1.0 + (weight / self.windows) * (ratio - 1.0) / share)
+        self.density = min(max(density, _LEAST_STD * _LEAST_STD), _MOST_STD * _MOST_STD)
+        z = min(max(deviation / math.sqrt(expected), -_MOST_ERROR), _MOST_ERROR)
+        self.mean_error += _SHARE * (z - self.mean_error)
+
+    def is_valid(self) -> bool:
+        """Return whether a restored window can be continued."""
+        bounded = self.density > 0.0 and 0.5 * _LEAST_STD < math.sqrt(self.density) < 2.0 * _MOST_STD
+        return bounded and 0.0 < self.windows <= _MEMORY and min(self.elapsed, self.theta_variance) >= 0.0
+
+    @property
+    def chi2(self) -> float:
+        """Chi-square of the mean window error, one degree of freedom [1]."""
+        return self.mean_error * self.mean_error * (2.0 - _SHARE) / _SHARE
+
+    @property
+    def long_term_density(self) -> float:
+        """Density at periods of minutes, over which parameters are estimated [(m/s)^2/s]."""
+        return _LONG_TERM * self.density
