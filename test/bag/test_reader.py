@@ -76,7 +76,9 @@ def test_order_is_log_time_and_on_ties_that_of_the_file(tmp_path: Path) -> None:
 
 def test_order_holds_across_chunks_that_overlap(tmp_path: Path) -> None:
     # 1.5 MB on a foreign topic push the second half into later chunks of about 1 MB.
-    filler = typestore().types['std_msgs/msg/String'](data='x' * 500_000)
+    store = typestore()
+    store.register(get_types_from_msg('string data', 'std_msgs/msg/String'))
+    filler = store.types['std_msgs/msg/String'](data='x' * 500_000)
     path = tmp_path / 'bag'
     order = [50, 10, 40, 0, 30, 20]
     with BagWriter(path) as writer:

@@ -57,7 +57,6 @@ def test_only_many_inputs_are_read_in_parallel() -> None:
     assert 1 <= worker_count([POOL_FROM] * 3) <= 3
 
 
-@pytest.mark.slow
 def test_processes_give_the_same_runs_and_progress(bags: list[Path]) -> None:
     steps: list[float] = []
     together = read_runs(bags, TRAIN, workers=2, advance=steps.append)
@@ -65,7 +64,6 @@ def test_processes_give_the_same_runs_and_progress(bags: list[Path]) -> None:
     assert sum(steps) > 1000
 
 
-@pytest.mark.slow
 def test_an_error_in_a_worker_process_is_raised(bags: list[Path], tmp_path: Path) -> None:
     with pytest.raises(InputError, match='missing'):
         read_runs([*bags, tmp_path / 'missing'], TRAIN, workers=2)

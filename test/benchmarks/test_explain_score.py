@@ -3,7 +3,9 @@ from __future__ import annotations
 
 import io
 import math
+from typing import Any
 
+import numpy as np
 import pytest
 
 from benchmarks.explain import line_of, mark
@@ -26,7 +28,7 @@ from benchmarks.explain_score import (
 )
 from benchmarks.explain_tables import tables_of, targets
 from benchmarks.explain_trial import CRASHED, Named, Outcome
-from benchmarks.tables import as_markdown
+from benchmarks.tables import Plot, as_markdown
 
 WIND = HiddenEffect('headwind', (('speed', 5.0),), (), 60.0)
 DRAG = HiddenEffect('local_drag', (), (), 40.0)
@@ -154,11 +156,19 @@ def test_tables_and_lines_contain_the_reported_effects() -> None:
     assert 'headwind[50]~tunnel_drag' in line_of(mixed[0])
 
 
-def test_plots_accept_one_case_and_none() -> None:
-    few: list[list[Outcome]] = [[outcome_of(WIND, found=(name('headwind'),))], []]
-    for outcomes in few:
-        for plot in (visibility_plot(outcomes), gap_plot(outcomes)):
-            plot.figure.savefig(io.BytesIO(), format='svg')
+def drawn(plot: Plot) -> list[list[float]]:
+    """Return the heights of the points of each series of a plot, once it is drawn."""
+    plot.figure.savefig(io.BytesIO(), format='svg')
+    (axes,) = plot.figure.axes
+    bars: list[Any] = list(axes.containers)
+    series = [bar.lines[0] for bar in bars] or axes.get_lines()[:2]
+    return [np.asarray(line.get_ydata()).tolist() for line in series]
+
+
+def test_plots_show_one_case_and_none() -> None:
+    one = [outcome_of(WIND, found=(name('headwind'),))]
+    assert (drawn(visibility_plot(one)), drawn(visibility_plot([]))) == ([[100.0], [100.0]], [[], []])
+    assert (drawn(gap_plot(one)), drawn(gap_plot([]))) == ([[50.0], [50.0]], [[], []])
 
 
 def test_specs_are_drawn_at_random_or_by_name() -> None:

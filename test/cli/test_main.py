@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+import trainid_ros
 from trainid_ros.cli import main as entry
 from trainid_ros.errors import InputError, NoAnswerError
 
@@ -20,11 +21,14 @@ if TYPE_CHECKING:
 
 @pytest.fixture
 def verb(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[[argparse.Namespace], int]], None]:
-    """Return a function that replaces the module of ``info``."""
+    """Return a function that replaces ``info``."""
+
+    def configure(parser: argparse.ArgumentParser) -> None:
+        parser.add_argument('--x', type=int)
 
     def install(run: Callable[[argparse.Namespace], int]) -> None:
-        module = SimpleNamespace(configure=lambda parser: parser.add_argument('--x', type=int), run=run)
-        monkeypatch.setattr(entry, 'import_module', lambda _name: module)
+        monkeypatch.setattr(entry, 'VERBS', (entry.Verb('info', 'for tests', configure),))
+        monkeypatch.setattr(entry, 'import_module', lambda _name: SimpleNamespace(run=run))
 
     return install
 
@@ -71,7 +75,9 @@ def test_exit_code_and_arguments_are_passed_through(
     assert entry.main(['info', '--x', '7']) == 7
 
 
-@pytest.mark.parametrize('arguments', [[], ['nonsense'], ['info'], ['info', 'a', 'b'], ['info', 'a', '--nope']])
+@pytest.mark.parametrize(
+    'arguments', [[], ['nonsense'], ['info'], ['fit', 'a', 'b'], ['info', 'a', '--nope'], ['info', 'a', '--jobs', '-1']]
+)
 def test_usage_errors_are_one_line(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
         entry.main(arguments)
@@ -94,19 +100,48 @@ def test_version(capsys: pytest.CaptureFixture[str]) -> None:
     with pytest.raises(SystemExit) as caught:
         entry.main(['--version'])
     assert caught.value.code == 0
-    assert capsys.readouterr().out.startswith('trainid ')
+    assert capsys.readouterr().out == f'trainid {trainid_ros.__version__}\n'
 
 
-def test_verbs_without_ros_import_no_ros() -> None:
+def imported_by(arguments: list[str]) -> set[str]:
+    """Return the packages that a command has imported at its end, and the modules of this one."""
     program = (
-        'import sys\n'
+        'import atexit, sys\n'
+        'atexit.register(lambda: print(*sys.modules, sep="\\n", file=sys.stderr))\n'
         'from trainid_ros.cli.main import main\n'
-        "code = main(['info', '/nonexistent'])\n"
-        "loaded = {'rclpy', 'matplotlib', 'scipy'} & set(sys.modules)\n"
-        'sys.exit(f"{code} {sorted(loaded)}")\n'
+        'sys.exit(main(sys.argv[1:]))\n'
     )
-    done = subprocess.run([sys.executable, '-c', program], capture_output=True, text=True, check=False)
-    assert done.stderr.splitlines() == ['trainid: error: /nonexistent: no such bag', '2 []']
+    command = [sys.executable, '-c', program, *arguments]
+    done = subprocess.run(command, capture_output=True, text=True, check=True)
+    names = done.stderr.split()
+    return {name.partition('.')[0] for name in names} | {name for name in names if name.startswith('trainid_ros.')}
+
+
+# Each takes 20 to 150 ms to import.
+SLOW = {'importlib_metadata', 'matplotlib', 'multiprocessing', 'rclpy', 'rich', 'rosbags', 'scipy'}
+HELP = [['--help'], ['--version'], *([verb.name, '--help'] for verb in entry.VERBS if verb.name != 'simulate')]
+
+
+@pytest.mark.parametrize('arguments', HELP, ids=' '.join)
+def test_help_imports_nothing_slow(arguments: list[str]) -> None:
+    found = imported_by(arguments)
+    assert not found & (SLOW | {'numpy', 'mcap', 'trainid_ros.estimators.pipeline'})
+
+
+def test_the_help_of_the_simulator_imports_only_what_it_names() -> None:
+    assert not imported_by(['simulate', '--help']) & (SLOW | {'mcap', 'trainid_ros.estimators.pipeline'})
+
+
+def test_info_imports_only_what_it_needs(driven_bag: Path) -> None:
+    found = imported_by(['info', str(driven_bag)])
+    assert 'trainid_ros.bag.bag_info' in found
+    assert not found & (SLOW | {'trainid_ros.estimators.pipeline', 'trainid_ros.sim.truth'})
+
+
+def test_replay_imports_only_what_it_needs(driven_bag: Path) -> None:
+    found = imported_by(['replay', str(driven_bag), '--train', str(driven_bag / 'train.yaml')])
+    assert 'trainid_ros.estimators.pipeline' in found
+    assert not found & (SLOW | {'trainid_lab', 'trainid_ros.bag.writer', 'trainid_ros.report.traces'})
 
 
 def test_closed_pipe_is_quiet(driven_bag: Path) -> None:

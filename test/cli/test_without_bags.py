@@ -53,7 +53,8 @@ def test_a_command_on_bags_says_what_to_install(verb: str, tmp_path: Path) -> No
 
 @pytest.mark.parametrize('package', sorted(PACKAGES))
 def test_each_package_is_named(package: str, tmp_path: Path) -> None:
-    done = trainid(tmp_path, 'info', 'bag', hidden=frozenset({package}))
+    verb = 'simulate' if package == 'rosbags' else 'info'  # rosbags writes
+    done = trainid(tmp_path, *NEED_BAGS[verb], hidden=frozenset({package}))
     assert done.returncode == 2
     assert done.stderr == f'trainid: error: bags need the Python package {package}: {HINT}\n'
 
@@ -69,14 +70,18 @@ def test_run_gets_as_far_as_its_train_file(tmp_path: Path) -> None:
     assert 'none.yaml: cannot be read' in done.stderr
 
 
+def test_reading_needs_no_rosbags(driven_bag: Path, tmp_path: Path) -> None:
+    assert trainid(tmp_path, 'info', str(driven_bag), hidden=frozenset({'rosbags'})).returncode == 0
+
+
 def test_the_player_says_what_to_install(monkeypatch: pytest.MonkeyPatch) -> None:
     from trainid_ros.ros.bag_player import BagPlayer  # noqa: PLC0415
 
-    monkeypatch.setitem(sys.modules, 'rosbags', None)
-    for name in [name for name in sys.modules if name.startswith(('rosbags.', 'trainid_ros.bag.'))]:
+    monkeypatch.setitem(sys.modules, 'mcap', None)
+    for name in [name for name in sys.modules if name.startswith(('mcap.', 'trainid_ros.bag.'))]:
         monkeypatch.delitem(sys.modules, name)
     node: Any = SimpleNamespace(parameters=SimpleNamespace(value=lambda _: 'bag'))
-    with pytest.raises(InputError, match=r'rosbags: pip install'):
+    with pytest.raises(InputError, match=r'mcap: pip install'):
         BagPlayer.open_timeline(node)
 
 

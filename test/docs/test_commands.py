@@ -9,7 +9,6 @@ import re
 import shlex
 import subprocess
 import sys
-from importlib import import_module
 from pathlib import Path
 from typing import NamedTuple
 
@@ -145,9 +144,9 @@ def check(text: str) -> None:
 
 
 def check_verb(name: str, arguments: list[str]) -> None:
-    (module,) = (verb.module for verb in VERBS if verb.name == name)
+    (configure,) = (verb.configure for verb in VERBS if verb.name == name)
     parser = argparse.ArgumentParser(prog=name)
-    import_module(module).configure(parser)
+    configure(parser)
     parser.parse_args(arguments)
     for word in arguments:
         if word.startswith(('bags/', 'config/')):
@@ -167,6 +166,25 @@ def test_a_command_is_valid(command: Command) -> None:
     if variable(command.text) is None:
         for part in command.text.split(' && '):
             check(part)
+
+
+@pytest.mark.parametrize(
+    'text',
+    [
+        f'{TRAINID} guess bags/tiny',
+        f'{TRAINID} info bags/none',
+        f'{TRAINID} info bags/tiny --nope',
+        'make nothing',
+        'ros2 launch trainid_ros trainid.launch.py nope:=1',
+        'ros2 run trainid_ros nope',
+        'ros2 service call /resistance_estimator/nope std_srvs/srv/Trigger',
+        '.venv/bin/python benchmarks/run.py --only nope',
+        'nope',
+    ],
+)
+def test_an_invalid_command_is_found(text: str) -> None:
+    with pytest.raises((AssertionError, SystemExit, ValueError)):
+        check(text)
 
 
 def test_the_list_of_commands_that_do_not_run_is_up_to_date() -> None:

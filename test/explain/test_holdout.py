@@ -33,7 +33,8 @@ def test_subtraction_equals_a_fit_without_the_run(dragged_model: Model) -> None:
         grid.index[:, columns], grid.dt[:, columns], grid.share[:, columns], grid.change[:, columns],
         grid.inertia, grid.nodes,
     )  # fmt: skip
-    gram = Gram.of(model.columns, model.factor_columns, kept, Whitener.of(kept, HYPER.noise))
+    spread = kept.spread(np.concatenate([model.columns, model.factor_columns], axis=1))
+    gram = Gram.of(spread, model.factor_columns.shape[1], Whitener.of(kept, HYPER.noise))
     total, _ = gram.reduced(HYPER.spread.of_run)
     model.add_odometry(total)
     mean, _ = posterior(total, model.prior_factor(HYPER.spread))

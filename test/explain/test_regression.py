@@ -106,8 +106,9 @@ def test_factors_of_single_runs_equal_separate_columns(dataset: Dataset) -> None
     whitener = Whitener.of(grid, Noise(0.03, 0.2, 8.0, 0.02))
     columns = np.random.default_rng(2).standard_normal((dataset.node_time.size, 2))
     factors = dataset.column(run_columns(dataset))
-    total, cost = Gram.of(columns, factors, grid, whitener).reduced(std)
-    apart_by_run, _ = Gram.of(columns, factors, grid, whitener, by_run=True).reduced(std)
+    spread = grid.spread(np.concatenate([columns, factors], axis=1))
+    total, cost = Gram.of(spread, 2, whitener).reduced(std)
+    apart_by_run, _ = Gram.of(spread, 2, whitener, by_run=True).reduced(std)
     np.testing.assert_allclose(apart_by_run.sum(axis=0), total)
     apart = [factors * (dataset.node_run == k)[:, None] for k in range(len(dataset.runs))]
     white = whitener.apply(grid.spread(np.concatenate([columns, *apart], axis=1)))

@@ -536,6 +536,7 @@ def test_stopped_simulated_time_is_reported(graph: Graph, train_file: str) -> No
     Simulated(graph, node).go(START_NS)
     own = 'resistance_estimator: estimator'
     graph.until(lambda: own in diagnosed.by_name and '/clock has stopped' in diagnosed.by_name[own].message)
+    assert diagnosed.by_name[own].level == DiagnosticStatus.WARN
 
 
 class Simulated:
@@ -558,6 +559,8 @@ def test_missing_input_is_measured_on_simulated_time(graph: Graph, train_file: s
     clock, published, records = Simulated(graph, node), Published(node), coasting(30)
     clock.go(records[-1].stamp_ns)
     feed(node, records)
+    graph.until(lambda: published.messages)
+    assert published.messages[-1].status is not Status.STALE
     clock.go(records[-1].stamp_ns + 70 * NS_PER_S)
     graph.until(lambda: published.messages[-1].status is Status.STALE)
 

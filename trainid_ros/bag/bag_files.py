@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 import yaml
 
 from trainid_ros.errors import InputError
+from trainid_ros.train.strict_yaml import StrictLoader
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -73,7 +74,7 @@ def _part_number(path: Path) -> tuple[str, int, str]:
 def _from_metadata(path: Path) -> BagFiles:
     where = path / METADATA
     try:
-        info = yaml.safe_load(where.read_text(encoding='utf-8'))[_ROOT_KEY]
+        info = yaml.load(where.read_text(encoding='utf-8'), StrictLoader)[_ROOT_KEY]
         names = [PureWindowsPath(str(name)).name for name in info['relative_file_paths']]
         count, hashes = int(info['message_count']), tuple(_hashes(info))
         storage, mode = str(info['storage_identifier']), str(info.get('compression_mode') or 'none')

@@ -207,20 +207,27 @@ def _details(name: str, columns: dict[str, _Column]) -> tuple[int, StampInfo | N
 def _stamp_info(column: _Column) -> StampInfo:
     stamps, logs = column.stamps, column.logs
     stamped = stamps[stamps != 0]
-    known = np.unique(stamped)
-    steps = np.diff(known) / NS_PER_S
+    ordered = np.sort(stamped)
+    steps = np.diff(ordered)
+    steps = steps[steps > 0] / NS_PER_S
     newest = np.maximum.accumulate(stamped)
     return StampInfo(
-        rate=1.0 / float(np.median(steps)) if steps.size else float('nan'),
-        first_ns=int(known[0]) if known.size else 0,
-        last_ns=int(known[-1]) if known.size else 0,
+        rate=1.0 / _median(steps) if steps.size else float('nan'),
+        first_ns=int(ordered[0]) if ordered.size else 0,
+        last_ns=int(ordered[-1]) if ordered.size else 0,
         gaps=int(np.count_nonzero(steps > GAP_S)),
         longest_gap_s=float(steps.max()) if steps.size else 0.0,
         out_of_order=int(np.count_nonzero(stamped < newest)),
-        duplicates=int(stamped.size - known.size),
+        duplicates=max(0, int(stamped.size - steps.size) - 1),
         zero=int(stamps.size - stamped.size),
-        log_offset_s=float(np.median(logs - stamps)) / NS_PER_S,
+        log_offset_s=_median(logs - stamps) / NS_PER_S,
     )
+
+
+def _median(values: NDArray[np.float64] | NDArray[np.int64]) -> float:
+    """Return the median; that of NumPy takes 20 ms to load."""
+    ordered = np.sort(values)
+    return 0.5 * (float(ordered[(ordered.size - 1) // 2]) + float(ordered[ordered.size // 2]))
 
 
 def _range(columns: dict[str, _Column], item: _Quantity) -> ValueRange:

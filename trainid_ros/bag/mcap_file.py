@@ -2,8 +2,8 @@
 """One MCAP file, read without trust in its index.
 
 The file is scanned once when it is opened: every chunk is unpacked and checked, so damage is known
-before the first message is handed out and counts are exact. What stays in memory is one small entry
-per chunk; the messages are read again, chunk by chunk, when they are asked for.
+before the first message is handed out and counts are exact. What stays in memory is where each message
+starts in its chunk; the chunks are read again, one by one, when they are asked for.
 
 Record layout: MCAP specification, https://mcap.dev/spec.
 """
@@ -14,7 +14,7 @@ import struct
 from collections import Counter
 from dataclasses import dataclass
 from io import BytesIO
-from typing import TYPE_CHECKING, BinaryIO, Final, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Any, BinaryIO, Final, NamedTuple, NoReturn
 
 import numpy as np
 from mcap.data_stream import ReadDataStream
@@ -36,6 +36,7 @@ MAGIC: Final = b'\x89MCAP0\r\n'
 _HEAD: Final = struct.Struct('<BQ')  # opcode, length of the record
 # Channel, sequence, log time and publish time of a message.
 _MESSAGE: Final = np.dtype([('channel', '<u2'), ('sequence', '<u4'), ('log_ns', '<u8'), ('publish_ns', '<u8')])
+_LENGTH: Final = np.dtype('<i8')
 _RUN_BYTES: Final = 1 << 20  # messages outside chunks are taken together up to this size
 _DEFINITIONS: Final = (Opcode.SCHEMA, Opcode.CHANNEL)
 _PLAIN: Final = (*_DEFINITIONS, Opcode.MESSAGE)
@@ -81,13 +82,14 @@ class _Head(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """A chunk, or a run of messages outside chunks: its place in the file and its log times."""
+    """A chunk, or a run of messages outside chunks: its place in the file, its log times, and where messages start."""
 
     offset: int
     length: int
     is_chunk: bool
     first_ns: int
     last_ns: int
+    starts: NDArray[np.uint32]
 
 
 class McapFile:
@@ -134,7 +136,7 @@ class McapFile:
     def messages(self, segment: Segment) -> MessageBlock:
         """Return the messages of one segment."""
         data = self._load(segment.offset, segment.length, is_chunk=segment.is_chunk)
-        return self._walk(data, segment.offset)[0]
+        return _block(data, segment.starts.astype(np.intp))
 
     def _scan(self) -> None:
         size = self._file.seek(0, 2)
@@ -205,17 +207,18 @@ class McapFile:
     def _add(self, start: int, end: int, *, is_chunk: bool) -> None:
         """Read the records between two offsets; note the channels and, if there are messages, the segment."""
         data = self._load(start, end - start, is_chunk=is_chunk)
-        block, definitions = self._walk(data, start)
+        starts, definitions = self._walk(data, start)
         for head in definitions:
             self._define(head.opcode, data[head.start : head.end], start)
-        if not block.log_ns.size:
+        if not starts.size:
             return
-        numbers, counts = np.unique(block.channel, return_counts=True)
-        if unknown := [channel for channel in numbers.tolist() if channel not in self.channels]:
+        block = _block(data, starts)
+        counts = {channel: count for channel, count in enumerate(np.bincount(block.channel).tolist()) if count}
+        if unknown := [channel for channel in counts if channel not in self.channels]:
             self._fail(f'is corrupt: message on unknown channel {unknown[0]} near byte {start}')
-        self.counts.update(dict(zip(numbers.tolist(), counts.tolist(), strict=True)))
+        self.counts.update(counts)
         first, last = int(block.log_ns.min()), int(block.log_ns.max())
-        self.segments.append(Segment(start, end - start, is_chunk, first, last))
+        self.segments.append(Segment(start, end - start, is_chunk, first, last, starts.astype(np.uint32)))
 
     def _define(self, opcode: int, content: bytes, offset: int) -> None:
         stream = ReadDataStream(BytesIO(content))
@@ -243,32 +246,47 @@ class McapFile:
             self._fail(f'is corrupt: chunk at byte {offset}: {size} of {chunk.uncompressed_size} bytes')
         return stream.read(size)
 
-    def _walk(self, data: bytes, offset: int) -> tuple[MessageBlock, list[_Head]]:
-        """Return the messages, and the schemas and channels, in a block of bytes read at ``offset`` of the file."""
-        starts, ends, definitions = [], [], []
-        position, size, unpack = 0, len(data), _HEAD.unpack_from
+    def _walk(self, data: bytes, offset: int) -> tuple[NDArray[np.intp], list[_Head]]:
+        """Return where messages start, and the schemas and channels, in a block of bytes read at ``offset``."""
+        starts: list[int] = []
+        definitions: list[_Head] = []
+        unpack, message = _HEAD.unpack_from, int(Opcode.MESSAGE)
+        position, size = 0, len(data)
         while position + _HEAD.size <= size:
             opcode, length = unpack(data, position)
             start = position + _HEAD.size
             position = start + length
-            if opcode == Opcode.MESSAGE:
+            if opcode == message:
                 starts.append(start)
-                ends.append(position)
             elif opcode in _DEFINITIONS:
                 definitions.append(_Head(opcode, start, position))
-        if position != size:
+        places = np.array(starts, dtype=np.intp)
+        if position != size or bool(np.any(_lengths(data, places) < _MESSAGE.itemsize)):
             self._fail(f'is corrupt: broken record near byte {offset}')
-        start_of, end_of = np.array(starts, dtype=np.intp), np.array(ends, dtype=np.intp)
-        if bool(np.any(end_of - start_of < _MESSAGE.itemsize)):
-            self._fail(f'is corrupt: broken record near byte {offset}')
-        content = np.frombuffer(data, dtype=np.uint8)
-        heads = content[start_of[:, None] + np.arange(_MESSAGE.itemsize)].view(_MESSAGE)[:, 0]
-        payload = start_of + _MESSAGE.itemsize
-        return MessageBlock(content, payload, end_of, heads['channel'], heads['log_ns']), definitions
+        return places, definitions
 
     def _fail(self, what: str) -> NoReturn:
         msg = f'{self.path}: {what}'
         raise InputError(msg)
+
+
+def _block(data: bytes, starts: NDArray[np.intp]) -> MessageBlock:
+    """Return the messages whose records, without opcode and length, start at these places."""
+    heads = _values(data, starts, _MESSAGE)
+    ends = starts + _lengths(data, starts)
+    content = np.frombuffer(data, dtype=np.uint8)
+    return MessageBlock(content, starts + _MESSAGE.itemsize, ends, heads['channel'], heads['log_ns'])
+
+
+def _lengths(data: bytes, starts: NDArray[np.intp]) -> NDArray[np.int64]:
+    """Return the lengths of records, which stand before their starts."""
+    return _values(data, starts - _LENGTH.itemsize, _LENGTH)
+
+
+def _values(data: bytes, at: NDArray[np.intp], kind: np.dtype[Any]) -> NDArray[Any]:
+    """Return the values that start at each place, shape (n,)."""
+    rows = np.frombuffer(data, dtype=np.uint8)[at[:, None] + np.arange(kind.itemsize)]
+    return np.asarray(rows.view(kind)[:, 0])
 
 
 def _read(file: BinaryIO, offset: int, length: int) -> bytes:

@@ -12,17 +12,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
 
 import numpy as np
-from rosbags.serde import SerdeError
-from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 
 from trainid_ros.bag.bag_files import locate
 from trainid_ros.bag.mcap_file import McapFile
 from trainid_ros.bag.record_table import EMPTY, decode, in_order_of, joined
-from trainid_ros.bag.types import (
-    digest,
-    full_type,
-    typestore,
-)
+from trainid_ros.bag.types import digest, full_type, is_packaged, typestore
 from trainid_ros.errors import InputError
 from trainid_ros.messages import OUTPUT_TOPICS, record_from_message
 from trainid_ros.records import INPUT_TOPICS, REQUIRED_TOPICS, InputTopic, record_of, row_of
@@ -239,6 +233,8 @@ class BagReader:
         return table
 
     def _deserialize(self, payload: bytes, source: _Source, log_ns: int) -> Any:
+        from rosbags.serde import SerdeError  # noqa: PLC0415 - rarely needed
+
         try:
             return typestore().deserialize_cdr(payload, full_type(source.name))
         except (SerdeError, ValueError) as error:
@@ -293,10 +289,13 @@ class BagReader:
             if channel.message_encoding != 'cdr':
                 msg = f'{where}: encoding cdr expected, {channel.message_encoding!r} found'
                 raise InputError(msg)
-            recorded = channel.metadata.get('topic_type_hash') or hashes.get(channel.topic, '')
-            if (stored := _stored_digest(file, number) or recorded) != digest(name):
-                msg = f'{where}: definition of {full_type(name)} differs: {digest(name)} expected, '
-                raise InputError(msg + f'{stored or "no definition"} found')
+            text = _stored_text(file, number)
+            if not is_packaged(text, name):
+                recorded = channel.metadata.get('topic_type_hash') or hashes.get(channel.topic, '')
+                stored = _digest_of(text, file, number) if text.strip() else recorded
+                if stored != digest(name):
+                    msg = f'{where}: definition of {full_type(name)} differs: {digest(name)} expected, '
+                    raise InputError(msg + f'{stored or "no definition"} found')
             sources[number] = _Source(topic, name)
         return sources
 
@@ -321,12 +320,23 @@ def _schema_name(file: McapFile, channel: int) -> str:
     return '' if schema is None else schema.name
 
 
-def _stored_digest(file: McapFile, channel: int) -> str:
-    """Return the RIHS01 digest of the definition stored with a channel, '' if there is none."""
+def _stored_text(file: McapFile, channel: int) -> str:
+    """Return the text of the definition stored with a channel."""
+    return file.schemas[file.channels[channel].schema_id].data.decode('utf-8', errors='replace')
+
+
+def _digest_of(text: str, file: McapFile, channel: int) -> str:
+    """Return the RIHS01 digest of the definition stored with a channel."""
+    # Imported here because most bags hold the packaged definitions.
+    from rosbags.typesys import (  # noqa: PLC0415
+        Stores,
+        TypesysError,
+        get_types_from_idl,
+        get_types_from_msg,
+        get_typestore,
+    )
+
     schema = file.schemas[file.channels[channel].schema_id]
-    text = schema.data.decode('utf-8', errors='replace')
-    if not text.strip():
-        return ''
     store = get_typestore(Stores.EMPTY)
     try:
         if schema.encoding == 'ros2msg':

@@ -7,15 +7,14 @@ its numbers, each float64 on a multiple of eight bytes, followed by at most one 
 
 from __future__ import annotations
 
-import re
 from dataclasses import dataclass
 from functools import cache
-from importlib import resources
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from trainid_ros.bag.types import definition, fields_of
 from trainid_ros.records import INPUT_TOPICS, NS_PER_S
 
 if TYPE_CHECKING:
@@ -86,8 +85,7 @@ class Layout:
 @cache
 def layout(message: str) -> Layout:
     """Return the layout of an input message, given its short type name, from its packaged definition."""
-    text = (resources.files('trainid_ros.bag') / 'msg' / f'{message}.msg').read_text(encoding='utf-8')
-    kinds = re.findall(r'^(\S+)\s+[a-z]\w*\s*(?:#|$)', text, re.MULTILINE)
+    kinds = [field.partition(' ')[0] for field in fields_of(definition(message))]
     expected = ['std_msgs/Header', *['float64'] * kinds.count('float64'), *['bool'] * kinds.count('bool')]
     if kinds != expected or not 1 <= kinds.count('float64') <= 2 or kinds.count('bool') > 1:
         msg = f'{message}.msg: a header, one or two float64 and at most one bool expected, {kinds} found'
@@ -114,7 +112,7 @@ def decode(
     known = np.flatnonzero(end - start >= _CDR_START + _STAMP.itemsize)
     known = known[(data[start[known]] == 0) & (data[start[known] + 1] == _LITTLE_ENDIAN)]
     stamp = _gather(data, start[known] + _CDR_START, _STAMP.itemsize).view(_STAMP)[:, 0]
-    for frame in np.unique(stamp['frame']).tolist():  # one, as a rule
+    for frame in set(stamp['frame'].tolist()):  # one, as a rule
         body = -(-(_STAMP.itemsize + frame) // 8) * 8
         size = _CDR_START + body + 8 * form.floats + form.flags
         mine = stamp['frame'] == frame

@@ -2,17 +2,18 @@
 """Messages of ``trainid_msgs`` for rosbags, and their conversion from and to the records of the core.
 
 The definitions are the packaged ``.msg`` files, the same ones that ROS compiles, so a RIHS01 digest
-computed here equals the type hash that ROS uses.
+computed here equals the type hash that ROS uses. rosbags is imported only to write, and to read messages or
+definitions that are not in the usual form.
 """
 
 from __future__ import annotations
 
+import re
 from functools import cache
-from importlib import resources
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from trainid_ros.errors import InputError
 from trainid_ros.messages import output_topic, output_values, record_values
@@ -29,7 +30,15 @@ if TYPE_CHECKING:
 
 
 PACKAGE: Final = 'trainid_msgs'
+_FOLDER: Final = Path(__file__).parent / 'msg'
 _INT32_MAX: Final = 2**31 - 1
+# The messages that ours contain.
+_CONTAINED: Final = {
+    'builtin_interfaces/Time': 'int32 sec\nuint32 nanosec\n',
+    'std_msgs/Header': 'builtin_interfaces/Time stamp\nstring frame_id\n',
+}
+_SEPARATOR: Final = '=' * 80 + '\n'
+_CONSTANT: Final = re.compile(r'\S+\s+[A-Z][A-Z0-9_]*\s*=')
 
 
 def full_type(name: str) -> str:
@@ -38,14 +47,40 @@ def full_type(name: str) -> str:
 
 
 @cache
+def definition(message: str) -> str:
+    """Return the text of the packaged definition of one of our messages, given its short name."""
+    return (_FOLDER / f'{message}.msg').read_text(encoding='utf-8')
+
+
+def fields_of(text: str) -> list[str]:
+    """Return the fields in the text of a definition, such as ``float64 speed``, without constants and comments."""
+    lines = (' '.join(line.partition('#')[0].split()) for line in text.splitlines())
+    return [line for line in lines if line and not _CONSTANT.match(line)]
+
+
+def is_packaged(text: str, message: str) -> bool:
+    """Return whether the text of a definition, followed by those it contains, has the fields of the packaged one.
+
+    Other texts may mean the same: compare their digest.
+    """
+    first, *others = text.split(_SEPARATOR)
+    bodies = dict(part.removeprefix('MSG: ').split('\n', 1) for part in others if '\n' in part)
+    contained = {name: fields_of(body) for name, body in bodies.items()}
+    expected = {name: fields_of(body) for name, body in _CONTAINED.items()}
+    return fields_of(first) == fields_of(definition(message)) and contained == expected
+
+
+@cache
 def typestore() -> Typestore:
-    """Return a Jazzy typestore with the packaged messages registered."""
-    store = get_typestore(Stores.ROS2_JAZZY)
-    folder = resources.files('trainid_ros.bag') / 'msg'
-    for item in sorted(folder.iterdir(), key=lambda entry: entry.name):
-        stem, _, suffix = item.name.rpartition('.')
-        if suffix == 'msg':
-            store.register(get_types_from_msg(item.read_text(encoding='utf-8'), full_type(stem)))
+    """Return a typestore of the packaged messages and those they contain."""
+    # Imported here because reading a bag rarely needs it.
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore  # noqa: PLC0415
+
+    ours = {full_type(path.stem): definition(path.stem) for path in sorted(_FOLDER.glob('*.msg'))}
+    contained = {name.replace('/', '/msg/'): text for name, text in _CONTAINED.items()}
+    store = get_typestore(Stores.EMPTY)
+    for name, text in (contained | ours).items():
+        store.register(get_types_from_msg(text, name))
     return store
 
 

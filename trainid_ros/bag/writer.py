@@ -144,7 +144,7 @@ class BagWriter:
 
         Args:
             topic: Topic name, with or without leading slash.
-            msgtype: Type: short name of one of our messages, or full name of any Jazzy message.
+            msgtype: Type: short name of one of our messages, or full name of any in :func:`typestore`.
             stamp_ns: Log time [ns].
             message: Message, of the rosbags class of the type.
 

@@ -1,10 +1,208 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Argument types shared by several verbs."""
+"""Arguments of all verbs, apart from their code: help and usage errors come before that is loaded."""
 
 from __future__ import annotations
 
 import argparse
 import math
+from pathlib import Path
+from typing import Final
+
+LIVE_NODES: Final = ('resistance_estimator', 'speed_model_estimator', 'brake_rate_estimator')
+DEMO_RATE: Final = 70.0
+"""Rate at which two cores keep up with three nodes, player and listener [x real time]."""
+DEMO_QUICK_S: Final = 300.0
+"""Part of each bag that a quick demo plays [s]."""
+EXPLAIN_CHAPTER: Final = 'explain'
+"""The chapter of the demo that hides and finds an effect."""
+
+
+def configure_demo(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of ``demo``."""
+    from trainid_ros.demo.bags import STOCK  # noqa: PLC0415 - other verbs need not load it
+
+    parser.add_argument(
+        'bag', nargs='*', type=Path, metavar='BAG', help='bags with train.yaml inside (default: those of the package)'
+    )
+    parser.add_argument(
+        '--rate',
+        type=positive,
+        default=DEMO_RATE,
+        metavar='R',
+        help=f'playback rate, x real time (default: {DEMO_RATE:g})',
+    )
+    parser.add_argument(
+        '--out', type=Path, default=Path('out/demo'), metavar='DIR', help='report and logs (default: out/demo)'
+    )
+    parser.add_argument('--only', choices=(*STOCK, EXPLAIN_CHAPTER), help='run only this chapter')
+    parser.add_argument('--quick', action='store_true', help=f'only the first {DEMO_QUICK_S:g} s of each bag')
+    _add_json(parser)
+
+
+def configure_run(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of ``run``."""
+    parser.add_argument('--train', type=Path, metavar='T.yaml', help='train file (parameter train_file)')
+    parser.add_argument(
+        '--node', action='append', choices=LIVE_NODES, metavar='NAME', help='run only this node; repeatable'
+    )
+    _add_ros_args(parser)
+
+
+def configure_replay(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of ``replay``."""
+    _add_bags(parser)
+    _add_train(parser)
+    parser.add_argument('--params', type=Path, metavar='FILE.yaml', help='ROS parameter file, as the nodes take it')
+    parser.add_argument(
+        '--algorithm',
+        action='append',
+        default=[],
+        metavar='NAME',
+        help='algorithm instead of the default, or resistance=NAME and so on; repeatable',
+    )
+    parser.add_argument(
+        '--out',
+        type=Path,
+        metavar='BAG2',
+        help='write inputs and estimates to a new bag; of several bags, to one each in this folder',
+    )
+    parser.add_argument(
+        '--report',
+        type=Path,
+        metavar='FILE.html',
+        help='write a report with plots; of several bags, one each in this folder',
+    )
+    parser.add_argument(
+        '--truth', type=Path, metavar='FILE', help='truth for the report (default: truth.yaml in the bag, if any)'
+    )
+    _add_jobs(parser)
+    _add_namespace(parser, 'topics and nodes')
+    _add_json(parser)
+
+
+def configure_play(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of ``play``."""
+    _add_bag(parser)
+    parser.add_argument(
+        '--rate', type=positive, default=1.0, metavar='R', help='recorded seconds per second (default: 1)'
+    )
+    parser.add_argument('--start', type=not_negative, default=0.0, metavar='S', help='skip the first seconds')
+    parser.add_argument('--duration', type=positive, default=0.0, metavar='S', help='play only this many seconds')
+    parser.add_argument('--loop', action='store_true', help='start over at the end')
+    parser.add_argument(
+        '--wait', type=int, default=0, metavar='N', help='wait for this many subscribers on each topic before starting'
+    )
+    _add_namespace(parser, 'the topics in the bag')
+    _add_ros_args(parser)
+
+
+def configure_simulate(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of ``simulate``."""
+    # Imported here because other verbs need not load it.
+    from trainid_ros.sim.realism import REALISMS, UNKNOWNS  # noqa: PLC0415
+    from trainid_ros.sim.worlds import WORLDS  # noqa: PLC0415
+
+    parser.add_argument('out', type=Path, metavar='OUT', help='bag to create')
+    parser.add_argument(
+        '--train', type=Path, metavar='T.yaml', help='the true train; with --world the train as an engineer states it'
+    )
+    parser.add_argument('--world', choices=tuple(WORLDS), help='type of railway: train, line and driver')
+    parser.add_argument(
+        '--realism',
+        choices=tuple(REALISMS),
+        help='clean: the train file is exact; field: it has errors as on real trains (default: clean)',
+    )
+    parser.add_argument(
+        '--unknown',
+        action='append',
+        default=[],
+        choices=UNKNOWNS,
+        metavar='NAME',
+        help=f'quantity that is wrong in the train file or missing from it; repeatable: {", ".join(UNKNOWNS)}',
+    )
+    parser.add_argument(
+        '--effect',
+        action='append',
+        default=[],
+        metavar='NAME:key=value',
+        help='add an effect to the truth, e.g. tunnel_drag:factor=1.8; repeatable',
+    )
+    parser.add_argument('--runs', type=int, default=4, metavar='N', help='runs from stop to stop (default: 4)')
+    parser.add_argument(
+        '--seed', type=whole, default=1, metavar='S', help='seed of the random numbers, >= 0 (default: 1)'
+    )
+    _add_json(parser)
+
+
+def configure_fit(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of ``fit``."""
+    _add_bag(parser)
+    _add_train(parser)
+    parser.add_argument('--start', type=not_negative, default=0.0, metavar='S', help='skip the first seconds')
+    parser.add_argument(
+        '--duration', type=not_negative, default=math.inf, metavar='S', help='fit only this many seconds'
+    )
+    _add_namespace(parser)
+    _add_json(parser)
+
+
+def configure_explain(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of ``explain``."""
+    _add_bags(parser)
+    _add_train(parser, 'train file: the model to check')
+    parser.add_argument(
+        '--out', type=Path, metavar='DIR', help='write report.html, report.json and the new train.yaml there'
+    )
+    _add_namespace(parser)
+    _add_json(parser)
+
+
+def configure_info(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of ``info``."""
+    _add_bags(parser)
+    _add_jobs(parser)
+    _add_namespace(parser)
+    _add_json(parser)
+
+
+def _add_bag(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument('bag', type=Path, metavar='BAG', help='rosbag2 directory or .mcap file')
+
+
+def _add_bags(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument('bags', nargs='+', type=Path, metavar='BAG', help='rosbag2 directory or .mcap file')
+
+
+def _add_train(parser: argparse.ArgumentParser, text: str = 'train file') -> None:
+    parser.add_argument('--train', type=Path, required=True, metavar='T.yaml', help=text)
+
+
+def _add_jobs(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        '--jobs',
+        type=whole,
+        default=1,
+        metavar='N',
+        help='bags to work on at once, each in its own process; 0 = one per processor (default: 1)',
+    )
+
+
+def _add_namespace(parser: argparse.ArgumentParser, of: str = 'the topics') -> None:
+    parser.add_argument('--namespace', default='/', help=f'namespace of {of} (default: /)')
+
+
+def _add_json(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument('--json', action='store_true', help='print JSON on standard output and nothing else there')
+
+
+def _add_ros_args(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        '--ros-args',
+        nargs=argparse.REMAINDER,
+        default=[],
+        metavar='...',
+        help='remaining arguments are passed to ROS; must come last',
+    )
 
 
 def positive(text: str) -> float:
@@ -26,3 +224,11 @@ def not_negative(text: str) -> float:
         msg = f'{text!r} must be a number >= 0'
         raise argparse.ArgumentTypeError(msg)
     return value
+
+
+def whole(text: str) -> int:
+    """Return a whole number, zero or above; ArgumentTypeError for anything else."""
+    if not text.isdecimal():
+        msg = f'{text!r} is not a whole number >= 0'
+        raise argparse.ArgumentTypeError(msg)
+    return int(text)

@@ -3,19 +3,19 @@
 
 from __future__ import annotations
 
-import argparse
-import math
 import signal
 import time
 from contextlib import contextmanager
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
-from trainid_ros.cli.output import add_json_option, print_json, progress
+from trainid_ros.cli.arguments import DEMO_QUICK_S, EXPLAIN_CHAPTER
+from trainid_ros.cli.output import print_json, progress
 from trainid_ros.demo.bags import STOCK, load_demo_bag, stock_bag
 
 if TYPE_CHECKING:
+    import argparse
     from collections.abc import Iterator, Sequence
+    from pathlib import Path
 
     from trainid_ros.demo.bags import DemoBag
     from trainid_ros.demo.chapters import Outcome
@@ -23,27 +23,7 @@ if TYPE_CHECKING:
     from trainid_ros.demo.view import View
     from trainid_ros.report.scores import AccuracyScore
 
-# At this rate two cores keep up with three nodes, player and listener.
-_RATE: Final = 70.0
-_QUICK_S: Final = 300.0
 _CHECK_FAILED: Final = 1
-_EXPLAIN: Final = 'explain'
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
-    parser.add_argument(
-        'bag', nargs='*', type=Path, metavar='BAG', help='bags with train.yaml inside (default: those of the package)'
-    )
-    parser.add_argument(
-        '--rate', type=_rate, default=_RATE, metavar='R', help=f'playback rate, x real time (default: {_RATE:g})'
-    )
-    parser.add_argument(
-        '--out', type=Path, default=Path('out/demo'), metavar='DIR', help='report and logs (default: out/demo)'
-    )
-    parser.add_argument('--only', choices=(*STOCK, _EXPLAIN), help='run only this chapter')
-    parser.add_argument('--quick', action='store_true', help=f'only the first {_QUICK_S:g} s of each bag')
-    add_json_option(parser)
 
 
 def run(args: argparse.Namespace) -> int:
@@ -58,7 +38,8 @@ def run(args: argparse.Namespace) -> int:
     from rich.console import Console  # noqa: PLC0415
 
     # Before anything starts: the optional packages for bags may be missing.
-    import trainid_ros.bag.reader  # noqa: F401, PLC0415
+    import trainid_ros.bag.reader  # noqa: PLC0415
+    import trainid_ros.bag.writer  # noqa: F401, PLC0415
     from trainid_ros.demo.view import View  # noqa: PLC0415
 
     bags = _bags(args)
@@ -101,18 +82,18 @@ def _live(bags: Sequence[DemoBag], args: argparse.Namespace, view: View, report:
 
 def _hidden(args: argparse.Namespace, view: View) -> HiddenCase | None:
     """Hide an effect and find it, unless only bags are to be played."""
-    if args.bag or args.only not in (None, _EXPLAIN):
+    if args.bag or args.only not in (None, EXPLAIN_CHAPTER):
         return None
     from trainid_ros.demo.hidden import play_hidden  # noqa: PLC0415
 
-    return play_hidden(args.out / _EXPLAIN, view.say)
+    return play_hidden(args.out / EXPLAIN_CHAPTER, view.say)
 
 
 def _play(bag: DemoBag, args: argparse.Namespace, logs: Path, view: View) -> Outcome:
     from trainid_ros.demo.chapters import conclude, describe_comparison  # noqa: PLC0415
     from trainid_ros.demo.live import run_live  # noqa: PLC0415
 
-    duration_s = _QUICK_S if args.quick else 0.0
+    duration_s = DEMO_QUICK_S if args.quick else 0.0
     folder = logs / bag.path.name
     folder.mkdir(exist_ok=True)
     view.say(f'\n{bag.title}: {bag.path} at {args.rate:g} x real time')
@@ -213,14 +194,3 @@ def _interruptible() -> Iterator[None]:
         if received:
             raise KeyboardInterrupt from None
         raise
-
-
-def _rate(text: str) -> float:
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not 0.0 < value < math.inf:
-        msg = f'{text!r} must be a number > 0'
-        raise argparse.ArgumentTypeError(msg)
-    return value

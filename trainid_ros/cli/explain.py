@@ -6,12 +6,11 @@ from __future__ import annotations
 import json
 import sys
 from contextlib import contextmanager, nullcontext, suppress
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros import __version__
 from trainid_ros.bag.run_reader import read_runs, survey, worker_count
-from trainid_ros.cli.output import add_json_option, print_json, progress, table, to_plain, warn
+from trainid_ros.cli.output import print_json, progress, table, to_plain, warn
 from trainid_ros.errors import InputError, NoAnswerError
 from trainid_ros.plural import pluralise
 from trainid_ros.train.train_file import dump_train_file, load_train_file
@@ -20,6 +19,7 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable, Iterator, Sequence
     from contextlib import AbstractContextManager
+    from pathlib import Path
 
     from trainid_ros.explain.explanation import Explanation, FoundEffect, Gap
     from trainid_ros.explain.run_data import Run
@@ -29,17 +29,6 @@ REPORT_JSON: Final = 'report.json'
 REPORT_HTML: Final = 'report.html'
 TRAIN_FILE: Final = 'train.yaml'
 _NAMED_BAGS: Final = 3
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
-    parser.add_argument('bags', nargs='+', type=Path, metavar='BAG', help='rosbag2 directory or .mcap file')
-    parser.add_argument('--train', type=Path, required=True, metavar='T.yaml', help='train file: the model to check')
-    parser.add_argument(
-        '--out', type=Path, metavar='DIR', help=f'write {REPORT_HTML}, {REPORT_JSON} and the new {TRAIN_FILE} there'
-    )
-    parser.add_argument('--namespace', default='/', help='namespace of the topics (default: /)')
-    add_json_option(parser)
 
 
 def run(args: argparse.Namespace) -> int:

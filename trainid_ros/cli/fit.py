@@ -3,16 +3,13 @@
 
 from __future__ import annotations
 
-import argparse
 import math
 from collections import Counter
 from dataclasses import dataclass
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.bag.reader import BagReader, require_topics
-from trainid_ros.cli.arguments import not_negative
-from trainid_ros.cli.output import add_json_option, print_json, progress, table, warn
+from trainid_ros.cli.output import print_json, progress, table, warn
 from trainid_ros.errors import InputError, NoAnswerError
 from trainid_ros.records import NS_PER_S
 from trainid_ros.resistance.trajectory.davis_fit import DavisFit, DavisFitConfig, fit_davis
@@ -24,6 +21,7 @@ from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:
+    import argparse
     from collections.abc import Callable
 
     from trainid_ros.resistance.trajectory.pieces import Trajectory
@@ -47,18 +45,6 @@ class UndisturbedMotion:
     trajectory: Trajectory
     samples: int
     rejected: Counter[Reason]
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
-    parser.add_argument('bag', type=Path, metavar='BAG', help='rosbag2 directory or .mcap file')
-    parser.add_argument('--train', type=Path, required=True, metavar='T.yaml', help='train file')
-    parser.add_argument('--start', type=not_negative, default=0.0, metavar='S', help='skip the first seconds')
-    parser.add_argument(
-        '--duration', type=not_negative, default=math.inf, metavar='S', help='fit only this many seconds'
-    )
-    parser.add_argument('--namespace', default='/', help='namespace of the topics (default: /)')
-    add_json_option(parser)
 
 
 def run(args: argparse.Namespace) -> int:

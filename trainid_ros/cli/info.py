@@ -1,48 +1,42 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``trainid info``: what is in a bag and whether it can be used."""
+"""``trainid info``: what is in bags and whether they can be used."""
 
 from __future__ import annotations
 
 import math
 from datetime import UTC, datetime
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from trainid_ros.bag.bag_info import inspect
-from trainid_ros.cli.output import add_json_option, print_json, table, to_plain
-from trainid_ros.errors import NoAnswerError
+from trainid_ros.cli.output import table, to_plain
+from trainid_ros.cli.per_bag import BagResult, run_per_bag
 from trainid_ros.records import NS_PER_S
 
 if TYPE_CHECKING:
     import argparse
+    from collections.abc import Callable
+    from pathlib import Path
 
     from trainid_ros.bag.bag_info import BagInfo, TopicInfo
 
 
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
-    parser.add_argument('bag', type=Path, metavar='BAG', help='rosbag2 directory or .mcap file')
-    parser.add_argument('--namespace', default='/', help='namespace of the topics (default: /)')
-    add_json_option(parser)
-
-
 def run(args: argparse.Namespace) -> int:
-    """Print the contents of a bag.
+    """Print the contents of bags; return the exit code."""
+    return run_per_bag(args, _inspect, 'read')
+
+
+def _inspect(args: argparse.Namespace, bag: Path, advance: Callable[[float], None]) -> BagResult:
+    """Return the contents of one bag.
 
     Raises:
         InputError: If it cannot be read.
-        NoAnswerError: If it was read but cannot be used.
 
     """
-    info = inspect(args.bag, args.namespace)
-    if args.json:
-        print_json(to_plain(info) | {'usable': info.usable})
-    else:
-        print(describe(info))
-    if not info.usable:
-        msg = f'{info.path}: cannot be used: {"; ".join(info.problems)}'
-        raise NoAnswerError(msg)
-    return 0
+    info = inspect(bag, args.namespace)
+    advance(1.0)
+    shown = to_plain(info) | {'usable': info.usable} if args.json else describe(info)
+    error = '' if info.usable else f'{info.path}: cannot be used: {"; ".join(info.problems)}'
+    return BagResult(shown, error=error)
 
 
 def describe(info: BagInfo) -> str:

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The ``trainid`` command.
 
-A verb is a module with ``configure(parser)`` and ``run(args) -> exit code``. It is imported only when it
-is called, so a verb that needs no ROS runs without ROS.
+A verb has its arguments in :mod:`trainid_ros.cli.arguments` and a module of its own name with ``run(args) -> exit
+code``. That is imported only when the verb is run, so help is fast and a verb that needs no ROS runs without ROS.
 """
 
 from __future__ import annotations
@@ -12,17 +12,17 @@ import os
 import signal
 import sys
 from importlib import import_module
-from importlib.metadata import PackageNotFoundError, version
 from typing import TYPE_CHECKING, Final, NamedTuple, NoReturn
 
+from trainid_ros import __version__
 from trainid_ros.bag import missing_package_error
+from trainid_ros.cli import arguments as options
+from trainid_ros.cli.output import EXIT_BAD_INPUT, EXIT_NO_ANSWER, report_error
 from trainid_ros.errors import InputError, NoAnswerError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
-EXIT_NO_ANSWER: Final = 1
-EXIT_BAD_INPUT: Final = 2
 EXIT_INTERRUPTED: Final = 130
 EXIT_BROKEN_PIPE: Final = 141
 
@@ -32,18 +32,18 @@ class Verb(NamedTuple):
 
     name: str
     help: str
-    module: str
+    configure: Callable[[argparse.ArgumentParser], None]
 
 
 VERBS: Final = (
-    Verb('demo', 'play a bag through the live nodes and write a report', 'trainid_ros.cli.demo'),
-    Verb('run', 'run the estimator nodes live', 'trainid_ros.cli.run'),
-    Verb('replay', 'run the estimators over a bag, off line', 'trainid_ros.cli.replay'),
-    Verb('play', "publish a bag's inputs with /clock", 'trainid_ros.cli.play'),
-    Verb('simulate', 'create a bag with the simulator', 'trainid_ros.cli.simulate'),
-    Verb('fit', 'fit Davis parameters to a bag in one batch', 'trainid_ros.cli.fit'),
-    Verb('explain', 'find the effects that a train file lacks and add them', 'trainid_ros.cli.explain'),
-    Verb('info', 'show what is in a bag and whether it can be used', 'trainid_ros.cli.info'),
+    Verb('demo', 'play a bag through the live nodes and write a report', options.configure_demo),
+    Verb('run', 'run the estimator nodes live', options.configure_run),
+    Verb('replay', 'run the estimators over bags, off line', options.configure_replay),
+    Verb('play', "publish a bag's inputs with /clock", options.configure_play),
+    Verb('simulate', 'create a bag with the simulator', options.configure_simulate),
+    Verb('fit', 'fit Davis parameters to a bag in one batch', options.configure_fit),
+    Verb('explain', 'find the effects that a train file lacks and add them', options.configure_explain),
+    Verb('info', 'show what is in bags and whether they can be used', options.configure_info),
 )
 
 
@@ -102,30 +102,19 @@ def _run(arguments: list[str]) -> int:
 def _dispatch(arguments: list[str]) -> int:
     wanted = next((text for text in arguments if not text.startswith('-')), None)
     parser = _Parser(prog='trainid', description='Identify train resistance and brake rate on board.')
-    parser.add_argument('--version', action='version', version=f'trainid {_version()}')
+    parser.add_argument('--version', action='version', version=f'trainid {__version__}')
     verbs = parser.add_subparsers(dest='verb', metavar='VERB', required=True)
-    runner = None
     for verb in VERBS:
         sub = verbs.add_parser(verb.name, help=verb.help, description=f'{verb.help[0].upper()}{verb.help[1:]}.')
         if verb.name == wanted:
-            runner = import_module(verb.module)
-            runner.configure(sub)
+            verb.configure(sub)
     args = parser.parse_args(arguments)
-    if runner is None:
-        parser.error(f'unknown verb {args.verb!r}')
-    return int(runner.run(args))
-
-
-def _version() -> str:
-    try:
-        return version('trainid_ros')
-    except PackageNotFoundError:
-        return 'unknown'
+    return int(import_module(f'trainid_ros.cli.{args.verb}').run(args))
 
 
 def _report(error: object, code: int) -> int:
-    """Print an error as one line and return the exit code."""
-    print(f'trainid: error: {" ".join(str(error).split())}', file=sys.stderr)
+    """Print an error and return the exit code."""
+    report_error(error)
     return code
 
 

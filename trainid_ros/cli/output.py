@@ -14,18 +14,14 @@ from collections.abc import Mapping
 from contextlib import contextmanager
 from enum import Enum
 from pathlib import PurePath
-from typing import TYPE_CHECKING, Any
-
-import numpy as np
+from typing import TYPE_CHECKING, Any, Final
 
 if TYPE_CHECKING:
-    from argparse import ArgumentParser
     from collections.abc import Callable, Iterator, Sequence
 
 
-def add_json_option(parser: ArgumentParser) -> None:
-    """Add ``--json``."""
-    parser.add_argument('--json', action='store_true', help='print one JSON object and nothing else')
+EXIT_NO_ANSWER: Final = 1
+EXIT_BAD_INPUT: Final = 2
 
 
 def print_json(value: Any) -> None:
@@ -46,9 +42,9 @@ def to_plain(value: Any) -> Any:
         return value
     if isinstance(value, Enum):
         return value.name
-    if isinstance(value, (int, np.integer)):
+    if isinstance(value, int):
         return int(value)
-    if isinstance(value, (float, np.floating)):
+    if isinstance(value, float):
         return float(value) if math.isfinite(value) else None
     return _compound_to_plain(value)
 
@@ -58,7 +54,7 @@ def _compound_to_plain(value: Any) -> Any:
         return {item.name: to_plain(getattr(value, item.name)) for item in dataclasses.fields(value)}
     if isinstance(value, Mapping):
         return {key.name if isinstance(key, Enum) else str(key): to_plain(item) for key, item in value.items()}
-    if isinstance(value, np.ndarray | np.bool_):
+    if hasattr(value, 'tolist'):  # array or number of NumPy
         return to_plain(value.tolist())
     if isinstance(value, list | tuple | set | frozenset):
         return [to_plain(item) for item in value]
@@ -71,6 +67,11 @@ def _compound_to_plain(value: Any) -> Any:
 def warn(text: str) -> None:
     """Print one warning line on standard error."""
     print(f'trainid: warning: {text}', file=sys.stderr)
+
+
+def report_error(error: object) -> None:
+    """Print an error as one line on standard error."""
+    print(f'trainid: error: {" ".join(str(error).split())}', file=sys.stderr)
 
 
 def table(rows: Sequence[Sequence[str]], numbers: Sequence[int] = ()) -> str:

@@ -3,42 +3,18 @@
 
 from __future__ import annotations
 
-import argparse
-from pathlib import Path
 from typing import TYPE_CHECKING
 
 from trainid_ros.bag.reader import BagReader
-from trainid_ros.cli.arguments import not_negative, positive
 from trainid_ros.cli.output import progress
 from trainid_ros.errors import InputError
 from trainid_ros.records import NS_PER_S
 
 if TYPE_CHECKING:
+    import argparse
     from collections.abc import Callable
 
     from trainid_ros.ros.bag_player import BagPlayer
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
-    parser.add_argument('bag', type=Path, metavar='BAG', help='rosbag2 directory or .mcap file')
-    parser.add_argument(
-        '--rate', type=positive, default=1.0, metavar='R', help='recorded seconds per second (default: 1)'
-    )
-    parser.add_argument('--start', type=not_negative, default=0.0, metavar='S', help='skip the first seconds')
-    parser.add_argument('--duration', type=positive, default=0.0, metavar='S', help='play only this many seconds')
-    parser.add_argument('--loop', action='store_true', help='start over at the end')
-    parser.add_argument(
-        '--wait', type=int, default=0, metavar='N', help='wait for this many subscribers on each topic before starting'
-    )
-    parser.add_argument('--namespace', default='/', help='namespace of the topics in the bag (default: /)')
-    parser.add_argument(
-        '--ros-args',
-        nargs=argparse.REMAINDER,
-        default=[],
-        metavar='...',
-        help='remaining arguments are passed to ROS; must come last',
-    )
 
 
 def run(args: argparse.Namespace) -> int:

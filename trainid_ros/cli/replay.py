@@ -1,101 +1,131 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``trainid replay``: the estimators over a bag, off line, as fast as the machine goes."""
+"""``trainid replay``: the estimators over bags, off line, as fast as the machine goes."""
 
 from __future__ import annotations
 
 import math
 import time
+from collections import Counter
 from contextlib import ExitStack
-from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.bag.bag_replay import Pipelines, replay_through
-from trainid_ros.bag.observers import BagRecorder, TraceObserver
 from trainid_ros.bag.reader import BagReader
-from trainid_ros.bag.writer import BagWriter
-from trainid_ros.cli.output import add_json_option, print_json, progress, table, to_plain, warn
-from trainid_ros.errors import NoAnswerError
+from trainid_ros.cli.output import table, to_plain
+from trainid_ros.cli.per_bag import BagResult, run_per_bag
+from trainid_ros.errors import InputError
 from trainid_ros.estimators.force_findings import force_findings
 from trainid_ros.estimators.observability import observe
+from trainid_ros.plural import pluralise
 from trainid_ros.ros.offline import node_setups
 from trainid_ros.sim.truth import load_truth
 from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
 
     from trainid_ros.bag.bag_replay import Observer, Replay, Result
+    from trainid_ros.bag.observers import TraceObserver
     from trainid_ros.report.traces import Traces
     from trainid_ros.results import Reason
     from trainid_ros.ros.offline import Setup
     from trainid_ros.sim.truth import Truth
-    from trainid_ros.train.train_file import TrainFile
 
 TRUTH_FILE: Final = 'truth.yaml'
 _SPEEDS: Final = (10.0, 15.0, 20.0)
 
 
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
-    parser.add_argument('bag', type=Path, metavar='BAG', help='rosbag2 directory or .mcap file')
-    parser.add_argument('--train', type=Path, required=True, metavar='T.yaml', help='train file')
-    parser.add_argument('--params', type=Path, metavar='FILE.yaml', help='ROS parameter file, as the nodes take it')
-    parser.add_argument(
-        '--algorithm',
-        action='append',
-        default=[],
-        metavar='NAME',
-        help='algorithm instead of the default, or resistance=NAME and so on; repeatable',
-    )
-    parser.add_argument('--out', type=Path, metavar='BAG2', help='write inputs and estimates to a new bag')
-    parser.add_argument('--report', type=Path, metavar='FILE.html', help='write a report with plots')
-    parser.add_argument(
-        '--truth', type=Path, metavar='FILE', help=f'truth for the report (default: {TRUTH_FILE} in the bag, if any)'
-    )
-    parser.add_argument('--namespace', default='/', help='namespace of topics and nodes (default: /)')
-    add_json_option(parser)
-
-
 def run(args: argparse.Namespace) -> int:
-    """Replay a bag and print what was identified.
+    """Replay bags and print what was identified; return the exit code.
 
     Raises:
-        InputError: If bag, train file, parameters or truth cannot be used, or an output exists already.
-        NoAnswerError: If nothing was learned of the resistance.
+        InputError: If train file or parameters cannot be used, or bags would write to the same output.
 
     """
+    _setups(args)  # what cannot be used for any bag is reported once
+    if len(args.bags) > 1:
+        _check_outputs(args)
+    return run_per_bag(args, _replay, 'replay')
+
+
+def _setups(args: argparse.Namespace, warn: Callable[[str], None] = lambda _: None) -> tuple[Setup, ...]:
+    """Return the setups of the three nodes; InputError if train file or parameters cannot be used."""
     train_file = load_train_file(args.train)
-    setups = node_setups(train_file, str(args.train), args.params, args.algorithm, namespace=args.namespace, warn=warn)
-    if args.report is not None:
-        find_truth(args.bag, args.truth)  # a truth that cannot be read is reported before the work
-    traces = TraceObserver() if args.report else None
+    return node_setups(train_file, str(args.train), args.params, args.algorithm, namespace=args.namespace, warn=warn)
+
+
+def _check_outputs(args: argparse.Namespace) -> None:
+    """Prepare the folders of the outputs of several bags; InputError if two would have the same name."""
+    if args.truth is not None:
+        msg = '--truth is of one bag, but several bags are given'
+        raise InputError(msg)
+    folders = [folder for folder in (args.out, args.report) if folder is not None]
+    names = Counter(_name(bag) for bag in args.bags)
+    name, count = names.most_common(1)[0]
+    if folders and count > 1:
+        msg = f'{pluralise(count, "bag")} have the name {name}, so their outputs would have the same name'
+        raise InputError(msg)
+    for folder in folders:
+        folder.mkdir(parents=True, exist_ok=True)
+
+
+def _name(bag: Path) -> str:
+    """Return the name of the outputs of one of several bags."""
+    return bag.resolve().name.removesuffix('.mcap')
+
+
+def _outputs(args: argparse.Namespace, bag: Path) -> tuple[Path | None, Path | None]:
+    """Return the paths of the new bag and of the report of a bag, None where it is not asked for."""
+    if len(args.bags) == 1:
+        return args.out, args.report
+    out = None if args.out is None else args.out / _name(bag)
+    return out, None if args.report is None else args.report / f'{_name(bag)}.html'
+
+
+def _replay(args: argparse.Namespace, bag: Path, advance: Callable[[float], None]) -> BagResult:
+    """Replay one bag.
+
+    Raises:
+        InputError: If bag or truth cannot be used, or an output exists already.
+
+    """
+    warnings: list[str] = []
+    setups = _setups(args, warnings.append)
+    out, report = _outputs(args, bag)
+    truth = None if report is None else find_truth(bag, args.truth)
     with ExitStack() as stack:
-        reader = stack.enter_context(BagReader(args.bag, args.namespace))
-        observers: list[Observer] = [] if traces is None else [traces]
-        if args.out is not None:
-            observers.append(BagRecorder(stack.enter_context(BagWriter(args.out))))
-        for line in reader.warnings:
-            warn(line)
-        outcome, wall_s = timed_replay(reader, setups, observers)
-    if args.json:
-        print_json(to_json(outcome, setups, wall_s))
-    else:
-        print(describe(outcome, setups, wall_s))
-    if traces is not None:
-        _write_report(args, outcome, train_file, traces.finish(), f'off line {_pace(outcome, wall_s)}')
-    check_answer(args.bag, outcome)
-    return 0
+        reader = stack.enter_context(BagReader(bag, args.namespace))
+        observers, traces = _observers(stack, out, report)
+        start = time.perf_counter()
+        pipelines = Pipelines(*(setup.pipeline() for setup in setups))
+        count = max(reader.input_count, 1)
+        outcome = replay_through(pipelines, reader, lambda amount: advance(amount / count), observers)
+        wall_s = time.perf_counter() - start
+    if report is not None and traces is not None:
+        _write_report(args, bag, outcome, traces.finish(), truth, f'off line {_pace(outcome, wall_s)}', report)
+    shown = to_json(outcome, setups, wall_s) if args.json else describe(outcome, setups, wall_s)
+    if isinstance(shown, str) and len(args.bags) > 1:
+        shown = f'{bag}: {shown}'
+    return BagResult(shown, (*warnings, *reader.warnings), no_answer(bag, outcome))
 
 
-def timed_replay(
-    reader: BagReader, setups: Sequence[Setup], observers: Sequence[Observer] = ()
-) -> tuple[Replay, float]:
-    """Replay with progress on a terminal; return the outcome and the seconds it took."""
-    start = time.perf_counter()
-    with progress(f'replay {reader.path.name}', total=reader.input_count) as advance:
-        outcome = replay_through(Pipelines(*(setup.pipeline() for setup in setups)), reader, advance, observers)
-    return outcome, time.perf_counter() - start
+def _observers(stack: ExitStack, out: Path | None, report: Path | None) -> tuple[list[Observer], TraceObserver | None]:
+    """Return what writes the new bag and what collects the traces of the report, and the latter alone."""
+    observers: list[Observer] = []
+    if out is None and report is None:
+        return observers, None
+    # Imported here because most replays only print.
+    from trainid_ros.bag.observers import BagRecorder, TraceObserver  # noqa: PLC0415
+    from trainid_ros.bag.writer import BagWriter  # noqa: PLC0415
+
+    if out is not None:
+        observers.append(BagRecorder(stack.enter_context(BagWriter(out))))
+    if report is None:
+        return observers, None
+    traces = TraceObserver()
+    return [*observers, traces], traces
 
 
 def find_truth(bag: Path, given: Path | None) -> Truth | None:
@@ -111,17 +141,17 @@ def find_truth(bag: Path, given: Path | None) -> Truth | None:
     return load_truth(beside) if beside.is_file() else None
 
 
-def check_answer(bag: Path, outcome: Replay) -> None:
-    """Raise NoAnswerError, with the most frequent reason of rejection, if nothing was learned of the resistance."""
+def no_answer(bag: Path, outcome: Replay) -> str:
+    """Return why nothing was learned of the resistance, with the most frequent reason of rejection; '' if it was."""
     result = outcome.resistance
     estimate = result.output.estimate
     if result.output.used and estimate.speed_max > 0.0:
-        return
-    msg = f'{bag}: nothing was learned of the resistance: {result.samples} samples, {result.output.used} used'
+        return ''
+    text = f'{bag}: nothing was learned of the resistance: {result.samples} samples, {result.output.used} used'
     if result.rejections:
         reason, count = result.rejections[0]
-        msg += f', most often rejected: {reason.name} ({count} times), last: {result.output.last_rejection}'
-    raise NoAnswerError(msg)
+        text += f', most often rejected: {reason.name} ({count} times), last: {result.output.last_rejection}'
+    return text
 
 
 def to_json(outcome: Replay, setups: Sequence[Setup], wall_s: float) -> dict[str, Any]:
@@ -236,7 +266,9 @@ def _uncertainty(outcome: Replay, setups: Sequence[Setup]) -> str:
     return '\n'.join((*lines, f'{seen.text}; prior variance removed: {shares}'))
 
 
-def _write_report(args: argparse.Namespace, outcome: Replay, train_file: TrainFile, traces: Traces, how: str) -> None:
+def _write_report(
+    args: argparse.Namespace, bag: Path, outcome: Replay, traces: Traces, truth: Truth | None, how: str, path: Path
+) -> None:
     # Imported here because matplotlib takes long to load and only reports need it.
     from trainid_ros.report.content import Report  # noqa: PLC0415
     from trainid_ros.report.from_replay import chapter_of  # noqa: PLC0415
@@ -245,14 +277,14 @@ def _write_report(args: argparse.Namespace, outcome: Replay, train_file: TrainFi
     chapter = chapter_of(
         outcome,
         traces,
-        title=args.bag.name,
-        bag=str(args.bag),
+        title=bag.name,
+        bag=str(bag),
         train_file_name=str(args.train),
-        train_file=train_file,
+        train_file=load_train_file(args.train),
         how=how,
-        truth=find_truth(args.bag, args.truth),
+        truth=truth,
     )
-    write_report(Report(f'trainid replay: {args.bag.name}', (chapter,)), args.report)
+    write_report(Report(f'trainid replay: {bag.name}', (chapter,)), path)
 
 
 def _pace(outcome: Replay, wall_s: float) -> str:

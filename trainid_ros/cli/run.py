@@ -3,33 +3,15 @@
 
 from __future__ import annotations
 
-import argparse
-from pathlib import Path
-from typing import Final
+from typing import TYPE_CHECKING
 
+from trainid_ros.cli.arguments import LIVE_NODES
 from trainid_ros.errors import InputError
 from trainid_ros.train.train_file import load_train_file
 
-_MODULES: Final = {
-    'resistance_estimator': 'trainid_ros.ros.resistance_node',
-    'speed_model_estimator': 'trainid_ros.ros.speed_model_node',
-    'brake_rate_estimator': 'trainid_ros.ros.brake_rate_node',
-}
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
-    parser.add_argument('--train', type=Path, metavar='T.yaml', help='train file (parameter train_file)')
-    parser.add_argument(
-        '--node', action='append', choices=tuple(_MODULES), metavar='NAME', help='run only this node; repeatable'
-    )
-    parser.add_argument(
-        '--ros-args',
-        nargs=argparse.REMAINDER,
-        default=[],
-        metavar='...',
-        help='remaining arguments are passed to ROS; must come last',
-    )
+if TYPE_CHECKING:
+    import argparse
+    from pathlib import Path
 
 
 def run(args: argparse.Namespace) -> int:
@@ -41,7 +23,7 @@ def run(args: argparse.Namespace) -> int:
     """
     if args.train is not None:
         load_train_file(args.train)
-    names = tuple(dict.fromkeys(args.node)) if args.node else tuple(_MODULES)
+    names = tuple(dict.fromkeys(args.node)) if args.node else LIVE_NODES
     return run_live(names, args.train, args.ros_args)
 
 
@@ -56,7 +38,8 @@ def run_live(names: tuple[str, ...], train: Path | None, ros_args: list[str]) ->
 
     arguments = start_ros(ros_args)
     overrides = [Parameter('train_file', value=str(train.absolute()))] if train is not None else []
-    nodes = [import_module(_MODULES[name]).make_node(arguments, parameter_overrides=overrides) for name in names]
+    modules = [import_module(f'trainid_ros.ros.{name.removesuffix("_estimator")}_node') for name in names]
+    nodes = [module.make_node(arguments, parameter_overrides=overrides) for module in modules]
     for node in nodes:
         if not node.bring_up():
             message = f'{node.get_name()}: {node.failure}'

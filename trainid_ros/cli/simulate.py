@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import argparse
 from collections import Counter
 from dataclasses import replace
 from pathlib import Path
@@ -12,11 +11,11 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from trainid_ros.bag.writer import BagWriter
-from trainid_ros.cli.output import add_json_option, print_json, progress
+from trainid_ros.cli.output import print_json, progress
 from trainid_ros.errors import InputError
 from trainid_ros.plural import pluralise
 from trainid_ros.records import INPUT_TOPICS
-from trainid_ros.sim.realism import REALISMS, UNKNOWNS, make_case, unknowns_of
+from trainid_ros.sim.realism import make_case, unknowns_of
 from trainid_ros.sim.scenario import Scenario, check_scenario, simulate
 from trainid_ros.sim.truth import plain_truth, save_truth
 from trainid_ros.sim.worlds import WORLDS, world_train
@@ -24,6 +23,8 @@ from trainid_ros.train.effect_text import parse_effects
 from trainid_ros.train.train_file import dump_train_file, load_train_file
 
 if TYPE_CHECKING:
+    import argparse
+
     from trainid_ros.sim.realism import Case
     from trainid_ros.sim.scenario import Simulation
 
@@ -31,51 +32,6 @@ TRAIN_FILE: Final = 'train.yaml'
 TRUTH_FILE: Final = 'truth.yaml'
 _TOPIC_OF: Final = {topic.record: topic.name for topic in INPUT_TOPICS}
 _PROGRESS_EVERY: Final = 1000
-
-
-def configure(parser: argparse.ArgumentParser) -> None:
-    """Declare the arguments."""
-    parser.add_argument('out', type=Path, metavar='OUT', help='bag to create')
-    parser.add_argument(
-        '--train', type=Path, metavar='T.yaml', help='the true train; with --world the train as an engineer states it'
-    )
-    _configure_world(parser)
-    parser.add_argument(
-        '--effect',
-        action='append',
-        default=[],
-        metavar='NAME:key=value',
-        help='add an effect to the truth, e.g. tunnel_drag:factor=1.8; repeatable',
-    )
-    parser.add_argument('--runs', type=int, default=4, metavar='N', help='runs from stop to stop (default: 4)')
-    parser.add_argument(
-        '--seed', type=_seed, default=1, metavar='S', help='seed of the random numbers, >= 0 (default: 1)'
-    )
-    add_json_option(parser)
-
-
-def _configure_world(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument('--world', choices=tuple(WORLDS), help='type of railway: train, line and driver')
-    parser.add_argument(
-        '--realism',
-        choices=tuple(REALISMS),
-        help='clean: the train file is exact; field: it has errors as on real trains (default: clean)',
-    )
-    parser.add_argument(
-        '--unknown',
-        action='append',
-        default=[],
-        choices=UNKNOWNS,
-        metavar='NAME',
-        help=f'quantity that is wrong in the train file or missing from it; repeatable: {", ".join(UNKNOWNS)}',
-    )
-
-
-def _seed(text: str) -> int:
-    if not text.isdecimal():
-        msg = f'{text!r} is not a whole number >= 0'
-        raise argparse.ArgumentTypeError(msg)
-    return int(text)
 
 
 def run(args: argparse.Namespace) -> int:

@@ -71,7 +71,8 @@ class MarginalLikelihood:
             weighed: True if the mass is measured.
 
         """
-        self._grid, self._columns, self._factors = grid, columns, factors
+        self._grid, self._factors = grid, factors.shape[1]
+        self._spread = grid.spread(np.concatenate([columns, factors], axis=1))
         self._common = common_std
         self._root = map_root
         self._median = _MEDIAN.copy()
@@ -139,7 +140,7 @@ class MarginalLikelihood:
         key = tuple(x[:_OUTER].tolist())
         if self._gram is None or self._gram[0] != key:
             whitener = Whitener.of(self._grid, noise)
-            gram = Gram.of(self._columns, self._factors, self._grid, whitener)
+            gram = Gram.of(self._spread, self._factors, whitener)
             self._gram = (key, gram, float(whitener.log_det.sum()))
         _, gram, log_det = self._gram
         products, cost = gram.reduced(spread.of_run)

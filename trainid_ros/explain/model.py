@@ -219,9 +219,11 @@ class Model:
 
     def _grams(self, columns: Array, whitener: Whitener, *, by_run: bool) -> Iterator[Gram]:
         """Yield products in batches of runs: columns over hours of driving take gigabytes."""
+        together = np.concatenate([columns, self.factor_columns], axis=1)
         for first in range(0, len(self.dataset.runs), _RUN_BATCH):
             part = slice(first, first + _RUN_BATCH)
-            yield Gram.of(columns, self.factor_columns, self.grid.part(part), whitener.part(part), by_run=by_run)
+            spread = self.grid.part(part).spread(together)
+            yield Gram.of(spread, self.factor_columns.shape[1], whitener.part(part), by_run=by_run)
 
     def fit(self, hyper: Hyperparameters) -> Model:
         """Fit the parameters of all effects together with the nuisances (Gauss-Newton)."""

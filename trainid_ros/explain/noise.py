@@ -137,12 +137,16 @@ class Whitener:
     def apply(self, columns: Array) -> Array:
         """Return whitened columns of the first N nodes, shape (N, R, C); zero without a measurement."""
         N, runs, C = columns.shape
-        # The measurement is appended to the predicted state, so that a step is one matrix product.
-        state = np.zeros((N + 1, runs, 3, C))
-        state[:-1, :, 2] = columns
+        # The measurement is appended to the predicted state, so that a step is one matrix product. Two states take
+        # turns: those of all nodes would not fit the cache.
+        states, white = np.zeros((2, runs, 3, C)), np.empty_like(columns)
         for i in range(N):
-            np.matmul(self.step[i], state[i], out=state[i + 1, :, :2])
-        return np.asarray((columns - state[:-1, :, 0]) * self.scale[:N, :, None])
+            now, after = states[i % 2], states[1 - i % 2]
+            now[:, 2] = columns[i]
+            np.subtract(columns[i], now[:, 0], out=white[i])
+            np.matmul(self.step[i], now, out=after[:, :2])
+        white *= self.scale[:N, :, None]
+        return white
 
 
 def share_of_mean(count: Array) -> Array:

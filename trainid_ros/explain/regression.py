@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from trainid_ros.explain.noise import Grid, Whitener
+    from trainid_ros.explain.noise import Whitener
 
     Array = NDArray[np.float64]
 
@@ -46,10 +46,10 @@ class Gram:
     own: Array
 
     @classmethod
-    def of(cls, columns: Array, factors: Array, grid: Grid, whitener: Whitener, *, by_run: bool = False) -> Gram:
-        """Whiten columns of all nodes, shape (m, C), and factors of single runs, shape (m, F)."""
-        C = columns.shape[1]
-        white = whitener.apply(grid.spread(np.concatenate([columns, factors], axis=1)))
+    def of(cls, spread: Array, factors: int, whitener: Whitener, *, by_run: bool = False) -> Gram:
+        """Whiten columns on the grid, the last of which are factors of single runs, shape (N, R, C + F)."""
+        C = spread.shape[2] - factors
+        white = whitener.apply(spread)
         runs = white.transpose(1, 0, 2)
         own = runs[:, :, C:]
         flat = white[:, :, :C].reshape(-1, C)

@@ -39,16 +39,17 @@ class BagPlayer(PlaybackNode):
             InputError: It cannot be read or has no messages on the input topics, or the packages for bags are missing.
 
         """
-        # Imported here so that the node can tell what is missing.
-        try:
-            from trainid_ros.bag.reader import BagReader  # noqa: PLC0415
-        except ModuleNotFoundError as error:
-            raise missing_package_error(error) from None
         path = str(self.parameters.value('bag'))
         if not path:
             msg = 'no bag: give the parameter bag'
             raise InputError(msg)
-        reader = BagReader(path, str(self.parameters.value('bag_namespace'))).__enter__()
+        # Imported here so that the node can tell what is missing.
+        try:
+            from trainid_ros.bag.reader import BagReader  # noqa: PLC0415
+
+            reader = BagReader(path, str(self.parameters.value('bag_namespace'))).__enter__()
+        except ModuleNotFoundError as error:
+            raise missing_package_error(error) from None
         self._reader = reader
         for warning in reader.warnings:
             self.get_logger().warning(warning)

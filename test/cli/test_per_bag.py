@@ -1,0 +1,93 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Several bags in one command: results in the order of the bags, alone or in processes, whatever happens to one."""
+
+from __future__ import annotations
+
+import json
+from shutil import copytree
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from trainid_ros.bag.reader import BagReader
+from trainid_ros.cli.main import main
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+
+@pytest.fixture
+def bags(driven_bag: Path, tmp_path: Path) -> list[str]:
+    """Return two bags with a missing one between them."""
+    for name in ('one', 'two'):
+        copytree(driven_bag, tmp_path / name)
+    return [str(tmp_path / name) for name in ('one', 'none', 'two')]
+
+
+def replay(bags: list[str], *options: str) -> int:
+    return main(['replay', *bags, '--train', f'{bags[0]}/train.yaml', *options])
+
+
+def without_time(results: list[dict[str, Any]]) -> list[dict[str, Any]]:
+    return [{key: value for key, value in result.items() if key != 'wall_s'} for result in results]
+
+
+def test_info_of_several_bags_is_a_list(bags: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(['info', *bags, '--json']) == 2
+    captured = capsys.readouterr()
+    one, none, two = json.loads(captured.out)
+    assert [one['bag'], none, two['bag']] == [bags[0], {'bag': bags[1], 'error': f'{bags[1]}: no such bag'}, bags[2]]
+    assert one['usable']
+    assert one['messages'] == two['messages'] > 0
+    assert captured.err == f'trainid: error: {bags[1]}: no such bag\n'
+
+
+def test_nothing_is_printed_of_a_bag_that_fails(bags: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(['info', bags[1]]) == 2
+    captured = capsys.readouterr()
+    assert (captured.out, captured.err) == ('', f'trainid: error: {bags[1]}: no such bag\n')
+
+
+def test_text_follows_the_order_of_the_bags(bags: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(['info', bags[2], bags[0]]) == 0
+    two, one = capsys.readouterr().out.strip().split('\nusable\n\n')
+    assert two.startswith(f'{bags[2]}: ')
+    assert one.startswith(f'{bags[0]}: ')
+
+
+def test_processes_give_the_same_as_one_bag_at_a_time(bags: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert replay(bags, '--json') == 2
+    alone = capsys.readouterr()
+    assert replay(bags, '--json', '--jobs', '2') == 2
+    together = capsys.readouterr()
+    assert without_time(json.loads(together.out)) == without_time(json.loads(alone.out))
+    assert together.err == alone.err == f'trainid: error: {bags[1]}: no such bag\n'
+    assert replay(bags[:1], '--json') == 0
+    single = json.loads(capsys.readouterr().out)
+    assert without_time([{'bag': bags[0], **single}]) == without_time(json.loads(alone.out))[:1]
+
+
+def test_each_bag_gets_its_own_outputs(bags: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out, reports = tmp_path / 'a/out', tmp_path / 'reports'
+    assert replay(bags, '--out', str(out), '--report', str(reports)) == 2
+    assert sorted(path.name for path in out.iterdir()) == ['one', 'two']
+    assert sorted(path.name for path in reports.iterdir()) == ['one.html', 'two.html']
+    with BagReader(out / 'two') as reader:
+        assert 'trainid/resistance' in {topic.name for topic in reader.topics()}
+    assert capsys.readouterr().out.startswith(f'{bags[0]}: ')
+
+
+def test_bags_of_the_same_name_cannot_share_a_folder(bags: list[str], tmp_path: Path) -> None:
+    copytree(bags[0], tmp_path / 'other/one')
+    assert replay([bags[0], str(tmp_path / 'other/one')], '--out', str(tmp_path / 'out')) == 2
+    assert not (tmp_path / 'out').exists()
+
+
+def test_one_truth_is_not_of_several_bags(bags: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert replay(bags, '--truth', f'{bags[0]}/truth.yaml') == 2
+    assert '--truth' in capsys.readouterr().err
+
+
+def test_what_no_bag_can_use_is_reported_once(bags: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(['replay', *bags, '--train', 'none.yaml']) == 2
+    assert capsys.readouterr().err.count('\n') == 1
