@@ -21,8 +21,8 @@ from trainid_lab.speed_model.physical_parameters import upper
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.brake_rate.gsma import GsmaConfig
 from trainid_ros.records import NS_PER_S
+from trainid_ros.resistance.config import VMilsConfig
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
-from trainid_ros.resistance.vmils import VMilsConfig
 from trainid_ros.results import BrakeRateEstimate, ResistanceEstimate, SpeedModelEstimate
 from trainid_ros.speed_model.physical_parameters import resistance_variance
 from trainid_ros.speed_model.speed_model_algorithms import SPEED_MODEL

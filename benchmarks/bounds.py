@@ -18,8 +18,14 @@ from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.estimators.prior import prior_variances
 from trainid_ros.estimators.speed_noise import SpeedNoise
 from trainid_ros.records import NS_PER_S
-from trainid_ros.resistance.sliding_window import SlidingWindow
-from trainid_ros.resistance.speed_window import Tick, WindowResult, observe_resistance, overlap_factor
+from trainid_ros.resistance.speed_window import (
+    Cut,
+    SlidingWindow,
+    Tick,
+    WindowResult,
+    observe_resistance,
+    overlap_factor,
+)
 from trainid_ros.results import Rejection
 from trainid_ros.train.brake import CommandHistory, lag_integral, lag_response
 from trainid_ros.train.davis import davis
@@ -30,8 +36,7 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from trainid_ros.brake_rate.gsma import GsmaConfig
-    from trainid_ros.resistance.sliding_window import Cut
-    from trainid_ros.resistance.vmils import VMilsConfig
+    from trainid_ros.resistance.config import VMilsConfig
     from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import TrainFile
 

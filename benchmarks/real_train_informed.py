@@ -13,13 +13,13 @@ from typing import TYPE_CHECKING
 
 from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.records import NS_PER_S
-from trainid_ros.resistance.filter_bank import FilterBank, FilterBankConfig, bank_plan
-from trainid_ros.resistance.hypotheses import Bank
+from trainid_ros.resistance.config import FilterBankConfig
+from trainid_ros.resistance.filter_bank import FilterBank, bank_plan
 from trainid_ros.resistance.speed_states import A, C
 
 if TYPE_CHECKING:
     from benchmarks.worlds import Truth
-    from trainid_ros.results import Rejection
+    from trainid_ros.results import Rejection, ResistanceEstimate
     from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import TrainFile
 
@@ -42,34 +42,36 @@ def information_of(truth: Truth) -> Information:
     return Information(truth.gust_std, truth.gust_time, truth.map_std, truth.map_length, changes_ns)
 
 
-class InformedFilter(FilterBank):
+class InformedFilter:
     """One hypothesis with the true disturbance sizes; each change of resistance adds the step variances to a and c."""
 
     def __init__(self, train_file: TrainFile, known: Information) -> None:
         config = FilterBankConfig()
-        super().__init__(train_file, config)
         plan = bank_plan(train_file, config, KnownForce(train_file).inertia)
-        self._bank = Bank(
-            replace(
-                plan,
-                gust_stds=(known.gust_std,),
-                map_stds=(known.map_std,),
-                # No branching into further hypotheses.
-                spacing=math.inf,
-                noise=replace(plan.noise, gust_time=known.gust_time, map_length=known.map_length),
-            )
+        self._plan = replace(
+            plan,
+            gust_stds=(known.gust_std,),
+            map_stds=(known.map_std,),
+            # No branching into further hypotheses.
+            branch_interval=math.inf,
+            noise=replace(plan.noise, gust_time=known.gust_time, map_length=known.map_length),
         )
+        self._bank = FilterBank(train_file, config, self._plan)
         self._changes_ns = list(known.changes_ns)
 
     def step(self, sample: Sample) -> Rejection | None:
         """Process one sample, after the changes of resistance before it."""
         while self._changes_ns and sample.stamp_ns >= self._changes_ns[0]:
             self._changes_ns.pop(0)
-            self._widen()
-        return super().step(sample)
+            for state, variance in zip((A, C), self._plan.step_variances, strict=True):
+                self._bank.bank.widen(state, variance, math.inf)
+        return self._bank.step(sample)
 
-    def _widen(self) -> None:
-        variance_a, variance_c = self._bank.plan.step_variances
-        self._bank.state.P[:, A, A] += variance_a
-        self._bank.state.P[:, C, C] += variance_c
-        self._mixture = None
+    def estimate(self, speed: float) -> ResistanceEstimate:
+        """Return the estimate of the filter."""
+        return self._bank.estimate(speed)
+
+    @property
+    def converged(self) -> bool:
+        """True while the estimate is fit for use."""
+        return self._bank.converged

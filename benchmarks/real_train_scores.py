@@ -15,6 +15,7 @@ from trainid_ros.records import NS_PER_S
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from benchmarks.real_train_informed import InformedFilter
     from benchmarks.worlds import Truth
     from trainid_ros.estimators.protocol import Estimator
     from trainid_ros.results import ResistanceEstimate
@@ -121,14 +122,14 @@ def motion_since_change(time_s: Array, motion_s: Array, changes: Sequence[float]
     return since
 
 
-def answers_of(estimator: Estimator[ResistanceEstimate], samples: Sequence[Sample]) -> Answers:
+def answers_of(estimator: Estimator[ResistanceEstimate] | InformedFilter, samples: Sequence[Sample]) -> Answers:
     """Return the outputs of an estimator over samples; after a rejected sample the status is HOLDING."""
     rows = np.array([_row(estimator, sample) for sample in samples])
     used = rows[:, 4] > 0.5
     return Answers(rows[:, :3], rows[:, 3], used, used & (rows[:, 5] > 0.5))
 
 
-def _row(estimator: Estimator[ResistanceEstimate], sample: Sample) -> tuple[float, ...]:
+def _row(estimator: Estimator[ResistanceEstimate] | InformedFilter, sample: Sample) -> tuple[float, ...]:
     rejected = estimator.step(sample) is not None
     now = estimator.estimate(sample.speed)
     return now.a, now.b, now.c, now.resistance_std, float(not rejected), float(estimator.converged)

@@ -55,7 +55,7 @@ def run(trial: Trial) -> Mapping[str, Score]:
     return {name: score(answers_of(estimator_of(name, ride, trial.seed), samples), course) for name in trial.algorithms}
 
 
-def estimator_of(name: str, ride: Drive, seed: int) -> Estimator[ResistanceEstimate]:
+def estimator_of(name: str, ride: Drive, seed: int) -> Estimator[ResistanceEstimate] | InformedFilter:
     """Return an algorithm for the train of a drive; only the informed filter is given truth data."""
     if name == INFORMED:
         return InformedFilter(ride.train_file, information_of(ride.truth))

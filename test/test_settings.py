@@ -12,7 +12,7 @@ import pytest
 from trainid_ros.brake_rate.gsma import GsmaConfig
 from trainid_ros.errors import InputError
 from trainid_ros.estimators.pipeline import PipelineConfig
-from trainid_ros.resistance.vmils import VMilsConfig
+from trainid_ros.resistance.config import VMilsConfig
 from trainid_ros.settings import SettingInfo, check_settings, check_value, setting, setting_info
 from trainid_ros.speed_model.config import AmVffRlsConfig
 from trainid_ros.stream.alignment import AlignmentConfig

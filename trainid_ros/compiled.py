@@ -25,6 +25,18 @@ PACKAGE: Final = 'trainid_ros'
 SWITCH: Final = 'TRAINID_COMPILED'
 MODULES: Final = (
     'estimators/speed_noise',
+    'resistance/change_points',
+    'resistance/davis_posterior',
+    'resistance/filter_bank',
+    'resistance/fitness',
+    'resistance/force_errors',
+    'resistance/hypotheses',
+    'resistance/long_run_variance',
+    'resistance/normal',
+    'resistance/speed_states',
+    'resistance/speed_window',
+    'resistance/vmils',
+    'resistance/window_learner',
     'speed_model/am_vff_rls',
     'speed_model/method',
     'speed_model/nuisance_parameters',

@@ -14,11 +14,13 @@ from trainid_lab.compiled_streams import VMilsStream
 from trainid_lab.resistance.multi_innovation import NOTHING, information_of, mils_step, posterior_of
 from trainid_ros.records import NS_PER_S
 from trainid_ros.resistance.change_points import ChangePointConfig, Tracker
+from trainid_ros.resistance.config import VMilsConfig
 from trainid_ros.resistance.force_errors import ForceErrors
 from trainid_ros.resistance.normal import independent
 from trainid_ros.resistance.speed_window import Tick
-from trainid_ros.resistance.vmils import VMilsConfig, tracker_of, window_plan
+from trainid_ros.resistance.vmils import tracker_of, window_plan
 from trainid_ros.resistance.window_learner import WindowLearner
+from trainid_ros.vectors import vec
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -37,7 +39,7 @@ PLAN: Final = ChangePointConfig(
     hazard=1e-5,
     spacing=300,
     hypotheses=4,
-    patience=300,
+    min_age=300,
     lockout=100,
 )
 # Standard deviation of the gradient of a surveyed line [per mille].
@@ -99,7 +101,7 @@ class MilsTracker(RowPeer):
         self._tracker = Tracker(independent(START, np.square(START_SD).tolist()), PLAN)
 
     def items(self, stream: MetroStream) -> list[Item]:
-        return [(np.array((1.0, v, v * v)), y, VARIANCE) for y, _, v in super().items(stream)]
+        return [(vec[float]([1.0, v, v * v]), y, VARIANCE) for y, _, v in super().items(stream)]
 
     @property
     def step(self) -> Any:

@@ -10,9 +10,10 @@ import numpy as np
 from trainid_ros.resistance.change_points import ChangePointConfig, Tracker
 from trainid_ros.resistance.normal import independent
 from trainid_ros.resistance.robust_fit import robust_fit
+from trainid_ros.vectors import vec
 
 if TYPE_CHECKING:
-    from trainid_ros.resistance.normal import Array, Normal
+    from trainid_ros.resistance.normal import Normal
 
 # Prior standard deviation of the term of each parameter in w at 22 m/s [N/kN].
 PRIOR_STD: Final = (2.0, 4.0, 4.0)
@@ -24,7 +25,7 @@ PLAN: Final = ChangePointConfig(
     hazard=1.0 / 2000.0,
     spacing=10,
     hypotheses=5,
-    patience=60,
+    min_age=60,
     lockout=120,
 )
 # Observations before the initial fit, and before a refit: in bursts most data of a short period may be bad.
@@ -86,7 +87,7 @@ class RobustStream:
             self._rows.clear()
 
     def _learn(self, v: float, y: float) -> None:
-        phi: Array = np.array((1.0, v, v * v))
+        phi = vec[float]([1.0, v, v * v])
         expected, variance = self._tracker.estimate.predict(phi)
         nu = y - expected
         weight = self._tracker.update(phi, y, self._variance)

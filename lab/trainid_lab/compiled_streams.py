@@ -18,7 +18,7 @@ from trainid_ros.estimators.compiled.jit import compiled
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from trainid_ros.resistance.robust import DavisPosterior
+    from trainid_ros.resistance.davis_posterior import DavisPosterior
 
     Floats = NDArray[np.float64]
 

@@ -18,7 +18,8 @@ from trainid_ros.errors import InputError
 from trainid_ros.estimators import registry
 from trainid_ros.estimators.registry import Algorithm, Algorithms
 from trainid_ros.records import NS_PER_S, Record
-from trainid_ros.resistance.vmils import VMils, VMilsConfig
+from trainid_ros.resistance.config import VMilsConfig
+from trainid_ros.resistance.vmils import VMils
 from trainid_ros.ros.jobs import JOBS, chosen_algorithms
 from trainid_ros.ros.params_template import parameter_file
 
@@ -33,7 +34,8 @@ sys.modules['trainid_lab'] = None  # an import of it fails
 """
 FOUND = """
 from trainid_ros.estimators.registry import Algorithm
-from trainid_ros.resistance.vmils import VMils, VMilsConfig
+from trainid_ros.resistance.config import VMilsConfig
+from trainid_ros.resistance.vmils import VMils
 ALGORITHMS = (Algorithm('NAME', 'a plug-in', VMilsConfig(), lambda train, config, _: VMils(train, config)),)
 """
 

@@ -128,7 +128,7 @@ def test_an_unknown_name_is_rejected_with_the_known_ones() -> None:
 
 def test_settings_are_changed_by_name() -> None:
     assert RESISTANCE.choose().algorithm == RESISTANCE.default == 'filter-bank'
-    assert RESISTANCE.choose(patience=5.0).config != RESISTANCE.choose().config
+    assert RESISTANCE.choose(min_age=5.0).config != RESISTANCE.choose().config
 
 
 def test_fixed_settings_exist() -> None:

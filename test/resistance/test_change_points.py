@@ -11,10 +11,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from trainid_ros.resistance.change_points import ChangePointConfig, ChangePointState, Tracker
+from trainid_ros.resistance.change_points import ChangePointConfig, Tracker
 from trainid_ros.resistance.normal import independent
 from trainid_ros.resistance.robust_fit import robust_fit
+from trainid_ros.resistance.saved_states import ChangePointState
 from trainid_ros.state import decode, encode
+from trainid_ros.vectors import vec
 
 STD = 0.5
 PRIOR = independent((1.0, 0.0, 0.0), (4.0, 0.01, 1e-4))
@@ -25,14 +27,14 @@ PLAN = ChangePointConfig(
     hazard=1e-3,
     spacing=8,
     hypotheses=5,
-    patience=32,
+    min_age=32,
     lockout=60,
 )
 Spoil = Callable[[int, np.random.Generator], float]
 
 
-def phi(v: float) -> NDArray[np.float64]:
-    return np.array((1.0, v, v * v))
+def phi(v: float) -> vec[float]:
+    return vec[float]([1.0, v, v * v])
 
 
 def w(v: float | NDArray[np.float64], a: float = 1.5) -> float | NDArray[np.float64]:
@@ -92,7 +94,7 @@ def test_a_restored_tracker_continues_bit_identically() -> None:
     copy = Tracker(PRIOR, PLAN)
     copy.restore(decode(encode(state), ChangePointState))
     for item in (tracker, copy):
-        item.update(np.array((1.0, 10.0, 101.0)), 3.0, 0.2, 1.5)
+        item.update(vec[float]([1.0, 10.0, 101.0]), 3.0, 0.2, 1.5)
     assert copy.estimate.theta.tolist() == tracker.estimate.theta.tolist()
     assert copy.state() == tracker.state()
     copy.reset()
@@ -147,7 +149,7 @@ def test_a_parameter_without_steps_keeps_its_variance_in_a_hypothesis_and_its_va
     plan = replace(PLAN, step_variances=(1.0, 0.0))
     tracker = Tracker(independent((0.0, 0.0), (4.0, 4.0)), plan)
     for i in range(700):
-        x = np.array((1.0, float(rng.uniform(-1.0, 1.0))))
+        x = vec[float]([1.0, float(rng.uniform(-1.0, 1.0))])
         tracker.update(x, (1.0 if i < 600 else 10.0) + 0.5 * x[1] + 0.1 * float(rng.standard_normal()), 0.01)
         if i == 400:
             long, newest = tracker.state().memory, tracker.state().hypotheses[-1]

@@ -8,7 +8,7 @@ import math
 import numpy as np
 import pytest
 
-from trainid_ros.resistance.slow_noise import SlowNoise
+from trainid_ros.resistance.long_run_variance import SlowNoise
 
 
 @pytest.mark.parametrize(('rho', 'expected'), [(0.0, 1.0), (0.6, 4.0), (-0.5, 1.0 / 3.0)])

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -22,12 +22,12 @@ from trainid_ros.resistance.speed_states import (
     C,
     Interval,
     ProcessNoise,
+    Transition,
     V,
-    correct,
-    predict,
-    restart,
-    shifted_traction,
+    entry,
+    speed_filter,
 )
+from trainid_ros.vectors import vec
 
 Array = NDArray[np.float64]
 Reports = tuple[float, float, float, float]
@@ -85,11 +85,40 @@ def process_noise(interval: Interval) -> Array:
     return Q
 
 
+def transition(interval: Interval, noise: ProcessNoise = NOISE) -> Transition:
+    """Return the transition over an interval without drift."""
+    return Transition(interval, noise, vec[float]([0.0] * STATES))
+
+
 def predicted(x: Array, P: Array, interval: Interval = INTERVAL) -> tuple[Array, Array]:
-    """Return the prediction of one hypothesis over one interval."""
-    xs, Ps = x[None].copy(), P[None].copy()
-    predict(xs, Ps, interval, np.array([GUST_VAR]), np.array([MAP_VAR]), NOISE)
-    return xs[0], Ps[0]
+    """Return the mean and covariance predicted over one interval."""
+    one = speed_filter(x, P, GUST_VAR, MAP_VAR)
+    one.predict(transition(interval))
+    return one.mean(), one.covariance()
+
+
+@dataclass(frozen=True)
+class Corrected:
+    """Mean and covariance after a correction, the logarithm of the density of the speed, and its weight."""
+
+    x: Array
+    P: Array
+    log_density: float
+    weight: float
+
+
+def corrected(P: Array, speed: float, outliers: float) -> Corrected:
+    """Return the correction of MEAN by a measured speed."""
+    one = speed_filter(MEAN, P, GUST_VAR, MAP_VAR)
+    log_density, weight = one.correct(speed, INTERVAL.speed_variance, outliers)
+    return Corrected(one.mean(), one.covariance(), log_density, weight)
+
+
+def shifted_traction(reports: Reports, u: Array) -> tuple[Array, Array]:
+    """Return the traction at shifts in spacings of 1 s, and its derivative."""
+    over = transition(replace(INTERVAL, traction=reports, spacing=1.0))
+    value, slope = zip(*(over.traction(shift) for shift in u.tolist()), strict=True)
+    return np.array(value), np.array(slope)
 
 
 # Traction between the reports
@@ -162,10 +191,10 @@ def test_each_derivative_of_the_speed_is_the_numerical_one() -> None:
     slow = replace(INTERVAL, dt=1.0)
     for i in range(STATES):
         # A variance of one state alone: P_vi is then its derivative, or P_vv the square of that of v.
-        P = np.zeros((1, STATES, STATES))
-        P[0, i, i] = 1.0
-        predict(MEAN[None].copy(), P, slow, np.zeros(1), np.zeros(1), quiet)
-        found = math.sqrt(P[0, V, V]) - 1.0 if i == V else P[0, V, i] / math.sqrt(P[0, i, i])
+        one = speed_filter(MEAN, np.diag(np.eye(STATES)[i]), 0.0, 0.0)
+        one.predict(transition(slow, quiet))
+        P = one.covariance()
+        found = math.sqrt(P[V, V]) - 1.0 if i == V else P[V, i] / math.sqrt(P[i, i])
         e = np.eye(STATES)[i] * 1e-2 * STD[i]
         step = moved((MEAN + e)[None], slow)[0, V] - moved((MEAN - e)[None], slow)[0, V]
         expected = step / (2.0 * e[i]) - (i == V)
@@ -195,17 +224,6 @@ def test_the_predicted_covariance_is_that_of_random_states() -> None:
     assert np.max(np.abs(found - expected) / np.outer(std, std)) < 0.03
 
 
-def test_hypotheses_do_not_affect_each_other() -> None:
-    rng = np.random.default_rng(8)
-    x = MEAN + STD * rng.standard_normal((4, STATES))
-    P = np.array([random_covariance(seed) for seed in range(4)])
-    alone = [predicted(x[i], P[i]) for i in range(4)]
-    predict(x, P, INTERVAL, np.full(4, GUST_VAR), np.full(4, MAP_VAR), NOISE)
-    for i, (mean, covariance) in enumerate(alone):
-        assert x[i] == pytest.approx(mean, rel=1e-14)
-        assert P[i] == pytest.approx(covariance, rel=1e-12, abs=1e-18)
-
-
 def test_undisturbed_gusts_keep_their_stationary_variance() -> None:
     x, P = MEAN.copy(), np.zeros((STATES, STATES))
     P[GUST, GUST], P[MAP, MAP] = GUST_VAR, MAP_VAR
@@ -220,8 +238,7 @@ def test_undisturbed_gusts_keep_their_stationary_variance() -> None:
 
 def test_without_outliers_the_correction_is_the_textbook_kalman_update() -> None:
     P, R = random_covariance(3), INTERVAL.speed_variance
-    x, Q = MEAN[None].copy(), P[None].copy()
-    log_density, weight = correct(x, Q, INTERVAL, 0.0)
+    found = corrected(P, INTERVAL.speed, 0.0)
     H = np.zeros((1, STATES))
     H[0, V] = 1.0
     S = H @ P @ H.T + R
@@ -229,23 +246,22 @@ def test_without_outliers_the_correction_is_the_textbook_kalman_update() -> None
     nu = INTERVAL.speed - MEAN[V]
     left = np.eye(STATES) - K @ H
     joseph = left @ P @ left.T + R * K @ K.T
-    assert x[0] == pytest.approx(MEAN + K[:, 0] * nu, rel=1e-12)
+    assert found.x == pytest.approx(MEAN + K[:, 0] * nu, rel=1e-12)
     std = np.sqrt(np.diag(joseph))
-    assert np.max(np.abs(Q[0] - joseph) / np.outer(std, std)) < 1e-10
+    assert np.max(np.abs(found.P - joseph) / np.outer(std, std)) < 1e-10
     variance = float(S[0, 0])
-    assert log_density[0] == pytest.approx(-0.5 * (nu**2 / variance + math.log(2.0 * math.pi * variance)), rel=1e-12)
-    assert weight[0] == 1.0
+    assert found.log_density == pytest.approx(-0.5 * (nu**2 / variance + math.log(2.0 * math.pi * variance)), rel=1e-12)
+    assert found.weight == 1.0
 
 
 def test_a_speed_error_of_two_metres_per_second_has_negligible_weight() -> None:
     P = random_covariance(4)
-    x, Q = MEAN[None].copy(), P[None].copy()
-    log_density, weight = correct(x, Q, replace(INTERVAL, speed=MEAN[V] + 2.0), 0.01)
-    assert np.max(np.abs(x[0] - MEAN) / STD) < 1e-3
-    assert np.max(np.abs(Q[0] - P) / np.outer(STD, STD)) < 1e-3
-    assert weight[0] < 1e-9
+    found = corrected(P, MEAN[V] + 2.0, 0.01)
+    assert np.max(np.abs(found.x - MEAN) / STD) < 1e-3
+    assert np.max(np.abs(found.P - P) / np.outer(STD, STD)) < 1e-3
+    assert found.weight < 1e-9
     # The remaining density is that of an outlier: 1 % of them, uniform over 2 m/s.
-    assert log_density[0] == pytest.approx(math.log(0.01 / 2.0), rel=1e-9)
+    assert found.log_density == pytest.approx(math.log(0.01 / 2.0), rel=1e-9)
 
 
 def test_an_outlier_has_negligible_weight_even_with_an_uncertain_prediction() -> None:
@@ -253,28 +269,23 @@ def test_an_outlier_has_negligible_weight_even_with_an_uncertain_prediction() ->
     P = np.diag(STD**2)
     P[V, V], P[V, KAPPA] = 100.0, 0.9 * 10.0 * STD[KAPPA]
     P[KAPPA, V] = P[V, KAPPA]
-    x, Q = MEAN[None].copy(), P[None].copy()
-    correct(x, Q, replace(INTERVAL, speed=MEAN[V] + 500.0), 0.01)
-    assert np.max(np.abs(x[0] - MEAN) / STD) < 1e-3
-    assert pytest.approx(P, rel=1e-9) == Q[0]
+    found = corrected(P, MEAN[V] + 500.0, 0.01)
+    assert np.max(np.abs(found.x - MEAN) / STD) < 1e-3
+    assert pytest.approx(P, rel=1e-9) == found.P
 
 
 def test_a_speed_as_predicted_is_weighted_by_the_probability_that_it_is_no_outlier() -> None:
-    P = np.diag(STD**2)
-    x, Q = MEAN[None].copy(), P[None].copy()
-    log_density, weight = correct(x, Q, replace(INTERVAL, speed=MEAN[V]), 0.01)
+    found = corrected(np.diag(STD**2), MEAN[V], 0.01)
     # S = 0.03^2 + 4e-4 = 1.3e-3: 0.99 * 11.064668 against 0.01 / 2
-    assert weight[0] == pytest.approx(10.954021 / (10.954021 + 0.005), rel=1e-6)
-    assert log_density[0] == pytest.approx(math.log(10.959021), rel=1e-6)
-    assert x[0] == pytest.approx(MEAN, rel=1e-15)
-    assert Q[0, V, V] == pytest.approx(9e-4 * 4e-4 / 1.3e-3, rel=1e-3)
+    assert found.weight == pytest.approx(10.954021 / (10.954021 + 0.005), rel=1e-6)
+    assert found.log_density == pytest.approx(math.log(10.959021), rel=1e-6)
+    assert found.x == pytest.approx(MEAN, rel=1e-15)
+    assert found.P[V, V] == pytest.approx(9e-4 * 4e-4 / 1.3e-3, rel=1e-3)
 
 
 def test_the_weight_falls_with_the_innovation() -> None:
-    weights = []
-    for nu in (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 1.0, 100.0):
-        x, Q = MEAN[None].copy(), np.diag(STD**2)[None]
-        weights.append(float(correct(x, Q, replace(INTERVAL, speed=MEAN[V] + nu), 0.01)[1][0]))
+    innovations = (0.0, 0.05, 0.1, 0.15, 0.2, 0.3, 1.0, 100.0)
+    weights = [corrected(np.diag(STD**2), MEAN[V] + nu, 0.01).weight for nu in innovations]
     assert weights == sorted(weights, reverse=True)
     assert (weights[0] > 0.999, weights[-1] < 1e-100) == (True, True)
 
@@ -283,24 +294,32 @@ def test_zero_variance_stays_zero() -> None:
     exact = [C, MAP, DELTA]
     P = random_covariance(6)
     P[exact, :] = P[:, exact] = 0.0
-    x, Q = MEAN[None].copy(), P[None].copy()
+    one = speed_filter(MEAN, P, GUST_VAR, 0.0)
     for _ in range(20):
-        predict(x, Q, INTERVAL, np.array([GUST_VAR]), np.zeros(1), NOISE)
-        correct(x, Q, replace(INTERVAL, speed=float(x[0, V]) + 0.02), 0.01)
-    assert not Q[0, exact].any()
-    assert x[0, C] == MEAN[C]
-    assert x[0, DELTA] == MEAN[DELTA]
+        one.predict(transition(INTERVAL))
+        one.correct(one.mean()[V] + 0.02, INTERVAL.speed_variance, 0.01)
+    assert not one.covariance()[exact].any()
+    assert one.mean()[C] == MEAN[C]
+    assert one.mean()[DELTA] == MEAN[DELTA]
 
 
 def test_a_restart_resets_the_motion_and_keeps_the_parameters() -> None:
     P = random_covariance(7)
-    x, Q = MEAN[None].copy(), P[None].copy()
-    restart(x, Q, 9.0, 1e-3, np.array([GUST_VAR]), np.array([MAP_VAR]))
+    one = speed_filter(MEAN, P, GUST_VAR, MAP_VAR)
+    one.restart(9.0, 1e-3)
+    x, Q = one.mean(), one.covariance()
     kept = [A, B, C, KAPPA, DELTA, KAPPA_R]
-    assert (x[0, kept] == MEAN[kept]).all()
-    assert (Q[0][np.ix_(kept, kept)] == P[np.ix_(kept, kept)]).all()
-    assert x[0, [V, GUST, MAP]].tolist() == [9.0, 0.0, 0.0]
+    assert (x[kept] == MEAN[kept]).all()
+    assert (Q[np.ix_(kept, kept)] == P[np.ix_(kept, kept)]).all()
+    assert x[[V, GUST, MAP]].tolist() == [9.0, 0.0, 0.0]
     reset = [V, GUST, MAP]
-    assert not Q[0][np.ix_(reset, kept)].any()
-    assert not Q[0][np.ix_(kept, reset)].any()
-    assert (Q[0][np.ix_(reset, reset)] == np.diag([1e-3, GUST_VAR, MAP_VAR])).all()
+    assert not Q[np.ix_(reset, kept)].any()
+    assert (Q[np.ix_(reset, reset)] == np.diag([1e-3, GUST_VAR, MAP_VAR])).all()
+
+
+def test_an_entry_is_found_in_the_upper_triangle_from_either_side() -> None:
+    P = random_covariance(9)
+    upper = P[np.triu_indices(STATES)]
+    for i in range(STATES):
+        for j in range(STATES):
+            assert upper[entry(i, j)] == P[i, j] or upper[entry(i, j)] == P[j, i]

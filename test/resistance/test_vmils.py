@@ -17,8 +17,9 @@ from hypothesis import strategies as st
 from trainid_ros.errors import InputError
 from trainid_ros.estimators.protocol import step_and_estimate
 from trainid_ros.records import NS_PER_S
-from trainid_ros.resistance.robust import gate
-from trainid_ros.resistance.vmils import VMils, VMilsConfig
+from trainid_ros.resistance.config import VMilsConfig
+from trainid_ros.resistance.normal import gate
+from trainid_ros.resistance.vmils import VMils
 from trainid_ros.results import Reason, Rejection, ResistanceEstimate
 from trainid_ros.stream.samples import BrakeCommandChange, Sample
 from trainid_ros.train.train_file import Davis, TrainFile

@@ -224,7 +224,7 @@ def test_setting_a_parameter_live_changes_nothing_until_the_next_configure(graph
     [
         ('estimator.step_share_c', float('nan')),
         ('estimator.step_share_c', float('inf')),
-        ('estimator.patience', 100000.0),
+        ('estimator.min_age', 100000.0),
         ('resistance.b', float('nan')),
         ('time_jump_policy', 'panic'),
         ('autostart', True),
@@ -245,7 +245,7 @@ def test_invalid_parameters_are_rejected_with_a_reason_that_names_them(
     ('arguments', 'reason'),
     [
         (('-p', 'alignment.perod:=0.3'), "unknown parameter 'alignment.perod': did you mean 'alignment.period'?"),
-        (('-p', 'estimator.patience:=2000.0'), r'estimator.patience = 2000 is outside [0, 1000]'),
+        (('-p', 'estimator.min_age:=2000.0'), r'estimator.min_age = 2000 is outside [0, 1000]'),
         (('-p', 'train.mass:=heavy'), "train.mass = 'heavy' must be a number"),
         (('-p', 'estimator.step_share_c:=.nan'), 'estimator.step_share_c = nan is outside'),
     ],
@@ -636,7 +636,7 @@ def test_a_node_with_a_parameter_file_equals_a_replay_with_it_to_the_bit(
     path = tmp_path / 'params.yaml'
     path.write_text(
         '/**: {ros__parameters: {seed: 5, resistance: {a: 2}, alignment: {max_lag: 0.25}}}\n'
-        '/**/resistance_estimator: {ros__parameters: {train.mass: 210e3, estimator: {patience: 8, step_a: 0x6}}}\n'
+        '/**/resistance_estimator: {ros__parameters: {train.mass: 210e3, estimator: {min_age: 8, step_a: 0x6}}}\n'
         '/**/brake_rate_estimator: {ros__parameters: {train.mass: 190000, estimator: {prior_std: 1e-01}}}\n',
         encoding='utf-8',
     )

@@ -12,7 +12,8 @@ import pytest
 from trainid_ros.errors import InputError
 from trainid_ros.estimators.pipeline import EstimatorSettings
 from trainid_ros.estimators.registry import Algorithm, Algorithms
-from trainid_ros.resistance.vmils import VMils, VMilsConfig
+from trainid_ros.resistance.config import VMilsConfig
+from trainid_ros.resistance.vmils import VMils
 from trainid_ros.ros import jobs
 from trainid_ros.ros.jobs import JOBS, chosen_algorithms
 from trainid_ros.ros.offline import Setup, node_setups

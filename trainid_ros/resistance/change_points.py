@@ -13,7 +13,7 @@ The long memory is that of :mod:`multi_innovation`, for n parameters: with infor
     I(t) = I(t-1) + sum_{i=t-p+1..t} phi(i) [phi(i)', y(i)] / (p R(i)).
 
 Each hypothesis weights outliers by its own prediction, so a burst that a young hypothesis follows does not affect the
-long memory. Hypotheses count only after ``patience`` observations, longer than a burst. A step so large that no
+long memory. Hypotheses count only after ``min_age`` observations, longer than a burst. A step so large that no
 hypothesis follows it shows in weights that stay low; the long memory then restarts from a robust fit of the latest
 observations.
 """
@@ -23,32 +23,30 @@ from __future__ import annotations
 import math
 from collections import deque
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from trainid_ros.resistance.normal import (
+    Array,
     Normal,
     information_in,
     information_of,
     mixed,
+    normal,
     normal_of,
     soft_update,
+    weigh,
     widened,
 )
-from trainid_ros.resistance.robust import weigh
 from trainid_ros.resistance.robust_fit import MIN_ROWS, robust_fit
-from trainid_ros.state import is_covariance_matrix
-
-if TYPE_CHECKING:
-    from trainid_ros.resistance.normal import Array
+from trainid_ros.resistance.saved_states import MAX_EVIDENCE, ChangePointState, RunLengthState
+from trainid_ros.vectors import vec
 
 # Log odds against the long memory at which it is replaced.
 _REPLACED: Final = math.log(1e3)
 # Mean weight of the observations below which the long memory is locked out.
 _LOCKED_OUT: Final = 0.4
-# Limit of the log Bayes factor, far beyond any decision threshold.
-_MAX_EVIDENCE: Final = 300.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -62,7 +60,7 @@ class ChangePointConfig:
         hazard: Probability of a step at each observation.
         spacing: Number of observations between the creation of two hypotheses.
         hypotheses: Maximum number of hypotheses.
-        patience: Number of observations after which a hypothesis counts.
+        min_age: Number of observations after which a hypothesis counts.
         lockout: Number of observations over which weights are averaged to detect a lock-out, and from which the long
             memory then restarts.
 
@@ -74,74 +72,17 @@ class ChangePointConfig:
     hazard: float
     spacing: int
     hypotheses: int
-    patience: int
+    min_age: int
     lockout: int
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Hypothesis:
     """The parameters if they stepped ``age`` observations ago, and the log Bayes factor against the long memory."""
 
     normal: Normal
     evidence: float = 0.0
     age: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class RunLengthState:
-    """Saved state of a hypothesis: the n entries of theta and the n^2 entries of P, row by row."""
-
-    theta: tuple[float, ...]
-    P: tuple[float, ...]
-    evidence: float
-    age: int
-
-    def is_valid(self, n: int) -> bool:
-        """Return whether the numbers, which must be finite, fit n parameters and lie within their bounds."""
-        sized = len(self.theta) == n and len(self.P) == n * n
-        return (
-            sized
-            and is_covariance_matrix(np.array(self.P).reshape(n, n))
-            and self.evidence <= _MAX_EVIDENCE
-            and self.age >= 0
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class ChangePointState:
-    """Saved state of a tracker; ``memory`` and each of ``parts`` are information, n (n + 1) numbers row by row.
-
-    Attributes:
-        memory: Information of the long memory.
-        parts: Information that each of the last p observations adds at a step.
-        hypotheses: Run-length hypotheses, oldest first.
-        rows: Latest observations: phi, y, R, slow.
-        mean_weight: Recent mean weight of the observations [1].
-        count: Number of observations.
-        steps_found: Number of detected steps.
-
-    """
-
-    memory: tuple[float, ...]
-    parts: tuple[tuple[float, ...], ...]
-    hypotheses: tuple[RunLengthState, ...]
-    rows: tuple[tuple[float, ...], ...]
-    mean_weight: float
-    count: int
-    steps_found: int
-
-    def is_valid(self, n: int) -> bool:
-        """Return whether all numbers, which must be finite, fit n parameters and lie within their bounds."""
-        size = n * (n + 1)
-        if not all(len(item) == size for item in (self.memory, *self.parts)):
-            return False
-        information = _information(self.memory, n)
-        after = sum((_information(part, n) for part in self.parts), information)
-        definite = is_definite(information) and is_definite(after)
-        # (phi, y, R, slow)
-        observed = all(len(row) == n + 3 and min(row[-2:]) > 0.0 for row in self.rows)
-        counted = 0.0 <= self.mean_weight <= 1.0 and self.count >= 0
-        return definite and observed and counted and all(item.is_valid(n) for item in self.hypotheses)
 
 
 class Tracker:
@@ -163,13 +104,13 @@ class Tracker:
 
     def reset(self) -> None:
         """Return to the prior."""
-        self.restore(ChangePointState(_numbers(information_of(self.prior)), (), (), (), 1.0, 0, 0))
+        self.restore(ChangePointState(tuple(information_of(self.prior)), (), (), (), 1.0, 0, 0))
 
     def state(self) -> ChangePointState:
         """Return the state to save."""
         return ChangePointState(
-            memory=_numbers(self._memory),
-            parts=tuple(map(_numbers, self._parts)),
+            memory=tuple(self._memory),
+            parts=tuple(tuple(part) for part in self._parts),
             hypotheses=tuple(map(_hypothesis_state, self._hypotheses)),
             rows=tuple(self._rows),
             mean_weight=self._mean_weight,
@@ -179,11 +120,10 @@ class Tracker:
 
     def restore(self, state: ChangePointState) -> None:
         """Restore a saved state."""
-        n, plan = len(self.prior.theta), self.plan
-        self._set_memory(_information(state.memory, n))
-        self._parts = deque((_information(part, n) for part in state.parts), maxlen=plan.p)
+        self._set_memory(vec[float](state.memory))
+        self._parts = [vec[float](part) for part in state.parts]
         self._hypotheses = [_hypothesis(item) for item in state.hypotheses]
-        self._rows = deque(state.rows, maxlen=plan.lockout)
+        self._rows = deque(state.rows, maxlen=self.plan.lockout)
         self._mean_weight = state.mean_weight
         self._count, self.steps_found = state.count, state.steps_found
         self._mix()
@@ -196,15 +136,15 @@ class Tracker:
         self._mean_weight = 1.0
         self._mix()
 
-    def _set_memory(self, information: Array) -> None:
+    def _set_memory(self, information: vec[float]) -> None:
         self._memory = information
-        self._long = normal_of(information)
+        self._long = normal_of(information, len(self.prior.mean))
 
-    def update(self, phi: Array, y: float, R: float, slow: float = 1.0) -> float:
+    def update(self, phi: vec[float], y: float, R: float, slow: float = 1.0) -> float:
         """Process one observation y = phi' theta + noise; return its weight in the long memory.
 
         Args:
-            phi: Regressor, shape (n,).
+            phi: Regressor, n numbers.
             y: Observation.
             R: Variance of the noise.
             slow: Factor on R in the mean of many observations with correlated noise; 1 if the noise is white.
@@ -214,11 +154,17 @@ class Tracker:
         if self._count % plan.spacing == 0 and self._count > 0:
             self._add_hypothesis()
         self._count += 1
-        self._rows.append((*phi.tolist(), y, R, slow))
+        self._rows.append((*phi, y, R, slow))
         expected, variance = long.predict(phi)
         weight, score = weigh(y - expected, variance + R, R, plan.outliers)
-        self._parts.append(information_in(phi, y, plan.p * slow * R) * weight)
-        self._set_memory(sum(self._parts, self._memory))
+        self._parts.append(information_in(phi, y, plan.p * slow * R, weight))
+        if len(self._parts) > plan.p:
+            del self._parts[0]
+        information = self._memory[:]
+        for part in self._parts:
+            for k in range(len(part)):
+                information[k] += part[k]
+        self._set_memory(information)
         self._follow(phi, y, R, slow, score)
         self._mean_weight += (weight - self._mean_weight) / plan.lockout
         if self._mean_weight < _LOCKED_OUT:
@@ -226,10 +172,10 @@ class Tracker:
         self._mix()
         return weight
 
-    def widen(self, variances: Array, most: Array) -> None:
+    def widen(self, variances: Array, limits: Array) -> None:
         """Add the variances of random steps of the parameters, see :func:`normal.widened`."""
-        self._set_memory(information_of(widened(self._long, variances, most)))
-        self._hypotheses = [replace(item, normal=widened(item.normal, variances, most)) for item in self._hypotheses]
+        self._set_memory(information_of(widened(self._long, variances, limits)))
+        self._hypotheses = [replace(item, normal=widened(item.normal, variances, limits)) for item in self._hypotheses]
         self._mix()
 
     def _add_hypothesis(self) -> None:
@@ -241,15 +187,15 @@ class Tracker:
             del self._hypotheses[evidence.index(min(evidence))]
         self._hypotheses.append(Hypothesis(widened(self._long, self._steps)))
 
-    def _follow(self, phi: Array, y: float, R: float, slow: float, score: float) -> None:
+    def _follow(self, phi: vec[float], y: float, R: float, slow: float, score: float) -> None:
         """Update all hypotheses and their Bayes factors; the most likely one may replace the long memory."""
         best, most = None, _REPLACED - self._log_hazard
         for i, item in enumerate(self._hypotheses):
             normal, _, found = soft_update(item.normal, phi, y, R, slow, self.plan.outliers)
             # Observations with correlated noise carry repeated evidence.
-            evidence = min(item.evidence + (found - score) / max(slow, 1.0), _MAX_EVIDENCE)
+            evidence = min(item.evidence + (found - score) / max(slow, 1.0), MAX_EVIDENCE)
             self._hypotheses[i] = Hypothesis(normal, evidence, item.age + 1)
-            if item.age >= self.plan.patience and evidence > most:
+            if item.age >= self.plan.min_age and evidence > most:
                 best, most = self._hypotheses[i], evidence
         if best is not None:
             self._take_over(best)
@@ -275,42 +221,22 @@ class Tracker:
         theta = np.where(stepping, self.prior.theta, self._long.theta)
         P = np.where(np.outer(stepping, stepping), self.prior.P, 0.0)
         P += np.where(np.outer(~stepping, ~stepping), self._long.P, 0.0)
-        return Normal(theta, P)
+        return normal(theta, P)
 
     def _mix(self) -> None:
         """Update the mixture, weighted by probability."""
         normals, odds = [self._long], [1.0]
         for item in self._hypotheses:
-            if item.age > self.plan.patience and item.evidence + self._log_hazard > -_REPLACED:
+            if item.age > self.plan.min_age and item.evidence + self._log_hazard > -_REPLACED:
                 normals.append(item.normal)
                 odds.append(math.exp(item.evidence + self._log_hazard))
         self.change_probability = 1.0 - 1.0 / math.fsum(odds)
         self.estimate = mixed(normals, odds) if len(normals) > 1 else self._long
 
 
-def is_definite(information: Array) -> bool:
-    """Return whether P^-1, the left part of an information of shape (n, n + 1), is the inverse of a covariance."""
-    inverse, variances = information[:, :-1], information.diagonal()
-    if not bool((variances > 0.0).all()):
-        return False
-    scale = 1.0 / np.sqrt(variances)
-    correlations = scale[:, None] * inverse * scale
-    symmetric = np.allclose(correlations, correlations.T, rtol=0.0, atol=1e-6)
-    return bool(symmetric and np.linalg.eigvalsh(correlations)[0] > 0.0)
-
-
-def _numbers(item: Array) -> tuple[float, ...]:
-    return tuple(item.ravel().tolist())
-
-
-def _information(numbers: tuple[float, ...], n: int) -> Array:
-    return np.array(numbers).reshape(n, n + 1)
-
-
 def _hypothesis_state(item: Hypothesis) -> RunLengthState:
-    return RunLengthState(_numbers(item.normal.theta), _numbers(item.normal.P), item.evidence, item.age)
+    return RunLengthState(tuple(item.normal.mean), tuple(item.normal.covariance), item.evidence, item.age)
 
 
 def _hypothesis(state: RunLengthState) -> Hypothesis:
-    n = len(state.theta)
-    return Hypothesis(Normal(np.array(state.theta), np.array(state.P).reshape(n, n)), state.evidence, state.age)
+    return Hypothesis(Normal(vec[float](state.theta), vec[float](state.P)), state.evidence, state.age)

@@ -19,7 +19,8 @@ if TYPE_CHECKING:
 
 CURVE_RADIUS: Final = 600.0
 """Radius at which the error of the curve resistance is stated [m]."""
-DELAY_RANGE: Final = (-0.2, 0.4)
+MIN_DELAY: Final = -0.2
+MAX_DELAY: Final = 0.4
 """Range of estimable force delays [s], limited by the reports available ahead and the range of the cubic."""
 # A delay this near the end of the range counts as beyond it; the mean of a mixture never quite reaches the end.
 _AT_END_S: Final = 0.01
@@ -70,8 +71,8 @@ def curve_std(train_file: TrainFile) -> float:
 
 
 def is_delay_at_end(delay: float) -> bool:
-    """Return whether a delay [s] is at an end of :data:`DELAY_RANGE`, so that the true one may lie beyond."""
-    return any(abs(delay - end) < _AT_END_S for end in DELAY_RANGE)
+    """Return whether a delay [s] is at an end of its range, so that the true one may lie beyond."""
+    return abs(delay - MIN_DELAY) < _AT_END_S or abs(delay - MAX_DELAY) < _AT_END_S
 
 
 def scale_step(train: Train, *, weighed: bool) -> float:

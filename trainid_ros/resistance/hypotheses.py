@@ -18,29 +18,33 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
+from trainid_ros.resistance.davis_posterior import DavisPosterior
+from trainid_ros.resistance.saved_states import BankState
 from trainid_ros.resistance.speed_states import (
     DELTA,
     KAPPA,
-    STATES,
     A,
-    Array,
     B,
     C,
+    Interval,
+    ProcessNoise,
+    SpeedFilter,
+    Transition,
     V,
-    correct,
-    predict,
-    restart,
+    entry,
+    speed_filter,
 )
+from trainid_ros.vectors import append, i64, vec
 
-if TYPE_CHECKING:
-    from trainid_ros.resistance.speed_states import Interval, ProcessNoise
+Array = NDArray[np.float64]
 
-PUBLISHED: Final = (A, B, C, KAPPA, DELTA)
-"""The states whose mixture is published, in the order of a :class:`Mixture`."""
+PUBLISHED: Final[i64] = 5
+"""Number of states whose mixture is published: a, b, c, kappa, delta."""
 _INITIAL_AGE_S: Final = 1e9
 # Log weight relative to the best hypothesis below which one is pruned.
 _PRUNED: Final = -40.0
@@ -67,11 +71,11 @@ class BankPlan:
         map_stds: Hypothetical standard deviations of the map error [N/kN], ascending.
         step_variances: Variances that a step adds to a and to c, (N/kN)^2 and (N/kN per (m/s)^2)^2.
         hazard: Probability of a step per second [1/s].
-        spacing: Driving time between branchings [s].
-        most: Maximum number of hypotheses.
-        patience: Minimum age of a hypothesis in the mixture [s].
-        youth: Up to this age the stated covariance multiplies the weight of a hypothesis by ``suspicion`` [s].
-        suspicion: See ``youth`` [1].
+        branch_interval: Driving time between branchings [s].
+        hypotheses: Maximum number of hypotheses.
+        min_age: Minimum age of a hypothesis in the mixture [s].
+        young_age: Age up to which a hypothesis is young [s].
+        young_weight: Factor on the weight of young hypotheses in the stated covariance [1].
         wrong_prior: Prior odds that the stated prior is too narrow [1].
         drift: Growth of the variances of the states [per s], shape (9,).
         noise: Process and measurement noise.
@@ -84,113 +88,81 @@ class BankPlan:
     map_stds: tuple[float, ...]
     step_variances: tuple[float, float]
     hazard: float
-    spacing: float
-    most: int
-    patience: float
-    youth: float
-    suspicion: float
+    branch_interval: float
+    hypotheses: int
+    min_age: float
+    young_age: float
+    young_weight: float
     wrong_prior: float
     drift: Array
     noise: ProcessNoise
 
 
-@dataclass(slots=True)
-class Hypotheses:
-    """State of the bank, one row per hypothesis.
+class Hypothesis:
+    """A filter with the logarithm of its weight, its age [s], and the index of its sizes of gusts and map errors."""
+
+    def __init__(self, estimate: SpeedFilter, log_weight: float, age: float, size: int) -> None:
+        self.filter = estimate
+        self.log_weight, self.age, self.size = log_weight, age, size
+
+
+class Mixture:
+    """Mixture of the published states.
 
     Attributes:
-        x: Means, shape (n, 9).
-        P: Covariances, shape (n, 9, 9).
-        log_weight: Logarithms of the weights, normalised to a maximum of 0, shape (n,).
-        age: Driving time since it branched off [s], shape (n,).
-        size: Index of the sizes of gusts and map errors, shape (n,).
+        mean: a [N/kN], b [N/kN per m/s], c [N/kN per (m/s)^2], kappa [1], delta [s].
+        covariance: Upper triangle of their covariance, row by row, 15 numbers.
+
+    """
+
+    def __init__(self, mean: vec[float], covariance: vec[float]) -> None:
+        self.mean, self.covariance = mean, covariance
+
+    @property
+    def davis(self) -> DavisPosterior:
+        """Mean and covariance of a, b, c."""
+        (a, b, c, *_), (A, B, C, _, _, D, E, _, _, F, *_) = self.mean, self.covariance
+        return a, b, c, A, B, C, D, E, F
+
+
+class Innovation:
+    """Measured minus predicted speed [m/s], its predicted variance [(m/s)^2], and its weight in the best hypothesis."""
+
+    def __init__(self, value: float, variance: float, weight: float) -> None:
+        self.value, self.variance, self.weight = value, variance, weight
+
+
+class Bank:
+    """Bank of hypotheses and its recursion.
+
+    Attributes:
+        plan: Its settings.
+        hypotheses: The hypotheses, in the order of their creation.
         since_s: Driving time since the last branching [s].
         branchings: Number of branchings.
 
     """
 
-    x: Array
-    P: Array
-    log_weight: Array
-    age: Array
-    size: Array
-    since_s: float = 0.0
-    branchings: int = 0
-
-
-@dataclass(frozen=True, slots=True)
-class Mixture:
-    """Mean, shape (5,), and covariances, shape (5, 5), of the :data:`PUBLISHED` states.
-
-    Attributes:
-        mean: a [N/kN], b [N/kN per m/s], c [N/kN per (m/s)^2], kappa [1], delta [s].
-        covariance: Their covariance with the weights of young hypotheses multiplied by ``suspicion``.
-        posterior: Their covariance with all hypotheses weighted by their probability.
-
-    """
-
-    mean: Array
-    covariance: Array
-    posterior: Array
-
-    @property
-    def theta(self) -> Array:
-        """a, b, c [N/kN, v in m/s], shape (3,)."""
-        return self.mean[:3]
-
-    @property
-    def theta_covariance(self) -> Array:
-        """Covariance of a, b, c, shape (3, 3)."""
-        return self.covariance[:3, :3]
-
-    @property
-    def stds(self) -> tuple[float, ...]:
-        """Standard deviations of all five, in the units of ``mean``."""
-        return tuple(np.sqrt(np.maximum(np.diag(self.covariance), 0.0)).tolist())
-
-
-@dataclass(frozen=True, slots=True)
-class Innovation:
-    """Measured minus predicted speed [m/s], its predicted variance [(m/s)^2], and its weight in the best hypothesis."""
-
-    value: float
-    variance: float
-    weight: float
-
-
-def _covariance(weight: Array, P: Array, spread: Array) -> Array:
-    """Return the covariance of a mixture from weights, shape (n,), covariances and deviations from the mean."""
-    within: Array = np.einsum('n,nij->ij', weight, P)
-    return within + (spread.T * weight) @ spread
-
-
-def _grown(variance: Array, added: Array | float, most: Array | float) -> Array:
-    """Return variances with an increment added up to a limit; those already above it stay unchanged."""
-    grown: Array = np.maximum(variance, np.minimum(variance + added, most))
-    return grown
-
-
-class Bank:
-    """Bank of hypotheses and its recursion."""
-
     def __init__(self, plan: BankPlan) -> None:
         self.plan = plan
-        sizes = [(gust, error) for gust in plan.gust_stds for error in plan.map_stds]
-        self._gust_var = np.square([gust for gust, _ in sizes])
-        self._map_var = np.square([error for _, error in sizes])
+        # Variances of gust and map error by the index of their sizes.
+        self._sizes = [(gust * gust, error * error) for gust in plan.gust_stds for error in plan.map_stds]
+        self._drift = vec[float](plan.drift.tolist())
+        published = (A, B, C, KAPPA, DELTA)
+        self._states = vec[i64](published)
+        self._entries = vec[i64]([entry(i, j) for k, i in enumerate(published) for j in published[k:]])
         self.reset()
 
     def reset(self) -> None:
         """Return to the stated and the wide prior, each with all disturbance sizes."""
-        priors, n = self._priors(), len(self._gust_var)
-        count = n * len(priors)
-        self.state = Hypotheses(
-            x=np.tile(self.plan.mean, (count, 1)),
-            P=np.repeat([np.diag(variance) for variance, _ in priors], n, axis=0),
-            log_weight=np.repeat([math.log(weight) for _, weight in priors], n),
-            age=np.full(count, _INITIAL_AGE_S),
-            size=np.tile(np.arange(n, dtype=float), len(priors)),
-        )
+        plan = self.plan
+        self.hypotheses = [
+            self._new(plan.mean, np.diag(variance), math.log(weight), _INITIAL_AGE_S, size)
+            for variance, weight in self._priors()
+            for size in range(len(self._sizes))
+        ]
+        self.since_s = 0.0
+        self.branchings = 0
 
     def _priors(self) -> list[tuple[Array, float]]:
         """Return the variances of the stated and the wide prior, shape (9,), and their weights."""
@@ -199,109 +171,165 @@ class Bank:
         wide[KAPPA] = max(_WIDE_SCALE_STD**2, _WIDER**2 * wide[KAPPA])
         return [(stated, 1.0), *([(wide, self.plan.wrong_prior)] if self.plan.wrong_prior > 0.0 else [])]
 
+    def _new(self, mean: Array, covariance: Array, log_weight: float, age: float, size: int) -> Hypothesis:
+        gust_var, map_var = self._sizes[size]
+        return Hypothesis(speed_filter(mean, covariance, gust_var, map_var), log_weight, age, size)
+
+    def state(self) -> BankState:
+        """Return the state to save, as copies."""
+        items = self.hypotheses
+        return BankState(
+            x=np.array([item.filter.mean() for item in items]),
+            P=np.array([item.filter.covariance() for item in items]),
+            log_weight=np.array([item.log_weight for item in items]),
+            age=np.array([item.age for item in items]),
+            size=np.array([float(item.size) for item in items]),
+            since_s=self.since_s,
+            branchings=self.branchings,
+        )
+
+    def restore(self, state: BankState) -> None:
+        """Restore a saved state."""
+        rows = zip(state.x, state.P, state.log_weight.tolist(), state.age.tolist(), state.size.tolist(), strict=True)
+        self.hypotheses = [self._new(x, P, log_weight, age, int(size)) for x, P, log_weight, age, size in rows]
+        self.since_s, self.branchings = state.since_s, state.branchings
+
     def restart(self, speed: float, variance: float) -> None:
         """Restart all hypotheses from one measured speed [m/s] and its variance [(m/s)^2]; keep the parameters."""
-        gust_var, map_var = self._sizes()
-        restart(self.state.x, self.state.P, speed, variance, gust_var, map_var)
+        for item in self.hypotheses:
+            item.filter.restart(speed, variance)
 
     def idle(self, seconds: float) -> None:
         """Add the variance of a possible step of a and c in an idle time [s], up to the prior; no drift at rest."""
-        plan, states = self.plan, np.array([A, C])
-        stepped = min(1.0, plan.hazard * seconds) * np.array(plan.step_variances)
-        variance = self.state.P[:, states, states]
-        self.state.P[:, states, states] = _grown(variance, stepped, plan.variance[states])
+        plan = self.plan
+        probability = min(1.0, plan.hazard * seconds)
+        for state, variance in zip((A, C), plan.step_variances, strict=True):
+            self.widen(state, probability * variance, float(plan.variance[state]))
 
     def widen_force_scale(self, variance: float) -> None:
         """Add a variance to the force scale, as for a change of load; limited to the prior variance plus this step."""
-        most = self.plan.variance[KAPPA] + variance
-        self.state.P[:, KAPPA, KAPPA] = _grown(self.state.P[:, KAPPA, KAPPA], variance, most)
+        self.widen(KAPPA, variance, float(self.plan.variance[KAPPA]) + variance)
+
+    def widen(self, state: int, variance: float, limit: float) -> None:
+        """Add to the variance of a state in all hypotheses, up to a limit."""
+        for item in self.hypotheses:
+            item.filter.widen(state, variance, limit)
 
     def advance(self, interval: Interval) -> Innovation:
-        """Predict and correct all hypotheses, update their weights, and branch when due."""
-        now, plan = self.state, self.plan
-        gust_var, map_var = self._sizes()
-        diagonal = np.arange(STATES)
-        now.P[:, diagonal, diagonal] += plan.drift * interval.dt
-        predict(now.x, now.P, interval, gust_var, map_var, plan.noise)
-        value, variance = self._predicted(interval)
-        log_density, weight = correct(now.x, now.P, interval, plan.noise.outliers)
-        now.log_weight += log_density
-        best = int(np.argmax(now.log_weight))
-        now.log_weight -= now.log_weight[best]
-        now.age += interval.dt
-        now.since_s += interval.dt
-        if now.since_s >= plan.spacing:
+        """Predict and correct all hypotheses, update their weights, and branch when due.
+
+        Where a number is no longer finite the innovation is not either, and nothing is corrected.
+        """
+        plan = self.plan
+        over = Transition(interval, plan.noise, self._drift)
+        for item in self.hypotheses:
+            item.filter.predict(over)
+        innovation = self._innovation(interval)
+        if not math.isfinite(innovation.variance):
+            return innovation
+        best, most = self.hypotheses[0], -math.inf
+        for item in self.hypotheses:
+            log_density, weight = item.filter.correct(interval.speed, interval.speed_variance, plan.noise.outliers)
+            item.log_weight += log_density
+            item.age += interval.dt
+            if item.log_weight > most:
+                best, most, innovation.weight = item, item.log_weight, weight
+        for item in self.hypotheses:
+            item.log_weight -= most
+        self.since_s += interval.dt
+        if self.since_s >= plan.branch_interval:
             self._branch(best)
-        return Innovation(value, variance, float(weight[best]))
+        return innovation
 
-    def mixture(self) -> Mixture:
-        """Return the mixture of all hypotheses of the minimum age, or of all if those have no weight."""
-        now, plan = self.state, self.plan
-        weight = np.exp(now.log_weight) * (now.age >= plan.patience)
-        if weight.sum() < _NO_WEIGHT:
-            weight = np.exp(now.log_weight)
-        x, P = now.x[:, PUBLISHED], now.P[:, PUBLISHED][:, :, PUBLISHED]
-        # Relative to one of them, so that identical hypotheses give exactly their common value.
-        mean = x[0] + weight @ (x - x[0]) / weight.sum()
-        cautious = weight * np.where(now.age < plan.youth, plan.suspicion, 1.0)
-        spread = x - mean
-        return Mixture(mean, *(_covariance(p / p.sum(), P, spread) for p in (cautious, weight)))
+    def _innovation(self, interval: Interval) -> Innovation:
+        """Return the innovation of the mixture of all predictions."""
+        first = self.hypotheses[0].filter.x[V]
+        total = mean = square = 0.0
+        for item in self.hypotheses:
+            weight, apart, S = math.exp(item.log_weight), item.filter.x[V] - first, item.filter.P[V]
+            total += weight
+            mean += weight * apart
+            square += weight * (S + apart * apart)
+            if S + interval.speed_variance <= 0.0:  # by rounding, after impossible input
+                return Innovation(math.nan, math.nan, 0.0)
+        mean /= total
+        variance = square / total - mean * mean + interval.speed_variance
+        return Innovation(interval.speed - (first + mean), variance, 0.0)
 
-    def is_finite(self) -> bool:
-        """Return whether all means and covariances are finite."""
-        return bool(np.isfinite(self.state.x).all() and np.isfinite(self.state.P).all())
+    def mixture(self, young_weight: float = 1.0) -> Mixture:
+        """Return the mixture of all hypotheses of the minimum age, or of all if those have no weight.
 
-    def _sizes(self) -> tuple[Array, Array]:
-        size = self.state.size.astype(int)
-        return self._gust_var[size], self._map_var[size]
+        Args:
+            young_weight: Factor on the weights of young hypotheses in the covariance.
 
-    def _predicted(self, interval: Interval) -> tuple[float, float]:
-        """Return the innovation of the mixture of all hypotheses and its variance."""
-        weight = np.exp(self.state.log_weight)
-        weight /= weight.sum()
-        v = self.state.x[:, V]
-        mean = float(weight @ v)
-        variance = float(weight @ (self.state.P[:, V, V] + (v - mean) ** 2))
-        return interval.speed - mean, variance + interval.speed_variance
+        """
+        mean, weights, first = vec[float](), self._weights(1.0), self.hypotheses[0].filter.x
+        for i in self._states:
+            # Relative to one of them, so that identical hypotheses give exactly their common value.
+            apart = 0.0
+            for n in range(len(weights)):
+                apart += weights[n] * (self.hypotheses[n].filter.x[i] - first[i])
+            mean = append(mean, first[i] + apart)
+        return Mixture(mean, self._covariance(mean, self._weights(young_weight)))
 
-    def _branch(self, best: int) -> None:
+    def _weights(self, young_weight: float) -> vec[float]:
+        """Return the weights in the mixture, with a sum of one."""
+        min_age, total = self.plan.min_age, 0.0
+        for item in self.hypotheses:
+            if item.age >= min_age:
+                total += math.exp(item.log_weight)
+        if total < _NO_WEIGHT:
+            min_age = 0.0
+        weights, total = vec[float](), 0.0
+        for item in self.hypotheses:
+            weight = math.exp(item.log_weight) if item.age >= min_age else 0.0
+            weight *= young_weight if item.age < self.plan.young_age else 1.0
+            weights = append(weights, weight)
+            total += weight
+        for n in range(len(weights)):
+            weights[n] /= total
+        return weights
+
+    def _covariance(self, mean: vec[float], weights: vec[float]) -> vec[float]:
+        """Return the upper triangle of the covariance of a mixture about its mean, 15 numbers."""
+        covariance, entries, apart = vec[float]([0.0] * len(self._entries)), self._entries, vec[float](mean)
+        for n in range(len(weights)):
+            weight, x, P = weights[n], self.hypotheses[n].filter.x, self.hypotheses[n].filter.P
+            for i in range(PUBLISHED):
+                apart[i] = x[self._states[i]] - mean[i]
+            k: i64 = 0
+            for i in range(PUBLISHED):
+                for j in range(i, PUBLISHED):
+                    covariance[k] += weight * (P[entries[k]] + apart[i] * apart[j])
+                    k += 1
+        return covariance
+
+    def _branch(self, best: Hypothesis) -> None:
         """Branch the best hypothesis and prune the least likely ones."""
-        now, plan = self.state, self.plan
-        now.P[:] = 0.5 * (now.P + now.P.transpose(0, 2, 1))
-        now.since_s = 0.0
-        now.branchings += 1
-        step = math.log(0.5 * min(1.0, plan.hazard * plan.spacing))
-        self._add(best, step, 0.0, now.size[best], (A, plan.step_variances[0]))
-        self._add(best, step, 0.0, now.size[best], (C, plan.step_variances[1]))
+        plan, now = self.plan, self.hypotheses
+        self.since_s = 0.0
+        self.branchings += 1
+        step = math.log(0.5 * min(1.0, plan.hazard * plan.branch_interval))
+        for state, variance in zip((A, C), plan.step_variances, strict=True):
+            now.append(self._child(best, step, 0.0, best.size))
+            now[-1].filter.widen(state, variance, math.inf)
         if others := self._absent_sizes(best):
-            self._add(best, math.log(_OTHER_SIZES), now.age[best], others[now.branchings % len(others)])
-        score = now.log_weight + np.where(now.age < plan.patience, _YOUNG_BONUS, 0.0)
-        score[best] = math.inf  # kept even if many young ones have the bonus
-        kept = np.argsort(-score, kind='stable')[: plan.most]
-        kept = np.sort(kept[now.log_weight[kept] > _PRUNED])
-        now.x, now.P = now.x[kept], now.P[kept]
-        now.log_weight, now.age, now.size = now.log_weight[kept], now.age[kept], now.size[kept]
+            now.append(self._child(best, math.log(_OTHER_SIZES), best.age, others[self.branchings % len(others)]))
+        score = [item.log_weight + (_YOUNG_BONUS if item.age < plan.min_age else 0.0) for item in now]
+        score[now.index(best)] = math.inf  # kept even if many young ones have the bonus
+        order = sorted(range(len(now)), key=score.__getitem__, reverse=True)
+        self.hypotheses = [now[k] for k in sorted(order[: plan.hypotheses]) if now[k].log_weight > _PRUNED]
 
-    def _add(
-        self, parent: int, log_probability: float, age: float, size: float, step: tuple[int, float] | None = None
-    ) -> None:
-        """Add a copy of a hypothesis with its own age and size; a step adds variance to one of its states."""
-        now = self.state
-        P = now.P[parent].copy()
-        if step is not None:
-            state, variance = step
-            P[state, state] += variance
-        now.x = np.concatenate((now.x, now.x[parent][None]))
-        now.P = np.concatenate((now.P, P[None]))
-        now.log_weight = np.append(now.log_weight, now.log_weight[parent] + log_probability)
-        now.age = np.append(now.age, age)
-        now.size = np.append(now.size, size)
+    def _child(self, parent: Hypothesis, log_probability: float, age: float, size: int) -> Hypothesis:
+        """Return a copy of a hypothesis with its own age and size."""
+        gust_var, map_var = self._sizes[size]
+        return Hypothesis(parent.filter.copy(gust_var, map_var), parent.log_weight + log_probability, age, size)
 
-    def _absent_sizes(self, best: int) -> list[float]:
+    def _absent_sizes(self, best: Hypothesis) -> list[int]:
         """Return the sizes adjacent to those of the best hypothesis that no likely hypothesis has."""
-        columns = len(self.plan.map_stds)
-        row, column = divmod(int(self.state.size[best]), columns)
+        rows, columns = len(self.plan.gust_stds), len(self.plan.map_stds)
+        row, column = divmod(best.size, columns)
         near = ((row - 1, column), (row + 1, column), (row, column - 1), (row, column + 1))
-        inside = [r * columns + c for r, c in near if 0 <= r < len(self.plan.gust_stds) and 0 <= c < columns]
-        present = set(self.state.size[self.state.log_weight > _PRESENT].astype(int).tolist())
-        return [float(size) for size in inside if size not in present]
+        inside = [r * columns + c for r, c in near if 0 <= r < rows and 0 <= c < columns]
+        present = {item.size for item in self.hypotheses if item.log_weight > _PRESENT}
+        return [size for size in inside if size not in present]

@@ -2,123 +2,243 @@
 """Normal distributions of n parameters theta and their update by observations y = phi' theta + noise.
 
 There are two forms: mean and covariance P; and the information [P^-1 | P^-1 theta], shape (n, n + 1), in which
-independent observations add. The gate is the soft gate of :mod:`robust`.
+independent observations add.
+
+An observation is good with probability 1 - eps; otherwise it is uniformly distributed over a width of
+``OUTLIER_WIDTH`` standard deviations. Its weight is the posterior probability that it is good. A hard gate cannot
+recover from a wrong estimate; this one scores how well an estimate predicts, outliers included.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trainid_ros.resistance.robust import weigh
+from trainid_ros.vectors import append, i64, vec
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
 Array = NDArray[np.float64]
 
+OUTLIER_WIDTH: Final = 40.0
+_ROOT_2PI: Final = math.sqrt(2.0 * math.pi)
+# Beyond 37 standard deviations the density of a good observation underflows.
+_MAX_NIS: Final = 1400.0
 _MIN_WEIGHT: Final = 1e-9
 
 
-@dataclass(frozen=True, slots=True)
+def weigh(nu: float, S: float, R: float, eps: float) -> tuple[float, float]:
+    """Return the weight of an observation and the logarithm of its likelihood.
+
+    Args:
+        nu: Innovation [N/kN].
+        S: Its variance if the observation is good [(N/kN)^2].
+        R: Variance of the observation noise, which sets the width of the outlier density [(N/kN)^2].
+        eps: Share of outliers [1].
+
+    """
+    nis = nu * nu / S
+    good = (1.0 - eps) / (_ROOT_2PI * math.sqrt(S)) * math.exp(-0.5 * nis) if nis < _MAX_NIS else 0.0
+    likelihood = good + eps / (OUTLIER_WIDTH * math.sqrt(R)) + 1e-300
+    return good / likelihood, math.log(likelihood)
+
+
+def gate(eps: float) -> float:
+    """Return the innovation, in standard deviations, at which an observation is good with probability 1/2."""
+    return math.sqrt(2.0 * math.log((1.0 - eps) * OUTLIER_WIDTH / (eps * _ROOT_2PI))) if eps > 0.0 else math.inf
+
+
 class Normal:
-    """Normal distribution of the parameters.
+    """Normal distribution of n parameters.
 
     Attributes:
-        theta: Mean, shape (n,).
-        P: Covariance, shape (n, n).
+        mean: theta, n numbers.
+        covariance: P, n^2 numbers, row by row.
 
     """
 
-    theta: Array
-    P: Array
+    def __init__(self, mean: vec[float], covariance: vec[float]) -> None:
+        self.mean, self.covariance = mean, covariance
 
-    def predict(self, phi: Array) -> tuple[float, float]:
-        """Return mean and variance of phi' theta, in the unit of y and its square, for a regressor of shape (n,)."""
-        return float(phi @ self.theta), max(float(phi @ self.P @ phi), 0.0)
+    @property
+    def theta(self) -> Array:
+        """The mean as an array, shape (n,)."""
+        return np.array(list(self.mean))
+
+    @property
+    def P(self) -> Array:
+        """The covariance as an array, shape (n, n)."""
+        return np.array(list(self.covariance)).reshape(len(self.mean), len(self.mean))
+
+    def predict(self, phi: vec[float]) -> tuple[float, float]:
+        """Return mean and variance of phi' theta, in the unit of y and its square, for n regressors."""
+        return dot(phi, self.mean), max(dot(phi, _times(self.covariance, phi)), 0.0)
+
+
+def normal(theta: Array, P: Array) -> Normal:
+    """Return the distribution with a mean of shape (n,) and a covariance of shape (n, n)."""
+    return Normal(vec[float](theta.tolist()), vec[float](P.ravel().tolist()))
 
 
 def independent(theta: Sequence[float], variances: Sequence[float]) -> Normal:
     """Return the distribution of independent parameters with these means and variances."""
-    return Normal(np.array(theta, dtype=np.float64), np.diag(np.array(variances, dtype=np.float64)))
+    return normal(np.array(theta, dtype=np.float64), np.diag(np.array(variances, dtype=np.float64)))
 
 
-def widened(item: Normal, variances: Array, most: Array | None = None) -> Normal:
+def dot(x: vec[float], y: vec[float]) -> float:
+    """Return x' y."""
+    total = 0.0
+    for i in range(len(x)):
+        total += x[i] * y[i]
+    return total
+
+
+def _times(P: vec[float], x: vec[float]) -> vec[float]:
+    """Return P x."""
+    n, product = len(x), vec[float]()
+    k: i64 = 0
+    for _ in range(n):
+        total = 0.0
+        for j in range(n):
+            total += P[k] * x[j]
+            k += 1
+        product = append(product, total)
+    return product
+
+
+def widened(item: Normal, variances: Array, limits: Array | None = None) -> Normal:
     """Return the distribution after independent random steps of the parameters.
 
     Args:
         item: Distribution before the steps.
         variances: Variances of the steps, shape (n,).
-        most: Upper limits of the variances afterwards, shape (n,); limiting keeps the correlations.
+        limits: Upper limits of the variances afterwards, shape (n,); limiting keeps the correlations.
 
     """
     P = item.P + np.diag(variances)
-    if most is not None:
-        r = np.minimum(1.0, np.sqrt(most / np.diag(P)))
+    if limits is not None:
+        r = np.minimum(1.0, np.sqrt(limits / np.diag(P)))
         P = r[:, None] * P * r
-    return Normal(item.theta, P)
+    return normal(item.theta, P)
 
 
-def soft_update(item: Normal, phi: Array, y: float, R: float, slow: float, eps: float) -> tuple[Normal, float, float]:
+def soft_update(
+    item: Normal, phi: vec[float], y: float, R: float, slow: float, eps: float
+) -> tuple[Normal, float, float]:
     """Return the distribution after one observation, the weight of the observation and its log likelihood.
 
     Args:
         item: Distribution before the observation.
-        phi: Regressor, shape (n,).
+        phi: Regressor, n numbers.
         y: Observation.
         R: Variance of its noise.
         slow: Factor on R in the mean of many observations with correlated noise; 1 if the noise is white.
         eps: Share of outliers, 0 for plain least squares.
 
     """
-    g = item.P @ phi
-    variance = float(phi @ g)
-    nu = y - float(phi @ item.theta)
+    g = _times(item.covariance, phi)
+    variance = dot(phi, g)
+    nu = y - dot(phi, item.mean)
     weight, log_likelihood = weigh(nu, variance + R, R, eps)
     if weight < _MIN_WEIGHT:
         return item, weight, log_likelihood
     # theta += K nu, P -= g g' / (phi' P phi + slow R / weight): the weight divides the noise variance
-    k = 1.0 / (variance + slow * R / weight)
-    return Normal(item.theta + k * nu * g, item.P - k * np.outer(g, g)), weight, log_likelihood
+    gain = 1.0 / (variance + slow * R / weight)
+    theta, P = item.mean[:], item.covariance[:]
+    k: i64 = 0
+    for i in range(len(phi)):
+        theta[i] += gain * nu * g[i]
+        for j in range(len(phi)):
+            P[k] -= gain * (g[i] * g[j])
+            k += 1
+    return Normal(theta, P), weight, log_likelihood
 
 
-def mixed(items: Sequence[Normal], weights: Sequence[float]) -> Normal:
+def mixed(items: list[Normal], weights: list[float]) -> Normal:
     """Return mean and covariance of a mixture; the weights need not sum to one."""
-    share = np.array(weights) / math.fsum(weights)
-    thetas = np.array([item.theta for item in items])
-    theta = share @ thetas
-    d = thetas - theta
-    P = np.tensordot(share, np.array([item.P for item in items]), 1) + (share[:, None] * d).T @ d
+    n, total = len(items[0].mean), math.fsum(weights)
+    theta, apart, P = vec[float]([0.0] * n), vec[float]([0.0] * n), vec[float]([0.0] * (n * n))
+    for item, weight in zip(items, weights, strict=True):
+        for i in range(n):
+            theta[i] += weight / total * item.mean[i]
+    for item, weight in zip(items, weights, strict=True):
+        share = weight / total
+        k: i64 = 0
+        for i in range(n):
+            apart[i] = item.mean[i] - theta[i]
+        for i in range(n):
+            for j in range(n):
+                P[k] += share * (item.covariance[k] + apart[i] * apart[j])
+                k += 1
     return Normal(theta, P)
 
 
-def information_of(item: Normal) -> Array:
-    """Return [P^-1 | P^-1 theta], shape (n, n + 1)."""
-    inverse = _inverse(item.P)
-    return np.column_stack([inverse, inverse @ item.theta])
+def information_of(item: Normal) -> vec[float]:
+    """Return [P^-1 | P^-1 theta], n rows of n + 1 numbers."""
+    inverse, information = _inverse(item.covariance, len(item.mean)), vec[float]()
+    k: i64 = 0
+    vector = _times(inverse, item.mean)
+    for i in range(len(vector)):
+        for _ in range(len(vector)):
+            information = append(information, inverse[k])
+            k += 1
+        information = append(information, vector[i])
+    return information
 
 
-def normal_of(information: Array) -> Normal:
-    """Return the distribution of [P^-1 | P^-1 theta], shape (n, n + 1)."""
-    P = _inverse(information[:, :-1])
-    return Normal(P @ information[:, -1], P)
+def normal_of(information: vec[float], n: i64) -> Normal:
+    """Return the distribution of n parameters with an information [P^-1 | P^-1 theta]."""
+    inverse, vector = vec[float](), vec[float]()
+    k: i64 = 0
+    for _ in range(n):
+        for _ in range(n):
+            inverse = append(inverse, information[k])
+            k += 1
+        vector = append(vector, information[k])
+        k += 1
+    P = _inverse(inverse, n)
+    return Normal(_times(P, vector), P)
 
 
-def information_in(phi: Array, y: float, variance: float) -> Array:
-    """Return the information of one observation, phi [phi', y] / variance, shape (n, n + 1)."""
-    return np.outer(phi, np.append(phi, y)) / variance
+def information_in(phi: vec[float], y: float, variance: float, weight: float = 1.0) -> vec[float]:
+    """Return the information of one observation, phi [phi', y] weight / variance, n rows of n + 1 numbers."""
+    information = vec[float]()
+    for i in range(len(phi)):
+        for j in range(len(phi)):
+            information = append(information, phi[i] * phi[j] / variance * weight)
+        information = append(information, phi[i] * y / variance * weight)
+    return information
 
 
-def _inverse(S: Array) -> Array:
-    """Return the inverse of a covariance or information matrix.
+def _inverse(S: vec[float], n: i64) -> vec[float]:
+    """Return the inverse of a covariance or information matrix of n rows, by Gauss-Jordan elimination in place.
 
-    The matrix is scaled to a unit diagonal first, since the parameters differ by orders of magnitude.
+    The matrix is scaled to a unit diagonal first, since the parameters differ by orders of magnitude; positive definite
+    ones need no pivoting.
     """
-    scale = 1.0 / np.sqrt(S.diagonal())
-    inverse = np.linalg.inv(scale[:, None] * S * scale)
-    scaled: Array = scale[:, None] * (0.5 * (inverse + inverse.T)) * scale
-    return scaled
+    scale, A = vec[float](), S[:]
+    for i in range(n):
+        scale = append(scale, 1.0 / math.sqrt(S[i * n + i]))
+    for i in range(n):
+        for j in range(n):
+            A[i * n + j] *= scale[i] * scale[j]
+    for k in range(n):
+        pivot = 1.0 / A[k * n + k]
+        A[k * n + k] = 1.0
+        for j in range(n):
+            A[k * n + j] *= pivot
+        for i in range(n):
+            factor = A[i * n + k]
+            if i != k:
+                A[i * n + k] = 0.0
+                for j in range(n):
+                    A[i * n + j] -= factor * A[k * n + j]
+    inverse = A[:]
+    for i in range(n):
+        for j in range(n):
+            inverse[i * n + j] = 0.5 * scale[i] * (A[i * n + j] + A[j * n + i]) * scale[j]
+    return inverse

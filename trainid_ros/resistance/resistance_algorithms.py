@@ -6,8 +6,9 @@ from __future__ import annotations
 from typing import Final
 
 from trainid_ros.estimators.registry import Algorithm, Algorithms
-from trainid_ros.resistance.filter_bank import FilterBank, FilterBankConfig
-from trainid_ros.resistance.vmils import VMils, VMilsConfig
+from trainid_ros.resistance.config import FilterBankConfig, VMilsConfig
+from trainid_ros.resistance.filter_bank import FilterBank
+from trainid_ros.resistance.vmils import VMils
 from trainid_ros.results import ResistanceEstimate
 
 RESISTANCE: Final = Algorithms[ResistanceEstimate](
@@ -20,7 +21,7 @@ RESISTANCE: Final = Algorithms[ResistanceEstimate](
     ),
     Algorithm(
         'V-MILS',
-        'interval-varying multi-innovation least squares on speed windows; a quarter of the computing time',
+        'interval-varying multi-innovation least squares on speed windows; less computing time',
         VMilsConfig(),
         lambda train_file, config, _: VMils(train_file, config),
     ),

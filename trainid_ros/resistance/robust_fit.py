@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.resistance.normal import Normal, information_of
+from trainid_ros.resistance.normal import Normal, information_of, normal
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
@@ -43,7 +43,7 @@ def robust_fit(rows: tuple[tuple[float, ...], ...], prior: Normal) -> Normal | N
     table = np.array(rows)
     root = np.sqrt(table[:, -2])
     Phi, y = table[:, :-3] / root[:, None], table[:, -3] / root
-    before = information_of(prior)
+    before = np.array(list(information_of(prior))).reshape(-1, len(prior.mean) + 1)
     information, vector = before[:, :-1], before[:, -1]
     theta, scale = _trimmed(Phi, y, information, vector)
     for _ in range(_ROUNDS):
@@ -56,7 +56,7 @@ def robust_fit(rows: tuple[tuple[float, ...], ...], prior: Normal) -> Normal | N
     P = np.linalg.inv(information + Phi.T @ (weights[:, None] * Phi))
     if not (np.isfinite(theta).all() and np.isfinite(P).all()):
         return None
-    return Normal(theta, P)
+    return normal(theta, P)
 
 
 def _trimmed(Phi: Array, y: Array, information: Array, vector: Array) -> tuple[Array, float]:

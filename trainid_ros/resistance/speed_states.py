@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Extended Kalman filters on raw speed for several hypotheses at once, with force and track errors as states.
+"""Extended Kalman filter on raw speed, with force and track errors as states.
 
 x = [v, a, b, c, g, e, kappa, delta, kappa_R]:
 
@@ -14,26 +14,42 @@ With the reported specific traction T, the gradient plus all known extra resista
 
     (1)  m dv/dt = (1 + kappa) T(t + delta) - i - 600/R kappa_R - a - b v - c v^2 - g - e,   m = 1000 (1 + gamma)/g0
 
-The first axis of arrays is the hypothesis: x of shape (n, 9), P of shape (n, 9, 9).
+Only v depends on other states: row v of the Jacobian F is full, the other rows have only their diagonal. And only v is
+measured: H = e_v'.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final, TypeAlias
+from typing import TYPE_CHECKING, Final, TypeAlias
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trainid_ros.records import NS_PER_S
-from trainid_ros.resistance.force_errors import DELAY_RANGE
+from trainid_ros.resistance.force_errors import MAX_DELAY, MIN_DELAY
 from trainid_ros.stream.intervals import FAST_NS
+from trainid_ros.vectors import i64, vec
 
-Array: TypeAlias = NDArray[np.float64]
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
-STATES: Final = 9
-V, A, B, C, GUST, MAP, KAPPA, DELTA, KAPPA_R = range(STATES)
+    Array: TypeAlias = NDArray[np.float64]
+
+STATES: Final[i64] = 9
+V: Final = 0
+A: Final = 1
+B: Final = 2
+C: Final = 3
+GUST: Final = 4
+MAP: Final = 5
+KAPPA: Final = 6
+DELTA: Final = 7
+KAPPA_R: Final = 8
+# Places of the variances of gust and map error in the upper triangle, and the indices of that in a matrix.
+_GUST_GUST: Final = 30
+_MAP_MAP: Final = 35
+_UPPER: Final = np.triu_indices(STATES)
 # Outliers are uniformly distributed over this range of speed [m/s].
 _OUTLIER_RANGE: Final = 2.0
 # Lower limit of the weight, so small that R over it exceeds any variance of a predicted speed.
@@ -45,7 +61,40 @@ _FAST_FORCE_S: Final = FAST_NS / NS_PER_S
 _ROOT_2_PI: Final = math.sqrt(2.0 * math.pi)
 
 
-@dataclass(frozen=True, slots=True)
+def entry(i: i64, j: i64) -> i64:
+    """Return the place of the entry of row i and column j in the upper triangle of a covariance."""
+    return i * (2 * STATES - 1 - i) // 2 + j if i <= j else entry(j, i)
+
+
+@dataclass(slots=True)
+class Tick:
+    """One admitted sample.
+
+    Attributes:
+        stamp_ns: Time stamp [ns].
+        dt: Time since the previous sample [s].
+        speed: Measured speed [m/s].
+        traction: Mean reported specific traction [N/kN].
+        track: Mean gradient and known extra resistance [N/kN].
+        curve: 600 m over the mean radius [1], 0 on straight track.
+        variance: Variance of the measured speed [(m/s)^2].
+        weighed: Whether the load is weighed.
+        force_interval: Time between the force reports used for interpolation [s].
+
+    """
+
+    stamp_ns: int
+    dt: float
+    speed: float
+    traction: float
+    track: float
+    curve: float
+    variance: float
+    weighed: bool
+    force_interval: float
+
+
+@dataclass(slots=True)
 class Interval:
     """Forces from one speed measurement to the next, and the measurement at the end.
 
@@ -93,46 +142,48 @@ class ProcessNoise:
     outliers: float
 
 
-def shifted_traction(traction: tuple[float, float, float, float], shift: Array) -> tuple[Array, Array]:
-    """Return T [N/kN] at a shift in spacings, shape (n,), and its derivative, by the cubic through four values.
+class Transition:
+    """What predicting over one interval has in common for all filters.
 
-    Traction ramps within a few tenths of a second, so a first-order approximation of such a delay is not accurate.
-    """
-    before, now, next_, last = traction
-    u = np.minimum(np.maximum(shift, -1.0), 2.0)
-    # Lagrange's polynomial through (-1, before), (0, now), (1, next), (2, last)
-    k3 = (last - before) / 6.0 + 0.5 * (now - next_)
-    k2 = 0.5 * (before + next_) - now
-    k1 = next_ - now - k2 - k3
-    return now + u * (k1 + u * (k2 + u * k3)), k1 + u * (2.0 * k2 + u * 3.0 * k3)
-
-
-def predict(x: Array, P: Array, interval: Interval, gust_var: Array, map_var: Array, noise: ProcessNoise) -> None:
-    """Predict all hypotheses to the end of an interval, in place.
-
-    Args:
-        x: Means, shape (n, 9).
-        P: Covariances, shape (n, 9, 9).
-        interval: Forces over the interval.
-        gust_var: Stationary variance of the gusts [(N/kN)^2], shape (n,).
-        map_var: Stationary variance of the map error [(N/kN)^2], shape (n,).
-        noise: Inertia and other noise parameters.
+    Attributes:
+        h: Change of speed per specific force, dt/m [m/s per N/kN].
+        track: As in the interval.
+        curve: As in the interval.
+        decay: Factors on the states without (1), shape (9,): 1 but for gust and map error.
+        drift: Increase of the variances of the states before the motion, shape (9,).
+        speed_noise: Variance that the force adds to v [(m/s)^2].
 
     """
-    dt, m = interval.dt, noise.inertia
-    rho_g, rho_e = math.exp(-dt / noise.gust_time), math.exp(-interval.speed * dt / noise.map_length)
-    v, F = _transition(x, interval, dt / m)
-    F[:, GUST, GUST], F[:, MAP, MAP] = rho_g, rho_e
-    x[:, V] = v
-    x[:, GUST] *= rho_g
-    x[:, MAP] *= rho_e
-    # P = F P F' + Q
-    P[:] = F @ P @ F.transpose(0, 2, 1)
-    change = interval.traction[1] - interval.traction[0]
-    jitter = (noise.skew**2 + _unseen_change(interval)) * change * change
-    P[:, V, V] += (noise.force_density * dt + jitter * dt / interval.spacing) / (m * m)
-    P[:, GUST, GUST] += gust_var * (1.0 - rho_g * rho_g)
-    P[:, MAP, MAP] += map_var * (1.0 - rho_e * rho_e)
+
+    def __init__(self, interval: Interval, noise: ProcessNoise, rates: vec[float]) -> None:
+        dt, m = interval.dt, noise.inertia
+        self.h = dt / m
+        self.track, self.curve = interval.track, interval.curve
+        self.decay = vec[float]([1.0] * STATES)
+        self.decay[GUST] = math.exp(-dt / noise.gust_time)
+        self.decay[MAP] = math.exp(-interval.speed * dt / noise.map_length)
+        self.drift = vec[float]([0.0] * STATES)
+        for i in range(STATES):
+            self.drift[i] = rates[i] * dt
+        self._spacing = interval.spacing
+        before, now, next_, last = interval.traction
+        # Lagrange's polynomial through (-1, before), (0, now), (1, next), (2, last)
+        self._k0 = now
+        self._k3 = (last - before) / 6.0 + 0.5 * (now - next_)
+        self._k2 = 0.5 * (before + next_) - now
+        self._k1 = next_ - now - self._k2 - self._k3
+        change = now - before
+        jitter = (noise.skew * noise.skew + _unseen_change(interval)) * change * change
+        self.speed_noise = (noise.force_density * dt + jitter * dt / interval.spacing) / (m * m)
+
+    def traction(self, delay: float) -> tuple[float, float]:
+        """Return T(t + delta) [N/kN] and its derivative by the delay [N/kN per s], by the cubic through four values.
+
+        Traction ramps within a few tenths of a second, so a first-order approximation of such a delay is not accurate.
+        """
+        u = min(max(delay / self._spacing, -1.0), 2.0)
+        T = self._k0 + u * (self._k1 + u * (self._k2 + u * self._k3))
+        return T, (self._k1 + u * (2.0 * self._k2 + u * 3.0 * self._k3)) / self._spacing
 
 
 def _unseen_change(interval: Interval) -> float:
@@ -142,53 +193,129 @@ def _unseen_change(interval: Interval) -> float:
     over D / spacing equal changes, each of which must have D / spacing times that variance.
     """
     D = interval.force_interval
-    return D**3 / (12.0 * interval.spacing) if D > _FAST_FORCE_S else 0.0
+    return D * D * D / (12.0 * interval.spacing) if D > _FAST_FORCE_S else 0.0
 
 
-def _transition(x: Array, interval: Interval, h: float) -> tuple[Array, Array]:
-    """Return the speed at the end of an interval by (1), shape (n,), and the Jacobian F, (n, 9, 9); h = dt / m."""
-    T, slope = shifted_traction(interval.traction, x[:, DELTA] / interval.spacing)
-    v, a, b, c, kappa = x[:, V], x[:, A], x[:, B], x[:, C], x[:, KAPPA]
-    # (1) with the speed in the middle of the interval; w at the initial speed would lag by half an interval.
-    pull = (1.0 + kappa) * T - interval.track - interval.curve * x[:, KAPPA_R] - a - x[:, GUST] - x[:, MAP]
-    vm = v + 0.5 * h * (pull - v * (b + c * v))
-    F = np.tile(np.eye(STATES), (len(x), 1, 1))
-    F[:, V, V] = 1.0 - h * (b + 2.0 * c * vm)
-    F[:, V, A] = F[:, V, GUST] = F[:, V, MAP] = -h
-    F[:, V, B] = -h * vm
-    F[:, V, C] = -h * vm * vm
-    F[:, V, KAPPA] = h * T
-    F[:, V, DELTA] = h * (1.0 + kappa) * slope / interval.spacing
-    F[:, V, KAPPA_R] = -h * interval.curve
-    return v + h * (pull - vm * (b + c * vm)), F
+class SpeedFilter:
+    """One extended Kalman filter.
 
-
-def correct(x: Array, P: Array, interval: Interval, outliers: float) -> tuple[Array, Array]:
-    """Correct all hypotheses with the measured speed, in place; a likely outlier has less weight.
-
-    Returns:
-        Logarithm of the density of the measurement [(m/s)^-1], and its weight [1], 1 = no outlier, shape (n,) each.
+    Attributes:
+        x: Mean, shape (9,).
+        P: Upper triangle of the covariance, row by row, 45 numbers; the first nine are the row of v.
+        gust_var: Stationary variance of the gusts [(N/kN)^2].
+        map_var: Stationary variance of the map error [(N/kN)^2].
 
     """
-    R = interval.speed_variance
-    S = P[:, V, V] + R
-    nu = interval.speed - x[:, V]
-    good = (1.0 - outliers) / (_ROOT_2_PI * np.sqrt(S)) * np.exp(-0.5 * np.minimum(nu * nu / S, _MAX_NIS))
-    density = good + outliers / _OUTLIER_RANGE
-    weight = good / density
-    # K = P e_v / (P_vv + R / w);  x += K nu;  P -= K e_v' P
-    column = P[:, :, V].copy()
-    K = column / (P[:, V, V] + R / np.maximum(weight, _MIN_WEIGHT))[:, None]
-    x += K * nu[:, None]
-    P -= K[:, :, None] * column[:, None, :]
-    # Outside this range the force is not known and the delay would diverge.
-    np.clip(x[:, DELTA], *DELAY_RANGE, out=x[:, DELTA])
-    return np.log(density), weight
+
+    def __init__(self, x: vec[float], P: vec[float], gust_var: float, map_var: float) -> None:
+        self.x, self.P, self.gust_var, self.map_var = x, P, gust_var, map_var
+        # Row v of F, of F P and of P before the correction.
+        self._f = vec[float]([0.0] * STATES)
+        self._row = vec[float]([0.0] * STATES)
+
+    def copy(self, gust_var: float, map_var: float) -> SpeedFilter:
+        """Return a filter with the same mean and covariance and other stationary variances."""
+        return SpeedFilter(self.x[:], self.P[:], gust_var, map_var)
+
+    def mean(self) -> Array:
+        """Return the mean as an array, shape (9,)."""
+        return np.array(list(self.x))
+
+    def covariance(self) -> Array:
+        """Return the covariance as an array, shape (9, 9)."""
+        P = np.zeros((STATES, STATES))
+        P[_UPPER] = list(self.P)
+        return P + np.triu(P, 1).T
+
+    def predict(self, over: Transition) -> None:
+        """Predict to the end of an interval."""
+        self._move(over)
+        P, f, fP, decay = self.P, self._f, self._row, over.decay
+        # P = F P F' + Q, where F is the decay but for its row f of v.
+        for i in range(STATES):
+            fP[i] = 0.0
+        k: i64 = 0
+        for i in range(STATES):
+            p = P[k] + over.drift[i]
+            f_i, decay_i, sum_i = f[i], decay[i], fP[i] + f[i] * p
+            P[k] = decay_i * decay_i * p
+            k += 1
+            for j in range(i + 1, STATES):
+                p = P[k]
+                sum_i += f[j] * p
+                fP[j] += f_i * p
+                P[k] = decay_i * decay[j] * p
+                k += 1
+            fP[i] = sum_i
+        variance = over.speed_noise
+        for j in range(STATES):
+            variance += fP[j] * f[j]
+            P[j] = fP[j] * decay[j]
+        P[V] = variance
+        P[_GUST_GUST] += self.gust_var * (1.0 - decay[GUST] * decay[GUST])
+        P[_MAP_MAP] += self.map_var * (1.0 - decay[MAP] * decay[MAP])
+
+    def _move(self, over: Transition) -> None:
+        """Move the mean by (1), and set row v of the Jacobian."""
+        x, f, h = self.x, self._f, over.h
+        v, b, c, scale = x[V], x[B], x[C], 1.0 + x[KAPPA]
+        T, slope = over.traction(x[DELTA])
+        # (1) with the speed in the middle of the interval; w at the initial speed would lag by half an interval.
+        pull = scale * T - over.track - over.curve * x[KAPPA_R] - x[A] - x[GUST] - x[MAP]
+        vm = v + 0.5 * h * (pull - v * (b + c * v))
+        x[V] = v + h * (pull - vm * (b + c * vm))
+        x[GUST] *= over.decay[GUST]
+        x[MAP] *= over.decay[MAP]
+        f[V] = 1.0 - h * (b + 2.0 * c * vm)
+        f[A] = f[GUST] = f[MAP] = -h
+        f[B] = -h * vm
+        f[C] = -h * vm * vm
+        f[KAPPA] = h * T
+        f[DELTA] = h * scale * slope
+        f[KAPPA_R] = -h * over.curve
+
+    def correct(self, speed: float, R: float, outliers: float) -> tuple[float, float]:
+        """Correct with a measured speed [m/s] of variance R [(m/s)^2]; a likely outlier has less weight.
+
+        Returns:
+            Logarithm of the density of the measurement [(m/s)^-1], and its weight [1], 1 = no outlier.
+
+        """
+        x, P, column = self.x, self.P, self._row
+        S, nu = P[V] + R, speed - x[V]
+        good = (1.0 - outliers) / (_ROOT_2_PI * math.sqrt(S)) * math.exp(-0.5 * min(nu * nu / S, _MAX_NIS))
+        density = good + outliers / _OUTLIER_RANGE
+        weight = good / density
+        # K = P e_v / (P_vv + R / w);  x += K nu;  P -= K e_v' P
+        gain = 1.0 / (P[V] + R / max(weight, _MIN_WEIGHT))
+        for j in range(STATES):
+            column[j] = P[j]
+        k: i64 = 0
+        for i in range(STATES):
+            K = gain * column[i]
+            x[i] += K * nu
+            for j in range(i, STATES):
+                P[k] -= K * column[j]
+                k += 1
+        # Outside this range the force is not known and the delay would diverge.
+        x[DELTA] = min(max(x[DELTA], MIN_DELAY), MAX_DELAY)
+        return math.log(density), weight
+
+    def restart(self, speed: float, variance: float) -> None:
+        """Reset speed, gust and map error to one measured speed [m/s] and stationary variances."""
+        x, P = self.x, self.P
+        x[V], x[GUST], x[MAP] = speed, 0.0, 0.0
+        for j in range(STATES):
+            for i in (V, GUST, MAP):
+                P[entry(i, j)] = 0.0
+        P[V], P[_GUST_GUST], P[_MAP_MAP] = variance, self.gust_var, self.map_var
+
+    def widen(self, state: i64, variance: float, limit: float) -> None:
+        """Add to the variance of a state up to a limit; one already above it stays unchanged."""
+        k = entry(state, state)
+        self.P[k] = max(self.P[k], min(self.P[k] + variance, limit))
 
 
-def restart(x: Array, P: Array, speed: float, variance: float, gust_var: Array, map_var: Array) -> None:
-    """Reset speed, gust and map error to one measured speed [m/s] and stationary variances, in place."""
-    x[:, V], x[:, GUST], x[:, MAP] = speed, 0.0, 0.0
-    for state, start in ((V, variance), (GUST, gust_var), (MAP, map_var)):
-        P[:, state, :] = P[:, :, state] = 0.0
-        P[:, state, state] = start
+def speed_filter(mean: Array, covariance: Array, gust_var: float, map_var: float) -> SpeedFilter:
+    """Return a filter with a mean of shape (9,) and a covariance of shape (9, 9)."""
+    return SpeedFilter(vec[float](mean.tolist()), vec[float](covariance[_UPPER].tolist()), gust_var, map_var)

@@ -12,22 +12,28 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import lru_cache
-from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from trainid_ros.records import NS_PER_S
+from trainid_ros.resistance.normal import dot
 from trainid_ros.results import Reason, Rejection
+from trainid_ros.vectors import append, vec
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable
+
     from numpy.typing import NDArray
 
 _OUTLIER_SIGMAS: Final = 5.0
 _MAX_OUTLIER_SHARE: Final = 0.34
 _ROBUST_ROUNDS: Final = 3
+# A line fit through fewer samples cannot detect outliers; at low sample rates the windows are longer.
+_MIN_SAMPLES: Final = 8
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Tick:
     """One sample of a window.
 
@@ -49,7 +55,7 @@ class Tick:
     curve: float = 0.0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class WindowResult:
     """One observation of the resistance.
 
@@ -80,6 +86,60 @@ class WindowResult:
     speed_max: float
 
 
+@dataclass(slots=True)
+class Cut:
+    """Samples of a window, and the time from one window to the next [s]."""
+
+    ticks: list[Tick]
+    hop: float
+
+    @property
+    def samples(self) -> int:
+        """Samples from one window to the next."""
+        duration = (self.ticks[-1].stamp_ns - self.ticks[0].stamp_ns) / NS_PER_S
+        return max(1, round(self.hop * (len(self.ticks) - 1) / duration))
+
+
+class SlidingWindow:
+    """Window of the latest ``length`` seconds every ``hop`` seconds, both to half a sample period.
+
+    At rates with fewer than 8 samples in a window, the window grows to 8 samples and the hop in proportion.
+    """
+
+    def __init__(self, length: float, hop: float) -> None:
+        self._length, self._hop = length, hop
+        self.clear()
+
+    def clear(self) -> None:
+        """Remove all samples."""
+        self.ticks: list[Tick] = []
+        self.fresh_s = 0.0
+
+    def restore(self, ticks: Iterable[Tick], fresh_s: float) -> None:
+        """Restore samples and the time since the last window [s]."""
+        self.ticks, self.fresh_s = list(ticks), fresh_s
+
+    def push(self, tick: Tick) -> Cut | None:
+        """Add one sample; return a window if the sample completes one that is due."""
+        ticks = self.ticks
+        ticks.append(tick)
+        self.fresh_s += tick.dt
+        if len(ticks) < _MIN_SAMPLES:
+            return None
+        half = 0.5 * self._span(0) / (len(ticks) - 1)
+        while len(ticks) > _MIN_SAMPLES and self._span(1) > self._length - half:
+            del ticks[0]
+        span = self._span(0)
+        hop = self._hop * max(1.0, span / self._length) if len(ticks) == _MIN_SAMPLES else self._hop
+        if span < self._length - half or self.fresh_s < hop - half:
+            return None
+        self.fresh_s = 0.0
+        return Cut(list(ticks), hop)
+
+    def _span(self, first: int) -> float:
+        return (self.ticks[-1].stamp_ns - self.ticks[first].stamp_ns) / NS_PER_S
+
+
 def observe_resistance(ticks: list[Tick], inertia: float, speed_std: float) -> WindowResult | Rejection:
     """Fit one window.
 
@@ -93,58 +153,77 @@ def observe_resistance(ticks: list[Tick], inertia: float, speed_std: float) -> W
 
     """
     times, rest = _unforced(ticks, inertia)
-    tolerance = _OUTLIER_SIGMAS * speed_std
-    weights = _plain_weights(times)
-    if _largest_residual(times, rest, weights) <= tolerance:
-        return _result(ticks, times, rest, weights, [tick.speed for tick in ticks], inertia, speed_std)
-    time, y = np.array(times), np.array(rest)
-    robust = y - _robust_line(time, y)
-    kept = _inliers(time, y, robust, tolerance)
-    if kept.mean() < 1.0 - _MAX_OUTLIER_SHARE:
-        worst = float(np.max(np.abs(robust)))
-        return Rejection(ticks[-1].stamp_ns, Reason.SPEED_INCONSISTENT, worst, tolerance)
-    corrected = np.interp(time, time[kept], np.array([tick.speed for tick in ticks])[kept])
-    return _result(ticks, times, rest, _slope_weights(time, kept).tolist(), corrected.tolist(), inertia, speed_std)
+    tolerance, weights = _OUTLIER_SIGMAS * speed_std, _plain_weights(times)
+    speeds = vec[float]()
+    for tick in ticks:
+        speeds = append(speeds, tick.speed)
+    if _largest_residual(times, rest, weights) > tolerance:
+        time, y, v = np.array(list(times)), np.array(list(rest)), np.array(list(speeds))
+        robust = y - _robust_line(time, y)
+        kept = _inliers(time, y, robust, tolerance)
+        if kept.mean() < 1.0 - _MAX_OUTLIER_SHARE:
+            worst = float(np.max(np.abs(robust)))
+            return Rejection(ticks[-1].stamp_ns, Reason.SPEED_INCONSISTENT, worst, tolerance)
+        weights = vec[float](_slope_weights(time, kept).tolist())
+        speeds = vec[float](np.interp(time, time[kept], v[kept]).tolist())
+    return _result(ticks, times, rest, weights, speeds, inertia, speed_std)
 
 
-def _unforced(ticks: list[Tick], inertia: float) -> tuple[list[float], list[float]]:
+def _unforced(ticks: list[Tick], inertia: float) -> tuple[vec[float], vec[float]]:
     """Return the times since the first tick, and the speeds minus the change due to the known forces."""
     time = pushed = 0.0
-    times, rest = [0.0], [ticks[0].speed]
-    for tick in ticks[1:]:
-        time += tick.dt
-        pushed += tick.known_force * tick.dt
-        times.append(time)
-        rest.append(tick.speed - pushed / inertia)
+    times, rest = vec[float](), vec[float]()
+    for k in range(len(ticks)):
+        if k > 0:
+            time += ticks[k].dt
+            pushed += ticks[k].known_force * ticks[k].dt
+        times = append(times, time)
+        rest = append(rest, ticks[k].speed - pushed / inertia)
     return times, rest
 
 
-def _plain_weights(times: list[float]) -> list[float]:
+def _mean(x: vec[float]) -> float:
+    total = 0.0
+    for k in range(len(x)):
+        total += x[k]
+    return total / float(len(x))
+
+
+def _plain_weights(times: vec[float]) -> vec[float]:
     """Return the weights of the speeds in the least-squares slope through all of them."""
-    middle = math.fsum(times) / len(times)
-    centred = [time - middle for time in times]
-    square = math.fsum([x * x for x in centred])
-    return [x / square for x in centred]
+    middle, weights = _mean(times), vec[float]()
+    for k in range(len(times)):
+        weights = append(weights, times[k] - middle)
+    square = dot(weights, weights)
+    for k in range(len(times)):
+        weights[k] /= square
+    return weights
 
 
-def _largest_residual(times: list[float], y: list[float], weights: list[float]) -> float:
-    slope = math.fsum([w * x for w, x in zip(weights, y, strict=True)])
-    levels = [x - slope * time for time, x in zip(times, y, strict=True)]
-    level = math.fsum(levels) / len(levels)
-    return max(max(levels) - level, level - min(levels))
+def _largest_residual(times: vec[float], y: vec[float], weights: vec[float]) -> float:
+    slope, largest = dot(weights, y), 0.0
+    level = _mean(y) - slope * _mean(times)
+    for k in range(len(y)):
+        largest = max(largest, abs(y[k] - slope * times[k] - level))
+    return largest
 
 
 def _result(
     ticks: list[Tick],
-    times: list[float],
-    rest: list[float],
-    weights: list[float],
-    speeds: list[float],
+    times: vec[float],
+    rest: vec[float],
+    weights: vec[float],
+    speeds: vec[float],
     inertia: float,
     speed_std: float,
 ) -> WindowResult:
-    """Return the observation of a line with these weights; a float loop is faster than arrays of 25."""
+    """Return the observation of a line with these weights."""
     phi0 = phi1 = phi2 = traction = size = curve = later = 0.0
+    # sum w_k T(t_k), the slope of the traction. A force that acts delta later changes the speed slope by delta times
+    # this value: summation by parts turns the changes of T, weighted by the shares of the intervals, into T weighted
+    # by w. T at a stamp is the mean of the two adjacent intervals.
+    traction_rate, T = 0.0, ticks[-1].traction
+    slowest = fastest = speeds[0]
     for k in range(len(ticks) - 1, 0, -1):
         tick, v1, v0 = ticks[k], speeds[k], speeds[k - 1]
         # Share of the interval in the slope: a change of speed there shifts all later speeds.
@@ -156,31 +235,21 @@ def _result(
         traction += share * tick.traction
         curve += share * tick.curve
         size += abs(tick.traction)
-    slope = math.fsum([w * x for w, x in zip(weights, rest, strict=True)])
+        traction_rate += weights[k] * T
+        T = 0.5 * (ticks[k - 1].traction + tick.traction)
+        slowest, fastest = min(slowest, v1), max(fastest, v1)
     return WindowResult(
-        y=-inertia * slope,
+        y=-inertia * dot(weights, rest),
         phi=(phi0, phi1, phi2),
-        noise_std=inertia * speed_std * math.sqrt(math.fsum([w * w for w in weights])),
+        noise_std=inertia * speed_std * math.sqrt(dot(weights, weights)),
         traction=traction,
         traction_size=size / (len(ticks) - 1),
-        traction_rate=_traction_rate(ticks, weights),
+        traction_rate=traction_rate + weights[0] * T,
         curve=curve,
         duration=times[-1],
-        speed_min=min(speeds),
-        speed_max=max(speeds),
+        speed_min=slowest,
+        speed_max=fastest,
     )
-
-
-def _traction_rate(ticks: list[Tick], weights: list[float]) -> float:
-    """Return sum w_k T(t_k), the slope of the traction [N/kN per s].
-
-    A force that acts delta later changes the speed slope by delta times this value: summation by parts turns the
-    changes of T, weighted by the shares of the intervals, into T weighted by w. T at a stamp is the mean of the two
-    adjacent intervals.
-    """
-    means = [tick.traction for tick in ticks]
-    at = [0.5 * (before + after) for before, after in pairwise(means)]
-    return math.fsum([w * T for w, T in zip(weights, (*at, means[-1]), strict=True)])
 
 
 @lru_cache(maxsize=64)
@@ -190,8 +259,8 @@ def overlap_factor(window: int, hop: int) -> float:
     Neighbouring slopes share speeds with opposite signs, so their errors partly cancel in the mean.
     """
     c = np.arange(window) - 0.5 * (window - 1)
-    lags = range(hop, window, hop)
-    return float(1.0 + 2.0 * sum(c[:-lag] @ c[lag:] for lag in lags) / (c @ c))
+    covariances = [float(c[:-lag] @ c[lag:]) for lag in range(hop, window, hop)]
+    return 1.0 + 2.0 * math.fsum(covariances) / float(c @ c)
 
 
 def _slope_weights(time: NDArray[np.float64], kept: NDArray[np.bool_]) -> NDArray[np.float64]:

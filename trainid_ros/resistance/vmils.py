@@ -11,15 +11,14 @@ see :mod:`force_errors`. After Liu et al. 2018 (sections 3 and 4.2), with these 
   weight exactly once and P is a covariance, see :mod:`multi_innovation`;
 * "interval-varying": only good observations enter the p of a step. A soft gate weights them;
 * traction is not exact: its scale and delay are estimated too, and so is the curve resistance;
-* the correlation of the noise is learned, see :mod:`slow_noise`, and so is the speed noise;
+* the correlation of the noise is learned, see :mod:`long_run_variance`, and so is the speed noise;
 * steps of a, b, c are detected and followed, see :mod:`change_points`;
-* the published covariance is P times the factor of :mod:`inflation`, plus a share of w for wheel diameter errors.
+* the published covariance is P times the factor of :mod:`long_run_variance`, plus a share of w for wheel errors.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -30,19 +29,21 @@ from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.estimators.prior import prior_variances
 from trainid_ros.records import NS_PER_S
 from trainid_ros.resistance.change_points import ChangePointConfig, Tracker
-from trainid_ros.resistance.fitness import drift_rates, is_fit_where_driven
+from trainid_ros.resistance.davis_posterior import drift_rates, drifted, resistance_estimate
+from trainid_ros.resistance.fitness import is_fit_where_driven
 from trainid_ros.resistance.force_errors import CURVE_RADIUS, ForceErrors, force_errors, scale_step
 from trainid_ros.resistance.normal import independent
-from trainid_ros.resistance.robust import drifted, predict
+from trainid_ros.resistance.saved_states import VMilsState
 from trainid_ros.resistance.speed_window import Tick
-from trainid_ros.resistance.window_learner import LearnerState, WindowLearner, WindowPlan
-from trainid_ros.results import Rejection, ResistanceEstimate
-from trainid_ros.settings import check_settings, setting
-from trainid_ros.state import check_numbers, decode, encode
+from trainid_ros.resistance.window_learner import WindowLearner, WindowPlan
+from trainid_ros.settings import check_settings
+from trainid_ros.state import decode, encode
 
 if TYPE_CHECKING:
+    from trainid_ros.resistance.config import VMilsConfig
+    from trainid_ros.resistance.davis_posterior import DavisPosterior
     from trainid_ros.resistance.normal import Array
-    from trainid_ros.resistance.robust import DavisPosterior
+    from trainid_ros.results import Rejection, ResistanceEstimate
     from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import TrainFile
 
@@ -59,49 +60,6 @@ _STANDING: Final = 0.3
 _KAPPA, _DELTA = 3, 4
 
 
-@dataclass(frozen=True, slots=True)
-class VMilsConfig:
-    """Settings of V-MILS."""
-
-    innovation_length: int = setting(4, 'innovation length p', 'observations', 1, 50)
-    window: float = setting(4.8, 'duration of a speed window, of 8 samples or more', 's', 0.5, 60.0)
-    hop: float = setting(1.2, 'time between windows', 's', 0.02, 60.0)
-    min_speed: float = setting(1.0, 'slowest speed to learn from', 'm/s', 0.0, 50.0)
-    speed_std: float = setting(0.025, 'noise of measured speed at the start (then learned)', 'm/s', 1e-4, 2.0)
-    disturbance_std: float = setting(
-        0.11, 'unmodelled resistance without map errors at the start (then learned)', 'N/kN', 0.0, 10.0
-    )
-    disturbance_time: float = setting(12.0, 'its correlation time at the start (then learned)', 's', 0.0, 600.0)
-    force_error: float = setting(0.003, 'relative error of the traction force besides its scale', '1', 0.0, 0.5)
-    force_skew: float = setting(0.03, 'timing error of the force besides its delay', 's', 0.0, 5.0)
-    force_delay_std: float = setting(0.15, 'prior std of the delay of the reported force', 's', 0.0, 5.0)
-    model_error: float = setting(0.006, 'unmodelled error of w, as a share of w', '1', 0.0, 0.5)
-    prior_share: float = setting(0.5, 'prior std of a, b, c as a share of their stated values', '1', 0.0, 10.0)
-    prior_std_a: float = setting(0.6, 'added to the prior std of a (root of squares)', 'N/kN', 1e-6, 100.0)
-    prior_std_b: float = setting(0.02, 'added to the prior std of b', 'N/kN per m/s', 1e-8, 10.0)
-    prior_std_c: float = setting(0.0006, 'added to the prior std of c', 'N/kN per (m/s)^2', 1e-9, 1.0)
-    drift_share: float = setting(0.08, 'drift in one hour, std as a share of the prior std', '1', 0.0, 100.0)
-    outlier_share: float = setting(0.05, 'share of outliers among the observations', '1', 0.0, 0.5)
-    step_interval: float = setting(3600.0, 'mean time between steps of the parameters', 's', 60.0, 1e7)
-    step_share: float = setting(0.5, 'std of a step as a share of the prior std', '1', 0.01, 10.0)
-    step_patience: int = setting(12, 'observations after which a step hypothesis counts', 'observations', 1, 1000)
-    valid_std: float = setting(0.15, 'fit to use below this standard deviation', 'N/kN', 1e-3, 10.0)
-    valid_share: float = setting(0.05, 'or below this share of the resistance (root of squares)', '1', 0.0, 1.0)
-
-
-@dataclass(frozen=True, slots=True)
-class VMilsState:
-    """Saved state of V-MILS; tuples only, so that it can be saved as JSON."""
-
-    learner: LearnerState
-    stamp_ns: int
-    drifted_ns: int
-    judged_ns: int
-    braked_ns: int
-    standing: bool
-    converged: bool
-
-
 class VMils:
     """Estimate a, b, c of w(v) = a + b v + c v^2 [N/kN] from aligned samples."""
 
@@ -116,8 +74,8 @@ class VMils:
         davis, errors = train_file.resistance, force_errors(train_file, config.force_delay_std)
         tracker = tracker_of((davis.a, davis.b, davis.c), errors, config)
         a, b, c, *_ = tracker.prior.P.diagonal().tolist()
-        self._most = a, b, c
-        self._rates = drift_rates(config.drift_share, self._most)
+        self._prior_variances = a, b, c
+        self._rates = drift_rates(config.drift_share, self._prior_variances)
         plan = window_plan(config, self._known.inertia, train_file.line.gradient_std)
         self.learner = WindowLearner(tracker, plan)
         self._clear()
@@ -153,8 +111,7 @@ class VMils:
     def restore(self, text: str) -> None:
         """Restore a saved state; raise InputError if it is invalid."""
         state = decode(text, VMilsState)
-        check_numbers(state, may_be_nan=('dt',))  # of the tachometer, after a gap
-        state.learner.check(len(self.learner.tracker.prior.theta))
+        state.check(len(self.learner.tracker.prior.mean))
         self.learner.restore(state.learner)
         self._stamp_ns, self._drifted_ns, self._judged_ns = state.stamp_ns, state.drifted_ns, state.judged_ns
         self._admission.braked_ns = state.braked_ns
@@ -230,7 +187,7 @@ class VMils:
         theta = estimate.theta[:3].tolist()
         now: DavisPosterior = (*theta, A, B, C, D, E, F)
         if 0 < self._drifted_ns < self._stamp_ns:
-            now = drifted(now, self._rates, (self._stamp_ns - self._drifted_ns) / NS_PER_S, self._most)
+            now = drifted(now, self._rates, (self._stamp_ns - self._drifted_ns) / NS_PER_S, self._prior_variances)
         a, b, c, *P = now
         factor, e2 = learner.inflation.factor, self.config.model_error**2
         squares = (a * a, a * b, a * c, b * b, b * c, c * c)
@@ -243,10 +200,8 @@ class VMils:
         if not learner.driven.count or not (updated or waited_s < 0.0 or waited_s >= _DRIFT_LUMP_S):
             return
         self._judged_ns = self._stamp_ns
-        a, b, c, A, B, C, D, E, F = self._published()
         self._converged = is_fit_where_driven(
-            np.array([a, b, c]),
-            np.array([[A, B, C], [B, D, E], [C, E, F]]),
+            self._published(),
             learner.driven,
             self.config.valid_std,
             self.config.valid_share,
@@ -260,29 +215,16 @@ class VMils:
 
     def estimate(self, speed: float) -> ResistanceEstimate:
         """Return the parameters for v in m/s and the resistance [N/kN] at a speed [m/s]."""
-        learner, published = self.learner, self._published()
-        a, b, c, A, B, C, D, E, F = published
-        resistance, variance = predict(published, speed, speed * speed)
-        scale, delay = learner.tracker.estimate.theta[_KAPPA : _DELTA + 1].tolist()
-        factor, variances = learner.inflation.factor, learner.tracker.estimate.P.diagonal()
-        scale_std, delay_std = (math.sqrt(factor * x) for x in variances[_KAPPA : _DELTA + 1].tolist())
-        return ResistanceEstimate(
-            a=a,
-            b=b,
-            c=c,
-            covariance=(A, B, C, B, D, E, C, E, F),
-            resistance=resistance,
-            resistance_std=math.sqrt(variance),
-            speed=speed,
-            innovation=learner.innovation,
-            innovation_variance=learner.innovation_variance,
-            test_ratio=learner.test_ratio,
-            speed_min=learner.driven.slowest,
-            speed_max=learner.driven.fastest,
-            force_scale=1.0 + scale,
-            force_scale_std=scale_std,
-            force_delay=delay,
-            force_delay_std=delay_std,
+        learner, tracked = self.learner, self.learner.tracker.estimate
+        scale, delay = tracked.theta[_KAPPA : _DELTA + 1].tolist()
+        variances = tracked.P.diagonal()[_KAPPA : _DELTA + 1].tolist()
+        scale_std, delay_std = (math.sqrt(learner.inflation.factor * x) for x in variances)
+        return resistance_estimate(
+            self._published(),
+            speed,
+            (learner.innovation, learner.innovation_variance, learner.test_ratio),
+            (learner.driven.slowest, learner.driven.fastest),
+            (1.0 + scale, scale_std, delay, delay_std),
         )
 
 
@@ -311,7 +253,7 @@ def change_point_config(config: VMilsConfig, step_variances: tuple[float, ...]) 
         hazard=config.hop / config.step_interval,
         spacing=_SPACING,
         hypotheses=_HYPOTHESES,
-        patience=config.step_patience,
+        min_age=config.step_min_age,
         lockout=_LOCKOUT,
     )
 

@@ -17,28 +17,31 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
-import numpy as np
-
 from trainid_ros.estimators.speed_noise import SpeedNoise
-from trainid_ros.resistance.change_points import ChangePointState
 from trainid_ros.resistance.fitness import DrivenSpeeds
-from trainid_ros.resistance.inflation import Inflation
-from trainid_ros.resistance.robust import gate
-from trainid_ros.resistance.sliding_window import SlidingWindow
-from trainid_ros.resistance.slow_noise import SlowNoise
-from trainid_ros.resistance.speed_window import Tick, WindowResult, observe_resistance, overlap_factor
+from trainid_ros.resistance.long_run_variance import Inflation, SlowNoise
+from trainid_ros.resistance.normal import gate
+from trainid_ros.resistance.saved_states import LearnerState
+from trainid_ros.resistance.speed_window import (
+    Cut,
+    SlidingWindow,
+    Tick,
+    WindowResult,
+    observe_resistance,
+    overlap_factor,
+)
 from trainid_ros.results import Reason, Rejection
-from trainid_ros.state import check_not_negative, check_restored
+from trainid_ros.vectors import vec
 
 if TYPE_CHECKING:
     from trainid_ros.resistance.change_points import Tracker
-    from trainid_ros.resistance.normal import Array
-    from trainid_ros.resistance.sliding_window import Cut
 
 _DISTURBANCE_MEMORY: Final = 0.03
 # The range includes gusts of up to 0.8 N/kN and map errors of 0.5 per mille.
-_DISTURBANCE_RANGE: Final = (0.3, 8.0)
-_SLOW_RANGE: Final = (0.2, 20.0)
+_MIN_DISTURBANCE: Final = 0.3
+_MAX_DISTURBANCE: Final = 8.0
+_MIN_SLOW: Final = 0.2
+_MAX_SLOW: Final = 20.0
 # Cap on one innovation in the learned disturbance, since slip is not a disturbance [standard deviations].
 _MAX_SIGMAS: Final = 3.0
 # Probability of a step above which an innovation is not used to learn the noise of one observation.
@@ -63,39 +66,6 @@ class WindowPlan:
     force_error: float
     force_skew: float
     outliers: float
-
-
-@dataclass(frozen=True, slots=True)
-class LearnerState:
-    """Saved state of a learner and its tracker."""
-
-    tracker: ChangePointState
-    tachometer: SpeedNoise
-    slow: SlowNoise
-    inflation: Inflation
-    ticks: tuple[Tick, ...]
-    fresh_s: float
-    disturbance_variance: float
-    innovation: float
-    innovation_variance: float
-    test_ratio: float
-    driven: DrivenSpeeds
-
-    def check(self, parameters: int) -> None:
-        """Raise InputError unless the state is valid for this number of parameters; all numbers must be finite."""
-        check_restored(self.tracker.is_valid(parameters), 'LearnerState', 'tracker')
-        check_restored(self.tachometer.is_valid(), 'LearnerState', 'tachometer')
-        check_restored(self.slow.is_valid(), 'LearnerState', 'slow')
-        check_restored(self.inflation.is_valid(), 'LearnerState', 'inflation')
-        check_restored(self.driven.is_valid(), 'LearnerState', 'driven')
-        check_restored(all(tick.dt > 0.0 for tick in self.ticks), 'LearnerState', 'ticks')
-        check_not_negative(
-            'LearnerState',
-            fresh_s=self.fresh_s,
-            disturbance_variance=self.disturbance_variance,
-            innovation_variance=self.innovation_variance,
-            test_ratio=self.test_ratio,
-        )
 
 
 class WindowLearner:
@@ -146,7 +116,7 @@ class WindowLearner:
             innovation=self.innovation,
             innovation_variance=self.innovation_variance,
             test_ratio=self.test_ratio,
-            driven=self.driven,
+            driven=replace(self.driven),
         )
 
     def restore(self, state: LearnerState) -> None:
@@ -158,7 +128,7 @@ class WindowLearner:
         self._disturbance = state.disturbance_variance
         self.innovation, self.innovation_variance = state.innovation, state.innovation_variance
         self.test_ratio = state.test_ratio
-        self.driven = state.driven
+        self.driven = replace(state.driven)
 
     def interrupt(self, speed: float) -> None:
         """Start a new window after a tick that cannot be used; speed in m/s."""
@@ -188,11 +158,11 @@ class WindowLearner:
         self.test_ratio = nu * nu / (self._gate**2 * S)
         if tracker.change_probability < _UNCERTAIN:
             self._learn_disturbance(nu, S)
-        self._slow.add(weight * nu, variance, slow * noise, _SLOW_RANGE)
+        self._slow.add(weight * nu, variance, slow * noise, (_MIN_SLOW, _MAX_SLOW))
         self.inflation.add(weight * nu, variance + slow * noise, cut.hop)
         if weight < _MIN_WEIGHT:
             return Rejection(stamp_ns, Reason.OUTLIER, nu, self._gate * math.sqrt(S))
-        self.driven = self.driven.add(observed.phi[1], observed.speed_min, observed.speed_max)
+        self.driven.add_mean(observed.phi[1], observed.speed_min, observed.speed_max)
         return None
 
     def _noise_of(self, item: WindowResult, cut: Cut) -> tuple[float, float]:
@@ -207,14 +177,15 @@ class WindowLearner:
 
     def _learn_disturbance(self, nu: float, S: float) -> None:
         """Learn the disturbance variance from the innovations beyond their predicted variance, within bounds."""
-        low, high = ((factor * self._plan.disturbance_std) ** 2 for factor in _DISTURBANCE_RANGE)
-        bounded = min(nu * nu, _MAX_SIGMAS**2 * S)
+        declared = self._plan.disturbance_std * self._plan.disturbance_std
+        low, high = _MIN_DISTURBANCE * _MIN_DISTURBANCE * declared, _MAX_DISTURBANCE * _MAX_DISTURBANCE * declared
+        bounded = min(nu * nu, _MAX_SIGMAS * _MAX_SIGMAS * S)
         # The noisier an innovation, the less information it carries on a small disturbance.
         gain = _DISTURBANCE_MEMORY * min(1.0, high / S)
         self._disturbance = min(max(self._disturbance + gain * (bounded - S), low), high)
 
 
-def _regressor(observed: WindowResult) -> Array:
-    """Return phi = [1, v, s, -Tw, -Dw, (600/R)w] of theta = [a, b, c, kappa, delta, kappa_curve], shape (6,)."""
+def _regressor(observed: WindowResult) -> vec[float]:
+    """Return phi = [1, v, s, -Tw, -Dw, (600/R)w] of theta = [a, b, c, kappa, delta, kappa_curve], 6 numbers."""
     _, v, s = observed.phi
-    return np.array((1.0, v, s, -observed.traction, -observed.traction_rate, observed.curve))
+    return vec[float]([1.0, v, s, -observed.traction, -observed.traction_rate, observed.curve])

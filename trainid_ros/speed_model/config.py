@@ -5,11 +5,12 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from trainid_ros.estimators.prior import PriorSettings
 from trainid_ros.settings import setting
 
 
 @dataclass(frozen=True, slots=True)
-class SpeedModelConfig:
+class SpeedModelConfig(PriorSettings):
     """Settings shared by all estimators of the speed model."""
 
     speed_std: float = setting(0.025, 'noise of measured speed at the start (then estimated)', 'm/s', 1e-4, 2.0)
@@ -26,10 +27,6 @@ class SpeedModelConfig:
         9.0, 'chi-square of the mean window error above which the resistance has changed', '1', 1.0, 1e3
     )
     readmit_after: int = setting(5, 'rejected samples in a row after which the measurement is accepted', '', 1, 1000)
-    prior_share: float = setting(0.5, 'prior std of a, b, c as a share of their stated values', '1', 0.0, 10.0)
-    prior_std_a: float = setting(0.6, 'added to the prior std of the Davis a', 'N/kN', 1e-6, 100.0)
-    prior_std_b: float = setting(0.02, 'added to the prior std of the Davis b', 'N/kN per m/s', 1e-8, 10.0)
-    prior_std_c: float = setting(0.0006, 'added to the prior std of the Davis c', 'N/kN per (m/s)^2', 1e-9, 1.0)
     valid_std: float = setting(
         0.25, 'valid while the rms std of w over the speeds driven is below this', 'N/kN', 1e-3, 100.0
     )

@@ -18,7 +18,8 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from trainid_ros.resistance.robust import DavisPosterior, weigh
+from trainid_ros.resistance.davis_posterior import DavisPosterior
+from trainid_ros.resistance.normal import weigh
 
 Information = tuple[float, ...]
 MilsState = tuple[float, ...]

@@ -20,15 +20,16 @@ from trainid_lab.resistance.multi_innovation import is_finite
 from trainid_lab.resistance.speed_filter import State, corrected, predicted, restarted
 from trainid_ros.estimators.admission import Admission
 from trainid_ros.estimators.known_force import KnownForce
-from trainid_ros.estimators.prior import prior_variances
+from trainid_ros.estimators.prior import PriorSettings, prior_variances
 from trainid_ros.estimators.speed_noise import SpeedNoise
-from trainid_ros.resistance.fitness import drift_rates, is_fit, representative_speeds
-from trainid_ros.resistance.robust import drifted, predict
-from trainid_ros.results import Reason, Rejection, ResistanceEstimate
+from trainid_ros.resistance.davis_posterior import drift_rates, drifted, predict, resistance_estimate
+from trainid_ros.resistance.fitness import is_fit, representative_speeds
+from trainid_ros.results import Reason, Rejection
 from trainid_ros.settings import check_settings, setting
 from trainid_ros.state import check_not_negative, check_numbers, check_restored, decode, encode, is_covariance
 
 if TYPE_CHECKING:
+    from trainid_ros.results import ResistanceEstimate
     from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import TrainFile
 
@@ -40,7 +41,7 @@ _MAX_SPEED: Final = 1e3
 
 
 @dataclass(frozen=True, slots=True)
-class SpeedEkfConfig:
+class SpeedEkfConfig(PriorSettings):
     """Settings of the speed EKF."""
 
     min_speed: float = setting(1.0, 'slowest speed to learn from', 'm/s', 0.0, 50.0)
@@ -51,10 +52,6 @@ class SpeedEkfConfig:
     disturbance_time: float = setting(6.0, 'correlation time of the disturbance', 's', 0.0, 600.0)
     force_error: float = setting(0.005, 'relative error of the traction force', '1', 0.0, 0.5)
     force_skew: float = setting(0.06, 'unknown delay of the reported force', 's', 0.0, 5.0)
-    prior_share: float = setting(0.5, 'prior std of a, b, c as a share of their stated values', '1', 0.0, 10.0)
-    prior_std_a: float = setting(0.6, 'added to the prior std of a (root of squares)', 'N/kN', 1e-6, 100.0)
-    prior_std_b: float = setting(0.02, 'added to the prior std of b', 'N/kN per m/s', 1e-8, 10.0)
-    prior_std_c: float = setting(0.0006, 'added to the prior std of c', 'N/kN per (m/s)^2', 1e-9, 1.0)
     drift_share: float = setting(0.15, 'drift in one hour, std as a share of the prior std', '1', 0.0, 100.0)
     gate: float = setting(3.5, 'innovations beyond this many standard deviations are rejected', '1', 1.0, 100.0)
     restart_after: int = setting(25, 'consecutive rejections after which the speed restarts', 'samples', 1, 10000)
@@ -276,20 +273,9 @@ class SpeedEkf:
 
     def estimate(self, speed: float) -> ResistanceEstimate:
         """Return the parameters for v in m/s and the resistance [N/kN] at a speed [m/s]."""
-        a, b, c = self._filter[1:4]
-        A, B, C, D, E, F = self._filter[8:]
-        resistance, variance = predict((a, b, c, A, B, C, D, E, F), speed, speed * speed)
-        return ResistanceEstimate(
-            a=a,
-            b=b,
-            c=c,
-            covariance=(A, B, C, B, D, E, C, E, F),
-            resistance=resistance,
-            resistance_std=math.sqrt(variance),
-            speed=speed,
-            innovation=self._innovation,
-            innovation_variance=self._innovation_variance,
-            test_ratio=self._test_ratio,
-            speed_min=self._speed_min,
-            speed_max=self._speed_max,
+        return resistance_estimate(
+            (*self._filter[1:4], *self._filter[8:]),
+            speed,
+            (self._innovation, self._innovation_variance, self._test_ratio),
+            (self._speed_min, self._speed_max),
         )

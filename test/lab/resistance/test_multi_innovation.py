@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from trainid_lab.resistance.multi_innovation import NOTHING, information_of, mils_step, posterior_of
-from trainid_ros.resistance.robust import DavisPosterior
+from trainid_ros.resistance.davis_posterior import DavisPosterior
 
 Array = NDArray[np.float64]
 PRIOR: DavisPosterior = (1.4, 0.0, 0.01, 0.81, 0.001, -1e-5, 4e-4, 1e-6, 2.5e-5)

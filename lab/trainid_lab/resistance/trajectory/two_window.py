@@ -29,7 +29,7 @@ from trainid_lab.resistance.trajectory.window import (
 from trainid_ros.errors import InputError
 from trainid_ros.estimators.admission import Admission
 from trainid_ros.estimators.known_force import KnownForce
-from trainid_ros.estimators.prior import prior_variances
+from trainid_ros.estimators.prior import PriorSettings, prior_variances
 from trainid_ros.estimators.speed_noise import SpeedNoise
 from trainid_ros.results import Reason, Rejection, ResistanceEstimate
 from trainid_ros.settings import check_settings, setting
@@ -44,7 +44,7 @@ _PREDICTION: Final = 1.0
 
 
 @dataclass(frozen=True, slots=True)
-class TwoWindowConfig:
+class TwoWindowConfig(PriorSettings):
     """Settings of the two windows."""
 
     stride: int = setting(10, 'samples in a row', 'samples', 1, 100)
@@ -57,10 +57,6 @@ class TwoWindowConfig:
     disturbance_time: float = setting(6.0, 'correlation time of the disturbance', 's', 0.01, 600.0)
     force_error: float = setting(0.005, 'relative error of the traction force', '1', 1e-9, 0.5)
     force_skew: float = setting(0.06, 'unknown delay of the reported force', 's', 1e-9, 5.0)
-    prior_share: float = setting(0.5, 'prior std of a, b, c as a share of their stated values', '1', 0.0, 10.0)
-    prior_std_a: float = setting(0.6, 'added to the prior std of a (root of squares)', 'N/kN', 1e-6, 100.0)
-    prior_std_b: float = setting(0.02, 'added to the prior std of b', 'N/kN per m/s', 1e-8, 10.0)
-    prior_std_c: float = setting(0.0006, 'added to the prior std of c', 'N/kN per (m/s)^2', 1e-9, 1.0)
     gate: float = setting(5.0, 'speeds farther from the prediction are rejected', 'standard deviations', 1.0, 100.0)
     patience: float = setting(3.0, 'duration of consecutive rejections after which a piece ends', 's', 0.2, 60.0)
     valid_std: float = setting(0.15, 'resistance is fit to use below this standard deviation', 'N/kN', 1e-3, 10.0)
