@@ -80,8 +80,6 @@ setup(
     extras_require={
         # Reading and writing bags: replay, fit, explain, info, play, simulate, demo. The live nodes need none of it.
         'bags': ['mcap', 'rosbags', 'zstandard'],
-        # Compiles the kernels of the estimators; they give the same numbers without it.
-        'fast': ['numba'],
     },
     zip_safe=False,
     entry_points={

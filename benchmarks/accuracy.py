@@ -19,7 +19,7 @@ from benchmarks.papers.seeds import over_seeds
 from benchmarks.tables import Table
 from trainid_lab.speed_model.physical_parameters import upper
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
-from trainid_ros.brake_rate.gsma import GsmaConfig
+from trainid_ros.brake_rate.config import GsmaConfig
 from trainid_ros.records import NS_PER_S
 from trainid_ros.resistance.config import VMilsConfig
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE

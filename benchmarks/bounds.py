@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from trainid_ros.brake_rate.gsma import GsmaConfig
+    from trainid_ros.brake_rate.config import GsmaConfig
     from trainid_ros.resistance.config import VMilsConfig
     from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import TrainFile
@@ -72,7 +72,7 @@ class BrakeKalman:
     def step(self, sample: Sample) -> None:
         """Process one sample."""
         for change in sample.brake_changes:
-            self._commands = self._commands.push(change)
+            self._commands.push(change)
         self._noise.add(sample.speed, sample.dt)
         start_ns, self._stamp_ns = self._stamp_ns, sample.stamp_ns
         if start_ns == 0:

@@ -99,9 +99,10 @@ class LeastSquares:
     def step(self, sample: Sample) -> tuple[float, float, float]:
         """Process a sample; return brake rate, its standard deviation and 1 if fit to use."""
         for change in sample.brake_changes:
-            self._commands = self._commands.push(change)
+            self._commands.push(change)
         start_ns, self._stamp_ns = self._stamp_ns or sample.stamp_ns, sample.stamp_ns
-        motion = brake_step(self._commands, self._file.brake, start_ns, sample.stamp_ns, self._target)
+        brake = self._file.brake
+        motion = brake_step(self._commands, brake.delay, brake.time_constant, start_ns, sample.stamp_ns, self._target)
         nominal, self._target = motion.reach * self._target + motion.gain_v, motion.end_target
         if math.isnan(sample.dt) or sample.speed < _SLOWEST:
             self._rows = []

@@ -14,7 +14,7 @@ PACKAGE = Path(trainid_ros.__file__).parent
 PURE = ('stream', 'train', 'estimators', 'resistance', 'speed_model', 'brake_rate', 'sim', 'explain')
 FOREIGN = ('rclpy', 'rosbags', 'mcap', 'matplotlib', 'trainid_msgs', 'std_msgs')
 # Loaded only where needed, not by the core.
-SLOW = ('scipy', 'numba', 'yaml')
+SLOW = ('scipy', 'yaml')
 MOST_CPU_S = 0.3
 # A slow machine also imports NumPy slowly; this is the CPU time on a fast one.
 NUMPY_CPU_S = 0.12

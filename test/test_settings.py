@@ -9,7 +9,7 @@ from typing import Any
 
 import pytest
 
-from trainid_ros.brake_rate.gsma import GsmaConfig
+from trainid_ros.brake_rate.config import GsmaConfig
 from trainid_ros.errors import InputError
 from trainid_ros.estimators.pipeline import PipelineConfig
 from trainid_ros.resistance.config import VMilsConfig

@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import Any
 
 REQUIREMENTS = Path(__file__).resolve().parent / 'requirements'
-GROUPS = ('bootstrap', 'ros', 'runtime', 'dev', 'build', 'fast', 'peers', 'docs')
+GROUPS = ('bootstrap', 'ros', 'runtime', 'dev', 'build', 'peers', 'docs')
 OLDEST_PYTHON = '3.11'
 PYTHON_TAG = re.compile(r'^(py3|py2\.py3|py31[123]|cp311|cp312|cp313|cp3\d+-abi3)-')
 PLATFORM_TAG = re.compile(r'(any|manylinux\w*_(x86_64|aarch64)|linux_(x86_64|aarch64))$')

@@ -149,7 +149,7 @@ def install_packages() -> None:
     pip += ['--no-deps', '--require-hashes']
     failure = 'cannot install the locked packages'
     run([*pip, '--requirement', REQUIREMENTS / 'bootstrap.lock'], failure)
-    groups = ['ros', 'runtime', 'dev', 'fast']
+    groups = ['ros', 'runtime', 'dev']
     if not (shutil.which('cmake') and shutil.which('ninja')):
         groups.append('build')
     words = [word for group in groups for word in ('--requirement', REQUIREMENTS / f'{group}.lock')]

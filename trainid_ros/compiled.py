@@ -24,6 +24,16 @@ if TYPE_CHECKING:
 PACKAGE: Final = 'trainid_ros'
 SWITCH: Final = 'TRAINID_COMPILED'
 MODULES: Final = (
+    'brake_rate/brake_kinematics',
+    'brake_rate/brake_rate_estimator',
+    'brake_rate/covariance',
+    'brake_rate/disturbance_noise',
+    'brake_rate/group_cloud',
+    'brake_rate/gsma',
+    'brake_rate/jumps',
+    'brake_rate/motion_model',
+    'brake_rate/posterior',
+    'brake_rate/timing',
     'estimators/speed_noise',
     'resistance/change_points',
     'resistance/davis_posterior',
@@ -43,6 +53,7 @@ MODULES: Final = (
     'speed_model/physical_parameters',
     'speed_model/speed_model_estimator',
     'stream/intervals',
+    'train/brake',
 )
 """The modules to compile, as paths below the package without suffix."""
 

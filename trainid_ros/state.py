@@ -11,7 +11,7 @@ import json
 import math
 import types
 import typing
-from dataclasses import asdict, fields, is_dataclass
+from dataclasses import asdict, field, fields, is_dataclass
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
@@ -28,6 +28,14 @@ T = TypeVar('T')
 # Far above any stamp or count; larger integers may overflow on conversion to float.
 _MAX_INT: Final = 2**100
 _MAX_SHOWN: Final = 60
+
+
+_ITEMS: Final = 'items'
+
+
+def several(kind: type[object]) -> Any:
+    """Declare a field that is a tuple of dataclasses, empty by default; compiled classes keep no type of its items."""
+    return field(default=(), metadata={_ITEMS: kind})
 
 
 def encode(state: DataclassInstance) -> str:
@@ -64,30 +72,15 @@ def check_restored(valid: bool, kind: str, what: str) -> None:
 
 def _build(data: Any, kind: Any, name: str) -> Any:
     if is_dataclass(kind):
-        if not isinstance(data, dict):
-            msg = f'{name} = {_shown(data)} is not a {kind}'
-            raise InputError(msg)
-        hints = typing.get_type_hints(kind)
-        if set(data) != {item.name for item in fields(kind)}:
-            msg = f'{name}: fields do not match this version: {sorted(data)}'
-            raise InputError(msg)
-        return kind(**{key: _build(value, hints[key], f'{name}.{key}') for key, value in data.items()})  # type: ignore[operator]
+        return _build_dataclass(data, kind, name)
     origin = typing.get_origin(kind)
     if origin in (typing.Union, types.UnionType):
         return None if data is None else _build(data, typing.get_args(kind)[0], name)
-    if origin is np.ndarray:
+    if np.ndarray in (origin, kind):
         return np.array(data, dtype=float)
-    if origin is tuple:
-        if not isinstance(data, list):
-            msg = f'{name} = {_shown(data)} is not a list'
-            raise InputError(msg)
-        first, *rest = typing.get_args(kind)
-        if rest != [...] and len(data) != 1 + len(rest):
-            msg = f'{name} has {len(data)} entries, not {1 + len(rest)}'
-            raise InputError(msg)
-        return tuple(_build(item, first, name) for item in data)
-    if kind is tuple:  # compiled classes do not keep the type of its items
-        return _build(data, tuple[float, ...], name)
+    if tuple in (origin, kind):
+        # Compiled classes do not keep the types of the items; those of a bare tuple are numbers.
+        return _build_tuple(data, typing.get_args(kind) or (float, ...), name)
     if not isinstance(data, (int, float)) if kind is float else type(data) is not kind:
         msg = f'{name} = {_shown(data)} is not a {kind.__name__}'
         raise InputError(msg)
@@ -95,6 +88,31 @@ def _build(data: Any, kind: Any, name: str) -> Any:
         msg = f'{name} is an integer out of range'
         raise InputError(msg)
     return float(data) if kind is float else data
+
+
+def _build_dataclass(data: Any, kind: Any, name: str) -> Any:
+    if not isinstance(data, dict):
+        msg = f'{name} = {_shown(data)} is not a {kind}'
+        raise InputError(msg)
+    hints = typing.get_type_hints(kind)
+    for item in fields(kind):
+        if _ITEMS in item.metadata:
+            hints[item.name] = types.GenericAlias(tuple, (item.metadata[_ITEMS], ...))
+    if set(data) != {item.name for item in fields(kind)}:
+        msg = f'{name}: fields do not match this version: {sorted(data)}'
+        raise InputError(msg)
+    return kind(**{key: _build(value, hints[key], f'{name}.{key}') for key, value in data.items()})
+
+
+def _build_tuple(data: Any, kinds: tuple[Any, ...], name: str) -> tuple[Any, ...]:
+    if not isinstance(data, list):
+        msg = f'{name} = {_shown(data)} is not a list'
+        raise InputError(msg)
+    first, *rest = kinds
+    if rest != [...] and len(data) != len(kinds):
+        msg = f'{name} has {len(data)} entries, not {len(kinds)}'
+        raise InputError(msg)
+    return tuple(_build(item, first, name) for item in data)
 
 
 def _shown(data: Any) -> str:

@@ -10,7 +10,6 @@ import numpy as np
 
 from benchmarks.papers.hand_filters import START, START_SD, VARIANCE, RowPeer
 from benchmarks.papers.metro_stream import INERTIA, PERIOD
-from trainid_lab.compiled_streams import VMilsStream
 from trainid_lab.resistance.multi_innovation import NOTHING, information_of, mils_step, posterior_of
 from trainid_ros.records import NS_PER_S
 from trainid_ros.resistance.change_points import ChangePointConfig, Tracker
@@ -70,28 +69,6 @@ class MilsPlain(RowPeer):
     @property
     def covariance(self) -> NDArray[np.float64]:
         return _square(posterior_of(self._state[:9])[3:])
-
-
-class MilsCompiled(RowPeer):
-    """The same, compiled."""
-
-    def __init__(self) -> None:
-        self._stream = VMilsStream(PRIOR, P, OUTLIERS)
-
-    def items(self, stream: MetroStream) -> list[Item]:
-        return [(v, v * v, y, VARIANCE, 1.0) for y, _, v in super().items(stream)]
-
-    @property
-    def step(self) -> Any:
-        return self._stream.step
-
-    @property
-    def theta(self) -> NDArray[np.float64]:
-        return np.array(self._stream.posterior[:3])
-
-    @property
-    def covariance(self) -> NDArray[np.float64]:
-        return _square(self._stream.posterior[3:])
 
 
 class MilsTracker(RowPeer):

@@ -23,13 +23,12 @@ from benchmarks.papers.brake_runs import metro_run, metro_train
 from benchmarks.papers.contest import FIRST_SEED, installed
 from benchmarks.papers.seeds import over_seeds
 from benchmarks.tables import Table
-from trainid_lab.brake_rate.resampling import systematic
+from trainid_lab.brake_rate.particles import SPEED, LinearStep, error_covariance, errors_of, speed_step, started
+from trainid_lab.brake_rate.resampling import effective_number, normal_weights, systematic
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
 from trainid_ros.brake_rate.config import BrakeRateConfig
-from trainid_ros.brake_rate.particles import SPEED, LinearStep, error_covariance, speed_step, started
-from trainid_ros.brake_rate.posterior import STATES, errors_of
-from trainid_ros.brake_rate.resampling import effective_number, normal_weights
+from trainid_ros.brake_rate.posterior import STATES
 from trainid_ros.estimators.protocol import step_and_estimate
 from trainid_ros.results import Rejection
 
@@ -254,8 +253,6 @@ CONTESTANTS: Final = (
     Contestant('trainid RBPF, 500', 'numpy', 'RBPF', 500),
     Contestant('trainid GSMA, 50 particles', 'numpy', 'GSMA', 50),
     Contestant(RATIO, 'numpy', 'GSMA', 500),
-    Contestant('trainid GSMA, 50 particles, compiled', 'numba', 'compiled', 50),
-    Contestant('trainid GSMA, 500 particles, compiled', 'numba', 'compiled', 500),
     Contestant('trainid KF, no particles', 'numpy', 'KF', 0),
 )
 
@@ -352,10 +349,7 @@ def _estimator(item: Contestant, seed: int) -> Any:
         config = BrakeRateConfig()
         return BrakeRateEstimator(metro_train(), config, _PEERS[item.kind](item.particles, config.drift, seed))
     changes: dict[str, float] = {'particles': item.particles} if item.particles else {}
-    if item.kind == 'compiled':
-        changes['compiled'] = 1
-    name = 'GSMA' if item.kind == 'compiled' else item.kind
-    return BRAKE_RATE.make(BRAKE_RATE.choose(name, **changes), metro_train(), np.random.default_rng(seed))
+    return BRAKE_RATE.make(BRAKE_RATE.choose(item.kind, **changes), metro_train(), np.random.default_rng(seed))
 
 
 _PEERS: Final[dict[str, Any]] = {'filterpy': FilterpyPosterior, 'particles': ParticlesPosterior}

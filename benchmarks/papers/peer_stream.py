@@ -17,7 +17,7 @@ from benchmarks.papers import peer_filters as peers
 from benchmarks.papers.contest import FIRST_SEED, Times, copied, growth, installed, time_in_turns
 from benchmarks.papers.hand_filters import GATE, HandRls, NumpyRls, RowPeer
 from benchmarks.papers.metro_stream import SCENARIOS, curve_error, metro_stream
-from benchmarks.papers.our_filters import MilsCompiled, MilsPlain, MilsTracker, VMilsRaw
+from benchmarks.papers.our_filters import MilsPlain, MilsTracker, VMilsRaw
 from benchmarks.papers.seeds import over_seeds
 from benchmarks.tables import Table
 
@@ -34,7 +34,6 @@ REFERENCE: Final = 'hand RLS, floats'
 OURS: Final = 'trainid V-MILS p = 10, with step detection'
 OUR_NODE: Final = 'trainid V-MILS as shipped, raw speed'
 OUR_KERNEL: Final = 'trainid V-MILS p = 10, recursion'
-OUR_COMPILED: Final = 'the same, compiled'
 
 _MEMORY_CALLS: Final = 100_000
 _OUR_MEMORY_CALLS: Final = 1_000_000
@@ -77,11 +76,10 @@ CONTESTANTS: Final = (
     Contestant('pykalman filter_update', 'pykalman', peers.PyKalman, 0.0),
     Contestant('scikit-learn SGDRegressor, Huber', 'sklearn', peers.SklearnHuber, 0.0),
     Contestant(OUR_KERNEL, 'numpy', MilsPlain, 1.0),
-    Contestant(OUR_COMPILED, 'numba', MilsCompiled, 1.0),
     Contestant(OURS, 'numpy', MilsTracker, 1.0),
     Contestant(OUR_NODE, 'numpy', VMilsRaw, 1.0),
 )
-_TRAINID: Final = (OURS, OUR_NODE, OUR_KERNEL, OUR_COMPILED)
+_TRAINID: Final = (OURS, OUR_NODE, OUR_KERNEL)
 _SAME_AS_FILTERPY: Final = ('simdkalman primitives', 'stonesoup KalmanUpdater', 'pykalman filter_update')
 
 

@@ -10,13 +10,13 @@ from __future__ import annotations
 import sys
 from typing import TYPE_CHECKING, Final
 
-from benchmarks.papers import peer_brake, peer_compiled, peer_fits, peer_stream
+from benchmarks.papers import peer_brake, peer_fits, peer_kernels, peer_stream
 from benchmarks.papers.contest import PEERS
 
 if TYPE_CHECKING:
     from benchmarks.tables import Plot, Table
 
-_PARTS: Final = (peer_stream, peer_fits, peer_brake, peer_compiled)
+_PARTS: Final = (peer_stream, peer_fits, peer_brake, peer_kernels)
 
 
 def measure(seeds: int) -> list[Table | Plot]:

@@ -16,10 +16,9 @@ from benchmarks.papers.brake_runs import metro_run, metro_train
 from benchmarks.papers.zheng2015_metro import METRO
 from benchmarks.papers.zheng2015_paper import DISTURBANCE, MODEL, H, PaperRun, paper_run
 from trainid_lab.brake_rate.particles import correction
-from trainid_lab.brake_rate.resampling import normalise, systematic
+from trainid_lab.brake_rate.resampling import effective_number, normalise, systematic
 from trainid_lab.brake_rate.theta_cloud import ThetaCloud, rbpf
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
-from trainid_ros.brake_rate.resampling import effective_number
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -17,8 +17,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from trainid_lab.brake_rate.group_cloud import GroupCloud
 from trainid_lab.brake_rate.pade_model import pade_model
-from trainid_lab.brake_rate.particles import correction
+from trainid_lab.brake_rate.particles import Correction, LinearStep, correction
 from trainid_lab.brake_rate.printed import GRID, PRINTED_FIRST
 from trainid_lab.brake_rate.theta_cloud import (
     MRule,
@@ -29,9 +30,6 @@ from trainid_lab.brake_rate.theta_cloud import (
     rbpf,
     rbpf_optimal,
 )
-from trainid_ros.brake_rate import group_cloud
-from trainid_ros.brake_rate.group_cloud import GroupCloud, Strata
-from trainid_ros.brake_rate.particles import Correction, LinearStep
 
 Array = NDArray[np.float64]
 Rng = np.random.Generator
@@ -203,20 +201,15 @@ def gsma(
 def gsma_free(run: PaperRun, seed: int, walk: float = WALK, count: int = 100) -> Estimates:
     """Run GSMA without a grid, as in the node but without jumps; f(0) ~ N(0.6, 0.2^2)."""
     rng = np.random.default_rng([seed, 251])
-    strata = Strata.divide([count])
     f = 0.6 + 0.2 * rng.standard_normal(count)
-    mean, variance = np.array([f.mean()]), np.array([f.var()])
-    cloud = GroupCloud.of(f, np.repeat(_X0[:, None], count, axis=1), np.ones(1), mean, variance, np.zeros((3, 1)))
-    P, rows, chain = _P0 * np.eye(3), [], np.ones((1, 1))
+    cloud = GroupCloud(f, np.repeat(_X0[:, None], count, axis=1), float(f.mean()), float(f.var()), np.zeros(3))
+    P, rows = _P0 * np.eye(3), []
     begin = time.thread_time()
     for step, y in zip(run.steps, run.y, strict=True):
-        cloud = group_cloud.predicted(cloud, step)
         fix = correction(step.predict_covariance(P), H, run.R)
-        groups = group_cloud.branch(cloud, strata, step, np.array([walk * walk]))
-        children, weights = group_cloud.weigh(groups, fix, H, y, 3.0)
-        cloud = group_cloud.prune(children, weights, strata, chain, rng.random(1))
+        cloud = cloud.predicted(step).learned(step, fix, H, y, walk * walk, 3.0, float(rng.random()))
         P = fix.P
-        rows.append((cloud.rate, math.sqrt(cloud.total_variance), *cloud.x.mean(axis=1)))
+        rows.append((cloud.mean, math.sqrt(cloud.variance), *cloud.x.mean(axis=1)))
     table = np.array(rows)
     return Estimates(table[:, 0], table[:, 1], table[:, 2:], time.thread_time() - begin)
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from benchmarks.papers.brake_runs import metro_train, walk_run
-from trainid_lab.brake_rate.kalman import Kalman, KalmanConfig
-from trainid_ros.brake_rate.disturbance_noise import DisturbanceNoise, advance
+from trainid_lab.brake_rate.kalman import KalmanConfig, kalman
+from trainid_ros.brake_rate.disturbance_noise import Candidate, DisturbanceNoise
 from trainid_ros.brake_rate.posterior import Transition
 from trainid_ros.errors import InputError
 from trainid_ros.state import decode, encode
@@ -29,7 +29,7 @@ def rolled(std: float, seconds: float, seed: int, declared: float = 0.006, slip:
         v += DT * b - 0.1 * (v - SPEED) * DT + 0.002 * math.sqrt(DT) * float(rng.standard_normal())
         b = RHO * b + std * math.sqrt(1.0 - RHO * RHO) * float(rng.standard_normal())
         measured = v + math.sqrt(R) * float(rng.standard_normal()) + (1.0 if rng.random() < slip else 0.0)
-        noise = noise.add(FREE._replace(known=-0.1 * (v - SPEED) * DT), measured, R)
+        noise.add(FREE, -0.1 * (v - SPEED) * DT, measured, R)
     return noise
 
 
@@ -59,37 +59,39 @@ def test_slip_is_not_a_disturbance() -> None:
 
 def test_a_pause_restarts_the_filters_and_keeps_the_estimate() -> None:
     noise = rolled(0.02, 60.0, 7007)
-    paused = noise.paused()
-    assert (paused.variance, paused.evidence, paused.motions) == (noise.variance, noise.evidence, ())
-    assert paused.paused() is paused
-    assert paused.add(FREE, 3.0, R).variance == noise.variance
-    assert not DisturbanceNoise.declared(0.0).add(FREE, 3.0, R).motions
+    variance, known = noise.variance, DisturbanceNoise.declared(0.0)
+    noise.pause()
+    noise.add(FREE, 0.0, 3.0, R)
+    assert noise.variance == variance
+    assert {(item.v, item.b, item.vv) for item in noise.candidates} == {(3.0, 0.0, R)}
+    known.add(FREE, 0.0, 3.0, R)
+    assert not known.running
 
 
 def test_each_filter_equals_the_kalman_filter() -> None:
     F, variance = np.array([[1.0, DT], [0.0, RHO]]), 0.01**2
     m, P = np.array([15.0, 0.004]), np.array([[4e-4, 1e-5], [1e-5, 9e-5]])
-    step = FREE._replace(known=-0.02)
-    after, likelihood = advance((m[0], m[1], P[0, 0], P[0, 1], P[1, 1]), step, variance, 15.01, R)
+    item = Candidate(1.0, 0.0, 0.0, 15.0, 0.004, 4e-4, 1e-5, 9e-5)
+    likelihood = item.advance(FREE, -0.02, variance, 15.01, R)
     m = F @ m + [-0.02, 0.0]
     P = F @ P @ F.T + np.diag([FREE.q_v, (1.0 - RHO * RHO) * variance])
     S, nu = P[0, 0] + R, 15.01 - m[0]
     m, P, expected = m + P[:, 0] / S * nu, P - np.outer(P[:, 0], P[:, 0]) / S, -0.5 * (nu * nu / S + math.log(S))
-    assert after == pytest.approx((*m, P[0, 0], P[0, 1], P[1, 1]), rel=1e-9)
+    assert (item.v, item.b, item.vv, item.vb, item.bb) == pytest.approx((*m, P[0, 0], P[0, 1], P[1, 1]), rel=1e-9)
     assert likelihood == pytest.approx(expected, rel=1e-12)
 
 
 def test_estimators_update_it_between_brakings_and_save_it() -> None:
     run = walk_run(7008, stops=3)
-    first, second = (Kalman(metro_train(), KalmanConfig(), np.random.default_rng(1)) for _ in range(2))
+    first, second = (kalman(metro_train(), KalmanConfig(), np.random.default_rng(1)) for _ in range(2))
     seen = set()
     for sample in run.samples:
-        before = first.state.disturbance
+        before = first.state.disturbance.variance
         first.step(sample)
         if first.state.observable:
-            assert first.state.disturbance.variance == before.variance
-            assert not first.state.disturbance.motions
-        seen.add(bool(first.state.disturbance.motions))
+            assert first.state.disturbance.variance == before
+            assert not first.state.disturbance.running
+        seen.add(first.state.disturbance.running)
     assert seen == {True, False}
     assert 0.01 < first.state.disturbance.std < 0.035
     second.restore(first.save())
@@ -97,15 +99,15 @@ def test_estimators_update_it_between_brakings_and_save_it() -> None:
 
 
 def test_an_invalid_saved_state_is_rejected() -> None:
-    estimator = Kalman(metro_train(), KalmanConfig(), np.random.default_rng(1))
+    estimator = kalman(metro_train(), KalmanConfig(), np.random.default_rng(1))
     noise = DisturbanceNoise.declared(0.006)
     assert decode(encode(noise), DisturbanceNoise) == noise
     for invalid in (
-        replace(noise, evidence=noise.evidence[1:]),
+        replace(noise, candidates=noise.candidates[1:]),
         replace(noise, variance=math.nan),
-        replace(noise, motions=((0.0,) * 4,) * len(noise.evidence)),
+        replace(noise, candidates=(replace(noise.candidates[0], vv=-1.0), *noise.candidates[1:])),
     ):
         assert not invalid.is_valid
         estimator.state.disturbance = invalid
         with pytest.raises(InputError, match='disturbance'):
-            Kalman(metro_train(), KalmanConfig(), np.random.default_rng(1)).restore(estimator.save())
+            kalman(metro_train(), KalmanConfig(), np.random.default_rng(1)).restore(estimator.save())

@@ -10,8 +10,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from trainid_lab.brake_rate.kalman import Kalman, KalmanConfig
+from trainid_lab.brake_rate.kalman import KalmanConfig, kalman
 from trainid_ros.brake_rate.brake_kinematics import BrakeStep
+from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
 from trainid_ros.brake_rate.motion_model import BLEND_SHAPE, MotionModel
 from trainid_ros.brake_rate.posterior import Transition
 from trainid_ros.brake_rate.timing import TimingStep
@@ -35,7 +36,14 @@ def interval(
     train_file: TrainFile, sample: Sample, motion: BrakeStep, gains: tuple[float, float] = (1.0, 1.0)
 ) -> Transition:
     return MotionModel(train_file, CONFIG).interval(
-        sample, motion, TimingStep(0.0, 0.0, 0.0), rate=1.0, gains=gains, variance=0.0, released=False
+        sample,
+        motion,
+        TimingStep(0.0, 0.0, 0.0),
+        rate=1.0,
+        before=gains[0],
+        gain=gains[1],
+        variance=0.0,
+        released=False,
     )
 
 
@@ -66,7 +74,7 @@ def test_slope_changeover_and_level_errors_act_on_the_speed(train_file: TrainFil
     gains = interval(train_file, item, response(-0.5, -0.5), (gain, gain)).lean
     blend = {CONFIG.blend_speed: 1.0, 0.5 * CONFIG.blend_speed: 0.5}.get(speed, 0.0)
     slope = speed / train_file.train.max_speed - 0.5
-    assert gains[5:] == pytest.approx((gain * braked * slope, gain * braked * blend, -DT), rel=1e-12)
+    assert list(gains)[5:] == pytest.approx((gain * braked * slope, gain * braked * blend, -DT), rel=1e-12)
     # A weak brake has no level error.
     assert interval(train_file, item, response(-0.05, -0.05)).lean[7] == 0.0
 
@@ -76,11 +84,11 @@ def test_the_brake_rate_includes_the_level_error(train_file: TrainFile, sample: 
     model, item = MotionModel(train_file, CONFIG), sample(1, brake_command=-0.5)
     assert model.share(item, 0.5)[7] == pytest.approx(2.0)
     assert model.share(item, 0.05)[7] == 0.0
-    assert not model.share(replace(item, brake_command=0.0), 0.5).any()
+    assert not any(model.share(replace(item, brake_command=0.0), 0.5))
 
 
-def braked(train_file: TrainFile, samples: list[Sample]) -> Kalman:
-    estimator = Kalman(train_file, CONFIG, np.random.default_rng(1))
+def braked(train_file: TrainFile, samples: list[Sample]) -> BrakeRateEstimator:
+    estimator = kalman(train_file, CONFIG, np.random.default_rng(1))
     for item in samples:
         estimator.step(item)
     assert estimator.state.observable

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trainid_ros.brake_rate.gsma import Gsma, GsmaConfig
+from trainid_ros.brake_rate.config import GsmaConfig
+from trainid_ros.brake_rate.gsma import Gsma
 from trainid_ros.errors import InputError
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import Davis, TrainFile
@@ -31,7 +32,7 @@ def braked(journey: Journey) -> list[Sample]:
     [
         (('unbraked_s',), -1e3),
         (('disturbance', 'variance'), -1.0),
-        (('disturbance', 'motions'), [[0.0, 0.0, -1.0, 0.0, 1.0]] * 11),
+        (('disturbance', 'candidates', 3, 'vv'), -1.0),
         (('noise', 'learned'), -1.0),
         (('noise', 'declared_std'), 0.0),
         (('gain',), 0.0),
@@ -43,9 +44,9 @@ def braked(journey: Journey) -> list[Sample]:
         (('timing', 'delay'), -0.1),
         (('timing', 'delay'), math.nan),
         (('timing', 'lag'), -0.1),
-        (('timing', 'spread', 0), -0.1),
-        (('timing', 'spread', 1), -0.1),
-        (('timing', 'targets', 2), 0.5),
+        (('timing', 'delay_std'), -0.1),
+        (('timing', 'lag_std'), -0.1),
+        (('timing', 'slower'), 0.5),
         (('noise', 'last'), math.nan),
         (('innovation_variance',), -1.0),
         (('filtered_target',), 1e308),

@@ -35,7 +35,7 @@ JAZZY = {
     'unique_identifier_msgs': 'ros-jazzy-unique-identifier-msgs',
 }
 OURS = {'trainid_ros', 'trainid_msgs'}
-NEVER = {'rosbags', 'mcap', 'zstandard', 'numba', 'matplotlib'}
+NEVER = {'rosbags', 'mcap', 'zstandard', 'matplotlib'}
 NODES = ('resistance_node', 'speed_model_node', 'brake_rate_node')
 # Modules without a specification are made by compiled extensions and belong to no package.
 CODE = """

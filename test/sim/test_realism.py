@@ -193,7 +193,7 @@ def reported_brake(simulation: Simulation, brake: Brake) -> tuple[Floats, Floats
     delay_ns = round(brake.delay * NS_PER_S)
     for record in simulation.records:
         if isinstance(record, BrakeRecord):
-            commands = commands.push(BrakeCommandChange(record.stamp_ns, record.target_acceleration))
+            commands.push(BrakeCommandChange(record.stamp_ns, record.target_acceleration))
         elif isinstance(record, MassRecord):
             mass = record.mass
         elif isinstance(record, ForceRecord):

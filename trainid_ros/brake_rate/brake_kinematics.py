@@ -9,7 +9,6 @@ the argument) and the command u is piecewise constant, so over any interval
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from trainid_ros.records import NS_PER_S
@@ -17,10 +16,8 @@ from trainid_ros.train.brake import actuator_response, lag_integral, lag_respons
 
 if TYPE_CHECKING:
     from trainid_ros.train.brake import CommandHistory
-    from trainid_ros.train.train_file import Brake
 
 
-@dataclass(frozen=True, slots=True)
 class BrakeStep:
     """Coefficients of the exact response over an interval; see the module.
 
@@ -30,28 +27,30 @@ class BrakeStep:
         gain_a: Gain of brake acceleration by the command for f = 1 [m/s^2].
         gain_v: Gain of speed by the command for f = 1 [m/s].
         start_target: Brake acceleration at the start for f = 1 [m/s^2].
+        end_target: Brake acceleration at the end for f = 1 [m/s^2].
 
     """
 
-    decay: float
-    reach: float
-    gain_a: float
-    gain_v: float
-    start_target: float
-
-    @property
-    def end_target(self) -> float:
-        """Brake acceleration at the end of the interval for f = 1 [m/s^2]."""
-        return self.decay * self.start_target + self.gain_a
+    def __init__(self, decay: float, reach: float, gain_a: float, gain_v: float, start_target: float) -> None:
+        self.decay, self.reach, self.gain_a, self.gain_v = decay, reach, gain_a, gain_v
+        self.start_target, self.end_target = start_target, decay * start_target + gain_a
 
 
-def brake_step(commands: CommandHistory, brake: Brake, start_ns: int, end_ns: int, start_target: float) -> BrakeStep:
-    """Return the response over (start, end] [ns] to the command delayed by the dead time, eq. (1).
+def brake_step(
+    commands: CommandHistory, delay: float, tau: float, start_ns: int, end_ns: int, start_target: float
+) -> BrakeStep:
+    """Return the response over (start, end] [ns] to the command, eq. (1).
 
-    ``start_target`` is the brake acceleration at the start for f = 1 [m/s^2].
+    Args:
+        commands: History of the command.
+        delay: Dead time [s].
+        tau: Time constant [s].
+        start_ns: Start of the interval [ns].
+        end_ns: Its end [ns].
+        start_target: Brake acceleration at the start for f = 1 [m/s^2].
+
     """
-    delay_ns = round(brake.delay * NS_PER_S)
-    tau = brake.time_constant
+    delay_ns = round(delay * NS_PER_S)
     a, v = actuator_response(commands, start_ns, end_ns, 0.0, delay_ns=delay_ns, time_constant=tau)
     elapsed = (end_ns - start_ns) / NS_PER_S
     return BrakeStep(lag_response(1.0, 0.0, tau, elapsed), lag_integral(1.0, 0.0, tau, elapsed), a, v, start_target)

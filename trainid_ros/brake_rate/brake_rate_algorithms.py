@@ -5,7 +5,8 @@ from __future__ import annotations
 
 from typing import Final
 
-from trainid_ros.brake_rate.gsma import Gsma, GsmaConfig
+from trainid_ros.brake_rate.config import GsmaConfig
+from trainid_ros.brake_rate.gsma import Gsma
 from trainid_ros.estimators.registry import Algorithm, Algorithms
 from trainid_ros.results import BrakeRateEstimate
 

@@ -21,7 +21,7 @@ from trainid_ros.brake_rate.brake_kinematics import BrakeStep, brake_step
 from trainid_ros.brake_rate.disturbance_noise import DisturbanceNoise
 from trainid_ros.brake_rate.motion_model import BLEND_SHAPE, LEAST_RATE, MotionModel
 from trainid_ros.brake_rate.posterior import Posterior, Start, Transition
-from trainid_ros.brake_rate.timing import Timing, TimingStep, timing_step
+from trainid_ros.brake_rate.timing import Timing, TimingStep
 from trainid_ros.estimators.speed_noise import SpeedNoise
 from trainid_ros.records import NS_PER_S
 from trainid_ros.results import BrakeRateEstimate, Reason, Rejection
@@ -39,7 +39,6 @@ _SETTLING: Final = 6.0
 _POSITION_GAIN: Final = 0.1
 # Standard deviation of the brake acceleration at a restart of the train state [m/s^2].
 _ANCHOR_BRAKE_STD: Final = 0.05
-_ANCHORING: Final = frozenset({Reason.GAP, Reason.STANDSTILL, Reason.BRAKE_COMMAND_MISSING, Reason.BRAKE_UNCERTAIN})
 _HISTORY_S: Final = 60.0
 # The disturbance is estimated while braking is below this [m/s^2] and the traction error below this share of its std.
 _RELEASED: Final = 1e-3
@@ -54,7 +53,7 @@ LARGEST_RATE: Final = 3.0
 """Largest brake rate, as a multiple of the train file's value."""
 
 
-@dataclass(slots=True)
+@dataclass
 class DriveState:
     """State other than the posterior.
 
@@ -116,6 +115,12 @@ class BrakeRateEstimator:
         self._model = MotionModel(train_file, config)
         self._brake = brake = self._model.brake
         self._settling_ns = round((brake.delay + _SETTLING * brake.time_constant) * NS_PER_S)
+        self._start = Start(0.0, 0.0, (0.0, 0.0, 0.0))
+        # Settings that each sample needs.
+        self._least_speed, self._least_braking, self._gate_stds = config.min_speed, config.min_braking, config.gate
+        self._q, self._scale_std, self._valid_std = config.drift**2, config.scale_std, config.valid_std
+        self._white, self._most_slack = config.acceleration_noise**2, (_SLACK * config.disturbance_std) ** 2
+        self._largest = LARGEST_RATE * brake.rate
         self.reset()
 
     def reset(self) -> None:
@@ -124,7 +129,8 @@ class BrakeRateEstimator:
         self.posterior.reset(brake.rate, config.prior_std, self._model.stds)
         noise = SpeedNoise.declared(config.speed_std)
         disturbance = DisturbanceNoise.declared(self._model.disturbance_std)
-        timing = Timing(brake.delay, brake.time_constant, self._model.timing_stds)
+        delay_std, lag_std = self._model.timing_stds
+        timing = Timing(brake.delay, brake.time_constant, delay_std, lag_std)
         self.state = DriveState(noise, disturbance, CommandHistory(), timing)
         self.state.rate, self.state.rate_variance = self.posterior.rate, self.posterior.variance
 
@@ -157,116 +163,123 @@ class BrakeRateEstimator:
 
     def step(self, sample: Sample) -> Rejection | None:
         """Process one sample; f is updated only while the brake acts on a moving train."""
-        before_ns = self.state.stamp_ns
+        state = self.state
+        before_ns = state.stamp_ns
         motion, timing = self._follow_command(sample)
         elapsed = (sample.stamp_ns - before_ns) / NS_PER_S if before_ns else 0.0
         result = self._process(sample, max(0.0, elapsed), motion, timing)
         if result is None or result.reason is not Reason.NOT_BRAKING:
-            self.state.disturbance = self.state.disturbance.paused()
+            state.disturbance.pause()
         # Valid while the uncertainty is small, with a hysteresis of factor two; a rate at its limit may exceed it.
-        limit = self.config.valid_std * (2.0 if self.state.converged else 1.0)
-        rate, std = self._rate()
-        self.state.converged = std < limit and rate + _CLEAR * std < LARGEST_RATE * self._brake.rate
+        limit = self._valid_std * (2.0 if state.converged else 1.0)
+        std = self._std()
+        state.converged = std < limit and state.rate + _CLEAR * std < self._largest
         return result
 
     def _process(self, sample: Sample, elapsed: float, motion: BrakeStep, timing: TimingStep) -> Rejection | None:
-        state = self.state
-        if (rejection := self._reject(sample)) is not None:
-            if rejection.reason in _ANCHORING:
-                self._anchor(sample, elapsed)
-            else:
-                self.posterior.predict(self._interval(sample, motion, timing))
+        state, posterior = self.state, self.posterior
+        if (rejection := self._unknown(sample)) is not None:
+            self._anchor(sample, elapsed)
+            return rejection
+        if (rejection := self._unusable(sample)) is not None:
+            posterior.predict(self._interval(sample, motion, timing))
             return rejection
         self._follow_position(sample)
         interval = self._interval(sample, motion, timing)
-        self.posterior.predict(interval)
+        posterior.predict(interval)
         if (rejection := self._gate(sample)) is not None:
             if state.rejected_in_a_row >= self.config.readmit_after:  # then accept the speed
                 self._anchor(sample, 0.0)
             return rejection
         braking = max(abs(state.filtered_target), abs(motion.start_target))
-        if braking < self.config.min_braking or self._released(sample):
-            self.posterior.follow(sample.speed, state.noise.variance)
+        if braking < self._least_braking or self._released(sample):
+            posterior.follow(sample.speed, state.noise.variance)
             self._learn_disturbance(sample, interval, braking)
-            return Rejection(sample.stamp_ns, Reason.NOT_BRAKING, braking, self.config.min_braking)
-        if not self.posterior.learn(interval, state.unbraked_s, sample.speed, self._noise_variance()):
+            return Rejection(sample.stamp_ns, Reason.NOT_BRAKING, braking, self._least_braking)
+        if not posterior.learn(interval, state.unbraked_s, sample.speed, self._noise_variance()):
             return Rejection(sample.stamp_ns, Reason.NUMERICAL, state.innovation, math.nan)
-        ratio = min(state.innovation**2 / state.innovation_variance, _MOST)
+        ratio = min(state.innovation * state.innovation / state.innovation_variance, _MOST)
         state.excess = min(max(1.0, state.excess * math.exp((ratio - 1.0) / _MEMORY)), _MOST_EXCESS)
         share = self._model.share(sample, abs(state.filtered_target))
-        state.rate, state.rate_variance = self.posterior.total_rate(share)
+        state.rate, state.rate_variance = posterior.total_rate(share)
         # The model has the width of a changeover, but not its exact shape.
         state.blending = BLEND_SHAPE * self.config.blend_std if share[6] > 0.0 else 0.0
         state.unbraked_s = 0.0
         state.observable = True
         return None
 
-    def _reject(self, sample: Sample) -> Rejection | None:
-        known, uncertain_s = self._model.known, (self.state.certain_ns - sample.stamp_ns) / NS_PER_S
-        checks = (
-            (not math.isnan(sample.dt), Reason.GAP, sample.dt, math.nan),
-            (sample.speed >= self.config.min_speed, Reason.STANDSTILL, sample.speed, self.config.min_speed),
-            (math.isfinite(sample.brake_command), Reason.BRAKE_COMMAND_MISSING, sample.brake_command, math.nan),
-            (uncertain_s <= 0.0, Reason.BRAKE_UNCERTAIN, uncertain_s, 0.0),
-            (math.isfinite(sample.gradient_mean), Reason.GRADIENT_MISSING, sample.gradient_mean, math.nan),
-            (math.isfinite(sample.force_mean), Reason.FORCE_MISSING, sample.force_mean, math.nan),
-            (known.is_possible(sample), Reason.OUT_OF_RANGE, sample.force_mean, known.largest_force(sample)),
-        )
-        for fine, reason, value, limit in checks:
-            if not fine:
-                return Rejection(sample.stamp_ns, reason, value, limit)
+    def _unknown(self, sample: Sample) -> Rejection | None:
+        """Return a rejection if the motion since the last sample, or the state of the brake, is not known."""
+        if math.isnan(sample.dt):
+            return Rejection(sample.stamp_ns, Reason.GAP, sample.dt, math.nan)
+        if not sample.speed >= self._least_speed:
+            return Rejection(sample.stamp_ns, Reason.STANDSTILL, sample.speed, self._least_speed)
+        if not math.isfinite(sample.brake_command):
+            return Rejection(sample.stamp_ns, Reason.BRAKE_COMMAND_MISSING, sample.brake_command, math.nan)
+        if self.state.certain_ns > sample.stamp_ns:
+            uncertain_s = (self.state.certain_ns - sample.stamp_ns) / NS_PER_S
+            return Rejection(sample.stamp_ns, Reason.BRAKE_UNCERTAIN, uncertain_s, 0.0)
+        return None
+
+    def _unusable(self, sample: Sample) -> Rejection | None:
+        """Return a rejection if a force that acts is not known."""
+        if not math.isfinite(sample.gradient_mean):
+            return Rejection(sample.stamp_ns, Reason.GRADIENT_MISSING, sample.gradient_mean, math.nan)
+        if not math.isfinite(sample.force_mean):
+            return Rejection(sample.stamp_ns, Reason.FORCE_MISSING, sample.force_mean, math.nan)
+        known = self._model.known
+        if not known.is_possible(sample):
+            return Rejection(sample.stamp_ns, Reason.OUT_OF_RANGE, sample.force_mean, known.largest_force(sample))
         return None
 
     def _follow_command(self, sample: Sample) -> tuple[BrakeStep, TimingStep]:
         """Advance the brake command to the stamp; return the response of the brake since the last sample."""
-        state = self.state
-        if sample.stamp_ns <= state.stamp_ns:  # another time base, in which the old commands are invalid
-            state.commands = CommandHistory()
+        state, timing, commands, now_ns = self.state, self.state.timing, self.state.commands, sample.stamp_ns
+        if now_ns <= state.stamp_ns:  # another time base, in which the old commands are invalid
+            commands.changes = ()
             state.filtered_target, state.certain_ns, state.stamp_ns = 0.0, 0, 0
-            state.timing = replace(state.timing, targets=(0.0, 0.0, 0.0, 0.0))
-        start_ns = state.stamp_ns or sample.stamp_ns
+            timing.release()
+        start_ns = state.stamp_ns or now_ns
         for change in sample.brake_changes:
-            if not state.commands.changes or change.stamp_ns >= state.commands.changes[-1].stamp_ns:
-                state.commands = state.commands.push(change)
+            if not commands.changes or change.stamp_ns >= commands.changes[-1].stamp_ns:
+                commands.push(change)
         self._move_timing(start_ns)
-        brake = replace(self._brake, delay=state.timing.delay, time_constant=state.timing.lag)
-        motion = brake_step(state.commands, brake, start_ns, sample.stamp_ns, state.filtered_target)
+        motion = brake_step(commands, timing.delay, timing.lag, start_ns, now_ns, state.filtered_target)
         nominal = motion.reach * state.filtered_target + motion.gain_v
-        state.timing, timing = timing_step(state.timing, state.commands, start_ns, sample.stamp_ns, nominal)
-        oldest_s = state.timing.delay + _HISTORY_S
-        state.commands = state.commands.prune(sample.stamp_ns - round(oldest_s * NS_PER_S))
+        sensitivity = timing.step(commands, start_ns, now_ns, nominal)
+        commands.prune(now_ns - round((timing.delay + _HISTORY_S) * NS_PER_S))
         state.filtered_target = motion.end_target
-        state.stamp_ns = sample.stamp_ns
+        state.stamp_ns = now_ns
         if sample.brake_gap or sample.emergency or math.isnan(sample.brake_command):
-            state.certain_ns = sample.stamp_ns + self._settling_ns
-        state.unbraked_s += (sample.stamp_ns - start_ns) / NS_PER_S
+            state.certain_ns = now_ns + self._settling_ns
+        state.unbraked_s += (now_ns - start_ns) / NS_PER_S
         # At standstill the measured speed is zero without noise.
-        state.noise.add(sample.speed, sample.dt if sample.speed >= self.config.min_speed else math.nan)
+        state.noise.add(sample.speed, sample.dt if sample.speed >= self._least_speed else math.nan)
         state.observable = False
-        return motion, timing
+        return motion, sensitivity
 
     def _move_timing(self, now_ns: int) -> None:
         """Apply the estimated errors of dead time and lag while the brake is released."""
-        state, timing = self.state, self.state.timing
-        if not timing.fresh or not timing.at_rest(state.commands, now_ns):
+        timing = self.state.timing
+        if not timing.fresh or not timing.at_rest(self.state.commands, now_ns):
             return
         e, variances, f = self.posterior.errors, self.posterior.error_variances, max(self.posterior.rate, LEAST_RATE)
-        stds = (math.sqrt(variances[0]) / f, math.sqrt(variances[1]) / f)
-        state.timing = timing.moved((e[0] / f, e[1] / f), stds, self._brake)
-        applied = (f * (state.timing.delay - timing.delay), f * (state.timing.lag - timing.lag))
-        self.posterior.recentre((*applied, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+        delay, lag = timing.delay, timing.lag
+        timing.move((e[0] / f, e[1] / f), (math.sqrt(variances[0]) / f, math.sqrt(variances[1]) / f), self._brake)
+        applied = (f * (timing.delay - delay), f * (timing.lag - lag))
+        self.posterior.recentre((applied[0], applied[1], 0.0, 0.0, 0.0, 0.0, 0.0, 0.0))
 
     def _interval(self, sample: Sample, motion: BrakeStep, timing: TimingStep) -> Transition:
         """Return the motion model since the last sample."""
         state = self.state
-        gains = state.gain, self._model.gain(sample)
-        state.gain = gains[1]
+        before, state.gain = state.gain, self._model.gain(sample)
         return self._model.interval(
             sample,
             motion,
             timing,
             rate=self.posterior.rate,
-            gains=gains,
+            before=before,
+            gain=state.gain,
             variance=state.disturbance.variance,
             released=self._released(sample),
         )
@@ -279,22 +292,21 @@ class BrakeRateEstimator:
     def _learn_disturbance(self, sample: Sample, interval: Transition, braking: float) -> None:
         """Update the size of b if no other uncertain force acts; ``braking`` is the brake acceleration [m/s^2]."""
         state = self.state
-        slack = interval.q_v / interval.dt - self.config.acceleration_noise**2
-        e = self.posterior.errors
-        estimated = sum(gain * error for gain, error in zip(interval.lean[2:5], e[2:5], strict=True))
-        interval = interval._replace(known=interval.known + estimated)
-        if braking > _RELEASED or slack > (_SLACK * self.config.disturbance_std) ** 2:
-            state.disturbance = state.disturbance.paused()
+        if braking > _RELEASED or interval.q_v / interval.dt - self._white > self._most_slack:
+            state.disturbance.pause()
             return
-        state.disturbance = state.disturbance.add(interval, sample.speed, state.noise.variance)
+        e, lean = self.posterior.errors, interval.lean
+        known = interval.known + (lean[2] * e[2] + lean[3] * e[3] + lean[4] * e[4])
+        state.disturbance.add(interval, known, sample.speed, state.noise.variance)
 
     def _anchor(self, sample: Sample, elapsed: float) -> None:
         """Restart the train state from the measured speed after ``elapsed`` [s]; f is unchanged."""
-        state = self.state
+        state, start = self.state, self._start
         state.gain = self._model.gain(sample)
-        variances = (state.noise.variance, _ANCHOR_BRAKE_STD**2, state.disturbance.variance)
-        keep, q_e = self._model.forget(elapsed, 0.0)
-        self.posterior.anchor(Start(sample.speed, state.gain * state.filtered_target, variances, keep, q_e))
+        start.speed, start.target = sample.speed, state.gain * state.filtered_target
+        start.variances = (state.noise.variance, _ANCHOR_BRAKE_STD * _ANCHOR_BRAKE_STD, state.disturbance.variance)
+        self._model.forget(elapsed, 0.0, start.keep, start.q_e)
+        self.posterior.anchor(start)
         state.position = sample.position
         state.rejected_in_a_row = 0
 
@@ -313,9 +325,9 @@ class BrakeRateEstimator:
         expected, variance = self.posterior.predicted()
         variance += self._noise_variance()
         innovation = sample.speed - expected
-        limit = self.config.gate * math.sqrt(variance)
+        limit = self._gate_stds * math.sqrt(variance)
         state.innovation, state.innovation_variance = innovation, variance
-        state.test_ratio = (innovation / limit) ** 2
+        state.test_ratio = (innovation / limit) * (innovation / limit)
         if abs(innovation) <= limit:
             state.rejected_in_a_row = 0
             return None
@@ -326,11 +338,11 @@ class BrakeRateEstimator:
         """Return the variance of measured speed, scaled to match the innovations while braking [(m/s)^2]."""
         return self.state.noise.variance * self.state.excess
 
-    def _rate(self) -> tuple[float, float]:
-        """Return mean and standard deviation of the brake rate [1]: sqrt(s^2 + drift^2 t) while no brake acts."""
-        mean, config = self.state.rate, self.config
-        added = config.drift**2 * self.state.unbraked_s + (config.scale_std * mean) ** 2 + self.state.blending**2
-        return mean, math.sqrt(self.state.rate_variance + added)
+    def _std(self) -> float:
+        """Return the standard deviation of the brake rate [1]: sqrt(s^2 + drift^2 t) while no brake acts."""
+        state, scale = self.state, self._scale_std * self.state.rate
+        added = self._q * state.unbraked_s + scale * scale + state.blending * state.blending
+        return math.sqrt(state.rate_variance + added)
 
     @property
     def innovation(self) -> tuple[float, float]:
@@ -340,10 +352,9 @@ class BrakeRateEstimator:
     def estimate(self, speed: float) -> BrakeRateEstimate:  # noqa: ARG002 - one signature for all estimators
         """Return the brake rate, eq. (19), and the filtered train state, eq. (22); ``speed`` [m/s] is unused."""
         state, posterior = self.state, self.posterior
-        rate, std = self._rate()
         return BrakeRateEstimate(
-            brake_rate=min(max(0.0, rate), LARGEST_RATE * self._brake.rate),
-            brake_rate_std=std,
+            brake_rate=min(max(0.0, state.rate), self._largest),
+            brake_rate_std=self._std(),
             position=state.position,
             speed=max(0.0, posterior.speed),
             control_acceleration=posterior.acceleration,

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Settings shared by all brake rate estimators."""
+"""Settings of brake rate estimators."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from trainid_ros.settings import setting
 
 @dataclass(frozen=True, slots=True)
 class BrakeRateConfig:
-    """Prior of brake, track and sensors, and which samples are used."""
+    """Settings of all: prior of brake, track and sensors, and which samples are used."""
 
     prior_std: float = setting(0.2, 'prior standard deviation of the brake rate', '1', 1e-4, 2.0)
     drift: float = setting(0.003, 'drift of the brake rate in one second, standard deviation', '1', 0.0, 1.0)
@@ -33,3 +33,19 @@ class BrakeRateConfig:
     gate: float = setting(5.0, 'innovations beyond this many standard deviations are rejected', '1', 1.0, 100.0)
     readmit_after: int = setting(5, 'rejected samples in a row after which the speed is accepted', 'samples', 1, 1000)
     valid_std: float = setting(0.05, 'brake rate is valid below this standard deviation', '1', 1e-3, 1.0)
+
+
+@dataclass(frozen=True, slots=True)
+class JumpConfig(BrakeRateConfig):
+    """Settings of estimators that model jumps."""
+
+    jump_rate: float = setting(0.0001, 'jumps of the brake rate per second', '1/s', 0.0, 1.0)
+    jump_std: float = setting(0.2, 'standard deviation of a jump', '1', 1e-3, 2.0)
+    jump_time: float = setting(2.0, 'mean duration of a jump', 's', 0.05, 60.0)
+
+
+@dataclass(frozen=True, slots=True)
+class GsmaConfig(JumpConfig):
+    """Settings of GSMA."""
+
+    particles: int = setting(100, 'particles kept after pruning, a third of them for jumps', '1', 6, 100_000)

@@ -9,19 +9,10 @@ the response, and the probability of a jump while no brake acted is kept until t
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from trainid_ros.brake_rate.config import BrakeRateConfig
-from trainid_ros.settings import setting
-
-
-@dataclass(frozen=True, slots=True)
-class JumpConfig(BrakeRateConfig):
-    """Settings of estimators that model jumps."""
-
-    jump_rate: float = setting(0.0001, 'jumps of the brake rate per second', '1/s', 0.0, 1.0)
-    jump_std: float = setting(0.2, 'standard deviation of a jump', '1', 1e-3, 2.0)
-    jump_time: float = setting(2.0, 'mean duration of a jump', 's', 0.05, 60.0)
+if TYPE_CHECKING:
+    from trainid_ros.brake_rate.config import JumpConfig
 
 
 def transition(config: JumpConfig, dt: float, pause: float = 0.0) -> tuple[float, float]:

@@ -19,16 +19,14 @@ import math
 from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
-import numpy as np
-
-from trainid_ros.brake_rate.posterior import ERRORS, Errors, Transition, errors_of
+from trainid_ros.brake_rate.posterior import ERRORS, Errors, Transition
 from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.train.effects import effect_value
+from trainid_ros.vectors import vec
 
 if TYPE_CHECKING:
     from trainid_ros.brake_rate.brake_kinematics import BrakeStep
     from trainid_ros.brake_rate.config import BrakeRateConfig
-    from trainid_ros.brake_rate.posterior import Array
     from trainid_ros.brake_rate.timing import TimingStep
     from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import Brake, TrainFile
@@ -44,8 +42,9 @@ _LEAST_LAG_S: Final = 0.25
 _JITTER_S: Final = 0.4
 # Variation between changeovers, as a share of their size.
 _BLEND_VARIES: Final = 0.5
-# Correlation times of the errors of dead time, lag, resistance (twice), traction, slope and changeover [s].
-_MEMORIES_S: Final = (1e5, 1e5, 1800.0, 1800.0, 1800.0, 1e5, 1e5)
+# Correlation times of the errors of dead time, lag, slope and changeover, and of resistance and traction [s].
+_LONG_S: Final = 1e5
+_SHORT_S: Final = 1800.0
 # Below this speed the published brake rate is that of the next braking, at medium speed [m/s].
 _STOPPING: Final = 1.0
 # Relative change of the response per second at which its steadiness is 1/e [1/s].
@@ -62,13 +61,18 @@ class MotionModel:
     def __init__(self, train_file: TrainFile, config: BrakeRateConfig) -> None:
         self.brake = true_brake(train_file)
         self.known = KnownForce(_with_true_brake(train_file))
-        self._train_file, self._config = train_file, config
+        self.inertia = self.known.inertia
+        self._train_file, self._config, self._resistance = train_file, config, train_file.resistance
+        self._max_speed, self._timing_std = train_file.train.max_speed, train_file.brake.timing_std
+        # Settings that each sample needs.
+        self._length, self._white = config.disturbance_length, config.acceleration_noise**2
+        self._force_error, self._least = config.force_error, config.min_braking
+        self._blend_speed, self._blend_std, self._level_length = (
+            config.blend_speed, config.blend_std, config.level_length
+        )  # fmt: skip
         self.stds = self._error_stds()
-
-    @property
-    def inertia(self) -> float:
-        """Specific force per acceleration [N/kN per m/s^2]."""
-        return self.known.inertia
+        self._stds, self._share = vec[float](self.stds), vec[float]([0.0] * ERRORS)
+        self._interval = Transition(0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
     @property
     def disturbance_std(self) -> float:
@@ -119,96 +123,89 @@ class MotionModel:
         timing: TimingStep,
         *,
         rate: float,
-        gains: tuple[float, float],
+        before: float,
+        gain: float,
         variance: float,
         released: bool,
     ) -> Transition:
-        """Return the motion model since the last sample; missing forces count as zero.
+        """Return the motion model since the last sample, valid until the next call; missing forces count as zero.
 
         Args:
             sample: The sample.
             motion: Response of the brake.
             timing: Its sensitivity to dead time and lag.
             rate: Estimated brake rate [1].
-            gains: :meth:`gain` at the last sample and at this one [1].
+            before: :meth:`gain` at the last sample [1].
+            gain: The same at this one [1].
             variance: Variance of the disturbance [(m/s^2)^2].
             released: Whether the brake is released.
 
         """
-        config, dt, v, (before, gain) = self._config, sample.dt, sample.speed, gains
+        step, dt, v, w = self._interval, sample.dt, sample.speed, self._resistance
         nominal = motion.reach * motion.start_target + motion.gain_v
         traction = self.traction(sample, nominal, released=released)
-        w = self._train_file.resistance
         rolling, air = (w.a + w.b * v) / self.inertia, w.c * v * v / self.inertia
         known = (traction - self.known.track(sample) / self.inertia - rolling - air) * dt
-        rho = math.exp(-v * dt / config.disturbance_length)
-        keep, q_e = self.forget(dt, motion.end_target - motion.start_target)
-        slack = config.acceleration_noise**2 + (config.force_error * traction) ** 2
+        rho = math.exp(-v * dt / self._length)
+        uncertain = self._force_error * traction
+        slack = self._white + uncertain * uncertain
         # The response scales with the gain of the table: a was computed with the gain at the last sample.
-        return Transition(
-            dt=dt,
-            reach=motion.reach * gain / before,
-            decay=motion.decay * gain / before,
-            gain_v=gain * motion.gain_v,
-            gain_a=gain * motion.gain_a,
-            rho=rho,
-            known=known if math.isfinite(known) else 0.0,
-            q_v=slack * dt + rate * rate * self._timing_variance(motion, timing, dt, v),
-            q_b=variance * (1.0 - rho * rho),
-            lean=(
-                gain * timing.delay_gain,
-                gain * timing.lag_gain,
-                -rolling * dt,
-                -air * dt,
-                traction * dt,
-                *self._brake_gains(gain * nominal, v, motion.end_target, dt),
-            ),
-            keep=keep,
-            q_e=q_e,
-            calm=self._calm(motion, dt),
-        )
-
-    def _brake_gains(self, braked: float, v: float, level: float, dt: float) -> tuple[float, float, float]:
-        """Return the gains of slope, changeover and level errors for a change of speed by the brake [m/s]."""
-        return braked * self._slope(v), braked * self._changeover(v), -dt if level <= -_LEVEL else 0.0
+        step.dt = dt
+        step.reach, step.decay = motion.reach * gain / before, motion.decay * gain / before
+        step.gain_v, step.gain_a = gain * motion.gain_v, gain * motion.gain_a
+        step.rho, step.known = rho, known if math.isfinite(known) else 0.0
+        step.q_v = slack * dt + rate * rate * self._timing_variance(motion, timing, dt, v)
+        step.q_b = variance * (1.0 - rho * rho)
+        lean, braked = step.lean, gain * nominal
+        lean[0], lean[1] = gain * timing.delay_gain, gain * timing.lag_gain
+        lean[2], lean[3], lean[4] = -rolling * dt, -air * dt, traction * dt
+        lean[5], lean[6] = braked * self._slope(v), braked * self._changeover(v)
+        lean[7] = -dt if motion.end_target <= -_LEVEL else 0.0
+        self.forget(dt, motion.end_target - motion.start_target, step.keep, step.q_e)
+        step.calm = self._calm(motion, dt)
+        return step
 
     def _timing_variance(self, motion: BrakeStep, timing: TimingStep, dt: float, v: float) -> float:
         """Return the variance of speed due to timing and variation between changeovers, for f = 1 [(m/s)^2]."""
-        config, level = self._config, motion.end_target
-        early = _JITTER_S * self._train_file.brake.timing_std * (level - motion.start_target)
-        blend = _BLEND_VARIES * config.blend_std * self._changeover(v) * level
+        level = motion.end_target
+        early = _JITTER_S * self._timing_std * (level - motion.start_target)
+        blend = _BLEND_VARIES * self._blend_std * self._changeover(v) * level
         return timing.variance + early * early + 2.0 * _BLEND_S * dt * blend * blend
 
     def _calm(self, motion: BrakeStep, dt: float) -> float:
         """Return the steadiness of the response: 1 while it is constant, towards 0 while it changes."""
-        least = max(abs(motion.end_target), self._config.min_braking)
+        least = max(abs(motion.end_target), self._least)
         return math.exp(-abs(motion.end_target - motion.start_target) / (dt * least * _CHANGING))
 
     def _slope(self, speed: float) -> float:
         """Return p, see the module; above the maximum speed it stays constant."""
-        return min(speed / self._train_file.train.max_speed, 1.0) - 0.5
+        return min(speed / self._max_speed, 1.0) - 0.5
 
     def _changeover(self, speed: float) -> float:
         """Return m, see the module."""
-        return max(0.0, 1.0 - abs(speed / self._config.blend_speed - 1.0))
+        return max(0.0, 1.0 - abs(speed / self._blend_speed - 1.0))
 
-    def share(self, sample: Sample, level: float) -> Array:
+    def share(self, sample: Sample, level: float) -> vec[float]:
         """Return the shares of the errors in the brake rate at a speed and level [m/s^2, >= 0], shape (8,).
 
-        At the end of a braking they are zero, which gives the brake rate at medium speed, for the next braking.
+        They are valid until the next call. At the end of a braking they are zero, which gives the brake rate at medium
+        speed, for the next braking.
         """
-        share = np.zeros(ERRORS)
+        share = self._share
+        share[5] = share[6] = share[7] = 0.0
         if sample.brake_command < 0.0 and sample.speed >= _STOPPING:
-            share[5:7] = self._slope(sample.speed), self._changeover(sample.speed)
+            share[5], share[6] = self._slope(sample.speed), self._changeover(sample.speed)
             share[7] = 1.0 / level if level >= _LEVEL else 0.0
         return share
 
-    def forget(self, elapsed: float, change: float) -> tuple[Errors, Errors]:
-        """Return the decay of the errors over a time [s] and a change of level [m/s^2], and the variances added."""
-        keep = [math.exp(-elapsed / memory) for memory in _MEMORIES_S]
-        keep.append(math.exp(-abs(change) / self._config.level_length))
-        q = [(1.0 - k * k) * std * std for k, std in zip(keep, self.stds, strict=True)]
-        return errors_of(keep), errors_of(q)
+    def forget(self, elapsed: float, change: float, keep: vec[float], q_e: vec[float]) -> None:
+        """Write the decay of the errors over a time [s] and a change of level [m/s^2], and the variances added."""
+        slow, fast = math.exp(-elapsed / _LONG_S), math.exp(-elapsed / _SHORT_S)
+        keep[0] = keep[1] = keep[5] = keep[6] = slow
+        keep[2] = keep[3] = keep[4] = fast
+        keep[7] = math.exp(-abs(change) / self._level_length)
+        for j in range(ERRORS):
+            q_e[j] = (1.0 - keep[j] * keep[j]) * self._stds[j] * self._stds[j]
 
 
 def true_brake(train_file: TrainFile) -> Brake:

@@ -3,22 +3,19 @@
 
 from __future__ import annotations
 
-from typing import Final, NamedTuple, Protocol
+from typing import Final, Protocol
 
-import numpy as np
-from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
+from trainid_ros.vectors import vec
 
 Errors = tuple[float, float, float, float, float, float, float, float]
-NO_ERRORS: Final[Errors] = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
-UNCHANGED: Final[Errors] = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
-ERRORS: Final = len(NO_ERRORS)
-STATES: Final = 3 + ERRORS
+NO_ERRORS: Errors = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+UNCHANGED: Errors = (1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0, 1.0)
+ERRORS: Final = 8
+STATES: Final = 11
 """Number of states x = [v, a, b, e]."""
 
 
-class Transition(NamedTuple):
+class Transition:
     """Motion of the train over one sample, linear in x = [v, a, b, e] and the brake rate f.
 
     v' = v + reach a + dt b + lean e + gain_v f + known,   a' = decay a + gain_a f,   b' = rho b,   e' = keep e.
@@ -44,24 +41,32 @@ class Transition(NamedTuple):
         calm: Steadiness of the brake response [1]: 1 while it is constant, towards 0 while it changes, when a jump of f
             cannot be detected.
 
+    The arrays over the errors have the shape (8,).
+
     """
 
-    dt: float
-    reach: float
-    decay: float
-    gain_v: float
-    gain_a: float
-    rho: float
-    known: float
-    q_v: float
-    q_b: float
-    lean: Errors = NO_ERRORS
-    keep: Errors = UNCHANGED
-    q_e: Errors = NO_ERRORS
-    calm: float = 1.0
+    def __init__(
+        self,
+        dt: float,
+        reach: float,
+        decay: float,
+        gain_v: float,
+        gain_a: float,
+        rho: float,
+        known: float,
+        q_v: float,
+        q_b: float,
+        lean: Errors = NO_ERRORS,
+        keep: Errors = UNCHANGED,
+        q_e: Errors = NO_ERRORS,
+        calm: float = 1.0,
+    ) -> None:
+        self.dt, self.reach, self.decay, self.gain_v, self.gain_a = dt, reach, decay, gain_v, gain_a
+        self.rho, self.known, self.q_v, self.q_b, self.calm = rho, known, q_v, q_b, calm
+        self.lean, self.keep, self.q_e = vec[float](lean), vec[float](keep), vec[float](q_e)
 
 
-class Start(NamedTuple):
+class Start:
     """Restart of speed v, brake acceleration a = f target and disturbance b; propagation of the errors e.
 
     Attributes:
@@ -73,11 +78,16 @@ class Start(NamedTuple):
 
     """
 
-    speed: float
-    target: float
-    variances: tuple[float, float, float]
-    keep: Errors = UNCHANGED
-    q_e: Errors = NO_ERRORS
+    def __init__(
+        self,
+        speed: float,
+        target: float,
+        variances: tuple[float, float, float],
+        keep: Errors = UNCHANGED,
+        q_e: Errors = NO_ERRORS,
+    ) -> None:
+        self.speed, self.target, self.variances = speed, target, variances
+        self.keep, self.q_e = vec[float](keep), vec[float](q_e)
 
 
 class Posterior(Protocol):
@@ -91,7 +101,7 @@ class Posterior(Protocol):
     def variance(self) -> float:
         """Variance of f at its last update [1]."""
 
-    def total_rate(self, share: Array) -> tuple[float, float]:
+    def total_rate(self, share: vec[float]) -> tuple[float, float]:
         """Return mean and variance of f + share e [1], the brake rate at this speed and level; share of shape (8,)."""
 
     @property
@@ -151,9 +161,3 @@ class Posterior(Protocol):
 
     def restore(self, text: str) -> None:
         """Restore a saved state; raise InputError and leave the state unchanged if it is invalid."""
-
-
-def errors_of(values: Array | list[float]) -> Errors:
-    """Return eight numbers as a tuple of errors."""
-    e: list[float] = values if isinstance(values, list) else values.tolist()
-    return e[0], e[1], e[2], e[3], e[4], e[5], e[6], e[7]

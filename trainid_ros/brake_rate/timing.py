@@ -12,7 +12,7 @@ Whenever the brake is released, T and tau are set to their estimates, and h to t
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 from trainid_ros.records import NS_PER_S
@@ -26,79 +26,91 @@ if TYPE_CHECKING:
 _LEAST_SPREAD: Final = 0.02
 # A smaller target has no effect [m/s^2].
 _NOTHING: Final = 1e-4
-Four = tuple[float, float, float, float]
+# A time constant stays above this share of that of the train file [1].
+_LEAST_LAG: Final = 0.25
 
 
-@dataclass(frozen=True, slots=True)
+class TimingStep:
+    """Gains of speed by errors of dead time and lag for f = 1 [m/s per s], and the remaining variance [(m/s)^2]."""
+
+    def __init__(self, delay_gain: float, lag_gain: float, variance: float) -> None:
+        self.delay_gain, self.lag_gain, self.variance = delay_gain, lag_gain, variance
+
+
+@dataclass
 class Timing:
     """Estimates of dead time and lag.
 
     Attributes:
         delay: Dead time [s].
         lag: Time constant [s].
-        spread: Standard deviations h of both [s]; 0: known exactly.
-        targets: Lagged targets of a brake of rate 1 with T + h, T - h, tau + h, tau - h [m/s^2].
+        delay_std: Standard deviation h of the dead time [s]; 0: known exactly.
+        lag_std: Standard deviation h of the time constant [s].
+        later: Lagged target of a brake of rate 1 with T + h [m/s^2].
+        sooner: The same with T - h.
+        slower: The same with tau + h.
+        faster: The same with tau - h.
         fresh: Whether the brake has acted since the last update.
 
     """
 
     delay: float
     lag: float
-    spread: tuple[float, float]
-    targets: Four = (0.0, 0.0, 0.0, 0.0)
+    delay_std: float
+    lag_std: float
+    later: float = 0.0
+    sooner: float = 0.0
+    slower: float = 0.0
+    faster: float = 0.0
     fresh: bool = False
-
-    @property
-    def variants(self) -> tuple[tuple[float, float], ...]:
-        """Dead time and lag of the four targets [s]."""
-        delay, lag, (h, k) = self.delay, self.lag, self.spread
-        return (delay + h, lag), (max(0.0, delay - h), lag), (delay, lag + k), (delay, max(0.25 * lag, lag - k))
 
     def is_valid(self) -> bool:
         """Return whether restored times and targets are physically possible."""
-        return min(self.delay, self.lag, *self.spread) >= 0.0 and max(self.targets) <= 0.0
+        times = (self.delay, self.lag, self.delay_std, self.lag_std)
+        return min(times) >= 0.0 and max(self.later, self.sooner, self.slower, self.faster) <= 0.0
 
     def at_rest(self, commands: CommandHistory, stamp_ns: int) -> bool:
         """Return whether no command acts, acted recently, or is still pending for any possible dead time."""
-        if commands.value(stamp_ns) != 0.0 or min(self.targets) < -_NOTHING:
+        if commands.value(stamp_ns) != 0.0 or min(self.later, self.sooner, self.slower, self.faster) < -_NOTHING:
             return False
-        longest_ns = round(self.variants[0][0] * NS_PER_S)
+        longest_ns = round((self.delay + self.delay_std) * NS_PER_S)
         return not commands.changes or commands.changes[-1].stamp_ns < stamp_ns - longest_ns
 
-    def moved(self, errors: tuple[float, float], stds: tuple[float, float], brake: Brake) -> Timing:
-        """Return the timing corrected by estimated errors of T and tau with standard deviations [s]."""
-        delay, lag = max(0.0, self.delay + errors[0]), max(0.25 * brake.time_constant, self.lag + errors[1])
-        spread = (_spread(stds[0], self.spread[0]), _spread(stds[1], self.spread[1]))
-        return Timing(delay, lag, spread)
+    def release(self) -> None:
+        """Set the targets to those of a released brake."""
+        self.later = self.sooner = self.slower = self.faster = 0.0
+
+    def move(self, errors: tuple[float, float], stds: tuple[float, float], brake: Brake) -> None:
+        """Correct by estimated errors of T and tau with standard deviations [s], while the brake is released."""
+        self.delay = max(0.0, self.delay + errors[0])
+        self.lag = max(_LEAST_LAG * brake.time_constant, self.lag + errors[1])
+        self.delay_std, self.lag_std = _spread(stds[0], self.delay_std), _spread(stds[1], self.lag_std)
+        self.release()
+        self.fresh = False
+
+    def step(self, commands: CommandHistory, start_ns: int, end_ns: int, nominal: float) -> TimingStep:
+        """Propagate the targets over (start, end] [ns]; ``nominal`` is the integral of the nominal target [m/s]."""
+        if self.at_rest(commands, end_ns):
+            self.release()
+            return TimingStep(0.0, 0.0, 0.0)
+        T, tau, h, k = self.delay, self.lag, self.delay_std, self.lag_std
+        shorter, less = max(0.0, T - h), max(_LEAST_LAG * tau, tau - k)
+        self.later, later = _response(commands, start_ns, end_ns, self.later, T + h, tau)
+        self.sooner, sooner = _response(commands, start_ns, end_ns, self.sooner, shorter, tau)
+        self.slower, slower = _response(commands, start_ns, end_ns, self.slower, T, tau + k)
+        self.faster, faster = _response(commands, start_ns, end_ns, self.faster, T, less)
+        delay_gain = (later - sooner) / max(T + h - shorter, _LEAST_SPREAD)
+        lag_gain = (slower - faster) / max(tau + k - less, _LEAST_SPREAD)
+        by_delay, by_lag = later + sooner - 2.0 * nominal, slower + faster - 2.0 * nominal
+        self.fresh = True
+        return TimingStep(delay_gain, lag_gain, 0.5 * (by_delay * by_delay) + 0.5 * (by_lag * by_lag))
 
 
-@dataclass(frozen=True, slots=True)
-class TimingStep:
-    """Gains of speed by errors of dead time and lag for f = 1 [m/s per s], and the remaining variance [(m/s)^2]."""
-
-    delay_gain: float
-    lag_gain: float
-    variance: float
-
-
-def timing_step(
-    timing: Timing, commands: CommandHistory, start_ns: int, end_ns: int, nominal: float
-) -> tuple[Timing, TimingStep]:
-    """Propagate the four targets over (start, end] [ns]; ``nominal`` is the integral of the nominal target [m/s]."""
-    if timing.at_rest(commands, end_ns):
-        return replace(timing, targets=(0.0, 0.0, 0.0, 0.0)), TimingStep(0.0, 0.0, 0.0)
-    ends, sums = [], []
-    for (delay, lag), before in zip(timing.variants, timing.targets, strict=True):
-        shift = round(delay * NS_PER_S)
-        end, total = actuator_response(commands, start_ns, end_ns, before, delay_ns=shift, time_constant=lag)
-        ends.append(end)
-        sums.append(total)
-    (later, _), (sooner, _), (_, slower), (_, faster) = timing.variants
-    delay_gain = (sums[0] - sums[1]) / max(later - sooner, _LEAST_SPREAD)
-    lag_gain = (sums[2] - sums[3]) / max(slower - faster, _LEAST_SPREAD)
-    remaining = 0.5 * (sums[0] + sums[1] - 2.0 * nominal) ** 2 + 0.5 * (sums[2] + sums[3] - 2.0 * nominal) ** 2
-    targets = (ends[0], ends[1], ends[2], ends[3])
-    return replace(timing, targets=targets, fresh=True), TimingStep(delay_gain, lag_gain, remaining)
+def _response(
+    commands: CommandHistory, start_ns: int, end_ns: int, target: float, delay: float, lag: float
+) -> tuple[float, float]:
+    """Return a target at the end of (start, end] [m/s^2], and its integral over it [m/s]."""
+    return actuator_response(commands, start_ns, end_ns, target, delay_ns=round(delay * NS_PER_S), time_constant=lag)
 
 
 def _spread(std: float, before: float) -> float:

@@ -123,7 +123,7 @@ class RunCollector:
         """Add one sample."""
         self.origin_ns = self.origin_ns or sample.stamp_ns
         for change in sample.brake_changes:
-            self._commands = self._commands.push(change)
+            self._commands.push(change)
         gap = math.isnan(sample.dt)
         brake = self._follow_brake(sample, gap=gap)
         if gap:
@@ -197,13 +197,13 @@ class RunCollector:
         before, self._stamp_ns = self._stamp_ns, now
         if gap or before == 0:
             self._brake = min(0.0, self._commands.value(now - delay_ns))
-            self._commands = self._commands.prune(now - delay_ns)
+            self._commands.prune(now - delay_ns)
             return brake.rate_at(sample.speed) * self._brake
         tau = brake.time_constant
         self._brake, change = actuator_response(
             self._commands, before, now, self._brake, delay_ns=delay_ns, time_constant=tau
         )
-        self._commands = self._commands.prune(now - delay_ns)
+        self._commands.prune(now - delay_ns)
         mean = brake.rate_at(sample.speed) * change / sample.dt
         self._since_release = 0.0 if self._brake < BRAKE_APPLIED else self._since_release + sample.dt
         self._heat = heat_after(self._heat, mean, sample.speed, sample.dt)

@@ -84,7 +84,8 @@ class Plant:
     def command(self, target_acceleration: float) -> None:
         """Set the brake target [m/s^2, <= 0] from now on."""
         change = BrakeCommandChange(self.now_ns, target_acceleration)
-        self._commands = self._commands.push(change).prune(self.now_ns - self._delay_ns)
+        self._commands.push(change)
+        self._commands.prune(self.now_ns - self._delay_ns)
 
     def step(self, traction_demand: float, dt_ns: int = STEP_NS) -> None:
         """Advance by one step [ns] while the traction ramps towards a demand [N]."""

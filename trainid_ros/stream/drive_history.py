@@ -61,7 +61,7 @@ class DriveHistoryTracker:
         commands = state.commands if same_drive else CommandHistory()
         for change in sample.brake_changes:
             if not commands.changes or change.stamp_ns >= commands.changes[-1].stamp_ns:
-                commands = commands.push(change)
+                commands.push(change)
         before, elapsed = state.motion, (sample.stamp_ns - start_ns) / NS_PER_S
         speed = 0.5 * (state.speed + sample.speed) if elapsed <= _MAX_GAP_S else 0.0
         brake, brake_integral = actuator_response(
@@ -81,6 +81,6 @@ class DriveHistoryTracker:
             heat=heat,
             brake=brake,
         )
-        commands = commands.prune(sample.stamp_ns - self._delay_ns)
+        commands.prune(sample.stamp_ns - self._delay_ns)
         self.state = DriveHistoryState(sample.stamp_ns, sample.speed, motion, commands)
         return replace(sample, motion=motion)

@@ -8,29 +8,28 @@ response over each piece is known in closed form: no Pade approximation and no s
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Final
 
 from trainid_ros.errors import InputError
 from trainid_ros.records import NS_PER_S
+from trainid_ros.state import several
 from trainid_ros.stream.samples import BrakeCommandChange
 
 MOST_CHANGES: Final = 1024
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass
 class CommandHistory:
     """Bounded history of the piecewise-constant brake command; changes oldest first.
 
     At most ``MOST_CHANGES`` are kept (more than 200 s at 5 Hz); older ones are dropped.
     """
 
-    changes: tuple[BrakeCommandChange, ...] = ()
+    changes: tuple[BrakeCommandChange, ...] = several(BrakeCommandChange)
 
-    def push(self, change: BrakeCommandChange) -> CommandHistory:
-        """Return the history with one more change; a repeat of the last value is dropped.
+    def push(self, change: BrakeCommandChange) -> None:
+        """Add a change; a repeat of the last value is dropped.
 
         A change with the stamp of the last one replaces it.
 
@@ -48,21 +47,24 @@ class CommandHistory:
             raise InputError(msg)
         if kept and change.stamp_ns == kept[-1].stamp_ns:
             kept = kept[:-1]
-        if kept and kept[-1].target_acceleration == value:
-            return CommandHistory(kept)
-        return CommandHistory((*kept, change)[-MOST_CHANGES:])
+        if not kept or kept[-1].target_acceleration != value:
+            kept = (*kept, change)[-MOST_CHANGES:]
+        self.changes = kept
 
-    def prune(self, before_ns: int) -> CommandHistory:
-        """Return the history without the changes that do not affect the command at or after a time [ns]."""
-        first = self._count_until(before_ns) - 1
-        return self if first <= 0 else CommandHistory(self.changes[first:])
+    def prune(self, before_ns: int) -> None:
+        """Drop the changes that do not affect the command at or after a time [ns]."""
+        first = 0
+        while first + 1 < len(self.changes) and self.changes[first + 1].stamp_ns <= before_ns:
+            first += 1
+        if first:
+            self.changes = self.changes[first:]
 
     def value(self, at_ns: int) -> float:
         """Return the command in force at a time [ns] in m/s^2; 0.0 before the first change."""
         count = self._count_until(at_ns)
         return self.changes[count - 1].target_acceleration if count else 0.0
 
-    def segments(self, start_ns: int, end_ns: int) -> tuple[tuple[float, float], ...]:
+    def segments(self, start_ns: int, end_ns: int) -> list[tuple[float, float]]:
         """Return the pieces (duration [s], value [m/s^2]) of the command over (start, end] [ns].
 
         Raises:
@@ -72,17 +74,22 @@ class CommandHistory:
         if end_ns < start_ns:
             msg = f'brake command interval ends at {end_ns} ns, before its start {start_ns} ns'
             raise InputError(msg)
-        if end_ns == start_ns:
-            return ()
-        first, last = self._count_until(start_ns), self._count_until(end_ns - 1)
-        inner = self.changes[first:last]
-        edges = (start_ns, *(change.stamp_ns for change in inner), end_ns)
-        values = (self.value(start_ns), *(change.target_acceleration for change in inner))
-        pieces = zip(pairwise(edges), values, strict=True)
-        return tuple(((end - start) / NS_PER_S, value) for (start, end), value in pieces)
+        pieces = []
+        while start_ns < end_ns:
+            count = self._count_until(start_ns)
+            until_ns = self.changes[count].stamp_ns if count < len(self.changes) else end_ns
+            until_ns = min(until_ns, end_ns)
+            value = self.changes[count - 1].target_acceleration if count else 0.0
+            pieces.append(((until_ns - start_ns) / NS_PER_S, value))
+            start_ns = until_ns
+        return pieces
 
     def _count_until(self, at_ns: int) -> int:
-        return bisect_right(self.changes, at_ns, key=_stamp)
+        """Return the number of changes until a time [ns], which as a rule is close to the newest."""
+        count = len(self.changes)
+        while count and self.changes[count - 1].stamp_ns > at_ns:
+            count -= 1
+        return count
 
 
 def actuator_response(
@@ -130,7 +137,3 @@ def lag_integral(initial: float, target: float, time_constant: float, duration: 
         return target * duration
     decay = -math.expm1(-duration / time_constant)
     return target * duration + (initial - target) * time_constant * decay
-
-
-def _stamp(change: BrakeCommandChange) -> int:
-    return change.stamp_ns

@@ -5,10 +5,10 @@ from __future__ import annotations
 
 from typing import Final
 
-from trainid_lab.brake_rate.imm import Imm, ImmConfig
-from trainid_lab.brake_rate.kalman import Kalman, KalmanConfig
-from trainid_lab.brake_rate.printed import PrintedConfig, PrintedGsma, Sma
-from trainid_lab.brake_rate.rbpf import Rbpf, RbpfConfig
+from trainid_lab.brake_rate.imm import ImmConfig, imm
+from trainid_lab.brake_rate.kalman import KalmanConfig, kalman
+from trainid_lab.brake_rate.printed import PrintedConfig, printed_gsma, sma
+from trainid_lab.brake_rate.rbpf import RbpfConfig, rao_blackwellised
 from trainid_ros.estimators.registry import Algorithm
 from trainid_ros.results import BrakeRateEstimate
 
@@ -16,17 +16,17 @@ from trainid_ros.results import BrakeRateEstimate
 _GRID: Final = frozenset({'prior_std'})
 
 ALGORITHMS: Final[tuple[Algorithm[BrakeRateEstimate], ...]] = (
-    Algorithm('KF', 'linear Kalman filter: exact and cheapest, but slow after a jump', KalmanConfig(), Kalman),
+    Algorithm('KF', 'linear Kalman filter: exact and cheapest, but slow after a jump', KalmanConfig(), kalman),
     Algorithm(
-        'IMM', 'two Kalman filters, one for drift and one for jumps; as accurate as GSMA and cheaper', ImmConfig(), Imm
+        'IMM', 'two Kalman filters, one for drift and one for jumps; as accurate as GSMA and cheaper', ImmConfig(), imm
     ),
-    Algorithm('RBPF', 'Rao-Blackwellised particle filter of a drifting rate', RbpfConfig(), Rbpf),
-    Algorithm('SMA', 'stochastic M-algorithm as printed; for comparison', PrintedConfig(), Sma, _GRID),
+    Algorithm('RBPF', 'Rao-Blackwellised particle filter of a drifting rate', RbpfConfig(), rao_blackwellised),
+    Algorithm('SMA', 'stochastic M-algorithm as printed; for comparison', PrintedConfig(), sma, _GRID),
     Algorithm(
         'GSMA-printed',
         'group stochastic M-algorithm as printed; for comparison',
         PrintedConfig(),
-        PrintedGsma,
+        printed_gsma,
         _GRID,
     ),
 )

@@ -12,13 +12,14 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from trainid_ros.brake_rate.particles import error_covariance, speed_step, started
+from trainid_lab.brake_rate.particles import error_covariance, speed_step, started
 from trainid_ros.brake_rate.posterior import ERRORS, STATES, Errors, Start, Transition
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from trainid_ros.brake_rate.particles import Array
+    from trainid_lab.brake_rate.particles import Array
+    from trainid_ros.vectors import vec
 
 
 def prior(rate: float, std: float, error_stds: Errors) -> tuple[Array, Array]:
@@ -66,7 +67,7 @@ def update(m: Array, P: Array, speed: float, r: float, *, learns: bool) -> tuple
 
 def anchored(m: Array, P: Array, start: Start) -> tuple[Array, Array]:
     """Restart v, a = f target and b; f is unchanged, and the errors e decay by ``keep`` and gain ``q_e``."""
-    f, ff, keep = float(m[STATES]), float(P[STATES, STATES]), np.array(start.keep)
+    f, ff, keep = float(m[STATES]), float(P[STATES, STATES]), np.array(list(start.keep))
     mean, cov = np.concatenate([[start.speed, f * start.target, 0.0], keep * m[3:STATES], [f]]), np.zeros_like(P)
     cov[:STATES, :STATES] = started(P[:STATES, :STATES], start)
     with_f = np.concatenate([[0.0, ff * start.target, 0.0], keep * P[3:STATES, STATES]])
@@ -78,9 +79,9 @@ def anchored(m: Array, P: Array, start: Start) -> tuple[Array, Array]:
     return mean, cov
 
 
-def total_rate(m: Array, P: Array, share: Array) -> tuple[float, float]:
+def total_rate(m: Array, P: Array, share: vec[float]) -> tuple[float, float]:
     """Return mean and variance of f + share e [1]."""
-    along = np.concatenate([[0.0, 0.0, 0.0], share, [1.0]])
+    along = np.array([0.0, 0.0, 0.0, *share, 1.0])
     return float(along.dot(m)), float(along.dot(P).dot(along))
 
 

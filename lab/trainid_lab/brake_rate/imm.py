@@ -15,13 +15,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trainid_lab.brake_rate import gaussian
+from trainid_lab.brake_rate.particles import Array, errors_of
 from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
-from trainid_ros.brake_rate.jumps import JumpConfig, drifts, transition
-from trainid_ros.brake_rate.posterior import NO_ERRORS, STATES, Errors, Start, Transition, errors_of
+from trainid_ros.brake_rate.config import JumpConfig
+from trainid_ros.brake_rate.jumps import drifts, transition
+from trainid_ros.brake_rate.posterior import NO_ERRORS, STATES, Errors, Start, Transition
 from trainid_ros.state import check_numbers, check_restored, decode, encode, is_covariance_matrix
+from trainid_ros.vectors import vec
 
 if TYPE_CHECKING:
-    from trainid_ros.brake_rate.particles import Array
     from trainid_ros.train.train_file import TrainFile
 
     Models = tuple[tuple[Array, Array], tuple[Array, Array]]
@@ -72,7 +74,7 @@ class ImmPosterior:
         """Variance of f [1]."""
         return float(self._P[STATES, STATES])
 
-    def total_rate(self, share: Array) -> tuple[float, float]:
+    def total_rate(self, share: vec[float]) -> tuple[float, float]:
         """Return mean and variance of f + share e [1]."""
         return gaussian.total_rate(self._m, self._P, share)
 
@@ -183,8 +185,6 @@ def _posterior(prior: float, log_ratio: float) -> float:
     return min(1.0 / (1.0 + math.exp(min(-odds, 700.0))), _MOST_CERTAIN)
 
 
-class Imm(BrakeRateEstimator):
-    """Interacting multiple model of a drifting and a jumping brake rate."""
-
-    def __init__(self, train_file: TrainFile, config: ImmConfig, rng: np.random.Generator) -> None:  # noqa: ARG002
-        super().__init__(train_file, config, ImmPosterior(config))
+def imm(train_file: TrainFile, config: ImmConfig, rng: np.random.Generator) -> BrakeRateEstimator:  # noqa: ARG001
+    """Return the interacting multiple model of a drifting and a jumping brake rate."""
+    return BrakeRateEstimator(train_file, config, ImmPosterior(config))

@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trainid_lab.brake_rate import gaussian
+from trainid_lab.brake_rate.particles import errors_of
 from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
 from trainid_ros.brake_rate.config import BrakeRateConfig
-from trainid_ros.brake_rate.posterior import NO_ERRORS, STATES, Errors, Start, Transition, errors_of
+from trainid_ros.brake_rate.posterior import NO_ERRORS, STATES, Errors, Start, Transition
 from trainid_ros.state import check_numbers, check_restored, decode, encode, is_covariance_matrix
+from trainid_ros.vectors import vec
 
 if TYPE_CHECKING:
-    from trainid_ros.brake_rate.particles import Array
     from trainid_ros.train.train_file import TrainFile
 
 
@@ -53,7 +54,7 @@ class KalmanPosterior:
         """Variance of f [1]."""
         return float(self.P[STATES, STATES])
 
-    def total_rate(self, share: Array) -> tuple[float, float]:
+    def total_rate(self, share: vec[float]) -> tuple[float, float]:
         """Return mean and variance of f + share e [1]."""
         return gaussian.total_rate(self.m, self.P, share)
 
@@ -123,8 +124,6 @@ class KalmanPosterior:
         self.m, self.P = state.m, state.P
 
 
-class Kalman(BrakeRateEstimator):
-    """Linear Kalman filter."""
-
-    def __init__(self, train_file: TrainFile, config: KalmanConfig, rng: np.random.Generator) -> None:  # noqa: ARG002
-        super().__init__(train_file, config, KalmanPosterior(config))
+def kalman(train_file: TrainFile, config: KalmanConfig, rng: np.random.Generator) -> BrakeRateEstimator:  # noqa: ARG001
+    """Return the linear Kalman filter."""
+    return BrakeRateEstimator(train_file, config, KalmanPosterior(config))

@@ -17,11 +17,11 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from trainid_ros.brake_rate.particles import LinearStep
+from trainid_lab.brake_rate.particles import LinearStep
 from trainid_ros.errors import InputError
 
 if TYPE_CHECKING:
-    from trainid_ros.brake_rate.particles import Array
+    from trainid_lab.brake_rate.particles import Array
 
 
 @dataclass(frozen=True, slots=True)

@@ -1,17 +1,109 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Measurement update of :mod:`trainid_ros.brake_rate.particles` for any linear measurement y = H x."""
+"""A linear state x with a parameter f that acts on a known input, x' = Phi x + f gamma + known, measured as y = H x.
+
+f affects only the mean of x, so all particles share one covariance, see :mod:`trainid_ros.brake_rate.covariance`.
+Arrays over N particles have the particles in the last axis.
+"""
 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from trainid_ros.brake_rate.particles import Correction
+from trainid_ros.brake_rate.posterior import STATES, Errors
 
 if TYPE_CHECKING:
-    from trainid_ros.brake_rate.particles import Array
+    from trainid_ros.brake_rate.posterior import Start, Transition
+
+Array = NDArray[np.float64]
+
+# v of x = [v, a, b, e] is measured.
+SPEED: Final = np.eye(1, STATES)
+_IDENTITY: Final = np.eye(STATES)
+
+
+class LinearStep(NamedTuple):
+    """One step of the model.
+
+    Attributes:
+        Phi: Transition, shape (n, n).
+        gamma: Effect of f = 1, shape (n,).
+        known: Effect of all known inputs, shape (n,).
+        Q: Covariance of the process noise, shape (n, n).
+
+    """
+
+    Phi: Array
+    gamma: Array
+    known: Array
+    Q: Array
+
+    def predict(self, x: Array, f: Array) -> Array:
+        """Return the means of x after the step, eq. (14), from x, shape (n, N), and the rates f, shape (N,)."""
+        after: Array = self.Phi @ x
+        after += self.gamma[:, None] * f
+        after += self.known[:, None]
+        return after
+
+    def predict_covariance(self, P: Array) -> Array:
+        """Return the shared covariance after the step, eq. (14)."""
+        after: Array = self.Phi.dot(P).dot(self.Phi.T) + self.Q
+        return after
+
+
+class Correction(NamedTuple):
+    """Measurement update, the same for all particles.
+
+    Attributes:
+        K: Gain, eq. (20), shape (n, m).
+        P: Covariance after the measurement, eq. (21), shape (n, n).
+        W: Whitening matrix of innovations: W S W' = I with their covariance S, eq. (16), shape (m, m).
+
+    """
+
+    K: Array
+    P: Array
+    W: Array
+
+
+def speed_correction(P: Array, r: float) -> Correction:
+    """Return the update of x = [v, ...] for v measured with variance r [(m/s)^2], without matrix algebra."""
+    column = P[:, :1]
+    s = float(P[0, 0]) + r
+    K = column / s
+    return Correction(K, P - K.dot(column.T), np.array([[1.0 / math.sqrt(s)]]))
+
+
+def speed_step(interval: Transition) -> LinearStep:
+    """Return the step of x = [v, a, b, e] over an interval."""
+    Phi, gamma, known, Q = _IDENTITY.copy(), np.zeros(STATES), np.zeros(STATES), np.zeros((STATES, STATES))
+    Phi[0] = (1.0, interval.reach, interval.dt, *interval.lean)
+    Phi.flat[STATES + 1 :: STATES + 1] = (interval.decay, interval.rho, *interval.keep)
+    gamma[0], gamma[1], known[0] = interval.gain_v, interval.gain_a, interval.known
+    Q.flat[:: STATES + 1] = (interval.q_v, 0.0, interval.q_b, *interval.q_e)
+    return LinearStep(Phi, gamma, known, Q)
+
+
+def error_covariance(stds: Errors) -> Array:
+    """Return the covariance of x with uncertainty in the errors only, shape (n, n)."""
+    return np.diag([0.0, 0.0, 0.0, *np.square(stds)])
+
+
+def started(P: Array, start: Start) -> Array:
+    """Return the covariance of x after a restart of v, a and b, shape (n, n)."""
+    after = np.zeros_like(P)
+    after[3:, 3:] = P[3:, 3:] * np.outer(list(start.keep), list(start.keep))
+    after.flat[:: len(P) + 1] += (*start.variances, *start.q_e)
+    return after
+
+
+def errors_of(values: Array) -> Errors:
+    """Return eight numbers as a tuple of errors."""
+    e: list[float] = values.tolist()
+    return e[0], e[1], e[2], e[3], e[4], e[5], e[6], e[7]
 
 
 def correction(P: Array, H: Array, R: Array) -> Correction:

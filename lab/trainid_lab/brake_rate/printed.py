@@ -12,17 +12,17 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from trainid_lab.brake_rate.particles import SPEED
 from trainid_lab.brake_rate.theta_cloud import MRule, ThetaCloud, all_values, m_algorithm, printed_groups
 from trainid_lab.brake_rate.theta_posterior import ThetaPosterior
 from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
 from trainid_ros.brake_rate.config import BrakeRateConfig
-from trainid_ros.brake_rate.particles import SPEED
 from trainid_ros.settings import check_settings, setting
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from trainid_ros.brake_rate.particles import Array, Correction, LinearStep
+    from trainid_lab.brake_rate.particles import Array, Correction, LinearStep
     from trainid_ros.train.train_file import TrainFile
 
 # Grid of the paper: 1.0, 0.9 ... 0.
@@ -58,18 +58,15 @@ class PrintedPosterior(ThetaPosterior):
         return m_algorithm(self.cloud, children, step, fix, SPEED, y, self._rule, 0.0)[1]
 
 
-class Sma(BrakeRateEstimator):
-    """Stochastic M-algorithm as printed."""
+def sma(train_file: TrainFile, config: PrintedConfig, rng: np.random.Generator) -> BrakeRateEstimator:
+    """Return the stochastic M-algorithm as printed."""
+    check_settings(config)
+    values = PrintedPosterior(config, rng, lambda f: all_values(GRID, f))
+    return BrakeRateEstimator(train_file, config, values)
 
-    def __init__(self, train_file: TrainFile, config: PrintedConfig, rng: np.random.Generator) -> None:
-        check_settings(config)
-        super().__init__(train_file, config, PrintedPosterior(config, rng, lambda f: all_values(GRID, f)))
 
-
-class PrintedGsma(BrakeRateEstimator):
-    """Group stochastic M-algorithm as printed."""
-
-    def __init__(self, train_file: TrainFile, config: PrintedConfig, rng: np.random.Generator) -> None:
-        check_settings(config)
-        groups = PrintedPosterior(config, rng, lambda f: printed_groups(GRID, f, PRINTED_FIRST))
-        super().__init__(train_file, config, groups)
+def printed_gsma(train_file: TrainFile, config: PrintedConfig, rng: np.random.Generator) -> BrakeRateEstimator:
+    """Return the group stochastic M-algorithm as printed."""
+    check_settings(config)
+    groups = PrintedPosterior(config, rng, lambda f: printed_groups(GRID, f, PRINTED_FIRST))
+    return BrakeRateEstimator(train_file, config, groups)

@@ -14,15 +14,15 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from trainid_lab.brake_rate.particles import SPEED
 from trainid_lab.brake_rate.theta_cloud import ThetaCloud, rbpf
 from trainid_lab.brake_rate.theta_posterior import ThetaPosterior
 from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
 from trainid_ros.brake_rate.config import BrakeRateConfig
-from trainid_ros.brake_rate.particles import SPEED
 from trainid_ros.settings import check_settings, setting
 
 if TYPE_CHECKING:
-    from trainid_ros.brake_rate.particles import Array, Correction, LinearStep
+    from trainid_lab.brake_rate.particles import Array, Correction, LinearStep
     from trainid_ros.train.train_file import TrainFile
 
 
@@ -52,9 +52,7 @@ class RbpfPosterior(ThetaPosterior):
         return rbpf(self.cloud, step, fix, SPEED, y, jitter, float(self.rng.random()))
 
 
-class Rbpf(BrakeRateEstimator):
-    """Rao-Blackwellised particle filter."""
-
-    def __init__(self, train_file: TrainFile, config: RbpfConfig, rng: np.random.Generator) -> None:
-        check_settings(config)
-        super().__init__(train_file, config, RbpfPosterior(config, rng))
+def rao_blackwellised(train_file: TrainFile, config: RbpfConfig, rng: np.random.Generator) -> BrakeRateEstimator:
+    """Return the Rao-Blackwellised particle filter."""
+    check_settings(config)
+    return BrakeRateEstimator(train_file, config, RbpfPosterior(config, rng))

@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Particle weights in the log domain and systematic resampling."""
+"""Particle weights and systematic resampling."""
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -30,3 +31,18 @@ def systematic(weights: NDArray[np.float64], count: int, uniform: float) -> NDAr
     positions = (np.arange(count) + uniform) / count
     ancestors = np.searchsorted(np.cumsum(weights), positions, side='right')
     return np.minimum(ancestors, len(weights) - 1)
+
+
+def normal_weights(log_weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Return weights that sum to one; equal weights if all log-weights are -inf."""
+    peak = float(log_weights.max())
+    if not math.isfinite(peak):
+        return np.full(log_weights.shape, 1.0 / log_weights.size)
+    weights: NDArray[np.float64] = np.exp(log_weights - peak)
+    weights /= weights.sum()
+    return weights
+
+
+def effective_number(weights: NDArray[np.float64]) -> float:
+    """Return 1 / sum of squared normalised weights [1]; Zheng et al. print it with unnormalised weights."""
+    return 1.0 / float(weights.dot(weights))

@@ -13,10 +13,8 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from trainid_lab.brake_rate.particles import distance
-from trainid_lab.brake_rate.resampling import normalise, systematic
-from trainid_ros.brake_rate.particles import Array, Correction, LinearStep
-from trainid_ros.brake_rate.resampling import effective_number
+from trainid_lab.brake_rate.particles import Array, Correction, LinearStep, distance
+from trainid_lab.brake_rate.resampling import effective_number, normalise, systematic
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray

@@ -11,21 +11,24 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from trainid_lab.brake_rate.theta_cloud import ThetaCloud
-from trainid_ros.brake_rate.particles import (
+from trainid_lab.brake_rate.particles import (
     SPEED,
     Correction,
     error_covariance,
+    errors_of,
     speed_correction,
     speed_step,
     started,
 )
-from trainid_ros.brake_rate.posterior import STATES, Errors, Start, Transition, errors_of
-from trainid_ros.brake_rate.resampling import effective_number, restore_generator
+from trainid_lab.brake_rate.resampling import effective_number
+from trainid_lab.brake_rate.theta_cloud import ThetaCloud
+from trainid_ros.brake_rate.gsma import restore_generator
+from trainid_ros.brake_rate.posterior import STATES, Errors, Start, Transition
 from trainid_ros.state import MAX_NUMBER, check_restored, decode, encode, is_covariance_matrix
+from trainid_ros.vectors import vec
 
 if TYPE_CHECKING:
-    from trainid_ros.brake_rate.particles import Array, LinearStep
+    from trainid_lab.brake_rate.particles import Array, LinearStep
 
 _ROUNDING: Final = 1e-6
 
@@ -69,11 +72,12 @@ class ThetaPosterior:
         """Variance of f [1]."""
         return self._variance
 
-    def total_rate(self, share: Array) -> tuple[float, float]:
+    def total_rate(self, share: vec[float]) -> tuple[float, float]:
         """Return mean and variance of f + share e [1]."""
-        total = self.cloud.f + share @ self.cloud.x[3:]
+        along = np.array(list(share))
+        total = self.cloud.f + along @ self.cloud.x[3:]
         mean = float(total @ self._weights)
-        variance = float(np.square(total - mean) @ self._weights) + float(share @ self.P[3:, 3:] @ share)
+        variance = float(np.square(total - mean) @ self._weights) + float(along @ self.P[3:, 3:] @ along)
         return mean, variance
 
     @property
@@ -116,7 +120,7 @@ class ThetaPosterior:
 
     def anchor(self, start: Start) -> None:
         """Restart v, a and b."""
-        f, keep = self.cloud.f, np.array(start.keep)[:, None]
+        f, keep = self.cloud.f, np.array(list(start.keep))[:, None]
         x = np.vstack([np.full(len(f), start.speed), start.target * f, np.zeros(len(f)), keep * self.cloud.x[3:]])
         self.cloud = ThetaCloud(f, self.cloud.log_weights, x)
         self.P = started(self.P, start)

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trainid_lab.brake_rate.resampling import normalise, systematic
+from trainid_lab.brake_rate.resampling import effective_number, normal_weights, normalise, systematic
 
 LOGS = st.lists(st.floats(-1000.0, 1000.0), min_size=1, max_size=30)
 
@@ -52,3 +52,16 @@ def test_weights_that_sum_to_less_than_one_give_valid_indices() -> None:
     kept = systematic(weights, 1000, math.nextafter(1.0, 0.0))
     assert kept.max() == 9
     assert systematic(np.array([0.5, 0.2]), 4, 0.99).tolist() == [0, 0, 1, 1]
+
+
+def test_weights_of_logarithms_by_hand() -> None:
+    logs = np.array([-3.0, 0.0, 2.0])
+    assert normal_weights(logs + 1e5) == pytest.approx(np.exp(logs) / np.exp(logs).sum(), abs=1e-9)
+    assert normal_weights(np.array([-np.inf, 0.0, 0.0])) == pytest.approx([0.0, 0.5, 0.5])
+    assert normal_weights(np.full(4, -np.inf)) == pytest.approx([0.25] * 4)
+
+
+def test_effective_number_by_hand() -> None:
+    assert effective_number(np.full(8, 0.125)) == pytest.approx(8.0)
+    assert effective_number(np.array([1.0, 0.0, 0.0])) == pytest.approx(1.0)
+    assert effective_number(np.array([0.5, 0.25, 0.25])) == pytest.approx(1.0 / 0.375)

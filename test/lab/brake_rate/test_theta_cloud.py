@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from trainid_lab.brake_rate.pade_model import pade_model
-from trainid_lab.brake_rate.particles import correction, distance
+from trainid_lab.brake_rate.particles import Correction, LinearStep, correction, distance
 from trainid_lab.brake_rate.printed import GRID, PRINTED_FIRST
 from trainid_lab.brake_rate.theta_cloud import (
     MRule,
@@ -18,7 +18,6 @@ from trainid_lab.brake_rate.theta_cloud import (
     rbpf,
     rbpf_optimal,
 )
-from trainid_ros.brake_rate.particles import Correction, LinearStep
 
 H = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 R = np.diag([0.3, 0.1])

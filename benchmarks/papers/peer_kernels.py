@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Effect of the optional compiler on V-MILS and GSMA steps, the time of an AM-VFF-RLS step, and import time."""
+"""CPU time and memory of V-MILS, AM-VFF-RLS and GSMA steps, and import time."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import os
 import subprocess
 import sys
 import tempfile
-import time
 from collections import deque
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
@@ -20,11 +19,10 @@ from benchmarks.papers.hand_filters import VARIANCE, HandRls
 from benchmarks.papers.metro_stream import SPEED_SD, metro_stream
 from benchmarks.papers.our_filters import OUTLIERS, PRIOR, P
 from benchmarks.tables import Table
-from trainid_lab.compiled_streams import VMilsStream
-from trainid_lab.resistance.multi_innovation import NOTHING, information_of, mils_step, posterior_of
-from trainid_ros.brake_rate.gsma import Gsma, GsmaConfig
+from trainid_lab.resistance.multi_innovation import NOTHING, information_of, mils_step
+from trainid_ros.brake_rate.config import GsmaConfig
+from trainid_ros.brake_rate.gsma import Gsma
 from trainid_ros.brake_rate.posterior import Start, Transition
-from trainid_ros.estimators.compiled.jit import compiler_present
 from trainid_ros.speed_model.config import AmVffRlsConfig
 from trainid_ros.speed_model.speed_model_algorithms import am_vff_rls
 
@@ -42,9 +40,7 @@ _PARTICLES: Final = 500
 _LEARNS: Final = 1000
 _INTERVAL: Final = Transition(0.2, 0.1, 0.6, 0.012, 0.37, 0.99, 0.0, 1e-5, 1e-6)
 _PLAIN_US: Final = 3.0
-_COMPILED_US: Final = 1.0
-_NUMPY_MS: Final = 0.2
-_LOOP_MS: Final = 0.05
+_GSMA_MS: Final = 0.2
 _IMPORT_S: Final = 0.3
 _IMPORTS: Final = 7
 _NO_GROWTH: Final = 1.0
@@ -52,14 +48,11 @@ _NO_GROWTH: Final = 1.0
 
 @dataclass(frozen=True, slots=True)
 class Kernel:
-    """A recursion: plain Python, compiled per call, and compiled over a record; ``same`` compares all three."""
+    """A recursion and its arguments."""
 
     name: str
     items: Sequence[Item]
-    plain: Callable[..., object]
-    call: Callable[..., object]
-    batch: Callable[[], object]
-    same: Callable[[], bool]
+    step: Callable[..., object]
 
 
 class PlainMils:
@@ -74,50 +67,29 @@ class PlainMils:
         self._parts.append(newest)
 
 
-def _speed_step() -> tuple[Callable[..., object], list[Item]]:
-    """Return the step of AM-VFF-RLS and its y, u, scale and variance."""
-    model = am_vff_rls(metro_train(), AmVffRlsConfig()).method
-    raw = metro_stream(FIRST_SEED, 'out5').raw
-    y, u = raw.speed[raw.moving], (raw.force - raw.gradient)[raw.moving]
-    return model.learn, [(one, force, 1.0, SPEED_SD**2) for one, force in zip(y.tolist(), u.tolist(), strict=True)]
-
-
 def measure(seeds: int) -> list[Table]:
     """Return the tables of the kernels and of the targets; ``seeds`` has no effect."""
     del seeds
-    kernels = (_mils(),)
-    speed_step, speed_items = _speed_step()
+    kernels = (_mils(), _speed_model())
     reference, stream = HandRls(4.0), metro_stream(FIRST_SEED)
     calls: list[tuple[Callable[..., object], Sequence[Item]]] = [(reference.step, reference.items(stream)[:_CALLS])]
-    for kernel in kernels:
-        calls += [(kernel.plain, kernel.items[:_CALLS]), (kernel.call, kernel.items[:_CALLS])]
-    calls.append((speed_step, speed_items[:_CALLS]))
-    for flag in (0, 1):
-        calls.append(_brake_step(flag))
-    first, *times = time_in_turns(calls, _BLOCK)
-    rows = [_row('hand RLS, floats, gate (reference)', first, first, '-', '-')]
-    for k, kernel in enumerate(kernels):
-        batch = f'{_batch_us(kernel):.3f}'
-        grown = growth(kernel.plain, kernel.items, _MEMORY_CALLS // 10, _MEMORY_CALLS)
-        faster = growth(kernel.call, kernel.items, _MEMORY_CALLS // 10, _MEMORY_CALLS)
-        same = 'yes' if kernel.same() else 'NO'
-        rows.append(_row(f'{kernel.name}, plain Python', times[2 * k], first, _grown(grown), '-'))
-        rows.append(_row(f'{kernel.name}, compiled', times[2 * k + 1], first, _grown(faster), same, batch))
-    grown = growth(speed_step, speed_items, _MEMORY_CALLS // 10, _MEMORY_CALLS)
-    rows.append(_row('AM-VFF-RLS', times[2], first, _grown(grown), '-'))
-    rows.append(_row(f'GSMA, {_PARTICLES} particles, NumPy', times[3], first, '-', '-'))
-    rows.append(_row(f'GSMA, {_PARTICLES} particles, compiled', times[4], first, '-', 'to rounding'))
-    header = ('step', 'us p50', 'us p99', 'p50 / reference', 'us in a batch', 'same bits', 'B per step')
-    missing = '' if compiler_present() else ' numba is not installed: "compiled" ran as plain Python.'
+    calls += [(kernel.step, kernel.items[:_CALLS]) for kernel in kernels]
+    first, *times = time_in_turns([*calls, _brake_step()], _BLOCK)
+    rows = [_row('hand RLS, floats, gate (reference)', first, first, '-')]
+    for kernel, spent in zip(kernels, times, strict=False):
+        grown = growth(kernel.step, kernel.items, _MEMORY_CALLS // 10, _MEMORY_CALLS)
+        rows.append(_row(kernel.name, spent, first, _grown(grown)))
+    rows.append(_row(f'GSMA, {_PARTICLES} particles', times[-1], first, '-'))
+    header = ('step', 'us p50', 'us p99', 'p50 / reference', 'B per step')
     note = (
         'CPU time of a step, all in turns in one process. GSMA: prediction and update. Memory between the steps '
-        f'{_MEMORY_CALLS // 10} and {_MEMORY_CALLS}; 0 below {_NO_GROWTH:.0f} B.{missing}'
+        f'{_MEMORY_CALLS // 10} and {_MEMORY_CALLS}; 0 below {_NO_GROWTH:.0f} B.'
     )
-    return [Table('Recursions with and without the compiler', header, tuple(rows), note), _targets(times, rows)]
+    return [Table('Recursions of the estimators', header, tuple(rows), note), _targets(times, rows)]
 
 
-def _row(name: str, times: Times, first: Times, grown: str, same: str, batch: str = '-') -> tuple[str, ...]:
-    return name, f'{times.p50:.2f}', f'{times.p99:.2f}', f'{times.p50 / first.p50:.2f}', batch, same, grown
+def _row(name: str, times: Times, first: Times, grown: str) -> tuple[str, ...]:
+    return name, f'{times.p50:.2f}', f'{times.p99:.2f}', f'{times.p50 / first.p50:.2f}', grown
 
 
 def _grown(value: float) -> str:
@@ -127,18 +99,16 @@ def _grown(value: float) -> str:
 def _targets(times: list[Times], rows: list[tuple[str, ...]]) -> Table:
     core, numpy = import_seconds('trainid_ros.estimators.pipeline'), import_seconds('numpy')
     checks = (
-        ('V-MILS p = 10, plain Python', times[0].p50, _PLAIN_US, 'us'),
-        ('V-MILS p = 10, compiled', times[1].p50, _COMPILED_US, 'us'),
-        ('AM-VFF-RLS', times[2].p50, _COMPILED_US, 'us'),
-        (f'GSMA, {_PARTICLES} particles, NumPy', times[3].p50 / 1e3, _NUMPY_MS, 'ms'),
-        (f'GSMA, {_PARTICLES} particles, compiled', times[4].p50 / 1e3, _LOOP_MS, 'ms'),
+        ('V-MILS p = 10', times[0].p50, _PLAIN_US, 'us'),
+        ('AM-VFF-RLS', times[1].p50, _PLAIN_US, 'us'),
+        (f'GSMA, {_PARTICLES} particles', times[2].p50 / 1e3, _GSMA_MS, 'ms'),
         ('import of the core', core, _IMPORT_S, 's'),
     )
     lines = [
         (name, f'<= {most} {unit}', f'{reached:.3f} {unit}', 'yes' if reached <= most else 'NO')
         for name, reached, most, unit in checks
     ]
-    grown = [row[6] for row in rows if row[6] != '-']
+    grown = [row[4] for row in rows if row[4] != '-']
     lines.append(('memory over 1e6 steps', 'no growth', ', '.join(grown), 'yes' if set(grown) == {'0'} else 'NO'))
     note = f'CPU time, median of steps and best of {_IMPORTS} imports; numpy alone imports in {numpy:.3f} s.'
     return Table('Targets for CPU time and memory', ('quantity', 'target', 'reached', 'met?'), tuple(lines), note)
@@ -158,36 +128,23 @@ def import_seconds(module: str) -> float:
     return min(float(done.stdout) for done in found)
 
 
-def _batch_us(kernel: Kernel) -> float:
-    best = float('inf')
-    for _ in range(5):
-        begun = time.thread_time()
-        kernel.batch()
-        best = min(best, time.thread_time() - begun)
-    return best / len(kernel.items) * 1e6
-
-
 def _mils() -> Kernel:
     rows = metro_stream(FIRST_SEED, 'out5').rows
     v, n = rows.phi[:, 1], rows.y.size
     table = np.column_stack([v, v * v, rows.y, np.full(n, VARIANCE), np.ones(n)])
-    items = [tuple(row) for row in table.tolist()]
-    fast = VMilsStream(PRIOR, P, OUTLIERS)
-
-    def same() -> bool:
-        one, other, third = PlainMils(), VMilsStream(PRIOR, P, OUTLIERS), VMilsStream(PRIOR, P, OUTLIERS)
-        for item in items:
-            one.step(*item)
-            other.step(*item)
-        third.run(table)
-        return bool(posterior_of(one.state[:9]) == other.posterior == third.posterior)
-
-    batch = VMilsStream(PRIOR, P, OUTLIERS)
-    return Kernel(f'V-MILS p = {P}', items, PlainMils().step, fast.step, lambda: batch.run(table), same)
+    return Kernel(f'V-MILS p = {P}', [tuple(row) for row in table.tolist()], PlainMils().step)
 
 
-def _brake_step(compiled: int) -> tuple[Callable[..., object], list[Item]]:
-    config = GsmaConfig(particles=_PARTICLES, compiled=compiled)
+def _speed_model() -> Kernel:
+    model = am_vff_rls(metro_train(), AmVffRlsConfig()).method
+    raw = metro_stream(FIRST_SEED, 'out5').raw
+    y, u = raw.speed[raw.moving], (raw.force - raw.gradient)[raw.moving]
+    items = [(one, force, 1.0, SPEED_SD**2) for one, force in zip(y.tolist(), u.tolist(), strict=True)]
+    return Kernel('AM-VFF-RLS', items, model.learn)
+
+
+def _brake_step() -> tuple[Callable[..., object], list[Item]]:
+    config = GsmaConfig(particles=_PARTICLES)
     posterior: Any = Gsma(metro_train(), config, np.random.default_rng(1)).posterior
     posterior.anchor(Start(20.0, -0.8, (1e-3, 1e-3, 1e-4)))
 
