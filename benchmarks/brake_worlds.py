@@ -167,7 +167,7 @@ def data_of(driven: Drive) -> Data:
     """Return the aligned samples of a drive and the truth at each."""
     aligner, motion, truth = Aligner(AlignmentConfig()), DriveHistoryTracker(driven.train_file), driven.truth
     events = (event for record in driven.records for event in aligner.push(record))
-    samples = tuple(motion.follow(event) for event in events if isinstance(event, Sample))
+    samples = tuple(replace(event, motion=motion.follow(event)) for event in events if isinstance(event, Sample))
     at = np.array([truth.index_at(sample.stamp_ns) for sample in samples])
     return Data(samples, truth.brake_rate[at], truth.braking[at], truth.moving[at])
 

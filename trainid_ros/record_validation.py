@@ -9,15 +9,17 @@ from typing import Final
 from trainid_ros.records import GRADIENT, SPEED
 from trainid_ros.results import Reason, Rejection
 
-# Wider than any railway, so that only impossible values are rejected.
-SPEED_LIMITS: Final = (0.0, 200.0)  # m/s
-FORCE_LIMITS: Final = (-1e8, 1e8)  # N
-GRADIENT_LIMITS: Final = (-200.0, 200.0)  # per mille
-CURVE_RADIUS_LIMITS: Final = (5.0, 1e9)  # m; of curves only, straight track has radius 0
-BRAKE_LIMITS: Final = (-10.0, 0.0)  # m/s^2
-MASS_LIMITS: Final = (100.0, 1e9)  # kg
-# Of the first number of a record, by topic.
-_LIMITS: Final = (SPEED_LIMITS, FORCE_LIMITS, GRADIENT_LIMITS, BRAKE_LIMITS, MASS_LIMITS)
+# Wider than any railway, so that only impossible values are rejected. Of the first number of a record, by topic.
+_LIMITS: tuple[tuple[float, float], ...] = (
+    (0.0, 200.0),  # speed [m/s]
+    (-1e8, 1e8),  # force [N]
+    (-200.0, 200.0),  # gradient [per mille]
+    (-10.0, 0.0),  # target acceleration [m/s^2]
+    (100.0, 1e9),  # mass [kg]
+)
+# Of curves only, straight track has radius 0 [m].
+_SHARPEST_CURVE: Final = 5.0
+_WIDEST_CURVE: Final = 1e9
 
 
 def find_fault(topic: int, stamp_ns: int, x: float, y: float) -> Rejection | None:
@@ -29,10 +31,8 @@ def find_fault(topic: int, stamp_ns: int, x: float, y: float) -> Rejection | Non
     low, high = _LIMITS[topic]
     if not low <= x <= high:
         return _out_of_range(stamp_ns, x, low, high)
-    if topic == GRADIENT and y != 0.0:
-        low, high = CURVE_RADIUS_LIMITS
-        if not low <= y <= high:
-            return _out_of_range(stamp_ns, y, low, high)
+    if topic == GRADIENT and y != 0.0 and not _SHARPEST_CURVE <= y <= _WIDEST_CURVE:
+        return _out_of_range(stamp_ns, y, _SHARPEST_CURVE, _WIDEST_CURVE)
     return None
 
 

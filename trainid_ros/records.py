@@ -13,6 +13,11 @@ from typing import Final, TypeAlias
 NS_PER_S: Final = 1_000_000_000
 
 
+def seconds(ns: int) -> float:
+    """Return nanoseconds as seconds, exact to the last bit also for a stamp: not so where it is compiled."""
+    return ns / NS_PER_S
+
+
 @dataclass(frozen=True, slots=True)
 class SpeedRecord:
     """Measured speed [m/s, >= 0] and position along the line [m, NaN if unknown]."""

@@ -47,8 +47,11 @@ class Reason(IntEnum):
     BRAKE_UNCERTAIN = 18
     SPEED_STUCK = 19
 
+    # Reasons are counted; that of an enumeration hashes the name.
+    __hash__ = int.__hash__
 
-@dataclass(frozen=True, slots=True)
+
+@dataclass(slots=True)
 class Rejection:
     """A record or sample that was not used: the reason, the offending value and the limit it violated."""
 
@@ -56,6 +59,13 @@ class Rejection:
     reason: Reason
     value: float
     limit: float
+
+    # The constructor that a dataclass writes for itself is not compiled, and most samples are rejected by some.
+    def __init__(self, stamp_ns: int, reason: Reason, value: float, limit: float) -> None:
+        self.stamp_ns = stamp_ns
+        self.reason = reason
+        self.value = value
+        self.limit = limit
 
     def __str__(self) -> str:
         """Return the reason with its numbers as text."""

@@ -89,15 +89,15 @@ def test_outputs_are_those_of_the_pipelines_driven_by_hand(
     )
     expected = [output for record in drive for pipeline in pipelines for output in pipeline.push(record)]
     assert log.records == list(drive)
-    assert log.outputs == expected
+    assert repr(log.outputs) == repr(expected)  # NaN equals no NaN
     results: tuple[Any, ...] = (outcome.resistance, outcome.speed_model, outcome.brake_rate)
     for pipeline, result in zip(pipelines, results, strict=True):
-        assert result.output == pipeline.current()
+        assert repr(result.output) == repr(pipeline.current())
         assert dict(result.rejections) == dict(pipeline.rejections)
         assert result.samples == pipeline.samples
-        assert result.consistency == pipeline.consistency
+        assert repr(result.consistency) == repr(pipeline.consistency)
         pipeline.reset()
-        assert result.prior == pipeline.current().estimate
+        assert repr(result.prior) == repr(pipeline.current().estimate)
     assert outcome.records == len(drive)
 
 
@@ -158,7 +158,7 @@ def test_recorded_bag_replays_to_the_same_outputs(replayed: tuple[Replay, Log, P
     again = Log()
     run(path, again)
     assert again.records == log.records
-    assert again.outputs == log.outputs
+    assert repr(again.outputs) == repr(log.outputs)  # NaN equals no NaN
 
 
 def test_recorded_bag_holds_estimates_and_latched_copies(replayed: tuple[Replay, Log, Path]) -> None:

@@ -13,7 +13,7 @@ import pytest
 from trainid_ros.bag.types import estimate_message
 from trainid_ros.demo.chapters import describe_comparison
 from trainid_ros.demo.compare import Fingerprint, compare, fingerprint_of_message, fingerprint_of_output
-from trainid_ros.estimators.pipeline import Output
+from trainid_ros.estimators.protocol import Output
 from trainid_ros.results import BrakeRateEstimate, Reason, Rejection, ResistanceEstimate, Status
 
 ESTIMATE = ResistanceEstimate(

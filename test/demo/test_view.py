@@ -15,7 +15,7 @@ from trainid_ros.demo.bags import load_demo_bag, stock_bag
 from trainid_ros.demo.demo_parameters import NODES, parameter_file
 from trainid_ros.demo.view import Snapshot, View, line, render
 from trainid_ros.errors import InputError
-from trainid_ros.estimators.pipeline import Output
+from trainid_ros.estimators.protocol import Output
 from trainid_ros.records import NS_PER_S
 from trainid_ros.results import BrakeRateEstimate, Reason, ResistanceEstimate, Status
 from trainid_ros.sim.truth import Truth

@@ -117,5 +117,5 @@ def test_the_text_states_verdict_and_numbers() -> None:
 @pytest.mark.parametrize(('size', 'refuted'), [(1.9, False), (2.1, True)])
 def test_errors_twice_as_large_as_stated_refute_after_a_full_window(size: float, refuted: bool) -> None:
     z = size * np.resize([1.0, -1.0], 3 * WINDOW)
-    assert monitored(z + 1e-9 * np.arange(len(z))).current().refuted is refuted
-    assert not monitored(z[: WINDOW // 2]).current().refuted
+    assert monitored(z + 1e-9 * np.arange(len(z))).refuted is refuted
+    assert not monitored(z[: WINDOW // 2]).refuted

@@ -16,11 +16,11 @@ from trainid_ros.errors import InputError
 from trainid_ros.estimators.pipeline import (
     EstimatorPipeline,
     EstimatorSettings,
-    Output,
     brake_rate_pipeline,
     resistance_pipeline,
     speed_model_pipeline,
 )
+from trainid_ros.estimators.protocol import Output
 from trainid_ros.records import Record
 from trainid_ros.resistance.trajectory.pieces import PieceCollector
 from trainid_ros.results import Reason, Status
@@ -186,7 +186,9 @@ def test_a_fit_uses_the_drive_history_too(train_file: TrainFile, sample: Callabl
     true = with_effect(train_file, 'bearing_warmup:value=4,distance=300')
     collector, rejected, history = PieceCollector(true, 1.0, 2.0), Counter[Reason](), DriveHistoryTracker(true)
     for i in range(200):  # 3 m each
-        collector.add(history.follow(sample(i, dt=0.2, speed=15.0 + 0.001 * (i % 2))), rejected)
+        moved = sample(i, dt=0.2, speed=15.0 + 0.001 * (i % 2))
+        moved.motion = history.follow(moved)
+        collector.add(moved, rejected)
     assert not rejected
     known = collector.trajectory().known
     assert (known[0], known[100], known[199]) == pytest.approx((-4.0, -4.0 / math.e, -4.0 * math.exp(-1.99)), rel=1e-3)

@@ -18,12 +18,12 @@ from trainid_ros.estimators.consistency import WINDOW
 from trainid_ros.estimators.pipeline import (
     EstimatorPipeline,
     EstimatorSettings,
-    Output,
     PipelineConfig,
     brake_rate_pipeline,
     resistance_pipeline,
     speed_model_pipeline,
 )
+from trainid_ros.estimators.protocol import Output
 from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
 from trainid_ros.results import Estimate, Reason, Status
 from trainid_ros.stream.alignment import AlignmentConfig

@@ -13,11 +13,11 @@ import pytest
 from trainid_ros.estimators.pipeline import (
     EstimatorPipeline,
     EstimatorSettings,
-    Output,
     brake_rate_pipeline,
     resistance_pipeline,
     speed_model_pipeline,
 )
+from trainid_ros.estimators.protocol import Output
 from trainid_ros.records import (
     FORCE,
     NS_PER_S,

@@ -14,12 +14,11 @@ from trainid_ros.errors import InputError
 from trainid_ros.estimators.pipeline import (
     EstimatorPipeline,
     EstimatorSettings,
-    Output,
     brake_rate_pipeline,
     resistance_pipeline,
     speed_model_pipeline,
 )
-from trainid_ros.estimators.protocol import step_and_estimate
+from trainid_ros.estimators.protocol import Output, step_and_estimate
 from trainid_ros.estimators.registry import Algorithms
 from trainid_ros.records import NS_PER_S, Record
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE

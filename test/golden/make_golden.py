@@ -17,11 +17,11 @@ import numpy as np
 from trainid_ros.estimators.pipeline import (
     EstimatorPipeline,
     EstimatorSettings,
-    Output,
     brake_rate_pipeline,
     resistance_pipeline,
     speed_model_pipeline,
 )
+from trainid_ros.estimators.protocol import Output
 from trainid_ros.records import NS_PER_S
 from trainid_ros.sim.scenario import simulate
 from trainid_ros.sim.yizhuang_day import yizhuang_day

@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import pytest
 
-from trainid_ros.estimators.pipeline import Output
+from trainid_ros.estimators.protocol import Output
 from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
 from trainid_ros.report.content import Chapter, RejectionCounts
 from trainid_ros.report.traces import TraceRecorder

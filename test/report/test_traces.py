@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trainid_ros.estimators.pipeline import Output
+from trainid_ros.estimators.protocol import Output
 from trainid_ros.records import NS_PER_S, SpeedRecord
 from trainid_ros.report.traces import CAPACITY, TraceRecorder
 from trainid_ros.results import ResistanceEstimate, Status

@@ -11,7 +11,7 @@ import pytest
 from trainid_msgs import msg as messages
 
 from trainid_ros.bag.types import estimate_message as bag_message
-from trainid_ros.estimators.pipeline import Output
+from trainid_ros.estimators.protocol import Output
 from trainid_ros.messages import record_from_message
 from trainid_ros.records import (
     INPUT_TOPICS,

@@ -14,7 +14,8 @@ LONGEST = 1250 * MS
 
 def learn(stamps_ms: list[int]) -> int:
     interval = LearnedInterval(LONGEST)
-    interval.see(stamp * MS for stamp in stamps_ms)
+    for stamp in stamps_ms:
+        interval.see(stamp * MS)
     return interval.ns
 
 
@@ -44,7 +45,7 @@ def test_lost_records_do_not_make_a_fast_topic_slow(seed: int) -> None:
     for k in range(5000):
         if rng.random() < 0.25 or k % 100 > 80:
             continue
-        interval.see([(200 * k + int(rng.integers(-40, 41))) * MS])
+        interval.see((200 * k + int(rng.integers(-40, 41))) * MS)
         assert k < 30 or interval.ns == 0
 
 
@@ -57,24 +58,27 @@ def test_bursts_and_late_records_leave_a_slow_topic_slow() -> None:
 
 def test_a_topic_that_becomes_slower_is_followed_after_14_records_and_a_faster_one_after_3() -> None:
     interval = LearnedInterval(LONGEST)
-    interval.see(100 * MS * k for k in range(100))
+    for k in range(100):
+        interval.see(100 * MS * k)
     slower = [9900 * MS + 1000 * MS * k for k in range(1, 30)]
     found = []
     for stamp in slower:
-        interval.see([stamp])
+        interval.see(stamp)
         found.append(interval.ns)
     assert found == [0] * 13 + [1000 * MS] * 16
     found.clear()
     for k in range(1, 8):
-        interval.see([slower[-1] + 100 * MS * k])
+        interval.see(slower[-1] + 100 * MS * k)
         found.append(interval.ns)
     assert found == [1000 * MS] * 2 + [0] * 5
 
 
 def test_cleared_equals_new() -> None:
     interval = LearnedInterval(LONGEST)
-    interval.see(1000 * MS * k for k in range(20))
+    for k in range(20):
+        interval.see(1000 * MS * k)
     interval.clear()
     assert interval.ns == 0
-    interval.see([0, 500 * MS])
+    interval.see(0)
+    interval.see(500 * MS)
     assert interval.ns == 0

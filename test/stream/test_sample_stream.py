@@ -9,16 +9,17 @@ from typing import Any
 
 import pytest
 
+from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.estimators.pipeline import (
     EstimatorPipeline,
     EstimatorSettings,
-    Output,
     PipelineConfig,
     brake_rate_pipeline,
     resistance_pipeline,
     share_streams,
     speed_model_pipeline,
 )
+from trainid_ros.estimators.protocol import Output
 from trainid_ros.records import NS_PER_S, ForceRecord, Record, SpeedRecord
 from trainid_ros.results import Reason
 from trainid_ros.stream.alignment import AlignmentConfig, TimeJump
@@ -110,6 +111,17 @@ def test_a_stream_for_explain_uses_speeds_that_the_train_file_does_not_expect(
     events = events_of(SampleStream(StreamConfig(metro, rejects_stuck_speed=False)), day)
     assert not any(isinstance(event, Sample) and event.rejection for event in events)
     assert any(isinstance(event, TimeJump) for event in events)
+
+
+def test_the_stream_evaluates_effects_once_for_all_estimators(metro: TrainFile, day: tuple[Record, ...]) -> None:
+    file = with_effect(metro, 'bearing_warmup:value=4,distance=300')
+    events = events_of(SampleStream(StreamConfig(file)), day)
+    samples = [event for event in events if isinstance(event, Sample) and math.isfinite(event.force_mean)]
+    known = KnownForce(file)
+    assert [sample.extra for sample in samples] == [known.extra(replace(sample)) for sample in samples]
+    samples[0].extra = 7.0
+    assert known.extra(samples[0]) == 7.0
+    assert KnownForce(metro).extra(samples[0]) == 0.0
 
 
 def test_an_estimate_is_computed_once_a_sample_and_only_if_somebody_looks(

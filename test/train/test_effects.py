@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
@@ -28,7 +29,7 @@ POINT = TrackPoint(time_s=100.0, position=500.0, direction=1, speed=20.0, length
 
 
 def at(**changes: Any) -> TrackPoint:
-    values = {name: getattr(POINT, name) for name in TrackPoint.__slots__}
+    values = {item.name: getattr(POINT, item.name) for item in fields(TrackPoint)}
     return TrackPoint(**(values | changes))
 
 

@@ -8,32 +8,32 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import partial
+from itertools import islice
+from operator import itemgetter
 from typing import TYPE_CHECKING, Final, Generic, NamedTuple, Protocol
 
 from trainid_ros.bag.reader import LoggedRecord, require_topics
 from trainid_ros.estimators.pipeline import (
     BrakeRatePipeline,
-    EstimateT,
     EstimatorPipeline,
-    Output,
+    PipelineGroup,
     ResistancePipeline,
     SpeedModelPipeline,
     brake_rate_pipeline,
     resistance_pipeline,
-    share_streams,
     speed_model_pipeline,
 )
+from trainid_ros.estimators.protocol import EstimateT, Output
 from trainid_ros.records import INPUT_TOPICS, NS_PER_S, record_of
 from trainid_ros.results import BrakeRateEstimate, Reason, ResistanceEstimate, SpeedModelEstimate
-from trainid_ros.stream.samples import Sample
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from trainid_ros.bag.reader import BagReader
     from trainid_ros.estimators.consistency import Consistency
     from trainid_ros.estimators.pipeline import EstimatorSettings
+    from trainid_ros.records import Row
     from trainid_ros.train.train_file import TrainFile
 
 AnyOutput = Output[ResistanceEstimate] | Output[SpeedModelEstimate] | Output[BrakeRateEstimate]
@@ -143,38 +143,42 @@ def replay_through(
     """Run estimators that may each have settings of their own; see :func:`replay`."""
     require_topics(reader)
     resistance, speed_model, brake_rate = pipelines
-    streams = share_streams(pipelines)
+    group, watch, records = PipelineGroup(pipelines), _Watch(observers), 0
     priors = (resistance.current().estimate, speed_model.current().estimate, brake_rate.current().estimate)
-    clock, records = _Stopwatch(), 0
-    for log_ns, row in reader.rows(_end_ns(reader, duration_s)):
-        records += 1
-        if observers:
-            entry = LoggedRecord(log_ns, INPUT_TOPICS[row[0]].name, record_of(*row))
-            for observer in observers:
-                observer.on_record(entry)
-        events = {stream: stream.push_row(*row) for stream in streams}
-        for event in events[resistance.stream]:  # the others have the same stamps
-            if isinstance(event, Sample):
-                clock.see(event.stamp_ns)
-        publish = partial(_publish, observers, log_ns) if observers else None
-        for pipeline in pipelines:
-            pipeline.take(events[pipeline.stream], publish)
-        if progress is not None and records % _PROGRESS_EVERY == 0:
-            progress(_PROGRESS_EVERY)
-    if progress is not None:
-        progress(records % _PROGRESS_EVERY)
+    logged = reader.rows(_end_ns(reader, duration_s))
+    rows = watch.rows(logged) if observers else map(itemgetter(1), logged)
+    while count := group.push_rows(islice(rows, _PROGRESS_EVERY), watch.publish if observers else None):
+        records += count
+        if progress is not None:
+            progress(count)
     return Replay(
         records,
-        clock.total_s,
+        group.covered_s,
         _result(resistance, priors[0]),
         _result(speed_model, priors[1]),
         _result(brake_rate, priors[2]),
     )
 
 
-def _publish(observers: Sequence[Observer], log_ns: int, output: AnyOutput) -> None:
-    for observer in observers:
-        observer.on_output(output, log_ns)
+class _Watch:
+    """Tells the observers of each input, and of the outputs after it."""
+
+    def __init__(self, observers: Sequence[Observer]) -> None:
+        self._observers = observers
+        self._log_ns = 0
+
+    def rows(self, logged: Iterable[tuple[int, Row]]) -> Iterator[Row]:
+        """Yield the rows, each after the observers have received it."""
+        for self._log_ns, row in logged:
+            entry = LoggedRecord(self._log_ns, INPUT_TOPICS[row[0]].name, record_of(*row))
+            for observer in self._observers:
+                observer.on_record(entry)
+            yield row
+
+    def publish(self, output: AnyOutput) -> None:
+        """Hand an output to the observers."""
+        for observer in self._observers:
+            observer.on_output(output, self._log_ns)
 
 
 def _end_ns(reader: BagReader, duration_s: float) -> float:
@@ -186,21 +190,3 @@ def _end_ns(reader: BagReader, duration_s: float) -> float:
 def _result(pipeline: EstimatorPipeline[EstimateT], prior: EstimateT) -> Result[EstimateT]:
     rejections = tuple(pipeline.rejections.most_common())
     return Result(prior, pipeline.current(), pipeline.samples, rejections, pipeline.resets, pipeline.consistency)
-
-
-class _Stopwatch:
-    """Time covered by rising stamps; where they jump back the time before is kept."""
-
-    def __init__(self) -> None:
-        self._first = self._newest = self._before = 0
-
-    def see(self, stamp_ns: int) -> None:
-        if stamp_ns < self._newest:
-            self._before += self._newest - self._first
-            self._first = stamp_ns
-        self._first = self._first or stamp_ns
-        self._newest = stamp_ns
-
-    @property
-    def total_s(self) -> float:
-        return (self._before + self._newest - self._first) / NS_PER_S

@@ -13,7 +13,7 @@ from rclpy.signals import SignalHandlerOptions
 from trainid_msgs import msg as trainid_msgs
 
 from trainid_ros.demo.compare import Fingerprint, fingerprint_of_message
-from trainid_ros.estimators.pipeline import Output
+from trainid_ros.estimators.protocol import Output
 from trainid_ros.messages import OUTPUT_TOPICS
 from trainid_ros.records import NS_PER_S
 from trainid_ros.results import (

@@ -7,16 +7,13 @@ The braking force is not known well enough to learn the resistance from: the bra
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
+from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.records import NS_PER_S
 from trainid_ros.results import Reason, Rejection
+from trainid_ros.stream.samples import Sample
 from trainid_ros.train.effects import effect_value
-
-if TYPE_CHECKING:
-    from trainid_ros.estimators.known_force import KnownForce
-    from trainid_ros.stream.samples import Sample
 
 # After this many time constants a released brake is below 0.04 % of its initial force.
 _SETTLING: Final = 8.0
@@ -24,43 +21,58 @@ _SETTLING: Final = 8.0
 _BRAKE_FORCE: Final = -1.5
 
 
-@dataclass(slots=True)
 class Admission:
     """Admits or rejects samples one by one.
 
     Attributes:
         known: Known part of the force balance.
         min_speed: Slowest speed admitted [m/s].
+        settling: Time after release until the brake is certainly off [s].
         braked_ns: Last stamp at which braking was requested [ns], 0 if never.
 
     """
 
-    known: KnownForce
-    min_speed: float
-    braked_ns: int = 0
+    def __init__(self, known: KnownForce, min_speed: float) -> None:
+        self.known = known
+        self.min_speed = min_speed
+        file = known.train_file
+        extra_delay = effect_value(file.effects, 'brake_delay', 'extra', 0.0)
+        self.settling = file.brake.delay + extra_delay + _SETTLING * file.brake.time_constant
+        self.braked_ns = 0
 
     def reject(self, sample: Sample) -> Rejection | None:
         """Return why a sample cannot be used to learn the resistance, or None if it can."""
         brake_acts = self._brake_acts(sample)
-        checks = (
-            (not math.isnan(sample.dt), Reason.GAP, sample.dt, math.nan),
-            (math.isfinite(sample.force_mean), Reason.FORCE_MISSING, sample.force_mean, math.nan),
-            (self.known.is_possible(sample), Reason.OUT_OF_RANGE, sample.force_mean, self.known.largest_force(sample)),
-            (math.isfinite(sample.gradient_mean), Reason.GRADIENT_MISSING, sample.gradient_mean, math.nan),
-            (math.isfinite(sample.brake_command), Reason.BRAKE_COMMAND_MISSING, sample.brake_command, math.nan),
-            (sample.speed >= self.min_speed, Reason.STANDSTILL, sample.speed, self.min_speed),
-            (not brake_acts, Reason.BRAKING, self._since_braked(sample), self.settling),
-        )
-        for passed, reason, value, limit in checks:
-            if not passed:
-                return Rejection(sample.stamp_ns, reason, value, limit)
+        if (rejection := self._incomplete(sample)) is not None:
+            return rejection
+        if not sample.speed >= self.min_speed:
+            return Rejection(sample.stamp_ns, Reason.STANDSTILL, sample.speed, self.min_speed)
+        if brake_acts:
+            return Rejection(sample.stamp_ns, Reason.BRAKING, self._since_braked(sample), self.settling)
+        return None
+
+    def _incomplete(self, sample: Sample) -> Rejection | None:
+        """Return which input is missing or impossible, None if none is."""
+        stamp_ns = sample.stamp_ns
+        if math.isnan(sample.dt):
+            return Rejection(stamp_ns, Reason.GAP, sample.dt, math.nan)
+        if not math.isfinite(sample.force_mean):
+            return Rejection(stamp_ns, Reason.FORCE_MISSING, sample.force_mean, math.nan)
+        if not self.known.is_possible(sample):
+            return Rejection(stamp_ns, Reason.OUT_OF_RANGE, sample.force_mean, self.known.largest_force(sample))
+        if not math.isfinite(sample.gradient_mean):
+            return Rejection(stamp_ns, Reason.GRADIENT_MISSING, sample.gradient_mean, math.nan)
+        if not math.isfinite(sample.brake_command):
+            return Rejection(stamp_ns, Reason.BRAKE_COMMAND_MISSING, sample.brake_command, math.nan)
         return None
 
     def _brake_acts(self, sample: Sample) -> bool:
         """Return True while the brake acts, is releasing, or is not known to be off."""
         force = self.known.traction(min(sample.force, sample.force_mean), sample)
         requested = not sample.brake_command >= 0.0 or sample.emergency or force < _BRAKE_FORCE
-        if requested or any(change.target_acceleration < 0.0 for change in sample.brake_changes):
+        for change in sample.brake_changes:
+            requested = requested or change.target_acceleration < 0.0
+        if requested:
             self.braked_ns = sample.stamp_ns
             return True
         if sample.stamp_ns < self.braked_ns:  # the stamps jumped back
@@ -69,10 +81,3 @@ class Admission:
 
     def _since_braked(self, sample: Sample) -> float:
         return math.inf if self.braked_ns == 0 else (sample.stamp_ns - self.braked_ns) / NS_PER_S
-
-    @property
-    def settling(self) -> float:
-        """Time after release until the brake is certainly off [s]."""
-        file = self.known.train_file
-        extra_delay = effect_value(file.effects, 'brake_delay', 'extra', 0.0)
-        return file.brake.delay + extra_delay + _SETTLING * file.brake.time_constant

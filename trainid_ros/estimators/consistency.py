@@ -10,19 +10,20 @@ mean of squares varies like that of N (1 - rho^2) / (1 + rho^2) independent ones
 from __future__ import annotations
 
 import math
-from collections import deque
 from dataclasses import dataclass
 from enum import Enum
 from statistics import NormalDist
 from typing import Final
+
+from trainid_ros.vectors import vec
 
 WINDOW: Final = 200
 _MIN_UPDATES: Final = 30
 # Probability that the mean NIS of a window lies in its band.
 _CONFIDENCE: Final = 0.99
 _QUANTILE: Final = NormalDist().inv_cdf(0.5 + 0.5 * _CONFIDENCE)
-# Limit on the NIS of a single update; it also keeps the running sums accurate.
-_MAX_NIS: Final = 100.0
+# Limit on a single normalised innovation; it also keeps the running sums accurate.
+_MAX_Z: Final = 10.0
 # Mean NIS above which an estimate is not fit for use: errors are twice as large as stated.
 _REFUTED: Final = 4.0
 # A higher correlation is not that of noise; and some degrees of freedom must remain for the test.
@@ -64,11 +65,6 @@ class Consistency:
         """True if the verdict has been optimistic for a full window, which is not a chance event."""
         return self.consecutive >= WINDOW
 
-    @property
-    def refuted(self) -> bool:
-        """True if errors have been more than twice as large as stated for a full window: the model does not hold."""
-        return self.is_alarm and self.ratio > _REFUTED
-
     def __str__(self) -> str:
         """Return verdict and numbers as text."""
         if not self.updates:
@@ -77,22 +73,21 @@ class Consistency:
         return f'{self.verdict.value} (squared innovations {self.ratio:.2f} times the stated variance; {band})'
 
 
-_UNKNOWN: Final = Consistency(Verdict.UNKNOWN, math.nan, math.nan, math.nan, 0, 0)
-
-
 class ConsistencyMonitor:
     """Checks the last :data:`WINDOW` updates."""
 
     def __init__(self) -> None:
+        self._z = vec[float]([0.0] * WINDOW)
         self.clear()
 
     def clear(self) -> None:
         """Forget all updates."""
-        self._z: deque[float] = deque()
+        self._updates = 0
+        self._newest = 0
         self._squares = 0.0
         self._products = 0.0
-        self._last = (0.0, 0.0)
-        self._current = _UNKNOWN
+        self._innovation, self._variance = 0.0, 0.0
+        self._consecutive = 0
 
     def see(self, innovation: float, variance: float, *, used: bool) -> None:
         """Take in the innovation that an estimate reports for its last update.
@@ -104,43 +99,53 @@ class ConsistencyMonitor:
 
         """
         # Samples without an update repeat the pair of the last one.
-        if (innovation, variance) == self._last:
+        if innovation == self._innovation and variance == self._variance:
             return
-        self._last = (innovation, variance)
-        if not (used and variance > 0.0 and math.isfinite(variance) and math.isfinite(innovation)):
+        self._innovation, self._variance = innovation, variance
+        if not (used and 0.0 < variance < math.inf and abs(innovation) < math.inf):
             return
-        self._add(innovation / math.sqrt(variance))
-        self._current = self._evaluate()
+        self._add(min(max(innovation / math.sqrt(variance), -_MAX_Z), _MAX_Z))
+        optimistic = self._updates >= _MIN_UPDATES and self._ratio > self._band()[1]
+        self._consecutive = self._consecutive + 1 if optimistic else 0
 
     def _add(self, z: float) -> None:
-        limit = math.sqrt(_MAX_NIS)
-        z = min(max(z, -limit), limit)
-        if self._z:
-            self._products += self._z[-1] * z
-        self._z.append(z)
+        """Take in a normalised innovation; the oldest of a full window gives way to it."""
+        following = self._newest + 1 if self._newest + 1 < WINDOW else 0
+        if self._updates:
+            self._products += self._z[self._newest] * z
+        oldest, self._z[following], self._newest = self._z[following], z, following
         self._squares += z * z
-        if len(self._z) > WINDOW:
-            oldest = self._z.popleft()
-            self._squares -= oldest * oldest
-            self._products -= oldest * self._z[0]
+        if self._updates < WINDOW:
+            self._updates += 1
+            return
+        following = following + 1 if following + 1 < WINDOW else 0
+        self._squares -= oldest * oldest
+        self._products -= oldest * self._z[following]
+
+    @property
+    def _ratio(self) -> float:
+        return self._squares / self._updates
+
+    def _band(self) -> tuple[float, float]:
+        return band(self._updates, self._products / self._squares if self._squares > 0.0 else 0.0)
+
+    @property
+    def refuted(self) -> bool:
+        """True if errors have been more than twice as large as stated for a full window: the model does not hold."""
+        return self._consecutive >= WINDOW and self._ratio > _REFUTED
 
     def current(self) -> Consistency:
         """Return the current outcome."""
-        return self._current
-
-    def _evaluate(self) -> Consistency:
-        count = len(self._z)
-        ratio = self._squares / count
-        correlation = self._products / self._squares if self._squares > 0.0 else 0.0
-        low, high = band(count, correlation)
-        if count < _MIN_UPDATES:
+        if not self._updates:
+            return Consistency(Verdict.UNKNOWN, math.nan, math.nan, math.nan, 0, 0)
+        ratio, (low, high) = self._ratio, self._band()
+        if self._updates < _MIN_UPDATES:
             verdict = Verdict.UNKNOWN
-        elif ratio > high:
+        elif self._consecutive:
             verdict = Verdict.OPTIMISTIC
         else:
             verdict = Verdict.PESSIMISTIC if ratio < low else Verdict.CONSISTENT
-        consecutive = self._current.consecutive + 1 if verdict is Verdict.OPTIMISTIC else 0
-        return Consistency(verdict, ratio, low, high, count, consecutive)
+        return Consistency(verdict, ratio, low, high, self._updates, self._consecutive)
 
 
 def band(count: int, correlation: float = 0.0) -> tuple[float, float]:
@@ -156,5 +161,5 @@ def band(count: int, correlation: float = 0.0) -> tuple[float, float]:
     rho = min(abs(correlation), _MAX_CORRELATION)
     freedom = max(1.0, count * (1.0 - rho * rho) / (1.0 + rho * rho))
     spread = 2.0 / (9.0 * freedom)
-    low, high = (max(0.0, 1.0 - spread + sign * _QUANTILE * math.sqrt(spread)) ** 3 for sign in (-1.0, 1.0))
-    return low, high
+    reach = _QUANTILE * math.sqrt(spread)
+    return max(0.0, 1.0 - spread - reach) ** 3, max(0.0, 1.0 - spread + reach) ** 3

@@ -4,17 +4,13 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
+from trainid_ros.stream.samples import Sample
 from trainid_ros.train.davis import G, specific_force, specific_inertia
 from trainid_ros.train.effects import BRAKE_APPLIED, TrackPoint, resistance_terms
 from trainid_ros.train.line import LineProfile
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from trainid_ros.stream.samples import Sample
-    from trainid_ros.train.train_file import TrainFile
+from trainid_ros.train.train_file import TrainFile
 
 # Reference brake force where no brake acts [N/kN]: effects are nearly linear in it.
 _REFERENCE_BRAKE: Final = -1.0
@@ -29,18 +25,28 @@ class KnownForce:
 
     def __init__(self, train_file: TrainFile) -> None:
         self.train_file = train_file
+        self.inertia = specific_inertia(1.0, train_file.train.rotary_mass)
+        """1000 (1 + gamma) / g: specific force [N/kN] per acceleration [m/s^2]."""
+        self._mass = train_file.train.mass
         self._terms = resistance_terms(train_file.effects)
         known_line = self._terms and train_file.line.gradient
         self._line = LineProfile(train_file.line, train_file.train.length) if known_line else None
-
-    @property
-    def inertia(self) -> float:
-        """1000 (1 + gamma) / g: specific force [N/kN] per acceleration [m/s^2]."""
-        return specific_inertia(1.0, self.train_file.train.rotary_mass)
+        self._point = TrackPoint(
+            time_s=0.0,
+            position=math.nan,
+            direction=1,
+            speed=0.0,
+            length=train_file.train.length,
+            # A delay of the brake is part of its dead time, so its earlier values are not looked up.
+            brake_before=lambda _: self._point.brake,
+            traction_before=lambda _: self._point.traction,
+            gradient_ahead=self._gradient_ahead,
+        )
+        self._gradient = 0.0
 
     def mass(self, sample: Sample) -> float:
         """Return the weighed mass, or that of the train file if there is none [kg]."""
-        return sample.mass if math.isfinite(sample.mass) else self.train_file.train.mass
+        return sample.mass if math.isfinite(sample.mass) else self._mass
 
     def traction(self, force: float, sample: Sample) -> float:
         """Return 1000 F/(M g) [N/kN] of a reported force [N]."""
@@ -62,9 +68,12 @@ class KnownForce:
         """Return the resistance of the train file's effects, evaluated without brake force [N/kN]."""
         if not self._terms:
             return 0.0
+        if not math.isnan(sample.extra):
+            return sample.extra
         # A negative force is braking effort while the brake is applied, else it is noise.
         released = sample.motion.brake >= BRAKE_APPLIED
-        return self._sum(sample, sample.force_mean if released else max(0.0, sample.force_mean), 0.0)
+        self._go_to(sample)
+        return self._sum(self.traction(sample.force_mean if released else max(0.0, sample.force_mean), sample), 0.0)
 
     def brake_share(self, sample: Sample) -> float:
         """Return the share of the brake force left by the train file's effects [1]: 0.9 for a fade of 10 %."""
@@ -73,40 +82,38 @@ class KnownForce:
         nominal = self.train_file.brake.rate_at(sample.speed) * self.inertia * sample.motion.brake
         brake = min(nominal, _REFERENCE_BRAKE)
         # A braking train has no traction, and the force may be missing.
-        return 1.0 - (self._sum(sample, 0.0, brake) - self._sum(sample, 0.0, 0.0)) / brake
+        self._go_to(sample)
+        return 1.0 - (self._sum(0.0, brake) - self._sum(0.0, 0.0)) / brake
 
-    def _sum(self, sample: Sample, force: float, brake: float) -> float:
-        point = self._point(sample, self.traction(force, sample), brake)
-        return sum(term(self.train_file.resistance, point) for term in self._terms)
+    def _sum(self, traction: float, brake: float) -> float:
+        """Return the sum of all effects with a traction and a braking force [N/kN]."""
+        point, total = self._point, 0.0
+        point.traction, point.brake = traction, brake
+        for term in self._terms:
+            total += term(self.train_file.resistance, point)
+        return total
 
-    def _point(self, sample: Sample, traction: float, brake: float) -> TrackPoint:
-        motion = sample.motion
-        return TrackPoint(
-            time_s=motion.time_s,
-            position=sample.position,
-            direction=sample.direction,
-            speed=sample.speed,
-            curve_radius=1.0 / sample.curvature if sample.curvature > 0.0 else 0.0,
-            tunnel=sample.tunnel,
-            length=self.train_file.train.length,
-            distance_run=motion.distance_run,
-            since_release=motion.since_release,
-            traction=traction,
-            brake=brake,
-            heat=motion.heat,
-            # A delay of the brake is part of its dead time, so its earlier values are not looked up.
-            brake_before=lambda _: brake,
-            traction_before=lambda _: traction,
-            gradient_ahead=self._gradient_ahead(sample),
-        )
+    def _go_to(self, sample: Sample) -> None:
+        """Move the point at which the effects are evaluated."""
+        point, motion, curvature = self._point, sample.motion, sample.curvature
+        point.time_s = motion.time_s
+        point.position = sample.position
+        point.direction = sample.direction
+        point.speed = sample.speed
+        point.curve_radius = 1.0 / curvature if curvature > 0.0 else 0.0
+        point.tunnel = sample.tunnel
+        point.distance_run = motion.distance_run
+        point.since_release = motion.since_release
+        point.heat = motion.heat
+        self._gradient = sample.gradient_mean
 
-    def _gradient_ahead(self, sample: Sample) -> Callable[[float], float]:
-        """Return the gradient [per mille] as a function of the distance ahead [m].
+    def _gradient_ahead(self, distance: float) -> float:
+        """Return the gradient a distance [m] ahead [per mille].
 
         The line profile gives its change from the measured gradient; without line or position it is constant.
         """
-        line, here, direction = self._line, sample.position, sample.direction
+        line, here, direction = self._line, self._point.position, self._point.direction
         if line is None or not math.isfinite(here):
-            return lambda _: sample.gradient_mean
-        offset = sample.gradient_mean - line.gradient(here, direction)
-        return lambda ahead: offset + line.gradient(here + direction * ahead, direction)
+            return self._gradient
+        offset = self._gradient - line.gradient(here, direction)
+        return offset + line.gradient(here + direction * distance, direction)

@@ -8,19 +8,20 @@ computed elsewhere.
 from __future__ import annotations
 
 from collections import Counter
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Generic, TypeAlias, TypeVar
+from typing import Any, Generic, TypeAlias
 
 import numpy as np
 
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.estimators.consistency import Consistency, ConsistencyMonitor
+from trainid_ros.estimators.protocol import EstimateT, Estimator, Output
 from trainid_ros.estimators.registry import Algorithms, Choice
-from trainid_ros.records import NS_PER_S, Record
+from trainid_ros.records import NS_PER_S, Record, Row, seconds
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
 from trainid_ros.results import (
     BrakeRateEstimate,
-    Estimate,
     Reason,
     Rejection,
     ResistanceEstimate,
@@ -32,17 +33,9 @@ from trainid_ros.speed_model.speed_model_algorithms import SPEED_MODEL
 from trainid_ros.state import check_restored, decode, encode
 from trainid_ros.stream.alignment import AlignmentConfig
 from trainid_ros.stream.drive_history import DriveHistoryState
-from trainid_ros.stream.sample_stream import SampleStream, StreamConfig, TimeJumpPolicy, is_reset_by
+from trainid_ros.stream.sample_stream import SampleStream, StreamConfig, StreamEvent, TimeJumpPolicy, is_reset_by
 from trainid_ros.stream.samples import Sample
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
-
-    from trainid_ros.estimators.protocol import Estimator
-    from trainid_ros.stream.sample_stream import StreamEvent
-    from trainid_ros.train.train_file import TrainFile
-
-EstimateT = TypeVar('EstimateT', bound=Estimate)
+from trainid_ros.train.train_file import TrainFile
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,28 +46,6 @@ class PipelineConfig:
         0.8, 'inputs missing this long make an estimate stale; 2.5 intervals of a slower topic', 's', 0.1, 60.0
     )
     time_jump_policy: TimeJumpPolicy = TimeJumpPolicy.RESET
-
-
-@dataclass(frozen=True, slots=True)
-class Output(Generic[EstimateT]):
-    """What a driver publishes for one sample.
-
-    Attributes:
-        stamp_ns: Stamp of the newest sample used.
-        estimate: The estimate after that sample.
-        status: Its health.
-        used: Samples taken in by the estimator since the last reset.
-        rejected: Records and samples not used since the last reset.
-        last_rejection: The newest rejection, None if there was none.
-
-    """
-
-    stamp_ns: int
-    estimate: EstimateT
-    status: Status
-    used: int
-    rejected: int
-    last_rejection: Rejection | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,7 +116,7 @@ class EstimatorPipeline(Generic[EstimateT]):
         self.take(self.stream.push(record), outputs.append)
         return outputs
 
-    def take(self, events: Iterable[StreamEvent], publish: Callable[[Output[EstimateT]], object] | None = None) -> None:
+    def take(self, events: list[StreamEvent], publish: Callable[[Output[EstimateT]], object] | None = None) -> None:
         """Take in what the stream made of one record.
 
         Args:
@@ -211,7 +182,9 @@ class EstimatorPipeline(Generic[EstimateT]):
 
     def _step(self, sample: Sample) -> None:
         self._estimate = None
-        rejection = sample.rejection or self.estimator.step(sample)
+        rejection = sample.rejection
+        if rejection is None:
+            rejection = self.estimator.step(sample)
         self.samples += 1
         self._speed = sample.speed
         self._sample_ns = sample.stamp_ns
@@ -221,14 +194,15 @@ class EstimatorPipeline(Generic[EstimateT]):
             self._count(rejection)
         # The consistency of this sample counts from the next one on.
         self._status = self._judge(rejection)
-        self._consistency.see(*self.estimator.innovation, used=rejection is None)
+        innovation, variance = self.estimator.innovation
+        self._consistency.see(innovation, variance, used=rejection is None)
 
     def _judge(self, rejection: Rejection | None) -> Status:
         if self._status is Status.FAULT:
             return Status.FAULT
         if self.stream.is_input_missing(self._stale_ns):
             return Status.STALE
-        if not self.estimator.converged or self._consistency.current().refuted:
+        if not self.estimator.converged or self._consistency.refuted:
             return Status.CONVERGING
         return Status.VALID if rejection is None else Status.HOLDING
 
@@ -284,9 +258,43 @@ def share_streams(pipelines: Iterable[EstimatorPipeline[Any]]) -> tuple[SampleSt
     """Let new pipelines whose streams would give the same samples share one; return the streams."""
     streams: list[SampleStream] = []
     for pipeline in pipelines:
-        equal = (stream for stream in streams if stream.config == pipeline.stream.config)
-        if (shared := next(equal, None)) is None:
-            streams.append(pipeline.stream)
+        equal = [stream for stream in streams if stream.config == pipeline.stream.config]
+        if equal:
+            pipeline.stream = equal[0]
         else:
-            pipeline.stream = shared
+            streams.append(pipeline.stream)
     return tuple(streams)
+
+
+class PipelineGroup:
+    """Pipelines that take in the same records; those whose streams would give the same samples share one."""
+
+    def __init__(self, pipelines: Sequence[EstimatorPipeline[Any]]) -> None:
+        self._streams = list(share_streams(pipelines))
+        self._pipelines = [(self._streams.index(pipeline.stream), pipeline) for pipeline in pipelines]
+        self._first_ns = self._newest_ns = self._before_ns = 0
+
+    @property
+    def covered_s(self) -> float:
+        """Time covered by the samples [s]; where stamps jump back the time before counts too."""
+        return seconds(self._before_ns + self._newest_ns - self._first_ns)
+
+    def push_rows(self, rows: Iterable[Row], publish: Callable[[Output[Any]], object] | None = None) -> int:
+        """Take in rows of records; return their number. For ``publish`` see :meth:`EstimatorPipeline.take`."""
+        count = 0
+        for topic, stamp_ns, x, y, flag in rows:
+            events = [stream.push_row(topic, stamp_ns, x, y, flag) for stream in self._streams]
+            for event in events[0]:  # the others have the same stamps
+                if isinstance(event, Sample):
+                    self._cover(event.stamp_ns)
+            for place, pipeline in self._pipelines:
+                pipeline.take(events[place], publish)
+            count += 1
+        return count
+
+    def _cover(self, stamp_ns: int) -> None:
+        if stamp_ns < self._newest_ns:
+            self._before_ns += self._newest_ns - self._first_ns
+            self._first_ns = stamp_ns
+        self._first_ns = self._first_ns or stamp_ns
+        self._newest_ns = stamp_ns

@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Interface of every estimator for its drivers."""
+"""Interface of every estimator for its drivers, and what they publish."""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
 
 if TYPE_CHECKING:
-    from trainid_ros.results import Rejection
+    from trainid_ros.results import Estimate, Rejection, Status
     from trainid_ros.stream.samples import Sample
 
+EstimateT = TypeVar('EstimateT', bound='Estimate')
 EstimateT_co = TypeVar('EstimateT_co', covariant=True)
 
 
@@ -42,3 +44,25 @@ class Estimator(Protocol[EstimateT_co]):
 def step_and_estimate(estimator: Estimator[EstimateT_co], sample: Sample) -> EstimateT_co | Rejection:
     """Step an estimator; return its estimate at the speed of the sample, or why the sample was not used."""
     return estimator.step(sample) or estimator.estimate(sample.speed)
+
+
+@dataclass(frozen=True, slots=True)
+class Output(Generic[EstimateT]):
+    """What a driver publishes for one sample.
+
+    Attributes:
+        stamp_ns: Stamp of the newest sample used.
+        estimate: The estimate after that sample.
+        status: Its health.
+        used: Samples taken in by the estimator since the last reset.
+        rejected: Records and samples not used since the last reset.
+        last_rejection: The newest rejection, None if there was none.
+
+    """
+
+    stamp_ns: int
+    estimate: EstimateT
+    status: Status
+    used: int
+    rejected: int
+    last_rejection: Rejection | None

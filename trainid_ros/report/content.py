@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 from trainid_ros import __version__
 
 if TYPE_CHECKING:
-    from trainid_ros.estimators.pipeline import Output
+    from trainid_ros.estimators.protocol import Output
     from trainid_ros.report.traces import Traces
     from trainid_ros.results import BrakeRateEstimate, Reason, ResistanceEstimate, SpeedModelEstimate
     from trainid_ros.sim.truth import Truth

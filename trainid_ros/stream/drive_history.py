@@ -4,18 +4,15 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
-from trainid_ros.records import NS_PER_S
-from trainid_ros.stream.samples import Motion
+from trainid_ros.records import NS_PER_S, seconds
+from trainid_ros.stream.samples import Motion, Sample
 from trainid_ros.train.brake import MOST_CHANGES, CommandHistory, actuator_response
 from trainid_ros.train.effects import BRAKE_APPLIED, heat_after
-
-if TYPE_CHECKING:
-    from trainid_ros.stream.samples import Sample
-    from trainid_ros.train.train_file import TrainFile
+from trainid_ros.train.train_file import TrainFile
 
 # During a longer gap the train may have stood still.
 _MAX_GAP_S: Final = 10.0
@@ -53,8 +50,8 @@ class DriveHistoryTracker:
         """Start a new drive."""
         self.state = DriveHistoryState()
 
-    def follow(self, sample: Sample) -> Sample:
-        """Take in a sample; return it with the motion of the drive up to its stamp."""
+    def follow(self, sample: Sample) -> Motion:
+        """Take in a sample; return the motion of the drive up to its stamp."""
         state = self.state
         same_drive = 0 < state.stamp_ns <= sample.stamp_ns
         start_ns = state.stamp_ns if same_drive else sample.stamp_ns
@@ -62,7 +59,7 @@ class DriveHistoryTracker:
         for change in sample.brake_changes:
             if not commands.changes or change.stamp_ns >= commands.changes[-1].stamp_ns:
                 commands.push(change)
-        before, elapsed = state.motion, (sample.stamp_ns - start_ns) / NS_PER_S
+        before, elapsed = state.motion, seconds(sample.stamp_ns - start_ns)
         speed = 0.5 * (state.speed + sample.speed) if elapsed <= _MAX_GAP_S else 0.0
         brake, brake_integral = actuator_response(
             commands,
@@ -83,4 +80,4 @@ class DriveHistoryTracker:
         )
         commands.prune(sample.stamp_ns - self._delay_ns)
         self.state = DriveHistoryState(sample.stamp_ns, sample.speed, motion, commands)
-        return replace(sample, motion=motion)
+        return motion

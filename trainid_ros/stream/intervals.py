@@ -3,14 +3,10 @@
 
 from __future__ import annotations
 
-from collections import deque
 from itertools import pairwise
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from trainid_ros.records import NS_PER_S
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable
 
 _WINDOW: Final = 16
 _FEWEST: Final = 4
@@ -36,7 +32,7 @@ class LearnedInterval:
 
     def __init__(self, longest_ns: int) -> None:
         self._longest_ns = longest_ns
-        self._stamps: deque[int] = deque(maxlen=_WINDOW + 1)
+        self._stamps: list[int] = []
         self.clear()
 
     def clear(self) -> None:
@@ -45,9 +41,11 @@ class LearnedInterval:
         self._interval_ns = 0
         self._outdated = False
 
-    def see(self, stamps: Iterable[int]) -> None:
-        """Take in stamps of the topic, each once."""
-        self._stamps.extend(stamps)
+    def see(self, stamp_ns: int) -> None:
+        """Take in the stamp of a record, each once."""
+        self._stamps.append(stamp_ns)
+        if len(self._stamps) > _WINDOW + 1:
+            del self._stamps[0]
         self._outdated = True
 
     @property

@@ -9,24 +9,20 @@ file and settings can share one stream.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from enum import Enum
-from typing import TYPE_CHECKING, Final, TypeAlias
+from typing import Final, TypeAlias
 
 from trainid_ros.estimators.known_force import KnownForce
-from trainid_ros.records import NS_PER_S, row_of
+from trainid_ros.records import NS_PER_S, Record, row_of
 from trainid_ros.results import Rejection
 from trainid_ros.settings import check_settings
 from trainid_ros.stream.alignment import ONE_LOST, Aligner, AlignmentConfig, TimeJump
-from trainid_ros.stream.drive_history import DriveHistoryTracker
+from trainid_ros.stream.drive_history import DriveHistoryState, DriveHistoryTracker
 from trainid_ros.stream.samples import Sample
 from trainid_ros.stream.sensor_correction import SensorCorrection
 from trainid_ros.stream.stuck_speed import StuckSpeed
-
-if TYPE_CHECKING:
-    from trainid_ros.records import Record
-    from trainid_ros.stream.drive_history import DriveHistoryState
-    from trainid_ros.train.train_file import TrainFile
+from trainid_ros.train.train_file import TrainFile
 
 StreamEvent: TypeAlias = Sample | Rejection | TimeJump
 
@@ -74,7 +70,8 @@ class SampleStream:
             reject_jump_back=config.time_jump_policy is TimeJumpPolicy.REFUSE,
         )
         self._history = DriveHistoryTracker(config.train_file)
-        self._needs_history = bool(config.train_file.effects)
+        self._has_effects = bool(config.train_file.effects)
+        self._rejects_stuck_speed = config.rejects_stuck_speed
         self._skew_ns = round(abs(self._correction.skew_s) * NS_PER_S)
         self._clear()
 
@@ -85,7 +82,7 @@ class SampleStream:
 
     def _start_over(self) -> None:
         self._stuck = StuckSpeed(self._known)
-        self._skipped: tuple[Sample, ...] = ()
+        self._skipped: list[Sample] = []
         self._first_ns = 0
         # How far the last required topic is behind the newest stamp, beyond the correction of the force's stamps [ns].
         self._behind_ns = 0
@@ -132,32 +129,34 @@ class SampleStream:
         if self._correction.is_needed:
             stamp_ns, x, y = self._correction.correct(topic, stamp_ns, x, y)
         events = self._aligner.push_row(topic, stamp_ns, x, y, flag)
-        for i, event in enumerate(events):
+        for event in events:
             if isinstance(event, Sample):
-                events[i] = self._follow(event)
+                self._follow(event)
             elif isinstance(event, TimeJump):
                 self._jump(event)
-        newest_ns = self._aligner.newest_ns
+        newest_ns = self.newest_ns
         self._first_ns = self._first_ns or newest_ns
         self._behind_ns = newest_ns - (self._aligner.complete_ns or self._first_ns) - self._skew_ns
         return events
 
-    def _follow(self, sample: Sample) -> Sample:
-        if self._needs_history:
-            sample = self._history.follow(sample)
-        if not self.config.rejects_stuck_speed:
-            return sample
-        rejection = self._stuck.reject(sample)
-        if rejection is not None:
-            self._skipped = (*self._skipped, sample)[-_MOST_SKIPPED:]
-            return replace(sample, rejection=rejection)
-        return self._after_skipped(sample) if self._skipped else sample
+    def _follow(self, sample: Sample) -> None:
+        """Complete a sample."""
+        if self._has_effects:
+            sample.motion = self._history.follow(sample)
+            sample.extra = self._known.extra(sample)
+        if not self._rejects_stuck_speed:
+            return
+        sample.rejection = self._stuck.reject(sample)
+        if sample.rejection is not None:
+            self._skipped = [*self._skipped, sample][-_MOST_SKIPPED:]
+        elif self._skipped:
+            self._follow_skipped(sample)
 
-    def _after_skipped(self, sample: Sample) -> Sample:
-        """Return a sample as it looks to who has not seen those before it."""
-        skipped, self._skipped = self._skipped, ()
-        changes = tuple(change for item in (*skipped, sample) for change in item.brake_changes)
-        return replace(sample, dt=math.nan, brake_changes=changes, brake_gap=True)
+    def _follow_skipped(self, sample: Sample) -> None:
+        """Let a sample look as to who has not seen those before it."""
+        changes = [change for item in (*self._skipped, sample) for change in item.brake_changes]
+        self._skipped = []
+        sample.dt, sample.brake_changes, sample.brake_gap = math.nan, tuple(changes), True
 
     def _jump(self, jump: TimeJump) -> None:
         """Follow a jump of the stamps by the policy; the aligner has started over already."""

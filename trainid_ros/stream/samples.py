@@ -4,11 +4,10 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from dataclasses import dataclass, field
+from typing import Final
 
-if TYPE_CHECKING:
-    from trainid_ros.results import Rejection
+from trainid_ros.results import Rejection
 
 SAMPLE_PERIOD: Final = 0.2
 STANDING: Final = 0.5
@@ -46,7 +45,7 @@ class Motion:
 NO_HISTORY: Final = Motion()
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class Sample:
     """All inputs brought to the stamp of one speed measurement.
 
@@ -72,6 +71,7 @@ class Sample:
         force_interval: Time between the two reports of the force around the stamp [s], 0 if not known.
         stood_since_weighing: True if the train has come to a stop since the mass was weighed.
         rejection: Why its speed cannot be used (a stuck sensor), None if it can.
+        extra: Resistance of the effects of the stream's train file, without brake force [N/kN]; NaN if not evaluated.
 
     """
 
@@ -96,6 +96,55 @@ class Sample:
     force_interval: float = 0.0
     stood_since_weighing: bool = False
     rejection: Rejection | None = None
+    extra: float = field(default=math.nan, init=False, repr=False, compare=False)
+
+    # The constructor that a dataclass writes for itself is not compiled, and a sample is made five times a second.
+    def __init__(
+        self,
+        stamp_ns: int,
+        dt: float,
+        speed: float,
+        position: float,
+        direction: int,
+        force: float,
+        force_mean: float,
+        gradient: float,
+        gradient_mean: float,
+        curve_radius: float,
+        tunnel: bool,
+        mass: float,
+        brake_command: float,
+        brake_changes: tuple[BrakeCommandChange, ...],
+        brake_gap: bool,
+        emergency: bool,
+        motion: Motion = NO_HISTORY,
+        curvature_mean: float = math.nan,
+        force_interval: float = 0.0,
+        stood_since_weighing: bool = False,
+        rejection: Rejection | None = None,
+    ) -> None:
+        self.stamp_ns = stamp_ns
+        self.dt = dt
+        self.speed = speed
+        self.position = position
+        self.direction = direction
+        self.force = force
+        self.force_mean = force_mean
+        self.gradient = gradient
+        self.gradient_mean = gradient_mean
+        self.curve_radius = curve_radius
+        self.tunnel = tunnel
+        self.mass = mass
+        self.brake_command = brake_command
+        self.brake_changes = brake_changes
+        self.brake_gap = brake_gap
+        self.emergency = emergency
+        self.motion = motion
+        self.curvature_mean = curvature_mean
+        self.force_interval = force_interval
+        self.stood_since_weighing = stood_since_weighing
+        self.rejection = rejection
+        self.extra = math.nan
 
     @property
     def weighed(self) -> bool:

@@ -22,6 +22,7 @@ class SensorCorrection:
 
     Attributes:
         skew_s: Delay of the stamps of the force [s].
+        is_needed: True if any record needs a correction.
 
     """
 
@@ -29,6 +30,7 @@ class SensorCorrection:
         self.skew_s = effect_value(effects, 'stamp_skew', 'delay', 0.0)
         self._skew_ns = round(self.skew_s * NS_PER_S)
         self._ratio = effect_value(effects, 'wheel_diameter', 'ratio', 1.0)
+        self.is_needed = self._ratio != 1.0 or self._skew_ns != 0
         self.reset()
 
     def reset(self) -> None:
@@ -39,15 +41,11 @@ class SensorCorrection:
         """Return alignment settings whose ``max_lag`` allows for the shift of the corrected stamps."""
         return replace(alignment, max_lag=alignment.max_lag + abs(self.skew_s))
 
-    @property
-    def is_needed(self) -> bool:
-        """True if any record needs a correction."""
-        return self._ratio != 1.0 or self._skew_ns != 0
-
     def correct(self, topic: int, stamp_ns: int, x: float, y: float) -> tuple[int, float, float]:
         """Return stamp and numbers of a record, corrected where needed; see :data:`~trainid_ros.records.Row`."""
         if topic == SPEED and self._ratio != 1.0:
-            return stamp_ns, *self._correct_speed(x, y)
+            speed, position = self._correct_speed(x, y)
+            return stamp_ns, speed, position
         if topic == FORCE and stamp_ns > 0:  # a zero stamp stays one, to be rejected
             return stamp_ns - self._skew_ns, x, y
         return stamp_ns, x, y

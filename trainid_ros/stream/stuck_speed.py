@@ -8,14 +8,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
+from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.results import Reason, Rejection
+from trainid_ros.stream.samples import Sample
 from trainid_ros.train.davis import davis
-
-if TYPE_CHECKING:
-    from trainid_ros.estimators.known_force import KnownForce
-    from trainid_ros.stream.samples import Sample
 
 # A slower train may be at rest, where a constant speed is no fault [m/s].
 _MIN_SPEED: Final = 0.5

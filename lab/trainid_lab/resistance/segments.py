@@ -177,7 +177,7 @@ def observe(
     v, slope, S_tt = rows.T
     acceleration = speed_unit * slope
     # (5), corrected
-    y = -specific_inertia(acceleration, rotary_mass) - gradient
+    y = -specific_inertia(1.0, rotary_mass) * acceleration - gradient
     return Observations(v, y, S_tt)
 
 

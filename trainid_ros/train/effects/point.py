@@ -18,9 +18,11 @@ def _zero(_: float) -> float:
     return 0.0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class TrackPoint:
     """Position and motion of the train at one time; unknown values have neutral defaults.
+
+    Live estimators use one object for all times: an effect must not keep it.
 
     Attributes:
         time_s: Time since the start [s].
