@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -30,7 +31,7 @@ def samples(speeds: Sequence[float], changes: dict[int, dict[str, Any]] | None =
             'stamp_ns': START + k * NS_PER_S // 5, 'dt': math.nan if k == 0 else 0.2, 'speed': speed,
             'position': position, **(changes or {}).get(k, {}),
         }  # fmt: skip
-        made.append(Sample(**({name: getattr(PLAIN, name) for name in Sample.__slots__} | fields)))
+        made.append(replace(PLAIN, **fields))
     return made
 
 

@@ -3,10 +3,13 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import sys
 from pathlib import Path
 from xml.etree import ElementTree
+
+from trainid_ros.compiled import SWITCH
 
 ROOT = Path(__file__).resolve().parents[2]
 # Python package and the deb that holds it.
@@ -64,10 +67,10 @@ assert all(pipeline.used for pipeline in pipelines)
 """
 
 
-def loaded(work: str) -> set[str]:
-    """Return the third-party packages that code loads in a fresh interpreter."""
-    code = CODE.format(work=work)
-    done = subprocess.run([sys.executable, '-c', code], capture_output=True, text=True, timeout=100, check=False)
+def loaded(work: str, compiled: str = '0') -> set[str]:
+    """Return the third-party packages that code loads in a fresh interpreter, by default with uncompiled modules."""
+    command, env = [sys.executable, '-c', CODE.format(work=work)], os.environ | {SWITCH: compiled}
+    done = subprocess.run(command, env=env, capture_output=True, text=True, timeout=100, check=False)
     assert done.returncode == 0, done.stderr
     return set(done.stdout.split()) - OURS
 
@@ -83,6 +86,10 @@ def test_driving_loads_nothing_more() -> None:
     found = loaded(DRIVE)
     assert not found & NEVER
     assert found <= {*UBUNTU, *JAZZY}
+
+
+def test_compiled_modules_need_only_the_library_of_mypyc_besides() -> None:
+    assert loaded(IMPORTS, compiled='1') <= {*UBUNTU, *JAZZY, 'librt', 'mypy_extensions'}
 
 
 def test_package_xml_names_the_packages_of_ubuntu() -> None:

@@ -125,17 +125,23 @@ def test_the_stream_evaluates_effects_once_for_all_estimators(metro: TrainFile, 
 
 
 def test_an_estimate_is_computed_once_a_sample_and_only_if_somebody_looks(
-    metro: TrainFile, day: tuple[Record, ...], monkeypatch: pytest.MonkeyPatch
+    metro: TrainFile, day: tuple[Record, ...]
 ) -> None:
-    pipeline = resistance_pipeline(metro, SETTINGS)
+    estimator = resistance_pipeline(metro, SETTINGS).estimator
     calls: list[float] = []
-    estimate = pipeline.estimator.estimate
 
-    def counted(speed: float) -> Any:
-        calls.append(speed)
-        return estimate(speed)
+    class Counted:
+        """The estimator, counting its estimates."""
 
-    monkeypatch.setattr(pipeline.estimator, 'estimate', counted)
+        def __getattr__(self, name: str) -> Any:
+            return getattr(estimator, name)
+
+        def estimate(self, speed: float) -> Any:
+            calls.append(speed)
+            return estimator.estimate(speed)
+
+    pipeline = EstimatorPipeline[Any](Counted(), SampleStream(StreamConfig(metro)), SETTINGS.pipeline)
+    calls.clear()
     for record in day[:2000]:
         pipeline.take(pipeline.stream.push(record))
     assert pipeline.samples > 300
