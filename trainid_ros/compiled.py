@@ -53,6 +53,7 @@ MODULES: Final = (
     'resistance/vmils',
     'resistance/window_learner',
     'results',
+    'scalars',
     'speed_model/am_vff_rls',
     'speed_model/method',
     'speed_model/nuisance_parameters',

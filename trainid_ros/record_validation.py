@@ -8,6 +8,7 @@ from typing import Final
 
 from trainid_ros.records import GRADIENT, SPEED
 from trainid_ros.results import Reason, Rejection
+from trainid_ros.scalars import is_finite
 
 # Wider than any railway, so that only impossible values are rejected. Of the first number of a record, by topic.
 _LIMITS: tuple[tuple[float, float], ...] = (
@@ -37,6 +38,6 @@ def find_fault(topic: int, stamp_ns: int, x: float, y: float) -> Rejection | Non
 
 
 def _out_of_range(stamp_ns: int, value: float, low: float, high: float) -> Rejection:
-    if not math.isfinite(value):
+    if not is_finite(value):
         return Rejection(stamp_ns, Reason.NOT_FINITE, value, math.nan)
     return Rejection(stamp_ns, Reason.OUT_OF_RANGE, value, low if value < low else high)

@@ -8,8 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import islice
-from operator import itemgetter
+from itertools import chain, islice
 from typing import TYPE_CHECKING, Final, Generic, NamedTuple, Protocol
 
 from trainid_ros.bag.reader import LoggedRecord, require_topics
@@ -145,8 +144,9 @@ def replay_through(
     resistance, speed_model, brake_rate = pipelines
     group, watch, records = PipelineGroup(pipelines), _Watch(observers), 0
     priors = (resistance.current().estimate, speed_model.current().estimate, brake_rate.current().estimate)
-    logged = reader.rows(_end_ns(reader, duration_s))
-    rows = watch.rows(logged) if observers else map(itemgetter(1), logged)
+    end_ns = _end_ns(reader, duration_s)
+    by_table = chain.from_iterable(table.rows() for table in reader.tables(end_ns))
+    rows = watch.rows(reader.rows(end_ns)) if observers else by_table
     while count := group.push_rows(islice(rows, _PROGRESS_EVERY), watch.publish if observers else None):
         records += count
         if progress is not None:

@@ -4,7 +4,6 @@
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
 from dataclasses import dataclass
 from heapq import heappop, heappush
 from operator import itemgetter
@@ -37,6 +36,7 @@ _OURS: Final = {topic.name: topic.message for topic in INPUT_TOPICS} | {
 _INPUT_NAMES: Final = frozenset(topic.name for topic in INPUT_TOPICS)
 _TOPIC_NUMBERS: Final = {topic.name: number for number, topic in enumerate(INPUT_TOPICS)}
 _NO_ROWS: Final = np.empty(0, dtype=np.intp)
+_MAX_LOG_NS: Final = 2**64 - 1
 _IDL_LINE: Final = '=' * 80 + '\n'
 
 
@@ -180,28 +180,26 @@ class BagReader:
             InputError: A message cannot be read.
 
         """
-        for table in self.tables():
-            logs = table.log_ns.tolist()
-            count = len(logs) if last_ns >= logs[-1] else bisect_right(logs, last_ns)
-            yield from zip(logs[:count], table[:count].rows(), strict=True)
-            if count < len(logs):
-                return
+        for table in self.tables(last_ns):
+            yield from zip(table.log_ns.tolist(), table.rows(), strict=True)
 
-    def tables(self) -> Iterator[RecordTable]:
-        """Yield what :meth:`records` yields, as tables of many records each.
+    def tables(self, last_ns: float = math.inf) -> Iterator[RecordTable]:
+        """Yield what :meth:`records` yields, up to a log time [ns], as tables of many records each.
 
         Raises:
             InputError: A message cannot be read.
 
         """
-        pending = EMPTY
+        pending, end_ns = EMPTY, np.uint64(min(last_ns, _MAX_LOG_NS))
         for first_ns, index, segment in self._segments():
             ready = int(np.searchsorted(pending.log_ns, np.uint64(first_ns)))
             if ready:
-                yield pending[:ready]
+                yield pending[: min(ready, int(np.searchsorted(pending.log_ns, end_ns, side='right')))]
+            if first_ns > last_ns:
+                return
             pending = joined((pending[ready:], self._table(index, segment)))
-        if len(pending):
-            yield pending
+        if count := int(np.searchsorted(pending.log_ns, end_ns, side='right')):
+            yield pending[:count]
 
     def _segments(self) -> list[tuple[int, int, Segment]]:
         """Return first log time, number of the file and segment, by first log time."""

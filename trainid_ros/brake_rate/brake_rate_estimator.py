@@ -25,6 +25,7 @@ from trainid_ros.brake_rate.timing import Timing, TimingStep
 from trainid_ros.estimators.speed_noise import SpeedNoise
 from trainid_ros.records import NS_PER_S
 from trainid_ros.results import BrakeRateEstimate, Reason, Rejection
+from trainid_ros.scalars import is_finite
 from trainid_ros.settings import check_settings
 from trainid_ros.state import check_not_negative, check_numbers, check_restored, decode, encode
 from trainid_ros.train.brake import CommandHistory
@@ -214,7 +215,7 @@ class BrakeRateEstimator:
             return Rejection(sample.stamp_ns, Reason.GAP, sample.dt, math.nan)
         if not sample.speed >= self._least_speed:
             return Rejection(sample.stamp_ns, Reason.STANDSTILL, sample.speed, self._least_speed)
-        if not math.isfinite(sample.brake_command):
+        if not is_finite(sample.brake_command):
             return Rejection(sample.stamp_ns, Reason.BRAKE_COMMAND_MISSING, sample.brake_command, math.nan)
         if self.state.certain_ns > sample.stamp_ns:
             uncertain_s = (self.state.certain_ns - sample.stamp_ns) / NS_PER_S
@@ -223,9 +224,9 @@ class BrakeRateEstimator:
 
     def _unusable(self, sample: Sample) -> Rejection | None:
         """Return a rejection if a force that acts is not known."""
-        if not math.isfinite(sample.gradient_mean):
+        if not is_finite(sample.gradient_mean):
             return Rejection(sample.stamp_ns, Reason.GRADIENT_MISSING, sample.gradient_mean, math.nan)
-        if not math.isfinite(sample.force_mean):
+        if not is_finite(sample.force_mean):
             return Rejection(sample.stamp_ns, Reason.FORCE_MISSING, sample.force_mean, math.nan)
         known = self._model.known
         if not known.is_possible(sample):

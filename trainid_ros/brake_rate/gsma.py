@@ -9,7 +9,6 @@ detects a jump within seconds; without jumps it is the exact filter except for s
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import dataclass
 from statistics import NormalDist
 from typing import TYPE_CHECKING, Final
@@ -24,6 +23,7 @@ from trainid_ros.brake_rate.jumps import drifts, transition
 from trainid_ros.brake_rate.motion_model import true_brake
 from trainid_ros.brake_rate.posterior import NO_ERRORS, STATES, Errors, Start, Transition
 from trainid_ros.errors import InputError
+from trainid_ros.scalars import is_finite
 from trainid_ros.settings import check_settings
 from trainid_ros.state import check_not_negative, check_numbers, check_restored, decode, encode, is_covariance_matrix
 from trainid_ros.vectors import vec
@@ -174,7 +174,7 @@ class GsmaPosterior:
     def learn(self, interval: Transition, elapsed: float, speed: float, r: float) -> bool:
         """Update with a measured speed [m/s] of variance r [(m/s)^2]: one step of GSMA, eqs. (14)-(22)."""
         mean, variance = self.predicted()
-        if not math.isfinite(speed - mean + variance):
+        if not is_finite(speed - mean + variance):
             return False
         dt, calm, pause = interval.dt, interval.calm, elapsed - interval.dt
         if pause > LEAST_PAUSE:

@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING, Final
 
 from trainid_ros.brake_rate.posterior import ERRORS, Errors, Transition
 from trainid_ros.estimators.known_force import KnownForce
+from trainid_ros.scalars import is_finite
 from trainid_ros.train.effects import effect_value
 from trainid_ros.vectors import vec
 
@@ -153,7 +154,7 @@ class MotionModel:
         step.dt = dt
         step.reach, step.decay = motion.reach * gain / before, motion.decay * gain / before
         step.gain_v, step.gain_a = gain * motion.gain_v, gain * motion.gain_a
-        step.rho, step.known = rho, known if math.isfinite(known) else 0.0
+        step.rho, step.known = rho, known if is_finite(known) else 0.0
         step.q_v = slack * dt + rate * rate * self._timing_variance(motion, timing, dt, v)
         step.q_b = variance * (1.0 - rho * rho)
         lean, braked = step.lean, gain * nominal

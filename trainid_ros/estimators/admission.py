@@ -12,6 +12,7 @@ from typing import Final
 from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.records import NS_PER_S
 from trainid_ros.results import Reason, Rejection
+from trainid_ros.scalars import is_finite
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.effects import effect_value
 
@@ -56,13 +57,13 @@ class Admission:
         stamp_ns = sample.stamp_ns
         if math.isnan(sample.dt):
             return Rejection(stamp_ns, Reason.GAP, sample.dt, math.nan)
-        if not math.isfinite(sample.force_mean):
+        if not is_finite(sample.force_mean):
             return Rejection(stamp_ns, Reason.FORCE_MISSING, sample.force_mean, math.nan)
         if not self.known.is_possible(sample):
             return Rejection(stamp_ns, Reason.OUT_OF_RANGE, sample.force_mean, self.known.largest_force(sample))
-        if not math.isfinite(sample.gradient_mean):
+        if not is_finite(sample.gradient_mean):
             return Rejection(stamp_ns, Reason.GRADIENT_MISSING, sample.gradient_mean, math.nan)
-        if not math.isfinite(sample.brake_command):
+        if not is_finite(sample.brake_command):
             return Rejection(stamp_ns, Reason.BRAKE_COMMAND_MISSING, sample.brake_command, math.nan)
         return None
 

@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
+from trainid_ros.scalars import is_finite
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.davis import G, specific_force, specific_inertia
 from trainid_ros.train.effects import BRAKE_APPLIED, TrackPoint, resistance_terms
@@ -46,7 +47,7 @@ class KnownForce:
 
     def mass(self, sample: Sample) -> float:
         """Return the weighed mass, or that of the train file if there is none [kg]."""
-        return sample.mass if math.isfinite(sample.mass) else self._mass
+        return sample.mass if is_finite(sample.mass) else self._mass
 
     def traction(self, force: float, sample: Sample) -> float:
         """Return 1000 F/(M g) [N/kN] of a reported force [N]."""
@@ -113,7 +114,7 @@ class KnownForce:
         The line profile gives its change from the measured gradient; without line or position it is constant.
         """
         line, here, direction = self._line, self._point.position, self._point.direction
-        if line is None or not math.isfinite(here):
+        if line is None or not is_finite(here):
             return self._gradient
         offset = self._gradient - line.gradient(here, direction)
         return offset + line.gradient(here + direction * distance, direction)

@@ -29,6 +29,7 @@ from trainid_ros.resistance.long_run_variance import Inflation
 from trainid_ros.resistance.saved_states import MAX_STRIDE, FilterBankState
 from trainid_ros.resistance.speed_states import DELTA, KAPPA, KAPPA_R, STATES, A, B, C, Interval, ProcessNoise, Tick
 from trainid_ros.results import Reason, Rejection
+from trainid_ros.scalars import is_finite
 from trainid_ros.settings import check_settings
 from trainid_ros.state import decode, encode
 from trainid_ros.stream.samples import STANDING
@@ -166,7 +167,7 @@ class FilterBank:
             force_interval=tick.force_interval,
         )
         innovation = self.bank.advance(interval)
-        if not math.isfinite(innovation.variance):
+        if not is_finite(innovation.variance):
             self.bank.reset()
             # The estimate is lost, so it is not fit to use, and the driven speeds are cleared.
             self._driven, self._inflation = DrivenSpeeds(), Inflation()

@@ -39,6 +39,7 @@ from trainid_ros.resistance.speed_states import (
     entry,
     speed_filter,
 )
+from trainid_ros.scalars import is_finite
 from trainid_ros.vectors import append, i64, vec
 
 Array = NDArray[np.float64]
@@ -225,7 +226,7 @@ class Bank:
         for item in self.hypotheses:
             item.filter.predict(over)
         innovation = self._innovation(interval)
-        if not math.isfinite(innovation.variance):
+        if not is_finite(innovation.variance):
             return innovation
         best, most = self.hypotheses[0], -math.inf
         for item in self.hypotheses:

@@ -31,6 +31,7 @@ from trainid_ros.resistance.speed_window import (
     overlap_factor,
 )
 from trainid_ros.results import Reason, Rejection
+from trainid_ros.scalars import is_finite
 from trainid_ros.vectors import vec
 
 if TYPE_CHECKING:
@@ -151,7 +152,7 @@ class WindowLearner:
         noise, slow = self._noise_of(observed, cut)
         expected, variance = tracker.estimate.predict(phi)
         nu, S = observed.y - expected, variance + noise
-        if not math.isfinite(nu * nu / S):
+        if not is_finite(nu * nu / S):
             return Rejection(stamp_ns, Reason.NUMERICAL, nu, math.nan)
         weight = tracker.update(phi, observed.y, noise, slow)
         self.innovation, self.innovation_variance = nu, S

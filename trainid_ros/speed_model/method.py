@@ -3,9 +3,9 @@
 
 from __future__ import annotations
 
-import math
 from typing import Protocol, TypeAlias
 
+from trainid_ros.scalars import is_finite
 from trainid_ros.speed_model.physical_parameters import Symmetric, Theta
 
 Numbers: TypeAlias = tuple[float, ...]
@@ -81,4 +81,4 @@ def is_usable(method: Method, variance: float) -> bool:
     """
     S = method.covariance(variance)
     positive = method.theta()[2] > 0.0 and min(S[0], S[4], S[7], S[9]) > 0.0
-    return positive and math.isfinite(sum(method.numbers()))
+    return positive and is_finite(sum(method.numbers()))

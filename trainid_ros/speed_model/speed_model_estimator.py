@@ -14,6 +14,7 @@ from trainid_ros.estimators.speed_noise import SpeedNoise
 from trainid_ros.resistance.fitness import is_fit, representative_speeds
 from trainid_ros.resistance.force_errors import CURVE_RADIUS, curve_std
 from trainid_ros.results import Reason, Rejection, SpeedModelEstimate
+from trainid_ros.scalars import is_finite
 from trainid_ros.settings import check_settings
 from trainid_ros.speed_model.am_vff_rls import AuxiliaryModel
 from trainid_ros.speed_model.method import Learned, Method, Numbers, is_usable
@@ -209,7 +210,7 @@ class SpeedModelEstimator:
         kind = 'SpeedModelState'
         # The algorithms as printed can diverge before they restart, so these values are only required to be finite.
         for name in ('forgetting', 'predicted', 'error', 'variance'):
-            check_restored(math.isfinite(getattr(state, name)), kind, name)
+            check_restored(is_finite(getattr(state, name)), kind, name)
         bounded = replace(state, numbers=(), forgetting=1.0, predicted=0.0, error=0.0, variance=0.0)
         check_numbers(bounded, may_be_nan=('dt',))  # dt of the noise is NaN after a gap
         check_restored(state.noise.is_valid(), kind, 'noise')
@@ -252,7 +253,7 @@ class SpeedModelEstimator:
         """Store speed, track resistance and curvature of a sample."""
         speed, dt = sample.speed, sample.dt
         track, curve = self._known.track(sample), CURVE_RADIUS * sample.curvature
-        if not (math.isfinite(track) and math.isfinite(curve)):
+        if not (is_finite(track) and is_finite(curve)):
             track = curve = 0.0
         self.state.noise.add(speed, dt)
         self._recent.add(dt, speed, track, curve)
@@ -260,7 +261,7 @@ class SpeedModelEstimator:
     def _model_step(self, sample: Sample) -> ModelStep:
         """Return the step to a sample; the mean of the traction is used for its end if the force there is missing."""
         mean = self._known.traction(sample.force_mean, sample)
-        end = self._known.traction(sample.force, sample) if math.isfinite(sample.force) else mean
+        end = self._known.traction(sample.force, sample) if is_finite(sample.force) else mean
         step = ModelStep(sample.dt, end, mean)
         if self._auxiliary is not None:
             scale, x = step.scale, self._auxiliary.speed()
@@ -375,7 +376,7 @@ class SpeedModelEstimator:
             method.widen_load(self._load_share())
         self._end_window()
         state.predicted, state.error, state.variance = y, 0.0, 0.0
-        if math.isfinite(step.traction):
+        if is_finite(step.traction):
             state.traction = step.traction
 
     def _end_window(self) -> None:
@@ -401,9 +402,9 @@ class SpeedModelEstimator:
         if accepted:
             self._end_window()
             state.rejected_in_a_row = 0
-        state.predicted = learned.predicted if math.isfinite(learned.predicted) else y
-        state.error = learned.error if math.isfinite(learned.error) else 0.0
-        state.variance = learned.variance if math.isfinite(learned.variance) else 0.0
+        state.predicted = learned.predicted if is_finite(learned.predicted) else y
+        state.error = learned.error if is_finite(learned.error) else 0.0
+        state.variance = learned.variance if is_finite(learned.variance) else 0.0
         state.traction = step.traction
 
     @property

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from trainid_ros.results import Rejection
+from trainid_ros.scalars import is_finite
 
 SAMPLE_PERIOD: Final = 0.2
 STANDING: Final = 0.5
@@ -149,7 +150,7 @@ class Sample:
     @property
     def weighed(self) -> bool:
         """True if the present load was weighed; a mass from before the last stop is that of other passengers."""
-        return math.isfinite(self.mass) and not self.stood_since_weighing
+        return is_finite(self.mass) and not self.stood_since_weighing
 
     @property
     def curvature(self) -> float:

@@ -12,6 +12,7 @@ from typing import Final
 
 from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.results import Reason, Rejection
+from trainid_ros.scalars import is_finite
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.davis import davis
 
@@ -42,7 +43,7 @@ class StuckSpeed:
             self.speed, self.missing = sample.speed, 0.0
             return None
         expected = self._acceleration(sample) * sample.dt
-        if math.isfinite(expected):
+        if is_finite(expected):
             self.missing += expected
         if abs(self.missing) <= _MAX_MISSING:
             return None

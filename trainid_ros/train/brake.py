@@ -13,6 +13,7 @@ from typing import Final
 
 from trainid_ros.errors import InputError
 from trainid_ros.records import NS_PER_S
+from trainid_ros.scalars import is_finite
 from trainid_ros.state import several
 from trainid_ros.stream.samples import BrakeCommandChange
 
@@ -38,7 +39,7 @@ class CommandHistory:
 
         """
         value = change.target_acceleration
-        if not (math.isfinite(value) and value <= 0.0):
+        if not (is_finite(value) and value <= 0.0):
             msg = f'target_acceleration = {value:g} m/s^2 must be finite and <= 0'
             raise InputError(msg)
         kept = self.changes
