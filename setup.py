@@ -85,9 +85,9 @@ setup(
     entry_points={
         'console_scripts': [
             'trainid = trainid_ros.cli.main:main',
-            'resistance_estimator = trainid_ros.ros.resistance_node:main',
-            'speed_model_estimator = trainid_ros.ros.speed_model_node:main',
-            'brake_rate_estimator = trainid_ros.ros.brake_rate_node:main',
+            'resistance_estimator = trainid_ros.ros.estimator_nodes:resistance_main',
+            'speed_model_estimator = trainid_ros.ros.estimator_nodes:speed_model_main',
+            'brake_rate_estimator = trainid_ros.ros.estimator_nodes:brake_rate_main',
             'train_simulator = trainid_ros.ros.train_simulator:main',
             'bag_player = trainid_ros.ros.bag_player:main',
         ],

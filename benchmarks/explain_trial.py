@@ -20,7 +20,7 @@ from trainid_ros.train.train_file import parse_train_file
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
-    from trainid_ros.explain.explanation import Explanation, FoundEffect
+    from trainid_ros.explain.result import Explanation, FoundEffect
     from trainid_ros.explain.run_data import Run
     from trainid_ros.records import Record
     from trainid_ros.train.train_file import NamedValues, TrainFile

@@ -25,12 +25,10 @@ from trainid_msgs import msg as trainid_msgs
 
 from benchmarks.days import TRAIN_FILE, simulated_day
 from benchmarks.tables import Table
-from trainid_ros.demo.domain import free_domain
-from trainid_ros.demo.processes import ProcessGroup
+from trainid_ros.demo.processes import ProcessGroup, free_domain
 from trainid_ros.messages import OUTPUT_TOPICS, stamp_of
 from trainid_ros.records import INPUT_TOPICS, NS_PER_S
-from trainid_ros.ros import qos
-from trainid_ros.ros.conversion import message_class, message_from_record
+from trainid_ros.ros.topics import estimate_qos, message_class, message_from_record, source_qos
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig
 from trainid_ros.stream.samples import Sample
 
@@ -125,16 +123,14 @@ class _Meter:
         rclpy.init(context=self._context, args=[], signal_handler_options=SignalHandlerOptions.NO)
         self._node = rclpy.create_node('benchmark', context=self._context)
         self._publishers = {
-            topic.record: self._node.create_publisher(message_class(topic), topic.name, qos.source_qos())
+            topic.record: self._node.create_publisher(message_class(topic), topic.name, source_qos())
             for topic in INPUT_TOPICS
         }
         self.sent_ns: dict[int, int] = {}
         self.received_ns: dict[str, dict[int, int]] = {topic.name: {} for topic in OUTPUT_TOPICS}
         for topic in OUTPUT_TOPICS:
             receiver = self._receiver(self.received_ns[topic.name])
-            self._node.create_subscription(
-                getattr(trainid_msgs, topic.message), topic.name, receiver, qos.estimate_qos()
-            )
+            self._node.create_subscription(getattr(trainid_msgs, topic.message), topic.name, receiver, estimate_qos())
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(self._node)
         self._thread = threading.Thread(target=self._spin)

@@ -13,7 +13,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trainid_ros.explain.explanation import (
+from trainid_lab.yizhuang_day import yizhuang_day
+from trainid_ros.explain.result import (
     Alternative,
     Explanation,
     FoundEffect,
@@ -26,7 +27,6 @@ from trainid_ros.explain.explanation import (
 )
 from trainid_ros.records import NS_PER_S, Record
 from trainid_ros.sim.scenario import simulate
-from trainid_ros.sim.yizhuang_day import yizhuang_day
 from trainid_ros.stream.samples import BrakeCommandChange, Sample
 from trainid_ros.train.train_file import Brake, Davis, Effect, Line, Train, TrainFile, load_train_file
 

@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 import pytest
 
+from trainid_lab.yizhuang_day import yizhuang_day
 from trainid_ros.compiled import SWITCH, uses_sources
 from trainid_ros.estimators.pipeline import (
     EstimatorSettings,
@@ -27,11 +28,10 @@ from trainid_ros.estimators.pipeline import (
 from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord, row_of
 from trainid_ros.results import Reason, Rejection
 from trainid_ros.sim.scenario import simulate
-from trainid_ros.sim.yizhuang_day import yizhuang_day
 from trainid_ros.stream import alignment
 from trainid_ros.stream.alignment import TimeJump
 from trainid_ros.stream.samples import Sample
-from trainid_ros.train.effect_text import parse_effects
+from trainid_ros.train.effects import parse_effects
 from trainid_ros.train.train_file import TrainFile, load_train_file
 
 if TYPE_CHECKING:

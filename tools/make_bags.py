@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from trainid_lab.yizhuang_day import RUNS, yizhuang_day
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.sim.scenario import simulate
 from trainid_ros.sim.truth import save_truth
-from trainid_ros.sim.yizhuang_day import RUNS, yizhuang_day
 from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:

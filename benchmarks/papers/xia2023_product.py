@@ -20,11 +20,11 @@ from trainid_lab.resistance.trajectory.levenberg import integrated_least_squares
 from trainid_lab.resistance.trajectory.stages import Coefficients, Stages
 from trainid_lab.resistance.trajectory.two_window import TwoWindow
 from trainid_lab.resistance.trajectory.window import RowNoise, WindowPrior, fit_rows
+from trainid_lab.yizhuang_day import DRY, yizhuang_day
 from trainid_ros.resistance.trajectory.davis_fit import DavisFitConfig, fit_davis
 from trainid_ros.resistance.trajectory.pieces import PieceCollector, Trajectory
 from trainid_ros.results import Reason
 from trainid_ros.sim.scenario import simulate
-from trainid_ros.sim.yizhuang_day import DRY, yizhuang_day
 
 if TYPE_CHECKING:
     from collections.abc import Callable

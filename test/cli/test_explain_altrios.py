@@ -11,11 +11,9 @@ import pytest
 
 from trainid_ros.bag.run_reader import read_runs
 from trainid_ros.cli.explain import explain_runs
-from trainid_ros.explain.dataset import assemble
-from trainid_ros.explain.effect_evaluation import EffectEvaluator
-from trainid_ros.explain.explanation import Explanation, Verdict
 from trainid_ros.explain.model import Model
-from trainid_ros.explain.nuisances import DAVIS
+from trainid_ros.explain.noise import DAVIS
+from trainid_ros.explain.result import Explanation, Verdict
 from trainid_ros.sim.truth import load_truth
 from trainid_ros.train.davis import davis
 from trainid_ros.train.train_file import TrainFile, load_train_file
@@ -29,9 +27,7 @@ def explained(stated: TrainFile) -> Explanation:
 
 def resistance_std(stated: TrainFile, speeds: tuple[float, ...]) -> list[float]:
     """Return standard deviations of the refitted w(v), including the correlations of a, b and c."""
-    points = EffectEvaluator(assemble(read_runs([BAG], stated), stated), stated)
-    points = EffectEvaluator(assemble(points.dataset.runs, stated, points.total(stated.effects)), stated)
-    model = Model(points, stated)
+    model = Model.of(read_runs([BAG], stated), stated)
     sizes, _ = model.evidence().maximise()
     _, covariance = model.posterior(sizes, model.whitener(sizes))
     powers = np.power.outer(np.array(speeds), np.arange(3.0))

@@ -12,7 +12,7 @@ import pytest
 from trainid_ros.cli.demo import summary
 from trainid_ros.cli.main import main
 from trainid_ros.demo.hidden import HIDDEN, HiddenCase
-from trainid_ros.explain.explanation import Explanation
+from trainid_ros.explain.result import Explanation
 from trainid_ros.train.train_file import TrainFile
 
 

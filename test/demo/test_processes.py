@@ -14,8 +14,7 @@ from pathlib import Path
 import pytest
 
 from trainid_ros.demo import processes
-from trainid_ros.demo.domain import free_domain
-from trainid_ros.demo.processes import ProcessGroup
+from trainid_ros.demo.processes import ProcessGroup, free_domain
 
 # Reached only by failures: a busy machine may stall a process for seconds.
 DEADLINE_S = 50.0
@@ -83,9 +82,8 @@ def test_child_ends_with_a_parent_that_was_killed() -> None:
     code = (
         'import sys, time\n'
         'from pathlib import Path\n'
-        'from trainid_ros.demo import child\n'
         'import subprocess, os\n'
-        'run = "import os,sys,time; from trainid_ros.demo.child import die_with; die_with(int(sys.argv[1]));"\n'
+        'run = "import os,sys,time; from trainid_ros.demo.processes import die_with; die_with(int(sys.argv[1]));"\n'
         'run += "print(os.getpid(), flush=True); time.sleep(60)"\n'
         'p = subprocess.Popen([sys.executable, "-c", run, str(os.getpid())], start_new_session=True)\n'
         'time.sleep(60)\n'

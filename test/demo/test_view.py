@@ -12,7 +12,7 @@ import yaml
 from rich.console import Console
 
 from trainid_ros.demo.bags import load_demo_bag, stock_bag
-from trainid_ros.demo.demo_parameters import NODES, parameter_file
+from trainid_ros.demo.live import KINDS, parameter_file
 from trainid_ros.demo.view import Snapshot, View, line, render
 from trainid_ros.errors import InputError
 from trainid_ros.estimators.protocol import Output
@@ -72,7 +72,7 @@ def test_without_a_terminal_lines_are_printed_at_intervals() -> None:
 
 def test_parameters_make_every_topic_reliable() -> None:
     sections = yaml.safe_load(parameter_file())
-    assert set(sections) == set(NODES)
+    assert set(sections) == set(KINDS)
     for section in sections.values():
         topics = section['ros__parameters']['qos_overrides']
         inputs = [topic for topic, entities in topics.items() if 'subscription' in entities]

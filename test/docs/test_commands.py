@@ -136,7 +136,7 @@ def check(text: str) -> None:
             assert f"'{name}'" in sources, name
     elif words[:3] == ['ros2', 'service', 'call']:
         service = words[3].rpartition('/')[2]
-        assert f"('{service}', " in (ROOT / 'trainid_ros/ros/estimator_services.py').read_text(encoding='utf-8')
+        assert f"('{service}', " in (ROOT / 'trainid_ros/ros/services.py').read_text(encoding='utf-8')
     elif words[0] == '.venv/bin/python':
         check_benchmark(words)
     else:

@@ -27,8 +27,7 @@ from trainid_ros.results import Reason, Status
 from trainid_ros.sim.scenario import Scenario, Simulation, simulate
 from trainid_ros.stream.drive_history import DriveHistoryTracker
 from trainid_ros.stream.samples import Sample
-from trainid_ros.train.effect_text import parse_effects
-from trainid_ros.train.effects import EFFECTS
+from trainid_ros.train.effects import EFFECTS, parse_effects
 from trainid_ros.train.train_file import TrainFile
 
 SETTINGS = EstimatorSettings()

@@ -12,8 +12,7 @@ import pytest
 from numpy.typing import NDArray
 
 from trainid_ros.explain.dataset import Dataset, assemble
-from trainid_ros.explain.effect_evaluation import EffectEvaluator
-from trainid_ros.explain.marginal_likelihood import Hyperparameters
+from trainid_ros.explain.likelihood import Hyperparameters
 from trainid_ros.explain.model import Model
 from trainid_ros.explain.run_data import Run
 from trainid_ros.train.davis import specific_inertia
@@ -122,7 +121,7 @@ def drag_of() -> Callable[[float], Extra]:
 @pytest.fixture(scope='session')
 def dragged_model(dragged: list[Run]) -> Model:
     """Return the model of these runs without the drag."""
-    return Model(EffectEvaluator(assemble(dragged, TRAIN), TRAIN), TRAIN)
+    return Model.of(dragged, TRAIN)
 
 
 @pytest.fixture(scope='session')

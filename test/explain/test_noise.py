@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The filter whitens: applied to the identity it gives Z with Z C Z' = 1 for the explicit covariance C."""
+"""Noise and nuisances: whitening, sections of the line, columns and their priors."""
 
 from __future__ import annotations
 
@@ -10,7 +10,19 @@ import pytest
 from numpy.typing import NDArray
 
 from trainid_ros.explain.dataset import Dataset
-from trainid_ros.explain.noise import Grid, Noise, Whitener, share_of_mean
+from trainid_ros.explain.noise import (
+    Bins,
+    Grid,
+    Noise,
+    Spread,
+    Whitener,
+    common_columns,
+    common_std,
+    prior_factor,
+    run_columns,
+    share_of_mean,
+)
+from trainid_ros.train.train_file import TrainFile
 
 Array = NDArray[np.float64]
 INERTIA = 110.0
@@ -88,3 +100,47 @@ def test_a_node_without_samples_has_infinite_noise(dataset: Dataset) -> None:
     grid = Grid.of(replace(dataset, node_count=count))
     assert np.isinf(grid.share[4, 0])
     assert np.isfinite(grid.share).sum() == count.size - 1
+
+
+@pytest.mark.parametrize('length', [1.0, 100.0, 350.0])
+def test_shares_of_the_train_sum_to_one(dataset: Dataset, length: float) -> None:
+    bins = Bins.of(dataset, length)
+    shares = bins.shares(dataset, length)
+    assert shares.shape == (dataset.time.size, bins.count)
+    np.testing.assert_allclose(shares.sum(axis=1), 1.0)
+    fine = Bins.of(dataset, length, fine=True)
+    assert fine.width == pytest.approx(0.5 * bins.width)
+    assert fine.edges[0] <= dataset.joined('position').min() - length
+    assert fine.edges[-1] >= dataset.joined('position').max() + length
+
+
+def test_train_lies_behind_its_front(dataset: Dataset) -> None:
+    bins = Bins(-1000.0, 100.0, 30)
+    shares = bins.shares(dataset, 100.0)
+    middle = bins.edges[:-1] + 50.0
+    behind = (shares @ middle - dataset.joined('position')) * dataset.direction
+    np.testing.assert_allclose(behind, -50.0, atol=50.0)
+    assert np.all(behind < 1e-9)
+
+
+def test_each_nuisance_has_a_column_and_a_prior(dataset: Dataset, train_file: TrainFile) -> None:
+    columns = common_columns(dataset)
+    unweighed, weighed = common_std(train_file, weighed=False), common_std(train_file, weighed=True)
+    assert columns.shape == (dataset.time.size, unweighed.size)
+    assert np.isfinite(columns).all()
+    assert np.all(unweighed > 0.0)
+    assert weighed[-1] < unweighed[-1]
+    # A mass error is equivalent to a common gain error of both forces.
+    np.testing.assert_allclose(columns[:, -1], run_columns(dataset).sum(axis=1))
+
+
+def test_prior_covariance(dataset: Dataset) -> None:
+    bins = Bins.of(dataset, 100.0)
+    correlation = bins.covariance()
+    map_root = np.asarray(np.linalg.cholesky(correlation))
+    root = prior_factor(np.array([0.5, 2.0]), map_root, Spread(0.01, 0.02, 0.3))
+    covariance = root @ root.T
+    np.testing.assert_allclose(np.diag(covariance), [0.25, 4.0, *[0.09] * bins.count])
+    np.testing.assert_allclose(covariance[2:, 2:], 0.09 * correlation)
+    assert not covariance[:2, 2:].any()
+    np.testing.assert_array_equal(Spread(0.01, 0.02, 0.3).of_run, [0.01, 0.02])

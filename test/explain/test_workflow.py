@@ -13,10 +13,10 @@ import numpy as np
 import pytest
 
 from trainid_ros.errors import NoAnswerError
-from trainid_ros.explain.explanation import Explanation, Verdict
+from trainid_ros.explain.result import Explanation, Verdict
 from trainid_ros.explain.run_data import Run
 from trainid_ros.explain.workflow import explain
-from trainid_ros.train.effect_text import parse_effects
+from trainid_ros.train.effects import parse_effects
 from trainid_ros.train.train_file import Davis, TrainFile
 
 # Categories have no edges; without runs to hold out there is no gap.

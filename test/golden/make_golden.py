@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
+from trainid_lab.yizhuang_day import yizhuang_day
 from trainid_ros.estimators.pipeline import (
     EstimatorPipeline,
     EstimatorSettings,
@@ -24,7 +25,6 @@ from trainid_ros.estimators.pipeline import (
 from trainid_ros.estimators.protocol import Output
 from trainid_ros.records import NS_PER_S
 from trainid_ros.sim.scenario import simulate
-from trainid_ros.sim.yizhuang_day import yizhuang_day
 from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:

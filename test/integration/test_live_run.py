@@ -22,8 +22,8 @@ from trainid_msgs import msg as messages
 
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.writer import BagWriter
-from trainid_ros.demo.demo_parameters import parameter_file
-from trainid_ros.demo.domain import free_domain
+from trainid_ros.demo.live import parameter_file
+from trainid_ros.demo.processes import free_domain
 from trainid_ros.estimators.pipeline import (
     EstimatorPipeline,
     EstimatorSettings,
@@ -31,7 +31,7 @@ from trainid_ros.estimators.pipeline import (
     resistance_pipeline,
     speed_model_pipeline,
 )
-from trainid_ros.ros.conversion import fill_estimate
+from trainid_ros.ros.topics import fill_estimate
 from trainid_ros.sim.scenario import Scenario, simulate
 from trainid_ros.train.train_file import load_train_file
 

@@ -20,8 +20,7 @@ from trainid_ros.estimators.registry import Algorithm, Algorithms
 from trainid_ros.records import NS_PER_S, Record, SpeedRecord
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
 from trainid_ros.results import BrakeRateEstimate, ResistanceEstimate, SpeedModelEstimate
-from trainid_ros.ros.jobs import JOBS, chosen_algorithms
-from trainid_ros.ros.offline import node_setups
+from trainid_ros.ros.jobs import JOBS, chosen_algorithms, node_setups
 from trainid_ros.settings import setting_info
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig
 from trainid_ros.stream.samples import Sample

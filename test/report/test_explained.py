@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from trainid_ros.explain.explanation import Explanation, Verdict
+from trainid_ros.explain.result import Explanation, Verdict
 from trainid_ros.report.explained import Explained, render_explained, write_explained
 from trainid_ros.train.train_file import Line, TrainFile
 

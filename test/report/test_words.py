@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import pytest
 
-from trainid_ros.explain.explanation import Alternative, Explanation, Gap, Verdict
+from trainid_ros.explain.result import Alternative, Explanation, Gap, Verdict
 from trainid_ros.report.words import (
     alternatives,
     davis_rows,

@@ -6,20 +6,87 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+import numpy as np
 import pytest
 import rclpy
 from rclpy.context import Context
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
+from rosgraph_msgs.msg import Clock
 
-from trainid_ros.demo.domain import free_domain
+from trainid_ros.demo.processes import free_domain
+from trainid_ros.records import INPUT_TOPICS, NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
+from trainid_ros.ros.estimator_node import EstimatorNode
+from trainid_ros.ros.estimator_nodes import RESISTANCE
+from trainid_ros.ros.topics import message_from_record, time_message
+
+if TYPE_CHECKING:
+    from trainid_ros.records import InputTopic, Record
 
 TRAIN_FILE = 'train: {mass: 194000.0, length: 118.0}\nresistance: {a: 1.5, b: 0.02, c: 0.0012}\n'
 # Reached only by failures: a busy machine may stall a process for seconds.
 DEADLINE_S = 50.0
+
+
+START_NS = 1_700_000_000 * NS_PER_S
+RESISTANCE_NODE = partial(EstimatorNode, RESISTANCE)
+
+
+def coasting(count: int, start_ns: int = START_NS, speed: float = 20.0) -> list[Record]:
+    """Records of a coasting train, all topics on the same stamps, with a little noise."""
+    rng = np.random.default_rng(5)
+    records: list[Record] = []
+    for k in range(count):
+        stamp = start_ns + k * NS_PER_S // 5
+        records += [
+            ForceRecord(stamp, 0.0),
+            GradientRecord(stamp, 0.0, 0.0, False),
+            BrakeRecord(stamp, 0.0, False),
+            SpeedRecord(stamp, speed - 0.0045 * k + 0.01 * float(rng.standard_normal()), 4.0 * k),
+        ]
+    return records
+
+
+def topic_of(record: Record) -> InputTopic:
+    return next(topic for topic in INPUT_TOPICS if topic.record is type(record))
+
+
+def feed(node: Any, records: Sequence[Record]) -> None:
+    """Hand records to a node as its subscriptions would."""
+    for record in records:
+        node.receive(topic_of(record), message_from_record(record))
+
+
+class Published:
+    """Collects the outputs that a node publishes."""
+
+    def __init__(self, node: Any) -> None:
+        self.messages: list[Any] = []
+        publish = node._publish
+
+        def collect(output: Any) -> None:
+            self.messages.append(output)
+            publish(output)
+
+        node._publish = collect
+
+
+class Simulated:
+    """Simulated clock that can be set to any time."""
+
+    def __init__(self, graph: Any, node: Any) -> None:
+        self._graph, self._node = graph, node
+        self._publisher = graph.plain('time').create_publisher(Clock, '/clock', 10)
+        graph.until(self._publisher.get_subscription_count)
+
+    def go(self, time_ns: int) -> None:
+        self._publisher.publish(Clock(clock=time_message(time_ns)))
+        self._graph.until(lambda: self._node.get_clock().now().nanoseconds == time_ns)
+        assert self._node.get_clock().ros_time_is_active
 
 
 class Graph:
@@ -42,6 +109,19 @@ class Graph:
         cli = ['--ros-args', *arguments] if arguments else []
         node = factory(cli, context=self.context, cli_args=cli or None, parameter_overrides=overrides)
         return self.add(node)
+
+    def active(self, train_file: str, factory: Any = RESISTANCE_NODE, **parameters: Any) -> Any:
+        node = self.make(factory, train_file=train_file, **parameters)
+        assert node.bring_up(), node.failure
+        return node
+
+    start_ns = START_NS
+    coasting = staticmethod(coasting)
+    feed = staticmethod(feed)
+    published = staticmethod(Published)
+
+    def simulated(self, node: Any) -> Simulated:
+        return Simulated(self, node)
 
     def plain(self, name: str) -> Any:
         return self.add(rclpy.create_node(name, context=self.context))

@@ -39,7 +39,6 @@ JAZZY = {
 }
 OURS = {'trainid_ros', 'trainid_msgs'}
 NEVER = {'rosbags', 'mcap', 'zstandard', 'matplotlib'}
-NODES = ('resistance_node', 'speed_model_node', 'brake_rate_node')
 # Modules without a specification are made by compiled extensions and belong to no package.
 CODE = """
 import sys
@@ -49,7 +48,7 @@ found = {{name.partition('.')[0] for name in set(sys.modules) - before}}
 found = {{name for name in found if getattr(sys.modules.get(name), '__spec__', None) is not None}}
 print(*sorted(name for name in found - set(sys.stdlib_module_names) if not name.startswith('_sysconfigdata')))
 """
-IMPORTS = '\n'.join(f'import trainid_ros.ros.{node}' for node in NODES)
+IMPORTS = 'import trainid_ros.ros.estimator_nodes'
 # A run from stop to stop through the pipelines of all three nodes.
 DRIVE = f"""
 {IMPORTS}

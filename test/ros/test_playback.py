@@ -1,10 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The timeline has clock ticks in its gaps and keeps its pace."""
+"""Timeline, pace, and the two nodes that play records."""
 
 from __future__ import annotations
 
-from trainid_ros.records import NS_PER_S, ForceRecord
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import pytest
+from rclpy.lifecycle import TransitionCallbackReturn
+from rosgraph_msgs.msg import Clock
+
+from trainid_ros.bag.writer import BagWriter
+from trainid_ros.messages import record_from_message
+from trainid_ros.records import INPUT_TOPICS, NS_PER_S, BrakeRecord, ForceRecord, MassRecord, Record, SpeedRecord
+from trainid_ros.ros import playback
+from trainid_ros.ros.bag_player import BagPlayer
 from trainid_ros.ros.playback import Pacer, TimedRecord, Timeline, with_ticks
+from trainid_ros.ros.topics import message_class
+from trainid_ros.ros.train_simulator import TrainSimulator
 
 MS = NS_PER_S // 1000
 
@@ -46,3 +59,194 @@ def test_released_entries_are_due_at_once() -> None:
     pacer.due_ns(0, 0)
     pacer.release()
     assert pacer.due_ns(7000 * MS, 20 * MS) == 20 * MS
+
+
+Graph: TypeAlias = Any  # the fixture of conftest.py
+ROOT = Path(__file__).parents[2]
+START_NS = 1_700_000_000 * NS_PER_S
+RECORDS: list[Record] = [
+    record
+    for k in range(60)
+    for stamp in [START_NS + k * NS_PER_S // 5]
+    for record in (ForceRecord(stamp, 1e3 * k), BrakeRecord(stamp, 0.0, False), SpeedRecord(stamp, 0.1 * k, 1.0 * k))
+]
+
+
+@pytest.fixture
+def bag(tmp_path: Path) -> str:
+    with BagWriter(tmp_path / 'bag') as writer:
+        for record in RECORDS:
+            writer.write_record(record)
+    return str(tmp_path / 'bag')
+
+
+class InputListener:
+    """Subscribes to every input topic and the clock; its queues hold all messages if the player catches up."""
+
+    def __init__(self, graph: Graph) -> None:
+        node = graph.plain('listener')
+        self.records: list[Record] = []
+        self.clock: list[int] = []
+        for topic in INPUT_TOPICS:
+
+            def receive(message: Any, topic: Any = topic) -> None:
+                self.records.append(record_from_message(topic, message))
+
+            node.create_subscription(message_class(topic), topic.name, lambda m, r=receive: r(m), 5000)
+        node.create_subscription(
+            Clock, '/clock', lambda m: self.clock.append(m.clock.sec * NS_PER_S + m.clock.nanosec), 5000
+        )
+
+
+def by_kind(records: list[Record]) -> dict[str, list[Record]]:
+    kinds: dict[str, list[Record]] = {}
+    for record in records:
+        kinds.setdefault(type(record).__name__, []).append(record)
+    return kinds
+
+
+@pytest.mark.ros
+def test_everything_is_played_in_order_with_a_clock_that_never_steps_back(graph: Graph, bag: str) -> None:
+    listener = InputListener(graph)
+    player = graph.make(BagPlayer, bag=bag, rate=20.0, wait=1)
+    assert player.bring_up(), player.failure
+    graph.until(lambda: player.finished)
+    graph.until(lambda: len(listener.records) == len(RECORDS) and listener.clock[-1:] == [RECORDS[-1].stamp_ns])
+    assert by_kind(listener.records) == by_kind(RECORDS)
+    assert listener.clock == sorted(set(listener.clock))
+    assert {record.stamp_ns for record in RECORDS} <= set(listener.clock)
+    assert max(b - a for a, b in zip(listener.clock, listener.clock[1:], strict=False)) <= NS_PER_S // 20
+
+
+@pytest.mark.ros
+def test_start_and_duration_choose_a_part(graph: Graph, bag: str) -> None:
+    listener = InputListener(graph)
+    player = graph.make(BagPlayer, bag=bag, rate=50.0, wait=1, start=2.0, duration=4.0)
+    player.bring_up()
+    graph.until(lambda: player.finished)
+    expected = [r for r in RECORDS if 2.0 <= (r.stamp_ns - START_NS) / NS_PER_S <= 6.0]
+    graph.until(lambda: len(listener.records) == len(expected))
+    assert by_kind(listener.records) == by_kind(expected)
+
+
+@pytest.mark.ros
+def test_playback_waits_until_new_subscribers_have_discovered_the_player(
+    graph: Graph, bag: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    listener = InputListener(graph)
+    monkeypatch.setattr(playback, '_DISCOVERY_NS', 10**15)
+    player = graph.make(BagPlayer, bag=bag, rate=50.0, wait=1)
+    player.bring_up()
+    graph.until(lambda: player._complete_ns)
+    for _ in range(20):
+        graph.executor.spin_once(timeout_sec=0.01)
+    assert player.played == 0
+    monkeypatch.setattr(playback, '_DISCOVERY_NS', 0)
+    graph.until(lambda: len(listener.records) == len(RECORDS))
+
+
+@pytest.mark.ros
+def test_deactivating_pauses_and_activating_resumes(graph: Graph, bag: str) -> None:
+    listener = InputListener(graph)
+    player = graph.make(BagPlayer, bag=bag, rate=10.0, wait=1)
+    player.bring_up()
+    graph.until(lambda: player.played > 30)
+    player.trigger_deactivate()
+    played = player.played
+    for _ in range(20):
+        graph.executor.spin_once(timeout_sec=0.01)
+    assert player.played == played
+    player.trigger_activate()
+    graph.until(lambda: len(listener.records) == len(RECORDS))
+    assert by_kind(listener.records) == by_kind(RECORDS)
+
+
+@pytest.mark.ros
+def test_a_loop_starts_over(graph: Graph, bag: str) -> None:
+    listener = InputListener(graph)
+    player = graph.make(BagPlayer, bag=bag, rate=50.0, wait=1, loop=True)
+    player.bring_up()
+    graph.until(lambda: any(b < a for a, b in zip(listener.clock, listener.clock[1:], strict=False)))
+    assert player.played > len(RECORDS)
+    assert not player.finished
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize(
+    ('parameters', 'reason'),
+    [
+        ({}, 'no bag: give the parameter bag'),
+        ({'bag': '/no/such/bag'}, '/no/such/bag'),
+        ({'bag': 'x', 'restamp': True, 'rate': 2.0}, 'restamp needs rate = 1'),
+        ({'bag': 'x', 'rate': 0.0}, 'rate = 0 is outside'),
+    ],
+)
+def test_unplayable_parameters_fail_to_configure(graph: Graph, parameters: dict[str, object], reason: str) -> None:
+    player = graph.make(BagPlayer, **parameters)
+    assert player.trigger_configure() == TransitionCallbackReturn.FAILURE
+    assert player.state == 'unconfigured'
+    assert reason in player.failure
+
+
+@pytest.mark.ros
+def test_a_player_can_be_configured_twice(graph: Graph, bag: str) -> None:
+    player = graph.make(BagPlayer, bag=bag)
+    for _ in range(2):
+        assert player.bring_up(), player.failure
+        player.trigger_deactivate()
+        player.trigger_cleanup()
+    assert not list(player.publishers) or all('/ato/' not in p.topic_name for p in player.publishers)
+
+
+@pytest.mark.ros
+def test_the_simulator_stamps_the_present_and_keeps_the_spacing(graph: Graph) -> None:
+    listener = InputListener(graph)
+    train = str(ROOT / 'config' / 'trains' / 'yizhuang.yaml')
+    simulator = graph.make(TrainSimulator, train_file=train, runs=1, wait=1, duration=1.0)
+    assert simulator.bring_up(), simulator.failure
+    before = simulator.get_clock().now().nanoseconds
+    graph.until(lambda: simulator.finished)
+    graph.until(lambda: len(listener.records) == simulator.played)
+    after = simulator.get_clock().now().nanoseconds
+    stamps = [record.stamp_ns for record in listener.records]
+    assert before - NS_PER_S // 2 <= min(stamps) <= max(stamps) <= after + NS_PER_S // 2
+    assert 0.7 * NS_PER_S < max(stamps) - min(stamps) < 1.3 * NS_PER_S
+    assert listener.clock == []
+
+
+@pytest.mark.ros
+def test_the_simulator_drives_a_world(graph: Graph) -> None:
+    listener = InputListener(graph)
+    simulator = graph.make(TrainSimulator, world='tram', realism='field', runs=1, wait=1, duration=0.5)
+    assert simulator.bring_up(), simulator.failure
+    graph.until(lambda: simulator.finished)
+    graph.until(lambda: len(listener.records) == simulator.played)
+    masses = [record.mass for record in listener.records if isinstance(record, MassRecord)]
+    assert 54e3 * 0.98 < masses[0] < 1.3 * 54e3 * 1.02
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize(
+    ('parameters', 'reason'),
+    [
+        ({}, 'no train: give the parameter train_file or world'),
+        ({'world': 'tramm'}, "world = 'tramm' must be one of"),
+        (
+            {'realism': 'field', 'train_file': str(ROOT / 'config' / 'trains' / 'yizhuang.yaml')},
+            "realism = 'field' needs the parameter world",
+        ),
+    ],
+)
+def test_unusable_simulator_parameters_fail_to_configure(
+    graph: Graph, parameters: dict[str, object], reason: str
+) -> None:
+    simulator = graph.make(TrainSimulator, **parameters)
+    assert simulator.trigger_configure() == TransitionCallbackReturn.FAILURE
+    assert reason in simulator.failure
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize('name', ['trainid', 'replay'])
+def test_launch_files_compile(name: str) -> None:
+    path = ROOT / 'launch' / f'{name}.launch.py'
+    assert 'generate_launch_description' in compile(path.read_text(encoding='utf-8'), str(path), 'exec').co_names

@@ -6,10 +6,12 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from trainid_ros.errors import InputError
-from trainid_ros.sim.plant import STEP_NS, Plant
+from trainid_ros.sim.plant import MAX_DELAY_S, STEP_NS, DelayLine, Gust, GustModel, Plant
+from trainid_ros.sim.sensors import ar1_path
 from trainid_ros.train.davis import G, required_force, specific_force, specific_inertia
 from trainid_ros.train.line import LineProfile
 from trainid_ros.train.train_file import Brake, Davis, Effect, Line, Train, TrainFile
@@ -216,3 +218,41 @@ def test_the_brake_follows_its_table_over_speed() -> None:
     before = train.speed
     train.step(0.0)
     assert train.acceleration == pytest.approx(-0.5 * 0.9 * (1.1 - 0.01 * before), rel=1e-3)
+
+
+def test_the_history_is_zero_before_the_first_value() -> None:
+    recent = DelayLine()
+    assert recent.before(0.0) == 0.0
+    recent.add(10**9, 5.0)
+    assert (recent.before(0.0), recent.before(-1.0), recent.before(1e-6)) == (5.0, 5.0, 0.0)
+
+
+def test_values_are_interpolated_between_steps_and_memory_is_bounded() -> None:
+    recent = DelayLine()
+    for k in range(5000):
+        recent.add(10**9 + k * STEP_NS, math.sin(0.02 * k))
+        for seconds in (0.0, 0.013, 0.4, MAX_DELAY_S):
+            if k * 0.02 >= seconds:
+                assert recent.before(seconds) == pytest.approx(math.sin(0.02 * k - seconds), abs=1e-4)
+    assert len(recent._stamps) <= 2 * MAX_DELAY_S / 0.02 + 2
+
+
+def test_gust_has_its_std_and_its_correlation_time() -> None:
+    gust = Gust(GustModel(std=0.1, time_constant=5.0), 0.2, np.random.default_rng(3))
+    path = np.array([gust.step() for _ in range(100_000)])
+    # 20 000 s hold about 2000 independent values of 10 s: the std is known to 1.6 %, so 6 % is 4 sigma.
+    assert path.std() == pytest.approx(0.1, rel=0.06)
+    correlation = float(np.corrcoef(path[:-25], path[25:])[0, 1])
+    assert correlation == pytest.approx(math.exp(-1.0), abs=0.08)
+
+
+def test_map_error_path_has_its_std_and_correlation() -> None:
+    path = ar1_path(100_000, 0.5, 0.95, np.random.default_rng(4))
+    # Correlation 0.95 leaves about 2600 independent values: 1.4 % on the std, so 6 % is 4 sigma.
+    assert path.std() == pytest.approx(0.5, rel=0.06)
+    assert float(np.corrcoef(path[:-1], path[1:])[0, 1]) == pytest.approx(0.95, abs=0.005)
+
+
+def test_a_setting_out_of_range_is_rejected() -> None:
+    with pytest.raises(InputError, match='time_constant = 0 s'):
+        Gust(GustModel(time_constant=0.0), 0.2, np.random.default_rng(0))

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from trainid_ros.errors import InputError
 from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, MassRecord, SpeedRecord
-from trainid_ros.sim.gusts import GustModel
+from trainid_ros.sim.plant import GustModel
 from trainid_ros.sim.realism import REALISMS, UNKNOWNS, Case, Unknowns, draw_unknowns, make_case, unknowns_of
 from trainid_ros.sim.scenario import Simulation, simulate
 from trainid_ros.sim.sensors import SensorModel

@@ -13,7 +13,7 @@ import pytest
 from trainid_ros.errors import InputError
 from trainid_ros.records import BrakeRecord, ForceRecord, GradientRecord, MassRecord, SpeedRecord
 from trainid_ros.sim.driver import DriverModel
-from trainid_ros.sim.gusts import GustModel
+from trainid_ros.sim.plant import GustModel
 from trainid_ros.sim.scenario import Change, Scenario, Simulation, simulate
 from trainid_ros.sim.sensors import SensorModel
 from trainid_ros.train.davis import specific_force, specific_inertia

@@ -25,7 +25,7 @@ from trainid_ros.results import Reason
 from trainid_ros.stream.alignment import AlignmentConfig, TimeJump
 from trainid_ros.stream.sample_stream import SampleStream, StreamConfig, TimeJumpPolicy
 from trainid_ros.stream.samples import Sample
-from trainid_ros.train.effect_text import parse_effects
+from trainid_ros.train.effects import parse_effects
 from trainid_ros.train.train_file import TrainFile
 
 MAKERS = (resistance_pipeline, speed_model_pipeline, brake_rate_pipeline)

@@ -7,22 +7,25 @@ import math
 import re
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
 from trainid_ros.errors import InputError
-from trainid_ros.train.effect_text import parse_effects
 from trainid_ros.train.effects import (
     COOLING_S,
     EFFECTS,
     TrackPoint,
     check_effects,
     effect_value,
-    extra_resistance,
     heat_after,
+    parse_effects,
+    resistance_terms,
 )
 from trainid_ros.train.train_file import Davis, Effect
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 DAVIS = Davis(1.0, 0.03, 0.003)
 POINT = TrackPoint(time_s=100.0, position=500.0, direction=1, speed=20.0, length=100.0)
@@ -31,6 +34,11 @@ POINT = TrackPoint(time_s=100.0, position=500.0, direction=1, speed=20.0, length
 def at(**changes: Any) -> TrackPoint:
     values = {item.name: getattr(POINT, item.name) for item in fields(TrackPoint)}
     return TrackPoint(**(values | changes))
+
+
+def extra_resistance(effects: Sequence[Effect], point: TrackPoint) -> float:
+    """Return the sum of all effects that add to the balance [N/kN]."""
+    return sum(term(DAVIS, point) for term in resistance_terms(effects))
 
 
 @pytest.mark.parametrize(
@@ -71,12 +79,12 @@ def at(**changes: Any) -> TrackPoint:
     ],
 )
 def test_each_effect_against_hand_calculation(text: str, point: TrackPoint, expected: float) -> None:
-    assert extra_resistance(parse_effects([text]), DAVIS, point) == pytest.approx(expected, abs=1e-12)
+    assert extra_resistance(parse_effects([text]), point) == pytest.approx(expected, abs=1e-12)
 
 
 def test_effects_add_up() -> None:
     effects = parse_effects(['headwind:speed=5', 'resistance_step:time=0,a=0.5'])
-    assert extra_resistance(effects, DAVIS, POINT) == pytest.approx(0.675 + 0.5)
+    assert extra_resistance(effects, POINT) == pytest.approx(0.675 + 0.5)
 
 
 def test_consecutive_texts_of_one_name_form_one_effect_until_a_key_is_repeated() -> None:
@@ -136,7 +144,7 @@ def test_a_force_stamped_late_already_acts_now() -> None:
 
 def test_effects_on_records_add_no_resistance_to_the_balance() -> None:
     rising = at(traction=30.0, traction_before=lambda s: 30.0 - 4.0 * s)
-    assert extra_resistance(parse_effects(['stamp_skew:delay=0.5']), DAVIS, rising) == 0.0
+    assert extra_resistance(parse_effects(['stamp_skew:delay=0.5']), rising) == 0.0
     assert {name for name, kind in EFFECTS.items() if kind.on_records} == {'stamp_skew', 'wheel_diameter', 'wheel_slip'}
 
 
@@ -221,7 +229,7 @@ def test_a_file_in_a_user_folder_becomes_an_effect(tmp_path: Path, monkeypatch: 
     (tmp_path / 'leaves.py').write_text(USERS, encoding='utf-8')
     (tmp_path / '_helper.py').write_text('', encoding='utf-8')
     monkeypatch.setenv('TRAINID_EFFECTS', str(tmp_path))
-    assert extra_resistance(parse_effects(['leaves:value=2']), DAVIS, POINT) == 3.0
+    assert extra_resistance(parse_effects(['leaves:value=2']), POINT) == 3.0
     assert 'headwind' in EFFECTS
     monkeypatch.delenv('TRAINID_EFFECTS')
     with pytest.raises(InputError, match='effect leaves is not known'):

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from trainid_ros.demo.bags import DemoBag
-    from trainid_ros.demo.chapters import Outcome
+    from trainid_ros.demo.comparison import Outcome
     from trainid_ros.demo.hidden import HiddenCase
     from trainid_ros.demo.view import View
     from trainid_ros.report.scores import AccuracyScore
@@ -67,9 +67,9 @@ def _bags(args: argparse.Namespace) -> list[DemoBag]:
 
 def _live(bags: Sequence[DemoBag], args: argparse.Namespace, view: View, report: Path) -> list[Outcome]:
     """Play all bags through the live nodes and write the report."""
-    from trainid_ros.demo.domain import isolate  # noqa: PLC0415
+    from trainid_ros.demo.processes import isolate  # noqa: PLC0415
     from trainid_ros.report.content import Report  # noqa: PLC0415
-    from trainid_ros.report.html import write_report  # noqa: PLC0415
+    from trainid_ros.report.page import write_report  # noqa: PLC0415
 
     logs: Path = args.out / 'log'
     logs.mkdir(parents=True, exist_ok=True)
@@ -90,7 +90,7 @@ def _hidden(args: argparse.Namespace, view: View) -> HiddenCase | None:
 
 
 def _play(bag: DemoBag, args: argparse.Namespace, logs: Path, view: View) -> Outcome:
-    from trainid_ros.demo.chapters import conclude, describe_comparison  # noqa: PLC0415
+    from trainid_ros.demo.comparison import conclude, describe_comparison  # noqa: PLC0415
     from trainid_ros.demo.live import run_live  # noqa: PLC0415
 
     duration_s = DEMO_QUICK_S if args.quick else 0.0

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from contextlib import AbstractContextManager
     from pathlib import Path
 
-    from trainid_ros.explain.explanation import Explanation, FoundEffect, Gap
+    from trainid_ros.explain.result import Explanation, FoundEffect, Gap
     from trainid_ros.explain.run_data import Run
     from trainid_ros.train.train_file import TrainFile
 

@@ -17,7 +17,7 @@ from trainid_ros.errors import InputError
 from trainid_ros.estimators.force_findings import force_findings
 from trainid_ros.estimators.observability import observe
 from trainid_ros.plural import pluralise
-from trainid_ros.ros.offline import node_setups
+from trainid_ros.ros.jobs import Setup, node_setups
 from trainid_ros.sim.truth import load_truth
 from trainid_ros.train.train_file import load_train_file
 
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from trainid_ros.bag.observers import TraceObserver
     from trainid_ros.report.traces import Traces
     from trainid_ros.results import Reason
-    from trainid_ros.ros.offline import Setup
     from trainid_ros.sim.truth import Truth
 
 TRUTH_FILE: Final = 'truth.yaml'
@@ -270,9 +269,8 @@ def _write_report(
     args: argparse.Namespace, bag: Path, outcome: Replay, traces: Traces, truth: Truth | None, how: str, path: Path
 ) -> None:
     # Imported here because matplotlib takes long to load and only reports need it.
-    from trainid_ros.report.content import Report  # noqa: PLC0415
-    from trainid_ros.report.from_replay import chapter_of  # noqa: PLC0415
-    from trainid_ros.report.html import write_report  # noqa: PLC0415
+    from trainid_ros.report.content import Report, chapter_of  # noqa: PLC0415
+    from trainid_ros.report.page import write_report  # noqa: PLC0415
 
     chapter = chapter_of(
         outcome,

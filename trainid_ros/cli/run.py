@@ -30,16 +30,15 @@ def run(args: argparse.Namespace) -> int:
 def run_live(names: tuple[str, ...], train: Path | None, ros_args: list[str]) -> int:
     """Configure, activate and spin nodes; return the exit code."""
     # ROS is imported only here, so that an invalid train file is reported without it.
-    from importlib import import_module  # noqa: PLC0415
-
     from rclpy.parameter import Parameter  # noqa: PLC0415
 
+    from trainid_ros.ros.estimator_node import EstimatorNode  # noqa: PLC0415
+    from trainid_ros.ros.estimator_nodes import SPECS  # noqa: PLC0415
     from trainid_ros.ros.runner import close_nodes, spin_nodes, start_ros, stop_ros  # noqa: PLC0415
 
     arguments = start_ros(ros_args)
     overrides = [Parameter('train_file', value=str(train.absolute()))] if train is not None else []
-    modules = [import_module(f'trainid_ros.ros.{name.removesuffix("_estimator")}_node') for name in names]
-    nodes = [module.make_node(arguments, parameter_overrides=overrides) for module in modules]
+    nodes = [EstimatorNode(SPECS[name], arguments, parameter_overrides=overrides) for name in names]
     for node in nodes:
         if not node.bring_up():
             message = f'{node.get_name()}: {node.failure}'

@@ -19,7 +19,7 @@ from trainid_ros.sim.realism import make_case, unknowns_of
 from trainid_ros.sim.scenario import Scenario, check_scenario, simulate
 from trainid_ros.sim.truth import plain_truth, save_truth
 from trainid_ros.sim.worlds import WORLDS, world_train
-from trainid_ros.train.effect_text import parse_effects
+from trainid_ros.train.effects import parse_effects
 from trainid_ros.train.train_file import dump_train_file, load_train_file
 
 if TYPE_CHECKING:

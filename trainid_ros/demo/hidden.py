@@ -14,14 +14,14 @@ from trainid_ros.bag.writer import BagWriter
 from trainid_ros.cli.explain import REPORT_HTML, describe, explain_runs, prepare_folder, to_json, write_all
 from trainid_ros.demo.bags import TRAIN_FILE, stock_bag
 from trainid_ros.sim.scenario import Scenario, simulate
-from trainid_ros.train.effect_text import parse_effects
+from trainid_ros.train.effects import parse_effects
 from trainid_ros.train.train_file import Davis, load_train_file
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from trainid_ros.explain.explanation import Explanation
+    from trainid_ros.explain.result import Explanation
     from trainid_ros.train.train_file import TrainFile
 
 HIDDEN: Final = 'local_drag:start=4500,end=5700,permille=1.5'

@@ -4,40 +4,47 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING, Any, Final, Self
+
+import rclpy
+import yaml
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from rclpy.signals import SignalHandlerOptions
 
 from trainid_ros.bag.reader import BagReader, require_topics
-from trainid_ros.demo.demo_parameters import NODES, parameter_file
-from trainid_ros.demo.listener import Listener
-from trainid_ros.demo.processes import ProcessGroup
-from trainid_ros.demo.view import Snapshot
+from trainid_ros.demo.comparison import Fingerprint, fingerprint_of_message
+from trainid_ros.demo.processes import Child, ProcessGroup
+from trainid_ros.demo.view import Snapshot, View
 from trainid_ros.errors import InputError, NoAnswerError
-from trainid_ros.records import NS_PER_S
+from trainid_ros.estimators.protocol import Output
+from trainid_ros.messages import OUTPUT_TOPICS, OutputTopic
+from trainid_ros.records import INPUT_TOPICS, NS_PER_S
 from trainid_ros.report.traces import TraceRecorder
-from trainid_ros.results import BrakeRateEstimate, ResistanceEstimate, SpeedModelEstimate, Status
+from trainid_ros.results import Estimate, Reason, Status
+from trainid_ros.ros.jobs import JOBS
+from trainid_ros.ros.topics import message_class
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
     from pathlib import Path
+    from types import TracebackType
 
     from trainid_ros.bag.bag_replay import AnyOutput
     from trainid_ros.demo.bags import DemoBag
-    from trainid_ros.demo.compare import Fingerprint
-    from trainid_ros.demo.processes import Child
-    from trainid_ros.demo.view import View
-    from trainid_ros.results import Reason
 
-KINDS: Final = {
-    'resistance_estimator': ResistanceEstimate,
-    'speed_model_estimator': SpeedModelEstimate,
-    'brake_rate_estimator': BrakeRateEstimate,
-}
+KINDS: Final = {job.node_name: job.topic.estimate for job in JOBS}
+"""Class of the estimate by node, in starting order."""
 _START_S: Final = 60.0
 _QUIET_S: Final = 1.5
 _DRAIN_S: Final = 120.0
 _POLL_S: Final = 0.05
 _END_S: Final = 2.0
+# More than the messages in any demo bag: a node that falls behind catches up at the end and loses none.
+_DEPTH: Final = 40000
+_LOSSLESS: Final = {'history': 'keep_last', 'depth': _DEPTH, 'reliability': 'reliable'}
+_REJECTED: Final = 'rejected.'
 
 
 @dataclass(frozen=True, slots=True)
@@ -81,14 +88,14 @@ def run_live(bag: DemoBag, rate: float, duration_s: float, folder: Path, view: V
     parameters = folder / 'parameters.yaml'
     parameters.write_text(parameter_file(), encoding='utf-8')
     with ProcessGroup(folder) as group:
-        for name in NODES:
+        for name in KINDS:
             arguments = ['run', '--node', name, '--train', str(bag.train_path)]
             group.start(name, [*arguments, '--ros-args', '--params-file', str(parameters.absolute())])
         with Listener() as listener:
             session = _Session(group, listener, snapshot, view)
             session.wait_for_nodes()
             limit = ['--duration', repr(duration_s)] if duration_s > 0.0 else []
-            play = ['play', str(bag.path), '--rate', repr(rate), '--wait', str(len(NODES)), *limit]
+            play = ['play', str(bag.path), '--rate', repr(rate), '--wait', str(len(KINDS)), *limit]
             # Without /clock: the nodes work by stamps, and simulated time would cost as much as the inputs.
             no_clock = ['--ros-args', '-p', 'publish_clock:=false']
             session.follow(group.start('bag_player', [*play, *no_clock]))
@@ -182,3 +189,107 @@ class _Session:
             code = child.process.returncode
             msg = f'{child.name} ended with exit code {code} ({child.log}: {child.log_tail()})'
             raise NoAnswerError(msg)
+
+
+def parameter_file() -> str:
+    """Return a ROS parameter file with QoS overrides: no message may be lost at any playback rate."""
+    return yaml.safe_dump({job.node_name: {'ros__parameters': _overrides(job.topic)} for job in JOBS})
+
+
+def _overrides(output: OutputTopic) -> dict[str, Any]:
+    topics: dict[str, Any] = {f'/{topic.name}': {'subscription': dict(_LOSSLESS)} for topic in INPUT_TOPICS}
+    topics[f'/{output.name}'] = {'publisher': dict(_LOSSLESS)}
+    return {'qos_overrides': topics}
+
+
+@dataclass(frozen=True, slots=True)
+class Received:
+    """A received message as an output, with its fingerprint."""
+
+    output: AnyOutput
+    fingerprint: Fingerprint
+
+
+class Listener:
+    """A node in the place of an ATO controller, polled for what has arrived; use as a context manager."""
+
+    def __init__(self) -> None:
+        self.rejections: dict[str, dict[Reason, int]] = {}
+        self._context = rclpy.Context()
+        self._node: Any = None
+        self._estimates: dict[type[Estimate], Any] = {}
+        self._diagnostics: Any = None
+        self._names = {topic.estimate: tuple(item.name for item in fields(topic.estimate)) for topic in OUTPUT_TOPICS}
+
+    def __enter__(self) -> Self:
+        """Subscribe."""
+        rclpy.init(context=self._context, args=[], signal_handler_options=SignalHandlerOptions.NO)
+        self._node = rclpy.create_node('ato_controller', context=self._context)
+        qos = QoSProfile(depth=_DEPTH, reliability=ReliabilityPolicy.RELIABLE)
+        for topic in OUTPUT_TOPICS:
+            subscription = self._node.create_subscription(message_class(topic), topic.name, _ignore, qos)
+            self._estimates[topic.estimate] = subscription
+        self._diagnostics = self._node.create_subscription(DiagnosticArray, '/diagnostics', _ignore, qos)
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        """Leave the graph."""
+        if self._node is not None:
+            self._node.destroy_node()
+        rclpy.try_shutdown(context=self._context)
+
+    def has_all_publishers(self) -> bool:
+        """Return True once every estimate has a publisher."""
+        return all(self._node.count_publishers(topic.name) for topic in OUTPUT_TOPICS)
+
+    def take(self) -> list[Received]:
+        """Return the estimates that arrived since the last call, by topic; keep the newest diagnostics."""
+        for message in _waiting(self._diagnostics):
+            self._note(message)
+        return [
+            self._received(kind, message)
+            for kind, subscription in self._estimates.items()
+            for message in _waiting(subscription)
+        ]
+
+    def _received(self, kind: type[Estimate], message: Any) -> Received:
+        stamp = message.header.stamp
+        stamp_ns = int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
+        names = self._names[kind]
+        estimate: Any = kind(**{name: _plain(getattr(message, name)) for name in names})
+        output: AnyOutput = Output(
+            stamp_ns=stamp_ns,
+            estimate=estimate,
+            status=Status(message.status),
+            used=int(message.used),
+            rejected=int(message.rejected),
+            last_rejection=None,
+        )
+        return Received(output, fingerprint_of_message(message, stamp_ns, names))
+
+    def _note(self, array: Any) -> None:
+        for status in array.status:
+            node, _, what = status.name.partition(': ')
+            if what == 'estimator':
+                pairs = ((item.key, item.value) for item in status.values)
+                self.rejections[node] = {
+                    Reason[key.removeprefix(_REJECTED)]: int(value) for key, value in pairs if key.startswith(_REJECTED)
+                }
+
+
+def _ignore(_message: Any) -> None:
+    """Placeholder callback: messages are polled, which costs far less than a wait set for each."""
+
+
+def _waiting(subscription: Any) -> list[Any]:
+    messages = []
+    with subscription.handle:
+        while (taken := subscription.handle.take_message(subscription.msg_type, subscription.raw)) is not None:
+            messages.append(taken[0])
+    return messages
+
+
+def _plain(value: Any) -> Any:
+    return tuple(map(float, value)) if hasattr(value, '__len__') else value

@@ -3,31 +3,37 @@
 
 from __future__ import annotations
 
-import math
 from copy import copy
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.explain.marginal_likelihood import MarginalLikelihood
-from trainid_ros.explain.noise import Grid, Whitener
-from trainid_ros.explain.nuisances import DAVIS, Bins, common_columns, common_std, prior_factor, run_columns
-from trainid_ros.explain.odometry import Odometry
-from trainid_ros.explain.regression import Gram, posterior
+from trainid_ros.explain.dataset import assemble
+from trainid_ros.explain.effects import EffectEvaluator, prior_width
+from trainid_ros.explain.likelihood import Gram, Hyperparameters, MarginalLikelihood, eliminate, posterior
+from trainid_ros.explain.measurement_errors import Odometry
+from trainid_ros.explain.noise import (
+    DAVIS,
+    Bins,
+    Grid,
+    Spread,
+    Whitener,
+    common_columns,
+    common_std,
+    prior_factor,
+    run_columns,
+)
 from trainid_ros.train.effects import EFFECTS
 from trainid_ros.train.train_file import Davis
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
-    from trainid_ros.explain.dataset import Dataset
-    from trainid_ros.explain.effect_evaluation import EffectEvaluator
-    from trainid_ros.explain.marginal_likelihood import Hyperparameters
-    from trainid_ros.explain.nuisances import Spread
-    from trainid_ros.train.effects import Parameter
+    from trainid_ros.explain.effects import EffectTerm
+    from trainid_ros.explain.likelihood import Information
+    from trainid_ros.explain.run_data import Run
     from trainid_ros.train.train_file import TrainFile
 
     Array = NDArray[np.float64]
@@ -37,53 +43,6 @@ WHEEL: Final = 'wheel_diameter'
 _RUN_BATCH: Final = 16
 _MAX_STEPS: Final = 5
 _SETTLED: Final = 0.1
-# Prior std of a shape parameter about its initial value: a position [m], a time [s], relative for others.
-_METRES: Final = 80.0
-_SECONDS: Final = 60.0
-_LOG_WIDTH: Final = 1.0
-_SHORTEST_M: Final = 50.0
-"""Minimum length of an effect on a section of the line [m]."""
-# The peak of a normal density equals a uniform density over this many standard deviations.
-_SPREAD: Final = math.sqrt(2.0 * math.pi)
-
-
-@dataclass(frozen=True, slots=True)
-class EffectTerm:
-    """An effect in the model.
-
-    Attributes:
-        name: Its name in train files.
-        parameters: Its parameters, in the units of the effect.
-        covariance: Their covariance in the same order, None before a fit.
-
-    """
-
-    name: str
-    parameters: Mapping[str, float]
-    covariance: NDArray[np.float64] | None = None
-
-    @property
-    def size(self) -> float:
-        """Distance of the amplitude from its neutral value, in units of its usual value [1]."""
-        kind = EFFECTS[self.name]
-        return abs(self.parameters[kind.amplitude] - kind.neutral) / kind.usual
-
-    @property
-    def significance(self) -> float:
-        """The same distance in standard deviations conditional on the shape [1]; infinite before a fit."""
-        if self.covariance is None:
-            return math.inf
-        kind = EFFECTS[self.name]
-        at = list(self.parameters).index(kind.amplitude)
-        return self.size * kind.usual * math.sqrt(max(float(np.linalg.pinv(self.covariance)[at, at]), 0.0))
-
-    @property
-    def std(self) -> dict[str, float]:
-        """Standard deviations of the parameters; empty before a fit."""
-        if self.covariance is None:
-            return {}
-        deviations = np.sqrt(np.maximum(np.diag(self.covariance), 0.0)).tolist()
-        return dict(zip(self.parameters, deviations, strict=True))
 
 
 class Model:
@@ -119,6 +78,14 @@ class Model:
         self._gap = dataset.average(dataset.gap)
         self.odometry = Odometry.of(dataset, train_file.line.stops)
         self._set(terms, train_file.resistance)
+
+    @classmethod
+    def of(cls, runs: Sequence[Run], train_file: TrainFile) -> Model:
+        """Return the model of runs without further effects; those of the train file are in the predicted speed."""
+        evaluator = EffectEvaluator(assemble(runs, train_file), train_file)
+        if train_file.effects:
+            evaluator = EffectEvaluator(assemble(runs, train_file, evaluator.total(train_file.effects)), train_file)
+        return cls(evaluator, train_file)
 
     def with_terms(self, terms: tuple[EffectTerm, ...], davis: Davis | None = None) -> Model:
         """Return the same model with other effects, linearised about another a, b, c if given."""
@@ -160,7 +127,7 @@ class Model:
                 common = common.copy()
                 common[:, DAVIS] += self.dataset.column(by_davis)
             for name, value in term.parameters.items():
-                width = _width(term.name, name, value)
+                width = prior_width(term.name, name, value)
                 derivatives.append(self._derivative(term, name, 0.05 * width))
                 std.append(width)
         self.residual = self._gap - self.dataset.column(total)
@@ -236,6 +203,23 @@ class Model:
         terms, _, _ = model._step(hyper, whitener, hold=True)
         return model.with_terms(terms)
 
+    def reduced_information(self, hyper: Hyperparameters, candidates: Array, *, terms: bool = True) -> Information:
+        """Return the information on candidate columns with all nuisances eliminated.
+
+        Args:
+            hyper: Hyperparameters of noise and nuisances.
+            candidates: Columns at the nodes, shape (m, k).
+            terms: Eliminate the parameters of the effects too; otherwise they are fixed.
+
+        """
+        nuisances, root = self.nuisance_columns, self.prior_factor(hyper.spread)
+        if not terms:
+            kept = self.without_terms
+            nuisances, root = nuisances[:, kept], root[np.ix_(kept, kept)]
+        columns = np.concatenate([self.residual[:, None], nuisances, candidates], axis=1)
+        total = self.products(columns, hyper.spread, self.whitener(hyper))
+        return eliminate(total, nuisances.shape[1], root)
+
     def posterior(self, hyper: Hyperparameters, whitener: Whitener) -> tuple[Array, Array]:
         """Return mean and covariance of all nuisances, which include the parameters of effects."""
         total = self.products(self.columns, hyper.spread, whitener)
@@ -298,11 +282,7 @@ class Model:
             width = self.common_std[here]
             moved = max(moved, float(np.max(np.abs(move) / np.sqrt(np.diag(covariance)[here]))))
             move = np.clip(move, -width, width)
-            parameters = {
-                name: _inside(value + delta, EFFECTS[term.name].parameters[name])
-                for (name, value), delta in zip(term.parameters.items(), move.tolist(), strict=True)
-            }
-            terms.append(EffectTerm(term.name, _ordered(parameters), covariance[here, here]))
+            terms.append(term.moved(move, covariance[here, here]))
         return tuple(terms), davis, moved
 
     def _moved(self, davis: Davis, covariance: Array) -> float:
@@ -315,54 +295,3 @@ class Model:
 
 def _array(davis: Davis) -> Array:
     return np.array([davis.a, davis.b, davis.c])
-
-
-def prior_cost(term: EffectTerm, dataset: Dataset) -> float:
-    """Return -2 ln of the prior of an effect relative to the priors of the fit, which are centred at its parameters.
-
-    The prior of an amplitude is centred at its neutral value; that of another parameter is uniform over its range, for
-    a place or a time that of the data.
-    """
-    kind, cost = EFFECTS[term.name], 0.0
-    for name, value in term.parameters.items():
-        width = _width(term.name, name, value)
-        limits = kind.parameters[name]
-        if name == kind.amplitude:
-            cost += ((value - kind.neutral) / width) ** 2
-        elif limits.search is not None:
-            low, high = limits.search
-            span = math.log(high / low) * abs(value) if limits.grid == 'log' else high - low
-            cost += 2.0 * math.log(max(span / (_SPREAD * width), 1.0))
-        else:
-            along = dataset.joined('position') if limits.unit == 'm' else dataset.time
-            cost += 2.0 * math.log(max(float(np.ptp(along)) / (_SPREAD * width), 1.0))
-    return cost
-
-
-def _width(effect: str, name: str, value: float) -> float:
-    """Return the prior std of a parameter about its initial value."""
-    kind = EFFECTS[effect]
-    if name == kind.amplitude:
-        return 3.0 * kind.usual
-    limits = kind.parameters[name]
-    if limits.unit == 'm' and limits.search is None:
-        return _METRES
-    if limits.search is None:
-        return _SECONDS
-    return _LOG_WIDTH * max(abs(value), limits.search[0])
-
-
-def _inside(value: float, limits: Parameter) -> float:
-    """Return the nearest admissible value of a parameter, at most a factor of about three outside its search range."""
-    low, high = limits.low, limits.high
-    if limits.search is not None:
-        low, high = max(low, 0.3 * limits.search[0]), min(high, 3.0 * limits.search[1])
-    return min(max(value, low), high)
-
-
-def _ordered(parameters: dict[str, float]) -> dict[str, float]:
-    """Keep the end beyond the start by a minimum length: averaged under a train, shorter effects cannot be resolved."""
-    if 'start' in parameters and 'end' in parameters and parameters['end'] - parameters['start'] < _SHORTEST_M:
-        middle = 0.5 * (parameters['start'] + parameters['end'])
-        return {**parameters, 'start': middle - 0.5 * _SHORTEST_M, 'end': middle + 0.5 * _SHORTEST_M}
-    return parameters

@@ -4,31 +4,28 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from trainid_ros.errors import NoAnswerError
-from trainid_ros.explain.dataset import assemble
-from trainid_ros.explain.effect_evaluation import EffectEvaluator
-from trainid_ros.explain.explanation import (
+from trainid_ros.explain.effects import EffectTerm, merged, without_replaced
+from trainid_ros.explain.location import locate, where
+from trainid_ros.explain.measurement_errors import find_slip, read_at
+from trainid_ros.explain.model import Model
+from trainid_ros.explain.noise import DAVIS
+from trainid_ros.explain.proof import assess
+from trainid_ros.explain.result import (
     Alternative,
     Explanation,
     FoundEffect,
+    Location,
     NoiseLevels,
     RunTrace,
     Verdict,
 )
-from trainid_ros.explain.gap_location import locate, where
-from trainid_ros.explain.gradient_reference import read_at
-from trainid_ros.explain.holdout import gap_of, hold_out
-from trainid_ros.explain.known_effects import merged, without_replaced
-from trainid_ros.explain.model import EffectTerm, Model
-from trainid_ros.explain.nuisances import DAVIS
-from trainid_ros.explain.onset import with_onsets
-from trainid_ros.explain.selection import GENERIC, LEFT_OVER, Search
-from trainid_ros.explain.slip import find_slip
+from trainid_ros.explain.search import Search, Selection
 from trainid_ros.plural import pluralise
 from trainid_ros.train.effects import EFFECTS
 from trainid_ros.train.train_file import Davis, Effect
@@ -38,11 +35,9 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from trainid_ros.explain.explanation import Gap, Location
-    from trainid_ros.explain.holdout import HeldOut
-    from trainid_ros.explain.marginal_likelihood import Hyperparameters
+    from trainid_ros.explain.likelihood import Hyperparameters
+    from trainid_ros.explain.proof import Outcome
     from trainid_ros.explain.run_data import Run
-    from trainid_ros.explain.selection import Selection
     from trainid_ros.train.train_file import TrainFile
 
     Array = NDArray[np.float64]
@@ -54,14 +49,6 @@ COMPARED_S: Final = 12000.0
 """Maximum driving time used to fit the effects and to measure the gap [s], to bound time and memory."""
 # Relative error of parameters, since equations of real effects differ slightly from those of the library.
 _EQUATION_SHARE: Final = 0.03
-# Limit of plausible gusts, payloads, brakes and map errors; see MarginalLikelihood.excess.
-_MAX_EXCESS: Final = 14.0
-# The same when effects with evidence of their own have been found.
-_MAX_EXCESS_NAMED: Final = 30.0
-# Limit of a plausible amplitude, in units of its usual value.
-_MAX_USUAL: Final = 12.0
-_WORSE: Final = 1.1
-"""Effects that increase the gap on held-out runs by this factor are not reported, whatever their evidence."""
 # Error of times [s]: time stamps are read at 5 Hz.
 _CLOCK_S: Final = 0.04
 
@@ -101,7 +88,7 @@ def explain(
     slip = find_slip(search.base.model.dataset)
     # 3. Proof: the gap on runs that the fit has not seen, and the verdict.
     advance('held-out runs')
-    outcome = _assess(selection, compared, train_file, slipping=slip is not None)
+    outcome = assess(selection, compared, train_file, slipping=slip is not None)
     # 4. Location: where along position, speed, mode and time the gap lies.
     advance('places')
     locations = locate(outcome.base, outcome.final, outcome.hyper)
@@ -113,7 +100,7 @@ def explain(
 
 
 def _result(
-    outcome: _Outcome,
+    outcome: Outcome,
     train_file: TrainFile,
     found: Sequence[FoundEffect],
     locations: tuple[Location, ...],
@@ -138,63 +125,9 @@ def _result(
     )
 
 
-@dataclass(frozen=True, slots=True)
-class _Outcome:
-    """Verdict with the models and held-out gaps behind it.
-
-    Attributes:
-        verdict: The verdict.
-        remaining: One sentence on what the rest of the gap depends on.
-        hyper: Hyperparameters of noise and nuisances.
-        base: Model without effects, of all runs compared.
-        final: Model with the effects that are reported.
-        before: Gaps of held-out runs without effects; None with too few runs.
-        after: Gaps of held-out runs with the effects; None with too few runs.
-
-    """
-
-    verdict: Verdict
-    remaining: str
-    hyper: Hyperparameters
-    base: Model
-    final: Model
-    before: HeldOut | None
-    after: HeldOut | None
-
-    @property
-    def gap(self) -> Gap | None:
-        """The gap before and after; None with too few runs."""
-        return gap_of(self.before, self.after, self.final)
-
-
-def _assess(selection: Selection, runs: Sequence[Run], train_file: TrainFile, *, slipping: bool) -> _Outcome:
-    """Return the verdict on the selected effects, from all runs compared."""
-    verdict = _verdict(selection, slipping=slipping)
-    # Effects that do not fit are not reported and not used.
-    reported = selection.base if verdict is Verdict.UNEXPLAINED else selection.final
-    hyper, base, final = reported.hyper, selection.base.model, reported.model
-    if len(base.dataset.runs) < len(runs):
-        base = Model(_evaluator(runs, train_file), train_file)
-        final = with_onsets(base.with_terms(reported.model.terms).fit(hyper), hyper)
-    before = hold_out(base, hyper)
-    outcome = _Outcome(verdict, _remaining(selection, verdict), hyper, base, final, before, hold_out(final, hyper))
-    if (gap := outcome.gap) is None or gap.after <= _WORSE * gap.before:
-        return outcome
-    # Despite their evidence, the effects do not improve the simulation of held-out runs.
-    return _Outcome(Verdict.UNEXPLAINED, _no_better(final, gap), hyper, base, base, before, before)
-
-
 def _search(runs: Sequence[Run], train_file: TrainFile, advance: Callable[[str], None]) -> Search:
     """Return the search over a subset of the runs of at most :data:`SEARCHED_S`."""
-    return Search(Model(_evaluator(_some(runs, SEARCHED_S), train_file), train_file), advance)
-
-
-def _evaluator(runs: Sequence[Run], train_file: TrainFile) -> EffectEvaluator:
-    """Return the evaluator of the runs, with the effects of the train file in the predicted speed."""
-    evaluator = EffectEvaluator(assemble(runs, train_file), train_file)
-    if not train_file.effects:
-        return evaluator
-    return EffectEvaluator(assemble(runs, train_file, evaluator.total(train_file.effects)), train_file)
+    return Search(Model.of(_some(runs, SEARCHED_S), train_file), advance)
 
 
 def _some(runs: Sequence[Run], seconds: float) -> Sequence[Run]:
@@ -205,26 +138,6 @@ def _some(runs: Sequence[Run], seconds: float) -> Sequence[Run]:
     count = math.ceil(len(runs) * seconds / driven)
     places = np.linspace(0, len(runs) - 1, count).round().astype(int)
     return [runs[i] for i in places.tolist()]
-
-
-def _verdict(selection: Selection, *, slipping: bool) -> Verdict:
-    generic = selection.groups[0].evidence if selection.groups else 0.0
-    if generic > max(GENERIC, LEFT_OVER * sum(selection.evidence)) or not _credible(selection, slipping=slipping):
-        return Verdict.UNEXPLAINED
-    if not selection.evidence:
-        return Verdict.EXPLAINED if slipping else Verdict.NO_GAP
-    return Verdict.AMBIGUOUS if any(selection.twins) else Verdict.EXPLAINED
-
-
-def _credible(selection: Selection, *, slipping: bool) -> bool:
-    """Return False if an amplitude or the noise is implausibly large.
-
-    With slip the noise is not checked, since its bursts look like gusts.
-    """
-    terms = selection.final.model.terms
-    most = _MAX_EXCESS_NAMED if terms else _MAX_EXCESS
-    usual = slipping or selection.final.excess < most
-    return usual and all(term.size < _MAX_USUAL for term in terms)
 
 
 def _found(selection: Selection, model: Model, locations: tuple[Location, ...]) -> list[FoundEffect]:
@@ -265,35 +178,7 @@ def _davis(model: Model, hyper: Hyperparameters) -> tuple[Davis, tuple[float, fl
     return model.found_davis(mean), (std[0], std[1], std[2])
 
 
-def _remaining(selection: Selection, verdict: Verdict) -> str:
-    strongest = selection.groups[0] if selection.groups else None
-    if strongest is not None and strongest.evidence >= GENERIC:
-        size = 'depends' if verdict is Verdict.UNEXPLAINED else 'depends slightly'
-        return f'The rest of the gap {size} on {strongest.text}, and no effect of the library fits it.'
-    if verdict is Verdict.UNEXPLAINED:
-        return f'Unmeasured forces exceed plausible noise: {_unusual(selection.final.hyper)}.'
-    return 'What is left is noise: gusts, errors of the map and of the sensors.'
-
-
-def _no_better(model: Model, gap: Gap) -> str:
-    """Return why effects with enough evidence are not reported."""
-    names = ' and '.join(sorted({term.name for term in model.terms}))
-    return (
-        f'The evidence for {names} is not confirmed: the gap on held-out runs would increase from {gap.before:.3f} to '
-        f'{gap.after:.3f} m/s.'
-    )
-
-
-def _unusual(hyper: Hyperparameters) -> str:
-    """Return as text the gusts, payloads, brakes and map errors that would be needed to explain the gap."""
-    noise, spread = hyper.noise, hyper.spread
-    return (
-        f'gusts of {noise.gust:.2f} N/kN lasting {noise.gust_time:.0f} s, errors of {spread.payload:.1%} of the mass, '
-        f'{spread.brake:.1%} of the brake force from run to run and {spread.map:.2f} per mille of the map gradient'
-    )
-
-
-def _traces(outcome: _Outcome) -> tuple[RunTrace, ...]:
+def _traces(outcome: Outcome) -> tuple[RunTrace, ...]:
     """Return all runs with their gaps for plots."""
     model, before, after = outcome.final, outcome.before, outcome.after
     dataset = model.dataset

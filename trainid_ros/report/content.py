@@ -3,21 +3,16 @@
 
 from __future__ import annotations
 
-import platform
 from dataclasses import dataclass
-from importlib.metadata import PackageNotFoundError, version
-from typing import TYPE_CHECKING, Final
-
-from trainid_ros import __version__
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from trainid_ros.bag.bag_replay import Replay
     from trainid_ros.estimators.protocol import Output
     from trainid_ros.report.traces import Traces
     from trainid_ros.results import BrakeRateEstimate, Reason, ResistanceEstimate, SpeedModelEstimate
     from trainid_ros.sim.truth import Truth
     from trainid_ros.train.train_file import TrainFile
-
-_LIBRARIES: Final = ('numpy', 'scipy', 'rclpy')
 
 
 @dataclass(frozen=True, slots=True)
@@ -76,12 +71,34 @@ class Report:
     chapters: tuple[Chapter, ...]
 
 
-def versions() -> tuple[str, ...]:
-    """Return names and versions of the software used; libraries that are not installed are left out."""
-    found = [f'trainid_ros {__version__}', f'Python {platform.python_version()}']
-    for library in _LIBRARIES:
-        try:
-            found.append(f'{library} {version(library)}')
-        except PackageNotFoundError:
-            continue
-    return tuple(found)
+def chapter_of(
+    outcome: Replay,
+    traces: Traces,
+    *,
+    title: str,
+    bag: str,
+    train_file_name: str,
+    train_file: TrainFile,
+    how: str,
+    truth: Truth | None = None,
+    notes: tuple[str, ...] = (),
+) -> Chapter:
+    """Return the chapter of a replay; see :class:`Chapter` for the arguments."""
+    return Chapter(
+        title=title,
+        bag=bag,
+        train_file_name=train_file_name,
+        train_file=train_file,
+        how=how,
+        traces=traces,
+        resistance=outcome.resistance.output,
+        speed_model=outcome.speed_model.output,
+        brake_rate=outcome.brake_rate.output,
+        rejections=(
+            RejectionCounts('resistance', outcome.resistance.rejections),
+            RejectionCounts('speed model', outcome.speed_model.rejections),
+            RejectionCounts('brake rate', outcome.brake_rate.rejections),
+        ),
+        truth=truth,
+        notes=notes,
+    )

@@ -7,10 +7,16 @@ from dataclasses import dataclass
 from html import escape
 from typing import TYPE_CHECKING, Final
 
-from trainid_ros.explain.explanation import Verdict
-from trainid_ros.report.gap_figures import gap_along_line, gap_bars, gap_of_runs
-from trainid_ros.report.page import page, write_page
-from trainid_ros.report.place_figures import missing_along_line, missing_by_part
+from trainid_ros.explain.result import Explanation, Verdict
+from trainid_ros.report.gap_figures import (
+    Stretches,
+    gap_along_line,
+    gap_bars,
+    gap_of_runs,
+    missing_along_line,
+    missing_by_part,
+)
+from trainid_ros.report.page import bullets, captioned, facts_list, page, write_page
 from trainid_ros.report.tables import html_table
 from trainid_ros.report.words import (
     alternatives,
@@ -30,8 +36,6 @@ from trainid_ros.report.words import (
 if TYPE_CHECKING:
     from pathlib import Path
 
-    from trainid_ros.explain.explanation import Explanation
-    from trainid_ros.report.gap_figures import Stretches
     from trainid_ros.train.train_file import TrainFile
 
 # The tag has the colours of the estimators' statuses.
@@ -93,12 +97,9 @@ def _head(explained: Explained) -> str:
         ('Train file', explained.train_file_name),
         ('Drive', drive_text(explained.explanation)),
     )
-    listed = ''.join(f'<dt>{name}</dt><dd>{escape(text)}</dd>' for name, text in facts)
     tag = f'<span class="tag {_TAGS[verdict]}">{verdict.value.replace("_", " ")}</span>'
-    notes = ''.join(f'<li>{escape(note)}</li>' for note in explained.notes)
-    return f'<dl>{listed}</dl><h2>{tag} {escape(headline(explained.explanation))}</h2>' + (
-        f'<ul>{notes}</ul>' if notes else ''
-    )
+    heading = f'<h2>{tag} {escape(headline(explained.explanation))}</h2>'
+    return facts_list(facts) + heading + bullets(explained.notes)
 
 
 def _findings(explained: Explained) -> str:
@@ -122,9 +123,7 @@ def _what(explanation: Explanation, index: int) -> str:
 
 
 def _paragraphs(lines: list[str]) -> str:
-    if len(lines) == 1:
-        return f'<p>{escape(lines[0])}</p>'
-    return f'<ul>{"".join(f"<li>{escape(line)}</li>" for line in lines)}</ul>'
+    return f'<p>{escape(lines[0])}</p>' if len(lines) == 1 else bullets(lines)
 
 
 def _figures(explained: Explained) -> str:
@@ -154,11 +153,7 @@ def _figures(explained: Explained) -> str:
         ),
         ('Single runs', _runs_caption(explanation), gap_of_runs(explanation)),
     )
-    return ''.join(
-        f'<figure><h3>{name}</h3><p class="caption">{escape(caption)}</p>{svg}</figure>'
-        for name, caption, svg in figures
-        if svg
-    )
+    return captioned(figures)
 
 
 def _runs_caption(explanation: Explanation) -> str:

@@ -6,15 +6,26 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 
-from trainid_ros.report.axes import (
+from trainid_ros.report.scores import SIGMA_95, resistance_at, resistance_std, true_rate, true_theta
+from trainid_ros.report.style import (
+    BAD,
     BAND_68,
     BAND_95,
+    BRAKE,
+    COAST,
+    ESTIMATE,
     ESTIMATE_LINE,
+    GOOD,
+    INK,
+    MUTED,
     PRIOR_LINE,
+    SECOND,
+    STAND,
+    TRACTION,
     TRUTH_LINE,
+    WAIT,
     draw_band,
     draw_prior,
     draw_spans,
@@ -23,36 +34,11 @@ from trainid_ros.report.axes import (
     limit,
     minutes,
     pick,
+    styled_figure,
     time_axis,
-)
-from trainid_ros.report.scores import SIGMA_95, resistance_at, resistance_std, true_rate, true_theta
-from trainid_ros.report.style import (
-    BAD,
-    BRAKE,
-    COAST,
-    ESTIMATE,
-    GOOD,
-    INK,
-    MUTED,
-    SECOND,
-    STAND,
-    TRACTION,
-    WAIT,
-    house_style,
     to_svg,
 )
-from trainid_ros.report.traces import (
-    BRAKE as BRAKING,
-)
-from trainid_ros.report.traces import (
-    COAST as COASTING,
-)
-from trainid_ros.report.traces import (
-    STANDSTILL,
-)
-from trainid_ros.report.traces import (
-    TRACTION as PULLING,
-)
+from trainid_ros.report.traces import BRAKING, COASTING, PULLING, STANDSTILL
 from trainid_ros.train.davis import davis
 
 if TYPE_CHECKING:
@@ -73,7 +59,6 @@ STATUSES: Final = {
     'FAULT': BAD,
 }
 _KMH: Final = 3.6
-_WIDE: Final = 10.4
 _CURVE_POINTS: Final = 80
 _PARAMETERS: Final = ('a [N/kN]', 'b [N/kN per m/s]', 'c [N/kN per (m/s)²]')
 
@@ -102,8 +87,7 @@ def resistance_over_time(chapter: Chapter) -> str:
     """Plot w at three speeds, and a, b, c, over time."""
     if not len(chapter.traces.resistance.time_s):
         return ''
-    with house_style():
-        figure = Figure(figsize=(_WIDE, 6.6), layout='constrained')
+    with styled_figure(6.6) as figure:
         panels = figure.subplots(3, 2, sharex=True)
         for axes, speed in zip(panels[:, 0], shown_speeds(chapter), strict=True):
             _draw_resistance(axes, chapter, speed)
@@ -150,8 +134,7 @@ def resistance_curve(chapter: Chapter) -> str:
     trace = chapter.traces.resistance
     if not len(trace.time_s):
         return ''
-    with house_style():
-        figure = Figure(figsize=(_WIDE, 4.6), layout='constrained')
+    with styled_figure(4.6) as figure:
         curve, driven = figure.subplots(2, 1, sharex=True, height_ratios=(4, 1))
         speeds = np.linspace(0.0, _top_speed(chapter), _CURVE_POINTS)
         low, high = trace.speed_range
@@ -193,8 +176,7 @@ def brake_rate_over_time(chapter: Chapter) -> str:
     trace, duration_s = chapter.traces.brake_rate, chapter.traces.duration_s
     if not len(trace.time_s):
         return ''
-    with house_style():
-        figure = Figure(figsize=(_WIDE, 3.4), layout='constrained')
+    with styled_figure(3.4) as figure:
         axes = figure.subplots()
         kept = pick(len(trace.time_s))
         time_s, rate, std = trace.time_s[kept], trace.rate[kept], trace.std[kept]
@@ -221,8 +203,7 @@ def speed_profile(chapter: Chapter) -> str:
     drive, duration_s = chapter.traces.drive, chapter.traces.duration_s
     if not len(drive.time_s):
         return ''
-    with house_style():
-        figure = Figure(figsize=(_WIDE, 3.8), layout='constrained')
+    with styled_figure(3.8) as figure:
         speed, gradient = figure.subplots(2, 1, sharex=True, height_ratios=(3, 1))
         kept = pick(len(drive.time_s) // 2)
         draw_spans(speed, drive.modes, MODES, alpha=0.45)
@@ -247,8 +228,7 @@ def innovation_ratios(chapter: Chapter) -> str:
     rows = [row for row in both if len(row[1])]
     if not rows:
         return ''
-    with house_style():
-        figure = Figure(figsize=(_WIDE, 0.6 + 1.7 * len(rows)), layout='constrained')
+    with styled_figure(0.6 + 1.7 * len(rows)) as figure:
         panels = figure.subplots(len(rows), 1, sharex=True, squeeze=False)[:, 0]
         for axes, (name, time_s, ratio) in zip(panels, rows, strict=True):
             _draw_ratio(axes, time_s, ratio)
@@ -278,8 +258,7 @@ def speed_model_over_time(chapter: Chapter) -> str:
     if not len(trace.time_s):
         return ''
     speed = shown_speeds(chapter)[1]
-    with house_style():
-        figure = Figure(figsize=(_WIDE, 2.8), layout='constrained')
+    with styled_figure(2.8) as figure:
         left, right = figure.subplots(1, 2, sharex=True)
         kept = pick(len(trace.time_s))
         time_s = trace.time_s[kept]
@@ -310,8 +289,7 @@ def status_timeline(chapter: Chapter) -> str:
     used = {span.label for _, spans in lanes for span in spans}
     if not used:
         return ''
-    with house_style():
-        figure = Figure(figsize=(_WIDE, 2.1), layout='constrained')
+    with styled_figure(2.1) as figure:
         axes = figure.subplots()
         for lane, (_, spans) in enumerate(lanes):
             _draw_lane(axes, 2 - lane, spans)

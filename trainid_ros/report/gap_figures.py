@@ -1,17 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Figures of the gap between simulation and data; each returns an SVG element, or an empty string without data."""
+"""Figures of the gap and of the missing resistance; each returns an SVG element, or an empty string without data."""
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from trainid_ros.report.axes import legend_above, limit, pick
-from trainid_ros.report.style import BRAKE, ESTIMATE, GOOD, MUTED, STAND, WAIT, house_style, to_svg
+from trainid_ros.report.style import (
+    BRAKE,
+    ESTIMATE,
+    GOOD,
+    MUTED,
+    STAND,
+    WAIT,
+    legend_above,
+    limit,
+    pick,
+    styled_figure,
+    to_svg,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -19,7 +30,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from numpy.typing import NDArray
 
-    from trainid_ros.explain.explanation import Explanation, RunTrace
+    from trainid_ros.explain.result import Explanation, Location, Place, RunTrace
     from trainid_ros.train.train_file import Line
 
     Array = NDArray[np.float64]
@@ -32,9 +43,8 @@ NOISE_BAND: Final = Patch(color=STAND, alpha=0.35, linewidth=0, label='±2 std o
 _STRETCH: Final = Patch(color=WAIT, alpha=0.3, linewidth=0, label='effect found here')
 _TUNNEL: Final = Patch(color=STAND, alpha=0.35, linewidth=0, label='tunnel')
 _CURVE: Final = Patch(color=GOOD, alpha=0.35, linewidth=0, label='curve')
-_WIDE: Final = 10.4
 _RUNS: Final = 12
-_ACROSS: Final = 3
+_RUNS_ACROSS: Final = 3
 # With more lines in one panel they cannot be distinguished.
 _LINES: Final = 60
 Stretches = tuple[tuple[float, float], ...]
@@ -49,8 +59,7 @@ def gap_bars(explanation: Explanation) -> str:
     if explanation.effects:
         bars.insert(1, ('with the effects', gap.after, AFTER))
     names, values, colours = zip(*bars, strict=True)
-    with house_style():
-        figure = Figure(figsize=(_WIDE, 0.7 + 0.4 * len(bars)), layout='constrained')
+    with styled_figure(0.7 + 0.4 * len(bars)) as figure:
         axes = figure.subplots()
         drawn = axes.barh(names, values, color=colours)
         axes.bar_label(drawn, [f'{value:.3f}' for value in values], padding=4)
@@ -66,8 +75,7 @@ def gap_along_line(explanation: Explanation, line: Line, found: Stretches) -> st
     ways = [way for way in (1, -1) if any(trace.direction == way for trace in seen)]
     if not ways:
         return ''
-    with house_style():
-        figure = Figure(figsize=(_WIDE, 1.0 + 2.1 * len(ways)), layout='constrained')
+    with styled_figure(1.0 + 2.1 * len(ways)) as figure:
         panels = figure.subplots(len(ways), 1, sharex=True, sharey=True, squeeze=False)[:, 0]
         for axes, way in zip(panels, ways, strict=True):
             axes.axhline(0.0, color=MUTED, linewidth=0.8)
@@ -117,15 +125,14 @@ def gap_of_runs(explanation: Explanation) -> str:
     traces = _worst(explanation.traces)
     if not traces:
         return ''
-    rows = -(-len(traces) // _ACROSS)
-    with house_style():
-        figure = Figure(figsize=(_WIDE, 0.7 + 1.75 * rows), layout='constrained')
-        panels = figure.subplots(rows, _ACROSS, sharey=True, squeeze=False).ravel()
+    rows = -(-len(traces) // _RUNS_ACROSS)
+    with styled_figure(0.7 + 1.75 * rows) as figure:
+        panels = figure.subplots(rows, _RUNS_ACROSS, sharey=True, squeeze=False).ravel()
         for axes, (index, trace) in zip(panels, traces, strict=False):
             _draw_run(axes, trace, f'run {index + 1}, {_way(trace)}')
         for axes in panels[len(traces) :]:
             axes.set_visible(False)
-        for axes in panels[::_ACROSS]:
+        for axes in panels[::_RUNS_ACROSS]:
             axes.set_ylabel('gap [m/s]')
         shown = [part for _, trace in traces for part in (trace.before, trace.after, 2.0 * trace.band)]
         limit(panels[0], shown)
@@ -158,3 +165,116 @@ def _draw_run(axes: Axes, trace: RunTrace, title: str) -> None:
 
 def _way(trace: RunTrace) -> str:
     return f'{trace.position[0] / 1000.0:.1f} → {trace.position[-1] / 1000.0:.1f} km'
+
+
+_PARTS_ACROSS: Final = 2
+_SIGMAS: Final = 2.0
+_MISSING: Final = 'missing [N/kN]'
+# With more labels they would not be readable.
+_NAMES: Final = 10
+# Multiple of the median std beyond which a part does not define the axis: with little driving it is almost the prior.
+_MAX_STD: Final = 4.0
+
+
+def missing_along_line(explanation: Explanation, line: Line, found: Stretches) -> str:
+    """Plot the missing resistance by position, before and after."""
+    shown = [location for location in explanation.locations if _is_position(location) and location.places]
+    if not shown:
+        return ''
+    with styled_figure(0.9 + 2.6 * len(shown)) as figure:
+        panels = figure.subplots(len(shown), 1, sharex=True, squeeze=False)[:, 0]
+        for axes, location in zip(panels, shown, strict=True):
+            _draw_ranges(axes, location)
+            draw_place(axes, line, found)
+            axes.set_title(f'Missing resistance by {location.axis}')
+        low = min(place.low for location in shown for place in location.places)
+        high = max(place.high for location in shown for place in location.places)
+        panels[-1].set_xlim(low, high)
+        panels[-1].set_xlabel('position [m], dotted: stops')
+        legend_above(figure, [BEFORE_LINE, AFTER_LINE, *line_handles(line, found)])
+        return to_svg(figure, 'Missing resistance by position')
+
+
+def missing_by_part(explanation: Explanation) -> str:
+    """Plot the missing resistance along all other axes."""
+    shown = [location for location in explanation.locations if not _is_position(location) and location.places]
+    if not shown:
+        return ''
+    rows = -(-len(shown) // _PARTS_ACROSS)
+    with styled_figure(0.5 + 2.5 * rows) as figure:
+        panels = figure.subplots(rows, _PARTS_ACROSS, squeeze=False).ravel()
+        for axes, location in zip(panels, shown, strict=False):
+            _draw_location(axes, location)
+        for axes in panels[len(shown) :]:
+            axes.set_visible(False)
+        legend_above(figure, [BEFORE_LINE, AFTER_LINE])
+        return to_svg(figure, 'Missing resistance by speed, driving mode and so on')
+
+
+def _is_position(location: Location) -> bool:
+    return location.axis.startswith('position')
+
+
+def _draw_location(axes: Axes, location: Location) -> None:
+    if all(math.isfinite(place.low) and math.isfinite(place.high) for place in location.places):
+        _draw_ranges(axes, location)
+        axes.set_xlabel(f'{location.axis} [{location.unit}]' if location.unit else location.axis)
+    else:
+        _draw_kinds(axes, location.places)
+        labels = [place.label for place in location.places]
+        every = math.ceil(len(labels) / _NAMES)
+        axes.set_xticks(range(0, len(labels), every), labels[::every])
+    axes.set_title(f'by {location.axis}')
+
+
+def _draw_ranges(axes: Axes, location: Location) -> None:
+    """Draw steps with bands of ±2 std over the ranges of an axis."""
+    places = sorted(location.places, key=lambda place: place.low)
+    x, std = _steps(places, [place.std for place in places])
+    axes.axhline(0.0, color=MUTED, linewidth=0.8)
+    for colour, values in ((BEFORE, [place.before for place in places]), (AFTER, [place.after for place in places])):
+        value = _steps(places, values)[1]
+        axes.fill_between(x, value - _SIGMAS * std, value + _SIGMAS * std, color=colour, alpha=0.18, linewidth=0)
+        axes.plot(x, value, color=colour)
+    axes.set_ylabel(_MISSING)
+    _fit(axes, places)
+
+
+def _steps(places: Sequence[Place], values: Sequence[float]) -> tuple[Array, Array]:
+    """Return x and a quantity at both ends of each range, with a break where ranges do not touch."""
+    x: list[float] = []
+    y: list[float] = []
+    for place, value in zip(places, values, strict=True):
+        if x and place.low > x[-1] + 1e-6 * abs(place.low):
+            x.append(place.low)
+            y.append(math.nan)
+        x += [place.low, place.high]
+        y += [value, value]
+    return np.array(x), np.array(y)
+
+
+def _draw_kinds(axes: Axes, places: Sequence[Place]) -> None:
+    """Draw values with bars of ±2 std side by side."""
+    at = np.arange(len(places))
+    std = np.array([place.std for place in places])
+    axes.axhline(0.0, color=MUTED, linewidth=0.8)
+    for shift, colour, values in (
+        (-0.12, BEFORE, [place.before for place in places]),
+        (0.12, AFTER, [place.after for place in places]),
+    ):
+        axes.errorbar(at + shift, values, _SIGMAS * std, fmt='o', markersize=4, color=colour, capsize=3, linewidth=1.2)
+    axes.set_xlim(-0.6, len(places) - 0.4)
+    axes.set_ylabel(_MISSING)
+    axes.grid(visible=False, axis='x')
+    _fit(axes, places)
+
+
+def _fit(axes: Axes, places: Sequence[Place]) -> None:
+    largest = _MAX_STD * float(np.median([place.std for place in places]))
+    known = [place for place in places if place.std <= largest]
+    ends = [
+        np.array([value - _SIGMAS * place.std, value + _SIGMAS * place.std, 0.0])
+        for place in known
+        for value in (place.before, place.after)
+    ]
+    limit(axes, ends, 0.08)

@@ -24,9 +24,9 @@ Row: TypeAlias = tuple[float, ...]
 
 CAPACITY: Final = 4096
 STANDSTILL: Final = 'standstill'
-TRACTION: Final = 'traction'
-COAST: Final = 'coast'
-BRAKE: Final = 'brake'
+PULLING: Final = 'traction'
+COASTING: Final = 'coast'
+BRAKING: Final = 'brake'
 _STANDING_SPEED: Final = 0.3
 # Share of the greatest force up to which a train coasts: auxiliaries draw some power then.
 _TRACTION_SHARE: Final = 0.02
@@ -259,8 +259,8 @@ class TraceRecorder:
         if speed < _STANDING_SPEED:
             return STANDSTILL
         if self._command < 0.0:
-            return BRAKE
-        return TRACTION if self._force > _TRACTION_SHARE * self._greatest_force else COAST
+            return BRAKING
+        return PULLING if self._force > _TRACTION_SHARE * self._greatest_force else COASTING
 
     def _add_resistance(self, time_s: float, estimate: ResistanceEstimate, status: Status) -> None:
         theta = (estimate.a, estimate.b, estimate.c)

@@ -9,15 +9,14 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from trainid_ros.explain.explanation import Verdict
-from trainid_ros.explain.phrases import place_text
+from trainid_ros.explain.result import Explanation, FoundEffect, Verdict, place_text
 from trainid_ros.plural import pluralise
+from trainid_ros.report.tables import number
 from trainid_ros.train.effects import EFFECTS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from trainid_ros.explain.explanation import Explanation, FoundEffect
     from trainid_ros.train.train_file import TrainFile
 
 DAVIS_UNITS: Final = ('N/kN', 'N/kN per m/s', 'N/kN per (m/s)²')
@@ -75,11 +74,6 @@ def plus_minus(value: float, std: float) -> str:
         return number(value)
     places = max(0, 1 - math.floor(math.log10(std)))
     return f'{value:.{places}f} ± {std:.{places}f}' if places < 7 else f'{value:.4g} ± {std:.2g}'
-
-
-def number(value: float, digits: int = 4) -> str:
-    """Return a number as text, a dash if it is not finite."""
-    return f'{value:.{digits}g}' if math.isfinite(value) else '–'
 
 
 def unit_of(effect: str, parameter: str) -> str:

@@ -8,8 +8,7 @@ from typing import TYPE_CHECKING, Any, Final
 from trainid_ros.bag import missing_package_error
 from trainid_ros.errors import InputError
 from trainid_ros.ros.parameter_specs import ParameterSpec
-from trainid_ros.ros.playback import TimedRecord, Timeline
-from trainid_ros.ros.playback_node import PlaybackNode, playback_parameters
+from trainid_ros.ros.playback import PlaybackNode, TimedRecord, Timeline, playback_parameters
 from trainid_ros.ros.runner import run_node
 
 if TYPE_CHECKING:

@@ -33,20 +33,17 @@ from trainid_ros.records import (
     Record,
 )
 from trainid_ros.results import Status
-from trainid_ros.ros import qos
-from trainid_ros.ros.conversion import fill_estimate, time_message
 from trainid_ros.ros.diagnostics import (
+    InputMonitor,
     NodeHealth,
     ShownValue,
+    StepTimes,
+    Watchdog,
     estimator_status,
     idle_status,
     input_status,
 )
-from trainid_ros.ros.estimator_services import NUMERICAL_ERRORS, EstimatorServices
-from trainid_ros.ros.intake import Intake
-from trainid_ros.ros.lifecycle import ManagedNode, guarded
-from trainid_ros.ros.monitors import InputMonitor, StepTimes
-from trainid_ros.ros.node_parameters import NodeParameters
+from trainid_ros.ros.node import ManagedNode, NodeParameters, guarded
 from trainid_ros.ros.parameter_specs import (
     ALGORITHM,
     TRAIN_PARAMETERS,
@@ -57,7 +54,18 @@ from trainid_ros.ros.parameter_specs import (
     qos_overrides,
     requested_algorithm,
 )
-from trainid_ros.ros.watchdog import Watchdog
+from trainid_ros.ros.services import NUMERICAL_ERRORS, EstimatorServices
+from trainid_ros.ros.topics import (
+    Intake,
+    diagnostics_qos,
+    estimate_qos,
+    fill_estimate,
+    latched_qos,
+    message_class,
+    overridable,
+    publisher_events,
+    time_message,
+)
 from trainid_ros.stream.sample_stream import TimeJumpPolicy
 from trainid_ros.train.train_file import load_train_file
 
@@ -83,14 +91,12 @@ class EstimatorSpec:
 
     Attributes:
         job: What it estimates.
-        message: Message class of the estimates.
         shown: Values to show in the diagnostics, the most important first.
         details: Returns further diagnostics, as names and values, for the prior and the current estimate.
 
     """
 
     job: Job
-    message: Any
     shown: tuple[ShownValue, ...]
     details: Callable[[Any, Any], Iterable[tuple[str, str]]] = _no_details
 
@@ -98,7 +104,7 @@ class EstimatorSpec:
 class EstimatorNode(ManagedNode):
     """Lifecycle node that runs one estimator pipeline."""
 
-    def __init__(self, spec: EstimatorSpec, *, arguments: Sequence[str] = (), **options: Any) -> None:
+    def __init__(self, spec: EstimatorSpec, arguments: Sequence[str] = (), **options: Any) -> None:
         """Declare all parameters and create the services; everything else is set up on configure.
 
         Args:
@@ -110,6 +116,7 @@ class EstimatorNode(ManagedNode):
         super().__init__(spec.job.node_name, **options)
         self.spec = spec
         self.job = spec.job
+        self._message = message_class(spec.job.topic)
         expected = qos_overrides(self.job, self.resolve_topic_name)
         self.parameters = NodeParameters(self, self._parameter_specs(), expected=expected)
         self.parameters.check_sections(arguments, self.job.node_name)
@@ -126,7 +133,7 @@ class EstimatorNode(ManagedNode):
         self._jump_handle: Any = None
         self._watchdog_timer: Any = None
         self._forget()
-        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', qos.diagnostics_qos())
+        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', diagnostics_qos())
         self._diagnostic_timer = self._make_diagnostic_timer()
         self._services_offered = EstimatorServices(self)
 
@@ -196,9 +203,9 @@ class EstimatorNode(ManagedNode):
 
     def _open(self) -> None:
         job = self.job
-        self._estimates = self._offer(job.topic.name, qos.estimate_qos())
+        self._estimates = self._offer(job.topic.name, estimate_qos())
         if job.topic.last_valid:
-            self._last_valid = self._offer(job.topic.last_valid, qos.latched_qos())
+            self._last_valid = self._offer(job.topic.last_valid, latched_qos())
         alignment = self._settings.alignment
         longest = {
             SPEED_TOPIC: alignment.max_dt,
@@ -217,11 +224,11 @@ class EstimatorNode(ManagedNode):
 
     def _offer(self, topic: str, profile: Any) -> Any:
         return self.create_lifecycle_publisher(
-            self.spec.message,
+            self._message,
             topic,
             profile,
-            event_callbacks=qos.publisher_events(self.get_logger(), topic),
-            qos_overriding_options=qos.overridable(),
+            event_callbacks=publisher_events(self.get_logger(), topic),
+            qos_overriding_options=overridable(),
         )
 
     def _pause(self) -> None:
@@ -293,7 +300,7 @@ class EstimatorNode(ManagedNode):
         return pipeline.fail()
 
     def _publish(self, output: Any) -> None:
-        message = fill_estimate(self.spec.message(), output)
+        message = fill_estimate(self._message(), output)
         self._estimates.publish(message)
         if self._last_valid is not None and message.status == int(Status.VALID):
             self._last_valid.publish(message)

@@ -1,17 +1,24 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Playback timing: a recorded timeline mapped to a steady clock without drift."""
+"""Playback of records at their recorded pace, mapped to a steady clock without drift, and its lifecycle node."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, NamedTuple
+import time
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from trainid_ros.records import NS_PER_S
+from rclpy.duration import Duration
+from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
+from rosgraph_msgs.msg import Clock as ClockMessage
+
+from trainid_ros.errors import InputError
+from trainid_ros.records import INPUT_TOPICS, NS_PER_S, Record
+from trainid_ros.ros.node import ManagedNode, NodeParameters, guarded
+from trainid_ros.ros.parameter_specs import AUTOSTART, ParameterSpec
+from trainid_ros.ros.topics import message_class, message_from_record, source_qos, time_message
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from trainid_ros.records import Record
+    from collections.abc import Callable, Iterator, Sequence
 
 # /clock also ticks through gaps, so that nodes on simulated time detect dropouts.
 _TICK_NS: Final = NS_PER_S // 20
@@ -90,3 +97,189 @@ class Pacer:
             self._anchor = (time_ns, steady_ns)
             return steady_ns
         return due
+
+
+_POLL_NS: Final = NS_PER_S // 50
+_ACKNOWLEDGED_S: Final = 2.0
+# Best-effort subscribers send no acknowledgement; they get this long to take the last messages.
+_LINGER_S: Final = 0.3
+# A subscriber discovered by this node may not have discovered it yet, and loses best-effort messages until then.
+_DISCOVERY_NS: Final = NS_PER_S // 2
+
+
+def playback_parameters(*, live: bool) -> tuple[ParameterSpec, ...]:
+    """Return the parameters of every playback node; if ``live``, records are stamped with the present by default."""
+    next_configure = 'takes effect on the next configure'
+    return (
+        ParameterSpec('rate', 1.0, f'recorded seconds per second [1]; {next_configure}', 0.01, 1000.0),
+        ParameterSpec('start', 0.0, f'where to start, after the beginning [s]; {next_configure}', 0.0, 1e7),
+        ParameterSpec('duration', 0.0, f'how long to play, 0 = to the end [s]; {next_configure}', 0.0, 1e7),
+        ParameterSpec('loop', False, f'start over at the end; {next_configure}'),
+        ParameterSpec('wait', 0, f'subscribers to wait for on each topic; {next_configure}', 0, 1000),
+        ParameterSpec('publish_clock', not live, f'publish recorded time on /clock; {next_configure}'),
+        ParameterSpec('restamp', live, f'shift all stamps to the present; needs rate 1; {next_configure}'),
+        AUTOSTART,
+    )
+
+
+class PlaybackNode(ManagedNode):
+    """Base class of bag player and simulator: activating it plays, deactivating it pauses.
+
+    Attributes:
+        finished: True once all records have been played and delivered.
+        position_ns: Recorded time of the last entry published [ns], 0 before the start.
+        played: Number of records published.
+
+    """
+
+    def __init__(
+        self, name: str, specs: Sequence[ParameterSpec], *, arguments: Sequence[str] = (), **options: Any
+    ) -> None:
+        """Declare all parameters.
+
+        Args:
+            name: Name of the node.
+            specs: All its parameters, including those of :func:`playback_parameters`.
+            arguments: ROS arguments of the process, searched for parameter files.
+            options: Options of the rclpy node.
+
+        """
+        super().__init__(name, **options)
+        self.parameters = NodeParameters(self, specs)
+        self.parameters.check_sections(arguments, name)
+        self.parameters.report()
+        self._outputs: dict[type[Record], Any] = {}
+        self._clock_output: Any = None
+        self._timer: Any = None
+        self._release()
+
+    def open_timeline(self) -> Timeline:
+        """Return the timeline to play; called on configure.
+
+        Raises:
+            InputError: There is nothing to play.
+
+        """
+        raise NotImplementedError
+
+    def close_timeline(self) -> None:
+        """Release the resources of :meth:`open_timeline`."""
+
+    @guarded
+    def on_configure(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Open the timeline and create the publishers."""
+        self.failure = ''
+        self.parameters.check()
+        if self.parameters.value('restamp') and self.parameters.value('rate') != 1.0:
+            msg = f'restamp needs rate = 1, not {self.parameters.value("rate")}'
+            raise InputError(msg)
+        self.timeline = self.open_timeline()
+        for topic in INPUT_TOPICS:
+            self._outputs[topic.record] = self.create_lifecycle_publisher(
+                message_class(topic), topic.name, source_qos()
+            )
+        if self.parameters.value('publish_clock'):
+            self._clock_output = self.create_lifecycle_publisher(ClockMessage, '/clock', source_qos())
+        self._pacer = Pacer(float(self.parameters.value('rate')))
+        self._rewind()
+        return super().on_configure(state)
+
+    @guarded
+    def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Start or resume playback."""
+        result = super().on_activate(state)
+        self._anchor()
+        self._timer = self.create_timer(_POLL_NS / NS_PER_S, self._play, clock=self._steady)
+        return result
+
+    def _pause(self) -> None:
+        if self._timer is not None:
+            self.destroy_timer(self._timer)
+            self._timer = None
+
+    def _release(self) -> None:
+        self._pause()
+        for publisher in (*self._outputs.values(), self._clock_output):
+            if publisher is not None:
+                self.destroy_lifecycle_publisher(publisher)
+        self.close_timeline()
+        self._outputs = {}
+        self._clock_output = None
+        self._entries: Iterator[TimedRecord] = iter(())
+        self._next: TimedRecord | None = None
+        self._pacer = Pacer(1.0)
+        self.timeline = Timeline(0, 0, lambda: iter(()))
+        self.finished = False
+        self._complete_ns = 0
+        self.position_ns = 0
+        self.played = 0
+
+    def _rewind(self) -> None:
+        start, duration = float(self.parameters.value('start')), float(self.parameters.value('duration'))
+        self._entries = with_ticks(self.timeline, start, duration)
+        self._next = next(self._entries, None)
+        self._anchor()
+
+    def _anchor(self) -> None:
+        """Make the next entry due now."""
+        self._pacer.release()
+        self._shift_ns: int | None = None
+
+    def _play(self) -> None:
+        """Publish the entries that are due and sleep until the next one is."""
+        if self.finished or self._is_waiting():
+            return
+        now = int(self._steady.now().nanoseconds)
+        while self._next is not None:
+            due = self._pacer.due_ns(self._next.time_ns, now)
+            if due > now:
+                self._sleep(due - now)
+                return
+            self._publish(self._next)
+            self._next = next(self._entries, None)
+        self._finish()
+
+    def _is_waiting(self) -> bool:
+        """Return True before the start while subscribers are missing or have only just been discovered."""
+        wanted = int(self.parameters.value('wait'))
+        if not wanted or self.position_ns:
+            return False
+        outputs = [self._outputs[topic.record] for topic in INPUT_TOPICS]
+        if any(output.get_subscription_count() < wanted for output in outputs):
+            self._complete_ns = 0
+            return True
+        now = int(self._steady.now().nanoseconds)
+        self._complete_ns = self._complete_ns or now
+        return now - self._complete_ns < _DISCOVERY_NS
+
+    def _sleep(self, pause_ns: int) -> None:
+        self._timer.timer_period_ns = max(pause_ns, 1000)
+        self._timer.reset()
+
+    def _publish(self, entry: TimedRecord) -> None:
+        if self._clock_output is not None and entry.time_ns != self.position_ns:
+            self._clock_output.publish(ClockMessage(clock=time_message(entry.time_ns)))
+        self.position_ns = entry.time_ns
+        if entry.record is not None:
+            self._outputs[type(entry.record)].publish(message_from_record(self._stamped(entry, entry.record)))
+            self.played += 1
+
+    def _stamped(self, entry: TimedRecord, record: Record) -> Record:
+        """Return the record with the stamp to publish."""
+        if not self.parameters.value('restamp'):
+            return record
+        if self._shift_ns is None:
+            self._shift_ns = int(self.get_clock().now().nanoseconds) - entry.time_ns
+        return replace(record, stamp_ns=record.stamp_ns + self._shift_ns)
+
+    def _finish(self) -> None:
+        if self.parameters.value('loop') and self.played:
+            self._rewind()
+            self._sleep(_POLL_NS)
+            return
+        for output in self._outputs.values():
+            output.wait_for_all_acked(Duration(seconds=_ACKNOWLEDGED_S))
+        time.sleep(_LINGER_S)
+        self._pause()
+        self.finished = True
+        self.get_logger().info(f'played {self.played} records')

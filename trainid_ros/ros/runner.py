@@ -16,12 +16,10 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.signals import SignalHandlerOptions
 
 from trainid_ros.errors import InputError
-from trainid_ros.ros.lifecycle import RCLError
+from trainid_ros.ros.node import ManagedNode, RCLError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
-
-    from trainid_ros.ros.lifecycle import ManagedNode
 
 # A waiting executor notices a signal only when it returns.
 _REACTION_S: Final = 0.2

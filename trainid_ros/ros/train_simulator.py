@@ -13,8 +13,7 @@ import numpy as np
 
 from trainid_ros.errors import InputError
 from trainid_ros.ros.parameter_specs import TRAIN_FILE, ParameterSpec
-from trainid_ros.ros.playback import TimedRecord, Timeline
-from trainid_ros.ros.playback_node import PlaybackNode, playback_parameters
+from trainid_ros.ros.playback import PlaybackNode, TimedRecord, Timeline, playback_parameters
 from trainid_ros.ros.runner import run_node
 from trainid_ros.sim.realism import REALISMS, make_case, unknowns_of
 from trainid_ros.sim.scenario import Scenario, simulate

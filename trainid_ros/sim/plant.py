@@ -10,10 +10,14 @@ assumed mass M: all effects act as extra resistance. Speed and position use the 
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
+from dataclasses import dataclass
 from typing import Final
 
+import numpy as np
+
 from trainid_ros.records import NS_PER_S
-from trainid_ros.sim.delay_line import DelayLine
+from trainid_ros.settings import check_settings, setting
 from trainid_ros.stream.samples import BrakeCommandChange
 from trainid_ros.train.brake import CommandHistory, actuator_response
 from trainid_ros.train.davis import G, davis, specific_force, specific_inertia
@@ -165,3 +169,71 @@ class Plant:
         dt = dt_ns / NS_PER_S
         self._since_release = 0.0 if self.brake < BRAKE_APPLIED else self._since_release + dt
         return self.brake_rate * self._rate_shape(self.speed) * change / dt
+
+
+@dataclass(frozen=True, slots=True)
+class GustModel:
+    """Gust resistance [N/kN]: AR(1) process ``r(t + dt) = rho r(t) + noise`` with rho = exp(-dt / tau)."""
+
+    std: float = setting(0.1, 'standard deviation of the gust resistance', 'N/kN', 0.0, 10.0)
+    time_constant: float = setting(5.0, 'correlation time of the gust resistance', 's', 0.01, 1e4)
+
+
+class Gust:
+    """Gust resistance, sampled in equal time steps; ``value`` is the current one [N/kN]."""
+
+    def __init__(self, model: GustModel, dt: float, rng: np.random.Generator) -> None:
+        """Start from the stationary distribution.
+
+        Args:
+            model: Standard deviation and correlation time.
+            dt: Time step [s].
+            rng: Random generator; the process takes ownership.
+
+        Raises:
+            InputError: A setting is out of range.
+
+        """
+        check_settings(model)
+        self._rho = math.exp(-dt / model.time_constant)
+        self._noise_std = model.std * math.sqrt(1.0 - self._rho**2)
+        self._rng = rng
+        self.value = model.std * float(rng.standard_normal())
+
+    def step(self) -> float:
+        """Advance by one step and return the resistance [N/kN]."""
+        self.value = self._rho * self.value + self._noise_std * float(self._rng.standard_normal())
+        return self.value
+
+
+MAX_DELAY_S: Final = 12.0
+"""Length of the history [s]; no effect looks back further."""
+
+
+class DelayLine:
+    """Bounded history of values over time; 0 before the first one."""
+
+    def __init__(self) -> None:
+        self._stamps: list[int] = []
+        self._values: list[float] = []
+
+    def add(self, stamp_ns: int, value: float) -> None:
+        """Append a value; stamps [ns] must increase."""
+        self._stamps.append(stamp_ns)
+        self._values.append(value)
+        oldest_ns = stamp_ns - round(MAX_DELAY_S * NS_PER_S)
+        # Old values are deleted in batches, which is cheaper than one by one.
+        if self._stamps[0] < oldest_ns - round(MAX_DELAY_S * NS_PER_S):
+            count = bisect_right(self._stamps, oldest_ns) - 1
+            del self._stamps[:count], self._values[:count]
+
+    def before(self, seconds: float) -> float:
+        """Return the interpolated value a number of seconds before the newest one; the newest one if negative."""
+        if not self._stamps or seconds <= 0.0:
+            return self._values[-1] if self._values else 0.0
+        at_ns = self._stamps[-1] - round(seconds * NS_PER_S)
+        right = bisect_right(self._stamps, at_ns)
+        if right == 0:
+            return 0.0
+        left_ns, left = self._stamps[right - 1], self._values[right - 1]
+        return left + (self._values[right] - left) * (at_ns - left_ns) / (self._stamps[right] - left_ns)

@@ -16,7 +16,7 @@ from typing import Final
 import numpy as np
 
 from trainid_ros.errors import InputError
-from trainid_ros.sim.gusts import GustModel
+from trainid_ros.sim.plant import GustModel
 from trainid_ros.sim.scenario import Change, Scenario, check_scenario
 from trainid_ros.sim.sensors import SensorModel
 from trainid_ros.sim.worlds import World, usual_duration

@@ -12,8 +12,7 @@ import numpy as np
 from trainid_ros.errors import InputError
 from trainid_ros.records import NS_PER_S, Record
 from trainid_ros.sim.driver import TICK_S, Driver, DriverModel, StopEvent
-from trainid_ros.sim.gusts import Gust, GustModel
-from trainid_ros.sim.plant import STEP_NS, Plant
+from trainid_ros.sim.plant import STEP_NS, Gust, GustModel, Plant
 from trainid_ros.sim.sensors import SensorModel, Sensors
 from trainid_ros.sim.truth import Truth
 from trainid_ros.train.davis import specific_force

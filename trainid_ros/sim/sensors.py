@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
@@ -18,8 +18,10 @@ from trainid_ros.records import (
     SpeedRecord,
 )
 from trainid_ros.settings import check_settings, setting
-from trainid_ros.sim.gusts import ar1_path
 from trainid_ros.train.davis import G
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
 
 MAP_STEP_M: Final = 10.0
 MAX_JITTER_NS: Final = 4_000_000
@@ -174,3 +176,15 @@ def quantise(speed: float, model: SensorModel) -> float:
     """Round a speed [m/s] to the resolution of the sensor."""
     quantum = model.speed_quantum
     return round(speed / quantum) * quantum if quantum > 0.0 else speed
+
+
+def ar1_path(count: int, std: float, rho: float, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Return a stationary AR(1) sequence, shape (count,), with correlation rho between adjacent values."""
+    noise = rng.standard_normal(count)
+    path = np.empty(count)
+    value = float(noise[0])
+    noise_std = math.sqrt(1.0 - rho * rho)
+    for i in range(count):
+        value = value if i == 0 else rho * value + noise_std * float(noise[i])
+        path[i] = std * value
+    return path

@@ -16,7 +16,7 @@ import yaml
 
 from trainid_ros.errors import InputError
 from trainid_ros.records import NS_PER_S
-from trainid_ros.train.fields import Section, finite_number, parse_yaml
+from trainid_ros.train.fields import Section, finite_number, parse_yaml, read_text
 from trainid_ros.train.train_file import Davis, NamedValues
 
 _HEAD: Final = '# resistance: [time s, a, b, c]; brake_rate: [time s, rate]\n'
@@ -106,15 +106,7 @@ def load_truth(path: str | Path) -> Truth:
         InputError: The file cannot be read or a field is invalid.
 
     """
-    try:
-        text = Path(path).read_text(encoding='utf-8')
-    except OSError as error:
-        msg = f'{path}: cannot be read: {error.strerror or error}'
-        raise InputError(msg) from error
-    except UnicodeDecodeError as error:
-        msg = f'{path}: is not UTF-8 text (byte {error.start})'
-        raise InputError(msg) from error
-    return parse_truth(text, str(path))
+    return parse_truth(read_text(path), str(path))
 
 
 def parse_truth(text: str, source: str) -> Truth:

@@ -7,6 +7,7 @@ import difflib
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Final, NoReturn
 
 from trainid_ros.errors import InputError
@@ -179,6 +180,23 @@ def as_section(source: str, path: str, value: object) -> Section:
             msg = f'{where} has the key {shown(key)}, which is not a field name'
             raise InputError(msg)
     return Section(source, path, value)
+
+
+def read_text(path: str | Path) -> str:
+    """Return the text of a file.
+
+    Raises:
+        InputError: The file cannot be read.
+
+    """
+    try:
+        return Path(path).read_text(encoding='utf-8')
+    except OSError as error:
+        msg = f'{path}: cannot be read: {error.strerror or error}'
+        raise InputError(msg) from error
+    except UnicodeDecodeError as error:
+        msg = f'{path}: is not UTF-8 text (byte {error.start})'
+        raise InputError(msg) from error
 
 
 def parse_yaml(text: str, source: str) -> Section:

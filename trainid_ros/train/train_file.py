@@ -14,8 +14,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from trainid_ros.errors import InputError
-from trainid_ros.train.fields import Section, as_section, finite_number, parse_yaml, shown
+from trainid_ros.train.fields import Section, as_section, finite_number, parse_yaml, read_text, shown
 
 Pairs = tuple[tuple[float, float], ...]
 NamedValues = tuple[tuple[str, float], ...]
@@ -155,15 +154,7 @@ def load_train_file(path: str | Path) -> TrainFile:
         InputError: The file cannot be read or a field is invalid; one line names both.
 
     """
-    try:
-        text = Path(path).read_text(encoding='utf-8')
-    except OSError as error:
-        msg = f'{path}: cannot be read: {error.strerror or error}'
-        raise InputError(msg) from error
-    except UnicodeDecodeError as error:
-        msg = f'{path}: is not UTF-8 text (byte {error.start})'
-        raise InputError(msg) from error
-    return parse_train_file(text, str(path))
+    return parse_train_file(read_text(path), str(path))
 
 
 def parse_train_file(text: str, source: str) -> TrainFile:

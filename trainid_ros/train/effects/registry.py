@@ -1,29 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Registry of effects by name: modules in ``library`` and users' modules in the folders of ``TRAINID_EFFECTS``."""
+"""Effects by name, built in and of users, and the effects of a train file: parsed, checked and bound for evaluation."""
 
 from __future__ import annotations
 
-import importlib
 import importlib.util
+import math
 import os
-import pkgutil
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from functools import lru_cache
+from operator import attrgetter
 from pathlib import Path
 from types import MappingProxyType, ModuleType
 from typing import Final
 
 from trainid_ros.errors import InputError
-from trainid_ros.train.effects import library
-from trainid_ros.train.effects.kind import EffectKind
+from trainid_ros.train.effects import physical, sensor
+from trainid_ros.train.effects.kind import EffectKind, Parameter, Parameters, Resistance
+from trainid_ros.train.effects.point import TrackPoint
+from trainid_ros.train.fields import did_you_mean
+from trainid_ros.train.train_file import Davis, Effect
 
 FOLDERS_VARIABLE: Final = 'TRAINID_EFFECTS'
 """Environment variable listing folders of user effects, separated as in PATH; each ``*.py`` defines ``EFFECT``."""
 
 
 class _Library(Mapping[str, EffectKind]):
-    """Load the modules on first access, so that an invalid user file affects only code that uses effects."""
+    """Load users' modules on first access, so that an invalid user file affects only code that uses effects."""
 
     def __getitem__(self, name: str) -> EffectKind:
         return _kinds(os.environ.get(FOLDERS_VARIABLE, ''))[name]
@@ -41,11 +44,8 @@ EFFECTS: Final[Mapping[str, EffectKind]] = _Library()
 
 @lru_cache(maxsize=8)
 def _kinds(folders: str) -> Mapping[str, EffectKind]:
-    found: dict[str, EffectKind] = {}
-    for info in pkgutil.iter_modules(library.__path__):
-        module = importlib.import_module(f'{library.__name__}.{info.name}')
-        kind: EffectKind = module.EFFECT
-        found[kind.name] = kind
+    built_in = (kind for module in (physical, sensor) for kind in vars(module).values() if isinstance(kind, EffectKind))
+    found = {kind.name: kind for kind in sorted(built_in, key=attrgetter('name'))}
     for path in _user_files(folders):
         kind = _user_kind(path)
         if kind.name in found:
@@ -86,3 +86,114 @@ def _load(path: Path) -> ModuleType:
         msg = f'{path}: cannot be loaded: {type(error).__name__}: {error}'
         raise InputError(msg) from error
     return module
+
+
+Term = Callable[[Davis, TrackPoint], float]
+
+
+def check_effects(effects: Sequence[Effect]) -> None:
+    """Check that every effect is known, has exactly its parameters, each in range, and occurs once.
+
+    Effects with their own position or time may occur several times.
+
+    Raises:
+        InputError: A check fails; the message names the effect, or effect:key and the value.
+
+    """
+    for effect in effects:
+        kind = EFFECTS.get(effect.name)
+        if kind is None:
+            msg = f'effect {effect.name} is not known; {did_you_mean(effect.name, EFFECTS)}'
+            raise InputError(msg)
+        values = dict(effect.parameters)
+        for key in values:
+            if key not in kind.parameters:
+                hint = did_you_mean(key, kind.parameters)
+                msg = f'effect {effect.name}:{key} is not a parameter; {hint}'
+                raise InputError(msg)
+        for key, limits in kind.parameters.items():
+            _check_parameter(f'effect {effect.name}:{key}', values.get(key), limits)
+        if 'start' in values and 'end' in values and not values['start'] < values['end']:
+            start, end = values['start'], values['end']
+            msg = f'effect {effect.name}:end = {end:g} m must be greater than start = {start:g} m'
+            raise InputError(msg)
+        if not kind.repeatable and sum(other.name == effect.name for other in effects) > 1:
+            msg = f'effect {effect.name}: given more than once'
+            raise InputError(msg)
+
+
+def resistance_terms(effects: Sequence[Effect]) -> tuple[Term, ...]:
+    """Return one function for each effect that adds to the balance [N/kN]; parameters are checked once, here.
+
+    Effects that act on the records (``on_records``) are left out.
+
+    Raises:
+        InputError: As :func:`check_effects`.
+
+    """
+    check_effects(effects)
+    terms = []
+    for effect in effects:
+        kind = EFFECTS[effect.name]
+        if kind.resistance is not None and not kind.on_records:
+            terms.append(_bind(kind.resistance, dict(effect.parameters)))
+    return tuple(terms)
+
+
+def effect_value(effects: Sequence[Effect], name: str, key: str, default: float) -> float:
+    """Return a parameter of the only effect of that name, or the default if there is none."""
+    for effect in effects:
+        if effect.name == name:
+            return dict(effect.parameters).get(key, default)
+    return default
+
+
+def _bind(function: Resistance, parameters: Parameters) -> Term:
+    return lambda davis, point: function(parameters, davis, point)
+
+
+def _check_parameter(name: str, value: float | None, limits: Parameter) -> None:
+    if value is None:
+        msg = f'{name} is missing'
+        raise InputError(msg)
+    if not (math.isfinite(value) and limits.low <= value <= limits.high):
+        unit = f' {limits.unit}' if limits.unit else ''
+        msg = f'{name} = {value:g}{unit} is outside [{limits.low:g}, {limits.high:g}]'
+        raise InputError(msg)
+
+
+def parse_effects(texts: Iterable[str]) -> tuple[Effect, ...]:
+    """Parse and check effects.
+
+    Consecutive texts with the same name add parameters to one effect; a repeated key starts another one.
+
+    Raises:
+        InputError: A text has the wrong form, or an effect or parameter is unknown or out of range.
+
+    """
+    found: list[tuple[str, dict[str, float]]] = []
+    for text in texts:
+        name, colon, rest = text.partition(':')
+        if not (name and colon and rest):
+            msg = f'effect {text!r} must have the form NAME:key=value'
+            raise InputError(msg)
+        for assignment in rest.split(','):
+            key, value = _assignment(text, assignment)
+            if not (found and found[-1][0] == name and key not in found[-1][1]):
+                found.append((name, {}))
+            found[-1][1][key] = value
+    effects = tuple(Effect(name, tuple(values.items()), (), 'command line') for name, values in found)
+    check_effects(effects)
+    return effects
+
+
+def _assignment(text: str, assignment: str) -> tuple[str, float]:
+    key, equals, value = assignment.partition('=')
+    if not (key and equals):
+        msg = f'effect {text!r} must have the form NAME:key=value'
+        raise InputError(msg)
+    try:
+        return key.strip(), float(value)
+    except ValueError:
+        msg = f'effect {text!r}: {key} = {value!r} is not a number'
+        raise InputError(msg) from None

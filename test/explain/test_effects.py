@@ -1,0 +1,150 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Effects in the model: evaluation along the runs, and merging with those that the train file lists."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from trainid_ros.errors import InputError
+from trainid_ros.explain.dataset import Dataset, assemble
+from trainid_ros.explain.effects import EffectEvaluator, EffectTerm, merged, without_replaced
+from trainid_ros.train.effects import parse_effects
+from trainid_ros.train.train_file import TrainFile
+
+WRONG = """
+import math
+
+from trainid_ros.train.effects import EffectKind, Parameter
+
+EFFECT = EffectKind(
+    name='wrong',
+    title='an effect that fails',
+    equation='none',
+    parameters={'size': Parameter('N/kN', 0.0, 20.0)},
+    amplitude='size',
+    usual=1.0,
+    resistance=lambda p, davis, at: VALUE,
+)
+"""
+
+
+@pytest.fixture(scope='module')
+def evaluator(maker: Any, train_file: TrainFile) -> EffectEvaluator:
+    return EffectEvaluator(assemble(maker(noise=0.0).runs(2, 5), train_file), train_file)
+
+
+def test_shifted_map_acts_where_the_gradient_changes(evaluator: EffectEvaluator) -> None:
+    """The hill of 5 per mille is from 300 to 600 m; a shift of 40 m gives -5 at its start and +5 beyond its end."""
+    dataset = evaluator.dataset
+    w = evaluator.resistance('map_shift', {'distance': 40.0})
+    position, up = (
+        dataset.joined('position') - 0.5 * dataset.direction * dataset.dt * dataset.speed,
+        dataset.direction > 0,
+    )
+    inner = up & (position > 306.0) & (position < 334.0)
+    assert inner.sum() > 4
+    np.testing.assert_allclose(w[inner], -5.0)
+    np.testing.assert_allclose(w[up & (position > 606.0) & (position < 634.0)], 5.0)
+    # Downhill in the other direction.
+    back = ~up & (position < 594.0) & (position > 566.0)
+    np.testing.assert_allclose(w[back], 5.0)
+    assert not w[(position < 250.0) & (position > 0.0) & up].any()
+
+
+def test_late_stamps_act_where_the_force_changes(evaluator: EffectEvaluator) -> None:
+    dataset = evaluator.dataset
+    traction = dataset.joined('traction')
+    w = evaluator.resistance('stamp_skew', {'delay': 0.4})
+    off = int(np.flatnonzero(np.diff(traction) < -20.0)[0]) + 1
+    assert w[off - 1] > 20.0  # the traction acting here has a stamp after it is off
+    assert abs(w[off + 3]) < 1e-9
+    changed = np.abs(w) > 10.0
+    assert 0 < changed.sum() <= 8
+
+
+def test_effects_that_depend_on_distance_or_brake_release(evaluator: EffectEvaluator) -> None:
+    dataset = evaluator.dataset
+    w = evaluator.resistance('bearing_warmup', {'value': 2.0, 'distance': 500.0})
+    assert w[0] == pytest.approx(2.0, abs=0.01)
+    np.testing.assert_allclose(w, 2.0 * np.exp(-dataset.joined('distance_run') / 500.0), atol=1e-6)
+    drag = evaluator.resistance('dragging_brake', {'permille': 3.0, 'time': 5.0})
+    since = dataset.joined('since_release')
+    assert not drag[~np.isfinite(since)].any()
+    released = (since > 0.0) & (since < 4.0)
+    np.testing.assert_allclose(drag[released], 3.0)
+
+
+def test_effects_on_records_are_not_added(evaluator: EffectEvaluator) -> None:
+    effects = parse_effects(
+        ['local_drag:start=0,end=200,permille=1', 'stamp_skew:delay=0.3', 'wheel_diameter:ratio=1.02']
+    )
+    np.testing.assert_array_equal(
+        evaluator.total(effects), evaluator.resistance('local_drag', {'start': 0.0, 'end': 200.0, 'permille': 1.0})
+    )
+
+
+def test_cache_is_bounded(dataset: Dataset, train_file: TrainFile, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr('trainid_ros.explain.effects._CACHE_SIZE', 3)
+    evaluator = EffectEvaluator(dataset, train_file)
+    first = evaluator.resistance('traction_scale', {'ratio': 0.9})
+    assert evaluator.resistance('traction_scale', {'ratio': 0.9}) is first
+    for k in range(4):
+        evaluator.resistance('traction_scale', {'ratio': 1.0 + 0.01 * k})
+    again = evaluator.resistance('traction_scale', {'ratio': 0.9})
+    assert again is not first
+    np.testing.assert_array_equal(again, first)
+
+
+def test_headwind_acts_through_the_davis_c(evaluator: EffectEvaluator) -> None:
+    davis = evaluator.davis
+    by_c = evaluator.by_davis('headwind', {'speed': 5.0}, davis)
+    assert by_c is not None
+    np.testing.assert_allclose(davis.c * by_c[:, 2], evaluator.resistance('headwind', {'speed': 5.0}), atol=1e-9)
+    assert not by_c[:, :2].any()
+    assert evaluator.by_davis('local_drag', {'start': 0.0, 'end': 99.0, 'permille': 2.0}, davis) is None
+
+
+@pytest.mark.parametrize(('value', 'what'), [('math.nan', 'not finite'), ('math.sqrt(-1.0)', 'math domain error')])
+def test_error_names_the_failing_user_effect(
+    evaluator: EffectEvaluator, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, value: str, what: str
+) -> None:
+    (tmp_path / 'wrong.py').write_text(WRONG.replace('VALUE', value), encoding='utf-8')
+    monkeypatch.setenv('TRAINID_EFFECTS', str(tmp_path))
+    with pytest.raises(InputError, match=f'effect wrong: .*size=1.*{what}|effect wrong: .*{what}.*size=1'):
+        evaluator.resistance('wrong', {'size': 1.0})
+
+
+DRAG = 'local_drag:start=0,end=9,permille=1'
+
+
+def test_effect_found_again_is_removed_from_the_train_file(train_file: TrainFile) -> None:
+    file = replace(train_file, effects=parse_effects(['brake_delay:extra=0.5', DRAG, 'wheel_diameter:ratio=1.02']))
+    rest = without_replaced((EffectTerm('brake_delay', {'extra': 0.4}),), file)
+    assert rest is not None
+    assert [effect.name for effect in rest.effects] == ['local_drag', 'wheel_diameter']
+
+
+@pytest.mark.parametrize('name', ['headwind', 'local_drag', 'wheel_diameter'])
+def test_new_repeatable_or_corrected_effect_removes_none(train_file: TrainFile, name: str) -> None:
+    file = replace(train_file, effects=parse_effects(['brake_delay:extra=0.5', DRAG, 'wheel_diameter:ratio=1.02']))
+    assert without_replaced((EffectTerm(name, {}),), file) is None
+
+
+def test_effect_on_records_is_combined_with_its_correction() -> None:
+    before = parse_effects(['wheel_diameter:ratio=1.03', 'stamp_skew:delay=0.2', DRAG])
+    further = 'local_drag:start=20,end=29,permille=2'
+    added = parse_effects(['wheel_diameter:ratio=1.02', 'stamp_skew:delay=0.3', further])
+    effects = merged(before, added)
+    assert [effect.name for effect in effects] == ['local_drag', 'wheel_diameter', 'stamp_skew', 'local_drag']
+    assert dict(effects[1].parameters)['ratio'] == pytest.approx(1.03 * 1.02)
+    assert dict(effects[2].parameters)['delay'] == pytest.approx(0.5)
+
+
+def test_slip_found_replaces_slip_of_the_train_file() -> None:
+    before, added = (parse_effects([f'wheel_slip:share={share},speed=2']) for share in (0.05, 0.03))
+    assert merged(before, added) == added

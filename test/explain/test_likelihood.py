@@ -1,0 +1,183 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Regression on whitened columns and the marginal likelihood."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.stats import multivariate_normal, norm
+
+from trainid_ros.explain.dataset import Dataset
+from trainid_ros.explain.effects import EffectTerm, prior_cost
+from trainid_ros.explain.likelihood import (
+    Gram,
+    Hyperparameters,
+    Information,
+    MarginalLikelihood,
+    eliminate,
+    group_log_bayes,
+    log_bayes,
+    posterior,
+)
+from trainid_ros.explain.model import Model
+from trainid_ros.explain.noise import Grid, Noise, Whitener, run_columns
+from trainid_ros.explain.run_data import Run
+from trainid_ros.train.train_file import TrainFile
+
+Array = NDArray[np.float64]
+ROWS, NUISANCES, CANDIDATES = 40, 4, 3
+
+
+@pytest.fixture(scope='module')
+def columns() -> Array:
+    """Return y, nuisances and candidates: unit noise, and one candidate in y."""
+    rng = np.random.default_rng(7)
+    X = rng.standard_normal((ROWS, 1 + NUISANCES + CANDIDATES))
+    X[:, 0] += 0.8 * X[:, 1 + NUISANCES] + X[:, 1:5] @ [1.0, -0.5, 0.3, 0.0]
+    return X
+
+
+@pytest.fixture(scope='module')
+def root() -> Array:
+    """Return a factor of a prior covariance that is not diagonal."""
+    return np.tril(np.random.default_rng(8).uniform(0.2, 1.0, (NUISANCES, NUISANCES)))
+
+
+@pytest.fixture(scope='module')
+def information(columns: Array, root: Array) -> Information:
+    return eliminate(columns.T @ columns, NUISANCES, root)
+
+
+def evidence(columns: Array, root: Array, candidates: list[int], std: float) -> float:
+    """Return twice the log density of y under nuisances and some candidates."""
+    N, C = columns[:, 1 : 1 + NUISANCES] @ root, columns[:, [1 + NUISANCES + k for k in candidates]]
+    covariance = np.eye(ROWS) + N @ N.T + std * std * C @ C.T
+    return 2.0 * float(multivariate_normal.logpdf(columns[:, 0], cov=covariance))
+
+
+def test_bayes_factors_of_single_columns(columns: Array, root: Array, information: Information) -> None:
+    nothing = evidence(columns, root, [], 1.0)
+    expected = [evidence(columns, root, [k], 0.7) - nothing for k in range(CANDIDATES)]
+    np.testing.assert_allclose(log_bayes(np.diag(information.A), information.b, 0.7), expected, atol=1e-9)
+    assert expected[0] > 5.0
+
+
+def test_bayes_factor_of_a_group(columns: Array, root: Array, information: Information) -> None:
+    expected = evidence(columns, root, [0, 1, 2], 0.4) - evidence(columns, root, [], 1.0)
+    assert group_log_bayes(information.A, information.b, 0.4) == pytest.approx(expected, abs=1e-9)
+
+
+def test_likelihood_without_candidates(columns: Array, root: Array, information: Information) -> None:
+    total = evidence(columns, root, [], 1.0) + ROWS * np.log(2.0 * np.pi)
+    assert -information.yy - information.log_det == pytest.approx(total, abs=1e-9)
+
+
+@pytest.mark.parametrize('sign', [1, -1])
+def test_sign_restricts_the_amplitude_to_one_side(information: Information, sign: int) -> None:
+    A, b, std = float(information.A[0, 0]), float(information.b[0]), 0.7
+    x = np.linspace(0.0, sign * 12.0, 200_001)
+    likelihood = np.exp(b * x - 0.5 * A * x * x)
+    mean = np.trapezoid(likelihood * 2.0 * norm.pdf(x, scale=std), sign * x)
+    found = log_bayes(np.array([A]), np.array([b]), std, sign)
+    assert float(found[0]) == pytest.approx(2.0 * np.log(mean), abs=1e-5)
+
+
+def test_joint_and_sequential_elimination_agree(columns: Array, root: Array, information: Information) -> None:
+    std = np.array([0.5, 1.0, 2.0])
+    bigger = np.zeros((NUISANCES + 2, NUISANCES + 2))
+    bigger[:NUISANCES, :NUISANCES] = root
+    bigger[NUISANCES:, NUISANCES:] = np.diag(std[:2])
+    together = eliminate(columns.T @ columns, NUISANCES + 2, bigger)
+    after = information.given([0, 1], std)
+    np.testing.assert_allclose(after.A[2:, 2:], together.A, atol=1e-10)
+    np.testing.assert_allclose(after.b[2:], together.b, atol=1e-10)
+    assert after.yy == pytest.approx(together.yy)
+    assert after.log_det == pytest.approx(together.log_det)
+    assert information.given([], std) is information
+
+
+def test_posterior_solves_the_normal_equations(columns: Array, root: Array) -> None:
+    X = columns[:, : 1 + NUISANCES]
+    mean, covariance = posterior(X.T @ X, root)
+    precision = X[:, 1:].T @ X[:, 1:] + np.linalg.inv(root @ root.T)
+    np.testing.assert_allclose(covariance, np.linalg.inv(precision), atol=1e-12)
+    np.testing.assert_allclose(mean, np.linalg.solve(precision, X[:, 1:].T @ X[:, 0]), atol=1e-12)
+
+
+def test_factors_of_single_runs_equal_separate_columns(dataset: Dataset) -> None:
+    """Elimination by run equals elimination of one column for each run and factor."""
+    grid, std = Grid.of(dataset), np.array([0.03, 0.02])
+    whitener = Whitener.of(grid, Noise(0.03, 0.2, 8.0, 0.02))
+    columns = np.random.default_rng(2).standard_normal((dataset.node_time.size, 2))
+    factors = dataset.column(run_columns(dataset))
+    spread = grid.spread(np.concatenate([columns, factors], axis=1))
+    total, cost = Gram.of(spread, 2, whitener).reduced(std)
+    apart_by_run, _ = Gram.of(spread, 2, whitener, by_run=True).reduced(std)
+    np.testing.assert_allclose(apart_by_run.sum(axis=0), total)
+    apart = [factors * (dataset.node_run == k)[:, None] for k in range(len(dataset.runs))]
+    white = whitener.apply(grid.spread(np.concatenate([columns, *apart], axis=1)))
+    X = white.reshape(-1, white.shape[2])
+    order = [0, *range(2, X.shape[1]), 1]
+    joint = eliminate((X.T @ X)[np.ix_(order, order)], 6, np.diag(np.tile(std, 3)))
+    assert (total[0, 0], total[0, 1], total[1, 1]) == pytest.approx((joint.yy, joint.b[0], joint.A[0, 0]))
+    assert cost == pytest.approx(joint.log_det)
+
+
+Found = tuple[Hyperparameters, NDArray[np.float64]]
+
+
+def evidence_of(runs: list[Run], train_file: TrainFile) -> MarginalLikelihood:
+    return Model.of(runs, train_file).evidence()
+
+
+def test_noise_is_estimated(maker: Any, train_file: TrainFile) -> None:
+    found = [evidence_of(maker(noise=size).runs(2, 51), train_file).maximise()[0].noise.speed for size in (0.02, 0.1)]
+    assert found == pytest.approx([0.02, 0.1], rel=0.5)
+
+
+def test_maximum_is_a_maximum(maker: Any, train_file: TrainFile) -> None:
+    evidence = evidence_of(maker().runs(2, 52), train_file)
+    hyper, logs = evidence.maximise()
+    assert evidence.at(logs) == pytest.approx(hyper.evidence)
+    for k in range(logs.size):
+        for move in (-0.5, 0.5):
+            shifted = logs.copy()
+            shifted[k] += move
+            assert evidence.at(shifted) < hyper.evidence + 0.2
+
+
+def test_true_effect_gains_more_than_its_prior_cost(dragged_model: Model, dragged_sizes: Found) -> None:
+    model, (hyper, logs) = dragged_model, dragged_sizes
+    drag = EffectTerm('local_drag', {'start': 120.0, 'end': 330.0, 'permille': 2.0})
+    fitted = model.with_terms((drag,)).fit(hyper)
+    (term,) = fitted.terms
+    gain = fitted.evidence().at(logs) - model.evidence().at(logs)
+    assert gain > prior_cost(term, model.dataset) + 20.0
+    for name, true in (('start', 100.0), ('end', 350.0), ('permille', 2.5)):
+        assert abs(term.parameters[name] - true) < 4.0 * term.std[name]
+    assert drag.std == {}
+    assert model.terms == ()
+
+
+def test_residual_is_reduced_by_the_response_of_effects(dragged_model: Model) -> None:
+    model = dragged_model
+    drag = EffectTerm('local_drag', {'start': 120.0, 'end': 330.0, 'permille': 2.0})
+    response = model.dataset.column(model.evaluator.resistance('local_drag', drag.parameters))
+    np.testing.assert_allclose(model.with_terms((drag,)).residual, model.residual - response)
+    assert model.with_terms((drag,)).with_terms(()).columns.shape == model.columns.shape
+    assert model.with_terms((drag,)).without_terms.sum() == model.nuisance_columns.shape[1]
+    unlikely = EffectTerm('local_drag', {'start': 120.0, 'end': 330.0, 'permille': 20.0})
+    assert prior_cost(unlikely, model.dataset) > prior_cost(drag, model.dataset)
+
+
+def test_excess_counts_values_above_the_prior_median(maker: Any, train_file: TrainFile) -> None:
+    evidence = evidence_of(maker().runs(3, 5), train_file)
+    usual = np.log([0.03, 0.12, 8.0, 0.02, 0.005, 0.01, 0.25])
+    assert evidence.excess(usual) == evidence.excess(usual - 1.0) == 0.0
+    # Sensor noise and jitter do not count; gusts count by the speed error they cause.
+    assert evidence.excess(usual + np.array([3.0, 0.0, 0.0, 3.0, 0.0, 0.0, 0.0])) == 0.0
+    assert evidence.excess(usual + np.array([0.0, 1.0, -2.0, 0.0, 0.0, 0.0, 0.0])) == pytest.approx(0.0)
+    assert evidence.excess(usual + np.array([0.0, 0.0, 0.0, 0.0, 1.0, 1.0, 0.8])) == pytest.approx(12.0)

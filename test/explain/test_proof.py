@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Held-out runs: subtraction equals a fit without them, and the gap shrinks when the missing effect is added."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from trainid_ros.explain.effects import EffectTerm
+from trainid_ros.explain.likelihood import Gram, Hyperparameters, posterior
+from trainid_ros.explain.model import Model
+from trainid_ros.explain.noise import Grid, Noise, Spread, Whitener
+from trainid_ros.explain.proof import gap_of, hold_out
+from trainid_ros.train.train_file import TrainFile
+
+HYPER = Hyperparameters(Noise(0.02, 0.05, 8.0, 0.02), Spread(0.005, 0.01, 0.2), 0.0)
+
+
+def test_subtraction_equals_a_fit_without_the_run(dragged_model: Model) -> None:
+    model = dragged_model
+    held = hold_out(model, HYPER)
+    assert held is not None
+    others = model.dataset.node_run != 1
+    grid = Grid.of(model.dataset)
+    columns = (0, 2, 3, 4, 5)
+    kept = Grid(
+        grid.index[:, columns], grid.dt[:, columns], grid.share[:, columns], grid.change[:, columns],
+        grid.inertia, grid.nodes,
+    )  # fmt: skip
+    spread = kept.spread(np.concatenate([model.columns, model.factor_columns], axis=1))
+    gram = Gram.of(spread, model.factor_columns.shape[1], Whitener.of(kept, HYPER.noise))
+    total, _ = gram.reduced(HYPER.spread.of_run)
+    model.add_odometry(total)
+    mean, _ = posterior(total, model.prior_factor(HYPER.spread))
+    gap = model.residual[~others] - model.nuisance_columns[~others] @ mean
+    known = model.dataset.node_count[~others] > 0.0
+    np.testing.assert_allclose(held.gap[~others], gap - gap[known].mean(), atol=1e-9)
+
+
+def test_the_gap_shrinks_to_the_noise(dragged_model: Model) -> None:
+    model = dragged_model
+    drag = EffectTerm('local_drag', {'start': 120.0, 'end': 330.0, 'permille': 1.5})
+    added = model.with_terms((drag,)).fit(HYPER)
+    gap = gap_of(hold_out(model, HYPER), hold_out(added, HYPER), added)
+    assert gap is not None
+    assert gap.after < 0.6 * gap.before
+    assert gap.after < 1.1 * gap.noise_floor
+    assert gap.runs_held_out == 6
+    found, std = added.terms[0].parameters, added.terms[0].std
+    assert abs(found['permille'] - 2.5) < 4.0 * std['permille']
+    assert abs(found['start'] - 100.0) < 4.0 * std['start']
+
+
+def test_one_run_cannot_be_held_out(maker: Any, train_file: TrainFile) -> None:
+    alone = Model.of(maker().runs(1, 3), train_file)
+    held = hold_out(alone, HYPER)
+    assert held is None
+    assert gap_of(held, held, alone) is None
+
+
+def test_effect_in_the_held_out_run_only_does_not_reduce_its_gap(
+    maker: Any, drag_of: Any, train_file: TrainFile
+) -> None:
+    runs = [*maker().runs(4, 31), *maker().runs(5, 32, drag_of(4.0))[4:]]
+    model = Model.of(runs, train_file)
+    seen = [replace(run, position=run.position + 1e4 * (k < 4)) for k, run in enumerate(runs)]
+    apart = Model.of(seen, train_file)
+    drag = EffectTerm('local_drag', {'start': 100.0, 'end': 350.0, 'permille': 4.0})
+    last = apart.dataset.node_run == 4
+    for one, same_place in ((model, True), (apart, False)):
+        added = one.with_terms((drag,)).fit(HYPER)
+        held, without = hold_out(added, HYPER), hold_out(one, HYPER)
+        assert held is not None
+        assert without is not None
+        # If the other runs pass the place, they show no effect there; otherwise they give no information.
+        before, after = np.std(without.gap[last]), np.std(held.gap[last])
+        assert after > 0.8 * before, same_place
+
+
+def test_noise_floor_excludes_the_uncertainty_of_effects(dragged_model: Model) -> None:
+    model = dragged_model
+    added = model.with_terms((EffectTerm('local_drag', {'start': 100.0, 'end': 350.0, 'permille': 2.5}),)).fit(HYPER)
+    unseen = model.with_terms((EffectTerm('local_drag', {'start': 1e4, 'end': 1.1e4, 'permille': 2.5}),)).fit(HYPER)
+    floors = [hold_out(one, HYPER) for one in (model, added, unseen)]
+    floor_means = [float(np.mean(floor.std)) for floor in floors if floor is not None]
+    assert floor_means[1:] == pytest.approx([floor_means[0]] * 2, rel=0.15)

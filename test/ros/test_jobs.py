@@ -1,0 +1,204 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A parameter file gives the same settings off line as in the nodes."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from trainid_ros.errors import InputError
+from trainid_ros.estimators.pipeline import EstimatorSettings
+from trainid_ros.estimators.registry import Algorithm, Algorithms
+from trainid_ros.resistance.config import VMilsConfig
+from trainid_ros.resistance.vmils import VMils
+from trainid_ros.ros import jobs
+from trainid_ros.ros.jobs import JOBS, Setup, chosen_algorithms, node_setups
+from trainid_ros.ros.params_file import read_overrides
+from trainid_ros.train.train_file import parse_train_file
+
+TRAIN = parse_train_file('train: {mass: 1000.0}\nresistance: {a: 1.0, b: 0.0, c: 0.1}\n', 'x')
+NODE = '/resistance_estimator'
+
+
+def write(folder: Path, text: str) -> Path:
+    path = folder / 'params.yaml'
+    path.write_text(text, encoding='utf-8')
+    return path
+
+
+def setups(folder: Path, text: str, *algorithms: str, namespace: str = '/') -> dict[str, Setup]:
+    warnings: list[str] = []
+    made = node_setups(TRAIN, 'x', write(folder, text), algorithms, namespace=namespace, warn=warnings.append)
+    return {setup.job.field: setup for setup in made}
+
+
+def test_without_a_file_all_settings_are_defaults() -> None:
+    for setup in node_setups(TRAIN, 'x'):
+        assert (setup.train_file, setup.settings) == (TRAIN, EstimatorSettings())
+        assert setup.algorithm == setup.job.algorithms.default
+
+
+def test_each_node_gets_its_own_section_over_the_common_one(tmp_path: Path) -> None:
+    text = """
+        /**: {ros__parameters: {seed: 7, alignment: {max_lag: 0.5}}}
+        speed_model_estimator: {ros__parameters: {train.mass: 2000, stale_after: 2}}
+        /**/brake_rate_estimator: {ros__parameters: {seed: 9, estimator: {drift: 1e-03}}}
+    """
+    made = setups(tmp_path, text)
+    assert {field: setup.settings.seed for field, setup in made.items()} == {
+        'resistance': 7,
+        'speed_model': 7,
+        'brake_rate': 9,
+    }
+    assert all(setup.settings.alignment.max_lag == 0.5 for setup in made.values())
+    assert [setup.train_file.train.mass for setup in made.values()] == [1000.0, 2000.0, 1000.0]
+    assert made['speed_model'].settings.pipeline.stale_after == 2.0
+    assert getattr(made['brake_rate'].settings.brake_rate.config, 'drift') == 0.001  # noqa: B009 - of any algorithm
+    assert made['resistance'].settings.resistance == EstimatorSettings().resistance
+
+
+@pytest.mark.parametrize(
+    ('text', 'reason'),
+    [
+        (
+            '/**: {ros__parameters: {alignment.perod: 0.3}}',
+            'resistance_estimator: not configured: '
+            "unknown parameter 'alignment.perod': did you mean 'alignment.period'?",
+        ),
+        ('/**: {ros__parameters: {stale_after: 1000}}', 'stale_after = 1000 is outside'),
+        ('/**: {ros__parameters: {stale_after: soon}}', "stale_after = 'soon' must be a number"),
+        ('/**: {ros__parameters: {seed: .nan}}', 'seed = nan must be a whole number'),
+        ('brake_rate_estimator: {ros__parameters: {algorithm: V-MILS}}', "algorithm = 'V-MILS' must be one of GSMA"),
+        ('resistence_estimator: {ros__parameters: {seed: 1}}', "section '/resistence_estimator' does not apply"),
+        ('resistance_estimator: {seed: 1}', 'params.yaml: is not a parameter file'),
+        ('a: [', 'params.yaml: cannot be read'),
+        ('resistance_estimator: {ros__parameters: 5}', 'ros__parameters of /resistance_estimator must map names to'),
+        ('? [1, 2]\n: {ros__parameters: {seed: 1}}', 'a key of it is not a name (line 1)'),
+        ('/**: {ros__parameters: {? {a: 1} : 3}}', 'is not a parameter file: a key of it is not a name (line 1)'),
+    ],
+)
+def test_errors_that_a_node_reports_are_raised(tmp_path: Path, text: str, reason: str) -> None:
+    with pytest.raises(InputError) as caught:
+        setups(tmp_path, text)
+    assert reason in str(caught.value)
+
+
+def test_parameters_of_ros_itself_are_accepted(tmp_path: Path) -> None:
+    text = """
+        /**: {ros__parameters: {use_sim_time: true, autostart: true,
+                                qos_overrides: {/t1/ato/speed: {subscription: {depth: 9}}}}}
+    """
+    assert setups(tmp_path, text, namespace='t1')['resistance'].settings == EstimatorSettings()
+    with pytest.raises(InputError, match=r'qos_overrides\./t1/ato/speed\.subscription\.depth'):
+        setups(tmp_path, text)
+
+
+def test_a_file_without_a_section_for_a_node_gives_a_warning(tmp_path: Path) -> None:
+    warnings: list[str] = []
+    path = write(tmp_path, 'resistance_estimator: {ros__parameters: {seed: 3}}')
+    made = node_setups(TRAIN, 'x', path, warn=warnings.append)
+    assert [setup.settings.seed for setup in made] == [3, 1, 1]
+    assert all('no section for' in line for line in warnings)
+    assert len(warnings) == 2
+
+
+def test_a_train_file_out_of_range_is_named_with_its_value() -> None:
+    wide = parse_train_file('train: {mass: 1000.0}\nresistance: {a: 1, b: 0, c: 0}\nbrake: {time_constant: 500}\n', 'x')
+    with pytest.raises(InputError, match=r'x\.yaml: brake\.time_constant = 500 is outside'):
+        node_setups(wide, 'x.yaml')
+
+
+@pytest.mark.parametrize(
+    ('scalar', 'value'),
+    [
+        ('1e-05', 1e-5),
+        ('010', 8),
+        ('0x19', 25),
+        ('+5', 5),
+        ('1.', 1.0),
+        ('-.inf', -math.inf),
+        ('on', True),
+        ('N', False),
+        ("'3'", '3'),
+        ('"on"', 'on'),
+        ('1_000', '1_000'),
+        ('12:30', '12:30'),
+        ('~', '~'),
+        ('1e400', '1e400'),
+        ('[1, 2.5]', [1, 2.5]),
+        ('99999999999999999999', 1e20),
+    ],
+)
+def test_scalars_are_read_as_ros_reads_them(tmp_path: Path, scalar: str, value: object) -> None:
+    found = read_overrides(write(tmp_path, f'/**: {{ros__parameters: {{x: {scalar}}}}}'), NODE)['x']
+    assert (found, type(found)) == (value, type(value))
+
+
+def test_the_last_of_several_matching_sections_wins(tmp_path: Path) -> None:
+    text = """
+        resistance_estimator: {ros__parameters: {x: 1, y: 1, a.b: 1}}
+        /**/resistance_estimator: {ros__parameters: {x: 2, a: {b: 2, c: 2}}}
+        /*: {ros__parameters: {x: 3}}
+        /other: {ros__parameters: {x: 4}}
+    """
+    assert read_overrides(write(tmp_path, text), NODE) == {'x': 3, 'y': 1, 'a.b': 2, 'a.c': 2}
+    assert read_overrides(write(tmp_path, text), '/t1/resistance_estimator') == {'x': 2, 'a.b': 2, 'a.c': 2}
+    assert read_overrides(write(tmp_path, ''), NODE) == {}
+
+
+# Algorithms by name
+
+
+@pytest.fixture
+def many(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Two jobs that share a name of an algorithm."""
+
+    def algorithm(name: str) -> Algorithm[Any]:
+        return Algorithm(name, '', VMilsConfig(), lambda train_file, config, _: VMils(train_file, config))
+
+    def named(*names: str) -> Algorithms[Any]:
+        return Algorithms('no such job', *map(algorithm, names))
+
+    fields = {'resistance': named('V', 'EKF'), 'speed_model': named('A', 'EKF'), 'brake_rate': named('G')}
+
+    class FakeJob:
+        def __init__(self, field: str) -> None:
+            self.field = field
+            self.algorithms = fields[field]
+
+    monkeypatch.setattr(jobs, 'JOBS', tuple(FakeJob(job.field) for job in JOBS))
+
+
+@pytest.mark.usefixtures('many')
+def test_algorithms_are_found_by_name_or_by_job_and_name() -> None:
+    assert chosen_algorithms(['A', 'resistance=EKF', 'G', 'G']) == {
+        'speed_model': 'A',
+        'resistance': 'EKF',
+        'brake_rate': 'G',
+    }
+
+
+@pytest.mark.usefixtures('many')
+@pytest.mark.parametrize(
+    ('wanted', 'reason'),
+    [
+        (['EKF'], "algorithm 'EKF' is ambiguous: use resistance=EKF or speed_model=EKF"),
+        (['X'], "algorithm 'X' is unknown; there are resistance: V, EKF; speed_model: A, EKF; brake_rate: G"),
+        (['resistance=G'], "algorithm 'G' is unknown; there are resistance: V, EKF"),
+        (['speed=A'], "'speed' must be one of resistance, speed_model, brake_rate"),
+        (['V', 'resistance=EKF'], 'algorithm: two given for resistance, V and EKF'),
+    ],
+)
+def test_invalid_choices_are_reported_with_the_valid_ones(wanted: list[str], reason: str) -> None:
+    with pytest.raises(InputError) as caught:
+        chosen_algorithms(wanted)
+    assert reason in str(caught.value)
+
+
+def test_an_algorithm_of_the_command_line_overrides_that_of_the_file(tmp_path: Path) -> None:
+    text = '/**/resistance_estimator: {ros__parameters: {algorithm: none}}\n/**: {ros__parameters: {seed: 2}}\n'
+    made = setups(tmp_path, text, 'resistance=V-MILS')
+    assert (made['resistance'].algorithm, made['resistance'].settings.seed) == ('V-MILS', 2)

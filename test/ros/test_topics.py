@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages carry every field of a record and of an estimate, exactly."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import fields, replace
+
+import numpy as np
+import pytest
+from trainid_msgs import msg as messages
+
+from trainid_ros.bag.types import estimate_message as bag_message
+from trainid_ros.estimators.protocol import Output
+from trainid_ros.messages import record_from_message
+from trainid_ros.records import (
+    INPUT_TOPICS,
+    BrakeRecord,
+    ForceRecord,
+    GradientRecord,
+    MassRecord,
+    Record,
+    SpeedRecord,
+)
+from trainid_ros.results import BrakeRateEstimate, Reason, Rejection, ResistanceEstimate, Status
+from trainid_ros.ros.topics import fill_estimate, message_from_record, time_message
+
+STAMP = 1_700_000_000_123_456_789
+SPREAD = tuple(k / 7 for k in range(9))
+ESTIMATE = ResistanceEstimate(
+    0.1 + 0.2, -1e-17, 1 / 3, tuple(k / 7 for k in range(9)), 1.7, 0.2, 11.1, -0.3, 0.01, 2.5, 3.0, 19.0
+)
+BRAKE = BrakeRateEstimate(0.93, 0.02, math.nan, 12.0, -0.5, -0.6, 77.5, True, 0.01, 0.002, 0.3)
+
+
+@pytest.mark.parametrize(
+    'record',
+    [
+        SpeedRecord(STAMP, 0.1 + 0.2, math.nan),
+        ForceRecord(STAMP, -1e5 / 3),
+        GradientRecord(STAMP, -12.5, 400.0, True),
+        BrakeRecord(STAMP, -0.7, True),
+        MassRecord(STAMP, 194e3),
+    ],
+)
+def test_a_record_is_unchanged_by_conversion_to_a_message_and_back(record: Record) -> None:
+    topic = next(topic for topic in INPUT_TOPICS if topic.record is type(record))
+    back = record_from_message(topic, message_from_record(record))
+    for item in fields(record):
+        assert repr(getattr(back, item.name)) == repr(getattr(record, item.name))
+
+
+def test_numpy_scalars_and_whole_numbers_are_cast() -> None:
+    # A float32 stored in a float64 field without a cast would come out as 5e-315.
+    record = SpeedRecord(STAMP, np.float32(1.5), 3)  # type: ignore[arg-type]
+    message = message_from_record(record)
+    assert (message.speed, message.position) == (1.5, 3.0)
+
+
+@pytest.mark.parametrize(('estimate', 'kind'), [(ESTIMATE, 'ResistanceEstimate'), (BRAKE, 'BrakeRateEstimate')])
+def test_an_output_fills_the_message_as_the_bag_writer_does(estimate: ResistanceEstimate, kind: str) -> None:
+    rejection = Rejection(STAMP, Reason.BRAKING, 0.5, 3.0)
+    output = Output(STAMP, estimate, Status.HOLDING, 12, 34, rejection)
+    message = fill_estimate(getattr(messages, kind)(), output)
+    expected = bag_message(output)
+    for name in message.get_fields_and_field_types():
+        if name == 'header':
+            assert message.header.stamp == time_message(STAMP)
+            continue
+        assert np.array(getattr(message, name)).tobytes() == np.array(getattr(expected, name)).tobytes(), name
+    assert (message.status, message.last_reject_reason) == (3, 12)
+    assert message.last_reject_text == 'BRAKING (value 0.5, limit 3)'
+
+
+@pytest.mark.parametrize('change', [{'a': math.nan}, {'covariance': (math.inf, *(0.0,) * 8)}])
+def test_an_estimate_that_is_not_finite_is_a_fault(change: dict[str, float]) -> None:
+    output = Output(STAMP, replace(ESTIMATE, **change), Status.VALID, 1, 0, None)  # type: ignore[arg-type]
+    assert fill_estimate(messages.ResistanceEstimate(), output).status == Status.FAULT
+
+
+def test_an_unknown_position_is_not_a_fault() -> None:
+    output = Output(STAMP, BRAKE, Status.VALID, 1, 0, None)
+    assert fill_estimate(messages.BrakeRateEstimate(), output).status == Status.VALID

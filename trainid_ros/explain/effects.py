@@ -1,0 +1,343 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Effects in the model with their priors, evaluated by the functions that simulator and live estimators use."""
+
+from __future__ import annotations
+
+import math
+from bisect import bisect_right
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from trainid_ros.errors import InputError
+from trainid_ros.train.davis import davis
+from trainid_ros.train.effects import EFFECTS, TrackPoint
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    from trainid_ros.explain.dataset import Dataset
+    from trainid_ros.explain.run_data import Run
+    from trainid_ros.train.effects import EffectKind, Parameter
+    from trainid_ros.train.train_file import Davis, Effect, TrainFile
+
+    Array = NDArray[np.float64]
+
+_DAVIS_STEPS: Final = (0.1, 0.01, 0.0002)
+_PROBES: Final = 60
+"""Points used to test whether an effect depends on a, b, c."""
+_CACHE_SIZE: Final = 400
+"""Resistances kept in the cache, to bound the memory."""
+# Prior std of a shape parameter about its initial value: a position [m], a time [s], relative for others.
+_METRES: Final = 80.0
+_SECONDS: Final = 60.0
+_LOG_WIDTH: Final = 1.0
+_SHORTEST_M: Final = 50.0
+"""Minimum length of an effect on a section of the line [m]."""
+# The peak of a normal density equals a uniform density over this many standard deviations.
+_SPREAD: Final = math.sqrt(2.0 * math.pi)
+
+
+@dataclass(frozen=True, slots=True)
+class EffectTerm:
+    """An effect in the model.
+
+    Attributes:
+        name: Its name in train files.
+        parameters: Its parameters, in the units of the effect.
+        covariance: Their covariance in the same order, None before a fit.
+
+    """
+
+    name: str
+    parameters: Mapping[str, float]
+    covariance: NDArray[np.float64] | None = None
+
+    @property
+    def size(self) -> float:
+        """Distance of the amplitude from its neutral value, in units of its usual value [1]."""
+        kind = EFFECTS[self.name]
+        return abs(self.parameters[kind.amplitude] - kind.neutral) / kind.usual
+
+    @property
+    def significance(self) -> float:
+        """The same distance in standard deviations conditional on the shape [1]; infinite before a fit."""
+        if self.covariance is None:
+            return math.inf
+        kind = EFFECTS[self.name]
+        at = list(self.parameters).index(kind.amplitude)
+        return self.size * kind.usual * math.sqrt(max(float(np.linalg.pinv(self.covariance)[at, at]), 0.0))
+
+    @property
+    def std(self) -> dict[str, float]:
+        """Standard deviations of the parameters; empty before a fit."""
+        if self.covariance is None:
+            return {}
+        deviations = np.sqrt(np.maximum(np.diag(self.covariance), 0.0)).tolist()
+        return dict(zip(self.parameters, deviations, strict=True))
+
+    def moved(self, move: Array, covariance: Array) -> EffectTerm:
+        """Return the effect with its parameters changed by a step, as far as admissible, and with their covariance."""
+        limits = EFFECTS[self.name].parameters
+        rows = zip(self.parameters.items(), move.tolist(), strict=True)
+        parameters = {name: _inside(value + delta, limits[name]) for (name, value), delta in rows}
+        return EffectTerm(self.name, _ordered(parameters), covariance)
+
+
+def prior_cost(term: EffectTerm, dataset: Dataset) -> float:
+    """Return -2 ln of the prior of an effect relative to the priors of the fit, which are centred at its parameters.
+
+    The prior of an amplitude is centred at its neutral value; that of another parameter is uniform over its range, for
+    a place or a time that of the data.
+    """
+    kind, cost = EFFECTS[term.name], 0.0
+    for name, value in term.parameters.items():
+        width = prior_width(term.name, name, value)
+        limits = kind.parameters[name]
+        if name == kind.amplitude:
+            cost += ((value - kind.neutral) / width) ** 2
+        elif limits.search is not None:
+            low, high = limits.search
+            span = math.log(high / low) * abs(value) if limits.grid == 'log' else high - low
+            cost += 2.0 * math.log(max(span / (_SPREAD * width), 1.0))
+        else:
+            along = dataset.joined('position') if limits.unit == 'm' else dataset.time
+            cost += 2.0 * math.log(max(float(np.ptp(along)) / (_SPREAD * width), 1.0))
+    return cost
+
+
+def prior_width(effect: str, name: str, value: float) -> float:
+    """Return the prior std of a parameter about its initial value."""
+    kind = EFFECTS[effect]
+    if name == kind.amplitude:
+        return 3.0 * kind.usual
+    limits = kind.parameters[name]
+    if limits.unit == 'm' and limits.search is None:
+        return _METRES
+    if limits.search is None:
+        return _SECONDS
+    return _LOG_WIDTH * max(abs(value), limits.search[0])
+
+
+def _inside(value: float, limits: Parameter) -> float:
+    """Return the nearest admissible value of a parameter, at most a factor of about three outside its search range."""
+    low, high = limits.low, limits.high
+    if limits.search is not None:
+        low, high = max(low, 0.3 * limits.search[0]), min(high, 3.0 * limits.search[1])
+    return min(max(value, low), high)
+
+
+def _ordered(parameters: dict[str, float]) -> dict[str, float]:
+    """Keep the end beyond the start by a minimum length: averaged under a train, shorter effects cannot be resolved."""
+    if 'start' in parameters and 'end' in parameters and parameters['end'] - parameters['start'] < _SHORTEST_M:
+        middle = 0.5 * (parameters['start'] + parameters['end'])
+        return {**parameters, 'start': middle - 0.5 * _SHORTEST_M, 'end': middle + 0.5 * _SHORTEST_M}
+    return parameters
+
+
+class EffectEvaluator:
+    """Resistances of effects at all stages of a dataset.
+
+    Attributes:
+        dataset: The dataset.
+        davis: Davis parameters a, b, c of the train file.
+
+    """
+
+    def __init__(self, dataset: Dataset, train_file: TrainFile) -> None:
+        self.dataset, self.davis = dataset, train_file.resistance
+        self._cache: dict[tuple[str, tuple[tuple[str, float], ...], Davis], Array] = {}
+        length = train_file.train.length
+        self._points: list[TrackPoint] = []
+        for run, start in zip(dataset.runs, dataset.starts.tolist(), strict=True):
+            speed = dataset.speed[start : start + run.time.size]
+            self._points += _points_of(run, speed, length, dataset.inertia, self.davis)
+
+    def resistance(self, name: str, parameters: Mapping[str, float], davis: Davis | None = None) -> Array:
+        """Return the resistance of an effect on each stage [N/kN], shape (n,).
+
+        Args:
+            name: The effect.
+            parameters: Its parameters.
+            davis: Davis parameters, where they differ from the train file: headwind and tunnel act through c.
+
+        Raises:
+            InputError: The resistance is not finite or cannot be calculated.
+
+        """
+        key = name, tuple(parameters.items()), davis or self.davis
+        if key not in self._cache:
+            if len(self._cache) >= _CACHE_SIZE:
+                self._cache.clear()
+            self._cache[key] = self._evaluate(name, parameters, davis or self.davis)
+        return self._cache[key]
+
+    def _evaluate(self, name: str, parameters: Mapping[str, float], davis: Davis) -> Array:
+        function = EFFECTS[name].resistance
+        if function is None:
+            return np.zeros(len(self._points))
+        try:
+            values = np.array([function(parameters, davis, point) for point in self._points], dtype=float)
+        except (ArithmeticError, ValueError, TypeError, LookupError, AttributeError) as error:
+            msg = f'effect {name}: its resistance cannot be calculated for {_formatted(parameters)}: {error}'
+            raise InputError(msg) from error
+        if not np.isfinite(values).all():
+            msg = f'effect {name}: its resistance is not finite for {_formatted(parameters)}'
+            raise InputError(msg)
+        return values
+
+    def by_davis(self, name: str, parameters: Mapping[str, float], davis: Davis) -> Array | None:
+        """Return the derivative of an effect's resistance by a, b, c, shape (n, 3); None if independent of them."""
+        function = EFFECTS[name].resistance
+        some = self._points[:: max(1, len(self._points) // _PROBES)]
+        changed = [
+            replace(davis, **{key: getattr(davis, key) + step}) for key, step in zip('abc', _DAVIS_STEPS, strict=True)
+        ]
+        if function is None or all(
+            function(parameters, other, point) == function(parameters, davis, point)
+            for other in changed
+            for point in some
+        ):
+            return None
+        here = self.resistance(name, parameters, davis)
+        rows = zip(changed, _DAVIS_STEPS, strict=True)
+        return np.stack([(self.resistance(name, parameters, other) - here) / step for other, step in rows], axis=1)
+
+    def total(self, effects: Sequence[Effect]) -> Array:
+        """Return the total resistance of effects, except those on the records, on each stage [N/kN], shape (n,)."""
+        total = np.zeros(len(self._points))
+        for effect in effects:
+            if not EFFECTS[effect.name].on_records:
+                total += self.resistance(effect.name, dict(effect.parameters))
+        return total
+
+
+def _formatted(parameters: Mapping[str, float]) -> str:
+    return ', '.join(f'{key}={value:g}' for key, value in parameters.items())
+
+
+def _points_of(run: Run, speed: Array, length: float, inertia: float, resistance: Davis) -> list[TrackPoint]:
+    """Return the track points at mid-stage of a run; ``speed`` [m/s] is the mean over each stage, shape (n,)."""
+    middle = run.time - 0.5 * run.dt
+    place = run.position - 0.5 * run.direction * run.dt * speed
+    # Acceleration implied by the forces: the measured one would bring the noise of the speed into the regressors.
+    acceleration = (run.traction + run.brake - run.gradient - davis(resistance, speed)) / inertia
+    brake, traction = _before(middle, run.brake), _before(middle, run.traction)
+    travelled = np.maximum.accumulate(run.direction * place + 1e-6 * np.arange(place.size))
+    ahead = _ahead(travelled, run.gradient)
+    rows = zip(
+        middle.tolist(), place.tolist(), speed.tolist(), run.radius.tolist(), run.tunnel.tolist(),
+        run.distance_run.tolist(), run.since_release.tolist(), run.traction.tolist(), run.brake.tolist(),
+        run.heat.tolist(), acceleration.tolist(), travelled.tolist(), strict=True,
+    )  # fmt: skip
+    return [
+        TrackPoint(
+            time_s=t,
+            position=s,
+            direction=run.direction,
+            speed=v,
+            curve_radius=radius,
+            tunnel=tunnel > 0.5,
+            length=length,
+            distance_run=distance,
+            since_release=release,
+            traction=pull,
+            brake=push,
+            heat=heat,
+            acceleration=a,
+            brake_before=brake(t),
+            traction_before=traction(t),
+            gradient_ahead=ahead(way),
+        )
+        for t, s, v, radius, tunnel, distance, release, pull, push, heat, a, way in rows
+    ]
+
+
+def _before(time: Array, value: Array) -> Callable[[float], Callable[[float], float]]:
+    """Return a function of the time [s] that returns the value a number of seconds earlier."""
+    at = _Line(time, value)
+    return lambda t: lambda seconds: at(t - seconds)
+
+
+def _ahead(travelled: Array, value: Array) -> Callable[[float], Callable[[float], float]]:
+    """Return a function of the distance travelled [m] that returns the value a number of metres ahead."""
+    at = _Line(travelled, value)
+    return lambda way: lambda metres: at(way + metres)
+
+
+class _Line:
+    """Linear interpolation at a single point, constant beyond both ends; faster than numpy's for one point."""
+
+    def __init__(self, x: Array, y: Array) -> None:
+        self._x: list[float] = x.tolist()
+        self._y: list[float] = y.tolist()
+
+    def __call__(self, x: float) -> float:
+        right = bisect_right(self._x, x)
+        if right in {0, len(self._x)}:
+            return self._y[min(right, len(self._x) - 1)]
+        low, high = self._x[right - 1], self._x[right]
+        share = (x - low) / (high - low)
+        return self._y[right - 1] + share * (self._y[right] - self._y[right - 1])
+
+
+def unit_resistance(
+    evaluator: EffectEvaluator, kind: EffectKind, shape: Mapping[str, float], times: float = 1.0
+) -> Array:
+    """Return the resistance [N/kN] of an effect at ``times`` its usual amplitude, per unit of amplitude, shape (n,)."""
+    size = times * kind.usual
+    parameters = {**shape, kind.amplitude: kind.neutral + size}
+    return evaluator.resistance(kind.name, parameters) / size
+
+
+def shape_names(kind: EffectKind) -> tuple[str, ...]:
+    """Return the names of all parameters except the amplitude."""
+    return tuple(name for name in kind.parameters if name != kind.amplitude)
+
+
+def sign(kind: EffectKind) -> int:
+    """Return the side of its neutral value on which an amplitude can lie: +1, -1, or 0 for both."""
+    limits = kind.parameters[kind.amplitude]
+    low, high = limits.search or (limits.low, limits.high)
+    return int(low >= kind.neutral) - int(high <= kind.neutral)
+
+
+def without_replaced(terms: Sequence[EffectTerm], train_file: TrainFile) -> TrainFile | None:
+    """Return the train file without effects that were found again; None if none was.
+
+    An effect that is found again has wrong values in the train file. Effects on the records themselves are
+    kept: the records have already been corrected for them.
+    """
+    again = {term.name for term in terms if not (EFFECTS[term.name].repeatable or EFFECTS[term.name].on_records)}
+    rest = tuple(effect for effect in train_file.effects if effect.name not in again)
+    return replace(train_file, effects=rest) if len(rest) < len(train_file.effects) else None
+
+
+def merged(current: Sequence[Effect], added: Sequence[Effect]) -> tuple[Effect, ...]:
+    """Return the effects of the train file and the added ones.
+
+    An added effect on the records is what is left after the correction by the train file, so the two are combined into
+    one effect. Records are never corrected for slip, so slip that was found replaces that of the train file.
+    """
+    before = {effect.name: effect for effect in current if EFFECTS[effect.name].on_records}
+    total = tuple(
+        _sum(before[new.name], new) if new.name in before and EFFECTS[new.name].resistance is not None else new
+        for new in added
+    )
+    names = {effect.name for effect in total if effect.name in before}
+    return (*(effect for effect in current if effect.name not in names), *total)
+
+
+def _sum(before: Effect, new: Effect) -> Effect:
+    """Return the combination of two effects of one kind: ratios are multiplied, other amplitudes are added."""
+    kind = EFFECTS[new.name]
+    old, parameters = dict(before.parameters)[kind.amplitude], dict(new.parameters)
+    more = parameters[kind.amplitude]
+    parameters[kind.amplitude] = more * old if kind.neutral else more + old
+    return replace(new, parameters=tuple(parameters.items()))
+
+
+# Prior std of a shape parameter about its initial value: a position [m], a time [s], relative for others.

@@ -1,0 +1,323 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bayesian linear regression on whitened columns with the nuisances integrated out, and the marginal likelihood.
+
+With unit noise, columns C, nuisances N with prior covariance K and measurements y,
+
+    A = C'C - C'N (N'N + K^-1)^-1 N'C,      b = C'y - C'N (N'N + K^-1)^-1 N'y,
+
+and an effect with column c and prior std s of its amplitude has the Bayes factor
+
+    2 ln B = b^2 / (A + s^-2) - ln(1 + s^2 A).
+
+Factors of single runs (payload, brake) are eliminated run by run before anything is summed.
+
+The hyperparameters of noise and nuisances maximise the marginal likelihood times a prior. Wrong by a half, they lead to
+false effects; so they are estimated from the data, and again whenever an effect is added to the model.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+
+from trainid_ros.explain.noise import Grid, Noise, Spread, Whitener, prior_factor
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, slots=True)
+class Gram:
+    """Products of whitened columns, summed over runs or by run; those with the factors of single runs are separate.
+
+    Attributes:
+        total: Products of columns, sum over runs, shape (C, C), or by run, shape (R, C, C).
+        cross: Products of columns with the factors of the run, shape (R, C, F).
+        own: Products of those factors, shape (R, F, F).
+
+    """
+
+    total: Array
+    cross: Array
+    own: Array
+
+    @classmethod
+    def of(cls, spread: Array, factors: int, whitener: Whitener, *, by_run: bool = False) -> Gram:
+        """Whiten columns on the grid, the last of which are factors of single runs, shape (N, R, C + F)."""
+        C = spread.shape[2] - factors
+        white = whitener.apply(spread)
+        runs = white.transpose(1, 0, 2)
+        own = runs[:, :, C:]
+        flat = white[:, :, :C].reshape(-1, C)
+        total = runs[:, :, :C].transpose(0, 2, 1) @ runs[:, :, :C] if by_run else flat.T @ flat
+        return cls(total, runs[:, :, :C].transpose(0, 2, 1) @ own, own.transpose(0, 2, 1) @ own)
+
+    def reduced(self, std: Array) -> tuple[Array, float]:
+        """Integrate out the factors of runs.
+
+        Args:
+            std: Prior standard deviation of each factor, shape (F,).
+
+        Returns:
+            Products of columns, shaped like ``total``, and the log determinant of the marginalisation.
+
+        """
+        weighted = self.own + np.diag(1.0 / np.square(std))
+        _, log_det = np.linalg.slogdet(weighted)
+        scaled = self.cross @ np.linalg.inv(weighted)
+        if self.total.ndim == 3:
+            left = self.total - scaled @ self.cross.transpose(0, 2, 1)
+        else:
+            left = self.total - np.concatenate([*scaled], axis=1) @ np.concatenate([*self.cross], axis=1).T
+        return left, float(log_det.sum() + len(self.own) * 2.0 * np.log(std).sum())
+
+
+@dataclass(frozen=True, slots=True)
+class Information:
+    """Information on k columns after elimination of all nuisances; see the module.
+
+    Attributes:
+        A: Products of the columns, shape (k, k).
+        b: Products of the columns with y, shape (k,).
+        yy: Product of y with itself.
+        log_det: Log determinant of the marginalisation of the nuisances.
+
+    """
+
+    A: Array
+    b: Array
+    yy: float
+    log_det: float
+
+    def given(self, terms: Sequence[int], std: Array) -> Information:
+        """Return the information after elimination of some of the columns too.
+
+        Args:
+            terms: Indices of these columns.
+            std: Prior std of all columns, shape (k,).
+
+        """
+        if not len(terms):
+            return self
+        index = list(terms)
+        scale = std[index]
+        inner = np.eye(len(index)) + scale[:, None] * self.A[np.ix_(index, index)] * scale[None, :]
+        factor = cho_factor(inner, lower=True)
+        left, right = scale[:, None] * self.A[index], scale * self.b[index]
+        solved, at = cho_solve(factor, left), cho_solve(factor, right)
+        return Information(
+            self.A - left.T @ solved,
+            self.b - left.T @ at,
+            self.yy - float(right @ at),
+            self.log_det + _log_det(factor),
+        )
+
+
+def eliminate(products: Array, nuisances: int, prior_factor: Array) -> Information:
+    """Integrate out the nuisances, which follow y in column 0.
+
+    Args:
+        products: Products of y, nuisances and candidates, shape (C, C).
+        nuisances: Number of nuisances, columns 1 to ``nuisances``.
+        prior_factor: L with L L' the prior covariance of the nuisances, shape (nuisances, nuisances).
+
+    """
+    n = nuisances
+    own = products[1 : 1 + n, 1 : 1 + n]
+    rest = np.concatenate([products[1 : 1 + n, :1], products[1 : 1 + n, 1 + n :]], axis=1)
+    # A and b of the module docstring, with K = L L'.
+    inner = np.eye(n) + prior_factor.T @ own @ prior_factor
+    factor = cho_factor(inner, lower=True)
+    scaled = prior_factor.T @ rest
+    left = scaled.T @ cho_solve(factor, scaled)
+    keep = np.concatenate([[0], np.arange(1 + n, products.shape[0])])
+    after = products[np.ix_(keep, keep)] - left
+    return Information(after[1:, 1:], after[1:, 0], float(after[0, 0]), _log_det(factor))
+
+
+def posterior(products: Array, prior_factor: Array) -> tuple[Array, Array]:
+    """Return the posterior mean and covariance of the coefficients of all columns after y, shapes (n,) and (n, n).
+
+    Args:
+        products: Products of y and the columns, shape (1 + n, 1 + n).
+        prior_factor: L with L L' the prior covariance of the columns, shape (n, n).
+
+    """
+    inner = np.eye(len(prior_factor)) + prior_factor.T @ products[1:, 1:] @ prior_factor
+    covariance = prior_factor @ np.linalg.solve(inner, prior_factor.T)
+    return covariance @ products[1:, 0], covariance
+
+
+def log_bayes(A: Array, b: Array, std: Array | float, sign: int = 0) -> Array:
+    """Return 2 ln B of single columns (see the module), same shape; ``sign`` restricts amplitudes to one side of 0."""
+    from scipy.special import log_ndtr  # noqa: PLC0415 (slow to load)
+
+    precision = A + 1.0 / np.square(std)
+    # 2 ln B of the module docstring.
+    value = b * b / precision - np.log1p(A * np.square(std))
+    if sign:
+        # Half-normal prior: twice the posterior probability of the permitted side.
+        value = value + 2.0 * (log_ndtr(sign * b / np.sqrt(precision)) + np.log(2.0))
+    return np.asarray(value)
+
+
+def group_log_bayes(A: Array, b: Array, std: float) -> float:
+    """Return 2 ln B of a group of columns whose coefficients are independent with a common prior std."""
+    inner = np.eye(len(b)) + std * std * A
+    _, log_det = np.linalg.slogdet(inner)
+    return float(std * std * b @ np.linalg.solve(inner, b) - log_det)
+
+
+def _log_det(factor: tuple[Array, bool]) -> float:
+    """Return the log determinant of a matrix from its Cholesky factor."""
+    return 2.0 * float(np.log(np.diag(factor[0])).sum())
+
+
+# Median and std of the log of each hyperparameter: speed noise [m/s], gust [N/kN], gust time [s], jitter [s],
+# payload [1], brake [1], map [per mille].
+_WEIGHED: Final = 0.005
+_UNWEIGHED: Final = 0.03
+_MEDIAN: Final = np.log([0.03, 0.12, 8.0, 0.02, _WEIGHED, 0.01, 0.25])
+_WIDTH: Final = np.array([1.0, 0.5, 0.4, 0.7, 0.5, 0.5, 0.4])
+_STEP: Final = 0.05
+_SMALL: Final = 1e-3
+_LARGEST_MOVE: Final = 2.0
+_SETTLED: Final = 0.05
+_MAX_STEPS: Final = 30
+_OUTER: Final = 4
+_PAYLOAD: Final = 4
+_GUST, _GUST_TIME = 1, 2
+
+
+@dataclass(frozen=True, slots=True)
+class Hyperparameters:
+    """Standard deviations of noise and nuisances.
+
+    Attributes:
+        noise: Those of noise along a run.
+        spread: Those of nuisances by run and by place.
+        evidence: 2 ln of marginal likelihood times prior at these values, up to a constant.
+
+    """
+
+    noise: Noise
+    spread: Spread
+    evidence: float
+
+
+class MarginalLikelihood:
+    """Marginal likelihood of the data as a function of the logs of all hyperparameters."""
+
+    def __init__(
+        self, grid: Grid, columns: Array, factors: Array, common_std: Array, map_root: Array, *, weighed: bool
+    ) -> None:
+        """Prepare the evaluation.
+
+        Args:
+            grid: Grid of the nodes.
+            columns: y [m/s], common nuisances, bins of the map, shape (m, 1 + q + k).
+            factors: Columns of payload and brake, shape (m, 2).
+            common_std: Prior std of the common nuisances, shape (q,).
+            map_root: Cholesky factor of the correlation of map errors, shape (k, k).
+            weighed: True if the mass is measured.
+
+        """
+        self._grid, self._factors = grid, factors.shape[1]
+        self._spread = grid.spread(np.concatenate([columns, factors], axis=1))
+        self._common = common_std
+        self._root = map_root
+        self._median = _MEDIAN.copy()
+        self._median[_PAYLOAD] = math.log(_WEIGHED if weighed else _UNWEIGHED)
+        self._gram: tuple[tuple[float, ...], Gram, float] | None = None
+
+    def at(self, logs: Array) -> float:
+        """Return 2 ln of likelihood times prior at the logs of all hyperparameters, shape (7,)."""
+        return -self._value(logs)
+
+    def usual(self, hyper: Hyperparameters) -> Hyperparameters:
+        """Return hyperparameters with payload, brake and map at the median of their priors."""
+        return replace(hyper, spread=_hyperparameters(self._median)[1])
+
+    def excess(self, logs: Array) -> float:
+        """Return how far gusts, payload, brake and map errors lie above the medians of their priors [1].
+
+        That is the sum of squares of their distances in standard deviations of their priors. For gusts it is the
+        distance of the speed error they cause, proportional to their std times the root of their correlation time.
+        """
+        above = logs - self._median
+        drift = (above[_GUST] + 0.5 * above[_GUST_TIME]) / math.hypot(_WIDTH[_GUST], 0.5 * _WIDTH[_GUST_TIME])
+        distances = np.maximum([drift, *(above / _WIDTH)[_OUTER:]], 0.0)
+        return float(distances @ distances)
+
+    def maximise(self, start: Array | None = None) -> tuple[Hyperparameters, Array]:
+        """Return the best hyperparameters and their logs, starting from the prior's median or a better given start."""
+        x, value = self._median.copy(), self._value(self._median)
+        # Hyperparameters estimated without an effect can be far off with it.
+        if start is not None and (there := self._value(start)) < value:
+            x, value = start.copy(), there
+        gradient, curvature = self._slopes(x, value)
+        for _ in range(_MAX_STEPS):
+            move = -np.linalg.solve(curvature, gradient)
+            move *= min(1.0, _LARGEST_MOVE / float(np.abs(move).max()))
+            while (found := self._value(x + move)) > value + 1e-6 and np.abs(move).max() > _SETTLED:
+                move = 0.4 * move
+            if found > value - _SETTLED:
+                x, value = (x + move, found) if found < value else (x, value)
+                break
+            x, value, before = x + move, found, gradient
+            gradient = self._gradient(x, value)
+            curvature = _updated(curvature, np.asarray(move), gradient - before)
+        return Hyperparameters(*_hyperparameters(x), -value), x
+
+    def _slopes(self, x: Array, value: float) -> tuple[Array, Array]:
+        """Return gradient and initial curvature, diagonal and positive, by central differences."""
+        gradient, curvature = np.empty_like(x), np.empty_like(x)
+        # Payload, brake and map first: they need no new filter, while noise, gusts and jitter do.
+        for i, step in reversed([*enumerate(_STEP * np.eye(x.size))]):
+            up, down = self._value(x + step), self._value(x - step)
+            gradient[i] = (up - down) / (2.0 * _STEP)
+            curvature[i] = max((up - 2.0 * value + down) / _STEP**2, 1.0 / _WIDTH[i] ** 2)
+        return gradient, np.diag(curvature)
+
+    def _gradient(self, x: Array, value: float) -> Array:
+        """Return the gradient by forward differences, shape (7,)."""
+        # Same order as in _slopes, to reuse the filter.
+        up = [self._value(x + step) for step in _SMALL * np.eye(x.size)[::-1]]
+        return np.asarray((np.array(up[::-1]) - value) / _SMALL)
+
+    def _value(self, x: Array) -> float:
+        """Return -2 ln of likelihood times prior."""
+        noise, spread = _hyperparameters(x)
+        key = tuple(x[:_OUTER].tolist())
+        if self._gram is None or self._gram[0] != key:
+            whitener = Whitener.of(self._grid, noise)
+            gram = Gram.of(self._spread, self._factors, whitener)
+            self._gram = (key, gram, float(whitener.log_det.sum()))
+        _, gram, log_det = self._gram
+        products, cost = gram.reduced(spread.of_run)
+        factor = prior_factor(self._common, self._root, spread)
+        information = eliminate(products, len(factor), factor)
+        prior = float(np.sum(np.square((x - self._median) / _WIDTH)))
+        return information.yy + log_det + cost + information.log_det + prior
+
+
+def _updated(curvature: Array, move: Array, change: Array) -> Array:
+    """Return the BFGS update of the curvature (7, 7) for a step ``move`` that changed the gradient by ``change``."""
+    along = float(move @ change)
+    seen = curvature @ move
+    if along <= 1e-3 * float(move @ seen):
+        return curvature
+    return np.asarray(curvature + np.outer(change, change) / along - np.outer(seen, seen) / float(move @ seen))
+
+
+def _hyperparameters(x: Array) -> tuple[Noise, Spread]:
+    speed, gust, gust_time, jitter, payload, brake, line = np.exp(x).tolist()
+    return Noise(speed, gust, gust_time, jitter), Spread(payload, brake, line)

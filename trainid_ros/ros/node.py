@@ -1,0 +1,260 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Base of the nodes: lifecycle transitions that log every failure, and parameters that are checked with a reason.
+
+Parameters are declared at start and applied only on configure.
+"""
+
+from __future__ import annotations
+
+import functools
+import traceback
+from typing import TYPE_CHECKING, Any, Final, TypeVar
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
+from rclpy.clock import Clock
+from rclpy.clock_type import ClockType
+from rclpy.exceptions import ROSInterruptException
+from rclpy.impl.implementation_singleton import rclpy_implementation
+from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
+from rclpy.parameter import Parameter
+
+from trainid_ros.errors import InputError, TrainIdError
+from trainid_ros.ros.parameter_specs import ParameterSpec, Value, check_fallback, check_problems, validate_overrides
+from trainid_ros.ros.params_file import find_mismatch, params_files
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping, Sequence
+
+    from rclpy.node import Node
+
+NodeT = TypeVar('NodeT', bound='ManagedNode')
+RCLError = rclpy_implementation.RCLError
+
+
+def guarded(
+    transition: Callable[[NodeT, LifecycleState], TransitionCallbackReturn],
+) -> Callable[[NodeT, LifecycleState], TransitionCallbackReturn]:
+    """Wrap a transition so that the reason of a failure is logged; rclpy itself would drop the exception.
+
+    A TrainIdError is logged in one line and results in FAILURE, which leaves the node in its previous
+    state. Any other exception is logged with its traceback and results in ERROR.
+    """
+
+    @functools.wraps(transition)
+    def run(node: NodeT, state: LifecycleState) -> TransitionCallbackReturn:
+        try:
+            return transition(node, state)
+        except TrainIdError as error:
+            node.failure = str(error)
+            node.get_logger().error(node.failure)
+            return TransitionCallbackReturn.FAILURE
+        except (KeyboardInterrupt, ROSInterruptException):
+            raise
+        except Exception as error:  # logged in full, then handled by on_error
+            node.failure = f'{type(error).__name__}: {error}'
+            node.get_logger().error(f'{transition.__name__} failed\n{traceback.format_exc()}')
+            return TransitionCallbackReturn.ERROR
+
+    return run
+
+
+class ManagedNode(LifecycleNode):
+    """Lifecycle node that answers and logs invalid transition requests.
+
+    A subclass pauses its work in ``_pause`` and releases in ``_release`` what configuring it created.
+
+    Attributes:
+        failure: Why the last transition failed, empty if it succeeded.
+
+    """
+
+    def __init__(self, name: str, **options: Any) -> None:
+        super().__init__(name, **options)
+        self.failure = ''
+        self._steady = Clock(clock_type=ClockType.STEADY_TIME)
+        change_state = self._service_change_state.callback
+
+        def answer(request: Any, response: Any) -> Any:
+            # An invalid transition raises, and an exception from a service callback ends the process.
+            try:
+                return change_state(request, response)
+            except RCLError as error:
+                self.get_logger().warning(f'transition rejected in state {self.state}: {error}')
+                response.success = False
+                return response
+
+        self._service_change_state.callback = answer
+
+    @property
+    def state(self) -> str:
+        """Label of the lifecycle state."""
+        return str(self._state_machine.current_state[1])
+
+    def bring_up(self) -> bool:
+        """Configure and activate; return False, with the reason in ``failure``, if that fails."""
+        for trigger in (self.trigger_configure, self.trigger_activate):
+            self.failure = ''
+            if trigger() != TransitionCallbackReturn.SUCCESS:
+                return False
+        return True
+
+    def _pause(self) -> None:
+        """Stop working until the next activation; also called when nothing runs."""
+        raise NotImplementedError
+
+    def _release(self) -> None:
+        """Destroy what configure created, even if it did not finish."""
+        raise NotImplementedError
+
+    @guarded
+    def on_deactivate(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Pause; activating resumes."""
+        self._pause()
+        return super().on_deactivate(state)
+
+    @guarded
+    def on_cleanup(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Discard the state and release all resources."""
+        self._release()
+        return super().on_cleanup(state)
+
+    @guarded
+    def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Release all resources, from any state."""
+        self._release()
+        return super().on_shutdown(state)
+
+    @guarded
+    def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:
+        """Return to unconfigured after an error in a transition."""
+        self._release()
+        return super().on_error(state)
+
+
+_INT64: Final = (-(2**63), 2**63 - 1)
+
+
+class NodeParameters:
+    """All parameters of one node.
+
+    Attributes:
+        given: Names of the parameters that the user set, in a file, on the command line or later.
+
+    """
+
+    def __init__(self, node: Node, specs: Iterable[ParameterSpec], *, expected: Iterable[str] = ()) -> None:
+        """Declare the parameters; problems with the given values are kept for :meth:`check`.
+
+        Args:
+            node: The node.
+            specs: The parameters to declare.
+            expected: Names of parameters that other code declares later.
+
+        """
+        self._node = node
+        self._specs = {spec.name: spec for spec in specs}
+        self._internal = False
+        self._fallback: dict[str, str] = {}
+        overrides = node._parameter_overrides  # rclpy gives no public access to them
+        self.given = {name for name in overrides if name in self._specs}
+        given = {name: parameter.value for name, parameter in overrides.items()}
+        values, self._problems = validate_overrides(given, self._specs, {*node._parameters, *expected})
+        for spec in self._specs.values():
+            value = values.get(spec.name, spec.default)
+            node.declare_parameter(spec.name, value, _descriptor(spec), ignore_override=True)
+        node.add_on_set_parameters_callback(self._validate)
+        node.add_post_set_parameters_callback(self._note)
+
+    def check_sections(self, arguments: Sequence[str], usual_name: str) -> None:
+        """Find parameter files among ROS arguments whose sections do not match this node."""
+        node = self._node.get_fully_qualified_name()
+        for path in params_files(arguments):
+            if (found := find_mismatch(path, node, usual_name)) is None:
+                continue
+            message, certain = found
+            if certain:
+                self._problems[str(path)] = message
+            else:
+                self._node.get_logger().warning(message)
+
+    def report(self) -> None:
+        """Log every problem as an error, and the sources of all values in one line."""
+        logger = self._node.get_logger()
+        for problem in self._problems.values():
+            logger.error(problem)
+        given = [f'{name} = {self.value(name)}' for name in self._specs if name in self.given - self._problems.keys()]
+        filed = [f'{name} = {self.value(name)}' for name in self._fallback if name not in self.given]
+        rest = [name for name in self._specs if name not in self.given and name not in self._fallback]
+        logger.info(
+            f'parameters given: {", ".join(given) or "none"}; from the train file: {", ".join(filed) or "none"}; '
+            f'defaults: {_grouped(rest)}'
+        )
+
+    def check(self) -> None:
+        """Raise InputError, naming them, while parameters are unknown or invalid."""
+        check_problems(self._problems)
+
+    def value(self, name: str) -> Value:
+        """Return the value of a parameter."""
+        value: Value = self._node.get_parameter(name).value
+        return value
+
+    def values(self) -> dict[str, Value]:
+        """Return all values by name."""
+        return {name: self.value(name) for name in self._specs}
+
+    def fall_back(self, values: Mapping[str, float], source: str) -> None:
+        """Use values from a file for the parameters that the user did not set.
+
+        Raises:
+            InputError: A value is out of the parameter's range.
+
+        """
+        self._fallback = dict.fromkeys(values, source)
+        new = {name: value for name, value in values.items() if name not in self.given}
+        check_fallback(new, self._specs, source)
+        self._internal = True
+        self._node.set_parameters([Parameter(name, value=value) for name, value in new.items()])
+        self._internal = False
+
+    def _validate(self, parameters: list[Parameter]) -> SetParametersResult:
+        for parameter in parameters:
+            spec = self._specs.get(parameter.name)
+            if spec is None:
+                continue
+            try:
+                spec.check(parameter.value)
+            except InputError as error:
+                return SetParametersResult(successful=False, reason=str(error))
+        return SetParametersResult(successful=True)
+
+    def _note(self, parameters: list[Parameter]) -> None:
+        if self._internal:
+            return
+        for parameter in parameters:
+            if parameter.name in self._specs:
+                self.given.add(parameter.name)
+                self._problems.pop(parameter.name, None)
+
+
+def _descriptor(spec: ParameterSpec) -> ParameterDescriptor:
+    descriptor = ParameterDescriptor(description=spec.description, read_only=spec.read_only)
+    if spec.choices:
+        others = ' or of an installed plug-in' if spec.look_up is not None else ''
+        descriptor.additional_constraints = f'one of {", ".join(spec.choices)}{others}'
+    if isinstance(spec.default, float) and spec.low > float('-inf'):
+        limits = FloatingPointRange(from_value=float(spec.low), to_value=float(spec.high), step=0.0)
+        descriptor.floating_point_range = [limits]
+    elif isinstance(spec.default, int) and not isinstance(spec.default, bool):
+        low, high = max(spec.low, _INT64[0]), min(spec.high, _INT64[1])
+        descriptor.integer_range = [IntegerRange(from_value=int(low), to_value=int(high), step=1)]
+    return descriptor
+
+
+def _grouped(names: list[str]) -> str:
+    groups: dict[str, list[str]] = {}
+    for name in names:
+        prefix, _, last = name.rpartition('.')
+        groups.setdefault(prefix, []).append(last)
+    texts = (f'{prefix}.{{{", ".join(last)}}}' if prefix else ', '.join(last) for prefix, last in groups.items())
+    return ', '.join(texts) or 'none'

@@ -1,0 +1,197 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Topics of the nodes: message classes, quality of service, and input subscriptions in order of arrival."""
+
+from __future__ import annotations
+
+import time
+from bisect import bisect_left
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+from builtin_interfaces.msg import Time
+from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
+from rclpy.qos_overriding_options import QoSOverridingOptions
+from trainid_msgs import msg as trainid_msgs
+
+from trainid_ros.messages import OutputLike, output_values, record_values
+from trainid_ros.records import INPUT_TOPICS, NS_PER_S, InputTopic, Record
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Mapping
+
+    from rclpy.impl.rcutils_logger import RcutilsLogger
+    from rclpy.node import Node
+
+    from trainid_ros.messages import OutputTopic
+
+_MAX_IDLE_ROUNDS: Final = 3
+
+
+def message_class(topic: InputTopic | OutputTopic) -> Any:
+    """Return the message class of a topic."""
+    return getattr(trainid_msgs, topic.message)
+
+
+_MESSAGES: Final = {topic.record: message_class(topic) for topic in INPUT_TOPICS}
+
+
+def time_message(time_ns: int) -> Time:
+    """Return a time [ns] as a ``builtin_interfaces/Time``."""
+    sec, nanosec = divmod(time_ns, NS_PER_S)
+    return Time(sec=sec, nanosec=nanosec)
+
+
+def message_from_record(record: Record) -> Any:
+    """Return the input message of a record."""
+    return _fill(_MESSAGES[type(record)](), record.stamp_ns, record_values(record))
+
+
+def fill_estimate(message: Any, output: OutputLike) -> Any:
+    """Copy an output into its message and return it; a non-finite estimate gets status FAULT."""
+    return _fill(message, output.stamp_ns, output_values(output))
+
+
+def _fill(message: Any, stamp_ns: int, values: Mapping[str, Any]) -> Any:
+    message.header.stamp = time_message(stamp_ns)
+    for name, value in values.items():
+        setattr(message, name, value)
+    return message
+
+
+# Each function returns a new profile: rclpy writes the overrides of a user into the profile that it is given.
+def _keep_last(depth: int, reliability: ReliabilityPolicy, durability: DurabilityPolicy) -> QoSProfile:
+    return QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=depth, reliability=reliability, durability=durability)
+
+
+def input_qos() -> QoSProfile:
+    """Return the profile of estimator inputs: best effort, compatible with every sensor; deep enough to lose none."""
+    return _keep_last(50, ReliabilityPolicy.BEST_EFFORT, DurabilityPolicy.VOLATILE)
+
+
+def source_qos() -> QoSProfile:
+    """Return the profile of player and simulator on the input topics and on ``/clock``."""
+    return _keep_last(100, ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE)
+
+
+def estimate_qos() -> QoSProfile:
+    """Return the profile of the estimates."""
+    return _keep_last(10, ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE)
+
+
+def latched_qos() -> QoSProfile:
+    """Return the profile of the last valid estimates: a late joiner gets the newest one."""
+    return _keep_last(1, ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+def diagnostics_qos() -> QoSProfile:
+    """Return the profile of ``/diagnostics``."""
+    return _keep_last(10, ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE)
+
+
+def overridable() -> QoSOverridingOptions:
+    """Let the user override history, depth and reliability with parameters ``qos_overrides.*``."""
+    return QoSOverridingOptions.with_default_policies()
+
+
+def _log_incompatible(logger: RcutilsLogger, topic: str, other: str) -> Callable[[Any], None]:
+    def log(event: Any) -> None:
+        policy = qos_policy_name_from_kind(event.last_policy_kind)
+        logger.error(f'{topic}: a {other} has an incompatible QoS ({policy}); no messages are exchanged with it')
+
+    return log
+
+
+def subscription_events(logger: RcutilsLogger, topic: str) -> SubscriptionEventCallbacks:
+    """Return event callbacks that log publishers with incompatible QoS."""
+    return SubscriptionEventCallbacks(incompatible_qos=_log_incompatible(logger, topic, 'publisher'))
+
+
+def publisher_events(logger: RcutilsLogger, topic: str) -> PublisherEventCallbacks:
+    """Return event callbacks that log subscribers with incompatible QoS."""
+    return PublisherEventCallbacks(incompatible_qos=_log_incompatible(logger, topic, 'subscriber'))
+
+
+class _Arrival(NamedTuple):
+    """A message taken from a queue, with the time at which the middleware received it [ns]."""
+
+    received_ns: int
+    topic: InputTopic
+    message: Any
+
+
+class Intake:
+    """All input subscriptions of a node.
+
+    An executor takes one message of each subscription in turn. After a stall, the queue of a slow topic is therefore
+    emptied before that of a fast one: its stamps run ahead by as many periods, which an estimator takes for a time
+    jump. So whenever a message arrives, all queued messages are taken and sorted by arrival.
+
+    Args:
+        node: The node.
+        deliver: Called with topic and message, in order of arrival.
+
+    """
+
+    def __init__(self, node: Node, deliver: Callable[[InputTopic, Any], None]) -> None:
+        self._node = node
+        self._deliver = deliver
+        self._subscriptions = {topic: self._subscribe(topic) for topic in INPUT_TOPICS}
+
+    def _subscribe(self, topic: InputTopic) -> Any:
+        def receive(message: Any, info: Any) -> None:
+            self.drain(_Arrival(_received_ns(info), topic, message))
+
+        return self._node.create_subscription(
+            message_class(topic),
+            topic.name,
+            receive,
+            input_qos(),
+            event_callbacks=subscription_events(self._node.get_logger(), topic.name),
+            qos_overriding_options=overridable(),
+        )
+
+    def drain(self, *first: _Arrival) -> None:
+        """Deliver the given messages and all queued ones.
+
+        The queues are emptied in turn, so a message that arrives meanwhile on a later queue could overtake one on
+        an earlier queue. Each round therefore delivers only messages that arrived before the round began; the
+        others wait for the next round. Repeated rounds without such messages mean that the wall clock was set
+        back: then all are delivered as they are.
+        """
+        arrivals = list(first)
+        idle_rounds = 0
+        while True:
+            begin_ns = time.time_ns()
+            arrivals += self._take()
+            arrivals.sort(key=lambda arrival: arrival.received_ns)
+            due = bisect_left(arrivals, begin_ns, key=lambda arrival: arrival.received_ns)
+            idle_rounds = 0 if due else idle_rounds + 1
+            if idle_rounds > _MAX_IDLE_ROUNDS:
+                due = len(arrivals)
+            for arrival in arrivals[:due]:
+                self._deliver(arrival.topic, arrival.message)
+            arrivals = arrivals[due:]
+            if not arrivals:
+                return
+
+    def _take(self) -> list[_Arrival]:
+        taken_now = []
+        for topic, subscription in self._subscriptions.items():
+            with subscription.handle:
+                for _ in range(subscription.qos_profile.depth):
+                    taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
+                    if taken is None:
+                        break
+                    taken_now.append(_Arrival(_received_ns(taken[1]), topic, taken[0]))
+        return taken_now
+
+    def close(self) -> None:
+        """Destroy the subscriptions."""
+        for subscription in self._subscriptions.values():
+            self._node.destroy_subscription(subscription)
+        self._subscriptions = {}
+
+
+def _received_ns(info: Any) -> int:
+    """Return the arrival time [ns], or the send time if the middleware does not report arrivals."""
+    return int(info['received_timestamp'] or info['source_timestamp'])
