@@ -17,8 +17,8 @@ demo: setup ## play a bag through the three live nodes and write a report
 
 test: lint typecheck colcon-smoke wheel test-unit test-ros ## everything that must pass before a change lands
 
-test-fast: setup ## inner loop: the unit tests alone
-	$(PYTEST) -m 'not ros and not slow' -n 2 -q
+test-fast: setup ## inner loop: the unit tests of the package alone
+	$(PYTEST) -m 'not ros and not slow' --ignore test/benchmarks --ignore test/papers -n 2 -q
 
 test-unit: setup ## tests that need no ROS graph
 	$(PYTEST) -m 'not ros' -n 2

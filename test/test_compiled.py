@@ -165,6 +165,7 @@ def outcome(switch: str) -> tuple[set[str], str]:
     return set(first.split()), second
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(uses_sources(), reason='nothing is compiled here, or the sources are newer')
 def test_compiled_modules_give_the_same_numbers_as_their_sources() -> None:
     compiled, sources = outcome('1'), outcome('0')

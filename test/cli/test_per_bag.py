@@ -67,6 +67,7 @@ def test_processes_give_the_same_as_one_bag_at_a_time(bags: list[str], capsys: p
     assert without_time([{'bag': bags[0], **single}]) == without_time(json.loads(alone.out))[:1]
 
 
+@pytest.mark.slow
 def test_each_bag_gets_its_own_outputs(bags: list[str], tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     out, reports = tmp_path / 'a/out', tmp_path / 'reports'
     assert replay(bags, '--out', str(out), '--report', str(reports)) == 2

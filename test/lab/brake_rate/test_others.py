@@ -167,6 +167,7 @@ def test_an_invalid_saved_posterior_is_rejected(
     assert estimator.save() == before
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize('name', ['RBPF', 'SMA', 'GSMA-printed'])
 def test_the_estimate_right_after_a_restore_is_bit_identical(
     train_file: TrainFile, braked: list[Sample], name: str
