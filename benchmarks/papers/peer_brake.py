@@ -25,11 +25,11 @@ from benchmarks.papers.seeds import over_seeds
 from benchmarks.tables import Table
 from trainid_lab.brake_rate.particles import SPEED, LinearStep, error_covariance, errors_of, speed_step, started
 from trainid_lab.brake_rate.resampling import effective_number, normal_weights, systematic
+from trainid_lab.stepping import step_and_estimate
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
 from trainid_ros.brake_rate.config import BrakeRateConfig
 from trainid_ros.brake_rate.posterior import STATES
-from trainid_ros.estimators.protocol import step_and_estimate
 from trainid_ros.results import Rejection
 
 if TYPE_CHECKING:
@@ -146,7 +146,7 @@ class FilterpyPosterior(PeerPosterior):
 
     def anchor(self, start: Start) -> None:
         for kf, f in zip(self._filters, self.f, strict=True):
-            kf.x = np.array([start.speed, f * start.target, 0.0, *(np.array(start.keep) * kf.x[3:, 0])])[:, None]
+            kf.x = np.array([start.speed, f * start.target, 0.0, *(np.array(start.decay_e) * kf.x[3:, 0])])[:, None]
             kf.P = started(kf.P, start)
 
     def recentre(self, shift: Errors) -> None:
@@ -197,7 +197,7 @@ class ParticlesPosterior(PeerPosterior):
         self._x = stds[:, None] * self._rng.standard_normal((STATES, self.N))
 
     def anchor(self, start: Start) -> None:
-        e = np.array(start.keep)[:, None] * self._x[3:]
+        e = np.array(start.decay_e)[:, None] * self._x[3:]
         x = np.vstack([np.full(self.N, start.speed), start.target * self.f, np.zeros(self.N), e])
         stds = np.sqrt(np.array([*start.variances, *start.q_e]))
         self._x = x + stds[:, None] * self._rng.standard_normal((STATES, self.N))

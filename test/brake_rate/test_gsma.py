@@ -14,10 +14,10 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
+from trainid_lab.stepping import step_and_estimate
 from trainid_ros.brake_rate.config import GsmaConfig
 from trainid_ros.brake_rate.gsma import Gsma, GsmaPosterior
 from trainid_ros.errors import InputError
-from trainid_ros.estimators.protocol import step_and_estimate
 from trainid_ros.records import NS_PER_S
 from trainid_ros.results import Reason, Rejection
 from trainid_ros.stream.samples import BrakeCommandChange, Sample

@@ -49,11 +49,11 @@ def interval(
 
 def test_calm_is_one_for_a_steady_response_and_small_while_it_changes(train_file: TrainFile, sample: Make) -> None:
     item = sample(1, brake_command=-0.5)
-    assert interval(train_file, item, response(-0.5, -0.5)).calm == pytest.approx(1.0)
-    assert interval(train_file, item, response(0.0, -0.5)).calm < 1e-6
+    assert interval(train_file, item, response(-0.5, -0.5)).steadiness == pytest.approx(1.0)
+    assert interval(train_file, item, response(0.0, -0.5)).steadiness < 1e-6
     # A relative change of a tenth per second.
     change = BrakeStep(1.0, DT, -0.01, 0.0, -0.49)
-    assert interval(train_file, item, change).calm == pytest.approx(math.exp(-1.0))
+    assert interval(train_file, item, change).steadiness == pytest.approx(math.exp(-1.0))
 
 
 def test_the_response_scales_with_a_change_of_the_table(train_file: TrainFile, sample: Make) -> None:
@@ -71,12 +71,12 @@ def test_the_response_scales_with_a_change_of_the_table(train_file: TrainFile, s
 def test_slope_changeover_and_level_errors_act_on_the_speed(train_file: TrainFile, sample: Make, speed: float) -> None:
     braked, gain = -0.5 * DT, 0.8
     item = sample(1, speed=speed, brake_command=-0.5)
-    gains = interval(train_file, item, response(-0.5, -0.5), (gain, gain)).lean
+    gains = interval(train_file, item, response(-0.5, -0.5), (gain, gain)).gain_e
     blend = {CONFIG.blend_speed: 1.0, 0.5 * CONFIG.blend_speed: 0.5}.get(speed, 0.0)
     slope = speed / train_file.train.max_speed - 0.5
     assert list(gains)[5:] == pytest.approx((gain * braked * slope, gain * braked * blend, -DT), rel=1e-12)
     # A weak brake has no level error.
-    assert interval(train_file, item, response(-0.05, -0.05)).lean[7] == 0.0
+    assert interval(train_file, item, response(-0.05, -0.05)).gain_e[7] == 0.0
 
 
 def test_the_brake_rate_includes_the_level_error(train_file: TrainFile, sample: Make) -> None:

@@ -59,16 +59,20 @@ def test_without_commands_the_gains_are_zero() -> None:
     timing = Timing(0.6, 0.4, 0.1, 0.1)
     step = timing.step(CommandHistory(), 0, STEP_NS, 0.0)
     assert (step.delay_gain, step.lag_gain, step.variance) == (0.0, 0.0, 0.0)
-    assert not timing.fresh
+    assert not timing.has_acted
     assert timing.at_rest(CommandHistory(), STEP_NS)
     assert not timing.at_rest(COMMANDS, 2 * NS_PER_S)
 
 
 def test_the_timing_moves_to_its_estimate_and_stays_valid() -> None:
-    moved, low, known = Timing(0.6, 0.4, 0.3, 0.2, fresh=True), Timing(0.6, 0.4, 0.3, 0.2), Timing(0.6, 0.4, 0.0, 0.0)
+    moved, low, known = (
+        Timing(0.6, 0.4, 0.3, 0.2, has_acted=True),
+        Timing(0.6, 0.4, 0.3, 0.2),
+        Timing(0.6, 0.4, 0.0, 0.0),
+    )
     moved.move((0.15, -0.1), (0.05, 0.5), Brake())
     assert (moved.delay, moved.lag) == pytest.approx((0.75, 0.3))
-    assert not moved.fresh
+    assert not moved.has_acted
     assert (moved.delay_std, moved.lag_std) == pytest.approx((0.05, 0.2))
     low.move((-9.0, -9.0), (0.0, 0.0), Brake())
     assert (low.delay, low.lag) == pytest.approx((0.0, 0.1))

@@ -10,9 +10,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from trainid_lab.stepping import step_and_estimate
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
-from trainid_ros.estimators.protocol import step_and_estimate
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import Brake, Davis, TrainFile
 

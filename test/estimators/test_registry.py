@@ -9,6 +9,7 @@ from typing import Any, TypeAlias
 import numpy as np
 import pytest
 
+from trainid_lab.stepping import step_and_estimate
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.errors import InputError
 from trainid_ros.estimators.pipeline import (
@@ -18,7 +19,7 @@ from trainid_ros.estimators.pipeline import (
     resistance_pipeline,
     speed_model_pipeline,
 )
-from trainid_ros.estimators.protocol import Output, step_and_estimate
+from trainid_ros.estimators.protocol import Output
 from trainid_ros.estimators.registry import Algorithms
 from trainid_ros.records import NS_PER_S, Record
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE

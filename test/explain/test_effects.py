@@ -27,7 +27,7 @@ EFFECT = EffectKind(
     equation='none',
     parameters={'size': Parameter('N/kN', 0.0, 20.0)},
     amplitude='size',
-    usual=1.0,
+    typical_size=1.0,
     resistance=lambda p, davis, at: VALUE,
 )
 """

@@ -41,7 +41,7 @@ def test_non_linear_effect_is_tried_at_several_amplitudes(dataset: Dataset, trai
     # Shifts of the map in opposite directions lead to different gradients.
     shifts = families['map_shift'].resistance
     assert shifts.shape[1] == len(families['map_shift'].shapes) > 1
-    usual = EFFECTS['map_shift'].usual
+    usual = EFFECTS['map_shift'].typical_size
     np.testing.assert_allclose(-usual * shifts[:, 1], evaluator.resistance('map_shift', {'distance': -usual}))
 
 
@@ -126,7 +126,7 @@ EFFECT = EffectKind(
     equation='w = value beyond start',
     parameters={'start': Parameter('m'), 'value': Parameter('N/kN')},
     amplitude='value',
-    usual=1.0,
+    typical_size=1.0,
     resistance=lambda p, davis, at: p['value'] if at.position >= p['start'] else 0.0,
 )
 """

@@ -39,7 +39,7 @@ EFFECT = EffectKind(
     equation='w = value exp(-((v - 10) / 1.5)^2)',
     parameters={'value': Parameter('N/kN', 0.0, 20.0)},
     amplitude='value',
-    usual=1.0,
+    typical_size=1.0,
     resistance=lambda p, davis, at: p['value'] * math.exp(-(((at.speed - 10.0) / 1.5) ** 2)),
 )
 """

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from trainid_lab.stepping import step_and_estimate
 from trainid_ros.errors import InputError
-from trainid_ros.estimators.protocol import step_and_estimate
 from trainid_ros.records import NS_PER_S
 from trainid_ros.resistance.config import FilterBankConfig
 from trainid_ros.resistance.davis_posterior import predict

@@ -14,8 +14,8 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
+from trainid_lab.stepping import step_and_estimate
 from trainid_ros.errors import InputError
-from trainid_ros.estimators.protocol import step_and_estimate
 from trainid_ros.records import NS_PER_S
 from trainid_ros.resistance.config import VMilsConfig
 from trainid_ros.resistance.normal import gate

@@ -219,7 +219,7 @@ EFFECT = EffectKind(
     equation='w = value',
     parameters={'value': Parameter('N/kN', 0.0, 10.0)},
     amplitude='value',
-    usual=1.0,
+    typical_size=1.0,
     resistance=lambda p, davis, at: p['value'] + davis.a,
 )
 """

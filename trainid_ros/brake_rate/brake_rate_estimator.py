@@ -262,7 +262,7 @@ class BrakeRateEstimator:
     def _move_timing(self, now_ns: int) -> None:
         """Apply the estimated errors of dead time and lag while the brake is released."""
         timing = self.state.timing
-        if not timing.fresh or not timing.at_rest(self.state.commands, now_ns):
+        if not timing.has_acted or not timing.at_rest(self.state.commands, now_ns):
             return
         e, variances, f = self.posterior.errors, self.posterior.error_variances, max(self.posterior.rate, LEAST_RATE)
         delay, lag = timing.delay, timing.lag
@@ -296,8 +296,8 @@ class BrakeRateEstimator:
         if braking > _RELEASED or interval.q_v / interval.dt - self._white > self._most_slack:
             state.disturbance.pause()
             return
-        e, lean = self.posterior.errors, interval.lean
-        known = interval.known + (lean[2] * e[2] + lean[3] * e[3] + lean[4] * e[4])
+        e, gain_e = self.posterior.errors, interval.gain_e
+        known = interval.known + (gain_e[2] * e[2] + gain_e[3] * e[3] + gain_e[4] * e[4])
         state.disturbance.add(interval, known, sample.speed, state.noise.variance)
 
     def _anchor(self, sample: Sample, elapsed: float) -> None:
@@ -306,7 +306,7 @@ class BrakeRateEstimator:
         state.gain = self._model.gain(sample)
         start.speed, start.target = sample.speed, state.gain * state.filtered_target
         start.variances = (state.noise.variance, _ANCHOR_BRAKE_STD * _ANCHOR_BRAKE_STD, state.disturbance.variance)
-        self._model.forget(elapsed, 0.0, start.keep, start.q_e)
+        self._model.forget(elapsed, 0.0, start.decay_e, start.q_e)
         self.posterior.anchor(start)
         state.position = sample.position
         state.rejected_in_a_row = 0

@@ -41,14 +41,14 @@ class Covariance:
 
     def anchor(self, start: Start) -> None:
         """Restart v, a and b."""
-        P, keep, n = self.P, start.keep, STATES
+        P, decay_e, n = self.P, start.decay_e, STATES
         for k in range(_E * n):
             P[k] = 0.0
         for i in range(ERRORS):
             row = (_E + i) * n
             P[row] = P[row + 1] = P[row + 2] = 0.0
             for j in range(ERRORS):
-                P[row + _E + j] *= keep[i] * keep[j]
+                P[row + _E + j] *= decay_e[i] * decay_e[j]
             P[row + _E + i] += start.q_e[i]
         P[0], P[n + 1], P[2 * (n + 1)] = start.variances
 
@@ -57,7 +57,7 @@ class Covariance:
         P, gains, left, n = self.P, self._gains, self._left, STATES
         gains[1], gains[2], left[1], left[2] = step.reach, step.dt, step.decay, step.rho
         for j in range(ERRORS):
-            gains[_E + j], left[_E + j] = step.lean[j], step.keep[j]
+            gains[_E + j], left[_E + j] = step.gain_e[j], step.decay_e[j]
         variance = 0.0
         for j in range(n):
             with_v = 0.0

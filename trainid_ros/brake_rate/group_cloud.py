@@ -146,15 +146,15 @@ class GroupCloud:
     # Motion of all particles alike.
 
     def anchor(self, start: Start) -> None:
-        """Restart v, a = f target and b; the errors decay by ``keep``."""
+        """Restart v, a = f target and b; the errors decay by ``decay_e``."""
         A = self.A
         for k in range(_E * WIDTH):
             A[k] = 0.0
         A[_V * WIDTH], A[_A * WIDTH + 1] = start.speed, start.target
         for j in range(ERRORS):
-            keep = start.keep[j]
+            decay_e = start.decay_e[j]
             for k in range(WIDTH):
-                A[(_E + j) * WIDTH + k] *= keep
+                A[(_E + j) * WIDTH + k] *= decay_e
 
     def recentre(self, shift: vec[float]) -> None:
         """Express the errors relative to a new origin, ``shift`` away from the old, shape (8,)."""
@@ -164,12 +164,12 @@ class GroupCloud:
     def predict(self, step: Transition) -> None:
         """Predict over an interval with constant f, eq. (14)."""
         A, a, b = self.A, WIDTH, 2 * WIDTH
-        lean, keep = step.lean, step.keep
+        gain_e, decay_e = step.gain_e, step.decay_e
         for k in range(WIDTH):
             v = A[k] + step.reach * A[a + k] + step.dt * A[b + k]
             for j in range(ERRORS):
-                v += lean[j] * A[(_E + j) * WIDTH + k]
-                A[(_E + j) * WIDTH + k] *= keep[j]
+                v += gain_e[j] * A[(_E + j) * WIDTH + k]
+                A[(_E + j) * WIDTH + k] *= decay_e[j]
             A[k], A[a + k], A[b + k] = v, step.decay * A[a + k], step.rho * A[b + k]
         A[0] += step.known
         A[1] += step.gain_v

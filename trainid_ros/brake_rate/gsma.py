@@ -176,15 +176,15 @@ class GsmaPosterior:
         mean, variance = self.predicted()
         if not is_finite(speed - mean + variance):
             return False
-        dt, calm, pause = interval.dt, interval.calm, elapsed - interval.dt
+        dt, steadiness, pause = interval.dt, interval.steadiness, elapsed - interval.dt
         if pause > LEAST_PAUSE:
             self.cloud.widen(interval, self._drift * self._drift * pause)
         quiet, jumping = self._q
         self._walk[0] = quiet * dt
         if len(self._sizes) > 1:
             # A jump is possible only as far as the response is steady.
-            self._walk[1] = (quiet + calm * (jumping - quiet)) * dt
-            starts, ends = transition(self._config, calm * dt, max(0.0, pause))
+            self._walk[1] = (quiet + steadiness * (jumping - quiet)) * dt
+            starts, ends = transition(self._config, steadiness * dt, max(0.0, pause))
             self._chain[0], self._chain[1], self._chain[2], self._chain[3] = 1.0 - starts, starts, ends, 1.0 - ends
         S = self._covariance.correct(r)
         uniforms: list[float] = self._rng.random(len(self._sizes)).tolist()

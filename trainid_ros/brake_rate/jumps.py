@@ -2,8 +2,8 @@
 """Markov chain of a brake rate with two states: slow drift (quiet) and a rare, short, fast change (jumping).
 
 A jump since the last braking can be detected only when the response of the brake to its command is steady: before
-that, an error of dead time or lag has the same effect. So time in the chain is scaled by ``calm``, the steadiness of
-the response, and the probability of a jump while no brake acted is kept until then.
+that, an error of dead time or lag has the same effect. So time in the chain is scaled by the steadiness of the
+response, and the probability of a jump while no brake acted is kept until then.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ def transition(config: JumpConfig, dt: float, pause: float = 0.0) -> tuple[float
 
     Args:
         config: Settings.
-        dt: Time in which jumps are observable, the sample period times ``calm`` [s].
+        dt: Time in which jumps are observable, the sample period times ``steadiness`` [s].
         pause: Time before the sample in which no brake acted [s].
 
     """

@@ -3,11 +3,11 @@
 
 With the brake's lagged target y, its integral s over the sample and the inertia k = 1000 (1 + gamma) / g,
 
-    v' - v = f r s + lean e + T dt - (i + w(v)) dt / k,
+    v' - v = f r s + gain_e e + T dt - (i + w(v)) dt / k,
 
 where r is the brake rate by the table and the effects of the train file, and the errors e act with the gains
 
-    lean = [r ds/dT, r ds/dtau, -(a + b v) dt / k, -c v^2 dt / k, T dt, r s p(v), r s m(v), -dt].
+    gain_e = [r ds/dT, r ds/dtau, -(a + b v) dt / k, -c v^2 dt / k, T dt, r s p(v), r s m(v), -dt].
 
 p rises from -1/2 at rest to 1/2 at full speed; m is 1 at the speed at which electric and friction brakes change over,
 0 at rest and at twice that speed. The last error is that of the brake at its level, because valves act in steps.
@@ -157,13 +157,13 @@ class MotionModel:
         step.rho, step.known = rho, known if is_finite(known) else 0.0
         step.q_v = slack * dt + rate * rate * self._timing_variance(motion, timing, dt, v)
         step.q_b = variance * (1.0 - rho * rho)
-        lean, braked = step.lean, gain * nominal
-        lean[0], lean[1] = gain * timing.delay_gain, gain * timing.lag_gain
-        lean[2], lean[3], lean[4] = -rolling * dt, -air * dt, traction * dt
-        lean[5], lean[6] = braked * self._slope(v), braked * self._changeover(v)
-        lean[7] = -dt if motion.end_target <= -_LEVEL else 0.0
-        self.forget(dt, motion.end_target - motion.start_target, step.keep, step.q_e)
-        step.calm = self._calm(motion, dt)
+        gain_e, braked = step.gain_e, gain * nominal
+        gain_e[0], gain_e[1] = gain * timing.delay_gain, gain * timing.lag_gain
+        gain_e[2], gain_e[3], gain_e[4] = -rolling * dt, -air * dt, traction * dt
+        gain_e[5], gain_e[6] = braked * self._slope(v), braked * self._changeover(v)
+        gain_e[7] = -dt if motion.end_target <= -_LEVEL else 0.0
+        self.forget(dt, motion.end_target - motion.start_target, step.decay_e, step.q_e)
+        step.steadiness = self._steadiness(motion, dt)
         return step
 
     def _timing_variance(self, motion: BrakeStep, timing: TimingStep, dt: float, v: float) -> float:
@@ -173,7 +173,7 @@ class MotionModel:
         blend = _BLEND_VARIES * self._blend_std * self._changeover(v) * level
         return timing.variance + early * early + 2.0 * _BLEND_S * dt * blend * blend
 
-    def _calm(self, motion: BrakeStep, dt: float) -> float:
+    def _steadiness(self, motion: BrakeStep, dt: float) -> float:
         """Return the steadiness of the response: 1 while it is constant, towards 0 while it changes."""
         least = max(abs(motion.end_target), self._least)
         return math.exp(-abs(motion.end_target - motion.start_target) / (dt * least * _CHANGING))
@@ -199,14 +199,14 @@ class MotionModel:
             share[7] = 1.0 / level if level >= _LEVEL else 0.0
         return share
 
-    def forget(self, elapsed: float, change: float, keep: vec[float], q_e: vec[float]) -> None:
+    def forget(self, elapsed: float, change: float, decay_e: vec[float], q_e: vec[float]) -> None:
         """Write the decay of the errors over a time [s] and a change of level [m/s^2], and the variances added."""
         slow, fast = math.exp(-elapsed / _LONG_S), math.exp(-elapsed / _SHORT_S)
-        keep[0] = keep[1] = keep[5] = keep[6] = slow
-        keep[2] = keep[3] = keep[4] = fast
-        keep[7] = math.exp(-abs(change) / self._level_length)
+        decay_e[0] = decay_e[1] = decay_e[5] = decay_e[6] = slow
+        decay_e[2] = decay_e[3] = decay_e[4] = fast
+        decay_e[7] = math.exp(-abs(change) / self._level_length)
         for j in range(ERRORS):
-            q_e[j] = (1.0 - keep[j] * keep[j]) * self._stds[j] * self._stds[j]
+            q_e[j] = (1.0 - decay_e[j] * decay_e[j]) * self._stds[j] * self._stds[j]
 
 
 def true_brake(train_file: TrainFile) -> Brake:

@@ -18,7 +18,7 @@ STATES: Final = 11
 class Transition:
     """Motion of the train over one sample, linear in x = [v, a, b, e] and the brake rate f.
 
-    v' = v + reach a + dt b + lean e + gain_v f + known,   a' = decay a + gain_a f,   b' = rho b,   e' = keep e.
+    v' = v + reach a + dt b + gain_e e + gain_v f + known,   a' = decay a + gain_a f,   b' = rho b,   e' = decay_e e.
 
     v is the speed [m/s], a the acceleration by the brake [m/s^2], b a disturbance along the line [m/s^2]. The errors e
     of the train file are those of dead time and lag, times f [s]; the relative errors of a + b v, of c v^2 and of the
@@ -35,11 +35,11 @@ class Transition:
         known: Gain of speed by all known forces [m/s].
         q_v: Variance that white acceleration adds to v [(m/s)^2].
         q_b: Variance added to b [(m/s^2)^2].
-        lean: Gain of speed per unit of each error [m/s per unit].
-        keep: Share of each error left at the end [1].
+        gain_e: Gain of speed per unit of each error [m/s per unit].
+        decay_e: Share of each error left at the end [1].
         q_e: Variance added to each error.
-        calm: Steadiness of the brake response [1]: 1 while it is constant, towards 0 while it changes, when a jump of f
-            cannot be detected.
+        steadiness: Steadiness of the brake response [1]: 1 while it is constant, towards 0 while it changes, when a
+            jump of f cannot be detected.
 
     The arrays over the errors have the shape (8,).
 
@@ -56,14 +56,14 @@ class Transition:
         known: float,
         q_v: float,
         q_b: float,
-        lean: Errors = NO_ERRORS,
-        keep: Errors = UNCHANGED,
+        gain_e: Errors = NO_ERRORS,
+        decay_e: Errors = UNCHANGED,
         q_e: Errors = NO_ERRORS,
-        calm: float = 1.0,
+        steadiness: float = 1.0,
     ) -> None:
         self.dt, self.reach, self.decay, self.gain_v, self.gain_a = dt, reach, decay, gain_v, gain_a
-        self.rho, self.known, self.q_v, self.q_b, self.calm = rho, known, q_v, q_b, calm
-        self.lean, self.keep, self.q_e = vec[float](lean), vec[float](keep), vec[float](q_e)
+        self.rho, self.known, self.q_v, self.q_b, self.steadiness = rho, known, q_v, q_b, steadiness
+        self.gain_e, self.decay_e, self.q_e = vec[float](gain_e), vec[float](decay_e), vec[float](q_e)
 
 
 class Start:
@@ -73,7 +73,7 @@ class Start:
         speed: Speed [m/s].
         target: Brake acceleration at f = 1 [m/s^2].
         variances: Variances of v [(m/s)^2], a given f [(m/s^2)^2] and b [(m/s^2)^2].
-        keep: Share of each error that is left [1].
+        decay_e: Share of each error that is left [1].
         q_e: Variance added to each error.
 
     """
@@ -83,11 +83,11 @@ class Start:
         speed: float,
         target: float,
         variances: tuple[float, float, float],
-        keep: Errors = UNCHANGED,
+        decay_e: Errors = UNCHANGED,
         q_e: Errors = NO_ERRORS,
     ) -> None:
         self.speed, self.target, self.variances = speed, target, variances
-        self.keep, self.q_e = vec[float](keep), vec[float](q_e)
+        self.decay_e, self.q_e = vec[float](decay_e), vec[float](q_e)
 
 
 class Posterior(Protocol):

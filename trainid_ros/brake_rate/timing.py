@@ -50,7 +50,7 @@ class Timing:
         sooner: The same with T - h.
         slower: The same with tau + h.
         faster: The same with tau - h.
-        fresh: Whether the brake has acted since the last update.
+        has_acted: Whether the brake has acted since the last update.
 
     """
 
@@ -62,7 +62,7 @@ class Timing:
     sooner: float = 0.0
     slower: float = 0.0
     faster: float = 0.0
-    fresh: bool = False
+    has_acted: bool = False
 
     def is_valid(self) -> bool:
         """Return whether restored times and targets are physically possible."""
@@ -86,7 +86,7 @@ class Timing:
         self.lag = max(_LEAST_LAG * brake.time_constant, self.lag + errors[1])
         self.delay_std, self.lag_std = _spread(stds[0], self.delay_std), _spread(stds[1], self.lag_std)
         self.release()
-        self.fresh = False
+        self.has_acted = False
 
     def step(self, commands: CommandHistory, start_ns: int, end_ns: int, nominal: float) -> TimingStep:
         """Propagate the targets over (start, end] [ns]; ``nominal`` is the integral of the nominal target [m/s]."""
@@ -102,7 +102,7 @@ class Timing:
         delay_gain = (later - sooner) / max(T + h - shorter, _LEAST_SPREAD)
         lag_gain = (slower - faster) / max(tau + k - less, _LEAST_SPREAD)
         by_delay, by_lag = later + sooner - 2.0 * nominal, slower + faster - 2.0 * nominal
-        self.fresh = True
+        self.has_acted = True
         return TimingStep(delay_gain, lag_gain, 0.5 * (by_delay * by_delay) + 0.5 * (by_lag * by_lag))
 
 

@@ -41,10 +41,6 @@ class Estimator(Protocol[EstimateT_co]):
         """Restore a state made by :meth:`save`; raise InputError if it does not fit."""
 
 
-def step_and_estimate(estimator: Estimator[EstimateT_co], sample: Sample) -> EstimateT_co | Rejection:
-    """Step an estimator; return its estimate at the speed of the sample, or why the sample was not used."""
-    return estimator.step(sample) or estimator.estimate(sample.speed)
-
 
 @dataclass(frozen=True, slots=True)
 class Output(Generic[EstimateT]):

@@ -58,9 +58,9 @@ class EffectTerm:
 
     @property
     def size(self) -> float:
-        """Distance of the amplitude from its neutral value, in units of its usual value [1]."""
+        """Distance of the amplitude from its neutral value, in units of its typical value [1]."""
         kind = EFFECTS[self.name]
-        return abs(self.parameters[kind.amplitude] - kind.neutral) / kind.usual
+        return abs(self.parameters[kind.amplitude] - kind.neutral) / kind.typical_size
 
     @property
     def significance(self) -> float:
@@ -69,7 +69,7 @@ class EffectTerm:
             return math.inf
         kind = EFFECTS[self.name]
         at = list(self.parameters).index(kind.amplitude)
-        return self.size * kind.usual * math.sqrt(max(float(np.linalg.pinv(self.covariance)[at, at]), 0.0))
+        return self.size * kind.typical_size * math.sqrt(max(float(np.linalg.pinv(self.covariance)[at, at]), 0.0))
 
     @property
     def std(self) -> dict[str, float]:
@@ -113,7 +113,7 @@ def prior_width(effect: str, name: str, value: float) -> float:
     """Return the prior std of a parameter about its initial value."""
     kind = EFFECTS[effect]
     if name == kind.amplitude:
-        return 3.0 * kind.usual
+        return 3.0 * kind.typical_size
     limits = kind.parameters[name]
     if limits.unit == 'm' and limits.search is None:
         return _METRES
@@ -287,8 +287,8 @@ class _Line:
 def unit_resistance(
     evaluator: EffectEvaluator, kind: EffectKind, shape: Mapping[str, float], times: float = 1.0
 ) -> Array:
-    """Return the resistance [N/kN] of an effect at ``times`` its usual amplitude, per unit of amplitude, shape (n,)."""
-    size = times * kind.usual
+    """Return the resistance [N/kN] of an effect at ``times`` its typical size, per unit of amplitude, shape (n,)."""
+    size = times * kind.typical_size
     parameters = {**shape, kind.amplitude: kind.neutral + size}
     return evaluator.resistance(kind.name, parameters) / size
 

@@ -41,7 +41,7 @@ FEWEST: Final = 2
 _MAX_EXCESS: Final = 14.0
 # The same when effects with evidence of their own have been found.
 _MAX_EXCESS_NAMED: Final = 30.0
-# Limit of a plausible amplitude, in units of its usual value.
+# Limit of a plausible amplitude, in units of its typical value.
 _MAX_USUAL: Final = 12.0
 _WORSE: Final = 1.1
 """Effects that increase the gap on held-out runs by this factor are not reported, whatever their evidence."""

@@ -47,7 +47,7 @@ _PLACES_OF_MANY: Final = 6
 _LASTING_S: Final = 60.0
 """Driving time needed before and after a change in time to detect it [s]."""
 _SIZES: Final = (1.0, -1.0, 2.0, -2.0)
-"""Amplitudes tried for an effect without shape parameters, in units of its usual value: it may be non-linear."""
+"""Amplitudes tried for an effect without shape parameters, in units of its typical value: it may be non-linear."""
 _SAME: Final = 0.05
 """Relative tolerance within which two columns count as equal."""
 SECTIONS: Final = ('gradient_error', 'local_drag')
@@ -84,7 +84,9 @@ def named_families(evaluator: EffectEvaluator) -> tuple[Family, ...]:
         seen = [i for i, column in enumerate(columns) if np.any(column)]
         if seen:
             resistance = np.stack([columns[i] for i in seen], axis=1)
-            families.append(Family(kind.name, tuple(shapes[i] for i in seen), resistance, kind.usual, sign(kind)))
+            families.append(
+                Family(kind.name, tuple(shapes[i] for i in seen), resistance, kind.typical_size, sign(kind))
+            )
     return tuple(families)
 
 
@@ -221,7 +223,7 @@ def _hats(x: Array, count: int) -> Array:
 _GROUP_STD: Final = (0.1, 0.3, 1.0)
 """Prior std of the coefficients of a group [N/kN]; the Bayes factor is averaged over them."""
 _SHARES: Final = (0.3, 1.0)
-"""The same for the amplitude of an effect, in units of its usual value."""
+"""The same for the amplitude of an effect, in units of its typical value."""
 # Limits of the section lengths that are tried.
 _SHORTEST_M: Final = 60.0
 _LONGEST_M: Final = 2500.0
@@ -314,11 +316,11 @@ def _section(name: str, bins: Bins, A: Array, b: Array) -> EffectScore:
     i, j = i[usable], j[usable]
     block, along = stretch_sums(A, b, i, j)
     block = np.maximum(block, 1e-9)
-    values = np.stack([log_bayes(block, along, share * kind.usual, sign(kind)) for share in _SHARES])
+    values = np.stack([log_bayes(block, along, share * kind.typical_size, sign(kind)) for share in _SHARES])
     # The prior of the length is uniform on a log scale.
     weight = 1.0 / (j - i)
     best = int(np.argmax(values[-1]))
-    size = along[best] / (block[best] + kind.usual**-2)
+    size = along[best] / (block[best] + kind.typical_size**-2)
     edges = bins.edges
     parameters = {
         'start': float(edges[i[best]]),

@@ -274,7 +274,7 @@ def with_onset(term: EffectTerm, without: Model, hyper: Hyperparameters) -> Effe
     shape = {n: term.parameters[n] for n in shape_names(kind)}
     columns = [unit_resistance(without.evaluator, kind, {**shape, name: float(t)}) for t in times]
     information = without.reduced_information(hyper, dataset.column(np.stack(columns, axis=1)))
-    value = log_bayes(np.diag(information.A), information.b, kind.usual, sign(kind))
+    value = log_bayes(np.diag(information.A), information.b, kind.typical_size, sign(kind))
     weight = np.exp(0.5 * (value - value.max()))
     weight = weight * np.gradient(times)
     weight /= weight.sum()

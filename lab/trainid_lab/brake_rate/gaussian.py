@@ -66,11 +66,11 @@ def update(m: Array, P: Array, speed: float, r: float, *, learns: bool) -> tuple
 
 
 def anchored(m: Array, P: Array, start: Start) -> tuple[Array, Array]:
-    """Restart v, a = f target and b; f is unchanged, and the errors e decay by ``keep`` and gain ``q_e``."""
-    f, ff, keep = float(m[STATES]), float(P[STATES, STATES]), np.array(list(start.keep))
-    mean, cov = np.concatenate([[start.speed, f * start.target, 0.0], keep * m[3:STATES], [f]]), np.zeros_like(P)
+    """Restart v, a = f target and b; f is unchanged, and the errors e decay by ``decay_e`` and gain ``q_e``."""
+    f, ff, decay_e = float(m[STATES]), float(P[STATES, STATES]), np.array(list(start.decay_e))
+    mean, cov = np.concatenate([[start.speed, f * start.target, 0.0], decay_e * m[3:STATES], [f]]), np.zeros_like(P)
     cov[:STATES, :STATES] = started(P[:STATES, :STATES], start)
-    with_f = np.concatenate([[0.0, ff * start.target, 0.0], keep * P[3:STATES, STATES]])
+    with_f = np.concatenate([[0.0, ff * start.target, 0.0], decay_e * P[3:STATES, STATES]])
     cov[:STATES, STATES] = cov[STATES, :STATES] = with_f
     # a = f target is correlated with the errors through f.
     cov[1, 3:STATES] = cov[3:STATES, 1] = start.target * with_f[3:]

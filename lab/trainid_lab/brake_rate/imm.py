@@ -138,7 +138,7 @@ class ImmPosterior:
         quiet, pause = self._q[0], elapsed - interval.dt
         likelihoods, updated = [], []
         for (m, P), q in zip(self.models, self._q, strict=True):
-            walk = quiet * elapsed + interval.calm * (q - quiet) * interval.dt
+            walk = quiet * elapsed + interval.steadiness * (q - quiet) * interval.dt
             drifted = gaussian.drift(P, interval.gain_v, interval.gain_a, walk)
             S, nu = float(drifted[0, 0]) + r, speed - float(m[0])
             likelihoods.append(-0.5 * (nu * nu / S + math.log(S)))
@@ -146,7 +146,7 @@ class ImmPosterior:
         if not all(math.isfinite(m.sum() + P.sum()) for m, P in updated):
             return False
         jumping = _posterior(self.jumping, likelihoods[1] - likelihoods[0])
-        self._mix(jumping, (updated[0], updated[1]), interval.calm * interval.dt, max(0.0, pause))
+        self._mix(jumping, (updated[0], updated[1]), interval.steadiness * interval.dt, max(0.0, pause))
         return True
 
     def _mix(self, jumping: float, models: Models, dt: float, pause: float) -> None:

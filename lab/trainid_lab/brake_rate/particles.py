@@ -80,8 +80,8 @@ def speed_correction(P: Array, r: float) -> Correction:
 def speed_step(interval: Transition) -> LinearStep:
     """Return the step of x = [v, a, b, e] over an interval."""
     Phi, gamma, known, Q = _IDENTITY.copy(), np.zeros(STATES), np.zeros(STATES), np.zeros((STATES, STATES))
-    Phi[0] = (1.0, interval.reach, interval.dt, *interval.lean)
-    Phi.flat[STATES + 1 :: STATES + 1] = (interval.decay, interval.rho, *interval.keep)
+    Phi[0] = (1.0, interval.reach, interval.dt, *interval.gain_e)
+    Phi.flat[STATES + 1 :: STATES + 1] = (interval.decay, interval.rho, *interval.decay_e)
     gamma[0], gamma[1], known[0] = interval.gain_v, interval.gain_a, interval.known
     Q.flat[:: STATES + 1] = (interval.q_v, 0.0, interval.q_b, *interval.q_e)
     return LinearStep(Phi, gamma, known, Q)
@@ -95,7 +95,7 @@ def error_covariance(stds: Errors) -> Array:
 def started(P: Array, start: Start) -> Array:
     """Return the covariance of x after a restart of v, a and b, shape (n, n)."""
     after = np.zeros_like(P)
-    after[3:, 3:] = P[3:, 3:] * np.outer(list(start.keep), list(start.keep))
+    after[3:, 3:] = P[3:, 3:] * np.outer(list(start.decay_e), list(start.decay_e))
     after.flat[:: len(P) + 1] += (*start.variances, *start.q_e)
     return after
 

@@ -120,8 +120,8 @@ class ThetaPosterior:
 
     def anchor(self, start: Start) -> None:
         """Restart v, a and b."""
-        f, keep = self.cloud.f, np.array(list(start.keep))[:, None]
-        x = np.vstack([np.full(len(f), start.speed), start.target * f, np.zeros(len(f)), keep * self.cloud.x[3:]])
+        f, decay_e = self.cloud.f, np.array(list(start.decay_e))[:, None]
+        x = np.vstack([np.full(len(f), start.speed), start.target * f, np.zeros(len(f)), decay_e * self.cloud.x[3:]])
         self.cloud = ThetaCloud(f, self.cloud.log_weights, x)
         self.P = started(self.P, start)
 

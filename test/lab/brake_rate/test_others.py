@@ -117,15 +117,17 @@ def ambiguous(jumping: float, config: ImmConfig) -> ImmPosterior:
 
 
 @pytest.mark.parametrize(
-    ('speed', 'calm', 'elapsed', 'jump_rate'),
+    ('speed', 'steadiness', 'elapsed', 'jump_rate'),
     [
         (25.0, 0.0, 0.2, 1e-4),  # a posterior probability of exactly one, and no time for the jump to end
         (10.0, 0.0, 1e3, 1.0),  # a pause after which a jump is certain
     ],
 )
-def test_a_certain_jump_keeps_a_valid_quiet_model(speed: float, calm: float, elapsed: float, jump_rate: float) -> None:
+def test_a_certain_jump_keeps_a_valid_quiet_model(
+    speed: float, steadiness: float, elapsed: float, jump_rate: float
+) -> None:
     posterior = ambiguous(0.5, ImmConfig(jump_rate=jump_rate))
-    interval = Transition(0.2, 0.15, 0.6, -0.02, -0.2, 0.99, -0.01, 1e-6, 0.0, calm=calm)
+    interval = Transition(0.2, 0.15, 0.6, -0.02, -0.2, 0.99, -0.01, 1e-6, 0.0, steadiness=steadiness)
     for _ in range(3):
         posterior.predict(interval)
         assert posterior.learn(interval, elapsed, speed, 1e-4)

@@ -12,8 +12,8 @@ from benchmarks.papers import coasts as data
 from trainid_lab.resistance.least_squares import least_squares
 from trainid_lab.resistance.segments import Segments, Windows, observe
 from trainid_lab.resistance.windowed import WindowedRegression
+from trainid_lab.stepping import step_and_estimate
 from trainid_ros.errors import InputError
-from trainid_ros.estimators.protocol import step_and_estimate
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
 from trainid_ros.results import Reason, Rejection, ResistanceEstimate
 

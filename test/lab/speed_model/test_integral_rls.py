@@ -16,7 +16,7 @@ from trainid_lab.speed_model.integral_rls import (
     regression,
     speed_integral_rls,
 )
-from trainid_ros.estimators.protocol import step_and_estimate
+from trainid_lab.stepping import step_and_estimate
 from trainid_ros.results import Rejection
 from trainid_ros.speed_model.config import SpeedModelConfig
 from trainid_ros.speed_model.physical_parameters import full, prior

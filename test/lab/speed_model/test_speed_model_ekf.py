@@ -9,7 +9,7 @@ from dataclasses import replace
 import pytest
 
 from trainid_lab.speed_model.speed_model_ekf import EkfConfig, speed_ekf
-from trainid_ros.estimators.protocol import step_and_estimate
+from trainid_lab.stepping import step_and_estimate
 from trainid_ros.speed_model.config import AmVffRlsConfig
 from trainid_ros.speed_model.speed_model_algorithms import am_vff_rls
 from trainid_ros.stream.samples import Sample

@@ -64,7 +64,7 @@ class EffectKind:
         equation: Equation in one line.
         parameters: Parameters by name.
         amplitude: Name of the parameter in which the effect is (nearly) linear.
-        usual: Typical distance of the amplitude from neutral: the scale of its prior in the search, in its unit.
+        typical_size: Typical distance of the amplitude from neutral: the scale of its prior in the search, in its unit.
         resistance: Equivalent extra resistance [N/kN]; None if the effect cannot be expressed as one.
         neutral: Value of ``amplitude`` at which there is no effect.
         origin: 'physics' if the motion of the train differs, 'sensor' if only its data are wrong.
@@ -80,7 +80,7 @@ class EffectKind:
     equation: str
     parameters: Mapping[str, Parameter]
     amplitude: str
-    usual: float
+    typical_size: float
     resistance: Resistance | None = None
     neutral: float = 0.0
     origin: Literal['physics', 'sensor'] = 'physics'

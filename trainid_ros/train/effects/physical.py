@@ -25,7 +25,7 @@ BEARING_WARMUP: Final = EffectKind(
         'distance': Parameter('m', 1e-6, 1e9, search=(500.0, 50000.0), grid='log'),
     },
     amplitude='value',
-    usual=1.0,
+    typical_size=1.0,
     resistance=_bearing_warmup,
     needs='data from the start of the day until the bearings are warm',
     twins=(
@@ -46,7 +46,7 @@ BRAKE_DELAY: Final = EffectKind(
     equation='w = B(t) - B(t - extra), B <= 0',
     parameters={'extra': Parameter('s', 0.0, 10.0)},
     amplitude='extra',
-    usual=0.5,
+    typical_size=0.5,
     resistance=_brake_delay,
     needs='sharp brake onsets and releases at speed',
     twins=(
@@ -71,7 +71,7 @@ BRAKE_FADE: Final = EffectKind(
         'energy': Parameter('J/kg', 1e-6, 1e6, search=(30.0, 3000.0), grid='log'),
     },
     amplitude='loss',
-    usual=0.25,
+    typical_size=0.25,
     resistance=_brake_fade,
     needs='braking with a cold brake, and repeated braking in quick succession',
     twins=(
@@ -92,7 +92,7 @@ BRAKE_SCALE: Final = EffectKind(
     equation='w = -(ratio - 1) B, ratio = true over assumed braking force, B <= 0',
     parameters={'ratio': Parameter('', 0.2, 5.0)},
     amplitude='ratio',
-    usual=0.12,
+    typical_size=0.12,
     neutral=1.0,
     resistance=_brake_scale,
     needs='braking with a cold brake and with a hot one',
@@ -115,7 +115,7 @@ CURVE_RESISTANCE: Final = EffectKind(
     equation='w = coefficient / R',
     parameters={'coefficient': Parameter('N/kN m', 0.0, 20000.0)},
     amplitude='coefficient',
-    usual=500.0,
+    typical_size=500.0,
     resistance=_curve_resistance,
     needs='runs through curves of known radius and on straight track',
     twins=(
@@ -139,7 +139,7 @@ DRAGGING_BRAKE: Final = EffectKind(
         'time': Parameter('s', 0.0, 1e5, search=(2.0, 120.0), grid='log'),
     },
     amplitude='permille',
-    usual=2.0,
+    typical_size=2.0,
     resistance=_dragging_brake,
     needs='brake releases at speed, and motion long after them',
     twins=(
@@ -164,7 +164,7 @@ HEADWIND: Final = EffectKind(
     equation='w = c ((v + u) |v + u| - v^2), u = headwind: speed in increasing position, -speed in decreasing position',
     parameters={'speed': Parameter('m/s', -60.0, 60.0)},
     amplitude='speed',
-    usual=5.0,
+    typical_size=5.0,
     resistance=_headwind,
     needs='runs in both directions, at different speeds',
     twins=(
@@ -186,7 +186,7 @@ HIGHER_ORDER_DRAG: Final = EffectKind(
     equation='w = coefficient v^3',
     parameters={'coefficient': Parameter('N/kN/(m/s)^3', -1.0, 1.0, search=(0.0, 0.01))},
     amplitude='coefficient',
-    usual=0.0001,
+    typical_size=0.0001,
     resistance=_higher_order_drag,
     needs='runs over the full speed range, preferably coasting',
     twins=(
@@ -207,7 +207,7 @@ LOCAL_DRAG: Final = EffectKind(
     equation='w = permille between start and end, in both directions',
     parameters={'start': Parameter('m'), 'end': Parameter('m'), 'permille': Parameter('per mille', search=(0.0, 50.0))},
     amplitude='permille',
-    usual=3.0,
+    typical_size=3.0,
     resistance=_local_drag,
     needs='runs through the section and beyond it',
     twins=(
@@ -229,7 +229,7 @@ MASS_ERROR: Final = EffectKind(
     equation='w = (T + B) (1 - 1 / ratio), ratio = true over assumed mass',
     parameters={'ratio': Parameter('', 0.2, 5.0)},
     amplitude='ratio',
-    usual=0.08,
+    typical_size=0.08,
     neutral=1.0,
     resistance=_mass_error,
     needs='high traction and steep gradients, or braking with a known brake rate',
@@ -254,7 +254,7 @@ RESISTANCE_STEP: Final = EffectKind(
     equation='w = a from time on',
     parameters={'time': Parameter('s', 0.0, 1e9), 'a': Parameter('N/kN', -1000.0, 1000.0)},
     amplitude='a',
-    usual=0.6,
+    typical_size=0.6,
     resistance=_resistance_step,
     needs='runs over the same line before and after the step',
     twins=(
@@ -278,7 +278,7 @@ STARTING_RESISTANCE: Final = EffectKind(
         'speed': Parameter('m/s', 1e-6, 1e3, search=(0.5, 8.0), grid='log'),
     },
     amplitude='value',
-    usual=2.0,
+    typical_size=2.0,
     resistance=_starting_resistance,
     needs='running at low speed, not only starts with full traction',
     twins=(
@@ -300,7 +300,7 @@ TUNNEL_DRAG: Final = EffectKind(
     equation='w = (factor - 1) c v^2 in tunnels',
     parameters={'factor': Parameter('', 0.0, 20.0, search=(1.0, 10.0))},
     amplitude='factor',
-    usual=0.6,
+    typical_size=0.6,
     neutral=1.0,
     resistance=_tunnel_drag,
     needs='fast runs inside and outside tunnels, with the tunnel flag set',

@@ -19,8 +19,8 @@ from trainid_lab.resistance.trajectory.window import (
     fit_rows,
     newest_regime,
 )
+from trainid_lab.stepping import step_and_estimate
 from trainid_ros.errors import InputError
-from trainid_ros.estimators.protocol import step_and_estimate
 from trainid_ros.results import Reason, Rejection
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import Davis, TrainFile
