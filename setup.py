@@ -11,6 +11,7 @@ from importlib.util import find_spec
 from pathlib import Path
 
 from setuptools import Extension, find_packages, setup
+from setuptools.command.build_ext import build_ext
 
 NAME = 'trainid_ros'
 # Folders that go to the share directory as they are.
@@ -29,6 +30,18 @@ def shared_files() -> list[tuple[str, list[str]]]:
                 relative = path.relative_to(root)
                 groups[f'share/{NAME}/{relative.parent}'].append(str(relative))
     return list(groups.items())
+
+
+class BuildModules(build_ext):
+    """Compiles, then states beside the library what it was made of."""
+
+    def run(self) -> None:
+        """Build all extensions."""
+        super().run()
+        if self.extensions:
+            compiled = runpy.run_path(f'{NAME}/compiled.py')
+            folder = Path('.' if self.inplace else self.build_lib) / NAME
+            (folder / compiled['DIGEST']).write_text(compiled['digest'](Path(NAME)), encoding='utf-8')
 
 
 def has_mypyc() -> bool:
@@ -58,6 +71,7 @@ setup(
     maintainer='trainid maintainers',
     maintainer_email='maintainers@trainid.example',
     # By name: build and install folders of a workspace may lie beside the package.
+    cmdclass={'build_ext': BuildModules},
     ext_modules=compiled_modules(),
     packages=find_packages(include=[NAME, f'{NAME}.*']),
     package_data={NAME: ['py.typed'], f'{NAME}.bag': ['msg/*.msg']},
@@ -75,7 +89,7 @@ setup(
         'rich',
         'scipy',
         # The run-time library of compiled modules.
-        *(['librt', 'mypy_extensions'] if has_mypyc() else []),
+        *(['librt>=0.16', 'mypy_extensions'] if has_mypyc() else []),
     ],
     extras_require={
         # Reading and writing bags: replay, fit, explain, info, play, simulate, demo. The live nodes need none of it.

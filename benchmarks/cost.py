@@ -17,6 +17,8 @@ import numpy as np
 
 from benchmarks.days import assumed_train, simulated_day, ticks_of
 from benchmarks.tables import Table
+from trainid_ros.brake_rate.config import GsmaConfig
+from trainid_ros.brake_rate.gsma import Gsma
 from trainid_ros.estimators.pipeline import (
     EstimatorSettings,
     brake_rate_pipeline,
@@ -31,9 +33,12 @@ if TYPE_CHECKING:
 
     from benchmarks.days import TickOfRecords
     from trainid_ros.stream.samples import Sample
+    from trainid_ros.train.train_file import TrainFile
 
 _SEED: Final = 1
 _BLOCK: Final = 400
+# Particles for which the project has a target.
+_MANY: Final = 500
 _REFERENCE: Final = 'reference: plain RLS, 3 parameters'
 
 
@@ -110,7 +115,21 @@ def _subjects() -> tuple[Subject, ...]:
         Subject('GSMA pipeline, per tick', ticks, _push_all(brake_rate_pipeline(train, settings).push)),
     )
     aligner = Subject('Aligner push, per record', records, Aligner(AlignmentConfig()).push)
-    return (Subject(_REFERENCE, samples, PlainRls().step), *steps, aligner, *pipelines)
+    live = Subject('live tick, target 30: three pipelines with a stream each', ticks, _push_to_three(train, settings))
+    many = Gsma(train, GsmaConfig(particles=_MANY), np.random.default_rng(_SEED))
+    step = Subject(f'GSMA step with {_MANY} particles, target 130 where accepted', samples, many.step)
+    return (Subject(_REFERENCE, samples, PlainRls().step), *steps, step, aligner, *pipelines, live)
+
+
+def _push_to_three(train: TrainFile, settings: EstimatorSettings) -> Callable[[TickOfRecords], object]:
+    """Return a function that takes in a tick as the three live nodes do, estimates included."""
+    makers = (resistance_pipeline, speed_model_pipeline, brake_rate_pipeline)
+    pushes = [maker(train, settings).push for maker in makers]
+
+    def call(tick: TickOfRecords) -> object:
+        return [push(record) for record in tick.records for push in pushes][-1]
+
+    return call
 
 
 def _push_all(push: Callable[[Any], object]) -> Callable[[TickOfRecords], object]:

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from trainid_ros.record_validation import find_fault
-from trainid_ros.records import BrakeRecord, ForceRecord, GradientRecord, MassRecord, Record, SpeedRecord, row_of
+from trainid_ros.records import BrakeRecord, ForceRecord, GradientRecord, MassRecord, Record, SpeedRecord
 from trainid_ros.results import Reason, Rejection
 
 NS = 1_700_000_000_000_000_000
@@ -27,7 +27,7 @@ GOOD: tuple[Record, ...] = (
 
 
 def fault_of(record: Record) -> Rejection | None:
-    return find_fault(*row_of(record)[:4])
+    return find_fault(*record.row()[:4])
 
 
 @pytest.mark.parametrize('record', GOOD, ids=repr)
@@ -83,6 +83,8 @@ def test_an_infinite_position_does_not_count_as_unknown(position: float) -> None
     [
         (SpeedRecord(NS, -0.01, 0.0), -0.01, 0.0),
         (SpeedRecord(NS, 201.0, 0.0), 201.0, 200.0),
+        (SpeedRecord(NS, 20.0, 1.1e9), 1.1e9, 1e9),
+        (SpeedRecord(NS, 20.0, -1.7e308), -1.7e308, -1e9),
         (ForceRecord(NS, 2e8), 2e8, 1e8),
         (GradientRecord(NS, -300.0, 0.0, tunnel=False), -300.0, -200.0),
         (GradientRecord(NS, 0.0, -400.0, tunnel=False), -400.0, 5.0),

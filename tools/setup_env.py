@@ -248,13 +248,9 @@ def compiled_sources() -> list[Path]:
 
 def compile_modules() -> None:
     """Compile modules of trainid_ros, beside their sources."""
-    package = ROOT / 'trainid_ros'
-    for library in package.rglob('*.cpython-*.so'):
+    for library in (ROOT / 'trainid_ros').rglob('*.cpython-*.so'):
         library.unlink()
     run([PYTHON, 'setup.py', '--quiet', 'build_ext', '--inplace'], 'cannot compile trainid_ros')
-    # A library that did not have to be linked again fits its sources too.
-    for library in package.glob('modules__mypyc.*'):
-        library.touch()
 
 
 def existing_shared() -> list[str]:

@@ -16,6 +16,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from typing import Final
 
@@ -51,18 +52,25 @@ def main() -> int:
         scratch = Path(folder)
         try:
             expected = replayed(VENV / 'bin' / 'trainid', TRAINID_COMPILED='0')
-            for python in interpreters():
-                began = time.monotonic()
-                wheel = build(python, scratch)
-                try_out(python, wheel, scratch, expected)
-                print(f'wheel smoke: {wheel.name} replays as its sources do ({time.monotonic() - began:.0f} s)')
-                if out:
-                    out.mkdir(parents=True, exist_ok=True)
+            with ThreadPoolExecutor() as pool:
+                wheels = list(pool.map(lambda python: checked(python, scratch, expected), interpreters()))
+            if out:
+                out.mkdir(parents=True, exist_ok=True)
+                for wheel in wheels:
                     shutil.copy(wheel, out)
         except SmokeError as error:
             print(f'wheel smoke: {error}', file=sys.stderr)
             return 1
     return 0
+
+
+def checked(python: Path, scratch: Path, expected: dict[str, object]) -> Path:
+    """Build a wheel, try it and return it; see :func:`build` and :func:`try_out`."""
+    began = time.monotonic()
+    wheel = build(python, scratch)
+    try_out(python, wheel, scratch, expected)
+    print(f'wheel smoke: {wheel.name} replays as its sources do ({time.monotonic() - began:.0f} s)', flush=True)
+    return wheel
 
 
 def interpreters() -> list[Path]:

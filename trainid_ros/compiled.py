@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: Apache-2.0
 """Compiled modules: plain Python modules that mypyc also translates to C, with the same numbers to the bit.
 
-The sources run where nothing was compiled, where librt, the run-time library of mypyc, is missing, and where
-``TRAINID_COMPILED=0`` is set: for debugging, coverage, and to compare both. In a source tree that was changed since the
-build they run too, with a warning.
+The sources run where not all was compiled, where librt, the run-time library of mypyc, is missing, and where
+``TRAINID_COMPILED=0`` is set: for debugging, coverage, and to compare both. In a source tree whose sources
+were changed since the build they run too, with a warning.
 """
 
 from __future__ import annotations
@@ -12,6 +12,7 @@ import os
 import sys
 import warnings
 from functools import cache
+from hashlib import sha256
 from importlib.machinery import EXTENSION_SUFFIXES, SOURCE_SUFFIXES, FileFinder, ModuleSpec, SourceFileLoader
 from importlib.util import find_spec
 from pathlib import Path
@@ -23,6 +24,9 @@ if TYPE_CHECKING:
 
 PACKAGE: Final = 'trainid_ros'
 SWITCH: Final = 'TRAINID_COMPILED'
+DIGEST: Final = 'modules.sha256'
+"""File in the folder of the package that states what its compiled modules were made of."""
+_OFF: Final = frozenset({'0', 'no', 'off', 'false'})
 MODULES: Final = (
     'brake_rate/brake_kinematics',
     'brake_rate/brake_rate_estimator',
@@ -73,20 +77,43 @@ MODULES: Final = (
 """The modules to compile, as paths below the package without suffix."""
 
 
+def digest(folder: Path) -> str:
+    """Return a digest of the sources of all modules to compile, in the folder of the package."""
+    found = sha256()
+    for name in MODULES:
+        found.update((folder / f'{name}.py').read_bytes())
+    return found.hexdigest()
+
+
 @cache
 def uses_sources() -> bool:
     """Return whether the sources of the compiled modules run."""
     folder = Path(__file__).parent
-    library = folder / f'modules__mypyc{EXTENSION_SUFFIXES[0]}'
-    if os.environ.get(SWITCH) == '0' or not library.exists() or find_spec('librt') is None:
+    usable = _is_complete(folder) and _can_import('librt.vecs', 'mypy_extensions')
+    if os.environ.get(SWITCH, '').lower() in _OFF or not usable:
         return True
+    # Installed sources do not change.
     if not (folder.parent / 'setup.py').exists():
         return False
-    built = library.stat().st_mtime
-    changed = [name for name in MODULES if (folder / f'{name}.py').stat().st_mtime > built]
-    if changed:
-        warnings.warn(f'{changed[0]}.py is newer than its compiled form: run make setup', RuntimeWarning, stacklevel=2)
-    return bool(changed)
+    stated = folder / DIGEST
+    if stated.exists() and stated.read_text(encoding='utf-8') == digest(folder):
+        return False
+    warnings.warn('sources differ from their compiled form and run instead: make setup', RuntimeWarning, stacklevel=2)
+    return True
+
+
+def _is_complete(folder: Path) -> bool:
+    """Return whether all modules were compiled, for this interpreter."""
+    suffix = EXTENSION_SUFFIXES[0]
+    return all((folder / f'{name}{suffix}').exists() for name in ('modules__mypyc', *MODULES))
+
+
+def _can_import(*names: str) -> bool:
+    """Return whether all modules can be found."""
+    try:
+        return all(find_spec(name) is not None for name in names)
+    except ImportError:  # of the package of one
+        return False
 
 
 class _SourceFinder:

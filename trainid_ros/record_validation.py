@@ -18,6 +18,8 @@ _LIMITS: tuple[tuple[float, float], ...] = (
     (-10.0, 0.0),  # target acceleration [m/s^2]
     (100.0, 1e9),  # mass [kg]
 )
+# Of positions, which may be NaN [m].
+_FARTHEST: Final = 1e9
 # Of curves only, straight track has radius 0 [m].
 _SHARPEST_CURVE: Final = 5.0
 _WIDEST_CURVE: Final = 1e9
@@ -27,8 +29,8 @@ def find_fault(topic: int, stamp_ns: int, x: float, y: float) -> Rejection | Non
     """Return why a record, as a row of numbers, must be rejected, or None if it can be used."""
     if stamp_ns <= 0:
         return Rejection(stamp_ns, Reason.ZERO_STAMP, stamp_ns * 1e-9, 0.0)
-    if topic == SPEED and math.isinf(y):
-        return Rejection(stamp_ns, Reason.NOT_FINITE, y, math.nan)
+    if topic == SPEED and abs(y) > _FARTHEST:
+        return _out_of_range(stamp_ns, y, -_FARTHEST, _FARTHEST)
     low, high = _LIMITS[topic]
     if not low <= x <= high:
         return _out_of_range(stamp_ns, x, low, high)

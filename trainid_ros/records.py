@@ -13,9 +13,15 @@ from typing import Final, TypeAlias
 NS_PER_S: Final = 1_000_000_000
 
 
-def seconds(ns: int) -> float:
-    """Return nanoseconds as seconds, exact to the last bit also for a stamp: not so where it is compiled."""
-    return ns / NS_PER_S
+# Places of the topics in INPUT_TOPICS.
+SPEED: Final = 0
+FORCE: Final = 1
+GRADIENT: Final = 2
+BRAKE: Final = 3
+MASS: Final = 4
+
+Row: TypeAlias = tuple[int, int, float, float, bool]
+"""A record as numbers: topic (its place in INPUT_TOPICS), stamp, first number, second number (0 without) and flag."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,6 +32,10 @@ class SpeedRecord:
     speed: float
     position: float
 
+    def row(self) -> Row:
+        """Return the record as a row of numbers."""
+        return SPEED, self.stamp_ns, self.speed, self.position, False
+
 
 @dataclass(frozen=True, slots=True)
 class ForceRecord:
@@ -33,6 +43,10 @@ class ForceRecord:
 
     stamp_ns: int
     force: float
+
+    def row(self) -> Row:
+        """Return the record as a row of numbers."""
+        return FORCE, self.stamp_ns, self.force, 0.0, False
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +58,10 @@ class GradientRecord:
     curve_radius: float
     tunnel: bool
 
+    def row(self) -> Row:
+        """Return the record as a row of numbers."""
+        return GRADIENT, self.stamp_ns, self.gradient, self.curve_radius, self.tunnel
+
 
 @dataclass(frozen=True, slots=True)
 class BrakeRecord:
@@ -53,6 +71,10 @@ class BrakeRecord:
     target_acceleration: float
     emergency: bool
 
+    def row(self) -> Row:
+        """Return the record as a row of numbers."""
+        return BRAKE, self.stamp_ns, self.target_acceleration, 0.0, self.emergency
+
 
 @dataclass(frozen=True, slots=True)
 class MassRecord:
@@ -61,9 +83,10 @@ class MassRecord:
     stamp_ns: int
     mass: float
 
+    def row(self) -> Row:
+        """Return the record as a row of numbers."""
+        return MASS, self.stamp_ns, self.mass, 0.0, False
 
-Row: TypeAlias = tuple[int, int, float, float, bool]
-"""A record as numbers: topic (its place in INPUT_TOPICS), stamp, first number, second number (0 without) and flag."""
 
 Record: TypeAlias = SpeedRecord | ForceRecord | GradientRecord | BrakeRecord | MassRecord
 
@@ -83,13 +106,6 @@ GRADIENT_TOPIC: Final = InputTopic('ato/gradient', 'TrackGradient', GradientReco
 BRAKE_TOPIC: Final = InputTopic('ato/brake_command', 'BrakeCommand', BrakeRecord)
 MASS_TOPIC: Final = InputTopic('ato/mass', 'TrainMass', MassRecord)
 
-# Places of the topics in INPUT_TOPICS.
-SPEED: Final = 0
-FORCE: Final = 1
-GRADIENT: Final = 2
-BRAKE: Final = 3
-MASS: Final = 4
-
 INPUT_TOPICS: Final = (SPEED_TOPIC, FORCE_TOPIC, GRADIENT_TOPIC, BRAKE_TOPIC, MASS_TOPIC)
 _TOPIC_OF: Final[dict[type[Record], InputTopic]] = {topic.record: topic for topic in INPUT_TOPICS}
 REQUIRED_TOPICS: Final = (SPEED_TOPIC, FORCE_TOPIC, GRADIENT_TOPIC, BRAKE_TOPIC)
@@ -98,21 +114,6 @@ REQUIRED_TOPICS: Final = (SPEED_TOPIC, FORCE_TOPIC, GRADIENT_TOPIC, BRAKE_TOPIC)
 def input_topic(record: Record) -> InputTopic:
     """Return the topic of a record."""
     return _TOPIC_OF[type(record)]
-
-
-def row_of(record: Record) -> Row:
-    """Return a record as a row of numbers."""
-    match record:
-        case SpeedRecord():
-            return SPEED, record.stamp_ns, record.speed, record.position, False
-        case ForceRecord():
-            return FORCE, record.stamp_ns, record.force, 0.0, False
-        case GradientRecord():
-            return GRADIENT, record.stamp_ns, record.gradient, record.curve_radius, record.tunnel
-        case BrakeRecord():
-            return BRAKE, record.stamp_ns, record.target_acceleration, 0.0, record.emergency
-        case MassRecord():
-            return MASS, record.stamp_ns, record.mass, 0.0, False
 
 
 def record_of(topic: int, stamp_ns: int, x: float, y: float, flag: bool) -> Record:

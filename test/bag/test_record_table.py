@@ -23,7 +23,6 @@ from trainid_ros.records import (
     MassRecord,
     Record,
     SpeedRecord,
-    row_of,
 )
 
 if TYPE_CHECKING:
@@ -102,7 +101,7 @@ def test_rows_of_a_table_are_those_of_its_records(tmp_path: Path) -> None:
     expected = write(tmp_path / 'bag', random_records(rng, 50), rng)
     with BagReader(tmp_path / 'bag') as reader:
         rows = [row for table in reader.tables() for row in table.rows()]
-    assert rows == [row_of(record) for record in expected]
+    assert rows == [record.row() for record in expected]
 
 
 def test_layouts_are_those_of_the_definitions() -> None:

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -72,3 +73,20 @@ def test_an_error_in_a_worker_process_is_raised(bags: list[Path], tmp_path: Path
 def test_a_bag_given_twice_is_rejected(bags: list[Path]) -> None:
     with pytest.raises(InputError, match='given twice'):
         survey([bags[0], bags[1], bags[0].parent / '.' / bags[0].name])
+
+
+@pytest.mark.parametrize('step_s', [-3600.0, -20.0, 3600.0])
+def test_a_jump_of_the_stamps_starts_a_new_drive(tmp_path: Path, step_s: float) -> None:
+    """Braking commands of before the jump are forgotten: they may lie after those that follow."""
+    first = simulate(Scenario(TRAIN, runs=1), np.random.default_rng(1)).records
+    origin_ns, end_ns = first[0].stamp_ns, max(record.stamp_ns for record in first)
+    step_ns = round(step_s * NS_PER_S)
+    with BagWriter(tmp_path / 'jump') as writer:
+        for record in first:
+            writer.write_record(record)
+        for record in first:
+            log_ns = record.stamp_ns - origin_ns + end_ns + NS_PER_S // 5
+            writer.write_record(replace(record, stamp_ns=log_ns + step_ns), log_ns)
+    before, after = read_runs([tmp_path / 'jump'], TRAIN)
+    np.testing.assert_allclose(after.speed, before.speed)
+    np.testing.assert_allclose(after.brake, before.brake, atol=1e-9)

@@ -13,7 +13,7 @@ from scipy.signal import lfilter
 
 from benchmarks.worlds import CLEAN, FIELD, UNKNOWNS, WORLDS, Drive, Rates, drive
 from trainid_ros.record_validation import find_fault
-from trainid_ros.records import BrakeRecord, ForceRecord, GradientRecord, MassRecord, Record, SpeedRecord, row_of
+from trainid_ros.records import BrakeRecord, ForceRecord, GradientRecord, MassRecord, Record, SpeedRecord
 from trainid_ros.train.train_file import dump_train_file, parse_train_file
 
 if TYPE_CHECKING:
@@ -114,7 +114,7 @@ def test_all_records_are_valid_and_in_order(world: str) -> None:
     run = made(world)
     stamps = [record.stamp_ns for record in run.records]
     assert stamps == sorted(stamps)
-    assert not [record for record in run.records if find_fault(*row_of(record)[:4])]
+    assert not [record for record in run.records if find_fault(*record.row()[:4])]
     assert {type(record) for record in run.records} >= set(TOPICS[:4])
     at, speed = column(run, SpeedRecord, 'speed')
     index = np.round(at / 0.2).astype(np.int64)
@@ -231,7 +231,7 @@ def test_unknown_names_are_rejected() -> None:
 @pytest.mark.parametrize('seed', range(6))
 def test_field_drives_are_valid_and_long_enough(world: str, seed: int) -> None:
     run = drive(world, seed)
-    assert not [record for record in run.records if find_fault(*row_of(record)[:4])]
+    assert not [record for record in run.records if find_fault(*record.row()[:4])]
     assert all(abs(error) < ROOM[world] for error in run.truth.stop_errors)
     assert run.truth.time_ns.size * 0.2 > 50 * 60
     assert np.count_nonzero(run.truth.moving) * 0.2 > 40 * 60

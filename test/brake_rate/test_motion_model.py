@@ -33,9 +33,13 @@ def response(start: float, command: float) -> BrakeStep:
 
 
 def interval(
-    train_file: TrainFile, sample: Sample, motion: BrakeStep, gains: tuple[float, float] = (1.0, 1.0)
+    train_file: TrainFile,
+    sample: Sample,
+    motion: BrakeStep,
+    gains: tuple[float, float] = (1.0, 1.0),
+    config: KalmanConfig = CONFIG,
 ) -> Transition:
-    return MotionModel(train_file, CONFIG).interval(
+    return MotionModel(train_file, config).interval(
         sample,
         motion,
         TimingStep(0.0, 0.0, 0.0),
@@ -47,7 +51,7 @@ def interval(
     )
 
 
-def test_calm_is_one_for_a_steady_response_and_small_while_it_changes(train_file: TrainFile, sample: Make) -> None:
+def test_steadiness_is_one_for_a_steady_response_and_small_for_others(train_file: TrainFile, sample: Make) -> None:
     item = sample(1, brake_command=-0.5)
     assert interval(train_file, item, response(-0.5, -0.5)).steadiness == pytest.approx(1.0)
     assert interval(train_file, item, response(0.0, -0.5)).steadiness < 1e-6
@@ -119,3 +123,13 @@ def test_excess_innovations_increase_the_noise(train_file: TrainFile, journey: J
     assert other.state.innovation == plain.state.innovation
     assert other.state.innovation_variance - plain.state.innovation_variance == pytest.approx(2.0 * noise, rel=1e-9)
     assert other.state.rate_variance > 1.001 * plain.state.rate_variance
+
+
+@pytest.mark.parametrize(('before', 'decay', 'expected'), [(0.0, 1.0, 1.0), (-0.5, 0.0, 0.0)])
+def test_steadiness_is_defined_where_any_braking_counts(
+    train_file: TrainFile, sample: Make, before: float, decay: float, expected: float
+) -> None:
+    """With min_braking = 0 nothing bounds a relative change of a released brake, which may follow at once."""
+    motion = BrakeStep(decay, 0.0, 0.0, 0.0, before)
+    config = replace(CONFIG, min_braking=0.0)
+    assert interval(train_file, sample(1), motion, config=config).steadiness == expected

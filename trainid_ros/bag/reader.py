@@ -18,7 +18,7 @@ from trainid_ros.bag.record_table import EMPTY, decode, in_order_of, joined
 from trainid_ros.bag.types import digest, full_type, is_packaged, typestore
 from trainid_ros.errors import InputError
 from trainid_ros.messages import OUTPUT_TOPICS, record_from_message
-from trainid_ros.records import INPUT_TOPICS, REQUIRED_TOPICS, InputTopic, record_of, row_of
+from trainid_ros.records import INPUT_TOPICS, REQUIRED_TOPICS, InputTopic, record_of
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Iterator
@@ -226,7 +226,7 @@ class BagReader:
         for row in np.flatnonzero(~decoded).tolist():  # big endian, or broken
             payload = block.data[block.start[rows[row]] : block.end[rows[row]]].tobytes()
             message = self._deserialize(payload, source, int(block.log_ns[rows[row]]))
-            numbers = row_of(record_from_message(INPUT_TOPICS[topic], message))
+            numbers = record_from_message(INPUT_TOPICS[topic], message).row()
             _, table.stamp_ns[row], table.x[row], table.y[row], table.flag[row] = numbers
         return table
 

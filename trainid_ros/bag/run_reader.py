@@ -121,7 +121,7 @@ def _read(train_file: TrainFile, namespace: str, item: tuple[int, Path], advance
                 if isinstance(event, Sample):
                     collector.add(event)
                 elif isinstance(event, TimeJump):
-                    collector.end_run()
+                    collector.start_over()
             if i - reported == _PROGRESS_EVERY:
                 reported = i
                 advance(_PROGRESS_EVERY)

@@ -12,6 +12,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from trainid_ros.records import NS_PER_S
+from trainid_ros.scalars import seconds
 from trainid_ros.train.brake import actuator_response, lag_integral, lag_response
 
 if TYPE_CHECKING:
@@ -52,5 +53,5 @@ def brake_step(
     """
     delay_ns = round(delay * NS_PER_S)
     a, v = actuator_response(commands, start_ns, end_ns, 0.0, delay_ns=delay_ns, time_constant=tau)
-    elapsed = (end_ns - start_ns) / NS_PER_S
+    elapsed = seconds(end_ns - start_ns)
     return BrakeStep(lag_response(1.0, 0.0, tau, elapsed), lag_integral(1.0, 0.0, tau, elapsed), a, v, start_target)

@@ -25,7 +25,7 @@ from trainid_ros.brake_rate.timing import Timing, TimingStep
 from trainid_ros.estimators.speed_noise import SpeedNoise
 from trainid_ros.records import NS_PER_S
 from trainid_ros.results import BrakeRateEstimate, Reason, Rejection
-from trainid_ros.scalars import is_finite
+from trainid_ros.scalars import is_finite, seconds
 from trainid_ros.settings import check_settings
 from trainid_ros.state import check_not_negative, check_numbers, check_restored, decode, encode
 from trainid_ros.train.brake import CommandHistory
@@ -167,7 +167,7 @@ class BrakeRateEstimator:
         state = self.state
         before_ns = state.stamp_ns
         motion, timing = self._follow_command(sample)
-        elapsed = (sample.stamp_ns - before_ns) / NS_PER_S if before_ns else 0.0
+        elapsed = seconds(sample.stamp_ns - before_ns) if before_ns else 0.0
         result = self._process(sample, max(0.0, elapsed), motion, timing)
         if result is None or result.reason is not Reason.NOT_BRAKING:
             state.disturbance.pause()
@@ -218,7 +218,7 @@ class BrakeRateEstimator:
         if not is_finite(sample.brake_command):
             return Rejection(sample.stamp_ns, Reason.BRAKE_COMMAND_MISSING, sample.brake_command, math.nan)
         if self.state.certain_ns > sample.stamp_ns:
-            uncertain_s = (self.state.certain_ns - sample.stamp_ns) / NS_PER_S
+            uncertain_s = seconds(self.state.certain_ns - sample.stamp_ns)
             return Rejection(sample.stamp_ns, Reason.BRAKE_UNCERTAIN, uncertain_s, 0.0)
         return None
 
@@ -241,9 +241,7 @@ class BrakeRateEstimator:
             state.filtered_target, state.certain_ns, state.stamp_ns = 0.0, 0, 0
             timing.release()
         start_ns = state.stamp_ns or now_ns
-        for change in sample.brake_changes:
-            if not commands.changes or change.stamp_ns >= commands.changes[-1].stamp_ns:
-                commands.push(change)
+        commands.follow(sample.brake_changes)
         self._move_timing(start_ns)
         motion = brake_step(commands, timing.delay, timing.lag, start_ns, now_ns, state.filtered_target)
         nominal = motion.reach * state.filtered_target + motion.gain_v
@@ -253,7 +251,7 @@ class BrakeRateEstimator:
         state.stamp_ns = now_ns
         if sample.brake_gap or sample.emergency or math.isnan(sample.brake_command):
             state.certain_ns = now_ns + self._settling_ns
-        state.unbraked_s += (now_ns - start_ns) / NS_PER_S
+        state.unbraked_s += seconds(now_ns - start_ns)
         # At standstill the measured speed is zero without noise.
         state.noise.add(sample.speed, sample.dt if sample.speed >= self._least_speed else math.nan)
         state.observable = False

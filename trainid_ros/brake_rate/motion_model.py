@@ -175,8 +175,11 @@ class MotionModel:
 
     def _steadiness(self, motion: BrakeStep, dt: float) -> float:
         """Return the steadiness of the response: 1 while it is constant, towards 0 while it changes."""
-        least = max(abs(motion.end_target), self._least)
-        return math.exp(-abs(motion.end_target - motion.start_target) / (dt * least * _CHANGING))
+        change = abs(motion.end_target - motion.start_target)
+        if change == 0.0:
+            return 1.0
+        slow = dt * max(abs(motion.end_target), self._least) * _CHANGING
+        return math.exp(-change / slow) if slow > 0.0 else 0.0
 
     def _slope(self, speed: float) -> float:
         """Return p, see the module; above the maximum speed it stays constant."""

@@ -10,9 +10,8 @@ import math
 from typing import Final
 
 from trainid_ros.estimators.known_force import KnownForce
-from trainid_ros.records import NS_PER_S
 from trainid_ros.results import Reason, Rejection
-from trainid_ros.scalars import is_finite
+from trainid_ros.scalars import is_finite, seconds
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.effects import effect_value
 
@@ -81,4 +80,4 @@ class Admission:
         return self._since_braked(sample) < self.settling
 
     def _since_braked(self, sample: Sample) -> float:
-        return math.inf if self.braked_ns == 0 else (sample.stamp_ns - self.braked_ns) / NS_PER_S
+        return math.inf if self.braked_ns == 0 else seconds(sample.stamp_ns - self.braked_ns)

@@ -18,7 +18,7 @@ from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.estimators.consistency import Consistency, ConsistencyMonitor
 from trainid_ros.estimators.protocol import EstimateT, Estimator, Output
 from trainid_ros.estimators.registry import Algorithms, Choice
-from trainid_ros.records import NS_PER_S, Record, Row, seconds
+from trainid_ros.records import NS_PER_S, Record, Row
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
 from trainid_ros.results import (
     BrakeRateEstimate,
@@ -28,6 +28,7 @@ from trainid_ros.results import (
     SpeedModelEstimate,
     Status,
 )
+from trainid_ros.scalars import seconds
 from trainid_ros.settings import check_settings, setting
 from trainid_ros.speed_model.speed_model_algorithms import SPEED_MODEL
 from trainid_ros.state import check_restored, decode, encode

@@ -122,8 +122,9 @@ class RunCollector:
     def add(self, sample: Sample) -> None:
         """Add one sample."""
         self.origin_ns = self.origin_ns or sample.stamp_ns
-        for change in sample.brake_changes:
-            self._commands.push(change)
+        if sample.stamp_ns <= self._stamp_ns:
+            self.start_over()
+        self._commands.follow(sample.brake_changes)
         gap = math.isnan(sample.dt)
         brake = self._follow_brake(sample, gap=gap)
         if gap:
@@ -141,6 +142,12 @@ class RunCollector:
             self.end_run()
             return
         self._add_row(sample, brake)
+
+    def start_over(self) -> None:
+        """End the current run and forget the history of the drive, as after a jump of the stamps."""
+        self.end_run()
+        self._commands, self._stamp_ns, self._brake = CommandHistory(), 0, 0.0
+        self._heat, self._since_release, self._speed = 0.0, math.inf, math.nan
 
     def _add_row(self, sample: Sample, brake: float) -> None:
         # A brake that is still releasing at departure may hold the train or drag; which of them is unknown.

@@ -20,7 +20,6 @@ from trainid_ros.estimators.admission import Admission
 from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.estimators.prior import prior_variances
 from trainid_ros.estimators.speed_noise import SpeedNoise
-from trainid_ros.records import NS_PER_S
 from trainid_ros.resistance.davis_posterior import drift_growth, resistance_estimate
 from trainid_ros.resistance.fitness import DrivenSpeeds, is_fit_where_driven
 from trainid_ros.resistance.force_errors import CURVE_RADIUS, force_errors, is_delay_at_end, scale_step
@@ -29,7 +28,7 @@ from trainid_ros.resistance.long_run_variance import Inflation
 from trainid_ros.resistance.saved_states import MAX_STRIDE, FilterBankState
 from trainid_ros.resistance.speed_states import DELTA, KAPPA, KAPPA_R, STATES, A, B, C, Interval, ProcessNoise, Tick
 from trainid_ros.results import Reason, Rejection
-from trainid_ros.scalars import is_finite
+from trainid_ros.scalars import is_finite, seconds
 from trainid_ros.settings import check_settings
 from trainid_ros.state import decode, encode
 from trainid_ros.stream.samples import STANDING
@@ -177,7 +176,7 @@ class FilterBank:
 
     def _depart(self, tick: Tick) -> None:
         """Restart the speed; after a stop the load may have changed, after a long idle time also a and c."""
-        idle_s = (tick.stamp_ns - self._advanced_ns) / NS_PER_S if self._advanced_ns else 0.0
+        idle_s = seconds(tick.stamp_ns - self._advanced_ns) if self._advanced_ns else 0.0
         if idle_s > _IDLE_S:
             self.bank.idle(idle_s)
             self._converged = False

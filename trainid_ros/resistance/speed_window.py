@@ -16,9 +16,9 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.records import NS_PER_S
 from trainid_ros.resistance.normal import dot
 from trainid_ros.results import Reason, Rejection
+from trainid_ros.scalars import seconds
 from trainid_ros.vectors import append, vec
 
 if TYPE_CHECKING:
@@ -96,7 +96,7 @@ class Cut:
     @property
     def samples(self) -> int:
         """Samples from one window to the next."""
-        duration = (self.ticks[-1].stamp_ns - self.ticks[0].stamp_ns) / NS_PER_S
+        duration = seconds(self.ticks[-1].stamp_ns - self.ticks[0].stamp_ns)
         return max(1, round(self.hop * (len(self.ticks) - 1) / duration))
 
 
@@ -137,7 +137,7 @@ class SlidingWindow:
         return Cut(list(ticks), hop)
 
     def _span(self, first: int) -> float:
-        return (self.ticks[-1].stamp_ns - self.ticks[first].stamp_ns) / NS_PER_S
+        return seconds(self.ticks[-1].stamp_ns - self.ticks[first].stamp_ns)
 
 
 def observe_resistance(ticks: list[Tick], inertia: float, speed_std: float) -> WindowResult | Rejection:

@@ -27,7 +27,6 @@ from trainid_ros.errors import InputError
 from trainid_ros.estimators.admission import Admission
 from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.estimators.prior import prior_variances
-from trainid_ros.records import NS_PER_S
 from trainid_ros.resistance.change_points import ChangePointConfig, Tracker
 from trainid_ros.resistance.davis_posterior import drift_rates, drifted, resistance_estimate
 from trainid_ros.resistance.fitness import is_fit_where_driven
@@ -36,6 +35,7 @@ from trainid_ros.resistance.normal import independent
 from trainid_ros.resistance.saved_states import VMilsState
 from trainid_ros.resistance.speed_window import Tick
 from trainid_ros.resistance.window_learner import WindowLearner, WindowPlan
+from trainid_ros.scalars import seconds
 from trainid_ros.settings import check_settings
 from trainid_ros.state import decode, encode
 
@@ -164,7 +164,7 @@ class VMils:
 
     def _drift(self) -> None:
         """Add the drift variance of a, b, c at intervals."""
-        elapsed_s = (self._stamp_ns - self._drifted_ns) / NS_PER_S
+        elapsed_s = seconds(self._stamp_ns - self._drifted_ns)
         if self._drifted_ns == 0 or elapsed_s < 0.0:
             self._drifted_ns = self._stamp_ns
         elif elapsed_s >= _DRIFT_LUMP_S:
@@ -187,7 +187,7 @@ class VMils:
         theta = estimate.theta[:3].tolist()
         now: DavisPosterior = (*theta, A, B, C, D, E, F)
         if 0 < self._drifted_ns < self._stamp_ns:
-            now = drifted(now, self._rates, (self._stamp_ns - self._drifted_ns) / NS_PER_S, self._prior_variances)
+            now = drifted(now, self._rates, seconds(self._stamp_ns - self._drifted_ns), self._prior_variances)
         a, b, c, *P = now
         factor, e2 = learner.inflation.factor, self.config.model_error**2
         squares = (a * a, a * b, a * c, b * b, b * c, c * c)
@@ -196,7 +196,7 @@ class VMils:
     def _judge(self, *, updated: bool) -> None:
         """Decide whether w is fit to use: after a new observation, and at intervals without one."""
         learner = self.learner
-        waited_s = (self._stamp_ns - self._judged_ns) / NS_PER_S
+        waited_s = seconds(self._stamp_ns - self._judged_ns)
         if not learner.driven.count or not (updated or waited_s < 0.0 or waited_s >= _DRIFT_LUMP_S):
             return
         self._judged_ns = self._stamp_ns

@@ -20,8 +20,9 @@ from dataclasses import dataclass
 from typing import Final, TypeAlias
 
 from trainid_ros.record_validation import find_fault
-from trainid_ros.records import FORCE, GRADIENT, MASS, NS_PER_S, SPEED, Record, row_of, seconds
+from trainid_ros.records import FORCE, GRADIENT, MASS, NS_PER_S, SPEED, Record
 from trainid_ros.results import Reason, Rejection
+from trainid_ros.scalars import seconds
 from trainid_ros.settings import setting
 from trainid_ros.stream.intervals import LearnedInterval
 from trainid_ros.stream.samples import SAMPLE_PERIOD, STANDING, BrakeCommandChange, Sample
@@ -184,7 +185,7 @@ class _Track:
     def interval_around(self, at_ns: int) -> float:
         """Return the time between the last row before a stamp and the first one from it on [s], else 0."""
         right = self.first_from(at_ns)
-        return 0.0 if right == 0 else (self.rows[right].stamp_ns - self.rows[right - 1].stamp_ns) / NS_PER_S
+        return 0.0 if right == 0 else seconds(self.rows[right].stamp_ns - self.rows[right - 1].stamp_ns)
 
 
 class Aligner:
@@ -257,7 +258,7 @@ class Aligner:
 
     def push(self, record: Record) -> list[AlignmentEvent]:
         """Take in one record; return the samples it completes, or why it was rejected."""
-        return self.push_row(*row_of(record))
+        return self.push_row(*record.row())
 
     def push_row(self, topic: int, stamp_ns: int, x: float, y: float, flag: bool) -> list[AlignmentEvent]:
         """Take in one record as a row of numbers, see :data:`~trainid_ros.records.Row`."""
@@ -368,7 +369,7 @@ class Aligner:
 
     def _sample(self, row: _Row) -> Sample:
         now, before = row.stamp_ns, self._sample_ns
-        dt = (now - before) / NS_PER_S
+        dt = seconds(now - before)
         if before == 0 or (dt > self._max_dt and now - before > ONE_LOST * self._speed_interval.ns):
             dt = math.nan
         start = now if math.isnan(dt) else before

@@ -8,7 +8,8 @@ from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Final
 
-from trainid_ros.records import NS_PER_S, seconds
+from trainid_ros.records import NS_PER_S
+from trainid_ros.scalars import seconds
 from trainid_ros.stream.samples import Motion, Sample
 from trainid_ros.train.brake import MOST_CHANGES, CommandHistory, actuator_response
 from trainid_ros.train.effects import BRAKE_APPLIED, heat_after
@@ -56,9 +57,7 @@ class DriveHistoryTracker:
         same_drive = 0 < state.stamp_ns <= sample.stamp_ns
         start_ns = state.stamp_ns if same_drive else sample.stamp_ns
         commands = state.commands if same_drive else CommandHistory()
-        for change in sample.brake_changes:
-            if not commands.changes or change.stamp_ns >= commands.changes[-1].stamp_ns:
-                commands.push(change)
+        commands.follow(sample.brake_changes)
         before, elapsed = state.motion, seconds(sample.stamp_ns - start_ns)
         speed = 0.5 * (state.speed + sample.speed) if elapsed <= _MAX_GAP_S else 0.0
         brake, brake_integral = actuator_response(

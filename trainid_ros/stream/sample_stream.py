@@ -14,7 +14,7 @@ from enum import Enum
 from typing import Final, TypeAlias
 
 from trainid_ros.estimators.known_force import KnownForce
-from trainid_ros.records import NS_PER_S, Record, row_of
+from trainid_ros.records import NS_PER_S, Record
 from trainid_ros.results import Rejection
 from trainid_ros.settings import check_settings
 from trainid_ros.stream.alignment import ONE_LOST, Aligner, AlignmentConfig, TimeJump
@@ -122,7 +122,7 @@ class SampleStream:
 
         A sample whose ``rejection`` is set has a speed that must not be used.
         """
-        return self.push_row(*row_of(record))
+        return self.push_row(*record.row())
 
     def push_row(self, topic: int, stamp_ns: int, x: float, y: float, flag: bool) -> list[StreamEvent]:
         """Take in one record as a row of numbers, see :data:`~trainid_ros.records.Row`."""
@@ -153,7 +153,7 @@ class SampleStream:
             self._follow_skipped(sample)
 
     def _follow_skipped(self, sample: Sample) -> None:
-        """Let a sample look as to who has not seen those before it."""
+        """Merge the changes of the skipped samples into the next one, which then follows a gap."""
         changes = [change for item in (*self._skipped, sample) for change in item.brake_changes]
         self._skipped = []
         sample.dt, sample.brake_changes, sample.brake_gap = math.nan, tuple(changes), True

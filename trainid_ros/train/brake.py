@@ -12,8 +12,7 @@ from dataclasses import dataclass
 from typing import Final
 
 from trainid_ros.errors import InputError
-from trainid_ros.records import NS_PER_S
-from trainid_ros.scalars import is_finite
+from trainid_ros.scalars import is_finite, seconds
 from trainid_ros.state import several
 from trainid_ros.stream.samples import BrakeCommandChange
 
@@ -52,6 +51,12 @@ class CommandHistory:
             kept = (*kept, change)[-MOST_CHANGES:]
         self.changes = kept
 
+    def follow(self, changes: tuple[BrakeCommandChange, ...]) -> None:
+        """Add the changes of a sample; those older than the last one, which arrived late, are dropped."""
+        for change in changes:
+            if not self.changes or change.stamp_ns >= self.changes[-1].stamp_ns:
+                self.push(change)
+
     def prune(self, before_ns: int) -> None:
         """Drop the changes that do not affect the command at or after a time [ns]."""
         first = 0
@@ -81,7 +86,7 @@ class CommandHistory:
             until_ns = self.changes[count].stamp_ns if count < len(self.changes) else end_ns
             until_ns = min(until_ns, end_ns)
             value = self.changes[count - 1].target_acceleration if count else 0.0
-            pieces.append(((until_ns - start_ns) / NS_PER_S, value))
+            pieces.append((seconds(until_ns - start_ns), value))
             start_ns = until_ns
         return pieces
 
