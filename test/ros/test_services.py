@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import os
+from collections.abc import Callable
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -138,6 +139,19 @@ BROKEN = (
 )
 
 
+class Replaced:
+    """An estimator with some of its methods replaced."""
+
+    def __init__(self, estimator: Any, **methods: Callable[..., Any]) -> None:
+        self._estimator = estimator
+        self.__dict__.update(methods)
+
+    def __getattr__(self, name: str) -> Any:
+        """Return what was not replaced."""
+        return getattr(self._estimator, name)
+
+
+
 @pytest.mark.ros
 @pytest.mark.parametrize('error', BROKEN, ids=lambda error: type(error).__name__)
 def test_a_numerical_error_in_a_step_is_a_fault_until_a_reset(
@@ -152,8 +166,7 @@ def test_a_numerical_error_in_a_step_is_a_fault_until_a_reset(
         raise error
 
     with monkeypatch.context() as patch:
-        patch.setattr(node.pipeline.estimator, 'step', broken)
-        patch.setattr(node.pipeline.estimator, 'estimate', broken)
+        patch.setattr(node.pipeline, 'estimator', Replaced(node.pipeline.estimator, step=broken, estimate=broken))
         graph.feed(node, records[80:160])
         node.publish_diagnostics()
     assert (published.messages[-1].status, published.messages[-1].estimate) == (Status.FAULT, last)
@@ -178,7 +191,7 @@ def test_a_numerical_error_on_loading_is_reported_and_the_node_keeps_running(
         raise ValueError(msg)
 
     with monkeypatch.context() as patch:
-        patch.setattr(node.pipeline.estimator, 'estimate', broken)
+        patch.setattr(node.pipeline, 'estimator', Replaced(node.pipeline.estimator, estimate=broken))
         answer = graph.call(caller, Trigger, '/resistance_estimator/load_checkpoint')
         node.publish_diagnostics()
     assert (answer.success, answer.message) == (False, 'ValueError: math domain error')
