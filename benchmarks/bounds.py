@@ -21,8 +21,8 @@ from trainid_ros.records import NS_PER_S
 from trainid_ros.resistance.speed_window import (
     Cut,
     SlidingWindow,
-    Tick,
     WindowResult,
+    WindowTick,
     observe_resistance,
     overlap_factor,
 )
@@ -186,7 +186,7 @@ class InformedWindows:
         self._noise.add(sample.speed, sample.dt)
         traction = self._known.traction(sample.force_mean, sample)
         known = traction - self._known.track(sample)
-        cut = self._windows.push(Tick(sample.stamp_ns, sample.dt, sample.speed, known, traction))
+        cut = self._windows.push(WindowTick(sample.stamp_ns, sample.dt, sample.speed, known, traction))
         if cut is None:
             return
         observed = observe_resistance(cut.ticks, self._known.inertia, self._noise.std)

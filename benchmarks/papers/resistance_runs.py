@@ -22,7 +22,7 @@ from trainid_lab.resistance.speed_ekf import SpeedEkf, SpeedEkfConfig
 from trainid_ros.records import NS_PER_S
 from trainid_ros.resistance.config import VMilsConfig
 from trainid_ros.resistance.force_errors import ForceErrors
-from trainid_ros.resistance.speed_window import Tick
+from trainid_ros.resistance.speed_window import WindowTick
 from trainid_ros.resistance.vmils import VMils, tracker_of, window_plan
 from trainid_ros.resistance.window_learner import WindowLearner
 from trainid_ros.train.train_file import Davis
@@ -229,7 +229,9 @@ def metro_result(seed: int, scenario: metro.Scenario) -> MetroResult:
     columns = (raw.speed.tolist(), raw.force.tolist(), raw.gradient.tolist(), raw.moving.tolist())
     for i, (speed, force, gradient, moving) in enumerate(zip(*columns, strict=True)):
         if moving:
-            learner.push(Tick(round((i + 1) * metro.PERIOD * NS_PER_S), metro.PERIOD, speed, force - gradient, force))
+            learner.push(
+                WindowTick(round((i + 1) * metro.PERIOD * NS_PER_S), metro.PERIOD, speed, force - gradient, force)
+            )
         else:
             learner.interrupt(speed)
     true, found = data.after, tracker.estimate

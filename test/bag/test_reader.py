@@ -140,9 +140,9 @@ def test_the_type_hash_replaces_a_missing_definition(tmp_path: Path) -> None:
     good, name = typestore().hash_rihs01(full_type('TrainMass')), full_type('TrainMass')
     record = MassRecord(STAMP, 2e5)
     payload = typestore().serialize_cdr(message_from_record(record), name)
-    for path, told in ((tmp_path / 'good', good), (tmp_path / 'bad', 'RIHS01_0')):
+    for path, stated in ((tmp_path / 'good', good), (tmp_path / 'bad', 'RIHS01_0')):
         with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
-            writer.write(writer.add_connection('/ato/mass', name, msgdef=' ', rihs01=told), STAMP, payload)
+            writer.write(writer.add_connection('/ato/mass', name, msgdef=' ', rihs01=stated), STAMP, payload)
     with BagReader(tmp_path / 'good') as reader:
         assert list(reader.records()) == [record]
     with pytest.raises(InputError, match='RIHS01_0 found'), BagReader(tmp_path / 'bad'):

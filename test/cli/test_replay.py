@@ -29,7 +29,7 @@ def call(bag: Path, *options: str, train: Path | None = None) -> int:
     return main(['replay', str(bag), '--train', str(train or bag / 'train.yaml'), *options])
 
 
-class Told(NamedTuple):
+class Printed(NamedTuple):
     """What a replay prints, with ``--json`` and without."""
 
     out: str
@@ -38,13 +38,13 @@ class Told(NamedTuple):
 
 
 @pytest.fixture(scope='module')
-def told(driven_bag: Path) -> Told:
+def printed(driven_bag: Path) -> Printed:
     out, err, text = io.StringIO(), io.StringIO(), io.StringIO()
     with redirect_stdout(out), redirect_stderr(err):
         assert call(driven_bag, '--json') == 0
     with redirect_stdout(text), redirect_stderr(io.StringIO()):
         assert call(driven_bag) == 0
-    return Told(out.getvalue(), err.getvalue(), text.getvalue())
+    return Printed(out.getvalue(), err.getvalue(), text.getvalue())
 
 
 @pytest.fixture
@@ -64,10 +64,10 @@ def standing_bag(tmp_path: Path, driven_bag: Path) -> Path:
     return path
 
 
-def test_json_has_the_agreed_fields_and_nothing_else_is_printed(told: Told) -> None:
-    answer = json.loads(told.out)
-    assert told.out.count('\n') == 1
-    assert told.err == ''
+def test_json_has_the_agreed_fields_and_nothing_else_is_printed(printed: Printed) -> None:
+    answer = json.loads(printed.out)
+    assert printed.out.count('\n') == 1
+    assert printed.err == ''
     agreed = {'samples', 'duration_s', 'used', 'rejected', 'resistance', 'speed_model', 'brake_rate', 'wall_s'}
     assert agreed | {'algorithms'} == set(answer)
     assert answer['algorithms'] == {'resistance': 'filter-bank', 'speed_model': 'AM-VFF-RLS', 'brake_rate': 'GSMA'}
@@ -79,8 +79,8 @@ def test_json_has_the_agreed_fields_and_nothing_else_is_printed(told: Told) -> N
     assert answer['used'] + sum(answer['rejected'].values()) >= answer['samples'] > 300
 
 
-def test_json_numbers_are_those_of_the_replay(driven_bag: Path, told: Told) -> None:
-    answer = json.loads(told.out)
+def test_json_numbers_are_those_of_the_replay(driven_bag: Path, printed: Printed) -> None:
+    answer = json.loads(printed.out)
     with BagReader(driven_bag) as reader:
         outcome = replay(reader, load_train_file(driven_bag / 'train.yaml'), EstimatorSettings())
     w, f = outcome.resistance.output.estimate, outcome.brake_rate.output.estimate
@@ -92,18 +92,18 @@ def test_json_numbers_are_those_of_the_replay(driven_bag: Path, told: Told) -> N
     assert answer['rejected'] == {reason.name: count for reason, count in outcome.resistance.rejections}
 
 
-def test_summary_shows_estimates_reasons_and_speed(told: Told) -> None:
+def test_summary_shows_estimates_reasons_and_speed(printed: Printed) -> None:
     wanted_words = (
         *('x real time', 'brake rate', 'w at 15 m/s', 'N/kN', 'not: BRAKING', 'used'),
         *('resistance by filter-bank: uncertainty', 'speeds seen', 'prior variance removed: a'),
     )
     for wanted in wanted_words:
-        assert wanted in told.text
+        assert wanted in printed.text
 
 
-def test_speed_outside_those_learned_from_is_marked(told: Told) -> None:
-    fastest = json.loads(told.out)['resistance']['speed_range'][1]
-    lines = [line for line in told.text.splitlines() if line.startswith('w at')]
+def test_speed_outside_those_learned_from_is_marked(printed: Printed) -> None:
+    fastest = json.loads(printed.out)['resistance']['speed_range'][1]
+    lines = [line for line in printed.text.splitlines() if line.startswith('w at')]
     assert [('*' in line) for line in lines] == [speed > fastest for speed in (10.0, 15.0, 20.0)]
 
 
@@ -131,7 +131,7 @@ def test_parameters_of_the_nodes_hold(driven_bag: Path, tmp_path: Path, capsys: 
         (('--params', 'no/such.yaml'), 'no/such.yaml: cannot be read'),
     ],
 )
-def test_wrong_choices_are_told_in_one_line(
+def test_wrong_choices_are_named_in_one_line(
     driven_bag: Path, options: tuple[str, ...], reason: str, capsys: pytest.CaptureFixture[str]
 ) -> None:
     assert call(driven_bag, *options) == 2
@@ -161,7 +161,7 @@ def test_report_is_written_with_the_truth_of_the_bag(driven_bag: Path, tmp_path:
     assert 'error / std' in text
 
 
-def test_wrong_truth_is_told_before_the_work(
+def test_wrong_truth_is_reported_before_the_work(
     driven_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     wrong = tmp_path / 'truth.yaml'

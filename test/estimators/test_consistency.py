@@ -12,7 +12,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from trainid_ros.estimators.consistency import WINDOW, Consistency, ConsistencyMonitor, Verdict, band
+from trainid_ros.estimators.consistency import WINDOW, Consistency, ConsistencyMonitor, ConsistencyVerdict, band
 
 SEEDS = 200
 
@@ -46,12 +46,16 @@ def test_correct_variances_are_in_the_band_for_new_seeds(rho: float) -> None:
     seed = int.from_bytes(os.urandom(4))
     rng = np.random.default_rng(seed)
     verdicts = [monitored(correlated(rng, rho, WINDOW)).current().verdict for _ in range(SEEDS)]
-    assert verdicts.count(Verdict.CONSISTENT) >= SEEDS - 14, f'seed {seed}'
+    assert verdicts.count(ConsistencyVerdict.CONSISTENT) >= SEEDS - 14, f'seed {seed}'
 
 
-@pytest.mark.parametrize(('stated', 'verdict'), [(0.5, Verdict.OPTIMISTIC), (2.0, Verdict.PESSIMISTIC)])
+@pytest.mark.parametrize(
+    ('stated', 'verdict'), [(0.5, ConsistencyVerdict.OPTIMISTIC), (2.0, ConsistencyVerdict.PESSIMISTIC)]
+)
 @pytest.mark.parametrize('rho', [0.0, 0.4])
-def test_a_variance_wrong_by_a_factor_of_two_is_detected(stated: float, verdict: Verdict, rho: float) -> None:
+def test_a_variance_wrong_by_a_factor_of_two_is_detected(
+    stated: float, verdict: ConsistencyVerdict, rho: float
+) -> None:
     seed = int.from_bytes(os.urandom(4))
     rng = np.random.default_rng(seed)
     verdicts = [monitored(correlated(rng, rho, WINDOW), stated).current().verdict for _ in range(50)]
@@ -65,7 +69,7 @@ def test_the_alarm_is_raised_only_after_a_full_optimistic_window() -> None:
     for k in range(1, 4 * WINDOW):
         monitor.see(float(rng.standard_normal()), 0.3, used=True)
         current = monitor.current()
-        first = first or (k if current.verdict is Verdict.OPTIMISTIC else 0)
+        first = first or (k if current.verdict is ConsistencyVerdict.OPTIMISTIC else 0)
         alarmed = alarmed or (k if current.is_alarm else 0)
     assert 0 < first < WINDOW
     assert alarmed >= first + WINDOW - 1
@@ -93,7 +97,7 @@ def test_an_innovation_without_a_variance_is_not_judged(innovation: float, varia
     monitor = ConsistencyMonitor()
     monitor.see(innovation, variance, used=True)
     current = monitor.current()
-    assert (current.verdict, current.updates) == (Verdict.UNKNOWN, 0)
+    assert (current.verdict, current.updates) == (ConsistencyVerdict.UNKNOWN, 0)
     assert 'no innovation' in str(current)
 
 
@@ -109,7 +113,7 @@ def test_only_the_window_counts_and_running_sums_stay_exact() -> None:
 
 
 def test_the_text_states_verdict_and_numbers() -> None:
-    text = str(Consistency(Verdict.OPTIMISTIC, 2.5, 0.76, 1.28, 200, 3))
+    text = str(Consistency(ConsistencyVerdict.OPTIMISTIC, 2.5, 0.76, 1.28, 200, 3))
     assert text.startswith('optimistic (squared innovations 2.50 times the stated variance; ')
     assert text.endswith('99 % band 0.76 to 1.28, 200 updates)')
 

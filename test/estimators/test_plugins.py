@@ -97,7 +97,7 @@ def test_a_broken_plug_in_is_named_once_another_name_is_wanted(install: Install,
         assert str(caught.value).endswith(reason)
 
 
-def test_without_plug_ins_the_built_in_names_are_told_and_where_others_come_from() -> None:
+def test_without_plug_ins_the_built_in_names_are_listed_and_where_others_come_from() -> None:
     with pytest.raises(InputError, match=r"^algorithm = 'KF' must be one of known; others come with lab/$"):
         built_in()['KF']
 

@@ -14,7 +14,7 @@ from trainid_lab.resistance.resistance_algorithms import ALGORITHMS as RESISTANC
 from trainid_lab.speed_model.speed_model_algorithms import ALGORITHMS as SPEED_MODELS
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.errors import InputError
-from trainid_ros.estimators.consistency import Verdict
+from trainid_ros.estimators.consistency import ConsistencyVerdict
 from trainid_ros.estimators.pipeline import EstimatorSettings, brake_rate_pipeline
 from trainid_ros.estimators.registry import Algorithm, Algorithms
 from trainid_ros.records import NS_PER_S, Record, SpeedRecord
@@ -63,8 +63,8 @@ def test_errors_larger_than_stated_are_detected(metro: TrainFile, day: tuple[Rec
         if record.stamp_ns < day[0].stamp_ns + 240 * NS_PER_S:
             printed.push(record)
             default.push(record)
-    assert printed.consistency.verdict is Verdict.OPTIMISTIC
-    assert default.consistency.verdict is Verdict.CONSISTENT
+    assert printed.consistency.verdict is ConsistencyVerdict.OPTIMISTIC
+    assert default.consistency.verdict is ConsistencyVerdict.CONSISTENT
 
 
 @pytest.mark.parametrize(

@@ -22,7 +22,7 @@ from trainid_ros.resistance.speed_states import (
     C,
     Interval,
     ProcessNoise,
-    Transition,
+    SpeedTransition,
     V,
     entry,
     speed_filter,
@@ -85,9 +85,9 @@ def process_noise(interval: Interval) -> Array:
     return Q
 
 
-def transition(interval: Interval, noise: ProcessNoise = NOISE) -> Transition:
+def transition(interval: Interval, noise: ProcessNoise = NOISE) -> SpeedTransition:
     """Return the transition over an interval without drift."""
-    return Transition(interval, noise, vec[float]([0.0] * STATES))
+    return SpeedTransition(interval, noise, vec[float]([0.0] * STATES))
 
 
 def predicted(x: Array, P: Array, interval: Interval = INTERVAL) -> tuple[Array, Array]:

@@ -151,7 +151,6 @@ class Replaced:
         return getattr(self._estimator, name)
 
 
-
 @pytest.mark.ros
 @pytest.mark.parametrize('error', BROKEN, ids=lambda error: type(error).__name__)
 def test_a_numerical_error_in_a_step_is_a_fault_until_a_reset(

@@ -161,7 +161,7 @@ class BagReader:
         return tuple(TopicSummary(name, kind, count) for (name, kind), count in sorted(counts.items()))
 
     def records(self) -> Iterator[Record]:
-        """Yield the records of the input topics by log time, on equal times as they lie in the bag.
+        """Yield the records of the input topics by log time, on equal times in the order of the file within a chunk.
 
         Raises:
             InputError: A message cannot be read.

@@ -43,7 +43,7 @@ def map_bags(
             its result can be pickled.
         items: What to work on.
         workers: Number of processes; 1 works here.
-        advance: Called with the amount that all have done since its last call.
+        advance: Called with the sum of the amounts done since its last call.
 
     Raises:
         InputError: A process was killed.

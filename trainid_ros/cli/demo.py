@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from trainid_ros.demo.bags import DemoBag
-    from trainid_ros.demo.comparison import Outcome
+    from trainid_ros.demo.comparison import ComparisonOutcome
     from trainid_ros.demo.hidden import HiddenCase
     from trainid_ros.demo.view import View
     from trainid_ros.report.scores import AccuracyScore
@@ -65,7 +65,7 @@ def _bags(args: argparse.Namespace) -> list[DemoBag]:
     return [load_demo_bag(path) for path in args.bag or (stock_bag(name) for name in names if name in STOCK)]
 
 
-def _live(bags: Sequence[DemoBag], args: argparse.Namespace, view: View, report: Path) -> list[Outcome]:
+def _live(bags: Sequence[DemoBag], args: argparse.Namespace, view: View, report: Path) -> list[ComparisonOutcome]:
     """Play all bags through the live nodes and write the report."""
     from trainid_ros.demo.processes import isolate  # noqa: PLC0415
     from trainid_ros.report.content import Report  # noqa: PLC0415
@@ -89,7 +89,7 @@ def _hidden(args: argparse.Namespace, view: View) -> HiddenCase | None:
     return play_hidden(args.out / EXPLAIN_CHAPTER, view.say)
 
 
-def _play(bag: DemoBag, args: argparse.Namespace, logs: Path, view: View) -> Outcome:
+def _play(bag: DemoBag, args: argparse.Namespace, logs: Path, view: View) -> ComparisonOutcome:
     from trainid_ros.demo.comparison import conclude, describe_comparison  # noqa: PLC0415
     from trainid_ros.demo.live import run_live  # noqa: PLC0415
 
@@ -107,7 +107,7 @@ def _play(bag: DemoBag, args: argparse.Namespace, logs: Path, view: View) -> Out
     return outcome
 
 
-def summary(outcomes: Sequence[Outcome], hidden: HiddenCase | None = None) -> str:
+def summary(outcomes: Sequence[ComparisonOutcome], hidden: HiddenCase | None = None) -> str:
     """Return the results as lines of text."""
     lines: list[str] = []
     for outcome in outcomes:
@@ -144,7 +144,7 @@ def _score_lines(name: str, unit: str, score: AccuracyScore | None) -> list[str]
 
 
 def _to_json(
-    outcomes: Sequence[Outcome], hidden: HiddenCase | None, report: Path | None, wall_s: float
+    outcomes: Sequence[ComparisonOutcome], hidden: HiddenCase | None, report: Path | None, wall_s: float
 ) -> dict[str, Any]:
     return {
         'report': report,

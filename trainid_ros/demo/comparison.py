@@ -114,7 +114,7 @@ def _digest(data: bytes) -> bytes:
 
 
 @dataclass(frozen=True, slots=True)
-class Outcome:
+class ComparisonOutcome:
     """Result of the demo for one bag.
 
     Attributes:
@@ -152,7 +152,7 @@ class _Check:
         self.fingerprints[type(output.estimate)].append(fingerprint_of_output(output))
 
 
-def conclude(bag: DemoBag, live: LiveRun, duration_s: float, progress: Callable[[float], None]) -> Outcome:
+def conclude(bag: DemoBag, live: LiveRun, duration_s: float, progress: Callable[[float], None]) -> ComparisonOutcome:
     """Replay a bag off line and compare.
 
     Args:
@@ -172,7 +172,7 @@ def conclude(bag: DemoBag, live: LiveRun, duration_s: float, progress: Callable[
     rate = traces.duration_s / live.wall_s if live.wall_s > 0.0 else math.nan
     notes = tuple(describe_comparison(label, comparison) for label, comparison in comparisons)
     chapter = _chapter(bag, live, replayed, notes, f'live over ROS 2 at {rate:.0f} x real time, then off line')
-    return Outcome(
+    return ComparisonOutcome(
         chapter=chapter,
         comparisons=comparisons,
         resistance=None if bag.truth is None else score_resistance(traces, bag.truth),

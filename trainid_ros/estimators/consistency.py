@@ -30,7 +30,7 @@ _REFUTED: Final = 4.0
 _MAX_CORRELATION: Final = 0.9
 
 
-class Verdict(Enum):
+class ConsistencyVerdict(Enum):
     """Result of testing the innovations against their stated variances."""
 
     UNKNOWN = 'unknown'
@@ -53,7 +53,7 @@ class Consistency:
 
     """
 
-    verdict: Verdict
+    verdict: ConsistencyVerdict
     ratio: float
     low: float
     high: float
@@ -137,14 +137,14 @@ class ConsistencyMonitor:
     def current(self) -> Consistency:
         """Return the current outcome."""
         if not self._updates:
-            return Consistency(Verdict.UNKNOWN, math.nan, math.nan, math.nan, 0, 0)
+            return Consistency(ConsistencyVerdict.UNKNOWN, math.nan, math.nan, math.nan, 0, 0)
         ratio, (low, high) = self._ratio, self._band()
         if self._updates < _MIN_UPDATES:
-            verdict = Verdict.UNKNOWN
+            verdict = ConsistencyVerdict.UNKNOWN
         elif self._consecutive:
-            verdict = Verdict.OPTIMISTIC
+            verdict = ConsistencyVerdict.OPTIMISTIC
         else:
-            verdict = Verdict.PESSIMISTIC if ratio < low else Verdict.CONSISTENT
+            verdict = ConsistencyVerdict.PESSIMISTIC if ratio < low else ConsistencyVerdict.CONSISTENT
         return Consistency(verdict, ratio, low, high, self._updates, self._consecutive)
 
 

@@ -78,7 +78,7 @@ class EstimatorPipeline(Generic[EstimateT]):
         self._sample_ns = 0
         self._consistency = ConsistencyMonitor()
         self._status = Status.UNINITIALIZED
-        # Of the newest sample, None until it is asked for; and the last one that was.
+        # The estimate at the newest sample, None until somebody asks for it, and the last one published.
         self._estimate: EstimateT | None = None
         self._published = self.estimator.estimate(self._speed)
 

@@ -41,7 +41,6 @@ class Estimator(Protocol[EstimateT_co]):
         """Restore a state made by :meth:`save`; raise InputError if it does not fit."""
 
 
-
 @dataclass(frozen=True, slots=True)
 class Output(Generic[EstimateT]):
     """What a driver publishes for one sample.

@@ -77,7 +77,7 @@ class ChangePointConfig:
 
 
 @dataclass(slots=True)
-class Hypothesis:
+class RunLengthHypothesis:
     """The parameters if they stepped ``age`` observations ago, and the log Bayes factor against the long memory."""
 
     normal: Normal
@@ -185,7 +185,7 @@ class Tracker:
         if len(self._hypotheses) >= self.plan.hypotheses:
             evidence = [item.evidence for item in self._hypotheses]
             del self._hypotheses[evidence.index(min(evidence))]
-        self._hypotheses.append(Hypothesis(widened(self._long, self._steps)))
+        self._hypotheses.append(RunLengthHypothesis(widened(self._long, self._steps)))
 
     def _follow(self, phi: vec[float], y: float, R: float, slow: float, score: float) -> None:
         """Update all hypotheses and their Bayes factors; the most likely one may replace the long memory."""
@@ -194,13 +194,13 @@ class Tracker:
             normal, _, found = soft_update(item.normal, phi, y, R, slow, self.plan.outliers)
             # Observations with correlated noise carry repeated evidence.
             evidence = min(item.evidence + (found - score) / max(slow, 1.0), MAX_EVIDENCE)
-            self._hypotheses[i] = Hypothesis(normal, evidence, item.age + 1)
+            self._hypotheses[i] = RunLengthHypothesis(normal, evidence, item.age + 1)
             if item.age >= self.plan.min_age and evidence > most:
                 best, most = self._hypotheses[i], evidence
         if best is not None:
             self._take_over(best)
 
-    def _take_over(self, chosen: Hypothesis) -> None:
+    def _take_over(self, chosen: RunLengthHypothesis) -> None:
         younger = [item for item in self._hypotheses if item.age < chosen.age]
         self.begin(chosen.normal)
         self._hypotheses = [replace(item, evidence=item.evidence - chosen.evidence) for item in younger]
@@ -234,9 +234,9 @@ class Tracker:
         self.estimate = mixed(normals, odds) if len(normals) > 1 else self._long
 
 
-def _hypothesis_state(item: Hypothesis) -> RunLengthState:
+def _hypothesis_state(item: RunLengthHypothesis) -> RunLengthState:
     return RunLengthState(tuple(item.normal.mean), tuple(item.normal.covariance), item.evidence, item.age)
 
 
-def _hypothesis(state: RunLengthState) -> Hypothesis:
-    return Hypothesis(Normal(vec[float](state.theta), vec[float](state.P)), state.evidence, state.age)
+def _hypothesis(state: RunLengthState) -> RunLengthHypothesis:
+    return RunLengthHypothesis(Normal(vec[float](state.theta), vec[float](state.P)), state.evidence, state.age)

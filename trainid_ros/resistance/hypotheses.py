@@ -34,7 +34,7 @@ from trainid_ros.resistance.speed_states import (
     Interval,
     ProcessNoise,
     SpeedFilter,
-    Transition,
+    SpeedTransition,
     V,
     entry,
     speed_filter,
@@ -222,7 +222,7 @@ class Bank:
         Where a number is no longer finite the innovation is not either, and nothing is corrected.
         """
         plan = self.plan
-        over = Transition(interval, plan.noise, self._drift)
+        over = SpeedTransition(interval, plan.noise, self._drift)
         for item in self.hypotheses:
             item.filter.predict(over)
         innovation = self._innovation(interval)

@@ -142,7 +142,7 @@ class ProcessNoise:
     outliers: float
 
 
-class Transition:
+class SpeedTransition:
     """What predicting over one interval has in common for all filters.
 
     Attributes:
@@ -227,7 +227,7 @@ class SpeedFilter:
         P[_UPPER] = list(self.P)
         return P + np.triu(P, 1).T
 
-    def predict(self, over: Transition) -> None:
+    def predict(self, over: SpeedTransition) -> None:
         """Predict to the end of an interval."""
         self._move(over)
         P, f, fP, decay = self.P, self._f, self._row, over.decay
@@ -255,7 +255,7 @@ class SpeedFilter:
         P[_GUST_GUST] += self.gust_var * (1.0 - decay[GUST] * decay[GUST])
         P[_MAP_MAP] += self.map_var * (1.0 - decay[MAP] * decay[MAP])
 
-    def _move(self, over: Transition) -> None:
+    def _move(self, over: SpeedTransition) -> None:
         """Move the mean by (1), and set row v of the Jacobian."""
         x, f, h = self.x, self._f, over.h
         v, b, c, scale = x[V], x[B], x[C], 1.0 + x[KAPPA]

@@ -34,7 +34,7 @@ _MIN_SAMPLES: Final = 8
 
 
 @dataclass(slots=True)
-class Tick:
+class WindowTick:
     """One sample of a window.
 
     Attributes:
@@ -90,7 +90,7 @@ class WindowResult:
 class Cut:
     """Samples of a window, and the time from one window to the next [s]."""
 
-    ticks: list[Tick]
+    ticks: list[WindowTick]
     hop: float
 
     @property
@@ -112,14 +112,14 @@ class SlidingWindow:
 
     def clear(self) -> None:
         """Remove all samples."""
-        self.ticks: list[Tick] = []
+        self.ticks: list[WindowTick] = []
         self.fresh_s = 0.0
 
-    def restore(self, ticks: Iterable[Tick], fresh_s: float) -> None:
+    def restore(self, ticks: Iterable[WindowTick], fresh_s: float) -> None:
         """Restore samples and the time since the last window [s]."""
         self.ticks, self.fresh_s = list(ticks), fresh_s
 
-    def push(self, tick: Tick) -> Cut | None:
+    def push(self, tick: WindowTick) -> Cut | None:
         """Add one sample; return a window if the sample completes one that is due."""
         ticks = self.ticks
         ticks.append(tick)
@@ -140,7 +140,7 @@ class SlidingWindow:
         return seconds(self.ticks[-1].stamp_ns - self.ticks[first].stamp_ns)
 
 
-def observe_resistance(ticks: list[Tick], inertia: float, speed_std: float) -> WindowResult | Rejection:
+def observe_resistance(ticks: list[WindowTick], inertia: float, speed_std: float) -> WindowResult | Rejection:
     """Fit one window.
 
     Args:
@@ -169,7 +169,7 @@ def observe_resistance(ticks: list[Tick], inertia: float, speed_std: float) -> W
     return _result(ticks, times, rest, weights, speeds, inertia, speed_std)
 
 
-def _unforced(ticks: list[Tick], inertia: float) -> tuple[vec[float], vec[float]]:
+def _unforced(ticks: list[WindowTick], inertia: float) -> tuple[vec[float], vec[float]]:
     """Return the times since the first tick, and the speeds minus the change due to the known forces."""
     time = pushed = 0.0
     times, rest = vec[float](), vec[float]()
@@ -209,7 +209,7 @@ def _largest_residual(times: vec[float], y: vec[float], weights: vec[float]) -> 
 
 
 def _result(
-    ticks: list[Tick],
+    ticks: list[WindowTick],
     times: vec[float],
     rest: vec[float],
     weights: vec[float],

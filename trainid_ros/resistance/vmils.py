@@ -33,7 +33,7 @@ from trainid_ros.resistance.fitness import is_fit_where_driven
 from trainid_ros.resistance.force_errors import CURVE_RADIUS, ForceErrors, force_errors, scale_step
 from trainid_ros.resistance.normal import independent
 from trainid_ros.resistance.saved_states import VMilsState
-from trainid_ros.resistance.speed_window import Tick
+from trainid_ros.resistance.speed_window import WindowTick
 from trainid_ros.resistance.window_learner import WindowLearner, WindowPlan
 from trainid_ros.scalars import seconds
 from trainid_ros.settings import check_settings
@@ -133,7 +133,7 @@ class VMils:
         self._drift()
         before = self.learner.driven.count
         traction = self._known.traction(sample.force_mean, sample)
-        tick = Tick(
+        tick = WindowTick(
             stamp_ns=sample.stamp_ns,
             dt=sample.dt,
             speed=sample.speed,

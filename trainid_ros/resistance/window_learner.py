@@ -25,8 +25,8 @@ from trainid_ros.resistance.saved_states import LearnerState
 from trainid_ros.resistance.speed_window import (
     Cut,
     SlidingWindow,
-    Tick,
     WindowResult,
+    WindowTick,
     observe_resistance,
     overlap_factor,
 )
@@ -136,7 +136,7 @@ class WindowLearner:
         self._windows.clear()
         self._tachometer.add(speed, math.nan)
 
-    def push(self, tick: Tick) -> Rejection | None:
+    def push(self, tick: WindowTick) -> Rejection | None:
         """Add a tick; every ``hop`` seconds make an observation. Return the rejection, if any."""
         self._tachometer.add(tick.speed, tick.dt)
         cut = self._windows.push(tick)

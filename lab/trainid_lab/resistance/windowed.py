@@ -25,7 +25,7 @@ from trainid_lab.resistance.segments import Segments, Windows, cut
 from trainid_ros.estimators.admission import Admission
 from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.resistance.fitness import is_fit, representative_speeds
-from trainid_ros.resistance.speed_window import Tick, WindowResult, observe_resistance
+from trainid_ros.resistance.speed_window import WindowResult, WindowTick, observe_resistance
 from trainid_ros.results import Reason, Rejection, ResistanceEstimate
 from trainid_ros.settings import check_settings, setting
 from trainid_ros.state import check_not_negative, check_numbers, check_restored, decode, encode
@@ -75,7 +75,7 @@ class WindowedState:
     regression: RegressionState
     scale: float
     residuals: Residuals = field(default_factory=Residuals)
-    ticks: tuple[Tick, ...] = ()
+    ticks: tuple[WindowTick, ...] = ()
     braked_ns: int = 0
     innovation: float = 0.0
     innovation_variance: float = 0.0
@@ -132,12 +132,12 @@ class WindowedRegression:
             self.state = replace(self._skipped(), ticks=(), braked_ns=self._admission.braked_ns)
             return rejection
         traction = self._known.traction(sample.force_mean, sample)
-        tick = Tick(sample.stamp_ns, sample.dt, sample.speed, traction - self._known.track(sample), traction)
+        tick = WindowTick(sample.stamp_ns, sample.dt, sample.speed, traction - self._known.track(sample), traction)
         ticks, piece = cut(self.state.ticks, tick, self._cutter)
         self.state = replace(self.state, ticks=ticks, braked_ns=self._admission.braked_ns)
         return self._observe(piece) if piece else None
 
-    def _observe(self, piece: tuple[Tick, ...]) -> Rejection | None:
+    def _observe(self, piece: tuple[WindowTick, ...]) -> Rejection | None:
         # An infinite noise level disables outlier removal: the paper uses all speeds.
         observed = observe_resistance(list(piece), self._known.inertia, math.inf)
         if isinstance(observed, Rejection):
