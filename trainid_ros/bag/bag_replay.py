@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from itertools import chain, islice
-from typing import TYPE_CHECKING, Final, Generic, NamedTuple, Protocol
+from typing import TYPE_CHECKING, Generic, NamedTuple, Protocol
 
-from trainid_ros.bag.reader import LoggedRecord, require_topics
+from trainid_ros.bag.reader import PROGRESS_EVERY, LoggedRecord, require_topics
 from trainid_ros.estimators.pipeline import (
     BrakeRatePipeline,
     EstimatorPipeline,
@@ -36,8 +36,6 @@ if TYPE_CHECKING:
     from trainid_ros.train.train_file import TrainFile
 
 AnyOutput = Output[ResistanceEstimate] | Output[SpeedModelEstimate] | Output[BrakeRateEstimate]
-
-_PROGRESS_EVERY: Final = 500
 
 
 class Observer(Protocol):
@@ -147,7 +145,7 @@ def replay_through(
     end_ns = _end_ns(reader, duration_s)
     by_table = chain.from_iterable(table.rows() for table in reader.tables(end_ns))
     rows = watch.rows(reader.rows(end_ns)) if observers else by_table
-    while count := group.push_rows(islice(rows, _PROGRESS_EVERY), watch.publish if observers else None):
+    while count := group.push_rows(islice(rows, PROGRESS_EVERY), watch.publish if observers else None):
         records += count
         if progress is not None:
             progress(count)

@@ -21,7 +21,7 @@ from trainid_ros.messages import OUTPUT_TOPICS, record_from_message
 from trainid_ros.records import INPUT_TOPICS, REQUIRED_TOPICS, InputTopic, record_of
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator
+    from collections.abc import Callable, Collection, Iterable, Iterator
     from types import TracebackType
 
     from numpy.typing import NDArray
@@ -29,6 +29,7 @@ if TYPE_CHECKING:
     from trainid_ros.bag.mcap_file import MessageBlock, Segment
     from trainid_ros.bag.record_table import RecordTable
     from trainid_ros.records import Record, Row
+    from trainid_ros.stream.sample_stream import SampleStream, StreamEvent
 
 _OURS: Final = {topic.name: topic.message for topic in INPUT_TOPICS} | {
     name: topic.message for topic in OUTPUT_TOPICS for name in (topic.name, topic.last_valid) if name
@@ -37,6 +38,8 @@ _INPUT_NAMES: Final = frozenset(topic.name for topic in INPUT_TOPICS)
 _TOPIC_NUMBERS: Final = {topic.name: number for number, topic in enumerate(INPUT_TOPICS)}
 _NO_ROWS: Final = np.empty(0, dtype=np.intp)
 _MAX_LOG_NS: Final = 2**64 - 1
+PROGRESS_EVERY: Final = 500
+"""Records from one report of progress to the next."""
 _IDL_LINE: Final = '=' * 80 + '\n'
 
 
@@ -182,6 +185,26 @@ class BagReader:
         """
         for table in self.tables(last_ns):
             yield from zip(table.log_ns.tolist(), table.rows(), strict=True)
+
+    def events(
+        self, stream: SampleStream, advance: Callable[[float], None], last_ns: float = math.inf
+    ) -> Iterator[tuple[int, StreamEvent]]:
+        """Yield what a stream makes of the records, with the log time [ns] of the record that completed it.
+
+        Args:
+            stream: The stream.
+            advance: Called with the number of records read since its last call.
+            last_ns: Log time to end at [ns].
+
+        Raises:
+            InputError: A message cannot be read.
+
+        """
+        for count, (log_ns, row) in enumerate(self.rows(last_ns), 1):
+            for event in stream.push_row(*row):
+                yield log_ns, event
+            if count % PROGRESS_EVERY == 0:
+                advance(PROGRESS_EVERY)
 
     def tables(self, last_ns: float = math.inf) -> Iterator[RecordTable]:
         """Yield what :meth:`records` yields, up to a log time [ns], as tables of many records each.

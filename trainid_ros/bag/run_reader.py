@@ -25,7 +25,6 @@ if TYPE_CHECKING:
 
 POOL_FROM: Final = 100_000
 """Number of inputs from which worker processes pay for the second that they take to start."""
-_PROGRESS_EVERY: Final = 500
 
 
 @dataclass(frozen=True, slots=True)
@@ -114,16 +113,11 @@ def _read(train_file: TrainFile, namespace: str, item: tuple[int, Path], advance
     # The train file may be what is wrong, so it must not decide which speeds are used.
     stream = SampleStream(StreamConfig(train_file, rejects_stuck_speed=False))
     collector = RunCollector(train_file, bag)
-    reported = 0
     with BagReader(path, namespace) as reader:
-        for i, (_, row) in enumerate(reader.rows(), 1):
-            for event in stream.push_row(*row):
-                if isinstance(event, Sample):
-                    collector.add(event)
-                elif isinstance(event, TimeJump):
-                    collector.start_over()
-            if i - reported == _PROGRESS_EVERY:
-                reported = i
-                advance(_PROGRESS_EVERY)
+        for _, event in reader.events(stream, advance):
+            if isinstance(event, Sample):
+                collector.add(event)
+            elif isinstance(event, TimeJump):
+                collector.start_over()
     collector.end_run()
     return _Reading(tuple(collector.runs), collector.origin_ns)

@@ -27,7 +27,6 @@ if TYPE_CHECKING:
     from trainid_ros.resistance.trajectory.pieces import Trajectory
     from trainid_ros.results import Reason
 
-_PROGRESS_EVERY: Final = 500
 _UNKNOWN: Final = {
     **dict.fromkeys('abc'),
     'std': [None] * 3,
@@ -101,17 +100,14 @@ def collect(
     end_ns = math.inf if math.isinf(duration_s) else begin_ns + round(duration_s * NS_PER_S)
     stream, samples = SampleStream(StreamConfig(collector.train_file)), 0
     rejected: Counter[Reason] = Counter()
-    for i, (log_ns, row) in enumerate(reader.rows(end_ns), 1):
-        for event in stream.push_row(*row):
-            if isinstance(event, TimeJump):
-                collector.end_piece()
-            elif isinstance(event, Sample) and log_ns < begin_ns:
-                collector.monitor(event)
-            elif isinstance(event, Sample):
-                samples += 1
-                collector.add(event, rejected)
-        if i % _PROGRESS_EVERY == 0:
-            advance(_PROGRESS_EVERY)
+    for log_ns, event in reader.events(stream, advance, end_ns):
+        if isinstance(event, TimeJump):
+            collector.end_piece()
+        elif isinstance(event, Sample) and log_ns < begin_ns:
+            collector.monitor(event)
+        elif isinstance(event, Sample):
+            samples += 1
+            collector.add(event, rejected)
     return UndisturbedMotion(collector.trajectory(), samples, rejected)
 
 
