@@ -89,8 +89,9 @@ def digest(folder: Path) -> str:
 def uses_sources() -> bool:
     """Return whether the sources of the compiled modules run."""
     folder = Path(__file__).parent
-    usable = _is_complete(folder) and _can_import('librt.vecs', 'mypy_extensions')
-    if os.environ.get(SWITCH, '').lower() in _OFF or not usable:
+    if os.environ.get(SWITCH, '').lower() in _OFF:
+        return True
+    if not (_is_complete(folder) and _can_import('librt.vecs', 'mypy_extensions')):
         return True
     # Installed sources do not change.
     if not (folder.parent / 'setup.py').exists():
