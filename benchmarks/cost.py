@@ -23,6 +23,7 @@ from trainid_ros.estimators.pipeline import (
     EstimatorSettings,
     brake_rate_pipeline,
     resistance_pipeline,
+    share_streams,
     speed_model_pipeline,
 )
 from trainid_ros.results import Rejection
@@ -32,6 +33,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from benchmarks.days import TickOfRecords
+    from trainid_ros.estimators.pipeline import EstimatorPipeline
+    from trainid_ros.results import Output
     from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import TrainFile
 
@@ -115,19 +118,25 @@ def _subjects() -> tuple[Subject, ...]:
         Subject('GSMA pipeline, per tick', ticks, _push_all(brake_rate_pipeline(train, settings).push)),
     )
     aligner = Subject('Aligner push, per record', records, Aligner(AlignmentConfig()).push)
-    live = Subject('live tick, target 30: three pipelines with a stream each', ticks, _push_to_three(train, settings))
+    live = Subject('live tick, target 30: three pipelines on one stream', ticks, _push_to_three(train, settings))
     many = Gsma(train, GsmaConfig(particles=_MANY), np.random.default_rng(_SEED))
     step = Subject(f'GSMA step with {_MANY} particles, target 130 where accepted', samples, many.step)
     return (Subject(_REFERENCE, samples, PlainRls().step), *steps, step, aligner, *pipelines, live)
 
 
 def _push_to_three(train: TrainFile, settings: EstimatorSettings) -> Callable[[TickOfRecords], object]:
-    """Return a function that takes in a tick as the three live nodes do, estimates included."""
+    """Return a function that takes in a tick as the nodes of ``trainid run`` do, estimates included."""
     makers = (resistance_pipeline, speed_model_pipeline, brake_rate_pipeline)
-    pushes = [maker(train, settings).push for maker in makers]
+    pipelines: list[EstimatorPipeline[Any]] = [maker(train, settings) for maker in makers]
+    (stream,) = share_streams(pipelines)
 
     def call(tick: TickOfRecords) -> object:
-        return [push(record) for record in tick.records for push in pushes][-1]
+        outputs: list[Output[Any]] = []
+        for record in tick.records:
+            events = stream.push(record)
+            for pipeline in pipelines:
+                pipeline.take(events, outputs.append)
+        return outputs
 
     return call
 

@@ -155,22 +155,22 @@ class _Meter:
         rclpy.try_shutdown(context=self._context)
         self._thread.join()
 
-    def wait_for_nodes(self) -> None:
-        """Wait until all nodes subscribe to the inputs and publish the estimates.
+    def wait_for_nodes(self, processes: int) -> None:
+        """Wait until all processes subscribe to the inputs, once each, and publish the estimates.
 
         Raises:
             TimeoutError: The nodes did not start.
 
         """
         end = time.monotonic() + _DISCOVERY_S
-        while not self._sees_all():
+        while not self._sees_all(processes):
             if time.monotonic() > end:
                 msg = f'the nodes did not start within {_DISCOVERY_S:g} s'
                 raise TimeoutError(msg)
             time.sleep(0.1)
 
-    def _sees_all(self) -> bool:
-        subscribed = all(self._node.count_subscribers(topic.name) == len(_NODES) for topic in INPUT_TOPICS)
+    def _sees_all(self, processes: int) -> bool:
+        subscribed = all(self._node.count_subscribers(topic.name) == processes for topic in INPUT_TOPICS)
         return subscribed and all(self._node.count_publishers(topic.name) for topic in OUTPUT_TOPICS)
 
     def publish(self, records: Sequence[Record]) -> None:
@@ -206,7 +206,7 @@ def run_nodes(arrangement: str, groups: Sequence[Sequence[str]]) -> LiveResult:
         pids = [processes.start('+'.join(nodes), _command(nodes)).process.pid for nodes in groups]
         meter = _Meter()
         try:
-            meter.wait_for_nodes()
+            meter.wait_for_nodes(len(groups))
             time.sleep(1.0)
             idle = _shares(pids, lambda: time.sleep(_IDLE_S))
             busy = _shares(pids, lambda: meter.publish(_records()))

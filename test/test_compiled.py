@@ -39,8 +39,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable
 
     from trainid_ros.estimators.pipeline import EstimatorPipeline
-    from trainid_ros.estimators.protocol import Output
     from trainid_ros.records import Record
+    from trainid_ros.results import Output
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 EFFECTS: Final = (

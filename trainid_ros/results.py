@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import IntEnum
+from typing import Generic, TypeVar
 
 
 class Status(IntEnum):
@@ -51,6 +52,10 @@ class Reason(IntEnum):
     __hash__ = int.__hash__
 
 
+# The constructor that a dataclass writes for itself is interpreted, and takes 2 us where these classes are compiled.
+# They are made for every sample, so they have constructors of their own; none is changed after that.
+
+
 @dataclass(slots=True)
 class Rejection:
     """A record or sample that was not used: the reason, the offending value and the limit it violated."""
@@ -60,7 +65,6 @@ class Rejection:
     value: float
     limit: float
 
-    # The constructor that a dataclass writes for itself is not compiled, and most samples are rejected by some.
     def __init__(self, stamp_ns: int, reason: Reason, value: float, limit: float) -> None:
         self.stamp_ns = stamp_ns
         self.reason = reason
@@ -74,7 +78,7 @@ class Rejection:
         return f'{self.reason.name} (value {self.value:.6g}, limit {self.limit:.6g})'
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(slots=True)
 class ResistanceEstimate:
     """Running resistance w(v) = a + b v + c v^2 [N/kN, v in m/s].
 
@@ -115,8 +119,44 @@ class ResistanceEstimate:
     force_delay: float = math.nan
     force_delay_std: float = math.nan
 
+    def __init__(
+        self,
+        a: float,
+        b: float,
+        c: float,
+        covariance: tuple[float, ...],
+        resistance: float,
+        resistance_std: float,
+        speed: float,
+        innovation: float,
+        innovation_variance: float,
+        test_ratio: float,
+        speed_min: float,
+        speed_max: float,
+        force_scale: float = math.nan,
+        force_scale_std: float = math.nan,
+        force_delay: float = math.nan,
+        force_delay_std: float = math.nan,
+    ) -> None:
+        self.a = a
+        self.b = b
+        self.c = c
+        self.covariance = covariance
+        self.resistance = resistance
+        self.resistance_std = resistance_std
+        self.speed = speed
+        self.innovation = innovation
+        self.innovation_variance = innovation_variance
+        self.test_ratio = test_ratio
+        self.speed_min = speed_min
+        self.speed_max = speed_max
+        self.force_scale = force_scale
+        self.force_scale_std = force_scale_std
+        self.force_delay = force_delay
+        self.force_delay_std = force_delay_std
 
-@dataclass(frozen=True, slots=True)
+
+@dataclass(slots=True)
 class SpeedModelEstimate:
     """Speed model x(n) = a1 x^2 + a2 x + b1 u + d0 of Yuan et al., eq. (2), and the physical values derived from it.
 
@@ -152,8 +192,38 @@ class SpeedModelEstimate:
     mass_factor: float
     prediction_variance: float = 0.0
 
+    def __init__(
+        self,
+        a1: float,
+        a2: float,
+        b1: float,
+        d0: float,
+        covariance: tuple[float, ...],
+        forgetting_factor: float,
+        predicted_speed: float,
+        prediction_error: float,
+        a: float,
+        b: float,
+        c: float,
+        mass_factor: float,
+        prediction_variance: float = 0.0,
+    ) -> None:
+        self.a1 = a1
+        self.a2 = a2
+        self.b1 = b1
+        self.d0 = d0
+        self.covariance = covariance
+        self.forgetting_factor = forgetting_factor
+        self.predicted_speed = predicted_speed
+        self.prediction_error = prediction_error
+        self.a = a
+        self.b = b
+        self.c = c
+        self.mass_factor = mass_factor
+        self.prediction_variance = prediction_variance
 
-@dataclass(frozen=True, slots=True)
+
+@dataclass(slots=True)
 class BrakeRateEstimate:
     """Brake rate (actual over expected braking, 1 = nominal) and the filtered train state.
 
@@ -184,5 +254,70 @@ class BrakeRateEstimate:
     innovation_variance: float
     test_ratio: float
 
+    def __init__(
+        self,
+        brake_rate: float,
+        brake_rate_std: float,
+        position: float,
+        speed: float,
+        control_acceleration: float,
+        filtered_target: float,
+        effective_particles: float,
+        observable: bool,
+        innovation: float,
+        innovation_variance: float,
+        test_ratio: float,
+    ) -> None:
+        self.brake_rate = brake_rate
+        self.brake_rate_std = brake_rate_std
+        self.position = position
+        self.speed = speed
+        self.control_acceleration = control_acceleration
+        self.filtered_target = filtered_target
+        self.effective_particles = effective_particles
+        self.observable = observable
+        self.innovation = innovation
+        self.innovation_variance = innovation_variance
+        self.test_ratio = test_ratio
+
 
 Estimate = ResistanceEstimate | SpeedModelEstimate | BrakeRateEstimate
+
+EstimateT = TypeVar('EstimateT', bound=Estimate)
+
+
+class Output(Generic[EstimateT]):
+    """What a driver publishes for one sample.
+
+    Attributes:
+        stamp_ns: Stamp of the newest sample used [ns].
+        estimate: The estimate after that sample.
+        status: Its status.
+        used: Samples taken in by the estimator since the last reset.
+        rejected: Records and samples not used since the last reset.
+        last_rejection: The newest rejection, None if there was none.
+
+    """
+
+    def __init__(
+        self,
+        stamp_ns: int,
+        estimate: EstimateT,
+        status: Status,
+        used: int,
+        rejected: int,
+        last_rejection: Rejection | None,
+    ) -> None:
+        self.stamp_ns = stamp_ns
+        self.estimate = estimate
+        self.status = status
+        self.used = used
+        self.rejected = rejected
+        self.last_rejection = last_rejection
+
+    def __repr__(self) -> str:
+        """Return all fields."""
+        return (
+            f'Output(stamp_ns={self.stamp_ns}, estimate={self.estimate!r}, status={self.status!r}, used={self.used}, '
+            f'rejected={self.rejected}, last_rejection={self.last_rejection!r})'
+        )

@@ -17,7 +17,6 @@ from trainid_ros.bag.types import (
     typestore,
 )
 from trainid_ros.errors import InputError
-from trainid_ros.estimators.protocol import Output
 from trainid_ros.messages import record_from_message
 from trainid_ros.records import (
     INPUT_TOPICS,
@@ -32,6 +31,7 @@ from trainid_ros.records import (
 from trainid_ros.results import (
     BrakeRateEstimate,
     Estimate,
+    Output,
     Reason,
     Rejection,
     ResistanceEstimate,

@@ -12,9 +12,8 @@ from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.types import digest, message_from_record
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.errors import InputError
-from trainid_ros.estimators.protocol import Output
 from trainid_ros.records import NS_PER_S, MassRecord, Record, SpeedRecord
-from trainid_ros.results import BrakeRateEstimate, Status
+from trainid_ros.results import BrakeRateEstimate, Output, Status
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
@@ -18,8 +17,7 @@ from trainid_ros.demo.comparison import (
     fingerprint_of_message,
     fingerprint_of_output,
 )
-from trainid_ros.estimators.protocol import Output
-from trainid_ros.results import BrakeRateEstimate, Reason, Rejection, ResistanceEstimate, Status
+from trainid_ros.results import BrakeRateEstimate, Output, Reason, Rejection, ResistanceEstimate, Status
 
 ESTIMATE = ResistanceEstimate(
     a=1.6, b=0.02, c=0.001, covariance=(0.04, 0.0, 0.0, 0.0, 1e-4, 0.0, 0.0, 0.0, 1e-8), resistance=1.9,
@@ -35,7 +33,7 @@ def prints(*stamps: int, estimate: bytes = b'e', status: Status = Status.VALID) 
     return [Fingerprint(stamp, estimate, b'h', int(status)) for stamp in stamps]
 
 
-@pytest.mark.parametrize('output', [OUTPUT, replace(OUTPUT, last_rejection=None)])
+@pytest.mark.parametrize('output', [OUTPUT, Output(OUTPUT.stamp_ns, ESTIMATE, Status.VALID, 10, 3, None)])
 def test_message_of_an_output_has_its_fingerprint(output: Any) -> None:
     message = estimate_message(output)
     assert fingerprint_of_message(message, output.stamp_ns, NAMES) == fingerprint_of_output(output)

@@ -20,10 +20,9 @@ from trainid_ros.estimators.pipeline import (
     resistance_pipeline,
     speed_model_pipeline,
 )
-from trainid_ros.estimators.protocol import Output
 from trainid_ros.records import Record
 from trainid_ros.resistance.trajectory.pieces import PieceCollector
-from trainid_ros.results import Reason, Status
+from trainid_ros.results import Output, Reason, Status
 from trainid_ros.sim.scenario import Scenario, Simulation, simulate
 from trainid_ros.stream.drive_history import DriveHistoryTracker
 from trainid_ros.stream.samples import Sample

@@ -17,7 +17,6 @@ from trainid_ros.estimators.pipeline import (
     resistance_pipeline,
     speed_model_pipeline,
 )
-from trainid_ros.estimators.protocol import Output
 from trainid_ros.records import (
     FORCE,
     NS_PER_S,
@@ -28,7 +27,7 @@ from trainid_ros.records import (
     Record,
     SpeedRecord,
 )
-from trainid_ros.results import Status
+from trainid_ros.results import Output, Status
 from trainid_ros.train.train_file import TrainFile
 
 Records = tuple[Record, ...]

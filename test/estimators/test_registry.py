@@ -19,11 +19,10 @@ from trainid_ros.estimators.pipeline import (
     resistance_pipeline,
     speed_model_pipeline,
 )
-from trainid_ros.estimators.protocol import Output
 from trainid_ros.estimators.registry import Algorithms
 from trainid_ros.records import NS_PER_S, Record
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
-from trainid_ros.results import Rejection
+from trainid_ros.results import Output, Rejection
 from trainid_ros.speed_model.speed_model_algorithms import SPEED_MODEL
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig
 from trainid_ros.stream.samples import Sample

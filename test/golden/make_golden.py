@@ -22,8 +22,8 @@ from trainid_ros.estimators.pipeline import (
     resistance_pipeline,
     speed_model_pipeline,
 )
-from trainid_ros.estimators.protocol import Output
 from trainid_ros.records import NS_PER_S
+from trainid_ros.results import Output
 from trainid_ros.sim.scenario import simulate
 from trainid_ros.train.train_file import load_train_file
 

@@ -56,9 +56,9 @@ def topic_of(record: Record) -> InputTopic:
 
 
 def feed(node: Any, records: Sequence[Record]) -> None:
-    """Hand records to a node as its subscriptions would."""
+    """Hand records to a node, and to those that share its inputs, as the subscriptions would."""
     for record in records:
-        node.receive(topic_of(record), message_from_record(record))
+        node._input_group.receive(topic_of(record), message_from_record(record))
 
 
 class Published:

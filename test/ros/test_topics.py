@@ -11,7 +11,6 @@ import pytest
 from trainid_msgs import msg as messages
 
 from trainid_ros.bag.types import estimate_message as bag_message
-from trainid_ros.estimators.protocol import Output
 from trainid_ros.messages import record_from_message
 from trainid_ros.records import (
     INPUT_TOPICS,
@@ -22,7 +21,7 @@ from trainid_ros.records import (
     Record,
     SpeedRecord,
 )
-from trainid_ros.results import BrakeRateEstimate, Reason, Rejection, ResistanceEstimate, Status
+from trainid_ros.results import BrakeRateEstimate, Output, Reason, Rejection, ResistanceEstimate, Status
 from trainid_ros.ros.topics import fill_estimate, message_from_record, time_message
 
 STAMP = 1_700_000_000_123_456_789

@@ -22,9 +22,8 @@ from trainid_ros.estimators.pipeline import (
     resistance_pipeline,
     speed_model_pipeline,
 )
-from trainid_ros.estimators.protocol import EstimateT, Output
 from trainid_ros.records import INPUT_TOPICS, NS_PER_S, record_of
-from trainid_ros.results import BrakeRateEstimate, Reason, ResistanceEstimate, SpeedModelEstimate
+from trainid_ros.results import BrakeRateEstimate, EstimateT, Output, Reason, ResistanceEstimate, SpeedModelEstimate
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence

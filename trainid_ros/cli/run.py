@@ -34,11 +34,13 @@ def run_live(names: tuple[str, ...], train: Path | None, ros_args: list[str]) ->
 
     from trainid_ros.ros.estimator_node import EstimatorNode  # noqa: PLC0415
     from trainid_ros.ros.estimator_nodes import SPECS  # noqa: PLC0415
+    from trainid_ros.ros.inputs import SharedInputs  # noqa: PLC0415
     from trainid_ros.ros.runner import close_nodes, spin_nodes, start_ros, stop_ros  # noqa: PLC0415
 
     arguments = start_ros(ros_args)
     overrides = [Parameter('train_file', value=str(train.absolute()))] if train is not None else []
-    nodes = [EstimatorNode(SPECS[name], arguments, parameter_overrides=overrides) for name in names]
+    inputs = SharedInputs()
+    nodes = [EstimatorNode(SPECS[name], arguments, inputs, parameter_overrides=overrides) for name in names]
     for node in nodes:
         if not node.bring_up():
             message = f'{node.get_name()}: {node.failure}'

@@ -18,11 +18,10 @@ from trainid_ros.demo.comparison import Fingerprint, fingerprint_of_message
 from trainid_ros.demo.processes import Child, ProcessGroup
 from trainid_ros.demo.view import Snapshot, View
 from trainid_ros.errors import InputError, NoAnswerError
-from trainid_ros.estimators.protocol import Output
 from trainid_ros.messages import OUTPUT_TOPICS, OutputTopic
 from trainid_ros.records import INPUT_TOPICS, NS_PER_S
 from trainid_ros.report.traces import TraceRecorder
-from trainid_ros.results import Estimate, Reason, Status
+from trainid_ros.results import Estimate, Output, Reason, Status
 from trainid_ros.ros.jobs import JOBS
 from trainid_ros.ros.topics import message_class
 

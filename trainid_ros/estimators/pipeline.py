@@ -16,12 +16,14 @@ import numpy as np
 
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.estimators.consistency import Consistency, ConsistencyMonitor
-from trainid_ros.estimators.protocol import EstimateT, Estimator, Output
+from trainid_ros.estimators.protocol import Estimator
 from trainid_ros.estimators.registry import Algorithms, Choice
 from trainid_ros.records import NS_PER_S, Record, Row
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
 from trainid_ros.results import (
     BrakeRateEstimate,
+    EstimateT,
+    Output,
     Reason,
     Rejection,
     ResistanceEstimate,
@@ -58,7 +60,11 @@ class PipelineState:
 
 
 class EstimatorPipeline(Generic[EstimateT]):
-    """One estimator at the end of a stream of samples: its status, its counters, whether its uncertainty is true."""
+    """One estimator at the end of a stream of samples: its status, its counters, whether its uncertainty is true.
+
+    Pipelines may share a stream, see :func:`share_streams`. A pipeline whose records are to be forgotten continues
+    with a stream of its own, which leaves those of the others alone.
+    """
 
     def __init__(self, estimator: Estimator[EstimateT], stream: SampleStream, config: PipelineConfig) -> None:
         check_settings(config)
@@ -89,8 +95,12 @@ class EstimatorPipeline(Generic[EstimateT]):
 
     def reset(self) -> None:
         """Go back to the prior and forget all records and counters."""
-        self.stream.reset()
+        self.stream = self.stream.successor()
         self._start_over()
+
+    def forget_records(self) -> None:
+        """Forget the records that are not yet part of a sample, before an interruption; the drive continues."""
+        self.stream = self.stream.successor(self.stream.history)
 
     @property
     def status(self) -> Status:
@@ -163,7 +173,7 @@ class EstimatorPipeline(Generic[EstimateT]):
         check_restored(state.motion.is_valid, 'PipelineState', 'motion')
         self.estimator.restore(state.estimator)
         self._estimate = None
-        self.stream.restore(state.motion)
+        self.stream = self.stream.successor(state.motion)
         self._consistency.clear()
         if self._status is Status.FAULT:
             self._status = Status.UNINITIALIZED
@@ -256,10 +266,10 @@ def _pipeline(
 
 
 def share_streams(pipelines: Iterable[EstimatorPipeline[Any]]) -> tuple[SampleStream, ...]:
-    """Let new pipelines whose streams would give the same samples share one; return the streams."""
+    """Let pipelines whose streams are new and would give the same samples share one; return the streams."""
     streams: list[SampleStream] = []
     for pipeline in pipelines:
-        equal = [stream for stream in streams if stream.config == pipeline.stream.config]
+        equal = [stream for stream in streams if stream.equals(pipeline.stream)]
         if equal:
             pipeline.stream = equal[0]
         else:

@@ -1,16 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Interface of every estimator for its drivers, and what they publish."""
+"""Interface of every estimator for its drivers."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Generic, Protocol, TypeVar
+from typing import TYPE_CHECKING, Protocol, TypeVar
 
 if TYPE_CHECKING:
-    from trainid_ros.results import Estimate, Rejection, Status
+    from trainid_ros.results import Rejection
     from trainid_ros.stream.samples import Sample
 
-EstimateT = TypeVar('EstimateT', bound='Estimate')
 EstimateT_co = TypeVar('EstimateT_co', covariant=True)
 
 
@@ -39,25 +37,3 @@ class Estimator(Protocol[EstimateT_co]):
 
     def restore(self, text: str) -> None:
         """Restore a state made by :meth:`save`; raise InputError if it does not fit."""
-
-
-@dataclass(frozen=True, slots=True)
-class Output(Generic[EstimateT]):
-    """What a driver publishes for one sample.
-
-    Attributes:
-        stamp_ns: Stamp of the newest sample used.
-        estimate: The estimate after that sample.
-        status: Its health.
-        used: Samples taken in by the estimator since the last reset.
-        rejected: Records and samples not used since the last reset.
-        last_rejection: The newest rejection, None if there was none.
-
-    """
-
-    stamp_ns: int
-    estimate: EstimateT
-    status: Status
-    used: int
-    rejected: int
-    last_rejection: Rejection | None

@@ -8,9 +8,8 @@ from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from trainid_ros.bag.bag_replay import Replay
-    from trainid_ros.estimators.protocol import Output
     from trainid_ros.report.traces import Traces
-    from trainid_ros.results import BrakeRateEstimate, Reason, ResistanceEstimate, SpeedModelEstimate
+    from trainid_ros.results import BrakeRateEstimate, Output, Reason, ResistanceEstimate, SpeedModelEstimate
     from trainid_ros.sim.truth import Truth
     from trainid_ros.train.train_file import TrainFile
 

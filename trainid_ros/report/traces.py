@@ -14,9 +14,8 @@ from typing import Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from trainid_ros.estimators.protocol import Output
 from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
-from trainid_ros.results import BrakeRateEstimate, ResistanceEstimate, SpeedModelEstimate, Status
+from trainid_ros.results import BrakeRateEstimate, Output, ResistanceEstimate, SpeedModelEstimate, Status
 
 AnyOutput: TypeAlias = Output[ResistanceEstimate] | Output[SpeedModelEstimate] | Output[BrakeRateEstimate]
 Array: TypeAlias = NDArray[np.float64]

@@ -99,6 +99,8 @@ class FilterBank:
         self._running = self._stopped = self._converged = False
         self._rejected_s, self._admission.braked_ns, self._advanced_ns = 0.0, 0, 0
         self._innovation = self._innovation_variance = self._test_ratio = 0.0
+        # What is published; None where the hypotheses or the inflation have changed since it was computed.
+        self._published: Mixture | None = None
 
     def reset(self) -> None:
         """Return to the prior."""
@@ -148,7 +150,7 @@ class FilterBank:
 
     def _advance(self) -> Rejection | None:
         """Move the filters over the newest interval with enough later force reports."""
-        stride = self._stride
+        self._published, stride = None, self._stride
         tick, next_, last = self._ticks[-1 - 2 * stride], self._ticks[-1 - stride], self._ticks[-1]
         if not self._running:
             self._depart(tick)
@@ -229,7 +231,9 @@ class FilterBank:
 
     def estimate(self, speed: float) -> ResistanceEstimate:
         """Return the parameters for v in m/s and the resistance [N/kN] at a speed [m/s]."""
-        now = self._inflated(self.bank.mixture(self.bank.plan.young_weight))
+        if self._published is None:
+            self._published = self._inflated(self.bank.mixture(self.bank.plan.young_weight))
+        now = self._published
         scale_std = math.sqrt(max(now.covariance[_SCALE_VARIANCE], 0.0))
         delay_std = math.sqrt(max(now.covariance[_DELAY_VARIANCE], 0.0))
         return resistance_estimate(
@@ -275,6 +279,7 @@ class FilterBank:
         self._admission.braked_ns, self._advanced_ns = state.braked_ns, state.advanced_ns
         self._innovation, self._innovation_variance = state.innovation, state.innovation_variance
         self._test_ratio, self._converged = state.test_ratio, state.converged
+        self._published = None
 
 
 def bank_plan(train_file: TrainFile, config: FilterBankConfig, inertia: float) -> BankPlan:

@@ -264,29 +264,34 @@ class Bank:
             young_weight: Factor on the weights of young hypotheses in the covariance.
 
         """
-        mean, weights, first = vec[float](), self._weights(1.0), self.hypotheses[0].filter.x
+        plain = self._mature_weights()
+        mean, weights, first = vec[float](), self._damped(plain, 1.0), self.hypotheses[0].filter.x
         for i in self._states:
             # Relative to one of them, so that identical hypotheses give exactly their common value.
             apart = 0.0
             for n in range(len(weights)):
                 apart += weights[n] * (self.hypotheses[n].filter.x[i] - first[i])
             mean = append(mean, first[i] + apart)
-        return Mixture(mean, self._covariance(mean, self._weights(young_weight)))
+        return Mixture(mean, self._covariance(mean, self._damped(plain, young_weight)))
 
-    def _weights(self, young_weight: float) -> vec[float]:
-        """Return the weights in the mixture, with a sum of one."""
-        min_age, total = self.plan.min_age, 0.0
-        for item in self.hypotheses:
-            if item.age >= min_age:
-                total += math.exp(item.log_weight)
-        if total < _NO_WEIGHT:
-            min_age = 0.0
+    def _mature_weights(self) -> vec[float]:
+        """Return the weights of all hypotheses of the minimum age, 0 of others; of all if those have no weight."""
         weights, total = vec[float](), 0.0
         for item in self.hypotheses:
-            weight = math.exp(item.log_weight) if item.age >= min_age else 0.0
-            weight *= young_weight if item.age < self.plan.young_age else 1.0
-            weights = append(weights, weight)
-            total += weight
+            weights = append(weights, math.exp(item.log_weight) if item.age >= self.plan.min_age else 0.0)
+            total += weights[len(weights) - 1]
+        if total < _NO_WEIGHT:
+            for n in range(len(weights)):
+                weights[n] = math.exp(self.hypotheses[n].log_weight)
+        return weights
+
+    def _damped(self, plain: vec[float], young_weight: float) -> vec[float]:
+        """Return weights with a factor on those of young hypotheses, and a sum of one."""
+        weights, total = vec[float](), 0.0
+        for n in range(len(plain)):
+            factor = young_weight if self.hypotheses[n].age < self.plan.young_age else 1.0
+            weights = append(weights, plain[n] * factor)
+            total += weights[n]
         for n in range(len(weights)):
             weights[n] /= total
         return weights

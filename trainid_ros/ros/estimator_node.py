@@ -20,7 +20,6 @@ from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 
 from trainid_ros.errors import InputError, TrainIdError
 from trainid_ros.estimators.pipeline import EstimatorPipeline, EstimatorSettings
-from trainid_ros.messages import record_from_message
 from trainid_ros.records import (
     BRAKE_TOPIC,
     FORCE_TOPIC,
@@ -43,6 +42,7 @@ from trainid_ros.ros.diagnostics import (
     idle_status,
     input_status,
 )
+from trainid_ros.ros.inputs import InputGroup, SharedInputs
 from trainid_ros.ros.node import ManagedNode, NodeParameters, guarded
 from trainid_ros.ros.parameter_specs import (
     ALGORITHM,
@@ -56,7 +56,6 @@ from trainid_ros.ros.parameter_specs import (
 )
 from trainid_ros.ros.services import NUMERICAL_ERRORS, EstimatorServices
 from trainid_ros.ros.topics import (
-    Intake,
     diagnostics_qos,
     estimate_qos,
     fill_estimate,
@@ -73,6 +72,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
     from trainid_ros.ros.jobs import Job
+    from trainid_ros.stream.sample_stream import SampleStream, StreamEvent
     from trainid_ros.train.train_file import TrainFile
 
 _FIRST_WATCH_S: Final = 0.1
@@ -104,17 +104,21 @@ class EstimatorSpec:
 class EstimatorNode(ManagedNode):
     """Lifecycle node that runs one estimator pipeline."""
 
-    def __init__(self, spec: EstimatorSpec, arguments: Sequence[str] = (), **options: Any) -> None:
+    def __init__(
+        self, spec: EstimatorSpec, arguments: Sequence[str] = (), inputs: SharedInputs | None = None, **options: Any
+    ) -> None:
         """Declare all parameters and create the services; everything else is set up on configure.
 
         Args:
             spec: The estimator to run.
             arguments: ROS arguments of the process, searched for parameter files.
+            inputs: Inputs that the node shares with others of the process, None if it runs alone.
             options: Options of the rclpy node.
 
         """
         super().__init__(spec.job.node_name, **options)
         self.spec = spec
+        self._inputs = inputs or SharedInputs()
         self.job = spec.job
         self._message = message_class(spec.job.topic)
         expected = qos_overrides(self.job, self.resolve_topic_name)
@@ -126,7 +130,7 @@ class EstimatorNode(ManagedNode):
         self._diagnosed_ns = 0
         self._settings = EstimatorSettings()
         self._prior: Any = None
-        self._intake: Intake | None = None
+        self._input_group: InputGroup | None = None
         self._monitors: dict[InputTopic, InputMonitor] = {}
         self._estimates: Any = None
         self._last_valid: Any = None
@@ -216,7 +220,7 @@ class EstimatorNode(ManagedNode):
         for topic in INPUT_TOPICS:
             longest_s, optional = longest.get(topic, 0.0), topic not in longest
             self._monitors[topic] = InputMonitor(topic, longest_s, alignment.max_interval, optional=optional)
-        self._intake = Intake(self, self.receive)
+        self._input_group = self._inputs.join(self)
         back = Duration(nanoseconds=-round(alignment.max_jump_back * NS_PER_S))
         threshold = JumpThreshold(min_forward=None, min_backward=back, on_clock_change=False)
         # The clock drops callbacks whose handle is not kept.
@@ -233,21 +237,22 @@ class EstimatorNode(ManagedNode):
 
     def _pause(self) -> None:
         self._listening = False
+        if self.pipeline is not None:
+            self.pipeline.forget_records()
         if self._watchdog_timer is not None:
             self.destroy_timer(self._watchdog_timer)
             self._watchdog_timer = None
 
     def _release(self) -> None:
         self._pause()
-        if self._intake is not None:
-            self._intake.close()
+        self._inputs.leave(self)
         for publisher in (self._estimates, self._last_valid):
             if publisher is not None:
                 self.destroy_lifecycle_publisher(publisher)
         if self._jump_handle is not None:
             self._jump_handle.unregister()
         self._monitors = {}
-        self._intake = self._estimates = self._last_valid = self._jump_handle = self._prior = None
+        self._input_group = self._estimates = self._last_valid = self._jump_handle = self._prior = None
         self._forget()
 
     def _forget(self) -> None:
@@ -265,33 +270,54 @@ class EstimatorNode(ManagedNode):
     def _steady_ns(self) -> int:
         return int(self._steady.now().nanoseconds)
 
-    def receive(self, topic: InputTopic, message: Any) -> None:
-        """Process one input message; publish the estimates of the samples it completes."""
-        record = record_from_message(topic, message)
-        now_ns = self._now_ns()
-        self._monitors[topic].arrived(record.stamp_ns, now_ns)
+    def running_pipeline(self) -> EstimatorPipeline[Any] | None:
+        """Return the pipeline if it takes in records now, after following a jump of the clock."""
         pipeline = self.pipeline
         if not self._listening or pipeline is None:
-            return
+            return None
         self._follow_jump(pipeline)
+        return pipeline
+
+    def step(
+        self, pipeline: EstimatorPipeline[Any], record: Record, events: dict[SampleStream, list[StreamEvent]]
+    ) -> list[Any]:
+        """Pass a record to the pipeline; return the outputs of the samples it completes.
+
+        An error of the estimator becomes a FAULT and does not end the process.
+
+        Args:
+            pipeline: The pipeline of this node.
+            record: The record.
+            events: What the streams made of the record; that of the pipeline is added if it is missing.
+
+        """
         resets, start = pipeline.resets, time.perf_counter()
-        outputs = self._push(pipeline, record)
+        outputs: list[Any] = []
+        try:
+            if pipeline.stream not in events:
+                events[pipeline.stream] = pipeline.stream.push(record)
+            pipeline.take(events[pipeline.stream], outputs.append)
+        except TrainIdError as error:
+            outputs = [self.fail(pipeline, str(error))]
+        except NUMERICAL_ERRORS:
+            outputs = [self.fail(pipeline, traceback.format_exc())]
         if outputs:
             self._step_times.add(time.perf_counter() - start)
-        for output in outputs:
-            self._publish(output)
         if pipeline.resets != resets:
             self.get_logger().warning('stamps jumped back: estimator reset (time_jump_policy)')
-        self.watchdog.saw(pipeline.newest_ns, now_ns, self._steady_ns())
+        return outputs
 
-    def _push(self, pipeline: EstimatorPipeline[Any], record: Record) -> list[Any]:
-        """Pass a record to the pipeline; an estimator error becomes a FAULT and does not end the process."""
-        try:
-            return pipeline.push(record)
-        except TrainIdError as error:
-            return [self.fail(pipeline, str(error))]
-        except NUMERICAL_ERRORS:
-            return [self.fail(pipeline, traceback.format_exc())]
+    def publish(self, outputs: Iterable[Any]) -> None:
+        """Publish outputs of the pipeline."""
+        for output in outputs:
+            self._publish(output)
+
+    def count(self, topic: InputTopic, stamp_ns: int) -> None:
+        """Note that a message with this stamp [ns] has arrived."""
+        now_ns = self._now_ns()
+        self._monitors[topic].arrived(stamp_ns, now_ns)
+        if self._listening and self.pipeline is not None:
+            self.watchdog.saw(self.pipeline.newest_ns, now_ns, self._steady_ns())
 
     def fail(self, pipeline: EstimatorPipeline[Any], reason: str) -> Any:
         """Put the pipeline into FAULT and return its output; log the reason once."""
@@ -306,10 +332,10 @@ class EstimatorNode(ManagedNode):
             self._last_valid.publish(message)
 
     def _watch(self) -> None:
-        pipeline, intake = self.pipeline, self._intake
-        if pipeline is None or intake is None:
+        pipeline, inputs = self.pipeline, self._input_group
+        if pipeline is None or inputs is None:
             return
-        intake.drain()
+        inputs.drain()
         self._follow_jump(pipeline)
         # Even the fastest topic is not overdue before its own timeout.
         self.watchdog.limit_ns = min(pipeline.timeout_ns(topic) for topic in range(len(REQUIRED_TOPICS)))

@@ -28,6 +28,10 @@ class DriveHistoryState:
     motion: Motion = field(default_factory=lambda: Motion(time_s=0.0, distance_run=0.0))
     commands: CommandHistory = field(default_factory=CommandHistory)
 
+    def copy(self) -> DriveHistoryState:
+        """Return a copy whose commands can change on their own."""
+        return DriveHistoryState(self.stamp_ns, self.speed, self.motion, CommandHistory(self.commands.changes))
+
     @property
     def is_valid(self) -> bool:
         """True if all numbers are possible in a drive (finite, of the right sign) and the commands are in order."""

@@ -57,12 +57,19 @@ class StreamConfig:
 
 
 class SampleStream:
-    """Turn the records of one train into samples."""
+    """Turn the records of one train into samples.
+
+    Attributes:
+        config: What shapes it.
+        is_new: True until the first record.
+
+    """
 
     def __init__(self, config: StreamConfig) -> None:
         """Prepare; InputError, naming the field, if a setting is out of range."""
         check_settings(config.alignment)
         self.config = config
+        self.is_new = True
         self._known = KnownForce(config.train_file)
         self._correction = SensorCorrection(config.train_file.effects)
         self._aligner = Aligner(
@@ -87,21 +94,21 @@ class SampleStream:
         # How far the last required topic is behind the newest stamp, beyond the correction of the force's stamps [ns].
         self._behind_ns = 0
 
-    def reset(self) -> None:
-        """Forget all records and the history of the drive."""
-        self._aligner.reset()
-        self._clear()
+    def equals(self, other: SampleStream) -> bool:
+        """Return whether both have taken in nothing yet and would make the same samples of the same records."""
+        return self.is_new and other.is_new and self.config == other.config and self.history == other.history
+
+    def successor(self, history: DriveHistoryState | None = None) -> SampleStream:
+        """Return a new stream with the same configuration, which continues a saved, valid history of the drive."""
+        stream = SampleStream(self.config)
+        if history is not None:
+            stream._history.state = history.copy()
+        return stream
 
     @property
     def history(self) -> DriveHistoryState:
         """The history of the drive, to be saved."""
         return self._history.state
-
-    def restore(self, history: DriveHistoryState) -> None:
-        """Continue a saved, valid history, possibly on another drive: records so far are forgotten."""
-        self._history.state = history
-        self._aligner.reset()
-        self._start_over()
 
     @property
     def newest_ns(self) -> int:
@@ -126,6 +133,7 @@ class SampleStream:
 
     def push_row(self, topic: int, stamp_ns: int, x: float, y: float, flag: bool) -> list[StreamEvent]:
         """Take in one record as a row of numbers, see :data:`~trainid_ros.records.Row`."""
+        self.is_new = False
         if self._correction.is_needed:
             stamp_ns, x, y = self._correction.correct(topic, stamp_ns, x, y)
         events = self._aligner.push_row(topic, stamp_ns, x, y, flag)

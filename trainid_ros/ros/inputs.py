@@ -1,0 +1,191 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Inputs of the estimator nodes: subscriptions in order of arrival, shared by the nodes of a process.
+
+Nodes whose topics have the same names and quality of service share one set of subscriptions, and their pipelines one
+stream where it would give the same samples. One message then takes this way: all streams take it in, all estimators
+step, all estimates are published, and only then is anything counted.
+"""
+
+from __future__ import annotations
+
+import time
+from bisect import bisect_left
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+from trainid_ros.estimators.pipeline import share_streams
+from trainid_ros.messages import record_from_message
+from trainid_ros.records import INPUT_TOPICS, InputTopic
+from trainid_ros.ros.topics import input_qos, message_class, overridable, subscription_events
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from rclpy.node import Node
+
+    from trainid_ros.ros.estimator_node import EstimatorNode
+    from trainid_ros.stream.sample_stream import SampleStream, StreamEvent
+
+_MAX_IDLE_ROUNDS: Final = 3
+
+
+class _Arrival(NamedTuple):
+    """A message taken from a queue, with the time at which the middleware received it [ns]."""
+
+    received_ns: int
+    topic: InputTopic
+    message: Any
+
+
+class InputSubscriptions:
+    """All input subscriptions of a node.
+
+    An executor takes one message of each subscription in turn. After a stall, the queue of a slow topic is therefore
+    emptied before that of a fast one: its stamps run ahead by as many periods, which an estimator takes for a time
+    jump. So whenever a message arrives, all queued messages are taken and sorted by arrival.
+
+    Args:
+        node: The node.
+        deliver: Called with topic and message, in order of arrival.
+
+    """
+
+    def __init__(self, node: Node, deliver: Callable[[InputTopic, Any], None]) -> None:
+        self._node = node
+        self._deliver = deliver
+        self._subscriptions = {topic: self._subscribe(topic) for topic in INPUT_TOPICS}
+
+    def _subscribe(self, topic: InputTopic) -> Any:
+        def receive(message: Any, info: Any) -> None:
+            self.drain(_Arrival(_received_ns(info), topic, message))
+
+        return self._node.create_subscription(
+            message_class(topic),
+            topic.name,
+            receive,
+            input_qos(),
+            event_callbacks=subscription_events(self._node.get_logger(), topic.name),
+            qos_overriding_options=overridable(),
+        )
+
+    def drain(self, *first: _Arrival) -> None:
+        """Deliver the given messages and all queued ones.
+
+        The queues are emptied in turn, so a message that arrives meanwhile on a later queue could overtake one on
+        an earlier queue. Each round therefore delivers only messages that arrived before the round began; the
+        others wait for the next round. Repeated rounds without such messages mean that the wall clock was set
+        back: then all are delivered as they are.
+        """
+        arrivals = list(first)
+        idle_rounds = 0
+        while True:
+            begin_ns = time.time_ns()
+            arrivals += self._take()
+            arrivals.sort(key=lambda arrival: arrival.received_ns)
+            due = bisect_left(arrivals, begin_ns, key=lambda arrival: arrival.received_ns)
+            idle_rounds = 0 if due else idle_rounds + 1
+            if idle_rounds > _MAX_IDLE_ROUNDS:
+                due = len(arrivals)
+            for arrival in arrivals[:due]:
+                self._deliver(arrival.topic, arrival.message)
+            arrivals = arrivals[due:]
+            if not arrivals:
+                return
+
+    def _take(self) -> list[_Arrival]:
+        taken_now = []
+        for topic, subscription in self._subscriptions.items():
+            with subscription.handle:
+                for _ in range(subscription.qos_profile.depth):
+                    taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
+                    if taken is None:
+                        break
+                    taken_now.append(_Arrival(_received_ns(taken[1]), topic, taken[0]))
+        return taken_now
+
+    def close(self) -> None:
+        """Destroy the subscriptions."""
+        for subscription in self._subscriptions.values():
+            self._node.destroy_subscription(subscription)
+        self._subscriptions = {}
+
+
+def _received_ns(info: Any) -> int:
+    """Return the arrival time [ns], or the send time if the middleware does not report arrivals."""
+    return int(info['received_timestamp'] or info['source_timestamp'])
+
+
+class InputGroup:
+    """Nodes that take in the same topics through one set of subscriptions.
+
+    Args:
+        node: The first node. It keeps the subscriptions until the last node has left.
+
+    """
+
+    def __init__(self, node: EstimatorNode) -> None:
+        self._members: list[EstimatorNode] = []
+        self._subscriptions = InputSubscriptions(node, self.receive)
+
+    def __contains__(self, node: EstimatorNode) -> bool:
+        return node in self._members
+
+    def add(self, node: EstimatorNode) -> None:
+        """Let a node take in the inputs."""
+        self._members.append(node)
+
+    def remove(self, node: EstimatorNode) -> bool:
+        """Let a node leave; return True, and close the subscriptions, if it was the last one."""
+        self._members.remove(node)
+        if not self._members:
+            self._subscriptions.close()
+        return not self._members
+
+    def drain(self) -> None:
+        """Take in all queued messages."""
+        self._subscriptions.drain()
+
+    def receive(self, topic: InputTopic, message: Any) -> None:
+        """Take in one message: all estimators step, then all estimates are published, then the rest is done."""
+        record = record_from_message(topic, message)
+        running = [(node, pipeline) for node in self._members if (pipeline := node.running_pipeline()) is not None]
+        if any(pipeline.stream.is_new for _, pipeline in running):
+            share_streams(pipeline for _, pipeline in running)
+        events: dict[SampleStream, list[StreamEvent]] = {}
+        outputs = [(node, node.step(pipeline, record, events)) for node, pipeline in running]
+        for node, made in outputs:
+            node.publish(made)
+        for node in self._members:
+            node.count(topic, record.stamp_ns)
+
+
+class SharedInputs:
+    """The groups of nodes in a process; nodes with other topic names or quality of service form other groups."""
+
+    def __init__(self) -> None:
+        self._groups: dict[object, InputGroup] = {}
+
+    def join(self, node: EstimatorNode) -> InputGroup:
+        """Return the group of a node, which takes in the inputs from now on."""
+        key = _wiring(node)
+        if key not in self._groups:
+            self._groups[key] = InputGroup(node)
+        self._groups[key].add(node)
+        return self._groups[key]
+
+    def leave(self, node: EstimatorNode) -> None:
+        """Let a node leave its group, if it is in one."""
+        for key, group in list(self._groups.items()):
+            if node in group and group.remove(node):
+                del self._groups[key]
+
+
+def _wiring(node: EstimatorNode) -> object:
+    """Return what subscriptions depend on: resolved topic names, and overrides of the quality of service."""
+    topics = tuple(node.resolve_topic_name(topic.name) for topic in INPUT_TOPICS)
+    overrides = node._parameter_overrides  # rclpy gives no public access to them
+    qos = tuple(sorted((name, str(overrides[name].value)) for name in overrides if _is_qos(name)))
+    return node.context, topics, qos
+
+
+def _is_qos(parameter: str) -> bool:
+    return parameter.startswith('qos_overrides.') and '.subscription.' in parameter
