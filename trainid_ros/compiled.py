@@ -43,6 +43,7 @@ MODULES: Final = (
     'estimators/known_force',
     'estimators/pipeline',
     'estimators/speed_noise',
+    'explain/track_points',
     'record_validation',
     'resistance/change_points',
     'resistance/davis_posterior',
@@ -72,7 +73,9 @@ MODULES: Final = (
     'stream/stuck_speed',
     'train/brake',
     'train/davis',
+    'train/effects/physical',
     'train/effects/point',
+    'train/effects/sensor',
 )
 """The modules to compile, as paths below the package without suffix."""
 

@@ -29,7 +29,7 @@ def resistance_std(stated: TrainFile, speeds: tuple[float, ...]) -> list[float]:
     """Return standard deviations of the refitted w(v), including the correlations of a, b and c."""
     model = Model.of(read_runs([BAG], stated), stated)
     sizes, _ = model.evidence().maximise()
-    _, covariance = model.posterior(sizes, model.whitener(sizes))
+    _, covariance = model.posterior(sizes)
     powers = np.power.outer(np.array(speeds), np.arange(3.0))
     stds: list[float] = np.sqrt(np.diag(powers @ covariance[DAVIS, DAVIS] @ powers.T)).tolist()
     return stds

@@ -22,11 +22,10 @@ def test_correct_model_leaves_only_noise(dataset: Dataset) -> None:
 def test_response_to_a_missing_resistance_is_its_gap(maker: Any, train_file: TrainFile) -> None:
     runs = maker(noise=0.0).runs(2, 4, lambda *_: 0.5)
     found = assemble(runs, train_file)
-    missing = found.respond(np.full(found.dt.size, 0.5))
+    missing = found.column(np.full(found.dt.size, 0.5))
     initial = found.gap[found.starts][found.run_of]
-    np.testing.assert_allclose(found.gap - initial, missing, atol=0.03)
+    np.testing.assert_allclose(found.average(found.gap - initial), missing, atol=0.03)
     assert np.abs(missing).max() > 0.3
-    assert not missing[found.starts].any()
     known = assemble(runs, train_file, np.full(found.dt.size, 0.5))
     np.testing.assert_allclose(known.gap, initial, atol=0.03)
 
@@ -91,6 +90,18 @@ def test_node_of_outliers_only_has_no_samples(maker: Any, train_file: TrainFile)
     assert found.node_count[node] == 0.0
     assert found.time[100] <= found.node_time[node] <= found.time[104]
     assert np.isfinite(found.average(found.gap)).all()
+    assert found.column(np.ones(found.dt.size))[node] == 0.0
+
+
+def test_columns_are_means_of_integrated_kicks(maker: Any, train_file: TrainFile) -> None:
+    runs = maker().runs(2, 6)
+    speed = runs[0].speed.copy()
+    speed[[60, 61]] += 3.0
+    found = assemble([replace(runs[0], speed=speed), runs[1]], train_file)
+    resistance = np.random.default_rng(1).standard_normal(found.dt.size)
+    kick = -resistance * found.dt / found.inertia
+    response = np.concatenate([np.cumsum(kick[found.run_of == k]) for k in range(2)])
+    np.testing.assert_allclose(found.column(resistance), found.average(response), atol=1e-14)
 
 
 def test_direction_of_each_sample(dataset: Dataset) -> None:

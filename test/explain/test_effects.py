@@ -88,14 +88,20 @@ def test_effects_on_records_are_not_added(evaluator: EffectEvaluator) -> None:
     )
 
 
+def test_amplitudes_of_a_linear_effect_share_one_evaluation(evaluator: EffectEvaluator) -> None:
+    slow, fast = (evaluator.resistance('brake_scale', {'ratio': ratio}) for ratio in (0.9, 1.2))
+    np.testing.assert_allclose(slow, 0.1 * evaluator.dataset.joined('brake'), atol=1e-12)
+    np.testing.assert_allclose(fast, -2.0 * slow, atol=1e-12)
+
+
 def test_cache_is_bounded(dataset: Dataset, train_file: TrainFile, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr('trainid_ros.explain.effects._CACHE_SIZE', 3)
     evaluator = EffectEvaluator(dataset, train_file)
-    first = evaluator.resistance('traction_scale', {'ratio': 0.9})
-    assert evaluator.resistance('traction_scale', {'ratio': 0.9}) is first
+    first = evaluator.resistance('mass_error', {'ratio': 0.9})
+    assert evaluator.resistance('mass_error', {'ratio': 0.9}) is first
     for k in range(4):
-        evaluator.resistance('traction_scale', {'ratio': 1.0 + 0.01 * k})
-    again = evaluator.resistance('traction_scale', {'ratio': 0.9})
+        evaluator.resistance('mass_error', {'ratio': 1.0 + 0.01 * k})
+    again = evaluator.resistance('mass_error', {'ratio': 0.9})
     assert again is not first
     np.testing.assert_array_equal(again, first)
 

@@ -19,11 +19,12 @@ from trainid_ros.explain.likelihood import (
     MarginalLikelihood,
     eliminate,
     group_log_bayes,
+    informations,
     log_bayes,
     posterior,
 )
 from trainid_ros.explain.model import Model
-from trainid_ros.explain.noise import Grid, Noise, Whitener, run_columns
+from trainid_ros.explain.noise import Grid, Noise, Whitener, Whitening, run_columns
 from trainid_ros.explain.run_data import Run
 from trainid_ros.train.train_file import TrainFile
 
@@ -85,18 +86,13 @@ def test_sign_restricts_the_amplitude_to_one_side(information: Information, sign
     assert float(found[0]) == pytest.approx(2.0 * np.log(mean), abs=1e-5)
 
 
-def test_joint_and_sequential_elimination_agree(columns: Array, root: Array, information: Information) -> None:
-    std = np.array([0.5, 1.0, 2.0])
-    bigger = np.zeros((NUISANCES + 2, NUISANCES + 2))
-    bigger[:NUISANCES, :NUISANCES] = root
-    bigger[NUISANCES:, NUISANCES:] = np.diag(std[:2])
-    together = eliminate(columns.T @ columns, NUISANCES + 2, bigger)
-    after = information.given([0, 1], std)
-    np.testing.assert_allclose(after.A[2:, 2:], together.A, atol=1e-10)
-    np.testing.assert_allclose(after.b[2:], together.b, atol=1e-10)
-    assert after.yy == pytest.approx(together.yy)
-    assert after.log_det == pytest.approx(together.log_det)
-    assert information.given([], std) is information
+def test_groups_of_candidates_are_alone(columns: Array, root: Array, information: Information) -> None:
+    groups = [columns[:, 5:6], columns[:, 6:8]]
+    found = informations(columns[:, : 1 + NUISANCES], groups, root)
+    for one, part in zip(found, (slice(0, 1), slice(1, 3)), strict=True):
+        np.testing.assert_allclose(one.A, information.A[part, part], atol=1e-10)
+        np.testing.assert_allclose(one.b, information.b[part], atol=1e-10)
+        assert (one.yy, one.log_det) == pytest.approx((information.yy, information.log_det))
 
 
 def test_posterior_solves_the_normal_equations(columns: Array, root: Array) -> None:
@@ -113,17 +109,15 @@ def test_factors_of_single_runs_equal_separate_columns(dataset: Dataset) -> None
     whitener = Whitener.of(grid, Noise(0.03, 0.2, 8.0, 0.02))
     columns = np.random.default_rng(2).standard_normal((dataset.node_time.size, 2))
     factors = dataset.column(run_columns(dataset))
-    spread = grid.spread(np.concatenate([columns, factors], axis=1))
-    total, cost = Gram.of(spread, 2, whitener).reduced(std)
-    apart_by_run, _ = Gram.of(spread, 2, whitener, by_run=True).reduced(std)
-    np.testing.assert_allclose(apart_by_run.sum(axis=0), total)
+    total, cost = Gram.of(np.concatenate([columns, factors], axis=1), 2, whitener).reduced(std)
     apart = [factors * (dataset.node_run == k)[:, None] for k in range(len(dataset.runs))]
-    white = whitener.apply(grid.spread(np.concatenate([columns, *apart], axis=1)))
-    X = white.reshape(-1, white.shape[2])
+    X = whitener.apply(np.concatenate([columns, *apart], axis=1))
     order = [0, *range(2, X.shape[1]), 1]
     joint = eliminate((X.T @ X)[np.ix_(order, order)], 6, np.diag(np.tile(std, 3)))
     assert (total[0, 0], total[0, 1], total[1, 1]) == pytest.approx((joint.yy, joint.b[0], joint.A[0, 0]))
     assert cost == pytest.approx(joint.log_det)
+    white = Whitening.of(whitener, factors, std).apply(columns)
+    np.testing.assert_allclose(white.T @ white, total)
 
 
 Found = tuple[Hyperparameters, NDArray[np.float64]]

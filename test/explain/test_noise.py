@@ -9,13 +9,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from trainid_ros.explain.dataset import Dataset
+from trainid_ros.explain.dataset import Dataset, assemble
 from trainid_ros.explain.noise import (
     Bins,
     Grid,
     Noise,
     Spread,
     Whitener,
+    Whitening,
     common_columns,
     common_std,
     prior_factor,
@@ -31,9 +32,9 @@ INITIAL_VARIANCE = 100.0
 
 def grid_of(times: Array, share: Array, change: Array) -> Grid:
     """Return the grid of one run."""
-    index = np.arange(times.size)[:, None]
-    dt = np.concatenate([[0.0], np.diff(times)])[:, None]
-    return Grid(index, dt, share[:, None], change[:, None], INERTIA, times.size)
+    inside, order = np.ones((times.size, 1), dtype=bool), np.arange(times.size)
+    dt = np.diff(times, prepend=times[0])[:, None]
+    return Grid((0, times.size), inside, order, dt, share[:, None], change[:, None], INERTIA)
 
 
 def covariance(times: Array, share: Array, change: Array, noise: Noise) -> Array:
@@ -57,37 +58,46 @@ def test_the_filter_whitens_the_dense_covariance(jitter: float, gust_time: float
     change[0] = 0.0
     noise = Noise(0.03, 0.4, gust_time, jitter)
     whitener = Whitener.of(grid_of(times, share, change), noise)
-    Z = whitener.apply(np.eye(40)[:, None, :])[:, 0, :]
+    Z = whitener.apply(np.eye(40))
     C = covariance(times, share, change, noise)
     np.testing.assert_allclose(Z @ C @ Z.T, np.eye(40), atol=1e-6)
-    assert float(whitener.log_det.sum()) == pytest.approx(np.linalg.slogdet(C)[1], rel=1e-6)
+    assert whitener.log_det == pytest.approx(np.linalg.slogdet(C)[1], rel=1e-6)
 
 
 def test_missing_measurement_has_no_weight() -> None:
     times, share, change = np.arange(30.0), np.ones(30), np.zeros(30)
     noise = Noise(0.03, 0.4, 5.0, 0.0)
     share[7] = np.inf
-    values = np.random.default_rng(0).standard_normal((30, 1, 1))
+    values = np.random.default_rng(0).standard_normal((30, 1))
     spoiled = values.copy()
     spoiled[7] = 1e3
     whitener = Whitener.of(grid_of(times, share, change), noise)
     np.testing.assert_array_equal(whitener.apply(values), whitener.apply(spoiled))
-    assert whitener.apply(spoiled)[7, 0, 0] == 0.0
+    assert whitener.apply(spoiled)[7, 0] == 0.0
 
 
-def test_runs_are_whitened_independently(dataset: Dataset) -> None:
+def test_runs_are_whitened_independently(dataset: Dataset, train_file: TrainFile) -> None:
     grid, noise = Grid.of(dataset), Noise(0.03, 0.2, 8.0, 0.02)
     whitener = Whitener.of(grid, noise)
     column = np.random.default_rng(1).standard_normal((dataset.node_time.size, 1))
-    together = whitener.apply(grid.spread(column))
-    for k in range(len(dataset.runs)):
-        part = grid.part(slice(k, k + 1))
-        alone = Whitener.of(part, noise)
-        own = alone.apply(part.spread(column))
-        np.testing.assert_array_equal(own, whitener.part(slice(k, k + 1)).apply(part.spread(column)))
-        np.testing.assert_allclose(together[: len(own), k], own[:, 0], rtol=1e-12)
-        assert not together[len(own) :, k].any()
-        assert alone.log_det[0] == pytest.approx(whitener.log_det[k], rel=1e-12)
+    together, log_det = whitener.apply(column), 0.0
+    for run, nodes in zip(dataset.runs, grid.runs, strict=True):
+        alone = Whitener.of(Grid.of(assemble([run], train_file)), noise)
+        np.testing.assert_allclose(together[nodes], alone.apply(column[nodes]), rtol=1e-9)
+        log_det += alone.log_det
+    assert whitener.log_det == pytest.approx(log_det, rel=1e-12)
+
+
+def test_factors_of_runs_are_whitened(dataset: Dataset) -> None:
+    """Whitening equals the inverse of the covariance of noise and factors, also with a factor that does not act."""
+    whitener = Whitener.of(Grid.of(dataset), Noise(0.03, 0.2, 8.0, 0.02))
+    factors, std = dataset.column(run_columns(dataset)), np.array([0.03, 0.02])
+    factors[whitener.grid.runs[1], 1] = 0.0
+    Z, white = (w.apply(np.eye(len(factors))) for w in (Whitening.of(whitener, factors, std), whitener))
+    for run in whitener.grid.runs:
+        scaled = white[run, run] @ factors[run] * std
+        expected = white[run, run].T @ np.linalg.inv(np.eye(len(scaled)) + scaled @ scaled.T) @ white[run, run]
+        np.testing.assert_allclose(Z[run, run].T @ Z[run, run], expected, atol=1e-9 * np.abs(expected).max())
 
 
 def test_mean_of_many_samples_keeps_their_common_noise() -> None:
@@ -98,8 +108,8 @@ def test_a_node_without_samples_has_infinite_noise(dataset: Dataset) -> None:
     count = dataset.node_count.copy()
     count[4] = 0.0
     grid = Grid.of(replace(dataset, node_count=count))
-    assert np.isinf(grid.share[4, 0])
-    assert np.isfinite(grid.share).sum() == count.size - 1
+    missing = np.isinf(grid.share[grid.inside])
+    assert grid.order[missing].tolist() == [4]
 
 
 @pytest.mark.parametrize('length', [1.0, 100.0, 350.0])

@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 
 from trainid_ros.explain.effects import EffectTerm
-from trainid_ros.explain.likelihood import Gram, Hyperparameters, posterior
+from trainid_ros.explain.likelihood import Hyperparameters, posterior
 from trainid_ros.explain.model import Model
-from trainid_ros.explain.noise import Grid, Noise, Spread, Whitener
+from trainid_ros.explain.noise import Noise, Spread
 from trainid_ros.explain.proof import gap_of, hold_out
 from trainid_ros.train.train_file import TrainFile
 
@@ -24,15 +24,8 @@ def test_subtraction_equals_a_fit_without_the_run(dragged_model: Model) -> None:
     held = hold_out(model, HYPER)
     assert held is not None
     others = model.dataset.node_run != 1
-    grid = Grid.of(model.dataset)
-    columns = (0, 2, 3, 4, 5)
-    kept = Grid(
-        grid.index[:, columns], grid.dt[:, columns], grid.share[:, columns], grid.change[:, columns],
-        grid.inertia, grid.nodes,
-    )  # fmt: skip
-    spread = kept.spread(np.concatenate([model.columns, model.factor_columns], axis=1))
-    gram = Gram.of(spread, model.factor_columns.shape[1], Whitener.of(kept, HYPER.noise))
-    total, _ = gram.reduced(HYPER.spread.of_run)
+    columns = model.white_columns(HYPER)[others]
+    total = columns.T @ columns
     model.add_odometry(total)
     mean, _ = posterior(total, model.prior_factor(HYPER.spread))
     gap = model.residual[~others] - model.nuisance_columns[~others] @ mean

@@ -154,6 +154,6 @@ def test_fixed_effects_leave_more_information(dragged_model: Model, dragged_size
     fitted = model.with_terms((EffectTerm('local_drag', {'start': 110.0, 'end': 340.0, 'permille': 1.8}),)).fit(hyper)
     unit = fitted.evaluator.resistance('local_drag', {**fitted.terms[0].parameters, 'permille': 1.0})
     column = fitted.dataset.column(unit[:, None])
-    free = fitted.reduced_information(hyper, column)
-    fixed = fitted.reduced_information(hyper, column, terms=False)
+    (free,) = fitted.informations(hyper, [column])
+    (fixed,) = fitted.informations(hyper, [column], terms=False)
     assert float(free.A[0, 0]) < 0.2 * float(fixed.A[0, 0])

@@ -192,13 +192,14 @@ def test_an_effect_is_zero_at_neutral_and_grows_with_its_amplitude(name: str) ->
     assert kind.resistance is not None
     values = {'start': 100.0, 'end': 900.0, 'time': 60.0, 'speed': 3.0, 'distance': 500.0, 'energy': 200.0}
     parameters = {key: values.get(key, 1.0) for key in kind.parameters}
-    none, little, more = (
+    none, little, more, typical, large = (
         kind.resistance(parameters | {kind.amplitude: kind.neutral + size}, DAVIS, full_point())
-        for size in (0.0, 1e-3, 2e-3)
+        for size in (0.0, 1e-3, 2e-3, kind.typical_size, 7.0 * kind.typical_size)
     )
     assert none == pytest.approx(0.0, abs=1e-12)
     assert little != 0.0
     assert more == pytest.approx(2.0 * little, rel=0.01)
+    assert not kind.linear or large == pytest.approx(7.0 * typical)
 
 
 def test_the_library_has_every_effect_of_the_interface() -> None:

@@ -65,6 +65,7 @@ class Dataset:
         node_run: Run of each node, shape (m,).
         node_time: Mean time of each node [s], shape (m,).
         node_count: Number of samples in each node without outliers, shape (m,).
+        following: Share of these samples that lie at the end of each stage or after it [1], shape (n,).
 
     """
 
@@ -82,6 +83,7 @@ class Dataset:
     node_run: NDArray[np.intp]
     node_time: Array
     node_count: Array
+    following: Array
 
     @property
     def direction(self) -> NDArray[np.int_]:
@@ -93,26 +95,31 @@ class Dataset:
         """True if the position on the line is known for all runs."""
         return all(run.positioned for run in self.runs)
 
-    def respond(self, resistance: Array) -> Array:
-        """Return the speed change [m/s] at each sample caused by a resistance [N/kN] on each stage, shapes (n, ...)."""
-        kick = -resistance * (self.dt / self.inertia).reshape(-1, *[1] * (resistance.ndim - 1))
-        path = np.cumsum(kick, axis=0)
-        before = path[self.starts] - kick[self.starts]
-        return np.asarray(path - before[self.run_of])
-
     def average(self, values: Array) -> Array:
-        """Return the mean of each node without outliers, shapes (n, ...) to (m, ...)."""
-        weight = (~self.outlier).astype(float).reshape(-1, *[1] * (values.ndim - 1))
-        total = np.add.reduceat(values * weight, self.node_starts, axis=0)
-        return np.asarray(total / np.maximum(self.node_count, 1.0).reshape(-1, *[1] * (values.ndim - 1)))
+        """Return the mean of each node without outliers, shapes (n,) to (m,)."""
+        total = np.add.reduceat(np.where(self.outlier, 0.0, values), self.node_starts)
+        return np.asarray(total / np.maximum(self.node_count, 1.0))
 
     def column(self, resistance: Array) -> Array:
-        """Return the response [m/s] to a resistance [N/kN] at the nodes, shapes (n, ...) to (m, ...)."""
+        """Return the mean speed change [m/s] of each node due to a resistance on each stage [N/kN], 0 if not measured.
+
+        Shapes (n,) to (m,) or (n, k) to (m, k).
+        """
         if resistance.ndim == 1:
-            return self.average(self.respond(resistance))
+            return self._response(resistance[:, None])[:, 0]
         # In batches: a hundred columns over hours of samples take gigabytes.
         parts = [resistance[:, k : k + _COLUMN_BATCH] for k in range(0, resistance.shape[1], _COLUMN_BATCH)]
-        return np.concatenate([self.average(self.respond(part)) for part in parts], axis=1)
+        return np.concatenate([self._response(part) for part in parts], axis=1)
+
+    def _response(self, resistance: Array) -> Array:
+        """Return the column of each of k resistances, shape (n, k) to (m, k)."""
+        kick = resistance * (-self.dt / self.inertia)[:, None]
+        change = np.add.reduceat(kick, self.node_starts)
+        # A kick acts on the samples of its node that follow, and on all later nodes of the run.
+        within = np.add.reduceat(kick * self.following[:, None], self.node_starts)
+        path = np.cumsum(change, axis=0) - change
+        first = np.flatnonzero(np.diff(self.node_run, prepend=-1))
+        return np.where(self.node_count[:, None] > 0.0, path - path[first][self.node_run] + within, 0.0)
 
     def joined(self, name: str) -> Array:
         """Return one field of all runs, concatenated, shape (n,)."""
@@ -150,7 +157,7 @@ def assemble(runs: Sequence[Run], train_file: TrainFile, extra: Array | None = N
     node_time, count = _node_times(time, outlier, node_starts)
     return Dataset(
         tuple(runs), inertia, run_of, starts, dt, time, _stage_means(speed, starts), gap, outlier, gap - bridged,
-        node_starts, run_of[node_starts], node_time, count,
+        node_starts, run_of[node_starts], node_time, count, _following(outlier, node_starts),
     )  # fmt: skip
 
 
@@ -251,3 +258,12 @@ def _node_times(time: Array, outlier: NDArray[np.bool_], node_starts: NDArray[np
     counting = np.add.reduceat(weight * time, node_starts) / np.maximum(count, 1.0)
     every = np.add.reduceat(time, node_starts) / np.diff(np.append(node_starts, time.size))
     return np.where(count > 0.0, counting, every), count
+
+
+def _following(outlier: NDArray[np.bool_], node_starts: NDArray[np.intp]) -> Array:
+    """Return the share of the samples of each node, without outliers, that are not before each sample, shape (n,)."""
+    sizes = np.diff(node_starts, append=outlier.size)
+    so_far = np.cumsum(~outlier)
+    last = np.repeat(so_far[node_starts + sizes - 1], sizes)
+    count = np.repeat(np.add.reduceat(~outlier, node_starts, dtype=int), sizes)
+    return np.asarray((last - so_far + ~outlier) / np.maximum(count, 1))

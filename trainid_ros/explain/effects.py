@@ -4,24 +4,23 @@
 from __future__ import annotations
 
 import math
-from bisect import bisect_right
 from dataclasses import dataclass, replace
+from itertools import repeat
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
 from trainid_ros.errors import InputError
-from trainid_ros.train.davis import davis
-from trainid_ros.train.effects import EFFECTS, TrackPoint
+from trainid_ros.explain.track_points import track_points
+from trainid_ros.train.effects import EFFECTS
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from numpy.typing import NDArray
 
     from trainid_ros.explain.dataset import Dataset
-    from trainid_ros.explain.run_data import Run
-    from trainid_ros.train.effects import EffectKind, Parameter
+    from trainid_ros.train.effects import EffectKind, Parameter, TrackPoint
     from trainid_ros.train.train_file import Davis, Effect, TrainFile
 
     Array = NDArray[np.float64]
@@ -154,7 +153,7 @@ class EffectEvaluator:
         self._points: list[TrackPoint] = []
         for run, start in zip(dataset.runs, dataset.starts.tolist(), strict=True):
             speed = dataset.speed[start : start + run.time.size]
-            self._points += _points_of(run, speed, length, dataset.inertia, self.davis)
+            self._points += track_points(run, speed, length, dataset.inertia, self.davis)
 
     def resistance(self, name: str, parameters: Mapping[str, float], davis: Davis | None = None) -> Array:
         """Return the resistance of an effect on each stage [N/kN], shape (n,).
@@ -168,11 +167,20 @@ class EffectEvaluator:
             InputError: The resistance is not finite or cannot be calculated.
 
         """
-        key = name, tuple(parameters.items()), davis or self.davis
+        kind = EFFECTS[name]
+        if not kind.linear:
+            return self._cached(name, parameters, davis or self.davis)
+        # The shape alone decides: all amplitudes share one evaluation.
+        size = (parameters[kind.amplitude] - kind.neutral) / kind.typical_size
+        typical = {**parameters, kind.amplitude: kind.neutral + kind.typical_size}
+        return size * self._cached(name, typical, davis or self.davis)
+
+    def _cached(self, name: str, parameters: Mapping[str, float], davis: Davis) -> Array:
+        key = name, tuple(parameters.items()), davis
         if key not in self._cache:
             if len(self._cache) >= _CACHE_SIZE:
                 self._cache.clear()
-            self._cache[key] = self._evaluate(name, parameters, davis or self.davis)
+            self._cache[key] = self._evaluate(name, parameters, davis)
         return self._cache[key]
 
     def _evaluate(self, name: str, parameters: Mapping[str, float], davis: Davis) -> Array:
@@ -180,7 +188,8 @@ class EffectEvaluator:
         if function is None:
             return np.zeros(len(self._points))
         try:
-            values = np.array([function(parameters, davis, point) for point in self._points], dtype=float)
+            each = map(function, repeat(parameters), repeat(davis), self._points)
+            values = np.fromiter(each, dtype=float, count=len(self._points))
         except (ArithmeticError, ValueError, TypeError, LookupError, AttributeError) as error:
             msg = f'effect {name}: its resistance cannot be calculated for {_formatted(parameters)}: {error}'
             raise InputError(msg) from error
@@ -217,71 +226,6 @@ class EffectEvaluator:
 
 def _formatted(parameters: Mapping[str, float]) -> str:
     return ', '.join(f'{key}={value:g}' for key, value in parameters.items())
-
-
-def _points_of(run: Run, speed: Array, length: float, inertia: float, resistance: Davis) -> list[TrackPoint]:
-    """Return the track points at mid-stage of a run; ``speed`` [m/s] is the mean over each stage, shape (n,)."""
-    middle = run.time - 0.5 * run.dt
-    place = run.position - 0.5 * run.direction * run.dt * speed
-    # Acceleration implied by the forces: the measured one would bring the noise of the speed into the regressors.
-    acceleration = (run.traction + run.brake - run.gradient - davis(resistance, speed)) / inertia
-    brake, traction = _before(middle, run.brake), _before(middle, run.traction)
-    travelled = np.maximum.accumulate(run.direction * place + 1e-6 * np.arange(place.size))
-    ahead = _ahead(travelled, run.gradient)
-    rows = zip(
-        middle.tolist(), place.tolist(), speed.tolist(), run.radius.tolist(), run.tunnel.tolist(),
-        run.distance_run.tolist(), run.since_release.tolist(), run.traction.tolist(), run.brake.tolist(),
-        run.heat.tolist(), acceleration.tolist(), travelled.tolist(), strict=True,
-    )  # fmt: skip
-    return [
-        TrackPoint(
-            time_s=t,
-            position=s,
-            direction=run.direction,
-            speed=v,
-            curve_radius=radius,
-            tunnel=tunnel > 0.5,
-            length=length,
-            distance_run=distance,
-            since_release=release,
-            traction=pull,
-            brake=push,
-            heat=heat,
-            acceleration=a,
-            brake_before=brake(t),
-            traction_before=traction(t),
-            gradient_ahead=ahead(way),
-        )
-        for t, s, v, radius, tunnel, distance, release, pull, push, heat, a, way in rows
-    ]
-
-
-def _before(time: Array, value: Array) -> Callable[[float], Callable[[float], float]]:
-    """Return a function of the time [s] that returns the value a number of seconds earlier."""
-    at = _Line(time, value)
-    return lambda t: lambda seconds: at(t - seconds)
-
-
-def _ahead(travelled: Array, value: Array) -> Callable[[float], Callable[[float], float]]:
-    """Return a function of the distance travelled [m] that returns the value a number of metres ahead."""
-    at = _Line(travelled, value)
-    return lambda way: lambda metres: at(way + metres)
-
-
-class _Line:
-    """Linear interpolation at a single point, constant beyond both ends; faster than numpy's for one point."""
-
-    def __init__(self, x: Array, y: Array) -> None:
-        self._x: list[float] = x.tolist()
-        self._y: list[float] = y.tolist()
-
-    def __call__(self, x: float) -> float:
-        right = bisect_right(self._x, x)
-        if right in {0, len(self._x)}:
-            return self._y[min(right, len(self._x) - 1)]
-        low, high = self._x[right - 1], self._x[right]
-        share = (x - low) / (high - low)
-        return self._y[right - 1] + share * (self._y[right] - self._y[right - 1])
 
 
 def unit_resistance(

@@ -36,10 +36,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True)
 class Gram:
-    """Products of whitened columns, summed over runs or by run; those with the factors of single runs are separate.
+    """Products of whitened columns, summed over runs; those with the factors of single runs are separate.
 
     Attributes:
-        total: Products of columns, sum over runs, shape (C, C), or by run, shape (R, C, C).
+        total: Products of columns, shape (C, C).
         cross: Products of columns with the factors of the run, shape (R, C, F).
         own: Products of those factors, shape (R, F, F).
 
@@ -50,15 +50,12 @@ class Gram:
     own: Array
 
     @classmethod
-    def of(cls, spread: Array, factors: int, whitener: Whitener, *, by_run: bool = False) -> Gram:
-        """Whiten columns on the grid, the last of which are factors of single runs, shape (N, R, C + F)."""
-        C = spread.shape[2] - factors
-        white = whitener.apply(spread)
-        runs = white.transpose(1, 0, 2)
-        own = runs[:, :, C:]
-        flat = white[:, :, :C].reshape(-1, C)
-        total = runs[:, :, :C].transpose(0, 2, 1) @ runs[:, :, :C] if by_run else flat.T @ flat
-        return cls(total, runs[:, :, :C].transpose(0, 2, 1) @ own, own.transpose(0, 2, 1) @ own)
+    def of(cls, columns: Array, factors: int, whitener: Whitener) -> Gram:
+        """Whiten columns at the nodes, the last of which are factors of single runs, shape (m, C + F)."""
+        C = columns.shape[1] - factors
+        white = whitener.apply(columns)
+        by_run = np.stack([white[run].T @ white[run, C:] for run in whitener.grid.runs])
+        return cls((white.T @ white)[:C, :C], by_run[:, :C], by_run[:, C:])
 
     def reduced(self, std: Array) -> tuple[Array, float]:
         """Integrate out the factors of runs.
@@ -67,17 +64,42 @@ class Gram:
             std: Prior standard deviation of each factor, shape (F,).
 
         Returns:
-            Products of columns, shaped like ``total``, and the log determinant of the marginalisation.
+            Products of columns, shape (C, C), and the log determinant of the marginalisation.
 
         """
         weighted = self.own + np.diag(1.0 / np.square(std))
         _, log_det = np.linalg.slogdet(weighted)
         scaled = self.cross @ np.linalg.inv(weighted)
-        if self.total.ndim == 3:
-            left = self.total - scaled @ self.cross.transpose(0, 2, 1)
-        else:
-            left = self.total - np.concatenate([*scaled], axis=1) @ np.concatenate([*self.cross], axis=1).T
+        left = self.total - np.concatenate([*scaled], axis=1) @ np.concatenate([*self.cross], axis=1).T
         return left, float(log_det.sum() + len(self.own) * 2.0 * np.log(std).sum())
+
+
+@dataclass(frozen=True, slots=True)
+class Nuisances:
+    """Nuisances N with prior covariance K = L L', to integrate out; see the module.
+
+    Attributes:
+        root: L, shape (n, n).
+        factor: Cholesky factor of I + L'N'N L.
+
+    """
+
+    root: Array
+    factor: tuple[Array, bool]
+
+    @classmethod
+    def of(cls, products: Array, root: Array) -> Nuisances:
+        """Return nuisances with the products N'N and the factor L of their prior covariance, both of shape (n, n)."""
+        return cls(root, cho_factor(np.eye(len(root)) + root.T @ products @ root, lower=True))
+
+    @property
+    def log_det(self) -> float:
+        """Log determinant of the marginalisation."""
+        return 2.0 * float(np.log(np.diag(self.factor[0])).sum())
+
+    def explained(self, left: Array, right: Array) -> Array:
+        """Return C'N (N'N + K^-1)^-1 N'D from the products N'C and N'D, shapes (n, k) and (n, l) to (k, l)."""
+        return np.asarray((self.root.T @ left).T @ cho_solve(self.factor, self.root.T @ right))
 
 
 @dataclass(frozen=True, slots=True)
@@ -97,29 +119,6 @@ class Information:
     yy: float
     log_det: float
 
-    def given(self, terms: Sequence[int], std: Array) -> Information:
-        """Return the information after elimination of some of the columns too.
-
-        Args:
-            terms: Indices of these columns.
-            std: Prior std of all columns, shape (k,).
-
-        """
-        if not len(terms):
-            return self
-        index = list(terms)
-        scale = std[index]
-        inner = np.eye(len(index)) + scale[:, None] * self.A[np.ix_(index, index)] * scale[None, :]
-        factor = cho_factor(inner, lower=True)
-        left, right = scale[:, None] * self.A[index], scale * self.b[index]
-        solved, at = cho_solve(factor, left), cho_solve(factor, right)
-        return Information(
-            self.A - left.T @ solved,
-            self.b - left.T @ at,
-            self.yy - float(right @ at),
-            self.log_det + _log_det(factor),
-        )
-
 
 def eliminate(products: Array, nuisances: int, prior_factor: Array) -> Information:
     """Integrate out the nuisances, which follow y in column 0.
@@ -130,17 +129,34 @@ def eliminate(products: Array, nuisances: int, prior_factor: Array) -> Informati
         prior_factor: L with L L' the prior covariance of the nuisances, shape (nuisances, nuisances).
 
     """
-    n = nuisances
-    own = products[1 : 1 + n, 1 : 1 + n]
-    rest = np.concatenate([products[1 : 1 + n, :1], products[1 : 1 + n, 1 + n :]], axis=1)
-    # A and b of the module docstring, with K = L L'.
-    inner = np.eye(n) + prior_factor.T @ own @ prior_factor
-    factor = cho_factor(inner, lower=True)
-    scaled = prior_factor.T @ rest
-    left = scaled.T @ cho_solve(factor, scaled)
-    keep = np.concatenate([[0], np.arange(1 + n, products.shape[0])])
-    after = products[np.ix_(keep, keep)] - left
-    return Information(after[1:, 1:], after[1:, 0], float(after[0, 0]), _log_det(factor))
+    own = slice(1, 1 + nuisances)
+    found = Nuisances.of(products[own, own], prior_factor)
+    keep = np.concatenate([[0], np.arange(1 + nuisances, products.shape[0])])
+    rest = products[own][:, keep]
+    # A and b of the module docstring.
+    after = products[np.ix_(keep, keep)] - found.explained(rest, rest)
+    return Information(after[1:, 1:], after[1:, 0], float(after[0, 0]), found.log_det)
+
+
+def informations(columns: Array, candidates: Sequence[Array], prior_factor: Array) -> list[Information]:
+    """Return the information on groups of candidates, each alone.
+
+    Args:
+        columns: y and nuisances, whitened, shape (m, 1 + n).
+        candidates: Columns of each group, whitened, shapes (m, k).
+        prior_factor: L with L L' the prior covariance of the nuisances, shape (n, n).
+
+    """
+    y, N = columns[:, :1], columns[:, 1:]
+    nuisances, Ny = Nuisances.of(N.T @ N, prior_factor), N.T @ y
+    yy = float((y.T @ y - nuisances.explained(Ny, Ny))[0, 0])
+    found = []
+    for C in candidates:
+        NC = N.T @ C
+        # A and b of the module docstring.
+        A, b = C.T @ C - nuisances.explained(NC, NC), C.T @ y - nuisances.explained(NC, Ny)
+        found.append(Information(A, b[:, 0], yy, nuisances.log_det))
+    return found
 
 
 def posterior(products: Array, prior_factor: Array) -> tuple[Array, Array]:
@@ -174,11 +190,6 @@ def group_log_bayes(A: Array, b: Array, std: float) -> float:
     inner = np.eye(len(b)) + std * std * A
     _, log_det = np.linalg.slogdet(inner)
     return float(std * std * b @ np.linalg.solve(inner, b) - log_det)
-
-
-def _log_det(factor: tuple[Array, bool]) -> float:
-    """Return the log determinant of a matrix from its Cholesky factor."""
-    return 2.0 * float(np.log(np.diag(factor[0])).sum())
 
 
 # Median and std of the log of each hyperparameter: speed noise [m/s], gust [N/kN], gust time [s], jitter [s],
@@ -231,7 +242,7 @@ class MarginalLikelihood:
 
         """
         self._grid, self._factors = grid, factors.shape[1]
-        self._spread = grid.spread(np.concatenate([columns, factors], axis=1))
+        self._columns = np.concatenate([columns, factors], axis=1)
         self._common = common_std
         self._root = map_root
         self._median = _MEDIAN.copy()
@@ -299,8 +310,7 @@ class MarginalLikelihood:
         key = tuple(x[:_OUTER].tolist())
         if self._gram is None or self._gram[0] != key:
             whitener = Whitener.of(self._grid, noise)
-            gram = Gram.of(self._spread, self._factors, whitener)
-            self._gram = (key, gram, float(whitener.log_det.sum()))
+            self._gram = (key, Gram.of(self._columns, self._factors, whitener), whitener.log_det)
         _, gram, log_det = self._gram
         products, cost = gram.reduced(spread.of_run)
         factor = prior_factor(self._common, self._root, spread)

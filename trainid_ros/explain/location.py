@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -66,7 +65,7 @@ def locate(before: Model, after: Model, hyper: Hyperparameters) -> tuple[Locatio
     weight = before.dataset.dt / before.dataset.dt.sum()
     locations = []
     for k, axis in enumerate(axes):
-        share = (axis.inside * weight[:, None]).sum(axis=0)
+        share = weight @ axis.inside
         (first, std), (second, _) = (_deviation_from_mean(*estimate[k], share / share.sum()) for estimate in estimates)
         rows = zip(axis.labels, axis.edges, first.tolist(), second.tolist(), std.tolist(), share.tolist(), strict=True)
         places = tuple(Place(label, low, high, a, b, s, part) for label, (low, high), a, b, s, part in rows)
@@ -87,12 +86,13 @@ def where(resistance: Array, dataset: Dataset, locations: Sequence[Location]) ->
     mean = float(weight @ resistance)
     found = []
     for axis, location in zip(_axes(dataset), locations, strict=True):
-        parts = axis.inside * weight[:, None]
-        deviation = (parts.T @ resistance) / parts.sum(axis=0) - mean
+        if axis.name == 'run':
+            continue
+        total, share = np.stack((weight * resistance, weight)) @ axis.inside
         found += [
             (abs(size) / place.std, f'{place_text(axis.name, place.label)} ({size:+.2f} N/kN)')
-            for size, place in zip(deviation.tolist(), location.places, strict=True)
-            if axis.name != 'run' and place.std > 0.0
+            for size, place in zip((total / share - mean).tolist(), location.places, strict=True)
+            if place.std > 0.0
         ]
     clear = [text for z, text in sorted(found, reverse=True)[:_NAMED_PLACES] if z > _CLEAR]
     return ', '.join(clear) or 'no distinct location'
@@ -100,12 +100,10 @@ def where(resistance: Array, dataset: Dataset, locations: Sequence[Location]) ->
 
 def _estimate(model: Model, hyper: Hyperparameters, columns: list[Array]) -> list[tuple[Array, Array]]:
     """Return means and covariances of the parts of each axis, one axis at a time."""
-    information = model.reduced_information(hyper, np.concatenate(columns, axis=1), terms=False)
     estimates: list[tuple[Array, Array]] = []
-    for low, high in pairwise(np.cumsum([0, *(c.shape[1] for c in columns)]).tolist()):
-        A, b = information.A[low:high, low:high], information.b[low:high]
-        covariance = np.asarray(np.linalg.inv(A + np.eye(high - low) / PRIOR**2))
-        estimates.append((covariance @ b, covariance))
+    for found in model.informations(hyper, columns, terms=False):
+        covariance = np.asarray(np.linalg.inv(found.A + np.eye(len(found.b)) / PRIOR**2))
+        estimates.append((covariance @ found.b, covariance))
     return estimates
 
 

@@ -225,7 +225,7 @@ def preferred_point(model: Model, hyper: Hyperparameters, shift: float) -> str |
     changes = [
         np.concatenate([run.gradient for run in read_at(point, dataset.runs, length)]) - given for point in POINTS
     ]
-    found = model.reduced_information(hyper, dataset.column(np.stack(changes, axis=1)))
+    (found,) = model.informations(hyper, [dataset.column(np.stack(changes, axis=1))])
     A, b = np.diag(found.A), found.b
     share, evidence = b / (A + 1.0), log_bayes(A, b, 1.0, 1)
     best = int(np.argmax(evidence))

@@ -10,7 +10,7 @@ import numpy as np
 
 from trainid_ros.explain.dataset import assemble
 from trainid_ros.explain.effects import EffectEvaluator, prior_width
-from trainid_ros.explain.likelihood import Gram, Hyperparameters, MarginalLikelihood, eliminate, posterior
+from trainid_ros.explain.likelihood import Hyperparameters, MarginalLikelihood, informations, posterior
 from trainid_ros.explain.measurement_errors import Odometry
 from trainid_ros.explain.noise import (
     DAVIS,
@@ -18,6 +18,7 @@ from trainid_ros.explain.noise import (
     Grid,
     Spread,
     Whitener,
+    Whitening,
     common_columns,
     common_std,
     prior_factor,
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 
     from trainid_ros.explain.effects import EffectTerm
     from trainid_ros.explain.likelihood import Information
+    from trainid_ros.explain.noise import Noise
     from trainid_ros.explain.run_data import Run
     from trainid_ros.train.train_file import TrainFile
 
@@ -40,7 +42,8 @@ if TYPE_CHECKING:
 
 WHEEL: Final = 'wheel_diameter'
 """The effect on which distances between stops give information too."""
-_RUN_BATCH: Final = 16
+_KEPT: Final = 8
+"""Maximum number of hyperparameters for which the whitening is kept, to bound the memory."""
 _MAX_STEPS: Final = 5
 _SETTLED: Final = 0.1
 
@@ -77,6 +80,7 @@ class Model:
         self.weighed = all(run.weighed for run in dataset.runs)
         self._gap = dataset.average(dataset.gap)
         self.odometry = Odometry.of(dataset, train_file.line.stops)
+        self._kept: dict[tuple[Noise, Spread], tuple[Whitening, Array]] = {}
         self._set(terms, train_file.resistance)
 
     @classmethod
@@ -154,77 +158,69 @@ class Model:
             self.grid, self.columns, self.factor_columns, self.common_std, self._map_root, weighed=self.weighed
         )
 
-    def whitener(self, hyper: Hyperparameters) -> Whitener:
-        """Return the whitening filter for these hyperparameters."""
-        return Whitener.of(self.grid, hyper.noise)
+    def _whitened(self, hyper: Hyperparameters) -> tuple[Whitening, Array]:
+        """Return the whitening and the whitened map errors, which models with other effects share."""
+        key = hyper.noise, hyper.spread
+        if key not in self._kept:
+            if len(self._kept) >= _KEPT:
+                self._kept.clear()
+            whitener = Whitener.of(self.grid, hyper.noise)
+            whitening = Whitening.of(whitener, self.factor_columns, hyper.spread.of_run)
+            self._kept[key] = whitening, whitening.apply(self._map)
+        return self._kept[key]
+
+    def white_columns(self, hyper: Hyperparameters) -> Array:
+        """Return whitened residual and nuisance columns, shape (m, 1 + q + k)."""
+        whitening, of_map = self._whitened(hyper)
+        others = self.nuisance_columns[:, : -of_map.shape[1]]
+        white = whitening.apply(np.concatenate([self.residual[:, None], others], axis=1))
+        return np.concatenate([white, of_map], axis=1)
 
     def prior_factor(self, spread: Spread) -> Array:
         """Return the factor of the prior covariance of all nuisances, shape (q + k, q + k)."""
         return prior_factor(self.common_std, self._map_root, spread)
 
-    def products(self, columns: Array, spread: Spread, whitener: Whitener) -> Array:
-        """Return products of whitened columns at the nodes, with the factors of single runs eliminated.
-
-        Args:
-            columns: Columns at the nodes, shape (m, C).
-            spread: Standard deviations of these factors.
-            whitener: Whitening filter.
-
-        Returns:
-            Sum over runs, shape (C, C).
-
-        """
-        total = np.zeros((columns.shape[1], columns.shape[1]))
-        for gram in self._grams(columns, whitener, by_run=False):
-            total += gram.reduced(spread.of_run)[0]
-        return total
-
-    def products_by_run(self, columns: Array, spread: Spread, whitener: Whitener) -> Array:
-        """Return the products of :meth:`products` by run, shape (R, C, C)."""
-        grams = self._grams(columns, whitener, by_run=True)
-        return np.concatenate([gram.reduced(spread.of_run)[0] for gram in grams])
-
-    def _grams(self, columns: Array, whitener: Whitener, *, by_run: bool) -> Iterator[Gram]:
-        """Yield products in batches of runs: columns over hours of driving take gigabytes."""
-        together = np.concatenate([columns, self.factor_columns], axis=1)
-        for first in range(0, len(self.dataset.runs), _RUN_BATCH):
-            part = slice(first, first + _RUN_BATCH)
-            spread = self.grid.part(part).spread(together)
-            yield Gram.of(spread, self.factor_columns.shape[1], whitener.part(part), by_run=by_run)
+    def products_by_run(self, columns: Array, hyper: Hyperparameters) -> Array:
+        """Return products of columns at the nodes, whitened, shape (m, C), by run, shape (R, C, C)."""
+        white = self._whitened(hyper)[0].apply(columns)
+        return np.stack([white[run].T @ white[run] for run in self.grid.runs])
 
     def fit(self, hyper: Hyperparameters) -> Model:
         """Fit the parameters of all effects together with the nuisances (Gauss-Newton)."""
-        model, whitener = self, self.whitener(hyper)
+        model = self
         for _ in range(_MAX_STEPS):
-            terms, davis, moved = model._step(hyper, whitener)
+            terms, davis, moved = model._step(hyper)
             model = model.with_terms(terms, davis)
             if moved < _SETTLED:
                 break
-        terms, _, _ = model._step(hyper, whitener, hold=True)
+        terms, _, _ = model._step(hyper, hold=True)
         return model.with_terms(terms)
 
-    def reduced_information(self, hyper: Hyperparameters, candidates: Array, *, terms: bool = True) -> Information:
-        """Return the information on candidate columns with all nuisances eliminated.
+    def informations(
+        self, hyper: Hyperparameters, candidates: Sequence[Array], *, terms: bool = True
+    ) -> list[Information]:
+        """Return the information on groups of candidate columns, each alone, with all nuisances eliminated.
 
         Args:
             hyper: Hyperparameters of noise and nuisances.
-            candidates: Columns at the nodes, shape (m, k).
+            candidates: Columns of each group at the nodes, shapes (m, k).
             terms: Eliminate the parameters of the effects too; otherwise they are fixed.
 
         """
-        nuisances, root = self.nuisance_columns, self.prior_factor(hyper.spread)
+        columns, root = self.white_columns(hyper), self.prior_factor(hyper.spread)
         if not terms:
             kept = self.without_terms
-            nuisances, root = nuisances[:, kept], root[np.ix_(kept, kept)]
-        columns = np.concatenate([self.residual[:, None], nuisances, candidates], axis=1)
-        total = self.products(columns, hyper.spread, self.whitener(hyper))
-        return eliminate(total, nuisances.shape[1], root)
+            columns, root = columns[:, np.append(True, kept)], root[np.ix_(kept, kept)]
+        white = self._whitened(hyper)[0].apply(np.concatenate(candidates, axis=1))
+        edges = np.cumsum([group.shape[1] for group in candidates])[:-1]
+        return informations(columns, np.split(white, edges, axis=1), root)
 
-    def posterior(self, hyper: Hyperparameters, whitener: Whitener) -> tuple[Array, Array]:
+    def posterior(self, hyper: Hyperparameters) -> tuple[Array, Array]:
         """Return mean and covariance of all nuisances, which include the parameters of effects."""
-        total = self.products(self.columns, hyper.spread, whitener)
-        self.add_odometry(total)
-        return posterior(total, self.prior_factor(hyper.spread))
+        columns = self.white_columns(hyper)
+        products = columns.T @ columns
+        self.add_odometry(products)
+        return posterior(products, self.prior_factor(hyper.spread))
 
     @property
     def without_terms(self) -> NDArray[np.bool_]:
@@ -266,16 +262,14 @@ class Model:
         a, b, c = (_array(self.train_file.resistance) + mean[DAVIS]).tolist()
         return Davis(max(a, 0.0), b, max(c, 0.0))
 
-    def _step(
-        self, hyper: Hyperparameters, whitener: Whitener, *, hold: bool = False
-    ) -> tuple[tuple[EffectTerm, ...], Davis, float]:
+    def _step(self, hyper: Hyperparameters, *, hold: bool = False) -> tuple[tuple[EffectTerm, ...], Davis, float]:
         """Return the effects after one step, with covariances, a, b, c, and the largest change in standard deviations.
 
         With ``hold`` the parameters stay where they are and only get their covariances.
         """
-        mean, covariance = self.posterior(hyper, whitener)
+        mean, covariance = self.posterior(hyper)
         terms = []
-        davis = self.found_davis(mean)
+        davis = self.found_davis(mean) if self._depends_on_davis else self.davis
         moved = self._moved(davis, covariance)
         for term, here in self.places():
             move = np.zeros(len(term.parameters)) if hold else mean[here]

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -55,54 +56,48 @@ class Noise:
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """Nodes of all runs side by side, padded to the longest; N nodes by R runs.
+    """Nodes of all runs side by side, longest run first, padded to its length; N nodes by R runs.
 
     Attributes:
-        index: Index of the node, equal to ``nodes`` for padding, shape (N, R).
+        edges: First node of each run in the dataset, and the number of nodes, shape (R + 1,).
+        inside: True for nodes, False for padding, shape (N, R).
+        order: Index in the dataset of each node of the grid, row by row, shape (m,).
         dt: Time since the previous node [s], shape (N, R).
         share: Noise variance of a node relative to that of one speed [1]; infinite without a measurement, shape (N, R).
         change: Change of the force since the previous node, as acceleration [m/s^2], shape (N, R).
         inertia: Specific force per acceleration [N/kN per m/s^2].
-        nodes: Number of nodes of all runs.
 
     """
 
-    index: NDArray[np.intp]
+    edges: tuple[int, ...]
+    inside: NDArray[np.bool_]
+    order: NDArray[np.intp]
     dt: Array
     share: Array
     change: Array
     inertia: float
-    nodes: int
 
     @classmethod
     def of(cls, dataset: Dataset) -> Grid:
         """Return the grid of a dataset."""
-        counts = np.unique(dataset.node_run, return_counts=True)[1]
-        first = np.concatenate([[0], np.cumsum(counts)[:-1]])
+        first, counts = np.unique(dataset.node_run, return_index=True, return_counts=True)[1:]
+        longest = np.argsort(-counts, kind='stable')
         rows = np.arange(counts.max())[:, None]
-        inside = rows < counts[None, :]
-        index = np.where(inside, first[None, :] + rows, dataset.node_time.size).astype(np.intp)
-        time = np.append(dataset.node_time, 0.0)[index]
-        dt = np.zeros(index.shape)
+        inside = rows < counts[longest]
+        index = np.where(inside, first[longest] + rows, 0)
+        time, count = dataset.node_time[index], dataset.node_count[index]
+        dt, change = np.zeros((2, *index.shape))
         dt[1:] = np.where(inside[1:], time[1:] - time[:-1], 1.0)
-        count = np.append(dataset.node_count, 0.0)[index]
-        share = np.where(count > 0.0, share_of_mean(count), np.inf)
-        force = dataset.joined('traction') + dataset.joined('brake')
-        first_force = np.append(force[dataset.node_starts], 0.0)[index]
-        change = np.zeros(index.shape)
-        change[1:] = np.where(inside[1:], np.abs(first_force[1:] - first_force[:-1]) / dataset.inertia, 0.0)
-        return cls(index, dt, share, change, dataset.inertia, dataset.node_time.size)
+        share = np.where(inside & (count > 0.0), share_of_mean(count), np.inf)
+        force = (dataset.joined('traction') + dataset.joined('brake'))[dataset.node_starts][index]
+        change[1:] = np.where(inside[1:], np.abs(force[1:] - force[:-1]) / dataset.inertia, 0.0)
+        edges = (*first.tolist(), dataset.node_time.size)
+        return cls(edges, inside, index[inside], dt, share, change, dataset.inertia)
 
-    def part(self, runs: slice) -> Grid:
-        """Return the grid of some of the runs."""
-        longest = int((self.index[:, runs] < self.nodes).sum(axis=0).max())
-        dt, share, change = (array[:longest, runs] for array in (self.dt, self.share, self.change))
-        return Grid(self.index[:longest, runs], dt, share, change, self.inertia, self.nodes)
-
-    def spread(self, columns: Array) -> Array:
-        """Return columns of all nodes, shape (m, C), on the grid, shape (N, R, C)."""
-        padded = np.concatenate([columns, np.zeros((1, columns.shape[1]))])
-        return np.asarray(padded[self.index])
+    @property
+    def runs(self) -> list[slice]:
+        """Nodes of each run."""
+        return [slice(*edges) for edges in pairwise(self.edges)]
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,47 +105,95 @@ class Whitener:
     """Gains of the whitening Kalman filter; see :meth:`apply`.
 
     Attributes:
+        grid: Grid of the nodes.
         step: Matrix from [predicted state, measurement] to the predicted state at the next node, shape (N, R, 2, 3).
         scale: Inverse standard deviation of the innovation [s/m], 0 without a measurement, shape (N, R).
-        log_det: Sum of the log of the innovation variance over all measurements of a run, shape (R,).
+        log_det: Sum of the log of the innovation variance over all measurements.
 
     """
 
+    grid: Grid
     step: Array
     scale: Array
-    log_det: Array
+    log_det: float
 
     @classmethod
     def of(cls, grid: Grid, noise: Noise) -> Whitener:
         """Compute all gains at once; padding after the last node of a run has no weight."""
-        inside = grid.index < grid.nodes
-        F, Q = _transitions(grid, noise)
-        R = np.where(inside, noise.speed**2 * grid.share, np.inf)
-        before = Q.copy()
-        before[1:] += F[1:] @ _filtered(F, Q, R)[:-1] @ F[1:].transpose(0, 1, 3, 2)
-        S = before[..., 0, 0] + R
-        K = before[..., :, :1] / S[..., None, None]
-        update = np.concatenate([np.eye(2) - K * np.array([1.0, 0.0]), K], axis=-1)
-        step = np.zeros_like(update)
-        step[:-1] = F[1:] @ update[:-1]
-        return cls(step, 1.0 / np.sqrt(S), np.log(np.where(np.isfinite(S), S, 1.0)).sum(axis=0))
-
-    def part(self, runs: slice) -> Whitener:
-        """Return the filter of some of the runs."""
-        return Whitener(self.step[:, runs], self.scale[:, runs], self.log_det[runs])
+        f, e, Q = _transitions(grid, noise)
+        R = noise.speed**2 * grid.share
+        # Elements 00 and 01 of the prediction F P F' + Q, F = [1 f; 0 e]; S and K of the Kalman filter.
+        P00, P01 = Q[0].copy(), Q[1].copy()
+        p00, p01, p11 = _filtered(f, e, Q, R)[:, :-1]
+        P00[1:] += p00 + f[1:] * (2.0 * p01 + f[1:] * p11)
+        P01[1:] += e[1:] * (p01 + f[1:] * p11)
+        S = P00 + R
+        K0, K1 = P00 / S, P01 / S
+        # F [I - K H, K] with the transition to the next node.
+        step = np.zeros((*S.shape, 2, 3))
+        f, e, K0, K1 = f[1:], e[1:], K0[:-1], K1[:-1]
+        for i, row in enumerate(((1.0 - K0 - f * K1, f, K0 + f * K1), (-e * K1, e, e * K1))):
+            step[:-1, :, i] = np.stack(row, axis=-1)
+        return cls(grid, step, 1.0 / np.sqrt(S), float(np.log(S[np.isfinite(S)]).sum()))
 
     def apply(self, columns: Array) -> Array:
-        """Return whitened columns of the first N nodes, shape (N, R, C); zero without a measurement."""
-        N, runs, C = columns.shape
+        """Return whitened columns at the nodes, shape (m, C); zero without a measurement."""
+        order, inside = self.grid.order, self.grid.inside
+        values = columns.take(order, axis=0)
         # The measurement is appended to the predicted state, so that a step is one matrix product. Two states take
         # turns: those of all nodes would not fit the cache.
-        states, white = np.zeros((2, runs, 3, C)), np.empty_like(columns)
-        for i in range(N):
-            now, after = states[i % 2], states[1 - i % 2]
-            now[:, 2] = columns[i]
-            np.subtract(columns[i], now[:, 0], out=white[i])
-            np.matmul(self.step[i], now, out=after[:, :2])
-        white *= self.scale[:N, :, None]
+        states = np.zeros((2, inside.shape[1], 3, columns.shape[1]))
+        edges = np.cumsum([0, *inside.sum(axis=1)]).tolist()
+        for i, (low, high) in enumerate(pairwise(edges)):
+            now, after = states[i % 2, : high - low], states[1 - i % 2, : high - low]
+            now[:, 2] = values[low:high]
+            values[low:high] -= now[:, 0]
+            np.matmul(self.step[i, : high - low], now, out=after[:, :2])
+        white = np.empty_like(values)
+        white[order] = values * self.scale[inside][:, None]
+        return white
+
+
+@dataclass(frozen=True, slots=True)
+class Whitening:
+    """Whitening of noise and of the factors of single runs; see :meth:`apply`.
+
+    With whitened factors O of standard deviations s, a run has the covariance I + A A', A = O s. A = U D V' gives its
+    inverse root I - A V diag(w) V' A', w = 1 / (r (r + 1)), r^2 = 1 + D^2.
+
+    Attributes:
+        whitener: The filter.
+        along: A V, shape (m, F).
+        weight: w, shape (R, F).
+
+    """
+
+    whitener: Whitener
+    along: Array
+    weight: Array
+
+    @classmethod
+    def of(cls, whitener: Whitener, factors: Array, std: Array) -> Whitening:
+        """Prepare the whitening.
+
+        Args:
+            whitener: The filter.
+            factors: Columns of the factors at the nodes, shape (m, F).
+            std: Prior standard deviation of each factor, shape (F,).
+
+        """
+        scaled = whitener.apply(factors) * std
+        squares, V = np.linalg.eigh(np.stack([scaled[run].T @ scaled[run] for run in whitener.grid.runs]))
+        along = np.concatenate([scaled[run] @ v for run, v in zip(whitener.grid.runs, V, strict=True)])
+        root = np.sqrt(1.0 + np.maximum(squares, 0.0))
+        return cls(whitener, along, 1.0 / (root * (root + 1.0)))
+
+    def apply(self, columns: Array) -> Array:
+        """Return whitened columns at the nodes, shape (m, C); zero without a measurement."""
+        white = self.whitener.apply(columns)
+        for run, weight in zip(self.whitener.grid.runs, self.weight, strict=True):
+            along = self.along[run]
+            white[run] -= (along * weight) @ (along.T @ white[run])
         return white
 
 
@@ -159,59 +202,52 @@ def share_of_mean(count: Array) -> Array:
     return np.asarray(_SHARED + (1.0 - _SHARED) / np.maximum(count, 1.0))
 
 
-def _transitions(grid: Grid, noise: Noise) -> tuple[Array, Array]:
-    """Return transition and noise covariance of [speed error, gust] to each node, both of shape (N, R, 2, 2).
+def _transitions(grid: Grid, noise: Noise) -> tuple[Array, Array, Array]:
+    """Return f and e of the transition [1 f; 0 e] of [speed error, gust] to each node, shape (N, R), and its noise.
 
-    At the first node Q is the prior covariance and F is zero.
+    The covariance of the noise has the elements 00, 01 and 11, shape (3, N, R); at the first node it is the prior one.
     """
     dt, inertia = grid.dt, grid.inertia
     tau, variance = noise.gust_time, noise.gust**2
     e = np.exp(-dt / tau)
-    F, Q = np.zeros((2, *dt.shape, 2, 2))
-    F[1:, :, 0, 0] = 1.0
-    F[1:, :, 0, 1] = (tau * (1.0 - e) / inertia)[1:]
-    F[1:, :, 1, 1] = e[1:]
+    Q = np.empty((3, *dt.shape))
     # Exact discretisation of the gust and its integral, plus the impulse caused by a delayed change of the force.
-    Q[..., 0, 0] = variance * (tau / inertia) ** 2 * np.maximum(2.0 * dt / tau - 3.0 + 4.0 * e - e * e, 0.0)
-    Q[..., 0, 0] += np.square(noise.jitter * grid.change)
-    Q[..., 0, 1] = Q[..., 1, 0] = variance * tau * (1.0 - e) ** 2 / inertia
-    Q[..., 1, 1] = variance * (1.0 - e * e)
-    Q[0] = np.diag([_DIFFUSE, variance])
-    Q[..., (0, 1), (0, 1)] += _MIN_VARIANCE
-    return F, Q
+    Q[0] = variance * (tau / inertia) ** 2 * np.maximum(2.0 * dt / tau - 3.0 + 4.0 * e - e * e, 0.0)
+    Q[0] += np.square(noise.jitter * grid.change)
+    Q[1] = variance * tau * (1.0 - e) ** 2 / inertia
+    Q[2] = variance * (1.0 - e * e)
+    Q[:, 0] = np.array([_DIFFUSE, 0.0, variance])[:, None]
+    Q[::2] += _MIN_VARIANCE
+    return tau * (1.0 - e) / inertia, e, Q
 
 
-def _filtered(F: Array, Q: Array, R: Array) -> Array:
-    """Return the covariance of the state after each measurement, shape (N, R, 2, 2).
+def _filtered(f: Array, e: Array, Q: Array, R: Array) -> Array:
+    """Return the elements 00, 01, 11 of the covariance of the state after each measurement, shape (3, N, R).
 
     The information matrix of all states of a run is block-tridiagonal, and its Cholesky factorisation is equivalent to
     the forward recursion of a Kalman filter: the remaining diagonal block is the information of all measurements so
     far plus that of the transition to the next node.
     """
     N, runs = R.shape
-    information = _inverse(Q)
-    across = -information @ F
+    J = _inverse(Q)
+    # -Q^-1 F and F' Q^-1 F.
+    across = np.stack((-J[0], -J[1], -(J[0] * f + J[1] * e), -(J[1] * f + J[2] * e)))
     onward = np.zeros_like(Q)
-    onward[:-1] = -F[1:].transpose(0, 1, 3, 2) @ across[1:]
-    diagonal = information + onward
-    diagonal[..., 0, 0] += 1.0 / R
+    onward[:, :-1] = np.stack((J[0], -across[2], -(f * across[2] + e * across[3])))[:, 1:]
+    diagonal = J + onward
+    diagonal[0] += 1.0 / R
     # Lower band of one run after another; states of different runs are independent.
-    band = np.zeros((runs, N, 2, 4))
-    d, o = diagonal.transpose(1, 0, 2, 3), across.transpose(1, 0, 2, 3)
-    band[..., 0, 0], band[..., 0, 1], band[..., 1, 0] = d[..., 0, 0], d[..., 1, 0], d[..., 1, 1]
-    band[:, :-1, 0, 2], band[:, :-1, 0, 3] = o[:, 1:, 0, 0], o[:, 1:, 1, 0]
-    band[:, :-1, 1, 1], band[:, :-1, 1, 2] = o[:, 1:, 0, 1], o[:, 1:, 1, 1]
-    root = cholesky_banded(band.reshape(-1, 4).T, lower=True, check_finite=False).T.reshape(runs, N, 2, 4)
-    L = np.zeros((N, runs, 2, 2))
-    L[..., 0, 0], L[..., 1, 0], L[..., 1, 1] = root[..., 0, 0].T, root[..., 0, 1].T, root[..., 1, 0].T
-    return _inverse(L @ L.transpose(0, 1, 3, 2) - onward)
+    band = np.zeros((4, runs, N, 2))
+    band[0, ..., 0], band[1, ..., 0], band[0, ..., 1] = diagonal.transpose(0, 2, 1)
+    band[2, :, :-1, 0], band[3, :, :-1, 0], band[1, :, :-1, 1], band[2, :, :-1, 1] = across[:, 1:].transpose(0, 2, 1)
+    root = cholesky_banded(band.reshape(4, -1), lower=True, check_finite=False).reshape(band.shape)
+    l00, l10, l11 = root[0, ..., 0].T, root[1, ..., 0].T, root[0, ..., 1].T
+    return _inverse(np.stack((l00 * l00, l00 * l10, l10 * l10 + l11 * l11)) - onward)
 
 
 def _inverse(A: Array) -> Array:
-    """Return the inverses of symmetric matrices, shape (..., 2, 2)."""
-    adjoint = np.stack([A[..., 1, 1], -A[..., 0, 1], -A[..., 1, 0], A[..., 0, 0]], axis=-1).reshape(A.shape)
-    determinant = A[..., 0, 0] * A[..., 1, 1] - A[..., 0, 1] * A[..., 1, 0]
-    return np.asarray(adjoint / determinant[..., None, None])
+    """Return the inverses of symmetric matrices with the elements 00, 01 and 11, shape (3, ...)."""
+    return np.asarray(np.stack((A[2], -A[1], A[0])) / (A[0] * A[2] - A[1] * A[1]))
 
 
 _MAX_BINS: Final = 100
@@ -288,9 +324,7 @@ class Bins:
         front = dataset.joined('position')
         rear = front - dataset.direction * length
         low, high = np.minimum(front, rear)[:, None], np.maximum(front, rear)[:, None]
-        edges = self.edges
-        inside = np.minimum(high, edges[None, 1:]) - np.maximum(low, edges[None, :-1])
-        return np.asarray(np.maximum(inside, 0.0) / length)
+        return np.asarray(np.diff(np.clip(self.edges, low, high), axis=1) / length)
 
     def covariance(self) -> Array:
         """Return the correlation matrix of the map errors of bins, shape (count, count)."""

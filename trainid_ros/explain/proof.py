@@ -66,7 +66,7 @@ def hold_out(model: Model, hyper: Hyperparameters) -> HeldOut | None:
     runs = len(model.dataset.runs)
     if runs < FEWEST:
         return None
-    products = model.products_by_run(model.columns, hyper.spread, model.whitener(hyper))
+    products = model.products_by_run(model.columns, hyper)
     total = products.sum(axis=0)
     root, neutral = model.prior_factor(hyper.spread), _neutral(model)
     residual = model.columns @ neutral[:, 0]
@@ -97,10 +97,12 @@ def _neutral(model: Model) -> Array:
 
 def _centred(model: Model, at: NDArray[np.bool_], left: Array, expected: Array) -> tuple[Array, Array]:
     """Return the residual of one run less its mean, and the std expected of it [m/s], shapes (m,)."""
-    known = (model.dataset.node_count[at] > 0.0).astype(float)
-    centre = np.eye(known.size) - known[None, :] / max(known.sum(), 1.0)
-    variance = np.einsum('ij,jk,ik->i', centre, expected, centre)
-    return centre @ left, np.sqrt(np.maximum(variance, 0.0))
+    known = model.dataset.node_count[at] > 0.0
+    weight = known / max(float(known.sum()), 1.0)
+    # Variance of left - weight' left.
+    common = expected @ weight
+    variance = np.diag(expected) - 2.0 * common + weight @ common
+    return left - weight @ left, np.sqrt(np.maximum(variance, 0.0))
 
 
 def gap_of(before: HeldOut | None, after: HeldOut | None, model: Model) -> Gap | None:

@@ -13,7 +13,7 @@ effect fits; the residual after the named effects is described by the group that
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise, product
+from itertools import product
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
@@ -260,14 +260,11 @@ class EffectScorer:
         sections = (dataset.direction[:, None] * shares, shares) if dataset.positioned else ()
         self._sections = SECTIONS[: len(sections)]
         resistances = [*(f.resistance for f in self._families), *(g.resistance for g in self._groups)]
-        blocks = [dataset.column(r) for r in (*resistances, *sections)]
-        self._parts = [slice(*edges) for edges in pairwise(np.cumsum([0, *(b.shape[1] for b in blocks)]).tolist())]
-        self._columns = np.concatenate(blocks, axis=1)
+        self._columns = [dataset.column(r) for r in (*resistances, *sections)]
 
     def scores(self, model: Model, hyper: Hyperparameters) -> tuple[list[EffectScore], list[EffectScore]]:
         """Return the evidence of all named effects and of all groups when added to the model, best first."""
-        information = model.reduced_information(hyper, self._columns)
-        blocks = iter([(information.A[part, part], information.b[part]) for part in self._parts])
+        blocks = iter([(found.A, found.b) for found in model.informations(hyper, self._columns)])
         named, groups = [], []
         for family in self._families:
             A, b = next(blocks)
@@ -284,7 +281,7 @@ class EffectScorer:
     def group_columns(self, name: str) -> Array:
         """Return the columns of a group at the nodes, shape (m, k)."""
         k = next(i for i, group in enumerate(self._groups) if group.name == name)
-        return self._columns[:, self._parts[len(self._families) + k]]
+        return self._columns[len(self._families) + k]
 
 
 def stretch_sums(A: Array, b: Array, first: NDArray[np.intp], end: NDArray[np.intp]) -> tuple[Array, Array]:

@@ -108,15 +108,13 @@ class Search:
         hyper, logs = model.evidence().maximise()
         self.base = State(model, hyper, logs)
         self.scorer = EffectScorer(model)
-        self._of_base: dict[Hyperparameters, tuple[list[EffectScore], list[EffectScore]]] = {}
+        self._known: dict[tuple[Model, Hyperparameters], tuple[list[EffectScore], list[EffectScore]]] = {}
 
     def _scores(self, model: Model, hyper: Hyperparameters) -> tuple[list[EffectScore], list[EffectScore]]:
-        """Return the evidence of all effects and groups, cached for the base model."""
-        if model is not self.base.model:
-            return self.scorer.scores(model, hyper)
-        if hyper not in self._of_base:
-            self._of_base[hyper] = self.scorer.scores(model, hyper)
-        return self._of_base[hyper]
+        """Return the evidence of all effects and groups, calculated once."""
+        if (model, hyper) not in self._known:
+            self._known[model, hyper] = self.scorer.scores(model, hyper)
+        return self._known[model, hyper]
 
     def gradient_point(self) -> str | None:
         """Return the point of the train at which gradients are given, None if they are means under it."""
@@ -273,7 +271,7 @@ def with_onset(term: EffectTerm, without: Model, hyper: Hyperparameters) -> Effe
     times = np.sort(np.append(times, term.parameters[name]))
     shape = {n: term.parameters[n] for n in shape_names(kind)}
     columns = [unit_resistance(without.evaluator, kind, {**shape, name: float(t)}) for t in times]
-    information = without.reduced_information(hyper, dataset.column(np.stack(columns, axis=1)))
+    (information,) = without.informations(hyper, [dataset.column(np.stack(columns, axis=1))])
     value = log_bayes(np.diag(information.A), information.b, kind.typical_size, sign(kind))
     weight = np.exp(0.5 * (value - value.max()))
     weight = weight * np.gradient(times)
@@ -302,7 +300,7 @@ def is_confirmed_by_other_runs(model: Model, k: int, hyper: Hyperparameters) -> 
     shape = {name: term.parameters[name] for name in shape_names(kind)}
     column = without.dataset.column(unit_resistance(without.evaluator, kind, shape)[:, None])
     columns = np.concatenate([without.columns, column], axis=1)
-    products = without.products_by_run(columns, hyper.spread, without.whitener(hyper))
+    products = without.products_by_run(columns, hyper)
     size = term.parameters[kind.amplitude] - kind.neutral
     most = int(np.argmax(size * products[:, 0, -1]))
     root = without.prior_factor(hyper.spread)

@@ -173,7 +173,7 @@ def _total_std(term: EffectTerm, name: str, std: float) -> float:
 
 def _davis(model: Model, hyper: Hyperparameters) -> tuple[Davis, tuple[float, float, float]]:
     """Return a, b, c as estimated with the effects, with their std; negative a and c are set to zero."""
-    mean, covariance = model.posterior(hyper, model.whitener(hyper))
+    mean, covariance = model.posterior(hyper)
     std = np.sqrt(np.diag(covariance)[DAVIS]).tolist()
     return model.found_davis(mean), (std[0], std[1], std[2])
 

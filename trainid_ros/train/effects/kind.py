@@ -67,6 +67,7 @@ class EffectKind:
         typical_size: Typical distance of the amplitude from neutral: the scale of its prior in the search, in its unit.
         resistance: Equivalent extra resistance [N/kN]; None if the effect cannot be expressed as one.
         neutral: Value of ``amplitude`` at which there is no effect.
+        linear: True if the resistance is proportional to the distance of the amplitude from neutral.
         origin: 'physics' if the motion of the train differs, 'sensor' if only its data are wrong.
         on_records: True if the effect acts on the records: the simulator corrupts them, the live estimators correct
             them, and neither adds ``resistance``, which is for fits to data that cannot be corrected one by one.
@@ -83,6 +84,7 @@ class EffectKind:
     typical_size: float
     resistance: Resistance | None = None
     neutral: float = 0.0
+    linear: bool = False
     origin: Literal['physics', 'sensor'] = 'physics'
     on_records: bool = False
     needs: str = ''

@@ -27,6 +27,7 @@ BEARING_WARMUP: Final = EffectKind(
     amplitude='value',
     typical_size=1.0,
     resistance=_bearing_warmup,
+    linear=True,
     needs='data from the start of the day until the bearings are warm',
     twins=(
         Twin('resistance_step', 'a longer record: a step is sudden, the warm-up effect decays'),
@@ -73,6 +74,7 @@ BRAKE_FADE: Final = EffectKind(
     amplitude='loss',
     typical_size=0.25,
     resistance=_brake_fade,
+    linear=True,
     needs='braking with a cold brake, and repeated braking in quick succession',
     twins=(
         Twin('brake_scale', 'the first braking after a long pause, and repeated braking in quick succession'),
@@ -95,6 +97,7 @@ BRAKE_SCALE: Final = EffectKind(
     typical_size=0.12,
     neutral=1.0,
     resistance=_brake_scale,
+    linear=True,
     needs='braking with a cold brake and with a hot one',
     twins=(
         Twin('brake_fade', 'braking with a cold brake, and again soon after with a hot one'),
@@ -117,6 +120,7 @@ CURVE_RESISTANCE: Final = EffectKind(
     amplitude='coefficient',
     typical_size=500.0,
     resistance=_curve_resistance,
+    linear=True,
     needs='runs through curves of known radius and on straight track',
     twins=(
         Twin('gradient_error', 'runs through the curve in both directions: curve resistance keeps its sign'),
@@ -141,6 +145,7 @@ DRAGGING_BRAKE: Final = EffectKind(
     amplitude='permille',
     typical_size=2.0,
     resistance=_dragging_brake,
+    linear=True,
     needs='brake releases at speed, and motion long after them',
     twins=(
         Twin('starting_resistance', 'releases at high speed: starting resistance is not visible there'),
@@ -188,6 +193,7 @@ HIGHER_ORDER_DRAG: Final = EffectKind(
     amplitude='coefficient',
     typical_size=0.0001,
     resistance=_higher_order_drag,
+    linear=True,
     needs='runs over the full speed range, preferably coasting',
     twins=(
         Twin('starting_resistance', 'runs at low and at maximum speed'),
@@ -209,6 +215,7 @@ LOCAL_DRAG: Final = EffectKind(
     amplitude='permille',
     typical_size=3.0,
     resistance=_local_drag,
+    linear=True,
     needs='runs through the section and beyond it',
     twins=(
         Twin('gradient_error', 'runs through the section in both directions: a drag keeps its sign'),
@@ -256,6 +263,7 @@ RESISTANCE_STEP: Final = EffectKind(
     amplitude='a',
     typical_size=0.6,
     resistance=_resistance_step,
+    linear=True,
     needs='runs over the same line before and after the step',
     twins=(
         Twin('bearing_warmup', 'data from the start of the day: the warm-up effect decays with distance'),
@@ -280,6 +288,7 @@ STARTING_RESISTANCE: Final = EffectKind(
     amplitude='value',
     typical_size=2.0,
     resistance=_starting_resistance,
+    linear=True,
     needs='running at low speed, not only starts with full traction',
     twins=(
         Twin('dragging_brake', 'coasting at low speed long after the brake was released'),
@@ -303,6 +312,7 @@ TUNNEL_DRAG: Final = EffectKind(
     typical_size=0.6,
     neutral=1.0,
     resistance=_tunnel_drag,
+    linear=True,
     needs='fast runs inside and outside tunnels, with the tunnel flag set',
     twins=(
         Twin('headwind', 'runs through the tunnels in both directions'),

@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Inputs of effects at the stages of a run."""
+
+from __future__ import annotations
+
+from bisect import bisect_right
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trainid_ros.explain.run_data import Run
+from trainid_ros.train.davis import davis
+from trainid_ros.train.effects.point import TrackPoint
+from trainid_ros.train.train_file import Davis
+
+
+class _Line:
+    """Values [any unit] at rising x [s or m]; linear between them, constant beyond both ends."""
+
+    def __init__(self, x: list[float], y: list[float]) -> None:
+        self.x, self.y = x, y
+
+    def at(self, x: float) -> float:
+        """Return the value at one x; faster than numpy's interpolation for one point."""
+        right = bisect_right(self.x, x)
+        if right in {0, len(self.x)}:
+            return self.y[min(right, len(self.x) - 1)]
+        low, high = self.x[right - 1], self.x[right]
+        share = (x - low) / (high - low)
+        return self.y[right - 1] + share * (self.y[right] - self.y[right - 1])
+
+
+class _Ahead:
+    """The values of a line ahead of one x."""
+
+    def __init__(self, line: _Line, x: float) -> None:
+        self.line, self.x = line, x
+
+    def __call__(self, distance: float) -> float:
+        return self.line.at(self.x + distance)
+
+
+class _Before:
+    """The values of a line before one x."""
+
+    def __init__(self, line: _Line, x: float) -> None:
+        self.line, self.x = line, x
+
+    def __call__(self, distance: float) -> float:
+        return self.line.at(self.x - distance)
+
+
+def track_points(
+    run: Run, speed: NDArray[np.float64], length: float, inertia: float, resistance: Davis
+) -> list[TrackPoint]:
+    """Return the track points at mid-stage of a run.
+
+    Args:
+        run: The run.
+        speed: Mean over each stage [m/s], shape (n,).
+        length: Length of the train [m].
+        inertia: Specific force per acceleration [N/kN per m/s^2].
+        resistance: Davis resistance of the train file.
+
+    """
+    middle = run.time - 0.5 * run.dt
+    place = run.position - 0.5 * run.direction * run.dt * speed
+    # Acceleration implied by the forces: the measured one would bring the noise of the speed into the regressors.
+    acceleration = (run.traction + run.brake - run.gradient - davis(resistance, speed)) / inertia
+    travelled = np.maximum.accumulate(run.direction * place + 1e-6 * np.arange(place.size))
+    times: list[float] = middle.tolist()
+    brake, traction = _Line(times, run.brake.tolist()), _Line(times, run.traction.tolist())
+    gradient = _Line(travelled.tolist(), run.gradient.tolist())
+    rows = zip(
+        times, place.tolist(), speed.tolist(), run.radius.tolist(), run.tunnel.tolist(), run.distance_run.tolist(),
+        run.since_release.tolist(), traction.y, brake.y, run.heat.tolist(), acceleration.tolist(), gradient.x,
+        strict=True,
+    )  # fmt: skip
+    return [
+        TrackPoint(
+            time_s=t,
+            position=s,
+            direction=run.direction,
+            speed=v,
+            curve_radius=radius,
+            tunnel=tunnel > 0.5,
+            length=length,
+            distance_run=distance,
+            since_release=release,
+            traction=pull,
+            brake=push,
+            heat=heat,
+            acceleration=a,
+            brake_before=_Before(brake, t),
+            traction_before=_Before(traction, t),
+            gradient_ahead=_Ahead(gradient, way),
+        )
+        for t, s, v, radius, tunnel, distance, release, pull, push, heat, a, way in rows
+    ]
