@@ -35,8 +35,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from trainid_ros.brake_rate.config import GsmaConfig
-    from trainid_ros.resistance.config import VMilsConfig
+    from trainid_ros.brake_rate.brake_rate_settings import GsmaConfig
+    from trainid_ros.resistance.resistance_settings import VMilsConfig
     from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import TrainFile
 

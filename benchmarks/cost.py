@@ -17,7 +17,7 @@ import numpy as np
 
 from benchmarks.days import assumed_train, simulated_day, ticks_of
 from benchmarks.tables import Table
-from trainid_ros.brake_rate.config import GsmaConfig
+from trainid_ros.brake_rate.brake_rate_settings import GsmaConfig
 from trainid_ros.brake_rate.gsma import Gsma
 from trainid_ros.estimators.pipeline import (
     EstimatorSettings,

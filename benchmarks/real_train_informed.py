@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 
 from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.records import NS_PER_S
-from trainid_ros.resistance.config import FilterBankConfig
 from trainid_ros.resistance.filter_bank import FilterBank, bank_plan
+from trainid_ros.resistance.resistance_settings import FilterBankConfig
 from trainid_ros.resistance.speed_states import A, C
 
 if TYPE_CHECKING:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from trainid_lab.speed_model.physical_parameters import UPPER
+from trainid_lab.speed_model.upper_triangle import UPPER
 from trainid_ros.stream.samples import SAMPLE_PERIOD
 
 if TYPE_CHECKING:

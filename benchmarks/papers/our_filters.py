@@ -13,9 +13,9 @@ from benchmarks.papers.metro_stream import INERTIA, PERIOD
 from trainid_lab.resistance.multi_innovation import NOTHING, information_of, mils_step, posterior_of
 from trainid_ros.records import NS_PER_S
 from trainid_ros.resistance.change_points import ChangePointConfig, Tracker
-from trainid_ros.resistance.config import VMilsConfig
 from trainid_ros.resistance.force_errors import ForceErrors
 from trainid_ros.resistance.normal import independent
+from trainid_ros.resistance.resistance_settings import VMilsConfig
 from trainid_ros.resistance.speed_window import WindowTick
 from trainid_ros.resistance.vmils import tracker_of, window_plan
 from trainid_ros.resistance.window_learner import WindowLearner

@@ -28,7 +28,7 @@ from trainid_lab.brake_rate.resampling import effective_number, normal_weights, 
 from trainid_lab.stepping import step_and_estimate
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
-from trainid_ros.brake_rate.config import BrakeRateConfig
+from trainid_ros.brake_rate.brake_rate_settings import BrakeRateConfig
 from trainid_ros.brake_rate.posterior import STATES
 from trainid_ros.results import Rejection
 

@@ -20,8 +20,8 @@ from benchmarks.papers.metro_stream import INERTIA, PERIOD, SPEED_SD, curve_erro
 from benchmarks.papers.seeds import over_seeds
 from benchmarks.tables import Table
 from trainid_ros.errors import NoAnswerError
-from trainid_ros.resistance.trajectory.davis_fit import DavisFitConfig, fit_davis
-from trainid_ros.resistance.trajectory.pieces import Trajectory
+from trainid_ros.resistance.davis_fit import DavisFitConfig, fit_davis
+from trainid_ros.resistance.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -20,11 +20,11 @@ from benchmarks.papers.metro_stream import SPEED_SD, metro_stream
 from benchmarks.papers.our_filters import OUTLIERS, PRIOR, P
 from benchmarks.tables import Table
 from trainid_lab.resistance.multi_innovation import NOTHING, information_of, mils_step
-from trainid_ros.brake_rate.config import GsmaConfig
+from trainid_ros.brake_rate.brake_rate_settings import GsmaConfig
 from trainid_ros.brake_rate.gsma import Gsma
 from trainid_ros.brake_rate.posterior import Start, Transition
-from trainid_ros.speed_model.config import AmVffRlsConfig
 from trainid_ros.speed_model.speed_model_algorithms import am_vff_rls
+from trainid_ros.speed_model.speed_model_settings import AmVffRlsConfig
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

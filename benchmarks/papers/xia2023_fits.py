@@ -16,8 +16,8 @@ from trainid_lab.resistance.trajectory.derivatives import first_derivatives, obj
 from trainid_lab.resistance.trajectory.levenberg import integrated_least_squares, levenberg
 from trainid_lab.resistance.trajectory.newton import NewtonConfig, Restart, newton
 from trainid_lab.resistance.trajectory.stages import Coefficients
-from trainid_ros.resistance.trajectory.davis_fit import DavisFitConfig, fit_davis
-from trainid_ros.resistance.trajectory.pieces import Trajectory
+from trainid_ros.resistance.davis_fit import DavisFitConfig, fit_davis
+from trainid_ros.resistance.trajectory import Trajectory
 
 if TYPE_CHECKING:
     from collections.abc import Callable

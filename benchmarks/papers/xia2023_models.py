@@ -13,7 +13,7 @@ from benchmarks.papers.xia2023_fits import CASES, KINDS, in_time, record
 from trainid_lab.resistance.trajectory.levenberg import levenberg
 from trainid_lab.resistance.trajectory.multi_mass import Cars, MultiMassLine
 from trainid_lab.resistance.trajectory.stages import Stages, reach
-from trainid_ros.resistance.trajectory.davis_fit import DavisFitConfig, fit_davis
+from trainid_ros.resistance.davis_fit import DavisFitConfig, fit_davis
 from trainid_ros.train.train_file import Line
 
 if TYPE_CHECKING:

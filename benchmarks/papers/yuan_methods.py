@@ -11,11 +11,11 @@ import numpy as np
 from benchmarks.papers.lockstep import ManyIntegral, ManyMethod, ManyRls, Track, drive_each, drive_many
 from benchmarks.papers.station_lines import Lines, Noise
 from trainid_lab.speed_model import integral_rls, rls
-from trainid_lab.speed_model.physical_parameters import upper
 from trainid_lab.speed_model.speed_model_ekf import ekf_tuning
+from trainid_lab.speed_model.upper_triangle import upper
 from trainid_ros.speed_model.am_vff_rls import AuxiliaryModel, Tuning
-from trainid_ros.speed_model.config import AmVffRlsConfig, SpeedModelConfig
 from trainid_ros.speed_model.physical_parameters import Symmetric, Theta, prior
+from trainid_ros.speed_model.speed_model_settings import AmVffRlsConfig, SpeedModelConfig
 from trainid_ros.train.davis import G
 
 # Fleet prior: Davis parameters, their standard deviations, and a load of +-12 %.

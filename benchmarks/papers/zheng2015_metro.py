@@ -23,7 +23,7 @@ from benchmarks.papers.brake_runs import (
 )
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
-from trainid_ros.brake_rate.config import BrakeRateConfig
+from trainid_ros.brake_rate.brake_rate_settings import BrakeRateConfig
 from trainid_ros.brake_rate.disturbance_noise import DisturbanceNoise
 from trainid_ros.records import NS_PER_S
 

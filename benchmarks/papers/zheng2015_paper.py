@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from trainid_lab.brake_rate.group_cloud import GroupCloud
+from trainid_lab.brake_rate.linear_group_cloud import LinearGroupCloud
 from trainid_lab.brake_rate.pade_model import pade_model
 from trainid_lab.brake_rate.particles import Correction, LinearStep, correction
 from trainid_lab.brake_rate.printed import GRID, PRINTED_FIRST
@@ -202,7 +202,7 @@ def gsma_free(run: PaperRun, seed: int, walk: float = WALK, count: int = 100) ->
     """Run GSMA without a grid, as in the node but without jumps; f(0) ~ N(0.6, 0.2^2)."""
     rng = np.random.default_rng([seed, 251])
     f = 0.6 + 0.2 * rng.standard_normal(count)
-    cloud = GroupCloud(f, np.repeat(_X0[:, None], count, axis=1), float(f.mean()), float(f.var()), np.zeros(3))
+    cloud = LinearGroupCloud(f, np.repeat(_X0[:, None], count, axis=1), float(f.mean()), float(f.var()), np.zeros(3))
     P, rows = _P0 * np.eye(3), []
     begin = time.thread_time()
     for step, y in zip(run.steps, run.y, strict=True):

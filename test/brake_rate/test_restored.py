@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trainid_ros.brake_rate.config import GsmaConfig
+from trainid_ros.brake_rate.brake_rate_settings import GsmaConfig
 from trainid_ros.brake_rate.gsma import Gsma
 from trainid_ros.errors import InputError
 from trainid_ros.stream.samples import Sample

@@ -21,7 +21,7 @@ from trainid_ros.estimators.pipeline import (
     speed_model_pipeline,
 )
 from trainid_ros.records import Record
-from trainid_ros.resistance.trajectory.pieces import PieceCollector
+from trainid_ros.resistance.trajectory import PieceCollector
 from trainid_ros.results import Output, Reason, Status
 from trainid_ros.sim.scenario import Scenario, Simulation, simulate
 from trainid_ros.stream.drive_history import DriveHistoryTracker

@@ -15,10 +15,10 @@ import pytest
 import trainid_ros
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.errors import InputError
-from trainid_ros.estimators import registry
-from trainid_ros.estimators.registry import Algorithm, Algorithms
+from trainid_ros.estimators import algorithm_registry
+from trainid_ros.estimators.algorithm_registry import Algorithm, Algorithms
 from trainid_ros.records import NS_PER_S, Record
-from trainid_ros.resistance.config import VMilsConfig
+from trainid_ros.resistance.resistance_settings import VMilsConfig
 from trainid_ros.resistance.vmils import VMils
 from trainid_ros.ros.jobs import JOBS, chosen_algorithms
 from trainid_ros.ros.params_template import parameter_file
@@ -33,8 +33,8 @@ importlib.metadata.entry_points = lambda **wanted: read(**(wanted | {'group': 'n
 sys.modules['trainid_lab'] = None  # an import of it fails
 """
 FOUND = """
-from trainid_ros.estimators.registry import Algorithm
-from trainid_ros.resistance.config import VMilsConfig
+from trainid_ros.estimators.algorithm_registry import Algorithm
+from trainid_ros.resistance.resistance_settings import VMilsConfig
 from trainid_ros.resistance.vmils import VMils
 ALGORITHMS = (Algorithm('NAME', 'a plug-in', VMilsConfig(), lambda train, config, _: VMils(train, config)),)
 """
@@ -109,7 +109,7 @@ def unread(monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(job: str) -> tuple[tuple[str, object], ...]:
         pytest.fail(f'plug-ins for {job} are read')
 
-    monkeypatch.setattr(registry, 'plugged_in', fail)
+    monkeypatch.setattr(algorithm_registry, 'plugged_in', fail)
     for job in JOBS:
         vars(job.algorithms).pop('_others', None)
 

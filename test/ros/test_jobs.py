@@ -10,9 +10,9 @@ from typing import Any
 import pytest
 
 from trainid_ros.errors import InputError
+from trainid_ros.estimators.algorithm_registry import Algorithm, Algorithms
 from trainid_ros.estimators.pipeline import EstimatorSettings
-from trainid_ros.estimators.registry import Algorithm, Algorithms
-from trainid_ros.resistance.config import VMilsConfig
+from trainid_ros.resistance.resistance_settings import VMilsConfig
 from trainid_ros.resistance.vmils import VMils
 from trainid_ros.ros import jobs
 from trainid_ros.ros.jobs import JOBS, Setup, chosen_algorithms, node_setups

@@ -11,8 +11,8 @@ import yaml
 
 from trainid_ros.errors import InputError
 from trainid_ros.estimators.pipeline import EstimatorSettings
-from trainid_ros.resistance.config import FilterBankConfig
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
+from trainid_ros.resistance.resistance_settings import FilterBankConfig
 from trainid_ros.ros.parameter_specs import ParameterSpec, build_settings, build_train_file, estimator_parameters
 from trainid_ros.ros.params_file import find_mismatch, params_files
 from trainid_ros.ros.params_template import parameter_file

@@ -10,6 +10,7 @@ import pytest
 
 from trainid_ros.speed_model.am_vff_rls import AuxiliaryModel, Tuning
 from trainid_ros.speed_model.nuisance_parameters import CurveError, Disturbance, ForceDelay, RecentSamples
+from trainid_ros.vectors import vec
 
 NONE = (0.0, 0.0, 0.0, 0.0)
 UNIT = (1.0, 0.0, 0.0, 0.0)
@@ -84,3 +85,17 @@ def test_the_curve_error_is_estimated_as_by_a_kalman_filter() -> None:
     K = P[:, 0] / S
     expected = P - np.outer(K, P[0])
     assert (curve.error, curve.x, curve.variance) == pytest.approx((K[1] * error, expected[0, 1], expected[1, 1]))
+
+
+@pytest.mark.parametrize(('size', 'kept'), [(0.9, 1.0), (2.0, 0.5)])
+def test_covariances_shrink_only_as_far_as_the_variances_require(size: float, kept: float) -> None:
+    """c = P h has c' P^-1 c = h' P h; beyond the variance of the error it shrinks to it."""
+    tuning = Tuning(0.0, 0.0, 0.0, 1.0, math.inf, 1.0, 1.0, 4.0, 0.0)
+    model, factor = AuxiliaryModel((0.0, 1.0, 1e-3, 0.0), (1.0,) * 10, tuning), np.random.default_rng(5)
+    L = factor.standard_normal((5, 5))
+    P, h = L @ L.T, factor.standard_normal(5)
+    model.P = vec[float](P.ravel().tolist())
+    c = P @ h * size / math.sqrt(h @ P @ h)
+    curve = CurveError(0.0, 1.0, *c.tolist())
+    curve.bound(model)
+    assert (curve.x, curve.a1, curve.a2, curve.b1, curve.d0) == pytest.approx(tuple(kept * c))

@@ -8,7 +8,6 @@ import math
 import numpy as np
 import pytest
 
-from trainid_ros.speed_model.config import SpeedModelConfig
 from trainid_ros.speed_model.physical_parameters import (
     full,
     prior,
@@ -16,6 +15,7 @@ from trainid_ros.speed_model.physical_parameters import (
     to_physical,
     to_speed_model,
 )
+from trainid_ros.speed_model.speed_model_settings import SpeedModelConfig
 
 T = 0.2
 DAVIS, K = (1.7, 0.02, 0.0086), 9.80665 / 1080.0

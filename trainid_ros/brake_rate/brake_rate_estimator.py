@@ -31,7 +31,7 @@ from trainid_ros.state import check_not_negative, check_numbers, check_restored,
 from trainid_ros.train.brake import CommandHistory
 
 if TYPE_CHECKING:
-    from trainid_ros.brake_rate.config import BrakeRateConfig
+    from trainid_ros.brake_rate.brake_rate_settings import BrakeRateConfig
     from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import TrainFile
 
@@ -182,7 +182,7 @@ class BrakeRateEstimator:
         if (rejection := self._unknown(sample)) is not None:
             self._anchor(sample, elapsed)
             return rejection
-        if (rejection := self._unusable(sample)) is not None:
+        if (rejection := self._model.known.reject(sample)) is not None:
             posterior.predict(self._interval(sample, motion, timing))
             return rejection
         self._follow_position(sample)
@@ -220,17 +220,6 @@ class BrakeRateEstimator:
         if self.state.certain_ns > sample.stamp_ns:
             uncertain_s = seconds(self.state.certain_ns - sample.stamp_ns)
             return Rejection(sample.stamp_ns, Reason.BRAKE_UNCERTAIN, uncertain_s, 0.0)
-        return None
-
-    def _unusable(self, sample: Sample) -> Rejection | None:
-        """Return a rejection if a force that acts is not known."""
-        if not is_finite(sample.gradient_mean):
-            return Rejection(sample.stamp_ns, Reason.GRADIENT_MISSING, sample.gradient_mean, math.nan)
-        if not is_finite(sample.force_mean):
-            return Rejection(sample.stamp_ns, Reason.FORCE_MISSING, sample.force_mean, math.nan)
-        known = self._model.known
-        if not known.is_possible(sample):
-            return Rejection(sample.stamp_ns, Reason.OUT_OF_RANGE, sample.force_mean, known.largest_force(sample))
         return None
 
     def _follow_command(self, sample: Sample) -> tuple[BrakeStep, TimingStep]:

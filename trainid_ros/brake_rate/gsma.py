@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """GSMA: brake rate by the group stochastic M-algorithm, a Rao-Blackwellised particle filter.
 
-The particles and their differences from Zheng et al. 2015 are in :mod:`group_cloud`, the motion model and the selection
-of samples in :mod:`brake_rate_estimator`. With two strata, one for a drifting and one for a jumping brake rate, it
-detects a jump within seconds; without jumps it is the exact filter except for sampling noise.
+A step and its differences from Zheng et al. 2015 are in :mod:`m_algorithm`, the particles in :mod:`group_cloud`, the
+motion model and the selection of samples in :mod:`brake_rate_estimator`. With two strata, one for a drifting and one
+for a jumping brake rate, it detects a jump within seconds; without jumps it is the exact filter except for sampling
+noise.
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from trainid_ros.brake_rate.brake_rate_estimator import LARGEST_RATE, BrakeRateE
 from trainid_ros.brake_rate.covariance import Covariance
 from trainid_ros.brake_rate.group_cloud import WIDTH, GroupCloud, zeros
 from trainid_ros.brake_rate.jumps import drifts, transition
+from trainid_ros.brake_rate.m_algorithm import MAlgorithm
 from trainid_ros.brake_rate.motion_model import true_brake
 from trainid_ros.brake_rate.posterior import NO_ERRORS, STATES, Errors, Start, Transition
 from trainid_ros.errors import InputError
@@ -29,7 +31,7 @@ from trainid_ros.state import check_not_negative, check_numbers, check_restored,
 from trainid_ros.vectors import vec
 
 if TYPE_CHECKING:
-    from trainid_ros.brake_rate.config import GsmaConfig
+    from trainid_ros.brake_rate.brake_rate_settings import GsmaConfig
     from trainid_ros.train.train_file import TrainFile
 
 _JUMPING_SHARE: Final = 1.0 / 3.0
@@ -77,6 +79,7 @@ class GsmaPosterior:
         self._q = drifts(config)
         self._walk, self._chain = zeros(len(self._sizes)), vec[float]([1.0] * len(self._sizes) ** 2)
         self.cloud, self._covariance = GroupCloud(self._sizes), Covariance()
+        self._algorithm = MAlgorithm(self.cloud)
         self._config = config
         self.reset(expected, config.prior_std, NO_ERRORS)
 
@@ -188,7 +191,7 @@ class GsmaPosterior:
             self._chain[0], self._chain[1], self._chain[2], self._chain[3] = 1.0 - starts, starts, ends, 1.0 - ends
         S = self._covariance.correct(r)
         uniforms: list[float] = self._rng.random(len(self._sizes)).tolist()
-        self._effective = self.cloud.learn(
+        self._effective = self._algorithm.learn(
             interval, self._walk, speed, self._covariance.K, S, self._largest, self._chain, uniforms
         )
         return True

@@ -12,7 +12,7 @@ import math
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from trainid_ros.brake_rate.config import JumpConfig
+    from trainid_ros.brake_rate.brake_rate_settings import JumpConfig
 
 
 def transition(config: JumpConfig, dt: float, pause: float = 0.0) -> tuple[float, float]:

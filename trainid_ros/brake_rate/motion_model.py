@@ -27,7 +27,7 @@ from trainid_ros.vectors import vec
 
 if TYPE_CHECKING:
     from trainid_ros.brake_rate.brake_kinematics import BrakeStep
-    from trainid_ros.brake_rate.config import BrakeRateConfig
+    from trainid_ros.brake_rate.brake_rate_settings import BrakeRateConfig
     from trainid_ros.brake_rate.timing import TimingStep
     from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import Brake, TrainFile

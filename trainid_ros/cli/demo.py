@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from trainid_ros.demo.comparison import ComparisonOutcome
     from trainid_ros.demo.hidden import HiddenCase
     from trainid_ros.demo.view import View
-    from trainid_ros.report.scores import AccuracyScore
+    from trainid_ros.report.accuracy_scores import AccuracyScore
 
 _CHECK_FAILED: Final = 1
 

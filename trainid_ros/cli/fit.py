@@ -12,9 +12,8 @@ from trainid_ros.bag.reader import BagReader, require_topics
 from trainid_ros.cli.output import print_json, progress, table, warn
 from trainid_ros.errors import InputError, NoAnswerError
 from trainid_ros.records import NS_PER_S
-from trainid_ros.resistance.trajectory.davis_fit import DavisFit, DavisFitConfig, fit_davis
-from trainid_ros.resistance.trajectory.pieces import PieceCollector
-from trainid_ros.resistance.trajectory.plausible import check_plausible
+from trainid_ros.resistance.davis_fit import DavisFit, DavisFitConfig, check_plausible, fit_davis
+from trainid_ros.resistance.trajectory import PieceCollector
 from trainid_ros.stream.alignment import TimeJump
 from trainid_ros.stream.sample_stream import SampleStream, StreamConfig
 from trainid_ros.stream.samples import Sample
@@ -24,7 +23,7 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable
 
-    from trainid_ros.resistance.trajectory.pieces import Trajectory
+    from trainid_ros.resistance.trajectory import Trajectory
     from trainid_ros.results import Reason
 
 _UNKNOWN: Final = {

@@ -14,8 +14,8 @@ from trainid_ros.bag.bag_replay import AnyOutput, Replay, replay
 from trainid_ros.bag.reader import BagReader, LoggedRecord
 from trainid_ros.demo.view import LABELS
 from trainid_ros.estimators.pipeline import EstimatorSettings
+from trainid_ros.report.accuracy_scores import AccuracyScore, score_brake_rate, score_resistance
 from trainid_ros.report.content import Chapter, RejectionCounts
-from trainid_ros.report.scores import AccuracyScore, score_brake_rate, score_resistance
 from trainid_ros.results import BrakeRateEstimate, ResistanceEstimate, SpeedModelEstimate, Status
 
 if TYPE_CHECKING:

@@ -53,17 +53,12 @@ class Admission:
 
     def _incomplete(self, sample: Sample) -> Rejection | None:
         """Return which input is missing or impossible, None if none is."""
-        stamp_ns = sample.stamp_ns
         if math.isnan(sample.dt):
-            return Rejection(stamp_ns, Reason.GAP, sample.dt, math.nan)
-        if not is_finite(sample.force_mean):
-            return Rejection(stamp_ns, Reason.FORCE_MISSING, sample.force_mean, math.nan)
-        if not self.known.is_possible(sample):
-            return Rejection(stamp_ns, Reason.OUT_OF_RANGE, sample.force_mean, self.known.largest_force(sample))
-        if not is_finite(sample.gradient_mean):
-            return Rejection(stamp_ns, Reason.GRADIENT_MISSING, sample.gradient_mean, math.nan)
+            return Rejection(sample.stamp_ns, Reason.GAP, sample.dt, math.nan)
+        if (rejection := self.known.reject(sample)) is not None:
+            return rejection
         if not is_finite(sample.brake_command):
-            return Rejection(stamp_ns, Reason.BRAKE_COMMAND_MISSING, sample.brake_command, math.nan)
+            return Rejection(sample.stamp_ns, Reason.BRAKE_COMMAND_MISSING, sample.brake_command, math.nan)
         return None
 
     def _brake_acts(self, sample: Sample) -> bool:

@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from typing import Final
 
+from trainid_ros.results import Reason, Rejection
 from trainid_ros.scalars import is_finite
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.davis import G, specific_force, specific_inertia
@@ -53,13 +54,18 @@ class KnownForce:
         """Return 1000 F/(M g) [N/kN] of a reported force [N]."""
         return specific_force(force, self.mass(sample))
 
-    def largest_force(self, sample: Sample) -> float:
-        """Return the weight of the train [N]: no wheel can transmit a force greater than its load."""
-        return self.mass(sample) * G
-
-    def is_possible(self, sample: Sample) -> bool:
-        """Return False if no train could exert the reported force."""
-        return not max(abs(sample.force_mean), abs(sample.force)) > self.largest_force(sample)
+    def reject(self, sample: Sample) -> Rejection | None:
+        """Return a rejection if force or gradient is missing, or if no train could exert the force; else None."""
+        stamp_ns, force = sample.stamp_ns, sample.force_mean
+        if not is_finite(force):
+            return Rejection(stamp_ns, Reason.FORCE_MISSING, force, math.nan)
+        # No wheel can transmit a force greater than its load, so no train one greater than its weight [N].
+        weight = self.mass(sample) * G
+        if max(abs(force), abs(sample.force)) > weight:
+            return Rejection(stamp_ns, Reason.OUT_OF_RANGE, force, weight)
+        if not is_finite(sample.gradient_mean):
+            return Rejection(stamp_ns, Reason.GRADIENT_MISSING, sample.gradient_mean, math.nan)
+        return None
 
     def track(self, sample: Sample) -> float:
         """Return the sum of gradient and modelled extra resistance, mean since the previous sample [N/kN]."""

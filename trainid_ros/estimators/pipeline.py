@@ -15,9 +15,9 @@ from typing import Any, Generic, TypeAlias
 import numpy as np
 
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
+from trainid_ros.estimators.algorithm_registry import Algorithms, Choice
 from trainid_ros.estimators.consistency import Consistency, ConsistencyMonitor
 from trainid_ros.estimators.protocol import Estimator
-from trainid_ros.estimators.registry import Algorithms, Choice
 from trainid_ros.records import NS_PER_S, Record, Row
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
 from trainid_ros.results import (

@@ -14,11 +14,11 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from trainid_ros.explain.effect_scores import SECTIONS, EffectScore, EffectScorer
 from trainid_ros.explain.effects import EffectTerm, prior_cost, shape_names, sign, unit_resistance
 from trainid_ros.explain.likelihood import Hyperparameters, eliminate, log_bayes
 from trainid_ros.explain.measurement_errors import preferred_point
 from trainid_ros.explain.model import Model
-from trainid_ros.explain.scores import SECTIONS, EffectScore, EffectScorer
 from trainid_ros.train.effects import EFFECTS
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from matplotlib.patches import Patch
 
-from trainid_ros.report.scores import SIGMA_95, resistance_at, resistance_std, true_rate, true_theta
+from trainid_ros.report.accuracy_scores import SIGMA_95, resistance_at, resistance_std, true_rate, true_theta
 from trainid_ros.report.style import (
     BAD,
     BAND_68,

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
-from trainid_ros.report.scores import (
+from trainid_ros.report.accuracy_scores import (
     final_truth,
     resistance_at,
     resistance_std,
@@ -20,8 +20,8 @@ from trainid_ros.report.scores import (
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+    from trainid_ros.report.accuracy_scores import AccuracyScore
     from trainid_ros.report.content import Chapter
-    from trainid_ros.report.scores import AccuracyScore
     from trainid_ros.report.traces import Array
     from trainid_ros.results import Status
 

@@ -35,8 +35,8 @@ from trainid_ros.stream.samples import STANDING
 from trainid_ros.vectors import append, vec
 
 if TYPE_CHECKING:
-    from trainid_ros.resistance.config import FilterBankConfig
     from trainid_ros.resistance.hypotheses import Innovation
+    from trainid_ros.resistance.resistance_settings import FilterBankConfig
     from trainid_ros.results import ResistanceEstimate
     from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import TrainFile

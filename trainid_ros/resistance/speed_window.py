@@ -219,10 +219,6 @@ def _result(
 ) -> WindowResult:
     """Return the observation of a line with these weights."""
     phi0 = phi1 = phi2 = traction = size = curve = later = 0.0
-    # sum w_k T(t_k), the slope of the traction. A force that acts delta later changes the speed slope by delta times
-    # this value: summation by parts turns the changes of T, weighted by the shares of the intervals, into T weighted
-    # by w. T at a stamp is the mean of the two adjacent intervals.
-    traction_rate, T = 0.0, ticks[-1].traction
     slowest = fastest = speeds[0]
     for k in range(len(ticks) - 1, 0, -1):
         tick, v1, v0 = ticks[k], speeds[k], speeds[k - 1]
@@ -235,8 +231,6 @@ def _result(
         traction += share * tick.traction
         curve += share * tick.curve
         size += abs(tick.traction)
-        traction_rate += weights[k] * T
-        T = 0.5 * (ticks[k - 1].traction + tick.traction)
         slowest, fastest = min(slowest, v1), max(fastest, v1)
     return WindowResult(
         y=-inertia * dot(weights, rest),
@@ -244,12 +238,25 @@ def _result(
         noise_std=inertia * speed_std * math.sqrt(dot(weights, weights)),
         traction=traction,
         traction_size=size / (len(ticks) - 1),
-        traction_rate=traction_rate + weights[0] * T,
+        traction_rate=_traction_rate(ticks, weights),
         curve=curve,
         duration=times[-1],
         speed_min=slowest,
         speed_max=fastest,
     )
+
+
+def _traction_rate(ticks: list[WindowTick], weights: vec[float]) -> float:
+    """Return sum w_k T(t_k), the slope of the traction; T at a stamp is the mean of the two adjacent intervals.
+
+    A force that acts delta later changes the speed slope by delta times this value: summation by parts turns the
+    changes of T, weighted by the shares of the intervals, into T weighted by w.
+    """
+    rate, T = 0.0, ticks[-1].traction
+    for k in range(len(ticks) - 1, 0, -1):
+        rate += weights[k] * T
+        T = 0.5 * (ticks[k - 1].traction + ticks[k].traction)
+    return rate + weights[0] * T
 
 
 @lru_cache(maxsize=64)

@@ -40,9 +40,9 @@ from trainid_ros.settings import check_settings
 from trainid_ros.state import decode, encode
 
 if TYPE_CHECKING:
-    from trainid_ros.resistance.config import VMilsConfig
     from trainid_ros.resistance.davis_posterior import DavisPosterior
     from trainid_ros.resistance.normal import Array
+    from trainid_ros.resistance.resistance_settings import VMilsConfig
     from trainid_ros.results import Rejection, ResistanceEstimate
     from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import TrainFile

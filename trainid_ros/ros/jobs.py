@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
     from pathlib import Path
 
-    from trainid_ros.estimators.registry import Algorithms
+    from trainid_ros.estimators.algorithm_registry import Algorithms
     from trainid_ros.train.train_file import TrainFile
 
 

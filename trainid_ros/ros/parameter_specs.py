@@ -12,8 +12,8 @@ from dataclasses import dataclass, fields, replace
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from trainid_ros.errors import InputError
+from trainid_ros.estimators.algorithm_registry import Choice
 from trainid_ros.estimators.pipeline import EstimatorSettings, PipelineConfig
-from trainid_ros.estimators.registry import Choice
 from trainid_ros.records import INPUT_TOPICS
 from trainid_ros.settings import setting_info
 from trainid_ros.stream.alignment import AlignmentConfig
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from _typeshed import DataclassInstance
 
-    from trainid_ros.estimators.registry import Algorithms
+    from trainid_ros.estimators.algorithm_registry import Algorithms
     from trainid_ros.ros.jobs import Job
 
 Value: TypeAlias = bool | int | float | str

@@ -46,6 +46,7 @@ _RESISTANCE: Final = (_A1, _A2, _D0)
 _SAVED: Final = 21
 # Limit of one error in the running mean, in standard deviations.
 _MOST: Final = 3.0
+_TINY: Final = 1e-300
 
 
 @dataclass(frozen=True)
@@ -94,6 +95,8 @@ class AuxiliaryModel:
         self.P = vec[float]([0.0] * (_SIZE * _SIZE))
         # Derivatives of x_a(n) with respect to x_a(n-1) and theta.
         self._gradient = vec[float]([0.0] * _SIZE)
+        # P and a vector while it is multiplied by the inverse.
+        self._left, self._rest = vec[float]([0.0] * (_SIZE * _SIZE)), vec[float]([0.0] * _SIZE)
         self.mean_error = 0.0
 
     def start(self, variance: float) -> None:
@@ -159,6 +162,24 @@ class AuxiliaryModel:
         if math.isnan(total) or math.isinf(total):
             return False
         return z[_B1] > 0.0 and P[6] > 0.0 and P[12] > 0.0 and P[18] > 0.0 and P[24] > 0.0
+
+    def squared_norm(self, x: float, a1: float, a2: float, b1: float, d0: float) -> float:
+        """Return c' P^-1 c for the covariances c of x, a1, a2, b1, d0 with another quantity: what they say of it."""
+        n: i64 = _SIZE
+        left, rest, total = self._left, self._rest, 0.0
+        rest[_X], rest[_A1], rest[_A2], rest[_B1], rest[_D0] = x, a1, a2, b1, d0
+        for k in range(n * n):
+            left[k] = self.P[k]
+        # Gaussian elimination: left loses the part of P that the elements before determine.
+        for k in range(n):
+            r = 1.0 / max(left[n * k + k], _TINY)
+            total += rest[k] * rest[k] * r
+            for i in range(k + 1, n):
+                share = left[n * k + i] * r
+                rest[i] -= share * rest[k]
+                for j in range(i, n):
+                    left[n * i + j] -= share * left[n * k + j]
+        return total
 
     def learn(self, y: float, u: float, scale: float, variance: float) -> Learned:
         """Update by one step of (7) in its computable order.

@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from typing import Protocol, TypeAlias
 
-from trainid_ros.scalars import is_finite
 from trainid_ros.speed_model.physical_parameters import Symmetric, Theta
 
 Numbers: TypeAlias = tuple[float, ...]
@@ -46,6 +45,9 @@ class Method(Protocol):
     def restore(self, numbers: Numbers) -> bool:
         """Continue from a saved state; return False if it has the wrong length or a variance is negative."""
 
+    def is_usable(self) -> bool:
+        """Return whether all numbers are finite, b1 > 0 and the variances of theta > 0."""
+
     def speed(self) -> float:
         """Return x [m/s]."""
 
@@ -69,16 +71,3 @@ class Method(Protocol):
 
     def widen_load(self, share: float) -> None:
         """Add a ``share`` [1] of the load variance to b1, for a change of load at a stop."""
-
-
-def is_usable(method: Method, variance: float) -> bool:
-    """Return whether all numbers are finite, b1 > 0 and the variances of theta > 0.
-
-    Args:
-        method: The algorithm.
-        variance: Variance of measured speed [(m/s)^2].
-
-    """
-    S = method.covariance(variance)
-    positive = method.theta()[2] > 0.0 and min(S[0], S[4], S[7], S[9]) > 0.0
-    return positive and is_finite(sum(method.numbers()))

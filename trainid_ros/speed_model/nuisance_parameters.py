@@ -248,6 +248,22 @@ class CurveError:
         self.b1 -= share * P[3]
         self.d0 -= share * P[4]
 
+    def bound(self, model: AuxiliaryModel) -> None:
+        """Shrink the covariances c until c' P^-1 c is at most the variance, as in every joint covariance.
+
+        Exact updates keep it so. But forgetting, which ends at the prior, may reduce P, and a rejected sample changes
+        P and not c; under extreme settings the correlations then exceeded one.
+
+        Args:
+            model: The auxiliary model, with P.
+
+        """
+        most = model.squared_norm(self.x, self.a1, self.a2, self.b1, self.d0)
+        if most > self.variance:
+            share = math.sqrt(self.variance / most)
+            self.x, self.a1, self.a2 = share * self.x, share * self.a1, share * self.a2
+            self.b1, self.d0 = share * self.b1, share * self.d0
+
 
 @dataclass
 class Disturbance:

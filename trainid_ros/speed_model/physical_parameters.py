@@ -19,7 +19,7 @@ from trainid_ros.estimators.prior import prior_variances
 from trainid_ros.stream.samples import SAMPLE_PERIOD
 
 if TYPE_CHECKING:
-    from trainid_ros.speed_model.config import SpeedModelConfig
+    from trainid_ros.speed_model.speed_model_settings import SpeedModelConfig
 
 Theta: TypeAlias = tuple[float, float, float, float]
 """a1 [s/m], a2 [1], b1 [m/s per N/kN], d0 [m/s]."""

@@ -5,11 +5,11 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Final
 
-from trainid_ros.estimators.registry import Algorithm, Algorithms
+from trainid_ros.estimators.algorithm_registry import Algorithm, Algorithms
 from trainid_ros.results import SpeedModelEstimate
 from trainid_ros.speed_model.am_vff_rls import AuxiliaryModel, Tuning
-from trainid_ros.speed_model.config import AmVffRlsConfig
 from trainid_ros.speed_model.speed_model_estimator import SpeedModelEstimator, load_std
+from trainid_ros.speed_model.speed_model_settings import AmVffRlsConfig
 from trainid_ros.stream.samples import SAMPLE_PERIOD
 
 if TYPE_CHECKING:

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Final
 
@@ -17,7 +17,7 @@ from trainid_ros.results import Reason, Rejection, SpeedModelEstimate
 from trainid_ros.scalars import is_finite
 from trainid_ros.settings import check_settings
 from trainid_ros.speed_model.am_vff_rls import AuxiliaryModel
-from trainid_ros.speed_model.method import Learned, Method, Numbers, is_usable
+from trainid_ros.speed_model.method import Learned, Method
 from trainid_ros.speed_model.nuisance_parameters import CurveError, Disturbance, ForceDelay, RecentSamples
 from trainid_ros.speed_model.physical_parameters import (
     Symmetric,
@@ -27,13 +27,14 @@ from trainid_ros.speed_model.physical_parameters import (
     resistance_variance,
     to_physical,
 )
-from trainid_ros.state import check_not_negative, check_numbers, check_restored, decode, encode
+from trainid_ros.speed_model.speed_model_state import SpeedModelState
+from trainid_ros.state import check_restored, decode, encode
 from trainid_ros.stream.samples import SAMPLE_PERIOD
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from trainid_ros.speed_model.config import SpeedModelConfig
+    from trainid_ros.speed_model.speed_model_settings import SpeedModelConfig
     from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import TrainFile
 
@@ -43,63 +44,8 @@ _STANDING: Final = 3
 _SUDDEN: Final = 1.0
 # A detected change keeps at least the square of this share of the information.
 _LEAST_FACTOR: Final = 0.1
-# The range of speeds driven: memory of about half an hour, and its half-width in standard deviations.
-_SPEED_SAMPLES: Final = 9000.0
-_SPEED_WIDTH: Final = 1.5
 # Limit of the change of traction from sample to sample [N/kN]; beyond it is an outlier.
 _MOST_CHANGE: Final = 500.0
-
-
-@dataclass
-class SpeedModelState:
-    """State of an estimator of the speed model.
-
-    Attributes:
-        noise: Noise of measured speed.
-        disturbance: Strength of gusts and other unmodelled disturbances.
-        force_delay: Delay of the reported force.
-        curve: Error of the curve resistance.
-        forgetting: Last forgetting factor [1].
-        predicted: Last predicted speed [m/s].
-        error: Last prediction error [m/s].
-        variance: Its predicted variance [(m/s)^2].
-        slowest: Slowest speed used [m/s].
-        fastest: Fastest speed used [m/s]; less than ``slowest`` if there is none yet.
-        speed_mean: Running mean of the speeds used [m/s].
-        speed_variance: Their running variance [(m/s)^2].
-        used: Number of samples used, up to the memory of these means.
-        rejected_in_a_row: Outliers in a row.
-        slow_in_a_row: Samples in a row below the minimum speed.
-        traction: Last known traction [N/kN].
-        weighed: Whether the mass was weighed at the last sample.
-        fit: Whether the resistance is valid.
-        numbers: State of the algorithm, set only when saved.
-        recent: Last samples, set only when saved.
-        braked_ns: Last stamp at which the brake was commanded [ns], set only when saved.
-
-    """
-
-    noise: SpeedNoise
-    disturbance: Disturbance
-    force_delay: ForceDelay
-    curve: CurveError
-    forgetting: float = 1.0
-    predicted: float = 0.0
-    error: float = 0.0
-    variance: float = 0.0
-    slowest: float = 0.0
-    fastest: float = -1.0
-    speed_mean: float = 0.0
-    speed_variance: float = 0.0
-    used: float = 0.0
-    rejected_in_a_row: int = 0
-    slow_in_a_row: int = 0
-    traction: float = 0.0
-    weighed: bool = False
-    fit: bool = False
-    numbers: Numbers = ()
-    recent: Numbers = ()
-    braked_ns: int = 0
 
 
 class ModelStep:
@@ -188,11 +134,10 @@ class SpeedModelEstimator:
         """Restore a saved state; raise InputError if it is invalid."""
         kind, state = 'SpeedModelState', decode(text, SpeedModelState)
         method, recent = self._make_method(), RecentSamples()
-        self._check(state)
-        variance = state.noise.variance
+        state.check()
         fits = all(map(math.isfinite, state.numbers)) and method.restore(state.numbers)
-        check_restored(fits and is_usable(method, variance), kind, 'numbers')
-        S = method.covariance(variance)
+        check_restored(fits and method.is_usable(), kind, 'numbers')
+        S = method.covariance(state.noise.variance)
         of_x = method.P[0] if isinstance(method, AuxiliaryModel) else 0.0
         check_restored(state.curve.is_valid((of_x, S[0], S[4], S[7], S[9])), kind, 'curve')
         check_restored(recent.restore(state.recent), kind, 'recent')
@@ -203,21 +148,6 @@ class SpeedModelEstimator:
         self._admission.braked_ns = state.braked_ns
         self.state, self._recent = replace(state, numbers=(), recent=()), recent
         self._use(method)
-
-    @staticmethod
-    def _check(state: SpeedModelState) -> None:
-        """Raise InputError, naming the field, if a saved state is invalid apart from that of the algorithm."""
-        kind = 'SpeedModelState'
-        # The algorithms as printed can diverge before they restart, so these values are only required to be finite.
-        for name in ('forgetting', 'predicted', 'error', 'variance'):
-            check_restored(is_finite(getattr(state, name)), kind, name)
-        bounded = replace(state, numbers=(), forgetting=1.0, predicted=0.0, error=0.0, variance=0.0)
-        check_numbers(bounded, may_be_nan=('dt',))  # dt of the noise is NaN after a gap
-        check_restored(state.noise.is_valid(), kind, 'noise')
-        check_restored(state.disturbance.is_valid(), kind, 'disturbance')
-        check_restored(state.force_delay.variance >= 0.0, kind, 'force_delay')
-        check_not_negative(kind, variance=state.variance, speed_variance=state.speed_variance, used=state.used)
-        check_not_negative(kind, rejected_in_a_row=state.rejected_in_a_row, slow_in_a_row=state.slow_in_a_row)
 
     def step(self, sample: Sample) -> Rejection | None:
         """Process one sample; return the reason if it is rejected."""
@@ -231,12 +161,14 @@ class SpeedModelEstimator:
         noise, sensitivity, curve_x = state.noise.variance, state.force_delay.sensitivity, state.curve.x
         self._predict(step)
         learned = self.method.learn(y, step.u, step.scale, noise)
-        usable = self._is_usable()
+        usable = self.method.is_usable()
         if usable and not learned.rejected:
             self._learn(sample, step, learned)
             return None
         # A rejected sample tells nothing about delay and curve error.
         state.force_delay.sensitivity, state.curve.x = sensitivity, curve_x
+        if self._auxiliary is not None:
+            state.curve.bound(self._auxiliary)
         if learned.rejected:
             self._reject(y, step, learned, usable)
             return Rejection(sample.stamp_ns, Reason.OUTLIER, learned.error, learned.limit)
@@ -288,19 +220,12 @@ class SpeedModelEstimator:
 
     def _learn(self, sample: Sample, step: ModelStep, learned: Learned) -> None:
         """Store the result of a measurement update and update the estimates other than theta."""
-        state, y = self.state, sample.speed
+        state = self.state
         if self._auxiliary is not None:
             self._learn_nuisances(self._auxiliary, step, learned)
         state.forgetting = learned.forgetting
         state.predicted, state.error, state.variance = learned.predicted, learned.error, learned.variance
-        if state.fastest >= state.slowest:
-            state.slowest, state.fastest = min(y, state.slowest), max(y, state.fastest)
-        else:
-            state.slowest = state.fastest = y
-        share, off = 1.0 / min(state.used + 1.0, _SPEED_SAMPLES), y - state.speed_mean
-        state.speed_mean += share * off
-        state.speed_variance = (1.0 - share) * (state.speed_variance + share * (off * off))
-        state.used = 1.0 / share
+        state.drive(sample.speed)
         state.rejected_in_a_row = state.slow_in_a_row = 0
         state.traction, state.weighed = step.traction, sample.weighed
         self._update_validity(state, self._covariance())
@@ -312,6 +237,8 @@ class SpeedModelEstimator:
         self._learn_delay(model, learned)
         if self._curve_std > 0.0:
             state.curve.learn(model, learned.error, learned.variance, noise)
+            if learned.forgetting < 1.0:
+                state.curve.bound(model)
         density = state.disturbance.density
         state.disturbance.add(correction, step.theta, step.phi, step.dt, step.acceleration_variance)
         if state.disturbance.elapsed == 0.0:
@@ -329,6 +256,7 @@ class SpeedModelEstimator:
         if disturbance.chi2 > threshold:
             factor = max(threshold / disturbance.chi2, _LEAST_FACTOR)
             model.forget(factor * factor)
+            self.state.curve.bound(model)
             disturbance.mean_error, disturbance.density = 0.0, density
 
     def _learn_delay(self, model: AuxiliaryModel, learned: Learned) -> None:
@@ -343,10 +271,7 @@ class SpeedModelEstimator:
         """Update whether the resistance is valid at the speeds driven, with the covariance S of theta."""
         if state.fastest < state.slowest:
             return
-        width = _SPEED_WIDTH * math.sqrt(state.speed_variance)
-        slow, fast = max(state.speed_mean - width, state.slowest), min(state.speed_mean + width, state.fastest)
-        v1, v2, v3 = representative_speeds(slow, fast)
-        k = self._k
+        (v1, v2, v3), k = representative_speeds(*state.speeds_driven()), self._k
         variances = resistance_variance(S, v1, k), resistance_variance(S, v2, k), resistance_variance(S, v3, k)
         state.fit = is_fit(variances, self._valid_std, was_fit=state.fit)
 
@@ -354,11 +279,6 @@ class SpeedModelEstimator:
         if self._auxiliary is not None:
             return self._auxiliary.covariance(0.0)
         return self.method.covariance(self.state.noise.variance)
-
-    def _is_usable(self) -> bool:
-        if self._auxiliary is not None:
-            return self._auxiliary.is_usable()
-        return is_usable(self.method, self.state.noise.variance)
 
     def _hold(self, y: float, step: ModelStep, reason: Reason) -> None:
         """Hold theta over a rejected sample of speed y [m/s]; x follows the measurement."""
@@ -368,7 +288,7 @@ class SpeedModelEstimator:
         if reason is Reason.STANDSTILL and state.slow_in_a_row < _STANDING and sudden:
             self._predict(step)
             method.coast(step.u, step.scale)
-            if not self._is_usable():
+            if not self.method.is_usable():
                 method.anchor(y, noise)
         else:
             method.anchor(self._recent.speed(self._delay()), noise)

@@ -24,17 +24,14 @@ from trainid_ros.records import FORCE, GRADIENT, MASS, NS_PER_S, SPEED, Record
 from trainid_ros.results import Reason, Rejection
 from trainid_ros.scalars import seconds
 from trainid_ros.settings import setting
-from trainid_ros.stream.intervals import LearnedInterval
+from trainid_ros.stream.intervals import NONE_LOST, ONE_LOST, LearnedInterval
 from trainid_ros.stream.samples import SAMPLE_PERIOD, STANDING, BrakeCommandChange, Sample
+from trainid_ros.stream.topic_track import TopicRow, TopicTrack, insert_row
 
 _CONFIRMATIONS: Final = 3
-_CAPACITY: Final = 4096
 _THINNING_SHARE: Final = 0.4
 # Farther than odometer noise, shorter than any run between stops.
 _TURNING_DISTANCE: Final = 5.0
-# In intervals of the topic: one record lost in a row, none lost, each with half an interval for jitter.
-ONE_LOST: Final = 2.5
-_NONE_LOST: Final = 1.5
 # What a change of the command at an unknown time may do to the speed [m/s]; more would be taken for the brake's doing.
 _MAX_UNCERTAIN: Final = 0.25
 
@@ -69,125 +66,6 @@ class TimeJump:
 AlignmentEvent: TypeAlias = Sample | Rejection | TimeJump
 
 
-class _Row:
-    """A record as a row of numbers, see :data:`~trainid_ros.records.Row`."""
-
-    __slots__ = ('flag', 'stamp_ns', 'topic', 'x', 'y')
-
-    def __init__(self, topic: int, stamp_ns: int, x: float, y: float, flag: bool) -> None:
-        self.topic = topic
-        self.stamp_ns = stamp_ns
-        self.x = x
-        self.y = y
-        self.flag = flag
-
-
-def _insert(rows: list[_Row], row: _Row) -> bool:
-    """Insert a row into rows in stamp order; False if the stamp is taken."""
-    at = len(rows)
-    while at > 0 and rows[at - 1].stamp_ns >= row.stamp_ns:
-        at -= 1
-    if at < len(rows) and rows[at].stamp_ns == row.stamp_ns:
-        return False
-    rows.insert(at, row)
-    return True
-
-
-class _Track:
-    """Rows of one topic in stamp order, bounded, and the interval between them."""
-
-    __slots__ = ('interval', 'last_ns', 'max_gap_ns', 'rows')
-
-    def __init__(self, max_gap_ns: int, longest_interval_ns: int) -> None:
-        self.max_gap_ns = max_gap_ns
-        self.interval = LearnedInterval(longest_interval_ns)
-        self.clear()
-
-    def clear(self) -> None:
-        """Forget everything."""
-        self.rows: list[_Row] = []
-        self.last_ns = 0
-        """Newest stamp; 0 without rows."""
-        self.interval.clear()
-
-    def insert(self, row: _Row) -> bool:
-        """Insert by stamp, also a late row (it improves later interpolation); False if the stamp is taken."""
-        if not _insert(self.rows, row):
-            return False
-        self.last_ns = max(self.last_ns, row.stamp_ns)
-        if len(self.rows) > _CAPACITY:
-            del self.rows[0]
-        return True
-
-    def prune(self, before_ns: int) -> None:
-        """Drop the rows before the last one at or before ``before_ns``."""
-        while len(self.rows) > 1 and self.rows[1].stamp_ns <= before_ns:
-            self.interval.see(self.rows.pop(0).stamp_ns)
-
-    def first_from(self, at_ns: int) -> int:
-        """Return the index of the first row at or after a stamp; samples lie near the newest rows."""
-        k = len(self.rows)
-        while k > 0 and self.rows[k - 1].stamp_ns >= at_ns:
-            k -= 1
-        return k
-
-    def value(self, at_ns: int) -> tuple[float, float]:
-        """Interpolate both numbers to a stamp; NaN where the neighbours are missing or too far apart."""
-        right = self.first_from(at_ns)
-        if right == len(self.rows):
-            return math.nan, math.nan
-        after = self.rows[right]
-        if after.stamp_ns == at_ns:
-            return after.x, after.y
-        if right == 0:
-            return math.nan, math.nan
-        before = self.rows[right - 1]
-        span_ns = after.stamp_ns - before.stamp_ns
-        if self._is_gap(span_ns):
-            return math.nan, math.nan
-        share = (at_ns - before.stamp_ns) / span_ns
-        return before.x + share * (after.x - before.x), before.y + share * (after.y - before.y)
-
-    def mean(self, start_ns: int, end_ns: int, last: tuple[float, float]) -> tuple[float, float]:
-        """Return the means of both numbers over an interval: trapezoids through the rows inside it.
-
-        Args:
-            start_ns: Start of the interval.
-            end_ns: Its end.
-            last: The numbers at the end, see :meth:`value`.
-
-        """
-        if start_ns == end_ns:
-            return last
-        x, y = self.value(start_ns)
-        stamp_ns, area_x, area_y, longest_ns = start_ns, 0.0, 0.0, 0
-        for k in range(self.first_from(start_ns + 1), len(self.rows)):
-            row = self.rows[k]
-            if row.stamp_ns >= end_ns:
-                break
-            span_ns = row.stamp_ns - stamp_ns
-            longest_ns = max(longest_ns, span_ns)
-            area_x += 0.5 * (x + row.x) * span_ns
-            area_y += 0.5 * (y + row.y) * span_ns
-            stamp_ns, x, y = row.stamp_ns, row.x, row.y
-        span_ns = end_ns - stamp_ns
-        if self._is_gap(max(longest_ns, span_ns)):
-            return math.nan, math.nan
-        last_x, last_y = last
-        area_x += 0.5 * (x + last_x) * span_ns
-        area_y += 0.5 * (y + last_y) * span_ns
-        return area_x / (end_ns - start_ns), area_y / (end_ns - start_ns)
-
-    def _is_gap(self, span_ns: int) -> bool:
-        """Return whether two rows are too far apart to interpolate between."""
-        return span_ns > self.max_gap_ns and span_ns > ONE_LOST * self.interval.ns
-
-    def interval_around(self, at_ns: int) -> float:
-        """Return the time between the last row before a stamp and the first one from it on [s], else 0."""
-        right = self.first_from(at_ns)
-        return 0.0 if right == 0 else seconds(self.rows[right].stamp_ns - self.rows[right - 1].stamp_ns)
-
-
 class Aligner:
     """Turn records, in any order of topics, into samples in stamp order."""
 
@@ -205,10 +83,10 @@ class Aligner:
         self._period_ns = round(config.period * NS_PER_S)
         self._early_ns = round(_THINNING_SHARE * self._period_ns)
         longest_ns = round(config.max_interval * NS_PER_S)
-        self._force = _Track(self._max_gap_ns, longest_ns)
-        self._gradient = _Track(self._max_gap_ns, longest_ns)
-        self._brake = _Track(self._max_gap_ns, longest_ns)
-        self._mass = _Track(self._max_gap_ns, longest_ns)
+        self._force = TopicTrack(self._max_gap_ns, longest_ns)
+        self._gradient = TopicTrack(self._max_gap_ns, longest_ns)
+        self._brake = TopicTrack(self._max_gap_ns, longest_ns)
+        self._mass = TopicTrack(self._max_gap_ns, longest_ns)
         self._required = [self._force, self._gradient, self._brake]
         self._speed_interval = LearnedInterval(longest_ns)
         self.reset()
@@ -220,7 +98,7 @@ class Aligner:
         self._mass.clear()
         self._speed_interval.clear()
         # Speeds that no sample has been made of yet.
-        self._pending: list[_Row] = []
+        self._pending: list[TopicRow] = []
         self.newest_ns = 0
         """Newest stamp taken in on any topic; 0 before the first."""
         self._speed_ns = 0
@@ -228,12 +106,12 @@ class Aligner:
         self._released_ns = 0
         self._sample_ns = 0
         self._due_ns = 0
-        self._command: _Row | None = None
+        self._command: TopicRow | None = None
         self._direction = 1
         self._turning_position = math.nan
         self._moving, self._stop_ns = False, 0
         # Records whose stamps do not fit those before.
-        self._suspects: list[_Row] = []
+        self._suspects: list[TopicRow] = []
 
     @property
     def complete_ns(self) -> int:
@@ -264,7 +142,7 @@ class Aligner:
         """Take in one record as a row of numbers, see :data:`~trainid_ros.records.Row`."""
         if (fault := find_fault(topic, stamp_ns, x, y)) is not None:
             return [fault]
-        row = _Row(topic, stamp_ns, x, y, flag)
+        row = TopicRow(topic, stamp_ns, x, y, flag)
         events: list[AlignmentEvent] = []
         if self.newest_ns and self._is_far(stamp_ns, self.newest_ns):
             self._suspect(row, events)
@@ -278,7 +156,7 @@ class Aligner:
         """Return whether one topic alone cannot step between two stamps."""
         return not -self._max_jump_back_ns <= stamp_ns - other_ns <= self._max_jump_back_ns
 
-    def _admit(self, row: _Row, events: list[AlignmentEvent]) -> None:
+    def _admit(self, row: TopicRow, events: list[AlignmentEvent]) -> None:
         rejection = self._store_speed(row) if row.topic == SPEED else self._store(row)
         if rejection is not None:
             events.append(rejection)
@@ -287,7 +165,7 @@ class Aligner:
         self._agreeing.add(row.topic)
         self._release(events)
 
-    def _suspect(self, row: _Row, events: list[AlignmentEvent]) -> None:
+    def _suspect(self, row: TopicRow, events: list[AlignmentEvent]) -> None:
         """Follow a step of the stamps only when several records in a row, of more than one topic, agree on it."""
         if self._suspects and self._is_far(row.stamp_ns, self._suspects[-1].stamp_ns):
             self._reject_suspects(events)
@@ -317,11 +195,11 @@ class Aligner:
         events.extend([self._reject_jump(row) for row in self._suspects])
         self._suspects.clear()
 
-    def _reject_jump(self, row: _Row) -> Rejection:
+    def _reject_jump(self, row: TopicRow) -> Rejection:
         step_s = seconds(row.stamp_ns - self.newest_ns)
         return Rejection(row.stamp_ns, Reason.STAMP_JUMP, step_s, math.copysign(self.config.max_jump_back, step_s))
 
-    def _store(self, row: _Row) -> Rejection | None:
+    def _store(self, row: TopicRow) -> Rejection | None:
         stamp_ns, is_mass = row.stamp_ns, row.topic == MASS
         track = self._mass if is_mass else self._required[row.topic - FORCE]
         if row.topic == GRADIENT:
@@ -334,11 +212,11 @@ class Aligner:
             return Rejection(stamp_ns, Reason.LATE, seconds(stamp_ns - limit_ns), 0.0)
         return None
 
-    def _store_speed(self, row: _Row) -> Rejection | None:
+    def _store_speed(self, row: TopicRow) -> Rejection | None:
         stamp_ns = row.stamp_ns
         if stamp_ns < self._released_ns:
             return Rejection(stamp_ns, Reason.LATE, seconds(stamp_ns - self._released_ns), 0.0)
-        if stamp_ns == self._released_ns or not _insert(self._pending, row):
+        if stamp_ns == self._released_ns or not insert_row(self._pending, row):
             return Rejection(stamp_ns, Reason.DUPLICATE, seconds(stamp_ns), 0.0)
         self._speed_ns = max(self._speed_ns, stamp_ns)
         return None
@@ -354,6 +232,7 @@ class Aligner:
                 events.append(Rejection(stamp_ns, Reason.THINNED, since_s, self.config.period))
             else:
                 events.append(self._sample(row))
+                self._advance(stamp_ns)
 
     def _is_complete(self, stamp_ns: int) -> bool:
         if self.newest_ns - stamp_ns > self._patience_ns and not self._may_still_come(stamp_ns):
@@ -367,29 +246,26 @@ class Aligner:
         slowest_ns = max(self._force.interval.ns, self._gradient.interval.ns)
         return self.newest_ns - stamp_ns <= ONE_LOST * slowest_ns + self._lag_ns
 
-    def _sample(self, row: _Row) -> Sample:
+    def _sample(self, row: TopicRow) -> Sample:
+        """Return the sample at a row of speed."""
         now, before = row.stamp_ns, self._sample_ns
-        dt = seconds(now - before)
-        if before == 0 or (dt > self._max_dt and now - before > ONE_LOST * self._speed_interval.ns):
-            dt = math.nan
+        dt = self._elapsed(now)
         start = now if math.isnan(dt) else before
         changes, missed = self._commands(before, now)
         command, emergency = self._command_at(now)
         curvature, tunnel = self._track_at(now)
         mass, weighed_ns = self._latest_mass(now - self._lag_ns)
         forces, gradients = self._force.value(now), self._gradient.value(now)
-        force, gradient = forces[0], gradients[0]
-        force_mean = self._force.mean(start, now, forces)[0]
         gradient_mean, curvature_mean = self._gradient.mean(start, now, gradients)
-        sample = Sample(
+        return Sample(
             stamp_ns=now,
             dt=dt,
             speed=row.x,
             position=row.y,
             direction=self._follow_direction(row.y),
-            force=force,
-            force_mean=force_mean,
-            gradient=gradient,
+            force=forces[0],
+            force_mean=self._force.mean(start, now, forces)[0],
+            gradient=gradients[0],
             gradient_mean=gradient_mean,
             curve_radius=1.0 / curvature if curvature > 0.0 else 0.0,
             tunnel=tunnel,
@@ -399,17 +275,27 @@ class Aligner:
             brake_gap=missed,
             emergency=emergency,
             curvature_mean=curvature_mean,
-            force_interval=0.0 if math.isnan(force) else self._force.interval_around(now),
+            force_interval=0.0 if math.isnan(forces[0]) else self._force.interval_around(now),
             stood_since_weighing=weighed_ns < self._last_stop(now, row.x),
         )
-        self._sample_ns = now
+
+    def _elapsed(self, now_ns: int) -> float:
+        """Return the time since the last sample [s]; NaN for the first and after a gap."""
+        elapsed_ns = now_ns - self._sample_ns
+        dt = seconds(elapsed_ns)
+        if self._sample_ns == 0 or (dt > self._max_dt and elapsed_ns > ONE_LOST * self._speed_interval.ns):
+            return math.nan
+        return dt
+
+    def _advance(self, now_ns: int) -> None:
+        """Set when the next sample is due, and drop the rows that no later sample needs."""
+        self._sample_ns = now_ns
         # Keep phase with the period, so that faster speed topics are thinned to it evenly.
-        in_phase = self._due_ns and -self._period_ns <= 2 * (now - self._due_ns) <= self._period_ns
-        self._due_ns = (self._due_ns if in_phase else now) + self._period_ns
+        in_phase = self._due_ns and -self._period_ns <= 2 * (now_ns - self._due_ns) <= self._period_ns
+        self._due_ns = (self._due_ns if in_phase else now_ns) + self._period_ns
         for track in self._required:
-            track.prune(now - self._max_gap_ns)
-        self._mass.prune(now - self._max_gap_ns)
-        return sample
+            track.prune(now_ns - self._max_gap_ns)
+        self._mass.prune(now_ns - self._max_gap_ns)
 
     def _follow_direction(self, position: float) -> int:
         """Return +1 or -1 as positions rise or fall, kept until the train has clearly moved."""
@@ -450,14 +336,14 @@ class Aligner:
                 missed = missed or unseen
         return tuple(changes), missed
 
-    def _change(self, before: _Row | None, command: _Row, after_ns: int) -> tuple[int, bool]:
+    def _change(self, before: TopicRow | None, command: TopicRow, after_ns: int) -> tuple[int, bool]:
         """Return the stamp of the change to a command, after a stamp, and whether it is too uncertain to be used."""
         if before is None:
             return command.stamp_ns, command.x < 0.0
         span_ns, step = command.stamp_ns - before.stamp_ns, abs(command.x - before.x)
         if step == 0.0 or span_ns <= self._command_gap_ns:
             return command.stamp_ns, False
-        if span_ns > _NONE_LOST * self._brake.interval.ns:
+        if span_ns > NONE_LOST * self._brake.interval.ns:
             return command.stamp_ns, True
         # The topic is slow and nothing was lost: the change lies anywhere between the two.
         middle_ns = command.stamp_ns - span_ns // 2

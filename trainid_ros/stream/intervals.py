@@ -14,6 +14,10 @@ _FEWEST: Final = 4
 _SPREAD: Final = 0.75
 # 5 Hz with jitter of 50 ms; the limits of the settings suit topics as fast as this.
 FAST_NS: Final = NS_PER_S // 4
+ONE_LOST: Final = 2.5
+"""Longest time between records when one in a row is lost, in intervals; the half is for jitter."""
+NONE_LOST: Final = 1.5
+"""The same when none is lost."""
 
 
 class LearnedInterval:

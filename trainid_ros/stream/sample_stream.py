@@ -17,8 +17,9 @@ from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.records import NS_PER_S, Record
 from trainid_ros.results import Rejection
 from trainid_ros.settings import check_settings
-from trainid_ros.stream.alignment import ONE_LOST, Aligner, AlignmentConfig, TimeJump
+from trainid_ros.stream.alignment import Aligner, AlignmentConfig, TimeJump
 from trainid_ros.stream.drive_history import DriveHistoryState, DriveHistoryTracker
+from trainid_ros.stream.intervals import ONE_LOST
 from trainid_ros.stream.samples import Sample
 from trainid_ros.stream.sensor_correction import SensorCorrection
 from trainid_ros.stream.stuck_speed import StuckSpeed

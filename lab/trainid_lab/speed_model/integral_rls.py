@@ -19,12 +19,12 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NamedTuple
 
-from trainid_lab.speed_model.rls import output, regressor, times, updated
+from trainid_lab.speed_model.rls import MethodNumbers, output, regressor, times, updated
 from trainid_ros.settings import setting
-from trainid_ros.speed_model.config import SpeedModelConfig
 from trainid_ros.speed_model.method import Learned, Numbers
 from trainid_ros.speed_model.physical_parameters import Symmetric, Theta
 from trainid_ros.speed_model.speed_model_estimator import SpeedModelEstimator, load_std
+from trainid_ros.speed_model.speed_model_settings import SpeedModelConfig
 from trainid_ros.state import is_covariance
 from trainid_ros.stream.samples import SAMPLE_PERIOD
 
@@ -138,21 +138,17 @@ def regression_variance(variance: float, noise: float, window: int, hop: int) ->
     return 2.0 * variance + noise * window * max(1.0, window / hop)
 
 
-class IntegralRls:
-    """The kernel with its state."""
+class IntegralRls(MethodNumbers):
+    """The kernel with its state; see the layout above."""
 
     def __init__(self, theta0: Theta, P0: Symmetric, tuning: Tuning) -> None:
         self._tuning = tuning
         self._prior: Numbers = (0.0, *theta0, *P0, 0.0, 0.0, 0.0, 0.0)
-        self._numbers: Numbers = self._prior
+        self._numbers = self._prior
 
     def start(self, variance: float) -> None:  # noqa: ARG002 - x has no variance here
         """Go to the prior."""
         self._numbers = self._prior
-
-    def numbers(self) -> Numbers:
-        """Return the state; see the layout above."""
-        return self._numbers
 
     def restore(self, numbers: Numbers) -> bool:
         """Continue from a saved state; return False if its length, covariance or a variance is invalid."""
@@ -162,14 +158,6 @@ class IntegralRls:
             return False
         self._numbers = numbers
         return True
-
-    def speed(self) -> float:
-        """Return x [m/s]."""
-        return self._numbers[0]
-
-    def theta(self) -> Theta:
-        """Return a1 [s/m], a2 [1], b1 [m/s per N/kN], d0 [m/s]."""
-        return self._numbers[1:5]  # type: ignore[return-value]
 
     def covariance(self, variance: float) -> Symmetric:  # noqa: ARG002 - P has the units of theta already
         """Return the covariance of theta."""

@@ -19,10 +19,10 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NamedTuple, TypeAlias
 
 from trainid_ros.settings import setting
-from trainid_ros.speed_model.config import SpeedModelConfig
 from trainid_ros.speed_model.method import Learned, Numbers
 from trainid_ros.speed_model.physical_parameters import Symmetric, Theta
 from trainid_ros.speed_model.speed_model_estimator import SpeedModelEstimator
+from trainid_ros.speed_model.speed_model_settings import SpeedModelConfig
 
 if TYPE_CHECKING:
     from trainid_ros.train.train_file import TrainFile
@@ -146,30 +146,19 @@ def learn(numbers: Numbers, y: float, u: float, scale: float, std: float, tuning
     return (x_a + tuning.kappa * (y - x_a), *theta, *P), Learned(predicted, eps, limit, lam)
 
 
-class Rls:
-    """The kernel with its state; P(0) is in units of the initial variance of measured speed."""
+class MethodNumbers:
+    """State of a method as it is saved: x, theta and the upper triangle of P, then what else it stores."""
 
-    def __init__(self, theta0: Theta, P0: Symmetric, config: RlsConfig) -> None:
-        self._config = config
-        self._prior: Recursion = (0.0, *theta0, *P0)
-        self._tuning = Tuning(config.kappa, 0.0, config.min_forgetting, config.gate)
-        self._numbers: Numbers = self._prior
-
-    def start(self, variance: float) -> None:
-        """Go to theta(0) and P(0); ``variance`` is that of measured speed [(m/s)^2]."""
-        scale = self._config.prior_scale / variance
-        self._numbers = (*self._prior[:5], *(scale * p for p in self._prior[5:]))
+    _numbers: Numbers
 
     def numbers(self) -> Numbers:
-        """Return x, theta and the upper triangle of P."""
+        """Return the state."""
         return self._numbers
 
-    def restore(self, numbers: Numbers) -> bool:
-        """Continue from a saved state; return False if it has the wrong length."""
-        if len(numbers) != len(self._prior):
-            return False
-        self._numbers = numbers
-        return True
+    def is_usable(self) -> bool:
+        """Return whether all numbers are finite, b1 > 0 and the variances of theta > 0."""
+        x = self._numbers
+        return math.isfinite(sum(x)) and min(x[3], x[5], x[9], x[12], x[14]) > 0.0
 
     def speed(self) -> float:
         """Return x [m/s]."""
@@ -178,6 +167,28 @@ class Rls:
     def theta(self) -> Theta:
         """Return a1 [s/m], a2 [1], b1 [m/s per N/kN], d0 [m/s]."""
         return self._numbers[1:5]  # type: ignore[return-value]
+
+
+class Rls(MethodNumbers):
+    """The kernel with its state; P(0) is in units of the initial variance of measured speed."""
+
+    def __init__(self, theta0: Theta, P0: Symmetric, config: RlsConfig) -> None:
+        self._config = config
+        self._prior: Recursion = (0.0, *theta0, *P0)
+        self._tuning = Tuning(config.kappa, 0.0, config.min_forgetting, config.gate)
+        self._numbers = self._prior
+
+    def start(self, variance: float) -> None:
+        """Go to theta(0) and P(0); ``variance`` is that of measured speed [(m/s)^2]."""
+        scale = self._config.prior_scale / variance
+        self._numbers = (*self._prior[:5], *(scale * p for p in self._prior[5:]))
+
+    def restore(self, numbers: Numbers) -> bool:
+        """Continue from a saved state; return False if it has the wrong length."""
+        if len(numbers) != len(self._prior):
+            return False
+        self._numbers = numbers
+        return True
 
     def covariance(self, variance: float) -> Symmetric:
         """Return the covariance of theta: P times the ``variance`` of measured speed [(m/s)^2]."""

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING
 
 from trainid_ros.settings import setting
 from trainid_ros.speed_model.am_vff_rls import AuxiliaryModel, Tuning
-from trainid_ros.speed_model.config import SpeedModelConfig
 from trainid_ros.speed_model.speed_model_estimator import SpeedModelEstimator, load_std
+from trainid_ros.speed_model.speed_model_settings import SpeedModelConfig
 from trainid_ros.stream.samples import SAMPLE_PERIOD
 
 if TYPE_CHECKING:

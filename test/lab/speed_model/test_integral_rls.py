@@ -18,8 +18,8 @@ from trainid_lab.speed_model.integral_rls import (
 )
 from trainid_lab.stepping import step_and_estimate
 from trainid_ros.results import Rejection
-from trainid_ros.speed_model.config import SpeedModelConfig
 from trainid_ros.speed_model.physical_parameters import full, prior
+from trainid_ros.speed_model.speed_model_settings import SpeedModelConfig
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import TrainFile
 

@@ -11,9 +11,7 @@ listed in TRAINID_EFFECTS.
 
 from __future__ import annotations
 
-from trainid_ros.train.effects.kind import EffectKind, Parameter, Parameters, Resistance, Twin
-from trainid_ros.train.effects.point import BRAKE_APPLIED, COOLING_S, TrackPoint, heat_after, share_inside
-from trainid_ros.train.effects.registry import (
+from trainid_ros.train.effects.effect_catalogue import (
     EFFECTS,
     FOLDERS_VARIABLE,
     Term,
@@ -22,6 +20,8 @@ from trainid_ros.train.effects.registry import (
     parse_effects,
     resistance_terms,
 )
+from trainid_ros.train.effects.kind import EffectKind, Parameter, Parameters, Resistance, Twin
+from trainid_ros.train.effects.point import BRAKE_APPLIED, COOLING_S, TrackPoint, heat_after, share_inside
 from trainid_ros.train.train_file import Davis
 
 __all__ = [

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Batch fit of a, b, c to speed trajectories in time, robust to gusts and slip.
 
-The model is that of Xia et al. 2023, (3), over stages in time,
+The model is that of Xia et al. 2023 (TBRPI-SF), (3), over stages in *time*,
 ``v_i - v_{i-1} = mu_i (u_i - a - b m1_i - c m2_i)``, with mu = dt/inertia, the exact means m1, m2 of v and v^2 over a
 stage of constant acceleration, and the mean known force u. The fit minimises, over a, b, c *and all speeds*,
 
@@ -17,6 +17,11 @@ addition to a, b and c, with zero-mean priors, so that their remaining uncertain
 Each Gauss-Newton step linearises all stages at the current speeds and solves one tridiagonal system; the first one,
 from the measured speeds and theta = 0, is integrated linear least squares. No speed is integrated from an uncertain
 initial value, so the model can neither stall nor diverge. The initial speeds are free like all others.
+
+The paper steps in distance; its formulation, for comparison, is in ``lab/``. Steps in time suit bags at 5 Hz and
+records every 100 m: both have time stamps. They need no position and have no 1/v at a stop, and the exact balance over
+an interval holds for the time-mean force, which the aligned samples contain. Distance steps computed from measured
+speeds would bring their noise into the model.
 """
 
 from __future__ import annotations
@@ -26,16 +31,16 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from scipy.linalg.lapack import dptsv
 
 from trainid_ros.errors import NoAnswerError
-from trainid_ros.resistance.trajectory.bidiagonal import recur, solve_tridiagonal
-from trainid_ros.resistance.trajectory.increments import half_variance, rounding_variance
+from trainid_ros.resistance.trajectory import half_variance, recur, rounding_variance
 from trainid_ros.settings import check_settings, setting
 
 if TYPE_CHECKING:
     from numpy.typing import NDArray
 
-    from trainid_ros.resistance.trajectory.pieces import Trajectory
+    from trainid_ros.resistance.trajectory import Trajectory
 
 # Typical sizes of a, b, c, force delay and force gain, used to scale the steps.
 _SCALE: Final = np.array([1.0, 0.02, 0.001, 0.05, 0.005])
@@ -52,6 +57,14 @@ _MIN_STD: Final = 1e-4
 # disturbance in observed lags, and that of the expected spread of the scores in clusters.
 _DECLARED_LAGS: Final = 1.0
 _DECLARED_CLUSTERS: Final = 6.0
+# Limits of a plausible fit: share of outliers, and standard deviations of a resistance below zero.
+_MAX_OUTLIERS: Final = 0.3
+_SIGMAS: Final = 3.0
+# Gusts as large as the resistance of a train [N/kN]; map errors of two per mille give half of it.
+_MAX_GUST: Final = 4.0
+_MAX_GAIN: Final = 0.1
+# Noise of the speed [m/s]; a quantum of 1 mph gives an eighth of it.
+_MAX_NOISE: Final = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -141,6 +154,36 @@ def fit_davis(trajectory: Trajectory, config: DavisFitConfig) -> DavisFit:
     return work.finish(iterations, step <= _STEP_TOLERANCE)
 
 
+def check_plausible(fit: DavisFit, config: DavisFitConfig) -> None:
+    """Raise NoAnswerError, naming the cause, if a fit is implausible for a train measured in the specified units.
+
+    With force in kN, speed in km/h or gradient in percent the model cannot follow the motion. The fit then classifies
+    speeds as outliers, attributes the motion to gusts, or gives a negative resistance.
+    """
+    odd = _oddity(fit, config)
+    if odd:
+        msg = f'{odd}: check the units and signs of speed, force, mass and gradient, and the speed sensor'
+        raise NoAnswerError(msg)
+
+
+def _oddity(fit: DavisFit, config: DavisFitConfig) -> str:
+    slow, fast = fit.speed_range
+    for v in (slow, 0.5 * (slow + fast), fast):
+        w, std = fit.resistance(v)
+        if w < -_SIGMAS * std:
+            return f'a negative resistance of {w:.3g} N/kN (std {std:.2g}) at {v:.1f} m/s would drive the train'
+    if abs(fit.force_gain) > _MAX_GAIN:
+        return f'the fit requires a force error of {fit.force_gain:+.0%}'
+    if fit.speed_std > _MAX_NOISE:
+        return f'the speed noise is {fit.speed_std:.2g} m/s'
+    gust = math.sqrt(fit.disturbance / (2.0 * config.disturbance_time))
+    if gust > _MAX_GUST:
+        return f'forces and resistance leave {gust:.2g} N/kN of the motion unexplained'
+    if fit.outliers > _MAX_OUTLIERS:
+        return f'{fit.outliers:.0%} of the speeds are outliers'
+    return ''
+
+
 @dataclass(frozen=True, slots=True)
 class _Linear:
     """All stages linearised about v and theta: defect_i + D_i dv_i - N_i dv_{i-1} + F_i dtheta = 0."""
@@ -203,7 +246,7 @@ class _Iteration:
         FL = lin.F * L
         beside[:5] = FL * lin.D - _ahead(FL * lin.N)
         beside[5] = W * (self._given.speed - self._v) - LD * lin.defect + _ahead(LN * lin.defect)
-        solved = solve_tridiagonal(diagonal, -(LD * lin.N)[1:], beside)
+        solved = _solve_tridiagonal(diagonal, -(LD * lin.N)[1:], beside)
         S = np.diag(self._prior) + FL @ lin.F.T - beside[:5] @ solved[:5].T
         h = -self._prior * self._theta / _SCALE - FL @ lin.defect - beside[:5] @ solved[5]
         self._schur = 0.5 * (S + S.T)
@@ -333,3 +376,20 @@ def _solve(S: NDArray[np.float64], h: NDArray[np.float64]) -> NDArray[np.float64
         msg = 'the driven speeds do not determine a, b and c separately'
         raise NoAnswerError(msg)
     return np.asarray(np.linalg.solve(S, h))
+
+
+def _solve_tridiagonal(
+    diagonal: NDArray[np.float64], below: NDArray[np.float64], rows: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Solve a symmetric positive definite tridiagonal system for several right-hand sides, shape (m, n).
+
+    Raises:
+        NoAnswerError: The system is not positive definite.
+
+    """
+    _, _, x, info = dptsv(diagonal, below, rows.T)
+    if info != 0:
+        msg = 'speeds and forces do not determine a trajectory'
+        raise NoAnswerError(msg)
+    result: NDArray[np.float64] = x.T
+    return result

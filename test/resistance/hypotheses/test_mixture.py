@@ -1,16 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The bank: its mixture by hand, branching and pruning, detection of steps, and consistency of its covariance."""
+"""The mixture, its prior and load, branching and pruning."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
-from numpy.typing import NDArray
 
 from trainid_ros.resistance.hypotheses import Bank, BankPlan
 from trainid_ros.resistance.saved_states import BankState
@@ -23,12 +23,10 @@ from trainid_ros.resistance.speed_states import (
     A,
     B,
     C,
-    Interval,
     ProcessNoise,
     V,
 )
 
-Array = NDArray[np.float64]
 # States of a mixture.
 PUBLISHED = (A, B, C, KAPPA, DELTA)
 INERTIA, DT, SPEED_STD = 110.0, 0.2, 0.02
@@ -53,18 +51,6 @@ PLAN = BankPlan(
     noise=NOISE,
 )
 ONE = replace(PLAN, gust_stds=(0.1,), map_stds=(0.05,), branch_interval=1e9)
-
-
-def still(speed: float, dt: float = DT) -> Interval:
-    """Traction that holds the speed if the prior mean is correct."""
-    w = MEAN[A] + speed * (MEAN[B] + speed * MEAN[C])
-    return Interval(dt, (w, w, w, w), 0.0, 0.0, speed, SPEED_STD**2, dt, dt)
-
-
-def held(plan: BankPlan = PLAN, speed: float = 12.0) -> Bank:
-    bank = Bank(plan)
-    bank.restart(speed, SPEED_STD**2)
-    return bank
 
 
 def bank_of(weights: list[float], ages: list[float], plan: BankPlan = PLAN, *, seed: int = 0) -> Bank:
@@ -94,73 +80,7 @@ def changed(bank: Bank) -> Iterator[BankState]:
     bank.restore(state)
 
 
-@dataclass
-class Mixed:
-    """Mean, and covariances as stated and without the weight of young hypotheses, of the published states."""
-
-    mean: Array
-    covariance: Array
-    posterior: Array
-
-
-def mixed(bank: Bank) -> Mixed:
-    """Return the mixture as arrays."""
-    now = bank.mixture()
-    stated, posterior = np.zeros((5, 5)), np.zeros((5, 5))
-    upper = np.triu_indices(5)
-    stated[upper], posterior[upper] = list(bank.mixture(bank.plan.young_weight).covariance), list(now.covariance)
-    return Mixed(np.array(list(now.mean)), stated + np.triu(stated, 1).T, posterior + np.triu(posterior, 1).T)
-
-
-def drive(davis: Callable[[float], Array], seconds: float, seed: int, plan: BankPlan = ONE) -> list[Interval]:
-    """A train with power switched by speed, disturbed by the plan's first gust and map error sizes and white force.
-
-    davis returns a, b, c, kappa at a time [s].
-    """
-    rng = np.random.default_rng(seed)
-    gust_std, map_std = plan.gust_stds[0], plan.map_stds[0]
-    v, gust, error, pulls, level = 12.0, rng.normal(0.0, gust_std), rng.normal(0.0, map_std), True, 30.0
-    tractions, speeds = [0.0], [v]
-    for i in range(round(seconds / DT)):
-        pulls = v < 16.0 if pulls else v < 9.0
-        level = rng.uniform(15.0, 45.0) if not pulls else level
-        T = level if pulls else -6.0
-        a, b, c, kappa = davis(i * DT)
-        white = rng.normal(0.0, math.sqrt(NOISE.force_density / DT))
-        v += DT / INERTIA * ((1.0 + kappa) * T + white - a - b * v - c * v * v - gust - error)
-        rho_g, rho_e = math.exp(-DT / NOISE.gust_time), math.exp(-v * DT / NOISE.map_length)
-        gust = rho_g * gust + gust_std * math.sqrt(1.0 - rho_g**2) * rng.standard_normal()
-        error = rho_e * error + map_std * math.sqrt(1.0 - rho_e**2) * rng.standard_normal()
-        tractions.append(T)
-        speeds.append(v)
-    measured = np.array(speeds) + rng.normal(0.0, SPEED_STD, len(speeds))
-    tractions += [tractions[-1]] * 2
-    first = Interval(DT, (0.0, 0.0, 0.0, 0.0), 0.0, 0.0, float(measured[0]), SPEED_STD**2, DT, DT)
-    return [first] + [
-        Interval(
-            DT,
-            (tractions[i - 1], tractions[i], tractions[i + 1], tractions[i + 2]),
-            0.0,
-            0.0,
-            float(measured[i]),
-            SPEED_STD**2,
-            DT,
-            DT,
-        )
-        for i in range(1, len(speeds))
-    ]
-
-
-def follow(bank: Bank, intervals: list[Interval]) -> None:
-    bank.restart(intervals[0].speed, intervals[0].speed_variance)
-    for interval in intervals[1:]:
-        bank.advance(interval)
-
-
-# The mixture
-
-
-def test_the_mixture_of_two_has_the_moments_computed_by_hand() -> None:
+def test_the_mixture_of_two_has_the_moments_computed_by_hand(mixed: Any) -> None:
     bank = bank_of([0.75, 0.25], [1e9, 1e9])
     x, P = bank.state().x[:, PUBLISHED], [p[np.ix_(PUBLISHED, PUBLISHED)] for p in bank.state().P]
     found = mixed(bank)
@@ -171,7 +91,7 @@ def test_the_mixture_of_two_has_the_moments_computed_by_hand() -> None:
     )
 
 
-def test_a_young_hypothesis_has_more_weight_in_the_covariance_than_in_the_mean() -> None:
+def test_a_young_hypothesis_has_more_weight_in_the_covariance_than_in_the_mean(mixed: Any) -> None:
     bank = bank_of([0.9, 0.1], [1e9, 119.0])
     x, P = bank.state().x[:, PUBLISHED], [p[np.ix_(PUBLISHED, PUBLISHED)] for p in bank.state().P]
     mean = 0.9 * x[0] + 0.1 * x[1]
@@ -188,7 +108,7 @@ def test_a_young_hypothesis_has_more_weight_in_the_covariance_than_in_the_mean()
     assert mixed(bank).covariance == pytest.approx(plain, rel=1e-12)
 
 
-def test_a_hypothesis_counts_from_the_minimum_age() -> None:
+def test_a_hypothesis_counts_from_the_minimum_age(mixed: Any) -> None:
     bank = bank_of([0.2, 0.8], [1e9, 9.99])
     assert mixed(bank).mean == pytest.approx(bank.state().x[0, PUBLISHED], rel=1e-12)
     with changed(bank) as state:
@@ -198,7 +118,7 @@ def test_a_hypothesis_counts_from_the_minimum_age() -> None:
     )
 
 
-def test_if_no_old_hypothesis_is_likely_all_count() -> None:
+def test_if_no_old_hypothesis_is_likely_all_count(mixed: Any) -> None:
     bank = bank_of([1.0, 1.0], [1.0, 1.0])
     assert mixed(bank).mean == pytest.approx(bank.state().x[:, PUBLISHED].mean(axis=0), rel=1e-12)
     with changed(bank) as state:
@@ -207,17 +127,14 @@ def test_if_no_old_hypothesis_is_likely_all_count() -> None:
     assert mixed(bank).mean == pytest.approx(bank.state().x[1, PUBLISHED], rel=1e-12)
 
 
-def test_the_covariance_of_the_mixture_is_positive_definite() -> None:
+def test_the_covariance_of_the_mixture_is_positive_definite(mixed: Any) -> None:
     for seed in range(20):
         bank = bank_of([1.0, 0.7, 0.3], [1e9, 50.0, 12.0], seed=seed)
         values = np.linalg.eigvalsh(mixed(bank).covariance)
         assert values[0] > 0.0
 
 
-# The prior, the load, and the innovation
-
-
-def test_the_bank_starts_at_the_prior_with_each_pair_of_sizes() -> None:
+def test_the_bank_starts_at_the_prior_with_each_pair_of_sizes(held: Any, mixed: Any) -> None:
     bank = held()
     assert len(bank.state().size) == 6
     pairs = set(zip(bank.state().P[:, GUST, GUST].round(9), bank.state().P[:, MAP, MAP].round(9), strict=True))
@@ -227,7 +144,7 @@ def test_the_bank_starts_at_the_prior_with_each_pair_of_sizes() -> None:
     assert found.covariance == pytest.approx(np.diag(STD[list(PUBLISHED)] ** 2))
 
 
-def test_the_wide_prior_starts_with_a_small_weight() -> None:
+def test_the_wide_prior_starts_with_a_small_weight(held: Any) -> None:
     bank = held(replace(PLAN, wrong_prior=0.01))
     assert bank.state().log_weight == pytest.approx([0.0] * 6 + [math.log(0.01)] * 6)
     assert bank.state().size.tolist() == [*range(6), *range(6)]
@@ -238,7 +155,7 @@ def test_the_wide_prior_starts_with_a_small_weight() -> None:
 
 
 @pytest.mark.parametrize(('hours', 'steps'), [(0.5, 0.5), (1.0, 1.0), (1000.0, 1.0)])
-def test_an_idle_time_adds_the_variance_of_at_most_one_step_of_a_and_c(hours: float, steps: float) -> None:
+def test_an_idle_time_adds_the_variance_of_at_most_one_step_of_a_and_c(hours: float, steps: float, held: Any) -> None:
     bank = held(replace(PLAN, hazard=1.0 / 3600.0, drift=np.full(STATES, 1e-9)))
     with changed(bank) as state:
         state.P *= 0.01
@@ -251,7 +168,7 @@ def test_an_idle_time_adds_the_variance_of_at_most_one_step_of_a_and_c(hours: fl
     assert not grown.any()
 
 
-def test_a_stop_widens_the_force_scale_up_to_the_prior_plus_one_step() -> None:
+def test_a_stop_widens_the_force_scale_up_to_the_prior_plus_one_step(held: Any) -> None:
     bank = held()
     with changed(bank) as state:
         state.P[:, KAPPA, KAPPA] = [1e-6, 1e-4, 9e-4, 9.5e-4, 0.01, 0.0]
@@ -263,7 +180,7 @@ def test_a_stop_widens_the_force_scale_up_to_the_prior_plus_one_step() -> None:
     assert np.array_equal(bank.state().P, others)
 
 
-def test_the_innovation_is_that_of_the_mixture_before_the_correction() -> None:
+def test_the_innovation_is_that_of_the_mixture_before_the_correction(still: Any, held: Any) -> None:
     bank = held(replace(PLAN, gust_stds=(0.1,), map_stds=(0.05, 0.25)))
     with changed(bank) as state:
         state.x[:, V] = [11.9, 12.2]
@@ -280,7 +197,7 @@ def test_the_innovation_is_that_of_the_mixture_before_the_correction() -> None:
     assert found.variance == pytest.approx(variance + SPEED_STD**2, rel=1e-6)
 
 
-def test_hypotheses_are_weighted_by_the_density_of_the_speed() -> None:
+def test_hypotheses_are_weighted_by_the_density_of_the_speed(still: Any, held: Any) -> None:
     bank = held(replace(PLAN, gust_stds=(0.1,), map_stds=(0.05, 0.25), noise=replace(NOISE, outliers=1e-6)))
     with changed(bank) as state:
         state.x[:, V] = [12.0, 12.03]
@@ -292,7 +209,7 @@ def test_hypotheses_are_weighted_by_the_density_of_the_speed() -> None:
     assert bank.state().log_weight == pytest.approx([0.0, expected], abs=2e-3)
 
 
-def test_the_parameters_drift_as_planned() -> None:
+def test_the_parameters_drift_as_planned(still: Any, held: Any) -> None:
     drift = np.zeros(STATES)
     drift[[A, C]] = 1e-3, 1e-12
     bank, steady = held(replace(ONE, drift=drift)), held(ONE)
@@ -305,18 +222,7 @@ def test_the_parameters_drift_as_planned() -> None:
     assert abs(grown[[B, KAPPA, DELTA]]).max() < 1e-9
 
 
-# Branching
-
-
-def branched(bank: Bank) -> BankState:
-    """Advance until the bank has branched once more."""
-    count = bank.branchings
-    while bank.branchings == count:
-        bank.advance(still(12.0))
-    return bank.state()
-
-
-def test_the_best_branches_into_a_step_of_a_and_one_of_c() -> None:
+def test_the_best_branches_into_a_step_of_a_and_one_of_c(held: Any, branched: Any) -> None:
     now = branched(held(replace(ONE, branch_interval=10.0)))
     assert len(now.age) == 3
     assert now.age[1:].tolist() == [0.0, 0.0]
@@ -330,7 +236,7 @@ def test_the_best_branches_into_a_step_of_a_and_one_of_c() -> None:
         assert not wider.any()
 
 
-def test_the_bank_branches_once_per_spacing_of_driving_time() -> None:
+def test_the_bank_branches_once_per_spacing_of_driving_time(still: Any, held: Any) -> None:
     bank = held()
     for _ in range(round(35.0 / DT)):
         bank.advance(still(12.0))
@@ -339,7 +245,7 @@ def test_the_bank_branches_once_per_spacing_of_driving_time() -> None:
     assert bank.since_s == pytest.approx(5.0, abs=4.0 * DT)
 
 
-def test_a_new_size_is_adjacent_to_that_of_the_best_and_not_among_the_likely_ones() -> None:
+def test_a_new_size_is_adjacent_to_that_of_the_best_and_not_among_the_likely_ones(still: Any, held: Any) -> None:
     bank = held()
     # Sizes by gust, then map error: 0.1/0.05 0.1/0.25 0.2/0.05 0.2/0.25 0.4/0.05 0.4/0.25
     neighbours = {0: {1, 2}, 1: {0, 3}, 2: {0, 3, 4}, 3: {1, 2, 5}, 4: {2, 5}, 5: {3, 4}}
@@ -368,7 +274,7 @@ def test_a_new_size_is_adjacent_to_that_of_the_best_and_not_among_the_likely_one
         assert seen == near
 
 
-def test_no_size_is_added_while_the_adjacent_ones_are_likely() -> None:
+def test_no_size_is_added_while_the_adjacent_ones_are_likely(still: Any, held: Any) -> None:
     bank = held()
     with changed(bank) as state:
         state.since_s = PLAN.branch_interval
@@ -377,7 +283,7 @@ def test_no_size_is_added_while_the_adjacent_ones_are_likely() -> None:
     assert bank.state().size[-2:].tolist() == [bank.state().size[np.argmax(bank.state().log_weight)]] * 2
 
 
-def test_the_number_of_hypotheses_is_capped_and_the_best_is_kept() -> None:
+def test_the_number_of_hypotheses_is_capped_and_the_best_is_kept(held: Any, drive: Any) -> None:
     bank = held(replace(PLAN, hypotheses=9))
     for interval in drive(lambda _: MEAN[[A, B, C, KAPPA]], 120.0, 3)[1:]:
         before = bank.branchings
@@ -390,7 +296,7 @@ def test_the_number_of_hypotheses_is_capped_and_the_best_is_kept() -> None:
 
 @pytest.mark.parametrize('hypotheses', [4, 7])
 @pytest.mark.parametrize('min_age', [0.0, 10.0, 60.0])
-def test_young_ones_never_displace_the_best(hypotheses: int, min_age: float) -> None:
+def test_young_ones_never_displace_the_best(hypotheses: int, min_age: float, held: Any, branched: Any) -> None:
     """With a long minimum age, young hypotheses could otherwise fill all places."""
     bank = held(replace(PLAN, hypotheses=hypotheses, min_age=min_age, hazard=1.0 / 60.0))
     for _ in range(8):
@@ -399,13 +305,13 @@ def test_young_ones_never_displace_the_best(hypotheses: int, min_age: float) -> 
         assert bank.state().log_weight.max() == 0.0
 
 
-def test_the_probability_of_a_step_never_exceeds_one() -> None:
+def test_the_probability_of_a_step_never_exceeds_one(held: Any, branched: Any) -> None:
     bank = held(replace(ONE, branch_interval=100.0, hazard=1.0 / 10.0))
     now = branched(bank)
     assert now.log_weight == pytest.approx([0.0, math.log(0.5), math.log(0.5)], rel=1e-12)
 
 
-def test_old_unlikely_hypotheses_are_pruned_before_young_ones() -> None:
+def test_old_unlikely_hypotheses_are_pruned_before_young_ones(still: Any) -> None:
     bank = bank_of([1.0, math.exp(-4.0), math.exp(-5.0), math.exp(-7.0)], [1e9] * 4, replace(PLAN, hypotheses=4))
     with changed(bank) as state:
         state.x[:] = MEAN
@@ -420,7 +326,7 @@ def test_old_unlikely_hypotheses_are_pruned_before_young_ones() -> None:
     assert sorted(now.log_weight[now.age > 1.0]) == pytest.approx([-4.0, 0.0], abs=0.05)
 
 
-def test_hypotheses_of_negligible_weight_are_pruned_even_below_the_maximum_number() -> None:
+def test_hypotheses_of_negligible_weight_are_pruned_even_below_the_maximum_number(still: Any, held: Any) -> None:
     bank = held()
     with changed(bank) as state:
         state.log_weight[:] = [0.0, -39.0, -41.0, -300.0, -1e5, -20.0]
@@ -430,99 +336,10 @@ def test_hypotheses_of_negligible_weight_are_pruned_even_below_the_maximum_numbe
     assert sorted(round(float(weight)) for weight in old if weight < -10.0) == [-39, -20]
 
 
-def test_after_an_outlier_of_the_speed_all_hypotheses_remain() -> None:
+def test_after_an_outlier_of_the_speed_all_hypotheses_remain(still: Any, held: Any, mixed: Any) -> None:
     bank = held()
     bank.advance(replace(still(12.0), speed=200.0))
     assert len(bank.state().log_weight) == 6
     assert bank.state().log_weight.max() == 0.0
     assert bank.state().log_weight.min() > -0.01
     assert mixed(bank).mean == pytest.approx(MEAN[list(PUBLISHED)], abs=1e-3)
-
-
-# Estimation
-
-
-def test_a_step_of_a_is_detected() -> None:
-    plan = replace(PLAN, gust_stds=(0.1, 0.2), map_stds=(0.05,), step_variances=(1.0, 1e-6))
-    before, after = np.array([1.8, 0.03, 0.004, 0.0]), np.array([3.3, 0.03, 0.004, 0.0])
-    bank = Bank(plan)
-    intervals = drive(lambda t: after if t > 150.0 else before, 270.0, 2, plan)
-    follow(bank, intervals[:751])
-    phi = np.array([1.0, 12.0, 144.0, 0.0, 0.0])
-    assert mixed(bank).mean @ phi == pytest.approx(before[:3] @ phi[:3], abs=0.3)
-    for interval in intervals[751:]:
-        bank.advance(interval)
-    found = mixed(bank)
-    assert found.mean @ phi == pytest.approx(after[:3] @ phi[:3], abs=0.4)
-    # The best hypothesis branched off near the step.
-    best = int(np.argmax(bank.state().log_weight))
-    assert bank.state().age[best] == pytest.approx(120.0, abs=30.0)
-
-
-@pytest.mark.slow
-def test_without_branching_a_filter_does_not_follow_the_step() -> None:
-    """The bank follows the step, not the drift of one filter."""
-    before, after = np.array([1.8, 0.03, 0.004, 0.0]), np.array([3.3, 0.03, 0.004, 0.0])
-    bank = Bank(ONE)
-    follow(bank, drive(lambda t: after if t > 150.0 else before, 270.0, 2))
-    phi = np.array([1.0, 12.0, 144.0, 0.0, 0.0])
-    assert abs(mixed(bank).mean @ phi - after[:3] @ phi[:3]) > 0.4
-
-
-def test_the_most_likely_hypothesis_has_the_size_of_the_gusts() -> None:
-    plan = replace(PLAN, gust_stds=(0.1, 0.4), map_stds=(0.05,))
-    truth = MEAN[[A, B, C, KAPPA]]
-    for gust, expected in ((0.1, 0.0), (0.4, 1.0)):
-        bank = Bank(plan)
-        follow(bank, drive(lambda _: truth, 120.0, 11, replace(plan, gust_stds=(gust,))))
-        assert bank.state().size[np.argmax(bank.state().log_weight)] == expected
-
-
-def errors_squared(seeds: range, seconds: float) -> tuple[float, float]:
-    """Return mean NEES of a, b, c, kappa and mean NIS of one filter over drives with parameters from the prior."""
-    states = [A, B, C, KAPPA]
-    nees, nis = [], []
-    for seed in seeds:
-        truth = MEAN[states] + STD[states] * np.random.default_rng((seed, 1)).standard_normal(4)
-        bank = Bank(ONE)
-        intervals = drive(lambda _, truth=truth: truth, seconds, seed)  # type: ignore[misc]
-        bank.restart(intervals[0].speed, intervals[0].speed_variance)
-        for interval in intervals[1:]:
-            innovation = bank.advance(interval)
-            nis.append(innovation.value**2 / innovation.variance)
-        error = bank.state().x[0, states] - truth
-        nees.append(error @ np.linalg.solve(bank.state().P[0][np.ix_(states, states)], error) / 4.0)
-    return float(np.mean(nees)), float(np.mean(nis))
-
-
-def test_one_filter_is_consistent() -> None:
-    nees, nis = errors_squared(range(16), 40.0)
-    # Means of chi-squared numbers over their 64 and 3200 degrees of freedom: 3 standard deviations.
-    assert nees == pytest.approx(1.0, abs=0.53)
-    assert nis == pytest.approx(1.0, abs=0.075)
-
-
-@pytest.mark.slow
-def test_one_filter_is_consistent_over_many_drives() -> None:
-    nees, nis = errors_squared(range(100, 200), 120.0)
-    assert nees == pytest.approx(1.0, abs=0.21)
-    assert nis == pytest.approx(1.0, abs=0.02)
-
-
-@pytest.mark.slow
-@pytest.mark.timeout(600)
-def test_in_half_a_day_of_driving_covariances_stay_symmetric_and_positive() -> None:
-    plan = replace(PLAN, gust_stds=(0.1,), map_stds=(0.05,), hypotheses=4, drift=1e-3 / 3600.0 * STD**2)
-    bank = held(plan)
-    rng = np.random.default_rng(1)
-    speeds = 12.0 + np.cumsum(rng.normal(0.0, 1e-3, 200_000)) + rng.normal(0.0, SPEED_STD, 200_000)
-    for i, speed in enumerate(speeds.tolist()):
-        bank.advance(still(min(max(speed, 2.0), 30.0)))
-        if i % 20_000 < 3:
-            P = bank.state().P
-            std = np.sqrt(np.diagonal(P, axis1=1, axis2=2))
-            std = np.where(std > 0.0, std, 1.0)
-            R = P / (std[:, :, None] * std[:, None, :])
-            assert np.max(np.abs(R - R.transpose(0, 2, 1))) < 1e-7
-            assert np.linalg.eigvalsh(R).min() > -1e-7
-    assert np.isfinite(bank.state().x).all()

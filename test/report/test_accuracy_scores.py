@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trainid_ros.report.scores import resistance_at, resistance_std, score_brake_rate, score_resistance
+from trainid_ros.report.accuracy_scores import resistance_at, resistance_std, score_brake_rate, score_resistance
 from trainid_ros.sim.truth import Truth
 
 

@@ -21,7 +21,7 @@ _SHRUNK: Final = math.sqrt(1.0 - _KAPPA**2)
 _MOST_SPREAD: Final = 2.0
 
 
-class GroupCloud(NamedTuple):
+class LinearGroupCloud(NamedTuple):
     """Rates f [1], shape (N,), their mean and variance; means of x given f, shape (n, N), their regression on f."""
 
     f: Array
@@ -30,13 +30,13 @@ class GroupCloud(NamedTuple):
     variance: float
     slope: Array
 
-    def predicted(self, step: LinearStep) -> GroupCloud:
+    def predicted(self, step: LinearStep) -> LinearGroupCloud:
         """Predict over a step with constant f, eq. (14)."""
         return self._replace(x=step.predict(self.x, self.f), slope=step.Phi @ self.slope + step.gamma)
 
     def learned(
         self, step: LinearStep, fix: Correction, H: Array, y: Array, walk: float, largest: float, uniform: float
-    ) -> GroupCloud:
+    ) -> LinearGroupCloud:
         """Branch, weigh and prune predicted particles; ``walk`` is the variance q dt [1]."""
         kernel = _KAPPA**2 * self.variance
         c = step.gamma + kernel / (walk + kernel) * (self.slope - step.gamma)
@@ -58,4 +58,4 @@ class GroupCloud(NamedTuple):
         matched = mean + min(math.sqrt(variance / float(np.square(around).mean())), _MOST_SPREAD) * around
         states = x[:, kept] + slope[:, None] * (matched - f[kept])
         states += (middle - states.mean(axis=1))[:, None]
-        return GroupCloud(matched, states, mean, variance, slope)
+        return LinearGroupCloud(matched, states, mean, variance, slope)

@@ -1,12 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Motion without braking as arrays: pieces of a drive, each with its own initial speed."""
+"""Motion without braking as arrays: pieces of a drive, each with its own initial speed, and the noise of its speeds."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from scipy.linalg.lapack import dtbtrs
 
 from trainid_ros.estimators.admission import Admission
 from trainid_ros.estimators.known_force import KnownForce
@@ -19,6 +21,13 @@ if TYPE_CHECKING:
     from trainid_ros.results import Reason, Rejection
     from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import TrainFile
+
+# Ratio of the standard deviation to the median absolute deviation of a Gaussian.
+_MAD: Final = 1.4826
+# Median absolute difference of two rounding errors, in quanta.
+_ROUNDED: Final = 1.0 - math.sqrt(0.5)
+# Share of steps of a rounded speed that are not whole multiples of its quantum, due to errors of single messages.
+_STRAY_STEPS: Final = 0.05
 
 
 @dataclass(frozen=True, slots=True)
@@ -107,3 +116,48 @@ class PieceCollector:
         self.end_piece()
         speed, dt, known, traction = np.array(self._nodes, dtype=float).reshape(-1, 4).T.copy()
         return Trajectory(speed, dt, known, traction, self.known.inertia)
+
+
+def half_variance(y: NDArray[np.float64], piece: NDArray[np.intp], lag: int) -> float:
+    """Return half the variance of increments over a lag within pieces; for white noise this is its variance.
+
+    Args:
+        y: A signal, shape (n,).
+        piece: Index of the piece of each value, shape (n,).
+        lag: Lag in values; at least one piece must be longer.
+
+    """
+    change = np.abs(y[lag:] - y[:-lag])[piece[lag:] == piece[:-lag]]
+    middle = change.size // 2
+    return 0.5 * (_MAD * float(np.partition(change, middle)[middle])) ** 2
+
+
+def rounding_variance(given: Trajectory) -> float:
+    """Return the :func:`half_variance` of rounding alone, for lags over which speed changes many quanta [(m/s)^2].
+
+    The quantum is the smallest step of the measured speed, except for a few percent of the steps. With fine rounding
+    the result is less than the noise.
+    """
+    steps = np.abs(np.diff(given.speed))[given.dt[1:] > 0.0]
+    steps = steps[steps > 0.0]
+    quantum = float(np.quantile(steps, _STRAY_STEPS)) if steps.size else 0.0
+    return 0.5 * (_MAD * _ROUNDED * quantum) ** 2
+
+
+def recur(k: NDArray[np.float64], rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Solve ``x_i = k_i x_{i-1} + r_i``, x_0 = 0, for several right-hand sides: one LAPACK call, no loop over stages.
+
+    Args:
+        k: Coefficients of stages 1 to I, shape (I,); the first is not used.
+        rows: Right-hand sides, shape (m, I).
+
+    Returns:
+        x_1 to x_I for each right-hand side, shape (m, I).
+
+    """
+    band = np.ones((2, k.size))
+    band[1, :-1] = -k[1:]
+    # Rows in C order are columns in Fortran order, so only the result is copied.
+    x, _ = dtbtrs(band, rows.T, uplo='L', diag='U')
+    result: NDArray[np.float64] = x.T
+    return result

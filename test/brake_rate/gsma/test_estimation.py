@@ -1,0 +1,205 @@
+# SPDX-License-Identifier: Apache-2.0
+"""GSMA against the exact Kalman filter; the brake rate is found, and kept while no brake acts."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from trainid_lab.stepping import step_and_estimate
+from trainid_ros.brake_rate.brake_rate_settings import GsmaConfig
+from trainid_ros.records import NS_PER_S
+from trainid_ros.results import Reason, Rejection
+from trainid_ros.stream.samples import BrakeCommandChange, Sample
+from trainid_ros.train.train_file import Davis, TrainFile
+
+Journey = Callable[..., list[Sample]]
+STATED = Davis(1.5, 0.03, 0.004)
+TAU, LAG, DT, GRADIENT = 0.4, 3, 0.2, 6.0
+# Settings for a train file without errors.
+NO_ERRORS: dict[str, Any] = dict.fromkeys(
+    (
+        'resistance_std',
+        'slope_std',
+        'blend_std',
+        'level_std',
+        'scale_std',
+    ),
+    0.0,
+)
+
+
+@pytest.mark.parametrize(('drift', 'particles', 'most'), [(0.003, 50, 0.1), (0.003, 300, 0.03), (0.02, 300, 0.08)])
+def test_it_equals_the_exact_kalman_filter_within_sampling_noise(
+    train_file: TrainFile, journey: Journey, drift: float, particles: int, most: float, compare: Any
+) -> None:
+    """Differences in stds of the Kalman filter; the true f is a random walk that starts within two prior stds."""
+    # Before any data, the prior mean of this disturbance is 0.006.
+    config = GsmaConfig(
+        particles=particles, drift=drift, jump_rate=0.0, gate=100.0, disturbance_std=0.0028, **NO_ERRORS
+    )
+    found = np.array([compare(train_file, journey, config, seed) for seed in range(5)])
+    print(f'drift {drift}, {particles} particles: rms {found[:, 0]} KF std, std ratio {found[:, 1]}')
+    assert np.sqrt(np.mean(np.square(found[:, 0]))) < most
+    assert found[:, 1].mean() == pytest.approx(1.0, abs=0.05)
+
+
+def test_a_group_spreads_like_the_random_walk(
+    train_file: TrainFile, journey: Journey, exactly_known: Any, gsma: Any, braking: Any
+) -> None:
+    """One step without information: the variance grows by q dt, h^2 / 3."""
+    config = GsmaConfig(particles=400, prior_std=1e-4, drift=0.1, jump_rate=0.0, speed_std=2.0, gate=100.0, **NO_ERRORS)
+    estimator, grown = gsma(exactly_known(train_file), config), []
+    for item in journey(9.0, brake=braking, speed=25.0, noise=0.0, resistance=lambda _: STATED):
+        before = estimator.estimate(0.0).brake_rate_std if estimator.state.unbraked_s == 0.0 else None
+        estimator.step(item)
+        if before is not None and estimator.state.observable:
+            grown.append(estimator.estimate(0.0).brake_rate_std ** 2 - before**2)
+    # With a speed noise of 2 m/s (0.6 m/s when estimated) the first second has almost no information.
+    assert np.mean(grown[:6]) == pytest.approx(0.1**2 * DT, rel=0.1)
+
+
+def test_without_braking_the_std_grows_with_the_drift_and_the_mean_is_constant(
+    train_file: TrainFile, journey: Journey, gsma: Any
+) -> None:
+    """Four minutes of coasting, power and standing after a braking: std follows sqrt(s^2 + q t) within 2 %."""
+    config = GsmaConfig(drift=0.01)
+    estimator = gsma(train_file, config)
+    samples = journey(
+        330.0,
+        brake=lambda t: -0.6 if 5.0 <= t < 20.0 or 200.0 < t < 300.0 else 0.0,
+        traction=lambda t: 40.0 if 40.0 < t < 80.0 else 5.0 if 20.0 < t < 200.0 else 0.0,
+        speed=14.0,
+        rate=lambda _: 0.9,
+    )
+    since = held = None
+    for item in samples:
+        estimator.step(item)
+        t = (item.stamp_ns - samples[0].stamp_ns) / NS_PER_S
+        e = estimator.estimate(0.0)
+        standing = item.speed < config.min_speed
+        if since is None and t > 24.0:
+            since, held = t, e
+            assert not e.observable
+        elif since is not None and held is not None and (t < 200.0 or standing):
+            law = math.hypot(held.brake_rate_std, config.drift * math.sqrt(t - since))
+            if t < 200.0:
+                assert e.brake_rate_std == pytest.approx(law, rel=0.02)
+                assert e.brake_rate == held.brake_rate
+    assert samples[-1].speed == 0.0
+
+
+def test_standstill_and_traction_leave_the_rate_bit_identical(
+    train_file: TrainFile, journey: Journey, gsma: Any, stop_and_go: Any, power: Any
+) -> None:
+    estimator = gsma(train_file)
+    seen = set()
+    for item in journey(240.0, brake=stop_and_go, traction=power, speed=0.0, rate=lambda _: 0.85):
+        before = estimator.estimate(0.0)
+        result = step_and_estimate(estimator, item)
+        if isinstance(result, Rejection):
+            seen.add(result.reason)
+            after = estimator.estimate(0.0)
+            assert after.brake_rate == before.brake_rate
+            # Equal except for rounding, or larger.
+            assert after.brake_rate_std >= before.brake_rate_std * (1.0 - 1e-12)
+            assert not after.observable
+    assert {Reason.STANDSTILL, Reason.NOT_BRAKING, Reason.GAP} <= seen
+
+
+@pytest.mark.parametrize('rate', [0.7, 0.85, 1.1])
+def test_the_brake_rate_is_estimated_in_the_first_braking(
+    train_file: TrainFile, journey: Journey, rate: float, gsma: Any
+) -> None:
+    errors = []
+    for seed in range(5):
+        estimator = gsma(train_file, seed=seed)
+        for item in journey(23.0, brake=lambda t: -0.7 if t > 4.0 else 0.0, speed=18.0, rate=lambda _: rate, seed=seed):
+            estimator.step(item)
+        e = estimator.estimate(0.0)
+        errors.append(e.brake_rate - rate)
+        assert abs(e.brake_rate - rate) < 4.0 * e.brake_rate_std
+    # The true resistance differs from the stated one by 0.4 N/kN, 0.0036 m/s^2: a bias of 0.005 in the rate.
+    assert abs(float(np.mean(errors))) < 0.02
+    assert float(np.max(np.abs(errors))) < 0.06
+
+
+@pytest.mark.parametrize('rate', [0.55, 1.45])
+def test_a_rate_three_standard_deviations_from_the_prior_is_found_in_one_braking(
+    train_file: TrainFile, journey: Journey, rate: float, gsma: Any, braking: Any
+) -> None:
+    """The exact filter is within 0.01; the estimate must not depend on the few particles in the tail of the prior."""
+    for seed in range(3):
+        estimator = gsma(train_file, seed=seed)
+        samples = journey(30.0, brake=braking, speed=25.0, rate=lambda _: rate, seed=seed, resistance=lambda _: STATED)
+        for item in samples:
+            estimator.step(item)
+        e = estimator.estimate(0.0)
+        assert e.brake_rate == pytest.approx(rate, abs=0.03)
+        assert abs(e.brake_rate - rate) < 3.0 * e.brake_rate_std
+
+
+def test_the_dead_time_uses_stamps(train_file: TrainFile, journey: Journey, gsma: Any, braking: Any) -> None:
+    """A shift of the command by 1 us changes the rate by 1e-6 s over the time braked, which is negligible."""
+
+    def shifted(item: Sample, by_ns: int) -> Sample:
+        changes = tuple(BrakeCommandChange(c.stamp_ns + by_ns, c.target_acceleration) for c in item.brake_changes)
+        return replace(item, brake_changes=changes)
+
+    samples = journey(25.0, brake=braking, speed=25.0, rate=lambda _: 0.9)
+    plain, moved = gsma(train_file), gsma(train_file)
+    for item in samples:
+        plain.step(item)
+        moved.step(shifted(item, -1000))
+        assert moved.estimate(0.0).brake_rate == pytest.approx(plain.estimate(0.0).brake_rate, abs=1e-3)
+    # A shift of one second has an effect, so the stamps are used.
+    late = gsma(train_file)
+    for item in samples:
+        late.step(shifted(item, -NS_PER_S))
+        if item.stamp_ns == samples[35].stamp_ns:
+            break
+    assert late.state.filtered_target < -0.05
+    early = gsma(train_file)
+    for item in samples[:23]:
+        early.step(item)
+    # The command at 4.0 s acts from 4.6 s on, not before sample 23.
+    assert early.state.filtered_target == 0.0
+    early.step(samples[23])
+    assert early.state.filtered_target == 0.0
+    early.step(samples[24])
+    assert early.state.filtered_target < 0.0
+
+
+def test_the_filtered_target_is_the_command_after_dead_time_and_lag(
+    train_file: TrainFile, journey: Journey, gsma: Any, braking: Any
+) -> None:
+    estimator = gsma(train_file)
+    samples = journey(20.0, brake=braking, speed=25.0)
+    target = 0.0
+    for k, item in enumerate(samples):
+        estimator.step(item)
+        delayed = samples[k - 1 - LAG].brake_command if k > LAG else 0.0
+        target = delayed + (target - delayed) * math.exp(-DT / TAU) if k else 0.0
+        assert estimator.state.filtered_target == pytest.approx(target, abs=1e-12)
+
+
+def test_a_gap_of_the_speed_does_not_affect_the_brake_target(
+    train_file: TrainFile, journey: Journey, gsma: Any, braking: Any
+) -> None:
+    """The brake is applied while the speed is missing; then the target equals that of a filter without the gap."""
+    samples = journey(20.0, brake=braking, speed=25.0)
+    missing = range(18, 32)
+    first = samples[missing.stop]
+    changes = tuple(c for k in (*missing, missing.stop) for c in samples[k].brake_changes)
+    complete, gapped = gsma(train_file), gsma(train_file)
+    for k, item in enumerate(samples):
+        complete.step(item)
+        if k not in missing:
+            gapped.step(item if item is not first else replace(item, dt=math.nan, brake_changes=changes))
+        if k == missing.stop:
+            assert gapped.state.filtered_target == pytest.approx(complete.state.filtered_target, abs=1e-9)

@@ -1,0 +1,235 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Outliers, dropouts, slip and any other input: the estimate stays finite and recovers."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from trainid_lab.stepping import step_and_estimate
+from trainid_ros.records import NS_PER_S
+from trainid_ros.resistance.filter_bank import FilterBank
+from trainid_ros.resistance.resistance_settings import FilterBankConfig
+from trainid_ros.resistance.speed_states import B
+from trainid_ros.results import Reason, Rejection
+from trainid_ros.stream.samples import BrakeCommandChange, Sample
+from trainid_ros.train.train_file import Brake, Davis, Line, Train, TrainFile
+
+Make = Callable[..., Sample]
+# Fewer hypotheses: the same filters, but faster.
+SMALL = FilterBankConfig(hypotheses=8, valid_std=0.25)
+START = 1_700_000_000 * NS_PER_S
+G, GAMMA, MASS = 9.80665, 0.08, 200e3
+FILE = TrainFile(Train(MASS, GAMMA, 100.0), Davis(1.5, 0.03, 0.004), Brake(1.0, 0.4, 0.6), Line(gradient_std=0.1))
+TRUTH = Davis(1.8, 0.02, 0.005)
+
+
+def w(davis: Davis, v: float) -> float:
+    return davis.a + davis.b * v + davis.c * v * v
+
+
+def test_single_outliers_are_rejected_and_hardly_affect_the_estimate(
+    learned: str, drive: Any, restored: Any, shifted: Any
+) -> None:
+    good = shifted(drive(60.0, seed=13), 1000.0)
+    odd = [replace(s, speed=s.speed + 2.0) if i % 20 == 10 else s for i, s in enumerate(good)]
+    plain, hit = restored(learned), restored(learned)
+    for item in good:
+        plain.step(item)
+    reasons = [r.reason for r in map(hit.step, odd) if isinstance(r, Rejection)]
+    assert reasons.count(Reason.OUTLIER) == 15
+    expected = plain.estimate(12.0)
+    assert hit.estimate(12.0).resistance == pytest.approx(expected.resistance, abs=0.5 * expected.resistance_std)
+
+
+def test_a_lasting_speed_error_is_rejected_25_times_and_then_restarts_the_filters(
+    learned: str, drive: Any, restored: Any, shifted: Any
+) -> None:
+    bank = restored(learned)
+    before = bank.estimate(12.0)
+    good = shifted(drive(8.0, seed=18), 1000.0)
+    for item in good[:5]:
+        bank.step(item)
+    answers = [step_and_estimate(bank, replace(item, speed=item.speed + 3.0)) for item in good[5:]]
+    reasons = [answer.reason for answer in answers if isinstance(answer, Rejection)]
+    assert reasons == [Reason.OUTLIER] * 25
+    assert bank.estimate(12.0).resistance == pytest.approx(before.resistance, abs=before.resistance_std)
+
+
+def test_dropouts_do_not_affect_the_accuracy(
+    learned: str, drive: Any, check_finite: Any, restored: Any, shifted: Any
+) -> None:
+    good = shifted(drive(90.0, seed=14), 1000.0)
+    bank = restored(learned)
+    for i, item in enumerate(good):
+        if i % 40 < 3:
+            continue
+        step_and_estimate(bank, replace(item, dt=math.nan) if i % 40 == 3 else item)
+        check_finite(bank.estimate(item.speed))
+    found = bank.estimate(12.0)
+    assert found.resistance == pytest.approx(w(TRUTH, 12.0), abs=3.0 * found.resistance_std)
+
+
+def test_bursts_of_wheel_slip_do_not_bias_the_resistance(learned: str, drive: Any, restored: Any, shifted: Any) -> None:
+    """Wheels spin up by 2 m/s within a second and regain adhesion, every half minute."""
+    slip = [0.3, 0.8, 1.3, 1.8, 2.0, 2.0, 1.5, 1.0, 0.5, 0.2]
+    samples = shifted(drive(120.0, seed=15), 1000.0)
+    bank = restored(learned)
+    for i, item in enumerate(samples):
+        k = i % 150 - 50
+        bank.step(replace(item, speed=item.speed + slip[k]) if 0 <= k < len(slip) else item)
+    found = bank.estimate(12.0)
+    assert found.resistance == pytest.approx(w(TRUTH, 12.0), abs=max(0.4, 3.0 * found.resistance_std))
+
+
+@pytest.mark.parametrize('force', [1e6, -1e6, 1e8])
+def test_after_impossible_forces_the_estimate_is_finite_and_recovers(
+    learned: str, force: float, drive: Any, check_finite: Any, restored: Any, shifted: Any, check_recovers: Any
+) -> None:
+    samples = shifted(drive(12.0, seed=16), 1000.0)
+    bank = restored(learned)
+    for i, item in enumerate(samples):
+        step_and_estimate(bank, replace(item, force=force, force_mean=force) if i % 15 == 9 else item)
+        check_finite(bank.estimate(item.speed))
+    check_recovers(bank)
+
+
+def test_a_force_above_the_weight_of_the_train_changes_no_estimate(
+    learned: str, minutes: list[Sample], restored: Any, after: Any
+) -> None:
+    bank = restored(learned)
+    before, item = bank.estimate(12.0), minutes[-1]
+    for _ in range(10):
+        item = after([item], force=1e8, force_mean=1e8)
+        answer = step_and_estimate(bank, item)
+        assert isinstance(answer, Rejection)
+        assert answer.reason is Reason.OUT_OF_RANGE
+    assert bank.estimate(12.0) == before
+
+
+def test_states_saved_during_a_lasting_impossible_force_can_be_restored(
+    learned: str, minutes: list[Sample], check_finite: Any, restored: Any, after: Any
+) -> None:
+    bank = restored(learned)
+    item, force = minutes[-1], 0.99 * G * FILE.train.mass
+    fastest = 0.0
+    for _ in range(40):
+        item = after([item], dt=1.0, force=force, force_mean=force)
+        bank.step(item)
+        check_finite(bank.estimate(12.0))
+        text = bank.save()
+        assert restored(text).save() == text
+        fastest = max(fastest, float(bank.bank.state().x[:, 0].max()))
+    assert fastest > 40.0
+
+
+def test_a_bank_with_a_non_finite_number_reports_it_and_restarts_from_the_prior(
+    learned: str, minutes: list[Sample], fields_except_speed: Any, restored: Any, after: Any, check_recovers: Any
+) -> None:
+    bank = restored(learned)
+    assert bank.converged
+    bank.bank.hypotheses[0].filter.x[B] = math.nan
+    rejection = bank.step(after(minutes))
+    assert isinstance(rejection, Rejection)
+    assert rejection.reason is Reason.NUMERICAL
+    assert not bank.converged
+    found, prior = bank.estimate(12.0), FilterBank(FILE, SMALL).estimate(12.0)
+    assert fields_except_speed(found) == fields_except_speed(prior)
+    assert (found.speed_min, found.speed_max) == (0.0, 0.0)
+    check_recovers(bank)
+
+
+def test_after_speed_jumps_up_to_two_hundred_the_estimate_is_finite_and_recovers(
+    learned: str, drive: Any, check_finite: Any, restored: Any, shifted: Any, check_recovers: Any
+) -> None:
+    rng = np.random.default_rng(17)
+    samples = shifted(drive(12.0, seed=17), 1000.0)
+    bank = restored(learned)
+    for item in samples:
+        bank.step(replace(item, speed=float(rng.choice([item.speed, 1.0, 200.0]))))
+        check_finite(bank.estimate(item.speed))
+    # Long enough that the filters restart after consecutive rejections.
+    for item in samples:
+        bank.step(replace(item, stamp_ns=item.stamp_ns + 100 * NS_PER_S, speed=200.0))
+        check_finite(bank.estimate(item.speed))
+    check_recovers(bank)
+
+
+def wild(seed: int, make: Make) -> list[Sample]:
+    """Samples as bad as the aligner passes on."""
+    rng = np.random.default_rng(seed)
+
+    def maybe(value: float, spread: float, low: float, high: float) -> float:
+        kind = rng.random()
+        if kind < 0.03:
+            return math.nan
+        if kind < 0.1:
+            return float(rng.uniform(low, high))
+        return float(np.clip(value + spread * rng.standard_normal(), low, high))
+
+    samples, stamp = [], START
+    for i in range(300):
+        dt = float(rng.choice([0.02, 0.2, 0.2, 0.2, 1.0, 2.5]))
+        stamp += round(dt * NS_PER_S)
+        speed = maybe(12.0, 0.1, 0.0, 200.0)
+        changes = (BrakeCommandChange(stamp - 1, -1.0),) if rng.random() < 0.005 else ()
+        samples.append(
+            make(
+                i,
+                stamp_ns=stamp,
+                dt=math.nan if rng.random() < 0.01 else dt,
+                speed=12.0 if math.isnan(speed) else speed,
+                force=0.0,
+                force_mean=maybe(2e4, 1e4, -1e8, 1e8),
+                gradient_mean=maybe(0.0, 5.0, -200.0, 200.0),
+                curvature_mean=abs(maybe(0.0, 1e-3, 0.0, 1.0)),
+                mass=maybe(2e5, 1e3, 100.0, 1e9),
+                brake_changes=changes,
+            )
+        )
+    return samples
+
+
+@pytest.mark.parametrize('seed', range(4))
+def test_the_estimate_stays_finite_for_any_input(sample: Make, seed: int, check_finite: Any, restored: Any) -> None:
+    bank = FilterBank(FILE, SMALL)
+    for i, item in enumerate(wild(seed, sample)):
+        bank.step(item)
+        check_finite(bank.estimate(item.speed))
+        if i % 50 == 49:
+            restored(bank.save())
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize('seed', range(100, 140))
+def test_after_many_random_inputs_it_stays_finite_and_recovers(
+    sample: Make, seed: int, check_finite: Any, restored: Any, check_recovers: Any
+) -> None:
+    bank = FilterBank(FILE, SMALL)
+    for i, item in enumerate(wild(seed, sample)):
+        bank.step(item)
+        check_finite(bank.estimate(item.speed))
+        if i % 10 == 9:
+            restored(bank.save())
+    # Plausible ones among the random values have changed the estimate.
+    check_recovers(bank, sigmas=5.0)
+
+
+def test_a_stamp_jitter_of_a_microsecond_changes_the_resistance_by_less_than_a_thousandth(
+    minutes: list[Sample], run: Any
+) -> None:
+    """Stamps alternate by one microsecond; the intervals of a step change by 1e-5 at most."""
+    jittered = [
+        replace(s, stamp_ns=s.stamp_ns + (-1) ** i * 1000, dt=s.dt + (-1) ** i * 2e-6) for i, s in enumerate(minutes)
+    ]
+    plain, moved = run(minutes[:500]).estimate(12.0), run(jittered[:500]).estimate(12.0)
+    assert abs(moved.resistance - plain.resistance) < 1e-3
+    assert moved.resistance_std == pytest.approx(plain.resistance_std, rel=1e-2)
+    assert abs(moved.force_scale - plain.force_scale) < 1e-4
+    assert abs(moved.force_delay - plain.force_delay) < 1e-4
+    assert moved.resistance != plain.resistance

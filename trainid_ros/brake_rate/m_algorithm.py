@@ -1,0 +1,339 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One step of the group stochastic M-algorithm: particles branch into groups, are weighed by a speed and are pruned.
+
+Based on Zheng et al. 2015, section 3.5 and eqs. (14)-(22), with these corrections:
+
+* The group of a particle is {f - h, f, f + h} around its own value with prior weights 1/6, 2/3, 1/6 and
+  h = sqrt(3 q dt): every value has its group (the paper omits one), values are not bound to a grid, and the
+  transition has the variance of a random walk per second instead of a grid step per sample.
+* Weights are retained: w_k = w_{k-1} p(f_k | f_{k-1}) N(y_k); pruning is systematic resampling in the order of f.
+* Particles belong to strata with different q (quiet, jumping); a Markov chain transfers weight between the strata.
+  Each stratum keeps its number of particles however small its weight, so an improbable hypothesis is not pruned
+  before the measurements can decide.
+* Before branching, a stratum shrinks by sqrt(1 - kappa^2) towards its mean and h grows to
+  sqrt(3 (q dt + kappa^2 s^2)), which preserves its mean and its variance s^2 + q dt and keeps its values distinct. x
+  moves with f according to its regression on f. After pruning, the particles are shifted and scaled to the mean and
+  variance before pruning. In a stratum with a Gaussian posterior no sampling noise is left in either.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final
+
+from trainid_ros.brake_rate.group_cloud import WIDTH, GroupCloud, zeros
+from trainid_ros.brake_rate.posterior import STATES
+from trainid_ros.vectors import i64, vec
+
+if TYPE_CHECKING:
+    from trainid_ros.brake_rate.posterior import Transition
+
+# Logarithms of the prior weights of the children in a group: outer and middle.
+_LOG_OUTER: Final = math.log(1.0 / 6.0)
+_LOG_MIDDLE: Final = math.log(4.0 / 6.0)
+_KAPPA: Final = 0.2
+_SHRUNK: Final = math.sqrt(1.0 - 0.2 * 0.2) - 1.0
+# Limit of the factor that scales survivors to the variance before pruning.
+_MOST_SPREAD: Final = 2.0
+_TINY: Final = 1e-300
+# Lower limit of the variance: if one child has all the weight, the spread within its group is still unknown.
+_LEAST_VARIANCE: Final = 1e-10
+# Rows of x.
+_V: Final = 0
+_A: Final = 1
+
+
+class MAlgorithm:
+    """Steps of a cloud of particles in which a measured speed updates f.
+
+    Args:
+        cloud: The particles; a step changes them.
+
+    """
+
+    def __init__(self, cloud: GroupCloud) -> None:
+        N, M, n = int(cloud.N), int(cloud.M), STATES
+        self._cloud, self.N, self.M, self._edges = cloud, cloud.N, cloud.M, cloud.edges
+        # Stratum of each child, and so of each particle.
+        sizes = [int(cloud.edges[m + 1] - cloud.edges[m]) for m in range(M)]
+        self._of = vec[i64]([m for _ in range(3) for m, size in enumerate(sizes) for _ in range(size)])
+        # The next rates and states.
+        self._next_f, self._next = zeros(N), zeros(n * N)
+        # Of each particle: f shrunk, how far it moved, innovation, weight of its group, weight times f, a state.
+        self._base, self._moved, self._nu, self._w0, self._wf = zeros(N), zeros(N), zeros(N), zeros(N), zeros(N)
+        self._row = zeros(N)
+        # Of each child: rate, weight, place in the order of f. Child g of particle i has the number g N + i.
+        self._rates, self._w = zeros(3 * N), zeros(3 * N)
+        self._order, self._merged = vec[i64]([0] * (3 * N)), vec[i64]([0] * (3 * N))
+        self._runs = vec[i64]([0] * (3 * N + 1))
+        # Of each survivor: its particle, its distance from it, and its shift to the moments before pruning.
+        self._parent, self._off, self._shift = vec[i64]([0] * N), zeros(N), zeros(N)
+        # Of each stratum: step, and slopes of the predicted states over f and within the groups, shape (n, M).
+        self._h, self._slopes, self._c, self._c_v = zeros(M), zeros(n * M), zeros(n * M), zeros(M)
+        # Sums over its children of w, w f, w f^2, w off, w f off, w x and w x f.
+        self._ones, self._firsts, self._squares, self._offs, self._products = (zeros(M) for _ in range(5))
+        self._states, self._state_products, self._share = zeros(M), zeros(M), zeros(M)
+        self._next_weight, self._next_mean, self._next_variance = zeros(M), zeros(M), zeros(M)
+
+    def learn(
+        self,
+        step: Transition,
+        walk: vec[float],
+        speed: float,
+        K: vec[float],
+        S: float,
+        largest: float,
+        chain: vec[float],
+        uniforms: list[float],
+    ) -> float:
+        """Branch, weigh and prune predicted particles.
+
+        Args:
+            step: Motion model since the last sample.
+            walk: Variance q dt of f [1] in each stratum, shape (M,).
+            speed: Measured speed [m/s].
+            K: Gain, eq. (20), shape (n,).
+            S: Variance of the innovation, eq. (16) [(m/s)^2].
+            largest: Largest rate [1]; children outside 0 <= f <= largest get the weight zero.
+            chain: Transition probabilities from stratum (row) to stratum (column), shape (M, M).
+            uniforms: A draw in [0, 1) for each stratum, shape (M,).
+
+        Returns:
+            The effective number of children [1].
+
+        """
+        cloud = self._cloud
+        cloud.separate()
+        self._branch(step, walk, speed)
+        effective = self._weigh(1.0 / math.sqrt(S), largest)
+        self._sum_rates(chain)
+        self._sort()
+        for m in range(self.M):
+            self._prune(m, chain, uniforms[int(m)])
+            self._match(m)
+        for j in range(STATES):
+            self._correct(j, K[j])
+            self._inherit(j, chain)
+        cloud.x, self._next, cloud.f, self._next_f = self._next, cloud.x, self._next_f, cloud.f
+        cloud.stand_still()
+        self._take_moments()
+        return effective
+
+    def _branch(self, step: Transition, walk: vec[float], speed: float) -> None:
+        """Shrink the strata; set step and slopes within their groups, and the innovations of the middle children."""
+        cloud, base, moved, nu, M = self._cloud, self._base, self._moved, self._nu, self.M
+        f, v = cloud.f, cloud.v
+        for m in range(M):
+            kernel = _KAPPA * _KAPPA * cloud.variance[m]
+            both = max(walk[m] + kernel, _TINY)
+            self._h[m] = math.sqrt(3.0 * both)
+            # The kernel moves f over its entire past, so x along its regression; the walk moves f in this step only.
+            for j in range(STATES):
+                gain = step.gain_v if j == _V else step.gain_a if j == _A else 0.0
+                slope = cloud.slope_of(j, m)
+                self._slopes[j * M + m] = slope
+                self._c[j * M + m] = gain + kernel / both * (slope - gain)
+            self._c_v[m] = self._c[_V * M + m]
+            mean, slope = cloud.mean[m], self._slopes[_V * M + m]
+            for i in range(self._edges[m], self._edges[m + 1]):
+                off = _SHRUNK * (f[i] - mean)
+                moved[i] = off
+                base[i] = f[i] + off
+                nu[i] = speed - (v[i] + slope * off)
+
+    def _weigh(self, W: float, largest: float) -> float:
+        """Set rates and normalised weights of the children, eqs. (17), (18); return their effective number [1].
+
+        W is one over the standard deviation of the innovation [s/m].
+        """
+        base, nu, rates, w, N = self._base, self._nu, self._rates, self._w, self.N
+        peak = -math.inf
+        for m in range(self.M):
+            low, high = self._edges[m], self._edges[m + 1]
+            prior = math.log(max(self._cloud.weight[m], _TINY) / float(high - low))
+            for g in range(3):
+                off, log_prior = float(g - 1) * self._h[m], prior + (_LOG_MIDDLE if g == 1 else _LOG_OUTER)
+                ahead, child = off * self._c[_V * self.M + m], g * N
+                for i in range(low, high):
+                    rate, z = base[i] + off, W * (nu[i] - ahead)
+                    log_weight = log_prior - 0.5 * (z * z) if 0.0 <= rate <= largest else -math.inf
+                    rates[child + i], w[child + i] = rate, log_weight
+                    peak = max(peak, log_weight)
+        total = squares = 0.0
+        for k in range(3 * N):
+            # Equal weights if all children are impossible.
+            weight = math.exp(w[k] - peak) if peak > -math.inf else 1.0
+            w[k] = weight
+            total += weight
+            squares += weight * weight
+        for k in range(3 * N):
+            w[k] /= total
+        return total * total / squares
+
+    def _sum_rates(self, chain: vec[float]) -> None:
+        """Set the sums over the children of each stratum, and the moments of f that each stratum will have.
+
+        f counts from its mean before, so that the moments are not differences of large numbers.
+        """
+        base, w, w0, wf, N, M, centre = self._base, self._w, self._w0, self._wf, self.N, self.M, self._cloud.rate
+        for m in range(M):
+            h = self._h[m]
+            ones = firsts = squares = offs = products = 0.0
+            for i in range(self._edges[m], self._edges[m + 1]):
+                f, below, above = base[i] - centre, w[i], w[2 * N + i]
+                one, off = below + w[N + i] + above, (above - below) * h
+                first, product = f * one + off, f * off + (above + below) * h * h
+                w0[i], wf[i] = one, first
+                ones += one
+                firsts += first
+                squares += f * first + product
+                offs += off
+                products += product
+            self._ones[m], self._firsts[m], self._squares[m] = ones, firsts, squares
+            self._offs[m], self._products[m] = offs, products
+        for m in range(M):
+            weight = max(self._into(self._ones, chain, m), _TINY)
+            mean = self._into(self._firsts, chain, m) / weight
+            square = self._into(self._squares, chain, m) / weight
+            self._next_weight[m], self._next_mean[m] = weight, mean
+            self._next_variance[m] = max(square - mean * mean, _LEAST_VARIANCE)
+
+    def _into(self, sums: vec[float], chain: vec[float], m: i64) -> float:
+        """Return what the chain carries of sums over each stratum, shape (M,), into the m-th."""
+        total = 0.0
+        for source in range(self.M):
+            total += sums[source] * chain[source * self.M + m]
+        return total
+
+    def _sort(self) -> None:
+        """Put the children in the order of f, equal ones in that of their numbers, by merging runs in order.
+
+        Survivors are in order, so there is a run for each child of the group in each stratum.
+        """
+        runs, count = self._runs, 3 * self.N
+        last = self._find_runs()
+        while last > 1:
+            pair: i64 = 0
+            while pair < last:
+                self._merge(runs[pair], runs[pair + 1], runs[pair + 2] if pair + 1 < last else runs[pair + 1])
+                runs[pair // 2] = runs[pair]
+                pair += 2
+            last = (last + 1) // 2
+            runs[last] = count
+            self._order, self._merged = self._merged, self._order
+
+    def _find_runs(self) -> i64:
+        """Number the children in order, and find where the runs begin; return how many there are."""
+        rates, order, runs, count = self._rates, self._order, self._runs, 3 * self.N
+        last: i64 = 0
+        for k in range(count):
+            order[k] = k
+            if k == 0 or rates[k] < rates[k - 1]:
+                runs[last] = k
+                last += 1
+        runs[last] = count
+        return last
+
+    def _merge(self, low: i64, middle: i64, high: i64) -> None:
+        """Merge the runs from ``low`` and from ``middle``, up to ``high``."""
+        rates, order, merged = self._rates, self._order, self._merged
+        i, j = low, middle
+        for k in range(low, high):
+            if i < middle and (j >= high or rates[order[i]] <= rates[order[j]]):
+                merged[k] = order[i]
+                i += 1
+            else:
+                merged[k] = order[j]
+                j += 1
+
+    def _prune(self, m: i64, chain: vec[float], uniform: float) -> None:
+        """Choose the survivors of a stratum by systematic resampling of all children, with a draw in [0, 1)."""
+        order, rates, w, of, share, N, M = self._order, self._rates, self._w, self._of, self._share, self.N, self.M
+        parent, off, f = self._parent, self._off, self._next_f
+        low, high = self._edges[m], self._edges[m + 1]
+        size = float(high - low)
+        for source in range(M):
+            share[source] = chain[source * M + m] / self._next_weight[m]
+        place: i64 = 0
+        child = order[0]
+        total = w[child] * share[of[child]]
+        for k in range(low, high):
+            position = (float(k - low) + uniform) / size
+            while total <= position and place < 3 * N - 1:
+                place += 1
+                child = order[place]
+                total += w[child] * share[of[child]]
+            side = -1.0 if child < N else 0.0 if child < 2 * N else 1.0
+            parent[k], off[k], f[k] = child % N, side * self._h[of[child]], rates[child]
+
+    def _match(self, m: i64) -> None:
+        """Shift and scale the survivors of a stratum to the mean and the variance of f before pruning."""
+        f, shift, low, high = self._next_f, self._shift, self._edges[m], self._edges[m + 1]
+        size, average, spread = float(high - low), 0.0, 0.0
+        for k in range(low, high):
+            average += f[k]
+        average /= size
+        for k in range(low, high):
+            spread += (f[k] - average) * (f[k] - average)
+        factor = min(math.sqrt(self._next_variance[m] / max(spread / size, _TINY)), _MOST_SPREAD)
+        mean = self._cloud.rate + self._next_mean[m]
+        for k in range(low, high):
+            matched = mean + factor * (f[k] - average)
+            shift[k] = matched - f[k]
+            f[k] = matched
+
+    def _correct(self, j: i64, K: float) -> None:
+        """Update a state of the middle children, eq. (21), and sum it over the children of each stratum."""
+        cloud, moved, nu, w0, wf, row, c = self._cloud, self._moved, self._nu, self._w0, self._wf, self._row, self._c
+        f, x, N, M = cloud.f, cloud.x, self.N, self.M
+        at = j * N
+        # The speeds have been predicted; of another state only its own share and f are in A.
+        known, gain, left = cloud.A[j * WIDTH], cloud.A[j * WIDTH + 1], cloud.A[j * WIDTH + 2 + j]
+        if j == _V:
+            x, at, known, gain, left = cloud.v, 0, 0.0, 0.0, 1.0
+        for m in range(M):
+            slope = self._slopes[j * M + m]
+            c[j * M + m] -= K * self._c_v[m]
+            states = products = 0.0
+            for i in range(self._edges[m], self._edges[m + 1]):
+                state = known + gain * f[i] + left * x[at + i] + slope * moved[i] + K * nu[i]
+                row[i] = state
+                states += state * w0[i]
+                products += state * wf[i]
+            self._states[m] = states + c[j * M + m] * self._offs[m]
+            self._state_products[m] = products + c[j * M + m] * self._products[m]
+
+    def _inherit(self, j: i64, chain: vec[float]) -> None:
+        """Take a state over to the survivors, and match its mean and its regression on f before pruning."""
+        row, parent, off, shift, of, c = self._row, self._parent, self._off, self._shift, self._of, self._c
+        N, M, after, average = self.N, self.M, self._next, 0.0
+        for m in range(M):
+            low, high, weight = self._edges[m], self._edges[m + 1], self._next_weight[m]
+            mean = self._into(self._states, chain, m) / weight
+            product = self._into(self._state_products, chain, m) / weight
+            slope = (product - mean * self._next_mean[m]) / self._next_variance[m]
+            self._cloud.slope[j * M + m] = slope
+            total = 0.0
+            for k in range(low, high):
+                i = parent[k]
+                state = row[i] + off[k] * c[j * M + of[i]] + slope * shift[k]
+                after[j * N + k] = state
+                total += state
+            back = mean - total / float(high - low)
+            for k in range(low, high):
+                after[j * N + k] += back
+            average += weight * mean
+        self._cloud.x_mean[j] = average
+
+    def _take_moments(self) -> None:
+        """Take over the moments of the strata, and the means of the states."""
+        cloud, total = self._cloud, 0.0
+        for m in range(self.M):
+            total += self._next_weight[m]
+        for m in range(self.M):
+            cloud.weight[m] = self._next_weight[m] / total
+            cloud.mean[m] = cloud.rate + self._next_mean[m]
+            cloud.variance[m] = self._next_variance[m]
+        for j in range(STATES):
+            cloud.x_mean[j] /= total
+        cloud.average()
