@@ -3,12 +3,15 @@
 
 This process publishes the records of a simulated day in real time and subscribes to the estimates. The latency is
 measured from just before the last input is published until the callback that receives the estimate: it includes two
-transfers through the middleware, all three nodes and this subscriber.
+transfers through the middleware, all three nodes and this subscriber. The same is measured of a bare node that computes
+nothing, in the same run: what is left is the estimators' own.
 """
 
 from __future__ import annotations
 
 import os
+import subprocess
+import sys
 import tempfile
 import threading
 import time
@@ -25,7 +28,7 @@ from trainid_msgs import msg as trainid_msgs
 
 from benchmarks.days import TRAIN_FILE, simulated_day
 from benchmarks.tables import Table
-from trainid_ros.demo.processes import ProcessGroup, free_domain
+from trainid_ros.demo.processes import ProcessGroup, free_domain, local_environment
 from trainid_ros.messages import OUTPUT_TOPICS, stamp_of
 from trainid_ros.records import INPUT_TOPICS, NS_PER_S
 from trainid_ros.ros.topics import estimate_qos, message_class, message_from_record, source_qos
@@ -33,10 +36,11 @@ from trainid_ros.stream.alignment import Aligner, AlignmentConfig
 from trainid_ros.stream.samples import Sample
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Collection, Iterator, Mapping, Sequence
 
     from trainid_ros.records import Record
 
+_PROFILE: Final = Path(__file__).parents[1] / 'config' / 'fastdds_localhost.xml'
 _SEED: Final = 1
 # A part of the day with traction, coasting, braking and standstill.
 _START_S: Final = 40.0
@@ -79,10 +83,11 @@ class LiveResult:
 
 
 def measure() -> tuple[Table, ...]:
-    """Run both distributions of nodes over processes; return the tables."""
+    """Run both distributions of nodes over processes, and a bare relay; return the tables."""
     together = run_nodes('one process', (_NODES,))
     apart = run_nodes('three processes', tuple((name,) for name in _NODES))
-    return _latency_table((together, apart)), _load_table((together, apart))
+    results = (together, apart, run_relay())
+    return _latency_table(results), _load_table(results)
 
 
 def _latency_table(results: Sequence[LiveResult]) -> Table:
@@ -97,7 +102,7 @@ def _latency_table(results: Sequence[LiveResult]) -> Table:
         for latency in result.latencies
     )
     header = ('last input to estimate, ms', 'ticks', 'received', 'p50', 'p99', 'longest')
-    return Table('Latency of estimates at 5 Hz', header, rows)
+    return Table('Latency of estimates at 5 Hz', header, rows, f'Load of the machine: {os.getloadavg()[0]:.1f}.')
 
 
 def _load_table(results: Sequence[LiveResult]) -> Table:
@@ -204,17 +209,33 @@ def run_nodes(arrangement: str, groups: Sequence[Sequence[str]]) -> LiveResult:
     """Run groups of nodes, each group in one process, and measure them."""
     with tempfile.TemporaryDirectory() as name, _private_domain(Path(name)), ProcessGroup(Path(name)) as processes:
         pids = [processes.start('+'.join(nodes), _command(nodes)).process.pid for nodes in groups]
-        meter = _Meter()
+        names = ['all three' if len(nodes) == len(_NODES) else nodes[0] for nodes in groups]
+        return _measure(arrangement, dict(zip(names, pids, strict=True)))
+
+
+def run_relay() -> LiveResult:
+    """Run a node that computes nothing, and measure it."""
+    with tempfile.TemporaryDirectory() as name, _private_domain(Path(name)):
+        process = subprocess.Popen([sys.executable, '-m', 'benchmarks.relay'])
         try:
-            meter.wait_for_nodes(len(groups))
-            time.sleep(1.0)
-            idle = _shares(pids, lambda: time.sleep(_IDLE_S))
-            busy = _shares(pids, lambda: meter.publish(_records()))
-            memory = [_resident_mb(pid) for pid in pids]
+            return _measure('bare relay', {'relay': process.pid})
         finally:
-            meter.close()
-    names = ['all three' if len(nodes) == len(_NODES) else nodes[0] for nodes in groups]
-    loads = tuple(ProcessLoad(*row) for row in zip(names, idle, busy, memory, strict=True))
+            process.terminate()
+            process.wait()
+
+
+def _measure(arrangement: str, pids: Mapping[str, int]) -> LiveResult:
+    """Measure running processes, given by name."""
+    meter = _Meter()
+    try:
+        meter.wait_for_nodes(len(pids))
+        time.sleep(1.0)
+        idle = _shares(pids.values(), lambda: time.sleep(_IDLE_S))
+        busy = _shares(pids.values(), lambda: meter.publish(_records()))
+        memory = [_resident_mb(pid) for pid in pids.values()]
+    finally:
+        meter.close()
+    loads = tuple(ProcessLoad(*row) for row in zip(pids, idle, busy, memory, strict=True))
     return LiveResult(arrangement, meter.latencies(), loads)
 
 
@@ -235,8 +256,8 @@ def _private_domain(logs: Path) -> Iterator[None]:
     """Put this process and its children into a ROS domain of their own, on this machine only."""
     before = dict(os.environ)
     os.environ |= {
+        **local_environment(_PROFILE),
         'ROS_DOMAIN_ID': str(free_domain(os.getpid())),
-        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
         'ROS_LOG_DIR': str(logs),
     }
     os.environ.pop('ROS_LOCALHOST_ONLY', None)
@@ -247,7 +268,7 @@ def _private_domain(logs: Path) -> Iterator[None]:
         os.environ.update(before)
 
 
-def _shares(pids: Sequence[int], work: Any) -> list[float]:
+def _shares(pids: Collection[int], work: Any) -> list[float]:
     """Return the share of one core that each process used during ``work``."""
     before, start = [_cpu_s(pid) for pid in pids], time.perf_counter()
     work()

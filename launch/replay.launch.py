@@ -3,13 +3,26 @@
 
 from pathlib import Path
 
-from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription
+from launch.actions import DeclareLaunchArgument, IncludeLaunchDescription, OpaqueFunction
 from launch.launch_description_sources import PythonLaunchDescriptionSource
 from launch.substitutions import LaunchConfiguration
 from launch_ros.actions import LifecycleNode
 from launch_ros.parameter_descriptions import ParameterValue
 
 from launch import LaunchDescription
+
+SWITCH = ('true', 'false', 'True', 'False', '1', '0')
+
+
+def check_rate(context):
+    """Refuse a rate that is not a number before anything has started."""
+    text = LaunchConfiguration('rate').perform(context)
+    try:
+        float(text)
+    except ValueError:
+        msg = f'rate:={text} must be a number'
+        raise RuntimeError(msg) from None
+    return []
 
 
 def generate_launch_description():
@@ -18,7 +31,6 @@ def generate_launch_description():
         ('bag', 'rosbag2 directory or .mcap file', None),
         ('train_file', 'train file (YAML)', None),
         ('rate', 'recorded seconds per second', '1.0'),
-        ('loop', 'start over at the end', 'false'),
     )
     declared = [
         DeclareLaunchArgument(name, default_value=value, description=text)
@@ -26,6 +38,7 @@ def generate_launch_description():
         else DeclareLaunchArgument(name, description=text)
         for name, text, value in arguments
     ]
+    loop = DeclareLaunchArgument('loop', default_value='false', description='start over at the end', choices=SWITCH)
     estimators = IncludeLaunchDescription(
         PythonLaunchDescriptionSource(str(Path(__file__).with_name('trainid.launch.py'))),
         launch_arguments={'train_file': LaunchConfiguration('train_file'), 'use_sim_time': 'true'}.items(),
@@ -46,4 +59,4 @@ def generate_launch_description():
         ],
         output='screen',
     )
-    return LaunchDescription([*declared, estimators, player])
+    return LaunchDescription([*declared, loop, OpaqueFunction(function=check_rate), estimators, player])

@@ -7,6 +7,8 @@ from launch_ros.actions import LifecycleNode
 
 from launch import LaunchDescription
 
+SWITCH = ('true', 'false', 'True', 'False', '1', '0')
+LOG_LEVELS = ('debug', 'info', 'warn', 'error', 'fatal')
 NODES = ('resistance_estimator', 'speed_model_estimator', 'brake_rate_estimator')
 
 
@@ -45,12 +47,15 @@ def make_nodes(context):
 def generate_launch_description():
     """Return what ``ros2 launch trainid_ros trainid.launch.py`` starts."""
     arguments = (
-        ('train_file', '', 'train file (YAML); its values are the defaults of train.*, resistance.* and brake.*'),
-        ('params_file', '', 'parameter file, see config/params.yaml'),
-        ('use_sim_time', 'false', 'true while a bag or a simulator publishes /clock'),
-        ('autostart', 'true', 'false leaves configuring and activating to a lifecycle manager'),
-        ('namespace', '', 'namespace of nodes and topics, for more than one train'),
-        ('log_level', 'info', 'debug, info, warn or error'),
+        ('train_file', '', 'train file (YAML); its values are the defaults of train.*, resistance.* and brake.*', None),
+        ('params_file', '', 'parameter file, see config/params.yaml', None),
+        ('use_sim_time', 'false', 'true while a bag or a simulator publishes /clock', SWITCH),
+        ('autostart', 'true', 'false leaves configuring and activating to a lifecycle manager', SWITCH),
+        ('namespace', '', 'namespace of nodes and topics, for more than one train', None),
+        ('log_level', 'info', 'least important messages to log', LOG_LEVELS),
     )
-    declared = [DeclareLaunchArgument(name, default_value=value, description=text) for name, value, text in arguments]
+    declared = [
+        DeclareLaunchArgument(name, default_value=value, description=text, choices=choices)
+        for name, value, text, choices in arguments
+    ]
     return LaunchDescription([*declared, OpaqueFunction(function=make_nodes)])

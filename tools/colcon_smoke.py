@@ -18,7 +18,7 @@ import time
 from functools import cache
 from pathlib import Path
 
-from trainid_ros.demo.processes import free_domain
+from trainid_ros.demo.processes import free_domain, local_environment
 
 ROOT = Path(__file__).resolve().parent.parent
 VENV = ROOT / '.venv'
@@ -58,7 +58,7 @@ def sourced(setup: Path, scratch: Path) -> dict[str, str]:
         'LANG': 'C.UTF-8',
         'ROS_LOG_DIR': str(scratch / 'ros_log'),
         'ROS_DOMAIN_ID': str(own_domain()),
-        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
+        **local_environment(ROOT / 'config' / 'fastdds_localhost.xml'),
         'ROS_PYTHON_CHECK_FIELDS': '1',
         'COLCON_LOG_PATH': str(scratch / 'log'),
         # As on a machine without mypyc, and nothing is built inside the repository.

@@ -45,8 +45,11 @@ class _Line:
 
 
 def documents() -> tuple[Path, ...]:
-    """Return README, CONTRIBUTING and the pages of the site."""
-    return (ROOT / 'README.md', ROOT / 'CONTRIBUTING.md', *sorted((ROOT / DOCS).glob('*.md')))
+    """Return README, CONTRIBUTING, SECURITY and the pages of the site."""
+    return (
+        *(ROOT / f'{name}.md' for name in ('README', 'CONTRIBUTING', 'SECURITY')),
+        *sorted((ROOT / DOCS).glob('*.md')),
+    )
 
 
 def blocks(text: str) -> list[Block]:

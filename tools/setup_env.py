@@ -232,12 +232,22 @@ def install_project() -> None:
         shutil.rmtree(folder, ignore_errors=True)
         folder.mkdir(parents=True)
     for name in existing_shared():
-        (share / name).symlink_to(ROOT / name)
+        link_shared(ROOT / name, share / name)
     marker = VENV / 'share' / 'ament_index' / 'resource_index' / 'packages' / 'trainid_ros'
     shutil.copy(ROOT / 'resource' / 'trainid_ros', marker)
     (record,) = SITE.glob('trainid_ros-*.dist-info/entry_points.txt')
     for name in re.findall(r'^(\w+)\s*=', record.read_text(encoding='utf-8'), re.MULTILINE):
         (programs / name).symlink_to(VENV / 'bin' / name)
+
+
+def link_shared(source: Path, link: Path) -> None:
+    """Link a part of the source tree; the folder of launch files is made, since ``ros2 launch`` follows no links."""
+    if source.name != 'launch':
+        link.symlink_to(source)
+        return
+    link.mkdir()
+    for path in source.glob('*.launch.py'):
+        (link / path.name).symlink_to(path)
 
 
 def compiled_sources() -> list[Path]:
@@ -268,7 +278,8 @@ def refresh() -> bool:
     stamps: dict[str, str] = json.loads(STAMP.read_text()) if STAMP.is_file() else {}
     packages = fingerprint([*sorted(REQUIREMENTS.glob('*.lock')), TEMPLATES, Path(__file__)])
     messages = fingerprint([MESSAGES], packages)
-    project = fingerprint([ROOT / name for name in PACKAGE_INPUTS], packages, *existing_shared())
+    launch_files = sorted(path.name for path in (ROOT / 'launch').glob('*.launch.py'))
+    project = fingerprint([ROOT / name for name in PACKAGE_INPUTS], packages, *existing_shared(), *launch_files)
     compiled = fingerprint([*compiled_sources(), ROOT / 'setup.py'], packages)
     steps = (
         ('packages', packages, install_packages, 'ROS 2 Jazzy and Python packages (about a minute)'),

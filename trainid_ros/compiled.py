@@ -67,6 +67,7 @@ MODULES: Final = (
     'speed_model/speed_model_estimator',
     'speed_model/speed_model_state',
     'stream/alignment',
+    'stream/brake_commands',
     'stream/drive_history',
     'stream/intervals',
     'stream/sample_stream',

@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
-from trainid_ros.records import NS_PER_S
+from trainid_ros.records import INPUT_TOPICS, NS_PER_S
 from trainid_ros.results import (
     BrakeRateEstimate,
     Estimate,
@@ -25,7 +25,12 @@ if TYPE_CHECKING:
     Value = float | bool | int | str | list[float]
 
 # Generated messages store values without checking their type, so every value is cast.
-_CASTS: Final[dict[str, Callable[[Any], Any]]] = {'float': float, 'int': int, 'bool': bool}
+_CASTS: Final[dict[str, Callable[[Any], Any]]] = {
+    'float': float,
+    'int': int,
+    'bool': bool,
+    'tuple': lambda values: list(map(float, values)),
+}
 # NaN where an algorithm does not estimate them; the position may be unknown.
 _MAY_BE_UNKNOWN: Final = frozenset({'position', 'force_scale', 'force_scale_std', 'force_delay', 'force_delay_std'})
 
@@ -49,6 +54,18 @@ BRAKE_RATE_TOPIC: Final = OutputTopic(
 )
 OUTPUT_TOPICS: Final = (RESISTANCE_TOPIC, SPEED_MODEL_TOPIC, BRAKE_RATE_TOPIC)
 _TOPIC_OF: Final[dict[type[Any], OutputTopic]] = {topic.estimate: topic for topic in OUTPUT_TOPICS}
+
+
+def _casts(kind: type[Any]) -> tuple[tuple[str, Callable[[Any], Any]], ...]:
+    """Return the fields of a record or an estimate, each with what makes its value a plain one."""
+    # Types are text, but classes where the module is compiled.
+    names = ((item.name, getattr(item.type, '__name__', str(item.type))) for item in fields(kind))
+    return tuple((name, _CASTS[text.partition('[')[0]]) for name, text in names)
+
+
+_FIELDS: Final[dict[type[Any], tuple[tuple[str, Callable[[Any], Any]], ...]]] = {
+    kind: _casts(kind) for kind in (*(topic.record for topic in INPUT_TOPICS), *_TOPIC_OF)
+}
 
 
 class OutputLike(Protocol):
@@ -92,33 +109,26 @@ def stamp_of(message: Any) -> int:
 
 def record_from_message(topic: InputTopic, message: Any) -> Record:
     """Return the record of an input message; values are passed on unchecked, NaN included."""
-    values = [_CASTS[str(item.type)](getattr(message, item.name)) for item in fields(topic.record)[1:]]
+    values = [cast(getattr(message, name)) for name, cast in _FIELDS[topic.record][1:]]
     return topic.record(stamp_of(message), *values)
 
 
 def record_values(record: Record) -> dict[str, Value]:
     """Return the fields of the message of a record, but for its header."""
-    return {item.name: _CASTS[str(item.type)](getattr(record, item.name)) for item in fields(record)[1:]}
+    return {name: cast(getattr(record, name)) for name, cast in _FIELDS[type(record)][1:]}
 
 
 def output_values(output: OutputLike) -> dict[str, Value]:
     """Return the fields of the message of an output, but for its header; a number that is not finite makes it FAULT."""
     estimate, rejection = output.estimate, output.last_rejection
-    values: dict[str, Value] = {item.name: _plain(getattr(estimate, item.name)) for item in fields(estimate)}
-    finite = all(name in _MAY_BE_UNKNOWN or _is_finite(value) for name, value in values.items())
-    return values | {
-        'status': int(output.status) if finite else int(Status.FAULT),
-        'used': int(output.used),
-        'rejected': int(output.rejected),
-        'last_reject_reason': 0 if rejection is None else int(rejection.reason),
-        'last_reject_text': '' if rejection is None else str(rejection),
-    }
-
-
-def _plain(value: Any) -> Value:
-    if isinstance(value, tuple):
-        return [float(item) for item in value]
-    return value if isinstance(value, bool) else float(value)
+    values: dict[str, Value] = {name: cast(getattr(estimate, name)) for name, cast in _FIELDS[type(estimate)]}
+    finite = all(_is_finite(value) or name in _MAY_BE_UNKNOWN for name, value in values.items())
+    values['status'] = int(output.status if finite else Status.FAULT)
+    values['used'] = int(output.used)
+    values['rejected'] = int(output.rejected)
+    values['last_reject_reason'] = 0 if rejection is None else int(rejection.reason)
+    values['last_reject_text'] = '' if rejection is None else str(rejection)
+    return values
 
 
 def _is_finite(value: Any) -> bool:

@@ -130,3 +130,18 @@ def test_an_empty_bag_is_read_and_unusable(tmp_path: Path) -> None:
     info = inspect(write(tmp_path / 'bag', []))
     assert (info.messages, info.duration_s, info.usable) == (0, 0.0, False)
     assert len(info.missing) == 4
+
+
+@pytest.mark.parametrize('held_s', [1.0, 5.0])
+def test_brake_commands_published_only_on_change_are_noticed(
+    tmp_path: Path, records: list[Record], held_s: float
+) -> None:
+    others = [record for record in records if not isinstance(record, BrakeRecord)]
+    start_ns = records[0].stamp_ns
+    commands = [
+        BrakeRecord(start_ns + 1 + round(k * held_s * NS_PER_S), -0.5 * (k % 2), emergency=False)
+        for k in range(int(9.0 / held_s) + 2)
+    ]
+    info = inspect(write(tmp_path / 'bag', [*others, *commands]))
+    text = 'ato/brake_command: published only on change: set alignment.command_hold'
+    assert any(line.startswith(text) and '5 s or more' in line for line in info.warnings) == (held_s > 2.0)

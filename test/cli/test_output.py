@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+import dataclasses
 import json
 import math
 from dataclasses import dataclass
@@ -11,6 +12,9 @@ import numpy as np
 import pytest
 
 from trainid_ros.cli.output import print_json, progress, table, to_plain
+from trainid_ros.results import BrakeRateEstimate, Output, Status
+
+BRAKE = BrakeRateEstimate(0.93, 0.02, 1.5, 12.0, -0.5, -0.6, 77.5, True, 0.01, 0.002, 0.3)
 
 
 class Colour(IntEnum):
@@ -31,12 +35,21 @@ class Outer:
 
 def test_all_permitted_types_become_json_types() -> None:
     value = {
+        'output': Output(7, BRAKE, Status.VALID, 3, 1, None),
         'outer': Outer(Inner((1.0, math.nan, -math.inf)), Colour.RED, Path('a/b')),
         'array': np.array([[1.0, math.inf]]),
         'scalars': [np.float64(0.5), np.int32(4), np.bool_(True), True, None],
         Colour.RED: 1,
     }
     assert to_plain(value) == {
+        'output': {
+            'stamp_ns': 7,
+            'estimate': dataclasses.asdict(BRAKE),
+            'status': 'VALID',
+            'used': 3,
+            'rejected': 1,
+            'last_rejection': None,
+        },
         'outer': {'inner': {'values': [1.0, None, None]}, 'colour': 'RED', 'path': 'a/b'},
         'array': [[1.0, None]],
         'scalars': [0.5, 4, True, True, None],

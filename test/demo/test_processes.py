@@ -10,11 +10,14 @@ import sys
 import time
 from contextlib import suppress
 from pathlib import Path
+from xml.etree import ElementTree
 
 import pytest
 
 from trainid_ros.demo import processes
-from trainid_ros.demo.processes import ProcessGroup, free_domain
+from trainid_ros.demo.processes import ProcessGroup, free_domain, local_environment
+
+CONFIG = Path(__file__).parents[2] / 'config'
 
 # Reached only by failures: a busy machine may stall a process for seconds.
 DEADLINE_S = 50.0
@@ -122,3 +125,21 @@ def _wait_for(log: Path, word: str) -> str:
         assert time.monotonic() < deadline, text
         time.sleep(0.02)
     return text
+
+
+@pytest.mark.parametrize('text', [processes._PROFILE, (CONFIG / 'fastdds_localhost.xml').read_text(encoding='utf-8')])
+def test_the_profiles_use_this_machine_alone(text: str) -> None:
+    root = ElementTree.fromstring(text.encode())
+    space = {'d': 'http://www.eprosima.com'}
+    transports = root.iterfind('.//d:transport_descriptor', space)
+    networks = [item for item in transports if item.findtext('d:type', namespaces=space) != 'SHM']
+    assert [[place.text for place in item.iterfind('.//d:address', space)] for item in networks] == [['127.0.0.1']]
+    assert [item.text for item in root.iterfind('.//d:useBuiltinTransports', space)] == ['false']
+
+
+def test_a_middleware_that_reads_no_profile_finds_nobody_outside(monkeypatch: pytest.MonkeyPatch) -> None:
+    found = []
+    for middleware in ('rmw_fastrtps_cpp', 'rmw_cyclonedds_cpp'):
+        monkeypatch.setenv('RMW_IMPLEMENTATION', middleware)
+        found.append(local_environment(Path('profile.xml'))['ROS_AUTOMATIC_DISCOVERY_RANGE'])
+    assert found == ['SYSTEM_DEFAULT', 'LOCALHOST']

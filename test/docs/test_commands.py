@@ -22,6 +22,7 @@ TRAINID = '.venv/bin/trainid'
 TIMEOUT_S = 100.0
 LIVE = 'needs a ROS graph and runs until it is stopped'
 BUILT = 'needs an installed workspace'
+SECURE = 'needs DDS security, which the wheels are built without'
 WHOLE = 'takes minutes; make itself is checked by the test run'
 # Command lines that are only checked, by page and with the reason.
 NOT_RUN = {
@@ -39,6 +40,14 @@ NOT_RUN = {
         'make docs': 'needs the network',
         'make golden': 'writes into the repository',
         'git diff --stat test/golden config/params.yaml': 'needs a repository',
+    },
+    'SECURITY.md': {
+        'ros2 security create_keystore keys': SECURE,
+        'ros2 security generate_artifacts -k keys -p config/sros2_policy.xml': SECURE,
+        (
+            'ros2 run trainid_ros resistance_estimator --ros-args --enclave /trainid/resistance_estimator '
+            '-p train_file:=/path/to/train.yaml'
+        ): SECURE,
     },
     'docs/nodes.md': {
         '.venv/bin/trainid run --train config/trains/yizhuang.yaml': LIVE,
@@ -134,6 +143,8 @@ def check(text: str) -> None:
         sources = ''.join(path.read_text(encoding='utf-8') for path in (ROOT / 'trainid_ros' / 'ros').glob('*.py'))
         for name in re.findall(r'-p (\w+):=', text):
             assert f"'{name}'" in sources, name
+    elif words[:2] == ['ros2', 'security']:
+        assert all((ROOT / word).exists() for word in words if word.startswith('config/')), text
     elif words[:3] == ['ros2', 'service', 'call']:
         service = words[3].rpartition('/')[2]
         assert f"('{service}', " in (ROOT / 'trainid_ros/ros/services.py').read_text(encoding='utf-8')
@@ -233,7 +244,8 @@ def run(command: Command, folder: Path, environment: dict[str, str]) -> None:
 
 
 def with_commands(*, slow: bool) -> list[Page]:
-    wanted = {item.page for item in all_commands() if item.reason is None and item.slow == slow}
+    run = (item for item in all_commands() if item.reason is None and variable(item.text) is None)
+    wanted = {item.page for item in run if item.slow == slow}
     return [page for page in pages() if page.name in wanted]
 
 

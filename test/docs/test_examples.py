@@ -56,7 +56,7 @@ def test_the_controller_reads_fields_and_topics_that_exist() -> None:
         if isinstance(node, ast.Attribute) and isinstance(node.value, ast.Name) and node.value.id == 'w'
     }
     assert read
-    assert read <= {item.name for item in fields(ResistanceEstimate)}
+    assert read <= {'status', *Status.__members__, *(item.name for item in fields(ResistanceEstimate))}
     texts = {node.value for node in ast.walk(code) if isinstance(node, ast.Constant)}
     assert RESISTANCE_TOPIC.last_valid in texts
 

@@ -16,6 +16,7 @@ import numpy as np
 import pytest
 import rclpy
 from rclpy.context import Context
+from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
 from trainid_msgs import msg as messages
@@ -23,7 +24,7 @@ from trainid_msgs import msg as messages
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.demo.live import parameter_file
-from trainid_ros.demo.processes import free_domain
+from trainid_ros.demo.processes import free_domain, local_environment
 from trainid_ros.estimators.pipeline import (
     EstimatorPipeline,
     EstimatorSettings,
@@ -31,13 +32,14 @@ from trainid_ros.estimators.pipeline import (
     resistance_pipeline,
     speed_model_pipeline,
 )
-from trainid_ros.ros.topics import fill_estimate
+from trainid_ros.ros.topics import LEASE_S, fill_estimate, latched_qos, time_message
 from trainid_ros.sim.scenario import Scenario, simulate
 from trainid_ros.train.train_file import load_train_file
 
 pytestmark = pytest.mark.ros
 
 ROOT = Path(__file__).parents[2]
+PROFILE = ROOT / 'config' / 'fastdds_localhost.xml'
 TRAIN = ROOT / 'config' / 'trains' / 'yizhuang.yaml'
 OUTPUTS: dict[str, tuple[Any, Callable[..., EstimatorPipeline[Any]]]] = {
     'trainid/resistance': (messages.ResistanceEstimate, resistance_pipeline),
@@ -46,6 +48,8 @@ OUTPUTS: dict[str, tuple[Any, Callable[..., EstimatorPipeline[Any]]]] = {
 }
 RATE = '8'
 PLAYED_S = 100.0
+# This machine, and the group of DDS discovery, which is joined there.
+LOCAL = ('127.', '239.255.0.1:')
 # Reached only by failures: a busy machine may stall a process for seconds.
 DEADLINE_S = 100.0
 
@@ -58,8 +62,8 @@ class Processes:
         self._folder = folder
         self._running: list[subprocess.Popen[str]] = []
         self._environment = os.environ | {
+            **local_environment(PROFILE),
             'ROS_DOMAIN_ID': str(domain),
-            'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
             'ROS_LOG_DIR': str(folder),
             'ROS_PYTHON_CHECK_FIELDS': '1',
             'PYTHONUNBUFFERED': '1',
@@ -140,7 +144,8 @@ class Listener:
 
 @pytest.fixture
 def listener(processes: Processes, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Listener]:
-    monkeypatch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+    for variable, value in local_environment(PROFILE).items():
+        monkeypatch.setenv(variable, value)
     monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path))
     made = Listener(processes.domain)
     yield made
@@ -167,7 +172,7 @@ def content(message: Any) -> dict[str, bytes]:
 
 def without_stale_repeats(outputs: list[Any]) -> list[dict[str, bytes]]:
     """Contents of the messages without those that only report missing input: clocks, not stamps, trigger those."""
-    contents, stamp = [], None
+    contents, stamp = [], time_message(0)
     for message in outputs:
         if message.status != message.STALE or message.header.stamp != stamp:
             contents.append(content(message))
@@ -190,7 +195,7 @@ def test_live_estimates_equal_the_replay_to_the_bit(
         'brake_rate_estimator',
     ]
     listener.until(lambda: all(listener.node.count_publishers(topic) for topic in OUTPUTS))
-    player = processes.start('play', str(bag), '--rate', RATE, '--wait', '3')
+    player = processes.start('play', str(bag), '--rate', RATE, '--wait', '1')
     listener.until(lambda: player.poll() is not None)
     code, _, err = finish(player)
     assert (code, 'Traceback' in err) == (0, False), err
@@ -205,11 +210,47 @@ def test_live_estimates_equal_the_replay_to_the_bit(
 
 
 @pytest.mark.parametrize('signal_number', [signal.SIGINT, signal.SIGTERM])
-def test_run_exits_cleanly(processes: Processes, signal_number: int) -> None:
+def test_run_exits_cleanly_after_one_signal_or_many(processes: Processes, signal_number: int) -> None:
     nodes = processes.start('run', '--train', str(TRAIN), '--node', 'resistance_estimator')
     assert wait_for_lines(nodes, 1) == ['resistance_estimator is active']
+    if signal_number == signal.SIGINT:
+        # The first ends the executor within 0.2 s; the others meet a process that cleans up or ends.
+        for _ in range(20):
+            nodes.send_signal(signal_number)
+            time.sleep(0.05 if nodes.poll() is None else 0.0)
     code, _, err = finish(nodes, signal_number)
     assert (code, 'Traceback' in err) == (0, False), err
+
+
+def listening(pid: int) -> set[str]:
+    """Addresses of the network sockets of a process; numbers in /proc are hexadecimal, the last byte first."""
+    links = {str(path.readlink()) for path in Path(f'/proc/{pid}/fd').iterdir() if path.is_symlink()}
+    found = set()
+    for kind in ('udp', 'udp6', 'tcp', 'tcp6'):
+        for line in Path(f'/proc/{pid}/net/{kind}').read_text(encoding='ascii').splitlines()[1:]:
+            words = line.split()
+            if f'socket:[{words[9]}]' in links:
+                address, _, port = words[1].partition(':')
+                found.add(f'{".".join(str(byte) for byte in reversed(bytes.fromhex(address)))}:{int(port, 16)}')
+    assert found
+    return found
+
+
+def test_a_killed_node_is_seen_within_two_seconds(processes: Processes, listener: Listener) -> None:
+    alive: list[int] = []
+    callbacks = SubscriptionEventCallbacks(liveliness=lambda event: alive.append(event.alive_count))
+    kind, topic = messages.ResistanceEstimate, 'trainid/last_valid/resistance'
+    listener.node.create_subscription(kind, topic, lambda _: None, latched_qos(), event_callbacks=callbacks)
+    nodes = processes.start('run', '--train', str(TRAIN), '--node', 'resistance_estimator')
+    listener.until(lambda: alive == [1])
+    assert not {address for address in listening(nodes.pid) if not address.startswith(LOCAL)}
+    # A node without inputs says so, at least once a second.
+    listener.until(lambda: len(listener.received['trainid/resistance']) > 1)
+    assert {message.status for message in listener.received['trainid/resistance']} == {kind.STALE}
+    nodes.kill()
+    start = time.monotonic()
+    listener.until(lambda: alive == [1, 0])
+    assert time.monotonic() - start < LEASE_S + 1.0  # a busy machine wakes this process late
 
 
 @pytest.mark.parametrize('signal_number', [signal.SIGINT, signal.SIGTERM])

@@ -4,12 +4,13 @@
 from __future__ import annotations
 
 import ast
+import os
 from importlib.metadata import metadata
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
-from tools.setup_env import SHARED
+from tools.setup_env import SHARED, link_shared
 from trainid_ros.bag import PACKAGES
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -46,3 +47,12 @@ def test_package_xml_needs_nothing_from_pip() -> None:
     names = [item.text or '' for item in ElementTree.parse(ROOT / 'package.xml').iter('exec_depend')]
     assert {'rclpy', 'python3-numpy', 'python3-yaml'} <= set(names)
     assert not [name for name in names if name.endswith('-pip')]
+
+
+def test_launch_files_are_found_without_following_links_to_folders(tmp_path: Path) -> None:
+    """``ros2 launch`` walks through the share folder like this."""
+    for name in SHARED:
+        link_shared(ROOT / name, tmp_path / name)
+    found = {name for _, _, names in os.walk(tmp_path) for name in names}
+    assert {path.name for path in (ROOT / 'launch').iterdir() if path.is_file()} <= found
+    assert (tmp_path / 'launch' / 'trainid.launch.py').read_text(encoding='utf-8')

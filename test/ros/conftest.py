@@ -18,7 +18,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.parameter import Parameter
 from rosgraph_msgs.msg import Clock
 
-from trainid_ros.demo.processes import free_domain
+from trainid_ros.demo.processes import free_domain, local_environment
 from trainid_ros.records import INPUT_TOPICS, NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
 from trainid_ros.ros.estimator_node import EstimatorNode
 from trainid_ros.ros.estimator_nodes import RESISTANCE
@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     from trainid_ros.records import InputTopic, Record
 
 TRAIN_FILE = 'train: {mass: 194000.0, length: 118.0}\nresistance: {a: 1.5, b: 0.02, c: 0.0012}\n'
+PROFILE = Path(__file__).parents[2] / 'config' / 'fastdds_localhost.xml'
 # Reached only by failures: a busy machine may stall a process for seconds.
 DEADLINE_S = 50.0
 
@@ -66,13 +67,13 @@ class Published:
 
     def __init__(self, node: Any) -> None:
         self.messages: list[Any] = []
-        publish = node._publish
+        serialize = node.serialize
 
-        def collect(output: Any) -> None:
+        def collect(output: Any) -> Any:
             self.messages.append(output)
-            publish(output)
+            return serialize(output)
 
-        node._publish = collect
+        node.serialize = collect
 
 
 class Simulated:
@@ -155,7 +156,8 @@ class Graph:
 @pytest.fixture(scope='module')
 def _module_graph(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Graph]:
     with pytest.MonkeyPatch.context() as patch:
-        patch.setenv('ROS_AUTOMATIC_DISCOVERY_RANGE', 'LOCALHOST')
+        for variable, value in local_environment(PROFILE).items():
+            patch.setenv(variable, value)
         patch.delenv('ROS_LOCALHOST_ONLY', raising=False)
         patch.setenv('ROS_LOG_DIR', str(tmp_path_factory.mktemp('log')))
         patch.setenv('ROS_HOME', str(tmp_path_factory.mktemp('home')))

@@ -26,7 +26,7 @@ def shifted(records: Sequence[Record], seconds: float) -> list[Record]:
     return [replace(record, stamp_ns=record.stamp_ns + round(seconds * NS_PER_S)) for record in records]
 
 
-def test_missing_inputs_are_reported_once_after_the_timeout(graph: Graph, train_file: str) -> None:
+def test_missing_inputs_are_reported_after_the_timeout(graph: Graph, train_file: str) -> None:
     node = graph.active(train_file)
     published = graph.published(node)
     graph.feed(node, graph.coasting(30))
@@ -39,7 +39,7 @@ def test_missing_inputs_are_reported_once_after_the_timeout(graph: Graph, train_
     assert [(output.status, output.stamp_ns) for output in published.messages[count:]] == [(Status.STALE, newest)]
 
 
-def test_missing_inputs_are_reported_once_without_any_sample(graph: Graph, train_file: str) -> None:
+def test_missing_inputs_are_reported_without_any_sample(graph: Graph, train_file: str) -> None:
     node = graph.active(train_file, stale_after=0.1)
     published = graph.published(node)
     graph.feed(node, graph.coasting(1)[:3])  # no speed, no sample

@@ -1,109 +1,23 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Input statistics, detection of missing input, and the diagnostics of a node."""
+"""The diagnostics of a node: what is wrong, since when, and what to do."""
 
 from __future__ import annotations
 
-import math
 from functools import partial
 from typing import Any, TypeAlias
 
 import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.qos import QoSProfile, ReliabilityPolicy
+from std_msgs.msg import Float64
+from trainid_msgs.msg import AtoForce, BrakeCommand
 
 from trainid_ros.estimators.consistency import WINDOW
-from trainid_ros.records import NS_PER_S, SPEED_TOPIC
-from trainid_ros.ros.diagnostics import InputMonitor, Watchdog
 from trainid_ros.ros.estimator_node import EstimatorNode
 from trainid_ros.ros.estimator_nodes import RESISTANCE
 
 Graph: TypeAlias = Any  # the fixture of conftest.py
-
-
-def test_time_since_the_last_message_keeps_growing_after_the_rate_is_unknown() -> None:
-    monitor = InputMonitor(SPEED_TOPIC, 1.0, 1.25, optional=False)
-    assert math.isinf(monitor.missing_for_s(0))
-    for i in range(20):
-        monitor.arrived(i + 1, i * NS_PER_S // 5)
-    last_ns = 19 * NS_PER_S // 5
-    assert monitor.rate(last_ns) == pytest.approx(5.0)
-    assert math.isnan(monitor.rate(last_ns + 60 * NS_PER_S))
-    assert monitor.missing_for_s(last_ns + 60 * NS_PER_S) == pytest.approx(60.0)
-
-
-LIMIT = 8 * NS_PER_S // 10
-
-
-def at(seconds: float) -> int:
-    return round(seconds * NS_PER_S)
-
-
-def test_missing_input_is_reported_once_and_again_after_new_input() -> None:
-    watchdog = Watchdog(LIMIT)
-    watchdog.saw(1, at(10), at(10))
-    assert not watchdog.is_missing(at(10.7), at(10.7))
-    assert watchdog.is_missing(at(10.9), at(10.9))
-    watchdog.saw(1, at(10.95), at(10.95))  # the same stamp again is not new input
-    assert not watchdog.is_missing(at(12), at(12))
-    watchdog.saw(2, at(12), at(12))
-    assert not watchdog.is_missing(at(12.1), at(12.1))
-
-
-def test_nothing_is_reported_before_the_first_record_and_after_a_restart() -> None:
-    watchdog = Watchdog(LIMIT)
-    assert not watchdog.is_missing(at(100), at(100))  # no record so far
-    watchdog.saw(1, at(100), at(100))
-    watchdog.restart()
-    assert not watchdog.is_missing(at(200), at(200))
-    watchdog.saw(1, at(200), at(200))  # after a restart the old stamp counts as new
-    assert watchdog.is_missing(at(201), at(201))
-
-
-def test_a_short_stall_at_a_high_replay_rate_is_not_missing_input() -> None:
-    watchdog = Watchdog(LIMIT)
-    watchdog.saw(1, at(10), at(10))
-    assert not watchdog.is_missing(at(12), at(10.1))  # 20 times real time, 0.1 s of stall
-    assert watchdog.is_missing(at(16), at(10.3))
-
-
-def test_input_is_not_missing_in_a_slow_replay_while_its_clock_moves() -> None:
-    watchdog = Watchdog(LIMIT)
-    watchdog.saw(1, at(10), at(10))
-    for tenth in range(1, 20):
-        assert not watchdog.is_missing(at(10 + 0.01 * tenth), at(10 + 0.1 * tenth))
-
-
-def test_a_stopped_clock_does_not_hide_missing_input() -> None:
-    watchdog = Watchdog(LIMIT)
-    watchdog.saw(1, at(10), at(10))
-    assert not watchdog.is_missing(at(10), at(10.5))
-    assert watchdog.is_missing(at(10), at(11.4))
-
-
-def test_a_clock_that_never_started_does_not_hide_missing_input() -> None:
-    watchdog = Watchdog(LIMIT)
-    watchdog.saw(1, 0, at(10))
-    assert watchdog.is_missing(0, at(10.9))
-
-
-def test_the_next_check_is_due_when_the_limit_can_be_exceeded_and_not_before() -> None:
-    watchdog = Watchdog(LIMIT)
-    assert LIMIT < watchdog.pause_ns(at(5), simulated=False) < LIMIT + at(0.1)
-    watchdog.saw(1, at(10), at(10))
-    pause = watchdog.pause_ns(at(10.3), simulated=False)
-    assert not watchdog.is_missing(at(10.3) + pause - at(0.02), at(10.3) + pause - at(0.02))
-    assert watchdog.is_missing(at(10.3) + pause, at(10.3) + pause)
-    # Simulated time may run fast, so it is polled often.
-    assert watchdog.pause_ns(at(10.3), simulated=True) == at(0.1)
-
-
-def test_a_longer_limit_applies_from_the_next_check_on() -> None:
-    """The rate of slow topics is learned while the node runs."""
-    watchdog = Watchdog(LIMIT)
-    watchdog.saw(1, at(10), at(10))
-    watchdog.limit_ns = 3 * LIMIT
-    assert not watchdog.is_missing(at(10) + 2 * LIMIT, at(10) + 2 * LIMIT)
-    assert watchdog.pause_ns(at(10) + 2 * LIMIT, simulated=False) == pytest.approx(LIMIT, abs=at(0.1))
-    assert watchdog.is_missing(at(10.1) + 3 * LIMIT, at(10.1) + 3 * LIMIT)
+BEST_EFFORT = ReliabilityPolicy.BEST_EFFORT
 
 
 class Diagnosed:
@@ -129,7 +43,10 @@ def test_diagnostics_show_status_counts_and_inputs(graph: Graph, train_file: str
     )
     own = 'resistance_estimator: estimator'
     graph.until(lambda: own in diagnosed.by_name)
-    assert (diagnosed.by_name[own].level, diagnosed.by_name[own].message) == (DiagnosticStatus.WARN, 'unconfigured')
+    assert (diagnosed.by_name[own].level, diagnosed.by_name[own].message) == (
+        DiagnosticStatus.WARN,
+        'unconfigured: configure and activate it',
+    )
     node.bring_up()
     graph.feed(node, graph.coasting(150))
     graph.until(lambda: diagnosed.values(own).get('used', '0') != '0')
@@ -144,7 +61,7 @@ def test_diagnostics_show_status_counts_and_inputs(graph: Graph, train_file: str
     assert diagnosed.values(speed)['count'] == '150'
     # Made-up stamps are years old.
     assert diagnosed.by_name[speed].level == DiagnosticStatus.WARN
-    assert 'use_sim_time?' in diagnosed.by_name[speed].message
+    assert 'use_sim_time' in diagnosed.by_name[speed].message
     mass = diagnosed.by_name['resistance_estimator: input ato/mass']
     assert (mass.level, mass.message) == (DiagnosticStatus.OK, 'optional, not received; the parameter is used')
 
@@ -199,3 +116,41 @@ def test_stopped_simulated_time_is_reported(graph: Graph, train_file: str) -> No
     own = 'resistance_estimator: estimator'
     graph.until(lambda: own in diagnosed.by_name and '/clock has stopped' in diagnosed.by_name[own].message)
     assert diagnosed.by_name[own].level == DiagnosticStatus.WARN
+
+
+@pytest.mark.ros
+def test_publishers_that_are_not_heard_and_second_publishers_are_named_in_diagnostics_and_log(
+    graph: Graph, train_file: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    # Within one participant a topic has one type.
+    others = type(graph)(graph.domain)
+    odometer, second = others.plain('odometer'), others.plain('second')
+    odometer.create_publisher(Float64, 'ato/speed', 10)
+    for publisher in (odometer, second):
+        publisher.create_publisher(AtoForce, 'ato/force', 10)
+    odometer.create_publisher(BrakeCommand, 'ato/brake_command', QoSProfile(depth=1, reliability=BEST_EFFORT))
+    diagnosed = Diagnosed(graph)
+    arguments = ('-p', 'qos_overrides./ato/brake_command.subscription.reliability:=reliable')
+    node = graph.make(
+        partial(EstimatorNode, RESISTANCE), arguments=arguments, train_file=train_file, diagnostic_period=0.1
+    )
+    node.bring_up()
+    speed, force, brake = (f'resistance_estimator: input ato/{what}' for what in ('speed', 'force', 'brake_command'))
+    wrong_type = '/odometer publishes std_msgs/msg/Float64 instead of trainid_msgs/msg/AtoSpeed'
+    wrong_qos = '/odometer has an incompatible quality of service (Best effort publisher and reliable subscription)'
+    graph.until(lambda: speed in diagnosed.by_name and wrong_type in diagnosed.by_name[speed].message)
+    assert diagnosed.by_name[speed].level == DiagnosticStatus.ERROR
+    graph.until(lambda: wrong_qos in diagnosed.by_name[brake].message)
+    graph.feed(node, graph.coasting(1)[:1])
+    text = '2 publishers, whose messages mix: /odometer, /second, since '
+    graph.until(lambda: diagnosed.by_name[force].message.startswith(text))
+    assert diagnosed.by_name[force].message.endswith(' UTC: stop all but one')
+    assert {text[:7] for text in node._diagnostics._definitions.values()} == {'RIHS01_'}
+    others.close()
+    logged = capfd.readouterr().err
+    for text in (
+        f'/ato/speed: {wrong_type}',
+        f'/ato/brake_command: {wrong_qos}',
+        '/ato/force: more than one publisher',
+    ):
+        assert logged.count(text) == 1, logged

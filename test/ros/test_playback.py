@@ -243,10 +243,3 @@ def test_unusable_simulator_parameters_fail_to_configure(
     simulator = graph.make(TrainSimulator, **parameters)
     assert simulator.trigger_configure() == TransitionCallbackReturn.FAILURE
     assert reason in simulator.failure
-
-
-@pytest.mark.ros
-@pytest.mark.parametrize('name', ['trainid', 'replay'])
-def test_launch_files_compile(name: str) -> None:
-    path = ROOT / 'launch' / f'{name}.launch.py'
-    assert 'generate_launch_description' in compile(path.read_text(encoding='utf-8'), str(path), 'exec').co_names

@@ -167,7 +167,7 @@ def test_a_numerical_error_in_a_step_is_a_fault_until_a_reset(
     with monkeypatch.context() as patch:
         patch.setattr(node.pipeline, 'estimator', Replaced(node.pipeline.estimator, step=broken, estimate=broken))
         graph.feed(node, records[80:160])
-        node.publish_diagnostics()
+        node._diagnostics.publish()
     assert (published.messages[-1].status, published.messages[-1].estimate) == (Status.FAULT, last)
     graph.feed(node, records[160:200])
     assert node.pipeline.status is Status.FAULT
@@ -192,7 +192,7 @@ def test_a_numerical_error_on_loading_is_reported_and_the_node_keeps_running(
     with monkeypatch.context() as patch:
         patch.setattr(node.pipeline, 'estimator', Replaced(node.pipeline.estimator, estimate=broken))
         answer = graph.call(caller, Trigger, '/resistance_estimator/load_checkpoint')
-        node.publish_diagnostics()
+        node._diagnostics.publish()
     assert (answer.success, answer.message) == (False, 'ValueError: math domain error')
     assert node.pipeline.status is Status.FAULT
     assert graph.call(caller, Trigger, '/resistance_estimator/load_checkpoint').success

@@ -20,6 +20,7 @@ from trainid_ros.records import (
     REQUIRED_TOPICS,
     SPEED_TOPIC,
 )
+from trainid_ros.stream.alignment import AlignmentConfig
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -32,6 +33,9 @@ if TYPE_CHECKING:
 GAP_S: Final = 1.0
 MOVING_SPEED: Final = 0.1  # m/s
 _INT64_MAX: Final = 2**63 - 1  # log times are unsigned
+# Brake commands of which so many differ from the one before are published on change.
+_CHANGING: Final = 0.9
+_FEWEST_CHANGES: Final = 3
 _REQUIRED: Final = tuple(topic.name for topic in REQUIRED_TOPICS)
 
 
@@ -189,7 +193,11 @@ def inspect(path: str | Path, namespace: str = '/') -> BagInfo:
             braking_share=_share(columns, BRAKE_TOPIC.name, 'target_acceleration'),
             missing=missing,
             problems=tuple(_problems(topics, missing, moving)),
-            warnings=(*reader.warnings, *(line for topic in topics for line in _topic_warnings(topic))),
+            warnings=(
+                *reader.warnings,
+                *(line for topic in topics for line in _topic_warnings(topic)),
+                *_command_warnings(columns.get(BRAKE_TOPIC.name)),
+            ),
         )
 
 
@@ -266,6 +274,21 @@ def _problems(topics: tuple[TopicInfo, ...], missing: tuple[str, ...], moving: f
 
 def _has_usable(topic: TopicInfo) -> bool:
     return topic.stamps is not None and topic.not_finite < topic.count and topic.stamps.zero < topic.count
+
+
+def _command_warnings(column: _Column | None) -> list[str]:
+    """Say so where brake commands come only when they change."""
+    if column is None or column.stamps.size < _FEWEST_CHANGES:
+        return []
+    order = np.argsort(column.stamps, kind='stable')
+    changes = np.diff(column.values('target_acceleration')[order]) != 0.0
+    longest_s = float(np.diff(column.stamps[order]).max()) / NS_PER_S
+    if np.mean(changes) < _CHANGING or longest_s <= AlignmentConfig().command_timeout:
+        return []
+    return [
+        f'{BRAKE_TOPIC.name}: published only on change: set alignment.command_hold to the longest time that a command '
+        f'holds, here {longest_s:.0f} s or more'
+    ]
 
 
 def _topic_warnings(topic: TopicInfo) -> list[str]:

@@ -16,10 +16,13 @@ from enum import Enum
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, Final
 
+from trainid_ros.results import Output
+
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
 
+_OUTPUT_FIELDS: Final = ('stamp_ns', 'estimate', 'status', 'used', 'rejected', 'last_rejection')
 EXIT_NO_ANSWER: Final = 1
 EXIT_BAD_INPUT: Final = 2
 
@@ -52,6 +55,8 @@ def to_plain(value: Any) -> Any:
 def _compound_to_plain(value: Any) -> Any:
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         return {item.name: to_plain(getattr(value, item.name)) for item in dataclasses.fields(value)}
+    if isinstance(value, Output):
+        return {name: to_plain(getattr(value, name)) for name in _OUTPUT_FIELDS}
     if isinstance(value, Mapping):
         return {key.name if isinstance(key, Enum) else str(key): to_plain(item) for key, item in value.items()}
     if hasattr(value, 'tolist'):  # array or number of NumPy

@@ -157,11 +157,12 @@ class _Session:
 
     def _pause(self, is_over: Callable[[], bool]) -> int:
         """Collect what has arrived, show it, and wait briefly unless ``is_over``."""
-        received = self._listener.take()
-        for item in received:
+        received = []
+        for item in self._listener.take():
             kind = type(item.output.estimate)
             self._fingerprints[kind].append(item.fingerprint)
-            if not self._reports_only_the_end(item.output):
+            if not self._is_outside_the_bag(item.output):
+                received.append(item)
                 self._snapshot.newest[kind] = item.output
                 self._recorder.on_output(item.output)
         if received:
@@ -174,12 +175,13 @@ class _Session:
             time.sleep(_POLL_S)
         return len(received)
 
-    def _reports_only_the_end(self, output: AnyOutput) -> bool:
-        """Return True for a STALE message that only reports the end of the bag."""
+    def _is_outside_the_bag(self, output: AnyOutput) -> bool:
+        """Return True for a STALE message that only reports that nothing is played yet, or no longer."""
         before = self._snapshot.newest.get(type(output.estimate))
         repeats = before is not None and before.stamp_ns == output.stamp_ns
         end_ns = self._snapshot.start_ns + round((self._snapshot.duration_s - _END_S) * NS_PER_S)
-        return repeats and output.status is Status.STALE and output.stamp_ns > end_ns
+        ended = repeats and output.stamp_ns > end_ns
+        return output.status is Status.STALE and (output.stamp_ns == 0 or ended)
 
     @staticmethod
     def _check(ended: Iterable[Child]) -> None:

@@ -127,8 +127,10 @@ _PORTS_OF_DOMAIN: Final = 250
 _OFFSETS: Final = (0, 10, 11, 12, 13)
 # ROS recommends domains up to 101; 0 is the default of all processes.
 _DOMAINS: Final = 101
+_FAST_DDS: Final = 'rmw_fastrtps_cpp'
 # Fast DDS drops what does not fit into its shared memory, and resending takes long at many times real time.
-# These queues hold the messages of a process stalled for seconds. Other middlewares do not read this profile.
+# These queues hold the messages of a process stalled for seconds. Only addresses of this machine are used, as in
+# config/fastdds_localhost.xml. Other middlewares do not read this profile.
 _PROFILE: Final = """<?xml version="1.0" encoding="UTF-8"?>
 <dds xmlns="http://www.eprosima.com"><profiles>
   <transport_descriptors>
@@ -136,13 +138,20 @@ _PROFILE: Final = """<?xml version="1.0" encoding="UTF-8"?>
       <transport_id>deep_memory</transport_id><type>SHM</type>
       <segment_size>33554432</segment_size><port_queue_capacity>32768</port_queue_capacity>
     </transport_descriptor>
-    <transport_descriptor><transport_id>udp</transport_id><type>UDPv4</type></transport_descriptor>
+    <transport_descriptor>
+      <transport_id>udp</transport_id><type>UDPv4</type>
+      <interfaceWhiteList><address>127.0.0.1</address></interfaceWhiteList>
+      <maxInitialPeersRange>33</maxInitialPeersRange>
+    </transport_descriptor>
   </transport_descriptors>
   <participant profile_name="demo" is_default_profile="true"><rtps>
     <useBuiltinTransports>false</useBuiltinTransports>
     <userTransports>
       <transport_id>deep_memory</transport_id><transport_id>udp</transport_id>
     </userTransports>
+    <builtin>
+      <initialPeersList><locator><udpv4><address>127.0.0.1</address></udpv4></locator></initialPeersList>
+    </builtin>
   </rtps></participant>
 </profiles></dds>
 """
@@ -173,15 +182,24 @@ def _are_free(ports: Iterable[int]) -> bool:
     return True
 
 
+def local_environment(profile: Path) -> dict[str, str]:
+    """Return the variables with which ROS uses this machine alone; ``profile`` says the same to Fast DDS."""
+    # LOCALHOST finds nobody outside, but overrides a profile and opens sockets on all interfaces.
+    reads_profile = os.environ.get('RMW_IMPLEMENTATION', _FAST_DDS) == _FAST_DDS
+    return {
+        'FASTRTPS_DEFAULT_PROFILES_FILE': str(profile.absolute()),
+        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'SYSTEM_DEFAULT' if reads_profile else 'LOCALHOST',
+    }
+
+
 def isolate(logs: Path) -> int:
     """Put this process and its children into an unused domain; return it."""
     domain = free_domain(os.getpid())
     profile = logs / 'fastdds.xml'
     profile.write_text(_PROFILE, encoding='utf-8')
     os.environ |= {
-        'FASTRTPS_DEFAULT_PROFILES_FILE': str(profile.absolute()),
+        **local_environment(profile),
         'ROS_DOMAIN_ID': str(domain),
-        'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
         'ROS_LOG_DIR': str(logs.absolute()),
     }
     # This older switch would disable the range above.

@@ -11,37 +11,20 @@ import time
 import traceback
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.clock import JumpThreshold
 from rclpy.duration import Duration
 from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
+from rclpy.serialization import serialize_message
 
 from trainid_ros.errors import InputError, TrainIdError
 from trainid_ros.estimators.pipeline import EstimatorPipeline, EstimatorSettings
-from trainid_ros.records import (
-    BRAKE_TOPIC,
-    FORCE_TOPIC,
-    GRADIENT_TOPIC,
-    INPUT_TOPICS,
-    NS_PER_S,
-    REQUIRED_TOPICS,
-    SPEED_TOPIC,
-    InputTopic,
-    Record,
-)
+from trainid_ros.records import INPUT_TOPICS, NS_PER_S, REQUIRED_TOPICS, InputTopic, Record
 from trainid_ros.results import Status
-from trainid_ros.ros.diagnostics import (
-    InputMonitor,
-    NodeHealth,
-    ShownValue,
-    StepTimes,
-    Watchdog,
-    estimator_status,
-    idle_status,
-    input_status,
-)
+from trainid_ros.ros.diagnostics import ShownValue, StepTimes
+from trainid_ros.ros.diagnostics_publisher import DiagnosticsPublisher
+from trainid_ros.ros.input_monitor import InputMonitors
 from trainid_ros.ros.inputs import InputGroup, SharedInputs
 from trainid_ros.ros.node import ManagedNode, NodeParameters, guarded
 from trainid_ros.ros.parameter_specs import (
@@ -55,16 +38,16 @@ from trainid_ros.ros.parameter_specs import (
     requested_algorithm,
 )
 from trainid_ros.ros.services import NUMERICAL_ERRORS, EstimatorServices
+from trainid_ros.ros.status_news import HEARTBEAT_NS, REPEATED, StatusNews, is_latched
 from trainid_ros.ros.topics import (
-    diagnostics_qos,
-    estimate_qos,
     fill_estimate,
     latched_qos,
     message_class,
+    offered_estimate_qos,
     overridable,
     publisher_events,
-    time_message,
 )
+from trainid_ros.ros.watchdog import Watchdog
 from trainid_ros.stream.sample_stream import TimeJumpPolicy
 from trainid_ros.train.train_file import load_train_file
 
@@ -76,8 +59,7 @@ if TYPE_CHECKING:
     from trainid_ros.train.train_file import TrainFile
 
 _FIRST_WATCH_S: Final = 0.1
-# Statuses that already report missing input.
-_ALREADY_REPORTED: Final = (Status.STALE, Status.FAULT)
+_SHORTEST_WATCH_NS: Final = NS_PER_S // 100
 _SUCCESS: Final = TransitionCallbackReturn.SUCCESS
 
 
@@ -99,6 +81,13 @@ class EstimatorSpec:
     job: Job
     shown: tuple[ShownValue, ...]
     details: Callable[[Any, Any], Iterable[tuple[str, str]]] = _no_details
+
+
+class SerializedEstimate(NamedTuple):
+    """A message of an estimate, ready to be sent, and its status."""
+
+    status: Status
+    data: bytes
 
 
 class EstimatorNode(ManagedNode):
@@ -127,17 +116,17 @@ class EstimatorNode(ManagedNode):
         self._preload_train_file()
         self.parameters.report()
         self.pipeline: EstimatorPipeline[Any] | None = None
-        self._diagnosed_ns = 0
         self._settings = EstimatorSettings()
-        self._prior: Any = None
+        self.prior: Any = None
         self._input_group: InputGroup | None = None
-        self._monitors: dict[InputTopic, InputMonitor] = {}
+        self.monitors = InputMonitors(self._settings.alignment)
+        self.news = StatusNews(self.get_logger(), self.missing_inputs)
         self._estimates: Any = None
         self._last_valid: Any = None
         self._jump_handle: Any = None
         self._watchdog_timer: Any = None
         self._forget()
-        self._diagnostics = self.create_publisher(DiagnosticArray, '/diagnostics', diagnostics_qos())
+        self._diagnostics = DiagnosticsPublisher(self)
         self._diagnostic_timer = self._make_diagnostic_timer()
         self._services_offered = EstimatorServices(self)
 
@@ -152,9 +141,13 @@ class EstimatorNode(ManagedNode):
         """Name of the running algorithm."""
         return str(self.parameters.value(ALGORITHM))
 
+    def about(self) -> str:
+        """Return what the node does, for the log."""
+        return f'{self.algorithm} on {self.resolve_topic_name(self.job.topic.name)}'
+
     def _make_diagnostic_timer(self) -> Any:
         period = float(self.parameters.value('diagnostic_period'))
-        return self.create_timer(period, self.publish_diagnostics, clock=self._steady)
+        return self.create_timer(period, self._diagnostics.publish, clock=self._steady)
 
     # Transitions
 
@@ -166,9 +159,10 @@ class EstimatorNode(ManagedNode):
         train_file = self._train_file()
         self._settings = build_settings(self.parameters.values(), self.job.algorithms, self.job.field)
         self.pipeline = self.job.pipeline(train_file, self._settings)
-        self._prior = self.pipeline.current().estimate
+        self.prior = self.pipeline.current().estimate
         self.watchdog = Watchdog(round(self._settings.pipeline.stale_after * NS_PER_S))
-        self._step_times = StepTimes()
+        self.step_times = StepTimes()
+        self.news.restart(self.now_ns())
         self._open()
         self.destroy_timer(self._diagnostic_timer)
         self._diagnostic_timer = self._make_diagnostic_timer()
@@ -181,7 +175,6 @@ class EstimatorNode(ManagedNode):
         self._watchdog_timer = self.create_timer(_FIRST_WATCH_S, self._watch, clock=self._steady)
         result = super().on_activate(state)
         self._listening = result == _SUCCESS
-        self.get_logger().info(f'active: {self.algorithm} on {self.resolve_topic_name(self.job.topic.name)}')
         return result
 
     # Resources
@@ -207,19 +200,11 @@ class EstimatorNode(ManagedNode):
 
     def _open(self) -> None:
         job = self.job
-        self._estimates = self._offer(job.topic.name, estimate_qos())
+        self._estimates = self._offer(job.topic.name, offered_estimate_qos())
         if job.topic.last_valid:
             self._last_valid = self._offer(job.topic.last_valid, latched_qos())
         alignment = self._settings.alignment
-        longest = {
-            SPEED_TOPIC: alignment.max_dt,
-            FORCE_TOPIC: alignment.max_gap,
-            GRADIENT_TOPIC: alignment.max_gap,
-            BRAKE_TOPIC: alignment.command_timeout,
-        }
-        for topic in INPUT_TOPICS:
-            longest_s, optional = longest.get(topic, 0.0), topic not in longest
-            self._monitors[topic] = InputMonitor(topic, longest_s, alignment.max_interval, optional=optional)
+        self.monitors = InputMonitors(alignment)
         self._input_group = self._inputs.join(self)
         back = Duration(nanoseconds=-round(alignment.max_jump_back * NS_PER_S))
         threshold = JumpThreshold(min_forward=None, min_backward=back, on_clock_change=False)
@@ -232,7 +217,7 @@ class EstimatorNode(ManagedNode):
             topic,
             profile,
             event_callbacks=publisher_events(self.get_logger(), topic),
-            qos_overriding_options=overridable(),
+            qos_overriding_options=overridable('publisher'),
         )
 
     def _pause(self) -> None:
@@ -251,20 +236,24 @@ class EstimatorNode(ManagedNode):
                 self.destroy_lifecycle_publisher(publisher)
         if self._jump_handle is not None:
             self._jump_handle.unregister()
-        self._monitors = {}
-        self._input_group = self._estimates = self._last_valid = self._jump_handle = self._prior = None
+        self._input_group = self._estimates = self._last_valid = self._jump_handle = self.prior = None
         self._forget()
 
     def _forget(self) -> None:
         self.pipeline = None
         self.watchdog = Watchdog(0)
-        self._step_times = StepTimes()
+        self.step_times = StepTimes()
+        self.fault = ''
+        self._sent: list[SerializedEstimate] = []
+        self._latched: Status | None = None
+        self._published_ns = 0
         self._jumped_s = 0.0
         self._listening = False
 
     # Data
 
-    def _now_ns(self) -> int:
+    def now_ns(self) -> int:
+        """Return the time of the node's clock [ns]."""
         return int(self.get_clock().now().nanoseconds)
 
     def _steady_ns(self) -> int:
@@ -302,34 +291,52 @@ class EstimatorNode(ManagedNode):
         except NUMERICAL_ERRORS:
             outputs = [self.fail(pipeline, traceback.format_exc())]
         if outputs:
-            self._step_times.add(time.perf_counter() - start)
+            self.step_times.add(time.perf_counter() - start)
         if pipeline.resets != resets:
             self.get_logger().warning('stamps jumped back: estimator reset (time_jump_policy)')
         return outputs
 
-    def publish(self, outputs: Iterable[Any]) -> None:
-        """Publish outputs of the pipeline."""
-        for output in outputs:
-            self._publish(output)
+    def serialize(self, output: Any) -> SerializedEstimate:
+        """Return an output of the pipeline as a message that is ready to be sent."""
+        message = fill_estimate(self._message(), output)
+        return SerializedEstimate(Status(message.status), serialize_message(message))
 
-    def count(self, topic: InputTopic, stamp_ns: int) -> None:
-        """Note that a message with this stamp [ns] has arrived."""
-        now_ns = self._now_ns()
-        self._monitors[topic].arrived(stamp_ns, now_ns)
+    def publish(self, estimates: Sequence[SerializedEstimate]) -> None:
+        """Publish estimates; the rest that follows from them is done by :meth:`conclude`."""
+        for estimate in estimates:
+            self._estimates.publish(estimate.data)
+        self._sent += estimates
+
+    def announce(self, output: Any) -> None:
+        """Publish an output that no message has caused."""
+        self.publish([self.serialize(output)])
+        self._follow_published(self.now_ns())
+
+    def conclude(self, topic: InputTopic, stamp_ns: int) -> None:
+        """Latch and log what was published, and note that a message with this stamp [ns] has arrived."""
+        now_ns = self.now_ns()
+        self._follow_published(now_ns)
+        self.monitors.by_topic[topic].arrived(stamp_ns, now_ns)
         if self._listening and self.pipeline is not None:
             self.watchdog.saw(self.pipeline.newest_ns, now_ns, self._steady_ns())
 
     def fail(self, pipeline: EstimatorPipeline[Any], reason: str) -> Any:
         """Put the pipeline into FAULT and return its output; log the reason once."""
         if pipeline.status is not Status.FAULT:
+            self.fault = reason.strip().splitlines()[-1]
             self.get_logger().error(f'{self.algorithm} cannot continue until it is reset: {reason}')
         return pipeline.fail()
 
-    def _publish(self, output: Any) -> None:
-        message = fill_estimate(self._message(), output)
-        self._estimates.publish(message)
-        if self._last_valid is not None and message.status == int(Status.VALID):
-            self._last_valid.publish(message)
+    def _follow_published(self, now_ns: int) -> None:
+        if not self._sent:
+            return
+        sent, self._sent = self._sent, []
+        for status, data in sent:
+            if self._last_valid is not None and is_latched(status, self._latched):
+                self._last_valid.publish(data)
+                self._latched = status
+            self.news.see(status, now_ns)
+        self._published_ns = self._steady_ns()
 
     def _watch(self) -> None:
         pipeline, inputs = self.pipeline, self._input_group
@@ -339,11 +346,36 @@ class EstimatorNode(ManagedNode):
         self._follow_jump(pipeline)
         # Even the fastest topic is not overdue before its own timeout.
         self.watchdog.limit_ns = min(pipeline.timeout_ns(topic) for topic in range(len(REQUIRED_TOPICS)))
-        if self.watchdog.is_missing(self._now_ns(), self._steady_ns()) and pipeline.status not in _ALREADY_REPORTED:
-            self._publish(pipeline.mark_stale())
-        simulated = self.get_clock().ros_time_is_active
-        self._watchdog_timer.timer_period_ns = self.watchdog.pause_ns(self._steady_ns(), simulated=simulated)
+        steady_ns = self._steady_ns()
+        if self.watchdog.is_missing(self.now_ns(), steady_ns) and pipeline.status not in REPEATED:
+            self.announce(pipeline.mark_stale())
+        elif pipeline.status in REPEATED and steady_ns - self._published_ns >= HEARTBEAT_NS:
+            self.announce(pipeline.current())
+        self._watchdog_timer.timer_period_ns = self._next_watch_ns(pipeline.status)
         self._watchdog_timer.reset()
+
+    def _next_watch_ns(self, status: Status) -> int:
+        """Return how long to wait before watching again [ns]."""
+        steady_ns, simulated = self._steady_ns(), self.get_clock().ros_time_is_active
+        waited_ns = steady_ns - self._published_ns if status in REPEATED else 0
+        heartbeat_ns = max(HEARTBEAT_NS - waited_ns, _SHORTEST_WATCH_NS)
+        return min(self.watchdog.pause_ns(steady_ns, simulated=simulated), heartbeat_ns)
+
+    def timeout_s(self, topic: InputTopic) -> float:
+        """Return how long an input may be missing [s]; 0 for one that need not come."""
+        if self.pipeline is None or topic not in REQUIRED_TOPICS:
+            return 0.0
+        return self.pipeline.timeout_ns(INPUT_TOPICS.index(topic)) / NS_PER_S
+
+    def missing_inputs(self) -> str:
+        """Return which inputs do not arrive and for how long, '' if all do."""
+        return self.monitors.describe_missing(self.now_ns(), self.timeout_s)
+
+    @property
+    def inputs(self) -> InputGroup:
+        """The subscriptions of a configured node."""
+        assert self._input_group is not None
+        return self._input_group
 
     # Time
 
@@ -358,42 +390,9 @@ class EstimatorNode(ManagedNode):
         jumped_s, self._jumped_s = self._jumped_s, 0.0
         policy = self._settings.pipeline.time_jump_policy
         limit_ns = round(self._settings.alignment.max_jump_back * NS_PER_S)
-        follow = policy is TimeJumpPolicy.RESET and pipeline.newest_ns - self._now_ns() > limit_ns
+        follow = policy is TimeJumpPolicy.RESET and pipeline.newest_ns - self.now_ns() > limit_ns
         if follow:
             pipeline.reset()
         self.watchdog.restart()
         done = 'estimator reset' if follow else 'estimator continues'
         self.get_logger().warning(f'clock jumped by {jumped_s:.3f} s: {done} (time_jump_policy {policy.value})')
-
-    # Diagnostics
-
-    def publish_diagnostics(self) -> None:
-        """Publish the status of the estimator and of its inputs."""
-        now_ns = self._now_ns()
-        health = NodeHealth(
-            self.get_fully_qualified_name().strip('/'), self.state, self.failure, now_ns, self._clock_problem(now_ns)
-        )
-        array = DiagnosticArray()
-        array.header.stamp = time_message(now_ns)
-        if self.pipeline is None:
-            array.status = [idle_status(health)]
-        else:
-            steps = self._step_times.summary()
-            details = self.spec.details(self._prior, self.pipeline.current().estimate)
-            array.status = [estimator_status(health, self.pipeline, self.spec.shown, self._prior, steps, details)]
-            for monitor in self._monitors.values():
-                topic = self.resolve_topic_name(monitor.topic.name)
-                stale_s = (
-                    0.0 if monitor.optional else self.pipeline.timeout_ns(INPUT_TOPICS.index(monitor.topic)) / NS_PER_S
-                )
-                array.status.append(input_status(health, monitor, topic, self.count_publishers(topic), stale_s))
-        self._diagnostics.publish(array)
-
-    def _clock_problem(self, now_ns: int) -> str:
-        """Return what is wrong with simulated time, empty if nothing; called once per diagnostic period."""
-        before, self._diagnosed_ns = self._diagnosed_ns, now_ns
-        if not self.get_clock().ros_time_is_active:
-            return ''
-        if now_ns == 0:
-            return 'use_sim_time is set, but no /clock has arrived'
-        return '/clock has stopped' if now_ns == before else ''

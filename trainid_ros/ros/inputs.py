@@ -15,12 +15,13 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from trainid_ros.estimators.pipeline import share_streams
 from trainid_ros.messages import record_from_message
 from trainid_ros.records import INPUT_TOPICS, InputTopic
-from trainid_ros.ros.topics import input_qos, message_class, overridable, subscription_events
+from trainid_ros.ros.topics import NO_SUBSCRIPTION_EVENTS, input_qos, message_class, overridable
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from rclpy.node import Node
+    from rclpy.qos import QoSProfile
 
     from trainid_ros.ros.estimator_node import EstimatorNode
     from trainid_ros.stream.sample_stream import SampleStream, StreamEvent
@@ -63,8 +64,8 @@ class InputSubscriptions:
             topic.name,
             receive,
             input_qos(),
-            event_callbacks=subscription_events(self._node.get_logger(), topic.name),
-            qos_overriding_options=overridable(),
+            event_callbacks=NO_SUBSCRIPTION_EVENTS,
+            qos_overriding_options=overridable('subscription'),
         )
 
     def drain(self, *first: _Arrival) -> None:
@@ -102,6 +103,11 @@ class InputSubscriptions:
                     taken_now.append(_Arrival(_received_ns(taken[1]), topic, taken[0]))
         return taken_now
 
+    def profile(self, topic: InputTopic) -> QoSProfile:
+        """Return the quality of service of a topic, overrides of the user included."""
+        profile: QoSProfile = self._subscriptions[topic].qos_profile
+        return profile
+
     def close(self) -> None:
         """Destroy the subscriptions."""
         for subscription in self._subscriptions.values():
@@ -120,10 +126,14 @@ class InputGroup:
     Args:
         node: The first node. It keeps the subscriptions until the last node has left.
 
+    Attributes:
+        subscriber: Its name.
+
     """
 
     def __init__(self, node: EstimatorNode) -> None:
         self._members: list[EstimatorNode] = []
+        self.subscriber = str(node.get_name())
         self._subscriptions = InputSubscriptions(node, self.receive)
 
     def __contains__(self, node: EstimatorNode) -> bool:
@@ -144,6 +154,10 @@ class InputGroup:
         """Take in all queued messages."""
         self._subscriptions.drain()
 
+    def profile(self, topic: InputTopic) -> QoSProfile:
+        """Return the quality of service with which a topic is subscribed."""
+        return self._subscriptions.profile(topic)
+
     def receive(self, topic: InputTopic, message: Any) -> None:
         """Take in one message: all estimators step, then all estimates are published, then the rest is done."""
         record = record_from_message(topic, message)
@@ -152,10 +166,12 @@ class InputGroup:
             share_streams(pipeline for _, pipeline in running)
         events: dict[SampleStream, list[StreamEvent]] = {}
         outputs = [(node, node.step(pipeline, record, events)) for node, pipeline in running]
-        for node, made in outputs:
-            node.publish(made)
+        # Sent at once, so that a subscriber of all of them wakes up once.
+        ready = [(node, [node.serialize(output) for output in made]) for node, made in outputs if made]
+        for node, estimates in ready:
+            node.publish(estimates)
         for node in self._members:
-            node.count(topic, record.stamp_ns)
+            node.conclude(topic, record.stamp_ns)
 
 
 class SharedInputs:

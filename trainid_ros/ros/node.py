@@ -28,6 +28,14 @@ if TYPE_CHECKING:
     from rclpy.node import Node
 
 NodeT = TypeVar('NodeT', bound='ManagedNode')
+_REACHED: Final = {
+    'on_configure': 'configured',
+    'on_activate': 'active',
+    'on_deactivate': 'inactive',
+    'on_cleanup': 'cleaned up',
+    'on_shutdown': 'shut down',
+    'on_error': 'unconfigured after an error',
+}
 RCLError = rclpy_implementation.RCLError
 
 
@@ -43,7 +51,7 @@ def guarded(
     @functools.wraps(transition)
     def run(node: NodeT, state: LifecycleState) -> TransitionCallbackReturn:
         try:
-            return transition(node, state)
+            result = transition(node, state)
         except TrainIdError as error:
             node.failure = str(error)
             node.get_logger().error(node.failure)
@@ -54,6 +62,9 @@ def guarded(
             node.failure = f'{type(error).__name__}: {error}'
             node.get_logger().error(f'{transition.__name__} failed\n{traceback.format_exc()}')
             return TransitionCallbackReturn.ERROR
+        if result == TransitionCallbackReturn.SUCCESS:
+            node.get_logger().info(f'{_REACHED[transition.__name__]}: {node.about()}')
+        return result
 
     return run
 
@@ -89,6 +100,10 @@ class ManagedNode(LifecycleNode):
     def state(self) -> str:
         """Label of the lifecycle state."""
         return str(self._state_machine.current_state[1])
+
+    def about(self) -> str:
+        """Return what the node does, for the log."""
+        return str(self.get_name())
 
     def bring_up(self) -> bool:
         """Configure and activate; return False, with the reason in ``failure``, if that fails."""

@@ -129,6 +129,19 @@ TRAIN_PARAMETERS: Final = (
 )
 ALGORITHM: Final = 'algorithm'
 TRAIN_FILE: Final = ParameterSpec('train_file', '', f'path of the train file (YAML); {_NEXT}')
+QOS_POLICIES: Final = {
+    'subscription': ('history', 'depth', 'reliability'),
+    'publisher': (
+        'history',
+        'depth',
+        'reliability',
+        'deadline',
+        'lifespan',
+        'liveliness',
+        'liveliness_lease_duration',
+    ),
+}
+"""What parameters ``qos_overrides.*`` change; durations in ns."""
 AUTOSTART: Final = ParameterSpec('autostart', False, 'configure and activate at start', read_only=True)
 
 
@@ -187,8 +200,9 @@ def qos_overrides(job: Job, resolve: Callable[[str], str]) -> list[str]:
     """Return the names of the QoS parameters; ``resolve`` returns the full name of a topic."""
     topics = [(topic.name, 'subscription') for topic in INPUT_TOPICS]
     topics += [(topic, 'publisher') for topic in (job.topic.name, job.topic.last_valid) if topic]
-    policies = ('history', 'depth', 'reliability')
-    return [f'qos_overrides.{resolve(name)}.{entity}.{policy}' for name, entity in topics for policy in policies]
+    return [
+        f'qos_overrides.{resolve(name)}.{entity}.{policy}' for name, entity in topics for policy in QOS_POLICIES[entity]
+    ]
 
 
 def validate_overrides(

@@ -28,8 +28,9 @@ _HEAD: Final = """\
 #
 # /**/ before a node's name makes its section apply in every namespace. A node that finds an unknown key,
 # or a section named almost like itself, reports it and does not configure. Changes while a node runs take
-# effect on its next configure. QoS of the topics: qos_overrides.<topic>.subscription.*
-# and qos_overrides.<topic>.publisher.* (history, depth, reliability).
+# effect on its next configure. QoS of the topics: qos_overrides.<topic>.subscription.* (history, depth,
+# reliability) and qos_overrides.<topic>.publisher.* (also deadline, lifespan, liveliness and
+# liveliness_lease_duration; durations in ns).
 #
 # While train, resistance, brake and line are commented out, the values of the train file apply; uncomment
 # to override them. The section estimator belongs to the default algorithm; the sections of the other

@@ -24,18 +24,30 @@ if TYPE_CHECKING:
 
 # A waiting executor notices a signal only when it returns.
 _REACTION_S: Final = 0.2
+_SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
+
+
+_EXIT_INTERRUPTED: Final = 130
 
 
 class _StopRequest:
-    """Records SIGINT and SIGTERM; a second one interrupts code that did not react to the first."""
+    """Records SIGINT and SIGTERM; a second one interrupts code that did not react to the first.
+
+    While the nodes are closed, and until the process has ended, further ones are ignored.
+    """
 
     def __init__(self) -> None:
         self.requested = False
 
     def install(self) -> None:
         self.requested = False
-        for number in (signal.SIGINT, signal.SIGTERM):
+        for number in _SIGNALS:
             signal.signal(number, self._note)
+
+    @staticmethod
+    def ignore_more() -> None:
+        for number in _SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
 
     def _note(self, _number: int, _frame: Any) -> None:
         if self.requested:
@@ -76,6 +88,8 @@ def stop_ros() -> None:
 def spin_nodes(nodes: Sequence[ManagedNode], *, until: Callable[[], bool] = lambda: False) -> None:
     """Spin nodes in one thread until a signal or a condition; then deactivate and destroy them, and stop ROS.
 
+    The process is expected to end after that: it ignores further signals.
+
     Args:
         nodes: The nodes, created in the default context after :func:`start_ros`.
         until: Checked after every callback.
@@ -93,6 +107,7 @@ def spin_nodes(nodes: Sequence[ManagedNode], *, until: Callable[[], bool] = lamb
     except (KeyboardInterrupt, ExternalShutdownException):
         pass
     finally:
+        _STOP.ignore_more()
         gc.unfreeze()
         executor.shutdown()
         close_nodes(nodes)
@@ -114,8 +129,11 @@ def run_node(make: Callable[[Sequence[str]], ManagedNode]) -> int:
     except InputError as error:
         sys.stderr.write(f'{error}\n')
         return 2
-    node = make(arguments)
-    if node.get_parameter('autostart').value:
-        node.bring_up()
+    try:
+        node = make(arguments)
+        if node.get_parameter('autostart').value:
+            node.bring_up()
+    except KeyboardInterrupt:
+        return _EXIT_INTERRUPTED
     spin_nodes([node])
     return 0

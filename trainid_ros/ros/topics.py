@@ -6,16 +6,26 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Final
 
 from builtin_interfaces.msg import Time
+from rclpy.duration import Duration
 from rclpy.event_handler import PublisherEventCallbacks, SubscriptionEventCallbacks
-from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy, qos_policy_name_from_kind
+from rclpy.qos import (
+    DurabilityPolicy,
+    HistoryPolicy,
+    LivelinessPolicy,
+    QoSPolicyKind,
+    QoSProfile,
+    ReliabilityPolicy,
+    qos_policy_name_from_kind,
+)
 from rclpy.qos_overriding_options import QoSOverridingOptions
 from trainid_msgs import msg as trainid_msgs
 
 from trainid_ros.messages import OutputLike, output_values, record_values
 from trainid_ros.records import INPUT_TOPICS, NS_PER_S, InputTopic, Record
+from trainid_ros.ros.parameter_specs import QOS_POLICIES
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
 
     from rclpy.impl.rcutils_logger import RcutilsLogger
 
@@ -53,6 +63,14 @@ def _fill(message: Any, stamp_ns: int, values: Mapping[str, Any]) -> Any:
     return message
 
 
+DEADLINE_S: Final = 1.0
+"""An active node publishes its estimate at least this often [s], where speeds come at 2 Hz or more."""
+LEASE_S: Final = 2.0
+"""Time after which a node that ended without a word counts as gone [s]."""
+LIFESPAN_S: Final = 2.0
+"""Age at which an estimate that could not be delivered is dropped [s]."""
+
+
 # Each function returns a new profile: rclpy writes the overrides of a user into the profile that it is given.
 def _keep_last(depth: int, reliability: ReliabilityPolicy, durability: DurabilityPolicy) -> QoSProfile:
     return QoSProfile(history=HistoryPolicy.KEEP_LAST, depth=depth, reliability=reliability, durability=durability)
@@ -69,13 +87,28 @@ def source_qos() -> QoSProfile:
 
 
 def estimate_qos() -> QoSProfile:
-    """Return the profile of the estimates."""
+    """Return the profile of a subscriber of the estimates, which also hears publishers that promise less."""
     return _keep_last(10, ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE)
 
 
+def offered_estimate_qos() -> QoSProfile:
+    """Return the profile of the estimates with what their publisher promises: deadline, liveliness and lifespan."""
+    profile = _with_lease(estimate_qos())
+    profile.deadline = Duration(seconds=DEADLINE_S)
+    profile.lifespan = Duration(seconds=LIFESPAN_S)
+    return profile
+
+
 def latched_qos() -> QoSProfile:
-    """Return the profile of the last valid estimates: a late joiner gets the newest one."""
-    return _keep_last(1, ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL)
+    """Return the profile of the last valid estimates: a late joiner gets the newest one, however old it is."""
+    return _with_lease(_keep_last(1, ReliabilityPolicy.RELIABLE, DurabilityPolicy.TRANSIENT_LOCAL))
+
+
+def _with_lease(profile: QoSProfile) -> QoSProfile:
+    """Add to a profile that the middleware tells subscribers whether the publisher is alive."""
+    profile.liveliness = LivelinessPolicy.AUTOMATIC
+    profile.liveliness_lease_duration = Duration(seconds=LEASE_S)
+    return profile
 
 
 def diagnostics_qos() -> QoSProfile:
@@ -83,24 +116,22 @@ def diagnostics_qos() -> QoSProfile:
     return _keep_last(10, ReliabilityPolicy.RELIABLE, DurabilityPolicy.VOLATILE)
 
 
-def overridable() -> QoSOverridingOptions:
-    """Let the user override history, depth and reliability with parameters ``qos_overrides.*``."""
-    return QoSOverridingOptions.with_default_policies()
+def overridable(entity: str) -> QoSOverridingOptions:
+    """Let the user override the quality of service of a 'publisher' or 'subscription'."""
+    return QoSOverridingOptions([QoSPolicyKind[name.upper()] for name in QOS_POLICIES[entity]])
 
 
-def _log_incompatible(logger: RcutilsLogger, topic: str, other: str) -> Callable[[Any], None]:
-    def log(event: Any) -> None:
-        policy = qos_policy_name_from_kind(event.last_policy_kind)
-        logger.error(f'{topic}: a {other} has an incompatible QoS ({policy}); no messages are exchanged with it')
-
-    return log
-
-
-def subscription_events(logger: RcutilsLogger, topic: str) -> SubscriptionEventCallbacks:
-    """Return event callbacks that log publishers with incompatible QoS."""
-    return SubscriptionEventCallbacks(incompatible_qos=_log_incompatible(logger, topic, 'publisher'))
+# Event callbacks cost time whenever the executor waits, so the default ones are left out. Publishers of inputs with a
+# wrong type or quality of service are seen in the graph, see diagnostics_publisher.
+NO_SUBSCRIPTION_EVENTS: Final = SubscriptionEventCallbacks(use_default_callbacks=False)
+NO_PUBLISHER_EVENTS: Final = PublisherEventCallbacks(use_default_callbacks=False)
 
 
 def publisher_events(logger: RcutilsLogger, topic: str) -> PublisherEventCallbacks:
     """Return event callbacks that log subscribers with incompatible QoS."""
-    return PublisherEventCallbacks(incompatible_qos=_log_incompatible(logger, topic, 'subscriber'))
+
+    def log(event: Any) -> None:
+        policy = qos_policy_name_from_kind(event.last_policy_kind)
+        logger.error(f'{topic}: a subscriber has an incompatible QoS ({policy}); no messages are exchanged with it')
+
+    return PublisherEventCallbacks(incompatible_qos=log, use_default_callbacks=False)

@@ -10,7 +10,8 @@ lags behind the others by more than ``max_lag``.
 Topics may have any rate from 1 Hz on, each its own. The limits in the settings suit 4 Hz and more; a slower topic may
 lose one record in a row: its limits are 2.5 of its own intervals. The interval is learned from records that samples
 have passed, in the order of stamps, so the order of arrival does not matter. Where commands come slowly, a change
-between two of them counts from the middle on, since its time is unknown.
+between two of them counts from the middle on, since its time is unknown. Commands may also be published only on change:
+with ``command_hold`` set, the last one holds that long, and samples wait ``max_lag`` for a change that is on its way.
 """
 
 from __future__ import annotations
@@ -20,20 +21,19 @@ from dataclasses import dataclass
 from typing import Final, TypeAlias
 
 from trainid_ros.record_validation import find_fault
-from trainid_ros.records import FORCE, GRADIENT, MASS, NS_PER_S, SPEED, Record
+from trainid_ros.records import BRAKE, FORCE, GRADIENT, MASS, NS_PER_S, SPEED, Record
 from trainid_ros.results import Reason, Rejection
 from trainid_ros.scalars import seconds
 from trainid_ros.settings import setting
-from trainid_ros.stream.intervals import NONE_LOST, ONE_LOST, LearnedInterval
-from trainid_ros.stream.samples import SAMPLE_PERIOD, STANDING, BrakeCommandChange, Sample
+from trainid_ros.stream.brake_commands import BrakeCommands
+from trainid_ros.stream.intervals import ONE_LOST, LearnedInterval
+from trainid_ros.stream.samples import SAMPLE_PERIOD, STANDING, Sample
 from trainid_ros.stream.topic_track import TopicRow, TopicTrack, insert_row
 
 _CONFIRMATIONS: Final = 3
 _THINNING_SHARE: Final = 0.4
 # Farther than odometer noise, shorter than any run between stops.
 _TURNING_DISTANCE: Final = 5.0
-# What a change of the command at an unknown time may do to the speed [m/s]; more would be taken for the brake's doing.
-_MAX_UNCERTAIN: Final = 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +45,9 @@ class AlignmentConfig:
     max_gap: float = setting(0.7, 'longest gap of force and gradient to interpolate over', 's', 0.05, 10.0)
     max_dt: float = setting(1.0, 'longest time between samples of one uninterrupted drive', 's', 0.1, 10.0)
     command_timeout: float = setting(2.0, 'age at which a brake command is no longer known', 's', 0.2, 60.0)
+    command_hold: float = setting(
+        0.0, 'how long a brake command published only on change holds; 0: commands come all the time', 's', 0.0, 86400.0
+    )
     command_gap: float = setting(0.35, 'a command that changed over a longer gap changed unseen', 's', 0.05, 10.0)
     max_interval: float = setting(
         1.25, 'slowest topic that these limits grow with: 2.5 of its intervals, command_gap 1.5', 's', 0.02, 10.0
@@ -73,13 +76,11 @@ class Aligner:
         self.config = config
         self._reject_jump_back = reject_jump_back
         self._max_dt = config.max_dt
-        self._command_timeout_ns = config.command_timeout * NS_PER_S
         self._max_gap_ns = round(config.max_gap * NS_PER_S)
         self._lag_ns = round(config.max_lag * NS_PER_S)
         self._patience_ns = self._max_gap_ns + self._lag_ns
         self._max_jump_ns = round(config.max_jump * NS_PER_S)
         self._max_jump_back_ns = round(config.max_jump_back * NS_PER_S)
-        self._command_gap_ns = round(config.command_gap * NS_PER_S)
         self._period_ns = round(config.period * NS_PER_S)
         self._early_ns = round(_THINNING_SHARE * self._period_ns)
         longest_ns = round(config.max_interval * NS_PER_S)
@@ -88,6 +89,13 @@ class Aligner:
         self._brake = TopicTrack(self._max_gap_ns, longest_ns)
         self._mass = TopicTrack(self._max_gap_ns, longest_ns)
         self._required = [self._force, self._gradient, self._brake]
+        self._commands = BrakeCommands(
+            self._brake,
+            round(config.command_timeout * NS_PER_S),
+            round(config.command_gap * NS_PER_S),
+            round(config.command_hold * NS_PER_S),
+            self._lag_ns,
+        )
         self._speed_interval = LearnedInterval(longest_ns)
         self.reset()
 
@@ -106,7 +114,7 @@ class Aligner:
         self._released_ns = 0
         self._sample_ns = 0
         self._due_ns = 0
-        self._command: TopicRow | None = None
+        self._commands.clear()
         self._direction = 1
         self._turning_position = math.nan
         self._moving, self._stop_ns = False, 0
@@ -116,20 +124,26 @@ class Aligner:
     @property
     def complete_ns(self) -> int:
         """Newest stamp that every required topic has reached; 0 while one has not begun."""
-        complete_ns = self._speed_ns
-        for track in self._required:
-            complete_ns = min(complete_ns, track.last_ns)
-        return complete_ns
+        known_ns = self._commands.known_ns(self.newest_ns)
+        return min(self._speed_ns, self._force.last_ns, self._gradient.last_ns, known_ns)
 
-    def interval_ns(self, topic: int) -> int:
-        """Return the interval between records of a slow required topic; 0 for a fast one and while it is not known."""
-        return self._speed_interval.ns if topic == SPEED else self._required[topic - FORCE].interval.ns
+    def silence_ns(self, topic: int) -> int:
+        """Return how long a required topic may be silent [ns]: 2.5 intervals of a slow one; 0 while it is not known."""
+        if topic == BRAKE:
+            return self._commands.silence_ns()
+        interval = self._speed_interval if topic == SPEED else self._required[topic - FORCE].interval
+        return round(ONE_LOST * interval.ns)
 
     def is_behind(self, limit_ns: int) -> bool:
         """Return whether a required topic is behind the others by more than a limit, and than its rate explains."""
         if self._is_late(self._speed_ns, self._speed_interval, limit_ns):
             return True
-        return any(self._is_late(track.last_ns, track.interval, limit_ns) for track in self._required)
+        known_ns = self._commands.known_ns(self.newest_ns)
+        return (
+            self._is_late(self._force.last_ns, self._force.interval, limit_ns)
+            or self._is_late(self._gradient.last_ns, self._gradient.interval, limit_ns)
+            or self._is_late(known_ns, self._brake.interval, limit_ns)
+        )
 
     def _is_late(self, stamp_ns: int, interval: LearnedInterval, limit_ns: int) -> bool:
         return self.newest_ns - stamp_ns > max(limit_ns, ONE_LOST * interval.ns + self._lag_ns)
@@ -238,7 +252,9 @@ class Aligner:
         if self.newest_ns - stamp_ns > self._patience_ns and not self._may_still_come(stamp_ns):
             return True
         return (
-            self._force.last_ns >= stamp_ns and self._gradient.last_ns >= stamp_ns and self._brake.last_ns >= stamp_ns
+            self._force.last_ns >= stamp_ns
+            and self._gradient.last_ns >= stamp_ns
+            and self._commands.known_ns(self.newest_ns) >= stamp_ns
         )
 
     def _may_still_come(self, stamp_ns: int) -> bool:
@@ -251,8 +267,8 @@ class Aligner:
         now, before = row.stamp_ns, self._sample_ns
         dt = self._elapsed(now)
         start = now if math.isnan(dt) else before
-        changes, missed = self._commands(before, now)
-        command, emergency = self._command_at(now)
+        changes, missed = self._commands.changes(before, now)
+        command, emergency = self._commands.at(now)
         curvature, tunnel = self._track_at(now)
         mass, weighed_ns = self._latest_mass(now - self._lag_ns)
         forces, gradients = self._force.value(now), self._gradient.value(now)
@@ -318,47 +334,6 @@ class Aligner:
         share = min(max((at_ns - first.stamp_ns) / span_ns, 0.0), 1.0) if span_ns else 0.0
         curvature = (1.0 - share) * first.y + share * last.y
         return curvature, last.flag if last.stamp_ns <= at_ns else first.flag
-
-    def _commands(self, after_ns: int, now_ns: int) -> tuple[tuple[BrakeCommandChange, ...], bool]:
-        """Return the changes of the command in (after, now], and whether one may have been missed."""
-        changes: list[BrakeCommandChange] = []
-        missed = False
-        rows = self._brake.rows
-        # A command after now may have changed before: then it holds already.
-        for k in range(self._brake.first_from(after_ns + 1), len(rows)):
-            before, command = self._command, rows[k]
-            stamp_ns, unseen = self._change(before, command, after_ns)
-            if stamp_ns > now_ns:
-                break
-            self._command = command
-            if before is None or before.x != command.x:
-                changes.append(BrakeCommandChange(stamp_ns, command.x))
-                missed = missed or unseen
-        return tuple(changes), missed
-
-    def _change(self, before: TopicRow | None, command: TopicRow, after_ns: int) -> tuple[int, bool]:
-        """Return the stamp of the change to a command, after a stamp, and whether it is too uncertain to be used."""
-        if before is None:
-            return command.stamp_ns, command.x < 0.0
-        span_ns, step = command.stamp_ns - before.stamp_ns, abs(command.x - before.x)
-        if step == 0.0 or span_ns <= self._command_gap_ns:
-            return command.stamp_ns, False
-        if span_ns > NONE_LOST * self._brake.interval.ns:
-            return command.stamp_ns, True
-        # The topic is slow and nothing was lost: the change lies anywhere between the two.
-        middle_ns = command.stamp_ns - span_ns // 2
-        uncertain = step * span_ns > _MAX_UNCERTAIN * NS_PER_S
-        return (middle_ns if middle_ns > after_ns else command.stamp_ns), uncertain
-
-    def _command_at(self, now_ns: int) -> tuple[float, bool]:
-        """Return the command in force, NaN if it is not known any more, and the emergency flag."""
-        latest = self._command
-        if latest is None:
-            return math.nan, False
-        age_ns = now_ns - latest.stamp_ns
-        if age_ns > self._command_timeout_ns and age_ns > ONE_LOST * self._brake.interval.ns:
-            return math.nan, False
-        return latest.x, latest.flag
 
     def _latest_mass(self, at_ns: int) -> tuple[float, int]:
         """Return the mass at a stamp that even a lagging mass has reached, and its own: samples do not wait for it."""

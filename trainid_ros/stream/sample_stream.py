@@ -19,7 +19,6 @@ from trainid_ros.results import Rejection
 from trainid_ros.settings import check_settings
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig, TimeJump
 from trainid_ros.stream.drive_history import DriveHistoryState, DriveHistoryTracker
-from trainid_ros.stream.intervals import ONE_LOST
 from trainid_ros.stream.samples import Sample
 from trainid_ros.stream.sensor_correction import SensorCorrection
 from trainid_ros.stream.stuck_speed import StuckSpeed
@@ -118,7 +117,7 @@ class SampleStream:
 
     def timeout_ns(self, topic: int, shortest_ns: int) -> int:
         """Return how long a required topic may be missing [ns]: 2.5 intervals of a slow topic, ``shortest_ns`` else."""
-        return max(shortest_ns, round(ONE_LOST * self._aligner.interval_ns(topic)))
+        return max(shortest_ns, self._aligner.silence_ns(topic))
 
     def is_input_missing(self, timeout_ns: int) -> bool:
         """Return whether a required topic is behind the others by more than a timeout [ns] or has not started."""

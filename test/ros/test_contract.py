@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a subscriber can rely on: promised quality of service, a heartbeat, and what is latched."""
+
+from __future__ import annotations
+
+import time
+from functools import partial
+from itertools import pairwise
+from typing import Any, TypeAlias
+
+import pytest
+from rclpy.duration import Duration
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.qos import DurabilityPolicy, LivelinessPolicy, QoSProfile
+from trainid_msgs.msg import ResistanceEstimate
+
+from trainid_ros.results import Status
+from trainid_ros.ros.estimator_node import EstimatorNode
+from trainid_ros.ros.estimator_nodes import RESISTANCE
+from trainid_ros.ros.topics import DEADLINE_S, LEASE_S, LIFESPAN_S
+
+pytestmark = pytest.mark.ros
+
+Graph: TypeAlias = Any  # the fixture of conftest.py
+RESISTANCE_NODE = partial(EstimatorNode, RESISTANCE)
+# A prior this narrow is fit to use at once.
+NARROW = {
+    'estimator__prior_std_a': 0.01,
+    'estimator__prior_std_b': 1e-5,
+    'estimator__prior_std_c': 1e-6,
+    'estimator__prior_share': 0.0,
+}
+
+
+class Subscriber:
+    """A strict subscriber of the resistance: its messages with their times, and the events of its middleware."""
+
+    def __init__(self, graph: Graph, deadline_s: float = DEADLINE_S) -> None:
+        self.messages: list[Any] = []
+        self.times: list[float] = []
+        self.events: list[str] = []
+        profile = QoSProfile(
+            depth=10,
+            deadline=Duration(seconds=deadline_s),
+            liveliness=LivelinessPolicy.AUTOMATIC,
+            liveliness_lease_duration=Duration(seconds=LEASE_S),
+        )
+        callbacks = SubscriptionEventCallbacks(
+            deadline=lambda _: self.events.append('deadline missed'),
+            liveliness=lambda event: self.events.append(f'alive {event.alive_count}'),
+            incompatible_qos=lambda _: self.events.append('incompatible'),
+        )
+        graph.plain('strict').create_subscription(
+            ResistanceEstimate, 'trainid/resistance', self._take, profile, event_callbacks=callbacks
+        )
+
+    def _take(self, message: Any) -> None:
+        self.messages.append(message)
+        self.times.append(time.monotonic())
+
+    @property
+    def statuses(self) -> list[Status]:
+        return [Status(message.status) for message in self.messages]
+
+
+def test_a_strict_subscriber_hears_an_active_node_at_least_once_a_second(graph: Graph, train_file: str) -> None:
+    node = graph.active(train_file)
+    subscriber = Subscriber(graph)
+    graph.until(lambda: subscriber.messages)  # inputs have never come
+    graph.feed(node, graph.coasting(8))
+    graph.until(lambda: len(subscriber.messages) >= 1 + 8 + 2)
+    assert [status is Status.STALE for status in subscriber.statuses] == [True, *[False] * 8, True, True]
+    assert subscriber.messages[-1] == subscriber.messages[-2]
+    # A machine under load may be late, but not for as long as without a heartbeat.
+    assert max(after - before for before, after in pairwise(subscriber.times)) < 2.0
+    assert 'incompatible' not in subscriber.events
+
+
+def test_a_fault_is_repeated_too(graph: Graph, train_file: str) -> None:
+    node = graph.active(train_file)
+    node.announce(node.fail(node.pipeline, 'tried'))
+    subscriber = Subscriber(graph)
+    graph.until(lambda: len(subscriber.messages) > 1)
+    assert set(subscriber.statuses) == {Status.FAULT}
+
+
+def test_promises_are_offered_and_can_be_overridden(graph: Graph, train_file: str) -> None:
+    node = graph.active(train_file)
+    offered, latched = node._estimates.qos_profile, node._last_valid.qos_profile
+    assert offered.deadline == Duration(seconds=DEADLINE_S)
+    assert offered.lifespan == Duration(seconds=LIFESPAN_S)
+    assert offered.liveliness == latched.liveliness == LivelinessPolicy.AUTOMATIC
+    assert offered.liveliness_lease_duration == latched.liveliness_lease_duration == Duration(seconds=LEASE_S)
+    # A late joiner gets the latched estimate however old it is.
+    assert latched.lifespan == latched.deadline == QoSProfile(depth=1).lifespan
+    graph.drop()
+    name = 'qos_overrides./trainid/resistance.publisher'
+    arguments = ('-p', f'{name}.deadline:=300000000', '-p', f'{name}.liveliness_lease_duration:=500000000')
+    node = graph.make(RESISTANCE_NODE, arguments=arguments, train_file=train_file)
+    assert node.bring_up(), node.failure
+    offered = node._estimates.qos_profile
+    assert (offered.deadline.nanoseconds, offered.liveliness_lease_duration.nanoseconds) == (300_000_000, 500_000_000)
+
+
+def test_a_subscriber_that_asks_for_more_is_named_once_in_the_log(
+    graph: Graph, train_file: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    graph.active(train_file)
+    subscriber = Subscriber(graph, deadline_s=0.1)
+    graph.until(lambda: subscriber.events)
+    end = time.monotonic() + 1.5
+    graph.until(lambda: time.monotonic() > end)
+    logged = [line.partition('[resistance_estimator]: ')[2] for line in capfd.readouterr().err.splitlines()]
+    assert (subscriber.events, subscriber.messages) == (['incompatible'], [])
+    assert [text for text in logged if 'QoS' in text or 'deadline' in text] == [
+        'trainid/resistance: a subscriber has an incompatible QoS (DEADLINE); no messages are exchanged with it'
+    ]
+
+
+def test_a_late_joiner_learns_that_the_last_valid_estimate_is_not_kept_up(graph: Graph, train_file: str) -> None:
+    node = graph.active(train_file, **NARROW)
+    graph.feed(node, graph.coasting(150))
+    assert node._latched is Status.VALID
+    graph.until(lambda: node.pipeline.status is Status.STALE)
+    got: list[Any] = []
+    latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    graph.plain('listener').create_subscription(
+        ResistanceEstimate, 'trainid/last_valid/resistance', got.append, latched
+    )
+    graph.until(lambda: got)
+    assert Status(got[0].status) is Status.STALE
+    graph.feed(node, graph.coasting(150, start_ns=graph.start_ns + 60_000_000_000))
+    graph.until(lambda: Status(got[-1].status) is Status.VALID)

@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The policy for SROS 2 holds what the nodes use, and nothing else."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeAlias
+from xml.etree import ElementTree
+
+import pytest
+
+from trainid_ros.ros.estimator_node import EstimatorNode
+from trainid_ros.ros.estimator_nodes import SPECS
+from trainid_ros.ros.sros2_policy import policy
+
+Graph: TypeAlias = Any  # the fixture of conftest.py
+FILE = Path(__file__).parents[2] / 'config' / 'sros2_policy.xml'
+
+
+def granted(enclave: str, node: str) -> dict[str, set[str]]:
+    """The full names that the policy grants to a node, by right."""
+    rights: dict[str, set[str]] = {}
+    for group in ElementTree.parse(FILE).find(f".//enclave[@path='{enclave}']//profile[@node='{node}']") or ():
+        (right,) = group.attrib
+        rights[right] = {full_name(item.text or '', node) for item in group}
+    return rights
+
+
+def full_name(name: str, node: str) -> str:
+    return name if name.startswith('/') else f'/{node}{name[1:]}' if name.startswith('~') else f'/{name}'
+
+
+def test_the_file_is_up_to_date() -> None:
+    assert FILE.read_text(encoding='utf-8') == policy()
+
+
+@pytest.mark.ros
+@pytest.mark.parametrize('name', list(SPECS))
+def test_a_node_uses_exactly_what_the_policy_grants(graph: Graph, train_file: str, name: str) -> None:
+    node = graph.active(train_file, partial(EstimatorNode, SPECS[name]))
+    used = {
+        'publish': {topic for topic, _ in node.get_publisher_names_and_types_by_node(name, '/')},
+        'subscribe': {topic for topic, _ in node.get_subscriber_names_and_types_by_node(name, '/')},
+        'reply': {service for service, _ in node.get_service_names_and_types_by_node(name, '/')},
+    }
+    assert granted(f'/trainid/{name}', name) == used
+    assert granted('/trainid', name) == used
+    assert not [client for client, _ in node.get_client_names_and_types_by_node(name, '/')]

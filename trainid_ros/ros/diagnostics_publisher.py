@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Publishes ``/diagnostics`` of one estimator node, and logs wrong publishers of its inputs."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+
+from trainid_ros.records import InputTopic
+from trainid_ros.ros.diagnostics import NodeHealth, estimator_status, idle_status, input_status
+from trainid_ros.ros.input_monitor import Finding, InputMonitor
+from trainid_ros.ros.publishers import is_hash, tell_apart, type_name
+from trainid_ros.ros.topics import NO_PUBLISHER_EVENTS, diagnostics_qos, message_class, time_message
+
+if TYPE_CHECKING:
+    from trainid_ros.ros.estimator_node import EstimatorNode
+
+
+class DiagnosticsPublisher:
+    """Publishes the status of an estimator and of its inputs."""
+
+    def __init__(self, node: EstimatorNode) -> None:
+        self._node = node
+        self._publisher = node.create_publisher(
+            DiagnosticArray, '/diagnostics', diagnostics_qos(), event_callbacks=NO_PUBLISHER_EVENTS
+        )
+        self._now_ns = 0
+        self._known: dict[InputTopic, Finding] = {}
+        self._definitions: dict[InputTopic, str] = {}
+
+    def publish(self) -> None:
+        """Publish everything; called once per diagnostic period."""
+        node = self._node
+        now_ns = node.now_ns()
+        health = NodeHealth(
+            name=node.get_fully_qualified_name().strip('/'),
+            state=node.state,
+            failure=node.failure,
+            now_ns=now_ns,
+            clock_problem=self._clock_problem(now_ns),
+            since_ns=node.news.since_ns,
+            missing=node.missing_inputs(),
+            fault=node.fault,
+        )
+        array = DiagnosticArray()
+        array.header.stamp = time_message(now_ns)
+        pipeline = node.pipeline
+        if pipeline is None:
+            self._known.clear()
+            array.status = [idle_status(health)]
+        else:
+            details = node.spec.details(node.prior, pipeline.current().estimate)
+            steps = node.step_times.summary()
+            array.status = [estimator_status(health, pipeline, node.spec.shown, node.prior, steps, details)]
+            for monitor in node.monitors.by_topic.values():
+                topic = node.resolve_topic_name(monitor.topic.name)
+                array.status.append(input_status(health, monitor, topic, self._judge(monitor, topic, now_ns)))
+        self._publisher.publish(array)
+
+    def _judge(self, monitor: InputMonitor, topic: str, now_ns: int) -> Finding:
+        """Return what is the case with an input, since when, after a look at the graph."""
+        node, before = self._node, monitor.publishers
+        wanted, infos = type_name(message_class(monitor.topic)), node.get_publishers_info_by_topic(topic)
+        profile = node.inputs.profile(monitor.topic)
+        monitor.publishers = tell_apart(infos, wanted, self._definition(monitor.topic, topic), profile)
+        if monitor.publishers.unheard and monitor.publishers.unheard != before.unheard:
+            node.get_logger().error(f'{topic}: {"; ".join(monitor.publishers.unheard)}')
+        if len(monitor.publishers.heard) > max(1, len(before.heard)):
+            node.get_logger().warning(f'{topic}: more than one publisher: {", ".join(monitor.publishers.heard)}')
+        finding = monitor.judge(now_ns, node.timeout_s(monitor.topic))
+        known = self._known.get(monitor.topic)
+        # The text changes with its numbers; what to do is the same as long as the matter is.
+        since_ns = known.since_ns if known is not None and known.action == finding.action else now_ns
+        if finding.level != DiagnosticStatus.OK:
+            finding = Finding(finding.level, finding.text, finding.action, finding.since_ns or since_ns)
+        self._known[monitor.topic] = finding
+        return finding
+
+    def _definition(self, input_topic: InputTopic, topic: str) -> str:
+        """Return the hash of the definition with which a topic is subscribed, '' while it is not known."""
+        if input_topic not in self._definitions:
+            name = self._node.inputs.subscriber
+            for info in self._node.get_subscriptions_info_by_topic(topic):
+                if info.node_name == name and is_hash(text := str(info.topic_type_hash)):
+                    self._definitions[input_topic] = text
+        return self._definitions.get(input_topic, '')
+
+    def _clock_problem(self, now_ns: int) -> str:
+        """Return what is wrong with simulated time, '' if nothing."""
+        before, self._now_ns = self._now_ns, now_ns
+        if not self._node.get_clock().ros_time_is_active:
+            return ''
+        if now_ns == 0:
+            return 'use_sim_time is set, but no /clock has arrived: play a bag with its clock, or set it to false'
+        return '/clock has stopped: resume its publisher' if now_ns == before else ''

@@ -1,0 +1,71 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Who publishes on an input topic, and why some of them are not heard."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable
+
+
+@dataclass(frozen=True, slots=True)
+class Publishers:
+    """Publishers of a topic.
+
+    Attributes:
+        heard: Nodes whose messages arrive, one name for each publisher.
+        unheard: One sentence for each publisher whose messages cannot arrive or be read.
+
+    """
+
+    heard: tuple[str, ...] = ()
+    unheard: tuple[str, ...] = ()
+
+    @property
+    def count(self) -> int:
+        """Number of all publishers."""
+        return len(self.heard) + len(self.unheard)
+
+
+def type_name(message: Any) -> str:
+    """Return the name of a message class in the graph."""
+    package, _, _ = message.__module__.partition('.')
+    return f'{package}/msg/{message.__name__}'
+
+
+def is_hash(text: str) -> bool:
+    """Return whether a text is the hash of a definition; not every middleware tells it."""
+    return text.startswith('RIHS')
+
+
+def tell_apart(infos: Iterable[Any], wanted: str, definition: str, profile: QoSProfile) -> Publishers:
+    """Sort publishers by whether a subscription hears them.
+
+    Args:
+        infos: What ``get_publishers_info_by_topic`` returns.
+        wanted: Message type of the subscription.
+        definition: Hash of its definition, '' if it is not known. The middleware does not compare it, and misreads
+            messages of another one.
+        profile: Its quality of service.
+
+    """
+    heard, unheard = [], []
+    for info in infos:
+        name = f'{info.node_namespace.rstrip("/")}/{info.node_name}'
+        if info.topic_type != wanted:
+            unheard.append(f'{name} publishes {info.topic_type} instead of {wanted}')
+            continue
+        if definition and is_hash(other := str(info.topic_type_hash)) and other != definition:
+            unheard.append(f'{name} publishes another version of {wanted}, whose messages are misread')
+            continue
+        compatibility, reason = qos_check_compatible(info.qos_profile, profile)
+        if compatibility == QoSCompatibility.ERROR:
+            text = reason.strip().removeprefix('ERROR: ').rstrip(';').replace(';ERROR:', ',')
+            unheard.append(f'{name} has an incompatible quality of service ({text})')
+        else:
+            heard.append(name)
+    return Publishers(tuple(sorted(heard)), tuple(sorted(unheard)))
