@@ -16,7 +16,15 @@ def make_nodes(context):
     """Return the nodes; the autostart of launch_ros is not used, the nodes have their own."""
     values = {
         name: LaunchConfiguration(name).perform(context)
-        for name in ('train_file', 'params_file', 'use_sim_time', 'autostart', 'namespace', 'log_level')
+        for name in (
+            'train_file',
+            'params_file',
+            'use_sim_time',
+            'autostart',
+            'namespace',
+            'log_level',
+            'checkpoint_folder',
+        )
     }
     parameters = [
         {
@@ -34,7 +42,7 @@ def make_nodes(context):
             executable=name,
             name=name,
             namespace=values['namespace'],
-            parameters=parameters,
+            parameters=[*parameters, *checkpoint_of(name, values['checkpoint_folder'])],
             ros_arguments=['--log-level', values['log_level']],
             output='screen',
             respawn=True,
@@ -42,6 +50,11 @@ def make_nodes(context):
         )
         for name in NODES
     ]
+
+
+def checkpoint_of(name, folder):
+    """Return the parameters that give a node its checkpoint file."""
+    return [{'checkpoint_file': f'{folder}/{name}.json'}] if folder else []
 
 
 def generate_launch_description():
@@ -52,6 +65,7 @@ def generate_launch_description():
         ('use_sim_time', 'false', 'true while a bag or a simulator publishes /clock', SWITCH),
         ('autostart', 'true', 'false leaves configuring and activating to a lifecycle manager', SWITCH),
         ('namespace', '', 'namespace of nodes and topics, for more than one train', None),
+        ('checkpoint_folder', '', 'folder of the checkpoints, a file for each node; empty: none are kept', None),
         ('log_level', 'info', 'least important messages to log', LOG_LEVELS),
     )
     declared = [

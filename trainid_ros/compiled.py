@@ -75,6 +75,7 @@ MODULES: Final = (
     'stream/sensor_correction',
     'stream/stuck_speed',
     'stream/topic_track',
+    'stream/travel',
     'train/brake',
     'train/davis',
     'train/effects/physical',

@@ -11,7 +11,8 @@ import json
 import math
 import types
 import typing
-from dataclasses import asdict, field, fields, is_dataclass
+from dataclasses import field, fields, is_dataclass
+from enum import Enum
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 import numpy as np
@@ -40,7 +41,14 @@ def several(kind: type[object]) -> Any:
 
 def encode(state: DataclassInstance) -> str:
     """Return a dataclass as JSON text with its class name."""
-    return json.dumps({'type': type(state).__name__, 'state': asdict(state)}, default=np.ndarray.tolist)
+    return json.dumps({'type': type(state).__name__, 'state': state}, default=_as_json)
+
+
+def _as_json(value: Any) -> Any:
+    """Return an array as a list and a dataclass as a dictionary, without copying what is in it."""
+    if isinstance(value, np.ndarray):
+        return value.tolist()
+    return {name: getattr(value, name) for name in value.__dataclass_fields__}
 
 
 def decode(text: str, kind: type[T]) -> T:
@@ -76,6 +84,8 @@ def _build(data: Any, kind: Any, name: str) -> Any:
     origin = typing.get_origin(kind)
     if origin in (typing.Union, types.UnionType):
         return None if data is None else _build(data, typing.get_args(kind)[0], name)
+    if isinstance(kind, type) and issubclass(kind, Enum):
+        return kind(data)
     if np.ndarray in (origin, kind):
         return np.array(data, dtype=float)
     if tuple in (origin, kind):

@@ -171,7 +171,7 @@ def test_a_restored_pipeline_remembers_how_far_the_train_has_run(line: TrainFile
     outputs = [[o.estimate for r in records[half:] for o in p.push(r)] for p in (first, second)]
     assert outputs[0] == outputs[1]
     assert second.save() == first.save()
-    with pytest.raises(InputError, match='PipelineState'):
+    with pytest.raises(InputError, match='saved StreamState: history'):
         second.restore(saved.replace('"distance_run": ', '"distance_run": -'))
     # Without the drive history the bearings would be assumed cold again.
     fresh = resistance_pipeline(true, SETTINGS)

@@ -297,12 +297,11 @@ def test_a_restore_discards_earlier_records(name: str, metro: TrainFile, day: Re
         used.push(replace(record, speed=12.0) if isinstance(record, SpeedRecord) and frozen else record)
     assert used.rejections[Reason.SPEED_STUCK] > 5
     later = [replace(r, stamp_ns=r.stamp_ns + 1000 * NS_PER_S) for r in seconds(day, 60.0, 100.0)]
-    before = used.rejections.copy()
     used.restore(state)
     new.restore(state)
     estimates = [[repr(output.estimate) for output in run(pipeline, later)] for pipeline in (used, new)]
     assert estimates[0] == estimates[1]
-    assert used.rejections - before == new.rejections
+    assert used.rejections == new.rejections
 
 
 @ALL
@@ -390,8 +389,6 @@ def test_each_update_is_judged_once(name: str, metro: TrainFile, day: Records) -
     assert pipeline.consistency.ratio == pytest.approx(np.mean(np.minimum(squares, 100.0)))
     # The resistance lags two samples behind, and starts each piece of the drive with one speed.
     assert pipeline.used - 20 < len(pairs) <= pipeline.used
-    pipeline.restore(pipeline.save())
-    assert pipeline.consistency.updates == 0
 
 
 def test_an_estimate_refuted_by_its_innovations_is_not_valid(metro: TrainFile, day: Records) -> None:

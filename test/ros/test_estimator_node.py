@@ -104,7 +104,7 @@ def test_a_bad_train_file_fails_with_one_reason_and_the_node_stays_usable(
     assert node.trigger_configure() == FAILURE
     assert node.state == 'unconfigured'
     assert 'bad.yaml: train.mass = -1 kg must be > 0' in node.failure
-    node.set_parameters([Parameter('train_file', value=train_file)])
+    bad.write_text(Path(train_file).read_text(encoding='utf-8'), encoding='utf-8')
     assert node.bring_up(), node.failure
 
 
@@ -165,6 +165,9 @@ def test_setting_a_parameter_live_changes_nothing_until_the_next_configure(graph
         ('resistance.b', float('nan')),
         ('time_jump_policy', 'panic'),
         ('autostart', True),
+        ('train_file', '/another.yaml'),
+        ('checkpoint_file', '/etc/passwd.json'),
+        ('taken_from_train_file', 'train.mass=1.0'),
     ],
 )
 def test_invalid_parameters_are_rejected_with_a_reason_that_names_them(

@@ -41,6 +41,17 @@ def test_without_a_file_all_settings_are_defaults() -> None:
         assert setup.algorithm == setup.job.algorithms.default
 
 
+def test_values_that_a_dump_took_from_a_train_file_give_way_to_those_of_this_one(tmp_path: Path) -> None:
+    text = """
+        /**: {ros__parameters: {train.mass: 2000.0, resistance.a: 7.0, brake.rate: 0.9,
+                                taken_from_train_file: 'train.mass=2000.0 resistance.a=6.0'}}
+    """
+    # The a was changed after the dump, the brake rate was given from the start.
+    for setup in setups(tmp_path, text).values():
+        train_file = setup.train_file
+        assert (train_file.train.mass, train_file.resistance.a, train_file.brake.rate) == (1000.0, 7.0, 0.9)
+
+
 def test_each_node_gets_its_own_section_over_the_common_one(tmp_path: Path) -> None:
     text = """
         /**: {ros__parameters: {seed: 7, alignment: {max_lag: 0.5}}}

@@ -171,11 +171,19 @@ class BrakeRateEstimator:
         result = self._process(sample, max(0.0, elapsed), motion, timing)
         if result is None or result.reason is not Reason.NOT_BRAKING:
             state.disturbance.pause()
-        # Valid while the uncertainty is small, with a hysteresis of factor two; a rate at its limit may exceed it.
-        limit = self._valid_std * (2.0 if state.converged else 1.0)
-        std = self._std()
-        state.converged = std < limit and state.rate + _CLEAR * std < self._largest
+        self._judge()
         return result
+
+    def _judge(self) -> None:
+        """Decide whether the rate is valid, with a hysteresis of factor two; a rate at its limit may exceed it."""
+        state, std = self.state, self._std()
+        limit = self._valid_std * (2.0 if state.converged else 1.0)
+        state.converged = std < limit and state.rate + _CLEAR * std < self._largest
+
+    def idle(self, seconds: float) -> None:
+        """Let the drift of the rate go on over a time without samples [s]."""
+        self.state.unbraked_s += seconds
+        self._judge()
 
     def _process(self, sample: Sample, elapsed: float, motion: BrakeStep, timing: TimingStep) -> Rejection | None:
         state, posterior = self.state, self.posterior

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Generic, TypeAlias
 
 import numpy as np
@@ -17,6 +17,7 @@ import numpy as np
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.estimators.algorithm_registry import Algorithms, Choice
 from trainid_ros.estimators.consistency import Consistency, ConsistencyMonitor
+from trainid_ros.estimators.pipeline_state import PipelineState, reason_counts
 from trainid_ros.estimators.protocol import Estimator
 from trainid_ros.records import NS_PER_S, Record, Row
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
@@ -33,9 +34,8 @@ from trainid_ros.results import (
 from trainid_ros.scalars import seconds
 from trainid_ros.settings import check_settings, setting
 from trainid_ros.speed_model.speed_model_algorithms import SPEED_MODEL
-from trainid_ros.state import check_restored, decode, encode
+from trainid_ros.state import decode, encode
 from trainid_ros.stream.alignment import AlignmentConfig
-from trainid_ros.stream.drive_history import DriveHistoryState
 from trainid_ros.stream.sample_stream import SampleStream, StreamConfig, StreamEvent, TimeJumpPolicy, is_reset_by
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import TrainFile
@@ -49,14 +49,6 @@ class PipelineConfig:
         0.8, 'inputs missing this long make an estimate stale; 2.5 intervals of a slower topic', 's', 0.1, 60.0
     )
     time_jump_policy: TimeJumpPolicy = TimeJumpPolicy.RESET
-
-
-@dataclass(frozen=True, slots=True)
-class PipelineState:
-    """What a pipeline saves: the estimator's state as text, and the history of the drive."""
-
-    estimator: str
-    motion: DriveHistoryState
 
 
 class EstimatorPipeline(Generic[EstimateT]):
@@ -74,6 +66,11 @@ class EstimatorPipeline(Generic[EstimateT]):
         self._stale_ns = round(config.stale_after * NS_PER_S)
         self.resets = 0
         self._clear()
+
+    def set_stale_after(self, stale_after: float) -> None:
+        """Change how long inputs may be missing [s]."""
+        self.config = replace(self.config, stale_after=stale_after)
+        self._stale_ns = round(stale_after * NS_PER_S)
 
     def _clear(self) -> None:
         self.rejections: Counter[Reason] = Counter()
@@ -98,9 +95,9 @@ class EstimatorPipeline(Generic[EstimateT]):
         self.stream = self.stream.successor()
         self._start_over()
 
-    def forget_records(self) -> None:
-        """Forget the records that are not yet part of a sample, before an interruption; the drive continues."""
-        self.stream = self.stream.successor(self.stream.history)
+    def interrupt(self) -> None:
+        """Expect that the next record may be of any time, as after a restore; the drive continues."""
+        self.stream = self.stream.successor(self.stream.state)
 
     @property
     def status(self) -> Status:
@@ -160,23 +157,46 @@ class EstimatorPipeline(Generic[EstimateT]):
         return self.current()
 
     def save(self) -> str:
-        """Return the whole state of the estimator and the history of the drive as JSON text."""
-        return encode(PipelineState(self.estimator.save(), self.stream.history))
+        """Return the whole state as JSON text."""
+        return encode(
+            PipelineState(
+                estimator=self.estimator.save(),
+                stream=self.stream.state,
+                consistency=self._consistency.state,
+                status=Status.UNINITIALIZED if self._status is Status.FAULT else self._status,
+                used=self.used,
+                samples=self.samples,
+                resets=self.resets,
+                rejections=reason_counts(self.rejections),
+                last_rejection=self.last_rejection,
+                speed=self._speed,
+                sample_ns=self._sample_ns,
+            )
+        )
 
-    def restore(self, text: str) -> None:
+    def restore(self, text: str, age_s: float = 0.0) -> None:
         """Continue from a saved state, possibly on another drive; InputError if it does not fit.
 
-        Records taken in before are forgotten, so the estimator starts with the train's speed. Time and distance of
-        the drive continue, for effects that depend on them.
+        All outputs are equal to those without the interruption where no record was lost. For records of another drive
+        see :meth:`SampleStream.successor`.
+
+        The estimate until the next sample covers what may have changed in ``age_s`` [s], the time since the state was
+        saved; from then on the estimators take that time from the stamps.
         """
         state = decode(text, PipelineState)
-        check_restored(state.motion.is_valid, 'PipelineState', 'motion')
+        state.check()
         self.estimator.restore(state.estimator)
+        self.stream = self.stream.successor(state.stream)
+        self._consistency.restore(state.consistency)
+        self.used, self.samples, self.resets = state.used, state.samples, state.resets
+        self.rejections, self.last_rejection = state.counted(), state.last_rejection
+        self._speed, self._sample_ns, self._status = state.speed, state.sample_ns, state.status
         self._estimate = None
-        self.stream = self.stream.successor(state.motion)
-        self._consistency.clear()
-        if self._status is Status.FAULT:
-            self._status = Status.UNINITIALIZED
+        if age_s > 0.0 and state.samples:
+            self.estimator.idle(age_s)
+            self._published = self._estimate = self.estimator.estimate(self._speed)
+            self._status = aged_status(state.status, converged=self.estimator.converged)
+            self.estimator.restore(state.estimator)
 
     def current(self) -> Output[EstimateT]:
         """Return the output at the newest sample."""
@@ -222,6 +242,11 @@ class EstimatorPipeline(Generic[EstimateT]):
             return
         self.rejections[rejection.reason] += 1
         self.last_rejection = rejection
+
+
+def aged_status(saved: Status, *, converged: bool) -> Status:
+    """Return the status of a restored estimate until its next sample; ``converged`` if its age allows to use it."""
+    return Status.CONVERGING if saved in (Status.VALID, Status.HOLDING) and not converged else saved
 
 
 @dataclass(frozen=True, slots=True)

@@ -29,6 +29,9 @@ class Estimator(Protocol[EstimateT_co]):
     def converged(self) -> bool:
         """True while the estimate is fit for use."""
 
+    def idle(self, seconds: float) -> None:
+        """Widen the uncertainty by what may have changed in a time without samples [s]."""
+
     def reset(self) -> None:
         """Return to the prior."""
 

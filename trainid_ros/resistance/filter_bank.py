@@ -176,12 +176,17 @@ class FilterBank:
             return Rejection(tick.stamp_ns, Reason.NUMERICAL, innovation.value, math.nan)
         return self._account(tick, innovation)
 
+    def idle(self, seconds: float) -> None:
+        """Add the variance of possible steps in a time without samples [s]; after a long one nothing is fit to use."""
+        self.bank.idle(seconds)
+        self._published = None
+        self._converged = self._converged and seconds <= _IDLE_S
+
     def _depart(self, tick: Tick) -> None:
         """Restart the speed; after a stop the load may have changed, after a long idle time also a and c."""
         idle_s = seconds(tick.stamp_ns - self._advanced_ns) if self._advanced_ns else 0.0
         if idle_s > _IDLE_S:
-            self.bank.idle(idle_s)
-            self._converged = False
+            self.idle(idle_s)
         if self._stopped:
             self.bank.widen_force_scale(scale_step(self._train, weighed=tick.weighed) ** 2)
             self._stopped = False

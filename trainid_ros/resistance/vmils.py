@@ -27,6 +27,7 @@ from trainid_ros.errors import InputError
 from trainid_ros.estimators.admission import Admission
 from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.estimators.prior import prior_variances
+from trainid_ros.records import NS_PER_S
 from trainid_ros.resistance.change_points import ChangePointConfig, Tracker
 from trainid_ros.resistance.davis_posterior import drift_rates, drifted, resistance_estimate
 from trainid_ros.resistance.fitness import is_fit_where_driven
@@ -155,6 +156,12 @@ class VMils:
             variances = np.zeros(len(self.learner.tracker.prior.theta))
             variances[_KAPPA] = step
             self.learner.tracker.widen(variances, self._limits())
+
+    def idle(self, seconds: float) -> None:
+        """Let the drift of a, b, c go on over a time without samples [s]."""
+        if self._stamp_ns:
+            self._stamp_ns += round(seconds * NS_PER_S)
+            self._judge(updated=True)
 
     def _limits(self) -> Array:
         """Return the upper limits of the variances of theta: the prior ones, plus one step of kappa."""

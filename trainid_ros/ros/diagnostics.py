@@ -18,10 +18,11 @@ from trainid_ros.results import Status
 from trainid_ros.ros.input_monitor import Finding
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable
 
     from trainid_ros.estimators.pipeline import EstimatorPipeline
     from trainid_ros.ros.input_monitor import InputMonitor
+    from trainid_ros.ros.jobs import Job
 
 _LEVELS: Final = {
     Status.UNINITIALIZED: DiagnosticStatus.WARN,
@@ -73,6 +74,26 @@ class ShownValue:
         return math.sqrt(max(covariance[self.variance * (size + 1)], 0.0))
 
 
+def _no_details(_prior: Any, _live: Any) -> Iterable[tuple[str, str]]:
+    return ()
+
+
+@dataclass(frozen=True, slots=True)
+class EstimatorSpec:
+    """What distinguishes one estimator node from the others.
+
+    Attributes:
+        job: What it estimates.
+        shown: Values to show in the diagnostics, the most important first.
+        details: Returns further diagnostics, as names and values, for the prior and the current estimate.
+
+    """
+
+    job: Job
+    shown: tuple[ShownValue, ...]
+    details: Callable[[Any, Any], Iterable[tuple[str, str]]] = _no_details
+
+
 @dataclass(frozen=True, slots=True)
 class NodeHealth:
     """State of the node apart from its estimator.
@@ -86,6 +107,7 @@ class NodeHealth:
         since_ns: Since when the estimate has its status [ns].
         missing: Which inputs are missing, '' if none is.
         fault: Why the estimator cannot continue, '' if it can.
+        unsaved: Why its state cannot be saved, '' if it can.
 
     """
 
@@ -97,6 +119,7 @@ class NodeHealth:
     since_ns: int = 0
     missing: str = ''
     fault: str = ''
+    unsaved: str = ''
 
 
 def idle_status(health: NodeHealth) -> Any:
@@ -117,6 +140,9 @@ def _judge(health: NodeHealth, pipeline: EstimatorPipeline[Any], value: str) -> 
         level, text, action = DiagnosticStatus.WARN, f'{health.state}, inputs are ignored; last {text}', 'activate it'
     if health.clock_problem:
         level, text = max(level, DiagnosticStatus.WARN), f'{health.clock_problem}; {text}'
+    if health.unsaved:
+        level, text = max(level, DiagnosticStatus.WARN), f'not saved: {health.unsaved}; {text}'
+        action = action or 'make room on the disk, or correct checkpoint_file'
     if pipeline.consistency.is_alarm:
         level, text = (
             max(level, DiagnosticStatus.WARN),

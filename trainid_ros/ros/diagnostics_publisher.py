@@ -42,6 +42,7 @@ class DiagnosticsPublisher:
             since_ns=node.news.since_ns,
             missing=node.missing_inputs(),
             fault=node.fault,
+            unsaved=node.checkpoints.problem,
         )
         array = DiagnosticArray()
         array.header.stamp = time_message(now_ns)

@@ -9,9 +9,8 @@ from __future__ import annotations
 
 import time
 import traceback
-from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Any, Final
 
 from rclpy.clock import JumpThreshold
 from rclpy.duration import Duration
@@ -22,7 +21,8 @@ from trainid_ros.errors import InputError, TrainIdError
 from trainid_ros.estimators.pipeline import EstimatorPipeline, EstimatorSettings
 from trainid_ros.records import INPUT_TOPICS, NS_PER_S, REQUIRED_TOPICS, InputTopic, Record
 from trainid_ros.results import Status
-from trainid_ros.ros.diagnostics import ShownValue, StepTimes
+from trainid_ros.ros.checkpoints import Checkpoints
+from trainid_ros.ros.diagnostics import EstimatorSpec, StepTimes
 from trainid_ros.ros.diagnostics_publisher import DiagnosticsPublisher
 from trainid_ros.ros.input_monitor import InputMonitors
 from trainid_ros.ros.inputs import InputGroup, SharedInputs
@@ -40,6 +40,7 @@ from trainid_ros.ros.parameter_specs import (
 from trainid_ros.ros.services import NUMERICAL_ERRORS, EstimatorServices
 from trainid_ros.ros.status_news import HEARTBEAT_NS, REPEATED, StatusNews, is_latched
 from trainid_ros.ros.topics import (
+    SerializedEstimate,
     fill_estimate,
     latched_qos,
     message_class,
@@ -52,42 +53,16 @@ from trainid_ros.stream.sample_stream import TimeJumpPolicy
 from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Collection, Sequence
 
-    from trainid_ros.ros.jobs import Job
     from trainid_ros.stream.sample_stream import SampleStream, StreamEvent
     from trainid_ros.train.train_file import TrainFile
 
 _FIRST_WATCH_S: Final = 0.1
 _SHORTEST_WATCH_NS: Final = NS_PER_S // 100
+# Statuses with which the estimate of a loaded state is latched.
+_WORTH_LATCHING: Final = (Status.VALID, Status.HOLDING, Status.STALE)
 _SUCCESS: Final = TransitionCallbackReturn.SUCCESS
-
-
-def _no_details(_prior: Any, _live: Any) -> Iterable[tuple[str, str]]:
-    return ()
-
-
-@dataclass(frozen=True, slots=True)
-class EstimatorSpec:
-    """What distinguishes one estimator node from the others.
-
-    Attributes:
-        job: What it estimates.
-        shown: Values to show in the diagnostics, the most important first.
-        details: Returns further diagnostics, as names and values, for the prior and the current estimate.
-
-    """
-
-    job: Job
-    shown: tuple[ShownValue, ...]
-    details: Callable[[Any, Any], Iterable[tuple[str, str]]] = _no_details
-
-
-class SerializedEstimate(NamedTuple):
-    """A message of an estimate, ready to be sent, and its status."""
-
-    status: Status
-    data: bytes
 
 
 class EstimatorNode(ManagedNode):
@@ -115,6 +90,8 @@ class EstimatorNode(ManagedNode):
         self.parameters.check_sections(arguments, self.job.node_name)
         self._preload_train_file()
         self.parameters.report()
+        self.parameters.on_live_change = self._retune
+        self.checkpoints = Checkpoints(self)
         self.pipeline: EstimatorPipeline[Any] | None = None
         self._settings = EstimatorSettings()
         self.prior: Any = None
@@ -158,14 +135,14 @@ class EstimatorNode(ManagedNode):
         self.parameters.check()
         train_file = self._train_file()
         self._settings = build_settings(self.parameters.values(), self.job.algorithms, self.job.field)
-        self.pipeline = self.job.pipeline(train_file, self._settings)
-        self.prior = self.pipeline.current().estimate
+        pipeline = self.job.pipeline(train_file, self._settings)
+        self.prior = pipeline.current().estimate
+        self.checkpoints.open(pipeline, train_file, self._settings)
+        self.pipeline = pipeline
         self.watchdog = Watchdog(round(self._settings.pipeline.stale_after * NS_PER_S))
         self.step_times = StepTimes()
         self.news.restart(self.now_ns())
         self._open()
-        self.destroy_timer(self._diagnostic_timer)
-        self._diagnostic_timer = self._make_diagnostic_timer()
         return super().on_configure(state)
 
     @guarded
@@ -175,7 +152,19 @@ class EstimatorNode(ManagedNode):
         self._watchdog_timer = self.create_timer(_FIRST_WATCH_S, self._watch, clock=self._steady)
         result = super().on_activate(state)
         self._listening = result == _SUCCESS
+        self.checkpoints.resume()
+        self.latch_loaded()
         return result
+
+    def _retune(self, names: Collection[str]) -> None:
+        """Apply changes of parameters that take effect at once."""
+        if 'diagnostic_period' in names:
+            self.destroy_timer(self._diagnostic_timer)
+            self._diagnostic_timer = self._make_diagnostic_timer()
+        if 'checkpoint_period' in names and self._listening:
+            self.checkpoints.resume()
+        if 'stale_after' in names and self.pipeline is not None:
+            self.pipeline.set_stale_after(float(self.parameters.value('stale_after')))
 
     # Resources
 
@@ -221,14 +210,16 @@ class EstimatorNode(ManagedNode):
         )
 
     def _pause(self) -> None:
+        self.checkpoints.pause(self.pipeline, running=self._listening)
         self._listening = False
         if self.pipeline is not None:
-            self.pipeline.forget_records()
+            self.pipeline.interrupt()
         if self._watchdog_timer is not None:
             self.destroy_timer(self._watchdog_timer)
             self._watchdog_timer = None
 
     def _release(self) -> None:
+        self.checkpoints.close(self.pipeline, running=self._listening)
         self._pause()
         self._inputs.leave(self)
         for publisher in (self._estimates, self._last_valid):
@@ -311,6 +302,16 @@ class EstimatorNode(ManagedNode):
         """Publish an output that no message has caused."""
         self.publish([self.serialize(output)])
         self._follow_published(self.now_ns())
+
+    def latch_loaded(self) -> None:
+        """Latch the estimate of a loaded state, for which late subscribers would else wait until the next sample."""
+        if self.pipeline is None or not self.pipeline.samples:
+            return
+        self.watchdog.saw(self.pipeline.newest_ns, self.now_ns(), self._steady_ns())
+        status, data = self.serialize(self.pipeline.current())
+        if self._last_valid is not None and status in _WORTH_LATCHING:
+            self._last_valid.publish(data)
+            self._latched = status
 
     def conclude(self, topic: InputTopic, stamp_ns: int) -> None:
         """Latch and log what was published, and note that a message with this stamp [ns] has arrived."""

@@ -172,6 +172,9 @@ class InputGroup:
             node.publish(estimates)
         for node in self._members:
             node.conclude(topic, record.stamp_ns)
+        # One of them at a time: the next message may come soon.
+        if due := [node.checkpoints for node, _ in ready if node.checkpoints.is_due]:
+            min(due, key=lambda checkpoints: checkpoints.saved_at).save_if_due()
 
 
 class SharedInputs:

@@ -25,6 +25,7 @@ from trainid_ros.ros.parameter_specs import (
     check_fallback,
     check_problems,
     estimator_parameters,
+    find_taken,
     qos_overrides,
     requested_algorithm,
     validate_overrides,
@@ -191,6 +192,8 @@ def _setup(
     algorithm = requested_algorithm(overrides, job.algorithms)
     specs = {spec.name: spec for spec in estimator_parameters(job.algorithms, algorithm)}
     given, problems = validate_overrides(overrides, specs, others)
+    for name in find_taken(given):
+        del given[name]
     fallback = {item.name: item.of(train_file) for item in TRAIN_PARAMETERS if item.name not in given}
     try:
         check_problems(problems)

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: Apache-2.0
 """Base of the nodes: lifecycle transitions that log every failure, and parameters that are checked with a reason.
 
-Parameters are declared at start and applied only on configure.
+Parameters are declared at start and applied on configure, a few of them at once.
 """
 
 from __future__ import annotations
@@ -19,7 +19,20 @@ from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackRet
 from rclpy.parameter import Parameter
 
 from trainid_ros.errors import InputError, TrainIdError
-from trainid_ros.ros.parameter_specs import ParameterSpec, Value, check_fallback, check_problems, validate_overrides
+from trainid_ros.ros.parameter_specs import (
+    LIVE,
+    TAKEN,
+    TRAIN_FILE,
+    ParameterSpec,
+    Value,
+    Values,
+    check_fallback,
+    check_problems,
+    describe_differences,
+    find_taken,
+    taken_values,
+    validate_overrides,
+)
 from trainid_ros.ros.params_file import find_mismatch, params_files
 
 if TYPE_CHECKING:
@@ -154,6 +167,7 @@ class NodeParameters:
 
     Attributes:
         given: Names of the parameters that the user set, in a file, on the command line or later.
+        on_live_change: Called with the names of parameters that were set and take effect at once.
 
     """
 
@@ -169,11 +183,15 @@ class NodeParameters:
         self._node = node
         self._specs = {spec.name: spec for spec in specs}
         self._internal = False
+        self.on_live_change: Callable[[set[str]], None] = lambda _: None
         self._fallback: dict[str, str] = {}
         overrides = node._parameter_overrides  # rclpy gives no public access to them
         self.given = {name for name in overrides if name in self._specs}
         given = {name: parameter.value for name, parameter in overrides.items()}
         values, self._problems = validate_overrides(given, self._specs, {*node._parameters, *expected})
+        taken = find_taken(values) if values.get(TRAIN_FILE.name) else ()
+        self._taken: Values = {name: values.pop(name) for name in taken}
+        self.given -= self._taken.keys()
         for spec in self._specs.values():
             value = values.get(spec.name, spec.default)
             node.declare_parameter(spec.name, value, _descriptor(spec), ignore_override=True)
@@ -228,15 +246,27 @@ class NodeParameters:
         self._fallback = dict.fromkeys(values, source)
         new = {name: value for name, value in values.items() if name not in self.given}
         check_fallback(new, self._specs, source)
+        self._warn_of_mixture(values, source)
+        changes: dict[str, Value] = {**new, TAKEN.name: taken_values(new)}
         self._internal = True
-        self._node.set_parameters([Parameter(name, value=value) for name, value in new.items()])
+        self._node.set_parameters([Parameter(name, value=value) for name, value in changes.items()])
         self._internal = False
+
+    def _warn_of_mixture(self, filed: Mapping[str, float], source: str) -> None:
+        logger = self._node.get_logger()
+        if text := describe_differences({name: self.value(name) for name in self.given}, filed):
+            logger.warning(f'{source}: parameters replace values of the train file: {text}')
+        if text := describe_differences(self._taken, filed):
+            logger.warning(f'{source}: values that a dump took from another train file are ignored: {text}')
+        self._taken = {}
 
     def _validate(self, parameters: list[Parameter]) -> SetParametersResult:
         for parameter in parameters:
             spec = self._specs.get(parameter.name)
             if spec is None:
                 continue
+            if spec is TAKEN and not self._internal:
+                return SetParametersResult(successful=False, reason=f'{spec.name} is set by the node')
             try:
                 spec.check(parameter.value)
             except InputError as error:
@@ -250,6 +280,12 @@ class NodeParameters:
             if parameter.name in self._specs:
                 self.given.add(parameter.name)
                 self._problems.pop(parameter.name, None)
+                if parameter.name not in LIVE:
+                    self._node.get_logger().info(
+                        f'{parameter.name} = {parameter.value} takes effect on the next configure'
+                    )
+        if names := {parameter.name for parameter in parameters} & LIVE:
+            self.on_live_change(names)
 
 
 def _descriptor(spec: ParameterSpec) -> ParameterDescriptor:

@@ -33,6 +33,8 @@ Value: TypeAlias = bool | int | float | str
 Values: TypeAlias = 'Mapping[str, Value]'
 
 _NEXT: Final = 'takes effect on the next configure'
+LIVE: Final = frozenset({'diagnostic_period', 'checkpoint_period', 'stale_after'})
+"""Names of the parameters that take effect at once."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -128,7 +130,12 @@ TRAIN_PARAMETERS: Final = (
     _train('line', 'gradient_std', Line().gradient_std, 'std of the error of the gradients [per mille]', (0.0, 50.0)),
 )
 ALGORITHM: Final = 'algorithm'
-TRAIN_FILE: Final = ParameterSpec('train_file', '', f'path of the train file (YAML); {_NEXT}')
+TRAIN_FILE: Final = ParameterSpec(
+    'train_file', '', 'path of the train file (YAML), read again on each configure', read_only=True
+)
+TAKEN: Final = ParameterSpec(
+    'taken_from_train_file', '', 'values of the train file, by which a dump of the parameters is known; set by the node'
+)
 QOS_POLICIES: Final = {
     'subscription': ('history', 'depth', 'reliability'),
     'publisher': (
@@ -164,10 +171,16 @@ def estimator_parameters(algorithms: Algorithms[Any], name: str = '') -> tuple[P
         ParameterSpec(
             'time_jump_policy', default, f'what to do when stamps or /clock jump back; {_NEXT}', choices=policies
         ),
-        ParameterSpec('checkpoint_file', '', 'path of the checkpoint; empty: $ROS_HOME/trainid/<node>.json'),
+        ParameterSpec(
+            'checkpoint_file', '', 'path (.json) of the state, loaded at start and kept up to date', read_only=True
+        ),
+        ParameterSpec(
+            'checkpoint_period', 5.0, 'time between checkpoints, 0: only when the node stops [s]', 0.0, 3600.0
+        ),
         ParameterSpec('seed', EstimatorSettings().seed, f'seed of the random numbers; {_NEXT}', 0, 2**31 - 1),
-        ParameterSpec('diagnostic_period', 1.0, f'time between diagnostics [s]; {_NEXT}', 0.1, 60.0),
+        ParameterSpec('diagnostic_period', 1.0, 'time between diagnostics [s]', 0.1, 60.0),
         AUTOSTART,
+        TAKEN,
     )
     return (
         *texts,
@@ -182,7 +195,8 @@ def _settings(prefix: str, config: DataclassInstance, fixed: frozenset[str] = fr
     specs = []
     for item in fields(config):
         if (info := setting_info(item)) is not None and item.name not in fixed:
-            text = f'{info.description} [{info.unit}]; {_NEXT}'
+            later = '' if prefix + item.name in LIVE else f'; {_NEXT}'
+            text = f'{info.description} [{info.unit}]{later}'
             specs.append(ParameterSpec(prefix + item.name, getattr(config, item.name), text, info.low, info.high))
     return tuple(specs)
 
@@ -194,6 +208,23 @@ def requested_algorithm(overrides: Mapping[str, object], algorithms: Algorithms[
         return algorithms[name].name if isinstance(name, str) else algorithms.default
     except InputError:
         return algorithms.default
+
+
+def taken_values(values: Mapping[str, float]) -> str:
+    """Return the value of the parameter TAKEN for values of the train file."""
+    return ' '.join(f'{name}={value!r}' for name, value in values.items())
+
+
+def find_taken(given: Values) -> frozenset[str]:
+    """Return the names of given values that are not the user's: a dump holds those of its train file too."""
+    pairs = (pair.partition('=') for pair in str(given.get(TAKEN.name, '')).split())
+    return frozenset(name for name, _, value in pairs if name in given and repr(given[name]) == value)
+
+
+def describe_differences(own: Values, filed: Mapping[str, float]) -> str:
+    """Return values that differ from those of a train file, as text; empty if none does."""
+    different = [(name, value) for name, value in filed.items() if own.get(name, value) != value]
+    return ', '.join(f'{name} = {own[name]:g} (train file: {value:g})' for name, value in different)
 
 
 def qos_overrides(job: Job, resolve: Callable[[str], str]) -> list[str]:

@@ -11,7 +11,7 @@ import textwrap
 from typing import TYPE_CHECKING, Final
 
 from trainid_ros.ros.jobs import JOBS
-from trainid_ros.ros.parameter_specs import TRAIN_PARAMETERS, ParameterSpec, Value, estimator_parameters
+from trainid_ros.ros.parameter_specs import TAKEN, TRAIN_PARAMETERS, ParameterSpec, Value, estimator_parameters
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -62,6 +62,8 @@ def _section(specs: tuple[ParameterSpec, ...], *, commented: bool = False) -> It
     train = {item.name for item in TRAIN_PARAMETERS}
     group = ''
     for spec in specs:
+        if spec is TAKEN:
+            continue
         prefix, _, name = spec.name.rpartition('.')
         mark = '# ' if commented or spec.name in train else ''
         if prefix not in ('', group):

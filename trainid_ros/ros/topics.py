@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from builtin_interfaces.msg import Time
 from rclpy.duration import Duration
@@ -22,6 +22,7 @@ from trainid_msgs import msg as trainid_msgs
 
 from trainid_ros.messages import OutputLike, output_values, record_values
 from trainid_ros.records import INPUT_TOPICS, NS_PER_S, InputTopic, Record
+from trainid_ros.results import Status
 from trainid_ros.ros.parameter_specs import QOS_POLICIES
 
 if TYPE_CHECKING:
@@ -49,6 +50,13 @@ def time_message(time_ns: int) -> Time:
 def message_from_record(record: Record) -> Any:
     """Return the input message of a record."""
     return _fill(_MESSAGES[type(record)](), record.stamp_ns, record_values(record))
+
+
+class SerializedEstimate(NamedTuple):
+    """A message of an estimate, ready to be sent, and its status."""
+
+    status: Status
+    data: bytes
 
 
 def fill_estimate(message: Any, output: OutputLike) -> Any:

@@ -288,6 +288,10 @@ class AuxiliaryModel:
         """Add a share of the load variance to the variance of b1."""
         self.P[18] += share * self.tuning.load
 
+    def idle(self, scale: float) -> None:
+        """Let d0 drift over ``scale`` sample periods without measurements, up to its prior variance."""
+        self.P[24] = max(self.P[24], min(self.P[24] + self.tuning.drift * scale, self._P0[9]))
+
     def forget(self, factor: float) -> None:
         """Reduce the information on the resistance by ``factor``, never below that of the prior.
 

@@ -44,6 +44,8 @@ _STANDING: Final = 3
 _SUDDEN: Final = 1.0
 # A detected change keeps at least the square of this share of the information.
 _LEAST_FACTOR: Final = 0.1
+# No stop for passengers is shorter [s].
+_SHORTEST_STOP: Final = 15.0
 # Limit of the change of traction from sample to sample [N/kN]; beyond it is an outlier.
 _MOST_CHANGE: Final = 500.0
 
@@ -148,6 +150,14 @@ class SpeedModelEstimator:
         self._admission.braked_ns = state.braked_ns
         self.state, self._recent = replace(state, numbers=(), recent=()), recent
         self._use(method)
+
+    def idle(self, seconds: float) -> None:
+        """Add the drift over a time without samples [s], and a change of load if the train may have stopped."""
+        if self._auxiliary is not None:
+            self._auxiliary.idle(seconds / SAMPLE_PERIOD)
+        if seconds > _SHORTEST_STOP:
+            self.method.widen_load(self._load_share())
+        self._update_validity(self.state, self._covariance())
 
     def step(self, sample: Sample) -> Rejection | None:
         """Process one sample; return the reason if it is rejected."""

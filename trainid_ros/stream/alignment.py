@@ -17,7 +17,7 @@ with ``command_hold`` set, the last one holds that long, and samples wait ``max_
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, TypeAlias
 
 from trainid_ros.record_validation import find_fault
@@ -27,13 +27,13 @@ from trainid_ros.scalars import seconds
 from trainid_ros.settings import setting
 from trainid_ros.stream.brake_commands import BrakeCommands
 from trainid_ros.stream.intervals import ONE_LOST, LearnedInterval
-from trainid_ros.stream.samples import SAMPLE_PERIOD, STANDING, Sample
-from trainid_ros.stream.topic_track import TopicRow, TopicTrack, insert_row
+from trainid_ros.stream.samples import SAMPLE_PERIOD, Sample
+from trainid_ros.stream.stream_state import AlignerState
+from trainid_ros.stream.topic_track import TopicRow, TopicTrack, insert_row, restored_rows, rows_state
+from trainid_ros.stream.travel import Travel
 
 _CONFIRMATIONS: Final = 3
 _THINNING_SHARE: Final = 0.4
-# Farther than odometer noise, shorter than any run between stops.
-_TURNING_DISTANCE: Final = 5.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -115,11 +115,49 @@ class Aligner:
         self._sample_ns = 0
         self._due_ns = 0
         self._commands.clear()
-        self._direction = 1
-        self._turning_position = math.nan
-        self._moving, self._stop_ns = False, 0
+        self._travel = Travel()
         # Records whose stamps do not fit those before.
         self._suspects: list[TopicRow] = []
+
+    @property
+    def state(self) -> AlignerState:
+        """The state to save."""
+        return AlignerState(
+            force=self._force.state,
+            gradient=self._gradient.state,
+            brake=self._brake.state,
+            mass=self._mass.state,
+            speeds_seen=self._speed_interval.stamps,
+            pending=rows_state(self._pending),
+            newest_ns=self.newest_ns,
+            speed_ns=self._speed_ns,
+            agreeing=tuple(sorted(self._agreeing)),
+            released_ns=self._released_ns,
+            sample_ns=self._sample_ns,
+            due_ns=self._due_ns,
+            command=rows_state([] if self._commands.latest is None else [self._commands.latest]),
+            travel=replace(self._travel),
+            suspects=rows_state(self._suspects),
+        )
+
+    def restore(self, state: AlignerState) -> None:
+        """Continue from a saved, valid state."""
+        self._force.restore(state.force)
+        self._gradient.restore(state.gradient)
+        self._brake.restore(state.brake)
+        self._mass.restore(state.mass)
+        self._speed_interval.restore(state.speeds_seen)
+        self._pending, self._suspects = restored_rows(state.pending), restored_rows(state.suspects)
+        self.newest_ns, self._speed_ns, self._agreeing = state.newest_ns, state.speed_ns, set(state.agreeing)
+        self._released_ns, self._sample_ns, self._due_ns = state.released_ns, state.sample_ns, state.due_ns
+        commands = restored_rows(state.command)
+        self._commands.latest = commands[0] if commands else None
+        self._travel = replace(state.travel)
+
+    def is_before(self, topic: int, stamp_ns: int, x: float, y: float) -> bool:
+        """Return whether a valid record lies farther back than its topic alone can step."""
+        back = stamp_ns < self.newest_ns and self._is_far(stamp_ns, self.newest_ns)
+        return back and find_fault(topic, stamp_ns, x, y) is None
 
     @property
     def complete_ns(self) -> int:
@@ -265,6 +303,7 @@ class Aligner:
     def _sample(self, row: TopicRow) -> Sample:
         """Return the sample at a row of speed."""
         now, before = row.stamp_ns, self._sample_ns
+        self._travel.follow(now, row.x, row.y)
         dt = self._elapsed(now)
         start = now if math.isnan(dt) else before
         changes, missed = self._commands.changes(before, now)
@@ -278,7 +317,7 @@ class Aligner:
             dt=dt,
             speed=row.x,
             position=row.y,
-            direction=self._follow_direction(row.y),
+            direction=self._travel.direction,
             force=forces[0],
             force_mean=self._force.mean(start, now, forces)[0],
             gradient=gradients[0],
@@ -292,7 +331,7 @@ class Aligner:
             emergency=emergency,
             curvature_mean=curvature_mean,
             force_interval=0.0 if math.isnan(forces[0]) else self._force.interval_around(now),
-            stood_since_weighing=weighed_ns < self._last_stop(now, row.x),
+            stood_since_weighing=weighed_ns < self._travel.stop_ns,
         )
 
     def _elapsed(self, now_ns: int) -> float:
@@ -313,16 +352,6 @@ class Aligner:
             track.prune(now_ns - self._max_gap_ns)
         self._mass.prune(now_ns - self._max_gap_ns)
 
-    def _follow_direction(self, position: float) -> int:
-        """Return +1 or -1 as positions rise or fall, kept until the train has clearly moved."""
-        moved = position - self._turning_position
-        if math.isnan(moved):
-            self._turning_position = position if math.isnan(self._turning_position) else self._turning_position
-        elif abs(moved) > _TURNING_DISTANCE:
-            self._direction = 1 if moved > 0.0 else -1
-            self._turning_position = position
-        return self._direction
-
     def _track_at(self, at_ns: int) -> tuple[float, bool]:
         """Return curvature [1/m], interpolated, and the tunnel flag of the record before."""
         rows = self._gradient.rows
@@ -339,10 +368,3 @@ class Aligner:
         """Return the mass at a stamp that even a lagging mass has reached, and its own: samples do not wait for it."""
         end = self._mass.first_from(at_ns + 1)
         return (self._mass.rows[end - 1].x, self._mass.rows[end - 1].stamp_ns) if end else (math.nan, 0)
-
-    def _last_stop(self, now_ns: int, speed: float) -> int:
-        """Return when the train last came to a stop [ns]; 0 if it has not, also where records begin at rest."""
-        if self._moving and speed < STANDING:
-            self._stop_ns = now_ns
-        self._moving = speed >= STANDING
-        return self._stop_ns

@@ -21,6 +21,9 @@ _MAX_UNCERTAIN: Final = 0.25
 class BrakeCommands:
     """The commands of one track, taken in sample by sample.
 
+    Attributes:
+        latest: The command in force, None before the first.
+
     Args:
         track: Rows of the commands.
         timeout_ns: Age at which a command is no longer known, where commands come all the time [ns].
@@ -36,11 +39,11 @@ class BrakeCommands:
         self._gap_ns = gap_ns
         self._hold_ns = hold_ns
         self._lag_ns = lag_ns
-        self._latest: TopicRow | None = None
+        self.latest: TopicRow | None = None
 
     def clear(self) -> None:
         """Forget the command; the track is cleared by its owner."""
-        self._latest = None
+        self.latest = None
 
     def known_ns(self, newest_ns: int) -> int:
         """Return the stamp up to which all changes have arrived, by the newest stamp of any topic; 0 at first."""
@@ -60,14 +63,14 @@ class BrakeCommands:
         rows = self._track.rows
         seen_ns = after_ns
         if self._hold_ns > 0:  # one that comes late must not be lost, since no other repeats it
-            seen_ns = 0 if self._latest is None else self._latest.stamp_ns
+            seen_ns = 0 if self.latest is None else self.latest.stamp_ns
         # A command after now may have changed before: then it holds already.
         for k in range(self._track.first_from(seen_ns + 1), len(rows)):
-            before, command = self._latest, rows[k]
+            before, command = self.latest, rows[k]
             stamp_ns, unseen = self._change(before, command, after_ns)
             if stamp_ns > now_ns:
                 break
-            self._latest = command
+            self.latest = command
             if before is None or before.x != command.x:
                 changes.append(BrakeCommandChange(stamp_ns, command.x))
                 missed = missed or unseen
@@ -91,7 +94,7 @@ class BrakeCommands:
 
     def at(self, now_ns: int) -> tuple[float, bool]:
         """Return the command in force, NaN if it is not known any more, and the emergency flag."""
-        latest = self._latest
+        latest = self.latest
         if latest is None:
             return math.nan, False
         age_ns = now_ns - latest.stamp_ns

@@ -45,6 +45,16 @@ class LearnedInterval:
         self._interval_ns = 0
         self._outdated = False
 
+    @property
+    def stamps(self) -> tuple[int, ...]:
+        """The stamps that the interval is learned from, to be saved."""
+        return tuple(self._stamps)
+
+    def restore(self, stamps: tuple[int, ...]) -> None:
+        """Continue from saved stamps."""
+        self._stamps = list(stamps)
+        self._outdated = True
+
     def see(self, stamp_ns: int) -> None:
         """Take in the stamp of a record, each once."""
         self._stamps.append(stamp_ns)

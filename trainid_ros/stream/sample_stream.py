@@ -17,10 +17,12 @@ from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.records import NS_PER_S, Record
 from trainid_ros.results import Rejection
 from trainid_ros.settings import check_settings
+from trainid_ros.state import encode
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig, TimeJump
-from trainid_ros.stream.drive_history import DriveHistoryState, DriveHistoryTracker
+from trainid_ros.stream.drive_history import DriveHistoryTracker
 from trainid_ros.stream.samples import Sample
 from trainid_ros.stream.sensor_correction import SensorCorrection
+from trainid_ros.stream.stream_state import SkippedSample, StreamState
 from trainid_ros.stream.stuck_speed import StuckSpeed
 from trainid_ros.train.train_file import TrainFile
 
@@ -89,26 +91,49 @@ class SampleStream:
 
     def _start_over(self) -> None:
         self._stuck = StuckSpeed(self._known)
-        self._skipped: list[Sample] = []
+        self._skipped: list[SkippedSample] = []
         self._first_ns = 0
         # How far the last required topic is behind the newest stamp, beyond the correction of the force's stamps [ns].
         self._behind_ns = 0
 
     def equals(self, other: SampleStream) -> bool:
         """Return whether both have taken in nothing yet and would make the same samples of the same records."""
-        return self.is_new and other.is_new and self.config == other.config and self.history == other.history
+        same = self.is_new and other.is_new and self.config == other.config
+        # As text, since positions may be NaN.
+        return same and encode(self.state) == encode(other.state)
 
-    def successor(self, history: DriveHistoryState | None = None) -> SampleStream:
-        """Return a new stream with the same configuration, which continues a saved, valid history of the drive."""
+    def successor(self, state: StreamState | None = None) -> SampleStream:
+        """Return a new stream with the same configuration, which continues a saved, valid state.
+
+        Records that lie before those of the saved state are another drive: its records are then forgotten, and only
+        time and distance continue, for effects that depend on them.
+        """
         stream = SampleStream(self.config)
-        if history is not None:
-            stream._history.state = history.copy()
+        if state is not None:
+            stream._restore(state)
         return stream
 
     @property
-    def history(self) -> DriveHistoryState:
-        """The history of the drive, to be saved."""
-        return self._history.state
+    def state(self) -> StreamState:
+        """The state to save."""
+        return StreamState(
+            aligner=self._aligner.state,
+            history=self._history.state.copy(),
+            stop_position=self._correction.stop_position,
+            stuck_speed=self._stuck.speed,
+            stuck_missing=self._stuck.missing,
+            skipped=tuple(self._skipped),
+            first_ns=self._first_ns,
+            behind_ns=self._behind_ns,
+        )
+
+    def _restore(self, state: StreamState) -> None:
+        self._aligner.restore(state.aligner)
+        self._history.state = state.history.copy()
+        self._correction.stop_position = state.stop_position
+        self._stuck.speed, self._stuck.missing = state.stuck_speed, state.stuck_missing
+        self._skipped = list(state.skipped)
+        self._first_ns, self._behind_ns = state.first_ns, state.behind_ns
 
     @property
     def newest_ns(self) -> int:
@@ -133,7 +158,8 @@ class SampleStream:
 
     def push_row(self, topic: int, stamp_ns: int, x: float, y: float, flag: bool) -> list[StreamEvent]:
         """Take in one record as a row of numbers, see :data:`~trainid_ros.records.Row`."""
-        self.is_new = False
+        if self.is_new:
+            self._begin(topic, stamp_ns, x, y)
         if self._correction.is_needed:
             stamp_ns, x, y = self._correction.correct(topic, stamp_ns, x, y)
         events = self._aligner.push_row(topic, stamp_ns, x, y, flag)
@@ -147,6 +173,14 @@ class SampleStream:
         self._behind_ns = newest_ns - (self._aligner.complete_ns or self._first_ns) - self._skew_ns
         return events
 
+    def _begin(self, topic: int, stamp_ns: int, x: float, y: float) -> None:
+        """Forget the records of a restored state if the first new record belongs to another drive."""
+        self.is_new = False
+        if self._aligner.is_before(topic, stamp_ns, x, y):
+            self._aligner.reset()
+            self._correction.reset()
+            self._start_over()
+
     def _follow(self, sample: Sample) -> None:
         """Complete a sample."""
         if self._has_effects:
@@ -156,13 +190,14 @@ class SampleStream:
             return
         sample.rejection = self._stuck.reject(sample)
         if sample.rejection is not None:
-            self._skipped = [*self._skipped, sample][-_MOST_SKIPPED:]
+            self._skipped = [*self._skipped, SkippedSample(sample.brake_changes)][-_MOST_SKIPPED:]
         elif self._skipped:
             self._follow_skipped(sample)
 
     def _follow_skipped(self, sample: Sample) -> None:
         """Merge the changes of the skipped samples into the next one, which then follows a gap."""
-        changes = [change for item in (*self._skipped, sample) for change in item.brake_changes]
+        changes = [change for item in self._skipped for change in item.brake_changes]
+        changes.extend(sample.brake_changes)
         self._skipped = []
         sample.dt, sample.brake_changes, sample.brake_gap = math.nan, tuple(changes), True
 

@@ -22,6 +22,7 @@ class SensorCorrection:
 
     Attributes:
         skew_s: Delay of the stamps of the force [s].
+        stop_position: Measured position of the last stop [m], NaN while unknown.
         is_needed: True if any record needs a correction.
 
     """
@@ -35,7 +36,7 @@ class SensorCorrection:
 
     def reset(self) -> None:
         """Forget the position of the last stop."""
-        self._stop_position = math.nan
+        self.stop_position = math.nan
 
     def widen(self, alignment: AlignmentConfig) -> AlignmentConfig:
         """Return alignment settings whose ``max_lag`` allows for the shift of the corrected stamps."""
@@ -52,6 +53,6 @@ class SensorCorrection:
 
     def _correct_speed(self, speed: float, position: float) -> tuple[float, float]:
         """Correct speed and distance since the last stop; the position at rest is that of the platform."""
-        if speed == 0.0 or math.isnan(self._stop_position):
-            self._stop_position = position
-        return speed / self._ratio, self._stop_position + (position - self._stop_position) / self._ratio
+        if speed == 0.0 or math.isnan(self.stop_position):
+            self.stop_position = position
+        return speed / self._ratio, self.stop_position + (position - self.stop_position) / self._ratio

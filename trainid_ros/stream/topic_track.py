@@ -8,6 +8,7 @@ from typing import Final
 
 from trainid_ros.scalars import seconds
 from trainid_ros.stream.intervals import ONE_LOST, LearnedInterval
+from trainid_ros.stream.stream_state import RowsState, TrackState
 
 _CAPACITY: Final = 4096
 
@@ -36,6 +37,23 @@ def insert_row(rows: list[TopicRow], row: TopicRow) -> bool:
     return True
 
 
+def rows_state(rows: list[TopicRow]) -> RowsState:
+    """Return rows to save."""
+    return RowsState(
+        topic=tuple([row.topic for row in rows]),
+        stamp_ns=tuple([row.stamp_ns for row in rows]),
+        x=tuple([row.x for row in rows]),
+        y=tuple([row.y for row in rows]),
+        flag=tuple([row.flag for row in rows]),
+    )
+
+
+def restored_rows(state: RowsState) -> list[TopicRow]:
+    """Return saved, valid rows."""
+    columns = zip(state.topic, state.stamp_ns, state.x, state.y, state.flag, strict=True)
+    return [TopicRow(topic, stamp_ns, x, y, flag) for topic, stamp_ns, x, y, flag in columns]
+
+
 class TopicTrack:
     """Rows of one topic in stamp order, bounded, and the interval between them."""
 
@@ -52,6 +70,16 @@ class TopicTrack:
         self.last_ns = 0
         """Newest stamp; 0 without rows."""
         self.interval.clear()
+
+    @property
+    def state(self) -> TrackState:
+        """The state to save."""
+        return TrackState(rows_state(self.rows), self.last_ns, self.interval.stamps)
+
+    def restore(self, state: TrackState) -> None:
+        """Continue from a saved, valid state."""
+        self.rows, self.last_ns = restored_rows(state.rows), state.last_ns
+        self.interval.restore(state.seen)
 
     def insert(self, row: TopicRow) -> bool:
         """Insert by stamp, also a late row (it improves later interpolation); False if the stamp is taken."""

@@ -206,6 +206,13 @@ class SpeedEkf:
         self._filter = (v, *wandered[:3], Pvv, Pva, Pvb, Pvc, *wandered[3:])
         self._held.append((dt, u, q))
 
+    def idle(self, seconds: float) -> None:
+        """Let a, b, c drift over a time without samples [s]."""
+        posterior = (*self._filter[1:4], *self._filter[8:])
+        wandered = drifted(posterior, self._drift_rates, seconds, self._max_variance)
+        self._filter = (self._filter[0], *wandered[:3], *self._filter[4:8], *wandered[3:])
+        self._judge()
+
     def _correct(self, sample: Sample) -> Rejection | None:
         """Correct with the measurement unless it is stuck or beyond the gate."""
         R, limit = self._tachometer.variance, self.config.gate

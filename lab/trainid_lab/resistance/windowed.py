@@ -104,6 +104,9 @@ class WindowedRegression:
         self.state = WindowedState(begin(self._regression), self._scale(Residuals()))
         self._admission.braked_ns = 0
 
+    def idle(self, seconds: float) -> None:
+        """Do nothing: the method of the paper has no drift."""
+
     def save(self) -> str:
         """Return the state as JSON text."""
         return encode(self.state)

@@ -134,6 +134,9 @@ class TwoWindow:
         self.state = TwoWindowState(self._first, SpeedNoise.declared(self.config.speed_std))
         self._admission.braked_ns = 0
 
+    def idle(self, seconds: float) -> None:
+        """Do nothing: the method of the paper has no drift."""
+
     def save(self) -> str:
         """Return the state as JSON text."""
         return encode(self.state)

@@ -1,0 +1,289 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Checkpoints under ``kill -9``: the three live nodes in one process, killed at random moments and started again.
+
+This process publishes the records of a simulated day in real time, and after each kill reads what is on disk.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import threading
+import time
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import IO, TYPE_CHECKING, Any, Final
+
+import numpy as np
+import rclpy
+from rclpy.context import Context
+from rclpy.executors import SingleThreadedExecutor
+
+from benchmarks.days import TRAIN_FILE, simulated_day
+from benchmarks.tables import Table
+from trainid_ros.checkpoint import Checkpoint, parse_checkpoint
+from trainid_ros.demo.processes import free_domain
+from trainid_ros.errors import InputError
+from trainid_ros.messages import stamp_of
+from trainid_ros.records import INPUT_TOPICS, NS_PER_S
+from trainid_ros.ros.jobs import JOBS
+from trainid_ros.ros.topics import estimate_qos, message_class, message_from_record, source_qos
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+_SEED: Final = 1
+_KILLS: Final = 200
+_PERIOD_S: Final = 0.2
+_SAMPLE_S: Final = 0.2
+# Of four kills one comes within this time from the start of the process, the others from the activation of its nodes.
+_LATEST_S: Final = 4.0
+_SETTLED_S: Final = 2.0 * (_PERIOD_S + _SAMPLE_S)
+_PATIENCE_S: Final = 60.0
+_RUN: Final = 'import sys; from trainid_ros.cli.main import main; sys.exit(main(sys.argv[1:]))'
+
+
+@dataclass(slots=True)
+class Outcome:
+    """What the kills have left behind.
+
+    Attributes:
+        kills: Number of kills.
+        active: Those that met nodes which had published for more than two periods.
+        lost_s: Time covered by the estimates of each node after its checkpoint [s].
+        torn: Files that could not be read.
+        parts: Interrupted writes, at most one for each node at a time.
+        strays: Files of any other name.
+        refused: Starts that did not continue from the checkpoint on disk.
+        backward: Checkpoints older than the one before.
+        unsaved: Warnings that a checkpoint could not be written.
+
+    """
+
+    kills: int = 0
+    active: int = 0
+    lost_s: list[float] = field(default_factory=list)
+    torn: int = 0
+    parts: int = 0
+    strays: set[str] = field(default_factory=set)
+    refused: int = 0
+    backward: int = 0
+    unsaved: int = 0
+
+
+def measure(kills: int = _KILLS) -> tuple[Table, ...]:
+    """Run the campaign; return its table."""
+    with tempfile.TemporaryDirectory() as folder:
+        outcome = Campaign(Path(folder)).run(kills)
+    lost = np.percentile(outcome.lost_s, (50.0, 99.0, 100.0)) if outcome.lost_s else (np.nan,) * 3
+    rows = (
+        ('kills', str(outcome.kills)),
+        ('... of active nodes', str(outcome.active)),
+        ('lost, median [s]', f'{lost[0]:.2f}'),
+        ('lost, 99 % [s]', f'{lost[1]:.2f}'),
+        ('lost, most [s]', f'{lost[2]:.2f}'),
+        ('torn files', str(outcome.torn)),
+        ('interrupted writes', str(outcome.parts)),
+        ('stray files at the end', str(len(outcome.strays))),
+        ('starts without the checkpoint', str(outcome.refused)),
+        ('checkpoints that went back', str(outcome.backward)),
+        ('checkpoints that could not be written', str(outcome.unsaved)),
+    )
+    note = (
+        f'checkpoint_period = {_PERIOD_S:g} s; a sample every {_SAMPLE_S:g} s. Lost is what lies between checkpoint '
+        'and last estimate, by their stamps: a loaded machine takes in more than a period at once. An interrupted '
+        'write leaves one file of a fixed name, which the next start removes.'
+    )
+    return (Table('kill -9 at random moments, three nodes in one process', ('', 'value'), rows, note),)
+
+
+class Campaign:
+    """Starts and kills the nodes, and reads their files."""
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._states = folder / 'states'
+        self._states.mkdir()
+        self._params = folder / 'params.yaml'
+        self._params.write_text(
+            ''.join(
+                f'/{job.node_name}: {{ros__parameters: {{checkpoint_period: {_PERIOD_S}, '
+                f'checkpoint_file: {self._states / job.node_name}.json}}}}\n'
+                for job in JOBS
+            ),
+            encoding='utf-8',
+        )
+        self._domain = free_domain(os.getpid())
+        self._train = Train(self._domain)
+        self._outcome = Outcome()
+
+    def run(self, kills: int) -> Outcome:
+        """Kill so many times; end with one clean stop."""
+        rng = np.random.default_rng(_SEED)
+        with self._train:
+            for k in range(kills):
+                self._kill_after(float(rng.uniform(0.0, _LATEST_S)), of_active=bool(k % 4))
+            self._stop()
+        names = {item.name for item in self._states.iterdir()}
+        self._outcome.strays = names - {f'{job.node_name}.json' for job in JOBS}
+        return self._outcome
+
+    def _start(self) -> Nodes:
+        return Nodes(self._folder / 'log.txt', self._domain, self._params)
+
+    def _kill_after(self, delay_s: float, *, of_active: bool) -> None:
+        before, start_ns = self._read(), time.time_ns()
+        nodes = self._start()
+        if of_active:
+            nodes.wait_until_active()
+        time.sleep(delay_s)
+        nodes.process.kill()
+        nodes.close()
+        self._outcome.kills += 1
+        self._judge(nodes, start_ns, before, self._read())
+
+    def _stop(self) -> None:
+        nodes = self._start()
+        nodes.wait_until_active()
+        self._train.take()
+        deadline = time.monotonic() + _PATIENCE_S
+        while not self._train.is_heard and time.monotonic() < deadline:
+            time.sleep(_SAMPLE_S)
+        nodes.process.terminate()
+        nodes.close()
+
+    def _read(self) -> dict[str, Checkpoint]:
+        found = {}
+        for path in self._states.iterdir():
+            if path.suffix == '.part':
+                self._outcome.parts += 1
+            elif path.suffix == '.json':
+                try:
+                    found[path.stem] = parse_checkpoint(path.read_text(encoding='utf-8'), str(path))
+                except InputError:
+                    self._outcome.torn += 1
+        return found
+
+    def _judge(self, nodes: Nodes, start_ns: int, before: dict[str, Checkpoint], after: dict[str, Checkpoint]) -> None:
+        outcome, log = self._outcome, nodes.log.read_text(encoding='utf-8', errors='replace')
+        outcome.refused += log.count('starting from the prior')
+        for name, checkpoint in before.items():
+            outcome.refused += name in nodes.active and f'[{name}]: continues from' not in log
+            outcome.backward += name not in after or after[name].stamp_ns < checkpoint.stamp_ns
+        outcome.unsaved += log.count('would be lost')
+        # Estimates of the process before may arrive late.
+        seen = {name: [stamp for stamp in stamps if stamp > start_ns] for name, stamps in self._train.take().items()}
+        if all(len(seen.get(job.node_name, ())) * _SAMPLE_S > _SETTLED_S for job in JOBS):
+            outcome.active += 1
+            for name, stamps in seen.items():
+                outcome.lost_s.append(_SAMPLE_S * sum(stamp > after[name].stamp_ns for stamp in stamps))
+
+
+class Nodes:
+    """The process of the three nodes, and the names of those that have become active."""
+
+    def __init__(self, log: Path, domain: int, params: Path) -> None:
+        self.log = log
+        self.active: set[str] = set()
+        environment = os.environ | {
+            'ROS_DOMAIN_ID': str(domain),
+            'ROS_AUTOMATIC_DISCOVERY_RANGE': 'LOCALHOST',
+            'ROS_LOG_DIR': str(log.parent),
+        }
+        arguments = ('run', '--train', str(TRAIN_FILE), '--ros-args', '--params-file', str(params))
+        self._errors: IO[bytes] = log.open('wb')
+        self.process = subprocess.Popen(
+            [sys.executable, '-c', _RUN, *arguments],
+            stdout=subprocess.PIPE,
+            stderr=self._errors,
+            text=True,
+            env=environment,
+        )
+        self._reader = threading.Thread(target=self._follow, daemon=True)
+        self._reader.start()
+
+    def _follow(self) -> None:
+        for line in self.process.stdout or ():
+            if line.endswith(' is active\n'):
+                self.active.add(line.split()[0])
+
+    def wait_until_active(self) -> None:
+        """Wait until all nodes are active."""
+        deadline = time.monotonic() + _PATIENCE_S
+        while len(self.active) < len(JOBS) and time.monotonic() < deadline:
+            time.sleep(0.02)
+
+    def close(self) -> None:
+        """Wait for the end."""
+        self.process.wait(_PATIENCE_S)
+        self._reader.join()
+        if self.process.stdout is not None:
+            self.process.stdout.close()
+        self._errors.close()
+
+
+class Train:
+    """Publishes the records of a simulated day in real time, stamped with the time of day, and hears the estimates."""
+
+    def __init__(self, domain: int) -> None:
+        self._context = Context()
+        rclpy.init(context=self._context, domain_id=domain)
+        self._node = rclpy.create_node('train', context=self._context)
+        self._publishers: dict[type, Any] = {
+            topic.record: self._node.create_publisher(message_class(topic), topic.name, source_qos())
+            for topic in INPUT_TOPICS
+        }
+        self._estimates: dict[str, list[int]] = {}
+        for job in JOBS:
+            self._node.create_subscription(
+                message_class(job.topic), job.topic.name, partial(self._note, job.node_name), estimate_qos()
+            )
+        self._executor = SingleThreadedExecutor(context=self._context)
+        self._executor.add_node(self._node)
+        self._end = threading.Event()
+        self._threads = [threading.Thread(target=work, daemon=True) for work in (self._publish, self._receive)]
+
+    def _note(self, name: str, message: Any) -> None:
+        self._estimates.setdefault(name, []).append(stamp_of(message))
+
+    @property
+    def is_heard(self) -> bool:
+        """Whether estimates of all nodes have come since they were taken."""
+        return len(self._estimates) == len(JOBS)
+
+    def take(self) -> dict[str, list[int]]:
+        """Return the stamps of the estimates received since the last call [ns], by the name of the node."""
+        taken, self._estimates = self._estimates, {}
+        return taken
+
+    def _receive(self) -> None:
+        while not self._end.is_set():
+            self._executor.spin_once(timeout_sec=0.1)
+
+    def __enter__(self) -> None:
+        """Begin."""
+        for thread in self._threads:
+            thread.start()
+
+    def __exit__(self, *_: object) -> None:
+        """End."""
+        self._end.set()
+        for thread in self._threads:
+            thread.join()
+        self._executor.shutdown()
+        self._node.destroy_node()
+        rclpy.shutdown(context=self._context)
+
+    def _publish(self) -> None:
+        records: Sequence[Any] = simulated_day(_SEED).records
+        shift_ns = time.time_ns() - records[0].stamp_ns
+        for record in records:
+            stamp_ns = record.stamp_ns + shift_ns
+            if self._end.wait(max((stamp_ns - time.time_ns()) / NS_PER_S, 0.0)):
+                return
+            message = message_from_record(record)
+            message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, NS_PER_S)
+            self._publishers[type(record)].publish(message)

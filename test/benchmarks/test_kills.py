@@ -1,0 +1,22 @@
+# SPDX-License-Identifier: Apache-2.0
+"""One kill of the live nodes and one clean stop: the benchmark does 200."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from benchmarks.kills import Campaign
+from trainid_ros.checkpoint import parse_checkpoint
+from trainid_ros.ros.jobs import JOBS
+
+
+@pytest.mark.ros
+def test_after_a_kill_and_a_sigterm_there_is_one_complete_file_for_each_node(tmp_path: Path) -> None:
+    outcome = Campaign(tmp_path).run(1)
+    assert (outcome.kills, outcome.torn, outcome.refused, outcome.backward, outcome.unsaved) == (1, 0, 0, 0, 0)
+    assert outcome.strays == set()
+    for job in JOBS:
+        path = tmp_path / 'states' / f'{job.node_name}.json'
+        assert parse_checkpoint(path.read_text(encoding='utf-8'), str(path)).stamp_ns > 0

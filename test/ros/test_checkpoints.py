@@ -1,0 +1,254 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Nodes continue from their checkpoint: at start, after a cleanup, and beside a full disk or another train."""
+
+from __future__ import annotations
+
+import os
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import pytest
+import yaml
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from rclpy.clock_type import ClockType
+from rclpy.parameter import Parameter
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.time import Time
+from trainid_msgs.msg import ResistanceEstimate
+
+from trainid_ros.records import NS_PER_S
+from trainid_ros.results import Status
+from trainid_ros.ros.estimator_node import EstimatorNode
+from trainid_ros.ros.estimator_nodes import BRAKE_RATE, SPECS
+
+Graph: TypeAlias = Any  # the fixture of conftest.py
+
+pytestmark = pytest.mark.ros
+# A prior this narrow is fit to use at once.
+NARROW = {
+    'estimator__prior_share': 0.0,
+    'estimator__prior_std_a': 0.01,
+    'estimator__prior_std_b': 1e-5,
+    'estimator__prior_std_c': 1e-6,
+}
+
+
+def cycle(node: Any) -> None:
+    node.trigger_deactivate()
+    node.trigger_cleanup()
+    assert node.bring_up(), node.failure
+
+
+def latched(graph: Graph) -> list[Any]:
+    got: list[Any] = []
+    profile = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL, reliability=ReliabilityPolicy.RELIABLE)
+    graph.plain('listener').create_subscription(
+        ResistanceEstimate, 'trainid/last_valid/resistance', got.append, profile
+    )
+    return got
+
+
+@pytest.mark.parametrize('spec', SPECS.values(), ids=SPECS)
+def test_a_new_process_equals_one_that_never_stopped_to_the_bit(
+    graph: Graph, train_file: str, tmp_path: Path, spec: Any
+) -> None:
+    factory, path = partial(EstimatorNode, spec), str(tmp_path / 'state.json')
+    records = graph.coasting(300)
+    whole = graph.active(train_file, factory)
+    expected = graph.published(whole)
+    graph.feed(whole, records)
+    graph.drop()
+    first = graph.active(train_file, factory, checkpoint_file=path)
+    messages = graph.published(first)
+    graph.feed(first, records[:702])  # in the middle of a sample
+    first.trigger_deactivate()
+    graph.drop()
+    second = graph.active(train_file, factory, checkpoint_file=path)
+    assert second.pipeline.samples > 150
+    rest = graph.published(second)
+    graph.feed(second, records[702:])
+    assert repr(messages.messages + rest.messages) == repr(expected.messages)
+
+
+def test_a_loaded_estimate_is_latched_at_once_with_its_stamp_and_counters(
+    graph: Graph, train_file: str, tmp_path: Path
+) -> None:
+    path = str(tmp_path / 'state.json')
+    first = graph.active(train_file, checkpoint_file=path, **NARROW)
+    graph.feed(first, graph.coasting(150))
+    saved = first.pipeline.current()
+    assert saved.status is Status.VALID
+    first.trigger_deactivate()
+    graph.drop()
+    second = graph.active(train_file, checkpoint_file=path, **NARROW)
+    got = latched(graph)
+    graph.until(lambda: got)
+    stamp_ns = got[0].header.stamp.sec * NS_PER_S + got[0].header.stamp.nanosec
+    assert (got[0].status, stamp_ns, got[0].used) == (Status.VALID, saved.stamp_ns, saved.used)
+    # In the short time since then hardly anything has changed.
+    assert saved.estimate.resistance_std < got[0].resistance_std < 1.1 * saved.estimate.resistance_std
+    published = graph.published(second)
+    graph.until(lambda: published.messages)  # no input comes
+    assert published.messages[0].status is Status.STALE
+
+
+def test_the_age_of_a_checkpoint_widens_the_estimate(
+    graph: Graph, train_file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = str(tmp_path / 'state.json')
+    first = graph.active(train_file, checkpoint_file=path)
+    graph.feed(first, graph.coasting(150))
+    std = first.pipeline.current().estimate.resistance_std
+    first.trigger_deactivate()
+    graph.drop()
+    stds = []
+    for age_s in (0.0, 60.0, 3600.0):
+        node = graph.make(
+            partial(EstimatorNode, SPECS['resistance_estimator']), train_file=train_file, checkpoint_file=path
+        )
+        now_ns = node.get_clock().now().nanoseconds + round(age_s * NS_PER_S)
+        later = Time(nanoseconds=now_ns, clock_type=ClockType.ROS_TIME)
+        monkeypatch.setattr(node.get_clock(), 'now', lambda later=later: later)
+        assert node.trigger_configure().name == 'SUCCESS'
+        stds.append(node.pipeline.current().estimate.resistance_std)
+        graph.drop()
+    assert std < stds[0] < stds[1] < stds[2]
+
+
+@pytest.mark.parametrize(
+    ('change', 'reason'),
+    [
+        ({'train__mass': 582000.0}, 'is of another train or other settings: train.mass = 194000.0, here 582000.0'),
+        ({'estimator__step_share_c': 0.9}, 'estimator.step_share_c = 0.2, here 0.9'),
+        ({'algorithm': 'V-MILS'}, 'is of filter-bank, not of V-MILS'),
+    ],
+)
+def test_a_checkpoint_that_does_not_fit_is_kept_aside_and_the_node_starts_from_its_prior(
+    graph: Graph, train_file: str, tmp_path: Path, change: dict[str, Any], reason: str, capfd: Any
+) -> None:
+    path = tmp_path / 'state.json'
+    first = graph.active(train_file, checkpoint_file=str(path))
+    graph.feed(first, graph.coasting(20))
+    first.trigger_deactivate()
+    graph.drop()
+    content = path.read_bytes()
+    second = graph.active(train_file, checkpoint_file=str(path), **change)
+    assert second.pipeline.samples == 0
+    assert reason in capfd.readouterr().err
+    assert (tmp_path / 'state.refused.json').read_bytes() == content
+    graph.feed(second, graph.coasting(20))
+    second.trigger_deactivate()
+    assert path.exists()
+
+
+@pytest.mark.parametrize('name', ['train.yaml', 'notes.json'])
+def test_a_node_overwrites_no_other_file(graph: Graph, train_file: str, tmp_path: Path, name: str) -> None:
+    (tmp_path / 'notes.json').write_text('{}', encoding='utf-8')
+    before = (tmp_path / name).read_bytes()
+    node = graph.make(partial(EstimatorNode, BRAKE_RATE), train_file=train_file, checkpoint_file=str(tmp_path / name))
+    assert not node.bring_up()
+    assert name in node.failure
+    assert (node.state, (tmp_path / name).read_bytes()) == ('unconfigured', before)
+
+
+def test_it_is_saved_at_intervals_and_only_when_something_has_changed(
+    graph: Graph, train_file: str, tmp_path: Path
+) -> None:
+    path = tmp_path / 'state.json'
+    node = graph.active(train_file, checkpoint_file=str(path), checkpoint_period=0.05)
+    records = graph.coasting(40)
+    graph.feed(node, records[:80])
+    graph.until(path.exists)
+    graph.until(lambda: node.checkpoints._writing is None or node.checkpoints._writing.done())
+    before = path.stat().st_mtime_ns
+    for _ in range(10):
+        graph.executor.spin_once(timeout_sec=0.05)
+    assert path.stat().st_mtime_ns == before
+    graph.feed(node, records[80:])
+    graph.until(lambda: path.stat().st_mtime_ns != before)
+    assert [item.name for item in tmp_path.glob('*state*')] == ['state.json']
+
+
+def test_without_the_parameter_nothing_is_saved(graph: Graph, train_file: str) -> None:
+    folder = Path(os.environ['ROS_HOME'], 'trainid')
+    before = set(folder.glob('*'))
+    node = graph.active(train_file, checkpoint_period=0.01)
+    graph.feed(node, graph.coasting(20))
+    cycle(node)
+    assert set(folder.glob('*')) == before
+
+
+def test_a_full_disk_is_a_warning_once_and_never_more(
+    graph: Graph, train_file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: Any
+) -> None:
+    path = tmp_path / 'state.json'
+    node = graph.active(train_file, checkpoint_file=str(path), checkpoint_period=0.02)
+    got: list[Any] = []
+    graph.plain('technician').create_subscription(DiagnosticArray, '/diagnostics', got.append, 10)
+
+    def full(_handle: int) -> None:
+        raise OSError(28, 'No space left on device')
+
+    records = graph.coasting(60)
+    with monkeypatch.context() as patch:
+        patch.setattr(os, 'fsync', full)
+        for k in range(0, 160, 4):
+            graph.feed(node, records[k : k + 4])
+            graph.executor.spin_once(timeout_sec=0.02)
+        graph.until(lambda: node.checkpoints.problem)
+        node._diagnostics.publish()
+        graph.until(lambda: any('not saved' in array.status[0].message for array in got))
+    status = next(array.status[0] for array in got if 'not saved' in array.status[0].message)
+    assert status.level >= DiagnosticStatus.WARN
+    assert 'state.json: checkpoint cannot be written: No space left on device' in status.message
+    graph.feed(node, records[160:])
+    node.trigger_deactivate()
+    assert (node.checkpoints.problem, path.exists()) == ('', True)
+    log = capfd.readouterr().err
+    assert log.count('No space left on device') == 1
+    assert log.count('checkpoints are saved again') == 1
+
+
+def test_a_cleanup_keeps_what_was_learned_where_it_still_fits(graph: Graph, train_file: str, capfd: Any) -> None:
+    node = graph.active(train_file)
+    graph.feed(node, graph.coasting(60))
+    used = node.pipeline.used
+    for name, value in (('stale_after', 2.0), ('checkpoint_period', 0.0), ('diagnostic_period', 5.0)):
+        result = node.set_parameters([Parameter(name, value=value)])[0]
+        assert result.successful
+    assert 'takes effect' not in capfd.readouterr().err
+    assert node.pipeline.timeout_ns(0) == 2 * NS_PER_S
+    assert node._diagnostic_timer.timer_period_ns == 5 * NS_PER_S
+    cycle(node)
+    assert node.pipeline.used == used > 0
+    assert node.set_parameters([Parameter('resistance.a', value=3.0)])[0].successful
+    assert 'resistance.a = 3.0 takes effect on the next configure' in capfd.readouterr().err
+    assert node.pipeline.used == used
+    cycle(node)
+    assert node.pipeline.used == 0
+
+
+OTHER = 'train: {mass: 210000.0, length: 60.0}\nresistance: {a: 2.5, b: 0.02, c: 0.0012}\n'
+
+
+def test_a_dump_of_the_parameters_does_not_mix_two_trains(
+    graph: Graph, train_file: str, tmp_path: Path, capfd: Any
+) -> None:
+    node = graph.active(train_file, brake__rate=0.9)
+    values = {name: parameter.value for name, parameter in node._parameters.items() if parameter.value is not None}
+    dump = tmp_path / 'dump.yaml'
+    dump.write_text(yaml.safe_dump({'/resistance_estimator': {'ros__parameters': values}}), encoding='utf-8')
+    graph.drop()
+    (tmp_path / 'other.yaml').write_text(OTHER, encoding='utf-8')
+    capfd.readouterr()
+    arguments = ('--params-file', str(dump), '-p', f'train_file:={tmp_path / "other.yaml"}')
+    other = graph.make(partial(EstimatorNode, SPECS['resistance_estimator']), arguments=arguments)
+    assert other.bring_up(), other.failure
+    mixed = [other.parameters.value(name) for name in ('train.mass', 'train.length', 'resistance.a', 'brake.rate')]
+    assert mixed == [210000.0, 60.0, 2.5, 0.9]
+    log = capfd.readouterr().err
+    assert (
+        'values that a dump took from another train file are ignored: train.mass = 194000 (train file: 210000)' in log
+    )
+    assert 'parameters replace values of the train file: brake.rate = 0.9 (train file: 1)' in log

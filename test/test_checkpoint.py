@@ -1,0 +1,268 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Checkpoint files: what they refuse, and that they are replaced atomically."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import signal
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from trainid_ros.checkpoint import (
+    Checkpoint,
+    CheckpointFile,
+    ForeignFileError,
+    Provenance,
+    default_path,
+    parse_checkpoint,
+    provenance_of,
+)
+from trainid_ros.errors import InputError
+from trainid_ros.estimators.pipeline import EstimatorSettings
+from trainid_ros.resistance.resistance_algorithms import RESISTANCE
+from trainid_ros.train.train_file import Effect, TrainFile
+
+LEARNED = Provenance('0.1.0', 'resistance', 'V-MILS', {'train.mass': 194000.0, 'line.gradient': 'ab'})
+SAVED = Checkpoint(LEARNED, 12, 34, '{"x": 0.1}')
+
+
+def written(folder: Path, checkpoint: Checkpoint = SAVED) -> Path:
+    path = folder / 'state.json'
+    CheckpointFile(path).write(checkpoint)
+    return path
+
+
+def names(folder: Path) -> list[str]:
+    return sorted(item.name for item in folder.iterdir())
+
+
+def test_a_checkpoint_reads_back_unchanged(tmp_path: Path) -> None:
+    path = written(tmp_path / 'new' / 'deep')
+    assert CheckpointFile(path).read(LEARNED) == SAVED
+    assert names(path.parent) == ['state.json']
+
+
+def test_there_may_be_no_file_yet(tmp_path: Path) -> None:
+    assert CheckpointFile(tmp_path / 'none.json').read(LEARNED) is None
+
+
+def test_an_interrupted_write_leaves_the_old_file_and_one_name_that_the_next_start_removes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = written(tmp_path)
+
+    def killed(*_: object) -> None:
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, 'fsync', killed)
+        patch.setattr(Path, 'unlink', lambda *_, **__: None)
+        with pytest.raises(KeyboardInterrupt):
+            CheckpointFile(path).write(replace(SAVED, saved_ns=13))
+    assert names(tmp_path) == ['.state.json.part', 'state.json']
+    assert CheckpointFile(path).read(LEARNED) == SAVED
+    assert names(tmp_path) == ['state.json']
+
+
+def test_no_kill_leaves_a_torn_file(tmp_path: Path) -> None:
+    path, rng = written(tmp_path), np.random.default_rng(1)
+    state = json.dumps({'x': list(range(20_000))})
+    before_ns = SAVED.saved_ns
+    for _ in range(40):
+        child = os.fork()
+        if child == 0:
+            file = CheckpointFile(path)
+            for k in range(1_000_000):
+                file.write(replace(SAVED, saved_ns=before_ns + k, state=state))
+        time.sleep(float(rng.uniform(0.0, 0.03)))
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+        found = CheckpointFile(path).read(LEARNED)
+        assert found is not None
+        assert found.saved_ns >= before_ns
+        before_ns = found.saved_ns
+        assert set(names(tmp_path)) <= {'state.json', '.state.json.part'}
+    assert before_ns > SAVED.saved_ns
+
+
+@pytest.mark.parametrize('code', [errno.ENOSPC, errno.EIO, errno.EROFS])
+def test_a_failed_write_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, code: int) -> None:
+    path = written(tmp_path)
+
+    def fail(_handle: int) -> None:
+        raise OSError(code, os.strerror(code))
+
+    file = CheckpointFile(path)
+    with monkeypatch.context() as patch:
+        patch.setattr(os, 'fsync', fail)
+        with pytest.raises(InputError, match=f'state.json: checkpoint cannot be written: {os.strerror(code)}'):
+            file.write(replace(SAVED, saved_ns=13))
+    assert CheckpointFile(path).read(LEARNED) == SAVED
+    assert names(tmp_path) == ['state.json']
+    file.write(replace(SAVED, saved_ns=14))
+
+
+OTHERS: list[tuple[Callable[[Provenance], Provenance], str]] = [
+    (lambda p: replace(p, version='99.0'), 'was written by version 0.1.0 of trainid_ros, this is 99.0'),
+    (lambda p: replace(p, algorithm='filter-bank'), 'is of V-MILS, not of filter-bank'),
+    (
+        lambda p: replace(p, values={**p.values, 'train.mass': 582000.0}),
+        'is of another train or other settings: train.mass = 194000.0, here 582000.0$',
+    ),
+    (
+        lambda p: replace(p, values={'train.mass': 194000.0}),
+        'is of another train or other settings: line.gradient = ab, here None',
+    ),
+]
+
+
+@pytest.mark.parametrize(('change', 'reason'), OTHERS)
+def test_a_checkpoint_learned_with_something_else_is_refused(
+    tmp_path: Path, change: Callable[[Provenance], Provenance], reason: str
+) -> None:
+    path = written(tmp_path)
+    with pytest.raises(InputError, match=f'state.json: checkpoint {reason}'):
+        CheckpointFile(path).read(change(LEARNED))
+
+
+def test_a_checkpoint_of_another_node_is_never_overwritten(tmp_path: Path) -> None:
+    path = written(tmp_path)
+    with pytest.raises(
+        ForeignFileError, match='is a checkpoint of V-MILS: each node needs a checkpoint file of its own'
+    ):
+        CheckpointFile(path).read(replace(LEARNED, estimate='brake_rate'))
+
+
+def test_many_differences_are_counted(tmp_path: Path) -> None:
+    path = written(tmp_path, replace(SAVED, provenance=replace(LEARNED, values=dict.fromkeys('abcdef', 1.0))))
+    with pytest.raises(InputError, match=r'a = 1.0, here 2.0; .*, and 3 more$'):
+        CheckpointFile(path).read(replace(LEARNED, values=dict.fromkeys('abcdef', 2.0)))
+
+
+def test_any_flipped_bit_and_any_cut_is_refused() -> None:
+    content = bytearray(SAVED.text().encode())
+    rng = np.random.default_rng(3)
+    for bit in rng.integers(0, 8 * len(content), 300).tolist():
+        content[bit // 8] ^= 1 << bit % 8
+        with pytest.raises(InputError):
+            parse_checkpoint(content.decode(errors='replace'), 'x')
+        content[bit // 8] ^= 1 << bit % 8
+    for length in range(len(content)):
+        with pytest.raises(InputError):
+            parse_checkpoint(content[:length].decode(), 'x')
+    assert parse_checkpoint(content.decode(), 'x') == SAVED
+
+
+@pytest.mark.parametrize(
+    'text',
+    [
+        '{}',
+        '[]',
+        'mass: 3',
+        pytest.param('[' * 100_000, id='deep'),
+        '{"name": "other", "sha256": "ab"}',
+        '{"package": "numpy"}',
+    ],
+)
+def test_a_file_that_is_something_else_is_neither_read_nor_overwritten(tmp_path: Path, text: str) -> None:
+    path = tmp_path / 'x.json'
+    path.write_text(text, encoding='utf-8')
+    with pytest.raises(ForeignFileError, match=r'x\.json: is not a checkpoint of this package'):
+        CheckpointFile(path)
+    assert path.read_text(encoding='utf-8') == text
+
+
+def test_paths_that_can_be_no_checkpoint_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r"checkpoint_file = '.*state' must end in \.json"):
+        CheckpointFile(tmp_path / 'state')
+    for name in ('folder.json', 'pipe.json'):
+        path = tmp_path / name
+        path.mkdir() if name == 'folder.json' else os.mkfifo(path)
+        with pytest.raises(ForeignFileError, match=f'{name}: is not a file'):
+            CheckpointFile(path)
+
+
+@pytest.mark.parametrize(
+    ('text', 'reason'),
+    [
+        ('', 'is damaged'),
+        ('\0' * 500, 'is damaged'),
+        (
+            '{\n "format": 2,\n "package": "trainid_ros",\n "version": "0.1.0"}',
+            'of format 2, this version reads format 3',
+        ),
+    ],
+)
+def test_empty_and_old_files_are_refused_as_checkpoints(tmp_path: Path, text: str, reason: str) -> None:
+    path = tmp_path / 'x.json'
+    path.write_text(text, encoding='utf-8')
+    with pytest.raises(InputError, match=f'x.json: checkpoint {reason}'):
+        CheckpointFile(path).read(LEARNED)
+
+
+def test_a_well_signed_file_without_its_fields_is_refused() -> None:
+    text = replace(SAVED, saved_ns=1.5).text()  # type: ignore[arg-type]
+    with pytest.raises(InputError, match='checkpoint is invalid: TypeError saved_ns is not a int'):
+        parse_checkpoint(text, 'x')
+
+
+def test_a_refused_file_is_kept_under_one_other_name(tmp_path: Path) -> None:
+    for _ in range(3):
+        file = CheckpointFile(written(tmp_path))
+        assert file.set_aside() == tmp_path / 'state.refused.json'
+    assert names(tmp_path) == ['state.refused.json']
+
+
+def test_two_writers_of_one_file_are_noticed(tmp_path: Path) -> None:
+    first, second = CheckpointFile(tmp_path / 'state.json'), CheckpointFile(tmp_path / 'state.json')
+    first.write(SAVED)
+    with pytest.raises(InputError, match='each node needs a checkpoint file of its own'):
+        second.write(SAVED)
+    first.write(replace(SAVED, saved_ns=13))
+    (tmp_path / 'state.json').unlink()
+    first.write(replace(SAVED, saved_ns=14))
+
+
+def test_provenance_is_that_of_the_values(metro: TrainFile) -> None:
+    settings = EstimatorSettings()
+    here = provenance_of('resistance', metro, settings)
+    assert provenance_of('resistance', replace(metro), settings) == here
+    told = replace(metro, effects=(Effect('tunnel_drag', (('factor', 1.2),), provenance='a day'),))
+    retold = replace(metro, effects=(Effect('tunnel_drag', (('factor', 1.2),), provenance='a night'),))
+    learned = provenance_of('resistance', told, settings)
+    assert not learned.mismatch(provenance_of('resistance', retold, settings))
+    others = (
+        replace(metro, train=replace(metro.train, mass=3.0 * metro.train.mass)),
+        replace(metro, line=replace(metro.line, gradient=((0.0, 1.0),))),
+        told,
+    )
+    for other, name in zip(others, ('train.mass', 'line.gradient', 'effects'), strict=True):
+        assert f'settings: {name} = ' in here.mismatch(provenance_of('resistance', other, settings))
+
+
+@pytest.mark.parametrize(('setting', 'value', 'matters'), [('step_a', 0.9, True), ('valid_std', 0.3, False)])
+def test_settings_matter_that_change_the_model(metro: TrainFile, setting: str, value: float, matters: bool) -> None:
+    changed = EstimatorSettings(resistance=RESISTANCE.choose('', **{setting: value}))
+    here, there = (provenance_of('resistance', metro, item) for item in (EstimatorSettings(), changed))
+    assert bool(here.mismatch(there)) is matters
+
+
+@pytest.mark.parametrize(('now_ns', 'age_s'), [(12 + 3_000_000_000, 3.0), (5, 0.0), (0, 0.0)])
+def test_the_age_is_unknown_after_a_clock_was_set_back(now_ns: int, age_s: float) -> None:
+    assert SAVED.age_s(now_ns) == pytest.approx(age_s)
+    assert replace(SAVED, saved_ns=0).age_s(now_ns) == 0.0
+
+
+def test_the_default_path_follows_ros_home_and_the_namespace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv('ROS_HOME', str(tmp_path))
+    assert default_path('/train1/gsma') == tmp_path / 'trainid' / 'train1' / 'gsma.json'
+    monkeypatch.delenv('ROS_HOME')
+    monkeypatch.setenv('HOME', '/nowhere')
+    assert default_path('/gsma') == Path('/nowhere/.ros/trainid/gsma.json')

@@ -1,0 +1,302 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Checkpoint files: the complete state of one estimator, what it was learned with, and a digest over both.
+
+A file is replaced atomically, so that a process may be killed at any time. It is valid JSON in three lines: what the
+state fits, the state, and the digest of both.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+import re
+import stat
+from contextlib import suppress
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
+
+from trainid_ros import __version__
+from trainid_ros.errors import InputError
+
+if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
+    from trainid_ros.estimators.pipeline import EstimatorSettings
+    from trainid_ros.train.train_file import TrainFile
+
+Values: TypeAlias = 'dict[str, int | float | str]'
+
+SUFFIX: Final = '.json'
+_FORMAT: Final = 3
+_PACKAGE: Final = '"package": "trainid_ros"'
+_END: Final = re.compile(r',\n"sha256": "([0-9a-f]{64})"\}\n')
+_STATE: Final = '"state": '
+# Where a checkpoint, also a damaged one, is recognised [characters]; far more than one file needs [bytes].
+_HEAD: Final = 200
+_LARGEST: Final = 64 * 2**20
+# Settings that only decide the status of an estimate.
+_STATUS_SETTINGS: Final = frozenset({'valid_std', 'valid_share'})
+_MOST_SHOWN: Final = 3
+
+
+def default_path(node: str) -> Path:
+    """Return the default checkpoint path of a node, given its fully qualified name."""
+    home = os.environ.get('ROS_HOME')
+    base = Path(home) if home else Path.home() / '.ros'
+    return base.joinpath('trainid', *node.strip('/').split('/')).with_suffix(SUFFIX)
+
+
+class ForeignFileError(InputError):
+    """A file is no checkpoint, or that of another node, and must not be overwritten."""
+
+
+@dataclass(frozen=True, slots=True)
+class Provenance:
+    """What a saved state was learned with, and what it fits.
+
+    Attributes:
+        version: Version of the package.
+        estimate: What is estimated, as in EstimatorSettings.
+        algorithm: Name of the algorithm.
+        values: Numbers of the train file and settings by name; a digest in place of a table.
+
+    """
+
+    version: str
+    estimate: str
+    algorithm: str
+    values: Values
+
+    def mismatch(self, other: Provenance) -> str:
+        """Return in one sentence why a state of this provenance does not fit another one, empty if it does."""
+        if self.version != other.version:
+            return f'was written by version {self.version} of trainid_ros, this is {other.version}'
+        if self.algorithm != other.algorithm:
+            return f'is of {self.algorithm}, not of {other.algorithm}'
+        names = [name for name in {**other.values, **self.values} if self.values.get(name) != other.values.get(name)]
+        shown = [f'{name} = {self.values.get(name)}, here {other.values.get(name)}' for name in names[:_MOST_SHOWN]]
+        more = f', and {len(names) - _MOST_SHOWN} more' if len(names) > _MOST_SHOWN else ''
+        return f'is of another train or other settings: {"; ".join(shown)}{more}' if names else ''
+
+
+def provenance_of(estimate: str, train_file: TrainFile, settings: EstimatorSettings) -> Provenance:
+    """Return what a state is learned with.
+
+    Args:
+        estimate: Name of the estimate in the settings.
+        train_file: The train file with all overrides; its text does not matter.
+        settings: All settings of the estimators.
+
+    """
+    choice = getattr(settings, estimate)
+    effects = [(item.name, item.parameters, item.std) for item in train_file.effects]
+    values: Values = {'effects': _brief(effects)}
+    for section in ('train', 'resistance', 'brake', 'line'):
+        values |= _named(section, getattr(train_file, section))
+    values |= _named('alignment', settings.alignment)
+    values |= {name: x for name, x in _named('estimator', choice.config).items() if name[10:] not in _STATUS_SETTINGS}
+    return Provenance(__version__, estimate, choice.algorithm, values)
+
+
+def _named(section: str, values: DataclassInstance) -> Values:
+    return {f'{section}.{item.name}': _brief(getattr(values, item.name)) for item in fields(values)}
+
+
+def _brief(value: object) -> int | float | str:
+    if isinstance(value, int | float | str):
+        return value
+    return hashlib.sha256(json.dumps(value).encode()).hexdigest()[:16]
+
+
+@dataclass(frozen=True, slots=True)
+class Checkpoint:
+    """Saved state of an estimator.
+
+    Attributes:
+        provenance: What it was learned with.
+        saved_ns: Node time at which it was saved [ns], 0 if there was none.
+        stamp_ns: Stamp of the newest sample used [ns], 0 if there was none.
+        state: State as returned by the pipeline's ``save``, JSON in one line.
+
+    """
+
+    provenance: Provenance
+    saved_ns: int
+    stamp_ns: int
+    state: str
+
+    def text(self) -> str:
+        """Return the content of the file."""
+        head = {'package': 'trainid_ros', 'format': _FORMAT, **asdict(self.provenance)}
+        head |= {'saved_ns': self.saved_ns, 'stamp_ns': self.stamp_ns}
+        content = f'{json.dumps(head)[:-1]},\n{_STATE}{self.state}'
+        return f'{content},\n"sha256": "{_digest(content)}"}}\n'
+
+    def age_s(self, now_ns: int) -> float:
+        """Return the time since it was saved [s], by node time; 0 if unknown, as after a clock was set back."""
+        return max(now_ns - self.saved_ns, 0) * 1e-9 if self.saved_ns and now_ns else 0.0
+
+
+def _digest(content: str) -> str:
+    return hashlib.sha256(content.encode()).hexdigest()
+
+
+def parse_checkpoint(text: str, source: str) -> Checkpoint:
+    """Return the checkpoint in the content of a file.
+
+    Raises:
+        ForeignFileError: It is something else.
+        InputError: It is damaged, or of another format; the message starts with the source.
+
+    """
+    end = _END.search(text, max(len(text) - _HEAD, 0))
+    if not (_PACKAGE in text[:_HEAD] or end or not text.strip('\0 \n')):
+        msg = f'{source}: is not a checkpoint of this package'
+        raise ForeignFileError(msg)
+    if (other := re.search(r'"format": (\d{1,9}),', text[:_HEAD])) and int(other[1]) != _FORMAT:
+        msg = f'{source}: checkpoint of format {other[1]}, this version reads format {_FORMAT}'
+        raise InputError(msg)
+    if end is None or end.end() != len(text) or _digest(text[: end.start()]) != end[1]:
+        msg = f'{source}: checkpoint is damaged: its content does not match its sha256'
+        raise InputError(msg)
+    head, _, state = text[: end.start()].partition(f',\n{_STATE}')
+    try:
+        return _checkpoint(json.loads(f'{head}}}'), state)
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        msg = f'{source}: checkpoint is invalid: {type(error).__name__} {error}'
+        raise InputError(msg) from None
+
+
+def _checkpoint(head: dict[str, Any], state: str) -> Checkpoint:
+    kinds = {'version': str, 'estimate': str, 'algorithm': str, 'values': dict, 'saved_ns': int, 'stamp_ns': int}
+    for name, kind in kinds.items():
+        if type(head[name]) is not kind:
+            msg = f'{name} is not a {kind.__name__}'
+            raise TypeError(msg)
+    provenance = Provenance(**{item.name: head[item.name] for item in fields(Provenance)})
+    return Checkpoint(provenance, head['saved_ns'], head['stamp_ns'], state)
+
+
+class CheckpointFile:
+    """One checkpoint file, which only one node may write."""
+
+    def __init__(self, path: Path) -> None:
+        """Prepare; InputError if this can be no checkpoint file, ForeignFileError if it is something else."""
+        self.path = path
+        if path.suffix != SUFFIX:
+            msg = f'checkpoint_file = {str(path)!r} must end in {SUFFIX}'
+            raise InputError(msg)
+        # Always the same name, so that processes that were killed leave only one.
+        self._part = path.with_name(f'.{path.name}.part')
+        with suppress(OSError):
+            self._part.unlink(missing_ok=True)
+        self._seen = self._identity()
+        try:
+            self._content()
+        except ForeignFileError:
+            raise
+        except InputError:
+            return  # to be reported when it is read
+
+    def _content(self) -> Checkpoint | None:
+        """Return what the file holds, whether it fits or not; None if there is no file."""
+        try:
+            found = self.path.stat()
+            if not stat.S_ISREG(found.st_mode):
+                msg = f'{self.path}: is not a file'
+                raise ForeignFileError(msg)
+            if found.st_size > _LARGEST:
+                msg = f'{self.path}: is not a checkpoint: {found.st_size} bytes, at most {_LARGEST}'
+                raise ForeignFileError(msg)
+            return parse_checkpoint(self.path.read_text(encoding='utf-8', errors='replace'), str(self.path))
+        except FileNotFoundError:
+            return None
+        except OSError as error:
+            msg = f'{self.path}: checkpoint cannot be read: {error.strerror or error}'
+            raise InputError(msg) from error
+
+    def read(self, provenance: Provenance) -> Checkpoint | None:
+        """Return the checkpoint; None if there is no file.
+
+        Raises:
+            ForeignFileError: It is that of another estimate.
+            InputError: The file cannot be read, is damaged or does not fit; the message says why.
+
+        """
+        checkpoint = self._content()
+        if checkpoint is None:
+            return None
+        if (found := checkpoint.provenance).estimate != provenance.estimate:
+            msg = f'{self.path}: is a checkpoint of {found.algorithm}: each node needs a checkpoint file of its own'
+            raise ForeignFileError(msg)
+        if reason := found.mismatch(provenance):
+            msg = f'{self.path}: checkpoint {reason}'
+            raise InputError(msg)
+        return checkpoint
+
+    def write(self, checkpoint: Checkpoint) -> None:
+        """Replace the file once the new one is safely on disk.
+
+        Raises:
+            InputError: It cannot be written, or somebody else has written it.
+
+        """
+        found = self._identity()
+        if found is not None and found != self._seen:
+            msg = f'{self.path}: was written by another process: each node needs a checkpoint file of its own'
+            raise InputError(msg)
+        try:
+            self.path.parent.mkdir(parents=True, exist_ok=True)
+            try:
+                _write_synced(self._part, checkpoint.text().encode())
+                self._seen = _identity_of(self._part)
+                self._part.replace(self.path)
+            except BaseException:
+                self._seen = found
+                self._part.unlink(missing_ok=True)
+                raise
+            _sync_folder(self.path.parent)
+        except OSError as error:
+            msg = f'{self.path}: checkpoint cannot be written: {error.strerror or error}'
+            raise InputError(msg) from error
+
+    def set_aside(self) -> Path:
+        """Rename a file that was refused, so that it is not overwritten; return its new name."""
+        aside = self.path.with_suffix(f'.refused{SUFFIX}')
+        try:
+            self.path.replace(aside)
+        except OSError:
+            self._seen = None  # so that it is not overwritten either
+            return self.path
+        return aside
+
+    def _identity(self) -> tuple[int, int] | None:
+        """Return what tells the present file from all others, None if there is none."""
+        try:
+            return _identity_of(self.path)
+        except OSError:
+            return None
+
+
+def _identity_of(path: Path) -> tuple[int, int]:
+    found = path.stat()
+    return found.st_ino, found.st_mtime_ns
+
+
+def _write_synced(path: Path, content: bytes) -> None:
+    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+    with os.fdopen(handle, 'wb') as file:
+        file.write(content)
+        file.flush()
+        os.fsync(file.fileno())
+
+
+def _sync_folder(folder: Path) -> None:
+    """Make a renaming in a folder last."""
+    handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+    try:
+        os.fsync(handle)
+    finally:
+        os.close(handle)

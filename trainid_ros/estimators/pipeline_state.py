@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a pipeline saves, and whether a restored one is possible.
+
+This module is not compiled: the types of the items of tuples are read from its classes when a state is restored.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+from trainid_ros.estimators.consistency import ConsistencyState
+from trainid_ros.results import Reason, Rejection, Status
+from trainid_ros.state import check_not_negative, check_restored
+from trainid_ros.stream.stream_state import StreamState
+
+
+@dataclass(frozen=True, slots=True)
+class ReasonCount:
+    """How often something was rejected for one reason."""
+
+    reason: Reason
+    count: int
+
+
+@dataclass(frozen=True, slots=True)
+class PipelineState:
+    """State of a pipeline.
+
+    Attributes:
+        estimator: State of the estimator as text.
+        stream: State of the stream of samples.
+        consistency: Innovations of the last updates.
+        status: Status of the last output; not FAULT.
+        used: Samples used.
+        samples: Samples.
+        resets: Number of resets.
+        rejections: Records and samples not used, by reason.
+        last_rejection: The newest of them, None if there was none.
+        speed: Speed of the newest sample [m/s].
+        sample_ns: Its stamp [ns].
+
+    """
+
+    estimator: str
+    stream: StreamState
+    consistency: ConsistencyState
+    status: Status
+    used: int
+    samples: int
+    resets: int
+    rejections: tuple[ReasonCount, ...]
+    last_rejection: Rejection | None
+    speed: float
+    sample_ns: int
+
+    def check(self) -> None:
+        """Raise InputError unless this is a possible state."""
+        kind = 'PipelineState'
+        self.stream.check()
+        check_restored(self.consistency.is_valid, kind, 'consistency')
+        check_not_negative(kind, used=self.used, samples=self.samples, resets=self.resets)
+        check_not_negative(kind, speed=self.speed, sample_ns=self.sample_ns)
+        check_not_negative(kind, rejections=min((item.count for item in self.rejections), default=0))
+
+    def counted(self) -> Counter[Reason]:
+        """Return the rejections."""
+        return Counter({item.reason: item.count for item in self.rejections})
+
+
+def reason_counts(rejections: Counter[Reason]) -> tuple[ReasonCount, ...]:
+    """Return rejections to save, in their order."""
+    return tuple(ReasonCount(reason, count) for reason, count in rejections.items())

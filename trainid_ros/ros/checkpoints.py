@@ -1,0 +1,208 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The checkpoint of a node: loaded on configure, saved at intervals, and whenever the node pauses.
+
+The state is taken directly after an estimate was published, when there is most time until the next message; another
+thread writes it to disk. What a node has learned also survives a cleanup, if it still fits on the next configure.
+"""
+
+from __future__ import annotations
+
+import time
+from concurrent.futures import Future, ThreadPoolExecutor
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from trainid_ros.checkpoint import (
+    Checkpoint,
+    CheckpointFile,
+    ForeignFileError,
+    Provenance,
+    default_path,
+    provenance_of,
+)
+from trainid_ros.errors import InputError
+from trainid_ros.results import Status
+from trainid_ros.ros.services import NUMERICAL_ERRORS
+
+if TYPE_CHECKING:
+    from trainid_ros.estimators.pipeline import EstimatorPipeline, EstimatorSettings
+    from trainid_ros.ros.estimator_node import EstimatorNode
+    from trainid_ros.train.train_file import TrainFile
+
+
+class Checkpoints:
+    """Keeps the state of a node's pipeline.
+
+    Attributes:
+        problem: Why the state cannot be saved now, empty if it can.
+        is_due: Whether the period is over.
+        saved_at: When it was last saved, or nothing had changed, by a steady clock [s].
+
+    """
+
+    def __init__(self, node: EstimatorNode) -> None:
+        self._node = node
+        self.problem = ''
+        self._provenance: Provenance | None = None
+        self._file: CheckpointFile | None = None
+        # What the node had learned at the last cleanup.
+        self._kept: Checkpoint | None = None
+        self._timer: Any = None
+        self.is_due = False
+        self.saved_at = 0.0
+        self._saved: object = None
+        self._writer = ThreadPoolExecutor(1, 'checkpoint')
+        self._writing: Future[None] | None = None
+
+    # Lifecycle
+
+    def open(self, pipeline: EstimatorPipeline[Any], train_file: TrainFile, settings: EstimatorSettings) -> None:
+        """Continue from what was learned before, if it fits the train file and the settings.
+
+        Raises:
+            InputError: The parameter ``checkpoint_file`` cannot be used.
+
+        """
+        path = str(self._node.parameters.value('checkpoint_file'))
+        self._provenance = provenance_of(self._node.job.field, train_file, settings)
+        self._file = CheckpointFile(Path(path).expanduser()) if path else None
+        kept, self._kept, self.problem, self._saved = self._kept, None, '', None
+        if kept is not None and not kept.provenance.mismatch(self._provenance):
+            self._restore(pipeline, kept)
+        elif self._file is not None:
+            self._load_at_start(pipeline, self._file, self._provenance)
+
+    def _load_at_start(self, pipeline: EstimatorPipeline[Any], file: CheckpointFile, provenance: Provenance) -> None:
+        logger = self._node.get_logger()
+        try:
+            checkpoint = file.read(provenance)
+            age_s = None if checkpoint is None else self._restore(pipeline, checkpoint)
+        except ForeignFileError:
+            raise
+        except (InputError, *NUMERICAL_ERRORS) as error:
+            if not isinstance(error, InputError):  # an estimate of the invalid state
+                pipeline.reset()
+            logger.warning(f'{error}; starting from the prior, the file is kept as {file.set_aside()}')
+            return
+        if age_s is None:
+            logger.info(f'{file.path}: no checkpoint yet')
+        else:
+            self._saved = _mark(pipeline)
+            logger.info(f'continues from {file.path}, saved {age_s:.1f} s ago')
+
+    def resume(self) -> None:
+        """Save at intervals from now on."""
+        period = float(self._node.parameters.value('checkpoint_period'))
+        self._stop_timer()
+        if self._file is not None and period > 0.0:
+            self._timer = self._node.create_timer(period, self._tick, clock=self._node._steady)
+
+    def pause(self, pipeline: EstimatorPipeline[Any] | None, *, running: bool) -> None:
+        """Save no longer at intervals, but once more if the pipeline was running."""
+        self._stop_timer()
+        if pipeline is not None and running:
+            self.save(pipeline)
+
+    def close(self, pipeline: EstimatorPipeline[Any] | None, *, running: bool) -> None:
+        """Keep what was learned in memory too, for the next configure."""
+        self.pause(pipeline, running=running)
+        if pipeline is not None and pipeline.status is not Status.FAULT and pipeline.samples:
+            self._kept = self._checkpoint(pipeline)
+        self._file = None
+
+    def _stop_timer(self) -> None:
+        if self._timer is not None:
+            self._node.destroy_timer(self._timer)
+        self._timer, self.is_due = None, False
+
+    # At intervals
+
+    def _tick(self) -> None:
+        self.save_if_due()  # where nothing was published for a whole period
+        self.is_due = True
+
+    def save_if_due(self) -> None:
+        """Begin to save if the period is over and the disk has finished the checkpoint before."""
+        pipeline = self._node.pipeline
+        if not self.is_due or pipeline is None or (self._writing is not None and not self._writing.done()):
+            return
+        self.is_due, self.saved_at = False, time.monotonic()
+        self._report()
+        self._begin(pipeline)
+
+    def _begin(self, pipeline: EstimatorPipeline[Any]) -> None:
+        """Hand the state to the writer, if there is a file and the state is new."""
+        if self._file is not None and (mark := _mark(pipeline)) != self._saved and _is_worth_saving(pipeline):
+            self._saved = mark
+            self._writing = self._writer.submit(self._file.write, self._checkpoint(pipeline))
+
+    def save(self, pipeline: EstimatorPipeline[Any]) -> None:
+        """Save to the file of the parameter ``checkpoint_file``, if it is given, and wait until that is done."""
+        self._report()
+        self._begin(pipeline)
+        self._report()
+
+    def _report(self) -> None:
+        """Wait for the file; log each problem once, and that it is over."""
+        if self._writing is None:
+            return
+        error = self._writing.exception()
+        before, self.problem, self._writing = self.problem, str(error or ''), None
+        if self.problem:
+            self._saved = None
+        if self.problem and self.problem != before:
+            self._node.get_logger().warning(f'{self.problem}; what is learned from now on would be lost')
+        elif before and not self.problem:
+            self._node.get_logger().info('checkpoints are saved again')
+
+    # On request
+
+    def save_on_request(self, pipeline: EstimatorPipeline[Any]) -> Path:
+        """Save to the file of the node, or to the default one; return its path; InputError if it cannot be written."""
+        self._report()
+        file = self._file_or_default()
+        file.write(self._checkpoint(pipeline))
+        return file.path
+
+    def load_on_request(self, pipeline: EstimatorPipeline[Any]) -> str:
+        """Load the file of the node, or the default one; return what was loaded; InputError if it does not fit."""
+        self._report()
+        file = self._file_or_default()
+        checkpoint = file.read(self._required_provenance())
+        if checkpoint is None:
+            msg = f'{file.path}: there is no checkpoint'
+            raise InputError(msg)
+        age_s = self._restore(pipeline, checkpoint)
+        return f'{file.path}, saved {age_s:.1f} s ago'
+
+    def _file_or_default(self) -> CheckpointFile:
+        return self._file or CheckpointFile(default_path(self._node.get_fully_qualified_name()))
+
+    # Both ways
+
+    def _checkpoint(self, pipeline: EstimatorPipeline[Any]) -> Checkpoint:
+        now_ns = int(self._node.get_clock().now().nanoseconds)
+        return Checkpoint(self._required_provenance(), now_ns, pipeline.current().stamp_ns, pipeline.save())
+
+    def _restore(self, pipeline: EstimatorPipeline[Any], checkpoint: Checkpoint) -> float:
+        """Continue from a checkpoint; return its age [s]."""
+        age_s = checkpoint.age_s(int(self._node.get_clock().now().nanoseconds))
+        pipeline.restore(checkpoint.state, age_s)
+        pipeline.current()  # An invalid state must raise here, not when it is published.
+        return age_s
+
+    def _required_provenance(self) -> Provenance:
+        if self._provenance is None:
+            msg = 'configure first'
+            raise InputError(msg)
+        return self._provenance
+
+
+def _mark(pipeline: EstimatorPipeline[Any]) -> object:
+    """Return what differs if the state of a pipeline does."""
+    return pipeline.samples, pipeline.rejections.total(), pipeline.resets, pipeline.status
+
+
+def _is_worth_saving(pipeline: EstimatorPipeline[Any]) -> bool:
+    """Return whether a state may replace the one in the file: one without samples only after a reset."""
+    return pipeline.status is not Status.FAULT and bool(pipeline.samples or pipeline.resets)

@@ -1,0 +1,126 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a stream of samples saves, and whether a restored one is possible.
+
+This module is not compiled: the types of the items of tuples are read from its classes when a state is restored.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from itertools import pairwise
+from typing import Final
+
+from trainid_ros.records import INPUT_TOPICS
+from trainid_ros.state import MAX_NUMBER, check_not_negative, check_restored
+from trainid_ros.stream.drive_history import DriveHistoryState
+from trainid_ros.stream.samples import BrakeCommandChange
+from trainid_ros.stream.travel import Travel
+
+_KIND: Final = 'StreamState'
+
+
+@dataclass(frozen=True, slots=True)
+class RowsState:
+    """Rows of records as columns of equal length, see :data:`~trainid_ros.records.Row`."""
+
+    topic: tuple[int, ...] = ()
+    stamp_ns: tuple[int, ...] = ()
+    x: tuple[float, ...] = ()
+    y: tuple[float, ...] = ()
+    flag: tuple[bool, ...] = ()
+
+    def is_valid(self, *, in_order: bool = True) -> bool:
+        """Return whether these can be records, with increasing stamps if ``in_order``; y may be NaN."""
+        n = len(self.stamp_ns)
+        if not len(self.topic) == len(self.x) == len(self.y) == len(self.flag) == n:
+            return False
+        known = all(0 <= topic < len(INPUT_TOPICS) for topic in self.topic) and all(
+            stamp > 0 for stamp in self.stamp_ns
+        )
+        finite = all(abs(x) < MAX_NUMBER for x in self.x) and not any(abs(y) >= MAX_NUMBER for y in self.y)
+        return known and finite and not (in_order and any(a >= b for a, b in pairwise(self.stamp_ns)))
+
+
+@dataclass(frozen=True, slots=True)
+class TrackState:
+    """State of the track of one topic: its rows, its newest stamp, and the stamps that its interval is learned from."""
+
+    rows: RowsState = field(default_factory=RowsState)
+    last_ns: int = 0
+    seen: tuple[int, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class AlignerState:
+    """State of the alignment; the names are those of its attributes."""
+
+    force: TrackState
+    gradient: TrackState
+    brake: TrackState
+    mass: TrackState
+    speeds_seen: tuple[int, ...]
+    pending: RowsState
+    newest_ns: int
+    speed_ns: int
+    agreeing: tuple[int, ...]
+    released_ns: int
+    sample_ns: int
+    due_ns: int
+    command: RowsState
+    travel: Travel
+    suspects: RowsState
+
+    def check(self) -> None:
+        """Raise InputError unless this is a possible state."""
+        tracks = (self.force, self.gradient, self.brake, self.mass)
+        check_restored(all(track.rows.is_valid() for track in tracks), _KIND, 'tracks')
+        check_restored(self.pending.is_valid() and self.suspects.is_valid(in_order=False), _KIND, 'records')
+        check_restored(self.command.is_valid() and len(self.command.x) <= 1, _KIND, 'command')
+        check_restored(self.travel.is_valid, _KIND, 'travel')
+        stamps = (self.newest_ns, self.speed_ns, self.released_ns, self.sample_ns, self.due_ns)
+        check_not_negative(_KIND, stamps=min(*stamps, *(track.last_ns for track in tracks)))
+
+
+@dataclass(frozen=True, slots=True)
+class SkippedSample:
+    """What is still needed of a sample whose speed was stuck: the changes of the brake command in it."""
+
+    brake_changes: tuple[BrakeCommandChange, ...] = ()
+
+
+@dataclass(frozen=True, slots=True)
+class StreamState:
+    """State of a stream.
+
+    Attributes:
+        aligner: Records that no sample has been made of yet.
+        history: History of the drive.
+        stop_position: Position at which wheel corrections start [m], NaN while unknown.
+        stuck_speed: Speed of the last sample [m/s], NaN before the first.
+        stuck_missing: Expected change of speed since it last changed [m/s].
+        skipped: Samples with a stuck speed since the last accepted one.
+        first_ns: First stamp since the start or a jump [ns].
+        behind_ns: How far the last required topic is behind the newest stamp [ns].
+
+    """
+
+    aligner: AlignerState
+    history: DriveHistoryState
+    stop_position: float
+    stuck_speed: float
+    stuck_missing: float
+    skipped: tuple[SkippedSample, ...]
+    first_ns: int
+    behind_ns: int
+
+    def check(self) -> None:
+        """Raise InputError unless this is a possible state."""
+        self.aligner.check()
+        check_restored(self.history.is_valid, _KIND, 'history')
+        check_restored(not math.isinf(self.stop_position), _KIND, 'stop_position')
+        stuck = not abs(self.stuck_speed) >= MAX_NUMBER and abs(self.stuck_missing) < MAX_NUMBER
+        check_restored(stuck, _KIND, 'stuck_speed')
+        changes = [change for item in self.skipped for change in item.brake_changes]
+        check_restored(all(-MAX_NUMBER < item.target_acceleration <= 0.0 for item in changes), _KIND, 'skipped')
+        check_not_negative(_KIND, first_ns=self.first_ns)
