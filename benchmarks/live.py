@@ -207,7 +207,7 @@ def _latency(topic: str, sent: dict[int, int], received: dict[int, int]) -> Late
 
 def run_nodes(arrangement: str, groups: Sequence[Sequence[str]]) -> LiveResult:
     """Run groups of nodes, each group in one process, and measure them."""
-    with tempfile.TemporaryDirectory() as name, _private_domain(Path(name)), ProcessGroup(Path(name)) as processes:
+    with tempfile.TemporaryDirectory() as name, private_domain(Path(name)), ProcessGroup(Path(name)) as processes:
         pids = [processes.start('+'.join(nodes), _command(nodes)).process.pid for nodes in groups]
         names = ['all three' if len(nodes) == len(_NODES) else nodes[0] for nodes in groups]
         return _measure(arrangement, dict(zip(names, pids, strict=True)))
@@ -215,7 +215,7 @@ def run_nodes(arrangement: str, groups: Sequence[Sequence[str]]) -> LiveResult:
 
 def run_relay() -> LiveResult:
     """Run a node that computes nothing, and measure it."""
-    with tempfile.TemporaryDirectory() as name, _private_domain(Path(name)):
+    with tempfile.TemporaryDirectory() as name, private_domain(Path(name)):
         process = subprocess.Popen([sys.executable, '-m', 'benchmarks.relay'])
         try:
             return _measure('bare relay', {'relay': process.pid})
@@ -252,7 +252,7 @@ def _records() -> tuple[Record, ...]:
 
 
 @contextmanager
-def _private_domain(logs: Path) -> Iterator[None]:
+def private_domain(logs: Path) -> Iterator[None]:
     """Put this process and its children into a ROS domain of their own, on this machine only."""
     before = dict(os.environ)
     os.environ |= {

@@ -38,11 +38,12 @@ _ESTIMATORS: Final = ('filter bank', 'AM-VFF-RLS', 'GSMA')
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """Memory of the process [kB] and sizes of the saved states [bytes] after some hours of input."""
+    """Memory of the process [kB], its open files, and sizes of the saved states [bytes] after some hours of input."""
 
     hours: float
     samples: int
     resident_kb: int
+    open_files: int
     state_bytes: tuple[int, ...]
 
 
@@ -51,13 +52,21 @@ def measure() -> tuple[Table, ...]:
     with ProcessPoolExecutor(1, mp_context=get_context('spawn')) as pool:
         readings = pool.submit(read_memory).result()
     first = readings[0].resident_kb
-    header = ('after', 'samples', 'resident MB', 'grown kB', *(f'{name} state, bytes' for name in _ESTIMATORS))
+    header = (
+        'after',
+        'samples',
+        'resident MB',
+        'grown kB',
+        'open files',
+        *(f'{name} state, bytes' for name in _ESTIMATORS),
+    )
     rows = tuple(
         (
             f'{reading.hours:g} h',
             str(reading.samples),
             f'{reading.resident_kb / 1024:.1f}',
             str(reading.resident_kb - first),
+            str(reading.open_files),
             *(str(size) for size in reading.state_bytes),
         )
         for reading in readings
@@ -76,7 +85,7 @@ def read_memory() -> tuple[Reading, ...]:
     )
     day = simulated_day(_SEED)
     start_ns, due, readings = day.records[0].stamp_ns, list(_HOURS), []
-    for record in _repeated(day.records, round(day.duration_s * NS_PER_S)):
+    for record in repeated(day.records, round(day.duration_s * NS_PER_S)):
         for pipeline in pipelines:
             pipeline.push(record)
         if record.stamp_ns - start_ns >= due[0] * _SECONDS_PER_HOUR * NS_PER_S:
@@ -88,7 +97,8 @@ def read_memory() -> tuple[Reading, ...]:
     return tuple(readings)
 
 
-def _repeated(records: tuple[Record, ...], period_ns: int) -> Iterator[Record]:
+def repeated(records: tuple[Record, ...], period_ns: int) -> Iterator[Record]:
+    """Yield records for ever, shifted by a period [ns] each time."""
     shift_ns = 0
     while True:
         for record in records:
@@ -98,6 +108,16 @@ def _repeated(records: tuple[Record, ...], period_ns: int) -> Iterator[Record]:
 
 def _read(hours: float, pipelines: tuple[EstimatorPipeline[Any], ...]) -> Reading:
     gc.collect()
-    pages = int(Path('/proc/self/statm').read_text(encoding='ascii').split()[1])
     sizes = tuple(len(pipeline.estimator.save().encode()) for pipeline in pipelines)
-    return Reading(hours, pipelines[0].samples, pages * resource.getpagesize() // 1024, sizes)
+    return Reading(hours, pipelines[0].samples, resident_kb('self'), open_files('self'), sizes)
+
+
+def resident_kb(process: int | str) -> int:
+    """Return the memory of a process [kB]."""
+    pages = int(Path(f'/proc/{process}/statm').read_text(encoding='ascii').split()[1])
+    return pages * resource.getpagesize() // 1024
+
+
+def open_files(process: int | str) -> int:
+    """Return the number of open file descriptors of a process."""
+    return sum(1 for _ in Path(f'/proc/{process}/fd').iterdir())

@@ -3,24 +3,29 @@
 
 from __future__ import annotations
 
+import os
+import resource
 import struct
+import time
+from pathlib import Path
 from typing import TYPE_CHECKING
 
+import lz4.frame  # type: ignore[import-untyped]
 import pytest
 import yaml
+import zstandard
 from mcap.opcode import Opcode
 from mcap.writer import CompressionType
 from mcap.writer import Writer as McapWriter
 
-from trainid_ros.bag.mcap_file import MAGIC
+from benchmarks.damage import campaign
 from trainid_ros.bag.reader import BagReader
+from trainid_ros.bag.record_file import MAGIC
 from trainid_ros.bag.types import full_type, message_from_record, typestore
 from trainid_ros.errors import InputError
 from trainid_ros.records import MassRecord
 
 if TYPE_CHECKING:
-    from pathlib import Path
-
     from trainid_ros.records import Record
 
 STAMP = 1_700_000_000_000_000_000
@@ -28,13 +33,20 @@ COUNT = 2000
 
 
 def write_file(
-    path: Path, compression: CompressionType = CompressionType.NONE, *, chunked: bool = True
+    path: Path,
+    compression: CompressionType = CompressionType.NONE,
+    *,
+    chunked: bool = True,
+    chunk_bytes: int = 8192,
+    count: int = COUNT,
 ) -> list[MassRecord]:
     """Write a bare file of many small chunks, with CRC, or without chunks."""
     name = full_type('TrainMass')
     text, _ = typestore().generate_msgdef(name, ros_version=2)
-    records = [MassRecord(STAMP + i, 1e5 + i) for i in range(COUNT)]
-    writer = McapWriter(str(path), chunk_size=8192, compression=compression, use_chunking=chunked)
+    records = [MassRecord(STAMP + i, 1e5 + i) for i in range(count)]
+    writer = McapWriter(
+        str(path), chunk_size=chunk_bytes, compression=compression, use_chunking=chunked, enable_data_crcs=True
+    )
     writer.start('ros2')
     schema = writer.register_schema(name, 'ros2msg', text.encode())
     channel = writer.register_channel('/ato/mass', 'cdr', schema)
@@ -122,36 +134,117 @@ def first_chunk(content: bytes | bytearray) -> tuple[int, int]:
 
 
 @pytest.mark.parametrize('compression', list(CompressionType))
-def test_flipped_bit_in_a_chunk_is_found(tmp_path: Path, compression: CompressionType) -> None:
+def test_only_the_chunk_with_a_flipped_bit_is_lost(tmp_path: Path, compression: CompressionType) -> None:
     path = tmp_path / 'x.mcap'
-    write_file(path, compression)
+    records = write_file(path, compression)
     content = bytearray(path.read_bytes())
     start, length = first_chunk(content)
     content[start + length // 2] ^= 0x10
     path.write_bytes(content)
-    assert f'{path}: is corrupt: ' in error_of(path)
+    found, warnings = read(path)
+    # Its definitions were lost too: they come from the summary.
+    assert found == records[-len(found) :]
+    assert len(found) > 0.9 * COUNT
+    assert warnings[0].startswith(f'{path}: {length} bytes from byte {start} on are lost: ')
+    assert warnings[1:] == [f'{path}: {len(found)} of {COUNT} messages found']
 
 
-def test_written_chunks_carry_a_checksum(bag: Path) -> None:
-    # Any flipped byte of the compressed data must be found, whichever it is.
+def test_every_flipped_byte_of_a_written_chunk_is_found(bag: Path) -> None:
     path = bag / 'bag.mcap'
     content = path.read_bytes()
-    start = content.index(b'\x28\xb5\x2f\xfd')  # zstd magic number
-    (size,) = struct.unpack_from('<Q', content, start - 8)
-    for place in range(start, start + size, max(1, size // 40)):
+    start, length = first_chunk(content)
+    for place in range(start + 9 + 16, start + length, max(1, length // 40)):
         damaged = bytearray(content)
         damaged[place] ^= 0x01
         path.write_bytes(damaged)
-        assert 'is corrupt: chunk at byte' in error_of(path)
+        assert f'{path}: nothing of it can be used: ' in error_of(path)
+
+
+@pytest.mark.parametrize('kind', ['cut at a byte', 'one bit flipped', 'a block of zeros'])
+@pytest.mark.parametrize('compression', list(CompressionType))
+def test_random_damage_loses_no_intact_chunk(tmp_path: Path, compression: CompressionType, kind: str) -> None:
+    score = campaign(5, tmp_path, compression, kind, seed=2)
+    assert score.files == 5
+    assert score.intact > 2000
+    assert score.share == 1.0
+    assert (score.refused, score.wrong, score.unsaid) == (0, 0, 0)
+
+
+@pytest.mark.parametrize(
+    ('compression', 'share'), [(CompressionType.NONE, 0.99), (CompressionType.LZ4, 0.7), (CompressionType.ZSTD, 0.7)]
+)
+def test_messages_of_a_chunk_that_was_cut_off_are_used(
+    tmp_path: Path, compression: CompressionType, share: float
+) -> None:
+    path = tmp_path / 'x.mcap'
+    records = write_file(path, compression, count=5000, chunk_bytes=1 << 20)  # all in one chunk
+    content = path.read_bytes()
+    start, length = first_chunk(content)
+    path.write_bytes(content[: start + length - 30])
+    found, (warning,) = read(path)
+    assert found == records[: len(found)]
+    assert len(found) > share * len(records)
+    assert warning.endswith(f'{len(found)} messages were recovered, the last {length - 30} bytes are incomplete')
+
+
+def test_chunk_that_unpacks_to_more_than_the_limit_is_left_out(tmp_path: Path) -> None:
+    path = tmp_path / 'x.mcap'
+    records = write_file(path, CompressionType.ZSTD)
+    with pytest.raises(InputError, match=r'0.00782 MB in one piece, above the limit of .* MB \(--max-chunk\)'):
+        BagReader(path, max_chunk=1000).__enter__()
+    with BagReader(path, max_chunk=9000) as reader:
+        assert reader.message_count == len(records)
+
+
+def bomb(compression: str, stored: bytes, size: int) -> bytes:
+    """Return a file with one chunk that states a size."""
+    name = compression.encode()
+    content = struct.pack('<QQQII', 0, 0, size, 0, len(name)) + name + struct.pack('<Q', len(stored)) + stored
+    header = struct.pack('<II', 0, 0)
+    return MAGIC + struct.pack('<BQ', 1, len(header)) + header + struct.pack('<BQ', 6, len(content)) + content
+
+
+@pytest.mark.parametrize('compression', ['zstd', 'lz4'])
+@pytest.mark.parametrize('stated', [1000, 60_000_000, 1_500_000_000])
+def test_bombs_take_little_memory(tmp_path: Path, compression: str, stated: int) -> None:
+    size = 200_000_000
+    packed = {'zstd': zstandard.compress, 'lz4': lz4.frame.compress}[compression](bytes(size))
+    path = tmp_path / 'x.mcap'
+    path.write_bytes(bomb(compression, packed, stated) + bomb(compression, packed, stated)[8:] + MAGIC)
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    assert 'nothing of it can be used' in error_of(path)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 150_000  # kB
+
+
+def test_many_chunks_that_unpack_to_much_are_left_out_without_unpacking_them(tmp_path: Path) -> None:
+    size = 50_000_000
+    chunk = bomb('zstd', zstandard.compress(bytes(size)), size)[8 + 17 :]
+    path = tmp_path / 'x.mcap'
+    path.write_bytes(MAGIC + struct.pack('<BQII', 1, 8, 0, 0) + 500 * chunk + MAGIC)
+    start_s = time.process_time()
+    assert 'nothing of it can be used' in error_of(path)
+    assert time.process_time() - start_s < 2.5
 
 
 def test_record_length_that_runs_past_the_end_of_a_closed_file(tmp_path: Path) -> None:
     path = tmp_path / 'x.mcap'
-    write_file(path)
+    records = write_file(path)
     content = bytearray(path.read_bytes())
     struct.pack_into('<Q', content, len(MAGIC) + 1, 1 << 60)
     path.write_bytes(content)
-    assert error_of(path) == f'{path}: is corrupt: no valid record at byte {len(MAGIC)}'
+    found, (warning,) = read(path)
+    assert found == records
+    assert f'bytes from byte {len(MAGIC)} on are lost: no valid record' in warning
+
+
+def test_wrong_value_without_a_checksum_of_its_own_is_said(tmp_path: Path) -> None:
+    path = tmp_path / 'x.mcap'
+    write_file(path, chunked=False)
+    content = bytearray(path.read_bytes())
+    content[len(content) // 2] ^= 0x10
+    path.write_bytes(content)
+    _, warnings = read(path)
+    assert warnings
 
 
 @pytest.mark.parametrize(
@@ -162,7 +255,7 @@ def test_record_length_that_runs_past_the_end_of_a_closed_file(tmp_path: Path) -
         (b'no bag at all', 'is not an MCAP file'),
         (MAGIC[:5], 'is not an MCAP file'),
         (b'SQLite format 3\0', 'is an SQLite file, only mcap is supported'),
-        (MAGIC + bytes(100), 'was cut off before the first complete chunk, nothing can be recovered'),
+        (MAGIC + bytes(100), 'was cut off before the first complete message, nothing can be recovered'),
     ],
 )
 def test_file_without_content_is_named(tmp_path: Path, content: bytes, reason: str) -> None:
@@ -187,9 +280,33 @@ def test_unreadable_metadata_is_reported_and_the_bag_read(bag: Path, records: li
     assert '\n' not in warning
 
 
-def test_file_named_in_metadata_but_missing(bag: Path) -> None:
-    (bag / 'bag.mcap').unlink()
+def test_file_named_in_metadata_but_missing(bag: Path, records: list[Record]) -> None:
+    (bag / 'bag.mcap').rename(bag / 'other.mcap')
+    found, (warning,) = read(bag)
+    assert found == records
+    assert warning.startswith(f'{bag / "bag.mcap"}: file listed in metadata.yaml is missing, ')
+    (bag / 'other.mcap').unlink()
     assert error_of(bag) == f'{bag / "bag.mcap"}: file listed in metadata.yaml is missing'
+
+
+@pytest.mark.parametrize(('key', 'value'), [('storage_identifier', 'mcaq'), ('compression_mode', 'nonf')])
+def test_flipped_bit_in_the_metadata_does_not_refuse_the_bag(
+    bag: Path, records: list[Record], key: str, value: str
+) -> None:
+    change(bag, **{key: value})
+    found, (warning,) = read(bag)
+    assert found == records
+    assert value in warning
+
+
+def test_pipes_and_devices_are_no_bags(tmp_path: Path, bag: Path) -> None:
+    os.mkfifo(tmp_path / 'pipe.mcap')
+    assert error_of(tmp_path / 'pipe.mcap').endswith('is neither a file nor a directory')
+    assert error_of(Path('/dev/zero')).endswith('is neither a file nor a directory')
+    (bag / 'metadata.yaml').unlink()
+    os.mkfifo(bag / 'metadata.yaml')
+    os.mkfifo(bag / 'z.mcap')
+    assert len(read(bag)[0]) == 200
 
 
 def test_other_storage_is_named(bag: Path, tmp_path: Path) -> None:

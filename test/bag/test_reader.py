@@ -163,12 +163,17 @@ def test_foreign_topics_are_ignored(tmp_path: Path) -> None:
         assert [entry.topic for entry in reader.messages()] == ['ato/mass']
 
 
-def test_unreadable_payload_is_named(tmp_path: Path) -> None:
+def test_unreadable_payload_is_skipped_and_counted(tmp_path: Path) -> None:
+    record = MassRecord(STAMP, 2e5)
+    payload = typestore().serialize_cdr(message_from_record(record), full_type('TrainMass'))
     with Writer(tmp_path / 'bag', version=9, storage_plugin=StoragePlugin.MCAP) as writer:
         connection = writer.add_connection('/ato/mass', full_type('TrainMass'), typestore=typestore())
         writer.write(connection, STAMP, b'\0\1\0\0short')
-    with (
-        BagReader(tmp_path / 'bag') as reader,
-        pytest.raises(InputError, match=f'topic ato/mass: unreadable message logged at {STAMP} ns'),
-    ):
-        list(reader.records())
+        writer.write(connection, STAMP, payload)
+        writer.write(connection, STAMP, b'')
+    with BagReader(tmp_path / 'bag') as reader:
+        for _ in range(2):  # each reading counts anew
+            assert list(reader.records()) == [record]
+            assert reader.warnings == [f'{tmp_path / "bag"}: topic ato/mass: 2 messages skipped that cannot be read']
+            assert [entry.message.mass for entry in reader.messages()] == [2e5]
+            assert reader.warnings == [f'{tmp_path / "bag"}: topic ato/mass: 2 messages skipped that cannot be read']

@@ -108,6 +108,9 @@ def test_the_folder_is_created_and_no_train_file_is_overwritten(tmp_path: Path) 
     with pytest.raises(InputError, match='not written by trainid explain'):
         prepare_folder(tmp_path, Path(__file__))
     (tmp_path / 'report.json').write_text('{}', encoding='utf-8')
+    with pytest.raises(InputError, match=r'report\.json: exists and was not written by trainid'):
+        prepare_folder(tmp_path, Path(__file__))
+    (tmp_path / 'report.json').write_text('{\n  "verdict": null', encoding='utf-8')
     prepare_folder(tmp_path, Path(__file__))  # of an earlier explanation
     with pytest.raises(InputError, match=r'train\.yaml: cannot be written'):
         prepare_folder(train, train)

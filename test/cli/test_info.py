@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
+from trainid_ros.bag.types import message_from_record
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.cli.main import main
 from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
@@ -74,3 +75,24 @@ def test_json_is_one_object_and_nothing_else(
     assert answer['missing'] == ([] if force else ['ato/force'])
     positions = [item for item in answer['ranges'] if item['field'] == 'position']
     assert [item['low'] for item in positions] == [None]
+
+
+def test_topic_names_of_a_bag_cannot_control_the_terminal(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    record = SpeedRecord(STAMP, 5.0, 0.0)
+    with BagWriter(tmp_path / 'bag') as writer:
+        writer.write_message('/\x1b[2J\x9b', 'AtoSpeed', STAMP, message_from_record(record))
+    for options in ([], ['--json']):
+        assert main(['info', str(tmp_path / 'bag'), *options]) == 1
+        captured = capsys.readouterr()
+        assert captured.out.replace('\n', '').isprintable()
+        assert '[2J' in captured.out
+        assert captured.err.rstrip('\n').isprintable()
+
+
+def test_chunks_above_the_limit_are_left_out(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = write(tmp_path / 'bag')
+    assert main(['info', str(path), '--max-chunk', '1']) == 0
+    for wrong in ('0', '4096', '-1', '1.5', 'x'):
+        with pytest.raises(SystemExit, match='2'):
+            main(['info', str(path), '--max-chunk', wrong])
+    assert 'is not a whole number of MB from 1 to 4095' in capsys.readouterr().err

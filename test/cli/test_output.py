@@ -11,7 +11,18 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from trainid_ros.cli.output import print_json, progress, table, to_plain
+from trainid_ros.cli.output import (
+    HTML_START,
+    check_output,
+    print_json,
+    progress,
+    report_error,
+    show,
+    table,
+    to_plain,
+    warn,
+)
+from trainid_ros.errors import InputError
 from trainid_ros.results import BrakeRateEstimate, Output, Status
 
 BRAKE = BrakeRateEstimate(0.93, 0.02, 1.5, 12.0, -0.5, -0.6, 77.5, True, 0.01, 0.002, 0.3)
@@ -89,3 +100,40 @@ def test_progress_on_a_terminal_leaves_standard_output_alone(
     captured = capsys.readouterr()
     assert captured.out == ''
     assert 'working' in captured.err
+
+
+HOSTILE = 'x\x1b]0;owned\x07\x1b[2J\x9b31m\u202ey\udcff'
+ESCAPED = r'x\x1b]0;owned\x07\x1b[2J\x9b31m\u202ey\udcff'
+
+
+def test_names_cannot_control_the_terminal(capsys: pytest.CaptureFixture[str]) -> None:
+    show(f'Zürich {HOSTILE}\nline')
+    warn(f'{HOSTILE}\n{HOSTILE}')
+    report_error(InputError(f'{HOSTILE}: x'))
+    out, err = capsys.readouterr()
+    assert out == f'Zürich {ESCAPED}\nline\n'
+    assert err == f'trainid: warning: {ESCAPED} {ESCAPED}\ntrainid: error: {ESCAPED}: x\n'
+    print_json({HOSTILE: HOSTILE})
+    text = capsys.readouterr().out
+    assert text.rstrip('\n').isprintable()
+    assert json.loads(text) == {HOSTILE: HOSTILE}
+
+
+def test_an_output_replaces_nothing_but_an_earlier_one(tmp_path: Path) -> None:
+    train, report, link = tmp_path / 'T.yaml', tmp_path / 'report.html', tmp_path / 'link.html'
+    train.write_text('train: {}', encoding='utf-8')
+    check_output(report, (train, None, tmp_path / 'missing'), HTML_START)
+    report.write_text(f'{HTML_START}<html>', encoding='utf-8')
+    check_output(report, (train,), HTML_START)
+    (tmp_path / 'empty.html').touch()
+    check_output(tmp_path / 'empty.html', (train,), HTML_START)
+    link.symlink_to(train)
+    for path, inputs, reason in (
+        (train, (train,), 'is an input and would be overwritten'),
+        (link, (train,), 'is an input and would be overwritten'),
+        (report, (report,), 'is an input and would be overwritten'),
+        (train, (), 'exists and was not written by trainid'),
+        (tmp_path, (), 'exists and is not a file'),
+    ):
+        with pytest.raises(InputError, match=f'{path}: {reason}'):
+            check_output(path, inputs, HTML_START)

@@ -222,3 +222,42 @@ def one_line(capsys: pytest.CaptureFixture[str]) -> str:
     err = capsys.readouterr().err
     assert err.count('\n') == 1
     return err.strip()
+
+
+def test_a_report_overwrites_no_input(tmp_path: Path, driven_bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    train = tmp_path / 'T.yaml'
+    train.write_bytes((driven_bag / 'train.yaml').read_bytes())
+    notes = tmp_path / 'notes.html'
+    notes.write_text('mine', encoding='utf-8')
+    for report, reason in (
+        (train, 'is an input and would be overwritten'),
+        (notes, 'exists and was not written by trainid'),
+        (driven_bag / 'metadata.yaml', 'exists and was not written by trainid'),
+        (driven_bag, 'is an input and would be overwritten'),
+    ):
+        assert call(driven_bag, '--report', str(report), train=train) == 2
+        error = capsys.readouterr().err
+        assert error == f'trainid: error: {report}: {reason}; choose another name for the output\n'
+    assert train.read_bytes() == (driven_bag / 'train.yaml').read_bytes()
+    assert notes.read_text(encoding='utf-8') == 'mine'
+
+
+def test_damage_is_said_and_the_rest_used(tmp_path: Path, driven_bag: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    bag = tmp_path / 'damaged'
+    with BagReader(driven_bag) as reader, BagWriter(bag) as writer:
+        for entry in reader.logged_records():
+            writer.write_record(entry.record, entry.log_ns)
+            if entry.log_ns % NS_PER_S == 0:
+                writer._writer.storage.close_chunk()  # type: ignore[union-attr]
+    path = bag / 'damaged.mcap'
+    content = bytearray(path.read_bytes())
+    zstd = content.index(b'\x28\xb5\x2f\xfd', len(content) // 3)
+    content[zstd + 20] ^= 1
+    path.write_bytes(content)
+    assert call(bag, '--json', train=driven_bag / 'train.yaml') == 0
+    captured = capsys.readouterr()
+    assert json.loads(captured.out)['samples'] > 300
+    lines = captured.err.splitlines()
+    assert lines[0].startswith(f'trainid: warning: {path}: ')
+    assert 'are lost: ' in lines[0]
+    assert ' messages found' in lines[1]

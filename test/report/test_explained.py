@@ -127,3 +127,25 @@ def test_report_of_hundreds_of_runs_is_small(make_explanation: Make, stated: Tra
     )
     assert 'Of 300 runs those with the largest gaps' in (tmp_path / 'new' / 'report.html').read_text(encoding='utf-8')
     assert (tmp_path / 'new' / 'report.html').stat().st_size < 1_500_000
+
+
+def test_names_are_text_wherever_they_appear(make_explanation: Make, stated: TrainFile) -> None:
+    bad = '<img src=x onerror=alert(1)>&"$x$\udcff'
+    explanation = make_explanation(ambiguous=True)
+    effects = tuple(
+        replace(
+            effect, name=bad, title=bad, equation=bad, where=bad,
+            parameters=tuple((bad, value) for _, value in effect.parameters),
+            twins=tuple(replace(twin, name=bad, drive=bad) for twin in effect.twins),
+        )
+        for effect in explanation.effects
+    )  # fmt: skip
+    hostile = replace(explanation, effects=effects, remaining=bad)
+    text = render_explained(Explained(bad, hostile, stated, bad, (bad, bad), (bad,)))
+    assert '<img' not in text
+    assert text.count('&lt;img src=x onerror=alert(1)&gt;') > 10
+
+
+def test_file_names_that_are_no_text_can_be_written(tmp_path: Path, make_explanation: Make, stated: TrainFile) -> None:
+    write_explained(Explained('\udcff', make_explanation(), stated, 'T', ('b',)), tmp_path / 'r.html')
+    assert '\\udcff' in (tmp_path / 'r.html').read_text(encoding='utf-8')

@@ -150,3 +150,11 @@ def words(text: str) -> set[str]:
     """Return the words a reader sees, in lower case."""
     shown = re.sub(r'<style.*?</style>|<[^>]+>', ' ', text, flags=re.DOTALL)
     return set(re.findall(r'[a-z]+', shown.lower()))
+
+
+def test_names_are_text_wherever_they_appear(make_chapter: Callable[..., Any]) -> None:
+    bad = '<img src=x onerror=alert(1)>&"'
+    chapter = replace(make_chapter(60), title=bad, bag=bad, train_file_name=bad, how=bad, notes=(bad,))
+    text = render(Report(bad, (chapter, chapter)))
+    assert '<img' not in text
+    assert text.count('&lt;img src=x onerror=alert(1)&gt;&amp;') >= 10

@@ -350,3 +350,33 @@ def test_without_the_laboratory_a_node_runs_and_refuses_other_names(
 
 def test_nothing_is_left_in_the_default_context() -> None:
     assert not rclpy.ok()
+
+
+FAILING = """
+from trainid_ros.train.effects import EffectKind, Parameter
+
+EFFECT = EffectKind('bad', 'bad', 'w = ?', {'value': Parameter('', 0.0, 1.0)}, 'value', 1.0, lambda p, d, at: 1 / 0)
+"""
+
+
+def test_an_effect_that_raises_is_a_fault_with_its_reason(
+    graph: Graph, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / 'bad.py').write_text(FAILING, encoding='utf-8')
+    monkeypatch.setenv('TRAINID_EFFECTS', str(tmp_path))
+    train = tmp_path / 'T.yaml'
+    effects = 'effects: [{name: bad, parameters: {value: 1.0}}]'
+    train.write_text(f'train: {{mass: 1e5}}\nresistance: {{a: 1, b: 0, c: 0}}\n{effects}\n', encoding='utf-8')
+    for factory in FACTORIES:
+        node = graph.active(str(train), factory)
+        published, fail = graph.published(node), node.fail
+        reasons: list[str] = []
+
+        def note(pipeline: Any, reason: str, fail: Any = fail, reasons: list[str] = reasons) -> Any:
+            reasons.append(reason)
+            return fail(pipeline, reason)
+
+        monkeypatch.setattr(node, 'fail', note)
+        graph.feed(node, graph.coasting(30))
+        assert published.messages[-1].status is Status.FAULT
+        assert 'effect bad: its resistance cannot be evaluated: ZeroDivisionError' in reasons[0]

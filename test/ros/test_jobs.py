@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -85,7 +86,7 @@ def test_each_node_gets_its_own_section_over_the_common_one(tmp_path: Path) -> N
         ('brake_rate_estimator: {ros__parameters: {algorithm: V-MILS}}', "algorithm = 'V-MILS' must be one of GSMA"),
         ('resistence_estimator: {ros__parameters: {seed: 1}}', "section '/resistence_estimator' does not apply"),
         ('resistance_estimator: {seed: 1}', 'params.yaml: is not a parameter file'),
-        ('a: [', 'params.yaml: cannot be read'),
+        ('a: [', 'params.yaml: line 2, column 1 is not valid YAML'),
         ('resistance_estimator: {ros__parameters: 5}', 'ros__parameters of /resistance_estimator must map names to'),
         ('? [1, 2]\n: {ros__parameters: {seed: 1}}', 'a key of it is not a name (line 1)'),
         ('/**: {ros__parameters: {? {a: 1} : 3}}', 'is not a parameter file: a key of it is not a name (line 1)'),
@@ -117,7 +118,7 @@ def test_a_file_without_a_section_for_a_node_gives_a_warning(tmp_path: Path) -> 
 
 
 def test_a_train_file_out_of_range_is_named_with_its_value() -> None:
-    wide = parse_train_file('train: {mass: 1000.0}\nresistance: {a: 1, b: 0, c: 0}\nbrake: {time_constant: 500}\n', 'x')
+    wide = replace(TRAIN, brake=replace(TRAIN.brake, time_constant=500.0))
     with pytest.raises(InputError, match=r'x\.yaml: brake\.time_constant = 500 is outside'):
         node_setups(wide, 'x.yaml')
 

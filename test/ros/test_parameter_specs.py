@@ -8,13 +8,22 @@ from pathlib import Path
 
 import pytest
 import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from trainid_ros.errors import InputError
 from trainid_ros.estimators.pipeline import EstimatorSettings
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
 from trainid_ros.resistance.resistance_settings import FilterBankConfig
-from trainid_ros.ros.parameter_specs import TAKEN, ParameterSpec, build_settings, build_train_file, estimator_parameters
-from trainid_ros.ros.params_file import find_mismatch, params_files
+from trainid_ros.ros.parameter_specs import (
+    TAKEN,
+    ParameterSpec,
+    build_settings,
+    build_train_file,
+    estimator_parameters,
+    validate_overrides,
+)
+from trainid_ros.ros.params_file import find_mismatch, params_files, read_overrides
 from trainid_ros.ros.params_template import parameter_file
 from trainid_ros.settings import setting_info
 from trainid_ros.stream.alignment import AlignmentConfig
@@ -151,3 +160,31 @@ def test_nested_sections_match_and_other_arguments_are_ignored(tmp_path: Path) -
 def test_bounds_are_inclusive() -> None:
     spec = ParameterSpec('x', 1.0, 'x', 0.0, 1.0)
     assert [spec.coerce(value) for value in (0.0, 1.0)] == [0.0, 1.0]
+
+
+NUMBERS = st.one_of(st.floats(), st.integers(-(2**63), 2**63 - 1))
+
+
+@settings(deadline=None, max_examples=300)
+@given(st.sampled_from(sorted(SPECS)), st.one_of(NUMBERS, st.booleans(), st.text(), st.lists(st.integers())))
+def test_a_value_is_accepted_or_named_with_what_is_allowed(name: str, value: object) -> None:
+    spec = SPECS[name]
+    given_values, problems = validate_overrides({name: value}, SPECS, ())
+    assert set(given_values) | set(problems) == {name}
+    if name in problems:
+        assert problems[name].startswith(f'{name} = ')
+        assert any(word in problems[name] for word in (' must be ', f' is outside [{spec.low:g}, {spec.high:g}]'))
+    elif isinstance(spec.default, float):
+        assert spec.low <= given_values[name] <= spec.high  # type: ignore[operator]
+        build_settings(DEFAULTS | given_values, RESISTANCE, 'resistance')
+
+
+@pytest.mark.parametrize('text', ['{a: ' * 2000 + '}' * 2000, '[' * 2000, '- ' * 2000])
+def test_a_file_nested_too_deep_is_one_error(tmp_path: Path, text: str) -> None:
+    path = tmp_path / 'params.yaml'
+    path.write_text(text, encoding='utf-8')
+    assert find_mismatch(path, '/x', 'x') is None  # ROS reports it
+    with pytest.raises(
+        InputError, match=f'^{path}: line 1, column [0-9]+ is not valid YAML: nested more than 100 deep$'
+    ):
+        read_overrides(path, '/x')

@@ -262,6 +262,25 @@ def test_an_invalid_user_file_is_named(
         check_effects([Effect('headwind', (('speed', 1.0),))])
 
 
+@pytest.mark.parametrize(
+    ('body', 'reason'),
+    [
+        ('1 / 0', 'its resistance cannot be evaluated: ZeroDivisionError: division by zero'),
+        ('None', 'its resistance cannot be evaluated: TypeError'),
+        ('[][0]', 'its resistance cannot be evaluated: IndexError'),
+        ('float("inf")', 'its resistance = inf N/kN at .* m/s must be finite'),
+    ],
+)
+def test_an_effect_of_a_user_that_fails_is_named(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, body: str, reason: str
+) -> None:
+    text = USERS.replace("p['value'] + davis.a", body)
+    (tmp_path / 'leaves.py').write_text(text, encoding='utf-8')
+    monkeypatch.setenv('TRAINID_EFFECTS', str(tmp_path))
+    with pytest.raises(InputError, match=f'effect leaves: {reason}'):
+        extra_resistance(parse_effects(['leaves:value=2']), POINT)
+
+
 def test_a_missing_effects_folder_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv('TRAINID_EFFECTS', '/nowhere/at/all')
     with pytest.raises(InputError, match='TRAINID_EFFECTS: /nowhere/at/all is not a folder'):

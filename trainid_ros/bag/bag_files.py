@@ -7,10 +7,9 @@ from dataclasses import dataclass
 from pathlib import Path, PureWindowsPath
 from typing import TYPE_CHECKING, Any, Final
 
-import yaml
-
 from trainid_ros.errors import InputError
-from trainid_ros.train.strict_yaml import StrictLoader
+from trainid_ros.train.fields import read_text
+from trainid_ros.train.strict_yaml import load
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
@@ -47,6 +46,9 @@ def locate(path: Path) -> BagFiles:
     if not path.exists():
         msg = f'{path}: no such bag'
         raise InputError(msg)
+    if not (path.is_file() or path.is_dir()):  # a pipe or a device may have no end
+        msg = f'{path}: is neither a file nor a directory'
+        raise InputError(msg)
     if path.is_file():
         _reject_sqlite([path])
         return BagFiles((path,))
@@ -56,13 +58,17 @@ def locate(path: Path) -> BagFiles:
 
 
 def _from_folder(path: Path, warning: str) -> BagFiles:
-    entries = sorted(path.iterdir(), key=_part_number)
-    files = tuple(entry for entry in entries if entry.suffix == '.mcap')
+    files = _mcap_files(path)
     if not files:
-        _reject_sqlite(entries)
+        _reject_sqlite(path.iterdir())
         msg = f'{path}: no bag in this directory (neither {METADATA} nor an .mcap file)'
         raise InputError(msg)
     return BagFiles(files, warnings=(warning,))
+
+
+def _mcap_files(path: Path) -> tuple[Path, ...]:
+    """Return the .mcap files of a directory in the order of recording."""
+    return tuple(sorted((entry for entry in path.glob('*.mcap') if entry.is_file()), key=_part_number))
 
 
 def _part_number(path: Path) -> tuple[str, int, str]:
@@ -74,34 +80,45 @@ def _part_number(path: Path) -> tuple[str, int, str]:
 def _from_metadata(path: Path) -> BagFiles:
     where = path / METADATA
     try:
-        info = yaml.load(where.read_text(encoding='utf-8'), StrictLoader)[_ROOT_KEY]
-        names = [PureWindowsPath(str(name)).name for name in info['relative_file_paths']]
+        document: Any = load(read_text(where), str(where))
+        info = document[_ROOT_KEY]
+        names = dict.fromkeys(PureWindowsPath(str(name)).name for name in info['relative_file_paths'])
         count, hashes = int(info['message_count']), tuple(_hashes(info))
-        storage, mode = str(info['storage_identifier']), str(info.get('compression_mode') or 'none')
-    except (yaml.YAMLError, KeyError, TypeError, ValueError, AttributeError) as error:
-        reason = ' '.join(str(error).split())
+        _check_storage(where, str(info['storage_identifier']), str(info.get('compression_mode') or 'none').lower())
+    except _UnsupportedError as error:
+        raise InputError(str(error)) from None
+    except (InputError, KeyError, TypeError, ValueError, AttributeError) as error:
+        reason = ' '.join(str(error).split()).removeprefix(f'{where}: ')
         return _from_folder(path, f'{where}: unreadable ({reason}), the .mcap files were read without it')
-    _check_storage(where, storage, mode.lower())
-    for name in names:
-        if not (path / name).is_file():
-            msg = f'{path / name}: file listed in {METADATA} is missing'
-            raise InputError(msg)
     if not names:
         msg = f'{where}: lists no files'
         raise InputError(msg)
-    return BagFiles(tuple(path / name for name in names), count, hashes)
+    if not (missing := [path / name for name in names if not (path / name).is_file()]):
+        return BagFiles(tuple(path / name for name in names), count, hashes)
+    warning = f'{missing[0]}: file listed in {METADATA} is missing'
+    if not (others := _mcap_files(path)):
+        raise InputError(warning)
+    return BagFiles(others, count, hashes, (f'{warning}, the .mcap files that are there were read',))
+
+
+class _UnsupportedError(Exception):
+    """The bag is stored in a way that is known but not supported."""
 
 
 def _check_storage(where: Path, storage: str, mode: str) -> None:
-    if storage != 'mcap':
+    """Raise _UnsupportedError for a storage or compression that is known, ValueError for one that is not."""
+    if storage == 'sqlite3':
         msg = f'{where}: storage {storage!r} is not supported, only mcap (see ros2 bag convert)'
-        raise InputError(msg)
-    if mode != 'none':
+        raise _UnsupportedError(msg)
+    if mode in {'file', 'message'}:
         msg = (
             f'{where}: compression mode {mode!r} of ros2 bag is not supported, only compressed chunks '
             'inside the .mcap (see ros2 bag convert)'
         )
-        raise InputError(msg)
+        raise _UnsupportedError(msg)
+    if (storage, mode) != ('mcap', 'none'):
+        msg = f'storage {storage!r} with compression mode {mode!r} is not known'
+        raise ValueError(msg)
 
 
 def _hashes(info: Any) -> Iterable[tuple[str, str]]:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from trainid_ros.bag.chunk import MAX_CHUNK
 from trainid_ros.bag.reader import BagReader, missing_topics
 from trainid_ros.bag.record_table import EMPTY, joined
 from trainid_ros.records import (
@@ -164,18 +165,19 @@ class _Column:
         return int(np.count_nonzero(np.logical_or.reduce(columns)))
 
 
-def inspect(path: str | Path, namespace: str = '/') -> BagInfo:
+def inspect(path: str | Path, namespace: str = '/', max_chunk: int = MAX_CHUNK) -> BagInfo:
     """Read a bag once and summarise its contents.
 
     Args:
         path: Rosbag2 directory or ``.mcap`` file.
         namespace: Namespace of the topics.
+        max_chunk: Largest chunk to unpack [bytes].
 
     Raises:
         InputError: If the bag cannot be read.
 
     """
-    with BagReader(path, namespace) as reader:
+    with BagReader(path, namespace, max_chunk) as reader:
         columns = _read(reader)
         missing = missing_topics(reader)
         topics = tuple(

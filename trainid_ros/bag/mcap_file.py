@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One MCAP file, read without trust in its index.
+"""One MCAP file, read without trust in its index or its contents.
 
 The file is scanned once when it is opened: every chunk is unpacked and checked, so damage is known
-before the first message is handed out and counts are exact. What stays in memory is where each message
-starts in its chunk; the chunks are read again, one by one, when they are asked for.
+before the first message is handed out and counts are exact. Damaged pieces are left out, and each is named.
+What stays in memory is where each message starts in its chunk; the chunks are read again, one by one, when
+they are asked for.
 
 Record layout: MCAP specification, https://mcap.dev/spec.
 """
@@ -11,45 +12,39 @@ Record layout: MCAP specification, https://mcap.dev/spec.
 from __future__ import annotations
 
 import struct
+from array import array
 from collections import Counter
 from dataclasses import dataclass
 from io import BytesIO
-from typing import TYPE_CHECKING, Any, BinaryIO, Final, NamedTuple, NoReturn
+from typing import TYPE_CHECKING, Final, NamedTuple, NoReturn
 
 import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Chunk, Schema
-from mcap.stream_reader import CRCValidationError, get_chunk_data_stream
-from zstandard import ZstdError
+from mcap.records import Channel, Schema, Statistics
 
+from trainid_ros.bag.chunk import MAX_CHUNK, MAX_HEAD, DamageError, read_head, unpack, unpack_start
+from trainid_ros.bag.record_file import HEAD, MAGIC, MESSAGE_BYTES, Record, RecordFile, values_at
 from trainid_ros.errors import InputError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from pathlib import Path
 
     from numpy.typing import NDArray
 
-MAGIC: Final = b'\x89MCAP0\r\n'
-_HEAD: Final = struct.Struct('<BQ')  # opcode, length of the record
 # Channel, sequence, log time and publish time of a message.
 _MESSAGE: Final = np.dtype([('channel', '<u2'), ('sequence', '<u4'), ('log_ns', '<u8'), ('publish_ns', '<u8')])
 _LENGTH: Final = np.dtype('<i8')
 _RUN_BYTES: Final = 1 << 20  # messages outside chunks are taken together up to this size
+_MOST_EXPANSION: Final = 50
+"""Most bytes that the chunks of a file may unpack to for each of its bytes, if together above the largest chunk."""
 _DEFINITIONS: Final = (Opcode.SCHEMA, Opcode.CHANNEL)
 _PLAIN: Final = (*_DEFINITIONS, Opcode.MESSAGE)
-_DAMAGE: Final = (
-    McapError,
-    CRCValidationError,
-    ZstdError,
-    RuntimeError,  # lz4
-    MemoryError,  # an absurd size
-    OverflowError,
-    struct.error,
-    UnicodeDecodeError,
-)
+_CHUNK: Final = bytes([Opcode.CHUNK])
+_NAMED_LOSSES: Final = 5
+_MB: Final = 1 << 20
+_UNREADABLE: Final = (McapError, struct.error, UnicodeDecodeError, OverflowError, KeyError)
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,28 +67,27 @@ class MessageBlock:
     log_ns: NDArray[np.uint64]
 
 
-class _Head(NamedTuple):
-    """Opcode, start and end of one record."""
+class Piece(NamedTuple):
+    """A piece of the file: a chunk, one whose end is missing, or records outside chunks."""
 
-    opcode: int
-    start: int
+    offset: int
     end: int
+    is_chunk: bool
+    is_cut: bool = False
 
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """A chunk, or a run of messages outside chunks: its place in the file, its log times, and where messages start."""
+    """A piece of the file with messages: their log times, and where they start."""
 
-    offset: int
-    length: int
-    is_chunk: bool
+    piece: Piece
     first_ns: int
     last_ns: int
     starts: NDArray[np.uint32]
 
 
 class McapFile:
-    """The messages of one MCAP file, also of a file whose recording was cut off.
+    """The messages of one MCAP file, also of a damaged one and of one whose recording was cut off.
 
     Attributes:
         path: The file.
@@ -101,15 +95,20 @@ class McapFile:
         schemas: Message definitions by number.
         counts: Number of messages by channel number.
         segments: Pieces of the file that hold messages, in file order.
+        promised: Number of messages that the file states, None if it does not.
         warnings: What is wrong with the file although it can be read.
 
     """
 
-    def __init__(self, path: Path) -> None:
+    def __init__(self, path: Path, max_chunk: int = MAX_CHUNK) -> None:
         """Open and scan a file.
 
+        Args:
+            path: The file.
+            max_chunk: Largest chunk to unpack, and largest message outside chunks to read [bytes].
+
         Raises:
-            InputError: If it is not MCAP, is empty, is corrupt, or nothing of it can be recovered.
+            InputError: If it is not MCAP, is empty, or nothing of it can be used.
 
         """
         self.path = path
@@ -117,9 +116,17 @@ class McapFile:
         self.schemas: dict[int, Schema] = {}
         self.counts: Counter[int] = Counter()
         self.segments: list[Segment] = []
+        self.promised: int | None = None
         self.warnings: list[str] = []
+        self._spare_channels: dict[int, Channel] = {}
+        self._spare_schemas: dict[int, Schema] = {}
+        self._max_chunk = max_chunk
+        self._unpacked = 0
+        self._all_checked = self._chunked = False
+        self._losses: list[str] = []
+        self._lost_bytes = 0
         try:
-            self._file = path.open('rb')
+            self._file = RecordFile(path)
         except OSError as error:
             msg = f'{path}: cannot be opened ({error.strerror})'
             raise InputError(msg) from None
@@ -134,145 +141,238 @@ class McapFile:
         self._file.close()
 
     def messages(self, segment: Segment) -> MessageBlock:
-        """Return the messages of one segment."""
-        data = self._load(segment.offset, segment.length, is_chunk=segment.is_chunk)
-        return _block(data, segment.starts.astype(np.intp))
+        """Return the messages of one segment.
+
+        Raises:
+            InputError: The file has changed since it was opened.
+
+        """
+        try:
+            return _block(self._load(segment.piece), segment.starts.astype(np.intp))
+        except (DamageError, IndexError):
+            self._fail('has changed while it was read')
 
     def _scan(self) -> None:
-        size = self._file.seek(0, 2)
-        if size == 0:
+        file = self._file
+        if file.size == 0:
             self._fail('is empty')
-        self._file.seek(0)
-        if (start := self._file.read(len(MAGIC))) != MAGIC:
+        start = file.read(0, len(MAGIC))
+        if start != MAGIC and not file.is_closed:
             sqlite = start == b'SQLite f'
             self._fail('is an SQLite file, only mcap is supported' if sqlite else 'is not an MCAP file')
-        if size == len(MAGIC):
+        if file.size == len(MAGIC):
             self._fail('holds no records, only the MCAP signature')
-        self._file.seek(-len(MAGIC), 2)
-        closed = size > 2 * len(MAGIC) and self._file.read(len(MAGIC)) == MAGIC
-        end, finished = self._scan_records(size, closed=closed)
-        if closed and not finished:
-            self._fail(f'is corrupt: no valid record at byte {end}')
-        if not closed:
-            self._report_truncation(size - end, finished=finished)
+        self._all_checked = True
+        if file.is_closed:
+            self._read_summary()
+        reached, last = self._scan_records()
+        if file.is_closed and self._losses and not self.segments:
+            self._fail(f'nothing of it can be used: {self._losses[0]}')
+        self._report_losses()
+        if not file.is_closed:
+            self._report_cut(file.size - reached, finished=last is not None)
+        elif not (self._all_checked or self._losses or last is None or file.crc_fits(last)):
+            self.warnings.append(f'{self.path}: checksum of the file does not fit, some messages may be wrong')
 
-    def _report_truncation(self, lost: int, *, finished: bool) -> None:
+    def _report_losses(self) -> None:
+        self.warnings += [f'{self.path}: {loss}' for loss in self._losses[:_NAMED_LOSSES]]
+        if (more := len(self._losses) - _NAMED_LOSSES) > 0:
+            self.warnings.append(f'{self.path}: {more} more losses, of {self._lost_bytes} bytes with those named')
+
+    def _report_cut(self, lost: int, *, finished: bool) -> None:
         if finished:
-            self.warnings.append(f'{self.path}: the index at the end is damaged, all messages were read')
+            self.warnings.append(f'{self.path}: the index at the end is damaged, all messages before it were read')
             return
         if not self.segments:
-            self._fail('was cut off before the first complete chunk, nothing can be recovered')
+            self._fail('was cut off before the first complete message, nothing can be recovered')
+        incomplete = 'are incomplete' if self.segments[-1].piece.is_cut else 'are lost'
         self.warnings.append(
-            f'{self.path}: the recording was cut off: {sum(self.counts.values())} messages up to the last '
-            f'complete chunk were recovered, the last {lost} bytes are lost'
+            f'{self.path}: the recording was cut off: {sum(self.counts.values())} messages were recovered, '
+            f'the last {lost} bytes {incomplete}'
         )
 
-    def _scan_records(self, size: int, *, closed: bool) -> tuple[int, bool]:
-        """Take in the data section; return where it stopped and whether that was its proper end."""
-        reached = len(MAGIC)
-        for opcode, start, end in self._pieces(size):
-            if opcode == Opcode.DATA_END:
-                return end, True
+    def _lose(self, start: int, end: int, why: str) -> None:
+        self._losses.append(f'{end - start} bytes from byte {start} on are lost: {why}')
+        self._lost_bytes += end - start
+
+    def _read_summary(self) -> None:
+        """Note what the summary repeats of definitions, in case that those before the messages are lost."""
+        for opcode, content in self._file.summary():
             try:
-                if opcode in {Opcode.CHUNK, Opcode.MESSAGE}:
-                    self._add(start, end, is_chunk=opcode == Opcode.CHUNK)
-            except InputError:
-                # Where a recording was cut off, the last chunk may be allocated on disk but not written.
-                if closed:
-                    raise
-                break
-            reached = end
-        return reached, False
+                if opcode in _DEFINITIONS:
+                    _define(opcode, content, self._spare_schemas, self._spare_channels)
+                elif opcode == Opcode.STATISTICS:
+                    self.promised = Statistics.read(ReadDataStream(BytesIO(content))).message_count
+            except _UNREADABLE:
+                return
 
-    def _pieces(self, size: int) -> Iterator[_Head]:
-        """Yield the records of the file with their heads; schemas, channels and messages in a row as one message."""
-        position = run = len(MAGIC)
-        while position + _HEAD.size <= size:
-            self._file.seek(position)
-            opcode, length = _HEAD.unpack(self._file.read(_HEAD.size))
-            after = position + _HEAD.size + length
-            if opcode == 0 or after > size:
-                break
-            plain = opcode in _PLAIN
-            if run < position and (not plain or after - run > _RUN_BYTES):
-                yield _Head(Opcode.MESSAGE, run, position)
+    def _scan_records(self) -> tuple[int, Record | None]:
+        """Take in the data section; return where the last record used ends, and the end of data if there is one."""
+        file, position, run = self._file, len(MAGIC), len(MAGIC)
+        while True:
+            record = file.record(position) if position < file.end else None
+            plain = record is not None and record.opcode in _PLAIN
+            if run < position and (record is None or not plain or record.end - run > _RUN_BYTES):
+                self._take(Piece(run, position, is_chunk=False))
                 run = position
-            if not plain:
-                yield _Head(opcode, position, after)
-                run = after
-            position = after
-        if run < position:
-            yield _Head(Opcode.MESSAGE, run, position)
-
-    def _add(self, start: int, end: int, *, is_chunk: bool) -> None:
-        """Read the records between two offsets; note the channels and, if there are messages, the segment."""
-        data = self._load(start, end - start, is_chunk=is_chunk)
-        starts, definitions = self._walk(data, start)
-        for head in definitions:
-            self._define(head.opcode, data[head.start : head.end], start)
-        if not starts.size:
-            return
-        block = _block(data, starts)
-        counts = {channel: count for channel, count in enumerate(np.bincount(block.channel).tolist()) if count}
-        if unknown := [channel for channel in counts if channel not in self.channels]:
-            self._fail(f'is corrupt: message on unknown channel {unknown[0]} near byte {start}')
-        self.counts.update(counts)
-        first, last = int(block.log_ns.min()), int(block.log_ns.max())
-        self.segments.append(Segment(start, end - start, is_chunk, first, last, starts.astype(np.uint32)))
-
-    def _define(self, opcode: int, content: bytes, offset: int) -> None:
-        stream = ReadDataStream(BytesIO(content))
-        try:
-            if opcode == Opcode.SCHEMA:
-                schema = Schema.read(stream)
-                self.schemas[schema.id] = schema
+            if record is None:
+                self._chunked |= file.read(position, 1) == _CHUNK
+                found = file.search(position + 1, chunked=self._chunked)
+                if position >= file.end or (found == file.end and not file.is_closed):
+                    self._take_start_of_chunk(position)
+                    return position, None
+                self._lose(position, found, 'no valid record')
+                position = run = found
+            elif record.opcode in (Opcode.DATA_END, Opcode.FOOTER):
+                return record.end, record if record.opcode == Opcode.DATA_END else None
+            elif plain:
+                position = self._follow(record, record.offset + 1)
+                if position < record.end:  # the record is lost
+                    self._take(Piece(run, record.offset, is_chunk=False))
+                    run = position
             else:
-                channel = Channel.read(stream)
-                self.channels[channel.id] = channel
-        except _DAMAGE:
-            self._fail(f'is corrupt: unreadable channel or schema near byte {offset}')
+                position = run = self._take_record(record)
 
-    def _load(self, offset: int, length: int, *, is_chunk: bool) -> bytes:
-        """Return the records stored in a piece of the file, unpacked and checked."""
-        if not is_chunk:
-            return _read(self._file, offset, length)
-        content = _read(self._file, offset + _HEAD.size, length - _HEAD.size)
+    def _take_record(self, record: Record) -> int:
+        """Take in a record that is neither a message nor a definition; return where the next one starts."""
+        if record.opcode != Opcode.CHUNK:
+            return self._follow(record, record.offset + 1)
+        self._chunked = True
+        self._take(Piece(record.offset, record.end, is_chunk=True))
+        return self._follow(record, record.end)
+
+    def _follow(self, record: Record, begin: int) -> int:
+        """Return where a record ends; if none follows there but one begins before, where that one starts."""
+        if record.end >= self._file.end or self._file.record(record.end) is not None:
+            return record.end
+        found = self._file.search(begin, chunked=self._chunked)
+        if found >= record.end:
+            return record.end
+        self._lose(record.offset, found, 'a record of a wrong length')
+        return found
+
+    def _take_start_of_chunk(self, offset: int) -> None:
+        """Take in what is there of a chunk whose end is missing, if one starts at an offset."""
+        if offset + HEAD.size < self._file.end and self._file.read(offset, 1) == _CHUNK:
+            self._take(Piece(offset, self._file.end, is_chunk=True, is_cut=True))
+
+    def _take(self, piece: Piece) -> None:
+        """Note the definitions and the messages of a piece of the file, or why it is lost."""
+        if piece.offset == piece.end:
+            return
         try:
-            chunk = Chunk.read(ReadDataStream(BytesIO(content)))
-            stream, size = get_chunk_data_stream(chunk, validate_crc=True)
-        except _DAMAGE as error:
-            self._fail(f'is corrupt: chunk at byte {offset}: {" ".join(str(error).split()) or "unreadable"}')
-        if size != chunk.uncompressed_size:
-            self._fail(f'is corrupt: chunk at byte {offset}: {size} of {chunk.uncompressed_size} bytes')
-        return stream.read(size)
+            data = self._load(piece, is_new=True)
+        except DamageError as error:
+            if not piece.is_cut:
+                self._lose(piece.offset, piece.end, str(error))
+            return
+        starts, end = self._walk(data)
+        if end < len(data) and not piece.is_cut:
+            self._lose(piece.offset, piece.end, f'all after {end} of the {len(data)} bytes that it unpacks to')
+        if starts.size:
+            self._add(piece, data, starts)
 
-    def _walk(self, data: bytes, offset: int) -> tuple[NDArray[np.intp], list[_Head]]:
-        """Return where messages start, and the schemas and channels, in a block of bytes read at ``offset``."""
-        starts: list[int] = []
-        definitions: list[_Head] = []
-        unpack, message = _HEAD.unpack_from, int(Opcode.MESSAGE)
+    def _walk(self, data: bytes) -> tuple[NDArray[np.intp], int]:
+        """Note the definitions in a block of bytes; return where messages start, and where the last record ends."""
+        starts = array('Q')
+        unpack_head, message = HEAD.unpack_from, int(Opcode.MESSAGE)
         position, size = 0, len(data)
-        while position + _HEAD.size <= size:
-            opcode, length = unpack(data, position)
-            start = position + _HEAD.size
+        while position + HEAD.size <= size:
+            opcode, length = unpack_head(data, position)
+            start = position + HEAD.size
+            if start + length > size or not opcode:
+                break
             position = start + length
             if opcode == message:
                 starts.append(start)
             elif opcode in _DEFINITIONS:
-                definitions.append(_Head(opcode, start, position))
-        places = np.array(starts, dtype=np.intp)
-        if position != size or bool(np.any(_lengths(data, places) < _MESSAGE.itemsize)):
-            self._fail(f'is corrupt: broken record near byte {offset}')
-        return places, definitions
+                try:
+                    _define(opcode, data[start:position], self.schemas, self.channels)
+                except _UNREADABLE:
+                    self._losses.append('an unreadable message definition')
+        return np.asarray(starts, dtype=np.intp), position
+
+    def _add(self, piece: Piece, data: bytes, starts: NDArray[np.intp]) -> None:
+        """Note the messages of a block of bytes that have a channel."""
+        starts = starts[_lengths(data, starts) >= MESSAGE_BYTES]
+        channel = values_at(data, starts, _MESSAGE)['channel']
+        for number in np.flatnonzero(np.bincount(channel)).tolist():
+            if number not in self.channels and not self._use_spare(number):
+                starts, channel = starts[channel != number], channel[channel != number]
+                self._losses.append(f'messages on the unknown channel {number} near byte {piece.offset} are lost')
+        if not starts.size:
+            return
+        block = _block(data, starts)
+        self.counts.update(dict(enumerate(np.bincount(block.channel).tolist())))
+        first, last = int(block.log_ns.min()), int(block.log_ns.max())
+        self.segments.append(Segment(piece, first, last, starts.astype(np.uint32)))
+
+    def _use_spare(self, number: int) -> bool:
+        """Take the definition of a channel from the summary; return whether it is there."""
+        channel = self._spare_channels.get(number)
+        if channel is None:
+            return False
+        self.channels[number] = channel
+        if channel.schema_id in self._spare_schemas:
+            self.schemas.setdefault(channel.schema_id, self._spare_schemas[channel.schema_id])
+        return True
+
+    def _load(self, piece: Piece, *, is_new: bool = False) -> bytes:
+        """Return the records of a piece of the file, unpacked and checked; ``is_new`` the first time.
+
+        Raises:
+            DamageError: They are damaged or too large.
+
+        """
+        file = self._file
+        if not piece.is_chunk:
+            self._all_checked = False
+            self._check_size(piece.end - piece.offset)
+            return file.read(piece.offset, piece.end - piece.offset)
+        start = piece.offset + HEAD.size
+        _, length = HEAD.unpack(file.read(piece.offset, HEAD.size))
+        head = read_head(file.read(start, min(MAX_HEAD, piece.end - start)), length)
+        if head is None:
+            msg = 'no valid head of a chunk'
+            raise DamageError(msg)
+        self._check_size(max(head.size, head.stored))
+        if is_new:  # before anything is unpacked
+            self._check_expansion(head.size)
+        self._all_checked &= head.crc != 0
+        stored = file.read(start + head.start, min(head.stored, piece.end - start - head.start))
+        return unpack_start(head, stored) if piece.is_cut else unpack(head, stored)
+
+    def _check_size(self, size: int) -> None:
+        if size > self._max_chunk:
+            msg = f'{size / _MB:.3g} MB in one piece, above the limit of {self._max_chunk / _MB:.3g} MB (--max-chunk)'
+            raise DamageError(msg)
+
+    def _check_expansion(self, size: int) -> None:
+        most = max(self._max_chunk, _MOST_EXPANSION * self._file.size)
+        if self._unpacked + size > most:
+            msg = f'the chunks of the file unpack to more than {most / _MB:.3g} MB (--max-chunk)'
+            raise DamageError(msg)
+        self._unpacked += size
 
     def _fail(self, what: str) -> NoReturn:
         msg = f'{self.path}: {what}'
         raise InputError(msg)
 
 
+def _define(opcode: int, content: bytes, schemas: dict[int, Schema], channels: dict[int, Channel]) -> None:
+    """Note a schema or a channel; one of _UNREADABLE if it cannot be read."""
+    stream = ReadDataStream(BytesIO(content))
+    if opcode == Opcode.SCHEMA:
+        schema = Schema.read(stream)
+        schemas[schema.id] = schema
+    else:
+        channel = Channel.read(stream)
+        channels[channel.id] = channel
+
+
 def _block(data: bytes, starts: NDArray[np.intp]) -> MessageBlock:
     """Return the messages whose records, without opcode and length, start at these places."""
-    heads = _values(data, starts, _MESSAGE)
+    heads = values_at(data, starts, _MESSAGE)
     ends = starts + _lengths(data, starts)
     content = np.frombuffer(data, dtype=np.uint8)
     return MessageBlock(content, starts + _MESSAGE.itemsize, ends, heads['channel'], heads['log_ns'])
@@ -280,15 +380,4 @@ def _block(data: bytes, starts: NDArray[np.intp]) -> MessageBlock:
 
 def _lengths(data: bytes, starts: NDArray[np.intp]) -> NDArray[np.int64]:
     """Return the lengths of records, which stand before their starts."""
-    return _values(data, starts - _LENGTH.itemsize, _LENGTH)
-
-
-def _values(data: bytes, at: NDArray[np.intp], kind: np.dtype[Any]) -> NDArray[Any]:
-    """Return the values that start at each place, shape (n,)."""
-    rows = np.frombuffer(data, dtype=np.uint8)[at[:, None] + np.arange(kind.itemsize)]
-    return np.asarray(rows.view(kind)[:, 0])
-
-
-def _read(file: BinaryIO, offset: int, length: int) -> bytes:
-    file.seek(offset)
-    return file.read(length)
+    return values_at(data, starts - _LENGTH.itemsize, _LENGTH)

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import dataclass
 from heapq import heappop, heappush
 from operator import itemgetter
@@ -13,20 +14,20 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
 import numpy as np
 
 from trainid_ros.bag.bag_files import locate
+from trainid_ros.bag.chunk import MAX_CHUNK
 from trainid_ros.bag.mcap_file import McapFile
 from trainid_ros.bag.record_table import EMPTY, decode, in_order_of, joined
 from trainid_ros.bag.types import digest, full_type, is_packaged, typestore
 from trainid_ros.errors import InputError
-from trainid_ros.messages import OUTPUT_TOPICS, record_from_message
+from trainid_ros.messages import OUTPUT_TOPICS
+from trainid_ros.plural import pluralise
 from trainid_ros.records import INPUT_TOPICS, REQUIRED_TOPICS, InputTopic, record_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator
     from types import TracebackType
 
-    from numpy.typing import NDArray
-
-    from trainid_ros.bag.mcap_file import MessageBlock, Segment
+    from trainid_ros.bag.mcap_file import Segment
     from trainid_ros.bag.record_table import RecordTable
     from trainid_ros.records import Record, Row
     from trainid_ros.stream.sample_stream import SampleStream, StreamEvent
@@ -83,20 +84,23 @@ class BagReader:
 
     Attributes:
         path: The bag.
-        warnings: What is wrong with the bag although it can be read.
 
     """
 
-    def __init__(self, path: str | Path, namespace: str = '/') -> None:
+    def __init__(self, path: str | Path, namespace: str = '/', max_chunk: int = MAX_CHUNK) -> None:
         """Name the bag; it is opened on entering the context.
 
         Args:
             path: Rosbag2 directory or ``.mcap`` file.
             namespace: Namespace of the topics; those outside keep their full name without the slash.
+            max_chunk: Largest chunk to unpack [bytes]; larger ones are left out with a warning.
 
         """
         self.path = Path(path)
-        self.warnings: list[str] = []
+        self._max_chunk = max_chunk
+        self._damage: list[str] = []
+        # Messages by topic that could not be read the last time.
+        self._unreadable: Counter[str] = Counter()
         self._prefix = f'/{namespace.strip("/")}/'.replace('//', '/')
         self._files: list[McapFile] = []
         self._sources: list[dict[int, _Source]] = []
@@ -109,20 +113,19 @@ class BagReader:
 
         """
         located = locate(self.path)
-        self.warnings = list(located.warnings)
+        self._damage = list(located.warnings)
         try:
             for path in located.files:
-                self._files.append(McapFile(path))
+                self._files.append(McapFile(path, self._max_chunk))
             hashes = dict(located.hashes)
             self._sources = [self._check_types(file, hashes) for file in self._files]
         except BaseException:
             self.close()
             raise
-        self.warnings += [warning for file in self._files for warning in file.warnings]
-        promised = located.message_count
-        if promised is not None and promised > self.message_count:
-            found = f'{self.message_count} of {promised} messages found'
-            self.warnings.append(f'{self.path}: {found}')
+        self._damage += [warning for file in self._files for warning in file.warnings]
+        promised = max(located.message_count or 0, sum(file.promised or 0 for file in self._files))
+        if promised > self.message_count:
+            self._damage.append(f'{self.path}: {self.message_count} of {promised} messages found')
         return self
 
     def __exit__(
@@ -138,13 +141,22 @@ class BagReader:
         self._files, self._sources = [], []
 
     @property
+    def warnings(self) -> list[str]:
+        """What is wrong with the bag although it can be read; messages that cannot be read are known after reading."""
+        skipped = [
+            f'{self.path}: topic {topic}: {pluralise(count, "message")} skipped that cannot be read'
+            for topic, count in sorted(self._unreadable.items())
+        ]
+        return self._damage + skipped
+
+    @property
     def message_count(self) -> int:
         """Number of messages on all topics."""
         return sum(sum(file.counts.values()) for file in self._files)
 
     @property
     def input_count(self) -> int:
-        """Number of messages on the input topics: what :meth:`records` will yield."""
+        """Number of messages on the input topics: what :meth:`records` will yield, and those it skips as unreadable."""
         return sum(topic.count for topic in self.topics() if topic.name in _INPUT_NAMES)
 
     def time_range(self) -> tuple[int, int] | None:
@@ -167,7 +179,7 @@ class BagReader:
         """Yield the records of the input topics by log time, on equal times in the order of the file within a chunk.
 
         Raises:
-            InputError: A message cannot be read.
+            InputError: A file has changed since it was opened.
 
         """
         return (entry.record for entry in self.logged_records())
@@ -180,7 +192,7 @@ class BagReader:
         """Yield what :meth:`records` yields as log time [ns] and row of numbers, up to a log time [ns].
 
         Raises:
-            InputError: A message cannot be read.
+            InputError: A file has changed since it was opened.
 
         """
         for table in self.tables(last_ns):
@@ -197,7 +209,7 @@ class BagReader:
             last_ns: Log time to end at [ns].
 
         Raises:
-            InputError: A message cannot be read.
+            InputError: A file has changed since it was opened.
 
         """
         for count, (log_ns, row) in enumerate(self.rows(last_ns), 1):
@@ -210,9 +222,10 @@ class BagReader:
         """Yield what :meth:`records` yields, up to a log time [ns], as tables of many records each.
 
         Raises:
-            InputError: A message cannot be read.
+            InputError: A file has changed since it was opened.
 
         """
+        self._unreadable.clear()
         pending, end_ns = EMPTY, np.uint64(min(last_ns, _MAX_LOG_NS))
         for first_ns, index, segment in self._segments():
             ready = int(np.searchsorted(pending.log_ns, np.uint64(first_ns)))
@@ -236,31 +249,16 @@ class BagReader:
         for number, source in self._sources[index].items():
             rows = np.flatnonzero(block.channel == number) if source.topic in _INPUT_NAMES else _NO_ROWS
             if rows.size:
-                tables.append(self._decoded(block, rows, source))
-                places.append(rows)
+                topic = _TOPIC_NUMBERS[source.topic]
+                table, decoded = decode(block.data, block.start[rows], block.end[rows], block.log_ns[rows], topic)
+                if skipped := rows.size - len(table):
+                    self._unreadable[source.topic] += skipped
+                tables.append(table)
+                places.append(rows[decoded])
         if not tables:
             return EMPTY
         # Back into the order of the file, then by log time.
         return joined((in_order_of(np.concatenate(places), tables),))
-
-    def _decoded(self, block: MessageBlock, rows: NDArray[np.intp], source: _Source) -> RecordTable:
-        topic = _TOPIC_NUMBERS[source.topic]
-        table, decoded = decode(block.data, block.start[rows], block.end[rows], block.log_ns[rows], topic)
-        for row in np.flatnonzero(~decoded).tolist():  # big endian, or broken
-            payload = block.data[block.start[rows[row]] : block.end[rows[row]]].tobytes()
-            message = self._deserialize(payload, source, int(block.log_ns[rows[row]]))
-            numbers = record_from_message(INPUT_TOPICS[topic], message).row()
-            _, table.stamp_ns[row], table.x[row], table.y[row], table.flag[row] = numbers
-        return table
-
-    def _deserialize(self, payload: bytes, source: _Source, log_ns: int) -> Any:
-        from rosbags.serde import SerdeError  # noqa: PLC0415 - rarely needed
-
-        try:
-            return typestore().deserialize_cdr(payload, full_type(source.name))
-        except (SerdeError, ValueError) as error:
-            msg = f'{self.path}: topic {source.topic}: unreadable message logged at {log_ns} ns ({error})'
-            raise InputError(msg) from None
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[LoggedMessage]:
         """Yield our messages, inputs and estimates, by log time.
@@ -269,23 +267,32 @@ class BagReader:
             topics: Names of the topics wanted, all of ours if None; topics of others are left out.
 
         Raises:
-            InputError: A message cannot be read.
+            InputError: A file has changed since it was opened.
 
         """
+        self._unreadable.clear()
         heap: list[tuple[int, int, int, _Source, bytes]] = []
         for rank, (first_ns, index, segment) in enumerate(self._segments()):
             while heap and heap[0][0] < first_ns:
-                yield self._logged(*heappop(heap))
+                yield from self._logged(*heappop(heap))
             block, wanted = self._files[index].messages(segment), self._wanted(index, topics)
             columns = (block.channel, block.log_ns, block.start, block.end)
             for place, (channel, log_ns, start, end) in enumerate(zip(*(c.tolist() for c in columns), strict=True)):
                 if (source := wanted.get(channel)) is not None:
                     heappush(heap, (log_ns, rank, place, source, block.data[start:end].tobytes()))
         while heap:
-            yield self._logged(*heappop(heap))
+            yield from self._logged(*heappop(heap))
 
-    def _logged(self, log_ns: int, _rank: int, _place: int, source: _Source, payload: bytes) -> LoggedMessage:
-        return LoggedMessage(log_ns, source.topic, self._deserialize(payload, source, log_ns))
+    def _logged(self, log_ns: int, _rank: int, _place: int, source: _Source, payload: bytes) -> Iterator[LoggedMessage]:
+        """Yield a message, nothing if it cannot be read."""
+        from rosbags.serde import SerdeError  # noqa: PLC0415 - rarely needed
+
+        try:
+            message = typestore().deserialize_cdr(payload, full_type(source.name))
+        except SerdeError:
+            self._unreadable[source.topic] += 1
+        else:
+            yield LoggedMessage(log_ns, source.topic, message)
 
     def _wanted(self, index: int, topics: Collection[str] | None) -> dict[int, _Source]:
         sources = self._sources[index].items()

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from trainid_ros.bag.record_file import values_at
 from trainid_ros.bag.types import definition, fields_of
 from trainid_ros.records import INPUT_TOPICS, NS_PER_S
 
@@ -25,11 +26,14 @@ if TYPE_CHECKING:
 Bytes = NDArray[np.uint8]
 Places = NDArray[np.intp]
 
-_LITTLE_ENDIAN: Final = 1
 _CDR_START: Final = 4  # alignment counts from here
 _STAMP: Final = np.dtype([('sec', '<i4'), ('nanosec', '<u4'), ('frame', '<u4')])
+_NUMBER: Final = np.dtype('<f8')
+_FORMS: Final = ((_STAMP.newbyteorder('>'), _NUMBER.newbyteorder('>')), (_STAMP, _NUMBER))
+"""Types of stamps and numbers by the second byte, which gives the byte order."""
 # A serializer may pad to a multiple of four bytes.
 _MOST_PADDING: Final = 3
+_ROWS_AT_ONCE: Final = 10_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +70,8 @@ class RecordTable:
     def rows(self) -> Iterator[Row]:
         """Yield each row as numbers."""
         columns = (self.topic, self.stamp_ns, self.x, self.y, self.flag)
-        return zip(*(column.tolist() for column in columns), strict=True)
+        for first in range(0, len(self), _ROWS_AT_ONCE):
+            yield from zip(*(column[first : first + _ROWS_AT_ONCE].tolist() for column in columns), strict=True)
 
 
 EMPTY: Final = RecordTable(
@@ -96,7 +101,7 @@ def layout(message: str) -> Layout:
 def decode(
     data: Bytes, start: Places, end: Places, log_ns: NDArray[np.uint64], topic: int
 ) -> tuple[RecordTable, NDArray[np.bool_]]:
-    """Return the table of messages of one topic, and which rows could be decoded.
+    """Return the table of those messages of one topic that can be read, and which these are, shape (n,).
 
     Args:
         data: The bytes that the messages lie in.
@@ -109,27 +114,25 @@ def decode(
     form, count = layout(INPUT_TOPICS[topic].message), start.size
     stamp_ns, x, y, flag = np.zeros(count, np.int64), np.zeros(count), np.zeros(count), np.zeros(count, np.bool_)
     decoded = np.zeros(count, np.bool_)
-    known = np.flatnonzero(end - start >= _CDR_START + _STAMP.itemsize)
-    known = known[(data[start[known]] == 0) & (data[start[known] + 1] == _LITTLE_ENDIAN)]
-    stamp = _gather(data, start[known] + _CDR_START, _STAMP.itemsize).view(_STAMP)[:, 0]
-    for frame in set(stamp['frame'].tolist()):  # one, as a rule
-        body = -(-(_STAMP.itemsize + frame) // 8) * 8
-        size = _CDR_START + body + 8 * form.floats + form.flags
-        mine = stamp['frame'] == frame
-        excess = end[known] - start[known] - size
-        mine &= (excess >= 0) & (excess <= _MOST_PADDING)
-        rows, when = known[mine], stamp[mine]
-        if not rows.size:
-            continue
-        numbers = _gather(data, start[rows] + _CDR_START + body, 8 * form.floats).view('<f8')
-        x[rows] = numbers[:, 0]
+    whole = np.flatnonzero(end - start >= _CDR_START + _STAMP.itemsize)
+    whole = whole[data[start[whole]] == 0]
+    for order, (stamp, number) in enumerate(_FORMS):
+        rows = whole[data[start[whole] + 1] == order]
+        when = values_at(data, start[rows] + _CDR_START, stamp)
+        body = -(-(_STAMP.itemsize + when['frame'].astype(np.int64)) // 8) * 8
+        excess = end[rows] - start[rows] - (_CDR_START + body + 8 * form.floats + form.flags)
+        fits = (excess >= 0) & (excess <= _MOST_PADDING)
+        rows, when, body = rows[fits], when[fits], body[fits]
+        first = start[rows] + _CDR_START + body
+        x[rows] = values_at(data, first, number)
         if form.floats > 1:
-            y[rows] = numbers[:, 1]
+            y[rows] = values_at(data, first + 8, number)
         if form.flags:
-            flag[rows] = data[start[rows] + size - 1] != 0
+            flag[rows] = data[first + 8 * form.floats] != 0
         stamp_ns[rows] = when['sec'].astype(np.int64) * NS_PER_S + when['nanosec']
         decoded[rows] = True
-    return RecordTable(log_ns, np.full(count, topic, np.int8), stamp_ns, x, y, flag), decoded
+    table = RecordTable(log_ns, np.full(count, topic, np.int8), stamp_ns, x, y, flag)
+    return (table if decoded.all() else table[np.flatnonzero(decoded)]), decoded
 
 
 def in_order_of(places: Places, tables: Sequence[RecordTable]) -> RecordTable:
@@ -150,9 +153,3 @@ def _concatenated(tables: Sequence[RecordTable]) -> RecordTable:
         return tables[0]
     names = ('log_ns', 'topic', 'stamp_ns', 'x', 'y', 'flag')
     return RecordTable(*(np.concatenate([getattr(table, name) for table in tables]) for name in names))
-
-
-def _gather(data: Bytes, at: Places, size: int) -> Bytes:
-    """Return ``size`` bytes from each place, shape (n, size)."""
-    rows: Bytes = data[at[:, None] + np.arange(size)]
-    return rows

@@ -5,8 +5,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import chain
 from typing import TYPE_CHECKING, Final
 
+from trainid_ros.bag.chunk import MAX_CHUNK
 from trainid_ros.bag.reader import BagReader, require_topics
 from trainid_ros.bag.worker_pool import map_bags, processors
 from trainid_ros.errors import InputError
@@ -43,13 +45,14 @@ class Survey:
 
 @dataclass(frozen=True, slots=True)
 class _Reading:
-    """Runs of one bag, in seconds since its first sample at ``origin_ns``; 0 without samples."""
+    """Runs of one bag, in seconds since its first sample at ``origin_ns`` (0: none), and what reading found wrong."""
 
     runs: tuple[Run, ...]
     origin_ns: int
+    warnings: tuple[str, ...]
 
 
-def survey(paths: Sequence[Path], namespace: str = '/') -> Survey:
+def survey(paths: Sequence[Path], namespace: str = '/', max_chunk: int = MAX_CHUNK) -> Survey:
     """Check that all bags can be used, and summarise them.
 
     Raises:
@@ -63,7 +66,7 @@ def survey(paths: Sequence[Path], namespace: str = '/') -> Survey:
             raise InputError(msg)
     inputs, warnings = [], []
     for path in paths:
-        with BagReader(path, namespace) as reader:
+        with BagReader(path, namespace, max_chunk) as reader:
             require_topics(reader)
             inputs.append(reader.input_count)
             warnings += reader.warnings
@@ -74,9 +77,11 @@ def read_runs(
     paths: Sequence[Path],
     train_file: TrainFile,
     namespace: str = '/',
+    max_chunk: int = MAX_CHUNK,
     *,
     workers: int = 1,
     advance: Callable[[float], None] = lambda _: None,
+    warn: Callable[[str], None] = lambda _: None,
 ) -> list[Run]:
     """Return the runs of all bags, in seconds since the earliest sample of all.
 
@@ -84,14 +89,19 @@ def read_runs(
         paths: The bags; their numbers are their places in this list.
         train_file: Train file, for its effects and parameters.
         namespace: Namespace of their topics.
+        max_chunk: Largest chunk to unpack [bytes].
         workers: Number of processes; 1 reads them here.
         advance: Called with the number of inputs read since its last call.
+        warn: Called with each fault that only reading shows, such as messages that cannot be read.
 
     Raises:
         InputError: A bag cannot be read.
 
     """
-    readings = map_bags(partial(_read, train_file, namespace), list(enumerate(paths)), workers, advance)
+    work = partial(_read, train_file, namespace, max_chunk)
+    readings = map_bags(work, list(enumerate(paths)), workers, advance)
+    for line in chain.from_iterable(reading.warnings for reading in readings):
+        warn(line)
     known = [reading for reading in readings if reading.origin_ns]
     first_ns = min((reading.origin_ns for reading in known), default=0)
     return [
@@ -108,16 +118,20 @@ def worker_count(inputs: Sequence[int]) -> int:
     return min(len(inputs), processors())
 
 
-def _read(train_file: TrainFile, namespace: str, item: tuple[int, Path], advance: Callable[[float], None]) -> _Reading:
+def _read(
+    train_file: TrainFile, namespace: str, max_chunk: int, item: tuple[int, Path], advance: Callable[[float], None]
+) -> _Reading:
     bag, path = item
     # The train file may be what is wrong, so it must not decide which speeds are used.
     stream = SampleStream(StreamConfig(train_file, rejects_stuck_speed=False))
     collector = RunCollector(train_file, bag)
-    with BagReader(path, namespace) as reader:
+    with BagReader(path, namespace, max_chunk) as reader:
+        known = len(reader.warnings)
         for _, event in reader.events(stream, advance):
             if isinstance(event, Sample):
                 collector.add(event)
             elif isinstance(event, TimeJump):
                 collector.start_over()
+        warnings = tuple(reader.warnings[known:])
     collector.end_run()
-    return _Reading(tuple(collector.runs), collector.origin_ns)
+    return _Reading(tuple(collector.runs), collector.origin_ns, warnings)

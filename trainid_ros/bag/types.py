@@ -85,6 +85,13 @@ def typestore() -> Typestore:
 
 
 @cache
+def full_definition(message: str) -> str:
+    """Return the packaged definition of one of our messages with its comments, followed by those it contains."""
+    contained = [f'MSG: {name}\n{text}' for name, text in reversed(_CONTAINED.items())]
+    return _SEPARATOR.join((definition(message), *contained))
+
+
+@cache
 def digest(message: str) -> str:
     """Return the RIHS01 digest of one of our messages, given its short name."""
     return str(typestore().hash_rihs01(full_type(message)))

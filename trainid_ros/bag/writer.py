@@ -4,8 +4,6 @@
 from __future__ import annotations
 
 import shutil
-import sys
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self
 
@@ -13,8 +11,12 @@ from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, Qo
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.rosbag2.storage_mcap import McapWriter
 
+from trainid_ros.bag.checksums import Checksums
 from trainid_ros.bag.types import (
+    PACKAGE,
+    digest,
     estimate_message,
+    full_definition,
     full_type,
     message_from_record,
     typestore,
@@ -23,11 +25,6 @@ from trainid_ros.errors import InputError
 from trainid_ros.messages import OUTPUT_TOPICS, output_topic
 from trainid_ros.records import input_topic
 from trainid_ros.results import Status
-
-if sys.version_info >= (3, 14):
-    from compression import zstd
-else:
-    from backports import zstd
 
 if TYPE_CHECKING:
     from types import TracebackType
@@ -64,8 +61,7 @@ LATCHED_QOS: Final = _qos(1, QosDurability.TRANSIENT_LOCAL)
 class BagWriter:
     """Writes one new bag; use as a context manager.
 
-    Chunks carry a zstd checksum, which every reader verifies when it decompresses them. If the ``with``
-    block ends in an exception, the bag is removed.
+    Chunks, data section and summary carry checksums. If the ``with`` block ends in an exception, the bag is removed.
     """
 
     def __init__(self, path: str | Path, *, compress: bool = True) -> None:
@@ -73,13 +69,14 @@ class BagWriter:
 
         Args:
             path: Directory to create.
-            compress: False stores uncompressed chunks, without checksum.
+            compress: False stores uncompressed chunks.
 
         """
         self.path = Path(path)
         self.message_count = 0
         self._compress = compress
         self._writer: Writer | None = None
+        self._checksums: Checksums | None = None
         self._connections: dict[str, Connection] = {}
         self._types = typestore()
 
@@ -102,10 +99,8 @@ class BagWriter:
             msg = f'{self.path}: cannot be written ({error.strerror})'
             raise InputError(msg) from None
         storage = self._writer.storage
-        if self._compress and isinstance(storage, McapWriter):
-            # rosbags writes no chunk CRC; without a checksum corruption could go unnoticed.
-            options: dict[int, int] = {zstd.CompressionParameter.checksum_flag: 1}
-            storage.compressor = partial(zstd.compress, options=options)
+        if isinstance(storage, McapWriter):
+            self._checksums = Checksums(storage)
         return self
 
     def __exit__(
@@ -119,6 +114,8 @@ class BagWriter:
         try:
             if kind is None:
                 writer.close()
+                if self._checksums is not None:
+                    self._checksums.store()
                 finished = True
         finally:
             if not finished:
@@ -167,6 +164,11 @@ class BagWriter:
         full = topic if topic.startswith('/') else f'/{topic}'
         latched = full.removeprefix('/') in _LATCHED
         profile = LATCHED_QOS if latched else STREAM_QOS
-        connection = writer.add_connection(full, name, typestore=self._types, offered_qos_profiles=[profile])
+        package, _, message = name.partition('/msg/')
+        # That of the typestore has no comments.
+        text, rihs01 = (full_definition(message), digest(message)) if package == PACKAGE else (None, None)
+        connection = writer.add_connection(
+            full, name, typestore=self._types, msgdef=text, rihs01=rihs01, offered_qos_profiles=[profile]
+        )
         self._connections[topic] = connection
         return connection

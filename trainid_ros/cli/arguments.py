@@ -13,6 +13,8 @@ DEMO_RATE: Final = 70.0
 """Rate at which two cores keep up with three nodes, player and listener [x real time]."""
 DEMO_QUICK_S: Final = 300.0
 """Part of each bag that a quick demo plays [s]."""
+_MAX_CHUNK_MB: Final = 64
+_MOST_MB: Final = 4095  # offsets within a chunk have 32 bits
 EXPLAIN_CHAPTER: Final = 'explain'
 """The chapter of the demo that hides and finds an effect."""
 
@@ -51,6 +53,7 @@ def configure_run(parser: argparse.ArgumentParser) -> None:
 def configure_replay(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``replay``."""
     _add_bags(parser)
+    _add_max_chunk(parser)
     _add_train(parser)
     parser.add_argument('--params', type=Path, metavar='FILE.yaml', help='ROS parameter file, as the nodes take it')
     parser.add_argument(
@@ -83,6 +86,7 @@ def configure_replay(parser: argparse.ArgumentParser) -> None:
 def configure_play(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``play``."""
     _add_bag(parser)
+    _add_max_chunk(parser)
     parser.add_argument(
         '--rate', type=positive, default=1.0, metavar='R', help='recorded seconds per second (default: 1)'
     )
@@ -137,6 +141,7 @@ def configure_simulate(parser: argparse.ArgumentParser) -> None:
 def configure_fit(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``fit``."""
     _add_bag(parser)
+    _add_max_chunk(parser)
     _add_train(parser)
     parser.add_argument('--start', type=not_negative, default=0.0, metavar='S', help='skip the first seconds')
     parser.add_argument(
@@ -149,6 +154,7 @@ def configure_fit(parser: argparse.ArgumentParser) -> None:
 def configure_explain(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``explain``."""
     _add_bags(parser)
+    _add_max_chunk(parser)
     _add_train(parser, 'train file: the model to check')
     parser.add_argument(
         '--out', type=Path, metavar='DIR', help='write report.html, report.json and the new train.yaml there'
@@ -160,6 +166,7 @@ def configure_explain(parser: argparse.ArgumentParser) -> None:
 def configure_info(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``info``."""
     _add_bags(parser)
+    _add_max_chunk(parser)
     _add_jobs(parser)
     _add_namespace(parser)
     _add_json(parser)
@@ -171,6 +178,16 @@ def _add_bag(parser: argparse.ArgumentParser) -> None:
 
 def _add_bags(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('bags', nargs='+', type=Path, metavar='BAG', help='rosbag2 directory or .mcap file')
+
+
+def _add_max_chunk(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        '--max-chunk',
+        type=megabytes,
+        default=_MAX_CHUNK_MB << 20,
+        metavar='MB',
+        help=f'leave out chunks of a bag that unpack to more than this (default: {_MAX_CHUNK_MB})',
+    )
 
 
 def _add_train(parser: argparse.ArgumentParser, text: str = 'train file') -> None:
@@ -232,3 +249,11 @@ def whole(text: str) -> int:
         msg = f'{text!r} is not a whole number >= 0'
         raise argparse.ArgumentTypeError(msg)
     return int(text)
+
+
+def megabytes(text: str) -> int:
+    """Return a size in bytes, given in whole MB from 1 to 4095; ArgumentTypeError for anything else."""
+    if not (text.isdecimal() and 1 <= int(text) <= _MOST_MB):
+        msg = f'{text!r} is not a whole number of MB from 1 to {_MOST_MB}'
+        raise argparse.ArgumentTypeError(msg)
+    return int(text) << 20

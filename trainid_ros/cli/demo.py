@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from trainid_ros.cli.arguments import DEMO_QUICK_S, EXPLAIN_CHAPTER
-from trainid_ros.cli.output import print_json, progress
+from trainid_ros.cli.output import HTML_START, check_output, print_json, progress, show
 from trainid_ros.demo.bags import STOCK, load_demo_bag, stock_bag
 
 if TYPE_CHECKING:
@@ -46,6 +46,8 @@ def run(args: argparse.Namespace) -> int:
     start = time.monotonic()
     view = View(Console(stderr=args.json))
     report = args.out / 'report.html' if bags else None
+    if report is not None:
+        check_output(report, (), HTML_START)
     with _interruptible():
         outcomes = [] if report is None else _live(bags, args, view, report)
         hidden = _hidden(args, view)
@@ -54,8 +56,8 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print_json(_to_json(outcomes, hidden, report, wall_s) | {'worked': worked})
     else:
-        print(summary(outcomes, hidden))
-        print(f'\nreport: {report}' if report else '')
+        show(summary(outcomes, hidden))
+        show(f'\nreport: {report}' if report else '')
         print(f'{wall_s:.0f} s in total; {"all checks passed" if worked else "NOT all checks passed, see above"}')
     return 0 if worked else _CHECK_FAILED
 

@@ -10,7 +10,17 @@ from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros import __version__
 from trainid_ros.bag.run_reader import read_runs, survey, worker_count
-from trainid_ros.cli.output import print_json, progress, table, to_plain, warn
+from trainid_ros.cli.output import (
+    HTML_START,
+    check_output,
+    print_json,
+    printable,
+    progress,
+    show,
+    table,
+    to_plain,
+    warn,
+)
 from trainid_ros.errors import InputError, NoAnswerError
 from trainid_ros.plural import pluralise
 from trainid_ros.train.train_file import dump_train_file, load_train_file
@@ -29,6 +39,7 @@ REPORT_JSON: Final = 'report.json'
 REPORT_HTML: Final = 'report.html'
 TRAIN_FILE: Final = 'train.yaml'
 _NAMED_BAGS: Final = 3
+_JSON_START: Final = '{\n  "verdict":'
 
 
 def run(args: argparse.Namespace) -> int:
@@ -50,9 +61,9 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print_json(to_json(explanation))
         return 0
-    print(describe(explanation, train_file))
+    show(describe(explanation, train_file))
     if args.out is not None:
-        print(f'\nreport: {args.out / REPORT_HTML}\nmodel with the effects: {args.out / TRAIN_FILE}')
+        show(f'\nreport: {args.out / REPORT_HTML}\nmodel with the effects: {args.out / TRAIN_FILE}')
     return 0
 
 
@@ -64,13 +75,15 @@ def _explain(args: argparse.Namespace, train_file: TrainFile) -> Explanation:
         NoAnswerError: If the bags hold too little motion.
 
     """
-    found = survey(args.bags, args.namespace)
+    found = survey(args.bags, args.namespace, args.max_chunk)
     for line in found.warnings:
         warn(line)
     name = args.bags[0].name if len(args.bags) == 1 else f'{len(args.bags)} bags'
     with progress(f'read {name}', total=sum(found.inputs)) as advance:
         workers = worker_count(found.inputs)
-        runs = read_runs(args.bags, train_file, args.namespace, workers=workers, advance=advance)
+        runs = read_runs(
+            args.bags, train_file, args.namespace, args.max_chunk, workers=workers, advance=advance, warn=warn
+        )
     try:
         return explain_runs(runs, train_file, args.bags)
     except NoAnswerError as error:
@@ -115,7 +128,7 @@ def prepare_folder(folder: Path, train: Path) -> None:
     """Create the output folder, and check that the outputs can be written.
 
     Raises:
-        InputError: It cannot be created or written to, or a train file of the user would be overwritten.
+        InputError: It cannot be created or written to, or a file that is not an earlier output would be overwritten.
 
     """
     try:
@@ -126,6 +139,8 @@ def prepare_folder(folder: Path, train: Path) -> None:
     except OSError as error:
         msg = f'{folder}: cannot be written ({error.strerror})'
         raise InputError(msg) from None
+    check_output(folder / REPORT_HTML, (train,), HTML_START)
+    check_output(folder / REPORT_JSON, (train,), _JSON_START)
     target = folder / TRAIN_FILE
     if not target.exists():
         return
@@ -165,7 +180,7 @@ def _steps() -> Iterator[Callable[[str], None]]:
 
 def provenance(bags: Sequence[Path], runs: int) -> str:
     """Return the provenance of an added effect."""
-    names = [bag.resolve().name for bag in bags]
+    names = [printable(bag.resolve().name) for bag in bags]
     more = f' and {len(names) - _NAMED_BAGS} more' if len(names) > _NAMED_BAGS else ''
     return f'trainid explain {__version__}, {", ".join(names[:_NAMED_BAGS])}{more}, {pluralise(runs, "run")}'
 
@@ -278,7 +293,7 @@ def write_all(
 
 def _write(path: Path, text: str) -> None:
     try:
-        path.write_text(text, encoding='utf-8')
+        path.write_text(text, encoding='utf-8', errors='backslashreplace')
     except OSError as error:
         msg = f'{path}: cannot be written ({error.strerror})'
         raise InputError(msg) from None

@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.bag.reader import BagReader, require_topics
-from trainid_ros.cli.output import print_json, progress, table, warn
+from trainid_ros.cli.output import print_json, progress, show, table, warn
 from trainid_ros.errors import InputError, NoAnswerError
 from trainid_ros.records import NS_PER_S
 from trainid_ros.resistance.davis_fit import DavisFit, DavisFitConfig, check_plausible, fit_davis
@@ -55,11 +55,14 @@ def run(args: argparse.Namespace) -> int:
     """
     config = DavisFitConfig()
     collector = PieceCollector(load_train_file(args.train), config.min_speed, config.shortest)
-    with BagReader(args.bag, args.namespace) as reader:
-        for line in reader.warnings:
+    with BagReader(args.bag, args.namespace, args.max_chunk) as reader:
+        known = reader.warnings
+        for line in known:
             warn(line)
         with progress(f'read {reader.path.name}', total=reader.input_count) as advance:
             motion = collect(reader, collector, args.start, args.duration, advance)
+        for line in reader.warnings[len(known) :]:
+            warn(line)
     try:
         fit = fit_davis(motion.trajectory, config)
         check_plausible(fit, config)
@@ -71,7 +74,7 @@ def run(args: argparse.Namespace) -> int:
     if args.json:
         print_json(to_json(fit))
     else:
-        print(describe(fit, motion))
+        show(describe(fit, motion))
     if not fit.converged:
         msg = f'{args.bag}: the fit did not converge within {fit.iterations} iterations'
         raise NoAnswerError(msg)

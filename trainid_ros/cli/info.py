@@ -32,7 +32,7 @@ def _inspect(args: argparse.Namespace, bag: Path, advance: Callable[[float], Non
         InputError: If it cannot be read.
 
     """
-    info = inspect(bag, args.namespace)
+    info = inspect(bag, args.namespace, args.max_chunk)
     advance(1.0)
     shown = to_plain(info) | {'usable': info.usable} if args.json else describe(info)
     error = '' if info.usable else f'{info.path}: cannot be used: {"; ".join(info.problems)}'

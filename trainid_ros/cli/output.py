@@ -16,20 +16,37 @@ from enum import Enum
 from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, Final
 
+from trainid_ros.errors import InputError
 from trainid_ros.results import Output
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
+    from pathlib import Path
 
 
 _OUTPUT_FIELDS: Final = ('stamp_ns', 'estimate', 'status', 'used', 'rejected', 'last_rejection')
+HTML_START: Final = '<!DOCTYPE html>'
+"""How each report starts."""
 EXIT_NO_ANSWER: Final = 1
 EXIT_BAD_INPUT: Final = 2
 
 
 def print_json(value: Any) -> None:
     """Print one JSON object on standard output; see :func:`to_plain` for the permitted types."""
-    print(json.dumps(to_plain(value), allow_nan=False, ensure_ascii=False))
+    text = json.dumps(to_plain(value), allow_nan=False, ensure_ascii=False)
+    print(''.join(char if char.isprintable() else json.dumps(char)[1:-1] for char in text))
+
+
+def show(text: str) -> None:
+    """Print text on standard output; what would control the terminal, such as a name in a bag may, is escaped."""
+    print(printable(text))
+
+
+def printable(text: str) -> str:
+    """Return text with all characters escaped that are neither printable nor line breaks."""
+    return ''.join(
+        char if char.isprintable() or char == '\n' else char.encode('unicode_escape').decode() for char in text
+    )
 
 
 def to_plain(value: Any) -> Any:
@@ -71,12 +88,43 @@ def _compound_to_plain(value: Any) -> Any:
 
 def warn(text: str) -> None:
     """Print one warning line on standard error."""
-    print(f'trainid: warning: {text}', file=sys.stderr)
+    print(f'trainid: warning: {_on_one_line(text)}', file=sys.stderr)
 
 
 def report_error(error: object) -> None:
     """Print an error as one line on standard error."""
-    print(f'trainid: error: {" ".join(str(error).split())}', file=sys.stderr)
+    print(f'trainid: error: {_on_one_line(str(error))}', file=sys.stderr)
+
+
+def _on_one_line(text: str) -> str:
+    return printable(' '.join(text.split()))
+
+
+def check_output(path: Path, inputs: Iterable[Path | None], start: str) -> None:
+    """Check that writing a file destroys nothing else.
+
+    Args:
+        path: The file to write.
+        inputs: Files that the command reads.
+        start: How a file starts that was written by an earlier run and may be written over.
+
+    Raises:
+        InputError: The file is an input, or exists and is something else.
+
+    """
+    if not path.exists():
+        return
+    if any(given is not None and given.exists() and path.samefile(given) for given in inputs):
+        msg = f'{path}: is an input and would be overwritten; choose another name for the output'
+        raise InputError(msg)
+    if not path.is_file():
+        msg = f'{path}: exists and is not a file; choose another name for the output'
+        raise InputError(msg)
+    with path.open('rb') as file:
+        head = file.read(len(start))
+    if head and head != start.encode():
+        msg = f'{path}: exists and was not written by trainid; choose another name for the output'
+        raise InputError(msg)
 
 
 def table(rows: Sequence[Sequence[str]], numbers: Sequence[int] = ()) -> str:
@@ -115,8 +163,9 @@ def progress(text: str, total: float | None = None) -> Iterator[Callable[[float]
         return
     # Imported here so that commands without progress need not load it.
     from rich.console import Console  # noqa: PLC0415
+    from rich.markup import escape  # noqa: PLC0415
     from rich.progress import Progress  # noqa: PLC0415
 
     with Progress(console=Console(stderr=True), transient=True) as bar:
-        task = bar.add_task(text, total=total)
+        task = bar.add_task(escape(printable(text)), total=total)
         yield lambda amount: bar.advance(task, amount)

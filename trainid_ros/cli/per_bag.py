@@ -8,7 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from trainid_ros.bag.worker_pool import map_bags, processors
-from trainid_ros.cli.output import EXIT_BAD_INPUT, EXIT_NO_ANSWER, print_json, progress, report_error, warn
+from trainid_ros.cli.output import EXIT_BAD_INPUT, EXIT_NO_ANSWER, print_json, progress, report_error, show, warn
 from trainid_ros.errors import InputError
 
 if TYPE_CHECKING:
@@ -57,7 +57,7 @@ def run_per_bag(args: argparse.Namespace, work: Work, text: str) -> int:
     elif shown and args.json:
         print_json(shown[0])
     elif shown:
-        print('\n\n'.join(map(str, shown)))
+        show('\n\n'.join(map(str, shown)))
     for result in results:
         if result.error:
             report_error(result.error)

@@ -24,7 +24,7 @@ def run(args: argparse.Namespace) -> int:
         InputError: The bag or a ROS argument cannot be used.
 
     """
-    with BagReader(args.bag, args.namespace):
+    with BagReader(args.bag, args.namespace, args.max_chunk):
         pass  # an unreadable bag is reported before ROS starts
     # ROS is imported only here, so that other commands work without it.
     from rclpy.parameter import Parameter  # noqa: PLC0415
@@ -36,6 +36,7 @@ def run(args: argparse.Namespace) -> int:
     values = {
         'bag': str(args.bag.absolute()),
         'bag_namespace': args.namespace,
+        'max_chunk': args.max_chunk >> 20,
         'rate': args.rate,
         'start': args.start,
         'duration': args.duration,

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.bag.bag_replay import Pipelines, replay_through
 from trainid_ros.bag.reader import BagReader
-from trainid_ros.cli.output import table, to_plain
+from trainid_ros.cli.output import HTML_START, check_output, table, to_plain
 from trainid_ros.cli.per_bag import BagResult, run_per_bag
 from trainid_ros.errors import InputError
 from trainid_ros.estimators.force_findings import force_findings
@@ -40,12 +40,16 @@ def run(args: argparse.Namespace) -> int:
     """Replay bags and print what was identified; return the exit code.
 
     Raises:
-        InputError: If train file or parameters cannot be used, or bags would write to the same output.
+        InputError: If train file or parameters cannot be used, or an output would overwrite another, an input or a
+            file that is no report.
 
     """
     _setups(args)  # what cannot be used for any bag is reported once
     if len(args.bags) > 1:
         _check_outputs(args)
+    for report in (_outputs(args, bag)[1] for bag in args.bags):
+        if report is not None:
+            check_output(report, (args.train, args.params, args.truth, *args.bags), HTML_START)
     return run_per_bag(args, _replay, 'replay')
 
 
@@ -95,7 +99,7 @@ def _replay(args: argparse.Namespace, bag: Path, advance: Callable[[float], None
     out, report = _outputs(args, bag)
     truth = None if report is None else find_truth(bag, args.truth)
     with ExitStack() as stack:
-        reader = stack.enter_context(BagReader(bag, args.namespace))
+        reader = stack.enter_context(BagReader(bag, args.namespace, args.max_chunk))
         observers, traces = _observers(stack, out, report)
         start = time.perf_counter()
         pipelines = Pipelines(*(setup.pipeline() for setup in setups))

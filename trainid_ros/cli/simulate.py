@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from trainid_ros.bag.writer import BagWriter
-from trainid_ros.cli.output import print_json, progress
+from trainid_ros.cli.output import print_json, progress, show
 from trainid_ros.errors import InputError
 from trainid_ros.plural import pluralise
 from trainid_ros.records import INPUT_TOPICS
@@ -104,9 +104,9 @@ def _print_result(args: argparse.Namespace, simulation: Simulation) -> None:
     counts = Counter(_TOPIC_OF[type(record)] for record in simulation.records)
     if not args.json:
         runs = f'{pluralise(len(simulation.arrivals), "run")}, {simulation.duration_s:.0f} s'
-        print(f'{args.out}: {len(simulation.records)} messages of {runs}; truth in {args.out / TRUTH_FILE}')
+        show(f'{args.out}: {len(simulation.records)} messages of {runs}; truth in {args.out / TRUTH_FILE}')
         if args.world:
-            print(f'stated train file: {args.out / TRAIN_FILE}')
+            show(f'stated train file: {args.out / TRAIN_FILE}')
         return
     print_json(
         {

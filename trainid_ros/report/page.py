@@ -62,7 +62,8 @@ def write_page(text: str, path: str | Path) -> None:
     target = Path(path)
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
-        target.write_text(text, encoding='utf-8')
+        # Names of files may hold bytes that are no text.
+        target.write_text(text, encoding='utf-8', errors='backslashreplace')
     except OSError as error:
         msg = f'{path}: cannot be written ({error.strerror})'
         raise InputError(msg) from None

@@ -20,6 +20,7 @@ NAME: Final = 'bag_player'
 _PARAMETERS: Final = (
     ParameterSpec('bag', '', 'rosbag2 directory or .mcap file; takes effect on the next configure'),
     ParameterSpec('bag_namespace', '/', 'namespace of the topics in the bag; takes effect on the next configure'),
+    ParameterSpec('max_chunk', 64, 'largest chunk to unpack [MB]; takes effect on the next configure', 1, 4095),
     *playback_parameters(live=False),
 )
 
@@ -46,7 +47,8 @@ class BagPlayer(PlaybackNode):
         try:
             from trainid_ros.bag.reader import BagReader  # noqa: PLC0415
 
-            reader = BagReader(path, str(self.parameters.value('bag_namespace'))).__enter__()
+            max_chunk = int(self.parameters.value('max_chunk')) << 20
+            reader = BagReader(path, str(self.parameters.value('bag_namespace')), max_chunk).__enter__()
         except ModuleNotFoundError as error:
             raise missing_package_error(error) from None
         self._reader = reader

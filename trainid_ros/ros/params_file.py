@@ -13,6 +13,8 @@ from typing import TYPE_CHECKING, Final
 import yaml
 
 from trainid_ros.errors import InputError
+from trainid_ros.train.fields import read_text
+from trainid_ros.train.strict_yaml import compose, load
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -50,8 +52,8 @@ def find_mismatch(path: Path, node: str, usual_name: str) -> tuple[str, bool] | 
 
     """
     try:
-        sections = list(_sections(yaml.safe_load(path.read_text(encoding='utf-8')), ''))
-    except (OSError, ValueError, yaml.YAMLError):
+        sections = list(_sections(load(read_text(path), str(path)), ''))
+    except InputError:
         return None
     if not sections or any(_pattern(section).fullmatch(node) for section in sections):
         return None
@@ -85,12 +87,7 @@ def read_overrides(path: Path, node: str) -> dict[str, object]:
         InputError: The file cannot be read or is not a parameter file.
 
     """
-    try:
-        tree = yaml.compose(path.read_text(encoding='utf-8'), Loader=yaml.SafeLoader)
-    except (OSError, ValueError, yaml.YAMLError) as error:
-        reason = getattr(error, 'strerror', None) or ' '.join(str(error).split())
-        msg = f'{path}: cannot be read: {reason}'
-        raise InputError(msg) from error
+    tree = compose(read_text(path), str(path))
     found: dict[str, object] = {}
     if tree is not None:
         for section, values in _given(path, tree, ''):

@@ -124,7 +124,7 @@ def parse_truth(text: str, source: str) -> Truth:
     _check_rising(top, 'resistance', resistance)
     _check_rising(top, 'brake_rate', brake_rate)
     return Truth(
-        start_ns=top.integer('start_ns', 0, low=0),
+        start_ns=top.integer('start_ns', 0, low=0, high=2**63 - 1),
         resistance=tuple((t, a, b, c) for t, a, b, c in resistance),
         brake_rate=tuple((t, rate) for t, rate in brake_rate),
         unknowns=_named_values(top.section('unknowns')),

@@ -4,8 +4,11 @@
 A sample has the stamp of a speed record. Force, gradient and curvature are interpolated to that stamp; a brake command
 holds from its stamp on. A sample is released as soon as every required topic has reached its stamp, or when the newest
 stamp of any topic is ``max_gap + max_lag`` later: records farther apart are not interpolated, and nearer ones have
-arrived. No timer or clock is used, so the same records give the same samples, live and off line, as long as no topic
-lags behind the others by more than ``max_lag``.
+arrived. No timer or clock is used, so the same records give the same samples, live and off line.
+
+A record may lag by ``max_lag``: arrive after others, of any topic, whose stamps are up to this much newer.
+Within it the order of arrival does not change a sample. Where two records of a topic are so far apart that a third may
+still come between them, samples wait until the newest stamp is ``max_lag`` later; records in order are used at once.
 
 Topics may have any rate from 1 Hz on, each its own. The limits in the settings suit 4 Hz and more; a slower topic may
 lose one record in a row: its limits are 2.5 of its own intervals. The interval is learned from records that samples
@@ -293,6 +296,18 @@ class Aligner:
             self._force.last_ns >= stamp_ns
             and self._gradient.last_ns >= stamp_ns
             and self._commands.known_ns(self.newest_ns) >= stamp_ns
+            and self._is_settled(stamp_ns)
+        )
+
+    def _is_settled(self, stamp_ns: int) -> bool:
+        """Return whether no late record can belong to a sample."""
+        since_ns, settled_ns = self._sample_ns, self.newest_ns - self._lag_ns
+        if stamp_ns > settled_ns and stamp_ns - self._released_ns > self._speed_interval.room_ns:
+            return False
+        return (
+            self._force.is_settled(since_ns, stamp_ns, settled_ns)
+            and self._gradient.is_settled(since_ns, stamp_ns, settled_ns)
+            and self._brake.is_settled(since_ns, stamp_ns, settled_ns)
         )
 
     def _may_still_come(self, stamp_ns: int) -> bool:

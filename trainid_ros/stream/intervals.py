@@ -18,6 +18,8 @@ ONE_LOST: Final = 2.5
 """Longest time between records when one in a row is lost, in intervals; the half is for jitter."""
 NONE_LOST: Final = 1.5
 """The same when none is lost."""
+_ROOM_TENTHS: Final = 18
+"""Shortest time in which a record may be missing, in tenths of the shortest interval; with one in between it is 20."""
 
 
 class LearnedInterval:
@@ -32,7 +34,7 @@ class LearnedInterval:
 
     """
 
-    __slots__ = ('_interval_ns', '_longest_ns', '_outdated', '_stamps')
+    __slots__ = ('_interval_ns', '_longest_ns', '_outdated', '_shortest_ns', '_stamps', 'room_ns')
 
     def __init__(self, longest_ns: int) -> None:
         self._longest_ns = longest_ns
@@ -43,6 +45,9 @@ class LearnedInterval:
         """Forget all stamps."""
         self._stamps.clear()
         self._interval_ns = 0
+        self._shortest_ns = 0
+        self.room_ns = 0
+        """Time between two records in which a third may be missing [ns]; 0, so that any may, while it is not known."""
         self._outdated = False
 
     @property
@@ -52,15 +57,32 @@ class LearnedInterval:
 
     def restore(self, stamps: tuple[int, ...]) -> None:
         """Continue from saved stamps."""
+        self.clear()
         self._stamps = list(stamps)
+        if len(stamps) > _FEWEST:
+            self._find_shortest()
         self._outdated = True
 
     def see(self, stamp_ns: int) -> None:
         """Take in the stamp of a record, each once."""
-        self._stamps.append(stamp_ns)
-        if len(self._stamps) > _WINDOW + 1:
-            del self._stamps[0]
+        stamps = self._stamps
+        stamps.append(stamp_ns)
+        if len(stamps) > _WINDOW + 1:
+            dropped_ns = stamps[1] - stamps[0]
+            del stamps[0]
+            added_ns = stamp_ns - stamps[-2]
+            if dropped_ns <= self._shortest_ns != added_ns or added_ns < self._shortest_ns:
+                self._find_shortest()
+        elif len(stamps) > _FEWEST:
+            self._find_shortest()
         self._outdated = True
+
+    def _find_shortest(self) -> None:
+        stamps = sorted(self._stamps)
+        self._shortest_ns = stamps[1] - stamps[0]
+        for before, after in pairwise(stamps):
+            self._shortest_ns = min(self._shortest_ns, after - before)
+        self.room_ns = self._shortest_ns * _ROOM_TENTHS // 10
 
     @property
     def ns(self) -> int:

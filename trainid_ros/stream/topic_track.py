@@ -102,6 +102,27 @@ class TopicTrack:
             k -= 1
         return k
 
+    def is_settled(self, since_ns: int, at_ns: int, settled_ns: int) -> bool:
+        """Return whether no late row can belong between two stamps, or around them.
+
+        Args:
+            since_ns: First stamp.
+            at_ns: Second stamp.
+            settled_ns: Stamp up to which no row can come any more.
+
+        """
+        rows, room_ns = self.rows, self.interval.room_ns
+        k = self.first_from(at_ns)
+        if k == len(rows):
+            return True
+        after_ns = rows[k].stamp_ns
+        while after_ns > since_ns and after_ns > settled_ns:
+            k -= 1
+            if k < 0 or after_ns - rows[k].stamp_ns > room_ns:
+                return False
+            after_ns = rows[k].stamp_ns
+        return True
+
     def value(self, at_ns: int) -> tuple[float, float]:
         """Interpolate both numbers to a stamp; NaN where the neighbours are missing or too far apart."""
         right = self.first_from(at_ns)

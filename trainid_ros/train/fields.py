@@ -8,11 +8,13 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from stat import S_ISREG
 from typing import Final, NoReturn
 
 from trainid_ros.errors import InputError
 
 _LONGEST_VALUE: Final = 60
+_LARGEST_FILE: Final = 16 << 20
 
 
 def shown(value: object) -> str:
@@ -41,6 +43,7 @@ class Section:
 
     def name(self, key: str) -> str:
         """Return the dotted name of a field of this section."""
+        key = key if len(key) <= _LONGEST_VALUE else f'{key[: _LONGEST_VALUE - 3]}...'
         return f'{self.path}.{key}' if self.path else key
 
     def fail(self, key: str, problem: str) -> NoReturn:
@@ -91,21 +94,36 @@ class Section:
                 self.fail(key, 'is missing')
             return default
         value = finite_number(self.source, self.name(key), self.data[key], unit)
+        self.check(key, value, unit, low=low, above=above, high=high)
+        return value
+
+    def check(
+        self,
+        key: str,
+        value: float,
+        unit: str,
+        *,
+        low: float = -math.inf,
+        above: float = -math.inf,
+        high: float = math.inf,
+    ) -> None:
+        """Raise InputError unless ``low <= x <= high`` and ``x > above``."""
         if value <= above:
             self.fail(key, _out_of_range(value, unit, f'> {above:g}'))
         if value < low:
             self.fail(key, _out_of_range(value, unit, f'>= {low:g}'))
         if value > high:
             self.fail(key, _out_of_range(value, unit, f'<= {high:g}'))
-        return value
 
-    def integer(self, key: str, default: int, *, low: int) -> int:
-        """Return an integer that is at least ``low``."""
+    def integer(self, key: str, default: int, *, low: int, high: int) -> int:
+        """Return an integer from ``low`` to ``high``."""
         value = self.data.get(key, default)
         if isinstance(value, bool) or not isinstance(value, int):
             self.fail(key, f'= {shown(value)} must be a whole number')
         if value < low:
             self.fail(key, f'= {value} must be >= {low}')
+        if value > high:
+            self.fail(key, f'= {shown(value)} must be <= {high}')
         return value
 
     def text(self, key: str, default: str | None = None) -> str:
@@ -190,7 +208,16 @@ def read_text(path: str | Path) -> str:
 
     """
     try:
-        return Path(path).read_text(encoding='utf-8')
+        file = Path(path)
+        if not (S_ISREG(file.stat().st_mode) or file.is_dir()):  # a pipe or a device may have no end
+            msg = f'{path}: cannot be read: is not a file'
+            raise InputError(msg)
+        with file.open('rb') as opened:
+            content = opened.read(_LARGEST_FILE + 1)
+        if len(content) > _LARGEST_FILE:
+            msg = f'{path}: cannot be read: is larger than {_LARGEST_FILE >> 20} MB'
+            raise InputError(msg)
+        return content.decode('utf-8')
     except OSError as error:
         msg = f'{path}: cannot be read: {error.strerror or error}'
         raise InputError(msg) from error

@@ -21,6 +21,8 @@ NamedValues = tuple[tuple[str, float], ...]
 
 # A brake rate outside this range is a unit error.
 _LEAST_RATE, _MOST_RATE = 0.01, 10.0
+# Beyond these, too: speed [m/s], gradient [per mille], radius of a curve [m], position [m].
+_MOST_SPEED, _STEEPEST, _TIGHTEST, _FARTHEST = 1000.0, 500.0, 1.0, 1e8
 
 
 @dataclass(frozen=True, slots=True)
@@ -200,13 +202,13 @@ def _train(section: Section) -> Train:
     section.only(_names(Train))
     default = Train(mass=1.0)
     return Train(
-        mass=section.number('mass', 'kg', above=0.0),
+        mass=section.number('mass', 'kg', above=0.0, low=1.0, high=1e9),
         rotary_mass=section.number('rotary_mass', '', default.rotary_mass, low=0.0, high=1.0),
-        length=section.number('length', 'm', default.length, above=0.0),
-        cars=section.integer('cars', default.cars, low=1),
-        max_traction_force=section.number('max_traction_force', 'N', default.max_traction_force, above=0.0),
-        max_traction_power=section.number('max_traction_power', 'W', default.max_traction_power, above=0.0),
-        max_speed=section.number('max_speed', 'm/s', default.max_speed, above=0.0),
+        length=section.number('length', 'm', default.length, above=0.0, low=0.1, high=1e4),
+        cars=section.integer('cars', default.cars, low=1, high=1000),
+        max_traction_force=section.number('max_traction_force', 'N', default.max_traction_force, low=1.0, high=1e9),
+        max_traction_power=section.number('max_traction_power', 'W', default.max_traction_power, low=1.0, high=1e12),
+        max_speed=section.number('max_speed', 'm/s', default.max_speed, low=0.1, high=_MOST_SPEED),
         mass_std=section.number('mass_std', '', default.mass_std, low=0.0, high=0.5),
         force_std=section.number('force_std', '', default.force_std, low=0.0, high=0.5),
     )
@@ -216,9 +218,9 @@ def _davis(section: Section) -> Davis:
     # Only b may be negative: published fits of real rolling stock have such values, and w(v) stays positive.
     section.only(_names(Davis))
     return Davis(
-        a=section.number('a', 'N/kN', low=0.0),
-        b=section.number('b', 'N/kN/(m/s)'),
-        c=section.number('c', 'N/kN/(m/s)^2', low=0.0),
+        a=section.number('a', 'N/kN', low=0.0, high=100.0),
+        b=section.number('b', 'N/kN/(m/s)', low=-10.0, high=10.0),
+        c=section.number('c', 'N/kN/(m/s)^2', low=0.0, high=1.0),
     )
 
 
@@ -228,8 +230,8 @@ def _brake(section: Section) -> Brake:
     table = _rate_table(section) if isinstance(section.data.get('rate'), list) else ()
     return Brake(
         rate=default.rate if table else section.number('rate', '', default.rate, low=_LEAST_RATE, high=_MOST_RATE),
-        time_constant=section.number('time_constant', 's', default.time_constant, low=0.0),
-        delay=section.number('delay', 's', default.delay, low=0.0),
+        time_constant=section.number('time_constant', 's', default.time_constant, low=0.0, high=60.0),
+        delay=section.number('delay', 's', default.delay, low=0.0, high=60.0),
         rate_table=table,
         timing_std=section.number('timing_std', '', default.timing_std, low=0.0, high=1.0),
     )
@@ -240,8 +242,7 @@ def _rate_table(section: Section) -> Pairs:
     if not rows:
         section.fail('rate', '= [] must be a number or have at least one row')
     for i, (speed, rate) in enumerate(rows):
-        if speed < 0.0:
-            section.fail(f'rate[{i}][0]', f'= {speed:g} m/s must be >= 0')
+        section.check(f'rate[{i}][0]', speed, 'm/s', low=0.0, high=_MOST_SPEED)
         if not _LEAST_RATE <= rate <= _MOST_RATE:
             section.fail(f'rate[{i}][1]', f'= {rate:g} is outside [{_LEAST_RATE:g}, {_MOST_RATE:g}]')
     for i, ((before, _), (after, _)) in enumerate(pairwise(rows)):
@@ -256,27 +257,35 @@ def _line(section: Section) -> Line:
     _check_rising(section, 'stops', stops)
     return Line(
         stops=stops,
-        gradient=_profile(section, 'gradient', 'per mille', low=-math.inf),
-        curve=_profile(section, 'curve', 'm radius', low=0.0),
+        gradient=_profile(section, 'gradient', 'per mille', low=-_STEEPEST, high=_STEEPEST),
+        curve=_curves(section),
         tunnel=_tunnels(section),
-        speed_limit=_profile(section, 'speed_limit', 'm/s', low=0.0),
+        speed_limit=_profile(section, 'speed_limit', 'm/s', above=0.0, high=_MOST_SPEED),
         gradient_std=section.number('gradient_std', 'per mille', Line().gradient_std, low=0.0, high=50.0),
     )
 
 
-def _profile(section: Section, key: str, unit: str, low: float) -> Pairs:
+def _profile(section: Section, key: str, unit: str, *, low: float = -math.inf, **limits: float) -> Pairs:
     rows = section.rows(key, ('m', unit))
     _check_rising(section, key, tuple(row[0] for row in rows))
     for i, (_, value) in enumerate(rows):
-        if value < low or (key == 'speed_limit' and value == 0.0):
-            rule = '> 0' if key == 'speed_limit' else f'>= {low:g}'
-            section.fail(f'{key}[{i}][1]', f'= {value:g} {unit} must be {rule}')
+        section.check(f'{key}[{i}][1]', value, unit, low=low, **limits)
     return tuple((position, value) for position, value in rows)
+
+
+def _curves(section: Section) -> Pairs:
+    curves = _profile(section, 'curve', 'm radius', low=0.0, high=1e9)
+    for i, (_, radius) in enumerate(curves):
+        if radius:
+            section.check(f'curve[{i}][1]', radius, 'm radius', low=_TIGHTEST)
+    return curves
 
 
 def _tunnels(section: Section) -> Pairs:
     rows = section.rows('tunnel', ('start m', 'end m'))
     for i, (start, end) in enumerate(rows):
+        section.check(f'tunnel[{i}][0]', start, 'm', low=-_FARTHEST)
+        section.check(f'tunnel[{i}][1]', end, 'm', high=_FARTHEST)
         if end <= start:
             section.fail(f'tunnel[{i}]', f'= [{start:g}, {end:g}] m must end beyond its start')
     for i, ((_, end), (start, _)) in enumerate(pairwise(rows)):
@@ -286,6 +295,8 @@ def _tunnels(section: Section) -> Pairs:
 
 
 def _check_rising(section: Section, key: str, positions: tuple[float, ...]) -> None:
+    for i, position in enumerate(positions):
+        section.check(f'{key}[{i}]', position, 'm', low=-_FARTHEST, high=_FARTHEST)
     for i, (before, after) in enumerate(pairwise(positions)):
         if after <= before:
             problem = f'= {after:g} m must be above {before:g} m: positions must increase'

@@ -87,34 +87,41 @@ def test_a_lagging_mass_gives_the_same_samples(seed: int, drive: Any, run: Any, 
     assert not reasons(found)
 
 
-def test_records_of_a_topic_out_of_order_are_sorted(drive: Any, run: Any) -> None:
-    records = drive(10.0)
-    k = [i for i, r in enumerate(records) if isinstance(r, ForceRecord)][20:22]
-    swapped = list(records)
-    swapped[k[0]], swapped[k[1]] = swapped[k[1]], swapped[k[0]]
-    # The earlier force comes one period late, while no sample has passed it: nothing is lost.
-    later_speed = [i for i in range(k[0], k[1]) if isinstance(records[i], SpeedRecord)]
-    for i in reversed(later_speed):
-        swapped.insert(k[1] + 1, swapped.pop(i))
-    in_order, out_of_order = (
-        # The sample before both is interpolated over two periods: the same value from reports farther apart.
-        [replace(sample, force_interval=0.0) for sample in of(Sample, run(order))]
-        for order in (records, swapped)
-    )
-    assert repr(out_of_order) == repr(in_order)
+def reordered(records: list[Record], rng: np.random.Generator) -> list[Record]:
+    """Return records in an order in which none comes after another whose stamp is more than ``max_lag`` newer."""
+    came = [record.stamp_ns + float(rng.uniform(0.0, CONFIG.max_lag)) * NS_PER_S for record in records]
+    return [records[i] for i in np.argsort(came)]
 
 
-def test_speeds_out_of_order_within_the_lag_are_sorted(drive: Any, run: Any, reasons: Any) -> None:
-    records = drive(10.0)
-    speeds = [i for i, r in enumerate(records) if isinstance(r, SpeedRecord)]
-    swapped = list(records)
-    first, second = speeds[20], speeds[21]
-    swapped[first], swapped[second] = swapped[second], swapped[first]
-    events = run(swapped)
-    stamps = [s.stamp_ns for s in of(Sample, events)]
-    assert stamps == sorted(stamps)
-    # Each speed is used or counted as late, never dropped without a reason.
-    assert len(stamps) + reasons(events)[Reason.LATE] >= len(speeds) - 2
+@SEEDS
+@given(seed=st.integers(0, 2**32 - 1), share_lost=st.sampled_from([0.0, 0.2]))
+@pytest.mark.parametrize('rate', [2.0, 5.0, 20.0])
+def test_any_order_within_the_lag_gives_the_same_samples(
+    seed: int, share_lost: float, rate: float, drive: Any, run: Any, reasons: Any
+) -> None:
+    rng = np.random.default_rng(seed)
+    jitter_ns = round(0.1 * NS_PER_S / rate)
+    records = [
+        replace(record, stamp_ns=record.stamp_ns + int(rng.integers(-jitter_ns, jitter_ns)))
+        for record in drive(12.0, rate=rate)
+        if rng.random() >= share_lost
+    ]
+    records.sort(key=lambda record: record.stamp_ns)
+    by_stamp, by_arrival = run(records), run(reordered(records, rng))
+    end_ns = records[-1].stamp_ns - round(2.0 * NS_PER_S)  # the last samples still wait
+    samples, others = ([s for s in of(Sample, events) if s.stamp_ns < end_ns] for events in (by_stamp, by_arrival))
+    assert len(samples) > 10
+    assert repr(others) == repr(samples)
+    assert reasons(by_arrival)[Reason.LATE] == 0
+
+
+def test_records_in_order_are_used_at_once(drive: Any) -> None:
+    """Where no record can be missing, a sample does not wait for late ones."""
+    aligner, ages = Aligner(CONFIG), []
+    for record in drive(12.0):
+        samples = of(Sample, aligner.push(record))
+        ages += [record.stamp_ns - sample.stamp_ns for sample in samples if sample.stamp_ns > at(4.0)]
+    assert max(ages) == at(0.19) - START  # the next brake command, gradient and force are the last to come
 
 
 @pytest.mark.parametrize(

@@ -70,7 +70,7 @@ def test_the_mean_counts_every_record_inside_the_step() -> None:
     aligner = Aligner(CONFIG)
     ramp = [0.0, 0.0, 100.0, 0.0, 0.0]  # a triangle of base 0.1 s inside the second step
     records: list[Record] = [ForceRecord(at(x), f) for x, f in zip((0.0, 0.25, 0.3, 0.35, 0.5), ramp, strict=True)]
-    for t in (0.0, 0.2, 0.4, 0.6):
+    for t in (0.0, 0.2, 0.4, 0.6, 0.8):
         records.append(GradientRecord(at(t), 0.0, 0.0, tunnel=False))
         records.append(BrakeRecord(at(t), 0.0, emergency=False))
     records += [SpeedRecord(at(t), 1.0, math.nan) for t in (0.0, 0.2, 0.4)]

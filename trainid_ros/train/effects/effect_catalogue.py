@@ -81,7 +81,7 @@ def _load(path: Path) -> ModuleType:
     module = sys.modules[spec.name] = importlib.util.module_from_spec(spec)  # dataclasses look up their module
     try:
         spec.loader.exec_module(module)
-    except Exception as error:
+    except (Exception, SystemExit) as error:
         # Any exception raised by a user's file is reported as a file that cannot be loaded.
         msg = f'{path}: cannot be loaded: {type(error).__name__}: {error}'
         raise InputError(msg) from error
@@ -136,7 +136,7 @@ def resistance_terms(effects: Sequence[Effect]) -> tuple[Term, ...]:
     for effect in effects:
         kind = EFFECTS[effect.name]
         if kind.resistance is not None and not kind.on_records:
-            terms.append(_bind(kind.resistance, dict(effect.parameters)))
+            terms.append(_bind(kind, kind.resistance, dict(effect.parameters)))
     return tuple(terms)
 
 
@@ -148,8 +148,21 @@ def effect_value(effects: Sequence[Effect], name: str, key: str, default: float)
     return default
 
 
-def _bind(function: Resistance, parameters: Parameters) -> Term:
-    return lambda davis, point: function(parameters, davis, point)
+def _bind(kind: EffectKind, function: Resistance, parameters: Parameters) -> Term:
+    """Return the resistance of an effect with its parameters; InputError where it cannot be evaluated."""
+
+    def evaluate(davis: Davis, point: TrackPoint) -> float:
+        try:
+            value = float(function(parameters, davis, point))
+        except Exception as error:  # the effect may be a user's
+            msg = f'effect {kind.name}: its resistance cannot be evaluated: {type(error).__name__}: {error}'
+            raise InputError(msg) from error
+        if not math.isfinite(value):
+            msg = f'effect {kind.name}: its resistance = {value:g} N/kN at {point.speed:g} m/s must be finite'
+            raise InputError(msg)
+        return value
+
+    return evaluate
 
 
 def _check_parameter(name: str, value: float | None, limits: Parameter) -> None:

@@ -1,0 +1,96 @@
+# SPDX-License-Identifier: Apache-2.0
+"""YAML files cost little whatever they contain, and numbers mean what they seem to."""
+
+from __future__ import annotations
+
+import os
+import resource
+import time
+from itertools import pairwise
+from pathlib import Path
+
+import pytest
+import yaml
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from trainid_ros.errors import InputError
+from trainid_ros.train.fields import parse_yaml, read_text
+from trainid_ros.train.strict_yaml import compose, load
+
+
+def aliases(levels: int) -> str:
+    """Return a text of which each level repeats the one before nine times."""
+    names = 'abcdefghijklmnop'[:levels]
+    later = [f'{name}: &{name} [{",".join([f"*{before}"] * 9)}]' for before, name in pairwise(names)]
+    return '\n'.join(['a: &a [x,x,x,x,x,x,x,x,x]', *later])
+
+
+@pytest.mark.parametrize(
+    ('text', 'reason'),
+    [
+        (aliases(11), 'more than 200000 values'),
+        ('x: [' + '0,' * 400_000 + '0]', 'more than 200000 values'),
+        ('a: &a {x: 1}\nb: {<<: [' + ','.join(['*a'] * 150_000) + ']}', 'more than 200000 values'),
+        ('{a: ' * 2000 + '}' * 2000, 'nested more than 100 deep'),
+        ('[' * 1_000_000, 'nested more than 100 deep'),
+        ('- ' * 500_000, 'nested more than 100 deep'),
+        ('&a [*a]', "alias 'a' is not defined before"),
+        ('[*b]', "alias 'b' is not defined before"),
+    ],
+)
+@pytest.mark.parametrize('read', [load, compose])
+def test_files_that_would_grow_are_refused_at_little_cost(text: str, reason: str, read: object) -> None:
+    memory_kb, start_s = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.process_time()
+    with pytest.raises(InputError, match=reason) as caught:
+        read(text, 'T.yaml')  # type: ignore[operator]
+    assert str(caught.value).startswith('T.yaml: line ')
+    assert time.process_time() - start_s < 5.0
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - memory_kb < 200_000
+
+
+def test_aliases_that_repeat_little_are_read() -> None:
+    assert load('a: &a [1, 2]\nb: [*a, *a]', 'T.yaml') == {'a': [1, 2], 'b': [[1, 2], [1, 2]]}
+
+
+@pytest.mark.parametrize(
+    ('text', 'value'),
+    [
+        ('0', 0), ('-12', -12), ('194_000', 194000), ('1e5', 1e5), ('+1.5E-3', 0.0015), ('.5', 0.5), ('7.', 7.0),
+        ('1:30:00', '1:30:00'), ('1:30.5', '1:30.5'), ('0777', '0777'), ('0x1F', '0x1F'), ('0b1', '0b1'), ('.', '.'),
+    ],
+)  # fmt: skip
+def test_only_plain_decimal_numbers_are_numbers(text: str, value: object) -> None:
+    found = load(text, 'T.yaml')
+    assert (found, type(found)) == (value, type(value))
+
+
+@settings(deadline=None)
+@given(st.one_of(st.integers(-(10**15), 10**15), st.floats(allow_nan=False, allow_infinity=False)))
+def test_every_number_written_as_yaml_reads_back(number: float) -> None:
+    assert load(yaml.safe_dump(number), 'T.yaml') == number
+
+
+@settings(deadline=None)
+@given(st.text(st.sampled_from('ab:-[]{},&*!?|>%@`#"\'\n 01.')))
+def test_any_text_is_read_or_refused_in_one_line(text: str) -> None:
+    try:
+        parse_yaml(text, 'T.yaml')
+    except InputError as error:
+        assert str(error).startswith('T.yaml')
+        assert '\n' not in str(error)
+
+
+def test_only_regular_files_of_moderate_size_are_read(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / 'pipe')
+    with (tmp_path / 'large').open('wb') as file:
+        file.truncate(17 << 20)
+    for path, reason in (
+        (tmp_path / 'pipe', 'is not a file'),
+        (Path('/dev/zero'), 'is not a file'),
+        (tmp_path / 'large', 'is larger than 16 MB'),
+        (tmp_path, 'Is a directory'),
+        (tmp_path / 'none', 'No such file or directory'),
+    ):
+        with pytest.raises(InputError, match=f'{path}: cannot be read: {reason}'):
+            read_text(path)
