@@ -56,6 +56,7 @@ YEAR_NS: Final = 365 * 24 * 3600 * NS_PER_S
 FAULTS: Final = {
     *(Reason.NOT_FINITE, Reason.OUT_OF_RANGE, Reason.ZERO_STAMP, Reason.LATE, Reason.DUPLICATE, Reason.STAMP_JUMP),
     *(Reason.GAP, Reason.SPEED_STUCK, Reason.FORCE_MISSING, Reason.BRAKE_COMMAND_MISSING, Reason.THINNED),
+    Reason.CONTRADICTION,
 }
 
 
@@ -66,7 +67,7 @@ def hard(records: Iterable[Record]) -> list[Record]:
     for k, record in enumerate(records):
         first_ns = first_ns or record.stamp_ns
         second = (record.stamp_ns - first_ns) / NS_PER_S
-        if 60.0 <= second < 63.0 or (isinstance(record, BrakeRecord) and 90.0 <= second < 94.0):
+        if 60.0 <= second < 63.0 or (isinstance(record, BrakeRecord) and 135.0 <= second < 139.0):
             continue
         stamp_ns = record.stamp_ns + (0 if second < 150.0 else -3600 * NS_PER_S if second < 250.0 else YEAR_NS)
         moved = replace(record, stamp_ns=stamp_ns)

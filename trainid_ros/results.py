@@ -47,6 +47,7 @@ class Reason(IntEnum):
     THINNED = 17
     BRAKE_UNCERTAIN = 18
     SPEED_STUCK = 19
+    CONTRADICTION = 20
 
     # Reasons are counted; that of an enumeration hashes the name.
     __hash__ = int.__hash__

@@ -24,7 +24,7 @@ from trainid_ros.estimators.pipeline import (
     speed_model_pipeline,
 )
 from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
-from trainid_ros.results import Estimate, Output, Reason, Status
+from trainid_ros.results import BrakeRateEstimate, Estimate, Output, Reason, ResistanceEstimate, Status
 from trainid_ros.stream.alignment import AlignmentConfig
 from trainid_ros.stream.sample_stream import TimeJumpPolicy
 from trainid_ros.train.train_file import TrainFile
@@ -35,6 +35,7 @@ MAKERS: dict[str, Callable[[TrainFile, EstimatorSettings], EstimatorPipeline[Any
     'brake_rate': brake_rate_pipeline,
 }
 SETTINGS = EstimatorSettings()
+HOUR_NS = 3600 * NS_PER_S
 Records = tuple[Record, ...]
 ALL = pytest.mark.parametrize('name', MAKERS)
 
@@ -206,13 +207,38 @@ def test_a_fault_holds_until_a_reset(name: str, metro: TrainFile, day: Records) 
 def test_by_default_a_jump_back_starts_over(name: str, metro: TrainFile, day: Records) -> None:
     looped, fresh = make(name, metro), make(name, metro)
     first, second = seconds(day, 0.0, 100.0), seconds(day, 0.0, 80.0)
-    run(looped, first)
+    run(looped, [replace(record, stamp_ns=record.stamp_ns + 2 * HOUR_NS) for record in first])
     again = run(looped, second)
     expected = run(fresh, second)
     assert looped.resets == 1
     assert repr(again[-1]) == repr(expected[-1])
     assert looped.rejections == fresh.rejections
     assert looped.estimator.save() == fresh.estimator.save()
+
+
+@ALL
+@pytest.mark.parametrize('back_s', [10.0, 3000.0])
+def test_a_clock_that_is_set_back_by_up_to_an_hour_loses_nothing(
+    name: str, metro: TrainFile, day: Records, back_s: float
+) -> None:
+    stepped, steady = make(name, metro), make(name, metro)
+    first, second = seconds(day, 0.0, 150.0), seconds(day, 150.0, 300.0)
+    run(stepped, first)
+    run(stepped, [replace(record, stamp_ns=record.stamp_ns - round(back_s * NS_PER_S)) for record in second])
+    run(steady, [*first, *second])
+    assert stepped.resets == 0
+    assert stepped.used == pytest.approx(steady.used, abs=40)
+    (found, std), (expected, _) = (learned(pipeline.current().estimate) for pipeline in (stepped, steady))
+    assert abs(found - expected) < 0.5 * std
+
+
+def learned(estimate: Estimate) -> tuple[float, float]:
+    """Return the most important value and its standard deviation."""
+    if isinstance(estimate, ResistanceEstimate):
+        return estimate.resistance, estimate.resistance_std
+    if isinstance(estimate, BrakeRateEstimate):
+        return estimate.brake_rate, estimate.brake_rate_std
+    return estimate.b1, math.sqrt(estimate.covariance[10])
 
 
 @ALL

@@ -79,6 +79,7 @@ class Replay:
         resistance: Running resistance.
         speed_model: Speed model.
         brake_rate: Brake rate.
+        finding: The last contradiction found between the inputs, empty if none was.
 
     """
 
@@ -87,6 +88,7 @@ class Replay:
     resistance: Result[ResistanceEstimate]
     speed_model: Result[SpeedModelEstimate]
     brake_rate: Result[BrakeRateEstimate]
+    finding: str = ''
 
 
 class Pipelines(NamedTuple):
@@ -154,6 +156,7 @@ def replay_through(
         _result(resistance, priors[0]),
         _result(speed_model, priors[1]),
         _result(brake_rate, priors[2]),
+        resistance.stream.last_finding,
     )
 
 

@@ -123,7 +123,7 @@ def _read(
 ) -> _Reading:
     bag, path = item
     # The train file may be what is wrong, so it must not decide which speeds are used.
-    stream = SampleStream(StreamConfig(train_file, rejects_stuck_speed=False))
+    stream = SampleStream(StreamConfig(train_file, rejects_faults=False))
     collector = RunCollector(train_file, bag)
     with BagReader(path, namespace, max_chunk) as reader:
         known = len(reader.warnings)

@@ -38,11 +38,12 @@ _UNKNOWN: Final = {
 
 @dataclass(frozen=True, slots=True)
 class UndisturbedMotion:
-    """Undisturbed motion in a bag: the trajectory, the number of samples, and the rejected samples by reason."""
+    """Undisturbed motion in a bag: trajectory, number of samples, rejected samples by reason, last contradiction."""
 
     trajectory: Trajectory
     samples: int
     rejected: Counter[Reason]
+    finding: str
 
 
 def run(args: argparse.Namespace) -> int:
@@ -69,7 +70,8 @@ def run(args: argparse.Namespace) -> int:
     except NoAnswerError as error:
         if args.json:
             print_json(_UNKNOWN)
-        msg = f'{args.bag}: {error}{_most_common(motion.rejected)}'
+        contradiction = f'; inputs contradict each other: {motion.finding}' if motion.finding else ''
+        msg = f'{args.bag}: {error}{_most_common(motion.rejected)}{contradiction}'
         raise NoAnswerError(msg) from None
     if args.json:
         print_json(to_json(fit))
@@ -110,7 +112,7 @@ def collect(
         elif isinstance(event, Sample):
             samples += 1
             collector.add(event, rejected)
-    return UndisturbedMotion(collector.trajectory(), samples, rejected)
+    return UndisturbedMotion(collector.trajectory(), samples, rejected, stream.last_finding)
 
 
 def to_json(fit: DavisFit) -> dict[str, Any]:

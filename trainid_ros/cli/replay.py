@@ -151,6 +151,8 @@ def no_answer(bag: Path, outcome: Replay) -> str:
     if result.output.used and estimate.speed_max > 0.0:
         return ''
     text = f'{bag}: nothing was learned of the resistance: {result.samples} samples, {result.output.used} used'
+    if outcome.finding:
+        return f'{text}; inputs contradict each other: {outcome.finding}'
     if result.rejections:
         reason, count = result.rejections[0]
         text += f', most often rejected: {reason.name} ({count} times), last: {result.output.last_rejection}'
@@ -183,6 +185,7 @@ def to_json(outcome: Replay, setups: Sequence[Setup], wall_s: float) -> dict[str
             **{'value': f.brake_rate, 'std': f.brake_rate_std, 'status': brake.output.status},
             **_counters(brake),
         },
+        'input_finding': outcome.finding,
         'algorithms': {setup.job.field: setup.algorithm for setup in setups},
         'wall_s': wall_s,
     }
@@ -205,7 +208,8 @@ def describe(outcome: Replay, setups: Sequence[Setup], wall_s: float) -> str:
         f'{outcome.records} messages, {outcome.resistance.samples} samples over {outcome.duration_s:.1f} s, '
         f'replayed {_pace(outcome, wall_s)}'
     )
-    return '\n\n'.join((head, _estimates(outcome), _usage(outcome), _uncertainty(outcome, setups)))
+    contradiction = (f'inputs contradict each other: {outcome.finding}',) if outcome.finding else ()
+    return '\n\n'.join((head, *contradiction, _estimates(outcome), _usage(outcome), _uncertainty(outcome, setups)))
 
 
 def _estimates(outcome: Replay) -> str:

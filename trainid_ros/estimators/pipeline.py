@@ -17,7 +17,7 @@ import numpy as np
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.estimators.algorithm_registry import Algorithms, Choice
 from trainid_ros.estimators.consistency import Consistency, ConsistencyMonitor
-from trainid_ros.estimators.pipeline_state import PipelineState, reason_counts
+from trainid_ros.estimators.pipeline_state import PipelineState, Snapshots, reason_counts
 from trainid_ros.estimators.protocol import Estimator
 from trainid_ros.records import NS_PER_S, Record, Row
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
@@ -79,6 +79,9 @@ class EstimatorPipeline(Generic[EstimateT]):
         self.last_rejection: Rejection | None = None
         self._speed = 0.0
         self._sample_ns = 0
+        prior = self.estimator.save()
+        self._snapshots = Snapshots(prior, prior)
+        self._contradicted = False
         self._consistency = ConsistencyMonitor()
         self._status = Status.UNINITIALIZED
         # The estimate at the newest sample, None until somebody asks for it, and the last one published.
@@ -161,6 +164,7 @@ class EstimatorPipeline(Generic[EstimateT]):
         return encode(
             PipelineState(
                 estimator=self.estimator.save(),
+                snapshots=replace(self._snapshots),
                 stream=self.stream.state,
                 consistency=self._consistency.state,
                 status=Status.UNINITIALIZED if self._status is Status.FAULT else self._status,
@@ -185,12 +189,14 @@ class EstimatorPipeline(Generic[EstimateT]):
         """
         state = decode(text, PipelineState)
         state.check()
-        self.estimator.restore(state.estimator)
+        for saved in (state.snapshots.before, state.snapshots.newest, state.estimator):  # each must fit
+            self.estimator.restore(saved)
         self.stream = self.stream.successor(state.stream)
         self._consistency.restore(state.consistency)
         self.used, self.samples, self.resets = state.used, state.samples, state.resets
         self.rejections, self.last_rejection = state.counted(), state.last_rejection
         self._speed, self._sample_ns, self._status = state.speed, state.sample_ns, state.status
+        self._snapshots, self._contradicted = replace(state.snapshots), self.stream.finding != ''
         self._estimate = None
         if age_s > 0.0 and state.samples:
             self.estimator.idle(age_s)
@@ -214,6 +220,7 @@ class EstimatorPipeline(Generic[EstimateT]):
     def _step(self, sample: Sample) -> None:
         self._estimate = None
         rejection = sample.rejection
+        self._keep_snapshots(sample)
         if rejection is None:
             rejection = self.estimator.step(sample)
         self.samples += 1
@@ -228,12 +235,22 @@ class EstimatorPipeline(Generic[EstimateT]):
         innovation, variance = self.estimator.innovation
         self._consistency.see(innovation, variance, used=rejection is None)
 
+    def _keep_snapshots(self, sample: Sample) -> None:
+        """Go back to a state from before the inputs began to contradict each other, when that is found."""
+        contradicted = self.stream.finding != ''
+        if contradicted and not self._contradicted:
+            self.estimator.restore(self._snapshots.before)
+            self._consistency.clear()
+        elif not contradicted and self._snapshots.is_due(sample) and self.stream.is_trusted:
+            self._snapshots.add(self.estimator.save())
+        self._contradicted = contradicted
+
     def _judge(self, rejection: Rejection | None) -> Status:
         if self._status is Status.FAULT:
             return Status.FAULT
         if self.stream.is_input_missing(self._stale_ns):
             return Status.STALE
-        if not self.estimator.converged or self._consistency.refuted:
+        if not (self.estimator.converged and self.stream.is_trusted) or self._consistency.refuted:
             return Status.CONVERGING
         return Status.VALID if rejection is None else Status.HOLDING
 

@@ -8,11 +8,15 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
 
 from trainid_ros.estimators.consistency import ConsistencyState
 from trainid_ros.results import Reason, Rejection, Status
 from trainid_ros.state import check_not_negative, check_restored
 from trainid_ros.stream.stream_state import StreamState
+
+if TYPE_CHECKING:
+    from trainid_ros.stream.samples import Sample
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,12 +27,43 @@ class ReasonCount:
     count: int
 
 
+SNAPSHOT_S: Final = 120.0
+"""Time in motion between snapshots [s]; a contradiction of the inputs is found within this time."""
+
+
+@dataclass(slots=True)
+class Snapshots:
+    """Saved states of an estimator, taken after each while of motion, to go back to when inputs were wrong.
+
+    Attributes:
+        before: The state to go back to; it is older than it takes to find a contradiction.
+        newest: The newest state.
+        moved_s: Time in motion since then [s].
+
+    """
+
+    before: str
+    newest: str
+    moved_s: float = 0.0
+
+    def is_due(self, sample: Sample) -> bool:
+        """Count the time of a sample; return whether the next state is due."""
+        if sample.dt > 0.0 and sample.speed > 0.0:
+            self.moved_s += sample.dt
+        return self.moved_s >= SNAPSHOT_S
+
+    def add(self, state: str) -> None:
+        """Add the present state."""
+        self.before, self.newest, self.moved_s = self.newest, state, 0.0
+
+
 @dataclass(frozen=True, slots=True)
 class PipelineState:
     """State of a pipeline.
 
     Attributes:
         estimator: State of the estimator as text.
+        snapshots: Earlier ones.
         stream: State of the stream of samples.
         consistency: Innovations of the last updates.
         status: Status of the last output; not FAULT.
@@ -43,6 +78,7 @@ class PipelineState:
     """
 
     estimator: str
+    snapshots: Snapshots
     stream: StreamState
     consistency: ConsistencyState
     status: Status
@@ -58,6 +94,7 @@ class PipelineState:
         """Raise InputError unless this is a possible state."""
         kind = 'PipelineState'
         self.stream.check()
+        check_not_negative(kind, moved_s=self.snapshots.moved_s)
         check_restored(self.consistency.is_valid, kind, 'consistency')
         check_not_negative(kind, used=self.used, samples=self.samples, resets=self.resets)
         check_not_negative(kind, speed=self.speed, sample_ns=self.sample_ns)

@@ -21,7 +21,7 @@ from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.estimators.prior import prior_variances
 from trainid_ros.estimators.speed_noise import SpeedNoise
 from trainid_ros.resistance.davis_posterior import drift_growth, resistance_estimate
-from trainid_ros.resistance.fitness import DrivenSpeeds, is_fit_where_driven
+from trainid_ros.resistance.fitness import DrivenSpeeds, is_fit_at, is_fit_where_driven
 from trainid_ros.resistance.force_errors import CURVE_RADIUS, force_errors, is_delay_at_end, scale_step
 from trainid_ros.resistance.hypotheses import PUBLISHED, Bank, BankPlan, Mixture
 from trainid_ros.resistance.long_run_variance import Inflation
@@ -53,6 +53,8 @@ _GATE: Final = 5.5
 _RESTART_AFTER_S: Final = 5.0
 # Longer than a stop, so that weather and train may have changed in the meantime [s].
 _IDLE_S: Final = 600.0
+# Multiple of the limit up to which an estimate is fit to use while a step is suspected.
+_SUSPECTED: Final = 2.0
 # Number of accepted samples between two tests whether the estimate is fit to use.
 _JUDGED_EVERY: Final = 5
 # Standard deviation of the relative error of the wheel diameter, which is up to about half a per cent.
@@ -207,16 +209,26 @@ class FilterBank:
         self._rejected_s, self._advanced_ns = 0.0, tick.stamp_ns
         self._driven.add(tick.speed)
         if self._driven.count % _JUDGED_EVERY == 0:
-            self._judge()
+            self._judge(tick.speed)
         return None
 
-    def _judge(self) -> None:
-        """Decide whether w is fit to use at the driven speeds."""
+    def _judge(self, speed: float) -> None:
+        """Decide whether w is fit to use: at the driven speeds, and at this speed even if a step has just happened."""
         now, config = self._inflated(self.bank.mixture()), self.config
         # A delay outside the range that can be estimated biases the other states.
-        self._converged = not is_delay_at_end(now.mean[_DELAY]) and is_fit_where_driven(
-            now.davis, self._driven, config.valid_std, config.valid_share, was_fit=self._converged
+        self._converged = (
+            not is_delay_at_end(now.mean[_DELAY])
+            and is_fit_where_driven(
+                now.davis, self._driven, config.valid_std, config.valid_share, was_fit=self._converged
+            )
+            and is_fit_at(speed, self._current().davis, _SUSPECTED * config.valid_std, _SUSPECTED * config.valid_share)
         )
+
+    def _current(self) -> Mixture:
+        """Return what is published: it covers steps that may just have happened."""
+        if self._published is None:
+            self._published = self._inflated(self.bank.mixture(self.bank.plan.young_weight))
+        return self._published
 
     def _inflated(self, now: Mixture) -> Mixture:
         """Return a mixture whose covariance is inflated for unmodelled errors and wheel diameter errors."""
@@ -236,9 +248,7 @@ class FilterBank:
 
     def estimate(self, speed: float) -> ResistanceEstimate:
         """Return the parameters for v in m/s and the resistance [N/kN] at a speed [m/s]."""
-        if self._published is None:
-            self._published = self._inflated(self.bank.mixture(self.bank.plan.young_weight))
-        now = self._published
+        now = self._current()
         scale_std = math.sqrt(max(now.covariance[_SCALE_VARIANCE], 0.0))
         delay_std = math.sqrt(max(now.covariance[_DELAY_VARIANCE], 0.0))
         return resistance_estimate(

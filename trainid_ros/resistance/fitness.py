@@ -5,10 +5,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
-if TYPE_CHECKING:
-    from trainid_ros.resistance.davis_posterior import DavisPosterior
+from trainid_ros.resistance.davis_posterior import DavisPosterior, predict
 
 # An estimate that is fit stays so up to this multiple of the limit, so that the status does not flicker.
 _HYSTERESIS: Final = 1.5
@@ -103,3 +102,9 @@ def is_fit_where_driven(
     square = a * a + 2.0 * a * b * m1 + (2.0 * a * c + b * b) * m2 + 2.0 * b * c * m3 + c * c * m4
     limit = valid_std * valid_std + valid_share * valid_share * square
     return variance < limit * (_HYSTERESIS * _HYSTERESIS if was_fit else 1.0)
+
+
+def is_fit_at(speed: float, posterior: DavisPosterior, valid_std: float, valid_share: float) -> bool:
+    """Return whether the standard deviation of w at one speed [m/s] is small enough; limits as for driven speeds."""
+    w, variance = predict(posterior, speed, speed * speed)
+    return variance < valid_std * valid_std + valid_share * valid_share * w * w

@@ -98,6 +98,11 @@ class BankPlan:
     drift: Array
     noise: ProcessNoise
 
+    @property
+    def log_step(self) -> float:
+        """Logarithm of the probability of a step of a (or of c) between two branchings."""
+        return math.log(0.5 * min(1.0, self.hazard * self.branch_interval))
+
 
 class Hypothesis:
     """A filter with the logarithm of its weight, its age [s], and the index of its sizes of gusts and map errors."""
@@ -264,37 +269,44 @@ class Bank:
             young_weight: Factor on the weights of young hypotheses in the covariance.
 
         """
-        plain = self._mature_weights()
-        mean, weights, first = vec[float](), self._damped(plain, 1.0), self.hypotheses[0].filter.x
+        plain, _ = self._mature_weights()
+        mean, weights, first = vec[float](), _normalised(plain), self.hypotheses[0].filter.x
         for i in self._states:
             # Relative to one of them, so that identical hypotheses give exactly their common value.
             apart = 0.0
             for n in range(len(weights)):
                 apart += weights[n] * (self.hypotheses[n].filter.x[i] - first[i])
             mean = append(mean, first[i] + apart)
-        return Mixture(mean, self._covariance(mean, self._damped(plain, young_weight)))
+        if young_weight == 1.0:
+            return Mixture(mean, self._covariance(mean, weights))
+        return Mixture(mean, self._covariance(mean, self._cautious_weights(plain, young_weight)))
 
-    def _mature_weights(self) -> vec[float]:
+    def _mature_weights(self) -> tuple[vec[float], bool]:
         """Return the weights of all hypotheses of the minimum age, 0 of others; of all if those have no weight."""
         weights, total = vec[float](), 0.0
         for item in self.hypotheses:
             weights = append(weights, math.exp(item.log_weight) if item.age >= self.plan.min_age else 0.0)
             total += weights[len(weights) - 1]
-        if total < _NO_WEIGHT:
-            for n in range(len(weights)):
-                weights[n] = math.exp(self.hypotheses[n].log_weight)
-        return weights
-
-    def _damped(self, plain: vec[float], young_weight: float) -> vec[float]:
-        """Return weights with a factor on those of young hypotheses, and a sum of one."""
-        weights, total = vec[float](), 0.0
-        for n in range(len(plain)):
-            factor = young_weight if self.hypotheses[n].age < self.plan.young_age else 1.0
-            weights = append(weights, plain[n] * factor)
-            total += weights[n]
+        if total >= _NO_WEIGHT:
+            return weights, False
         for n in range(len(weights)):
-            weights[n] /= total
-        return weights
+            weights[n] = math.exp(self.hypotheses[n].log_weight)
+        return weights, True
+
+    def _cautious_weights(self, plain: vec[float], young_weight: float) -> vec[float]:
+        """Return the weights of the stated covariance: a step that may just have happened counts more than it should.
+
+        Of a hypothesis below the minimum age counts what it has gained over its weight when it branched off.
+        """
+        weights, step = vec[float](), math.exp(self.plan.log_step)
+        for n in range(len(plain)):
+            item, weight = self.hypotheses[n], plain[n]
+            if item.age < self.plan.min_age:
+                weight = young_weight * max(0.0, math.exp(item.log_weight) - step)
+            elif item.age < self.plan.young_age:
+                weight *= young_weight
+            weights = append(weights, weight)
+        return _normalised(weights)
 
     def _covariance(self, mean: vec[float], weights: vec[float]) -> vec[float]:
         """Return the upper triangle of the covariance of a mixture about its mean, 15 numbers."""
@@ -315,9 +327,8 @@ class Bank:
         plan, now = self.plan, self.hypotheses
         self.since_s = 0.0
         self.branchings += 1
-        step = math.log(0.5 * min(1.0, plan.hazard * plan.branch_interval))
         for state, variance in zip((A, C), plan.step_variances, strict=True):
-            now.append(self._child(best, step, 0.0, best.size))
+            now.append(self._child(best, plan.log_step, 0.0, best.size))
             now[-1].filter.widen(state, variance, math.inf)
         if others := self._absent_sizes(best):
             now.append(self._child(best, math.log(_OTHER_SIZES), best.age, others[self.branchings % len(others)]))
@@ -339,3 +350,13 @@ class Bank:
         inside = [r * columns + c for r, c in near if 0 <= r < rows and 0 <= c < columns]
         present = {item.size for item in self.hypotheses if item.log_weight > _PRESENT}
         return [size for size in inside if size not in present]
+
+
+def _normalised(weights: vec[float]) -> vec[float]:
+    """Return weights divided by their sum."""
+    total, shares = 0.0, vec[float]()
+    for weight in weights:
+        total += weight
+    for weight in weights:
+        shares = append(shares, weight / total)
+    return shares

@@ -31,7 +31,7 @@ class FilterBankConfig(PriorSettings):
     hypotheses: int = setting(28, 'maximum number of hypotheses', '', 4, 1000)
     branch_interval: float = setting(10.0, 'driving time between branchings', 's', 1.0, 1000.0)
     min_age: float = setting(10.0, 'minimum age of a hypothesis in the estimate', 's', 0.0, 1000.0)
-    young_weight: float = setting(200.0, 'weight of young hypotheses in the stated covariance', '1', 1.0, 1000.0)
+    young_weight: float = setting(500.0, 'weight of young hypotheses in the stated covariance', '1', 1.0, 1000.0)
     wrong_prior: float = setting(0.01, 'prior odds that the train file is overconfident', '1', 0.0, 1.0)
     valid_std: float = setting(
         0.15, 'fit to use below this standard deviation, without suspected steps', 'N/kN', 1e-3, 10.0

@@ -138,6 +138,11 @@ def _judge(health: NodeHealth, pipeline: EstimatorPipeline[Any], value: str) -> 
     level, action = _LEVELS[status], _ACTIONS.get(status, '')
     if health.state != 'active':
         level, text, action = DiagnosticStatus.WARN, f'{health.state}, inputs are ignored; last {text}', 'activate it'
+    if pipeline.stream.finding:
+        level, text = DiagnosticStatus.ERROR, f'inputs contradict each other: {pipeline.stream.finding}; {text}'
+        action = (
+            'check units, signs, stamps and publishers of the inputs, and the train file; nothing is learned meanwhile'
+        )
     if health.clock_problem:
         level, text = max(level, DiagnosticStatus.WARN), f'{health.clock_problem}; {text}'
     if health.unsaved:

@@ -19,12 +19,15 @@ REPEATED: Final = frozenset({Status.STALE, Status.FAULT})
 _FIT: Final = frozenset({Status.VALID, Status.HOLDING})
 _LOG_PERIOD_S: Final = 1.0
 
+# An estimate with one of these is not fit to use.
+_WITHDRAWN: Final = frozenset({Status.CONVERGING, Status.STALE, Status.FAULT})
+
 
 def is_latched(status: Status, latched: Status | None) -> bool:
     """Return whether an estimate goes to the ``last_valid`` topic.
 
-    VALID estimates do. Once there was one, so does the news that it is not kept up any more (STALE, FAULT), once, and
-    the news that it holds again.
+    VALID estimates do. Once there was one, so does the news that it is withdrawn (CONVERGING: a change or contradiction
+    is suspected) or not kept up any more (STALE, FAULT), once, and the news that it holds again.
 
     Args:
         status: Status of the estimate.
@@ -35,9 +38,9 @@ def is_latched(status: Status, latched: Status | None) -> bool:
         return True
     if latched is None:
         return False
-    if status in REPEATED:
+    if status in _WITHDRAWN:
         return status is not latched
-    return status is Status.HOLDING and latched in REPEATED
+    return status is Status.HOLDING and latched in _WITHDRAWN
 
 
 def _group(status: Status) -> frozenset[Status]:

@@ -20,6 +20,7 @@ from trainid_ros.settings import check_settings
 from trainid_ros.state import encode
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig, TimeJump
 from trainid_ros.stream.drive_history import DriveHistoryTracker
+from trainid_ros.stream.plausibility import PlausibilityMonitor
 from trainid_ros.stream.samples import Sample
 from trainid_ros.stream.sensor_correction import SensorCorrection
 from trainid_ros.stream.stream_state import SkippedSample, StreamState
@@ -28,6 +29,8 @@ from trainid_ros.train.train_file import TrainFile
 
 StreamEvent: TypeAlias = Sample | Rejection | TimeJump
 
+LARGEST_STEP_S: Final = 3600.0
+"""A clock is set back by at most this time [s]; a larger step back is another drive."""
 # Brake commands of more samples than these ago have no effect any more.
 _MOST_SKIPPED: Final = 300
 
@@ -48,14 +51,15 @@ class StreamConfig:
         train_file: The train file.
         alignment: Settings of the alignment.
         time_jump_policy: What to do when the stamps jump back.
-        rejects_stuck_speed: Whether a speed that does not follow the forces of the train file is rejected as stuck.
+        rejects_faults: Whether samples are rejected whose speed is stuck, or whose inputs contradict each other, by the
+            forces of the train file.
 
     """
 
     train_file: TrainFile
     alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
     time_jump_policy: TimeJumpPolicy = TimeJumpPolicy.RESET
-    rejects_stuck_speed: bool = True
+    rejects_faults: bool = True
 
 
 class SampleStream:
@@ -80,7 +84,7 @@ class SampleStream:
         )
         self._history = DriveHistoryTracker(config.train_file)
         self._has_effects = bool(config.train_file.effects)
-        self._rejects_stuck_speed = config.rejects_stuck_speed
+        self._rejects_faults = config.rejects_faults
         self._skew_ns = round(abs(self._correction.skew_s) * NS_PER_S)
         self._clear()
 
@@ -91,6 +95,7 @@ class SampleStream:
 
     def _start_over(self) -> None:
         self._stuck = StuckSpeed(self._known)
+        self._plausibility = PlausibilityMonitor(self._known)
         self._skipped: list[SkippedSample] = []
         self._first_ns = 0
         # How far the last required topic is behind the newest stamp, beyond the correction of the force's stamps [ns].
@@ -114,6 +119,21 @@ class SampleStream:
         return stream
 
     @property
+    def finding(self) -> str:
+        """What contradicts what in the inputs, empty if nothing does."""
+        return self._plausibility.finding
+
+    @property
+    def last_finding(self) -> str:
+        """The last contradiction found, empty if there never was one."""
+        return self._plausibility.last_finding
+
+    @property
+    def is_trusted(self) -> bool:
+        """True if an estimate from these inputs may be valid: they agree, or cannot be compared."""
+        return self._plausibility.is_trusted
+
+    @property
     def state(self) -> StreamState:
         """The state to save."""
         return StreamState(
@@ -122,6 +142,7 @@ class SampleStream:
             stop_position=self._correction.stop_position,
             stuck_speed=self._stuck.speed,
             stuck_missing=self._stuck.missing,
+            plausibility=self._plausibility.state,
             skipped=tuple(self._skipped),
             first_ns=self._first_ns,
             behind_ns=self._behind_ns,
@@ -132,6 +153,7 @@ class SampleStream:
         self._history.state = state.history.copy()
         self._correction.stop_position = state.stop_position
         self._stuck.speed, self._stuck.missing = state.stuck_speed, state.stuck_missing
+        self._plausibility.restore(state.plausibility)
         self._skipped = list(state.skipped)
         self._first_ns, self._behind_ns = state.first_ns, state.behind_ns
 
@@ -186,9 +208,10 @@ class SampleStream:
         if self._has_effects:
             sample.motion = self._history.follow(sample)
             sample.extra = self._known.extra(sample)
-        if not self._rejects_stuck_speed:
+        if not self._rejects_faults:
             return
-        sample.rejection = self._stuck.reject(sample)
+        stuck, contradiction = self._stuck.reject(sample), self._plausibility.follow(sample)
+        sample.rejection = contradiction if stuck is None else stuck
         if sample.rejection is not None:
             self._skipped = [*self._skipped, SkippedSample(sample.brake_changes)][-_MOST_SKIPPED:]
         elif self._skipped:
@@ -209,5 +232,5 @@ class SampleStream:
 
 
 def is_reset_by(jump: TimeJump, policy: TimeJumpPolicy) -> bool:
-    """Return whether everything starts over after a jump of the stamps."""
-    return jump.step_s < 0.0 and policy is TimeJumpPolicy.RESET
+    """Return whether everything starts over after a jump of the stamps; a clock set back a little loses nothing."""
+    return jump.step_s < -LARGEST_STEP_S and policy is TimeJumpPolicy.RESET

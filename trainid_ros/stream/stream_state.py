@@ -7,15 +7,19 @@ This module is not compiled: the types of the items of tuples are read from its 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field
 from itertools import pairwise
-from typing import Final
+from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.records import INPUT_TOPICS
 from trainid_ros.state import MAX_NUMBER, check_not_negative, check_restored
 from trainid_ros.stream.drive_history import DriveHistoryState
+from trainid_ros.stream.plausibility import PlausibilityState
 from trainid_ros.stream.samples import BrakeCommandChange
 from trainid_ros.stream.travel import Travel
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 _KIND: Final = 'StreamState'
 
@@ -99,6 +103,7 @@ class StreamState:
         stop_position: Position at which wheel corrections start [m], NaN while unknown.
         stuck_speed: Speed of the last sample [m/s], NaN before the first.
         stuck_missing: Expected change of speed since it last changed [m/s].
+        plausibility: State of the checks of inputs against each other.
         skipped: Samples with a stuck speed since the last accepted one.
         first_ns: First stamp since the start or a jump [ns].
         behind_ns: How far the last required topic is behind the newest stamp [ns].
@@ -110,6 +115,7 @@ class StreamState:
     stop_position: float
     stuck_speed: float
     stuck_missing: float
+    plausibility: PlausibilityState
     skipped: tuple[SkippedSample, ...]
     first_ns: int
     behind_ns: int
@@ -121,6 +127,29 @@ class StreamState:
         check_restored(not math.isinf(self.stop_position), _KIND, 'stop_position')
         stuck = not abs(self.stuck_speed) >= MAX_NUMBER and abs(self.stuck_missing) < MAX_NUMBER
         check_restored(stuck, _KIND, 'stuck_speed')
+        check_restored(_is_possible(asdict(self.plausibility)), _KIND, 'plausibility')
         changes = [change for item in self.skipped for change in item.brake_changes]
         check_restored(all(-MAX_NUMBER < item.target_acceleration <= 0.0 for item in changes), _KIND, 'skipped')
         check_not_negative(_KIND, first_ns=self.first_ns)
+
+
+# Numbers of the checks that may be unknown, and sums that are not negative.
+_UNKNOWN: Final = frozenset({'speed', 'position', 'dt'})
+_SUMS: Final = frozenset({'yy', 'xx', 'count', 'edges', 'jerks', 'square', 'steepness', 'seconds', 'learned', 'limit'})
+
+
+def _is_possible(values: Mapping[str, Any]) -> bool:
+    """Return whether all numbers of nested checks are finite, and their sums not negative."""
+    for name, value in values.items():
+        if isinstance(value, dict):
+            if not _is_possible(value):
+                return False
+            continue
+        numbers = value if isinstance(value, tuple) else (value,)
+        for number in numbers:
+            if isinstance(number, str):
+                continue
+            low = 0.0 if name in _SUMS else -MAX_NUMBER
+            if not (low <= number < MAX_NUMBER or (name in _UNKNOWN and math.isnan(number))):
+                return False
+    return True

@@ -135,13 +135,13 @@ def test_it_becomes_and_stays_fit_to_use_until_a_reset(followed: tuple[str, list
 def test_between_the_limit_and_one_and_a_half_times_it_the_status_does_not_change(
     learned: str, minutes: list[Sample], was_fit: bool, restored: Any, after: Any
 ) -> None:
-    found = restored(learned)
+    found = restored(learned, replace(SMALL, young_weight=1.0))
     S, at = np.array(found.estimate(12.0).covariance).reshape(3, 3), found._driven
     M = np.array([[1.0, at.m1, at.m2], [at.m1, at.m2, at.m3], [at.m2, at.m3, at.m4]])
     rms = math.sqrt(float(np.sum(S * M)))
     data = json.loads(learned)
     data['state']['converged'] = was_fit
-    bank = restored(json.dumps(data), replace(SMALL, valid_std=rms / 1.2, valid_share=0.0))
+    bank = restored(json.dumps(data), replace(SMALL, valid_std=rms / 1.2, valid_share=0.0, young_weight=1.0))
     item = minutes[-1]
     for _ in range(10):
         item = after([item])

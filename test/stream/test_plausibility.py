@@ -1,0 +1,182 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Contradictory inputs are named before anything is learned from them, and healthy ones are left alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+from trainid_ros.estimators.pipeline import (
+    EstimatorPipeline,
+    EstimatorSettings,
+    brake_rate_pipeline,
+    resistance_pipeline,
+    share_streams,
+    speed_model_pipeline,
+)
+from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
+from trainid_ros.results import Reason, Status
+from trainid_ros.stream.sample_stream import SampleStream, StreamConfig
+from trainid_ros.stream.samples import Sample
+from trainid_ros.train.train_file import TrainFile
+
+Change = Callable[[Record], Record]
+
+
+def speed(factor: float) -> Change:
+    return lambda record: replace(record, speed=factor * record.speed) if isinstance(record, SpeedRecord) else record
+
+
+def force(factor: float) -> Change:
+    return lambda record: replace(record, force=factor * record.force) if isinstance(record, ForceRecord) else record
+
+
+def command(change: Callable[[float], float]) -> Change:
+    def changed(record: Record) -> Record:
+        if isinstance(record, BrakeRecord):
+            return replace(record, target_acceleration=change(record.target_acceleration))
+        return record
+
+    return changed
+
+
+def gradient(offset: float) -> Change:
+    def changed(record: Record) -> Record:
+        return replace(record, gradient=record.gradient + offset) if isinstance(record, GradientRecord) else record
+
+    return changed
+
+
+def late(kind: type[Record], seconds: float) -> Change:
+    shift_ns = round(seconds * NS_PER_S)
+    return lambda record: replace(record, stamp_ns=record.stamp_ns + shift_ns) if isinstance(record, kind) else record
+
+
+def findings(stream: SampleStream, records: list[Record]) -> list[tuple[float, str]]:
+    """Return all findings with the motion in seconds after which each appeared."""
+    found: list[tuple[float, str]] = []
+    moved = 0
+    for record in sorted(records, key=lambda item: item.stamp_ns):
+        for event in stream.push(record):
+            moved += isinstance(event, Sample) and event.speed >= 0.5
+        if stream.finding and (not found or found[-1][1] != stream.finding):
+            found.append((0.2 * moved, stream.finding))
+    return found
+
+
+@pytest.mark.parametrize(
+    ('change', 'within_s', 'text'),
+    [
+        (speed(3.6), 10.0, 'ato/speed looks like km/h'),
+        (speed(1.06), 60.0, 'ato/speed is about +6 % off'),
+        (force(1e-3), 10.0, 'ato/force looks like kN'),
+        (force(1e3), 20.0, 'ato/force is about 1000 times too large'),
+        (force(-1.0), 10.0, 'ato/force looks as if it had the wrong sign'),
+        (force(0.0), 15.0, 'does not follow ato/force'),
+        (command(lambda _: -0.7), 10.0, 'the train accelerates while ato/brake_command brakes'),
+        (gradient(4.0), 60.0, 'ato/gradient is about +4'),
+    ],
+)
+def test_a_contradiction_from_the_first_message_is_named(
+    metro: TrainFile, day: tuple[Record, ...], change: Change, within_s: float, text: str
+) -> None:
+    found = findings(SampleStream(StreamConfig(metro)), [change(record) for record in day[:4000]])
+    assert next(when for when, finding in found if text in finding) <= within_s
+
+
+@pytest.mark.parametrize(
+    ('change', 'text'),
+    [
+        (command(lambda target: target / 9.81), 'ato/brake_command looks like g'),
+        (late(SpeedRecord, 1.0), 'ato/speed is about 1.0 s late'),
+        (late(ForceRecord, 1.0), 'ato/force is about 1.0 s late'),
+    ],
+)
+def test_what_needs_brakings_or_steps_of_traction_is_named_within_two_runs(
+    metro: TrainFile, day: tuple[Record, ...], change: Change, text: str
+) -> None:
+    found = findings(SampleStream(StreamConfig(metro)), [change(record) for record in day])
+    assert any(text in finding for _, finding in found), found
+
+
+def test_a_second_publisher_of_the_brake_command_is_named(metro: TrainFile, day: tuple[Record, ...]) -> None:
+    records: list[Record] = []
+    for record in day[:4000]:
+        records.append(record)
+        if isinstance(record, BrakeRecord):
+            other = -0.6 if record.target_acceleration == 0.0 else 0.0
+            records.append(BrakeRecord(record.stamp_ns + NS_PER_S // 10, other, emergency=False))
+    found = findings(SampleStream(StreamConfig(metro)), records)
+    assert 'two publishers' in found[0][1]
+
+
+def test_spikes_of_the_force_are_named(metro: TrainFile, day: tuple[Record, ...]) -> None:
+    forces = [record for record in day[:4000] if isinstance(record, ForceRecord)]
+    spiked = {record.stamp_ns for record in forces[::25]}
+    records = [
+        replace(record, force=record.force + 1e5)
+        if isinstance(record, ForceRecord) and record.stamp_ns in spiked
+        else record
+        for record in day[:4000]
+    ]
+    assert 'ato/force has spikes' in dict(map(reversed, findings(SampleStream(StreamConfig(metro)), records)))  # type: ignore[arg-type]
+
+
+def test_healthy_inputs_are_left_alone(metro: TrainFile, day: tuple[Record, ...]) -> None:
+    stream = SampleStream(StreamConfig(metro))
+    events = [event for record in day for event in stream.push(record)]
+    rejected = [e for e in events if isinstance(e, Sample) and e.rejection is not None]
+    assert rejected == []
+    assert stream.last_finding == ''
+    assert stream.is_trusted
+
+
+def pipelines(metro: TrainFile) -> list[EstimatorPipeline[Any]]:
+    makers = (resistance_pipeline, speed_model_pipeline, brake_rate_pipeline)
+    return [make(metro, EstimatorSettings()) for make in makers]
+
+
+@pytest.mark.parametrize('change', [speed(3.6), force(-1.0), force(1e-3), command(lambda _: -0.7)])
+def test_no_estimate_from_contradictory_inputs_is_valid(
+    metro: TrainFile, day: tuple[Record, ...], change: Change
+) -> None:
+    found = pipelines(metro)
+    (stream,) = share_streams(found)
+    statuses = set()
+    for record in day:
+        events = stream.push(change(record))
+        for pipeline in found:
+            pipeline.take(events, lambda output: statuses.add(output.status))
+    assert statuses <= {Status.UNINITIALIZED, Status.CONVERGING, Status.STALE}
+    assert all(pipeline.rejections[Reason.CONTRADICTION] > 500 for pipeline in found)
+
+
+def test_after_a_fault_in_mid_drive_the_estimate_is_that_from_before_it(
+    metro: TrainFile, day: tuple[Record, ...]
+) -> None:
+    start_ns = day[0].stamp_ns
+    begin_ns, end_ns = start_ns + 240 * NS_PER_S, start_ns + 300 * NS_PER_S
+    change = speed(3.6)
+    hit, healthy = resistance_pipeline(metro, EstimatorSettings()), resistance_pipeline(metro, EstimatorSettings())
+    for record in day:
+        hit.push(change(record) if begin_ns <= record.stamp_ns < end_ns else record)
+        healthy.push(record)
+        if begin_ns < record.stamp_ns < end_ns:
+            assert hit.current().status is not Status.VALID or record.stamp_ns < begin_ns + NS_PER_S
+    assert hit.rejections[Reason.CONTRADICTION] > 100
+    found, expected = hit.current().estimate, healthy.current().estimate
+    assert abs(found.resistance - expected.resistance) < found.resistance_std
+
+
+def test_a_contradiction_ends_when_the_inputs_agree_again(metro: TrainFile, day: tuple[Record, ...]) -> None:
+    stream, change = SampleStream(StreamConfig(metro)), force(-1.0)
+    half = len(day) // 2
+    found = findings(stream, [change(record) for record in day[:half]])
+    assert any('wrong sign' in finding for _, finding in found)
+    assert stream.finding
+    findings(stream, list(day[half:]))
+    assert stream.finding == ''
+    assert stream.last_finding
