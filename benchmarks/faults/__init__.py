@@ -28,8 +28,8 @@ _HEADER = ('fault', 'named', 'after, s', 'VALID > 3 std, s', 'worst, std', 'w le
 _NOTE = (
     'Medians and worst cases over days of {count} seeds. Named: share of the days on which a finding, a reason of '
     'rejection or a status that the healthy drive does not have shows up; after: median motion until then. VALID '
-    'beyond 3 std: longest over the days, of resistance or brake rate, from the start of the fault. Left: median of the '
-    'absolute error a minute of motion after the fault less that of the same drive without it.'
+    'beyond 3 std: longest over the days, of resistance or brake rate, since the start of the fault. Left: median of '
+    'the absolute error a minute of motion after the fault less that of the same drive without it.'
 )
 
 
