@@ -1,0 +1,168 @@
+# SPDX-License-Identifier: Apache-2.0
+"""How often a resistance or a brake rate is VALID and wrong: on simulated days with steps, and in the field worlds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, Final
+
+import numpy as np
+
+from benchmarks.days import assumed_train, simulated_day
+from benchmarks.papers.seeds import over_seeds
+from benchmarks.tables import Table
+from benchmarks.worlds import WORLDS, drive
+from trainid_ros.estimators.pipeline import (
+    EstimatorPipeline,
+    EstimatorSettings,
+    brake_rate_pipeline,
+    resistance_pipeline,
+    share_streams,
+)
+from trainid_ros.results import Output, Status
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from numpy.typing import NDArray
+
+    from trainid_ros.records import Record
+    from trainid_ros.train.train_file import TrainFile
+
+    Array = NDArray[np.float64]
+
+_DAY: Final = 'Yizhuang days'
+_FIRST_SEED: Final = 7001
+# More seeds than days are hardly needed for a share of a tenth of a per cent; a world takes longer to simulate.
+_DAYS: Final = 100
+_DRIVES: Final = 20
+_WRONG: Final = 3.0
+_MOVING: Final = 1.0
+_PERIOD_S: Final = 0.2
+_HEADER: Final = (
+    'estimate', 'drives', 'VALID, share of motion', 'VALID > 3 std', 'longest, mean s', 'longest, s',
+    'with HOLDING > 3 std', '|error| in motion', 'median std', '95 % band',
+)  # fmt: skip
+_NOTE: Final = (
+    'VALID > 3 std: share of the VALID outputs whose error exceeds three of their own standard deviations; longest: '
+    'longest such stretch of each drive, in motion. Resistance at the measured speed in N/kN. Steps are abrupt: on the '
+    'Yizhuang days a grows by 0.5 N/kN and later c by 20 %.'
+)
+
+
+@dataclass(frozen=True, slots=True)
+class Integrity:
+    """Scores of one estimate on one drive: shares [1], times [s], errors in the unit of the estimate."""
+
+    valid: float
+    wrong: float
+    longest_s: float
+    wrong_with_holding: float
+    error: float
+    std: float
+    covered: float
+
+
+def measure(seeds: int) -> tuple[Table, ...]:
+    """Return the tables for resistance and brake rate."""
+    kinds = [(_DAY, min(seeds, _DAYS) if seeds < _DRIVES else _DAYS), *((name, min(seeds, _DRIVES)) for name in WORLDS)]
+    trials = [(kind, _FIRST_SEED + k) for kind, count in kinds for k in range(count)]
+    scores = dict(zip(trials, over_seeds(run, trials, 'integrity'), strict=True))
+    return tuple(
+        Table(
+            f'VALID and wrong: {title}',
+            _HEADER,
+            tuple(_row(kind, [scores[kind, _FIRST_SEED + k][place] for k in range(count)]) for kind, count in kinds),
+            _NOTE,
+        )
+        for place, title in enumerate(('running resistance', 'brake rate'))
+    )
+
+
+def _row(kind: str, scores: Sequence[Integrity]) -> tuple[str, ...]:
+    def mean(name: str) -> float:
+        return float(np.mean([getattr(score, name) for score in scores]))
+
+    return (
+        kind,
+        str(len(scores)),
+        f'{mean("valid"):.1%}',
+        f'{mean("wrong"):.3%}',
+        f'{mean("longest_s"):.1f}',
+        f'{max(score.longest_s for score in scores):.1f}',
+        f'{mean("wrong_with_holding"):.3%}',
+        f'{mean("error"):.4f}',
+        f'{mean("std"):.4f}',
+        f'{mean("covered"):.1%}',
+    )
+
+
+def run(trial: tuple[str, int]) -> tuple[Integrity, Integrity]:
+    """Return the scores of resistance and brake rate on one drive."""
+    kind, seed = trial
+    train_file, records, truths = _day(seed) if kind == _DAY else _world(kind, seed)
+    resistance, brake_rate = _published(train_file, records)
+    davis, rates = truths(np.array([output.stamp_ns for output in resistance]))
+    speed = np.array([output.estimate.speed for output in resistance])
+    w = davis[:, 0] + davis[:, 1] * speed + davis[:, 2] * speed * speed
+    found = np.array([(output.estimate.resistance, output.estimate.resistance_std) for output in resistance])
+    rate = np.array([(output.estimate.brake_rate, output.estimate.brake_rate_std) for output in brake_rate])
+    statuses = [np.array([int(output.status) for output in outputs]) for outputs in (resistance, brake_rate)]
+    return (
+        _score(statuses[0], speed, found[:, 0] - w, found[:, 1]),
+        _score(statuses[1], speed, rate[:, 0] - rates, rate[:, 1]),
+    )
+
+
+def _day(seed: int) -> tuple[TrainFile, Iterable[Record], Any]:
+    day = simulated_day(seed)
+
+    def truths(stamps_ns: NDArray[np.int64]) -> tuple[Array, Array]:
+        points = [day.truth.truth_at_ns(int(stamp)) for stamp in stamps_ns]
+        davis = np.array([(p.resistance.a, p.resistance.b, p.resistance.c) for p in points])
+        return davis, np.array([np.nan if p.brake_rate is None else p.brake_rate for p in points])
+
+    return assumed_train(), day.records, truths
+
+
+def _world(kind: str, seed: int) -> tuple[TrainFile, Iterable[Record], Any]:
+    ride = drive(kind, seed)
+    truth = ride.truth
+
+    def truths(stamps_ns: NDArray[np.int64]) -> tuple[Array, Array]:
+        at = np.maximum(np.searchsorted(truth.time_ns, stamps_ns, side='right') - 1, 0)
+        return np.stack((truth.a[at], truth.b[at], truth.c[at]), axis=1), truth.brake_rate[at]
+
+    return ride.train_file, ride.records, truths
+
+
+def _published(train_file: TrainFile, records: Iterable[Record]) -> tuple[list[Output[Any]], list[Output[Any]]]:
+    settings = EstimatorSettings()
+    pipelines: list[EstimatorPipeline[Any]] = [
+        make(train_file, settings) for make in (resistance_pipeline, brake_rate_pipeline)
+    ]
+    (stream,) = share_streams(pipelines)
+    outputs: tuple[list[Output[Any]], list[Output[Any]]] = ([], [])
+    for record in records:
+        events = stream.push(record)
+        for pipeline, made in zip(pipelines, outputs, strict=True):
+            pipeline.take(events, made.append)
+    return outputs
+
+
+def _score(status: NDArray[np.int64], speed: Array, error: Array, std: Array) -> Integrity:
+    moving, valid = speed >= _MOVING, status == Status.VALID
+    usable, wrong = valid | (status == Status.HOLDING), np.abs(error) > _WRONG * std
+    longest = current = 0
+    for bad in (valid & wrong)[moving]:
+        current = current + 1 if bad else 0
+        longest = max(longest, current)
+    return Integrity(
+        valid=float(valid[moving].mean()),
+        wrong=float(wrong[valid].mean()) if valid.any() else 0.0,
+        longest_s=longest * _PERIOD_S,
+        wrong_with_holding=float(wrong[usable].mean()) if usable.any() else 0.0,
+        error=float(np.abs(error[moving]).mean()),
+        std=float(np.median(std[moving])),
+        covered=float((np.abs(error) < 1.96 * std)[moving].mean()),
+    )
