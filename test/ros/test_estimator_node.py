@@ -244,7 +244,7 @@ def test_messages_over_the_graph_give_estimates(graph: Graph, train_file: str) -
     source = graph.plain('source')
     got: list[Any] = []
     source.create_subscription(ResistanceEstimate, 'trainid/resistance', got.append, 100)
-    records = graph.coasting(10)
+    records = graph.coasting(20)
     publishers = {}
     for record in records[:4]:
         kind = type(message_from_record(record))

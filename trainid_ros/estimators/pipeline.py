@@ -15,6 +15,7 @@ from typing import Any, Generic, TypeAlias
 import numpy as np
 
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
+from trainid_ros.errors import InputError
 from trainid_ros.estimators.algorithm_registry import Algorithms, Choice
 from trainid_ros.estimators.consistency import Consistency, ConsistencyMonitor
 from trainid_ros.estimators.pipeline_state import PipelineState, Snapshots, reason_counts
@@ -189,8 +190,13 @@ class EstimatorPipeline(Generic[EstimateT]):
         """
         state = decode(text, PipelineState)
         state.check()
-        for saved in (state.snapshots.before, state.snapshots.newest, state.estimator):  # each must fit
-            self.estimator.restore(saved)
+        now = self.estimator.save()
+        try:
+            for saved in (state.snapshots.before, state.snapshots.newest, state.estimator):  # each must fit
+                self.estimator.restore(saved)
+        except InputError:
+            self.estimator.restore(now)
+            raise
         self.stream = self.stream.successor(state.stream)
         self._consistency.restore(state.consistency)
         self.used, self.samples, self.resets = state.used, state.samples, state.resets
@@ -240,6 +246,8 @@ class EstimatorPipeline(Generic[EstimateT]):
         contradicted = self.stream.finding != ''
         if contradicted and not self._contradicted:
             self.estimator.restore(self._snapshots.before)
+            before = self._snapshots.before
+            self._snapshots = Snapshots(before, before)  # the newest may hold what was wrong already
             self._consistency.clear()
         elif not contradicted and self._snapshots.is_due(sample) and self.stream.is_trusted:
             self._snapshots.add(self.estimator.save())

@@ -49,7 +49,7 @@ from trainid_ros.ros.topics import (
     publisher_events,
 )
 from trainid_ros.ros.watchdog import Watchdog
-from trainid_ros.stream.sample_stream import TimeJumpPolicy
+from trainid_ros.stream.sample_stream import LARGEST_STEP_S, TimeJumpPolicy
 from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:
@@ -259,7 +259,7 @@ class EstimatorNode(ManagedNode):
         return pipeline
 
     def step(
-        self, pipeline: EstimatorPipeline[Any], record: Record, events: dict[SampleStream, list[StreamEvent]]
+        self, pipeline: EstimatorPipeline[Any], record: Record, events: dict[SampleStream, list[StreamEvent] | None]
     ) -> list[Any]:
         """Pass a record to the pipeline; return the outputs of the samples it completes.
 
@@ -268,15 +268,19 @@ class EstimatorNode(ManagedNode):
         Args:
             pipeline: The pipeline of this node.
             record: The record.
-            events: What the streams made of the record; that of the pipeline is added if it is missing.
+            events: What the streams made of the record, None if they failed; that of the pipeline is added if missing.
 
         """
         resets, start = pipeline.resets, time.perf_counter()
         outputs: list[Any] = []
         try:
             if pipeline.stream not in events:
+                events[pipeline.stream] = None  # until the stream has succeeded, so that its other nodes fail too
                 events[pipeline.stream] = pipeline.stream.push(record)
-            pipeline.take(events[pipeline.stream], outputs.append)
+            if (made := events[pipeline.stream]) is None:
+                outputs = [self.fail(pipeline, 'the stream that it shares with another node has failed')]
+            else:
+                pipeline.take(made, outputs.append)
         except TrainIdError as error:
             outputs = [self.fail(pipeline, str(error))]
         except NUMERICAL_ERRORS:
@@ -390,7 +394,7 @@ class EstimatorNode(ManagedNode):
             return
         jumped_s, self._jumped_s = self._jumped_s, 0.0
         policy = self._settings.pipeline.time_jump_policy
-        limit_ns = round(self._settings.alignment.max_jump_back * NS_PER_S)
+        limit_ns = round(LARGEST_STEP_S * NS_PER_S)
         follow = policy is TimeJumpPolicy.RESET and pipeline.newest_ns - self.now_ns() > limit_ns
         if follow:
             pipeline.reset()

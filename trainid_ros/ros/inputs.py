@@ -164,7 +164,7 @@ class InputGroup:
         running = [(node, pipeline) for node in self._members if (pipeline := node.running_pipeline()) is not None]
         if any(pipeline.stream.is_new for _, pipeline in running):
             share_streams(pipeline for _, pipeline in running)
-        events: dict[SampleStream, list[StreamEvent]] = {}
+        events: dict[SampleStream, list[StreamEvent] | None] = {}
         outputs = [(node, node.step(pipeline, record, events)) for node, pipeline in running]
         # Sent at once, so that a subscriber of all of them wakes up once.
         ready = [(node, [node.serialize(output) for output in made]) for node, made in outputs if made]

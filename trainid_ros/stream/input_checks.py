@@ -96,15 +96,22 @@ class DistanceCheck:
         finding: What is wrong, empty if nothing is.
         by_speed: Distance by the speed, with forgetting [m].
         by_position: Distance by the position, with forgetting [m].
+        waiting: Distance by the speed since the position last changed [m].
 
     """
 
     finding: str = ''
     by_speed: float = 0.0
     by_position: float = 0.0
+    waiting: float = 0.0
 
     def add(self, by_speed: float, by_position: float) -> None:
         """Add the distances between two samples [m]; that by the position is NaN if it is not known."""
+        by_speed += self.waiting
+        if by_position == 0.0:  # a position that is updated less often than the speed
+            self.waiting = min(by_speed, _DISTANCE_MEMORY)
+            return
+        self.waiting = 0.0
         if not abs(by_position) <= 3.0 * by_speed + _JUMP:
             return
         keep = math.exp(-by_speed / _DISTANCE_MEMORY)
@@ -164,22 +171,21 @@ class LineCheck:
         """Add a gradient and that of the line, with its stated std [per mille]; return False if it is suddenly off."""
         error, limit = gradient - expected, _LINE_ERROR + _LINE_STDS * std
         self.lately += (error - self.lately) / _LINE_SHORT
-        if abs(self.lately) > limit + _LINE_SIGMAS * math.sqrt(self.square) and self.count >= _LINE_BLOCKS:
-            return False
+        sudden = abs(self.lately) > limit + _LINE_SIGMAS * math.sqrt(self.square) and self.count >= _LINE_BLOCKS
         self.count += 1.0 - self.count / _LINE_MEMORY
         share = 1.0 / self.count
         self.offset += share * (error - self.offset)
         self.square += share * (error * error - self.square)
         self.steepness += share * (expected * expected - self.steepness)
         if self.count < _LINE_BLOCKS:
-            return True
+            return not sudden
         if abs(self.offset) > limit:
             self.finding = f'ato/gradient is about {self.offset:+.1f} per mille off the line of the train file'
         elif self.square > _LINE_SHARE * self.steepness + limit * limit:
             self.finding = 'ato/gradient does not follow the line of the train file'
         else:
             self.finding = ''
-        return True
+        return not sudden
 
 
 # Shifts are tried up to this many blocks; smallest step of x, and sum of squared steps, that show one [N/kN].
@@ -213,6 +219,11 @@ class ShiftCheck:
     count: float = 0.0
     products: tuple[float, ...] = (0.0,) * _SHIFTS
     recent: tuple[float, ...] = ()
+
+    @property
+    def is_valid(self) -> bool:
+        """True if products and blocks have possible numbers."""
+        return len(self.products) == _SHIFTS and len(self.recent) % 2 == 0 and len(self.recent) <= 2 * (_MAX_SHIFT + 2)
 
     def interrupt(self) -> None:
         """Start a new run of blocks."""

@@ -4,7 +4,8 @@
 With specific forces [N/kN] and y = 1000 (1 + gamma) (dv/dt) / g + i + w(v), where w(v) is that of the train file,
 
 - y = x = traction where no brake acts,
-- y = x = 1000 (1 + gamma) c / g where the brake has followed the target acceleration c for some time.
+- y = x = 1000 (1 + gamma) r c / g where the brake has followed the target acceleration c for some time; r is the brake
+  rate of the train file.
 
 Both are regressions through the origin, y = R x, over the last seconds of each kind. R is about 1: mass, brake rate and
 resistance differ from those of the train file by some ten per cent, wrong units by factors. Further checks compare
@@ -51,8 +52,12 @@ _SIGMAS: Final = 4.0
 # A brake has followed a command, or has released, after its dead time and this many time constants.
 _FOLLOWED: Final = 2.0
 _RELEASED: Final = 8.0
+# Motion under a finding after which all checks begin anew, so that none lasts when its inputs have gone [s].
+_RETRY_S: Final = 300.0
+# Decay of the residual while nothing can be compared [s].
+_RESIDUAL_S: Final = 5.0
 # Motion after which an estimate may be valid although the slope of traction is still not known [s].
-_LENIENT_S: Final = 90.0
+_LENIENT_S: Final = 20.0
 
 
 @dataclass(slots=True)
@@ -95,6 +100,7 @@ class PlausibilityState:
         of_balance: What is wrong with the balance of forces over a longer time.
         confirmed: True once the slope of traction was plausible.
         moved_s: Time in motion with known forces [s].
+        found_s: Time in motion under findings since the checks began [s].
         residual: Mean of the last residuals y - x [N/kN].
         limit: Mean of their limits [N/kN].
         balance: Mean residual where no brake acts, over a longer time [N/kN].
@@ -117,6 +123,7 @@ class PlausibilityState:
     of_balance: str = ''
     confirmed: bool = False
     moved_s: float = 0.0
+    found_s: float = 0.0
     residual: float = 0.0
     limit: float = _SUDDEN
     balance: float = 0.0
@@ -186,13 +193,26 @@ class PlausibilityMonitor:
                 state.distance.add(by_speed, sample.direction * (sample.position - position))
             self._check_forces(sample, before)
         else:
+            for change in sample.brake_changes:
+                state.messages.add_command(change.target_acceleration)
             self._interrupt()
         if finding := state.finding:
             self._last = finding
+            self._retry(sample)
             return Rejection(sample.stamp_ns, Reason.CONTRADICTION, math.nan, math.nan)
         if abs(state.residual) > state.limit:
             return Rejection(sample.stamp_ns, Reason.CONTRADICTION, state.residual, state.limit)
         return None
+
+    def _retry(self, sample: Sample) -> None:
+        """Begin all checks anew after some motion; no estimate is trusted until they have succeeded."""
+        state = self.state
+        if sample.speed >= _MIN_SPEED and sample.dt > 0.0:
+            state.found_s += sample.dt
+        if state.found_s > _RETRY_S:
+            noise, messages = state.noise, state.messages
+            self.state = PlausibilityState(noise=noise, speed=state.speed, position=state.position)
+            self.state.messages.command, self.state.messages.held_s = messages.command, messages.held_s
 
     def _interrupt(self) -> None:
         self.state.block.kind = 0
@@ -200,6 +220,8 @@ class PlausibilityMonitor:
 
     def _check_messages(self, sample: Sample) -> None:
         messages = self.state.messages
+        if sample.speed < _MIN_SPEED:  # the command may do anything while the train is held
+            messages.reversals = 0.0
         for change in sample.brake_changes:
             messages.add_command(change.target_acceleration)
         messages.add_force(self._known.traction(sample.force, sample), sample.dt)
@@ -211,6 +233,7 @@ class PlausibilityMonitor:
             self.state.residual = 0.0
         if not kind or not is_finite(sample.gradient_mean) or not is_finite(sample.force_mean):
             self._interrupt()
+            self.state.residual *= math.exp(-sample.dt / _RESIDUAL_S)
             return
         block = self.state.block
         if block.kind != kind:
@@ -248,9 +271,9 @@ class PlausibilityMonitor:
             state.of_traction = state.traction.traction_finding(state.of_traction, noise)
             state.confirmed = state.confirmed or (state.traction.is_known and not state.of_traction)
             self._see_balance(y, traction)
-            state.shift.add(y, traction, _BLOCK_S)
+            state.shift.add(y, traction, seconds)
             return
-        brake = inertia * block.command / seconds
+        brake = inertia * self._known.train_file.brake.rate_at(block.last) * block.command / seconds
         self._see_residual(y - brake, _SUDDEN + _SUDDEN_BRAKE * abs(brake) + noise / _RECENT)
         state.brake.add(y, brake)
         state.of_brake = state.brake.brake_finding(state.of_brake, noise)

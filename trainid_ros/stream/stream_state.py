@@ -128,6 +128,7 @@ class StreamState:
         stuck = not abs(self.stuck_speed) >= MAX_NUMBER and abs(self.stuck_missing) < MAX_NUMBER
         check_restored(stuck, _KIND, 'stuck_speed')
         check_restored(_is_possible(asdict(self.plausibility)), _KIND, 'plausibility')
+        check_restored(self.plausibility.shift.is_valid, _KIND, 'plausibility.shift')
         changes = [change for item in self.skipped for change in item.brake_changes]
         check_restored(all(-MAX_NUMBER < item.target_acceleration <= 0.0 for item in changes), _KIND, 'skipped')
         check_not_negative(_KIND, first_ns=self.first_ns)
