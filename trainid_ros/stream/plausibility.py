@@ -56,8 +56,11 @@ _RELEASED: Final = 8.0
 _RETRY_S: Final = 300.0
 # Decay of the residual while nothing can be compared [s].
 _RESIDUAL_S: Final = 5.0
-# Motion after which an estimate may be valid although the slope of traction is still not known [s].
-_LENIENT_S: Final = 20.0
+# Motion after which an estimate may be valid although the slope of traction is still not known [s]: without strong
+# acceleration (in root mean square, N/kN), and in any case.
+_CALM_S: Final = 20.0
+_CALM: Final = 15.0
+_LENIENT_S: Final = 90.0
 
 
 @dataclass(slots=True)
@@ -101,6 +104,7 @@ class PlausibilityState:
         confirmed: True once the slope of traction was plausible.
         moved_s: Time in motion with known forces [s].
         found_s: Time in motion under findings since the checks began [s].
+        retried: True if the checks have begun anew under a finding: they must then hold for some time.
         residual: Mean of the last residuals y - x [N/kN].
         limit: Mean of their limits [N/kN].
         balance: Mean residual where no brake acts, over a longer time [N/kN].
@@ -124,6 +128,7 @@ class PlausibilityState:
     confirmed: bool = False
     moved_s: float = 0.0
     found_s: float = 0.0
+    retried: bool = False
     residual: float = 0.0
     limit: float = _SUDDEN
     balance: float = 0.0
@@ -178,7 +183,11 @@ class PlausibilityMonitor:
     @property
     def is_trusted(self) -> bool:
         """True if an estimate from these inputs may be valid: they agree, or cannot be compared."""
-        return not self.state.finding and (self.state.confirmed or self.state.moved_s > _LENIENT_S)
+        state, slope = self.state, self.state.traction
+        if state.finding or (state.retried and state.moved_s < _RETRY_S):
+            return False
+        calm = state.moved_s > _CALM_S and slope.yy < _CALM * _CALM * slope.count
+        return state.confirmed or calm or state.moved_s > _LENIENT_S
 
     def follow(self, sample: Sample) -> Rejection | None:
         """Take in a sample; return why it must not be used, None if nothing contradicts it."""
@@ -211,7 +220,7 @@ class PlausibilityMonitor:
             state.found_s += sample.dt
         if state.found_s > _RETRY_S:
             noise, messages = state.noise, state.messages
-            self.state = PlausibilityState(noise=noise, speed=state.speed, position=state.position)
+            self.state = PlausibilityState(noise=noise, speed=state.speed, position=state.position, retried=True)
             self.state.messages.command, self.state.messages.held_s = messages.command, messages.held_s
 
     def _interrupt(self) -> None:
