@@ -65,7 +65,7 @@ def test_force_noise_while_coasting_is_not_braking(admission: Admission, sample:
 
 def test_samples_are_rejected_until_a_released_brake_has_settled(admission: Admission, sample: Make) -> None:
     # 0.6 s dead time and eight time constants of 0.4 s.
-    assert admission.settling == pytest.approx(3.8)
+    assert admission.known.settling == pytest.approx(3.8)
     assert admission.reject(sample(1, brake_command=-0.5)) is not None
     admitted = {i: admission.reject(sample(i)) is None for i in range(2, 25)}
     # At exactly 3.8 s, in sample 20, rounding decides.
@@ -75,7 +75,7 @@ def test_samples_are_rejected_until_a_released_brake_has_settled(admission: Admi
 
 def test_a_delayed_brake_takes_longer_to_settle(train_file: TrainFile) -> None:
     late = replace(train_file, effects=(Effect('brake_delay', (('extra', 0.5),)),))
-    assert Admission(KnownForce(late), min_speed=1.0).settling == pytest.approx(4.3)
+    assert Admission(KnownForce(late), min_speed=1.0).known.settling == pytest.approx(4.3)
 
 
 def test_an_unknown_command_counts_as_braking_until_settled(admission: Admission, sample: Make) -> None:

@@ -13,10 +13,7 @@ from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.results import Reason, Rejection
 from trainid_ros.scalars import is_finite, seconds
 from trainid_ros.stream.samples import Sample
-from trainid_ros.train.effects import effect_value
 
-# After this many time constants a released brake is below 0.04 % of its initial force.
-_SETTLING: Final = 8.0
 # Force noise while coasting stays above this [N/kN]; deliberate braking is far below.
 _BRAKE_FORCE: Final = -1.5
 
@@ -27,7 +24,6 @@ class Admission:
     Attributes:
         known: Known part of the force balance.
         min_speed: Slowest speed admitted [m/s].
-        settling: Time after release until the brake is certainly off [s].
         braked_ns: Last stamp at which braking was requested [ns], 0 if never.
 
     """
@@ -35,9 +31,6 @@ class Admission:
     def __init__(self, known: KnownForce, min_speed: float) -> None:
         self.known = known
         self.min_speed = min_speed
-        file = known.train_file
-        extra_delay = effect_value(file.effects, 'brake_delay', 'extra', 0.0)
-        self.settling = file.brake.delay + extra_delay + _SETTLING * file.brake.time_constant
         self.braked_ns = 0
 
     def reject(self, sample: Sample) -> Rejection | None:
@@ -48,7 +41,7 @@ class Admission:
         if not sample.speed >= self.min_speed:
             return Rejection(sample.stamp_ns, Reason.STANDSTILL, sample.speed, self.min_speed)
         if brake_acts:
-            return Rejection(sample.stamp_ns, Reason.BRAKING, self._since_braked(sample), self.settling)
+            return Rejection(sample.stamp_ns, Reason.BRAKING, self._since_braked(sample), self.known.settling)
         return None
 
     def _incomplete(self, sample: Sample) -> Rejection | None:
@@ -72,7 +65,7 @@ class Admission:
             return True
         if sample.stamp_ns < self.braked_ns:  # the stamps jumped back
             self.braked_ns = 0
-        return self._since_braked(sample) < self.settling
+        return self._since_braked(sample) < self.known.settling
 
     def _since_braked(self, sample: Sample) -> float:
         return math.inf if self.braked_ns == 0 else seconds(sample.stamp_ns - self.braked_ns)

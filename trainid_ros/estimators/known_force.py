@@ -10,12 +10,15 @@ from trainid_ros.results import Reason, Rejection
 from trainid_ros.scalars import is_finite
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.davis import G, specific_force, specific_inertia
-from trainid_ros.train.effects import BRAKE_APPLIED, TrackPoint, resistance_terms
+from trainid_ros.train.effects import BRAKE_APPLIED, TrackPoint, effect_value, resistance_terms
 from trainid_ros.train.line import LineProfile
 from trainid_ros.train.train_file import TrainFile
 
 # Reference brake force where no brake acts [N/kN]: effects are nearly linear in it.
 _REFERENCE_BRAKE: Final = -1.0
+
+# After this many time constants a released brake is below 0.04 % of its initial force.
+_SETTLING: Final = 8.0
 
 
 class KnownForce:
@@ -29,6 +32,10 @@ class KnownForce:
         self.train_file = train_file
         self.inertia = specific_inertia(1.0, train_file.train.rotary_mass)
         """1000 (1 + gamma) / g: specific force [N/kN] per acceleration [m/s^2]."""
+        brake = train_file.brake
+        extra_delay = effect_value(train_file.effects, 'brake_delay', 'extra', 0.0)
+        self.settling = brake.delay + extra_delay + _SETTLING * brake.time_constant
+        """Time after the release of the brake until it is certainly off [s]."""
         self._mass = train_file.train.mass
         self._terms = resistance_terms(train_file.effects)
         known_line = self._terms and train_file.line.gradient

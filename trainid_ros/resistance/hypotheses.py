@@ -269,7 +269,7 @@ class Bank:
             young_weight: Factor on the weights of young hypotheses in the covariance.
 
         """
-        plain, _ = self._mature_weights()
+        plain = self._mature_weights()
         mean, weights, first = vec[float](), _normalised(plain), self.hypotheses[0].filter.x
         for i in self._states:
             # Relative to one of them, so that identical hypotheses give exactly their common value.
@@ -281,17 +281,16 @@ class Bank:
             return Mixture(mean, self._covariance(mean, weights))
         return Mixture(mean, self._covariance(mean, self._cautious_weights(plain, young_weight)))
 
-    def _mature_weights(self) -> tuple[vec[float], bool]:
+    def _mature_weights(self) -> vec[float]:
         """Return the weights of all hypotheses of the minimum age, 0 of others; of all if those have no weight."""
         weights, total = vec[float](), 0.0
         for item in self.hypotheses:
             weights = append(weights, math.exp(item.log_weight) if item.age >= self.plan.min_age else 0.0)
             total += weights[len(weights) - 1]
-        if total >= _NO_WEIGHT:
-            return weights, False
-        for n in range(len(weights)):
-            weights[n] = math.exp(self.hypotheses[n].log_weight)
-        return weights, True
+        if total < _NO_WEIGHT:
+            for n in range(len(weights)):
+                weights[n] = math.exp(self.hypotheses[n].log_weight)
+        return weights
 
     def _cautious_weights(self, plain: vec[float], young_weight: float) -> vec[float]:
         """Return the weights of the stated covariance: a step that may just have happened counts more than it should.

@@ -49,9 +49,8 @@ _DRIVING: Final = 10.0
 # Noise of the speed at the start [m/s], and its multiple that is hardly ever exceeded [1].
 _SPEED_STD: Final = 0.025
 _SIGMAS: Final = 4.0
-# A brake has followed a command, or has released, after its dead time and this many time constants.
+# A brake has followed a command after its dead time and this many time constants.
 _FOLLOWED: Final = 2.0
-_RELEASED: Final = 8.0
 # Motion under a finding after which all checks begin anew, so that none lasts when its inputs have gone [s].
 _RETRY_S: Final = 300.0
 # Decay of the residual while nothing can be compared [s].
@@ -160,7 +159,6 @@ class PlausibilityMonitor:
         brake, line = train_file.brake, train_file.line
         self._known = known
         self._followed_s = brake.delay + _FOLLOWED * brake.time_constant
-        self._released_s = brake.delay + _RELEASED * brake.time_constant
         self._line = LineProfile(line, train_file.train.length) if line.gradient else None
         self._line_std = line.gradient_std
         self._last = ''
@@ -195,15 +193,13 @@ class PlausibilityMonitor:
         before, position = state.speed, state.position
         state.speed, state.position = sample.speed, sample.position
         state.noise.add(sample.speed, sample.dt)
+        self._check_messages(sample)
         if is_finite(sample.dt) and is_finite(before):
-            self._check_messages(sample)
             if sample.speed >= _MIN_SPEED:
                 by_speed = 0.5 * (before + sample.speed) * sample.dt
                 state.distance.add(by_speed, sample.direction * (sample.position - position))
             self._check_forces(sample, before)
         else:
-            for change in sample.brake_changes:
-                state.messages.add_command(change.target_acceleration)
             self._interrupt()
         if finding := state.finding:
             self._last = finding
@@ -233,7 +229,8 @@ class PlausibilityMonitor:
             messages.reversals = 0.0
         for change in sample.brake_changes:
             messages.add_command(change.target_acceleration)
-        messages.add_force(self._known.traction(sample.force, sample), sample.dt)
+        if is_finite(sample.dt):
+            messages.add_force(self._known.traction(sample.force, sample), sample.dt)
 
     def _check_forces(self, sample: Sample, speed: float) -> None:
         """Add a sample to its block; judge the block when it is full."""
@@ -266,7 +263,7 @@ class PlausibilityMonitor:
             return 0
         if sample.brake_command < BRAKING:
             return 2 if held_s > self._followed_s else 0
-        return 1 if held_s > self._released_s and sample.brake_command == 0.0 else 0
+        return 1 if held_s > self._known.settling and sample.brake_command == 0.0 else 0
 
     def _close(self, block: Block) -> None:
         """Take in a full block."""

@@ -2,8 +2,8 @@
 """The stream of samples: everything between the records of a train and the estimators, none of which it depends on.
 
 Records are corrected for sensor errors that the train file states, aligned to the stamps of the speed, given the
-history of the drive where effects depend on it, and checked for a stuck speed sensor. Estimators with the same train
-file and settings can share one stream.
+history of the drive where effects depend on it, and checked for a stuck speed sensor and for contradictions.
+Estimators with the same train file and settings can share one stream.
 """
 
 from __future__ import annotations

@@ -71,7 +71,7 @@ class Sample:
         curvature_mean: Mean curvature since the previous sample [1/m], 0 = straight, NaN if not known.
         force_interval: Time between the two reports of the force around the stamp [s], 0 if not known.
         stood_since_weighing: True if the train has come to a stop since the mass was weighed.
-        rejection: Why its speed cannot be used (a stuck sensor), None if it can.
+        rejection: Why it cannot be used (a stuck speed, inputs that contradict each other), None if it can.
         extra: Resistance of the effects of the stream's train file, without brake force [N/kN]; NaN if not evaluated.
 
     """

@@ -88,7 +88,7 @@ class AlignerState:
 
 @dataclass(frozen=True, slots=True)
 class SkippedSample:
-    """What is still needed of a sample whose speed was stuck: the changes of the brake command in it."""
+    """What is still needed of a sample that the stream rejected: the changes of the brake command in it."""
 
     brake_changes: tuple[BrakeCommandChange, ...] = ()
 
@@ -104,7 +104,7 @@ class StreamState:
         stuck_speed: Speed of the last sample [m/s], NaN before the first.
         stuck_missing: Expected change of speed since it last changed [m/s].
         plausibility: State of the checks of inputs against each other.
-        skipped: Samples with a stuck speed since the last accepted one.
+        skipped: Samples that the stream rejected since the last accepted one.
         first_ns: First stamp since the start or a jump [ns].
         behind_ns: How far the last required topic is behind the newest stamp [ns].
 
