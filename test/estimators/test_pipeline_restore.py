@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import replace
@@ -207,16 +206,16 @@ def test_pipelines_restored_at_the_same_record_share_their_stream_again(metro: T
     ],
 )
 def test_an_impossible_state_is_refused_and_changes_nothing(
-    metro: TrainFile, day: Records, path: tuple[Any, ...], value: object, message: str
+    metro: TrainFile,
+    day: Records,
+    path: tuple[Any, ...],
+    value: object,
+    message: str,
+    changed_state: Callable[[str, tuple[Any, ...], object], str],
 ) -> None:
     pipeline = make('speed_model', metro)
     push(pipeline, day[:1000])
     before = pipeline.save()
-    data = json.loads(before)
-    place = data['state']
-    for key in path[:-1]:
-        place = place[key]
-    place[path[-1]] = value
     with pytest.raises(InputError, match=message):
-        pipeline.restore(json.dumps(data))
+        pipeline.restore(changed_state(before, path, value))
     assert pipeline.save() == before

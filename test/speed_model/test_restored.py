@@ -3,11 +3,10 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable
 from dataclasses import fields, replace
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 import pytest
@@ -47,20 +46,22 @@ def curved(journey: Journey) -> list[Sample]:
     ]
 
 
-def rejected(estimator: SpeedModelEstimator, path: tuple[Any, ...], wrong: object) -> str:
-    """Restore the state of the estimator with one number changed; return the error message."""
-    before, state, braked_ns = estimator.save(), estimator.state, estimator._admission.braked_ns
-    data = json.loads(before)
-    part = data['state']
-    for key in path[:-1]:
-        part = part[key]
-    assert path[-1] in part if isinstance(part, dict) else path[-1] < len(part)
-    part[path[-1]] = wrong
-    with pytest.raises(InputError) as error:
-        estimator.restore(json.dumps(data))
-    assert estimator.state is state
-    assert estimator._admission.braked_ns == braked_ns
-    return str(error.value)
+Rejected: TypeAlias = Callable[[SpeedModelEstimator, tuple[Any, ...], object], str]
+
+
+@pytest.fixture
+def rejected(changed_state: Callable[[str, tuple[Any, ...], object], str]) -> Rejected:
+    """Return a function that restores the state of an estimator with one number changed, and returns the error."""
+
+    def restore(estimator: SpeedModelEstimator, path: tuple[Any, ...], wrong: object) -> str:
+        before, state, braked_ns = estimator.save(), estimator.state, estimator._admission.braked_ns
+        with pytest.raises(InputError) as error:
+            estimator.restore(changed_state(before, path, wrong))
+        assert estimator.state is state
+        assert estimator._admission.braked_ns == braked_ns
+        return str(error.value)
+
+    return restore
 
 
 @pytest.mark.parametrize(
@@ -103,7 +104,7 @@ def rejected(estimator: SpeedModelEstimator, path: tuple[Any, ...], wrong: objec
     ],
 )
 def test_an_invalid_number_is_rejected_by_name(
-    train_file: TrainFile, curved: list[Sample], path: tuple[Any, ...], wrong: object
+    train_file: TrainFile, curved: list[Sample], path: tuple[Any, ...], wrong: object, rejected: Rejected
 ) -> None:
     estimator = make(train_file, 'AM-VFF-RLS')
     for item in curved[:125]:
@@ -127,7 +128,7 @@ def test_an_invalid_number_is_rejected_by_name(
     ],
 )
 def test_states_of_the_other_algorithms_are_checked_too(
-    train_file: TrainFile, curved: list[Sample], name: str, place: int, wrong: float
+    train_file: TrainFile, curved: list[Sample], name: str, place: int, wrong: float, rejected: Rejected
 ) -> None:
     estimator = make(train_file, name)
     for item in curved[:125]:
@@ -135,7 +136,9 @@ def test_states_of_the_other_algorithms_are_checked_too(
     assert 'numbers' in rejected(estimator, ('numbers', place), wrong)
 
 
-def test_a_window_longer_than_in_the_settings_is_rejected(train_file: TrainFile, curved: list[Sample]) -> None:
+def test_a_window_longer_than_in_the_settings_is_rejected(
+    train_file: TrainFile, curved: list[Sample], rejected: Rejected
+) -> None:
     """It would never have the right length, so theta would never be updated again."""
     estimator = make(train_file, 'integral-RLS')
     for item in curved[:125]:

@@ -3,7 +3,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable
 from dataclasses import replace
@@ -217,16 +216,18 @@ def test_a_reset_estimator_equals_a_new_one(
     ],
 )
 def test_an_invalid_saved_posterior_is_rejected(
-    train_file: TrainFile, journey: Journey, key: str, value: object, gsma: Any, braking: Any
+    train_file: TrainFile,
+    journey: Journey,
+    key: str,
+    value: object,
+    gsma: Any,
+    braking: Any,
+    changed_state: Callable[[str, tuple[Any, ...], object], str],
 ) -> None:
     estimator = gsma(train_file)
     for item in journey(20.0, brake=braking, speed=20.0):
         estimator.step(item)
-    data = json.loads(estimator.save())
-    posterior = json.loads(data['state']['posterior'])
-    posterior['state'][key] = value
-    data['state']['posterior'] = json.dumps(posterior)
     before = estimator.save()
     with pytest.raises(InputError):
-        estimator.restore(json.dumps(data))
+        estimator.restore(changed_state(before, ('posterior', 'state', key), value))
     assert estimator.save() == before

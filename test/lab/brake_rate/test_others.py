@@ -17,7 +17,7 @@ from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
 from trainid_ros.brake_rate.posterior import Start, Transition
 from trainid_ros.errors import InputError
-from trainid_ros.state import is_covariance_matrix
+from trainid_ros.state import is_covariance_matrix, packed
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import Davis, TrainFile
 
@@ -111,7 +111,8 @@ def ambiguous(jumping: float, config: ImmConfig) -> ImmPosterior:
     state = json.loads(posterior.save())
     wide = wide.copy()
     wide[0, 0] = 100.0
-    state['state'] = {'jumping': jumping, 'means': [m.tolist()] * 2, 'covariances': [P.tolist(), wide.tolist()]}
+    means, covariances = packed(np.array([m, m])), packed(np.array([P, wide]))
+    state['state'] = {'jumping': jumping, 'means': means, 'covariances': covariances}
     posterior.restore(json.dumps(state))
     return posterior
 
@@ -154,18 +155,19 @@ def test_a_certain_jump_keeps_a_valid_quiet_model(
     ],
 )
 def test_an_invalid_saved_posterior_is_rejected(
-    train_file: TrainFile, braked: list[Sample], name: str, key: str, value: Any
+    train_file: TrainFile,
+    braked: list[Sample],
+    name: str,
+    key: str,
+    value: Any,
+    changed_state: Callable[[str, tuple[Any, ...], object], str],
 ) -> None:
     estimator = make(train_file, name)
     for item in braked[:60]:
         estimator.step(item)
     before = estimator.save()
-    data = json.loads(before)
-    posterior = json.loads(data['state']['posterior'])
-    posterior['state'][key] = value
-    data['state']['posterior'] = json.dumps(posterior)
     with pytest.raises(InputError):
-        estimator.restore(json.dumps(data))
+        estimator.restore(changed_state(before, ('posterior', 'state', key), value))
     assert estimator.save() == before
 
 

@@ -19,6 +19,7 @@ from trainid_ros.resistance.filter_bank import FilterBank, bank_plan
 from trainid_ros.resistance.resistance_settings import FilterBankConfig
 from trainid_ros.resistance.speed_states import DELTA, KAPPA, KAPPA_R
 from trainid_ros.results import Reason, Rejection, ResistanceEstimate
+from trainid_ros.state import unpacked
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import Brake, Davis, Effect, Line, Train, TrainFile
 
@@ -320,11 +321,12 @@ def test_invalid_numbers_in_a_saved_state_are_rejected_by_name_and_nothing_chang
     assert bank.save() == learned
 
 
-def test_log_weights_of_the_wrong_shape_are_rejected(learned: str) -> None:
-    data = json.loads(learned)
-    data['state']['bank']['log_weight'] = [[value] for value in data['state']['bank']['log_weight']]
+def test_log_weights_of_the_wrong_shape_are_rejected(
+    learned: str, changed_state: Callable[[str, tuple[Any, ...], object], str]
+) -> None:
+    weights = unpacked(json.loads(learned)['state']['bank']['log_weight']).reshape(-1, 1)
     with pytest.raises(InputError, match='bank'):
-        FilterBank(FILE, SMALL).restore(json.dumps(data))
+        FilterBank(FILE, SMALL).restore(changed_state(learned, ('bank', 'log_weight'), weights.tolist()))
 
 
 def test_settings_out_of_range_are_rejected() -> None:
