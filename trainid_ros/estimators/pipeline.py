@@ -18,7 +18,7 @@ from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.errors import InputError
 from trainid_ros.estimators.algorithm_registry import Algorithms, Choice
 from trainid_ros.estimators.consistency import Consistency, ConsistencyMonitor
-from trainid_ros.estimators.pipeline_state import PipelineState, Snapshots, reason_counts
+from trainid_ros.estimators.pipeline_state import SNAPSHOT_S, PipelineState, Snapshots, reason_counts
 from trainid_ros.estimators.protocol import Estimator
 from trainid_ros.records import NS_PER_S, Record, Row
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
@@ -75,6 +75,7 @@ class EstimatorPipeline(Generic[EstimateT]):
 
     def _clear(self) -> None:
         self.rejections: Counter[Reason] = Counter()
+        self._rejected = 0
         self.used = 0
         self.samples = 0
         self.last_rejection: Rejection | None = None
@@ -201,6 +202,7 @@ class EstimatorPipeline(Generic[EstimateT]):
         self._consistency.restore(state.consistency)
         self.used, self.samples, self.resets = state.used, state.samples, state.resets
         self.rejections, self.last_rejection = state.counted(), state.last_rejection
+        self._rejected = self.rejections.total()
         self._speed, self._sample_ns, self._status = state.speed, state.sample_ns, state.status
         self._snapshots, self._contradicted = replace(state.snapshots), self.stream.finding != ''
         self._estimate = None
@@ -219,7 +221,7 @@ class EstimatorPipeline(Generic[EstimateT]):
             estimate=self._published,
             status=self._status,
             used=self.used,
-            rejected=self.rejections.total(),
+            rejected=self._rejected,
             last_rejection=self.last_rejection,
         )
 
@@ -243,14 +245,16 @@ class EstimatorPipeline(Generic[EstimateT]):
 
     def _keep_snapshots(self, sample: Sample) -> None:
         """Go back to a state from before the inputs began to contradict each other, when that is found."""
-        contradicted = self.stream.finding != ''
+        contradicted, snapshots = self.stream.finding != '', self._snapshots
+        if sample.dt > 0.0 and sample.speed > 0.0:
+            snapshots.moved_s += sample.dt
         if contradicted and not self._contradicted:
-            self.estimator.restore(self._snapshots.before)
-            before = self._snapshots.before
-            self._snapshots = Snapshots(before, before)  # the newest may hold what was wrong already
+            self.estimator.restore(snapshots.before)
+            # The newest may hold what was wrong already.
+            self._snapshots = Snapshots(snapshots.before, snapshots.before)
             self._consistency.clear()
-        elif not contradicted and self._snapshots.is_due(sample) and self.stream.is_trusted:
-            self._snapshots.add(self.estimator.save())
+        elif not contradicted and snapshots.moved_s >= SNAPSHOT_S and self.stream.is_trusted:
+            snapshots.add(self.estimator.save())
         self._contradicted = contradicted
 
     def _judge(self, rejection: Rejection | None) -> Status:
@@ -266,6 +270,7 @@ class EstimatorPipeline(Generic[EstimateT]):
         if rejection.reason is Reason.THINNED:  # nothing is wrong with a topic faster than the period
             return
         self.rejections[rejection.reason] += 1
+        self._rejected += 1
         self.last_rejection = rejection
 
 

@@ -8,15 +8,12 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 from trainid_ros.estimators.consistency import ConsistencyState
 from trainid_ros.results import Reason, Rejection, Status
 from trainid_ros.state import check_not_negative, check_restored
 from trainid_ros.stream.stream_state import StreamState
-
-if TYPE_CHECKING:
-    from trainid_ros.stream.samples import Sample
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,12 +42,6 @@ class Snapshots:
     before: str
     newest: str
     moved_s: float = 0.0
-
-    def is_due(self, sample: Sample) -> bool:
-        """Count the time of a sample; return whether the next state is due."""
-        if sample.dt > 0.0 and sample.speed > 0.0:
-            self.moved_s += sample.dt
-        return self.moved_s >= SNAPSHOT_S
 
     def add(self, state: str) -> None:
         """Add the present state."""

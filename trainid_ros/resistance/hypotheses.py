@@ -127,8 +127,8 @@ class Mixture:
     @property
     def davis(self) -> DavisPosterior:
         """Mean and covariance of a, b, c."""
-        (a, b, c, *_), (A, B, C, _, _, D, E, _, _, F, *_) = self.mean, self.covariance
-        return a, b, c, A, B, C, D, E, F
+        x, P = self.mean, self.covariance
+        return x[0], x[1], x[2], P[0], P[1], P[2], P[5], P[6], P[9]
 
 
 class Innovation:
