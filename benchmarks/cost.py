@@ -143,8 +143,7 @@ def _push_to_three(train: TrainFile, settings: EstimatorSettings) -> Callable[[T
 
 def _push_all(push: Callable[[Any], object]) -> Callable[[TickOfRecords], object]:
     def call(tick: TickOfRecords) -> object:
-        outputs = [push(record) for record in tick.records]
-        return outputs
+        return [push(record) for record in tick.records]
 
     return call
 
