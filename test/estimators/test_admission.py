@@ -78,6 +78,14 @@ def test_a_delayed_brake_takes_longer_to_settle(train_file: TrainFile) -> None:
     assert Admission(KnownForce(late), min_speed=1.0).known.settling == pytest.approx(4.3)
 
 
+def test_a_gap_of_the_commands_counts_as_braking_until_settled(admission: Admission, sample: Make) -> None:
+    admission.reject(sample(1, brake_gap=True))
+    rejection = admission.reject(sample(2))
+    assert rejection is not None
+    assert rejection.reason is Reason.BRAKING
+    assert admission.reject(sample(25)) is None
+
+
 def test_an_unknown_command_counts_as_braking_until_settled(admission: Admission, sample: Make) -> None:
     admission.reject(sample(1, brake_command=math.nan))
     rejection = admission.reject(sample(2))

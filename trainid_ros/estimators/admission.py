@@ -57,7 +57,9 @@ class Admission:
     def _brake_acts(self, sample: Sample) -> bool:
         """Return True while the brake acts, is releasing, or is not known to be off."""
         force = self.known.traction(min(sample.force, sample.force_mean), sample)
-        requested = not sample.brake_command >= 0.0 or sample.emergency or force < _BRAKE_FORCE
+        # Over a gap of the commands the brake may have acted unseen.
+        unknown = sample.brake_gap or not sample.brake_command >= 0.0
+        requested = unknown or sample.emergency or force < _BRAKE_FORCE
         for change in sample.brake_changes:
             requested = requested or change.target_acceleration < 0.0
         if requested:
