@@ -145,3 +145,26 @@ def test_brake_commands_published_only_on_change_are_noticed(
     info = inspect(write(tmp_path / 'bag', [*others, *commands]))
     text = 'ato/brake_command: published only on change: set alignment.command_hold'
     assert any(line.startswith(text) and '5 s or more' in line for line in info.warnings) == (held_s > 2.0)
+
+
+@pytest.mark.parametrize(
+    ('factor', 'warnings'),
+    [
+        (1.0, []),
+        (1.03, []),
+        (1.1, ['ato/speed: 1.10 times as fast as its positions change']),
+        (3.6, ['ato/speed: 3.60 times as fast as its positions change, so it looks like km/h']),
+    ],
+)
+def test_a_speed_that_does_not_fit_its_positions_is_noticed(
+    tmp_path: Path, records: list[Record], factor: float, warnings: list[str]
+) -> None:
+    others = [record for record in records if not isinstance(record, SpeedRecord)]
+    start_ns = records[0].stamp_ns
+    # At 80 s the position is corrected by 300 m, at 90 s it is not known.
+    speeds = [
+        SpeedRecord(start_ns + k * NS_PER_S // 5, 10.0 * factor, 2.0 * k + 300.0 * (k > 400) if k != 450 else math.nan)
+        for k in range(500)
+    ]
+    info = inspect(write(tmp_path / 'bag', [*others, *speeds]))
+    assert [line for line in info.warnings if 'positions' in line] == warnings

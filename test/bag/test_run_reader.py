@@ -13,7 +13,7 @@ from trainid_ros.bag.run_reader import POOL_FROM, read_runs, survey, worker_coun
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.errors import InputError
 from trainid_ros.explain.run_data import Run
-from trainid_ros.records import NS_PER_S
+from trainid_ros.records import NS_PER_S, ForceRecord
 from trainid_ros.sim.scenario import DEFAULT_START_NS, Scenario, simulate
 from trainid_ros.train.train_file import Davis, Line, Train, TrainFile
 
@@ -90,3 +90,19 @@ def test_a_jump_of_the_stamps_starts_a_new_drive(tmp_path: Path, step_s: float) 
     before, after = read_runs([tmp_path / 'jump'], TRAIN)
     np.testing.assert_allclose(after.speed, before.speed)
     np.testing.assert_allclose(after.brake, before.brake, atol=1e-9)
+
+
+@pytest.mark.parametrize(('sign', 'said'), [(1.0, []), (-1.0, ['ato/force looks as if it had the wrong sign'])])
+def test_inputs_that_contradict_each_other_are_said_but_not_rejected(
+    tmp_path: Path, sign: float, said: list[str]
+) -> None:
+    with BagWriter(tmp_path / 'bag') as writer:
+        for record in simulate(Scenario(TRAIN, runs=1), np.random.default_rng(0)).records:
+            signed = replace(record, force=sign * record.force) if isinstance(record, ForceRecord) else record
+            writer.write_record(signed)
+    lines: list[str] = []
+    assert len(read_runs([tmp_path / 'bag'], TRAIN, warn=lines.append)) == 1
+    assert len(lines) == len(said)
+    for line, text in zip(lines, said, strict=True):
+        assert 'inputs contradict each other' in line
+        assert text in line

@@ -37,6 +37,12 @@ _INT64_MAX: Final = 2**63 - 1  # log times are unsigned
 # Brake commands of which so many differ from the one before are published on change.
 _CHANGING: Final = 0.9
 _FEWEST_CHANGES: Final = 3
+# Distances by speed and by position are compared from this distance on [m], and may differ by this share [1]. A larger
+# step of the position is a correction [m].
+_LEAST_DISTANCE_M: Final = 500.0
+_DISTANCE_ERROR: Final = 0.05
+_CORRECTION_M: Final = 100.0
+_KMH: Final = 3.6
 _REQUIRED: Final = tuple(topic.name for topic in REQUIRED_TOPICS)
 
 
@@ -198,6 +204,7 @@ def inspect(path: str | Path, namespace: str = '/', max_chunk: int = MAX_CHUNK) 
             warnings=(
                 *reader.warnings,
                 *(line for topic in topics for line in _topic_warnings(topic)),
+                *_distance_warnings(columns.get(SPEED_TOPIC.name)),
                 *_command_warnings(columns.get(BRAKE_TOPIC.name)),
             ),
         )
@@ -291,6 +298,23 @@ def _command_warnings(column: _Column | None) -> list[str]:
         f'{BRAKE_TOPIC.name}: published only on change: set alignment.command_hold to the longest time that a command '
         f'holds, here {longest_s:.0f} s or more'
     ]
+
+
+def _distance_warnings(column: _Column | None) -> list[str]:
+    """Say so where distances by the speed are not those of the positions: another unit, or another wheel diameter."""
+    if column is None:
+        return []
+    order = np.argsort(column.stamps, kind='stable')
+    speed, position = column.values('speed')[order], column.values('position')[order]
+    elapsed = np.diff(column.stamps[order]) / NS_PER_S
+    by_speed, by_position = 0.5 * (speed[:-1] + speed[1:]) * elapsed, np.abs(np.diff(position))
+    # Positions are unknown, or corrected at a balise.
+    known = (elapsed < GAP_S) & np.isfinite(by_speed + by_position) & (by_position < _CORRECTION_M)
+    distance = float(by_position[known].sum())
+    if distance < _LEAST_DISTANCE_M or abs(ratio := float(by_speed[known].sum()) / distance - 1.0) < _DISTANCE_ERROR:
+        return []
+    unit = ', so it looks like km/h' if abs(ratio + 1.0 - _KMH) < _DISTANCE_ERROR * _KMH else ''
+    return [f'{SPEED_TOPIC.name}: {ratio + 1.0:.2f} times as fast as its positions change{unit}']
 
 
 def _topic_warnings(topic: TopicInfo) -> list[str]:

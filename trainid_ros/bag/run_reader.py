@@ -12,9 +12,11 @@ from trainid_ros.bag.chunk import MAX_CHUNK
 from trainid_ros.bag.reader import BagReader, require_topics
 from trainid_ros.bag.worker_pool import map_bags, processors
 from trainid_ros.errors import InputError
+from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.explain.run_data import RunCollector
 from trainid_ros.records import NS_PER_S
 from trainid_ros.stream.alignment import TimeJump
+from trainid_ros.stream.plausibility import PlausibilityMonitor
 from trainid_ros.stream.sample_stream import SampleStream, StreamConfig
 from trainid_ros.stream.samples import Sample
 
@@ -27,6 +29,8 @@ if TYPE_CHECKING:
 
 POOL_FROM: Final = 100_000
 """Number of inputs from which worker processes pay for the second that they take to start."""
+# Share of contradictory samples from which what is found is not to be trusted [1].
+_CONTRADICTORY: Final = 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,16 +126,23 @@ def _read(
     train_file: TrainFile, namespace: str, max_chunk: int, item: tuple[int, Path], advance: Callable[[float], None]
 ) -> _Reading:
     bag, path = item
-    # The train file may be what is wrong, so it must not decide which speeds are used.
+    # The train file may be what is wrong, so it must not decide which samples are used.
     stream = SampleStream(StreamConfig(train_file, rejects_faults=False))
-    collector = RunCollector(train_file, bag)
+    monitor, collector = PlausibilityMonitor(KnownForce(train_file)), RunCollector(train_file, bag)
+    samples = contradictory = 0
     with BagReader(path, namespace, max_chunk) as reader:
         known = len(reader.warnings)
         for _, event in reader.events(stream, advance):
             if isinstance(event, Sample):
                 collector.add(event)
+                monitor.follow(event)
+                samples += 1
+                contradictory += monitor.finding != ''
             elif isinstance(event, TimeJump):
                 collector.start_over()
-        warnings = tuple(reader.warnings[known:])
+        warnings = reader.warnings[known:]
+    if contradictory > _CONTRADICTORY * samples:
+        share = contradictory / samples
+        warnings.append(f'{path}: inputs contradict each other for {share:.0%} of the time: {monitor.last_finding}')
     collector.end_run()
-    return _Reading(tuple(collector.runs), collector.origin_ns, warnings)
+    return _Reading(tuple(collector.runs), collector.origin_ns, tuple(warnings))
