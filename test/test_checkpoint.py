@@ -4,8 +4,10 @@
 from __future__ import annotations
 
 import errno
+import fcntl
 import json
 import os
+import resource
 import signal
 import time
 from collections.abc import Callable
@@ -53,7 +55,7 @@ def test_there_may_be_no_file_yet(tmp_path: Path) -> None:
     assert CheckpointFile(tmp_path / 'none.json').read(LEARNED) is None
 
 
-def test_an_interrupted_write_leaves_the_old_file_and_one_name_that_the_next_start_removes(
+def test_an_interrupted_write_leaves_the_old_file_and_a_part_that_the_next_start_removes(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     path = written(tmp_path)
@@ -66,9 +68,55 @@ def test_an_interrupted_write_leaves_the_old_file_and_one_name_that_the_next_sta
         patch.setattr(Path, 'unlink', lambda *_, **__: None)
         with pytest.raises(KeyboardInterrupt):
             CheckpointFile(path).write(replace(SAVED, saved_ns=13))
-    assert names(tmp_path) == ['.state.json.part', 'state.json']
+    assert [is_part(name) for name in names(tmp_path)] == [True, False]
     assert CheckpointFile(path).read(LEARNED) == SAVED
     assert names(tmp_path) == ['state.json']
+
+
+def is_part(name: str) -> bool:
+    return name.startswith('.state.json.') and name.endswith('.part')
+
+
+def test_a_start_leaves_the_part_that_another_process_is_writing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, sync = tmp_path / 'state.json', os.fsync
+
+    def start_another(handle: int) -> None:
+        CheckpointFile(path)
+        sync(handle)
+
+    monkeypatch.setattr(os, 'fsync', start_another)
+    CheckpointFile(path).write(SAVED)
+    assert CheckpointFile(path).read(LEARNED) == SAVED
+
+
+def test_a_part_that_was_removed_before_it_was_locked_is_made_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path, lock, removed = tmp_path / 'state.json', fcntl.flock, []
+
+    def lock_late(handle: int, operation: int) -> None:
+        if not removed:
+            removed.extend(tmp_path.iterdir())
+            removed[0].unlink()
+        lock(handle, operation)
+
+    file = CheckpointFile(path)
+    monkeypatch.setattr(fcntl, 'flock', lock_late)
+    file.write(SAVED)
+    assert is_part(removed[0].name)
+    assert names(tmp_path) == ['state.json']
+
+
+def test_only_files_are_removed_as_parts(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / '.state.json.x.part')
+    (tmp_path / '.state.json.y.part').mkdir()
+    (tmp_path / '.state.json.z.part').symlink_to(tmp_path / 'other')
+    (tmp_path / '.other.json.x.part').touch()
+    before = names(tmp_path)
+    written(tmp_path)
+    assert set(before) - {'.state.json.x.part'} < set(names(tmp_path))
 
 
 def test_no_kill_leaves_a_torn_file(tmp_path: Path) -> None:
@@ -88,7 +136,7 @@ def test_no_kill_leaves_a_torn_file(tmp_path: Path) -> None:
         assert found is not None
         assert found.saved_ns >= before_ns
         before_ns = found.saved_ns
-        assert set(names(tmp_path)) <= {'state.json', '.state.json.part'}
+        assert names(tmp_path) == ['state.json']
     assert before_ns > SAVED.saved_ns
 
 
@@ -107,6 +155,28 @@ def test_a_failed_write_leaves_the_old_file(tmp_path: Path, monkeypatch: pytest.
     assert CheckpointFile(path).read(LEARNED) == SAVED
     assert names(tmp_path) == ['state.json']
     file.write(replace(SAVED, saved_ns=14))
+
+
+def test_a_file_that_does_not_fit_on_the_disk_leaves_the_old_one(tmp_path: Path) -> None:
+    file = CheckpointFile(written(tmp_path))
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (1000, before[1]))
+    try:
+        with pytest.raises(InputError, match=r'state\.json: checkpoint cannot be written: File too large'):
+            file.write(replace(SAVED, state=json.dumps('x' * 10_000)))
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    assert CheckpointFile(tmp_path / 'state.json').read(LEARNED) == SAVED
+    assert names(tmp_path) == ['state.json']
+
+
+def test_a_folder_that_takes_the_place_of_the_file_is_not_removed(tmp_path: Path) -> None:
+    file = CheckpointFile(written(tmp_path))
+    (tmp_path / 'state.json').unlink()
+    (tmp_path / 'state.json').mkdir()
+    with pytest.raises(InputError, match=r'state\.json: was written by another process'):
+        file.write(SAVED)
+    assert names(tmp_path) == ['state.json']
 
 
 OTHERS: list[tuple[Callable[[Provenance], Provenance], str]] = [
@@ -213,11 +283,62 @@ def test_a_well_signed_file_without_its_fields_is_refused() -> None:
         parse_checkpoint(text, 'x')
 
 
-def test_a_refused_file_is_kept_under_one_other_name(tmp_path: Path) -> None:
-    for _ in range(3):
-        file = CheckpointFile(written(tmp_path))
-        assert file.set_aside() == tmp_path / 'state.refused.json'
-    assert names(tmp_path) == ['state.refused.json']
+def test_the_newest_refused_files_are_kept(tmp_path: Path) -> None:
+    for k in range(1, 8):
+        file = CheckpointFile(written(tmp_path, replace(SAVED, saved_ns=k)))
+        assert file.set_aside() == tmp_path / f'state.refused-{k}.json'
+    assert names(tmp_path) == [f'state.refused-{k}.json' for k in range(3, 8)]
+    for k in range(3, 8):
+        kept = CheckpointFile(tmp_path / f'state.refused-{k}.json').read(LEARNED)
+        assert kept == replace(SAVED, saved_ns=k)
+
+
+def test_a_refused_file_that_cannot_be_renamed_is_not_overwritten(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    file = CheckpointFile(written(tmp_path))
+
+    def fail(*_: object) -> None:
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    with monkeypatch.context() as patch:
+        patch.setattr(Path, 'rename', fail)
+        assert file.set_aside() == tmp_path / 'state.json'
+    with pytest.raises(InputError, match=r'state.json: was refused and cannot be renamed: Read-only file system'):
+        file.write(replace(SAVED, saved_ns=13))
+    assert CheckpointFile(tmp_path / 'state.json').read(LEARNED) == SAVED
+
+
+@pytest.mark.parametrize('exists', [True, False])
+def test_a_link_stays_and_what_it_links_to_is_written(tmp_path: Path, *, exists: bool) -> None:
+    (tmp_path / 'data').mkdir()
+    target, link = tmp_path / 'data' / 'real.json', tmp_path / 'state.json'
+    if exists:
+        CheckpointFile(target).write(SAVED)
+    link.symlink_to(target)
+    CheckpointFile(link).write(replace(SAVED, saved_ns=13))
+    assert link.readlink() == target
+    assert not target.is_symlink()
+    assert CheckpointFile(target).read(LEARNED) == CheckpointFile(link).read(LEARNED) == replace(SAVED, saved_ns=13)
+    assert names(target.parent) == ['real.json']
+
+
+def test_a_link_to_another_kind_of_file_is_refused(tmp_path: Path) -> None:
+    link = tmp_path / 'state.json'
+    link.symlink_to(tmp_path / 'train.yaml')
+    with pytest.raises(InputError, match=r"state.json' must end in \.json, and so must what it links to"):
+        CheckpointFile(link)
+
+
+def test_a_link_to_itself_is_refused_and_kept_aside(tmp_path: Path) -> None:
+    link = tmp_path / 'state.json'
+    link.symlink_to(link)
+    file = CheckpointFile(link)
+    with pytest.raises(InputError, match=r'state\.json: checkpoint cannot be read: Too many levels of symbolic links'):
+        file.read(LEARNED)
+    file.set_aside()
+    file.write(SAVED)
+    assert CheckpointFile(link).read(LEARNED) == SAVED
 
 
 def test_two_writers_of_one_file_are_noticed(tmp_path: Path) -> None:

@@ -2,16 +2,19 @@
 """Checkpoint files: the complete state of one estimator, what it was learned with, and a digest over both.
 
 A file is replaced atomically, so that a process may be killed at any time. It is valid JSON in three lines: what the
-state fits, the state, and the digest of both.
+state fits, the state, and the digest of both. What is being written is locked until it is complete: a temporary file
+without a lock was left by a process that was killed.
 """
 
 from __future__ import annotations
 
+import fcntl
 import hashlib
 import json
 import os
 import re
 import stat
+import tempfile
 from contextlib import suppress
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
@@ -36,6 +39,9 @@ _STATE: Final = '"state": '
 # Where a checkpoint, also a damaged one, is recognised [characters]; far more than one file needs [bytes].
 _HEAD: Final = 200
 _LARGEST: Final = 64 * 2**20
+_PART: Final = '.part'
+# The newest refused files that are kept.
+_MOST_REFUSED: Final = 5
 # Settings that only decide the status of an estimate.
 _STATUS_SETTINGS: Final = frozenset({'valid_std', 'valid_share'})
 _MOST_SHOWN: Final = 3
@@ -180,19 +186,22 @@ def _checkpoint(head: dict[str, Any], state: str) -> Checkpoint:
 
 
 class CheckpointFile:
-    """One checkpoint file, which only one node may write."""
+    """One checkpoint file, which only one node may write.
+
+    Attributes:
+        path: Where it is; a link is followed, and stays.
+
+    """
 
     def __init__(self, path: Path) -> None:
         """Prepare; InputError if this can be no checkpoint file, ForeignFileError if it is something else."""
-        self.path = path
-        if path.suffix != SUFFIX:
-            msg = f'checkpoint_file = {str(path)!r} must end in {SUFFIX}'
+        self.path = Path(os.path.realpath(path))
+        if not path.suffix == self.path.suffix == SUFFIX:
+            msg = f'checkpoint_file = {str(path)!r} must end in {SUFFIX}, and so must what it links to'
             raise InputError(msg)
-        # Always the same name, so that processes that were killed leave only one.
-        self._part = path.with_name(f'.{path.name}.part')
-        with suppress(OSError):
-            self._part.unlink(missing_ok=True)
+        _remove_parts(self.path)
         self._seen = self._identity()
+        self._obstacle = 'was written by another process: each node needs a checkpoint file of its own'
         try:
             self._content()
         except ForeignFileError:
@@ -245,52 +254,97 @@ class CheckpointFile:
         """
         found = self._identity()
         if found is not None and found != self._seen:
-            msg = f'{self.path}: was written by another process: each node needs a checkpoint file of its own'
+            msg = f'{self.path}: {self._obstacle}'
             raise InputError(msg)
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
-            try:
-                _write_synced(self._part, checkpoint.text().encode())
-                self._seen = _identity_of(self._part)
-                self._part.replace(self.path)
-            except BaseException:
-                self._seen = found
-                self._part.unlink(missing_ok=True)
-                raise
+            self._seen = _replace(self.path, checkpoint.text().encode())
             _sync_folder(self.path.parent)
         except OSError as error:
             msg = f'{self.path}: checkpoint cannot be written: {error.strerror or error}'
             raise InputError(msg) from error
 
     def set_aside(self) -> Path:
-        """Rename a file that was refused, so that it is not overwritten; return its new name."""
-        aside = self.path.with_suffix(f'.refused{SUFFIX}')
+        """Rename a file that was refused, so that it is not overwritten; return its new name.
+
+        Only the newest of such files are kept.
+        """
         try:
-            self.path.replace(aside)
-        except OSError:
+            numbers = self._refused()
+            aside = self._aside(max(numbers, default=0) + 1)
+            self.path.rename(aside)
+        except OSError as error:
             self._seen = None  # so that it is not overwritten either
+            self._obstacle = f'was refused and cannot be renamed: {error.strerror or error}'
             return self.path
+        for number in sorted(numbers)[: 1 - _MOST_REFUSED]:
+            with suppress(OSError):
+                self._aside(number).unlink()
         return aside
+
+    def _aside(self, number: int) -> Path:
+        return self.path.with_suffix(f'.refused-{number}{SUFFIX}')
+
+    def _refused(self) -> list[int]:
+        """Return the numbers of the refused files that are kept."""
+        name = re.compile(rf'{re.escape(self.path.stem)}\.refused-([0-9]{{1,9}}){re.escape(SUFFIX)}')
+        return [int(match[1]) for item in self.path.parent.iterdir() if (match := name.fullmatch(item.name))]
 
     def _identity(self) -> tuple[int, int] | None:
         """Return what tells the present file from all others, None if there is none."""
         try:
-            return _identity_of(self.path)
+            return _identity_of(self.path.stat())
         except OSError:
             return None
 
 
-def _identity_of(path: Path) -> tuple[int, int]:
-    found = path.stat()
+def _identity_of(found: os.stat_result) -> tuple[int, int]:
     return found.st_ino, found.st_mtime_ns
 
 
-def _write_synced(path: Path, content: bytes) -> None:
-    handle = os.open(path, os.O_WRONLY | os.O_CREAT | os.O_TRUNC | os.O_NOFOLLOW | os.O_CLOEXEC, 0o600)
+def _replace(path: Path, content: bytes) -> tuple[int, int]:
+    """Replace a file once the new one is safely on disk; return the identity of the new one."""
+    handle, part = _locked_part(path)
     with os.fdopen(handle, 'wb') as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
+        try:
+            file.write(content)
+            file.flush()
+            os.fsync(handle)
+            identity = _identity_of(os.fstat(handle))
+            part.replace(path)
+        except BaseException:
+            part.unlink(missing_ok=True)
+            raise
+    return identity
+
+
+def _locked_part(path: Path) -> tuple[int, Path]:
+    """Make a temporary file beside a file, which no other process removes; return its handle and its path."""
+    while True:
+        handle, name = tempfile.mkstemp(_PART, f'.{path.name}.', path.parent)
+        with suppress(OSError):  # this file system has no locks
+            fcntl.flock(handle, fcntl.LOCK_EX)
+        if os.fstat(handle).st_nlink:
+            return handle, Path(name)
+        os.close(handle)  # removed before it was locked
+
+
+def _remove_parts(path: Path) -> None:
+    """Remove the temporary files of a file that were left by processes which have ended."""
+    with suppress(OSError):
+        for part in path.parent.iterdir():
+            if part.name.startswith(f'.{path.name}.') and part.name.endswith(_PART):
+                _remove_unlocked(part)
+
+
+def _remove_unlocked(part: Path) -> None:
+    with suppress(OSError):
+        handle = os.open(part, os.O_RDONLY | os.O_NOFOLLOW | os.O_NONBLOCK | os.O_CLOEXEC)
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            part.unlink()
+        finally:
+            os.close(handle)
 
 
 def _sync_folder(folder: Path) -> None:

@@ -17,6 +17,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.time import Time
 from trainid_msgs.msg import ResistanceEstimate
 
+from trainid_ros.checkpoint import default_path
 from trainid_ros.records import NS_PER_S
 from trainid_ros.results import Status
 from trainid_ros.ros.estimator_node import EstimatorNode
@@ -136,7 +137,7 @@ def test_a_checkpoint_that_does_not_fit_is_kept_aside_and_the_node_starts_from_i
     second = graph.active(train_file, checkpoint_file=str(path), **change)
     assert second.pipeline.samples == 0
     assert reason in capfd.readouterr().err
-    assert (tmp_path / 'state.refused.json').read_bytes() == content
+    assert (tmp_path / 'state.refused-1.json').read_bytes() == content
     graph.feed(second, graph.coasting(20))
     second.trigger_deactivate()
     assert path.exists()
@@ -208,6 +209,42 @@ def test_a_full_disk_is_a_warning_once_and_never_more(
     log = capfd.readouterr().err
     assert log.count('No space left on device') == 1
     assert log.count('checkpoints are saved again') == 1
+
+
+def test_of_two_nodes_with_one_file_the_first_saves_and_the_other_warns(
+    graph: Graph, train_file: str, tmp_path: Path, capfd: Any
+) -> None:
+    path = tmp_path / 'state.json'
+    names = [('-r', f'__node:={name}') for name in ('left', 'right')]
+    factory = partial(EstimatorNode, SPECS['resistance_estimator'])
+    left, right = (
+        graph.make(factory, arguments=name, train_file=train_file, checkpoint_file=str(path)) for name in names
+    )
+    for node in (left, right):
+        assert node.bring_up(), node.failure
+    graph.feed(left, graph.coasting(40))
+    left.trigger_deactivate()
+    content = path.read_bytes()
+    graph.feed(right, graph.coasting(20))
+    right.trigger_deactivate()
+    assert (left.checkpoints.problem, path.read_bytes()) == ('', content)
+    reason = f'{path}: was written by another process: each node needs a checkpoint file of its own'
+    assert right.checkpoints.problem == reason
+    assert f'[right]: {reason}; what is learned from now on would be lost' in capfd.readouterr().err
+
+
+def test_saving_on_request_keeps_the_checkpoint_of_another_train(graph: Graph, train_file: str, capfd: Any) -> None:
+    path = default_path('/resistance_estimator')
+    for mass, count in ((194000.0, 40), (582000.0, 20)):
+        node = graph.active(train_file, train__mass=mass)
+        graph.feed(node, graph.coasting(count))
+        before = path.read_bytes() if path.exists() else b''
+        assert node.checkpoints.save_on_request(node.pipeline) == path
+        graph.drop()
+    aside = path.with_suffix('.refused-1.json')
+    assert aside.read_bytes() == before
+    assert path.read_bytes() not in {b'', before}
+    assert f'train.mass = 194000.0, here 582000.0; this file is kept as {aside}' in capfd.readouterr().err
 
 
 def test_a_cleanup_keeps_what_was_learned_where_it_still_fits(graph: Graph, train_file: str, capfd: Any) -> None:

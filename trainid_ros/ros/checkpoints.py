@@ -161,8 +161,19 @@ class Checkpoints:
         """Save to the file of the node, or to the default one; return its path; InputError if it cannot be written."""
         self._report()
         file = self._file_or_default()
+        if file is not self._file:
+            self._keep_another(file)
         file.write(self._checkpoint(pipeline))
         return file.path
+
+    def _keep_another(self, file: CheckpointFile) -> None:
+        """Set aside what is in a file if it is of another train; ForeignFileError if it is of another estimate."""
+        try:
+            file.read(self._required_provenance())
+        except ForeignFileError:
+            raise
+        except InputError as error:
+            self._node.get_logger().warning(f'{error}; this file is kept as {file.set_aside()}')
 
     def load_on_request(self, pipeline: EstimatorPipeline[Any]) -> str:
         """Load the file of the node, or the default one; return what was loaded; InputError if it does not fit."""
