@@ -39,7 +39,7 @@ _SEED: Final = 1
 _KILLS: Final = 200
 _PERIOD_S: Final = 0.2
 _SAMPLE_S: Final = 0.2
-# Of four kills one comes within this time from the start of the process, the others from the activation of its nodes.
+# Of four kills one comes within this time from the start of the process, the others from its first estimates.
 _LATEST_S: Final = 4.0
 _SETTLED_S: Final = 2.0 * (_PERIOD_S + _SAMPLE_S)
 _PATIENCE_S: Final = 60.0
@@ -53,10 +53,13 @@ class Outcome:
     Attributes:
         kills: Number of kills.
         active: Those that met nodes which had published for more than two periods.
-        lost_s: Time covered by the estimates of each node after its checkpoint [s].
+        age_s: Age of the checkpoint of each of these nodes at the kill [s].
+        lost_s: Time covered by the estimates of each of these nodes after its checkpoint [s].
+        lost_at_stop: Estimates that came after the checkpoint of a process which was asked to end.
         torn: Files that could not be read.
-        parts: Interrupted writes, at most one for each node at a time.
-        strays: Files of any other name.
+        parts: Names of interrupted writes.
+        most_parts: The most of them at a time.
+        strays: Files of any other name at the end.
         refused: Starts that did not continue from the checkpoint on disk.
         backward: Checkpoints older than the one before.
         unsaved: Warnings that a checkpoint could not be written.
@@ -65,9 +68,12 @@ class Outcome:
 
     kills: int = 0
     active: int = 0
+    age_s: list[float] = field(default_factory=list)
     lost_s: list[float] = field(default_factory=list)
+    lost_at_stop: int = 0
     torn: int = 0
-    parts: int = 0
+    parts: set[str] = field(default_factory=set)
+    most_parts: int = 0
     strays: set[str] = field(default_factory=set)
     refused: int = 0
     backward: int = 0
@@ -78,26 +84,31 @@ def measure(kills: int = _KILLS) -> tuple[Table, ...]:
     """Run the campaign; return its table."""
     with tempfile.TemporaryDirectory() as folder:
         outcome = Campaign(Path(folder)).run(kills)
-    lost = np.percentile(outcome.lost_s, (50.0, 99.0, 100.0)) if outcome.lost_s else (np.nan,) * 3
     rows = (
         ('kills', str(outcome.kills)),
         ('... of active nodes', str(outcome.active)),
-        ('lost, median [s]', f'{lost[0]:.2f}'),
-        ('lost, 99 % [s]', f'{lost[1]:.2f}'),
-        ('lost, most [s]', f'{lost[2]:.2f}'),
+        ('age of the checkpoint at the kill, median / 99 % / most [s]', _spread(outcome.age_s)),
+        ('lost of what was published, median / 99 % / most [s]', _spread(outcome.lost_s)),
+        ('lost at the end by SIGTERM, estimates', str(outcome.lost_at_stop)),
         ('torn files', str(outcome.torn)),
-        ('interrupted writes', str(outcome.parts)),
+        ('interrupted writes', str(len(outcome.parts))),
+        ('most files of interrupted writes at a time', str(outcome.most_parts)),
         ('stray files at the end', str(len(outcome.strays))),
         ('starts without the checkpoint', str(outcome.refused)),
         ('checkpoints that went back', str(outcome.backward)),
         ('checkpoints that could not be written', str(outcome.unsaved)),
     )
     note = (
-        f'checkpoint_period = {_PERIOD_S:g} s; a sample every {_SAMPLE_S:g} s. Lost is what lies between checkpoint '
-        'and last estimate, by their stamps: a loaded machine takes in more than a period at once. An interrupted '
-        'write leaves one file of a fixed name, which the next start removes.'
+        f'checkpoint_period = {_PERIOD_S:g} s; a sample every {_SAMPLE_S:g} s. The age is by the clock: a period, and '
+        'the time until the file was on disk. Lost is by stamps what lies between checkpoint and last estimate: after '
+        'a pause, a loaded machine takes in more than a period at once. The next start removes what an interrupted '
+        'write has left.'
     )
     return (Table('kill -9 at random moments, three nodes in one process', ('', 'value'), rows, note),)
+
+
+def _spread(values: list[float]) -> str:
+    return ' / '.join(f'{x:.2f}' for x in np.percentile(values, (50.0, 99.0, 100.0))) if values else '-'
 
 
 class Campaign:
@@ -138,36 +149,50 @@ class Campaign:
         before, start_ns = self._read(), time.time_ns()
         nodes = self._start()
         if of_active:
-            nodes.wait_until_active()
+            self._wait_for_estimates(nodes)
         time.sleep(delay_s)
+        killed_ns = time.time_ns()
         nodes.process.kill()
         nodes.close()
         self._outcome.kills += 1
-        self._judge(nodes, start_ns, before, self._read())
+        self._judge(nodes, start_ns, killed_ns, before, self._read())
 
     def _stop(self) -> None:
         nodes = self._start()
+        self._wait_for_estimates(nodes)
+        nodes.process.terminate()
+        nodes.close()
+        after = self._read()
+        for name, stamps in self._train.take().items():
+            self._outcome.lost_at_stop += sum(stamp > after[name].stamp_ns for stamp in stamps)
+
+    def _wait_for_estimates(self, nodes: Nodes) -> None:
         nodes.wait_until_active()
         self._train.take()
         deadline = time.monotonic() + _PATIENCE_S
         while not self._train.is_heard and time.monotonic() < deadline:
-            time.sleep(_SAMPLE_S)
-        nodes.process.terminate()
-        nodes.close()
+            time.sleep(0.02)
 
     def _read(self) -> dict[str, Checkpoint]:
         found = {}
-        for path in self._states.iterdir():
-            if path.suffix == '.part':
-                self._outcome.parts += 1
-            elif path.suffix == '.json':
-                try:
-                    found[path.stem] = parse_checkpoint(path.read_text(encoding='utf-8'), str(path))
-                except InputError:
-                    self._outcome.torn += 1
+        for path in self._states.glob('*.json'):
+            try:
+                found[path.stem] = parse_checkpoint(path.read_text(encoding='utf-8'), str(path))
+            except InputError:
+                self._outcome.torn += 1
+        parts = {path.name for path in self._states.iterdir() if path.suffix == '.part'}
+        self._outcome.parts |= parts
+        self._outcome.most_parts = max(self._outcome.most_parts, len(parts))
         return found
 
-    def _judge(self, nodes: Nodes, start_ns: int, before: dict[str, Checkpoint], after: dict[str, Checkpoint]) -> None:
+    def _judge(
+        self,
+        nodes: Nodes,
+        start_ns: int,
+        killed_ns: int,
+        before: dict[str, Checkpoint],
+        after: dict[str, Checkpoint],
+    ) -> None:
         outcome, log = self._outcome, nodes.log.read_text(encoding='utf-8', errors='replace')
         outcome.refused += log.count('starting from the prior')
         for name, checkpoint in before.items():
@@ -179,6 +204,7 @@ class Campaign:
         if all(len(seen.get(job.node_name, ())) * _SAMPLE_S > _SETTLED_S for job in JOBS):
             outcome.active += 1
             for name, stamps in seen.items():
+                outcome.age_s.append((killed_ns - after[name].saved_ns) / NS_PER_S)
                 outcome.lost_s.append(_SAMPLE_S * sum(stamp > after[name].stamp_ns for stamp in stamps))
 
 

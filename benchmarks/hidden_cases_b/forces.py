@@ -51,6 +51,16 @@ class Stock(NamedTuple):
     still: float  # 1: no wind in tunnels
 
 
+class Track(NamedTuple):
+    """Integrals along the line, every 2 m from ``origin`` [m] on."""
+
+    origin: float
+    climb: Array  # of the map's gradient [per mille m]
+    flaw: Array  # of the map error [per mille m]
+    bend: Array  # of 1/R [1]
+    bore: Array  # of the tunnel indicator [m]
+
+
 @njit(cache=True)
 def _read(table: Array, origin: float, x: float) -> float:
     p = (x - origin) / 2.0
@@ -72,11 +82,7 @@ def _overlap(front: float, rear: float, low: float, high: float, length: float) 
 def drags(
     q: Quirks,
     s: Stock,
-    origin: float,
-    climb: Array,
-    flaw: Array,
-    bend: Array,
-    bore: Array,
+    track: Track,
     x: float,
     way: float,
     v: float,
@@ -89,11 +95,11 @@ def drags(
     gust_w: float,
 ) -> tuple[float, float, float, float]:
     """Return the total resistance without brake and inertia, then gradient, gust and map error [N/kN]."""
-    rear = x - way * s.length
-    slope = (_read(climb, origin, x) - _read(climb, origin, rear)) / s.length
-    miss = (_read(flaw, origin, x) - _read(flaw, origin, rear)) / s.length
-    curv = abs(_read(bend, origin, x) - _read(bend, origin, rear)) / s.length
-    dark = abs(_read(bore, origin, x) - _read(bore, origin, rear)) / s.length
+    rear, origin = x - way * s.length, track.origin
+    slope = (_read(track.climb, origin, x) - _read(track.climb, origin, rear)) / s.length
+    miss = (_read(track.flaw, origin, x) - _read(track.flaw, origin, rear)) / s.length
+    curv = abs(_read(track.bend, origin, x) - _read(track.bend, origin, rear)) / s.length
+    dark = abs(_read(track.bore, origin, x) - _read(track.bore, origin, rear)) / s.length
     open_air = 1.0 - dark * s.still
     aero = s.c * (1.0 + (q.bore_gain - 1.0) * dark)
     calm = v + way * q.wind * open_air

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from benchmarks.hidden_cases_b.forces import Stock
+from benchmarks.hidden_cases_b.forces import Stock, Track
 from benchmarks.hidden_cases_b.ground import Ground, draw_ground
-from benchmarks.hidden_cases_b.motion import COLUMNS, run_leg
+from benchmarks.hidden_cases_b.motion import COLUMNS, S_FREED, S_HEAT, S_PLACE, S_TIME, STATES, Gusts, run_leg
 from benchmarks.hidden_cases_b.quirks import Quirks
 
 Array = NDArray[np.float64]
@@ -75,59 +75,50 @@ def draw_scene(seed: int, wish: Wish) -> Scene:
     one_way = bool(rng.random() < 0.15) and not wish.both_ways
     runs = min(runs, 8) if service in {'freight', 'mainline'} else runs
     gaps, order, bags = _route(rng, service, runs, one_way=one_way, single=wish.single_bag)
-    steepest = {'metro': 28.0, 'regional': 20.0, 'freight': 10.0, 'mainline': 12.0}[service] * rng.uniform(0.5, 1.0)
-    ground = draw_ground(
-        rng,
-        gaps,
-        steepest=float(steepest),
-        tightest=float(rng.uniform(250.0, 600.0)),
-        curves=wish.curves or rng.random() < 0.75,
-        tunnels=wish.tunnels or rng.random() < 0.6,
-        flaw_std=float(rng.uniform(0.1, 0.4)),
-        flaw_length=float(rng.uniform(100.0, 400.0)),
-    )
+    ground = _ground(rng, service, gaps, wish)
     legs = tuple(
         Leg(ground.stops[i], ground.stops[j], float(np.sign(j - i)), float(np.round(rng.uniform(15.0, 35.0))), bag)
         for (i, j), bag in zip(order, bags, strict=True)
     )
-    flags = ['one_way'] if one_way else []
     base, usual, cars = _vehicle(rng, service, wish)
     mass_topic = bool(rng.random() < 2.0 / 3.0)
     weigh = float(np.exp(rng.uniform(np.log(0.002), np.log(0.02)))) if mass_topic else 0.0
     assumed = usual * float(1.0 + 0.01 * rng.standard_normal())
     swing = float(rng.uniform(0.02, 0.08)) if mass_topic else float(rng.uniform(0.01, 0.03))
-    zoned = wish.zones or rng.random() < 0.35
-    stocks = []
-    walk = 0.0
+    zoned = wish.zones or bool(rng.random() < 0.35)
+    stocks, walk = [], 0.0
     for leg in legs:
         walk = 0.6 * walk + 0.8 * swing * float(rng.standard_normal())
         loaded = usual * (1.0 + walk)
         weighed = loaded * (1.0 + weigh * float(rng.standard_normal())) if mass_topic else assumed
         stocks.append(_for_leg(rng, base, leg, loaded=loaded, weighed=weighed, walk=walk, zoned=zoned))
-    if not mass_topic:
-        flags.append('no_mass_topic')
-    if zoned:
-        flags.append('restrictions')
-    if base.electric > 0.5:
-        flags.append('electric_downhill')
-    flags.append(('holding', 'on_off', 'coasting')[int(base.style)])
-    if base.filter > 0.0:
-        flags.append('force_filtered')
     air, force = _winds(rng, base, len(legs))
     return Scene(
-        service,
-        ground,
-        legs,
-        tuple(stocks),
-        round(assumed, -1),
-        mass_topic,
-        weigh,
-        cars,
-        air,
-        force,
-        one_way,
-        tuple(flags),
+        service=service,
+        ground=ground,
+        legs=legs,
+        stocks=tuple(stocks),
+        assumed_mass=round(assumed, -1),
+        mass_topic=mass_topic,
+        weigh_error=weigh,
+        cars=cars,
+        gust_air=air,
+        gust_force=force,
+        one_way=one_way,
+        flags=_flags(base, one_way=one_way, mass_topic=mass_topic, zoned=zoned),
     )
+
+
+def _flags(base: Stock, *, one_way: bool, mass_topic: bool, zoned: bool) -> tuple[str, ...]:
+    named = {
+        'one_way': one_way,
+        'no_mass_topic': not mass_topic,
+        'restrictions': zoned,
+        'electric_downhill': base.electric > 0.5,
+        ('holding', 'on_off', 'coasting')[int(base.style)]: True,
+        'force_filtered': base.filter > 0.0,
+    }
+    return tuple(name for name, holds in named.items() if holds)
 
 
 def drive(scene: Scene, quirks: Quirks) -> Array:
@@ -138,40 +129,38 @@ def drive(scene: Scene, quirks: Quirks) -> Array:
 
     """
     ground = scene.ground
+    track = Track(ground.origin, ground.climb, ground.flaw, ground.bend, ground.bore)
+    gusts = Gusts(scene.gust_air, scene.gust_force)
     log = np.empty((int(len(scene.legs) * _WAIT_LIMIT * 10.0), COLUMNS))
-    state = np.zeros(5)
-    state[4] = 1e6
-    row = 0
-    bag = -1
+    state = np.zeros(STATES)
+    state[S_FREED] = 1e6
+    row, bag = 0, -1
     for k, (leg, stock) in enumerate(zip(scene.legs, scene.stocks, strict=True)):
         if leg.bag != bag:
             bag = leg.bag
-            state[1] = leg.start
+            state[S_PLACE] = leg.start
             if k:
-                state[0] += 600.0
-                state[2] *= 0.1
-        row = run_leg(
-            quirks,
-            stock,
-            ground.origin,
-            ground.climb,
-            ground.flaw,
-            ground.bend,
-            ground.bore,
-            state,
-            leg.way,
-            float(k),
-            leg.target,
-            leg.dwell,
-            scene.gust_air,
-            scene.gust_force,
-            log,
-            row,
-        )
+                state[S_TIME] += 600.0
+                state[S_HEAT] *= 0.1
+        row = run_leg(quirks, stock, track, gusts, state, leg.way, float(k), leg.target, leg.dwell, log, row)
         if row < 0:
             msg = f'leg {k} was not finished'
             raise RuntimeError(msg)
     return log[:row].copy()
+
+
+def _ground(rng: np.random.Generator, service: str, gaps: list[float], wish: Wish) -> Ground:
+    steepest = {'metro': 28.0, 'regional': 20.0, 'freight': 10.0, 'mainline': 12.0}[service] * rng.uniform(0.5, 1.0)
+    return draw_ground(
+        rng,
+        gaps,
+        steepest=float(steepest),
+        tightest=float(rng.uniform(250.0, 600.0)),
+        curves=wish.curves or rng.random() < 0.75,
+        tunnels=wish.tunnels or rng.random() < 0.6,
+        flaw_std=float(rng.uniform(0.1, 0.4)),
+        flaw_length=float(rng.uniform(100.0, 400.0)),
+    )
 
 
 def _route(
