@@ -273,7 +273,8 @@ class Train:
         self._threads = [threading.Thread(target=work, daemon=True) for work in (self._publish, self._receive)]
 
     def _note(self, name: str, message: Any) -> None:
-        self._estimates.setdefault(name, []).append(stamp_of(message))
+        if message.status != message.STALE:  # as before the first sample
+            self._estimates.setdefault(name, []).append(stamp_of(message))
 
     @property
     def is_heard(self) -> bool:
