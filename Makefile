@@ -24,7 +24,7 @@ test-unit: setup ## tests that need no ROS graph
 	$(PYTEST) -m 'not ros' -n 2
 
 test-ros: setup ## tests that start nodes
-	$(PYTEST) -m ros
+	$(PYTEST) -m ros -n 2 --dist loadfile
 
 lint: setup ## style and common mistakes
 	.venv/bin/ruff check .

@@ -2,8 +2,8 @@
 """Build wheels with compiled modules, one per interpreter, and replay a bag with each in a clean environment.
 
 The interpreters are those of Python 3.11 and 3.12 that this machine has; 3.11 or 3.12 of the project's environment is
-always among them. Each wheel gets the oldest manylinux tag that auditwheel finds it to satisfy. The replay must give
-the same numbers as the sources in this repository do.
+always among them; its wheel takes over what `make setup` has compiled. Each wheel gets the oldest manylinux tag that
+auditwheel finds it to satisfy. The replay must give the same numbers as the sources in this repository do.
 """
 
 from __future__ import annotations
@@ -11,9 +11,11 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import runpy
 import shutil
 import subprocess
 import sys
+import sysconfig
 import tempfile
 import time
 from concurrent.futures import ThreadPoolExecutor
@@ -117,7 +119,9 @@ def build(python: Path, scratch: Path) -> Path:
         if (ROOT / file).exists() and not file.startswith(('test/', 'benchmarks/', 'docs/')):
             (source / file).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy(ROOT / file, source / file, follow_symlinks=False)
-    if python != VENV / 'bin' / 'python':
+    if python == VENV / 'bin' / 'python':
+        take_over_compiled(source)
+    else:
         python = environment(python, scratch / f'build{name}', 'bootstrap', 'runtime', 'dev')
     run([python, '-m', 'pip', 'wheel', '--quiet', '--no-deps', '--no-build-isolation', '--wheel-dir', raw, source])
     (wheel,) = raw.glob('*.whl')
@@ -125,6 +129,18 @@ def build(python: Path, scratch: Path) -> Path:
     run([python, '-m', 'auditwheel', 'repair', '--wheel-dir', tagged, wheel], PATH=tools)
     (wheel,) = tagged.glob('*.whl')
     return wheel
+
+
+def take_over_compiled(source: Path) -> None:
+    """Copy what was compiled in the repository, with its times: what has not changed is not compiled again."""
+    modules = ('modules__mypyc', *runpy.run_path(str(ROOT / 'trainid_ros' / 'compiled.py'))['MODULES'])
+    suffix = sysconfig.get_config_var('EXT_SUFFIX')
+    libraries = tuple(f'/trainid_ros/{name}{suffix}' for name in modules)
+    for path in (ROOT / 'build').rglob('*'):
+        if path.suffix in {'.c', '.h'} or str(path).endswith(libraries):
+            target = source / path.relative_to(ROOT)
+            target.parent.mkdir(parents=True, exist_ok=True)
+            shutil.copy2(path, target)
 
 
 def try_out(python: Path, wheel: Path, scratch: Path, expected: dict[str, object]) -> None:
@@ -165,7 +181,8 @@ def environment(python: Path, folder: Path, *locks: str) -> Path:
     run([python, '-m', 'venv', folder])
     inside = folder / 'bin' / 'python'
     requirements = [word for lock in locks for word in ('--requirement', REQUIREMENTS / f'{lock}.lock')]
-    run([inside, '-m', 'pip', 'install', '--quiet', '--no-deps', '--require-hashes', *requirements])
+    # Compiling all of them to byte code would take longer than the few that run.
+    run([inside, '-m', 'pip', 'install', '--quiet', '--no-compile', '--no-deps', '--require-hashes', *requirements])
     return inside
 
 

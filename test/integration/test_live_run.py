@@ -46,7 +46,7 @@ OUTPUTS: dict[str, tuple[Any, Callable[..., EstimatorPipeline[Any]]]] = {
     'trainid/speed_model': (messages.SpeedModelEstimate, speed_model_pipeline),
     'trainid/brake_rate': (messages.BrakeRateEstimate, brake_rate_pipeline),
 }
-RATE = '8'
+RATE = '16'
 PLAYED_S = 100.0
 # This machine, and the group of DDS discovery, which is joined there.
 LOCAL = ('127.', '239.255.0.1:')
