@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -35,3 +36,4 @@ def test_a_pause_widens_f_and_what_moves_with_it(alike: Any, matches: Callable[[
     matches(particles.cloud.f, matrices.f + off)
     matches(particles.cloud.x, matrices.x + step.gamma[:, None] * off)
     matches(particles.cloud.variance, np.array([matrices.variance + added]))
+    assert np.std(list(particles.cloud.f)) == pytest.approx(math.sqrt(np.var(matrices.f) + added), rel=1e-9)

@@ -172,11 +172,14 @@ def check_benchmark(words: list[str]) -> None:
         assert option != '--only' or value in (*PARTS, *SEEDED, *PAPERS)
 
 
-@pytest.mark.parametrize('command', all_commands(), ids=lambda command: f'{command.page}:{command.line}')
+@pytest.mark.parametrize(
+    'command',
+    [command for command in all_commands() if variable(command.text) is None],
+    ids=lambda command: f'{command.page}:{command.line}',
+)
 def test_a_command_is_valid(command: Command) -> None:
-    if variable(command.text) is None:
-        for part in command.text.split(' && '):
-            check(part)
+    for part in command.text.split(' && '):
+        check(part)  # asserts
 
 
 @pytest.mark.parametrize(

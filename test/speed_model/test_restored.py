@@ -213,3 +213,4 @@ def test_states_of_extreme_settings_are_restored(sample: Make, seed: int) -> Non
         )
         original.step(given)
         copy.restore(original.save())
+        assert copy.save() == original.save()

@@ -143,6 +143,18 @@ def errors_squared(seeds: range, seconds: float) -> tuple[float, float]:
     return float(np.mean(nees)), float(np.mean(nis))
 
 
+@pytest.fixture(scope='session', name='plan')
+def _plan() -> BankPlan:
+    """Return the plan of the tests, whose mean is the truth of ``still``."""
+    return PLAN
+
+
+@pytest.fixture(scope='session', name='one')
+def _one() -> BankPlan:
+    """Return the plan of one hypothesis that does not branch."""
+    return ONE
+
+
 @pytest.fixture(scope='session', name='still')
 def _still() -> Any:
     return still

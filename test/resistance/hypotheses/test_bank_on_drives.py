@@ -12,36 +12,13 @@ import pytest
 from trainid_ros.resistance.hypotheses import Bank, BankPlan
 from trainid_ros.resistance.speed_states import (
     KAPPA,
-    STATES,
     A,
     B,
     C,
     Interval,
-    ProcessNoise,
 )
 
-INERTIA, DT, SPEED_STD = 110.0, 0.2, 0.02
-NOISE = ProcessNoise(INERTIA, gust_time=6.0, map_length=250.0, force_density=0.02, skew=0.0, outliers=0.001)
-# v, a, b, c, gust, map error, kappa, delta, kappa_R
-MEAN = np.array([0.0, 1.5, 0.03, 0.004, 0.0, 0.0, 0.0, 0.0, 0.0])
-STD = np.array([0.0, 0.5, 0.02, 0.001, 0.0, 0.0, 0.03, 0.0, 0.0])
-PLAN = BankPlan(
-    mean=MEAN,
-    variance=STD**2,
-    gust_stds=(0.1, 0.2, 0.4),
-    map_stds=(0.05, 0.25),
-    step_variances=(0.25, 1e-6),
-    hazard=1.0 / 3600.0,
-    branch_interval=10.0,
-    hypotheses=20,
-    min_age=10.0,
-    young_age=120.0,
-    young_weight=20.0,
-    wrong_prior=0.0,
-    drift=np.zeros(STATES),
-    noise=NOISE,
-)
-ONE = replace(PLAN, gust_stds=(0.1,), map_stds=(0.05,), branch_interval=1e9)
+SPEED_STD = 0.02
 
 
 def follow(bank: Bank, intervals: list[Interval]) -> None:
@@ -50,8 +27,8 @@ def follow(bank: Bank, intervals: list[Interval]) -> None:
         bank.advance(interval)
 
 
-def test_a_step_of_a_is_detected(mixed: Any, drive: Any) -> None:
-    plan = replace(PLAN, gust_stds=(0.1, 0.2), map_stds=(0.05,), step_variances=(1.0, 1e-6))
+def test_a_step_of_a_is_detected(mixed: Any, drive: Any, plan: BankPlan) -> None:
+    plan = replace(plan, gust_stds=(0.1, 0.2), map_stds=(0.05,), step_variances=(1.0, 1e-6))
     before, after = np.array([1.8, 0.03, 0.004, 0.0]), np.array([3.3, 0.03, 0.004, 0.0])
     bank = Bank(plan)
     intervals = drive(lambda t: after if t > 150.0 else before, 270.0, 2, plan)
@@ -68,18 +45,18 @@ def test_a_step_of_a_is_detected(mixed: Any, drive: Any) -> None:
 
 
 @pytest.mark.slow
-def test_without_branching_a_filter_does_not_follow_the_step(mixed: Any, drive: Any) -> None:
+def test_without_branching_a_filter_does_not_follow_the_step(mixed: Any, drive: Any, one: BankPlan) -> None:
     """The bank follows the step, not the drift of one filter."""
     before, after = np.array([1.8, 0.03, 0.004, 0.0]), np.array([3.3, 0.03, 0.004, 0.0])
-    bank = Bank(ONE)
+    bank = Bank(one)
     follow(bank, drive(lambda t: after if t > 150.0 else before, 270.0, 2))
     phi = np.array([1.0, 12.0, 144.0, 0.0, 0.0])
     assert abs(mixed(bank).mean @ phi - after[:3] @ phi[:3]) > 0.4
 
 
-def test_the_most_likely_hypothesis_has_the_size_of_the_gusts(drive: Any) -> None:
-    plan = replace(PLAN, gust_stds=(0.1, 0.4), map_stds=(0.05,))
-    truth = MEAN[[A, B, C, KAPPA]]
+def test_the_most_likely_hypothesis_has_the_size_of_the_gusts(drive: Any, plan: BankPlan) -> None:
+    plan = replace(plan, gust_stds=(0.1, 0.4), map_stds=(0.05,))
+    truth = plan.mean[[A, B, C, KAPPA]]
     for gust, expected in ((0.1, 0.0), (0.4, 1.0)):
         bank = Bank(plan)
         follow(bank, drive(lambda _: truth, 120.0, 11, replace(plan, gust_stds=(gust,))))
@@ -102,8 +79,10 @@ def test_one_filter_is_consistent_over_many_drives(errors_squared: Any) -> None:
 
 @pytest.mark.slow
 @pytest.mark.timeout(600)
-def test_in_half_a_day_of_driving_covariances_stay_symmetric_and_positive(still: Any, held: Any) -> None:
-    plan = replace(PLAN, gust_stds=(0.1,), map_stds=(0.05,), hypotheses=4, drift=1e-3 / 3600.0 * STD**2)
+def test_in_half_a_day_of_driving_covariances_stay_symmetric_and_positive(
+    still: Any, held: Any, plan: BankPlan
+) -> None:
+    plan = replace(plan, gust_stds=(0.1,), map_stds=(0.05,), hypotheses=4, drift=1e-3 / 3600.0 * plan.variance)
     bank = held(plan)
     rng = np.random.default_rng(1)
     speeds = 12.0 + np.cumsum(rng.normal(0.0, 1e-3, 200_000)) + rng.normal(0.0, SPEED_STD, 200_000)

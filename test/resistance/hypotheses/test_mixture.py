@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any
@@ -23,53 +23,36 @@ from trainid_ros.resistance.speed_states import (
     A,
     B,
     C,
-    ProcessNoise,
     V,
 )
 
 # States of a mixture.
 PUBLISHED = (A, B, C, KAPPA, DELTA)
-INERTIA, DT, SPEED_STD = 110.0, 0.2, 0.02
-NOISE = ProcessNoise(INERTIA, gust_time=6.0, map_length=250.0, force_density=0.02, skew=0.0, outliers=0.001)
-# v, a, b, c, gust, map error, kappa, delta, kappa_R
-MEAN = np.array([0.0, 1.5, 0.03, 0.004, 0.0, 0.0, 0.0, 0.0, 0.0])
-STD = np.array([0.0, 0.5, 0.02, 0.001, 0.0, 0.0, 0.03, 0.0, 0.0])
-PLAN = BankPlan(
-    mean=MEAN,
-    variance=STD**2,
-    gust_stds=(0.1, 0.2, 0.4),
-    map_stds=(0.05, 0.25),
-    step_variances=(0.25, 1e-6),
-    hazard=1.0 / 3600.0,
-    branch_interval=10.0,
-    hypotheses=20,
-    min_age=10.0,
-    young_age=120.0,
-    young_weight=20.0,
-    wrong_prior=0.0,
-    drift=np.zeros(STATES),
-    noise=NOISE,
-)
-ONE = replace(PLAN, gust_stds=(0.1,), map_stds=(0.05,), branch_interval=1e9)
+DT, SPEED_STD = 0.2, 0.02
 
 
-def bank_of(weights: list[float], ages: list[float], plan: BankPlan = PLAN, *, seed: int = 0) -> Bank:
-    """A bank of random hypotheses with these weights and ages."""
-    rng = np.random.default_rng(seed)
-    n = len(weights)
-    root = rng.standard_normal((n, STATES, STATES))
-    log_weight = np.log(weights)
-    bank = Bank(plan)
-    bank.restore(
-        BankState(
-            x=rng.standard_normal((n, STATES)),
-            P=root @ root.transpose(0, 2, 1),
-            log_weight=log_weight - log_weight.max(),
-            age=np.array(ages),
-            size=np.zeros(n),
+@pytest.fixture
+def bank_of(plan: BankPlan) -> Callable[..., Bank]:
+    """Return a factory of banks of random hypotheses with given weights and ages."""
+
+    def make(weights: list[float], ages: list[float], seed: int = 0, **changes: Any) -> Bank:
+        rng = np.random.default_rng(seed)
+        n = len(weights)
+        root = rng.standard_normal((n, STATES, STATES))
+        log_weight = np.log(weights)
+        bank = Bank(replace(plan, **changes))
+        bank.restore(
+            BankState(
+                x=rng.standard_normal((n, STATES)),
+                P=root @ root.transpose(0, 2, 1),
+                log_weight=log_weight - log_weight.max(),
+                age=np.array(ages),
+                size=np.zeros(n),
+            )
         )
-    )
-    return bank
+        return bank
+
+    return make
 
 
 @contextmanager
@@ -80,7 +63,7 @@ def changed(bank: Bank) -> Iterator[BankState]:
     bank.restore(state)
 
 
-def test_the_mixture_of_two_has_the_moments_computed_by_hand(mixed: Any) -> None:
+def test_the_mixture_of_two_has_the_moments_computed_by_hand(mixed: Any, bank_of: Any) -> None:
     bank = bank_of([0.75, 0.25], [1e9, 1e9])
     x, P = bank.state().x[:, PUBLISHED], [p[np.ix_(PUBLISHED, PUBLISHED)] for p in bank.state().P]
     found = mixed(bank)
@@ -91,7 +74,7 @@ def test_the_mixture_of_two_has_the_moments_computed_by_hand(mixed: Any) -> None
     )
 
 
-def test_a_young_hypothesis_has_more_weight_in_the_covariance_than_in_the_mean(mixed: Any) -> None:
+def test_a_young_hypothesis_has_more_weight_in_the_covariance_than_in_the_mean(mixed: Any, bank_of: Any) -> None:
     bank = bank_of([0.9, 0.1], [1e9, 119.0])
     x, P = bank.state().x[:, PUBLISHED], [p[np.ix_(PUBLISHED, PUBLISHED)] for p in bank.state().P]
     mean = 0.9 * x[0] + 0.1 * x[1]
@@ -108,7 +91,7 @@ def test_a_young_hypothesis_has_more_weight_in_the_covariance_than_in_the_mean(m
     assert mixed(bank).covariance == pytest.approx(plain, rel=1e-12)
 
 
-def test_a_hypothesis_counts_from_the_minimum_age(mixed: Any) -> None:
+def test_a_hypothesis_counts_from_the_minimum_age(mixed: Any, bank_of: Any) -> None:
     bank = bank_of([0.2, 0.8], [1e9, 9.99])
     assert mixed(bank).mean == pytest.approx(bank.state().x[0, PUBLISHED], rel=1e-12)
     with changed(bank) as state:
@@ -118,7 +101,7 @@ def test_a_hypothesis_counts_from_the_minimum_age(mixed: Any) -> None:
     )
 
 
-def test_if_no_old_hypothesis_is_likely_all_count(mixed: Any) -> None:
+def test_if_no_old_hypothesis_is_likely_all_count(mixed: Any, bank_of: Any) -> None:
     bank = bank_of([1.0, 1.0], [1.0, 1.0])
     assert mixed(bank).mean == pytest.approx(bank.state().x[:, PUBLISHED].mean(axis=0), rel=1e-12)
     with changed(bank) as state:
@@ -127,42 +110,44 @@ def test_if_no_old_hypothesis_is_likely_all_count(mixed: Any) -> None:
     assert mixed(bank).mean == pytest.approx(bank.state().x[1, PUBLISHED], rel=1e-12)
 
 
-def test_the_covariance_of_the_mixture_is_positive_definite(mixed: Any) -> None:
+def test_the_covariance_of_the_mixture_is_positive_definite(mixed: Any, bank_of: Any) -> None:
     for seed in range(20):
         bank = bank_of([1.0, 0.7, 0.3], [1e9, 50.0, 12.0], seed=seed)
         values = np.linalg.eigvalsh(mixed(bank).covariance)
         assert values[0] > 0.0
 
 
-def test_the_bank_starts_at_the_prior_with_each_pair_of_sizes(held: Any, mixed: Any) -> None:
+def test_the_bank_starts_at_the_prior_with_each_pair_of_sizes(held: Any, mixed: Any, plan: BankPlan) -> None:
     bank = held()
     assert len(bank.state().size) == 6
     pairs = set(zip(bank.state().P[:, GUST, GUST].round(9), bank.state().P[:, MAP, MAP].round(9), strict=True))
-    assert pairs == {(round(g * g, 9), round(m * m, 9)) for g in PLAN.gust_stds for m in PLAN.map_stds}
+    assert pairs == {(round(g * g, 9), round(m * m, 9)) for g in plan.gust_stds for m in plan.map_stds}
     found = mixed(bank)
-    assert found.mean == pytest.approx(MEAN[list(PUBLISHED)])
-    assert found.covariance == pytest.approx(np.diag(STD[list(PUBLISHED)] ** 2))
+    assert found.mean == pytest.approx(plan.mean[list(PUBLISHED)])
+    assert found.covariance == pytest.approx(np.diag(plan.variance[list(PUBLISHED)]))
 
 
-def test_the_wide_prior_starts_with_a_small_weight(held: Any) -> None:
-    bank = held(replace(PLAN, wrong_prior=0.01))
+def test_the_wide_prior_starts_with_a_small_weight(held: Any, plan: BankPlan) -> None:
+    bank = held(replace(plan, wrong_prior=0.01))
     assert bank.state().log_weight == pytest.approx([0.0] * 6 + [math.log(0.01)] * 6)
     assert bank.state().size.tolist() == [*range(6), *range(6)]
     std = np.sqrt(np.diagonal(bank.state().P, axis1=1, axis2=2))[:, PUBLISHED]
     assert std[6:] == pytest.approx(std[:6] * [5.0, 5.0, 5.0, 5.0, 1.0])
-    exact = replace(PLAN, wrong_prior=0.01, variance=PLAN.variance * (np.arange(STATES) != KAPPA))
+    exact = replace(plan, wrong_prior=0.01, variance=plan.variance * (np.arange(STATES) != KAPPA))
     assert held(exact).state().P[6:, KAPPA, KAPPA] == pytest.approx([0.06**2] * 6)
 
 
 @pytest.mark.parametrize(('hours', 'steps'), [(0.5, 0.5), (1.0, 1.0), (1000.0, 1.0)])
-def test_an_idle_time_adds_the_variance_of_at_most_one_step_of_a_and_c(hours: float, steps: float, held: Any) -> None:
-    bank = held(replace(PLAN, hazard=1.0 / 3600.0, drift=np.full(STATES, 1e-9)))
+def test_an_idle_time_adds_the_variance_of_at_most_one_step_of_a_and_c(
+    hours: float, steps: float, held: Any, plan: BankPlan
+) -> None:
+    bank = held(replace(plan, hazard=1.0 / 3600.0, drift=np.full(STATES, 1e-9)))
     with changed(bank) as state:
         state.P *= 0.01
     before = bank.state().P.copy()
     bank.idle(3600.0 * hours)
     grown = bank.state().P - before
-    expected = np.minimum(steps * np.array(PLAN.step_variances), 0.99 * PLAN.variance[[A, C]])
+    expected = np.minimum(steps * np.array(plan.step_variances), 0.99 * plan.variance[[A, C]])
     assert grown[0][[A, C], [A, C]] == pytest.approx(expected)
     grown[:, [A, C], [A, C]] = 0.0
     assert not grown.any()
@@ -180,8 +165,8 @@ def test_a_stop_widens_the_force_scale_up_to_the_prior_plus_one_step(held: Any) 
     assert np.array_equal(bank.state().P, others)
 
 
-def test_the_innovation_is_that_of_the_mixture_before_the_correction(still: Any, held: Any) -> None:
-    bank = held(replace(PLAN, gust_stds=(0.1,), map_stds=(0.05, 0.25)))
+def test_the_innovation_is_that_of_the_mixture_before_the_correction(still: Any, held: Any, plan: BankPlan) -> None:
+    bank = held(replace(plan, gust_stds=(0.1,), map_stds=(0.05, 0.25)))
     with changed(bank) as state:
         state.x[:, V] = [11.9, 12.2]
         state.log_weight[:] = [0.0, math.log(0.5)]
@@ -197,22 +182,22 @@ def test_the_innovation_is_that_of_the_mixture_before_the_correction(still: Any,
     assert found.variance == pytest.approx(variance + SPEED_STD**2, rel=1e-6)
 
 
-def test_hypotheses_are_weighted_by_the_density_of_the_speed(still: Any, held: Any) -> None:
-    bank = held(replace(PLAN, gust_stds=(0.1,), map_stds=(0.05, 0.25), noise=replace(NOISE, outliers=1e-6)))
+def test_hypotheses_are_weighted_by_the_density_of_the_speed(still: Any, held: Any, plan: BankPlan) -> None:
+    bank = held(replace(plan, gust_stds=(0.1,), map_stds=(0.05, 0.25), noise=replace(plan.noise, outliers=1e-6)))
     with changed(bank) as state:
         state.x[:, V] = [12.0, 12.03]
         state.log_weight[:] = [0.0, -0.5]
     bank.advance(replace(still(12.0), speed=12.01))
     # Both have the initial variance 4e-4 and the same measurement variance; the other terms are small.
-    densities = [-0.5 * nu**2 / (8e-4 + NOISE.force_density * DT / INERTIA**2) for nu in (0.01, -0.02)]
+    densities = [-0.5 * nu**2 / (8e-4 + plan.noise.force_density * DT / plan.noise.inertia**2) for nu in (0.01, -0.02)]
     expected = densities[1] - 0.5 - densities[0]
     assert bank.state().log_weight == pytest.approx([0.0, expected], abs=2e-3)
 
 
-def test_the_parameters_drift_as_planned(still: Any, held: Any) -> None:
+def test_the_parameters_drift_as_planned(still: Any, held: Any, one: BankPlan) -> None:
     drift = np.zeros(STATES)
     drift[[A, C]] = 1e-3, 1e-12
-    bank, steady = held(replace(ONE, drift=drift)), held(ONE)
+    bank, steady = held(replace(one, drift=drift)), held(one)
     unmeasured = replace(still(12.0, dt=0.5), speed_variance=1e12)
     for _ in range(20):
         bank.advance(unmeasured)
@@ -222,8 +207,8 @@ def test_the_parameters_drift_as_planned(still: Any, held: Any) -> None:
     assert abs(grown[[B, KAPPA, DELTA]]).max() < 1e-9
 
 
-def test_the_best_branches_into_a_step_of_a_and_one_of_c(held: Any, branched: Any) -> None:
-    now = branched(held(replace(ONE, branch_interval=10.0)))
+def test_the_best_branches_into_a_step_of_a_and_one_of_c(held: Any, branched: Any, one: BankPlan) -> None:
+    now = branched(held(replace(one, branch_interval=10.0)))
     assert len(now.age) == 3
     assert now.age[1:].tolist() == [0.0, 0.0]
     # Each has half of the probability of a step within ten seconds.
@@ -245,7 +230,9 @@ def test_the_bank_branches_once_per_spacing_of_driving_time(still: Any, held: An
     assert bank.since_s == pytest.approx(5.0, abs=4.0 * DT)
 
 
-def test_a_new_size_is_adjacent_to_that_of_the_best_and_not_among_the_likely_ones(still: Any, held: Any) -> None:
+def test_a_new_size_is_adjacent_to_that_of_the_best_and_not_among_the_likely_ones(
+    still: Any, held: Any, plan: BankPlan
+) -> None:
     bank = held()
     # Sizes by gust, then map error: 0.1/0.05 0.1/0.25 0.2/0.05 0.2/0.25 0.4/0.05 0.4/0.25
     neighbours = {0: {1, 2}, 1: {0, 3}, 2: {0, 3, 4}, 3: {1, 2, 5}, 4: {2, 5}, 5: {3, 4}}
@@ -259,7 +246,7 @@ def test_a_new_size_is_adjacent_to_that_of_the_best_and_not_among_the_likely_one
         for _ in range(2 * len(near)):
             before = len(bank.state().size)
             with changed(bank) as state:
-                state.since_s = PLAN.branch_interval
+                state.since_s = plan.branch_interval
             bank.advance(still(12.0))
             assert len(bank.state().size) == before + 3
             new = bank.state().size[-1]
@@ -274,18 +261,18 @@ def test_a_new_size_is_adjacent_to_that_of_the_best_and_not_among_the_likely_one
         assert seen == near
 
 
-def test_no_size_is_added_while_the_adjacent_ones_are_likely(still: Any, held: Any) -> None:
+def test_no_size_is_added_while_the_adjacent_ones_are_likely(still: Any, held: Any, plan: BankPlan) -> None:
     bank = held()
     with changed(bank) as state:
-        state.since_s = PLAN.branch_interval
+        state.since_s = plan.branch_interval
     bank.advance(still(12.0))
     assert len(bank.state().size) == 8
     assert bank.state().size[-2:].tolist() == [bank.state().size[np.argmax(bank.state().log_weight)]] * 2
 
 
-def test_the_number_of_hypotheses_is_capped_and_the_best_is_kept(held: Any, drive: Any) -> None:
-    bank = held(replace(PLAN, hypotheses=9))
-    for interval in drive(lambda _: MEAN[[A, B, C, KAPPA]], 120.0, 3)[1:]:
+def test_the_number_of_hypotheses_is_capped_and_the_best_is_kept(held: Any, drive: Any, plan: BankPlan) -> None:
+    bank = held(replace(plan, hypotheses=9))
+    for interval in drive(lambda _: plan.mean[[A, B, C, KAPPA]], 120.0, 3)[1:]:
         before = bank.branchings
         bank.advance(interval)
         if bank.branchings > before:
@@ -296,28 +283,30 @@ def test_the_number_of_hypotheses_is_capped_and_the_best_is_kept(held: Any, driv
 
 @pytest.mark.parametrize('hypotheses', [4, 7])
 @pytest.mark.parametrize('min_age', [0.0, 10.0, 60.0])
-def test_young_ones_never_displace_the_best(hypotheses: int, min_age: float, held: Any, branched: Any) -> None:
+def test_young_ones_never_displace_the_best(
+    hypotheses: int, min_age: float, held: Any, branched: Any, plan: BankPlan
+) -> None:
     """With a long minimum age, young hypotheses could otherwise fill all places."""
-    bank = held(replace(PLAN, hypotheses=hypotheses, min_age=min_age, hazard=1.0 / 60.0))
+    bank = held(replace(plan, hypotheses=hypotheses, min_age=min_age, hazard=1.0 / 60.0))
     for _ in range(8):
         branched(bank)
         assert 1 <= len(bank.state().log_weight) <= hypotheses
         assert bank.state().log_weight.max() == 0.0
 
 
-def test_the_probability_of_a_step_never_exceeds_one(held: Any, branched: Any) -> None:
-    bank = held(replace(ONE, branch_interval=100.0, hazard=1.0 / 10.0))
+def test_the_probability_of_a_step_never_exceeds_one(held: Any, branched: Any, one: BankPlan) -> None:
+    bank = held(replace(one, branch_interval=100.0, hazard=1.0 / 10.0))
     now = branched(bank)
     assert now.log_weight == pytest.approx([0.0, math.log(0.5), math.log(0.5)], rel=1e-12)
 
 
-def test_old_unlikely_hypotheses_are_pruned_before_young_ones(still: Any) -> None:
-    bank = bank_of([1.0, math.exp(-4.0), math.exp(-5.0), math.exp(-7.0)], [1e9] * 4, replace(PLAN, hypotheses=4))
+def test_old_unlikely_hypotheses_are_pruned_before_young_ones(still: Any, plan: BankPlan, bank_of: Any) -> None:
+    bank = bank_of([1.0, math.exp(-4.0), math.exp(-5.0), math.exp(-7.0)], [1e9] * 4, hypotheses=4)
     with changed(bank) as state:
-        state.x[:] = MEAN
-        state.P[:] = np.diag(STD**2 + 1e-12)
+        state.x[:] = plan.mean
+        state.P[:] = np.diag(plan.variance + 1e-12)
         state.size[:] = [0, 0, 1, 2]
-        state.since_s = PLAN.branch_interval
+        state.since_s = plan.branch_interval
     bank.restart(12.0, SPEED_STD**2)
     bank.advance(still(12.0))
     now = bank.state()
@@ -326,20 +315,22 @@ def test_old_unlikely_hypotheses_are_pruned_before_young_ones(still: Any) -> Non
     assert sorted(now.log_weight[now.age > 1.0]) == pytest.approx([-4.0, 0.0], abs=0.05)
 
 
-def test_hypotheses_of_negligible_weight_are_pruned_even_below_the_maximum_number(still: Any, held: Any) -> None:
+def test_hypotheses_of_negligible_weight_are_pruned_even_below_the_maximum_number(
+    still: Any, held: Any, plan: BankPlan
+) -> None:
     bank = held()
     with changed(bank) as state:
         state.log_weight[:] = [0.0, -39.0, -41.0, -300.0, -1e5, -20.0]
-        state.since_s = PLAN.branch_interval
+        state.since_s = plan.branch_interval
     bank.advance(still(12.0))
     old = bank.state().log_weight[bank.state().age > 1e8]
     assert sorted(round(float(weight)) for weight in old if weight < -10.0) == [-39, -20]
 
 
-def test_after_an_outlier_of_the_speed_all_hypotheses_remain(still: Any, held: Any, mixed: Any) -> None:
+def test_after_an_outlier_of_the_speed_all_hypotheses_remain(still: Any, held: Any, mixed: Any, plan: BankPlan) -> None:
     bank = held()
     bank.advance(replace(still(12.0), speed=200.0))
     assert len(bank.state().log_weight) == 6
     assert bank.state().log_weight.max() == 0.0
     assert bank.state().log_weight.min() > -0.01
-    assert mixed(bank).mean == pytest.approx(MEAN[list(PUBLISHED)], abs=1e-3)
+    assert mixed(bank).mean == pytest.approx(plan.mean[list(PUBLISHED)], abs=1e-3)
