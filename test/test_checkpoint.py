@@ -94,7 +94,8 @@ def test_a_start_leaves_the_part_that_another_process_is_writing(
 def test_a_part_that_was_removed_before_it_was_locked_is_made_anew(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    path, lock, removed = tmp_path / 'state.json', fcntl.flock, []
+    path, lock = tmp_path / 'state.json', fcntl.flock
+    removed: list[Path] = []
 
     def lock_late(handle: int, operation: int) -> None:
         if not removed:

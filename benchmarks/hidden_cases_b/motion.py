@@ -102,7 +102,7 @@ def _drags(
     now = state[S_TIME]
     k = int(now * 10.0)
     gone, freed, push = state[S_GONE], state[S_FREED], state[S_PUSH]
-    return drags(q, s, track, x, way, v, now, gone, freed, now - start, push, gusts.speed[k], gusts.force[k])  # type: ignore[no-any-return]
+    return drags(q, s, track, x, way, v, now, gone, freed, now - start, push, gusts.speed[k], gusts.force[k])
 
 
 @njit(cache=True)
