@@ -31,8 +31,8 @@ _CASTS: Final[dict[str, Callable[[Any], Any]]] = {
     'bool': bool,
     'tuple': lambda values: list(map(float, values)),
 }
-# NaN where an algorithm does not estimate them; the position may be unknown.
-_MAY_BE_UNKNOWN: Final = frozenset({'position', 'force_scale', 'force_scale_std', 'force_delay', 'force_delay_std'})
+MAY_BE_UNKNOWN: Final = frozenset({'position', 'force_scale', 'force_scale_std', 'force_delay', 'force_delay_std'})
+"""NaN where an algorithm does not estimate them; the position may be unknown."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -122,7 +122,7 @@ def output_values(output: OutputLike) -> dict[str, Value]:
     """Return the fields of the message of an output, but for its header; a number that is not finite makes it FAULT."""
     estimate, rejection = output.estimate, output.last_rejection
     values: dict[str, Value] = {name: cast(getattr(estimate, name)) for name, cast in _FIELDS[type(estimate)]}
-    finite = all(_is_finite(value) or name in _MAY_BE_UNKNOWN for name, value in values.items())
+    finite = all(_is_finite(value) or name in MAY_BE_UNKNOWN for name, value in values.items())
     values['status'] = int(output.status if finite else Status.FAULT)
     values['used'] = int(output.used)
     values['rejected'] = int(output.rejected)

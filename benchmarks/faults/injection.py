@@ -1,22 +1,28 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Faults of single inputs: each maps the rows of a drive to those that a faulty train would send."""
+"""Kinds of faults: each maps the rows of a drive to those that a faulty train would send."""
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
-from trainid_ros.records import BRAKE, FORCE, GRADIENT, NS_PER_S, SPEED, Row
+from trainid_ros.records import BRAKE, FORCE, GRADIENT, MASS, NS_PER_S, SPEED, Row
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     Change = Callable[[float, float, float, bool], tuple[float, float, bool]]
 
-KMH: Final = 3.6
-G: Final = 9.81
-_TOPICS: Final[Mapping[str, int]] = {'speed': SPEED, 'force': FORCE, 'gradient': GRADIENT, 'command': BRAKE}
+_TOPICS: Final[Mapping[str, int]] = {
+    'speed': SPEED,
+    'force': FORCE,
+    'gradient': GRADIENT,
+    'command': BRAKE,
+    'mass': MASS,
+}
+_SMOOTH: Final = (SPEED, FORCE)
 
 
 @dataclass(frozen=True, slots=True)
@@ -27,12 +33,14 @@ class Fault:
         name: What happens.
         change: Returns the rows that are sent instead of those between two stamps [ns].
         clock_step_s: Step of the clock that stamps all messages [s].
+        shifts_stamps: True if only stamps are changed, but not the times at which messages are sent.
 
     """
 
     name: str
     change: Callable[[Sequence[Row], int, int], list[Row]]
     clock_step_s: float = 0.0
+    shifts_stamps: bool = False
 
 
 def injected(rows: Sequence[Row], faults: Sequence[Fault], start_ns: int, end_ns: int) -> list[Row]:
@@ -82,7 +90,7 @@ def frozen(topic: str) -> Fault:
 
 
 def missing(topic: str, name: str = 'missing', seconds: float = math.inf) -> Fault:
-    """Return a fault that drops the messages of a topic for some time [s]."""
+    """Return a fault that drops the messages of a topic for some time [s], at most until the end of the fault."""
     place = _TOPICS[topic]
 
     def apply(rows: Sequence[Row], start_ns: int, end_ns: int) -> list[Row]:
@@ -92,8 +100,65 @@ def missing(topic: str, name: str = 'missing', seconds: float = math.inf) -> Fau
     return Fault(f'{topic} {name}', apply)
 
 
+def missing_for_ever(topic: str) -> Fault:
+    """Return a fault that drops the messages of a topic from its start on, for ever."""
+    place = _TOPICS[topic]
+
+    def apply(rows: Sequence[Row], start_ns: int, _end_ns: int) -> list[Row]:
+        return [row for row in rows if row[0] != place or row[1] < start_ns]
+
+    return Fault(f'{topic} missing for ever', apply)
+
+
+def all_missing(seconds: float) -> Fault:
+    """Return a fault that drops the messages of all topics for some time [s]."""
+    duration_ns = round(seconds * NS_PER_S)
+
+    def apply(rows: Sequence[Row], start_ns: int, _end_ns: int) -> list[Row]:
+        return [row for row in rows if not start_ns <= row[1] < start_ns + duration_ns]
+
+    return Fault(f'all missing {seconds:g} s', apply)
+
+
+def ten_times_faster(topic: str) -> Fault:
+    """Return a fault where a topic comes ten times as often, with values between those of the drive."""
+    place, factor = _TOPICS[topic], 10
+
+    def apply(rows: Sequence[Row], start_ns: int, end_ns: int) -> list[Row]:
+        own = [row for row in rows if row[0] == place and start_ns <= row[1] < end_ns]
+        between = [_between(*pair, k / factor) for pair in pairwise(own) for k in range(1, factor)]
+        return sorted((*rows, *between), key=lambda row: row[1])
+
+    return Fault(f'{topic} ten times as often', apply)
+
+
+def _between(row: Row, following: Row, share: float) -> Row:
+    """Return a row at a share of the time to the following one; what is no smooth function of time is held."""
+    topic, stamp, x, y, flag = row
+    stamp += round(share * (following[1] - stamp))
+    if topic not in _SMOOTH:
+        return topic, stamp, x, y, flag
+    return topic, stamp, x + share * (following[2] - x), y + share * (following[3] - y), flag
+
+
+def at_one_hertz(topic: str) -> Fault:
+    """Return a fault where a topic at 5 Hz comes at 1 Hz."""
+    place, kept = _TOPICS[topic], 5
+
+    def apply(rows: Sequence[Row], start_ns: int, end_ns: int) -> list[Row]:
+        count, sent = 0, []
+        for row in rows:
+            inside = row[0] == place and start_ns <= row[1] < end_ns
+            count += inside
+            if not inside or count % kept == 0:
+                sent.append(row)
+        return sent
+
+    return Fault(f'{topic} at 1 Hz', apply)
+
+
 def late(topic: str, seconds: float) -> Fault:
-    """Return a fault that stamps the messages of a topic later than the values were true, in the same order."""
+    """Return a fault that stamps and sends the messages of a topic later than the values were true [s]."""
     place, shift = _TOPICS[topic], round(seconds * NS_PER_S)
 
     def apply(rows: Sequence[Row], start_ns: int, end_ns: int) -> list[Row]:
@@ -101,10 +166,22 @@ def late(topic: str, seconds: float) -> Fault:
             (t, stamp + shift if t == place and start_ns <= stamp < end_ns else stamp, x, y, flag)
             for t, stamp, x, y, flag in rows
         ]
-        # A message is sent at its stamp.
-        return sorted(moved, key=lambda row: row[1]) if shift > 0 else moved
+        return sorted(moved, key=lambda row: row[1])
 
     return Fault(f'{topic} {seconds:+g} s', apply)
+
+
+def clock_apart(topic: str, seconds: float) -> Fault:
+    """Return a fault where the clock that stamps a topic is off by a time [s]; messages are sent when they were."""
+    place, shift = _TOPICS[topic], round(seconds * NS_PER_S)
+
+    def apply(rows: Sequence[Row], start_ns: int, end_ns: int) -> list[Row]:
+        return [
+            (t, stamp + shift if t == place and start_ns <= stamp < end_ns else stamp, x, y, flag)
+            for t, stamp, x, y, flag in rows
+        ]
+
+    return Fault(f'{topic} clock {seconds:+g} s', apply, shifts_stamps=True)
 
 
 def spiked(topic: str, height: float, every: int = 20) -> Fault:
@@ -153,7 +230,7 @@ def clock_step(seconds: float) -> Fault:
     def apply(rows: Sequence[Row], start_ns: int, _end_ns: int) -> list[Row]:
         return [(t, stamp + shift if stamp >= start_ns else stamp, x, y, flag) for t, stamp, x, y, flag in rows]
 
-    return Fault(f'clock {seconds:+g} s', apply, seconds)
+    return Fault(f'clock {seconds:+g} s', apply, clock_step_s=seconds, shifts_stamps=True)
 
 
 def second_command() -> Fault:
@@ -168,54 +245,3 @@ def second_command() -> Fault:
         return sorted(sent, key=lambda row: row[1])
 
     return Fault('command second publisher', apply)
-
-
-def _slipping(t: float, x: float, y: float, flag: bool) -> tuple[float, float, bool]:
-    return x * (1.0 + 0.15 * max(0.0, math.sin(0.8 * t))), y, flag
-
-
-FAULTS: Final = (
-    scaled('in km/h', 'speed', KMH),
-    scaled('5 % high', 'speed', 1.05),
-    scaled('offset .5 m/s', 'speed', 1.0, 0.5),
-    value_fault('slip', 'speed', _slipping),
-    value_fault('not a number', 'speed', lambda _t, _x, y, flag: (math.nan, y, flag)),
-    spiked('speed', 5.0),
-    frozen('speed'),
-    missing('speed'),
-    missing('speed', 'missing 1 s', 1.0),
-    late('speed', 0.5),
-    late('speed', 1.0),
-    late('speed', 3.0),
-    duplicated('speed'),
-    swapped('speed'),
-    scaled('in kN', 'force', 1e-3),
-    scaled('sign', 'force', -1.0),
-    scaled('20 % high', 'force', 1.2),
-    value_fault('drift', 'force', lambda t, x, y, flag: (x + 100.0 * t, y, flag)),
-    value_fault('not a number', 'force', lambda _t, _x, y, flag: (math.nan, y, flag)),
-    value_fault('infinite', 'force', lambda _t, _x, y, flag: (math.inf, y, flag)),
-    spiked('force', 1e5),
-    frozen('force'),
-    missing('force'),
-    late('force', 0.5),
-    late('force', 1.0),
-    duplicated('force'),
-    swapped('force'),
-    scaled('2 per mille high', 'gradient', 1.0, 2.0),
-    scaled('sign', 'gradient', -1.0),
-    value_fault('in per cent', 'gradient', lambda _t, x, y, flag: (0.1 * x, y, flag)),
-    frozen('gradient'),
-    missing('gradient'),
-    late('gradient', 1.0),
-    scaled('in g', 'command', 1.0 / G),
-    scaled('sign', 'command', -1.0),
-    value_fault('stuck braking', 'command', lambda _t, _x, y, flag: (-0.7, y, flag)),
-    value_fault('stuck released', 'command', lambda _t, _x, y, flag: (0.0, y, flag)),
-    second_command(),
-    missing('command'),
-    late('command', 1.0),
-    clock_step(10.0),
-    clock_step(-10.0),
-    clock_step(-3000.0),
-)

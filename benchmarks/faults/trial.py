@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from dataclasses import dataclass, fields
 from functools import cache
 from typing import TYPE_CHECKING, Any, Final
@@ -11,7 +12,8 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from benchmarks.days import assumed_train, simulated_day
-from benchmarks.faults.injection import FAULTS, injected
+from benchmarks.faults.catalogue import BY_NAME
+from benchmarks.faults.injection import injected
 from trainid_ros.estimators.pipeline import (
     EstimatorPipeline,
     EstimatorSettings,
@@ -20,11 +22,12 @@ from trainid_ros.estimators.pipeline import (
     share_streams,
     speed_model_pipeline,
 )
+from trainid_ros.messages import MAY_BE_UNKNOWN
 from trainid_ros.records import NS_PER_S, Row
-from trainid_ros.results import Output, Status
+from trainid_ros.results import Output, Reason, Status
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
     from numpy.typing import NDArray
 
@@ -41,13 +44,15 @@ _AFTER_S: Final = 60.0
 _ABOUT_S: Final = 10.0
 _MOVING: Final = 1.0
 _PERIOD_S: Final = 0.2
+# Reasons that reject a sample without saying what is wrong.
+_UNTOLD: Final = frozenset({Reason.OUTLIER, Reason.CONTRADICTION, Reason.NUMERICAL})
 
 
 @dataclass(frozen=True, slots=True)
 class Injection:
-    """A fault by its places in FAULTS, from the first message or in mid-drive."""
+    """Faults by name, from the first message or in mid-drive."""
 
-    faults: tuple[int, ...]
+    faults: tuple[str, ...]
     seed: int
     from_start: bool
 
@@ -57,22 +62,27 @@ class Outcome:
     """What was published under a fault.
 
     Attributes:
-        named_s: Time from the start of the fault until something names it, in motion [s]; infinite if nothing does.
-        name: The first thing that names it: a finding, a status, or the main reason of rejections.
+        seen_s: Motion from the start of the fault until a finding, a status or a reason of rejection shows up that the
+            healthy drive does not have [s]; infinite if none does.
+        named_s: The same without reasons that do not say what is wrong.
+        name: The first finding; without one, the status or the reason that named it.
         wrong_s: Time that the resistance or the brake rate was VALID at more than 3 std from the truth [s].
         worst: Largest error of a VALID resistance or brake rate [std].
         resistance_left: |error of w| a minute of motion after the fault, less that without the fault [N/kN].
         brake_left: The same of the brake rate [1].
+        rejected: Records and samples of the resistance rejected by each reason, less those without the fault.
         non_finite: Number of outputs with a number that is not finite.
 
     """
 
+    seen_s: float
     named_s: float
     name: str
     wrong_s: float
     worst: float
     resistance_left: float
     brake_left: float
+    rejected: dict[Reason, int]
     non_finite: int
 
 
@@ -87,67 +97,119 @@ class Course:
     std: Array
 
 
-@dataclass(frozen=True, slots=True)
-class Published:
-    """Outputs, in the order of the pipelines, and findings with the time they appeared [ns]."""
+class Drive:
+    """The three pipelines on one stream, with what they have published.
 
-    outputs: tuple[tuple[Output[Any], ...], ...]
-    findings: tuple[tuple[int, str], ...]
+    Attributes:
+        outputs: Outputs in the order of the pipelines.
+        findings: Findings with the stamp at which they appeared [ns].
+
+    """
+
+    def __init__(self, states: Sequence[str] = ()) -> None:
+        """Begin, from saved states of the pipelines if they are given."""
+        train, settings = assumed_train(), EstimatorSettings()
+        makers = (resistance_pipeline, speed_model_pipeline, brake_rate_pipeline)
+        self._pipelines: list[EstimatorPipeline[Any]] = [make(train, settings) for make in makers]
+        for pipeline, state in zip(self._pipelines, states, strict=False):
+            pipeline.restore(state)
+        (self._stream,) = share_streams(self._pipelines)
+        self.outputs: tuple[list[Output[Any]], ...] = ([], [], [])
+        self.findings: list[tuple[int, str]] = []
+
+    def feed(self, rows: Sequence[Row]) -> None:
+        """Take in rows."""
+        stream = self._stream
+        for row in rows:
+            events = stream.push_row(*row)
+            for pipeline, made in zip(self._pipelines, self.outputs, strict=True):
+                pipeline.take(events, made.append)
+            if stream.finding and (not self.findings or self.findings[-1][1] != stream.finding):
+                self.findings.append((stream.newest_ns, stream.finding))
+
+    def save(self) -> tuple[str, ...]:
+        """Return the states of the pipelines."""
+        return tuple(pipeline.save() for pipeline in self._pipelines)
+
+    @property
+    def rejected(self) -> Counter[Reason]:
+        """Records and samples that the resistance has rejected, by reason."""
+        return self._pipelines[0].rejections
+
+    def signs(self) -> Iterator[tuple[int, Reason | Status]]:
+        """Return the reasons of rejection and the statuses that show up, each with its first stamp [ns]."""
+        for made in self.outputs:
+            seen: set[tuple[type, int]] = set()
+            for output in made:
+                rejection = output.last_rejection
+                for sign in (output.status, *((rejection.reason,) if rejection is not None else ())):
+                    if (type(sign), int(sign)) not in seen:
+                        seen.add((type(sign), int(sign)))
+                        yield output.stamp_ns, sign
+
+
+@dataclass(frozen=True, slots=True)
+class Healthy:
+    """A drive without faults, and what its pipelines held after so many rows, just before the fault."""
+
+    drive: Drive
+    count: int
+    states: tuple[str, ...]
 
 
 def run(injection: Injection) -> Outcome:
     """Return the outcome of a fault."""
-    rows, truth = _drive(injection.seed)
-    begin_s = 0.0 if injection.from_start else MID_DRIVE_S[injection.seed % len(MID_DRIVE_S)]
+    rows, truth = _rows(injection.seed)
+    begin_s = 0.0 if injection.from_start else _mid_drive_s(injection.seed)
     end_s = LENGTH_S if injection.from_start else begin_s + DURATION_S
-    faults = [FAULTS[k] for k in injection.faults]
+    faults = [BY_NAME[name] for name in injection.faults]
     start_ns = truth.start_ns
     sent = injected(rows, faults, start_ns + round(begin_s * NS_PER_S), start_ns + round(end_s * NS_PER_S))
-    found, healthy = _publish(sent), _healthy(injection.seed)
+    healthy = _healthy(injection.seed)
+    found = Drive() if injection.from_start else Drive(healthy.states)
+    found.feed(sent if injection.from_start else sent[healthy.count :])
     shift_s = sum(fault.clock_step_s for fault in faults)
     courses = [_course(found.outputs[k], truth, k, begin_s, shift_s) for k in (0, 2)]
-    references = [_course(healthy.outputs[k], truth, k, begin_s, 0.0) for k in (0, 2)]
-    named_s, name = _naming(found, healthy, courses[0], begin_s)
+    references = [_course(healthy.drive.outputs[k], truth, k, begin_s, 0.0) for k in (0, 2)]
+    seen_s, named_s, name = _naming(found, healthy.drive, courses[0], truth.start_ns, begin_s)
     wrong = [(c.status == Status.VALID) & (np.abs(c.error) > 3.0 * c.std) & (c.time_s >= begin_s) for c in courses]
     ratios = [np.abs(c.error / c.std)[(c.status == Status.VALID) & (c.time_s >= begin_s)] for c in courses]
     after = [_left(c, end_s) - _left(r, end_s) for c, r in zip(courses, references, strict=True)]
     return Outcome(
+        seen_s=seen_s,
         named_s=named_s,
         name=name,
         wrong_s=max(float(np.sum(mask)) for mask in wrong) * _PERIOD_S,
         worst=max((float(values.max()) for values in ratios if len(values)), default=0.0),
         resistance_left=after[0],
         brake_left=after[1],
+        rejected={reason: n - healthy.drive.rejected[reason] for reason, n in found.rejected.items()},
         non_finite=sum(not _is_finite(output) for made in found.outputs for output in made),
     )
 
 
+def _mid_drive_s(seed: int) -> float:
+    return MID_DRIVE_S[seed % len(MID_DRIVE_S)]
+
+
 @cache
-def _drive(seed: int) -> tuple[tuple[Row, ...], Truth]:
+def _rows(seed: int) -> tuple[tuple[Row, ...], Truth]:
     day = simulated_day(seed)
     last_ns = day.truth.start_ns + round(LENGTH_S * NS_PER_S)
     return tuple(record.row() for record in day.records if record.stamp_ns < last_ns), day.truth
 
 
 @cache
-def _healthy(seed: int) -> Published:
-    return _publish(_drive(seed)[0])
-
-
-def _publish(rows: Sequence[Row]) -> Published:
-    train, settings = assumed_train(), EstimatorSettings()
-    makers = (resistance_pipeline, speed_model_pipeline, brake_rate_pipeline)
-    pipelines: list[EstimatorPipeline[Any]] = [make(train, settings) for make in makers]
-    (stream,) = share_streams(pipelines)
-    outputs: tuple[list[Output[Any]], ...] = ([], [], [])
-    findings: list[tuple[int, str]] = []
-    for row in rows:
-        events = stream.push_row(*row)
-        for pipeline, made in zip(pipelines, outputs, strict=True):
-            pipeline.take(events, made.append)
-        if stream.finding and (not findings or findings[-1][1] != stream.finding):
-            findings.append((stream.newest_ns, stream.finding))
-    return Published(tuple(map(tuple, outputs)), tuple(findings))
+def _healthy(seed: int) -> Healthy:
+    rows, truth = _rows(seed)
+    begin_ns = truth.start_ns + round(_mid_drive_s(seed) * NS_PER_S)
+    # The first record after a restore is followed wherever it lies, so it must be a healthy one.
+    count = sum(row[1] < begin_ns for row in rows) - 1
+    drive = Drive()
+    drive.feed(rows[:count])
+    states = drive.save()
+    drive.feed(rows[count:])
+    return Healthy(drive, count, states)
 
 
 def _course(outputs: Sequence[Output[Any]], truth: Truth, place: int, begin_s: float, shift_s: float) -> Course:
@@ -186,33 +248,24 @@ def _left(course: Course, end_s: float) -> float:
     return float(np.abs(course.error[about]).mean()) if about.any() else math.nan
 
 
-def _naming(found: Published, healthy: Published, course: Course, begin_s: float) -> tuple[float, str]:
-    """Return when a fault is named, in seconds of motion, and by what."""
-    candidates = []
-    if found.findings:
-        candidates.append((found.findings[0][0], found.findings[0][1]))
-    for made, usual in zip(found.outputs, healthy.outputs, strict=True):
-        reasons = {o.last_rejection.reason for o in usual if o.last_rejection is not None}
-        for output in made:
-            rejection = output.last_rejection
-            if rejection is not None and rejection.reason not in reasons:
-                candidates.append((output.stamp_ns, rejection.reason.name))
-                break
-        statuses = {o.status for o in usual}
-        fault = next((o for o in made if o.status not in statuses), None)
-        if fault is not None:
-            candidates.append((fault.stamp_ns, fault.status.name))
-    if not candidates:
-        return math.inf, '-'
-    stamp_ns, name = min(candidates)
-    start_ns = found.outputs[0][0].stamp_ns
+def _naming(found: Drive, healthy: Drive, course: Course, start_ns: int, begin_s: float) -> tuple[float, float, str]:
+    """Return when a fault is seen and when it is named, in seconds of motion, and by what."""
+    usual = {(type(sign), sign) for _, sign in healthy.signs()}
+    signs = [(stamp_ns, sign) for stamp_ns, sign in found.signs() if (type(sign), sign) not in usual]
+    telling = [(stamp_ns, sign.name) for stamp_ns, sign in signs if sign not in _UNTOLD]
+    names = [*found.findings[:1], *telling]
+    moved = [_moved_s(stamp_ns, course, start_ns, begin_s) for stamp_ns, _ in (*found.findings[:1], *signs)]
+    if not names:
+        return min(moved, default=math.inf), math.inf, '-'
+    return min(moved), _moved_s(min(names)[0], course, start_ns, begin_s), (found.findings or [min(names)])[0][1]
+
+
+def _moved_s(stamp_ns: int, course: Course, start_ns: int, begin_s: float) -> float:
+    """Return the motion between the start of the fault and a stamp [s]."""
     time_s = (stamp_ns - start_ns) / NS_PER_S
-    moved_s = float(np.interp(time_s, course.time_s, course.moved_s))
-    return (moved_s if time_s > begin_s else 0.0), found.findings[0][1] if found.findings else name
+    return float(np.interp(time_s, course.time_s, course.moved_s)) if time_s > begin_s else 0.0
 
 
 def _is_finite(output: Output[Any]) -> bool:
-    numbers = [getattr(output.estimate, item.name) for item in fields(output.estimate)]
-    unknown = {'position', 'force_scale', 'force_scale_std', 'force_delay', 'force_delay_std'}
-    names = [item.name for item in fields(output.estimate)]
-    return all(name in unknown or bool(np.isfinite(value).all()) for name, value in zip(names, numbers, strict=True))
+    names = (item.name for item in fields(output.estimate) if item.name not in MAY_BE_UNKNOWN)
+    return all(bool(np.isfinite(getattr(output.estimate, name)).all()) for name in names)

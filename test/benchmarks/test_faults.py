@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The fault matrix: what its faults do to rows, and one trial."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import pytest
+
+from benchmarks.faults.catalogue import BY_NAME, FAULTS, PAIRS
+from benchmarks.faults.injection import injected
+from benchmarks.faults.trial import Drive, Injection, _healthy, _rows, run
+from trainid_ros.records import BRAKE, FORCE, GRADIENT, MASS, NS_PER_S, SPEED, Row
+
+SECOND = NS_PER_S
+SEED = 4001
+
+
+def rows(seconds: int = 60) -> list[Row]:
+    """Rows of all topics at 5 Hz, in the order of stamps; the values count up."""
+    return [
+        (topic, (k * 5 + topic) * SECOND // 25, float(k + 1), 10.0 * k, False)
+        for k in range(seconds * 5)
+        for topic in (SPEED, FORCE, GRADIENT, BRAKE, MASS)
+    ]
+
+
+def sent(name: str) -> list[Row]:
+    """The rows with a fault from 20 to 40 s."""
+    return injected(rows(), [BY_NAME[name]], 20 * SECOND, 40 * SECOND)
+
+
+def of(topic: int, some: list[Row]) -> list[Row]:
+    return [row for row in some if row[0] == topic]
+
+
+@pytest.mark.parametrize('fault', FAULTS, ids=lambda fault: fault.name)
+def test_a_fault_changes_nothing_before_it_and_something_after(fault: object) -> None:
+    changed = injected(rows(), [fault], 20 * SECOND, 40 * SECOND)  # type: ignore[list-item]
+    before = [row for row in rows() if row[1] < 20 * SECOND]
+    assert changed[: len(before)] == before
+    assert repr(changed) != repr(rows())
+
+
+def test_ten_times_as_often_has_values_between() -> None:
+    faster = [row for row in of(SPEED, sent('speed ten times as often')) if row[1] <= 39.8 * SECOND]
+    assert len(of(SPEED, rows())) + 9 * 99 == len(of(SPEED, sent('speed ten times as often')))
+    first, second = (row for row in faster if 20 * SECOND <= row[1] <= 20 * SECOND + SECOND // 50)
+    assert second[1] - first[1] == SECOND // 50
+    assert second[2] - first[2] == pytest.approx(0.1)
+
+
+def test_one_hertz_keeps_one_of_five() -> None:
+    kept = [row for row in of(FORCE, sent('force at 1 Hz')) if 20 * SECOND <= row[1] < 40 * SECOND]
+    assert {b[1] - a[1] for a, b in pairwise(kept)} == {SECOND}
+
+
+def test_a_clock_that_is_off_moves_stamps_and_no_message() -> None:
+    ahead, late = sent('speed clock +1 s'), sent('speed +1 s')
+    assert [row[2] for row in of(SPEED, ahead)] == [row[2] for row in of(SPEED, rows())]
+    assert [row[0] for row in ahead] == [row[0] for row in rows()]
+    assert [row[0] for row in late] != [row[0] for row in rows()]
+
+
+def test_for_ever_means_until_the_end() -> None:
+    assert max(row[1] for row in of(SPEED, sent('speed missing for ever'))) < 20 * SECOND
+    assert max(row[1] for row in of(SPEED, sent('speed missing'))) > 40 * SECOND
+
+
+def test_pairs_are_of_different_topics() -> None:
+    assert len(PAIRS) == len(set(PAIRS)) >= 30
+    assert {name for pair in PAIRS for name in pair} <= BY_NAME.keys()
+    assert all(first.split()[0] != second.split()[0] for first, second in PAIRS)
+
+
+@pytest.mark.slow
+def test_a_trial_that_continues_from_a_saved_state_publishes_the_same() -> None:
+    all_rows, _ = _rows(SEED)
+    healthy = _healthy(SEED)
+    resumed = Drive(healthy.states)
+    resumed.feed(all_rows[healthy.count :])
+    whole = healthy.drive
+    for outputs, others in zip(resumed.outputs, whole.outputs, strict=True):
+        assert repr(outputs) == repr(others[-len(outputs) :])
+    assert resumed.rejected == whole.rejected
+
+
+@pytest.mark.slow
+def test_two_faults_are_named_and_nothing_is_wrong_or_not_finite() -> None:
+    outcome = run(Injection(('speed not a number', 'force +1 s'), SEED, from_start=False))
+    assert math.isfinite(outcome.named_s)
+    assert (outcome.wrong_s, outcome.non_finite) == (0.0, 0)
+    assert outcome.seen_s <= outcome.named_s
