@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import math
+from dataclasses import replace
 from functools import partial
 from typing import Any, TypeAlias
 
@@ -13,6 +15,7 @@ from std_msgs.msg import Float64
 from trainid_msgs.msg import AtoForce, BrakeCommand
 
 from trainid_ros.estimators.consistency import WINDOW
+from trainid_ros.records import ForceRecord, SpeedRecord
 from trainid_ros.ros.estimator_node import EstimatorNode
 from trainid_ros.ros.estimator_nodes import RESISTANCE
 
@@ -97,6 +100,36 @@ def test_diagnostics_show_inputs_that_stopped(graph: Graph, train_file: str) -> 
     graph.until(lambda: diagnosed.by_name[speed].level == DiagnosticStatus.STALE)
     assert 'no publisher' in diagnosed.by_name[speed].message
     assert diagnosed.by_name[mass].level == DiagnosticStatus.OK
+
+
+@pytest.mark.ros
+def test_a_stuck_speed_is_named_although_all_inputs_arrive(graph: Graph, train_file: str) -> None:
+    diagnosed = Diagnosed(graph)
+    node = graph.active(train_file, diagnostic_period=0.1, stale_after=60.0)
+    records = graph.coasting(60)
+    records = [replace(item, speed=8.0) if isinstance(item, SpeedRecord) else item for item in records]
+    graph.feed(node, [replace(item, force=2e5) if isinstance(item, ForceRecord) else item for item in records])
+    own = 'resistance_estimator: estimator'
+    graph.until(lambda: own in diagnosed.by_name and 'ato/speed is stuck' in diagnosed.by_name[own].message)
+    assert diagnosed.by_name[own].level >= DiagnosticStatus.WARN
+    assert diagnosed.values(own)['last rejection'].startswith('SPEED_STUCK')
+
+
+@pytest.mark.ros
+def test_an_input_whose_messages_cannot_be_used_is_named(graph: Graph, train_file: str) -> None:
+    diagnosed = Diagnosed(graph)
+    node = graph.active(train_file, diagnostic_period=0.1, stale_after=60.0)
+    records = graph.coasting(20)
+    graph.feed(node, [replace(item, speed=math.nan) if isinstance(item, SpeedRecord) else item for item in records])
+    node.announce(node.pipeline.mark_stale())
+    own, speed, force = (
+        f'resistance_estimator: {what}' for what in ('estimator', 'input ato/speed', 'input ato/force')
+    )
+    text = '20 of the last 20 messages not used: NOT_FINITE'
+    graph.until(lambda: speed in diagnosed.by_name and diagnosed.by_name[speed].message.startswith(text))
+    assert diagnosed.by_name[speed].level == DiagnosticStatus.ERROR
+    graph.until(lambda: f'(ato/speed: {text})' in diagnosed.by_name[own].message)
+    assert 'not used' not in diagnosed.by_name[force].message
 
 
 @pytest.mark.ros

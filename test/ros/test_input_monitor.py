@@ -8,7 +8,8 @@ import math
 import pytest
 from diagnostic_msgs.msg import DiagnosticStatus
 
-from trainid_ros.records import BRAKE_TOPIC, FORCE_TOPIC, MASS_TOPIC, NS_PER_S, SPEED_TOPIC, InputTopic
+from trainid_ros.records import BRAKE_TOPIC, FORCE_TOPIC, GRADIENT_TOPIC, MASS_TOPIC, NS_PER_S, SPEED_TOPIC, InputTopic
+from trainid_ros.results import Reason, Rejection
 from trainid_ros.ros.input_monitor import Finding, InputMonitor, InputMonitors
 from trainid_ros.ros.publishers import Publishers
 from trainid_ros.stream.alignment import AlignmentConfig
@@ -96,3 +97,74 @@ def test_missing_inputs_are_named_with_their_times() -> None:
         monitors.by_topic[topic].arrived(1, START_NS - round(seconds * NS_PER_S))
     text = monitors.describe_missing(START_NS, lambda topic: 5.0 if topic is BRAKE_TOPIC else 0.8)
     assert text == 'no ato/speed for 3.0 s, no ato/gradient yet, no ato/brake_command for 9.0 s'
+
+
+def arrive(monitors: InputMonitors, seconds: float, delays: dict[InputTopic, float], reason: Reason | None) -> int:
+    """Let all required inputs come at 5 Hz, each so much behind its stamp; all speeds are refused with a reason."""
+    now_ns = START_NS
+    for i in range(round(5 * seconds)):
+        now_ns = START_NS + i * NS_PER_S // 5
+        for topic in (FORCE_TOPIC, GRADIENT_TOPIC, BRAKE_TOPIC, SPEED_TOPIC):
+            stamp_ns = now_ns - round(delays.get(topic, 0.0) * NS_PER_S)
+            refused = [Rejection(stamp_ns, reason, math.nan, math.nan)] if reason and topic is SPEED_TOPIC else []
+            monitors.arrived(topic, stamp_ns, now_ns, refused)
+    return now_ns
+
+
+@pytest.mark.parametrize(
+    ('reason', 'action'),
+    [(Reason.NOT_FINITE, 'correct the sensor'), (Reason.OUT_OF_RANGE, 'unit'), (Reason.ZERO_STAMP, 'set the stamp')],
+)
+def test_messages_that_are_refused_are_named_within_a_second(reason: Reason, action: str) -> None:
+    monitors = InputMonitors(AlignmentConfig())
+    now_ns = arrive(monitors, 1.0, {}, reason)
+    found = monitors.by_topic[SPEED_TOPIC].judge(now_ns, 0.8)
+    assert (found.level, found.text) == (DiagnosticStatus.ERROR, f'5 of the last 5 messages not used: {reason.name}')
+    assert action in found.action
+    assert monitors.describe_missing(now_ns, lambda _: 0.8) == f'ato/speed: {found.text}'
+    assert monitors.by_topic[FORCE_TOPIC].judge(now_ns, 0.8).level == DiagnosticStatus.OK
+    assert monitors.by_topic[SPEED_TOPIC].refusal(now_ns + 6 * NS_PER_S) is None
+
+
+def test_single_refusals_and_speeds_faster_than_the_period_are_nothing_to_tell() -> None:
+    thinned, late = InputMonitors(AlignmentConfig()), InputMonitors(AlignmentConfig())
+    now_ns = arrive(thinned, 5.0, {}, Reason.THINNED)
+    arrive(late, 5.0, {}, None)
+    late.by_topic[SPEED_TOPIC].refused(Rejection(now_ns, Reason.LATE, -0.1, 0.0), now_ns)
+    for monitors in (thinned, late):
+        assert monitors.by_topic[SPEED_TOPIC].judge(now_ns, 0.8).level == DiagnosticStatus.OK
+
+
+def test_a_stamp_that_is_refused_with_the_next_message_is_that_of_its_own_topic() -> None:
+    monitors = InputMonitors(AlignmentConfig())
+    for i in range(10):
+        now_ns = START_NS + i * NS_PER_S // 5
+        monitors.arrived(SPEED_TOPIC, now_ns - NS_PER_S * 10, now_ns, ())
+        refused = [Rejection(now_ns - NS_PER_S * 10, Reason.STAMP_JUMP, -10.0, -2.0)]
+        monitors.arrived(FORCE_TOPIC, now_ns, now_ns, refused)
+    found = monitors.by_topic[SPEED_TOPIC].judge(now_ns, 0.8)
+    assert found.sentence(0) == (
+        '10 of the last 10 messages not used: STAMP_JUMP (value -10, limit -2): '
+        'synchronise its clock with those of the other inputs'
+    )
+    assert monitors.by_topic[FORCE_TOPIC].judge(now_ns, 0.8).level == DiagnosticStatus.OK
+
+
+@pytest.mark.parametrize('behind_s', [0.5, 1.0, -1.0])
+def test_stamps_that_are_behind_those_of_the_other_inputs_are_named_with_the_time(behind_s: float) -> None:
+    monitors = InputMonitors(AlignmentConfig())
+    now_ns = arrive(monitors, 1.0, {SPEED_TOPIC: behind_s, FORCE_TOPIC: 0.1}, None)
+    found = monitors.by_topic[SPEED_TOPIC].judge(now_ns, 0.8, monitors.skew_s(SPEED_TOPIC, now_ns))
+    where = f'{behind_s:.1f} s behind' if behind_s > 0.0 else '1.0 s ahead of'
+    assert found.text == f'stamps are {where} those of the other inputs'
+    assert f'ato/speed: {found.text}' in monitors.describe_missing(now_ns, lambda _: 0.8)
+    assert [monitors.skew_s(topic, now_ns) for topic in (FORCE_TOPIC, GRADIENT_TOPIC, BRAKE_TOPIC, MASS_TOPIC)] == [
+        0.0
+    ] * 4
+
+
+def test_one_message_that_is_held_up_is_no_skew() -> None:
+    monitors = InputMonitors(AlignmentConfig())
+    now_ns = arrive(monitors, 1.0, {}, None) + NS_PER_S // 5
+    monitors.arrived(SPEED_TOPIC, now_ns - NS_PER_S, now_ns, ())
+    assert monitors.skew_s(SPEED_TOPIC, now_ns) == 0.0

@@ -11,7 +11,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.type_hash import TypeHash
 from trainid_msgs.msg import AtoSpeed
 
-from trainid_ros.ros.publishers import Publishers, tell_apart, type_name
+from trainid_ros.ros.publishers import NAMELESS, Publishers, tell_apart, type_name
 from trainid_ros.ros.topics import input_qos
 
 SPEED = 'trainid_msgs/msg/AtoSpeed'
@@ -58,3 +58,9 @@ def test_all_reasons_of_an_incompatible_quality_of_service_are_named() -> None:
         '/a has an incompatible quality of service (Volatile publisher and transient local subscription, '
         'Subscription has a deadline, but publisher does not)'
     )
+
+
+def test_one_that_was_killed_counts_once_with_its_successor_which_has_no_name_at_first() -> None:
+    found = tell_apart([info('a'), info('a'), info('_NODE_NAME_UNKNOWN_')], SPEED, OURS, input_qos())
+    assert (found.heard, found.at_a_time().heard) == (('/a', '/a', NAMELESS), ('/a',))
+    assert Publishers((NAMELESS,)).at_a_time().heard == (NAMELESS,)

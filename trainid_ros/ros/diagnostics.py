@@ -14,13 +14,14 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
-from trainid_ros.results import Status
+from trainid_ros.results import Reason, Status
 from trainid_ros.ros.input_monitor import Finding
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
 
     from trainid_ros.estimators.pipeline import EstimatorPipeline
+    from trainid_ros.results import Output
     from trainid_ros.ros.input_monitor import InputMonitor
     from trainid_ros.ros.jobs import Job
 
@@ -45,6 +46,14 @@ _ACTIONS: Final = {
     Status.CONVERGING: 'drive on, it learns at changing speeds',
     Status.STALE: 'restore the inputs that are named',
     Status.FAULT: 'call the service reset of the node; if it fails again, report the log',
+}
+# Why samples are rejected although all inputs arrive, and what to do.
+_REJECTED: Final = {
+    Reason.SPEED_STUCK: ('ato/speed is stuck', 'check the speed sensor'),
+    Reason.CONTRADICTION: ('speed and forces contradict each other', 'check the inputs if this lasts'),
+    Reason.FORCE_MISSING: ('no ato/force at the stamps of ato/speed', 'synchronise their clocks'),
+    Reason.GRADIENT_MISSING: ('no ato/gradient at the stamps of ato/speed', 'synchronise their clocks'),
+    Reason.BRAKE_COMMAND_MISSING: ('no ato/brake_command at the stamps of ato/speed', 'synchronise their clocks'),
 }
 _STEPS_KEPT: Final = 3000
 OVERRUN_S: Final = 0.2
@@ -130,14 +139,25 @@ def idle_status(health: NodeHealth) -> Any:
     return _status(f'{health.name}: estimator', level, message, (('state', health.state),))
 
 
-def _judge(health: NodeHealth, pipeline: EstimatorPipeline[Any], value: str) -> Finding:
-    """Return what is the case with a configured estimator; ``value`` is its most important result."""
-    status = pipeline.status
+def _rejected(output: Output[Any]) -> tuple[str, str] | None:
+    """Return why the newest sample was rejected and what to do, None if it was not, or if that is in order."""
+    rejection = output.last_rejection
+    if rejection is None or rejection.stamp_ns != output.stamp_ns:
+        return None
+    return _REJECTED.get(rejection.reason)
+
+
+def _judge(health: NodeHealth, pipeline: EstimatorPipeline[Any], output: Output[Any], value: str) -> Finding:
+    """Return what is the case with a configured estimator; ``value`` is the most important one of its output."""
+    status = output.status
     reason = {Status.STALE: health.missing, Status.FAULT: health.fault}.get(status, '')
     text = f'{status.name}: {_MEANINGS[status]}{f" ({reason})" if reason else ""}; {value}'
     level, action = _LEVELS[status], _ACTIONS.get(status, '')
     if health.state != 'active':
         level, text, action = DiagnosticStatus.WARN, f'{health.state}, inputs are ignored; last {text}', 'activate it'
+    if (rejected := _rejected(output)) and not reason:
+        why, action = rejected
+        level, text = max(level, DiagnosticStatus.WARN), f'samples are rejected: {why}; {text}'
     if pipeline.stream.finding:
         level, text = DiagnosticStatus.ERROR, f'inputs contradict each other: {pipeline.stream.finding}; {text}'
         action = (
@@ -168,7 +188,9 @@ def estimator_status(
     """Return the status of a configured estimator."""
     output = pipeline.current()
     first, consistency = shown[0], pipeline.consistency
-    finding = _judge(health, pipeline, f'{first.name} {getattr(output.estimate, first.name):.4g} {first.unit}'.rstrip())
+    finding = _judge(
+        health, pipeline, output, f'{first.name} {getattr(output.estimate, first.name):.4g} {first.unit}'.rstrip()
+    )
     rejection = output.last_rejection
     values: list[tuple[str, object]] = [
         ('state', health.state),

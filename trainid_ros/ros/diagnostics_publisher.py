@@ -65,11 +65,14 @@ class DiagnosticsPublisher:
         wanted, infos = type_name(message_class(monitor.topic)), node.get_publishers_info_by_topic(topic)
         profile = node.inputs.profile(monitor.topic)
         monitor.publishers = tell_apart(infos, wanted, self._definition(monitor.topic, topic), profile)
+        if not node.inputs.may_mix(monitor.topic):
+            monitor.publishers = monitor.publishers.at_a_time()
         if monitor.publishers.unheard and monitor.publishers.unheard != before.unheard:
             node.get_logger().error(f'{topic}: {"; ".join(monitor.publishers.unheard)}')
         if len(monitor.publishers.heard) > max(1, len(before.heard)):
             node.get_logger().warning(f'{topic}: more than one publisher: {", ".join(monitor.publishers.heard)}')
-        finding = monitor.judge(now_ns, node.timeout_s(monitor.topic))
+        skew_s = node.monitors.skew_s(monitor.topic, now_ns)
+        finding = monitor.judge(now_ns, node.timeout_s(monitor.topic), skew_s)
         known = self._known.get(monitor.topic)
         # The text changes with its numbers; what to do is the same as long as the matter is.
         since_ns = known.since_ns if known is not None and known.action == finding.action else now_ns

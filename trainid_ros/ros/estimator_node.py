@@ -20,7 +20,7 @@ from rclpy.serialization import serialize_message
 from trainid_ros.errors import InputError, TrainIdError
 from trainid_ros.estimators.pipeline import EstimatorPipeline, EstimatorSettings
 from trainid_ros.records import INPUT_TOPICS, NS_PER_S, REQUIRED_TOPICS, InputTopic, Record
-from trainid_ros.results import Status
+from trainid_ros.results import Rejection, Status
 from trainid_ros.ros.checkpoints import Checkpoints
 from trainid_ros.ros.diagnostics import EstimatorSpec, StepTimes
 from trainid_ros.ros.diagnostics_publisher import DiagnosticsPublisher
@@ -236,6 +236,7 @@ class EstimatorNode(ManagedNode):
         self.step_times = StepTimes()
         self.fault = ''
         self._sent: list[SerializedEstimate] = []
+        self._refused: list[Rejection] = []
         self._latched: Status | None = None
         self._published_ns = 0
         self._jumped_s = 0.0
@@ -280,6 +281,7 @@ class EstimatorNode(ManagedNode):
             if (made := events[pipeline.stream]) is None:
                 outputs = [self.fail(pipeline, 'the stream that it shares with another node has failed')]
             else:
+                self._refused = [event for event in made if isinstance(event, Rejection)]
                 pipeline.take(made, outputs.append)
         except TrainIdError as error:
             outputs = [self.fail(pipeline, str(error))]
@@ -321,7 +323,8 @@ class EstimatorNode(ManagedNode):
         """Latch and log what was published, and note that a message with this stamp [ns] has arrived."""
         now_ns = self.now_ns()
         self._follow_published(now_ns)
-        self.monitors.by_topic[topic].arrived(stamp_ns, now_ns)
+        self.monitors.arrived(topic, stamp_ns, now_ns, self._refused)
+        self._refused = []
         if self._listening and self.pipeline is not None:
             self.watchdog.saw(self.pipeline.newest_ns, now_ns, self._steady_ns())
 

@@ -4,9 +4,12 @@
 from __future__ import annotations
 
 import math
+from bisect import bisect_left
 from collections import deque
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from itertools import islice
+from statistics import median
 from typing import TYPE_CHECKING, Any, Final
 
 from diagnostic_msgs.msg import DiagnosticStatus
@@ -20,16 +23,35 @@ from trainid_ros.records import (
     SPEED_TOPIC,
     InputTopic,
 )
+from trainid_ros.results import Reason
 from trainid_ros.ros.publishers import Publishers
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
+    from trainid_ros.results import Rejection
     from trainid_ros.stream.alignment import AlignmentConfig
 
 _WINDOW_NS: Final = 5 * NS_PER_S
 # A larger difference means that stamps come from another clock or that messages are buffered.
 _WORST_AGE_S: Final = 2.0
+_KEPT: Final = 4096
+# Delays are compared over this time [ns]: one message may be held up. What is left of their differences [s].
+_DELAYS_NS: Final = NS_PER_S
+_JITTER_S: Final = 0.1
+# Inputs that are silent for longer are missing, and not compared [s].
+_LATELY_S: Final = 2.5
+# So many messages may be refused, as after a jump of the stamps, and this share of all [1].
+_REFUSED_ANYHOW: Final = 2
+_REFUSED_SHARE: Final = 0.1
+_REFUSED: Final = {
+    Reason.NOT_FINITE: 'correct the sensor or its publisher',
+    Reason.OUT_OF_RANGE: 'correct its unit or sign',
+    Reason.ZERO_STAMP: 'let its publisher set the stamp',
+    Reason.LATE: 'send it sooner, or raise alignment.max_lag',
+    Reason.DUPLICATE: 'let its publisher send each message once, with a stamp of its own',
+    Reason.STAMP_JUMP: 'synchronise its clock with those of the other inputs',
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,26 +105,54 @@ class InputMonitor:
         self.newest_ns = 0
         self.publishers = Publishers()
         self._last_ns = 0
-        self._delay_s = math.nan
-        self._arrivals: deque[int] = deque(maxlen=4096)
+        self._arrivals: deque[int] = deque(maxlen=_KEPT)
+        self._delays: deque[int] = deque(maxlen=_KEPT)
+        self._refused: deque[tuple[int, Rejection]] = deque(maxlen=_KEPT)
 
     def arrived(self, stamp_ns: int, now_ns: int) -> None:
         """Record a message with this stamp [ns] that arrived now [ns]."""
         self.count += 1
         self.newest_ns = stamp_ns
         if self._arrivals and now_ns < self._arrivals[-1]:
-            self._arrivals.clear()
+            for past in (self._arrivals, self._delays, self._refused):
+                past.clear()
         self._arrivals.append(now_ns)
+        self._delays.append(now_ns - stamp_ns)
         self._last_ns = now_ns
-        self._delay_s = (now_ns - stamp_ns) / NS_PER_S
+
+    def refused(self, rejection: Rejection, now_ns: int) -> None:
+        """Record that one of the last messages was not used [ns]."""
+        self._refused.append((now_ns, rejection))
 
     def rate(self, now_ns: int) -> float:
         """Return the message rate over the last seconds [Hz]; NaN while unknown, as with a clock that stands still."""
-        while self._arrivals and self._arrivals[0] < now_ns - _WINDOW_NS:
-            self._arrivals.popleft()
+        self._forget_before(now_ns - _WINDOW_NS)
         if not self._arrivals or self._arrivals[-1] == self._arrivals[0]:
             return math.nan
         return (len(self._arrivals) - 1) * NS_PER_S / (self._arrivals[-1] - self._arrivals[0])
+
+    def _forget_before(self, begin_ns: int) -> None:
+        while self._arrivals and self._arrivals[0] < begin_ns:
+            self._arrivals.popleft()
+            self._delays.popleft()
+        while self._refused and self._refused[0][0] < begin_ns:
+            self._refused.popleft()
+
+    @property
+    def delay_s(self) -> float:
+        """Smallest time from the stamp to the arrival of the last messages [s]."""
+        recent = bisect_left(self._arrivals, self._last_ns - _DELAYS_NS)
+        return min(islice(self._delays, recent, None), default=0) / NS_PER_S
+
+    def refusal(self, now_ns: int) -> Finding | None:
+        """Return that the messages of the last seconds were not used, and why; None if they were, but for a few."""
+        self._forget_before(now_ns - _WINDOW_NS)
+        count = len(self._refused)
+        if count <= _REFUSED_ANYHOW + _REFUSED_SHARE * len(self._arrivals):
+            return None
+        last = self._refused[-1][1]
+        text = f'{min(count, len(self._arrivals))} of the last {len(self._arrivals)} messages not used: {last}'
+        return Finding(DiagnosticStatus.ERROR, text, _REFUSED[last.reason])
 
     def missing_for_s(self, now_ns: int) -> float:
         """Return the time since the last message [s], infinite before the first."""
@@ -118,8 +168,15 @@ class InputMonitor:
         """Return whether a required input is missing; ``stale_s`` is its timeout [s]."""
         return not self.optional and self.missing_for_s(now_ns) > stale_s
 
-    def judge(self, now_ns: int, stale_s: float) -> Finding:
-        """Return the most important thing to know about the input; ``stale_s`` is its timeout [s]."""
+    def judge(self, now_ns: int, stale_s: float, skew_s: float = 0.0) -> Finding:
+        """Return the most important thing to know about the input.
+
+        Args:
+            now_ns: The node's time [ns].
+            stale_s: Its timeout [s].
+            skew_s: How far its stamps are behind those of the other inputs, 0 if not worth telling [s].
+
+        """
         publishers = self.publishers
         if publishers.unheard and not (publishers.heard and self.count):
             return Finding(DiagnosticStatus.ERROR, '; '.join(publishers.unheard), 'correct this publisher')
@@ -132,13 +189,19 @@ class InputMonitor:
             return Finding(DiagnosticStatus.WARN, text, 'stop all but one')
         if publishers.unheard:
             return Finding(DiagnosticStatus.WARN, '; '.join(publishers.unheard), 'correct or stop this publisher')
-        return self._judge_messages(now_ns)
+        return self._judge_messages(now_ns, skew_s)
 
-    def _judge_messages(self, now_ns: int) -> Finding:
-        delay, rate = self._delay_s, self.rate(now_ns)
-        if abs(delay) > _WORST_AGE_S and not self.optional:
-            where = f'{delay:.1f} s behind' if delay > 0.0 else f'{-delay:.1f} s ahead of'
-            text = f"stamps are {where} this node's clock"
+    def _judge_messages(self, now_ns: int, skew_s: float) -> Finding:
+        refusal = self.refusal(now_ns)
+        if skew_s:
+            text = f'{_apart(skew_s)} those of the other inputs{f", {refusal.text}" if refusal else ""}'
+            action = 'synchronise the clocks of the inputs, or send the late one sooner'
+            return Finding(DiagnosticStatus.WARN, text, action)
+        if refusal is not None:
+            return refusal
+        rate, delay_s = self.rate(now_ns), self._delays[-1] / NS_PER_S if self._delays else 0.0
+        if abs(delay_s) > _WORST_AGE_S and not self.optional:
+            text = f"{_apart(delay_s)} this node's clock"
             action = 'for a bag set use_sim_time and play it with /clock; on a train synchronise the clocks'
             return Finding(DiagnosticStatus.WARN, text, action)
         if rate * self.slowest_s < 1.0 and not self.optional:
@@ -173,18 +236,50 @@ class InputMonitors:
             BRAKE_TOPIC: alignment.command_hold or alignment.command_timeout,
         }
         slowest_s = alignment.max_interval
+        self._most_skew_s = alignment.max_lag + _JITTER_S
         self.by_topic = {
             topic: InputMonitor(topic, longest.get(topic, 0.0), slowest_s, optional=topic not in longest)
             for topic in INPUT_TOPICS
         }
 
+    def arrived(self, topic: InputTopic, stamp_ns: int, now_ns: int, refused: Iterable[Rejection]) -> None:
+        """Record a message, and which messages were refused with it: a stamp is doubted until the next ones come."""
+        for rejection in refused:
+            if rejection.reason not in _REFUSED:  # nothing is wrong with a topic faster than the period
+                continue
+            owners = [item for item in self.by_topic.values() if item.newest_ns == rejection.stamp_ns != stamp_ns]
+            (owners[0] if owners else self.by_topic[topic]).refused(rejection, now_ns)
+        self.by_topic[topic].arrived(stamp_ns, now_ns)
+
+    def skew_s(self, topic: InputTopic, now_ns: int) -> float:
+        """Return how far the stamps of an input are behind those of the others as they arrive [s], 0 if not far."""
+        arriving = [item for item in self.by_topic.values() if item.missing_for_s(now_ns) < _LATELY_S]
+        own, others = self.by_topic[topic], [item for item in arriving if item.topic is not topic and not item.optional]
+        if own.optional or own not in arriving or not others:
+            return 0.0
+        usual_s = median(item.delay_s for item in others)
+        skew_s = own.delay_s - usual_s
+        # Where all are of another clock than this node, as those of a bag played fast, it cannot be told.
+        return skew_s if abs(skew_s) > self._most_skew_s and abs(usual_s) < _WORST_AGE_S else 0.0
+
     def describe_missing(self, now_ns: int, timeout_s: Callable[[InputTopic], float]) -> str:
-        """Return which required inputs do not arrive and for how long, '' if all do; timeouts in [s]."""
-        late = (item for item in self.by_topic.values() if item.is_missing(now_ns, timeout_s(item.topic)))
-        return ', '.join(
-            f'no {item.topic.name} {f"for {item.missing_for_s(now_ns):.1f} s" if item.count else "yet"}'
-            for item in late
-        )
+        """Return which required inputs are missing or unusable, and since when, '' if none is; timeouts in [s]."""
+        found = (self._describe(item, now_ns, timeout_s(item.topic)) for item in self.by_topic.values())
+        return ', '.join(text for text in found if text)
+
+    def _describe(self, item: InputMonitor, now_ns: int, timeout_s: float) -> str:
+        name = item.topic.name
+        if item.is_missing(now_ns, timeout_s):
+            return f'no {name} {f"for {item.missing_for_s(now_ns):.1f} s" if item.count else "yet"}'
+        if not item.optional and (refusal := item.refusal(now_ns)) is not None:
+            return f'{name}: {refusal.text}'
+        skew_s = self.skew_s(item.topic, now_ns)
+        return f'{name}: {_apart(skew_s)} those of the other inputs' if skew_s else ''
+
+
+def _apart(delay_s: float) -> str:
+    """Return where stamps are that are behind by a time [s]."""
+    return f'stamps are {delay_s:.1f} s behind' if delay_s > 0.0 else f'stamps are {-delay_s:.1f} s ahead of'
 
 
 def _names(names: Sequence[str]) -> str:

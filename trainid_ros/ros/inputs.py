@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import time
 from bisect import bisect_left
+from collections import deque
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from trainid_ros.estimators.pipeline import share_streams
@@ -27,14 +28,47 @@ if TYPE_CHECKING:
     from trainid_ros.stream.sample_stream import SampleStream, StreamEvent
 
 _MAX_IDLE_ROUNDS: Final = 3
+_NUMBERS_KEPT: Final = 20
 
 
 class _Arrival(NamedTuple):
-    """A message taken from a queue, with the time at which the middleware received it [ns]."""
+    """A message taken from a queue.
+
+    Attributes:
+        received_ns: When the middleware received it, or when it was sent if that is not known [ns].
+        number: The count of its publisher, None if the middleware does not tell.
+        topic: The topic.
+        message: The message.
+
+    """
 
     received_ns: int
+    number: int | None
     topic: InputTopic
     message: Any
+
+
+def _arrival(topic: InputTopic, message: Any, info: Any) -> _Arrival:
+    received_ns = int(info['received_timestamp'] or info['source_timestamp'])
+    return _Arrival(received_ns, info['publication_sequence_number'], topic, message)
+
+
+class _Numbers:
+    """The counts of the publishers of a topic: one that was started again counts from one, two alternate."""
+
+    def __init__(self) -> None:
+        self._last = 0
+        self._steps_back: deque[bool] = deque(maxlen=_NUMBERS_KEPT)
+
+    def see(self, number: int | None) -> None:
+        if number is not None:
+            self._steps_back.append(number <= self._last)
+            self._last = number
+
+    @property
+    def alternate(self) -> bool:
+        """False if the last messages certainly came from one publisher at a time."""
+        return not self._steps_back or sum(self._steps_back) > 1
 
 
 class InputSubscriptions:
@@ -53,11 +87,12 @@ class InputSubscriptions:
     def __init__(self, node: Node, deliver: Callable[[InputTopic, Any], None]) -> None:
         self._node = node
         self._deliver = deliver
+        self._numbers = {topic: _Numbers() for topic in INPUT_TOPICS}
         self._subscriptions = {topic: self._subscribe(topic) for topic in INPUT_TOPICS}
 
     def _subscribe(self, topic: InputTopic) -> Any:
         def receive(message: Any, info: Any) -> None:
-            self.drain(_Arrival(_received_ns(info), topic, message))
+            self.drain(_arrival(topic, message, info))
 
         return self._node.create_subscription(
             message_class(topic),
@@ -87,6 +122,7 @@ class InputSubscriptions:
             if idle_rounds > _MAX_IDLE_ROUNDS:
                 due = len(arrivals)
             for arrival in arrivals[:due]:
+                self._numbers[arrival.topic].see(arrival.number)
                 self._deliver(arrival.topic, arrival.message)
             arrivals = arrivals[due:]
             if not arrivals:
@@ -100,7 +136,7 @@ class InputSubscriptions:
                     taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
                     if taken is None:
                         break
-                    taken_now.append(_Arrival(_received_ns(taken[1]), topic, taken[0]))
+                    taken_now.append(_arrival(topic, *taken))
         return taken_now
 
     def profile(self, topic: InputTopic) -> QoSProfile:
@@ -108,16 +144,15 @@ class InputSubscriptions:
         profile: QoSProfile = self._subscriptions[topic].qos_profile
         return profile
 
+    def may_mix(self, topic: InputTopic) -> bool:
+        """Return False if the last messages of a topic certainly came from one publisher at a time."""
+        return self._numbers[topic].alternate
+
     def close(self) -> None:
         """Destroy the subscriptions."""
         for subscription in self._subscriptions.values():
             self._node.destroy_subscription(subscription)
         self._subscriptions = {}
-
-
-def _received_ns(info: Any) -> int:
-    """Return the arrival time [ns], or the send time if the middleware does not report arrivals."""
-    return int(info['received_timestamp'] or info['source_timestamp'])
 
 
 class InputGroup:
@@ -157,6 +192,10 @@ class InputGroup:
     def profile(self, topic: InputTopic) -> QoSProfile:
         """Return the quality of service with which a topic is subscribed."""
         return self._subscriptions.profile(topic)
+
+    def may_mix(self, topic: InputTopic) -> bool:
+        """Return False if the last messages of a topic certainly came from one publisher at a time."""
+        return self._subscriptions.may_mix(topic)
 
     def receive(self, topic: InputTopic, message: Any) -> None:
         """Take in one message: all estimators step, then all estimates are published, then the rest is done."""

@@ -4,12 +4,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from rclpy.qos import QoSCompatibility, QoSProfile, qos_check_compatible
 
 if TYPE_CHECKING:
     from collections.abc import Iterable
+
+NAMELESS: Final = 'a node without a name'
+"""A publisher that is not of ROS, or whose node is not known yet."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -30,6 +33,15 @@ class Publishers:
         """Number of all publishers."""
         return len(self.heard) + len(self.unheard)
 
+    def at_a_time(self) -> Publishers:
+        """Return the same where messages come from one publisher at a time.
+
+        One that was killed stays in the graph for its lease, up to 20 s: each name counts once. Its successor has no
+        name at first.
+        """
+        names = dict.fromkeys(self.heard)
+        return Publishers(tuple(name for name in names if name != NAMELESS) or tuple(names), self.unheard)
+
 
 def type_name(message: Any) -> str:
     """Return the name of a message class in the graph."""
@@ -40,6 +52,11 @@ def type_name(message: Any) -> str:
 def is_hash(text: str) -> bool:
     """Return whether a text is the hash of a definition; not every middleware tells it."""
     return text.startswith('RIHS')
+
+
+def _node_name(info: Any) -> str:
+    unknown = info.node_name.startswith('_NODE_NAME_UNKNOWN')
+    return NAMELESS if unknown else f'{info.node_namespace.rstrip("/")}/{info.node_name}'
 
 
 def tell_apart(infos: Iterable[Any], wanted: str, definition: str, profile: QoSProfile) -> Publishers:
@@ -55,7 +72,7 @@ def tell_apart(infos: Iterable[Any], wanted: str, definition: str, profile: QoSP
     """
     heard, unheard = [], []
     for info in infos:
-        name = f'{info.node_namespace.rstrip("/")}/{info.node_name}'
+        name = _node_name(info)
         if info.topic_type != wanted:
             unheard.append(f'{name} publishes {info.topic_type} instead of {wanted}')
             continue
