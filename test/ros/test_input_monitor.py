@@ -86,6 +86,14 @@ def test_the_most_important_finding_is_told(
     assert bool(found.action) == (level != DiagnosticStatus.OK)
 
 
+def test_a_publisher_that_is_not_heard_is_named_as_soon_as_no_message_comes() -> None:
+    monitor = fed()
+    monitor.publishers = Publishers(('/killed',), (WRONG,))
+    assert monitor.judge(START_NS, 0.8).action == 'correct or stop this publisher'
+    found = monitor.judge(START_NS + 2 * NS_PER_S, 0.8)
+    assert (found.level, found.text) == (DiagnosticStatus.ERROR, WRONG)
+
+
 def test_a_time_that_is_not_known_or_in_the_future_is_left_out() -> None:
     assert Finding(DiagnosticStatus.WARN, 'a', 'b').sentence(START_NS) == 'a: b'
     assert Finding(DiagnosticStatus.WARN, 'a', '', START_NS + 1).sentence(START_NS) == 'a'

@@ -177,12 +177,13 @@ class InputMonitor:
             skew_s: How far its stamps are behind those of the other inputs, 0 if not worth telling [s].
 
         """
-        publishers = self.publishers
-        if publishers.unheard and not (publishers.heard and self.count):
+        publishers, is_missing = self.publishers, self.is_missing(now_ns, max(stale_s, self.longest_s))
+        # A publisher that was killed still counts as heard for a while.
+        if publishers.unheard and (is_missing or not (publishers.heard and self.count)):
             return Finding(DiagnosticStatus.ERROR, '; '.join(publishers.unheard), 'correct this publisher')
         if self.optional and not self.count:
             return Finding(DiagnosticStatus.OK, 'optional, not received; the parameter is used')
-        if self.is_missing(now_ns, max(stale_s, self.longest_s)):
+        if is_missing:
             return self._missing(now_ns)
         if len(publishers.heard) > 1:
             text = f'{len(publishers.heard)} publishers, whose messages mix: {_names(publishers.heard)}'
