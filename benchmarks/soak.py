@@ -201,20 +201,25 @@ def _shared_memory(process: int | str) -> set[Path]:
 
 def measure(seconds: float = 600.0, rate: float = 20.0) -> tuple[Table, ...]:
     """Run the nodes on a machine whose cores are all busy; return the table."""
-    result = soak(seconds, rate, os.cpu_count() or 1)
+    busy = os.cpu_count() or 1
+    result = soak(seconds, rate, busy)
     settled = [reading for reading in result.readings if reading.time_s > _SETTLING_S]
-    first, last = settled[0], settled[-1]
+    first, middle, last = settled[0], settled[len(settled) // 2], settled[-1]
     rows = (
         ('samples sent', str(result.samples)),
         *((f'missed by {topic}', str(result.samples - count)) for topic, count in result.received.items()),
         ('publisher late at the end, s', f'{result.late_s:.2f}'),
         ('memory of the nodes, MB', f'{last.resident_kb / 1024:.1f}'),
-        ('grown, kB', str(last.resident_kb - first.resident_kb)),
+        (
+            'grown in the first and in the second half, kB',
+            f'{middle.resident_kb - first.resident_kb}, {last.resident_kb - middle.resident_kb}',
+        ),
         ('open files, first and last', f'{first.open_files}, {last.open_files}'),
         ('files left in shared memory', str(result.left)),
     )
     note = (
-        f'{seconds:g} s at {rate:g} x real time, all cores kept busy by others; growth counts after {_SETTLING_S:g} s.'
+        f'{seconds:g} s at {rate:g} x real time, all cores kept busy by {busy} other processes, beside the load below; '
+        f'growth counts after {_SETTLING_S:g} s.'
     )
     return (Table('Live nodes under load', ('three nodes in one process', 'value'), rows, note),)
 

@@ -14,14 +14,24 @@ from launch import LaunchDescription
 SWITCH = ('true', 'false', 'True', 'False', '1', '0')
 
 
-def check_rate(context):
-    """Refuse a rate that is not a number before anything has started."""
-    text = LaunchConfiguration('rate').perform(context)
+RATES = (0.01, 1000.0)
+
+
+def check(context):
+    """Refuse what the player would refuse before anything has started; without a player the others would wait."""
+    rate = LaunchConfiguration('rate').perform(context)
     try:
-        float(text)
+        is_valid = RATES[0] <= float(rate) <= RATES[1]
     except ValueError:
-        msg = f'rate:={text} must be a number'
-        raise RuntimeError(msg) from None
+        is_valid = False
+    if not is_valid:
+        msg = f'rate:={rate} must be a number from {RATES[0]:g} to {RATES[1]:g}'
+        raise RuntimeError(msg)
+    for name in ('bag', 'train_file'):
+        path = LaunchConfiguration(name).perform(context)
+        if not Path(path).exists():
+            msg = f'{name}:={path} does not exist'
+            raise RuntimeError(msg)
     return []
 
 
@@ -59,4 +69,4 @@ def generate_launch_description():
         ],
         output='screen',
     )
-    return LaunchDescription([*declared, loop, OpaqueFunction(function=check_rate), estimators, player])
+    return LaunchDescription([*declared, loop, OpaqueFunction(function=check), estimators, player])

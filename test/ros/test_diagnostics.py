@@ -15,9 +15,10 @@ from std_msgs.msg import Float64
 from trainid_msgs.msg import AtoForce, BrakeCommand
 
 from trainid_ros.estimators.consistency import WINDOW
-from trainid_ros.records import ForceRecord, SpeedRecord
+from trainid_ros.records import NS_PER_S, ForceRecord, SpeedRecord
 from trainid_ros.ros.estimator_node import EstimatorNode
 from trainid_ros.ros.estimator_nodes import RESISTANCE
+from trainid_ros.ros.input_monitor import clock_time
 
 Graph: TypeAlias = Any  # the fixture of conftest.py
 BEST_EFFORT = ReliabilityPolicy.BEST_EFFORT
@@ -149,6 +150,39 @@ def test_stopped_simulated_time_is_reported(graph: Graph, train_file: str) -> No
     own = 'resistance_estimator: estimator'
     graph.until(lambda: own in diagnosed.by_name and '/clock has stopped' in diagnosed.by_name[own].message)
     assert diagnosed.by_name[own].level == DiagnosticStatus.WARN
+
+
+@pytest.mark.ros
+def test_each_problem_is_told_with_its_own_begin_and_what_to_do(graph: Graph, train_file: str) -> None:
+    diagnosed = Diagnosed(graph)
+    node = graph.make(
+        partial(EstimatorNode, RESISTANCE), train_file=train_file, use_sim_time=True, diagnostic_period=60.0
+    )
+    clock = graph.simulated(node)
+    clock.go(graph.start_ns)
+    node.bring_up()
+    own = 'resistance_estimator: estimator'
+
+    def message_at(seconds: int) -> str:
+        clock.go(graph.start_ns + seconds * NS_PER_S)
+        diagnosed.by_name.clear()
+        node._diagnostics.publish()
+        graph.until(lambda: own in diagnosed.by_name)
+        return str(diagnosed.by_name[own].message)
+
+    begins = [clock_time(graph.start_ns + seconds * NS_PER_S) for seconds in (100, 200)]
+    status = message_at(90)
+    node.checkpoints.problem = 'disk is full'
+    unsaved = f'not saved: disk is full, since {begins[0]}: make room on the disk, or correct checkpoint_file; '
+    assert message_at(100) == unsaved + status
+    for k in range(2 * WINDOW):
+        node.pipeline._consistency.see(3.0 * (-1.0) ** k, 1.0 + 1e-9 * k, used=True)
+    message_at(200)
+    message = message_at(300)
+    assert message.startswith('errors exceed the stated uncertainty: optimistic')
+    assert message.endswith(f', since {begins[1]}: compare train file and inputs with the train; {unsaved}{status}')
+    node.checkpoints.problem = ''
+    assert 'not saved' not in message_at(301)
 
 
 @pytest.mark.ros

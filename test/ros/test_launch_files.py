@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import re
 import runpy
 import sys
 from pathlib import Path
@@ -10,6 +11,8 @@ from types import ModuleType
 from typing import Any
 
 import pytest
+
+from trainid_ros.ros.playback import playback_parameters
 
 ROOT = Path(__file__).parents[2]
 PLACES = {
@@ -73,14 +76,31 @@ def test_switches_are_restricted_to_what_is_understood(described: Any, name: str
             assert set(part.named['choices']) == {'true', 'false', 'True', 'False', '1', '0'}
 
 
-def test_a_rate_that_is_no_number_is_named_before_anything_starts(described: Any) -> None:
+@pytest.mark.parametrize(
+    ('given', 'reason'),
+    [
+        *(({'rate': text}, f'rate:={text} must be a number from 0.01 to 1000') for text in ('fast', 'nan', '0', '1e9')),
+        ({'bag': 'none'}, 'bag:=none does not exist'),
+        ({'train_file': 'none.yaml'}, 'train_file:=none.yaml does not exist'),
+    ],
+    ids=str,
+)
+def test_a_wrong_argument_is_named_before_anything_starts(described: Any, given: dict[str, str], reason: str) -> None:
     parts = described('replay')
     kinds = [kind for kind, _ in parts]
     check = kinds.index('OpaqueFunction')
     assert not {'IncludeLaunchDescription', 'LifecycleNode'} & set(kinds[:check])
-    with pytest.raises(RuntimeError, match='rate:=fast must be a number'):
-        parts[check][1](values(parts, rate='fast'))
-    assert parts[check][1](values(parts, rate='2.5')) == []
+    bag = ROOT / 'bags' / 'tiny'
+    right = {'bag': str(bag), 'train_file': str(bag / 'train.yaml'), 'rate': '2.5'}
+    assert parts[check][1](values(parts, **right)) == []
+    with pytest.raises(RuntimeError, match=re.escape(reason)):
+        parts[check][1](values(parts, **(right | given)))
+
+
+@pytest.mark.usefixtures('described')
+def test_the_rates_are_those_of_the_player() -> None:
+    (rate,) = (spec for spec in playback_parameters(live=False) if spec.name == 'rate')
+    assert runpy.run_path(str(ROOT / 'launch' / 'replay.launch.py'))['RATES'] == (rate.low, rate.high)
 
 
 @pytest.mark.parametrize(('text', 'expected'), [('true', True), ('True', True), ('1', True), ('0', False)])

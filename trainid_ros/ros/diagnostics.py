@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from enum import Enum
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
@@ -18,7 +19,7 @@ from trainid_ros.results import Reason, Status
 from trainid_ros.ros.input_monitor import Finding
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Mapping
 
     from trainid_ros.estimators.pipeline import EstimatorPipeline
     from trainid_ros.results import Output
@@ -103,6 +104,16 @@ class EstimatorSpec:
     details: Callable[[Any, Any], Iterable[tuple[str, str]]] = _no_details
 
 
+class Problem(Enum):
+    """What may be wrong with a configured estimator beside its status."""
+
+    CONTRADICTION = 'contradiction'
+    CLOCK = 'clock'
+    REJECTED = 'rejected'
+    ERRORS = 'errors'
+    UNSAVED = 'unsaved'
+
+
 @dataclass(frozen=True, slots=True)
 class NodeHealth:
     """State of the node apart from its estimator.
@@ -117,6 +128,7 @@ class NodeHealth:
         missing: Which inputs are missing, '' if none is.
         fault: Why the estimator cannot continue, '' if it can.
         unsaved: Why its state cannot be saved, '' if it can.
+        began: When each present problem began [ns].
 
     """
 
@@ -129,6 +141,7 @@ class NodeHealth:
     missing: str = ''
     fault: str = ''
     unsaved: str = ''
+    began: Mapping[Problem, int] = field(default_factory=dict)
 
 
 def idle_status(health: NodeHealth) -> Any:
@@ -139,42 +152,48 @@ def idle_status(health: NodeHealth) -> Any:
     return _status(f'{health.name}: estimator', level, message, (('state', health.state),))
 
 
-def _rejected(output: Output[Any]) -> tuple[str, str] | None:
+def unusable(output: Output[Any]) -> tuple[str, str] | None:
     """Return why the newest sample was rejected and what to do, None if it was not, or if that is in order."""
     rejection = output.last_rejection
-    if rejection is None or rejection.stamp_ns != output.stamp_ns:
+    if output.status in {Status.STALE, Status.FAULT} or rejection is None or rejection.stamp_ns != output.stamp_ns:
         return None
     return _REJECTED.get(rejection.reason)
 
 
-def _judge(health: NodeHealth, pipeline: EstimatorPipeline[Any], output: Output[Any], value: str) -> Finding:
-    """Return what is the case with a configured estimator; ``value`` is the most important one of its output."""
+def _problems(health: NodeHealth, pipeline: EstimatorPipeline[Any], output: Output[Any]) -> Iterable[Finding]:
+    """Yield what is wrong beside the status of the estimate, the worst first."""
+    warn = DiagnosticStatus.WARN
+    rejected, to_do = unusable(output) or ('', '')
+    problems = {
+        Problem.CONTRADICTION: Finding(
+            DiagnosticStatus.ERROR,
+            f'inputs contradict each other: {pipeline.stream.finding}',
+            'check units, signs, stamps and publishers of the inputs, and the train file; nothing is learned meanwhile',
+        ),
+        Problem.CLOCK: Finding(warn, health.clock_problem),
+        Problem.REJECTED: Finding(warn, f'samples are rejected: {rejected}', to_do),
+        Problem.ERRORS: Finding(
+            warn,
+            f'errors exceed the stated uncertainty: {pipeline.consistency}',
+            'compare train file and inputs with the train',
+        ),
+        Problem.UNSAVED: Finding(
+            warn, f'not saved: {health.unsaved}', 'make room on the disk, or correct checkpoint_file'
+        ),
+    }
+    for problem, finding in problems.items():
+        if problem in health.began:
+            yield replace(finding, since_ns=health.began[problem])
+
+
+def _judge(health: NodeHealth, output: Output[Any], value: str) -> Finding:
+    """Return what is the case with the estimate; ``value`` is the most important one of it."""
     status = output.status
     reason = {Status.STALE: health.missing, Status.FAULT: health.fault}.get(status, '')
     text = f'{status.name}: {_MEANINGS[status]}{f" ({reason})" if reason else ""}; {value}'
-    level, action = _LEVELS[status], _ACTIONS.get(status, '')
     if health.state != 'active':
-        level, text, action = DiagnosticStatus.WARN, f'{health.state}, inputs are ignored; last {text}', 'activate it'
-    if (rejected := _rejected(output)) and not reason:
-        why, action = rejected
-        level, text = max(level, DiagnosticStatus.WARN), f'samples are rejected: {why}; {text}'
-    if pipeline.stream.finding:
-        level, text = DiagnosticStatus.ERROR, f'inputs contradict each other: {pipeline.stream.finding}; {text}'
-        action = (
-            'check units, signs, stamps and publishers of the inputs, and the train file; nothing is learned meanwhile'
-        )
-    if health.clock_problem:
-        level, text = max(level, DiagnosticStatus.WARN), f'{health.clock_problem}; {text}'
-    if health.unsaved:
-        level, text = max(level, DiagnosticStatus.WARN), f'not saved: {health.unsaved}; {text}'
-        action = action or 'make room on the disk, or correct checkpoint_file'
-    if pipeline.consistency.is_alarm:
-        level, text = (
-            max(level, DiagnosticStatus.WARN),
-            f'errors exceed the stated uncertainty: {pipeline.consistency}; {text}',
-        )
-        action = action or 'compare train file and inputs with the train'
-    return Finding(level, text, action, health.since_ns)
+        return Finding(DiagnosticStatus.WARN, f'{health.state}, inputs are ignored; last {text}', 'activate it')
+    return Finding(_LEVELS[status], text, _ACTIONS.get(status, ''), health.since_ns)
 
 
 def estimator_status(
@@ -188,9 +207,8 @@ def estimator_status(
     """Return the status of a configured estimator."""
     output = pipeline.current()
     first, consistency = shown[0], pipeline.consistency
-    finding = _judge(
-        health, pipeline, output, f'{first.name} {getattr(output.estimate, first.name):.4g} {first.unit}'.rstrip()
-    )
+    value = f'{first.name} {getattr(output.estimate, first.name):.4g} {first.unit}'.rstrip()
+    findings = [*_problems(health, pipeline, output), _judge(health, output, value)]
     rejection = output.last_rejection
     values: list[tuple[str, object]] = [
         ('state', health.state),
@@ -209,7 +227,8 @@ def estimator_status(
         ('overruns', steps.overruns),
         ('resets', pipeline.resets),
     ]
-    return _status(f'{health.name}: estimator', finding.level, finding.sentence(health.now_ns), values)
+    message = '; '.join(finding.sentence(health.now_ns) for finding in findings)
+    return _status(f'{health.name}: estimator', max(finding.level for finding in findings), message, values)
 
 
 def _compared(shown: tuple[ShownValue, ...], prior: Any, live: Any) -> Iterable[tuple[str, object]]:

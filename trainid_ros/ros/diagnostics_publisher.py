@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
 from trainid_ros.records import InputTopic
-from trainid_ros.ros.diagnostics import NodeHealth, estimator_status, idle_status, input_status
+from trainid_ros.ros.diagnostics import NodeHealth, Problem, estimator_status, idle_status, input_status, unusable
 from trainid_ros.ros.input_monitor import Finding, InputMonitor
 from trainid_ros.ros.publishers import is_hash, tell_apart, type_name
 from trainid_ros.ros.topics import NO_PUBLISHER_EVENTS, diagnostics_qos, message_class, time_message
@@ -27,22 +27,26 @@ class DiagnosticsPublisher:
         )
         self._now_ns = 0
         self._known: dict[InputTopic, Finding] = {}
+        self._began: dict[Problem, int] = {}
         self._definitions: dict[InputTopic, str] = {}
 
     def publish(self) -> None:
         """Publish everything; called once per diagnostic period."""
         node = self._node
         now_ns = node.now_ns()
+        clock_problem = self._clock_problem(now_ns)
+        self._note_problems(now_ns, clock_problem)
         health = NodeHealth(
             name=node.get_fully_qualified_name().strip('/'),
             state=node.state,
             failure=node.failure,
             now_ns=now_ns,
-            clock_problem=self._clock_problem(now_ns),
+            clock_problem=clock_problem,
             since_ns=node.news.since_ns,
             missing=node.missing_inputs(),
             fault=node.fault,
             unsaved=node.checkpoints.problem,
+            began=self._began,
         )
         array = DiagnosticArray()
         array.header.stamp = time_message(now_ns)
@@ -58,6 +62,18 @@ class DiagnosticsPublisher:
                 topic = node.resolve_topic_name(monitor.topic.name)
                 array.status.append(input_status(health, monitor, topic, self._judge(monitor, topic, now_ns)))
         self._publisher.publish(array)
+
+    def _note_problems(self, now_ns: int, clock_problem: str) -> None:
+        """Note when each present problem began."""
+        pipeline = self._node.pipeline
+        present = {Problem.CLOCK: clock_problem, Problem.UNSAVED: self._node.checkpoints.problem}
+        if pipeline is not None:
+            present |= {
+                Problem.CONTRADICTION: pipeline.stream.finding,
+                Problem.REJECTED: unusable(pipeline.current()),
+                Problem.ERRORS: pipeline.consistency.is_alarm,
+            }
+        self._began = {problem: self._began.get(problem, now_ns) for problem, holds in present.items() if holds}
 
     def _judge(self, monitor: InputMonitor, topic: str, now_ns: int) -> Finding:
         """Return what is the case with an input, since when, after a look at the graph."""
