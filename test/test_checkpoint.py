@@ -294,7 +294,7 @@ def test_the_newest_refused_files_are_kept(tmp_path: Path) -> None:
         assert kept == replace(SAVED, saved_ns=k)
 
 
-def test_a_refused_file_that_cannot_be_renamed_is_not_overwritten(
+def test_a_refused_file_that_cannot_be_renamed_is_not_overwritten_and_renamed_later(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     file = CheckpointFile(written(tmp_path))
@@ -305,9 +305,12 @@ def test_a_refused_file_that_cannot_be_renamed_is_not_overwritten(
     with monkeypatch.context() as patch:
         patch.setattr(Path, 'rename', fail)
         assert file.set_aside() == tmp_path / 'state.json'
-    with pytest.raises(InputError, match=r'state.json: was refused and cannot be renamed: Read-only file system'):
-        file.write(replace(SAVED, saved_ns=13))
+        with pytest.raises(InputError, match=r'state.json: was refused and cannot be renamed: Read-only file system'):
+            file.write(replace(SAVED, saved_ns=13))
     assert CheckpointFile(tmp_path / 'state.json').read(LEARNED) == SAVED
+    file.write(replace(SAVED, saved_ns=13))  # the folder can be written again
+    assert names(tmp_path) == ['state.json', 'state.refused-1.json']
+    assert CheckpointFile(tmp_path / 'state.refused-1.json').read(LEARNED) == SAVED
 
 
 @pytest.mark.parametrize('exists', [True, False])

@@ -201,7 +201,7 @@ class CheckpointFile:
             raise InputError(msg)
         _remove_parts(self.path)
         self._seen = self._identity()
-        self._obstacle = 'was written by another process: each node needs a checkpoint file of its own'
+        self._unmoved = ''
         try:
             self._content()
         except ForeignFileError:
@@ -252,9 +252,12 @@ class CheckpointFile:
             InputError: It cannot be written, or somebody else has written it.
 
         """
+        if self._unmoved:
+            self.set_aside()
         found = self._identity()
         if found is not None and found != self._seen:
-            msg = f'{self.path}: {self._obstacle}'
+            reason = self._unmoved or 'was written by another process: each node needs a checkpoint file of its own'
+            msg = f'{self.path}: {reason}'
             raise InputError(msg)
         try:
             self.path.parent.mkdir(parents=True, exist_ok=True)
@@ -275,8 +278,9 @@ class CheckpointFile:
             self.path.rename(aside)
         except OSError as error:
             self._seen = None  # so that it is not overwritten either
-            self._obstacle = f'was refused and cannot be renamed: {error.strerror or error}'
+            self._unmoved = f'was refused and cannot be renamed: {error.strerror or error}'
             return self.path
+        self._unmoved = ''
         for number in sorted(numbers)[: 1 - _MOST_REFUSED]:
             with suppress(OSError):
                 self._aside(number).unlink()
