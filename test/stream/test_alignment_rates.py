@@ -13,12 +13,12 @@ import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
+from test.stream.alignment.events import START, at
 from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
 from trainid_ros.results import Reason, Rejection
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig, AlignmentEvent
 from trainid_ros.stream.samples import Sample
 
-START = 1_700_000_000 * NS_PER_S
 CONFIG = AlignmentConfig()
 # All intervals are longer, so the limits are those of the settings at any rate.
 FIXED = AlignmentConfig(max_interval=0.02)
@@ -28,10 +28,6 @@ LEARNED_S = 20.0
 """From this time on the rates are known, including changed ones [s]."""
 SEEDS = settings(max_examples=40, deadline=None, phases=(Phase.explicit, Phase.reuse, Phase.generate))
 Rates = tuple[float, float, float, float]
-
-
-def at(seconds: float) -> int:
-    return START + round(seconds * NS_PER_S)
 
 
 def seconds_of(stamp_ns: int) -> float:

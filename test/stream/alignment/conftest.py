@@ -5,11 +5,12 @@ from __future__ import annotations
 
 from collections import Counter
 from dataclasses import replace
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import pytest
 
+from test.stream.alignment.events import START, at, of
 from trainid_ros.records import (
     NS_PER_S,
     BrakeRecord,
@@ -20,20 +21,10 @@ from trainid_ros.records import (
     SpeedRecord,
 )
 from trainid_ros.results import Reason, Rejection
-from trainid_ros.stream.alignment import Aligner, AlignmentConfig, AlignmentEvent, TimeJump
+from trainid_ros.stream.alignment import Aligner, AlignmentConfig, AlignmentEvent
 from trainid_ros.stream.samples import Sample
 
-START = 1_700_000_000 * NS_PER_S
 CONFIG = AlignmentConfig()
-Event = TypeVar('Event', Sample, Rejection, TimeJump)
-
-
-def at(seconds: float) -> int:
-    return START + round(seconds * NS_PER_S)
-
-
-def of(kind: type[Event], events: list[AlignmentEvent]) -> list[Event]:
-    return [event for event in events if isinstance(event, kind)]
 
 
 def drive(seconds: float, *, start_s: float = 0.0, rate: float = 5.0) -> list[Record]:

@@ -10,6 +10,7 @@ from typing import Any, TypeAlias
 
 import pytest
 
+from test.stream.alignment.events import START, at
 from trainid_ros.records import BRAKE, NS_PER_S, BrakeRecord, ForceRecord, Record, SpeedRecord
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig
 from trainid_ros.stream.sample_stream import SampleStream, StreamConfig
@@ -18,15 +19,10 @@ from trainid_ros.train.train_file import TrainFile
 
 Drive: TypeAlias = Callable[..., list[Record]]
 Run: TypeAlias = Callable[..., Any]
-START = 1_700_000_000 * NS_PER_S
 HOLD_S = 20.0
 PERIODIC = AlignmentConfig()
 ON_CHANGE = AlignmentConfig(command_hold=HOLD_S)
 STALE_NS = 8 * NS_PER_S // 10
-
-
-def at(seconds: float) -> int:
-    return START + round(seconds * NS_PER_S)
 
 
 def braking(drive: Drive, seconds: float = 12.0) -> list[Record]:

@@ -7,13 +7,14 @@ import math
 import tracemalloc
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import Phase, given, settings
 from hypothesis import strategies as st
 
+from test.stream.alignment.events import START, at, of
 from trainid_ros.records import (
     NS_PER_S,
     BrakeRecord,
@@ -24,23 +25,13 @@ from trainid_ros.records import (
     SpeedRecord,
 )
 from trainid_ros.results import Reason, Rejection
-from trainid_ros.stream.alignment import Aligner, AlignmentConfig, AlignmentEvent, TimeJump
+from trainid_ros.stream.alignment import Aligner, AlignmentConfig, TimeJump
 from trainid_ros.stream.samples import Sample
 
-START = 1_700_000_000 * NS_PER_S
 PERIOD = NS_PER_S // 5
 CONFIG = AlignmentConfig()
 # Examples are seeds: a smaller seed is not a simpler example, so shrinking is useless.
 SEEDS = settings(max_examples=50, deadline=None, phases=(Phase.explicit, Phase.reuse, Phase.generate))
-Event = TypeVar('Event', Sample, Rejection, TimeJump)
-
-
-def at(seconds: float) -> int:
-    return START + round(seconds * NS_PER_S)
-
-
-def of(kind: type[Event], events: list[AlignmentEvent]) -> list[Event]:
-    return [event for event in events if isinstance(event, kind)]
 
 
 def lost(records: list[Record], rng: np.random.Generator) -> set[int]:

@@ -6,13 +6,14 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from itertools import pairwise
-from typing import Any, TypeVar
+from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from test.stream.alignment.events import START, at, of
 from trainid_ros.records import (
     NS_PER_S,
     BrakeRecord,
@@ -22,21 +23,11 @@ from trainid_ros.records import (
     Record,
     SpeedRecord,
 )
-from trainid_ros.results import Reason, Rejection
-from trainid_ros.stream.alignment import Aligner, AlignmentConfig, AlignmentEvent, TimeJump
+from trainid_ros.results import Reason
+from trainid_ros.stream.alignment import Aligner, AlignmentConfig
 from trainid_ros.stream.samples import BrakeCommandChange, Sample
 
-START = 1_700_000_000 * NS_PER_S
 CONFIG = AlignmentConfig()
-Event = TypeVar('Event', Sample, Rejection, TimeJump)
-
-
-def at(seconds: float) -> int:
-    return START + round(seconds * NS_PER_S)
-
-
-def of(kind: type[Event], events: list[AlignmentEvent]) -> list[Event]:
-    return [event for event in events if isinstance(event, kind)]
 
 
 def without(kind: type[Record], records: list[Record], low_s: float, high_s: float) -> list[Record]:
