@@ -228,7 +228,10 @@ def estimator_status(
         ('resets', pipeline.resets),
     ]
     message = '; '.join(finding.sentence(health.now_ns) for finding in findings)
-    return _status(f'{health.name}: estimator', max(finding.level for finding in findings), message, values)
+    levels = [finding.level for finding in findings]
+    # An error comes before STALE, whose number is higher.
+    level = DiagnosticStatus.ERROR if DiagnosticStatus.ERROR in levels else max(levels)
+    return _status(f'{health.name}: estimator', level, message, values)
 
 
 def _compared(shown: tuple[ShownValue, ...], prior: Any, live: Any) -> Iterable[tuple[str, object]]:

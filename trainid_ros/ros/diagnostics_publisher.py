@@ -66,7 +66,10 @@ class DiagnosticsPublisher:
     def _note_problems(self, now_ns: int, clock_problem: str) -> None:
         """Note when each present problem began."""
         pipeline = self._node.pipeline
-        present = {Problem.CLOCK: clock_problem, Problem.UNSAVED: self._node.checkpoints.problem}
+        present: dict[Problem, object] = {
+            Problem.CLOCK: clock_problem,
+            Problem.UNSAVED: self._node.checkpoints.problem,
+        }
         if pipeline is not None:
             present |= {
                 Problem.CONTRADICTION: pipeline.stream.finding,
