@@ -3,8 +3,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import math
+from collections.abc import Callable, Iterable
 from dataclasses import replace
+from itertools import pairwise
 from typing import Any
 
 import pytest
@@ -19,8 +21,10 @@ from trainid_ros.estimators.pipeline import (
 )
 from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
 from trainid_ros.results import Reason, Status
+from trainid_ros.state import decode, encode
 from trainid_ros.stream.sample_stream import SampleStream, StreamConfig
 from trainid_ros.stream.samples import Sample
+from trainid_ros.stream.stream_state import StreamState
 from trainid_ros.train.train_file import TrainFile
 
 Change = Callable[[Record], Record]
@@ -53,6 +57,34 @@ def gradient(offset: float) -> Change:
 def late(kind: type[Record], seconds: float) -> Change:
     shift_ns = round(seconds * NS_PER_S)
     return lambda record: replace(record, stamp_ns=record.stamp_ns + shift_ns) if isinstance(record, kind) else record
+
+
+def between(change: Change, begin_s: float, end_s: float, start_ns: int) -> Change:
+    """Return a change of the records between two times since the start [s]."""
+
+    def changed(record: Record) -> Record:
+        inside = begin_s <= (record.stamp_ns - start_ns) / NS_PER_S < end_s
+        return change(record) if inside else record
+
+    return changed
+
+
+def departures(day: tuple[Record, ...]) -> list[int]:
+    """Return the stamps at which the train has reached 3 m/s after each stop [ns]."""
+    speeds = [record for record in day if isinstance(record, SpeedRecord)]
+    return [after.stamp_ns for before, after in pairwise(speeds) if before.speed < 3.0 <= after.speed]
+
+
+def followed(stream: SampleStream, records: Iterable[Record]) -> list[tuple[int, float, bool, str, bool]]:
+    """Return stamp [ns], motion so far [s], whether trusted, the finding and whether rejected, of each sample."""
+    seen: list[tuple[int, float, bool, str, bool]] = []
+    moved_s = 0.0
+    for record in sorted(records, key=lambda item: item.stamp_ns):
+        for event in stream.push(record):
+            if isinstance(event, Sample):
+                moved_s += 0.2 * (event.speed >= 1.0)
+                seen.append((event.stamp_ns, moved_s, stream.is_trusted, stream.finding, event.rejection is not None))
+    return seen
 
 
 def findings(stream: SampleStream, records: list[Record]) -> list[tuple[float, str]]:
@@ -180,3 +212,98 @@ def test_a_contradiction_ends_when_the_inputs_agree_again(metro: TrainFile, day:
     findings(stream, list(day[half:]))
     assert stream.finding == ''
     assert stream.last_finding
+
+
+def test_short_slip_at_each_departure_is_rejected_and_names_nothing(metro: TrainFile, day: tuple[Record, ...]) -> None:
+    starts, slip_s = departures(day), 2.0
+    records: list[Record] = []
+    for record in day:
+        since = min((t for start in starts if (t := (record.stamp_ns - start) / NS_PER_S) >= 0.0), default=math.inf)
+        slip = 4.0 * math.sin(math.pi * since / slip_s) if since < slip_s else 0.0
+        records.append(replace(record, speed=record.speed + slip) if isinstance(record, SpeedRecord) else record)
+    stream = SampleStream(StreamConfig(metro))
+    seen = followed(stream, records)
+    assert sum(rejected for *_, rejected in seen) >= 3 * len(starts)
+    assert stream.last_finding == ''
+
+
+@pytest.mark.parametrize(
+    ('change', 'seconds'),
+    [(speed(3.6), 20.0), (force(-1.0), 15.0), (force(1e-3), 15.0), (command(lambda _: -0.7), 10.0)],
+)
+def test_trust_is_back_soon_after_a_short_fault_and_never_before_its_end(
+    metro: TrainFile, day: tuple[Record, ...], change: Change, seconds: float
+) -> None:
+    begin_ns = departures(day)[0] + 60 * NS_PER_S
+    end_ns = begin_ns + round(seconds * NS_PER_S)
+    changed = between(change, 0.0, seconds, begin_ns)
+    seen = followed(SampleStream(StreamConfig(metro)), [changed(record) for record in day])
+    ended_s = next(moved_s for stamp_ns, moved_s, *_ in seen if stamp_ns > end_ns)
+    assert not any(trusted for stamp_ns, _, trusted, *_ in seen if begin_ns + 7 * NS_PER_S < stamp_ns < end_ns)
+    assert any(finding for _, _, _, finding, _ in seen)
+    back_s = next(moved_s for stamp_ns, moved_s, trusted, *_ in seen if stamp_ns > end_ns and trusted)
+    assert back_s - ended_s < 90.0
+
+
+@pytest.mark.parametrize(
+    ('change', 'within_s'), [(force(1.2), 6.0), (force(1e-3), 3.0), (gradient(3.0), 6.0), (speed(1.05), 4.0)]
+)
+def test_trust_is_withheld_soon_after_a_change_on_the_way(
+    metro: TrainFile, day: tuple[Record, ...], change: Change, within_s: float
+) -> None:
+    begin_ns = departures(day)[1] + 8 * NS_PER_S
+    changed = between(change, 0.0, math.inf, begin_ns)
+    seen = followed(SampleStream(StreamConfig(metro)), [changed(record) for record in day])
+    assert all(trusted for stamp_ns, moved_s, trusted, *_ in seen if stamp_ns < begin_ns and moved_s > 20.0)
+    then_ns = begin_ns + round(within_s * NS_PER_S)
+    assert not any(trusted for stamp_ns, _, trusted, *_ in seen if then_ns < stamp_ns < then_ns + 10 * NS_PER_S)
+
+
+def test_a_controller_that_toggles_its_command_is_one_publisher(metro: TrainFile, day: tuple[Record, ...]) -> None:
+    def toggle(record: Record) -> Record:
+        if isinstance(record, BrakeRecord) and record.target_acceleration < 0.0:
+            up = (record.stamp_ns // (NS_PER_S // 4)) % 2
+            return replace(record, target_acceleration=record.target_acceleration - 0.2 + 0.4 * up)
+        return record
+
+    stream = SampleStream(StreamConfig(metro))
+    findings(stream, [toggle(record) for record in day])
+    assert 'two publishers' not in stream.last_finding
+
+
+def alternating(day: tuple[Record, ...], begin_s: float, end_s: float) -> list[Record]:
+    """Return records with a second publisher of the brake command for some time [s]."""
+    records = list(day)
+    for record in day:
+        inside = begin_s <= (record.stamp_ns - day[0].stamp_ns) / NS_PER_S < end_s
+        if inside and isinstance(record, BrakeRecord):
+            other = -0.6 if record.target_acceleration == 0.0 else 0.0
+            records.append(BrakeRecord(record.stamp_ns + NS_PER_S // 10, other, emergency=False))
+    return sorted(records, key=lambda item: item.stamp_ns)
+
+
+def test_a_moment_of_contradiction_costs_its_samples_and_nothing_that_was_learned(
+    metro: TrainFile, day: tuple[Record, ...]
+) -> None:
+    hit, healthy = resistance_pipeline(metro, EstimatorSettings()), resistance_pipeline(metro, EstimatorSettings())
+    for record in alternating(day, 290.0, 291.2):
+        hit.push(record)
+    for record in day:
+        healthy.push(record)
+    assert 0 < hit.rejections[Reason.CONTRADICTION] < 20
+    assert hit.stream.last_finding
+    assert hit.current().estimate.resistance_std < 1.2 * healthy.current().estimate.resistance_std
+
+
+def test_a_restored_stream_knows_the_last_finding_and_rejections_have_numbers(
+    metro: TrainFile, day: tuple[Record, ...]
+) -> None:
+    stream, change = SampleStream(StreamConfig(metro)), between(force(-1.0), 0.0, 150.0, day[0].stamp_ns)
+    events = [event for record in day for event in stream.push(change(record))]
+    rejections = [e.rejection for e in events if isinstance(e, Sample) and e.rejection is not None]
+    assert rejections
+    assert all(math.isfinite(rejection.value) and math.isfinite(rejection.limit) for rejection in rejections)
+    assert stream.finding == ''
+    state = decode(encode(stream.state), StreamState)
+    state.check()
+    assert stream.successor(state).last_finding == stream.last_finding != ''

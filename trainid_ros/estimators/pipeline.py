@@ -204,7 +204,7 @@ class EstimatorPipeline(Generic[EstimateT]):
         self.rejections, self.last_rejection = state.counted(), state.last_rejection
         self._rejected = self.rejections.total()
         self._speed, self._sample_ns, self._status = state.speed, state.sample_ns, state.status
-        self._snapshots, self._contradicted = replace(state.snapshots), self.stream.finding != ''
+        self._snapshots, self._contradicted = replace(state.snapshots), self.stream.is_contradicted
         self._estimate = None
         if age_s > 0.0 and state.samples:
             self.estimator.idle(age_s)
@@ -244,8 +244,8 @@ class EstimatorPipeline(Generic[EstimateT]):
         self._consistency.see(innovation, variance, used=rejection is None)
 
     def _keep_snapshots(self, sample: Sample) -> None:
-        """Go back to a state from before the inputs began to contradict each other, when that is found."""
-        contradicted, snapshots = self.stream.finding != '', self._snapshots
+        """Go back to a state from before the inputs began to contradict each other, once that lasts."""
+        contradicted, snapshots = self.stream.is_contradicted, self._snapshots
         if sample.dt > 0.0 and sample.speed > 0.0:
             snapshots.moved_s += sample.dt
         if contradicted and not self._contradicted:

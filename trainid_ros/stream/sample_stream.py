@@ -21,9 +21,9 @@ from trainid_ros.state import encode
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig, TimeJump
 from trainid_ros.stream.drive_history import DriveHistoryTracker
 from trainid_ros.stream.plausibility import PlausibilityMonitor
-from trainid_ros.stream.samples import Sample
+from trainid_ros.stream.samples import BrakeCommandChange, Sample
 from trainid_ros.stream.sensor_correction import SensorCorrection
-from trainid_ros.stream.stream_state import SkippedSample, StreamState
+from trainid_ros.stream.stream_state import StreamState
 from trainid_ros.stream.stuck_speed import StuckSpeed
 from trainid_ros.train.train_file import TrainFile
 
@@ -31,8 +31,8 @@ StreamEvent: TypeAlias = Sample | Rejection | TimeJump
 
 LARGEST_STEP_S: Final = 3600.0
 """A clock is set back by at most this time [s]; a larger step back is another drive."""
-# Brake commands of more samples than these ago have no effect any more.
-_MOST_SKIPPED: Final = 300
+# A brake has followed a command longer ago than this, whatever its lag [ns].
+_FOLLOWED_NS: Final = 60 * NS_PER_S
 
 
 class TimeJumpPolicy(Enum):
@@ -96,7 +96,9 @@ class SampleStream:
     def _start_over(self) -> None:
         self._stuck = StuckSpeed(self._known)
         self._plausibility = PlausibilityMonitor(self._known)
-        self._skipped: list[SkippedSample] = []
+        # Whether the last sample was rejected, and the brake commands of all such samples since the last accepted one.
+        self._is_skipping = False
+        self._skipped: list[BrakeCommandChange] = []
         self._first_ns = 0
         # How far the last required topic is behind the newest stamp, beyond the correction of the force's stamps [ns].
         self._behind_ns = 0
@@ -124,6 +126,11 @@ class SampleStream:
         return self._plausibility.finding
 
     @property
+    def is_contradicted(self) -> bool:
+        """True once a finding has lasted for some motion: what was learned just before it may be wrong."""
+        return self._plausibility.is_lasting
+
+    @property
     def last_finding(self) -> str:
         """The last contradiction found, empty if there never was one."""
         return self._plausibility.last_finding
@@ -143,6 +150,7 @@ class SampleStream:
             stuck_speed=self._stuck.speed,
             stuck_missing=self._stuck.missing,
             plausibility=self._plausibility.state,
+            is_skipping=self._is_skipping,
             skipped=tuple(self._skipped),
             first_ns=self._first_ns,
             behind_ns=self._behind_ns,
@@ -154,7 +162,7 @@ class SampleStream:
         self._correction.stop_position = state.stop_position
         self._stuck.speed, self._stuck.missing = state.stuck_speed, state.stuck_missing
         self._plausibility.restore(state.plausibility)
-        self._skipped = list(state.skipped)
+        self._is_skipping, self._skipped = state.is_skipping, list(state.skipped)
         self._first_ns, self._behind_ns = state.first_ns, state.behind_ns
 
     @property
@@ -213,16 +221,23 @@ class SampleStream:
         stuck, contradiction = self._stuck.reject(sample), self._plausibility.follow(sample)
         sample.rejection = contradiction if stuck is None else stuck
         if sample.rejection is not None:
-            self._skipped = [*self._skipped, SkippedSample(sample.brake_changes)][-_MOST_SKIPPED:]
-        elif self._skipped:
-            self._follow_skipped(sample)
+            self._skip(sample)
+        elif self._is_skipping:
+            self._resume(sample)
 
-    def _follow_skipped(self, sample: Sample) -> None:
-        """Merge the changes of the skipped samples into the next one, which then follows a gap."""
-        changes = [change for item in self._skipped for change in item.brake_changes]
-        changes.extend(sample.brake_changes)
-        self._skipped = []
-        sample.dt, sample.brake_changes, sample.brake_gap = math.nan, tuple(changes), True
+    def _skip(self, sample: Sample) -> None:
+        """Keep the changes of the brake command in a rejected sample, as long as the last of them may still act."""
+        self._is_skipping = True
+        self._skipped.extend(sample.brake_changes)
+        since_ns = sample.stamp_ns - _FOLLOWED_NS
+        while len(self._skipped) > 1 and self._skipped[1].stamp_ns <= since_ns:
+            del self._skipped[0]
+
+    def _resume(self, sample: Sample) -> None:
+        """Merge the changes of the rejected samples into the next one, which then follows a gap."""
+        changes = (*self._skipped, *sample.brake_changes)
+        self._is_skipping, self._skipped = False, []
+        sample.dt, sample.brake_changes, sample.brake_gap = math.nan, changes, True
 
     def _jump(self, jump: TimeJump) -> None:
         """Follow a jump of the stamps by the policy; the aligner has started over already."""

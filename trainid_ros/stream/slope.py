@@ -7,15 +7,16 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from trainid_ros.stream.input_checks import is_near
-
 # Plausible slopes of traction and brake [1]: loads, brake rates and resistances differ by less.
-_TRACTION_RANGE = (0.55, 1.8)
-_BRAKE_RANGE = (0.35, 2.2)
+TRACTION_RANGE = (0.55, 1.8)
+BRAKE_RANGE = (0.35, 2.2)
 # Errors of map and resistance that do not grow with x [N/kN].
 _OFFSET: Final = 8.0
-# Memory [blocks].
+# Memory [blocks], and while a finding lasts: then what was wrong is soon forgotten when it is mended.
 _MEMORY: Final = 20.0
+_SHORT: Final = 8.0
+# Blocks in a row that are off before they count: slip of the wheels at a departure is shorter.
+_HELD: Final = 8
 # A slope is known when its standard deviation is below this share of it, or of 1, after this many blocks.
 _KNOWN: Final = 0.12
 _MIN_BLOCKS: Final = 6.0
@@ -33,6 +34,9 @@ class Slope:
         xx: Sum of x^2 [(N/kN)^2].
         yx: Sum of y x [(N/kN)^2].
         count: Effective number of blocks.
+        off: Number of blocks in a row that are off.
+        held: Their y and x in turn, while they do not count [N/kN].
+        finding: What is wrong, empty if nothing is.
 
     """
 
@@ -40,10 +44,31 @@ class Slope:
     xx: float = 0.0
     yx: float = 0.0
     count: float = 0.0
+    off: int = 0
+    held: tuple[float, ...] = ()
+    finding: str = ''
+
+    @property
+    def is_valid(self) -> bool:
+        """True if the blocks that are held are a possible number."""
+        return len(self.held) == (2 * self.off if self.off < _HELD else 0) and self.off >= 0
+
+    def take(self, y: float, x: float, limit: float) -> None:
+        """Add the means of one block [N/kN], one with a residual above a limit only with others like it in a row."""
+        if abs(y - x) <= limit:
+            self.off, self.held = 0, ()
+            self.add(y, x)
+            return
+        self.off = min(self.off + 1, _HELD)
+        self.held = (*self.held, y, x)
+        if self.off == _HELD:
+            for k in range(0, len(self.held), 2):
+                self.add(self.held[k], self.held[k + 1])
+            self.held = ()
 
     def add(self, y: float, x: float) -> None:
         """Add the means of one block [N/kN]."""
-        keep = 1.0 - 1.0 / _MEMORY
+        keep = 1.0 - 1.0 / (_SHORT if self.finding else _MEMORY)
         self.yy = keep * self.yy + y * y
         self.xx = keep * self.xx + x * x
         self.yx = keep * self.yx + y * x
@@ -53,6 +78,10 @@ class Slope:
     def value(self) -> float:
         """The slope R [1]; 0 where x is always 0."""
         return self.yx / self.xx if self.xx > 0.0 else 0.0
+
+    def limit(self, limits: tuple[float, float]) -> float:
+        """Return the limit on the side of the slope."""
+        return limits[1] if self.value > 1.0 else limits[0]
 
     @property
     def is_known(self) -> bool:
@@ -68,26 +97,29 @@ class Slope:
             return False
         return self.yx <= _UNRELATED * math.sqrt(self.yy * self.xx)
 
-    def traction_finding(self, before: str, noise: float) -> str:
-        """Return what the slope of traction says, ``before`` if it is not known."""
+    def judge_traction(self, noise: float) -> None:
+        """Judge the slope of traction; ``noise`` is that of y [N/kN]."""
         if self.is_known:
-            return _traction_text(self.value) if self._excess(_TRACTION_RANGE) > _OFFSET else ''
-        if self.is_unrelated(noise):
-            return 'the speed does not follow ato/force: one of them is stuck, late or of another train'
-        return before
+            self.finding = _traction_text(self.value) if self._excess(TRACTION_RANGE) > _OFFSET else ''
+        elif self.is_unrelated(noise):
+            self.finding = 'the speed does not follow ato/force: one of them is stuck, late or of another train'
 
-    def brake_finding(self, before: str, noise: float) -> str:
-        """Return what the slope of the brake says, ``before`` if it is not known."""
+    def judge_brake(self, noise: float) -> None:
+        """Judge the slope of the brake; ``noise`` is that of y [N/kN]."""
         if self.is_known:
-            return _brake_text(self.value) if self._excess(_BRAKE_RANGE) > _OFFSET else ''
-        if self.is_unrelated(noise):
-            return 'the speed does not follow ato/brake_command: one of them is stuck or of another train'
-        return before
+            self.finding = _brake_text(self.value) if self._excess(BRAKE_RANGE) > _OFFSET else ''
+        elif self.is_unrelated(noise):
+            self.finding = 'the speed does not follow ato/brake_command: one of them is stuck or of another train'
 
     def _excess(self, limits: tuple[float, float]) -> float:
         """Return by how much y is outside the limits of the slope, in root mean square [N/kN]."""
         outside = max(limits[0] - self.value, self.value - limits[1], 0.0)
         return outside * math.sqrt(self.xx / self.count)
+
+
+def is_near(ratio: float, factor: float) -> bool:
+    """Return whether a ratio may be this factor, as far as mass, brake and resistance are known."""
+    return 0.7 * factor < ratio < factor / 0.7
 
 
 def _traction_text(slope: float) -> str:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 from trainid_ros.records import INPUT_TOPICS
 from trainid_ros.state import MAX_NUMBER, check_not_negative, check_restored
 from trainid_ros.stream.drive_history import DriveHistoryState
-from trainid_ros.stream.plausibility import PlausibilityState
+from trainid_ros.stream.plausibility_state import PlausibilityState
 from trainid_ros.stream.samples import BrakeCommandChange
 from trainid_ros.stream.travel import Travel
 
@@ -87,13 +87,6 @@ class AlignerState:
 
 
 @dataclass(frozen=True, slots=True)
-class SkippedSample:
-    """What is still needed of a sample that the stream rejected: the changes of the brake command in it."""
-
-    brake_changes: tuple[BrakeCommandChange, ...] = ()
-
-
-@dataclass(frozen=True, slots=True)
 class StreamState:
     """State of a stream.
 
@@ -104,7 +97,8 @@ class StreamState:
         stuck_speed: Speed of the last sample [m/s], NaN before the first.
         stuck_missing: Expected change of speed since it last changed [m/s].
         plausibility: State of the checks of inputs against each other.
-        skipped: Samples that the stream rejected since the last accepted one.
+        is_skipping: Whether the stream rejected the last sample.
+        skipped: Changes of the brake command in the samples that it rejected since the last accepted one.
         first_ns: First stamp since the start or a jump [ns].
         behind_ns: How far the last required topic is behind the newest stamp [ns].
 
@@ -116,7 +110,8 @@ class StreamState:
     stuck_speed: float
     stuck_missing: float
     plausibility: PlausibilityState
-    skipped: tuple[SkippedSample, ...]
+    is_skipping: bool
+    skipped: tuple[BrakeCommandChange, ...]
     first_ns: int
     behind_ns: int
 
@@ -128,15 +123,17 @@ class StreamState:
         stuck = not abs(self.stuck_speed) >= MAX_NUMBER and abs(self.stuck_missing) < MAX_NUMBER
         check_restored(stuck, _KIND, 'stuck_speed')
         check_restored(_is_possible(asdict(self.plausibility)), _KIND, 'plausibility')
-        check_restored(self.plausibility.shift.is_valid, _KIND, 'plausibility.shift')
-        changes = [change for item in self.skipped for change in item.brake_changes]
-        check_restored(all(-MAX_NUMBER < item.target_acceleration <= 0.0 for item in changes), _KIND, 'skipped')
+        check_restored(self.plausibility.is_valid, _KIND, 'plausibility')
+        known = all(-MAX_NUMBER < change.target_acceleration <= 0.0 for change in self.skipped)
+        check_restored(known and (self.is_skipping or not self.skipped), _KIND, 'skipped')
         check_not_negative(_KIND, first_ns=self.first_ns)
 
 
 # Numbers of the checks that may be unknown, and sums that are not negative.
-_UNKNOWN: Final = frozenset({'speed', 'position', 'dt'})
-_SUMS: Final = frozenset({'yy', 'xx', 'count', 'edges', 'jerks', 'square', 'steepness', 'seconds', 'learned', 'limit'})
+_UNKNOWN: Final = frozenset({'speed', 'position', 'dt', 'area', 'answer'})
+_SUMS: Final = frozenset(
+    {'yy', 'xx', 'count', 'edges', 'jerks', 'square', 'steepness', 'seconds', 'learned', 'limit', 'spikes', 'reversals'}
+)
 
 
 def _is_possible(values: Mapping[str, Any]) -> bool:

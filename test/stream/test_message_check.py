@@ -1,0 +1,85 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Two publishers and a controller that toggles; spikes of the force and short cuts of traction."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from trainid_ros.stream.message_check import CommandCheck, SpikeCheck
+from trainid_ros.stream.samples import BrakeCommandChange
+
+PERIOD_S = 0.2
+WIDTH_S = 0.2
+STD = 4.0
+
+
+def toggled(changes_per_s: float, seconds: float = 20.0) -> CommandCheck:
+    """Return the check after a command that toggles between two values."""
+    check, due, count = CommandCheck(), 0.0, 0
+    for k in range(round(seconds / PERIOD_S)):
+        changes = []
+        while due < (k + 1) * PERIOD_S:
+            changes.append(BrakeCommandChange(round(1e9 * due) + 1, -0.6 * (count % 2)))
+            due, count = due + 1.0 / changes_per_s, count + 1
+        check.add(tuple(changes), PERIOD_S)
+    return check
+
+
+@pytest.mark.parametrize('hertz', [1.0, 2.0])
+def test_a_controller_may_toggle_its_command(hertz: float) -> None:
+    assert toggled(2.0 * hertz).finding == ''
+
+
+def test_a_command_that_changes_with_every_message_is_named_until_it_is_quiet() -> None:
+    assert toggled(10.0, 0.8).finding == ''
+    check = toggled(10.0, 1.4)
+    assert 'alternates' in check.finding
+    for _ in range(10):
+        check.add((), PERIOD_S)
+    assert check.finding == ''
+
+
+def test_a_stepped_command_does_not_alternate() -> None:
+    check = CommandCheck()
+    for k in range(50):
+        check.add((BrakeCommandChange(k + 1, -0.2 * (k % 5)),), PERIOD_S)
+    assert check.finding == ''
+
+
+def reported(height: float, answer: float, count: int = 8) -> SpikeCheck:
+    """Return the check after reports that stand out, to a share of which the speed answers [1]."""
+    check = SpikeCheck()
+    for k in range(10 * count):
+        excess = height if k % 10 == 5 else 0.0
+        # A report stands for half of the intervals before and after it.
+        mean = 40.0 + 0.5 * (excess if k % 10 == 5 else height if k % 10 == 6 else 0.0)
+        check.add(40.0 + excess, mean, (40.0 + answer * (mean - 40.0)) * PERIOD_S, STD, PERIOD_S)
+    return check
+
+
+@pytest.mark.parametrize('height', [60.0, -40.0])
+def test_spikes_without_an_answer_are_named_and_cuts_of_traction_are_not(height: float) -> None:
+    assert reported(height, answer=0.0).finding == 'ato/force has spikes'
+    assert reported(height, answer=1.0).finding == ''
+
+
+def test_spikes_that_the_noise_of_the_speed_hides_or_while_a_brake_acts_are_no_evidence() -> None:
+    assert reported(16.0, answer=0.0, count=3).finding == ''
+    assert reported(60.0, answer=math.nan).finding == ''
+
+
+def test_a_missing_force_is_no_spike() -> None:
+    check = SpikeCheck()
+    for k in range(100):
+        check.add(math.nan if k % 10 == 0 else 40.0, 40.0, 8.0, STD, PERIOD_S)
+    assert check.finding == ''
+    assert math.isfinite(check.last)
+
+
+def test_named_spikes_are_over_after_a_while() -> None:
+    check = reported(60.0, answer=0.0)
+    for _ in range(500):
+        check.add(40.0, 40.0, 8.0, STD, PERIOD_S)
+    assert check.finding == ''

@@ -1,0 +1,133 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages that cannot come from one healthy source: a brake command of two publishers, spikes of the force."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+from trainid_ros.stream.samples import BrakeCommandChange
+
+# A large change of the brake command [m/s^2]. Two publishers that disagree change it to and fro with every message, ten
+# times a second; a controller that toggles it by itself does so up to twice a second, a brake could not follow more.
+_REVERSAL: Final = 0.15
+# Most reversals within the memory [s], and the number at which they are over.
+_REVERSALS: Final = 6.0
+_REVERSAL_MEMORY_S: Final = 1.0
+_QUIET: Final = 2.0
+
+
+@dataclass(slots=True)
+class CommandCheck:
+    """Brake command, and whether it alternates.
+
+    Attributes:
+        finding: What is wrong, empty if nothing is.
+        command: Last brake command [m/s^2, <= 0].
+        direction: Sign of its last large change.
+        reversals: Number of large changes to and fro, with forgetting.
+
+    """
+
+    finding: str = ''
+    command: float = 0.0
+    direction: float = 0.0
+    reversals: float = 0.0
+
+    @property
+    def limit(self) -> float:
+        """Most reversals of one publisher, with forgetting."""
+        return _REVERSALS
+
+    def add(self, changes: tuple[BrakeCommandChange, ...], dt: float) -> None:
+        """Add the changes of the brake command in the time since the last sample [s]."""
+        self.reversals *= math.exp(-dt / _REVERSAL_MEMORY_S)
+        for change in changes:
+            step = change.target_acceleration - self.command
+            self.command = change.target_acceleration
+            if abs(step) > _REVERSAL:
+                sign = math.copysign(1.0, step)
+                self.reversals += 1.0 if sign * self.direction < 0.0 else 0.0
+                self.direction = sign
+        if self.reversals > _REVERSALS:
+            self.finding = 'ato/brake_command alternates between values: two publishers?'
+        elif self.reversals < _QUIET:
+            self.finding = ''
+
+
+# A single report of the force stands out by this [N/kN]; its neighbours agree to this share of its height [1].
+_SPIKE: Final = 15.0
+_SPIKE_BASE: Final = 0.3
+# Most spikes within the memory [s], and the number at which they are over.
+_SPIKES: Final = 2.5
+_SPIKE_MEMORY_S: Final = 30.0
+_NO_SPIKES: Final = 1.0
+# Log-likelihood that the speed did not answer to them rather than that it did, as to a short cut of traction: limit of
+# the sum (e^4 = 55 to 1), and most of a single one.
+_EVIDENCE: Final = 4.0
+_MOST_EVIDENCE: Final = 3.0
+
+
+@dataclass(slots=True)
+class SpikeCheck:
+    """Single reports of the force that stand out although the speed does not answer to them.
+
+    Attributes:
+        finding: What is wrong, empty if nothing is.
+        last: Last specific force [N/kN].
+        before: The one before.
+        area: Integral of the force over the last interval [N/kN s].
+        answer: Integral of the force by the change of the speed over it [N/kN s], NaN if that is not known.
+        dt: Its length [s].
+        spikes: Number of spikes, with forgetting.
+        evidence: Log-likelihood of no answer against an answer, with forgetting.
+
+    """
+
+    finding: str = ''
+    last: float = 0.0
+    before: float = 0.0
+    area: float = 0.0
+    answer: float = math.nan
+    dt: float = 0.0
+    spikes: float = 0.0
+    evidence: float = 0.0
+
+    @property
+    def limit(self) -> float:
+        """Most spikes, with forgetting."""
+        return _SPIKES
+
+    def add(self, force: float, mean: float, answer: float, std: float, dt: float) -> None:
+        """Add a sample.
+
+        Args:
+            force: Specific force at its stamp [N/kN], NaN if it is missing.
+            mean: Mean since the last one [N/kN].
+            answer: Integral of the force by the change of the speed since then [N/kN s], NaN if a brake may act.
+            std: Standard deviation of two such integrals [N/kN s].
+            dt: Time since the last sample [s].
+
+        """
+        force = self.last if math.isnan(force) else force
+        keep = math.exp(-dt / _SPIKE_MEMORY_S)
+        self.spikes *= keep
+        self.evidence *= keep
+        rise, fall = self.last - self.before, self.last - force
+        if min(abs(rise), abs(fall)) > _SPIKE and abs(force - self.before) < _SPIKE_BASE * abs(fall):
+            base = 0.5 * (self.before + force) * (self.dt + dt)
+            self._judge(self.area + mean * dt - base, self.answer + answer - base, std)
+        self.before, self.last = self.last, force
+        self.area, self.answer, self.dt = mean * dt, answer, dt
+        if self.spikes > _SPIKES and self.evidence > _EVIDENCE:
+            self.finding = 'ato/force has spikes'
+        elif self.spikes < _NO_SPIKES:
+            self.finding = ''
+
+    def _judge(self, area: float, answer: float, std: float) -> None:
+        """Count a spike by its area and the answer of the speed [N/kN s]: 0, or all of the area, with the same std."""
+        if not math.isnan(area + answer):
+            evidence = area * (0.5 * area - answer) / (std * std)
+            self.spikes += 1.0
+            self.evidence += min(max(evidence, -_MOST_EVIDENCE), _MOST_EVIDENCE)

@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""State of the checks of inputs against each other."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Final
+
+from trainid_ros.estimators.speed_noise import SpeedNoise
+from trainid_ros.stream.balance_check import BalanceCheck
+from trainid_ros.stream.change_check import ChangeCheck
+from trainid_ros.stream.distance_check import DistanceCheck
+from trainid_ros.stream.line_check import LineCheck
+from trainid_ros.stream.message_check import CommandCheck, SpikeCheck
+from trainid_ros.stream.shift_check import ShiftCheck
+from trainid_ros.stream.slope import BRAKE_RANGE, TRACTION_RANGE, Slope
+
+# Noise of the speed at the start [m/s].
+_SPEED_STD: Final = 0.025
+
+NO_BLOCK: Final = 0
+"""Kind of a block: nothing can be compared."""
+RELEASED: Final = 1
+"""No brake acts."""
+BRAKED: Final = 2
+"""The brake has followed its command."""
+
+
+@dataclass(slots=True)
+class Block:
+    """Integrals over the samples of a block, all of which have the brake off, or applied.
+
+    Attributes:
+        kind: Which of them.
+        seconds: Its length [s].
+        answer: Integral of the force by speed, gradient and w(v) [N/kN s].
+        traction: Integral of traction [N/kN s].
+        command: Integral of the brake command [m/s].
+
+    """
+
+    kind: int = NO_BLOCK
+    seconds: float = 0.0
+    answer: float = 0.0
+    traction: float = 0.0
+    command: float = 0.0
+
+    def add(self, dt: float, answer: float, traction: float, command: float) -> None:
+        """Add a sample: its length [s], the integral of the answer, means of traction [N/kN] and command [m/s^2]."""
+        self.seconds += dt
+        self.answer += answer
+        self.traction += dt * traction
+        self.command += dt * command
+
+
+@dataclass(slots=True)
+class PlausibilityState:
+    """State of the monitor.
+
+    Attributes:
+        commands: Check for two publishers of the brake command.
+        spikes: Check for spikes of the force.
+        distance: Check of speed against position.
+        line: Check of the gradient.
+        shift: Check of the times of steps.
+        traction: Slope of traction.
+        brake: Slope of the brake.
+        balance: Check of the residual.
+        change: Check for changes that the balance does not explain.
+        last: The last finding, empty if there never was one.
+        confirmed: True once the slope of traction was plausible.
+        moved_s: Time in motion with known forces [s].
+        found_s: Time in motion under findings since the checks began [s].
+        lasting_s: Time in motion under the present finding [s].
+        retried: True if the checks have begun anew under a finding: they must then hold for some time.
+        noise: Noise of the speed.
+        block: The block that is being filled.
+        held_s: Time since the brake was applied, or released [s].
+        driven: Distance driven [m].
+        stopped: The same at the last stop [m].
+        speed: Last speed [m/s], NaN before the first.
+        position: Last position [m].
+
+    """
+
+    commands: CommandCheck = field(default_factory=CommandCheck)
+    spikes: SpikeCheck = field(default_factory=SpikeCheck)
+    distance: DistanceCheck = field(default_factory=DistanceCheck)
+    line: LineCheck = field(default_factory=LineCheck)
+    shift: ShiftCheck = field(default_factory=ShiftCheck)
+    traction: Slope = field(default_factory=Slope)
+    brake: Slope = field(default_factory=Slope)
+    balance: BalanceCheck = field(default_factory=BalanceCheck)
+    change: ChangeCheck = field(default_factory=ChangeCheck)
+    last: str = ''
+    confirmed: bool = False
+    moved_s: float = 0.0
+    found_s: float = 0.0
+    lasting_s: float = 0.0
+    retried: bool = False
+    noise: SpeedNoise = field(default_factory=lambda: SpeedNoise.declared(_SPEED_STD, robust=True))
+    block: Block = field(default_factory=Block)
+    held_s: float = 0.0
+    driven: float = 0.0
+    stopped: float = 0.0
+    speed: float = math.nan
+    position: float = math.nan
+
+    @property
+    def is_valid(self) -> bool:
+        """True if all collections have a possible length."""
+        slopes = self.traction.is_valid and self.brake.is_valid
+        return self.shift.is_valid and slopes and self.change.is_possible
+
+    @property
+    def finding(self) -> str:
+        """What contradicts what, empty if nothing does."""
+        return (
+            self.commands.finding
+            or self.spikes.finding
+            or self.traction.finding
+            or self.brake.finding
+            or self.distance.finding
+            or self.shift.finding
+            or self.line.finding
+            or self.balance.finding
+        )
+
+    @property
+    def is_suspected(self) -> bool:
+        """True while the last seconds are improbable by those before."""
+        sudden = self.balance.is_sudden or self.change.is_suspected
+        return sudden or self.distance.is_suspected or self.line.is_suspected
+
+    @property
+    def numbers(self) -> tuple[float, float]:
+        """Value of what the finding is about, and its limit."""
+        traction, brake, shift, balance = self.traction, self.brake, self.shift, self.balance
+        for finding, value, limit in (
+            (self.commands.finding, self.commands.reversals, self.commands.limit),
+            (self.spikes.finding, self.spikes.spikes, self.spikes.limit),
+            (traction.finding, traction.value, traction.limit(TRACTION_RANGE)),
+            (brake.finding, brake.value, brake.limit(BRAKE_RANGE)),
+            (self.distance.finding, self.distance.error, self.distance.limit),
+            (shift.finding, shift.delay, 0.0),
+            (self.line.finding, self.line.lately, self.line.limit),
+        ):
+            if finding:
+                return value, limit
+        return balance.mean, balance.mean_limit
