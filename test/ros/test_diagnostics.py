@@ -6,6 +6,7 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 from functools import partial
+from types import SimpleNamespace
 from typing import Any, TypeAlias
 
 import pytest
@@ -16,6 +17,7 @@ from trainid_msgs.msg import AtoForce, BrakeCommand
 
 from trainid_ros.estimators.consistency import WINDOW
 from trainid_ros.records import NS_PER_S, ForceRecord, SpeedRecord
+from trainid_ros.results import Status
 from trainid_ros.ros.estimator_node import EstimatorNode
 from trainid_ros.ros.estimator_nodes import RESISTANCE
 from trainid_ros.ros.input_monitor import clock_time
@@ -152,6 +154,18 @@ def test_stopped_simulated_time_is_reported(graph: Graph, train_file: str) -> No
     assert diagnosed.by_name[own].level == DiagnosticStatus.WARN
 
 
+class Changed:
+    """An object with some of its attributes replaced."""
+
+    def __init__(self, original: Any, **changes: object) -> None:
+        self._original = original
+        self.__dict__.update(changes)
+
+    def __getattr__(self, name: str) -> Any:
+        """Return what was not replaced."""
+        return getattr(self._original, name)
+
+
 @pytest.mark.ros
 def test_each_problem_is_told_with_its_own_begin_and_what_to_do(graph: Graph, train_file: str) -> None:
     diagnosed = Diagnosed(graph)
@@ -163,14 +177,17 @@ def test_each_problem_is_told_with_its_own_begin_and_what_to_do(graph: Graph, tr
     node.bring_up()
     own = 'resistance_estimator: estimator'
 
+    def clock_ns(seconds: int) -> int:
+        return int(graph.start_ns + seconds * NS_PER_S)
+
     def message_at(seconds: int) -> str:
-        clock.go(graph.start_ns + seconds * NS_PER_S)
+        clock.go(clock_ns(seconds))
         diagnosed.by_name.clear()
         node._diagnostics.publish()
         graph.until(lambda: own in diagnosed.by_name)
         return str(diagnosed.by_name[own].message)
 
-    begins = [clock_time(graph.start_ns + seconds * NS_PER_S) for seconds in (100, 200)]
+    begins = [clock_time(clock_ns(seconds)) for seconds in (100, 200)]
     status = message_at(90)
     node.checkpoints.problem = 'disk is full'
     unsaved = f'not saved: disk is full, since {begins[0]}: make room on the disk, or correct checkpoint_file; '
@@ -183,6 +200,13 @@ def test_each_problem_is_told_with_its_own_begin_and_what_to_do(graph: Graph, tr
     assert message.endswith(f', since {begins[1]}: compare train file and inputs with the train; {unsaved}{status}')
     node.checkpoints.problem = ''
     assert 'not saved' not in message_at(301)
+    stale = Changed(node.pipeline.current(), status=Status.STALE)
+    stream = SimpleNamespace(finding='ato/speed looks like km/h')
+    node.pipeline = Changed(node.pipeline, stream=stream, current=lambda: stale)
+    finding = f'inputs contradict each other: ato/speed looks like km/h, since {clock_time(clock_ns(400))}: check units'
+    assert message_at(400).startswith(finding)
+    assert '; STALE: ' in diagnosed.by_name[own].message
+    assert diagnosed.by_name[own].level == DiagnosticStatus.ERROR
 
 
 @pytest.mark.ros

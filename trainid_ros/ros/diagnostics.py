@@ -205,33 +205,39 @@ def estimator_status(
     details: Iterable[tuple[str, str]],
 ) -> Any:
     """Return the status of a configured estimator."""
-    output = pipeline.current()
-    first, consistency = shown[0], pipeline.consistency
+    output, first = pipeline.current(), shown[0]
     value = f'{first.name} {getattr(output.estimate, first.name):.4g} {first.unit}'.rstrip()
     findings = [*_problems(health, pipeline, output), _judge(health, output, value)]
-    rejection = output.last_rejection
-    values: list[tuple[str, object]] = [
-        ('state', health.state),
-        ('status', output.status.name),
-        ('used', output.used),
-        ('rejected', output.rejected),
-        *((f'rejected.{reason.name}', count) for reason, count in sorted(pipeline.rejections.items())),
-        ('last rejection', 'none' if rejection is None else str(rejection)),
-        *_compared(shown, prior, output.estimate),
-        ('consistency', consistency),
-        ('consistency ratio', f'{consistency.ratio:.3f}'),
-        *details,
-        ('step time p50 [ms]', f'{steps.p50 * 1e3:.3f}'),
-        ('step time p99 [ms]', f'{steps.p99 * 1e3:.3f}'),
-        ('step time max [ms]', f'{steps.longest * 1e3:.3f}'),
-        ('overruns', steps.overruns),
-        ('resets', pipeline.resets),
-    ]
     message = '; '.join(finding.sentence(health.now_ns) for finding in findings)
     levels = [finding.level for finding in findings]
     # An error comes before STALE, whose number is higher.
     level = DiagnosticStatus.ERROR if DiagnosticStatus.ERROR in levels else max(levels)
+    values = (
+        ('state', health.state),
+        *_counted(pipeline, output),
+        *_compared(shown, prior, output.estimate),
+        ('consistency', pipeline.consistency),
+        ('consistency ratio', f'{pipeline.consistency.ratio:.3f}'),
+        *details,
+        *_timed(steps),
+        ('resets', pipeline.resets),
+    )
     return _status(f'{health.name}: estimator', level, message, values)
+
+
+def _counted(pipeline: EstimatorPipeline[Any], output: Output[Any]) -> Iterable[tuple[str, object]]:
+    yield 'status', output.status.name
+    yield 'used', output.used
+    yield 'rejected', output.rejected
+    for reason, count in sorted(pipeline.rejections.items()):
+        yield f'rejected.{reason.name}', count
+    yield 'last rejection', 'none' if output.last_rejection is None else str(output.last_rejection)
+
+
+def _timed(steps: StepTimeSummary) -> Iterable[tuple[str, object]]:
+    for name, seconds in (('p50', steps.p50), ('p99', steps.p99), ('max', steps.longest)):
+        yield f'step time {name} [ms]', f'{seconds * 1e3:.3f}'
+    yield 'overruns', steps.overruns
 
 
 def _compared(shown: tuple[ShownValue, ...], prior: Any, live: Any) -> Iterable[tuple[str, object]]:
