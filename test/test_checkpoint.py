@@ -175,7 +175,7 @@ def test_a_folder_that_takes_the_place_of_the_file_is_not_removed(tmp_path: Path
     file = CheckpointFile(written(tmp_path))
     (tmp_path / 'state.json').unlink()
     (tmp_path / 'state.json').mkdir()
-    with pytest.raises(InputError, match=r'state\.json: was written by another process'):
+    with pytest.raises(InputError, match=r'state\.json: was written by another node'):
         file.write(SAVED)
     assert names(tmp_path) == ['state.json']
 

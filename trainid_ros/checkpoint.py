@@ -256,7 +256,7 @@ class CheckpointFile:
             self.set_aside()
         found = self._identity()
         if found is not None and found != self._seen:
-            reason = self._unmoved or 'was written by another process: each node needs a checkpoint file of its own'
+            reason = self._unmoved or 'was written by another node: each node needs a checkpoint file of its own'
             msg = f'{self.path}: {reason}'
             raise InputError(msg)
         try:

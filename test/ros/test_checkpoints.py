@@ -228,7 +228,7 @@ def test_of_two_nodes_with_one_file_the_first_saves_and_the_other_warns(
     graph.feed(right, graph.coasting(20))
     right.trigger_deactivate()
     assert (left.checkpoints.problem, path.read_bytes()) == ('', content)
-    reason = f'{path}: was written by another process: each node needs a checkpoint file of its own'
+    reason = f'{path}: was written by another node: each node needs a checkpoint file of its own'
     assert right.checkpoints.problem == reason
     assert f'[right]: {reason}; what is learned from now on would be lost' in capfd.readouterr().err
 
