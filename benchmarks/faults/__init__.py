@@ -41,10 +41,10 @@ _HEADER = (
 _NOTE = (
     'Medians and worst cases over days of {count} seeds. Seen: share of the days on which a finding, a reason of '
     'rejection or a status that the healthy drive does not have shows up; after: median motion until then. Named: the '
-    'same without OUTLIER and CONTRADICTION, which do not say what is wrong. VALID beyond 3 std: longest over the '
-    'days, of resistance or brake rate, since the start of the fault. Left: median of the absolute error a minute of '
-    'motion after the fault less that of the same drive without it. Rejected: the most frequent reason, and its mean '
-    'count beyond that without the fault.'
+    'same without OUTLIER, CONTRADICTION and BRAKE_UNCERTAIN, which do not say what is wrong. VALID beyond 3 std: over '
+    'the days at most, of resistance or brake rate, since the fault began. Left: median of the absolute error a minute '
+    'of motion after the fault less that of the same drive without it. Rejected: the most frequent reason, and its '
+    'mean count beyond that without the fault.'
 )
 
 

@@ -45,7 +45,7 @@ _ABOUT_S: Final = 10.0
 _MOVING: Final = 1.0
 _PERIOD_S: Final = 0.2
 # Reasons that reject a sample without saying what is wrong.
-_UNTOLD: Final = frozenset({Reason.OUTLIER, Reason.CONTRADICTION, Reason.NUMERICAL})
+_UNTOLD: Final = frozenset({Reason.OUTLIER, Reason.CONTRADICTION, Reason.NUMERICAL, Reason.BRAKE_UNCERTAIN})
 
 
 @dataclass(frozen=True, slots=True)
