@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from contextlib import suppress
 from dataclasses import dataclass
 from heapq import heappop, heappush
 from operator import itemgetter
@@ -16,10 +17,11 @@ import numpy as np
 from trainid_ros.bag.bag_files import locate
 from trainid_ros.bag.chunk import MAX_CHUNK
 from trainid_ros.bag.mcap_file import McapFile
-from trainid_ros.bag.record_table import EMPTY, decode, in_order_of, joined
+from trainid_ros.bag.record_table import EMPTY, decode, in_order_of, joined, table_of
 from trainid_ros.bag.types import digest, full_type, is_packaged, typestore
 from trainid_ros.errors import InputError
-from trainid_ros.messages import OUTPUT_TOPICS
+from trainid_ros.mapping.mapping import OWN
+from trainid_ros.messages import OUTPUT_TOPICS, record_from_message
 from trainid_ros.plural import pluralise
 from trainid_ros.records import INPUT_TOPICS, REQUIRED_TOPICS, InputTopic, record_of
 
@@ -29,6 +31,8 @@ if TYPE_CHECKING:
 
     from trainid_ros.bag.mcap_file import Segment
     from trainid_ros.bag.record_table import RecordTable
+    from trainid_ros.bag.stored_types import StoredType
+    from trainid_ros.mapping.mapped_inputs import MappedInputs
     from trainid_ros.records import Record, Row
     from trainid_ros.stream.sample_stream import SampleStream, StreamEvent
 
@@ -41,7 +45,7 @@ _NO_ROWS: Final = np.empty(0, dtype=np.intp)
 _MAX_LOG_NS: Final = 2**64 - 1
 PROGRESS_EVERY: Final = 500
 """Records from one report of progress to the next."""
-_IDL_LINE: Final = '=' * 80 + '\n'
+_ROWS_AT_ONCE: Final = 5000
 
 
 @dataclass(frozen=True, slots=True)
@@ -70,10 +74,11 @@ class LoggedMessage(NamedTuple):
 
 
 class _Source(NamedTuple):
-    """One channel of one file: topic by our name, short type name."""
+    """One channel of one file: topic by our name or that of the mapping, short type name, stored type if mapped."""
 
     topic: str
     name: str
+    mapped: StoredType | None = None
 
 
 class BagReader:
@@ -84,20 +89,30 @@ class BagReader:
 
     Attributes:
         path: The bag.
+        mapping: Where each input comes from.
 
     """
 
-    def __init__(self, path: str | Path, namespace: str = '/', max_chunk: int = MAX_CHUNK) -> None:
+    def __init__(
+        self,
+        path: str | Path,
+        namespace: str = '/',
+        max_chunk: int = MAX_CHUNK,
+        inputs: Callable[[], MappedInputs] | None = None,
+    ) -> None:
         """Name the bag; it is opened on entering the context.
 
         Args:
             path: Rosbag2 directory or ``.mcap`` file.
             namespace: Namespace of the topics; those outside keep their full name without the slash.
             max_chunk: Largest chunk to unpack [bytes]; larger ones are left out with a warning.
+            inputs: Makes what turns messages of other topics into records; without it only our own topics are read.
 
         """
         self.path = Path(path)
         self._max_chunk = max_chunk
+        self._inputs = inputs
+        self.mapping = OWN if inputs is None else inputs().mapping
         self._damage: list[str] = []
         # Messages by topic that could not be read the last time.
         self._unreadable: Counter[str] = Counter()
@@ -157,7 +172,13 @@ class BagReader:
     @property
     def input_count(self) -> int:
         """Number of messages on the input topics: what :meth:`records` will yield, and those it skips as unreadable."""
-        return sum(topic.count for topic in self.topics() if topic.name in _INPUT_NAMES)
+        counts = zip(self._files, self._sources, strict=True)
+        return sum(
+            file.counts.get(number, 0)
+            for file, sources in counts
+            for number, source in sources.items()
+            if source.mapped is not None or source.topic in _INPUT_NAMES
+        )
 
     def time_range(self) -> tuple[int, int] | None:
         """Return the first and the last log time [ns], None for a bag without messages."""
@@ -174,6 +195,16 @@ class BagReader:
                 key = (self._topic(channel.topic), _schema_name(file, number))
                 counts[key] = counts.get(key, 0) + file.counts.get(number, 0)
         return tuple(TopicSummary(name, kind, count) for (name, kind), count in sorted(counts.items()))
+
+    def missing(self, topic: InputTopic) -> tuple[str, ...]:
+        """Return the topics without messages that an input needs: its own, or those of the mapping."""
+        present = {
+            source.topic
+            for file, sources in zip(self._files, self._sources, strict=True)
+            for number, source in sources.items()
+            if file.counts.get(number, 0)
+        }
+        return tuple(name for name in self.mapping.needed(topic.name) if name not in present)
 
     def records(self) -> Iterator[Record]:
         """Yield the records of the input topics by log time, on equal times in the order of the file within a chunk.
@@ -225,6 +256,9 @@ class BagReader:
             InputError: A file has changed since it was opened.
 
         """
+        if self._inputs is not None:
+            yield from self._mapped_tables(self._inputs(), last_ns)
+            return
         self._unreadable.clear()
         pending, end_ns = EMPTY, np.uint64(min(last_ns, _MAX_LOG_NS))
         for first_ns, index, segment in self._segments():
@@ -260,6 +294,25 @@ class BagReader:
         # Back into the order of the file, then by log time.
         return joined((in_order_of(np.concatenate(places), tables),))
 
+    def _mapped_tables(self, inputs: MappedInputs, last_ns: float) -> Iterator[RecordTable]:
+        """Yield what the inputs make of the messages, up to a log time [ns]."""
+        logged: list[tuple[int, Row]] = []
+        own = {topic.name: topic for topic in INPUT_TOPICS if topic.name not in self.mapping.replaced}
+        for log_ns, source, payload in self._payloads({*own, *inputs.topics}):
+            if log_ns > last_ns:
+                break
+            if (message := self._decoded(source, payload)) is None:
+                continue
+            if source.mapped is None:
+                records = inputs.take_record(record_from_message(own[source.topic], message))
+            else:
+                records = inputs.take(source.topic, message, log_ns)
+            logged += [(log_ns, record.row()) for record in records]
+            if len(logged) >= _ROWS_AT_ONCE:
+                yield table_of(logged)
+                logged = []
+        yield table_of(logged)
+
     def messages(self, topics: Collection[str] | None = None) -> Iterator[LoggedMessage]:
         """Yield our messages, inputs and estimates, by log time.
 
@@ -270,33 +323,48 @@ class BagReader:
             InputError: A file has changed since it was opened.
 
         """
+        for log_ns, source, payload in self._payloads(topics):
+            if (message := self._decoded(source, payload)) is not None:
+                yield LoggedMessage(log_ns, source.topic, message)
+
+    def _payloads(self, topics: Collection[str] | None) -> Iterator[tuple[int, _Source, bytes]]:
+        """Yield log times [ns], channels and payloads of the messages of some topics, by log time."""
         self._unreadable.clear()
         heap: list[tuple[int, int, int, _Source, bytes]] = []
         for rank, (first_ns, index, segment) in enumerate(self._segments()):
             while heap and heap[0][0] < first_ns:
-                yield from self._logged(*heappop(heap))
+                log_ns, _, _, found, payload = heappop(heap)
+                yield log_ns, found, payload
             block, wanted = self._files[index].messages(segment), self._wanted(index, topics)
             columns = (block.channel, block.log_ns, block.start, block.end)
             for place, (channel, log_ns, start, end) in enumerate(zip(*(c.tolist() for c in columns), strict=True)):
                 if (source := wanted.get(channel)) is not None:
                     heappush(heap, (log_ns, rank, place, source, block.data[start:end].tobytes()))
-        while heap:
-            yield from self._logged(*heappop(heap))
+        yield from (
+            (log_ns, source, payload) for log_ns, _, _, source, payload in sorted(heap, key=itemgetter(0, 1, 2))
+        )
 
-    def _logged(self, log_ns: int, _rank: int, _place: int, source: _Source, payload: bytes) -> Iterator[LoggedMessage]:
-        """Yield a message, nothing if it cannot be read."""
+    def _decoded(self, source: _Source, payload: bytes) -> Any:
+        """Return a message, None if it cannot be read."""
         from rosbags.serde import SerdeError  # noqa: PLC0415 - rarely needed
 
-        try:
-            message = typestore().deserialize_cdr(payload, full_type(source.name))
-        except SerdeError:
+        message = None
+        with suppress(SerdeError):
+            if source.mapped is not None:
+                message = source.mapped.decode(payload)
+            else:
+                message = typestore().deserialize_cdr(payload, full_type(source.name))
+        if message is None:
             self._unreadable[source.topic] += 1
-        else:
-            yield LoggedMessage(log_ns, source.topic, message)
+        return message
 
     def _wanted(self, index: int, topics: Collection[str] | None) -> dict[int, _Source]:
         sources = self._sources[index].items()
         return {number: source for number, source in sources if topics is None or source.topic in topics}
+
+    def _full(self, name: str, prefix: str = '') -> str:
+        """Return the full name of a topic; relative ones lie in the namespace."""
+        return name if name.startswith('/') else f'{prefix or self._prefix}{name}'
 
     def _topic(self, name: str) -> str:
         full = name if name.startswith('/') else f'/{name}'
@@ -306,9 +374,13 @@ class BagReader:
     def _check_types(self, file: McapFile, hashes: dict[str, str]) -> dict[int, _Source]:
         """Return the channels of our topics; raise InputError for a type that is not the one of the interface."""
         sources = {}
+        mapped = {self._full(source.topic): source.topic for source in self.mapping.sources}
         for number, channel in file.channels.items():
             topic = self._topic(channel.topic)
-            if (name := _OURS.get(topic)) is None:
+            if (foreign := mapped.get(self._full(channel.topic, '/'))) is not None:
+                sources[number] = _Source(foreign, _schema_name(file, number), _stored_type(file, number))
+                continue
+            if (name := _OURS.get(topic)) is None or topic in self.mapping.replaced:
                 continue
             where = f'{file.path}: topic {topic}'
             if (found := _schema_name(file, number)) != full_type(name):
@@ -320,7 +392,7 @@ class BagReader:
             text = _stored_text(file, number)
             if not is_packaged(text, name):
                 recorded = channel.metadata.get('topic_type_hash') or hashes.get(channel.topic, '')
-                stored = _digest_of(text, file, number) if text.strip() else recorded
+                stored = _stored_type(file, number).digest if text.strip() else recorded
                 if stored != digest(name):
                     msg = f'{where}: definition of {full_type(name)} differs: {digest(name)} expected, '
                     raise InputError(msg + f'{stored or "no definition"} found')
@@ -339,8 +411,7 @@ def require_topics(reader: BagReader, topics: Iterable[InputTopic] = REQUIRED_TO
 
 def missing_topics(reader: BagReader, topics: Iterable[InputTopic] = REQUIRED_TOPICS) -> tuple[str, ...]:
     """Return the names of those topics that have no messages in the bag."""
-    present = {topic.name for topic in reader.topics() if topic.count}
-    return tuple(topic.name for topic in topics if topic.name not in present)
+    return tuple(name for topic in topics for name in reader.missing(topic))
 
 
 def _schema_name(file: McapFile, channel: int) -> str:
@@ -348,33 +419,17 @@ def _schema_name(file: McapFile, channel: int) -> str:
     return '' if schema is None else schema.name
 
 
+def _stored_type(file: McapFile, channel: int) -> StoredType:
+    # Imported here because most bags hold the packaged definitions.
+    from trainid_ros.bag.stored_types import StoredType  # noqa: PLC0415
+
+    info = file.channels[channel]
+    if info.message_encoding != 'cdr':
+        msg = f'{file.path}: topic {info.topic}: encoding cdr expected, {info.message_encoding!r} found'
+        raise InputError(msg)
+    return StoredType(file.path, file.schemas[info.schema_id])
+
+
 def _stored_text(file: McapFile, channel: int) -> str:
     """Return the text of the definition stored with a channel."""
     return file.schemas[file.channels[channel].schema_id].data.decode('utf-8', errors='replace')
-
-
-def _digest_of(text: str, file: McapFile, channel: int) -> str:
-    """Return the RIHS01 digest of the definition stored with a channel."""
-    # Imported here because most bags hold the packaged definitions.
-    from rosbags.typesys import (  # noqa: PLC0415
-        Stores,
-        TypesysError,
-        get_types_from_idl,
-        get_types_from_msg,
-        get_typestore,
-    )
-
-    schema = file.schemas[file.channels[channel].schema_id]
-    store = get_typestore(Stores.EMPTY)
-    try:
-        if schema.encoding == 'ros2msg':
-            store.register(get_types_from_msg(text, schema.name))
-        else:
-            for part in text.split(_IDL_LINE):
-                idl = part.partition('\n')[2] if part.startswith('IDL: ') else part
-                if idl.strip():
-                    store.register(get_types_from_idl(idl))
-        return str(store.hash_rihs01(schema.name))
-    except (TypesysError, KeyError) as error:
-        msg = f'{file.path}: unreadable definition of {schema.name} ({" ".join(str(error).split())})'
-        raise InputError(msg) from None

@@ -74,6 +74,20 @@ class RecordTable:
             yield from zip(*(column[first : first + _ROWS_AT_ONCE].tolist() for column in columns), strict=True)
 
 
+def table_of(rows: Sequence[tuple[int, Row]]) -> RecordTable:
+    """Return the table of rows with their log times [ns]."""
+    log_ns, numbers = [log for log, _ in rows], [row for _, row in rows]
+    topic, stamp_ns, x, y, flag = zip(*numbers, strict=True) if numbers else ((),) * 5
+    return RecordTable(
+        np.array(log_ns, np.uint64),
+        np.array(topic, np.int8),
+        np.array(stamp_ns, np.int64),
+        np.array(x, np.float64),
+        np.array(y, np.float64),
+        np.array(flag, np.bool_),
+    )
+
+
 EMPTY: Final = RecordTable(
     np.empty(0, np.uint64), np.empty(0, np.int8), np.empty(0, np.int64), np.empty(0), np.empty(0), np.empty(0, np.bool_)
 )

@@ -15,7 +15,7 @@ from trainid_ros.errors import InputError
 from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.explain.run_data import RunCollector
 from trainid_ros.records import NS_PER_S
-from trainid_ros.stream.alignment import TimeJump
+from trainid_ros.stream.alignment import AlignmentConfig, TimeJump
 from trainid_ros.stream.plausibility import PlausibilityMonitor
 from trainid_ros.stream.sample_stream import SampleStream, StreamConfig
 from trainid_ros.stream.samples import Sample
@@ -25,6 +25,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from trainid_ros.explain.run_data import Run
+    from trainid_ros.mapping.mapped_inputs import MappedInputs
     from trainid_ros.train.train_file import TrainFile
 
 POOL_FROM: Final = 100_000
@@ -56,7 +57,12 @@ class _Reading:
     warnings: tuple[str, ...]
 
 
-def survey(paths: Sequence[Path], namespace: str = '/', max_chunk: int = MAX_CHUNK) -> Survey:
+def survey(
+    paths: Sequence[Path],
+    namespace: str = '/',
+    max_chunk: int = MAX_CHUNK,
+    inputs: Callable[[], MappedInputs] | None = None,
+) -> Survey:
     """Check that all bags can be used, and summarise them.
 
     Raises:
@@ -68,13 +74,13 @@ def survey(paths: Sequence[Path], namespace: str = '/', max_chunk: int = MAX_CHU
         if place in places[:i]:
             msg = f'{paths[i]}: given twice; its data would count twice'
             raise InputError(msg)
-    inputs, warnings = [], []
+    counts, warnings = [], []
     for path in paths:
-        with BagReader(path, namespace, max_chunk) as reader:
+        with BagReader(path, namespace, max_chunk, inputs) as reader:
             require_topics(reader)
-            inputs.append(reader.input_count)
+            counts.append(reader.input_count)
             warnings += reader.warnings
-    return Survey(tuple(inputs), tuple(warnings))
+    return Survey(tuple(counts), tuple(warnings))
 
 
 def read_runs(
@@ -82,6 +88,7 @@ def read_runs(
     train_file: TrainFile,
     namespace: str = '/',
     max_chunk: int = MAX_CHUNK,
+    inputs: Callable[[], MappedInputs] | None = None,
     *,
     workers: int = 1,
     advance: Callable[[float], None] = lambda _: None,
@@ -94,6 +101,7 @@ def read_runs(
         train_file: Train file, for its effects and parameters.
         namespace: Namespace of their topics.
         max_chunk: Largest chunk to unpack [bytes].
+        inputs: Makes what turns messages of other topics into records, see :class:`BagReader`.
         workers: Number of processes; 1 reads them here.
         advance: Called with the number of inputs read since its last call.
         warn: Called with each fault that only reading shows, such as messages that cannot be read.
@@ -102,7 +110,7 @@ def read_runs(
         InputError: A bag cannot be read.
 
     """
-    work = partial(_read, train_file, namespace, max_chunk)
+    work = partial(_read, train_file, (namespace, max_chunk, inputs))
     readings = map_bags(work, list(enumerate(paths)), workers, advance)
     for line in chain.from_iterable(reading.warnings for reading in readings):
         warn(line)
@@ -123,14 +131,18 @@ def worker_count(inputs: Sequence[int]) -> int:
 
 
 def _read(
-    train_file: TrainFile, namespace: str, max_chunk: int, item: tuple[int, Path], advance: Callable[[float], None]
+    train_file: TrainFile,
+    how: tuple[str, int, Callable[[], MappedInputs] | None],
+    item: tuple[int, Path],
+    advance: Callable[[float], None],
 ) -> _Reading:
     bag, path = item
     # The train file may be what is wrong, so it must not decide which samples are used.
-    stream = SampleStream(StreamConfig(train_file, rejects_faults=False))
     monitor, collector = PlausibilityMonitor(KnownForce(train_file)), RunCollector(train_file, bag)
     samples = contradictory = 0
-    with BagReader(path, namespace, max_chunk) as reader:
+    with BagReader(path, *how) as reader:
+        config = StreamConfig(train_file, reader.mapping.alignment(AlignmentConfig()), rejects_faults=False)
+        stream = SampleStream(config)
         known = len(reader.warnings)
         for _, event in reader.events(stream, advance):
             if isinstance(event, Sample):

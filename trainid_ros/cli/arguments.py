@@ -53,6 +53,7 @@ def configure_run(parser: argparse.ArgumentParser) -> None:
 def configure_replay(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``replay``."""
     _add_bags(parser)
+    _add_map(parser)
     _add_max_chunk(parser)
     _add_train(parser)
     parser.add_argument('--params', type=Path, metavar='FILE.yaml', help='ROS parameter file, as the nodes take it')
@@ -141,6 +142,7 @@ def configure_simulate(parser: argparse.ArgumentParser) -> None:
 def configure_fit(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``fit``."""
     _add_bag(parser)
+    _add_map(parser)
     _add_max_chunk(parser)
     _add_train(parser)
     parser.add_argument('--start', type=not_negative, default=0.0, metavar='S', help='skip the first seconds')
@@ -154,6 +156,7 @@ def configure_fit(parser: argparse.ArgumentParser) -> None:
 def configure_explain(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``explain``."""
     _add_bags(parser)
+    _add_map(parser)
     _add_max_chunk(parser)
     _add_train(parser, 'train file: the model to check')
     parser.add_argument(
@@ -192,6 +195,12 @@ def _add_max_chunk(parser: argparse.ArgumentParser) -> None:
 
 def _add_train(parser: argparse.ArgumentParser, text: str = 'train file') -> None:
     parser.add_argument('--train', type=Path, required=True, metavar='T.yaml', help=text)
+
+
+def _add_map(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        '--map', type=Path, metavar='MAPPING.yaml', help='mapping file: inputs from other topics, types and units'
+    )
 
 
 def _add_jobs(parser: argparse.ArgumentParser) -> None:

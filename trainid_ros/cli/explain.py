@@ -22,6 +22,7 @@ from trainid_ros.cli.output import (
     warn,
 )
 from trainid_ros.errors import InputError, NoAnswerError
+from trainid_ros.mapping.mapped_inputs import mapped_inputs
 from trainid_ros.plural import pluralise
 from trainid_ros.train.train_file import dump_train_file, load_train_file
 
@@ -75,14 +76,15 @@ def _explain(args: argparse.Namespace, train_file: TrainFile) -> Explanation:
         NoAnswerError: If the bags hold too little motion.
 
     """
-    found = survey(args.bags, args.namespace, args.max_chunk)
+    inputs = mapped_inputs(args.map, train_file)
+    found = survey(args.bags, args.namespace, args.max_chunk, inputs)
     for line in found.warnings:
         warn(line)
     name = args.bags[0].name if len(args.bags) == 1 else f'{len(args.bags)} bags'
     with progress(f'read {name}', total=sum(found.inputs)) as advance:
         workers = worker_count(found.inputs)
         runs = read_runs(
-            args.bags, train_file, args.namespace, args.max_chunk, workers=workers, advance=advance, warn=warn
+            args.bags, train_file, args.namespace, args.max_chunk, inputs, workers=workers, advance=advance, warn=warn
         )
     try:
         return explain_runs(runs, train_file, args.bags)

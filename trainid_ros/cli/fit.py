@@ -11,10 +11,11 @@ from typing import TYPE_CHECKING, Any, Final
 from trainid_ros.bag.reader import BagReader, require_topics
 from trainid_ros.cli.output import print_json, progress, show, table, warn
 from trainid_ros.errors import InputError, NoAnswerError
+from trainid_ros.mapping.mapped_inputs import mapped_inputs
 from trainid_ros.records import NS_PER_S
 from trainid_ros.resistance.davis_fit import DavisFit, DavisFitConfig, check_plausible, fit_davis
 from trainid_ros.resistance.trajectory import PieceCollector
-from trainid_ros.stream.alignment import TimeJump
+from trainid_ros.stream.alignment import AlignmentConfig, TimeJump
 from trainid_ros.stream.sample_stream import SampleStream, StreamConfig
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.train_file import load_train_file
@@ -56,7 +57,8 @@ def run(args: argparse.Namespace) -> int:
     """
     config = DavisFitConfig()
     collector = PieceCollector(load_train_file(args.train), config.min_speed, config.shortest)
-    with BagReader(args.bag, args.namespace, args.max_chunk) as reader:
+    inputs = mapped_inputs(args.map, collector.train_file)
+    with BagReader(args.bag, args.namespace, args.max_chunk, inputs) as reader:
         known = reader.warnings
         for line in known:
             warn(line)
@@ -102,7 +104,8 @@ def collect(
         msg = f'{reader.path}: --start {start_s:g} --duration {duration_s:g} selects nothing of its {length:.1f} s'
         raise InputError(msg)
     end_ns = math.inf if math.isinf(duration_s) else begin_ns + round(duration_s * NS_PER_S)
-    stream, samples = SampleStream(StreamConfig(collector.train_file)), 0
+    config = StreamConfig(collector.train_file, reader.mapping.alignment(AlignmentConfig()))
+    stream, samples = SampleStream(config), 0
     rejected: Counter[Reason] = Counter()
     for log_ns, event in reader.events(stream, advance, end_ns):
         if isinstance(event, TimeJump):

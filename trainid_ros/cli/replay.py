@@ -7,6 +7,7 @@ import math
 import time
 from collections import Counter
 from contextlib import ExitStack
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.bag.bag_replay import Pipelines, replay_through
@@ -16,6 +17,8 @@ from trainid_ros.cli.per_bag import BagResult, run_per_bag
 from trainid_ros.errors import InputError
 from trainid_ros.estimators.force_findings import force_findings
 from trainid_ros.estimators.observability import observe
+from trainid_ros.mapping.mapped_inputs import mapped_inputs
+from trainid_ros.mapping.mapping_file import load_mapping
 from trainid_ros.plural import pluralise
 from trainid_ros.ros.jobs import Setup, node_setups
 from trainid_ros.sim.truth import load_truth
@@ -56,7 +59,14 @@ def run(args: argparse.Namespace) -> int:
 def _setups(args: argparse.Namespace, warn: Callable[[str], None] = lambda _: None) -> tuple[Setup, ...]:
     """Return the setups of the three nodes; InputError if train file or parameters cannot be used."""
     train_file = load_train_file(args.train)
-    return node_setups(train_file, str(args.train), args.params, args.algorithm, namespace=args.namespace, warn=warn)
+    setups = node_setups(train_file, str(args.train), args.params, args.algorithm, namespace=args.namespace, warn=warn)
+    if args.map is None:
+        return setups
+    mapping = load_mapping(args.map)
+    return tuple(
+        replace(setup, settings=replace(setup.settings, alignment=mapping.alignment(setup.settings.alignment)))
+        for setup in setups
+    )
 
 
 def _check_outputs(args: argparse.Namespace) -> None:
@@ -99,7 +109,8 @@ def _replay(args: argparse.Namespace, bag: Path, advance: Callable[[float], None
     out, report = _outputs(args, bag)
     truth = None if report is None else find_truth(bag, args.truth)
     with ExitStack() as stack:
-        reader = stack.enter_context(BagReader(bag, args.namespace, args.max_chunk))
+        inputs = mapped_inputs(args.map, setups[0].train_file)
+        reader = stack.enter_context(BagReader(bag, args.namespace, args.max_chunk, inputs))
         observers, traces = _observers(stack, out, report)
         start = time.perf_counter()
         pipelines = Pipelines(*(setup.pipeline() for setup in setups))

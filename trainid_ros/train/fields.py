@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from stat import S_ISREG
@@ -133,6 +133,25 @@ class Section:
         value = self.data.get(key)
         if not isinstance(value, str):
             self.fail(key, f'= {shown(value)} must be a string' if key in self.data else 'is missing')
+        return value
+
+    def choice(self, key: str, known: Sequence[str], default: str | None = None) -> str:
+        """Return one of several words.
+
+        Raises:
+            InputError: The value is another one, or missing without a default.
+
+        """
+        value = self.text(key, default)
+        if value not in known:
+            self.fail(key, f'= {shown(value)} must be {" or ".join(known)}')
+        return value
+
+    def boolean(self, key: str, *, default: bool) -> bool:
+        """Return true or false."""
+        value = self.data.get(key, default)
+        if not isinstance(value, bool):
+            self.fail(key, f'= {shown(value)} must be true or false')
         return value
 
     def items(self, key: str) -> tuple[object, ...]:

@@ -1,0 +1,135 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A bag with topics, types and units of others gives the same records as ours, by a mapping."""
+
+from __future__ import annotations
+
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from trainid_ros.bag.reader import BagReader, missing_topics
+from trainid_ros.cli.main import main
+from trainid_ros.errors import InputError
+from trainid_ros.mapping.mapped_inputs import MappedInputs
+from trainid_ros.mapping.mapping_file import parse_mapping
+from trainid_ros.records import REQUIRED_TOPICS, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
+from trainid_ros.train.train_file import Davis, Train, TrainFile
+
+TRAIN = TrainFile(Train(mass=194e3), Davis(1.5, 0.02, 0.001))
+MAPPING = """
+speed: {topic: odo/twist, field: twist.linear.x, unit: km/h}
+position: {topic: /where, field: data, unit: km, stamp: receive}
+force: {sum: [{topic: /car1, field: wrench.force.x, unit: kN}, {topic: /car2, field: wrench.force.x, unit: kN}]}
+gradient: {topic: /track, field: slopes.1, unit: percent}
+brake_command: {topic: /brake, field: data, unit: percent_of 1.2 m/s^2, sign: -1, stamp: receive}
+"""
+SLOPES = 'std_msgs/Header header\nfloat32[] slopes\n'
+
+
+@pytest.fixture(scope='module')
+def foreign(tmp_path_factory: pytest.TempPathFactory, records: list[Record]) -> Path:
+    """Return a bag of another maker, with two cars and a message type that is nobody's."""
+    path, store = tmp_path_factory.mktemp('foreign') / 'bag', get_typestore(Stores.ROS2_JAZZY)
+    store.register(get_types_from_msg(SLOPES, 'maker_msgs/msg/Slopes'))
+    types = store.types
+
+    def header(stamp_ns: int) -> Any:
+        sec, nanosec = divmod(stamp_ns, 10**9)
+        stamp = types['builtin_interfaces/msg/Time'](sec=sec, nanosec=nanosec)
+        return types['std_msgs/msg/Header'](stamp=stamp, frame_id='car')
+
+    def vector(x: float) -> Any:
+        return types['geometry_msgs/msg/Vector3'](x=x, y=0.0, z=0.0)
+
+    with Writer(path, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
+        connections: dict[str, Any] = {}
+
+        def write(topic: str, kind: str, log_ns: int, **fields: Any) -> None:
+            if topic not in connections:
+                connections[topic] = writer.add_connection(topic, kind, typestore=store)
+            writer.write(connections[topic], log_ns, store.serialize_cdr(types[kind](**fields), kind))
+
+        for record in records:
+            now = record.stamp_ns
+            match record:
+                case SpeedRecord():
+                    twist = types['geometry_msgs/msg/Twist'](linear=vector(3.6 * record.speed), angular=vector(0.0))
+                    write('/where', 'std_msgs/msg/Float64', now, data=record.position / 1e3)
+                    write('/odo/twist', 'geometry_msgs/msg/TwistStamped', now, header=header(now), twist=twist)
+                case ForceRecord():
+                    for topic, share in (('/car1', 0.6e-3), ('/car2', 0.4e-3)):
+                        wrench = types['geometry_msgs/msg/Wrench'](
+                            force=vector(share * record.force), torque=vector(0.0)
+                        )
+                        write(topic, 'geometry_msgs/msg/WrenchStamped', now, header=header(now), wrench=wrench)
+                case GradientRecord():
+                    slopes = np.array([0.0, 0.1 * record.gradient], dtype=np.float32)
+                    write('/track', 'maker_msgs/msg/Slopes', now, header=header(now), slopes=slopes)
+                case BrakeRecord():
+                    percent = -100.0 * record.target_acceleration / 1.2
+                    write('/brake', 'std_msgs/msg/Float32', now, data=percent)
+    return path
+
+
+def reader(path: Path, text: str = MAPPING, namespace: str = '/') -> BagReader:
+    return BagReader(path, namespace, inputs=partial(MappedInputs, parse_mapping(text, 'map.yaml'), TRAIN))
+
+
+def test_the_records_are_those_of_our_own_topics(foreign: Path, records: list[Record]) -> None:
+    with reader(foreign) as bag:
+        found = list(bag.records())
+        assert missing_topics(bag) == ()
+        assert bag.input_count == 6 * len(records) // 4
+    assert len(found) == len(records)
+    for record, expected in zip(sorted(found, key=key), sorted(records, key=key), strict=True):
+        assert record.row()[:2] == expected.row()[:2]
+        assert record.row()[2] == pytest.approx(expected.row()[2], rel=1e-6)
+        if isinstance(expected, SpeedRecord):
+            assert record.row()[3] == pytest.approx(expected.position)
+
+
+def key(record: Record) -> tuple[int, int]:
+    return record.stamp_ns, record.row()[0]
+
+
+@pytest.mark.parametrize(
+    ('text', 'missing'),
+    [
+        (MAPPING.replace('/car2', '/car3'), ('/car3',)),
+        (MAPPING.replace('odo/twist', 'other'), ('other',)),
+        ('speed: {topic: /odo/twist, field: twist.linear.x}', ('ato/force', 'ato/gradient', 'ato/brake_command')),
+    ],
+)
+def test_topics_of_the_mapping_that_are_missing_are_named(foreign: Path, text: str, missing: tuple[str, ...]) -> None:
+    with reader(foreign, text) as bag:
+        assert missing_topics(bag, REQUIRED_TOPICS) == missing
+
+
+def test_a_relative_topic_lies_in_the_namespace(foreign: Path) -> None:
+    with reader(foreign, MAPPING.replace('odo/twist', 'twist'), '/odo') as bag:
+        assert missing_topics(bag) == ()
+        assert sum(isinstance(record, SpeedRecord) for record in bag.records()) > 0
+
+
+def test_a_field_that_does_not_exist_is_named(foreign: Path) -> None:
+    with (
+        reader(foreign, MAPPING.replace('linear.x', 'linear.w')) as bag,
+        pytest.raises(InputError, match=r'topic odo/twist: field twist\.linear\.w is not a number'),
+    ):
+        list(bag.records())
+
+
+def test_replay_takes_a_mapping_file(foreign: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    mapping, train = tmp_path / 'map.yaml', tmp_path / 'train.yaml'
+    train.write_text('train: {mass: 194000.0}\nresistance: {a: 1.5, b: 0.02, c: 0.001}\n', encoding='utf-8')
+    mapping.write_text(MAPPING, encoding='utf-8')
+    assert main(['replay', str(foreign), '--train', str(train), '--map', str(mapping)]) in (0, 1)
+    assert '50 samples' in capsys.readouterr().out
+    mapping.write_text('speed: {topic: /x}', encoding='utf-8')
+    assert main(['replay', str(foreign), '--train', str(train), '--map', str(mapping)]) == 2
+    assert 'map.yaml: speed.field is missing' in capsys.readouterr().err

@@ -1,0 +1,136 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Messages of other topics become records."""
+
+from __future__ import annotations
+
+import math
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from trainid_ros.errors import InputError
+from trainid_ros.mapping.mapped_inputs import MappedInputs
+from trainid_ros.mapping.mapping_file import parse_mapping
+from trainid_ros.records import (
+    NS_PER_S,
+    BrakeRecord,
+    ForceRecord,
+    GradientRecord,
+    MassRecord,
+    Record,
+    SpeedRecord,
+)
+from trainid_ros.train.train_file import Davis, Line, Train, TrainFile
+
+START_NS = 1_700_000_000 * NS_PER_S
+LINE = Line(gradient=((0.0, 0.0), (1000.0, 10.0)), curve=((0.0, 0.0), (1000.0, 400.0)), tunnel=((1500.0, 1600.0),))
+TRAIN = TrainFile(Train(mass=194e3, length=100.0), Davis(1.5, 0.02, 0.001), line=LINE)
+
+
+def message(data: float, stamp_ns: int | None = None) -> Any:
+    if stamp_ns is None:
+        return SimpleNamespace(data=data)
+    sec, nanosec = divmod(stamp_ns, NS_PER_S)
+    return SimpleNamespace(data=data, header=SimpleNamespace(stamp=SimpleNamespace(sec=sec, nanosec=nanosec)))
+
+
+def inputs(text: str, train_file: TrainFile = TRAIN) -> MappedInputs:
+    return MappedInputs(parse_mapping(text, 'map.yaml'), train_file)
+
+
+def at(k: int) -> int:
+    return START_NS + k * NS_PER_S // 5
+
+
+def test_each_quantity_becomes_a_record_of_its_own() -> None:
+    mapped = inputs("""
+        speed: {topic: v, field: data, unit: km/h}
+        force: {topic: f, field: data, unit: kN}
+        gradient: {topic: i, field: data, unit: percent}
+        brake_command: {topic: z, field: data, sign: -1}
+        mass: {topic: m, field: data, unit: t}
+    """)
+    found = [mapped.take(topic, message(36.0, START_NS), 7) for topic in ('v', 'f', 'i', 'z', 'm')]
+    (speed,), *others = found
+    assert isinstance(speed, SpeedRecord)
+    assert (speed.stamp_ns, speed.speed) == (START_NS, 10.0)
+    assert math.isnan(speed.position)
+    assert others == [
+        [ForceRecord(START_NS, 36e3)],
+        [GradientRecord(START_NS, 360.0, 0.0, tunnel=False)],
+        [BrakeRecord(START_NS, -36.0, emergency=False)],
+        [MassRecord(START_NS, 36e3)],
+    ]
+
+
+def test_a_message_without_a_header_has_the_time_of_its_arrival() -> None:
+    text = 'mass: {topic: m, field: data, stamp: receive}'
+    assert inputs(text).take('m', message(5.0), START_NS) == [MassRecord(START_NS, 5.0)]
+    with pytest.raises(InputError, match=r'topic m: .* has no header; set stamp: receive'):
+        inputs(text.replace(', stamp: receive', '')).take('m', message(5.0), START_NS)
+
+
+def test_a_reversing_train_has_a_positive_speed() -> None:
+    ((record,),) = [inputs('speed: {topic: v, field: data}').take('v', message(-3.0, START_NS), 0)]
+    assert isinstance(record, SpeedRecord)
+    assert record.speed == 3.0
+
+
+def drive(mapped: MappedInputs, fixes: dict[int, float]) -> list[Record]:
+    """Drive 100 s at 10 m/s, with positions measured at some samples."""
+    found: list[Record] = []
+    for k in range(500):
+        if k in fixes:
+            found += mapped.take('x', message(fixes[k], at(k)), 0)
+        found += mapped.take('v', message(10.0, at(k)), 0)
+    return found
+
+
+@pytest.mark.parametrize('direction', [1, -1])
+def test_positions_are_integrated_from_the_start(direction: int) -> None:
+    mapped = inputs(f"""
+        speed: {{topic: v, field: data}}
+        position: {{from: speed, start: 1200.0, direction: {direction}}}
+    """)
+    records = drive(mapped, {})
+    assert [record.position for record in records if isinstance(record, SpeedRecord)] == pytest.approx(
+        [1200.0 + direction * 2.0 * k for k in range(500)]
+    )
+
+
+def test_between_balises_positions_are_integrated_and_the_direction_follows() -> None:
+    mapped = inputs('{speed: {topic: v, field: data}, position: {topic: x, field: data}}')
+    positions = [r.position for r in drive(mapped, {100: 5000.0, 200: 4803.0}) if isinstance(r, SpeedRecord)]
+    assert all(math.isnan(position) for position in positions[:100])
+    # Until the second balise it is not known that positions fall.
+    assert positions[199] == pytest.approx(5198.0)
+    assert positions[200] == pytest.approx(4803.0)
+    assert positions[300] == pytest.approx(4603.0)
+
+
+def test_the_line_gives_gradient_curve_and_tunnel_by_position() -> None:
+    mapped = inputs('{speed: {topic: v, field: data}, position: {from: speed, start: 800.0}, gradient: {from: line}}')
+    track = [record for record in drive(mapped, {}) if isinstance(record, GradientRecord)]
+    assert [record.stamp_ns for record in track] == [at(k) for k in range(500)]
+    assert (track[0].gradient, track[0].curve_radius, track[0].tunnel) == (0.0, 0.0, False)
+    assert track[125].gradient == pytest.approx(5.0)  # half of the train is past 1000 m
+    assert track[125].curve_radius == pytest.approx(800.0)
+    assert track[375].tunnel
+
+
+def test_the_line_is_looked_up_for_our_own_speed_topic_too() -> None:
+    mapped = inputs('gradient: {from: line}')
+    assert mapped.take_record(SpeedRecord(START_NS, 10.0, 1200.0)) == [
+        SpeedRecord(START_NS, 10.0, 1200.0),
+        GradientRecord(START_NS, 10.0, 400.0, tunnel=False),
+    ]
+    assert mapped.take_record(SpeedRecord(START_NS + 1, 10.0, math.nan))[0].stamp_ns == START_NS + 1
+    assert len(mapped.take_record(SpeedRecord(START_NS + 2, 10.0, math.nan))) == 1
+    force = ForceRecord(START_NS, 1.0)
+    assert mapped.take_record(force) == [force]
+
+
+def test_a_line_without_gradients_is_rejected() -> None:
+    with pytest.raises(InputError, match='gradient'):
+        inputs('gradient: {from: line}', TrainFile(Train(mass=194e3), Davis(1.5, 0.02, 0.001)))

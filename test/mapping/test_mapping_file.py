@@ -1,0 +1,100 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Mapping files: what they may say, and errors that name the field."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+
+import pytest
+
+from trainid_ros.errors import InputError
+from trainid_ros.mapping.mapping import OWN, LineLookup, Signal, SpeedIntegral, StampSource
+from trainid_ros.mapping.mapping_file import load_mapping, parse_mapping
+from trainid_ros.stream.alignment import AlignmentConfig
+
+WHOLE = """
+speed: {topic: /odo/twist, field: twist.linear.x, unit: km/h, sign: -1, offset: 0.5, stamp: receive}
+position: {from: speed, start: 1200.0, direction: -1}
+force: {sum: [{topic: car1/force, field: 'data[0]', unit: kN}, {topic: car2/force, field: data.1, gain: 2.0}]}
+gradient: {from: line}
+brake_command: {topic: /notch, field: data, table: {0: 0.0, 1: -0.3, 2: -0.6}, on_change: true}
+mass: {topic: /load, field: data, unit: t}
+"""
+
+
+def test_a_whole_mapping_is_read() -> None:
+    mapping = parse_mapping(WHOLE, 'map.yaml')
+    assert isinstance(mapping.speed, Signal)
+    (speed,) = mapping.speed.sources
+    assert (speed.topic, speed.path, speed.sign, speed.offset) == ('/odo/twist', ('twist', 'linear', 'x'), -1.0, 0.5)
+    assert speed.stamp is StampSource.RECEIVE
+    assert mapping.position == SpeedIntegral(1200.0, -1)
+    assert mapping.gradient == LineLookup()
+    assert isinstance(mapping.force, Signal)
+    assert [source.path for source in mapping.force.sources] == [('data', 0), ('data', 1)]
+    assert [source.topic for source in mapping.sources] == ['/odo/twist', 'car1/force', 'car2/force', '/notch', '/load']
+    assert mapping.replaced == {'ato/speed', 'ato/force', 'ato/gradient', 'ato/brake_command', 'ato/mass'}
+    assert mapping.needed('ato/force') == ('car1/force', 'car2/force')
+    assert mapping.needed('ato/gradient') == ()
+
+
+def test_what_is_missing_is_the_topic_of_our_own() -> None:
+    mapping = parse_mapping('mass: {topic: /load, field: data}', 'map.yaml')
+    assert mapping.replaced == {'ato/mass'}
+    assert mapping.needed('ato/speed') == ('ato/speed',)
+    assert parse_mapping('{}', 'map.yaml') == OWN
+
+
+@pytest.mark.parametrize(('given', 'expected'), [(0.0, 3600.0), (600.0, 600.0)])
+def test_commands_published_only_on_change_hold(given: float, expected: float) -> None:
+    config = AlignmentConfig(command_hold=given)
+    assert parse_mapping(WHOLE, 'map.yaml').alignment(config).command_hold == expected
+    assert OWN.alignment(config) == config
+
+
+def test_a_value_passes_sign_gain_offset_table_and_unit() -> None:
+    mapping = parse_mapping(WHOLE, 'map.yaml')
+    assert isinstance(mapping.speed, Signal)
+    assert isinstance(mapping.brake_command, Signal)
+    twist = SimpleNamespace(twist=SimpleNamespace(linear=SimpleNamespace(x=-35.5)))
+    assert mapping.speed.sources[0].read(twist) == pytest.approx(10.0)
+    notch = mapping.brake_command.sources[0]
+    assert notch.read(SimpleNamespace(data=2)) == -0.6
+    assert notch.read(SimpleNamespace(data=7)) != notch.read(SimpleNamespace(data=7))  # NaN: no such notch
+    for message in (SimpleNamespace(), SimpleNamespace(data='x'), SimpleNamespace(data=[1.0])):
+        with pytest.raises(InputError, match='topic /notch: field data is not a number'):
+            notch.read(message)
+
+
+@pytest.mark.parametrize(
+    ('text', 'message'),
+    [
+        ('speeed: {}', "speeed is not a known field; did you mean 'speed'"),
+        ('speed: 3', 'speed = 3 must be a mapping'),
+        ('speed: {field: data}', 'speed.topic is missing'),
+        ('speed: {topic: /x}', 'speed.field is missing'),
+        ('speed: {topic: /x, field: a b}', 'speed.field'),
+        ('speed: {topic: /x, field: x..y}', 'speed.field'),
+        ('speed: {topic: /x, field: x, unit: kN}', "speed.unit = 'kN' is not a unit of speed"),
+        ('speed: {topic: /x, field: x, sign: 2}', 'speed.sign = 2 must be 1 or -1'),
+        ('speed: {topic: /x, field: x, stamp: now}', 'speed.stamp'),
+        ('speed: {topic: /x, field: x, on_change: true}', 'speed.on_change is not a known field'),
+        ('position: {from: force}', 'position.from'),
+        ('position: {from: speed, direction: 0}', 'position.direction'),
+        ('gradient: {from: speed}', 'gradient.from'),
+        ('force: {sum: []}', 'force.sum'),
+        ('force: {sum: [{topic: /x}]}', r'force.sum\[0\].field is missing'),
+        ('brake_command: {topic: /x, field: x, table: {}}', 'brake_command.table'),
+        ('brake_command: {topic: /x, field: x, table: {a: 1.0}}', 'brake_command.table'),
+        ('brake_command: {topic: /x, field: x, on_change: 1}', 'brake_command.on_change'),
+    ],
+)
+def test_an_impossible_mapping_is_rejected_by_field(text: str, message: str) -> None:
+    with pytest.raises(InputError, match=f'map.yaml: {message}'):
+        parse_mapping(text, 'map.yaml')
+
+
+def test_a_missing_file_is_named(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match=r'none\.yaml: cannot be read'):
+        load_mapping(tmp_path / 'none.yaml')

@@ -1,0 +1,199 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Turn messages of any topics into the records of a train, by a mapping."""
+
+from __future__ import annotations
+
+import math
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final
+
+from trainid_ros.errors import InputError
+from trainid_ros.mapping.mapping import LineLookup, Signal, SpeedIntegral, StampSource
+from trainid_ros.mapping.mapping_file import load_mapping
+from trainid_ros.mapping.series import SumOfSeries
+from trainid_ros.messages import stamp_of
+from trainid_ros.records import (
+    NS_PER_S,
+    BrakeRecord,
+    ForceRecord,
+    GradientRecord,
+    MassRecord,
+    Record,
+    SpeedRecord,
+)
+from trainid_ros.train.line import LineProfile
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+    from pathlib import Path
+
+    from trainid_ros.mapping.mapping import Mapping, Source
+    from trainid_ros.train.train_file import TrainFile
+
+# Over a longer time without a speed the distance is not known [s].
+_LONGEST_S: Final = 1.0
+_QUANTITIES: Final = ('speed', 'position', 'force', 'gradient', 'brake_command', 'mass')
+
+
+class MappedInputs:
+    """The inputs of one train; messages may come in any order of topics.
+
+    Attributes:
+        mapping: Where each input comes from.
+
+    """
+
+    def __init__(self, mapping: Mapping, train_file: TrainFile) -> None:
+        """Prepare.
+
+        Raises:
+            InputError: The gradient is to come from the line, but the train file has none.
+
+        """
+        self.mapping = mapping
+        self._line = LineProfile(train_file.line, train_file.train.length)
+        if isinstance(mapping.gradient, LineLookup) and not train_file.line.gradient:
+            msg = 'mapping: gradient is to come from the line, but the train file has no line.gradient'
+            raise InputError(msg)
+        self._readers: dict[str, list[tuple[str, int, Source]]] = {}
+        self._sums: dict[str, SumOfSeries] = {}
+        for quantity in _QUANTITIES:
+            signal = getattr(mapping, quantity)
+            if isinstance(signal, Signal):
+                self._sums[quantity] = SumOfSeries(len(signal.sources))
+                for index, source in enumerate(signal.sources):
+                    self._readers.setdefault(source.topic, []).append((quantity, index, source))
+        self._position = Odometer(mapping.position)
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """Topics that the mapping names."""
+        return tuple(self._readers)
+
+    def take(self, topic: str, message: Any, received_ns: int) -> list[Record]:
+        """Return the records that a message of one of the topics completes.
+
+        Args:
+            topic: Its topic, as named in the mapping.
+            message: The message, of any class with the fields of its type.
+            received_ns: When it was received [ns].
+
+        Raises:
+            InputError: The message lacks a field; the error names topic and field.
+
+        """
+        records: list[Record] = []
+        for quantity, index, source in self._readers[topic]:
+            stamp_ns = _stamp(source, message, received_ns)
+            for at_ns, value in self._sums[quantity].add(index, stamp_ns, source.read(message)):
+                records += self._records(quantity, at_ns, value)
+        return records
+
+    def take_record(self, record: Record) -> list[Record]:
+        """Return what becomes of a record from one of our own topics."""
+        if not isinstance(record, SpeedRecord) or (self.mapping.position is None and self.mapping.gradient is None):
+            return [record]
+        return self._at_speed(record.stamp_ns, record.speed, record.position)
+
+    def _records(self, quantity: str, stamp_ns: int, value: float) -> list[Record]:
+        match quantity:
+            case 'speed':
+                return self._at_speed(stamp_ns, abs(value), math.nan)
+            case 'position':
+                self._position.correct(stamp_ns, value)
+                return []
+            case 'force':
+                return [ForceRecord(stamp_ns, value)]
+            case 'gradient':
+                return [self._gradient(stamp_ns, value)]
+            case 'brake_command':
+                return [BrakeRecord(stamp_ns, value, emergency=False)]
+        return [MassRecord(stamp_ns, value)]
+
+    def _at_speed(self, stamp_ns: int, speed: float, measured: float) -> list[Record]:
+        """Return the records at a speed [m/s]: itself, and the gradient where it comes from the line."""
+        if self.mapping.position is None:
+            self._position.correct(stamp_ns, measured)
+            self._position.move(stamp_ns, speed)
+            position = measured
+        else:
+            position = self._position.move(stamp_ns, speed)
+        records: list[Record] = [SpeedRecord(stamp_ns, speed, position)]
+        if isinstance(self.mapping.gradient, LineLookup) and math.isfinite(position):
+            gradient = self._line.gradient(position, self._position.direction)
+            records.append(self._gradient(stamp_ns, gradient))
+        return records
+
+    def _gradient(self, stamp_ns: int, gradient: float) -> GradientRecord:
+        """Return the record of a gradient, with curve radius and tunnel of the line where the position is known."""
+        position, direction = self._position.at, self._position.direction
+        if not math.isfinite(position):
+            return GradientRecord(stamp_ns, gradient, 0.0, tunnel=False)
+        radius, tunnel = self._line.curve_radius(position, direction), self._line.tunnel(position, direction)
+        return GradientRecord(stamp_ns, gradient, radius, tunnel)
+
+
+def mapped_inputs(path: Path | None, train_file: TrainFile) -> Callable[[], MappedInputs] | None:
+    """Return what makes the inputs of a mapping file, None without one.
+
+    Raises:
+        InputError: The file cannot be used.
+
+    """
+    if path is None:
+        return None
+    make = partial(MappedInputs, load_mapping(path), train_file)
+    make()  # what does not fit the train file is said now
+    return make
+
+
+class Odometer:
+    """Position by integrating the speed, corrected by measured positions.
+
+    Attributes:
+        at: Position at the last speed [m], NaN while it is not known.
+        direction: +1 while positions rise, -1 while they fall.
+
+    """
+
+    def __init__(self, how: Signal | SpeedIntegral | None) -> None:
+        """Prepare; ``how`` tells where positions come from."""
+        self.at, self.direction = math.nan, 1
+        if isinstance(how, SpeedIntegral):
+            self.at, self.direction = how.start, how.direction
+        self._stamp_ns = 0
+        self._speed = math.nan
+        self._fix, self._fix_ns = math.nan, 0
+
+    def correct(self, stamp_ns: int, position: float) -> None:
+        """Take in a measured position [m]; two of them in turn show the direction."""
+        if not math.isfinite(position):
+            return
+        if abs(position - self._fix) > 0.0:
+            self.direction = 1 if position > self._fix else -1
+        self._fix, self._fix_ns = position, stamp_ns
+        # To the stamp of the last speed, which may be earlier or later.
+        since_s = (self._stamp_ns - stamp_ns) / NS_PER_S
+        moves = math.isfinite(self._speed) and abs(since_s) <= _LONGEST_S
+        travelled = self._speed * since_s if moves else 0.0
+        self.at = position + self.direction * travelled
+
+    def move(self, stamp_ns: int, speed: float) -> float:
+        """Follow a speed [m/s]; return the position at it [m]."""
+        dt = (stamp_ns - self._stamp_ns) / NS_PER_S if self._stamp_ns else math.nan
+        if 0.0 < dt <= _LONGEST_S and math.isfinite(speed + self._speed):
+            self.at += self.direction * 0.5 * (speed + self._speed) * dt
+        if stamp_ns == self._fix_ns:
+            self.at = self._fix
+        self._stamp_ns, self._speed = max(stamp_ns, self._stamp_ns), speed
+        return self.at
+
+
+def _stamp(source: Source, message: Any, received_ns: int) -> int:
+    if source.stamp is StampSource.RECEIVE:
+        return received_ns
+    try:
+        return stamp_of(message)
+    except AttributeError:
+        msg = f'topic {source.topic}: {type(message).__name__} has no header; set stamp: receive'
+        raise InputError(msg) from None

@@ -1,0 +1,161 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What a mapping says: from which fields of which messages each input is made."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, fields, replace
+from enum import Enum
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
+
+from trainid_ros.errors import InputError
+from trainid_ros.mapping.units import Unit
+from trainid_ros.records import BRAKE_TOPIC, FORCE_TOPIC, GRADIENT_TOPIC, MASS_TOPIC, SPEED_TOPIC
+
+if TYPE_CHECKING:
+    from trainid_ros.stream.alignment import AlignmentConfig
+
+
+class StampSource(Enum):
+    """Where the stamp of a value comes from."""
+
+    HEADER = 'header'
+    RECEIVE = 'receive'
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """One number in the messages of one topic.
+
+    Attributes:
+        topic: Name of the topic; a relative one lies in the namespace of the train.
+        path: Names of fields and indices of arrays that lead to the number.
+        unit: Its unit.
+        sign: 1, or -1 where it counts the other way.
+        gain: Factor on it [1].
+        offset: Added after sign and gain, in its unit.
+        table: Value in its unit by raw number, such as that of a notch; empty without.
+        stamp: Where its stamp comes from.
+
+    """
+
+    topic: str
+    path: tuple[str | int, ...]
+    unit: Unit
+    sign: float = 1.0
+    gain: float = 1.0
+    offset: float = 0.0
+    table: tuple[tuple[float, float], ...] = ()
+    stamp: StampSource = StampSource.HEADER
+
+    @property
+    def field(self) -> str:
+        """The path as in the file, such as ``twist.linear.x`` or ``data.0``."""
+        return '.'.join(map(str, self.path))
+
+    def read(self, message: Any) -> float:
+        """Return the value in the unit of the interface; NaN for a raw number that is not in the table.
+
+        Raises:
+            InputError: The message has no such number; the error names topic and field.
+
+        """
+        raw = self._raw(message)
+        if self.table:
+            raw = dict(self.table).get(raw, math.nan)
+        return self.unit.convert(self.sign * self.gain * raw + self.offset)
+
+    def _raw(self, message: Any) -> float:
+        value = message
+        try:
+            for step in self.path:
+                value = value[step] if isinstance(step, int) else getattr(value, step)
+            return float(value)
+        except (AttributeError, IndexError, TypeError, ValueError):
+            msg = f'topic {self.topic}: field {self.field} is not a number of {type(message).__name__}'
+            raise InputError(msg) from None
+
+
+@dataclass(frozen=True, slots=True)
+class Signal:
+    """A quantity as the sum of one or more sources."""
+
+    sources: tuple[Source, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedIntegral:
+    """The position as the integral of the speed, from ``start`` [m], rising (+1) or falling (-1)."""
+
+    start: float = 0.0
+    direction: int = 1
+
+
+@dataclass(frozen=True, slots=True)
+class LineLookup:
+    """Gradient, curve radius and tunnel of the line of the train file, by position."""
+
+
+# How long a brake command published only on change holds, unless a parameter says otherwise [s].
+_HOLD_S: Final = 3600.0
+_QUANTITY_OF: Final = {
+    SPEED_TOPIC.name: 'speed',
+    FORCE_TOPIC.name: 'force',
+    GRADIENT_TOPIC.name: 'gradient',
+    BRAKE_TOPIC.name: 'brake_command',
+    MASS_TOPIC.name: 'mass',
+}
+Position: TypeAlias = Signal | SpeedIntegral
+Gradient: TypeAlias = Signal | LineLookup
+
+
+@dataclass(frozen=True, slots=True)
+class Mapping:
+    """Where each input comes from; None: from its own topic of trainid_msgs.
+
+    Attributes:
+        speed: Speed [m/s]; its sign is ignored.
+        position: Position [m].
+        force: Force [N].
+        gradient: Gradient [per mille].
+        brake_command: Target acceleration [m/s^2].
+        mass: Mass [kg].
+        on_change: Whether brake commands are published only when they change.
+
+    """
+
+    speed: Signal | None = None
+    position: Position | None = None
+    force: Signal | None = None
+    gradient: Gradient | None = None
+    brake_command: Signal | None = None
+    mass: Signal | None = None
+    on_change: bool = False
+
+    def alignment(self, config: AlignmentConfig) -> AlignmentConfig:
+        """Return settings of the alignment that fit the mapping."""
+        if self.on_change and config.command_hold == 0.0:
+            return replace(config, command_hold=_HOLD_S)
+        return config
+
+    @property
+    def replaced(self) -> frozenset[str]:
+        """Our own topics that are not read."""
+        return frozenset(topic for topic, name in _QUANTITY_OF.items() if getattr(self, name) is not None)
+
+    def needed(self, topic: str) -> tuple[str, ...]:
+        """Return the topics that the input of one of our own topics needs."""
+        signal = getattr(self, _QUANTITY_OF[topic])
+        if signal is None:
+            return (topic,)
+        return tuple(source.topic for source in signal.sources) if isinstance(signal, Signal) else ()
+
+    @property
+    def sources(self) -> tuple[Source, ...]:
+        """All numbers that are read."""
+        signals = (getattr(self, item.name) for item in fields(self))
+        return tuple(source for signal in signals if isinstance(signal, Signal) for source in signal.sources)
+
+
+OWN: Final = Mapping()
+"""All inputs come from their own topics."""
