@@ -47,6 +47,8 @@ _SETTLING_S: Final = 40.0
 """Time after which memory is compared: by then all code has run and all buffers have their sizes."""
 _READ_EVERY_S: Final = 5.0
 _LAST_S: Final = 10.0
+_LONGEST_END_S: Final = 60.0
+"""Time for a clean end: a process that is killed leaves its shared memory."""
 _SHARED: Final = '/dev/shm/'
 _TRACING: Final = 'lttng'  # kept by the system for all processes
 
@@ -148,15 +150,17 @@ def soak(seconds: float, rate: float, busy: int) -> Soak:
 
     """
     shared: set[Path] = set()
+    # What processes left that were killed long ago, and these may use again.
+    before = set(Path(_SHARED).iterdir())
     burners = [multiprocessing.get_context('spawn').Process(target=_burn, daemon=True) for _ in range(busy)]
     with tempfile.TemporaryDirectory() as name, private_domain(Path(name)), ProcessGroup(Path(name)) as processes:
         parameters = Path(name) / 'parameters.yaml'
         parameters.write_text(parameter_file(), encoding='utf-8')
         command = ['run', '--train', str(TRAIN_FILE), '--ros-args', '--params-file', str(parameters)]
-        pid = processes.start('nodes', command).process.pid
+        process = processes.start('nodes', command).process
         feed, stop = _Feed(), threading.Event()
         readings: list[Reading] = []
-        reader = threading.Thread(target=lambda: readings.extend(_readings(pid, stop)))
+        reader = threading.Thread(target=lambda: readings.extend(_readings(process.pid, stop)))
         try:
             feed.wait_for_nodes()
             for burner in burners:
@@ -164,7 +168,11 @@ def soak(seconds: float, rate: float, busy: int) -> Soak:
             reader.start()
             late_s = feed.publish(seconds, rate)
             _wait(feed)
-            shared = _shared_memory(pid) | _shared_memory('self')
+            shared = (_shared_memory(process.pid) | _shared_memory('self')) - before
+            stop.set()
+            reader.join()
+            process.terminate()
+            process.wait(_LONGEST_END_S)
         finally:
             stop.set()
             reader.join()
