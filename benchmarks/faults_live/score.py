@@ -102,8 +102,8 @@ def _troubles(heard: Heard, begin_ns: float, end_ns: float) -> Iterator[tuple[in
 
 
 def _brief(text: str) -> str:
-    """Return a diagnostic without its times, and without what to do."""
-    return _SINCE.sub('', text).partition('; ')[0]
+    """Return what is the case in the first sentence of a diagnostic, without time and action."""
+    return _SINCE.split(text)[0].partition('; ')[0]
 
 
 def _ratios(case: Case, heard: Heard) -> Iterable[float]:
