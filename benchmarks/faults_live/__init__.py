@@ -61,6 +61,8 @@ def _row(case: Case, outcome: Outcome) -> tuple[str, ...]:
         name += ' (NOT FINITE)'
     if not outcome.resumed:
         name += ' (NOT RESUMED)'
+    if not outcome.ready:
+        name += ' (NOT READY)'
     ((reason, count),) = outcome.rejected.most_common(1) or (('', 0),)
     return (
         name,

@@ -24,6 +24,8 @@ if TYPE_CHECKING:
     from benchmarks.faults_live.trial import Heard
 
 _PERIOD_S: Final = 0.2
+# The nodes must have published for this time before the fault [s].
+_READY_S: Final = 3.0
 _FIT: Final = (Status.VALID, Status.HOLDING)
 _ESTIMATOR: Final = 'resistance_estimator: estimator'
 _REJECTED: Final = 'rejected.'
@@ -45,6 +47,7 @@ class Outcome:
         rejected: Records and samples of the resistance rejected since then, by reason.
         before: Diagnostics that were not OK just before the fault.
         resumed: Whether the nodes had continued from their checkpoints.
+        ready: Whether they had published for some seconds before the fault.
 
     """
 
@@ -58,6 +61,7 @@ class Outcome:
     rejected: Counter[str]
     before: tuple[str, ...]
     resumed: bool
+    ready: bool
 
 
 def score(case: Case, heard: Heard) -> Outcome:
@@ -82,6 +86,7 @@ def score(case: Case, heard: Heard) -> Outcome:
         rejected=_counts(heard, after=True) - _counts(heard, after=False),
         before=tuple(sorted({_brief(text) for _, text in _troubles(heard, begin_ns - 2 * NS_PER_S, begin_ns)})),
         resumed=heard.resumed,
+        ready=any(at_s < -_READY_S for at_s, _ in statuses),
     )
 
 

@@ -39,7 +39,7 @@ _SEED: Final = 4001
 _BEGIN_S: Final = 682.0
 _LENGTH_S: Final = 800.0
 # Time for processes to start, and to drive without a fault; time after the fault [s].
-_SET_UP_S: Final = 20.0
+_SET_UP_S: Final = 30.0
 _TAIL_S: Final = 30.0
 _SIGNALS: Final = {'kill': signal.SIGKILL, 'stop': signal.SIGSTOP, 'resume': signal.SIGCONT}
 _SENDER: Final = 'benchmarks.sender'
