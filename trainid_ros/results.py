@@ -96,6 +96,7 @@ class ResistanceEstimate:
         test_ratio: Squared innovation over gate^2 times its variance [1]; above 1 the sample is rejected.
         speed_min: Slowest speed learned from [m/s].
         speed_max: Fastest speed learned from [m/s]; 0 before the first.
+        resistance_std_max: Largest standard deviation of w at the speeds learned from and at ``speed`` [N/kN].
         force_scale: Actual over reported specific force (force over weight) [1]; NaN if not estimated.
         force_scale_std: Standard deviation of ``force_scale`` [1]; NaN if not estimated.
         force_delay: Delay of the stamps of the force [s], > 0 if stamped too late; NaN if not estimated.
@@ -115,6 +116,7 @@ class ResistanceEstimate:
     test_ratio: float
     speed_min: float
     speed_max: float
+    resistance_std_max: float
     force_scale: float = math.nan
     force_scale_std: float = math.nan
     force_delay: float = math.nan
@@ -134,6 +136,7 @@ class ResistanceEstimate:
         test_ratio: float,
         speed_min: float,
         speed_max: float,
+        resistance_std_max: float,
         force_scale: float = math.nan,
         force_scale_std: float = math.nan,
         force_delay: float = math.nan,
@@ -151,6 +154,7 @@ class ResistanceEstimate:
         self.test_ratio = test_ratio
         self.speed_min = speed_min
         self.speed_max = speed_max
+        self.resistance_std_max = resistance_std_max
         self.force_scale = force_scale
         self.force_scale_std = force_scale_std
         self.force_delay = force_delay

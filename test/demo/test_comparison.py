@@ -22,7 +22,7 @@ from trainid_ros.results import BrakeRateEstimate, Output, Reason, Rejection, Re
 ESTIMATE = ResistanceEstimate(
     a=1.6, b=0.02, c=0.001, covariance=(0.04, 0.0, 0.0, 0.0, 1e-4, 0.0, 0.0, 0.0, 1e-8), resistance=1.9,
     resistance_std=0.2, speed=10.0, innovation=0.1, innovation_variance=0.04, test_ratio=0.02, speed_min=2.0,
-    speed_max=20.0,
+    speed_max=20.0, resistance_std_max=0.3,
 )  # fmt: skip
 NAMES = tuple(ESTIMATE.__dataclass_fields__)
 REJECTION = Rejection(7, Reason.OUTLIER, 1.0, 0.5)

@@ -20,7 +20,7 @@ from trainid_ros.results import BrakeRateEstimate, Output, Reason, ResistanceEst
 from trainid_ros.sim.truth import Truth
 
 START_NS = 1_700_000_000 * NS_PER_S
-RESISTANCE = ResistanceEstimate(1.6, 0.02, 0.001, (0.0,) * 9, 1.9, 0.2, 10.0, 0.1, 0.04, 0.02, 2.0, 20.0)
+RESISTANCE = ResistanceEstimate(1.6, 0.02, 0.001, (0.0,) * 9, 1.9, 0.2, 10.0, 0.1, 0.04, 0.02, 2.0, 20.0, 0.3)
 BRAKE = BrakeRateEstimate(0.91, 0.05, 0.0, 10.0, 0.0, 0.0, 100.0, False, 0.01, 0.001, 0.01)
 TRUTH = Truth(START_NS, ((0.0, 1.5, 0.02, 0.001),), ((0.0, 0.95),))
 

@@ -10,7 +10,7 @@ from trainid_ros.results import ResistanceEstimate
 
 
 def estimate(scale: float, scale_std: float, delay: float = 0.0, delay_std: float = 0.02) -> ResistanceEstimate:
-    davis = (1.5, 0.02, 0.003, (0.0,) * 9, 2.0, 0.1, 10.0, 0.0, 1.0, 0.0, 1.0, 20.0)
+    davis = (1.5, 0.02, 0.003, (0.0,) * 9, 2.0, 0.1, 10.0, 0.0, 1.0, 0.0, 1.0, 20.0, 0.3)
     return ResistanceEstimate(*davis, scale, scale_std, delay, delay_std)
 
 

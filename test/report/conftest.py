@@ -19,7 +19,7 @@ START_NS = 1_700_000_000 * NS_PER_S
 RESISTANCE = ResistanceEstimate(
     a=1.6, b=0.02, c=0.001, covariance=(0.04, 0.0, 0.0, 0.0, 1e-4, 0.0, 0.0, 0.0, 1e-8), resistance=1.9,
     resistance_std=0.2, speed=10.0, innovation=0.1, innovation_variance=0.04, test_ratio=0.02, speed_min=2.0,
-    speed_max=20.0,
+    speed_max=20.0, resistance_std_max=0.3,
 )  # fmt: skip
 MODEL = SpeedModelEstimate(
     a1=-1e-5, a2=0.999, b1=0.0018, d0=-0.004, covariance=(0.0,) * 16, forgetting_factor=1.0, predicted_speed=10.0,

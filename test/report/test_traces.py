@@ -19,7 +19,7 @@ from trainid_ros.results import Output, ResistanceEstimate, Status
 START_NS = 1_700_000_000 * NS_PER_S
 ESTIMATE = ResistanceEstimate(
     a=1.0, b=2.0, c=3.0, covariance=tuple(map(float, range(9))), resistance=0.0, resistance_std=0.0, speed=4.0,
-    innovation=0.0, innovation_variance=1.0, test_ratio=0.0, speed_min=1.0, speed_max=9.0,
+    innovation=0.0, innovation_variance=1.0, test_ratio=0.0, speed_min=1.0, speed_max=9.0, resistance_std_max=0.3,
 )  # fmt: skip
 
 

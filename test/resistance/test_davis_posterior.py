@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from trainid_ros.resistance.davis_posterior import DavisPosterior, drift_rates, drifted, predict
+from trainid_ros.resistance.davis_posterior import DavisPosterior, drift_rates, drifted, largest_std, predict
 
 ESTIMATE: DavisPosterior = (1.4, 0.02, 0.01, 0.81, 0.001, -1e-5, 4e-4, 1e-6, 2.5e-5)
 
@@ -36,3 +36,23 @@ def test_drift_increases_variances_up_to_the_limit_and_keeps_correlations() -> N
 def test_after_an_hour_the_drift_is_its_share_of_the_prior() -> None:
     rates = drift_rates(0.1, (4.0, 1.0, 0.25))
     assert [3600.0 * rate for rate in rates] == pytest.approx([0.04, 0.01, 0.0025])
+
+
+@pytest.mark.parametrize(
+    ('sign', 'driven'),
+    [
+        (1.0, (3.0, 20.0)),  # largest at the fastest speed
+        (-1.0, (3.0, 20.0)),  # a and c make up for each other: largest at an end or in between
+        (-1.0, (0.0, 0.0)),  # nothing learned yet
+    ],
+)
+def test_the_largest_deviation_is_that_at_the_worst_speed(sign: float, driven: tuple[float, float]) -> None:
+    # w is exact at 15 m/s where the errors of a and c cancel.
+    shape = np.array([0.9, 0.0, sign * 0.004])
+    P = np.outer(shape, shape) + np.diag([1e-3, 1e-6, 1e-8])
+    speeds = np.linspace(*driven, 200)
+    phi = np.stack((np.ones(200), speeds, speeds**2))
+    stds = np.sqrt(np.einsum('it,ij,jt->t', phi, P, phi))
+    covariance = tuple(P.ravel().tolist())
+    assert largest_std(covariance, driven, 0.0) == pytest.approx(float(stds.max()), rel=0.01)
+    assert largest_std(covariance, driven, 50.0) == 50.0

@@ -27,7 +27,7 @@ from trainid_ros.ros.topics import fill_estimate, message_from_record, time_mess
 STAMP = 1_700_000_000_123_456_789
 SPREAD = tuple(k / 7 for k in range(9))
 ESTIMATE = ResistanceEstimate(
-    0.1 + 0.2, -1e-17, 1 / 3, tuple(k / 7 for k in range(9)), 1.7, 0.2, 11.1, -0.3, 0.01, 2.5, 3.0, 19.0
+    0.1 + 0.2, -1e-17, 1 / 3, tuple(k / 7 for k in range(9)), 1.7, 0.2, 11.1, -0.3, 0.01, 2.5, 3.0, 19.0, 0.4
 )
 BRAKE = BrakeRateEstimate(0.93, 0.02, math.nan, 12.0, -0.5, -0.6, 77.5, True, 0.01, 0.002, 0.3)
 

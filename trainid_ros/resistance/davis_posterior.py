@@ -16,6 +16,8 @@ from trainid_ros.results import ResistanceEstimate
 DavisPosterior = tuple[float, ...]
 
 _SECONDS_PER_HOUR: Final = 3600.0
+# Intervals of the speeds at which the largest standard deviation is sought.
+_INTERVALS: Final = 8
 
 
 def drift_growth(share: float) -> float:
@@ -63,6 +65,23 @@ def predict(estimate: DavisPosterior, v: float, s: float) -> tuple[float, float]
     return a + b * v + c * s, max(variance, 0.0)
 
 
+def largest_std(covariance: tuple[float, ...], driven: tuple[float, float], present: float) -> float:
+    """Return the largest standard deviation of w [N/kN]: at nine of the speeds learned from, and now.
+
+    Args:
+        covariance: Of (a, b, c), 3x3, row-major.
+        driven: Slowest and fastest speed learned from [m/s].
+        present: Standard deviation at the present speed [N/kN].
+
+    """
+    A, B, C, _, D, E, _, _, F = covariance
+    largest = present * present
+    for k in range(_INTERVALS + 1):
+        v = driven[0] + (driven[1] - driven[0]) * k / _INTERVALS
+        largest = max(largest, A + v * (2.0 * B + v * (2.0 * C + D + v * (2.0 * E + v * F))))
+    return max(present, math.sqrt(largest))
+
+
 def resistance_estimate(
     posterior: DavisPosterior,
     speed: float,
@@ -85,11 +104,12 @@ def resistance_estimate(
     nu, S, test_ratio = innovation
     slowest, fastest = driven
     scale, scale_std, delay, delay_std = force
+    covariance = A, B, C, B, D, E, C, E, F
     return ResistanceEstimate(
         a=a,
         b=b,
         c=c,
-        covariance=(A, B, C, B, D, E, C, E, F),
+        covariance=covariance,
         resistance=resistance,
         resistance_std=math.sqrt(variance),
         speed=speed,
@@ -98,6 +118,7 @@ def resistance_estimate(
         test_ratio=test_ratio,
         speed_min=slowest,
         speed_max=fastest,
+        resistance_std_max=largest_std(covariance, driven, math.sqrt(variance)),
         force_scale=scale,
         force_scale_std=scale_std,
         force_delay=delay,

@@ -24,6 +24,7 @@ from trainid_lab.resistance.residuals import Residuals
 from trainid_lab.resistance.segments import Segments, Windows, cut
 from trainid_ros.estimators.admission import Admission
 from trainid_ros.estimators.known_force import KnownForce
+from trainid_ros.resistance.davis_posterior import largest_std
 from trainid_ros.resistance.fitness import is_fit, representative_speeds
 from trainid_ros.resistance.speed_window import WindowResult, WindowTick, observe_resistance
 from trainid_ros.results import Reason, Rejection, ResistanceEstimate
@@ -224,19 +225,22 @@ class WindowedRegression:
         a, b, c = _in_kmh(state.regression.theta)
         P11, P12, P13, P22, P23, P33 = (state.scale * value for value in covariance(state.regression.UD))
         k, k2, k3, k4 = _KMH, _KMH**2, _KMH**3, _KMH**4
+        std = math.sqrt(state.scale * prediction_variance(state.regression.UD, _regressor(speed)))
+        P = P11, k * P12, k2 * P13, k * P12, k2 * P22, k3 * P23, k2 * P13, k3 * P23, k4 * P33
         return ResistanceEstimate(
             a=a,
             b=b,
             c=c,
-            covariance=(P11, k * P12, k2 * P13, k * P12, k2 * P22, k3 * P23, k2 * P13, k3 * P23, k4 * P33),
+            covariance=P,
             resistance=a + speed * (b + speed * c),
-            resistance_std=math.sqrt(state.scale * prediction_variance(state.regression.UD, _regressor(speed))),
+            resistance_std=std,
             speed=speed,
             innovation=state.innovation,
             innovation_variance=state.innovation_variance,
             test_ratio=state.test_ratio,
             speed_min=state.speed_min,
             speed_max=state.speed_max,
+            resistance_std_max=largest_std(P, (state.speed_min, state.speed_max), std),
         )
 
 

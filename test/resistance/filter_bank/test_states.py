@@ -40,6 +40,8 @@ def test_the_fields_of_an_estimate_are_consistent(learned: str, check_finite: An
     phi = np.array([1.0, 13.0, 169.0])
     assert e.resistance == pytest.approx(e.a + 13.0 * e.b + 169.0 * e.c, rel=1e-12)
     assert e.resistance_std == pytest.approx(math.sqrt(phi @ P @ phi), rel=1e-9)
+    assert e.resistance_std_max >= e.resistance_std
+    assert restored(learned).estimate(90.0).resistance_std_max == restored(learned).estimate(90.0).resistance_std
     assert e.test_ratio == pytest.approx(e.innovation**2 / (5.5**2 * e.innovation_variance), rel=1e-9)
     check_finite(e)
 

@@ -31,6 +31,7 @@ from trainid_ros.estimators.admission import Admission
 from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.estimators.prior import PriorSettings, prior_variances
 from trainid_ros.estimators.speed_noise import SpeedNoise
+from trainid_ros.resistance.davis_posterior import largest_std
 from trainid_ros.results import Reason, Rejection, ResistanceEstimate
 from trainid_ros.settings import check_settings, setting
 from trainid_ros.state import check_restored, decode, encode
@@ -278,19 +279,21 @@ class TwoWindow:
             state.posterior.resistance(speed),
             self._speeds(),
         )
+        std = math.sqrt(variance)
         return ResistanceEstimate(
             a=a,
             b=b,
             c=c,
             covariance=state.posterior.P,
             resistance=w,
-            resistance_std=math.sqrt(variance),
+            resistance_std=std,
             speed=speed,
             innovation=state.innovation,
             innovation_variance=state.innovation_variance,
             test_ratio=state.test_ratio,
             speed_min=slow,
             speed_max=fast,
+            resistance_std_max=largest_std(state.posterior.P, (slow, fast), std),
         )
 
 
