@@ -99,10 +99,10 @@ def measure(kills: int = _KILLS) -> tuple[Table, ...]:
         ('checkpoints that could not be written', str(outcome.unsaved)),
     )
     note = (
-        f'checkpoint_period = {_PERIOD_S:g} s; a sample every {_SAMPLE_S:g} s. The age is by the clock: a period, and '
-        'the time until the file was on disk. Lost is by stamps what lies between checkpoint and last estimate: after '
-        'a pause, a loaded machine takes in more than a period at once. The next start removes what an interrupted '
-        'write has left.'
+        f'checkpoint_period = {_PERIOD_S:g} s; a sample every {_SAMPLE_S:g} s. The age is by the clock; where a '
+        'process had not saved yet, it is that of the checkpoint of the process before. Lost is by stamps what lies '
+        'between checkpoint and last estimate: on a loaded machine the last period, and the time until a file is on '
+        'disk. The next start removes what an interrupted write has left.'
     )
     return (Table('kill -9 at random moments, three nodes in one process', ('', 'value'), rows, note),)
 
