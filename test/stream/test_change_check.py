@@ -46,6 +46,19 @@ def test_a_change_on_the_way_is_suspected_soon(change: dict[str, float], within_
     assert drive(check, round(within_s / BLOCK_S), seed=2, **change).is_suspected
 
 
+def test_a_force_that_suddenly_counts_less_is_named_with_its_ratio_and_an_offset_is_not() -> None:
+    check = drive(ChangeCheck(), 400)
+    for _ in range(20):
+        check.add(48.0, 60.0, INERTIA, SPEED_STD, BLOCK_S, off=False)
+    assert check.finding == 'the speed suddenly follows ato/force 0.8 times as much as before'
+    check = drive(ChangeCheck(), 400)
+    for k in range(40):
+        x = 60.0 if k % 20 < 10 else 5.0
+        check.add(x - 4.0, x, INERTIA, SPEED_STD, BLOCK_S, off=False)
+    assert check.is_suspected
+    assert check.finding == ''
+
+
 def test_where_the_load_is_not_weighed_another_mass_after_a_stop_is_not_suspected() -> None:
     check = drive(ChangeCheck(), 400)
     check.stand(weighed=False)
@@ -60,6 +73,7 @@ def test_a_suspicion_ends_when_the_balance_is_as_before() -> None:
         check.add(5.0, 5.0, INERTIA, SPEED_STD, BLOCK_S, off=False)
         count += 1
     assert 5 < count < 40
+    assert check.has_returned
 
 
 def test_a_change_that_stays_is_the_train_as_it_is_now() -> None:
@@ -69,4 +83,5 @@ def test_a_change_that_stays_is_the_train_as_it_is_now() -> None:
         check.add(35.0, 40.0, INERTIA, SPEED_STD, BLOCK_S, off=False)
         suspected += check.is_suspected
     assert 60.0 <= suspected * BLOCK_S < 70.0
+    assert not check.has_returned
     assert check.offset + 40.0 * check.gain == pytest.approx(35.0, abs=0.5)

@@ -59,15 +59,30 @@ def reported(height: float, answer: float, count: int = 8) -> SpikeCheck:
     return check
 
 
-@pytest.mark.parametrize('height', [60.0, -40.0])
-def test_spikes_without_an_answer_are_named_and_cuts_of_traction_are_not(height: float) -> None:
-    assert reported(height, answer=0.0).finding == 'ato/force has spikes'
-    assert reported(height, answer=1.0).finding == ''
+def test_a_cut_of_traction_is_answered_by_the_speed_and_a_spike_towards_zero_is_not() -> None:
+    assert reported(-40.0, answer=0.0).finding == 'ato/force has spikes'
+    assert reported(-40.0, answer=1.0).finding == ''
+    assert not reported(-40.0, answer=1.0).is_suspected
 
 
-def test_spikes_that_the_noise_of_the_speed_hides_or_while_a_brake_acts_are_no_evidence() -> None:
-    assert reported(16.0, answer=0.0, count=3).finding == ''
-    assert reported(60.0, answer=math.nan).finding == ''
+@pytest.mark.parametrize('height', [30.0, -100.0])
+def test_reports_beyond_their_neighbours_are_spikes_whatever_the_speed_does(height: float) -> None:
+    assert reported(height, answer=math.nan, count=2).is_suspected
+    assert reported(height, answer=math.nan, count=3).finding == 'ato/force has spikes'
+
+
+def test_spikes_towards_zero_that_the_noise_of_the_speed_hides_or_while_a_brake_acts_are_no_evidence() -> None:
+    assert reported(-16.0, answer=0.0, count=3).finding == ''
+    assert reported(-40.0, answer=math.nan).finding == ''
+
+
+def test_pulses_of_traction_rise_and_fall_in_more_than_one_report() -> None:
+    check = SpikeCheck()
+    for k in range(80):
+        force = (0.0, 48.0, 80.0, 50.0)[k % 8] if k % 8 < 4 else 0.0
+        check.add(force, force, math.nan, STD, PERIOD_S)
+    assert check.finding == ''
+    assert not check.is_suspected
 
 
 def test_a_missing_force_is_no_spike() -> None:

@@ -307,3 +307,17 @@ def test_a_restored_stream_knows_the_last_finding_and_rejections_have_numbers(
     state = decode(encode(stream.state), StreamState)
     state.check()
     assert stream.successor(state).last_finding == stream.last_finding != ''
+
+
+@pytest.mark.parametrize('change', [force(1.2), gradient(2.0)])
+def test_after_a_change_that_has_passed_the_estimate_is_that_from_before_it(
+    metro: TrainFile, day: tuple[Record, ...], change: Change
+) -> None:
+    begin_ns = departures(day)[0] + 30 * NS_PER_S
+    changed = between(change, 0.0, 25.0, begin_ns)
+    hit, healthy = resistance_pipeline(metro, EstimatorSettings()), resistance_pipeline(metro, EstimatorSettings())
+    for record in day:
+        hit.push(changed(record))
+        healthy.push(record)
+    found, expected = hit.current().estimate, healthy.current().estimate
+    assert abs(found.resistance - expected.resistance) < found.resistance_std

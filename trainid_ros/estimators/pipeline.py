@@ -18,7 +18,7 @@ from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.errors import InputError
 from trainid_ros.estimators.algorithm_registry import Algorithms, Choice
 from trainid_ros.estimators.consistency import Consistency, ConsistencyMonitor
-from trainid_ros.estimators.pipeline_state import SNAPSHOT_S, PipelineState, Snapshots, reason_counts
+from trainid_ros.estimators.pipeline_state import SNAPSHOT_S, SUSPECTED_S, PipelineState, Snapshots, reason_counts
 from trainid_ros.estimators.protocol import Estimator
 from trainid_ros.records import NS_PER_S, Record, Row
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
@@ -83,7 +83,7 @@ class EstimatorPipeline(Generic[EstimateT]):
         self._sample_ns = 0
         prior = self.estimator.save()
         self._snapshots = Snapshots(prior, prior)
-        self._contradicted = False
+        self._contradicted = self._changed = False
         self._consistency = ConsistencyMonitor()
         self._status = Status.UNINITIALIZED
         # The estimate at the newest sample, None until somebody asks for it, and the last one published.
@@ -204,7 +204,8 @@ class EstimatorPipeline(Generic[EstimateT]):
         self.rejections, self.last_rejection = state.counted(), state.last_rejection
         self._rejected = self.rejections.total()
         self._speed, self._sample_ns, self._status = state.speed, state.sample_ns, state.status
-        self._snapshots, self._contradicted = replace(state.snapshots), self.stream.is_contradicted
+        self._snapshots = replace(state.snapshots)
+        self._contradicted, self._changed = self.stream.is_contradicted, self.stream.has_changed
         self._estimate = None
         if age_s > 0.0 and state.samples:
             self.estimator.idle(age_s)
@@ -244,18 +245,25 @@ class EstimatorPipeline(Generic[EstimateT]):
         self._consistency.see(innovation, variance, used=rejection is None)
 
     def _keep_snapshots(self, sample: Sample) -> None:
-        """Go back to a state from before the inputs began to contradict each other, once that lasts."""
-        contradicted, snapshots = self.stream.is_contradicted, self._snapshots
+        """Go back to an earlier state once a contradiction of the inputs lasts, or a change has passed again."""
+        stream, snapshots = self.stream, self._snapshots
+        contradicted, changed = stream.is_contradicted, stream.has_changed
         if sample.dt > 0.0 and sample.speed > 0.0:
             snapshots.moved_s += sample.dt
+        if changed and not self._changed and snapshots.moved_s < SUSPECTED_S:
+            snapshots.newest = snapshots.before  # the newest may hold what was wrong already
         if contradicted and not self._contradicted:
-            self.estimator.restore(snapshots.before)
-            # The newest may hold what was wrong already.
-            self._snapshots = Snapshots(snapshots.before, snapshots.before)
-            self._consistency.clear()
-        elif not contradicted and snapshots.moved_s >= SNAPSHOT_S and self.stream.is_trusted:
+            snapshots.newest = snapshots.before
+            self._go_back()
+        elif self._changed and not changed and stream.has_returned and not stream.finding:
+            self._go_back()
+        elif not contradicted and snapshots.moved_s >= SNAPSHOT_S and stream.is_trusted:
             snapshots.add(self.estimator.save())
-        self._contradicted = contradicted
+        self._contradicted, self._changed = contradicted, changed
+
+    def _go_back(self) -> None:
+        self.estimator.restore(self._snapshots.newest)
+        self._consistency.clear()
 
     def _judge(self, rejection: Rejection | None) -> Status:
         if self._status is Status.FAULT:

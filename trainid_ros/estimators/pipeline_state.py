@@ -26,6 +26,8 @@ class ReasonCount:
 
 SNAPSHOT_S: Final = 120.0
 """Time in motion between snapshots [s]; a contradiction of the inputs is found within this time."""
+SUSPECTED_S: Final = 20.0
+"""Time in motion within which a change of the inputs is suspected [s]."""
 
 
 @dataclass(slots=True)

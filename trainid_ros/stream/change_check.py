@@ -40,6 +40,12 @@ _OVER: Final = 0.5
 # Time in motion after which a change is no fault but the train as it is now [s]; its limit may then be higher [1].
 _LONGEST_S: Final = 60.0
 _GROWTH: Final = 1.5
+# A change that is proportional to the traction is no change of the resistance: least change of the gain [1], and of the
+# force in root mean square [N/kN], standard deviations of it [1], time in motion that shows it [s].
+_GAIN: Final = 0.1
+_FORCE: Final = 5.0
+_GAIN_SIGMAS: Final = 5.0
+_NAMED_S: Final = 4.0
 
 
 @dataclass(slots=True)
@@ -47,11 +53,13 @@ class ChangeCheck:
     """Change of the speed that is not explained.
 
     Attributes:
+        finding: What is wrong, empty if nothing is.
         offset: Offset o [N/kN].
         gain: Gain R [1].
         offset_variance: Variance of o [(N/kN)^2].
         covariance: Covariance of both [N/kN].
         gain_variance: Variance of R [1].
+        scatter: Mean square of the residuals [(N/kN)^2].
         count: Number of blocks learned from.
         total: Change of the speed that is not explained, with forgetting [m/s].
         change: The same, smoothed [m/s].
@@ -59,14 +67,19 @@ class ChangeCheck:
         peak: Largest change since something is suspected [m/s].
         suspected_s: Time in motion since then [s].
         is_suspected: True while something has changed.
+        residual_x: Sum of residual times traction since then [(N/kN)^2].
+        xx: Sum of the squared traction since then [(N/kN)^2].
+        blocks: Number of blocks since then.
 
     """
 
+    finding: str = ''
     offset: float = 0.0
     gain: float = 1.0
     offset_variance: float = _OFFSET_STD * _OFFSET_STD
     covariance: float = 0.0
     gain_variance: float = _GAIN_STD * _GAIN_STD
+    scatter: float = 0.0
     count: float = 0.0
     total: float = 0.0
     change: float = 0.0
@@ -74,11 +87,24 @@ class ChangeCheck:
     peak: float = 0.0
     suspected_s: float = 0.0
     is_suspected: bool = False
+    residual_x: float = 0.0
+    xx: float = 0.0
+    blocks: float = 0.0
 
     @property
     def is_possible(self) -> bool:
         """True if the covariance is positive semidefinite."""
         return self.covariance * self.covariance <= self.offset_variance * self.gain_variance
+
+    @property
+    def has_returned(self) -> bool:
+        """True if the last suspicion ended because all was as before, not because it lasted."""
+        return self.suspected_s <= _LONGEST_S
+
+    @property
+    def ratio(self) -> float:
+        """Gain since something is suspected, relative to that before [1]."""
+        return 1.0 + self.residual_x / (self.gain * self.xx) if self.gain * self.xx > 0.0 else 1.0
 
     @property
     def limit(self) -> float:
@@ -115,10 +141,13 @@ class ChangeCheck:
         self.change += (self.total - self.change) / _SMOOTH
         if self.count >= _LEAST:
             self._judge(seconds)
+        if self.is_suspected and not off:
+            self._name(residual, x)
         if off or self.is_suspected:
             return
         most = _CLIP * math.sqrt(innovation_variance)
-        step = min(max(residual, -most), most) / innovation_variance
+        residual = min(max(residual, -most), most)
+        step = residual / innovation_variance
         self.offset += offset_gain * step
         self.gain += gain_gain * step
         self.offset_variance += _OFFSET_WALK - offset_gain * offset_gain / innovation_variance
@@ -126,21 +155,39 @@ class ChangeCheck:
         self.gain_variance -= gain_gain * gain_gain / innovation_variance
         self.offset_variance = min(self.offset_variance, _OFFSET_STD * _OFFSET_STD)
         square = min(self.change * self.change, _CLIP * _CLIP * self.square)
-        self.square += (square - self.square) / min(_SQUARE_BLOCKS + self.count, _SQUARE_MEMORY)
+        share = 1.0 / min(_SQUARE_BLOCKS + self.count, _SQUARE_MEMORY)
+        self.square += share * (square - self.square)
+        self.scatter += share * (residual * residual - self.scatter)
         self.count += 1.0
 
     def _judge(self, seconds: float) -> None:
         """Begin or end a suspicion."""
         size, limit = abs(self.change), self.limit
         if not self.is_suspected:
-            self.is_suspected, self.peak, self.suspected_s = size > limit, size, 0.0
+            self.is_suspected, self.peak = size > limit, size
+            if self.is_suspected:
+                self.suspected_s = self.residual_x = self.xx = self.blocks = 0.0
             return
         self.peak = max(self.peak, size)
         self.suspected_s += seconds
-        if size < _OVER * limit or self.suspected_s > _LONGEST_S:
-            self.is_suspected = False
+        is_over = size < _OVER * limit
+        lasts = self.suspected_s > _LONGEST_S and not self.finding
+        if is_over or lasts:
+            self.is_suspected, self.finding = False, ''
             usual = self.peak / _SIGMAS
             self.square = min(max(self.square, usual * usual), _GROWTH * _GROWTH * self.square)
-            if self.suspected_s > _LONGEST_S:
-                self.total = self.change = self.covariance = 0.0
-                self.offset_variance, self.gain_variance = _OFFSET_STD * _OFFSET_STD, _GAIN_STD * _GAIN_STD
+        if lasts:
+            self.total = self.change = self.covariance = 0.0
+            self.offset_variance, self.gain_variance = _OFFSET_STD * _OFFSET_STD, _GAIN_STD * _GAIN_STD
+
+    def _name(self, residual: float, x: float) -> None:
+        """Name a change of the gain by residual and traction of a block [N/kN]."""
+        self.residual_x += residual * x
+        self.xx += x * x
+        self.blocks += 1.0
+        if self.suspected_s < _NAMED_S or self.xx == 0.0:
+            return
+        change = abs(self.residual_x) / self.xx
+        certain = change > max(_GAIN * self.gain, _GAIN_SIGMAS * math.sqrt(self.scatter / self.xx))
+        if certain and change * change * self.xx > _FORCE * _FORCE * self.blocks:
+            self.finding = f'the speed suddenly follows ato/force {self.ratio:.2g} times as much as before'

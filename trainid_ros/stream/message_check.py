@@ -56,38 +56,43 @@ class CommandCheck:
             self.finding = ''
 
 
-# A single report of the force stands out by this [N/kN]; its neighbours agree to this share of its height [1].
+# A single report of the force stands out by this [N/kN]; its neighbours, and those before, agree to this share of its
+# height [1].
 _SPIKE: Final = 15.0
 _SPIKE_BASE: Final = 0.3
 # Most spikes within the memory [s], and the number at which they are over.
 _SPIKES: Final = 2.5
 _SPIKE_MEMORY_S: Final = 30.0
 _NO_SPIKES: Final = 1.0
-# Log-likelihood that the speed did not answer to them rather than that it did, as to a short cut of traction: limit of
-# the sum (e^4 = 55 to 1), and most of a single one.
+# Spikes after which more are suspected.
+_SUSPECTED: Final = 1.5
+# Log-likelihood that the force was wrong rather than traction cut for a moment, as slip protection does: limit of the
+# sum (e^4 = 55 to 1), most of one spike. A cut is towards zero, and the speed answers to it.
 _EVIDENCE: Final = 4.0
-_MOST_EVIDENCE: Final = 3.0
+_MOST_EVIDENCE: Final = 2.0
 
 
 @dataclass(slots=True)
 class SpikeCheck:
-    """Single reports of the force that stand out although the speed does not answer to them.
+    """Single reports of the force that stand out, and are no short cuts of traction.
 
     Attributes:
         finding: What is wrong, empty if nothing is.
         last: Last specific force [N/kN].
         before: The one before.
+        earlier: The one before that.
         area: Integral of the force over the last interval [N/kN s].
         answer: Integral of the force by the change of the speed over it [N/kN s], NaN if that is not known.
         dt: Its length [s].
         spikes: Number of spikes, with forgetting.
-        evidence: Log-likelihood of no answer against an answer, with forgetting.
+        evidence: Log-likelihood of spikes against cuts of traction, with forgetting.
 
     """
 
     finding: str = ''
     last: float = 0.0
     before: float = 0.0
+    earlier: float = 0.0
     area: float = 0.0
     answer: float = math.nan
     dt: float = 0.0
@@ -98,6 +103,11 @@ class SpikeCheck:
     def limit(self) -> float:
         """Most spikes, with forgetting."""
         return _SPIKES
+
+    @property
+    def is_suspected(self) -> bool:
+        """True while more spikes are to be expected."""
+        return self.spikes > _SUSPECTED and self.evidence > 0.0
 
     def add(self, force: float, mean: float, answer: float, std: float, dt: float) -> None:
         """Add a sample.
@@ -115,10 +125,14 @@ class SpikeCheck:
         self.spikes *= keep
         self.evidence *= keep
         rise, fall = self.last - self.before, self.last - force
-        if min(abs(rise), abs(fall)) > _SPIKE and abs(force - self.before) < _SPIKE_BASE * abs(fall):
-            base = 0.5 * (self.before + force) * (self.dt + dt)
-            self._judge(self.area + mean * dt - base, self.answer + answer - base, std)
-        self.before, self.last = self.last, force
+        uneven = max(abs(force - self.before), abs(self.before - self.earlier))
+        if min(abs(rise), abs(fall)) > _SPIKE and uneven < _SPIKE_BASE * abs(fall):
+            base, both_s = 0.5 * (self.before + force), self.dt + dt
+            if min(self.last * base, (base - self.last) * base) < 0.0:  # beyond its neighbours, or on the other side
+                self._count(_MOST_EVIDENCE)
+            else:
+                self._judge(self.area + mean * dt - base * both_s, self.answer + answer - base * both_s, std)
+        self.earlier, self.before, self.last = self.before, self.last, force
         self.area, self.answer, self.dt = mean * dt, answer, dt
         if self.spikes > _SPIKES and self.evidence > _EVIDENCE:
             self.finding = 'ato/force has spikes'
@@ -126,8 +140,11 @@ class SpikeCheck:
             self.finding = ''
 
     def _judge(self, area: float, answer: float, std: float) -> None:
-        """Count a spike by its area and the answer of the speed [N/kN s]: 0, or all of the area, with the same std."""
+        """Count a cut by its area and the answer of the speed [N/kN s]: 0, or all of the area, with the same std."""
         if not math.isnan(area + answer):
             evidence = area * (0.5 * area - answer) / (std * std)
-            self.spikes += 1.0
-            self.evidence += min(max(evidence, -_MOST_EVIDENCE), _MOST_EVIDENCE)
+            self._count(min(max(evidence, -_MOST_EVIDENCE), _MOST_EVIDENCE))
+
+    def _count(self, evidence: float) -> None:
+        self.spikes += 1.0
+        self.evidence += evidence

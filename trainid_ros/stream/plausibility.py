@@ -102,6 +102,16 @@ class PlausibilityMonitor:
         return self.state.lasting_s >= _LASTING_S
 
     @property
+    def has_changed(self) -> bool:
+        """True while the balance of forces is improbable by what it was before."""
+        return self.state.change.is_suspected
+
+    @property
+    def has_returned(self) -> bool:
+        """True if it is as it was before the last such change, which was then no change of the train."""
+        return self.state.change.has_returned
+
+    @property
     def is_trusted(self) -> bool:
         """True if an estimate from these inputs may be valid: they agree, or cannot be compared."""
         state, slope = self.state, self.state.traction

@@ -124,13 +124,14 @@ class PlausibilityState:
             or self.distance.finding
             or self.shift.finding
             or self.line.finding
+            or self.change.finding
             or self.balance.finding
         )
 
     @property
     def is_suspected(self) -> bool:
         """True while the last seconds are improbable by those before."""
-        sudden = self.balance.is_sudden or self.change.is_suspected
+        sudden = self.balance.is_sudden or self.change.is_suspected or self.spikes.is_suspected
         return sudden or self.distance.is_suspected or self.line.is_suspected
 
     @property
@@ -145,6 +146,7 @@ class PlausibilityState:
             (self.distance.finding, self.distance.error, self.distance.limit),
             (shift.finding, shift.delay, 0.0),
             (self.line.finding, self.line.lately, self.line.limit),
+            (self.change.finding, self.change.ratio, 1.0),
         ):
             if finding:
                 return value, limit

@@ -131,6 +131,16 @@ class SampleStream:
         return self._plausibility.is_lasting
 
     @property
+    def has_changed(self) -> bool:
+        """True while the balance of forces is improbable by what it was before."""
+        return self._plausibility.has_changed
+
+    @property
+    def has_returned(self) -> bool:
+        """True if it is as it was before the last such change, which was then no change of the train."""
+        return self._plausibility.has_returned
+
+    @property
     def last_finding(self) -> str:
         """The last contradiction found, empty if there never was one."""
         return self._plausibility.last_finding

@@ -132,7 +132,26 @@ class StreamState:
 # Numbers of the checks that may be unknown, and sums that are not negative.
 _UNKNOWN: Final = frozenset({'speed', 'position', 'dt', 'area', 'answer'})
 _SUMS: Final = frozenset(
-    {'yy', 'xx', 'count', 'edges', 'jerks', 'square', 'steepness', 'seconds', 'learned', 'limit', 'spikes', 'reversals'}
+    {
+        'yy',
+        'xx',
+        'count',
+        'edges',
+        'jerks',
+        'square',
+        'steepness',
+        'seconds',
+        'learned',
+        'limit',
+        'spikes',
+        'reversals',
+        'offset_variance',
+        'gain_variance',
+        'scatter',
+        'blocks',
+        'peak',
+        'suspected_s',
+    }
 )
 
 
