@@ -16,6 +16,8 @@ if TYPE_CHECKING:
 # A module of its own: processes cannot import those of the tests.
 WORK = """
 import os
+import signal
+import time
 from trainid_ros.errors import InputError
 
 def square(item, advance):
@@ -25,8 +27,18 @@ def square(item, advance):
     advance(0.5)
     return item * item, os.getpid()
 
-def end(item, advance):
-    os._exit(1)
+def end_once(path, advance):
+    # Once 'one' has begun: 'two' kills its process the first time, 'three' each time.
+    advance(0.5)
+    if path.name == 'one':
+        path.touch()
+    while not (path.parent / 'one').exists():
+        time.sleep(0.01)
+    if path.name == 'three' or path.name == 'two' and not path.exists():
+        path.touch()
+        os.kill(os.getpid(), signal.SIGKILL)
+    advance(0.5)
+    return path.name
 """
 
 
@@ -37,13 +49,17 @@ def work(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Any:
     return import_module('work_of_test_worker_pool')
 
 
+def killed(item: object) -> Any:
+    return f'{item} is left'
+
+
 def test_results_and_progress_are_those_of_one_process(work: Any) -> None:
     steps: list[float] = []
-    here = map_bags(work.square, [3, 1, 2], 1, steps.append)
+    here = map_bags(work.square, [3, 1, 2], 1, steps.append, killed)
     assert here == [(9, os.getpid()), (1, os.getpid()), (4, os.getpid())]
     assert sum(steps) == 3.0
     steps.clear()
-    there = map_bags(work.square, [3, 1, 2], 2, steps.append)
+    there = map_bags(work.square, [3, 1, 2], 2, steps.append, killed)
     assert [value for value, _ in there] == [9, 1, 4]
     assert os.getpid() not in {process for _, process in there}
     assert sum(steps) == 3.0
@@ -51,12 +67,16 @@ def test_results_and_progress_are_those_of_one_process(work: Any) -> None:
 
 def test_an_error_in_a_process_is_raised(work: Any) -> None:
     with pytest.raises(InputError, match='-1: is negative'):
-        map_bags(work.square, [1, -1], 2, lambda _: None)
+        map_bags(work.square, [1, -1], 2, lambda _: None, killed)
 
 
-def test_a_killed_process_is_an_error(work: Any) -> None:
-    with pytest.raises(InputError, match='killed'):
-        map_bags(work.end, [1, 2], 2, lambda _: None)
+def test_only_an_item_whose_own_process_is_killed_again_has_no_result(work: Any, tmp_path: Path) -> None:
+    items = [tmp_path / name for name in ('four', 'one', 'two', 'three')]
+    steps: list[float] = []
+    results = map_bags(work.end_once, items, 2, steps.append, killed)
+    assert results == ['four', 'one', 'two', f'{tmp_path}/three is left']
+    assert min(steps) > 0.0
+    assert sum(steps) == 3.5  # half of the last one
 
 
 def test_there_is_a_processor() -> None:

@@ -4,6 +4,8 @@
 from __future__ import annotations
 
 import json
+from argparse import Namespace
+from importlib import import_module
 from shutil import copytree
 from typing import TYPE_CHECKING, Any
 
@@ -11,9 +13,23 @@ import pytest
 
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.cli.main import main
+from trainid_ros.cli.per_bag import run_per_bag
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+
+# A module of its own: processes cannot import those of the tests.
+WORK = """
+import os
+import signal
+from trainid_ros.cli.per_bag import BagResult
+
+def work(args, bag, advance):
+    if bag.name == 'none':
+        os.kill(os.getpid(), signal.SIGKILL)
+    return BagResult(bag.name)
+"""
 
 
 @pytest.fixture
@@ -65,6 +81,19 @@ def test_processes_give_the_same_as_one_bag_at_a_time(bags: list[str], capsys: p
     assert replay(bags[:1], '--json') == 0
     single = json.loads(capsys.readouterr().out)
     assert without_time([{'bag': bags[0], **single}]) == without_time(json.loads(alone.out))[:1]
+
+
+def test_a_killed_process_costs_the_result_of_its_own_bag_only(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    (tmp_path / 'work_of_test_per_bag.py').write_text(WORK, encoding='utf-8')
+    monkeypatch.syspath_prepend(tmp_path)
+    args = Namespace(bags=[tmp_path / name for name in ('one', 'none', 'two')], jobs=2, json=False)
+    assert run_per_bag(args, import_module('work_of_test_per_bag').work, 'try') == 2
+    captured = capsys.readouterr()
+    assert captured.out == 'one\n\ntwo\n'
+    killed = 'the process that worked on it was killed (out of memory?)'
+    assert captured.err == f'trainid: error: {tmp_path}/none: {killed}\n'
 
 
 @pytest.mark.slow

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 from trainid_ros.bag.chunk import MAX_CHUNK
 from trainid_ros.bag.reader import BagReader, require_topics
-from trainid_ros.bag.worker_pool import map_bags, processors
+from trainid_ros.bag.worker_pool import killed_message, map_bags, processors
 from trainid_ros.errors import InputError
 from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.explain.run_data import RunCollector
@@ -107,11 +107,11 @@ def read_runs(
         warn: Called with each fault that only reading shows, such as messages that cannot be read.
 
     Raises:
-        InputError: A bag cannot be read.
+        InputError: A bag cannot be read, or the process that read it was killed.
 
     """
     work = partial(_read, train_file, (namespace, max_chunk, inputs))
-    readings = map_bags(work, list(enumerate(paths)), workers, advance)
+    readings = map_bags(work, list(enumerate(paths)), workers, advance, _killed)
     for line in chain.from_iterable(reading.warnings for reading in readings):
         warn(line)
     known = [reading for reading in readings if reading.origin_ns]
@@ -121,6 +121,10 @@ def read_runs(
         for reading in known
         for run in reading.runs
     ]
+
+
+def _killed(item: tuple[int, Path]) -> _Reading:
+    raise InputError(killed_message(item[1]))
 
 
 def worker_count(inputs: Sequence[int]) -> int:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from trainid_ros.bag.worker_pool import map_bags, processors
+from trainid_ros.bag.worker_pool import killed_message, map_bags, processors
 from trainid_ros.cli.output import EXIT_BAD_INPUT, EXIT_NO_ANSWER, print_json, progress, report_error, show, warn
 from trainid_ros.errors import InputError
 
@@ -48,7 +48,7 @@ def run_per_bag(args: argparse.Namespace, work: Work, text: str) -> int:
     bags: Sequence[Path] = args.bags
     name = bags[0].name if len(bags) == 1 else f'{len(bags)} bags'
     with progress(f'{text} {name}', total=len(bags)) as advance:
-        results = map_bags(partial(_attempt, work, args), bags, args.jobs or processors(), advance)
+        results = map_bags(partial(_attempt, work, args), bags, args.jobs or processors(), advance, _killed)
     for line in dict.fromkeys(line for result in results for line in result.warnings):
         warn(line)
     shown = [result.shown for result in results if result.shown is not None]
@@ -71,6 +71,10 @@ def _attempt(work: Work, args: argparse.Namespace, bag: Path, advance: Callable[
         return BagResult(None, error=str(error))
     except OSError as error:
         return BagResult(None, error=f'{error.filename or bag}: {error.strerror}')
+
+
+def _killed(bag: Path) -> BagResult:
+    return BagResult(None, error=killed_message(bag))
 
 
 def _object(result: BagResult) -> dict[str, Any]:
