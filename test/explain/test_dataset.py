@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Nodes: the response to a resistance, means over one second, and outliers of the speed."""
+"""Grid points: the response to a resistance, means over one second, and outliers of the speed."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from trainid_ros.train.train_file import TrainFile
 
 def test_correct_model_leaves_only_noise(dataset: Dataset) -> None:
     assert 0.015 < dataset.gap.std() < 0.03
-    assert dataset.node_count.sum() == (~dataset.outlier).sum()
-    assert np.all(dataset.node_count <= 5.0)
+    assert dataset.point_count.sum() == (~dataset.outlier).sum()
+    assert np.all(dataset.point_count <= 5.0)
 
 
 def test_response_to_a_missing_resistance_is_its_gap(maker: Any, train_file: TrainFile) -> None:
@@ -86,11 +86,11 @@ def test_node_of_outliers_only_has_no_samples(maker: Any, train_file: TrainFile)
     speed = runs[0].speed.copy()
     speed[100:105] += 3.0
     found = assemble([replace(runs[0], speed=speed)], train_file)
-    node = int(np.searchsorted(found.node_starts, 100, side='right')) - 1
-    assert found.node_count[node] == 0.0
-    assert found.time[100] <= found.node_time[node] <= found.time[104]
+    point = int(np.searchsorted(found.point_starts, 100, side='right')) - 1
+    assert found.point_count[point] == 0.0
+    assert found.time[100] <= found.point_time[point] <= found.time[104]
     assert np.isfinite(found.average(found.gap)).all()
-    assert found.column(np.ones(found.dt.size))[node] == 0.0
+    assert found.column(np.ones(found.dt.size))[point] == 0.0
 
 
 def test_columns_are_means_of_integrated_kicks(maker: Any, train_file: TrainFile) -> None:

@@ -10,6 +10,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.stats import multivariate_normal, norm
 
+from trainid_ros.errors import NoAnswerError
 from trainid_ros.explain.dataset import Dataset
 from trainid_ros.explain.effects import EffectTerm, prior_cost
 from trainid_ros.explain.likelihood import (
@@ -107,10 +108,10 @@ def test_factors_of_single_runs_equal_separate_columns(dataset: Dataset) -> None
     """Elimination by run equals elimination of one column for each run and factor."""
     grid, std = Grid.of(dataset), np.array([0.03, 0.02])
     whitener = Whitener.of(grid, Noise(0.03, 0.2, 8.0, 0.02))
-    columns = np.random.default_rng(2).standard_normal((dataset.node_time.size, 2))
+    columns = np.random.default_rng(2).standard_normal((dataset.point_time.size, 2))
     factors = dataset.column(run_columns(dataset))
     total, cost = Gram.of(np.concatenate([columns, factors], axis=1), 2, whitener).reduced(std)
-    apart = [factors * (dataset.node_run == k)[:, None] for k in range(len(dataset.runs))]
+    apart = [factors * (dataset.point_run == k)[:, None] for k in range(len(dataset.runs))]
     X = whitener.apply(np.concatenate([columns, *apart], axis=1))
     order = [0, *range(2, X.shape[1]), 1]
     joint = eliminate((X.T @ X)[np.ix_(order, order)], 6, np.diag(np.tile(std, 3)))
@@ -141,6 +142,41 @@ def test_maximum_is_a_maximum(maker: Any, train_file: TrainFile) -> None:
             shifted = logs.copy()
             shifted[k] += move
             assert evidence.at(shifted) < hyper.evidence + 0.2
+
+
+class Bounded(MarginalLikelihood):
+    """A likelihood that cannot be computed where the noise of the speed is larger than a limit [m/s]."""
+
+    limit = 0.0
+
+    def _computed(self, x: Array) -> float:
+        if x[0] > np.log(self.limit):
+            raise np.linalg.LinAlgError
+        return super()._computed(x)
+
+
+def test_the_maximum_is_searched_where_the_likelihood_can_be_computed(
+    maker: Any, train_file: TrainFile, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    evidence = evidence_of(maker(noise=0.1).runs(2, 51), train_file)
+    free = evidence.maximise()[0].noise.speed
+    evidence.__class__ = Bounded
+    for limit in (0.8 * free, 0.035):
+        monkeypatch.setattr(Bounded, 'limit', limit)
+        hyper, logs = evidence.maximise()
+        assert 0.03 < hyper.noise.speed <= limit
+        assert evidence.at(logs) == pytest.approx(hyper.evidence)
+        assert evidence.at(logs + 1.0) == -np.inf
+
+
+def test_without_a_likelihood_to_start_from_there_is_no_answer(maker: Any, train_file: TrainFile) -> None:
+    evidence = evidence_of(maker().runs(2, 52), train_file)
+    evidence.__class__ = Bounded
+    with (
+        np.errstate(divide='ignore'),
+        pytest.raises(NoAnswerError, match='too much from that of the train file to be compared'),
+    ):
+        evidence.maximise()
 
 
 def test_true_effect_gains_more_than_its_prior_cost(dragged_model: Model, dragged_sizes: Found) -> None:

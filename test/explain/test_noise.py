@@ -79,11 +79,11 @@ def test_missing_measurement_has_no_weight() -> None:
 def test_runs_are_whitened_independently(dataset: Dataset, train_file: TrainFile) -> None:
     grid, noise = Grid.of(dataset), Noise(0.03, 0.2, 8.0, 0.02)
     whitener = Whitener.of(grid, noise)
-    column = np.random.default_rng(1).standard_normal((dataset.node_time.size, 1))
+    column = np.random.default_rng(1).standard_normal((dataset.point_time.size, 1))
     together, log_det = whitener.apply(column), 0.0
-    for run, nodes in zip(dataset.runs, grid.runs, strict=True):
+    for run, points in zip(dataset.runs, grid.runs, strict=True):
         alone = Whitener.of(Grid.of(assemble([run], train_file)), noise)
-        np.testing.assert_allclose(together[nodes], alone.apply(column[nodes]), rtol=1e-9)
+        np.testing.assert_allclose(together[points], alone.apply(column[points]), rtol=1e-9)
         log_det += alone.log_det
     assert whitener.log_det == pytest.approx(log_det, rel=1e-12)
 
@@ -105,9 +105,9 @@ def test_mean_of_many_samples_keeps_their_common_noise() -> None:
 
 
 def test_a_node_without_samples_has_infinite_noise(dataset: Dataset) -> None:
-    count = dataset.node_count.copy()
+    count = dataset.point_count.copy()
     count[4] = 0.0
-    grid = Grid.of(replace(dataset, node_count=count))
+    grid = Grid.of(replace(dataset, point_count=count))
     missing = np.isinf(grid.share[grid.inside])
     assert grid.order[missing].tolist() == [4]
 

@@ -23,13 +23,13 @@ def test_subtraction_equals_a_fit_without_the_run(dragged_model: Model) -> None:
     model = dragged_model
     held = hold_out(model, HYPER)
     assert held is not None
-    others = model.dataset.node_run != 1
+    others = model.dataset.point_run != 1
     columns = model.white_columns(HYPER)[others]
     total = columns.T @ columns
     model.add_odometry(total)
     mean, _ = posterior(total, model.prior_factor(HYPER.spread))
     gap = model.residual[~others] - model.nuisance_columns[~others] @ mean
-    known = model.dataset.node_count[~others] > 0.0
+    known = model.dataset.point_count[~others] > 0.0
     np.testing.assert_allclose(held.gap[~others], gap - gap[known].mean(), atol=1e-9)
 
 
@@ -62,7 +62,7 @@ def test_effect_in_the_held_out_run_only_does_not_reduce_its_gap(
     seen = [replace(run, position=run.position + 1e4 * (k < 4)) for k, run in enumerate(runs)]
     apart = Model.of(seen, train_file)
     drag = EffectTerm('local_drag', {'start': 100.0, 'end': 350.0, 'permille': 4.0})
-    last = apart.dataset.node_run == 4
+    last = apart.dataset.point_run == 4
     for one, same_place in ((model, True), (apart, False)):
         added = one.with_terms((drag,)).fit(HYPER)
         held, without = hold_out(added, HYPER), hold_out(one, HYPER)

@@ -52,11 +52,12 @@ def run(args: argparse.Namespace) -> int:
 
     """
     train_file = load_train_file(args.train)
+    notes: list[str] = []
     with _outputs(args.out, args.train):
-        explanation = _explain(args, train_file)
+        explanation = _explain(args, train_file, notes)
         if args.out is not None:
             # Written before printing, which a closed pipe may interrupt.
-            write_all(args.out, explanation, train_file, str(args.train), args.bags)
+            write_all(args.out, explanation, train_file, str(args.train), args.bags, tuple(notes))
     if explanation.gradient_point is not None:
         warn(gradient_warning(explanation.gradient_point))
     if args.json:
@@ -68,23 +69,28 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _explain(args: argparse.Namespace, train_file: TrainFile) -> Explanation:
-    """Read the bags and explain them.
+def _explain(args: argparse.Namespace, train_file: TrainFile, notes: list[str]) -> Explanation:
+    """Read the bags and explain them; add to ``notes`` what is wrong with them.
 
     Raises:
         InputError: If a bag cannot be used.
         NoAnswerError: If the bags hold too little motion.
 
     """
+
+    def note(line: str) -> None:
+        warn(line)
+        notes.append(f'Warning: {line}')
+
     inputs = mapped_inputs(args.map, train_file)
     found = survey(args.bags, args.namespace, args.max_chunk, inputs)
     for line in found.warnings:
-        warn(line)
+        note(line)
     name = args.bags[0].name if len(args.bags) == 1 else f'{len(args.bags)} bags'
     with progress(f'read {name}', total=sum(found.inputs)) as advance:
         workers = worker_count(found.inputs)
         runs = read_runs(
-            args.bags, train_file, args.namespace, args.max_chunk, inputs, workers=workers, advance=advance, warn=warn
+            args.bags, train_file, args.namespace, args.max_chunk, inputs, workers=workers, advance=advance, warn=note
         )
     try:
         return explain_runs(runs, train_file, args.bags)

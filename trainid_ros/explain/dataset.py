@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Nodes of all runs: measured less predicted speed, averaged over about one second.
+"""Grid points of all runs: measured less predicted speed, averaged over about one second.
 
 Speeds are compared, not accelerations: with the mean forces of each stage the simulated speed is
 ``v_j = v_0 + sum dt (u - w(v) - ...) / inertia`` (after Xia et al. 2023, (2) and (7)), so every resistance r adds
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-NODE_S: Final = 1.0
-"""Length of a node [s]."""
+POINT_S: Final = 1.0
+"""Time over which a grid point averages [s]."""
 MAD_TO_STD: Final = 1.4826
 """Standard deviation of normal noise over its median absolute deviation."""
 # Columns integrated at once.
@@ -48,7 +48,7 @@ _MIN_SCALE: Final = 0.03
 
 @dataclass(frozen=True, slots=True)
 class Dataset:
-    """Samples of all runs, one run after another, and the nodes they are averaged to.
+    """Samples of all runs, one run after another, and the grid points they are averaged to.
 
     Attributes:
         runs: The runs.
@@ -61,10 +61,10 @@ class Dataset:
         gap: Measured less predicted speed [m/s], shape (n,).
         outlier: True where the measured speed is excluded, shape (n,).
         deviation: Deviation of an outlier from its neighbours [m/s], 0 elsewhere, shape (n,).
-        node_starts: First sample of each node, shape (m,).
-        node_run: Run of each node, shape (m,).
-        node_time: Mean time of each node [s], shape (m,).
-        node_count: Number of samples in each node without outliers, shape (m,).
+        point_starts: First sample of each grid point, shape (m,).
+        point_run: Run of each grid point, shape (m,).
+        point_time: Mean time of each grid point [s], shape (m,).
+        point_count: Number of samples in each grid point without outliers, shape (m,).
         following: Share of these samples that lie at the end of each stage or after it [1], shape (n,).
 
     """
@@ -79,10 +79,10 @@ class Dataset:
     gap: Array
     outlier: NDArray[np.bool_]
     deviation: Array
-    node_starts: NDArray[np.intp]
-    node_run: NDArray[np.intp]
-    node_time: Array
-    node_count: Array
+    point_starts: NDArray[np.intp]
+    point_run: NDArray[np.intp]
+    point_time: Array
+    point_count: Array
     following: Array
 
     @property
@@ -96,12 +96,12 @@ class Dataset:
         return all(run.positioned for run in self.runs)
 
     def average(self, values: Array) -> Array:
-        """Return the mean of each node without outliers, shapes (n,) to (m,)."""
-        total = np.add.reduceat(np.where(self.outlier, 0.0, values), self.node_starts)
-        return np.asarray(total / np.maximum(self.node_count, 1.0))
+        """Return the mean of each grid point without outliers, shapes (n,) to (m,)."""
+        total = np.add.reduceat(np.where(self.outlier, 0.0, values), self.point_starts)
+        return np.asarray(total / np.maximum(self.point_count, 1.0))
 
     def column(self, resistance: Array) -> Array:
-        """Return the mean speed change [m/s] of each node due to a resistance on each stage [N/kN], 0 if not measured.
+        """Return the mean speed change [m/s] of each point due to a resistance on each stage [N/kN], 0 if not measured.
 
         Shapes (n,) to (m,) or (n, k) to (m, k).
         """
@@ -114,12 +114,12 @@ class Dataset:
     def _response(self, resistance: Array) -> Array:
         """Return the column of each of k resistances, shape (n, k) to (m, k)."""
         kick = resistance * (-self.dt / self.inertia)[:, None]
-        change = np.add.reduceat(kick, self.node_starts)
-        # A kick acts on the samples of its node that follow, and on all later nodes of the run.
-        within = np.add.reduceat(kick * self.following[:, None], self.node_starts)
+        change = np.add.reduceat(kick, self.point_starts)
+        # A kick acts on the samples of its grid point that follow, and on all later grid points of the run.
+        within = np.add.reduceat(kick * self.following[:, None], self.point_starts)
         path = np.cumsum(change, axis=0) - change
-        first = np.flatnonzero(np.diff(self.node_run, prepend=-1))
-        return np.where(self.node_count[:, None] > 0.0, path - path[first][self.node_run] + within, 0.0)
+        first = np.flatnonzero(np.diff(self.point_run, prepend=-1))
+        return np.where(self.point_count[:, None] > 0.0, path - path[first][self.point_run] + within, 0.0)
 
     def joined(self, name: str) -> Array:
         """Return one field of all runs, concatenated, shape (n,)."""
@@ -153,11 +153,11 @@ def assemble(runs: Sequence[Run], train_file: TrainFile, extra: Array | None = N
         outlier = find_outliers(gap, starts)
         bridged = _bridge(gap, outlier, run_of)
         speed = np.maximum(measured + (bridged - gap), 0.0)
-    node_starts = _divide(time, starts, run_of)
-    node_time, count = _node_times(time, outlier, node_starts)
+    point_starts = _divide(time, starts, run_of)
+    point_time, count = _point_times(time, outlier, point_starts)
     return Dataset(
         tuple(runs), inertia, run_of, starts, dt, time, _stage_means(speed, starts), gap, outlier, gap - bridged,
-        node_starts, run_of[node_starts], node_time, count, _following(outlier, node_starts),
+        point_starts, run_of[point_starts], point_time, count, _following(outlier, point_starts),
     )  # fmt: skip
 
 
@@ -240,30 +240,30 @@ def _bridge(gap: Array, outlier: NDArray[np.bool_], run_of: NDArray[np.intp]) ->
 
 
 def _divide(time: Array, starts: NDArray[np.intp], run_of: NDArray[np.intp]) -> NDArray[np.intp]:
-    """Return the first sample of each node, shape (m,)."""
+    """Return the first sample of each grid point, shape (m,)."""
     since = time - time[starts][run_of]
-    number = np.floor(since / NODE_S + 1e-9)
+    number = np.floor(since / POINT_S + 1e-9)
     fresh = np.ones(time.size, dtype=bool)
     fresh[1:] = (np.diff(number) != 0.0) | (np.diff(run_of) != 0)
     return np.flatnonzero(fresh)
 
 
-def _node_times(time: Array, outlier: NDArray[np.bool_], node_starts: NDArray[np.intp]) -> tuple[Array, Array]:
-    """Return the mean time [s] and the number of the samples of each node that are no outliers, shapes (m,).
+def _point_times(time: Array, outlier: NDArray[np.bool_], point_starts: NDArray[np.intp]) -> tuple[Array, Array]:
+    """Return the mean time [s] and the number of the samples of each grid point that are no outliers, shapes (m,).
 
     If all are outliers, the time is the mean of all.
     """
     weight = (~outlier).astype(float)
-    count = np.add.reduceat(weight, node_starts)
-    counting = np.add.reduceat(weight * time, node_starts) / np.maximum(count, 1.0)
-    every = np.add.reduceat(time, node_starts) / np.diff(np.append(node_starts, time.size))
+    count = np.add.reduceat(weight, point_starts)
+    counting = np.add.reduceat(weight * time, point_starts) / np.maximum(count, 1.0)
+    every = np.add.reduceat(time, point_starts) / np.diff(np.append(point_starts, time.size))
     return np.where(count > 0.0, counting, every), count
 
 
-def _following(outlier: NDArray[np.bool_], node_starts: NDArray[np.intp]) -> Array:
-    """Return the share of the samples of each node, without outliers, that are not before each sample, shape (n,)."""
-    sizes = np.diff(node_starts, append=outlier.size)
+def _following(outlier: NDArray[np.bool_], point_starts: NDArray[np.intp]) -> Array:
+    """Return the share of the samples of each point, without outliers, that are not before each sample, shape (n,)."""
+    sizes = np.diff(point_starts, append=outlier.size)
     so_far = np.cumsum(~outlier)
-    last = np.repeat(so_far[node_starts + sizes - 1], sizes)
-    count = np.repeat(np.add.reduceat(~outlier, node_starts, dtype=int), sizes)
+    last = np.repeat(so_far[point_starts + sizes - 1], sizes)
+    count = np.repeat(np.add.reduceat(~outlier, point_starts, dtype=int), sizes)
     return np.asarray((last - so_far + ~outlier) / np.maximum(count, 1))

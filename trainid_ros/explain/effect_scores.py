@@ -248,7 +248,7 @@ class EffectScore:
 
 
 class EffectScorer:
-    """Columns of all hypotheses for one dataset, at the nodes."""
+    """Columns of all hypotheses for one dataset, at the grid points."""
 
     def __init__(self, model: Model) -> None:
         dataset, length = model.dataset, model.train_file.train.length
@@ -279,7 +279,7 @@ class EffectScorer:
         return sorted(named, key=_strongest), sorted(groups, key=_strongest)
 
     def group_columns(self, name: str) -> Array:
-        """Return the columns of a group at the nodes, shape (m, k)."""
+        """Return the columns of a group at the grid points, shape (m, k)."""
         k = next(i for i, group in enumerate(self._groups) if group.name == name)
         return self._columns[len(self._families) + k]
 

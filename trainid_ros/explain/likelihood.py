@@ -24,6 +24,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 
+from trainid_ros.errors import NoAnswerError
 from trainid_ros.explain.noise import Grid, Noise, Spread, Whitener, prior_factor
 
 if TYPE_CHECKING:
@@ -51,7 +52,7 @@ class Gram:
 
     @classmethod
     def of(cls, columns: Array, factors: int, whitener: Whitener) -> Gram:
-        """Whiten columns at the nodes, the last of which are factors of single runs, shape (m, C + F)."""
+        """Whiten columns at the grid points, the last of which are factors of single runs, shape (m, C + F)."""
         C = columns.shape[1] - factors
         white = whitener.apply(columns)
         by_run = np.stack([white[run].T @ white[run, C:] for run in whitener.grid.runs])
@@ -233,7 +234,7 @@ class MarginalLikelihood:
         """Prepare the evaluation.
 
         Args:
-            grid: Grid of the nodes.
+            grid: Grid of these points.
             columns: y [m/s], common nuisances, bins of the map, shape (m, 1 + q + k).
             factors: Columns of payload and brake, shape (m, 2).
             common_std: Prior std of the common nuisances, shape (q,).
@@ -269,13 +270,24 @@ class MarginalLikelihood:
         return float(distances @ distances)
 
     def maximise(self, start: Array | None = None) -> tuple[Hyperparameters, Array]:
-        """Return the best hyperparameters and their logs, starting from the prior's median or a better given start."""
+        """Return the best hyperparameters and their logs, starting from the prior's median or a better given start.
+
+        Raises:
+            NoAnswerError: The likelihood cannot be computed at the start.
+
+        """
         x, value = self._median.copy(), self._value(self._median)
         # Hyperparameters estimated without an effect can be far off with it.
         if start is not None and (there := self._value(start)) < value:
             x, value = start.copy(), there
+        if not math.isfinite(value):
+            msg = 'the motion differs too much from that of the train file to be compared'
+            raise NoAnswerError(msg)
         gradient, curvature = self._slopes(x, value)
         for _ in range(_MAX_STEPS):
+            # Beside hyperparameters whose likelihood cannot be computed there is no slope to follow.
+            if not np.isfinite(gradient).all():
+                break
             move = -np.linalg.solve(curvature, gradient)
             move *= min(1.0, _LARGEST_MOVE / float(np.abs(move).max()))
             while (found := self._value(x + move)) > value + 1e-6 and np.abs(move).max() > _SETTLED:
@@ -305,7 +317,13 @@ class MarginalLikelihood:
         return np.asarray((np.array(up[::-1]) - value) / _SMALL)
 
     def _value(self, x: Array) -> float:
-        """Return -2 ln of likelihood times prior."""
+        """Return -2 ln of likelihood times prior; infinite where a covariance is not positive definite numerically."""
+        try:
+            return self._computed(x)
+        except np.linalg.LinAlgError:
+            return math.inf
+
+    def _computed(self, x: Array) -> float:
         noise, spread = _hyperparameters(x)
         key = tuple(x[:_OUTER].tolist())
         if self._gram is None or self._gram[0] != key:
@@ -320,10 +338,13 @@ class MarginalLikelihood:
 
 
 def _updated(curvature: Array, move: Array, change: Array) -> Array:
-    """Return the BFGS update of the curvature (7, 7) for a step ``move`` that changed the gradient by ``change``."""
+    """Return the BFGS update of the curvature (7, 7) for a step ``move`` that changed the gradient by ``change``.
+
+    It is left as it is where the change is not finite, or against the step.
+    """
     along = float(move @ change)
     seen = curvature @ move
-    if along <= 1e-3 * float(move @ seen):
+    if not 1e-3 * float(move @ seen) < along < math.inf:
         return curvature
     return np.asarray(curvature + np.outer(change, change) / along - np.outer(seen, seen) / float(move @ seen))
 

@@ -57,12 +57,12 @@ class Model:
         train_file: The train file to extend.
         terms: Effects in the model.
         davis: a, b, c about which the effects are linearised.
-        residual: Measured less predicted speed at the nodes [m/s], shape (m,).
-        nuisance_columns: Responses [m/s] at the nodes to nuisances that all runs share, first those of
+        residual: Measured less predicted speed at the grid points [m/s], shape (m,).
+        nuisance_columns: Responses [m/s] at the grid points to nuisances that all runs share, first those of
             :func:`common_columns`, then the parameters of effects, then map errors, shape (m, q + k).
         common_std: Prior std of the first q of them, shape (q,).
-        factor_columns: Responses [m/s] at the nodes to the factors of single runs, shape (m, 2).
-        grid: Grid of the nodes.
+        factor_columns: Responses [m/s] at the grid points to the factors of single runs, shape (m, 2).
+        grid: Grid of these points.
         weighed: True if the mass of all runs is measured.
         odometry: Wheel ratio from the distances between stops.
 
@@ -105,7 +105,7 @@ class Model:
         """Return the same model with further nuisances that all runs share.
 
         Args:
-            columns: Responses at the nodes [m/s], shape (m, k).
+            columns: Responses at the grid points [m/s], shape (m, k).
             std: Prior std of their coefficients.
 
         """
@@ -181,7 +181,7 @@ class Model:
         return prior_factor(self.common_std, self._map_root, spread)
 
     def products_by_run(self, columns: Array, hyper: Hyperparameters) -> Array:
-        """Return products of columns at the nodes, whitened, shape (m, C), by run, shape (R, C, C)."""
+        """Return products of columns at the grid points, whitened, shape (m, C), by run, shape (R, C, C)."""
         white = self._whitened(hyper)[0].apply(columns)
         return np.stack([white[run].T @ white[run] for run in self.grid.runs])
 
@@ -203,7 +203,7 @@ class Model:
 
         Args:
             hyper: Hyperparameters of noise and nuisances.
-            candidates: Columns of each group at the nodes, shapes (m, k).
+            candidates: Columns of each group at the grid points, shapes (m, k).
             terms: Eliminate the parameters of the effects too; otherwise they are fixed.
 
         """

@@ -56,15 +56,15 @@ class Noise:
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """Nodes of all runs side by side, longest run first, padded to its length; N nodes by R runs.
+    """Grid points of all runs side by side, longest run first, padded to its length; N grid points by R runs.
 
     Attributes:
-        edges: First node of each run in the dataset, and the number of nodes, shape (R + 1,).
-        inside: True for nodes, False for padding, shape (N, R).
-        order: Index in the dataset of each node of the grid, row by row, shape (m,).
-        dt: Time since the previous node [s], shape (N, R).
-        share: Noise variance of a node relative to that of one speed [1]; infinite without a measurement, shape (N, R).
-        change: Change of the force since the previous node, as acceleration [m/s^2], shape (N, R).
+        edges: First grid point of each run in the dataset, and the number of grid points, shape (R + 1,).
+        inside: True for grid points, False for padding, shape (N, R).
+        order: Index in the dataset of each point of the grid, row by row, shape (m,).
+        dt: Time since the previous grid point [s], shape (N, R).
+        share: Noise variance of each relative to that of one speed [1]; infinite without a measurement, shape (N, R).
+        change: Change of the force since the previous grid point, as acceleration [m/s^2], shape (N, R).
         inertia: Specific force per acceleration [N/kN per m/s^2].
 
     """
@@ -80,23 +80,23 @@ class Grid:
     @classmethod
     def of(cls, dataset: Dataset) -> Grid:
         """Return the grid of a dataset."""
-        first, counts = np.unique(dataset.node_run, return_index=True, return_counts=True)[1:]
+        first, counts = np.unique(dataset.point_run, return_index=True, return_counts=True)[1:]
         longest = np.argsort(-counts, kind='stable')
         rows = np.arange(counts.max())[:, None]
         inside = rows < counts[longest]
         index = np.where(inside, first[longest] + rows, 0)
-        time, count = dataset.node_time[index], dataset.node_count[index]
+        time, count = dataset.point_time[index], dataset.point_count[index]
         dt, change = np.zeros((2, *index.shape))
         dt[1:] = np.where(inside[1:], time[1:] - time[:-1], 1.0)
         share = np.where(inside & (count > 0.0), share_of_mean(count), np.inf)
-        force = (dataset.joined('traction') + dataset.joined('brake'))[dataset.node_starts][index]
+        force = (dataset.joined('traction') + dataset.joined('brake'))[dataset.point_starts][index]
         change[1:] = np.where(inside[1:], np.abs(force[1:] - force[:-1]) / dataset.inertia, 0.0)
-        edges = (*first.tolist(), dataset.node_time.size)
+        edges = (*first.tolist(), dataset.point_time.size)
         return cls(edges, inside, index[inside], dt, share, change, dataset.inertia)
 
     @property
     def runs(self) -> list[slice]:
-        """Nodes of each run."""
+        """Grid points of each run."""
         return [slice(*edges) for edges in pairwise(self.edges)]
 
 
@@ -105,8 +105,8 @@ class Whitener:
     """Gains of the whitening Kalman filter; see :meth:`apply`.
 
     Attributes:
-        grid: Grid of the nodes.
-        step: Matrix from [predicted state, measurement] to the predicted state at the next node, shape (N, R, 2, 3).
+        grid: Grid of these points.
+        step: Matrix from [predicted state, measurement] to the predicted state at the next point, shape (N, R, 2, 3).
         scale: Inverse standard deviation of the innovation [s/m], 0 without a measurement, shape (N, R).
         log_det: Sum of the log of the innovation variance over all measurements.
 
@@ -119,7 +119,7 @@ class Whitener:
 
     @classmethod
     def of(cls, grid: Grid, noise: Noise) -> Whitener:
-        """Compute all gains at once; padding after the last node of a run has no weight."""
+        """Compute all gains at once; padding after the last grid point of a run has no weight."""
         f, e, Q = _transitions(grid, noise)
         R = noise.speed**2 * grid.share
         # Elements 00 and 01 of the prediction F P F' + Q, F = [1 f; 0 e]; S and K of the Kalman filter.
@@ -129,7 +129,7 @@ class Whitener:
         P01[1:] += e[1:] * (p01 + f[1:] * p11)
         S = P00 + R
         K0, K1 = P00 / S, P01 / S
-        # F [I - K H, K] with the transition to the next node.
+        # F [I - K H, K] with the transition to the next grid point.
         step = np.zeros((*S.shape, 2, 3))
         f, e, K0, K1 = f[1:], e[1:], K0[:-1], K1[:-1]
         for i, row in enumerate(((1.0 - K0 - f * K1, f, K0 + f * K1), (-e * K1, e, e * K1))):
@@ -137,11 +137,11 @@ class Whitener:
         return cls(grid, step, 1.0 / np.sqrt(S), float(np.log(S[np.isfinite(S)]).sum()))
 
     def apply(self, columns: Array) -> Array:
-        """Return whitened columns at the nodes, shape (m, C); zero without a measurement."""
+        """Return whitened columns at the grid points, shape (m, C); zero without a measurement."""
         order, inside = self.grid.order, self.grid.inside
         values = columns.take(order, axis=0)
         # The measurement is appended to the predicted state, so that a step is one matrix product. Two states take
-        # turns: those of all nodes would not fit the cache.
+        # turns: those of all grid points would not fit the cache.
         states = np.zeros((2, inside.shape[1], 3, columns.shape[1]))
         edges = np.cumsum([0, *inside.sum(axis=1)]).tolist()
         for i, (low, high) in enumerate(pairwise(edges)):
@@ -178,7 +178,7 @@ class Whitening:
 
         Args:
             whitener: The filter.
-            factors: Columns of the factors at the nodes, shape (m, F).
+            factors: Columns of the factors at the grid points, shape (m, F).
             std: Prior standard deviation of each factor, shape (F,).
 
         """
@@ -189,7 +189,7 @@ class Whitening:
         return cls(whitener, along, 1.0 / (root * (root + 1.0)))
 
     def apply(self, columns: Array) -> Array:
-        """Return whitened columns at the nodes, shape (m, C); zero without a measurement."""
+        """Return whitened columns at the grid points, shape (m, C); zero without a measurement."""
         white = self.whitener.apply(columns)
         for run, weight in zip(self.whitener.grid.runs, self.weight, strict=True):
             along = self.along[run]
@@ -203,9 +203,9 @@ def share_of_mean(count: Array) -> Array:
 
 
 def _transitions(grid: Grid, noise: Noise) -> tuple[Array, Array, Array]:
-    """Return f and e of the transition [1 f; 0 e] of [speed error, gust] to each node, shape (N, R), and its noise.
+    """Return f and e of the transition [1 f; 0 e] of [speed error, gust] to each point, shape (N, R), and its noise.
 
-    The covariance of the noise has the elements 00, 01 and 11, shape (3, N, R); at the first node it is the prior one.
+    The covariance of the noise has the elements 00, 01 and 11, shape (3, N, R); at the first point it is the prior one.
     """
     dt, inertia = grid.dt, grid.inertia
     tau, variance = noise.gust_time, noise.gust**2
@@ -226,7 +226,7 @@ def _filtered(f: Array, e: Array, Q: Array, R: Array) -> Array:
 
     The information matrix of all states of a run is block-tridiagonal, and its Cholesky factorisation is equivalent to
     the forward recursion of a Kalman filter: the remaining diagonal block is the information of all measurements so
-    far plus that of the transition to the next node.
+    far plus that of the transition to the next grid point.
     """
     N, runs = R.shape
     J = _inverse(Q)

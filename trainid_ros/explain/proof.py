@@ -49,7 +49,7 @@ _WORSE: Final = 1.1
 
 @dataclass(frozen=True, slots=True)
 class HeldOut:
-    """Speed gaps at all nodes, each from a fit to other runs.
+    """Speed gaps at all grid points, each from a fit to other runs.
 
     Attributes:
         gap: Measured less simulated speed [m/s], shape (m,).
@@ -76,7 +76,7 @@ def hold_out(model: Model, hyper: Hyperparameters) -> HeldOut | None:
         model.add_odometry(seen)
         mean, covariance = posterior(neutral.T @ seen @ neutral, root)
         for run in fold.tolist():
-            at = model.dataset.node_run == run
+            at = model.dataset.point_run == run
             left = residual[at] - model.nuisance_columns[at] @ mean
             gap[at], deviation[at] = _centred(model, at, left, _noise(model, hyper, at, covariance))
     return HeldOut(gap, deviation)
@@ -97,7 +97,7 @@ def _neutral(model: Model) -> Array:
 
 def _centred(model: Model, at: NDArray[np.bool_], left: Array, expected: Array) -> tuple[Array, Array]:
     """Return the residual of one run less its mean, and the std expected of it [m/s], shapes (m,)."""
-    known = model.dataset.node_count[at] > 0.0
+    known = model.dataset.point_count[at] > 0.0
     weight = known / max(float(known.sum()), 1.0)
     # Variance of left - weight' left.
     common = expected @ weight
@@ -106,10 +106,10 @@ def _centred(model: Model, at: NDArray[np.bool_], left: Array, expected: Array) 
 
 
 def gap_of(before: HeldOut | None, after: HeldOut | None, model: Model) -> Gap | None:
-    """Return the RMS gap without and with the effects over all measured nodes, and the noise floor; None if unknown."""
+    """Return the RMS gap without and with the effects over all measured points and the noise floor; None if unknown."""
     if before is None or after is None:
         return None
-    known = model.dataset.node_count > 0.0
+    known = model.dataset.point_count > 0.0
     return Gap(_rms(before.gap[known]), _rms(after.gap[known]), _rms(after.std[known]), len(model.dataset.runs))
 
 
@@ -122,13 +122,13 @@ def _noise(model: Model, hyper: Hyperparameters, at: NDArray[np.bool_], covarian
     base = model.without_terms
     columns = model.nuisance_columns[at][:, base]
     noise, spread = hyper.noise, hyper.spread
-    t = model.dataset.node_time[at] - model.dataset.node_time[at][0]
+    t = model.dataset.point_time[at] - model.dataset.point_time[at][0]
     tau = noise.gust_time
     lesser = np.minimum(t[:, None], t[None, :])
     decay = np.exp(-t / tau)
     gust = 2.0 * lesser / tau - 1.0 + decay[:, None] + decay[None, :] - np.exp(-np.abs(t[:, None] - t[None, :]) / tau)
     factors = model.factor_columns[at] * spread.of_run
-    white = noise.speed**2 * share_of_mean(model.dataset.node_count[at])
+    white = noise.speed**2 * share_of_mean(model.dataset.point_count[at])
     scale = (noise.gust * tau / model.dataset.inertia) ** 2
     nuisances = columns @ covariance[np.ix_(base, base)] @ columns.T
     return np.asarray(scale * gust + factors @ factors.T + np.diag(white) + nuisances)

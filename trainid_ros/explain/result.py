@@ -120,7 +120,7 @@ class Location:
 
 @dataclass(frozen=True, slots=True)
 class RunTrace:
-    """One run for plots, at the nodes (about one per second), shapes (n,).
+    """One run for plots, at the grid points (about one per second), shapes (n,).
 
     Attributes:
         bag: Number of its bag.

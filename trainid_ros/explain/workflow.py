@@ -188,8 +188,8 @@ def _traces(outcome: Outcome) -> tuple[RunTrace, ...]:
     band = nothing if after is None else after.std
     traces = []
     for k, run in enumerate(dataset.runs):
-        at = (dataset.node_run == k) & (dataset.node_count > 0.0)
-        time = dataset.node_time[at] - run.time[0]
+        at = (dataset.point_run == k) & (dataset.point_count > 0.0)
+        time = dataset.point_time[at] - run.time[0]
         traces.append(
             RunTrace(run.bag, run.direction, time, position[at], speed[at], gaps[0][at], gaps[1][at], band[at])
         )
