@@ -17,6 +17,7 @@ from trainid_ros.bag.writer import BagWriter
 from trainid_ros.errors import InputError
 from trainid_ros.estimators import algorithm_registry
 from trainid_ros.estimators.algorithm_registry import Algorithm, Algorithms
+from trainid_ros.estimators.plugins import PlugIn
 from trainid_ros.records import NS_PER_S, Record
 from trainid_ros.resistance.resistance_settings import VMilsConfig
 from trainid_ros.resistance.vmils import VMils
@@ -52,14 +53,14 @@ def install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Install:
     """Return a function that installs a distribution with one module and one entry point."""
     monkeypatch.syspath_prepend(str(tmp_path))
 
-    def make(name: str, code: str) -> None:
+    def make(name: str, code: str, job: str = JOB) -> None:
         module = f'plug_in_{name}'
         monkeypatch.delitem(sys.modules, module, raising=False)
         (tmp_path / f'{module}.py').write_text(code, encoding='utf-8')
         info = tmp_path / f'{name}-1.dist-info'
         info.mkdir()
         (info / 'METADATA').write_text(f'Metadata-Version: 2.1\nName: {name}\nVersion: 1\n', encoding='utf-8')
-        text = f'[trainid_ros.algorithms]\n{JOB} = {module}:ALGORITHMS\n'
+        text = f'[trainid_ros.algorithms]\n{job} = {module}:ALGORITHMS\n'
         (info / 'entry_points.txt').write_text(text, encoding='utf-8')
 
     return make
@@ -97,21 +98,50 @@ def test_a_broken_plug_in_is_named_once_another_name_is_wanted(install: Install,
         assert str(caught.value).endswith(reason)
 
 
+@pytest.mark.parametrize('given', ['known', 'twice'])
+def test_only_a_name_that_two_plug_ins_have_cannot_be_used(install: Install, given: str) -> None:
+    install('good', FOUND.replace('NAME', 'twice').replace(',)', ", Algorithm('new', '', VMilsConfig(), VMils))"))
+    install('bad', FOUND.replace('NAME', given))
+    algorithms = built_in()
+    assert set(algorithms.names) == {'known', 'twice', 'new'} - ({given} - {'known'})
+    assert f'there are two algorithms {given!r}' in algorithms.problem
+
+
+def test_a_broken_plug_in_does_not_hide_the_algorithms_of_others(
+    install: Install, request: pytest.FixtureRequest
+) -> None:
+    install('bad', '1 / 0', 'resistance')
+    install('good', FOUND.replace('NAME', 'new'), 'speed_model')
+    forget_plug_ins()
+    request.addfinalizer(forget_plug_ins)
+    assert chosen_algorithms(['new']) == {'speed_model': 'new'}
+    for wanted in ('nonsense', 'resistance=new'):
+        with pytest.raises(InputError, match=r'^plug-in bad \(resistance = plug_in_bad:ALGORITHMS\) cannot be loaded'):
+            chosen_algorithms([wanted])
+    install('worse', '1 / 0', 'speed_model')
+    forget_plug_ins()
+    assert chosen_algorithms(['new']) == {'speed_model': 'new'}
+
+
 def test_without_plug_ins_the_built_in_names_are_listed_and_where_others_come_from() -> None:
     with pytest.raises(InputError, match=r"^algorithm = 'KF' must be one of known; others come with lab/$"):
         built_in()['KF']
+
+
+def forget_plug_ins() -> None:
+    for job in JOBS:
+        vars(job.algorithms).pop('_plug_ins', None)
 
 
 @pytest.fixture
 def unread(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let every reading of plug-ins fail."""
 
-    def fail(job: str) -> tuple[tuple[str, object], ...]:
+    def fail(job: str) -> tuple[PlugIn, ...]:
         pytest.fail(f'plug-ins for {job} are read')
 
     monkeypatch.setattr(algorithm_registry, 'plugged_in', fail)
-    for job in JOBS:
-        vars(job.algorithms).pop('_others', None)
+    forget_plug_ins()
 
 
 @pytest.mark.usefixtures('unread')
@@ -165,7 +195,7 @@ def test_replay_of_built_in_algorithms_neither_needs_nor_loads_the_laboratory(mi
 
 
 @pytest.mark.parametrize('wanted', ['KF', 'brake_rate=KF'])
-def test_without_the_laboratory_its_names_are_refused_with_the_built_in_ones(minute: Path, wanted: str) -> None:
+def test_without_the_laboratory_its_names_are_rejected_with_the_built_in_ones(minute: Path, wanted: str) -> None:
     done = replay(minute, '--algorithm', wanted)
     assert done.returncode != 0
     assert "algorithm 'KF' is unknown; there are " in done.stderr

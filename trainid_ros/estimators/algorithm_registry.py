@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
 from trainid_ros.errors import InputError
-from trainid_ros.estimators.plugins import plugged_in
+from trainid_ros.estimators.plugins import PlugIn, plugged_in
 from trainid_ros.settings import setting_info
 
 if TYPE_CHECKING:
@@ -72,8 +72,8 @@ class Algorithms(Generic[EstimateT]):
 
     @property
     def names(self) -> tuple[str, ...]:
-        """All names, the built-in ones first; raises InputError if a plug-in cannot be used."""
-        return (*self._built_in, *self._others)
+        """All names, the built-in ones first, without those of plug-ins that cannot be used."""
+        return (*self._built_in, *self._plug_ins[0])
 
     @property
     def default(self) -> str:
@@ -83,30 +83,41 @@ class Algorithms(Generic[EstimateT]):
     @property
     def hint(self) -> str:
         """End of a message that lists all names: where others come from if there are no plug-ins."""
-        return '' if self._others else '; others come with lab/'
+        return '' if self._plug_ins[0] else '; others come with lab/'
+
+    @property
+    def problem(self) -> str:
+        """Why a plug-in cannot be used, '' if all can; a name that is missing may be one of its own."""
+        return self._plug_ins[1]
 
     def __contains__(self, name: str) -> bool:
-        """Return whether there is an algorithm of that name; raises InputError if a plug-in cannot be used."""
-        return name in self._built_in or name in self._others
+        """Return whether there is an algorithm of that name."""
+        return name in self._built_in or name in self._plug_ins[0]
 
     def __getitem__(self, name: str) -> Algorithm[EstimateT]:
-        """Return an algorithm by name; raise InputError if the name is unknown or a plug-in cannot be used."""
-        if (algorithm := self._built_in.get(name) or self._others.get(name)) is None:
-            msg = f'algorithm = {name!r} must be one of {", ".join(self.names)}{self.hint}'
-            raise InputError(msg)
+        """Return an algorithm by name; raise InputError if there is none of that name."""
+        if (algorithm := self._built_in.get(name) or self._plug_ins[0].get(name)) is None:
+            raise InputError(self.problem or f'algorithm = {name!r} must be one of {", ".join(self.names)}{self.hint}')
         return algorithm
 
     @cached_property
-    def _others(self) -> dict[str, Algorithm[EstimateT]]:
-        """Algorithms of plug-ins by name, read at the first look-up of a name that is not built in."""
+    def _plug_ins(self) -> tuple[dict[str, Algorithm[EstimateT]], str]:
+        """Algorithms of plug-ins by name, read at the first look-up of a name that is not built in; first problem."""
         found: dict[str, Algorithm[EstimateT]] = {}
-        for source, given in plugged_in(self.job):
-            for item in _algorithms(source, given):
+        problems, twice = [], set()
+        for plug_in in plugged_in(self.job):
+            try:
+                given = _algorithms(plug_in)
+            except InputError as error:
+                problems.append(str(error))
+                continue
+            for item in given:
                 if item.name in self._built_in or item.name in found:
-                    msg = f'{source}: there are two algorithms {item.name!r}'
-                    raise InputError(msg)
-                found[item.name] = item
-        return found
+                    problems.append(f'{plug_in}: there are two algorithms {item.name!r}')
+                    twice.add(item.name)
+                found.setdefault(item.name, item)
+        usable = {name: algorithm for name, algorithm in found.items() if name not in twice}
+        return usable, next(iter(problems), '')
 
     def choose(self, name: str = '', **changes: float) -> Choice:
         """Return a choice, the default if unnamed, with some settings changed; InputError if a name is unknown."""
@@ -122,9 +133,10 @@ class Algorithms(Generic[EstimateT]):
         return self[choice.algorithm].make(train_file, choice.config, generator)
 
 
-def _algorithms(source: str, given: object) -> tuple[Algorithm[Any], ...]:
-    """Return what a plug-in gives; raise InputError, naming the plug-in, if it is not a tuple of algorithms."""
+def _algorithms(plug_in: PlugIn) -> tuple[Algorithm[Any], ...]:
+    """Return what a plug-in gives; raise InputError, naming it, if that is not a tuple of algorithms."""
+    given = plug_in.load()
     if not isinstance(given, tuple) or not all(isinstance(item, Algorithm) for item in given):
-        msg = f'{source} must be a tuple of Algorithm, not {type(given).__name__}'
+        msg = f'{plug_in} must be a tuple of Algorithm, not {type(given).__name__}'
         raise InputError(msg)
     return given

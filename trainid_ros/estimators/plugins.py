@@ -7,29 +7,40 @@ of :class:`Algorithm`. Reading the entry points takes 40 ms, so nothing here run
 
 from __future__ import annotations
 
-from typing import Final
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
 
 from trainid_ros.errors import InputError
+
+if TYPE_CHECKING:
+    from importlib.metadata import EntryPoint
 
 GROUP: Final = 'trainid_ros.algorithms'
 
 
-def plugged_in(job: str) -> tuple[tuple[str, object], ...]:
-    """Return the objects of all entry points for a job, each with a text that names the entry point.
+@dataclass(frozen=True, slots=True)
+class PlugIn:
+    """An entry point."""
 
-    Raises:
-        InputError: One of them cannot be imported.
+    entry: EntryPoint
 
-    """
+    def __str__(self) -> str:
+        """Return the names of its distribution, of the job and of its object."""
+        entry = self.entry
+        return f'plug-in {entry.dist.name if entry.dist else "?"} ({entry.name} = {entry.value})'
+
+    def load(self) -> object:
+        """Return its object; InputError if that cannot be imported."""
+        try:
+            return self.entry.load()
+        except Exception as error:  # whatever its code raises
+            msg = f'{self} cannot be loaded: {type(error).__name__}: {error}'
+            raise InputError(msg) from error
+
+
+def plugged_in(job: str) -> tuple[PlugIn, ...]:
+    """Return the plug-ins for a job."""
     # Imported here because start-up must not pay for it.
     from importlib.metadata import entry_points  # noqa: PLC0415
 
-    found = []
-    for entry in entry_points(group=GROUP, name=job):
-        source = f'plug-in {entry.dist.name if entry.dist else "?"} ({entry.name} = {entry.value})'
-        try:
-            found.append((source, entry.load()))
-        except Exception as error:  # whatever its code raises
-            msg = f'{source} cannot be loaded: {type(error).__name__}: {error}'
-            raise InputError(msg) from error
-    return tuple(found)
+    return tuple(map(PlugIn, entry_points(group=GROUP, name=job)))

@@ -111,8 +111,11 @@ def _find(text: str) -> tuple[str, str]:
     found = found or [job.field for job in among if name in job.algorithms]
     if len(found) == 1:
         return found[0], name
+    problem = next((job.algorithms.problem for job in among if job.algorithms.problem), '')
     if found:
         msg = f'algorithm {name!r} is ambiguous: use {" or ".join(f"{item}={name}" for item in found)}'
+    elif problem:
+        msg = problem
     else:
         choices = '; '.join(f'{job.field}: {", ".join(job.algorithms.names)}' for job in among)
         msg = f'algorithm {name!r} is unknown; there are {choices}{among[0].algorithms.hint}'
