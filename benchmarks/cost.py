@@ -21,6 +21,7 @@ from trainid_ros.brake_rate.brake_rate_settings import GsmaConfig
 from trainid_ros.brake_rate.gsma import Gsma
 from trainid_ros.estimators.pipeline import (
     EstimatorSettings,
+    SharedRecord,
     brake_rate_pipeline,
     resistance_pipeline,
     share_streams,
@@ -128,14 +129,14 @@ def _push_to_three(train: TrainFile, settings: EstimatorSettings) -> Callable[[T
     """Return a function that takes in a tick as the nodes of ``trainid run`` do, estimates included."""
     makers = (resistance_pipeline, speed_model_pipeline, brake_rate_pipeline)
     pipelines: list[EstimatorPipeline[Any]] = [maker(train, settings) for maker in makers]
-    (stream,) = share_streams(pipelines)
+    share_streams(pipelines)
 
     def call(tick: TickOfRecords) -> object:
         outputs: list[Output[Any]] = []
         for record in tick.records:
-            events = stream.push(record)
+            shared = SharedRecord(record.row())
             for pipeline in pipelines:
-                pipeline.take(events, outputs.append)
+                pipeline.take(shared.events(pipeline.stream), outputs.append)
         return outputs
 
     return call

@@ -16,6 +16,7 @@ from trainid_lab.yizhuang_day import DRY, RAIN, yizhuang_day
 from trainid_ros.estimators.pipeline import (
     EstimatorPipeline,
     EstimatorSettings,
+    SharedRecord,
     brake_rate_pipeline,
     resistance_pipeline,
     share_streams,
@@ -158,12 +159,12 @@ def _published(train_file: TrainFile, records: Iterable[Record]) -> tuple[list[O
     pipelines: list[EstimatorPipeline[Any]] = [
         make(train_file, settings) for make in (resistance_pipeline, brake_rate_pipeline)
     ]
-    (stream,) = share_streams(pipelines)
+    share_streams(pipelines)
     outputs: tuple[list[Output[Any]], list[Output[Any]]] = ([], [])
     for record in records:
-        events = stream.push(record)
+        shared = SharedRecord(record.row())
         for pipeline, made in zip(pipelines, outputs, strict=True):
-            pipeline.take(events, made.append)
+            pipeline.take(shared.events(pipeline.stream), made.append)
     return outputs
 
 

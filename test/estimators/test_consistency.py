@@ -20,7 +20,7 @@ SEEDS = 200
 def monitored(z: NDArray[np.float64], stated: float = 1.0) -> ConsistencyMonitor:
     monitor = ConsistencyMonitor()
     for innovation in z:
-        monitor.see(float(innovation), stated, used=True)
+        monitor.add(float(innovation), stated, used=True)
     return monitor
 
 
@@ -67,24 +67,24 @@ def test_the_alarm_is_raised_only_after_a_full_optimistic_window() -> None:
     monitor = ConsistencyMonitor()
     first, alarmed = 0, 0
     for k in range(1, 4 * WINDOW):
-        monitor.see(float(rng.standard_normal()), 0.3, used=True)
+        monitor.add(float(rng.standard_normal()), 0.3, used=True)
         current = monitor.current()
         first = first or (k if current.verdict is ConsistencyVerdict.OPTIMISTIC else 0)
         alarmed = alarmed or (k if current.is_alarm else 0)
     assert 0 < first < WINDOW
     assert alarmed >= first + WINDOW - 1
     for innovation in rng.standard_normal(2 * WINDOW):
-        monitor.see(float(innovation), 1.0, used=True)
+        monitor.add(float(innovation), 1.0, used=True)
     assert not monitor.current().is_alarm
 
 
 def test_an_update_counts_once_and_a_rejected_one_never() -> None:
     monitor = ConsistencyMonitor()
     for innovation, used in ((1.0, True), (2.0, True), (50.0, False), (3.0, True)):
-        monitor.see(innovation, 4.0, used=used)
+        monitor.add(innovation, 4.0, used=used)
         for _ in range(5):  # samples between updates repeat the pair, accepted or not
-            monitor.see(innovation, 4.0, used=True)
-            monitor.see(innovation, 4.0, used=False)
+            monitor.add(innovation, 4.0, used=True)
+            monitor.add(innovation, 4.0, used=False)
     current = monitor.current()
     assert current.updates == 3
     assert current.ratio == pytest.approx((1.0 + 4.0 + 9.0) / 12.0)
@@ -95,7 +95,7 @@ def test_an_update_counts_once_and_a_rejected_one_never() -> None:
 )
 def test_an_innovation_without_a_variance_is_not_judged(innovation: float, variance: float) -> None:
     monitor = ConsistencyMonitor()
-    monitor.see(innovation, variance, used=True)
+    monitor.add(innovation, variance, used=True)
     current = monitor.current()
     assert (current.verdict, current.updates) == (ConsistencyVerdict.UNKNOWN, 0)
     assert 'no innovation' in str(current)

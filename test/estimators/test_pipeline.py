@@ -13,12 +13,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trainid_ros.errors import InputError
+from trainid_ros.errors import InputError, TrainIdError
 from trainid_ros.estimators.consistency import WINDOW
 from trainid_ros.estimators.pipeline import (
     EstimatorPipeline,
     EstimatorSettings,
     PipelineConfig,
+    PipelineGroup,
+    SharedRecord,
     brake_rate_pipeline,
     resistance_pipeline,
     speed_model_pipeline,
@@ -422,6 +424,30 @@ def test_an_estimate_refuted_by_its_innovations_is_not_valid(metro: TrainFile, d
     before = run(pipeline, seconds(day, 0.0, 280.0))
     assert before[-1].status in (Status.VALID, Status.HOLDING)
     for k in range(2 * WINDOW):
-        pipeline._consistency.see(2.1 + 1e-9 * k, 1.0, used=True)
+        pipeline._consistency.add(2.1 + 1e-9 * k, 1.0, used=True)
     refuted = run(pipeline, seconds(day, 280.0, 281.0))
     assert {output.status for output in refuted} == {Status.CONVERGING}
+
+
+def test_a_group_goes_on_with_the_stream_that_a_pipeline_has_after_a_reset(metro: TrainFile, day: Records) -> None:
+    together, alone = ([make(name, metro) for name in MAKERS] for _ in range(2))
+    group = PipelineGroup(together)
+    for first, last in ((0, 1000), (1000, 2000)):
+        records = day[first:last]
+        for pipeline in alone:
+            run(pipeline, records)
+        assert group.push_rows(record.row() for record in records) == 1000
+        assert [pipeline.save() for pipeline in together] == [pipeline.save() for pipeline in alone]
+        assert {pipeline.newest_ns for pipeline in together} == {max(record.stamp_ns for record in day[:last])}
+        for pipelines in (together, alone):
+            pipelines[0].reset()
+            pipelines[1].interrupt()
+
+
+def test_a_stream_that_fails_fails_for_all_its_pipelines(metro: TrainFile) -> None:
+    record = SharedRecord((77, 1, 0.0, 0.0, False))
+    pipeline = make('resistance', metro)
+    with pytest.raises(IndexError):
+        record.events(pipeline.stream)
+    with pytest.raises(TrainIdError, match='shares with another estimator has failed'):
+        record.events(pipeline.stream)

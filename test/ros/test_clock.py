@@ -70,7 +70,10 @@ def test_a_looped_bag_follows_the_policy(
     graph.feed(node, records)
     clock.go(records[-1].stamp_ns)
     used = node.pipeline.used
+    assert node.status_changes.since_ns >= graph.start_ns
     clock.go(graph.start_ns)  # the bag starts over
+    assert node.running_pipeline() is node.pipeline
+    assert node.status_changes.since_ns == 0
     graph.feed(node, records)
     pipeline = node.pipeline
     assert pipeline.resets == resets

@@ -87,7 +87,7 @@ def test_diagnostics_show_consistency_and_observability(graph: Graph, train_file
     assert float(values['resistance std at speeds seen, at most [N/kN]']) > 0.0
     assert 'errors exceed the stated uncertainty' not in diagnosed.by_name[own].message
     for k in range(2 * WINDOW):
-        node.pipeline._consistency.see(3.0 * (-1.0) ** k, 1.0 + 1e-9 * k, used=True)
+        node.pipeline._consistency.add(3.0 * (-1.0) ** k, 1.0 + 1e-9 * k, used=True)
     graph.until(lambda: 'errors exceed the stated uncertainty: optimistic' in diagnosed.by_name[own].message)
     assert diagnosed.by_name[own].level == DiagnosticStatus.WARN
 

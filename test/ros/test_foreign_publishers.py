@@ -83,8 +83,8 @@ def test_two_publishers_of_one_name_are_named(graph: Graph, train_file: str, sta
 def test_counts_of_publishers_alternate_or_begin_again() -> None:
     unknown, one, again, two = _Numbers(), _Numbers(), _Numbers(), _Numbers()
     for k in range(50):
-        unknown.see(None)
-        one.see(100 + 2 * k)  # with losses
-        again.see(k % 45 + 1)
-        two.see(100 + k // 2 if k % 2 else 5 + k // 2)
+        unknown.add(None)
+        one.add(100 + 2 * k)  # with losses
+        again.add(k % 45 + 1)
+        two.add(100 + k // 2 if k % 2 else 5 + k // 2)
     assert [numbers.alternate for numbers in (unknown, one, again, two)] == [True, False, False, True]

@@ -11,7 +11,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.type_hash import TypeHash
 from trainid_msgs.msg import AtoSpeed
 
-from trainid_ros.ros.publishers import NAMELESS, Publishers, tell_apart, type_name
+from trainid_ros.ros.publishers import NAMELESS, Publishers, sort_publishers, type_name
 from trainid_ros.ros.topics import input_qos
 
 SPEED = 'trainid_msgs/msg/AtoSpeed'
@@ -35,25 +35,25 @@ def test_the_name_of_a_type_is_that_of_the_graph() -> None:
 
 
 def test_publishers_with_the_type_are_heard() -> None:
-    assert tell_apart([info('b'), info('a')], SPEED, OURS, input_qos()) == Publishers(('/a', '/b'))
+    assert sort_publishers([info('b'), info('a')], SPEED, OURS, input_qos()) == Publishers(('/a', '/b'))
 
 
 def test_one_with_another_type_is_named() -> None:
-    found = tell_apart([info('a'), info('odo', 'std_msgs/msg/Float64')], SPEED, OURS, input_qos())
+    found = sort_publishers([info('a'), info('odo', 'std_msgs/msg/Float64')], SPEED, OURS, input_qos())
     assert found == Publishers(('/a',), (f'/odo publishes std_msgs/msg/Float64 instead of {SPEED}',))
     assert found.count == 2
 
 
 def test_one_with_another_definition_is_named_where_that_is_known() -> None:
     infos = [info('a', definition=THEIRS), info('b', definition=str(TypeHash()))]
-    found = tell_apart(infos, SPEED, OURS, input_qos())
+    found = sort_publishers(infos, SPEED, OURS, input_qos())
     assert found == Publishers(('/b',), (f'/a publishes another version of {SPEED}, whose messages are misread',))
-    assert tell_apart(infos, SPEED, '', input_qos()).heard == ('/a', '/b')
+    assert sort_publishers(infos, SPEED, '', input_qos()).heard == ('/a', '/b')
 
 
 def test_all_reasons_of_an_incompatible_quality_of_service_are_named() -> None:
     strict = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL, deadline=Duration(seconds=1))
-    (text,) = tell_apart([info('a')], SPEED, OURS, strict).unheard
+    (text,) = sort_publishers([info('a')], SPEED, OURS, strict).unheard
     assert text == (
         '/a has an incompatible quality of service (Volatile publisher and transient local subscription, '
         'Subscription has a deadline, but publisher does not)'
@@ -61,6 +61,6 @@ def test_all_reasons_of_an_incompatible_quality_of_service_are_named() -> None:
 
 
 def test_one_that_was_killed_counts_once_with_its_successor_which_has_no_name_at_first() -> None:
-    found = tell_apart([info('a'), info('a'), info('_NODE_NAME_UNKNOWN_')], SPEED, OURS, input_qos())
+    found = sort_publishers([info('a'), info('a'), info('_NODE_NAME_UNKNOWN_')], SPEED, OURS, input_qos())
     assert (found.heard, found.at_a_time().heard) == (('/a', '/a', NAMELESS), ('/a',))
     assert Publishers((NAMELESS,)).at_a_time().heard == (NAMELESS,)

@@ -131,11 +131,11 @@ class ConsistencyMonitor:
         self._squares, self._products = state.squares, state.products
         self._innovation, self._variance = state.innovation, state.variance
 
-    def see(self, innovation: float, variance: float, *, used: bool) -> None:
+    def add(self, innovation: float, variance: float, *, used: bool) -> None:
         """Take in the innovation that an estimate reports for its last update.
 
         Args:
-            innovation: Measured minus predicted.
+            innovation: Measured minus predicted, see :attr:`~trainid_ros.estimators.protocol.Estimator.innovation`.
             variance: Its variance as stated before the measurement, in squared units; not above 0 if none is stated.
             used: False if the sample was rejected: outliers beyond a gate are not noise.
 
@@ -146,11 +146,11 @@ class ConsistencyMonitor:
         self._innovation, self._variance = innovation, variance
         if not (used and 0.0 < variance < math.inf and abs(innovation) < math.inf):
             return
-        self._add(min(max(innovation / math.sqrt(variance), -_MAX_Z), _MAX_Z))
+        self._add_normalised(min(max(innovation / math.sqrt(variance), -_MAX_Z), _MAX_Z))
         optimistic = self._updates >= _MIN_UPDATES and self._ratio > self._band()[1]
         self._consecutive = self._consecutive + 1 if optimistic else 0
 
-    def _add(self, z: float) -> None:
+    def _add_normalised(self, z: float) -> None:
         """Take in a normalised innovation; the oldest of a full window gives way to it."""
         following = self._newest + 1 if self._newest + 1 < WINDOW else 0
         if self._updates:

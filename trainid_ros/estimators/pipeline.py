@@ -15,7 +15,7 @@ from typing import Any, Generic, TypeAlias
 import numpy as np
 
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
-from trainid_ros.errors import InputError
+from trainid_ros.errors import InputError, TrainIdError
 from trainid_ros.estimators.algorithm_registry import Algorithms, Choice
 from trainid_ros.estimators.consistency import Consistency, ConsistencyMonitor
 from trainid_ros.estimators.pipeline_state import SNAPSHOT_S, SUSPECTED_S, PipelineState, Snapshots, reason_counts
@@ -242,7 +242,7 @@ class EstimatorPipeline(Generic[EstimateT]):
         # The consistency of this sample counts from the next one on.
         self._status = self._judge(rejection)
         innovation, variance = self.estimator.innovation
-        self._consistency.see(innovation, variance, used=rejection is None)
+        self._consistency.add(innovation, variance, used=rejection is None)
 
     def _keep_snapshots(self, sample: Sample) -> None:
         """Go back to an earlier state once a contradiction of the inputs lasts, or a change has passed again."""
@@ -340,12 +340,36 @@ def share_streams(pipelines: Iterable[EstimatorPipeline[Any]]) -> tuple[SampleSt
     return tuple(streams)
 
 
+class SharedRecord:
+    """One record for several pipelines: it goes once into each of their streams, as they are at that time."""
+
+    def __init__(self, row: Row) -> None:
+        self._row = row
+        self._streams: list[SampleStream] = []
+        self._events: list[list[StreamEvent] | None] = []
+
+    def events(self, stream: SampleStream) -> list[StreamEvent]:
+        """Return what a stream makes of the record; TrainIdError if it has failed for another pipeline."""
+        for k in range(len(self._streams)):
+            if self._streams[k] is stream:
+                events = self._events[k]
+                if events is None:
+                    msg = 'the stream that it shares with another estimator has failed'
+                    raise TrainIdError(msg)
+                return events
+        self._streams.append(stream)
+        self._events.append(None)  # until it has succeeded
+        topic, stamp_ns, x, y, flag = self._row
+        events = self._events[-1] = stream.push_row(topic, stamp_ns, x, y, flag)
+        return events
+
+
 class PipelineGroup:
     """Pipelines that take in the same records; those whose streams would give the same samples share one."""
 
     def __init__(self, pipelines: Sequence[EstimatorPipeline[Any]]) -> None:
-        self._streams = list(share_streams(pipelines))
-        self._pipelines = [(self._streams.index(pipeline.stream), pipeline) for pipeline in pipelines]
+        share_streams(pipelines)
+        self._pipelines = list(pipelines)
         self._first_ns = self._newest_ns = self._before_ns = 0
 
     @property
@@ -356,13 +380,13 @@ class PipelineGroup:
     def push_rows(self, rows: Iterable[Row], publish: Callable[[Output[Any]], object] | None = None) -> int:
         """Take in rows of records; return their number. For ``publish`` see :meth:`EstimatorPipeline.take`."""
         count = 0
-        for topic, stamp_ns, x, y, flag in rows:
-            events = [stream.push_row(topic, stamp_ns, x, y, flag) for stream in self._streams]
-            for event in events[0]:  # the others have the same stamps
+        for row in rows:
+            record = SharedRecord(row)
+            for event in record.events(self._pipelines[0].stream):  # the others have the same stamps
                 if isinstance(event, Sample):
                     self._cover(event.stamp_ns)
-            for place, pipeline in self._pipelines:
-                pipeline.take(events[place], publish)
+            for pipeline in self._pipelines:
+                pipeline.take(record.events(pipeline.stream), publish)
             count += 1
         return count
 

@@ -10,7 +10,7 @@ from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from trainid_ros.records import InputTopic
 from trainid_ros.ros.diagnostics import NodeHealth, Problem, estimator_status, idle_status, input_status, unusable
 from trainid_ros.ros.input_monitor import Finding, InputMonitor
-from trainid_ros.ros.publishers import is_hash, tell_apart, type_name
+from trainid_ros.ros.publishers import is_hash, sort_publishers, type_name
 from trainid_ros.ros.topics import NO_PUBLISHER_EVENTS, diagnostics_qos, message_class, time_message
 
 if TYPE_CHECKING:
@@ -42,7 +42,7 @@ class DiagnosticsPublisher:
             failure=node.failure,
             now_ns=now_ns,
             clock_problem=clock_problem,
-            since_ns=node.news.since_ns,
+            since_ns=node.status_changes.since_ns,
             missing=node.missing_inputs(),
             fault=node.fault,
             unsaved=node.checkpoints.problem,
@@ -83,7 +83,7 @@ class DiagnosticsPublisher:
         node, before = self._node, monitor.publishers
         wanted, infos = type_name(message_class(monitor.topic)), node.get_publishers_info_by_topic(topic)
         profile = node.inputs.profile(monitor.topic)
-        monitor.publishers = tell_apart(infos, wanted, self._definition(monitor.topic, topic), profile)
+        monitor.publishers = sort_publishers(infos, wanted, self._definition(monitor.topic, topic), profile)
         if not node.inputs.may_mix(monitor.topic):
             monitor.publishers = monitor.publishers.at_a_time()
         if monitor.publishers.unheard and monitor.publishers.unheard != before.unheard:

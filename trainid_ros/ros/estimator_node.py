@@ -19,7 +19,7 @@ from rclpy.serialization import serialize_message
 
 from trainid_ros.errors import InputError, TrainIdError
 from trainid_ros.estimators.pipeline import EstimatorPipeline, EstimatorSettings
-from trainid_ros.records import INPUT_TOPICS, NS_PER_S, REQUIRED_TOPICS, InputTopic, Record
+from trainid_ros.records import INPUT_TOPICS, NS_PER_S, REQUIRED_TOPICS, InputTopic
 from trainid_ros.results import Rejection, Status
 from trainid_ros.ros.checkpoints import Checkpoints
 from trainid_ros.ros.diagnostics import EstimatorSpec, StepTimes
@@ -38,7 +38,7 @@ from trainid_ros.ros.parameter_specs import (
     requested_algorithm,
 )
 from trainid_ros.ros.services import NUMERICAL_ERRORS, EstimatorServices
-from trainid_ros.ros.status_news import HEARTBEAT_NS, REPEATED, StatusNews, is_latched
+from trainid_ros.ros.status_changes import HEARTBEAT_NS, REPEATED, StatusChanges, is_latched
 from trainid_ros.ros.topics import (
     SerializedEstimate,
     fill_estimate,
@@ -55,7 +55,7 @@ from trainid_ros.train.train_file import load_train_file
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
-    from trainid_ros.stream.sample_stream import SampleStream, StreamEvent
+    from trainid_ros.estimators.pipeline import SharedRecord
     from trainid_ros.train.train_file import TrainFile
 
 _FIRST_WATCH_S: Final = 0.1
@@ -97,7 +97,7 @@ class EstimatorNode(ManagedNode):
         self.prior: Any = None
         self._input_group: InputGroup | None = None
         self.monitors = InputMonitors(self._settings.alignment)
-        self.news = StatusNews(self.get_logger(), self.missing_inputs)
+        self.status_changes = StatusChanges(self.get_logger(), self.missing_inputs)
         self._estimates: Any = None
         self._last_valid: Any = None
         self._jump_handle: Any = None
@@ -141,7 +141,7 @@ class EstimatorNode(ManagedNode):
         self.pipeline = pipeline
         self.watchdog = Watchdog(round(self._settings.pipeline.stale_after * NS_PER_S))
         self.step_times = StepTimes()
-        self.news.restart(self.now_ns())
+        self.status_changes.restart(self.now_ns())
         self._open()
         return super().on_configure(state)
 
@@ -236,7 +236,7 @@ class EstimatorNode(ManagedNode):
         self.step_times = StepTimes()
         self.fault = ''
         self._sent: list[SerializedEstimate] = []
-        self._refused: list[Rejection] = []
+        self._rejected: list[Rejection] = []
         self._latched: Status | None = None
         self._published_ns = 0
         self._jumped_s = 0.0
@@ -259,30 +259,17 @@ class EstimatorNode(ManagedNode):
         self._follow_jump(pipeline)
         return pipeline
 
-    def step(
-        self, pipeline: EstimatorPipeline[Any], record: Record, events: dict[SampleStream, list[StreamEvent] | None]
-    ) -> list[Any]:
-        """Pass a record to the pipeline; return the outputs of the samples it completes.
+    def step(self, pipeline: EstimatorPipeline[Any], record: SharedRecord) -> list[Any]:
+        """Pass a record to the pipeline of this node; return the outputs of the samples it completes.
 
         An error of the estimator becomes a FAULT and does not end the process.
-
-        Args:
-            pipeline: The pipeline of this node.
-            record: The record.
-            events: What the streams made of the record, None if they failed; that of the pipeline is added if missing.
-
         """
         resets, start = pipeline.resets, time.perf_counter()
         outputs: list[Any] = []
         try:
-            if pipeline.stream not in events:
-                events[pipeline.stream] = None  # until the stream has succeeded, so that its other nodes fail too
-                events[pipeline.stream] = pipeline.stream.push(record)
-            if (made := events[pipeline.stream]) is None:
-                outputs = [self.fail(pipeline, 'the stream that it shares with another node has failed')]
-            else:
-                self._refused = [event for event in made if isinstance(event, Rejection)]
-                pipeline.take(made, outputs.append)
+            events = record.events(pipeline.stream)
+            self._rejected = [event for event in events if isinstance(event, Rejection)]
+            pipeline.take(events, outputs.append)
         except TrainIdError as error:
             outputs = [self.fail(pipeline, str(error))]
         except NUMERICAL_ERRORS:
@@ -323,8 +310,8 @@ class EstimatorNode(ManagedNode):
         """Latch and log what was published, and note that a message with this stamp [ns] has arrived."""
         now_ns = self.now_ns()
         self._follow_published(now_ns)
-        self.monitors.arrived(topic, stamp_ns, now_ns, self._refused)
-        self._refused = []
+        self.monitors.arrived(topic, stamp_ns, now_ns, self._rejected)
+        self._rejected = []
         if self._listening and self.pipeline is not None:
             self.watchdog.saw(self.pipeline.newest_ns, now_ns, self._steady_ns())
 
@@ -343,7 +330,7 @@ class EstimatorNode(ManagedNode):
             if self._last_valid is not None and is_latched(status, self._latched):
                 self._last_valid.publish(data)
                 self._latched = status
-            self.news.see(status, now_ns)
+            self.status_changes.follow(status, now_ns)
         self._published_ns = self._steady_ns()
 
     def _watch(self) -> None:
@@ -396,6 +383,7 @@ class EstimatorNode(ManagedNode):
         if self._jumped_s == 0.0:
             return
         jumped_s, self._jumped_s = self._jumped_s, 0.0
+        self.status_changes.forget_time()
         policy = self._settings.pipeline.time_jump_policy
         limit_ns = round(LARGEST_STEP_S * NS_PER_S)
         follow = policy is TimeJumpPolicy.RESET and pipeline.newest_ns - self.now_ns() > limit_ns

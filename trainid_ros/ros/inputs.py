@@ -13,7 +13,7 @@ from bisect import bisect_left
 from collections import deque
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from trainid_ros.estimators.pipeline import share_streams
+from trainid_ros.estimators.pipeline import SharedRecord, share_streams
 from trainid_ros.messages import record_from_message
 from trainid_ros.records import INPUT_TOPICS, InputTopic
 from trainid_ros.ros.topics import NO_SUBSCRIPTION_EVENTS, input_qos, message_class, overridable
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from rclpy.qos import QoSProfile
 
     from trainid_ros.ros.estimator_node import EstimatorNode
-    from trainid_ros.stream.sample_stream import SampleStream, StreamEvent
 
 _MAX_IDLE_ROUNDS: Final = 3
 _NUMBERS_KEPT: Final = 20
@@ -36,7 +35,7 @@ class _Arrival(NamedTuple):
 
     Attributes:
         received_ns: When the middleware received it, or when it was sent if that is not known [ns].
-        number: The count of its publisher, None if the middleware does not tell.
+        number: The count of its publisher, None if the middleware does not state it.
         topic: The topic.
         message: The message.
 
@@ -60,7 +59,7 @@ class _Numbers:
         self._last = 0
         self._steps_back: deque[bool] = deque(maxlen=_NUMBERS_KEPT)
 
-    def see(self, number: int | None) -> None:
+    def add(self, number: int | None) -> None:
         if number is not None:
             self._steps_back.append(number <= self._last)
             self._last = number
@@ -122,7 +121,7 @@ class InputSubscriptions:
             if idle_rounds > _MAX_IDLE_ROUNDS:
                 due = len(arrivals)
             for arrival in arrivals[:due]:
-                self._numbers[arrival.topic].see(arrival.number)
+                self._numbers[arrival.topic].add(arrival.number)
                 self._deliver(arrival.topic, arrival.message)
             arrivals = arrivals[due:]
             if not arrivals:
@@ -203,8 +202,8 @@ class InputGroup:
         running = [(node, pipeline) for node in self._members if (pipeline := node.running_pipeline()) is not None]
         if any(pipeline.stream.is_new for _, pipeline in running):
             share_streams(pipeline for _, pipeline in running)
-        events: dict[SampleStream, list[StreamEvent] | None] = {}
-        outputs = [(node, node.step(pipeline, record, events)) for node, pipeline in running]
+        shared = SharedRecord(record.row())
+        outputs = [(node, node.step(pipeline, shared)) for node, pipeline in running]
         # Sent at once, so that a subscriber of all of them wakes up once.
         ready = [(node, [node.serialize(output) for output in made]) for node, made in outputs if made]
         for node, estimates in ready:

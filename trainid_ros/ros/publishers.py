@@ -50,7 +50,7 @@ def type_name(message: Any) -> str:
 
 
 def is_hash(text: str) -> bool:
-    """Return whether a text is the hash of a definition; not every middleware tells it."""
+    """Return whether a text is the hash of a definition; not every middleware states it."""
     return text.startswith('RIHS')
 
 
@@ -59,7 +59,7 @@ def _node_name(info: Any) -> str:
     return NAMELESS if unknown else f'{info.node_namespace.rstrip("/")}/{info.node_name}'
 
 
-def tell_apart(infos: Iterable[Any], wanted: str, definition: str, profile: QoSProfile) -> Publishers:
+def sort_publishers(infos: Iterable[Any], wanted: str, definition: str, profile: QoSProfile) -> Publishers:
     """Sort publishers by whether a subscription hears them.
 
     Args:

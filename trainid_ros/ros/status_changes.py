@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What the status of an estimate means to others: which news is latched, logged and repeated."""
+"""Changes of the status of an estimate: which of them are latched, logged and repeated."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ _WITHDRAWN: Final = frozenset({Status.CONVERGING, Status.STALE, Status.FAULT})
 def is_latched(status: Status, latched: Status | None) -> bool:
     """Return whether an estimate goes to the ``last_valid`` topic.
 
-    VALID estimates do. Once there was one, so does the news that it is withdrawn (CONVERGING: a change or contradiction
-    is suspected) or not kept up any more (STALE, FAULT), once, and the news that it holds again.
+    VALID estimates do. Once there was one, so does the first that withdraws it (CONVERGING: a change or contradiction
+    is suspected) or does not keep it up any more (STALE, FAULT), and the first that holds again.
 
     Args:
         status: Status of the estimate.
@@ -44,11 +44,11 @@ def is_latched(status: Status, latched: Status | None) -> bool:
 
 
 def _group(status: Status) -> frozenset[Status]:
-    """Return the statuses between which changes are no news: VALID and HOLDING take turns at every brake."""
+    """Return the statuses between which changes do not matter: VALID and HOLDING take turns at every brake."""
     return _FIT if status in _FIT else frozenset({status})
 
 
-class StatusNews:
+class StatusChanges:
     """Follows the status of the published estimates: since when it holds, and one log line for each change.
 
     Args:
@@ -56,7 +56,7 @@ class StatusNews:
         missing: Describes the missing inputs, '' if all arrive.
 
     Attributes:
-        since_ns: When the status changed last, by the node's clock [ns].
+        since_ns: When the status changed last, by the node's clock [ns]; 0 if not known.
 
     """
 
@@ -69,26 +69,39 @@ class StatusNews:
         """Begin anew, before the first estimate."""
         self._group = _group(Status.UNINITIALIZED)
         self._status = Status.UNINITIALIZED
+        self._had_inputs = False
         self.since_ns = now_ns
 
-    def see(self, status: Status, now_ns: int) -> None:
+    def forget_time(self) -> None:
+        """Forget when the status changed, after a jump of the clock."""
+        self.since_ns = 0
+
+    def follow(self, status: Status, now_ns: int) -> None:
         """Take in the status of a published estimate, at a time of the node's clock [ns]."""
         if status is self._status:
             return
         before, self._status = self._group, status
         self._group = _group(status)
         if self._group != before:
-            self._log(before, (now_ns - self.since_ns) / NS_PER_S)
+            self._log(before, now_ns)
             self.since_ns = now_ns
+        self._had_inputs |= status is not Status.STALE
 
-    def _log(self, before: frozenset[Status], lasted_s: float) -> None:
+    def _arrival(self, now_ns: int) -> str:
+        """Return that inputs have come; for how long they were missing, if the clock has run all the time."""
+        if not self._had_inputs:
+            return 'inputs have come'
+        lasted = f' after {(now_ns - self.since_ns) / NS_PER_S:.1f} s' if 0 < self.since_ns <= now_ns else ''
+        return f'inputs are back{lasted}'
+
+    def _log(self, before: frozenset[Status], now_ns: int) -> None:
         """Log a change; each kind at most once a second."""
         name, logger = self._status.name, self._logger
         if self._status is Status.STALE:
             why = self._missing() or 'stamps of an input are behind those of the others'
             logger.warning(f'STALE, the last estimate stands: {why}', throttle_duration_sec=_LOG_PERIOD_S)
         elif Status.STALE in before:
-            logger.info(f'{name}: inputs are back after {lasted_s:.1f} s', throttle_duration_sec=_LOG_PERIOD_S)
+            logger.info(f'{name}: {self._arrival(now_ns)}', throttle_duration_sec=_LOG_PERIOD_S)
         elif self._group == _FIT:
             logger.info(f'{name}: the estimate is fit to use', throttle_duration_sec=_LOG_PERIOD_S)
         elif before == _FIT and self._status is not Status.FAULT:
