@@ -61,7 +61,7 @@ class Score:
     """Outcome of many damaged files."""
 
     files: int = 0
-    refused: int = 0
+    rejected: int = 0
     wrong: int = 0
     unsaid: int = 0
     intact: int = 0
@@ -145,7 +145,7 @@ def judge(original: Original, damaged: Damaged, path: Path, score: Score) -> Non
         with BagReader(path) as reader:
             found, warnings = list(reader.records()), reader.warnings
     except InputError:
-        score.refused += bool(intact)
+        score.rejected += bool(intact)
         return
     score.longest_s = max(score.longest_s, time.perf_counter() - before)
     known, read = set(original.records), set(found)
@@ -168,7 +168,7 @@ def measure(files: int = 1000) -> tuple[Table, ...]:
     header = (
         'damage',
         'files',
-        'refused',
+        'rejected',
         'intact messages read',
         'files with a wrong value',
         'loss not said',
@@ -181,15 +181,15 @@ def measure(files: int = 1000) -> tuple[Table, ...]:
                 score = campaign(files, Path(folder), compression, kind)
                 counts = (
                     str(score.files),
-                    str(score.refused),
+                    str(score.rejected),
                     f'{score.share:.3%}',
                     str(score.wrong),
                     str(score.unsaid),
                 )
                 rows.append((f'{kind}, {compression.name.lower()}', *counts, f'{score.longest_s:.2f}'))
     note = (
-        f'Bags of {_MESSAGES} messages in chunks of {_CHUNK_BYTES} bytes with checksums. Refused: although a chunk was '
-        'intact. Intact: in chunks that the damage does not touch.'
+        f'Bags of {_MESSAGES} messages in chunks of {_CHUNK_BYTES} bytes with checksums. Rejected: although a chunk '
+        'was intact. Intact: in chunks that the damage does not touch.'
     )
     return (Table('Damaged bags', header, tuple(rows), note),)
 

@@ -60,7 +60,7 @@ class Outcome:
         parts: Names of interrupted writes.
         most_parts: The most of them at a time.
         strays: Files of any other name at the end.
-        refused: Starts that did not continue from the checkpoint on disk.
+        rejected: Starts that did not continue from the checkpoint on disk.
         backward: Checkpoints older than the one before.
         unsaved: Warnings that a checkpoint could not be written.
 
@@ -75,7 +75,7 @@ class Outcome:
     parts: set[str] = field(default_factory=set)
     most_parts: int = 0
     strays: set[str] = field(default_factory=set)
-    refused: int = 0
+    rejected: int = 0
     backward: int = 0
     unsaved: int = 0
 
@@ -94,7 +94,7 @@ def measure(kills: int = _KILLS) -> tuple[Table, ...]:
         ('interrupted writes', str(len(outcome.parts))),
         ('most files of interrupted writes at a time', str(outcome.most_parts)),
         ('stray files at the end', str(len(outcome.strays))),
-        ('starts without the checkpoint', str(outcome.refused)),
+        ('starts without the checkpoint', str(outcome.rejected)),
         ('checkpoints that went back', str(outcome.backward)),
         ('checkpoints that could not be written', str(outcome.unsaved)),
     )
@@ -194,9 +194,9 @@ class Campaign:
         after: dict[str, Checkpoint],
     ) -> None:
         outcome, log = self._outcome, nodes.log.read_text(encoding='utf-8', errors='replace')
-        outcome.refused += log.count('starting from the prior')
+        outcome.rejected += log.count('starting from the prior')
         for name, checkpoint in before.items():
-            outcome.refused += name in nodes.active and f'[{name}]: continues from' not in log
+            outcome.rejected += name in nodes.active and f'[{name}]: continues from' not in log
             outcome.backward += name not in after or after[name].stamp_ns < checkpoint.stamp_ns
         outcome.unsaved += log.count('would be lost')
         # Estimates of the process before may arrive late.

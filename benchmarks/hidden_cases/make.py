@@ -10,7 +10,7 @@ from zlib import crc32
 
 import numpy as np
 
-from benchmarks.hidden_cases.believed import assumed_file
+from benchmarks.hidden_cases.assumed import assumed_file
 from benchmarks.hidden_cases.case import Case, EffectTruth, Kind, Truth
 from benchmarks.hidden_cases.library import COUNTS_FROM_START, LIBRARY
 from benchmarks.hidden_cases.motion import Ride

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 
 
 def write_case(case: Case, out: Path) -> tuple[Path, ...]:
-    """Write believed.yaml, truth.json and the bags (bag1, ...) to a folder; return the bags."""
+    """Write assumed.yaml, truth.json and the bags (bag1, ...) to a folder; return the bags."""
     out.mkdir(parents=True, exist_ok=True)
-    (out / 'believed.yaml').write_text(case.train_yaml, encoding='utf-8')
+    (out / 'assumed.yaml').write_text(case.train_yaml, encoding='utf-8')
     truth = {'name': case.name, 'seed': case.seed, **asdict(case.truth)}
     (out / 'truth.json').write_text(json.dumps(truth, indent=1) + '\n', encoding='utf-8')
     paths = tuple(out / f'bag{k}' for k in range(1, len(case.bags) + 1))

@@ -191,7 +191,7 @@ def _gated(rows: Record, seen: Flags) -> Theta:
         e = y - sum(f * x for f, x in zip(phi, state.theta, strict=True))
         bad = not there or residuals.is_outlier(e, 3.0)
         state = skip(state) if bad else strict_step(state, phi, y, regression)
-        residuals = residuals.see(e) if there else residuals
+        residuals = residuals.remember(e) if there else residuals
     return state.theta
 
 

@@ -167,7 +167,7 @@ def test_random_damage_loses_no_intact_chunk(tmp_path: Path, compression: Compre
     assert score.files == 5
     assert score.intact > 2000
     assert score.share == 1.0
-    assert (score.refused, score.wrong, score.unsaid) == (0, 0, 0)
+    assert (score.rejected, score.wrong, score.unsaid) == (0, 0, 0)
 
 
 @pytest.mark.parametrize(
@@ -290,7 +290,7 @@ def test_file_named_in_metadata_but_missing(bag: Path, records: list[Record]) ->
 
 
 @pytest.mark.parametrize(('key', 'value'), [('storage_identifier', 'mcaq'), ('compression_mode', 'nonf')])
-def test_flipped_bit_in_the_metadata_does_not_refuse_the_bag(
+def test_flipped_bit_in_the_metadata_does_not_reject_the_bag(
     bag: Path, records: list[Record], key: str, value: str
 ) -> None:
     change(bag, **{key: value})

@@ -287,5 +287,5 @@ def test_case_on_disk(tmp_path: Path) -> None:
         assert len(list(bag.records())) == 400
     with BagReader(second) as bag:
         assert [record.stamp_ns for record in bag.records()] == [record.stamp_ns for record in cut.bags[1]]
-    assert load_train_file(tmp_path / 'case' / 'believed.yaml').train.mass == world.mean_mass
+    assert load_train_file(tmp_path / 'case' / 'assumed.yaml').train.mass == world.mean_mass
     assert json.loads((tmp_path / 'case' / 'truth.json').read_text(encoding='utf-8'))['kind'] == 'none'

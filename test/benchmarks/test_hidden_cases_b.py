@@ -148,7 +148,7 @@ def test_mix_of_cases() -> None:
 def test_case_on_disk(tmp_path: Path) -> None:
     case = make_case('headwind', 3)
     paths = write_case(case, tmp_path)
-    assert load_train_file(tmp_path / 'believed.yaml').train.mass > 0.0
+    assert load_train_file(tmp_path / 'assumed.yaml').train.mass > 0.0
     assert json.loads((tmp_path / 'truth.json').read_text(encoding='utf-8'))['effects'] == ['headwind']
     with BagReader(paths[0]) as bag:
         assert sorted(map(repr, bag.records())) == sorted(map(repr, case.bags[0]))

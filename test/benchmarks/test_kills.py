@@ -15,7 +15,7 @@ from trainid_ros.ros.jobs import JOBS
 @pytest.mark.ros
 def test_after_a_kill_and_a_sigterm_there_is_one_complete_file_for_each_node(tmp_path: Path) -> None:
     outcome = Campaign(tmp_path).run(1)
-    assert (outcome.kills, outcome.torn, outcome.refused, outcome.backward, outcome.unsaved) == (1, 0, 0, 0, 0)
+    assert (outcome.kills, outcome.torn, outcome.rejected, outcome.backward, outcome.unsaved) == (1, 0, 0, 0, 0)
     assert (outcome.strays, outcome.lost_at_stop) == (set(), 0)
     # Generous: a busy machine may stop the writer for seconds.
     assert max(outcome.age_s, default=0.0) < 20.0

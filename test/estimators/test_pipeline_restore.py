@@ -205,7 +205,7 @@ def test_pipelines_restored_at_the_same_record_share_their_stream_again(metro: T
         (('stream', 'skipped'), [{'brake_changes': [{'stamp_ns': 1, 'target_acceleration': 1.0}]}], 'skipped'),
     ],
 )
-def test_an_impossible_state_is_refused_and_changes_nothing(
+def test_an_impossible_state_is_rejected_and_changes_nothing(
     metro: TrainFile,
     day: Records,
     path: tuple[Any, ...],

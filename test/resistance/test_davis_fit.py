@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""The batch fit in time: exact on exact motion, consistent in gusts, robust to slip; implausible fits are refused."""
+"""The batch fit in time: exact on exact motion, consistent in gusts, robust to slip; implausible fits are rejected."""
 
 from __future__ import annotations
 

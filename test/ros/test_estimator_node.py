@@ -335,7 +335,7 @@ def test_the_algorithm_is_a_parameter_and_an_unknown_name_is_reported_with_the_c
 
 
 @pytest.mark.parametrize('factory', FACTORIES)
-def test_without_the_laboratory_a_node_runs_and_refuses_other_names(
+def test_without_the_laboratory_a_node_runs_and_rejects_other_names(
     graph: Graph, train_file: str, factory: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     node = graph.make(factory, train_file=train_file)

@@ -108,14 +108,14 @@ def test_missing_inputs_are_named_with_their_times() -> None:
 
 
 def arrive(monitors: InputMonitors, seconds: float, delays: dict[InputTopic, float], reason: Reason | None) -> int:
-    """Let all required inputs come at 5 Hz, each so much behind its stamp; all speeds are refused with a reason."""
+    """Let all required inputs come at 5 Hz, each so much behind its stamp; all speeds are rejected with a reason."""
     now_ns = START_NS
     for i in range(round(5 * seconds)):
         now_ns = START_NS + i * NS_PER_S // 5
         for topic in (FORCE_TOPIC, GRADIENT_TOPIC, BRAKE_TOPIC, SPEED_TOPIC):
             stamp_ns = now_ns - round(delays.get(topic, 0.0) * NS_PER_S)
-            refused = [Rejection(stamp_ns, reason, math.nan, math.nan)] if reason and topic is SPEED_TOPIC else []
-            monitors.arrived(topic, stamp_ns, now_ns, refused)
+            rejected = [Rejection(stamp_ns, reason, math.nan, math.nan)] if reason and topic is SPEED_TOPIC else []
+            monitors.arrived(topic, stamp_ns, now_ns, rejected)
     return now_ns
 
 
@@ -123,7 +123,7 @@ def arrive(monitors: InputMonitors, seconds: float, delays: dict[InputTopic, flo
     ('reason', 'action'),
     [(Reason.NOT_FINITE, 'correct the sensor'), (Reason.OUT_OF_RANGE, 'unit'), (Reason.ZERO_STAMP, 'set the stamp')],
 )
-def test_messages_that_are_refused_are_named_within_a_second(reason: Reason, action: str) -> None:
+def test_messages_that_are_rejected_are_named_within_a_second(reason: Reason, action: str) -> None:
     monitors = InputMonitors(AlignmentConfig())
     now_ns = arrive(monitors, 1.0, {}, reason)
     found = monitors.by_topic[SPEED_TOPIC].judge(now_ns, 0.8)
@@ -131,25 +131,25 @@ def test_messages_that_are_refused_are_named_within_a_second(reason: Reason, act
     assert action in found.action
     assert monitors.describe_missing(now_ns, lambda _: 0.8) == f'ato/speed: {found.text}'
     assert monitors.by_topic[FORCE_TOPIC].judge(now_ns, 0.8).level == DiagnosticStatus.OK
-    assert monitors.by_topic[SPEED_TOPIC].refusal(now_ns + 6 * NS_PER_S) is None
+    assert monitors.by_topic[SPEED_TOPIC].judge_rejections(now_ns + 6 * NS_PER_S) is None
 
 
-def test_single_refusals_and_speeds_faster_than_the_period_are_nothing_to_tell() -> None:
+def test_single_rejections_and_speeds_faster_than_the_period_are_not_reported() -> None:
     thinned, late = InputMonitors(AlignmentConfig()), InputMonitors(AlignmentConfig())
     now_ns = arrive(thinned, 5.0, {}, Reason.THINNED)
     arrive(late, 5.0, {}, None)
-    late.by_topic[SPEED_TOPIC].refused(Rejection(now_ns, Reason.LATE, -0.1, 0.0), now_ns)
+    late.by_topic[SPEED_TOPIC].rejected(Rejection(now_ns, Reason.LATE, -0.1, 0.0), now_ns)
     for monitors in (thinned, late):
         assert monitors.by_topic[SPEED_TOPIC].judge(now_ns, 0.8).level == DiagnosticStatus.OK
 
 
-def test_a_stamp_that_is_refused_with_the_next_message_is_that_of_its_own_topic() -> None:
+def test_a_stamp_that_is_rejected_with_the_next_message_is_that_of_its_own_topic() -> None:
     monitors = InputMonitors(AlignmentConfig())
     for i in range(10):
         now_ns = START_NS + i * NS_PER_S // 5
         monitors.arrived(SPEED_TOPIC, now_ns - NS_PER_S * 10, now_ns, ())
-        refused = [Rejection(now_ns - NS_PER_S * 10, Reason.STAMP_JUMP, -10.0, -2.0)]
-        monitors.arrived(FORCE_TOPIC, now_ns, now_ns, refused)
+        rejected = [Rejection(now_ns - NS_PER_S * 10, Reason.STAMP_JUMP, -10.0, -2.0)]
+        monitors.arrived(FORCE_TOPIC, now_ns, now_ns, rejected)
     found = monitors.by_topic[SPEED_TOPIC].judge(now_ns, 0.8)
     assert found.sentence(0) == (
         '10 of the last 10 messages not used: STAMP_JUMP (value -10, limit -2): '

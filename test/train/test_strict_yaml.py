@@ -40,7 +40,7 @@ def aliases(levels: int) -> str:
     ],
 )
 @pytest.mark.parametrize('read', [load, compose])
-def test_files_that_would_grow_are_refused_at_little_cost(text: str, reason: str, read: object) -> None:
+def test_files_that_would_grow_are_rejected_at_little_cost(text: str, reason: str, read: object) -> None:
     memory_kb, start_s = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.process_time()
     with pytest.raises(InputError, match=reason) as caught:
         read(text, 'T.yaml')  # type: ignore[operator]
@@ -73,7 +73,7 @@ def test_every_number_written_as_yaml_reads_back(number: float) -> None:
 
 @settings(deadline=None)
 @given(st.text(st.sampled_from('ab:-[]{},&*!?|>%@`#"\'\n 01.')))
-def test_any_text_is_read_or_refused_in_one_line(text: str) -> None:
+def test_any_text_is_read_or_rejected_in_one_line(text: str) -> None:
     try:
         parse_yaml(text, 'T.yaml')
     except InputError as error:

@@ -141,12 +141,12 @@ def replay_through(
     """Run estimators that may each have settings of their own; see :func:`replay`."""
     require_topics(reader)
     resistance, speed_model, brake_rate = pipelines
-    group, watch, records = PipelineGroup(pipelines), _Watch(observers), 0
+    group, observed, records = PipelineGroup(pipelines), _ObservedRows(observers), 0
     priors = (resistance.current().estimate, speed_model.current().estimate, brake_rate.current().estimate)
     end_ns = _end_ns(reader, duration_s)
     by_table = chain.from_iterable(table.rows() for table in reader.tables(end_ns))
-    rows = watch.rows(reader.rows(end_ns)) if observers else by_table
-    while count := group.push_rows(islice(rows, PROGRESS_EVERY), watch.publish if observers else None):
+    rows = observed.rows(reader.rows(end_ns)) if observers else by_table
+    while count := group.push_rows(islice(rows, PROGRESS_EVERY), observed.publish if observers else None):
         records += count
         if progress is not None:
             progress(count)
@@ -160,8 +160,8 @@ def replay_through(
     )
 
 
-class _Watch:
-    """Tells the observers of each input, and of the outputs after it."""
+class _ObservedRows:
+    """Rows on their way to the estimators: observers receive each of them, and the outputs after it."""
 
     def __init__(self, observers: Sequence[Observer]) -> None:
         self._observers = observers

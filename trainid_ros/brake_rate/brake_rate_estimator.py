@@ -345,7 +345,7 @@ class BrakeRateEstimator:
 
     @property
     def innovation(self) -> tuple[float, float]:
-        """Innovation of the last update and its variance before the measurement, as in the estimate."""
+        """Innovation of the last update [m/s] and its variance before it [(m/s)^2], as in the estimate."""
         return self.state.innovation, self.state.innovation_variance
 
     def estimate(self, speed: float) -> BrakeRateEstimate:  # noqa: ARG002 - one signature for all estimators

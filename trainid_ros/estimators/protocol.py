@@ -20,7 +20,11 @@ class Estimator(Protocol[EstimateT_co]):
 
     @property
     def innovation(self) -> tuple[float, float]:
-        """Innovation of the last update and its variance as stated before the measurement, 0 if none is stated."""
+        """Innovation of the last update and its variance as stated before the measurement, 0 if none is stated.
+
+        That of the resistance is a specific force [N/kN] with its variance [(N/kN)^2], the others are speeds [m/s]
+        with their variance [(m/s)^2].
+        """
 
     def estimate(self, speed: float) -> EstimateT_co:
         """Return the current estimate at a speed [m/s]."""

@@ -243,7 +243,7 @@ class FilterBank:
 
     @property
     def innovation(self) -> tuple[float, float]:
-        """Innovation of the last update and its variance before the measurement, as in the estimate."""
+        """Innovation of the last update [N/kN] and its variance before it [(N/kN)^2], as in the estimate."""
         return self._innovation, self._innovation_variance
 
     def estimate(self, speed: float) -> ResistanceEstimate:

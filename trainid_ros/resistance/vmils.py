@@ -217,7 +217,7 @@ class VMils:
 
     @property
     def innovation(self) -> tuple[float, float]:
-        """Innovation of the last update and its variance before the measurement, as in the estimate."""
+        """Innovation of the last update [N/kN] and its variance before it [(N/kN)^2], as in the estimate."""
         return self.learner.innovation, self.learner.innovation_variance
 
     def estimate(self, speed: float) -> ResistanceEstimate:

@@ -43,7 +43,7 @@ class BagPlayer(PlaybackNode):
         if not path:
             msg = 'no bag: give the parameter bag'
             raise InputError(msg)
-        # Imported here so that the node can tell what is missing.
+        # Imported here so that the node can name what is missing.
         try:
             from trainid_ros.bag.reader import BagReader  # noqa: PLC0415
 

@@ -41,10 +41,10 @@ _DELAYS_NS: Final = NS_PER_S
 _JITTER_S: Final = 0.1
 # Inputs that are silent for longer are missing, and not compared [s].
 _LATELY_S: Final = 2.5
-# So many messages may be refused, as after a jump of the stamps, and this share of all [1].
-_REFUSED_ANYHOW: Final = 2
-_REFUSED_SHARE: Final = 0.1
-_REFUSED: Final = {
+# So many messages may be rejected, as after a jump of the stamps, and this share of all [1].
+_REJECTED_ANYHOW: Final = 2
+_REJECTED_SHARE: Final = 0.1
+_REJECTED: Final = {
     Reason.NOT_FINITE: 'correct the sensor or its publisher',
     Reason.OUT_OF_RANGE: 'correct its unit or sign',
     Reason.ZERO_STAMP: 'let its publisher set the stamp',
@@ -107,22 +107,22 @@ class InputMonitor:
         self._last_ns = 0
         self._arrivals: deque[int] = deque(maxlen=_KEPT)
         self._delays: deque[int] = deque(maxlen=_KEPT)
-        self._refused: deque[tuple[int, Rejection]] = deque(maxlen=_KEPT)
+        self._rejected: deque[tuple[int, Rejection]] = deque(maxlen=_KEPT)
 
     def arrived(self, stamp_ns: int, now_ns: int) -> None:
         """Record a message with this stamp [ns] that arrived now [ns]."""
         self.count += 1
         self.newest_ns = stamp_ns
         if self._arrivals and now_ns < self._arrivals[-1]:
-            for past in (self._arrivals, self._delays, self._refused):
+            for past in (self._arrivals, self._delays, self._rejected):
                 past.clear()
         self._arrivals.append(now_ns)
         self._delays.append(now_ns - stamp_ns)
         self._last_ns = now_ns
 
-    def refused(self, rejection: Rejection, now_ns: int) -> None:
+    def rejected(self, rejection: Rejection, now_ns: int) -> None:
         """Record that one of the last messages was not used [ns]."""
-        self._refused.append((now_ns, rejection))
+        self._rejected.append((now_ns, rejection))
 
     def rate(self, now_ns: int) -> float:
         """Return the message rate over the last seconds [Hz]; NaN while unknown, as with a clock that stands still."""
@@ -135,8 +135,8 @@ class InputMonitor:
         while self._arrivals and self._arrivals[0] < begin_ns:
             self._arrivals.popleft()
             self._delays.popleft()
-        while self._refused and self._refused[0][0] < begin_ns:
-            self._refused.popleft()
+        while self._rejected and self._rejected[0][0] < begin_ns:
+            self._rejected.popleft()
 
     @property
     def delay_s(self) -> float:
@@ -144,15 +144,15 @@ class InputMonitor:
         recent = bisect_left(self._arrivals, self._last_ns - _DELAYS_NS)
         return min(islice(self._delays, recent, None), default=0) / NS_PER_S
 
-    def refusal(self, now_ns: int) -> Finding | None:
+    def judge_rejections(self, now_ns: int) -> Finding | None:
         """Return that the messages of the last seconds were not used, and why; None if they were, but for a few."""
         self._forget_before(now_ns - _WINDOW_NS)
-        count = len(self._refused)
-        if count <= _REFUSED_ANYHOW + _REFUSED_SHARE * len(self._arrivals):
+        count = len(self._rejected)
+        if count <= _REJECTED_ANYHOW + _REJECTED_SHARE * len(self._arrivals):
             return None
-        last = self._refused[-1][1]
+        last = self._rejected[-1][1]
         text = f'{min(count, len(self._arrivals))} of the last {len(self._arrivals)} messages not used: {last}'
-        return Finding(DiagnosticStatus.ERROR, text, _REFUSED[last.reason])
+        return Finding(DiagnosticStatus.ERROR, text, _REJECTED[last.reason])
 
     def missing_for_s(self, now_ns: int) -> float:
         """Return the time since the last message [s], infinite before the first."""
@@ -174,7 +174,7 @@ class InputMonitor:
         Args:
             now_ns: The node's time [ns].
             stale_s: Its timeout [s].
-            skew_s: How far its stamps are behind those of the other inputs, 0 if not worth telling [s].
+            skew_s: How far its stamps are behind those of the other inputs, 0 if too small to report [s].
 
         """
         publishers, is_missing = self.publishers, self.is_missing(now_ns, max(stale_s, self.longest_s))
@@ -193,13 +193,13 @@ class InputMonitor:
         return self._judge_messages(now_ns, skew_s)
 
     def _judge_messages(self, now_ns: int, skew_s: float) -> Finding:
-        refusal = self.refusal(now_ns)
+        rejections = self.judge_rejections(now_ns)
         if skew_s:
-            text = f'{_apart(skew_s)} those of the other inputs{f", {refusal.text}" if refusal else ""}'
+            text = f'{_apart(skew_s)} those of the other inputs{f", {rejections.text}" if rejections else ""}'
             action = 'synchronise the clocks of the inputs, or send the late one sooner'
             return Finding(DiagnosticStatus.WARN, text, action)
-        if refusal is not None:
-            return refusal
+        if rejections is not None:
+            return rejections
         rate, delay_s = self.rate(now_ns), self._delays[-1] / NS_PER_S if self._delays else 0.0
         if abs(delay_s) > _WORST_AGE_S and not self.optional:
             text = f"{_apart(delay_s)} this node's clock"
@@ -243,13 +243,13 @@ class InputMonitors:
             for topic in INPUT_TOPICS
         }
 
-    def arrived(self, topic: InputTopic, stamp_ns: int, now_ns: int, refused: Iterable[Rejection]) -> None:
-        """Record a message, and which messages were refused with it: a stamp is doubted until the next ones come."""
-        for rejection in refused:
-            if rejection.reason not in _REFUSED:  # nothing is wrong with a topic faster than the period
+    def arrived(self, topic: InputTopic, stamp_ns: int, now_ns: int, rejected: Iterable[Rejection]) -> None:
+        """Record a message, and which messages were rejected with it: a stamp is doubted until the next ones come."""
+        for rejection in rejected:
+            if rejection.reason not in _REJECTED:  # nothing is wrong with a topic faster than the period
                 continue
             owners = [item for item in self.by_topic.values() if item.newest_ns == rejection.stamp_ns != stamp_ns]
-            (owners[0] if owners else self.by_topic[topic]).refused(rejection, now_ns)
+            (owners[0] if owners else self.by_topic[topic]).rejected(rejection, now_ns)
         self.by_topic[topic].arrived(stamp_ns, now_ns)
 
     def skew_s(self, topic: InputTopic, now_ns: int) -> float:
@@ -260,7 +260,7 @@ class InputMonitors:
             return 0.0
         usual_s = median(item.delay_s for item in others)
         skew_s = own.delay_s - usual_s
-        # Where all are of another clock than this node, as those of a bag played fast, it cannot be told.
+        # Where all are of another clock than this node, as those of a bag played fast, that cannot be known.
         return skew_s if abs(skew_s) > self._most_skew_s and abs(usual_s) < _WORST_AGE_S else 0.0
 
     def describe_missing(self, now_ns: int, timeout_s: Callable[[InputTopic], float]) -> str:
@@ -272,8 +272,8 @@ class InputMonitors:
         name = item.topic.name
         if item.is_missing(now_ns, timeout_s):
             return f'no {name} {f"for {item.missing_for_s(now_ns):.1f} s" if item.count else "yet"}'
-        if not item.optional and (refusal := item.refusal(now_ns)) is not None:
-            return f'{name}: {refusal.text}'
+        if not item.optional and (rejections := item.judge_rejections(now_ns)) is not None:
+            return f'{name}: {rejections.text}'
         skew_s = self.skew_s(item.topic, now_ns)
         return f'{name}: {_apart(skew_s)} those of the other inputs' if skew_s else ''
 

@@ -113,7 +113,7 @@ def latched_qos() -> QoSProfile:
 
 
 def _with_lease(profile: QoSProfile) -> QoSProfile:
-    """Add to a profile that the middleware tells subscribers whether the publisher is alive."""
+    """Add to a profile that the middleware informs subscribers whether the publisher is alive."""
     profile.liveliness = LivelinessPolicy.AUTOMATIC
     profile.liveliness_lease_duration = Duration(seconds=LEASE_S)
     return profile

@@ -15,7 +15,7 @@ _MARGIN_NS: Final = NS_PER_S // 100
 
 
 class Watchdog:
-    """Tells whether no new input has arrived for too long.
+    """Finds whether no new input has arrived for too long.
 
     Attributes:
         limit_ns: How long inputs may be missing [ns].

@@ -175,7 +175,7 @@ class SpeedModelEstimator:
         if usable and not learned.rejected:
             self._learn(sample, step, learned)
             return None
-        # A rejected sample tells nothing about delay and curve error.
+        # A rejected sample holds no information on delay and curve error.
         state.force_delay.sensitivity, state.curve.x = sensitivity, curve_x
         if self._auxiliary is not None:
             state.curve.bound(self._auxiliary)
@@ -344,7 +344,7 @@ class SpeedModelEstimator:
 
     @property
     def innovation(self) -> tuple[float, float]:
-        """Innovation of the last update and its variance before the measurement, as in the estimate."""
+        """Innovation of the last update [m/s] and its variance before it [(m/s)^2], as in the estimate."""
         return self.state.error, self.state.variance
 
     def estimate(self, speed: float) -> SpeedModelEstimate:  # noqa: ARG002 - one signature for all estimators

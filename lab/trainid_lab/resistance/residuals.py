@@ -57,7 +57,7 @@ class Residuals:
             self.recent,
         )
 
-    def see(self, innovation: float) -> Residuals:
+    def remember(self, innovation: float) -> Residuals:
         """Return the statistics after one more innovation [N/kN] for :meth:`is_outlier`; the sums do not change."""
         return Residuals(self.count, self.squares, self.products, self.last, (*self.recent, innovation)[-_MEMORY:])
 

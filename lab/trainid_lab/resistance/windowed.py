@@ -161,7 +161,7 @@ class WindowedRegression:
         bad = config.gate > 0.0 and state.residuals.is_outlier(e, config.gate)
         self.state = replace(
             state,
-            residuals=state.residuals.see(e) if config.gate > 0.0 else state.residuals,
+            residuals=state.residuals.remember(e) if config.gate > 0.0 else state.residuals,
             innovation=e,
             innovation_variance=S,
             test_ratio=e * e / (9.0 * S),
@@ -216,7 +216,7 @@ class WindowedRegression:
 
     @property
     def innovation(self) -> tuple[float, float]:
-        """Innovation of the last update and its variance before the measurement, as in the estimate."""
+        """Innovation of the last update [N/kN] and its variance before it [(N/kN)^2], as in the estimate."""
         return self.state.innovation, self.state.innovation_variance
 
     def estimate(self, speed: float) -> ResistanceEstimate:

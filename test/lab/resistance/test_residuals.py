@@ -42,6 +42,6 @@ def test_an_outlier_lies_beyond_the_robust_spread() -> None:
     residuals = Residuals()
     for value in np.random.default_rng(82).standard_normal(200):
         assert residuals.is_outlier(40.0, 3.0) is (len(residuals.recent) == 51)
-        residuals = residuals.see(float(value))
+        residuals = residuals.remember(float(value))
     assert not residuals.is_outlier(1.0, 3.0)
     assert residuals.is_outlier(6.0, 3.0)

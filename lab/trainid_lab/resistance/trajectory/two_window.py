@@ -268,7 +268,7 @@ class TwoWindow:
 
     @property
     def innovation(self) -> tuple[float, float]:
-        """Innovation of the last update and its variance before the measurement, as in the estimate."""
+        """Innovation of the last update [N/kN] and its variance before it [(N/kN)^2], as in the estimate."""
         return self.state.innovation, self.state.innovation_variance
 
     def estimate(self, speed: float) -> ResistanceEstimate:
