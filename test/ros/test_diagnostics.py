@@ -193,7 +193,7 @@ def test_each_problem_is_told_with_its_own_begin_and_what_to_do(graph: Graph, tr
     unsaved = f'not saved: disk is full, since {begins[0]}: make room on the disk, or correct checkpoint_file; '
     assert message_at(100) == unsaved + status
     for k in range(2 * WINDOW):
-        node.pipeline._consistency.see(3.0 * (-1.0) ** k, 1.0 + 1e-9 * k, used=True)
+        node.pipeline._consistency.add(3.0 * (-1.0) ** k, 1.0 + 1e-9 * k, used=True)
     message_at(200)
     message = message_at(300)
     assert message.startswith('errors exceed the stated uncertainty: optimistic')
