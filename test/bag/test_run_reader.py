@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from trainid_ros.bag import run_reader
 from trainid_ros.bag.run_reader import POOL_FROM, read_runs, survey, worker_count
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.errors import InputError
@@ -106,3 +107,9 @@ def test_inputs_that_contradict_each_other_are_said_but_not_rejected(
     for line, text in zip(lines, said, strict=True):
         assert 'inputs contradict each other' in line
         assert text in line
+
+
+def test_the_bag_whose_process_is_killed_is_named(bags: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(run_reader, 'map_bags', lambda _work, items, _workers, _advance, killed: killed(items[1]))
+    with pytest.raises(InputError, match=rf'^{bags[1]}: the process that worked on it was killed'):
+        read_runs(bags, TRAIN)

@@ -28,6 +28,7 @@ from trainid_ros.train.effects import parse_effects
 from trainid_ros.train.train_file import Davis, Line, Train, TrainFile, dump_train_file, load_train_file
 
 Make = Callable[..., Explanation]
+BAGS = Path(__file__).parents[2] / 'bags'
 KEYS = {'verdict', 'effects', 'gap', 'remaining', 'gradient_read_at'}
 EFFECT_KEYS = {'name', 'parameters', 'std', 'evidence', 'where', 'indistinguishable_from'}
 GAP_KEYS = {'metric', 'unit', 'before', 'after', 'noise_floor', 'runs_held_out'}
@@ -205,6 +206,32 @@ def test_gradients_of_one_point_are_reported_in_json_and_as_a_warning(
         out, err = capsys.readouterr()
         assert json.loads(out)['gradient_read_at'] == point
         assert err.count('warning: the gradients in the bags are those at the middle') == warnings
+
+
+def test_warnings_of_the_bags_stand_in_the_report(
+    driven_bag: Path,
+    tmp_path: Path,
+    make_explanation: Make,
+    stub: Stub,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    line = f'{driven_bag}: inputs contradict each other'
+    monkeypatch.setattr(explain, 'read_runs', lambda *_, warn, **__: warn(line))
+    stub(make_explanation)
+    reported: list[tuple[str, ...]] = []
+    monkeypatch.setattr('trainid_ros.report.explained.render_explained', lambda report: reported.append(report.notes))
+    assert call(driven_bag, train=driven_bag / 'train.yaml', options=('--out', str(tmp_path / 'out'))) == 0
+    assert reported == [(f'Warning: {line}',)]
+    assert capsys.readouterr().err == f'trainid: warning: {line}\n'
+
+
+@pytest.mark.slow
+def test_a_ride_that_has_nothing_to_do_with_the_train_is_not_explained(capsys: pytest.CaptureFixture[str]) -> None:
+    assert call(BAGS / 'ride', train=BAGS / 'tiny' / 'train.yaml', options=('--json',)) == 0
+    out, err = capsys.readouterr()
+    assert json.loads(out)['verdict'] == 'unexplained'
+    assert 'inputs contradict each other' in err
 
 
 @pytest.fixture(scope='module')
