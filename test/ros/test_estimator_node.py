@@ -339,7 +339,7 @@ def test_without_the_laboratory_a_node_runs_and_rejects_other_names(
     graph: Graph, train_file: str, factory: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     node = graph.make(factory, train_file=train_file)
-    monkeypatch.setattr(node.job.algorithms, '_others', {})
+    monkeypatch.setattr(node.job.algorithms, '_plug_ins', ({}, ''))
     assert node.bring_up(), node.failure
     graph.drop()
     name = graph.make(factory, arguments=('-p', 'algorithm:=RLS'), train_file=train_file)
