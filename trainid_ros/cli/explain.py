@@ -6,6 +6,7 @@ from __future__ import annotations
 import json
 import sys
 from contextlib import contextmanager, nullcontext, suppress
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros import __version__
@@ -54,7 +55,7 @@ def run(args: argparse.Namespace) -> int:
     train_file = load_train_file(args.train)
     notes: list[str] = []
     with _outputs(args.out, args.train):
-        explanation = _explain(args, train_file, notes)
+        explanation = _explain(args, train_file, partial(_note, notes))
         if args.out is not None:
             # Written before printing, which a closed pipe may interrupt.
             write_all(args.out, explanation, train_file, str(args.train), args.bags, tuple(notes))
@@ -69,19 +70,20 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _explain(args: argparse.Namespace, train_file: TrainFile, notes: list[str]) -> Explanation:
-    """Read the bags and explain them; add to ``notes`` what is wrong with them.
+def _note(notes: list[str], line: str) -> None:
+    """Warn of a fault of the bags, and add it to the notes of the report."""
+    warn(line)
+    notes.append(f'Warning: {line}')
+
+
+def _explain(args: argparse.Namespace, train_file: TrainFile, note: Callable[[str], None]) -> Explanation:
+    """Read the bags and explain them; ``note`` is called with each fault of theirs.
 
     Raises:
         InputError: If a bag cannot be used.
         NoAnswerError: If the bags hold too little motion.
 
     """
-
-    def note(line: str) -> None:
-        warn(line)
-        notes.append(f'Warning: {line}')
-
     inputs = mapped_inputs(args.map, train_file)
     found = survey(args.bags, args.namespace, args.max_chunk, inputs)
     for line in found.warnings:
