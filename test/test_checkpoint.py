@@ -359,14 +359,14 @@ def test_provenance_is_that_of_the_values(metro: TrainFile) -> None:
     settings = EstimatorSettings()
     here = provenance_of('resistance', metro, settings)
     assert provenance_of('resistance', replace(metro), settings) == here
-    told = replace(metro, effects=(Effect('tunnel_drag', (('factor', 1.2),), provenance='a day'),))
+    stated = replace(metro, effects=(Effect('tunnel_drag', (('factor', 1.2),), provenance='a day'),))
     retold = replace(metro, effects=(Effect('tunnel_drag', (('factor', 1.2),), provenance='a night'),))
-    learned = provenance_of('resistance', told, settings)
+    learned = provenance_of('resistance', stated, settings)
     assert not learned.mismatch(provenance_of('resistance', retold, settings))
     others = (
         replace(metro, train=replace(metro.train, mass=3.0 * metro.train.mass)),
         replace(metro, line=replace(metro.line, gradient=((0.0, 1.0),))),
-        told,
+        stated,
     )
     for other, name in zip(others, ('train.mass', 'line.gradient', 'effects'), strict=True):
         assert f'settings: {name} = ' in here.mismatch(provenance_of('resistance', other, settings))

@@ -167,7 +167,7 @@ class Changed:
 
 
 @pytest.mark.ros
-def test_each_problem_is_told_with_its_own_begin_and_what_to_do(graph: Graph, train_file: str) -> None:
+def test_each_problem_is_reported_with_its_own_begin_and_what_to_do(graph: Graph, train_file: str) -> None:
     diagnosed = Diagnosed(graph)
     node = graph.make(
         partial(EstimatorNode, RESISTANCE), train_file=train_file, use_sim_time=True, diagnostic_period=60.0

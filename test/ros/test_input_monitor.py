@@ -77,7 +77,7 @@ def test_an_input_that_stopped_is_described_with_time_and_action() -> None:
         (fed(MASS_TOPIC, 0), Publishers((), (WRONG,)), DiagnosticStatus.ERROR, WRONG),
     ],
 )
-def test_the_most_important_finding_is_told(
+def test_the_most_important_finding_is_reported(
     monitor: InputMonitor, publishers: Publishers, level: bytes, part: str
 ) -> None:
     monitor.publishers = publishers
