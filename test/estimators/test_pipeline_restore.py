@@ -190,6 +190,7 @@ def test_pipelines_restored_at_the_same_record_share_their_stream_again(metro: T
     ('path', 'value', 'message'),
     [
         (('status',), 77, 'cannot be read'),
+        (('status',), 5, 'status is'),  # FAULT is not saved
         (('used',), -1, 'used = -1 must be >= 0'),
         (('rejections', 0, 'count'), -4, 'rejections = -4 must be >= 0'),
         (('consistency', 'z'), [0.0], 'consistency'),
