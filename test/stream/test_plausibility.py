@@ -108,7 +108,7 @@ def findings(stream: SampleStream, records: list[Record]) -> list[tuple[float, s
         (force(1e3), 20.0, 'ato/force is about 1000 times too large'),
         (force(-1.0), 10.0, 'ato/force looks as if it had the wrong sign'),
         (force(0.0), 15.0, 'does not follow ato/force'),
-        (command(lambda _: -0.7), 10.0, 'the train accelerates while ato/brake_command brakes'),
+        (command(lambda _: -0.7), 10.0, 'the train does not brake while ato/brake_command brakes'),
         (gradient(4.0), 60.0, 'ato/gradient is about +4'),
     ],
 )

@@ -89,6 +89,7 @@ class PipelineState:
         self.stream.check()
         check_not_negative(kind, moved_s=self.snapshots.moved_s)
         check_restored(self.consistency.is_valid, kind, 'consistency')
+        check_restored(self.status is not Status.FAULT, kind, 'status')
         check_not_negative(kind, used=self.used, samples=self.samples, resets=self.resets)
         check_not_negative(kind, speed=self.speed, sample_ns=self.sample_ns)
         check_not_negative(kind, rejections=min((item.count for item in self.rejections), default=0))

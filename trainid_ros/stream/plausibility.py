@@ -180,7 +180,7 @@ class PlausibilityMonitor:
             state.commands.reversals = 0.0
         state.held_s += dt
         if (state.commands.command < _BRAKING) != (before < _BRAKING):
-            state.held_s = 0.0
+            state.held_s, state.has_alternated = 0.0, True
 
     def _check_forces(self, sample: Sample, before: float) -> None:
         """Add a sample to its block; judge the block when it is full. ``before`` is the speed before [m/s]."""
@@ -237,9 +237,19 @@ class PlausibilityMonitor:
         limit = _SUDDEN + _SUDDEN_BRAKE * abs(brake)
         state.balance.add(y - brake, limit + noise / SUDDEN_MEMORY)
         state.brake.take(y, brake, limit + noise)
-        state.brake.judge_brake(noise)
+        self._judge_brake(noise)
         if traction > _DRIVING:
             state.balance.contradict()
+
+    def _judge_brake(self, noise: float) -> None:
+        """Judge the slope of the brake; a command that is stuck agrees by chance while a driver brakes as much."""
+        state = self.state
+        before = state.brake.finding
+        state.brake.judge_brake(noise)
+        if not before:
+            state.has_alternated = not state.brake.finding
+        elif not state.has_alternated:
+            state.brake.finding = state.brake.finding or before
 
     def _close_released(self, y: float, x: float, limit: float, seconds: float) -> None:
         """Take in acceleration y, traction x and the limit of the residual [N/kN] of a block without brake."""

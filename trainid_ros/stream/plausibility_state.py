@@ -77,6 +77,7 @@ class PlausibilityState:
         noise: Noise of the speed.
         block: The block that is being filled.
         held_s: Time since the brake was applied, or released [s].
+        has_alternated: True if it was applied or released since the last finding about it.
         driven: Distance driven [m].
         stopped: The same at the last stop [m].
         speed: Last speed [m/s], NaN before the first.
@@ -102,6 +103,7 @@ class PlausibilityState:
     noise: SpeedNoise = field(default_factory=lambda: SpeedNoise.declared(_SPEED_STD, robust=True))
     block: Block = field(default_factory=Block)
     held_s: float = 0.0
+    has_alternated: bool = True
     driven: float = 0.0
     stopped: float = 0.0
     speed: float = math.nan

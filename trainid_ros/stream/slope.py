@@ -117,6 +117,10 @@ class Slope:
         return outside * math.sqrt(self.xx / self.count)
 
 
+# Slope of the brake below which the train does not brake [1].
+_NO_BRAKING: Final = 0.2
+
+
 def is_near(ratio: float, factor: float) -> bool:
     """Return whether a ratio may be this factor, as far as mass, brake and resistance are known."""
     return 0.7 * factor < ratio < factor / 0.7
@@ -139,6 +143,6 @@ def _brake_text(slope: float) -> str:
         return f'ato/brake_command looks like g: the train brakes {slope:.2g} times as much'
     if is_near(slope, 3.6):
         return f'ato/speed looks like km/h: the train brakes {slope:.2g} times as much as ato/brake_command'
-    if slope < 0.0:
-        return 'the train accelerates while ato/brake_command brakes'
+    if slope < _NO_BRAKING:
+        return 'the train does not brake while ato/brake_command brakes'
     return f'the train brakes {slope:.2g} times as much as ato/brake_command'
