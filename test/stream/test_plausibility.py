@@ -309,15 +309,35 @@ def test_a_restored_stream_knows_the_last_finding_and_rejections_have_numbers(
     assert stream.successor(state).last_finding == stream.last_finding != ''
 
 
-@pytest.mark.parametrize('change', [force(1.2), gradient(2.0)])
+@pytest.mark.parametrize('change', [force(1.2), gradient(6.0)])
 def test_after_a_change_that_has_passed_the_estimate_is_that_from_before_it(
     metro: TrainFile, day: tuple[Record, ...], change: Change
 ) -> None:
-    begin_ns = departures(day)[0] + 30 * NS_PER_S
-    changed = between(change, 0.0, 25.0, begin_ns)
-    hit, healthy = resistance_pipeline(metro, EstimatorSettings()), resistance_pipeline(metro, EstimatorSettings())
+    no_line = replace(metro, line=replace(metro.line, gradient=()))
+    begin_ns = departures(day)[0] + 60 * NS_PER_S
+    changed = between(change, 0.0, 20.0, begin_ns)
+    hit, healthy = resistance_pipeline(no_line, EstimatorSettings()), resistance_pipeline(no_line, EstimatorSettings())
+    gaps = 0
     for record in day:
-        hit.push(changed(record))
+        for event in hit.stream.push(changed(record)):
+            gaps += isinstance(event, Sample) and event.stamp_ns > begin_ns and math.isnan(event.dt)
+            hit.take([event])
         healthy.push(record)
-    found, expected = hit.current().estimate, healthy.current().estimate
-    assert abs(found.resistance - expected.resistance) < found.resistance_std
+        output, expected = hit.current(), healthy.current().estimate
+        error = abs(output.estimate.resistance - expected.resistance)
+        assert output.status is not Status.VALID or error < 3.0 * output.estimate.resistance_std
+    assert gaps == 1
+    assert error < output.estimate.resistance_std
+
+
+def test_the_first_sample_after_a_contradiction_states_the_command_in_force(
+    metro: TrainFile, day: tuple[Record, ...]
+) -> None:
+    stream, change = SampleStream(StreamConfig(metro)), between(force(-1.0), 0.0, 100.0, day[0].stamp_ns)
+    samples = [event for record in day for event in stream.push(change(record)) if isinstance(event, Sample)]
+    resumed = [after for before, after in pairwise(samples) if before.rejection and not after.rejection]
+    assert resumed
+    for sample in resumed:
+        assert math.isnan(sample.dt)
+        assert sample.brake_gap
+        assert sample.brake_changes[-1].target_acceleration == sample.brake_command

@@ -117,8 +117,10 @@ class PlausibilityMonitor:
         state, slope = self.state, self.state.traction
         if state.finding or state.is_suspected or (state.retried and state.moved_s < _RETRY_S):
             return False
+        if state.confirmed or (state.last and not state.retried):  # what was found once is not taken on trust
+            return state.confirmed
         calm = state.moved_s > _CALM_S and slope.yy < _CALM * _CALM * slope.count
-        return state.confirmed or calm or state.moved_s > _LENIENT_S
+        return calm or state.moved_s > _LENIENT_S
 
     def follow(self, sample: Sample) -> Rejection | None:
         """Take in a sample; return why it must not be used, None if nothing contradicts it."""

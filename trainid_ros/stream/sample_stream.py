@@ -16,6 +16,7 @@ from typing import Final, TypeAlias
 from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.records import NS_PER_S, Record
 from trainid_ros.results import Rejection
+from trainid_ros.scalars import is_finite
 from trainid_ros.settings import check_settings
 from trainid_ros.state import encode
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig, TimeJump
@@ -228,11 +229,13 @@ class SampleStream:
             sample.extra = self._known.extra(sample)
         if not self._rejects_faults:
             return
+        changed = self.has_changed
         stuck, contradiction = self._stuck.reject(sample), self._plausibility.follow(sample)
         sample.rejection = contradiction if stuck is None else stuck
         if sample.rejection is not None:
             self._skip(sample)
-        elif self._is_skipping:
+        # Estimators go back where all is as it was before a change, so for them the sample follows a gap.
+        elif self._is_skipping or (changed and not self.has_changed and self.has_returned):
             self._resume(sample)
 
     def _skip(self, sample: Sample) -> None:
@@ -244,8 +247,13 @@ class SampleStream:
             del self._skipped[0]
 
     def _resume(self, sample: Sample) -> None:
-        """Merge the changes of the rejected samples into the next one, which then follows a gap."""
+        """Merge the changes of the rejected samples, if any, into the next one, which then follows a gap.
+
+        The command in force is stated again: an estimator that went back has missed those since then.
+        """
         changes = (*self._skipped, *sample.brake_changes)
+        if is_finite(sample.brake_command):
+            changes = (*changes, BrakeCommandChange(sample.stamp_ns, sample.brake_command))
         self._is_skipping, self._skipped = False, []
         sample.dt, sample.brake_changes, sample.brake_gap = math.nan, changes, True
 
