@@ -28,11 +28,11 @@ from trainid_ros.results import BrakeRateEstimate, Reason, Rejection
 from trainid_ros.scalars import is_finite, seconds
 from trainid_ros.settings import check_settings
 from trainid_ros.state import check_not_negative, check_numbers, check_restored, decode, encode
-from trainid_ros.stream.samples import BrakeCommandChange, Sample
 from trainid_ros.train.brake import CommandHistory
 
 if TYPE_CHECKING:
     from trainid_ros.brake_rate.brake_rate_settings import BrakeRateConfig
+    from trainid_ros.stream.samples import Sample
     from trainid_ros.train.train_file import TrainFile
 
 # After missing commands the state of the brake is known again this many time constants later.
@@ -239,9 +239,6 @@ class BrakeRateEstimator:
             timing.release()
         start_ns = state.stamp_ns or now_ns
         commands.follow(sample.brake_changes)
-        if sample.brake_gap and is_finite(sample.brake_command):
-            # Changes were missed, or are of the time after the state that a contradiction of the inputs led back to.
-            commands.follow((BrakeCommandChange(now_ns, sample.brake_command),))
         self._move_timing(start_ns)
         motion = brake_step(commands, timing.delay, timing.lag, start_ns, now_ns, state.filtered_target)
         nominal = motion.reach * state.filtered_target + motion.gain_v

@@ -186,7 +186,6 @@ def test_a_run_saved_and_restored_in_the_middle_continues_bit_identical(
 def test_a_state_saved_while_braking_and_restored_after_the_release_does_not_go_on_braking(
     train_file: TrainFile, journey: Journey, gsma: Any, stop_and_go: Any, power: Any
 ) -> None:
-    """A contradiction of the inputs leads back to an older state; the changes since then are lost."""
     samples = journey(120.0, brake=stop_and_go, traction=power, speed=10.0, rate=lambda _: 0.9)
     old, later = gsma(train_file), gsma(train_file)
     for item in samples[:250]:
@@ -194,7 +193,8 @@ def test_a_state_saved_while_braking_and_restored_after_the_release_does_not_go_
     later.restore(old.save())
     assert later.state.commands.value(samples[249].stamp_ns) < 0.0
     released = [item for item in samples[410:] if item.brake_command == 0.0][:100]
-    results = [later.step(replace(released[0], dt=math.nan, brake_gap=True))]
+    stated = (BrakeCommandChange(released[0].stamp_ns, 0.0),)  # by the stream, after a contradiction
+    results = [later.step(replace(released[0], dt=math.nan, brake_gap=True, brake_changes=stated))]
     results += [later.step(item) for item in released[1:]]
     assert all(isinstance(result, Rejection) for result in results)
     assert later.state.commands.value(released[-1].stamp_ns) == 0.0
