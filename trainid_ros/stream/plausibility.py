@@ -117,8 +117,10 @@ class PlausibilityMonitor:
         state, slope = self.state, self.state.traction
         if state.finding or state.is_suspected or (state.retried and state.moved_s < _RETRY_S):
             return False
-        if state.confirmed or (state.last and not state.retried):  # what was found once is not taken on trust
-            return state.confirmed
+        if state.confirmed:
+            return True
+        if state.last and not (state.retried and state.found_s == 0.0):  # what was found is not taken on trust
+            return False
         calm = state.moved_s > _CALM_S and slope.yy < _CALM * _CALM * slope.count
         return calm or state.moved_s > _LENIENT_S
 
@@ -156,8 +158,10 @@ class PlausibilityMonitor:
             state.found_s += sample.dt
             state.lasting_s += sample.dt
         if state.found_s > _RETRY_S:
+            state.shift.fade()
             self.state = PlausibilityState(
                 commands=CommandCheck(command=state.commands.command),
+                shift=state.shift,
                 noise=state.noise,
                 held_s=state.held_s,
                 driven=state.driven,

@@ -13,6 +13,8 @@ _SHIFTS: Final = 2 * _MAX_SHIFT + 1
 _EDGE: Final = 6.0
 _EDGES: Final = 2000.0
 _SHIFT_KEPT: Final = 0.998
+# What is left of the sums where the checks begin anew [1].
+_FADED: Final = 0.25
 # Standard deviations by which a shift must stand out from chance, and from no shift.
 _SHIFT_KNOWN: Final = 5.0
 _SHIFT_BETTER: Final = 3.0
@@ -49,6 +51,12 @@ class ShiftCheck:
     def interrupt(self) -> None:
         """Start a new run of blocks."""
         self.recent = ()
+
+    def fade(self) -> None:
+        """Let what comes count more than what was seen; a finding lasts until other steps contradict it."""
+        self.interrupt()
+        self.products = tuple([_FADED * product for product in self.products])
+        self.edges, self.jerks, self.count = _FADED * self.edges, _FADED * self.jerks, _FADED * self.count
 
     def add(self, y: float, x: float, block_s: float) -> None:
         """Add the next block: acceleration y and traction x [N/kN], and its length [s]."""
