@@ -27,6 +27,7 @@ from trainid_ros.stream.balance_check import SUDDEN_MEMORY
 from trainid_ros.stream.message_check import CommandCheck
 from trainid_ros.stream.plausibility_state import BRAKED, NO_BLOCK, RELEASED, Block, PlausibilityState
 from trainid_ros.stream.samples import STANDING, Sample
+from trainid_ros.stream.shift_check import ShiftCheck
 from trainid_ros.train.davis import davis
 from trainid_ros.train.line import LineProfile
 
@@ -158,10 +159,9 @@ class PlausibilityMonitor:
             state.found_s += sample.dt
             state.lasting_s += sample.dt
         if state.found_s > _RETRY_S:
-            state.shift.fade()
             self.state = PlausibilityState(
                 commands=CommandCheck(command=state.commands.command),
-                shift=state.shift,
+                shift=ShiftCheck(delay=state.shift.delay),
                 noise=state.noise,
                 held_s=state.held_s,
                 driven=state.driven,

@@ -13,8 +13,6 @@ _SHIFTS: Final = 2 * _MAX_SHIFT + 1
 _EDGE: Final = 6.0
 _EDGES: Final = 2000.0
 _SHIFT_KEPT: Final = 0.998
-# What is left of the sums where the checks begin anew [1].
-_FADED: Final = 0.25
 # Standard deviations by which a shift must stand out from chance, and from no shift.
 _SHIFT_KNOWN: Final = 5.0
 _SHIFT_BETTER: Final = 3.0
@@ -48,15 +46,14 @@ class ShiftCheck:
         """True if products and blocks have possible numbers."""
         return len(self.products) == _SHIFTS and len(self.recent) % 2 == 0 and len(self.recent) <= 2 * (_MAX_SHIFT + 2)
 
+    @property
+    def is_suspected(self) -> bool:
+        """True where a delay was found before the check began anew, and no steps have contradicted it since."""
+        return self.delay != 0.0 and self.finding == ''
+
     def interrupt(self) -> None:
         """Start a new run of blocks."""
         self.recent = ()
-
-    def fade(self) -> None:
-        """Let what comes count more than what was seen; a finding lasts until other steps contradict it."""
-        self.interrupt()
-        self.products = tuple([_FADED * product for product in self.products])
-        self.edges, self.jerks, self.count = _FADED * self.edges, _FADED * self.jerks, _FADED * self.count
 
     def add(self, y: float, x: float, block_s: float) -> None:
         """Add the next block: acceleration y and traction x [N/kN], and its length [s]."""
@@ -90,7 +87,7 @@ class ShiftCheck:
         if self.products[best] < max(_SHIFT_KNOWN * chance, 0.5 * self.edges):
             return
         if self.products[best] - self.products[_MAX_SHIFT] < _SHIFT_BETTER * chance:
-            self.finding = ''
+            self.finding, self.delay = '', 0.0
             return
         self.delay = (best - _MAX_SHIFT) * block_s
         later, sooner = ('ato/speed', 'ato/force') if best > _MAX_SHIFT else ('ato/force', 'ato/speed')
