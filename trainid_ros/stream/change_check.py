@@ -93,8 +93,8 @@ class ChangeCheck:
 
     @property
     def is_possible(self) -> bool:
-        """True if the covariance is positive semidefinite."""
-        return self.covariance * self.covariance <= self.offset_variance * self.gain_variance
+        """True if the covariance is positive semidefinite, but for rounding."""
+        return self.covariance * self.covariance <= (1.0 + 1e-9) * self.offset_variance * self.gain_variance
 
     @property
     def has_returned(self) -> bool:
@@ -153,7 +153,9 @@ class ChangeCheck:
         self.offset_variance += _OFFSET_WALK - offset_gain * offset_gain / innovation_variance
         self.covariance -= offset_gain * gain_gain / innovation_variance
         self.gain_variance -= gain_gain * gain_gain / innovation_variance
-        self.offset_variance = min(self.offset_variance, _OFFSET_STD * _OFFSET_STD)
+        if self.offset_variance > _OFFSET_STD * _OFFSET_STD:  # limited with its correlation unchanged
+            self.covariance *= _OFFSET_STD / math.sqrt(self.offset_variance)
+            self.offset_variance = _OFFSET_STD * _OFFSET_STD
         square = min(self.change * self.change, _CLIP * _CLIP * self.square)
         share = 1.0 / min(_SQUARE_BLOCKS + self.count, _SQUARE_MEMORY)
         self.square += share * (square - self.square)
