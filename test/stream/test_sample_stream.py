@@ -66,14 +66,16 @@ def test_estimators_on_one_stream_publish_what_they_publish_alone(
     (stream,) = share_streams(together)
     expected: list[list[Output[Any]]] = [[], [], []]
     found: list[list[Output[Any]]] = [[], [], []]
+    reasons = set()
     for record in with_trouble(day):
         events = stream.push(record)
+        reasons |= {event.rejection.reason for event in events if isinstance(event, Sample) and event.rejection}
         for outputs, pipeline in zip(found, together, strict=True):
             pipeline.take(events, outputs.append)
         for outputs, pipeline in zip(expected, alone, strict=True):
             outputs.extend(pipeline.push(record))
     assert repr(found) == repr(expected)
-    assert all(pipeline.rejections[Reason.SPEED_STUCK] for pipeline in together[:2]) or policy is TimeJumpPolicy.RESET
+    assert Reason.SPEED_STUCK in reasons
     assert [pipeline.save() for pipeline in together] == [pipeline.save() for pipeline in alone]
 
 
