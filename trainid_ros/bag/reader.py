@@ -29,6 +29,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator
     from types import TracebackType
 
+    from mcap.records import Channel
+
     from trainid_ros.bag.mcap_file import Segment
     from trainid_ros.bag.record_table import RecordTable
     from trainid_ros.bag.stored_types import StoredType
@@ -367,9 +369,8 @@ class BagReader:
         return name if name.startswith('/') else f'{prefix or self._prefix}{name}'
 
     def _topic(self, name: str) -> str:
-        full = name if name.startswith('/') else f'/{name}'
         # A name outside the namespace keeps its slash, so that it is nobody's input: two trains may share a bag.
-        return full.removeprefix(self._prefix)
+        return self._full(name, '/').removeprefix(self._prefix)
 
     def _check_types(self, file: McapFile, hashes: dict[str, str]) -> dict[int, _Source]:
         """Return the channels of our topics; raise InputError for a type that is not the one of the interface."""
@@ -378,6 +379,7 @@ class BagReader:
         for number, channel in file.channels.items():
             topic = self._topic(channel.topic)
             if (foreign := mapped.get(self._full(channel.topic, '/'))) is not None:
+                _check_encoding(channel, f'{file.path}: topic {channel.topic}')
                 sources[number] = _Source(foreign, _schema_name(file, number), _stored_type(file, number))
                 continue
             if (name := _OURS.get(topic)) is None or topic in self.mapping.replaced:
@@ -386,9 +388,7 @@ class BagReader:
             if (found := _schema_name(file, number)) != full_type(name):
                 msg = f'{where}: type {full_type(name)} expected, {found or "none"} found'
                 raise InputError(msg)
-            if channel.message_encoding != 'cdr':
-                msg = f'{where}: encoding cdr expected, {channel.message_encoding!r} found'
-                raise InputError(msg)
+            _check_encoding(channel, where)
             text = _stored_text(file, number)
             if not is_packaged(text, name):
                 recorded = channel.metadata.get('topic_type_hash') or hashes.get(channel.topic, '')
@@ -423,11 +423,14 @@ def _stored_type(file: McapFile, channel: int) -> StoredType:
     # Imported here because most bags hold the packaged definitions.
     from trainid_ros.bag.stored_types import StoredType  # noqa: PLC0415
 
-    info = file.channels[channel]
-    if info.message_encoding != 'cdr':
-        msg = f'{file.path}: topic {info.topic}: encoding cdr expected, {info.message_encoding!r} found'
+    return StoredType(file.path, file.schemas[file.channels[channel].schema_id])
+
+
+def _check_encoding(channel: Channel, where: str) -> None:
+    """Raise InputError, naming file and topic, if the messages of a channel cannot be decoded."""
+    if channel.message_encoding != 'cdr':
+        msg = f'{where}: encoding cdr expected, {channel.message_encoding!r} found'
         raise InputError(msg)
-    return StoredType(file.path, file.schemas[info.schema_id])
 
 
 def _stored_text(file: McapFile, channel: int) -> str:

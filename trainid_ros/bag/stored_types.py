@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
 
-from rosbags.serde import SerdeError
 from rosbags.typesys import Stores, TypesysError, get_types_from_idl, get_types_from_msg, get_typestore
 
 from trainid_ros.errors import InputError
@@ -45,8 +44,5 @@ class StoredType:
         return str(self._store.hash_rihs01(self.name))
 
     def decode(self, payload: bytes) -> Any:
-        """Return a message; None if it cannot be read."""
-        try:
-            return self._store.deserialize_cdr(payload, self.name)
-        except SerdeError:
-            return None
+        """Return a message; SerdeError if it cannot be read."""
+        return self._store.deserialize_cdr(payload, self.name)

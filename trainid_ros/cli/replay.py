@@ -18,7 +18,6 @@ from trainid_ros.errors import InputError
 from trainid_ros.estimators.force_findings import force_findings
 from trainid_ros.estimators.observability import observe
 from trainid_ros.mapping.mapped_inputs import mapped_inputs
-from trainid_ros.mapping.mapping_file import load_mapping
 from trainid_ros.plural import pluralise
 from trainid_ros.ros.jobs import Setup, node_setups
 from trainid_ros.sim.truth import load_truth
@@ -31,6 +30,7 @@ if TYPE_CHECKING:
 
     from trainid_ros.bag.bag_replay import Observer, Replay, Result
     from trainid_ros.bag.observers import TraceObserver
+    from trainid_ros.mapping.mapping import Mapping
     from trainid_ros.report.traces import Traces
     from trainid_ros.results import Reason
     from trainid_ros.sim.truth import Truth
@@ -47,7 +47,7 @@ def run(args: argparse.Namespace) -> int:
             file that is no report.
 
     """
-    _setups(args)  # what cannot be used for any bag is reported once
+    mapped_inputs(args.map, _setups(args)[0].train_file)  # what cannot be used for any bag is reported once
     if len(args.bags) > 1:
         _check_outputs(args)
     for report in (_outputs(args, bag)[1] for bag in args.bags):
@@ -59,14 +59,13 @@ def run(args: argparse.Namespace) -> int:
 def _setups(args: argparse.Namespace, warn: Callable[[str], None] = lambda _: None) -> tuple[Setup, ...]:
     """Return the setups of the three nodes; InputError if train file or parameters cannot be used."""
     train_file = load_train_file(args.train)
-    setups = node_setups(train_file, str(args.train), args.params, args.algorithm, namespace=args.namespace, warn=warn)
-    if args.map is None:
-        return setups
-    mapping = load_mapping(args.map)
-    return tuple(
-        replace(setup, settings=replace(setup.settings, alignment=mapping.alignment(setup.settings.alignment)))
-        for setup in setups
-    )
+    return node_setups(train_file, str(args.train), args.params, args.algorithm, namespace=args.namespace, warn=warn)
+
+
+def _mapped(setup: Setup, mapping: Mapping) -> Setup:
+    """Return a setup whose alignment fits a mapping."""
+    alignment = mapping.alignment(setup.settings.alignment)
+    return replace(setup, settings=replace(setup.settings, alignment=alignment))
 
 
 def _check_outputs(args: argparse.Namespace) -> None:
@@ -113,7 +112,7 @@ def _replay(args: argparse.Namespace, bag: Path, advance: Callable[[float], None
         reader = stack.enter_context(BagReader(bag, args.namespace, args.max_chunk, inputs))
         observers, traces = _observers(stack, out, report)
         start = time.perf_counter()
-        pipelines = Pipelines(*(setup.pipeline() for setup in setups))
+        pipelines = Pipelines(*(_mapped(setup, reader.mapping).pipeline() for setup in setups))
         count = max(reader.input_count, 1)
         outcome = replay_through(pipelines, reader, lambda amount: advance(amount / count), observers)
         wall_s = time.perf_counter() - start

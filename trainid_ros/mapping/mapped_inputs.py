@@ -157,7 +157,7 @@ class Odometer:
     """
 
     def __init__(self, how: Signal | SpeedIntegral | None) -> None:
-        """Prepare; ``how`` tells where positions come from."""
+        """Prepare; ``how`` says where positions come from."""
         self.at, self.direction = math.nan, 1
         if isinstance(how, SpeedIntegral):
             self.at, self.direction = how.start, how.direction

@@ -75,7 +75,7 @@ def largest_std(covariance: tuple[float, ...], driven: tuple[float, float], pres
 
     """
     A, B, C, _, D, E, _, _, F = covariance
-    largest = present * present
+    largest = 0.0
     for k in range(_INTERVALS + 1):
         v = driven[0] + (driven[1] - driven[0]) * k / _INTERVALS
         largest = max(largest, A + v * (2.0 * B + v * (2.0 * C + D + v * (2.0 * E + v * F))))

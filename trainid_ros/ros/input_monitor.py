@@ -244,7 +244,10 @@ class InputMonitors:
         }
 
     def arrived(self, topic: InputTopic, stamp_ns: int, now_ns: int, rejected: Iterable[Rejection]) -> None:
-        """Record a message, and which messages were rejected with it: a stamp is doubted until the next ones come."""
+        """Record a message and the messages that were rejected with it.
+
+        Rejections come later than their messages: a stamp that does not fit waits for the next ones.
+        """
         for rejection in rejected:
             if rejection.reason not in _REJECTED:  # nothing is wrong with a topic faster than the period
                 continue

@@ -20,7 +20,7 @@ from trainid_ros.stream.slope import BRAKE_RANGE, TRACTION_RANGE, Slope
 _SPEED_STD: Final = 0.025
 # Motion after the checks have begun anew in which a delay that was found before is suspected still [s]: steps of the
 # traction may be rare.
-_DOUBT_S: Final = 900.0
+_SUSPECTED_S: Final = 900.0
 
 NO_BLOCK: Final = 0
 """Kind of a block: nothing can be compared."""
@@ -137,7 +137,7 @@ class PlausibilityState:
     def is_suspected(self) -> bool:
         """True while the last seconds are improbable by those before."""
         sudden = self.balance.is_sudden or self.change.is_suspected or self.spikes.is_suspected
-        late = self.shift.is_suspected and self.moved_s < _DOUBT_S
+        late = self.shift.is_suspected and self.moved_s < _SUSPECTED_S
         return sudden or late or self.distance.is_suspected or self.line.is_suspected
 
     @property
