@@ -18,11 +18,41 @@ def test_residuals_of_two_seconds_are_sudden_and_a_single_one_is_not() -> None:
     assert not check.is_sudden
 
 
+def released(check: BalanceCheck, residual: float, offset: float, blocks: int = 200, resistance: float = 4.0) -> None:
+    """Add blocks of one residual."""
+    for _ in range(blocks):
+        check.add_released(residual, offset, resistance)
+
+
 def test_a_mean_residual_is_named_until_it_is_gone() -> None:
     check = BalanceCheck()
-    for _ in range(200):
-        check.add_released(-15.0, 5.0)
+    released(check, -15.0, -15.0)
     assert check.finding == 'forces do not balance by +14 N/kN: ato/force or ato/gradient is off'
-    for _ in range(200):
-        check.add_released(0.0, 5.0)
+    released(check, 0.0, 0.0)
     assert check.finding == ''
+    assert not check.is_suspected
+
+
+def test_a_mean_residual_that_a_fast_train_explains_is_not_named() -> None:
+    slow, fast = BalanceCheck(), BalanceCheck()
+    released(slow, -13.0, -13.0, resistance=2.0)
+    released(fast, -13.0, -13.0, resistance=16.0)
+    assert slow.finding
+    assert not fast.finding
+
+
+def test_a_mean_residual_half_as_large_is_suspected() -> None:
+    check = BalanceCheck()
+    released(check, 5.0, 5.0)
+    assert not check.is_suspected
+    released(check, 7.0, 7.0)
+    assert check.is_suspected
+    assert not check.finding
+
+
+def test_a_force_that_drifts_is_suspected_before_it_is_far_off() -> None:
+    check = BalanceCheck()
+    released(check, 4.0, 4.0)
+    assert not check.is_suspected
+    released(check, 4.0, 0.0, blocks=1)
+    assert check.is_suspected

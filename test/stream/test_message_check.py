@@ -1,14 +1,18 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two publishers and a controller that toggles; spikes of the force and short cuts of traction."""
+"""Two publishers and a controller that toggles; spikes, and short cuts of traction."""
 
 from __future__ import annotations
 
 import math
+from typing import TYPE_CHECKING
 
 import pytest
 
-from trainid_ros.stream.message_check import CommandCheck, SpikeCheck
+from trainid_ros.stream.message_check import CommandCheck, ExcursionCheck, SpikeCheck
 from trainid_ros.stream.samples import BrakeCommandChange
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 PERIOD_S = 0.2
 WIDTH_S = 0.2
@@ -98,3 +102,42 @@ def test_named_spikes_are_over_after_a_while() -> None:
     for _ in range(500):
         check.add(40.0, 40.0, 8.0, STD, PERIOD_S)
     assert check.finding == ''
+
+
+def followed(values: Sequence[float], *, calm_s: float = 0.0, dt: float = 0.2) -> ExcursionCheck:
+    """Return the check after some values."""
+    check = ExcursionCheck('ato/gradient', 5.0, calm_s)
+    for value in values:
+        check.add(value, dt)
+    return check
+
+
+@pytest.mark.parametrize('width', [1, 2, 3])
+def test_values_that_leave_their_level_for_a_moment_are_spikes(width: int) -> None:
+    spike = [2.0] * 15 + [32.0] * width
+    assert not followed(spike * 2 + [2.0]).finding
+    assert followed(spike * 2 + [2.0]).is_suspected
+    assert followed(spike * 4 + [2.0]).finding == 'ato/gradient has spikes'
+
+
+@pytest.mark.parametrize('values', [[0.0] * 10 + [20.0] * 10, [0.0, 4.0], [0.0] * 10 + [6.0, 12.0, 18.0, 24.0]])
+def test_steps_small_changes_and_ramps_are_no_spikes(values: list[float]) -> None:
+    assert followed(values * 20).spikes == 0.0
+
+
+def test_a_value_that_alternates_has_no_level_to_leave() -> None:
+    toggling = [0.0, 0.0, 8.0] * 30
+    assert followed(toggling).finding
+    assert followed(toggling, calm_s=1.0).spikes <= 1.0
+
+
+def test_missing_values_are_no_spikes() -> None:
+    assert followed([0.0, math.nan, 0.0] * 20).spikes == 0.0
+    assert followed([math.nan] * 5).spikes == 0.0
+
+
+def test_spikes_are_over_after_a_while() -> None:
+    check = followed(([2.0] * 15 + [32.0]) * 4 + [2.0])
+    for _ in range(300):
+        check.add(2.0, 0.2)
+    assert not check.finding

@@ -8,10 +8,17 @@ from typing import Final
 
 # Memory of sudden residuals [blocks].
 SUDDEN_MEMORY: Final = 4.0
-# Mean residual over a longer time that no resistance explains [N/kN], share of traction added [1], memory [blocks].
+# Mean residual over a longer time that no resistance explains [N/kN], share of the resistance added [1], and memory
+# [blocks].
 _MEAN: Final = 10.0
-_MEAN_SHARE: Final = 0.3
+_MEAN_SHARE: Final = 0.5
 _MEMORY: Final = 60.0
+# Share of that limit beyond which the mean is suspected [1].
+_SUSPECTED: Final = 0.5
+# Distance of the mean from the offset, which follows more slowly, that map, wind and tunnels do not reach [N/kN], and
+# share of the resistance added [1]: beyond it the force drifts.
+_DRIFT: Final = 2.5
+_DRIFT_SHARE: Final = 0.2
 
 
 @dataclass(slots=True)
@@ -23,7 +30,8 @@ class BalanceCheck:
         residual: Mean of the last residuals.
         limit: Mean of the largest ones that a resistance explains.
         mean: Mean residual where no brake acts, over a longer time.
-        level: Mean of |traction| over the same time.
+        resistance: Mean of w(v) over the same time.
+        drift: Mean residual less the offset that has been learned.
 
     """
 
@@ -31,7 +39,8 @@ class BalanceCheck:
     residual: float = 0.0
     limit: float = _MEAN
     mean: float = 0.0
-    level: float = 0.0
+    resistance: float = 0.0
+    drift: float = 0.0
 
     @property
     def is_sudden(self) -> bool:
@@ -39,9 +48,15 @@ class BalanceCheck:
         return abs(self.residual) > self.limit
 
     @property
+    def is_suspected(self) -> bool:
+        """True while the last residuals, or their mean, are hardly to be explained by a resistance."""
+        drifts = abs(self.drift) > _DRIFT + _DRIFT_SHARE * self.resistance
+        return self.is_sudden or drifts or abs(self.mean) > _SUSPECTED * self.mean_limit
+
+    @property
     def mean_limit(self) -> float:
         """Largest mean residual over a longer time [N/kN]."""
-        return _MEAN + _MEAN_SHARE * self.level
+        return _MEAN + _MEAN_SHARE * self.resistance
 
     def add(self, residual: float, limit: float) -> None:
         """Add the residual of a block and the largest one that a resistance explains [N/kN]."""
@@ -56,11 +71,19 @@ class BalanceCheck:
         """Forget sudden residuals but for a share [1] of them, while nothing can be compared."""
         self.residual *= keep
 
-    def add_released(self, residual: float, traction: float) -> None:
-        """Add residual and traction [N/kN] of a block where no brake acts."""
+    def add_released(self, residual: float, offset: float, resistance: float) -> None:
+        """Add a block where no brake acts.
+
+        Args:
+            residual: Its residual by the gain that has been learned [N/kN].
+            offset: The offset that has been learned [N/kN].
+            resistance: w(v) [N/kN].
+
+        """
         self.mean += (residual - self.mean) / _MEMORY
-        self.level += (abs(traction) - self.level) / _MEMORY
+        self.resistance += (resistance - self.resistance) / _MEMORY
+        self.drift = self.mean - offset
         if abs(self.mean) > self.mean_limit:
             self.finding = f'forces do not balance by {-self.mean:+.0f} N/kN: ato/force or ato/gradient is off'
-        elif abs(self.mean) < 0.5 * _MEAN:
+        elif abs(self.mean) < _SUSPECTED * self.mean_limit:
             self.finding = ''

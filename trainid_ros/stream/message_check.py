@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages that cannot come from one healthy source: a brake command of two publishers, spikes of the force."""
+"""Messages that cannot come from one healthy source: a brake command of two publishers, spikes."""
 
 from __future__ import annotations
 
@@ -56,16 +56,86 @@ class CommandCheck:
             self.finding = ''
 
 
-# A single report of the force stands out by this [N/kN]; its neighbours, and those before, agree to this share of its
-# height [1].
-_SPIKE: Final = 15.0
-_SPIKE_BASE: Final = 0.3
 # Most spikes within the memory [s], and the number at which they are over.
 _SPIKES: Final = 2.5
 _SPIKE_MEMORY_S: Final = 30.0
 _NO_SPIKES: Final = 1.0
 # Spikes after which more are suspected.
 _SUSPECTED: Final = 1.5
+# Longest spike [s], and difference of the values before and after it as a share of its height [1].
+_LONGEST_S: Final = 0.65
+_SAME: Final = 0.3
+
+
+@dataclass(slots=True)
+class ExcursionCheck:
+    """Values that leave their level for a moment and return to it, too fast for what they measure.
+
+    Attributes:
+        topic: Topic of the values.
+        height: Least height of a spike, in the unit of the values.
+        calm_s: Time for which the level must have held before [s]: what alternates has no spikes.
+        finding: What is wrong, empty if nothing is.
+        level: The last value outside a spike.
+        held_s: Time for which it has held [s].
+        peak: Largest distance from the level since it was left, 0 if it was not.
+        left_s: Time since it was left [s].
+        spikes: Number of spikes, with forgetting.
+
+    """
+
+    topic: str
+    height: float
+    calm_s: float = 0.0
+    finding: str = ''
+    level: float = 0.0
+    held_s: float = 0.0
+    peak: float = 0.0
+    left_s: float = 0.0
+    spikes: float = 0.0
+
+    @property
+    def limit(self) -> float:
+        """Most spikes, with forgetting."""
+        return _SPIKES
+
+    @property
+    def is_suspected(self) -> bool:
+        """True while more spikes are to be expected."""
+        return self.spikes > _SUSPECTED
+
+    def add(self, value: float, dt: float) -> None:
+        """Add a value and the time since the last one [s]; a NaN changes nothing but the time."""
+        self.spikes *= math.exp(-dt / _SPIKE_MEMORY_S)
+        if self.peak > 0.0:
+            self.left_s += dt
+        else:
+            self.held_s += dt
+        if not math.isnan(value):
+            self._follow(value)
+        if self.spikes > _SPIKES:
+            self.finding = f'{self.topic} has spikes'
+        elif self.spikes < _NO_SPIKES:
+            self.finding = ''
+
+    def _follow(self, value: float) -> None:
+        distance = abs(value - self.level)
+        returns = distance < _SAME * self.peak and self.left_s <= _LONGEST_S
+        if self.peak > 0.0 and not returns and self.left_s <= _LONGEST_S:
+            self.peak = max(self.peak, distance)
+        elif self.peak == 0.0 and distance > self.height and self.held_s >= self.calm_s:
+            self.peak, self.left_s = distance, 0.0
+        else:  # back from a spike, or on a new level
+            self.spikes += 1.0 if returns else 0.0
+            if distance > self.height:
+                self.held_s = 0.0
+            self.level, self.peak = value, 0.0
+
+
+# A single report of the force stands out by this [N/kN]; its neighbours, and those before, agree to this share of its
+# height [1].
+_SPIKE: Final = 15.0
+_SPIKE_BASE: Final = 0.3
 # Log-likelihood that the force was wrong rather than traction cut for a moment, as slip protection does: limit of the
 # sum (e^4 = 55 to 1), most of one spike. A cut is towards zero, and the speed answers to it.
 _EVIDENCE: Final = 4.0

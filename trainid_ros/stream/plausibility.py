@@ -182,6 +182,7 @@ class PlausibilityMonitor:
         state, dt = self.state, sample.dt if is_finite(sample.dt) else 0.0
         before = state.commands.command
         state.commands.add(sample.brake_changes, dt)
+        state.command_spikes.add(sample.brake_command, dt)
         if sample.speed < _MIN_SPEED:  # the command may do anything while the train is held
             state.commands.reversals = 0.0
         state.held_s += dt
@@ -202,6 +203,7 @@ class PlausibilityMonitor:
             resistance = davis(known.train_file.resistance, sample.speed)
             answer = known.inertia * (sample.speed - before) + dt * (known.track(sample) + resistance)
         std = known.inertia * math.sqrt(2.0) * state.noise.std + _ANSWER_STD * 2.0 * dt
+        state.gradient_spikes.add(sample.gradient, dt)
         state.spikes.add(force, traction, answer if kind == RELEASED else math.nan, std, dt)
         if kind == NO_BLOCK or math.isnan(answer):
             self._interrupt()
@@ -237,7 +239,7 @@ class PlausibilityMonitor:
             state.traction.take(y, traction, limit + noise)
             state.traction.judge_traction(noise)
             state.confirmed = state.confirmed or (state.traction.is_known and not state.traction.finding)
-            self._close_released(y, traction, limit + noise, seconds)
+            self._close_released(sample, y, traction, limit + noise, seconds)
             return
         brake = inertia * self._known.train_file.brake.rate_at(sample.speed) * block.command / seconds
         limit = _SUDDEN + _SUDDEN_BRAKE * abs(brake)
@@ -257,20 +259,23 @@ class PlausibilityMonitor:
         elif not state.has_alternated:
             state.brake.finding = state.brake.finding or before
 
-    def _close_released(self, y: float, x: float, limit: float, seconds: float) -> None:
+    def _close_released(self, sample: Sample, y: float, x: float, limit: float, seconds: float) -> None:
         """Take in acceleration y, traction x and the limit of the residual [N/kN] of a block without brake."""
         state, residual = self.state, y - x
-        state.balance.add_released(min(max(residual, -limit), limit), x)
+        change, resistance = state.change, davis(self._known.train_file.resistance, sample.speed)
+        state.balance.add_released(min(max(y - change.gain * x, -limit), limit), change.offset, resistance)
         # Slip of the wheels is no step of the traction.
         most = _SLIP * limit
         state.shift.add(x + min(max(residual, -most), most), x, seconds)
         off = abs(residual) > limit or state.finding != ''
-        state.change.add(y, x, self._known.inertia, state.noise.std, seconds, off=off)
+        change.add(y, x, self._known.inertia, state.noise.std, seconds, off=off)
 
     def _check_gradient(self, sample: Sample) -> None:
         """Compare the gradient with that of the line, where both are known."""
         line, here, driven = self._line, sample.position, self.state.driven
         if line is None or not is_finite(here) or not is_finite(sample.gradient):
+            return
+        if self.state.gradient_spikes.peak > 0.0:
             return
         if driven - self.state.stopped < _TURNED:
             return

@@ -12,7 +12,7 @@ from trainid_ros.stream.balance_check import BalanceCheck
 from trainid_ros.stream.change_check import ChangeCheck
 from trainid_ros.stream.distance_check import DistanceCheck
 from trainid_ros.stream.line_check import LineCheck
-from trainid_ros.stream.message_check import CommandCheck, SpikeCheck
+from trainid_ros.stream.message_check import CommandCheck, ExcursionCheck, SpikeCheck
 from trainid_ros.stream.shift_check import ShiftCheck
 from trainid_ros.stream.slope import BRAKE_RANGE, TRACTION_RANGE, Slope
 
@@ -21,6 +21,12 @@ _SPEED_STD: Final = 0.025
 # Motion after the checks have begun anew in which a delay that was found before is suspected still [s]: steps of the
 # traction may be rare.
 _SUSPECTED_S: Final = 900.0
+
+# Height of a spike of the gradient [per mille], which as the mean under a train cannot change for a moment. The same of
+# the brake command [m/s^2], which holds or changes for longer than a moment, and time for which it has held before [s].
+_GRADIENT_SPIKE: Final = 5.0
+_COMMAND_SPIKE: Final = 0.15
+_COMMAND_HELD_S: Final = 1.0
 
 NO_BLOCK: Final = 0
 """Kind of a block: nothing can be compared."""
@@ -63,7 +69,9 @@ class PlausibilityState:
 
     Attributes:
         commands: Check for two publishers of the brake command.
+        command_spikes: Check for spikes of the brake command.
         spikes: Check for spikes of the force.
+        gradient_spikes: Check for spikes of the gradient.
         distance: Check of speed against position.
         line: Check of the gradient.
         shift: Check of the times of steps.
@@ -89,7 +97,11 @@ class PlausibilityState:
     """
 
     commands: CommandCheck = field(default_factory=CommandCheck)
+    command_spikes: ExcursionCheck = field(
+        default_factory=lambda: ExcursionCheck('ato/brake_command', _COMMAND_SPIKE, _COMMAND_HELD_S)
+    )
     spikes: SpikeCheck = field(default_factory=SpikeCheck)
+    gradient_spikes: ExcursionCheck = field(default_factory=lambda: ExcursionCheck('ato/gradient', _GRADIENT_SPIKE))
     distance: DistanceCheck = field(default_factory=DistanceCheck)
     line: LineCheck = field(default_factory=LineCheck)
     shift: ShiftCheck = field(default_factory=ShiftCheck)
@@ -123,7 +135,9 @@ class PlausibilityState:
         """What contradicts what, empty if nothing does."""
         return (
             self.commands.finding
+            or self.command_spikes.finding
             or self.spikes.finding
+            or self.gradient_spikes.finding
             or self.traction.finding
             or self.brake.finding
             or self.distance.finding
@@ -136,9 +150,10 @@ class PlausibilityState:
     @property
     def is_suspected(self) -> bool:
         """True while the last seconds are improbable by those before."""
-        sudden = self.balance.is_sudden or self.change.is_suspected or self.spikes.is_suspected
+        spikes = self.spikes.is_suspected or self.command_spikes.is_suspected or self.gradient_spikes.is_suspected
         late = self.shift.is_suspected and self.moved_s < _SUSPECTED_S
-        return sudden or late or self.distance.is_suspected or self.line.is_suspected
+        sudden = self.balance.is_suspected or self.change.is_suspected
+        return sudden or late or spikes or self.distance.is_suspected or self.line.is_suspected
 
     @property
     def numbers(self) -> tuple[float, float]:
@@ -146,7 +161,9 @@ class PlausibilityState:
         traction, brake, shift, balance = self.traction, self.brake, self.shift, self.balance
         for finding, value, limit in (
             (self.commands.finding, self.commands.reversals, self.commands.limit),
+            (self.command_spikes.finding, self.command_spikes.spikes, self.command_spikes.limit),
             (self.spikes.finding, self.spikes.spikes, self.spikes.limit),
+            (self.gradient_spikes.finding, self.gradient_spikes.spikes, self.gradient_spikes.limit),
             (traction.finding, traction.value, traction.limit(TRACTION_RANGE)),
             (brake.finding, brake.value, brake.limit(BRAKE_RANGE)),
             (self.distance.finding, self.distance.error, self.distance.limit),
