@@ -207,7 +207,10 @@ def _slow(values: Array) -> Array:
 
 
 def records(trip: Trip) -> Iterator[Record]:
-    """Yield the records of a trip, with a brake command while the pedal is released, since a brake may act then."""
+    """Yield the records of a trip.
+
+    While the pedal is released a brake of unknown effort may act: that is what emergency braking says.
+    """
     position = np.cumsum(trip.speed) * _PERIOD
     command = np.where(trip.pedal, 0.0, _MAY_BRAKE)
     columns = (trip.stamps_ns, trip.speed, position, trip.force, gradient(trip), command)
@@ -215,7 +218,7 @@ def records(trip: Trip) -> Iterator[Record]:
         yield SpeedRecord(stamp, max(speed, 0.0), at)
         yield ForceRecord(stamp, force)
         yield GradientRecord(stamp, slope, 0.0, False)
-        yield BrakeRecord(stamp, brake, False)
+        yield BrakeRecord(stamp, brake, brake < 0.0)
 
 
 def regress(trips: Sequence[Trip]) -> Regression:
@@ -302,7 +305,8 @@ def measure(folder: Path | str = FOLDER, algorithm: str = '') -> tuple[Table, ..
     for season, letter, reference in _SEASONS:
         trips = [load_trip(folder, name) for name in trip_names(folder, letter)]
         regression, found = regress(trips), identify(trips, algorithm)
-        rows.append(_row(season, reference, regression, found))
+        halves = regress(trips[: len(trips) // 2]), regress(trips[len(trips) // 2 :])
+        rows.append(_row(season, reference, regression, halves, found))
         for name, (force, std) in found.trips.items():
             mass = regression.masses.get(name, math.nan)
             trip_rows.append((name, f'{force:.0f} ± {std:.0f}', f'{mass:.0f}'))
@@ -310,6 +314,7 @@ def measure(folder: Path | str = FOLDER, algorithm: str = '') -> tuple[Table, ..
         'season',
         'reference, N',
         'regression, N',
+        'of the halves, N',
         f'{algorithm}, N',
         'force scale',
         'to VALID, min',
@@ -324,12 +329,15 @@ def measure(folder: Path | str = FOLDER, algorithm: str = '') -> tuple[Table, ..
     return Table('Measured car', header, tuple(rows), note), Table('By trip', trip_header, tuple(trip_rows))
 
 
-def _row(season: str, reference: float, regression: Regression, found: Outcome) -> tuple[str, ...]:
+def _row(
+    season: str, reference: float, regression: Regression, halves: tuple[Regression, ...], found: Outcome
+) -> tuple[str, ...]:
     scale, std = found.scale
     return (
         season,
         f'{reference:.0f}',
         f'{regression.force:.0f} ± {regression.std:.0f}',
+        ', '.join(f'{half.force:.0f} ± {half.std:.0f}' for half in halves),
         f'{found.force:.0f} ± {found.std:.0f}',
         '-' if math.isnan(scale) else f'{scale:.3f} ± {std:.3f}',
         '-' if math.isinf(found.to_valid) else f'{found.to_valid:.1f}',

@@ -12,6 +12,7 @@ from benchmarks.measured_car import (
     FOLDER,
     MASS,
     gradient,
+    identify,
     load_trip,
     records,
     regress,
@@ -83,8 +84,12 @@ def test_records_contain_speed_force_gradient_and_a_brake_command_while_the_peda
     assert speeds[10].stamp_ns - speeds[0].stamp_ns == NS_PER_S
     forces = [record.force for record in found if isinstance(record, ForceRecord)]
     assert forces[0] == pytest.approx(wheel_force(np.array([trip.force[0] * 0.3397 / 9.665]))[0])
-    brakes = np.array([record.target_acceleration for record in found if isinstance(record, BrakeRecord)])
+    commands = [record for record in found if isinstance(record, BrakeRecord)]
+    brakes = np.array([record.target_acceleration for record in commands])
     assert np.array_equal(brakes < 0.0, ~trip.pedal)
+    assert all(
+        record.emergency == (record.target_acceleration < 0.0) for record in found if isinstance(record, BrakeRecord)
+    )
     assert 0.15 < np.mean(brakes < 0.0) < 0.25
     assert sum(isinstance(record, GradientRecord) for record in found) == trip.speed.size
 
@@ -94,6 +99,19 @@ def test_regression_recovers_resistance_and_mass(folder: Path) -> None:
     assert found.force == pytest.approx(150.0 + 40.0 + 140.0, abs=15.0)
     assert found.masses['TripB02'] == pytest.approx(EFFECTIVE, rel=0.03)
     assert found.windows > 50
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(('season', 'reference'), [('A', 312.0), ('B', 421.0)])
+def test_the_estimate_of_a_season_is_that_of_the_regression(season: str, reference: float) -> None:
+    if not (FOLDER / 'trips.csv').is_file():
+        pytest.skip(f'the measured trips are not in {FOLDER}: they are not part of the repository')
+    trips = [load_trip(FOLDER, name) for name in trip_names(FOLDER, season)]
+    found = identify(trips, 'filter-bank')
+    assert found.force == pytest.approx(reference, rel=0.1)
+    assert found.to_valid < 30.0
+    for half in (trips[: len(trips) // 2], trips[len(trips) // 2 :]):
+        assert abs(regress(half).force - found.force) < 1.96 * found.std
 
 
 @pytest.mark.parametrize(('season', 'reference'), [('A', 312.0), ('B', 421.0)])
