@@ -1,10 +1,11 @@
 # SPDX-License-Identifier: Apache-2.0
-"""One MCAP file, read without trust in its index or its contents.
+"""One MCAP file, read without trust in its contents.
 
-The file is scanned once when it is opened: every chunk is unpacked and checked, so damage is known
-before the first message is handed out and counts are exact. Damaged pieces are left out, and each is named.
-What stays in memory is where each message starts in its chunk; the chunks are read again, one by one, when
-they are asked for.
+The file is scanned once when it is opened: damage is known before the first message is handed out. Damaged pieces are
+left out, and each is named. A chunk is unpacked and checked, unless the index of the file says that few of its bytes
+are of needed topics, as beside cameras, and agrees with the records it points to: then only those are read, and
+a checksum of the whole chunk cannot be checked. What stays in memory is where each message starts; the chunks are
+read again, one by one, when they are asked for.
 
 Record layout: MCAP specification, https://mcap.dev/spec.
 """
@@ -22,13 +23,15 @@ import numpy as np
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, Schema, Statistics
+from mcap.records import Channel, ChunkIndex, Schema, Statistics
 
 from trainid_ros.bag.chunk import MAX_CHUNK, MAX_HEAD, DamageError, read_head, unpack, unpack_start
+from trainid_ros.bag.chunk_contents import indexed_contents
 from trainid_ros.bag.record_file import HEAD, MAGIC, MESSAGE_BYTES, Record, RecordFile, values_at
 from trainid_ros.errors import InputError
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
     from pathlib import Path
 
     from numpy.typing import NDArray
@@ -78,12 +81,22 @@ class Piece(NamedTuple):
 
 @dataclass(frozen=True, slots=True)
 class Segment:
-    """A piece of the file with messages: their log times, and where they start."""
+    """A piece of the file with messages.
+
+    Attributes:
+        piece: Where it lies.
+        first_ns: Their first log time.
+        last_ns: Their last log time.
+        starts: Where their records start, without opcode and length, in the bytes that are read.
+        runs: Offset in the file and length of what is read, none for all of the piece.
+
+    """
 
     piece: Piece
     first_ns: int
     last_ns: int
     starts: NDArray[np.uint32]
+    runs: tuple[tuple[int, int], ...] = ()
 
 
 class McapFile:
@@ -94,18 +107,23 @@ class McapFile:
         channels: Channels by number.
         schemas: Message definitions by number.
         counts: Number of messages by channel number.
-        segments: Pieces of the file that hold messages, in file order.
+        segments: Pieces of the file that hold messages of needed topics, in file order.
+        first_ns: First log time [ns], 0 without messages.
+        last_ns: Last log time [ns].
         promised: Number of messages that the file states, None if it does not.
         warnings: What is wrong with the file although it can be read.
 
     """
 
-    def __init__(self, path: Path, max_chunk: int = MAX_CHUNK) -> None:
+    def __init__(
+        self, path: Path, max_chunk: int = MAX_CHUNK, is_needed: Callable[[str], bool] = lambda _: True
+    ) -> None:
         """Open and scan a file.
 
         Args:
             path: The file.
             max_chunk: Largest chunk to unpack, and largest message outside chunks to read [bytes].
+            is_needed: Whether the messages of a topic are needed; others may be left out.
 
         Raises:
             InputError: If it is not MCAP, is empty, or nothing of it can be used.
@@ -116,10 +134,13 @@ class McapFile:
         self.schemas: dict[int, Schema] = {}
         self.counts: Counter[int] = Counter()
         self.segments: list[Segment] = []
+        self.first_ns = self.last_ns = 0
         self.promised: int | None = None
         self.warnings: list[str] = []
         self._spare_channels: dict[int, Channel] = {}
         self._spare_schemas: dict[int, Schema] = {}
+        self._indexes: dict[int, ChunkIndex] = {}
+        self._is_needed = is_needed
         self._max_chunk = max_chunk
         self._unpacked = 0
         self._all_checked = self._chunked = False
@@ -148,7 +169,11 @@ class McapFile:
 
         """
         try:
-            return _block(self._load(segment.piece), segment.starts.astype(np.intp))
+            if segment.runs:
+                data = b''.join(self._file.read(offset, length) for offset, length in segment.runs)
+            else:
+                data = self._load(segment.piece)
+            return _block(data, segment.starts.astype(np.intp))
         except (DamageError, IndexError):
             self._fail('has changed while it was read')
 
@@ -166,7 +191,7 @@ class McapFile:
         if file.is_closed:
             self._read_summary()
         reached, last = self._scan_records()
-        if file.is_closed and self._losses and not self.segments:
+        if file.is_closed and self._losses and not self.counts:
             self._fail(f'nothing of it can be used: {self._losses[0]}')
         self._report_losses()
         if not file.is_closed:
@@ -196,11 +221,14 @@ class McapFile:
         self._lost_bytes += end - start
 
     def _read_summary(self) -> None:
-        """Note what the summary repeats of definitions, in case that those before the messages are lost."""
+        """Note the index, and what is repeated of definitions, in case that those before the messages are lost."""
         for opcode, content in self._file.summary():
             try:
                 if opcode in _DEFINITIONS:
                     _define(opcode, content, self._spare_schemas, self._spare_channels)
+                elif opcode == Opcode.CHUNK_INDEX:
+                    index = ChunkIndex.read(ReadDataStream(BytesIO(content)))
+                    self._indexes[index.chunk_start_offset] = index
                 elif opcode == Opcode.STATISTICS:
                     self.promised = Statistics.read(ReadDataStream(BytesIO(content))).message_count
             except _UNREADABLE:
@@ -238,8 +266,36 @@ class McapFile:
         if record.opcode != Opcode.CHUNK:
             return self._follow(record, record.offset + 1)
         self._chunked = True
+        if end := self._take_indexed(record):
+            return end
         self._take(Piece(record.offset, record.end, is_chunk=True))
         return self._follow(record, record.end)
+
+    def _take_indexed(self, chunk: Record) -> int:
+        """Take in a chunk by the index of the file; return where its index ends, 0 if all of it must be read."""
+        index = self._indexes.get(chunk.offset)
+        contents = indexed_contents(self._file, chunk, index, self._is_channel_needed)
+        if index is None or contents is None or self._file.record(contents.end) is None:
+            return 0
+        for number in contents.counts:
+            self._use_spare(number)
+        self.counts.update(contents.counts)
+        first_ns, last_ns = index.message_start_time, index.message_end_time
+        self._span(first_ns, last_ns)
+        if contents.runs:
+            piece = Piece(chunk.offset, chunk.end, is_chunk=True)
+            starts = np.array(contents.starts, dtype=np.uint32)
+            self.segments.append(Segment(piece, first_ns, last_ns, starts, contents.runs))
+        return contents.end
+
+    def _is_channel_needed(self, number: int) -> bool:
+        channel = self._spare_channels.get(number)
+        return channel is None or self._is_needed(channel.topic)
+
+    def _span(self, first_ns: int, last_ns: int) -> None:
+        """Extend the log times."""
+        self.first_ns = min(self.first_ns, first_ns) if self.last_ns else first_ns
+        self.last_ns = max(self.last_ns, last_ns)
 
     def _follow(self, record: Record, begin: int) -> int:
         """Return where a record ends; if none follows there but one begins before, where that one starts."""
@@ -305,6 +361,7 @@ class McapFile:
         block = _block(data, starts)
         self.counts.update(dict(enumerate(np.bincount(block.channel).tolist())))
         first, last = int(block.log_ns.min()), int(block.log_ns.max())
+        self._span(first, last)
         self.segments.append(Segment(piece, first, last, starts.astype(np.uint32)))
 
     def _use_spare(self, number: int) -> bool:

@@ -119,6 +119,8 @@ class BagReader:
         # Messages by topic that could not be read the last time.
         self._unreadable: Counter[str] = Counter()
         self._prefix = f'/{namespace.strip("/")}/'.replace('//', '/')
+        # Names in the mapping by full name.
+        self._mapped = {self._full(source.topic): source.topic for source in self.mapping.sources}
         self._files: list[McapFile] = []
         self._sources: list[dict[int, _Source]] = []
 
@@ -133,7 +135,7 @@ class BagReader:
         self._damage = list(located.warnings)
         try:
             for path in located.files:
-                self._files.append(McapFile(path, self._max_chunk))
+                self._files.append(McapFile(path, self._max_chunk, self._is_needed))
             hashes = dict(located.hashes)
             self._sources = [self._check_types(file, hashes) for file in self._files]
         except BaseException:
@@ -184,10 +186,10 @@ class BagReader:
 
     def time_range(self) -> tuple[int, int] | None:
         """Return the first and the last log time [ns], None for a bag without messages."""
-        segments = [segment for file in self._files for segment in file.segments]
-        if not segments:
+        files = [file for file in self._files if file.counts]
+        if not files:
             return None
-        return min(segment.first_ns for segment in segments), max(segment.last_ns for segment in segments)
+        return min(file.first_ns for file in files), max(file.last_ns for file in files)
 
     def topics(self) -> tuple[TopicSummary, ...]:
         """Return all topics by name; a topic written in several types is listed once for each."""
@@ -372,13 +374,16 @@ class BagReader:
         # A name outside the namespace keeps its slash, so that it is nobody's input: two trains may share a bag.
         return self._full(name, '/').removeprefix(self._prefix)
 
+    def _is_needed(self, name: str) -> bool:
+        """Return whether messages of a topic are read."""
+        return self._topic(name) in _OURS or self._full(name, '/') in self._mapped
+
     def _check_types(self, file: McapFile, hashes: dict[str, str]) -> dict[int, _Source]:
         """Return the channels of our topics; raise InputError for a type that is not the one of the interface."""
         sources = {}
-        mapped = {self._full(source.topic): source.topic for source in self.mapping.sources}
         for number, channel in file.channels.items():
             topic = self._topic(channel.topic)
-            if (foreign := mapped.get(self._full(channel.topic, '/'))) is not None:
+            if (foreign := self._mapped.get(self._full(channel.topic, '/'))) is not None:
                 _check_encoding(channel, f'{file.path}: topic {channel.topic}')
                 sources[number] = _Source(foreign, _schema_name(file, number), _stored_type(file, number))
                 continue
