@@ -202,7 +202,7 @@ def test_pipelines_restored_at_the_same_record_share_their_stream_again(metro: T
         (('stream', 'aligner', 'newest_ns'), -1, 'stamps'),
         (('stream', 'history', 'motion', 'distance_run'), -1.0, 'history'),
         (('stream', 'stop_position'), math.inf, 'stop_position'),
-        (('stream', 'stuck_missing'), 1e300, 'stuck_speed'),
+        (('stream', 'stuck', 'missing'), 1e300, 'stuck'),
         (('stream', 'skipped'), [{'brake_changes': [{'stamp_ns': 1, 'target_acceleration': 1.0}]}], 'skipped'),
     ],
 )

@@ -72,7 +72,7 @@ def test_a_cut_of_traction_is_answered_by_the_speed_and_a_spike_towards_zero_is_
 @pytest.mark.parametrize('height', [30.0, -100.0])
 def test_reports_beyond_their_neighbours_are_spikes_whatever_the_speed_does(height: float) -> None:
     assert reported(height, answer=math.nan, count=2).is_suspected
-    assert reported(height, answer=math.nan, count=3).finding == 'ato/force has spikes'
+    assert reported(height, answer=math.nan, count=6).finding == 'ato/force has spikes'
 
 
 def test_spikes_towards_zero_that_the_noise_of_the_speed_hides_or_while_a_brake_acts_are_no_evidence() -> None:
@@ -106,7 +106,7 @@ def test_named_spikes_are_over_after_a_while() -> None:
 
 def followed(values: Sequence[float], *, calm_s: float = 0.0, dt: float = 0.2) -> ExcursionCheck:
     """Return the check after some values."""
-    check = ExcursionCheck('ato/gradient', 5.0, calm_s)
+    check = ExcursionCheck('ato/gradient', 5.0, 0.65, calm_s)
     for value in values:
         check.add(value, dt)
     return check

@@ -25,7 +25,7 @@ def test_the_slope_is_that_of_the_regression_through_the_origin() -> None:
 def test_few_or_noisy_blocks_give_no_slope(slope: Slope) -> None:
     assert not slope.is_known
     slope.finding = 'as before'
-    slope.judge_traction(0.0)
+    slope.judge_traction(0.0, 4.0)
     assert slope.finding == 'as before'
 
 
@@ -35,14 +35,14 @@ def test_few_or_noisy_blocks_give_no_slope(slope: Slope) -> None:
 )
 def test_a_wrong_slope_is_named_by_its_size(factor: float, text: str) -> None:
     slope = learned(factor, noise=1.0 + abs(factor))
-    slope.judge_traction(0.0)
+    slope.judge_traction(0.0, 4.0)
     assert text in slope.finding
     assert bool(slope.finding) == bool(text)
 
 
 def test_a_small_traction_says_nothing_since_map_and_resistance_are_off_by_as_much() -> None:
     slope = learned(2.5, noise=0.1, x=6.0)
-    slope.judge_traction(0.0)
+    slope.judge_traction(0.0, 4.0)
     assert slope.finding == ''
 
 
@@ -67,10 +67,10 @@ def test_a_few_blocks_that_are_off_do_not_count_and_many_in_a_row_do() -> None:
 
 def test_a_wrong_slope_is_forgotten_soon_when_it_is_mended() -> None:
     slope = learned(-1.0, noise=1.0)
-    slope.judge_traction(0.0)
+    slope.judge_traction(0.0, 4.0)
     count = 0
     while slope.finding:
         slope.add(60.0, 60.0)
-        slope.judge_traction(0.0)
+        slope.judge_traction(0.0, 4.0)
         count += 1
     assert 6 < count < 60

@@ -6,9 +6,11 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from trainid_ros.estimators.known_force import KnownForce
+from trainid_ros.estimators.speed_noise import SpeedNoise
 from trainid_ros.results import Reason, Rejection
 from trainid_ros.stream.samples import Sample
 from trainid_ros.stream.stuck_speed import StuckSpeed
@@ -19,8 +21,12 @@ Make = Callable[..., Sample]
 
 
 def rejections(train_file: TrainFile, samples: list[Sample]) -> list[Rejection | None]:
-    detector = StuckSpeed(KnownForce(train_file))
-    return [detector.reject(item) for item in samples]
+    detector, noise = StuckSpeed(KnownForce(train_file)), SpeedNoise.declared(0.025)
+    found = []
+    for item in samples:
+        found.append(detector.reject(item, noise))
+        noise.add(item.speed, item.dt)
+    return found
 
 
 def test_a_speed_unaffected_by_the_brake_is_rejected_once_half_a_metre_per_second_is_missing(
@@ -55,3 +61,27 @@ def test_a_steady_cruise_and_a_held_train_are_accepted(train_file: TrainFile, sa
         for i, item in enumerate(sample(k + 1, speed=12.0, brake_command=-0.8) for k in range(50))
     ]
     assert not any(rejections(train_file, cruise + held + noisy))
+
+
+def cruise(sample: Make, rng: np.random.Generator, std: float, quantum: float, count: int = 200) -> list[Sample]:
+    """Return samples of a cruise at 12 m/s with noise and steps of the speed [m/s]."""
+    speeds = 12.0 + std * rng.standard_normal(count)
+    return [sample(k + 1, speed=float(round(v / quantum) * quantum)) for k, v in enumerate(speeds)]
+
+
+@pytest.mark.parametrize(('quantum', 'most'), [(1e-6, 5), (0.01, 9)])
+def test_a_noisy_speed_that_repeats_is_stuck(train_file: TrainFile, sample: Make, quantum: float, most: int) -> None:
+    noisy = cruise(sample, np.random.default_rng(1), 0.03, quantum)
+    stuck = [sample(201 + k, speed=12.0) for k in range(40)]
+    found = rejections(train_file, [*noisy, *stuck])
+    first = next(k for k, item in enumerate(found) if item is not None) - len(noisy)
+    assert most - 3 <= first <= most + 6
+
+
+@pytest.mark.parametrize(('std', 'quantum'), [(0.03, 0.1), (0.0, 0.05), (0.1, 0.2)])
+def test_a_speed_in_coarse_steps_may_repeat(train_file: TrainFile, sample: Make, std: float, quantum: float) -> None:
+    davis = train_file.resistance
+    pull = (davis.a + 12.0 * davis.b + 144.0 * davis.c) * train_file.train.mass * G / 1000.0
+    noisy = cruise(sample, np.random.default_rng(1), std, quantum, 1000)
+    held = [replace(item, speed=12.0) for item in noisy[:100]]
+    assert not any(rejections(train_file, [replace(s, force=pull, force_mean=pull) for s in [*noisy, *held]]))

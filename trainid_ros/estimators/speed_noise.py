@@ -83,6 +83,12 @@ class SpeedNoise:
         return math.sqrt(self.variance)
 
     @property
+    def is_seen(self) -> bool:
+        """True if the measurements show noise, as those of an ideal simulator do not."""
+        low = _LOWEST * self.declared_std
+        return self.learned > 2.0 * low * low
+
+    @property
     def rounding(self) -> float:
         """Variance of the rounding of a single sample that gives all of them together their true weight [(m/s)^2]."""
         if self.changed == 1.0:  # no speed was repeated: the steps are those of an accelerating train

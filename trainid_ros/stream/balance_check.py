@@ -6,12 +6,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-# Memory of sudden residuals [blocks].
+# Memory of sudden residuals [blocks], and their limit at the start [N/kN].
 SUDDEN_MEMORY: Final = 4.0
+_FIRST_LIMIT: Final = 10.0
 # Mean residual over a longer time that no resistance explains [N/kN], share of the resistance added [1], and memory
 # [blocks].
-_MEAN: Final = 10.0
-_MEAN_SHARE: Final = 0.5
+_MEAN: Final = 6.0
+_MEAN_SHARE: Final = 1.0
 _MEMORY: Final = 60.0
 # Share of that limit beyond which the mean is suspected [1].
 _SUSPECTED: Final = 0.5
@@ -37,7 +38,7 @@ class BalanceCheck:
 
     finding: str = ''
     residual: float = 0.0
-    limit: float = _MEAN
+    limit: float = _FIRST_LIMIT
     mean: float = 0.0
     resistance: float = 0.0
     drift: float = 0.0

@@ -8,13 +8,15 @@ from dataclasses import dataclass
 from typing import Final
 
 # Error of the gradient that the topic may have against the line [per mille], and multiple of its stated std added.
-_ERROR: Final = 1.0
-_STDS: Final = 6.0
+_ERROR: Final = 0.3
+_STDS: Final = 2.5
 # Memory [blocks]; number of blocks before anything is found.
 _MEMORY: Final = 300.0
 _LEAST: Final = 60.0
-# Share of the mean square of the line's gradient that the error may have [1]: it is 1 if they are unrelated.
+# Share of the mean square of the line's gradient that the error may have [1]: it is 1 if they are unrelated. Multiple
+# of the limit that the error may have besides where the position is off [1].
 _SHARE: Final = 0.6
+_SCATTER: Final = 3.0
 # Memory of sudden errors [blocks]; they exceed this [per mille] and this multiple of the usual deviation.
 _SHORT: Final = 4.0
 _SUDDEN: Final = 0.8
@@ -26,7 +28,7 @@ _LEARNED_SIGMAS: Final = 3.0
 _SUDDEN_BLOCKS: Final = 6
 # Blocks that agree before a finding is over; on a flat line they count less, since signs and units do not show there.
 _MENDED: Final = 20.0
-_FLAT: Final = 2.0
+_FLAT: Final = 6.0
 _FLAT_WEIGHT: Final = 0.25
 
 
@@ -39,6 +41,7 @@ class LineCheck:
         count: Number of gradients compared, with forgetting.
         offset: Mean error.
         square: Mean square error.
+        scatter: Mean square error against the line nearby.
         steepness: Mean square of the gradient of the line.
         lately: Mean error against the line nearby over a short time.
         off: Number of blocks in a row that are suddenly off.
@@ -51,6 +54,7 @@ class LineCheck:
     count: float = 0.0
     offset: float = 0.0
     square: float = 0.0
+    scatter: float = 0.0
     steepness: float = 0.0
     lately: float = 0.0
     off: int = 0
@@ -73,8 +77,8 @@ class LineCheck:
             std: Stated std of the line.
 
         """
-        error = gradient - expected
-        self.lately += (gradient - min(max(gradient, least), most) - self.lately) / _SHORT
+        error, nearby = gradient - expected, gradient - min(max(gradient, least), most)
+        self.lately += (nearby - self.lately) / _SHORT
         self.limit = _ERROR + _STDS * std
         deviation = math.sqrt(max(self.square - self.offset * self.offset, 0.0))
         sudden = _SUDDEN + _SUDDEN_SIGMAS * deviation
@@ -84,14 +88,15 @@ class LineCheck:
             usual = _LEARNED + _LEARNED_SIGMAS * deviation
             error = min(max(error, self.offset - usual), self.offset + usual)
         if not is_sudden:
-            self._learn(error, expected)
+            self._learn(error, min(abs(nearby), abs(error)), expected)
         self._judge(expected)
 
-    def _learn(self, error: float, expected: float) -> None:
+    def _learn(self, error: float, nearby: float, expected: float) -> None:
         self.count += 1.0 - self.count / _MEMORY
         share = 1.0 / self.count
         self.offset += share * (error - self.offset)
         self.square += share * (error * error - self.square)
+        self.scatter += share * (nearby * nearby - self.scatter)
         self.steepness += share * (expected * expected - self.steepness)
 
     def _judge(self, expected: float) -> None:
@@ -99,7 +104,7 @@ class LineCheck:
             self.finding = f'ato/gradient is suddenly {self.lately:+.1f} per mille off the line'
         elif self.count >= _LEAST and abs(self.offset) > self.limit:
             self.finding = f'ato/gradient is about {self.offset:+.1f} per mille off the line of the train file'
-        elif self.count >= _LEAST and self.square > _SHARE * self.steepness + self.limit * self.limit:
+        elif self.count >= _LEAST and self.scatter > _SHARE * self.steepness + (_SCATTER * self.limit) ** 2:
             self.finding = 'ato/gradient does not follow the line of the train file'
         elif self.finding:
             weight = 1.0 if abs(expected) > _FLAT * self.limit else _FLAT_WEIGHT

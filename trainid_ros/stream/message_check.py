@@ -62,8 +62,7 @@ _SPIKE_MEMORY_S: Final = 30.0
 _NO_SPIKES: Final = 1.0
 # Spikes after which more are suspected.
 _SUSPECTED: Final = 1.5
-# Longest spike [s], and difference of the values before and after it as a share of its height [1].
-_LONGEST_S: Final = 0.65
+# Difference of the values before and after a spike as a share of its height [1].
 _SAME: Final = 0.3
 
 
@@ -74,7 +73,9 @@ class ExcursionCheck:
     Attributes:
         topic: Topic of the values.
         height: Least height of a spike, in the unit of the values.
+        longest_s: Longest time of a spike [s].
         calm_s: Time for which the level must have held before [s]: what alternates has no spikes.
+        direction: -1 if spikes are below the level only, 0 if on both sides.
         finding: What is wrong, empty if nothing is.
         level: The last value outside a spike.
         held_s: Time for which it has held [s].
@@ -86,7 +87,9 @@ class ExcursionCheck:
 
     topic: str
     height: float
+    longest_s: float
     calm_s: float = 0.0
+    direction: float = 0.0
     finding: str = ''
     level: float = 0.0
     held_s: float = 0.0
@@ -120,10 +123,10 @@ class ExcursionCheck:
 
     def _follow(self, value: float) -> None:
         distance = abs(value - self.level)
-        returns = distance < _SAME * self.peak and self.left_s <= _LONGEST_S
-        if self.peak > 0.0 and not returns and self.left_s <= _LONGEST_S:
+        returns = distance < _SAME * self.peak and self.left_s <= self.longest_s
+        if self.peak > 0.0 and not returns and self.left_s <= self.longest_s:
             self.peak = max(self.peak, distance)
-        elif self.peak == 0.0 and distance > self.height and self.held_s >= self.calm_s:
+        elif self.peak == 0.0 and self._is_left(value):
             self.peak, self.left_s = distance, 0.0
         else:  # back from a spike, or on a new level
             self.spikes += 1.0 if returns else 0.0
@@ -131,20 +134,31 @@ class ExcursionCheck:
                 self.held_s = 0.0
             self.level, self.peak = value, 0.0
 
+    def _is_left(self, value: float) -> bool:
+        """Return whether a value may be the first one of a spike."""
+        excess = value - self.level
+        return abs(excess) > self.height and self.held_s >= self.calm_s and excess * self.direction >= 0.0
 
-# A single report of the force stands out by this [N/kN]; its neighbours, and those before, agree to this share of its
-# height [1].
-_SPIKE: Final = 15.0
+
+# A report of the force stands out by this [N/kN]; those before and after it agree to this share of its height [1].
+_SPIKE: Final = 12.0
 _SPIKE_BASE: Final = 0.3
 # Log-likelihood that the force was wrong rather than traction cut for a moment, as slip protection does: limit of the
-# sum (e^4 = 55 to 1), most of one spike. A cut is towards zero, and the speed answers to it.
+# sum (e^4 = 55 to 1), most of one spike by the speed, memory [s]. A cut is towards zero, and the speed answers to it;
+# traction hardly rises for a moment, but may where a controller knows two steps only.
 _EVIDENCE: Final = 4.0
 _MOST_EVIDENCE: Final = 2.0
+_NO_CUT: Final = 1.0
+_EVIDENCE_MEMORY_S: Final = 120.0
+# Samples after which a spike is out of those that are compared.
+_SAMPLES: Final = 3
 
 
 @dataclass(slots=True)
 class SpikeCheck:
     """Single reports of the force that stand out, and are no short cuts of traction.
+
+    Brought to the stamps of the speed, a report shows in up to two samples; those before and after them are compared.
 
     Attributes:
         finding: What is wrong, empty if nothing is.
@@ -152,8 +166,12 @@ class SpikeCheck:
         before: The one before.
         earlier: The one before that.
         area: Integral of the force over the last interval [N/kN s].
-        answer: Integral of the force by the change of the speed over it [N/kN s], NaN if that is not known.
-        dt: Its length [s].
+        area_before: That over the one before.
+        answer: Integral of the force by the change of the speed over the last interval [N/kN s], NaN if not known.
+        answer_before: That over the one before.
+        dt: Length of the last interval [s].
+        dt_before: That of the one before.
+        passed: Number of samples since the last spike, up to those that may still hold it.
         spikes: Number of spikes, with forgetting.
         evidence: Log-likelihood of spikes against cuts of traction, with forgetting.
 
@@ -164,8 +182,12 @@ class SpikeCheck:
     before: float = 0.0
     earlier: float = 0.0
     area: float = 0.0
+    area_before: float = 0.0
     answer: float = math.nan
+    answer_before: float = math.nan
     dt: float = 0.0
+    dt_before: float = 0.0
+    passed: int = 0
     spikes: float = 0.0
     evidence: float = 0.0
 
@@ -190,31 +212,40 @@ class SpikeCheck:
             dt: Time since the last sample [s].
 
         """
-        force = self.last if math.isnan(force) else force
-        keep = math.exp(-dt / _SPIKE_MEMORY_S)
-        self.spikes *= keep
-        self.evidence *= keep
-        rise, fall = self.last - self.before, self.last - force
-        uneven = max(abs(force - self.before), abs(self.before - self.earlier))
-        if min(abs(rise), abs(fall)) > _SPIKE and uneven < _SPIKE_BASE * abs(fall):
-            base, both_s = 0.5 * (self.before + force), self.dt + dt
-            if min(self.last * base, (base - self.last) * base) < 0.0:  # beyond its neighbours, or on the other side
-                self._count(_MOST_EVIDENCE)
-            else:
-                self._judge(self.area + mean * dt - base * both_s, self.answer + answer - base * both_s, std)
-        self.earlier, self.before, self.last = self.before, self.last, force
-        self.area, self.answer, self.dt = mean * dt, answer, dt
+        earlier, before, last = self.earlier, self.before, self.last
+        force = last if math.isnan(force) else force
+        self.spikes *= math.exp(-dt / _SPIKE_MEMORY_S)
+        self.evidence *= math.exp(-dt / _EVIDENCE_MEMORY_S)
+        self.passed = min(self.passed + 1, _SAMPLES)
+        peak = before if abs(before - earlier) > abs(last - earlier) else last
+        height = abs(peak - earlier)
+        if height > _SPIKE and abs(force - earlier) < _SPIKE_BASE * height and self.passed == _SAMPLES:
+            base = 0.5 * (earlier + force)
+            rest = base * (self.dt_before + self.dt + dt)
+            area = self.area_before + self.area + mean * dt - rest
+            self._judge(peak, base, area, self.answer_before + self.answer + answer - rest, std)
+            self.passed = 0
+        self.earlier, self.before, self.last = before, last, force
+        self.area_before, self.area = self.area, mean * dt
+        self.answer_before, self.answer = self.answer, answer
+        self.dt_before, self.dt = self.dt, dt
         if self.spikes > _SPIKES and self.evidence > _EVIDENCE:
             self.finding = 'ato/force has spikes'
         elif self.spikes < _NO_SPIKES:
             self.finding = ''
 
-    def _judge(self, area: float, answer: float, std: float) -> None:
-        """Count a cut by its area and the answer of the speed [N/kN s]: 0, or all of the area, with the same std."""
+    def _judge(self, peak: float, base: float, area: float, answer: float, std: float) -> None:
+        """Count a peak on a base [N/kN] by its area and the answer of the speed: 0, or all of the area."""
+        evidence = 0.0
+        if min(peak * base, (base - peak) * base) < 0.0:  # beyond its neighbours, or on the other side: no cut
+            evidence = _NO_CUT
         if not math.isnan(area + answer):
-            evidence = area * (0.5 * area - answer) / (std * std)
-            self._count(min(max(evidence, -_MOST_EVIDENCE), _MOST_EVIDENCE))
+            by_speed = area * (0.5 * area - answer) / (std * std)
+            evidence += min(max(by_speed, -_MOST_EVIDENCE), _MOST_EVIDENCE)
+        elif evidence == 0.0:
+            return
+        self._count(evidence)
 
     def _count(self, evidence: float) -> None:
         self.spikes += 1.0
-        self.evidence += evidence
+        self.evidence = max(self.evidence + evidence, -_EVIDENCE)

@@ -20,6 +20,7 @@ import math
 from typing import Final
 
 from trainid_ros.estimators.known_force import KnownForce
+from trainid_ros.estimators.speed_noise import SpeedNoise
 from trainid_ros.results import Reason, Rejection
 from trainid_ros.scalars import is_finite
 from trainid_ros.state import decode, encode
@@ -36,6 +37,8 @@ _BLOCK_S: Final = 0.5
 # Slower trains may stand or shunt [m/s]. A command below this brakes [m/s^2].
 _MIN_SPEED: Final = 1.0
 _BRAKING: Final = -0.02
+# Change of a command that a brake need not follow [m/s^2].
+_STEADY: Final = 0.02
 # Residual that no resistance explains [N/kN], and shares of traction and brake added to it [1].
 _SUDDEN: Final = 12.0
 _SUDDEN_TRACTION: Final = 0.4
@@ -86,6 +89,11 @@ class PlausibilityMonitor:
     def restore(self, state: PlausibilityState) -> None:
         """Continue from a copy of a saved, valid state."""
         self.state = decode(encode(state), PlausibilityState)
+
+    @property
+    def noise(self) -> SpeedNoise:
+        """Noise of the speed."""
+        return self.state.noise
 
     @property
     def finding(self) -> str:
@@ -186,6 +194,7 @@ class PlausibilityMonitor:
         if sample.speed < _MIN_SPEED:  # the command may do anything while the train is held
             state.commands.reversals = 0.0
         state.held_s += dt
+        state.steady_s = state.steady_s + dt if abs(state.commands.command - before) < _STEADY else 0.0
         if (state.commands.command < _BRAKING) != (before < _BRAKING):
             state.held_s, state.has_alternated = 0.0, True
 
@@ -233,36 +242,40 @@ class PlausibilityMonitor:
         state, inertia, seconds = self.state, self._known.inertia, block.seconds
         y, traction = block.answer / seconds, block.traction / seconds
         noise = inertia * max(_SIGMAS * state.noise.std, state.noise.quantum) / seconds
+        resistance = davis(self._known.train_file.resistance, sample.speed)
         if block.kind == RELEASED:
             limit = _SUDDEN + _SUDDEN_TRACTION * abs(traction)
             state.balance.add(y - traction, limit + noise / SUDDEN_MEMORY)
             state.traction.take(y, traction, limit + noise)
-            state.traction.judge_traction(noise)
-            state.confirmed = state.confirmed or (state.traction.is_known and not state.traction.finding)
-            self._close_released(sample, y, traction, limit + noise, seconds)
+            state.traction.judge_traction(noise, resistance)
+            state.confirmed = state.confirmed or state.traction.is_plausible
+            self._close_released(y, traction, limit + noise, seconds, resistance)
             return
         brake = inertia * self._known.train_file.brake.rate_at(sample.speed) * block.command / seconds
         limit = _SUDDEN + _SUDDEN_BRAKE * abs(brake)
         state.balance.add(y - brake, limit + noise / SUDDEN_MEMORY)
         state.brake.take(y, brake, limit + noise)
-        self._judge_brake(noise)
+        self._judge_brake(noise, resistance)
+        if state.steady_s > self._followed_s + _BLOCK_S:
+            state.effort.add(traction, brake)
+            state.effort.judge_effort(state.brake)
         if traction > _DRIVING:
             state.balance.contradict()
 
-    def _judge_brake(self, noise: float) -> None:
+    def _judge_brake(self, noise: float, resistance: float) -> None:
         """Judge the slope of the brake; a command that is stuck agrees by chance while a driver brakes as much."""
         state = self.state
         before = state.brake.finding
-        state.brake.judge_brake(noise)
+        state.brake.judge_brake(noise, resistance)
         if not before:
             state.has_alternated = not state.brake.finding
         elif not state.has_alternated:
             state.brake.finding = state.brake.finding or before
 
-    def _close_released(self, sample: Sample, y: float, x: float, limit: float, seconds: float) -> None:
-        """Take in acceleration y, traction x and the limit of the residual [N/kN] of a block without brake."""
+    def _close_released(self, y: float, x: float, limit: float, seconds: float, resistance: float) -> None:
+        """Take in acceleration y, traction x, the limit of the residual and w(v) [N/kN] of a block without brake."""
         state, residual = self.state, y - x
-        change, resistance = state.change, davis(self._known.train_file.resistance, sample.speed)
+        change = state.change
         state.balance.add_released(min(max(y - change.gain * x, -limit), limit), change.offset, resistance)
         # Slip of the wheels is no step of the traction.
         most = _SLIP * limit

@@ -22,10 +22,12 @@ _SPEED_STD: Final = 0.025
 # traction may be rare.
 _SUSPECTED_S: Final = 900.0
 
-# Height of a spike of the gradient [per mille], which as the mean under a train cannot change for a moment. The same of
-# the brake command [m/s^2], which holds or changes for longer than a moment, and time for which it has held before [s].
+# Height [per mille] and longest time [s] of a spike of the gradient, which as the mean under a train cannot change for
+# a moment. The same of the brake command [m/s^2, s], and time for which it has held before [s].
 _GRADIENT_SPIKE: Final = 5.0
+_GRADIENT_SPIKE_S: Final = 0.65
 _COMMAND_SPIKE: Final = 0.15
+_COMMAND_SPIKE_S: Final = 0.25
 _COMMAND_HELD_S: Final = 1.0
 
 NO_BLOCK: Final = 0
@@ -77,6 +79,7 @@ class PlausibilityState:
         shift: Check of the times of steps.
         traction: Slope of traction.
         brake: Slope of the brake.
+        effort: Slope of the reported force over the brake command, while the brake is applied.
         balance: Check of the residual.
         change: Check for changes that the balance does not explain.
         last: The last finding, empty if there never was one.
@@ -88,6 +91,7 @@ class PlausibilityState:
         noise: Noise of the speed.
         block: The block that is being filled.
         held_s: Time since the brake was applied, or released [s].
+        steady_s: Time since the brake command has changed [s].
         has_alternated: True if it was applied or released since the last finding about it.
         driven: Distance driven [m].
         stopped: The same at the last stop [m].
@@ -98,15 +102,20 @@ class PlausibilityState:
 
     commands: CommandCheck = field(default_factory=CommandCheck)
     command_spikes: ExcursionCheck = field(
-        default_factory=lambda: ExcursionCheck('ato/brake_command', _COMMAND_SPIKE, _COMMAND_HELD_S)
+        default_factory=lambda: ExcursionCheck(
+            'ato/brake_command', _COMMAND_SPIKE, _COMMAND_SPIKE_S, _COMMAND_HELD_S, -1.0
+        )
     )
     spikes: SpikeCheck = field(default_factory=SpikeCheck)
-    gradient_spikes: ExcursionCheck = field(default_factory=lambda: ExcursionCheck('ato/gradient', _GRADIENT_SPIKE))
+    gradient_spikes: ExcursionCheck = field(
+        default_factory=lambda: ExcursionCheck('ato/gradient', _GRADIENT_SPIKE, _GRADIENT_SPIKE_S)
+    )
     distance: DistanceCheck = field(default_factory=DistanceCheck)
     line: LineCheck = field(default_factory=LineCheck)
     shift: ShiftCheck = field(default_factory=ShiftCheck)
     traction: Slope = field(default_factory=Slope)
     brake: Slope = field(default_factory=Slope)
+    effort: Slope = field(default_factory=Slope)
     balance: BalanceCheck = field(default_factory=BalanceCheck)
     change: ChangeCheck = field(default_factory=ChangeCheck)
     last: str = ''
@@ -118,6 +127,7 @@ class PlausibilityState:
     noise: SpeedNoise = field(default_factory=lambda: SpeedNoise.declared(_SPEED_STD, robust=True))
     block: Block = field(default_factory=Block)
     held_s: float = 0.0
+    steady_s: float = 0.0
     has_alternated: bool = True
     driven: float = 0.0
     stopped: float = 0.0
@@ -127,7 +137,7 @@ class PlausibilityState:
     @property
     def is_valid(self) -> bool:
         """True if all collections have a possible length."""
-        slopes = self.traction.is_valid and self.brake.is_valid
+        slopes = self.traction.is_valid and self.brake.is_valid and self.effort.is_valid
         return self.shift.is_valid and slopes and self.change.is_possible
 
     @property
@@ -140,6 +150,7 @@ class PlausibilityState:
             or self.gradient_spikes.finding
             or self.traction.finding
             or self.brake.finding
+            or self.effort.finding
             or self.distance.finding
             or self.shift.finding
             or self.line.finding
@@ -153,7 +164,8 @@ class PlausibilityState:
         spikes = self.spikes.is_suspected or self.command_spikes.is_suspected or self.gradient_spikes.is_suspected
         late = self.shift.is_suspected and self.moved_s < _SUSPECTED_S
         sudden = self.balance.is_suspected or self.change.is_suspected
-        return sudden or late or spikes or self.distance.is_suspected or self.line.is_suspected
+        slopes = self.traction.is_suspected or self.brake.is_suspected
+        return sudden or slopes or late or spikes or self.distance.is_suspected or self.line.is_suspected
 
     @property
     def numbers(self) -> tuple[float, float]:
@@ -165,6 +177,7 @@ class PlausibilityState:
             (self.spikes.finding, self.spikes.spikes, self.spikes.limit),
             (self.gradient_spikes.finding, self.gradient_spikes.spikes, self.gradient_spikes.limit),
             (traction.finding, traction.value, traction.limit(TRACTION_RANGE)),
+            (self.effort.finding, self.effort.value, 1.0),
             (brake.finding, brake.value, brake.limit(BRAKE_RANGE)),
             (self.distance.finding, self.distance.error, self.distance.limit),
             (shift.finding, shift.delay, 0.0),

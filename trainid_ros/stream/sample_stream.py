@@ -9,7 +9,7 @@ Estimators with the same train file and settings can share one stream.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Final, TypeAlias
 
@@ -158,8 +158,7 @@ class SampleStream:
             aligner=self._aligner.state,
             history=self._history.state.copy(),
             stop_position=self._correction.stop_position,
-            stuck_speed=self._stuck.speed,
-            stuck_missing=self._stuck.missing,
+            stuck=replace(self._stuck.state),
             plausibility=self._plausibility.state,
             is_skipping=self._is_skipping,
             skipped=tuple(self._skipped),
@@ -171,7 +170,7 @@ class SampleStream:
         self._aligner.restore(state.aligner)
         self._history.state = state.history.copy()
         self._correction.stop_position = state.stop_position
-        self._stuck.speed, self._stuck.missing = state.stuck_speed, state.stuck_missing
+        self._stuck.state = replace(state.stuck)
         self._plausibility.restore(state.plausibility)
         self._is_skipping, self._skipped = state.is_skipping, list(state.skipped)
         self._first_ns, self._behind_ns = state.first_ns, state.behind_ns
@@ -230,7 +229,7 @@ class SampleStream:
         if not self._rejects_faults:
             return
         changed = self.has_changed
-        stuck, contradiction = self._stuck.reject(sample), self._plausibility.follow(sample)
+        stuck, contradiction = self._stuck.reject(sample, self._plausibility.noise), self._plausibility.follow(sample)
         sample.rejection = contradiction if stuck is None else stuck
         if sample.rejection is not None:
             self._skip(sample)

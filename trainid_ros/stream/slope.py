@@ -10,8 +10,11 @@ from typing import Final
 # Plausible slopes of traction and brake [1]: loads, brake rates and resistances differ by less.
 TRACTION_RANGE = (0.55, 1.8)
 BRAKE_RANGE = (0.35, 2.2)
-# Errors of map and resistance that do not grow with x [N/kN].
-_OFFSET: Final = 8.0
+# Errors of map and resistance that do not grow with x [N/kN], and share of the resistance added [1].
+_OFFSET: Final = 2.0
+_OFFSET_SHARE: Final = 0.6
+# Share of them beyond which a slope is suspected [1].
+_SUSPECTED: Final = 0.5
 # Memory [blocks], and while a finding lasts: then what was wrong is soon forgotten when it is mended.
 _MEMORY: Final = 20.0
 _SHORT: Final = 8.0
@@ -36,6 +39,8 @@ class Slope:
         count: Effective number of blocks.
         off: Number of blocks in a row that are off.
         held: Their y and x in turn, while they do not count [N/kN].
+        offset: Error of y that does not grow with x [N/kN].
+        excess: By how much y is outside the limits of the slope, in root mean square [N/kN]; 0 while it is not known.
         finding: What is wrong, empty if nothing is.
 
     """
@@ -46,6 +51,8 @@ class Slope:
     count: float = 0.0
     off: int = 0
     held: tuple[float, ...] = ()
+    offset: float = _OFFSET
+    excess: float = 0.0
     finding: str = ''
 
     @property
@@ -91,32 +98,72 @@ class Slope:
         rest = max(self.yy - self.value * self.yx, 0.0) / self.count
         return math.sqrt(rest / self.xx) < _KNOWN * max(1.0, abs(self.value))
 
+    @property
+    def is_plausible(self) -> bool:
+        """True if the slope is known and within its limits."""
+        return self.is_known and self.excess == 0.0
+
+    @property
+    def is_suspected(self) -> bool:
+        """True while the slope is hardly to be explained."""
+        return self.excess > _SUSPECTED * self.offset
+
     def is_unrelated(self, noise: float) -> bool:
         """Return whether the speed certainly changes, or should, but not with x; ``noise`` is that of y [N/kN]."""
-        if self.count < _UNRELATED_BLOCKS or max(self.yy, self.xx) < self.count * (4.0 * _OFFSET**2 + noise**2):
+        least = 4.0 * self.offset * self.offset + noise * noise
+        if self.count < _UNRELATED_BLOCKS or max(self.yy, self.xx) < self.count * least:
             return False
         return self.yx <= _UNRELATED * math.sqrt(self.yy * self.xx)
 
-    def judge_traction(self, noise: float) -> None:
-        """Judge the slope of traction; ``noise`` is that of y [N/kN]."""
-        if self.is_known:
-            self.finding = _traction_text(self.value) if self._excess(TRACTION_RANGE) > _OFFSET else ''
+    def judge_traction(self, noise: float, resistance: float) -> None:
+        """Judge the slope of traction; ``noise`` is that of y, ``resistance`` the present w(v) [N/kN]."""
+        if self._is_judged(TRACTION_RANGE, resistance):
+            self.finding = _traction_text(self.value) if self.excess > self.offset else ''
         elif self.is_unrelated(noise):
             self.finding = 'the speed does not follow ato/force: one of them is stuck, late or of another train'
 
-    def judge_brake(self, noise: float) -> None:
-        """Judge the slope of the brake; ``noise`` is that of y [N/kN]."""
-        if self.is_known:
-            self.finding = _brake_text(self.value) if self._excess(BRAKE_RANGE) > _OFFSET else ''
+    def judge_brake(self, noise: float, resistance: float) -> None:
+        """Judge the slope of the brake; ``noise`` is that of y, ``resistance`` the present w(v) [N/kN]."""
+        if self._is_judged(BRAKE_RANGE, resistance):
+            self.finding = _brake_text(self.value) if self.excess > self.offset else ''
         elif self.is_unrelated(noise):
             self.finding = 'the speed does not follow ato/brake_command: one of them is stuck or of another train'
 
-    def _excess(self, limits: tuple[float, float]) -> float:
-        """Return by how much y is outside the limits of the slope, in root mean square [N/kN]."""
+    def judge_effort(self, brake: Slope) -> None:
+        """Judge the slope of the reported force over the command, together with that of the acceleration."""
+        if not (self.is_known and brake.is_known):
+            return
+        by_force, by_speed = self.value, brake.value
+        agree = _agree(by_force, by_speed, _SAME)
+        if agree and not _agree(by_force, 1.0, _WRONG) and not _agree(by_speed, 1.0, _WRONG):
+            unit = 'looks like g' if is_near(by_force, _G) else 'is off'
+            self.finding = f'ato/brake_command {unit}: speed and ato/force brake {by_force:.2g} times as much'
+        elif not agree or _agree(by_force, 1.0, _RIGHT):
+            self.finding = ''
+
+    def _is_judged(self, limits: tuple[float, float], resistance: float) -> bool:
+        """Compare the slope with its limits; return whether it is known."""
+        self.offset, self.excess = _OFFSET + _OFFSET_SHARE * resistance, 0.0
+        if not self.is_known:
+            return False
         outside = max(limits[0] - self.value, self.value - limits[1], 0.0)
-        return outside * math.sqrt(self.xx / self.count)
+        self.excess = outside * math.sqrt(self.xx / self.count)
+        return True
 
 
+# Ratios of effort and deceleration to the command: both are beyond this if the command is wrong, and agree within this
+# with each other; it is right again within this [1].
+_WRONG: Final = 1.35
+_SAME: Final = 1.25
+_RIGHT: Final = 1.2
+
+
+def _agree(ratio: float, other: float, factor: float) -> bool:
+    """Return whether two ratios differ by less than a factor."""
+    return other < factor * ratio and ratio < factor * other
+
+
+_G: Final = 9.81
 # Slope of the brake below which the train does not brake [1].
 _NO_BRAKING: Final = 0.2
 
@@ -139,7 +186,7 @@ def _traction_text(slope: float) -> str:
 
 
 def _brake_text(slope: float) -> str:
-    if is_near(slope, 9.81):
+    if is_near(slope, _G):
         return f'ato/brake_command looks like g: the train brakes {slope:.2g} times as much'
     if is_near(slope, 3.6):
         return f'ato/speed looks like km/h: the train brakes {slope:.2g} times as much as ato/brake_command'

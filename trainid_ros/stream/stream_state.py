@@ -16,6 +16,7 @@ from trainid_ros.state import MAX_NUMBER, check_not_negative, check_restored
 from trainid_ros.stream.drive_history import DriveHistoryState
 from trainid_ros.stream.plausibility_state import PlausibilityState
 from trainid_ros.stream.samples import BrakeCommandChange
+from trainid_ros.stream.stuck_speed import StuckSpeedState
 from trainid_ros.stream.travel import Travel
 
 if TYPE_CHECKING:
@@ -94,8 +95,7 @@ class StreamState:
         aligner: Records that no sample has been made of yet.
         history: History of the drive.
         stop_position: Position at which wheel corrections start [m], NaN while unknown.
-        stuck_speed: Speed of the last sample [m/s], NaN before the first.
-        stuck_missing: Expected change of speed since it last changed [m/s].
+        stuck: State of the check for a stuck speed.
         plausibility: State of the checks of inputs against each other.
         is_skipping: Whether the stream rejected the last sample.
         skipped: Changes of the brake command in the samples that it rejected since the last accepted one.
@@ -107,8 +107,7 @@ class StreamState:
     aligner: AlignerState
     history: DriveHistoryState
     stop_position: float
-    stuck_speed: float
-    stuck_missing: float
+    stuck: StuckSpeedState
     plausibility: PlausibilityState
     is_skipping: bool
     skipped: tuple[BrakeCommandChange, ...]
@@ -120,8 +119,7 @@ class StreamState:
         self.aligner.check()
         check_restored(self.history.is_valid, _KIND, 'history')
         check_restored(not math.isinf(self.stop_position), _KIND, 'stop_position')
-        stuck = not abs(self.stuck_speed) >= MAX_NUMBER and abs(self.stuck_missing) < MAX_NUMBER
-        check_restored(stuck, _KIND, 'stuck_speed')
+        check_restored(_is_possible(asdict(self.stuck)), _KIND, 'stuck')
         check_restored(_is_possible(asdict(self.plausibility)), _KIND, 'plausibility')
         check_restored(self.plausibility.is_valid, _KIND, 'plausibility')
         known = all(-MAX_NUMBER < change.target_acceleration <= 0.0 for change in self.skipped)
@@ -130,7 +128,7 @@ class StreamState:
 
 
 # Numbers of the checks that may be unknown, and sums that are not negative.
-_UNKNOWN: Final = frozenset({'speed', 'position', 'dt', 'area', 'answer'})
+_UNKNOWN: Final = frozenset({'speed', 'position', 'dt', 'dt_before', 'area', 'area_before', 'answer', 'answer_before'})
 _SUMS: Final = frozenset(
     {
         'yy',
@@ -149,6 +147,13 @@ _SUMS: Final = frozenset(
         'gain_variance',
         'scatter',
         'blocks',
+        'excess',
+        'passed',
+        'left_s',
+        'held_s',
+        'repeats',
+        'most',
+        'changes',
         'peak',
         'suspected_s',
     }
