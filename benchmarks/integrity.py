@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from benchmarks.days import assumed_train, simulated_day
+from benchmarks.days import assumed_train
 from benchmarks.papers.seeds import over_seeds
+from benchmarks.rides import DAY, ride
 from benchmarks.tables import Table
-from benchmarks.worlds import WORLDS, drive
+from benchmarks.worlds import WORLDS
 from trainid_lab.yizhuang_day import DRY, RAIN, yizhuang_day
 from trainid_ros.estimators.pipeline import (
     EstimatorPipeline,
@@ -34,10 +35,9 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-_DAY: Final = 'Yizhuang days'
 _FIRST_SEED: Final = 7001
 # More seeds than days are hardly needed for a share of a tenth of a per cent; a world takes longer to simulate.
-_DAYS: Final = 100
+DAYS: Final = 100
 _DRIVES: Final = 20
 _WRONG: Final = 3.0
 _MOVING: Final = 1.0
@@ -71,7 +71,7 @@ class Integrity:
 
 def measure(seeds: int) -> tuple[Table, ...]:
     """Return the tables for resistance and brake rate."""
-    kinds = [(_DAY, min(seeds, _DAYS) if seeds < _DRIVES else _DAYS), *((name, min(seeds, _DRIVES)) for name in WORLDS)]
+    kinds = [(DAY, min(seeds, DAYS) if seeds < _DRIVES else DAYS), *((name, min(seeds, _DRIVES)) for name in WORLDS)]
     trials = [(kind, _FIRST_SEED + k) for kind, count in kinds for k in range(count)]
     scores = dict(zip(trials, over_seeds(run, trials, 'integrity'), strict=True))
     return tuple(
@@ -118,7 +118,7 @@ def _row(kind: str, scores: Sequence[Integrity]) -> tuple[str, ...]:
 def run(trial: tuple[str, int]) -> tuple[Integrity, Integrity]:
     """Return the scores of resistance and brake rate on one drive."""
     kind, seed = trial
-    train_file, records, truths = _day(seed) if kind == _DAY else _world(kind, seed)
+    train_file, records, truths = ride(kind, seed)
     resistance, brake_rate = _published(train_file, records)
     davis, rates = truths(np.array([output.stamp_ns for output in resistance]))
     speed = np.array([output.estimate.speed for output in resistance])
@@ -130,28 +130,6 @@ def run(trial: tuple[str, int]) -> tuple[Integrity, Integrity]:
         _score(statuses[0], speed, found[:, 0] - w, found[:, 1]),
         _score(statuses[1], speed, rate[:, 0] - rates, rate[:, 1]),
     )
-
-
-def _day(seed: int) -> tuple[TrainFile, Iterable[Record], Any]:
-    day = simulated_day(seed)
-
-    def truths(stamps_ns: NDArray[np.int64]) -> tuple[Array, Array]:
-        points = [day.truth.truth_at_ns(int(stamp)) for stamp in stamps_ns]
-        davis = np.array([(p.resistance.a, p.resistance.b, p.resistance.c) for p in points])
-        return davis, np.array([np.nan if p.brake_rate is None else p.brake_rate for p in points])
-
-    return assumed_train(), day.records, truths
-
-
-def _world(kind: str, seed: int) -> tuple[TrainFile, Iterable[Record], Any]:
-    ride = drive(kind, seed)
-    truth = ride.truth
-
-    def truths(stamps_ns: NDArray[np.int64]) -> tuple[Array, Array]:
-        at = np.maximum(np.searchsorted(truth.time_ns, stamps_ns, side='right') - 1, 0)
-        return np.stack((truth.a[at], truth.b[at], truth.c[at]), axis=1), truth.brake_rate[at]
-
-    return ride.train_file, ride.records, truths
 
 
 def _published(train_file: TrainFile, records: Iterable[Record]) -> tuple[list[Output[Any]], list[Output[Any]]]:

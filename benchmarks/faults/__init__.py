@@ -16,7 +16,9 @@ import numpy as np
 from benchmarks.faults.catalogue import FAULTS, PAIRS
 from benchmarks.faults.trial import Injection, run
 from benchmarks.papers.seeds import over_seeds
+from benchmarks.rides import DAY
 from benchmarks.tables import Table
+from benchmarks.worlds import WORLDS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
 
 _FIRST_SEED = 4001
 _MOST_SEEDS = 12
+_MOST_WORLD_SEEDS = 2
 _HEADER = (
     'fault',
     'seen',
@@ -50,16 +53,21 @@ _NOTE = (
 
 def measure(seeds: int) -> tuple[Table, ...]:
     """Return the tables for faults from the first message on, in mid-drive, and in pairs."""
+    worlds = min(seeds, _MOST_WORLD_SEEDS)
     count, single = min(seeds, _MOST_SEEDS), [(fault.name,) for fault in FAULTS]
     return (
         _table('Faults from the first message on', single, count, from_start=True),
         _table('Faults for a minute in mid-drive', single, count),
+        *(_table(f'Faults from the first message on: {world}', single, worlds, train=world) for world in WORLDS),
         _table('Pairs of faults for a minute in mid-drive', PAIRS, count),
     )
 
 
-def _table(title: str, faults: Sequence[tuple[str, ...]], seeds: int, *, from_start: bool = False) -> Table:
-    trials = [Injection(names, _FIRST_SEED + k, from_start) for names in faults for k in range(seeds)]
+def _table(
+    title: str, faults: Sequence[tuple[str, ...]], seeds: int, *, from_start: bool = False, train: str = DAY
+) -> Table:
+    begins = from_start or train != DAY
+    trials = [Injection(names, _FIRST_SEED + k, begins, train) for names in faults for k in range(seeds)]
     outcomes = over_seeds(run, trials, 'faults')
     rows = tuple(_row(' + '.join(names), outcomes[k * seeds : (k + 1) * seeds]) for k, names in enumerate(faults))
     return Table(title, _HEADER, rows, _NOTE.format(count=seeds))

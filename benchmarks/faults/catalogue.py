@@ -49,6 +49,7 @@ def _constant(name: str, topic: str, value: float) -> Fault:
 
 _SPEED: Final = (
     scaled('in km/h', 'speed', _KMH),
+    scaled('3 % high', 'speed', 1.03),
     scaled('5 % high', 'speed', 1.05),
     scaled('offset .5 m/s', 'speed', 1.0, 0.5),
     _drifting('drift', 'speed', 0.02),
@@ -92,6 +93,7 @@ _FORCE: Final = (
     at_one_hertz('force'),
 )
 _GRADIENT: Final = (
+    scaled('1 per mille high', 'gradient', 1.0, 1.0),
     scaled('2 per mille high', 'gradient', 1.0, 2.0),
     scaled('sign', 'gradient', -1.0),
     scaled('in per cent', 'gradient', 0.1),
@@ -110,6 +112,8 @@ _GRADIENT: Final = (
     at_one_hertz('gradient'),
 )
 _COMMAND: Final = (
+    scaled('half', 'command', 0.5),
+    scaled('double', 'command', 2.0),
     scaled('in g', 'command', 1.0 / _G),
     scaled('sign', 'command', -1.0),
     _constant('not a number', 'command', math.nan),

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from benchmarks.days import assumed_train, simulated_day
 from benchmarks.faults.catalogue import BY_NAME
 from benchmarks.faults.injection import injected
+from benchmarks.rides import DAY, Ride, ride
 from trainid_ros.estimators.pipeline import (
     EstimatorPipeline,
     EstimatorSettings,
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-    from trainid_ros.sim.truth import Truth, TruthPoint
+    from trainid_ros.train.train_file import TrainFile
 
     Array = NDArray[Any]
 
@@ -50,11 +50,12 @@ _UNTOLD: Final = frozenset({Reason.OUTLIER, Reason.CONTRADICTION, Reason.NUMERIC
 
 @dataclass(frozen=True, slots=True)
 class Injection:
-    """Faults by name, from the first message or in mid-drive."""
+    """Faults by name, from the first message or in mid-drive, on a day or on a drive of a world."""
 
     faults: tuple[str, ...]
     seed: int
     from_start: bool
+    train: str = DAY
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,9 +107,9 @@ class Drive:
 
     """
 
-    def __init__(self, states: Sequence[str] = ()) -> None:
+    def __init__(self, train: TrainFile, states: Sequence[str] = ()) -> None:
         """Begin, from saved states of the pipelines if they are given."""
-        train, settings = assumed_train(), EstimatorSettings()
+        settings = EstimatorSettings()
         makers = (resistance_pipeline, speed_model_pipeline, brake_rate_pipeline)
         self._pipelines: list[EstimatorPipeline[Any]] = [make(train, settings) for make in makers]
         for pipeline, state in zip(self._pipelines, states, strict=False):
@@ -159,19 +160,20 @@ class Healthy:
 
 def run(injection: Injection) -> Outcome:
     """Return the outcome of a fault."""
-    rows, truth = _rows(injection.seed)
-    begin_s = 0.0 if injection.from_start else _mid_drive_s(injection.seed)
+    kind, seed = injection.train, injection.seed
+    rows, source = _rows(kind, seed)
+    begin_s = 0.0 if injection.from_start else _mid_drive_s(seed)
     end_s = LENGTH_S if injection.from_start else begin_s + DURATION_S
     faults = [BY_NAME[name] for name in injection.faults]
-    start_ns = truth.start_ns
+    start_ns = rows[0][1]
     sent = injected(rows, faults, start_ns + round(begin_s * NS_PER_S), start_ns + round(end_s * NS_PER_S))
-    healthy = _healthy(injection.seed)
-    found = Drive() if injection.from_start else Drive(healthy.states)
+    healthy = _healthy(kind, seed)
+    found = Drive(source.train_file, () if injection.from_start else healthy.states)
     found.feed(sent if injection.from_start else sent[healthy.count :])
     shift_s = sum(fault.clock_step_s for fault in faults)
-    courses = [_course(found.outputs[k], truth, k, begin_s, shift_s) for k in (0, 2)]
-    references = [_course(healthy.drive.outputs[k], truth, k, begin_s, 0.0) for k in (0, 2)]
-    seen_s, named_s, name = _naming(found, healthy.drive, courses[0], truth.start_ns, begin_s)
+    courses = [_course(found.outputs[k], source, start_ns, k, begin_s, shift_s) for k in (0, 2)]
+    references = [_course(healthy.drive.outputs[k], source, start_ns, k, begin_s, 0.0) for k in (0, 2)]
+    seen_s, named_s, name = _naming(found, healthy.drive, courses[0], start_ns, begin_s)
     wrong = [(c.status == Status.VALID) & (np.abs(c.error) > 3.0 * c.std) & (c.time_s >= begin_s) for c in courses]
     ratios = [np.abs(c.error / c.std)[(c.status == Status.VALID) & (c.time_s >= begin_s)] for c in courses]
     after = [_left(c, end_s) - _left(r, end_s) for c, r in zip(courses, references, strict=True)]
@@ -193,50 +195,45 @@ def _mid_drive_s(seed: int) -> float:
 
 
 @cache
-def _rows(seed: int) -> tuple[tuple[Row, ...], Truth]:
-    day = simulated_day(seed)
-    last_ns = day.truth.start_ns + round(LENGTH_S * NS_PER_S)
-    return tuple(record.row() for record in day.records if record.stamp_ns < last_ns), day.truth
+def _rows(kind: str, seed: int) -> tuple[tuple[Row, ...], Ride]:
+    source = ride(kind, seed)
+    rows = tuple(record.row() for record in source.records)
+    last_ns = rows[0][1] + round(LENGTH_S * NS_PER_S)
+    return tuple(row for row in rows if row[1] < last_ns), source
 
 
 @cache
-def _healthy(seed: int) -> Healthy:
-    rows, truth = _rows(seed)
-    begin_ns = truth.start_ns + round(_mid_drive_s(seed) * NS_PER_S)
+def _healthy(kind: str, seed: int) -> Healthy:
+    rows, source = _rows(kind, seed)
+    begin_ns = rows[0][1] + round(_mid_drive_s(seed) * NS_PER_S)
     # The first record after a restore is followed wherever it lies, so it must be a healthy one.
     count = sum(row[1] < begin_ns for row in rows) - 1
-    drive = Drive()
+    drive = Drive(source.train_file)
     drive.feed(rows[:count])
     states = drive.save()
     drive.feed(rows[count:])
     return Healthy(drive, count, states)
 
 
-def _course(outputs: Sequence[Output[Any]], truth: Truth, place: int, begin_s: float, shift_s: float) -> Course:
+def _course(
+    outputs: Sequence[Output[Any]], source: Ride, start_ns: int, place: int, begin_s: float, shift_s: float
+) -> Course:
     """Return the outputs of the resistance (place 0) or brake rate pipeline (2) as arrays, with their errors."""
-    time_s = np.array([(o.stamp_ns - truth.start_ns) / NS_PER_S for o in outputs])
+    time_s = np.array([(o.stamp_ns - start_ns) / NS_PER_S for o in outputs])
     # After a step of the clock, count from it on by the count of outputs, not by the stamps.
     stepped = np.maximum.accumulate(np.abs(np.diff(time_s, prepend=time_s[0])) > 0.9 * abs(shift_s)) & (shift_s != 0.0)
     time_s = np.where(stepped, time_s - shift_s, time_s)
-    points = [truth.truth_at(t) for t in time_s]
+    davis, rates = source.truths(start_ns + np.round(time_s * NS_PER_S).astype(np.int64))
+    speed = np.array([o.estimate.speed for o in outputs])
     if place == 0:
-        error = np.array([o.estimate.resistance - _w(p, o) for o, p in zip(outputs, points, strict=True)])
+        error = np.array([o.estimate.resistance for o in outputs])
+        error -= davis[:, 0] + davis[:, 1] * speed + davis[:, 2] * speed * speed
         std = np.array([o.estimate.resistance_std for o in outputs])
     else:
-        error = np.array([o.estimate.brake_rate - _rate(p) for o, p in zip(outputs, points, strict=True)])
+        error = np.array([o.estimate.brake_rate for o in outputs]) - rates
         std = np.array([o.estimate.brake_rate_std for o in outputs])
-    speed = np.array([o.estimate.speed for o in outputs])
     moved_s = np.cumsum((speed >= _MOVING) & (time_s >= begin_s)) * _PERIOD_S
     return Course(time_s, moved_s, np.array([int(o.status) for o in outputs]), error, std)
-
-
-def _w(point: TruthPoint, output: Output[Any]) -> float:
-    davis, v = point.resistance, output.estimate.speed
-    return float(davis.a + davis.b * v + davis.c * v * v)
-
-
-def _rate(point: TruthPoint) -> float:
-    return math.nan if point.brake_rate is None else point.brake_rate
 
 
 def _left(course: Course, end_s: float) -> float:

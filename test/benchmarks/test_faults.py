@@ -11,7 +11,10 @@ import pytest
 from benchmarks.faults.catalogue import BY_NAME, FAULTS, PAIRS
 from benchmarks.faults.injection import injected
 from benchmarks.faults.trial import Drive, Injection, _healthy, _rows, run
+from benchmarks.rides import DAY, ride
 from trainid_ros.records import BRAKE, FORCE, GRADIENT, MASS, NS_PER_S, SPEED, Row
+from trainid_ros.stream.sample_stream import SampleStream, StreamConfig
+from trainid_ros.stream.samples import Sample
 
 SECOND = NS_PER_S
 SEED = 4001
@@ -76,9 +79,9 @@ def test_pairs_are_of_different_topics() -> None:
 
 @pytest.mark.slow
 def test_a_trial_that_continues_from_a_saved_state_publishes_the_same() -> None:
-    all_rows, _ = _rows(SEED)
-    healthy = _healthy(SEED)
-    resumed = Drive(healthy.states)
+    all_rows, source = _rows(DAY, SEED)
+    healthy = _healthy(DAY, SEED)
+    resumed = Drive(source.train_file, healthy.states)
     resumed.feed(all_rows[healthy.count :])
     whole = healthy.drive
     for outputs, others in zip(resumed.outputs, whole.outputs, strict=True):
@@ -92,3 +95,43 @@ def test_two_faults_are_named_and_nothing_is_wrong_or_not_finite() -> None:
     assert math.isfinite(outcome.named_s)
     assert (outcome.wrong_s, outcome.non_finite) == (0.0, 0)
     assert outcome.seen_s <= outcome.named_s
+
+
+# Seeds, and the longest drive until a fault from the first message on is named [s]: brakings may be rare.
+@pytest.mark.parametrize(
+    ('train', 'seed', 'fault', 'within_s', 'text'),
+    [
+        ('freight', 14, 'force frozen', 150.0, 'ato/force'),
+        ('freight', 15, 'gradient 2 per mille high', 150.0, '+2.0 per mille'),
+        ('emu', 12, 'gradient 2 per mille high', 150.0, '+2.0 per mille'),
+        ('emu', 12, 'force spikes', 60.0, 'ato/force has spikes'),
+        ('metro', 13, 'force spikes', 60.0, 'ato/force has spikes'),
+        ('metro', 11, 'command half', 600.0, 'ato/brake_command'),
+        ('tram', 16, 'command double', 600.0, 'ato/brake_command'),
+        ('emu', 13, 'speed frozen', 300.0, 'SPEED_STUCK'),
+    ],
+)
+def test_faults_of_other_trains_are_named(train: str, seed: int, fault: str, within_s: float, text: str) -> None:
+    found = ride(train, seed)
+    all_rows = [record.row() for record in found.records]
+    end_ns = all_rows[0][1] + round(within_s * SECOND)
+    all_rows = [row for row in all_rows if row[1] < end_ns]
+    begin_ns = all_rows[0][1] + (0 if fault != 'speed frozen' else 200 * SECOND)
+    stream = SampleStream(StreamConfig(found.train_file))
+    findings: set[str] = set()
+    for row in injected(all_rows, [BY_NAME[fault]], begin_ns, end_ns):
+        for event in stream.push_row(*row):
+            if isinstance(event, Sample) and event.rejection is not None:
+                findings.add(event.rejection.reason.name)
+        findings.add(stream.finding)
+    assert any(text in finding for finding in findings)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(('train', 'seed'), [('freight', 21), ('emu', 22), ('high_speed', 23), ('metro', 24)])
+def test_nothing_is_found_on_healthy_drives_of_other_trains(train: str, seed: int) -> None:
+    found = ride(train, seed)
+    stream = SampleStream(StreamConfig(found.train_file))
+    for record in found.records:
+        stream.push(record)
+        assert stream.finding == ''

@@ -39,7 +39,8 @@ class LineCheck:
     Attributes:
         finding: What is wrong, empty if nothing is.
         count: Number of gradients compared, with forgetting.
-        offset: Mean error.
+        mean: Mean error.
+        offset: Mean error against the line nearby.
         square: Mean square error.
         scatter: Mean square error against the line nearby.
         steepness: Mean square of the gradient of the line.
@@ -52,6 +53,7 @@ class LineCheck:
 
     finding: str = ''
     count: float = 0.0
+    mean: float = 0.0
     offset: float = 0.0
     square: float = 0.0
     scatter: float = 0.0
@@ -80,21 +82,23 @@ class LineCheck:
         error, nearby = gradient - expected, gradient - min(max(gradient, least), most)
         self.lately += (nearby - self.lately) / _SHORT
         self.limit = _ERROR + _STDS * std
-        deviation = math.sqrt(max(self.square - self.offset * self.offset, 0.0))
+        deviation = math.sqrt(max(self.square - self.mean * self.mean, 0.0))
         sudden = _SUDDEN + _SUDDEN_SIGMAS * deviation
         is_sudden = self.count >= _LEAST and abs(self.lately) > sudden + abs(self.offset)
         self.off = self.off + 1 if is_sudden else 0
         if self.count >= _LEAST:  # what is sudden is not yet usual
             usual = _LEARNED + _LEARNED_SIGMAS * deviation
-            error = min(max(error, self.offset - usual), self.offset + usual)
+            error = min(max(error, self.mean - usual), self.mean + usual)
+            nearby = min(max(nearby, self.offset - usual), self.offset + usual)
         if not is_sudden:
-            self._learn(error, min(abs(nearby), abs(error)), expected)
+            self._learn(error, nearby, expected)
         self._judge(expected)
 
     def _learn(self, error: float, nearby: float, expected: float) -> None:
         self.count += 1.0 - self.count / _MEMORY
         share = 1.0 / self.count
-        self.offset += share * (error - self.offset)
+        self.mean += share * (error - self.mean)
+        self.offset += share * (nearby - self.offset)
         self.square += share * (error * error - self.square)
         self.scatter += share * (nearby * nearby - self.scatter)
         self.steepness += share * (expected * expected - self.steepness)
@@ -103,7 +107,7 @@ class LineCheck:
         if self.off >= _SUDDEN_BLOCKS:
             self.finding = f'ato/gradient is suddenly {self.lately:+.1f} per mille off the line'
         elif self.count >= _LEAST and abs(self.offset) > self.limit:
-            self.finding = f'ato/gradient is about {self.offset:+.1f} per mille off the line of the train file'
+            self.finding = f'ato/gradient is about {self.mean:+.1f} per mille off the line of the train file'
         elif self.count >= _LEAST and self.scatter > _SHARE * self.steepness + (_SCATTER * self.limit) ** 2:
             self.finding = 'ato/gradient does not follow the line of the train file'
         elif self.finding:

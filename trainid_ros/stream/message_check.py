@@ -165,6 +165,7 @@ class SpikeCheck:
         last: Last specific force [N/kN].
         before: The one before.
         earlier: The one before that.
+        first: The one before that.
         area: Integral of the force over the last interval [N/kN s].
         area_before: That over the one before.
         answer: Integral of the force by the change of the speed over the last interval [N/kN s], NaN if not known.
@@ -181,6 +182,7 @@ class SpikeCheck:
     last: float = 0.0
     before: float = 0.0
     earlier: float = 0.0
+    first: float = 0.0
     area: float = 0.0
     area_before: float = 0.0
     answer: float = math.nan
@@ -219,13 +221,14 @@ class SpikeCheck:
         self.passed = min(self.passed + 1, _SAMPLES)
         peak = before if abs(before - earlier) > abs(last - earlier) else last
         height = abs(peak - earlier)
-        if height > _SPIKE and abs(force - earlier) < _SPIKE_BASE * height and self.passed == _SAMPLES:
+        uneven = max(abs(force - earlier), abs(earlier - self.first))
+        if height > _SPIKE and uneven < _SPIKE_BASE * height and self.passed == _SAMPLES:
             base = 0.5 * (earlier + force)
             rest = base * (self.dt_before + self.dt + dt)
             area = self.area_before + self.area + mean * dt - rest
             self._judge(peak, base, area, self.answer_before + self.answer + answer - rest, std)
             self.passed = 0
-        self.earlier, self.before, self.last = before, last, force
+        self.first, self.earlier, self.before, self.last = earlier, before, last, force
         self.area_before, self.area = self.area, mean * dt
         self.answer_before, self.answer = self.answer, answer
         self.dt_before, self.dt = self.dt, dt

@@ -255,18 +255,18 @@ class PlausibilityMonitor:
         limit = _SUDDEN + _SUDDEN_BRAKE * abs(brake)
         state.balance.add(y - brake, limit + noise / SUDDEN_MEMORY)
         state.brake.take(y, brake, limit + noise)
-        self._judge_brake(noise, resistance)
+        self._judge_brake(noise)
         if state.steady_s > self._followed_s + _BLOCK_S:
             state.effort.add(traction, brake)
             state.effort.judge_effort(state.brake)
         if traction > _DRIVING:
             state.balance.contradict()
 
-    def _judge_brake(self, noise: float, resistance: float) -> None:
+    def _judge_brake(self, noise: float) -> None:
         """Judge the slope of the brake; a command that is stuck agrees by chance while a driver brakes as much."""
         state = self.state
         before = state.brake.finding
-        state.brake.judge_brake(noise, resistance)
+        state.brake.judge_brake(noise)
         if not before:
             state.has_alternated = not state.brake.finding
         elif not state.has_alternated:

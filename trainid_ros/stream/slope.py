@@ -10,9 +10,11 @@ from typing import Final
 # Plausible slopes of traction and brake [1]: loads, brake rates and resistances differ by less.
 TRACTION_RANGE = (0.55, 1.8)
 BRAKE_RANGE = (0.35, 2.2)
-# Errors of map and resistance that do not grow with x [N/kN], and share of the resistance added [1].
-_OFFSET: Final = 2.0
-_OFFSET_SHARE: Final = 0.6
+# Errors of map and resistance that do not grow with x [N/kN]: for traction, and share of the resistance added [1], and
+# for brakes, which may follow slowly.
+_OFFSET: Final = 4.0
+_OFFSET_SHARE: Final = 0.5
+_BRAKE_OFFSET: Final = 8.0
 # Share of them beyond which a slope is suspected [1].
 _SUSPECTED: Final = 0.5
 # Memory [blocks], and while a finding lasts: then what was wrong is soon forgotten when it is mended.
@@ -110,21 +112,21 @@ class Slope:
 
     def is_unrelated(self, noise: float) -> bool:
         """Return whether the speed certainly changes, or should, but not with x; ``noise`` is that of y [N/kN]."""
-        least = 4.0 * self.offset * self.offset + noise * noise
+        least = 4.0 * _BRAKE_OFFSET * _BRAKE_OFFSET + noise * noise
         if self.count < _UNRELATED_BLOCKS or max(self.yy, self.xx) < self.count * least:
             return False
         return self.yx <= _UNRELATED * math.sqrt(self.yy * self.xx)
 
     def judge_traction(self, noise: float, resistance: float) -> None:
         """Judge the slope of traction; ``noise`` is that of y, ``resistance`` the present w(v) [N/kN]."""
-        if self._is_judged(TRACTION_RANGE, resistance):
+        if self._is_judged(TRACTION_RANGE, _OFFSET + _OFFSET_SHARE * resistance):
             self.finding = _traction_text(self.value) if self.excess > self.offset else ''
         elif self.is_unrelated(noise):
             self.finding = 'the speed does not follow ato/force: one of them is stuck, late or of another train'
 
-    def judge_brake(self, noise: float, resistance: float) -> None:
-        """Judge the slope of the brake; ``noise`` is that of y, ``resistance`` the present w(v) [N/kN]."""
-        if self._is_judged(BRAKE_RANGE, resistance):
+    def judge_brake(self, noise: float) -> None:
+        """Judge the slope of the brake; ``noise`` is that of y [N/kN]."""
+        if self._is_judged(BRAKE_RANGE, _BRAKE_OFFSET):
             self.finding = _brake_text(self.value) if self.excess > self.offset else ''
         elif self.is_unrelated(noise):
             self.finding = 'the speed does not follow ato/brake_command: one of them is stuck or of another train'
@@ -141,9 +143,9 @@ class Slope:
         elif not agree or _agree(by_force, 1.0, _RIGHT):
             self.finding = ''
 
-    def _is_judged(self, limits: tuple[float, float], resistance: float) -> bool:
-        """Compare the slope with its limits; return whether it is known."""
-        self.offset, self.excess = _OFFSET + _OFFSET_SHARE * resistance, 0.0
+    def _is_judged(self, limits: tuple[float, float], offset: float) -> bool:
+        """Compare the slope with its limits, beyond an offset of y [N/kN]; return whether it is known."""
+        self.offset, self.excess = offset, 0.0
         if not self.is_known:
             return False
         outside = max(limits[0] - self.value, self.value - limits[1], 0.0)
