@@ -3,13 +3,16 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from trainid_ros.bag.reader import BagReader
+from trainid_ros.estimators.pipeline import EstimatorSettings, resistance_pipeline
 from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
+from trainid_ros.results import Output, ResistanceEstimate, Status
 from trainid_ros.sim.truth import load_truth
 from trainid_ros.train.davis import G
 from trainid_ros.train.train_file import load_train_file
@@ -55,6 +58,23 @@ def test_forces_balance_with_the_true_resistance(by_type: dict[type[Record], lis
     # Speed noise of 0.05 m/s at both ends of 10 s makes 0.74 N/kN; the mean over the windows has a tenth of that.
     assert np.nanstd(errors) < 1.0
     assert abs(np.nanmean(errors)) < 0.15
+
+
+def test_while_valid_the_std_was_below_twice_the_limit_within_the_last_second() -> None:
+    pipeline = resistance_pipeline(load_train_file(BAG / 'train.yaml'), EstimatorSettings())
+    outputs: list[Output[ResistanceEstimate]] = []
+    with BagReader(BAG) as reader:
+        for _, row in reader.rows():
+            pipeline.take(pipeline.stream.push_row(*row), outputs.append)
+    held_ns, valid = 0, 0
+    for output in outputs:
+        estimate = output.estimate
+        if estimate.resistance_std < 2.0 * math.hypot(0.15, 0.05 * estimate.resistance):
+            held_ns = output.stamp_ns
+        if output.status is Status.VALID:
+            valid += 1
+            assert output.stamp_ns - held_ns <= NS_PER_S
+    assert valid > 1000
 
 
 def test_the_train_file_deviates_as_documented() -> None:

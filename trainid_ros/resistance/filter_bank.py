@@ -55,8 +55,10 @@ _RESTART_AFTER_S: Final = 5.0
 _IDLE_S: Final = 600.0
 # Multiple of the limit up to which an estimate is fit to use while a step is suspected.
 _SUSPECTED: Final = 2.0
-# Number of accepted samples between two tests whether the estimate is fit to use.
+# Number of accepted samples between two tests whether the estimate is fit to use, a second at 5 Hz; and the time since
+# the last sample from which on each is tested [ns].
 _JUDGED_EVERY: Final = 5
+_JUDGED_AFTER_NS: Final = 210_000_000
 # Standard deviation of the relative error of the wheel diameter, which is up to about half a per cent.
 _WHEEL_STD: Final = 0.003
 # Share of a added to the std of its steps; minimum std of a step of c [N/kN per (m/s)^2].
@@ -121,6 +123,8 @@ class FilterBank:
             return rejection
         self._tachometer.add(sample.speed, sample.dt)
         self._ticks.append(self._tick(sample))
+        if len(self._ticks) == 1 and self._converged:  # the speed may be far from where the last drive ended
+            self._judge()
         if len(self._ticks) <= _STEPS_AHEAD:  # the first samples of a drive set its stride
             self._stride = max(1, min(round(_SPACING_S / sample.dt), MAX_STRIDE))
         while len(self._ticks) > (_STEPS_AHEAD + 1) * self._stride + 1:
@@ -194,6 +198,8 @@ class FilterBank:
             self._stopped = False
         self.bank.restart(tick.speed, tick.variance)
         self._running, self._rejected_s, self._advanced_ns = True, 0.0, tick.stamp_ns
+        if self._converged:
+            self._judge()
 
     def _account(self, tick: Tick, innovation: Innovation) -> Rejection | None:
         """Record the innovation as a resistance [N/kN]; return the rejection of an outlier."""
@@ -206,15 +212,15 @@ class FilterBank:
             self._rejected_s += tick.dt
             self._running = self._rejected_s < _RESTART_AFTER_S - 0.5 * tick.dt
             return Rejection(tick.stamp_ns, Reason.OUTLIER, nu, _GATE * math.sqrt(S))
-        self._rejected_s, self._advanced_ns = 0.0, tick.stamp_ns
+        since_ns, self._rejected_s, self._advanced_ns = tick.stamp_ns - self._advanced_ns, 0.0, tick.stamp_ns
         self._driven.add(tick.speed)
-        if self._driven.count % _JUDGED_EVERY == 0:
-            self._judge(tick.speed)
+        if self._driven.count % _JUDGED_EVERY == 0 or since_ns > _JUDGED_AFTER_NS:
+            self._judge()
         return None
 
-    def _judge(self, speed: float) -> None:
-        """Decide whether w is fit to use: at the driven speeds, and at this speed even if a step has just happened."""
-        now, config = self._inflated(self.bank.mixture()), self.config
+    def _judge(self) -> None:
+        """Decide whether w is fit to use: at the driven speeds, and at the present one even if a step just happened."""
+        now, config, speed = self._inflated(self.bank.mixture()), self.config, self._ticks[-1].speed
         # A delay outside the range that can be estimated biases the other states.
         self._converged = (
             not is_delay_at_end(now.mean[_DELAY])

@@ -334,3 +334,32 @@ def test_log_weights_of_the_wrong_shape_are_rejected(
 def test_settings_out_of_range_are_rejected() -> None:
     with pytest.raises(InputError, match='hypotheses'):
         FilterBank(FILE, FilterBankConfig(hypotheses=1))
+
+
+@pytest.mark.parametrize('at_once', [True, False])
+def test_after_a_gap_the_first_samples_are_judged_at_their_own_speed(
+    at_once: bool, learned: str, minutes: list[Sample], restored: Any, after: Any
+) -> None:
+    """Nothing is learned from the first samples, and the std at 60 m/s is above twice the limit."""
+    bank = restored(learned)
+    bank.step(after(minutes, dt=math.nan))
+    assert bank.converged
+    assert bank.estimate(60.0).resistance_std > 2.0 * math.hypot(0.25, 0.05 * bank.estimate(60.0).resistance)
+    speeds = [60.0] if at_once else [minutes[-1].speed, 60.0, 60.0]  # the filters start at the third sample
+    for speed in speeds:
+        assert bank.converged
+        bank.step(after(minutes, speed=speed))
+    assert not bank.converged
+
+
+def test_slow_samples_are_judged_each_by_itself(learned: str, drive: Any, restored: Any, shifted: Any) -> None:
+    """With a sample every second, an estimate is withdrawn by the next one."""
+    bank = restored(learned)
+    samples = shifted(drive(20.0, period=1.0), 400.0)
+    for item in samples:
+        bank.step(item)
+    assert bank.converged
+    bank.bank.idle(1e7)
+    last = samples[-1]
+    bank.step(replace(last, stamp_ns=last.stamp_ns + 1_000_000_000))
+    assert not bank.converged
