@@ -289,3 +289,46 @@ def test_a_dump_of_the_parameters_does_not_mix_two_trains(
         'values that a dump took from another train file are ignored: train.mass = 194000 (train file: 210000)' in log
     )
     assert 'parameters replace values of the train file: brake.rate = 0.9 (train file: 1)' in log
+
+
+@pytest.mark.parametrize('by_clock', [True, False])
+def test_a_jump_that_resets_the_estimator_leaves_a_good_checkpoint(
+    graph: Graph, train_file: str, tmp_path: Path, by_clock: bool
+) -> None:
+    path, records = tmp_path / 'state.json', graph.coasting(150)
+    node = graph.active(train_file, checkpoint_file=str(path), use_sim_time=by_clock)
+    clock = graph.simulated(node) if by_clock else None
+    if clock is not None:
+        clock.go(records[-1].stamp_ns)
+    graph.feed(node, records)
+    node.checkpoints.save(node.pipeline)
+    good = path.read_bytes()
+    early_ns = graph.start_ns - 7200 * NS_PER_S
+    if clock is not None:
+        clock.go(early_ns)
+        assert node.running_pipeline() is node.pipeline
+    graph.feed(node, graph.coasting(20, start_ns=early_ns))
+    assert (node.pipeline.resets, node.pipeline.status) == (1, Status.CONVERGING)
+    cycle(node)
+    assert path.read_bytes() == good
+    assert node.pipeline.samples > 140  # from the file, not from what was kept of the short drive
+
+
+def test_after_a_jump_it_is_saved_once_the_estimate_is_valid_or_when_asked_for(
+    graph: Graph, train_file: str, tmp_path: Path
+) -> None:
+    path, early_ns = tmp_path / 'state.json', graph.start_ns - 7200 * NS_PER_S
+    node = graph.active(train_file, checkpoint_file=str(path), **NARROW)
+    graph.feed(node, graph.coasting(20))
+    early = graph.coasting(150, start_ns=early_ns)
+    graph.feed(node, early[:20])
+    node.checkpoints.save(node.pipeline)
+    assert (node.pipeline.resets, path.exists()) == (1, False)
+    node._services_offered.reset(node.pipeline)
+    node.checkpoints.save(node.pipeline)
+    path.unlink()
+    node.checkpoints.note_wiped()
+    graph.feed(node, early)
+    assert node.pipeline.status is Status.VALID
+    node.checkpoints.save(node.pipeline)
+    assert path.exists()

@@ -51,6 +51,8 @@ class Checkpoints:
         self.is_due = False
         self.saved_at = 0.0
         self._saved: object = None
+        # Whether a jump of the stamps or the clock has wiped the state, and the one in the file is the better one.
+        self._is_wiped = False
         self._writer = ThreadPoolExecutor(1, 'checkpoint')
         self._writing: Future[None] | None = None
 
@@ -67,6 +69,7 @@ class Checkpoints:
         self._provenance = provenance_of(self._node.job.field, train_file, settings)
         self._file = CheckpointFile(Path(path).expanduser()) if path else None
         kept, self._kept, self.problem, self._saved = self._kept, None, '', None
+        self._is_wiped = False
         if kept is not None and not kept.provenance.mismatch(self._provenance):
             self._restore(pipeline, kept)
         elif self._file is not None:
@@ -106,7 +109,7 @@ class Checkpoints:
     def close(self, pipeline: EstimatorPipeline[Any] | None, *, running: bool) -> None:
         """Keep what was learned in memory too, for the next configure."""
         self.pause(pipeline, running=running)
-        if pipeline is not None and pipeline.status is not Status.FAULT and pipeline.samples:
+        if pipeline is not None and pipeline.samples and self._is_worth_saving(pipeline):
             self._kept = self._checkpoint(pipeline)
         self._file = None
 
@@ -132,9 +135,23 @@ class Checkpoints:
 
     def _begin(self, pipeline: EstimatorPipeline[Any]) -> None:
         """Hand the state to the writer, if there is a file and the state is new."""
-        if self._file is not None and (mark := _mark(pipeline)) != self._saved and _is_worth_saving(pipeline):
+        if self._file is not None and (mark := _mark(pipeline)) != self._saved and self._is_worth_saving(pipeline):
             self._saved = mark
             self._writing = self._writer.submit(self._file.write, self._checkpoint(pipeline))
+
+    def _is_worth_saving(self, pipeline: EstimatorPipeline[Any]) -> bool:
+        """Return whether a state may replace the one in the file: after a reset, too, but not after a jump at once."""
+        if pipeline.status in (Status.VALID, Status.HOLDING):
+            self._is_wiped = False
+        return pipeline.status is not Status.FAULT and not self._is_wiped and bool(pipeline.samples or pipeline.resets)
+
+    def note_wiped(self) -> None:
+        """Keep the file after a reset that nobody asked for, until the estimate is fit to use again."""
+        self._is_wiped = True
+
+    def note_wanted(self) -> None:
+        """Save the state from now on, whatever it is: somebody has asked for it."""
+        self._is_wiped = False
 
     def save(self, pipeline: EstimatorPipeline[Any]) -> None:
         """Save to the file of the parameter ``checkpoint_file``, if it is given, and wait until that is done."""
@@ -164,6 +181,7 @@ class Checkpoints:
         if file is not self._file:
             self._keep_another(file)
         file.write(self._checkpoint(pipeline))
+        self.note_wanted()
         return file.path
 
     def _keep_another(self, file: CheckpointFile) -> None:
@@ -184,6 +202,7 @@ class Checkpoints:
             msg = f'{file.path}: there is no checkpoint'
             raise InputError(msg)
         age_s = self._restore(pipeline, checkpoint)
+        self.note_wanted()
         return f'{file.path}, saved {age_s:.1f} s ago'
 
     def _file_or_default(self) -> CheckpointFile:
@@ -212,8 +231,3 @@ class Checkpoints:
 def _mark(pipeline: EstimatorPipeline[Any]) -> object:
     """Return what differs if the state of a pipeline does."""
     return pipeline.samples, pipeline.rejections.total(), pipeline.resets, pipeline.status
-
-
-def _is_worth_saving(pipeline: EstimatorPipeline[Any]) -> bool:
-    """Return whether a state may replace the one in the file: one without samples only after a reset."""
-    return pipeline.status is not Status.FAULT and bool(pipeline.samples or pipeline.resets)

@@ -277,6 +277,7 @@ class EstimatorNode(ManagedNode):
         if outputs:
             self.step_times.add(time.perf_counter() - start)
         if pipeline.resets != resets:
+            self.checkpoints.note_wiped()
             self.get_logger().warning('stamps jumped back: estimator reset (time_jump_policy)')
         return outputs
 
@@ -389,6 +390,7 @@ class EstimatorNode(ManagedNode):
         follow = policy is TimeJumpPolicy.RESET and pipeline.newest_ns - self.now_ns() > limit_ns
         if follow:
             pipeline.reset()
+            self.checkpoints.note_wiped()
         self.watchdog.restart()
         done = 'estimator reset' if follow else 'estimator continues'
         self.get_logger().warning(f'clock jumped by {jumped_s:.3f} s: {done} (time_jump_policy {policy.value})')

@@ -52,6 +52,7 @@ class EstimatorServices:
     def reset(self, pipeline: EstimatorPipeline[Any]) -> str:
         """Reset the estimator to the prior."""
         pipeline.reset()
+        self._node.checkpoints.note_wanted()
         self._node.watchdog.restart()
         if self._node.state != 'active':  # or else the next checkpoint comes soon
             self._node.checkpoints.save(pipeline)

@@ -24,7 +24,7 @@ from dataclasses import dataclass, replace
 from typing import Final, TypeAlias
 
 from trainid_ros.record_validation import find_fault
-from trainid_ros.records import BRAKE, FORCE, GRADIENT, MASS, NS_PER_S, SPEED, Record
+from trainid_ros.records import BRAKE, FORCE, GRADIENT, INPUT_TOPICS, MASS, NS_PER_S, SPEED, Record
 from trainid_ros.results import Reason, Rejection
 from trainid_ros.scalars import seconds
 from trainid_ros.settings import setting
@@ -35,7 +35,9 @@ from trainid_ros.stream.stream_state import AlignerState
 from trainid_ros.stream.topic_track import TopicRow, TopicTrack, insert_row, restored_rows, rows_state
 from trainid_ros.stream.travel import Travel
 
+# Records in a row by which one topic shows a step of the stamps, and another number among which one topic has as many.
 _CONFIRMATIONS: Final = 3
+_MOST_SUSPECTS: Final = (_CONFIRMATIONS - 1) * len(INPUT_TOPICS) + 1
 _THINNING_SHARE: Final = 0.4
 
 
@@ -221,18 +223,19 @@ class Aligner:
         self._release(events)
 
     def _suspect(self, row: TopicRow, events: list[AlignmentEvent]) -> None:
-        """Follow a step of the stamps only when several records in a row, of more than one topic, agree on it."""
+        """Follow a step of the stamps only when it lasts: one topic has shown it three times, and others have, too."""
         if self._suspects and self._is_far(row.stamp_ns, self._suspects[-1].stamp_ns):
             self._reject_suspects(events)
         self._suspects.append(row)
-        if len(self._suspects) > _CONFIRMATIONS:
+        if len(self._suspects) > _MOST_SUSPECTS:
             events.append(self._reject_jump(self._suspects.pop(0)))
-        if len(self._suspects) == _CONFIRMATIONS and len({item.topic for item in self._suspects}) > 1:
+        shown = [item.topic for item in self._suspects]
+        if _CONFIRMATIONS <= max([shown.count(topic) for topic in shown]) < len(shown):
             self._follow_step(events)
 
     def _follow_step(self, events: list[AlignmentEvent]) -> None:
         """Follow a step of all topics: forward after a time without messages, or to another time base."""
-        stamp_ns = self._suspects[-1].stamp_ns
+        stamp_ns = self._suspects[0].stamp_ns
         step_ns = stamp_ns - self.newest_ns
         # A time base that only one topic has shown may itself have been the wrong one.
         if step_ns < 0 and self._reject_jump_back and len(self._agreeing) > 1:

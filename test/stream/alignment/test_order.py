@@ -166,7 +166,7 @@ def test_a_bag_that_starts_over_is_one_jump_back_and_continues(drive: Any, run: 
     events = run([*records, *records])
     (jump,) = of(TimeJump, events)
     assert jump.step_s == pytest.approx(-19.9, abs=0.3)
-    # Records are held until a third one agrees; none is lost.
+    # Records are held until one topic has brought three; none is lost.
     assert not reasons(events)
     samples = of(Sample, events)
     assert len(samples) >= 2 * 100 - 1
@@ -211,6 +211,35 @@ def test_one_stray_stamp_does_not_move_the_time_base(ahead_s: float, drive: Any,
     events = run([*records[:k], stray, *records[k:]])
     assert not of(TimeJump, events)
     assert len(of(Sample, events)) >= 140
+
+
+@pytest.mark.parametrize('ahead_s', [5.0, 30.0, 1e8, -1e8])
+@pytest.mark.parametrize('each', [1, 2])
+def test_stray_stamps_of_all_topics_at_once_do_not_move_the_time_base(
+    each: int, ahead_s: float, drive: Any, run: Any, reasons: Any
+) -> None:
+    records = drive(20.0)
+    k = next(i for i, record in enumerate(records) if record.stamp_ns > at(10.0))
+    kinds = (SpeedRecord, ForceRecord, GradientRecord, BrakeRecord)
+    following = [[r for r in records[k:] if isinstance(r, kind)][:each] for kind in kinds]
+    stray = sorted((r for topic in following for r in topic), key=lambda r: r.stamp_ns)
+    ahead_ns = round(ahead_s * NS_PER_S)
+    events = run([*records[:k], *(replace(r, stamp_ns=r.stamp_ns + ahead_ns) for r in stray), *records[k:]])
+    assert not of(TimeJump, events)
+    assert reasons(events) == {Reason.STAMP_JUMP: len(stray)}
+    assert repr(of(Sample, events)) == repr(of(Sample, run(records)))
+
+
+@pytest.mark.parametrize('step_s', [-3000.0, -7200.0, 1800.0])
+def test_a_step_of_all_topics_is_followed_within_a_second_of_data(step_s: float, drive: Any) -> None:
+    records, step_ns, aligner = drive(20.0), round(step_s * NS_PER_S), Aligner(CONFIG)
+    for record in records:
+        if record.stamp_ns < at(10.0):
+            aligner.push(record)
+            continue
+        if of(TimeJump, aligner.push(replace(record, stamp_ns=record.stamp_ns + step_ns))):
+            break
+    assert at(10.3) < record.stamp_ns < at(11.0)
 
 
 def test_one_topic_with_a_different_clock_does_not_move_the_time_base(drive: Any, run: Any) -> None:
