@@ -157,7 +157,7 @@ def test_it_is_saved_at_intervals_and_only_when_something_has_changed(
     graph: Graph, train_file: str, tmp_path: Path
 ) -> None:
     path = tmp_path / 'state.json'
-    node = graph.active(train_file, checkpoint_file=str(path), checkpoint_period=0.05)
+    node = graph.active(train_file, checkpoint_file=str(path), checkpoint_period=0.1)
     records = graph.coasting(40)
     graph.feed(node, records[:80])
     graph.until(path.exists)
@@ -174,7 +174,7 @@ def test_it_is_saved_at_intervals_and_only_when_something_has_changed(
 def test_without_the_parameter_nothing_is_saved(graph: Graph, train_file: str) -> None:
     folder = Path(os.environ['ROS_HOME'], 'trainid')
     before = set(folder.glob('*'))
-    node = graph.active(train_file, checkpoint_period=0.01)
+    node = graph.active(train_file, checkpoint_period=0.1)
     graph.feed(node, graph.coasting(20))
     cycle(node)
     assert set(folder.glob('*')) == before
@@ -184,7 +184,7 @@ def test_a_full_disk_is_a_warning_once_and_never_more(
     graph: Graph, train_file: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: Any
 ) -> None:
     path = tmp_path / 'state.json'
-    node = graph.active(train_file, checkpoint_file=str(path), checkpoint_period=0.02)
+    node = graph.active(train_file, checkpoint_file=str(path), checkpoint_period=0.1)
     got: list[Any] = []
     graph.plain('technician').create_subscription(DiagnosticArray, '/diagnostics', got.append, 10)
 

@@ -75,12 +75,20 @@ def test_values_reach_the_settings() -> None:
         ('estimator.hypotheses', 30.0, 'estimator.hypotheses = 30.0 must be a whole number'),
         ('train_file', 3, 'train_file = 3 must be a string'),
         ('autostart', 1, 'autostart = 1 must be true or false'),
+        ('checkpoint_period', 1e-6, 'checkpoint_period = 1e-06 must be 0 or at least 0.1'),
+        ('checkpoint_period', 4000.0, r'checkpoint_period = 4000 is outside \[0, 3600\]'),
+        ('checkpoint_period', -1.0, r'checkpoint_period = -1 is outside'),
         ('time_jump_policy', 'panic', "time_jump_policy = 'panic' must be one of reset, ignore, refuse"),
     ],
 )
 def test_invalid_values_are_rejected_by_name(name: str, value: object, reason: str) -> None:
     with pytest.raises(InputError, match=reason):
         SPECS[name].coerce(value)
+
+
+@pytest.mark.parametrize('value', [0.0, 0.1, 3600.0])
+def test_checkpoints_may_be_turned_off_or_be_saved_ten_times_a_second(value: float) -> None:
+    assert SPECS['checkpoint_period'].coerce(value) == value
 
 
 def test_a_whole_number_is_accepted_for_a_float() -> None:

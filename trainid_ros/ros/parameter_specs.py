@@ -41,9 +41,9 @@ LIVE: Final = frozenset({'diagnostic_period', 'checkpoint_period', 'stale_after'
 class ParameterSpec:
     """One parameter: default (its type is the parameter's type), description and permitted values.
 
-    ``low`` and ``high`` are the inclusive bounds of a number; ``choices`` lists the permitted strings. ``look_up``, if
-    given, decides instead of ``choices`` and raises InputError for a string that is not permitted: plug-ins may add
-    strings, and are only read when one is looked up.
+    ``low`` and ``high`` are the inclusive bounds of a number, ``least`` the smallest one but 0; ``choices`` lists the
+    permitted strings. ``look_up``, if given, decides instead of ``choices`` and raises InputError for a string that is
+    not permitted: plug-ins may add strings, and are only read when one is looked up.
     """
 
     name: str
@@ -54,6 +54,7 @@ class ParameterSpec:
     choices: tuple[str, ...] = ()
     look_up: Callable[[str], object] | None = None
     read_only: bool = False
+    least: float = -math.inf
 
     def coerce(self, value: object) -> Value:
         """Return a value from a file as the parameter's type; a whole number is accepted for a float.
@@ -79,8 +80,15 @@ class ParameterSpec:
             elif self.choices and value not in self.choices:
                 msg = f'{self.name} = {value!r} must be one of {", ".join(self.choices)}'
                 raise InputError(msg)
-        elif not isinstance(value, bool) and not (math.isfinite(value) and self.low <= value <= self.high):
+        elif not isinstance(value, bool):
+            self._check_number(value)
+
+    def _check_number(self, value: float) -> None:
+        if not (math.isfinite(value) and self.low <= value <= self.high):
             msg = f'{self.name} = {value:g} is outside [{self.low:g}, {self.high:g}]'
+            raise InputError(msg)
+        if value < self.least and value != 0.0:
+            msg = f'{self.name} = {value:g} must be 0 or at least {self.least:g}'
             raise InputError(msg)
 
 
@@ -152,11 +160,30 @@ QOS_POLICIES: Final = {
 AUTOSTART: Final = ParameterSpec('autostart', False, 'configure and activate at start', read_only=True)
 
 
+CHECKPOINT_FILE: Final = ParameterSpec(
+    'checkpoint_file', '', 'path (.json) of the state, loaded at start and kept up to date', read_only=True
+)
+CHECKPOINT_PERIOD: Final = ParameterSpec(
+    'checkpoint_period',
+    5.0,
+    'time between checkpoints, at least 0.1, or 0: only when the node stops [s]',
+    0.0,
+    3600.0,
+    least=0.1,
+)
+TIME_JUMP_POLICY: Final = ParameterSpec(
+    'time_jump_policy',
+    PipelineConfig().time_jump_policy.value,
+    f'what to do when stamps or /clock jump back; {_NEXT}',
+    choices=tuple(policy.value for policy in TimeJumpPolicy),
+)
+SEED: Final = ParameterSpec('seed', EstimatorSettings().seed, f'seed of the random numbers; {_NEXT}', 0, 2**31 - 1)
+DIAGNOSTIC_PERIOD: Final = ParameterSpec('diagnostic_period', 1.0, 'time between diagnostics [s]', 0.1, 60.0)
+
+
 def estimator_parameters(algorithms: Algorithms[Any], name: str = '') -> tuple[ParameterSpec, ...]:
     """Return all parameters of a node that runs the named algorithm, the default one without a name."""
     algorithm = algorithms[name or algorithms.default]
-    policies = tuple(policy.value for policy in TimeJumpPolicy)
-    default = PipelineConfig().time_jump_policy.value
     algorithm_spec = ParameterSpec(
         ALGORITHM,
         algorithms.default,
@@ -165,25 +192,16 @@ def estimator_parameters(algorithms: Algorithms[Any], name: str = '') -> tuple[P
         look_up=algorithms.__getitem__,
         read_only=True,
     )
-    texts = (
+    return (
         TRAIN_FILE,
         algorithm_spec,
-        ParameterSpec(
-            'time_jump_policy', default, f'what to do when stamps or /clock jump back; {_NEXT}', choices=policies
-        ),
-        ParameterSpec(
-            'checkpoint_file', '', 'path (.json) of the state, loaded at start and kept up to date', read_only=True
-        ),
-        ParameterSpec(
-            'checkpoint_period', 5.0, 'time between checkpoints, 0: only when the node stops [s]', 0.0, 3600.0
-        ),
-        ParameterSpec('seed', EstimatorSettings().seed, f'seed of the random numbers; {_NEXT}', 0, 2**31 - 1),
-        ParameterSpec('diagnostic_period', 1.0, 'time between diagnostics [s]', 0.1, 60.0),
+        TIME_JUMP_POLICY,
+        CHECKPOINT_FILE,
+        CHECKPOINT_PERIOD,
+        SEED,
+        DIAGNOSTIC_PERIOD,
         AUTOSTART,
         TAKEN,
-    )
-    return (
-        *texts,
         *(item.spec for item in TRAIN_PARAMETERS),
         *_settings('', PipelineConfig()),
         *_settings('alignment.', AlignmentConfig()),
