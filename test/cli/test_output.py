@@ -12,7 +12,6 @@ import numpy as np
 import pytest
 
 from trainid_ros.cli.output import (
-    HTML_START,
     check_output,
     print_json,
     progress,
@@ -23,6 +22,8 @@ from trainid_ros.cli.output import (
     warn,
 )
 from trainid_ros.errors import InputError
+from trainid_ros.report import HTML_START
+from trainid_ros.report.page import page
 from trainid_ros.results import BrakeRateEstimate, Output, Status
 
 BRAKE = BrakeRateEstimate(0.93, 0.02, 1.5, 12.0, -0.5, -0.6, 77.5, True, 0.01, 0.002, 0.3)
@@ -123,8 +124,10 @@ def test_an_output_replaces_nothing_but_an_earlier_one(tmp_path: Path) -> None:
     train, report, link = tmp_path / 'T.yaml', tmp_path / 'report.html', tmp_path / 'link.html'
     train.write_text('train: {}', encoding='utf-8')
     check_output(report, (train, None, tmp_path / 'missing'), HTML_START)
-    report.write_text(f'{HTML_START}<html>', encoding='utf-8')
+    report.write_text(page('drive', '', 'end'), encoding='utf-8')
     check_output(report, (train,), HTML_START)
+    foreign = tmp_path / 'mine.html'
+    foreign.write_text('<!DOCTYPE html><html lang="en"><head><meta charset="utf-8"><title>mine', encoding='utf-8')
     (tmp_path / 'empty.html').touch()
     check_output(tmp_path / 'empty.html', (train,), HTML_START)
     link.symlink_to(train)
@@ -133,6 +136,7 @@ def test_an_output_replaces_nothing_but_an_earlier_one(tmp_path: Path) -> None:
         (link, (train,), 'is an input and would be overwritten'),
         (report, (report,), 'is an input and would be overwritten'),
         (train, (), 'exists and was not written by trainid'),
+        (foreign, (), 'exists and was not written by trainid'),
         (tmp_path, (), 'exists and is not a file'),
     ):
         with pytest.raises(InputError, match=f'{path}: {reason}'):

@@ -9,8 +9,9 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from trainid_ros.cli.arguments import DEMO_QUICK_S, EXPLAIN_CHAPTER
-from trainid_ros.cli.output import HTML_START, check_output, print_json, progress, show
+from trainid_ros.cli.output import check_output, print_json, progress, show
 from trainid_ros.demo.bags import STOCK, load_demo_bag, stock_bag
+from trainid_ros.report import HTML_START
 
 if TYPE_CHECKING:
     import argparse

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any, Final
 from trainid_ros import __version__
 from trainid_ros.bag.run_reader import read_runs, survey, worker_count
 from trainid_ros.cli.output import (
-    HTML_START,
     check_output,
     print_json,
     printable,
@@ -25,6 +24,7 @@ from trainid_ros.cli.output import (
 from trainid_ros.errors import InputError, NoAnswerError
 from trainid_ros.mapping.mapped_inputs import mapped_inputs
 from trainid_ros.plural import pluralise
+from trainid_ros.report import HTML_START
 from trainid_ros.train.train_file import dump_train_file, load_train_file
 
 if TYPE_CHECKING:

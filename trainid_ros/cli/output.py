@@ -25,8 +25,6 @@ if TYPE_CHECKING:
 
 
 _OUTPUT_FIELDS: Final = ('stamp_ns', 'estimate', 'status', 'used', 'rejected', 'last_rejection')
-HTML_START: Final = '<!DOCTYPE html>'
-"""How each report starts."""
 EXIT_NO_ANSWER: Final = 1
 EXIT_BAD_INPUT: Final = 2
 

@@ -12,13 +12,14 @@ from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.bag.bag_replay import Pipelines, replay_through
 from trainid_ros.bag.reader import BagReader
-from trainid_ros.cli.output import HTML_START, check_output, table, to_plain
+from trainid_ros.cli.output import check_output, table, to_plain
 from trainid_ros.cli.per_bag import BagResult, run_per_bag
 from trainid_ros.errors import InputError
 from trainid_ros.estimators.force_findings import force_findings
 from trainid_ros.estimators.observability import observe
 from trainid_ros.mapping.mapped_inputs import mapped_inputs
 from trainid_ros.plural import pluralise
+from trainid_ros.report import HTML_START
 from trainid_ros.ros.jobs import Setup, node_setups
 from trainid_ros.sim.truth import load_truth
 from trainid_ros.train.train_file import load_train_file

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final
 from trainid_ros import __version__
 from trainid_ros.errors import InputError
 from trainid_ros.records import NS_PER_S
+from trainid_ros.report import HTML_START
 from trainid_ros.report.figures import (
     brake_rate_over_time,
     innovation_ratios,
@@ -44,7 +45,7 @@ def page(title: str, body: str, footer: str) -> str:
     """
     name = escape(title)
     return (
-        '<!DOCTYPE html><html lang="en"><head><meta charset="utf-8">'
+        f'{HTML_START}{escape(__version__)}">'
         '<meta name="viewport" content="width=device-width,initial-scale=1">'
         f'<title>{name}</title><style>{css()}</style></head><body>'
         f'<h1>{name}</h1><p class="sub">{escape(" · ".join(versions()))}</p>{body}'
