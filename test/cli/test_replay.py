@@ -7,6 +7,7 @@ import io
 import json
 import math
 from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import pytest
@@ -15,13 +16,15 @@ from trainid_ros.bag.bag_replay import replay
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.cli.main import main
-from trainid_ros.estimators.pipeline import EstimatorSettings
+from trainid_ros.cli.replay import contradiction_text
+from trainid_ros.estimators.pipeline import Contradiction, EstimatorSettings
 from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
 from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:
     from pathlib import Path
 
+FINDING = ('input_finding', 'input_finding_begin_s', 'input_finding_end_s')
 START_NS = 1_700_000_000 * NS_PER_S
 
 
@@ -69,7 +72,8 @@ def test_json_has_the_agreed_fields_and_nothing_else_is_printed(printed: Printed
     assert printed.out.count('\n') == 1
     assert printed.err == ''
     agreed = {'samples', 'duration_s', 'used', 'rejected', 'resistance', 'speed_model', 'brake_rate', 'wall_s'}
-    assert agreed | {'algorithms', 'input_finding'} == set(answer)
+    assert agreed | {'algorithms', *FINDING} == set(answer)
+    assert [answer[key] for key in FINDING] == ['', None, None]
     assert answer['algorithms'] == {'resistance': 'filter-bank', 'speed_model': 'AM-VFF-RLS', 'brake_rate': 'GSMA'}
     known = {'a', 'b', 'c', 'std', 'status', 'speed_range', 'force_scale', 'force_delay', 'findings'}
     assert known == set(answer['resistance'])
@@ -159,6 +163,26 @@ def test_report_is_written_with_the_truth_of_the_bag(driven_bag: Path, tmp_path:
     assert call(driven_bag, '--report', str(report)) == 0
     text = report.read_text(encoding='utf-8')
     assert 'error / std' in text
+
+
+def test_a_contradiction_of_the_inputs_is_shown_with_its_times(
+    driven_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / 'sign'
+    with BagReader(driven_bag) as reader, BagWriter(path) as writer:
+        for record in reader.records():
+            wrong = isinstance(record, ForceRecord)
+            writer.write_record(replace(record, force=-record.force) if wrong else record)
+    call(path, '--json', train=driven_bag / 'train.yaml')
+    answer = json.loads(capsys.readouterr().out)
+    finding, begin_s, end_s = (answer[key] for key in FINDING)
+    assert (finding, end_s) == ('ato/force looks as if it had the wrong sign', None)
+    assert 0.0 < begin_s < 40.0
+    call(path, train=driven_bag / 'train.yaml')
+    text = f'inputs contradict each other since {begin_s:.1f} s: {finding}'
+    assert capsys.readouterr().out.count(f'\n{text}\n') == 1
+    past = Contradiction(finding, 12.34, 56.78)
+    assert contradiction_text(past) == f'inputs contradicted each other from 12.3 to 56.8 s: {finding}'
 
 
 def test_wrong_truth_is_reported_before_the_work(

@@ -451,3 +451,22 @@ def test_a_stream_that_fails_fails_for_all_its_pipelines(metro: TrainFile) -> No
         record.events(pipeline.stream)
     with pytest.raises(TrainIdError, match='shares with another estimator has failed'):
         record.events(pipeline.stream)
+
+
+def test_a_group_knows_when_the_inputs_contradicted_each_other(metro: TrainFile, day: Records) -> None:
+    pipeline = resistance_pipeline(metro, EstimatorSettings())
+    group = PipelineGroup([pipeline])
+    assert math.isnan(group.contradiction.begin_s)
+    start_ns, seen = day[0].stamp_ns, []
+    for record in day:
+        t = (record.stamp_ns - start_ns) / NS_PER_S
+        wrong = isinstance(record, ForceRecord) and 40.0 <= t < 70.0
+        group.push_rows([(replace(record, force=-record.force) if wrong else record).row()])
+        if pipeline.stream.finding:
+            seen.append(group.covered_s)
+            assert math.isnan(group.contradiction.end_s)
+    assert 40.0 < seen[0] < 100.0
+    assert group.contradiction.finding == pipeline.stream.last_finding != ''
+    assert group.contradiction.begin_s == seen[0]
+    assert group.contradiction.end_s == pytest.approx(seen[-1], abs=0.5)
+    assert group.contradiction.end_s > seen[-1]

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Generic, NamedTuple, Protocol
 from trainid_ros.bag.reader import PROGRESS_EVERY, LoggedRecord, require_topics
 from trainid_ros.estimators.pipeline import (
     BrakeRatePipeline,
+    Contradiction,
     EstimatorPipeline,
     PipelineGroup,
     ResistancePipeline,
@@ -79,7 +80,7 @@ class Replay:
         resistance: Running resistance.
         speed_model: Speed model.
         brake_rate: Brake rate.
-        finding: The last contradiction found between the inputs, empty if none was.
+        contradiction: The last contradiction between the inputs, if there was one.
 
     """
 
@@ -88,7 +89,7 @@ class Replay:
     resistance: Result[ResistanceEstimate]
     speed_model: Result[SpeedModelEstimate]
     brake_rate: Result[BrakeRateEstimate]
-    finding: str = ''
+    contradiction: Contradiction
 
 
 class Pipelines(NamedTuple):
@@ -156,7 +157,7 @@ def replay_through(
         _result(resistance, priors[0]),
         _result(speed_model, priors[1]),
         _result(brake_rate, priors[2]),
-        resistance.stream.last_finding,
+        group.contradiction,
     )
 
 

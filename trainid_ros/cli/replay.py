@@ -31,6 +31,7 @@ if TYPE_CHECKING:
 
     from trainid_ros.bag.bag_replay import Observer, Replay, Result
     from trainid_ros.bag.observers import TraceObserver
+    from trainid_ros.estimators.pipeline import Contradiction
     from trainid_ros.mapping.mapping import Mapping
     from trainid_ros.report.traces import Traces
     from trainid_ros.results import Reason
@@ -162,8 +163,8 @@ def no_answer(bag: Path, outcome: Replay) -> str:
     if result.output.used and estimate.speed_max > 0.0:
         return ''
     text = f'{bag}: nothing was learned of the resistance: {result.samples} samples, {result.output.used} used'
-    if outcome.finding:
-        return f'{text}; inputs contradict each other: {outcome.finding}'
+    if outcome.contradiction.finding:
+        return f'{text}; {contradiction_text(outcome.contradiction)}'
     if result.rejections:
         reason, count = result.rejections[0]
         text += f', most often rejected: {reason.name} ({count} times), last: {result.output.last_rejection}'
@@ -196,7 +197,9 @@ def to_json(outcome: Replay, setups: Sequence[Setup], wall_s: float) -> dict[str
             **{'value': f.brake_rate, 'std': f.brake_rate_std, 'status': brake.output.status},
             **_counters(brake),
         },
-        'input_finding': outcome.finding,
+        'input_finding': outcome.contradiction.finding,
+        'input_finding_begin_s': outcome.contradiction.begin_s,
+        'input_finding_end_s': outcome.contradiction.end_s,
         'algorithms': {setup.job.field: setup.algorithm for setup in setups},
         'wall_s': wall_s,
     }
@@ -219,8 +222,15 @@ def describe(outcome: Replay, setups: Sequence[Setup], wall_s: float) -> str:
         f'{outcome.records} messages, {outcome.resistance.samples} samples over {outcome.duration_s:.1f} s, '
         f'replayed {_pace(outcome, wall_s)}'
     )
-    contradiction = (f'inputs contradict each other: {outcome.finding}',) if outcome.finding else ()
+    contradiction = (contradiction_text(outcome.contradiction),) if outcome.contradiction.finding else ()
     return '\n\n'.join((head, *contradiction, _estimates(outcome), _usage(outcome), _uncertainty(outcome, setups)))
+
+
+def contradiction_text(last: Contradiction) -> str:
+    """Return the last contradiction of the inputs, with its times from the first sample on."""
+    if math.isnan(last.end_s):
+        return f'inputs contradict each other since {last.begin_s:.1f} s: {last.finding}'
+    return f'inputs contradicted each other from {last.begin_s:.1f} to {last.end_s:.1f} s: {last.finding}'
 
 
 def _estimates(outcome: Replay) -> str:

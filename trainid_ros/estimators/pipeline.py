@@ -7,6 +7,7 @@ computed elsewhere.
 
 from __future__ import annotations
 
+import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
@@ -364,13 +365,36 @@ class SharedRecord:
         return events
 
 
+@dataclass(slots=True)
+class Contradiction:
+    """The last time that inputs contradicted each other, in time covered by the samples.
+
+    Attributes:
+        finding: What contradicted what, empty if nothing ever did.
+        begin_s: When it began [s], NaN if it never did.
+        end_s: When it ended [s], NaN while it lasts.
+
+    """
+
+    finding: str = ''
+    begin_s: float = math.nan
+    end_s: float = math.nan
+
+
 class PipelineGroup:
-    """Pipelines that take in the same records; those whose streams would give the same samples share one."""
+    """Pipelines that take in the same records; those whose streams would give the same samples share one.
+
+    Attributes:
+        contradiction: Of the inputs of the first pipeline.
+
+    """
 
     def __init__(self, pipelines: Sequence[EstimatorPipeline[Any]]) -> None:
         share_streams(pipelines)
         self._pipelines = list(pipelines)
         self._first_ns = self._newest_ns = self._before_ns = 0
+        self._is_contradicted = False
+        self.contradiction = Contradiction()
 
     @property
     def covered_s(self) -> float:
@@ -385,6 +409,7 @@ class PipelineGroup:
             for event in record.events(self._pipelines[0].stream):  # the others have the same stamps
                 if isinstance(event, Sample):
                     self._cover(event.stamp_ns)
+                    self._follow_finding(self._pipelines[0].stream.finding)
             for pipeline in self._pipelines:
                 pipeline.take(record.events(pipeline.stream), publish)
             count += 1
@@ -396,3 +421,12 @@ class PipelineGroup:
             self._first_ns = stamp_ns
         self._first_ns = self._first_ns or stamp_ns
         self._newest_ns = stamp_ns
+
+    def _follow_finding(self, finding: str) -> None:
+        if finding and not self._is_contradicted:
+            self.contradiction = Contradiction(finding, self.covered_s)
+        elif finding:
+            self.contradiction.finding = finding
+        elif self._is_contradicted:
+            self.contradiction.end_s = self.covered_s
+        self._is_contradicted = finding != ''
