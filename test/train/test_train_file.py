@@ -101,7 +101,8 @@ def test_exponents_without_a_point_are_numbers() -> None:
         ('train: {mass: .inf}\nresistance: {}', 'T.yaml: train.mass = inf must be finite'),
         ('train: 3\nresistance: {}', 'T.yaml: train = 3 must be a mapping of fields'),
         ('[1, 2]', 'T.yaml = [1, 2] must be a mapping of fields'),
-        ('', 'T.yaml = None must be a mapping of fields'),
+        ('', 'T.yaml is empty, but must be a mapping of fields'),
+        ('# mass: 1.0', 'T.yaml is empty, but must be a mapping of fields'),
         (
             'train: {mass: 1, mas: 2}\nresistance: {}',
             "T.yaml: train.mas is not a known field; did you mean 'mass'?",

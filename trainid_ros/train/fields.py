@@ -209,6 +209,9 @@ def as_section(source: str, path: str, value: object) -> Section:
 
     """
     where = f'{source}: {path}' if path else source
+    if value is None:
+        msg = f'{where} is empty, but must be a mapping of fields'
+        raise InputError(msg)
     if not isinstance(value, dict):
         msg = f'{where} = {shown(value)} must be a mapping of fields'
         raise InputError(msg)
