@@ -17,7 +17,8 @@ from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.cli.main import main
 from trainid_ros.cli.replay import contradiction_text
-from trainid_ros.estimators.pipeline import Contradiction, EstimatorSettings
+from trainid_ros.estimators.contradiction import Contradiction
+from trainid_ros.estimators.pipeline import EstimatorSettings
 from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
 from trainid_ros.train.train_file import load_train_file
 
@@ -171,8 +172,7 @@ def test_a_contradiction_of_the_inputs_is_shown_with_its_times(
     path = tmp_path / 'sign'
     with BagReader(driven_bag) as reader, BagWriter(path) as writer:
         for record in reader.records():
-            wrong = isinstance(record, ForceRecord)
-            writer.write_record(replace(record, force=-record.force) if wrong else record)
+            writer.write_record(replace(record, force=-record.force) if isinstance(record, ForceRecord) else record)
     call(path, '--json', train=driven_bag / 'train.yaml')
     answer = json.loads(capsys.readouterr().out)
     finding, begin_s, end_s = (answer[key] for key in FINDING)

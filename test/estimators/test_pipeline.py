@@ -461,7 +461,8 @@ def test_a_group_knows_when_the_inputs_contradicted_each_other(metro: TrainFile,
     for record in day:
         t = (record.stamp_ns - start_ns) / NS_PER_S
         wrong = isinstance(record, ForceRecord) and 40.0 <= t < 70.0
-        group.push_rows([(replace(record, force=-record.force) if wrong else record).row()])
+        topic, stamp_ns, x, y, flag = record.row()
+        group.push_rows([(topic, stamp_ns, -x if wrong else x, y, flag)])
         if pipeline.stream.finding:
             seen.append(group.covered_s)
             assert math.isnan(group.contradiction.end_s)

@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Generic, NamedTuple, Protocol
 from trainid_ros.bag.reader import PROGRESS_EVERY, LoggedRecord, require_topics
 from trainid_ros.estimators.pipeline import (
     BrakeRatePipeline,
-    Contradiction,
     EstimatorPipeline,
     PipelineGroup,
     ResistancePipeline,
@@ -31,6 +30,7 @@ if TYPE_CHECKING:
 
     from trainid_ros.bag.reader import BagReader
     from trainid_ros.estimators.consistency import Consistency
+    from trainid_ros.estimators.contradiction import Contradiction
     from trainid_ros.estimators.pipeline import EstimatorSettings
     from trainid_ros.records import Row
     from trainid_ros.train.train_file import TrainFile

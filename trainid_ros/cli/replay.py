@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
     from trainid_ros.bag.bag_replay import Observer, Replay, Result
     from trainid_ros.bag.observers import TraceObserver
-    from trainid_ros.estimators.pipeline import Contradiction
+    from trainid_ros.estimators.contradiction import Contradiction
     from trainid_ros.mapping.mapping import Mapping
     from trainid_ros.report.traces import Traces
     from trainid_ros.results import Reason

@@ -7,7 +7,6 @@ computed elsewhere.
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
@@ -19,6 +18,7 @@ from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.errors import InputError, TrainIdError
 from trainid_ros.estimators.algorithm_registry import Algorithms, Choice
 from trainid_ros.estimators.consistency import Consistency, ConsistencyMonitor
+from trainid_ros.estimators.contradiction import Contradiction
 from trainid_ros.estimators.pipeline_state import SNAPSHOT_S, SUSPECTED_S, PipelineState, Snapshots, reason_counts
 from trainid_ros.estimators.protocol import Estimator
 from trainid_ros.records import NS_PER_S, Record, Row
@@ -365,36 +365,13 @@ class SharedRecord:
         return events
 
 
-@dataclass(slots=True)
-class Contradiction:
-    """The last time that inputs contradicted each other, in time covered by the samples.
-
-    Attributes:
-        finding: What contradicted what, empty if nothing ever did.
-        begin_s: When it began [s], NaN if it never did.
-        end_s: When it ended [s], NaN while it lasts.
-
-    """
-
-    finding: str = ''
-    begin_s: float = math.nan
-    end_s: float = math.nan
-
-
 class PipelineGroup:
-    """Pipelines that take in the same records; those whose streams would give the same samples share one.
-
-    Attributes:
-        contradiction: Of the inputs of the first pipeline.
-
-    """
+    """Pipelines that take in the same records; those whose streams would give the same samples share one."""
 
     def __init__(self, pipelines: Sequence[EstimatorPipeline[Any]]) -> None:
         share_streams(pipelines)
-        self._pipelines = list(pipelines)
+        self._pipelines, self.contradiction = list(pipelines), Contradiction()  # of the inputs of the first
         self._first_ns = self._newest_ns = self._before_ns = 0
-        self._is_contradicted = False
-        self.contradiction = Contradiction()
 
     @property
     def covered_s(self) -> float:
@@ -409,7 +386,7 @@ class PipelineGroup:
             for event in record.events(self._pipelines[0].stream):  # the others have the same stamps
                 if isinstance(event, Sample):
                     self._cover(event.stamp_ns)
-                    self._follow_finding(self._pipelines[0].stream.finding)
+                    self.contradiction.follow(self._pipelines[0].stream.finding, self.covered_s)
             for pipeline in self._pipelines:
                 pipeline.take(record.events(pipeline.stream), publish)
             count += 1
@@ -421,12 +398,3 @@ class PipelineGroup:
             self._first_ns = stamp_ns
         self._first_ns = self._first_ns or stamp_ns
         self._newest_ns = stamp_ns
-
-    def _follow_finding(self, finding: str) -> None:
-        if finding and not self._is_contradicted:
-            self.contradiction = Contradiction(finding, self.covered_s)
-        elif finding:
-            self.contradiction.finding = finding
-        elif self._is_contradicted:
-            self.contradiction.end_s = self.covered_s
-        self._is_contradicted = finding != ''

@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: Apache-2.0
+"""When the inputs of a replay contradicted each other."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+
+@dataclass(slots=True)
+class Contradiction:
+    """The last time that inputs contradicted each other, in time covered by the samples.
+
+    Attributes:
+        finding: What contradicted what, empty if nothing ever did.
+        begin_s: When it began [s], NaN if it never did.
+        end_s: When it ended [s], NaN while it lasts.
+
+    """
+
+    finding: str = ''
+    begin_s: float = math.nan
+    end_s: float = math.nan
+
+    def follow(self, finding: str, now_s: float) -> None:
+        """Take in what contradicts what after a sample, '' if nothing does; a new contradiction replaces the last."""
+        lasts = self.finding != '' and math.isnan(self.end_s)
+        if finding and not lasts:
+            self.begin_s, self.end_s = now_s, math.nan
+        elif lasts and not finding:
+            self.end_s = now_s
+        self.finding = finding or self.finding
