@@ -35,6 +35,7 @@ if TYPE_CHECKING:
     from trainid_ros.bag.record_table import RecordTable
     from trainid_ros.bag.stored_types import StoredType
     from trainid_ros.mapping.mapped_inputs import MappedInputs
+    from trainid_ros.mapping.mapping import Mapping
     from trainid_ros.records import Record, Row
     from trainid_ros.stream.sample_stream import SampleStream, StreamEvent
 
@@ -75,6 +76,14 @@ class LoggedMessage(NamedTuple):
     message: Any
 
 
+class StoredMessage(NamedTuple):
+    """A message of a topic of the mapping as it is stored, or the record of one of our own."""
+
+    log_ns: int
+    topic: str
+    content: bytes | Record
+
+
 class _Source(NamedTuple):
     """One channel of one file: topic by our name or that of the mapping, short type name, stored type if mapped."""
 
@@ -101,6 +110,8 @@ class BagReader:
         namespace: str = '/',
         max_chunk: int = MAX_CHUNK,
         inputs: Callable[[], MappedInputs] | None = None,
+        *,
+        mapping: Mapping = OWN,
     ) -> None:
         """Name the bag; it is opened on entering the context.
 
@@ -109,12 +120,13 @@ class BagReader:
             namespace: Namespace of the topics; those outside keep their full name without the slash.
             max_chunk: Largest chunk to unpack [bytes]; larger ones are left out with a warning.
             inputs: Makes what turns messages of other topics into records; without it only our own topics are read.
+            mapping: Where each input comes from, for :meth:`stored` alone, which needs no ``inputs``.
 
         """
         self.path = Path(path)
         self._max_chunk = max_chunk
         self._inputs = inputs
-        self.mapping = OWN if inputs is None else inputs().mapping
+        self.mapping = mapping if inputs is None else inputs().mapping
         self._damage: list[str] = []
         # Messages by topic that could not be read the last time.
         self._unreadable: Counter[str] = Counter()
@@ -316,6 +328,34 @@ class BagReader:
                 yield table_of(logged)
                 logged = []
         yield table_of(logged)
+
+    def stored(self) -> Iterator[StoredMessage]:
+        """Yield the messages of the mapping as they are stored, and our own ones that it leaves, by log time.
+
+        Raises:
+            InputError: A file has changed since it was opened.
+
+        """
+        own = {topic.name: topic for topic in INPUT_TOPICS if topic.name not in self.mapping.replaced}
+        for log_ns, source, payload in self._payloads({*own, *self.mapping.topics}):
+            if source.mapped is not None:
+                yield StoredMessage(log_ns, source.topic, payload)
+            elif (message := self._decoded(source, payload)) is not None:
+                yield StoredMessage(log_ns, source.topic, record_from_message(own[source.topic], message))
+
+    def mapped_types(self) -> dict[str, StoredType]:
+        """Return the types of the topics of the mapping that are in the bag.
+
+        Raises:
+            InputError: Messages of one topic have several types.
+
+        """
+        found: dict[str, StoredType] = {}
+        for source in (source for sources in self._sources for source in sources.values()):
+            if source.mapped is not None and found.setdefault(source.topic, source.mapped).name != source.mapped.name:
+                msg = f'{self.path}: topic {source.topic} is of {found[source.topic].name} and of {source.mapped.name}'
+                raise InputError(msg)
+        return found
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[LoggedMessage]:
         """Yield our messages, inputs and estimates, by log time.

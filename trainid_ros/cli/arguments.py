@@ -44,6 +44,7 @@ def configure_demo(parser: argparse.ArgumentParser) -> None:
 def configure_run(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``run``."""
     parser.add_argument('--train', type=Path, metavar='T.yaml', help='train file (parameter train_file)')
+    _add_map(parser, 'mapping file (parameter mapping_file): inputs from other topics, types and units')
     parser.add_argument(
         '--node', action='append', choices=LIVE_NODES, metavar='NAME', help='run only this node; repeatable'
     )
@@ -87,6 +88,7 @@ def configure_replay(parser: argparse.ArgumentParser) -> None:
 def configure_play(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``play``."""
     _add_bag(parser)
+    _add_map(parser, 'mapping file: also play the topics that it names')
     _add_max_chunk(parser)
     parser.add_argument(
         '--rate', type=positive, default=1.0, metavar='R', help='recorded seconds per second (default: 1)'
@@ -197,10 +199,10 @@ def _add_train(parser: argparse.ArgumentParser, text: str = 'train file') -> Non
     parser.add_argument('--train', type=Path, required=True, metavar='T.yaml', help=text)
 
 
-def _add_map(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        '--map', type=Path, metavar='MAPPING.yaml', help='mapping file: inputs from other topics, types and units'
-    )
+def _add_map(
+    parser: argparse.ArgumentParser, text: str = 'mapping file: inputs from other topics, types and units'
+) -> None:
+    parser.add_argument('--map', type=Path, metavar='MAPPING.yaml', help=text)
 
 
 def _add_jobs(parser: argparse.ArgumentParser) -> None:

@@ -18,6 +18,7 @@ from trainid_ros.errors import InputError
 from trainid_ros.estimators.force_findings import force_findings
 from trainid_ros.estimators.observability import observe
 from trainid_ros.mapping.mapped_inputs import mapped_inputs
+from trainid_ros.mapping.mapping_file import load_mapping
 from trainid_ros.plural import pluralise
 from trainid_ros.ros.jobs import Setup, node_setups
 from trainid_ros.sim.truth import load_truth
@@ -58,8 +59,11 @@ def run(args: argparse.Namespace) -> int:
 
 def _setups(args: argparse.Namespace, warn: Callable[[str], None] = lambda _: None) -> tuple[Setup, ...]:
     """Return the setups of the three nodes; InputError if train file or parameters cannot be used."""
-    train_file = load_train_file(args.train)
-    return node_setups(train_file, str(args.train), args.params, args.algorithm, namespace=args.namespace, warn=warn)
+    train_file, source = load_train_file(args.train), str(args.train)
+    foreign = () if args.map is None else load_mapping(args.map).topics
+    return node_setups(
+        train_file, source, args.params, args.algorithm, namespace=args.namespace, foreign=foreign, warn=warn
+    )
 
 
 def _mapped(setup: Setup, mapping: Mapping) -> Setup:

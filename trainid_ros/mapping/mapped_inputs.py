@@ -40,6 +40,7 @@ class MappedInputs:
 
     Attributes:
         mapping: Where each input comes from.
+        key: What the records depend on: inputs of equal keys give equal records.
 
     """
 
@@ -51,6 +52,7 @@ class MappedInputs:
 
         """
         self.mapping = mapping
+        self.key = (mapping, train_file.line, train_file.train.length)
         self._line = LineProfile(train_file.line, train_file.train.length)
         if isinstance(mapping.gradient, LineLookup) and not train_file.line.gradient:
             msg = 'mapping: gradient is to come from the line, but the train file has no line.gradient'
@@ -69,6 +71,15 @@ class MappedInputs:
     def topics(self) -> tuple[str, ...]:
         """Topics that the mapping names."""
         return tuple(self._readers)
+
+    @property
+    def lacks_position(self) -> bool:
+        """True while the gradient of the line cannot be looked up, as the position is not known."""
+        return isinstance(self.mapping.gradient, LineLookup) and not math.isfinite(self._position.at)
+
+    def stamp_ns(self, topic: str, message: Any, received_ns: int) -> int:
+        """Return the stamp of a message [ns]; arguments and errors are those of :meth:`take`."""
+        return _stamp(self._readers[topic][0][2], message, received_ns)
 
     def take(self, topic: str, message: Any, received_ns: int) -> list[Record]:
         """Return the records that a message of one of the topics completes.

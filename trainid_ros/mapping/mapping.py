@@ -151,6 +151,11 @@ class Mapping:
         return tuple(source.topic for source in signal.sources) if isinstance(signal, Signal) else ()
 
     @property
+    def topics(self) -> tuple[str, ...]:
+        """Names of the topics that are read, each once."""
+        return tuple(dict.fromkeys(source.topic for source in self.sources))
+
+    @property
     def sources(self) -> tuple[Source, ...]:
         """All numbers that are read."""
         signals = (getattr(self, item.name) for item in fields(self))

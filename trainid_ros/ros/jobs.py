@@ -151,6 +151,7 @@ def node_setups(
     algorithms: Sequence[str] = (),
     *,
     namespace: str = '/',
+    foreign: Collection[str] = (),
     warn: Callable[[str], None] = lambda _: None,
 ) -> tuple[Setup, ...]:
     """Return the train file and settings that the three nodes would run with.
@@ -161,6 +162,7 @@ def node_setups(
         params: Parameter file, None for defaults.
         algorithms: Algorithms that replace those in the file, see :func:`chosen_algorithms`.
         namespace: Namespace of the nodes.
+        foreign: Topics of their mapping.
         warn: Called with each warning.
 
     Raises:
@@ -174,7 +176,7 @@ def node_setups(
         overrides = {} if params is None else _given(job, params, f'{base}/{job.node_name}', warn)
         if job.field in chosen:
             overrides[ALGORITHM] = chosen[job.field]
-        topics = qos_overrides(job, lambda topic: f'{base}/{topic}')
+        topics = qos_overrides(job, lambda topic: topic if topic.startswith('/') else f'{base}/{topic}', foreign)
         setups.append(_setup(job, train_file, source, overrides, {*_OF_ROS, *topics}))
     return tuple(setups)
 
