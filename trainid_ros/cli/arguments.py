@@ -171,6 +171,13 @@ def configure_explain(parser: argparse.ArgumentParser) -> None:
 def configure_info(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``info``."""
     _add_bags(parser)
+    _add_map(parser, 'mapping file: check the inputs that it makes')
+    parser.add_argument(
+        '--suggest-map', action='store_true', help='print a mapping file for a bag, with reasons as comments'
+    )
+    parser.add_argument(
+        '--train', type=Path, metavar='T.yaml', help='train file: its mass shows units, its line has gradients'
+    )
     _add_max_chunk(parser)
     _add_jobs(parser)
     _add_namespace(parser)

@@ -22,6 +22,7 @@ from trainid_ros.records import (
     SpeedRecord,
 )
 from trainid_ros.train.line import LineProfile
+from trainid_ros.train.train_file import Line
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -44,18 +45,24 @@ class MappedInputs:
 
     """
 
-    def __init__(self, mapping: Mapping, train_file: TrainFile) -> None:
+    def __init__(self, mapping: Mapping, train_file: TrainFile | None) -> None:
         """Prepare.
 
+        Args:
+            mapping: Where each input comes from.
+            train_file: Train file; None if nothing comes from its line.
+
         Raises:
-            InputError: The gradient is to come from the line, but the train file has none.
+            InputError: The gradient is to come from the line, but there is none.
 
         """
         self.mapping = mapping
-        self.key = (mapping, train_file.line, train_file.train.length)
-        self._line = LineProfile(train_file.line, train_file.train.length)
-        if isinstance(mapping.gradient, LineLookup) and not train_file.line.gradient:
-            msg = 'mapping: gradient is to come from the line, but the train file has no line.gradient'
+        line, length = (Line(), 1.0) if train_file is None else (train_file.line, train_file.train.length)
+        self.key = (mapping, line, length)
+        self._line = LineProfile(line, length)
+        if isinstance(mapping.gradient, LineLookup) and not line.gradient:
+            missing = 'train file is given (--train)' if train_file is None else 'line.gradient is in the train file'
+            msg = f'mapping: gradient is to come from the line, but no {missing}'
             raise InputError(msg)
         self._readers: dict[str, list[tuple[str, int, Source]]] = {}
         self._sums: dict[str, SumOfSeries] = {}
@@ -144,7 +151,7 @@ class MappedInputs:
         return GradientRecord(stamp_ns, gradient, radius, tunnel)
 
 
-def mapped_inputs(path: Path | None, train_file: TrainFile) -> Callable[[], MappedInputs] | None:
+def mapped_inputs(path: Path | None, train_file: TrainFile | None) -> Callable[[], MappedInputs] | None:
     """Return what makes the inputs of a mapping file, None without one.
 
     Raises:
