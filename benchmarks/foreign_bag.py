@@ -5,6 +5,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final, Self
 
+import numpy as np
 from rosbags.interfaces import Nodetype
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
@@ -66,15 +67,13 @@ class ForeignBag:
         return self._store.types[kind](**fields)
 
     def _zero_field(self, item: Any) -> Any:
-        import numpy as np  # noqa: PLC0415
-
         node, detail = item
         if node == Nodetype.NAME:
             return self._zero(detail)
         if node == Nodetype.BASE:
             return _ZERO.get(detail[0], 0)
-        (_, (name, _)), count = detail
-        return np.zeros(count if node == Nodetype.ARRAY else 0, dtype=name)
+        (part, kind), count = detail
+        return [] if part == Nodetype.NAME else np.zeros(count if node == Nodetype.ARRAY else 0, dtype=kind[0])
 
 
 MAPPING: Final = """\

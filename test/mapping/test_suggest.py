@@ -185,12 +185,15 @@ def test_a_bag_with_other_sensors_is_mapped_to_those_of_the_train(
     assert sources(mapping.gradient)['/map/gradient_permille data'].unit.name == 'per_mille'
     assert mapping.on_change
     (notches,) = sources(mapping.brake_command).values()
-    assert dict(notches.table) == pytest.approx(dict(enumerate(NOTCHES)), abs=0.16)
+    assert dict(notches.table) == pytest.approx(dict(enumerate(NOTCHES[:3])), abs=0.16)
     assert 'decide: the nominal deceleration of each notch' in text
+    assert 'notch 3 was not seen on the move and would be rejected' in text
     assert 'also like a speed: /gps/velocity twist.linear.x' in text
     assert '/cam (sensor_msgs/msg/Image)' in text
     assert '/motor/temperature' in text.partition('not used')[2]
     assert mapping.mass is None
+    (by_motion,) = sources(mapping_of(suggested(foreign)).brake_command).values()
+    assert dict(by_motion.table) == pytest.approx(dict(enumerate(NOTCHES[:3])), abs=0.16)
     # The reader decides on the notches.
     with BagWriter(tmp_path / 'own') as writer:
         for record in ride:

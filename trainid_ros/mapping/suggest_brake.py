@@ -23,7 +23,6 @@ if TYPE_CHECKING:
 _LATEST_S: Final = 2.0
 # Then it takes so long to come to its value [s].
 _SETTLED_S: Final = 1.4
-_MOVING: Final = 1.0  # m/s
 _MOST_NOTCHES: Final = 16
 _GOES_WITH: Final = 0.3
 # Milder than this is not braking [m/s^2].
@@ -54,13 +53,13 @@ def choose_brake(series: Sequence[NumberSeries], motion: Motion, effort: Array |
         return []
     _, lag_s, with_it, item = max(ranked, key=lambda entry: entry[0])
     by_force = 'median of d(speed)/dt' if effort is None else 'median of force / mass'
-    target = motion.acceleration if effort is None else effort
+    target = np.where(motion.moving, motion.acceleration if effort is None else effort, np.nan)
     target = _earlier(target, _precedes(item, motion, target)[0])
     choice = Choice('brake_command', on_change=_on_change(item))
     choice.reasons.append(f'correlation {with_it:.2f} with d(speed)/dt {lag_s:.1f} s later {motion.minutes}')
     values = at_times(item, motion.times)
     if item.is_whole and np.unique(item.value).size <= _MOST_NOTCHES:
-        choice.parts = (Part(item, 'm/s^2', table=_table(item, values, target)),)
+        choice.parts = (Part(item, 'm/s^2', table=_table(choice, item, values, target)),)
         choice.reasons.append(f'value of each notch: {by_force} while it holds')
         choice.decisions.append('the nominal deceleration of each notch')
     else:
@@ -76,7 +75,7 @@ def choose_brake(series: Sequence[NumberSeries], motion: Motion, effort: Array |
 def _precedes(item: NumberSeries, motion: Motion, acceleration: Array) -> tuple[float, float]:
     """Return by how much a number precedes decelerations [s], and its correlation with them [1]."""
     values = at_times(item, motion.times)
-    braking = np.where(motion.speed > _MOVING, np.minimum(acceleration, 0.0), np.nan)
+    braking = np.where(motion.moving, np.minimum(acceleration, 0.0), np.nan)
     lags = np.arange(0.0, _LATEST_S, STEP_S).tolist()
     return max(((lag, correlation(values, _earlier(braking, lag))) for lag in lags), key=lambda entry: abs(entry[1]))
 
@@ -95,8 +94,8 @@ def _on_change(item: NumberSeries) -> bool:
     return bool(changes and np.diff(item.time).max() > AlignmentConfig().command_timeout)
 
 
-def _table(item: NumberSeries, values: Array, target: Array) -> tuple[tuple[float, float], ...]:
-    """Return the target acceleration of each notch, 0 where it does not brake."""
+def _table(choice: Choice, item: NumberSeries, values: Array, target: Array) -> tuple[tuple[float, float], ...]:
+    """Return the target acceleration of each notch, 0 where it does not brake; one never seen on the move is noted."""
     wait = round(_SETTLED_S / STEP_S)
     table = []
     for notch in np.unique(item.value):
@@ -104,7 +103,11 @@ def _table(item: NumberSeries, values: Array, target: Array) -> tuple[tuple[floa
         steady = holds.copy()
         for steps in range(1, wait):
             steady[steps:] &= holds[:-steps]
-        seen = target[(steady if steady.any() else holds) & np.isfinite(target)]
+        known = np.isfinite(target)
+        seen = target[steady & known] if np.any(steady & known) else target[holds & known]
+        if notch != 0.0 and not seen.size:
+            choice.decisions.append(f'notch {notch:g} was not seen on the move and would be rejected: give its value')
+            continue
         value = float(np.median(seen)) if seen.size else 0.0
         table.append((float(notch), round(value, 2) if value < -_MILD and notch != 0.0 else 0.0))
     return tuple(table)
