@@ -1,26 +1,32 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Write bags as other makers do: other topics, types and units, with ``rosbags``."""
+"""Write bags as other makers do: other topics, types and units, with ``rosbags``.
+
+``python -m benchmarks.foreign_bag BAG OUT`` writes the inputs of one of our bags so.
+"""
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, Self
 
 import numpy as np
 from rosbags.interfaces import Nodetype
-from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from trainid_ros.bag.reader import BagReader
 from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, MassRecord, Record, SpeedRecord
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
-    from pathlib import Path
     from types import TracebackType
 
 TWIST: Final = 'geometry_msgs/msg/TwistStamped'
 WRENCH: Final = 'geometry_msgs/msg/WrenchStamped'
 ODOMETRY: Final = 'nav_msgs/msg/Odometry'
 FLOAT: Final = 'std_msgs/msg/Float64'
+VECTOR: Final = 'geometry_msgs/msg/Vector3Stamped'
 INT: Final = 'std_msgs/msg/Int8'
 _ZERO: Final[dict[str, Any]] = {'string': '', 'bool': False, 'float32': 0.0, 'float64': 0.0}
 
@@ -34,6 +40,7 @@ class ForeignBag:
         for name, text in types.items():
             self._store.register(get_types_from_msg(text, name))
         self._writer = Writer(path, version=9, storage_plugin=StoragePlugin.MCAP)
+        self._writer.set_compression(CompressionMode.STORAGE, CompressionFormat.ZSTD)
         self._connections: dict[str, Any] = {}
 
     def __enter__(self) -> Self:
@@ -85,12 +92,13 @@ force:
     - {topic: /car2/force, field: wrench.force.x, unit: kN}
 gradient: {topic: /track/slope, field: vector.y, unit: percent}
 brake_command: {topic: /brake, field: vector.z, unit: percent_of 2 m/s^2, sign: -1}
+mass: {topic: /load, field: vector.x, unit: t}
 """
 """The mapping of :func:`write_foreign`."""
 
 
 def write_foreign(path: Path, records: Iterable[Record]) -> None:
-    """Write records as a bag of another maker; a mass is left out."""
+    """Write records as a bag of another maker, without curves and tunnels."""
     with ForeignBag(path) as bag:
         for record in records:
             now = record.stamp_ns
@@ -102,8 +110,13 @@ def write_foreign(path: Path, records: Iterable[Record]) -> None:
                     for topic, share in (('/car1/force', 0.6e-3), ('/car2/force', 0.4e-3)):
                         bag.write(topic, WRENCH, now, wrench__force__x=share * force)
                 case GradientRecord(_, gradient):
-                    bag.write('/track/slope', 'geometry_msgs/msg/Vector3Stamped', now, vector__y=0.1 * gradient)
+                    bag.write('/track/slope', VECTOR, now, vector__y=0.1 * gradient)
                 case BrakeRecord(_, target):
-                    bag.write('/brake', 'geometry_msgs/msg/Vector3Stamped', now, vector__z=-50.0 * target)
-                case MassRecord():
-                    pass
+                    bag.write('/brake', VECTOR, now, vector__z=-50.0 * target)
+                case MassRecord(_, mass):
+                    bag.write('/load', VECTOR, now, vector__x=mass / 1e3)
+
+
+if __name__ == '__main__':
+    with BagReader(sys.argv[1]) as reader:
+        write_foreign(Path(sys.argv[2]), reader.records())
