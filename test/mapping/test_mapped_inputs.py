@@ -109,6 +109,25 @@ def test_between_balises_positions_are_integrated_and_the_direction_follows() ->
     assert positions[300] == pytest.approx(4603.0)
 
 
+@pytest.mark.parametrize(
+    ('steps', 'expected'),
+    [
+        ((0, 1, 2, -20, -19), [800.0, 802.0, 804.0, 800.0, 802.0]),  # a loop begins anew
+        ((0, 1, 90, 2, 3), [800.0, 802.0, 802.0, 802.0, 804.0]),  # one stamp is wrong
+    ],
+)
+def test_positions_follow_stamps_that_jump(steps: tuple[int, ...], expected: list[float]) -> None:
+    mapped = inputs('{speed: {topic: v, field: data}, position: {from: speed, start: 800.0}}')
+    found = [record for step in steps for record in mapped.take('v', message(10.0, at(step)), 0)]
+    assert [record.position for record in found if isinstance(record, SpeedRecord)] == pytest.approx(expected)
+
+
+def test_a_position_that_comes_first_after_a_jump_is_kept() -> None:
+    mapped = inputs('gradient: {from: line}')
+    made = [mapped.take_record(SpeedRecord(at(step), 10.0, 1000.0 + 2.0 * step)) for step in (0, 1, 2, -20)]
+    assert [len(records) for records in made] == [2, 2, 2, 2]
+
+
 def test_the_line_gives_gradient_curve_and_tunnel_by_position() -> None:
     mapped = inputs('{speed: {topic: v, field: data}, position: {from: speed, start: 800.0}, gradient: {from: line}}')
     track = [record for record in drive(mapped, {}) if isinstance(record, GradientRecord)]

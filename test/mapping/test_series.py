@@ -45,6 +45,17 @@ def test_nothing_is_interpolated_over_a_long_gap() -> None:
     assert math.isnan(value)
 
 
+def test_sums_go_on_after_stamps_that_begin_anew_or_a_wrong_one() -> None:
+    sums = SumOfSeries(2)
+    found = []
+    for stamp_ns in (100 * S, 101 * S, 900 * S, 102 * S, 103 * S, 5 * S, 6 * S):
+        for index in (0, 1):
+            found += sums.add(index, stamp_ns, 1.0)
+    assert [(stamp_ns // S, value) for stamp_ns, value in found] == [
+        (k, 2.0) for k in (100, 101, 900, 102, 103, 5, 6)
+    ]  # fmt: skip
+
+
 @given(st.permutations([0, 1] * 10))
 def test_which_series_arrives_first_within_a_second_does_not_matter(order: list[int]) -> None:
     sums, found, numbers = SumOfSeries(2), [], [0, 1]

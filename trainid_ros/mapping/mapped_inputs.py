@@ -176,10 +176,15 @@ class Odometer:
 
     def __init__(self, how: Signal | SpeedIntegral | None) -> None:
         """Prepare; ``how`` says where positions come from."""
+        self._how = how
+        self._start_over()
+
+    def _start_over(self) -> None:
         self.at, self.direction = math.nan, 1
-        if isinstance(how, SpeedIntegral):
-            self.at, self.direction = how.start, how.direction
-        self._stamp_ns = 0
+        if isinstance(self._how, SpeedIntegral):
+            self.at, self.direction = self._how.start, self._how.direction
+        # Stamps of the last speed and of the one before it.
+        self._stamp_ns = self._earlier_ns = 0
         self._speed = math.nan
         self._fix, self._fix_ns = math.nan, 0
 
@@ -199,10 +204,20 @@ class Odometer:
     def move(self, stamp_ns: int, speed: float) -> float:
         """Follow a speed [m/s]; return the position at it [m]."""
         dt = (stamp_ns - self._stamp_ns) / NS_PER_S if self._stamp_ns else math.nan
+        if dt < -_LONGEST_S:
+            # The stamps begin anew, as in a loop; or the last one was wrong, and the one before it was not.
+            if not 0 <= stamp_ns - self._earlier_ns <= _LONGEST_S * NS_PER_S:
+                fix, fix_ns = self._fix, self._fix_ns
+                self._start_over()
+                if abs(stamp_ns - fix_ns) <= _LONGEST_S * NS_PER_S:
+                    self.correct(fix_ns, fix)
+            self._stamp_ns, dt = stamp_ns, math.nan
         if 0.0 < dt <= _LONGEST_S and math.isfinite(speed + self._speed):
             self.at += self.direction * 0.5 * (speed + self._speed) * dt
         if stamp_ns == self._fix_ns:
             self.at = self._fix
+        if dt > 0.0:
+            self._earlier_ns = self._stamp_ns
         self._stamp_ns, self._speed = max(stamp_ns, self._stamp_ns), speed
         return self.at
 

@@ -27,6 +27,7 @@ class SumOfSeries:
 
     def add(self, index: int, stamp_ns: int, value: float) -> list[tuple[int, float]]:
         """Add a number of a series; return the sums that are ready, each with its stamp [ns]."""
+        self._follow_jump(index, stamp_ns)
         insort(self._series[index], (stamp_ns, value))
         if index == 0:
             insort(self._open, (stamp_ns, value))
@@ -37,6 +38,13 @@ class SumOfSeries:
             ready.append((at_ns, first + sum(_interpolated(series, at_ns) for series in self._series[1:])))
         self._prune(newest_ns)
         return ready
+
+    def _follow_jump(self, index: int, stamp_ns: int) -> None:
+        """Forget everything if the stamps of a series begin anew, as in a loop, or if its last one was wrong."""
+        series = self._series[index]
+        if series and stamp_ns < series[-1][0] - _LONGEST_NS:
+            self._series = [[] for _ in self._series]
+            self._open = []
 
     def _is_ready(self, at_ns: int, newest_ns: int) -> bool:
         reached = all(series and series[-1][0] >= at_ns for series in self._series[1:])
