@@ -157,6 +157,7 @@ def test_a_publisher_may_come_later_and_start_again_with_another_type(
     graph.until(lambda: publish() or 'Float64 has no header' in diagnosed[SPEED].message)
     assert diagnosed[SPEED].level == DiagnosticStatus.ERROR
     assert 'topic /odo/twist: ' in diagnosed[SPEED].message
+    assert diagnosed[SPEED].message.endswith(': correct the mapping file or this publisher')
     others.drop()
     again = type(graph)(graph.domain)
     publish = odometer(again)
@@ -177,6 +178,7 @@ def test_a_type_whose_package_is_missing_is_named(
     diagnosed, publish = follow(graph), odometer(others)
     text = 'geometry_msgs/msg/TwistStamped: the package geometry_msgs is not installed here'
     graph.until(lambda: publish() or (SPEED in diagnosed and text in diagnosed[SPEED].message))
+    assert diagnosed[SPEED].message.endswith(': install it')
     assert diagnosed[SPEED].level == DiagnosticStatus.ERROR
 
 
@@ -239,7 +241,7 @@ def test_a_gradient_of_the_line_waits_for_a_position(graph: Graph, tmp_path: Pat
     ('text', 'reason'),
     [
         ('speed: {topic: /x}', 'part.yaml: speed.field is missing'),
-        ('gradient: {from: line}', 'the train file has no line.gradient'),
+        ('gradient: {from: line}', 'no line.gradient is in the train file'),
     ],
 )
 def test_an_unusable_mapping_fails_to_configure(

@@ -101,8 +101,8 @@ class DiagnosticsPublisher:
     def _publishers(self, topic: AnyTopic, name: str) -> Publishers:
         """Return who publishes on a topic, after a look at the graph; ``name`` is its full name."""
         subscriptions, infos = self._node.inputs.subscriptions, self._node.get_publishers_info_by_topic(name)
-        if infos and (problem := subscriptions.problem(topic)):
-            return Publishers((), (problem,))
+        if infos and (problem := subscriptions.problem(topic)) is not None:
+            return problem
         if not (wanted := subscriptions.type(topic)):
             return Publishers()
         definition = self._definition(topic, name, wanted)

@@ -23,6 +23,7 @@ from trainid_ros.records import (
     SPEED_TOPIC,
     InputTopic,
 )
+from trainid_ros.ros.publishers import Publishers
 from trainid_ros.ros.topics import input_qos
 
 if TYPE_CHECKING:
@@ -164,6 +165,13 @@ class ForeignSubscription:
         """Its quality of service, overrides of the user included."""
         profile: QoSProfile = self._profile if self.current is None else self.current.qos_profile
         return profile
+
+    def unreadable(self) -> Publishers | None:
+        """Return why messages cannot be read and what to do, None if they can."""
+        if not self.problem:
+            return None
+        remedy = 'install it' if self.current is None else 'correct the mapping file or this publisher'
+        return Publishers((), (self.problem,), remedy)
 
     def arrived(self, problem: str, steady_ns: int) -> None:
         """Note that a message came, and why it cannot be read, by a steady clock [ns]."""

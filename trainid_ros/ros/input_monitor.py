@@ -183,7 +183,7 @@ class InputMonitor:
         publishers, is_missing = self.publishers, self.is_missing(now_ns, max(stale_s, self.longest_s))
         # A publisher that was killed still counts as heard for a while.
         if publishers.unheard and (is_missing or not (publishers.heard and self.count)):
-            return Finding(DiagnosticStatus.ERROR, '; '.join(publishers.unheard), 'correct this publisher')
+            return Finding(DiagnosticStatus.ERROR, '; '.join(publishers.unheard), publishers.remedy)
         if self.optional and not self.count:
             used = '; the parameter is used' if self.topic is MASS_TOPIC else ''
             return Finding(DiagnosticStatus.OK, f'optional, not received{used}')

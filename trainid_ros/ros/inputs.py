@@ -21,7 +21,7 @@ from trainid_ros.mapping.mapping import OWN
 from trainid_ros.messages import record_from_message
 from trainid_ros.records import InputTopic
 from trainid_ros.ros.foreign_topics import ForeignSubscription, ForeignTopic, subscribed_topics
-from trainid_ros.ros.publishers import type_name
+from trainid_ros.ros.publishers import Publishers, type_name
 from trainid_ros.ros.topics import NO_SUBSCRIPTION_EVENTS, input_qos, message_class, overridable
 
 if TYPE_CHECKING:
@@ -196,9 +196,9 @@ class InputSubscriptions:
         """Return the type with which a topic is subscribed, '' for a foreign one without publisher."""
         return type_name(message_class(topic)) if isinstance(topic, InputTopic) else self._foreign[topic].type
 
-    def problem(self, topic: AnyTopic) -> str:
-        """Return why messages of a topic cannot be read, '' if they can."""
-        return '' if isinstance(topic, InputTopic) else self._foreign[topic].problem
+    def problem(self, topic: AnyTopic) -> Publishers | None:
+        """Return why messages of a topic cannot be read and what to do, None if they can."""
+        return None if isinstance(topic, InputTopic) else self._foreign[topic].unreadable()
 
     def note(self, topic: ForeignTopic, problem: str) -> None:
         """Note that a message came, and why it cannot be read, '' if it can."""

@@ -19,6 +19,7 @@ from trainid_ros.messages import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, SPEED_MODEL
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
 from trainid_ros.ros.parameter_specs import (
     ALGORITHM,
+    MAPPING_FILE,
     TRAIN_PARAMETERS,
     build_settings,
     build_train_file,
@@ -174,6 +175,8 @@ def node_setups(
     setups = []
     for job in JOBS:
         overrides = {} if params is None else _given(job, params, f'{base}/{job.node_name}', warn)
+        if overrides.get(MAPPING_FILE.name) and not foreign:
+            warn(f'{params}: {MAPPING_FILE.name} = {overrides[MAPPING_FILE.name]} is not read off line: give --map')
         if job.field in chosen:
             overrides[ALGORITHM] = chosen[job.field]
         topics = qos_overrides(job, lambda topic: topic if topic.startswith('/') else f'{base}/{topic}', foreign)
