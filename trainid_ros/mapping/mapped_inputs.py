@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Turn messages of any topics into the records of a train, by a mapping."""
+"""Turn messages of any topics, or rows of a table, into the records of a train, by a mapping."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.errors import InputError
-from trainid_ros.mapping.mapping import LineLookup, Signal, SpeedIntegral, StampSource
+from trainid_ros.mapping.mapping import Constant, LineLookup, Signal, SpeedIntegral, StampSource
 from trainid_ros.mapping.mapping_file import load_mapping
-from trainid_ros.mapping.series import SumOfSeries
+from trainid_ros.mapping.series import JoinedSeries
 from trainid_ros.messages import stamp_of
 from trainid_ros.records import (
     NS_PER_S,
@@ -22,6 +22,7 @@ from trainid_ros.records import (
     SpeedRecord,
 )
 from trainid_ros.train.line import LineProfile
+from trainid_ros.train.train_file import Line
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -36,31 +37,39 @@ _QUANTITIES: Final = ('speed', 'position', 'force', 'gradient', 'brake_command',
 
 
 class MappedInputs:
-    """The inputs of one train; messages may come in any order of topics.
+    """The inputs of one train; messages may come in any order of topics, and numbers in any order of sources.
 
     Attributes:
         mapping: Where each input comes from.
 
     """
 
-    def __init__(self, mapping: Mapping, train_file: TrainFile) -> None:
+    def __init__(self, mapping: Mapping, train_file: TrainFile | None) -> None:
         """Prepare.
 
+        Args:
+            mapping: Where each input comes from.
+            train_file: Train file; None if nothing comes from its line.
+
         Raises:
-            InputError: The gradient is to come from the line, but the train file has none.
+            InputError: The gradient is to come from the line, but there is none.
 
         """
         self.mapping = mapping
-        self._line = LineProfile(train_file.line, train_file.train.length)
-        if isinstance(mapping.gradient, LineLookup) and not train_file.line.gradient:
-            msg = 'mapping: gradient is to come from the line, but the train file has no line.gradient'
+        line, length = (Line(), 1.0) if train_file is None else (train_file.line, train_file.train.length)
+        self._line = LineProfile(line, length)
+        if isinstance(mapping.gradient, LineLookup) and not line.gradient:
+            missing = 'train file is given (--train)' if train_file is None else 'line.gradient is in the train file'
+            msg = f'mapping: gradient is to come from the line, but no {missing}'
             raise InputError(msg)
         self._readers: dict[str, list[tuple[str, int, Source]]] = {}
-        self._sums: dict[str, SumOfSeries] = {}
+        self._series: dict[str, JoinedSeries] = {}
         for quantity in _QUANTITIES:
             signal = getattr(mapping, quantity)
             if isinstance(signal, Signal):
-                self._sums[quantity] = SumOfSeries(len(signal.sources))
+                self._series[quantity] = JoinedSeries(len(signal.sources))
+                if signal.function is not None:
+                    signal.function.load()  # what cannot be used is said now
                 for index, source in enumerate(signal.sources):
                     self._readers.setdefault(source.topic, []).append((quantity, index, source))
         self._position = Odometer(mapping.position)
@@ -85,17 +94,34 @@ class MappedInputs:
         records: list[Record] = []
         for quantity, index, source in self._readers[topic]:
             stamp_ns = _stamp(source, message, received_ns)
-            for at_ns, value in self._sums[quantity].add(index, stamp_ns, source.read(message)):
-                records += self._records(quantity, at_ns, value)
+            records += self.add(quantity, index, stamp_ns, source.read(message))
+        return records
+
+    def add(self, quantity: str, index: int, stamp_ns: int, value: float) -> list[Record]:
+        """Return the records that a number of one source of a quantity completes.
+
+        Args:
+            quantity: Name of the quantity in the mapping.
+            index: Place of the source among those of the quantity.
+            stamp_ns: Stamp [ns].
+            value: The number, as :meth:`Source.value` returns it.
+
+        """
+        function = getattr(self.mapping, quantity).function
+        records: list[Record] = []
+        for at_ns, values in self._series[quantity].add(index, stamp_ns, value):
+            whole = values[0] + sum(values[1:]) if function is None else function.of_numbers(values)
+            records += self.put(quantity, at_ns, whole)
         return records
 
     def take_record(self, record: Record) -> list[Record]:
         """Return what becomes of a record from one of our own topics."""
-        if not isinstance(record, SpeedRecord) or (self.mapping.position is None and self.mapping.gradient is None):
+        if not isinstance(record, SpeedRecord):
             return [record]
         return self._at_speed(record.stamp_ns, record.speed, record.position)
 
-    def _records(self, quantity: str, stamp_ns: int, value: float) -> list[Record]:
+    def put(self, quantity: str, stamp_ns: int, value: float) -> list[Record]:
+        """Return the records that a value of a quantity, in the unit of the interface, completes."""
         match quantity:
             case 'speed':
                 return self._at_speed(stamp_ns, abs(value), math.nan)
@@ -111,7 +137,7 @@ class MappedInputs:
         return [MassRecord(stamp_ns, value)]
 
     def _at_speed(self, stamp_ns: int, speed: float, measured: float) -> list[Record]:
-        """Return the records at a speed [m/s]: itself, and the gradient where it comes from the line."""
+        """Return the records at a speed [m/s]: itself, and what comes from the line or is constant."""
         if self.mapping.position is None:
             self._position.correct(stamp_ns, measured)
             self._position.move(stamp_ns, speed)
@@ -122,6 +148,9 @@ class MappedInputs:
         if isinstance(self.mapping.gradient, LineLookup) and math.isfinite(position):
             gradient = self._line.gradient(position, self._position.direction)
             records.append(self._gradient(stamp_ns, gradient))
+        for quantity in ('gradient', 'brake_command'):
+            if isinstance(constant := getattr(self.mapping, quantity), Constant):
+                records += self.put(quantity, stamp_ns, constant.value)
         return records
 
     def _gradient(self, stamp_ns: int, gradient: float) -> GradientRecord:
