@@ -26,6 +26,7 @@ _YEAR_NS: Final = 366 * 86400 * NS_PER_S
 _RELATIVE_START_NS: Final = 946_684_800 * NS_PER_S
 """Where times that count from the start of a recording are put unless the mapping says when that was: 2000-01-01."""
 _LAST_NS: Final = 2**31 * NS_PER_S  # a ROS time holds no later one
+_MOST_NS: Final = 2**61
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,10 +128,10 @@ class Clock:
             return np.where(known, values.astype(_DATE_TIMES).astype(np.int64), 0)
         # A function returns seconds.
         ns = (1.0 if self._time.function is not None else self._time.unit.factor) * NS_PER_S
-        if values.dtype.kind in 'iu':
-            limit = 2**62 // max(1, round(ns))
-            return np.asarray(np.clip(values, -limit, limit).astype(np.int64) * round(ns))
-        return np.rint(np.clip(np.where(known, values, 0.0) * ns, -(2.0**62), 2.0**62)).astype(np.int64)
+        limit = _MOST_NS // round(ns)
+        if values.dtype.kind == 'i':
+            return np.asarray(np.clip(values, -limit, limit) * round(ns))
+        return np.rint(np.clip(np.where(known, values, 0.0), -limit, limit) * ns).astype(np.int64)
 
 
 def numbers(column: Column) -> NDArray[np.float64]:

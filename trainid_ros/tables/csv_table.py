@@ -34,7 +34,7 @@ _MOST_UNIT_ROWS: Final = 5
 _COMMENT: Final = '#'
 _BLANK: Final = frozenset({'', '-', '--', 'na', 'n/a', '#n/a', 'nan', 'null', 'none'})
 _WORDS: Final = {'true': 1.0, 'false': 0.0}
-_WHOLE: Final = re.compile(r'[+-]?\d{1,18}')
+_WHOLE: Final = re.compile(r'[+-]?(\d{1,18}|1\d{18})')  # of 64 bits
 
 
 @dataclass(frozen=True, slots=True)
