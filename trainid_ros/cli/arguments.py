@@ -187,11 +187,11 @@ def configure_import(parser: argparse.ArgumentParser) -> None:
 
 
 def _add_bag(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument('bag', type=Path, metavar='BAG', help='rosbag2 directory or .mcap file')
+    parser.add_argument('bag', type=Path, metavar='BAG', help='rosbag2 directory, .mcap or .db3 file')
 
 
 def _add_bags(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument('bags', nargs='+', type=Path, metavar='BAG', help='rosbag2 directory or .mcap file')
+    parser.add_argument('bags', nargs='+', type=Path, metavar='BAG', help='rosbag2 directory, .mcap or .db3 file')
 
 
 def _add_max_chunk(parser: argparse.ArgumentParser) -> None:

@@ -85,7 +85,7 @@ def _check_outputs(args: argparse.Namespace) -> None:
 
 def _name(bag: Path) -> str:
     """Return the name of the outputs of one of several bags."""
-    return bag.resolve().name.removesuffix('.mcap')
+    return bag.resolve().name.removesuffix('.mcap').removesuffix('.db3')
 
 
 def _outputs(args: argparse.Namespace, bag: Path) -> tuple[Path | None, Path | None]:
