@@ -67,8 +67,9 @@ def configure_replay(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--out',
         type=Path,
-        metavar='BAG2',
-        help='write inputs and estimates to a new bag; of several bags, to one each in this folder',
+        metavar='OUT',
+        help='write inputs and estimates to a new bag, or estimates to a table if it ends in .parquet or .csv; of '
+        'several bags, to one bag each in this folder',
     )
     parser.add_argument(
         '--report',
