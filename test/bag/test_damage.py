@@ -308,6 +308,11 @@ def test_pipes_and_devices_are_no_bags(tmp_path: Path, bag: Path) -> None:
     assert len(read(bag)[0]) == 200
 
 
+def test_a_table_is_no_bag(tmp_path: Path) -> None:
+    (tmp_path / 'x.csv').write_text('t,v\n', encoding='utf-8')
+    assert error_of(tmp_path / 'x.csv').endswith('x.csv: is a table, not a bag; trainid import makes a bag of it')
+
+
 def test_compression_of_the_whole_bag_is_named(bag: Path) -> None:
     change(bag, compression_mode='FILE')
     assert "compression mode 'file'" in error_of(bag)

@@ -10,12 +10,15 @@ from typing import Any
 
 import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
+from rosbags.typesys import Stores, get_typestore
 
 from trainid_ros.bag import db3_file
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.types import digest, full_definition, full_type, message_from_record, typestore
 from trainid_ros.cli.main import main
 from trainid_ros.errors import InputError
+from trainid_ros.mapping.mapped_inputs import MappedInputs
+from trainid_ros.mapping.mapping_file import parse_mapping
 from trainid_ros.records import Record, input_topic
 
 
@@ -99,6 +102,20 @@ def test_another_definition_is_an_error(db3: Path) -> None:
         connection.commit()
     with pytest.raises(InputError, match=r'run\.db3: topic ato/\w+: definition of .* differs'):
         read(db3)
+
+
+def test_standard_types_without_definitions_are_mapped(tmp_path: Path) -> None:
+    store, path = get_typestore(Stores.ROS2_HUMBLE), tmp_path / 'foreign'
+    with Writer(path, version=8, storage_plugin=StoragePlugin.SQLITE3) as writer:
+        connection = writer.add_connection('/v', 'std_msgs/msg/Float32', typestore=store)
+        for k in range(3):
+            message = store.types['std_msgs/msg/Float32'](data=3.6 * k)
+            writer.write(connection, 10**18 + k, store.serialize_cdr(message, 'std_msgs/msg/Float32'))
+    make_humble(path / 'foreign.db3')
+    mapping = parse_mapping('speed: {topic: /v, field: data, unit: km/h, stamp: receive}', 'map.yaml')
+    with BagReader(path / 'foreign.db3', inputs=lambda: MappedInputs(mapping, None)) as reader:
+        speeds = [(record.stamp_ns, record.row()[2]) for record in reader.records()]
+    assert speeds == [(10**18 + k, pytest.approx(float(k))) for k in range(3)]
 
 
 @pytest.mark.parametrize('keep', [16, 100, 9000])

@@ -112,11 +112,11 @@ def test_what_is_missing_is_said(tmp_path: Path, capsys: pytest.CaptureFixture[s
     assert call(path) == 0
     out, err = capsys.readouterr()
     assert 'rows without a value: speed 1' in out
-    assert '1 rows are earlier than one before' in err
+    assert '1 row earlier than one before' in err
     assert 'no messages on ato/force, ato/gradient, ato/brake_command' in err
     path.write_text('t,v\n0,\n', encoding='utf-8')
     assert main(['import', str(path), str(tmp_path / 'bag2'), '--map', str(tmp_path / 'map.yaml')]) == 2
-    assert 'log.csv: nothing in 1 rows has a time and a value' in capsys.readouterr().err
+    assert 'log.csv: nothing in 1 row has a time and a value' in capsys.readouterr().err
     (tmp_path / 'map.yaml').write_text(
         '{time: {field: t}, speed: {field: v}, gradient: {from: line}}', encoding='utf-8'
     )

@@ -77,6 +77,7 @@ def test_times_are_read_to_the_nanosecond(tmp_path: Path) -> None:
     ('content', 'error'),
     [
         ('t;vel\n0;1\n', r"log\.csv: no column 'v'.* \(columns: 't', 'vel'\)"),
+        ('t;v\n12:00:00;1\n', r"log\.csv: line 2: column 't' = '12:00:00' is no date with time like"),
         ('t;v;v\n0;1;1\n', r"log\.csv: column 'v' is there 2 times"),
         ('', r"log\.csv: no column 't' \(columns: none\)"),
         ('t;v\n0;1\n1;x\n', r"log\.csv: line 3: column 'v' = 'x' is not a number"),

@@ -72,6 +72,9 @@ def test_a_part_of_a_sum_logged_less_often_is_interpolated(tmp_path: Path) -> No
     mapping = f'{SPEED}, force: {{sum: [{{field: F}}, {{field: G}}]}}}}'
     source = table(tmp_path, mapping, t=[at(0), at(1), at(2)], v=[1.0] * 3, F=[1.0] * 3, G=[10.0, np.nan, 20.0])
     assert [record.force for record in records(source) if isinstance(record, ForceRecord)] == [11.0, 16.0, 21.0]
+    columns = {'t': [at(0), at(1), at(20)], 'v': [1.0] * 3, 'F': [1.0] * 3, 'G': [10.0, np.nan, 20.0]}
+    source = table(tmp_path, mapping, **columns)
+    assert [record.force for record in records(source) if isinstance(record, ForceRecord)] == [11.0, 21.0]
 
 
 def test_a_function_sees_whole_columns(tmp_path: Path) -> None:

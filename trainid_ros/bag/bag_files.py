@@ -23,6 +23,7 @@ METADATA: Final = 'metadata.yaml'
 _SQLITE: Final = b'SQLite format 3\0'
 _STORAGES: Final = ('mcap', 'sqlite3')
 _SUFFIXES: Final = ('.mcap', '.db3')
+_TABLES: Final = ('.csv', '.parquet', '.npz')
 _ROOT_KEY: Final = 'rosbag2_bagfile_information'
 
 
@@ -134,6 +135,9 @@ def locate(path: Path) -> BagFiles:
         raise InputError(msg)
     if not (path.is_file() or path.is_dir()):  # a pipe or a device may have no end
         msg = f'{path}: is neither a file nor a directory'
+        raise InputError(msg)
+    if path.is_file() and path.suffix in _TABLES:
+        msg = f'{path}: is a table, not a bag; trainid import makes a bag of it'
         raise InputError(msg)
     if path.is_file():
         return BagFiles((path,))

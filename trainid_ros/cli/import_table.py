@@ -14,6 +14,7 @@ from trainid_ros.cli.output import print_json, progress, show, warn
 from trainid_ros.errors import InputError
 from trainid_ros.mapping.mapped_inputs import MappedInputs
 from trainid_ros.mapping.mapping_file import load_table_mapping
+from trainid_ros.plural import pluralise
 from trainid_ros.records import INPUT_TOPICS, NS_PER_S, REQUIRED_TOPICS
 from trainid_ros.tables.table_records import TableRecords
 from trainid_ros.train.train_file import load_train_file
@@ -45,7 +46,7 @@ def run(args: argparse.Namespace) -> int:
                 first_ns, last_ns = first_ns or records[0][0], records[-1][0]
             advance(share)
         if not writer.message_count:
-            msg = f'{args.file}: nothing in {table.rows} rows has a time and a value'
+            msg = f'{args.file}: nothing in {pluralise(table.rows, "row")} has a time and a value'
             raise InputError(msg)
     _print_result(args, table, counts, (last_ns - first_ns) / NS_PER_S)
     return 0
@@ -66,7 +67,7 @@ def _new_bag(path: Path) -> Iterator[BagWriter]:
 
 def _print_result(args: argparse.Namespace, table: TableRecords, counts: Counter[str], duration_s: float) -> None:
     if table.steps_back:
-        warn(f'{args.file}: {table.steps_back} rows are earlier than one before them')
+        warn(f'{args.file}: {pluralise(table.steps_back, "row")} earlier than one before')
     if missing := [topic for topic, count in counts.items() if not count]:
         warn(f'{args.out}: no messages on {", ".join(missing)}: the mapping names no column with values')
     blank = {name: count for name, count in table.blank.items() if count}
@@ -74,7 +75,7 @@ def _print_result(args: argparse.Namespace, table: TableRecords, counts: Counter
         read = {'rows': table.rows, 'blank': blank, 'duration_s': duration_s}
         print_json({'out': args.out, 'messages': dict(sorted(counts.items())), **read})
         return
-    show(f'{args.out}: {counts.total()} messages from {table.rows} rows over {duration_s:.1f} s')
+    show(f'{args.out}: {counts.total()} messages from {pluralise(table.rows, "row")} over {duration_s:.1f} s')
     show('\n'.join(f'  {topic}: {count}' for topic, count in counts.items()))
     if blank:
         show('rows without a value: ' + ', '.join(f'{name} {count}' for name, count in blank.items()))

@@ -137,6 +137,8 @@ class CsvTable:
     def _number(self, name: str, line: int, cell: str) -> float:
         number = _number(cell)
         if number is None:
+            if ':' in cell:
+                self._fail(name, line, cell, 'is no date with time like 2024-03-08T12:00:00 or 08.03.2024 12:00:00')
             hint = 'csv: {separator, decimal, header_rows} in the mapping says how the file is written'
             self._fail(name, line, cell, f'is not a number; {hint}')
         return number

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 from typing import TYPE_CHECKING
-from zipfile import BadZipFile
+from zipfile import BadZipFile, is_zipfile
 
 import numpy as np
 
@@ -35,12 +35,15 @@ class NpzTable:
             yield Block(rows, len(rows[names[0]]) / count)
 
     def _columns(self, names: Sequence[str]) -> dict[str, Column]:
+        if not is_zipfile(self.path):
+            msg = f'{self.path}: is not an npz file'
+            raise InputError(msg)
         try:
             with np.load(self.path, allow_pickle=False) as file:
                 check_columns(self.path, names, file.files)
                 columns = {name: file[name] for name in names}
-        except (OSError, ValueError, BadZipFile, AttributeError, EOFError) as error:
-            msg = f'{self.path}: is not an npz file that can be read ({" ".join(str(error).split())})'
+        except (OSError, ValueError, BadZipFile, EOFError) as error:
+            msg = f'{self.path}: cannot be read ({" ".join(str(error).split())})'
             raise InputError(msg) from None
         first = columns[names[0]]
         for name, column in columns.items():

@@ -47,7 +47,7 @@ def open_table(path: Path, mapping: Mapping) -> Table:
 
     """
     if not path.is_file():
-        msg = f'{path}: no such file'
+        msg = f'{path}: is not a file' if path.exists() else f'{path}: no such file'
         raise InputError(msg)
     # Imported here because Parquet needs an optional package.
     if path.suffix.lower() in CSV_SUFFIXES:
@@ -142,7 +142,8 @@ class TableRecords:
                     if index >= 0
                     else self._inputs.put(quantity, stamp_ns, value)
                 )
-                records += [(self._newest_ns, record) for record in made]
+                # A sum lacks a value where one of its parts is blank for long.
+                records += [(self._newest_ns, record) for record in made if math.isfinite(record.row()[2])]
         return records
 
     def _all_feeds(self, columns: dict[str, Column], known: NDArray[np.bool_]) -> list[_Feed]:
