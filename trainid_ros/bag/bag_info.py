@@ -175,7 +175,7 @@ def inspect(path: str | Path, namespace: str = '/', max_chunk: int = MAX_CHUNK) 
     """Read a bag once and summarise its contents.
 
     Args:
-        path: Rosbag2 directory or ``.mcap`` file.
+        path: Rosbag2 directory, ``.mcap`` or ``.db3`` file.
         namespace: Namespace of the topics.
         max_chunk: Largest chunk to unpack [bytes].
 

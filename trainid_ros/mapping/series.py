@@ -27,6 +27,8 @@ class JoinedSeries:
 
     def add(self, index: int, stamp_ns: int, value: float) -> list[tuple[int, list[float]]]:
         """Add a number of a series; return those of all series that are ready, each with their stamp [ns]."""
+        if len(self._series) == 1:
+            return [(stamp_ns, [value])]
         insort(self._series[index], (stamp_ns, value))
         if index == 0:
             insort(self._open, (stamp_ns, value))
