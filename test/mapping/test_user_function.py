@@ -41,6 +41,7 @@ def test_columns_and_single_numbers_give_the_same_in_the_unit_of_the_interface(f
         [5000.0, np.nan], nan_ok=True
     )
     assert double.of_numbers([1.0, 3.0]) == 5000.0
+    assert not (folder / '__pycache__').exists()
 
 
 @pytest.mark.parametrize(
@@ -72,7 +73,7 @@ def test_a_link_out_of_the_folder_is_refused(folder: Path) -> None:
         ('bad.py:double', r'bad\.py: cannot be run: SyntaxError'),
         ('code.py:none', r'code\.py: has no function none'),
         ('code.py:number', r'code\.py: has no function number'),
-        ('code.py:broken', r'code\.py:broken failed: RuntimeError: no'),
+        ('code.py:broken', r'code\.py:broken failed in line 5: RuntimeError: no'),
         ('code.py:words', r'code\.py:words failed: ValueError'),
         ('code.py:short', r'code\.py:short returned shape \(2,\), \(3,\) expected'),
         ('code.py:double', r'code\.py:double failed: TypeError'),

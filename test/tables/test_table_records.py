@@ -95,6 +95,12 @@ def test_a_function_sees_whole_columns(tmp_path: Path) -> None:
     assert last.stamp_ns - pieces[0][0][1].stamp_ns == (count - 1) * NS_PER_S // 5
 
 
+def test_a_function_is_not_asked_about_no_rows(tmp_path: Path) -> None:
+    (tmp_path / 'code.py').write_text('def first(x): return 0.0 * x + x[0]\n', encoding='utf-8')
+    mapping = '{time: {field: t}, speed: {function: code.py:first, of: [v]}}'
+    assert records(table(tmp_path, mapping, t=np.empty(0), v=np.empty(0))) == []
+
+
 def test_rows_are_logged_in_their_order(tmp_path: Path) -> None:
     source = table(tmp_path, f'{SPEED}}}', t=[at(5), at(1), at(6)], v=[1.0, 2.0, 3.0])
     ((_, found),) = source.blocks()

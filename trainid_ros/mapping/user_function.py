@@ -5,9 +5,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cache
-from importlib.util import module_from_spec, spec_from_file_location
 from pathlib import Path
-from typing import TYPE_CHECKING
+from traceback import extract_tb
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -16,7 +16,6 @@ from trainid_ros.mapping.units import Unit
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
-    from types import ModuleType
 
     from numpy.typing import NDArray
 
@@ -47,7 +46,7 @@ class UserFunction:
             InputError: The file cannot be run, or has no such function.
 
         """
-        function: Callable[..., object] | None = getattr(_module(self.path), self.name, None)
+        function: Callable[..., object] | None = _names_of(self.path).get(self.name)
         if function is None or not callable(function):
             msg = f'{self.path}: has no function {self.name}'
             raise InputError(msg)
@@ -64,7 +63,7 @@ class UserFunction:
         try:
             result = np.asarray(function(*columns), dtype=np.float64)
         except Exception as error:  # whatever its code raises
-            msg = f'{self} failed: {type(error).__name__}: {error}'
+            msg = f'{self} failed{_line(self.path, error)}: {type(error).__name__}: {error}'
             raise InputError(msg) from error
         if result.shape != columns[0].shape:
             msg = f'{self} returned shape {result.shape}, {columns[0].shape} expected: one number a row'
@@ -103,15 +102,18 @@ def user_function(folder: Path, text: str, unit: Unit) -> UserFunction:
 
 
 @cache
-def _module(path: Path) -> ModuleType:
-    spec = spec_from_file_location(f'trainid_mapping_{path.stem}', path)
-    if spec is None or spec.loader is None:
-        msg = f'{path}: is not a Python file'
-        raise InputError(msg)
-    module = module_from_spec(spec)
+def _names_of(path: Path) -> dict[str, Any]:
+    """Run a file and return what it defines; unlike an import this writes no bytecode and finds no files beside it."""
+    names: dict[str, Any] = {'__name__': path.stem, '__file__': str(path)}
     try:
-        spec.loader.exec_module(module)
+        exec(compile(path.read_bytes(), path, 'exec'), names)
     except Exception as error:  # whatever its code raises
-        msg = f'{path}: cannot be run: {type(error).__name__}: {error}'
+        msg = f'{path}: cannot be run{_line(path, error)}: {type(error).__name__}: {error}'
         raise InputError(msg) from error
-    return module
+    return names
+
+
+def _line(path: Path, error: Exception) -> str:
+    """Return which line of a file raised an error, '' if none did."""
+    lines = [frame.lineno for frame in extract_tb(error.__traceback__) if frame.filename == str(path)]
+    return f' in line {lines[-1]}' if lines else ''

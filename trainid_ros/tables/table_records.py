@@ -116,6 +116,8 @@ class TableRecords:
         if any(function is not None for function in functions):  # which sees whole columns
             blocks = iter([Block(joined(blocks, names), 1.0)])
         for block in blocks:
+            if not len(block.columns[names[0]]):
+                continue
             stamps, known = self._clock.stamps(block.columns, self._path, self.rows)
             self.rows += len(stamps)
             self.blank['time'] += int(np.count_nonzero(~known))
