@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,7 @@ from trainid_ros.bag.reader import BagReader
 from trainid_ros.cli.main import main
 from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
 
+ROOT = Path(__file__).parents[2]
 MAPPING = """
 time:          {field: Zeit, start: 2023-11-14T22:13:20Z}
 speed:         {field: v, unit: km/h}
@@ -79,6 +81,23 @@ def test_a_csv_file_becomes_the_bag_that_it_was_made_of(
         assert record.row()[2:4] == pytest.approx(other.row()[2:4], rel=1e-6, abs=1e-6)
     assert main(['replay', str(tmp_path / 'bag'), '--train', str(driven_bag / 'train.yaml')]) == 0
     assert sorted(item.name for item in tmp_path.iterdir()) == ['bag', 'log.csv', 'map.yaml']
+
+
+def test_the_line_of_a_train_file_gives_the_gradient(tmp_path: Path) -> None:
+    columns = (ROOT / 'config' / 'mappings' / 'logger.yaml').read_text(encoding='utf-8')
+    from_line = re.sub(r'(?m)^gradient:.*$', 'gradient: {from: line}', columns)
+    found = []
+    for name, text in (('column', columns), ('line', from_line)):
+        (tmp_path / 'map.yaml').write_text(text, encoding='utf-8')
+        train = str(ROOT / 'bags' / 'tiny' / 'train.yaml')
+        bag, mapping = str(tmp_path / name), str(tmp_path / 'map.yaml')
+        assert main(['import', str(ROOT / 'bags' / 'logger.csv'), bag, '--map', mapping, '--train', train]) == 0
+        with BagReader(bag) as reader:
+            found.append([record.gradient for record in reader.records() if isinstance(record, GradientRecord)])
+    column, line = found
+    # The logger saw the map of the line with errors of .05 per mille.
+    assert line == pytest.approx(column, abs=0.5)
+    assert max(map(abs, line)) > 1.0
 
 
 def test_an_error_is_one_line_and_leaves_nothing_behind(

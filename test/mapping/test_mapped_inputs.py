@@ -110,6 +110,19 @@ def test_between_balises_positions_are_integrated_and_the_direction_follows() ->
     assert positions[300] == pytest.approx(4603.0)
 
 
+def test_noise_at_standstill_is_no_change_of_direction() -> None:
+    mapped = inputs('{speed: {topic: v, field: data}, position: {topic: x, field: data}, gradient: {from: line}}')
+    for k, position in enumerate((1990.0, 2000.0, 2000.1, 1999.9, 2000.0, 1999.5)):
+        mapped.take('x', message(position, at(k)), 0)
+        _, gradient = mapped.take('v', message(0.0, at(k)), 0)
+        assert isinstance(gradient, GradientRecord)
+        assert gradient.gradient == 10.0
+    mapped.take('x', message(1985.0, at(6)), 0)
+    _, gradient = mapped.take('v', message(1.0, at(6)), 0)
+    assert isinstance(gradient, GradientRecord)
+    assert gradient.gradient == -10.0
+
+
 def test_the_line_gives_gradient_curve_and_tunnel_by_position() -> None:
     mapped = inputs('{speed: {topic: v, field: data}, position: {from: speed, start: 800.0}, gradient: {from: line}}')
     track = [record for record in drive(mapped, {}) if isinstance(record, GradientRecord)]

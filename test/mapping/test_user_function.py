@@ -73,7 +73,7 @@ def test_a_link_out_of_the_folder_is_refused(folder: Path) -> None:
         ('bad.py:double', r'bad\.py: cannot be run: SyntaxError'),
         ('code.py:none', r'code\.py: has no function none'),
         ('code.py:number', r'code\.py: has no function number'),
-        ('code.py:broken', r'code\.py:broken failed in line 5: RuntimeError: no'),
+        ('code.py:broken', r'code\.py:broken failed in line 6: RuntimeError: no'),
         ('code.py:words', r'code\.py:words failed: ValueError'),
         ('code.py:short', r'code\.py:short returned shape \(2,\), \(3,\) expected'),
         ('code.py:double', r'code\.py:double failed: TypeError'),

@@ -33,6 +33,8 @@ if TYPE_CHECKING:
 
 # Over a longer time without a speed the distance is not known [s].
 _LONGEST_S: Final = 1.0
+# Positions that differ by less do not show the direction: they are noisy, above all at standstill [m].
+_LEAST_M: Final = 10.0
 _QUANTITIES: Final = ('speed', 'position', 'force', 'gradient', 'brake_command', 'mass')
 
 
@@ -193,13 +195,17 @@ class Odometer:
         self._stamp_ns = 0
         self._speed = math.nan
         self._fix, self._fix_ns = math.nan, 0
+        self._passed = math.nan
 
     def correct(self, stamp_ns: int, position: float) -> None:
-        """Take in a measured position [m]; two of them in turn show the direction."""
+        """Take in a measured position [m]; two of them show the direction if they are far enough apart."""
         if not math.isfinite(position):
             return
-        if abs(position - self._fix) > 0.0:
-            self.direction = 1 if position > self._fix else -1
+        if math.isnan(self._passed):
+            self._passed = position
+        elif abs(position - self._passed) >= _LEAST_M:
+            self.direction = 1 if position > self._passed else -1
+            self._passed = position
         self._fix, self._fix_ns = position, stamp_ns
         # To the stamp of the last speed, which may be earlier or later.
         since_s = (self._stamp_ns - stamp_ns) / NS_PER_S
