@@ -114,6 +114,16 @@ def test_an_error_is_one_line_and_leaves_nothing_behind(
     assert sorted(item.name for item in tmp_path.iterdir()) == ['log.csv', 'map.yaml']
 
 
+def test_a_unit_that_is_not_the_one_in_the_file_is_a_warning(
+    tmp_path: Path, driven: list[tuple[Record, ...]], capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = write(tmp_path, driven)
+    (tmp_path / 'map.yaml').write_text(MAPPING.replace('{field: v, unit: km/h}', '{field: v}'), encoding='utf-8')
+    assert call(path) == 0
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line == f"trainid: warning: {path}: column 'v': the file says km/h, the mapping m/s"
+
+
 def test_nothing_is_written_over(
     tmp_path: Path, driven: list[tuple[Record, ...]], capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -40,6 +40,15 @@ def test_columns_of_all_types_are_read(tmp_path: Path) -> None:
     assert found['ok'].tolist() == [1.0, 0.0]
 
 
+def test_units_in_the_metadata_are_known(tmp_path: Path) -> None:
+    path = tmp_path / 'log.parquet'
+    schema = pa.schema([pa.field('t', pa.float64()), pa.field('v', pa.float64(), metadata={'unit': 'km/h'})])
+    parquet.write_table(pa.table({'t': [0.0], 'v': [1.0]}, schema=schema), path)
+    source = ParquetTable(path)
+    list(source.blocks(('t', 'v')))
+    assert source.units == {'v': 'km/h'}
+
+
 def test_a_long_file_is_read_in_blocks(tmp_path: Path) -> None:
     count = 2 * ROWS_AT_ONCE
     blocks = list(table(tmp_path, {'t': np.arange(count), 'v': np.zeros(count)}).blocks(('t', 'v')))

@@ -108,6 +108,20 @@ def test_rows_are_logged_in_their_order(tmp_path: Path) -> None:
     assert source.steps_back == 1
 
 
+@pytest.mark.parametrize(
+    ('head', 'stated'),
+    [('t,v [km/h]\n', 'km/h'), ('t,v (kmh)\n', 'kmh'), ('t,v [mph]\n', 'mph'), ('t,v [m/s]\n', ''), ('t,v [x]\n', '')],
+)
+def test_a_unit_in_the_name_of_a_column_is_compared(tmp_path: Path, head: str, stated: str) -> None:
+    path, name = tmp_path / 'log.csv', head.partition(',')[2].strip()
+    path.write_text(f'{head}0,1\n', encoding='utf-8')
+    mapping = parse_mapping(f"{{time: {{field: t}}, speed: {{field: '{name}'}}}}", 'map.yaml')
+    source = TableRecords(path, MappedInputs(mapping, None))
+    assert len(records(source)) == 1
+    warning = f"{path}: column '{name}': the file says {stated}, the mapping m/s"
+    assert source.warnings == ((warning,) if stated else ())
+
+
 def test_a_file_that_is_no_table_is_named(tmp_path: Path) -> None:
     inputs = MappedInputs(parse_mapping(f'{SPEED}}}', 'map.yaml'), None)
     with pytest.raises(InputError, match='no such file'):

@@ -66,6 +66,8 @@ def _new_bag(path: Path) -> Iterator[BagWriter]:
 
 
 def _print_result(args: argparse.Namespace, table: TableRecords, counts: Counter[str], duration_s: float) -> None:
+    for line in table.warnings:
+        warn(line)
     if table.steps_back:
         warn(f'{args.file}: {pluralise(table.steps_back, "row")} earlier than one before')
     if missing := [topic for topic, count in counts.items() if not count]:

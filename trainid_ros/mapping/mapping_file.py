@@ -24,7 +24,7 @@ from trainid_ros.mapping.units import Unit, find_unit
 from trainid_ros.mapping.user_function import UserFunction, user_function
 from trainid_ros.train.fields import Section, as_section, finite_number, parse_yaml, read_text, shown
 
-_QUANTITIES: Final = {
+QUANTITIES: Final = {
     'speed': ('speed', 'm/s'),
     'position': ('length', 'm'),
     'force': ('force', 'N'),
@@ -32,6 +32,7 @@ _QUANTITIES: Final = {
     'brake_command': ('acceleration', 'm/s^2'),
     'mass': ('mass', 'kg'),
 }
+"""Keys, each with the quantity of its unit and the unit unless another is stated."""
 _COLUMN_KEYS: Final = ('field', 'unit', 'sign', 'gain', 'offset', 'table')
 _SOURCE_KEYS: Final = ('topic', 'stamp', *_COLUMN_KEYS)
 _FROM: Final = 'from'
@@ -72,7 +73,7 @@ def load_table_mapping(path: str | Path) -> Mapping:
 
 def parse_mapping(text: str, source: str) -> Mapping:
     """Return the mapping in a YAML text; ``source`` is named in errors, as in :func:`load_mapping`."""
-    top = parse_yaml(text, source).only((*_QUANTITIES, _TIME, _CSV))
+    top = parse_yaml(text, source).only((*QUANTITIES, _TIME, _CSV))
     brake = top.section('brake_command')
     return Mapping(
         speed=_signal(top, 'speed'),
@@ -145,7 +146,7 @@ def _function(section: Section, unit: Unit) -> UserFunction:
 
 
 def _unit(section: Section, key: str) -> Unit:
-    quantity, usual = _QUANTITIES[key]
+    quantity, usual = QUANTITIES[key]
     try:
         return find_unit(section.text('unit', usual), quantity)
     except ValueError as error:

@@ -44,7 +44,14 @@ class Block:
 
 
 class Table(Protocol):
-    """A file with columns."""
+    """A file with columns.
+
+    Attributes:
+        units: Units that the file states, by column; known once a block is read.
+
+    """
+
+    units: dict[str, str]
 
     def blocks(self, names: Sequence[str]) -> Iterator[Block]:
         """Yield the columns of these names, rows in their order.

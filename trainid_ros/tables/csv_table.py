@@ -54,6 +54,7 @@ class CsvTable:
     def __init__(self, path: Path, form: CsvFormat) -> None:
         """Name the file, and what is known of its form."""
         self.path = path
+        self.units: dict[str, str] = {}
         self._form = form
 
     def blocks(self, names: Sequence[str]) -> Iterator[Block]:
@@ -92,15 +93,8 @@ class CsvTable:
         with self.path.open('rb') as file:
             head = file.read(_HEAD_BYTES)
         encoding = self._form.encoding or _encoding(head)
-        text = head.decode(encoding, errors='replace')
-        best: tuple[int, int, str, list[list[str]], int] = (-1, 0, ';', [], 0)
-        for separator in (self._form.separator,) if self._form.separator else _SEPARATORS:
-            rows = _head_rows(text, separator)
-            for place, row in enumerate(rows):
-                found = sum(name in _names(row) for name in names)
-                if (found, len(row)) > best[:2]:
-                    best = found, len(row), separator, rows, place
-        _, _, separator, rows, place = best
+        separators = (self._form.separator,) if self._form.separator else _SEPARATORS
+        separator, rows, place = _find_names(head.decode(encoding, errors='replace'), separators, names)
         known = _names(rows[place]) if rows else []
         check_columns(self.path, names, known)
         above = sum(not _is_comment(row) for row in rows[:place])
@@ -109,6 +103,8 @@ class CsvTable:
         cells = [[row[i] if i < len(row) else '' for i in wanted] for row in below]
         named = int(not _is_comment(rows[place]))
         skipped = self._form.header_rows or named + _unit_rows(cells[named:])
+        for row in ([*map(_in_brackets, names)], *cells[named:skipped]):
+            self.units |= {name: cell.strip(' []()') for name, cell in zip(names, row, strict=True) if cell.strip()}
         decimal = self._form.decimal or _decimal(cells[skipped:])
         return _Layout(encoding, separator, decimal, tuple(known), above + skipped)
 
@@ -169,6 +165,18 @@ def _encoding(head: bytes) -> str:
     return 'utf-8-sig'
 
 
+def _find_names(text: str, separators: Sequence[str], names: Sequence[str]) -> tuple[str, list[list[str]], int]:
+    """Return separator, first rows, and the place of the one with most of the names, or else with most cells."""
+    best: tuple[int, int, str, list[list[str]], int] = (-1, 0, separators[0], [], 0)
+    for separator in separators:
+        rows = _head_rows(text, separator)
+        for place, row in enumerate(rows):
+            found = sum(name in _names(row) for name in names)
+            if (found, len(row)) > best[:2]:
+                best = found, len(row), separator, rows, place
+    return best[2:]
+
+
 def _head_rows(text: str, separator: str) -> list[list[str]]:
     """Return the first rows of a text; its end may be cut off."""
     rows: list[list[str]] = []
@@ -192,6 +200,12 @@ def _is_comment(row: list[str]) -> bool:
 def _names(row: list[str]) -> list[str]:
     """Return the names of the columns in a row, which some programs write as a comment."""
     return [row[0].lstrip(_COMMENT).strip(), *map(str.strip, row[1:])]
+
+
+def _in_brackets(name: str) -> str:
+    """Return what is in brackets at the end of a name, such as a unit."""
+    found = re.search(r'[\[(]([^\[\]()]+)[\])]$', name)
+    return found[1] if found else ''
 
 
 def _unit_rows(rows: list[list[str]]) -> int:

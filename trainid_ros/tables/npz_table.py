@@ -25,6 +25,7 @@ class NpzTable:
     def __init__(self, path: Path) -> None:
         """Name the file."""
         self.path = path
+        self.units: dict[str, str] = {}
 
     def blocks(self, names: Sequence[str]) -> Iterator[Block]:
         """Yield columns; see :class:`Table`. They are read as a whole."""

@@ -24,12 +24,15 @@ class ParquetTable:
     def __init__(self, path: Path) -> None:
         """Name the file."""
         self.path = path
+        self.units: dict[str, str] = {}
 
     def blocks(self, names: Sequence[str]) -> Iterator[Block]:
         """Yield columns; see :class:`Table`."""
         try:
             with parquet.ParquetFile(self.path) as file:
                 check_columns(self.path, names, file.schema_arrow.names)
+                stated = ((name, (file.schema_arrow.field(name).metadata or {}).get(b'unit', b'')) for name in names)
+                self.units = {name: unit.decode(errors='replace') for name, unit in stated if unit}
                 count = max(1, file.metadata.num_rows)
                 for batch in file.iter_batches(batch_size=ROWS_AT_ONCE, columns=list(names)):
                     columns = {name: self._column(name, batch.column(name)) for name in names}

@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
+from contextlib import suppress
 from itertools import chain
 from typing import TYPE_CHECKING, Final, NamedTuple
 
@@ -12,7 +13,10 @@ import numpy as np
 
 from trainid_ros.errors import InputError
 from trainid_ros.mapping.mapping import Signal
+from trainid_ros.mapping.mapping_file import QUANTITIES
+from trainid_ros.mapping.units import find_unit
 from trainid_ros.tables.columns import ROWS_AT_ONCE, Block, Clock, joined, numbers
+from trainid_ros.train.fields import shown
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -26,6 +30,7 @@ if TYPE_CHECKING:
     from trainid_ros.tables.columns import Column, Table
 
 CSV_SUFFIXES: Final = ('.csv', '.tsv', '.txt', '.dat', '.log')
+_UNIT_SIGNS: Final = {'‰': 'per_mille', '%': 'percent', '°': 'deg', 'm/s²': 'm/s^2', 'km/hr': 'km/h', 'kmh': 'km/h'}
 _PARQUET_SUFFIXES: Final = ('.parquet', '.pq')
 # A position at the stamp of a speed must be known before that.
 _QUANTITIES: Final = ('position', 'speed', 'force', 'gradient', 'brake_command', 'mass')
@@ -73,6 +78,7 @@ class TableRecords:
         rows: Number of rows read.
         blank: Number of rows without a value, by quantity, and without a ``time``; those are left out.
         steps_back: Number of rows that are earlier than one before.
+        warnings: Where the file states another unit than the mapping.
 
     """
 
@@ -89,6 +95,7 @@ class TableRecords:
         """
         self.rows = self.steps_back = 0
         self.blank: Counter[str] = Counter()
+        self.warnings: tuple[str, ...] = ()
         self._path, self._inputs, self._mapping = path, inputs, inputs.mapping
         self._table = open_table(path, inputs.mapping)
         if self._mapping.time is None:
@@ -118,6 +125,7 @@ class TableRecords:
         for block in blocks:
             if not len(block.columns[names[0]]):
                 continue
+            self.warnings = tuple(self._other_units())
             stamps, known = self._clock.stamps(block.columns, self._path, self.rows)
             self.rows += len(stamps)
             self.blank['time'] += int(np.count_nonzero(~known))
@@ -126,6 +134,18 @@ class TableRecords:
             for start in range(0, len(rows), ROWS_AT_ONCE):
                 some = rows[start : start + ROWS_AT_ONCE]
                 yield block.share * len(some) / len(rows), self._records(stamps, feeds, some)
+
+    def _other_units(self) -> Iterator[str]:
+        """Yield a warning for each column of which the file states another unit than the mapping."""
+        columns = [(self._time.columns[0], self._time.unit, 'time')] if self._time.function is None else []
+        for key, signal in self._signals.items():
+            if signal.function is None:
+                columns += [(str(source.path[0]), source.unit, QUANTITIES[key][0]) for source in signal.sources]
+        for name, unit, quantity in columns:
+            stated = self._table.units.get(name, '')
+            with suppress(ValueError):
+                if find_unit(_UNIT_SIGNS.get(stated, stated), quantity).factor != unit.factor:
+                    yield f'{self._path}: column {shown(name)}: the file says {stated}, the mapping {unit.name}'
 
     def _records(
         self, stamps: NDArray[np.int64], feeds: list[_Feed], rows: NDArray[np.intp]
