@@ -87,7 +87,7 @@ NOT_RUN = {
     },
 }
 # Pages whose commands, taken together, or single commands that take longer than the inner loop should.
-SLOW_PAGES = ('docs/algorithms.md', 'docs/explain.md', 'docs/parameters.md', 'docs/simulator.md')
+SLOW_PAGES = ('docs/algorithms.md', 'docs/explain.md', 'docs/parameters.md', 'docs/simulator.md', 'docs/tables.md')
 SLOW = ('replay bags/yizhuang_day', 'demo --only explain', '--report', '--params config/params.yaml')
 
 

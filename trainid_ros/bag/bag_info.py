@@ -183,7 +183,7 @@ def inspect(
     """Read a bag once and summarise its contents.
 
     Args:
-        path: Rosbag2 directory or ``.mcap`` file.
+        path: Rosbag2 directory, ``.mcap`` or ``.db3`` file.
         namespace: Namespace of the topics.
         max_chunk: Largest chunk to unpack [bytes].
         inputs: Makes what turns messages of other topics into records; they are then summarised as our own topics.

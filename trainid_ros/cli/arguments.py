@@ -68,8 +68,9 @@ def configure_replay(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--out',
         type=Path,
-        metavar='BAG2',
-        help='write inputs and estimates to a new bag; of several bags, to one each in this folder',
+        metavar='OUT',
+        help='write inputs and estimates to a new bag, or estimates to a table if it ends in .parquet or .csv; of '
+        'several bags, to one bag each in this folder',
     )
     parser.add_argument(
         '--report',
@@ -184,12 +185,23 @@ def configure_info(parser: argparse.ArgumentParser) -> None:
     _add_json(parser)
 
 
+def configure_import(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of ``import``."""
+    parser.add_argument('file', type=Path, metavar='FILE', help='table: .csv, .parquet or .npz')
+    parser.add_argument('out', type=Path, metavar='OUT', help='bag to create')
+    parser.add_argument(
+        '--map', type=Path, required=True, metavar='MAPPING.yaml', help='mapping file: inputs from columns and units'
+    )
+    parser.add_argument('--train', type=Path, metavar='T.yaml', help='train file, if the gradient comes from its line')
+    _add_json(parser)
+
+
 def _add_bag(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument('bag', type=Path, metavar='BAG', help='rosbag2 directory or .mcap file')
+    parser.add_argument('bag', type=Path, metavar='BAG', help='rosbag2 directory, .mcap or .db3 file')
 
 
 def _add_bags(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument('bags', nargs='+', type=Path, metavar='BAG', help='rosbag2 directory or .mcap file')
+    parser.add_argument('bags', nargs='+', type=Path, metavar='BAG', help='rosbag2 directory, .mcap or .db3 file')
 
 
 def _add_max_chunk(parser: argparse.ArgumentParser) -> None:

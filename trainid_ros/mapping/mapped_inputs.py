@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Turn messages of any topics into the records of a train, by a mapping."""
+"""Turn messages of any topics, or rows of a table, into the records of a train, by a mapping."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.errors import InputError
-from trainid_ros.mapping.mapping import LineLookup, Signal, SpeedIntegral, StampSource
+from trainid_ros.mapping.mapping import Constant, LineLookup, Signal, SpeedIntegral, StampSource
 from trainid_ros.mapping.mapping_file import load_mapping
-from trainid_ros.mapping.series import SumOfSeries
+from trainid_ros.mapping.series import JoinedSeries
 from trainid_ros.messages import stamp_of
 from trainid_ros.records import (
     NS_PER_S,
@@ -33,11 +33,13 @@ if TYPE_CHECKING:
 
 # Over a longer time without a speed the distance is not known [s].
 _LONGEST_S: Final = 1.0
+# Positions that differ by less do not show the direction: they are noisy, above all at standstill [m].
+_LEAST_M: Final = 10.0
 _QUANTITIES: Final = ('speed', 'position', 'force', 'gradient', 'brake_command', 'mass')
 
 
 class MappedInputs:
-    """The inputs of one train; messages may come in any order of topics.
+    """The inputs of one train; messages may come in any order of topics, and numbers in any order of sources.
 
     Attributes:
         mapping: Where each input comes from.
@@ -65,11 +67,13 @@ class MappedInputs:
             msg = f'mapping: gradient is to come from the line, but no {missing}'
             raise InputError(msg)
         self._readers: dict[str, list[tuple[str, int, Source]]] = {}
-        self._sums: dict[str, SumOfSeries] = {}
+        self._series: dict[str, JoinedSeries] = {}
         for quantity in _QUANTITIES:
             signal = getattr(mapping, quantity)
             if isinstance(signal, Signal):
-                self._sums[quantity] = SumOfSeries(len(signal.sources))
+                self._series[quantity] = JoinedSeries(len(signal.sources))
+                if signal.function is not None:
+                    signal.function.load()  # what cannot be used is said now
                 for index, source in enumerate(signal.sources):
                     self._readers.setdefault(source.topic, []).append((quantity, index, source))
         self._position = Odometer(mapping.position)
@@ -103,17 +107,34 @@ class MappedInputs:
         records: list[Record] = []
         for quantity, index, source in self._readers[topic]:
             stamp_ns = _stamp(source, message, received_ns)
-            for at_ns, value in self._sums[quantity].add(index, stamp_ns, source.read(message)):
-                records += self._records(quantity, at_ns, value)
+            records += self.add(quantity, index, stamp_ns, source.read(message))
+        return records
+
+    def add(self, quantity: str, index: int, stamp_ns: int, value: float) -> list[Record]:
+        """Return the records that a number of one source of a quantity completes.
+
+        Args:
+            quantity: Name of the quantity in the mapping.
+            index: Place of the source among those of the quantity.
+            stamp_ns: Stamp [ns].
+            value: The number, as :meth:`Source.value` returns it.
+
+        """
+        function = getattr(self.mapping, quantity).function
+        records: list[Record] = []
+        for at_ns, values in self._series[quantity].add(index, stamp_ns, value):
+            whole = values[0] + sum(values[1:]) if function is None else function.of_numbers(values)
+            records += self.put(quantity, at_ns, whole)
         return records
 
     def take_record(self, record: Record) -> list[Record]:
         """Return what becomes of a record from one of our own topics."""
-        if not isinstance(record, SpeedRecord) or (self.mapping.position is None and self.mapping.gradient is None):
+        if not isinstance(record, SpeedRecord):
             return [record]
         return self._at_speed(record.stamp_ns, record.speed, record.position)
 
-    def _records(self, quantity: str, stamp_ns: int, value: float) -> list[Record]:
+    def put(self, quantity: str, stamp_ns: int, value: float) -> list[Record]:
+        """Return the records that a value of a quantity, in the unit of the interface, completes."""
         match quantity:
             case 'speed':
                 return self._at_speed(stamp_ns, abs(value), math.nan)
@@ -129,7 +150,7 @@ class MappedInputs:
         return [MassRecord(stamp_ns, value)]
 
     def _at_speed(self, stamp_ns: int, speed: float, measured: float) -> list[Record]:
-        """Return the records at a speed [m/s]: itself, and the gradient where it comes from the line."""
+        """Return the records at a speed [m/s]: itself, and what comes from the line or is constant."""
         if self.mapping.position is None:
             self._position.correct(stamp_ns, measured)
             self._position.move(stamp_ns, speed)
@@ -140,6 +161,9 @@ class MappedInputs:
         if isinstance(self.mapping.gradient, LineLookup) and math.isfinite(position):
             gradient = self._line.gradient(position, self._position.direction)
             records.append(self._gradient(stamp_ns, gradient))
+        for quantity in ('gradient', 'brake_command'):
+            if isinstance(constant := getattr(self.mapping, quantity), Constant):
+                records += self.put(quantity, stamp_ns, constant.value)
         return records
 
     def _gradient(self, stamp_ns: int, gradient: float) -> GradientRecord:
@@ -187,13 +211,17 @@ class Odometer:
         self._stamp_ns = self._earlier_ns = 0
         self._speed = math.nan
         self._fix, self._fix_ns = math.nan, 0
+        self._passed = math.nan
 
     def correct(self, stamp_ns: int, position: float) -> None:
-        """Take in a measured position [m]; two of them in turn show the direction."""
+        """Take in a measured position [m]; two of them show the direction if they are far enough apart."""
         if not math.isfinite(position):
             return
-        if abs(position - self._fix) > 0.0:
-            self.direction = 1 if position > self._fix else -1
+        if math.isnan(self._passed):
+            self._passed = position
+        elif abs(position - self._passed) >= _LEAST_M:
+            self.direction = 1 if position > self._passed else -1
+            self._passed = position
         self._fix, self._fix_ns = position, stamp_ns
         # To the stamp of the last speed, which may be earlier or later.
         since_s = (self._stamp_ns - stamp_ns) / NS_PER_S
