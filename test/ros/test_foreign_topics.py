@@ -24,6 +24,7 @@ from trainid_ros.ros.foreign_topics import (
 )
 
 FLOAT, INT = 'std_msgs/msg/Float64', 'std_msgs/msg/Int8'
+_MISSING = ('no type support',)
 RELIABLE = QoSProfile(depth=1)
 LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
 BEST_EFFORT = QoSProfile(depth=1, reliability=ReliabilityPolicy.BEST_EFFORT)
@@ -88,6 +89,22 @@ def test_the_subscription_follows_the_type_of_the_publisher() -> None:
     assert 'not installed' in opened.foreign.problem
     assert opened.follow(4.0, publisher(INT)) == 'Int8'
     assert opened.foreign.problem == ''
+
+
+def test_a_type_that_cannot_be_subscribed_is_tried_again(monkeypatch: pytest.MonkeyPatch) -> None:
+    opened = Opened(ForeignTopic('/x', ('speed',)))
+
+    def fail(*_: object) -> None:
+        raise RuntimeError(*_MISSING)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(opened.foreign, '_open', fail)
+        assert opened.follow(0.0, publisher(FLOAT)) == ''
+    found = opened.foreign.unreadable()
+    assert found is not None
+    assert found.unheard == (f'{FLOAT}: cannot be subscribed (no type support)',)
+    assert opened.follow(0.3, publisher(FLOAT)) == 'Float64'
+    assert opened.foreign.unreadable() is None
 
 
 def test_a_type_of_a_killed_publisher_is_left_when_no_messages_come() -> None:

@@ -200,14 +200,13 @@ class ForeignSubscription:
 
     def _subscribe(self, kind: str, profile: QoSProfile, steady_ns: int) -> bool:
         self.close()
-        self.type, self._profile, self._alive_ns = kind, profile, steady_ns
+        self.type, self._profile, self._alive_ns, self.problem = kind, profile, steady_ns, ''
         try:
-            message = foreign_class(kind)
+            self.current = self._open(foreign_class(kind), copy(profile))  # which rclpy changes
         except InputError as error:
             self.problem = str(error)
-            return True
-        self.problem = ''
-        self.current = self._open(message, copy(profile))  # which rclpy changes
+        except Exception as error:  # whatever a package of others raises must not end the node; it is tried again
+            self.type, self.problem = '', f'{kind}: cannot be subscribed ({error})'
         return True
 
     def close(self) -> None:
