@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,8 @@ def bag(tmp_path: Path) -> Path:
             writer.write('/a/twist', TWIST, now, twist__linear__x=float(k))
             writer.write('/a/level', FLOAT, now, data=2.0)
             writer.write('/state', 'maker_msgs/msg/State', now, values=np.array([0.0, k, 1.0], np.float32), on=k > 25)
+            writer.write('/gaps', FLOAT, now, data=math.nan if k % 2 else 1.0)
+            writer.write('/none', FLOAT, now, data=math.inf)
             writer.write('/map', 'nav_msgs/msg/GridCells', now, cell_width=1.0)
             writer.write('/cam', 'sensor_msgs/msg/Image', now)
             writer.write('/text', 'std_msgs/msg/Float64MultiArray', now, data=np.ones(1000) * k)
@@ -40,12 +43,14 @@ def test_numbers_are_read_by_field_and_index(bag: Path) -> None:
     numbers = read_numbers(bag, '/', 64 << 20)
     found = named(numbers)
     assert sorted(found) == [
-        '/a/level data', '/a/twist twist.linear.x', '/map cell_width', '/state on', '/state values.1', '/state values.2'
+        '/a/level data', '/a/twist twist.linear.x', '/gaps data', '/map cell_width',
+        '/state on', '/state values.1', '/state values.2',
     ]  # fmt: skip
     speed, on = found['/a/twist twist.linear.x'], found['/state on']
     assert (speed.has_stamps, speed.is_whole, on.has_stamps, on.is_whole) == (True, False, False, True)
     assert speed.rate == pytest.approx(5.0)
     assert speed.value.tolist() == list(range(50))
+    assert found['/gaps data'].value.tolist() == [1.0] * 25
     assert numbers.duration_s == pytest.approx(9.8)
     assert dict(numbers.left_out) == {'/cam': 'sensor_msgs/msg/Image', '/text': 'large messages'}
 

@@ -76,7 +76,7 @@ class BagNumbers:
     """The numbers of a bag.
 
     Attributes:
-        series: All numbers that are no constants of their type.
+        series: All numbers that are not zero throughout; values that are not finite are left out.
         own: Names of our input topics that are there, with our types; their numbers are among the series.
         left_out: Topics that are not read, with the reason.
         duration_s: Length of the part that was read [s].
@@ -213,10 +213,11 @@ class _Collector:
         order = np.argsort(time, kind='stable')
         values = np.array([row[2] for row in self._rows], dtype=np.float64).reshape(len(self._rows), -1)
         for place, path in enumerate(self._paths):
-            name = '.'.join(map(str, path))
             column = values[order, place]
-            if np.any(column != 0.0):
-                yield NumberSeries(self.topic, self._type, name, time[order], column, has_stamps, self._whole[place])
+            known = np.isfinite(column)
+            if np.any(column[known] != 0.0):
+                where = self.topic, self._type, '.'.join(map(str, path))
+                yield NumberSeries(*where, time[order][known], column[known], has_stamps, self._whole[place])
 
 
 def _leaves(part: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[tuple[str | int, ...], bool]]:
