@@ -94,6 +94,8 @@ setup(
     extras_require={
         # Reading and writing bags: replay, fit, explain, info, play, simulate, demo. The live nodes need none of it.
         'bags': ['mcap', 'rosbags', 'zstandard'],
+        # Parquet files in and out.
+        'tables': ['pyarrow'],
     },
     zip_safe=False,
     entry_points={

@@ -20,6 +20,7 @@ from mcap.opcode import Opcode
 from mcap.writer import CompressionType, IndexType, Writer
 
 from benchmarks.tables import Table, as_text
+from trainid_ros.bag.mcap_file import McapFile
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.record_file import MAGIC, RecordFile
 from trainid_ros.bag.types import full_definition, full_type, message_from_record, typestore
@@ -86,8 +87,9 @@ def write_original(folder: Path, compression: CompressionType) -> Original:
         payload = bytes(typestore().serialize_cdr(message_from_record(record), name))
         writer.add_message(channel, record.stamp_ns, payload, record.stamp_ns)
     writer.finish()  # type: ignore[no-untyped-call]
-    with BagReader(path) as reader:
-        counts = [segment.starts.size for file in reader._files for segment in file.segments]
+    file = McapFile(path)
+    counts = [segment.starts.size for segment in file.segments]
+    file.close()
     return Original(
         path.read_bytes(), [*records], [(*place, n) for place, n in zip(_chunks(path), counts, strict=True)]
     )

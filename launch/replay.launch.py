@@ -27,9 +27,9 @@ def check(context):
     if not is_valid:
         msg = f'rate:={rate} must be a number from {RATES[0]:g} to {RATES[1]:g}'
         raise RuntimeError(msg)
-    for name in ('bag', 'train_file'):
+    for name in ('bag', 'train_file', 'mapping_file'):
         path = LaunchConfiguration(name).perform(context)
-        if not Path(path).exists():
+        if not Path(path).exists() and (path or name != 'mapping_file'):
             msg = f'{name}:={path} does not exist'
             raise RuntimeError(msg)
     return []
@@ -40,6 +40,7 @@ def generate_launch_description():
     arguments = (
         ('bag', 'rosbag2 directory or .mcap file', None),
         ('train_file', 'train file (YAML)', None),
+        ('mapping_file', 'mapping file (YAML): inputs from other topics, types and units', ''),
         ('rate', 'recorded seconds per second', '1.0'),
     )
     declared = [
@@ -51,7 +52,11 @@ def generate_launch_description():
     loop = DeclareLaunchArgument('loop', default_value='false', description='start over at the end', choices=SWITCH)
     estimators = IncludeLaunchDescription(
         PythonLaunchDescriptionSource(str(Path(__file__).with_name('trainid.launch.py'))),
-        launch_arguments={'train_file': LaunchConfiguration('train_file'), 'use_sim_time': 'true'}.items(),
+        launch_arguments={
+            'train_file': LaunchConfiguration('train_file'),
+            'mapping_file': LaunchConfiguration('mapping_file'),
+            'use_sim_time': 'true',
+        }.items(),
     )
     player = LifecycleNode(
         package='trainid_ros',
@@ -61,6 +66,7 @@ def generate_launch_description():
         parameters=[
             {
                 'bag': LaunchConfiguration('bag'),
+                'mapping_file': LaunchConfiguration('mapping_file'),
                 'rate': ParameterValue(LaunchConfiguration('rate'), value_type=float),
                 'loop': ParameterValue(LaunchConfiguration('loop'), value_type=bool),
                 'wait': 3,

@@ -18,6 +18,7 @@ def make_nodes(context):
         name: LaunchConfiguration(name).perform(context)
         for name in (
             'train_file',
+            'mapping_file',
             'params_file',
             'use_sim_time',
             'autostart',
@@ -36,6 +37,8 @@ def make_nodes(context):
         parameters.insert(0, values['params_file'])
     if values['train_file']:
         parameters.append({'train_file': values['train_file']})
+    if values['mapping_file']:
+        parameters.append({'mapping_file': values['mapping_file']})
     return [
         LifecycleNode(
             package='trainid_ros',
@@ -61,6 +64,7 @@ def generate_launch_description():
     """Return what ``ros2 launch trainid_ros trainid.launch.py`` starts."""
     arguments = (
         ('train_file', '', 'train file (YAML); its values are the defaults of train.*, resistance.* and brake.*', None),
+        ('mapping_file', '', 'mapping file (YAML): inputs from other topics, types and units', None),
         ('params_file', '', 'parameter file, see config/params.yaml', None),
         ('use_sim_time', 'false', 'true while a bag or a simulator publishes /clock', SWITCH),
         ('autostart', 'true', 'false leaves configuring and activating to a lifecycle manager', SWITCH),

@@ -254,7 +254,6 @@ def test_wrong_value_without_a_checksum_of_its_own_is_said(tmp_path: Path) -> No
         (MAGIC, 'holds no records, only the MCAP signature'),
         (b'no bag at all', 'is not an MCAP file'),
         (MAGIC[:5], 'is not an MCAP file'),
-        (b'SQLite format 3\0', 'is an SQLite file, only mcap is supported'),
         (MAGIC + bytes(100), 'was cut off before the first complete message, nothing can be recovered'),
     ],
 )
@@ -309,12 +308,9 @@ def test_pipes_and_devices_are_no_bags(tmp_path: Path, bag: Path) -> None:
     assert len(read(bag)[0]) == 200
 
 
-def test_other_storage_is_named(bag: Path, tmp_path: Path) -> None:
-    change(bag, storage_identifier='sqlite3')
-    assert "storage 'sqlite3' is not supported" in error_of(bag)
-    (tmp_path / 'x.db3').write_bytes(b'SQLite format 3\0')
-    assert f'{tmp_path / "x.db3"}: storage sqlite3' in error_of(tmp_path / 'x.db3')
-    assert f'{tmp_path / "x.db3"}: storage sqlite3' in error_of(tmp_path)
+def test_a_table_is_no_bag(tmp_path: Path) -> None:
+    (tmp_path / 'x.csv').write_text('t,v\n', encoding='utf-8')
+    assert error_of(tmp_path / 'x.csv').endswith('x.csv: is a table, not a bag; trainid import makes a bag of it')
 
 
 def test_compression_of_the_whole_bag_is_named(bag: Path) -> None:

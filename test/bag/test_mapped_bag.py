@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import json
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -12,15 +13,26 @@ import pytest
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from benchmarks.foreign_bag import FLOAT, TWIST, ForeignBag
 from trainid_ros.bag.reader import BagReader, missing_topics
 from trainid_ros.cli.main import main
 from trainid_ros.errors import InputError
 from trainid_ros.mapping.mapped_inputs import MappedInputs
 from trainid_ros.mapping.mapping_file import parse_mapping
 from trainid_ros.records import REQUIRED_TOPICS, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
-from trainid_ros.train.train_file import Davis, Train, TrainFile
+from trainid_ros.sim.scenario import Scenario, simulate
+from trainid_ros.train.train_file import Davis, Train, TrainFile, load_train_file
 
 TRAIN = TrainFile(Train(mass=194e3), Davis(1.5, 0.02, 0.001))
+TRAINS = """
+speed: {topic: odo, field: twist.linear.x, unit: km/h}
+position: {topic: distance, field: data, stamp: receive}
+force: {topic: force, field: data, stamp: receive}
+gradient: {from: line}
+brake_command: {topic: /both/brake, field: data, stamp: receive}
+"""
+TRAIN_PATH = Path(__file__).parents[2] / 'config' / 'trains' / 'yizhuang.yaml'
+METRO = load_train_file(TRAIN_PATH)
 MAPPING = """
 speed: {topic: odo/twist, field: twist.linear.x, unit: km/h}
 position: {topic: /where, field: data, unit: km, stamp: receive}
@@ -114,6 +126,33 @@ def test_a_relative_topic_lies_in_the_namespace(foreign: Path) -> None:
     with reader(foreign, MAPPING.replace('odo/twist', 'twist'), '/odo') as bag:
         assert missing_topics(bag) == ()
         assert sum(isinstance(record, SpeedRecord) for record in bag.records()) > 0
+
+
+def test_trains_of_one_bag_are_replayed_by_one_mapping(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    records = simulate(Scenario(METRO, runs=1), np.random.default_rng(3)).records
+    with ForeignBag(tmp_path / 'bag') as bag:
+        for record in records:
+            match record:
+                case SpeedRecord(now, speed, position):
+                    for name, factor in (('/train_1', 3.6), ('/train_2', 7.2)):
+                        bag.write(f'{name}/odo', TWIST, now, twist__linear__x=factor * speed)
+                        bag.write(f'{name}/distance', FLOAT, now, data=position)
+                case ForceRecord(now, force):
+                    bag.write('/train_1/force', FLOAT, now, data=force)
+                    bag.write('/train_2/force', FLOAT, now, data=2.0 * force)
+                case BrakeRecord(now, target):
+                    bag.write('/both/brake', FLOAT, now, data=target)
+    mapping = tmp_path / 'map.yaml'
+    mapping.write_text(TRAINS, encoding='utf-8')
+    info = ['info', str(tmp_path / 'bag'), '--map', str(mapping), '--train', str(TRAIN_PATH), '--json']
+    tops = []
+    for name in ('/train_1', '/train_2'):
+        assert main([*info, '--namespace', name]) == 0
+        ranges = json.loads(capsys.readouterr().out)['ranges']
+        tops.append([item['high'] for item in ranges if item['field'] in {'speed', 'force'}])
+    assert tops[1] == pytest.approx([2.0 * value for value in tops[0]])
+    assert main([*info, '--namespace', '/train_3']) == 1
+    assert 'no messages on odo, force' in capsys.readouterr().err
 
 
 def test_a_field_that_does_not_exist_is_named(foreign: Path) -> None:

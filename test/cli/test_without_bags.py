@@ -23,6 +23,7 @@ NEED_BAGS = {
     'fit': ['fit', 'bag', '--train', 'T.yaml'],
     'explain': ['explain', 'bag', '--train', 'T.yaml'],
     'info': ['info', 'bag'],
+    'import': ['import', 'x.csv', 'out', '--map', 'm.yaml'],
     'demo': ['demo', '--only', 'yizhuang'],
 }
 HINT = "pip install 'trainid_ros[bags]'"
@@ -57,6 +58,21 @@ def test_each_package_is_named(package: str, tmp_path: Path) -> None:
     done = trainid(tmp_path, *NEED_BAGS[verb], hidden=frozenset({package}))
     assert done.returncode == 2
     assert done.stderr == f'trainid: error: bags need the Python package {package}: {HINT}\n'
+
+
+def test_parquet_is_named(driven_bag: Path, tmp_path: Path) -> None:
+    (tmp_path / 'x.parquet').touch()
+    (tmp_path / 'm.yaml').write_text('{time: {field: t}, speed: {field: v}}', encoding='utf-8')
+    train = str(driven_bag / 'train.yaml')
+    for arguments in (
+        ['import', 'x.parquet', 'out', '--map', 'm.yaml'],
+        ['replay', str(driven_bag), '--train', train, '--out', 'e.parquet'],
+    ):
+        done = trainid(tmp_path, *arguments, hidden=frozenset({'pyarrow'}))
+        assert done.returncode == 2
+        hint = "pip install 'trainid_ros[tables]'"
+        assert done.stderr == f'trainid: error: Parquet needs the Python package pyarrow: {hint}\n'
+    assert sorted(path.name for path in tmp_path.iterdir()) == ['m.yaml', 'x.parquet']
 
 
 @pytest.mark.parametrize('arguments', [('--help',), ('--version',), ('run', '--help')], ids=' '.join)

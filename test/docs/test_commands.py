@@ -51,6 +51,13 @@ NOT_RUN = {
         ): SECURE,
     },
     'docs/faults.md': {'.venv/bin/python benchmarks/run.py --only faults faults_live --seeds 3': 'takes minutes'},
+    'docs/mapping.md': {
+        ('.venv/bin/trainid run --train bags/tiny/train.yaml --map map.yaml --ros-args -p use_sim_time:=true'): LIVE,
+        '.venv/bin/trainid play bags/tiny_foreign --map map.yaml --wait 3': LIVE,
+        (
+            'ros2 launch trainid_ros trainid.launch.py train_file:=/path/to/train.yaml mapping_file:=/path/to/map.yaml'
+        ): BUILT,
+    },
     'docs/nodes.md': {
         '.venv/bin/trainid run --train config/trains/yizhuang.yaml': LIVE,
         '.venv/bin/trainid run --train config/trains/yizhuang.yaml --node resistance_estimator': LIVE,
@@ -80,7 +87,7 @@ NOT_RUN = {
     },
 }
 # Pages whose commands, taken together, or single commands that take longer than the inner loop should.
-SLOW_PAGES = ('docs/algorithms.md', 'docs/explain.md', 'docs/parameters.md', 'docs/simulator.md')
+SLOW_PAGES = ('docs/algorithms.md', 'docs/explain.md', 'docs/parameters.md', 'docs/simulator.md', 'docs/tables.md')
 SLOW = ('replay bags/yizhuang_day', 'demo --only explain', '--report', '--params config/params.yaml')
 
 
@@ -128,7 +135,7 @@ def variable(text: str) -> tuple[str, str] | None:
 
 def check(text: str) -> None:
     """Check program, verb and options of one command without running it."""
-    words = shlex.split(text)
+    words = shlex.split(text.partition(' > ')[0])
     if words[0] == TRAINID:
         check_verb(words[1], words[2:])
     elif words[0] == 'make':
@@ -241,8 +248,9 @@ def run_page(page: Page, folder: Path, *, slow: bool) -> int:
 
 
 def run(command: Command, folder: Path, environment: dict[str, str]) -> None:
+    text, _, target = command.text.partition(' > ')
     done = subprocess.run(
-        shlex.split(command.text),
+        shlex.split(text),
         cwd=folder,
         env=environment,
         stdin=subprocess.DEVNULL,
@@ -252,6 +260,8 @@ def run(command: Command, folder: Path, environment: dict[str, str]) -> None:
         check=False,
     )
     assert done.returncode == 0, f'{command.page}:{command.line}: {command.text}\n{done.stdout}{done.stderr}'
+    if target:
+        (folder / target).write_text(done.stdout, encoding='utf-8')
 
 
 def with_commands(*, slow: bool) -> list[Page]:

@@ -48,6 +48,14 @@ def test_python_examples_compile() -> None:
         compile(block.text, f'{page.name}:{block.line}', 'exec')
 
 
+def test_the_page_of_tables_shows_its_files() -> None:
+    texts = {block.text for block in blocks(text_of('docs/tables.md'))}
+    mapping = text_of('config/mappings/logger.yaml')
+    assert mapping.partition('\n')[2] in texts
+    head = (ROOT / 'bags' / 'logger.csv').read_text(encoding='latin-1').splitlines(keepends=True)[:4]
+    assert ''.join(head) in texts
+
+
 def test_the_controller_reads_fields_and_topics_that_exist() -> None:
     code = ast.parse(titled('README.md', 'controller.py').text)
     read = {

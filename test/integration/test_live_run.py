@@ -15,12 +15,14 @@ from typing import Any
 import numpy as np
 import pytest
 import rclpy
+import yaml
 from rclpy.context import Context
 from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import QoSProfile
 from trainid_msgs import msg as messages
 
+from benchmarks.foreign_bag import MAPPING, write_foreign
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.demo.live import parameter_file
@@ -32,6 +34,8 @@ from trainid_ros.estimators.pipeline import (
     resistance_pipeline,
     speed_model_pipeline,
 )
+from trainid_ros.mapping.mapped_inputs import mapped_inputs
+from trainid_ros.mapping.mapping_file import load_mapping
 from trainid_ros.ros.topics import LEASE_S, fill_estimate, latched_qos, time_message
 from trainid_ros.sim.scenario import Scenario, simulate
 from trainid_ros.train.train_file import load_train_file
@@ -48,6 +52,7 @@ OUTPUTS: dict[str, tuple[Any, Callable[..., EstimatorPipeline[Any]]]] = {
 }
 RATE = '16'
 PLAYED_S = 100.0
+FOREIGN_S = 40.0
 # This machine, and the group of DDS discovery, which is joined there.
 LOCAL = ('127.', '239.255.0.1:')
 # Reached only by failures: a busy machine may stall a process for seconds.
@@ -152,11 +157,11 @@ def listener(processes: Processes, monkeypatch: pytest.MonkeyPatch, tmp_path: Pa
     made.close()
 
 
-def replayed(bag: Path, topic: str) -> list[Any]:
+def replayed(bag: Path, topic: str, mapping: Path | None = None) -> list[Any]:
     """Messages that the pipeline alone gives for the same records."""
     kind, make = OUTPUTS[topic]
     pipeline = make(load_train_file(TRAIN), EstimatorSettings())
-    with BagReader(bag) as reader:
+    with BagReader(bag, inputs=mapped_inputs(mapping, load_train_file(TRAIN))) as reader:
         outputs = [output for record in reader.records() for output in pipeline.push(record)]
     return [fill_estimate(kind(), output) for output in outputs]
 
@@ -207,6 +212,31 @@ def test_live_estimates_equal_the_replay_to_the_bit(
     for topic, outputs in expected.items():
         assert without_stale_repeats(listener.received[topic]) == without_stale_repeats(outputs)
         assert len(outputs) > 0.9 * 5.0 * PLAYED_S
+
+
+def test_a_foreign_bag_gives_live_what_its_replay_gives(
+    processes: Processes, listener: Listener, bag: Path, tmp_path: Path
+) -> None:
+    mapping, foreign, lossless = tmp_path / 'map.yaml', tmp_path / 'foreign', tmp_path / 'lossless.yaml'
+    mapping.write_text(MAPPING, encoding='utf-8')
+    with BagReader(bag) as reader:
+        write_foreign(foreign, list(reader.records())[: round(20.0 * FOREIGN_S)])
+    reliable = {'history': 'keep_last', 'depth': 1000, 'reliability': 'reliable'}
+    overrides = {topic: {'subscription': dict(reliable)} for topic in load_mapping(mapping).topics}
+    parameters = {'resistance_estimator': {'ros__parameters': {'qos_overrides': overrides}}}
+    lossless.write_text(yaml.safe_dump(parameters), encoding='utf-8')
+    options = ('--train', str(TRAIN), '--map', str(mapping), '--node', 'resistance_estimator')
+    nodes = processes.start('run', *options, '--ros-args', '--params-file', str(lossless), '-p', 'use_sim_time:=true')
+    assert wait_for_lines(nodes, 1) == ['resistance_estimator is active']
+    listener.until(lambda: listener.node.count_publishers('trainid/resistance'))
+    player = processes.start('play', str(foreign), '--map', str(mapping), '--rate', RATE, '--wait', '1')
+    listener.until(lambda: player.poll() is not None)
+    code, _, err = finish(player)
+    assert (code, 'Traceback' in err) == (0, False), err
+    expected, received = replayed(foreign, 'trainid/resistance', mapping), listener.received['trainid/resistance']
+    listener.until(lambda: received[-1].header.stamp == expected[-1].header.stamp)
+    assert without_stale_repeats(received) == without_stale_repeats(expected)
+    assert len(expected) > 0.9 * 5.0 * FOREIGN_S
 
 
 @pytest.mark.parametrize('signal_number', [signal.SIGINT, signal.SIGTERM])
@@ -271,6 +301,9 @@ def test_play_exits_cleanly(processes: Processes, listener: Listener, bag: Path,
         ),
         (('run', '--ros-args', '--params-file', 'none.yaml'), 'none.yaml'),
         (('play', 'no/such/bag'), 'no/such/bag'),
+        (('run', '--map', 'none.yaml'), 'none.yaml: cannot be read'),
+        (('play', str(ROOT / 'bags' / 'tiny_foreign'), '--map', 'none.yaml'), 'none.yaml: cannot be read'),
+        (('play', str(ROOT / 'bags' / 'tiny_foreign')), 'no messages on the input topics'),
         (('play', str(TRAIN), '--rate', '0'), '--rate'),
     ],
 )

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
 
@@ -109,6 +110,38 @@ def test_between_balises_positions_are_integrated_and_the_direction_follows() ->
     assert positions[300] == pytest.approx(4603.0)
 
 
+@pytest.mark.parametrize(
+    ('steps', 'expected'),
+    [
+        ((0, 1, 2, -20, -19), [800.0, 802.0, 804.0, 800.0, 802.0]),  # a loop begins anew
+        ((0, 1, 90, 2, 3), [800.0, 802.0, 802.0, 802.0, 804.0]),  # one stamp is wrong
+    ],
+)
+def test_positions_follow_stamps_that_jump(steps: tuple[int, ...], expected: list[float]) -> None:
+    mapped = inputs('{speed: {topic: v, field: data}, position: {from: speed, start: 800.0}}')
+    found = [record for step in steps for record in mapped.take('v', message(10.0, at(step)), 0)]
+    assert [record.position for record in found if isinstance(record, SpeedRecord)] == pytest.approx(expected)
+
+
+def test_a_position_that_comes_first_after_a_jump_is_kept() -> None:
+    mapped = inputs('gradient: {from: line}')
+    made = [mapped.take_record(SpeedRecord(at(step), 10.0, 1000.0 + 2.0 * step)) for step in (0, 1, 2, -20)]
+    assert [len(records) for records in made] == [2, 2, 2, 2]
+
+
+def test_noise_at_standstill_is_no_change_of_direction() -> None:
+    mapped = inputs('{speed: {topic: v, field: data}, position: {topic: x, field: data}, gradient: {from: line}}')
+    for k, position in enumerate((1990.0, 2000.0, 2000.1, 1999.9, 2000.0, 1999.5)):
+        mapped.take('x', message(position, at(k)), 0)
+        _, gradient = mapped.take('v', message(0.0, at(k)), 0)
+        assert isinstance(gradient, GradientRecord)
+        assert gradient.gradient == 10.0
+    mapped.take('x', message(1985.0, at(6)), 0)
+    _, gradient = mapped.take('v', message(1.0, at(6)), 0)
+    assert isinstance(gradient, GradientRecord)
+    assert gradient.gradient == -10.0
+
+
 def test_the_line_gives_gradient_curve_and_tunnel_by_position() -> None:
     mapped = inputs('{speed: {topic: v, field: data}, position: {from: speed, start: 800.0}, gradient: {from: line}}')
     track = [record for record in drive(mapped, {}) if isinstance(record, GradientRecord)]
@@ -131,6 +164,27 @@ def test_the_line_is_looked_up_for_our_own_speed_topic_too() -> None:
     assert mapped.take_record(force) == [force]
 
 
+def test_constants_come_with_each_speed() -> None:
+    mapped = inputs('{speed: {topic: v, field: data}, gradient: {value: 2.0}, brake_command: {value: 0.0}}')
+    speed, *others = mapped.take('v', message(3.0, START_NS), 0)
+    assert isinstance(speed, SpeedRecord)
+    assert others == [
+        GradientRecord(START_NS, 2.0, 0.0, tunnel=False),
+        BrakeRecord(START_NS, 0.0, emergency=False),
+    ]
+
+
+def test_a_function_gets_the_numbers_of_several_topics(tmp_path: Path) -> None:
+    (tmp_path / 'code.py').write_text('def force(power, speed): return power / speed', encoding='utf-8')
+    text = 'force: {function: code.py:force, of: [{topic: P, field: data}, {topic: v, field: data}], unit: kN}'
+    mapped = MappedInputs(parse_mapping(text, str(tmp_path / 'map.yaml')), TRAIN)
+    assert mapped.take('v', message(10.0, at(0)), 0) == []
+    assert mapped.take('P', message(300.0, at(1)), 0) == []
+    assert mapped.take('v', message(20.0, at(2)), 0) == [ForceRecord(at(1), 20e3)]
+
+
 def test_a_line_without_gradients_is_rejected() -> None:
     with pytest.raises(InputError, match='gradient'):
         inputs('gradient: {from: line}', TrainFile(Train(mass=194e3), Davis(1.5, 0.02, 0.001)))
+    with pytest.raises(InputError, match='no train file is given'):
+        MappedInputs(parse_mapping('gradient: {from: line}', 'map.yaml'), None)

@@ -9,8 +9,8 @@ from types import SimpleNamespace
 import pytest
 
 from trainid_ros.errors import InputError
-from trainid_ros.mapping.mapping import OWN, LineLookup, Signal, SpeedIntegral, StampSource
-from trainid_ros.mapping.mapping_file import load_mapping, parse_mapping
+from trainid_ros.mapping.mapping import OWN, Constant, CsvFormat, LineLookup, Signal, SpeedIntegral, StampSource
+from trainid_ros.mapping.mapping_file import load_mapping, load_table_mapping, parse_mapping
 from trainid_ros.stream.alignment import AlignmentConfig
 
 WHOLE = """
@@ -37,6 +37,60 @@ def test_a_whole_mapping_is_read() -> None:
     assert mapping.replaced == {'ato/speed', 'ato/force', 'ato/gradient', 'ato/brake_command', 'ato/mass'}
     assert mapping.needed('ato/force') == ('car1/force', 'car2/force')
     assert mapping.needed('ato/gradient') == ()
+
+
+TABLE = """
+time: {field: 't [ms]', unit: ms, start: 2024-03-08T12:00:00Z}
+csv: {separator: ';', decimal: ',', header_rows: 2, encoding: latin-1}
+speed: {field: v, unit: km/h}
+force: {sum: [{field: F 1, unit: kN}, {field: F.2, unit: kN, sign: -1}]}
+brake_command: {value: -10.0, unit: percent_of 1.2 m/s^2}
+gradient: {value: 3.0}
+"""
+
+
+def test_a_whole_mapping_of_a_table_is_read(tmp_path: Path) -> None:
+    path = tmp_path / 'map.yaml'
+    path.write_text(TABLE, encoding='utf-8')
+    mapping = load_table_mapping(path)
+    assert mapping.time is not None
+    assert mapping.time.columns == ('t [ms]',)
+    assert (mapping.time.unit.factor, mapping.time.start_ns) == (1e-3, 1_709_899_200 * 10**9)
+    assert mapping.csv == CsvFormat(';', ',', 2, 'latin-1')
+    assert [source.field for source in mapping.sources] == ['v', 'F 1', 'F.2']
+    assert isinstance(mapping.brake_command, Constant)
+    assert mapping.brake_command.value == pytest.approx(-0.12)
+    assert mapping.gradient == Constant(3.0)
+    with pytest.raises(InputError, match=r'map\.yaml: time is of the rows of a table'):
+        load_mapping(path)
+
+
+@pytest.mark.parametrize(
+    ('text', 'missing'), [('speed: {topic: /v, field: data}', 'time'), ('time: {field: t}', 'speed')]
+)
+def test_what_a_table_needs_is_named(tmp_path: Path, text: str, missing: str) -> None:
+    path = tmp_path / 'map.yaml'
+    path.write_text(text, encoding='utf-8')
+    with pytest.raises(InputError, match=f'{missing} is missing'):
+        load_table_mapping(path)
+
+
+def test_a_function_is_named_with_what_it_gets(tmp_path: Path) -> None:
+    (tmp_path / 'code.py').write_text('def force(x, y): return x + y', encoding='utf-8')
+    text = """
+        force:
+          function: code.py:force
+          of: [{topic: /a, field: data}, {topic: /b, field: x.y, stamp: receive}]
+          unit: kN
+    """
+    force = parse_mapping(text, str(tmp_path / 'map.yaml')).force
+    assert isinstance(force, Signal)
+    assert force.function is not None
+    assert (force.function.name, force.function.unit.name) == ('force', 'kN')
+    assert [(source.topic, source.field, source.stamp.value) for source in force.sources] == [
+        ('/a', 'data', 'header'),
+        ('/b', 'x.y', 'receive'),
+    ]
 
 
 def test_what_is_missing_is_the_topic_of_our_own() -> None:
@@ -88,6 +142,16 @@ def test_a_value_passes_sign_gain_offset_table_and_unit() -> None:
         ('brake_command: {topic: /x, field: x, table: {}}', 'brake_command.table'),
         ('brake_command: {topic: /x, field: x, table: {a: 1.0}}', 'brake_command.table'),
         ('brake_command: {topic: /x, field: x, on_change: 1}', 'brake_command.on_change'),
+        ('brake_command: {value: x}', "brake_command.value = 'x' must be a number"),
+        ('brake_command: {value: 0, topic: /x}', 'brake_command.topic is not a known field'),
+        ('force: {function: none.py:f, of: [{topic: /x, field: x}]}', "force.function = 'none.py:f' is not there"),
+        ('{time: {field: t}, force: {topic: /x, field: x}}', 'force.topic is not a known field'),
+        ('{time: {field: t, unit: km}}', "time.unit = 'km' is not a unit of time"),
+        ('{time: {field: t, start: now}}', "time.start = 'now' must be a date and time"),
+        ('time: {unit: s}', 'time.field is missing'),
+        ('csv: {separator: ab}', "csv.separator = 'ab' must be one character"),
+        ('csv: {encoding: none}', "csv.encoding = 'none' is not known"),
+        ('csv: {header_rows: 0}', 'csv.header_rows = 0 must be >= 1'),
     ],
 )
 def test_an_impossible_mapping_is_rejected_by_field(text: str, message: str) -> None:

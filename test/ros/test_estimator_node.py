@@ -266,11 +266,11 @@ def test_a_backlog_is_processed_in_order_of_arrival(graph: Graph, train_file: st
     taken: list[str] = []
     receive = node._input_group.receive
 
-    def deliver(topic: InputTopic, message: Any) -> None:
+    def deliver(topic: InputTopic, message: Any, received_ns: int) -> None:
         taken.append(topic.name)
-        receive(topic, message)
+        receive(topic, message, received_ns)
 
-    node._input_group._subscriptions._deliver = deliver
+    node._input_group.subscriptions._deliver = deliver
     speed = source.create_publisher(AtoSpeed, 'ato/speed', 100)
     mass = source.create_publisher(TrainMass, 'ato/mass', 100)
     graph.until(lambda: speed.get_subscription_count() and mass.get_subscription_count())

@@ -108,6 +108,20 @@ def test_parameters_of_ros_itself_are_accepted(tmp_path: Path) -> None:
         setups(tmp_path, text)
 
 
+def test_qos_of_topics_of_the_mapping_may_be_in_the_file(tmp_path: Path) -> None:
+    path = write(tmp_path, '/**: {ros__parameters: {qos_overrides: {/odo: {subscription: {depth: 7}}}}}')
+    assert len(node_setups(TRAIN, 'x', path, foreign=('/odo', 'force'))) == len(JOBS)
+    with pytest.raises(InputError, match='unknown parameter'):
+        node_setups(TRAIN, 'x', path)
+
+
+def test_a_mapping_file_in_the_file_is_not_read_off_line(tmp_path: Path) -> None:
+    warnings: list[str] = []
+    path = write(tmp_path, '/resistance_estimator: {ros__parameters: {mapping_file: m.yaml}}')
+    node_setups(TRAIN, 'x', path, warn=warnings.append)
+    assert 'mapping_file = m.yaml is not read off line: give --map' in warnings[0]
+
+
 def test_a_file_without_a_section_for_a_node_gives_a_warning(tmp_path: Path) -> None:
     warnings: list[str] = []
     path = write(tmp_path, 'resistance_estimator: {ros__parameters: {seed: 3}}')

@@ -82,6 +82,7 @@ def test_switches_are_restricted_to_what_is_understood(described: Any, name: str
         *(({'rate': text}, f'rate:={text} must be a number from 0.01 to 1000') for text in ('fast', 'nan', '0', '1e9')),
         ({'bag': 'none'}, 'bag:=none does not exist'),
         ({'train_file': 'none.yaml'}, 'train_file:=none.yaml does not exist'),
+        ({'mapping_file': 'none.yaml'}, 'mapping_file:=none.yaml does not exist'),
     ],
     ids=str,
 )
@@ -107,7 +108,7 @@ def test_the_rates_are_those_of_the_player() -> None:
 def test_the_nodes_get_the_arguments(described: Any, text: str, expected: bool) -> None:
     parts = described('trainid')
     make = dict(parts)['OpaqueFunction']
-    nodes = make(values(parts, use_sim_time=text, train_file='t.yaml'))
+    nodes = make(values(parts, use_sim_time=text, train_file='t.yaml', mapping_file='m.yaml'))
     assert [node.named['executable'] for node in nodes] == [
         'resistance_estimator',
         'speed_model_estimator',
@@ -116,4 +117,5 @@ def test_the_nodes_get_the_arguments(described: Any, text: str, expected: bool) 
     assert nodes[0].named['parameters'] == [
         {'use_sim_time': expected, 'autostart': True},
         {'train_file': 't.yaml'},
+        {'mapping_file': 'm.yaml'},
     ]

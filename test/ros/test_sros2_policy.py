@@ -10,6 +10,7 @@ from xml.etree import ElementTree
 
 import pytest
 
+from trainid_ros.mapping.mapping_file import parse_mapping
 from trainid_ros.ros.estimator_node import EstimatorNode
 from trainid_ros.ros.estimator_nodes import SPECS
 from trainid_ros.ros.sros2_policy import policy
@@ -33,6 +34,13 @@ def full_name(name: str, node: str) -> str:
 
 def test_the_file_is_up_to_date() -> None:
     assert FILE.read_text(encoding='utf-8') == policy()
+
+
+def test_the_policy_of_a_mapping_grants_its_topics_in_place_of_ours() -> None:
+    text = policy(parse_mapping('speed: {topic: /odo/twist, field: twist.linear.x}', 'map.yaml'))
+    assert text.count('<topic>/odo/twist</topic>') == 2 * len(SPECS)
+    assert '<topic>ato/speed</topic>' not in text
+    assert text.count('<topic>ato/force</topic>') == 2 * len(SPECS)
 
 
 @pytest.mark.ros

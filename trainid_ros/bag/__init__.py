@@ -9,10 +9,12 @@ from trainid_ros.errors import InputError
 
 PACKAGES: Final = frozenset({'rosbags', 'mcap', 'zstandard'})
 """Python packages of the extra ``trainid_ros[bags]``; the live nodes need none of them."""
+_PARQUET: Final = 'pyarrow'
+"""The Python package of the extra ``trainid_ros[tables]``."""
 
 
 def missing_package_error(error: ModuleNotFoundError) -> InputError:
-    """Return the error to report instead of a failed import of the extra.
+    """Return the error to report instead of a failed import of an extra.
 
     Args:
         error: The failed import.
@@ -22,6 +24,8 @@ def missing_package_error(error: ModuleNotFoundError) -> InputError:
 
     """
     package = (error.name or '').partition('.')[0]
+    if package == _PARQUET:
+        return InputError(f"Parquet needs the Python package {package}: pip install 'trainid_ros[tables]'")
     if package not in PACKAGES:
         raise error
     return InputError(f"bags need the Python package {package}: pip install 'trainid_ros[bags]'")

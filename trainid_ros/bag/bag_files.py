@@ -1,20 +1,29 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Locate the MCAP files of a bag: a rosbag2 directory, with or without its metadata, or a bare file."""
+"""Locate and open the files of a bag: a rosbag2 directory, with or without its metadata, or a bare file."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path, PureWindowsPath
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
+from trainid_ros.bag.mcap_file import McapFile
 from trainid_ros.errors import InputError
 from trainid_ros.train.fields import read_text
 from trainid_ros.train.strict_yaml import load
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Callable, Iterable, Mapping, Sequence
+
+    from mcap.records import Channel, Schema
+
+    from trainid_ros.bag.mcap_file import MessageBlock
 
 METADATA: Final = 'metadata.yaml'
+_SQLITE: Final = b'SQLite format 3\0'
+_STORAGES: Final = ('mcap', 'sqlite3')
+_SUFFIXES: Final = ('.mcap', '.db3')
+_TABLES: Final = ('.csv', '.parquet', '.npz')
 _ROOT_KEY: Final = 'rosbag2_bagfile_information'
 
 
@@ -23,7 +32,7 @@ class BagFiles:
     """The files of a bag in the order of recording, and the contents of ``metadata.yaml``.
 
     Attributes:
-        files: The MCAP files.
+        files: The files.
         message_count: Number of messages according to the metadata, None if unknown.
         hashes: Pairs of full topic name and type hash.
         warnings: Faults of the directory that do not prevent reading.
@@ -36,11 +45,89 @@ class BagFiles:
     warnings: tuple[str, ...] = ()
 
 
+class Span(Protocol):
+    """A part of a file with messages, from a first to a last log time [ns]."""
+
+    @property
+    def first_ns(self) -> int:
+        """First log time [ns]."""
+
+    @property
+    def last_ns(self) -> int:
+        """Last log time [ns]."""
+
+
+class BagFile(Protocol):
+    """One file of a bag, open; attributes as those of :class:`McapFile`."""
+
+    path: Path
+    promised: int | None
+    warnings: list[str]
+
+    @property
+    def channels(self) -> Mapping[int, Channel]:
+        """Channels by number."""
+
+    @property
+    def schemas(self) -> Mapping[int, Schema]:
+        """Message definitions by number."""
+
+    @property
+    def counts(self) -> Mapping[int, int]:
+        """Number of messages by channel number."""
+
+    @property
+    def segments(self) -> Sequence[Span]:
+        """Parts of the file that hold messages of needed topics."""
+
+    @property
+    def first_ns(self) -> int:
+        """First log time [ns], 0 without messages."""
+
+    @property
+    def last_ns(self) -> int:
+        """Last log time [ns]."""
+
+    def messages(self, segment: Any) -> MessageBlock:
+        """Return the messages of one segment.
+
+        Raises:
+            InputError: The file cannot be read.
+
+        """
+
+    def close(self) -> None:
+        """Close the file."""
+
+
+def open_file(path: Path, max_chunk: int, is_needed: Callable[[str], bool]) -> BagFile:
+    """Open one file of a bag: MCAP, or the sqlite3 storage of rosbag2; arguments are those of :class:`McapFile`.
+
+    Raises:
+        InputError: It cannot be read.
+
+    """
+    if _is_sqlite(path):
+        # Imported here because reading MCAP needs no rosbags.
+        from trainid_ros.bag.db3_file import Db3File  # noqa: PLC0415
+
+        return Db3File(path, is_needed)
+    return McapFile(path, max_chunk, is_needed)
+
+
+def _is_sqlite(path: Path) -> bool:
+    try:
+        with path.open('rb') as file:
+            return file.read(len(_SQLITE)) == _SQLITE
+    except OSError:
+        return False  # opening it says why
+
+
 def locate(path: Path) -> BagFiles:
     """Return the files of the bag at a path.
 
     Raises:
-        InputError: The path does not exist or is not a bag, a file is missing, or the storage is not MCAP.
+        InputError: The path does not exist or is not a bag, a file is missing, or the storage is not known.
 
     """
     if not path.exists():
@@ -49,26 +136,28 @@ def locate(path: Path) -> BagFiles:
     if not (path.is_file() or path.is_dir()):  # a pipe or a device may have no end
         msg = f'{path}: is neither a file nor a directory'
         raise InputError(msg)
+    if path.is_file() and path.suffix in _TABLES:
+        msg = f'{path}: is a table, not a bag; trainid import makes a bag of it'
+        raise InputError(msg)
     if path.is_file():
-        _reject_sqlite([path])
         return BagFiles((path,))
     if (path / METADATA).is_file():
         return _from_metadata(path)
-    return _from_folder(path, f'{path}: {METADATA} is missing, the .mcap files were read without it')
+    return _from_folder(path, f'{path}: {METADATA} is missing, the files were read without it')
 
 
 def _from_folder(path: Path, warning: str) -> BagFiles:
-    files = _mcap_files(path)
+    files = _bag_files(path)
     if not files:
-        _reject_sqlite(path.iterdir())
-        msg = f'{path}: no bag in this directory (neither {METADATA} nor an .mcap file)'
+        msg = f'{path}: no bag in this directory (neither {METADATA} nor an {" or ".join(_SUFFIXES)} file)'
         raise InputError(msg)
     return BagFiles(files, warnings=(warning,))
 
 
-def _mcap_files(path: Path) -> tuple[Path, ...]:
-    """Return the .mcap files of a directory in the order of recording."""
-    return tuple(sorted((entry for entry in path.glob('*.mcap') if entry.is_file()), key=_part_number))
+def _bag_files(path: Path) -> tuple[Path, ...]:
+    """Return the files of a bag in a directory in the order of recording."""
+    entries = (entry for entry in path.iterdir() if entry.suffix in _SUFFIXES and entry.is_file())
+    return tuple(sorted(entries, key=_part_number))
 
 
 def _part_number(path: Path) -> tuple[str, int, str]:
@@ -89,16 +178,16 @@ def _from_metadata(path: Path) -> BagFiles:
         raise InputError(str(error)) from None
     except (InputError, KeyError, TypeError, ValueError, AttributeError) as error:
         reason = ' '.join(str(error).split()).removeprefix(f'{where}: ')
-        return _from_folder(path, f'{where}: unreadable ({reason}), the .mcap files were read without it')
+        return _from_folder(path, f'{where}: unreadable ({reason}), the files were read without it')
     if not names:
         msg = f'{where}: lists no files'
         raise InputError(msg)
     if not (missing := [path / name for name in names if not (path / name).is_file()]):
         return BagFiles(tuple(path / name for name in names), count, hashes)
     warning = f'{missing[0]}: file listed in {METADATA} is missing'
-    if not (others := _mcap_files(path)):
+    if not (others := _bag_files(path)):
         raise InputError(warning)
-    return BagFiles(others, count, hashes, (f'{warning}, the .mcap files that are there were read',))
+    return BagFiles(others, count, hashes, (f'{warning}, the files that are there were read',))
 
 
 class _UnsupportedError(Exception):
@@ -107,16 +196,13 @@ class _UnsupportedError(Exception):
 
 def _check_storage(where: Path, storage: str, mode: str) -> None:
     """Raise _UnsupportedError for a storage or compression that is known, ValueError for one that is not."""
-    if storage == 'sqlite3':
-        msg = f'{where}: storage {storage!r} is not supported, only mcap (see ros2 bag convert)'
-        raise _UnsupportedError(msg)
     if mode in {'file', 'message'}:
         msg = (
             f'{where}: compression mode {mode!r} of ros2 bag is not supported, only compressed chunks '
-            'inside the .mcap (see ros2 bag convert)'
+            'inside an .mcap (see ros2 bag convert)'
         )
         raise _UnsupportedError(msg)
-    if (storage, mode) != ('mcap', 'none'):
+    if storage not in _STORAGES or mode != 'none':
         msg = f'storage {storage!r} with compression mode {mode!r} is not known'
         raise ValueError(msg)
 
@@ -125,10 +211,3 @@ def _hashes(info: Any) -> Iterable[tuple[str, str]]:
     for entry in info.get('topics_with_message_count') or ():
         topic = entry['topic_metadata']
         yield str(topic['name']), str(topic.get('type_description_hash') or '')
-
-
-def _reject_sqlite(entries: Iterable[Path]) -> None:
-    for entry in entries:
-        if entry.suffix == '.db3':
-            msg = f'{entry}: storage sqlite3 is not supported, only mcap (see ros2 bag convert)'
-            raise InputError(msg)

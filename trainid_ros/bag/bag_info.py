@@ -24,11 +24,14 @@ from trainid_ros.records import (
 from trainid_ros.stream.alignment import AlignmentConfig
 
 if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator
     from pathlib import Path
 
     from numpy.typing import NDArray
 
     from trainid_ros.bag.record_table import RecordTable
+    from trainid_ros.mapping.mapped_inputs import MappedInputs
+    from trainid_ros.mapping.mapping import Mapping
     from trainid_ros.records import InputTopic
 
 GAP_S: Final = 1.0
@@ -171,24 +174,28 @@ class _Column:
         return int(np.count_nonzero(np.logical_or.reduce(columns)))
 
 
-def inspect(path: str | Path, namespace: str = '/', max_chunk: int = MAX_CHUNK) -> BagInfo:
+def inspect(
+    path: str | Path,
+    namespace: str = '/',
+    max_chunk: int = MAX_CHUNK,
+    inputs: Callable[[], MappedInputs] | None = None,
+) -> BagInfo:
     """Read a bag once and summarise its contents.
 
     Args:
-        path: Rosbag2 directory or ``.mcap`` file.
+        path: Rosbag2 directory, ``.mcap`` or ``.db3`` file.
         namespace: Namespace of the topics.
         max_chunk: Largest chunk to unpack [bytes].
+        inputs: Makes what turns messages of other topics into records; they are then summarised as our own topics.
 
     Raises:
         InputError: If the bag cannot be read.
 
     """
-    with BagReader(path, namespace, max_chunk) as reader:
+    with BagReader(path, namespace, max_chunk, inputs) as reader:
         columns = _read(reader)
         missing = missing_topics(reader)
-        topics = tuple(
-            TopicInfo(topic.name, topic.type, topic.count, *_details(topic.name, columns)) for topic in reader.topics()
-        )
+        topics = (*_topics(reader, columns), *_mapped(reader.mapping, columns))
         first, last = reader.time_range() or (0, 0)
         moving = _share(columns, SPEED_TOPIC.name, 'speed')
         return BagInfo(
@@ -214,6 +221,22 @@ def _read(reader: BagReader) -> dict[str, _Column]:
     table = joined(tuple(reader.tables()) or (EMPTY,))
     rows = {topic: np.flatnonzero(table.topic == number) for number, topic in enumerate(INPUT_TOPICS)}
     return {topic.name: _Column(topic, table[mine]) for topic, mine in rows.items() if mine.size}
+
+
+def _topics(reader: BagReader, columns: dict[str, _Column]) -> Iterator[TopicInfo]:
+    """Yield the topics of a bag; those that a mapping replaces are not read."""
+    for topic in reader.topics():
+        details = (0, None) if topic.name in reader.mapping.replaced else _details(topic.name, columns)
+        yield TopicInfo(topic.name, topic.type, topic.count, *details)
+
+
+def _mapped(mapping: Mapping, columns: dict[str, _Column]) -> Iterator[TopicInfo]:
+    """Yield the inputs that come from other topics."""
+    for topic in INPUT_TOPICS:
+        if topic.name in mapping.replaced:
+            count = columns[topic.name].stamps.size if topic.name in columns else 0
+            origin = ' + '.join(mapping.needed(topic.name)) or 'the line'
+            yield TopicInfo(topic.name, f'from {origin}', count, *_details(topic.name, columns))
 
 
 def _details(name: str, columns: dict[str, _Column]) -> tuple[int, StampInfo | None]:

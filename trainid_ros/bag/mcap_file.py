@@ -183,8 +183,7 @@ class McapFile:
             self._fail('is empty')
         start = file.read(0, len(MAGIC))
         if start != MAGIC and not file.is_closed:
-            sqlite = start == b'SQLite f'
-            self._fail('is an SQLite file, only mcap is supported' if sqlite else 'is not an MCAP file')
+            self._fail('is not an MCAP file')
         if file.size == len(MAGIC):
             self._fail('holds no records, only the MCAP signature')
         self._all_checked = True

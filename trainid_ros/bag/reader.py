@@ -14,9 +14,8 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
 
 import numpy as np
 
-from trainid_ros.bag.bag_files import locate
+from trainid_ros.bag.bag_files import locate, open_file
 from trainid_ros.bag.chunk import MAX_CHUNK
-from trainid_ros.bag.mcap_file import McapFile
 from trainid_ros.bag.record_table import EMPTY, decode, in_order_of, joined, table_of
 from trainid_ros.bag.types import digest, full_type, is_packaged, typestore
 from trainid_ros.errors import InputError
@@ -31,10 +30,11 @@ if TYPE_CHECKING:
 
     from mcap.records import Channel
 
-    from trainid_ros.bag.mcap_file import Segment
+    from trainid_ros.bag.bag_files import BagFile, Span
     from trainid_ros.bag.record_table import RecordTable
     from trainid_ros.bag.stored_types import StoredType
     from trainid_ros.mapping.mapped_inputs import MappedInputs
+    from trainid_ros.mapping.mapping import Mapping
     from trainid_ros.records import Record, Row
     from trainid_ros.stream.sample_stream import SampleStream, StreamEvent
 
@@ -75,6 +75,14 @@ class LoggedMessage(NamedTuple):
     message: Any
 
 
+class StoredMessage(NamedTuple):
+    """A message of a topic of the mapping as it is stored, or the record of one of our own."""
+
+    log_ns: int
+    topic: str
+    content: bytes | Record
+
+
 class _Source(NamedTuple):
     """One channel of one file: topic by our name or that of the mapping, short type name, stored type if mapped."""
 
@@ -84,7 +92,7 @@ class _Source(NamedTuple):
 
 
 class BagReader:
-    """Reads a rosbag2 directory or a bare ``.mcap`` file, also a damaged one as far as it goes.
+    """Reads a rosbag2 directory or a bare ``.mcap`` or ``.db3`` file; damaged MCAP as far as it goes.
 
     Use as a context manager; a bag can be iterated any number of times. Memory use does not grow with
     the bag: only chunks whose log times overlap are held together.
@@ -101,27 +109,30 @@ class BagReader:
         namespace: str = '/',
         max_chunk: int = MAX_CHUNK,
         inputs: Callable[[], MappedInputs] | None = None,
+        *,
+        mapping: Mapping = OWN,
     ) -> None:
         """Name the bag; it is opened on entering the context.
 
         Args:
-            path: Rosbag2 directory or ``.mcap`` file.
+            path: Rosbag2 directory, ``.mcap`` or ``.db3`` file.
             namespace: Namespace of the topics; those outside keep their full name without the slash.
             max_chunk: Largest chunk to unpack [bytes]; larger ones are left out with a warning.
             inputs: Makes what turns messages of other topics into records; without it only our own topics are read.
+            mapping: Where each input comes from, for :meth:`stored` alone, which needs no ``inputs``.
 
         """
         self.path = Path(path)
         self._max_chunk = max_chunk
         self._inputs = inputs
-        self.mapping = OWN if inputs is None else inputs().mapping
+        self.mapping = mapping if inputs is None else inputs().mapping
         self._damage: list[str] = []
         # Messages by topic that could not be read the last time.
         self._unreadable: Counter[str] = Counter()
         self._prefix = f'/{namespace.strip("/")}/'.replace('//', '/')
         # Names in the mapping by full name.
         self._mapped = {self._full(source.topic): source.topic for source in self.mapping.sources}
-        self._files: list[McapFile] = []
+        self._files: list[BagFile] = []
         self._sources: list[dict[int, _Source]] = []
 
     def __enter__(self) -> Self:
@@ -135,7 +146,7 @@ class BagReader:
         self._damage = list(located.warnings)
         try:
             for path in located.files:
-                self._files.append(McapFile(path, self._max_chunk, self._is_needed))
+                self._files.append(open_file(path, self._max_chunk, self._is_needed))
             hashes = dict(located.hashes)
             self._sources = [self._check_types(file, hashes) for file in self._files]
         except BaseException:
@@ -275,12 +286,12 @@ class BagReader:
         if count := int(np.searchsorted(pending.log_ns, end_ns, side='right')):
             yield pending[:count]
 
-    def _segments(self) -> list[tuple[int, int, Segment]]:
+    def _segments(self) -> list[tuple[int, int, Span]]:
         """Return first log time, number of the file and segment, by first log time."""
         segments = [(item.first_ns, index, item) for index, file in enumerate(self._files) for item in file.segments]
         return sorted(segments, key=itemgetter(0))
 
-    def _table(self, index: int, segment: Segment) -> RecordTable:
+    def _table(self, index: int, segment: Span) -> RecordTable:
         """Return the records of one segment, by log time."""
         block = self._files[index].messages(segment)
         tables, places = [], []
@@ -316,6 +327,34 @@ class BagReader:
                 yield table_of(logged)
                 logged = []
         yield table_of(logged)
+
+    def stored(self) -> Iterator[StoredMessage]:
+        """Yield the messages of the mapping as they are stored, and our own ones that it leaves, by log time.
+
+        Raises:
+            InputError: A file has changed since it was opened.
+
+        """
+        own = {topic.name: topic for topic in INPUT_TOPICS if topic.name not in self.mapping.replaced}
+        for log_ns, source, payload in self._payloads({*own, *self.mapping.topics}):
+            if source.mapped is not None:
+                yield StoredMessage(log_ns, source.topic, payload)
+            elif (message := self._decoded(source, payload)) is not None:
+                yield StoredMessage(log_ns, source.topic, record_from_message(own[source.topic], message))
+
+    def mapped_types(self) -> dict[str, StoredType]:
+        """Return the types of the topics of the mapping that are in the bag.
+
+        Raises:
+            InputError: Messages of one topic have several types.
+
+        """
+        found: dict[str, StoredType] = {}
+        for source in (source for sources in self._sources for source in sources.values()):
+            if source.mapped is not None and found.setdefault(source.topic, source.mapped).name != source.mapped.name:
+                msg = f'{self.path}: topic {source.topic} is of {found[source.topic].name} and of {source.mapped.name}'
+                raise InputError(msg)
+        return found
 
     def messages(self, topics: Collection[str] | None = None) -> Iterator[LoggedMessage]:
         """Yield our messages, inputs and estimates, by log time.
@@ -378,7 +417,7 @@ class BagReader:
         """Return whether messages of a topic are read."""
         return self._topic(name) in _OURS or self._full(name, '/') in self._mapped
 
-    def _check_types(self, file: McapFile, hashes: dict[str, str]) -> dict[int, _Source]:
+    def _check_types(self, file: BagFile, hashes: dict[str, str]) -> dict[int, _Source]:
         """Return the channels of our topics; raise InputError for a type that is not the one of the interface."""
         sources = {}
         for number, channel in file.channels.items():
@@ -419,12 +458,12 @@ def missing_topics(reader: BagReader, topics: Iterable[InputTopic] = REQUIRED_TO
     return tuple(name for topic in topics for name in reader.missing(topic))
 
 
-def _schema_name(file: McapFile, channel: int) -> str:
+def _schema_name(file: BagFile, channel: int) -> str:
     schema = file.schemas.get(file.channels[channel].schema_id)
     return '' if schema is None else schema.name
 
 
-def _stored_type(file: McapFile, channel: int) -> StoredType:
+def _stored_type(file: BagFile, channel: int) -> StoredType:
     # Imported here because most bags hold the packaged definitions.
     from trainid_ros.bag.stored_types import StoredType  # noqa: PLC0415
 
@@ -438,6 +477,6 @@ def _check_encoding(channel: Channel, where: str) -> None:
         raise InputError(msg)
 
 
-def _stored_text(file: McapFile, channel: int) -> str:
+def _stored_text(file: BagFile, channel: int) -> str:
     """Return the text of the definition stored with a channel."""
     return file.schemas[file.channels[channel].schema_id].data.decode('utf-8', errors='replace')

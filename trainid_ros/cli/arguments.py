@@ -44,6 +44,7 @@ def configure_demo(parser: argparse.ArgumentParser) -> None:
 def configure_run(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``run``."""
     parser.add_argument('--train', type=Path, metavar='T.yaml', help='train file (parameter train_file)')
+    _add_map(parser, 'mapping file (parameter mapping_file): inputs from other topics, types and units')
     parser.add_argument(
         '--node', action='append', choices=LIVE_NODES, metavar='NAME', help='run only this node; repeatable'
     )
@@ -67,8 +68,9 @@ def configure_replay(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--out',
         type=Path,
-        metavar='BAG2',
-        help='write inputs and estimates to a new bag; of several bags, to one each in this folder',
+        metavar='OUT',
+        help='write inputs and estimates to a new bag, or estimates to a table if it ends in .parquet or .csv; of '
+        'several bags, to one bag each in this folder',
     )
     parser.add_argument(
         '--report',
@@ -87,6 +89,7 @@ def configure_replay(parser: argparse.ArgumentParser) -> None:
 def configure_play(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``play``."""
     _add_bag(parser)
+    _add_map(parser, 'mapping file: also play the topics that it names')
     _add_max_chunk(parser)
     parser.add_argument(
         '--rate', type=positive, default=1.0, metavar='R', help='recorded seconds per second (default: 1)'
@@ -169,18 +172,36 @@ def configure_explain(parser: argparse.ArgumentParser) -> None:
 def configure_info(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``info``."""
     _add_bags(parser)
+    _add_map(parser, 'mapping file: check the inputs that it makes')
+    parser.add_argument(
+        '--suggest-map', action='store_true', help='print a mapping file for a bag, with reasons as comments'
+    )
+    parser.add_argument(
+        '--train', type=Path, metavar='T.yaml', help='train file: its mass shows units, its line has gradients'
+    )
     _add_max_chunk(parser)
     _add_jobs(parser)
     _add_namespace(parser)
     _add_json(parser)
 
 
+def configure_import(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of ``import``."""
+    parser.add_argument('file', type=Path, metavar='FILE', help='table: .csv, .parquet or .npz')
+    parser.add_argument('out', type=Path, metavar='OUT', help='bag to create')
+    parser.add_argument(
+        '--map', type=Path, required=True, metavar='MAPPING.yaml', help='mapping file: inputs from columns and units'
+    )
+    parser.add_argument('--train', type=Path, metavar='T.yaml', help='train file, if the gradient comes from its line')
+    _add_json(parser)
+
+
 def _add_bag(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument('bag', type=Path, metavar='BAG', help='rosbag2 directory or .mcap file')
+    parser.add_argument('bag', type=Path, metavar='BAG', help='rosbag2 directory, .mcap or .db3 file')
 
 
 def _add_bags(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument('bags', nargs='+', type=Path, metavar='BAG', help='rosbag2 directory or .mcap file')
+    parser.add_argument('bags', nargs='+', type=Path, metavar='BAG', help='rosbag2 directory, .mcap or .db3 file')
 
 
 def _add_max_chunk(parser: argparse.ArgumentParser) -> None:
@@ -197,10 +218,10 @@ def _add_train(parser: argparse.ArgumentParser, text: str = 'train file') -> Non
     parser.add_argument('--train', type=Path, required=True, metavar='T.yaml', help=text)
 
 
-def _add_map(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument(
-        '--map', type=Path, metavar='MAPPING.yaml', help='mapping file: inputs from other topics, types and units'
-    )
+def _add_map(
+    parser: argparse.ArgumentParser, text: str = 'mapping file: inputs from other topics, types and units'
+) -> None:
+    parser.add_argument('--map', type=Path, metavar='MAPPING.yaml', help=text)
 
 
 def _add_jobs(parser: argparse.ArgumentParser) -> None:

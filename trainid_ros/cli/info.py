@@ -10,7 +10,10 @@ from typing import TYPE_CHECKING
 from trainid_ros.bag.bag_info import inspect
 from trainid_ros.cli.output import table, to_plain
 from trainid_ros.cli.per_bag import BagResult, run_per_bag
+from trainid_ros.errors import InputError
+from trainid_ros.mapping.mapped_inputs import mapped_inputs
 from trainid_ros.records import NS_PER_S
+from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:
     import argparse
@@ -18,11 +21,45 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from trainid_ros.bag.bag_info import BagInfo, TopicInfo
+    from trainid_ros.train.train_file import TrainFile
 
 
 def run(args: argparse.Namespace) -> int:
-    """Print the contents of bags; return the exit code."""
-    return run_per_bag(args, _inspect, 'read')
+    """Print the contents of bags, or a mapping for one; return the exit code.
+
+    Raises:
+        InputError: Mapping or train file cannot be used, or a mapping is asked for of several bags.
+
+    """
+    mapped_inputs(args.map, _train_file(args))  # what cannot be used for any bag is reported once
+    if not args.suggest_map:
+        return run_per_bag(args, _inspect, 'read')
+    if len(args.bags) > 1 or args.map is not None:
+        msg = '--suggest-map takes one bag, and no --map'
+        raise InputError(msg)
+    return run_per_bag(args, _suggest, 'read')
+
+
+def _train_file(args: argparse.Namespace) -> TrainFile | None:
+    return None if args.train is None else load_train_file(args.train)
+
+
+def _suggest(args: argparse.Namespace, bag: Path, advance: Callable[[float], None]) -> BagResult:
+    """Return a mapping for one bag.
+
+    Raises:
+        InputError: If it cannot be read.
+
+    """
+    # Imported here because other uses need not load it.
+    from trainid_ros.bag.number_series import read_numbers  # noqa: PLC0415
+    from trainid_ros.mapping.suggest import suggest  # noqa: PLC0415
+
+    numbers = read_numbers(bag, args.namespace, args.max_chunk, advance)
+    suggestion = suggest(numbers, bag.name, _train_file(args))
+    text, missing = suggestion.text(), suggestion.missing
+    error = f'{bag}: nothing found for {", ".join(missing)}' if missing else ''
+    return BagResult({'mapping': text, 'missing': list(missing)} if args.json else text, error=error)
 
 
 def _inspect(args: argparse.Namespace, bag: Path, advance: Callable[[float], None]) -> BagResult:
@@ -32,7 +69,7 @@ def _inspect(args: argparse.Namespace, bag: Path, advance: Callable[[float], Non
         InputError: If it cannot be read.
 
     """
-    info = inspect(bag, args.namespace, args.max_chunk)
+    info = inspect(bag, args.namespace, args.max_chunk, mapped_inputs(args.map, _train_file(args)))
     advance(1.0)
     shown = to_plain(info) | {'usable': info.usable} if args.json else describe(info)
     error = '' if info.usable else f'{info.path}: cannot be used: {"; ".join(info.problems)}'

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """The ``trainid`` command.
 
-A verb has its arguments in :mod:`trainid_ros.cli.arguments` and a module of its own name with ``run(args) -> exit
-code``. That is imported only when the verb is run, so help is fast and a verb that needs no ROS runs without ROS.
+A verb has its arguments in :mod:`trainid_ros.cli.arguments` and a module, usually of its own name, with ``run(args) ->
+exit code``. That is imported only when the verb is run, so help is fast and a verb that needs no ROS runs without ROS.
 """
 
 from __future__ import annotations
@@ -33,6 +33,7 @@ class Verb(NamedTuple):
     name: str
     help: str
     configure: Callable[[argparse.ArgumentParser], None]
+    module: str = ''
 
 
 VERBS: Final = (
@@ -44,6 +45,7 @@ VERBS: Final = (
     Verb('fit', 'fit Davis parameters to a bag in one batch', options.configure_fit),
     Verb('explain', 'find the effects that a train file lacks and add them', options.configure_explain),
     Verb('info', 'show what is in bags and whether they can be used', options.configure_info),
+    Verb('import', 'make a bag of a table: CSV, Parquet or npz', options.configure_import, 'import_table'),
 )
 
 
@@ -109,7 +111,8 @@ def _dispatch(arguments: list[str]) -> int:
         if verb.name == wanted:
             verb.configure(sub)
     args = parser.parse_args(arguments)
-    return int(import_module(f'trainid_ros.cli.{args.verb}').run(args))
+    module = next(verb.module or verb.name for verb in VERBS if verb.name == args.verb)
+    return int(import_module(f'trainid_ros.cli.{module}').run(args))
 
 
 def _report(error: object, code: int) -> int:

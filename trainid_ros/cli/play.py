@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.cli.output import progress
 from trainid_ros.errors import InputError
+from trainid_ros.mapping.mapping import OWN
+from trainid_ros.mapping.mapping_file import load_mapping
 from trainid_ros.records import NS_PER_S
 
 if TYPE_CHECKING:
@@ -24,7 +26,8 @@ def run(args: argparse.Namespace) -> int:
         InputError: The bag or a ROS argument cannot be used.
 
     """
-    with BagReader(args.bag, args.namespace, args.max_chunk):
+    mapping = OWN if args.map is None else load_mapping(args.map)
+    with BagReader(args.bag, args.namespace, args.max_chunk, mapping=mapping):
         pass  # an unreadable bag is reported before ROS starts
     # ROS is imported only here, so that other commands work without it.
     from rclpy.parameter import Parameter  # noqa: PLC0415
@@ -36,6 +39,7 @@ def run(args: argparse.Namespace) -> int:
     values = {
         'bag': str(args.bag.absolute()),
         'bag_namespace': args.namespace,
+        'mapping_file': '' if args.map is None else str(args.map.absolute()),
         'max_chunk': args.max_chunk >> 20,
         'rate': args.rate,
         'start': args.start,

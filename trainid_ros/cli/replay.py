@@ -18,10 +18,12 @@ from trainid_ros.errors import InputError
 from trainid_ros.estimators.force_findings import force_findings
 from trainid_ros.estimators.observability import observe
 from trainid_ros.mapping.mapped_inputs import mapped_inputs
+from trainid_ros.mapping.mapping_file import load_mapping
 from trainid_ros.plural import pluralise
 from trainid_ros.report import HTML_START
 from trainid_ros.ros.jobs import Setup, node_setups
 from trainid_ros.sim.truth import load_truth
+from trainid_ros.tables.estimate_table import TABLE_SUFFIXES, estimate_table
 from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:
@@ -60,8 +62,11 @@ def run(args: argparse.Namespace) -> int:
 
 def _setups(args: argparse.Namespace, warn: Callable[[str], None] = lambda _: None) -> tuple[Setup, ...]:
     """Return the setups of the three nodes; InputError if train file or parameters cannot be used."""
-    train_file = load_train_file(args.train)
-    return node_setups(train_file, str(args.train), args.params, args.algorithm, namespace=args.namespace, warn=warn)
+    train_file, source = load_train_file(args.train), str(args.train)
+    foreign = () if args.map is None else load_mapping(args.map).topics
+    return node_setups(
+        train_file, source, args.params, args.algorithm, namespace=args.namespace, foreign=foreign, warn=warn
+    )
 
 
 def _mapped(setup: Setup, mapping: Mapping) -> Setup:
@@ -75,6 +80,9 @@ def _check_outputs(args: argparse.Namespace) -> None:
     if args.truth is not None:
         msg = '--truth is of one bag, but several bags are given'
         raise InputError(msg)
+    if args.out is not None and args.out.suffix in TABLE_SUFFIXES:
+        msg = f'{args.out}: is the table of one bag, but several bags are given'
+        raise InputError(msg)
     folders = [folder for folder in (args.out, args.report) if folder is not None]
     names = Counter(_name(bag) for bag in args.bags)
     name, count = names.most_common(1)[0]
@@ -87,7 +95,7 @@ def _check_outputs(args: argparse.Namespace) -> None:
 
 def _name(bag: Path) -> str:
     """Return the name of the outputs of one of several bags."""
-    return bag.resolve().name.removesuffix('.mcap')
+    return bag.resolve().name.removesuffix('.mcap').removesuffix('.db3')
 
 
 def _outputs(args: argparse.Namespace, bag: Path) -> tuple[Path | None, Path | None]:
@@ -127,7 +135,7 @@ def _replay(args: argparse.Namespace, bag: Path, advance: Callable[[float], None
 
 
 def _observers(stack: ExitStack, out: Path | None, report: Path | None) -> tuple[list[Observer], TraceObserver | None]:
-    """Return what writes the new bag and what collects the traces of the report, and the latter alone."""
+    """Return what writes the new bag or table and what collects the traces of the report, and the latter alone."""
     observers: list[Observer] = []
     if out is None and report is None:
         return observers, None
@@ -135,7 +143,9 @@ def _observers(stack: ExitStack, out: Path | None, report: Path | None) -> tuple
     from trainid_ros.bag.observers import BagRecorder, TraceObserver  # noqa: PLC0415
     from trainid_ros.bag.writer import BagWriter  # noqa: PLC0415
 
-    if out is not None:
+    if out is not None and out.suffix in TABLE_SUFFIXES:
+        observers.append(stack.enter_context(estimate_table(out)))
+    elif out is not None:
         observers.append(BagRecorder(stack.enter_context(BagWriter(out))))
     if report is None:
         return observers, None

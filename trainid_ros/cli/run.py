@@ -7,10 +7,13 @@ from typing import TYPE_CHECKING
 
 from trainid_ros.cli.arguments import LIVE_NODES
 from trainid_ros.errors import InputError
+from trainid_ros.mapping.mapped_inputs import mapped_inputs
+from trainid_ros.mapping.mapping_file import load_mapping
 from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:
     import argparse
+    from collections.abc import Mapping
     from pathlib import Path
 
 
@@ -22,13 +25,23 @@ def run(args: argparse.Namespace) -> int:
 
     """
     if args.train is not None:
-        load_train_file(args.train)
+        mapped_inputs(args.map, load_train_file(args.train))
+    elif args.map is not None:
+        load_mapping(args.map)
     names = tuple(dict.fromkeys(args.node)) if args.node else LIVE_NODES
-    return run_live(names, args.train, args.ros_args)
+    files = {'train_file': args.train, 'mapping_file': args.map}
+    return run_live(names, {name: path for name, path in files.items() if path is not None}, args.ros_args)
 
 
-def run_live(names: tuple[str, ...], train: Path | None, ros_args: list[str]) -> int:
-    """Configure, activate and spin nodes; return the exit code."""
+def run_live(names: tuple[str, ...], files: Mapping[str, Path], ros_args: list[str]) -> int:
+    """Configure, activate and spin nodes; return the exit code.
+
+    Args:
+        names: Names of the nodes.
+        files: Paths by name of the parameter.
+        ros_args: Arguments for ROS.
+
+    """
     # ROS is imported only here, so that an invalid train file is reported without it.
     from rclpy.parameter import Parameter  # noqa: PLC0415
 
@@ -38,7 +51,7 @@ def run_live(names: tuple[str, ...], train: Path | None, ros_args: list[str]) ->
     from trainid_ros.ros.runner import close_nodes, spin_nodes, start_ros, stop_ros  # noqa: PLC0415
 
     arguments = start_ros(ros_args)
-    overrides = [Parameter('train_file', value=str(train.absolute()))] if train is not None else []
+    overrides = [Parameter(name, value=str(path.absolute())) for name, path in files.items()]
     inputs = SharedInputs()
     nodes = [EstimatorNode(SPECS[name], arguments, inputs, parameter_overrides=overrides) for name in names]
     for node in nodes:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Turn messages of any topics into the records of a train, by a mapping."""
+"""Turn messages of any topics, or rows of a table, into the records of a train, by a mapping."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.errors import InputError
-from trainid_ros.mapping.mapping import LineLookup, Signal, SpeedIntegral, StampSource
+from trainid_ros.mapping.mapping import Constant, LineLookup, Signal, SpeedIntegral, StampSource
 from trainid_ros.mapping.mapping_file import load_mapping
-from trainid_ros.mapping.series import SumOfSeries
+from trainid_ros.mapping.series import JoinedSeries
 from trainid_ros.messages import stamp_of
 from trainid_ros.records import (
     NS_PER_S,
@@ -22,6 +22,7 @@ from trainid_ros.records import (
     SpeedRecord,
 )
 from trainid_ros.train.line import LineProfile
+from trainid_ros.train.train_file import Line
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -32,35 +33,47 @@ if TYPE_CHECKING:
 
 # Over a longer time without a speed the distance is not known [s].
 _LONGEST_S: Final = 1.0
+# Positions that differ by less do not show the direction: they are noisy, above all at standstill [m].
+_LEAST_M: Final = 10.0
 _QUANTITIES: Final = ('speed', 'position', 'force', 'gradient', 'brake_command', 'mass')
 
 
 class MappedInputs:
-    """The inputs of one train; messages may come in any order of topics.
+    """The inputs of one train; messages may come in any order of topics, and numbers in any order of sources.
 
     Attributes:
         mapping: Where each input comes from.
+        key: What the records depend on: inputs of equal keys give equal records.
 
     """
 
-    def __init__(self, mapping: Mapping, train_file: TrainFile) -> None:
+    def __init__(self, mapping: Mapping, train_file: TrainFile | None) -> None:
         """Prepare.
 
+        Args:
+            mapping: Where each input comes from.
+            train_file: Train file; None if nothing comes from its line.
+
         Raises:
-            InputError: The gradient is to come from the line, but the train file has none.
+            InputError: The gradient is to come from the line, but there is none.
 
         """
         self.mapping = mapping
-        self._line = LineProfile(train_file.line, train_file.train.length)
-        if isinstance(mapping.gradient, LineLookup) and not train_file.line.gradient:
-            msg = 'mapping: gradient is to come from the line, but the train file has no line.gradient'
+        line, length = (Line(), 1.0) if train_file is None else (train_file.line, train_file.train.length)
+        self.key = (mapping, line, length)
+        self._line = LineProfile(line, length)
+        if isinstance(mapping.gradient, LineLookup) and not line.gradient:
+            missing = 'train file is given (--train)' if train_file is None else 'line.gradient is in the train file'
+            msg = f'mapping: gradient is to come from the line, but no {missing}'
             raise InputError(msg)
         self._readers: dict[str, list[tuple[str, int, Source]]] = {}
-        self._sums: dict[str, SumOfSeries] = {}
+        self._series: dict[str, JoinedSeries] = {}
         for quantity in _QUANTITIES:
             signal = getattr(mapping, quantity)
             if isinstance(signal, Signal):
-                self._sums[quantity] = SumOfSeries(len(signal.sources))
+                self._series[quantity] = JoinedSeries(len(signal.sources))
+                if signal.function is not None:
+                    signal.function.load()  # what cannot be used is said now
                 for index, source in enumerate(signal.sources):
                     self._readers.setdefault(source.topic, []).append((quantity, index, source))
         self._position = Odometer(mapping.position)
@@ -69,6 +82,15 @@ class MappedInputs:
     def topics(self) -> tuple[str, ...]:
         """Topics that the mapping names."""
         return tuple(self._readers)
+
+    @property
+    def lacks_position(self) -> bool:
+        """True while the gradient of the line cannot be looked up, as the position is not known."""
+        return isinstance(self.mapping.gradient, LineLookup) and not math.isfinite(self._position.at)
+
+    def stamp_ns(self, topic: str, message: Any, received_ns: int) -> int:
+        """Return the stamp of a message [ns]; arguments and errors are those of :meth:`take`."""
+        return _stamp(self._readers[topic][0][2], message, received_ns)
 
     def take(self, topic: str, message: Any, received_ns: int) -> list[Record]:
         """Return the records that a message of one of the topics completes.
@@ -85,17 +107,34 @@ class MappedInputs:
         records: list[Record] = []
         for quantity, index, source in self._readers[topic]:
             stamp_ns = _stamp(source, message, received_ns)
-            for at_ns, value in self._sums[quantity].add(index, stamp_ns, source.read(message)):
-                records += self._records(quantity, at_ns, value)
+            records += self.add(quantity, index, stamp_ns, source.read(message))
+        return records
+
+    def add(self, quantity: str, index: int, stamp_ns: int, value: float) -> list[Record]:
+        """Return the records that a number of one source of a quantity completes.
+
+        Args:
+            quantity: Name of the quantity in the mapping.
+            index: Place of the source among those of the quantity.
+            stamp_ns: Stamp [ns].
+            value: The number, as :meth:`Source.value` returns it.
+
+        """
+        function = getattr(self.mapping, quantity).function
+        records: list[Record] = []
+        for at_ns, values in self._series[quantity].add(index, stamp_ns, value):
+            whole = values[0] + sum(values[1:]) if function is None else function.of_numbers(values)
+            records += self.put(quantity, at_ns, whole)
         return records
 
     def take_record(self, record: Record) -> list[Record]:
         """Return what becomes of a record from one of our own topics."""
-        if not isinstance(record, SpeedRecord) or (self.mapping.position is None and self.mapping.gradient is None):
+        if not isinstance(record, SpeedRecord):
             return [record]
         return self._at_speed(record.stamp_ns, record.speed, record.position)
 
-    def _records(self, quantity: str, stamp_ns: int, value: float) -> list[Record]:
+    def put(self, quantity: str, stamp_ns: int, value: float) -> list[Record]:
+        """Return the records that a value of a quantity, in the unit of the interface, completes."""
         match quantity:
             case 'speed':
                 return self._at_speed(stamp_ns, abs(value), math.nan)
@@ -111,7 +150,7 @@ class MappedInputs:
         return [MassRecord(stamp_ns, value)]
 
     def _at_speed(self, stamp_ns: int, speed: float, measured: float) -> list[Record]:
-        """Return the records at a speed [m/s]: itself, and the gradient where it comes from the line."""
+        """Return the records at a speed [m/s]: itself, and what comes from the line or is constant."""
         if self.mapping.position is None:
             self._position.correct(stamp_ns, measured)
             self._position.move(stamp_ns, speed)
@@ -122,6 +161,9 @@ class MappedInputs:
         if isinstance(self.mapping.gradient, LineLookup) and math.isfinite(position):
             gradient = self._line.gradient(position, self._position.direction)
             records.append(self._gradient(stamp_ns, gradient))
+        for quantity in ('gradient', 'brake_command'):
+            if isinstance(constant := getattr(self.mapping, quantity), Constant):
+                records += self.put(quantity, stamp_ns, constant.value)
         return records
 
     def _gradient(self, stamp_ns: int, gradient: float) -> GradientRecord:
@@ -133,7 +175,7 @@ class MappedInputs:
         return GradientRecord(stamp_ns, gradient, radius, tunnel)
 
 
-def mapped_inputs(path: Path | None, train_file: TrainFile) -> Callable[[], MappedInputs] | None:
+def mapped_inputs(path: Path | None, train_file: TrainFile | None) -> Callable[[], MappedInputs] | None:
     """Return what makes the inputs of a mapping file, None without one.
 
     Raises:
@@ -158,19 +200,28 @@ class Odometer:
 
     def __init__(self, how: Signal | SpeedIntegral | None) -> None:
         """Prepare; ``how`` says where positions come from."""
+        self._how = how
+        self._start_over()
+
+    def _start_over(self) -> None:
         self.at, self.direction = math.nan, 1
-        if isinstance(how, SpeedIntegral):
-            self.at, self.direction = how.start, how.direction
-        self._stamp_ns = 0
+        if isinstance(self._how, SpeedIntegral):
+            self.at, self.direction = self._how.start, self._how.direction
+        # Stamps of the last speed and of the one before it.
+        self._stamp_ns = self._earlier_ns = 0
         self._speed = math.nan
         self._fix, self._fix_ns = math.nan, 0
+        self._passed = math.nan
 
     def correct(self, stamp_ns: int, position: float) -> None:
-        """Take in a measured position [m]; two of them in turn show the direction."""
+        """Take in a measured position [m]; two of them show the direction if they are far enough apart."""
         if not math.isfinite(position):
             return
-        if abs(position - self._fix) > 0.0:
-            self.direction = 1 if position > self._fix else -1
+        if math.isnan(self._passed):
+            self._passed = position
+        elif abs(position - self._passed) >= _LEAST_M:
+            self.direction = 1 if position > self._passed else -1
+            self._passed = position
         self._fix, self._fix_ns = position, stamp_ns
         # To the stamp of the last speed, which may be earlier or later.
         since_s = (self._stamp_ns - stamp_ns) / NS_PER_S
@@ -181,10 +232,20 @@ class Odometer:
     def move(self, stamp_ns: int, speed: float) -> float:
         """Follow a speed [m/s]; return the position at it [m]."""
         dt = (stamp_ns - self._stamp_ns) / NS_PER_S if self._stamp_ns else math.nan
+        if dt < -_LONGEST_S:
+            # The stamps begin anew, as in a loop; or the last one was wrong, and the one before it was not.
+            if not 0 <= stamp_ns - self._earlier_ns <= _LONGEST_S * NS_PER_S:
+                fix, fix_ns = self._fix, self._fix_ns
+                self._start_over()
+                if abs(stamp_ns - fix_ns) <= _LONGEST_S * NS_PER_S:
+                    self.correct(fix_ns, fix)
+            self._stamp_ns, dt = stamp_ns, math.nan
         if 0.0 < dt <= _LONGEST_S and math.isfinite(speed + self._speed):
             self.at += self.direction * 0.5 * (speed + self._speed) * dt
         if stamp_ns == self._fix_ns:
             self.at = self._fix
+        if dt > 0.0:
+            self._earlier_ns = self._stamp_ns
         self._stamp_ns, self._speed = max(stamp_ns, self._stamp_ns), speed
         return self.at
 

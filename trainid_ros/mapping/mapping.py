@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""What a mapping says: from which fields of which messages each input is made."""
+"""What a mapping says: from which fields of messages, or columns of a table, each input is made."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from trainid_ros.mapping.units import Unit
 from trainid_ros.records import BRAKE_TOPIC, FORCE_TOPIC, GRADIENT_TOPIC, MASS_TOPIC, SPEED_TOPIC
 
 if TYPE_CHECKING:
+    from trainid_ros.mapping.user_function import UserFunction
     from trainid_ros.stream.alignment import AlignmentConfig
 
 
@@ -25,11 +26,11 @@ class StampSource(Enum):
 
 @dataclass(frozen=True, slots=True)
 class Source:
-    """One number in the messages of one topic.
+    """One number in the messages of one topic, or in one column of a table.
 
     Attributes:
-        topic: Name of the topic; a relative one lies in the namespace of the train.
-        path: Names of fields and indices of arrays that lead to the number.
+        topic: Name of the topic; a relative one lies in the namespace of the train. '' for a column.
+        path: Names of fields and indices of arrays that lead to the number; for a column its name.
         unit: Its unit.
         sign: 1, or -1 where it counts the other way.
         gain: Factor on it [1].
@@ -54,13 +55,16 @@ class Source:
         return '.'.join(map(str, self.path))
 
     def read(self, message: Any) -> float:
-        """Return the value in the unit of the interface; NaN for a raw number that is not in the table.
+        """Return the value in a message, as :meth:`value`.
 
         Raises:
             InputError: The message has no such number; the error names topic and field.
 
         """
-        raw = self._raw(message)
+        return self.value(self._raw(message))
+
+    def value(self, raw: float) -> float:
+        """Return a number in the unit of the interface; NaN for one that is not in the table."""
         if self.table:
             raw = dict(self.table).get(raw, math.nan)
         return self.unit.convert(self.sign * self.gain * raw + self.offset)
@@ -78,9 +82,10 @@ class Source:
 
 @dataclass(frozen=True, slots=True)
 class Signal:
-    """A quantity as the sum of one or more sources."""
+    """A quantity as the sum of one or more sources, or as a function of them."""
 
     sources: tuple[Source, ...]
+    function: UserFunction | None = None
 
 
 @dataclass(frozen=True, slots=True)
@@ -96,6 +101,49 @@ class LineLookup:
     """Gradient, curve radius and tunnel of the line of the train file, by position."""
 
 
+@dataclass(frozen=True, slots=True)
+class Constant:
+    """A value that does not change, in the unit of the interface."""
+
+    value: float
+
+
+@dataclass(frozen=True, slots=True)
+class TimeColumn:
+    """The times of the rows of a table.
+
+    Attributes:
+        columns: Names of the columns they are made of: one, without a function.
+        unit: Unit of times that are numbers.
+        start_ns: What such times count from [ns], None if the file does not say so.
+        function: Function of the columns, None without.
+
+    """
+
+    columns: tuple[str, ...]
+    unit: Unit
+    start_ns: int | None = None
+    function: UserFunction | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class CsvFormat:
+    """How a CSV file is written; None where it is to be found out.
+
+    Attributes:
+        separator: Character between cells.
+        decimal: Decimal sign.
+        header_rows: Number of rows with names, units and the like.
+        encoding: Name of the encoding.
+
+    """
+
+    separator: str | None = None
+    decimal: str | None = None
+    header_rows: int | None = None
+    encoding: str | None = None
+
+
 # How long a brake command published only on change holds, unless a parameter says otherwise [s].
 _HOLD_S: Final = 3600.0
 _QUANTITY_OF: Final = {
@@ -106,12 +154,12 @@ _QUANTITY_OF: Final = {
     MASS_TOPIC.name: 'mass',
 }
 Position: TypeAlias = Signal | SpeedIntegral
-Gradient: TypeAlias = Signal | LineLookup
+Gradient: TypeAlias = Signal | LineLookup | Constant
 
 
 @dataclass(frozen=True, slots=True)
 class Mapping:
-    """Where each input comes from; None: from its own topic of trainid_msgs.
+    """Where each input comes from; None: from its own topic of trainid_msgs, and in a table not at all.
 
     Attributes:
         speed: Speed [m/s]; its sign is ignored.
@@ -121,6 +169,8 @@ class Mapping:
         brake_command: Target acceleration [m/s^2].
         mass: Mass [kg].
         on_change: Whether brake commands are published only when they change.
+        time: Times of the rows of a table, None for messages.
+        csv: How the table is written, if it is a CSV file.
 
     """
 
@@ -128,9 +178,11 @@ class Mapping:
     position: Position | None = None
     force: Signal | None = None
     gradient: Gradient | None = None
-    brake_command: Signal | None = None
+    brake_command: Signal | Constant | None = None
     mass: Signal | None = None
     on_change: bool = False
+    time: TimeColumn | None = None
+    csv: CsvFormat = CsvFormat()
 
     def alignment(self, config: AlignmentConfig) -> AlignmentConfig:
         """Return settings of the alignment that fit the mapping."""
@@ -149,6 +201,11 @@ class Mapping:
         if signal is None:
             return (topic,)
         return tuple(source.topic for source in signal.sources) if isinstance(signal, Signal) else ()
+
+    @property
+    def topics(self) -> tuple[str, ...]:
+        """Names of the topics that are read, each once."""
+        return tuple(dict.fromkeys(source.topic for source in self.sources))
 
     @property
     def sources(self) -> tuple[Source, ...]:

@@ -3,16 +3,28 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+import codecs
+from pathlib import Path
+from typing import Final
 
-from trainid_ros.mapping.mapping import LineLookup, Mapping, Signal, Source, SpeedIntegral, StampSource
-from trainid_ros.mapping.units import find_unit
+from trainid_ros.errors import InputError
+from trainid_ros.mapping.mapping import (
+    Constant,
+    CsvFormat,
+    LineLookup,
+    Mapping,
+    Signal,
+    Source,
+    SpeedIntegral,
+    StampSource,
+    TimeColumn,
+)
+from trainid_ros.mapping.times import date_time_ns
+from trainid_ros.mapping.units import Unit, find_unit
+from trainid_ros.mapping.user_function import UserFunction, user_function
 from trainid_ros.train.fields import Section, as_section, finite_number, parse_yaml, read_text, shown
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
-_QUANTITIES: Final = {
+QUANTITIES: Final = {
     'speed': ('speed', 'm/s'),
     'position': ('length', 'm'),
     'force': ('force', 'N'),
@@ -20,34 +32,59 @@ _QUANTITIES: Final = {
     'brake_command': ('acceleration', 'm/s^2'),
     'mass': ('mass', 'kg'),
 }
-_SOURCE_KEYS: Final = ('topic', 'field', 'unit', 'sign', 'gain', 'offset', 'stamp', 'table')
+"""Keys, each with the quantity of its unit and the unit unless another is stated."""
+_COLUMN_KEYS: Final = ('field', 'unit', 'sign', 'gain', 'offset', 'table')
+_SOURCE_KEYS: Final = ('topic', 'stamp', *_COLUMN_KEYS)
 _FROM: Final = 'from'
 _SUM: Final = 'sum'
+_VALUE: Final = 'value'
+_FUNCTION: Final = 'function'
+_OF: Final = 'of'
 _ON_CHANGE: Final = 'on_change'
+_TIME: Final = 'time'
+_CSV: Final = 'csv'
+# Of what a function is given, in its own unit.
+_RAW: Final = Unit('', 1.0)
 
 
 def load_mapping(path: str | Path) -> Mapping:
-    """Read a mapping file.
+    """Read a mapping file of messages.
 
     Raises:
         InputError: The file cannot be read or says something impossible; the error names file and field.
 
     """
-    return parse_mapping(read_text(path), str(path))
+    mapping = parse_mapping(read_text(path), str(path))
+    if mapping.time is not None:
+        msg = f'{path}: time is of the rows of a table, which trainid import makes a bag of; a bag has stamps'
+        raise InputError(msg)
+    return mapping
+
+
+def load_table_mapping(path: str | Path) -> Mapping:
+    """Read a mapping file of a table; raises as :func:`load_mapping`."""
+    mapping = parse_mapping(read_text(path), str(path))
+    for name in (_TIME, 'speed'):
+        if getattr(mapping, name) is None:
+            msg = f'{path}: {name} is missing: a table needs a column for it'
+            raise InputError(msg)
+    return mapping
 
 
 def parse_mapping(text: str, source: str) -> Mapping:
     """Return the mapping in a YAML text; ``source`` is named in errors, as in :func:`load_mapping`."""
-    top = parse_yaml(text, source).only(_QUANTITIES)
+    top = parse_yaml(text, source).only((*QUANTITIES, _TIME, _CSV))
     brake = top.section('brake_command')
     return Mapping(
         speed=_signal(top, 'speed'),
         position=_position(top),
         force=_signal(top, 'force'),
         gradient=_gradient(top),
-        brake_command=_signal(top, 'brake_command', _ON_CHANGE),
+        brake_command=_constant(brake) or _signal(top, 'brake_command', _ON_CHANGE),
         mass=_signal(top, 'mass'),
         on_change=brake.boolean(_ON_CHANGE, default=False),
+        time=_time(top),
+        csv=_csv(top.section(_CSV)),
     )
 
 
@@ -62,51 +99,87 @@ def _position(top: Section) -> Signal | SpeedIntegral | None:
     return SpeedIntegral(section.number('start', 'm', 0.0), direction)
 
 
-def _gradient(top: Section) -> Signal | LineLookup | None:
+def _gradient(top: Section) -> Signal | LineLookup | Constant | None:
     section = top.section('gradient')
     if _FROM not in section.data:
-        return _signal(top, 'gradient')
+        return _constant(section) or _signal(top, 'gradient')
     section.only((_FROM,)).choice(_FROM, ('line',))
     return LineLookup()
+
+
+def _constant(section: Section) -> Constant | None:
+    if _VALUE not in section.data:
+        return None
+    section.only((_VALUE, 'unit'))
+    unit = _unit(section, section.path)
+    return Constant(unit.convert(section.number(_VALUE, unit.name)))
 
 
 def _signal(top: Section, key: str, *more: str) -> Signal | None:
     if key not in top.data:
         return None
-    section = top.section(key, required=True)
+    section, is_table = top.section(key, required=True), _TIME in top.data
+    if _FUNCTION in section.data:
+        section.only((_FUNCTION, _OF, 'unit', *more))
+        sources = tuple(_raw(part, is_table=is_table) for part in _parts(section, _OF))
+        return Signal(sources, _function(section, _unit(section, key)))
     if _SUM not in section.data:
-        return Signal((_source(section, key, *more),))
+        return Signal((_source(section, key, *more, is_table=is_table),))
     section.only((_SUM, *more))
-    parts = section.data[_SUM]
+    return Signal(tuple(_source(part, key, is_table=is_table) for part in _parts(section, _SUM)))
+
+
+def _parts(section: Section, key: str) -> list[Section]:
+    """Return the sources in a list; a text is the name of a column."""
+    parts = section.data.get(key)
     if not isinstance(parts, list) or not parts:
-        section.fail(_SUM, f'= {shown(parts)} must be a list of sources')
-    return Signal(
-        tuple(
-            _source(as_section(section.source, f'{section.name(_SUM)}[{place}]', part), key)
-            for place, part in enumerate(parts)
-        )
-    )
+        section.fail(key, f'= {shown(parts)} must be a list of sources')
+    named = ({'field': part} if isinstance(part, str) else part for part in parts)
+    return [as_section(section.source, f'{section.name(key)}[{place}]', part) for place, part in enumerate(named)]
 
 
-def _source(section: Section, key: str, *more: str) -> Source:
-    section.only((*_SOURCE_KEYS, *more))
-    quantity, usual = _QUANTITIES[key]
+def _function(section: Section, unit: Unit) -> UserFunction:
     try:
-        unit = find_unit(section.text('unit', usual), quantity)
+        return user_function(Path(section.source).parent, section.text(_FUNCTION), unit)
+    except ValueError as error:
+        section.fail(_FUNCTION, f'= {shown(section.data[_FUNCTION])} {error}')
+
+
+def _unit(section: Section, key: str) -> Unit:
+    quantity, usual = QUANTITIES[key]
+    try:
+        return find_unit(section.text('unit', usual), quantity)
     except ValueError as error:
         section.fail('unit', f'= {shown(section.data["unit"])} {error}')
+
+
+def _raw(section: Section, *, is_table: bool) -> Source:
+    """Return a source of what a function is given: the number as it is."""
+    if is_table:
+        return Source('', (section.only(('field',)).text('field'),), _RAW)
+    section.only(('topic', 'field', 'stamp'))
+    return Source(section.text('topic'), _path(section), _RAW, stamp=_stamp(section))
+
+
+def _stamp(section: Section) -> StampSource:
+    return StampSource(section.choice('stamp', tuple(item.value for item in StampSource), 'header'))
+
+
+def _source(section: Section, key: str, *more: str, is_table: bool) -> Source:
+    section.only((*(_COLUMN_KEYS if is_table else _SOURCE_KEYS), *more))
+    unit = _unit(section, key)
     sign = section.number('sign', '', 1.0)
     if abs(sign) != 1.0:
         section.fail('sign', f'= {sign:g} must be 1 or -1; other factors are a gain')
     return Source(
-        topic=section.text('topic'),
-        path=_path(section),
+        topic='' if is_table else section.text('topic'),
+        path=(section.text('field'),) if is_table else _path(section),
         unit=unit,
         sign=sign,
         gain=section.number('gain', '', 1.0),
         offset=section.number('offset', unit.name, 0.0),
         table=_table(section, unit.name),
-        stamp=StampSource(section.choice('stamp', tuple(item.value for item in StampSource), 'header')),
+        stamp=_stamp(section),
     )
 
 
@@ -126,4 +199,49 @@ def _table(section: Section, unit: str) -> tuple[tuple[float, float], ...]:
     return tuple(
         (finite_number(section.source, name, raw, ''), finite_number(section.source, f'{name}.{raw}', value, unit))
         for raw, value in table.items()
+    )
+
+
+def _time(top: Section) -> TimeColumn | None:
+    if _TIME not in top.data:
+        return None
+    section = top.section(_TIME, required=True)
+    try:
+        unit = find_unit(section.text('unit', 's'), 'time')
+    except ValueError as error:
+        section.fail('unit', f'= {shown(section.data["unit"])} {error}')
+    start_ns = _start(section)
+    if _FUNCTION not in section.data:
+        section.only(('field', 'unit', 'start'))
+        return TimeColumn((section.text('field'),), unit, start_ns)
+    section.only((_FUNCTION, _OF, 'unit', 'start'))
+    columns = tuple(_raw(part, is_table=True).field for part in _parts(section, _OF))
+    return TimeColumn(columns, unit, start_ns, _function(section, unit))
+
+
+def _start(section: Section) -> int | None:
+    """Return when numbers of a column of times start to count [ns], None if it is not said."""
+    if 'start' not in section.data:
+        return None
+    value = section.data['start']
+    if (start_ns := date_time_ns(str(value))) is None:
+        section.fail('start', f'= {shown(value)} must be a date and time, like 2024-03-08T12:00:00Z')
+    return start_ns
+
+
+def _csv(section: Section) -> CsvFormat:
+    section.only(('separator', 'decimal', 'header_rows', 'encoding'))
+    for key in ('separator', 'decimal'):
+        if key in section.data and len(section.text(key)) != 1:
+            section.fail(key, f'= {shown(section.data[key])} must be one character')
+    if 'encoding' in section.data:
+        try:
+            codecs.lookup(section.text('encoding'))
+        except LookupError:
+            section.fail('encoding', f'= {shown(section.data["encoding"])} is not known')
+    return CsvFormat(
+        separator=section.text('separator', '') or None,
+        decimal=section.text('decimal', '') or None,
+        header_rows=section.integer('header_rows', 1, low=1, high=1000) if 'header_rows' in section.data else None,
+        encoding=section.text('encoding', '') or None,
     )

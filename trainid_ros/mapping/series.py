@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Sum of numbers that come with stamps of their own, such as the forces of several motor cars."""
+"""Numbers that come with stamps of their own, such as the forces of several motor cars, at common stamps."""
 
 from __future__ import annotations
 
@@ -9,14 +9,14 @@ from typing import Final
 
 from trainid_ros.records import NS_PER_S
 
-# Numbers farther apart are not interpolated, and a sum does not wait longer for one of its parts.
+# Numbers farther apart are not interpolated, and nothing waits longer for one of the series.
 _LONGEST_NS: Final = NS_PER_S
 
 
-class SumOfSeries:
-    """Sums at the stamps of the first of several series; the others are interpolated linearly.
+class JoinedSeries:
+    """The numbers of several series at the stamps of the first one; the others are interpolated linearly.
 
-    A sum is ready as soon as all series have reached its stamp. It is NaN where one of them is missing.
+    They are ready as soon as all series have reached the stamp. One that is missing is NaN.
     """
 
     def __init__(self, count: int) -> None:
@@ -25,8 +25,11 @@ class SumOfSeries:
         self._series: list[list[tuple[int, float]]] = [[] for _ in range(count)]
         self._open: list[tuple[int, float]] = []
 
-    def add(self, index: int, stamp_ns: int, value: float) -> list[tuple[int, float]]:
-        """Add a number of a series; return the sums that are ready, each with its stamp [ns]."""
+    def add(self, index: int, stamp_ns: int, value: float) -> list[tuple[int, list[float]]]:
+        """Add a number of a series; return those of all series that are ready, each with their stamp [ns]."""
+        if len(self._series) == 1:
+            return [(stamp_ns, [value])]
+        self._follow_jump(index, stamp_ns)
         insort(self._series[index], (stamp_ns, value))
         if index == 0:
             insort(self._open, (stamp_ns, value))
@@ -34,9 +37,16 @@ class SumOfSeries:
         ready = []
         while self._open and self._is_ready(self._open[0][0], newest_ns):
             at_ns, first = self._open.pop(0)
-            ready.append((at_ns, first + sum(_interpolated(series, at_ns) for series in self._series[1:])))
+            ready.append((at_ns, [first, *(_interpolated(series, at_ns) for series in self._series[1:])]))
         self._prune(newest_ns)
         return ready
+
+    def _follow_jump(self, index: int, stamp_ns: int) -> None:
+        """Forget everything if the stamps of a series begin anew, as in a loop, or if its last one was wrong."""
+        series = self._series[index]
+        if series and stamp_ns < series[-1][0] - _LONGEST_NS:
+            self._series = [[] for _ in self._series]
+            self._open = []
 
     def _is_ready(self, at_ns: int, newest_ns: int) -> bool:
         reached = all(series and series[-1][0] >= at_ns for series in self._series[1:])

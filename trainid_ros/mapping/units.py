@@ -17,7 +17,7 @@ _FACTORS: Final[dict[str, dict[str, float]]] = {
     'gradient': {'per_mille': 1.0, 'percent': 10.0},
     'acceleration': {'m/s^2': 1.0},
     'mass': {'kg': 1.0, 't': 1e3, 'lb': 0.45359237},
-    'time': {'s': 1.0, 'ms': 1e-3, 'us': 1e-6, 'ns': 1e-9},
+    'time': {'s': 1.0, 'ms': 1e-3, 'us': 1e-6, 'ns': 1e-9, 'min': 60.0, 'h': 3600.0},
 }
 # Angles, as factors to radian.
 _ANGLES: Final = {'rad': 1.0, 'deg': _DEGREE}

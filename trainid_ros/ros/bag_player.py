@@ -3,23 +3,35 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.bag import missing_package_error
 from trainid_ros.errors import InputError
+from trainid_ros.mapping.mapping import OWN
+from trainid_ros.mapping.mapping_file import load_mapping
 from trainid_ros.ros.parameter_specs import ParameterSpec
-from trainid_ros.ros.playback import PlaybackNode, TimedRecord, Timeline, playback_parameters
+from trainid_ros.ros.playback import (
+    ForeignOutput,
+    PlaybackNode,
+    StoredMessage,
+    TimedRecord,
+    Timeline,
+    playback_parameters,
+)
 from trainid_ros.ros.runner import run_node
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from trainid_ros.bag.reader import BagReader
+    from trainid_ros.mapping.mapping import Mapping
 
 NAME: Final = 'bag_player'
 _PARAMETERS: Final = (
     ParameterSpec('bag', '', 'rosbag2 directory or .mcap file; takes effect on the next configure'),
     ParameterSpec('bag_namespace', '/', 'namespace of the topics in the bag; takes effect on the next configure'),
+    ParameterSpec('mapping_file', '', 'mapping file, whose topics are played; takes effect on the next configure'),
     ParameterSpec('max_chunk', 64, 'largest chunk to unpack [MB]; takes effect on the next configure', 1, 4095),
     *playback_parameters(live=False),
 )
@@ -48,7 +60,8 @@ class BagPlayer(PlaybackNode):
             from trainid_ros.bag.reader import BagReader  # noqa: PLC0415
 
             max_chunk = int(self.parameters.value('max_chunk')) << 20
-            reader = BagReader(path, str(self.parameters.value('bag_namespace')), max_chunk).__enter__()
+            namespace = str(self.parameters.value('bag_namespace'))
+            reader = BagReader(path, namespace, max_chunk, mapping=self._mapping()).__enter__()
         except ModuleNotFoundError as error:
             raise missing_package_error(error) from None
         self._reader = reader
@@ -59,7 +72,12 @@ class BagPlayer(PlaybackNode):
             self.close_timeline()
             msg = f'{path}: no messages on the input topics'
             raise InputError(msg)
-        return Timeline(span[0], span[1], lambda: _entries(reader))
+        foreign = {name: ForeignOutput(kind.name, kind.digest) for name, kind in reader.mapped_types().items()}
+        return Timeline(*span, lambda: _entries(reader), foreign, reader.mapping.replaced)
+
+    def _mapping(self) -> Mapping:
+        path = str(self.parameters.value('mapping_file'))
+        return load_mapping(Path(path).expanduser()) if path else OWN
 
     def close_timeline(self) -> None:
         """Close the bag."""
@@ -69,7 +87,8 @@ class BagPlayer(PlaybackNode):
 
 
 def _entries(reader: BagReader) -> Iterator[TimedRecord]:
-    return (TimedRecord(entry.log_ns, entry.record) for entry in reader.logged_records())
+    for log_ns, topic, content in reader.stored():
+        yield TimedRecord(log_ns, StoredMessage(topic, content) if isinstance(content, bytes) else content)
 
 
 def main() -> int:

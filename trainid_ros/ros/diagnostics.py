@@ -264,7 +264,7 @@ def input_status(health: NodeHealth, monitor: InputMonitor, topic: str, finding:
         ('heard', ', '.join(monitor.publishers.heard) or 'none'),
         ('not heard', '; '.join(monitor.publishers.unheard) or 'none'),
     )
-    return _status(f'{health.name}: input {monitor.topic.name}', level, message, values)
+    return _status(f'{health.name}: input {monitor.label}', level, message, values)
 
 
 def _status(name: str, level: bytes, message: str, values: Iterable[tuple[str, object]]) -> Any:

@@ -7,14 +7,14 @@ from typing import TYPE_CHECKING
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
-from trainid_ros.records import InputTopic
 from trainid_ros.ros.diagnostics import NodeHealth, Problem, estimator_status, idle_status, input_status, unusable
 from trainid_ros.ros.input_monitor import Finding, InputMonitor
-from trainid_ros.ros.publishers import is_hash, sort_publishers, type_name
-from trainid_ros.ros.topics import NO_PUBLISHER_EVENTS, diagnostics_qos, message_class, time_message
+from trainid_ros.ros.publishers import Publishers, is_hash, sort_publishers
+from trainid_ros.ros.topics import NO_PUBLISHER_EVENTS, diagnostics_qos, time_message
 
 if TYPE_CHECKING:
     from trainid_ros.ros.estimator_node import EstimatorNode
+    from trainid_ros.ros.foreign_topics import AnyTopic
 
 
 class DiagnosticsPublisher:
@@ -26,9 +26,9 @@ class DiagnosticsPublisher:
             DiagnosticArray, '/diagnostics', diagnostics_qos(), event_callbacks=NO_PUBLISHER_EVENTS
         )
         self._now_ns = 0
-        self._known: dict[InputTopic, Finding] = {}
+        self._known: dict[AnyTopic, Finding] = {}
         self._began: dict[Problem, int] = {}
-        self._definitions: dict[InputTopic, str] = {}
+        self._definitions: dict[tuple[AnyTopic, str], str] = {}
 
     def publish(self) -> None:
         """Publish everything; called once per diagnostic period."""
@@ -81,10 +81,8 @@ class DiagnosticsPublisher:
     def _judge(self, monitor: InputMonitor, topic: str, now_ns: int) -> Finding:
         """Return what is the case with an input, since when, after a look at the graph."""
         node, before = self._node, monitor.publishers
-        wanted, infos = type_name(message_class(monitor.topic)), node.get_publishers_info_by_topic(topic)
-        profile = node.inputs.profile(monitor.topic)
-        monitor.publishers = sort_publishers(infos, wanted, self._definition(monitor.topic, topic), profile)
-        if not node.inputs.may_mix(monitor.topic):
+        monitor.publishers = self._publishers(monitor.topic, topic)
+        if not node.inputs.subscriptions.may_mix(monitor.topic):
             monitor.publishers = monitor.publishers.at_a_time()
         if monitor.publishers.unheard and monitor.publishers.unheard != before.unheard:
             node.get_logger().error(f'{topic}: {"; ".join(monitor.publishers.unheard)}')
@@ -100,14 +98,25 @@ class DiagnosticsPublisher:
         self._known[monitor.topic] = finding
         return finding
 
-    def _definition(self, input_topic: InputTopic, topic: str) -> str:
+    def _publishers(self, topic: AnyTopic, name: str) -> Publishers:
+        """Return who publishes on a topic, after a look at the graph; ``name`` is its full name."""
+        subscriptions, infos = self._node.inputs.subscriptions, self._node.get_publishers_info_by_topic(name)
+        if infos and (problem := subscriptions.problem(topic)) is not None:
+            return problem
+        if not (wanted := subscriptions.type(topic)):
+            return Publishers()
+        definition = self._definition(topic, name, wanted)
+        return sort_publishers(infos, wanted, definition, subscriptions.profile(topic))
+
+    def _definition(self, topic: AnyTopic, name: str, wanted: str) -> str:
         """Return the hash of the definition with which a topic is subscribed, '' while it is not known."""
-        if input_topic not in self._definitions:
-            name = self._node.inputs.subscriber
-            for info in self._node.get_subscriptions_info_by_topic(topic):
-                if info.node_name == name and is_hash(text := str(info.topic_type_hash)):
-                    self._definitions[input_topic] = text
-        return self._definitions.get(input_topic, '')
+        key = (topic, wanted)
+        if key not in self._definitions:
+            for info in self._node.get_subscriptions_info_by_topic(name):
+                is_own = info.node_name == self._node.inputs.subscriber and info.topic_type == wanted
+                if is_own and is_hash(text := str(info.topic_type_hash)):
+                    self._definitions[key] = text
+        return self._definitions.get(key, '')
 
     def _clock_problem(self, now_ns: int) -> str:
         """Return what is wrong with simulated time, '' if nothing."""

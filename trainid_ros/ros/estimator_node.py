@@ -19,14 +19,16 @@ from rclpy.serialization import serialize_message
 
 from trainid_ros.errors import InputError, TrainIdError
 from trainid_ros.estimators.pipeline import EstimatorPipeline, EstimatorSettings
-from trainid_ros.records import INPUT_TOPICS, NS_PER_S, REQUIRED_TOPICS, InputTopic
+from trainid_ros.records import INPUT_TOPICS, NS_PER_S, REQUIRED_TOPICS
 from trainid_ros.results import Rejection, Status
 from trainid_ros.ros.checkpoints import Checkpoints
 from trainid_ros.ros.diagnostics import EstimatorSpec, StepTimes
 from trainid_ros.ros.diagnostics_publisher import DiagnosticsPublisher
+from trainid_ros.ros.foreign_topics import required_inputs
 from trainid_ros.ros.input_monitor import InputMonitors
 from trainid_ros.ros.inputs import InputGroup, SharedInputs
 from trainid_ros.ros.node import ManagedNode, NodeParameters, guarded
+from trainid_ros.ros.node_mapping import NodeMapping
 from trainid_ros.ros.parameter_specs import (
     ALGORITHM,
     TRAIN_PARAMETERS,
@@ -56,6 +58,7 @@ if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
     from trainid_ros.estimators.pipeline import SharedRecord
+    from trainid_ros.ros.foreign_topics import AnyTopic
     from trainid_ros.train.train_file import TrainFile
 
 _FIRST_WATCH_S: Final = 0.1
@@ -85,7 +88,8 @@ class EstimatorNode(ManagedNode):
         self._inputs = inputs or SharedInputs()
         self.job = spec.job
         self._message = message_class(spec.job.topic)
-        expected = qos_overrides(self.job, self.resolve_topic_name)
+        self.mapping = NodeMapping(self)
+        expected = qos_overrides(self.job, self.resolve_topic_name, self.mapping.topics)
         self.parameters = NodeParameters(self, self._parameter_specs(), expected=expected)
         self.parameters.check_sections(arguments, self.job.node_name)
         self._preload_train_file()
@@ -134,7 +138,8 @@ class EstimatorNode(ManagedNode):
         self.failure = ''
         self.parameters.check()
         train_file = self._train_file()
-        self._settings = build_settings(self.parameters.values(), self.job.algorithms, self.job.field)
+        settings = build_settings(self.parameters.values(), self.job.algorithms, self.job.field)
+        self._settings = self.mapping.configure(train_file, settings)
         pipeline = self.job.pipeline(train_file, self._settings)
         self.prior = pipeline.current().estimate
         self.checkpoints.open(pipeline, train_file, self._settings)
@@ -193,8 +198,8 @@ class EstimatorNode(ManagedNode):
         if job.topic.last_valid:
             self._last_valid = self._offer(job.topic.last_valid, latched_qos())
         alignment = self._settings.alignment
-        self.monitors = InputMonitors(alignment)
         self._input_group = self._inputs.join(self)
+        self.monitors = InputMonitors(alignment, self._input_group.topics)
         back = Duration(nanoseconds=-round(alignment.max_jump_back * NS_PER_S))
         threshold = JumpThreshold(min_forward=None, min_backward=back, on_clock_change=False)
         # The clock drops callbacks whose handle is not kept.
@@ -248,9 +253,6 @@ class EstimatorNode(ManagedNode):
         """Return the time of the node's clock [ns]."""
         return int(self.get_clock().now().nanoseconds)
 
-    def _steady_ns(self) -> int:
-        return int(self._steady.now().nanoseconds)
-
     def running_pipeline(self) -> EstimatorPipeline[Any] | None:
         """Return the pipeline if it takes in records now, after following a jump of the clock."""
         pipeline = self.pipeline
@@ -268,7 +270,7 @@ class EstimatorNode(ManagedNode):
         outputs: list[Any] = []
         try:
             events = record.events(pipeline.stream)
-            self._rejected = [event for event in events if isinstance(event, Rejection)]
+            self._rejected += [event for event in events if isinstance(event, Rejection)]
             pipeline.take(events, outputs.append)
         except TrainIdError as error:
             outputs = [self.fail(pipeline, str(error))]
@@ -301,20 +303,20 @@ class EstimatorNode(ManagedNode):
         """Latch the estimate of a loaded state, for which late subscribers would else wait until the next sample."""
         if self.pipeline is None or not self.pipeline.samples:
             return
-        self.watchdog.saw(self.pipeline.newest_ns, self.now_ns(), self._steady_ns())
+        self.watchdog.saw(self.pipeline.newest_ns, self.now_ns(), self.steady_ns())
         status, data = self.serialize(self.pipeline.current())
         if self._last_valid is not None and status in _WORTH_LATCHING:
             self._last_valid.publish(data)
             self._latched = status
 
-    def conclude(self, topic: InputTopic, stamp_ns: int) -> None:
+    def conclude(self, topic: AnyTopic, stamp_ns: int) -> None:
         """Latch and log what was published, and note that a message with this stamp [ns] has arrived."""
         now_ns = self.now_ns()
         self._follow_published(now_ns)
         self.monitors.arrived(topic, stamp_ns, now_ns, self._rejected)
         self._rejected = []
         if self._listening and self.pipeline is not None:
-            self.watchdog.saw(self.pipeline.newest_ns, now_ns, self._steady_ns())
+            self.watchdog.saw(self.pipeline.newest_ns, now_ns, self.steady_ns())
 
     def fail(self, pipeline: EstimatorPipeline[Any], reason: str) -> Any:
         """Put the pipeline into FAULT and return its output; log the reason once."""
@@ -332,7 +334,7 @@ class EstimatorNode(ManagedNode):
                 self._last_valid.publish(data)
                 self._latched = status
             self.status_changes.follow(status, now_ns)
-        self._published_ns = self._steady_ns()
+        self._published_ns = self.steady_ns()
 
     def _watch(self) -> None:
         pipeline, inputs = self.pipeline, self._input_group
@@ -342,7 +344,7 @@ class EstimatorNode(ManagedNode):
         self._follow_jump(pipeline)
         # Even the fastest topic is not overdue before its own timeout.
         self.watchdog.limit_ns = min(pipeline.timeout_ns(topic) for topic in range(len(REQUIRED_TOPICS)))
-        steady_ns = self._steady_ns()
+        steady_ns = self.steady_ns()
         if self.watchdog.is_missing(self.now_ns(), steady_ns) and pipeline.status not in REPEATED:
             self.announce(pipeline.mark_stale())
         elif pipeline.status in REPEATED and steady_ns - self._published_ns >= HEARTBEAT_NS:
@@ -352,20 +354,24 @@ class EstimatorNode(ManagedNode):
 
     def _next_watch_ns(self, status: Status) -> int:
         """Return how long to wait before watching again [ns]."""
-        steady_ns, simulated = self._steady_ns(), self.get_clock().ros_time_is_active
+        steady_ns, simulated = self.steady_ns(), self.get_clock().ros_time_is_active
         waited_ns = steady_ns - self._published_ns if status in REPEATED else 0
         heartbeat_ns = max(HEARTBEAT_NS - waited_ns, _SHORTEST_WATCH_NS)
         return min(self.watchdog.pause_ns(steady_ns, simulated=simulated), heartbeat_ns)
 
-    def timeout_s(self, topic: InputTopic) -> float:
-        """Return how long an input may be missing [s]; 0 for one that need not come."""
-        if self.pipeline is None or topic not in REQUIRED_TOPICS:
+    def timeout_s(self, topic: AnyTopic) -> float:
+        """Return how long a topic may be missing [s]; 0 for one that need not come."""
+        required = required_inputs(topic)
+        if self.pipeline is None or not required:
             return 0.0
-        return self.pipeline.timeout_ns(INPUT_TOPICS.index(topic)) / NS_PER_S
+        return min(self.pipeline.timeout_ns(INPUT_TOPICS.index(item)) for item in required) / NS_PER_S
 
     def missing_inputs(self) -> str:
         """Return which inputs do not arrive and for how long, '' if all do."""
-        return self.monitors.describe_missing(self.now_ns(), self.timeout_s)
+        found = [self.monitors.describe_missing(self.now_ns(), self.timeout_s)]
+        if self._input_group is not None:
+            found.append(self._input_group.lacking)
+        return ', '.join(text for text in found if text)
 
     @property
     def inputs(self) -> InputGroup:

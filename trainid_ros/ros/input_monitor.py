@@ -18,18 +18,19 @@ from trainid_ros.records import (
     BRAKE_TOPIC,
     FORCE_TOPIC,
     GRADIENT_TOPIC,
-    INPUT_TOPICS,
+    MASS_TOPIC,
     NS_PER_S,
     SPEED_TOPIC,
-    InputTopic,
 )
 from trainid_ros.results import Reason
+from trainid_ros.ros.foreign_topics import label_of, required_inputs, subscribed_topics
 from trainid_ros.ros.publishers import Publishers
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence
 
     from trainid_ros.results import Rejection
+    from trainid_ros.ros.foreign_topics import AnyTopic
     from trainid_ros.stream.alignment import AlignmentConfig
 
 _WINDOW_NS: Final = 5 * NS_PER_S
@@ -87,6 +88,7 @@ class InputMonitor:
 
     Attributes:
         topic: The topic.
+        label: Its name, with what is read from it if it is not our own.
         longest_s: Longest time between messages that the estimators can bridge at any rate [s].
         slowest_s: Longest acceptable interval between messages [s].
         optional: True if the estimators can run without it.
@@ -96,8 +98,9 @@ class InputMonitor:
 
     """
 
-    def __init__(self, topic: InputTopic, longest_s: float, slowest_s: float, *, optional: bool) -> None:
+    def __init__(self, topic: AnyTopic, longest_s: float, slowest_s: float, *, optional: bool) -> None:
         self.topic = topic
+        self.label = label_of(topic)
         self.longest_s = longest_s
         self.slowest_s = max(longest_s, slowest_s)
         self.optional = optional
@@ -180,9 +183,10 @@ class InputMonitor:
         publishers, is_missing = self.publishers, self.is_missing(now_ns, max(stale_s, self.longest_s))
         # A publisher that was killed still counts as heard for a while.
         if publishers.unheard and (is_missing or not (publishers.heard and self.count)):
-            return Finding(DiagnosticStatus.ERROR, '; '.join(publishers.unheard), 'correct this publisher')
+            return Finding(DiagnosticStatus.ERROR, '; '.join(publishers.unheard), publishers.remedy)
         if self.optional and not self.count:
-            return Finding(DiagnosticStatus.OK, 'optional, not received; the parameter is used')
+            used = '; the parameter is used' if self.topic is MASS_TOPIC else ''
+            return Finding(DiagnosticStatus.OK, f'optional, not received{used}')
         if is_missing:
             return self._missing(now_ns)
         if len(publishers.heard) > 1:
@@ -226,10 +230,11 @@ class InputMonitors:
 
     Args:
         alignment: Settings that say how long each input may be missing.
+        topics: The topics.
 
     """
 
-    def __init__(self, alignment: AlignmentConfig) -> None:
+    def __init__(self, alignment: AlignmentConfig, topics: Iterable[AnyTopic] = subscribed_topics()) -> None:
         longest = {
             SPEED_TOPIC: alignment.max_dt,
             FORCE_TOPIC: alignment.max_gap,
@@ -239,11 +244,12 @@ class InputMonitors:
         slowest_s = alignment.max_interval
         self._most_skew_s = alignment.max_lag + _JITTER_S
         self.by_topic = {
-            topic: InputMonitor(topic, longest.get(topic, 0.0), slowest_s, optional=topic not in longest)
-            for topic in INPUT_TOPICS
+            topic: InputMonitor(topic, min(required, default=0.0), slowest_s, optional=not required)
+            for topic in topics
+            for required in [[longest[item] for item in required_inputs(topic)]]
         }
 
-    def arrived(self, topic: InputTopic, stamp_ns: int, now_ns: int, rejected: Iterable[Rejection]) -> None:
+    def arrived(self, topic: AnyTopic, stamp_ns: int, now_ns: int, rejected: Iterable[Rejection]) -> None:
         """Record a message and the messages that were rejected with it.
 
         Rejections come later than their messages: a stamp that does not fit waits for the next ones.
@@ -255,7 +261,7 @@ class InputMonitors:
             (owners[0] if owners else self.by_topic[topic]).rejected(rejection, now_ns)
         self.by_topic[topic].arrived(stamp_ns, now_ns)
 
-    def skew_s(self, topic: InputTopic, now_ns: int) -> float:
+    def skew_s(self, topic: AnyTopic, now_ns: int) -> float:
         """Return how far the stamps of an input are behind those of the others as they arrive [s], 0 if not far."""
         arriving = [item for item in self.by_topic.values() if item.missing_for_s(now_ns) < _LATELY_S]
         own, others = self.by_topic[topic], [item for item in arriving if item.topic is not topic and not item.optional]
@@ -266,13 +272,13 @@ class InputMonitors:
         # Where all are of another clock than this node, as those of a bag played fast, that cannot be known.
         return skew_s if abs(skew_s) > self._most_skew_s and abs(usual_s) < _WORST_AGE_S else 0.0
 
-    def describe_missing(self, now_ns: int, timeout_s: Callable[[InputTopic], float]) -> str:
+    def describe_missing(self, now_ns: int, timeout_s: Callable[[AnyTopic], float]) -> str:
         """Return which required inputs are missing or unusable, and since when, '' if none is; timeouts in [s]."""
         found = (self._describe(item, now_ns, timeout_s(item.topic)) for item in self.by_topic.values())
         return ', '.join(text for text in found if text)
 
     def _describe(self, item: InputMonitor, now_ns: int, timeout_s: float) -> str:
-        name = item.topic.name
+        name = item.label
         if item.is_missing(now_ns, timeout_s):
             return f'no {name} {f"for {item.missing_for_s(now_ns):.1f} s" if item.count else "yet"}'
         if not item.optional and (rejections := item.judge_rejections(now_ns)) is not None:

@@ -3,7 +3,8 @@
 
 Nodes whose topics have the same names and quality of service share one set of subscriptions, and their pipelines one
 stream where it would give the same samples. One message then takes this way: all streams take it in, all estimators
-step, all estimates are published, and only then is anything counted.
+step, all estimates are published, and only then is anything counted. With a mapping, messages of other topics become
+records first, by the code that reads bags.
 """
 
 from __future__ import annotations
@@ -11,23 +12,31 @@ from __future__ import annotations
 import time
 from bisect import bisect_left
 from collections import deque
+from functools import partial
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
+from trainid_ros.errors import InputError
 from trainid_ros.estimators.pipeline import SharedRecord, share_streams
+from trainid_ros.mapping.mapping import OWN
 from trainid_ros.messages import record_from_message
-from trainid_ros.records import INPUT_TOPICS, InputTopic
+from trainid_ros.records import InputTopic
+from trainid_ros.ros.foreign_topics import ForeignSubscription, ForeignTopic, subscribed_topics
+from trainid_ros.ros.publishers import Publishers, type_name
 from trainid_ros.ros.topics import NO_SUBSCRIPTION_EVENTS, input_qos, message_class, overridable
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
-    from rclpy.node import Node
     from rclpy.qos import QoSProfile
 
+    from trainid_ros.records import Record
     from trainid_ros.ros.estimator_node import EstimatorNode
+    from trainid_ros.ros.foreign_topics import AnyTopic
 
 _MAX_IDLE_ROUNDS: Final = 3
 _NUMBERS_KEPT: Final = 20
+# How often the publishers of foreign topics are looked for.
+_DISCOVERY_S: Final = 0.25
 
 
 class _Arrival(NamedTuple):
@@ -43,11 +52,11 @@ class _Arrival(NamedTuple):
 
     received_ns: int
     number: int | None
-    topic: InputTopic
+    topic: AnyTopic
     message: Any
 
 
-def _arrival(topic: InputTopic, message: Any, info: Any) -> _Arrival:
+def _arrival(topic: AnyTopic, message: Any, info: Any) -> _Arrival:
     received_ns = int(info['received_timestamp'] or info['source_timestamp'])
     return _Arrival(received_ns, info['publication_sequence_number'], topic, message)
 
@@ -79,28 +88,66 @@ class InputSubscriptions:
 
     Args:
         node: The node.
-        deliver: Called with topic and message, in order of arrival.
+        topics: The topics; a foreign one is subscribed as soon as its type is known.
+        deliver: Called with topic, message and the time of its reception [ns], in order of arrival.
 
     """
 
-    def __init__(self, node: Node, deliver: Callable[[InputTopic, Any], None]) -> None:
+    def __init__(
+        self, node: EstimatorNode, topics: Sequence[AnyTopic], deliver: Callable[[AnyTopic, Any, int], None]
+    ) -> None:
         self._node = node
         self._deliver = deliver
-        self._numbers = {topic: _Numbers() for topic in INPUT_TOPICS}
-        self._subscriptions = {topic: self._subscribe(topic) for topic in INPUT_TOPICS}
+        self._numbers = {topic: _Numbers() for topic in topics}
+        self._own = {
+            topic: self._subscribe(topic, message_class(topic), input_qos())
+            for topic in topics
+            if isinstance(topic, InputTopic)
+        }
+        self._foreign = {topic: self._prepare(topic) for topic in topics if isinstance(topic, ForeignTopic)}
+        self._said: set[tuple[str, str]] = set()
+        self._discovery: Any = None
+        if self._foreign:
+            self._discovery = node.create_timer(_DISCOVERY_S, self._discover, clock=node.steady_clock)
+            self._discover()
 
-    def _subscribe(self, topic: InputTopic) -> Any:
+    def _subscribe(self, topic: AnyTopic, kind: Any, profile: QoSProfile) -> Any:
         def receive(message: Any, info: Any) -> None:
             self.drain(_arrival(topic, message, info))
 
+        # Overrides of foreign topics are only declared where they are given: each type has its own default.
+        wanted = isinstance(topic, InputTopic) or self._is_overridden(topic.name)
         return self._node.create_subscription(
-            message_class(topic),
+            kind,
             topic.name,
             receive,
-            input_qos(),
+            profile,
             event_callbacks=NO_SUBSCRIPTION_EVENTS,
-            qos_overriding_options=overridable('subscription'),
+            qos_overriding_options=overridable('subscription') if wanted else None,
         )
+
+    def _is_overridden(self, topic: str) -> bool:
+        start = f'qos_overrides.{self._node.resolve_topic_name(topic)}.subscription.'
+        return any(name.startswith(start) for name in self._node._parameter_overrides)
+
+    def _prepare(self, topic: ForeignTopic) -> ForeignSubscription:
+        return ForeignSubscription(topic, partial(self._subscribe, topic), self._node.destroy_subscription)
+
+    def _discover(self) -> None:
+        """Subscribe to the foreign topics as their publishers want it."""
+        steady_ns = self._node.steady_ns()
+        for topic, foreign in self._foreign.items():
+            name = self._node.resolve_topic_name(topic.name)
+            if not foreign.follow(self._node.get_publishers_info_by_topic(name), steady_ns):
+                continue
+            if (name, foreign.type) not in self._said and not foreign.problem:
+                self._said.add((name, foreign.type))
+                self._node.get_logger().info(f'{name}: read as {foreign.type}: {", ".join(topic.quantities)}')
+
+    def _open(self) -> list[tuple[AnyTopic, Any]]:
+        """Return the topics that are subscribed, each with its subscription."""
+        foreign = ((topic, item.current) for topic, item in self._foreign.items() if item.current is not None)
+        return [*self._own.items(), *foreign]
 
     def drain(self, *first: _Arrival) -> None:
         """Deliver the given messages and all queued ones.
@@ -122,14 +169,14 @@ class InputSubscriptions:
                 due = len(arrivals)
             for arrival in arrivals[:due]:
                 self._numbers[arrival.topic].add(arrival.number)
-                self._deliver(arrival.topic, arrival.message)
+                self._deliver(arrival.topic, arrival.message, arrival.received_ns)
             arrivals = arrivals[due:]
             if not arrivals:
                 return
 
     def _take(self) -> list[_Arrival]:
         taken_now = []
-        for topic, subscription in self._subscriptions.items():
+        for topic, subscription in self._open():
             with subscription.handle:
                 for _ in range(subscription.qos_profile.depth):
                     taken = subscription.handle.take_message(subscription.msg_type, subscription.raw)
@@ -138,20 +185,38 @@ class InputSubscriptions:
                     taken_now.append(_arrival(topic, *taken))
         return taken_now
 
-    def profile(self, topic: InputTopic) -> QoSProfile:
+    def profile(self, topic: AnyTopic) -> QoSProfile:
         """Return the quality of service of a topic, overrides of the user included."""
-        profile: QoSProfile = self._subscriptions[topic].qos_profile
+        profile: QoSProfile = (
+            self._own[topic].qos_profile if isinstance(topic, InputTopic) else self._foreign[topic].profile
+        )
         return profile
 
-    def may_mix(self, topic: InputTopic) -> bool:
+    def type(self, topic: AnyTopic) -> str:
+        """Return the type with which a topic is subscribed, '' for a foreign one without publisher."""
+        return type_name(message_class(topic)) if isinstance(topic, InputTopic) else self._foreign[topic].type
+
+    def problem(self, topic: AnyTopic) -> Publishers | None:
+        """Return why messages of a topic cannot be read and what to do, None if they can."""
+        return None if isinstance(topic, InputTopic) else self._foreign[topic].unreadable()
+
+    def note(self, topic: ForeignTopic, problem: str) -> None:
+        """Note that a message came, and why it cannot be read, '' if it can."""
+        self._foreign[topic].arrived(problem, self._node.steady_ns())
+
+    def may_mix(self, topic: AnyTopic) -> bool:
         """Return False if the last messages of a topic certainly came from one publisher at a time."""
         return self._numbers[topic].alternate
 
     def close(self) -> None:
         """Destroy the subscriptions."""
-        for subscription in self._subscriptions.values():
+        for subscription in self._own.values():
             self._node.destroy_subscription(subscription)
-        self._subscriptions = {}
+        for foreign in self._foreign.values():
+            foreign.close()
+        if self._discovery is not None:
+            self._node.destroy_timer(self._discovery)
+        self._own, self._foreign = {}, {}
 
 
 class InputGroup:
@@ -162,16 +227,30 @@ class InputGroup:
 
     Attributes:
         subscriber: Its name.
+        topics: The topics, foreign ones of the mapping included.
+        subscriptions: What is subscribed, and how.
+        mapped: What makes records of the messages of foreign topics, None without a mapping.
 
     """
 
     def __init__(self, node: EstimatorNode) -> None:
         self._members: list[EstimatorNode] = []
         self.subscriber = str(node.get_name())
-        self._subscriptions = InputSubscriptions(node, self.receive)
+        self.mapped = node.mapping.inputs()
+        mapping = OWN if self.mapped is None else self.mapped.mapping
+        self.topics = subscribed_topics(mapping)
+        self._node = node
+        self.subscriptions = InputSubscriptions(node, self.topics, self.receive)
 
     def __contains__(self, node: EstimatorNode) -> bool:
         return node in self._members
+
+    @property
+    def lacking(self) -> str:
+        """Why an input that no topic carries is not there, '' if all are."""
+        if self.mapped is None or not self.mapped.lacks_position:
+            return ''
+        return 'no gradient of the line, as the position is not known yet'
 
     def add(self, node: EstimatorNode) -> None:
         """Let a node take in the inputs."""
@@ -181,38 +260,58 @@ class InputGroup:
         """Let a node leave; return True, and close the subscriptions, if it was the last one."""
         self._members.remove(node)
         if not self._members:
-            self._subscriptions.close()
+            self.subscriptions.close()
         return not self._members
 
     def drain(self) -> None:
         """Take in all queued messages."""
-        self._subscriptions.drain()
+        self.subscriptions.drain()
 
-    def profile(self, topic: InputTopic) -> QoSProfile:
-        """Return the quality of service with which a topic is subscribed."""
-        return self._subscriptions.profile(topic)
+    def receive(self, topic: AnyTopic, message: Any, received_ns: int = 0) -> None:
+        """Take in one message: all estimators step, then all estimates are published, then the rest is done.
 
-    def may_mix(self, topic: InputTopic) -> bool:
-        """Return False if the last messages of a topic certainly came from one publisher at a time."""
-        return self._subscriptions.may_mix(topic)
+        Args:
+            topic: Its topic.
+            message: The message.
+            received_ns: When it was received, by the clock of the machine [ns].
 
-    def receive(self, topic: InputTopic, message: Any) -> None:
-        """Take in one message: all estimators step, then all estimates are published, then the rest is done."""
-        record = record_from_message(topic, message)
+        """
+        try:
+            records, stamp_ns = self._read(topic, message, received_ns)
+        except InputError as error:
+            if isinstance(topic, ForeignTopic):
+                self.subscriptions.note(topic, str(error))
+            return
+        if isinstance(topic, ForeignTopic):
+            self.subscriptions.note(topic, '')
         running = [(node, pipeline) for node in self._members if (pipeline := node.running_pipeline()) is not None]
         if any(pipeline.stream.is_new for _, pipeline in running):
             share_streams(pipeline for _, pipeline in running)
-        shared = SharedRecord(record.row())
-        outputs = [(node, node.step(pipeline, shared)) for node, pipeline in running]
+        outputs: list[tuple[EstimatorNode, list[Any]]] = [(node, []) for node, _ in running]
+        for record in records:
+            shared = SharedRecord(record.row())
+            for (node, pipeline), (_, made) in zip(running, outputs, strict=True):
+                made.extend(node.step(pipeline, shared))
         # Sent at once, so that a subscriber of all of them wakes up once.
         ready = [(node, [node.serialize(output) for output in made]) for node, made in outputs if made]
         for node, estimates in ready:
             node.publish(estimates)
         for node in self._members:
-            node.conclude(topic, record.stamp_ns)
+            node.conclude(topic, stamp_ns)
         # One of them at a time: the next message may come soon.
         if due := [node.checkpoints for node, _ in ready if node.checkpoints.is_due]:
             min(due, key=lambda checkpoints: checkpoints.saved_at).save_if_due()
+
+    def _read(self, topic: AnyTopic, message: Any, received_ns: int) -> tuple[list[Record], int]:
+        """Return the records that a message gives, and its stamp [ns]."""
+        mapped = self.mapped
+        if isinstance(topic, InputTopic):
+            record = record_from_message(topic, message)
+            return [record] if mapped is None else mapped.take_record(record), record.stamp_ns
+        assert mapped is not None
+        # The clock of the machine says when it was received, and simulated time what time it was then.
+        now_ns = self._node.now_ns() if self._node.get_clock().ros_time_is_active else received_ns
+        return mapped.take(topic.name, message, now_ns), mapped.stamp_ns(topic.name, message, now_ns)
 
 
 class SharedInputs:
@@ -237,11 +336,13 @@ class SharedInputs:
 
 
 def _wiring(node: EstimatorNode) -> object:
-    """Return what subscriptions depend on: resolved topic names, and overrides of the quality of service."""
-    topics = tuple(node.resolve_topic_name(topic.name) for topic in INPUT_TOPICS)
+    """Return what subscriptions depend on: topic names, overrides of the quality of service, and the mapping."""
+    mapped = node.mapping.inputs()
+    topics = subscribed_topics(OWN if mapped is None else mapped.mapping)
+    names = tuple(node.resolve_topic_name(topic.name) for topic in topics)
     overrides = node._parameter_overrides  # rclpy gives no public access to them
     qos = tuple(sorted((name, str(overrides[name].value)) for name in overrides if _is_qos(name)))
-    return node.context, topics, qos
+    return node.context, names, qos, None if mapped is None else mapped.key
 
 
 def _is_qos(parameter: str) -> bool:

@@ -19,6 +19,7 @@ from trainid_ros.messages import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, SPEED_MODEL
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
 from trainid_ros.ros.parameter_specs import (
     ALGORITHM,
+    MAPPING_FILE,
     TRAIN_PARAMETERS,
     build_settings,
     build_train_file,
@@ -151,6 +152,7 @@ def node_setups(
     algorithms: Sequence[str] = (),
     *,
     namespace: str = '/',
+    foreign: Collection[str] = (),
     warn: Callable[[str], None] = lambda _: None,
 ) -> tuple[Setup, ...]:
     """Return the train file and settings that the three nodes would run with.
@@ -161,6 +163,7 @@ def node_setups(
         params: Parameter file, None for defaults.
         algorithms: Algorithms that replace those in the file, see :func:`chosen_algorithms`.
         namespace: Namespace of the nodes.
+        foreign: Topics of their mapping.
         warn: Called with each warning.
 
     Raises:
@@ -172,9 +175,11 @@ def node_setups(
     setups = []
     for job in JOBS:
         overrides = {} if params is None else _given(job, params, f'{base}/{job.node_name}', warn)
+        if overrides.get(MAPPING_FILE.name) and not foreign:
+            warn(f'{params}: {MAPPING_FILE.name} = {overrides[MAPPING_FILE.name]} is not read off line: give --map')
         if job.field in chosen:
             overrides[ALGORITHM] = chosen[job.field]
-        topics = qos_overrides(job, lambda topic: f'{base}/{topic}')
+        topics = qos_overrides(job, lambda topic: topic if topic.startswith('/') else f'{base}/{topic}', foreign)
         setups.append(_setup(job, train_file, source, overrides, {*_OF_ROS, *topics}))
     return tuple(setups)
 

@@ -114,6 +114,15 @@ class ManagedNode(LifecycleNode):
         """Label of the lifecycle state."""
         return str(self._state_machine.current_state[1])
 
+    @property
+    def steady_clock(self) -> Clock:
+        """The clock of the timers, which never jumps."""
+        return self._steady
+
+    def steady_ns(self) -> int:
+        """Return the time of the steady clock [ns]."""
+        return int(self._steady.now().nanoseconds)
+
     def about(self) -> str:
         """Return what the node does, for the log."""
         return str(self.get_name())

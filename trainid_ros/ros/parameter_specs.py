@@ -22,7 +22,7 @@ from trainid_ros.train.fields import did_you_mean
 from trainid_ros.train.train_file import Brake, Davis, Line, Train, TrainFile
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping
+    from collections.abc import Callable, Collection, Iterable, Mapping
 
     from _typeshed import DataclassInstance
 
@@ -141,6 +141,12 @@ ALGORITHM: Final = 'algorithm'
 TRAIN_FILE: Final = ParameterSpec(
     'train_file', '', 'path of the train file (YAML), read again on each configure', read_only=True
 )
+MAPPING_FILE: Final = ParameterSpec(
+    'mapping_file',
+    '',
+    'path of the mapping file (YAML): inputs from other topics, types and units; read again on each configure',
+    read_only=True,
+)
 TAKEN: Final = ParameterSpec(
     'taken_from_train_file', '', 'values of the train file, by which a dump of the parameters is known; set by the node'
 )
@@ -194,6 +200,7 @@ def estimator_parameters(algorithms: Algorithms[Any], name: str = '') -> tuple[P
     )
     return (
         TRAIN_FILE,
+        MAPPING_FILE,
         algorithm_spec,
         TIME_JUMP_POLICY,
         CHECKPOINT_FILE,
@@ -245,9 +252,16 @@ def describe_differences(own: Values, filed: Mapping[str, float]) -> str:
     return ', '.join(f'{name} = {own[name]:g} (train file: {value:g})' for name, value in different)
 
 
-def qos_overrides(job: Job, resolve: Callable[[str], str]) -> list[str]:
-    """Return the names of the QoS parameters; ``resolve`` returns the full name of a topic."""
-    topics = [(topic.name, 'subscription') for topic in INPUT_TOPICS]
+def qos_overrides(job: Job, resolve: Callable[[str], str], foreign: Iterable[str] = ()) -> list[str]:
+    """Return the names of the QoS parameters.
+
+    Args:
+        job: The job of the node.
+        resolve: Returns the full name of a topic.
+        foreign: Topics of a mapping.
+
+    """
+    topics = [(name, 'subscription') for name in (*(topic.name for topic in INPUT_TOPICS), *foreign)]
     topics += [(topic, 'publisher') for topic in (job.topic.name, job.topic.last_valid) if topic]
     return [
         f'qos_overrides.{resolve(name)}.{entity}.{policy}' for name, entity in topics for policy in QOS_POLICIES[entity]

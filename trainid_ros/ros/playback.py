@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from rclpy.duration import Duration
@@ -12,13 +12,16 @@ from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rosgraph_msgs.msg import Clock as ClockMessage
 
 from trainid_ros.errors import InputError
+from trainid_ros.mapping.mapping import OWN
 from trainid_ros.records import INPUT_TOPICS, NS_PER_S, Record
+from trainid_ros.ros.foreign_topics import foreign_class
 from trainid_ros.ros.node import ManagedNode, NodeParameters, guarded
 from trainid_ros.ros.parameter_specs import AUTOSTART, ParameterSpec
+from trainid_ros.ros.publishers import is_hash
 from trainid_ros.ros.topics import message_class, message_from_record, source_qos, time_message
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
 # /clock also ticks through gaps, so that nodes on simulated time detect dropouts.
 _TICK_NS: Final = NS_PER_S // 20
@@ -26,11 +29,25 @@ _TICK_NS: Final = NS_PER_S // 20
 _LONGEST_BURST_NS: Final = NS_PER_S
 
 
+class StoredMessage(NamedTuple):
+    """A message of a foreign topic as it was stored."""
+
+    topic: str
+    data: bytes
+
+
+class ForeignOutput(NamedTuple):
+    """How a foreign topic is to be published: name and digest of its type, as in the bag."""
+
+    type: str
+    digest: str
+
+
 class TimedRecord(NamedTuple):
-    """A record and its log time [ns]; without a record only the clock advances."""
+    """A record or message and its log time [ns]; without either only the clock advances."""
 
     time_ns: int
-    record: Record | None
+    record: Record | StoredMessage | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,12 +58,16 @@ class Timeline:
         first_ns: Start time [ns].
         last_ns: End time [ns].
         entries: Returns an iterator over the records from the start.
+        foreign: Foreign topics among them.
+        replaced: Our own topics that are not among them.
 
     """
 
     first_ns: int
     last_ns: int
     entries: Callable[[], Iterator[TimedRecord]]
+    foreign: Mapping[str, ForeignOutput] = field(default_factory=dict)
+    replaced: frozenset[str] = OWN.replaced
 
     @property
     def duration_s(self) -> float:
@@ -148,7 +169,8 @@ class PlaybackNode(ManagedNode):
         self.parameters = NodeParameters(self, specs)
         self.parameters.check_sections(arguments, name)
         self.parameters.report()
-        self._outputs: dict[type[Record], Any] = {}
+        # By class of records, or by name of foreign topics.
+        self._outputs: dict[type[Record] | str, Any] = {}
         self._clock_output: Any = None
         self._timer: Any = None
         self._release()
@@ -174,15 +196,36 @@ class PlaybackNode(ManagedNode):
             msg = f'restamp needs rate = 1, not {self.parameters.value("rate")}'
             raise InputError(msg)
         self.timeline = self.open_timeline()
+        if self.parameters.value('restamp') and self.timeline.foreign:
+            msg = 'restamp does not change messages of foreign topics: leave out restamp or mapping_file'
+            raise InputError(msg)
         for topic in INPUT_TOPICS:
-            self._outputs[topic.record] = self.create_lifecycle_publisher(
-                message_class(topic), topic.name, source_qos()
-            )
+            if topic.name not in self.timeline.replaced:
+                self._outputs[topic.record] = self.create_lifecycle_publisher(
+                    message_class(topic), topic.name, source_qos()
+                )
+        for name, output in self.timeline.foreign.items():
+            self._offer(name, output)
         if self.parameters.value('publish_clock'):
             self._clock_output = self.create_lifecycle_publisher(ClockMessage, '/clock', source_qos())
         self._pacer = Pacer(float(self.parameters.value('rate')))
         self._rewind()
         return super().on_configure(state)
+
+    def _offer(self, name: str, output: ForeignOutput) -> None:
+        """Create the publisher of a foreign topic.
+
+        Raises:
+            InputError: Its type is not installed, or in another version than that of the bag.
+
+        """
+        publisher = self.create_lifecycle_publisher(foreign_class(output.type), name, source_qos())
+        self._outputs[name] = publisher
+        for info in self.get_publishers_info_by_topic(publisher.topic_name):
+            installed = str(info.topic_type_hash)
+            if info.node_name == self.get_name() and is_hash(installed) and installed != output.digest:
+                msg = f'topic {name}: {output.type} in the bag is not the version that is installed here'
+                raise InputError(msg)
 
     @guarded
     def on_activate(self, state: LifecycleState) -> TransitionCallbackReturn:
@@ -229,7 +272,7 @@ class PlaybackNode(ManagedNode):
         """Publish the entries that are due and sleep until the next one is."""
         if self.finished or self._is_waiting():
             return
-        now = int(self._steady.now().nanoseconds)
+        now = self.steady_ns()
         while self._next is not None:
             due = self._pacer.due_ns(self._next.time_ns, now)
             if due > now:
@@ -244,11 +287,10 @@ class PlaybackNode(ManagedNode):
         wanted = int(self.parameters.value('wait'))
         if not wanted or self.position_ns:
             return False
-        outputs = [self._outputs[topic.record] for topic in INPUT_TOPICS]
-        if any(output.get_subscription_count() < wanted for output in outputs):
+        if any(output.get_subscription_count() < wanted for output in self._outputs.values()):
             self._complete_ns = 0
             return True
-        now = int(self._steady.now().nanoseconds)
+        now = self.steady_ns()
         self._complete_ns = self._complete_ns or now
         return now - self._complete_ns < _DISCOVERY_NS
 
@@ -260,9 +302,14 @@ class PlaybackNode(ManagedNode):
         if self._clock_output is not None and entry.time_ns != self.position_ns:
             self._clock_output.publish(ClockMessage(clock=time_message(entry.time_ns)))
         self.position_ns = entry.time_ns
-        if entry.record is not None:
-            self._outputs[type(entry.record)].publish(message_from_record(self._stamped(entry, entry.record)))
-            self.played += 1
+        match entry.record:
+            case None:
+                return
+            case StoredMessage(topic, data):
+                self._outputs[topic].publish(data)
+            case record:
+                self._outputs[type(record)].publish(message_from_record(self._stamped(entry, record)))
+        self.played += 1
 
     def _stamped(self, entry: TimedRecord, record: Record) -> Record:
         """Return the record with the stamp to publish."""

@@ -22,11 +22,13 @@ class Publishers:
     Attributes:
         heard: Nodes whose messages arrive, one name for each publisher.
         unheard: One sentence for each publisher whose messages cannot arrive or be read.
+        remedy: What to do about those.
 
     """
 
     heard: tuple[str, ...] = ()
     unheard: tuple[str, ...] = ()
+    remedy: str = 'correct this publisher'
 
     @property
     def count(self) -> int:
@@ -40,7 +42,7 @@ class Publishers:
         name at first.
         """
         names = dict.fromkeys(self.heard)
-        return Publishers(tuple(name for name in names if name != NAMELESS) or tuple(names), self.unheard)
+        return Publishers(tuple(name for name in names if name != NAMELESS) or tuple(names), self.unheard, self.remedy)
 
 
 def type_name(message: Any) -> str:

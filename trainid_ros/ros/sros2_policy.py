@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Generate the SROS 2 policy that gives each estimator node the rights it needs and no others.
 
-``python -m trainid_ros.ros.sros2_policy > config/sros2_policy.xml`` updates the file.
+``python -m trainid_ros.ros.sros2_policy > config/sros2_policy.xml`` updates the file. With a mapping file as argument,
+the nodes may subscribe to its topics.
 """
 
 from __future__ import annotations
@@ -10,12 +11,15 @@ import sys
 from typing import TYPE_CHECKING, Final, NamedTuple
 from xml.etree import ElementTree
 
-from trainid_ros.records import INPUT_TOPICS
+from trainid_ros.mapping.mapping import OWN
+from trainid_ros.mapping.mapping_file import load_mapping
+from trainid_ros.ros.foreign_topics import subscribed_topics
 from trainid_ros.ros.jobs import JOBS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from trainid_ros.mapping.mapping import Mapping
     from trainid_ros.ros.jobs import Job
 
 _HEAD: Final = """\
@@ -54,33 +58,33 @@ class Rights(NamedTuple):
     reply: tuple[str, ...]
 
 
-def rights_of(job: Job) -> Rights:
-    """Return the rights that an estimator node needs."""
+def rights_of(job: Job, mapping: Mapping = OWN) -> Rights:
+    """Return the rights that an estimator node needs to take its inputs from the topics of a mapping."""
     estimates = tuple(name for name in (job.topic.name, job.topic.last_valid) if name)
     services = sorted((*_PARAMETER_SERVICES, *_LIFECYCLE_SERVICES, *_OWN_SERVICES))
     return Rights(
         publish=(*estimates, '/diagnostics', '/rosout', '/parameter_events', '~/transition_event'),
-        subscribe=tuple(topic.name for topic in INPUT_TOPICS),
+        subscribe=tuple(topic.name for topic in subscribed_topics(mapping)),
         reply=tuple(f'~/{name}' for name in services),
     )
 
 
-def policy() -> str:
-    """Return the text of the policy."""
+def policy(mapping: Mapping = OWN) -> str:
+    """Return the text of the policy for nodes with a mapping."""
     root = ElementTree.Element('policy', version='0.2.0')
     enclaves = ElementTree.SubElement(root, 'enclaves')
-    _add_enclave(enclaves, '/trainid', JOBS)
+    _add_enclave(enclaves, '/trainid', JOBS, mapping)
     for job in JOBS:
-        _add_enclave(enclaves, f'/trainid/{job.node_name}', (job,))
+        _add_enclave(enclaves, f'/trainid/{job.node_name}', (job,), mapping)
     ElementTree.indent(root)
     return f'{_HEAD}{ElementTree.tostring(root, encoding="unicode")}\n'
 
 
-def _add_enclave(enclaves: ElementTree.Element, path: str, jobs: Sequence[Job]) -> None:
+def _add_enclave(enclaves: ElementTree.Element, path: str, jobs: Sequence[Job], mapping: Mapping) -> None:
     profiles = ElementTree.SubElement(ElementTree.SubElement(enclaves, 'enclave', path=path), 'profiles')
     for job in jobs:
         profile = ElementTree.SubElement(profiles, 'profile', ns='/', node=job.node_name)
-        rights = rights_of(job)
+        rights = rights_of(job, mapping)
         for kind, right, item, names in (
             ('topics', 'publish', 'topic', rights.publish),
             ('topics', 'subscribe', 'topic', rights.subscribe),
@@ -92,4 +96,4 @@ def _add_enclave(enclaves: ElementTree.Element, path: str, jobs: Sequence[Job]) 
 
 
 if __name__ == '__main__':
-    sys.stdout.write(policy())
+    sys.stdout.write(policy(load_mapping(sys.argv[1]) if len(sys.argv) > 1 else OWN))

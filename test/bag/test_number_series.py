@@ -1,0 +1,73 @@
+# SPDX-License-Identifier: Apache-2.0
+"""All numbers of a bag, whatever their types."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from benchmarks.foreign_bag import FLOAT, TWIST, ForeignBag
+from trainid_ros.bag import number_series
+from trainid_ros.bag.number_series import BagNumbers, read_numbers
+from trainid_ros.errors import InputError
+from trainid_ros.records import NS_PER_S
+
+START = 1_700_000_000 * NS_PER_S
+STATE = 'float32[3] values\nfloat64[9] covariance\nstring name\nbool on\nstd_msgs/Float64[] list\n'
+
+
+@pytest.fixture
+def bag(tmp_path: Path) -> Path:
+    with ForeignBag(tmp_path / 'bag', {'maker_msgs/msg/State': STATE}) as writer:
+        for k in range(50):
+            now = START + k * NS_PER_S // 5
+            writer.write('/a/twist', TWIST, now, twist__linear__x=float(k))
+            writer.write('/a/level', FLOAT, now, data=2.0)
+            writer.write('/state', 'maker_msgs/msg/State', now, values=np.array([0.0, k, 1.0], np.float32), on=k > 25)
+            writer.write('/gaps', FLOAT, now, data=math.nan if k % 2 else 1.0)
+            writer.write('/none', FLOAT, now, data=math.inf)
+            writer.write('/map', 'nav_msgs/msg/GridCells', now, cell_width=1.0)
+            writer.write('/cam', 'sensor_msgs/msg/Image', now)
+            writer.write('/text', 'std_msgs/msg/Float64MultiArray', now, data=np.ones(1000) * k)
+    return tmp_path / 'bag'
+
+
+def named(numbers: BagNumbers) -> dict[str, number_series.NumberSeries]:
+    return {f'{item.topic} {item.field}': item for item in numbers.series}
+
+
+def test_numbers_are_read_by_field_and_index(bag: Path) -> None:
+    numbers = read_numbers(bag, '/', 64 << 20)
+    found = named(numbers)
+    assert sorted(found) == [
+        '/a/level data', '/a/twist twist.linear.x', '/gaps data', '/map cell_width',
+        '/state on', '/state values.1', '/state values.2',
+    ]  # fmt: skip
+    speed, on = found['/a/twist twist.linear.x'], found['/state on']
+    assert (speed.has_stamps, speed.is_whole, on.has_stamps, on.is_whole) == (True, False, False, True)
+    assert speed.rate == pytest.approx(5.0)
+    assert speed.value.tolist() == list(range(50))
+    assert found['/gaps data'].value.tolist() == [1.0] * 25
+    assert numbers.duration_s == pytest.approx(9.8)
+    assert dict(numbers.left_out) == {'/cam': 'sensor_msgs/msg/Image', '/text': 'large messages'}
+
+
+def test_a_namespace_is_read_alone_with_relative_names(bag: Path) -> None:
+    assert sorted(named(read_numbers(bag, '/a', 64 << 20))) == ['level data', 'twist twist.linear.x']
+
+
+def test_only_the_beginning_of_a_long_bag_is_read(bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(number_series, 'LONGEST_S', 4.0)
+    monkeypatch.setattr(number_series, '_MOST', 10)
+    shares: list[float] = []
+    numbers = read_numbers(bag, '/', 64 << 20, shares.append)
+    assert named(numbers)['/a/twist twist.linear.x'].value.tolist() == [0.0, 5.0, 10.0, 15.0, 20.0]
+    assert 0.8 < sum(shares) < 1.01
+
+
+def test_a_bag_that_cannot_be_read_is_an_input_error(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match='no such bag'):
+        read_numbers(tmp_path / 'none', '/', 64 << 20)

@@ -1,0 +1,271 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Nodes with a mapping: foreign topics are found when they come, read as in a bag, and named when they cannot be."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from functools import partial
+from pathlib import Path
+from typing import Any, TypeAlias
+
+import pytest
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+from geometry_msgs.msg import TwistStamped, Vector3Stamped  # type: ignore[import-untyped]
+from rclpy.qos import DurabilityPolicy, QoSProfile
+from rclpy.serialization import deserialize_message
+from std_msgs.msg import Float64
+
+from benchmarks.foreign_bag import MAPPING, write_foreign
+from trainid_ros.bag.reader import BagReader
+from trainid_ros.mapping.mapped_inputs import mapped_inputs
+from trainid_ros.mapping.mapping_file import load_mapping
+from trainid_ros.records import NS_PER_S, SpeedRecord
+from trainid_ros.ros.bag_player import BagPlayer
+from trainid_ros.ros.estimator_node import EstimatorNode
+from trainid_ros.ros.estimator_nodes import SPECS
+from trainid_ros.ros.foreign_topics import ForeignTopic, foreign_class
+from trainid_ros.ros.inputs import SharedInputs
+from trainid_ros.train.train_file import load_train_file
+
+pytestmark = pytest.mark.ros
+
+Graph: TypeAlias = Any  # the fixture of conftest.py
+LATCHED = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+SPEED_ONLY = 'speed: {topic: /odo/twist, field: twist.linear.x, unit: km/h}\n'
+SPEED = 'resistance_estimator: input /odo/twist (speed)'
+
+
+@pytest.fixture
+def mapping_file(tmp_path: Path) -> str:
+    path = tmp_path / 'map.yaml'
+    path.write_text(MAPPING, encoding='utf-8')
+    return str(path)
+
+
+@pytest.fixture
+def others(graph: Graph) -> Iterator[Graph]:
+    """Another process, as it were: within one participant a topic has one type."""
+    made = type(graph)(graph.domain)
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def bag(graph: Graph, tmp_path: Path) -> Path:
+    write_foreign(tmp_path / 'bag', graph.coasting(150))
+    return tmp_path / 'bag'
+
+
+@pytest.fixture
+def start(graph: Graph, train_file: str, tmp_path: Path) -> Callable[..., Any]:
+    """Starts a node with a mapping."""
+
+    def start_one(text: str, **parameters: Any) -> Any:
+        (tmp_path / 'part.yaml').write_text(text, encoding='utf-8')
+        return graph.active(train_file, mapping_file=str(tmp_path / 'part.yaml'), diagnostic_period=0.1, **parameters)
+
+    return start_one
+
+
+def follow(graph: Graph) -> dict[str, Any]:
+    """Return the newest diagnostics by name."""
+    found: dict[str, Any] = {}
+    graph.plain('display').create_subscription(
+        DiagnosticArray, '/diagnostics', lambda array: found.update({item.name: item for item in array.status}), 10
+    )
+    return found
+
+
+def odometer(others: Graph, kind: Any = TwistStamped) -> Callable[[], object]:
+    """Return what publishes one message on the topic of the speed."""
+    node = others.plain('odometer')
+    publisher = node.create_publisher(kind, '/odo/twist', 10)
+
+    def publish() -> None:
+        message = kind()
+        if kind is TwistStamped:
+            message.twist.linear.x = 72.0
+            message.header.stamp = node.get_clock().now().to_msg()
+        publisher.publish(message)
+
+    return publish
+
+
+def subscribed(node: Any) -> set[str]:
+    return {item.topic_name for item in node.subscriptions} - {'/clock', '/parameter_events'}
+
+
+def test_live_estimates_equal_the_replay_of_the_bag_to_the_bit(
+    graph: Graph, train_file: str, mapping_file: str, bag: Path
+) -> None:
+    inputs, nodes = SharedInputs(), []
+    for spec in SPECS.values():
+        nodes.append(graph.make(partial(EstimatorNode, spec), train_file=train_file, mapping_file=mapping_file))
+        nodes[-1]._inputs = inputs
+        assert nodes[-1].bring_up(), nodes[-1].failure
+    published, group = [graph.published(node) for node in nodes], nodes[0].inputs
+    topics = {topic.name: topic for topic in group.topics}
+    with BagReader(bag, inputs=mapped_inputs(Path(mapping_file), load_train_file(train_file))) as reader:
+        kinds = {name: foreign_class(kind.name) for name, kind in reader.mapped_types().items()}
+        for log_ns, topic, data in reader.stored():
+            group.receive(topics[topic], deserialize_message(data, kinds[topic]), log_ns)
+        pipelines = [node.job.pipeline(load_train_file(train_file), node._settings) for node in nodes]
+        expected = [[out for record in reader.records() for out in pipeline.push(record)] for pipeline in pipelines]
+    assert min(map(len, expected)) > 140
+    assert [repr(item.messages) for item in published] == [repr(made) for made in expected]
+
+
+def test_played_messages_arrive_as_they_are_in_the_bag(
+    graph: Graph, others: Graph, train_file: str, mapping_file: str, bag: Path
+) -> None:
+    node = graph.active(train_file, mapping_file=mapping_file)
+    received: dict[str, list[Any]] = {}
+    receive = node.inputs.receive
+
+    def note(topic: Any, message: Any, received_ns: int) -> None:
+        received.setdefault(topic.name, []).append(message)
+        receive(topic, message, received_ns)
+
+    node.inputs.subscriptions._deliver = note
+    player = others.make(BagPlayer, bag=str(bag), mapping_file=mapping_file, rate=20.0, wait=1, duration=4.0)
+    assert player.bring_up(), player.failure
+
+    def done() -> bool:
+        others.executor.spin_once(timeout_sec=0.0)
+        return bool(player.finished)
+
+    graph.until(done)
+    with BagReader(bag, mapping=load_mapping(mapping_file)) as reader:
+        kinds = {name: foreign_class(kind.name) for name, kind in reader.mapped_types().items()}
+        expected: dict[str, list[Any]] = {name: [] for name in kinds}
+        for log_ns, topic, data in reader.stored():
+            if log_ns <= graph.start_ns + 4 * NS_PER_S:
+                expected[topic].append(deserialize_message(data, kinds[topic]))
+    graph.until(lambda: sum(map(len, received.values())) >= sum(map(len, expected.values())))
+    assert received == expected
+    assert node.pipeline.samples > 15
+
+
+def test_a_publisher_may_come_later_and_start_again_with_another_type(
+    graph: Graph, others: Graph, start: Callable[..., Any]
+) -> None:
+    node, diagnosed = start(SPEED_ONLY), follow(graph)
+    assert subscribed(node) == {'/ato/force', '/ato/gradient', '/ato/brake_command', '/ato/mass'}
+    graph.until(lambda: SPEED in diagnosed)
+    assert diagnosed[SPEED].message.startswith('never received, no publisher, since ')
+    publish = odometer(others, Float64)
+    graph.until(lambda: publish() or 'Float64 has no header' in diagnosed[SPEED].message)
+    assert diagnosed[SPEED].level == DiagnosticStatus.ERROR
+    assert 'topic /odo/twist: ' in diagnosed[SPEED].message
+    assert diagnosed[SPEED].message.endswith(': correct the mapping file or this publisher')
+    others.drop()
+    again = type(graph)(graph.domain)
+    publish = odometer(again)
+    graph.until(lambda: publish() or diagnosed[SPEED].level == DiagnosticStatus.OK)
+    assert 'no ato/force yet' in node.missing_inputs()
+    assert 'odo' not in node.missing_inputs()
+    again.close()
+
+
+def test_a_type_whose_package_is_missing_is_named(
+    graph: Graph, others: Graph, start: Callable[..., Any], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def fail(name: str) -> None:
+        raise ModuleNotFoundError(name)
+
+    monkeypatch.setattr('trainid_ros.ros.foreign_topics.import_module', fail)
+    start(SPEED_ONLY)
+    diagnosed, publish = follow(graph), odometer(others)
+    text = 'geometry_msgs/msg/TwistStamped: the package geometry_msgs is not installed here'
+    graph.until(lambda: publish() or (SPEED in diagnosed and text in diagnosed[SPEED].message))
+    assert diagnosed[SPEED].message.endswith(': install it')
+    assert diagnosed[SPEED].level == DiagnosticStatus.ERROR
+
+
+def test_the_time_of_reception_is_that_of_the_clock_of_the_node(
+    graph: Graph, others: Graph, start: Callable[..., Any]
+) -> None:
+    node = start('speed: {topic: /wheel, field: data, stamp: receive}', use_sim_time=True)
+    clock = graph.simulated(node)
+    clock.go(graph.start_ns)
+    publisher = others.plain('wheel').create_publisher(Float64, '/wheel', 10)
+    (monitor,) = (item for item in node.monitors.by_topic.values() if isinstance(item.topic, ForeignTopic))
+    graph.until(lambda: publisher.publish(Float64(data=20.0)) or monitor.count)
+    assert monitor.newest_ns == graph.start_ns
+
+
+def test_values_that_hold_are_latched_if_their_publisher_offers_it(
+    graph: Graph, others: Graph, start: Callable[..., Any]
+) -> None:
+    others.plain('scales').create_publisher(Float64, '/load', LATCHED).publish(Float64(data=200.0))
+    node = start('mass: {topic: /load, field: data, unit: t, stamp: receive}')
+    (monitor,) = (item for item in node.monitors.by_topic.values() if isinstance(item.topic, ForeignTopic))
+    graph.until(lambda: monitor.count)
+    assert monitor.optional
+
+
+def test_relative_topics_lie_in_the_namespace_of_the_node(
+    graph: Graph, others: Graph, train_file: str, tmp_path: Path
+) -> None:
+    (tmp_path / 'map.yaml').write_text('gradient: {topic: slope, field: vector.y}', encoding='utf-8')
+    nodes = [
+        graph.make(
+            partial(EstimatorNode, SPECS['resistance_estimator']),
+            arguments=('-r', f'__ns:={name}'),
+            train_file=train_file,
+            mapping_file=str(tmp_path / 'map.yaml'),
+        )
+        for name in ('/train_1', '/train_2')
+    ]
+    assert all(node.bring_up() for node in nodes)
+    publisher = others.plain('map').create_publisher(Vector3Stamped, '/train_2/slope', 10)
+    graph.until(lambda: '/train_2/slope' in subscribed(nodes[1]))
+    graph.until(
+        lambda: publisher.publish(Vector3Stamped()) or any(m.count for m in nodes[1].monitors.by_topic.values())
+    )
+    assert '/train_1/slope' not in subscribed(nodes[0])
+
+
+def test_a_gradient_of_the_line_waits_for_a_position(graph: Graph, tmp_path: Path, start: Callable[..., Any]) -> None:
+    train = tmp_path / 'train.yaml'
+    train.write_text(
+        train.read_text(encoding='utf-8') + 'line: {gradient: [[0.0, 1.0], [500.0, 2.0]]}\n', encoding='utf-8'
+    )
+    node = start('gradient: {from: line}')
+    assert 'no gradient of the line, as the position is not known yet' in node.missing_inputs()
+    graph.feed(node, [record for record in graph.coasting(3) if isinstance(record, SpeedRecord)])
+    assert 'gradient' not in node.missing_inputs()
+
+
+@pytest.mark.parametrize(
+    ('text', 'reason'),
+    [
+        ('speed: {topic: /x}', 'part.yaml: speed.field is missing'),
+        ('gradient: {from: line}', 'no line.gradient is in the train file'),
+    ],
+)
+def test_an_unusable_mapping_fails_to_configure(
+    graph: Graph, train_file: str, tmp_path: Path, text: str, reason: str
+) -> None:
+    path = tmp_path / 'part.yaml'
+    path.write_text(text, encoding='utf-8')
+    node = graph.make(
+        partial(EstimatorNode, SPECS['resistance_estimator']), train_file=train_file, mapping_file=str(path)
+    )
+    assert not node.bring_up()
+    assert reason in node.failure
+
+
+def test_qos_of_a_foreign_topic_can_be_overridden(graph: Graph, others: Graph, train_file: str, tmp_path: Path) -> None:
+    (tmp_path / 'map.yaml').write_text(SPEED_ONLY, encoding='utf-8')
+    node = graph.make(
+        partial(EstimatorNode, SPECS['resistance_estimator']),
+        arguments=('-p', 'qos_overrides./odo/twist.subscription.depth:=7'),
+        train_file=train_file,
+        mapping_file=str(tmp_path / 'map.yaml'),
+    )
+    assert node.bring_up(), node.failure
+    odometer(others)
+    graph.until(lambda: '/odo/twist' in subscribed(node))
+    (topic,) = (topic for topic in node.inputs.topics if isinstance(topic, ForeignTopic))
+    assert node.inputs.subscriptions.profile(topic).depth == 7

@@ -1,0 +1,131 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Rows of a table become the records of a train."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from trainid_ros.errors import InputError
+from trainid_ros.mapping.mapped_inputs import MappedInputs
+from trainid_ros.mapping.mapping_file import parse_mapping
+from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, MassRecord, Record, SpeedRecord
+from trainid_ros.tables.columns import ROWS_AT_ONCE
+from trainid_ros.tables.table_records import TableRecords
+
+START_NS = 1_700_000_000 * NS_PER_S
+SPEED = '{time: {field: t, unit: ns}, speed: {field: v}'
+
+
+def at(k: int) -> int:
+    return START_NS + k * NS_PER_S // 5
+
+
+def table(tmp_path: Path, mapping: str, **columns: object) -> TableRecords:
+    path = tmp_path / 'log.npz'
+    np.savez(path, **columns)  # type: ignore[arg-type]
+    return TableRecords(path, MappedInputs(parse_mapping(mapping, str(tmp_path / 'map.yaml')), None))
+
+
+def records(source: TableRecords) -> list[Record]:
+    return [record for _, some in source.blocks() for _, record in some]
+
+
+def test_a_row_becomes_a_record_for_each_quantity(tmp_path: Path) -> None:
+    mapping = """
+        time: {field: t, unit: ns}
+        speed: {field: v, unit: km/h}
+        position: {field: x, unit: km}
+        force: {sum: [{field: F1, unit: kN}, {field: F2, unit: kN, sign: -1}]}
+        gradient: {field: i, unit: percent}
+        brake_command: {field: notch, table: {0: 0.0, 1: -0.3}}
+        mass: {field: m, unit: t}
+    """
+    columns = {'v': 36.0, 'x': 1.5, 'F1': 3.0, 'F2': 1.0, 'i': 0.5, 'notch': 1, 'm': 40.0}
+    source = table(tmp_path, mapping, t=[at(0)], **{name: [value] for name, value in columns.items()})
+    assert records(source) == [
+        SpeedRecord(at(0), 10.0, 1500.0),
+        ForceRecord(at(0), 2000.0),
+        GradientRecord(at(0), 5.0, 0.0, tunnel=False),
+        BrakeRecord(at(0), -0.3, emergency=False),
+        MassRecord(at(0), 40e3),
+    ]
+
+
+def test_blank_cells_make_no_records_and_are_counted(tmp_path: Path) -> None:
+    mapping = f'{SPEED}, force: {{field: F}}, brake_command: {{field: z, on_change: true}}}}'
+    nan = np.nan
+    source = table(tmp_path, mapping, t=[at(0), at(1), at(2)], v=[1.0, nan, 3.0], F=[nan, 5.0, nan], z=[nan, -0.5, nan])
+    found = records(source)
+    assert [record.stamp_ns for record in found if isinstance(record, SpeedRecord)] == [at(0), at(2)]
+    assert [record for record in found if isinstance(record, ForceRecord)] == [ForceRecord(at(1), 5.0)]
+    # What is published on change only holds until it changes.
+    assert [record for record in found if isinstance(record, BrakeRecord)] == [
+        BrakeRecord(at(k), -0.5, emergency=False) for k in (1, 2)
+    ]
+    assert source.blank == {'time': 0, 'speed': 1, 'force': 2, 'brake_command': 1}
+
+
+def test_a_part_of_a_sum_logged_less_often_is_interpolated(tmp_path: Path) -> None:
+    mapping = f'{SPEED}, force: {{sum: [{{field: F}}, {{field: G}}]}}}}'
+    source = table(tmp_path, mapping, t=[at(0), at(1), at(2)], v=[1.0] * 3, F=[1.0] * 3, G=[10.0, np.nan, 20.0])
+    assert [record.force for record in records(source) if isinstance(record, ForceRecord)] == [11.0, 16.0, 21.0]
+    columns = {'t': [at(0), at(1), at(20)], 'v': [1.0] * 3, 'F': [1.0] * 3, 'G': [10.0, np.nan, 20.0]}
+    source = table(tmp_path, mapping, **columns)
+    assert [record.force for record in records(source) if isinstance(record, ForceRecord)] == [11.0, 21.0]
+
+
+def test_a_function_sees_whole_columns(tmp_path: Path) -> None:
+    (tmp_path / 'code.py').write_text('import numpy as np\ndef total(x): return np.cumsum(x)\n', encoding='utf-8')
+    mapping = """
+        time: {function: code.py:total, of: [dt], unit: ms, start: 2024-03-08}
+        speed: {function: code.py:total, of: [dv], unit: km/h}
+    """
+    count = ROWS_AT_ONCE + 2
+    source = table(tmp_path, mapping, dt=np.full(count, 200), dv=np.full(count, 0.0036))
+    shares, pieces = zip(*source.blocks(), strict=True)
+    assert [len(piece) for piece in pieces] == [ROWS_AT_ONCE, 2]
+    assert sum(shares) == pytest.approx(1.0)
+    log_ns, last = pieces[-1][-1]
+    assert isinstance(last, SpeedRecord)
+    assert last.speed == pytest.approx(0.001 * count)
+    assert log_ns == last.stamp_ns
+    assert last.stamp_ns - pieces[0][0][1].stamp_ns == (count - 1) * NS_PER_S // 5
+
+
+def test_a_function_is_not_asked_about_no_rows(tmp_path: Path) -> None:
+    (tmp_path / 'code.py').write_text('def first(x): return 0.0 * x + x[0]\n', encoding='utf-8')
+    mapping = '{time: {field: t}, speed: {function: code.py:first, of: [v]}}'
+    assert records(table(tmp_path, mapping, t=np.empty(0), v=np.empty(0))) == []
+
+
+def test_rows_are_logged_in_their_order(tmp_path: Path) -> None:
+    source = table(tmp_path, f'{SPEED}}}', t=[at(5), at(1), at(6)], v=[1.0, 2.0, 3.0])
+    ((_, found),) = source.blocks()
+    assert [(log_ns, record.stamp_ns) for log_ns, record in found] == [(at(5), at(5)), (at(5), at(1)), (at(6), at(6))]
+    assert source.steps_back == 1
+
+
+@pytest.mark.parametrize(
+    ('head', 'stated'),
+    [('t,v [km/h]\n', 'km/h'), ('t,v (kmh)\n', 'kmh'), ('t,v [mph]\n', 'mph'), ('t,v [m/s]\n', ''), ('t,v [x]\n', '')],
+)
+def test_a_unit_in_the_name_of_a_column_is_compared(tmp_path: Path, head: str, stated: str) -> None:
+    path, name = tmp_path / 'log.csv', head.partition(',')[2].strip()
+    path.write_text(f'{head}0,1\n', encoding='utf-8')
+    mapping = parse_mapping(f"{{time: {{field: t}}, speed: {{field: '{name}'}}}}", 'map.yaml')
+    source = TableRecords(path, MappedInputs(mapping, None))
+    assert len(records(source)) == 1
+    warning = f"{path}: column '{name}': the file says {stated}, the mapping m/s"
+    assert source.warnings == ((warning,) if stated else ())
+
+
+def test_a_file_that_is_no_table_is_named(tmp_path: Path) -> None:
+    inputs = MappedInputs(parse_mapping(f'{SPEED}}}', 'map.yaml'), None)
+    with pytest.raises(InputError, match='no such file'):
+        TableRecords(tmp_path / 'none.csv', inputs)
+    (tmp_path / 'log.xlsx').touch()
+    with pytest.raises(InputError, match=r'log\.xlsx: not a table: \.csv, .*\.npz expected'):
+        TableRecords(tmp_path / 'log.xlsx', inputs)
