@@ -96,6 +96,8 @@ setup(
         'bags': ['mcap', 'rosbags', 'zstandard'],
         # Parquet files in and out.
         'tables': ['pyarrow'],
+        # trainid fleet --scheduler.
+        'fleet': ['distributed'],
     },
     zip_safe=False,
     entry_points={

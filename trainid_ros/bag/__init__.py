@@ -9,8 +9,8 @@ from trainid_ros.errors import InputError
 
 PACKAGES: Final = frozenset({'rosbags', 'mcap', 'zstandard'})
 """Python packages of the extra ``trainid_ros[bags]``; the live nodes need none of them."""
-_PARQUET: Final = 'pyarrow'
-"""The Python package of the extra ``trainid_ros[tables]``."""
+_OTHERS: Final = {'pyarrow': ('Parquet needs', 'tables'), 'distributed': ('a scheduler needs', 'fleet')}
+"""Packages of other extras: what needs it, and the extra."""
 
 
 def missing_package_error(error: ModuleNotFoundError) -> InputError:
@@ -24,8 +24,7 @@ def missing_package_error(error: ModuleNotFoundError) -> InputError:
 
     """
     package = (error.name or '').partition('.')[0]
-    if package == _PARQUET:
-        return InputError(f"Parquet needs the Python package {package}: pip install 'trainid_ros[tables]'")
-    if package not in PACKAGES:
+    if package not in PACKAGES and package not in _OTHERS:
         raise error
-    return InputError(f"bags need the Python package {package}: pip install 'trainid_ros[bags]'")
+    need, extra = _OTHERS.get(package, ('bags need', 'bags'))
+    return InputError(f"{need} the Python package {package}: pip install 'trainid_ros[{extra}]'")

@@ -35,6 +35,7 @@ class BagFiles:
         files: The files.
         message_count: Number of messages according to the metadata, None if unknown.
         hashes: Pairs of full topic name and type hash.
+        custom_data: Pairs of name and text that the recording was given (``ros2 bag record --custom-data``).
         warnings: Faults of the directory that do not prevent reading.
 
     """
@@ -43,6 +44,7 @@ class BagFiles:
     message_count: int | None = None
     hashes: tuple[tuple[str, str], ...] = ()
     warnings: tuple[str, ...] = ()
+    custom_data: tuple[tuple[str, str], ...] = ()
 
 
 class Span(Protocol):
@@ -173,6 +175,7 @@ def _from_metadata(path: Path) -> BagFiles:
         info = document[_ROOT_KEY]
         names = dict.fromkeys(PureWindowsPath(str(name)).name for name in info['relative_file_paths'])
         count, hashes = int(info['message_count']), tuple(_hashes(info))
+        custom = tuple((str(name), str(text)) for name, text in (info.get('custom_data') or {}).items())
         _check_storage(where, str(info['storage_identifier']), str(info.get('compression_mode') or 'none').lower())
     except _UnsupportedError as error:
         raise InputError(str(error)) from None
@@ -183,11 +186,11 @@ def _from_metadata(path: Path) -> BagFiles:
         msg = f'{where}: lists no files'
         raise InputError(msg)
     if not (missing := [path / name for name in names if not (path / name).is_file()]):
-        return BagFiles(tuple(path / name for name in names), count, hashes)
+        return BagFiles(tuple(path / name for name in names), count, hashes, custom_data=custom)
     warning = f'{missing[0]}: file listed in {METADATA} is missing'
     if not (others := _bag_files(path)):
         raise InputError(warning)
-    return BagFiles(others, count, hashes, (f'{warning}, the files that are there were read',))
+    return BagFiles(others, count, hashes, (f'{warning}, the files that are there were read',), custom)
 
 
 class _UnsupportedError(Exception):

@@ -57,6 +57,7 @@ class Result(Generic[EstimateT]):
         output: Last output.
         samples: Aligned samples since the last reset.
         rejections: Why records and samples were not used, with their counts, the most frequent reason first.
+        statuses: Number of outputs by status since the last reset.
         resets: Number of resets after a backward jump of the stamps.
         consistency: Whether errors agree with the stated uncertainty, over the last samples used.
 
@@ -66,6 +67,7 @@ class Result(Generic[EstimateT]):
     output: Output[EstimateT]
     samples: int
     rejections: tuple[tuple[Reason, int], ...]
+    statuses: tuple[int, ...]
     resets: int
     consistency: Consistency
 
@@ -190,4 +192,12 @@ def _end_ns(reader: BagReader, duration_s: float) -> float:
 
 def _result(pipeline: EstimatorPipeline[EstimateT], prior: EstimateT) -> Result[EstimateT]:
     rejections = tuple(pipeline.rejections.most_common())
-    return Result(prior, pipeline.current(), pipeline.samples, rejections, pipeline.resets, pipeline.consistency)
+    return Result(
+        prior,
+        pipeline.current(),
+        pipeline.samples,
+        rejections,
+        tuple(pipeline.statuses),
+        pipeline.resets,
+        pipeline.consistency,
+    )

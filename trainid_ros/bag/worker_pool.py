@@ -5,10 +5,11 @@ from __future__ import annotations
 
 import os
 import signal
+from itertools import islice
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
     from concurrent.futures import Future
     from pathlib import Path
 
@@ -16,7 +17,10 @@ ItemT = TypeVar('ItemT')
 ResultT = TypeVar('ResultT')
 
 _POLL_EVERY_S: Final = 0.1
-# Shared by the workers with their parent, set at their start: amount of work done on each item, and whether to stop.
+# Items under way for each worker: one that it works on, and those that wait for it.
+_QUEUED: Final = 4
+# Shared by the workers with their parent, set at their start: amount of work done on each item, whether it has begun,
+# and whether to stop.
 # Without locks, which a process that is killed would keep: an item is worked on by one process at a time.
 _shared: Final[list[Any]] = []
 
@@ -42,9 +46,21 @@ def map_bags(
     advance: Callable[[float], None],
     killed: Callable[[ItemT], ResultT],
 ) -> list[ResultT]:
-    """Return the result of work on each item, in their order.
+    """Return the result of work on each item, in their order; see :func:`each_bag` for the arguments."""
+    results = dict(each_bag(work, items, workers, advance, killed))
+    return [results[number] for number in range(len(items))]
 
-    If a process is killed, the items without a result are worked on again, one by one.
+
+def each_bag(
+    work: Callable[[ItemT, Callable[[float], None]], ResultT],
+    items: Sequence[ItemT],
+    workers: int,
+    advance: Callable[[float], None],
+    killed: Callable[[ItemT], ResultT],
+) -> Generator[tuple[int, ResultT], None, None]:
+    """Yield number and result of each item as they come.
+
+    If a process is killed, the items that were being worked on are worked on again, one by one, then the others.
 
     Args:
         work: Gets an item and a function to call with the amount done since its last call. For processes, both it and
@@ -56,24 +72,29 @@ def map_bags(
 
     """
     if min(workers, len(items)) <= 1:
-        return [work(item, advance) for item in items]
+        yield from ((number, work(item, advance)) for number, item in enumerate(items))
+        return
     progress = _Progress(len(items), advance)
-    results = _finished(work, dict(enumerate(items)), workers, progress)
-    for number, item in enumerate(items):
-        if number not in results:
+    left = dict(enumerate(items))
+    while left:
+        for number, result in _finished(work, left, workers, progress):
+            del left[number]
+            yield number, result
+        for number in [number for number in left if progress.begun[number]]:
+            item = left.pop(number)
             progress.amounts[number] = 0.0
-            results |= _finished(work, {number: item}, 1, progress)
-    return [results[number] if number in results else killed(item) for number, item in enumerate(items)]
+            yield from list(_finished(work, {number: item}, 1, progress)) or [(number, killed(item))]
 
 
 class _Progress:
-    """Reports the sum of the amounts done on all items, which processes share."""
+    """Reports the sum of the amounts done on all items, which processes share, and which of them have begun."""
 
     def __init__(self, count: int, advance: Callable[[float], None]) -> None:
         # Imported here because one bag needs no processes.
         from multiprocessing.sharedctypes import RawArray  # noqa: PLC0415
 
         self.amounts: Any = RawArray('d', count)
+        self.begun: Any = RawArray('b', count)
         self._advance = advance
         self._reported = 0.0
 
@@ -90,8 +111,8 @@ def _finished(
     items: Mapping[int, ItemT],
     workers: int,
     progress: _Progress,
-) -> dict[int, ResultT]:
-    """Return the results by number, without those of which a process was killed; all others are then stopped too."""
+) -> Iterator[tuple[int, ResultT]]:
+    """Yield the results by number until all are done or a process was killed; all others are then stopped too."""
     import multiprocessing  # noqa: PLC0415
     from concurrent.futures import ProcessPoolExecutor  # noqa: PLC0415
     from concurrent.futures.process import BrokenProcessPool  # noqa: PLC0415
@@ -99,41 +120,47 @@ def _finished(
     # A fork would copy the threads of a progress bar in whatever state they are.
     context = multiprocessing.get_context('spawn')
     stop = context.RawValue('b', 0)
-    futures: dict[int, Future[ResultT]] = {}
-    with ProcessPoolExecutor(min(workers, len(items)), context, _start_worker, (progress.amounts, stop)) as pool:
+    shared = (progress.amounts, progress.begun, stop)
+    with ProcessPoolExecutor(min(workers, len(items)), context, _start_worker, shared) as pool:
         try:
-            for number, item in items.items():
-                futures[number] = pool.submit(_work, work, number, item)
-            _follow(futures.values(), progress)
+            submitted = ((pool.submit(_work, work, number, item), number) for number, item in items.items())
+            for future, number in _ended(submitted, _QUEUED * workers, progress):
+                yield number, future.result()
         except BrokenProcessPool:
             pass
         finally:
             stop.value = 1
             pool.shutdown(wait=False, cancel_futures=True)
-    return {number: future.result() for number, future in futures.items() if future.exception() is None}
 
 
-def _follow(futures: Iterable[Future[ResultT]], progress: _Progress) -> None:
-    """Report the progress of all workers until all are done or one has failed."""
-    from concurrent.futures import FIRST_EXCEPTION, wait  # noqa: PLC0415
+def _ended(
+    submitted: Iterator[tuple[Future[ResultT], int]], most: int, progress: _Progress
+) -> Iterator[tuple[Future[ResultT], int]]:
+    """Yield futures and numbers as they end, and report progress meanwhile; at most ``most`` are under way at once."""
+    from concurrent.futures import FIRST_COMPLETED, wait  # noqa: PLC0415
 
-    pending = set(futures)
+    pending = dict(islice(submitted, most))
     while pending:
-        ended, pending = wait(pending, _POLL_EVERY_S, FIRST_EXCEPTION)
+        ended = wait(pending, _POLL_EVERY_S, FIRST_COMPLETED).done
         progress.report()
-        for future in ended:
-            if (error := future.exception()) is not None:
-                raise error
+        for future in sorted(ended, key=_has_failed):
+            yield future, pending.pop(future)
+        pending.update(islice(submitted, most - len(pending)))
 
 
-def _start_worker(amounts: Any, stop: Any) -> None:
+def _has_failed(future: Future[Any]) -> bool:
+    return future.exception() is not None
+
+
+def _start_worker(amounts: Any, begun: Any, stop: Any) -> None:
     # Ctrl-C reaches the whole process group; only the parent handles it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    _shared[:] = [amounts, stop]
+    _shared[:] = [amounts, begun, stop]
 
 
 def _work(work: Callable[[ItemT, Callable[[float], None]], ResultT], number: int, item: ItemT) -> ResultT:
-    amounts, stop = _shared
+    amounts, begun, stop = _shared
+    begun[number] = 1
 
     def advance(amount: float) -> None:
         if stop.value:

@@ -196,6 +196,40 @@ def configure_import(parser: argparse.ArgumentParser) -> None:
     _add_json(parser)
 
 
+def configure_fleet(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of ``fleet``."""
+    parser.add_argument('bags', nargs='+', type=Path, metavar='BAG', help='bags, folders that hold bags, or patterns')
+    _add_map(parser)
+    _add_max_chunk(parser)
+    _add_train(parser)
+    parser.add_argument('--params', type=Path, metavar='FILE.yaml', help='ROS parameter file, as the nodes take it')
+    parser.add_argument(
+        '--out', type=Path, required=True, metavar='TABLE.parquet', help='table to write; .csv needs no pyarrow'
+    )
+    parser.add_argument(
+        '--label',
+        metavar='REGEX',
+        help='regular expression on the path of a bag; its named groups train, line, weather and day are columns '
+        '(default: the train is the folder that holds the bag)',
+    )
+    parser.add_argument(
+        '--scheduler', metavar='ADDRESS', help='replay on the workers of a Dask scheduler, such as tcp://host:8786'
+    )
+    _add_jobs(parser, 0)
+    _add_namespace(parser)
+    _add_json(parser)
+
+
+def configure_fleet_report(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of ``fleet report``."""
+    parser.add_argument('tables', nargs='+', type=Path, metavar='TABLE', help='tables of trainid fleet')
+    parser.add_argument('--out', type=Path, metavar='REPORT.html', help='write a report with plots')
+    parser.add_argument(
+        '--explain', type=whole, default=0, metavar='N', help='name the cause for the N worst trains, from their bags'
+    )
+    _add_json(parser)
+
+
 def _add_bag(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('bag', type=Path, metavar='BAG', help='rosbag2 directory, .mcap or .db3 file')
 
@@ -224,13 +258,13 @@ def _add_map(
     parser.add_argument('--map', type=Path, metavar='MAPPING.yaml', help=text)
 
 
-def _add_jobs(parser: argparse.ArgumentParser) -> None:
+def _add_jobs(parser: argparse.ArgumentParser, default: int = 1) -> None:
     parser.add_argument(
         '--jobs',
         type=whole,
-        default=1,
+        default=default,
         metavar='N',
-        help='bags to work on at once, each in its own process; 0 = one per processor (default: 1)',
+        help=f'bags to work on at once, each in its own process; 0 = one per processor (default: {default})',
     )
 
 

@@ -46,6 +46,8 @@ VERBS: Final = (
     Verb('explain', 'find the effects that a train file lacks and add them', options.configure_explain),
     Verb('info', 'show what is in bags and whether they can be used', options.configure_info),
     Verb('import', 'make a bag of a table: CSV, Parquet or npz', options.configure_import, 'import_table'),
+    Verb('fleet', 'replay the bags of a fleet into a table', options.configure_fleet),
+    Verb('fleet report', 'find the trains that stand out in a table', options.configure_fleet_report, 'fleet_report'),
 )
 
 
@@ -102,6 +104,8 @@ def _run(arguments: list[str]) -> int:
 
 
 def _dispatch(arguments: list[str]) -> int:
+    if arguments[:2] == ['fleet', 'report']:
+        arguments = ['fleet report', *arguments[2:]]
     wanted = next((text for text in arguments if not text.startswith('-')), None)
     parser = _Parser(prog='trainid', description='Identify train resistance and brake rate on board.')
     parser.add_argument('--version', action='version', version=f'trainid {__version__}')

@@ -145,12 +145,13 @@ def table(rows: Sequence[Sequence[str]], numbers: Sequence[int] = ()) -> str:
 
 
 @contextmanager
-def progress(text: str, total: float | None = None) -> Iterator[Callable[[float], None]]:
+def progress(text: str, total: float | None = None, unit: str = '') -> Iterator[Callable[[float], None]]:
     """Show progress on standard error while the block runs; show nothing if that is not a terminal.
 
     Args:
         text: What is being done.
         total: Amount of work, None if unknown.
+        unit: Name of the amounts, to show how many are done in a second; '' shows none.
 
     Yields:
         A function to call with the amount done since the last call.
@@ -162,8 +163,15 @@ def progress(text: str, total: float | None = None) -> Iterator[Callable[[float]
     # Imported here so that commands without progress need not load it.
     from rich.console import Console  # noqa: PLC0415
     from rich.markup import escape  # noqa: PLC0415
-    from rich.progress import Progress  # noqa: PLC0415
+    from rich.progress import Progress, ProgressColumn, Task  # noqa: PLC0415
+    from rich.text import Text  # noqa: PLC0415
 
-    with Progress(console=Console(stderr=True), transient=True) as bar:
+    class Rate(ProgressColumn):
+        def render(self, task: Task) -> Text:
+            """Return the amount done in a second."""
+            return Text('' if task.speed is None else f'{task.speed:.3g} {unit}/s')
+
+    columns = (*Progress.get_default_columns(), *((Rate(),) if unit else ()))
+    with Progress(*columns, console=Console(stderr=True), transient=True) as bar:
         task = bar.add_task(escape(printable(text)), total=total)
         yield lambda amount: bar.advance(task, amount)

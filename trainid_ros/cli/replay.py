@@ -7,7 +7,6 @@ import math
 import time
 from collections import Counter
 from contextlib import ExitStack
-from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.bag.bag_replay import Pipelines, replay_through
@@ -34,7 +33,6 @@ if TYPE_CHECKING:
     from trainid_ros.bag.bag_replay import Observer, Replay, Result
     from trainid_ros.bag.observers import TraceObserver
     from trainid_ros.estimators.contradiction import Contradiction
-    from trainid_ros.mapping.mapping import Mapping
     from trainid_ros.report.traces import Traces
     from trainid_ros.results import Reason
     from trainid_ros.sim.truth import Truth
@@ -67,12 +65,6 @@ def _setups(args: argparse.Namespace, warn: Callable[[str], None] = lambda _: No
     return node_setups(
         train_file, source, args.params, args.algorithm, namespace=args.namespace, foreign=foreign, warn=warn
     )
-
-
-def _mapped(setup: Setup, mapping: Mapping) -> Setup:
-    """Return a setup whose alignment fits a mapping."""
-    alignment = mapping.alignment(setup.settings.alignment)
-    return replace(setup, settings=replace(setup.settings, alignment=alignment))
 
 
 def _check_outputs(args: argparse.Namespace) -> None:
@@ -122,7 +114,7 @@ def _replay(args: argparse.Namespace, bag: Path, advance: Callable[[float], None
         reader = stack.enter_context(BagReader(bag, args.namespace, args.max_chunk, inputs))
         observers, traces = _observers(stack, out, report)
         start = time.perf_counter()
-        pipelines = Pipelines(*(_mapped(setup, reader.mapping).pipeline() for setup in setups))
+        pipelines = Pipelines(*(setup.mapped(reader.mapping).pipeline() for setup in setups))
         count = max(reader.input_count, 1)
         outcome = replay_through(pipelines, reader, lambda amount: advance(amount / count), observers)
         wall_s = time.perf_counter() - start

@@ -79,6 +79,8 @@ class EstimatorPipeline(Generic[EstimateT]):
         self._rejected = 0
         self.used = 0
         self.samples = 0
+        # Number of outputs by status.
+        self.statuses = [0] * len(Status)
         self.last_rejection: Rejection | None = None
         self._speed = 0.0
         self._sample_ns = 0
@@ -141,6 +143,7 @@ class EstimatorPipeline(Generic[EstimateT]):
         for event in events:
             if isinstance(event, Sample):
                 self._step(event)
+                self.statuses[self._status] += 1
                 if publish is not None:
                     publish(self.current())
             elif isinstance(event, Rejection):
@@ -149,6 +152,7 @@ class EstimatorPipeline(Generic[EstimateT]):
                 self._start_over()
         if self._status not in (Status.STALE, Status.FAULT) and self.stream.is_input_missing(self._stale_ns):
             self._status = Status.STALE
+            self.statuses[Status.STALE] += 1
             if publish is not None:
                 publish(self.current())
 

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
@@ -39,6 +39,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from trainid_ros.estimators.algorithm_registry import Algorithms
+    from trainid_ros.mapping.mapping import Mapping as InputMapping
     from trainid_ros.train.train_file import TrainFile
 
 
@@ -143,6 +144,11 @@ class Setup:
     def pipeline(self) -> EstimatorPipeline[Any]:
         """Return the pipeline that the node would run."""
         return self.job.pipeline(self.train_file, self.settings)
+
+    def mapped(self, mapping: InputMapping) -> Setup:
+        """Return the setup whose alignment fits a mapping."""
+        alignment = mapping.alignment(self.settings.alignment)
+        return replace(self, settings=replace(self.settings, alignment=alignment))
 
 
 def node_setups(

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``trainid fleet`` through the command line: table, plan, failures, resuming, a cluster."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from shutil import copytree
+from typing import TYPE_CHECKING, Any
+
+import pytest
+
+from trainid_ros.cli.main import main
+from trainid_ros.fleet.table_file import read_table
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+NAMES = ('T1/one', 'T1/two', 'T2/one', 'T2/two')
+
+
+@pytest.fixture
+def depot(driven_bag: Path, tmp_path: Path) -> Path:
+    """Return a folder with bags of two trains and a broken one."""
+    for name in NAMES:
+        copytree(driven_bag, tmp_path / 'depot' / name)
+    (tmp_path / 'depot/T2/broken.mcap').write_text('no bag', encoding='utf-8')
+    return tmp_path / 'depot'
+
+
+def fleet(depot: Path, *options: str, out: str = 't.csv') -> list[str]:
+    train, table = depot / 'T1/one/train.yaml', depot.parent / out
+    return ['fleet', str(depot), '--train', str(train), '--out', str(table), *options]
+
+
+def summary(capsys: pytest.CaptureFixture[str]) -> dict[str, Any]:
+    found: dict[str, Any] = json.loads(capsys.readouterr().out)
+    return found
+
+
+def test_one_row_per_bag_and_failures_are_rows(depot: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(fleet(depot, '--json', '--jobs', '2', out='t.parquet')) == 0
+    shown = summary(capsys)
+    assert (shown['bags'], shown['known'], shown['errors'], shown['trains']) == (5, 0, 1, 2)
+    rows, about = read_table(depot.parent / 't.parquet')
+    assert [row['bag'] for row in rows] == sorted(str(depot / name) for name in (*NAMES, 'T2/broken.mcap'))
+    assert [row['train'] for row in rows] == ['T1', 'T1', 'T2', 'T2', 'T2']
+    assert [row['w15'] is None for row in rows] == [bool(row['error']) for row in rows]
+    assert about['setup']['train'] == str(depot / 'T1/one/train.yaml')
+    plan = json.loads((depot.parent / 't.parquet.plan.json').read_text(encoding='utf-8'))
+    assert [bag['path'] for bag in plan['bags']] == [row['bag'] for row in rows]
+
+
+def test_a_run_goes_on_where_another_was_killed(depot: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    rows = depot.parent / 't.csv.rows.jsonl'
+    with subprocess.Popen([sys.executable, '-m', 'trainid_ros.cli.main', *fleet(depot, '--jobs', '1')]) as process:
+        while not (rows.exists() and rows.read_bytes().count(b'\n')):
+            assert process.poll() is None
+            time.sleep(0.001)
+        process.send_signal(signal.SIGKILL)
+    done = rows.read_bytes().count(b'\n')
+    assert main(fleet(depot, '--json', '--jobs', '1')) == 0
+    assert summary(capsys)['known'] == done < 5
+    first = read_table(depot.parent / 't.csv')
+    assert main(fleet(depot, '--json', '--jobs', '1', out='whole.csv')) == 0
+    assert first == read_table(depot.parent / 'whole.csv')
+
+
+def test_what_has_changed_is_replayed_again(depot: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(fleet(depot, '--jobs', '1')) == 0
+    file = next((depot / 'T1/one').glob('*.mcap'))
+    os.utime(file, ns=(0, 0))
+    capsys.readouterr()
+    assert main(fleet(depot, '--json', '--jobs', '1')) == 0
+    assert summary(capsys)['known'] == 3
+    train = depot / 'T1/one/train.yaml'
+    train.write_text(train.read_text(encoding='utf-8') + '\n', encoding='utf-8')
+    assert main(fleet(depot, '--json', '--jobs', '1')) == 0
+    assert summary(capsys)['known'] == 0
+
+
+@pytest.mark.parametrize(
+    ('options', 'problem'),
+    [
+        (('--label', 'x'), 'has no named group'),
+        (('--map', 'none.yaml'), 'none.yaml: cannot be read'),
+        (('--out', 't.xlsx'), 'ends with .parquet or .csv'),
+        (('--scheduler', 'tcp://127.0.0.1:1'), '--scheduler tcp://127.0.0.1:1: cannot be reached'),
+    ],
+)
+def test_bad_usage_is_one_line(
+    options: tuple[str, str], problem: str, depot: Path, capsys: pytest.CaptureFixture[str], monkeypatch: Any
+) -> None:
+    monkeypatch.setattr('trainid_ros.fleet.cluster.CONNECT_S', 0.2)
+    assert main(fleet(depot, *options)) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert problem in line
+
+
+def test_no_usable_bag_is_bad_input(depot: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    only = [str(depot / 'T2/broken.mcap'), *fleet(depot)[2:]]
+    assert main(['fleet', *only]) == 2
+    assert 'broken.mcap: is not an MCAP file' in capsys.readouterr().err

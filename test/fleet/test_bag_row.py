@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A row holds what ``trainid replay`` prints; failures are rows too."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import pytest
+
+from trainid_ros.cli.main import main
+from trainid_ros.fleet.bag_row import bag_row, killed_row
+from trainid_ros.fleet.columns import COLUMNS, NAMES
+from trainid_ros.fleet.plan import PlannedBag, Setup
+from trainid_ros.results import Status
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+KINDS = {'text': str, 'float': float, 'int': int, 'time': float}
+
+
+def test_numbers_are_those_of_replay(tiny: Path, setup: Setup, capsys: pytest.CaptureFixture[str]) -> None:
+    done: list[float] = []
+    bag = PlannedBag(str(tiny), start_s=1.0, train='T1', day='2026-01-31')
+    row = bag_row(setup, 'r1', bag, done.append)
+    assert sum(done) == pytest.approx(1.0)
+    assert main(['replay', str(tiny), '--train', str(setup.train), '--json']) == 0
+    shown = json.loads(capsys.readouterr().out)
+    w = shown['resistance']
+    assert [row[name] for name in 'abc'] == [w[name] for name in 'abc']
+    assert [row[f'{name}_std'] for name in 'abc'] == w['std']
+    assert row['w15'] == w['a'] + w['b'] * 15 + w['c'] * 225
+    assert (row['brake_rate'], row['brake_rate_std']) == (shown['brake_rate']['value'], shown['brake_rate']['std'])
+    assert (row['used'], row['status'], row['duration_s']) == (shown['used'], w['status'], shown['duration_s'])
+    assert {name: row[f'rejected_{name.lower()}'] for name in shown['rejected']} == shown['rejected']
+    assert row['rejected'] == sum(shown['rejected'].values())
+    assert sum(row[f'share_{status.name.lower()}'] for status in Status) == pytest.approx(1.0)
+    assert row['share_valid'] > 0.0
+    assert (row['train'], row['day'], row['line'], row['revision']) == ('T1', '2026-01-31', None, 'r1')
+
+
+def test_rows_have_the_columns_and_their_types(tiny: Path, setup: Setup) -> None:
+    row = bag_row(setup, 'r1', PlannedBag(str(tiny), start_s=1.0), lambda _: None)
+    assert tuple(row) == NAMES
+    for column in COLUMNS:
+        assert row[column.name] is None or type(row[column.name]) is KINDS[column.kind], column.name
+
+
+def test_failures_are_rows(tmp_path: Path, setup: Setup) -> None:
+    bag = PlannedBag(str(tmp_path / 'none'), train='T1')
+    row = bag_row(setup, 'r1', bag, lambda _: None)
+    assert (row['train'], row['status'], row['error']) == ('T1', None, f'{bag.path}: no such bag')
+    assert bag_row(setup, 'r1', replace(bag, error='is empty'), lambda _: None)['error'] == 'is empty'
+    assert 'killed' in killed_row('r1', bag)['error']

@@ -1,0 +1,42 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from trainid_ros.errors import InputError
+from trainid_ros.fleet.labels import day_of, label_rule
+
+BAG = Path('/depot/line7/T042/2026-01-31_rain')
+
+
+def test_without_a_pattern_the_train_is_the_folder_unless_the_recording_says_it() -> None:
+    rule = label_rule(None)
+    assert rule.labels(BAG, {}) == {'train': 'T042', 'line': '', 'weather': '', 'day': ''}
+    assert rule.labels(BAG, {'train': 'other', 'line': '7', 'driver': 'x'})['train'] == 'other'
+
+
+def test_a_pattern_comes_before_what_the_recording_says() -> None:
+    rule = label_rule(r'line(?P<line>\d+)/(?P<train>\w+)/(?P<day>[-\d]+)_(?P<weather>\w+)')
+    found = rule.labels(BAG, {'train': 'other'})
+    assert found == {'train': 'T042', 'line': '7', 'weather': 'rain', 'day': '2026-01-31'}
+    with pytest.raises(InputError, match=r'/x: --label .* does not fit the path'):
+        rule.labels(Path('/x'), {})
+
+
+@pytest.mark.parametrize(
+    ('pattern', 'problem'),
+    [('(', 'unterminated'), ('(?P<depot>x)', "a group 'depot'"), ('x', 'no named group')],
+)
+def test_a_pattern_that_cannot_be_used_is_an_error(pattern: str, problem: str) -> None:
+    with pytest.raises(InputError, match=problem):
+        label_rule(pattern)
+
+
+def test_days_have_one_form() -> None:
+    assert day_of('20260131', None, BAG) == day_of('2026_01_31', 0.0, BAG) == '2026-01-31'
+    assert day_of('', 86400.0, BAG) == '1970-01-02'
+    assert day_of('', None, BAG) is None
+    with pytest.raises(InputError, match="label day 'monday' is not a day"):
+        day_of('monday', None, BAG)

@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``trainid fleet``: replay the bags of a fleet into a table, one row per bag."""
+
+from __future__ import annotations
+
+from collections import Counter
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any, Final
+
+from trainid_ros.bag.worker_pool import processors
+from trainid_ros.cli.output import EXIT_BAD_INPUT, EXIT_NO_ANSWER, print_json, progress, report_error, show, warn
+from trainid_ros.fleet.bag_row import check_setup
+from trainid_ros.fleet.labels import label_rule
+from trainid_ros.fleet.listing import find_bags, list_bags
+from trainid_ros.fleet.plan import Setup, make_plan
+from trainid_ros.fleet.run_fleet import Files, known_rows, rows_here, run_plan
+from trainid_ros.fleet.table_file import check_table
+from trainid_ros.plural import pluralise
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Iterator
+
+    from trainid_ros.fleet.columns import Row
+    from trainid_ros.fleet.plan import Plan
+    from trainid_ros.fleet.run_fleet import Rows
+
+_NAMED_ERRORS: Final = 3
+
+
+def run(args: argparse.Namespace) -> int:
+    """Replay all bags and write the table; return the exit code.
+
+    Raises:
+        InputError: Train file, mapping, labels or bags cannot be used, or the table cannot be written.
+
+    """
+    check_table(args.out)
+    files = Files(args.out)
+    plan = _plan(args)
+    args.out.parent.mkdir(parents=True, exist_ok=True)
+    plan.write(files.plan)
+    known = known_rows(plan, files)
+    with progress('replay', total=len(plan.bags), unit='bags') as advance, _rows(args) as rows:
+        advance(len(known))
+        table = run_plan(plan, files, known, rows, advance)
+    return _report(args, table, len(known))
+
+
+def _plan(args: argparse.Namespace) -> Plan:
+    """Return the plan: all bags listed, none decoded.
+
+    Raises:
+        InputError: Train file, mapping, labels or bags cannot be used.
+
+    """
+    rule = label_rule(args.label)
+    setup = Setup(args.train, args.params, args.map, args.namespace, args.max_chunk)
+    check_setup(setup)
+    bags = find_bags(args.bags)
+    with progress('list', total=len(bags), unit='bags') as advance:
+        return make_plan(setup, list_bags(bags, rule, advance))
+
+
+@contextmanager
+def _rows(args: argparse.Namespace) -> Iterator[Rows]:
+    """Yield what replays bags, here or on a cluster."""
+    if args.scheduler is None:
+        yield rows_here(args.jobs or processors())
+        return
+    from trainid_ros.fleet.cluster import rows_on_cluster  # noqa: PLC0415 - optional
+
+    with rows_on_cluster(args.scheduler) as rows:
+        yield rows
+
+
+def _report(args: argparse.Namespace, table: list[Row], known: int) -> int:
+    """Print a summary; return the exit code: failures are rows, so one estimate is enough for success."""
+    errors = [row for row in table if row['error']]
+    for row in errors[:_NAMED_ERRORS]:
+        report_error(row['error'] if row['bag'] in row['error'] else f'{row["bag"]}: {row["error"]}')
+    if len(errors) > _NAMED_ERRORS:
+        warn(f'{len(errors) - _NAMED_ERRORS} more bags without an estimate, see the column error of {args.out}')
+    summary = {
+        'out': args.out,
+        'bags': len(table),
+        'known': known,
+        'errors': len(errors),
+        'trains': len({row['train'] for row in table} - {None}),
+        'days': len({row['day'] for row in table} - {None}),
+        'statuses': Counter(row['status'] or 'NONE' for row in table),
+    }
+    if args.json:
+        print_json(summary)
+    else:
+        show(_text(summary))
+    if len(errors) < len(table):
+        return 0
+    return EXIT_BAD_INPUT if all(row['status'] is None for row in table) else EXIT_NO_ANSWER
+
+
+def _text(summary: dict[str, Any]) -> str:
+    counts = (pluralise(summary[f'{word}s'], word) for word in ('bag', 'train', 'day'))
+    more = ((summary['known'], 'replayed before'), (summary['errors'], 'without an estimate'))
+    return '; '.join((f'{summary["out"]}: {", ".join(counts)}', *(f'{count} {what}' for count, what in more if count)))

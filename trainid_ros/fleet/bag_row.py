@@ -1,0 +1,147 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The row of one bag: replayed as by ``trainid replay``; a failure is a row with an error."""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from trainid_ros.bag.bag_replay import Pipelines, Replay, replay_through
+from trainid_ros.bag.worker_pool import killed_message
+from trainid_ros.errors import TrainIdError
+from trainid_ros.estimators.force_findings import force_findings
+from trainid_ros.fleet.columns import SPEEDS, Row, empty_row, reason_column, share_column
+from trainid_ros.fleet.labels import day_of
+from trainid_ros.fleet.odometer import OdometerReader
+from trainid_ros.mapping.mapped_inputs import mapped_inputs
+from trainid_ros.records import NS_PER_S
+from trainid_ros.results import Status
+from trainid_ros.ros.jobs import node_setups
+from trainid_ros.train.train_file import load_train_file
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from trainid_ros.fleet.plan import PlannedBag, Setup
+    from trainid_ros.mapping.mapped_inputs import MappedInputs
+    from trainid_ros.results import ResistanceEstimate
+    from trainid_ros.ros.jobs import Setup as NodeSetup
+
+
+def bag_row(setup: Setup, revision: str, bag: PlannedBag, advance: Callable[[float], None]) -> Row:
+    """Return the row of a bag.
+
+    Args:
+        setup: How it is replayed.
+        revision: What computes.
+        bag: The bag as listed.
+        advance: Called with the share done since its last call.
+
+    """
+    row = listed_row(bag, revision)
+    if bag.error:
+        advance(1.0)
+        return row
+    try:
+        _replay(setup, bag, row, advance)
+    except TrainIdError as error:
+        row['error'] = str(error)
+    except OSError as error:
+        row['error'] = f'{error.filename or bag.path}: {error.strerror}'
+    return row
+
+
+def killed_row(revision: str, bag: PlannedBag) -> Row:
+    """Return the row of a bag whose process was killed."""
+    return listed_row(bag, revision) | {'error': killed_message(Path(bag.path))}
+
+
+def listed_row(bag: PlannedBag, revision: str) -> Row:
+    """Return what the list says of a bag."""
+    row = empty_row() | {'bag': bag.path, 'start': bag.start_s, 'revision': revision}
+    row |= {name: getattr(bag, name) or None for name in ('train', 'line', 'weather', 'day', 'error')}
+    return row
+
+
+@lru_cache(maxsize=1)
+def _prepared(setup: Setup) -> tuple[tuple[NodeSetup, ...], Callable[[], MappedInputs] | None]:
+    """Return setups of the nodes and what makes the inputs, read once in each process."""
+    train_file = load_train_file(setup.train)
+    setups = node_setups(train_file, str(setup.train), setup.params, namespace=setup.namespace)
+    return setups, mapped_inputs(setup.mapping, setups[0].train_file)
+
+
+def check_setup(setup: Setup) -> None:
+    """Raise InputError if train file, parameters or mapping cannot be used."""
+    _prepared(setup)
+
+
+def _replay(setup: Setup, bag: PlannedBag, row: Row, advance: Callable[[float], None]) -> None:
+    """Replay a bag and fill its row.
+
+    Raises:
+        InputError: It cannot be used.
+
+    """
+    setups, inputs = _prepared(setup)
+    with OdometerReader(Path(bag.path), setup.namespace, setup.max_chunk, inputs) as reader:
+        pipelines = Pipelines(*(item.mapped(reader.mapping).pipeline() for item in setups))
+        count = max(reader.input_count, 1)
+        outcome = replay_through(pipelines, reader, lambda amount: advance(amount / count))
+        span = reader.time_range()
+    if row['start'] is None and span is not None:  # the bag has no index
+        row['start'] = span[0] / NS_PER_S
+        row['day'] = row['day'] or day_of('', row['start'], Path(bag.path))
+    row |= {'duration_s': outcome.duration_s, 'warnings': '; '.join(reader.warnings) or None}
+    row |= _resistance(outcome) | _brake(outcome)
+    row['mass_factor'] = _known(outcome.speed_model.output.estimate.mass_factor)
+    if (ratio := reader.odometer.ratio) is not None:
+        row['wheel_ratio'], row['wheel_ratio_std'] = ratio
+
+
+def _resistance(outcome: Replay) -> Row:
+    result = outcome.resistance
+    w = result.output.estimate
+    row: Row = {
+        'status': result.output.status.name,
+        'used': result.output.used,
+        'rejected': result.output.rejected,
+        'finding': '; '.join(filter(None, (outcome.finding, *force_findings(w)))) or None,
+    }
+    row |= {reason_column(reason): count for reason, count in result.rejections}
+    outputs = max(1, sum(result.statuses))
+    row |= {share_column(status): result.statuses[status] / outputs for status in Status}
+    if not (result.output.used and w.speed_max > 0.0):
+        return row | {'error': f'nothing was learned of the resistance: {result.samples} samples, none used'}
+    return row | _davis(w)
+
+
+def _davis(w: ResistanceEstimate) -> Row:
+    row: Row = {'a': w.a, 'b': w.b, 'c': w.c, 'speed_min': w.speed_min, 'speed_max': w.speed_max}
+    for i, name in enumerate('abc'):
+        row[f'{name}_std'] = math.sqrt(max(0.0, w.covariance[4 * i]))
+    for v in SPEEDS:
+        phi = (1.0, float(v), float(v * v))
+        variance = sum(phi[i] * phi[j] * w.covariance[3 * i + j] for i in range(3) for j in range(3))
+        row[f'w{v}'], row[f'w{v}_std'] = w.a + w.b * v + w.c * v * v, math.sqrt(max(0.0, variance))
+    for name in ('force_scale', 'force_scale_std', 'force_delay', 'force_delay_std'):
+        row[name] = _known(getattr(w, name))
+    return row
+
+
+def _brake(outcome: Replay) -> Row:
+    result = outcome.brake_rate
+    if not result.output.used:
+        return {'brake_status': result.output.status.name, 'brake_used': 0}
+    return {
+        'brake_rate': result.output.estimate.brake_rate,
+        'brake_rate_std': result.output.estimate.brake_rate_std,
+        'brake_status': result.output.status.name,
+        'brake_used': result.output.used,
+    }
+
+
+def _known(value: Any) -> float | None:
+    return float(value) if math.isfinite(value) else None

@@ -1,0 +1,121 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The plan of a fleet: which bags are replayed, and how; a file beside the table."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass
+from hashlib import sha256
+from pathlib import Path
+from typing import Any, Final
+
+import trainid_ros
+from trainid_ros.compiled import digest
+from trainid_ros.fleet.files import write_whole
+
+_FORMAT: Final = 1
+
+
+@dataclass(frozen=True, slots=True)
+class PlannedBag:
+    """One bag as listed.
+
+    Attributes:
+        path: The bag.
+        size: Size of its files [bytes].
+        modified_ns: When they were changed last [ns].
+        start_s: Time of its first message [s], None if it has no index.
+        messages: Number of messages, None if it has no index.
+        train: Label of the train, '' if unknown; the other labels likewise.
+        line: Line.
+        weather: Weather.
+        day: Day, YYYY-MM-DD.
+        error: Why it cannot be used, '' if it can.
+
+    """
+
+    path: str
+    size: int = 0
+    modified_ns: int = 0
+    start_s: float | None = None
+    messages: int | None = None
+    train: str = ''
+    line: str = ''
+    weather: str = ''
+    day: str = ''
+    error: str = ''
+
+
+@dataclass(frozen=True, slots=True)
+class Setup:
+    """How all bags are replayed; files by their paths.
+
+    Attributes:
+        train: Train file.
+        params: ROS parameter file, None for the defaults.
+        mapping: Mapping file, None for our own topics.
+        namespace: Namespace of the topics.
+        max_chunk: Largest chunk of a bag to unpack [bytes].
+
+    """
+
+    train: Path
+    params: Path | None
+    mapping: Path | None
+    namespace: str
+    max_chunk: int
+
+
+@dataclass(frozen=True, slots=True)
+class Plan:
+    """What is to be done.
+
+    Attributes:
+        setup: How.
+        hashes: SHA-256 of the files of the setup by name, '' for those not given.
+        revision: What computes.
+        bags: The bags.
+
+    """
+
+    setup: Setup
+    hashes: dict[str, str]
+    revision: str
+    bags: tuple[PlannedBag, ...]
+
+    def key(self, bag: PlannedBag) -> str:
+        """Return a digest of all that determines the row of a bag: the same digest, the same row."""
+        setup = (*sorted(self.hashes.items()), self.setup.namespace, self.setup.max_chunk, self.revision)
+        return sha256(json.dumps([asdict(bag), *setup]).encode()).hexdigest()[:32]
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the contents of the file."""
+        setup = {name: None if value is None else str(value) for name, value in asdict(self.setup).items()}
+        return {
+            'format': _FORMAT,
+            'revision': self.revision,
+            'setup': {**setup, 'max_chunk': self.setup.max_chunk},
+            'sha256': self.hashes,
+            'bags': [asdict(bag) for bag in self.bags],
+        }
+
+    def write(self, path: Path) -> None:
+        """Write the plan.
+
+        Raises:
+            InputError: It cannot be written.
+
+        """
+        write_whole(path, lambda part: part.write_text(json.dumps(self.to_json(), indent=1) + '\n', encoding='utf-8'))
+
+
+def make_plan(setup: Setup, bags: tuple[PlannedBag, ...]) -> Plan:
+    """Return the plan of bags; OSError if a file of the setup cannot be read."""
+    files = {'train': setup.train, 'params': setup.params, 'mapping': setup.mapping}
+    hashes = {name: '' if path is None else sha256(path.read_bytes()).hexdigest() for name, path in files.items()}
+    return Plan(setup, hashes, revision(), bags)
+
+
+def revision() -> str:
+    """Return the version and a digest of the sources of the modules that compute."""
+    return f'{trainid_ros.__version__}+{digest(Path(trainid_ros.__file__).parent)[:12]}'
