@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from trainid_ros.bag.worker_pool import map_bags, processors
+from trainid_ros.bag.worker_pool import each_bag, map_bags, processors
 from trainid_ros.errors import InputError
 
 if TYPE_CHECKING:
@@ -63,6 +63,11 @@ def test_results_and_progress_are_those_of_one_process(work: Any) -> None:
     assert [value for value, _ in there] == [9, 1, 4]
     assert os.getpid() not in {process for _, process in there}
     assert sum(steps) == 3.0
+
+
+def test_results_of_many_items_come_as_they_are_done(work: Any) -> None:
+    found = dict(each_bag(work.square, range(40), 2, lambda _: None, killed))
+    assert {number: value for number, (value, _) in found.items()} == {k: k * k for k in range(40)}
 
 
 def test_an_error_in_a_process_is_raised(work: Any) -> None:

@@ -77,7 +77,7 @@ def each_bag(
     progress = _Progress(len(items), advance)
     left = dict(enumerate(items))
     while left:
-        for number, result in _finished(work, left, workers, progress):
+        for number, result in _finished(work, dict(left), workers, progress):
             del left[number]
             yield number, result
         for number in [number for number in left if progress.begun[number]]:

@@ -1,0 +1,241 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Linear mixed model of one channel: what trains have in common, and what is each train's own.
+
+    y_n = mu + u_train(n) + sum_k b_k(n) + e_n,   u ~ N(0, s_T^2),   b_k ~ N(0, s_k^2),   e_n ~ N(0, v_n)
+    v_n = (kappa^2 std_n^2 + s_E^2) / omega_n
+
+with a common effect b for each line, weather, day, and line on a day. The standard deviations s and the factor kappa on
+what the estimators state (an error that a train repeats every day is in u, not in e) maximise the marginal likelihood
+with mu, u and b integrated out (empirical Bayes; with a flat prior of mu this is REML). Trains are eliminated first, so
+that a system of the size of the common effects is left (Henderson's equations and their Schur complement).
+
+omega are the weights of Student's t (iteratively reweighted least squares), so that single bad runs do not count; its
+degrees of freedom are those under which the residuals are most likely.
+
+Sources: Harville, J. Am. Stat. Assoc. 72 (1977) 320; Henderson, Biometrics 31 (1975) 423; Lange, Little and Taylor,
+J. Am. Stat. Assoc. 84 (1989) 881.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, NamedTuple
+
+import numpy as np
+from scipy.linalg import cho_factor, cho_solve
+from scipy.optimize import minimize
+
+if TYPE_CHECKING:
+    from numpy.typing import NDArray
+
+    from trainid_ros.fleet.channels import Cells, Labels
+
+    Array = NDArray[np.float64]
+    Numbers = NDArray[np.intp]
+
+DEGREES: Final = (4.0, 8.0, 16.0, 32.0)
+"""Degrees of freedom of Student's t among which the data choose."""
+_ROUNDS: Final = 4
+# A day's effect is the mean of its trains; with fewer on most days it would take away what is a train's own.
+_LEAST_TRAINS: Final = 4
+# Logarithms of variances relative to that of the data.
+_BOUNDS: Final = (-14.0, 4.0)
+_TOLERANCE: Final = 1e-6
+
+
+@dataclass(frozen=True, slots=True)
+class Effects:
+    """Random effects that trains have in common, numbered through; number 0 is the mean of the fleet.
+
+    Attributes:
+        of_cell: Effects of each cell, shape (n, 1 + factors).
+        factor: Factor of each effect, shape (m,); -1 for the mean, whose prior is flat.
+        names: Names of the factors.
+
+    """
+
+    of_cell: Numbers
+    factor: Numbers
+    names: tuple[str, ...]
+
+    def at_cells(self, b: Array) -> Array:
+        """Return the sum of the effects of each cell, shape (n,)."""
+        found: Array = b[self.of_cell].sum(axis=1)
+        return found
+
+
+@dataclass(frozen=True, slots=True)
+class MixedFit:
+    """The fitted model of one channel.
+
+    Attributes:
+        mean: Mean of the fleet.
+        train: Effect of each train, shape (trains,), 0 where it has no cell; and its standard deviation.
+        train_std: See ``train``.
+        common: Mean and common effects of each cell, shape (n,), and their variance.
+        common_variance: See ``common``.
+        variance: Variance of each cell, without the weights, shape (n,).
+        stds: Standard deviation of the effects by name; 'train', 'error', and the factor 'stated' [1].
+        degrees: Degrees of freedom of the errors.
+
+    """
+
+    mean: float
+    train: Array
+    train_std: Array
+    common: Array
+    common_variance: Array
+    variance: Array
+    stds: dict[str, float]
+    degrees: float
+
+
+def common_effects(cells: Cells, labels: Labels) -> Effects:
+    """Return the effects that can be told apart: those with two levels or more, and days with trains enough."""
+    factors = [('line', cells.line), ('weather', cells.weather)]
+    if np.median(np.bincount(cells.day)[np.unique(cells.day)]) >= _LEAST_TRAINS:
+        factors.append(('day', cells.day))
+        if len(labels.lines) > 1:
+            factors.append(('line on a day', cells.day * len(labels.lines) + cells.line))
+    names: list[str] = []
+    columns, owners = [np.zeros(cells.value.size, dtype=np.intp)], [-1]
+    for name, level in factors:
+        levels, column = np.unique(level, return_inverse=True)
+        if levels.size > 1:
+            columns.append(column + len(owners))
+            owners += [len(names)] * levels.size
+            names.append(name)
+    return Effects(np.stack(columns, axis=1), np.array(owners), tuple(names))
+
+
+class _Problem:
+    """Marginal likelihood and effects for given variances.
+
+    Args:
+        cells: Values.
+        effects: Effects in common.
+        trains: Number of trains.
+        used: Cells that count, shape (n,).
+
+    """
+
+    def __init__(self, cells: Cells, effects: Effects, trains: int, used: NDArray[np.bool_]) -> None:
+        self.cells, self.effects, self.used, self._trains = cells, effects, used, trains
+        self.weights = used.astype(float)
+        # Unit of the variances, so that their logarithms are near zero.
+        unit = _robust_variance(cells.value[used])
+        self._units = np.array([1.0, unit, unit, *np.full(len(effects.names), unit)])
+
+    def variances(self, x: Array) -> Array:
+        """Return kappa^2, s_E^2, s_T^2 and that of each common effect for their logarithms."""
+        found: Array = np.exp(x) * self._units
+        return found
+
+    def loss(self, x: Array) -> float:
+        """Return -ln L for logarithms of the variances."""
+        return self.solve(x).loss
+
+    def solve(self, x: Array) -> _Solution:
+        """Return the effects for logarithms of the variances."""
+        kappa2, error, train, *common = self.variances(x).tolist()
+        v = kappa2 * self.cells.std**2 + error
+        w = self.weights / v
+        y, factor = self.cells.value, self.effects.factor
+        prior = np.where(factor < 0, 0.0, 1.0 / np.array([*common, 1.0])[factor])
+        of_train = np.bincount(self.cells.train, w, self._trains) + 1.0 / train
+        own = np.bincount(self.cells.train, w * y, self._trains)
+        coupling, system, rhs = self._sums(w, w * y)
+        system += np.diag(prior) - coupling.T @ (coupling / of_train[:, None])
+        rhs -= coupling.T @ (own / of_train)
+        cholesky = cho_factor(system, lower=True)
+        b = cho_solve(cholesky, rhs)
+        log_det = np.log(v[self.used]).sum() + np.log(of_train * train).sum() - np.log(prior[factor >= 0]).sum()
+        log_det += 2.0 * np.log(np.diag(cholesky[0])).sum()
+        square = y @ (w * y) - (own * own / of_train).sum() - rhs @ b
+        u = (own - coupling @ b) / of_train
+        return _Solution(0.5 * float(log_det + square), v, b, u, of_train, coupling, cholesky)
+
+    def _sums(self, w: Array, wy: Array) -> tuple[Array, Array, Array]:
+        """Return sums of the weights by train and effect (trains, m), by two effects (m, m), and of w y by effect."""
+        m, columns = self.effects.factor.size, self.effects.of_cell.T
+        coupling, system, rhs = np.zeros(self._trains * m), np.zeros(m * m), np.zeros(m)
+        for column in columns:
+            coupling += np.bincount(self.cells.train * m + column, w, coupling.size)
+            rhs += np.bincount(column, wy, m)
+            for other in columns:
+                system += np.bincount(column * m + other, w, system.size)
+        return coupling.reshape(-1, m), system.reshape(m, m), rhs
+
+
+class _Solution(NamedTuple):
+    """-ln L, variances v (n,), effects b (m,) and u (trains,), and what their variances are made of."""
+
+    loss: float
+    v: Array
+    b: Array
+    u: Array
+    of_train: Array
+    coupling: Array
+    cholesky: tuple[Array, bool]
+
+
+def fit(cells: Cells, labels: Labels, used: NDArray[np.bool_] | None = None) -> MixedFit:
+    """Fit the model.
+
+    Args:
+        cells: Values.
+        labels: Names of trains and so on.
+        used: Cells that count, shape (n,); all if None. The others only get their common effects.
+
+    """
+    used = np.ones(cells.value.size, dtype=np.bool_) if used is None else used
+    problem = _Problem(cells, common_effects(cells, labels), len(labels.trains), used)
+    x, degrees = np.array([-1.0, -3.0, -1.0, *np.full(len(problem.effects.names), -2.0)]), DEGREES[1]
+    for _ in range(_ROUNDS):
+        x = minimize(problem.loss, x, method='L-BFGS-B', bounds=[_BOUNDS] * x.size, options={'ftol': _TOLERANCE}).x
+        solution = problem.solve(x)
+        z2 = (cells.value - problem.effects.at_cells(solution.b) - solution.u[cells.train]) ** 2 / solution.v
+        degrees = _likeliest_degrees(z2[used])
+        problem.weights = used * (degrees + 1.0) / (degrees + z2)
+    return _fit_of(problem, x, degrees)
+
+
+def _fit_of(problem: _Problem, x: Array, degrees: float) -> MixedFit:
+    solution, effects = problem.solve(x), problem.effects
+    inverse = cho_solve(solution.cholesky, np.eye(solution.b.size))
+    spread = sum(inverse[one, other] for one in effects.of_cell.T for other in effects.of_cell.T)
+    gain = solution.coupling / solution.of_train[:, None]
+    train_variance = 1.0 / solution.of_train + ((gain @ inverse) * gain).sum(axis=1)
+    return MixedFit(
+        mean=float(solution.b[0]),
+        train=solution.u,
+        train_std=np.sqrt(train_variance),
+        common=effects.at_cells(solution.b),
+        common_variance=np.asarray(spread),
+        variance=solution.v,
+        stds=dict(zip(_stds(effects), np.sqrt(problem.variances(x)).tolist(), strict=True)),
+        degrees=degrees,
+    )
+
+
+def _stds(effects: Effects) -> tuple[str, ...]:
+    return ('stated', 'error', 'train', *effects.names)
+
+
+def _robust_variance(values: Array) -> float:
+    """Return the variance of normal values with this median absolute deviation; not zero."""
+    deviation = 1.4826 * float(np.median(np.abs(values - np.median(values))))
+    return max(deviation, 1e-6 * float(np.abs(values).max()), 1e-12) ** 2
+
+
+def log_t(z2: Array, degrees: float) -> Array:
+    """Return ln of the density of Student's t at squared standardised values, without the scale."""
+    half = 0.5 * (degrees + 1.0)
+    constant = math.lgamma(half) - math.lgamma(0.5 * degrees) - 0.5 * math.log(math.pi * degrees)
+    return constant - half * np.log1p(z2 / degrees)
+
+
+def _likeliest_degrees(z2: Array) -> float:
+    """Return the degrees of freedom that fit the standardised residuals best."""
+    return max(DEGREES, key=lambda degrees: float(log_t(z2, degrees).sum()))
