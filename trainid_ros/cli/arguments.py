@@ -15,6 +15,7 @@ DEMO_QUICK_S: Final = 300.0
 """Part of each bag that a quick demo plays [s]."""
 _MAX_CHUNK_MB: Final = 64
 _MOST_MB: Final = 4095  # offsets within a chunk have 32 bits
+_FALSE_ALARM_DAYS: Final = 20_000.0
 EXPLAIN_CHAPTER: Final = 'explain'
 """The chapter of the demo that hides and finds an effect."""
 
@@ -226,6 +227,13 @@ def configure_fleet_report(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--out', type=Path, metavar='REPORT.html', help='write a report with plots')
     parser.add_argument(
         '--explain', type=whole, default=0, metavar='N', help='name the cause for the N worst trains, from their bags'
+    )
+    parser.add_argument(
+        '--false-alarm-days',
+        type=positive,
+        default=_FALSE_ALARM_DAYS,
+        metavar='D',
+        help=f'train-days for one false alarm (default: {_FALSE_ALARM_DAYS:g})',
     )
     _add_json(parser)
 

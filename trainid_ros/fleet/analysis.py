@@ -10,7 +10,7 @@ import numpy as np
 
 from trainid_ros.errors import NoAnswerError
 from trainid_ros.fleet.causes import Cause, causes_of
-from trainid_ros.fleet.changes import FALSE_ALARM_DAYS, Change, Series, Step, find_changes
+from trainid_ros.fleet.changes import Change, Series, Step, find_changes
 from trainid_ros.fleet.channels import CHANNELS, Cells, Channel, Labels, cells_of, labels_of
 from trainid_ros.fleet.mixed_model import MixedFit, fit
 
@@ -114,7 +114,7 @@ class FleetView:
         return tuple(train for train in self.trains if train.stands_out)
 
 
-def analyse(rows: Sequence[Row], limit: float = FALSE_ALARM_DAYS) -> FleetView:
+def analyse(rows: Sequence[Row], limit: float) -> FleetView:
     """Return what stands out in the rows of a fleet.
 
     The model is fitted, changes are found, and the model is fitted again without what came after them.

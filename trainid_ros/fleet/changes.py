@@ -31,8 +31,6 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-FALSE_ALARM_DAYS: Final = 20_000.0
-"""C: train-days for one false alarm."""
 _SHARE: Final = 0.5  # q
 # A step is looked for among so many days before the newest, and needs so many days of data after it.
 _WINDOW: Final = 60
@@ -135,7 +133,7 @@ class _Segment:
         return mean, math.sqrt(max(0.0, float(weight @ (self.level - mean) ** 2)))
 
 
-def find_changes(channels: Sequence[Series], limit: float = FALSE_ALARM_DAYS) -> list[Change]:
+def find_changes(channels: Sequence[Series], limit: float) -> list[Change]:
     """Return the changes of a train, in order; the channels have the same days."""
     changes: list[Change] = []
     first, count = 0, channels[0].value.size

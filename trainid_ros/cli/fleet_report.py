@@ -1,0 +1,145 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``trainid fleet report``: which trains stand out in the tables of a fleet."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING, Any
+
+from trainid_ros.cli.output import HTML_START, check_output, print_json, progress, show
+from trainid_ros.fleet.run_fleet import Files
+from trainid_ros.fleet.table_file import read_table
+
+if TYPE_CHECKING:
+    import argparse
+    from collections.abc import Mapping
+
+    from trainid_ros.fleet.analysis import FleetView, TrainView
+    from trainid_ros.fleet.columns import Row
+    from trainid_ros.fleet.workflow import Named
+
+
+def run(args: argparse.Namespace) -> int:
+    """Analyse the tables, print what stands out, and write the report; return the exit code.
+
+    Raises:
+        InputError: A table cannot be read, or the report cannot be written.
+        NoAnswerError: The tables hold too little.
+
+    """
+    # Imported here: linear algebra takes long to load, and input errors should be reported without it.
+    from trainid_ros.fleet.analysis import analyse  # noqa: PLC0415
+
+    if args.out is not None:
+        check_output(args.out, args.tables, HTML_START)
+    rows, setup = _read(args)
+    view = analyse(rows, args.false_alarm_days)
+    named = _name_causes(args, view, rows, setup)
+    if args.out is not None:
+        _write(args, view, named)
+    if args.json:
+        print_json(to_json(view, args.false_alarm_days, named))
+    else:
+        show(describe(view, named))
+        if args.out is not None:
+            show(f'\nreport: {args.out}')
+    return 0
+
+
+def _read(args: argparse.Namespace) -> tuple[list[Row], Mapping[str, Any]]:
+    """Return the rows of all tables, each bag once, and how the last table was made."""
+    rows: dict[str, Row] = {}
+    about: dict[str, Any] = {}
+    for path in args.tables:
+        found, about = read_table(path)
+        if not about and Files(path).plan.is_file():
+            about = json.loads(Files(path).plan.read_text(encoding='utf-8'))
+        rows |= {row['bag']: row for row in found}
+    return list(rows.values()), about.get('setup', {})
+
+
+def _name_causes(
+    args: argparse.Namespace, view: FleetView, rows: list[Row], setup: Mapping[str, Any]
+) -> dict[str, Named]:
+    """Return what ``explain`` finds in the bags of the worst trains, by their names."""
+    worst = [train for train in view.found if train.changes][: args.explain]
+    if not worst:
+        return {}
+    from trainid_ros.fleet.workflow import name_cause  # noqa: PLC0415
+
+    named = {}
+    with progress('explain', total=len(worst), unit='trains') as advance:
+        for train in worst:
+            named[train.name] = name_cause(view, train, rows, setup)
+            advance(1.0)
+    return named
+
+
+def _write(args: argparse.Namespace, view: FleetView, named: Mapping[str, Named]) -> None:
+    # Imported here because matplotlib takes long to load and only reports need it.
+    from trainid_ros.report.fleet_report import fleet_page  # noqa: PLC0415
+    from trainid_ros.report.page import write_page  # noqa: PLC0415
+
+    notes = {name: (_named_text(found),) for name, found in named.items()}
+    names = ', '.join(str(path) for path in args.tables)
+    write_page(fleet_page(view, names, args.false_alarm_days, notes), args.out)
+
+
+def _named_text(named: Named) -> str:
+    from trainid_ros.report.words import parameters_text  # noqa: PLC0415
+
+    if named.problem:
+        return f'By its bags: no answer ({named.problem}).'
+    effects = '; '.join(f'{effect.name} ({effect.title}) with {parameters_text(effect)}' for effect in named.effects)
+    return f'By its bags ({named.verdict.replace("_", " ")}): {effects or "no effect that is new"}.'
+
+
+def describe(view: FleetView, named: Mapping[str, Named]) -> str:
+    """Return the findings as text."""
+    from trainid_ros.report.fleet_report import findings, summary  # noqa: PLC0415
+
+    blocks = [summary(view)]
+    for train in view.found:
+        lines = [*findings(view, train), *([_named_text(named[train.name])] if train.name in named else [])]
+        blocks.append('\n'.join((f'{train.name} (evidence {train.evidence:.0f})', *(f'  {line}' for line in lines))))
+    return '\n\n'.join(blocks)
+
+
+def to_json(view: FleetView, limit: float, named: Mapping[str, Named]) -> dict[str, Any]:
+    """Return the object of ``--json``."""
+    return {
+        'trains': len(view.labels.trains),
+        'days': view.labels.days,
+        'false_alarm_days': limit,
+        'channels': {
+            v.channel.name: {'mean': v.fit.mean, 'std': v.fit.stds, 'degrees': v.fit.degrees} for v in view.channels
+        },
+        'found': [_train(view, train) | _named(named.get(train.name)) for train in view.found],
+    }
+
+
+def _train(view: FleetView, train: TrainView) -> dict[str, Any]:
+    days, names = view.labels.days, [v.channel.name for v in view.channels]
+    return {
+        'train': train.name,
+        'evidence': train.evidence,
+        'changes': [
+            {
+                'day': days[change.day],
+                'certain': days[change.alarm],
+                'evidence': change.evidence,
+                'steps': {name: step and step._asdict() for name, step in zip(names, change.steps, strict=True)},
+            }
+            for change in train.changes
+        ],
+        'outliers': {o.channel.name: {'size': o.size, 'std': o.std, 'sigmas': o.sigmas} for o in train.outliers},
+        'causes': {cause.title: cause.probability for cause in train.causes},
+    }
+
+
+def _named(named: Named | None) -> dict[str, Any]:
+    """Return what ``explain`` found."""
+    if named is None:
+        return {}
+    effects = {effect.name: dict(effect.parameters) for effect in named.effects}
+    return {'explained': {'verdict': named.verdict or None, 'effects': effects, 'problem': named.problem}}
