@@ -97,12 +97,10 @@ def drive(
 ) -> Simulation:
     """Simulate one drive of a train; a fault acts if it is given."""
     rng = np.random.default_rng((seed, 3, train.number, day.number, run))
-    true, wheel_ratio = _true_train(train, day, fault)
+    true, wheel_ratio = _true_train(seed, train, day, fault)
     sensors = SensorModel(
         speed_quantum=0.2 / 3.6,
         wheel_ratio=wheel_ratio,
-        map_error=_MAP_STD,
-        map_error_length=300.0,
         force_delay=train.force_delay,
     )
     scenario = Scenario(
@@ -118,7 +116,7 @@ def drive(
     return simulate(scenario, rng)
 
 
-def _true_train(train: FleetTrain, day: FleetDay, fault: Fault | None) -> tuple[TrainFile, float]:
+def _true_train(seed: int, train: FleetTrain, day: FleetDay, fault: Fault | None) -> tuple[TrainFile, float]:
     """Return the true train and the ratio of measured to true speed."""
     file, mass, wheel = stated_train(), train.mass_ratio, train.wheel_ratio
     rate = train.brake_ratio * day.brake_ratio
@@ -143,9 +141,17 @@ def _true_train(train: FleetTrain, day: FleetDay, fault: Fault | None) -> tuple[
         file,
         resistance=Davis(davis.a * a * day.a_ratio, davis.b, davis.c * c * day.c_ratio),
         brake=replace(file.brake, delay=max(0.0, file.brake.delay + train.brake_delay)),
+        line=replace(file.line, gradient=_true_gradient(seed, file)),
         effects=tuple(effects),
     )
     return true, wheel
+
+
+def _true_gradient(seed: int, file: TrainFile) -> tuple[tuple[float, float], ...]:
+    """Return the gradients of the line: those of the map and its errors, the same on each day."""
+    errors = np.random.default_rng((seed, 4)).standard_normal(len(file.line.gradient))
+    pairs = zip(file.line.gradient, errors.tolist(), strict=True)
+    return tuple((at, permille + _MAP_STD * error) for (at, permille), error in pairs)
 
 
 def write_bag(path: Path, simulation: Simulation) -> None:

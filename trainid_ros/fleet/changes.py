@@ -21,6 +21,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
+from scipy.special import ndtr
 
 from trainid_ros.fleet.mixed_model import log_t
 
@@ -37,6 +38,8 @@ _WINDOW: Final = 60
 _LEAST_AFTER: Final = 2
 # Points of the grid for one standard deviation of a day, beyond the outermost value, and at most.
 _DENSITY, _MARGIN, _MOST = 6.0, 6.0, 600
+_FAR: Final = 0.01
+_TINY: Final = 1e-300
 
 
 class Series(NamedTuple):
@@ -100,22 +103,23 @@ class _Segment:
         room = _MARGIN * spread
         count = int(min(_MOST, max(60.0, _DENSITY * (high - low + 2.0 * room) / spread)))
         self.level = np.linspace(low - room, high + room, count)
-        step = (self.level[:, None] - self.level[None, :]) / series.step_std
-        self._kernel = _normalised(-0.5 * step**2, axis=0)
-        self.prior = _normalised(-0.5 * (self.level / level_std) ** 2)
+        kernel = _weights(self.level[:, None] - self.level[None, :], series.step_std)
+        # A few trains are far from the others.
+        far = _weights(self.level, math.hypot(level_std, series.step_std))
+        self.prior = (1.0 - _FAR) * _weights(self.level, level_std) + _FAR * far
         z2 = ((series.value[:, None] - self.level) / series.std[:, None]) ** 2
         each = np.where(known[:, None], log_t(z2, series.degrees), 0.0)
         self.total = np.vstack([np.zeros(count), np.cumsum(each, axis=0)])  # of the first n days, (days + 1, grid)
         self.known = np.concatenate(([0], np.cumsum(known)))
         before, self._log_before = _posterior(self.prior, self.total)
-        self.after_prior = before @ self._kernel.T  # of the level after a step on day k, (days + 1, grid)
+        self.after_prior = before @ kernel.T  # of the level after a step on day k, (days + 1, grid)
 
     def log_bayes(self, n: int, first: int) -> Array:
         """Return ln B_k after n days for k from ``first`` on, shape (n - first,); 0 with too few days after k."""
         ks = np.arange(first, n)
         gained = self.total[n] - self.total[ks]
         top = gained.max(axis=1, keepdims=True)
-        after = np.log((self.after_prior[ks] * np.exp(gained - top)).sum(axis=1)) + top[:, 0]
+        after = _log((self.after_prior[ks] * np.exp(gained - top)).sum(axis=1)) + top[:, 0]
         found: Array = self._log_before[ks] + after - self._log_before[n]
         return np.where(self.known[n] - self.known[ks] >= _LEAST_AFTER, found, 0.0)
 
@@ -188,9 +192,15 @@ def _change(parts: Sequence[_Segment | None], first: int, alarm: int, count: int
     return Change(first + begin + k, first + alarm - 1, best[0], steps)
 
 
-def _normalised(log_weight: Array, axis: int | None = None) -> Array:
-    weight = np.exp(log_weight - log_weight.max())
-    found: Array = weight / weight.sum(axis=axis, keepdims=axis is not None)
+def _weights(at: Array, std: float) -> Array:
+    """Return the probabilities of the cells of a grid, whose last axis or diagonal is even, under a normal density."""
+    half = 0.5 * abs(float(at.flat[1] - at.flat[0])) / std
+    found: Array = ndtr(at / std + half) - ndtr(at / std - half)
+    return found
+
+
+def _log(x: Array) -> Array:
+    found: Array = np.log(np.maximum(x, _TINY))
     return found
 
 
@@ -198,5 +208,5 @@ def _posterior(prior: Array, log_likelihood: Array) -> tuple[Array, Array]:
     """Return weights of the grid after data, shape (rows, grid), and ln of the evidence, shape (rows,)."""
     top = log_likelihood.max(axis=1, keepdims=True)
     weight = prior * np.exp(log_likelihood - top)
-    total = weight.sum(axis=1, keepdims=True)
-    return weight / total, np.log(total[:, 0]) + top[:, 0]
+    total = np.maximum(weight.sum(axis=1, keepdims=True), _TINY)
+    return weight / total, _log(total[:, 0]) + top[:, 0]

@@ -1,0 +1,56 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``trainid fleet report`` through the command line."""
+
+from __future__ import annotations
+
+import json
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from test.fleet.surrogate import fleet_rows
+from trainid_ros.cli.main import main
+from trainid_ros.fleet.table_file import write_table
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+PADS = np.array([0.0, -0.08, 0.0, 0.0])
+
+
+@pytest.fixture
+def table(tmp_path: Path) -> Path:
+    path = tmp_path / 't.csv'
+    write_table(fleet_rows(1, 8, 12, {3: (6, PADS)}), path, {})
+    return path
+
+
+def test_text_json_and_page_name_the_train(table: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    report = table.parent / 'report.html'
+    assert main(['fleet', 'report', str(table), '--out', str(report)]) == 0
+    text = capsys.readouterr().out
+    assert '1 of 8 trains stands out: T03.' in text
+    assert 'Changed on 2026-03-07' in text
+    assert 'worn or glazed brake pads' in text
+    page = report.read_text(encoding='utf-8')
+    assert page.count('<section>') == 8
+    assert '<a href="#train-3">T03</a>' in page
+    assert 'http' not in page.replace('http://www.w3.org', '')
+    assert main(['fleet', 'report', str(table), '--json']) == 0
+    (found,) = json.loads(capsys.readouterr().out)['found']
+    assert (found['train'], found['changes'][0]['day']) == ('T03', '2026-03-07')
+    assert found['changes'][0]['steps']['brake_rate']['after'] < found['changes'][0]['steps']['brake_rate']['before']
+
+
+def test_bags_that_are_gone_are_no_answer(table: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    plan = {'setup': {'train': 'bags/tiny/train.yaml', 'mapping': None, 'namespace': '/', 'max_chunk': 1 << 20}}
+    table.with_name('t.csv.plan.json').write_text(json.dumps(plan), encoding='utf-8')
+    assert main(['fleet', 'report', str(table), '--explain', '1']) == 0
+    assert 'By its bags: no answer (3/2: no such bag)' in capsys.readouterr().out
+
+
+def test_a_table_without_trains_is_no_answer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    write_table([row | {'train': None} for row in fleet_rows(1, 3, 3)], tmp_path / 't.csv', {})
+    assert main(['fleet', 'report', str(tmp_path / 't.csv')]) == 1
+    assert 'too few runs with train, day and estimate' in capsys.readouterr().err

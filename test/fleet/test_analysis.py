@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Fleets in which some trains break, in which all get wet, and in which one always differed."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from test.fleet.surrogate import fleet_rows
+from trainid_ros.errors import NoAnswerError
+from trainid_ros.fleet.analysis import analyse
+
+LIMIT = 20_000.0
+DRAG, PADS = np.array([0.8, 0.0, 0.0, 0.0]), np.array([0.0, -0.08, 0.0, 0.0])
+
+
+def test_broken_trains_are_found_within_three_days_and_no_others() -> None:
+    view = analyse(fleet_rows(1, 20, 20, {4: (9, DRAG), 11: (12, PADS)}), LIMIT)
+    assert {train.name for train in view.found} == {'T04', 'T11'}
+    for train in view.found:
+        onset, effect = {'T04': (9, 'dragging_brake'), 'T11': (12, 'brake_scale')}[train.name]
+        (change,) = train.changes
+        assert change.day == onset
+        assert change.alarm <= onset + 2
+        assert train.causes[0].effect == effect
+
+
+def test_rain_that_hits_all_is_no_change_of_a_train() -> None:
+    rows = fleet_rows(2, 20, 20)
+    for row in rows:
+        if row['day'] >= '2026-03-11':
+            row['w15'] *= 1.3
+            row['brake_rate'] *= 0.9
+    assert analyse(rows, LIMIT).found == ()
+
+
+def test_rain_on_one_line_is_no_change_of_its_trains() -> None:
+    rows = fleet_rows(3, 24, 16, lines=3)
+    for row in rows:
+        if row['day'] >= '2026-03-09' and row['line'] == 'L1':
+            row['w15'] *= 1.25
+    assert analyse(rows, LIMIT).found == ()
+
+
+def test_a_train_that_always_differed_is_an_outlier() -> None:
+    (train,) = analyse(fleet_rows(4, 20, 12, {7: (0, 3.0 * PADS)}), LIMIT).found
+    assert (train.name, train.changes) == ('T07', ())
+    assert [outlier.channel.name for outlier in train.outliers] == ['brake_rate']
+    assert train.causes[0].effect == 'brake_scale'
+
+
+def test_too_few_rows_are_no_answer() -> None:
+    rows = fleet_rows(5, 3, 1)
+    with pytest.raises(NoAnswerError, match='too few runs'):
+        analyse(rows, LIMIT)
+    for row in rows:
+        row['train'] = None
+    with pytest.raises(NoAnswerError, match='too few runs'):
+        analyse(rows * 9, LIMIT)

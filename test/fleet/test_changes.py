@@ -1,0 +1,90 @@
+# SPDX-License-Identifier: Apache-2.0
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from trainid_ros.fleet.changes import Series, _Segment, find_changes
+
+LIMIT = 20_000.0
+DAYS = 30
+
+
+def series(value: np.ndarray, std: float = 1.0, degrees: float = 32.0) -> Series:
+    return Series(value, np.full(value.size, std), degrees, 2.0, 5.0)
+
+
+def noise(seed: int) -> np.ndarray:
+    return np.random.default_rng(seed).standard_normal(DAYS)
+
+
+def test_the_bayes_factor_is_that_of_its_definition() -> None:
+    """With normal errors all integrals are known."""
+    value = np.array([0.3, -0.5, 0.2, 4.1, 3.7])
+    segment = _Segment(series(value, degrees=1e9), 2.0)
+    n, k = 5, 3
+    one = np.eye(n) + 4.0  # trains far from the others are rare, and do not count here
+    after = np.zeros(n)
+    after[k:] = 1.0
+    two = one + 25.0 * np.outer(after, after)
+
+    def log_p(cov: np.ndarray) -> float:
+        return -0.5 * float(np.linalg.slogdet(cov)[1] + value @ np.linalg.solve(cov, value))
+
+    found = segment.log_bayes(n, 1)
+    assert found[k - 1] == pytest.approx(log_p(two) - log_p(one), abs=0.05)
+    assert found[-1] == 0.0  # one day after it is not enough
+
+
+def test_a_step_is_found_with_its_day_and_size() -> None:
+    value = noise(1)
+    value[12:] += 6.0
+    (change,) = find_changes([series(value), series(noise(2))], LIMIT)
+    assert change.day == 12
+    assert 13 <= change.alarm <= 15
+    step, other = change.steps
+    assert step is not None
+    assert other is not None
+    assert step.size == pytest.approx(6.0, abs=1.2)
+    assert step.evidence > 10.0
+    assert other.evidence < 0.5
+
+
+def test_a_repair_is_a_change_too() -> None:
+    value = noise(3)
+    value[8:20] += 7.0
+    assert [change.day for change in find_changes([series(value)], LIMIT)] == [8, 20]
+
+
+def test_one_bad_day_is_no_change() -> None:
+    value = noise(4)
+    value[10] += 25.0
+    assert find_changes([series(value, degrees=4.0)], LIMIT) == []
+
+
+def test_missing_days_and_channels_do_not_count() -> None:
+    value = noise(5)
+    value[12:] += 6.0
+    gaps = value.copy()
+    gaps[::3] = math.nan
+    (change,) = find_changes([series(gaps), series(np.full(DAYS, math.nan))], LIMIT)
+    assert change.day in (12, 13)
+    assert change.steps[1] is None
+
+
+def test_weak_steps_in_two_channels_add_up() -> None:
+    one, two = noise(6), noise(7)
+    one[15:] += 2.5
+    two[15:] -= 2.5
+    alone = [find_changes([series(value)], LIMIT)[0].evidence for value in (one, two)]
+    (both,) = find_changes([series(one), series(two)], LIMIT)
+    assert both.evidence > max(alone) + 5.0
+
+
+def test_false_alarms_are_as_rare_as_stated() -> None:
+    """With a limit of 100 train-days, fewer than 1 % of the days bring an alarm."""
+    runs = 120
+    alarms = sum(len(find_changes([series(noise(100 + seed))], 100.0)) for seed in range(runs))
+    assert alarms / (runs * DAYS) < 0.01
