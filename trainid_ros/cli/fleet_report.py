@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from trainid_ros.fleet.analysis import FleetView, TrainView
     from trainid_ros.fleet.columns import Row
-    from trainid_ros.fleet.workflow import Named
+    from trainid_ros.fleet.workflow import Cause
 
 
 def run(args: argparse.Namespace) -> int:
@@ -60,7 +60,7 @@ def _read(args: argparse.Namespace) -> tuple[list[Row], Mapping[str, Any]]:
 
 def _name_causes(
     args: argparse.Namespace, view: FleetView, rows: list[Row], setup: Mapping[str, Any]
-) -> dict[str, Named]:
+) -> dict[str, Cause]:
     """Return what ``explain`` finds in the bags of the worst trains, by their names."""
     worst = [train for train in view.found if train.changes][: args.explain]
     if not worst:
@@ -75,7 +75,7 @@ def _name_causes(
     return named
 
 
-def _write(args: argparse.Namespace, view: FleetView, named: Mapping[str, Named]) -> None:
+def _write(args: argparse.Namespace, view: FleetView, named: Mapping[str, Cause]) -> None:
     # Imported here because matplotlib takes long to load and only reports need it.
     from trainid_ros.report.fleet_report import fleet_page  # noqa: PLC0415
     from trainid_ros.report.page import write_page  # noqa: PLC0415
@@ -85,16 +85,19 @@ def _write(args: argparse.Namespace, view: FleetView, named: Mapping[str, Named]
     write_page(fleet_page(view, names, args.false_alarm_days, notes), args.out)
 
 
-def _named_text(named: Named) -> str:
+def _named_text(cause: Cause) -> str:
     from trainid_ros.report.words import parameters_text  # noqa: PLC0415
 
-    if named.problem:
-        return f'By its bags: no answer ({named.problem}).'
-    effects = '; '.join(f'{effect.name} ({effect.title}) with {parameters_text(effect)}' for effect in named.effects)
-    return f'By its bags ({named.verdict.replace("_", " ")}): {effects or "no effect that is new"}.'
+    if cause.problem:
+        return f'By its bags: no answer ({cause.problem}).'
+    effects = [
+        f'{effect.name} ({effect.title}) in {count} of {cause.bags}, with {parameters_text(effect)}'
+        for effect, count in cause.effects
+    ]
+    return f'By its bags: {"; ".join(effects) or "no effect that is new"}.'
 
 
-def describe(view: FleetView, named: Mapping[str, Named]) -> str:
+def describe(view: FleetView, named: Mapping[str, Cause]) -> str:
     """Return the findings as text."""
     from trainid_ros.report.fleet_report import findings, summary  # noqa: PLC0415
 
@@ -105,7 +108,7 @@ def describe(view: FleetView, named: Mapping[str, Named]) -> str:
     return '\n\n'.join(blocks)
 
 
-def to_json(view: FleetView, limit: float, named: Mapping[str, Named]) -> dict[str, Any]:
+def to_json(view: FleetView, limit: float, named: Mapping[str, Cause]) -> dict[str, Any]:
     """Return the object of ``--json``."""
     return {
         'trains': len(view.labels.trains),
@@ -137,9 +140,9 @@ def _train(view: FleetView, train: TrainView) -> dict[str, Any]:
     }
 
 
-def _named(named: Named | None) -> dict[str, Any]:
+def _named(cause: Cause | None) -> dict[str, Any]:
     """Return what ``explain`` found."""
-    if named is None:
+    if cause is None:
         return {}
-    effects = {effect.name: dict(effect.parameters) for effect in named.effects}
-    return {'explained': {'verdict': named.verdict or None, 'effects': effects, 'problem': named.problem}}
+    effects = {effect.name: {'bags': count, **dict(effect.parameters)} for effect, count in cause.effects}
+    return {'explained': {'bags': cause.bags, 'effects': effects, 'problem': cause.problem}}

@@ -68,7 +68,7 @@ def _rows(
         client.submit(task_rows, plan.setup, plan.revision, [bag for _, bag in task], pure=False): task
         for task in tasks
     }
-    for future in as_completed(list(futures)):
+    for future in as_completed(list(futures), loop=client.loop):
         task = futures.pop(future)
         if future.status == 'finished':
             rows: list[Row] = future.result()

@@ -1,15 +1,17 @@
 # SPDX-License-Identifier: Apache-2.0
 """Name the cause of a change from the bags of a train: the discrepancy workflow before and after it.
 
-What is wrong with the train file for this train at all times is explained first, from bags before the change. Against
-the train file with these effects, the bags after the change show what is new.
+The last bag before the change shows what is wrong with the train file for this train at all times; what the bags after
+it show besides is new. Each bag is explained alone, since wind and load differ from day to day.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+import math
+from collections import defaultdict
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from trainid_ros.bag.run_reader import read_runs
 from trainid_ros.errors import TrainIdError
@@ -24,19 +26,27 @@ if TYPE_CHECKING:
     from trainid_ros.fleet.columns import Row
     from trainid_ros.train.train_file import TrainFile
 
-_MOST_BAGS: Final = 4
+_MOST_BAGS: Final = 3
+_SIGMAS: Final = 3.0
+
+
+class Named(NamedTuple):
+    """An effect that is new: as found where its evidence is greatest, and in how many of the bags it was found."""
+
+    effect: FoundEffect
+    bags: int
 
 
 @dataclass(frozen=True, slots=True)
-class Named:
-    """What ``explain`` found after a change: verdict, effects, or why it found nothing."""
+class Cause:
+    """What ``explain`` found: number of bags after the change, new effects, the most evident first, or why not."""
 
-    verdict: str
-    effects: tuple[FoundEffect, ...] = ()
+    bags: int
+    effects: tuple[Named, ...] = ()
     problem: str = ''
 
 
-def name_cause(view: FleetView, train: TrainView, rows: Sequence[Row], setup: Mapping[str, Any]) -> Named:
+def name_cause(view: FleetView, train: TrainView, rows: Sequence[Row], setup: Mapping[str, Any]) -> Cause:
     """Return what has changed by the bags of a train.
 
     Args:
@@ -49,30 +59,50 @@ def name_cause(view: FleetView, train: TrainView, rows: Sequence[Row], setup: Ma
     day = view.labels.days[train.changes[-1].day]
     own = [row for row in rows if row['train'] == train.name and row['day'] and row['status']]
     own.sort(key=lambda row: (row['day'], row['start'] or 0.0))
-    before = [Path(row['bag']) for row in own if row['day'] < day][-_MOST_BAGS:]
+    before = [Path(row['bag']) for row in own if row['day'] < day][-1:]
     after = [Path(row['bag']) for row in own if row['day'] >= day][:_MOST_BAGS]
     try:
         train_file = load_train_file(Path(setup['train']))
-        known = _explain(before, train_file, setup).train_file if before else train_file
-        found = _explain(after, replace(known, train=train_file.train), setup)
+        known = [effect for bag in before for effect in _explain(bag, train_file, setup).effects]
+        found = [effect for bag in after for effect in _explain(bag, train_file, setup).effects]
     except KeyError:
-        return Named('', problem='the plan of the table is missing')
+        return Cause(0, problem='the plan of the table is missing')
     except TrainIdError as error:
-        return Named('', problem=str(error))
-    return Named(found.verdict.value, found.effects)
+        return Cause(0, problem=str(error))
+    return Cause(len(after), _merged([new for new in found if not any(_are_equal(new, old) for old in known)]))
 
 
-def _explain(bags: Sequence[Path], train_file: TrainFile, setup: Mapping[str, Any]) -> Explanation:
-    """Explain bags.
+def _are_equal(one: FoundEffect, other: FoundEffect) -> bool:
+    """Return whether two effects have one name and, within their standard deviations, the same parameters."""
+    if one.name != other.name:
+        return False
+    values, stds = dict(other.parameters), (dict(one.std), dict(other.std))
+    return all(
+        abs(value - values[name]) <= _SIGMAS * math.hypot(*(std.get(name, 0.0) for std in stds))
+        for name, value in one.parameters
+    )
+
+
+def _merged(found: Sequence[FoundEffect]) -> tuple[Named, ...]:
+    """Return each effect once, by the sum of its evidence."""
+    by_name: dict[str, list[FoundEffect]] = defaultdict(list)
+    for effect in found:
+        by_name[effect.name].append(effect)
+    ranked = sorted(by_name.values(), key=lambda effects: -sum(effect.evidence for effect in effects))
+    return tuple(Named(max(effects, key=lambda effect: effect.evidence), len(effects)) for effects in ranked)
+
+
+def _explain(bag: Path, train_file: TrainFile, setup: Mapping[str, Any]) -> Explanation:
+    """Explain a bag.
 
     Raises:
-        InputError: A bag cannot be used.
-        NoAnswerError: They hold too little motion.
+        InputError: It cannot be used.
+        NoAnswerError: It holds too little motion.
 
     """
     from trainid_ros.explain.workflow import explain  # noqa: PLC0415 - takes long to load
 
     mapping = None if setup['mapping'] is None else Path(setup['mapping'])
     inputs = mapped_inputs(mapping, train_file)
-    runs = read_runs(bags, train_file, setup['namespace'], setup['max_chunk'], inputs)
+    runs = read_runs([bag], train_file, setup['namespace'], setup['max_chunk'], inputs)
     return explain(runs, train_file, provenance='trainid fleet report')
