@@ -51,6 +51,9 @@ NOT_RUN = {
         ): SECURE,
     },
     'docs/faults.md': {'.venv/bin/python benchmarks/run.py --only faults faults_live --seeds 3': 'takes minutes'},
+    'docs/fleet.md': {
+        '.venv/bin/trainid fleet report out/day.parquet --out out/report.html --explain 5': 'needs the bags of weeks',
+    },
     'docs/mapping.md': {
         ('.venv/bin/trainid run --train bags/tiny/train.yaml --map map.yaml --ros-args -p use_sim_time:=true'): LIVE,
         '.venv/bin/trainid play bags/tiny_foreign --map map.yaml --wait 3': LIVE,
@@ -136,7 +139,9 @@ def variable(text: str) -> tuple[str, str] | None:
 def check(text: str) -> None:
     """Check program, verb and options of one command without running it."""
     words = shlex.split(text.partition(' > ')[0])
-    if words[0] == TRAINID:
+    if words[:3] == [TRAINID, 'fleet', 'report']:
+        check_verb('fleet report', words[3:])
+    elif words[0] == TRAINID:
         check_verb(words[1], words[2:])
     elif words[0] == 'make':
         (target,) = words[1:]
