@@ -148,11 +148,7 @@ def make_fleet(
 
     """
     rng = np.random.default_rng(seed)
-    chosen = rng.choice(_TRAINS, size=rng.integers(1, 3), replace=False) if broken else ()
-    faults = {
-        int(number): Fault(str(rng.choice(FAULTS)), float(rng.random()), int(rng.integers(4, _DAYS - _WITHIN + 1)))
-        for number in chosen
-    }
+    faults = _draw_faults(rng) if broken else {}
     level = library.mean + library.level_std * rng.standard_normal((_TRAINS, 4))
     wet = (rng.random(_DAYS) < 0.2) | (np.arange(_DAYS) >= all_wet_from)
     amount = 1.0 + 0.3 * rng.standard_normal(_DAYS)
@@ -168,6 +164,14 @@ def make_fleet(
             drawn = error[rng.integers(len(error))]
             rows.append(_row(number, d, level[number] + day[d] + step + drawn[:4], drawn[4:]))
     return rows, {f'T{number:02d}': fault for number, fault in faults.items()}
+
+
+def _draw_faults(rng: np.random.Generator) -> dict[int, Fault]:
+    """Return faults of one or two trains, by number."""
+    return {
+        int(number): Fault(str(rng.choice(FAULTS)), float(rng.random()), int(rng.integers(4, _DAYS - _WITHIN + 1)))
+        for number in rng.choice(_TRAINS, size=rng.integers(1, 3), replace=False)
+    }
 
 
 def _row(train: int, day: int, value: Array, std: Array) -> Row:

@@ -63,8 +63,7 @@ def each_bag(
     If a process is killed, the items that were being worked on are worked on again, one by one, then the others.
 
     Args:
-        work: Gets an item and a function to call with the amount done since its last call. For processes, both it and
-            its result can be pickled.
+        work: Gets an item and a function to call with the amount done since; for processes it can be pickled.
         items: What to work on.
         workers: Number of processes; 1 works here.
         advance: Called with the sum of the amounts done since its last call.
@@ -81,9 +80,9 @@ def each_bag(
             del left[number]
             yield number, result
         for number in [number for number in left if progress.begun[number]]:
-            item = left.pop(number)
             progress.amounts[number] = 0.0
-            yield from list(_finished(work, {number: item}, 1, progress)) or [(number, killed(item))]
+            item = {number: left.pop(number)}
+            yield from list(_finished(work, item, 1, progress)) or [(number, killed(item[number]))]
 
 
 class _Progress:
