@@ -25,6 +25,8 @@ if TYPE_CHECKING:
 
 _LEAST_CELLS: Final = 4
 _PASSES: Final = 2
+# What may change from day to day without meaning anything, as a share of a step that matters.
+_SMALLEST: Final = 0.02
 # A train that always differed is named beyond so many standard deviations among trains.
 _LEVEL_SIGMAS: Final = 5.0
 
@@ -52,8 +54,9 @@ class ChannelView:
         own = self.cells.value[mine] - self.fit.common[mine]
         total = np.bincount(day, weight, days)
         with np.errstate(invalid='ignore', divide='ignore'):
-            value, std = np.bincount(day, weight * own, days) / total, 1.0 / np.sqrt(total)
+            value, variance = np.bincount(day, weight * own, days) / total, 1.0 / total
         step_std = self.channel.change * abs(self.fit.mean)
+        std = np.sqrt(variance + (_SMALLEST * step_std) ** 2)
         return Series(value, std, self.fit.degrees, self.fit.stds['train'] + 0.01 * step_std, step_std)
 
 

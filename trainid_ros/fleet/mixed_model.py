@@ -41,7 +41,6 @@ _ROUNDS: Final = 4
 _LEAST_TRAINS: Final = 4
 # Logarithms of variances relative to that of the data.
 _BOUNDS: Final = (-14.0, 4.0)
-_TOLERANCE: Final = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,7 +72,7 @@ class MixedFit:
         mean: Mean of the fleet.
         train: Effect of each train, shape (trains,), 0 where it has no cell; and its standard deviation.
         train_std: See ``train``.
-        common: Mean and common effects of each cell, shape (n,), and their variance.
+        common: Mean and common effects of each cell, shape (n,), and the variance of the latter.
         common_variance: See ``common``.
         variance: Variance of each cell, without the weights, shape (n,).
         stds: Standard deviation of the effects by name; 'train', 'error', and the factor 'stated' [1].
@@ -123,6 +122,9 @@ class _Problem:
     def __init__(self, cells: Cells, effects: Effects, trains: int, used: NDArray[np.bool_]) -> None:
         self.cells, self.effects, self.used, self._trains = cells, effects, used, trains
         self.weights = used.astype(float)
+        # Numbers near zero: sums of squares of values far from it would lose all digits.
+        self.origin = float(np.median(cells.value[used]))
+        self._y = cells.value - self.origin
         # Unit of the variances, so that their logarithms are near zero.
         unit = _robust_variance(cells.value[used])
         self._units = np.array([1.0, unit, unit, *np.full(len(effects.names), unit)])
@@ -141,7 +143,7 @@ class _Problem:
         kappa2, error, train, *common = self.variances(x).tolist()
         v = kappa2 * self.cells.std**2 + error
         w = self.weights / v
-        y, factor = self.cells.value, self.effects.factor
+        y, factor = self._y, self.effects.factor
         prior = np.where(factor < 0, 0.0, 1.0 / np.array([*common, 1.0])[factor])
         of_train = np.bincount(self.cells.train, w, self._trains) + 1.0 / train
         own = np.bincount(self.cells.train, w * y, self._trains)
@@ -155,6 +157,23 @@ class _Problem:
         square = y @ (w * y) - (own * own / of_train).sum() - rhs @ b
         u = (own - coupling @ b) / of_train
         return _Solution(0.5 * float(log_det + square), v, b, u, of_train, coupling, cholesky)
+
+    def common(self, solution: _Solution) -> Array:
+        """Return mean and common effects of each cell, shape (n,)."""
+        return self.origin + self.effects.at_cells(solution.b)
+
+    def common_variance(self, x: Array) -> Array:
+        """Return the variance of the common effects of each cell, shape (n,), given mean and trains.
+
+        What is uncertain in mean and level of the train is the same on all days, and no error of a day.
+        """
+        kappa2, error, _, *common = self.variances(x).tolist()
+        w = self.weights / (kappa2 * self.cells.std**2 + error)
+        found = np.zeros(w.size)
+        for column in self.effects.of_cell.T[1:]:
+            prior = common[int(self.effects.factor[column[0]])]
+            found += 1.0 / (np.bincount(column, w) + 1.0 / prior)[column]
+        return found
 
     def _sums(self, w: Array, wy: Array) -> tuple[Array, Array, Array]:
         """Return sums of the weights by train and effect (trains, m), by two effects (m, m), and of w y by effect."""
@@ -193,9 +212,11 @@ def fit(cells: Cells, labels: Labels, used: NDArray[np.bool_] | None = None) -> 
     problem = _Problem(cells, common_effects(cells, labels), len(labels.trains), used)
     x, degrees = np.array([-1.0, -3.0, -1.0, *np.full(len(problem.effects.names), -2.0)]), DEGREES[1]
     for _ in range(_ROUNDS):
-        x = minimize(problem.loss, x, method='L-BFGS-B', bounds=[_BOUNDS] * x.size, options={'ftol': _TOLERANCE}).x
+        x = minimize(
+            problem.loss, x, method='L-BFGS-B', bounds=[_BOUNDS] * x.size, options={'ftol': 1e-7, 'eps': 1e-4}
+        ).x
         solution = problem.solve(x)
-        z2 = (cells.value - problem.effects.at_cells(solution.b) - solution.u[cells.train]) ** 2 / solution.v
+        z2 = (cells.value - problem.common(solution) - solution.u[cells.train]) ** 2 / solution.v
         degrees = _likeliest_degrees(z2[used])
         problem.weights = used * (degrees + 1.0) / (degrees + z2)
     return _fit_of(problem, x, degrees)
@@ -204,15 +225,14 @@ def fit(cells: Cells, labels: Labels, used: NDArray[np.bool_] | None = None) -> 
 def _fit_of(problem: _Problem, x: Array, degrees: float) -> MixedFit:
     solution, effects = problem.solve(x), problem.effects
     inverse = cho_solve(solution.cholesky, np.eye(solution.b.size))
-    spread = sum(inverse[one, other] for one in effects.of_cell.T for other in effects.of_cell.T)
     gain = solution.coupling / solution.of_train[:, None]
     train_variance = 1.0 / solution.of_train + ((gain @ inverse) * gain).sum(axis=1)
     return MixedFit(
-        mean=float(solution.b[0]),
+        mean=problem.origin + float(solution.b[0]),
         train=solution.u,
         train_std=np.sqrt(train_variance),
-        common=effects.at_cells(solution.b),
-        common_variance=np.asarray(spread),
+        common=problem.common(solution),
+        common_variance=problem.common_variance(x),
         variance=solution.v,
         stds=dict(zip(_stds(effects), np.sqrt(problem.variances(x)).tolist(), strict=True)),
         degrees=degrees,
