@@ -108,7 +108,7 @@ def _resistance(outcome: Replay) -> Row:
         'status': result.output.status.name,
         'used': result.output.used,
         'rejected': result.output.rejected,
-        'finding': '; '.join(filter(None, (outcome.finding, *force_findings(w)))) or None,
+        'finding': '; '.join(filter(None, (outcome.contradiction.finding, *force_findings(w)))) or None,
     }
     row |= {reason_column(reason): count for reason, count in result.rejections}
     outputs = max(1, sum(result.statuses))
