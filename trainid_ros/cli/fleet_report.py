@@ -6,9 +6,10 @@ from __future__ import annotations
 import json
 from typing import TYPE_CHECKING, Any
 
-from trainid_ros.cli.output import HTML_START, check_output, print_json, progress, show
+from trainid_ros.cli.output import check_output, print_json, progress, show
 from trainid_ros.fleet.run_fleet import Files
 from trainid_ros.fleet.table_file import read_table
+from trainid_ros.report import HTML_START
 
 if TYPE_CHECKING:
     import argparse
