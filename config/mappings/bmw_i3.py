@@ -35,5 +35,5 @@ def gradient(speed_steps, acceleration_steps, elevation_steps):
 
 
 def brake(throttle):
-    """Brake command [m/s^2]: the pedal of the brake is not recorded, so it may act while that of the motor is up."""
-    return np.where(0.01 * np.cumsum(throttle) > 1.0, 0.0, -0.1)
+    """Brake command: the pedal of the brake is not recorded, so it may act while that of the motor is up."""
+    return np.where(0.01 * np.cumsum(throttle) > 1.0, 0.0, -np.inf)

@@ -9,7 +9,16 @@ from types import SimpleNamespace
 import pytest
 
 from trainid_ros.errors import InputError
-from trainid_ros.mapping.mapping import OWN, Constant, CsvFormat, LineLookup, Signal, SpeedIntegral, StampSource
+from trainid_ros.mapping.mapping import (
+    OWN,
+    UNKNOWN_EFFORT,
+    Constant,
+    CsvFormat,
+    LineLookup,
+    Signal,
+    SpeedIntegral,
+    StampSource,
+)
 from trainid_ros.mapping.mapping_file import load_mapping, load_table_mapping, parse_mapping
 from trainid_ros.stream.alignment import AlignmentConfig
 
@@ -37,6 +46,16 @@ def test_a_whole_mapping_is_read() -> None:
     assert mapping.replaced == {'ato/speed', 'ato/force', 'ato/gradient', 'ato/brake_command', 'ato/mass'}
     assert mapping.needed('ato/force') == ('car1/force', 'car2/force')
     assert mapping.needed('ato/gradient') == ()
+
+
+def test_only_a_brake_may_be_unknown() -> None:
+    text = '{topic: /brake, field: data, unit: percent_of 1.2 m/s^2, table: {0: 0.0, 1: unknown}}'
+    signal = parse_mapping(f'brake_command: {text}', 'map.yaml').brake_command
+    assert isinstance(signal, Signal)
+    (source,) = signal.sources
+    assert source.read(SimpleNamespace(data=1)) == UNKNOWN_EFFORT
+    with pytest.raises(InputError, match='unknown'):
+        parse_mapping('gradient: {topic: /g, field: data, table: {1: unknown}}', 'map.yaml')
 
 
 TABLE = """

@@ -12,7 +12,7 @@ import pytest
 from benchmarks.measured_car import gradient, load_trip
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.cli.main import main
-from trainid_ros.records import NS_PER_S, ForceRecord, GradientRecord, Record, SpeedRecord
+from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
 from trainid_ros.sim.truth import load_truth
 from trainid_ros.train.davis import davis
 
@@ -70,3 +70,6 @@ def test_the_trip_is_that_of_the_benchmark(tmp_path: Path) -> None:
     ):
         _, found = column(bag, kind, field)
         assert float(np.sqrt(np.mean((found - expected) ** 2))) < tolerance
+    with BagReader(bag) as reader:
+        commands = [record for record in reader.records() if isinstance(record, BrakeRecord)]
+    assert np.array_equal([record.emergency for record in commands], ~trip.pedal)

@@ -8,7 +8,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.errors import InputError
-from trainid_ros.mapping.mapping import Constant, LineLookup, Signal, SpeedIntegral, StampSource
+from trainid_ros.mapping.mapping import UNKNOWN_EFFORT, Constant, LineLookup, Signal, SpeedIntegral, StampSource
 from trainid_ros.mapping.mapping_file import load_mapping
 from trainid_ros.mapping.series import JoinedSeries
 from trainid_ros.messages import stamp_of
@@ -35,6 +35,7 @@ if TYPE_CHECKING:
 _LONGEST_S: Final = 1.0
 # Positions that differ by less do not show the direction: they are noisy, above all at standstill [m].
 _LEAST_M: Final = 10.0
+_SOME_EFFORT: Final = -0.1
 _QUANTITIES: Final = ('speed', 'position', 'force', 'gradient', 'brake_command', 'mass')
 
 
@@ -146,7 +147,8 @@ class MappedInputs:
             case 'gradient':
                 return [self._gradient(stamp_ns, value)]
             case 'brake_command':
-                return [BrakeRecord(stamp_ns, value, emergency=False)]
+                is_known = value != UNKNOWN_EFFORT
+                return [BrakeRecord(stamp_ns, value if is_known else _SOME_EFFORT, emergency=not is_known)]
         return [MassRecord(stamp_ns, value)]
 
     def _at_speed(self, stamp_ns: int, speed: float, measured: float) -> list[Record]:

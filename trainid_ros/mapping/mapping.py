@@ -17,6 +17,10 @@ if TYPE_CHECKING:
     from trainid_ros.stream.alignment import AlignmentConfig
 
 
+UNKNOWN_EFFORT: Final = -math.inf
+"""Brake command where a brake acts, or may act, and nothing says how much."""
+
+
 class StampSource(Enum):
     """Where the stamp of a value comes from."""
 

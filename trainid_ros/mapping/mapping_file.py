@@ -9,6 +9,7 @@ from typing import Final
 
 from trainid_ros.errors import InputError
 from trainid_ros.mapping.mapping import (
+    UNKNOWN_EFFORT,
     Constant,
     CsvFormat,
     LineLookup,
@@ -196,8 +197,14 @@ def _table(section: Section, unit: str) -> tuple[tuple[float, float], ...]:
     table, name = section.data['table'], section.name('table')
     if not isinstance(table, dict) or not table:
         section.fail('table', f'= {shown(table)} must have a value for each number, like {{0: 0.0, 1: -0.3}}')
+    may_be_unknown = name.startswith('brake_command')
     return tuple(
-        (finite_number(section.source, name, raw, ''), finite_number(section.source, f'{name}.{raw}', value, unit))
+        (
+            finite_number(section.source, name, raw, ''),
+            UNKNOWN_EFFORT
+            if may_be_unknown and value == 'unknown'
+            else finite_number(section.source, f'{name}.{raw}', value, unit),
+        )
         for raw, value in table.items()
     )
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from trainid_ros.errors import InputError
-from trainid_ros.mapping.mapping import Signal
+from trainid_ros.mapping.mapping import UNKNOWN_EFFORT, Signal
 from trainid_ros.mapping.mapping_file import QUANTITIES
 from trainid_ros.mapping.units import find_unit
 from trainid_ros.tables.columns import ROWS_AT_ONCE, Block, Clock, joined, numbers
@@ -157,7 +157,8 @@ class TableRecords:
             # Records are logged in the order of the rows, so that a clock that was set back stays visible.
             self._newest_ns = max(self._newest_ns, stamp_ns)
             for quantity, index, values in columns:
-                if not math.isfinite(value := values[place]):
+                value = values[place]
+                if not (math.isfinite(value) or (quantity == 'brake_command' and value == UNKNOWN_EFFORT)):
                     continue
                 made = (
                     self._inputs.add(quantity, index, stamp_ns, value)
@@ -172,7 +173,8 @@ class TableRecords:
         feeds = [feed for name, signal in self._signals.items() for feed in self._feeds(name, signal, columns)]
         for feed in feeds:
             if feed.place <= 0:
-                self.blank[feed.quantity] += int(np.count_nonzero(~np.isfinite(feed.values) & known))
+                blank = ~np.isfinite(feed.values) & (feed.values != UNKNOWN_EFFORT)
+                self.blank[feed.quantity] += int(np.count_nonzero(blank & known))
         return feeds
 
     def _feeds(self, quantity: str, signal: Signal, columns: dict[str, Column]) -> Iterator[_Feed]:
