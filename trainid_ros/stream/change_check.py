@@ -92,7 +92,7 @@ class ChangeCheck:
     blocks: float = 0.0
 
     @property
-    def is_possible(self) -> bool:
+    def is_valid(self) -> bool:
         """True if the covariance is positive semidefinite, but for rounding."""
         return self.covariance * self.covariance <= (1.0 + 1e-9) * self.offset_variance * self.gain_variance
 

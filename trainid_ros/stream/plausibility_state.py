@@ -138,7 +138,7 @@ class PlausibilityState:
     def is_valid(self) -> bool:
         """True if all collections have a possible length."""
         slopes = self.traction.is_valid and self.brake.is_valid and self.effort.is_valid
-        return self.shift.is_valid and slopes and self.change.is_possible
+        return self.shift.is_valid and slopes and self.change.is_valid
 
     @property
     def finding(self) -> str:
