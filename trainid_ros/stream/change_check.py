@@ -46,6 +46,9 @@ _GAIN: Final = 0.1
 _FORCE: Final = 5.0
 _GAIN_SIGMAS: Final = 5.0
 _NAMED_S: Final = 4.0
+# Ratios to the gain before that say something [1].
+_LEAST_RATIO: Final = 0.1
+_MOST_RATIO: Final = 10.0
 
 
 @dataclass(slots=True)
@@ -192,4 +195,6 @@ class ChangeCheck:
         change = abs(self.residual_x) / self.xx
         certain = change > max(_GAIN * self.gain, _GAIN_SIGMAS * math.sqrt(self.scatter / self.xx))
         if certain and change * change * self.xx > _FORCE * _FORCE * self.blocks:
-            self.finding = f'the speed suddenly follows ato/force {self.ratio:.2g} times as much as before'
+            times = f'follows ato/force {self.ratio:.2g} times as much as before'
+            plain = _LEAST_RATIO < self.ratio < _MOST_RATIO
+            self.finding = f'the speed suddenly {times if plain else "does not follow ato/force any more"}'
