@@ -9,16 +9,15 @@ import signal
 import subprocess
 import sys
 import time
+from pathlib import Path
 from shutil import copytree
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
 
 from trainid_ros.cli.main import main
+from trainid_ros.fleet.plan import Setup, make_plan
 from trainid_ros.fleet.table_file import read_table
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 NAMES = ('T1/one', 'T1/two', 'T2/one', 'T2/two')
 
@@ -105,3 +104,35 @@ def test_no_usable_bag_is_bad_input(depot: Path, capsys: pytest.CaptureFixture[s
     only = [str(depot / 'T2/broken.mcap'), *fleet(depot)[2:]]
     assert main(['fleet', *only]) == 2
     assert 'broken.mcap: is not an MCAP file' in capsys.readouterr().err
+
+
+def test_a_table_of_others_is_not_replaced(depot: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    own = depot.parent / 't.csv'
+    own.write_text('train,depot\n', encoding='utf-8')
+    assert main(fleet(depot)) == 2
+    assert 't.csv: exists already' in capsys.readouterr().err
+    assert own.read_text(encoding='utf-8') == 'train,depot\n'
+
+
+def test_an_edited_user_function_is_another_way_to_replay(depot: Path) -> None:
+    mapping, function = depot.parent / 'map.yaml', depot.parent / 'g.py'
+    mapping.write_text('gradient: {function: g.py:f, of: []}\n', encoding='utf-8')
+    function.write_text('def f(): return 0\n', encoding='utf-8')
+    setup = Setup(depot / 'T1/one/train.yaml', None, mapping, '/', 1)
+    first = make_plan(setup, ())
+    function.write_text('def f(): return 1\n', encoding='utf-8')
+    assert make_plan(setup, ()).hashes['mapping'] != first.hashes['mapping']
+
+
+def test_workers_end_with_a_killed_run(depot: Path) -> None:
+    command = [sys.executable, '-m', 'trainid_ros.cli.main', *fleet(depot, '--jobs', '2')]
+    with subprocess.Popen(command) as process:
+        children = Path(f'/proc/{process.pid}/task/{process.pid}/children')
+        while len(workers := children.read_text(encoding='utf-8').split()) < 3:  # with the tracker of resources
+            assert process.poll() is None
+            time.sleep(0.01)
+        process.send_signal(signal.SIGKILL)
+    deadline = time.monotonic() + 10.0
+    while any(Path(f'/proc/{worker}/cmdline').exists() for worker in workers):
+        assert time.monotonic() < deadline
+        time.sleep(0.1)

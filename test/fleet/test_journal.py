@@ -32,5 +32,15 @@ def test_rows_survive_a_kill_at_any_byte(tmp_path: Path) -> None:
 def test_another_file_is_not_taken_for_rows(tmp_path: Path) -> None:
     path = tmp_path / 'rows.jsonl'
     path.write_text('hello\n', encoding='utf-8')
-    with pytest.raises(InputError, match='line 1 is no row'):
+    with pytest.raises(InputError, match='holds no row of a fleet'):
         read_journal(path)
+
+
+def test_rows_survive_what_a_loss_of_power_leaves(tmp_path: Path) -> None:
+    path = tmp_path / 'rows.jsonl'
+    with Journal(path) as journal:
+        journal.add('k1', {'w15': 0.1})
+    path.write_bytes(path.read_bytes() + bytes(512) + b'\xff\n')
+    with Journal(path) as journal:
+        journal.add('k2', {'w15': 0.2})
+    assert read_journal(path) == {'k1': {'w15': 0.1}, 'k2': {'w15': 0.2}}

@@ -37,6 +37,13 @@ def test_folders_patterns_and_bags_are_found_once(depot: Path) -> None:
             find_bags([path])
 
 
+def test_linked_folders_are_followed_once(depot: Path) -> None:
+    (depot / 'night').mkdir()
+    (depot / 'night/T1').symlink_to(depot / 'T1')
+    (depot / 'T1/back').symlink_to(depot / 'night')
+    assert find_bags([depot / 'night']) == [depot / 'night/T1/first']
+
+
 def test_bags_are_listed_without_reading_their_messages(depot: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     with BagReader(depot / 'T1/first') as reader:
         span, count = reader.time_range(), reader.message_count

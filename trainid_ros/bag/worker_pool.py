@@ -5,6 +5,8 @@ from __future__ import annotations
 
 import os
 import signal
+import threading
+import time
 from itertools import islice
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
@@ -17,6 +19,7 @@ ItemT = TypeVar('ItemT')
 ResultT = TypeVar('ResultT')
 
 _POLL_EVERY_S: Final = 0.1
+_WATCH_EVERY_S: Final = 1.0
 # Items under way for each worker: one that it works on, and those that wait for it.
 _QUEUED: Final = 4
 # Shared by the workers with their parent, set at their start: amount of work done on each item, whether it has begun,
@@ -119,7 +122,7 @@ def _finished(
     # A fork would copy the threads of a progress bar in whatever state they are.
     context = multiprocessing.get_context('spawn')
     stop = context.RawValue('b', 0)
-    shared = (progress.amounts, progress.begun, stop)
+    shared = (os.getpid(), progress.amounts, progress.begun, stop)
     with ProcessPoolExecutor(min(workers, len(items)), context, _start_worker, shared) as pool:
         try:
             submitted = ((pool.submit(_work, work, number, item), number) for number, item in items.items())
@@ -151,10 +154,18 @@ def _has_failed(future: Future[Any]) -> bool:
     return future.exception() is not None
 
 
-def _start_worker(amounts: Any, begun: Any, stop: Any) -> None:
+def _start_worker(parent: int, amounts: Any, begun: Any, stop: Any) -> None:
     # Ctrl-C reaches the whole process group; only the parent handles it.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, args=(parent,), daemon=True).start()
     _shared[:] = [amounts, begun, stop]
+
+
+def _end_with_parent(parent: int) -> None:
+    """End this process soon after its parent was killed."""
+    while os.getppid() == parent:
+        time.sleep(_WATCH_EVERY_S)
+    os._exit(1)
 
 
 def _work(work: Callable[[ItemT, Callable[[float], None]], ResultT], number: int, item: ItemT) -> ResultT:

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.bag.worker_pool import processors
 from trainid_ros.cli.output import EXIT_BAD_INPUT, EXIT_NO_ANSWER, print_json, progress, report_error, show, warn
+from trainid_ros.errors import InputError
 from trainid_ros.fleet.bag_row import check_setup
 from trainid_ros.fleet.labels import label_rule
 from trainid_ros.fleet.listing import find_bags, list_bags
@@ -37,6 +38,9 @@ def run(args: argparse.Namespace) -> int:
     """
     check_table(args.out)
     files = Files(args.out)
+    if args.out.exists() and not (files.plan.exists() or files.rows.exists()):
+        msg = f'{args.out}: exists already, and no run of fleet has written it; choose another --out'
+        raise InputError(msg)
     plan = _plan(args)
     args.out.parent.mkdir(parents=True, exist_ok=True)
     plan.write(files.plan)
@@ -55,7 +59,9 @@ def _plan(args: argparse.Namespace) -> Plan:
 
     """
     rule = label_rule(args.label)
-    setup = Setup(args.train, args.params, args.map, args.namespace, args.max_chunk)
+    # A report may be made from another folder.
+    train, params, mapping = (path and path.absolute() for path in (args.train, args.params, args.map))
+    setup = Setup(train, params, mapping, args.namespace, args.max_chunk)
     check_setup(setup)
     bags = find_bags(args.bags)
     with progress('list', total=len(bags), unit='bags') as advance:

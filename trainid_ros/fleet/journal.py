@@ -4,9 +4,11 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING, Self
+from typing import TYPE_CHECKING, Final, Self
 
 from trainid_ros.errors import InputError
+
+_START: Final = '["'
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -17,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def read_journal(path: Path) -> dict[str, Row]:
-    """Return the rows by key; a line that a killed run left unfinished is no row. Empty without a file.
+    """Return the rows by key; lines that a killed run left unfinished are no rows. Empty without a file.
 
     Raises:
         InputError: It cannot be read, or is something else.
@@ -25,22 +27,22 @@ def read_journal(path: Path) -> dict[str, Row]:
     """
     rows: dict[str, Row] = {}
     try:
-        text = path.read_text(encoding='utf-8')
+        text = path.read_text(encoding='utf-8', errors='replace')
     except FileNotFoundError:
         return rows
-    except (OSError, UnicodeDecodeError) as error:
+    except OSError as error:
         msg = f'{path}: cannot be read ({error})'
         raise InputError(msg) from None
     *lines, _ = text.split('\n')
-    for number, line in enumerate(lines, 1):
+    for line in lines:
         try:
             key, row = json.loads(line)
             rows[str(key)] = dict(row)
         except (ValueError, TypeError):
-            # After a kill a new run starts a new line; anything else was never a journal.
-            if not '["'.startswith(line[:2]):
-                msg = f'{path}: line {number} is no row of a fleet; remove the file or choose another --out'
-                raise InputError(msg) from None
+            continue  # a kill, or a loss of power, may leave anything
+    if lines and not rows and not lines[0].startswith(_START):
+        msg = f'{path}: holds no row of a fleet; remove the file or choose another --out'
+        raise InputError(msg)
     return rows
 
 

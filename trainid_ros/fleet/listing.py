@@ -41,7 +41,7 @@ def find_bags(given: Sequence[Path]) -> list[Path]:
     for path in given:
         bags = sorted(bag for place in _matching(path) for bag in _bags_at(place))
         if not bags:
-            msg = f'{path}: holds no bag (neither {METADATA} nor an .mcap file)'
+            msg = f'{path}: holds no bag (neither {METADATA} nor a file .mcap or .db3)'
             raise InputError(msg)
         for bag in bags:
             found.setdefault(bag.resolve(), bag)
@@ -60,8 +60,14 @@ def _matching(path: Path) -> list[Path]:
 def _bags_at(path: Path) -> Iterable[Path]:
     if not path.is_dir():
         return [path]
-    bags = []
-    for folder, folders, names in os.walk(path):
+    bags: list[Path] = []
+    seen: set[str] = set()
+    for folder, folders, names in os.walk(path, followlinks=True):
+        real = os.path.realpath(folder)
+        if real in seen:  # links may lead in circles
+            folders.clear()
+            continue
+        seen.add(real)
         if METADATA in names:
             folders.clear()
             bags.append(Path(folder))

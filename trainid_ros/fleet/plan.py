@@ -4,16 +4,18 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import asdict, dataclass
 from hashlib import sha256
 from pathlib import Path
 from typing import Any, Final
 
 import trainid_ros
-from trainid_ros.compiled import digest
 from trainid_ros.fleet.files import write_whole
 
 _FORMAT: Final = 1
+# A user function in a mapping, such as logger.py:force.
+_FUNCTION_FILE: Final = re.compile(rb'([\w.-]+\.py):')
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,10 +114,22 @@ class Plan:
 def make_plan(setup: Setup, bags: tuple[PlannedBag, ...]) -> Plan:
     """Return the plan of bags; OSError if a file of the setup cannot be read."""
     files = {'train': setup.train, 'params': setup.params, 'mapping': setup.mapping}
-    hashes = {name: '' if path is None else sha256(path.read_bytes()).hexdigest() for name, path in files.items()}
+    hashes = {name: '' if path is None else _hash_of(path) for name, path in files.items()}
     return Plan(setup, hashes, revision(), bags)
 
 
+def _hash_of(path: Path) -> str:
+    """Return the digest of a file and of the user functions that it names, which lie in its folder."""
+    content = path.read_bytes()
+    functions = sorted({name.decode() for name in _FUNCTION_FILE.findall(content)})
+    found = (path.parent / name for name in functions)
+    return sha256(b'\0'.join((content, *(file.read_bytes() for file in found if file.is_file())))).hexdigest()
+
+
 def revision() -> str:
-    """Return the version and a digest of the sources of the modules that compute."""
-    return f'{trainid_ros.__version__}+{digest(Path(trainid_ros.__file__).parent)[:12]}'
+    """Return the version and a digest of all sources."""
+    folder = Path(trainid_ros.__file__).parent
+    total = sha256()
+    for path in sorted(folder.rglob('*.py')):
+        total.update(path.relative_to(folder).as_posix().encode() + b'\0' + path.read_bytes())
+    return f'{trainid_ros.__version__}+{total.hexdigest()[:12]}'
