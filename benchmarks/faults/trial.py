@@ -221,7 +221,7 @@ def _course(
     """Return the outputs of the resistance (place 0) or brake rate pipeline (2) as arrays, with their errors."""
     time_s = np.array([(o.stamp_ns - start_ns) / NS_PER_S for o in outputs])
     # After a step of the clock, count from it on by the count of outputs, not by the stamps.
-    stepped = np.maximum.accumulate(np.abs(np.diff(time_s, prepend=time_s[0])) > 0.9 * abs(shift_s)) & (shift_s != 0.0)
+    stepped = np.maximum.accumulate(np.abs(np.diff(time_s, prepend=0.0)) > 0.9 * abs(shift_s)) & (shift_s != 0.0)
     time_s = np.where(stepped, time_s - shift_s, time_s)
     davis, rates = source.truths(start_ns + np.round(time_s * NS_PER_S).astype(np.int64))
     speed = np.array([o.estimate.speed for o in outputs])
