@@ -32,6 +32,9 @@ _REFINEMENTS: Final = 1
 # The speed is found when its bound is this close to the distance [m].
 _CLOSE: Final = 1e-9
 _ITERATIONS: Final = 100
+# A speed below this is none, and the slowest at which a train has to stop at all [m/s].
+_STANDING: Final = 1e-9
+_SLOWEST: Final = 1e-3
 # A brake rate below this is none [1].
 _LEAST_RATE: Final = 1e-3
 
@@ -126,27 +129,31 @@ class StoppingBounds:
             NoAnswerError: The train may not stop from any speed.
 
         """
-        low, high = 0.0, MOST_SPEED
-        speed = min(self._first_guess(distance), MOST_SPEED)
+        low, high, speed = 0.0, MOST_SPEED, min(self._first_guess(distance), MOST_SPEED)
         found = self.at(speed)
         for _ in range(_ITERATIONS):
             excess = found.distance - distance
-            if abs(excess) <= _CLOSE or high - low <= 1e-12:
+            if abs(excess) <= _CLOSE or high - low <= 1e-12 or (speed == MOST_SPEED and excess < 0.0):
                 break
-            if excess > 0.0:
-                high = speed
-            else:
-                low = speed
-            step = excess / found.by_speed if 0.0 < found.by_speed < math.inf else math.inf
-            following = speed - step
-            speed = following if low < following < high else 0.5 * (low + high)
+            low, high = (low, speed) if excess > 0.0 else (speed, high)
+            speed = self._next(speed, excess, found, low, high)
             found = self.at(speed)
+        if math.isinf(found.distance):
+            speed, found = low, self.at(low)
         return self._checked(speed, found)
 
+    @staticmethod
+    def _next(speed: float, excess: float, found: Bound, low: float, high: float) -> float:
+        """Return the speed of the next iteration: by Newton's method, or by halves where that leaves the bracket."""
+        following = speed - excess / found.by_speed if 0.0 < found.by_speed < math.inf else -math.inf
+        if following >= high == MOST_SPEED:
+            return MOST_SPEED
+        return following if low < following < high else 0.5 * (low + high)
+
     def _checked(self, speed: float, found: Bound) -> tuple[float, float]:
-        if speed > 1e-9:
+        if speed > _STANDING:
             return speed, found.std / found.by_speed
-        if math.isinf(self.at(1e-3).distance):
+        if math.isinf(self.at(_SLOWEST).distance):
             raise NoAnswerError(self.no_answer())
         return 0.0, 0.0
 

@@ -30,7 +30,7 @@ _WORDS: Final = {
 }
 NOT_YET: Final = 'no estimate yet'
 GONE: Final = 'its node is gone'
-NOT_FINITE: Final = 'its values are not possible'
+IMPOSSIBLE: Final = 'its values are not possible'
 
 
 class Channel:
@@ -55,14 +55,18 @@ class Channel:
         """Whether the values are those of an estimate, or on the way to them."""
         return not self._problem
 
+    def is_heard(self, time_s: float) -> bool:
+        """Return whether an estimate, usable or not, has come lately."""
+        return time_s - self._seen_s <= self._max_age_s
+
     def take(self, status: Status, values: Mapping[str, Normal], time_s: float) -> None:
         """Take in an estimate that arrived at a time [s]."""
         self.go_on(time_s)
         self._seen_s, self._status = time_s, status
         if status not in USABLE:
             self._fall_back(_WORDS[status], time_s)
-        elif not all(normal.is_finite() for normal in values.values()):
-            self._fall_back(NOT_FINITE, time_s)
+        elif not all(normal.is_possible() for normal in values.values()):
+            self._fall_back(IMPOSSIBLE, time_s)
         else:
             self._problem = ''
             for name, gradual in self._gradual.items():

@@ -1,12 +1,12 @@
 # SPDX-License-Identifier: Apache-2.0
 """Values that never jump: a normal distribution that moves to each new one at a bounded rate.
 
-On its way from (m0, P0) to (m, P), with the share g of the way done and d = m - m0,
+On its way from (m0, P0) to (m, P), with the share g of the way done, d = m - m0 and q = (1 - g)^2,
 
-    mean = m0 + g d,        covariance = s ((1 - g) P0 + g P + g (1 - g) d d').
+    mean = m0 + g d,        covariance = s (q P0 + (1 - q) P).
 
-That is a mixture of both, and s >= 1 is the least factor with which it also covers what is left of the way:
-``P + (1 - g)^2 d d'``. So the standard deviation rises at once by what it must cover, and falls gradually.
+s >= 1 is the least factor with which the standard deviation also covers what is left of the way, P + q d d'. So it
+rises at once by what it must cover, and then falls gradually.
 """
 
 from __future__ import annotations
@@ -20,6 +20,9 @@ if TYPE_CHECKING:
 
 MOST_RATE: Final = 0.25
 """Largest rate of change towards a live value, in standard deviations of the train file's value per second."""
+
+# No parameter of a train has a magnitude like this.
+_ABSURD: Final = 1e6
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,10 +45,10 @@ class Normal:
         row = (math.fsum(map(_product, self.covariance[n * i : n * i + n], direction)) for i in range(n))
         return mean, max(0.0, math.fsum(map(_product, row, direction)))
 
-    def is_finite(self) -> bool:
-        """Return whether all numbers are finite, and no variance is negative."""
+    def is_possible(self) -> bool:
+        """Return whether no number is absurd, NaN included, and no variance is negative."""
         n = len(self.mean)
-        numbers = all(map(math.isfinite, (*self.mean, *self.covariance)))
+        numbers = all(abs(x) < _ABSURD for x in (*self.mean, *self.covariance))
         return numbers and len(self.covariance) == n * n and min(self.covariance[:: n + 1]) >= 0.0
 
 
@@ -84,16 +87,16 @@ class Gradual:
         g = min(max(0.0, (time_s - self._begin_s) / self._duration_s), 1.0)
         d = [after - before for before, after in zip(self._from.mean, self._to.mean, strict=True)]
         mean = tuple(before + g * step for before, step in zip(self._from.mean, d, strict=True))
-        mixed = Normal(mean, self._mixture(d, 1.0 - g, g, g * (1.0 - g)))
-        least = Normal(mean, self._mixture(d, 0.0, 1.0, (1.0 - g) * (1.0 - g)))
-        scale = max(_ratio(least.along(probe)[1], mixed.along(probe)[1]) for probe in self._probes)
-        return Normal(mean, tuple(max(1.0, scale) * x for x in mixed.covariance))
-
-    def _mixture(self, d: list[float], before: float, after: float, left: float) -> tuple[float, ...]:
-        n, P0, P = len(d), self._from.covariance, self._to.covariance
-        return tuple(
-            before * P0[n * i + j] + after * P[n * i + j] + left * d[i] * d[j] for i in range(n) for j in range(n)
+        q = (1.0 - g) * (1.0 - g)
+        mixed = Normal(
+            mean, tuple(map(lambda P0, P: q * P0 + (1.0 - q) * P, self._from.covariance, self._to.covariance))
         )
+        scale = 1.0
+        for probe in self._probes:
+            left = math.fsum(map(_product, probe, d))
+            covered, stated = self._to.along(probe)[1] + q * left * left, mixed.along(probe)[1]
+            scale = max(scale, covered / stated) if stated > 0.0 else scale
+        return Normal(mean, tuple(scale * x for x in mixed.covariance))
 
     def _way(self) -> float:
         """Return the longest way of value or standard deviation, in standard deviations of the train file."""
@@ -103,7 +106,3 @@ class Gradual:
             change = max(abs(after - before), abs(math.sqrt(new) - math.sqrt(old)))
             longest = max(longest, change / math.sqrt(unit[1]))
         return longest
-
-
-def _ratio(x: float, y: float) -> float:
-    return x / y if y > 0.0 else 1.0

@@ -24,8 +24,16 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-RATE, SLOPE, CHANGEOVER, A, B, C, GRADIENT, DELAY, LAG = range(9)
-"""Places of the parameters f, e, h [1], a, b, c [N/kN, v in m/s], i [per mille], T and tau [s] in a list of them."""
+# Places of the parameters in a list of them: f, e, h [1], a, b, c [N/kN, v in m/s], i [per mille], T and tau [s].
+RATE: Final = 0
+SLOPE: Final = 1
+CHANGEOVER: Final = 2
+A: Final = 3
+B: Final = 4
+C: Final = 5
+GRADIENT: Final = 6
+DELAY: Final = 7
+LAG: Final = 8
 PARAMETERS: Final = 9
 
 # Longest step during the dead time [s], and the steps while the brake builds up, in time constants.

@@ -17,7 +17,7 @@ from trainid_ros.client.channel import MAX_AGE_S, Channel
 from trainid_ros.client.file_values import BRAKE_RATE, DAVIS, FORCE_SCALE, FileValues
 from trainid_ros.client.gradual import Normal
 from trainid_ros.errors import NoAnswerError
-from trainid_ros.results import BrakeRateEstimate, ResistanceEstimate
+from trainid_ros.messages import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, output_topic
 from trainid_ros.settings import SettingInfo, check_value
 from trainid_ros.train.davis import G
 from trainid_ros.train.train_file import TrainFile, load_train_file
@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from trainid_ros.bag.bag_replay import Replay
-    from trainid_ros.messages import OutputLike
+    from trainid_ros.messages import OutputLike, OutputTopic
     from trainid_ros.results import Status
 
 FULL_SERVICE: Final = -1.0
@@ -88,6 +88,7 @@ class TrainModel:
         self._file, self._clock, self._lock = FileValues(known), clock, Lock()
         self._resistance = Channel(self._file.resistance(), max_age)
         self._brake_rate = Channel(self._file.brake_rate(), max_age)
+        self._channels = {RESISTANCE_TOPIC: self._resistance, BRAKE_RATE_TOPIC: self._brake_rate}
         self._seen = (0.0, math.inf)
         if node is not None:
             from trainid_ros.ros.estimate_subscriptions import subscribe_estimates  # noqa: PLC0415 (needs ROS)
@@ -111,25 +112,31 @@ class TrainModel:
 
     def take(self, output: OutputLike) -> None:
         """Take in an output of an estimator that has just arrived; those of the speed model are not needed."""
-        if isinstance(output.estimate, ResistanceEstimate):
-            self.take_resistance(output.status, output.estimate)
-        elif isinstance(output.estimate, BrakeRateEstimate):
-            self.take_brake_rate(output.status, output.estimate)
+        self.take_message(output_topic(output.estimate), output.status, output.estimate)
 
-    def take_resistance(self, status: Status, estimate: ResistanceEstimate) -> None:
-        """Take in a resistance, or a message of one, that has just arrived."""
-        values = {DAVIS: Normal((estimate.a, estimate.b, estimate.c), tuple(map(float, estimate.covariance)))}
-        if not math.isnan(estimate.force_scale):
-            values[FORCE_SCALE] = Normal((estimate.force_scale,), (estimate.force_scale_std**2,))
-        with self._lock:
-            self._resistance.take(status, values, self._clock())
-            self._seen = (estimate.speed_min, estimate.speed_max)
+    def take_message(self, topic: OutputTopic, status: Status, estimate: Any, *, latched: bool = False) -> None:
+        """Take in the status and the fields of an estimate, which may be a message.
 
-    def take_brake_rate(self, status: Status, estimate: BrakeRateEstimate) -> None:
-        """Take in a brake rate, or a message of one, that has just arrived."""
-        rate = Normal((estimate.brake_rate,), (estimate.brake_rate_std**2,))
+        A latched copy only counts where nothing newer is known.
+        """
+        channel = self._channels.get(topic)
+        if channel is None:
+            return
+        if topic is RESISTANCE_TOPIC:
+            values, seen = _resistance_values(estimate), (estimate.speed_min, estimate.speed_max)
+        else:
+            values, seen = {BRAKE_RATE: Normal((estimate.brake_rate,), (estimate.brake_rate_std**2,))}, self._seen
         with self._lock:
-            self._brake_rate.take(status, {BRAKE_RATE: rate}, self._clock())
+            now = self._clock()
+            if latched and channel.is_heard(now):
+                return
+            channel.take(status, values, now)
+            self._seen = seen
+
+    def lose(self, topic: OutputTopic, reason: str) -> None:
+        """Use the train file instead of an estimate until the next one comes."""
+        with self._lock:
+            self._channels[topic].lose(reason, self._clock())
 
     def resistance(self, speed: float) -> Value:
         """Return the running resistance w(v) = a + b v + c v^2 [N/kN] at a speed [m/s].
@@ -341,3 +348,10 @@ def _both(w: Value, rate: Value) -> tuple[bool, str]:
     if w.reason == rate.reason:
         return w.live and rate.live, w.reason
     return w.live and rate.live, f'resistance {w.reason}; brake rate {rate.reason}'
+
+
+def _resistance_values(estimate: Any) -> dict[str, Normal]:
+    values = {DAVIS: Normal((estimate.a, estimate.b, estimate.c), tuple(map(float, estimate.covariance)))}
+    if not math.isnan(estimate.force_scale):
+        values[FORCE_SCALE] = Normal((estimate.force_scale,), (estimate.force_scale_std**2,))
+    return values
