@@ -6,16 +6,15 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Final
 
-from trainid_ros.brake_rate.brake_rate_settings import GsmaConfig
 from trainid_ros.brake_rate.motion_model import MotionModel
 from trainid_ros.client.gradual import Normal
 from trainid_ros.client.stopping import RateShape
 from trainid_ros.estimators.prior import prior_variances
-from trainid_ros.resistance.resistance_settings import FilterBankConfig
 from trainid_ros.train.davis import G
 
 if TYPE_CHECKING:
     from trainid_ros.brake_rate.brake_rate_settings import BrakeRateConfig
+    from trainid_ros.estimators.prior import PriorSettings
     from trainid_ros.train.train_file import TrainFile
 
 DAVIS: Final = 'davis'
@@ -37,10 +36,9 @@ class FileValues:
 
     """
 
-    def __init__(self, train_file: TrainFile) -> None:
-        self.train_file = train_file
-        self.config: BrakeRateConfig = GsmaConfig()
-        model = MotionModel(train_file, self.config)
+    def __init__(self, train_file: TrainFile, prior: PriorSettings, config: BrakeRateConfig) -> None:
+        self.train_file, self.config, self._prior = train_file, config, prior
+        model = MotionModel(train_file, config)
         self.brake, self.timing_stds = model.brake, model.timing_stds
         self.inertia = G / (1000.0 * (1.0 + train_file.train.rotary_mass))
         table = self.brake.rate_table
@@ -50,7 +48,7 @@ class FileValues:
     def resistance(self) -> dict[str, tuple[Normal, _Probes]]:
         """Return (a, b, c) and the force scale, each with the directions in which its moves are measured."""
         w, train = self.train_file.resistance, self.train_file.train
-        a, b, c = prior_variances((w.a, w.b, w.c), FilterBankConfig())
+        a, b, c = prior_variances((w.a, w.b, w.c), self._prior)
         davis = Normal((w.a, w.b, w.c), (a, 0.0, 0.0, 0.0, b, 0.0, 0.0, 0.0, c))
         scale = Normal((1.0,), (math.hypot(train.mass_std, train.force_std) ** 2,))
         speeds = (0.0, 0.5 * train.max_speed, train.max_speed)

@@ -12,12 +12,14 @@ from dataclasses import dataclass, replace
 from threading import Lock
 from typing import TYPE_CHECKING, Any, Final
 
+from trainid_ros.brake_rate.brake_rate_settings import GsmaConfig
 from trainid_ros.client.bounds import MOST_SPEED, StoppingBounds, StopPosterior
 from trainid_ros.client.channel import MAX_AGE_S, Channel
 from trainid_ros.client.file_values import BRAKE_RATE, DAVIS, FORCE_SCALE, FileValues
 from trainid_ros.client.gradual import Normal
 from trainid_ros.errors import NoAnswerError
 from trainid_ros.messages import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, output_topic
+from trainid_ros.resistance.resistance_settings import FilterBankConfig
 from trainid_ros.settings import SettingInfo, check_value
 from trainid_ros.train.davis import G
 from trainid_ros.train.train_file import TrainFile, load_train_file
@@ -27,11 +29,16 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from trainid_ros.bag.bag_replay import Replay
+    from trainid_ros.brake_rate.brake_rate_settings import BrakeRateConfig
+    from trainid_ros.estimators.prior import PriorSettings
     from trainid_ros.messages import OutputLike, OutputTopic
     from trainid_ros.results import Status
 
 FULL_SERVICE: Final = -1.0
 """Brake command of a stop unless another is given [m/s^2]."""
+# What the nodes start with unless they are set otherwise.
+_PRIOR: Final = FilterBankConfig()
+_BRAKE: Final = GsmaConfig()
 _LEAST: Final = 1e-3
 _SPEED: Final = SettingInfo('', 'm/s', 0.0, MOST_SPEED)
 _GRADIENT: Final = SettingInfo('', 'per mille', -500.0, 500.0)
@@ -70,6 +77,8 @@ class TrainModel:
         max_age: Time without a new estimate after which the train file applies [s]. Estimates come as often as the
             speed; with speeds slower than 2 Hz it must be longer.
         clock: Present time [s]; it must not jump.
+        prior: How well the train file's resistance is known, as set in the node ``resistance_estimator``.
+        brake: The same of the brake rate and its change over speed, as set in the node ``brake_rate_estimator``.
 
     Raises:
         InputError: The train file cannot be used.
@@ -83,9 +92,11 @@ class TrainModel:
         *,
         max_age: float = MAX_AGE_S,
         clock: Callable[[], float] = time.monotonic,
+        prior: PriorSettings = _PRIOR,
+        brake: BrakeRateConfig = _BRAKE,
     ) -> None:
         known = train_file if isinstance(train_file, TrainFile) else load_train_file(train_file)
-        self._file, self._clock, self._lock = FileValues(known), clock, Lock()
+        self._file, self._clock, self._lock = FileValues(known, prior, brake), clock, Lock()
         self._resistance = Channel(self._file.resistance(), max_age)
         self._brake_rate = Channel(self._file.brake_rate(), max_age)
         self._channels = {RESISTANCE_TOPIC: self._resistance, BRAKE_RATE_TOPIC: self._brake_rate}
