@@ -6,10 +6,12 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from trainid_ros.bag.bag_replay import Replay, replay
@@ -180,6 +182,14 @@ def test_the_curve_is_the_inverse_of_the_distance() -> None:
         assert speed == model.braking_speed(1000.0 - position, -4.0, -0.8, 0.99)
 
 
+CALLS_ALL: tuple[Callable[[TrainModel, float, float, float, float], Value], ...] = (
+    lambda m, v, i, u, P: m.resistance(v),  # noqa: ARG005
+    lambda m, v, i, u, P: m.feed_forward(v, i, u),  # noqa: ARG005
+    lambda m, v, i, u, P: m.brake_rate(v),  # noqa: ARG005
+    lambda m, v, i, u, P: m.brake_command(v, i, u),  # noqa: ARG005
+    lambda m, v, i, u, P: m.stopping_distance(v, i, u, P),
+    lambda m, v, i, u, P: m.braking_speed(10.0 * v, i, u, P),
+)
 CALLS: dict[str, Callable[[TrainModel, float], object]] = {
     'speed': lambda m, x: m.resistance(x),
     'gradient': lambda m, x: m.feed_forward(10.0, x * 100.0, 0.0),
@@ -199,6 +209,35 @@ def test_an_argument_that_cannot_be_is_named(name: str, value: float) -> None:
         CALLS[name](Drive().model, value)
     with pytest.raises(InputError, match=r'^distance = '):
         Drive().model.braking_curve(100.0, [0.0, math.nan])
+
+
+def test_no_answer_is_ever_infinite_whatever_the_estimates_are() -> None:
+    rng = np.random.default_rng(3)
+    answered = 0
+    for _ in range(150):
+        a, b, c, rate, scale = (float(x) for x in rng.normal(0.5, 1.0, 5) * 10.0 ** rng.uniform(-4.0, 5.0, 5))
+        spread = 10.0 ** rng.uniform(-9.0, 5.0, 3)
+        covariance = (spread[0], 0.0, 0.0, 0.0, spread[1], 0.0, 0.0, 0.0, spread[2])
+        drive = Drive()
+        w = replace(W, a=a, b=b, c=c, covariance=covariance, force_scale=scale)
+        f = replace(F, brake_rate=rate, brake_rate_std=float(10.0 ** rng.uniform(-4.0, 2.0)))
+        for k in range(3):
+            drive.now = 20.0 * k
+            drive.model.take(Output(k, w, Status.VALID, 1, 0, None))
+            drive.model.take(Output(k, f, Status.VALID, 1, 0, None))
+            v, i, u, P = (
+                rng.uniform(0.0, 150.0),
+                rng.uniform(-90.0, 90.0),
+                -rng.uniform(0.01, 3.0),
+                rng.uniform(0.01, 0.99),
+            )
+            for ask in CALLS_ALL:
+                with suppress(NoAnswerError):
+                    answer = ask(drive.model, v, i, u, P)
+                    assert math.isfinite(answer.value), (answer, w, f, v, i, u, P)
+                    assert 0.0 <= answer.std < math.inf, (answer, w, f, v, i, u, P)
+                    answered += 1
+    assert answered > 1000
 
 
 def test_a_brake_that_may_not_hold_the_train_has_no_answer() -> None:

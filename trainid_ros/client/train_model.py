@@ -47,6 +47,7 @@ _MASS: Final = SettingInfo('', 'kg', 1.0, 1e9)
 _COMMAND: Final = SettingInfo('', 'm/s^2', -20.0, -_LEAST)
 _APPLIED: Final = SettingInfo('', 'm/s^2', -20.0, 0.0)
 _CONFIDENCE: Final = SettingInfo('', '', 1e-6, 1.0 - 1e-6)
+_MAX_AGE: Final = SettingInfo('', 's', 0.01, 1e12)
 _DISTANCE: Final = SettingInfo('', 'm', 0.0, 1e5)
 
 
@@ -81,7 +82,7 @@ class TrainModel:
         brake: The same of the brake rate and its change over speed, as set in the node ``brake_rate_estimator``.
 
     Raises:
-        InputError: The train file cannot be used.
+        InputError: The train file or an argument cannot be used.
 
     """
 
@@ -95,6 +96,7 @@ class TrainModel:
         prior: PriorSettings = _PRIOR,
         brake: BrakeRateConfig = _BRAKE,
     ) -> None:
+        check_value('max_age', max_age, _MAX_AGE)
         known = train_file if isinstance(train_file, TrainFile) else load_train_file(train_file)
         self._file, self._clock, self._lock = FileValues(known, prior, brake), clock, Lock()
         self._resistance = Channel(self._file.resistance(), max_age)
@@ -115,7 +117,7 @@ class TrainModel:
 
         """
         now = 0.0
-        model = cls(None, train_file, max_age=math.inf, clock=lambda: now)
+        model = cls(None, train_file, max_age=_MAX_AGE.high, clock=lambda: now)
         model.take(result.resistance.output)
         model.take(result.brake_rate.output)
         now = 1e9  # all moves are done
@@ -136,7 +138,7 @@ class TrainModel:
         if topic is RESISTANCE_TOPIC:
             values, seen = _resistance_values(estimate), (estimate.speed_min, estimate.speed_max)
         else:
-            values, seen = {BRAKE_RATE: Normal((estimate.brake_rate,), (estimate.brake_rate_std**2,))}, self._seen
+            values, seen = {BRAKE_RATE: _positive(estimate.brake_rate, estimate.brake_rate_std)}, self._seen
         with self._lock:
             now = self._clock()
             if latched and channel.is_heard(now):
@@ -363,6 +365,12 @@ def _both(w: Value, rate: Value) -> tuple[bool, str]:
 
 def _resistance_values(estimate: Any) -> dict[str, Normal]:
     values = {DAVIS: Normal((estimate.a, estimate.b, estimate.c), tuple(map(float, estimate.covariance)))}
-    if not math.isnan(estimate.force_scale):
-        values[FORCE_SCALE] = Normal((estimate.force_scale,), (estimate.force_scale_std**2,))
+    scale, std = estimate.force_scale, estimate.force_scale_std
+    if not math.isnan(scale):  # NaN: not estimated
+        values[FORCE_SCALE] = _positive(scale, std)
     return values
+
+
+def _positive(value: float, std: float) -> Normal:
+    """Return a factor with its standard deviation; one that is not positive is not possible."""
+    return Normal((value if value > _LEAST else math.nan,), (std * std,))
