@@ -40,7 +40,7 @@ def test_an_estimate_is_approached_and_then_followed() -> None:
     assert one.reason() == 'HOLDING'
 
 
-@pytest.mark.parametrize('status', [Status.UNINITIALIZED, Status.CONVERGING, Status.STALE, Status.FAULT])
+@pytest.mark.parametrize('status', [Status.UNINITIALIZED, Status.STALE, Status.FAULT])
 def test_a_status_that_is_not_fit_to_use_brings_the_train_file_back(status: Status) -> None:
     one = channel(10.0)
     one.take(status, LIVE, 10.2)
@@ -48,6 +48,28 @@ def test_a_status_that_is_not_fit_to_use_brings_the_train_file_back(status: Stat
     assert one.reason().startswith(f'train file: {status.name}, ')
     one.go_on(10.2 + FALL_BACK_S)
     assert one.normal('rate') == FILE
+
+
+def test_a_valid_estimate_in_doubt_stands_with_the_uncertainty_of_the_train_file() -> None:
+    one = channel(10.0)
+    for k in range(1, 4):
+        one.take(Status.CONVERGING, {'rate': Normal((0.3,), (1e-6,))}, 10.0 + 0.2 * k)
+    assert one.is_live
+    assert one.reason() == 'CONVERGING, the last valid value as uncertain as that of the train file'
+    assert one.normal('rate') == Normal((0.8,), FILE.covariance)
+    one.take(Status.VALID, LIVE, 10.8)
+    assert one.reason() == 'VALID, moving to the live value'
+    one.take(Status.CONVERGING, LIVE, 11.0)
+    one.take(Status.STALE, LIVE, 11.2)
+    one.go_on(11.2 + FALL_BACK_S)
+    assert one.normal('rate') == FILE
+
+
+def test_an_estimate_that_was_never_valid_is_not_used() -> None:
+    one = channel()
+    one.take(Status.CONVERGING, LIVE, 0.0)
+    one.go_on(0.5)
+    assert (one.normal('rate'), one.reason()) == (FILE, 'train file: CONVERGING, not fit to use')
 
 
 @pytest.mark.parametrize('asked_at', [(10.7, 10.8, 10.85), (10.85,)])

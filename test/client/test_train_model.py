@@ -136,7 +136,7 @@ def test_live_values_shorten_a_bound_and_move_without_a_jump() -> None:
         assert max(abs(after - value) for value, after in pairwise(values)) < largest
 
 
-@pytest.mark.parametrize('status', [Status.STALE, Status.FAULT, Status.CONVERGING])
+@pytest.mark.parametrize('status', [Status.STALE, Status.FAULT])
 def test_the_train_file_is_back_within_a_second(status: Status) -> None:
     drive = Drive()
     model = drive.on(20.0)
