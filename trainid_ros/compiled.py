@@ -39,6 +39,8 @@ MODULES: Final = (
     'brake_rate/motion_model',
     'brake_rate/posterior',
     'brake_rate/timing',
+    'client/bounds',
+    'client/stopping',
     'estimators/admission',
     'estimators/consistency',
     'estimators/known_force',

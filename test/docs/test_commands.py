@@ -50,6 +50,9 @@ NOT_RUN = {
             '-p train_file:=/path/to/train.yaml'
         ): SECURE,
     },
+    'docs/controller.md': {
+        'colcon build --base-paths src/trainid_ros/msg_defs src/trainid_ros/examples/cpp': 'needs a workspace',
+    },
     'docs/faults.md': {'.venv/bin/python benchmarks/run.py --only faults faults_live --seeds 3': 'takes minutes'},
     'docs/fleet.md': {
         '.venv/bin/trainid fleet report out/day.parquet --out out/report.html --explain 5': 'needs the bags of weeks',

@@ -12,6 +12,7 @@ import pytest
 
 from tools.documents import ROOT, Block, blocks, documents
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
+from trainid_ros.client import TrainModel
 from trainid_ros.messages import OUTPUT_TOPICS, RESISTANCE_TOPIC
 from trainid_ros.records import INPUT_TOPICS
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
@@ -57,7 +58,7 @@ def test_the_page_of_tables_shows_its_files() -> None:
 
 
 def test_the_controller_reads_fields_and_topics_that_exist() -> None:
-    code = ast.parse(titled('README.md', 'controller.py').text)
+    code = ast.parse(titled('docs/controller.md', 'controller.py').text)
     read = {
         node.attr
         for node in ast.walk(code)
@@ -67,6 +68,20 @@ def test_the_controller_reads_fields_and_topics_that_exist() -> None:
     assert read <= {'status', *Status.__members__, *(item.name for item in fields(ResistanceEstimate))}
     texts = {node.value for node in ast.walk(code) if isinstance(node, ast.Constant)}
     assert RESISTANCE_TOPIC.last_valid in texts
+
+
+def test_the_client_answers_after_a_replay(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    monkeypatch.chdir(ROOT)
+    exec(compile(titled('docs/controller.md', 'ask_replay.py').text, 'ask_replay.py', 'exec'), {})
+    answers = capsys.readouterr().out.splitlines()
+    assert len(answers) == 2
+    assert all(re.fullmatch(r"Value\(value=[\d.]+, std=[\d.]+, live=True, reason='.*'\)", line) for line in answers)
+
+
+def test_the_methods_of_the_client_are_described() -> None:
+    public = {name for name in vars(TrainModel) if not name.startswith('_')} - {'from_replay', 'lose', 'take_message'}
+    text = text_of('docs/controller.md')
+    assert {name for name in public if f'`{name}(' in text} == public
 
 
 def test_the_new_effect_is_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Bounds cover what they state, and their inverse is exact."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from test.client.test_stopping import EMU, shape
+from trainid_ros.client.bounds import MOST_SPEED, StoppingBounds, StopPosterior
+from trainid_ros.client.stopping import RateShape
+from trainid_ros.errors import NoAnswerError
+from trainid_ros.train.train_file import Pairs
+
+Array = NDArray[np.float64]
+DRAWS = 10_000
+DAVIS = (0.04, -0.002, 0.0, -0.002, 2e-4, 0.0, 0.0, 0.0, 4e-8)
+LEARNED = StopPosterior(
+    (0.9, 0.0, 0.0, 1.5, 0.02, 0.001, 0.0, 0.6, 0.4),
+    (0.02**2, 0.08**2, 0.06**2, 0.0, 0.0, 0.0, 0.2**2, 0.1**2, 0.06**2),
+    DAVIS,
+)
+UNKNOWN = replace(
+    LEARNED, variances=(0.2**2, *LEARNED.variances[1:]), davis=(0.94, 0.0, 0.0, 0.0, 5e-4, 0.0, 0.0, 0.0, 6e-7)
+)
+
+
+def draw(posterior: StopPosterior, rng: np.random.Generator) -> Array:
+    """Return parameters from the posterior, shape (9, draws)."""
+    theta = np.array(posterior.mean)[:, None] + np.sqrt(posterior.variances)[:, None] * rng.standard_normal((9, DRAWS))
+    davis = np.array(posterior.davis).reshape(3, 3)
+    theta[3:6] = rng.multivariate_normal(posterior.mean[3:6], davis, DRAWS).T
+    return theta
+
+
+def distances(form: RateShape, theta: Array, speed: float, command: float, applied: float, dt: float = 0.02) -> Array:
+    """Integrate the equations of stopping.py in small equal steps, for all draws at once."""
+    f, e, h, a, b, c, i, delay, tau = theta
+    table = (np.array(form.speeds), np.array(form.rates)) if form.speeds else (np.array([0.0]), np.array([1.0]))
+    v, run, t = np.full(DRAWS, speed), np.zeros(DRAWS), 0.0
+    while np.any(v > 0.0) and t < 60.0:
+        since = np.maximum(0.0, t + 0.5 * dt - delay)
+        target = command + (applied - command) * np.exp(-since / tau)
+        by_speed = e * (np.minimum(v / form.max_speed, 1.0) - 0.5)
+        by_speed += h * np.maximum(0.0, 1.0 - np.abs(v / form.blend_speed - 1.0))
+        d = np.interp(v, *table) * (f + by_speed) * target + form.inertia * (a + i + v * (b + c * v))
+        after = np.maximum(0.0, v - dt * d)
+        run += np.where(after > 0.0, 0.5 * (v + after) * dt, 0.5 * v * v / np.maximum(d, 1e-9))
+        v, t = np.where(v > 0.0, after, 0.0), t + dt
+    return run
+
+
+@pytest.mark.parametrize(
+    ('posterior', 'table', 'speed', 'command', 'applied'),
+    [
+        (LEARNED, (), 20.0, 1.0, 0.0),
+        (LEARNED, (), 3.0, 0.7, 0.7),
+        (LEARNED, EMU, 24.0, 1.0, 0.0),
+        (UNKNOWN, (), 20.0, 1.0, 0.0),
+        (UNKNOWN, EMU, 12.0, 0.8, 0.3),
+    ],
+)
+def test_bounds_cover_their_share_of_the_posterior(
+    posterior: StopPosterior, table: Pairs, speed: float, command: float, applied: float
+) -> None:
+    found = distances(shape(table), draw(posterior, np.random.default_rng(7)), speed, command, applied)
+    for confidence, tolerance in ((0.5, 0.02), (0.95, 0.008), (0.99, 0.004)):
+        bound = StoppingBounds(shape(table), posterior, command, applied, confidence).at(speed)
+        covered = float(np.mean(found <= bound.distance))
+        print(f'{confidence}: {covered:.4f}, std {bound.std:.2f} m, sampled {float(np.std(found)):.2f} m')
+        assert abs(covered - confidence) < tolerance
+
+
+@pytest.mark.parametrize('table', [(), EMU])
+@pytest.mark.parametrize('gradient', [-30.0, 0.0, 25.0])
+@pytest.mark.parametrize('confidence', [0.5, 0.999])
+def test_the_speed_is_the_exact_inverse_of_the_distance(table: Pairs, gradient: float, confidence: float) -> None:
+    posterior = replace(LEARNED, mean=(*LEARNED.mean[:6], gradient, *LEARNED.mean[7:]))
+    bounds = StoppingBounds(shape(table), posterior, 0.9, 0.0, confidence)
+    for speed in (0.6, 2.5, 5.0, 9.3, 22.2, 41.0, 140.0):
+        assert bounds.speed(bounds.at(speed).distance)[0] == pytest.approx(speed, abs=1e-6)
+
+
+def test_the_std_of_a_speed_is_that_of_its_distance() -> None:
+    bounds = StoppingBounds(shape(), LEARNED, 0.9, 0.0, 0.95)
+    speed, std = bounds.speed(200.0)
+    assert std == pytest.approx(bounds.at(speed).std * (bounds.speed(201.0)[0] - speed), rel=0.01)
+
+
+def test_a_distance_too_long_for_any_speed_gives_the_largest_one() -> None:
+    assert StoppingBounds(shape(), LEARNED, 0.9, 0.0, 0.95).speed(1e5)[0] == MOST_SPEED
+
+
+def test_no_distance_allows_no_speed_also_downhill() -> None:
+    downhill = replace(LEARNED, mean=(*LEARNED.mean[:6], -30.0, *LEARNED.mean[7:]))
+    assert StoppingBounds(shape(), LEARNED, 0.9, 0.0, 0.95).speed(0.0) == (0.0, 0.0)
+    assert StoppingBounds(shape(), downhill, 0.9, 0.0, 0.95).speed(0.01) == (0.0, 0.0)
+
+
+def test_a_train_that_may_not_stop_has_no_answer() -> None:
+    steep = replace(UNKNOWN, mean=(*UNKNOWN.mean[:6], -60.0, *UNKNOWN.mean[7:]))
+    bounds = StoppingBounds(shape(), steep, 0.6, 0.0, 0.95)
+    assert math.isinf(bounds.at(10.0).distance)
+    with pytest.raises(NoAnswerError, match=r'may not stop: command = -0.6 m/s\^2 is too weak'):
+        bounds.speed(100.0)
+
+
+def test_a_train_that_only_stops_from_low_speeds_gets_one_of_them() -> None:
+    fading = ((5.0, 1.0), (15.0, 0.02))
+    posterior = replace(LEARNED, mean=(*LEARNED.mean[:6], -25.0, *LEARNED.mean[7:]))
+    bounds = StoppingBounds(shape(fading), posterior, 0.6, 0.0, 0.95)
+    assert math.isinf(bounds.at(15.0).distance)
+    speed, std = bounds.speed(1e4)
+    assert 5.0 < speed < 15.0
+    assert math.isfinite(std)

@@ -1,0 +1,118 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Which estimates are used, and how soon the train file replaces them."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from trainid_ros.client.channel import FALL_BACK_S, MAX_AGE_S, Channel
+from trainid_ros.client.gradual import Normal
+from trainid_ros.results import Status
+
+FILE = Normal((1.0,), (0.04,))
+LIVE = {'rate': Normal((0.8,), (1e-4,))}
+
+
+def channel(until_s: float = 0.0) -> Channel:
+    """Return a channel that has had a VALID estimate at 5 Hz from 0 s until a time."""
+    out = Channel({'rate': (FILE, ((1.0,),))}, MAX_AGE_S)
+    for k in range(round(until_s / 0.2) + 1 if until_s else 0):
+        out.take(Status.VALID, LIVE, 0.2 * k)
+    return out
+
+
+def test_the_train_file_applies_until_an_estimate_comes() -> None:
+    new = channel()
+    new.go_on(5.0)
+    assert (new.normal('rate'), new.is_live) == (FILE, False)
+    assert new.reason() == 'train file: no estimate yet'
+
+
+def test_an_estimate_is_approached_and_then_followed() -> None:
+    one = channel(1.0)
+    assert 0.8 < one.normal('rate').mean[0] < 1.0
+    assert one.reason() == 'VALID, moving to the live value'
+    one = channel(10.0)
+    assert (one.normal('rate'), one.is_live, one.reason()) == (LIVE['rate'], True, 'VALID')
+    one.take(Status.HOLDING, LIVE, 10.2)
+    assert one.reason() == 'HOLDING'
+
+
+@pytest.mark.parametrize('status', [Status.UNINITIALIZED, Status.STALE, Status.FAULT])
+def test_a_status_that_is_not_fit_to_use_brings_the_train_file_back(status: Status) -> None:
+    one = channel(10.0)
+    one.take(status, LIVE, 10.2)
+    assert not one.is_live
+    assert one.reason().startswith(f'train file: {status.name}, ')
+    one.go_on(10.2 + FALL_BACK_S)
+    assert one.normal('rate') == FILE
+
+
+def test_a_valid_estimate_in_doubt_stands_with_the_uncertainty_of_the_train_file() -> None:
+    one = channel(10.0)
+    for k in range(1, 4):
+        one.take(Status.CONVERGING, {'rate': Normal((0.3,), (1e-6,))}, 10.0 + 0.2 * k)
+    assert one.is_live
+    assert one.reason() == 'CONVERGING, the last valid value as uncertain as that of the train file'
+    assert one.normal('rate') == Normal((0.8,), FILE.covariance)
+    one.take(Status.VALID, LIVE, 10.8)
+    assert one.reason() == 'VALID, moving to the live value'
+    one.take(Status.CONVERGING, LIVE, 11.0)
+    one.take(Status.STALE, LIVE, 11.2)
+    one.go_on(11.2 + FALL_BACK_S)
+    assert one.normal('rate') == FILE
+
+
+def test_an_estimate_that_was_never_valid_is_not_used() -> None:
+    one = channel()
+    one.take(Status.CONVERGING, LIVE, 0.0)
+    one.go_on(0.5)
+    assert (one.normal('rate'), one.reason()) == (FILE, 'train file: CONVERGING, not fit to use')
+
+
+@pytest.mark.parametrize('asked_at', [(10.7, 10.8, 10.85), (10.85,)])
+def test_silence_brings_the_train_file_back_whenever_it_is_asked_for(asked_at: tuple[float, ...]) -> None:
+    one = channel(10.0)
+    for time_s in asked_at:
+        one.go_on(time_s)
+    assert one.reason() == 'train file: no estimate for more than 0.75 s'
+    assert one.normal('rate').mean[0] == pytest.approx(0.8 + 0.2 * 0.5)
+    one.go_on(10.0 + MAX_AGE_S + FALL_BACK_S)
+    assert one.normal('rate') == FILE
+    assert MAX_AGE_S + FALL_BACK_S <= 1.0
+
+
+def test_a_node_that_is_gone_brings_the_train_file_back_until_the_next_estimate() -> None:
+    one = channel(10.0)
+    one.lose('its node is gone', 10.1)
+    one.go_on(11.0)
+    assert (one.normal('rate'), one.reason()) == (FILE, 'train file: its node is gone')
+    one.take(Status.VALID, LIVE, 12.0)
+    assert (one.is_live, one.normal('rate').mean) == (True, FILE.mean)
+
+
+@pytest.mark.parametrize('value', [math.nan, math.inf, 1e300])
+def test_an_impossible_value_is_not_used(value: float) -> None:
+    one = channel(10.0)
+    one.take(Status.VALID, {'rate': Normal((value,), (1e-4,))}, 10.2)
+    one.go_on(11.0)
+    assert one.normal('rate') == FILE
+    assert one.reason() == 'train file: its values are not possible'
+
+
+def test_a_step_of_a_live_value_is_gradual_too() -> None:
+    one = channel(10.0)
+    one.take(Status.VALID, {'rate': Normal((0.6,), (1e-4,))}, 10.2)
+    now = one.normal('rate')
+    assert now.mean == (0.8,)
+    assert math.sqrt(now.covariance[0]) == pytest.approx(math.hypot(0.2, 0.01))
+
+
+def test_a_clock_that_goes_back_stands_still() -> None:
+    one = channel(10.0)
+    one.go_on(9.0)
+    assert one.normal('rate') == LIVE['rate']
+    assert one.is_heard(10.0)
+    assert not one.is_heard(10.0 + MAX_AGE_S + 0.1)

@@ -1,0 +1,83 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Values move at a bounded rate, the same whenever they are asked for, and their std covers what is left of the way."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import pytest
+
+from trainid_ros.client.gradual import MOST_RATE, Gradual, Normal
+
+FILE = Normal((1.0,), (0.04,))
+LIVE = Normal((0.8,), (1e-4,))
+PROBES = ((1.0, 0.0), (1.0, 20.0))
+DAVIS_FILE = Normal((1.5, 0.02), (0.64, 0.0, 0.0, 4e-4))
+DAVIS_LIVE = Normal((2.0, 0.03), (0.01, -4e-4, -4e-4, 2e-5))
+
+
+def std(normal: Normal, direction: tuple[float, ...] = (1.0,)) -> float:
+    return math.sqrt(normal.along(direction)[1])
+
+
+def test_a_weighted_sum_has_its_mean_and_variance() -> None:
+    mean, variance = DAVIS_LIVE.along((1.0, 10.0))
+    assert mean == pytest.approx(2.3)
+    assert variance == pytest.approx(0.01 - 2 * 10.0 * 4e-4 + 100.0 * 2e-5)
+
+
+def test_values_and_stds_change_at_most_at_the_stated_rate() -> None:
+    values = Gradual(DAVIS_FILE, PROBES)
+    values.go_to(DAVIS_LIVE, 10.0)
+    dt, end = 0.05, 10.0 + values.left_s(10.0)
+    assert 2.0 < end - 10.0 < 6.0
+    times = [10.0 + dt * k for k in range(round((end - 10.0) / dt) + 2)]
+    for probe in PROBES:
+        limit = 1.001 * MOST_RATE * dt * std(DAVIS_FILE, probe)
+        steps = [values.at(t) for t in times]
+        for before, after in pairwise(steps):
+            assert abs(after.along(probe)[0] - before.along(probe)[0]) <= limit
+            assert abs(std(after, probe) - std(before, probe)) <= 2.0 * limit
+    assert values.at(end) == DAVIS_LIVE
+
+
+@pytest.mark.parametrize(('start', 'target'), [(FILE, LIVE), (LIVE, FILE), (LIVE, Normal((1.4,), (1e-4,)))])
+def test_the_std_covers_what_is_left_of_the_way(start: Normal, target: Normal) -> None:
+    values = Gradual(start, ((1.0,),))
+    values.go_to(target, 0.0)
+    duration = values.left_s(0.0)
+    for share in (0.0, 0.01, 0.3, 0.7, 0.99, 1.0):
+        now = values.at(share * duration)
+        assert std(now) >= 0.999 * math.hypot(target.mean[0] - now.mean[0], std(target))
+
+
+def test_values_do_not_depend_on_when_they_are_asked_for() -> None:
+    asked, other = Gradual(FILE, ((1.0,),)), Gradual(FILE, ((1.0,),))
+    for values in (asked, other):
+        values.go_to(LIVE, 0.0)
+    for k in range(30):
+        asked.at(0.1 * k)
+    assert asked.at(3.0) == other.at(3.0)
+
+
+def test_repeating_the_same_value_does_not_lengthen_the_way() -> None:
+    once, repeated = Gradual(FILE, ((1.0,),)), Gradual(FILE, ((1.0,),))
+    once.go_to(LIVE, 0.0)
+    for k in range(40):
+        repeated.go_to(LIVE, 0.2 * k)
+        assert repeated.at(0.2 * k).mean[0] == pytest.approx(once.at(0.2 * k).mean[0], abs=0.02)
+    assert repeated.at(8.0) == LIVE
+
+
+def test_a_move_may_have_a_longest_duration() -> None:
+    values = Gradual(LIVE, ((1.0,),))
+    values.go_to(Normal((3.0,), (0.04,)), 5.0, 0.2)
+    assert values.at(5.2) == Normal((3.0,), (0.04,))
+
+
+@pytest.mark.parametrize('bad', [((math.nan,), (1.0,)), ((1.0,), (math.inf,)), ((1.0,), (-1.0,)), ((1e9,), (1.0,))])
+def test_absurd_numbers_are_not_possible(bad: tuple[tuple[float, ...], tuple[float, ...]]) -> None:
+    assert not Normal(*bad).is_possible()
+    assert not Normal((1.0, 2.0), (1.0,)).is_possible()
+    assert FILE.is_possible()

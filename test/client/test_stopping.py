@@ -1,0 +1,99 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The stopping distance is that of the simulated train, and its derivatives are exact."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+
+from trainid_ros.client.stopping import DELAY, GRADIENT, LAG, PARAMETERS, RATE, Braking, RateShape
+from trainid_ros.sim.plant import Plant
+from trainid_ros.train.davis import G
+from trainid_ros.train.line import LineProfile
+from trainid_ros.train.train_file import Brake, Davis, Line, Pairs, Train, TrainFile
+
+EMU: Pairs = ((2.0, 1.25), (8.0, 0.9), (14.0, 0.6), (25.0, 0.4))
+TRAIN = Train(mass=194e3)
+
+
+def shape(table: Pairs = ()) -> RateShape:
+    k = G / (1000.0 * (1.0 + TRAIN.rotary_mass))
+    return RateShape([v for v, _ in table], [rate for _, rate in table], TRAIN.max_speed, 2.5, k)
+
+
+def parameters(**changes: float) -> list[float]:
+    theta = [0.9, 0.0, 0.0, 1.5, 0.02, 0.001, 0.0, 0.6, 0.4]
+    for name, value in changes.items():
+        theta[{'rate': RATE, 'gradient': GRADIENT, 'delay': DELAY, 'lag': LAG}[name]] = value
+    return theta
+
+
+def simulated(theta: list[float], table: Pairs, speed: float, command: float) -> float:
+    """Return the stopping distance of the simulator's plant [m]."""
+    brake = Brake(theta[RATE], theta[LAG], theta[DELAY], rate_table=table)
+    line = Line(gradient=((0.0, theta[GRADIENT]),))
+    train_file = TrainFile(TRAIN, Davis(*theta[3:6]), brake, line)
+    plant = Plant(train_file, LineProfile(line, TRAIN.length), 0, 0.8)
+    plant.speed = speed
+    plant.command(-command)
+    while plant.speed > 0.0:
+        plant.step(0.0)
+    return plant.distance_run
+
+
+@pytest.mark.parametrize('table', [(), EMU])
+@pytest.mark.parametrize(
+    ('speed', 'command', 'changes'),
+    [
+        (22.0, 1.0, {}),
+        (22.0, 0.4, {'delay': 3.3, 'lag': 1.2}),
+        (8.0, 1.0, {'gradient': -25.0}),
+        (8.0, 0.6, {'gradient': 30.0, 'lag': 0.0}),
+        (1.0, 1.0, {'delay': 0.0}),
+        (0.4, 1.0, {}),
+    ],
+)
+def test_the_distance_is_that_of_the_simulator(
+    table: Pairs, speed: float, command: float, changes: dict[str, float]
+) -> None:
+    theta = parameters(**changes)
+    found = Braking(shape(table), theta, command, 0.0).stop(speed).distance
+    assert found == pytest.approx(simulated(theta, table, speed, command), rel=5e-4, abs=2e-3)
+
+
+@pytest.mark.parametrize('table', [(), EMU])
+@pytest.mark.parametrize('speed', [0.7, 4.0, 19.0])
+def test_derivatives_are_those_of_the_distance(table: Pairs, speed: float) -> None:
+    theta, step = parameters(gradient=-5.0), 1e-4
+
+    def distance(values: list[float], v: float = speed) -> float:
+        return Braking(shape(table), values, 0.9, 0.2).stop(v).distance
+
+    stop = Braking(shape(table), theta, 0.9, 0.2).stop(speed)
+    for place in range(PARAMETERS):
+        above, below = list(theta), list(theta)
+        above[place] += step
+        below[place] -= step
+        numeric = (distance(above) - distance(below)) / (2.0 * step)
+        assert stop.gradient[place] == pytest.approx(numeric, rel=0.05), place
+    numeric = (distance(theta, speed + step) - distance(theta, speed - step)) / (2.0 * step)
+    assert stop.by_speed == pytest.approx(numeric, rel=0.01)
+
+
+def test_a_train_that_is_braking_already_stops_sooner() -> None:
+    theta = parameters()
+    released = Braking(shape(), theta, 1.0, 0.0).stop(20.0).distance
+    braking = Braking(shape(), theta, 1.0, 1.0).stop(20.0).distance
+    # Half a second to a second of braking is lost otherwise.
+    assert 0.8 * 20.0 < released - braking < 1.0 * 20.0
+
+
+def test_a_brake_weaker_than_the_gradient_does_not_stop_the_train() -> None:
+    steep = parameters(gradient=-60.0)
+    assert math.isinf(Braking(shape(), steep, 0.3, 0.0).stop(10.0).distance)
+    assert math.isinf(Braking(shape(), parameters(gradient=-499.0, delay=120.0), 0.3, 0.0).stop(10.0).distance)
+
+
+def test_a_standing_train_needs_no_distance() -> None:
+    assert Braking(shape(), parameters(), 1.0, 0.0).stop(0.0).distance == 0.0

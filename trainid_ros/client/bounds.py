@@ -1,0 +1,169 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Upper bounds of the stopping distance at a stated confidence, and the speed from which a bound is met.
+
+The parameters p of a stop are normal with mean p0 and covariance S. The bound at confidence P is the distance at the
+design point of the first-order reliability method: of all p that are z = Phi^-1(P) standard deviations from p0, the
+one with the longest distance,
+
+    p* = p0 + z S D' / sqrt(D'^T S D'),        D' = dD/dp at p*,
+
+found by iteration from D' at p0. Where the distance is linear in p this is D + z std(D); a brake rate enters by its
+inverse, so that the bound of a poorly known one is longer than that.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from statistics import NormalDist
+from typing import TYPE_CHECKING, Final
+
+from trainid_ros.client.stopping import DELAY, LAG, PARAMETERS, RATE, A, B, Braking, C
+from trainid_ros.errors import NoAnswerError
+
+if TYPE_CHECKING:
+    from trainid_ros.client.stopping import RateShape, Stop
+
+MOST_SPEED: Final = 150.0
+"""Largest speed of an argument or an answer [m/s]."""
+_DAVIS: Final = (A, B, C)
+# Iterations to the design point after the first.
+_REFINEMENTS: Final = 1
+# The speed is found when its bound is this close to the distance [m].
+_CLOSE: Final = 1e-9
+_ITERATIONS: Final = 100
+# A speed below this is none, and the slowest at which a train has to stop at all [m/s].
+_STANDING: Final = 1e-9
+_SLOWEST: Final = 1e-3
+# A brake rate below this is none [1].
+_LEAST_RATE: Final = 1e-3
+
+
+@dataclass(frozen=True, slots=True)
+class StopPosterior:
+    """What is known of the parameters of a stop: independent but for a, b and c.
+
+    Attributes:
+        mean: In the order of ``stopping.RATE`` to ``LAG``.
+        variances: Of each in its squared unit; those of a, b and c are in ``davis``.
+        davis: Covariance of (a, b, c), 3x3, row-major.
+
+    """
+
+    mean: tuple[float, ...]
+    variances: tuple[float, ...]
+    davis: tuple[float, ...]
+
+    def spread(self, gradient: list[float]) -> list[float]:
+        """Return the covariance times a gradient, shape (9,)."""
+        out = [variance * slope for variance, slope in zip(self.variances, gradient, strict=True)]
+        for i, place in enumerate(_DAVIS):
+            row = self.davis[3 * i : 3 * i + 3]
+            out[place] = row[0] * gradient[A] + row[1] * gradient[B] + row[2] * gradient[C]
+        return out
+
+
+@dataclass(frozen=True, slots=True)
+class Bound:
+    """Bound of a stopping distance [m], standard deviation of the distance [m], and derivative by speed [s]."""
+
+    distance: float
+    std: float
+    by_speed: float
+
+
+class StoppingBounds:
+    """Bounds of the stopping distance for one brake command.
+
+    Args:
+        shape: Brake rate over speed.
+        posterior: What is known of the parameters.
+        command: Brake target from now on [m/s^2, > 0].
+        applied: Brake target until it acts [m/s^2, >= 0].
+        confidence: Probability that the train stops within the bound, in (0, 1).
+
+    """
+
+    def __init__(
+        self, shape: RateShape, posterior: StopPosterior, command: float, applied: float, confidence: float
+    ) -> None:
+        self._shape, self._posterior = shape, posterior
+        self._command, self._applied = command, applied
+        self._z = NormalDist().inv_cdf(confidence)
+        self._at_mean = Braking(shape, list(posterior.mean), command, applied)
+
+    def at(self, speed: float) -> Bound:
+        """Return the bound for a speed [m/s, >= 0]; infinite where the train may not stop."""
+        stop = self._at_mean.stop(speed)
+        if math.isinf(stop.distance):
+            return Bound(math.inf, math.inf, math.inf)
+        std, gradient = self._std(stop.gradient), stop.gradient
+        for _ in range(_REFINEMENTS + 1):
+            found = self._beside(speed, gradient)
+            if found is None:
+                return Bound(math.inf, std, math.inf)
+            stop, gradient = found, found.gradient
+        return Bound(stop.distance, std, stop.by_speed)
+
+    def _std(self, gradient: list[float]) -> float:
+        spread = self._posterior.spread(gradient)
+        return math.sqrt(max(0.0, math.fsum(x * y for x, y in zip(spread, gradient, strict=True))))
+
+    def _beside(self, speed: float, gradient: list[float]) -> Stop | None:
+        """Return the stop z standard deviations from the mean along a gradient; None if the train does not stop."""
+        spread, std = self._posterior.spread(gradient), self._std(gradient)
+        step = self._z / std if std > 0.0 else 0.0
+        theta = [self._posterior.mean[j] + step * spread[j] for j in range(PARAMETERS)]
+        theta[DELAY], theta[LAG] = max(0.0, theta[DELAY]), max(0.0, theta[LAG])
+        if theta[RATE] < _LEAST_RATE:
+            return None
+        stop = Braking(self._shape, theta, self._command, self._applied).stop(speed)
+        return None if math.isinf(stop.distance) else stop
+
+    def speed(self, distance: float) -> tuple[float, float]:
+        """Return the speed [m/s] whose bound is a distance [m, >= 0], and the standard deviation of that speed [m/s].
+
+        It is at most ``MOST_SPEED``, and 0 where even the slowest train may not stop within the distance.
+
+        Raises:
+            NoAnswerError: The train may not stop from any speed.
+
+        """
+        low, high, speed = 0.0, MOST_SPEED, min(self._first_guess(distance), MOST_SPEED)
+        found = self.at(speed)
+        for _ in range(_ITERATIONS):
+            excess = found.distance - distance
+            if abs(excess) <= _CLOSE or high - low <= 1e-12 or (speed == MOST_SPEED and excess < 0.0):
+                break
+            low, high = (low, speed) if excess > 0.0 else (speed, high)
+            speed = self._next(speed, excess, found, low, high)
+            found = self.at(speed)
+        if math.isinf(found.distance):
+            speed, found = low, self.at(low)
+        return self._checked(speed, found)
+
+    @staticmethod
+    def _next(speed: float, excess: float, found: Bound, low: float, high: float) -> float:
+        """Return the speed of the next iteration: by Newton's method, or by halves where that leaves the bracket."""
+        following = speed - excess / found.by_speed if 0.0 < found.by_speed < math.inf else -math.inf
+        if following >= high == MOST_SPEED:
+            return MOST_SPEED
+        return following if low < following < high else 0.5 * (low + high)
+
+    def _checked(self, speed: float, found: Bound) -> tuple[float, float]:
+        if speed > _STANDING:
+            return speed, found.std / found.by_speed
+        if math.isinf(self.at(_SLOWEST).distance):
+            raise NoAnswerError(self.no_answer())
+        return 0.0, 0.0
+
+    def _first_guess(self, distance: float) -> float:
+        """Return the speed of a constant deceleration after dead time and time constant [m/s]."""
+        mean = self._posterior.mean
+        d = max(0.05, mean[RATE] * self._command)
+        lost = d * (mean[DELAY] + mean[LAG]) if self._applied == 0.0 else 0.0
+        return math.sqrt(lost * lost + 2.0 * d * distance) - lost
+
+    def no_answer(self) -> str:
+        """Return that the train may not stop."""
+        return f'at this confidence the train may not stop: command = {-self._command:g} m/s^2 is too weak here'

@@ -1,0 +1,269 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Distance in which a train stops after a brake command, and its derivatives by every parameter.
+
+With the time t since the command u1 and the brake target u0 that acts until then (magnitudes, m/s^2),
+
+    -dv/dt = r(v) U(t) + k (a + i + b v + c v^2),        k = g / (1000 (1 + gamma)),
+    r(v) = s(v) (f + e p(v) + h m(v)),
+    U(t) = u0 during the dead time T, then u1 + (u0 - u1) exp(-(t - T) / tau).
+
+s(v) is the table of the train file and f the estimated factor on it. e and h are errors of the brake rate over speed,
+as in ``brake_rate.motion_model``: p rises from -1/2 at rest to 1/2 at full speed, m is 1 at the changeover between
+electric and friction brakes.
+
+The balance is integrated over time until the brake is built up (Runge-Kutta, order 4), then over speed down to zero
+(Gauss-Legendre between the knots of r). The derivatives follow from l(t), that of the distance to go by the speed,
+calculated backwards from l = v / (-dv/dt):
+
+    dl/dt = -1 + l d(-dv/dt)/dv,        dD/dp = -integral of l d(-dv/dt)/dp over time.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+# Places of the parameters in a list of them: f, e, h [1], a, b, c [N/kN, v in m/s], i [per mille], T and tau [s].
+RATE: Final = 0
+SLOPE: Final = 1
+CHANGEOVER: Final = 2
+A: Final = 3
+B: Final = 4
+C: Final = 5
+GRADIENT: Final = 6
+DELAY: Final = 7
+LAG: Final = 8
+PARAMETERS: Final = 9
+
+# Longest step during the dead time [s], and the steps while the brake builds up, in time constants.
+_LONGEST_STEP: Final = 0.8
+_BUILD_UP: Final = (0.0, 0.4, 0.8, 1.2, 1.7, 2.2, 2.8, 3.5, 4.3, 5.3, 6.5, 8.0, 10.0)
+# Gauss-Legendre nodes and weights on (0, 1), order 10.
+_NODES: Final = (0.04691007703066802, 0.23076534494715845, 0.5, 0.7692346550528415, 0.953089922969332)
+_WEIGHTS: Final = (
+    0.11846344252809454, 0.23931433524968324, 0.28444444444444444, 0.23931433524968324, 0.11846344252809454
+)  # fmt: skip
+# Half the step of the derivative by speed [m/s].
+_SPEED_STEP: Final = 0.01
+# A train that becomes faster than this does not stop [m/s].
+_RUNAWAY: Final = 400.0
+
+
+@dataclass
+class RateShape:
+    """Brake rate over speed of a train file: r(v) is linear between the knots but for its table.
+
+    Attributes:
+        speeds: Speeds of the table [m/s], increasing; empty without one.
+        rates: Its rates [1].
+        max_speed: Speed from which p is constant [m/s].
+        blend_speed: Speed of the changeover between brakes [m/s].
+        inertia: k, the deceleration by a resistance of 1 N/kN [m/s^2].
+
+    """
+
+    speeds: list[float]
+    rates: list[float]
+    max_speed: float
+    blend_speed: float
+    inertia: float
+
+    def table(self, v: float) -> float:
+        """Return s(v) [1]."""
+        speeds, rates = self.speeds, self.rates
+        count = len(speeds)
+        if count == 0:
+            return 1.0
+        if v <= speeds[0]:
+            return rates[0]
+        for k in range(1, count):
+            if v < speeds[k]:
+                share = (v - speeds[k - 1]) / (speeds[k] - speeds[k - 1])
+                return rates[k - 1] + share * (rates[k] - rates[k - 1])
+        return rates[count - 1]
+
+    def slope(self, v: float) -> float:
+        """Return p(v) [1]."""
+        return min(v / self.max_speed, 1.0) - 0.5
+
+    def changeover(self, v: float) -> float:
+        """Return m(v) [1]."""
+        return max(0.0, 1.0 - abs(v / self.blend_speed - 1.0))
+
+    def rate(self, v: float, theta: list[float]) -> float:
+        """Return r(v) [1]."""
+        by_speed = theta[SLOPE] * self.slope(v) + theta[CHANGEOVER] * self.changeover(v)
+        return self.table(v) * (theta[RATE] + by_speed)
+
+    def knots(self, v: float) -> list[float]:
+        """Return the speeds from zero to v between which r is smooth [m/s]."""
+        inner = [self.blend_speed, 2.0 * self.blend_speed, self.max_speed]
+        inner.extend(self.speeds)
+        return [0.0, *sorted(x for x in inner if 0.0 < x < v), v]
+
+
+class Stop:
+    """A stop: distance [m], infinite if the train does not stop; derivatives by speed [s] and by the parameters."""
+
+    def __init__(self) -> None:
+        self.distance = 0.0
+        self.by_speed = 0.0
+        self.gradient = [0.0] * PARAMETERS
+
+
+class Braking:
+    """A brake application with known parameters.
+
+    Args:
+        shape: Brake rate over speed.
+        theta: The parameters, in the order of ``RATE`` to ``LAG``.
+        command: u1, the brake target from now on [m/s^2, > 0].
+        applied: u0, the brake target that acts until then [m/s^2, >= 0].
+
+    """
+
+    def __init__(self, shape: RateShape, theta: list[float], command: float, applied: float) -> None:
+        self._shape, self._theta = shape, theta
+        self._command, self._applied = command, applied
+        self._dead_steps = math.ceil(max(0.0, theta[DELAY]) / _LONGEST_STEP)
+
+    def stop(self, speed: float) -> Stop:
+        """Return the stop from a speed [m/s, >= 0]."""
+        out = Stop()
+        times, speeds = [0.0], [speed]
+        self._build_up(out, times, speeds)
+        last = speeds[len(speeds) - 1]
+        costate = self._hold(out, last) if last > 0.0 and not math.isinf(out.distance) else 0.0
+        if not math.isinf(out.distance):
+            self._go_back(out, times, speeds, costate)
+        return out
+
+    def _target(self, t: float) -> float:
+        """Return U(t) [m/s^2]."""
+        since, tau = t - self._theta[DELAY], self._theta[LAG]
+        if since <= 0.0:
+            return self._applied
+        return self._command + (self._applied - self._command) * math.exp(-since / tau) if tau > 0.0 else self._command
+
+    def _deceleration(self, v: float, target: float) -> float:
+        theta = self._theta
+        resistance = theta[A] + theta[GRADIENT] + v * (theta[B] + v * theta[C])
+        return self._shape.rate(v, theta) * target + self._shape.inertia * resistance
+
+    def _steps(self) -> list[float]:
+        """Return the times of all steps until the brake is built up [s]."""
+        delay, lag = self._theta[DELAY], self._theta[LAG]
+        times, count = [0.0], self._dead_steps
+        times.extend([delay * k / count for k in range(1, count + 1)])
+        if lag > 0.0:
+            times.extend([delay + lag * x for x in _BUILD_UP[1:]])
+        return times
+
+    def _build_up(self, out: Stop, times: list[float], speeds: list[float]) -> None:
+        """Integrate until the brake is built up or the train stops; collect the steps."""
+        steps = self._steps()
+        v = speeds[0]
+        for k in range(1, len(steps)):
+            t, end = steps[k - 1], steps[k]
+            after, run = self._step(t, v, end - t)
+            if after <= 0.0:
+                dt = self._time_of_stop(t, v, end - t, after)
+                after, run, end = 0.0, self._step(t, v, dt)[1], t + dt
+            out.distance += run
+            times.append(end)
+            speeds.append(after)
+            v = after
+            if v <= 0.0:
+                return
+            if v > _RUNAWAY:
+                out.distance = math.inf
+                return
+
+    def _step(self, t: float, v: float, dt: float) -> tuple[float, float]:
+        """Return speed [m/s] and distance [m] after a step of Runge-Kutta."""
+        start, middle, end = self._target(t), self._target(t + 0.5 * dt), self._target(t + dt)
+        k1 = self._deceleration(v, start)
+        k2 = self._deceleration(v - 0.5 * dt * k1, middle)
+        k3 = self._deceleration(v - 0.5 * dt * k2, middle)
+        k4 = self._deceleration(v - dt * k3, end)
+        run = dt * v - dt * dt * (k1 + k2 + k3) / 6.0
+        return v - dt * (k1 + 2.0 * (k2 + k3) + k4) / 6.0, run
+
+    def _time_of_stop(self, t: float, v: float, dt: float, after: float) -> float:
+        """Return the time from t until the train stands [s]; ``after`` is the negative speed after dt."""
+        low, high, above, below = 0.0, dt, v, after
+        for _ in range(60):
+            x = low + (high - low) * above / (above - below)
+            y = self._step(t, v, x)[0]
+            if abs(y) < 1e-13 or high - low < 1e-13:
+                return x
+            if y > 0.0:
+                low, above, below = x, y, below * 0.5
+            else:
+                high, below, above = x, y, above * 0.5
+        return x
+
+    def _hold(self, out: Stop, speed: float) -> float:
+        """Add the stop with the brake built up; return l at its start [s]."""
+        target, knots, gradient = self._command, self._shape.knots(speed), out.gradient
+        for k in range(1, len(knots)):
+            width = knots[k] - knots[k - 1]
+            for j in range(5):
+                v = knots[k - 1] + width * _NODES[j]
+                d = self._deceleration(v, target)
+                if d <= 0.0:
+                    out.distance = math.inf
+                    return 0.0
+                run = width * _WEIGHTS[j] * v / d
+                out.distance += run
+                self._add(gradient, -run / d, v, target)
+        d = self._deceleration(speed, target)
+        if d <= 0.0:
+            out.distance = math.inf
+            return 0.0
+        return speed / d
+
+    def _add(self, gradient: list[float], weight: float, v: float, target: float) -> None:
+        """Add weight times the derivatives of the deceleration by f, e, h, a, b, c and i."""
+        shape = self._shape
+        by_rate, by_resistance = weight * shape.table(v) * target, weight * shape.inertia
+        gradient[RATE] += by_rate
+        gradient[SLOPE] += by_rate * shape.slope(v)
+        gradient[CHANGEOVER] += by_rate * shape.changeover(v)
+        gradient[A] += by_resistance
+        gradient[B] += by_resistance * v
+        gradient[C] += by_resistance * v * v
+        gradient[GRADIENT] += by_resistance
+
+    def _go_back(self, out: Stop, times: list[float], speeds: list[float], costate: float) -> None:
+        """Calculate l backwards over the steps of the build-up, and the derivatives with it (trapezoidal rule)."""
+        last, gradient = len(times) - 1, out.gradient
+        delay = self._theta[DELAY]
+        stiffness = self._stiffness(times[last], speeds[last])
+        for k in range(last, -1, -1):
+            width = 0.0
+            if k < last:
+                dt, before = times[k + 1] - times[k], self._stiffness(times[k], speeds[k])
+                costate = (costate * (1.0 - 0.5 * dt * stiffness) + dt) / (1.0 + 0.5 * dt * before)
+                stiffness, width = before, dt
+            if k > 0:
+                width += times[k] - times[k - 1]
+            self._add(gradient, -0.5 * width * costate, speeds[k], self._target(times[k]))
+            self._add_lag(gradient, -0.5 * width * costate, speeds[k], times[k] - delay)
+            if k == self._dead_steps:
+                gradient[DELAY] = speeds[k] - costate * self._deceleration(speeds[k], self._applied)
+        out.by_speed = costate
+
+    def _stiffness(self, t: float, v: float) -> float:
+        """Return the derivative of the deceleration by speed [1/s]."""
+        target = self._target(t)
+        above, below = self._deceleration(v + _SPEED_STEP, target), self._deceleration(v - _SPEED_STEP, target)
+        return (above - below) / (2.0 * _SPEED_STEP)
+
+    def _add_lag(self, gradient: list[float], weight: float, v: float, since: float) -> None:
+        """Add weight times the derivative of the deceleration by tau, a time [s] after the dead time."""
+        tau = self._theta[LAG]
+        if since > 0.0 and tau > 0.0:
+            change = (self._applied - self._command) * math.exp(-since / tau) * since / (tau * tau)
+            gradient[LAG] += weight * self._shape.rate(v, self._theta) * change

@@ -1,0 +1,376 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The train as it is today: answers for an autopilot from live estimates, else from the train file.
+
+Without a node nothing is subscribed: estimates are handed to :meth:`TrainModel.take`, and time is that of ``clock``.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass, replace
+from threading import Lock
+from typing import TYPE_CHECKING, Any, Final
+
+from trainid_ros.brake_rate.brake_rate_settings import GsmaConfig
+from trainid_ros.client.bounds import MOST_SPEED, StoppingBounds, StopPosterior
+from trainid_ros.client.channel import MAX_AGE_S, Channel
+from trainid_ros.client.file_values import BRAKE_RATE, DAVIS, FORCE_SCALE, FileValues
+from trainid_ros.client.gradual import Normal
+from trainid_ros.errors import NoAnswerError
+from trainid_ros.messages import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, output_topic
+from trainid_ros.resistance.resistance_settings import FilterBankConfig
+from trainid_ros.settings import SettingInfo, check_value
+from trainid_ros.train.davis import G
+from trainid_ros.train.train_file import TrainFile, load_train_file
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    from trainid_ros.bag.bag_replay import Replay
+    from trainid_ros.brake_rate.brake_rate_settings import BrakeRateConfig
+    from trainid_ros.estimators.prior import PriorSettings
+    from trainid_ros.messages import OutputLike, OutputTopic
+    from trainid_ros.results import Status
+
+FULL_SERVICE: Final = -1.0
+"""Brake command of a stop unless another is given [m/s^2]."""
+# What the nodes start with unless they are set otherwise.
+_PRIOR: Final = FilterBankConfig()
+_BRAKE: Final = GsmaConfig()
+_LEAST: Final = 1e-3
+_SPEED: Final = SettingInfo('', 'm/s', 0.0, MOST_SPEED)
+_GRADIENT: Final = SettingInfo('', 'per mille', -500.0, 500.0)
+_ACCELERATION: Final = SettingInfo('', 'm/s^2', -20.0, 20.0)
+_MASS: Final = SettingInfo('', 'kg', 1.0, 1e9)
+_COMMAND: Final = SettingInfo('', 'm/s^2', -20.0, -_LEAST)
+_APPLIED: Final = SettingInfo('', 'm/s^2', -20.0, 0.0)
+_CONFIDENCE: Final = SettingInfo('', '', 1e-6, 1.0 - 1e-6)
+_MAX_AGE: Final = SettingInfo('', 's', 0.01, 1e12)
+_DISTANCE: Final = SettingInfo('', 'm', 0.0, 1e5)
+
+
+@dataclass(frozen=True, slots=True)
+class Value:
+    """An answer.
+
+    Attributes:
+        value: The value, in the unit of the method that gave it.
+        std: Its standard deviation, in the same unit.
+        live: Whether it is from live estimates; False: from the train file.
+        reason: Status of the estimates, or why they are not used.
+
+    """
+
+    value: float
+    std: float
+    live: bool
+    reason: str
+
+
+class TrainModel:
+    """Typed answers about one train.
+
+    Args:
+        node: A node of rclpy, which somebody spins; its namespace is that of the estimates. None: no ROS.
+        train_file: Train file, or its path.
+        max_age: Time without a new estimate after which the train file applies [s]. Estimates come as often as the
+            speed; with speeds slower than 2 Hz it must be longer.
+        clock: Present time [s]; it must not jump.
+        prior: How well the train file's resistance is known, as set in the node ``resistance_estimator``.
+        brake: The same of the brake rate and its change over speed, as set in the node ``brake_rate_estimator``.
+
+    Raises:
+        InputError: The train file or an argument cannot be used.
+
+    """
+
+    def __init__(
+        self,
+        node: Any,
+        train_file: TrainFile | str | Path,
+        *,
+        max_age: float = MAX_AGE_S,
+        clock: Callable[[], float] = time.monotonic,
+        prior: PriorSettings = _PRIOR,
+        brake: BrakeRateConfig = _BRAKE,
+    ) -> None:
+        check_value('max_age', max_age, _MAX_AGE)
+        known = train_file if isinstance(train_file, TrainFile) else load_train_file(train_file)
+        self._file, self._clock, self._lock = FileValues(known, prior, brake), clock, Lock()
+        self._resistance = Channel(self._file.resistance(), max_age)
+        self._brake_rate = Channel(self._file.brake_rate(), max_age)
+        self._channels = {RESISTANCE_TOPIC: self._resistance, BRAKE_RATE_TOPIC: self._brake_rate}
+        self._seen = (0.0, math.inf)
+        if node is not None:
+            from trainid_ros.ros.estimate_subscriptions import subscribe_estimates  # noqa: PLC0415 (needs ROS)
+
+            self.subscriptions = subscribe_estimates(node, self)
+
+    @classmethod
+    def from_replay(cls, result: Replay, train_file: TrainFile | str | Path) -> TrainModel:
+        """Return the train at the end of a replay; nothing moves or ages any more.
+
+        Raises:
+            InputError: The train file cannot be used.
+
+        """
+        now = 0.0
+        model = cls(None, train_file, max_age=_MAX_AGE.high, clock=lambda: now)
+        model.take(result.resistance.output)
+        model.take(result.brake_rate.output)
+        now = 1e9  # all moves are done
+        return model
+
+    def take(self, output: OutputLike) -> None:
+        """Take in an output of an estimator that has just arrived; those of the speed model are not needed."""
+        self.take_message(output_topic(output.estimate), output.status, output.estimate)
+
+    def take_message(self, topic: OutputTopic, status: Status, estimate: Any, *, latched: bool = False) -> None:
+        """Take in the status and the fields of an estimate, which may be a message.
+
+        A latched copy only counts where nothing newer is known.
+        """
+        channel = self._channels.get(topic)
+        if channel is None:
+            return
+        if topic is RESISTANCE_TOPIC:
+            values, seen = _resistance_values(estimate), (estimate.speed_min, estimate.speed_max)
+        else:
+            values, seen = {BRAKE_RATE: _positive(estimate.brake_rate, estimate.brake_rate_std)}, self._seen
+        with self._lock:
+            now = self._clock()
+            if latched and channel.is_heard(now):
+                return
+            channel.take(status, values, now)
+            self._seen = seen
+
+    def lose(self, topic: OutputTopic, reason: str) -> None:
+        """Use the train file instead of an estimate until the next one comes."""
+        with self._lock:
+            self._channels[topic].lose(reason, self._clock())
+
+    def resistance(self, speed: float) -> Value:
+        """Return the running resistance w(v) = a + b v + c v^2 [N/kN] at a speed [m/s].
+
+        Raises:
+            InputError: The speed is not finite or out of range.
+
+        """
+        check_value('speed', speed, _SPEED)
+        with self._lock:
+            self._go_on()
+            w, variance = self._resistance.normal(DAVIS).along((1.0, speed, speed * speed))
+            answer = self._answer(w, math.sqrt(variance), self._resistance)
+            low, high = self._seen
+        if not answer.live or low <= speed <= high:
+            return answer
+        return replace(answer, reason=f'{answer.reason}; outside the speeds learned from, {low:.1f} to {high:.1f} m/s')
+
+    def brake_rate(self, speed: float | None = None) -> Value:
+        """Return the brake rate [1] (1 = nominal) at a speed [m/s]; without one, the factor on the table over speed.
+
+        Raises:
+            InputError: The speed is not finite or out of range.
+
+        """
+        shape = 1.0
+        if speed is not None:
+            check_value('speed', speed, _SPEED)
+            shape = self._file.shape.table(speed)
+        with self._lock:
+            self._go_on()
+            rate, variance = self._brake_rate.normal(BRAKE_RATE).along((shape,))
+            return self._answer(rate, math.sqrt(variance), self._brake_rate)
+
+    def feed_forward(self, speed: float, gradient: float, acceleration: float, mass: float | None = None) -> Value:
+        """Return the force [N] at the wheel rim that gives an acceleration.
+
+        ``F = M / s ((1 + gamma) dv/dt + g (w(v) + i) / 1000)``, where s is the force scale while F > 0: the estimated
+        actual over reported force, whether mass or force reads wrong. While F < 0 it is 1, since the brake has a rate.
+
+        Args:
+            speed: v [m/s].
+            gradient: i [per mille], + uphill in the direction of travel, and other resistance [N/kN] that is known.
+            acceleration: dv/dt [m/s^2].
+            mass: M [kg], as weighed; without it that of the train file.
+
+        Raises:
+            InputError: An argument is not finite or out of range.
+
+        """
+        check_value('gradient', gradient, _GRADIENT)
+        check_value('acceleration', acceleration, _ACCELERATION)
+        train = self._file.train_file.train
+        M = train.mass if mass is None else mass
+        check_value('mass', M, _MASS)
+        w = self.resistance(speed)
+        with self._lock:
+            s, variance = self._resistance.normal(FORCE_SCALE).along((1.0,))
+        force = M * ((1.0 + train.rotary_mass) * acceleration + 0.001 * G * (w.value + gradient))
+        by_w, share = M * 0.001 * G, math.sqrt(variance) / s
+        if force > 0.0:
+            force, by_w = force / s, by_w / s
+        map_std = self._file.train_file.line.gradient_std
+        std = math.hypot(by_w * w.std, by_w * map_std, force * share)
+        return Value(force, std, w.live, w.reason)
+
+    def brake_command(self, speed: float, gradient: float, acceleration: float) -> Value:
+        """Return the brake command [m/s^2, <= 0] that gives an acceleration once the brake is built up.
+
+        ``u = (dv/dt + k (w(v) + i)) / f(v)`` with ``k = g / (1000 (1 + gamma))``; 0 where no brake is needed.
+
+        Args:
+            speed: v [m/s].
+            gradient: i [per mille], + uphill in the direction of travel, and other resistance [N/kN] that is known.
+            acceleration: dv/dt [m/s^2].
+
+        Raises:
+            InputError: An argument is not finite or out of range.
+
+        """
+        check_value('gradient', gradient, _GRADIENT)
+        check_value('acceleration', acceleration, _ACCELERATION)
+        w, rate, k = self.resistance(speed), self.brake_rate(speed), self._file.inertia
+        f = max(rate.value, _LEAST)
+        command = min(0.0, (acceleration + k * (w.value + gradient)) / f)
+        std = math.hypot(k * w.std, command * rate.std) / f
+        return Value(command, std, *_both(w, rate))
+
+    def stopping_distance(
+        self,
+        speed: float,
+        gradient: float = 0.0,
+        command: float = FULL_SERVICE,
+        confidence: float = 0.95,
+        *,
+        applied: float = 0.0,
+    ) -> Value:
+        """Return the distance [m] within which the train stops at a confidence; its median at 0.5.
+
+        ``std`` is the standard deviation of the distance, not of the bound. For the equations see ``stopping``.
+
+        Args:
+            speed: Speed now [m/s].
+            gradient: Mean gradient on the way to the stop [per mille], + uphill in the direction of travel.
+            command: Brake command from now on [m/s^2, < 0].
+            confidence: Probability that the train stops within the distance.
+            applied: Brake command that acts until the dead time is over [m/s^2, <= 0]; 0: the brake is released.
+
+        Raises:
+            InputError: An argument is not finite or out of range.
+            NoAnswerError: The train may not stop at all.
+
+        """
+        check_value('speed', speed, _SPEED)
+        bounds, live, reason = self._bounds(gradient, command, confidence, applied)
+        found = bounds.at(speed)
+        if math.isinf(found.distance):
+            raise NoAnswerError(bounds.no_answer())
+        return Value(found.distance, found.std, live, reason)
+
+    def braking_speed(
+        self,
+        distance: float,
+        gradient: float = 0.0,
+        command: float = FULL_SERVICE,
+        confidence: float = 0.95,
+        *,
+        applied: float = 0.0,
+    ) -> Value:
+        """Return the speed [m/s] from which the train stops within a distance [m] at a confidence.
+
+        It is the inverse of :meth:`stopping_distance`, and at most 150 m/s.
+
+        Args:
+            distance: Distance to the stop [m].
+            gradient: Mean gradient on the way to the stop [per mille], + uphill in the direction of travel.
+            command: Brake command from now on [m/s^2, < 0].
+            confidence: Probability that the train stops within the distance.
+            applied: Brake command that acts until the dead time is over [m/s^2, <= 0]; 0: the brake is released.
+
+        Raises:
+            InputError: An argument is not finite or out of range.
+            NoAnswerError: The train may not stop from any speed.
+
+        """
+        check_value('distance', distance, _DISTANCE)
+        bounds, live, reason = self._bounds(gradient, command, confidence, applied)
+        return Value(*bounds.speed(distance), live, reason)
+
+    def braking_curve(
+        self,
+        stop: float,
+        positions: Sequence[float],
+        gradient: float = 0.0,
+        command: float = FULL_SERVICE,
+        confidence: float = 0.95,
+    ) -> tuple[Value, ...]:
+        """Return the braking speed [m/s] at positions [m] before a stopping point [m]; 0 at it and beyond.
+
+        Positions increase in the direction of travel; for the rest see :meth:`braking_speed`.
+
+        Raises:
+            InputError: An argument is not finite or out of range.
+            NoAnswerError: The train may not stop from any speed.
+
+        """
+        distances = [max(0.0, stop - position) if math.isfinite(position) else position for position in positions]
+        for distance in distances:
+            check_value('distance', distance, _DISTANCE)
+        bounds, live, reason = self._bounds(gradient, command, confidence, 0.0)
+        return tuple(Value(*bounds.speed(distance), live, reason) for distance in distances)
+
+    def _bounds(
+        self, gradient: float, command: float, confidence: float, applied: float
+    ) -> tuple[StoppingBounds, bool, str]:
+        check_value('gradient', gradient, _GRADIENT)
+        check_value('command', command, _COMMAND)
+        check_value('confidence', confidence, _CONFIDENCE)
+        check_value('applied', applied, _APPLIED)
+        with self._lock:
+            self._go_on()
+            posterior = self._posterior(gradient)
+            w = self._answer(0.0, 0.0, self._resistance)
+            rate = self._answer(0.0, 0.0, self._brake_rate)
+        bounds = StoppingBounds(self._file.shape, posterior, -command, -applied, confidence)
+        return bounds, *_both(w, rate)
+
+    def _posterior(self, gradient: float) -> StopPosterior:
+        file, davis, rate = self._file, self._resistance.normal(DAVIS), self._brake_rate.normal(BRAKE_RATE)
+        config, (delay_std, lag_std) = file.config, file.timing_stds
+        map_std = file.train_file.line.gradient_std
+        mean = (rate.mean[0], 0.0, 0.0, *davis.mean, gradient, file.brake.delay, file.brake.time_constant)
+        by_speed = (config.slope_std**2, config.blend_std**2)
+        rest = (map_std**2, delay_std**2, lag_std**2)
+        return StopPosterior(mean, (rate.covariance[0], *by_speed, 0.0, 0.0, 0.0, *rest), davis.covariance)
+
+    def _go_on(self) -> None:
+        now = self._clock()
+        self._resistance.go_on(now)
+        self._brake_rate.go_on(now)
+
+    @staticmethod
+    def _answer(value: float, std: float, channel: Channel) -> Value:
+        return Value(value, std, channel.is_live, channel.reason())
+
+
+def _both(w: Value, rate: Value) -> tuple[bool, str]:
+    """Return whether resistance and brake rate are both live, and the reason."""
+    if w.reason == rate.reason:
+        return w.live and rate.live, w.reason
+    return w.live and rate.live, f'resistance {w.reason}; brake rate {rate.reason}'
+
+
+def _resistance_values(estimate: Any) -> dict[str, Normal]:
+    values = {DAVIS: Normal((estimate.a, estimate.b, estimate.c), tuple(map(float, estimate.covariance)))}
+    scale, std = estimate.force_scale, estimate.force_scale_std
+    if not math.isnan(scale):  # NaN: not estimated
+        values[FORCE_SCALE] = _positive(scale, std)
+    return values
+
+
+def _positive(value: float, std: float) -> Normal:
+    """Return a factor with its standard deviation; one that is not positive is not possible."""
+    return Normal((value if value > _LEAST else math.nan,), (std * std,))

@@ -1,0 +1,60 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Subscriptions of the estimates for ``trainid_ros.client``, in the namespace of a node that somebody else spins.
+
+Those of live estimates ask for no deadline and no lease: a subscriber that asks for more than a publisher offers gets
+nothing from it, and those of slow inputs offer less. Silence is measured by the client, in less time than the deadline
+of the nodes. The latched ones ask for the lease of the nodes and say when a node is gone; without them, silence does.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+from rclpy.event_handler import SubscriptionEventCallbacks
+from rclpy.qos import qos_policy_name_from_kind
+
+from trainid_ros.client.channel import GONE
+from trainid_ros.messages import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC
+from trainid_ros.results import Status
+from trainid_ros.ros.topics import estimate_qos, latched_qos, message_class
+
+if TYPE_CHECKING:
+    from trainid_ros.client.train_model import TrainModel
+    from trainid_ros.messages import OutputTopic
+
+_KNOWN = frozenset(int(status) for status in Status)
+
+
+def subscribe_estimates(node: Any, model: TrainModel) -> tuple[Any, ...]:
+    """Subscribe to resistance and brake rate, live and latched; return the subscriptions."""
+    topics = (RESISTANCE_TOPIC, BRAKE_RATE_TOPIC)
+    return tuple(make(node, model, topic) for topic in topics for make in (_subscribe_live, _subscribe_latched))
+
+
+def _subscribe_live(node: Any, model: TrainModel, topic: OutputTopic) -> Any:
+    def take(message: Any) -> None:
+        model.take_message(topic, _status(message), message)
+
+    def refuse(event: Any) -> None:
+        policy = qos_policy_name_from_kind(event.last_policy_kind)
+        model.lose(topic, f'its publisher has an incompatible quality of service ({policy})')
+
+    events = SubscriptionEventCallbacks(incompatible_qos=refuse, use_default_callbacks=False)
+    return node.create_subscription(message_class(topic), topic.name, take, estimate_qos(), event_callbacks=events)
+
+
+def _subscribe_latched(node: Any, model: TrainModel, topic: OutputTopic) -> Any:
+    def take(message: Any) -> None:
+        model.take_message(topic, _status(message), message, latched=True)
+
+    def follow(event: Any) -> None:
+        if event.alive_count == 0:
+            model.lose(topic, GONE)
+
+    events = SubscriptionEventCallbacks(liveliness=follow, use_default_callbacks=False)
+    return node.create_subscription(message_class(topic), topic.last_valid, take, latched_qos(), event_callbacks=events)
+
+
+def _status(message: Any) -> Status:
+    """Return the status of a message; one that is not known is a fault."""
+    return Status(message.status) if message.status in _KNOWN else Status.FAULT
