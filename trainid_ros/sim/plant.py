@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from bisect import bisect_right
+from copy import copy
 from dataclasses import dataclass
 from typing import Final
 
@@ -84,6 +85,13 @@ class Plant:
     def reported_force(self) -> float:
         """Force reported by drive and brake control [N]; braking is reported as that of a nominal brake."""
         return self.traction + self.mass * (1.0 + self._train.rotary_mass) * self.brake
+
+    def twin(self) -> Plant:
+        """Return a train in the same state that goes on by itself."""
+        other = copy(self)
+        other._commands = CommandHistory(self._commands.changes)
+        other._tractions, other._brakes = self._tractions.twin(), self._brakes.twin()
+        return other
 
     def command(self, target_acceleration: float) -> None:
         """Set the brake target [m/s^2, <= 0] from now on."""
@@ -216,6 +224,12 @@ class DelayLine:
     def __init__(self) -> None:
         self._stamps: list[int] = []
         self._values: list[float] = []
+
+    def twin(self) -> DelayLine:
+        """Return a copy."""
+        other = DelayLine()
+        other._stamps, other._values = self._stamps.copy(), self._values.copy()
+        return other
 
     def add(self, stamp_ns: int, value: float) -> None:
         """Append a value; stamps [ns] must increase."""

@@ -3,15 +3,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from operator import attrgetter
-from typing import Final, TypeVar
+from typing import Final, Protocol, TypeVar
 
 import numpy as np
 
 from trainid_ros.errors import InputError
 from trainid_ros.records import NS_PER_S, Record
-from trainid_ros.sim.driver import TICK_S, Driver, DriverModel, StopEvent
+from trainid_ros.sim.driver import TICK_S, Decision, Driver, DriverModel, StopEvent
 from trainid_ros.sim.plant import STEP_NS, Gust, GustModel, Plant
 from trainid_ros.sim.sensors import SensorModel, Sensors
 from trainid_ros.sim.truth import Truth
@@ -75,18 +76,51 @@ class Simulation:
     duration_s: float
 
 
-def simulate(scenario: Scenario, rng: np.random.Generator) -> Simulation:
+class TrainDriver(Protocol):
+    """Who drives: a driver model, or a controller that sees the records of the sensors."""
+
+    @property
+    def arrivals(self) -> list[StopEvent]:
+        """Stops so far."""
+
+    @property
+    def stop(self) -> float:
+        """Stop that it drives to [m]."""
+
+    def observe(self, record: Record) -> None:
+        """Take in what a sensor has measured."""
+
+    def may_depart(self, time_s: float) -> bool:
+        """Return whether the dwell is over at a time [s]."""
+
+    def depart(self, stop: float) -> None:
+        """Depart for the next stop [m]."""
+
+    def decide(self, time_s: float, train: Plant) -> Decision:
+        """Return the demands until the next tick."""
+
+
+def simulate(
+    scenario: Scenario,
+    rng: np.random.Generator,
+    make_driver: Callable[[Plant, np.random.Generator], TrainDriver] | None = None,
+) -> Simulation:
     """Simulate a scenario; the same scenario and generator state give the same records.
 
     Driving, gusts, sensors and passengers draw from separate generators, so other sensors do not
     change the driving.
+
+    Args:
+        scenario: What to simulate.
+        rng: Random generator.
+        make_driver: Makes who drives; None for the driver of the scenario.
 
     Raises:
         InputError: The scenario cannot be driven; the message names the field.
 
     """
     check_scenario(scenario)
-    return _Day(scenario, rng).drive()
+    return _Day(scenario, rng, make_driver).drive()
 
 
 def check_scenario(scenario: Scenario) -> None:
@@ -119,19 +153,28 @@ def check_scenario(scenario: Scenario) -> None:
 class _Day:
     """State of a running simulation."""
 
-    def __init__(self, scenario: Scenario, rng: np.random.Generator) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        rng: np.random.Generator,
+        make_driver: Callable[[Plant, np.random.Generator], TrainDriver] | None,
+    ) -> None:
         drive, gust, sense, self._load = rng.spawn(4)
         file = scenario.train_file
         self._scenario = scenario
         self._effects = file.effects
         self._profile = LineProfile(file.line, file.train.length)
         self._plant = Plant(file, self._profile, scenario.start_ns, scenario.driver.jerk)
-        self._driver = Driver(scenario.driver, scenario.stated or file, self._profile, drive)
+        self._driver: TrainDriver
+        if make_driver is None:
+            self._driver = Driver(scenario.driver, scenario.stated or file, self._profile, drive)
+        else:
+            self._driver = make_driver(self._plant, drive)
         self._gust = Gust(scenario.gust, TICK_S, gust)
         length = file.train.length
         extent = (file.line.stops[0] - length, file.line.stops[-1] + length)
         self._sensors = Sensors(self._sensor_model(), TICK_S, extent, sense)
-        self._records: list[Record | None] = []
+        self._records: list[Record] = []
         self._resistance: list[tuple[float, float, float, float]] = []
         self._brake_rate: list[tuple[float, float]] = []
         self._rate_ratio = effect_value(self._effects, 'brake_scale', 'ratio', 1.0)
@@ -155,7 +198,7 @@ class _Day:
                 self._depart(time_s)
             self._tick(tick, time_s)
             tick += 1
-        records = sorted((r for r in self._records if r is not None), key=attrgetter('stamp_ns'))
+        records = sorted(self._records, key=attrgetter('stamp_ns'))
         truth = Truth(self._scenario.start_ns, tuple(self._resistance), tuple(self._brake_rate))
         return Simulation(tuple(records), truth, tuple(self._driver.arrivals), tick * TICK_NS / NS_PER_S)
 
@@ -172,18 +215,24 @@ class _Day:
         plant.gust = self._gust.step()
         decision = self._driver.decide(time_s, plant)
         plant.command(decision.brake)
-        self._records.append(sensors.brake(plant.now_ns, decision.brake))
+        self._record(sensors.brake(plant.now_ns, decision.brake))
         if tick % _MASS_EVERY == 0:
-            self._records.append(sensors.mass(plant.now_ns, self._weighed))
+            self._record(sensors.mass(plant.now_ns, self._weighed))
         for step in range(1, TICK_NS // STEP_NS + 1):
             plant.step(decision.traction)
             if step == _GRADIENT_STEP:
-                self._records.append(self._gradient())
+                self._record(self._gradient())
             elif step == _FORCE_STEP:
-                self._records.append(sensors.force(plant.now_ns, plant.reported_force, plant.mass))
+                self._record(sensors.force(plant.now_ns, plant.reported_force, plant.mass))
             elif step == _SPEED_STEP:
                 force_per_weight = specific_force(plant.reported_force, plant.mass)
-                self._records.append(sensors.speed(plant.now_ns, plant.speed, plant.position, force_per_weight))
+                self._record(sensors.speed(plant.now_ns, plant.speed, plant.position, force_per_weight))
+
+    def _record(self, record: Record | None) -> None:
+        """Keep what was measured, None if the message is lost, and show it to the driver."""
+        if record is not None:
+            self._records.append(record)
+            self._driver.observe(record)
 
     def _gradient(self) -> Record | None:
         at, direction = self._plant.position, self._plant.direction

@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Stops of an ATO with the values of the train file, a learned bias, live estimates, and the truth.
+
+Random days on three lines; the days are the same for all controllers. See ``trainid_ros.ato.days``.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from benchmarks.papers.seeds import over_seeds
+from benchmarks.tables import Plot, Table
+from trainid_ros.ato.days import CONTROLLERS, Drive, drive_day, plan_day
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
+
+    Array = NDArray[np.float64]
+
+# Lines, and runs from stop to stop on a day.
+_LINES: Final = (('metro', 26), ('emu', 14), ('tram', 26))
+# Seeds from here on were not used during development.
+_FIRST_SEED: Final = 9001
+_WINDOW: Final = 0.30
+# Stops after a sudden change of the brake that are counted.
+_AFTER: Final = 3
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """A day of a world with a controller."""
+
+    world: str
+    runs: int
+    controller: str
+    seed: int
+
+
+@dataclass(frozen=True, slots=True)
+class Outcome:
+    """How it was driven, and errors of the first stops after each sudden change of the brake [m]."""
+
+    drive: Drive
+    after: tuple[float, ...]
+
+
+def measure(seeds: int) -> tuple[Table | Plot, ...]:
+    """Return tables and a plot over ``2 seeds`` days on each of the three lines."""
+    trials = [
+        Trial(world, runs, controller, _FIRST_SEED + k)
+        for world, runs in _LINES
+        for k in range(2 * seeds)
+        for controller in CONTROLLERS
+    ]
+    outcomes = dict(zip(trials, over_seeds(run, trials, 'closed_loop'), strict=True))
+    chosen = {
+        (world, controller): [outcomes[t] for t in trials if (t.world, t.controller) == (world, controller)]
+        for world, _ in _LINES
+        for controller in CONTROLLERS
+    }
+    return (_stops(chosen), _rides(chosen), _bounds(chosen), _plot(chosen))
+
+
+def run(trial: Trial) -> Outcome:
+    """Drive a day."""
+    plan = plan_day(trial.world, trial.runs, np.random.default_rng(trial.seed))
+    drive = drive_day(plan, trial.controller, trial.seed)
+    after = []
+    for event_s in plan.events_s:
+        later = [arrival.error for arrival in drive.arrivals if arrival.time_s > event_s]
+        after += later[:_AFTER]
+    return Outcome(drive, tuple(after))
+
+
+Chosen = dict[tuple[str, str], list[Outcome]]
+
+
+def _errors(outcomes: Sequence[Outcome]) -> Array:
+    return np.concatenate([outcome.drive.errors for outcome in outcomes])
+
+
+def _p95(errors: Array) -> float:
+    return float(np.quantile(np.abs(errors), 0.95))
+
+
+def _stops(chosen: Chosen) -> Table:
+    rows = []
+    for (world, controller), outcomes in chosen.items():
+        errors = _errors(outcomes)
+        nominal, truth = (_p95(_errors(chosen[world, other])) for other in ('nominal', 'truth'))
+        closed = (nominal - _p95(errors)) / (nominal - truth)
+        after = np.array([error for outcome in outcomes for error in outcome.after])
+        rows.append(
+            (
+                world,
+                controller,
+                str(errors.size),
+                f'{errors.mean():+.3f}',
+                f'{errors.std():.3f}',
+                f'{_p95(errors):.3f}',
+                f'{np.mean(np.abs(errors) <= _WINDOW):.1%}',
+                f'{closed:.0%}',
+                f'{np.abs(after).mean():.3f}' if after.size else '-',
+            )
+        )
+    sizes = ('mean, m', 'sd, m', 'p95, m', 'within .30 m', 'gap closed', 'after a change, m')
+    header = ('line', 'values', 'stops', *sizes)
+    note = (
+        'Errors of the stops, > 0 beyond them; p95 of their size. Gap closed: of the p95 between nominal and truth. '
+        f'After a change: mean size of the first {_AFTER} errors after rain begins or a brake unit is isolated.'
+    )
+    return Table('Stops', header, tuple(rows), note)
+
+
+def _rides(chosen: Chosen) -> Table:
+    rows = []
+    for (world, controller), outcomes in chosen.items():
+        drives = [outcome.drive for outcome in outcomes]
+        truth = [outcome.drive for outcome in chosen[world, 'truth']]
+        energy = sum(drive.energy for drive in drives) / sum(drive.energy for drive in truth)
+        time = sum(drive.duration_s for drive in drives) / sum(drive.duration_s for drive in truth)
+        jerk = _root_mean([drive.jerk for drive in drives]) / _root_mean([drive.jerk for drive in truth])
+        rows.append(
+            (
+                world,
+                controller,
+                f'{energy - 1.0:+.1%}',
+                f'{time - 1.0:+.1%}',
+                f'{jerk - 1.0:+.1%}',
+                f'{np.mean([drive.most_jerk for drive in drives]):.2f}',
+                f'{max(drive.overspeed for drive in drives):.2f}',
+            )
+        )
+    header = ('line', 'values', 'energy', 'time', 'rms jerk', 'jerk 99.9 %, m/s^3', 'overspeed, m/s')
+    note = 'Energy, time and jerk relative to those with the truth. Overspeed: the highest of all days above a limit.'
+    return Table('Rides', header, tuple(rows), note)
+
+
+def _root_mean(values: Sequence[float]) -> float:
+    return float(np.sqrt(np.mean(np.square(values))))
+
+
+def _bounds(chosen: Chosen) -> Table:
+    rows = []
+    for world, _ in _LINES:
+        pairs = np.array([pair for outcome in chosen[world, 'live'] for pair in outcome.drive.bounds])
+        inside = float(np.mean(pairs[:, 1] <= pairs[:, 0]))
+        margin = float(np.median(pairs[:, 0] / pairs[:, 1])) - 1.0
+        rows.append((world, str(len(pairs)), f'{inside:.1%}', f'{margin:+.1%}'))
+    header = ('line', 'brakings', 'stopped within the 95 % bound', 'median margin')
+    note = (
+        'Stopping distance that the client states at 95 % confidence when the braking to a stop begins, against that '
+        'of a copy of the train which keeps one brake command.'
+    )
+    return Table('Bounds of the stopping distance', header, tuple(rows), note)
+
+
+def _plot(chosen: Mapping[tuple[str, str], list[Outcome]]) -> Plot:
+    """Return the distribution of the errors of the stops by line and controller."""
+    figure = Figure(figsize=(9.0, 3.4), layout='constrained')
+    panels = figure.subplots(1, len(_LINES), sharey=True)
+    for axes, (world, _) in zip(panels, _LINES, strict=True):
+        for controller in CONTROLLERS:
+            sizes = np.sort(np.abs(_errors(chosen[world, controller])))
+            axes.plot(sizes, np.arange(1, sizes.size + 1) / sizes.size, label=controller)
+        axes.axvline(_WINDOW, color='0.5', linestyle=':')
+        axes.set_xscale('log')
+        axes.set_xlim(0.01, 10.0)
+        axes.set_xlabel('size of the stop error, m')
+        axes.set_title(world)
+    panels[0].set_ylabel('share of the stops')
+    panels[0].legend()
+    note = 'Share of the stops with an error up to a size; the dotted line is the window of 0.30 m.'
+    return Plot('closed_loop_stops', 'Errors of the stops', figure, note)

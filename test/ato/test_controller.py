@@ -1,0 +1,94 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The controller on a simulated train."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from trainid_ros.ato.controller import Ato, AtoModel
+from trainid_ros.ato.knowledge import StatedValues, TrueValues
+from trainid_ros.errors import InputError
+from trainid_ros.records import BrakeRecord, SpeedRecord
+from trainid_ros.sim.plant import Plant
+from trainid_ros.sim.scenario import Scenario, Simulation, simulate
+from trainid_ros.train.line import LineProfile
+from trainid_ros.train.train_file import Brake, Davis, Line, Train, TrainFile
+
+LINE = Line(
+    stops=(0.0, 700.0, 1500.0),
+    gradient=((0.0, 0.0), (900.0, -15.0)),
+    speed_limit=((0.0, 18.0), (300.0, 10.0), (500.0, 18.0)),
+)
+FILE = TrainFile(Train(mass=200e3, length=100.0), Davis(2.0, 0.0, 0.008), Brake(), LINE)
+
+
+def driven(rate: float, *, knows: bool, **model: float) -> Simulation:
+    true = replace(FILE, brake=replace(FILE.brake, rate=rate))
+    profile = LineProfile(FILE.line, FILE.train.length)
+
+    def make(plant: Plant, rng: np.random.Generator) -> Ato:
+        return Ato(AtoModel(**model), FILE, profile, TrueValues(true, plant) if knows else StatedValues(FILE), rng)
+
+    return simulate(Scenario(true, runs=4, stated=FILE), np.random.default_rng(3), make)
+
+
+@dataclass(frozen=True)
+class Commands:
+    """Brake commands and their times [s]."""
+
+    times: np.ndarray
+    values: np.ndarray
+
+
+def commands(simulation: Simulation) -> Commands:
+    records = [record for record in simulation.records if isinstance(record, BrakeRecord)]
+    stamps = np.array([record.stamp_ns for record in records])
+    return Commands((stamps - stamps[0]) / 1e9, np.array([record.target_acceleration for record in records]))
+
+
+@pytest.mark.parametrize('rate', [0.75, 1.0, 1.2])
+def test_it_stops_in_place_if_it_knows_the_brake(rate: float) -> None:
+    errors = [arrival.error for arrival in driven(rate, knows=True).arrivals]
+    assert len(errors) == 4
+    assert max(map(abs, errors)) < 0.2
+
+
+def test_it_stops_too_late_if_the_brake_is_weaker_than_it_knows() -> None:
+    errors = [arrival.error for arrival in driven(0.75, knows=False).arrivals]
+    assert min(errors) > 0.2
+
+
+def test_it_keeps_the_speed_limits() -> None:
+    profile = LineProfile(FILE.line, FILE.train.length)
+    simulation = driven(1.0, knows=True)
+    first = simulation.arrivals[0].time_s
+    speeds = [record for record in simulation.records if isinstance(record, SpeedRecord)]
+    speeds = [record for record in speeds if (record.stamp_ns - speeds[0].stamp_ns) / 1e9 < first]
+    assert max(record.speed for record in speeds) > 15.0
+    assert all(record.speed < profile.speed_limit(record.position, 1) + 0.2 for record in speeds)
+
+
+def test_brake_commands_change_by_one_step_at_a_time() -> None:
+    given = commands(driven(1.0, knows=True, brake_step=0.15))
+    steps = np.diff(given.values)
+    assert np.abs(steps).max() == pytest.approx(0.15)
+    assert np.abs(given.values / 0.15 - np.round(given.values / 0.15)).max() < 1e-6
+    assert given.values.min() >= -1.1 - 1e-9
+
+
+def test_the_aim_may_lie_beside_the_stop() -> None:
+    profile = LineProfile(FILE.line, FILE.train.length)
+
+    def make(plant: Plant, rng: np.random.Generator) -> Ato:
+        return Ato(AtoModel(), FILE, profile, TrueValues(FILE, plant), rng, lambda: 1.0)
+
+    simulation = simulate(Scenario(FILE, runs=2, stated=FILE), np.random.default_rng(3), make)
+    assert [arrival.error for arrival in simulation.arrivals] == pytest.approx([1.0, 1.0], abs=0.2)
+
+
+def test_settings_are_checked() -> None:
+    with pytest.raises(InputError, match='brake_step'):
+        driven(1.0, knows=True, brake_step=0.0)

@@ -1,0 +1,55 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Random days, driven with different knowledge."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from trainid_ros.ato.days import Drive, drive_day, plan_day
+from trainid_ros.errors import InputError
+
+
+def driven(controller: str, seed: int = 3, runs: int = 4) -> Drive:
+    return drive_day(plan_day('tram', runs, np.random.default_rng(seed)), controller, seed)
+
+
+def test_the_same_seed_gives_the_same_day() -> None:
+    plan, other = (plan_day('metro', 4, np.random.default_rng(5)) for _ in range(2))
+    assert plan == other
+    assert plan != plan_day('metro', 4, np.random.default_rng(6))
+    assert driven('live') == driven('live')
+
+
+def test_sudden_changes_of_the_brake_are_in_the_scenario() -> None:
+    plans = [plan_day('metro', 26, np.random.default_rng(seed)) for seed in range(40)]
+    assert 10 <= sum(len(plan.events_s) for plan in plans) <= 45
+    for plan in plans:
+        changes = plan.case.scenario.changes
+        rates = [change.brake_rate for change in changes]
+        assert all(rate is not None and 0.5 < rate < 1.15 for rate in rates)
+        assert set(plan.events_s) <= {change.time_s for change in changes}
+
+
+def test_an_unknown_world_is_named() -> None:
+    with pytest.raises(InputError, match='maglev'):
+        plan_day('maglev', 4, np.random.default_rng(1))
+
+
+def test_a_drive_is_scored() -> None:
+    drive = driven('truth')
+    assert drive.errors.shape == (4,)
+    assert 1.0 < drive.energy < 50.0
+    assert 0.05 < drive.jerk < drive.most_jerk < 5.0
+    assert drive.bounds == ()
+
+
+@pytest.mark.slow
+def test_live_estimates_stop_the_train_better() -> None:
+    nominal, live = (
+        np.abs(np.concatenate([driven(name, seed, 10).errors for seed in (3, 4, 5)])) for name in ('nominal', 'live')
+    )
+    assert np.quantile(live, 0.95) < 0.5 * np.quantile(nominal, 0.95)
+    pairs = driven('live', 4, 10).bounds
+    assert len(pairs) == 10
+    assert all(0.8 * bound < true < 1.2 * bound for bound, true in pairs)

@@ -1,0 +1,246 @@
+# SPDX-License-Identifier: Apache-2.0
+"""An ATO: it drives to the speed limits, brakes in steps, and stops by prediction.
+
+Between stops the speed follows limits and braking curves by a proportional-integral law with feed-forward. Before a
+stop, each command is chosen so that the train stops in place if it is kept (required deceleration), with all that is
+known of brake and resistance. Commands change by one step at a time, which bounds the jerk.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import TYPE_CHECKING, Final
+
+from trainid_ros.ato.brake_prediction import BrakePredictor, Motion
+from trainid_ros.ato.train_state import PositionModel, TrainState, retardation, stopping_curve
+from trainid_ros.records import GradientRecord, MassRecord, SpeedRecord
+from trainid_ros.settings import check_settings, setting
+from trainid_ros.sim.driver import TICK_S, Decision, StopEvent
+from trainid_ros.train.davis import davis, required_force
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import numpy as np
+
+    from trainid_ros.ato.knowledge import TrainKnowledge
+    from trainid_ros.records import Record
+    from trainid_ros.sim.plant import Plant
+    from trainid_ros.train.line import LineProfile
+    from trainid_ros.train.train_file import TrainFile
+
+# Excess of the speed over its curve at which braking to a limit begins and ends [m/s].
+_BRAKE_EXCESS: Final = 0.1
+_RELEASE_EXCESS: Final = -0.6
+# Largest correction by the integral [m/s^2].
+_MOST_INTEGRAL: Final = 0.2
+# A train that would stop this short without braking drives on [m].
+_TOO_SHORT: Final = 0.5
+
+
+class Phase(Enum):
+    """What the controller does."""
+
+    DWELL = 'dwell'
+    DRIVE = 'drive'
+    BRAKE = 'brake'
+    STOP = 'stop'
+
+
+@dataclass(frozen=True, slots=True)
+class AtoModel:
+    """Parameters of the controller."""
+
+    acceleration: float = setting(0.9, 'maximum acceleration', 'm/s^2', 0.05, 2.0)
+    deceleration: float = setting(0.65, 'deceleration of stops and braking curves', 'm/s^2', 0.05, 1.5)
+    brake_step: float = setting(0.1, 'step of the brake command', 'm/s^2', 0.01, 0.5)
+    strongest: float = setting(1.1, 'strongest brake command', 'm/s^2', 0.1, 3.0)
+    step_interval: float = setting(0.6, 'least time between two single steps', 's', 0.0, 5.0)
+    gain: float = setting(0.4, 'acceleration per speed error', '1/s', 0.01, 3.0)
+    integral_gain: float = setting(0.02, 'acceleration per integral of the speed error', '1/s^2', 0.0, 1.0)
+    speed_margin: float = setting(0.8, 'margin below speed limits', 'm/s', 0.0, 5.0)
+    dead_band: float = setting(0.03, 'error of the stop that is accepted, and 3 % of the distance left', 'm', 0.0, 1.0)
+    holding: float = setting(0.6, 'brake command at standstill', 'm/s^2', 0.1, 3.0)
+    dwell: float = setting(25.0, 'dwell time', 's', 1.0, 3600.0)
+
+
+class Ato:
+    """Controller with a period of ``TICK_S``; it sees the records of the sensors and nothing else of the train.
+
+    Attributes:
+        stop: Stop that it drives to [m].
+        arrivals: Stops so far.
+        phase: What it does.
+
+    """
+
+    def __init__(
+        self,
+        model: AtoModel,
+        train_file: TrainFile,
+        profile: LineProfile,
+        known: TrainKnowledge,
+        rng: np.random.Generator,
+        offset: Callable[[], float] = lambda: 0.0,
+    ) -> None:
+        """Start with a dwell at the first stop.
+
+        Args:
+            model: Parameters.
+            train_file: The train as stated: mass, traction, maximum speed.
+            profile: The line as stated.
+            known: What it takes for true of resistance and brake.
+            rng: Random generator for the readings of balises; the controller takes ownership.
+            offset: Returns how far beyond a stop to aim [m].
+
+        Raises:
+            InputError: A setting is out of range.
+
+        """
+        check_settings(model)
+        self.phase, self.arrivals, self.stop = Phase.DWELL, list[StopEvent](), profile.line.stops[0]
+        self._model, self._train, self._profile, self._known = model, train_file.train, profile, known
+        self._offset = offset
+        self._state = TrainState(PositionModel(), profile, rng)
+        self._predictor = BrakePredictor(known.values(), self._state, self._train.rotary_mass, TICK_S)
+        self._mass = self._train.mass
+        self._brake, self._since_step_s, self._integral = -model.holding, 0.0, 0.0
+        # Whether the brake is on its way to its usual command before a stop.
+        self._applies = False
+        self._depart_s = 0.5 * model.dwell
+
+    def observe(self, record: Record) -> None:
+        """Take in what a sensor has measured."""
+        self._known.observe(record)
+        if isinstance(record, SpeedRecord):
+            self._state.measure_speed(record)
+        elif isinstance(record, GradientRecord):
+            self._state.measure_gradient(record)
+        elif isinstance(record, MassRecord):
+            self._mass = record.mass
+
+    def may_depart(self, time_s: float) -> bool:
+        """Return whether the dwell is over at a time [s]."""
+        return self.phase is Phase.DWELL and time_s >= self._depart_s
+
+    def depart(self, stop: float) -> None:
+        """Depart for the next stop [m]."""
+        self.stop, self.phase, self._integral = stop, Phase.DRIVE, 0.0
+
+    def decide(self, time_s: float, train: Plant) -> Decision:
+        """Return the demands until the next tick.
+
+        The train itself tells only that it stands, which balises it passes and, for the score, where it has stopped.
+        """
+        state = self._state
+        self._predictor.values = self._known.values()
+        if self.phase is Phase.DWELL:
+            state.stand(train.position, train.direction)
+            return self._demand(train, 0.0, -self._model.holding)
+        state.direction = train.direction
+        state.pass_balises(self.stop, train.position)
+        if self.phase is Phase.STOP and train.speed == 0.0:
+            self._arrive(time_s, train)
+            return self._demand(train, 0.0, -self._model.holding)
+        traction, brake = self._choose()
+        return self._demand(train, traction, brake)
+
+    def _demand(self, train: Plant, traction: float, brake: float) -> Decision:
+        """Give the commands, and follow what they do until the next tick."""
+        model = self._model
+        self._since_step_s += TICK_S
+        change = brake - self._brake
+        # Several steps follow each other as fast as the jerk allows; a single one waits.
+        interval = model.step_interval if abs(change) < 1.5 * model.brake_step else TICK_S
+        if abs(change) > 1e-9 and self._since_step_s >= interval - 1e-9:
+            self._brake += min(model.brake_step, max(-model.brake_step, change))
+            self._brake = min(0.0, round(self._brake, 6))
+            self._since_step_s = 0.0
+        force = traction / (self._mass * (1.0 + self._train.rotary_mass))
+        self._state.predict(self._predictor.acceleration + force, train.now_ns, TICK_S)
+        self._predictor.command(self._brake)
+        return Decision(traction, self._brake)
+
+    def _choose(self) -> tuple[float, float]:
+        """Return traction [N] and brake command [m/s^2]."""
+        ahead = self._predictor.when_next_acts()
+        left, usual = self._left(), self._grid(-self._model.deceleration)
+        if self.phase is Phase.STOP:
+            if self._applies and self._brake > usual + 1e-9:
+                return 0.0, usual
+            self._applies = False
+            return 0.0, self._stopping_command(ahead, left)
+        applying_s = max(0.0, self._brake - usual) / self._model.brake_step * TICK_S
+        if self._predictor.stop_distance(ahead, usual) + 0.5 * applying_s * ahead.speed >= left:
+            self.phase, self._applies = Phase.STOP, True
+            return 0.0, usual
+        return self._follow_limits(ahead)
+
+    def _left(self) -> float:
+        state = self._state
+        aim = self.stop + state.direction * self._offset()
+        return (aim - state.position) * state.direction
+
+    def _stopping_command(self, ahead: Motion, left: float) -> float:
+        """Return the command, at most one step from the present one, that stops the train best."""
+        model, step = self._model, self._model.brake_step
+        now = self._grid(self._brake)
+        errors = {u: left - self._predictor.stop_distance(ahead, u) for u in self._candidates(now, step)}
+        best = min(errors, key=lambda u: abs(errors[u]))
+        gain = abs(errors[now]) - abs(errors[best])
+        if gain > model.dead_band + 0.03 * left:
+            return best
+        if now == 0.0 and errors[now] > _TOO_SHORT:
+            self.phase = Phase.DRIVE
+        return now
+
+    def _candidates(self, now: float, step: float) -> tuple[float, ...]:
+        nearby = (now, round(now - step, 6), round(now + step, 6))
+        return tuple(u for u in nearby if -self._model.strongest - 1e-9 <= u <= 0.0)
+
+    def _grid(self, target: float) -> float:
+        """Return the step nearest to a command [m/s^2]."""
+        return min(0.0, round(round(target / self._model.brake_step) * self._model.brake_step, 6))
+
+    def _follow_limits(self, ahead: Motion) -> tuple[float, float]:
+        model, values, state = self._model, self._predictor.values, self._state
+        allowed, slope = self._allowed(ahead)
+        excess = ahead.speed - allowed
+        if excess > _BRAKE_EXCESS:
+            self.phase = Phase.BRAKE
+        elif self.phase is Phase.BRAKE and excess < _RELEASE_EXCESS:
+            self.phase, self._integral = Phase.DRIVE, 0.0
+        gradient = state.gradient()
+        change = self._integral - model.integral_gain * excess * TICK_S
+        self._integral = min(_MOST_INTEGRAL, max(-_MOST_INTEGRAL, change))
+        wanted = self._integral - slope - model.gain * excess
+        if self.phase is Phase.BRAKE:
+            by_track = retardation(davis(values.resistance, ahead.speed), gradient, self._train.rotary_mass)
+            brake = min(0.0, wanted + by_track) / values.brake.rate_at(ahead.speed)
+            return 0.0, max(-model.strongest, self._grid(brake))
+        wanted = min(model.acceleration, wanted - model.gain * model.speed_margin)
+        resistance = davis(values.resistance, state.speed) + gradient
+        force = required_force(wanted, self._mass, self._train.rotary_mass, resistance)
+        most = min(self._train.max_traction_force, self._train.max_traction_power / max(state.speed, 0.1))
+        return min(most, max(0.0, force)), 0.0
+
+    def _allowed(self, ahead: Motion) -> tuple[float, float]:
+        """Return the highest speed [m/s] when the next command acts, and the deceleration [m/s^2] of its curve."""
+        model, state = self._model, self._state
+        here = self._profile.speed_limit(state.position, state.direction)
+        lowest, slope = min(here, self._train.max_speed) - model.speed_margin, 0.0
+        reach = state.speed**2 / (2.0 * model.deceleration) + ahead.distance + 50.0
+        for distance, limit in self._profile.limits_ahead(state.position, state.direction, reach):
+            end = limit - model.speed_margin
+            within = end * end / (2.0 * model.deceleration) + distance - ahead.distance
+            curve = stopping_curve(within, model.deceleration)
+            if curve < lowest:
+                lowest, slope = curve, model.deceleration
+        return lowest, slope
+
+    def _arrive(self, time_s: float, train: Plant) -> None:
+        self.phase, self._depart_s = Phase.DWELL, time_s + self._model.dwell
+        error = (train.position - self.stop) * train.direction
+        self.arrivals.append(StopEvent(time_s, self.stop, error))
+        self._state.stand(train.position, train.direction)

@@ -1,0 +1,251 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Random days on which controllers of different knowledge drive the same train over the same line.
+
+A day has what the train file does not know: another resistance, load at each stop, gusts, errors of map, wheels, mass,
+force and brake timing, pads that wear, rain, one brake unit that is isolated, a brake that fades when it is hot.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from trainid_ros.ato.controller import Ato, AtoModel, Phase
+from trainid_ros.ato.knowledge import LiveValues, StatedValues, TrainKnowledge, TrueValues
+from trainid_ros.ato.learning import StopBias
+from trainid_ros.sim.driver import TICK_S
+from trainid_ros.sim.realism import UNKNOWNS, make_case
+from trainid_ros.sim.scenario import Change, simulate
+from trainid_ros.sim.worlds import find_world, usual_duration, world_train
+from trainid_ros.train.line import LineProfile
+from trainid_ros.train.train_file import Davis, Effect
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    from trainid_ros.client import TrainModel
+    from trainid_ros.records import Record
+    from trainid_ros.sim.driver import Decision, StopEvent
+    from trainid_ros.sim.plant import Plant
+    from trainid_ros.sim.realism import Case
+    from trainid_ros.sim.worlds import World
+
+CONTROLLERS: Final = ('nominal', 'learning', 'live', 'truth')
+"""Values of the train file; the same and a learned bias; live estimates; the true values."""
+_UNKNOWNS: Final = frozenset(UNKNOWNS) - {'changes'}
+# Brake rate at the start of a day, wear over the day [1], steps in which the wear is simulated.
+_RATE: Final = (0.85, 1.1)
+_WEAR: Final = (0.0, 0.08)
+_WEAR_STEPS: Final = 20
+# Rain: probability, factors on brake rate and a. Isolated brake unit: probability. Times as shares of the day.
+_RAIN: Final = 0.4
+_RAIN_RATE: Final = (0.85, 0.95)
+_RAIN_DRAG: Final = (1.0, 1.2)
+_ISOLATED: Final = 0.3
+_WHEN: Final = (0.15, 0.85)
+# Fade of the hot brake: loss [1], and heat at which it is reached [J/kg].
+_FADE: Final = (0.0, 0.1)
+_FADE_ENERGY: Final = 400.0
+
+
+@dataclass(frozen=True, slots=True)
+class DayPlan:
+    """A day, and the times at which its brake changes at once [s]."""
+
+    world: World
+    case: Case
+    events_s: tuple[float, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class Drive:
+    """How a controller has driven a day.
+
+    Attributes:
+        arrivals: Its stops.
+        duration_s: Duration without the dwell after the last stop [s].
+        energy: Work of the traction [kWh].
+        jerk: Root mean square of the jerk in motion [m/s^3].
+        most_jerk: Its 99.9 % quantile [m/s^3].
+        overspeed: Highest speed above a limit [m/s], 0 if none.
+        bounds: At the beginning of each stop braking, the distance within which the client says that the train stops
+            under one command at 95 % confidence, and the true one [m]; only with live estimates.
+
+    """
+
+    arrivals: tuple[StopEvent, ...]
+    duration_s: float
+    energy: float
+    jerk: float
+    most_jerk: float
+    overspeed: float
+    bounds: tuple[tuple[float, float], ...]
+
+    @property
+    def errors(self) -> np.ndarray:
+        """Errors of the stops, > 0 beyond them [m], shape (n,)."""
+        return np.array([arrival.error for arrival in self.arrivals])
+
+
+def plan_day(world_name: str, runs: int, rng: np.random.Generator) -> DayPlan:
+    """Draw a day of a world.
+
+    Raises:
+        InputError: There is no such world.
+
+    """
+    world = find_world(world_name)
+    file = world_train(world)
+    fade = Effect('brake_fade', (('loss', float(rng.uniform(*_FADE))), ('energy', _FADE_ENERGY)))
+    case = make_case(world, file, _UNKNOWNS, runs, rng, (fade,))
+    duration = usual_duration(world, file.line.stops, runs)
+    changes, events = _changes(case.scenario.train_file.resistance, file.train.cars, duration, rng)
+    return DayPlan(world, replace(case, scenario=replace(case.scenario, changes=changes)), events)
+
+
+def _changes(
+    resistance: Davis, cars: int, duration: float, rng: np.random.Generator
+) -> tuple[tuple[Change, ...], tuple[float, ...]]:
+    """Return the changes of a day and the times at which the brake changes at once [s]."""
+    rate, wear = float(rng.uniform(*_RATE)), float(rng.uniform(*_WEAR))
+    rains, isolated = float(rng.random()) < _RAIN, float(rng.random()) < _ISOLATED
+    (rain_s, isolated_s), wet = (duration * rng.uniform(*_WHEN, 2)).tolist(), float(rng.uniform(*_RAIN_RATE))
+    wet_a = resistance.a * float(rng.uniform(*_RAIN_DRAG))
+    events = [at for at, happens in ((rain_s, rains), (isolated_s, isolated)) if happens]
+    changes = []
+    for time_s in sorted([*np.linspace(0.0, duration, _WEAR_STEPS).tolist(), *events]):
+        is_wet, is_weak = rains and time_s >= rain_s, isolated and time_s >= isolated_s
+        now = rate * (1.0 - wear * time_s / duration) * (wet if is_wet else 1.0) * (1.0 - is_weak / cars)
+        changes.append(Change(time_s, replace(resistance, a=wet_a) if is_wet else None, now))
+    return tuple(changes), tuple(sorted(events))
+
+
+def drive_day(plan: DayPlan, controller: str, seed: int) -> Drive:
+    """Let a controller drive a day; the same seed gives the same day but for what the controller does."""
+    stated, true = plan.case.stated, plan.case.scenario.train_file
+    profile, bias = LineProfile(stated.line, stated.train.length), StopBias()
+    scores: list[ScoredDriver] = []
+
+    def make(plant: Plant, rng: np.random.Generator) -> ScoredDriver:
+        known: TrainKnowledge = StatedValues(stated)
+        if controller == 'live':
+            known = LiveValues(stated)
+        elif controller == 'truth':
+            known = TrueValues(true, plant)
+        ato = Ato(_model(plan.world), stated, profile, known, rng, lambda: bias.aim)
+        learn = bias.learn if controller == 'learning' else None
+        bounds = BoundCheck(known.model, plan.world.driver.max_deceleration) if isinstance(known, LiveValues) else None
+        scores.append(ScoredDriver(ato, plant, learn, bounds))
+        return scores[0]
+
+    simulation = simulate(plan.case.scenario, np.random.default_rng(seed), make)
+    return scores[0].drive(simulation.arrivals)
+
+
+def _model(world: World) -> AtoModel:
+    driver = world.driver
+    return AtoModel(
+        acceleration=driver.acceleration,
+        deceleration=driver.deceleration,
+        strongest=driver.max_deceleration,
+        speed_margin=driver.speed_margin,
+        dwell=0.5 * (driver.dwell_low + driver.dwell_high),
+    )
+
+
+class BoundCheck:
+    """Compare bounds of the stopping distance with what a copy of the train does.
+
+    Attributes:
+        pairs: Bounds at 95 % confidence, and true distances [m].
+
+    """
+
+    def __init__(self, model: TrainModel, deceleration: float) -> None:
+        """Ask a model about a brake command of this deceleration [m/s^2]."""
+        self._model, self._command = model, -deceleration
+        self.pairs: list[tuple[float, float]] = []
+
+    def check(self, train: Plant) -> None:
+        """Compare at the present state of the train."""
+        distance = self._true_distance(train)
+        middle = train.position + 0.5 * train.direction * distance
+        gradient = train.profile.gradient(middle, train.direction)
+        bound = self._model.stopping_distance(train.speed, gradient, self._command, 0.95)
+        self.pairs.append((bound.value, distance))
+
+    def _true_distance(self, train: Plant) -> float:
+        twin = train.twin()
+        twin.traction = 0.0
+        twin.command(self._command)
+        while twin.speed > 0.0:
+            twin.step(0.0)
+        return abs(twin.position - train.position)
+
+
+class ScoredDriver:
+    """A controller together with what it is scored by."""
+
+    def __init__(
+        self, ato: Ato, plant: Plant, learn: Callable[[float], None] | None, bounds: BoundCheck | None = None
+    ) -> None:
+        """Score a controller of a train; ``learn`` is given the error of each stop [m]."""
+        self._ato, self._plant, self._learn, self._bounds = ato, plant, learn, bounds
+        self._jerks: list[float] = []
+        self._work = self._overspeed = self._acceleration = self._time_s = 0.0
+
+    @property
+    def arrivals(self) -> list[StopEvent]:
+        """Stops so far."""
+        return self._ato.arrivals
+
+    @property
+    def stop(self) -> float:
+        """Stop that it drives to [m]."""
+        return self._ato.stop
+
+    def observe(self, record: Record) -> None:
+        """Take in what a sensor has measured."""
+        self._ato.observe(record)
+
+    def may_depart(self, time_s: float) -> bool:
+        """Return whether the dwell is over at a time [s]."""
+        return self._ato.may_depart(time_s)
+
+    def depart(self, stop: float) -> None:
+        """Depart for the next stop [m]."""
+        self._ato.depart(stop)
+
+    def decide(self, time_s: float, train: Plant) -> Decision:
+        """Return the demands until the next tick."""
+        before, phase = len(self._ato.arrivals), self._ato.phase
+        decision = self._ato.decide(time_s, train)
+        if self._bounds is not None and phase is not Phase.STOP and self._ato.phase is Phase.STOP:
+            self._bounds.check(train)
+        if len(self._ato.arrivals) > before and self._learn is not None:
+            self._learn(self._ato.arrivals[-1].error)
+        if self._ato.phase is not Phase.DWELL:
+            self._score(train)
+        self._acceleration = train.acceleration
+        return decision
+
+    def _score(self, train: Plant) -> None:
+        self._jerks.append((train.acceleration - self._acceleration) / TICK_S)
+        self._work += train.traction * train.speed * TICK_S
+        limit = train.profile.speed_limit(train.position, train.direction)
+        self._overspeed = max(self._overspeed, train.speed - limit)
+
+    def drive(self, arrivals: tuple[StopEvent, ...]) -> Drive:
+        """Return how the day was driven."""
+        jerks = np.abs(self._jerks)
+        return Drive(
+            arrivals=arrivals,
+            duration_s=arrivals[-1].time_s,
+            energy=self._work / 3.6e6,
+            jerk=float(np.sqrt(np.mean(jerks * jerks))),
+            most_jerk=float(np.quantile(jerks, 0.999)),
+            overspeed=self._overspeed,
+            bounds=tuple(self._bounds.pairs) if self._bounds else (),
+        )
