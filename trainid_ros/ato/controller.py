@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from trainid_ros.train.line import LineProfile
     from trainid_ros.train.train_file import TrainFile
 
+_POSITION: Final = PositionModel()
 # Excess of the speed over its curve at which braking to a limit begins and ends [m/s].
 _BRAKE_EXCESS: Final = 0.1
 _RELEASE_EXCESS: Final = -0.6
@@ -83,6 +84,7 @@ class Ato:
         known: TrainKnowledge,
         rng: np.random.Generator,
         offset: Callable[[], float] = lambda: 0.0,
+        position: PositionModel = _POSITION,
     ) -> None:
         """Start with a dwell at the first stop.
 
@@ -93,6 +95,7 @@ class Ato:
             known: What it takes for true of resistance and brake.
             rng: Random generator for the readings of balises; the controller takes ownership.
             offset: Returns how far beyond a stop to aim [m].
+            position: How it measures, and the integral action of its observer.
 
         Raises:
             InputError: A setting is out of range.
@@ -102,7 +105,7 @@ class Ato:
         self.phase, self.arrivals, self.stop = Phase.DWELL, list[StopEvent](), profile.line.stops[0]
         self._model, self._train, self._profile, self._known = model, train_file.train, profile, known
         self._offset = offset
-        self._state = TrainState(PositionModel(), profile, rng)
+        self._state = TrainState(position, profile, rng)
         self._predictor = BrakePredictor(known.values(), self._state, self._train.rotary_mass, TICK_S)
         self._mass = self._train.mass
         self._brake, self._since_step_s, self._integral = -model.holding, 0.0, 0.0

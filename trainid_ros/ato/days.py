@@ -15,12 +15,13 @@ import numpy as np
 from trainid_ros.ato.controller import Ato, AtoModel, Phase
 from trainid_ros.ato.knowledge import LiveValues, StatedValues, TrainKnowledge, TrueValues
 from trainid_ros.ato.learning import StopBias
+from trainid_ros.ato.train_state import PositionModel
 from trainid_ros.sim.driver import TICK_S
 from trainid_ros.sim.realism import UNKNOWNS, make_case
 from trainid_ros.sim.scenario import Change, simulate
 from trainid_ros.sim.worlds import find_world, usual_duration, world_train
 from trainid_ros.train.line import LineProfile
-from trainid_ros.train.train_file import Davis, Effect
+from trainid_ros.train.train_file import Davis, Effect, TrainFile
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -32,8 +33,9 @@ if TYPE_CHECKING:
     from trainid_ros.sim.realism import Case
     from trainid_ros.sim.worlds import World
 
-CONTROLLERS: Final = ('nominal', 'learning', 'live', 'truth')
-"""Values of the train file; the same and a learned bias; live estimates; the true values."""
+CONTROLLERS: Final = ('nominal', 'fast', 'learning', 'live', 'truth')
+"""Values of the train file; the same with stronger integral action; with a learned bias; estimates; true values."""
+_FAST: Final = PositionModel(integral_gain=0.25)
 _UNKNOWNS: Final = frozenset(UNKNOWNS) - {'changes'}
 # Brake rate at the start of a day, wear over the day [1], steps in which the wear is simulated.
 _RATE: Final = (0.85, 1.1)
@@ -122,26 +124,36 @@ def _changes(
     return tuple(changes), tuple(sorted(events))
 
 
-def drive_day(plan: DayPlan, controller: str, seed: int) -> Drive:
-    """Let a controller drive a day; the same seed gives the same day but for what the controller does."""
+def drive_day(plan: DayPlan, controller: str | TrainKnowledge, seed: int) -> Drive:
+    """Let a controller drive a day; the same seed gives the same day but for what the controller does.
+
+    Args:
+        plan: The day.
+        controller: One of ``CONTROLLERS``, or where its values come from.
+        seed: Seed of the day.
+
+    """
     stated, true = plan.case.stated, plan.case.scenario.train_file
     profile, bias = LineProfile(stated.line, stated.train.length), StopBias()
-    scores: list[ScoredDriver] = []
+    scored: list[ScoredDriver] = []
 
     def make(plant: Plant, rng: np.random.Generator) -> ScoredDriver:
-        known: TrainKnowledge = StatedValues(stated)
-        if controller == 'live':
-            known = LiveValues(stated)
-        elif controller == 'truth':
-            known = TrueValues(true, plant)
-        ato = Ato(_model(plan.world), stated, profile, known, rng, lambda: bias.aim)
+        known = _knowledge(controller, stated, TrueValues(true, plant)) if isinstance(controller, str) else controller
+        position = _FAST if controller == 'fast' else PositionModel()
+        ato = Ato(_model(plan.world), stated, profile, known, rng, lambda: bias.aim, position)
         learn = bias.learn if controller == 'learning' else None
         bounds = BoundCheck(known.model, plan.world.driver.max_deceleration) if isinstance(known, LiveValues) else None
-        scores.append(ScoredDriver(ato, plant, learn, bounds))
-        return scores[0]
+        scored.append(ScoredDriver(ato, learn, bounds))
+        return scored[0]
 
     simulation = simulate(plan.case.scenario, np.random.default_rng(seed), make)
-    return scores[0].drive(simulation.arrivals)
+    return scored[0].drive(simulation.arrivals)
+
+
+def _knowledge(controller: str, stated: TrainFile, true: TrueValues) -> TrainKnowledge:
+    if controller == 'truth':
+        return true
+    return LiveValues(stated) if controller == 'live' else StatedValues(stated)
 
 
 def _model(world: World) -> AtoModel:
@@ -189,10 +201,10 @@ class ScoredDriver:
     """A controller together with what it is scored by."""
 
     def __init__(
-        self, ato: Ato, plant: Plant, learn: Callable[[float], None] | None, bounds: BoundCheck | None = None
+        self, ato: Ato, learn: Callable[[float], None] | None = None, bounds: BoundCheck | None = None
     ) -> None:
-        """Score a controller of a train; ``learn`` is given the error of each stop [m]."""
-        self._ato, self._plant, self._learn, self._bounds = ato, plant, learn, bounds
+        """Score a controller; ``learn`` is given the error of each stop [m]."""
+        self._ato, self._learn, self._bounds = ato, learn, bounds
         self._jerks: list[float] = []
         self._work = self._overspeed = self._acceleration = self._time_s = 0.0
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""``trainid demo``: play bags through the live nodes and compare with a replay; then find a hidden effect."""
+"""``trainid demo``: play bags through the live nodes, find a hidden effect, and stop a train by the estimates."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import time
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
-from trainid_ros.cli.arguments import DEMO_QUICK_S, EXPLAIN_CHAPTER
+from trainid_ros.cli.arguments import DEMO_QUICK_S, EXPLAIN_CHAPTER, STOPS_CHAPTER
 from trainid_ros.cli.output import check_output, print_json, progress, show
 from trainid_ros.demo.bags import STOCK, load_demo_bag, stock_bag
 from trainid_ros.report import HTML_START
@@ -21,6 +21,7 @@ if TYPE_CHECKING:
     from trainid_ros.demo.bags import DemoBag
     from trainid_ros.demo.comparison import ComparisonOutcome
     from trainid_ros.demo.hidden import HiddenCase
+    from trainid_ros.demo.stops import StopCase
     from trainid_ros.demo.view import View
     from trainid_ros.report.accuracy_scores import AccuracyScore
 
@@ -28,7 +29,7 @@ _CHECK_FAILED: Final = 1
 
 
 def run(args: argparse.Namespace) -> int:
-    """Run the demo; return 0 only if all live estimates equal the replayed ones and the hidden effect was found.
+    """Run the demo; return 0 only if live estimates equal the replayed ones, the effect was found and stops are better.
 
     Raises:
         InputError: A bag, a train file or the output folder cannot be used.
@@ -51,13 +52,13 @@ def run(args: argparse.Namespace) -> int:
         check_output(report, (), HTML_START)
     with _interruptible():
         outcomes = [] if report is None else _live(bags, args, view, report)
-        hidden = _hidden(args, view)
+        hidden, stops = _hidden(args, view), _stops(args, view)
     wall_s = time.monotonic() - start
-    worked = all(outcome.worked for outcome in outcomes) and (hidden is None or hidden.worked)
+    worked = all(one.worked for one in (*outcomes, hidden, stops) if one is not None)
     if args.json:
-        print_json(_to_json(outcomes, hidden, report, wall_s) | {'worked': worked})
+        print_json(_to_json(outcomes, hidden, stops, report, wall_s) | {'worked': worked})
     else:
-        show(summary(outcomes, hidden))
+        show(summary(outcomes, hidden, stops))
         show(f'\nreport: {report}' if report else '')
         print(f'{wall_s:.0f} s in total; {"all checks passed" if worked else "NOT all checks passed, see above"}')
     return 0 if worked else _CHECK_FAILED
@@ -92,6 +93,15 @@ def _hidden(args: argparse.Namespace, view: View) -> HiddenCase | None:
     return play_hidden(args.out / EXPLAIN_CHAPTER, view.say)
 
 
+def _stops(args: argparse.Namespace, view: View) -> StopCase | None:
+    """Stop a train by the estimates, unless only bags are to be played."""
+    if args.bag or args.only not in (None, STOPS_CHAPTER):
+        return None
+    from trainid_ros.demo.stops import play_stops  # noqa: PLC0415
+
+    return play_stops(args.out / STOPS_CHAPTER, view.say)
+
+
 def _play(bag: DemoBag, args: argparse.Namespace, logs: Path, view: View) -> ComparisonOutcome:
     from trainid_ros.demo.comparison import conclude, describe_comparison  # noqa: PLC0415
     from trainid_ros.demo.live import run_live  # noqa: PLC0415
@@ -110,7 +120,9 @@ def _play(bag: DemoBag, args: argparse.Namespace, logs: Path, view: View) -> Com
     return outcome
 
 
-def summary(outcomes: Sequence[ComparisonOutcome], hidden: HiddenCase | None = None) -> str:
+def summary(
+    outcomes: Sequence[ComparisonOutcome], hidden: HiddenCase | None = None, stops: StopCase | None = None
+) -> str:
     """Return the results as lines of text."""
     lines: list[str] = []
     for outcome in outcomes:
@@ -133,6 +145,14 @@ def summary(outcomes: Sequence[ComparisonOutcome], hidden: HiddenCase | None = N
             'Effect missing from the train file',
             *(f'  {line}'.rstrip() for line in describe_hidden(hidden).split('\n')),
         ]
+    if stops is not None:
+        from trainid_ros.demo.stops import describe_stops  # noqa: PLC0415
+
+        lines += [
+            '',
+            'Stops by different values',
+            *(f'  {line}'.rstrip() for line in describe_stops(stops).split('\n')),
+        ]
     return '\n'.join(lines)
 
 
@@ -147,7 +167,11 @@ def _score_lines(name: str, unit: str, score: AccuracyScore | None) -> list[str]
 
 
 def _to_json(
-    outcomes: Sequence[ComparisonOutcome], hidden: HiddenCase | None, report: Path | None, wall_s: float
+    outcomes: Sequence[ComparisonOutcome],
+    hidden: HiddenCase | None,
+    stops: StopCase | None,
+    report: Path | None,
+    wall_s: float,
 ) -> dict[str, Any]:
     return {
         'report': report,
@@ -166,6 +190,7 @@ def _to_json(
             for outcome in outcomes
         ],
         'explain': _hidden_to_json(hidden),
+        'stops': _stops_to_json(stops),
     }
 
 
@@ -175,6 +200,14 @@ def _hidden_to_json(hidden: HiddenCase | None) -> dict[str, Any] | None:
     from trainid_ros.demo.hidden import hidden_to_json  # noqa: PLC0415
 
     return hidden_to_json(hidden)
+
+
+def _stops_to_json(stops: StopCase | None) -> dict[str, Any] | None:
+    if stops is None:
+        return None
+    from trainid_ros.demo.stops import stops_to_json  # noqa: PLC0415
+
+    return stops_to_json(stops)
 
 
 @contextmanager
