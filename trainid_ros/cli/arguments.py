@@ -52,6 +52,13 @@ def configure_run(parser: argparse.ArgumentParser) -> None:
     _add_ros_args(parser)
 
 
+def configure_monitor(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of ``monitor``."""
+    parser.add_argument('--namespace', metavar='NAME', help='namespace of the train (default: all trains found)')
+    parser.add_argument('--duration', type=positive, default=0.0, metavar='S', help='end after this many seconds')
+    _add_ros_args(parser)
+
+
 def configure_replay(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``replay``."""
     _add_bags(parser)
