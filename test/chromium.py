@@ -121,9 +121,20 @@ class Chromium:
 
     def picture(self, *, whole: bool = False) -> NDArray[np.float64]:
         """Return what is seen, or the whole page, as red, green and blue from 0 to 1, shape (rows, columns, 3)."""
-        data = self.call('Page.captureScreenshot', format='png', captureBeyondViewport=whole, fromSurface=True)['data']
+        options: dict[str, Any] = {}
+        if whole:
+            size = self.call('Page.getLayoutMetrics')['cssContentSize']
+            options = {'captureBeyondViewport': True, 'clip': {**size, 'scale': 1}}
+        data = self.call('Page.captureScreenshot', format='png', **options)['data']
         image: NDArray[np.float64] = np.asarray(imread(io.BytesIO(base64.b64decode(data))), dtype=np.float64)
         return image[:, :, :3]
+
+    def boxes(self, selector: str) -> list[tuple[int, int, int, int]]:
+        """Return left, top, right and bottom of the elements that a CSS selector finds, in pixels of the whole page."""
+        box = 'const b = e.getBoundingClientRect(), x = scrollX, y = scrollY'
+        edges = '[b.left + x, b.top + y, b.right + x, b.bottom + y].map(Math.round)'
+        found = self.evaluate(f'[...document.querySelectorAll({selector!r})].map(e => {{{box}; return {edges}}})')
+        return [tuple(edges) for edges in found]
 
     def close(self) -> None:
         """End the browser."""
