@@ -5,7 +5,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from types import SimpleNamespace
-from typing import Any
 
 import pytest
 
@@ -14,7 +13,6 @@ from trainid_ros.messages import (
     RESISTANCE_TOPIC,
     SPEED_MODEL_TOPIC,
     output_values,
-    record_values,
 )
 from trainid_ros.monitor.trains import Report, Train, Trains
 from trainid_ros.monitor.view import Level
@@ -40,11 +38,6 @@ BRAKE = BrakeRateEstimate(0.91, 0.05, 0.0, 10.0, -0.4, 0.0, 100.0, True, 0.01, 0
 ESTIMATES = ((RESISTANCE_TOPIC, RESISTANCE), (SPEED_MODEL_TOPIC, MODEL), (BRAKE_RATE_TOPIC, BRAKE))
 
 
-def with_header(stamp_ns: int, values: dict[str, Any]) -> Any:
-    sec, nanosec = divmod(stamp_ns, NS_PER_S)
-    return SimpleNamespace(header=SimpleNamespace(stamp=SimpleNamespace(sec=sec, nanosec=nanosec)), **values)
-
-
 def feed(train: Train, begin_s: float, end_s: float, status: Status = Status.VALID) -> None:
     """Hand a train its messages at 5 Hz, each 50 ms old as it arrives."""
     for k in range(round(5.0 * begin_s), round(5.0 * end_s)):
@@ -56,10 +49,10 @@ def feed(train: Train, begin_s: float, end_s: float, status: Status = Status.VAL
             (GRADIENT_TOPIC, GradientRecord(stamp, -4.0, 0.0, True)),
             (BRAKE_TOPIC, BrakeRecord(stamp, -0.5, False)),
         ):
-            train.on_input(topic, with_header(stamp, record_values(record)), time_s)
+            train.on_input(topic, record, time_s)
         for output, estimate in ESTIMATES:
             values = output_values(Output(stamp, estimate, status, 12, 8, None))
-            train.on_estimate(output, with_header(stamp, values), time_s)
+            train.on_estimate(output, SimpleNamespace(**values), time_s)
 
 
 @pytest.fixture

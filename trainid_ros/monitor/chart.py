@@ -15,6 +15,8 @@ BAND_STD: Final = 2.0
 _LEVELS: Final = '▁▂▃▄▅▆▇█'
 _ASCII_LEVELS: Final = '_.-~=+*#'
 _EMPTY: Final = ' '
+# Bands that are wider than this many of the narrowest one are cut off [1].
+_WIDEST: Final = 3.0
 # Values that differ less than this share of their size are drawn as a level line [1].
 _LEAST_SPAN: Final = 1e-3
 
@@ -73,11 +75,13 @@ def _binned(points: Sequence[Point], columns: int, span_s: float) -> list[Point 
 
 
 def _range(drawn: Sequence[Point], *, with_band: bool) -> tuple[float, float]:
-    """Return the lower and upper edge: all values, and of the bands that of the newest and of the narrowest."""
+    """Return the lower and upper edge: all values, and their bands unless much wider than the narrowest."""
     values = [point.value for point in drawn]
     if with_band:
-        for point in (drawn[-1], min(drawn, key=_deviation)):
-            values += [point.value - BAND_STD * _deviation(point), point.value + BAND_STD * _deviation(point)]
+        widest = _WIDEST * min(map(_deviation, drawn))
+        for point in drawn:
+            half = BAND_STD * min(_deviation(point), widest)
+            values += [point.value - half, point.value + half]
     low, high = min(values), max(values)
     least = _LEAST_SPAN * max(abs(low), abs(high), _LEAST_SPAN)
     middle, half = 0.5 * (low + high), max(0.5 * (high - low), least)

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Final
 
-from trainid_ros.messages import OUTPUT_TOPICS, record_from_message
+from trainid_ros.messages import OUTPUT_TOPICS
 from trainid_ros.monitor.arrivals import Arrivals
 from trainid_ros.monitor.shown_estimates import KMH, SHOWN, ShownEstimate, value_text
 from trainid_ros.monitor.view import EstimateView, Finding, InputView, Level, Point, TrainView
@@ -101,14 +101,14 @@ class Train:
         self._reports: dict[tuple[str, str], Report] = {}
         self._publishers: Mapping[str, tuple[str, ...]] = {}
 
-    def on_input(self, topic: InputTopic, message: Any, now_s: float) -> None:
-        """Take in a message of an input that arrived now [s]."""
+    def on_input(self, topic: InputTopic, record: Record, now_s: float) -> None:
+        """Take in an input that arrived now [s]."""
         item = self._inputs[topic.name]
         item.arrivals.add(now_s)
-        item.record = record_from_message(topic, message)
+        item.record = record
 
     def on_estimate(self, topic: OutputTopic, message: Any, now_s: float) -> None:
-        """Take in a message of an estimate that arrived now [s]."""
+        """Take in an estimate that arrived now [s]; the message is any object with the fields of its type."""
         self._estimates[topic.name].add(message, now_s)
 
     def on_report(self, node: str, subject: str, report: Report) -> None:

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, Final
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
 
-from trainid_ros.messages import OUTPUT_TOPICS
+from trainid_ros.messages import OUTPUT_TOPICS, record_from_message
 from trainid_ros.monitor.trains import Report, Trains
 from trainid_ros.monitor.view import Level
 from trainid_ros.records import INPUT_TOPICS
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from rclpy.qos import QoSProfile
 
     from trainid_ros.messages import OutputTopic
+    from trainid_ros.monitor.trains import Train
     from trainid_ros.monitor.view import TrainView
     from trainid_ros.records import InputTopic
 
@@ -108,7 +109,7 @@ class TrainMonitor(Node):
     def _subscribe(self, namespace: str) -> None:
         train = self.trains.add(namespace)
         for given in INPUT_TOPICS:
-            self._listen(namespace, given, input_qos(), partial(train.on_input, given))
+            self._listen(namespace, given, input_qos(), partial(_on_input, train, given))
         for made in OUTPUT_TOPICS:
             self._listen(namespace, made, estimate_qos(), partial(train.on_estimate, made))
 
@@ -133,6 +134,10 @@ class TrainMonitor(Node):
             values = {item.key: item.value for item in status.values}
             level = Level(int.from_bytes(status.level, 'little'))
             self.trains.on_diagnostics(status.name, Report(level, status.message, values, now_s))
+
+
+def _on_input(train: Train, topic: InputTopic, message: Any, now_s: float) -> None:
+    train.on_input(topic, record_from_message(topic, message), now_s)
 
 
 def _full(namespace: str, topic: str) -> str:
