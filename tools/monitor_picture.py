@@ -63,7 +63,7 @@ class _Feed:
         )
 
 
-def _report(feed: _Feed, trains: Trains, pipelines: Pipelines, priors: tuple[Any, ...]) -> None:
+def _report(feed: _Feed, trains: Trains, pipelines: tuple[Any, ...], priors: tuple[Any, ...]) -> None:
     """Let the nodes report what they would, and a second publisher of the force beside them."""
     now_s = feed.now_ns / NS_PER_S
     for spec, pipeline, prior in zip(SPECS.values(), pipelines, priors, strict=True):
@@ -89,7 +89,7 @@ def picture() -> str:
     with BagReader(_BAG) as reader:
         replay_through(pipelines, reader, None, (feed,), duration_s=_SHOWN_S)
     _report(feed, trains, pipelines, priors)
-    nodes = {topic.name: (_PLAYER,) for topic in INPUT_TOPICS}
+    nodes: dict[str, tuple[str, ...]] = {topic.name: (_PLAYER,) for topic in INPUT_TOPICS}
     nodes[FORCE_TOPIC.name] = (_PLAYER, f'{_NAMESPACE}/drive_control')
     feed.train.on_publishers(nodes | {topic.name: ('a node',) for topic in OUTPUT_TOPICS})
     console = Console(file=io.StringIO(), record=True, width=_WIDTH, height=_HEIGHT, force_terminal=True)

@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
@@ -53,6 +54,24 @@ class TestWithRerun:
             monkeypatch.delenv(name, raising=False)
         assert main(['view', str(driven_bag)]) == 2
         assert 'no display to open the viewer on: give --out FILE.rrd' in capsys.readouterr().err
+
+    def test_the_viewer_opens_a_recording_without_telemetry(
+        self, driven_bag: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        opened = []
+
+        def run(command: list[str], **_: object) -> object:
+            opened.append((command, Path(command[-1]).read_bytes()[:4], os.environ.get('CI')))
+            return SimpleNamespace(returncode=7)
+
+        monkeypatch.setenv('DISPLAY', ':0')
+        monkeypatch.setattr('trainid_ros.cli.view.subprocess.run', run)
+        assert main(['view', str(driven_bag)]) == 7
+        ((command, start, telemetry_off),) = opened
+        assert command[:5] == [sys.executable, '-m', 'rerun', '--bind', '127.0.0.1']
+        assert start == b'RRF2'
+        assert telemetry_off == 'true'
+        assert not Path(command[-1]).exists()
 
     def test_a_bag_without_train_file_needs_one(
         self, driven_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]

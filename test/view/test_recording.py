@@ -117,14 +117,12 @@ def test_a_browser_draws_every_view(recording: Path, tmp_path: Path) -> None:
     browser = Chromium(program, tmp_path / 'profile')
     try:
         with served(recording, log) as url:
-            browser.call(
-                'Emulation.setDeviceMetricsOverride', width=640, height=1000, deviceScaleFactor=1, mobile=False
-            )
+            browser.call('Emulation.setDeviceMetricsOverride', width=480, height=900, deviceScaleFactor=1, mobile=False)
             browser.open(url)
             end = time.monotonic() + DEADLINE_S
             while min(blue := views_with_line(browser.picture())) < 0.002:
                 assert time.monotonic() < end, f'share of the pixels of a line in each plot: {blue}'
-                time.sleep(0.5)
+                time.sleep(1.0)
             assert ink(browser.picture()) > 0.05
     finally:
         browser.close()

@@ -26,6 +26,8 @@ if TYPE_CHECKING:
     import argparse
 
 _TRAIN_FILE: Final = 'train.yaml'
+# Its server is for this machine alone.
+_LOCAL: Final = ('--bind', '127.0.0.1', '--port', 'auto')
 _DISPLAYS: Final = ('DISPLAY', 'WAYLAND_DISPLAY')
 
 
@@ -51,7 +53,7 @@ def run(args: argparse.Namespace) -> int:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f'{args.bag.resolve().stem}.rrd'
         _write(args, train, path)
-        return subprocess.run([sys.executable, '-m', 'rerun', str(path)], check=False).returncode
+        return subprocess.run([sys.executable, '-m', 'rerun', *_LOCAL, str(path)], check=False).returncode
 
 
 def _train_file(args: argparse.Namespace) -> Path:

@@ -23,14 +23,14 @@ RRD_START: Final = 'RRF2'
 _AXIS: Final = 'time'
 _BAND_STD: Final = 2.0
 _BLUE: Final = (31, 119, 180)
-_PALE: Final = (150, 190, 220)
+_PALE: Final = (125, 150, 175)
 _PLOTS: Final = {
     'speed': 'speed [km/h]',
     'force': 'force [kN]',
     'gradient': 'gradient [‰]',
     'brake_command': 'brake command [m/s²]',
 }
-SHARES: Final = (2.0, 1.5, 1.5, 1.5, 2.0, 2.0, 2.0, 2.5, 2.5, 2.0)
+SHARES: Final = (1.5, 1.0, 1.0, 1.0, 1.5, 1.5, 1.5, 2.8, 2.8, 1.5)
 """Heights of the plots, of status and samples, and of the events."""
 _COLOURS: Final = {
     'VALID': 0x2CA02CFF,
@@ -103,7 +103,11 @@ class _Writer:
     def _line(
         self, path: str, stamps: Sequence[int], values: NDArray[np.float64], title: str, colour: tuple[int, int, int]
     ) -> None:
-        self._stream.log(path, self._rr.SeriesLines(names=title, colors=[colour], widths=1.5), static=True)
+        self._stream.log(
+            path,
+            self._rr.SeriesLines(names=title, colors=[colour], widths=1.0 if colour == _PALE else 2.0),
+            static=True,
+        )
         self._send(path, stamps, self._rr.Scalars.columns(scalars=values))
 
     def _states(self, path: str, changes: Sequence[tuple[int, str]]) -> None:
