@@ -37,9 +37,9 @@ if TYPE_CHECKING:
     from trainid_ros.messages import OutputTopic
     from trainid_ros.records import InputTopic, Record
 
-# Past values are kept at this step and so many of them, which is ten minutes.
+# Past values are kept at this step and so many of them, which is longer than any chart.
 _STEP_S: Final = 0.5
-_POINTS: Final = 1200
+_POINTS: Final = 400
 # Stamps that differ more from this clock are of another one, as those of a bag [s].
 _OTHER_CLOCK_S: Final = 3600.0
 # A node reports once a second; older reports of it no longer hold [s].
