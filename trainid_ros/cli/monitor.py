@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import sys
 import time
 from typing import TYPE_CHECKING, Final
 
@@ -13,6 +14,7 @@ from rich.live import Live
 from trainid_ros.cli.output import EXIT_NO_ANSWER
 from trainid_ros.monitor.lines import Lines
 from trainid_ros.monitor.screen import Screen
+from trainid_ros.monitor.view import in_ascii
 
 if TYPE_CHECKING:
     import argparse
@@ -52,8 +54,9 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _print(lines: Lines, node: TrainMonitor) -> None:
+    has_unicode = sys.stdout.encoding.lower().startswith('utf')
     for line in lines.of(node.views(), node.notice):
-        print(line, flush=True)
+        print(line if has_unicode else in_ascii(line), flush=True)
 
 
 class _Display:

@@ -18,6 +18,7 @@ from trainid_ros.monitor.view import (
     Level,
     TrainView,
     duration,
+    in_ascii,
     number,
     rejections,
     state_of,
@@ -42,8 +43,6 @@ _STYLES: Final = {
 }
 _BAD: Final = 'bold red'
 _LEVEL_STYLES: Final = {Level.ERROR: _BAD, Level.STALE: _BAD, Level.WARN: 'yellow'}
-# Characters that terminals without Unicode cannot show.
-_PLAIN: Final = str.maketrans({'±': '+-', '²': '^2', '‰': 'permille', '–': '-', '…': '...'})
 _ONE_ROW, _TALL = 30, 48
 _NARROW: Final = 72
 _SILENT_S: Final = 1.5
@@ -83,7 +82,7 @@ class _Size:
     def text(self, text: str, style: str = '') -> Text:
         """Return text that this terminal can show, cut to its line."""
         shown = printable(text)
-        return Text(shown.translate(_PLAIN) if self.ascii_only else shown, style, no_wrap=True, overflow='ellipsis')
+        return Text(in_ascii(shown) if self.ascii_only else shown, style, no_wrap=True, overflow='ellipsis')
 
 
 def _train(view: TrainView, size: _Size, console: Console) -> RenderableType:

@@ -6,10 +6,13 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import IntEnum
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:
     from trainid_ros.results import Status
+
+
+_PLAIN: Final = str.maketrans({'±': '+-', '²': '^2', '‰': 'permille', '–': '-', '…': '...'})
 
 
 class Level(IntEnum):
@@ -135,6 +138,11 @@ class TrainView:
 def number(value: float, digits: int = 3) -> str:
     """Return a number with a fixed count of decimals, a dash if it is not finite."""
     return f'{value:.{digits}f}' if math.isfinite(value) else '–'
+
+
+def in_ascii(text: str) -> str:
+    """Return text for terminals without Unicode."""
+    return text.translate(_PLAIN).encode('ascii', 'replace').decode()
 
 
 def with_band(estimate: EstimateView) -> str:

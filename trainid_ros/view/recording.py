@@ -147,10 +147,8 @@ def _layout(tracks: Tracks) -> Any:
         )
         for name in tracks.estimates
     ]
-    states = [
-        rrb.StateTimelineView(origin=origin, name=name, time_view=axis)
-        for origin, name in (('status', 'status'), ('samples', 'why the newest sample was not used'))
-    ]
+    lanes = {'status': 'status', 'samples': 'why the newest sample was not used'}
+    states = [rrb.StateTimelineView(origin=origin, name=name, time_view=axis) for origin, name in lanes.items()]
     events = rrb.TextLogView(origin='events', name='events')
     return rrb.Blueprint(
         rrb.Vertical(*plots, *states, events, row_shares=SHARES),
