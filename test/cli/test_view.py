@@ -80,6 +80,8 @@ class TestWithRerun:
         (tmp_path / 'bag' / 'train.yaml').unlink()
         assert main(['view', str(tmp_path / 'bag'), '--out', str(tmp_path / 'x.rrd')]) == 2
         assert 'there is no train.yaml beside it: give --train' in capsys.readouterr().err
+        assert main(['view', str(tmp_path / 'none'), '--out', str(tmp_path / 'x.rrd')]) == 2
+        assert 'none: no such bag' in capsys.readouterr().err
 
     def test_only_recordings_are_written_over(
         self, driven_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]

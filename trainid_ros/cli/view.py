@@ -60,6 +60,9 @@ def _train_file(args: argparse.Namespace) -> Path:
     """Return the train file: the one given, or that in the folder of the bag."""
     if args.train is not None:
         return Path(args.train)
+    if not args.bag.exists():
+        msg = f'{args.bag}: no such bag'
+        raise InputError(msg)
     beside = (args.bag if args.bag.is_dir() else args.bag.parent) / _TRAIN_FILE
     if not beside.is_file():
         msg = f'{args.bag}: there is no {_TRAIN_FILE} beside it: give --train T.yaml'

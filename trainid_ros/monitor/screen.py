@@ -79,10 +79,11 @@ class _Size:
     def is_narrow(self) -> bool:
         return self.width < _NARROW
 
-    def text(self, text: str, style: str = '') -> Text:
+    def text(self, content: str, style: str = '') -> Text:
         """Return text that this terminal can show, cut to its line."""
-        shown = printable(text)
-        return Text(in_ascii(shown) if self.ascii_only else shown, style, no_wrap=True, overflow='ellipsis')
+        shown = printable(content)
+        text = in_ascii(shown) if self.ascii_only else shown
+        return Text(text, style, no_wrap=True, overflow='crop' if self.ascii_only else 'ellipsis')
 
 
 def _train(view: TrainView, size: _Size, console: Console) -> RenderableType:
@@ -145,7 +146,7 @@ def _estimate(item: EstimateView, size: _Size) -> list[Text]:
     if item.status is None:
         return [Text(), Text.assemble(name, ' ', state)]
     headline = size.text(f'{item.quantity}  {with_band(item)}')
-    lines = [Text.assemble(name, ' ', headline, '  ', state, no_wrap=True, overflow='ellipsis')]
+    lines = [Text.assemble(name, ' ', headline, '  ', state, no_wrap=True, overflow=headline.overflow)]
     lines += _chart(item, size)
     if size.height > _ONE_ROW or not size.is_narrow:
         lines.append(size.text(f'  {item.details}', 'dim'))
@@ -192,7 +193,8 @@ def _overview(views: Sequence[TrainView], size: _Size) -> Group:
         for item in view.estimates:
             style = _BAD if item.is_silent or item.status is None else _STYLES.get(item.status, _BAD)
             known = '' if item.status is None else f'{number(item.value)} ± {number(item.std)} '
-            cells.append(Text.assemble(size.text(known), size.text(state_of(item), style)))
+            value = size.text(known)
+            cells.append(Text.assemble(value, size.text(state_of(item), style), overflow=value.overflow))
         table.add_row(*cells)
         findings += [
             size.text(f'{view.namespace} {item.level.name} {item.source}: {item.text}', _LEVEL_STYLES[item.level])
