@@ -38,9 +38,10 @@ colcon-smoke: setup ## build the workspace with colcon, start an installed node,
 wheel: setup ## build wheels with compiled modules in out/wheels and try each in a clean environment
 	$(PYTHON_IN) tools/wheel_smoke.py --out out/wheels
 
-golden: setup ## regenerate expected outputs and config/params.yaml; review the difference before committing it
+golden: setup ## regenerate expected outputs, config/params.yaml and docs/monitor.svg; review the difference before committing it
 	tools/with_test_env $(PYTHON_IN) test/golden/make_golden.py
 	tools/with_test_env $(PYTHON_IN) -m trainid_ros.ros.params_template > config/params.yaml
+	tools/with_test_env $(PYTHON_IN) -m tools.monitor_picture > docs/monitor.svg
 
 docs: setup .venv-docs/stamp ## build the documentation site in out/site; a broken link is an error
 	PYTHONPATH=.venv-docs NO_MKDOCS_2_WARNING=1 $(PYTHON_IN) -m mkdocs build --strict

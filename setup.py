@@ -98,6 +98,8 @@ setup(
         'tables': ['pyarrow'],
         # trainid fleet --scheduler.
         'fleet': ['distributed'],
+        # trainid view.
+        'view': ['rerun-sdk'],
     },
     zip_safe=False,
     entry_points={

@@ -11,7 +11,20 @@ from pathlib import Path
 import trainid_ros
 
 PACKAGE = Path(trainid_ros.__file__).parent
-PURE = ('ato', 'client', 'stream', 'train', 'estimators', 'resistance', 'speed_model', 'brake_rate', 'sim', 'explain')
+PURE = (
+    'ato',
+    'client',
+    'stream',
+    'train',
+    'estimators',
+    'resistance',
+    'speed_model',
+    'brake_rate',
+    'sim',
+    'explain',
+    'monitor',
+    'view',
+)
 FOREIGN = ('rclpy', 'rosbags', 'mcap', 'matplotlib', 'trainid_msgs', 'std_msgs')
 # Loaded only where needed, not by the core.
 SLOW = ('scipy', 'yaml')

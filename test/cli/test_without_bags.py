@@ -75,9 +75,18 @@ def test_parquet_is_named(driven_bag: Path, tmp_path: Path) -> None:
     assert sorted(path.name for path in tmp_path.iterdir()) == ['m.yaml', 'x.parquet']
 
 
-@pytest.mark.parametrize('arguments', [('--help',), ('--version',), ('run', '--help')], ids=' '.join)
+@pytest.mark.parametrize('arguments', [('--help',), ('--version',), ('run', '-h'), ('monitor', '-h')], ids=' '.join)
 def test_other_commands_work(arguments: tuple[str, ...], tmp_path: Path) -> None:
     assert trainid(tmp_path, *arguments).returncode == 0
+
+
+@pytest.mark.parametrize('arguments', [('monitor',), ('run', '--train', 'T.yaml')], ids=' '.join)
+def test_without_ros_live_commands_say_so(arguments: tuple[str, ...], driven_bag: Path, tmp_path: Path) -> None:
+    (tmp_path / 'T.yaml').write_bytes((driven_bag / 'train.yaml').read_bytes())
+    done = trainid(tmp_path, *arguments, hidden=frozenset({'rclpy'}))
+    assert done.returncode == 2
+    hint = 'source the setup file of ROS first'
+    assert done.stderr == f'trainid: error: this command needs ROS 2, but rclpy is not found: {hint}\n'
 
 
 def test_run_gets_as_far_as_its_train_file(tmp_path: Path) -> None:

@@ -34,6 +34,7 @@ NOT_RUN = {
         'colcon build --base-paths src src/trainid_ros/msg_defs && . install/setup.bash': 'see tools/colcon_smoke.py',
         'ros2 launch trainid_ros trainid.launch.py train_file:=$PWD/src/trainid_ros/config/trains/yizhuang.yaml': BUILT,
         '.venv/bin/trainid run --train config/trains/yizhuang.yaml': LIVE,
+        '.venv/bin/trainid monitor': LIVE,
     },
     'CONTRIBUTING.md': {
         'make test-fast': WHOLE,
@@ -63,6 +64,12 @@ NOT_RUN = {
         (
             'ros2 launch trainid_ros trainid.launch.py train_file:=/path/to/train.yaml mapping_file:=/path/to/map.yaml'
         ): BUILT,
+    },
+    'docs/monitor.md': {
+        '.venv/bin/trainid monitor': LIVE,
+        '.venv/bin/trainid monitor --namespace /train_1': LIVE,
+        '.venv/bin/trainid monitor --duration 60 > out/monitor.log': LIVE,
+        '.venv/bin/trainid view bags/tiny': 'opens a window',
     },
     'docs/nodes.md': {
         '.venv/bin/trainid run --train config/trains/yizhuang.yaml': LIVE,

@@ -54,20 +54,31 @@ def configure_run(parser: argparse.ArgumentParser) -> None:
     _add_ros_args(parser)
 
 
+def configure_monitor(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of ``monitor``."""
+    parser.add_argument('--namespace', metavar='NAME', help='namespace of the train (default: all trains found)')
+    parser.add_argument('--duration', type=positive, default=0.0, metavar='S', help='end after this many seconds')
+    _add_ros_args(parser)
+
+
+def configure_view(parser: argparse.ArgumentParser) -> None:
+    """Declare the arguments of ``view``."""
+    _add_bag(parser)
+    _add_map(parser)
+    _add_max_chunk(parser)
+    parser.add_argument('--train', type=Path, metavar='T.yaml', help='train file (default: train.yaml in the bag)')
+    _add_settings(parser)
+    parser.add_argument('--out', type=Path, metavar='FILE.rrd', help='write a recording instead of opening the viewer')
+    _add_namespace(parser, 'topics and nodes')
+
+
 def configure_replay(parser: argparse.ArgumentParser) -> None:
     """Declare the arguments of ``replay``."""
     _add_bags(parser)
     _add_map(parser)
     _add_max_chunk(parser)
     _add_train(parser)
-    parser.add_argument('--params', type=Path, metavar='FILE.yaml', help='ROS parameter file, as the nodes take it')
-    parser.add_argument(
-        '--algorithm',
-        action='append',
-        default=[],
-        metavar='NAME',
-        help='algorithm instead of the default, or resistance=NAME and so on; repeatable',
-    )
+    _add_settings(parser)
     parser.add_argument(
         '--out',
         type=Path,
@@ -260,6 +271,17 @@ def _add_max_chunk(parser: argparse.ArgumentParser) -> None:
 
 def _add_train(parser: argparse.ArgumentParser, text: str = 'train file') -> None:
     parser.add_argument('--train', type=Path, required=True, metavar='T.yaml', help=text)
+
+
+def _add_settings(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument('--params', type=Path, metavar='FILE.yaml', help='ROS parameter file, as the nodes take it')
+    parser.add_argument(
+        '--algorithm',
+        action='append',
+        default=[],
+        metavar='NAME',
+        help='algorithm instead of the default, or resistance=NAME and so on; repeatable',
+    )
 
 
 def _add_map(

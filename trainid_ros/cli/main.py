@@ -39,6 +39,8 @@ class Verb(NamedTuple):
 VERBS: Final = (
     Verb('demo', 'play a bag through the live nodes and write a report', options.configure_demo),
     Verb('run', 'run the estimator nodes live', options.configure_run),
+    Verb('monitor', 'show inputs, estimates and diagnostics live in a terminal', options.configure_monitor),
+    Verb('view', 'show a bag and its estimates in the Rerun viewer', options.configure_view),
     Verb('replay', 'run the estimators over bags, off line', options.configure_replay),
     Verb('play', "publish a bag's inputs with /clock", options.configure_play),
     Verb('simulate', 'create a bag with the simulator', options.configure_simulate),

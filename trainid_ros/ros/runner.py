@@ -22,6 +22,8 @@ from trainid_ros.ros.node import ManagedNode, RCLError
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
+    from rclpy.node import Node
+
 # A waiting executor notices a signal only when it returns.
 _REACTION_S: Final = 0.2
 _SIGNALS: Final = (signal.SIGINT, signal.SIGTERM)
@@ -85,7 +87,7 @@ def stop_ros() -> None:
     rclpy.try_shutdown()
 
 
-def spin_nodes(nodes: Sequence[ManagedNode], *, until: Callable[[], bool] = lambda: False) -> None:
+def spin_nodes(nodes: Sequence[Node], *, until: Callable[[], bool] = lambda: False) -> None:
     """Spin nodes in one thread until a signal or a condition; then deactivate and destroy them, and stop ROS.
 
     The process is expected to end after that: it ignores further signals.
@@ -114,10 +116,10 @@ def spin_nodes(nodes: Sequence[ManagedNode], *, until: Callable[[], bool] = lamb
         stop_ros()
 
 
-def close_nodes(nodes: Sequence[ManagedNode]) -> None:
+def close_nodes(nodes: Sequence[Node]) -> None:
     """Deactivate the active nodes and destroy all."""
     for node in nodes:
-        if node.state == 'active' and rclpy.ok():
+        if isinstance(node, ManagedNode) and node.state == 'active' and rclpy.ok():
             node.trigger_deactivate()
         node.destroy_node()
 

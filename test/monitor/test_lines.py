@@ -1,0 +1,44 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Lines for terminals that cannot draw."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from test.monitor.conftest import START_NS
+from trainid_ros.monitor.lines import Lines
+from trainid_ros.monitor.trains import Report, Trains
+from trainid_ros.monitor.view import Level, in_ascii
+from trainid_ros.records import NS_PER_S
+
+NOW = (9.9, START_NS + round(9.9 * NS_PER_S))
+
+
+def test_a_line_has_time_estimates_and_inputs(driven: Callable[..., Trains]) -> None:
+    (line,) = Lines().of(driven('/a').views(*NOW), '')
+    for wanted in (
+        '22:13:29 UTC /a  68.5 km/h',
+        'resistance 2.006 ± 0.283 N/kN VALID 9 s',
+        'brake rate 0.910 ± 0.050 VALID 9 s',
+        'ato/force 5.0 Hz 0.1 s',
+    ):
+        assert wanted in line
+    assert 'ato/mass' not in line
+
+
+def test_findings_are_printed_when_they_come_and_go(driven: Callable[..., Trains]) -> None:
+    trains, lines = driven(), Lines()
+    trains.on_diagnostics('resistance_estimator: input ato/force', Report(Level.STALE, 'no message', {}, 9.8))
+    printed = [lines.of(trains.views(*NOW), '')[1:] for _ in range(2)]
+    trains.on_diagnostics('resistance_estimator: input ato/force', Report(Level.OK, '5.0 Hz', {}, 9.85))
+    printed.append(lines.of(trains.views(*NOW), '')[1:])
+    assert printed == [['/ STALE ato/force: no message'], [], ['/ no more STALE ato/force']]
+
+
+def test_lines_can_be_ascii() -> None:
+    assert in_ascii('– 1.0 ± 0.1 m/s² ‰ ä') == '- 1.0 +- 0.1 m/s^2 permille ?'
+
+
+def test_the_notice_is_printed_once() -> None:
+    lines = Lines()
+    assert [lines.of((), 'nothing yet') for _ in range(2)] == [['nothing yet'], []]

@@ -1,0 +1,111 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The screen on terminals of several sizes and kinds."""
+
+from __future__ import annotations
+
+import io
+from collections.abc import Callable
+from typing import TextIO
+
+import pytest
+from rich.console import Console
+
+from test.monitor.conftest import START_NS
+from trainid_ros.monitor.screen import Screen
+from trainid_ros.monitor.trains import Report, Trains
+from trainid_ros.monitor.view import Level
+from trainid_ros.records import NS_PER_S
+
+Driven = Callable[..., Trains]
+LONG = 'no message for 3.0 s, no publisher, since 2023-11-14 22:13:27 UTC: start the node that publishes it'
+
+
+def drawn(trains: Trains, width: int, height: int, now_s: float = 9.9, file: TextIO | None = None) -> list[str]:
+    console = Console(file=file or io.StringIO(), width=width, height=height)
+    views = trains.views(now_s, START_NS + round(now_s * NS_PER_S))
+    with console.capture() as capture:
+        console.print(Screen(views, 'Nothing is published yet.'))
+    return capture.get().splitlines()
+
+
+def faulty(trains: Trains) -> Trains:
+    trains.on_diagnostics('resistance_estimator: input ato/force', Report(Level.STALE, LONG, {}, 9.8))
+    return trains
+
+
+@pytest.mark.parametrize(('width', 'height'), [(40, 20), (60, 24), (80, 24), (100, 30), (120, 50), (200, 60)])
+def test_everything_fits_in_the_terminal(driven: Driven, width: int, height: int) -> None:
+    lines = drawn(faulty(driven()), width, height)
+    assert len(lines) < height  # the cursor is in the last line
+    assert max(map(len, lines)) <= width
+    text = '\n'.join(lines)
+    for wanted in ('ato/brake_command', '5.0 Hz', '0.15 s', 'w at 45 km/h', 'brake rate', 'STALE ato/force'):
+        assert wanted in text
+
+
+def test_values_bands_status_rejections_and_findings_are_shown(driven: Driven) -> None:
+    text = '\n'.join(drawn(faulty(driven()), 100, 50))
+    for wanted in (
+        '68.5 km/h',
+        '3 of 3 estimates',
+        '50.0 kN',
+        '2.006 ± 0.283 N/kN',
+        'VALID 9 s',
+        '0.910 ± 0.050',
+        'used 12, rejected 8: standstill 5, braking 3',
+        'b 0.0200 ± 0.0100',
+        'seen 18 to 72 km/h',
+        'braking now',
+        '●',
+        '░',
+    ):
+        assert wanted in text
+    assert LONG in ' '.join(text.split())
+
+
+def test_a_node_that_ended_is_shown(driven: Driven) -> None:
+    text = '\n'.join(drawn(driven(), 80, 24, now_s=9.8 + 1.6))
+    assert 'SILENT 1.6 s' in text
+    assert '0 of 3 estimates' in text
+    assert 'none for 1 s' in text
+
+
+def test_terminals_without_unicode_get_ascii(driven: Driven) -> None:
+    for trains, width, height in ((driven(), 40, 24), (driven(), 90, 50), (driven('/a', '/b'), 50, 24)):
+        plain = io.TextIOWrapper(io.BytesIO(), encoding='ascii')
+        text = '\n'.join(drawn(faulty(trains), width, height, file=plain))
+        assert text.isascii(), {char for char in text if not char.isascii()}
+        assert '2.006' in text
+    assert '0.910 +- 0.050' in '\n'.join(drawn(driven(), 90, 50, file=plain))
+
+
+def test_nothing_yet_is_said() -> None:
+    assert drawn(Trains(), 80, 24) == ['Nothing is published yet.']
+
+
+def test_a_train_without_messages_says_so() -> None:
+    trains = Trains()
+    trains.add('/')
+    text = '\n'.join(drawn(trains, 80, 24))
+    assert text.count('no node') == 3
+    assert text.count('never') == 4  # the mass is optional
+
+
+def test_several_trains_have_a_line_each(driven: Driven) -> None:
+    trains = driven('/a', '/b')
+    trains.on_diagnostics('b/brake_rate_estimator: input ato/force', Report(Level.STALE, LONG, {}, 9.8))
+    head, _, first, second, _, finding = drawn(trains, 160, 24)
+    assert '2 trains' in head
+    assert '--namespace' in head
+    assert first.startswith('/a ')
+    assert second.startswith('/b ')
+    assert second.count('VALID') == 3
+    assert finding.startswith('/b STALE ato/force: no message')
+
+
+def test_control_characters_of_others_do_not_reach_the_terminal(driven: Driven) -> None:
+    trains = driven()
+    bad = Report(Level.ERROR, 'red \x1b[31m and bell \x07', {}, 9.8)
+    trains.on_diagnostics('resistance_estimator: input ato/force', bad)
+    text = '\n'.join(drawn(trains, 100, 50))
+    assert r'red \x1b[31m and bell \x07' in text

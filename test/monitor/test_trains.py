@@ -1,0 +1,143 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What is shown of trains, from messages and times."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import pytest
+
+from test.monitor.conftest import START_NS, feed
+from trainid_ros.monitor.trains import Report, Trains
+from trainid_ros.monitor.view import Level, TrainView
+from trainid_ros.records import NS_PER_S
+from trainid_ros.results import Status
+
+Driven = Callable[..., Trains]
+
+
+def view(trains: Trains, now_s: float) -> TrainView:
+    (shown,) = trains.views(now_s, START_NS + round(now_s * NS_PER_S))
+    return shown
+
+
+def test_inputs_have_rate_age_and_value(driven: Driven) -> None:
+    shown = view(driven(), 9.9)
+    speed, force, gradient, brake, mass = shown.inputs
+    assert speed.rate == pytest.approx(5.0)
+    assert speed.age_s == pytest.approx(0.15)
+    assert speed.silent_s == pytest.approx(0.1)
+    assert speed.publishers == ('/ato',)
+    values = [item.value for item in (speed, force, gradient, brake)]
+    assert values == ['68.5 km/h  196 m', '50.0 kN', '-4.0 ‰ tunnel', '-0.50 m/s²']
+    assert mass.optional
+    assert math.isinf(mass.silent_s)
+    assert shown.speed_kmh == pytest.approx(68.47, abs=0.01)
+
+
+def test_stamps_of_another_clock_have_no_age(driven: Driven) -> None:
+    (shown,) = driven().views(10.0, START_NS + 40_000 * NS_PER_S)
+    assert math.isnan(shown.inputs[0].age_s)
+
+
+def test_resistance_is_shown_at_one_speed_with_the_std_there(driven: Driven) -> None:
+    resistance = view(driven(), 9.9).estimates[0]
+    speed = 45.0 / 3.6  # the middle of 5 to 20 m/s
+    assert resistance.quantity == 'w at 45 km/h'
+    assert resistance.value == pytest.approx(1.6 + 0.02 * speed + 0.001 * speed**2)
+    assert resistance.std == pytest.approx(math.sqrt(0.04 + 1e-4 * speed**2 + 1e-6 * speed**4))
+    assert resistance.reasons == (('STANDSTILL', 5), ('BRAKING', 3))
+    assert (resistance.used, resistance.rejected) == (12, 8)
+
+
+def test_mass_factor_has_the_relative_std_of_b1(driven: Driven) -> None:
+    model = view(driven(), 9.9).estimates[1]
+    assert model.value == 1.08
+    assert model.std == pytest.approx(1.08 * 1e-4 / 0.002)
+
+
+def test_brake_rate_has_a_history(driven: Driven) -> None:
+    brake = view(driven(), 9.9).estimates[2]
+    assert (brake.value, brake.std, brake.status) == (0.91, 0.05, Status.VALID)
+    assert 15 <= len(brake.history) <= 20  # two points in a second
+    assert brake.history[0].ago_s > brake.history[-1].ago_s
+
+
+def test_time_in_a_status_starts_with_it(driven: Driven) -> None:
+    trains = driven()
+    feed(trains.by_namespace['/'], 10.0, 13.0, Status.HOLDING)
+    brake = view(trains, 12.9).estimates[2]
+    assert brake.status is Status.HOLDING
+    assert brake.status_s == pytest.approx(2.9)
+
+
+def test_an_estimate_that_stops_is_reported_within_two_seconds(driven: Driven) -> None:
+    trains = driven()
+    assert not view(trains, 9.8 + 1.0).findings
+    shown = view(trains, 9.8 + 1.5)
+    assert all(item.is_silent for item in shown.estimates)
+    (finding,) = shown.findings  # the same of all three
+    assert finding.source == 'brake_rate_estimator, resistance_estimator, speed_model_estimator'
+    assert finding.level is Level.ERROR
+    assert 'no estimate for 1.5 s, since 22:13:29 UTC: the node has ended or hangs' in finding.text
+
+
+def test_slow_estimates_are_not_silent_between_messages() -> None:
+    trains = Trains()
+    train = trains.add('/')
+    for k in range(5):
+        feed(train, 2.0 * k, 2.0 * k + 0.2)
+    assert not view(trains, 8.0 + 1.9).estimates[0].is_silent
+    assert view(trains, 8.0 + 5.1).estimates[0].is_silent
+
+
+def test_an_input_is_named_once_as_the_node_that_takes_it_worst_says(driven: Driven) -> None:
+    trains = driven('/train_1')
+    for node, level, text in (
+        ('brake_rate_estimator', Level.WARN, 'too slow'),
+        ('resistance_estimator', Level.STALE, 'no message for 3.0 s'),
+        ('speed_model_estimator', Level.OK, '5.0 Hz'),
+    ):
+        trains.on_diagnostics(f'train_1/{node}: input ato/force', Report(level, text, {}, 9.8))
+    (finding,) = view(trains, 9.9).findings
+    assert (finding.source, finding.level, finding.text) == ('ato/force', Level.STALE, 'no message for 3.0 s')
+    assert not [item for item in view(trains, 9.8 + 4.0).findings if item.source == 'ato/force']  # node gone
+
+
+def test_errors_come_first_and_inputs_before_estimators(driven: Driven) -> None:
+    trains = driven()
+    for name, level in (
+        ('speed_model_estimator: estimator', Level.WARN),
+        ('brake_rate_estimator: estimator', Level.ERROR),
+        ('brake_rate_estimator: input ato/speed', Level.ERROR),
+    ):
+        trains.on_diagnostics(name, Report(level, name, {}, 9.8))
+    sources = [item.source for item in view(trains, 9.9).findings]
+    assert sources == ['ato/speed', 'brake_rate_estimator', 'speed_model_estimator']
+
+
+def test_diagnostics_of_others_are_left_out(driven: Driven) -> None:
+    trains = driven('/train_1')
+    for name in ('camera: driver', 'train_2/resistance_estimator: estimator', 'nonsense'):
+        trains.on_diagnostics(name, Report(Level.ERROR, 'text', {}, 9.8))
+    assert not view(trains, 9.9).findings
+
+
+def test_inputs_of_a_mapping_are_shown_as_the_nodes_report_them(driven: Driven) -> None:
+    trains = driven()
+    values = {'rate [Hz]': '9.98', 'age [s]': '0.04', 'time since last message [s]': '0.1', 'heard': '/odo'}
+    for node in ('resistance_estimator', 'brake_rate_estimator'):
+        trains.on_diagnostics(f'{node}: input /odo/twist', Report(Level.OK, '10.0 Hz', values, 9.8))
+    (odometer,) = view(trains, 9.9).inputs[5:]
+    assert (odometer.name, odometer.rate, odometer.age_s) == ('/odo/twist', 9.98, 0.04)
+    assert odometer.publishers == ('/odo',)
+
+
+def test_trains_are_apart_and_sorted(driven: Driven) -> None:
+    trains = driven('/b', '/a')
+    trains.on_diagnostics('a/brake_rate_estimator: estimator', Report(Level.WARN, 'text', {}, 9.8))
+    first, second = trains.views(9.9, START_NS)
+    assert (first.namespace, second.namespace) == ('/a', '/b')
+    assert len(first.findings) == 1
+    assert not second.findings

@@ -1,0 +1,155 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``trainid monitor`` beside real nodes and a player, as a person at a terminal reads it."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import pty
+import re
+import select
+import signal
+import struct
+import subprocess
+import sys
+import termios
+import time
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+from trainid_ros.demo.processes import ProcessGroup, free_domain, local_environment
+
+pytestmark = pytest.mark.ros
+
+ROOT = Path(__file__).parents[2]
+TRAIN = str(ROOT / 'bags' / 'tiny' / 'train.yaml')
+BAG = str(ROOT / 'bags' / 'tiny')
+PROFILE = ROOT / 'config' / 'fastdds_localhost.xml'
+NODES = ('resistance_estimator', 'speed_model_estimator', 'brake_rate_estimator')
+ESCAPES = re.compile(r'\x1b\[[0-9;?]*[A-Za-z]')
+HOME = '\x1b[H'
+COLUMNS, ROWS = 100, 40
+# Reached only by failures: a busy machine may stall a process for seconds.
+DEADLINE_S = 50.0
+
+
+class Terminal:
+    """``trainid monitor`` in a pseudo-terminal."""
+
+    def __init__(self, *arguments: str, **environment: str) -> None:
+        self._main, side = pty.openpty()
+        fcntl.ioctl(side, termios.TIOCSWINSZ, struct.pack('HHHH', ROWS, COLUMNS, 0, 0))
+        inherited = {name: value for name, value in os.environ.items() if name != 'NO_COLOR'}
+        self.process = subprocess.Popen(
+            [sys.executable, '-m', 'trainid_ros.cli.main', 'monitor', *arguments],
+            stdin=side,
+            stdout=side,
+            stderr=side,
+            env=inherited | {'TERM': 'xterm-256color', 'LANG': 'C.UTF-8', 'PYTHONUTF8': '1'} | environment,
+            start_new_session=True,
+        )
+        os.close(side)
+        self.received = ''
+
+    def read(self) -> None:
+        """Read what is written within a short time."""
+        if select.select([self._main], [], [], 0.05)[0]:
+            try:
+                self.received += os.read(self._main, 65536).decode(errors='replace')
+            except OSError:  # the other side is closed
+                time.sleep(0.01)
+
+    def screen(self) -> str:
+        """Return the words of the last picture that was drawn."""
+        return ' '.join(ESCAPES.sub('', self.received.split(HOME)[-1]).split())
+
+    def until(self, *wanted: str, deadline_s: float = DEADLINE_S) -> float:
+        """Wait until a picture holds all these words; return the time this took [s]."""
+        begin = time.monotonic()
+        while not all(word in self.screen() for word in wanted):
+            assert self.process.poll() is None, self.received[-2000:]
+            assert time.monotonic() < begin + deadline_s, f'{wanted} are not in:\n{self.screen()}'
+            self.read()
+        return time.monotonic() - begin
+
+    def end(self, number: signal.Signals) -> int:
+        """Send a signal and return the exit code."""
+        self.process.send_signal(number)
+        end = time.monotonic() + DEADLINE_S
+        while self.process.poll() is None:
+            assert time.monotonic() < end, 'the monitor does not end'
+            self.read()
+        self.read()
+        return self.process.returncode
+
+    def close(self) -> None:
+        if self.process.poll() is None:
+            self.process.kill()
+        self.process.wait()
+        os.close(self._main)
+
+
+@pytest.fixture
+def terminals(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[list[Terminal]]:
+    for variable, value in local_environment(PROFILE).items():
+        monkeypatch.setenv(variable, value)
+    monkeypatch.setenv('ROS_DOMAIN_ID', str(free_domain(os.getpid() + 31)))
+    monkeypatch.setenv('ROS_LOG_DIR', str(tmp_path))
+    opened: list[Terminal] = []
+    yield opened
+    for terminal in opened:
+        terminal.close()
+
+
+def open_monitor(terminals: list[Terminal], *arguments: str, **environment: str) -> Terminal:
+    terminals.append(Terminal(*arguments, **environment))
+    return terminals[-1]
+
+
+def test_a_person_sees_the_train_and_a_killed_node(terminals: list[Terminal], tmp_path: Path) -> None:
+    clock = ['-p', 'use_sim_time:=true']
+    space = ['--ros-args', '-r', '__ns:=/train_7']
+    monitor = open_monitor(terminals, '--ros-args', *clock)
+    monitor.until('Nothing is published yet in any namespace', 'trainid run')
+    with ProcessGroup(tmp_path) as group:
+        nodes = {name: group.start(name, ['run', '--train', TRAIN, '--node', name, *space, *clock]) for name in NODES}
+        group.start('player', ['play', BAG, '--rate', '2', '--start', '20', '--wait', '3', '--loop', *space])
+        monitor.until('/train_7', '3 of 3 estimates', 'resistance w at', 'mass factor', '1 = nominal')
+        monitor.until('CONVERGING', 'drive on, it learns at changing speeds', deadline_s=20.0)
+        monitor.until('/train_7/bag_player', 'km/h', 'used', 'stated ±')
+        rate, age = re.findall(r'ato/speed ([\d.]+) Hz ([\d.]+) s', monitor.screen())[0]
+        assert float(rate) == pytest.approx(10.0, rel=0.3)
+        assert float(age) < 1.0
+        nodes['brake_rate_estimator'].process.kill()
+        took = monitor.until('2 of 3 estimates', 'SILENT', 'brake_rate_estimator: no estimate for')
+        assert took < 2.0
+    assert monitor.end(signal.SIGINT) == 0
+    assert 'Traceback' not in monitor.received
+    assert monitor.received.endswith('\x1b[?25h\x1b[?1049l')  # the cursor is back, and the screen from before
+
+
+def test_without_colours_there_is_a_line_each_second(terminals: list[Terminal], tmp_path: Path) -> None:
+    with ProcessGroup(tmp_path) as group:
+        group.start('nodes', ['run', '--train', TRAIN, '--ros-args', '-r', '__ns:=/train_7'])
+        monitor = open_monitor(terminals, '--namespace', 'train_7', '--duration', '30', NO_COLOR='1')
+        monitor.until('/train_7 ', 'STALE', 'ato/speed never', 'start the node that publishes it')
+        assert monitor.end(signal.SIGTERM) == 0
+    assert '\x1b' not in monitor.received
+    times = [line.split()[0] for line in monitor.received.splitlines() if ' UTC /train_7 ' in line]
+    assert len(times) == len(set(times))
+
+
+def test_on_a_dumb_terminal_another_namespace_is_named(terminals: list[Terminal], tmp_path: Path) -> None:
+    with ProcessGroup(tmp_path) as group:
+        group.start('nodes', ['run', '--train', TRAIN, '--ros-args', '-r', '__ns:=/train_7'])
+        monitor = open_monitor(terminals, '--namespace', '/train_8', '--duration', '20', TERM='dumb')
+        monitor.until('in the namespace /train_8', 'There are trains in /train_7')
+        assert monitor.end(signal.SIGINT) == 0
+    assert '\x1b' not in monitor.received  # it cannot draw
+
+
+def test_a_time_with_nothing_published_gives_no_answer(terminals: list[Terminal]) -> None:
+    monitor = open_monitor(terminals, '--duration', '1', NO_COLOR='1')
+    assert monitor.process.wait(DEADLINE_S) == 1

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: Apache-2.0
+"""``trainid view``: inputs and estimates of a bag in the Rerun viewer."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+from pathlib import Path
+from typing import TYPE_CHECKING, Final
+
+from trainid_ros.bag.bag_replay import Pipelines, replay_through
+from trainid_ros.bag.reader import BagReader
+from trainid_ros.cli.output import check_output, progress, show, warn
+from trainid_ros.errors import InputError
+from trainid_ros.mapping.mapped_inputs import mapped_inputs
+from trainid_ros.mapping.mapping_file import load_mapping
+from trainid_ros.ros.jobs import node_setups
+from trainid_ros.train.train_file import load_train_file
+from trainid_ros.view.recording import RRD_START, write_recording
+from trainid_ros.view.telemetry import switch_off
+from trainid_ros.view.tracks import Tracks
+
+if TYPE_CHECKING:
+    import argparse
+
+_TRAIN_FILE: Final = 'train.yaml'
+# Its server is for this machine alone.
+_LOCAL: Final = ('--bind', '127.0.0.1', '--port', 'auto')
+_DISPLAYS: Final = ('DISPLAY', 'WAYLAND_DISPLAY')
+
+
+def run(args: argparse.Namespace) -> int:
+    """Replay a bag and write a recording or open it in the viewer; return the exit code of the viewer.
+
+    Raises:
+        InputError: Bag, train file or parameters cannot be used, the output cannot be written, or there is no display.
+
+    """
+    switch_off()
+    import rerun  # noqa: F401, PLC0415 - if it is missing, that is said before the replay
+
+    train = _train_file(args)
+    if args.out is not None:
+        check_output(args.out, (train, args.params, args.bag), RRD_START)
+        _write(args, train, args.out)
+        show(f'{args.out}: open it with: rerun {args.out}')
+        return 0
+    if not any(os.environ.get(name) for name in _DISPLAYS):
+        msg = 'there is no display to open the viewer on: give --out FILE.rrd, and open that where there is one'
+        raise InputError(msg)
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / f'{args.bag.resolve().stem}.rrd'
+        _write(args, train, path)
+        return subprocess.run([sys.executable, '-m', 'rerun', *_LOCAL, str(path)], check=False).returncode
+
+
+def _train_file(args: argparse.Namespace) -> Path:
+    """Return the train file: the one given, or that in the folder of the bag."""
+    if args.train is not None:
+        return Path(args.train)
+    if not args.bag.exists():
+        msg = f'{args.bag}: no such bag'
+        raise InputError(msg)
+    beside = (args.bag if args.bag.is_dir() else args.bag.parent) / _TRAIN_FILE
+    if not beside.is_file():
+        msg = f'{args.bag}: there is no {_TRAIN_FILE} beside it: give --train T.yaml'
+        raise InputError(msg)
+    return Path(beside)
+
+
+def _write(args: argparse.Namespace, train: Path, out: Path) -> None:
+    """Replay the bag as ``trainid replay`` does, and write the recording."""
+    train_file = load_train_file(train)
+    foreign = () if args.map is None else load_mapping(args.map).topics
+    setups = node_setups(
+        train_file, str(train), args.params, args.algorithm, namespace=args.namespace, foreign=foreign, warn=warn
+    )
+    inputs = mapped_inputs(args.map, train_file)
+    with BagReader(args.bag, args.namespace, args.max_chunk, inputs) as reader:
+        pipelines = Pipelines(*(setup.mapped(reader.mapping).pipeline() for setup in setups))
+        tracks = Tracks(pipelines)
+        with progress(f'replaying {args.bag.name}', reader.input_count) as advance:
+            replay_through(pipelines, reader, advance, (tracks,))
+        for text in reader.warnings:
+            warn(text)
+    write_recording(tracks, args.bag.resolve().stem, out)

@@ -1,0 +1,59 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Views as lines of text, where no screen can be drawn: no terminal, a dumb one, or no colours wanted."""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING
+
+from trainid_ros.cli.output import printable
+from trainid_ros.monitor.view import number, state_of, with_band
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+    from trainid_ros.monitor.view import InputView, TrainView
+
+
+class Lines:
+    """Turns views into lines: the state of each train every time, findings when they come and go."""
+
+    def __init__(self) -> None:
+        self._known: set[tuple[str, str, str]] = set()
+        self._notice = ''
+
+    def of(self, views: Sequence[TrainView], notice: str) -> list[str]:
+        """Return what to print now; the notice, where there is no train, only when it changes."""
+        lines = [] if views or notice == self._notice else [notice]
+        self._notice = '' if views else notice
+        present: dict[tuple[str, str, str], str] = {}
+        for view in views:
+            lines.append(train_line(view))
+            for item in view.findings:
+                present[view.namespace, item.source, item.level.name] = item.text
+        for namespace, source, level in sorted(present.keys() - self._known):
+            lines.append(f'{namespace} {level} {source}: {present[namespace, source, level]}')
+        lines += [
+            f'{namespace} no more {level} {source}' for namespace, source, level in sorted(self._known - present.keys())
+        ]
+        self._known = set(present)
+        return [printable(line) for line in lines]
+
+
+def train_line(view: TrainView) -> str:
+    """Return the state of a train as one line."""
+    parts = [f'{view.time} {view.namespace}  {number(view.speed_kmh, 1)} km/h']
+    for item in view.estimates:
+        known = '' if item.status is None else f' {with_band(item)}'
+        parts.append(f'{item.name}{known} {state_of(item)}')
+    return ' | '.join((*parts, 'inputs ' + ', '.join(_inputs(view.inputs))))
+
+
+def _inputs(inputs: Iterable[InputView]) -> Iterable[str]:
+    """Yield name, rate and age of each input; optional ones only if they come."""
+    for item in inputs:
+        if math.isinf(item.silent_s):
+            if not item.optional:
+                yield f'{item.name} never'
+            continue
+        yield f'{item.name} {number(item.rate, 1)} Hz {number(item.silent_s, 1)} s'

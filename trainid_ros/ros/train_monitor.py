@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: Apache-2.0
+"""The node of ``trainid monitor``: finds trains in the ROS graph and hands their messages to :class:`Trains`."""
+
+from __future__ import annotations
+
+import os
+import time
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final
+
+from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.node import Node
+
+from trainid_ros.messages import OUTPUT_TOPICS, record_from_message
+from trainid_ros.monitor.trains import Report, Trains
+from trainid_ros.monitor.view import Level
+from trainid_ros.records import INPUT_TOPICS
+from trainid_ros.ros.publishers import type_name
+from trainid_ros.ros.topics import (
+    NO_SUBSCRIPTION_EVENTS,
+    diagnostics_qos,
+    estimate_qos,
+    input_qos,
+    message_class,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from rclpy.qos import QoSProfile
+
+    from trainid_ros.messages import OutputTopic
+    from trainid_ros.monitor.trains import Train
+    from trainid_ros.monitor.view import TrainView
+    from trainid_ros.records import InputTopic
+
+_LOOK_S: Final = 0.5
+_TOPICS: Final = (*INPUT_TOPICS, *OUTPUT_TOPICS)
+_TYPES: Final = {topic.name: type_name(message_class(topic)) for topic in _TOPICS}
+
+
+class TrainMonitor(Node):
+    """Subscribes to the topics of one namespace, or of all in which a topic of ours is published."""
+
+    def __init__(self, arguments: Sequence[str], namespace: str | None) -> None:
+        """Subscribe.
+
+        Args:
+            arguments: Arguments of ROS.
+            namespace: Namespace of the train, None for all that are found.
+
+        """
+        name = f'trainid_monitor_{os.getpid()}'
+        super().__init__(name, cli_args=list(arguments), enable_rosout=False, start_parameter_services=False)
+        self.trains = Trains()
+        self._wanted = None if namespace is None else f'/{namespace.strip("/")}'
+        self._looked_s = 0.0
+        self.create_subscription(
+            DiagnosticArray,
+            '/diagnostics',
+            self._on_diagnostics,
+            diagnostics_qos(),
+            event_callbacks=NO_SUBSCRIPTION_EVENTS,
+        )
+
+    def views(self) -> tuple[TrainView, ...]:
+        """Return what to show now, after a look at the graph if the last one is old."""
+        now_s = time.monotonic()
+        if now_s - self._looked_s >= _LOOK_S:
+            self._looked_s = now_s
+            self._look()
+        return self.trains.views(now_s, self.get_clock().now().nanoseconds)
+
+    @property
+    def notice(self) -> str:
+        """What to say while nothing is published, '' once something is."""
+        if self.trains.by_namespace:
+            return ''
+        place = 'in any namespace' if self._wanted is None else f'in the namespace {self._wanted}'
+        others = sorted(self._found() - {self._wanted})
+        elsewhere = f' There are trains in {", ".join(others)}.' if others else ''
+        domain = os.environ.get('ROS_DOMAIN_ID') or '0'
+        return (
+            f'Nothing is published yet {place}, in ROS domain {domain}.{elsewhere} Start the nodes with '
+            'trainid run --train T.yaml, or check ROS_DOMAIN_ID and the namespace. Waiting; Ctrl-C ends.'
+        )
+
+    def _found(self) -> set[str]:
+        """Return the namespaces in which one of our topics has a publisher."""
+        found = set()
+        for name, types in self.get_topic_names_and_types():
+            for topic, kind in _TYPES.items():
+                if name.endswith(f'/{topic}') and kind in types and self.count_publishers(name):
+                    found.add(name.removesuffix(f'/{topic}') or '/')
+        return found
+
+    def _look(self) -> None:
+        found = self._found()
+        for namespace in sorted(found if self._wanted is None else found & {self._wanted}):
+            if namespace not in self.trains.by_namespace:
+                self._subscribe(namespace)
+        for namespace, train in self.trains.by_namespace.items():
+            train.on_publishers({topic.name: self._publishing(_full(namespace, topic.name)) for topic in _TOPICS})
+
+    def _publishing(self, topic: str) -> tuple[str, ...]:
+        infos = self.get_publishers_info_by_topic(topic)
+        return tuple(sorted({f'{info.node_namespace.rstrip("/")}/{info.node_name}' for info in infos}))
+
+    def _subscribe(self, namespace: str) -> None:
+        train = self.trains.add(namespace)
+        for given in INPUT_TOPICS:
+            self._listen(namespace, given, input_qos(), partial(_on_input, train, given))
+        for made in OUTPUT_TOPICS:
+            self._listen(namespace, made, estimate_qos(), partial(train.on_estimate, made))
+
+    def _listen(
+        self,
+        namespace: str,
+        topic: InputTopic | OutputTopic,
+        profile: QoSProfile,
+        receive: Callable[[Any, float], None],
+    ) -> None:
+        self.create_subscription(
+            message_class(topic),
+            _full(namespace, topic.name),
+            lambda message: receive(message, time.monotonic()),
+            profile,
+            event_callbacks=NO_SUBSCRIPTION_EVENTS,
+        )
+
+    def _on_diagnostics(self, array: Any) -> None:
+        now_s = time.monotonic()
+        for status in array.status:
+            values = {item.key: item.value for item in status.values}
+            level = Level(int.from_bytes(status.level, 'little'))
+            self.trains.on_diagnostics(status.name, Report(level, status.message, values, now_s))
+
+
+def _on_input(train: Train, topic: InputTopic, message: Any, now_s: float) -> None:
+    train.on_input(topic, record_from_message(topic, message), now_s)
+
+
+def _full(namespace: str, topic: str) -> str:
+    return f'{namespace.rstrip("/")}/{topic}'
