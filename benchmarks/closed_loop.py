@@ -114,8 +114,8 @@ def _stops(chosen: Chosen) -> Table:
     note = (
         'Nominal: values of the train file; fast: the same with four times the integral action; learning: with a bias '
         'learned from the last stops. Errors of the stops, > 0 beyond them; p95 of their size. Gap closed: of the p95 '
-        f'between nominal and truth. After a change: mean size of the first {_AFTER} errors after rain begins or a brake '
-        'unit is isolated.'
+        f'between nominal and truth. After a change: mean size of the first {_AFTER} errors after rain begins or a '
+        'brake unit is isolated.'
     )
     return Table('Stops', header, tuple(rows), note)
 
