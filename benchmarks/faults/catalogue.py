@@ -18,6 +18,7 @@ from benchmarks.faults.injection import (
     late,
     missing,
     missing_for_ever,
+    no_fault,
     scaled,
     second_command,
     spiked,
@@ -141,7 +142,9 @@ _MASS: Final = (
 _ALL: Final = (all_missing(10.0), clock_step(10.0), clock_step(-10.0), clock_step(-3000.0))
 
 FAULTS: Final = (*_SPEED, *_FORCE, *_GRADIENT, *_COMMAND, *_MASS, *_ALL)
-BY_NAME: Final = {fault.name: fault for fault in FAULTS}
+NOTHING: Final = no_fault()
+"""What a drive has by itself, beside the faults."""
+BY_NAME: Final = {fault.name: fault for fault in (NOTHING, *FAULTS)}
 
 # Of each kind one fault of each topic, in the order of TOPICS.
 _TOPICS: Final = ('speed', 'force', 'gradient', 'command')

@@ -51,6 +51,11 @@ def injected(rows: Sequence[Row], faults: Sequence[Fault], start_ns: int, end_ns
     return changed
 
 
+def no_fault() -> Fault:
+    """Return a fault that changes nothing."""
+    return Fault('nothing', lambda rows, _start_ns, _end_ns: list(rows))
+
+
 def value_fault(name: str, topic: str, change: Change) -> Fault:
     """Return a fault that changes the values of a topic; ``change`` gets the time since the start [s] and the row."""
     place = _TOPICS[topic]

@@ -44,6 +44,9 @@ _AFTER_S: Final = 60.0
 _ABOUT_S: Final = 10.0
 _MOVING: Final = 1.0
 _PERIOD_S: Final = 0.2
+_SIGMAS: Final = 3.0
+# A controller uses both.
+_FIT: Final = (int(Status.VALID), int(Status.HOLDING))
 # Reasons that reject a sample without saying what is wrong.
 _UNTOLD: Final = frozenset({Reason.OUTLIER, Reason.CONTRADICTION, Reason.NUMERICAL, Reason.BRAKE_UNCERTAIN})
 
@@ -67,8 +70,8 @@ class Outcome:
             healthy drive does not have [s]; infinite if none does.
         named_s: The same without reasons that do not say what is wrong.
         name: The first finding; without one, the status or the reason that named it.
-        wrong_s: Time that the resistance or the brake rate was VALID at more than 3 std from the truth [s].
-        worst: Largest error of a VALID resistance or brake rate [std].
+        wrong_s: Time that the resistance or the brake rate was VALID or HOLDING at more than 3 std from the truth [s].
+        worst: Largest error of a VALID or HOLDING resistance or brake rate [std].
         resistance_left: |error of w| a minute of motion after the fault, less that without the fault [N/kN].
         brake_left: The same of the brake rate [1].
         rejected: Records and samples of the resistance rejected by each reason, less those without the fault.
@@ -174,14 +177,13 @@ def run(injection: Injection) -> Outcome:
     courses = [_course(found.outputs[k], source, start_ns, k, begin_s, shift_s) for k in (0, 2)]
     references = [_course(healthy.drive.outputs[k], source, start_ns, k, begin_s, 0.0) for k in (0, 2)]
     seen_s, named_s, name = _naming(found, healthy.drive, courses[0], start_ns, begin_s)
-    wrong = [(c.status == Status.VALID) & (np.abs(c.error) > 3.0 * c.std) & (c.time_s >= begin_s) for c in courses]
-    ratios = [np.abs(c.error / c.std)[(c.status == Status.VALID) & (c.time_s >= begin_s)] for c in courses]
+    ratios = [np.abs(c.error / c.std)[np.isin(c.status, _FIT) & (c.time_s >= begin_s)] for c in courses]
     after = [_left(c, end_s) - _left(r, end_s) for c, r in zip(courses, references, strict=True)]
     return Outcome(
         seen_s=seen_s,
         named_s=named_s,
         name=name,
-        wrong_s=max(float(np.sum(mask)) for mask in wrong) * _PERIOD_S,
+        wrong_s=max(float(np.sum(values > _SIGMAS)) for values in ratios) * _PERIOD_S,
         worst=max((float(values.max()) for values in ratios if len(values)), default=0.0),
         resistance_left=after[0],
         brake_left=after[1],
