@@ -35,6 +35,7 @@ _HEADER = (
     'named',
     'after, s',
     'used > 3 std, s',
+    'by the fault, s',
     'worst, std',
     'w left, N/kN',
     'rate left',
@@ -46,9 +47,9 @@ _NOTE = (
     'rejection or a status that the healthy drive does not have shows up; after: median motion until then. Named: the '
     'same without OUTLIER, CONTRADICTION and BRAKE_UNCERTAIN, which do not say what is wrong. Used beyond 3 std: '
     'time that the resistance or the brake rate was VALID or HOLDING and that far off since the fault began, at most; '
-    'the row "nothing" has what the drives have by themselves. Left: median of the absolute error a minute '
-    'of motion after the fault less that of the same drive without it. Rejected: the most frequent reason, and its '
-    'mean count beyond that without the fault.'
+    'by the fault: the same, but not at times at which it was so without the fault, too. The row "nothing" has what '
+    'the drives have by themselves. Left: median of the absolute error a minute of motion after the fault less that of '
+    'the same drive without it. Rejected: the most frequent reason, and its mean count beyond that without the fault.'
 )
 
 
@@ -79,6 +80,7 @@ def _row(name: str, outcomes: Sequence[Outcome]) -> tuple[str, ...]:
         *_when([outcome.seen_s for outcome in outcomes]),
         *_when([outcome.named_s for outcome in outcomes]),
         f'{max(outcome.wrong_s for outcome in outcomes):.1f}',
+        f'{max(outcome.added_s for outcome in outcomes):.1f}',
         f'{max(outcome.worst for outcome in outcomes):.1f}',
         _median([outcome.resistance_left for outcome in outcomes], '+.3f'),
         _median([outcome.brake_left for outcome in outcomes], '+.3f'),

@@ -37,8 +37,9 @@ _BLOCK_S: Final = 0.5
 # Slower trains may stand or shunt [m/s]. A command below this brakes [m/s^2].
 _MIN_SPEED: Final = 1.0
 _BRAKING: Final = -0.02
-# Change of a command that a brake need not follow [m/s^2].
+# Change of a command that a brake need not follow [m/s^2], and as a share of the command [1].
 _STEADY: Final = 0.02
+_STEADY_SHARE: Final = 0.1
 # Residual that no resistance explains [N/kN], and shares of traction and brake added to it [1].
 _SUDDEN: Final = 12.0
 _SUDDEN_TRACTION: Final = 0.4
@@ -194,7 +195,9 @@ class PlausibilityMonitor:
         if sample.speed < _MIN_SPEED:  # the command may do anything while the train is held
             state.commands.reversals = 0.0
         state.held_s += dt
-        state.steady_s = state.steady_s + dt if abs(state.commands.command - before) < _STEADY else 0.0
+        state.steady_s += dt
+        if abs(state.commands.command - state.steady) > max(_STEADY, _STEADY_SHARE * abs(state.steady)):
+            state.steady, state.steady_s = state.commands.command, 0.0
         if (state.commands.command < _BRAKING) != (before < _BRAKING):
             state.held_s, state.has_alternated = 0.0, True
 
@@ -257,8 +260,8 @@ class PlausibilityMonitor:
         state.brake.take(y, brake, limit + noise)
         self._judge_brake(noise)
         if state.steady_s > self._followed_s + _BLOCK_S:
-            state.effort.add(traction, brake)
-            state.effort.judge_effort(state.brake)
+            state.effort.take(traction, brake)
+            state.effort.judge(state.brake)
         if traction > _DRIVING:
             state.balance.contradict()
 

@@ -14,7 +14,7 @@ from trainid_ros.stream.distance_check import DistanceCheck
 from trainid_ros.stream.line_check import LineCheck
 from trainid_ros.stream.message_check import CommandCheck, ExcursionCheck, SpikeCheck
 from trainid_ros.stream.shift_check import ShiftCheck
-from trainid_ros.stream.slope import BRAKE_RANGE, TRACTION_RANGE, Slope
+from trainid_ros.stream.slope import BRAKE_RANGE, TRACTION_RANGE, Effort, Slope
 
 # Noise of the speed at the start [m/s].
 _SPEED_STD: Final = 0.025
@@ -91,7 +91,8 @@ class PlausibilityState:
         noise: Noise of the speed.
         block: The block that is being filled.
         held_s: Time since the brake was applied, or released [s].
-        steady_s: Time since the brake command has changed [s].
+        steady: Brake command when it last changed by more than a brake need follow [m/s^2].
+        steady_s: Time since then [s].
         has_alternated: True if it was applied or released since the last finding about it.
         driven: Distance driven [m].
         stopped: The same at the last stop [m].
@@ -115,7 +116,7 @@ class PlausibilityState:
     shift: ShiftCheck = field(default_factory=ShiftCheck)
     traction: Slope = field(default_factory=Slope)
     brake: Slope = field(default_factory=Slope)
-    effort: Slope = field(default_factory=Slope)
+    effort: Effort = field(default_factory=Effort)
     balance: BalanceCheck = field(default_factory=BalanceCheck)
     change: ChangeCheck = field(default_factory=ChangeCheck)
     last: str = ''
@@ -127,6 +128,7 @@ class PlausibilityState:
     noise: SpeedNoise = field(default_factory=lambda: SpeedNoise.declared(_SPEED_STD, robust=True))
     block: Block = field(default_factory=Block)
     held_s: float = 0.0
+    steady: float = 0.0
     steady_s: float = 0.0
     has_alternated: bool = True
     driven: float = 0.0
@@ -137,8 +139,7 @@ class PlausibilityState:
     @property
     def is_valid(self) -> bool:
         """True if all collections have a possible length."""
-        slopes = self.traction.is_valid and self.brake.is_valid and self.effort.is_valid
-        return self.shift.is_valid and slopes and self.change.is_valid
+        return self.shift.is_valid and self.traction.is_valid and self.brake.is_valid and self.change.is_valid
 
     @property
     def finding(self) -> str:
@@ -164,7 +165,7 @@ class PlausibilityState:
         spikes = self.spikes.is_suspected or self.command_spikes.is_suspected or self.gradient_spikes.is_suspected
         late = self.shift.is_suspected and self.moved_s < _SUSPECTED_S
         sudden = self.balance.is_suspected or self.change.is_suspected
-        slopes = self.traction.is_suspected or self.brake.is_suspected
+        slopes = self.traction.is_suspected or self.brake.is_suspected or self.effort.is_suspected
         return sudden or slopes or late or spikes or self.distance.is_suspected or self.line.is_suspected
 
     @property
@@ -181,7 +182,7 @@ class PlausibilityState:
             (self.effort.finding, self.effort.value, 1.0),
             (self.distance.finding, self.distance.error, self.distance.limit),
             (shift.finding, shift.delay, 0.0),
-            (self.line.finding, self.line.lately, self.line.limit),
+            (self.line.finding, self.line.value, self.line.limit),
             (self.change.finding, self.change.ratio, 1.0),
         ):
             if finding:
