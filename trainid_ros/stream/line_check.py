@@ -84,15 +84,15 @@ class LineCheck:
         usual, known = math.sqrt(self.spread), self.count >= _LEAST
         sudden, limit = self.lately - self.offset, _ERROR + std + _SUDDEN_SIGMAS * usual
         is_sudden = known and abs(sudden) > limit
-        self.off = min(self.off + 1, 2 * _SUDDEN_BLOCKS) if is_sudden else max(self.off - 1, 0)
+        self.off = min(self.off + 1, _SUDDEN_BLOCKS) if is_sudden else max(self.off - 1, 0)
         if not is_sudden:
             self._learn(error, sudden, expected, known=known)
-        if self.off >= _SUDDEN_BLOCKS:
+            self._judge(expected, _ERROR + _STDS * std)
+            return
+        self.mended = 0.0
+        if self.off == _SUDDEN_BLOCKS:
             self.value, self.limit = sudden, limit
             self.finding = f'ato/gradient is suddenly {sudden:+.1f} per mille off the line'
-            self.mended = 0.0
-        else:
-            self._judge(expected, _ERROR + _STDS * std)
 
     def _learn(self, error: float, sudden: float, expected: float, *, known: bool) -> None:
         if known:  # what is sudden is not yet usual
@@ -117,7 +117,7 @@ class LineCheck:
             self.finding = 'ato/gradient does not follow the line of the train file'
         elif self.finding:
             weight = 1.0 if abs(expected) > _FLAT * limit else _FLAT_WEIGHT
-            self.mended = 0.0 if self.off else self.mended + weight
+            self.mended += weight
             self.finding = '' if self.mended >= _MENDED else self.finding
             return
         self.mended = 0.0

@@ -40,6 +40,11 @@ _BRAKING: Final = -0.02
 # Change of a command that a brake need not follow [m/s^2], and as a share of the command [1].
 _STEADY: Final = 0.02
 _STEADY_SHARE: Final = 0.1
+# A brake command as strong as any, where some were not seen [m/s^2].
+_UNSEEN: Final = -3.0
+# A brake command that holds a train on any gradient [m/s^2], and a rise of the speed that is no noise [m/s].
+_HOLDING: Final = -0.3
+_ROLLING: Final = 0.2
 # Residual that no resistance explains [N/kN], and shares of traction and brake added to it [1].
 _SUDDEN: Final = 12.0
 _SUDDEN_TRACTION: Final = 0.4
@@ -113,13 +118,13 @@ class PlausibilityMonitor:
 
     @property
     def has_changed(self) -> bool:
-        """True while the balance of forces is improbable by what it was before."""
-        return self.state.change.is_suspected
+        """True while the balance of forces, or that of force and command, is improbable by what it was before."""
+        return self.state.change.is_suspected or self.state.effort.is_suspected
 
     @property
     def has_returned(self) -> bool:
         """True if it is as it was before the last such change, which was then no change of the train."""
-        return self.state.change.has_returned
+        return self.state.change.has_returned and not self.state.effort.has_stayed
 
     @property
     def is_trusted(self) -> bool:
@@ -149,6 +154,7 @@ class PlausibilityMonitor:
             else:
                 state.distance.interrupt()
             self._check_forces(sample, before)
+            self._check_standstill(sample.speed)
         else:
             self._interrupt()
         if finding := state.finding:
@@ -198,6 +204,10 @@ class PlausibilityMonitor:
         state.steady_s += dt
         if abs(state.commands.command - state.steady) > max(_STEADY, _STEADY_SHARE * abs(state.steady)):
             state.steady, state.steady_s = state.commands.command, 0.0
+        state.most = min(state.most, state.commands.command) if not sample.brake_gap else _UNSEEN
+        state.most_s += dt
+        if state.most_s > self._followed_s:
+            state.most_before, state.most, state.most_s = state.most, state.commands.command, 0.0
         if (state.commands.command < _BRAKING) != (before < _BRAKING):
             state.held_s, state.has_alternated = 0.0, True
 
@@ -216,6 +226,12 @@ class PlausibilityMonitor:
             answer = known.inertia * (sample.speed - before) + dt * (known.track(sample) + resistance)
         std = known.inertia * math.sqrt(2.0) * state.noise.std + _ANSWER_STD * 2.0 * dt
         state.gradient_spikes.add(sample.gradient, dt)
+        state.releases.add(
+            sample.brake_command if sample.speed >= _MIN_SPEED else math.nan, force, self._followed_s, dt
+        )
+        if sample.brake_command < _BRAKING and not sample.emergency:
+            most = min(state.most, state.most_before)
+            state.effort.compare(force, known.inertia * known.train_file.brake.rate_at(sample.speed) * most)
         state.spikes.add(force, traction, answer if kind == RELEASED else math.nan, std, dt)
         if kind == NO_BLOCK or math.isnan(answer):
             self._interrupt()
@@ -230,6 +246,14 @@ class PlausibilityMonitor:
             self._close(block, sample)
             self._check_gradient(sample)
             block.kind = NO_BLOCK
+
+    def _check_standstill(self, speed: float) -> None:
+        """Contradict a speed [m/s] that rises from a standstill while the brake holds the train."""
+        state = self.state
+        holds = state.commands.command < _HOLDING and state.held_s > self._followed_s
+        state.slowest = min(state.slowest, speed) if holds else speed
+        if state.slowest < STANDING and speed - state.slowest > _ROLLING + _SIGMAS * state.noise.std:
+            state.balance.contradict()
 
     def _kind(self, sample: Sample) -> int:
         """Return whether only traction acts, or the brake has followed the command."""

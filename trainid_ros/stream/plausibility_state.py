@@ -12,7 +12,7 @@ from trainid_ros.stream.balance_check import BalanceCheck
 from trainid_ros.stream.change_check import ChangeCheck
 from trainid_ros.stream.distance_check import DistanceCheck
 from trainid_ros.stream.line_check import LineCheck
-from trainid_ros.stream.message_check import CommandCheck, ExcursionCheck, SpikeCheck
+from trainid_ros.stream.message_check import CommandCheck, ExcursionCheck, ReleaseCheck, SpikeCheck
 from trainid_ros.stream.shift_check import ShiftCheck
 from trainid_ros.stream.slope import BRAKE_RANGE, TRACTION_RANGE, Effort, Slope
 
@@ -72,6 +72,7 @@ class PlausibilityState:
     Attributes:
         commands: Check for two publishers of the brake command.
         command_spikes: Check for spikes of the brake command.
+        releases: Check for spikes of the brake command towards zero.
         spikes: Check for spikes of the force.
         gradient_spikes: Check for spikes of the gradient.
         distance: Check of speed against position.
@@ -91,6 +92,10 @@ class PlausibilityState:
         noise: Noise of the speed.
         block: The block that is being filled.
         held_s: Time since the brake was applied, or released [s].
+        slowest: Lowest speed since the brake has followed its command, the speed itself before that [m/s].
+        most: Strongest brake command since some time [m/s^2].
+        most_before: That over the same time before [m/s^2].
+        most_s: This time [s].
         steady: Brake command when it last changed by more than a brake need follow [m/s^2].
         steady_s: Time since then [s].
         has_alternated: True if it was applied or released since the last finding about it.
@@ -104,12 +109,19 @@ class PlausibilityState:
     commands: CommandCheck = field(default_factory=CommandCheck)
     command_spikes: ExcursionCheck = field(
         default_factory=lambda: ExcursionCheck(
-            'ato/brake_command', _COMMAND_SPIKE, _COMMAND_SPIKE_S, _COMMAND_HELD_S, -1.0
+            topic='ato/brake_command',
+            height=_COMMAND_SPIKE,
+            longest_s=_COMMAND_SPIKE_S,
+            calm_s=_COMMAND_HELD_S,
+            direction=-1.0,
         )
     )
+    releases: ReleaseCheck = field(default_factory=ReleaseCheck)
     spikes: SpikeCheck = field(default_factory=SpikeCheck)
     gradient_spikes: ExcursionCheck = field(
-        default_factory=lambda: ExcursionCheck('ato/gradient', _GRADIENT_SPIKE, _GRADIENT_SPIKE_S)
+        default_factory=lambda: ExcursionCheck(
+            topic='ato/gradient', height=_GRADIENT_SPIKE, longest_s=_GRADIENT_SPIKE_S
+        )
     )
     distance: DistanceCheck = field(default_factory=DistanceCheck)
     line: LineCheck = field(default_factory=LineCheck)
@@ -128,6 +140,10 @@ class PlausibilityState:
     noise: SpeedNoise = field(default_factory=lambda: SpeedNoise.declared(_SPEED_STD, robust=True))
     block: Block = field(default_factory=Block)
     held_s: float = 0.0
+    slowest: float = 0.0
+    most: float = 0.0
+    most_before: float = 0.0
+    most_s: float = 0.0
     steady: float = 0.0
     steady_s: float = 0.0
     has_alternated: bool = True
@@ -147,6 +163,7 @@ class PlausibilityState:
         return (
             self.commands.finding
             or self.command_spikes.finding
+            or self.releases.finding
             or self.spikes.finding
             or self.gradient_spikes.finding
             or self.traction.finding
@@ -162,7 +179,8 @@ class PlausibilityState:
     @property
     def is_suspected(self) -> bool:
         """True while the last seconds are improbable by those before."""
-        spikes = self.spikes.is_suspected or self.command_spikes.is_suspected or self.gradient_spikes.is_suspected
+        commands = self.command_spikes.is_suspected or self.releases.is_suspected
+        spikes = self.spikes.is_suspected or commands or self.gradient_spikes.is_suspected
         late = self.shift.is_suspected and self.moved_s < _SUSPECTED_S
         sudden = self.balance.is_suspected or self.change.is_suspected
         slopes = self.traction.is_suspected or self.brake.is_suspected or self.effort.is_suspected
@@ -175,6 +193,7 @@ class PlausibilityState:
         for finding, value, limit in (
             (self.commands.finding, self.commands.reversals, self.commands.limit),
             (self.command_spikes.finding, self.command_spikes.spikes, self.command_spikes.limit),
+            (self.releases.finding, self.releases.spikes, self.releases.limit),
             (self.spikes.finding, self.spikes.spikes, self.spikes.limit),
             (self.gradient_spikes.finding, self.gradient_spikes.spikes, self.gradient_spikes.limit),
             (traction.finding, traction.value, traction.limit(TRACTION_RANGE)),

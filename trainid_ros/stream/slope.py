@@ -178,12 +178,14 @@ class Effort(Regression):
         usual: The slope as it has been for long [1].
         square: Mean square of the deviations of single blocks from it, as shares of it [1].
         off: Number of blocks in a row that are off, up to those after which that is usual.
+        has_stayed: True if the last suspicion ended because that has become usual.
 
     """
 
     usual: float = 1.0
     square: float = _USUAL * _USUAL
     off: int = 0
+    has_stayed: bool = False
 
     @property
     def is_suspected(self) -> bool:
@@ -193,18 +195,28 @@ class Effort(Regression):
     def take(self, y: float, x: float) -> None:
         """Add force and command of one block, both as forces [N/kN]."""
         self.add(y, x)
-        expected, rms = self.usual * x, math.sqrt(self.square)
+        expected = self.usual * x
         size, deviation = max(abs(expected), _OFF_FORCE), abs(y - expected)
-        most = _LEARNED_SIGMAS * rms
-        share = min(deviation / size, most)
+        limit = self._limit(size)
+        share = min(deviation / size, _LEARNED_SIGMAS * math.sqrt(self.square))
         self.square += (max(share * share, _USUAL * _USUAL) - self.square) / _USUAL_MEMORY
-        if deviation <= max(max(_OFF, _OFF_SIGMAS * rms) * size, _OFF_FORCE):
+        if deviation <= limit:
             self.off = 0
             self.usual += (self.value - self.usual) / _MEMORY
             return
-        self.off = min(self.off + 1, _USUAL_BLOCKS)
+        self.off, self.has_stayed = min(self.off + 1, _USUAL_BLOCKS), False
         if self.off == _USUAL_BLOCKS:
-            self.off, self.usual = 0, self.value
+            self.off, self.usual, self.has_stayed = 0, self.value, True
+
+    def compare(self, y: float, x: float) -> None:
+        """Suspect a force [N/kN] beyond that of the strongest command that may still act, as a force."""
+        expected = self.usual * x
+        if self.off < _OFF_BLOCKS and y < expected - self._limit(max(abs(expected), _OFF_FORCE)):
+            self.off, self.has_stayed = self.off + 1, False
+
+    def _limit(self, size: float) -> float:
+        """Return the largest deviation from an expected force of this size [N/kN]."""
+        return max(max(_OFF, _OFF_SIGMAS * math.sqrt(self.square)) * size, _OFF_FORCE)
 
     def judge(self, brake: Slope) -> None:
         """Judge the slope together with that of the acceleration over the command."""
