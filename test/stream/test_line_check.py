@@ -41,9 +41,10 @@ def test_a_gradient_that_differs_by_less_than_the_line_rises_and_falls_is_not_na
     assert bool(check.finding) is named
 
 
-def test_a_sudden_error_is_suspected_within_a_second_and_named_within_seven() -> None:
+def test_a_sudden_error_is_suspected_within_two_seconds_and_named_within_seven() -> None:
     check = follow(LineCheck(), 100)
-    assert follow(check, 2, offset=2.0).is_suspected
+    assert not follow(check, 1, offset=2.0).is_suspected
+    assert follow(check, 1, offset=2.0).is_suspected
     assert check.finding == ''
     assert follow(check, 12, offset=2.0).finding == 'ato/gradient is suddenly +2.0 per mille off the line'
     assert check.value == check.lately > check.limit > 0.0

@@ -26,7 +26,7 @@ SUSPICIONS: dict[str, Callable[[], PlausibilityState]] = {
     'effort': lambda: PlausibilityState(effort=Effort(off=2)),
     'distance': lambda: PlausibilityState(distance=DistanceCheck(sudden=1)),
     'delay': lambda: PlausibilityState(shift=ShiftCheck(delay=0.5)),
-    'line': lambda: PlausibilityState(line=LineCheck(off=1)),
+    'line': lambda: PlausibilityState(line=LineCheck(off=2)),
     'sudden residual': lambda: PlausibilityState(balance=BalanceCheck(residual=20.0, limit=10.0)),
     'change': lambda: PlausibilityState(change=ChangeCheck(is_suspected=True)),
 }

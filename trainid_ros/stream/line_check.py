@@ -24,7 +24,8 @@ _SUDDEN_SIGMAS: Final = 3.0
 # Largest errors that are learned [per mille], with this multiple of the usual ones added.
 _LEARNED: Final = 0.1
 _LEARNED_SIGMAS: Final = 3.0
-# Number of blocks that are suddenly off, less those since that are not, before that is found.
+# Number of blocks that are suddenly off, less those since that are not, before that is suspected, and found.
+_SUSPECTED_BLOCKS: Final = 2
 _SUDDEN_BLOCKS: Final = 12
 # Blocks that agree before a finding is over; on a flat line they count less, since signs and units do not show there.
 _MENDED: Final = 20.0
@@ -66,7 +67,7 @@ class LineCheck:
     @property
     def is_suspected(self) -> bool:
         """True while the gradient is suddenly off."""
-        return self.off > 0
+        return self.off >= _SUSPECTED_BLOCKS
 
     def add(self, gradient: float, expected: float, least: float, most: float, std: float) -> None:
         """Add the gradient of a block [per mille].

@@ -61,12 +61,13 @@ _ANSWER_STD: Final = 3.0
 _FOLLOWED: Final = 2.0
 # Decay of a sudden residual while nothing can be compared [s].
 _RESIDUAL_S: Final = 5.0
-# Error of the gradient that needs no second look [per mille]. Error of the position [m], share of the distance driven
-# added, since worn wheels may be 0.5 % off and not all positions are corrected on the way, and most of it [m].
+# Error of the gradient that needs no second look [per mille]. Error of the position [m], and share of the distance
+# driven added, since worn wheels may be .5 % off and not all are corrected on the way. Shares of it at which the line
+# is looked up, nearer ones first [1].
 _SAME_GRADIENT: Final = 0.5
 _POSITION_ERROR: Final = 30.0
 _POSITION_DRIFT: Final = 0.006
-_MOST_OFF: Final = 300.0
+_SHARES: Final = tuple(sign * k / 8.0 for k in range(1, 9) for sign in (1.0, -1.0))
 # Distance after a stop at which the direction is known [m].
 _TURNED: Final = 20.0
 # Motion under a finding after which what was learned before is wrong: a single odd moment is over by then [s].
@@ -206,7 +207,7 @@ class PlausibilityMonitor:
             state.steady, state.steady_s = state.commands.command, 0.0
         state.most = min(state.most, state.commands.command) if not sample.brake_gap else _UNSEEN
         state.most_s += dt
-        if state.most_s > self._followed_s:
+        if state.most_s > self._known.settling:
             state.most_before, state.most, state.most_s = state.most, state.commands.command, 0.0
         if (state.commands.command < _BRAKING) != (before < _BRAKING):
             state.held_s, state.has_alternated = 0.0, True
@@ -225,13 +226,8 @@ class PlausibilityMonitor:
             resistance = davis(known.train_file.resistance, sample.speed)
             answer = known.inertia * (sample.speed - before) + dt * (known.track(sample) + resistance)
         std = known.inertia * math.sqrt(2.0) * state.noise.std + _ANSWER_STD * 2.0 * dt
+        self._check_command(sample, force)
         state.gradient_spikes.add(sample.gradient, dt)
-        state.releases.add(
-            sample.brake_command if sample.speed >= _MIN_SPEED else math.nan, force, self._followed_s, dt
-        )
-        if sample.brake_command < _BRAKING and not sample.emergency:
-            most = min(state.most, state.most_before)
-            state.effort.compare(force, known.inertia * known.train_file.brake.rate_at(sample.speed) * most)
         state.spikes.add(force, traction, answer if kind == RELEASED else math.nan, std, dt)
         if kind == NO_BLOCK or math.isnan(answer):
             self._interrupt()
@@ -246,6 +242,14 @@ class PlausibilityMonitor:
             self._close(block, sample)
             self._check_gradient(sample)
             block.kind = NO_BLOCK
+
+    def _check_command(self, sample: Sample, force: float) -> None:
+        """Compare the brake command with the reported force [N/kN]."""
+        state, known, is_moving = self.state, self._known, sample.speed >= _MIN_SPEED
+        state.releases.add(sample.brake_command if is_moving else math.nan, force, self._followed_s, sample.dt)
+        if is_moving and sample.brake_command < _BRAKING and not sample.emergency:
+            most = min(state.most, state.most_before)
+            state.effort.compare(force, known.inertia * known.train_file.brake.rate_at(sample.speed) * most)
 
     def _check_standstill(self, speed: float) -> None:
         """Contradict a speed [m/s] that rises from a standstill while the brake holds the train."""
@@ -321,8 +325,10 @@ class PlausibilityMonitor:
             return
         expected = least = most = line.gradient(here, sample.direction)
         if abs(sample.gradient - expected) > _SAME_GRADIENT:
-            off = min(_POSITION_ERROR + _POSITION_DRIFT * driven, _MOST_OFF)
-            for share in (-1.0, -0.5, 0.5, 1.0):
+            off = _POSITION_ERROR + _POSITION_DRIFT * driven
+            for share in _SHARES:
+                if least <= sample.gradient <= most:
+                    break
                 nearby = line.gradient(here + share * off, sample.direction)
                 least, most = min(least, nearby), max(most, nearby)
         self.state.line.add(sample.gradient, expected, least, most, self._line_std)
