@@ -50,7 +50,7 @@ def test_a_command_that_is_half_is_suspected_in_the_first_second_of_braking_and_
     monitor = PlausibilityMonitor(KnownForce(train_file))
     followed(monitor, samples[:300])
     assert not monitor.has_changed
-    suspected = []
+    suspected: list[bool] = []
     for sample in scaled(samples[300:310], 0.5):
         monitor.follow(sample)
         suspected.append(monitor.has_changed)

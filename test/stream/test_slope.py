@@ -123,12 +123,16 @@ def test_a_command_is_right_again_where_force_and_speed_fit_it_or_do_not_agree(
     assert braked(by_force, by_speed, effort, blocks=60).finding == ''
 
 
+def test_a_command_is_right_again_although_its_deceleration_is_still_a_little_off() -> None:
+    assert braked(1.15, 1.4, braked(1.6, 1.4), blocks=60).finding == ''
+
+
 def test_a_command_between_right_and_wrong_keeps_its_finding() -> None:
     assert braked(1.3, 1.6, braked(1.9, 1.6), blocks=60).finding
 
 
 @pytest.mark.parametrize('factor', [0.5, 2.0])
-def test_another_force_for_the_same_command_is_suspected_after_two_blocks_until_it_is_the_usual_one(
+def test_another_force_for_the_same_command_is_suspected_after_two_blocks_until_it_has_become_usual(
     factor: float,
 ) -> None:
     effort = Effort()
@@ -140,15 +144,38 @@ def test_another_force_for_the_same_command_is_suspected_after_two_blocks_until_
     for _ in range(100):
         effort.take(60.0 * factor, 60.0)
         suspected += effort.is_suspected
-    assert 20 <= suspected < 60
+    assert 8 <= suspected < 60
+    assert not effort.is_suspected
+    assert effort.has_stayed
+
+
+def test_a_suspicion_ends_when_the_force_fits_the_command_as_before() -> None:
+    effort = Effort()
+    for factor in (1.0, 1.0, 2.0, 2.0, 2.0, 1.0):
+        effort.take(60.0 * factor, 60.0)
+    assert not effort.is_suspected
+    assert not effort.has_stayed
+
+
+def test_a_force_beyond_that_of_the_strongest_command_is_suspected_until_a_block_fits() -> None:
+    effort = Effort()
+    for _ in range(3):
+        effort.compare(-70.0, -60.0)
+        assert effort.off == 0
+    for _ in range(3):
+        effort.compare(-90.0, -60.0)
+    assert effort.is_suspected
+    effort.compare(-60.0, -60.0)
+    assert effort.is_suspected
+    effort.take(-60.0, -60.0)
     assert not effort.is_suspected
 
 
-def test_a_brake_rate_a_fifth_off_or_small_forces_that_differ_are_not_suspected() -> None:
+@pytest.mark.parametrize(('low', 'high', 'x'), [(48.0, 72.0, 60.0), (4.0, 10.0, 6.0)])
+def test_a_force_a_fifth_off_or_small_forces_that_differ_are_not_suspected(low: float, high: float, x: float) -> None:
     effort = Effort()
     for k in range(200):
-        effort.take(60.0 * (0.8 if k % 4 < 2 else 1.2), 60.0)
-        effort.take(5.0 if k % 4 < 2 else 10.0, 6.0)
+        effort.take(low if k % 4 < 2 else high, x)
         assert not effort.is_suspected
 
 

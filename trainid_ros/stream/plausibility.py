@@ -205,10 +205,10 @@ class PlausibilityMonitor:
         state.steady_s += dt
         if abs(state.commands.command - state.steady) > max(_STEADY, _STEADY_SHARE * abs(state.steady)):
             state.steady, state.steady_s = state.commands.command, 0.0
-        state.most = min(state.most, state.commands.command) if not sample.brake_gap else _UNSEEN
-        state.most_s += dt
-        if state.most_s > self._known.settling:
-            state.most_before, state.most, state.most_s = state.most, state.commands.command, 0.0
+        state.strongest = min(state.strongest, state.commands.command) if not sample.brake_gap else _UNSEEN
+        state.strongest_s += dt
+        if state.strongest_s > self._known.settling:
+            state.strongest_before, state.strongest, state.strongest_s = state.strongest, state.commands.command, 0.0
         if (state.commands.command < _BRAKING) != (before < _BRAKING):
             state.held_s, state.has_alternated = 0.0, True
 
@@ -248,7 +248,7 @@ class PlausibilityMonitor:
         state, known, is_moving = self.state, self._known, sample.speed >= _MIN_SPEED
         state.releases.add(sample.brake_command if is_moving else math.nan, force, self._followed_s, sample.dt)
         if is_moving and sample.brake_command < _BRAKING and not sample.emergency:
-            most = min(state.most, state.most_before)
+            most = min(state.strongest, state.strongest_before)
             state.effort.compare(force, known.inertia * known.train_file.brake.rate_at(sample.speed) * most)
 
     def _check_standstill(self, speed: float) -> None:

@@ -93,9 +93,9 @@ class PlausibilityState:
         block: The block that is being filled.
         held_s: Time since the brake was applied, or released [s].
         slowest: Lowest speed since the brake has followed its command, the speed itself before that [m/s].
-        most: Strongest brake command since some time [m/s^2].
-        most_before: That over the same time before [m/s^2].
-        most_s: This time [s].
+        strongest: Strongest brake command since some time [m/s^2].
+        strongest_before: That over the same time before [m/s^2].
+        strongest_s: This time [s].
         steady: Brake command when it last changed by more than a brake need follow [m/s^2].
         steady_s: Time since then [s].
         has_alternated: True if it was applied or released since the last finding about it.
@@ -141,9 +141,9 @@ class PlausibilityState:
     block: Block = field(default_factory=Block)
     held_s: float = 0.0
     slowest: float = 0.0
-    most: float = 0.0
-    most_before: float = 0.0
-    most_s: float = 0.0
+    strongest: float = 0.0
+    strongest_before: float = 0.0
+    strongest_s: float = 0.0
     steady: float = 0.0
     steady_s: float = 0.0
     has_alternated: bool = True

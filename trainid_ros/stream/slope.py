@@ -41,9 +41,8 @@ _OFF_FORCE: Final = 6.0
 _LEARNED_SIGMAS: Final = 3.0
 _USUAL_MEMORY: Final = 100.0
 _USUAL: Final = 0.05
-# Blocks in a row that are off before the effort is suspected, and after which it is the usual one.
+# Blocks in a row that are off before the effort is suspected.
 _OFF_BLOCKS: Final = 2
-_USUAL_BLOCKS: Final = 60
 _G: Final = 9.81
 # Slope of the brake below which the train does not brake [1].
 _NO_BRAKING: Final = 0.2
@@ -177,8 +176,8 @@ class Effort(Regression):
     Attributes:
         usual: The slope as it has been for long [1].
         square: Mean square of the deviations of single blocks from it, as shares of it [1].
-        off: Number of blocks in a row that are off, up to those after which that is usual.
-        has_stayed: True if the last suspicion ended because that has become usual.
+        off: Number of blocks in a row that are off.
+        has_stayed: True if the last suspicion ended because such deviations have become usual.
 
     """
 
@@ -200,13 +199,13 @@ class Effort(Regression):
         limit = self._limit(size)
         share = min(deviation / size, _LEARNED_SIGMAS * math.sqrt(self.square))
         self.square += (max(share * share, _USUAL * _USUAL) - self.square) / _USUAL_MEMORY
-        if deviation <= limit:
-            self.off = 0
-            self.usual += (self.value - self.usual) / _MEMORY
+        if deviation > limit:
+            self.off, self.has_stayed = self.off + 1, False
             return
-        self.off, self.has_stayed = min(self.off + 1, _USUAL_BLOCKS), False
-        if self.off == _USUAL_BLOCKS:
-            self.off, self.usual, self.has_stayed = 0, self.value, True
+        if self.is_suspected:
+            self.has_stayed = deviation > max(_OFF * size, _OFF_FORCE)
+        self.off = 0
+        self.usual += (self.value - self.usual) / _MEMORY
 
     def compare(self, y: float, x: float) -> None:
         """Suspect a force [N/kN] beyond that of the strongest command that may still act, as a force."""
