@@ -206,3 +206,10 @@ def test_drops_that_the_force_follows_count_against_those_before() -> None:
         falls = 10 <= k % 20 < 14
         check.add(0.0 if released else -0.6, -45.0 if falls else -60.0, FOLLOWED_S, PERIOD_S)
     assert check.spikes == 0.0
+
+
+def test_a_command_that_has_not_held_until_the_brake_followed_it_has_no_drops() -> None:
+    check = ReleaseCheck()
+    for k in range(120):
+        check.add(0.0 if k % 6 == 5 else -0.6, -60.0, FOLLOWED_S, PERIOD_S)
+    assert check.spikes == 0.0

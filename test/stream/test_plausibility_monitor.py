@@ -84,7 +84,7 @@ def test_after_commands_that_were_not_seen_the_force_may_be_that_of_a_stronger_o
     assert not unseen.has_changed
 
 
-@pytest.mark.parametrize(('step', 'steady'), [(0.0, True), (0.004, True), (0.1, False)])
+@pytest.mark.parametrize(('step', 'steady'), [(0.0, True), (0.04, True), (0.1, False)])
 def test_a_command_is_steady_until_it_has_changed_by_a_tenth(
     train_file: TrainFile, sample: Make, step: float, steady: bool
 ) -> None:
