@@ -13,11 +13,13 @@ from benchmarks.faults.injection import (
     at_one_hertz,
     clock_apart,
     clock_step,
+    dropped,
     duplicated,
     frozen,
     late,
     missing,
     missing_for_ever,
+    no_fault,
     scaled,
     second_command,
     spiked,
@@ -120,6 +122,7 @@ _COMMAND: Final = (
     _constant('stuck braking', 'command', -0.7),
     _constant('stuck released', 'command', 0.0),
     spiked('command', -0.8),
+    dropped('command'),
     frozen('command'),
     second_command(),
     missing('command'),
@@ -141,7 +144,9 @@ _MASS: Final = (
 _ALL: Final = (all_missing(10.0), clock_step(10.0), clock_step(-10.0), clock_step(-3000.0))
 
 FAULTS: Final = (*_SPEED, *_FORCE, *_GRADIENT, *_COMMAND, *_MASS, *_ALL)
-BY_NAME: Final = {fault.name: fault for fault in FAULTS}
+NOTHING: Final = no_fault()
+"""What a drive has by itself, beside the faults."""
+BY_NAME: Final = {fault.name: fault for fault in (NOTHING, *FAULTS)}
 
 # Of each kind one fault of each topic, in the order of TOPICS.
 _TOPICS: Final = ('speed', 'force', 'gradient', 'command')

@@ -51,6 +51,11 @@ def injected(rows: Sequence[Row], faults: Sequence[Fault], start_ns: int, end_ns
     return changed
 
 
+def no_fault() -> Fault:
+    """Return a fault that changes nothing."""
+    return Fault('nothing', lambda rows, _start_ns, _end_ns: list(rows))
+
+
 def value_fault(name: str, topic: str, change: Change) -> Fault:
     """Return a fault that changes the values of a topic; ``change`` gets the time since the start [s] and the row."""
     place = _TOPICS[topic]
@@ -186,6 +191,16 @@ def clock_apart(topic: str, seconds: float) -> Fault:
 
 def spiked(topic: str, height: float, every: int = 20) -> Fault:
     """Return a fault that adds single spikes to a topic, one in every so many messages."""
+    return _single(f'{topic} spikes', topic, lambda x: x + height, every)
+
+
+def dropped(topic: str, every: int = 20) -> Fault:
+    """Return a fault where single values of a topic are zero, one in every so many messages."""
+    return _single(f'{topic} drops to zero', topic, lambda _: 0.0, every)
+
+
+def _single(name: str, topic: str, change: Callable[[float], float], every: int) -> Fault:
+    """Return a fault that changes the first value in one of every so many messages of a topic."""
     place = _TOPICS[topic]
 
     def apply(rows: Sequence[Row], start_ns: int, end_ns: int) -> list[Row]:
@@ -193,10 +208,10 @@ def spiked(topic: str, height: float, every: int = 20) -> Fault:
         for t, stamp, x, y, flag in rows:
             inside = t == place and start_ns <= stamp < end_ns
             count += inside
-            sent.append((t, stamp, x + height if inside and count % every == 0 else x, y, flag))
+            sent.append((t, stamp, change(x) if inside and count % every == 0 else x, y, flag))
         return sent
 
-    return Fault(f'{topic} spikes', apply)
+    return Fault(name, apply)
 
 
 def duplicated(topic: str) -> Fault:

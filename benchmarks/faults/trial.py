@@ -44,6 +44,9 @@ _AFTER_S: Final = 60.0
 _ABOUT_S: Final = 10.0
 _MOVING: Final = 1.0
 _PERIOD_S: Final = 0.2
+_SIGMAS: Final = 3.0
+# A controller uses both.
+_FIT: Final = (int(Status.VALID), int(Status.HOLDING))
 # Reasons that reject a sample without saying what is wrong.
 _UNTOLD: Final = frozenset({Reason.OUTLIER, Reason.CONTRADICTION, Reason.NUMERICAL, Reason.BRAKE_UNCERTAIN})
 
@@ -67,8 +70,9 @@ class Outcome:
             healthy drive does not have [s]; infinite if none does.
         named_s: The same without reasons that do not say what is wrong.
         name: The first finding; without one, the status or the reason that named it.
-        wrong_s: Time that the resistance or the brake rate was VALID at more than 3 std from the truth [s].
-        worst: Largest error of a VALID resistance or brake rate [std].
+        wrong_s: Time that the resistance or the brake rate was VALID or HOLDING at more than 3 std from the truth [s].
+        added_s: The same at times at which it was not without the fault [s].
+        worst: Largest error of a VALID or HOLDING resistance or brake rate [std].
         resistance_left: |error of w| a minute of motion after the fault, less that without the fault [N/kN].
         brake_left: The same of the brake rate [1].
         rejected: Records and samples of the resistance rejected by each reason, less those without the fault.
@@ -80,6 +84,7 @@ class Outcome:
     named_s: float
     name: str
     wrong_s: float
+    added_s: float
     worst: float
     resistance_left: float
     brake_left: float
@@ -96,6 +101,11 @@ class Course:
     status: Array
     error: Array
     std: Array
+
+    @property
+    def wrong(self) -> Array:
+        """Where the estimate was VALID or HOLDING at more than 3 std from the truth."""
+        return np.isin(self.status, _FIT) & (np.abs(self.error) > _SIGMAS * self.std)
 
 
 class Drive:
@@ -174,14 +184,15 @@ def run(injection: Injection) -> Outcome:
     courses = [_course(found.outputs[k], source, start_ns, k, begin_s, shift_s) for k in (0, 2)]
     references = [_course(healthy.drive.outputs[k], source, start_ns, k, begin_s, 0.0) for k in (0, 2)]
     seen_s, named_s, name = _naming(found, healthy.drive, courses[0], start_ns, begin_s)
-    wrong = [(c.status == Status.VALID) & (np.abs(c.error) > 3.0 * c.std) & (c.time_s >= begin_s) for c in courses]
-    ratios = [np.abs(c.error / c.std)[(c.status == Status.VALID) & (c.time_s >= begin_s)] for c in courses]
+    wrong = [c.wrong & (c.time_s >= begin_s) for c in courses]
+    ratios = [np.abs(c.error / c.std)[np.isin(c.status, _FIT) & (c.time_s >= begin_s)] for c in courses]
     after = [_left(c, end_s) - _left(r, end_s) for c, r in zip(courses, references, strict=True)]
     return Outcome(
         seen_s=seen_s,
         named_s=named_s,
         name=name,
         wrong_s=max(float(np.sum(mask)) for mask in wrong) * _PERIOD_S,
+        added_s=max(_added_s(c, mask, r) for c, mask, r in zip(courses, wrong, references, strict=True)),
         worst=max((float(values.max()) for values in ratios if len(values)), default=0.0),
         resistance_left=after[0],
         brake_left=after[1],
@@ -234,6 +245,14 @@ def _course(
         std = np.array([o.estimate.brake_rate_std for o in outputs])
     moved_s = np.cumsum((speed >= _MOVING) & (time_s >= begin_s)) * _PERIOD_S
     return Course(time_s, moved_s, np.array([int(o.status) for o in outputs]), error, std)
+
+
+def _added_s(course: Course, wrong: Array, healthy: Course) -> float:
+    """Return for how long an estimate was wrong at times at which it was not without the fault [s]."""
+    if not len(healthy.time_s):
+        return float(np.sum(wrong)) * _PERIOD_S
+    nearest = np.minimum(np.searchsorted(healthy.time_s, course.time_s - 0.5 * _PERIOD_S), len(healthy.time_s) - 1)
+    return float(np.sum(wrong & ~healthy.wrong[nearest])) * _PERIOD_S
 
 
 def _left(course: Course, end_s: float) -> float:

@@ -56,3 +56,10 @@ def test_a_force_that_drifts_is_suspected_before_it_is_far_off() -> None:
     assert not check.is_suspected
     released(check, 4.0, 0.0, blocks=1)
     assert check.is_suspected
+
+
+def test_a_drift_is_judged_beside_the_resistance() -> None:
+    slow, fast = BalanceCheck(), BalanceCheck()
+    released(slow, 3.5, 0.0, blocks=200, resistance=2.0)
+    released(fast, 3.5, 0.0, blocks=200, resistance=8.0)
+    assert (slow.is_suspected, fast.is_suspected) == (True, False)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from trainid_ros.stream.message_check import CommandCheck, ExcursionCheck, SpikeCheck
+from trainid_ros.stream.message_check import CommandCheck, ExcursionCheck, ReleaseCheck, SpikeCheck
 from trainid_ros.stream.samples import BrakeCommandChange
 
 if TYPE_CHECKING:
@@ -89,6 +89,20 @@ def test_pulses_of_traction_rise_and_fall_in_more_than_one_report() -> None:
     assert not check.is_suspected
 
 
+def test_a_spike_is_counted_once() -> None:
+    check = SpikeCheck()
+    for force in (40.0, 40.0, 40.0, 40.0, 100.0, 40.0, 40.0, 40.0, 40.0):
+        check.add(force, 40.0, 8.0, STD, PERIOD_S)
+    assert 0.9 < check.spikes <= 1.0
+
+
+def test_reports_that_toggle_every_second_time_are_not_compared_with_each_other() -> None:
+    check = SpikeCheck()
+    for k in range(20):
+        check.add(40.0 + 60.0 * (k % 2), 70.0, math.nan, STD, PERIOD_S)
+    assert check.spikes < 7.0
+
+
 def test_a_missing_force_is_no_spike() -> None:
     check = SpikeCheck()
     for k in range(100):
@@ -104,9 +118,11 @@ def test_named_spikes_are_over_after_a_while() -> None:
     assert check.finding == ''
 
 
-def followed(values: Sequence[float], *, calm_s: float = 0.0, dt: float = 0.2) -> ExcursionCheck:
+def followed(
+    values: Sequence[float], *, calm_s: float = 0.0, direction: float = 0.0, dt: float = 0.2
+) -> ExcursionCheck:
     """Return the check after some values."""
-    check = ExcursionCheck('ato/gradient', 5.0, 0.65, calm_s)
+    check = ExcursionCheck(topic='ato/gradient', height=5.0, longest_s=0.65, calm_s=calm_s, direction=direction)
     for value in values:
         check.add(value, dt)
     return check
@@ -118,6 +134,13 @@ def test_values_that_leave_their_level_for_a_moment_are_spikes(width: int) -> No
     assert not followed(spike * 2 + [2.0]).finding
     assert followed(spike * 2 + [2.0]).is_suspected
     assert followed(spike * 4 + [2.0]).finding == 'ato/gradient has spikes'
+
+
+@pytest.mark.parametrize(('direction', 'up', 'down'), [(0.0, 4.0, 4.0), (-1.0, 0.0, 4.0), (1.0, 4.0, 0.0)])
+def test_spikes_may_be_on_one_side_only(direction: float, up: float, down: float) -> None:
+    base = [0.0] * 15
+    assert followed([*base, 20.0] * 4 + [0.0], direction=direction).spikes == pytest.approx(up, abs=0.8)
+    assert followed([*base, -20.0] * 4 + [0.0], direction=direction).spikes == pytest.approx(down, abs=0.8)
 
 
 @pytest.mark.parametrize('values', [[0.0] * 10 + [20.0] * 10, [0.0, 4.0], [0.0] * 10 + [6.0, 12.0, 18.0, 24.0]])
@@ -141,3 +164,52 @@ def test_spikes_are_over_after_a_while() -> None:
     for _ in range(300):
         check.add(2.0, 0.2)
     assert not check.finding
+
+
+FOLLOWED_S = 1.6
+
+
+def dropped(follows: float, width: int = 1, drops: int = 4, force: float = -60.0) -> ReleaseCheck:
+    """Return the check after a command that is released for some samples, and a force that follows it to a share."""
+    check = ReleaseCheck()
+    for _ in range(drops):
+        for k in range(20):
+            released = 10 <= k < 10 + width
+            # The force of a brake with a lag falls less, but for longer.
+            falls = 10 <= k < 10 + 4 * width
+            check.add(0.0 if released else -0.6, force * (1.0 - 0.25 * follows * falls), FOLLOWED_S, PERIOD_S)
+    return check
+
+
+def test_commands_that_drop_to_released_are_spikes_where_the_force_does_not_follow() -> None:
+    assert dropped(0.0, drops=1).spikes > 0.9
+    assert dropped(0.0, drops=2).is_suspected
+    assert dropped(0.0).finding == 'ato/brake_command has spikes'
+
+
+@pytest.mark.parametrize('check', [dropped(1.0), dropped(0.5), dropped(0.0, force=-5.0), dropped(0.0, force=math.nan)])
+def test_drops_that_the_force_follows_or_that_it_says_nothing_about_are_no_spikes(check: ReleaseCheck) -> None:
+    assert check.spikes == 0.0
+
+
+def test_a_release_for_good_is_no_spike() -> None:
+    check = ReleaseCheck()
+    for k in range(400):
+        check.add(-0.6 if k % 40 < 20 else 0.0, -60.0 if k % 40 < 20 else 0.0, FOLLOWED_S, PERIOD_S)
+        assert check.spikes == 0.0
+
+
+def test_drops_that_the_force_follows_count_against_those_before() -> None:
+    check = dropped(0.0, drops=2)
+    for k in range(60):
+        released = k % 20 == 10
+        falls = 10 <= k % 20 < 14
+        check.add(0.0 if released else -0.6, -45.0 if falls else -60.0, FOLLOWED_S, PERIOD_S)
+    assert check.spikes == 0.0
+
+
+def test_a_command_that_has_not_held_until_the_brake_followed_it_has_no_drops() -> None:
+    check = ReleaseCheck()
+    for k in range(120):
+        check.add(0.0 if k % 6 == 5 else -0.6, -60.0, FOLLOWED_S, PERIOD_S)
+    assert check.spikes == 0.0

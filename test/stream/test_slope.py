@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from trainid_ros.stream.slope import Slope
+from trainid_ros.stream.slope import Effort, Slope
 
 
 def learned(factor: float, noise: float = 5.0, blocks: int = 20, x: float = 60.0) -> Slope:
@@ -74,3 +74,115 @@ def test_a_wrong_slope_is_forgotten_soon_when_it_is_mended() -> None:
         slope.judge_traction(0.0, 4.0)
         count += 1
     assert 6 < count < 60
+
+
+def test_a_slope_is_plausible_where_it_is_known_and_within_its_limits() -> None:
+    for factor, plausible in ((1.0, True), (3.6, False)):
+        slope = learned(factor, noise=1.0)
+        slope.judge_traction(0.0, 4.0)
+        assert slope.is_plausible == plausible
+    assert not learned(1.0, blocks=4).is_plausible
+
+
+def test_a_slope_is_suspected_where_errors_of_map_and_resistance_hardly_explain_it() -> None:
+    near, far = Slope(offset=8.0, excess=3.9), Slope(offset=8.0, excess=4.1)
+    assert (near.is_suspected, far.is_suspected) == (False, True)
+
+
+def braked(by_force: float, by_speed: float, effort: Effort | None = None, blocks: int = 20) -> Effort:
+    """Return the effort after brakings whose force and deceleration are these multiples of the command."""
+    effort, brake = effort or Effort(), learned(by_speed, noise=1.0)
+    for _ in range(blocks):
+        effort.take(60.0 * by_force, 60.0)
+        effort.judge(brake)
+    return effort
+
+
+@pytest.mark.parametrize(
+    ('by_force', 'by_speed', 'text'),
+    [
+        (2.0, 2.1, 'ato/brake_command is off: speed and ato/force brake 2 times as much'),
+        (0.5, 0.45, 'ato/brake_command is off: speed and ato/force brake 0.5 times as much'),
+        (9.8, 9.0, 'ato/brake_command looks like g: speed and ato/force brake 9.8 times as much'),
+        (1.3, 1.4, ''),
+        (1.4, 1.3, ''),
+        (2.0, 1.4, ''),
+        (1.4, 2.0, ''),
+    ],
+)
+def test_a_command_is_off_where_force_and_speed_agree_that_it_is(by_force: float, by_speed: float, text: str) -> None:
+    assert braked(by_force, by_speed).finding == text
+
+
+@pytest.mark.parametrize(('by_force', 'by_speed'), [(1.1, 1.1), (2.0, 1.2)])
+def test_a_command_is_right_again_where_force_and_speed_fit_it_or_do_not_agree(
+    by_force: float, by_speed: float
+) -> None:
+    effort = braked(2.0, 2.0)
+    assert effort.finding
+    assert braked(by_force, by_speed, effort, blocks=60).finding == ''
+
+
+def test_a_command_is_right_again_although_its_deceleration_is_still_a_little_off() -> None:
+    assert braked(1.15, 1.4, braked(1.6, 1.4), blocks=60).finding == ''
+
+
+def test_a_command_between_right_and_wrong_keeps_its_finding() -> None:
+    assert braked(1.3, 1.6, braked(1.9, 1.6), blocks=60).finding
+
+
+@pytest.mark.parametrize('factor', [0.5, 2.0])
+def test_another_force_for_the_same_command_is_suspected_after_two_blocks_until_it_has_become_usual(
+    factor: float,
+) -> None:
+    effort = Effort()
+    for _ in range(40):
+        effort.take(60.0, 60.0)
+    effort.take(60.0 * factor, 60.0)
+    assert not effort.is_suspected
+    suspected = 0
+    for _ in range(100):
+        effort.take(60.0 * factor, 60.0)
+        suspected += effort.is_suspected
+    assert 8 <= suspected < 60
+    assert not effort.is_suspected
+    assert effort.has_stayed
+
+
+def test_a_suspicion_ends_when_the_force_fits_the_command_as_before() -> None:
+    effort = Effort()
+    for factor in (1.0, 1.0, 2.0, 2.0, 2.0, 1.0):
+        effort.take(60.0 * factor, 60.0)
+    assert not effort.is_suspected
+    assert not effort.has_stayed
+
+
+def test_a_force_beyond_that_of_the_strongest_command_is_suspected_until_a_block_fits() -> None:
+    effort = Effort()
+    for _ in range(3):
+        effort.compare(-70.0, -60.0)
+        assert effort.off == 0
+    for _ in range(3):
+        effort.compare(-90.0, -60.0)
+    assert effort.is_suspected
+    effort.compare(-60.0, -60.0)
+    assert effort.is_suspected
+    effort.take(-60.0, -60.0)
+    assert not effort.is_suspected
+
+
+@pytest.mark.parametrize(('low', 'high', 'x'), [(48.0, 72.0, 60.0), (4.0, 10.0, 6.0)])
+def test_a_force_a_fifth_off_or_small_forces_that_differ_are_not_suspected(low: float, high: float, x: float) -> None:
+    effort = Effort()
+    for k in range(200):
+        effort.take(low if k % 4 < 2 else high, x)
+        assert not effort.is_suspected
+
+
+def test_a_force_that_often_leaves_part_of_the_brake_to_others_is_soon_no_reason_for_suspicion() -> None:
+    effort, suspected = Effort(), []
+    for k in range(400):
+        effort.take(60.0 if k % 20 < 12 else 20.0, 60.0)
+        suspected.append(effort.is_suspected)
+    assert any(suspected[:100])
+    assert not any(suspected[200:])

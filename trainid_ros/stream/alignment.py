@@ -331,26 +331,15 @@ class Aligner:
         forces, gradients = self._force.value(now), self._gradient.value(now)
         gradient_mean, curvature_mean = self._gradient.mean(start, now, gradients)
         return Sample(
-            stamp_ns=now,
-            dt=dt,
-            speed=row.x,
-            position=row.y,
-            direction=self._travel.direction,
-            force=forces[0],
-            force_mean=self._force.mean(start, now, forces)[0],
-            gradient=gradients[0],
-            gradient_mean=gradient_mean,
-            curve_radius=1.0 / curvature if curvature > 0.0 else 0.0,
-            tunnel=tunnel,
-            mass=mass,
-            brake_command=command,
-            brake_changes=changes,
-            brake_gap=missed,
-            emergency=emergency,
+            stamp_ns=now, dt=dt, speed=row.x, position=row.y, direction=self._travel.direction,
+            force=forces[0], force_mean=self._force.mean(start, now, forces)[0],
+            gradient=gradients[0], gradient_mean=gradient_mean,
+            curve_radius=1.0 / curvature if curvature > 0.0 else 0.0, tunnel=tunnel, mass=mass,
+            brake_command=command, brake_changes=changes, brake_gap=missed, emergency=emergency,
             curvature_mean=curvature_mean,
             force_interval=0.0 if math.isnan(forces[0]) else self._force.interval_around(now),
             stood_since_weighing=weighed_ns < self._travel.stop_ns,
-        )
+        )  # fmt: skip
 
     def _elapsed(self, now_ns: int) -> float:
         """Return the time since the last sample [s]; NaN for the first and after a gap."""

@@ -144,10 +144,15 @@ class ChangeCheck:
         self.change += (self.total - self.change) / _SMOOTH
         if self.count >= _LEAST:
             self._judge(seconds)
-        if self.is_suspected and not off:
-            self._name(residual, x)
-        if off or self.is_suspected:
+        if off:
             return
+        if self.is_suspected:
+            self._name(residual, x)
+        else:
+            self._learn(residual, innovation_variance, offset_gain, gain_gain)
+
+    def _learn(self, residual: float, innovation_variance: float, offset_gain: float, gain_gain: float) -> None:
+        """Learn offset and gain from a residual and its covariance with both, and what is usual."""
         most = _CLIP * math.sqrt(innovation_variance)
         residual = min(max(residual, -most), most)
         step = residual / innovation_variance

@@ -67,34 +67,16 @@ _SAME: Final = 0.3
 
 
 @dataclass(slots=True)
-class ExcursionCheck:
-    """Values that leave their level for a moment and return to it, too fast for what they measure.
+class SpikeCount:
+    """Number of spikes, with forgetting.
 
     Attributes:
-        topic: Topic of the values.
-        height: Least height of a spike, in the unit of the values.
-        longest_s: Longest time of a spike [s].
-        calm_s: Time for which the level must have held before [s]: what alternates has no spikes.
-        direction: -1 if spikes are below the level only, 0 if on both sides.
         finding: What is wrong, empty if nothing is.
-        level: The last value outside a spike.
-        held_s: Time for which it has held [s].
-        peak: Largest distance from the level since it was left, 0 if it was not.
-        left_s: Time since it was left [s].
-        spikes: Number of spikes, with forgetting.
+        spikes: Number of spikes.
 
     """
 
-    topic: str
-    height: float
-    longest_s: float
-    calm_s: float = 0.0
-    direction: float = 0.0
     finding: str = ''
-    level: float = 0.0
-    held_s: float = 0.0
-    peak: float = 0.0
-    left_s: float = 0.0
     spikes: float = 0.0
 
     @property
@@ -107,19 +89,55 @@ class ExcursionCheck:
         """True while more spikes are to be expected."""
         return self.spikes > _SUSPECTED
 
+    def forget(self, dt: float) -> None:
+        """Forget spikes over a time [s]."""
+        self.spikes *= math.exp(-dt / _SPIKE_MEMORY_S)
+
+    def judge(self, topic: str, *, certain: bool = True) -> None:
+        """Begin a finding where there are too many spikes, if that is certain, or end it where there are few."""
+        if self.spikes > _SPIKES and certain:
+            self.finding = f'{topic} has spikes'
+        elif self.spikes < _NO_SPIKES:
+            self.finding = ''
+
+
+@dataclass(slots=True)
+class ExcursionCheck(SpikeCount):
+    """Values that leave their level for a moment and return to it, too fast for what they measure.
+
+    Attributes:
+        topic: Topic of the values.
+        height: Least height of a spike, in the unit of the values.
+        longest_s: Longest time of a spike [s].
+        calm_s: Time for which the level must have held before [s]: what alternates has no spikes.
+        direction: -1 if spikes are below the level only, 0 if on both sides.
+        level: The last value outside a spike.
+        held_s: Time for which it has held [s].
+        peak: Largest distance from the level since it was left, 0 if it was not.
+        left_s: Time since it was left [s].
+
+    """
+
+    topic: str = ''
+    height: float = 0.0
+    longest_s: float = 0.0
+    calm_s: float = 0.0
+    direction: float = 0.0
+    level: float = 0.0
+    held_s: float = 0.0
+    peak: float = 0.0
+    left_s: float = 0.0
+
     def add(self, value: float, dt: float) -> None:
         """Add a value and the time since the last one [s]; a NaN changes nothing but the time."""
-        self.spikes *= math.exp(-dt / _SPIKE_MEMORY_S)
+        self.forget(dt)
         if self.peak > 0.0:
             self.left_s += dt
         else:
             self.held_s += dt
         if not math.isnan(value):
             self._follow(value)
-        if self.spikes > _SPIKES:
-            self.finding = f'{self.topic} has spikes'
-        elif self.spikes < _NO_SPIKES:
-            self.finding = ''
+        self.judge(self.topic)
 
     def _follow(self, value: float) -> None:
         distance = abs(value - self.level)
@@ -140,9 +158,82 @@ class ExcursionCheck:
         return abs(excess) > self.height and self.held_s >= self.calm_s and excess * self.direction >= 0.0
 
 
-# A report of the force stands out by this [N/kN]; those before and after it agree to this share of its height [1].
+# A command [m/s^2] and a force [N/kN] that brake, and difference of commands that are the same as a share of them [1].
+_BRAKING: Final = -0.15
+_EFFORT: Final = -10.0
+_EQUAL: Final = 0.1
+# Shares of a release that a force has followed or not [1], and largest error of that share: the force varies by this
+# share of it [1] without a change of the command.
+_FOLLOWED: Final = 0.7
+_IGNORED: Final = 0.3
+_FORCE_ERROR: Final = 0.03
+_MOST_ERROR: Final = 0.4
+
+
+@dataclass(slots=True)
+class ReleaseCheck(SpikeCount):
+    """Brake commands that are released for a moment, which the reported force does not follow.
+
+    A controller that knows two steps only sends the same, but then the force of a nominal brake falls for as long.
+
+    Attributes:
+        level: Brake command before the last change [m/s^2].
+        held_s: Time for which it has held [s].
+        force: Reported force meanwhile [N/kN].
+        since_s: Time since a release [s], 0 if there is none.
+        released: Integral of the change of the command since then, as a share of the level [s].
+        followed: Integral of the change of the force, as a share of that before [s].
+
+    """
+
+    level: float = 0.0
+    held_s: float = 0.0
+    force: float = 0.0
+    since_s: float = 0.0
+    released: float = 0.0
+    followed: float = 0.0
+
+    def add(self, command: float, force: float, followed_s: float, dt: float) -> None:
+        """Add a sample.
+
+        Args:
+            command: Brake command [m/s^2], NaN if it is missing or the train stands.
+            force: Reported force [N/kN], NaN if it is missing.
+            followed_s: Time after which a brake has followed a command [s].
+            dt: Time since the last sample [s].
+
+        """
+        self.forget(dt)
+        self.judge('ato/brake_command')
+        same = abs(command - self.level) <= _EQUAL * abs(self.level)
+        braked = self.level < _BRAKING and self.force < _EFFORT
+        if self.since_s == 0.0 and command == 0.0 and braked and self.held_s > followed_s:
+            self.released = self.followed = 0.0
+        elif self.since_s == 0.0 or math.isnan(force) or not (same or command == 0.0):
+            self._hold(command, force, dt, same=same)
+            return
+        self.since_s += dt
+        self.released += dt * (1.0 - command / self.level)
+        self.followed += dt * (1.0 - force / self.force)
+        if self.since_s > followed_s:
+            self._count(same=same)
+
+    def _hold(self, command: float, force: float, dt: float, *, same: bool) -> None:
+        """Follow a command that holds, or begin with another one."""
+        self.held_s = self.held_s + dt if same and self.since_s == 0.0 else 0.0
+        self.level, self.since_s = 0.0 if math.isnan(command) else command, 0.0
+        self.force = 0.0 if math.isnan(force) else force
+
+    def _count(self, *, same: bool) -> None:
+        """Count a release that is over, as a spike if the force has not followed it."""
+        if same and self.released * _MOST_ERROR > _FORCE_ERROR * self.since_s:
+            share = self.followed / self.released
+            self.spikes = max(self.spikes + (1.0 if share < _IGNORED else -1.0 if share > _FOLLOWED else 0.0), 0.0)
+        self.since_s = 0.0
+
+
+# A report of the force stands out by this [N/kN].
 _SPIKE: Final = 12.0
-_SPIKE_BASE: Final = 0.3
 # Log-likelihood that the force was wrong rather than traction cut for a moment, as slip protection does: limit of the
 # sum (e^4 = 55 to 1), most of one spike by the speed, memory [s]. A cut is towards zero, and the speed answers to it;
 # traction hardly rises for a moment, but may where a controller knows two steps only.
@@ -155,13 +246,12 @@ _SAMPLES: Final = 3
 
 
 @dataclass(slots=True)
-class SpikeCheck:
+class SpikeCheck(SpikeCount):
     """Single reports of the force that stand out, and are no short cuts of traction.
 
     Brought to the stamps of the speed, a report shows in up to two samples; those before and after them are compared.
 
     Attributes:
-        finding: What is wrong, empty if nothing is.
         last: Last specific force [N/kN].
         before: The one before.
         earlier: The one before that.
@@ -173,12 +263,10 @@ class SpikeCheck:
         dt: Length of the last interval [s].
         dt_before: That of the one before.
         passed: Number of samples since the last spike, up to those that may still hold it.
-        spikes: Number of spikes, with forgetting.
         evidence: Log-likelihood of spikes against cuts of traction, with forgetting.
 
     """
 
-    finding: str = ''
     last: float = 0.0
     before: float = 0.0
     earlier: float = 0.0
@@ -190,13 +278,7 @@ class SpikeCheck:
     dt: float = 0.0
     dt_before: float = 0.0
     passed: int = 0
-    spikes: float = 0.0
     evidence: float = 0.0
-
-    @property
-    def limit(self) -> float:
-        """Most spikes, with forgetting."""
-        return _SPIKES
 
     @property
     def is_suspected(self) -> bool:
@@ -214,30 +296,33 @@ class SpikeCheck:
             dt: Time since the last sample [s].
 
         """
-        earlier, before, last = self.earlier, self.before, self.last
-        force = last if math.isnan(force) else force
-        self.spikes *= math.exp(-dt / _SPIKE_MEMORY_S)
+        self.forget(dt)
         self.evidence *= math.exp(-dt / _EVIDENCE_MEMORY_S)
+        force = self.last if math.isnan(force) else force
+        area = mean * dt
         self.passed = min(self.passed + 1, _SAMPLES)
-        peak = before if abs(before - earlier) > abs(last - earlier) else last
-        height = abs(peak - earlier)
-        uneven = max(abs(force - earlier), abs(earlier - self.first))
-        if height > _SPIKE and uneven < _SPIKE_BASE * height and self.passed == _SAMPLES:
-            base = 0.5 * (earlier + force)
-            rest = base * (self.dt_before + self.dt + dt)
-            area = self.area_before + self.area + mean * dt - rest
-            self._judge(peak, base, area, self.answer_before + self.answer + answer - rest, std)
-            self.passed = 0
-        self.first, self.earlier, self.before, self.last = earlier, before, last, force
-        self.area_before, self.area = self.area, mean * dt
+        if self.passed == _SAMPLES:
+            self._find(force, area, answer, std, dt)
+        self.first, self.earlier, self.before, self.last = self.earlier, self.before, self.last, force
+        self.area_before, self.area = self.area, area
         self.answer_before, self.answer = self.answer, answer
         self.dt_before, self.dt = self.dt, dt
-        if self.spikes > _SPIKES and self.evidence > _EVIDENCE:
-            self.finding = 'ato/force has spikes'
-        elif self.spikes < _NO_SPIKES:
-            self.finding = ''
+        self.judge('ato/force', certain=self.evidence > _EVIDENCE)
 
-    def _judge(self, peak: float, base: float, area: float, answer: float, std: float) -> None:
+    def _find(self, force: float, area: float, answer: float, std: float, dt: float) -> None:
+        """Look for a spike in the two samples before this one."""
+        earlier, before, last = self.earlier, self.before, self.last
+        peak = before if abs(before - earlier) > abs(last - earlier) else last
+        height = abs(peak - earlier)
+        if height <= _SPIKE or max(abs(force - earlier), abs(earlier - self.first)) >= _SAME * height:
+            return
+        self.passed = 0
+        base = 0.5 * (earlier + force)
+        rest = base * (self.dt_before + self.dt + dt)
+        area = self.area_before + self.area + area - rest
+        self._weigh(peak, base, area, self.answer_before + self.answer + answer - rest, std)
+
+    def _weigh(self, peak: float, base: float, area: float, answer: float, std: float) -> None:
         """Count a peak on a base [N/kN] by its area and the answer of the speed: 0, or all of the area."""
         evidence = 0.0
         if min(peak * base, (base - peak) * base) < 0.0:  # beyond its neighbours, or on the other side: no cut
@@ -247,8 +332,5 @@ class SpikeCheck:
             evidence += min(max(by_speed, -_MOST_EVIDENCE), _MOST_EVIDENCE)
         elif evidence == 0.0:
             return
-        self._count(evidence)
-
-    def _count(self, evidence: float) -> None:
         self.spikes += 1.0
         self.evidence = max(self.evidence + evidence, -_EVIDENCE)

@@ -37,8 +37,14 @@ _BLOCK_S: Final = 0.5
 # Slower trains may stand or shunt [m/s]. A command below this brakes [m/s^2].
 _MIN_SPEED: Final = 1.0
 _BRAKING: Final = -0.02
-# Change of a command that a brake need not follow [m/s^2].
+# Change of a command that a brake need not follow [m/s^2], and as a share of the command [1].
 _STEADY: Final = 0.02
+_STEADY_SHARE: Final = 0.1
+# A brake command as strong as any, where some were not seen [m/s^2].
+_UNSEEN: Final = -3.0
+# A brake command that holds a train on any gradient [m/s^2], and a rise of the speed that is no noise [m/s].
+_HOLDING: Final = -0.3
+_ROLLING: Final = 0.2
 # Residual that no resistance explains [N/kN], and shares of traction and brake added to it [1].
 _SUDDEN: Final = 12.0
 _SUDDEN_TRACTION: Final = 0.4
@@ -55,12 +61,13 @@ _ANSWER_STD: Final = 3.0
 _FOLLOWED: Final = 2.0
 # Decay of a sudden residual while nothing can be compared [s].
 _RESIDUAL_S: Final = 5.0
-# Error of the gradient that needs no second look [per mille]. Error of the position [m], share of the distance driven
-# added, since worn wheels may be 0.5 % off and not all positions are corrected on the way, and most of it [m].
+# Error of the gradient that needs no second look [per mille]. Error of the position [m], and share of the distance
+# driven added, since worn wheels may be .5 % off and not all are corrected on the way. Shares of it at which the line
+# is looked up, nearer ones first [1].
 _SAME_GRADIENT: Final = 0.5
 _POSITION_ERROR: Final = 30.0
 _POSITION_DRIFT: Final = 0.006
-_MOST_OFF: Final = 300.0
+_SHARES: Final = tuple(sign * k / 8.0 for k in range(1, 9) for sign in (1.0, -1.0))
 # Distance after a stop at which the direction is known [m].
 _TURNED: Final = 20.0
 # Motion under a finding after which what was learned before is wrong: a single odd moment is over by then [s].
@@ -112,13 +119,13 @@ class PlausibilityMonitor:
 
     @property
     def has_changed(self) -> bool:
-        """True while the balance of forces is improbable by what it was before."""
-        return self.state.change.is_suspected
+        """True while the balance of forces, or that of force and command, is improbable by what it was before."""
+        return self.state.change.is_suspected or self.state.effort.is_suspected
 
     @property
     def has_returned(self) -> bool:
         """True if it is as it was before the last such change, which was then no change of the train."""
-        return self.state.change.has_returned
+        return self.state.change.has_returned and not self.state.effort.has_stayed
 
     @property
     def is_trusted(self) -> bool:
@@ -148,6 +155,7 @@ class PlausibilityMonitor:
             else:
                 state.distance.interrupt()
             self._check_forces(sample, before)
+            self._check_standstill(sample.speed)
         else:
             self._interrupt()
         if finding := state.finding:
@@ -194,7 +202,13 @@ class PlausibilityMonitor:
         if sample.speed < _MIN_SPEED:  # the command may do anything while the train is held
             state.commands.reversals = 0.0
         state.held_s += dt
-        state.steady_s = state.steady_s + dt if abs(state.commands.command - before) < _STEADY else 0.0
+        state.steady_s += dt
+        if abs(state.commands.command - state.steady) > max(_STEADY, _STEADY_SHARE * abs(state.steady)):
+            state.steady, state.steady_s = state.commands.command, 0.0
+        state.strongest = min(state.strongest, state.commands.command) if not sample.brake_gap else _UNSEEN
+        state.strongest_s += dt
+        if state.strongest_s > self._known.settling:
+            state.strongest_before, state.strongest, state.strongest_s = state.strongest, state.commands.command, 0.0
         if (state.commands.command < _BRAKING) != (before < _BRAKING):
             state.held_s, state.has_alternated = 0.0, True
 
@@ -212,6 +226,7 @@ class PlausibilityMonitor:
             resistance = davis(known.train_file.resistance, sample.speed)
             answer = known.inertia * (sample.speed - before) + dt * (known.track(sample) + resistance)
         std = known.inertia * math.sqrt(2.0) * state.noise.std + _ANSWER_STD * 2.0 * dt
+        self._check_command(sample, force)
         state.gradient_spikes.add(sample.gradient, dt)
         state.spikes.add(force, traction, answer if kind == RELEASED else math.nan, std, dt)
         if kind == NO_BLOCK or math.isnan(answer):
@@ -227,6 +242,22 @@ class PlausibilityMonitor:
             self._close(block, sample)
             self._check_gradient(sample)
             block.kind = NO_BLOCK
+
+    def _check_command(self, sample: Sample, force: float) -> None:
+        """Compare the brake command with the reported force [N/kN]."""
+        state, known, is_moving = self.state, self._known, sample.speed >= _MIN_SPEED
+        state.releases.add(sample.brake_command if is_moving else math.nan, force, self._followed_s, sample.dt)
+        if is_moving and sample.brake_command < _BRAKING and not sample.emergency:
+            most = min(state.strongest, state.strongest_before)
+            state.effort.compare(force, known.inertia * known.train_file.brake.rate_at(sample.speed) * most)
+
+    def _check_standstill(self, speed: float) -> None:
+        """Contradict a speed [m/s] that rises from a standstill while the brake holds the train."""
+        state = self.state
+        holds = state.commands.command < _HOLDING and state.held_s > self._followed_s
+        state.slowest = min(state.slowest, speed) if holds else speed
+        if state.slowest < STANDING and speed - state.slowest > _ROLLING + _SIGMAS * state.noise.std:
+            state.balance.contradict()
 
     def _kind(self, sample: Sample) -> int:
         """Return whether only traction acts, or the brake has followed the command."""
@@ -257,8 +288,8 @@ class PlausibilityMonitor:
         state.brake.take(y, brake, limit + noise)
         self._judge_brake(noise)
         if state.steady_s > self._followed_s + _BLOCK_S:
-            state.effort.add(traction, brake)
-            state.effort.judge_effort(state.brake)
+            state.effort.take(traction, brake)
+            state.effort.judge(state.brake)
         if traction > _DRIVING:
             state.balance.contradict()
 
@@ -294,8 +325,10 @@ class PlausibilityMonitor:
             return
         expected = least = most = line.gradient(here, sample.direction)
         if abs(sample.gradient - expected) > _SAME_GRADIENT:
-            off = min(_POSITION_ERROR + _POSITION_DRIFT * driven, _MOST_OFF)
-            for share in (-1.0, -0.5, 0.5, 1.0):
+            off = _POSITION_ERROR + _POSITION_DRIFT * driven
+            for share in _SHARES:
+                if least <= sample.gradient <= most:
+                    break
                 nearby = line.gradient(here + share * off, sample.direction)
                 least, most = min(least, nearby), max(most, nearby)
         self.state.line.add(sample.gradient, expected, least, most, self._line_std)

@@ -12,9 +12,9 @@ from trainid_ros.stream.balance_check import BalanceCheck
 from trainid_ros.stream.change_check import ChangeCheck
 from trainid_ros.stream.distance_check import DistanceCheck
 from trainid_ros.stream.line_check import LineCheck
-from trainid_ros.stream.message_check import CommandCheck, ExcursionCheck, SpikeCheck
+from trainid_ros.stream.message_check import CommandCheck, ExcursionCheck, ReleaseCheck, SpikeCheck
 from trainid_ros.stream.shift_check import ShiftCheck
-from trainid_ros.stream.slope import BRAKE_RANGE, TRACTION_RANGE, Slope
+from trainid_ros.stream.slope import BRAKE_RANGE, TRACTION_RANGE, Effort, Slope
 
 # Noise of the speed at the start [m/s].
 _SPEED_STD: Final = 0.025
@@ -72,6 +72,7 @@ class PlausibilityState:
     Attributes:
         commands: Check for two publishers of the brake command.
         command_spikes: Check for spikes of the brake command.
+        releases: Check for spikes of the brake command towards zero.
         spikes: Check for spikes of the force.
         gradient_spikes: Check for spikes of the gradient.
         distance: Check of speed against position.
@@ -91,7 +92,12 @@ class PlausibilityState:
         noise: Noise of the speed.
         block: The block that is being filled.
         held_s: Time since the brake was applied, or released [s].
-        steady_s: Time since the brake command has changed [s].
+        slowest: Lowest speed since the brake has followed its command, the speed itself before that [m/s].
+        strongest: Strongest brake command since some time [m/s^2].
+        strongest_before: That over the same time before [m/s^2].
+        strongest_s: This time [s].
+        steady: Brake command when it last changed by more than a brake need follow [m/s^2].
+        steady_s: Time since then [s].
         has_alternated: True if it was applied or released since the last finding about it.
         driven: Distance driven [m].
         stopped: The same at the last stop [m].
@@ -103,19 +109,26 @@ class PlausibilityState:
     commands: CommandCheck = field(default_factory=CommandCheck)
     command_spikes: ExcursionCheck = field(
         default_factory=lambda: ExcursionCheck(
-            'ato/brake_command', _COMMAND_SPIKE, _COMMAND_SPIKE_S, _COMMAND_HELD_S, -1.0
+            topic='ato/brake_command',
+            height=_COMMAND_SPIKE,
+            longest_s=_COMMAND_SPIKE_S,
+            calm_s=_COMMAND_HELD_S,
+            direction=-1.0,
         )
     )
+    releases: ReleaseCheck = field(default_factory=ReleaseCheck)
     spikes: SpikeCheck = field(default_factory=SpikeCheck)
     gradient_spikes: ExcursionCheck = field(
-        default_factory=lambda: ExcursionCheck('ato/gradient', _GRADIENT_SPIKE, _GRADIENT_SPIKE_S)
+        default_factory=lambda: ExcursionCheck(
+            topic='ato/gradient', height=_GRADIENT_SPIKE, longest_s=_GRADIENT_SPIKE_S
+        )
     )
     distance: DistanceCheck = field(default_factory=DistanceCheck)
     line: LineCheck = field(default_factory=LineCheck)
     shift: ShiftCheck = field(default_factory=ShiftCheck)
     traction: Slope = field(default_factory=Slope)
     brake: Slope = field(default_factory=Slope)
-    effort: Slope = field(default_factory=Slope)
+    effort: Effort = field(default_factory=Effort)
     balance: BalanceCheck = field(default_factory=BalanceCheck)
     change: ChangeCheck = field(default_factory=ChangeCheck)
     last: str = ''
@@ -127,6 +140,11 @@ class PlausibilityState:
     noise: SpeedNoise = field(default_factory=lambda: SpeedNoise.declared(_SPEED_STD, robust=True))
     block: Block = field(default_factory=Block)
     held_s: float = 0.0
+    slowest: float = 0.0
+    strongest: float = 0.0
+    strongest_before: float = 0.0
+    strongest_s: float = 0.0
+    steady: float = 0.0
     steady_s: float = 0.0
     has_alternated: bool = True
     driven: float = 0.0
@@ -137,8 +155,7 @@ class PlausibilityState:
     @property
     def is_valid(self) -> bool:
         """True if all collections have a possible length."""
-        slopes = self.traction.is_valid and self.brake.is_valid and self.effort.is_valid
-        return self.shift.is_valid and slopes and self.change.is_valid
+        return self.shift.is_valid and self.traction.is_valid and self.brake.is_valid and self.change.is_valid
 
     @property
     def finding(self) -> str:
@@ -146,6 +163,7 @@ class PlausibilityState:
         return (
             self.commands.finding
             or self.command_spikes.finding
+            or self.releases.finding
             or self.spikes.finding
             or self.gradient_spikes.finding
             or self.traction.finding
@@ -161,10 +179,11 @@ class PlausibilityState:
     @property
     def is_suspected(self) -> bool:
         """True while the last seconds are improbable by those before."""
-        spikes = self.spikes.is_suspected or self.command_spikes.is_suspected or self.gradient_spikes.is_suspected
+        commands = self.command_spikes.is_suspected or self.releases.is_suspected
+        spikes = self.spikes.is_suspected or commands or self.gradient_spikes.is_suspected
         late = self.shift.is_suspected and self.moved_s < _SUSPECTED_S
         sudden = self.balance.is_suspected or self.change.is_suspected
-        slopes = self.traction.is_suspected or self.brake.is_suspected
+        slopes = self.traction.is_suspected or self.brake.is_suspected or self.effort.is_suspected
         return sudden or slopes or late or spikes or self.distance.is_suspected or self.line.is_suspected
 
     @property
@@ -174,6 +193,7 @@ class PlausibilityState:
         for finding, value, limit in (
             (self.commands.finding, self.commands.reversals, self.commands.limit),
             (self.command_spikes.finding, self.command_spikes.spikes, self.command_spikes.limit),
+            (self.releases.finding, self.releases.spikes, self.releases.limit),
             (self.spikes.finding, self.spikes.spikes, self.spikes.limit),
             (self.gradient_spikes.finding, self.gradient_spikes.spikes, self.gradient_spikes.limit),
             (traction.finding, traction.value, traction.limit(TRACTION_RANGE)),
@@ -181,7 +201,7 @@ class PlausibilityState:
             (self.effort.finding, self.effort.value, 1.0),
             (self.distance.finding, self.distance.error, self.distance.limit),
             (shift.finding, shift.delay, 0.0),
-            (self.line.finding, self.line.lately, self.line.limit),
+            (self.line.finding, self.line.value, self.line.limit),
             (self.change.finding, self.change.ratio, 1.0),
         ):
             if finding:

@@ -133,7 +133,7 @@ class SampleStream:
 
     @property
     def has_changed(self) -> bool:
-        """True while the balance of forces is improbable by what it was before."""
+        """True while the balance of forces, or that of force and command, is improbable by what it was before."""
         return self._plausibility.has_changed
 
     @property

@@ -28,34 +28,83 @@ _MIN_BLOCKS: Final = 6.0
 # Correlation below which y and x do not belong together [1], after this many blocks.
 _UNRELATED: Final = 0.5
 _UNRELATED_BLOCKS: Final = 12.0
+# Ratios of effort and deceleration to the command: both are beyond this if the command is wrong, and agree within this
+# with each other; it is right again within this [1].
+_WRONG: Final = 1.35
+_SAME: Final = 1.25
+_RIGHT: Final = 1.2
+# An effort is off by this share of the usual one [1], this many usual deviations, and this force [N/kN]. A deviation
+# counts for at most so many usual ones; these are learned with this memory [blocks], from this on [1].
+_OFF: Final = 0.3
+_OFF_SIGMAS: Final = 4.0
+_OFF_FORCE: Final = 6.0
+_LEARNED_SIGMAS: Final = 3.0
+_USUAL_MEMORY: Final = 100.0
+_USUAL: Final = 0.05
+# Blocks in a row that are off before the effort is suspected.
+_OFF_BLOCKS: Final = 2
+_G: Final = 9.81
+# Slope of the brake below which the train does not brake [1].
+_NO_BRAKING: Final = 0.2
 
 
 @dataclass(slots=True)
-class Slope:
+class Regression:
     """Regression y = R x through the origin, with exponential forgetting.
 
     Attributes:
+        finding: What is wrong, empty if nothing is.
         yy: Sum of y^2 [(N/kN)^2].
         xx: Sum of x^2 [(N/kN)^2].
         yx: Sum of y x [(N/kN)^2].
         count: Effective number of blocks.
-        off: Number of blocks in a row that are off.
-        held: Their y and x in turn, while they do not count [N/kN].
-        offset: Error of y that does not grow with x [N/kN].
-        excess: By how much y is outside the limits of the slope, in root mean square [N/kN]; 0 while it is not known.
-        finding: What is wrong, empty if nothing is.
 
     """
 
+    finding: str = ''
     yy: float = 0.0
     xx: float = 0.0
     yx: float = 0.0
     count: float = 0.0
+
+    def add(self, y: float, x: float) -> None:
+        """Add the means of one block [N/kN]."""
+        keep = 1.0 - 1.0 / (_SHORT if self.finding else _MEMORY)
+        self.yy = keep * self.yy + y * y
+        self.xx = keep * self.xx + x * x
+        self.yx = keep * self.yx + y * x
+        self.count = keep * self.count + 1.0
+
+    @property
+    def value(self) -> float:
+        """The slope R [1]; 0 where x is always 0."""
+        return self.yx / self.xx if self.xx > 0.0 else 0.0
+
+    @property
+    def is_known(self) -> bool:
+        """True if there is enough evidence for the slope."""
+        if self.count < _MIN_BLOCKS or self.xx <= 0.0:
+            return False
+        rest = max(self.yy - self.value * self.yx, 0.0) / self.count
+        return math.sqrt(rest / self.xx) < _KNOWN * max(1.0, abs(self.value))
+
+
+@dataclass(slots=True)
+class Slope(Regression):
+    """Slope of the acceleration over traction or brake.
+
+    Attributes:
+        off: Number of blocks in a row that are off.
+        held: Their y and x in turn, while they do not count [N/kN].
+        offset: Error of y that does not grow with x [N/kN].
+        excess: By how much y is outside the limits of the slope, in root mean square [N/kN]; 0 while it is not known.
+
+    """
+
     off: int = 0
     held: tuple[float, ...] = ()
     offset: float = _OFFSET
     excess: float = 0.0
-    finding: str = ''
 
     @property
     def is_valid(self) -> bool:
@@ -75,30 +124,9 @@ class Slope:
                 self.add(self.held[k], self.held[k + 1])
             self.held = ()
 
-    def add(self, y: float, x: float) -> None:
-        """Add the means of one block [N/kN]."""
-        keep = 1.0 - 1.0 / (_SHORT if self.finding else _MEMORY)
-        self.yy = keep * self.yy + y * y
-        self.xx = keep * self.xx + x * x
-        self.yx = keep * self.yx + y * x
-        self.count = keep * self.count + 1.0
-
-    @property
-    def value(self) -> float:
-        """The slope R [1]; 0 where x is always 0."""
-        return self.yx / self.xx if self.xx > 0.0 else 0.0
-
     def limit(self, limits: tuple[float, float]) -> float:
         """Return the limit on the side of the slope."""
         return limits[1] if self.value > 1.0 else limits[0]
-
-    @property
-    def is_known(self) -> bool:
-        """True if there is enough evidence for the slope."""
-        if self.count < _MIN_BLOCKS or self.xx <= 0.0:
-            return False
-        rest = max(self.yy - self.value * self.yx, 0.0) / self.count
-        return math.sqrt(rest / self.xx) < _KNOWN * max(1.0, abs(self.value))
 
     @property
     def is_plausible(self) -> bool:
@@ -131,18 +159,6 @@ class Slope:
         elif self.is_unrelated(noise):
             self.finding = 'the speed does not follow ato/brake_command: one of them is stuck or of another train'
 
-    def judge_effort(self, brake: Slope) -> None:
-        """Judge the slope of the reported force over the command, together with that of the acceleration."""
-        if not (self.is_known and brake.is_known):
-            return
-        by_force, by_speed = self.value, brake.value
-        agree = _agree(by_force, by_speed, _SAME)
-        if agree and not _agree(by_force, 1.0, _WRONG) and not _agree(by_speed, 1.0, _WRONG):
-            unit = 'looks like g' if is_near(by_force, _G) else 'is off'
-            self.finding = f'ato/brake_command {unit}: speed and ato/force brake {by_force:.2g} times as much'
-        elif not agree or _agree(by_force, 1.0, _RIGHT):
-            self.finding = ''
-
     def _is_judged(self, limits: tuple[float, float], offset: float) -> bool:
         """Compare the slope with its limits, beyond an offset of y [N/kN]; return whether it is known."""
         self.offset, self.excess = offset, 0.0
@@ -153,21 +169,70 @@ class Slope:
         return True
 
 
-# Ratios of effort and deceleration to the command: both are beyond this if the command is wrong, and agree within this
-# with each other; it is right again within this [1].
-_WRONG: Final = 1.35
-_SAME: Final = 1.25
-_RIGHT: Final = 1.2
+@dataclass(slots=True)
+class Effort(Regression):
+    """Slope of the reported force over the brake command, while the brake is applied: 1 whatever the brake rate is.
+
+    Attributes:
+        usual: The slope as it has been for long [1].
+        square: Mean square of the deviations of single blocks from it, as shares of it [1].
+        off: Number of blocks in a row that are off.
+        has_stayed: True if the last suspicion ended because such deviations have become usual.
+
+    """
+
+    usual: float = 1.0
+    square: float = _USUAL * _USUAL
+    off: int = 0
+    has_stayed: bool = False
+
+    @property
+    def is_suspected(self) -> bool:
+        """True while the force is suddenly another one for the same command."""
+        return self.off >= _OFF_BLOCKS
+
+    def take(self, y: float, x: float) -> None:
+        """Add force and command of one block, both as forces [N/kN]."""
+        self.add(y, x)
+        expected = self.usual * x
+        size, deviation = max(abs(expected), _OFF_FORCE), abs(y - expected)
+        limit = self._limit(size)
+        share = min(deviation / size, _LEARNED_SIGMAS * math.sqrt(self.square))
+        self.square += (max(share * share, _USUAL * _USUAL) - self.square) / _USUAL_MEMORY
+        if deviation > limit:
+            self.off, self.has_stayed = self.off + 1, False
+            return
+        if self.is_suspected:
+            self.has_stayed = deviation > max(_OFF * size, _OFF_FORCE)
+        self.off = 0
+        self.usual += (self.value - self.usual) / _MEMORY
+
+    def compare(self, y: float, x: float) -> None:
+        """Suspect a force [N/kN] beyond that of the strongest command that may still act, as a force."""
+        expected = self.usual * x
+        if self.off < _OFF_BLOCKS and y < expected - self._limit(max(abs(expected), _OFF_FORCE)):
+            self.off, self.has_stayed = self.off + 1, False
+
+    def _limit(self, size: float) -> float:
+        """Return the largest deviation from an expected force of this size [N/kN]."""
+        return max(max(_OFF, _OFF_SIGMAS * math.sqrt(self.square)) * size, _OFF_FORCE)
+
+    def judge(self, brake: Slope) -> None:
+        """Judge the slope together with that of the acceleration over the command."""
+        if not (self.is_known and brake.is_known):
+            return
+        by_force, by_speed = self.value, brake.value
+        agree = _agree(by_force, by_speed, _SAME)
+        if agree and not _agree(by_force, 1.0, _WRONG) and not _agree(by_speed, 1.0, _WRONG):
+            unit = 'looks like g' if is_near(by_force, _G) else 'is off'
+            self.finding = f'ato/brake_command {unit}: speed and ato/force brake {by_force:.2g} times as much'
+        elif not agree or _agree(by_force, 1.0, _RIGHT):
+            self.finding = ''
 
 
 def _agree(ratio: float, other: float, factor: float) -> bool:
     """Return whether two ratios differ by less than a factor."""
     return other < factor * ratio and ratio < factor * other
-
-
-_G: Final = 9.81
-# Slope of the brake below which the train does not brake [1].
-_NO_BRAKING: Final = 0.2
 
 
 def is_near(ratio: float, factor: float) -> bool:

@@ -291,3 +291,14 @@ def test_reset_equals_new(drive: Any, run: Any) -> None:
     assert used.newest_ns == 0
     again = [event for record in drive(10.0) for event in used.push(record)]
     assert repr(again) == repr(run(drive(10.0)))
+
+
+def test_records_of_one_topic_with_stray_stamps_are_kept_up_to_a_number_and_then_rejected(drive: Any) -> None:
+    aligner = Aligner(CONFIG)
+    for record in drive(10.0):
+        aligner.push(record)
+    stray = [SpeedRecord(at(3600.0 + 0.2 * k), 10.0, 0.0) for k in range(40)]
+    rejected = [event for record in stray for event in aligner.push(record) if isinstance(event, Rejection)]
+    # Two of each of five topics, and one more.
+    assert len(aligner.state.suspects.x) == 11
+    assert len(rejected) == 40 - 11
