@@ -158,7 +158,11 @@ def test_trains_of_one_bag_are_replayed_by_one_mapping(tmp_path: Path, capsys: p
 def test_a_field_that_does_not_exist_is_named(foreign: Path) -> None:
     with (
         reader(foreign, MAPPING.replace('linear.x', 'linear.w')) as bag,
-        pytest.raises(InputError, match=r'topic odo/twist: field twist\.linear\.w is not a number'),
+        pytest.raises(
+            InputError,
+            match=r'/bag: topic odo/twist: field twist\.linear\.w is not a number of geometry_msgs/msg/TwistStamped '
+            r'\(fields of twist.linear: x, y, z\)',
+        ),
     ):
         list(bag.records())
 

@@ -59,6 +59,12 @@ def test_bags_that_are_gone_are_no_answer(table: Path, capsys: pytest.CaptureFix
     assert 'By its bags: no answer (3/5: no such bag)' in capsys.readouterr().out
 
 
+@pytest.mark.parametrize('name', ['none.parquet', 'none.csv'])
+def test_a_table_that_is_not_there_is_an_error(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(['fleet', 'report', str(tmp_path / name)]) == 2
+    assert f'{name}: cannot be read (No such file or directory)' in capsys.readouterr().err
+
+
 def test_a_table_without_trains_is_no_answer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_table([row | {'train': None} for row in fleet_rows(1, 3, 3)], tmp_path / 't.csv', {})
     assert main(['fleet', 'report', str(tmp_path / 't.csv')]) == 1

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -54,6 +55,7 @@ def test_only_a_brake_may_be_unknown() -> None:
     assert isinstance(signal, Signal)
     (source,) = signal.sources
     assert source.read(SimpleNamespace(data=1)) == UNKNOWN_EFFORT
+    assert replace(source, sign=-1.0).read(SimpleNamespace(data=1)) == UNKNOWN_EFFORT
     with pytest.raises(InputError, match='unknown'):
         parse_mapping('gradient: {topic: /g, field: data, table: {1: unknown}}', 'map.yaml')
 
@@ -160,6 +162,9 @@ def test_a_value_passes_sign_gain_offset_table_and_unit() -> None:
         ('force: {sum: [{topic: /x}]}', r'force.sum\[0\].field is missing'),
         ('brake_command: {topic: /x, field: x, table: {}}', 'brake_command.table'),
         ('brake_command: {topic: /x, field: x, table: {a: 1.0}}', 'brake_command.table'),
+        ('brake_command: {topic: /x, field: x, table: {0: 0, 1: 0.3}}', r'brake_command.table.1 gives 0.3 m/s\^2'),
+        ('brake_command: {topic: /x, field: x, sign: -1, table: {1: -0.3}}', 'brake_command.table.1 gives 0.3'),
+        ('brake_command: {value: 0.3}', 'brake_command.value gives 0.3'),
         ('brake_command: {topic: /x, field: x, on_change: 1}', 'brake_command.on_change'),
         ('brake_command: {value: x}', "brake_command.value = 'x' must be a number"),
         ('brake_command: {value: 0, topic: /x}', 'brake_command.topic is not a known field'),

@@ -9,6 +9,7 @@ from enum import Enum
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from trainid_ros.errors import InputError
+from trainid_ros.mapping.message_fields import names_of, type_of
 from trainid_ros.mapping.units import Unit
 from trainid_ros.records import BRAKE_TOPIC, FORCE_TOPIC, GRADIENT_TOPIC, MASS_TOPIC, SPEED_TOPIC
 
@@ -71,16 +72,21 @@ class Source:
         """Return a number in the unit of the interface; NaN for one that is not in the table."""
         if self.table:
             raw = dict(self.table).get(raw, math.nan)
+        if raw == UNKNOWN_EFFORT:
+            return raw
         return self.unit.convert(self.sign * self.gain * raw + self.offset)
 
     def _raw(self, message: Any) -> float:
-        value = message
+        value, reached = message, ''
         try:
             for step in self.path:
                 value = value[step] if isinstance(step, int) else getattr(value, step)
+                reached = f'{reached}.{step}'.lstrip('.')
             return float(value)
         except (AttributeError, IndexError, TypeError, ValueError):
-            msg = f'topic {self.topic}: field {self.field} is not a number of {type(message).__name__}'
+            names = ', '.join(names_of(value))
+            hint = f' (fields{" of " if reached else ""}{reached}: {names})' if names else ''
+            msg = f'topic {self.topic}: field {self.field} is not a number of {type_of(message)}{hint}'
             raise InputError(msg) from None
 
 
