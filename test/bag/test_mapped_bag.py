@@ -173,6 +173,10 @@ def test_replay_takes_a_mapping_file(foreign: Path, tmp_path: Path, capsys: pyte
     mapping.write_text(MAPPING, encoding='utf-8')
     assert main(['replay', str(foreign), '--train', str(train), '--map', str(mapping)]) in (0, 1)
     assert '50 samples' in capsys.readouterr().out
+    params = tmp_path / 'params.yaml'
+    params.write_text(f'/**: {{ros__parameters: {{mapping_file: {mapping}}}}}', encoding='utf-8')
+    assert main(['replay', str(foreign), '--train', str(train), '--params', str(params)]) in (0, 1)
+    assert '50 samples' in capsys.readouterr().out
     mapping.write_text('speed: {topic: /x}', encoding='utf-8')
     assert main(['replay', str(foreign), '--train', str(train), '--map', str(mapping)]) == 2
     assert 'map.yaml: speed.field is missing' in capsys.readouterr().err

@@ -114,6 +114,15 @@ def test_a_function_is_named_with_what_it_gets(tmp_path: Path) -> None:
     ]
 
 
+def test_texts_name_the_topics_that_are_read() -> None:
+    mapping = parse_mapping(WHOLE, 'map.yaml')
+    assert mapping.named('no ato/force at the stamps of ato/speed') == (
+        'no car1/force + car2/force at the stamps of /odo/twist'
+    )
+    assert mapping.named('ato/gradient, not /t1/ato/speed') == 'the gradient of the mapping, not /t1/ato/speed'
+    assert OWN.named('no ato/force') == 'no ato/force'
+
+
 def test_what_is_missing_is_the_topic_of_our_own() -> None:
     mapping = parse_mapping('mass: {topic: /load, field: data}', 'map.yaml')
     assert mapping.replaced == {'ato/mass'}

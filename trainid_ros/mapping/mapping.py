@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, fields, replace
 from enum import Enum
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
@@ -211,6 +212,13 @@ class Mapping:
         if signal is None:
             return (topic,)
         return tuple(source.topic for source in signal.sources) if isinstance(signal, Signal) else ()
+
+    def named(self, text: str) -> str:
+        """Return a text for people with the topics that are read in place of our own ones, which it may name."""
+        for topic in self.replaced:
+            read = ' + '.join(dict.fromkeys(self.needed(topic))) or f'the {_QUANTITY_OF[topic]} of the mapping'
+            text = re.sub(rf'(?<![\w/]){topic}(?![\w/])', read, text)
+        return text
 
     @property
     def topics(self) -> tuple[str, ...]:
