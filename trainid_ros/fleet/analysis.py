@@ -14,7 +14,7 @@ from trainid_ros.fleet.causes import Cause, causes_of
 from trainid_ros.fleet.changes import Change, Series, Step, find_changes
 from trainid_ros.fleet.channels import CHANNELS, Cells, Channel, Labels, cells_of, labels_of
 from trainid_ros.fleet.departures import Departure, departures, usual_days
-from trainid_ros.fleet.mixed_model import MixedFit, fit
+from trainid_ros.fleet.mixed_model import ROUNDS, MixedFit, fit
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 _LEAST_CELLS: Final = 4
 # Train-days for one false alarm while the model is fitted: what may be a change must not spoil the fit.
 _SCREEN: Final = 50.0
-_MOST_APART: Final = 20
+_MOST_APART: Final = 12
+_ROUGH: Final = 2  # rounds of these fits
 _PASSES: Final = 5
 # What may change from day to day without meaning anything, as a share of a step that matters.
 _SMALLEST: Final = 0.02
@@ -180,23 +181,26 @@ def _screen(labels: Labels, cells: Sequence[tuple[Channel, Cells]], limit: float
     """
     trains = range(len(labels.trains))
     if len(trains) > _MOST_APART:
-        views = _fit(labels, cells, [None] * len(cells))
+        views = _fit(labels, cells, [None] * len(cells), _ROUGH)
         series = [_series(views, labels, k) for k in trains]
     else:
         series = []
         for k in trains:
-            views = _fit(labels, cells, [c.train != k for _, c in cells])
+            views = _fit(labels, cells, [c.train != k for _, c in cells], _ROUGH)
             series.append(_series(views, labels, k))
     return _usual(series, [find_changes(own, limit) for own in series])
 
 
 def _fit(
-    labels: Labels, cells: Sequence[tuple[Channel, Cells]], used: Sequence[NDArray[np.bool_] | None]
+    labels: Labels,
+    cells: Sequence[tuple[Channel, Cells]],
+    used: Sequence[NDArray[np.bool_] | None],
+    rounds: int = ROUNDS,
 ) -> tuple[ChannelView, ...]:
     views = []
     for (channel, found), mine in zip(cells, used, strict=True):
         usual = _LEVEL * channel.change * float(np.median(np.abs(found.value)))
-        views.append(ChannelView(channel, found, fit(found, labels, usual, mine)))
+        views.append(ChannelView(channel, found, fit(found, labels, usual, mine, rounds)))
     return tuple(views)
 
 

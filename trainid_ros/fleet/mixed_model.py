@@ -39,7 +39,8 @@ if TYPE_CHECKING:
 
 DEGREES: Final = (4.0, 8.0, 16.0, 32.0)
 """Degrees of freedom of Student's t among which the data choose."""
-_ROUNDS: Final = 4
+ROUNDS: Final = 4
+"""Rounds after which the weights do not change any more."""
 # A day's effect is the mean of its trains; with fewer on most days it would take away what is a train's own.
 _LEAST_TRAINS: Final = 4
 # Logarithms of variances relative to that of the data.
@@ -207,7 +208,9 @@ class _Solution(NamedTuple):
     cholesky: tuple[Array, bool]
 
 
-def fit(cells: Cells, labels: Labels, level_std: float, used: NDArray[np.bool_] | None = None) -> MixedFit:
+def fit(
+    cells: Cells, labels: Labels, level_std: float, used: NDArray[np.bool_] | None = None, rounds: int = ROUNDS
+) -> MixedFit:
     """Fit the model.
 
     Args:
@@ -215,12 +218,13 @@ def fit(cells: Cells, labels: Labels, level_std: float, used: NDArray[np.bool_] 
         labels: Names of trains and so on.
         level_std: Usual standard deviation among trains.
         used: Cells that count, shape (n,); all if None. The others only get their common effects.
+        rounds: How often the weights are found anew.
 
     """
     used = np.ones(cells.value.size, dtype=np.bool_) if used is None else used
     problem = _Problem(cells, common_effects(cells, labels), len(labels.trains), used, level_std)
     x, degrees = np.array([-1.0, -3.0, -1.0, *np.full(len(problem.effects.names), -2.0)]), DEGREES[1]
-    for _ in range(_ROUNDS):
+    for _ in range(rounds):
         x = minimize(
             problem.loss, x, method='L-BFGS-B', bounds=[_BOUNDS] * x.size, options={'ftol': 1e-7, 'eps': 1e-4}
         ).x
