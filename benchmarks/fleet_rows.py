@@ -38,11 +38,12 @@ if TYPE_CHECKING:
 
     Array = NDArray[np.float64]
 
-_LIBRARY_SEED, _FLEET_SEED = 9_900, 77_000
+_LIBRARY_SEED, _FLEET_SEED = 9_950, 83_000
 _LIBRARY_TRAINS, _LIBRARY_DAYS, _RUNS = 24, 8, 4
 _TRAINS, _DAYS, _WITHIN = 50, 30, 3
 _LIMIT: Final = 20_000.0
 _WEAK: Final = 1.0 / 3.0
+_SMALL_TRAINS, _SMALL_DAYS, _SMALL_STEP = 5, 6, 1.6  # the step in N/kN at 15 m/s
 _CAUSES: Final = dict(zip(FAULTS, ('dragging_brake', 'brake_scale', 'wheel_diameter', 'mass_error'), strict=True))
 
 
@@ -54,7 +55,13 @@ def detection_tables(seeds: int) -> tuple[Table, ...]:
         weak = list(pool.map(score_weak, [library] * seeds, range(_FLEET_SEED + 2000, 100_000)))
         rain = list(pool.map(score_rain, [library] * max(1, seeds // 4), range(_FLEET_SEED + 5000, 100_000)))
         nights = list(pool.map(score_nights, [library] * max(1, seeds // 15), range(_FLEET_SEED + 9000, 100_000)))
-    return _found_table(scores, weak, library), _false_table([*scores, *weak], rain, nights)
+        small = list(pool.map(score_small, [library] * seeds, range(_FLEET_SEED + 12_000, 110_000)))
+        few = list(pool.map(score_few, [library] * seeds, range(_FLEET_SEED + 15_000, 110_000)))
+    return (
+        _found_table(scores, weak, library),
+        _small_table(small),
+        _false_table([*scores, *weak], rain, nights, [*small, *few]),
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -166,6 +173,27 @@ def make_fleet(
     return rows, {f'T{number:02d}': fault for number, fault in faults.items()}
 
 
+def make_small_fleet(library: Library, seed: int, *, broken: bool) -> tuple[list[Row], dict[str, Fault]]:
+    """Return the rows of a small fleet, in which the brake of one train may drag on three days, and that by name."""
+    rng = np.random.default_rng(seed)
+    onset, bad = int(rng.integers(2, _SMALL_DAYS - _WITHIN + 1)), int(rng.integers(_SMALL_TRAINS))
+    kind = FAULTS[0]
+    level = library.mean + library.level_std * rng.standard_normal((_SMALL_TRAINS, 4))
+    wet = (rng.random(_SMALL_DAYS) < 0.2) * (1.0 + 0.3 * rng.standard_normal(_SMALL_DAYS))
+    day = library.day_std * rng.standard_normal((_SMALL_DAYS, 4)) + np.outer(wet, library.wet)
+    rows = []
+    for number in range(_SMALL_TRAINS):
+        for d in range(_SMALL_DAYS):
+            is_bad = broken and number == bad and onset <= d < onset + _WITHIN
+            error, step = (
+                (library.fault_errors[kind], library.steps[kind][1]) if is_bad else (library.errors, np.zeros(4))
+            )
+            drawn = error[rng.integers(len(error))]
+            step = step * (_SMALL_STEP / library.steps[kind][1, 0])
+            rows.append(_row(number, d, level[number] + day[d] + step + drawn[:4], drawn[4:]))
+    return rows, {f'T{bad:02d}': Fault(kind, 1.0, onset)} if broken else {}
+
+
 def _draw_faults(rng: np.random.Generator) -> dict[int, Fault]:
     """Return faults of one or two trains, by number."""
     return {
@@ -206,6 +234,23 @@ def score_fleet(library: Library, seed: int, share: float = 1.0) -> Score:
         in_time = any(change.alarm >= fault.onset for change in train.changes)
         scored.append((fault, in_time, train.causes[0].effect if train.causes else ''))
     return Score(tuple(scored), _false(analyse(rows, _LIMIT), faults))
+
+
+def score_small(library: Library, seed: int) -> Score:
+    """Score a small fleet in which a brake drags on three days: found on the third, and under which name at the end."""
+    rows, faults = make_small_fleet(library, seed, broken=True)
+    ((name, fault),) = faults.items()
+    early, late = (analyse(some, _LIMIT) for some in (_until(rows, fault.onset + _WITHIN), rows))
+    then, now = (next(train for train in view.trains if train.name == name) for view in (early, late))
+    is_found = any(departure.alarm >= fault.onset for departure in then.departures)
+    is_named = now.main is not None and now.main.first == fault.onset
+    cause = now.causes[0].effect if is_named and now.causes else ''
+    return Score(((fault, is_found, cause),), _false(late, faults))
+
+
+def score_few(library: Library, seed: int) -> Score:
+    """Score a small fleet without faults."""
+    return Score((), _false(analyse(make_small_fleet(library, seed, broken=False)[0], _LIMIT), {}))
 
 
 def score_rain(library: Library, seed: int) -> Score:
@@ -252,6 +297,16 @@ def _found_table(scores: Sequence[Score], weak: Sequence[Score], library: Librar
     return Table('Broken trains found, surrogate fleets', header, tuple(rows), note)
 
 
+def _small_table(scores: Sequence[Score]) -> Table:
+    found, named = _found_cells(scores, 'all')
+    note = (
+        f'{len(scores)} surrogate fleets of {_SMALL_TRAINS} trains and {_SMALL_DAYS} days; the brake of one drags on '
+        f'{_WITHIN} days, which adds {_SMALL_STEP} N/kN at 15 m/s. The cause is that of all days, with the right onset.'
+    )
+    header = (f'found within {_WITHIN} days', 'right cause and onset')
+    return Table('A dragging brake in a small fleet', header, ((found, named),), note)
+
+
 def _found_cells(scores: Sequence[Score], kind: str) -> tuple[str, str]:
     """Return how many faults of a kind were found, and how many of these under their cause."""
     own = [item for score in scores for item in score.faults if kind in (item[0].kind, 'all')]
@@ -274,14 +329,17 @@ def _step_text(library: Library, kind: str) -> str:
     return f'{name} {small[k]:+.3f} to {large[k]:+.3f} (error of a run {scale:.2g})'
 
 
-def _false_table(scores: Sequence[Score], rain: Sequence[Score], nights: Sequence[Score]) -> Table:
-    rows = []
-    for name, some in (
-        ('all days, one or two broken', scores),
-        ('rain hits all from day 15 on, none broken', rain),
-        ('a report each night, none broken', nights),
+def _false_table(
+    scores: Sequence[Score], rain: Sequence[Score], nights: Sequence[Score], small: Sequence[Score]
+) -> Table:
+    rows, whole = [], _TRAINS * _DAYS
+    for name, some, each in (
+        ('all days, one or two broken', scores, whole),
+        ('rain hits all from day 15 on, none broken', rain, whole),
+        ('a report each night, none broken', nights, whole),
+        (f'{_SMALL_TRAINS} trains, {_SMALL_DAYS} days, one or none broken', small, _SMALL_TRAINS * _SMALL_DAYS),
     ):
-        days = len(some) * _TRAINS * _DAYS
+        days = len(some) * each
         false = sum(len(score.false) for score in some)
         rows.append((name, str(days), str(false), f'{1500.0 * false / days:.2f}'))
     header = ('surrogate fleets', 'train-days', 'healthy trains named', 'per 1,500 train-days')

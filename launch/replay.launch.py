@@ -38,7 +38,7 @@ def check(context):
 def generate_launch_description():
     """Return what ``ros2 launch trainid_ros replay.launch.py bag:=... train_file:=...`` starts."""
     arguments = (
-        ('bag', 'rosbag2 directory or .mcap file', None),
+        ('bag', 'rosbag2 directory, .mcap or .db3 file', None),
         ('train_file', 'train file (YAML)', None),
         ('mapping_file', 'mapping file (YAML): inputs from other topics, types and units', ''),
         ('rate', 'recorded seconds per second', '1.0'),

@@ -158,7 +158,11 @@ def test_trains_of_one_bag_are_replayed_by_one_mapping(tmp_path: Path, capsys: p
 def test_a_field_that_does_not_exist_is_named(foreign: Path) -> None:
     with (
         reader(foreign, MAPPING.replace('linear.x', 'linear.w')) as bag,
-        pytest.raises(InputError, match=r'topic odo/twist: field twist\.linear\.w is not a number'),
+        pytest.raises(
+            InputError,
+            match=r'/bag: topic odo/twist: field twist\.linear\.w is not a number of geometry_msgs/msg/TwistStamped '
+            r'\(fields of twist.linear: x, y, z\)',
+        ),
     ):
         list(bag.records())
 
@@ -168,6 +172,10 @@ def test_replay_takes_a_mapping_file(foreign: Path, tmp_path: Path, capsys: pyte
     train.write_text('train: {mass: 194000.0}\nresistance: {a: 1.5, b: 0.02, c: 0.001}\n', encoding='utf-8')
     mapping.write_text(MAPPING, encoding='utf-8')
     assert main(['replay', str(foreign), '--train', str(train), '--map', str(mapping)]) in (0, 1)
+    assert '50 samples' in capsys.readouterr().out
+    params = tmp_path / 'params.yaml'
+    params.write_text(f'/**: {{ros__parameters: {{mapping_file: {mapping}}}}}', encoding='utf-8')
+    assert main(['replay', str(foreign), '--train', str(train), '--params', str(params)]) in (0, 1)
     assert '50 samples' in capsys.readouterr().out
     mapping.write_text('speed: {topic: /x}', encoding='utf-8')
     assert main(['replay', str(foreign), '--train', str(train), '--map', str(mapping)]) == 2

@@ -89,6 +89,7 @@ def test_what_has_changed_is_replayed_again(depot: Path, capsys: pytest.CaptureF
         (('--map', 'none.yaml'), 'none.yaml: cannot be read'),
         (('--out', 't.xlsx'), 'ends with .parquet or .csv'),
         (('--scheduler', 'tcp://127.0.0.1:1'), '--scheduler tcp://127.0.0.1:1: cannot be reached'),
+        (('--scheduler', 'bla'), '--scheduler bla: cannot be reached (an address is like tcp://host:8786)'),
     ],
 )
 def test_bad_usage_is_one_line(

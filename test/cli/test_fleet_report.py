@@ -43,11 +43,26 @@ def test_text_json_and_page_name_the_train(table: Path, capsys: pytest.CaptureFi
     assert found['changes'][0]['steps']['brake_rate']['after'] < found['changes'][0]['steps']['brake_rate']['before']
 
 
+def test_a_fault_that_has_ended_is_told_with_its_days(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / 't.csv'
+    write_table(fleet_rows(14, 8, 12, {3: (4, 1.5 * PADS)}, lasts=4), path, {})
+    assert main(['fleet', 'report', str(path)]) == 0
+    text = capsys.readouterr().out
+    assert 'Changed on 2026-03-05 until 2026-03-08, certain on 2026-03-06' in text
+    assert 'By the channels: worn or glazed brake pads' in text
+
+
 def test_bags_that_are_gone_are_no_answer(table: Path, capsys: pytest.CaptureFixture[str]) -> None:
     plan = {'setup': {'train': 'bags/tiny/train.yaml', 'mapping': None, 'namespace': '/', 'max_chunk': 1 << 20}}
     table.with_name('t.csv.plan.json').write_text(json.dumps(plan), encoding='utf-8')
     assert main(['fleet', 'report', str(table), '--explain', '1']) == 0
     assert 'By its bags: no answer (3/5: no such bag)' in capsys.readouterr().out
+
+
+@pytest.mark.parametrize('name', ['none.parquet', 'none.csv'])
+def test_a_table_that_is_not_there_is_an_error(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(['fleet', 'report', str(tmp_path / name)]) == 2
+    assert f'{name}: cannot be read (No such file or directory)' in capsys.readouterr().err
 
 
 def test_a_table_without_trains_is_no_answer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -2,7 +2,7 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 import pytest
 
@@ -10,9 +10,6 @@ from trainid_ros.bag.types import message_from_record
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.cli.main import main
 from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 STAMP = 1_700_000_000 * NS_PER_S
 
@@ -43,6 +40,11 @@ def test_columns_are_aligned(tmp_path: Path, capsys: pytest.CaptureFixture[str])
     main(['info', str(write(tmp_path / 'bag'))])
     table = capsys.readouterr().out.split('\n\n')[1].splitlines()
     assert len({len(line) for line in table}) == 1
+
+
+def test_a_bag_of_others_is_pointed_to_a_mapping(capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(['info', str(Path(__file__).parents[2] / 'bags' / 'tiny_foreign')]) == 1
+    assert capsys.readouterr().err.endswith('; --suggest-map proposes a mapping\n')
 
 
 def test_bag_without_a_required_topic(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

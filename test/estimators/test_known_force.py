@@ -48,6 +48,12 @@ def test_scales_of_force_and_mass_are_a_resistance_in_traction(train_file: Train
     assert mass.traction(98_066.5, pulling) == pytest.approx(50.0, rel=1e-12)
 
 
+@pytest.mark.parametrize('name', ['mass_error', 'traction_scale'])
+def test_a_missing_force_is_no_traction(name: str, train_file: TrainFile, sample: Make) -> None:
+    """Such a sample is rejected; it must not end the run."""
+    assert with_effect(train_file, name, ratio=1.1).extra(sample(1, force_mean=math.nan)) == 0.0
+
+
 def test_a_reported_brake_force_is_not_traction(train_file: TrainFile, sample: Make) -> None:
     gain = with_effect(train_file, 'traction_scale', ratio=0.9)
     braking = sample(1, force_mean=-98_066.5, motion=Motion(brake=-0.5))

@@ -17,16 +17,21 @@ STATED = 4.0 * ERROR
 
 
 def fleet_rows(
-    seed: int, trains: int, days: int, steps: dict[int, tuple[int, np.ndarray]] | None = None, lines: int = 1
+    seed: int,
+    trains: int,
+    days: int,
+    steps: dict[int, tuple[int, np.ndarray]] | None = None,
+    lines: int = 1,
+    lasts: int | None = None,
 ) -> list[Row]:
-    """Return one row per train and day; steps are added to the channels of a train from a day on."""
+    """Return one row per train and day; steps are added to the channels of a train from a day on, for some days."""
     rng = np.random.default_rng(seed)
     level, common = LEVEL * rng.standard_normal((trains, 4)), DAY * rng.standard_normal((lines, days, 4))
     rows = []
     for k in range(trains):
         for d in range(days):
             value = MEAN + level[k] + common[k % lines, d] + ERROR * rng.standard_normal(4)
-            if steps and k in steps and d >= steps[k][0]:
+            if steps and k in steps and 0 <= d - steps[k][0] < (lasts or days):
                 value = value + steps[k][1]
             row = empty_row() | {'bag': f'{k}/{d}', 'train': f'T{k:02d}', 'day': f'2026-03-{d + 1:02d}'}
             row |= {'status': 'VALID', 'line': f'L{k % lines}', 'start': 1.7e9 + 86400.0 * d}

@@ -25,6 +25,29 @@ def test_broken_trains_are_found_within_three_days_and_no_others() -> None:
         assert train.causes[0].effect == effect
 
 
+@pytest.mark.parametrize('seed', [11, 12, 13])
+def test_a_fault_of_three_days_in_a_small_fleet_is_found_and_named_by_its_onset(seed: int) -> None:
+    """A third of the days of one train in five: the fault must not hide in the spread that it makes."""
+    (train,) = analyse(fleet_rows(seed, 5, 6, {2: (2, 2.0 * DRAG)}, lasts=3), LIMIT).found
+    assert train.name == 'T02'
+    (departure,) = train.departures
+    assert (departure.first, departure.end) == (2, None)  # one day is too little to see its end
+    assert departure.alarm <= 4
+    assert train.causes[0].effect == 'dragging_brake'
+
+
+def test_a_fault_that_has_ended_keeps_its_cause() -> None:
+    (train,) = analyse(fleet_rows(14, 8, 20, {3: (6, 2.0 * DRAG)}, lasts=7), LIMIT).found
+    assert [change.day for change in train.changes] == [6, 13]
+    assert (train.main and train.main.first, train.main and train.main.end) == (6, 13)
+    assert train.causes[0].effect == 'dragging_brake'
+
+
+def test_few_healthy_trains_do_not_stand_out() -> None:
+    for seed in range(30, 34):
+        assert analyse(fleet_rows(seed, 5, 6), LIMIT).found == ()
+
+
 def test_rain_that_hits_all_is_no_change_of_a_train() -> None:
     rows = fleet_rows(2, 20, 20)
     for row in rows:

@@ -58,6 +58,16 @@ def test_a_repair_is_a_change_too() -> None:
     assert [change.day for change in find_changes([series(value)], LIMIT)] == [8, 20]
 
 
+def test_a_change_is_certain_after_its_day() -> None:
+    """More data than those of the alarm may move the day, but not beyond it."""
+    for seed in range(40, 60):
+        value = noise(seed)
+        value[12] += 5.0
+        value[13:] += 3.0
+        for change in find_changes([series(value)], 20.0):
+            assert change.day < change.alarm
+
+
 def test_one_bad_day_is_no_change() -> None:
     value = noise(4)
     value[10] += 25.0

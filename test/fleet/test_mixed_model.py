@@ -24,7 +24,7 @@ def test_effects_and_likelihood_are_those_of_the_dense_model() -> None:
     found, labels = cells(1, 5, 4, lines=2)
     effects = common_effects(found, labels)
     assert effects.names == ('line', 'day', 'line on a day')
-    problem = _Problem(found, effects, 5, np.ones(found.value.size, dtype=np.bool_))
+    problem = _Problem(found, effects, 5, np.ones(found.value.size, dtype=np.bool_), LEVEL[0])
     x = np.array([-2.0, -1.0, 0.5, 0.1, -0.4, -1.5])
     solution = problem.solve(x)
     kappa2, error, train, *common = problem.variances(x)
@@ -49,7 +49,7 @@ def test_effects_and_likelihood_are_those_of_the_dense_model() -> None:
 
 def test_standard_deviations_of_a_fleet_are_found() -> None:
     found, labels = cells(2, 40, 25)
-    model = fit(found, labels)
+    model = fit(found, labels, LEVEL[0])
     assert model.mean == pytest.approx(MEAN[0], abs=0.3)
     assert model.stds['train'] == pytest.approx(LEVEL[0], rel=0.3)
     assert model.stds['day'] == pytest.approx(DAY[0], rel=0.4)
@@ -61,9 +61,11 @@ def test_standard_deviations_of_a_fleet_are_found() -> None:
 
 def test_single_bad_runs_do_not_count() -> None:
     found, labels = cells(3, 30, 20)
-    clean = fit(found, labels)
+    clean = fit(found, labels, LEVEL[0])
     bad = np.random.default_rng(4).random(found.value.size) < 0.03
-    spoilt = fit(Cells(found.value + 3.0 * bad, *(getattr(found, name) for name in Cells.__slots__[1:])), labels)
+    spoilt = fit(
+        Cells(found.value + 3.0 * bad, *(getattr(found, name) for name in Cells.__slots__[1:])), labels, LEVEL[0]
+    )
     assert spoilt.degrees < clean.degrees
     np.testing.assert_allclose(spoilt.train - spoilt.train.mean(), clean.train - clean.train.mean(), atol=0.08)
 

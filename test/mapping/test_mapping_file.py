@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -54,6 +55,7 @@ def test_only_a_brake_may_be_unknown() -> None:
     assert isinstance(signal, Signal)
     (source,) = signal.sources
     assert source.read(SimpleNamespace(data=1)) == UNKNOWN_EFFORT
+    assert replace(source, sign=-1.0).read(SimpleNamespace(data=1)) == UNKNOWN_EFFORT
     with pytest.raises(InputError, match='unknown'):
         parse_mapping('gradient: {topic: /g, field: data, table: {1: unknown}}', 'map.yaml')
 
@@ -112,6 +114,15 @@ def test_a_function_is_named_with_what_it_gets(tmp_path: Path) -> None:
     ]
 
 
+def test_texts_name_the_topics_that_are_read() -> None:
+    mapping = parse_mapping(WHOLE, 'map.yaml')
+    assert mapping.named('no ato/force at the stamps of ato/speed') == (
+        'no car1/force + car2/force at the stamps of /odo/twist'
+    )
+    assert mapping.named('ato/gradient, not /t1/ato/speed') == 'the gradient of the mapping, not /t1/ato/speed'
+    assert OWN.named('no ato/force') == 'no ato/force'
+
+
 def test_what_is_missing_is_the_topic_of_our_own() -> None:
     mapping = parse_mapping('mass: {topic: /load, field: data}', 'map.yaml')
     assert mapping.replaced == {'ato/mass'}
@@ -160,6 +171,9 @@ def test_a_value_passes_sign_gain_offset_table_and_unit() -> None:
         ('force: {sum: [{topic: /x}]}', r'force.sum\[0\].field is missing'),
         ('brake_command: {topic: /x, field: x, table: {}}', 'brake_command.table'),
         ('brake_command: {topic: /x, field: x, table: {a: 1.0}}', 'brake_command.table'),
+        ('brake_command: {topic: /x, field: x, table: {0: 0, 1: 0.3}}', r'brake_command.table.1 gives 0.3 m/s\^2'),
+        ('brake_command: {topic: /x, field: x, sign: -1, table: {1: -0.3}}', 'brake_command.table.1 gives 0.3'),
+        ('brake_command: {value: 0.3}', 'brake_command.value gives 0.3'),
         ('brake_command: {topic: /x, field: x, on_change: 1}', 'brake_command.on_change'),
         ('brake_command: {value: x}', "brake_command.value = 'x' must be a number"),
         ('brake_command: {value: 0, topic: /x}', 'brake_command.topic is not a known field'),

@@ -18,6 +18,7 @@ def double(x, y): return 2.0 * x + y
 def short(x): return x[1:]
 def words(x): return ['a'] * len(x)
 def broken(x): raise RuntimeError('no\\nway')
+def gone(x): raise SystemExit(0)
 number = 3
 """
 
@@ -73,6 +74,7 @@ def test_a_link_out_of_the_folder_is_refused(folder: Path) -> None:
         ('bad.py:double', r'bad\.py: cannot be run: SyntaxError'),
         ('code.py:none', r'code\.py: has no function none'),
         ('code.py:number', r'code\.py: has no function number'),
+        ('code.py:gone', r'code\.py:gone failed in line 7: SystemExit: 0'),
         ('code.py:broken', r'code\.py:broken failed in line 6: RuntimeError: no'),
         ('code.py:words', r'code\.py:words failed: ValueError'),
         ('code.py:short', r'code\.py:short returned shape \(2,\), \(3,\) expected'),

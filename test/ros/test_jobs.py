@@ -16,7 +16,7 @@ from trainid_ros.estimators.pipeline import EstimatorSettings
 from trainid_ros.resistance.resistance_settings import VMilsConfig
 from trainid_ros.resistance.vmils import VMils
 from trainid_ros.ros import jobs
-from trainid_ros.ros.jobs import JOBS, Setup, chosen_algorithms, node_setups
+from trainid_ros.ros.jobs import JOBS, Setup, chosen_algorithms, mapping_in, node_setups
 from trainid_ros.ros.params_file import read_overrides
 from trainid_ros.train.train_file import parse_train_file
 
@@ -115,11 +115,12 @@ def test_qos_of_topics_of_the_mapping_may_be_in_the_file(tmp_path: Path) -> None
         node_setups(TRAIN, 'x', path)
 
 
-def test_a_mapping_file_in_the_file_is_not_read_off_line(tmp_path: Path) -> None:
-    warnings: list[str] = []
-    path = write(tmp_path, '/resistance_estimator: {ros__parameters: {mapping_file: m.yaml}}')
-    node_setups(TRAIN, 'x', path, warn=warnings.append)
-    assert 'mapping_file = m.yaml is not read off line: give --map' in warnings[0]
+def test_the_mapping_file_of_the_nodes_is_that_of_a_replay(tmp_path: Path) -> None:
+    assert mapping_in(None) is None
+    assert mapping_in(write(tmp_path, '/**: {ros__parameters: {}}')) is None
+    assert mapping_in(write(tmp_path, '/t1/**: {ros__parameters: {mapping_file: m.yaml}}'), '/t1') == Path('m.yaml')
+    with pytest.raises(InputError, match=r"nodes with different mapping_file \('', 'm.yaml'\): give --map"):
+        mapping_in(write(tmp_path, '/resistance_estimator: {ros__parameters: {mapping_file: m.yaml}}'))
 
 
 def test_a_file_without_a_section_for_a_node_gives_a_warning(tmp_path: Path) -> None:

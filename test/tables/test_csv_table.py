@@ -27,6 +27,17 @@ def read(source: CsvTable, *names: str) -> dict[str, list[float]]:
     return {name: column.tolist() for name, column in joined(source.blocks(names), names).items()}
 
 
+def test_a_row_with_more_cells_than_names_is_an_error(tmp_path: Path) -> None:
+    """A comma as decimal sign between commas: every cell after it would be that of another column."""
+    with pytest.raises(InputError, match=r'log.csv: line 3 has 3 cells, 2 columns have names'):
+        read(table(tmp_path, 't,v\n0,36\n1,36,5\n'), 't', 'v')
+
+
+def test_names_and_units_alone_are_an_error(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="no numbers below the names of its columns 't', 'v'"):
+        read(table(tmp_path, 't;v\ns;km/h\n'), 't', 'v')
+
+
 @pytest.mark.parametrize(
     'content',
     [

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import dataclass
 from pathlib import Path, PureWindowsPath
 from typing import TYPE_CHECKING, Any, Final, Protocol
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
 METADATA: Final = 'metadata.yaml'
 _SQLITE: Final = b'SQLite format 3\0'
 _STORAGES: Final = ('mcap', 'sqlite3')
-_SUFFIXES: Final = ('.mcap', '.db3')
+SUFFIXES: Final = ('.mcap', '.db3')
 _TABLES: Final = ('.csv', '.parquet', '.npz')
 _ROOT_KEY: Final = 'rosbag2_bagfile_information'
 
@@ -148,17 +149,40 @@ def locate(path: Path) -> BagFiles:
     return _from_folder(path, f'{path}: {METADATA} is missing, the files were read without it')
 
 
+def bags_below(path: Path) -> list[Path]:
+    """Return the bags in a folder at any depth, or the path itself if it is a file.
+
+    A folder with a ``metadata.yaml`` is a bag; in others each file of a recorder is one.
+    """
+    if not path.is_dir():
+        return [path]
+    bags: list[Path] = []
+    seen: set[str] = set()
+    for folder, folders, names in os.walk(path, followlinks=True):
+        real = os.path.realpath(folder)
+        if real in seen:  # links may lead in circles
+            folders.clear()
+            continue
+        seen.add(real)
+        if METADATA in names:
+            folders.clear()
+            bags.append(Path(folder))
+        else:
+            bags += [Path(folder, name) for name in names if name.endswith(SUFFIXES)]
+    return bags
+
+
 def _from_folder(path: Path, warning: str) -> BagFiles:
     files = _bag_files(path)
     if not files:
-        msg = f'{path}: no bag in this directory (neither {METADATA} nor an {" or ".join(_SUFFIXES)} file)'
+        msg = f'{path}: no bag in this directory (neither {METADATA} nor an {" or ".join(SUFFIXES)} file)'
         raise InputError(msg)
     return BagFiles(files, warnings=(warning,))
 
 
 def _bag_files(path: Path) -> tuple[Path, ...]:
     """Return the files of a bag in a directory in the order of recording."""
-    entries = (entry for entry in path.iterdir() if entry.suffix in _SUFFIXES and entry.is_file())
+    entries = (entry for entry in path.iterdir() if entry.suffix in SUFFIXES and entry.is_file())
     return tuple(sorted(entries, key=_part_number))
 
 

@@ -153,6 +153,7 @@ def replay_through(
         records += count
         if progress is not None:
             progress(count)
+    group.contradiction.finding = reader.mapping.named(group.contradiction.finding)
     return Replay(
         records,
         group.covered_s,

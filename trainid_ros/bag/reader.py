@@ -6,7 +6,6 @@ from __future__ import annotations
 import math
 from collections import Counter
 from contextlib import suppress
-from dataclasses import dataclass
 from heapq import heappop, heappush
 from operator import itemgetter
 from pathlib import Path
@@ -15,12 +14,13 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple, Self
 import numpy as np
 
 from trainid_ros.bag.bag_files import locate, open_file
+from trainid_ros.bag.channel_sources import TopicNames
 from trainid_ros.bag.chunk import MAX_CHUNK
 from trainid_ros.bag.record_table import EMPTY, decode, in_order_of, joined, table_of
-from trainid_ros.bag.types import digest, full_type, is_packaged, typestore
+from trainid_ros.bag.types import full_type, typestore
 from trainid_ros.errors import InputError
 from trainid_ros.mapping.mapping import OWN
-from trainid_ros.messages import OUTPUT_TOPICS, record_from_message
+from trainid_ros.messages import record_from_message
 from trainid_ros.plural import pluralise
 from trainid_ros.records import INPUT_TOPICS, REQUIRED_TOPICS, InputTopic, record_of
 
@@ -28,9 +28,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator
     from types import TracebackType
 
-    from mcap.records import Channel
-
     from trainid_ros.bag.bag_files import BagFile, Span
+    from trainid_ros.bag.channel_sources import ChannelSource, TopicSummary
     from trainid_ros.bag.record_table import RecordTable
     from trainid_ros.bag.stored_types import StoredType
     from trainid_ros.mapping.mapped_inputs import MappedInputs
@@ -38,9 +37,6 @@ if TYPE_CHECKING:
     from trainid_ros.records import Record, Row
     from trainid_ros.stream.sample_stream import SampleStream, StreamEvent
 
-_OURS: Final = {topic.name: topic.message for topic in INPUT_TOPICS} | {
-    name: topic.message for topic in OUTPUT_TOPICS for name in (topic.name, topic.last_valid) if name
-}
 _INPUT_NAMES: Final = frozenset(topic.name for topic in INPUT_TOPICS)
 _TOPIC_NUMBERS: Final = {topic.name: number for number, topic in enumerate(INPUT_TOPICS)}
 _NO_ROWS: Final = np.empty(0, dtype=np.intp)
@@ -48,15 +44,6 @@ _MAX_LOG_NS: Final = 2**64 - 1
 PROGRESS_EVERY: Final = 500
 """Records from one report of progress to the next."""
 _ROWS_AT_ONCE: Final = 5000
-
-
-@dataclass(frozen=True, slots=True)
-class TopicSummary:
-    """One topic of a bag: name relative to the namespace where it lies in it, full type, messages."""
-
-    name: str
-    type: str
-    count: int
 
 
 class LoggedRecord(NamedTuple):
@@ -81,14 +68,6 @@ class StoredMessage(NamedTuple):
     log_ns: int
     topic: str
     content: bytes | Record
-
-
-class _Source(NamedTuple):
-    """One channel of one file: topic by our name or that of the mapping, short type name, stored type if mapped."""
-
-    topic: str
-    name: str
-    mapped: StoredType | None = None
 
 
 class BagReader:
@@ -129,11 +108,9 @@ class BagReader:
         self._damage: list[str] = []
         # Messages by topic that could not be read the last time.
         self._unreadable: Counter[str] = Counter()
-        self._prefix = f'/{namespace.strip("/")}/'.replace('//', '/')
-        # Names in the mapping by full name.
-        self._mapped = {self._full(source.topic): source.topic for source in self.mapping.sources}
+        self._names = TopicNames(namespace, self.mapping)
         self._files: list[BagFile] = []
-        self._sources: list[dict[int, _Source]] = []
+        self._sources: list[dict[int, ChannelSource]] = []
 
     def __enter__(self) -> Self:
         """Open and check the bag.
@@ -146,9 +123,9 @@ class BagReader:
         self._damage = list(located.warnings)
         try:
             for path in located.files:
-                self._files.append(open_file(path, self._max_chunk, self._is_needed))
+                self._files.append(open_file(path, self._max_chunk, self._names.is_needed))
             hashes = dict(located.hashes)
-            self._sources = [self._check_types(file, hashes) for file in self._files]
+            self._sources = [self._names.sources(file, hashes) for file in self._files]
         except BaseException:
             self.close()
             raise
@@ -204,12 +181,7 @@ class BagReader:
 
     def topics(self) -> tuple[TopicSummary, ...]:
         """Return all topics by name; a topic written in several types is listed once for each."""
-        counts: dict[tuple[str, str], int] = {}
-        for file in self._files:
-            for number, channel in file.channels.items():
-                key = (self._topic(channel.topic), _schema_name(file, number))
-                counts[key] = counts.get(key, 0) + file.counts.get(number, 0)
-        return tuple(TopicSummary(name, kind, count) for (name, kind), count in sorted(counts.items()))
+        return self._names.summaries(self._files)
 
     def missing(self, topic: InputTopic) -> tuple[str, ...]:
         """Return the topics without messages that an input needs: its own, or those of the mapping."""
@@ -321,12 +293,20 @@ class BagReader:
             if source.mapped is None:
                 records = inputs.take_record(record_from_message(own[source.topic], message))
             else:
-                records = inputs.take(source.topic, message, log_ns)
+                records = self._taken(inputs, source.topic, message, log_ns)
             logged += [(log_ns, record.row()) for record in records]
             if len(logged) >= _ROWS_AT_ONCE:
                 yield table_of(logged)
                 logged = []
         yield table_of(logged)
+
+    def _taken(self, inputs: MappedInputs, topic: str, message: Any, log_ns: int) -> list[Record]:
+        """Return the records that a message of a topic of the mapping completes; errors name the bag."""
+        try:
+            return inputs.take(topic, message, log_ns)
+        except InputError as error:
+            msg = f'{self.path}: {error}'
+            raise InputError(msg) from None
 
     def stored(self) -> Iterator[StoredMessage]:
         """Yield the messages of the mapping as they are stored, and our own ones that it leaves, by log time.
@@ -370,10 +350,10 @@ class BagReader:
             if (message := self._decoded(source, payload)) is not None:
                 yield LoggedMessage(log_ns, source.topic, message)
 
-    def _payloads(self, topics: Collection[str] | None) -> Iterator[tuple[int, _Source, bytes]]:
+    def _payloads(self, topics: Collection[str] | None) -> Iterator[tuple[int, ChannelSource, bytes]]:
         """Yield log times [ns], channels and payloads of the messages of some topics, by log time."""
         self._unreadable.clear()
-        heap: list[tuple[int, int, int, _Source, bytes]] = []
+        heap: list[tuple[int, int, int, ChannelSource, bytes]] = []
         for rank, (first_ns, index, segment) in enumerate(self._segments()):
             while heap and heap[0][0] < first_ns:
                 log_ns, _, _, found, payload = heappop(heap)
@@ -387,7 +367,7 @@ class BagReader:
             (log_ns, source, payload) for log_ns, _, _, source, payload in sorted(heap, key=itemgetter(0, 1, 2))
         )
 
-    def _decoded(self, source: _Source, payload: bytes) -> Any:
+    def _decoded(self, source: ChannelSource, payload: bytes) -> Any:
         """Return a message, None if it cannot be read."""
         from rosbags.serde import SerdeError  # noqa: PLC0415 - rarely needed
 
@@ -401,47 +381,9 @@ class BagReader:
             self._unreadable[source.topic] += 1
         return message
 
-    def _wanted(self, index: int, topics: Collection[str] | None) -> dict[int, _Source]:
+    def _wanted(self, index: int, topics: Collection[str] | None) -> dict[int, ChannelSource]:
         sources = self._sources[index].items()
         return {number: source for number, source in sources if topics is None or source.topic in topics}
-
-    def _full(self, name: str, prefix: str = '') -> str:
-        """Return the full name of a topic; relative ones lie in the namespace."""
-        return name if name.startswith('/') else f'{prefix or self._prefix}{name}'
-
-    def _topic(self, name: str) -> str:
-        # A name outside the namespace keeps its slash, so that it is nobody's input: two trains may share a bag.
-        return self._full(name, '/').removeprefix(self._prefix)
-
-    def _is_needed(self, name: str) -> bool:
-        """Return whether messages of a topic are read."""
-        return self._topic(name) in _OURS or self._full(name, '/') in self._mapped
-
-    def _check_types(self, file: BagFile, hashes: dict[str, str]) -> dict[int, _Source]:
-        """Return the channels of our topics; raise InputError for a type that is not the one of the interface."""
-        sources = {}
-        for number, channel in file.channels.items():
-            topic = self._topic(channel.topic)
-            if (foreign := self._mapped.get(self._full(channel.topic, '/'))) is not None:
-                _check_encoding(channel, f'{file.path}: topic {channel.topic}')
-                sources[number] = _Source(foreign, _schema_name(file, number), _stored_type(file, number))
-                continue
-            if (name := _OURS.get(topic)) is None or topic in self.mapping.replaced:
-                continue
-            where = f'{file.path}: topic {topic}'
-            if (found := _schema_name(file, number)) != full_type(name):
-                msg = f'{where}: type {full_type(name)} expected, {found or "none"} found'
-                raise InputError(msg)
-            _check_encoding(channel, where)
-            text = _stored_text(file, number)
-            if not is_packaged(text, name):
-                recorded = channel.metadata.get('topic_type_hash') or hashes.get(channel.topic, '')
-                stored = _stored_type(file, number).digest if text.strip() else recorded
-                if stored != digest(name):
-                    msg = f'{where}: definition of {full_type(name)} differs: {digest(name)} expected, '
-                    raise InputError(msg + f'{stored or "no definition"} found')
-            sources[number] = _Source(topic, name)
-        return sources
 
 
 def require_topics(reader: BagReader, topics: Iterable[InputTopic] = REQUIRED_TOPICS) -> None:
@@ -456,27 +398,3 @@ def require_topics(reader: BagReader, topics: Iterable[InputTopic] = REQUIRED_TO
 def missing_topics(reader: BagReader, topics: Iterable[InputTopic] = REQUIRED_TOPICS) -> tuple[str, ...]:
     """Return the names of those topics that have no messages in the bag."""
     return tuple(name for topic in topics for name in reader.missing(topic))
-
-
-def _schema_name(file: BagFile, channel: int) -> str:
-    schema = file.schemas.get(file.channels[channel].schema_id)
-    return '' if schema is None else schema.name
-
-
-def _stored_type(file: BagFile, channel: int) -> StoredType:
-    # Imported here because most bags hold the packaged definitions.
-    from trainid_ros.bag.stored_types import StoredType  # noqa: PLC0415
-
-    return StoredType(file.path, file.schemas[file.channels[channel].schema_id])
-
-
-def _check_encoding(channel: Channel, where: str) -> None:
-    """Raise InputError, naming file and topic, if the messages of a channel cannot be decoded."""
-    if channel.message_encoding != 'cdr':
-        msg = f'{where}: encoding cdr expected, {channel.message_encoding!r} found'
-        raise InputError(msg)
-
-
-def _stored_text(file: BagFile, channel: int) -> str:
-    """Return the text of the definition stored with a channel."""
-    return file.schemas[file.channels[channel].schema_id].data.decode('utf-8', errors='replace')

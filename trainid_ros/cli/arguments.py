@@ -216,7 +216,7 @@ def configure_fleet(parser: argparse.ArgumentParser) -> None:
     _add_map(parser)
     _add_max_chunk(parser)
     _add_train(parser)
-    parser.add_argument('--params', type=Path, metavar='FILE.yaml', help='ROS parameter file, as the nodes take it')
+    _add_params(parser)
     parser.add_argument(
         '--out', type=Path, required=True, metavar='TABLE.parquet', help='table to write; .csv needs no pyarrow'
     )
@@ -274,7 +274,7 @@ def _add_train(parser: argparse.ArgumentParser, text: str = 'train file') -> Non
 
 
 def _add_settings(parser: argparse.ArgumentParser) -> None:
-    parser.add_argument('--params', type=Path, metavar='FILE.yaml', help='ROS parameter file, as the nodes take it')
+    _add_params(parser)
     parser.add_argument(
         '--algorithm',
         action='append',
@@ -288,6 +288,15 @@ def _add_map(
     parser: argparse.ArgumentParser, text: str = 'mapping file: inputs from other topics, types and units'
 ) -> None:
     parser.add_argument('--map', type=Path, metavar='MAPPING.yaml', help=text)
+
+
+def _add_params(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument(
+        '--params',
+        type=Path,
+        metavar='FILE.yaml',
+        help='ROS parameter file, as the nodes take it; its mapping_file counts unless --map is given',
+    )
 
 
 def _add_jobs(parser: argparse.ArgumentParser, default: int = 1) -> None:

@@ -17,6 +17,7 @@ from trainid_ros.fleet.plan import Setup, make_plan
 from trainid_ros.fleet.run_fleet import Files, known_rows, rows_here, run_plan
 from trainid_ros.fleet.table_file import check_table
 from trainid_ros.plural import pluralise
+from trainid_ros.ros.jobs import mapping_in
 
 if TYPE_CHECKING:
     import argparse
@@ -60,8 +61,9 @@ def _plan(args: argparse.Namespace) -> Plan:
     """
     rule = label_rule(args.label)
     # A report may be made from another folder.
-    train, params, mapping = (path and path.absolute() for path in (args.train, args.params, args.map))
-    setup = Setup(train, params, mapping, args.namespace, args.max_chunk)
+    mapping = args.map or mapping_in(args.params, args.namespace)
+    params, mapping = (path and path.absolute() for path in (args.params, mapping))
+    setup = Setup(args.train.absolute(), params, mapping, args.namespace, args.max_chunk)
     check_setup(setup)
     bags = find_bags(args.bags)
     with progress('list', total=len(bags), unit='bags') as advance:

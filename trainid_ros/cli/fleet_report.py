@@ -3,10 +3,10 @@
 
 from __future__ import annotations
 
-import json
 from typing import TYPE_CHECKING, Any
 
 from trainid_ros.cli.output import check_output, print_json, progress, show
+from trainid_ros.fleet.plan import setup_in, setup_of
 from trainid_ros.fleet.run_fleet import Files
 from trainid_ros.fleet.table_file import read_table
 from trainid_ros.report import HTML_START
@@ -16,7 +16,9 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from trainid_ros.fleet.analysis import FleetView, TrainView
+    from trainid_ros.fleet.changes import Step
     from trainid_ros.fleet.columns import Row
+    from trainid_ros.fleet.plan import Setup
     from trainid_ros.fleet.workflow import Cause
 
 
@@ -47,23 +49,20 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _read(args: argparse.Namespace) -> tuple[list[Row], Mapping[str, Any]]:
+def _read(args: argparse.Namespace) -> tuple[list[Row], Setup | None]:
     """Return the rows of all tables, each bag once, and how the last table was made."""
     rows: dict[str, Row] = {}
-    about: dict[str, Any] = {}
+    setup = None
     for path in args.tables:
         found, about = read_table(path)
-        if not about and Files(path).plan.is_file():
-            about = json.loads(Files(path).plan.read_text(encoding='utf-8'))
+        setup = setup_of(about) or setup_in(Files(path).plan)
         rows |= {row['bag']: row for row in found}
-    return list(rows.values()), about.get('setup', {})
+    return list(rows.values()), setup
 
 
-def _name_causes(
-    args: argparse.Namespace, view: FleetView, rows: list[Row], setup: Mapping[str, Any]
-) -> dict[str, Cause]:
+def _name_causes(args: argparse.Namespace, view: FleetView, rows: list[Row], setup: Setup | None) -> dict[str, Cause]:
     """Return what ``explain`` finds in the bags of the worst trains, by their names."""
-    worst = [train for train in view.found if train.changes][: args.explain]
+    worst = [train for train in view.found if train.main][: args.explain]
     if not worst:
         return {}
     from trainid_ros.fleet.workflow import name_cause  # noqa: PLC0415
@@ -123,7 +122,7 @@ def to_json(view: FleetView, limit: float, named: Mapping[str, Cause]) -> dict[s
 
 
 def _train(view: FleetView, train: TrainView) -> dict[str, Any]:
-    days, names = view.labels.days, [v.channel.name for v in view.channels]
+    days = view.labels.days
     return {
         'train': train.name,
         'evidence': train.evidence,
@@ -132,12 +131,31 @@ def _train(view: FleetView, train: TrainView) -> dict[str, Any]:
                 'day': days[change.day],
                 'certain': days[change.alarm],
                 'evidence': change.evidence,
-                'steps': {name: step and step._asdict() for name, step in zip(names, change.steps, strict=True)},
+                'steps': _steps(view, change.steps),
             }
             for change in train.changes
         ],
+        'departures': [
+            {
+                'day': days[departure.first],
+                'last': None if departure.end is None else days[departure.end - 1],
+                'certain': days[departure.alarm],
+                'evidence': departure.evidence,
+                'steps': _steps(view, departure.steps),
+            }
+            for departure in train.departures
+        ],
         'outliers': {o.channel.name: {'size': o.size, 'std': o.std, 'sigmas': o.sigmas} for o in train.outliers},
         'causes': {cause.title: cause.probability for cause in train.causes},
+    }
+
+
+def _steps(view: FleetView, steps: tuple[Step | None, ...]) -> dict[str, Any]:
+    """Return steps by channel: levels before and after, standard deviation of the step, and evidence."""
+    return {
+        v.channel.name: step
+        and {'before': step.before.mean, 'after': step.after.mean, 'std': step.std, 'evidence': step.evidence}
+        for v, step in zip(view.channels, steps, strict=True)
     }
 
 

@@ -12,7 +12,7 @@ from trainid_ros.cli.output import table, to_plain
 from trainid_ros.cli.per_bag import BagResult, run_per_bag
 from trainid_ros.errors import InputError
 from trainid_ros.mapping.mapped_inputs import mapped_inputs
-from trainid_ros.records import NS_PER_S
+from trainid_ros.records import NS_PER_S, REQUIRED_TOPICS
 from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:
@@ -73,6 +73,8 @@ def _inspect(args: argparse.Namespace, bag: Path, advance: Callable[[float], Non
     advance(1.0)
     shown = to_plain(info) | {'usable': info.usable} if args.json else describe(info)
     error = '' if info.usable else f'{info.path}: cannot be used: {"; ".join(info.problems)}'
+    if args.map is None and len(info.missing) == len(REQUIRED_TOPICS):  # a bag of others
+        error += '; --suggest-map proposes a mapping'
     return BagResult(shown, error=error)
 
 

@@ -20,7 +20,7 @@ from trainid_ros.mapping.mapped_inputs import mapped_inputs
 from trainid_ros.mapping.mapping_file import load_mapping
 from trainid_ros.plural import pluralise
 from trainid_ros.report import HTML_START
-from trainid_ros.ros.jobs import Setup, node_setups
+from trainid_ros.ros.jobs import Setup, mapping_in, node_setups
 from trainid_ros.sim.truth import load_truth
 from trainid_ros.tables.estimate_table import TABLE_SUFFIXES, estimate_table
 from trainid_ros.train.train_file import load_train_file
@@ -49,6 +49,7 @@ def run(args: argparse.Namespace) -> int:
             file that is no report.
 
     """
+    args.map = args.map or mapping_in(args.params, args.namespace)
     mapped_inputs(args.map, _setups(args)[0].train_file)  # what cannot be used for any bag is reported once
     if len(args.bags) > 1:
         _check_outputs(args)
@@ -120,9 +121,13 @@ def _replay(args: argparse.Namespace, bag: Path, advance: Callable[[float], None
         wall_s = time.perf_counter() - start
     if report is not None and traces is not None:
         _write_report(args, bag, outcome, traces.finish(), truth, f'off line {_pace(outcome, wall_s)}', report)
-    shown = to_json(outcome, setups, wall_s) if args.json else describe(outcome, setups, wall_s)
-    if isinstance(shown, str) and len(args.bags) > 1:
-        shown = f'{bag}: {shown}'
+    shown: str | dict[str, Any]
+    if args.json:
+        shown = to_json(outcome, setups, wall_s)
+        shown['resistance']['findings'] = [reader.mapping.named(text) for text in shown['resistance']['findings']]
+    else:
+        shown = reader.mapping.named(describe(outcome, setups, wall_s))
+        shown = f'{bag}: {shown}' if len(args.bags) > 1 else shown
     return BagResult(shown, (*warnings, *reader.warnings), no_answer(bag, outcome))
 
 

@@ -16,7 +16,7 @@ from trainid_ros.cli.output import check_output, progress, show, warn
 from trainid_ros.errors import InputError
 from trainid_ros.mapping.mapped_inputs import mapped_inputs
 from trainid_ros.mapping.mapping_file import load_mapping
-from trainid_ros.ros.jobs import node_setups
+from trainid_ros.ros.jobs import mapping_in, node_setups
 from trainid_ros.train.train_file import load_train_file
 from trainid_ros.view.recording import RRD_START, write_recording
 from trainid_ros.view.telemetry import switch_off
@@ -38,6 +38,7 @@ def run(args: argparse.Namespace) -> int:
         InputError: Bag, train file or parameters cannot be used, the output cannot be written, or there is no display.
 
     """
+    args.map = args.map or mapping_in(args.params, args.namespace)
     switch_off()
     import rerun  # noqa: F401, PLC0415 - if it is missing, that is said before the replay
 

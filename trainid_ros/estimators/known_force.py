@@ -84,10 +84,12 @@ class KnownForce:
             return 0.0
         if not math.isnan(sample.extra):
             return sample.extra
-        # A negative force is braking effort while the brake is applied, else it is noise.
-        released = sample.motion.brake >= BRAKE_APPLIED
+        force = sample.force_mean
+        # A negative force is braking effort while the brake is applied, else it is noise. It may be missing.
+        if not is_finite(force) or (force < 0.0 and sample.motion.brake < BRAKE_APPLIED):
+            force = 0.0
         self._go_to(sample)
-        return self._sum(self.traction(sample.force_mean if released else max(0.0, sample.force_mean), sample), 0.0)
+        return self._sum(self.traction(force, sample), 0.0)
 
     def brake_share(self, sample: Sample) -> float:
         """Return the share of the brake force left by the train file's effects [1]: 0.9 for a fade of 10 %."""

@@ -3,16 +3,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
 import numpy as np
+from scipy.special import ndtr, stdtrit
 
 from trainid_ros.errors import NoAnswerError
 from trainid_ros.fleet.causes import Cause, causes_of
 from trainid_ros.fleet.changes import Change, Series, Step, find_changes
 from trainid_ros.fleet.channels import CHANNELS, Cells, Channel, Labels, cells_of, labels_of
-from trainid_ros.fleet.mixed_model import MixedFit, fit
+from trainid_ros.fleet.departures import Departure, departures, usual_days
+from trainid_ros.fleet.mixed_model import ROUNDS, MixedFit, fit
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -24,9 +26,15 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 _LEAST_CELLS: Final = 4
-_PASSES: Final = 2
+# Train-days for one false alarm while the model is fitted: what may be a change must not spoil the fit.
+_SCREEN: Final = 50.0
+_MOST_APART: Final = 12
+_ROUGH: Final = 2  # rounds of these fits
+_PASSES: Final = 5
 # What may change from day to day without meaning anything, as a share of a step that matters.
 _SMALLEST: Final = 0.02
+# Usual standard deviation among trains, as a share of a step that matters.
+_LEVEL: Final = 0.25
 # A train that always differed is named beyond so many standard deviations among trains.
 _LEVEL_SIGMAS: Final = 5.0
 
@@ -79,8 +87,9 @@ class TrainView:
         number: Index in the labels.
         series: Its values by channel.
         changes: Its changes.
+        departures: Days on which it was away from its usual level.
         outliers: Channels in which it always differed.
-        causes: What the last change may be, the most probable first.
+        causes: What the main departure may be, the most probable first.
 
     """
 
@@ -88,8 +97,14 @@ class TrainView:
     number: int
     series: tuple[Series, ...]
     changes: tuple[Change, ...]
+    departures: tuple[Departure, ...]
     outliers: tuple[LevelOutlier, ...]
     causes: tuple[Cause, ...]
+
+    @property
+    def main(self) -> Departure | None:
+        """The departure that has not ended, else the most certain one."""
+        return max(self.departures, key=lambda found: (found.end is None, found.evidence), default=None)
 
     @property
     def evidence(self) -> float:
@@ -120,8 +135,6 @@ class FleetView:
 def analyse(rows: Sequence[Row], limit: float) -> FleetView:
     """Return what stands out in the rows of a fleet.
 
-    The model is fitted, changes are found, and the model is fitted again without what came after them.
-
     Args:
         rows: Rows of one table or several.
         limit: Train-days for one false alarm.
@@ -136,40 +149,96 @@ def analyse(rows: Sequence[Row], limit: float) -> FleetView:
     if not cells:
         msg = f'too few runs with train, day and estimate ({len(rows)} rows): see the columns train, day and error'
         raise NoAnswerError(msg)
-    ends: Array | None = None
-    for _ in range(_PASSES):
-        views = tuple(ChannelView(channel, c, fit(c, labels, _before(c, ends))) for channel, c in cells)
-        series = [tuple(view.series(k, len(labels.days)) for view in views) for k in range(len(labels.trains))]
-        changes = [find_changes(own, limit) for own in series]
-        ends = np.array([own[0].day if own else np.inf for own in changes])
+    views, series, changes = _fit_and_test(labels, cells, limit)
     trains = [_train(labels, views, k, series[k], changes[k]) for k in range(len(labels.trains))]
     return FleetView(labels, views, tuple(sorted(trains, key=lambda train: (-train.evidence, train.name))))
 
 
-def _before(cells: Cells, ends: Array | None) -> NDArray[np.bool_] | None:
-    """Return which cells came before the first change of their train."""
-    return None if ends is None else cells.day < ends[cells.train]
+def _fit_and_test(
+    labels: Labels, cells: Sequence[tuple[Channel, Cells]], limit: float
+) -> tuple[tuple[ChannelView, ...], list[tuple[Series, ...]], list[list[Change]]]:
+    """Return the fitted channels, and values and changes of each train.
+
+    A fault in the data widens the spread by which it is judged. So the model is fitted without what may be a fault,
+    then without what the last fit found, until the same is found again.
+    """
+    trains = range(len(labels.trains))
+    usual = _screen(labels, cells, min(limit, _SCREEN))
+    for _ in range(_PASSES):
+        views = _fit(labels, cells, [_among(c, usual) for _, c in cells])
+        series = [_series(views, labels, k) for k in trains]
+        changes = [find_changes(own, limit) for own in series]
+        last, usual = usual, _usual(series, changes)
+        if np.array_equal(last, usual):
+            break
+    return views, series, changes
+
+
+def _screen(labels: Labels, cells: Sequence[tuple[Channel, Cells]], limit: float) -> Array:
+    """Return the days on which each train may be as usual, shape (trains, 2).
+
+    A train of a small fleet is judged by the others alone, since it is much of the data.
+    """
+    trains = range(len(labels.trains))
+    if len(trains) > _MOST_APART:
+        views = _fit(labels, cells, [None] * len(cells), _ROUGH)
+        series = [_series(views, labels, k) for k in trains]
+    else:
+        series = []
+        for k in trains:
+            views = _fit(labels, cells, [c.train != k for _, c in cells], _ROUGH)
+            series.append(_series(views, labels, k))
+    return _usual(series, [find_changes(own, limit) for own in series])
+
+
+def _fit(
+    labels: Labels,
+    cells: Sequence[tuple[Channel, Cells]],
+    used: Sequence[NDArray[np.bool_] | None],
+    rounds: int = ROUNDS,
+) -> tuple[ChannelView, ...]:
+    views = []
+    for (channel, found), mine in zip(cells, used, strict=True):
+        usual = _LEVEL * channel.change * float(np.median(np.abs(found.value)))
+        views.append(ChannelView(channel, found, fit(found, labels, usual, mine, rounds)))
+    return tuple(views)
+
+
+def _series(views: Sequence[ChannelView], labels: Labels, train: int) -> tuple[Series, ...]:
+    return tuple(view.series(train, len(labels.days)) for view in views)
+
+
+def _usual(series: Sequence[tuple[Series, ...]], changes: Sequence[Sequence[Change]]) -> Array:
+    """Return the first day of the usual level of each train, and the first one after it, shape (trains, 2)."""
+    return np.array([usual_days(*pair) for pair in zip(series, changes, strict=True)])
+
+
+def _among(cells: Cells, usual: Array) -> NDArray[np.bool_]:
+    """Return which cells lie in the usual days of their train."""
+    found: NDArray[np.bool_] = (usual[cells.train, 0] <= cells.day) & (cells.day < usual[cells.train, 1])
+    return found
 
 
 def _train(
     labels: Labels, views: Sequence[ChannelView], number: int, series: tuple[Series, ...], changes: Sequence[Change]
 ) -> TrainView:
     outliers = () if changes else tuple(filter(None, (_outlier(view, number) for view in views)))
-    causes: tuple[Cause, ...] = ()
-    if changes:
-        causes = causes_of({v.channel.name: s for v, s in zip(views, _relative(views, changes[-1]), strict=True)})
-    elif outliers:
-        sizes = {v.channel.name: _level(v, number) for v in views}
-        causes = causes_of(sizes)
-    return TrainView(labels.trains[number], number, series, tuple(changes), outliers, causes)
+    found = TrainView(labels.trains[number], number, series, tuple(changes), departures(series, changes), outliers, ())
+    return replace(found, causes=_causes(views, found))
 
 
-def _relative(views: Sequence[ChannelView], change: Change) -> list[tuple[float, float] | None]:
-    """Return the steps of a change and their standard deviations as shares of the mean of the fleet."""
-    return [None if step is None else _share(view, step) for view, step in zip(views, change.steps, strict=True)]
+def _causes(views: Sequence[ChannelView], train: TrainView) -> tuple[Cause, ...]:
+    """Return what the main departure may be, or the difference of a train that always differed."""
+    if train.main is not None:
+        steps = zip(views, train.main.steps, strict=True)
+        return causes_of({view.channel.name: step and _share(view, step) for view, step in steps})
+    if train.outliers:
+        return causes_of({view.channel.name: _level(view, train.number) for view in views})
+    return ()
 
 
 def _share(view: ChannelView, step: Step) -> tuple[float, float]:
+    """Return a step and its standard deviation as shares of the mean of the fleet."""
     return step.size / view.fit.mean, step.std / abs(view.fit.mean)
 
 
@@ -184,6 +253,7 @@ def _outlier(view: ChannelView, number: int) -> LevelOutlier | None:
     spread = 1.4826 * float(np.median(np.abs(effects - np.median(effects))))
     spread = max(spread, view.fit.stds['train'] * 0.5, float(view.fit.train_std[number]))
     sigmas = float(effects[number] - np.median(effects)) / spread
-    if abs(sigmas) < _LEVEL_SIGMAS:
+    # The spread of few trains is not well known: Student's t.
+    if abs(sigmas) < stdtrit(max(1, effects.size - 1), ndtr(_LEVEL_SIGMAS)):
         return None
     return LevelOutlier(view.channel, float(effects[number]), float(view.fit.train_std[number]), sigmas)

@@ -96,6 +96,7 @@ def _replay(setup: Setup, bag: PlannedBag, row: Row, advance: Callable[[float], 
         row['day'] = row['day'] or day_of('', row['start'], Path(bag.path))
     row |= {'duration_s': outcome.duration_s, 'warnings': '; '.join(reader.warnings) or None}
     row |= _resistance(outcome) | _brake(outcome)
+    row['finding'] = row['finding'] and reader.mapping.named(row['finding'])
     row['mass_factor'] = _known(outcome.speed_model.output.estimate.mass_factor)
     if (ratio := reader.odometer.ratio) is not None:
         row['wheel_ratio'], row['wheel_ratio_std'] = ratio

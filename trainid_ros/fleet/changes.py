@@ -61,18 +61,29 @@ class Series(NamedTuple):
     step_std: float
 
 
-class Step(NamedTuple):
-    """Mean and standard deviation of the level before and after a change, and ln of the channel's Bayes factor."""
+class Level(NamedTuple):
+    """Mean and standard deviation of the level of a channel."""
 
-    before: float
-    after: float
+    mean: float
     std: float
+
+
+class Step(NamedTuple):
+    """Levels before and after a change, and ln of the channel's Bayes factor."""
+
+    before: Level
+    after: Level
     evidence: float
 
     @property
     def size(self) -> float:
         """Size of the step."""
-        return self.after - self.before
+        return self.after.mean - self.before.mean
+
+    @property
+    def std(self) -> float:
+        """Standard deviation of the size."""
+        return math.hypot(self.before.std, self.after.std)
 
 
 @dataclass(frozen=True, slots=True)
@@ -129,12 +140,11 @@ class _Segment:
             return None
         before, _ = _posterior(self.prior, self.total[k : k + 1])
         after, _ = _posterior(self.after_prior[k], (self.total[n] - self.total[k])[None, :])
-        (m0, s0), (m1, s1) = self._moments(before[0]), self._moments(after[0])
-        return Step(m0, m1, math.hypot(s0, s1), evidence)
+        return Step(self._moments(before[0]), self._moments(after[0]), evidence)
 
-    def _moments(self, weight: Array) -> tuple[float, float]:
+    def _moments(self, weight: Array) -> Level:
         mean = float(weight @ self.level)
-        return mean, math.sqrt(max(0.0, float(weight @ (self.level - mean) ** 2)))
+        return Level(mean, math.sqrt(max(0.0, float(weight @ (self.level - mean) ** 2))))
 
 
 def find_changes(channels: Sequence[Series], limit: float) -> list[Change]:
@@ -176,20 +186,26 @@ def _log_r(parts: Sequence[_Segment | None], n: int) -> tuple[float, Array, list
 
 
 def _change(parts: Sequence[_Segment | None], first: int, alarm: int, count: int) -> Change:
-    """Return the change of an alarm after a number of days of the segment, by all data until it becomes unlikely."""
-    end, best = alarm, _log_r(parts, alarm)
-    for n in range(alarm + 1, count + 1):
-        found = _log_r(parts, n)
-        if found[0] < best[0]:
+    """Return the change of an alarm after a number of days of the segment, by all data until it becomes unlikely.
+
+    Later data move its day only among those before the alarm: a change after that is another one.
+    """
+    last = alarm - _LEAST_AFTER
+    end, evidence, k, each = alarm, -math.inf, 0, tuple[float | None, ...]()
+    for n in range(alarm, count + 1):
+        begin = max(1, n - _WINDOW)
+        _, joint, parted = _log_r(parts, n)
+        joint = joint[: last + 1 - begin]
+        if not joint.size or (total := float(np.logaddexp.reduce(joint))) < evidence:
             break
-        end, best = n, found
-    begin = max(1, end - _WINDOW)
-    k = int(np.argmax(best[1]))
+        best = int(np.argmax(joint))
+        end, evidence, k = n, total, begin + best
+        each = tuple(None if found is None else float(found[best]) for found in parted)
     steps = tuple(
-        None if part is None or found is None else part.step(begin + k, end, float(found[k]))
-        for part, found in zip(parts, best[2], strict=True)
+        None if part is None or found is None else part.step(k, end, found)
+        for part, found in zip(parts, each, strict=True)
     )
-    return Change(first + begin + k, first + alarm - 1, best[0], steps)
+    return Change(first + k, first + alarm - 1, evidence, steps)
 
 
 def _weights(at: Array, std: float) -> Array:

@@ -7,6 +7,8 @@ and train file have the same paths on all machines.
 
 from __future__ import annotations
 
+import re
+import socket
 from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final
 
@@ -22,7 +24,8 @@ if TYPE_CHECKING:
 
 TASK_BAGS: Final = 20
 """Bags of a task: together they take seconds, beside which the milliseconds of the scheduler do not count."""
-CONNECT_S: Final = 20
+CONNECT_S: Final = 8.0
+_ADDRESS: Final = re.compile(r'(?:(?:tcp|tls)://)?(?P<host>[^:/]+|\[[0-9a-fA-F:]+\]):(?P<port>\d{1,5})/?')
 
 
 @contextmanager
@@ -36,13 +39,23 @@ def rows_on_cluster(address: str) -> Iterator[Rows]:
     from distributed import Client  # noqa: PLC0415 - optional
 
     try:
+        _check_address(address)  # a client goes on trying after its time, and says so at length
         client = Client(address, timeout=CONNECT_S, set_as_default=False)
-    except (OSError, ValueError) as error:
+    except Exception as error:  # what is not a scheduler may answer anything
         msg = f'--scheduler {address}: cannot be reached ({" ".join(str(error).split())[:200]})'
         raise InputError(msg) from None
     with client:
         _check_workers(client, address)
         yield lambda plan, bags, advance: _rows(client, plan, bags, advance)
+
+
+def _check_address(address: str) -> None:
+    """Raise OSError or ValueError if nothing listens at an address."""
+    match = _ADDRESS.fullmatch(address)
+    if match is None:
+        msg = 'an address is like tcp://host:8786'
+        raise ValueError(msg)
+    socket.create_connection((match['host'].strip('[]'), int(match['port'])), CONNECT_S).close()
 
 
 def _check_workers(client: Any, address: str) -> None:

@@ -41,7 +41,7 @@ class LabelRule:
         """
         match = self.pattern.search(path.resolve().as_posix())
         if match is None and self.is_given:
-            msg = f'{path}: --label {self.pattern.pattern!r} does not fit the path'
+            msg = f"{path}: --label '{self.pattern.pattern}' does not fit the path"
             raise InputError(msg)
         found = {} if match is None else {name: text for name, text in match.groupdict().items() if text}
         both = {**custom, **found} if self.is_given else {**found, **custom}
@@ -58,12 +58,12 @@ def label_rule(pattern: str | None) -> LabelRule:
     try:
         compiled = re.compile(pattern or DEFAULT_PATTERN)
     except re.error as error:
-        msg = f'--label {pattern!r}: {error}'
+        msg = f"--label '{pattern}': {error}"
         raise InputError(msg) from None
     unknown = sorted(set(compiled.groupindex) - set(LABELS))
     if unknown or not compiled.groupindex:
         problem = f'has a group {unknown[0]!r}' if unknown else 'has no named group such as (?P<train>[^/]+)'
-        msg = f'--label {pattern!r}: {problem}; the labels are {", ".join(LABELS)}'
+        msg = f"--label '{pattern}': {problem}; the labels are " + ', '.join(LABELS)
         raise InputError(msg)
     return LabelRule(compiled, is_given=pattern is not None)
 

@@ -3,17 +3,16 @@
 
 from __future__ import annotations
 
-import os
 from glob import glob, has_magic
 from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING
 
 from mcap.data_stream import ReadDataStream
 from mcap.opcode import Opcode
 from mcap.records import Statistics
 
-from trainid_ros.bag.bag_files import METADATA, locate
+from trainid_ros.bag.bag_files import METADATA, SUFFIXES, bags_below, locate
 from trainid_ros.bag.record_file import RecordFile
 from trainid_ros.errors import InputError
 from trainid_ros.fleet.labels import day_of
@@ -25,13 +24,9 @@ if TYPE_CHECKING:
 
     from trainid_ros.fleet.labels import LabelRule
 
-_SUFFIXES: Final = ('.mcap', '.db3')
-
 
 def find_bags(given: Sequence[Path]) -> list[Path]:
     """Return the bags that are named, lie in a folder that is named or fit a pattern; each once, in order of path.
-
-    A folder with a ``metadata.yaml`` is a bag; in others each file of a recorder is one.
 
     Raises:
         InputError: A path does not exist, or holds no bag.
@@ -39,9 +34,9 @@ def find_bags(given: Sequence[Path]) -> list[Path]:
     """
     found: dict[Path, Path] = {}
     for path in given:
-        bags = sorted(bag for place in _matching(path) for bag in _bags_at(place))
+        bags = sorted(bag for place in _matching(path) for bag in bags_below(place))
         if not bags:
-            msg = f'{path}: holds no bag (neither {METADATA} nor a file .mcap or .db3)'
+            msg = f'{path}: holds no bag (neither {METADATA} nor a file {" or ".join(SUFFIXES)})'
             raise InputError(msg)
         for bag in bags:
             found.setdefault(bag.resolve(), bag)
@@ -55,25 +50,6 @@ def _matching(path: Path) -> list[Path]:
         msg = f'{path}: no such bag or folder'
         raise InputError(msg)
     return [Path(name) for name in glob(str(path), recursive=True)]  # noqa: PTH207 - the pattern may be absolute
-
-
-def _bags_at(path: Path) -> Iterable[Path]:
-    if not path.is_dir():
-        return [path]
-    bags: list[Path] = []
-    seen: set[str] = set()
-    for folder, folders, names in os.walk(path, followlinks=True):
-        real = os.path.realpath(folder)
-        if real in seen:  # links may lead in circles
-            folders.clear()
-            continue
-        seen.add(real)
-        if METADATA in names:
-            folders.clear()
-            bags.append(Path(folder))
-        else:
-            bags += [Path(folder, name) for name in names if name.endswith(_SUFFIXES)]
-    return bags
 
 
 def list_bags(

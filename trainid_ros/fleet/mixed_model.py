@@ -12,6 +12,9 @@ that a system of the size of the common effects is left (Henderson's equations a
 omega are the weights of Student's t (iteratively reweighted least squares), so that single bad runs do not count; its
 degrees of freedom are those under which the residuals are most likely.
 
+Small fleets tell little of s_T and kappa, and the most likely values are often zero. Weak log-normal priors keep them
+from it: fifty trains outweigh them.
+
 Sources: Harville, J. Am. Stat. Assoc. 72 (1977) 320; Henderson, Biometrics 31 (1975) 423; Lange, Little and Taylor,
 J. Am. Stat. Assoc. 84 (1989) 881.
 """
@@ -36,11 +39,15 @@ if TYPE_CHECKING:
 
 DEGREES: Final = (4.0, 8.0, 16.0, 32.0)
 """Degrees of freedom of Student's t among which the data choose."""
-_ROUNDS: Final = 4
+ROUNDS: Final = 4
+"""Rounds after which the weights do not change any more."""
 # A day's effect is the mean of its trains; with fewer on most days it would take away what is a train's own.
 _LEAST_TRAINS: Final = 4
 # Logarithms of variances relative to that of the data.
 _BOUNDS: Final = (-14.0, 4.0)
+# Priors of ln kappa^2 and ln s_T^2: part of what the estimators state repeats every day; standard deviation.
+_STATED: Final = math.log(0.5**2)
+_PRIOR_STD: Final = 2.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,10 +123,11 @@ class _Problem:
         effects: Effects in common.
         trains: Number of trains.
         used: Cells that count, shape (n,).
+        level_std: Usual standard deviation among trains.
 
     """
 
-    def __init__(self, cells: Cells, effects: Effects, trains: int, used: NDArray[np.bool_]) -> None:
+    def __init__(self, cells: Cells, effects: Effects, trains: int, used: NDArray[np.bool_], level_std: float) -> None:
         self.cells, self.effects, self.used, self._trains = cells, effects, used, trains
         self.weights = used.astype(float)
         # Numbers near zero: sums of squares of values far from it would lose all digits.
@@ -128,6 +136,7 @@ class _Problem:
         # Unit of the variances, so that their logarithms are near zero.
         unit = _robust_variance(cells.value[used])
         self._units = np.array([1.0, unit, unit, *np.full(len(effects.names), unit)])
+        self._usual = np.array([_STATED, math.log(level_std**2 / unit)])
 
     def variances(self, x: Array) -> Array:
         """Return kappa^2, s_E^2, s_T^2 and that of each common effect for their logarithms."""
@@ -135,8 +144,8 @@ class _Problem:
         return found
 
     def loss(self, x: Array) -> float:
-        """Return -ln L for logarithms of the variances."""
-        return self.solve(x).loss
+        """Return -ln L, less ln of the priors, for logarithms of the variances."""
+        return self.solve(x).loss + 0.5 * float(((x[[0, 2]] - self._usual) ** 2).sum()) / _PRIOR_STD**2
 
     def solve(self, x: Array) -> _Solution:
         """Return the effects for logarithms of the variances."""
@@ -199,19 +208,23 @@ class _Solution(NamedTuple):
     cholesky: tuple[Array, bool]
 
 
-def fit(cells: Cells, labels: Labels, used: NDArray[np.bool_] | None = None) -> MixedFit:
+def fit(
+    cells: Cells, labels: Labels, level_std: float, used: NDArray[np.bool_] | None = None, rounds: int = ROUNDS
+) -> MixedFit:
     """Fit the model.
 
     Args:
         cells: Values.
         labels: Names of trains and so on.
+        level_std: Usual standard deviation among trains.
         used: Cells that count, shape (n,); all if None. The others only get their common effects.
+        rounds: How often the weights are found anew.
 
     """
     used = np.ones(cells.value.size, dtype=np.bool_) if used is None else used
-    problem = _Problem(cells, common_effects(cells, labels), len(labels.trains), used)
+    problem = _Problem(cells, common_effects(cells, labels), len(labels.trains), used, level_std)
     x, degrees = np.array([-1.0, -3.0, -1.0, *np.full(len(problem.effects.names), -2.0)]), DEGREES[1]
-    for _ in range(_ROUNDS):
+    for _ in range(rounds):
         x = minimize(
             problem.loss, x, method='L-BFGS-B', bounds=[_BOUNDS] * x.size, options={'ftol': 1e-7, 'eps': 1e-4}
         ).x

@@ -8,12 +8,16 @@ import re
 from dataclasses import asdict, dataclass
 from hashlib import sha256
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import trainid_ros
 from trainid_ros.fleet.files import write_whole
 
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
 _FORMAT: Final = 1
+_FILES: Final = ('train', 'params', 'mapping')
 # A user function in a mapping, such as logger.py:force.
 _FUNCTION_FILE: Final = re.compile(rb'([\w.-]+\.py):')
 
@@ -111,9 +115,27 @@ class Plan:
         write_whole(path, lambda part: part.write_text(json.dumps(self.to_json(), indent=1) + '\n', encoding='utf-8'))
 
 
+def setup_of(plan: Mapping[str, Any]) -> Setup | None:
+    """Return the setup of a plan as written, None if it holds none."""
+    try:
+        found = plan['setup']
+        train, params, mapping = (None if found.get(name) is None else Path(found[name]) for name in _FILES)
+        return Setup(train or Path(), params, mapping, str(found['namespace']), int(found['max_chunk']))
+    except (KeyError, TypeError, ValueError, AttributeError):
+        return None
+
+
+def setup_in(path: Path) -> Setup | None:
+    """Return the setup of a file with a plan, None without one."""
+    try:
+        return setup_of(json.loads(path.read_text(encoding='utf-8')))
+    except (OSError, ValueError):
+        return None
+
+
 def make_plan(setup: Setup, bags: tuple[PlannedBag, ...]) -> Plan:
     """Return the plan of bags; OSError if a file of the setup cannot be read."""
-    files = {'train': setup.train, 'params': setup.params, 'mapping': setup.mapping}
+    files = {name: getattr(setup, name) for name in _FILES}
     hashes = {name: '' if path is None else _hash_of(path) for name, path in files.items()}
     return Plan(setup, hashes, revision(), bags)
 

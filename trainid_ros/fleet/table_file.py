@@ -50,9 +50,10 @@ def read_table(path: Path) -> tuple[list[Row], dict[str, Any]]:
 
     """
     try:
+        path.open('rb').close()  # pyarrow does not say why it cannot
         rows, about = _read_csv(path) if path.suffix == '.csv' else _read_parquet(path)
     except OSError as error:
-        msg = f'{path}: cannot be read ({error.strerror or error})'
+        msg = f'{path}: cannot be read ({error.strerror})'
         raise InputError(msg) from None
     except ValueError as error:  # of pyarrow and csv
         msg = f'{path}: is not a {_WRITTEN} ({" ".join(str(error).split())[:200]})'

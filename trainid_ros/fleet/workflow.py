@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Name the cause of a change from the bags of a train: the discrepancy workflow before and after it.
 
-The last bag before the change shows what is wrong with the train file for this train at all times; what the bags after
-it show besides is new. Each bag is explained alone, since wind and load differ from day to day.
+A bag of the usual days shows what is wrong with the train file for this train at all times; what the bags of its main
+departure show besides is new. Each bag is explained alone, since wind and load differ from day to day.
 """
 
 from __future__ import annotations
@@ -11,7 +11,7 @@ import math
 from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 from trainid_ros.bag.run_reader import read_runs
 from trainid_ros.errors import TrainIdError
@@ -19,11 +19,12 @@ from trainid_ros.mapping.mapped_inputs import mapped_inputs
 from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Sequence
 
     from trainid_ros.explain.result import Explanation, FoundEffect
     from trainid_ros.fleet.analysis import FleetView, TrainView
     from trainid_ros.fleet.columns import Row
+    from trainid_ros.fleet.plan import Setup
     from trainid_ros.train.train_file import TrainFile
 
 _MOST_BAGS: Final = 3
@@ -46,30 +47,40 @@ class Cause:
     problem: str = ''
 
 
-def name_cause(view: FleetView, train: TrainView, rows: Sequence[Row], setup: Mapping[str, Any]) -> Cause:
+def name_cause(view: FleetView, train: TrainView, rows: Sequence[Row], setup: Setup | None) -> Cause:
     """Return what has changed by the bags of a train.
 
     Args:
         view: The fleet.
-        train: A train with a change.
+        train: A train with a departure.
         rows: Rows of the tables.
-        setup: How the bags were replayed, from the plan.
+        setup: How the bags were replayed, None if the plan is missing.
 
     """
-    day = view.labels.days[train.changes[-1].day]
-    own = [row for row in rows if row['train'] == train.name and row['day'] and row['status']]
-    own.sort(key=lambda row: (row['day'], row['start'] or 0.0))
-    before = [Path(row['bag']) for row in own if row['day'] < day][-1:]
-    after = [Path(row['bag']) for row in own if row['day'] >= day][:_MOST_BAGS]
-    try:
-        train_file = load_train_file(Path(setup['train']))
-        known = [effect for bag in before for effect in _explain(bag, train_file, setup).effects]
-        found = [effect for bag in after for effect in _explain(bag, train_file, setup).effects]
-    except KeyError:
+    if setup is None:
         return Cause(0, problem='the plan of the table is missing')
+    usual, away = _bags(view, train, rows)
+    try:
+        train_file = load_train_file(setup.train)
+        known = [effect for bag in usual for effect in _explain(bag, train_file, setup).effects]
+        found = [effect for bag in away for effect in _explain(bag, train_file, setup).effects]
     except TrainIdError as error:
         return Cause(0, problem=str(error))
-    return Cause(len(after), _merged([new for new in found if not any(_are_equal(new, old) for old in known)]))
+    return Cause(len(away), _merged([new for new in found if not any(_are_equal(new, old) for old in known)]))
+
+
+def _bags(view: FleetView, train: TrainView, rows: Sequence[Row]) -> tuple[list[Path], list[Path]]:
+    """Return the bag of the usual days that is next to the main departure of a train, and the first ones of that."""
+    days, departure = view.labels.days, train.main
+    if departure is None:
+        return [], []
+    own = [row for row in rows if row['train'] == train.name and row['day'] and row['status']]
+    own.sort(key=lambda row: (row['day'], row['start'] or 0.0))
+    first, end = days[departure.first], None if departure.end is None else days[departure.end]
+    before = [Path(row['bag']) for row in own if row['day'] < first]
+    away = [Path(row['bag']) for row in own if row['day'] >= first and (end is None or row['day'] < end)]
+    after = [Path(row['bag']) for row in own if end is not None and row['day'] >= end]
+    return before[-1:] or after[:1], away[:_MOST_BAGS]
 
 
 def _are_equal(one: FoundEffect, other: FoundEffect) -> bool:
@@ -92,7 +103,7 @@ def _merged(found: Sequence[FoundEffect]) -> tuple[Named, ...]:
     return tuple(Named(max(effects, key=lambda effect: effect.evidence), len(effects)) for effects in ranked)
 
 
-def _explain(bag: Path, train_file: TrainFile, setup: Mapping[str, Any]) -> Explanation:
+def _explain(bag: Path, train_file: TrainFile, setup: Setup) -> Explanation:
     """Explain a bag.
 
     Raises:
@@ -102,7 +113,6 @@ def _explain(bag: Path, train_file: TrainFile, setup: Mapping[str, Any]) -> Expl
     """
     from trainid_ros.explain.workflow import explain  # noqa: PLC0415 - takes long to load
 
-    mapping = None if setup['mapping'] is None else Path(setup['mapping'])
-    inputs = mapped_inputs(mapping, train_file)
-    runs = read_runs([bag], train_file, setup['namespace'], setup['max_chunk'], inputs)
+    inputs = mapped_inputs(setup.mapping, train_file)
+    runs = read_runs([bag], train_file, setup.namespace, setup.max_chunk, inputs)
     return explain(runs, train_file, provenance='trainid fleet report')

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 from trainid_ros.errors import InputError
 from trainid_ros.mapping.mapping import UNKNOWN_EFFORT, Constant, LineLookup, Signal, SpeedIntegral, StampSource
 from trainid_ros.mapping.mapping_file import load_mapping
+from trainid_ros.mapping.message_fields import type_of
 from trainid_ros.mapping.series import JoinedSeries
 from trainid_ros.messages import stamp_of
 from trainid_ros.records import (
@@ -258,5 +259,5 @@ def _stamp(source: Source, message: Any, received_ns: int) -> int:
     try:
         return stamp_of(message)
     except AttributeError:
-        msg = f'topic {source.topic}: {type(message).__name__} has no header; set stamp: receive'
+        msg = f'topic {source.topic}: {type_of(message)} has no header; set stamp: receive'
         raise InputError(msg) from None

@@ -4,11 +4,13 @@
 from __future__ import annotations
 
 import math
+import re
 from dataclasses import dataclass, fields, replace
 from enum import Enum
 from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from trainid_ros.errors import InputError
+from trainid_ros.mapping.message_fields import names_of, type_of
 from trainid_ros.mapping.units import Unit
 from trainid_ros.records import BRAKE_TOPIC, FORCE_TOPIC, GRADIENT_TOPIC, MASS_TOPIC, SPEED_TOPIC
 
@@ -71,16 +73,21 @@ class Source:
         """Return a number in the unit of the interface; NaN for one that is not in the table."""
         if self.table:
             raw = dict(self.table).get(raw, math.nan)
+        if raw == UNKNOWN_EFFORT:
+            return raw
         return self.unit.convert(self.sign * self.gain * raw + self.offset)
 
     def _raw(self, message: Any) -> float:
-        value = message
+        value, reached = message, ''
         try:
             for step in self.path:
                 value = value[step] if isinstance(step, int) else getattr(value, step)
+                reached = f'{reached}.{step}'.lstrip('.')
             return float(value)
         except (AttributeError, IndexError, TypeError, ValueError):
-            msg = f'topic {self.topic}: field {self.field} is not a number of {type(message).__name__}'
+            names = ', '.join(names_of(value))
+            hint = f' (fields{" of " if reached else ""}{reached}: {names})' if names else ''
+            msg = f'topic {self.topic}: field {self.field} is not a number of {type_of(message)}{hint}'
             raise InputError(msg) from None
 
 
@@ -205,6 +212,13 @@ class Mapping:
         if signal is None:
             return (topic,)
         return tuple(source.topic for source in signal.sources) if isinstance(signal, Signal) else ()
+
+    def named(self, text: str) -> str:
+        """Return a text for people with the topics that are read in place of our own ones, which it may name."""
+        for topic in self.replaced:
+            read = ' + '.join(dict.fromkeys(self.needed(topic))) or f'the {_QUANTITY_OF[topic]} of the mapping'
+            text = re.sub(rf'(?<![\w/]){topic}(?![\w/])', read, text)
+        return text
 
     @property
     def topics(self) -> tuple[str, ...]:

@@ -43,6 +43,7 @@ _FUNCTION: Final = 'function'
 _OF: Final = 'of'
 _ON_CHANGE: Final = 'on_change'
 _TIME: Final = 'time'
+_BRAKE: Final = 'brake_command'
 _CSV: Final = 'csv'
 # Of what a function is given, in its own unit.
 _RAW: Final = Unit('', 1.0)
@@ -113,7 +114,10 @@ def _constant(section: Section) -> Constant | None:
         return None
     section.only((_VALUE, 'unit'))
     unit = _unit(section, section.path)
-    return Constant(unit.convert(section.number(_VALUE, unit.name)))
+    value = unit.convert(section.number(_VALUE, unit.name))
+    if section.path == _BRAKE:
+        _check_braking(section, _VALUE, value)
+    return Constant(value)
 
 
 def _signal(top: Section, key: str, *more: str) -> Signal | None:
@@ -172,7 +176,7 @@ def _source(section: Section, key: str, *more: str, is_table: bool) -> Source:
     sign = section.number('sign', '', 1.0)
     if abs(sign) != 1.0:
         section.fail('sign', f'= {sign:g} must be 1 or -1; other factors are a gain')
-    return Source(
+    source = Source(
         topic='' if is_table else section.text('topic'),
         path=(section.text('field'),) if is_table else _path(section),
         unit=unit,
@@ -182,6 +186,16 @@ def _source(section: Section, key: str, *more: str, is_table: bool) -> Source:
         table=_table(section, unit.name),
         stamp=_stamp(section),
     )
+    if key == _BRAKE:
+        for raw, _ in source.table:
+            _check_braking(section, f'table.{raw:g}', source.value(raw))
+    return source
+
+
+def _check_braking(section: Section, key: str, acceleration: float) -> None:
+    """Raise InputError for a brake command that would accelerate the train."""
+    if acceleration > 0.0:
+        section.fail(key, f'gives {acceleration:g} m/s^2, but a brake command is negative or 0; sign: -1 turns a table')
 
 
 def _path(section: Section) -> tuple[str | int, ...]:

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
@@ -42,16 +42,10 @@ def choose_brake(series: Sequence[NumberSeries], motion: Motion, effort: Array |
             brake, which is what a command asks for.
 
     """
-    ranked = []
-    for item in series:
-        if score('brake_command', item.topic, item.field) <= 0.0 or np.ptp(item.value) == 0.0:
-            continue
-        lag_s, with_it = _precedes(item, motion, motion.acceleration)
-        if abs(with_it) > _GOES_WITH:
-            ranked.append((abs(with_it) + 0.3 * score('brake_command', item.topic, item.field), lag_s, with_it, item))
+    ranked = _ranked(series, motion)
     if not ranked:
         return []
-    _, lag_s, with_it, item = max(ranked, key=lambda entry: entry[0])
+    _, lag_s, with_it, item = ranked[0]
     by_force = 'median of d(speed)/dt' if effort is None else 'median of force / mass'
     target = np.where(motion.moving, motion.acceleration if effort is None else effort, np.nan)
     target = _earlier(target, _precedes(item, motion, target)[0])
@@ -66,10 +60,31 @@ def choose_brake(series: Sequence[NumberSeries], motion: Motion, effort: Array |
         _scale(choice, item, values, target, by_force)
     if choice.on_change:
         choice.reasons.append(f'published only on change, up to {float(np.diff(item.time).max()):.0f} s apart')
-    others = [f'{entry[3].topic} {entry[3].field}' for entry in ranked if entry[3] is not item]
-    if others:
+    if others := [f'{entry.item.topic} {entry.item.field}' for entry in ranked[1:]]:
         choice.decisions.append(f'also like a brake: {", ".join(others[:3])}')
     return [choice]
+
+
+class _Candidate(NamedTuple):
+    """A number that may be the command: its rank, by how much it precedes decelerations [s], and its correlation."""
+
+    rank: float
+    lag_s: float
+    with_it: float
+    item: NumberSeries
+
+
+def _ranked(series: Sequence[NumberSeries], motion: Motion) -> list[_Candidate]:
+    """Return what is named like a brake command and precedes decelerations, the likeliest first."""
+    found = []
+    for item in series:
+        named = score('brake_command', item.topic, item.field)
+        if named <= 0.0 or np.ptp(item.value) == 0.0:
+            continue
+        lag_s, with_it = _precedes(item, motion, motion.acceleration)
+        if abs(with_it) > _GOES_WITH:
+            found.append(_Candidate(abs(with_it) + 0.3 * named, lag_s, with_it, item))
+    return sorted(found, key=lambda candidate: -candidate.rank)
 
 
 def _precedes(item: NumberSeries, motion: Motion, acceleration: Array) -> tuple[float, float]:

@@ -62,7 +62,7 @@ class UserFunction:
         function = self.load()
         try:
             result = np.asarray(function(*columns), dtype=np.float64)
-        except Exception as error:  # whatever its code raises
+        except (Exception, SystemExit) as error:  # whatever its code raises
             msg = f'{self} failed{_line(self.path, error)}: {type(error).__name__}: {error}'
             raise InputError(msg) from error
         if result.shape != columns[0].shape:
@@ -107,13 +107,13 @@ def _names_of(path: Path) -> dict[str, Any]:
     names: dict[str, Any] = {'__name__': path.stem, '__file__': str(path)}
     try:
         exec(compile(path.read_bytes(), path, 'exec'), names)
-    except Exception as error:  # whatever its code raises
+    except (Exception, SystemExit) as error:  # whatever its code raises
         msg = f'{path}: cannot be run{_line(path, error)}: {type(error).__name__}: {error}'
         raise InputError(msg) from error
     return names
 
 
-def _line(path: Path, error: Exception) -> str:
+def _line(path: Path, error: BaseException) -> str:
     """Return which line of a file raised an error, '' if none did."""
     lines = [frame.lineno for frame in extract_tb(error.__traceback__) if frame.filename == str(path)]
     return f' in line {lines[-1]}' if lines else ''

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
+from trainid_ros.fleet.changes import Level
 from trainid_ros.report.style import BAD, BRAKE, ESTIMATE, GRID, INK, MUTED, SECOND, TRACTION, styled_figure, to_svg
 
 if TYPE_CHECKING:
@@ -86,11 +87,12 @@ def _segments(
     changes: Sequence[Change], edges: Sequence[int], k: int, channel: ChannelView, number: int
 ) -> list[tuple[int, int, float, float]]:
     """Return start, end, level and standard deviation of each part between changes."""
-    fit = channel.fit
-    found = [(edges[0], edges[1], float(fit.train[number]), float(fit.train_std[number]))]
+    first = changes[0].steps[k] if changes else None
+    level = first.before if first else Level(float(channel.fit.train[number]), float(channel.fit.train_std[number]))
+    found = [(edges[0], edges[1], *level)]
     for i, change in enumerate(changes):
         if (step := change.steps[k]) is not None:
-            found.append((edges[i + 1], edges[i + 2], step.after, step.std))
+            found.append((edges[i + 1], edges[i + 2], *step.after))
     return found
 
 

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from trainid_ros.fleet.analysis import ChannelView, FleetView, LevelOutlier, TrainView
-    from trainid_ros.fleet.changes import Change
+    from trainid_ros.fleet.departures import Departure
 
 MOST_PAGES: Final = 60
 """Trains with a page of their own: those that stand out, and of the others the first."""
@@ -55,22 +55,28 @@ def summary(view: FleetView) -> str:
 
 def findings(view: FleetView, train: TrainView) -> tuple[str, ...]:
     """Return what stands out of a train, one sentence each."""
-    lines = [_change_text(view, change) for change in train.changes]
+    lines = [_departure_text(view, departure) for departure in train.departures]
     lines += [_outlier_text(outlier) for outlier in train.outliers]
     if train.causes:
-        lines.append('By the channels: ' + ', '.join(f'{c.title} ({c.probability:.0%})' for c in train.causes) + '.')
+        which = f', of {view.labels.days[train.main.first]}' if train.main and len(train.departures) > 1 else ''
+        causes = ', '.join(f'{c.title} ({c.probability:.0%})' for c in train.causes)
+        lines.append(f'By the channels{which}: {causes}.')
     return tuple(lines)
 
 
-def _change_text(view: FleetView, change: Change) -> str:
+def _departure_text(view: FleetView, departure: Departure) -> str:
     days = view.labels.days
     steps = [
-        f'{v.channel.title} {v.fit.mean + s.before:.4g} to {plus_minus(v.fit.mean + s.after, s.std)} {v.channel.unit}'
-        for v, s in zip(view.channels, change.steps, strict=True)
+        f'{v.channel.title} {v.fit.mean + s.before.mean:.4g} to {plus_minus(v.fit.mean + s.after.mean, s.after.std)} '
+        f'{v.channel.unit}'
+        for v, s in zip(view.channels, departure.steps, strict=True)
         if s is not None and s.evidence > _TELLING
     ]
     what = '; '.join(step.rstrip() for step in steps) or 'in several channels a little'
-    return f'Changed on {days[change.day]}, certain on {days[change.alarm]}: {what}.'
+    until = '' if departure.end is None else f' until {days[departure.end - 1]}'
+    if departure.first == 0:
+        return f'Different{until}, from the first day on, certain on {days[departure.alarm]}: {what}.'
+    return f'Changed on {days[departure.first]}{until}, certain on {days[departure.alarm]}: {what}.'
 
 
 def _outlier_text(outlier: LevelOutlier) -> str:

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 NAME: Final = 'bag_player'
 _PARAMETERS: Final = (
-    ParameterSpec('bag', '', 'rosbag2 directory or .mcap file; takes effect on the next configure'),
+    ParameterSpec('bag', '', 'rosbag2 directory, .mcap or .db3 file; takes effect on the next configure'),
     ParameterSpec('bag_namespace', '/', 'namespace of the topics in the bag; takes effect on the next configure'),
     ParameterSpec('mapping_file', '', 'mapping file, whose topics are played; takes effect on the next configure'),
     ParameterSpec('max_chunk', 64, 'largest chunk to unpack [MB]; takes effect on the next configure', 1, 4095),

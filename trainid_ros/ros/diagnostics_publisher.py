@@ -61,6 +61,10 @@ class DiagnosticsPublisher:
             for monitor in node.monitors.by_topic.values():
                 topic = node.resolve_topic_name(monitor.topic.name)
                 array.status.append(input_status(health, monitor, topic, self._judge(monitor, topic, now_ns)))
+        for status in array.status:
+            status.message = node.mapping.named(status.message)
+            for item in status.values:
+                item.value = node.mapping.named(item.value)
         self._publisher.publish(array)
 
     def _note_problems(self, now_ns: int, clock_problem: str) -> None:

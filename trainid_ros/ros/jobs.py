@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
@@ -36,7 +37,6 @@ from trainid_ros.speed_model.speed_model_algorithms import SPEED_MODEL
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-    from pathlib import Path
 
     from trainid_ros.estimators.algorithm_registry import Algorithms
     from trainid_ros.mapping.mapping import Mapping as InputMapping
@@ -181,13 +181,29 @@ def node_setups(
     setups = []
     for job in JOBS:
         overrides = {} if params is None else _given(job, params, f'{base}/{job.node_name}', warn)
-        if overrides.get(MAPPING_FILE.name) and not foreign:
-            warn(f'{params}: {MAPPING_FILE.name} = {overrides[MAPPING_FILE.name]} is not read off line: give --map')
         if job.field in chosen:
             overrides[ALGORITHM] = chosen[job.field]
         topics = qos_overrides(job, lambda topic: topic if topic.startswith('/') else f'{base}/{topic}', foreign)
         setups.append(_setup(job, train_file, source, overrides, {*_OF_ROS, *topics}))
     return tuple(setups)
+
+
+def mapping_in(params: Path | None, namespace: str = '/') -> Path | None:
+    """Return the mapping file that the nodes would take from a parameter file, None without one.
+
+    Raises:
+        InputError: The file cannot be read, or the nodes have different mapping files: a bag is read once for all.
+
+    """
+    if params is None:
+        return None
+    base = '/' + namespace.strip('/') if namespace.strip('/') else ''
+    given = (read_overrides(params, f'{base}/{job.node_name}').get(MAPPING_FILE.name) for job in JOBS)
+    found = sorted({str(value or '') for value in given})
+    if len(found) > 1:
+        msg = f'{params}: nodes with different {MAPPING_FILE.name} ({", ".join(map(repr, found))}): give --map'
+        raise InputError(msg)
+    return Path(found[0]).expanduser() if found[0] else None
 
 
 def _given(job: Job, params: Path, node: str, warn: Callable[[str], None]) -> dict[str, object]:

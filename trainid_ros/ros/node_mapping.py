@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 from trainid_ros.errors import InputError
 from trainid_ros.mapping.mapped_inputs import mapped_inputs
+from trainid_ros.mapping.mapping import OWN
 from trainid_ros.mapping.mapping_file import load_mapping
 from trainid_ros.ros.parameter_specs import MAPPING_FILE
 
@@ -36,6 +37,7 @@ class NodeMapping:
         """Read the file, if the node is given one."""
         self._node = node
         self._make: Callable[[], MappedInputs] | None = None
+        self._mapping = OWN
         self.topics: tuple[str, ...] = ()
         given = node._parameter_overrides.get(MAPPING_FILE.name)  # rclpy gives no public access to them
         if given is not None and isinstance(given.value, str) and given.value:
@@ -51,9 +53,14 @@ class NodeMapping:
         """
         path = str(self._node.get_parameter(MAPPING_FILE.name).value)
         self._make = mapped_inputs(Path(path).expanduser() if path else None, train_file)
-        if (inputs := self.inputs()) is None:
+        self._mapping = OWN if (inputs := self.inputs()) is None else inputs.mapping
+        if inputs is None:
             return settings
         return replace(settings, alignment=inputs.mapping.alignment(settings.alignment))
+
+    def named(self, text: str) -> str:
+        """Return a text for people with the topics that are read in place of our own ones."""
+        return self._mapping.named(text)
 
     def inputs(self) -> MappedInputs | None:
         """Return what makes records of the messages of foreign topics, None without a mapping."""

@@ -108,11 +108,7 @@ class Clock:
             InputError: ROS cannot hold a time.
 
         """
-        time = self._time
-        if time.function is None:
-            values = columns[time.columns[0]]
-        else:
-            values = time.function.of_columns([numbers(columns[name]) for name in time.columns])
+        values = self._values(columns)
         known = np.isfinite(values)
         since_ns = self._since_ns(values, known)
         if values.dtype.kind != 'M' and self.start_ns is None and known.any():
@@ -122,13 +118,18 @@ class Clock:
         wrong = known & ((stamps <= 0) | (stamps >= _LAST_NS))
         if wrong.any():
             row = int(np.argmax(wrong))
-            name = ', '.join(time.columns)
             msg = (
-                f'{where}: row {rows_before + row + 1}: column {shown(name)} = {values[row]} is no time between 1970 '
-                'and 2038; time: {unit, start} in the mapping may be wrong'
+                f'{where}: row {rows_before + row + 1}: column {shown(", ".join(self._time.columns))} = {values[row]} '
+                'is no time between 1970 and 2038; time: {unit, start} in the mapping may be wrong'
             )
             raise InputError(msg)
         return stamps, known
+
+    def _values(self, columns: dict[str, Column]) -> Column:
+        """Return the times of rows as they are in the file, or as the function of the mapping makes them."""
+        if self._time.function is None:
+            return columns[self._time.columns[0]]
+        return self._time.function.of_columns([numbers(columns[name]) for name in self._time.columns])
 
     def _since_ns(self, values: Column, known: NDArray[np.bool_]) -> NDArray[np.int64]:
         if values.dtype.kind == 'M':

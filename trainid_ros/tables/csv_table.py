@@ -68,6 +68,7 @@ class CsvTable:
                 for _ in islice(rows, layout.skipped):
                     pass
                 while some := list(islice(rows, ROWS_AT_ONCE)):
+                    self._check_widths(some, layout)
                     lines, cells = [line for line, _ in some], [row for _, row in some]
                     columns = {
                         name: self._column(name, lines, [row[i] if i < len(row) else '' for row in cells], layout)
@@ -77,6 +78,17 @@ class CsvTable:
             except csv.Error as error:
                 msg = f'{self.path}: line {reader.line_num}: {error}'
                 raise InputError(msg) from None
+
+    def _check_widths(self, rows: Sequence[tuple[int, list[str]]], layout: _Layout) -> None:
+        """Raise InputError for a row with more cells than names: no one can say which cell belongs to which."""
+        most = len(layout.names)
+        for line, row in rows:
+            if len(row) > most and _is_full(row[most:]):
+                msg = (
+                    f'{self.path}: line {line} has {len(row)} cells, {most} columns have names; a text with the '
+                    f'separator {layout.separator!r} must be in quotes'
+                )
+                raise InputError(msg)
 
     @contextmanager
     def _opened(self, encoding: str) -> Iterator[tuple[io.TextIOWrapper, _Progress]]:
@@ -102,6 +114,9 @@ class CsvTable:
         wanted = [known.index(name) for name in names]
         cells = [[row[i] if i < len(row) else '' for i in wanted] for row in below]
         named = int(not _is_comment(rows[place]))
+        if below[named:] and not any(_is_value(cell) for row in cells[named:] for cell in row):
+            msg = f'{self.path}: no numbers below the names of its columns {", ".join(map(shown, names))}'
+            raise InputError(msg)
         skipped = self._form.header_rows or named + _unit_rows(cells[named:])
         for row in ([*map(_in_brackets, names)], *cells[named:skipped]):
             self.units |= {name: cell.strip(' []()') for name, cell in zip(names, row, strict=True) if cell.strip()}
