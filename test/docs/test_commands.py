@@ -52,6 +52,8 @@ NOT_RUN = {
         ): SECURE,
     },
     'docs/controller.md': {
+        '.venv/bin/trainid run --train day.yaml': LIVE,
+        '.venv/bin/python examples/python/closed_loop.py': LIVE,
         'colcon build --base-paths src/trainid_ros/msg_defs src/trainid_ros/examples/cpp': 'needs a workspace',
     },
     'docs/faults.md': {'.venv/bin/python benchmarks/run.py --only faults faults_live --seeds 3': 'takes minutes'},
@@ -172,6 +174,9 @@ def check(text: str) -> None:
     elif words[:3] == ['ros2', 'service', 'call']:
         service = words[3].rpartition('/')[2]
         assert f"('{service}', " in (ROOT / 'trainid_ros/ros/services.py').read_text(encoding='utf-8')
+    elif words[0] == '.venv/bin/python' and words[1].startswith('examples/'):
+        source = (ROOT / words[1]).read_text(encoding='utf-8')
+        assert all(f"'{word}'" in source for word in words[2:] if word.startswith('--')), text
     elif words[0] == '.venv/bin/python':
         check_benchmark(words)
     else:
@@ -223,6 +228,8 @@ def test_a_command_is_valid(command: Command) -> None:
         'ros2 service call /resistance_estimator/nope std_srvs/srv/Trigger',
         '.venv/bin/python benchmarks/run.py --only nope',
         '.venv/bin/python benchmarks/run.py --only cost --only live',
+        '.venv/bin/python examples/python/nope.py',
+        '.venv/bin/python examples/python/closed_loop.py --nope',
         'nope',
     ],
 )
@@ -239,7 +246,7 @@ def test_the_list_of_commands_that_do_not_run_is_up_to_date() -> None:
 
 def workspace(folder: Path) -> None:
     """Give a folder what commands in the root of the repository find."""
-    for name in ('bags', 'config'):
+    for name in ('bags', 'config', 'examples'):
         (folder / name).symlink_to(ROOT / name)
     (folder / '.venv').symlink_to(sys.prefix)
 
