@@ -234,7 +234,7 @@ def test_a_command_is_valid(command: Command) -> None:
     ],
 )
 def test_an_invalid_command_is_found(text: str) -> None:
-    with pytest.raises((AssertionError, SystemExit, ValueError)):
+    with pytest.raises((AssertionError, OSError, SystemExit, ValueError)):
         check(text)
 
 
