@@ -23,7 +23,7 @@ from trainid_ros.estimators.pipeline import (
     speed_model_pipeline,
 )
 from trainid_ros.messages import MAY_BE_UNKNOWN
-from trainid_ros.records import NS_PER_S, Row
+from trainid_ros.records import NS_PER_S, Row, SpeedRecord
 from trainid_ros.results import Output, Reason, Status
 
 if TYPE_CHECKING:
@@ -94,7 +94,16 @@ class Outcome:
 
 @dataclass(frozen=True, slots=True)
 class Course:
-    """Outputs of one pipeline as arrays: time [s], motion so far [s], status, error and its standard deviation."""
+    """Outputs of one pipeline as arrays.
+
+    Attributes:
+        time_s: Time [s].
+        moved_s: Motion so far [s].
+        status: Status; UNINITIALIZED where the estimate says nothing: a brake rate while the train really stands.
+        error: Error of the estimate.
+        std: Its standard deviation.
+
+    """
 
     time_s: Array
     moved_s: Array
@@ -243,8 +252,18 @@ def _course(
     else:
         error = np.array([o.estimate.brake_rate for o in outputs]) - rates
         std = np.array([o.estimate.brake_rate_std for o in outputs])
+    status = np.array([int(o.status) for o in outputs])
+    if place == 2:
+        status[_speeds(source, start_ns, time_s) < _MOVING] = Status.UNINITIALIZED
     moved_s = np.cumsum((speed >= _MOVING) & (time_s >= begin_s)) * _PERIOD_S
-    return Course(time_s, moved_s, np.array([int(o.status) for o in outputs]), error, std)
+    return Course(time_s, moved_s, status, error, std)
+
+
+def _speeds(source: Ride, start_ns: int, time_s: Array) -> Array:
+    """Return the measured speeds of the drive without faults at times [s]."""
+    records = [record for record in source.records if isinstance(record, SpeedRecord)]
+    stamps_s = [(record.stamp_ns - start_ns) / NS_PER_S for record in records]
+    return np.interp(time_s, stamps_s, [record.speed for record in records])
 
 
 def _added_s(course: Course, wrong: Array, healthy: Course) -> float:
