@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     Array = NDArray[np.float64]
 
 # Lines, and runs from stop to stop on a day.
-_LINES: Final = (('metro', 10), ('emu', 6), ('tram', 16))
+_LINES: Final = (('metro', 6), ('emu', 4), ('tram', 10))
 # Seeds from here on were not used during development.
 _FIRST_SEED: Final = 9001
 _WINDOW: Final = 0.30

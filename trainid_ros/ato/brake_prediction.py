@@ -15,9 +15,11 @@ if TYPE_CHECKING:
     from trainid_ros.ato.knowledge import TrainValues
     from trainid_ros.ato.train_state import TrainState
 
-# Steps of the prediction [s], fast and slow, and the speed between them [m/s].
-_LONG_S: Final = 0.25
-_SHORT_S: Final = 0.05
+# Steps of the prediction [s]: while the brake builds up, afterwards, and below a speed [m/s].
+_BUILD_UP_S: Final = 2.0
+_MEDIUM_S: Final = 0.25
+_LONG_S: Final = 0.5
+_SHORT_S: Final = 0.1
 _SLOW: Final = 1.5
 # A command that takes longer does not stop the train [s]; the rest then counts as braked with this [m/s^2].
 _LONGEST_S: Final = 150.0
@@ -84,7 +86,7 @@ class BrakePredictor:
         """Return the distance [m] until the train stops under one command from then on; very long if it does not."""
         motion, time_s = begin, 0.0
         while motion.speed > 0.0:
-            dt = _LONG_S if motion.speed > _SLOW else _SHORT_S
+            dt = _SHORT_S if motion.speed < _SLOW else _LONG_S if time_s > _BUILD_UP_S else _MEDIUM_S
             motion = self._moved(motion, target, dt)
             time_s += dt
             if time_s > _LONGEST_S:
