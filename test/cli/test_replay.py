@@ -20,7 +20,7 @@ from trainid_ros.cli.replay import contradiction_text
 from trainid_ros.estimators.contradiction import Contradiction
 from trainid_ros.estimators.pipeline import EstimatorSettings
 from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
-from trainid_ros.train.train_file import load_train_file
+from trainid_ros.train.train_file import dump_train_file, load_train_file
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -285,3 +285,13 @@ def test_damage_is_said_and_the_rest_used(tmp_path: Path, driven_bag: Path, caps
     assert lines[0].startswith(f'trainid: warning: {path}: ')
     assert 'are lost: ' in lines[0]
     assert ' messages found' in lines[1]
+
+
+@pytest.mark.parametrize(('share', 'warned'), [(0.002, True), (0.05, False)])
+def test_a_mass_that_nobody_weighed_is_not_known_as_well(
+    standing_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], share: float, warned: bool
+) -> None:
+    file, train = load_train_file(standing_bag / 'train.yaml'), tmp_path / 'train.yaml'
+    train.write_text(dump_train_file(replace(file, train=replace(file.train, mass_std=share))), encoding='utf-8')
+    call(standing_bag, train=train)
+    assert ('ato/mass: no messages, so train.mass_std = 0.002' in capsys.readouterr().err) is warned

@@ -15,6 +15,7 @@ import pytest
 from trainid_ros.errors import InputError
 from trainid_ros.report.content import Report
 from trainid_ros.report.page import render, write_report
+from trainid_ros.report.style import styled_figure, to_svg
 from trainid_ros.report.traces import TraceRecorder
 from trainid_ros.sim.truth import Truth
 
@@ -158,3 +159,9 @@ def test_names_are_text_wherever_they_appear(make_chapter: Callable[..., Any]) -
     text = render(Report(bad, (chapter, chapter)))
     assert '<img' not in text
     assert text.count('&lt;img src=x onerror=alert(1)&gt;&amp;') >= 10
+
+
+def test_the_label_of_a_figure_is_no_markup() -> None:
+    with styled_figure(1.0) as figure:
+        text = to_svg(figure, 'Train T1" onclick="x')
+    assert 'aria-label="Train T1&quot; onclick=&quot;x"' in text

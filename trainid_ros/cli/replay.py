@@ -19,6 +19,7 @@ from trainid_ros.estimators.observability import observe
 from trainid_ros.mapping.mapped_inputs import mapped_inputs
 from trainid_ros.mapping.mapping_file import load_mapping
 from trainid_ros.plural import pluralise
+from trainid_ros.records import MASS_TOPIC
 from trainid_ros.report import HTML_START
 from trainid_ros.ros.jobs import Setup, mapping_in, node_setups
 from trainid_ros.sim.truth import load_truth
@@ -36,9 +37,12 @@ if TYPE_CHECKING:
     from trainid_ros.report.traces import Traces
     from trainid_ros.results import Reason
     from trainid_ros.sim.truth import Truth
+    from trainid_ros.train.train_file import TrainFile
 
 TRUTH_FILE: Final = 'truth.yaml'
 _SPEEDS: Final = (10.0, 15.0, 20.0)
+# A load that nobody weighs varies by more than this share of the mass [1].
+_UNWEIGHED: Final = 0.02
 
 
 def run(args: argparse.Namespace) -> int:
@@ -128,7 +132,19 @@ def _replay(args: argparse.Namespace, bag: Path, advance: Callable[[float], None
     else:
         shown = reader.mapping.named(describe(outcome, setups, wall_s))
         shown = f'{bag}: {shown}' if len(args.bags) > 1 else shown
+    warnings += unweighed(reader, setups[0].train_file)
     return BagResult(shown, (*warnings, *reader.warnings), no_answer(bag, outcome))
+
+
+def unweighed(reader: BagReader, train_file: TrainFile) -> list[str]:
+    """Say so where no mass is recorded, and the train file states one as if the load were weighed at each stop."""
+    share = train_file.train.mass_std
+    if share >= _UNWEIGHED or not reader.missing(MASS_TOPIC):
+        return []
+    return [
+        f'{MASS_TOPIC.name}: no messages, so train.mass_std = {share:g} must cover the load too: state at least '
+        f'{_UNWEIGHED:g} unless it never changes'
+    ]
 
 
 def _observers(stack: ExitStack, out: Path | None, report: Path | None) -> tuple[list[Observer], TraceObserver | None]:

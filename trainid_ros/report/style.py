@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import re
 from contextlib import contextmanager
+from html import escape
 from io import StringIO
 from typing import TYPE_CHECKING, Any, Final
 
@@ -114,7 +115,7 @@ def to_svg(figure: Figure, label: str) -> str:
     text = re.sub(r'\s(xmlns|xmlns:xlink)="[^"]*"', '', text)
     text = re.sub(r'(<svg[^>]*?)\swidth="[^"]*"', r'\1', text, count=1)
     text = re.sub(r'(<svg[^>]*?)\sheight="[^"]*"', r'\1', text, count=1)
-    text = text.replace('<svg', f'<svg role="img" aria-label="{label}"', 1)
+    text = text.replace('<svg', f'<svg role="img" aria-label="{escape(label)}"', 1)
     for colour, variable, _ in _COLOURS:
         text = text.replace(colour, f'var(--{variable})')
     return text
