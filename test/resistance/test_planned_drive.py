@@ -47,7 +47,8 @@ def test_a_held_speed_is_held() -> None:
     assert run is not None
     held = run.steps[-round(60.0 / STEP_S) + 5 :]
     assert all(step.speed == pytest.approx(50 * KM_H, abs=1.0) for step in held)
-    assert run.length_m == pytest.approx(60.0 * 50 * KM_H, rel=0.4)
+    braked, accelerated = (50 * KM_H) ** 2 / (2.0 * 0.6), (50 * KM_H) ** 2 / (2.0 * 0.9)
+    assert run.length_m == pytest.approx(60.0 * 50 * KM_H + braked + accelerated, rel=0.1)
 
 
 def test_a_drive_that_takes_too_long_is_not_planned() -> None:

@@ -29,6 +29,8 @@ _TIMES: Final = 3
 _HELPS: Final = 0.9
 # A longer drive must be better than a shorter one by this share of the standard deviation.
 _WORTH: Final = 0.03
+# A standard deviation of up to this multiple of its limit counts as reaching it in the text.
+_NEARLY: Final = 1.05
 # A force scale known to this needs no drive [1].
 _SCALE_STD: Final = 0.01
 # w must be known up to the top speed, checked at these shares of it.
@@ -94,7 +96,7 @@ class SuggestedDrive:
         times = _NUMBERS.get(self.times, f'{self.times} times')
         length = f'{self.times * self.run.length_m / 1000.0:.1f} km'
         std = f'{wanted.name} ± {promise.then:.2g}{f" {wanted.unit}" if wanted.unit else ""}, now ± {promise.now:.2g}'
-        missed = '' if promise.ratio <= 1.0 else f' (known from ± {wanted.limit:.2g} on)'
+        missed = '' if promise.ratio <= _NEARLY else f' (wanted ± {wanted.limit:.2g})'
         return f'{self.run.manoeuvre.text} {times} ({length}): {std}{missed}'
 
     @property
