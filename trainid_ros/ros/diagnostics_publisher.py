@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from trainid_ros.ros.foreign_topics import AnyTopic
 
 # Time from the start of one search for what to drive to the next [ns].
-_SEARCH_EVERY_NS: Final = 120 * NS_PER_S
+_SEARCH_EVERY_NS: Final = 60 * NS_PER_S
 
 
 class DiagnosticsPublisher:
@@ -85,7 +85,7 @@ class DiagnosticsPublisher:
     def _to_drive(self, pipeline: EstimatorPipeline[Any], now_ns: int) -> Iterator[tuple[str, str]]:
         """Yield what to drive for a better estimate; each call goes on with the search, and the last result stands."""
         live = pipeline.current().estimate
-        if not isinstance(live, ResistanceEstimate):
+        if not (isinstance(live, ResistanceEstimate) and live.speed_max > 0.0):
             return
         if self._search is None and not 0 <= now_ns - self._searched_ns < _SEARCH_EVERY_NS:
             train_file = pipeline.stream.config.train_file
