@@ -293,13 +293,14 @@ class FilterBank:
         """Return what follows from runs with given innovations over their standard deviations, shape (runs, steps)."""
         bank, variance = Bank(self.bank.plan), self._tachometer.variance * self._sampled_s / STEP_S
         bank.restore(self.bank.state())
+        slowest = self.config.min_speed
         mixtures: list[Mixture] = []
         for row in deviations.tolist():
             bank.widen_force_scale(scale_step(self._train, weighed=self._weighed) ** 2)
-            bank.restart(self.config.min_speed, variance)
+            bank.restart(slowest, variance)
             for step, deviation in zip(run.steps, row, strict=True):
-                if step.speed >= self.config.min_speed:
-                    bank.foresee(_planned(step, variance), deviation)
+                if step.speed >= slowest and not bank.foresee(_planned(step, variance), deviation, 0.5 * slowest):
+                    break
             mixtures.append(bank.mixture(bank.plan.young_weight))
         return mixtures
 
