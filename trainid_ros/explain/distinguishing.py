@@ -142,9 +142,10 @@ def _information(run: Run, effect: Array, twin: Array, known: Known) -> Array:
     hyper, m = known.hyper, specific_inertia(1.0, known.train_file.train.rotary_mass)
     at = slice(_EVERY - 1, None, _EVERY)
     C = np.concatenate((-np.cumsum(pulls, axis=0) * STEP_S / m, np.ones((len(v), 1))), axis=1)[at]
-    t, noise = STEP_S * np.arange(1, len(v) + 1)[at], hyper.noise
+    t: Array = np.arange(1.0, len(v) + 1.0)[at] * STEP_S
+    noise = hyper.noise
     map_time = _MAP_M / max(float(v.mean()), 1.0)
-    drift = _integrated(t, noise.gust, noise.gust_time) + _integrated(t, hyper.spread.map, map_time)
+    drift: Array = _integrated(t, noise.gust, noise.gust_time) + _integrated(t, hyper.spread.map, map_time)
     R = drift / (m * m) + noise.speed**2 / (_EVERY * _SAMPLES) * np.eye(t.size)
     full = C.T @ np.linalg.solve(R, C)
     start = full[:6, 6]
