@@ -73,7 +73,7 @@ def test_json_has_the_agreed_fields_and_nothing_else_is_printed(printed: Printed
     assert printed.out.count('\n') == 1
     assert printed.err == ''
     agreed = {'samples', 'duration_s', 'used', 'rejected', 'resistance', 'speed_model', 'brake_rate', 'wall_s'}
-    assert agreed | {'algorithms', *FINDING} == set(answer)
+    assert agreed | {'algorithms', 'suggested_drive', *FINDING} == set(answer)
     assert [answer[key] for key in FINDING] == ['', None, None]
     assert answer['algorithms'] == {'resistance': 'filter-bank', 'speed_model': 'AM-VFF-RLS', 'brake_rate': 'GSMA'}
     known = {'a', 'b', 'c', 'std', 'status', 'speed_range', 'force_scale', 'force_delay', 'findings'}
@@ -104,6 +104,14 @@ def test_summary_shows_estimates_reasons_and_speed(printed: Printed) -> None:
     )
     for wanted in wanted_words:
         assert wanted in printed.text
+
+
+def test_what_to_drive_is_said_where_a_parameter_is_not_seen(printed: Printed) -> None:
+    drive = json.loads(printed.out)['suggested_drive']
+    assert f'to learn more: {drive["text"]}' in printed.text
+    least = drive['std'][drive['least_known']]
+    assert least['then'] < least['now'] > least['wanted']
+    assert drive['duration_s'] > 0.0 < drive['length_m']
 
 
 def test_speed_outside_those_learned_from_is_marked(printed: Printed) -> None:

@@ -73,6 +73,21 @@ def test_diagnostics_show_status_counts_and_inputs(graph: Graph, train_file: str
 
 
 @pytest.mark.ros
+def test_diagnostics_say_what_to_drive(graph: Graph, train_file: str) -> None:
+    diagnosed = Diagnosed(graph)
+    node = graph.make(
+        partial(EstimatorNode, RESISTANCE), train_file=train_file, diagnostic_period=0.1, stale_after=60.0
+    )
+    own = 'resistance_estimator: estimator'
+    node.bring_up()
+    graph.until(lambda: own in diagnosed.by_name)
+    assert 'to drive' not in diagnosed.values(own)
+    graph.feed(node, graph.coasting(150))
+    graph.until(lambda: 'to drive' in diagnosed.values(own))
+    assert 'km/h' in diagnosed.values(own)['to drive']
+
+
+@pytest.mark.ros
 def test_diagnostics_show_consistency_and_observability(graph: Graph, train_file: str) -> None:
     diagnosed = Diagnosed(graph)
     node = graph.active(train_file, diagnostic_period=0.1, stale_after=60.0)

@@ -21,6 +21,7 @@ from trainid_ros.mapping.mapping_file import load_mapping
 from trainid_ros.plural import pluralise
 from trainid_ros.records import MASS_TOPIC
 from trainid_ros.report import HTML_START
+from trainid_ros.resistance.suggested_drive import suggested_drive
 from trainid_ros.ros.jobs import Setup, mapping_in, node_setups
 from trainid_ros.sim.truth import load_truth
 from trainid_ros.tables.estimate_table import TABLE_SUFFIXES, estimate_table
@@ -35,6 +36,7 @@ if TYPE_CHECKING:
     from trainid_ros.bag.observers import TraceObserver
     from trainid_ros.estimators.contradiction import Contradiction
     from trainid_ros.report.traces import Traces
+    from trainid_ros.resistance.suggested_drive import SuggestedDrive
     from trainid_ros.results import Reason
     from trainid_ros.sim.truth import Truth
     from trainid_ros.train.train_file import TrainFile
@@ -125,12 +127,14 @@ def _replay(args: argparse.Namespace, bag: Path, advance: Callable[[float], None
         wall_s = time.perf_counter() - start
     if report is not None and traces is not None:
         _write_report(args, bag, outcome, traces.finish(), truth, f'off line {_pace(outcome, wall_s)}', report)
+    first = outcome.resistance
+    drive = suggested_drive(pipelines.resistance.estimator, setups[0].train_file, first.prior, first.output.estimate)
     shown: str | dict[str, Any]
     if args.json:
-        shown = to_json(outcome, setups, wall_s)
+        shown = to_json(outcome, setups, wall_s, drive)
         shown['resistance']['findings'] = [reader.mapping.named(text) for text in shown['resistance']['findings']]
     else:
-        shown = reader.mapping.named(describe(outcome, setups, wall_s))
+        shown = reader.mapping.named(describe(outcome, setups, wall_s, drive))
         shown = f'{bag}: {shown}' if len(args.bags) > 1 else shown
     warnings += unweighed(reader, setups[0].train_file)
     return BagResult(shown, (*warnings, *reader.warnings), no_answer(bag, outcome))
@@ -194,7 +198,9 @@ def no_answer(bag: Path, outcome: Replay) -> str:
     return text
 
 
-def to_json(outcome: Replay, setups: Sequence[Setup], wall_s: float) -> dict[str, Any]:
+def to_json(
+    outcome: Replay, setups: Sequence[Setup], wall_s: float, drive: SuggestedDrive | None = None
+) -> dict[str, Any]:
     """Return the object of ``--json``; counters at the top are those of the resistance."""
     resistance, model, brake = outcome.resistance, outcome.speed_model, outcome.brake_rate
     w, m, f = resistance.output.estimate, model.output.estimate, brake.output.estimate
@@ -223,6 +229,7 @@ def to_json(outcome: Replay, setups: Sequence[Setup], wall_s: float) -> dict[str
         'input_finding': outcome.contradiction.finding,
         'input_finding_begin_s': outcome.contradiction.begin_s,
         'input_finding_end_s': outcome.contradiction.end_s,
+        'suggested_drive': None if drive is None else drive.numbers,
         'algorithms': {setup.job.field: setup.algorithm for setup in setups},
         'wall_s': wall_s,
     }
@@ -239,14 +246,16 @@ def _deviations(covariance: Sequence[float]) -> list[float]:
     return [math.sqrt(max(0.0, covariance[i * (size + 1)])) for i in range(size)]
 
 
-def describe(outcome: Replay, setups: Sequence[Setup], wall_s: float) -> str:
+def describe(outcome: Replay, setups: Sequence[Setup], wall_s: float, drive: SuggestedDrive | None = None) -> str:
     """Return the outcome as text for people."""
     head = (
         f'{outcome.records} messages, {outcome.resistance.samples} samples over {outcome.duration_s:.1f} s, '
         f'replayed {_pace(outcome, wall_s)}'
     )
     contradiction = (contradiction_text(outcome.contradiction),) if outcome.contradiction.finding else ()
-    return '\n\n'.join((head, *contradiction, _estimates(outcome), _usage(outcome), _uncertainty(outcome, setups)))
+    to_drive = () if drive is None else (f'to learn more: {drive.text}',)
+    parts = (head, *contradiction, _estimates(outcome), _usage(outcome), _uncertainty(outcome, setups), *to_drive)
+    return '\n\n'.join(parts)
 
 
 def contradiction_text(last: Contradiction) -> str:

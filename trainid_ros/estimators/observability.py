@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 _NAMES: Final = ('a', 'b', 'c')
-# Relative reduction of the prior variance from which a parameter counts as seen.
-_SEEN_SHARE: Final = 0.5
+SEEN_SHARE: Final = 0.5
+"""Relative reduction of the prior variance from which a parameter counts as seen [1]."""
 # A parameter is noticeable where its standard deviation changes w by this many standard deviations of w.
 _NOTICEABLE: Final = 2.0
 # w counts as known where its standard deviation is at most this many times the largest one over the speeds seen.
@@ -107,7 +107,7 @@ def _known_range(
 def _summary(
     shares: Sequence[float], covariance: Sequence[float], std_observed: float, speed_min: float, speed_max: float
 ) -> str:
-    seen = [name for name, share in zip(_NAMES, shares, strict=True) if share >= _SEEN_SHARE]
+    seen = [name for name, share in zip(_NAMES, shares, strict=True) if share >= SEEN_SHARE]
     parts = [f'{_listed(seen)} seen'] if seen else []
     confounded = []
     for power, name in enumerate(_NAMES):

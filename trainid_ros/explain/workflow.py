@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from trainid_ros.errors import NoAnswerError
+from trainid_ros.explain.distinguishing import Known, distinguishing_drive
 from trainid_ros.explain.effects import EffectTerm, merged, without_replaced
 from trainid_ros.explain.location import locate, where
 from trainid_ros.explain.measurement_errors import find_slip, read_at
@@ -92,7 +93,7 @@ def explain(
     # 4. Location: where along position, speed, mode and time the gap lies.
     advance('places')
     locations = locate(outcome.base, outcome.final, outcome.hyper)
-    found = [] if outcome.verdict is Verdict.UNEXPLAINED else _found(selection, outcome.final, locations)
+    found = [] if outcome.verdict is Verdict.UNEXPLAINED else _found(selection, outcome, locations, train_file)
     if slip is not None:
         found.append(_effect(*slip, (), 'bursts under traction and braking'))
     # 5. Result: the train file with the effects added, and the numbers of the report.
@@ -140,19 +141,34 @@ def _some(runs: Sequence[Run], seconds: float) -> Sequence[Run]:
     return [runs[i] for i in places.tolist()]
 
 
-def _found(selection: Selection, model: Model, locations: tuple[Location, ...]) -> list[FoundEffect]:
+def _found(
+    selection: Selection, outcome: Outcome, locations: tuple[Location, ...], train_file: TrainFile
+) -> list[FoundEffect]:
+    model = outcome.final
     rows = sorted(zip(model.terms, selection.evidence, selection.twins, strict=True), key=lambda row: -row[1])
     evaluator, dataset = model.evaluator, model.dataset
+    known = Known(train_file, *_davis(model, outcome.hyper), outcome.hyper)
     return [
-        _effect(term, evidence, twins, where(evaluator.resistance(term.name, term.parameters), dataset, locations))
+        _effect(
+            term,
+            evidence,
+            tuple(Alternative(name, _drive(term, name, known)) for name in twins),
+            where(evaluator.resistance(term.name, term.parameters), dataset, locations),
+        )
         for term, evidence, twins in rows
     ]
 
 
-def _effect(term: EffectTerm, evidence: float, twins: Sequence[str], place: str) -> FoundEffect:
+def _drive(term: EffectTerm, twin: str, known: Known) -> str:
+    """Return the test run that would distinguish an effect from its twin, with a drive that does it if there is one."""
     kind = EFFECTS[term.name]
-    drives = {twin.name: twin.drive for twin in kind.twins}
-    alternatives = tuple(Alternative(name, drives.get(name, kind.needs)) for name in twins)
+    text = {item.name: item.drive for item in kind.twins}.get(twin, kind.needs)
+    drive = distinguishing_drive(term.name, term.parameters, twin, known)
+    return f'{text}; for example {drive}' if drive else text
+
+
+def _effect(term: EffectTerm, evidence: float, alternatives: tuple[Alternative, ...], place: str) -> FoundEffect:
+    kind = EFFECTS[term.name]
     parameters = tuple((name, float(value)) for name, value in term.parameters.items())
     std = tuple((name, _total_std(term, name, value)) for name, value in term.std.items())
     return FoundEffect(

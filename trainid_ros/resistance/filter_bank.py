@@ -23,8 +23,9 @@ from trainid_ros.estimators.speed_noise import SpeedNoise
 from trainid_ros.resistance.davis_posterior import drift_growth, resistance_estimate
 from trainid_ros.resistance.fitness import DrivenSpeeds, is_fit_at, is_fit_where_driven
 from trainid_ros.resistance.force_errors import CURVE_RADIUS, force_errors, is_delay_at_end, scale_step
-from trainid_ros.resistance.hypotheses import PUBLISHED, Bank, BankPlan, Mixture
+from trainid_ros.resistance.hypotheses import PUBLISHED, Array, Bank, BankPlan, Mixture
 from trainid_ros.resistance.long_run_variance import Inflation
+from trainid_ros.resistance.planned_drive import STEP_S
 from trainid_ros.resistance.saved_states import MAX_STRIDE, FilterBankState
 from trainid_ros.resistance.speed_states import DELTA, KAPPA, KAPPA_R, STATES, A, B, C, Interval, ProcessNoise, Tick
 from trainid_ros.results import Reason, Rejection
@@ -36,6 +37,7 @@ from trainid_ros.vectors import append, vec
 
 if TYPE_CHECKING:
     from trainid_ros.resistance.hypotheses import Innovation
+    from trainid_ros.resistance.planned_drive import Run, Step
     from trainid_ros.resistance.resistance_settings import FilterBankConfig
     from trainid_ros.results import ResistanceEstimate
     from trainid_ros.stream.samples import Sample
@@ -99,6 +101,8 @@ class FilterBank:
         self._inflation = Inflation()
         self._ticks: list[Tick] = []
         self._stride = 1
+        # Of the newest sample, for drives that are foreseen; not saved.
+        self._sampled_s, self._weighed = _SPACING_S, False
         self._driven = DrivenSpeeds()
         self._running = self._stopped = self._converged = False
         self._rejected_s, self._admission.braked_ns, self._advanced_ns = 0.0, 0, 0
@@ -134,6 +138,7 @@ class FilterBank:
         return None
 
     def _tick(self, sample: Sample) -> Tick:
+        self._sampled_s, self._weighed = sample.dt, sample.weighed
         return Tick(
             stamp_ns=sample.stamp_ns,
             dt=sample.dt,
@@ -220,7 +225,8 @@ class FilterBank:
 
     def _judge(self) -> None:
         """Decide whether w is fit to use: at the driven speeds, and at the present one even if a step just happened."""
-        now, config, speed = self._inflated(self.bank.mixture()), self.config, self._ticks[-1].speed
+        config, speed = self.config, self._ticks[-1].speed
+        now = self._inflated(self.bank.mixture(), self._inflation.factor)
         # A delay outside the range that can be estimated biases the other states.
         self._converged = (
             not is_delay_at_end(now.mean[_DELAY])
@@ -233,15 +239,15 @@ class FilterBank:
     def _current(self) -> Mixture:
         """Return what is published: it covers steps that may just have happened."""
         if self._published is None:
-            self._published = self._inflated(self.bank.mixture(self.bank.plan.young_weight))
+            self._published = self._inflated(self.bank.mixture(self.bank.plan.young_weight), self._inflation.factor)
         return self._published
 
-    def _inflated(self, now: Mixture) -> Mixture:
+    def _inflated(self, now: Mixture, factor: float) -> Mixture:
         """Return a mixture whose covariance is inflated for unmodelled errors and wheel diameter errors."""
         a, c, kappa = now.mean[0], now.mean[2], now.mean[3]
         # A relative wheel diameter error r changes a by r a, c by -r c, and the force scale 1 + kappa by a share r.
         wheel = vec[float]([_WHEEL_STD * x for x in (a, 0.0, -c, 1.0 + kappa, 0.0)])
-        factor, covariance = self._inflation.factor, vec[float]()
+        covariance = vec[float]()
         for i in range(PUBLISHED):
             for j in range(i, PUBLISHED):
                 covariance = append(covariance, factor * now.covariance[len(covariance)] + wheel[i] * wheel[j])
@@ -254,7 +260,9 @@ class FilterBank:
 
     def estimate(self, speed: float) -> ResistanceEstimate:
         """Return the parameters for v in m/s and the resistance [N/kN] at a speed [m/s]."""
-        now = self._current()
+        return self._estimate(self._current(), speed)
+
+    def _estimate(self, now: Mixture, speed: float) -> ResistanceEstimate:
         scale_std = math.sqrt(max(now.covariance[_SCALE_VARIANCE], 0.0))
         delay_std = math.sqrt(max(now.covariance[_DELAY_VARIANCE], 0.0))
         return resistance_estimate(
@@ -264,6 +272,37 @@ class FilterBank:
             (self._driven.slowest, self._driven.fastest),
             (1.0 + now.mean[_SCALE], scale_std, now.mean[_DELAY], delay_std),
         )
+
+    def foreseen(self, run: Run, times: int) -> list[ResistanceEstimate]:
+        """Return the mean estimates after one, two, ... of a number of runs, each from a stop.
+
+        Covariances are means over two sequences of innovations as large as predicted, one the negative of the other:
+        how soon a step can be excluded that may just have happened depends on them.
+        """
+        estimates: list[ResistanceEstimate] = []
+        deviations = np.random.default_rng(times).standard_normal((times, len(run.steps)))
+        pairs = zip(self._mixtures(run, deviations), self._mixtures(run, -deviations), strict=True)
+        for k, (one, other) in enumerate(pairs, 1):
+            both = vec[float]([0.5 * (x + y) for x, y in zip(one.covariance, other.covariance, strict=True)])
+            factor = self._inflation.foreseen(k * len(run.steps) * STEP_S)
+            now = self._inflated(Mixture(self._current().mean, both), factor)
+            estimates.append(self._estimate(now, run.steps[-1].speed))
+        return estimates
+
+    def _mixtures(self, run: Run, deviations: Array) -> list[Mixture]:
+        """Return what follows from runs with given innovations over their standard deviations, shape (runs, steps)."""
+        bank, variance = Bank(self.bank.plan), self._tachometer.variance * self._sampled_s / STEP_S
+        bank.restore(self.bank.state())
+        slowest = self.config.min_speed
+        mixtures: list[Mixture] = []
+        for row in deviations.tolist():
+            bank.widen_force_scale(scale_step(self._train, weighed=self._weighed) ** 2)
+            bank.restart(slowest, variance)
+            for step, deviation in zip(run.steps, row, strict=True):
+                if step.speed >= slowest and not bank.foresee(_planned(step, variance), deviation, 0.5 * slowest):
+                    break
+            mixtures.append(bank.mixture(bank.plan.young_weight))
+        return mixtures
 
     def save(self) -> str:
         """Return the state as JSON text."""
@@ -301,6 +340,21 @@ class FilterBank:
         self._innovation, self._innovation_variance = state.innovation, state.innovation_variance
         self._test_ratio, self._converged = state.test_ratio, state.converged
         self._published = None
+
+
+def _planned(step: Step, variance: float) -> Interval:
+    """Return a planned step as an interval; ``variance`` is that of the speed at its end [(m/s)^2]."""
+    T, change = step.traction, step.ramp * _SPACING_S
+    return Interval(
+        dt=STEP_S,
+        traction=(T - change, T, T + change, T + 2.0 * change),
+        track=0.0,
+        curve=0.0,
+        speed=step.speed,
+        speed_variance=variance,
+        spacing=_SPACING_S,
+        force_interval=_SPACING_S,
+    )
 
 
 def bank_plan(train_file: TrainFile, config: FilterBankConfig, inertia: float) -> BankPlan:

@@ -247,6 +247,31 @@ class Bank:
             self._branch(best)
         return innovation
 
+    def foresee(self, interval: Interval, deviation: float, slowest: float) -> bool:
+        """Advance as if the speed of an interval was what the likeliest hypothesis predicts, plus a deviation.
+
+        Args:
+            interval: The interval; its speed is that planned [m/s].
+            deviation: Innovation of that hypothesis over its standard deviation [1].
+            slowest: Speed at which the drive ends [m/s].
+
+        Returns:
+            False, without any change, if the train would be slower.
+
+        """
+        best = self.hypotheses[0]
+        for item in self.hypotheses:
+            if item.log_weight > best.log_weight:
+                best = item
+        ahead = best.filter.copy(best.filter.gust_var, best.filter.map_var)
+        ahead.predict(SpeedTransition(interval, self.plan.noise, self._drift))
+        S = ahead.P[V] + interval.speed_variance
+        if not (S > 0.0 and ahead.x[V] > slowest):
+            return False
+        interval.speed = ahead.x[V] + deviation * math.sqrt(S)
+        self.advance(interval)
+        return True
+
     def _innovation(self, interval: Interval) -> Innovation:
         """Return the innovation of the mixture of all predictions."""
         first = self.hypotheses[0].filter.x[V]

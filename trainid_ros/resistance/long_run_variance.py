@@ -9,6 +9,7 @@ the published covariance, :class:`SlowNoise` the one on the noise variance in th
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -47,6 +48,16 @@ class Inflation:
     def factor(self) -> float:
         """Factor on the covariance of the parameters [1], at least 1."""
         return max(1.0, self.ratio)
+
+    def foreseen(self, duration_s: float) -> float:
+        """Return the mean factor after a driving time [s] that the model describes [1]."""
+        # The ratio of a batch is chi-square of one degree of freedom: mean 1, variance 2.
+        kept = math.exp(-duration_s / (_BATCH_S * _INFLATION_MEMORY))
+        excess, variance = (self.ratio - 1.0) * kept, 2.0 / (2.0 * _INFLATION_MEMORY - 1.0) * (1.0 - kept * kept)
+        # E max(0, x) of a normal x
+        z = excess / math.sqrt(variance)
+        above = 0.5 * (1.0 + math.erf(z / math.sqrt(2.0)))
+        return 1.0 + excess * above + math.sqrt(variance / (2.0 * math.pi)) * math.exp(-0.5 * z * z)
 
     def is_valid(self) -> bool:
         """Return whether the ratio is positive and no variance is negative."""

@@ -33,6 +33,7 @@ from trainid_ros.resistance.davis_posterior import drift_rates, drifted, resista
 from trainid_ros.resistance.fitness import is_fit_where_driven
 from trainid_ros.resistance.force_errors import CURVE_RADIUS, ForceErrors, force_errors, scale_step
 from trainid_ros.resistance.normal import independent
+from trainid_ros.resistance.planned_drive import STEP_S
 from trainid_ros.resistance.saved_states import VMilsState
 from trainid_ros.resistance.speed_window import WindowTick
 from trainid_ros.resistance.window_learner import WindowLearner, WindowPlan
@@ -43,6 +44,7 @@ from trainid_ros.state import decode, encode
 if TYPE_CHECKING:
     from trainid_ros.resistance.davis_posterior import DavisPosterior
     from trainid_ros.resistance.normal import Array
+    from trainid_ros.resistance.planned_drive import Run
     from trainid_ros.resistance.resistance_settings import VMilsConfig
     from trainid_ros.results import Rejection, ResistanceEstimate
     from trainid_ros.stream.samples import Sample
@@ -86,6 +88,8 @@ class VMils:
         self._converged = False
         # The prior already includes the change of load at the first stop.
         self._standing = True
+        # Of the newest sample, for drives that are foreseen; not saved.
+        self._sampled_s = STEP_S
 
     def reset(self) -> None:
         """Return to the prior."""
@@ -132,6 +136,7 @@ class VMils:
             self._judge(updated=False)
             return rejection
         self._drift()
+        self._sampled_s = sample.dt
         before = self.learner.driven.count
         traction = self._known.traction(sample.force_mean, sample)
         tick = WindowTick(
@@ -189,14 +194,20 @@ class VMils:
 
             P_published = factor P + e^2 theta theta'.
         """
-        learner, estimate = self.learner, self.learner.tracker.estimate
-        (A, B, C), (_, D, E), (_, _, F) = estimate.P[:3, :3].tolist()
-        theta = estimate.theta[:3].tolist()
-        now: DavisPosterior = (*theta, A, B, C, D, E, F)
+        now = self._davis(self.learner.tracker.estimate.P)
         if 0 < self._drifted_ns < self._stamp_ns:
             now = drifted(now, self._rates, seconds(self._stamp_ns - self._drifted_ns), self._prior_variances)
+        return self._inflated(now, self.learner.inflation.factor)
+
+    def _davis(self, P: Array) -> DavisPosterior:
+        """Return a, b, c and their covariance, of a covariance of theta of shape (n, n)."""
+        (A, B, C), (_, D, E), (_, _, F) = P[:3, :3].tolist()
+        a, b, c = self.learner.tracker.estimate.theta[:3].tolist()
+        return a, b, c, A, B, C, D, E, F
+
+    def _inflated(self, now: DavisPosterior, factor: float) -> DavisPosterior:
         a, b, c, *P = now
-        factor, e2 = learner.inflation.factor, self.config.model_error**2
+        e2 = self.config.model_error**2
         squares = (a * a, a * b, a * c, b * b, b * c, c * c)
         return (a, b, c, *(factor * x + e2 * square for x, square in zip(P, squares, strict=True)))
 
@@ -222,12 +233,43 @@ class VMils:
 
     def estimate(self, speed: float) -> ResistanceEstimate:
         """Return the parameters for v in m/s and the resistance [N/kN] at a speed [m/s]."""
-        learner, tracked = self.learner, self.learner.tracker.estimate
-        scale, delay = tracked.theta[_KAPPA : _DELTA + 1].tolist()
-        variances = tracked.P.diagonal()[_KAPPA : _DELTA + 1].tolist()
-        scale_std, delay_std = (math.sqrt(learner.inflation.factor * x) for x in variances)
+        variances = self.learner.inflation.factor * self.learner.tracker.estimate.P.diagonal()
+        return self._estimate(self._published(), variances, speed)
+
+    def foreseen(self, run: Run, times: int) -> list[ResistanceEstimate]:
+        """Return the estimates on average after one, two, ... of a number of runs, each from a stop."""
+        P = np.array(self.learner.tracker.estimate.P)
+        estimates: list[ResistanceEstimate] = []
+        information = self.learner.foreseen_information(self._planned(run), self._sampled_s)
+        # At an arrival no load has been weighed yet.
+        step = scale_step(self._known.train_file.train, weighed=False) ** 2
+        most, drift = self._limits()[_KAPPA], np.array(self._rates) * run.duration_s
+        if not self._standing:
+            P[_KAPPA, _KAPPA] = max(P[_KAPPA, _KAPPA], min(P[_KAPPA, _KAPPA] + step, most))
+        for k in range(1, times + 1):
+            P[[0, 1, 2], [0, 1, 2]] += drift
+            P[:] = np.linalg.inv(np.linalg.inv(P) + information)
+            P[_KAPPA, _KAPPA] = max(P[_KAPPA, _KAPPA], min(P[_KAPPA, _KAPPA] + step, most))
+            factor = self.learner.inflation.foreseen(k * len(run.steps) * STEP_S)
+            published = self._inflated(self._davis(P), factor)
+            estimates.append(self._estimate(published, factor * P.diagonal(), run.steps[-1].speed))
+        return estimates
+
+    def _planned(self, run: Run) -> list[WindowTick]:
+        """Return the part of a run from which is learned."""
+        scale = 1.0 + float(self.learner.tracker.estimate.theta[_KAPPA])
+        return [
+            WindowTick(round(k * STEP_S * NS_PER_S), STEP_S, step.speed, scale * step.traction, step.traction)
+            for k, step in enumerate(run.steps)
+            if step.speed >= self.config.min_speed
+        ]
+
+    def _estimate(self, published: DavisPosterior, variances: Array, speed: float) -> ResistanceEstimate:
+        learner = self.learner
+        scale, delay = learner.tracker.estimate.theta[_KAPPA : _DELTA + 1].tolist()
+        scale_std, delay_std = (math.sqrt(x) for x in variances[_KAPPA : _DELTA + 1].tolist())
         return resistance_estimate(
-            self._published(),
+            published,
             speed,
             (learner.innovation, learner.innovation_variance, learner.test_ratio),
             (learner.driven.slowest, learner.driven.fastest),

@@ -17,6 +17,8 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
+import numpy as np
+
 from trainid_ros.estimators.speed_noise import SpeedNoise
 from trainid_ros.resistance.fitness import DrivenSpeeds
 from trainid_ros.resistance.long_run_variance import Inflation, SlowNoise
@@ -35,7 +37,10 @@ from trainid_ros.scalars import is_finite
 from trainid_ros.vectors import vec
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from trainid_ros.resistance.change_points import Tracker
+    from trainid_ros.resistance.normal import Array
 
 _DISTURBANCE_MEMORY: Final = 0.03
 # The range includes gusts of up to 0.8 N/kN and map errors of 0.5 per mille.
@@ -146,6 +151,27 @@ class WindowLearner:
         if isinstance(observed, Rejection):
             return observed
         return self._learn(observed, cut)
+
+    def foreseen_information(self, ticks: Sequence[WindowTick], sampled_s: float) -> Array:
+        """Return the information that planned motion would give on theta, shape (n, n).
+
+        Args:
+            ticks: The motion, at equal intervals; without noise.
+            sampled_s: Time between two speeds that are then measured [s].
+
+        """
+        plan, n = self._plan, len(self.tracker.prior.mean)
+        windows, information = SlidingWindow(plan.window, plan.hop), np.zeros((n, n))
+        speed_std = self._tachometer.std * math.sqrt(sampled_s / ticks[0].dt)
+        for tick in ticks:
+            cut = windows.push(tick)
+            observed = None if cut is None else observe_resistance(cut.ticks, plan.inertia, speed_std)
+            if cut is None or not isinstance(observed, WindowResult):
+                continue
+            phi = np.array(list(_regressor(observed)))
+            noise, slow = self._noise_of(observed, cut)
+            information += np.outer(phi, phi) / (slow * noise)
+        return information
 
     def _learn(self, observed: WindowResult, cut: Cut) -> Rejection | None:
         tracker, phi, stamp_ns = self.tracker, _regressor(observed), cut.ticks[-1].stamp_ns

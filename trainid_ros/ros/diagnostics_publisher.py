@@ -3,18 +3,28 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any, Final
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
+from trainid_ros.records import NS_PER_S
+from trainid_ros.resistance.suggested_drive import DriveSearch
+from trainid_ros.results import ResistanceEstimate
 from trainid_ros.ros.diagnostics import NodeHealth, Problem, estimator_status, idle_status, input_status, unusable
 from trainid_ros.ros.input_monitor import Finding, InputMonitor
 from trainid_ros.ros.publishers import Publishers, is_hash, sort_publishers
 from trainid_ros.ros.topics import NO_PUBLISHER_EVENTS, diagnostics_qos, time_message
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from trainid_ros.estimators.pipeline import EstimatorPipeline
+    from trainid_ros.resistance.suggested_drive import SuggestedDrive
     from trainid_ros.ros.estimator_node import EstimatorNode
     from trainid_ros.ros.foreign_topics import AnyTopic
+
+# Time from the start of one search for what to drive to the next [ns].
+_SEARCH_EVERY_NS: Final = 60 * NS_PER_S
 
 
 class DiagnosticsPublisher:
@@ -28,6 +38,9 @@ class DiagnosticsPublisher:
         self._now_ns = 0
         self._known: dict[AnyTopic, Finding] = {}
         self._began: dict[Problem, int] = {}
+        self._search: DriveSearch | None = None
+        self._searched_ns = -_SEARCH_EVERY_NS
+        self._drive: SuggestedDrive | None = None
         self._definitions: dict[tuple[AnyTopic, str], str] = {}
 
     def publish(self) -> None:
@@ -53,9 +66,11 @@ class DiagnosticsPublisher:
         pipeline = node.pipeline
         if pipeline is None:
             self._known.clear()
+            self._search, self._searched_ns, self._drive = None, -_SEARCH_EVERY_NS, None
             array.status = [idle_status(health)]
         else:
             details = node.spec.details(node.prior, pipeline.current().estimate)
+            details = (*details, *self._to_drive(pipeline, now_ns))
             steps = node.step_times.summary()
             array.status = [estimator_status(health, pipeline, node.spec.shown, node.prior, steps, details)]
             for monitor in node.monitors.by_topic.values():
@@ -66,6 +81,22 @@ class DiagnosticsPublisher:
             for item in status.values:
                 item.value = node.mapping.named(item.value)
         self._publisher.publish(array)
+
+    def _to_drive(self, pipeline: EstimatorPipeline[Any], now_ns: int) -> Iterator[tuple[str, str]]:
+        """Yield what to drive for a better estimate; each call goes on with the search, and the last result stands."""
+        live = pipeline.current().estimate
+        if not (isinstance(live, ResistanceEstimate) and live.speed_max > 0.0):
+            return
+        if self._search is None and not 0 <= now_ns - self._searched_ns < _SEARCH_EVERY_NS:
+            train_file = pipeline.stream.config.train_file
+            self._search, self._searched_ns = (
+                DriveSearch(pipeline.estimator, train_file, self._node.prior, live),
+                now_ns,
+            )
+        if self._search is not None and not self._search.advance():
+            self._drive, self._search = self._search.result, None
+        if self._drive is not None:
+            yield 'to drive', self._drive.text
 
     def _note_problems(self, now_ns: int, clock_problem: str) -> None:
         """Note when each present problem began."""

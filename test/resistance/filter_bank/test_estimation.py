@@ -169,7 +169,7 @@ def test_the_stated_standard_deviations_cover_the_errors_of_many_new_drives(cove
 
 def test_the_published_band_is_wider_than_that_of_the_fitness_test(learned: str, restored: Any) -> None:
     bank = restored(learned)
-    _, posterior = predict(bank._inflated(bank.bank.mixture()).davis, 12.0, 144.0)
+    _, posterior = predict(bank._inflated(bank.bank.mixture(), bank._inflation.factor).davis, 12.0, 144.0)
     assert bank.estimate(12.0).resistance_std ** 2 > 1.2 * posterior
 
 

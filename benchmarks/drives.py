@@ -1,0 +1,173 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Do suggested drives give the standard deviations that they promise?
+
+Each trial holds the speed of a simulated train for four minutes, so that not all is known, asks what to drive, and goes
+on with that on the same day, through the live estimator. The standard deviations then published are compared with the
+promised ones: ``python -m benchmarks.drives [--seeds N] [--worlds NAME ...] [--algorithms NAME ...]``.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from trainid_ros.cli.output import table
+from trainid_ros.estimators.pipeline import EstimatorSettings, resistance_pipeline
+from trainid_ros.resistance.planned_drive import ACCELERATION, Manoeuvre
+from trainid_ros.resistance.resistance_algorithms import RESISTANCE
+from trainid_ros.resistance.suggested_drive import suggested_drive
+from trainid_ros.sim.driver import TICK_S, Decision, StopEvent
+from trainid_ros.sim.realism import REALISMS, make_case
+from trainid_ros.sim.scenario import simulate
+from trainid_ros.sim.worlds import WORLDS, find_world, world_train
+from trainid_ros.train.davis import davis, required_force
+from trainid_ros.train.train_file import Line
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from trainid_ros.records import Record
+    from trainid_ros.resistance.suggested_drive import SuggestedDrive
+    from trainid_ros.results import ResistanceEstimate
+    from trainid_ros.sim.plant import Plant
+    from trainid_ros.sim.realism import Case
+    from trainid_ros.train.train_file import TrainFile
+
+# The first run holds this share of the top speed for this time [s], as a train in dense traffic does.
+_HELD_SHARE: Final = 0.6
+_HELD_S: Final = 240.0
+_DWELL_S: Final = 25.0
+# Command to a stand [m/s^2], and its change in one tick.
+_BRAKE: Final = -0.6
+_BRAKE_STEP: Final = 0.16
+# Feedback on a speed that is held [1/s].
+_GAIN: Final = 0.3
+# A promise is kept if the standard deviation reached is within this share of it.
+_KEPT: Final = 0.2
+_LINE_M: Final = 400e3
+_STANDING: Final = frozenset({'dwell', 'brake'})
+
+
+class ManoeuvreDriver:
+    """Drives one manoeuvre after the other, each from a stand and to a stand."""
+
+    def __init__(self, manoeuvres: Sequence[Manoeuvre], file: TrainFile) -> None:
+        self.arrivals: list[StopEvent] = []
+        self.stop = math.nan
+        self._left = list(manoeuvres)
+        self._file = file
+        self._phase, self._depart_s, self._held_s, self._brake = 'dwell', _DWELL_S, 0.0, _BRAKE
+
+    def observe(self, _record: Record) -> None:
+        """Ignore the sensors: the driver knows the state of the train."""
+
+    def may_depart(self, time_s: float) -> bool:
+        """Return whether the dwell is over at a time [s]."""
+        return self._phase == 'dwell' and time_s >= self._depart_s
+
+    def depart(self, stop: float) -> None:
+        """Depart on the next manoeuvre."""
+        self.stop, self._phase, self._held_s = stop, 'pull', 0.0
+
+    def decide(self, time_s: float, train: Plant) -> Decision:
+        """Return the demands until the next tick."""
+        manoeuvre = self._left[0] if self._left else Manoeuvre(0.0, 0.0)
+        if self._phase == 'pull' and train.speed >= manoeuvre.start:
+            self._phase = 'on'
+        if self._phase == 'on':
+            self._held_s += TICK_S
+            self._phase = 'brake' if manoeuvre.is_over(train.speed, self._held_s) else 'on'
+        elif self._phase == 'brake' and train.speed == 0.0:
+            self._left.pop(0)
+            self.arrivals.append(StopEvent(time_s, self.stop, 0.0))
+            self._phase, self._depart_s = 'dwell', time_s + _DWELL_S
+        wanted = _BRAKE if self._phase in _STANDING else 0.0
+        self._brake += min(_BRAKE_STEP, max(-_BRAKE_STEP, wanted - self._brake))
+        return Decision(self._traction(train, manoeuvre), min(0.0, self._brake))
+
+    def _traction(self, train: Plant, manoeuvre: Manoeuvre) -> float:
+        """Return the traction demand [N]."""
+        if self._phase in _STANDING or (self._phase == 'on' and manoeuvre.held_s == 0.0):
+            return 0.0
+        vehicle = self._file.train
+        wanted = ACCELERATION if self._phase == 'pull' else _GAIN * (manoeuvre.start - train.speed)
+        force = required_force(wanted, train.mass, vehicle.rotary_mass, davis(self._file.resistance, train.speed))
+        return max(0.0, min(force, vehicle.max_traction_force, vehicle.max_traction_power / max(train.speed, 0.1)))
+
+
+@dataclass(frozen=True, slots=True)
+class Trial:
+    """A suggested drive, and the standard deviation reached over the promised one of all quantities by name [1]."""
+
+    drive: SuggestedDrive
+    ratios: dict[str, float]
+
+
+def try_drive(world: str, realism: str, algorithm: str, seed: int) -> Trial | None:
+    """Drive, ask, and drive what is suggested; None if nothing is."""
+    file = world_train(find_world(world))
+    line = Line(stops=(0.0, _LINE_M), gradient_std=file.line.gradient_std)
+    names = REALISMS[realism] - {'changes', 'curve'}
+    case = make_case(
+        find_world(world), replace(file, line=line, effects=()), names, 1, np.random.default_rng([seed, len(world)])
+    )
+    held = _HELD_SHARE * file.train.max_speed
+    first = Manoeuvre(held, held, _HELD_S)
+    _, drive = _drive(case, algorithm, seed, (first,))
+    if drive is None:
+        return None
+    then, _ = _drive(case, algorithm, seed, (first, *(drive.run.manoeuvre for _ in range(drive.times))))
+    return Trial(drive, {item.wanted.name: item.wanted.std(then) / item.then for item in drive.promises})
+
+
+def _drive(
+    case: Case, algorithm: str, seed: int, manoeuvres: Sequence[Manoeuvre]
+) -> tuple[ResistanceEstimate, SuggestedDrive | None]:
+    """Return the estimate after manoeuvres, and what to drive then; the same seed gives the same first manoeuvres."""
+    scenario = replace(case.scenario, runs=len(manoeuvres))
+    driver = ManoeuvreDriver(manoeuvres, case.stated)
+    simulation = simulate(scenario, np.random.default_rng(seed), lambda _train, _rng: driver)
+    pipeline = resistance_pipeline(case.stated, EstimatorSettings(resistance=RESISTANCE.choose(algorithm)))
+    prior = pipeline.current().estimate
+    for record in simulation.records:
+        pipeline.push(record)
+    now = pipeline.current().estimate
+    return now, suggested_drive(pipeline.estimator, case.stated, prior, now)
+
+
+def kept_share(ratios: Sequence[float]) -> float:
+    """Return the share of promises that were kept: reached over promised within 20 % [1]."""
+    return sum(abs(ratio - 1.0) <= _KEPT for ratio in ratios) / len(ratios)
+
+
+def summary(trials: Sequence[Trial]) -> tuple[str, ...]:
+    """Return the number of trials, and median ratio and share kept of a, b, c, and of what was promised first."""
+    columns = [[trial.ratios[name] for trial in trials] for name in 'abc']
+    columns.append([trial.ratios[trial.drive.least_known.wanted.name] for trial in trials])
+    cells = (f'{np.median(ratios):.2f} ({100.0 * kept_share(ratios):.0f} %)' for ratios in columns)
+    return (str(len(trials)), *cells)
+
+
+def main() -> None:
+    """Print a table; each cell is the median of reached over promised, and how often that was within 20 %."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument('--seeds', type=int, default=5)
+    parser.add_argument('--worlds', nargs='+', default=list(WORLDS))
+    parser.add_argument('--algorithms', nargs='+', default=['filter-bank', 'V-MILS'])
+    args = parser.parse_args()
+    rows = [('algorithm', 'world', 'realism', 'trials', 'a', 'b', 'c', 'least known')]
+    for algorithm in args.algorithms:
+        for world in args.worlds:
+            for realism in REALISMS:
+                found = (try_drive(world, realism, algorithm, seed) for seed in range(args.seeds))
+                trials = [trial for trial in found if trial is not None]
+                rows.append((algorithm, world, realism, *(summary(trials) if trials else ('0', '', '', '', ''))))
+    print(table(rows, numbers=(3, 4, 5, 6, 7)))
+
+
+if __name__ == '__main__':
+    main()

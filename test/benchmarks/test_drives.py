@@ -1,0 +1,24 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Test that suggested drives give what they promise, in the simulator."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from benchmarks.drives import kept_share, summary, try_drive
+
+
+@pytest.mark.parametrize(('algorithm', 'world'), [('filter-bank', 'metro'), ('V-MILS', 'emu')])
+def test_promises_are_kept_within_20_percent(algorithm: str, world: str) -> None:
+    found = [try_drive(world, realism, algorithm, seed) for realism in ('clean', 'field') for seed in range(2)]
+    trials = [trial for trial in found if trial is not None]
+    assert len(trials) >= 3
+    for name in 'abc':
+        assert np.median([trial.ratios[name] for trial in trials]) == pytest.approx(1.0, abs=0.2)
+    assert all(trial.drive.least_known.now > trial.drive.least_known.then for trial in trials)
+    assert summary(trials)[0] == str(len(trials))
+
+
+def test_share_kept() -> None:
+    assert kept_share([0.81, 1.0, 1.19, 1.3]) == 0.75

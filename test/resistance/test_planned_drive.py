@@ -1,0 +1,72 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Tests of planned drives."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+
+from trainid_ros.resistance.planned_drive import KM_H, STEP_S, Manoeuvre, plan_run, planned_runs, top_speed
+from trainid_ros.results import ResistanceEstimate
+from trainid_ros.train.train_file import Davis, Line, Train, TrainFile
+
+FILE = TrainFile(Train(200e3, max_speed=80.0 * KM_H), Davis(2.0, 0.02, 0.004))
+
+
+def known(scale: float = 1.0) -> ResistanceEstimate:
+    nothing = (0.0,) * 9
+    return ResistanceEstimate(2.0, 0.02, 0.004, nothing, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 5.0, 15.0, 0.0, scale)
+
+
+@pytest.mark.parametrize(
+    ('manoeuvre', 'text'),
+    [
+        (Manoeuvre(70 * KM_H, 40 * KM_H), 'coast from 70 to 40 km/h'),
+        (Manoeuvre(70 * KM_H, 70 * KM_H, 60.0), 'hold 70 km/h for 60 s'),
+        (Manoeuvre(70 * KM_H, 70 * KM_H), 'accelerate with full traction to 70 km/h'),
+    ],
+)
+def test_words(manoeuvre: Manoeuvre, text: str) -> None:
+    assert manoeuvre.text == text
+
+
+def test_coasting_follows_the_resistance() -> None:
+    run = plan_run(Manoeuvre(70 * KM_H, 50 * KM_H), FILE, known())
+    assert run is not None
+    coasting = [step for step in run.steps if step.traction == 0.0]
+    # Mean deceleration at 60 km/h: w g / 1000 / (1 + gamma), and its duration over 20 km/h
+    w = 2.0 + 0.02 * 60 * KM_H + 0.004 * (60 * KM_H) ** 2
+    assert len(coasting) * STEP_S == pytest.approx(20 * KM_H / (w * 9.80665e-3 / 1.08), rel=0.08)
+    assert run.steps[-1].speed == pytest.approx(50 * KM_H, abs=0.05)
+    assert max(step.speed for step in run.steps) == pytest.approx(70 * KM_H, abs=0.8)
+
+
+def test_a_held_speed_is_held() -> None:
+    run = plan_run(Manoeuvre(50 * KM_H, 50 * KM_H, 60.0), FILE, known(scale=0.9))
+    assert run is not None
+    held = run.steps[-round(60.0 / STEP_S) + 5 :]
+    assert all(step.speed == pytest.approx(50 * KM_H, abs=1.0) for step in held)
+    braked, accelerated = (50 * KM_H) ** 2 / (2.0 * 0.6), (50 * KM_H) ** 2 / (2.0 * 0.9)
+    assert run.length_m == pytest.approx(60.0 * 50 * KM_H + braked + accelerated, rel=0.1)
+
+
+def test_a_drive_that_takes_too_long_is_not_planned() -> None:
+    slow = replace(FILE, resistance=Davis(0.1, 0.0, 0.0))
+    now = known()
+    now.a, now.b, now.c = 0.1, 0.0, 0.0
+    assert plan_run(Manoeuvre(70 * KM_H, 20 * KM_H), slow, now) is None
+
+
+def test_a_train_too_weak_for_the_speed_is_not_planned() -> None:
+    weak = replace(FILE, train=replace(FILE.train, max_traction_power=10e3))
+    assert plan_run(Manoeuvre(70 * KM_H, 50 * KM_H), weak, known()) is None
+
+
+def test_runs_fit_on_the_line() -> None:
+    limited = replace(FILE, line=Line(stops=(0.0, 800.0, 2300.0), speed_limit=((0.0, 40 * KM_H), (500.0, 60 * KM_H))))
+    assert top_speed(limited) == pytest.approx(60 * KM_H)
+    runs = list(planned_runs(limited, known()))
+    assert runs
+    assert all(run.length_m <= 1500.0 and run.manoeuvre.start <= 60 * KM_H + 1e-9 for run in runs)
+    assert len(list(planned_runs(FILE, known()))) > len(runs)

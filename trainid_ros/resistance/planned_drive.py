@@ -1,0 +1,153 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Drives that could be made to learn more about a train, planned with what is known of it.
+
+A drive starts at a stop, on level track: full traction, then coasting or holding the speed, then braking, from which no
+resistance is learned. Speeds follow ``m dv/dt = kappa T - a - b v - c v^2`` with the reported specific traction T
+[N/kN], its scale kappa [1] and m = 1000 (1 + gamma) / g.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from itertools import pairwise
+from typing import TYPE_CHECKING, Final
+
+from trainid_ros.train.davis import specific_force, specific_inertia
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from trainid_ros.results import ResistanceEstimate
+    from trainid_ros.train.train_file import TrainFile
+
+KM_H: Final = 1.0 / 3.6
+"""One kilometre per hour [m/s]."""
+STEP_S: Final = 0.4
+"""Duration of a step of a plan [s]."""
+# Traction of a service start: limits of acceleration [m/s^2] and jerk [m/s^3]; and the deceleration to the stop.
+ACCELERATION: Final = 0.9
+JERK: Final = 0.8
+_DECELERATION: Final = 0.6
+# A shorter run shows too little to foresee what is learned, a longer one is not practicable [s].
+_SHORTEST_S: Final = 60.0
+_LONGEST_S: Final = 900.0
+# Length of a run where the train file names no stops [m].
+_LONGEST_M: Final = 10e3
+# Speeds at which coasting or holding begins, as shares of the top speed; coasting ends at these shares of that speed.
+_STARTS: Final = (1.0, 0.7, 0.45)
+_ENDS: Final = (0.85, 0.7, 0.5, 0.3)
+_HELD_S: Final = (60.0, 180.0)
+
+
+@dataclass(frozen=True, slots=True)
+class Manoeuvre:
+    """What the driver does once the train has left a stop.
+
+    Attributes:
+        start: Speed up to which it accelerates with full traction [m/s].
+        end: Speed down to which it then coasts [m/s]; equal to ``start`` if it does not.
+        held_s: Time for which it holds the speed ``start`` instead [s].
+
+    """
+
+    start: float
+    end: float
+    held_s: float = 0.0
+
+    @property
+    def coasts(self) -> bool:
+        """Whether the train coasts."""
+        return self.end < self.start
+
+    def is_over(self, speed: float, held_s: float) -> bool:
+        """Return whether the train brakes at a speed [m/s], a time [s] after it has reached the speed ``start``."""
+        return speed <= self.end if self.coasts else held_s >= self.held_s
+
+    @property
+    def text(self) -> str:
+        """The manoeuvre in words."""
+        if self.coasts:
+            return f'coast from {self.start / KM_H:.0f} to {self.end / KM_H:.0f} km/h'
+        if self.held_s > 0.0:
+            return f'hold {self.start / KM_H:.0f} km/h for {self.held_s:.0f} s'
+        return f'accelerate with full traction to {self.start / KM_H:.0f} km/h'
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """Planned motion over :data:`STEP_S`.
+
+    Attributes:
+        speed: Speed at its end [m/s].
+        traction: Mean reported specific traction [N/kN].
+        ramp: Rate of change of that traction [N/kN per s].
+
+    """
+
+    speed: float
+    traction: float
+    ramp: float
+
+
+@dataclass(frozen=True, slots=True)
+class Run:
+    """One run of a manoeuvre: the steps from which is learned, and time [s] and length [m] from stop to stop."""
+
+    manoeuvre: Manoeuvre
+    steps: tuple[Step, ...]
+    duration_s: float
+    length_m: float
+
+
+def planned_runs(train_file: TrainFile, now: ResistanceEstimate) -> Iterator[Run]:
+    """Yield runs that fit on the line, at the speeds that train and line allow."""
+    longest_m = max((far - near for near, far in pairwise(train_file.line.stops)), default=_LONGEST_M)
+    for manoeuvre in _manoeuvres(top_speed(train_file)):
+        run = plan_run(manoeuvre, train_file, now)
+        if run is not None and len(run.steps) * STEP_S >= _SHORTEST_S and run.length_m <= longest_m:
+            yield run
+
+
+def top_speed(train_file: TrainFile) -> float:
+    """Return the highest speed of train and line in whole steps of 5 km/h [m/s]."""
+    limits = [limit for _, limit in train_file.line.speed_limit]
+    fastest = min(train_file.train.max_speed, max(limits, default=math.inf))
+    return max(1.0, math.floor(fastest / (5.0 * KM_H) + 1e-6)) * 5.0 * KM_H
+
+
+def _manoeuvres(top: float) -> Iterator[Manoeuvre]:
+    for share in _STARTS:
+        start = _round(share * top)
+        yield Manoeuvre(start, start)
+        yield from (Manoeuvre(start, end) for part in _ENDS if 0.0 < (end := _round(part * start)) < start)
+        yield from (Manoeuvre(start, start, held_s) for held_s in _HELD_S)
+
+
+def _round(speed: float) -> float:
+    return round(speed / (5.0 * KM_H)) * 5.0 * KM_H
+
+
+def plan_run(manoeuvre: Manoeuvre, train_file: TrainFile, now: ResistanceEstimate) -> Run | None:
+    """Return a run; None if the train does not do it within a practicable time."""
+    train = train_file.train
+    m, scale = specific_inertia(1.0, train.rotary_mass), 1.0 if math.isnan(now.force_scale) else now.force_scale
+    v = traction = length = held_s = 0.0
+    steps: list[Step] = []
+    reached = False
+    while not (reached and manoeuvre.is_over(v, held_s)):
+        w = now.a + v * (now.b + v * now.c)
+        reached = reached or v >= manoeuvre.start
+        held_s += STEP_S if reached else 0.0
+        most = min(train.max_traction_force, train.max_traction_power / max(v, 0.1))
+        full = min(specific_force(most, train.mass), (m * ACCELERATION + w) / scale)
+        coasting = w / scale if manoeuvre.held_s > 0.0 else 0.0
+        change = min(max((coasting if reached else full) - traction, -JERK * m * STEP_S), JERK * m * STEP_S)
+        mean, traction, before = traction + 0.5 * change, traction + change, v
+        v = max(0.0, v + STEP_S / m * (scale * mean - w))
+        length += 0.5 * (before + v) * STEP_S
+        steps.append(Step(v, mean, change / STEP_S))
+        if len(steps) * STEP_S > _LONGEST_S or (v == 0.0 and reached):
+            return None
+    braked_s = v / _DECELERATION
+    return Run(manoeuvre, tuple(steps), len(steps) * STEP_S + braked_s, length + 0.5 * v * braked_s)

@@ -1,0 +1,234 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What to drive so that the resistance becomes known: the shortest drive that does it, and the std that it promises.
+
+The promised standard deviations come from the estimator's own information matrix: the recursion of its covariance over
+the planned drive, with the noise that it has learned (correlated gusts and map errors, noise of the speed).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Final, TypeAlias
+
+from trainid_ros.estimators.observability import SEEN_SHARE, resistance_std
+from trainid_ros.resistance.filter_bank import FilterBank
+from trainid_ros.resistance.planned_drive import KM_H, planned_runs, top_speed
+from trainid_ros.resistance.vmils import VMils
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from trainid_ros.resistance.planned_drive import Run
+    from trainid_ros.results import ResistanceEstimate
+    from trainid_ros.train.train_file import TrainFile
+
+# Most repetitions of a run that are suggested.
+_TIMES: Final = 3
+# A drive that leaves more than this share of a standard deviation does not help.
+_HELPS: Final = 0.9
+# A longer drive must be better than a shorter one by this share of the standard deviation.
+_WORTH: Final = 0.03
+# A standard deviation of up to this multiple of its limit counts as reaching it in the text.
+_NEARLY: Final = 1.05
+# A force scale known to this needs no drive [1].
+_SCALE_STD: Final = 0.01
+# w must be known up to the top speed, checked at these shares of it.
+_SHARES: Final = (0.25, 0.5, 0.75, 1.0)
+_NUMBERS: Final = {1: 'once', 2: 'twice'}
+
+
+@dataclass(frozen=True, slots=True)
+class Wanted:
+    """A quantity that should be known: its name, unit, standard deviation in an estimate, and the limit of that."""
+
+    name: str
+    unit: str
+    std: Callable[[ResistanceEstimate], float]
+    limit: float
+
+
+@dataclass(frozen=True, slots=True)
+class Promise:
+    """Standard deviation of a quantity before and after a drive, and up to which it is known, all in its unit."""
+
+    wanted: Wanted
+    now: float
+    then: float
+
+    @property
+    def ratio(self) -> float:
+        """Standard deviation after the drive over its limit [1]."""
+        return self.then / self.wanted.limit
+
+    @property
+    def before(self) -> float:
+        """Standard deviation before it over its limit [1]."""
+        return self.now / self.wanted.limit
+
+
+@dataclass(frozen=True, slots=True)
+class SuggestedDrive:
+    """A drive and what it promises.
+
+    Attributes:
+        run: One run of it, from stop to stop.
+        times: Number of runs.
+        least_known: The quantity for which it is driven.
+        promises: All quantities.
+
+    """
+
+    run: Run
+    times: int
+    least_known: Promise
+    promises: tuple[Promise, ...]
+
+    @property
+    def duration_s(self) -> float:
+        """Duration without dwells [s]."""
+        return self.times * self.run.duration_s
+
+    @property
+    def text(self) -> str:
+        """The drive in words, with what it promises."""
+        wanted, promise = self.least_known.wanted, self.least_known
+        times = _NUMBERS.get(self.times, f'{self.times} times')
+        length = f'{self.times * self.run.length_m / 1000.0:.1f} km'
+        std = f'{wanted.name} ± {promise.then:.2g}{f" {wanted.unit}" if wanted.unit else ""}, now ± {promise.now:.2g}'
+        missed = '' if promise.ratio <= _NEARLY else f' (wanted ± {wanted.limit:.2g})'
+        return f'{self.run.manoeuvre.text} {times} ({length}): {std}{missed}'
+
+    @property
+    def numbers(self) -> dict[str, object]:
+        """The drive for JSON: the text, speeds [m/s], times [s], length [m], and standard deviations."""
+        manoeuvre, promise = self.run.manoeuvre, self.least_known
+        return {
+            'text': self.text,
+            'from_speed': manoeuvre.start,
+            'to_speed': manoeuvre.end,
+            'held_s': manoeuvre.held_s,
+            'times': self.times,
+            'duration_s': self.duration_s,
+            'length_m': self.times * self.run.length_m,
+            'least_known': promise.wanted.name,
+            'std': {item.wanted.name: _stds(item) for item in self.promises},
+        }
+
+
+_Drive: TypeAlias = 'tuple[Run, int, tuple[Promise, ...]]'
+
+
+def _stds(promise: Promise) -> dict[str, object]:
+    wanted = promise.wanted
+    return {'unit': wanted.unit, 'now': promise.now, 'then': promise.then, 'wanted': wanted.limit}
+
+
+def suggested_drive(
+    estimator: object, train_file: TrainFile, prior: ResistanceEstimate, now: ResistanceEstimate
+) -> SuggestedDrive | None:
+    """Return the shortest drive that makes known what is not, as far as any drive does.
+
+    Args:
+        estimator: The estimator of the resistance; only the filter bank and V-MILS can foresee their covariance.
+        train_file: Train file.
+        prior: Estimate before the first sample.
+        now: Present estimate.
+
+    Returns:
+        None if all is known, if nothing was learned yet, or if no drive would help.
+
+    """
+    search = DriveSearch(estimator, train_file, prior, now)
+    while search.advance():
+        pass
+    return search.result
+
+
+class DriveSearch:
+    """The search of a drive, one manoeuvre at a time, so that a live estimator is not kept waiting.
+
+    Attributes:
+        result: What was found, None before the end of the search.
+
+    """
+
+    def __init__(
+        self, estimator: object, train_file: TrainFile, prior: ResistanceEstimate, now: ResistanceEstimate
+    ) -> None:
+        """Prepare; see :func:`suggested_drive`."""
+        self.result: SuggestedDrive | None = None
+        self._estimator = estimator if isinstance(estimator, FilterBank | VMils) else None
+        self._now = now
+        self._runs: Iterator[Run] = iter(())
+        self._drives: list[_Drive] = []
+        if self._estimator is None or not now.speed_max > 0.0:
+            return
+        config = self._estimator.config
+        self._quantities = tuple(_quantities(train_file, prior, now, config.valid_std, config.valid_share))
+        if any(wanted.std(now) > wanted.limit for wanted in self._quantities):
+            self._runs = planned_runs(train_file, now)
+
+    def advance(self) -> bool:
+        """Foresee one more manoeuvre; return False, with the result, after the last."""
+        run = next(self._runs, None)
+        if run is None or self._estimator is None:
+            best = _shortest(sorted(self._drives, key=lambda drive: drive[1] * drive[0].duration_s))
+            helps = best is not None and best.least_known.then < _HELPS * best.least_known.now
+            self.result = best if helps else None
+            return False
+        for times, then in enumerate(self._estimator.foreseen(run, _TIMES), 1):
+            promises = (Promise(wanted, wanted.std(self._now), wanted.std(then)) for wanted in self._quantities)
+            self._drives.append((run, times, tuple(promises)))
+        return True
+
+
+def _shortest(drives: Sequence[_Drive]) -> SuggestedDrive | None:
+    """Return the best of the drives, shortest first: a longer one must be better.
+
+    What counts is the quantity that is least known after the drive, of those that at least one drive makes known; or
+    of those for which the drives are made if none does.
+    """
+    if not drives:
+        return None
+    first = drives[0][2]
+    reached = [k for k in range(len(first)) if min(promises[k].ratio for _, _, promises in drives) <= 1.0]
+    unknown = [k for k, item in enumerate(first) if item.before > 1.0]
+    counted = reached if set(reached) & set(unknown) else unknown
+    best, least = drives[0], math.inf
+    for drive in drives:
+        ratio = max(drive[2][k].ratio for k in counted)
+        if ratio < (1.0 - _WORTH) * least:
+            best, least = drive, ratio
+        if least <= 1.0:
+            break
+    run, times, promises = best
+    return SuggestedDrive(run, times, max((promises[k] for k in counted), key=lambda item: item.before), promises)
+
+
+def _quantities(
+    train_file: TrainFile, prior: ResistanceEstimate, now: ResistanceEstimate, valid_std: float, valid_share: float
+) -> Iterator[Wanted]:
+    """Yield what should be known: a, b and c as :func:`observe` demands, w up to the top speed, and the force scale."""
+    units = ('N/kN', 'N/kN per m/s', 'N/kN per (m/s)^2')
+    left = math.sqrt(1.0 - SEEN_SHARE)
+    for k, (name, unit) in enumerate(zip('abc', units, strict=True)):
+        yield Wanted(name, unit, _parameter(k), left * _parameter(k)(prior))
+    for share in _SHARES:
+        v = share * top_speed(train_file)
+        w = now.a + v * (now.b + v * now.c)
+        yield Wanted(f'w at {v / KM_H:.0f} km/h', 'N/kN', _at(v), math.hypot(valid_std, valid_share * w))
+    if not math.isnan(prior.force_scale_std):
+        yield Wanted('force scale', '', _scale, max(_SCALE_STD, left * prior.force_scale_std))
+
+
+def _parameter(k: int) -> Callable[[ResistanceEstimate], float]:
+    return lambda estimate: math.sqrt(max(0.0, estimate.covariance[4 * k]))
+
+
+def _at(v: float) -> Callable[[ResistanceEstimate], float]:
+    return lambda estimate: resistance_std(estimate.covariance, v)
+
+
+def _scale(estimate: ResistanceEstimate) -> float:
+    return estimate.force_scale_std
