@@ -140,9 +140,9 @@ class Checkpoint:
         content = f'{json.dumps(head)[:-1]},\n{_STATE}{self.state}'
         return f'{content},\n"sha256": "{_digest(content)}"}}\n'
 
-    def age_s(self, now_ns: int) -> float:
-        """Return the time since it was saved [s], by node time; 0 if unknown, as after a clock was set back."""
-        return max(now_ns - self.saved_ns, 0) * 1e-9 if self.saved_ns and now_ns else 0.0
+    def age_s(self, now_ns: int) -> float | None:
+        """Return the time since it was saved [s], by node time; None if unknown, as after a clock was set back."""
+        return (now_ns - self.saved_ns) * 1e-9 if self.saved_ns and now_ns >= self.saved_ns else None
 
 
 def _digest(content: str) -> str:

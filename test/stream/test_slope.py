@@ -104,6 +104,8 @@ def braked(by_force: float, by_speed: float, effort: Effort | None = None, block
         (2.0, 2.1, 'ato/brake_command is off: speed and ato/force brake 2 times as much'),
         (0.5, 0.45, 'ato/brake_command is off: speed and ato/force brake 0.5 times as much'),
         (9.8, 9.0, 'ato/brake_command looks like g: speed and ato/force brake 9.8 times as much'),
+        (-1.0, 1.0, 'ato/force drives while ato/brake_command brakes: its sign is missing or wrong'),
+        (-0.3, 1.0, ''),
         (1.3, 1.4, ''),
         (1.4, 1.3, ''),
         (2.0, 1.4, ''),

@@ -10,7 +10,7 @@ from __future__ import annotations
 import time
 from concurrent.futures import Future, ThreadPoolExecutor
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.checkpoint import (
     Checkpoint,
@@ -28,6 +28,10 @@ if TYPE_CHECKING:
     from trainid_ros.estimators.pipeline import EstimatorPipeline, EstimatorSettings
     from trainid_ros.ros.estimator_node import EstimatorNode
     from trainid_ros.train.train_file import TrainFile
+
+
+# Age of a checkpoint where that is unknown: what it states is as uncertain as after a day [s].
+_UNKNOWN_AGE_S: Final = 86_400.0
 
 
 class Checkpoints:
@@ -79,7 +83,7 @@ class Checkpoints:
         logger = self._node.get_logger()
         try:
             checkpoint = file.read(provenance)
-            age_s = None if checkpoint is None else self._restore(pipeline, checkpoint)
+            age = None if checkpoint is None else self._restore(pipeline, checkpoint)
         except ForeignFileError:
             raise
         except (InputError, *NUMERICAL_ERRORS) as error:
@@ -87,11 +91,11 @@ class Checkpoints:
                 pipeline.reset()
             logger.warning(f'{error}; starting from the prior, the file is kept as {file.set_aside()}')
             return
-        if age_s is None:
+        if age is None:
             logger.info(f'{file.path}: no checkpoint yet')
         else:
             self._saved = _mark(pipeline)
-            logger.info(f'continues from {file.path}, saved {age_s:.1f} s ago')
+            logger.info(f'continues from {file.path}, saved {age}')
 
     def resume(self) -> None:
         """Save at intervals from now on."""
@@ -201,9 +205,9 @@ class Checkpoints:
         if checkpoint is None:
             msg = f'{file.path}: there is no checkpoint'
             raise InputError(msg)
-        age_s = self._restore(pipeline, checkpoint)
+        age = self._restore(pipeline, checkpoint)
         self.note_wanted()
-        return f'{file.path}, saved {age_s:.1f} s ago'
+        return f'{file.path}, saved {age}'
 
     def _file_or_default(self) -> CheckpointFile:
         return self._file or CheckpointFile(default_path(self._node.get_fully_qualified_name()))
@@ -214,12 +218,12 @@ class Checkpoints:
         now_ns = int(self._node.get_clock().now().nanoseconds)
         return Checkpoint(self._required_provenance(), now_ns, pipeline.current().stamp_ns, pipeline.save())
 
-    def _restore(self, pipeline: EstimatorPipeline[Any], checkpoint: Checkpoint) -> float:
-        """Continue from a checkpoint; return its age [s]."""
+    def _restore(self, pipeline: EstimatorPipeline[Any], checkpoint: Checkpoint) -> str:
+        """Continue from a checkpoint; return its age as text."""
         age_s = checkpoint.age_s(int(self._node.get_clock().now().nanoseconds))
-        pipeline.restore(checkpoint.state, age_s)
+        pipeline.restore(checkpoint.state, _UNKNOWN_AGE_S if age_s is None else age_s)
         pipeline.current()  # An invalid state must raise here, not when it is published.
-        return age_s
+        return 'at an unknown time' if age_s is None else f'{age_s:.1f} s ago'
 
     def _required_provenance(self) -> Provenance:
         if self._provenance is None:

@@ -43,6 +43,8 @@ _USUAL_MEMORY: Final = 100.0
 _USUAL: Final = 0.05
 # Blocks in a row that are off before the effort is suspected.
 _OFF_BLOCKS: Final = 2
+# Slope of a force that certainly acts against the command [1].
+_OPPOSITE: Final = 0.4
 _G: Final = 9.81
 # Slope of the brake below which the train does not brake [1].
 _NO_BRAKING: Final = 0.2
@@ -219,6 +221,9 @@ class Effort(Regression):
 
     def judge(self, brake: Slope) -> None:
         """Judge the slope together with that of the acceleration over the command."""
+        if self.is_known and self.value < -_OPPOSITE:
+            self.finding = 'ato/force drives while ato/brake_command brakes: its sign is missing or wrong'
+            return
         if not (self.is_known and brake.is_known):
             return
         by_force, by_speed = self.value, brake.value

@@ -23,10 +23,12 @@ _MOST_VALUES: Final = 200_000
 _DEEPEST: Final = 100
 _NUMBERS: Final = {
     'int': re.compile(r'[-+]?(0|[1-9][0-9_]{0,300})$'),
+    # Within a length: the time to find that something is no number grows with the square of its length.
     'float': re.compile(
+        r'(?=.{1,300}$)(?:'
         r'[-+]?([0-9][0-9_]*\.?[0-9_]*|\.[0-9][0-9_]*)[eE][-+]?[0-9]+$'
         r'|[-+]?([0-9][0-9_]*\.[0-9_]*|\.[0-9][0-9_]*)$'
-        r'|[-+]?\.(inf|Inf|INF)$|\.(nan|NaN|NAN)$'
+        r'|[-+]?\.(inf|Inf|INF)$|\.(nan|NaN|NAN)$)'
     ),
 }
 
