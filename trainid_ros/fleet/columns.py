@@ -50,7 +50,7 @@ def _with_std(name: str, unit: str, text: str) -> tuple[Column, Column]:
 
 
 COLUMNS: Final = (
-    Column('bag', 'text', '', 'path of the bag'),
+    Column('bag', 'text', '', 'absolute path of the bag'),
     Column('train', 'text', '', 'train, from --label or the custom data of the bag'),
     Column('line', 'text', '', 'line, as train'),
     Column('day', 'text', '', 'day, YYYY-MM-DD: as train, or that of the start in UTC'),
