@@ -48,12 +48,13 @@ def run(args: argparse.Namespace) -> int:
 
 
 def _read(args: argparse.Namespace) -> list[Run]:
-    """Return the rows of all tables, each bag once, with how their table was made."""
-    runs: dict[str, Run] = {}
+    """Return the rows of all tables, each train of a bag once, with how their table was made."""
+    runs: dict[tuple[str, str, str], Run] = {}
     for path in args.tables:
         rows, about = read_table(path)
         setup = setup_of(about) or setup_in(Files(path).plan)
-        runs |= {row['bag']: Run(row, setup) for row in rows}
+        namespace = '' if setup is None else setup.namespace.strip('/')
+        runs |= {(row['bag'], row['train'], namespace): Run(row, setup) for row in rows}
     return list(runs.values())
 
 
