@@ -16,6 +16,8 @@ from typing import Any
 import pytest
 
 from trainid_ros.cli.main import main
+from trainid_ros.errors import NoAnswerError
+from trainid_ros.fleet.columns import Row
 from trainid_ros.fleet.plan import Setup, make_plan
 from trainid_ros.fleet.table_file import read_table
 
@@ -80,6 +82,25 @@ def test_what_has_changed_is_replayed_again(depot: Path, capsys: pytest.CaptureF
     train.write_text(train.read_text(encoding='utf-8') + '\n', encoding='utf-8')
     assert main(fleet(depot, '--json', '--jobs', '1')) == 0
     assert summary(capsys)['known'] == 0
+
+
+def test_a_bag_of_two_trains_has_a_row_of_each(
+    driven_bag: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    tables = []
+    for number in (1, 2):
+        tables.append(str(tmp_path / f'{number}.csv'))
+        command = ['fleet', str(driven_bag), '--train', str(driven_bag / 'train.yaml'), '--out', tables[-1]]
+        main([*command, '--namespace', f'/train_{number}'])
+    found: list[tuple[str, str]] = []
+
+    def analyse(rows: list[Row], _: float) -> None:
+        found.extend((row['bag'], row['train']) for row in rows)
+        raise NoAnswerError
+
+    monkeypatch.setattr('trainid_ros.fleet.analysis.analyse', analyse)
+    assert main(['fleet', 'report', *tables, tables[0]]) == 1
+    assert found == [(str(driven_bag), 'train_1'), (str(driven_bag), 'train_2')]
 
 
 @pytest.mark.parametrize(

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import json
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pytest
@@ -15,6 +15,13 @@ from trainid_ros.fleet.table_file import write_table
 
 if TYPE_CHECKING:
     from pathlib import Path
+
+    from trainid_ros.fleet.run_fleet import Run
+
+
+class Explained(NamedTuple):
+    effects: tuple[()] = ()
+
 
 PADS = np.array([0.0, -0.08, 0.0, 0.0])
 
@@ -57,6 +64,29 @@ def test_bags_that_are_gone_are_no_answer(table: Path, capsys: pytest.CaptureFix
     table.with_name('t.csv.plan.json').write_text(json.dumps(plan), encoding='utf-8')
     assert main(['fleet', 'report', str(table), '--explain', '1']) == 0
     assert 'By its bags: no answer (3/5: no such bag)' in capsys.readouterr().out
+
+
+def test_each_bag_is_explained_with_the_setup_of_its_table(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = fleet_rows(1, 8, 12, {3: (6, PADS)})
+    for name, days in (('old.csv', range(6)), ('new.csv', range(6, 12))):
+        write_table([row for row in rows if int(row['bag'].partition('/')[2]) in days], tmp_path / name, {})
+        files = {'train': str(tmp_path / name.replace('csv', 'yaml')), 'mapping': f'{name}.map'}
+        plan = {'setup': {**files, 'namespace': f'/{name[:3]}', 'max_chunk': 1 << 20}}
+        (tmp_path / f'{name}.plan.json').write_text(json.dumps(plan), encoding='utf-8')
+    used = []
+
+    def explain(run: Run) -> Explained:
+        assert run.setup is not None
+        used.append((run.row['bag'], run.setup.train.name, str(run.setup.mapping), run.setup.namespace))
+        return Explained()
+
+    monkeypatch.setattr('trainid_ros.fleet.workflow._explain', explain)
+    assert main(['fleet', 'report', str(tmp_path / 'old.csv'), str(tmp_path / 'new.csv'), '--explain', '1']) == 0
+    assert 'By its bags: no effect that is new' in capsys.readouterr().out
+    old, new = ('old.yaml', 'old.csv.map', '/old'), ('new.yaml', 'new.csv.map', '/new')
+    assert used == [('3/5', *old), *((f'3/{day}', *new) for day in (6, 7, 8))]
 
 
 @pytest.mark.parametrize('name', ['none.parquet', 'none.csv'])

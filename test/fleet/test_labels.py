@@ -25,6 +25,15 @@ def test_a_pattern_comes_before_what_the_recording_says() -> None:
         rule.labels(Path('/x'), {})
 
 
+def test_a_namespace_is_the_train_unless_a_pattern_names_it() -> None:
+    custom = {'train': 'other', 'line': '7'}
+    assert label_rule(None, '/train_1').labels(BAG, custom) == {
+        'train': 'train_1', 'line': '7', 'weather': '', 'day': '',
+    }  # fmt: skip
+    assert label_rule(r'/(?P<train>T\d+)/', '/train_1').labels(BAG, custom)['train'] == 'T042'
+    assert label_rule(r'line(?P<line>\d+)', '/train_1').labels(BAG, custom)['train'] == 'train_1'
+
+
 @pytest.mark.parametrize(
     ('pattern', 'problem'),
     [('(', 'unterminated'), ('(?P<depot>x)', "a group 'depot'"), ('x', 'no named group')],

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+from pathlib import Path
 from shutil import copy, copytree
-from typing import TYPE_CHECKING
 
 import pytest
 
@@ -11,9 +11,6 @@ from trainid_ros.bag.reader import BagReader
 from trainid_ros.errors import InputError
 from trainid_ros.fleet.labels import label_rule
 from trainid_ros.fleet.listing import find_bags, list_bags
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 TINY = 'bags/tiny'
 
@@ -35,6 +32,11 @@ def test_folders_patterns_and_bags_are_found_once(depot: Path) -> None:
     for path, problem in ((depot / 'T3', 'no such bag or folder'), (depot / 'T3*', 'holds no bag')):
         with pytest.raises(InputError, match=problem):
             find_bags([path])
+
+
+def test_paths_are_absolute(depot: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(depot)
+    assert find_bags([Path('T1')]) == [depot / 'T1/first']
 
 
 def test_linked_folders_are_followed_once(depot: Path) -> None:

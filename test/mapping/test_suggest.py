@@ -283,6 +283,10 @@ def test_a_train_of_several_is_mapped_in_its_namespace(
                 for name, factor in (('/train_1', 3.6), ('/train_2', 1.0)):
                     bag.write(f'{name}/odo', TWIST, record.stamp_ns, twist__linear__x=factor * record.speed)
                     bag.write(f'{name}/distance', FLOAT, record.stamp_ns, data=record.position)
+    assert main(['info', str(tmp_path / 'foreign'), '--suggest-map']) == 2
+    captured = capsys.readouterr()
+    assert captured.out == ''
+    assert captured.err.endswith('foreign: two trains here: /train_1, /train_2; use --namespace\n')
     for name, unit in (('/train_1', 'km/h'), ('/train_2', 'm/s')):
         assert main(['info', str(tmp_path / 'foreign'), '--suggest-map', '--namespace', name]) == 1
         captured = capsys.readouterr()
@@ -290,6 +294,23 @@ def test_a_train_of_several_is_mapped_in_its_namespace(
         mapping = parse_mapping(captured.out, 'map.yaml')
         assert sources(mapping.speed)['odo twist.linear.x'].unit.name == unit
         assert list(sources(mapping.position)) == ['distance data']
+
+
+@pytest.mark.parametrize(('delay_s', 'code'), [(0, 1), (40, 2)])
+def test_parts_that_drive_apart_are_trains(
+    ride: list[Record], tmp_path: Path, capsys: pytest.CaptureFixture[str], delay_s: int, code: int
+) -> None:
+    with ForeignBag(tmp_path / 'foreign') as bag:
+        for record in ride:
+            for name, delay_ns in (('/depot/front', 0), ('/depot/rear', delay_s * 10**9)):
+                if isinstance(record, SpeedRecord):
+                    bag.write(f'{name}/odo', TWIST, record.stamp_ns + delay_ns, twist__linear__x=record.speed)
+                elif isinstance(record, ForceRecord):
+                    bag.write(f'{name}/force', FLOAT, record.stamp_ns + delay_ns, data=record.force)
+    for namespace in ('/', '/depot'):
+        assert main(['info', str(tmp_path / 'foreign'), '--suggest-map', '--namespace', namespace]) == code
+        trains = 'two trains here: /depot/front, /depot/rear; use --namespace'
+        assert (trains in capsys.readouterr().err) == (code == 2)
 
 
 def test_the_command_prints_a_file_that_info_and_replay_take(

@@ -59,7 +59,7 @@ def _plan(args: argparse.Namespace) -> Plan:
         InputError: Train file, mapping, labels or bags cannot be used.
 
     """
-    rule = label_rule(args.label)
+    rule = label_rule(args.label, args.namespace)
     # A report may be made from another folder.
     mapping = args.map or mapping_in(args.params, args.namespace)
     params, mapping = (path and path.absolute() for path in (args.params, mapping))

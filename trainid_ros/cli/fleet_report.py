@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 from trainid_ros.cli.output import check_output, print_json, progress, show
 from trainid_ros.fleet.plan import setup_in, setup_of
-from trainid_ros.fleet.run_fleet import Files
+from trainid_ros.fleet.run_fleet import Files, Run
 from trainid_ros.fleet.table_file import read_table
 from trainid_ros.report import HTML_START
 
@@ -17,8 +17,6 @@ if TYPE_CHECKING:
 
     from trainid_ros.fleet.analysis import FleetView, TrainView
     from trainid_ros.fleet.changes import Step
-    from trainid_ros.fleet.columns import Row
-    from trainid_ros.fleet.plan import Setup
     from trainid_ros.fleet.workflow import Cause
 
 
@@ -35,9 +33,9 @@ def run(args: argparse.Namespace) -> int:
 
     if args.out is not None:
         check_output(args.out, args.tables, HTML_START)
-    rows, setup = _read(args)
-    view = analyse(rows, args.false_alarm_days)
-    named = _name_causes(args, view, rows, setup)
+    runs = _read(args)
+    view = analyse([run.row for run in runs], args.false_alarm_days)
+    named = _name_causes(args, view, runs)
     if args.out is not None:
         _write(args, view, named)
     if args.json:
@@ -49,18 +47,18 @@ def run(args: argparse.Namespace) -> int:
     return 0
 
 
-def _read(args: argparse.Namespace) -> tuple[list[Row], Setup | None]:
-    """Return the rows of all tables, each bag once, and how the last table was made."""
-    rows: dict[str, Row] = {}
-    setup = None
+def _read(args: argparse.Namespace) -> list[Run]:
+    """Return the rows of all tables, each train of a bag once, with how their table was made."""
+    runs: dict[tuple[str, str, str], Run] = {}
     for path in args.tables:
-        found, about = read_table(path)
+        rows, about = read_table(path)
         setup = setup_of(about) or setup_in(Files(path).plan)
-        rows |= {row['bag']: row for row in found}
-    return list(rows.values()), setup
+        namespace = '' if setup is None else setup.namespace.strip('/')
+        runs |= {(row['bag'], row['train'], namespace): Run(row, setup) for row in rows}
+    return list(runs.values())
 
 
-def _name_causes(args: argparse.Namespace, view: FleetView, rows: list[Row], setup: Setup | None) -> dict[str, Cause]:
+def _name_causes(args: argparse.Namespace, view: FleetView, runs: list[Run]) -> dict[str, Cause]:
     """Return what ``explain`` finds in the bags of the worst trains, by their names."""
     worst = [train for train in view.found if train.main][: args.explain]
     if not worst:
@@ -70,7 +68,7 @@ def _name_causes(args: argparse.Namespace, view: FleetView, rows: list[Row], set
     named = {}
     with progress('explain', total=len(worst), unit='trains') as advance:
         for train in worst:
-            named[train.name] = name_cause(view, train, rows, setup)
+            named[train.name] = name_cause(view, train, runs)
             advance(1.0)
     return named
 

@@ -48,14 +48,21 @@ def _suggest(args: argparse.Namespace, bag: Path, advance: Callable[[float], Non
     """Return a mapping for one bag.
 
     Raises:
-        InputError: If it cannot be read.
+        InputError: It cannot be read, or holds several trains.
 
     """
     # Imported here because other uses need not load it.
     from trainid_ros.bag.number_series import read_numbers  # noqa: PLC0415
     from trainid_ros.mapping.suggest import suggest  # noqa: PLC0415
+    from trainid_ros.mapping.suggest_trains import trains_in  # noqa: PLC0415
 
     numbers = read_numbers(bag, args.namespace, args.max_chunk, advance)
+    if trains := trains_in(numbers.series):
+        count = 'two' if len(trains) == 2 else len(trains)
+        base = args.namespace.strip('/')
+        names = (f'/{base}/{name}' if base else name for name in trains)
+        msg = f'{bag}: {count} trains here: {", ".join(names)}; use --namespace'
+        raise InputError(msg)
     suggestion = suggest(numbers, bag.name, _train_file(args))
     text, missing = suggestion.text(), suggestion.missing
     error = f'{bag}: nothing found for {", ".join(missing)}' if missing else ''

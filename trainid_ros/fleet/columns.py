@@ -50,11 +50,11 @@ def _with_std(name: str, unit: str, text: str) -> tuple[Column, Column]:
 
 
 COLUMNS: Final = (
-    Column('bag', 'text', '', 'path of the bag'),
-    Column('train', 'text', '', 'train, from --label or the custom data of the bag'),
-    Column('line', 'text', '', 'line, as train'),
-    Column('day', 'text', '', 'day, YYYY-MM-DD: as train, or that of the start in UTC'),
-    Column('weather', 'text', '', 'weather, as train'),
+    Column('bag', 'text', '', 'absolute path of the bag'),
+    Column('train', 'text', '', 'train, from --label, --namespace or the custom data of the bag'),
+    Column('line', 'text', '', 'line, from --label or the custom data of the bag'),
+    Column('day', 'text', '', 'day, YYYY-MM-DD: as line, or that of the start in UTC'),
+    Column('weather', 'text', '', 'weather, as line'),
     Column('start', 'time', 's', 'log time of the first message'),
     Column('duration_s', 'float', 's', 'time covered by the samples'),
     Column('status', 'text', '', 'status of the resistance at the end; empty if the bag was not replayed'),

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 LABELS: Final = ('train', 'line', 'weather', 'day')
 DEFAULT_PATTERN: Final = r'(?P<train>[^/]+)/[^/]+$'
-"""Without another, the train has the name of the folder that holds the bag."""
+"""Without another and without a namespace, the train has the name of the folder that holds the bag."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -26,11 +26,14 @@ class LabelRule:
     Attributes:
         pattern: Regular expression that is searched in the absolute path; its named groups are labels.
         is_given: True if the user gave it: then it comes before the custom data, else after.
+        namespace: Namespace of the train, without the first slash; '' without one. It is the train unless the user's
+            pattern names another, as custom data and folder may be those of several trains.
 
     """
 
     pattern: re.Pattern[str]
     is_given: bool
+    namespace: str
 
     def labels(self, path: Path, custom: Mapping[str, str]) -> dict[str, str]:
         """Return the labels of a bag by name, '' where unknown.
@@ -44,12 +47,14 @@ class LabelRule:
             msg = f"{path}: --label '{self.pattern.pattern}' does not fit the path"
             raise InputError(msg)
         found = {} if match is None else {name: text for name, text in match.groupdict().items() if text}
+        if self.namespace:
+            custom = {**custom, 'train': self.namespace}
         both = {**custom, **found} if self.is_given else {**found, **custom}
         return {name: both.get(name, '') for name in LABELS}
 
 
-def label_rule(pattern: str | None) -> LabelRule:
-    """Return the rule of a pattern, or the default without one.
+def label_rule(pattern: str | None, namespace: str = '/') -> LabelRule:
+    """Return the rule of a pattern, or the default without one, for the train in a namespace.
 
     Raises:
         InputError: The pattern is no regular expression, or has no group or another one than the labels.
@@ -65,7 +70,7 @@ def label_rule(pattern: str | None) -> LabelRule:
         problem = f'has a group {unknown[0]!r}' if unknown else 'has no named group such as (?P<train>[^/]+)'
         msg = f"--label '{pattern}': {problem}; the labels are " + ', '.join(LABELS)
         raise InputError(msg)
-    return LabelRule(compiled, is_given=pattern is not None)
+    return LabelRule(compiled, is_given=pattern is not None, namespace=namespace.strip('/'))
 
 
 def day_of(label: str, start_s: float | None, where: Path) -> str | None:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 def find_bags(given: Sequence[Path]) -> list[Path]:
-    """Return the bags that are named, lie in a folder that is named or fit a pattern; each once, in order of path.
+    """Return the absolute paths of the bags named, in a named folder or fitting a pattern; each once, in order of path.
 
     Raises:
         InputError: A path does not exist, or holds no bag.
@@ -39,7 +39,7 @@ def find_bags(given: Sequence[Path]) -> list[Path]:
             msg = f'{path}: holds no bag (neither {METADATA} nor a file {" or ".join(SUFFIXES)})'
             raise InputError(msg)
         for bag in bags:
-            found.setdefault(bag.resolve(), bag)
+            found.setdefault(bag.resolve(), bag.absolute())  # a report may be made from another folder
     return list(found.values())
 
 

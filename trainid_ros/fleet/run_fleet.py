@@ -6,7 +6,7 @@ from __future__ import annotations
 from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 from trainid_ros.bag.worker_pool import each_bag
 from trainid_ros.fleet.bag_row import bag_row, killed_row
@@ -18,11 +18,18 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from trainid_ros.fleet.columns import Row
-    from trainid_ros.fleet.plan import Plan, PlannedBag
+    from trainid_ros.fleet.plan import Plan, PlannedBag, Setup
 
     Found = Generator[tuple[int, Row], None, None]
     Rows = Callable[[Plan, Sequence[PlannedBag], Callable[[float], None]], Found]
     """Yields number and row of each bag as they come; calls the function with the number of bags done since."""
+
+
+class Run(NamedTuple):
+    """A row as read from a table, and how that was made, None if its plan is missing."""
+
+    row: Row
+    setup: Setup | None
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 from trainid_ros.bag.run_reader import read_runs
-from trainid_ros.errors import TrainIdError
+from trainid_ros.errors import InputError, TrainIdError
 from trainid_ros.mapping.mapped_inputs import mapped_inputs
 from trainid_ros.train.train_file import load_train_file
 
@@ -23,9 +23,7 @@ if TYPE_CHECKING:
 
     from trainid_ros.explain.result import Explanation, FoundEffect
     from trainid_ros.fleet.analysis import FleetView, TrainView
-    from trainid_ros.fleet.columns import Row
-    from trainid_ros.fleet.plan import Setup
-    from trainid_ros.train.train_file import TrainFile
+    from trainid_ros.fleet.run_fleet import Run
 
 _MOST_BAGS: Final = 3
 _SIGMAS: Final = 3.0
@@ -47,39 +45,35 @@ class Cause:
     problem: str = ''
 
 
-def name_cause(view: FleetView, train: TrainView, rows: Sequence[Row], setup: Setup | None) -> Cause:
+def name_cause(view: FleetView, train: TrainView, runs: Sequence[Run]) -> Cause:
     """Return what has changed by the bags of a train.
 
     Args:
         view: The fleet.
         train: A train with a departure.
-        rows: Rows of the tables.
-        setup: How the bags were replayed, None if the plan is missing.
+        runs: Rows of the tables; each bag is explained with the train file and mapping that it was replayed with.
 
     """
-    if setup is None:
-        return Cause(0, problem='the plan of the table is missing')
-    usual, away = _bags(view, train, rows)
+    usual, away = _bags(view, train, runs)
     try:
-        train_file = load_train_file(setup.train)
-        known = [effect for bag in usual for effect in _explain(bag, train_file, setup).effects]
-        found = [effect for bag in away for effect in _explain(bag, train_file, setup).effects]
+        known = [effect for run in usual for effect in _explain(run).effects]
+        found = [effect for run in away for effect in _explain(run).effects]
     except TrainIdError as error:
         return Cause(0, problem=str(error))
     return Cause(len(away), _merged([new for new in found if not any(_are_equal(new, old) for old in known)]))
 
 
-def _bags(view: FleetView, train: TrainView, rows: Sequence[Row]) -> tuple[list[Path], list[Path]]:
+def _bags(view: FleetView, train: TrainView, runs: Sequence[Run]) -> tuple[list[Run], list[Run]]:
     """Return the bag of the usual days that is next to the main departure of a train, and the first ones of that."""
     days, departure = view.labels.days, train.main
     if departure is None:
         return [], []
-    own = [row for row in rows if row['train'] == train.name and row['day'] and row['status']]
-    own.sort(key=lambda row: (row['day'], row['start'] or 0.0))
+    own = [run for run in runs if run.row['train'] == train.name and run.row['day'] and run.row['status']]
+    own.sort(key=lambda run: (run.row['day'], run.row['start'] or 0.0))
     first, end = days[departure.first], None if departure.end is None else days[departure.end]
-    before = [Path(row['bag']) for row in own if row['day'] < first]
-    away = [Path(row['bag']) for row in own if row['day'] >= first and (end is None or row['day'] < end)]
-    after = [Path(row['bag']) for row in own if end is not None and row['day'] >= end]
+    before = [run for run in own if run.row['day'] < first]
+    away = [run for run in own if run.row['day'] >= first and (end is None or run.row['day'] < end)]
+    after = [run for run in own if end is not None and run.row['day'] >= end]
     return before[-1:] or after[:1], away[:_MOST_BAGS]
 
 
@@ -103,16 +97,21 @@ def _merged(found: Sequence[FoundEffect]) -> tuple[Named, ...]:
     return tuple(Named(max(effects, key=lambda effect: effect.evidence), len(effects)) for effects in ranked)
 
 
-def _explain(bag: Path, train_file: TrainFile, setup: Setup) -> Explanation:
+def _explain(run: Run) -> Explanation:
     """Explain a bag.
 
     Raises:
-        InputError: It cannot be used.
+        InputError: It cannot be used, or it is not known how.
         NoAnswerError: It holds too little motion.
 
     """
     from trainid_ros.explain.workflow import explain  # noqa: PLC0415 - takes long to load
 
+    row, setup = run
+    if setup is None:
+        msg = 'the plan of the table is missing'
+        raise InputError(msg)
+    train_file = load_train_file(setup.train)
     inputs = mapped_inputs(setup.mapping, train_file)
-    runs = read_runs([bag], train_file, setup.namespace, setup.max_chunk, inputs)
-    return explain(runs, train_file, provenance='trainid fleet report')
+    found = read_runs([Path(row['bag'])], train_file, setup.namespace, setup.max_chunk, inputs)
+    return explain(found, train_file, provenance='trainid fleet report')
