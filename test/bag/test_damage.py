@@ -149,6 +149,24 @@ def test_only_the_chunk_with_a_flipped_bit_is_lost(tmp_path: Path, compression: 
     assert warnings[1:] == [f'{path}: {len(found)} of {COUNT} messages found']
 
 
+@pytest.mark.parametrize('shift', [-1, 5, -300, 300])
+@pytest.mark.parametrize('has_crc', [True, False])
+def test_bytes_lost_or_added_in_the_first_chunk_lose_no_other_one(tmp_path: Path, shift: int, *, has_crc: bool) -> None:
+    path = tmp_path / 'x.mcap'
+    records = write_file(path)
+    content = bytearray(path.read_bytes())
+    start, length = first_chunk(content)
+    place = start + length // 2
+    content[place : place - min(shift, 0)] = bytes(max(shift, 0))
+    if not has_crc:
+        content[-len(MAGIC) - 4 : -len(MAGIC)] = bytes(4)
+    path.write_bytes(content)
+    found, warnings = read(path)
+    assert found == records[-len(found) :]
+    assert len(found) > 0.8 * COUNT
+    assert warnings[-1] == f'{path}: {len(found)} of {COUNT} messages found'
+
+
 def test_every_flipped_byte_of_a_written_chunk_is_found(bag: Path) -> None:
     path = bag / 'bag.mcap'
     content = path.read_bytes()

@@ -54,6 +54,8 @@ _FOLLOWING: Final = 2
 _FIRST_BLOCK: Final = 1 << 12
 _MOST_BLOCK: Final = 1 << 20
 _MOST_SUMMARY: Final = 1 << 26
+# Most bytes by which a summary is looked for elsewhere.
+_MOST_SHIFT: Final = 4096
 
 
 class Record(NamedTuple):
@@ -145,15 +147,35 @@ class RecordFile:
         """Return opcode and content of the records of the summary at the end of a finished file, as far as it goes."""
         offset = self.end - _FOOTER.size
         opcode, _, position, _, crc = _FOOTER.unpack(self.read(offset, _FOOTER.size))
-        if opcode != Opcode.FOOTER or not 0 < position <= offset or offset - position > _MOST_SUMMARY:
+        if opcode != Opcode.FOOTER:
             return []
-        if crc and self.crc(position, self.end - _CRC.size) != crc:
+        if found := self._summary_from(position, offset, crc):
+            return found
+        # Bytes were lost or added before it: it lies elsewhere, and so do the chunks of its index. The end of it fits
+        # without a checksum too, so what starts first is the whole.
+        for start in range(position - _MOST_SHIFT, position + _MOST_SHIFT):
+            if found := self._summary_from(start, offset, crc):
+                return [(kind, content) for kind, content in found if kind != Opcode.CHUNK_INDEX]
+        return [] if crc else self._contents(position, offset)[0]
+
+    def _summary_from(self, start: int, end: int, crc: int) -> list[tuple[int, bytes]]:
+        """Return opcode and content of the records between two offsets; none if they or their checksum do not fit."""
+        if not 0 < start < end or self.record(start) is None:
             return []
-        found = []
-        while position < offset and (record := self.record(position)) is not None:
+        if crc and end - start <= _MOST_SUMMARY and self.crc(start, self.end - _CRC.size) != crc:
+            return []
+        found, reached = self._contents(start, end)
+        return found if reached == end else []
+
+    def _contents(self, start: int, end: int) -> tuple[list[tuple[int, bytes]], int]:
+        """Return opcode and content of the records from an offset on, and where the last one ends."""
+        found: list[tuple[int, bytes]] = []
+        if not 0 < start < end or end - start > _MOST_SUMMARY:
+            return found, start
+        while start < end and (record := self.record(start)) is not None:
             found.append((record.opcode, self.read(record.start, record.end - record.start)))
-            position = record.end
-        return found
+            start = record.end
+        return found, start
 
     def crc_fits(self, data_end: Record) -> bool:
         """Return whether the bytes before a record have the checksum that it states, if it states one."""
