@@ -49,7 +49,8 @@ class Observability:
 def resistance_std(covariance: Sequence[float], speed: float) -> float:
     """Return the standard deviation of w [N/kN] at a speed [m/s]; ``covariance`` is 3x3, row-major."""
     phi = (1.0, speed, speed * speed)
-    return math.sqrt(max(0.0, sum(phi[i] * phi[j] * covariance[3 * i + j] for i in range(3) for j in range(3))))
+    # Not sum(), whose rounding depends on the version of Python.
+    return math.sqrt(max(0.0, math.fsum(phi[i] * phi[j] * covariance[3 * i + j] for i in range(3) for j in range(3))))
 
 
 def observe(
