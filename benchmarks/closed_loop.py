@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from benchmarks.papers.seeds import over_seeds
 from benchmarks.tables import Plot, Table
 from trainid_ros.ato.days import CONTROLLERS, Drive, drive_day, plan_day
+from trainid_ros.report.stop_report import WINDOW
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -27,7 +28,6 @@ if TYPE_CHECKING:
 _LINES: Final = (('metro', 6), ('emu', 4), ('tram', 10))
 # Seeds from here on were not used during development.
 _FIRST_SEED: Final = 9001
-_WINDOW: Final = 0.30
 # Stops after a sudden change of the brake that are counted.
 _AFTER: Final = 3
 
@@ -104,7 +104,7 @@ def _stops(chosen: Chosen) -> Table:
                 f'{errors.mean():+.3f}',
                 f'{errors.std():.3f}',
                 f'{_p95(errors):.3f}',
-                f'{np.mean(np.abs(errors) <= _WINDOW):.1%}',
+                f'{np.mean(np.abs(errors) <= WINDOW):.1%}',
                 f'{closed:.0%}',
                 f'{np.abs(after).mean():.3f}' if after.size else '-',
             )
@@ -171,7 +171,7 @@ def _plot(chosen: Mapping[tuple[str, str], list[Outcome]]) -> Plot:
         for controller in CONTROLLERS:
             sizes = np.sort(np.abs(_errors(chosen[world, controller])))
             axes.plot(sizes, np.arange(1, sizes.size + 1) / sizes.size, label=controller)
-        axes.axvline(_WINDOW, color='0.5', linestyle=':')
+        axes.axvline(WINDOW, color='0.5', linestyle=':')
         axes.set_xscale('log')
         axes.set_xlim(0.01, 10.0)
         axes.set_xlabel('size of the stop error, m')

@@ -20,7 +20,7 @@ from mcap.writer import Writer as McapWriter
 
 from benchmarks.damage import campaign
 from trainid_ros.bag.reader import BagReader
-from trainid_ros.bag.record_file import MAGIC
+from trainid_ros.bag.record_file import MAGIC, RecordFile
 from trainid_ros.bag.types import full_type, message_from_record, typestore
 from trainid_ros.errors import InputError
 from trainid_ros.records import MassRecord
@@ -165,6 +165,16 @@ def test_bytes_lost_or_added_in_the_first_chunk_lose_no_other_one(tmp_path: Path
     assert found == records[-len(found) :]
     assert len(found) > 0.8 * COUNT
     assert warnings[-1] == f'{path}: {len(found)} of {COUNT} messages found'
+
+
+def test_no_summary_is_looked_for_where_there_is_none(tmp_path: Path) -> None:
+    path = tmp_path / 'x.mcap'
+    records = write_file(path)
+    content = bytearray(path.read_bytes())
+    content[-len(MAGIC) - 20 : -len(MAGIC)] = bytes(20)  # as of a writer without a summary
+    path.write_bytes(content)
+    assert RecordFile(path).summary() == []
+    assert read(path)[0] == records
 
 
 def test_every_flipped_byte_of_a_written_chunk_is_found(bag: Path) -> None:

@@ -206,7 +206,7 @@ class ScoredDriver:
         """Score a controller; ``learn`` is given the error of each stop [m]."""
         self._ato, self._learn, self._bounds = ato, learn, bounds
         self._jerks: list[float] = []
-        self._work = self._overspeed = self._acceleration = self._time_s = 0.0
+        self._work = self._overspeed = self._acceleration = 0.0
 
     @property
     def arrivals(self) -> list[StopEvent]:

@@ -147,7 +147,7 @@ class RecordFile:
         """Return opcode and content of the records of the summary at the end of a finished file, as far as it goes."""
         offset = self.end - _FOOTER.size
         opcode, _, position, _, crc = _FOOTER.unpack(self.read(offset, _FOOTER.size))
-        if opcode != Opcode.FOOTER:
+        if opcode != Opcode.FOOTER or not position:  # without a summary, none needs to be looked for
             return []
         if found := self._summary_from(position, offset, crc):
             return found
