@@ -3,10 +3,13 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import subprocess
 import sys
 from pathlib import Path
+
+import pytest
 
 import trainid_ros
 
@@ -26,6 +29,12 @@ PURE = (
     'view',
 )
 FOREIGN = ('rclpy', 'rosbags', 'mcap', 'matplotlib', 'trainid_msgs', 'std_msgs')
+# The estimators build on the stream and the physics, never the reverse.
+LOWER = {
+    'train': (),
+    'stream': ('train',),
+    'estimators': ('train', 'stream', 'resistance', 'speed_model', 'brake_rate'),
+}
 # Loaded only where needed, not by the core.
 SLOW = ('scipy', 'yaml')
 MOST_CPU_S = 0.3
@@ -55,6 +64,23 @@ def test_pure_modules_load_neither_ros_nor_bags_nor_plots() -> None:
     code = f'import importlib, sys\nfor n in {names!r}: importlib.import_module(n)\n'
     loaded = run(code + 'print(*{n.split(".")[0] for n in sys.modules})').split()
     assert not set(loaded) & set(FOREIGN)
+
+
+def imported_folders(path: Path) -> set[str]:
+    """Return the folders of the package that a module imports from, also within functions."""
+    nodes = list(ast.walk(ast.parse(path.read_text(encoding='utf-8'))))
+    names = [node.module or '' for node in nodes if isinstance(node, ast.ImportFrom)]
+    names += [alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names]
+    parts = [name.split('.') for name in names if name.startswith('trainid_ros.')]
+    return {part[1] for part in parts if (PACKAGE / part[1]).is_dir()}
+
+
+@pytest.mark.parametrize('folder', LOWER)
+def test_a_folder_imports_only_from_lower_ones(folder: str) -> None:
+    files = sorted((PACKAGE / folder).rglob('*.py'))
+    found = {path.name: imported_folders(path) - {folder, *LOWER[folder]} for path in files}
+    assert set().union(*(imported_folders(path) for path in files)) >= set(LOWER[folder])
+    assert not {name: folders for name, folders in found.items() if folders}
 
 
 def test_the_pipeline_loads_nothing_slow() -> None:

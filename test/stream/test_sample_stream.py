@@ -9,7 +9,6 @@ from typing import Any
 
 import pytest
 
-from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.estimators.pipeline import (
     EstimatorPipeline,
     EstimatorSettings,
@@ -22,6 +21,7 @@ from trainid_ros.estimators.pipeline import (
 from trainid_ros.records import NS_PER_S, ForceRecord, Record, SpeedRecord
 from trainid_ros.results import Output, Reason
 from trainid_ros.stream.alignment import AlignmentConfig, TimeJump
+from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.sample_stream import SampleStream, StreamConfig, TimeJumpPolicy
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.effects import parse_effects
