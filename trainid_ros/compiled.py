@@ -44,6 +44,7 @@ MODULES: Final = (
     'estimators/admission',
     'estimators/consistency',
     'estimators/pipeline',
+    'estimators/pipeline_group',
     'explain/track_points',
     'record_validation',
     'resistance/change_points',

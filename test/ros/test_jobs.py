@@ -12,7 +12,7 @@ import pytest
 
 from trainid_ros.errors import InputError
 from trainid_ros.estimators.algorithm_registry import Algorithm, Algorithms
-from trainid_ros.estimators.pipeline import EstimatorSettings
+from trainid_ros.pipelines import EstimatorSettings
 from trainid_ros.resistance.resistance_settings import VMilsConfig
 from trainid_ros.resistance.vmils import VMils
 from trainid_ros.ros import jobs

@@ -25,7 +25,8 @@ from trainid_ros.results import Status
 from trainid_ros.ros.services import NUMERICAL_ERRORS
 
 if TYPE_CHECKING:
-    from trainid_ros.estimators.pipeline import EstimatorPipeline, EstimatorSettings
+    from trainid_ros.estimators.pipeline import EstimatorPipeline
+    from trainid_ros.pipelines import EstimatorSettings
     from trainid_ros.ros.estimator_node import EstimatorNode
     from trainid_ros.train.train_file import TrainFile
 
