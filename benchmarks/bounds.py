@@ -14,9 +14,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from trainid_ros.estimators.admission import Admission
-from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.estimators.prior import prior_variances
-from trainid_ros.estimators.speed_noise import SpeedNoise
 from trainid_ros.records import NS_PER_S
 from trainid_ros.resistance.speed_window import (
     Cut,
@@ -27,6 +25,8 @@ from trainid_ros.resistance.speed_window import (
     overlap_factor,
 )
 from trainid_ros.results import Rejection
+from trainid_ros.stream.known_force import KnownForce
+from trainid_ros.stream.speed_noise import SpeedNoise
 from trainid_ros.train.brake import CommandHistory, lag_integral, lag_response
 from trainid_ros.train.davis import davis
 

@@ -23,10 +23,10 @@ from benchmarks.worlds.unknowns import random_of
 from benchmarks.worlds.vehicles import KINDS, draw_vehicle
 from trainid_ros.brake_rate.brake_kinematics import brake_step
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
-from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.records import NS_PER_S
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig
 from trainid_ros.stream.drive_history import DriveHistoryTracker
+from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.brake import CommandHistory
 from trainid_ros.train.davis import davis

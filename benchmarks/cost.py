@@ -19,14 +19,8 @@ from benchmarks.days import assumed_train, simulated_day, ticks_of
 from benchmarks.tables import Table
 from trainid_ros.brake_rate.brake_rate_settings import GsmaConfig
 from trainid_ros.brake_rate.gsma import Gsma
-from trainid_ros.estimators.pipeline import (
-    EstimatorSettings,
-    SharedRecord,
-    brake_rate_pipeline,
-    resistance_pipeline,
-    share_streams,
-    speed_model_pipeline,
-)
+from trainid_ros.estimators.pipeline_group import SharedRecord, share_streams
+from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline, speed_model_pipeline
 from trainid_ros.results import Rejection
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig
 

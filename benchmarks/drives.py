@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from trainid_ros.cli.output import table
-from trainid_ros.estimators.pipeline import EstimatorSettings, resistance_pipeline
+from trainid_ros.pipelines import EstimatorSettings, resistance_pipeline
 from trainid_ros.resistance.planned_drive import ACCELERATION, Manoeuvre
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
 from trainid_ros.resistance.suggested_drive import suggested_drive

@@ -20,16 +20,12 @@ import numpy as np
 from benchmarks.fleet_bags import FAULTS, Fault, draw_day, draw_train, drive, stated_train
 from benchmarks.tables import Table
 from trainid_ros.bag.record_table import table_of
-from trainid_ros.estimators.pipeline import (
-    EstimatorSettings,
-    PipelineGroup,
-    brake_rate_pipeline,
-    resistance_pipeline,
-)
+from trainid_ros.estimators.pipeline_group import PipelineGroup
 from trainid_ros.fleet.analysis import FleetView, analyse
 from trainid_ros.fleet.channels import CHANNELS
 from trainid_ros.fleet.columns import Row, empty_row
 from trainid_ros.fleet.odometer import Odometer
+from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -14,14 +14,9 @@ from benchmarks.rides import DAY, ride
 from benchmarks.tables import Table
 from benchmarks.worlds import WORLDS
 from trainid_lab.yizhuang_day import DRY, RAIN, yizhuang_day
-from trainid_ros.estimators.pipeline import (
-    EstimatorPipeline,
-    EstimatorSettings,
-    SharedRecord,
-    brake_rate_pipeline,
-    resistance_pipeline,
-    share_streams,
-)
+from trainid_ros.estimators.pipeline import EstimatorPipeline
+from trainid_ros.estimators.pipeline_group import SharedRecord, share_streams
+from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline
 from trainid_ros.results import Output, Status
 from trainid_ros.train.davis import specific_inertia
 

@@ -25,7 +25,7 @@ from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
 from benchmarks.tables import Table, as_text
-from trainid_ros.estimators.pipeline import EstimatorSettings, resistance_pipeline
+from trainid_ros.pipelines import EstimatorSettings, resistance_pipeline
 from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
 from trainid_ros.results import Status

@@ -16,13 +16,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from benchmarks.days import assumed_train, simulated_day
 from benchmarks.tables import Table
-from trainid_ros.estimators.pipeline import (
-    EstimatorPipeline,
-    EstimatorSettings,
-    brake_rate_pipeline,
-    resistance_pipeline,
-    speed_model_pipeline,
-)
+from trainid_ros.estimators.pipeline import EstimatorPipeline
+from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline, speed_model_pipeline
 from trainid_ros.records import NS_PER_S
 
 if TYPE_CHECKING:

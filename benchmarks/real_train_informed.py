@@ -11,11 +11,11 @@ import math
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
-from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.records import NS_PER_S
 from trainid_ros.resistance.filter_bank import FilterBank, bank_plan
 from trainid_ros.resistance.resistance_settings import FilterBankConfig
 from trainid_ros.resistance.speed_states import A, C
+from trainid_ros.stream.known_force import KnownForce
 
 if TYPE_CHECKING:
     from benchmarks.worlds import Truth

@@ -27,7 +27,7 @@ from trainid_ros.checkpoint import (
     provenance_of,
 )
 from trainid_ros.errors import InputError
-from trainid_ros.estimators.pipeline import EstimatorSettings
+from trainid_ros.pipelines import EstimatorSettings
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
 from trainid_ros.train.train_file import Effect, TrainFile
 

@@ -18,13 +18,8 @@ import pytest
 
 from trainid_lab.yizhuang_day import yizhuang_day
 from trainid_ros.compiled import SWITCH, uses_sources
-from trainid_ros.estimators.pipeline import (
-    EstimatorSettings,
-    PipelineGroup,
-    brake_rate_pipeline,
-    resistance_pipeline,
-    speed_model_pipeline,
-)
+from trainid_ros.estimators.pipeline_group import PipelineGroup
+from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline, speed_model_pipeline
 from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
 from trainid_ros.results import Reason, Rejection

@@ -3,10 +3,13 @@
 
 from __future__ import annotations
 
+import ast
 import os
 import subprocess
 import sys
 from pathlib import Path
+
+import pytest
 
 import trainid_ros
 
@@ -26,6 +29,15 @@ PURE = (
     'view',
 )
 FOREIGN = ('rclpy', 'rosbags', 'mcap', 'matplotlib', 'trainid_msgs', 'std_msgs')
+# What each folder may build on.
+LOWER = {
+    'train': (),
+    'stream': ('train',),
+    'estimators': ('train', 'stream'),
+    'resistance': ('train', 'stream', 'estimators'),
+    'speed_model': ('train', 'stream', 'estimators', 'resistance'),
+    'brake_rate': ('train', 'stream', 'estimators'),
+}
 # Loaded only where needed, not by the core.
 SLOW = ('scipy', 'yaml')
 MOST_CPU_S = 0.3
@@ -57,8 +69,25 @@ def test_pure_modules_load_neither_ros_nor_bags_nor_plots() -> None:
     assert not set(loaded) & set(FOREIGN)
 
 
+def imported_folders(path: Path) -> set[str]:
+    """Return the folders of the package that a module imports from, also within functions."""
+    nodes = list(ast.walk(ast.parse(path.read_text(encoding='utf-8'))))
+    names = [node.module or '' for node in nodes if isinstance(node, ast.ImportFrom)]
+    names += [alias.name for node in nodes if isinstance(node, ast.Import) for alias in node.names]
+    parts = [name.split('.') for name in names if name.startswith('trainid_ros.')]
+    return {part[1] for part in parts if (PACKAGE / part[1]).is_dir()}
+
+
+@pytest.mark.parametrize('folder', LOWER)
+def test_a_folder_imports_only_from_lower_ones(folder: str) -> None:
+    files = sorted((PACKAGE / folder).rglob('*.py'))
+    found = {path.name: imported_folders(path) - {folder, *LOWER[folder]} for path in files}
+    assert set().union(*(imported_folders(path) for path in files)) >= set(LOWER[folder])
+    assert not {name: folders for name, folders in found.items() if folders}
+
+
 def test_the_pipeline_loads_nothing_slow() -> None:
-    loaded = run('import sys, trainid_ros.estimators.pipeline; print(*{n.split(".")[0] for n in sys.modules})').split()
+    loaded = run('import sys, trainid_ros.pipelines; print(*{n.split(".")[0] for n in sys.modules})').split()
     assert not set(loaded) & set(SLOW)
 
 
@@ -69,11 +98,11 @@ def test_the_pipeline_imports_within_its_budget(tmp_path: Path) -> None:
         'start = time.process_time()\n'
         'import numpy\n'
         'middle = time.process_time()\n'
-        'import trainid_ros.estimators.pipeline\n'
+        'import trainid_ros.pipelines\n'
         'print(middle - start, time.process_time() - start)\n'
     )
     run(code, tmp_path)
     times = [[float(word) for word in run(code, tmp_path).split()] for _ in range(RUNS)]
     numpy, best = min(item[0] for item in times), min(item[1] for item in times)
-    print(f'trainid_ros.estimators.pipeline: {best:.3f} s of CPU, {numpy:.3f} s of it NumPy')
+    print(f'trainid_ros.pipelines: {best:.3f} s of CPU, {numpy:.3f} s of it NumPy')
     assert best <= MOST_CPU_S * max(1.0, numpy / NUMPY_CPU_S)

@@ -20,7 +20,7 @@ from trainid_ros.results import (
 
 MESSAGES = Path(__file__).parents[1] / 'msg_defs' / 'msg'
 ESTIMATES = (ResistanceEstimate, SpeedModelEstimate, BrakeRateEstimate)
-# What drivers add to an estimate; see trainid_ros.estimators.pipeline.Output.
+# What drivers add to an estimate; see trainid_ros.results.Output.
 ADDED = {'header', 'status', 'used', 'rejected', 'last_reject_reason', 'last_reject_text'}
 EstimateKind = type[ResistanceEstimate] | type[SpeedModelEstimate] | type[BrakeRateEstimate]
 

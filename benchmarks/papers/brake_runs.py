@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trainid_ros.records import NS_PER_S
-from trainid_ros.stream.samples import BrakeCommandChange, Sample
-from trainid_ros.train.brake import lag_integral, lag_response
+from trainid_ros.stream.samples import Sample
+from trainid_ros.train.brake import BrakeCommandChange, lag_integral, lag_response
 from trainid_ros.train.davis import G
 from trainid_ros.train.train_file import Brake, Davis, Train, TrainFile
 

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from trainid_lab.yizhuang_day import DRAG_S, RAIN_S, yizhuang_day
 from trainid_ros.bag.reader import BagReader
-from trainid_ros.estimators.pipeline import EstimatorSettings, brake_rate_pipeline, resistance_pipeline
+from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline
 from trainid_ros.records import NS_PER_S, Record
 from trainid_ros.results import BrakeRateEstimate, ResistanceEstimate
 from trainid_ros.sim.scenario import Scenario, simulate

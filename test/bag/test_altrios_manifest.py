@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from trainid_ros.bag.reader import BagReader
-from trainid_ros.estimators.pipeline import EstimatorSettings, resistance_pipeline
+from trainid_ros.pipelines import EstimatorSettings, resistance_pipeline
 from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
 from trainid_ros.results import Output, ResistanceEstimate, Status
 from trainid_ros.sim.truth import load_truth

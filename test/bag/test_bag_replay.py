@@ -15,12 +15,7 @@ from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.types import message_from_record
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.errors import InputError
-from trainid_ros.estimators.pipeline import (
-    EstimatorSettings,
-    brake_rate_pipeline,
-    resistance_pipeline,
-    speed_model_pipeline,
-)
+from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline, speed_model_pipeline
 from trainid_ros.records import INPUT_TOPICS, NS_PER_S, ForceRecord, Record
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
 from trainid_ros.results import Reason

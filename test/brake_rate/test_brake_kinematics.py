@@ -8,8 +8,7 @@ import pytest
 
 from trainid_ros.brake_rate.brake_kinematics import brake_step
 from trainid_ros.records import NS_PER_S
-from trainid_ros.stream.samples import BrakeCommandChange
-from trainid_ros.train.brake import CommandHistory
+from trainid_ros.train.brake import BrakeCommandChange, CommandHistory
 from trainid_ros.train.train_file import Brake
 
 START = 1_700_000_000 * NS_PER_S

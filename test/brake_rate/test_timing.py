@@ -8,8 +8,7 @@ import pytest
 
 from trainid_ros.brake_rate.timing import Timing, TimingStep
 from trainid_ros.records import NS_PER_S
-from trainid_ros.stream.samples import BrakeCommandChange
-from trainid_ros.train.brake import CommandHistory, lag_integral, lag_response
+from trainid_ros.train.brake import BrakeCommandChange, CommandHistory, lag_integral, lag_response
 from trainid_ros.train.train_file import Brake
 
 COMMANDS = CommandHistory((BrakeCommandChange(NS_PER_S, -0.8),))

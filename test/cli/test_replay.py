@@ -18,7 +18,7 @@ from trainid_ros.bag.writer import BagWriter
 from trainid_ros.cli.main import main
 from trainid_ros.cli.replay import contradiction_text
 from trainid_ros.estimators.contradiction import Contradiction
-from trainid_ros.estimators.pipeline import EstimatorSettings
+from trainid_ros.pipelines import EstimatorSettings
 from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
 from trainid_ros.train.train_file import dump_train_file, load_train_file
 

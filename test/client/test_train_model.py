@@ -18,7 +18,7 @@ from trainid_ros.bag.bag_replay import Replay, replay
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.client import TrainModel, Value
 from trainid_ros.errors import InputError, NoAnswerError
-from trainid_ros.estimators.pipeline import EstimatorSettings
+from trainid_ros.pipelines import EstimatorSettings
 from trainid_ros.results import BrakeRateEstimate, Output, ResistanceEstimate, Status
 from trainid_ros.train.davis import acceleration
 from trainid_ros.train.train_file import Brake, Davis, Effect, Train, TrainFile, load_train_file

@@ -11,9 +11,10 @@ from typing import Any
 import pytest
 
 from trainid_ros.estimators.admission import Admission
-from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.results import Reason
-from trainid_ros.stream.samples import BrakeCommandChange, Sample
+from trainid_ros.stream.known_force import KnownForce
+from trainid_ros.stream.samples import Sample
+from trainid_ros.train.brake import BrakeCommandChange
 from trainid_ros.train.train_file import Effect, TrainFile
 
 Make = Callable[..., Sample]

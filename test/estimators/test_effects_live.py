@@ -13,13 +13,8 @@ import numpy as np
 import pytest
 
 from trainid_ros.errors import InputError
-from trainid_ros.estimators.pipeline import (
-    EstimatorPipeline,
-    EstimatorSettings,
-    brake_rate_pipeline,
-    resistance_pipeline,
-    speed_model_pipeline,
-)
+from trainid_ros.estimators.pipeline import EstimatorPipeline
+from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline, speed_model_pipeline
 from trainid_ros.records import Record
 from trainid_ros.resistance.trajectory import PieceCollector
 from trainid_ros.results import Output, Reason, Status

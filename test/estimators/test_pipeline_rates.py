@@ -10,13 +10,8 @@ from typing import Any
 
 import pytest
 
-from trainid_ros.estimators.pipeline import (
-    EstimatorPipeline,
-    EstimatorSettings,
-    brake_rate_pipeline,
-    resistance_pipeline,
-    speed_model_pipeline,
-)
+from trainid_ros.estimators.pipeline import EstimatorPipeline
+from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline, speed_model_pipeline
 from trainid_ros.records import (
     FORCE,
     NS_PER_S,

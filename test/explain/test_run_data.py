@@ -13,7 +13,8 @@ import pytest
 
 from trainid_ros.explain.run_data import LONGEST_S, Run, RunCollector
 from trainid_ros.records import NS_PER_S
-from trainid_ros.stream.samples import BrakeCommandChange, Sample
+from trainid_ros.stream.samples import Sample
+from trainid_ros.train.brake import BrakeCommandChange
 from trainid_ros.train.davis import specific_inertia
 from trainid_ros.train.train_file import Brake, Davis, Train, TrainFile
 

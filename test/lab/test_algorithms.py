@@ -16,7 +16,7 @@ from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.errors import InputError
 from trainid_ros.estimators.algorithm_registry import Algorithm, Algorithms
 from trainid_ros.estimators.consistency import ConsistencyVerdict
-from trainid_ros.estimators.pipeline import EstimatorSettings, brake_rate_pipeline
+from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline
 from trainid_ros.records import NS_PER_S, Record, SpeedRecord
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
 from trainid_ros.results import BrakeRateEstimate, ResistanceEstimate, SpeedModelEstimate

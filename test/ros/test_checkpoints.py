@@ -3,7 +3,9 @@
 
 from __future__ import annotations
 
+import json
 import os
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeAlias
@@ -17,7 +19,7 @@ from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from rclpy.time import Time
 from trainid_msgs.msg import ResistanceEstimate
 
-from trainid_ros.checkpoint import default_path
+from trainid_ros.checkpoint import CheckpointFile, default_path, parse_checkpoint
 from trainid_ros.records import NS_PER_S
 from trainid_ros.results import Status
 from trainid_ros.ros.estimator_node import EstimatorNode
@@ -141,6 +143,25 @@ def test_a_checkpoint_that_does_not_fit_is_kept_aside_and_the_node_starts_from_i
     graph.feed(second, graph.coasting(20))
     second.trigger_deactivate()
     assert path.exists()
+
+
+def test_a_checkpoint_with_a_value_out_of_range_is_named_with_its_file(
+    graph: Graph, train_file: str, tmp_path: Path, capfd: Any
+) -> None:
+    path = tmp_path / 'state.json'
+    first = graph.active(train_file, checkpoint_file=str(path))
+    graph.feed(first, graph.coasting(20))
+    first.trigger_deactivate()
+    graph.drop()
+    file = CheckpointFile(path)
+    held = parse_checkpoint(path.read_text(encoding='utf-8'), str(path))
+    state = json.loads(held.state)
+    state['state']['used'] = -5
+    file.write(replace(held, state=json.dumps(state)))
+    second = graph.active(train_file, checkpoint_file=str(path))
+    assert second.pipeline.samples == 0
+    expected = f'{path}: checkpoint is invalid: saved PipelineState: used = -5 must be >= 0; starting from the prior'
+    assert expected in capfd.readouterr().err
 
 
 @pytest.mark.parametrize('name', ['train.yaml', 'notes.json'])

@@ -16,7 +16,7 @@ from rclpy.parameter import Parameter
 from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
 from trainid_msgs.msg import AtoSpeed, ResistanceEstimate, TrainMass
 
-from trainid_ros.estimators.pipeline import EstimatorSettings
+from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline
 from trainid_ros.records import (
     NS_PER_S,
     InputTopic,
@@ -283,7 +283,6 @@ def test_a_backlog_is_processed_in_order_of_arrival(graph: Graph, train_file: st
 
 
 def test_the_same_records_through_node_and_pipeline_are_equal_to_the_bit(graph: Graph, train_file: str) -> None:
-    from trainid_ros.estimators.pipeline import brake_rate_pipeline  # noqa: PLC0415
     from trainid_ros.train.train_file import load_train_file  # noqa: PLC0415
 
     node = graph.active(train_file, BRAKE_RATE_NODE)

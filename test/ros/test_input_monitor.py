@@ -143,6 +143,24 @@ def test_single_rejections_and_speeds_faster_than_the_period_are_not_reported() 
         assert monitors.by_topic[SPEED_TOPIC].judge(now_ns, 0.8).level == DiagnosticStatus.OK
 
 
+@pytest.mark.parametrize(
+    ('behind_s', 'shown'),
+    [
+        (300.0, '5.0 min behind'),
+        (-7200.0, '2.0 h ahead of'),
+        (864_000.0, '10.0 days behind'),
+        (95_448_337.0, '3.0 years behind'),
+    ],
+)
+def test_a_large_difference_of_stamps_is_told_in_a_unit_that_can_be_read(behind_s: float, shown: str) -> None:
+    monitors = InputMonitors(AlignmentConfig())
+    now_ns = arrive(monitors, 1.0, {SPEED_TOPIC: behind_s}, None)
+    found = monitors.by_topic[SPEED_TOPIC].judge(now_ns, 0.8, monitors.skew_s(SPEED_TOPIC, now_ns))
+    assert found.text == f'stamps are {shown} those of the other inputs'
+    assert ('use_sim_time' in found.action) == (abs(behind_s) > 3600.0)
+    assert monitors.by_topic[SPEED_TOPIC].judge(now_ns, 0.8).text == f"stamps are {shown} this node's clock"
+
+
 def test_a_stamp_that_is_rejected_with_the_next_message_is_that_of_its_own_topic() -> None:
     monitors = InputMonitors(AlignmentConfig())
     for i in range(10):

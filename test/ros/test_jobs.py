@@ -12,12 +12,12 @@ import pytest
 
 from trainid_ros.errors import InputError
 from trainid_ros.estimators.algorithm_registry import Algorithm, Algorithms
-from trainid_ros.estimators.pipeline import EstimatorSettings
+from trainid_ros.pipelines import EstimatorSettings
 from trainid_ros.resistance.resistance_settings import VMilsConfig
 from trainid_ros.resistance.vmils import VMils
 from trainid_ros.ros import jobs
 from trainid_ros.ros.jobs import JOBS, Setup, chosen_algorithms, mapping_in, node_setups
-from trainid_ros.ros.params_file import read_overrides
+from trainid_ros.ros.params_file import find_mismatch, read_overrides
 from trainid_ros.train.train_file import parse_train_file
 
 TRAIN = parse_train_file('train: {mass: 1000.0}\nresistance: {a: 1.0, b: 0.0, c: 0.1}\n', 'x')
@@ -229,3 +229,12 @@ def test_an_algorithm_of_the_command_line_overrides_that_of_the_file(tmp_path: P
     text = '/**/resistance_estimator: {ros__parameters: {algorithm: none}}\n/**: {ros__parameters: {seed: 2}}\n'
     made = setups(tmp_path, text, 'resistance=V-MILS')
     assert (made['resistance'].algorithm, made['resistance'].settings.seed) == ('V-MILS', 2)
+
+
+def test_of_many_sections_that_do_not_match_some_are_named(tmp_path: Path) -> None:
+    path = write(tmp_path, '\n'.join(f's{i}: {{ros__parameters: {{}}}}' for i in range(5000)))
+    assert find_mismatch(path, '/resistance_estimator', 'resistance_estimator') == (
+        f"{path}: no section for '/resistance_estimator'; its sections are {', '.join(f'/s{i}' for i in range(10))} "
+        'and 4990 more',
+        False,
+    )

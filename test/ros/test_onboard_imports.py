@@ -53,7 +53,7 @@ IMPORTS = 'import trainid_ros.ros.estimator_nodes'
 DRIVE = f"""
 {IMPORTS}
 import numpy
-from trainid_ros.estimators.pipeline import EstimatorSettings
+from trainid_ros.pipelines import EstimatorSettings
 from trainid_ros.ros.jobs import JOBS
 from trainid_ros.sim.scenario import Scenario, simulate
 from trainid_ros.train.train_file import load_train_file

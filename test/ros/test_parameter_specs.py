@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from trainid_ros.errors import InputError
-from trainid_ros.estimators.pipeline import EstimatorSettings
+from trainid_ros.pipelines import EstimatorSettings
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
 from trainid_ros.resistance.resistance_settings import FilterBankConfig
 from trainid_ros.ros.parameter_specs import (

@@ -10,10 +10,12 @@ from xml.etree import ElementTree
 
 import pytest
 
+from trainid_ros.client import TrainModel
 from trainid_ros.mapping.mapping_file import parse_mapping
 from trainid_ros.ros.estimator_node import EstimatorNode
 from trainid_ros.ros.estimator_nodes import SPECS
 from trainid_ros.ros.sros2_policy import policy
+from trainid_ros.ros.train_monitor import TrainMonitor
 
 Graph: TypeAlias = Any  # the fixture of conftest.py
 FILE = Path(__file__).parents[2] / 'config' / 'sros2_policy.xml'
@@ -28,6 +30,18 @@ def granted(enclave: str, node: str) -> dict[str, set[str]]:
     return rights
 
 
+def used_by(node: Any) -> dict[str, set[str]]:
+    """The full names that a node uses, by right; it may call no services."""
+    name, space = node.get_name(), node.get_namespace()
+    assert not node.get_client_names_and_types_by_node(name, space)
+    used = {
+        'publish': {topic for topic, _ in node.get_publisher_names_and_types_by_node(name, space)},
+        'subscribe': {topic for topic, _ in node.get_subscriber_names_and_types_by_node(name, space)},
+        'reply': {service for service, _ in node.get_service_names_and_types_by_node(name, space)},
+    }
+    return {right: names for right, names in used.items() if names}
+
+
 def full_name(name: str, node: str) -> str:
     return name if name.startswith('/') else f'/{node}{name[1:]}' if name.startswith('~') else f'/{name}'
 
@@ -39,19 +53,29 @@ def test_the_file_is_up_to_date() -> None:
 def test_the_policy_of_a_mapping_grants_its_topics_in_place_of_ours() -> None:
     text = policy(parse_mapping('speed: {topic: /odo/twist, field: twist.linear.x}', 'map.yaml'))
     assert text.count('<topic>/odo/twist</topic>') == 2 * len(SPECS)
-    assert '<topic>ato/speed</topic>' not in text
-    assert text.count('<topic>ato/force</topic>') == 2 * len(SPECS)
+    assert text.count('<topic>ato/speed</topic>') == 1  # of the monitor, which shows inputs of our types
+    assert text.count('<topic>ato/force</topic>') == 2 * len(SPECS) + 1
 
 
 @pytest.mark.ros
 @pytest.mark.parametrize('name', list(SPECS))
 def test_a_node_uses_exactly_what_the_policy_grants(graph: Graph, train_file: str, name: str) -> None:
     node = graph.active(train_file, partial(EstimatorNode, SPECS[name]))
-    used = {
-        'publish': {topic for topic, _ in node.get_publisher_names_and_types_by_node(name, '/')},
-        'subscribe': {topic for topic, _ in node.get_subscriber_names_and_types_by_node(name, '/')},
-        'reply': {service for service, _ in node.get_service_names_and_types_by_node(name, '/')},
-    }
-    assert granted(f'/trainid/{name}', name) == used
-    assert granted('/trainid', name) == used
-    assert not [client for client, _ in node.get_client_names_and_types_by_node(name, '/')]
+    assert granted(f'/trainid/{name}', name) == granted('/trainid', name) == used_by(node)
+
+
+@pytest.mark.ros
+def test_the_monitor_uses_exactly_what_the_policy_grants(graph: Graph) -> None:
+    monitor = graph.add(TrainMonitor((), '', context=graph.context))
+    monitor._subscribe('/')
+    assert granted('/trainid/monitor', 'trainid_monitor') == used_by(monitor)
+
+
+@pytest.mark.ros
+def test_a_controller_uses_exactly_what_the_policy_grants(graph: Graph, train_file: str) -> None:
+    node = graph.plain('ato_controller')
+    model = TrainModel(node, train_file)
+    used = used_by(node)
+    used['subscribe'].add('/parameter_events')  # by nodes in C++
+    assert granted('/trainid/controller', 'ato_controller') == used
+    assert model is not None

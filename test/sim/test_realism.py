@@ -18,8 +18,7 @@ from trainid_ros.sim.realism import REALISMS, UNKNOWNS, Case, Unknowns, draw_unk
 from trainid_ros.sim.scenario import Simulation, simulate
 from trainid_ros.sim.sensors import SensorModel
 from trainid_ros.sim.worlds import WORLDS, world_train
-from trainid_ros.stream.samples import BrakeCommandChange
-from trainid_ros.train.brake import CommandHistory, lag_response
+from trainid_ros.train.brake import BrakeCommandChange, CommandHistory, lag_response
 from trainid_ros.train.davis import davis, specific_force, specific_inertia
 from trainid_ros.train.effects import effect_value
 from trainid_ros.train.train_file import Brake, TrainFile, dump_train_file

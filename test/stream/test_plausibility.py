@@ -11,14 +11,9 @@ from typing import Any
 
 import pytest
 
-from trainid_ros.estimators.pipeline import (
-    EstimatorPipeline,
-    EstimatorSettings,
-    brake_rate_pipeline,
-    resistance_pipeline,
-    share_streams,
-    speed_model_pipeline,
-)
+from trainid_ros.estimators.pipeline import EstimatorPipeline
+from trainid_ros.estimators.pipeline_group import share_streams
+from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline, speed_model_pipeline
 from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
 from trainid_ros.results import Reason, Status
 from trainid_ros.state import decode, encode

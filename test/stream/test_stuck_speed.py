@@ -9,10 +9,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from trainid_ros.estimators.known_force import KnownForce
-from trainid_ros.estimators.speed_noise import SpeedNoise
 from trainid_ros.results import Reason, Rejection
+from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.samples import Sample
+from trainid_ros.stream.speed_noise import SpeedNoise
 from trainid_ros.stream.stuck_speed import StuckSpeed
 from trainid_ros.train.davis import G
 from trainid_ros.train.train_file import TrainFile

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 from trainid_ros.errors import InputError
-from trainid_ros.stream.samples import BrakeCommandChange
-from trainid_ros.train.brake import MOST_CHANGES, CommandHistory, lag_integral, lag_response
+from trainid_ros.train.brake import MOST_CHANGES, BrakeCommandChange, CommandHistory, lag_integral, lag_response
 
 
 def history(*changes: tuple[int, float]) -> CommandHistory:

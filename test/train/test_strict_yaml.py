@@ -29,9 +29,11 @@ def aliases(levels: int) -> str:
 @pytest.mark.parametrize(
     ('text', 'reason'),
     [
-        (aliases(11), 'more than 200000 values'),
-        ('x: [' + '0,' * 400_000 + '0]', 'more than 200000 values'),
-        ('a: &a {x: 1}\nb: {<<: [' + ','.join(['*a'] * 150_000) + ']}', 'more than 200000 values'),
+        (aliases(11), 'more than 100000 values'),
+        ('x: [' + '0,' * 400_000 + '0]', 'more than 100000 values'),
+        ('a: &a {x: 1}\nb: {<<: [' + ','.join(['*a'] * 150_000) + ']}', 'more than 100000 values'),
+        ('\n'.join(f'k{i}: {i}' for i in range(80_000)), 'more than 100000 values'),
+        ('\n'.join(f'k{i}: {"{a: " * 90}1{"}" * 90}' for i in range(2_000)), 'more than 100000 values'),
         ('{a: ' * 2000 + '}' * 2000, 'nested more than 100 deep'),
         ('[' * 1_000_000, 'nested more than 100 deep'),
         ('- ' * 500_000, 'nested more than 100 deep'),
@@ -45,7 +47,7 @@ def test_files_that_would_grow_are_rejected_at_little_cost(text: str, reason: st
     with pytest.raises(InputError, match=reason) as caught:
         read(text, 'T.yaml')  # type: ignore[operator]
     assert str(caught.value).startswith('T.yaml: line ')
-    assert time.process_time() - start_s < 5.0
+    assert time.process_time() - start_s < 3.0
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - memory_kb < 200_000
 
 

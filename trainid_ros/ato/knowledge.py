@@ -8,7 +8,8 @@ from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from trainid_ros.client import TrainModel
-from trainid_ros.estimators.pipeline import EstimatorSettings, PipelineGroup, brake_rate_pipeline, resistance_pipeline
+from trainid_ros.estimators.pipeline_group import PipelineGroup
+from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline
 from trainid_ros.records import NS_PER_S
 from trainid_ros.train.effects import effect_value
 from trainid_ros.train.train_file import Brake, Davis

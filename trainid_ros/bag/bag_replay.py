@@ -12,10 +12,10 @@ from itertools import chain, islice
 from typing import TYPE_CHECKING, Generic, NamedTuple, Protocol
 
 from trainid_ros.bag.reader import PROGRESS_EVERY, LoggedRecord, require_topics
-from trainid_ros.estimators.pipeline import (
+from trainid_ros.estimators.pipeline import EstimatorPipeline
+from trainid_ros.estimators.pipeline_group import PipelineGroup
+from trainid_ros.pipelines import (
     BrakeRatePipeline,
-    EstimatorPipeline,
-    PipelineGroup,
     ResistancePipeline,
     SpeedModelPipeline,
     brake_rate_pipeline,
@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from trainid_ros.bag.reader import BagReader
     from trainid_ros.estimators.consistency import Consistency
     from trainid_ros.estimators.contradiction import Contradiction
-    from trainid_ros.estimators.pipeline import EstimatorSettings
+    from trainid_ros.pipelines import EstimatorSettings
     from trainid_ros.records import Row
     from trainid_ros.train.train_file import TrainFile
 

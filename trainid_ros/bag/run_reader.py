@@ -12,10 +12,10 @@ from trainid_ros.bag.chunk import MAX_CHUNK
 from trainid_ros.bag.reader import BagReader, require_topics
 from trainid_ros.bag.worker_pool import killed_message, map_bags, processors
 from trainid_ros.errors import InputError
-from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.explain.run_data import RunCollector
 from trainid_ros.records import NS_PER_S
 from trainid_ros.stream.alignment import AlignmentConfig, TimeJump
+from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.plausibility import PlausibilityMonitor
 from trainid_ros.stream.sample_stream import SampleStream, StreamConfig
 from trainid_ros.stream.samples import Sample

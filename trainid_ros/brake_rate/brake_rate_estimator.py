@@ -22,12 +22,12 @@ from trainid_ros.brake_rate.disturbance_noise import DisturbanceNoise
 from trainid_ros.brake_rate.motion_model import BLEND_SHAPE, LEAST_RATE, MotionModel
 from trainid_ros.brake_rate.posterior import Posterior, Start, Transition
 from trainid_ros.brake_rate.timing import Timing, TimingStep
-from trainid_ros.estimators.speed_noise import SpeedNoise
 from trainid_ros.records import NS_PER_S
 from trainid_ros.results import BrakeRateEstimate, Reason, Rejection
 from trainid_ros.scalars import is_finite, seconds
 from trainid_ros.settings import check_settings
 from trainid_ros.state import check_not_negative, check_numbers, check_restored, decode, encode
+from trainid_ros.stream.speed_noise import SpeedNoise
 from trainid_ros.train.brake import CommandHistory
 
 if TYPE_CHECKING:

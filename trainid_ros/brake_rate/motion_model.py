@@ -20,8 +20,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING, Final
 
 from trainid_ros.brake_rate.posterior import ERRORS, Errors, Transition
-from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.scalars import is_finite
+from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.train.effects import effect_value
 from trainid_ros.vectors import vec
 

@@ -14,13 +14,13 @@ from trainid_ros.bag.reader import BagReader
 from trainid_ros.cli.output import check_output, table, to_plain
 from trainid_ros.cli.per_bag import BagResult, run_per_bag
 from trainid_ros.errors import InputError
-from trainid_ros.estimators.force_findings import force_findings
 from trainid_ros.estimators.observability import observe
 from trainid_ros.mapping.mapped_inputs import mapped_inputs
 from trainid_ros.mapping.mapping_file import load_mapping
 from trainid_ros.plural import pluralise
 from trainid_ros.records import MASS_TOPIC
 from trainid_ros.report import HTML_START
+from trainid_ros.resistance.force_findings import force_findings
 from trainid_ros.resistance.suggested_drive import suggested_drive
 from trainid_ros.ros.jobs import Setup, mapping_in, node_setups
 from trainid_ros.sim.truth import load_truth

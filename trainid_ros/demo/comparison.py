@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from trainid_ros.bag.bag_replay import AnyOutput, Replay, replay
 from trainid_ros.bag.reader import BagReader, LoggedRecord
 from trainid_ros.demo.view import LABELS
-from trainid_ros.estimators.pipeline import EstimatorSettings
+from trainid_ros.pipelines import EstimatorSettings
 from trainid_ros.report.accuracy_scores import AccuracyScore, score_brake_rate, score_resistance
 from trainid_ros.report.content import Chapter, RejectionCounts
 from trainid_ros.results import BrakeRateEstimate, ResistanceEstimate, SpeedModelEstimate, Status

@@ -9,9 +9,9 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.results import Reason, Rejection
 from trainid_ros.scalars import is_finite, seconds
+from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.samples import Sample
 
 # Force noise while coasting stays above this [N/kN]; deliberate braking is far below.

@@ -8,39 +8,20 @@ computed elsewhere.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, field, replace
-from typing import Any, Generic, TypeAlias
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Generic
 
-import numpy as np
-
-from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
-from trainid_ros.errors import InputError, TrainIdError
-from trainid_ros.estimators.algorithm_registry import Algorithms, Choice
+from trainid_ros.errors import InputError
 from trainid_ros.estimators.consistency import Consistency, ConsistencyMonitor
-from trainid_ros.estimators.contradiction import Contradiction
 from trainid_ros.estimators.pipeline_state import SNAPSHOT_S, SUSPECTED_S, PipelineState, Snapshots, reason_counts
 from trainid_ros.estimators.protocol import Estimator
-from trainid_ros.records import NS_PER_S, Record, Row
-from trainid_ros.resistance.resistance_algorithms import RESISTANCE
-from trainid_ros.results import (
-    BrakeRateEstimate,
-    EstimateT,
-    Output,
-    Reason,
-    Rejection,
-    ResistanceEstimate,
-    SpeedModelEstimate,
-    Status,
-)
-from trainid_ros.scalars import seconds
+from trainid_ros.records import NS_PER_S, Record
+from trainid_ros.results import EstimateT, Output, Reason, Rejection, Status
 from trainid_ros.settings import check_settings, setting
-from trainid_ros.speed_model.speed_model_algorithms import SPEED_MODEL
 from trainid_ros.state import decode, encode
-from trainid_ros.stream.alignment import AlignmentConfig
-from trainid_ros.stream.sample_stream import SampleStream, StreamConfig, StreamEvent, TimeJumpPolicy, is_reset_by
+from trainid_ros.stream.sample_stream import SampleStream, StreamEvent, TimeJumpPolicy, is_reset_by
 from trainid_ros.stream.samples import Sample
-from trainid_ros.train.train_file import TrainFile
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,7 +37,7 @@ class PipelineConfig:
 class EstimatorPipeline(Generic[EstimateT]):
     """One estimator at the end of a stream of samples: its status, its counters, whether its uncertainty is true.
 
-    Pipelines may share a stream, see :func:`share_streams`. A pipeline whose records are to be forgotten continues
+    Pipelines may share a stream, see `pipeline_group`. A pipeline whose records are to be forgotten continues
     with a stream of its own, which leaves those of the others alone.
     """
 
@@ -290,115 +271,3 @@ class EstimatorPipeline(Generic[EstimateT]):
 def aged_status(saved: Status, *, converged: bool) -> Status:
     """Return the status of a restored estimate until its next sample; ``converged`` if its age allows to use it."""
     return Status.CONVERGING if saved in (Status.VALID, Status.HOLDING) and not converged else saved
-
-
-@dataclass(frozen=True, slots=True)
-class EstimatorSettings:
-    """Everything that shapes the three estimators besides the train file."""
-
-    alignment: AlignmentConfig = field(default_factory=AlignmentConfig)
-    pipeline: PipelineConfig = field(default_factory=PipelineConfig)
-    resistance: Choice = field(default_factory=RESISTANCE.choose)
-    speed_model: Choice = field(default_factory=SPEED_MODEL.choose)
-    brake_rate: Choice = field(default_factory=BRAKE_RATE.choose)
-    seed: int = 1
-
-
-ResistancePipeline: TypeAlias = EstimatorPipeline[ResistanceEstimate]
-SpeedModelPipeline: TypeAlias = EstimatorPipeline[SpeedModelEstimate]
-BrakeRatePipeline: TypeAlias = EstimatorPipeline[BrakeRateEstimate]
-
-
-def resistance_pipeline(train_file: TrainFile, settings: EstimatorSettings) -> ResistancePipeline:
-    """Return the chosen resistance estimator behind its alignment."""
-    return _pipeline(RESISTANCE, settings.resistance, train_file, settings)
-
-
-def speed_model_pipeline(train_file: TrainFile, settings: EstimatorSettings) -> SpeedModelPipeline:
-    """Return the chosen estimator of the speed model behind its alignment."""
-    return _pipeline(SPEED_MODEL, settings.speed_model, train_file, settings)
-
-
-def brake_rate_pipeline(train_file: TrainFile, settings: EstimatorSettings) -> BrakeRatePipeline:
-    """Return the chosen brake rate estimator behind its alignment."""
-    return _pipeline(BRAKE_RATE, settings.brake_rate, train_file, settings)
-
-
-def _pipeline(
-    algorithms: Algorithms[EstimateT], choice: Choice, train_file: TrainFile, settings: EstimatorSettings
-) -> EstimatorPipeline[EstimateT]:
-    """Each estimator draws from a generator of its own."""
-    estimator = algorithms.make(choice, train_file, np.random.default_rng(settings.seed))
-    stream = SampleStream(StreamConfig(train_file, settings.alignment, settings.pipeline.time_jump_policy))
-    return EstimatorPipeline(estimator, stream, settings.pipeline)
-
-
-def share_streams(pipelines: Iterable[EstimatorPipeline[Any]]) -> tuple[SampleStream, ...]:
-    """Let pipelines whose streams are new and would give the same samples share one; return the streams."""
-    streams: list[SampleStream] = []
-    for pipeline in pipelines:
-        equal = [stream for stream in streams if stream.equals(pipeline.stream)]
-        if equal:
-            pipeline.stream = equal[0]
-        else:
-            streams.append(pipeline.stream)
-    return tuple(streams)
-
-
-class SharedRecord:
-    """One record for several pipelines: it goes once into each of their streams, as they are at that time."""
-
-    def __init__(self, row: Row) -> None:
-        self._row = row
-        self._streams: list[SampleStream] = []
-        self._events: list[list[StreamEvent] | None] = []
-
-    def events(self, stream: SampleStream) -> list[StreamEvent]:
-        """Return what a stream makes of the record; TrainIdError if it has failed for another pipeline."""
-        for k in range(len(self._streams)):
-            if self._streams[k] is stream:
-                events = self._events[k]
-                if events is None:
-                    msg = 'the stream that it shares with another estimator has failed'
-                    raise TrainIdError(msg)
-                return events
-        self._streams.append(stream)
-        self._events.append(None)  # until it has succeeded
-        topic, stamp_ns, x, y, flag = self._row
-        events = self._events[-1] = stream.push_row(topic, stamp_ns, x, y, flag)
-        return events
-
-
-class PipelineGroup:
-    """Pipelines that take in the same records; those whose streams would give the same samples share one."""
-
-    def __init__(self, pipelines: Sequence[EstimatorPipeline[Any]]) -> None:
-        share_streams(pipelines)
-        self._pipelines, self.contradiction = list(pipelines), Contradiction()  # of the inputs of the first
-        self._first_ns = self._newest_ns = self._before_ns = 0
-
-    @property
-    def covered_s(self) -> float:
-        """Time covered by the samples [s]; where stamps jump back the time before counts too."""
-        return seconds(self._before_ns + self._newest_ns - self._first_ns)
-
-    def push_rows(self, rows: Iterable[Row], publish: Callable[[Output[Any]], object] | None = None) -> int:
-        """Take in rows of records; return their number. For ``publish`` see :meth:`EstimatorPipeline.take`."""
-        count = 0
-        for row in rows:
-            record = SharedRecord(row)
-            for event in record.events(self._pipelines[0].stream):  # the others have the same stamps
-                if isinstance(event, Sample):
-                    self._cover(event.stamp_ns)
-                    self.contradiction.follow(self._pipelines[0].stream.finding, self.covered_s)
-            for pipeline in self._pipelines:
-                pipeline.take(record.events(pipeline.stream), publish)
-            count += 1
-        return count
-
-    def _cover(self, stamp_ns: int) -> None:
-        if stamp_ns < self._newest_ns:
-            self._before_ns += self._newest_ns - self._first_ns
-            self._first_ns = stamp_ns
-        self._first_ns = self._first_ns or stamp_ns
-        self._newest_ns = stamp_ns

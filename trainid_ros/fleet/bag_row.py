@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any
 from trainid_ros.bag.bag_replay import Pipelines, Replay, replay_through
 from trainid_ros.bag.worker_pool import killed_message
 from trainid_ros.errors import TrainIdError
-from trainid_ros.estimators.force_findings import force_findings
 from trainid_ros.fleet.columns import SPEEDS, Row, empty_row, reason_column, share_column
 from trainid_ros.fleet.labels import day_of
 from trainid_ros.fleet.odometer import OdometerReader
 from trainid_ros.mapping.mapped_inputs import mapped_inputs
 from trainid_ros.records import NS_PER_S
+from trainid_ros.resistance.force_findings import force_findings
 from trainid_ros.results import Status
 from trainid_ros.ros.jobs import node_setups
 from trainid_ros.train.train_file import load_train_file

@@ -17,9 +17,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from trainid_ros.estimators.admission import Admission
-from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.estimators.prior import prior_variances
-from trainid_ros.estimators.speed_noise import SpeedNoise
 from trainid_ros.resistance.davis_posterior import drift_growth, resistance_estimate
 from trainid_ros.resistance.fitness import DrivenSpeeds, is_fit_at, is_fit_where_driven
 from trainid_ros.resistance.force_errors import CURVE_RADIUS, force_errors, is_delay_at_end, scale_step
@@ -32,7 +30,9 @@ from trainid_ros.results import Reason, Rejection
 from trainid_ros.scalars import is_finite, seconds
 from trainid_ros.settings import check_settings
 from trainid_ros.state import decode, encode
+from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.samples import STANDING
+from trainid_ros.stream.speed_noise import SpeedNoise
 from trainid_ros.vectors import append, vec
 
 if TYPE_CHECKING:

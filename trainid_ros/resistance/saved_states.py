@@ -12,12 +12,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from trainid_ros.estimators.speed_noise import SpeedNoise
 from trainid_ros.resistance.fitness import DrivenSpeeds
 from trainid_ros.resistance.long_run_variance import Inflation, SlowNoise
 from trainid_ros.resistance.speed_states import STATES, Tick, V
 from trainid_ros.resistance.speed_window import WindowTick
 from trainid_ros.state import check_not_negative, check_numbers, check_restored, is_covariance_matrix
+from trainid_ros.stream.speed_noise import SpeedNoise
 
 Array = NDArray[np.float64]
 

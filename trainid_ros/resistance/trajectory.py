@@ -11,7 +11,7 @@ import numpy as np
 from scipy.linalg.lapack import dtbtrs
 
 from trainid_ros.estimators.admission import Admission
-from trainid_ros.estimators.known_force import KnownForce
+from trainid_ros.stream.known_force import KnownForce
 
 if TYPE_CHECKING:
     from collections import Counter

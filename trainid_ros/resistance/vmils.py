@@ -25,7 +25,6 @@ import numpy as np
 
 from trainid_ros.errors import InputError
 from trainid_ros.estimators.admission import Admission
-from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.estimators.prior import prior_variances
 from trainid_ros.records import NS_PER_S
 from trainid_ros.resistance.change_points import ChangePointConfig, Tracker
@@ -40,6 +39,7 @@ from trainid_ros.resistance.window_learner import WindowLearner, WindowPlan
 from trainid_ros.scalars import seconds
 from trainid_ros.settings import check_settings
 from trainid_ros.state import decode, encode
+from trainid_ros.stream.known_force import KnownForce
 
 if TYPE_CHECKING:
     from trainid_ros.resistance.davis_posterior import DavisPosterior

@@ -19,7 +19,6 @@ from typing import TYPE_CHECKING, Final
 
 import numpy as np
 
-from trainid_ros.estimators.speed_noise import SpeedNoise
 from trainid_ros.resistance.fitness import DrivenSpeeds
 from trainid_ros.resistance.long_run_variance import Inflation, SlowNoise
 from trainid_ros.resistance.normal import gate
@@ -34,6 +33,7 @@ from trainid_ros.resistance.speed_window import (
 )
 from trainid_ros.results import Reason, Rejection
 from trainid_ros.scalars import is_finite
+from trainid_ros.stream.speed_noise import SpeedNoise
 from trainid_ros.vectors import vec
 
 if TYPE_CHECKING:

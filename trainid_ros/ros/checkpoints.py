@@ -22,10 +22,12 @@ from trainid_ros.checkpoint import (
 )
 from trainid_ros.errors import InputError
 from trainid_ros.results import Status
+from trainid_ros.ros.input_monitor import shown_time
 from trainid_ros.ros.services import NUMERICAL_ERRORS
 
 if TYPE_CHECKING:
-    from trainid_ros.estimators.pipeline import EstimatorPipeline, EstimatorSettings
+    from trainid_ros.estimators.pipeline import EstimatorPipeline
+    from trainid_ros.pipelines import EstimatorSettings
     from trainid_ros.ros.estimator_node import EstimatorNode
     from trainid_ros.train.train_file import TrainFile
 
@@ -83,13 +85,15 @@ class Checkpoints:
         logger = self._node.get_logger()
         try:
             checkpoint = file.read(provenance)
-            age = None if checkpoint is None else self._restore(pipeline, checkpoint)
+            age = None if checkpoint is None else self._load(pipeline, file, checkpoint)
         except ForeignFileError:
             raise
         except (InputError, *NUMERICAL_ERRORS) as error:
+            why = str(error)
             if not isinstance(error, InputError):  # an estimate of the invalid state
                 pipeline.reset()
-            logger.warning(f'{error}; starting from the prior, the file is kept as {file.set_aside()}')
+                why = f'{file.path}: checkpoint is invalid: {error}'
+            logger.warning(f'{why}; starting from the prior, the file is kept as {file.set_aside()}')
             return
         if age is None:
             logger.info(f'{file.path}: no checkpoint yet')
@@ -205,7 +209,7 @@ class Checkpoints:
         if checkpoint is None:
             msg = f'{file.path}: there is no checkpoint'
             raise InputError(msg)
-        age = self._restore(pipeline, checkpoint)
+        age = self._load(pipeline, file, checkpoint)
         self.note_wanted()
         return f'{file.path}, saved {age}'
 
@@ -218,12 +222,20 @@ class Checkpoints:
         now_ns = int(self._node.get_clock().now().nanoseconds)
         return Checkpoint(self._required_provenance(), now_ns, pipeline.current().stamp_ns, pipeline.save())
 
+    def _load(self, pipeline: EstimatorPipeline[Any], file: CheckpointFile, checkpoint: Checkpoint) -> str:
+        """Continue from what a file holds; return its age as text; an InputError names the file."""
+        try:
+            return self._restore(pipeline, checkpoint)
+        except InputError as error:
+            msg = f'{file.path}: checkpoint is invalid: {error}'
+            raise InputError(msg) from error
+
     def _restore(self, pipeline: EstimatorPipeline[Any], checkpoint: Checkpoint) -> str:
         """Continue from a checkpoint; return its age as text."""
         age_s = checkpoint.age_s(int(self._node.get_clock().now().nanoseconds))
         pipeline.restore(checkpoint.state, _UNKNOWN_AGE_S if age_s is None else age_s)
         pipeline.current()  # An invalid state must raise here, not when it is published.
-        return 'at an unknown time' if age_s is None else f'{age_s:.1f} s ago'
+        return 'at an unknown time' if age_s is None else f'{shown_time(age_s)} ago'
 
     def _required_provenance(self) -> Provenance:
         if self._provenance is None:

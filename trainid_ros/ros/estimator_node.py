@@ -18,7 +18,8 @@ from rclpy.lifecycle import LifecycleState, TransitionCallbackReturn
 from rclpy.serialization import serialize_message
 
 from trainid_ros.errors import InputError, TrainIdError
-from trainid_ros.estimators.pipeline import EstimatorPipeline, EstimatorSettings
+from trainid_ros.estimators.pipeline import EstimatorPipeline
+from trainid_ros.pipelines import EstimatorSettings
 from trainid_ros.records import INPUT_TOPICS, NS_PER_S, REQUIRED_TOPICS
 from trainid_ros.results import Rejection, Status
 from trainid_ros.ros.checkpoints import Checkpoints
@@ -57,7 +58,7 @@ from trainid_ros.train.train_file import load_train_file
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence
 
-    from trainid_ros.estimators.pipeline import SharedRecord
+    from trainid_ros.estimators.pipeline_group import SharedRecord
     from trainid_ros.ros.foreign_topics import AnyTopic
     from trainid_ros.train.train_file import TrainFile
 

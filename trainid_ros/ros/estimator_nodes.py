@@ -6,8 +6,8 @@ from __future__ import annotations
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
-from trainid_ros.estimators.force_findings import force_findings
 from trainid_ros.estimators.observability import observe
+from trainid_ros.resistance.force_findings import force_findings
 from trainid_ros.ros.diagnostics import EstimatorSpec, ShownValue
 from trainid_ros.ros.estimator_node import EstimatorNode
 from trainid_ros.ros.jobs import BRAKE_RATE_JOB, RESISTANCE_JOB, SPEED_MODEL_JOB

@@ -40,6 +40,9 @@ _KEPT: Final = 4096
 # Delays are compared over this time [ns]: one message may be held up. What is left of their differences [s].
 _DELAYS_NS: Final = NS_PER_S
 _JITTER_S: Final = 0.1
+# No message is this late: its stamp is of another clock [s].
+_OTHER_CLOCK_S: Final = 3600.0
+_UNITS: Final = ((365.25 * 86400.0, 'years'), (86400.0, 'days'), (3600.0, 'h'), (60.0, 'min'))
 # Inputs that are silent for longer are missing, and not compared [s].
 _LATELY_S: Final = 2.5
 # So many messages may be rejected, as after a jump of the stamps, and this share of all [1].
@@ -201,7 +204,7 @@ class InputMonitor:
         if skew_s:
             text = f'{_apart(skew_s)} those of the other inputs{f", {rejections.text}" if rejections else ""}'
             action = 'synchronise the clocks of the inputs, or send the late one sooner'
-            return Finding(DiagnosticStatus.WARN, text, action)
+            return Finding(DiagnosticStatus.WARN, text, _other_clock(skew_s) or action)
         if rejections is not None:
             return rejections
         rate, delay_s = self.rate(now_ns), self._delays[-1] / NS_PER_S if self._delays else 0.0
@@ -289,7 +292,20 @@ class InputMonitors:
 
 def _apart(delay_s: float) -> str:
     """Return where stamps are that are behind by a time [s]."""
-    return f'stamps are {delay_s:.1f} s behind' if delay_s > 0.0 else f'stamps are {-delay_s:.1f} s ahead of'
+    return f'stamps are {shown_time(abs(delay_s))} {"behind" if delay_s > 0.0 else "ahead of"}'
+
+
+def _other_clock(skew_s: float) -> str:
+    """Return what to do where stamps are so far apart that they are of different clocks, else ''."""
+    if abs(skew_s) < _OTHER_CLOCK_S:
+        return ''
+    return 'set the clock of its computer, or give its publisher the same use_sim_time as those of the others'
+
+
+def shown_time(time_s: float) -> str:
+    """Return a time [s] in the largest unit of which it is at least two."""
+    size, unit = next((item for item in _UNITS if time_s >= 2.0 * item[0]), (1.0, 's'))
+    return f'{time_s / size:.1f} {unit}'
 
 
 def _names(names: Sequence[str]) -> str:

@@ -16,7 +16,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from trainid_ros.errors import InputError
-from trainid_ros.estimators.pipeline import SharedRecord, share_streams
+from trainid_ros.estimators.pipeline_group import SharedRecord, share_streams
 from trainid_ros.mapping.mapping import OWN
 from trainid_ros.messages import record_from_message
 from trainid_ros.records import InputTopic

@@ -9,14 +9,9 @@ from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.errors import InputError
-from trainid_ros.estimators.pipeline import (
-    EstimatorPipeline,
-    EstimatorSettings,
-    brake_rate_pipeline,
-    resistance_pipeline,
-    speed_model_pipeline,
-)
+from trainid_ros.estimators.pipeline import EstimatorPipeline
 from trainid_ros.messages import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, SPEED_MODEL_TOPIC, OutputTopic
+from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline, speed_model_pipeline
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
 from trainid_ros.ros.parameter_specs import (
     ALGORITHM,

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
     from rclpy.node import Node
 
-    from trainid_ros.estimators.pipeline import EstimatorSettings
     from trainid_ros.mapping.mapped_inputs import MappedInputs
+    from trainid_ros.pipelines import EstimatorSettings
     from trainid_ros.train.train_file import TrainFile
 
 

@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from trainid_ros.errors import InputError
 from trainid_ros.estimators.algorithm_registry import Choice
-from trainid_ros.estimators.pipeline import EstimatorSettings, PipelineConfig
+from trainid_ros.estimators.pipeline import PipelineConfig
+from trainid_ros.pipelines import EstimatorSettings
 from trainid_ros.records import INPUT_TOPICS
 from trainid_ros.settings import setting_info
 from trainid_ros.stream.alignment import AlignmentConfig

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from diagnostic_msgs.msg import DiagnosticArray
 from rclpy.node import Node
+from rclpy.parameter import Parameter
 
 from trainid_ros.messages import OUTPUT_TOPICS, record_from_message
 from trainid_ros.monitor.trains import Report, Trains
@@ -42,16 +43,25 @@ _TYPES: Final = {topic.name: type_name(message_class(topic)) for topic in _TOPIC
 class TrainMonitor(Node):
     """Subscribes to the topics of one namespace, or of all in which a topic of ours is published."""
 
-    def __init__(self, arguments: Sequence[str], namespace: str | None) -> None:
+    def __init__(self, arguments: Sequence[str], namespace: str | None, **options: Any) -> None:
         """Subscribe.
 
         Args:
             arguments: Arguments of ROS.
             namespace: Namespace of the train, None for all that are found.
+            options: Options of the rclpy node.
 
         """
         name = f'trainid_monitor_{os.getpid()}'
-        super().__init__(name, cli_args=list(arguments), enable_rosout=False, start_parameter_services=False)
+        silent = Parameter('start_type_description_service', value=False)  # a service with a number in its name
+        super().__init__(
+            name,
+            cli_args=list(arguments),
+            enable_rosout=False,
+            start_parameter_services=False,
+            parameter_overrides=[silent],
+            **options,
+        )
         self.trains = Trains()
         self._wanted = None if namespace is None else f'/{namespace.strip("/")}'
         self._looked_s = 0.0

@@ -19,8 +19,7 @@ import numpy as np
 
 from trainid_ros.records import NS_PER_S
 from trainid_ros.settings import check_settings, setting
-from trainid_ros.stream.samples import BrakeCommandChange
-from trainid_ros.train.brake import CommandHistory, actuator_response
+from trainid_ros.train.brake import BrakeCommandChange, CommandHistory, actuator_response
 from trainid_ros.train.davis import G, davis, specific_force, specific_inertia
 from trainid_ros.train.effects import BRAKE_APPLIED, TrackPoint, heat_after, resistance_terms
 from trainid_ros.train.line import LineProfile

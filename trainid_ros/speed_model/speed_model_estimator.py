@@ -9,8 +9,6 @@ from functools import partial
 from typing import TYPE_CHECKING, Final
 
 from trainid_ros.estimators.admission import Admission
-from trainid_ros.estimators.known_force import KnownForce
-from trainid_ros.estimators.speed_noise import SpeedNoise
 from trainid_ros.resistance.fitness import is_fit, representative_speeds
 from trainid_ros.resistance.force_errors import CURVE_RADIUS, curve_std
 from trainid_ros.results import Reason, Rejection, SpeedModelEstimate
@@ -29,7 +27,9 @@ from trainid_ros.speed_model.physical_parameters import (
 )
 from trainid_ros.speed_model.speed_model_state import SpeedModelState
 from trainid_ros.state import check_restored, decode, encode
+from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.samples import SAMPLE_PERIOD
+from trainid_ros.stream.speed_noise import SpeedNoise
 
 if TYPE_CHECKING:
     from collections.abc import Callable

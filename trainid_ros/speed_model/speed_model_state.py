@@ -7,11 +7,11 @@ import math
 from dataclasses import dataclass, replace
 from typing import Final
 
-from trainid_ros.estimators.speed_noise import SpeedNoise
 from trainid_ros.scalars import is_finite
 from trainid_ros.speed_model.method import Numbers
 from trainid_ros.speed_model.nuisance_parameters import CurveError, Disturbance, ForceDelay
 from trainid_ros.state import check_not_negative, check_numbers, check_restored
+from trainid_ros.stream.speed_noise import SpeedNoise
 
 # The range of speeds driven: memory of about half an hour, and its half-width in standard deviations.
 _SPEED_SAMPLES: Final = 9000.0

@@ -11,8 +11,8 @@ from typing import Final
 
 from trainid_ros.records import NS_PER_S
 from trainid_ros.stream.intervals import NONE_LOST, ONE_LOST
-from trainid_ros.stream.samples import BrakeCommandChange
 from trainid_ros.stream.topic_track import TopicRow, TopicTrack
+from trainid_ros.train.brake import BrakeCommandChange
 
 # What a change of the command at an unknown time may do to the speed [m/s]; more would be taken for the brake's doing.
 _MAX_UNCERTAIN: Final = 0.25

@@ -7,7 +7,7 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from trainid_ros.stream.samples import BrakeCommandChange
+from trainid_ros.train.brake import BrakeCommandChange
 
 # A large change of the brake command [m/s^2]. Two publishers that disagree change it to and fro with every message, ten
 # times a second; a controller that toggles it by itself does so up to twice a second, a brake could not follow more.

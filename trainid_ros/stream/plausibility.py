@@ -19,16 +19,16 @@ from __future__ import annotations
 import math
 from typing import Final
 
-from trainid_ros.estimators.known_force import KnownForce
-from trainid_ros.estimators.speed_noise import SpeedNoise
 from trainid_ros.results import Reason, Rejection
 from trainid_ros.scalars import is_finite
 from trainid_ros.state import decode, encode
 from trainid_ros.stream.balance_check import SUDDEN_MEMORY
+from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.message_check import CommandCheck
 from trainid_ros.stream.plausibility_state import BRAKED, NO_BLOCK, RELEASED, Block, PlausibilityState
 from trainid_ros.stream.samples import STANDING, Sample
 from trainid_ros.stream.shift_check import ShiftCheck
+from trainid_ros.stream.speed_noise import SpeedNoise
 from trainid_ros.train.davis import davis
 from trainid_ros.train.line import LineProfile
 

@@ -7,7 +7,6 @@ import math
 from dataclasses import dataclass, field
 from typing import Final
 
-from trainid_ros.estimators.speed_noise import SpeedNoise
 from trainid_ros.stream.balance_check import BalanceCheck
 from trainid_ros.stream.change_check import ChangeCheck
 from trainid_ros.stream.distance_check import DistanceCheck
@@ -15,6 +14,7 @@ from trainid_ros.stream.line_check import LineCheck
 from trainid_ros.stream.message_check import CommandCheck, ExcursionCheck, ReleaseCheck, SpikeCheck
 from trainid_ros.stream.shift_check import ShiftCheck
 from trainid_ros.stream.slope import BRAKE_RANGE, TRACTION_RANGE, Effort, Slope
+from trainid_ros.stream.speed_noise import SpeedNoise
 
 # Noise of the speed at the start [m/s].
 _SPEED_STD: Final = 0.025

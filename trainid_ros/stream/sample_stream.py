@@ -13,7 +13,6 @@ from dataclasses import dataclass, field, replace
 from enum import Enum
 from typing import Final, TypeAlias
 
-from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.records import NS_PER_S, Record
 from trainid_ros.results import Rejection
 from trainid_ros.scalars import is_finite
@@ -21,11 +20,13 @@ from trainid_ros.settings import check_settings
 from trainid_ros.state import encode
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig, TimeJump
 from trainid_ros.stream.drive_history import DriveHistoryTracker
+from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.plausibility import PlausibilityMonitor
-from trainid_ros.stream.samples import BrakeCommandChange, Sample
+from trainid_ros.stream.samples import Sample
 from trainid_ros.stream.sensor_correction import SensorCorrection
 from trainid_ros.stream.stream_state import StreamState
 from trainid_ros.stream.stuck_speed import StuckSpeed
+from trainid_ros.train.brake import BrakeCommandChange
 from trainid_ros.train.train_file import TrainFile
 
 StreamEvent: TypeAlias = Sample | Rejection | TimeJump

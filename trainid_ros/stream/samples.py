@@ -9,18 +9,11 @@ from typing import Final
 
 from trainid_ros.results import Rejection
 from trainid_ros.scalars import is_finite
+from trainid_ros.train.brake import BrakeCommandChange
 
 SAMPLE_PERIOD: Final = 0.2
 STANDING: Final = 0.5
 """A train slower than this may stand [m/s]: passengers change, and with them the mass."""
-
-
-@dataclass(frozen=True, slots=True)
-class BrakeCommandChange:
-    """A brake command that holds from ``stamp_ns`` on [m/s^2, <= 0]."""
-
-    stamp_ns: int
-    target_acceleration: float
 
 
 @dataclass(frozen=True, slots=True)

@@ -15,9 +15,9 @@ from trainid_ros.records import INPUT_TOPICS
 from trainid_ros.state import MAX_NUMBER, check_not_negative, check_restored
 from trainid_ros.stream.drive_history import DriveHistoryState
 from trainid_ros.stream.plausibility_state import PlausibilityState
-from trainid_ros.stream.samples import BrakeCommandChange
 from trainid_ros.stream.stuck_speed import StuckSpeedState
 from trainid_ros.stream.travel import Travel
+from trainid_ros.train.brake import BrakeCommandChange
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -12,11 +12,11 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-from trainid_ros.estimators.known_force import KnownForce
-from trainid_ros.estimators.speed_noise import SpeedNoise
 from trainid_ros.results import Reason, Rejection
 from trainid_ros.scalars import is_finite
+from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.samples import Sample
+from trainid_ros.stream.speed_noise import SpeedNoise
 from trainid_ros.train.davis import davis
 
 # A slower train may be at rest, where a constant speed is no fault [m/s].

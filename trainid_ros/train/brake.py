@@ -14,9 +14,16 @@ from typing import Final
 from trainid_ros.errors import InputError
 from trainid_ros.scalars import is_finite, seconds
 from trainid_ros.state import several
-from trainid_ros.stream.samples import BrakeCommandChange
 
 MOST_CHANGES: Final = 1024
+
+
+@dataclass(frozen=True, slots=True)
+class BrakeCommandChange:
+    """A brake command that holds from ``stamp_ns`` on [m/s^2, <= 0]."""
+
+    stamp_ns: int
+    target_acceleration: float
 
 
 @dataclass

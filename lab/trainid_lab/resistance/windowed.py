@@ -23,13 +23,13 @@ from trainid_lab.resistance.regressions import Regression, RegressionState, begi
 from trainid_lab.resistance.residuals import Residuals
 from trainid_lab.resistance.segments import Segments, Windows, cut
 from trainid_ros.estimators.admission import Admission
-from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.resistance.davis_posterior import largest_std
 from trainid_ros.resistance.fitness import is_fit, representative_speeds
 from trainid_ros.resistance.speed_window import WindowResult, WindowTick, observe_resistance
 from trainid_ros.results import Reason, Rejection, ResistanceEstimate
 from trainid_ros.settings import check_settings, setting
 from trainid_ros.state import check_not_negative, check_numbers, check_restored, decode, encode
+from trainid_ros.stream.known_force import KnownForce
 
 if TYPE_CHECKING:
     from trainid_lab.resistance.recursive import Vector

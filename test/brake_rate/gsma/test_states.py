@@ -19,7 +19,8 @@ from trainid_ros.brake_rate.gsma import GsmaPosterior
 from trainid_ros.errors import InputError
 from trainid_ros.records import NS_PER_S
 from trainid_ros.results import Reason, Rejection
-from trainid_ros.stream.samples import BrakeCommandChange, Sample
+from trainid_ros.stream.samples import Sample
+from trainid_ros.train.brake import BrakeCommandChange
 from trainid_ros.train.train_file import TrainFile
 
 Make = Callable[..., Sample]

@@ -17,7 +17,8 @@ from trainid_ros.resistance.filter_bank import FilterBank
 from trainid_ros.resistance.resistance_settings import FilterBankConfig
 from trainid_ros.resistance.speed_states import B
 from trainid_ros.results import Reason, Rejection
-from trainid_ros.stream.samples import BrakeCommandChange, Sample
+from trainid_ros.stream.samples import Sample
+from trainid_ros.train.brake import BrakeCommandChange
 from trainid_ros.train.train_file import Brake, Davis, Line, Train, TrainFile
 
 Make = Callable[..., Sample]

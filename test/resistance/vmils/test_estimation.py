@@ -21,7 +21,8 @@ from trainid_ros.resistance.normal import gate
 from trainid_ros.resistance.resistance_settings import VMilsConfig
 from trainid_ros.resistance.vmils import VMils
 from trainid_ros.results import Reason, Rejection, ResistanceEstimate
-from trainid_ros.stream.samples import BrakeCommandChange, Sample
+from trainid_ros.stream.samples import Sample
+from trainid_ros.train.brake import BrakeCommandChange
 from trainid_ros.train.train_file import Davis, TrainFile
 
 Make = Callable[..., Sample]

@@ -25,7 +25,8 @@ from trainid_ros.records import (
 )
 from trainid_ros.results import Reason
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig
-from trainid_ros.stream.samples import BrakeCommandChange, Sample
+from trainid_ros.stream.samples import Sample
+from trainid_ros.train.brake import BrakeCommandChange
 
 CONFIG = AlignmentConfig()
 

@@ -28,13 +28,13 @@ from trainid_lab.resistance.trajectory.window import (
 )
 from trainid_ros.errors import InputError
 from trainid_ros.estimators.admission import Admission
-from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.estimators.prior import PriorSettings, prior_variances
-from trainid_ros.estimators.speed_noise import SpeedNoise
 from trainid_ros.resistance.davis_posterior import largest_std
 from trainid_ros.results import Reason, Rejection, ResistanceEstimate
 from trainid_ros.settings import check_settings, setting
 from trainid_ros.state import check_restored, decode, encode
+from trainid_ros.stream.known_force import KnownForce
+from trainid_ros.stream.speed_noise import SpeedNoise
 
 if TYPE_CHECKING:
     from trainid_ros.stream.samples import Sample

@@ -5,7 +5,7 @@ import math
 
 import pytest
 
-from trainid_ros.estimators.force_findings import force_findings
+from trainid_ros.resistance.force_findings import force_findings
 from trainid_ros.results import ResistanceEstimate
 
 

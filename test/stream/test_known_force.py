@@ -9,7 +9,7 @@ from dataclasses import replace
 
 import pytest
 
-from trainid_ros.estimators.known_force import KnownForce
+from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.samples import Motion, Sample
 from trainid_ros.train.train_file import Effect, Line, TrainFile
 
