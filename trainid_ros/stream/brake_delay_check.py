@@ -48,7 +48,7 @@ _KEPT: Final = 0.9
 _KNOWN: Final = 4.0
 _GAIN: Final = 25.0
 # Errors of dead time and time constant that are no fault: in standard deviations of the train file, and at least [s].
-_STATED: Final = 1.5
+_STATED: Final = 2.0
 _LEAST_ERROR_S: Final = 0.8
 
 
