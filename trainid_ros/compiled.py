@@ -70,6 +70,7 @@ MODULES: Final = (
     'stream/alignment',
     'stream/balance_check',
     'stream/brake_commands',
+    'stream/brake_delay_check',
     'stream/distance_check',
     'stream/drive_history',
     'stream/intervals',

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from trainid_ros.ato.train_state import PositionModel, TrainState, retardation, stopping_curve
+from trainid_ros.ato.train_state import PositionModel, TrainState, stopping_curve
 from trainid_ros.errors import InputError
 from trainid_ros.records import NS_PER_S, GradientRecord, SpeedRecord
 from trainid_ros.train.line import LineProfile
@@ -69,10 +69,9 @@ def test_the_error_of_the_map_reaches_ahead() -> None:
     assert state.gradient(400.0) == pytest.approx(12.0)
 
 
-def test_curves_and_retardation() -> None:
+def test_a_stopping_curve() -> None:
     assert stopping_curve(50.0, 1.0) == pytest.approx(10.0)
     assert stopping_curve(-1.0, 1.0) == 0.0
-    assert retardation(2.0, 8.0, 0.0) == pytest.approx(0.0980665)
 
 
 def test_settings_are_checked() -> None:

@@ -15,7 +15,7 @@ from trainid_ros.stream.samples import Sample
 from trainid_ros.stream.speed_noise import SpeedNoise
 from trainid_ros.stream.stuck_speed import StuckSpeed
 from trainid_ros.train.davis import G
-from trainid_ros.train.train_file import TrainFile
+from trainid_ros.train.train_file import Brake, TrainFile
 
 Make = Callable[..., Sample]
 
@@ -32,12 +32,18 @@ def rejections(train_file: TrainFile, samples: list[Sample]) -> list[Rejection |
 def test_a_speed_unaffected_by_the_brake_is_rejected_once_half_a_metre_per_second_is_missing(
     train_file: TrainFile, sample: Make
 ) -> None:
-    found = rejections(train_file, [sample(i + 1, speed=12.0, brake_command=-0.8) for i in range(20)])
-    # The first sample only sets the speed; after 4 more, 0.64 m/s are missing.
-    assert [item is not None for item in found] == [False] * 4 + [True] * 16
-    assert found[4] is not None
-    assert found[4].reason is Reason.SPEED_STUCK
-    assert found[4].value == pytest.approx(-0.64)
+    file = replace(train_file, brake=Brake(delay=0.7, time_constant=0.4))
+    found = rejections(file, [sample(i + 1, speed=12.0, brake_command=-0.8) for i in range(20)])
+    # After 7 samples the brake need not have followed (0.7 + 2 * 0.4 s); after 4 more, 0.64 m/s are missing.
+    assert [item is not None for item in found] == [False] * 10 + [True] * 10
+    assert found[10] is not None
+    assert found[10].reason is Reason.SPEED_STUCK
+    assert found[10].value == pytest.approx(-0.64)
+
+
+def test_a_coarse_speed_may_stay_the_same_during_a_long_dead_time(train_file: TrainFile, sample: Make) -> None:
+    file = replace(train_file, brake=Brake(delay=3.3, time_constant=0.8))
+    assert not any(rejections(file, [sample(i + 1, speed=12.0, brake_command=-1.2) for i in range(20)]))
 
 
 def test_a_speed_unaffected_by_traction_is_rejected(train_file: TrainFile, sample: Make) -> None:

@@ -7,9 +7,8 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from trainid_ros.ato.train_state import retardation
 from trainid_ros.train.brake import lag_response
-from trainid_ros.train.davis import davis
+from trainid_ros.train.davis import acceleration, davis
 
 if TYPE_CHECKING:
     from trainid_ros.ato.knowledge import TrainValues
@@ -108,5 +107,6 @@ class BrakePredictor:
 
     def _acceleration(self, speed: float, gradient: float, brake: float) -> float:
         values = self.values
-        by_track = retardation(davis(values.resistance, speed), gradient, self._rotary_mass)
-        return values.brake.rate_at(speed) * brake - by_track + self._state.unexplained
+        # Without a force, the mass does not matter.
+        by_track = acceleration(0.0, 1.0, self._rotary_mass, davis(values.resistance, speed) + gradient)
+        return values.brake.rate_at(speed) * brake + by_track + self._state.unexplained

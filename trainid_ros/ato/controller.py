@@ -13,11 +13,11 @@ from enum import Enum
 from typing import TYPE_CHECKING, Final
 
 from trainid_ros.ato.brake_prediction import BrakePredictor, Motion
-from trainid_ros.ato.train_state import PositionModel, TrainState, retardation, stopping_curve
+from trainid_ros.ato.train_state import PositionModel, TrainState, stopping_curve
 from trainid_ros.records import GradientRecord, MassRecord, SpeedRecord
 from trainid_ros.settings import check_settings, setting
 from trainid_ros.sim.driver import TICK_S, Decision, StopEvent
-from trainid_ros.train.davis import davis, required_force
+from trainid_ros.train.davis import acceleration, davis, required_force
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -108,7 +108,8 @@ class Ato:
         self._state = TrainState(position, profile, rng)
         self._predictor = BrakePredictor(known.values(), self._state, self._train.rotary_mass, TICK_S)
         self._mass = self._train.mass
-        self._brake, self._since_step_s, self._integral = -model.holding, 0.0, 0.0
+        # Steps of the brake command.
+        self._steps, self._since_step_s, self._integral = self._nearest(-model.holding), 0.0, 0.0
         # Whether the brake is on its way to its usual command before a stop.
         self._applies = False
         self._depart_s = 0.5 * model.dwell
@@ -140,42 +141,39 @@ class Ato:
         self._predictor.values = self._known.values()
         if self.phase is Phase.DWELL:
             state.stand(train.position, train.direction)
-            return self._demand(train, 0.0, -self._model.holding)
+            return self._demand(train, 0.0, self._nearest(-self._model.holding))
         state.direction = train.direction
         state.pass_balises(self.stop, train.position)
         if self.phase is Phase.STOP and train.speed == 0.0:
             self._arrive(time_s, train)
-            return self._demand(train, 0.0, -self._model.holding)
-        traction, brake = self._choose()
-        return self._demand(train, traction, brake)
+            return self._demand(train, 0.0, self._nearest(-self._model.holding))
+        return self._demand(train, *self._choose())
 
-    def _demand(self, train: Plant, traction: float, brake: float) -> Decision:
+    def _demand(self, train: Plant, traction: float, steps: int) -> Decision:
         """Give the commands, and follow what they do until the next tick."""
-        model = self._model
         self._since_step_s += TICK_S
-        change = brake - self._brake
+        change = steps - self._steps
         # Several steps follow each other as fast as the jerk allows; a single one waits.
-        interval = model.step_interval if abs(change) < 1.5 * model.brake_step else TICK_S
-        if abs(change) > 1e-9 and self._since_step_s >= interval - 1e-9:
-            self._brake += min(model.brake_step, max(-model.brake_step, change))
-            self._brake = min(0.0, round(self._brake, 6))
+        interval = self._model.step_interval if abs(change) == 1 else TICK_S
+        if change and self._since_step_s >= interval - 1e-9:
+            self._steps += 1 if change > 0 else -1
             self._since_step_s = 0.0
-        force = traction / (self._mass * (1.0 + self._train.rotary_mass))
+        brake, force = self._command(self._steps), traction / (self._mass * (1.0 + self._train.rotary_mass))
         self._state.predict(self._predictor.acceleration + force, train.now_ns, TICK_S)
-        self._predictor.command(self._brake)
-        return Decision(traction, self._brake)
+        self._predictor.command(brake)
+        return Decision(traction, brake)
 
-    def _choose(self) -> tuple[float, float]:
-        """Return traction [N] and brake command [m/s^2]."""
+    def _choose(self) -> tuple[float, int]:
+        """Return traction [N] and steps of the brake command."""
         ahead = self._predictor.when_next_acts()
-        left, usual = self._left(), self._grid(-self._model.deceleration)
+        left, usual = self._left(), self._nearest(-self._model.deceleration)
         if self.phase is Phase.STOP:
-            if self._applies and self._brake > usual + 1e-9:
+            if self._applies and self._steps < usual:
                 return 0.0, usual
             self._applies = False
             return 0.0, self._stopping_command(ahead, left)
-        applying_s = max(0.0, self._brake - usual) / self._model.brake_step * TICK_S
-        if self._predictor.stop_distance(ahead, usual) + 0.5 * applying_s * ahead.speed >= left:
+        applying_s = max(0, usual - self._steps) * TICK_S
+        if self._predictor.stop_distance(ahead, self._command(usual)) + 0.5 * applying_s * ahead.speed >= left:
             self.phase, self._applies = Phase.STOP, True
             return 0.0, usual
         return self._follow_limits(ahead)
@@ -185,28 +183,34 @@ class Ato:
         aim = self.stop + state.direction * self._offset()
         return (aim - state.position) * state.direction
 
-    def _stopping_command(self, ahead: Motion, left: float) -> float:
-        """Return the command, at most one step from the present one, that stops the train best."""
-        model, step = self._model, self._model.brake_step
-        now = self._grid(self._brake)
-        errors = {u: left - self._predictor.stop_distance(ahead, u) for u in self._candidates(now, step)}
-        best = min(errors, key=lambda u: abs(errors[u]))
+    def _stopping_command(self, ahead: Motion, left: float) -> int:
+        """Return the steps, at most one from the present ones, that stop the train best."""
+        now = self._steps
+        nearby = [steps for steps in (now, now + 1, now - 1) if 0 <= steps <= self._strongest]
+        errors = {steps: left - self._predictor.stop_distance(ahead, self._command(steps)) for steps in nearby}
+        best = min(errors, key=lambda steps: abs(errors[steps]))
         gain = abs(errors[now]) - abs(errors[best])
-        if gain > model.dead_band + 0.03 * left:
+        if gain > self._model.dead_band + 0.03 * left:
             return best
-        if now == 0.0 and errors[now] > _TOO_SHORT:
+        if now == 0 and errors[now] > _TOO_SHORT:
             self.phase = Phase.DRIVE
         return now
 
-    def _candidates(self, now: float, step: float) -> tuple[float, ...]:
-        nearby = (now, round(now - step, 6), round(now + step, 6))
-        return tuple(u for u in nearby if -self._model.strongest - 1e-9 <= u <= 0.0)
+    @property
+    def _strongest(self) -> int:
+        """Steps of the strongest brake command."""
+        return int(self._model.strongest / self._model.brake_step + 1e-9)
 
-    def _grid(self, target: float) -> float:
-        """Return the step nearest to a command [m/s^2]."""
-        return min(0.0, round(round(target / self._model.brake_step) * self._model.brake_step, 6))
+    def _nearest(self, command: float) -> int:
+        """Return the steps nearest to a brake command [m/s^2]."""
+        return max(0, round(-command / self._model.brake_step))
 
-    def _follow_limits(self, ahead: Motion) -> tuple[float, float]:
+    def _command(self, steps: int) -> float:
+        """Return the brake command of a number of steps [m/s^2]."""
+        return 0.0 - round(steps * self._model.brake_step, 6)
+
+    def _follow_limits(self, ahead: Motion) -> tuple[float, int]:
+        """Return traction [N] and steps of the brake command that keep to the speed allowed."""
         model, values, state = self._model, self._predictor.values, self._state
         allowed, slope = self._allowed(ahead)
         excess = ahead.speed - allowed
@@ -219,14 +223,15 @@ class Ato:
         self._integral = min(_MOST_INTEGRAL, max(-_MOST_INTEGRAL, change))
         wanted = self._integral - slope - model.gain * excess
         if self.phase is Phase.BRAKE:
-            by_track = retardation(davis(values.resistance, ahead.speed), gradient, self._train.rotary_mass)
-            brake = min(0.0, wanted + by_track) / values.brake.rate_at(ahead.speed)
-            return 0.0, max(-model.strongest, self._grid(brake))
+            resistance = davis(values.resistance, ahead.speed) + gradient
+            by_track = acceleration(0.0, self._mass, self._train.rotary_mass, resistance)
+            brake = min(0.0, wanted - by_track) / values.brake.rate_at(ahead.speed)
+            return 0.0, min(self._strongest, self._nearest(brake))
         wanted = min(model.acceleration, wanted - model.gain * model.speed_margin)
         resistance = davis(values.resistance, state.speed) + gradient
         force = required_force(wanted, self._mass, self._train.rotary_mass, resistance)
         most = min(self._train.max_traction_force, self._train.max_traction_power / max(state.speed, 0.1))
-        return min(most, max(0.0, force)), 0.0
+        return min(most, max(0.0, force)), 0
 
     def _allowed(self, ahead: Motion) -> tuple[float, float]:
         """Return the highest speed [m/s] when the next command acts, and the deceleration [m/s^2] of its curve."""

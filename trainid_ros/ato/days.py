@@ -24,10 +24,7 @@ from trainid_ros.train.line import LineProfile
 from trainid_ros.train.train_file import Davis, Effect, TrainFile
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
-
     from trainid_ros.client import TrainModel
-    from trainid_ros.records import Record
     from trainid_ros.sim.driver import Decision, StopEvent
     from trainid_ros.sim.plant import Plant
     from trainid_ros.sim.realism import Case
@@ -134,16 +131,12 @@ def drive_day(plan: DayPlan, controller: str | TrainKnowledge, seed: int) -> Dri
 
     """
     stated, true = plan.case.stated, plan.case.scenario.train_file
-    profile, bias = LineProfile(stated.line, stated.train.length), StopBias()
-    scored: list[ScoredDriver] = []
+    scored: list[ScoredAto] = []
 
-    def make(plant: Plant, rng: np.random.Generator) -> ScoredDriver:
+    def make(plant: Plant, rng: np.random.Generator) -> ScoredAto:
         known = _knowledge(controller, stated, TrueValues(true, plant)) if isinstance(controller, str) else controller
         position = _FAST if controller == 'fast' else PositionModel()
-        ato = Ato(_model(plan.world), stated, profile, known, rng, lambda: bias.aim, position)
-        learn = bias.learn if controller == 'learning' else None
-        bounds = BoundCheck(known.model, plan.world.driver.max_deceleration) if isinstance(known, LiveValues) else None
-        scored.append(ScoredDriver(ato, learn, bounds))
+        scored.append(ScoredAto(plan, known, rng, position, learns=controller == 'learning'))
         return scored[0]
 
     simulation = simulate(plan.case.scenario, np.random.default_rng(seed), make)
@@ -197,48 +190,36 @@ class BoundCheck:
         return abs(twin.position - train.position)
 
 
-class ScoredDriver:
+class ScoredAto(Ato):
     """A controller together with what it is scored by."""
 
     def __init__(
-        self, ato: Ato, learn: Callable[[float], None] | None = None, bounds: BoundCheck | None = None
+        self,
+        plan: DayPlan,
+        known: TrainKnowledge,
+        rng: np.random.Generator,
+        position: PositionModel,
+        *,
+        learns: bool,
     ) -> None:
-        """Score a controller; ``learn`` is given the error of each stop [m]."""
-        self._ato, self._learn, self._bounds = ato, learn, bounds
+        """Start a day; with ``learns``, aim by the errors of the last stops."""
+        stated, self._bias, self._learns = plan.case.stated, StopBias(), learns
+        profile = LineProfile(stated.line, stated.train.length)
+        super().__init__(_model(plan.world), stated, profile, known, rng, lambda: self._bias.aim, position)
+        strongest = plan.world.driver.max_deceleration
+        self._bounds = BoundCheck(known.model, strongest) if isinstance(known, LiveValues) else None
         self._jerks: list[float] = []
         self._work = self._overspeed = self._acceleration = 0.0
 
-    @property
-    def arrivals(self) -> list[StopEvent]:
-        """Stops so far."""
-        return self._ato.arrivals
-
-    @property
-    def stop(self) -> float:
-        """Stop that it drives to [m]."""
-        return self._ato.stop
-
-    def observe(self, record: Record) -> None:
-        """Take in what a sensor has measured."""
-        self._ato.observe(record)
-
-    def may_depart(self, time_s: float) -> bool:
-        """Return whether the dwell is over at a time [s]."""
-        return self._ato.may_depart(time_s)
-
-    def depart(self, stop: float) -> None:
-        """Depart for the next stop [m]."""
-        self._ato.depart(stop)
-
     def decide(self, time_s: float, train: Plant) -> Decision:
         """Return the demands until the next tick."""
-        before, phase = len(self._ato.arrivals), self._ato.phase
-        decision = self._ato.decide(time_s, train)
-        if self._bounds is not None and phase is not Phase.STOP and self._ato.phase is Phase.STOP:
+        before, phase = len(self.arrivals), self.phase
+        decision = super().decide(time_s, train)
+        if self._bounds is not None and phase is not Phase.STOP and self.phase is Phase.STOP:
             self._bounds.check(train)
-        if len(self._ato.arrivals) > before and self._learn is not None:
-            self._learn(self._ato.arrivals[-1].error)
-        if self._ato.phase is not Phase.DWELL:
+        if self._learns and len(self.arrivals) > before:
+            self._bias.learn(self.arrivals[-1].error)
+        if self.phase is not Phase.DWELL:
             self._score(train)
         self._acceleration = train.acceleration
         return decision

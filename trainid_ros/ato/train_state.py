@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Final
 
 from trainid_ros.records import NS_PER_S
 from trainid_ros.settings import check_settings, setting
-from trainid_ros.train.davis import G
 
 if TYPE_CHECKING:
     import numpy as np
@@ -93,11 +92,6 @@ class TrainState:
         """Return the gradient a distance [m] ahead [per mille]."""
         position = self.position + self.direction * ahead
         return self._profile.gradient(position, self.direction) + self.gradient_error
-
-
-def retardation(resistance: float, gradient: float, rotary_mass: float) -> float:
-    """Return the deceleration [m/s^2] by a resistance [N/kN] and a gradient [per mille]."""
-    return (resistance + gradient) * G / (1000.0 * (1.0 + rotary_mass))
 
 
 def stopping_curve(distance: float, deceleration: float) -> float:

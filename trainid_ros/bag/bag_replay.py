@@ -12,6 +12,7 @@ from itertools import chain, islice
 from typing import TYPE_CHECKING, Generic, NamedTuple, Protocol
 
 from trainid_ros.bag.reader import PROGRESS_EVERY, LoggedRecord, require_topics
+from trainid_ros.estimators.brake_findings import brake_findings
 from trainid_ros.estimators.pipeline import EstimatorPipeline
 from trainid_ros.estimators.pipeline_group import PipelineGroup
 from trainid_ros.pipelines import (
@@ -83,6 +84,7 @@ class Replay:
         speed_model: Speed model.
         brake_rate: Brake rate.
         contradiction: The last contradiction between the inputs, if there was one.
+        brake_findings: What is wrong with the brake of the train file.
 
     """
 
@@ -92,6 +94,7 @@ class Replay:
     speed_model: Result[SpeedModelEstimate]
     brake_rate: Result[BrakeRateEstimate]
     contradiction: Contradiction
+    brake_findings: tuple[str, ...] = ()
 
 
 class Pipelines(NamedTuple):
@@ -161,6 +164,7 @@ def replay_through(
         _result(speed_model, priors[1]),
         _result(brake_rate, priors[2]),
         group.contradiction,
+        tuple(reader.mapping.named(finding) for finding in brake_findings(brake_rate)),
     )
 
 

@@ -225,6 +225,7 @@ def to_json(
         'brake_rate': {
             **{'value': f.brake_rate, 'std': f.brake_rate_std, 'status': brake.output.status},
             **_counters(brake),
+            'findings': list(outcome.brake_findings),
         },
         'input_finding': outcome.contradiction.finding,
         'input_finding_begin_s': outcome.contradiction.begin_s,
@@ -269,7 +270,7 @@ def _estimates(outcome: Replay) -> str:
     w = outcome.resistance.output.estimate
     rows = [('value', 'estimate', 'std', 'unit', 'status'), *_resistance_rows(outcome), *_other_rows(outcome)]
     seen = f'* outside the speeds learned from, {w.speed_min:.1f} to {w.speed_max:.1f} m/s'
-    return '\n'.join((table(rows, numbers=(1, 2)), seen, *force_findings(w)))
+    return '\n'.join((table(rows, numbers=(1, 2)), seen, *force_findings(w), *outcome.brake_findings))
 
 
 def _resistance_rows(outcome: Replay) -> list[tuple[str, ...]]:

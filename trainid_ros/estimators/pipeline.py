@@ -73,6 +73,7 @@ class EstimatorPipeline(Generic[EstimateT]):
         # The estimate at the newest sample, None until somebody asks for it, and the last one published.
         self._estimate: EstimateT | None = None
         self._published = self.estimator.estimate(self._speed)
+        self._is_brake_rate = isinstance(self._published, BrakeRateEstimate)
 
     def _start_over(self) -> None:
         self.estimator.reset()
@@ -257,6 +258,8 @@ class EstimatorPipeline(Generic[EstimateT]):
         if self.stream.is_input_missing(self._stale_ns):
             return Status.STALE
         if not (self.estimator.converged and self.stream.is_trusted) or self._consistency.refuted:
+            return Status.CONVERGING
+        if self._is_brake_rate and not self.stream.brake_delay.is_trusted:
             return Status.CONVERGING
         return Status.VALID if rejection is None else Status.HOLDING
 

@@ -105,11 +105,12 @@ def _replay(setup: Setup, bag: PlannedBag, row: Row, advance: Callable[[float], 
 def _resistance(outcome: Replay) -> Row:
     result = outcome.resistance
     w = result.output.estimate
+    findings = (outcome.contradiction.finding, *force_findings(w), *outcome.brake_findings)
     row: Row = {
         'status': result.output.status.name,
         'used': result.output.used,
         'rejected': result.output.rejected,
-        'finding': '; '.join(filter(None, (outcome.contradiction.finding, *force_findings(w)))) or None,
+        'finding': '; '.join(filter(None, findings)) or None,
     }
     row |= {reason_column(reason): count for reason, count in result.rejections}
     outputs = max(1, sum(result.statuses))

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
+from trainid_ros.estimators.brake_findings import brake_findings
 from trainid_ros.results import Reason, Status
 from trainid_ros.ros.input_monitor import Finding
 
@@ -108,6 +109,7 @@ class Problem(Enum):
     """What may be wrong with a configured estimator beside its status."""
 
     CONTRADICTION = 'contradiction'
+    BRAKE = 'brake'
     CLOCK = 'clock'
     REJECTED = 'rejected'
     ERRORS = 'errors'
@@ -169,6 +171,9 @@ def _problems(health: NodeHealth, pipeline: EstimatorPipeline[Any], output: Outp
             DiagnosticStatus.ERROR,
             f'inputs contradict each other: {pipeline.stream.finding}',
             'check units, signs, stamps and publishers of the inputs, and the train file; nothing is learned meanwhile',
+        ),
+        Problem.BRAKE: Finding(
+            warn, '; '.join(brake_findings(pipeline)), 'correct it; no brake rate is valid meanwhile'
         ),
         Problem.CLOCK: Finding(warn, health.clock_problem),
         Problem.REJECTED: Finding(warn, f'samples are rejected: {rejected}', to_do),

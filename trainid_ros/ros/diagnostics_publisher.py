@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
+from trainid_ros.estimators.brake_findings import brake_findings
 from trainid_ros.records import NS_PER_S
 from trainid_ros.resistance.suggested_drive import DriveSearch
 from trainid_ros.results import ResistanceEstimate
@@ -108,6 +109,7 @@ class DiagnosticsPublisher:
         if pipeline is not None:
             present |= {
                 Problem.CONTRADICTION: pipeline.stream.finding,
+                Problem.BRAKE: brake_findings(pipeline),
                 Problem.REJECTED: unusable(pipeline.current()),
                 Problem.ERRORS: pipeline.consistency.is_alarm,
             }

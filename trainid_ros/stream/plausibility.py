@@ -23,6 +23,7 @@ from trainid_ros.results import Reason, Rejection
 from trainid_ros.scalars import is_finite
 from trainid_ros.state import decode, encode
 from trainid_ros.stream.balance_check import SUDDEN_MEMORY
+from trainid_ros.stream.brake_delay_check import BrakeDelayCheck, BrakeTiming
 from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.message_check import CommandCheck
 from trainid_ros.stream.plausibility_state import BRAKED, NO_BLOCK, RELEASED, Block, PlausibilityState
@@ -91,6 +92,7 @@ class PlausibilityMonitor:
         self._followed_s = brake.delay + _FOLLOWED * brake.time_constant
         self._line = LineProfile(line, train_file.train.length) if line.gradient else None
         self._line_std = line.gradient_std
+        self._timing = BrakeTiming(train_file)
         self.state = PlausibilityState()
 
     def restore(self, state: PlausibilityState) -> None:
@@ -116,6 +118,11 @@ class PlausibilityMonitor:
     def is_lasting(self) -> bool:
         """True once a finding has lasted for some motion: what was learned just before it may be wrong."""
         return self.state.lasting_s >= _LASTING_S
+
+    @property
+    def brake_delay(self) -> BrakeDelayCheck:
+        """Check of the dead time of the brake: where it is wrong, no brake rate is valid."""
+        return self.state.brake_delay
 
     @property
     def has_changed(self) -> bool:
@@ -147,6 +154,7 @@ class PlausibilityMonitor:
         state.speed, state.position = sample.speed, sample.position
         state.noise.add(sample.speed, sample.dt)
         self._follow_command(sample)
+        self._follow_brake(sample, before)
         if is_finite(sample.dt) and is_finite(before):
             if sample.speed >= _MIN_SPEED:
                 by_speed = 0.5 * (before + sample.speed) * sample.dt
@@ -178,6 +186,7 @@ class PlausibilityMonitor:
             self.state = PlausibilityState(
                 commands=CommandCheck(command=state.commands.command),
                 shift=ShiftCheck(delay=state.shift.delay),
+                brake_delay=state.brake_delay,
                 noise=state.noise,
                 held_s=state.held_s,
                 driven=state.driven,
@@ -211,6 +220,16 @@ class PlausibilityMonitor:
             state.strongest_before, state.strongest, state.strongest_s = state.strongest, state.commands.command, 0.0
         if (state.commands.command < _BRAKING) != (before < _BRAKING):
             state.held_s, state.has_alternated = 0.0, True
+
+    def _follow_brake(self, sample: Sample, before: float) -> None:
+        """Compare the time at which the brake acts with the train file; ``before`` is the speed before [m/s]."""
+        known, force, dt = self._known, math.nan, sample.dt
+        if sample.speed >= _MIN_SPEED and is_finite(sample.force_mean) and is_finite(sample.gradient_mean):
+            resistance = davis(known.train_file.resistance, sample.speed) + known.track(sample)
+            traction = max(known.traction(sample.force_mean, sample), 0.0)
+            force = known.inertia * (sample.speed - before) + dt * (resistance - traction)
+        rate = known.inertia * known.train_file.brake.rate_at(sample.speed)
+        self.state.brake_delay.follow(sample, force, rate, self._timing)
 
     def _check_forces(self, sample: Sample, before: float) -> None:
         """Add a sample to its block; judge the block when it is full. ``before`` is the speed before [m/s]."""

@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from trainid_ros.stream.balance_check import BalanceCheck
+from trainid_ros.stream.brake_delay_check import BrakeDelayCheck
 from trainid_ros.stream.change_check import ChangeCheck
 from trainid_ros.stream.distance_check import DistanceCheck
 from trainid_ros.stream.line_check import LineCheck
@@ -83,6 +84,7 @@ class PlausibilityState:
         effort: Slope of the reported force over the brake command, while the brake is applied.
         balance: Check of the residual.
         change: Check for changes that the balance does not explain.
+        brake_delay: Check of the dead time of the brake.
         last: The last finding, empty if there never was one.
         confirmed: True once the slope of traction was plausible.
         moved_s: Time in motion with known forces [s].
@@ -131,6 +133,7 @@ class PlausibilityState:
     effort: Effort = field(default_factory=Effort)
     balance: BalanceCheck = field(default_factory=BalanceCheck)
     change: ChangeCheck = field(default_factory=ChangeCheck)
+    brake_delay: BrakeDelayCheck = field(default_factory=BrakeDelayCheck)
     last: str = ''
     confirmed: bool = False
     moved_s: float = 0.0
@@ -155,7 +158,8 @@ class PlausibilityState:
     @property
     def is_valid(self) -> bool:
         """True if all collections have a possible length."""
-        return self.shift.is_valid and self.traction.is_valid and self.brake.is_valid and self.change.is_valid
+        slopes = self.traction.is_valid and self.brake.is_valid
+        return slopes and self.shift.is_valid and self.change.is_valid and self.brake_delay.is_valid
 
     @property
     def finding(self) -> str:

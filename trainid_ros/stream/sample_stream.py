@@ -19,6 +19,7 @@ from trainid_ros.scalars import is_finite
 from trainid_ros.settings import check_settings
 from trainid_ros.state import encode
 from trainid_ros.stream.alignment import Aligner, AlignmentConfig, TimeJump
+from trainid_ros.stream.brake_delay_check import BrakeDelayCheck
 from trainid_ros.stream.drive_history import DriveHistoryTracker
 from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.plausibility import PlausibilityMonitor
@@ -131,6 +132,11 @@ class SampleStream:
     def is_contradicted(self) -> bool:
         """True once a finding has lasted for some motion: what was learned just before it may be wrong."""
         return self._plausibility.is_lasting
+
+    @property
+    def brake_delay(self) -> BrakeDelayCheck:
+        """Check of the dead time of the brake: where it is wrong, no brake rate is valid."""
+        return self._plausibility.brake_delay
 
     @property
     def has_changed(self) -> bool:

@@ -27,6 +27,8 @@ _MAX_MISSING: Final = 0.5
 _EQUAL: Final = 0.2821
 # Coarser steps hide the noise: then repeats say nothing [1].
 _MOST_LIKELY: Final = 0.4
+# A brake has followed a command after its dead time and this many time constants.
+_FOLLOWED: Final = 2.0
 # Probability of repeats that never happen, fewest of them, and speeds that show the noise before.
 _NEVER: Final = 1e-9
 _FEWEST: Final = 5
@@ -43,6 +45,7 @@ class StuckSpeedState:
         repeats: Number of times that the last speed has come again.
         most: Most repeats of a noisy speed, as known when it changed last; 0 if repeats say nothing.
         changes: Number of changes in motion, up to those that show the noise.
+        braked_s: Time for which the brake has been applied [s].
 
     """
 
@@ -51,6 +54,7 @@ class StuckSpeedState:
     repeats: int = 0
     most: int = 0
     changes: int = 0
+    braked_s: float = 0.0
 
 
 class StuckSpeed:
@@ -63,11 +67,14 @@ class StuckSpeed:
 
     def __init__(self, known: KnownForce) -> None:
         self._known = known
+        brake = known.train_file.brake
+        self._followed_s = brake.delay + _FOLLOWED * brake.time_constant
         self.state = StuckSpeedState()
 
     def reject(self, sample: Sample, noise: SpeedNoise) -> Rejection | None:
         """Return why the speed of a sample is rejected, or None if it is accepted; ``noise`` is that until then."""
         state = self.state
+        state.braked_s = state.braked_s + sample.dt if sample.brake_command < 0.0 and sample.dt > 0.0 else 0.0
         if sample.speed != state.speed or sample.speed < _MIN_SPEED or math.isnan(sample.dt):
             if sample.speed >= _MIN_SPEED and sample.speed != state.speed:
                 state.changes = min(state.changes + 1, _SEEN)
@@ -85,9 +92,12 @@ class StuckSpeed:
         return None
 
     def _acceleration(self, sample: Sample) -> float:
-        """Return the acceleration expected from the brake command, or from traction less resistance [m/s^2]."""
+        """Return the acceleration expected from the brake command, or from traction less resistance [m/s^2].
+
+        It is NaN while the brake need not have followed the command yet.
+        """
         if sample.brake_command < 0.0:
-            return sample.brake_command
+            return sample.brake_command if self.state.braked_s > self._followed_s else math.nan
         known = self._known
         resistance = davis(known.train_file.resistance, sample.speed) + known.track(sample)
         return (known.traction(max(sample.force_mean, 0.0), sample) - resistance) / known.inertia

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A train file whose dead time of the brake is wrong: named, and no brake rate is valid."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from trainid_ros.estimators.brake_findings import brake_findings
+from trainid_ros.estimators.pipeline import EstimatorSettings, brake_rate_pipeline, resistance_pipeline
+from trainid_ros.results import Status
+from trainid_ros.sim.scenario import Scenario, Simulation, simulate
+from trainid_ros.train.train_file import TrainFile
+
+USABLE = frozenset({Status.VALID, Status.HOLDING})
+
+
+@pytest.fixture(scope='module')
+def day(metro: TrainFile) -> Simulation:
+    return simulate(Scenario(metro, runs=3), np.random.default_rng(6001))
+
+
+def stated(metro: TrainFile, error: float) -> TrainFile:
+    """Return the train file with a dead time that is too short by an error [s]."""
+    return replace(metro, brake=replace(metro.brake, delay=metro.brake.delay - error))
+
+
+@pytest.mark.parametrize(('error', 'sense'), [(-2.0, 'sooner'), (-1.2, 'sooner')])
+def test_a_wrong_dead_time_is_named_and_no_brake_rate_is_valid(
+    metro: TrainFile, day: Simulation, error: float, sense: str
+) -> None:
+    pipeline = brake_rate_pipeline(stated(metro, error), EstimatorSettings())
+    statuses = {output.status for record in day.records for output in pipeline.push(record)}
+    assert not statuses & USABLE
+    (finding,) = brake_findings(pipeline)
+    named = float(finding.split()[3])
+    assert finding == f'the brake acts {named:.1f} s {sense} than brake.delay of the train file says'
+    assert named == pytest.approx(abs(error), abs=0.25)
+    saved = pipeline.save()
+    again = brake_rate_pipeline(stated(metro, error), EstimatorSettings())
+    again.restore(saved)
+    assert brake_findings(again) == (finding,)
+
+
+@pytest.mark.parametrize('error', [-0.4, 0.0, 0.4])
+def test_a_small_error_is_learned(metro: TrainFile, day: Simulation, error: float) -> None:
+    pipeline = brake_rate_pipeline(stated(metro, error), EstimatorSettings())
+    outputs = [output for record in day.records for output in pipeline.push(record)]
+    assert brake_findings(pipeline) == ()
+    assert outputs[-1].status in USABLE
+    assert pipeline.stream.brake_delay.mean == pytest.approx(error, abs=0.15)
+
+
+def test_the_resistance_is_estimated_all_the_same(metro: TrainFile, day: Simulation) -> None:
+    pipeline = resistance_pipeline(stated(metro, -2.0), EstimatorSettings())
+    for record in day.records:
+        pipeline.push(record)
+    assert pipeline.stream.brake_delay.warning
+    assert brake_findings(pipeline) == ()
+    assert pipeline.status in USABLE

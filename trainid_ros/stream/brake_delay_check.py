@@ -1,0 +1,325 @@
+# SPDX-License-Identifier: Apache-2.0
+"""When the brake acts, against dead time and time constant of the train file.
+
+A brake rate is learned from the retardation while the brake should act; where the dead time is wrong by much, the rate
+is wrong too. So the specific force y of each braking is compared with the lagged command z, which acts after the dead
+time T of the train file and a shift d,
+
+    y(t) = f r(v) z(t - T - d),
+
+with the brake rate r(v) of the train file and a factor f for each braking. The sum of squared residuals over a grid of
+shifts has its minimum at the shift of this braking, and its curvature gives the standard deviation. The mean over the
+last brakings is the error of the dead time (that of the time constant adds to it).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field
+from typing import Final
+
+from trainid_ros.records import NS_PER_S
+from trainid_ros.stream.samples import Sample
+from trainid_ros.train.brake import lag_integral, lag_response
+from trainid_ros.train.effects import effect_value
+from trainid_ros.train.train_file import TrainFile
+
+# Step of the grid [s], and its largest shift in steps.
+_STEP_S: Final = 0.5
+_REACH: Final = 7
+_SHIFTS: Final = 2 * _REACH + 1
+# Forces are compared over blocks, so that the noise of the speed matters little [s].
+_BLOCK_S: Final = 0.6
+# A lagged command that does not brake [m/s^2].
+_NOTHING: Final = 1e-3
+# Factors that a brake may have [1].
+_LEAST_FACTOR: Final = 0.3
+_MOST_FACTOR: Final = 2.0
+# Fewest blocks of a braking that show a shift, and least standard deviation of their residuals [N/kN].
+_FEWEST: Final = 8
+_RESIDUAL: Final = 2.0
+# Error of the shift of one braking by the shape of the response, rates and gradients [s]. A braking that leaves the
+# shift less certain than this tells nothing [s].
+_SHAPE_S: Final = 0.15
+_CERTAIN_S: Final = 0.8
+# Share of the weight that is kept at each further braking: about ten of them count.
+_KEPT: Final = 0.9
+# Standard deviations by which a shift must stand out, and what it must gain in likelihood while a braking lasts.
+_KNOWN: Final = 4.0
+_GAIN: Final = 25.0
+# Errors of dead time and time constant that are no fault: in standard deviations of the train file, and at least [s].
+_STATED: Final = 2.0
+_LEAST_ERROR_S: Final = 0.8
+
+
+class BrakeTiming:
+    """What the train file says of the brake.
+
+    Attributes:
+        delay: Dead time, with the effect ``brake_delay`` [s].
+        time_constant: Time constant of the lag [s].
+        tolerance: Error of both together that estimators learn by themselves [s].
+        first: First shift of the grid that leaves a dead time of at least zero.
+
+    """
+
+    def __init__(self, train_file: TrainFile) -> None:
+        brake = train_file.brake
+        self.delay = brake.delay + effect_value(train_file.effects, 'brake_delay', 'extra', 0.0)
+        self.time_constant = brake.time_constant
+        self.tolerance = max(_LEAST_ERROR_S, _STATED * brake.timing_std * math.hypot(brake.delay, brake.time_constant))
+        self.first = max(0, _REACH - int(self.delay / _STEP_S))
+
+
+@dataclass(slots=True)
+class LaggedCommand:
+    """The brake command after the lag, without dead time.
+
+    Attributes:
+        command: Brake command [m/s^2].
+        lagged: The command after the lag [m/s^2].
+        integral: Its integral since the braking began [m/s].
+        time_s: Time since then [s].
+        rest_s: Time for which nothing has been commanded [s].
+        history: Times [s] and integrals [m/s] in turn, oldest first.
+
+    """
+
+    command: float = 0.0
+    lagged: float = 0.0
+    integral: float = 0.0
+    time_s: float = 0.0
+    rest_s: float = 0.0
+    history: tuple[float, ...] = ()
+
+    def follow(self, sample: Sample, time_constant: float, longest_s: float) -> None:
+        """Go on to a sample; a history older than ``longest_s`` [s] is forgotten."""
+        left = sample.dt
+        for change in sample.brake_changes:
+            after = min(max((sample.stamp_ns - change.stamp_ns) / NS_PER_S, 0.0), left)
+            self._hold(left - after, time_constant)
+            left, self.command = after, change.target_acceleration
+        self._hold(left, time_constant)
+        self.time_s += sample.dt
+        released = self.command == 0.0 and self.lagged > -_NOTHING
+        self.rest_s = self.rest_s + sample.dt if released else 0.0
+        history, first = (*self.history, self.time_s, self.integral), 0
+        while first + 4 <= len(history) and history[first + 2] < self.time_s - longest_s:
+            first += 2
+        self.history = history[first:]
+
+    def _hold(self, duration: float, time_constant: float) -> None:
+        self.integral += lag_integral(self.lagged, self.command, time_constant, duration)
+        self.lagged = lag_response(self.lagged, self.command, time_constant, duration)
+
+    def begin(self) -> None:
+        """Count time and integral from now on."""
+        self.time_s = self.integral = 0.0
+        self.history = (0.0, 0.0)
+
+    def integral_at(self, time_s: float) -> float:
+        """Return the integral at a time [s]; nothing acts before the braking, and it goes on as it is at the end."""
+        history = self.history
+        last = len(history) - 2
+        if time_s >= history[last]:
+            return history[last + 1]
+        while last >= 2 and history[last - 2] > time_s:
+            last -= 2
+        if last < 2:
+            return history[1]
+        before_s, before = history[last - 2], history[last - 1]
+        return before + (history[last + 1] - before) * (time_s - before_s) / (history[last] - before_s)
+
+
+@dataclass(slots=True)
+class Braking:
+    """Sums over the blocks of one braking.
+
+    Attributes:
+        seconds: Length of the block so far [s].
+        y: Integral of y over it [N/kN s].
+        rate: Integral of the specific force per command over it [N/kN s per m/s^2].
+        began: Integrals of the shifted commands when it began [m/s]; empty before the first.
+        count: Number of blocks.
+        yy: Sum of y^2 [(N/kN)^2].
+        yx: Sums of products of y and the force x = r z, for each shift [(N/kN)^2].
+        xx: Sums of x^2, for each shift [(N/kN)^2].
+
+    """
+
+    seconds: float = 0.0
+    y: float = 0.0
+    rate: float = 0.0
+    began: tuple[float, ...] = ()
+    count: float = 0.0
+    yy: float = 0.0
+    yx: tuple[float, ...] = (0.0,) * _SHIFTS
+    xx: tuple[float, ...] = (0.0,) * _SHIFTS
+
+    @property
+    def is_valid(self) -> bool:
+        """True if the sums have possible lengths."""
+        return len(self.yx) == len(self.xx) == _SHIFTS and len(self.began) in (0, _SHIFTS)
+
+    def close_block(self, now: tuple[float, ...]) -> None:
+        """Take in a full block; ``now`` are the integrals of the shifted commands [m/s]."""
+        y, scale = self.y / self.seconds, self.rate / (self.seconds * self.seconds)
+        yx, xx = list(self.yx), list(self.xx)
+        for k in range(_SHIFTS):
+            x = scale * (now[k] - self.began[k])
+            yx[k] += y * x
+            xx[k] += x * x
+        self.yx, self.xx, self.yy, self.count = tuple(yx), tuple(xx), self.yy + y * y, self.count + 1.0
+        self.began, self.seconds, self.y, self.rate = now, 0.0, 0.0, 0.0
+
+    def residuals(self, shift: int) -> float:
+        """Return the sum of squared residuals of a shift [(N/kN)^2]."""
+        xx, yx = self.xx[shift], self.yx[shift]
+        factor = min(max(yx / xx, _LEAST_FACTOR), _MOST_FACTOR) if xx > 0.0 else 0.0
+        return self.yy - factor * (2.0 * yx - factor * xx)
+
+    def judge(self, first: int) -> tuple[float, float, float]:
+        """Return the shift [s], its standard deviation [s], and how much more likely it is than none [1].
+
+        Args:
+            first: First shift of the grid that leaves a dead time of at least zero.
+
+        """
+        sums = [self.residuals(k) for k in range(_SHIFTS)]
+        best = first
+        for k in range(first, _SHIFTS):
+            if sums[k] < sums[best]:
+                best = k
+        variance = max(sums[best] / (self.count - 2.0), _RESIDUAL * _RESIDUAL)
+        middle = min(max(best, first + 1), _SHIFTS - 2)
+        curvature = sums[middle - 1] - 2.0 * sums[middle] + sums[middle + 1]
+        if not curvature > 0.0:
+            return 0.0, math.inf, 0.0
+        shift = float(best - _REACH)
+        if best == middle:
+            shift -= 0.5 * (sums[best + 1] - sums[best - 1]) / curvature
+        std = _STEP_S * math.sqrt(2.0 * variance / curvature)
+        return _STEP_S * shift, std, (sums[_REACH] - sums[best]) / variance
+
+
+@dataclass(slots=True)
+class BrakeDelayCheck:
+    """How much later the brake acts than the train file says.
+
+    Attributes:
+        lag: The brake command after the lag.
+        braking: The braking that is observed.
+        is_observing: Whether one is.
+        weight: Sum of the weights of the brakings [1/s^2].
+        mean: Weighted mean of their shifts [s].
+        spread: Weighted sum of the squared deviations from it [1].
+        count: Number of brakings, with forgetting.
+        braked_s: Time for which a moving train was braked, up to the time that shows a wrong dead time [s].
+        has_braked: Whether that time is reached.
+        is_wrong: Whether the mean contradicts the dead time.
+        is_odd: Whether the braking that is observed does.
+
+    """
+
+    lag: LaggedCommand = field(default_factory=LaggedCommand)
+    braking: Braking = field(default_factory=Braking)
+    is_observing: bool = False
+    weight: float = 0.0
+    mean: float = 0.0
+    spread: float = 0.0
+    count: float = 0.0
+    braked_s: float = 0.0
+    has_braked: bool = False
+    is_wrong: bool = False
+    is_odd: bool = False
+
+    @property
+    def is_valid(self) -> bool:
+        """True if sums and history have possible lengths."""
+        history = len(self.lag.history)
+        return self.braking.is_valid and history % 2 == 0 and (history > 0 or not self.is_observing)
+
+    @property
+    def is_trusted(self) -> bool:
+        """True once the train was braked, and neither the brakings before nor the present one contradict the file."""
+        return self.has_braked and not self.is_wrong and not self.is_odd
+
+    @property
+    def warning(self) -> str:
+        """What is wrong with the dead time, empty if nothing is."""
+        if not self.is_wrong:
+            return ''
+        later = 'later' if self.mean > 0.0 else 'sooner'
+        return f'the brake acts {abs(self.mean):.1f} s {later} than brake.delay of the train file says'
+
+    @property
+    def std(self) -> float:
+        """Standard deviation of the mean [s], infinite before the first braking."""
+        if self.weight == 0.0:
+            return math.inf
+        return math.sqrt(max(1.0, self.spread / self.count) / self.weight)
+
+    def follow(self, sample: Sample, y: float, rate: float, timing: BrakeTiming) -> None:
+        """Take in a sample.
+
+        Args:
+            sample: The sample.
+            y: Integral of the specific force besides traction and resistance [N/kN s], NaN if not known.
+            rate: Specific force per command [N/kN per m/s^2].
+            timing: What the train file says.
+
+        """
+        if sample.brake_command < 0.0 and sample.dt > 0.0 and not math.isnan(y) and not self.has_braked:
+            self.braked_s += sample.dt
+            self.has_braked = self.braked_s > timing.delay + _FEWEST * _BLOCK_S
+        lag, longest_s = self.lag, timing.delay + _REACH * _STEP_S
+        if not sample.dt > 0.0 or sample.brake_gap or sample.emergency or math.isnan(sample.brake_command):
+            # What acts is not known until the brake has been released for some time.
+            self._end(timing)
+            self.lag = LaggedCommand(command=0.0 if math.isnan(sample.brake_command) else sample.brake_command)
+            return
+        was_at_rest = lag.rest_s > longest_s
+        if was_at_rest and not self.is_observing:
+            if lag.command == 0.0 and not sample.brake_changes:
+                return
+            lag.begin()
+        lag.follow(sample, timing.time_constant, longest_s + _BLOCK_S)
+        if self.is_observing:
+            if math.isnan(y) or lag.rest_s > longest_s:
+                self._end(timing)
+        elif was_at_rest and lag.command < 0.0 and not math.isnan(y):
+            self.is_observing, self.braking = True, Braking(began=(0.0,) * _SHIFTS)
+        if self.is_observing:
+            self._add(sample.dt, y, rate, timing)
+
+    def _add(self, dt: float, y: float, rate: float, timing: BrakeTiming) -> None:
+        """Add a sample to its block; see :meth:`follow`."""
+        braking, lag = self.braking, self.lag
+        braking.seconds += dt
+        braking.y += y
+        braking.rate += rate * dt
+        if braking.seconds < _BLOCK_S - _NOTHING:
+            return
+        acted_s = lag.time_s - timing.delay
+        braking.close_block(tuple([lag.integral_at(acted_s - (k - _REACH) * _STEP_S) for k in range(_SHIFTS)]))
+        if braking.count >= _FEWEST:
+            shift, std, gain = braking.judge(timing.first)
+            self.is_odd = gain > _GAIN and abs(shift) > max(timing.tolerance, _KNOWN * std)
+
+    def _end(self, timing: BrakeTiming) -> None:
+        """End the braking, and learn from it."""
+        if not self.is_observing:
+            return
+        self.is_observing = self.is_odd = False
+        if self.braking.count < _FEWEST:
+            return
+        shift, std, _ = self.braking.judge(timing.first)
+        if std > _CERTAIN_S:
+            return
+        weight, off = 1.0 / (std * std + _SHAPE_S * _SHAPE_S), shift - self.mean
+        before = _KEPT * self.weight
+        self.weight = before + weight
+        self.mean += weight / self.weight * off
+        self.spread = _KEPT * self.spread + before * weight / self.weight * off * off
+        self.count = _KEPT * self.count + 1.0
+        self.is_wrong = abs(self.mean) > max(timing.tolerance, _KNOWN * self.std)
