@@ -76,7 +76,8 @@ def _inspect(args: argparse.Namespace, bag: Path, advance: Callable[[float], Non
         InputError: If it cannot be read.
 
     """
-    info = inspect(bag, args.namespace, args.max_chunk, mapped_inputs(args.map, _train_file(args)))
+    train_file = _train_file(args)
+    info = inspect(bag, args.namespace, args.max_chunk, mapped_inputs(args.map, train_file), train_file)
     advance(1.0)
     shown = to_plain(info) | {'usable': info.usable} if args.json else describe(info)
     error = '' if info.usable else f'{info.path}: cannot be used: {"; ".join(info.problems)}'
