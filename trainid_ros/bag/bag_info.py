@@ -362,7 +362,7 @@ def _distance_warnings(column: _Column | None) -> list[str]:
     elapsed = np.diff(column.stamps[order]) / NS_PER_S
     by_speed, by_position = 0.5 * (speed[:-1] + speed[1:]) * elapsed, np.abs(np.diff(position))
     # Positions are unknown, or corrected at a balise.
-    known = (elapsed < GAP_S) & np.isfinite(by_speed + by_position) & (by_position < _CORRECTION_M)
+    known = (elapsed > 0.0) & (elapsed < GAP_S) & np.isfinite(by_speed + by_position) & (by_position < _CORRECTION_M)
     distance = float(by_position[known].sum())
     if distance < _LEAST_DISTANCE_M or abs(ratio := float(by_speed[known].sum()) / distance - 1.0) < _DISTANCE_ERROR:
         return []

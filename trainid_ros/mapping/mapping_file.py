@@ -255,6 +255,8 @@ def _csv(section: Section) -> CsvFormat:
     for key in ('separator', 'decimal'):
         if key in section.data and len(section.text(key)) != 1:
             section.fail(key, f'= {shown(section.data[key])} must be one character')
+    if section.text('decimal', '.') not in {'.', ','}:
+        section.fail('decimal', f'= {shown(section.data["decimal"])} must be . or ,')
     if 'encoding' in section.data:
         try:
             codecs.lookup(section.text('encoding'))
