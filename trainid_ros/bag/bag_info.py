@@ -51,6 +51,7 @@ _DISTANCE_ERROR: Final = 0.05
 _CORRECTION_M: Final = 100.0
 _KMH: Final = 3.6
 _SLOWEST_S: Final = AlignmentConfig().max_interval
+NAMESPACE: Final = 'use --namespace'
 _REQUIRED: Final = tuple(topic.name for topic in REQUIRED_TOPICS)
 
 
@@ -315,9 +316,9 @@ def _share(columns: dict[str, _Column], topic: str, name: str) -> float:
 
 def _problems(topics: tuple[TopicInfo, ...], missing: tuple[str, ...], moving: float) -> list[str]:
     if missing:
-        hints = [f'/{topic.name}' for topic in topics if topic.count and topic.name.endswith(_REQUIRED)]
-        other = [name for name in hints if name.lstrip('/') not in _REQUIRED]
-        hint = f' (other namespace: {", ".join(other)})' if other else ''
+        elsewhere = [topic.name.strip('/') for topic in topics if topic.count and topic.name.endswith(_REQUIRED)]
+        other = {name.rpartition('ato/')[0].strip('/') for name in elsewhere} - {''}
+        hint = f' (they are in /{", /".join(sorted(other))}; {NAMESPACE})' if other else ''
         return [f'no messages on {", ".join(missing)}{hint}']
     required = {topic.name: topic for topic in topics if topic.name in _REQUIRED}
     problems = [f'{name}: no message can be used' for name, topic in required.items() if not _has_usable(topic)]
