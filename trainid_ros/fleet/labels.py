@@ -44,7 +44,7 @@ class LabelRule:
 
         """
         places = (path.absolute(), path.resolve())
-        match = next((found for place in places if (found := self.pattern.search(place.as_posix()))), None)
+        match = next(filter(None, (self.pattern.search(place.as_posix()) for place in places)), None)
         if match is None and self.is_given:
             msg = f"{path}: --label '{self.pattern.pattern}' does not fit the path"
             raise InputError(msg)
