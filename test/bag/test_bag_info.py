@@ -103,7 +103,7 @@ def test_topics_in_another_namespace_are_suggested(tmp_path: Path, records: list
             if isinstance(record, SpeedRecord):
                 writer.write_message('/t7/ato/speed', 'AtoSpeed', record.stamp_ns, message_from_record(record))
     (problem,) = inspect(tmp_path / 'bag').problems
-    assert '/t7/ato/speed' in problem
+    assert problem.endswith(' (they are in /t7; use --namespace)')
     assert 'ato/speed' not in inspect(tmp_path / 'bag', '/t7').missing
 
 

@@ -136,6 +136,43 @@ def test_a_table_of_others_is_not_replaced(depot: Path, capsys: pytest.CaptureFi
     assert own.read_text(encoding='utf-8') == 'train,depot\n'
 
 
+def test_a_table_of_another_plan_is_not_replaced_unasked(depot: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(fleet(depot, '--jobs', '1')) == 0
+    table = (depot.parent / 't.csv').read_bytes()
+    capsys.readouterr()
+    fewer = ['fleet', str(depot / 'T1'), *fleet(depot, '--jobs', '1')[2:]]
+    assert main(fewer) == 2
+    lost = f'3 of its 5 bags are not given now, such as {depot}/T2/broken.mcap'
+    assert f't.csv: is the table of another plan: {lost}' in capsys.readouterr().err
+    other = fleet(depot, '--jobs', '1', '--namespace', '/train_2')
+    assert main(other) == 2
+    assert 'it was made with another train file, mapping' in capsys.readouterr().err
+    assert (depot.parent / 't.csv').read_bytes() == table
+    copytree(depot / 'T1/one', depot / 'T1/three')
+    assert main(fleet(depot, '--jobs', '1', '--json')) == 0  # more bags are no other plan
+    assert summary(capsys)['known'] == 4
+    assert main([*fewer, '--replace', '--json']) == 0
+    assert summary(capsys)['bags'] == 3
+
+
+@pytest.mark.parametrize('number', [signal.SIGINT, signal.SIGTERM])
+def test_a_stopped_run_says_what_is_done(depot: Path, number: signal.Signals) -> None:
+    rows = depot.parent / 't.csv.rows.jsonl'
+    for name in range(40):
+        copytree(depot / 'T1/one', depot / f'T1/more_{name}')
+    command = [sys.executable, '-m', 'trainid_ros.cli.main', *fleet(depot, '--jobs', '1')]
+    with subprocess.Popen(command, stderr=subprocess.PIPE, text=True) as process:
+        while not (rows.exists() and rows.read_bytes().count(b'\n')):
+            assert process.poll() is None
+            time.sleep(0.001)
+        process.send_signal(number)
+        _, errors = process.communicate()
+    assert process.returncode == 128 + number
+    done = len(read_table(depot.parent / 't.csv')[0])
+    assert 0 < done < 45
+    assert f'stopped: {done} of 45 bags are in {depot.parent}/t.csv; the same command goes on\n' in errors
+
+
 def test_an_edited_user_function_is_another_way_to_replay(depot: Path) -> None:
     mapping, function = depot.parent / 'map.yaml', depot.parent / 'g.py'
     mapping.write_text('gradient: {function: g.py:f, of: []}\n', encoding='utf-8')

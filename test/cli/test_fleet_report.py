@@ -11,6 +11,7 @@ import pytest
 
 from test.fleet.surrogate import fleet_rows
 from trainid_ros.cli.main import main
+from trainid_ros.explain.result import FoundEffect
 from trainid_ros.fleet.table_file import write_table
 
 if TYPE_CHECKING:
@@ -20,7 +21,7 @@ if TYPE_CHECKING:
 
 
 class Explained(NamedTuple):
-    effects: tuple[()] = ()
+    effects: tuple[FoundEffect, ...] = ()
 
 
 PADS = np.array([0.0, -0.08, 0.0, 0.0])
@@ -56,7 +57,7 @@ def test_a_fault_that_has_ended_is_told_with_its_days(tmp_path: Path, capsys: py
     assert main(['fleet', 'report', str(path)]) == 0
     text = capsys.readouterr().out
     assert 'Changed on 2026-03-05 until 2026-03-08, certain on 2026-03-06' in text
-    assert 'By the channels: worn or glazed brake pads' in text
+    assert 'By the channels alone: worn or glazed brake pads' in text
 
 
 def test_bags_that_are_gone_are_no_answer(table: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -87,6 +88,20 @@ def test_each_bag_is_explained_with_the_setup_of_its_table(
     assert 'By its bags: no effect that is new' in capsys.readouterr().out
     old, new = ('old.yaml', 'old.csv.map', '/old'), ('new.yaml', 'new.csv.map', '/new')
     assert used == [('3/5', *old), *((f'3/{day}', *new) for day in (6, 7, 8))]
+
+
+def test_a_cause_in_the_bags_agrees_with_channels_that_name_none(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    table = tmp_path / 't.csv'
+    write_table(fleet_rows(5001, 8, 12, {3: (6, np.array([0.0, -0.08, 0.12, 0.0]))}), table, {})
+    drag = FoundEffect('dragging_brake', 'drag', '', 'physics', (('force', 2.0),), (('force', 0.1),), 50.0, '', ())
+    effects: list[tuple[FoundEffect, ...]] = [(), *[(drag,)] * 3]  # of the bag before, and of three after
+    monkeypatch.setattr('trainid_ros.fleet.workflow._explain', lambda _: Explained(effects.pop(0)))
+    assert main(['fleet', 'report', str(table), '--explain', '1']) == 0
+    text = capsys.readouterr().out
+    assert 'By the channels alone: no single known cause (' in text
+    assert 'By its bags, which tell apart what the channels do not: dragging_brake (drag) in 3 of 3' in text
 
 
 @pytest.mark.parametrize('name', ['none.parquet', 'none.csv'])

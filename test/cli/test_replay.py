@@ -16,7 +16,6 @@ from trainid_ros.bag.bag_replay import replay
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.cli.main import main
-from trainid_ros.cli.replay import contradiction_text
 from trainid_ros.estimators.contradiction import Contradiction
 from trainid_ros.pipelines import EstimatorSettings
 from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
@@ -190,7 +189,7 @@ def test_a_contradiction_of_the_inputs_is_shown_with_its_times(
     text = f'inputs contradict each other since {begin_s:.1f} s: {finding}'
     assert capsys.readouterr().out.count(f'\n{text}\n') == 1
     past = Contradiction(finding, 12.34, 56.78)
-    assert contradiction_text(past) == f'inputs contradicted each other from 12.3 to 56.8 s: {finding}'
+    assert past.text == f'inputs contradicted each other from 12.3 to 56.8 s: {finding}'
 
 
 def test_wrong_truth_is_reported_before_the_work(

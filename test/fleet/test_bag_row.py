@@ -14,6 +14,7 @@ from trainid_ros.fleet.bag_row import bag_row, killed_row
 from trainid_ros.fleet.columns import COLUMNS, NAMES
 from trainid_ros.fleet.plan import PlannedBag, Setup
 from trainid_ros.results import Status
+from trainid_ros.train.train_file import dump_train_file, load_train_file
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -39,6 +40,21 @@ def test_numbers_are_those_of_replay(tiny: Path, setup: Setup, capsys: pytest.Ca
     assert sum(row[f'share_{status.name.lower()}'] for status in Status) == pytest.approx(1.0)
     assert row['share_valid'] > 0.0
     assert (row['train'], row['day'], row['line'], row['revision']) == ('T1', '2026-01-31', None, 'r1')
+
+
+def test_a_dead_time_is_that_of_the_train(tiny: Path, setup: Setup, tmp_path: Path) -> None:
+    true = load_train_file(setup.train)
+    found = []
+    for name, delay, timing_std in (('late', 0.68, 0.12), ('soon', 0.52, 0.12), ('exact', 0.68, 0.0)):
+        train = tmp_path / f'{name}.yaml'
+        stated = replace(true.brake, delay=delay, timing_std=timing_std)
+        train.write_text(dump_train_file(replace(true, brake=stated)), encoding='utf-8')
+        row = bag_row(replace(setup, train=train), 'r1', PlannedBag(str(tiny)), lambda _: None)
+        found.append((row['dead_time'], row['dead_time_std']))
+    for value, std in found[:2]:
+        assert std < 0.04  # stated were 0.08 s
+        assert abs(value - true.brake.delay) < 3.0 * std
+    assert found[2] == (None, None)
 
 
 def test_rows_have_the_columns_and_their_types(tiny: Path, setup: Setup) -> None:

@@ -25,13 +25,22 @@ def test_a_pattern_comes_before_what_the_recording_says() -> None:
         rule.labels(Path('/x'), {})
 
 
-def test_a_namespace_is_the_train_unless_a_pattern_names_it() -> None:
-    custom = {'train': 'other', 'line': '7'}
-    assert label_rule(None, '/train_1').labels(BAG, custom) == {
-        'train': 'train_1', 'line': '7', 'weather': '', 'day': '',
-    }  # fmt: skip
-    assert label_rule(r'/(?P<train>T\d+)/', '/train_1').labels(BAG, custom)['train'] == 'T042'
-    assert label_rule(r'line(?P<line>\d+)', '/train_1').labels(BAG, custom)['train'] == 'train_1'
+def test_a_namespace_is_the_train_unless_the_user_names_it() -> None:
+    rule = label_rule(None, '/train_1')
+    assert rule.labels(BAG, {'line': '7'}) == {'train': 'train_1', 'line': '7', 'weather': '', 'day': ''}
+    assert rule.labels(BAG, {'train': 'T7'})['train'] == 'T7'
+    assert label_rule(r'/(?P<train>T\d+)/', '/train_1').labels(BAG, {'train': 'T7'})['train'] == 'T042'
+    assert label_rule(r'line(?P<line>\d+)', '/train_1').labels(BAG, {})['train'] == 'train_1'
+
+
+def test_a_path_is_matched_as_given_or_with_links_resolved(tmp_path: Path) -> None:
+    (tmp_path / 'disk7/T042/bag').mkdir(parents=True)
+    (tmp_path / 'depot').mkdir()
+    link = tmp_path / 'depot/tram_5'
+    link.symlink_to(tmp_path / 'disk7/T042')
+    for pattern, train in ((r'depot/(?P<train>\w+)/', 'tram_5'), (r'disk7/(?P<train>\w+)/', 'T042')):
+        assert label_rule(pattern).labels(link / 'bag', {})['train'] == train
+    assert label_rule(None).labels(link / 'bag', {})['train'] == 'tram_5'
 
 
 @pytest.mark.parametrize(

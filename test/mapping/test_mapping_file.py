@@ -87,12 +87,17 @@ def test_a_whole_mapping_of_a_table_is_read(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ('text', 'missing'), [('speed: {topic: /v, field: data}', 'time'), ('time: {field: t}', 'speed')]
+    ('text', 'missing'),
+    [
+        ('speed: {topic: /v, field: data}', 'time'),
+        ('speed: {field: v}', 'time'),
+        ('time: {field: t}', 'speed'),
+    ],
 )
 def test_what_a_table_needs_is_named(tmp_path: Path, text: str, missing: str) -> None:
     path = tmp_path / 'map.yaml'
     path.write_text(text, encoding='utf-8')
-    with pytest.raises(InputError, match=f'{missing} is missing'):
+    with pytest.raises(InputError, match=rf'map\.yaml: {missing} is missing: a table needs a column for it'):
         load_table_mapping(path)
 
 
@@ -156,7 +161,7 @@ def test_a_value_passes_sign_gain_offset_table_and_unit() -> None:
     [
         ('speeed: {}', "speeed is not a known field; did you mean 'speed'"),
         ('speed: 3', 'speed = 3 must be a mapping'),
-        ('speed: {field: data}', 'speed.topic is missing'),
+        ('speed: {field: data}', 'speed.topic is missing; where the field is a column of a table, time: '),
         ('speed: {topic: /x}', 'speed.field is missing'),
         ('speed: {topic: /x, field: a b}', 'speed.field'),
         ('speed: {topic: /x, field: x..y}', 'speed.field'),
@@ -183,6 +188,7 @@ def test_a_value_passes_sign_gain_offset_table_and_unit() -> None:
         ('{time: {field: t, start: now}}', "time.start = 'now' must be a date and time"),
         ('time: {unit: s}', 'time.field is missing'),
         ('csv: {separator: ab}', "csv.separator = 'ab' must be one character"),
+        ('csv: {decimal: x}', "csv.decimal = 'x' must be . or ,"),
         ('csv: {encoding: none}', "csv.encoding = 'none' is not known"),
         ('csv: {header_rows: 0}', 'csv.header_rows = 0 must be >= 1'),
     ],

@@ -15,6 +15,7 @@ from benchmarks.foreign_bag import FLOAT, INT, ODOMETRY, TWIST, WRENCH, ForeignB
 from trainid_ros.bag.bag_replay import Pipelines, replay_through
 from trainid_ros.bag.number_series import read_numbers
 from trainid_ros.bag.reader import BagReader
+from trainid_ros.bag.types import message_from_record
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.cli.main import main
 from trainid_ros.mapping.mapped_inputs import MappedInputs
@@ -23,7 +24,7 @@ from trainid_ros.mapping.mapping_file import parse_mapping
 from trainid_ros.mapping.suggest import suggest
 from trainid_ros.mapping.suggestion import Suggestion, comment
 from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline, speed_model_pipeline
-from trainid_ros.records import BrakeRecord, ForceRecord, GradientRecord, MassRecord, Record, SpeedRecord
+from trainid_ros.records import INPUT_TOPICS, BrakeRecord, ForceRecord, GradientRecord, MassRecord, Record, SpeedRecord
 from trainid_ros.sim.scenario import Scenario, simulate
 from trainid_ros.train.train_file import TrainFile
 
@@ -347,3 +348,61 @@ def test_an_own_speed_shows_what_a_foreign_force_is(ride: list[Record], metro: T
 def test_names_of_others_cannot_leave_their_comment() -> None:
     assert comment('a\nspeed: {topic: /x}') == '# a\\nspeed: {topic: /x}'
     assert comment('\x1b[31m') == '# \\x1b[31m'
+
+
+@pytest.mark.parametrize('parts', ['position and force', 'position', 'force'])
+def test_numbers_without_names_are_told_apart(tmp_path: Path, ride: list[Record], parts: str, metro: TrainFile) -> None:
+    def write(bag: ForeignBag, record: Record) -> None:
+        now = record.stamp_ns
+        match record:
+            case SpeedRecord(_, speed, position):
+                bag.write('/can/a', FLOAT, now, data=3.6 * speed)
+                if 'position' in parts:
+                    bag.write('/can/b', FLOAT, now, data=position)
+            case ForceRecord(_, force) if 'force' in parts:
+                bag.write('/can/c', FLOAT, now, data=force / 1e3)
+            case GradientRecord(_, gradient):
+                bag.write('/can/d', FLOAT, now, data=gradient)
+
+    bag = written(tmp_path / 'bag', ride, write)
+    found = suggest(read_numbers(bag, '/', 1 << 26), 'bag', metro)
+    chosen = {item.quantity: item.parts[0].series.topic for item in found.choices if item.parts}
+    expected = {'speed': '/can/a', 'position': '/can/b', 'force': '/can/c'}
+    assert chosen == {name: topic for name, topic in expected.items() if name == 'speed' or name in parts}
+    speed = found.choices[0]
+    assert speed.parts[0].unit == 'km/h'
+    assert speed.reasons[0].startswith('no name says speed; by its numbers: never negative')
+    assert 'whether this is the speed' in speed.decisions
+
+
+def test_an_acceleration_without_a_name_is_no_force(tmp_path: Path, ride: list[Record], metro: TrainFile) -> None:
+    before: list[SpeedRecord] = []
+
+    def write(bag: ForeignBag, record: Record) -> None:
+        if isinstance(record, SpeedRecord):
+            bag.write('/can/a', FLOAT, record.stamp_ns, data=record.speed)
+            if before:
+                step_s = (record.stamp_ns - before[-1].stamp_ns) / 1e9
+                bag.write('/can/b', FLOAT, record.stamp_ns, data=(record.speed - before[-1].speed) / step_s)
+            before.append(record)
+
+    found = suggest(read_numbers(written(tmp_path / 'bag', ride, write), '/', 1 << 26), 'bag', metro)
+    assert [item.quantity for item in found.choices if item.parts] == ['speed']
+    assert 'force' in found.missing
+
+
+@pytest.mark.parametrize('names', [('T1',), ('T1', 'T2')])
+def test_our_own_topics_in_a_namespace_need_no_mapping(
+    tmp_path: Path, ride: list[Record], names: tuple[str, ...], capsys: pytest.CaptureFixture[str]
+) -> None:
+    topics = {topic.record: topic for topic in INPUT_TOPICS}
+    with BagWriter(tmp_path / 'bag') as writer:
+        for record in ride[:200]:
+            topic = topics[type(record)]
+            for name in names:
+                message = message_from_record(record)
+                writer.write_message(f'/{name}/{topic.name}', topic.message, record.stamp_ns, message)
+    assert main(['info', str(tmp_path / 'bag'), '--suggest-map']) == 2
+    where = ', '.join(f'/{name}' for name in names)
+    text = f'our own topics are in {where}: no mapping is needed, use --namespace\n'
+    assert capsys.readouterr().err.endswith(text)

@@ -54,6 +54,18 @@ def test_a_time_that_ros_cannot_hold_names_row_and_column(values: list[float], u
         stamps([*values], unit, 0)
 
 
+def test_times_of_day_go_on_through_midnight() -> None:
+    hours = np.array([23, 'NaT', 1, 0.75, 23, 0], dtype=object)
+    column = np.array([h if h == 'NaT' else int(h * 3600 * S) for h in hours], dtype='timedelta64[ns]')
+    after = (23, 25, 24.75, 47, 48)  # a clock set back by a quarter of an hour is no midnight
+    assert stamps(column) == [int((UNIX_2000 + h * 3600) * S) for h in after]
+    assert stamps(column, start_ns=5 * S)[0] == (5 + 23 * 3600) * S
+    clock = Clock(TimeColumn(('t',), find_unit('s', 'time')))
+    found = [clock.stamps({'t': column[k : k + 1]}, 'log.csv', k)[0][0] for k in (0, 2)]
+    assert found[1] - found[0] == 2 * 3600 * S  # also from block to block
+    assert numbers(column[:1]).tolist() == [23 * 3600.0]
+
+
 def test_times_are_numbers_for_functions() -> None:
     column: Column = np.array(['1970-01-01T00:00:01.5', 'NaT'], dtype='datetime64[ns]')
     assert numbers(column).tolist() == pytest.approx([1.5, np.nan], nan_ok=True)

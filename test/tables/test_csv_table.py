@@ -68,9 +68,33 @@ def test_what_is_stated_is_not_found_out(tmp_path: Path) -> None:
     content = 't:v\n1:1\n0:1'
     assert read(table(tmp_path, content, separator=':', header_rows=2), 't', 'v') == {'t': [0], 'v': [1]}
     source = table(tmp_path, 't;v\n0;1\n1;1,5\n', decimal='.')
-    with pytest.raises(InputError, match=r"log\.csv: line 3: column 'v' = '1,5' is not a number; csv: {separator"):
+    with pytest.raises(InputError, match=r"log\.csv: line 3: column 'v' = '1,5' is not a number .*csv: {separator"):
         read(source, 't', 'v')
     assert read(table(tmp_path, 't;°v\n0;1\n', encoding='utf-8'), 't', '°v') == {'t': [0], '°v': [1]}
+
+
+@pytest.mark.parametrize(
+    ('content', 'values'),
+    [
+        ('t;v\n0,5;1.234,5\n1,0;-2.345.678,25\n', [1234.5, -2345678.25]),
+        ('t;v\n0,5;12,5\n1,0;1.234\n', [12.5, 1234.0]),
+        ('t;v\n0.5;1,234.5\n1.0;-2,345,678.25\n', [1234.5, -2345678.25]),
+        ('t;v\n0.5;12.5\n1.0;1.234\n', [12.5, 1.234]),
+        ("t;v\n0.5;1'234.5\n1.0;12\n", [1234.5, 12.0]),
+        ('t;v\n0,5;1\u202f234,5\n1,0;12\n', [1234.5, 12.0]),
+        ('t;v\n0,500;1,234\n1,000;12\n', [1.234, 12.0]),
+    ],
+)
+def test_thousands_marks_are_no_decimal_signs(tmp_path: Path, content: str, values: list[float]) -> None:
+    assert read(table(tmp_path, content), 't', 'v') == {'t': [0.5, 1.0], 'v': values}
+
+
+def test_times_of_day_are_times_since_midnight(tmp_path: Path) -> None:
+    source = table(tmp_path, 't;v\n08:15:03.2;1\n;2\n8:15:04,000000001;3\n')
+    found = joined(source.blocks(('t',)), ('t',))['t']
+    assert found.dtype == np.dtype('timedelta64[ns]')
+    assert found.astype(np.int64)[[0, 2]].tolist() == [29_703_200_000_000, 29_704_000_000_001]
+    assert np.isnat(found[1])
 
 
 def test_times_are_read_to_the_nanosecond(tmp_path: Path) -> None:
@@ -88,7 +112,11 @@ def test_times_are_read_to_the_nanosecond(tmp_path: Path) -> None:
     ('content', 'error'),
     [
         ('t;vel\n0;1\n', r"log\.csv: no column 'v'.* \(columns: 't', 'vel'\)"),
-        ('t;v\n12:00:00;1\n', r"log\.csv: line 2: column 't' = '12:00:00' is no date with time like"),
+        ('t;v\n12:00;1\n', r"log\.csv: line 2: column 't' = '12:00' is no time like"),
+        ('t;v\n12:00:00;1\nEnd\n', r"log\.csv: line 3: column 't' = 'End' is not a time of day; lines of text below"),
+        ('t;v\n0;1\n1;1\nEnd of log\n', r"log\.csv: line 4: column 't' = 'End of log' is not a number .* below"),
+        ('t;v\n0;1,5\n1;2,5\n2;1.5\n', r"log\.csv: line 4: column 'v' = '1.5' is not a number .* sign ','"),
+        ('t;v\n0;12,5\n1;1.23,5\n', r"log\.csv: line 3: column 'v' = '1.23,5' is not a number"),
         ('t;v;v\n0;1;1\n', r"log\.csv: column 'v' is there 2 times"),
         ('', r"log\.csv: no column 't' \(columns: none\)"),
         ('t;v\n0;1\n1;x\n', r"log\.csv: line 3: column 'v' = 'x' is not a number"),

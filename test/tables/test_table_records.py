@@ -108,6 +108,25 @@ def test_rows_are_logged_in_their_order(tmp_path: Path) -> None:
     assert source.steps_back == 1
 
 
+def test_times_coarser_than_the_rows_are_an_error(tmp_path: Path) -> None:
+    speeds = np.ones(100)
+    source = table(tmp_path, f'{SPEED}}}', t=[at(5 * (k // 5)) for k in range(100)], v=speeds)
+    error = r"log\.npz: row 2: column 't' has the time of the row before, as 80 of 100 rows have: its resolution"
+    with pytest.raises(InputError, match=error):
+        records(source)
+    source = table(tmp_path, f'{SPEED}}}', t=[at(k - k % 2 * (k < 20)) for k in range(100)], v=speeds)
+    assert len(records(source)) == 100
+    assert source.repeated == 10
+
+
+def test_rows_of_one_time_may_have_different_values(tmp_path: Path) -> None:
+    nan = np.nan
+    values: dict[str, object] = {'v': [1.0, nan, 2.0, nan], 'F': [nan, 5.0, nan, 6.0]}
+    source = table(tmp_path, f'{SPEED}, force: {{field: F}}}}', t=[at(k // 2) for k in range(4)], **values)
+    assert len(records(source)) == 4
+    assert source.repeated == 0
+
+
 @pytest.mark.parametrize(
     ('head', 'stated'),
     [('t,v [km/h]\n', 'km/h'), ('t,v (kmh)\n', 'kmh'), ('t,v [mph]\n', 'mph'), ('t,v [m/s]\n', ''), ('t,v [x]\n', '')],

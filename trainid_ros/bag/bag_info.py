@@ -3,12 +3,14 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
 from trainid_ros.bag.chunk import MAX_CHUNK
+from trainid_ros.bag.input_check import Findings, check_inputs
 from trainid_ros.bag.reader import BagReader, missing_topics
 from trainid_ros.bag.record_table import EMPTY, joined
 from trainid_ros.records import (
@@ -22,6 +24,7 @@ from trainid_ros.records import (
     SPEED_TOPIC,
 )
 from trainid_ros.stream.alignment import AlignmentConfig
+from trainid_ros.stream.intervals import ONE_LOST
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -33,6 +36,7 @@ if TYPE_CHECKING:
     from trainid_ros.mapping.mapped_inputs import MappedInputs
     from trainid_ros.mapping.mapping import Mapping
     from trainid_ros.records import InputTopic
+    from trainid_ros.train.train_file import TrainFile
 
 GAP_S: Final = 1.0
 MOVING_SPEED: Final = 0.1  # m/s
@@ -46,6 +50,8 @@ _LEAST_DISTANCE_M: Final = 500.0
 _DISTANCE_ERROR: Final = 0.05
 _CORRECTION_M: Final = 100.0
 _KMH: Final = 3.6
+_SLOWEST_S: Final = AlignmentConfig().max_interval
+NAMESPACE: Final = 'use --namespace'
 _REQUIRED: Final = tuple(topic.name for topic in REQUIRED_TOPICS)
 
 
@@ -78,7 +84,7 @@ class StampInfo:
         rate: Median rate [Hz], NaN below two messages.
         first_ns: Smallest stamp that is not zero [ns].
         last_ns: Largest stamp [ns].
-        gaps: Number of pauses longer than one second.
+        gaps: Number of pauses longer than one second, 2.5 intervals, and the time that a value holds.
         longest_gap_s: Longest pause [s].
         out_of_order: Messages older than one before them.
         duplicates: Messages that repeat an earlier stamp.
@@ -156,9 +162,11 @@ class BagInfo:
 
 
 class _Column:
-    """Stamps, log times and values of one input topic."""
+    """Stamps, log times and values of one input topic, and how long a value holds [s]."""
 
-    def __init__(self, topic: InputTopic, table: RecordTable) -> None:
+    def __init__(self, topic: InputTopic, table: RecordTable, hold_s: float, end_ns: int) -> None:
+        self.hold_s = hold_s
+        self.end_ns = end_ns
         numbers = [item.name for item in fields(topic.record) if item.type in {'float', float}]
         self.stamps = table.stamp_ns
         self.logs = np.minimum(table.log_ns, _INT64_MAX).astype(np.int64)
@@ -179,6 +187,7 @@ def inspect(
     namespace: str = '/',
     max_chunk: int = MAX_CHUNK,
     inputs: Callable[[], MappedInputs] | None = None,
+    train_file: TrainFile | None = None,
 ) -> BagInfo:
     """Read a bag once and summarise its contents.
 
@@ -187,17 +196,22 @@ def inspect(
         namespace: Namespace of the topics.
         max_chunk: Largest chunk to unpack [bytes].
         inputs: Makes what turns messages of other topics into records; they are then summarised as our own topics.
+        train_file: The train, if it is known: units, signs and gradients are then checked as in a replay.
 
     Raises:
         InputError: If the bag cannot be read.
 
     """
     with BagReader(path, namespace, max_chunk, inputs) as reader:
-        columns = _read(reader)
+        table = joined(tuple(reader.tables()) or (EMPTY,))
+        alignment = reader.mapping.alignment(AlignmentConfig())
+        columns = _columns(table, alignment)
         missing = missing_topics(reader)
         topics = (*_topics(reader, columns), *_mapped(reader.mapping, columns))
         first, last = reader.time_range() or (0, 0)
         moving = _share(columns, SPEED_TOPIC.name, 'speed')
+        problems = _problems(topics, missing, moving)
+        findings = Findings((), ()) if problems else check_inputs(table.rows(), alignment, train_file)
         return BagInfo(
             path=str(path),
             duration_s=(last - first) / NS_PER_S,
@@ -207,20 +221,27 @@ def inspect(
             moving_share=moving,
             braking_share=_share(columns, BRAKE_TOPIC.name, 'target_acceleration'),
             missing=missing,
-            problems=tuple(_problems(topics, missing, moving)),
+            problems=(*problems, *map(reader.mapping.named, findings.problems)),
             warnings=(
                 *reader.warnings,
                 *(line for topic in topics for line in _topic_warnings(topic)),
                 *_distance_warnings(columns.get(SPEED_TOPIC.name)),
                 *_command_warnings(columns.get(BRAKE_TOPIC.name)),
+                *map(reader.mapping.named, findings.warnings),
             ),
         )
 
 
-def _read(reader: BagReader) -> dict[str, _Column]:
-    table = joined(tuple(reader.tables()) or (EMPTY,))
+def _columns(table: RecordTable, alignment: AlignmentConfig) -> dict[str, _Column]:
     rows = {topic: np.flatnonzero(table.topic == number) for number, topic in enumerate(INPUT_TOPICS)}
-    return {topic.name: _Column(topic, table[mine]) for topic, mine in rows.items() if mine.size}
+    # A mass holds until the next one, whenever that comes.
+    holds = {BRAKE_TOPIC: alignment.command_hold or GAP_S, MASS_TOPIC: math.inf}
+    end_ns = int(table.stamp_ns.max(initial=0))
+    return {
+        topic.name: _Column(topic, table[mine], holds.get(topic, GAP_S), end_ns)
+        for topic, mine in rows.items()
+        if mine.size
+    }
 
 
 def _topics(reader: BagReader, columns: dict[str, _Column]) -> Iterator[TopicInfo]:
@@ -251,11 +272,12 @@ def _stamp_info(column: _Column) -> StampInfo:
     steps = np.diff(ordered)
     steps = steps[steps > 0] / NS_PER_S
     newest = np.maximum.accumulate(stamped)
+    usual_s = _median(steps) if steps.size else 0.0
     return StampInfo(
-        rate=1.0 / _median(steps) if steps.size else float('nan'),
+        rate=1.0 / usual_s if steps.size else float('nan'),
         first_ns=int(ordered[0]) if ordered.size else 0,
         last_ns=int(ordered[-1]) if ordered.size else 0,
-        gaps=int(np.count_nonzero(steps > GAP_S)),
+        gaps=int(np.count_nonzero(steps > max(column.hold_s, ONE_LOST * usual_s))),
         longest_gap_s=float(steps.max()) if steps.size else 0.0,
         out_of_order=int(np.count_nonzero(stamped < newest)),
         duplicates=max(0, int(stamped.size - steps.size) - 1),
@@ -278,21 +300,25 @@ def _range(columns: dict[str, _Column], item: _Quantity) -> ValueRange:
 
 
 def _share(columns: dict[str, _Column], topic: str, name: str) -> float:
-    """Return the share of time in which a value is not zero; a message holds until the next, at most one second."""
+    """Return the share of time in which a value is not zero; a message holds until the next, for a time at most."""
     if topic not in columns:
         return float('nan')
-    order = np.argsort(columns[topic].stamps, kind='stable')
-    held = np.clip(np.diff(columns[topic].stamps[order]) / NS_PER_S, 0.0, GAP_S)
-    active = np.abs(columns[topic].values(name)[order][:-1]) > (MOVING_SPEED if name == 'speed' else 0.0)
+    column = columns[topic]
+    order = np.argsort(column.stamps, kind='stable')
+    stamps, values = column.stamps[order], np.abs(column.values(name)[order])
+    if column.hold_s > GAP_S:  # declared, so it is known of the last message too
+        stamps = np.append(stamps, column.end_ns)
+    held = np.clip(np.diff(stamps) / NS_PER_S, 0.0, column.hold_s)
+    active = values[: held.size] > (MOVING_SPEED if name == 'speed' else 0.0)
     total = float(held.sum())
     return float(held[active].sum()) / total if total > 0.0 else float('nan')
 
 
 def _problems(topics: tuple[TopicInfo, ...], missing: tuple[str, ...], moving: float) -> list[str]:
     if missing:
-        hints = [f'/{topic.name}' for topic in topics if topic.count and topic.name.endswith(_REQUIRED)]
-        other = [name for name in hints if name.lstrip('/') not in _REQUIRED]
-        hint = f' (other namespace: {", ".join(other)})' if other else ''
+        elsewhere = [topic.name.strip('/') for topic in topics if topic.count and topic.name.endswith(_REQUIRED)]
+        other = {name.rpartition('ato/')[0].strip('/') for name in elsewhere} - {''}
+        hint = f' (they are in /{", /".join(sorted(other))}; {NAMESPACE})' if other else ''
         return [f'no messages on {", ".join(missing)}{hint}']
     required = {topic.name: topic for topic in topics if topic.name in _REQUIRED}
     problems = [f'{name}: no message can be used' for name, topic in required.items() if not _has_usable(topic)]
@@ -301,6 +327,11 @@ def _problems(topics: tuple[TopicInfo, ...], missing: tuple[str, ...], moving: f
         problems.append('the stamps of the required topics do not overlap')
     if not moving > 0.0:
         problems.append('the train does not move')
+    problems += [
+        f'{name}: comes every {1.0 / topic.stamps.rate:.3g} s, and slower than {_SLOWEST_S:g} s is not used'
+        for name, topic in required.items()
+        if name != BRAKE_TOPIC.name and topic.stamps is not None and topic.stamps.rate * _SLOWEST_S < 1.0
+    ]
     return problems
 
 
@@ -310,7 +341,7 @@ def _has_usable(topic: TopicInfo) -> bool:
 
 def _command_warnings(column: _Column | None) -> list[str]:
     """Say so where brake commands come only when they change."""
-    if column is None or column.stamps.size < _FEWEST_CHANGES:
+    if column is None or column.hold_s > GAP_S or column.stamps.size < _FEWEST_CHANGES:
         return []
     order = np.argsort(column.stamps, kind='stable')
     changes = np.diff(column.values('target_acceleration')[order]) != 0.0
@@ -332,7 +363,7 @@ def _distance_warnings(column: _Column | None) -> list[str]:
     elapsed = np.diff(column.stamps[order]) / NS_PER_S
     by_speed, by_position = 0.5 * (speed[:-1] + speed[1:]) * elapsed, np.abs(np.diff(position))
     # Positions are unknown, or corrected at a balise.
-    known = (elapsed < GAP_S) & np.isfinite(by_speed + by_position) & (by_position < _CORRECTION_M)
+    known = (elapsed > 0.0) & (elapsed < GAP_S) & np.isfinite(by_speed + by_position) & (by_position < _CORRECTION_M)
     distance = float(by_position[known].sum())
     if distance < _LEAST_DISTANCE_M or abs(ratio := float(by_speed[known].sum()) / distance - 1.0) < _DISTANCE_ERROR:
         return []
@@ -345,7 +376,7 @@ def _topic_warnings(topic: TopicInfo) -> list[str]:
         return []
     found = (
         (topic.not_finite, 'messages with a value that is not finite'),
-        (stamps.gaps, f'gaps longer than {GAP_S:g} s, the longest {stamps.longest_gap_s:.1f} s'),
+        (stamps.gaps, f'gaps, the longest {stamps.longest_gap_s:.1f} s'),
         (stamps.out_of_order, 'messages out of order'),
         (stamps.duplicates, 'messages with a repeated stamp'),
         (stamps.zero, 'messages with a zero stamp'),

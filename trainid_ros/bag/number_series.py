@@ -78,6 +78,7 @@ class BagNumbers:
     Attributes:
         series: All numbers that are not zero throughout; values that are not finite are left out.
         own: Names of our input topics that are there, with our types; their numbers are among the series.
+        trains: Other namespaces that hold our topics with our types.
         left_out: Topics that are not read, with the reason.
         duration_s: Length of the part that was read [s].
 
@@ -85,6 +86,7 @@ class BagNumbers:
 
     series: tuple[NumberSeries, ...]
     own: frozenset[str]
+    trains: tuple[str, ...]
     left_out: tuple[tuple[str, str], ...]
     duration_s: float
 
@@ -109,6 +111,7 @@ def read_numbers(
     ours = {topic.name: full_type(topic.message) for topic in INPUT_TOPICS}
     is_root = not namespace.strip('/')
     own, wanted, left_out = set(), {}, []
+    trains = {train for topic in topics if topic.count and (train := _train_of(topic.name, topic.type))}
     for topic in topics:
         is_own, name = topic.type == ours.get(topic.name), f'/{topic.name}' if is_root else topic.name
         is_elsewhere = topic.name[0] == '/' and not is_root
@@ -128,7 +131,15 @@ def read_numbers(
         _collect(reader, collectors, span[0], end_ns, advance)
     left_out += [(item.topic, 'large messages') for item in collectors.values() if item.is_large]
     series = tuple(item for collector in collectors.values() for item in collector.series(span[0]))
-    return BagNumbers(series, frozenset(own), tuple(left_out), (end_ns - span[0]) / NS_PER_S)
+    return BagNumbers(series, frozenset(own), tuple(sorted(trains)), tuple(left_out), (end_ns - span[0]) / NS_PER_S)
+
+
+def _train_of(name: str, kind: str) -> str:
+    """Return the namespace of one of our topics outside the given one, '' if it is none."""
+    for topic in INPUT_TOPICS:
+        if name.endswith(f'/{topic.name}') and kind == full_type(topic.message):
+            return f'/{name.removesuffix(topic.name).strip("/")}'
+    return ''
 
 
 def _naming(topics: Iterable[str]) -> Mapping:

@@ -229,6 +229,9 @@ def configure_fleet(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         '--scheduler', metavar='ADDRESS', help='replay on the workers of a Dask scheduler, such as tcp://host:8786'
     )
+    parser.add_argument(
+        '--replace', action='store_true', help='write over a table of other bags, or made with other files'
+    )
     _add_jobs(parser, 0)
     _add_namespace(parser)
     _add_json(parser)

@@ -13,9 +13,9 @@ from trainid_ros.errors import InputError
 from trainid_ros.fleet.bag_row import check_setup
 from trainid_ros.fleet.labels import label_rule
 from trainid_ros.fleet.listing import find_bags, list_bags
-from trainid_ros.fleet.plan import Setup, make_plan
+from trainid_ros.fleet.plan import Setup, bags_in, make_plan, setup_in
 from trainid_ros.fleet.run_fleet import Files, known_rows, rows_here, run_plan
-from trainid_ros.fleet.table_file import check_table
+from trainid_ros.fleet.table_file import check_table, read_table
 from trainid_ros.plural import pluralise
 from trainid_ros.ros.jobs import mapping_in
 
@@ -43,13 +43,34 @@ def run(args: argparse.Namespace) -> int:
         msg = f'{args.out}: exists already, and no run of fleet has written it; choose another --out'
         raise InputError(msg)
     plan = _plan(args)
+    if not args.replace:
+        _check_plan(plan, files)
     args.out.parent.mkdir(parents=True, exist_ok=True)
     plan.write(files.plan)
     known = known_rows(plan, files)
-    with progress('replay', total=len(plan.bags), unit='bags') as advance, _rows(args) as rows:
-        advance(len(known))
-        table = run_plan(plan, files, known, rows, advance)
+    try:
+        with progress('replay', total=len(plan.bags), unit='bags') as advance, _rows(args) as rows:
+            advance(len(known))
+            table = run_plan(plan, files, known, rows, advance)
+    except (KeyboardInterrupt, SystemExit):  # Ctrl-C, or SIGTERM
+        done = len(read_table(args.out)[0])
+        warn(f'stopped: {done} of {pluralise(len(plan.bags), "bag")} are in {args.out}; the same command goes on')
+        raise
     return _report(args, table, len(known))
+
+
+def _check_plan(plan: Plan, files: Files) -> None:
+    """Raise InputError if a table is there whose rows would be lost or made in another way."""
+    if not files.table.exists() or not (bags := bags_in(files.plan)):
+        return
+    if lost := bags - {bag.path for bag in plan.bags}:
+        problem = f'{len(lost)} of its {pluralise(len(bags), "bag")} are not given now, such as {min(lost)}'
+    elif setup_in(files.plan) != plan.setup:
+        problem = 'it was made with another train file, mapping, parameter file, namespace or --max-chunk'
+    else:
+        return
+    msg = f'{files.table}: is the table of another plan: {problem}; choose another --out, or --replace it'
+    raise InputError(msg)
 
 
 def _plan(args: argparse.Namespace) -> Plan:

@@ -78,12 +78,14 @@ def _write(args: argparse.Namespace, view: FleetView, named: Mapping[str, Cause]
     from trainid_ros.report.fleet_report import fleet_page  # noqa: PLC0415
     from trainid_ros.report.page import write_page  # noqa: PLC0415
 
-    notes = {name: (_named_text(found),) for name, found in named.items()}
+    notes = {train.name: (_named_text(train, named[train.name]),) for train in view.found if train.name in named}
     names = ', '.join(str(path) for path in args.tables)
     write_page(fleet_page(view, names, args.false_alarm_days, notes), args.out)
 
 
-def _named_text(cause: Cause) -> str:
+def _named_text(train: TrainView, cause: Cause) -> str:
+    """Return what the bags of a train say, and how that goes with what its channels say."""
+    from trainid_ros.fleet.causes import OTHER  # noqa: PLC0415
     from trainid_ros.report.words import parameters_text  # noqa: PLC0415
 
     if cause.problem:
@@ -92,7 +94,10 @@ def _named_text(cause: Cause) -> str:
         f'{effect.name} ({effect.title}) in {count} of {cause.bags}, with {parameters_text(effect)}'
         for effect, count in cause.effects
     ]
-    return f'By its bags: {"; ".join(effects) or "no effect that is new"}.'
+    # Several effects at once, or one that no channel shows alone, look like no single cause in the channels.
+    is_unclear = bool(effects and train.causes) and train.causes[0].effect == OTHER
+    more = ', which tell apart what the channels do not' if is_unclear else ''
+    return f'By its bags{more}: {"; ".join(effects) or "no effect that is new"}.'
 
 
 def describe(view: FleetView, named: Mapping[str, Cause]) -> str:
@@ -101,7 +106,7 @@ def describe(view: FleetView, named: Mapping[str, Cause]) -> str:
 
     blocks = [summary(view)]
     for train in view.found:
-        lines = [*findings(view, train), *([_named_text(named[train.name])] if train.name in named else [])]
+        lines = [*findings(view, train), *([_named_text(train, named[train.name])] if train.name in named else [])]
         blocks.append('\n'.join((f'{train.name} (evidence {train.evidence:.0f})', *(f'  {line}' for line in lines))))
     return '\n\n'.join(blocks)
 

@@ -70,6 +70,8 @@ def _print_result(args: argparse.Namespace, table: TableRecords, counts: Counter
         warn(line)
     if table.steps_back:
         warn(f'{args.file}: {pluralise(table.steps_back, "row")} earlier than one before')
+    if table.repeated:
+        warn(f'{args.file}: {pluralise(table.repeated, "row")} with the time of the one before')
     if missing := [topic for topic, count in counts.items() if not count]:
         warn(f'{args.out}: no messages on {", ".join(missing)}: the mapping names no column with values')
     blank = {name: count for name, count in table.blank.items() if count}

@@ -7,7 +7,7 @@ import math
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
-from trainid_ros.bag.bag_info import inspect
+from trainid_ros.bag.bag_info import NAMESPACE, inspect
 from trainid_ros.cli.output import table, to_plain
 from trainid_ros.cli.per_bag import BagResult, run_per_bag
 from trainid_ros.errors import InputError
@@ -65,6 +65,9 @@ def _suggest(args: argparse.Namespace, bag: Path, advance: Callable[[float], Non
         raise InputError(msg)
     suggestion = suggest(numbers, bag.name, _train_file(args))
     text, missing = suggestion.text(), suggestion.missing
+    if missing and numbers.trains and not numbers.own:
+        msg = f'{bag}: our own topics are in {", ".join(numbers.trains)}: no mapping is needed, use --namespace'
+        raise InputError(msg)
     error = f'{bag}: nothing found for {", ".join(missing)}' if missing else ''
     return BagResult({'mapping': text, 'missing': list(missing)} if args.json else text, error=error)
 
@@ -76,12 +79,13 @@ def _inspect(args: argparse.Namespace, bag: Path, advance: Callable[[float], Non
         InputError: If it cannot be read.
 
     """
-    info = inspect(bag, args.namespace, args.max_chunk, mapped_inputs(args.map, _train_file(args)))
+    train_file = _train_file(args)
+    info = inspect(bag, args.namespace, args.max_chunk, mapped_inputs(args.map, train_file), train_file)
     advance(1.0)
     shown = to_plain(info) | {'usable': info.usable} if args.json else describe(info)
     error = '' if info.usable else f'{info.path}: cannot be used: {"; ".join(info.problems)}'
     if args.map is None and len(info.missing) == len(REQUIRED_TOPICS):  # a bag of others
-        error += '; --suggest-map proposes a mapping'
+        error += '' if NAMESPACE in error else '; --suggest-map proposes a mapping'
     return BagResult(shown, error=error)
 
 

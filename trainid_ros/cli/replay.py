@@ -34,7 +34,6 @@ if TYPE_CHECKING:
 
     from trainid_ros.bag.bag_replay import Observer, Replay, Result
     from trainid_ros.bag.observers import TraceObserver
-    from trainid_ros.estimators.contradiction import Contradiction
     from trainid_ros.report.traces import Traces
     from trainid_ros.resistance.suggested_drive import SuggestedDrive
     from trainid_ros.results import Reason
@@ -125,6 +124,7 @@ def _replay(args: argparse.Namespace, bag: Path, advance: Callable[[float], None
         count = max(reader.input_count, 1)
         outcome = replay_through(pipelines, reader, lambda amount: advance(amount / count), observers)
         wall_s = time.perf_counter() - start
+        warnings += unweighed(reader, setups[0].train_file)
     if report is not None and traces is not None:
         _write_report(args, bag, outcome, traces.finish(), truth, f'off line {_pace(outcome, wall_s)}', report)
     first = outcome.resistance
@@ -136,7 +136,6 @@ def _replay(args: argparse.Namespace, bag: Path, advance: Callable[[float], None
     else:
         shown = reader.mapping.named(describe(outcome, setups, wall_s, drive))
         shown = f'{bag}: {shown}' if len(args.bags) > 1 else shown
-    warnings += unweighed(reader, setups[0].train_file)
     return BagResult(shown, (*warnings, *reader.warnings), no_answer(bag, outcome))
 
 
@@ -191,7 +190,7 @@ def no_answer(bag: Path, outcome: Replay) -> str:
         return ''
     text = f'{bag}: nothing was learned of the resistance: {result.samples} samples, {result.output.used} used'
     if outcome.contradiction.finding:
-        return f'{text}; {contradiction_text(outcome.contradiction)}'
+        return f'{text}; {outcome.contradiction.text}'
     if result.rejections:
         reason, count = result.rejections[0]
         text += f', most often rejected: {reason.name} ({count} times), last: {result.output.last_rejection}'
@@ -253,17 +252,10 @@ def describe(outcome: Replay, setups: Sequence[Setup], wall_s: float, drive: Sug
         f'{outcome.records} messages, {outcome.resistance.samples} samples over {outcome.duration_s:.1f} s, '
         f'replayed {_pace(outcome, wall_s)}'
     )
-    contradiction = (contradiction_text(outcome.contradiction),) if outcome.contradiction.finding else ()
+    contradiction = (outcome.contradiction.text,) if outcome.contradiction.finding else ()
     to_drive = () if drive is None else (f'to learn more: {drive.text}',)
     parts = (head, *contradiction, _estimates(outcome), _usage(outcome), _uncertainty(outcome, setups), *to_drive)
     return '\n\n'.join(parts)
-
-
-def contradiction_text(last: Contradiction) -> str:
-    """Return the last contradiction of the inputs, with its times from the first sample on."""
-    if math.isnan(last.end_s):
-        return f'inputs contradict each other since {last.begin_s:.1f} s: {last.finding}'
-    return f'inputs contradicted each other from {last.begin_s:.1f} to {last.end_s:.1f} s: {last.finding}'
 
 
 def _estimates(outcome: Replay) -> str:

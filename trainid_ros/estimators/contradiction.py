@@ -30,3 +30,10 @@ class Contradiction:
         elif lasts and not finding:
             self.end_s = now_s
         self.finding = finding or self.finding
+
+    @property
+    def text(self) -> str:
+        """What contradicted what, and when."""
+        if math.isnan(self.end_s):
+            return f'inputs contradict each other since {self.begin_s:.1f} s: {self.finding}'
+        return f'inputs contradicted each other from {self.begin_s:.1f} to {self.end_s:.1f} s: {self.finding}'

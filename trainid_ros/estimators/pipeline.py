@@ -17,7 +17,7 @@ from trainid_ros.estimators.consistency import Consistency, ConsistencyMonitor
 from trainid_ros.estimators.pipeline_state import SNAPSHOT_S, SUSPECTED_S, PipelineState, Snapshots, reason_counts
 from trainid_ros.estimators.protocol import Estimator
 from trainid_ros.records import NS_PER_S, Record
-from trainid_ros.results import EstimateT, Output, Reason, Rejection, Status
+from trainid_ros.results import BrakeRateEstimate, EstimateT, Output, Reason, Rejection, Status
 from trainid_ros.settings import check_settings, setting
 from trainid_ros.state import decode, encode
 from trainid_ros.stream.sample_stream import SampleStream, StreamEvent, TimeJumpPolicy, is_reset_by

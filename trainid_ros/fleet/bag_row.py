@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from trainid_ros.bag.bag_replay import Pipelines, Replay, replay_through
 from trainid_ros.bag.worker_pool import killed_message
+from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
 from trainid_ros.errors import TrainIdError
 from trainid_ros.fleet.columns import SPEEDS, Row, empty_row, reason_column, share_column
 from trainid_ros.fleet.labels import day_of
@@ -88,6 +89,7 @@ def _replay(setup: Setup, bag: PlannedBag, row: Row, advance: Callable[[float], 
     setups, inputs = _prepared(setup)
     with OdometerReader(Path(bag.path), setup.namespace, setup.max_chunk, inputs) as reader:
         pipelines = Pipelines(*(item.mapped(reader.mapping).pipeline() for item in setups))
+        before = _dead_time(pipelines)
         count = max(reader.input_count, 1)
         outcome = replay_through(pipelines, reader, lambda amount: advance(amount / count))
         span = reader.time_range()
@@ -98,6 +100,8 @@ def _replay(setup: Setup, bag: PlannedBag, row: Row, advance: Callable[[float], 
     row |= _resistance(outcome) | _brake(outcome)
     row['finding'] = row['finding'] and reader.mapping.named(row['finding'])
     row['mass_factor'] = _known(outcome.speed_model.output.estimate.mass_factor)
+    if before is not None and (learned := _dead_time(pipelines)) is not None and learned[1] < before[1]:
+        row['dead_time'], row['dead_time_std'] = learned
     if (ratio := reader.odometer.ratio) is not None:
         row['wheel_ratio'], row['wheel_ratio_std'] = ratio
 
@@ -126,7 +130,7 @@ def _davis(w: ResistanceEstimate) -> Row:
         row[f'{name}_std'] = math.sqrt(max(0.0, w.covariance[4 * i]))
     for v in SPEEDS:
         phi = (1.0, float(v), float(v * v))
-        variance = sum(phi[i] * phi[j] * w.covariance[3 * i + j] for i in range(3) for j in range(3))
+        variance = math.fsum(phi[i] * phi[j] * w.covariance[3 * i + j] for i in range(3) for j in range(3))
         row[f'w{v}'], row[f'w{v}_std'] = w.a + w.b * v + w.c * v * v, math.sqrt(max(0.0, variance))
     for name in ('force_scale', 'force_scale_std', 'force_delay', 'force_delay_std'):
         row[name] = _known(getattr(w, name))
@@ -143,6 +147,14 @@ def _brake(outcome: Replay) -> Row:
         'brake_status': result.output.status.name,
         'brake_used': result.output.used,
     }
+
+
+def _dead_time(pipelines: Pipelines) -> tuple[float, float] | None:
+    """Return dead time of the brake and its standard deviation [s], None of an estimator that does not have them."""
+    estimator = pipelines.brake_rate.estimator
+    if not isinstance(estimator, BrakeRateEstimator):
+        return None
+    return estimator.state.timing.delay, estimator.state.timing.delay_std
 
 
 def _known(value: Any) -> float | None:

@@ -48,7 +48,7 @@ _KINDS: Final = (
     _Kind('mass_error', 'wrong weighing', {'force_scale': 1.0, 'brake_rate': 1.0}, 0.08, 0),
     _Kind('traction_scale', 'traction force reported wrongly', {'force_scale': 1.0}, 0.08, 0),
 )
-_OTHER: Final = 'other'
+OTHER: Final = 'other'
 _OTHER_SIZE: Final = {'w15': 0.2, 'brake_rate': 0.08, 'force_scale': 0.06, 'wheel_ratio': 0.02}
 # What the directions leave out, as a share of the mean.
 _SLACK: Final = {'w15': 0.04, 'brake_rate': 0.004, 'force_scale': 0.004, 'wheel_ratio': 0.0005}
@@ -72,7 +72,7 @@ def causes_of(steps: Mapping[str, tuple[float, float] | None]) -> tuple[Cause, .
     p = np.exp(log_p - log_p.max())
     p /= p.sum()
     causes = [Cause(kind.effect, kind.title, float(share)) for kind, share in zip(_KINDS, p, strict=False)]
-    causes.append(Cause(_OTHER, 'none of the known causes', float(p[-1])))
+    causes.append(Cause(OTHER, 'no single known cause', float(p[-1])))
     return tuple(sorted((c for c in causes if c.probability >= _LEAST), key=lambda cause: -cause.probability))
 
 

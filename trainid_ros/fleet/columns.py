@@ -66,7 +66,7 @@ COLUMNS: Final = (
     Column('speed_max', 'float', 'm/s', 'fastest speed learned from'),
     *_with_std('brake_rate', '1', 'brake rate, 1 = nominal'),
     Column('brake_status', 'text', '', 'status of the brake rate at the end'),
-    *_with_std('dead_time', 's', 'dead time of the brake, of estimators that give it'),
+    *_with_std('dead_time', 's', 'dead time of the brake; empty where none was learned'),
     *_with_std('force_scale', '1', 'actual over reported specific force'),
     *_with_std('force_delay', 's', 'delay of the stamps of the force'),
     *_with_std('wheel_ratio', '1', 'distance by the speed over that by the position, from stop to stop'),

@@ -24,10 +24,11 @@ class LabelRule:
     """How labels are found.
 
     Attributes:
-        pattern: Regular expression that is searched in the absolute path; its named groups are labels.
+        pattern: Regular expression that is searched in the absolute path as it is given, or else with links resolved;
+            its named groups are labels.
         is_given: True if the user gave it: then it comes before the custom data, else after.
         namespace: Namespace of the train, without the first slash; '' without one. It is the train unless the user's
-            pattern names another, as custom data and folder may be those of several trains.
+            pattern or the custom data name another; a folder may be that of several trains.
 
     """
 
@@ -42,13 +43,14 @@ class LabelRule:
             InputError: The pattern was given, but does not fit the path.
 
         """
-        match = self.pattern.search(path.resolve().as_posix())
+        places = (path.absolute(), path.resolve())
+        match = next(filter(None, (self.pattern.search(place.as_posix()) for place in places)), None)
         if match is None and self.is_given:
             msg = f"{path}: --label '{self.pattern.pattern}' does not fit the path"
             raise InputError(msg)
         found = {} if match is None else {name: text for name, text in match.groupdict().items() if text}
         if self.namespace:
-            custom = {**custom, 'train': self.namespace}
+            custom = {'train': self.namespace, **custom}
         both = {**custom, **found} if self.is_given else {**found, **custom}
         return {name: both.get(name, '') for name in LABELS}
 

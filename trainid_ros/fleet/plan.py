@@ -133,6 +133,14 @@ def setup_in(path: Path) -> Setup | None:
         return None
 
 
+def bags_in(path: Path) -> frozenset[str]:
+    """Return the paths of the bags in a file with a plan, none without one."""
+    try:
+        return frozenset(bag['path'] for bag in json.loads(path.read_text(encoding='utf-8'))['bags'])
+    except (OSError, ValueError, KeyError, TypeError):
+        return frozenset()
+
+
 def make_plan(setup: Setup, bags: tuple[PlannedBag, ...]) -> Plan:
     """Return the plan of bags; OSError if a file of the setup cannot be read."""
     files = {name: getattr(setup, name) for name in _FILES}

@@ -65,12 +65,12 @@ def load_mapping(path: str | Path) -> Mapping:
 
 def load_table_mapping(path: str | Path) -> Mapping:
     """Read a mapping file of a table; raises as :func:`load_mapping`."""
-    mapping = parse_mapping(read_text(path), str(path))
-    for name in (_TIME, 'speed'):
-        if getattr(mapping, name) is None:
-            msg = f'{path}: {name} is missing: a table needs a column for it'
+    text = read_text(path)
+    for name in (_TIME, 'speed'):  # first, as without a time the fields are those of messages
+        if name not in parse_yaml(text, str(path)).data:
+            msg = f'{path}: {name} is missing: a table needs a column for it, such as {name}: {{field: {name}}}'
             raise InputError(msg)
-    return mapping
+    return parse_mapping(text, str(path))
 
 
 def parse_mapping(text: str, source: str) -> Mapping:
@@ -163,7 +163,13 @@ def _raw(section: Section, *, is_table: bool) -> Source:
     if is_table:
         return Source('', (section.only(('field',)).text('field'),), _RAW)
     section.only(('topic', 'field', 'stamp'))
-    return Source(section.text('topic'), _path(section), _RAW, stamp=_stamp(section))
+    return Source(_topic(section), _path(section), _RAW, stamp=_stamp(section))
+
+
+def _topic(section: Section) -> str:
+    if 'topic' not in section.data:
+        section.fail('topic', f'is missing; where the field is a column of a table, {_TIME}: {{field: ...}} is missing')
+    return section.text('topic')
 
 
 def _stamp(section: Section) -> StampSource:
@@ -177,7 +183,7 @@ def _source(section: Section, key: str, *more: str, is_table: bool) -> Source:
     if abs(sign) != 1.0:
         section.fail('sign', f'= {sign:g} must be 1 or -1; other factors are a gain')
     source = Source(
-        topic='' if is_table else section.text('topic'),
+        topic='' if is_table else _topic(section),
         path=(section.text('field'),) if is_table else _path(section),
         unit=unit,
         sign=sign,
@@ -255,6 +261,8 @@ def _csv(section: Section) -> CsvFormat:
     for key in ('separator', 'decimal'):
         if key in section.data and len(section.text(key)) != 1:
             section.fail(key, f'= {shown(section.data[key])} must be one character')
+    if section.text('decimal', '.') not in {'.', ','}:
+        section.fail('decimal', f'= {shown(section.data["decimal"])} must be . or ,')
     if 'encoding' in section.data:
         try:
             codecs.lookup(section.text('encoding'))

@@ -48,6 +48,11 @@ def score(quantity: str, topic: str, field: str) -> float:
     return points - 2.0 * (not _OTHER.isdisjoint(words)) - 0.5 * (not _ACROSS.isdisjoint(words))
 
 
+def is_nameless(topic: str, field: str) -> bool:
+    """Return whether a name says nothing about what it carries."""
+    return all(score(quantity, topic, field) == 0.0 for quantity in _KNOWN)
+
+
 def unit_in(name: str, units: tuple[str, ...]) -> str:
     """Return the unit that a name states, one of those given; '' if it states none."""
     return next((unit for word in reversed(words_of(name)) if (unit := _UNITS.get(word, '')) in units), '')

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final
 
 from trainid_ros.mapping.suggest_brake import choose_brake
 from trainid_ros.mapping.suggest_force import choose_force, choose_gradient, choose_mass, specific_force, total_force
-from trainid_ros.mapping.suggest_speed import choose_speed, possible_speeds
+from trainid_ros.mapping.suggest_speed import choose_speed, possible_speeds, speeds_by_numbers
 from trainid_ros.mapping.suggestion import Choice, Suggestion, listed
 from trainid_ros.records import BRAKE_TOPIC, FORCE_TOPIC, GRADIENT_TOPIC, MASS_TOPIC, SPEED_TOPIC
 
@@ -61,7 +61,7 @@ def _choices(numbers: BagNumbers, train_file: TrainFile | None) -> list[Choice]:
     """Return what may be each quantity, also of those that come from our own topics."""
     own = [item for item in numbers.series if item.topic in numbers.own]
     foreign = [item for item in numbers.series if item.topic not in numbers.own]
-    speeds = [item for item in own if item.field == 'speed'] or possible_speeds(foreign)
+    speeds = [item for item in own if item.field == 'speed'] or possible_speeds(foreign) or speeds_by_numbers(foreign)
     if not speeds:
         return []
     speed, position, motion = choose_speed(speeds, [*foreign, *own])

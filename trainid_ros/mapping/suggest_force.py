@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from trainid_ros.mapping.evidence import at_times, correlation, regress
-from trainid_ros.mapping.names import family, score, unit_in
+from trainid_ros.mapping.names import family, is_nameless, score, unit_in
 from trainid_ros.mapping.suggestion import Choice, Part
 from trainid_ros.mapping.units import find_unit
 
@@ -30,6 +30,9 @@ _USUAL_ROTARY: Final = 0.08
 # Slopes of regressions are exact to this factor [1].
 _SLOPE_FACTOR: Final = 1.6
 _GOES_WITH: Final = 0.3
+# Least correlation of a force without a name with the acceleration, and factor within which a slope is 1 or g [1].
+_NAMELESS: Final = 0.6
+_SAME: Final = 1.25
 # Another force explains at least so much more of the variance of the acceleration [1], a gradient so much.
 _NEW_FORCE: Final = 0.02
 _GRADIENT_GAIN: Final = 1e-3
@@ -40,7 +43,7 @@ _LARGE_RAD: Final = 0.1
 _LARGE_T: Final = 3000.0
 
 
-def choose_force(series: Iterable[NumberSeries], motion: Motion, train_file: TrainFile | None) -> list[Choice]:
+def choose_force(series: Sequence[NumberSeries], motion: Motion, train_file: TrainFile | None) -> list[Choice]:
     """Return the sources whose sum goes with the acceleration best; empty if nothing does.
 
     Args:
@@ -58,6 +61,8 @@ def choose_force(series: Iterable[NumberSeries], motion: Motion, train_file: Tra
     totals = {key: _sum_at(items, motion) for key, items in groups.items()}
     chosen: list[tuple[str, str, str]] = []
     share = 0.0
+    if not groups:
+        return _as_force([[item] for item in _by_numbers(series, motion)], motion, train_file)
     while rest := [key for key in groups if key not in chosen]:
         shares = {key: _share([totals[item] for item in (*chosen, key)], motion) for key in rest}
         best = max(rest, key=lambda key: shares[key])
@@ -66,6 +71,22 @@ def choose_force(series: Iterable[NumberSeries], motion: Motion, train_file: Tra
             break
         chosen, share = [*chosen, best], shares[best]
     return _as_force([groups[key] for key in chosen], motion, train_file)
+
+
+def _by_numbers(series: Sequence[NumberSeries], motion: Motion) -> list[NumberSeries]:
+    """Return the number without a name that goes with the acceleration best and is not the acceleration; or none."""
+    best: tuple[float, list[NumberSeries]] = (_NAMELESS, [])
+    for item in series:
+        if item.is_whole or not is_nameless(item.topic, item.field):
+            continue
+        values = at_times(item, motion.times)
+        fit = regress(motion.acceleration, [values], motion.moving)
+        with_it = abs(correlation(values, motion.acceleration))
+        if fit is None or any(1.0 / _SAME < abs(fit.slopes[0]) / unit < _SAME for unit in (1.0, G)):
+            continue
+        if with_it > best[0]:
+            best = with_it, [item]
+    return best[1]
 
 
 def _share(totals: Sequence[Array], motion: Motion) -> float:
@@ -94,6 +115,8 @@ def _as_force(groups: list[list[NumberSeries]], motion: Motion, train_file: Trai
     )
     unit = _force_unit(choice, groups[0][0], abs(fit.slopes[0]), float(np.nanmax(np.abs(total))), train_file)
     choice.parts = tuple(Part(item, unit, sign) for sign, items in zip(signs, groups, strict=True) for item in items)
+    if is_nameless(choice.parts[0].series.topic, choice.parts[0].series.field):
+        choice.decisions.append('whether this is the force: no name says so')
     if len(choice.parts) > 1:
         choice.decisions.append('they are summed as forces of several cars or systems; leave out what counts twice')
     return [choice]

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from trainid_ros.mapping.evidence import Travel, at_times, common_times, compare_travel, correlation, derivative
-from trainid_ros.mapping.names import score, unit_in
+from trainid_ros.mapping.names import is_nameless, score, unit_in
 from trainid_ros.mapping.suggestion import Choice, Part, listed
 from trainid_ros.mapping.units import find_unit
 
@@ -31,6 +31,11 @@ _GOES_WITH: Final = 0.3
 # A number with a larger maximum, or a larger 99th percentile of its changes a second, is no speed in m/s.
 _FAST: Final = 60.0
 _STEEP: Final = 1.6
+# Without a name: the largest negative value, and change in a second, as shares of the largest value [1]; and the least
+# correlation of the derivative with another number.
+_NEGATIVE: Final = 0.02
+_SUDDEN: Final = 0.25
+_PUSHED: Final = 0.6
 
 
 @dataclass(frozen=True, slots=True)
@@ -71,6 +76,27 @@ def possible_speeds(series: Iterable[NumberSeries]) -> list[NumberSeries]:
     return found
 
 
+def speeds_by_numbers(series: Sequence[NumberSeries]) -> list[NumberSeries]:
+    """Return what may be a speed although no name says so.
+
+    It is never negative and changes slowly; and something is its integral, or goes with its derivative.
+    """
+    found = []
+    for item in series:
+        if not is_nameless(item.topic, item.field) or item.is_whole or not item.rate >= 1.0:
+            continue
+        top = float(np.max(item.value))
+        if not top > 0.0 or float(np.min(item.value)) < -_NEGATIVE * top:
+            continue
+        steps = derivative(at_times(item, common_times(item)))
+        if not np.isfinite(steps).any() or float(np.nanpercentile(np.abs(steps), 99.0)) > _SUDDEN * top:
+            continue
+        rank = _rank(item, series)
+        if rank.position is not None or abs(rank.push[0]) > _PUSHED:
+            found.append(item)
+    return found
+
+
 class _Ranked(NamedTuple):
     points: float
     speed: NumberSeries
@@ -95,6 +121,11 @@ def choose_speed(speeds: Sequence[NumberSeries], series: Sequence[NumberSeries])
     speed_si = factor * np.abs(at_times(best.speed, times))
     motion = Motion(best.speed, times, speed_si, derivative(speed_si))
     choice = Choice('speed', (Part(best.speed, unit),), decisions=decisions)
+    if is_nameless(best.speed.topic, best.speed.field):
+        choice.reasons.append(
+            f'no name says speed; by its numbers: never negative, up to {np.max(best.speed.value):.3g}'
+        )
+        choice.decisions.append('whether this is the speed')
     if abs(best.push[0]) > _GOES_WITH:
         choice.reasons.append(f'correlation {best.push[0]:.2f} of its derivative with {best.push[1]} {motion.minutes}')
     choice.reasons += reasons
@@ -110,18 +141,19 @@ def choose_speed(speeds: Sequence[NumberSeries], series: Sequence[NumberSeries])
 
 def _rank(speed: NumberSeries, series: Sequence[NumberSeries]) -> _Ranked:
     """Return how much speaks for a speed: its name, a position that is its integral, a force or acceleration."""
-    times = common_times(speed)
+    times, by_numbers = common_times(speed), is_nameless(speed.topic, speed.field)
     slope = derivative(np.abs(at_times(speed, times)))
     position, travel, push = None, Travel(0.0, math.nan), (0.0, '')
     for item in series:
         if item is speed or np.ptp(item.value) == 0.0:
             continue
         where = item.topic, item.field
-        if score('position', *where) > 0.0 and score('speed', item.field, item.field) <= 0.0:
+        unnamed = by_numbers and is_nameless(*where)
+        if unnamed or (score('position', *where) > 0.0 and score('speed', item.field, item.field) <= 0.0):
             found = compare_travel(speed, item)
             if found.correlation > travel.correlation:
                 position, travel = item, found
-        if max(score('force', *where), score('acceleration', *where)) > 0.0:
+        if unnamed or max(score('force', *where), score('acceleration', *where)) > 0.0:
             with_it = correlation(slope, at_times(item, times))
             if abs(with_it) > abs(push[0]):
                 push = (with_it, f'{item.topic} {item.field}')

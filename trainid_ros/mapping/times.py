@@ -11,6 +11,7 @@ from trainid_ros.records import NS_PER_S
 
 _FRACTION: Final = re.compile(r'[.,](\d{1,9})\d*')
 _DOTTED: Final = re.compile(r'^(\d\d?)\.(\d\d?)\.(\d{4})\b')
+_TIME_OF_DAY: Final = re.compile(r'([01]?\d|2[0-3]):([0-5]\d):([0-5]\d)(?:[.,](\d{1,9})\d*)?')
 _EPOCH: Final = datetime(1970, 1, 1, tzinfo=UTC)
 
 
@@ -27,3 +28,11 @@ def date_time_ns(text: str) -> int | None:
     since = (when if when.tzinfo else when.replace(tzinfo=UTC)) - _EPOCH
     part_ns = 0 if fraction is None else int(fraction[1].ljust(9, '0'))
     return (since.days * 86400 + since.seconds) * NS_PER_S + part_ns
+
+
+def time_of_day_ns(text: str) -> int | None:
+    """Return a time of day as time since midnight [ns], None if the text is none."""
+    if (found := _TIME_OF_DAY.fullmatch(text)) is None:
+        return None
+    hours, minutes, seconds, fraction = found.groups(default='')
+    return ((int(hours) * 60 + int(minutes)) * 60 + int(seconds)) * NS_PER_S + int(fraction.ljust(9, '0'))

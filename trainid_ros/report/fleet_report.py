@@ -60,7 +60,7 @@ def findings(view: FleetView, train: TrainView) -> tuple[str, ...]:
     if train.causes:
         which = f', of {view.labels.days[train.main.first]}' if train.main and len(train.departures) > 1 else ''
         causes = ', '.join(f'{c.title} ({c.probability:.0%})' for c in train.causes)
-        lines.append(f'By the channels{which}: {causes}.')
+        lines.append(f'By the channels alone{which}: {causes}.')
     return tuple(lines)
 
 

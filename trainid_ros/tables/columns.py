@@ -19,9 +19,11 @@ if TYPE_CHECKING:
     from trainid_ros.mapping.mapping import TimeColumn
 
 Column: TypeAlias = NDArray[Any]
-"""Numbers as float64, whole numbers as int64 or times as datetime64[ns]; NaN or NaT where a cell is blank."""
+"""Numbers as float64, whole numbers as int64, times as datetime64[ns], or times of day as timedelta64[ns]; NaN or NaT
+where a cell is blank."""
 ROWS_AT_ONCE: Final = 10_000
 _DATE_TIMES: Final = np.dtype('datetime64[ns]')
+_DAY_NS: Final = 86400 * NS_PER_S
 _YEAR_NS: Final = 366 * 86400 * NS_PER_S
 _RELATIVE_START_NS: Final = 946_684_800 * NS_PER_S
 """Where times that count from the start of a recording are put unless the mapping says when that was: 2000-01-01."""
@@ -93,6 +95,8 @@ class Clock:
     def __init__(self, time: TimeColumn) -> None:
         self.start_ns = time.start_ns
         self._time = time
+        self._midnights = 0
+        self._time_of_day_ns = 0
 
     def stamps(
         self, columns: dict[str, Column], where: object, rows_before: int
@@ -134,6 +138,8 @@ class Clock:
     def _since_ns(self, values: Column, known: NDArray[np.bool_]) -> NDArray[np.int64]:
         if values.dtype.kind == 'M':
             return np.where(known, values.astype(_DATE_TIMES).astype(np.int64), 0)
+        if values.dtype.kind == 'm':
+            return self._through_midnight(np.where(known, values.astype('timedelta64[ns]').astype(np.int64), 0), known)
         # A function returns seconds.
         ns = (1.0 if self._time.function is not None else self._time.unit.factor) * NS_PER_S
         limit = _MOST_NS // round(ns)
@@ -141,10 +147,20 @@ class Clock:
             return np.asarray(np.clip(values, -limit, limit) * round(ns))
         return np.rint(np.clip(np.where(known, values, 0.0), -limit, limit) * ns).astype(np.int64)
 
+    def _through_midnight(self, since_ns: NDArray[np.int64], known: NDArray[np.bool_]) -> NDArray[np.int64]:
+        """Return times of day as times since the first midnight [ns]; a step back by half a day is another midnight."""
+        times = since_ns[known]
+        passed = np.diff(times, prepend=self._time_of_day_ns) < -_DAY_NS // 2
+        days = self._midnights + np.cumsum(passed)
+        if times.size:
+            self._time_of_day_ns, self._midnights = int(times[-1]), int(days[-1])
+        since_ns[known] = times + _DAY_NS * days
+        return since_ns
+
 
 def numbers(column: Column) -> NDArray[np.float64]:
-    """Return a column as numbers; times in seconds since 1970."""
-    if column.dtype.kind != 'M':
+    """Return a column as numbers; times in seconds since 1970, times of day since midnight."""
+    if column.dtype.kind not in {'M', 'm'}:
         return np.asarray(column, dtype=np.float64)
-    seconds = column.astype(_DATE_TIMES).astype(np.int64) / NS_PER_S
+    seconds = column.astype(f'{column.dtype.kind}8[ns]').astype(np.int64) / NS_PER_S
     return np.where(np.isnat(column), np.nan, seconds)

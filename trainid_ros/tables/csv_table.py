@@ -8,7 +8,7 @@ import csv
 import io
 import math
 import re
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from itertools import islice
 from typing import TYPE_CHECKING, Final, NoReturn
@@ -16,12 +16,12 @@ from typing import TYPE_CHECKING, Final, NoReturn
 import numpy as np
 
 from trainid_ros.errors import InputError
-from trainid_ros.mapping.times import date_time_ns
+from trainid_ros.mapping.times import date_time_ns, time_of_day_ns
 from trainid_ros.tables.columns import ROWS_AT_ONCE, Block, Column, check_columns
 from trainid_ros.train.fields import shown
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
+    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
     from trainid_ros.mapping.mapping import CsvFormat
@@ -34,6 +34,12 @@ _MOST_UNIT_ROWS: Final = 5
 _COMMENT: Final = '#'
 _BLANK: Final = frozenset({'', '-', '--', 'na', 'n/a', '#n/a', 'nan', 'null', 'none'})
 _WORDS: Final = {'true': 1.0, 'false': 0.0}
+# Thousands marks by decimal sign: a point, a comma, an apostrophe or a space before each three digits.
+_MARKS: Final = "'\u2019\u00a0\u202f "
+_GROUPED: Final = {
+    decimal: re.compile(rf'[+-]?\d{{1,3}}([{other}{_MARKS}])\d{{3}}(\1\d{{3}})*({re.escape(decimal)}\d*)?')
+    for decimal, other in (('.', ','), (',', '.'))
+}
 _WHOLE: Final = re.compile(r'[+-]?(\d{1,18}|1\d{18})')  # of 64 bits
 
 
@@ -125,38 +131,44 @@ class CsvTable:
 
     def _column(self, name: str, lines: list[int], cells: list[str], layout: _Layout) -> Column:
         """Return a column of some rows."""
-        if layout.decimal != '.':
-            cells = [cell.replace(layout.decimal, '.') for cell in cells]
         if all(map(_WHOLE.fullmatch, cells)):
             return np.array([int(cell) for cell in cells], dtype=np.int64)
-        try:
-            return np.array([float(cell) for cell in cells], dtype=np.float64)
-        except ValueError:
-            pass
-        first = next((cell for cell in cells if not _is_blank(cell)), '')
-        if date_time_ns(first.strip()) is not None:
-            return self._times(name, lines, cells)
-        return np.array([self._number(name, *item) for item in zip(lines, cells, strict=True)], dtype=np.float64)
+        if layout.decimal == '.' or not any('.' in cell for cell in cells):
+            with suppress(ValueError):
+                return np.array([float(cell.replace(layout.decimal, '.')) for cell in cells], dtype=np.float64)
+        first = next((cell.strip() for cell in cells if not _is_blank(cell)), '')
+        if date_time_ns(first) is not None:
+            return self._times(name, lines, cells, date_time_ns, 'datetime64[ns]')
+        if time_of_day_ns(first) is not None:
+            return self._times(name, lines, cells, time_of_day_ns, 'timedelta64[ns]')
+        rows = zip(lines, cells, strict=True)
+        return np.array([self._number(name, *item, layout.decimal) for item in rows], dtype=np.float64)
 
-    def _times(self, name: str, lines: list[int], cells: list[str]) -> Column:
-        stamps = [None if _is_blank(cell) else date_time_ns(cell.strip()) for cell in cells]
+    def _times(
+        self, name: str, lines: list[int], cells: list[str], of_text: Callable[[str], int | None], kind: str
+    ) -> Column:
+        stamps = [None if _is_blank(cell) else of_text(cell.strip()) for cell in cells]
         for line, cell, stamp in zip(lines, cells, stamps, strict=True):
             if stamp is None and not _is_blank(cell):
-                self._fail(name, line, cell, 'is not a date with time')
-        return np.array(['NaT' if stamp is None else stamp for stamp in stamps], dtype='datetime64[ns]')
+                what = 'date with time' if kind.startswith('date') else 'time of day'
+                self._fail(name, line, cell, f'is not a {what}; {_FOOTER}')
+        return np.array(['NaT' if stamp is None else stamp for stamp in stamps], dtype=kind)
 
-    def _number(self, name: str, line: int, cell: str) -> float:
-        number = _number(cell)
+    def _number(self, name: str, line: int, cell: str, decimal: str) -> float:
+        number = _number(cell, decimal)
         if number is None:
             if ':' in cell:
-                self._fail(name, line, cell, 'is no date with time like 2024-03-08T12:00:00 or 08.03.2024 12:00:00')
+                self._fail(name, line, cell, 'is no time like 2024-03-08T12:00:00, 08.03.2024 12:00:00 or 12:00:00')
             hint = 'csv: {separator, decimal, header_rows} in the mapping says how the file is written'
-            self._fail(name, line, cell, f'is not a number; {hint}')
+            self._fail(name, line, cell, f'is not a number with the decimal sign {decimal!r}; {hint}; {_FOOTER}')
         return number
 
     def _fail(self, name: str, line: int, cell: str, problem: str) -> NoReturn:
         msg = f'{self.path}: line {line}: column {shown(name)} = {shown(cell)} {problem}'
         raise InputError(msg)
+
+
+_FOOTER: Final = 'lines of text below the numbers must go, or start with #'
 
 
 class _Progress:
@@ -233,25 +245,42 @@ def _unit_rows(rows: list[list[str]]) -> int:
 
 def _is_value(cell: str) -> bool:
     text = cell.strip()
-    number = _number(text.replace(',', '.'))
-    return (number is not None and not _is_blank(text)) or date_time_ns(text) is not None
+    if _is_blank(text):
+        return False
+    return any(_number(text, decimal) is not None for decimal in _GROUPED) or _is_time(text)
+
+
+def _is_time(text: str) -> bool:
+    return date_time_ns(text) is not None or time_of_day_ns(text) is not None
 
 
 def _decimal(rows: list[list[str]]) -> str:
     """Return the decimal sign of the numbers in some rows."""
-    cells = [cell for row in rows for cell in row if date_time_ns(cell.strip()) is None]
-    return ',' if any(',' in cell for cell in cells) and not any('.' in cell for cell in cells) else '.'
+    cells = [cell.strip() for row in rows for cell in row if not _is_time(cell.strip())]
+    # By the cells that only one of the two explains; then by which sign there is.
+    by_sign = {
+        sign: sum(_number(cell, sign) is not None and _number(cell, other) is None for cell in cells)
+        for sign, other in ((',', '.'), ('.', ','))
+    }
+    if by_sign[','] == by_sign['.']:  # as 1,234 alone is
+        return ',' if any(',' in cell for cell in cells) and not any('.' in cell for cell in cells) else '.'
+    return ',' if by_sign[','] > by_sign['.'] else '.'
 
 
 def _is_blank(cell: str) -> bool:
     return cell.strip().lower() in _BLANK
 
 
-def _number(cell: str) -> float | None:
+def _number(cell: str, decimal: str) -> float | None:
     """Return the number in a cell, NaN if it is blank, None if it holds something else."""
-    if _is_blank(cell):
+    text = cell.strip()
+    if _is_blank(text):
         return math.nan
+    if grouped := _GROUPED[decimal].fullmatch(text):
+        text = text.replace(grouped[1], '')
+    if decimal == ',' and '.' in text:  # which float() would take for the decimal sign
+        return None
     try:
-        return float(cell)
+        return float(text.replace(decimal, '.'))
     except ValueError:
-        return _WORDS.get(cell.strip().lower())
+        return _WORDS.get(text.lower())

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
 CSV_SUFFIXES: Final = ('.csv', '.tsv', '.txt', '.dat', '.log')
 _UNIT_SIGNS: Final = {'‰': 'per_mille', '%': 'percent', '°': 'deg', 'm/s²': 'm/s^2', 'km/hr': 'km/h', 'kmh': 'km/h'}
 _PARQUET_SUFFIXES: Final = ('.parquet', '.pq')
+# Share of the speeds that may have the time of the one before [1].
+_MOST_REPEATED: Final = 0.3
 # A position at the stamp of a speed must be known before that.
 _QUANTITIES: Final = ('position', 'speed', 'force', 'gradient', 'brake_command', 'mass')
 
@@ -78,6 +80,7 @@ class TableRecords:
         rows: Number of rows read.
         blank: Number of rows without a value, by quantity, and without a ``time``; those are left out.
         steps_back: Number of rows that are earlier than one before.
+        repeated: Number of speeds at the time of the one before.
         warnings: Where the file states another unit than the mapping.
 
     """
@@ -96,6 +99,7 @@ class TableRecords:
         self.rows = self.steps_back = 0
         self.blank: Counter[str] = Counter()
         self.warnings: tuple[str, ...] = ()
+        self.repeated = 0
         self._path, self._inputs, self._mapping = path, inputs, inputs.mapping
         self._table = open_table(path, inputs.mapping)
         if self._mapping.time is None:
@@ -107,7 +111,10 @@ class TableRecords:
             name: signal for name in _QUANTITIES if isinstance(signal := getattr(self._mapping, name), Signal)
         }
         self._held = math.nan
-        self._newest_ns = 0
+        self._newest_ns = self._speed_ns = 0
+        self._speeds = 0
+        self._first_repeated = ''
+        self._rows_before = 0
 
     def blocks(self) -> Iterator[tuple[float, list[tuple[int, Record]]]]:
         """Yield blocks of records: the share of the file read for it, and each with the newest stamp of its row [ns].
@@ -127,12 +134,14 @@ class TableRecords:
                 continue
             self.warnings = tuple(self._other_units())
             stamps, known = self._clock.stamps(block.columns, self._path, self.rows)
+            self._rows_before = self.rows
             self.rows += len(stamps)
             self.blank['time'] += int(np.count_nonzero(~known))
             feeds = self._all_feeds(block.columns, known)
             rows = np.flatnonzero(known)
             for start in range(0, len(rows), ROWS_AT_ONCE):
                 some = rows[start : start + ROWS_AT_ONCE]
+                self._check_times(stamps, feeds, some)
                 yield block.share * len(some) / len(rows), self._records(stamps, feeds, some)
 
     def _other_units(self) -> Iterator[str]:
@@ -146,6 +155,31 @@ class TableRecords:
             with suppress(ValueError):
                 if find_unit(_UNIT_SIGNS.get(stated, stated), quantity).factor != unit.factor:
                     yield f'{self._path}: column {shown(name)}: the file says {stated}, the mapping {unit.name}'
+
+    def _check_times(self, stamps: NDArray[np.int64], feeds: list[_Feed], rows: NDArray[np.intp]) -> None:
+        """Count speeds at the time of the one before.
+
+        Raises:
+            InputError: That is the rule, so the times do not say when a speed was measured.
+
+        """
+        speeds = [feed.values for feed in feeds if feed.quantity == 'speed' and feed.place <= 0]
+        known = rows[np.isfinite(speeds[0][rows])] if speeds else rows
+        repeats = known[np.diff(stamps[known], prepend=self._speed_ns) == 0]
+        if not known.size:
+            return
+        self._speed_ns = int(stamps[known[-1]])
+        self._speeds += known.size
+        self.repeated += repeats.size
+        if repeats.size and not self._first_repeated:
+            self._first_repeated = f'row {self._rows_before + int(repeats[0]) + 1}'
+        if self.repeated > _MOST_REPEATED * self._speeds:
+            msg = (
+                f'{self._path}: {self._first_repeated}: column {shown(", ".join(self._time.columns))} has the time of '
+                f'the row before, as {self.repeated} of {self._speeds} rows have: its resolution is too coarse for '
+                'their rate; take a finer column, or a function for the time'
+            )
+            raise InputError(msg)
 
     def _records(
         self, stamps: NDArray[np.int64], feeds: list[_Feed], rows: NDArray[np.intp]

@@ -1,0 +1,151 @@
+# SPDX-License-Identifier: Apache-2.0
+"""A forgotten sign, a wrong unit and a slow topic make a bag unusable for ``info`` as they do for ``replay``."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import pytest
+
+from trainid_ros.bag.bag_info import BagInfo, inspect
+from trainid_ros.bag.input_check import check_inputs
+from trainid_ros.bag.writer import BagWriter
+from trainid_ros.cli.main import main
+from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, MassRecord, Record, SpeedRecord
+from trainid_ros.sim.scenario import Scenario, simulate
+from trainid_ros.stream.alignment import AlignmentConfig
+from trainid_ros.train.train_file import Davis, Line, Train, TrainFile
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable
+    from pathlib import Path
+
+METRO = TrainFile(Train(mass=194e3), Davis(1.5, 0.02, 0.001), line=Line(stops=(0.0, 900.0, 1900.0)))
+ON_CHANGE = AlignmentConfig(command_hold=3600.0)
+
+
+@pytest.fixture(scope='module')
+def drive() -> list[Record]:
+    return list(simulate(Scenario(METRO, runs=1), np.random.default_rng(5003)).records)
+
+
+def problems(records: Iterable[Record], train: TrainFile | None, alignment: AlignmentConfig | None = None) -> str:
+    rows = (record.row() for record in records)
+    return '; '.join(check_inputs(rows, alignment or AlignmentConfig(), train).problems)
+
+
+def against(record: Record) -> Record:
+    return replace(record, force=-record.force) if isinstance(record, ForceRecord) else record
+
+
+def unsigned(record: Record) -> Record:
+    return replace(record, force=abs(record.force)) if isinstance(record, ForceRecord) else record
+
+
+def pushed(record: Record) -> Record:
+    if not isinstance(record, BrakeRecord):
+        return record
+    return replace(record, target_acceleration=-record.target_acceleration)
+
+
+@pytest.mark.parametrize('train', [None, METRO])
+def test_inputs_as_they_should_be(drive: list[Record], train: TrainFile | None) -> None:
+    assert check_inputs((record.row() for record in drive), AlignmentConfig(), train) == ((), ())
+
+
+@pytest.mark.parametrize('train', [None, METRO])
+@pytest.mark.parametrize(
+    ('change', 'found'),
+    [
+        (against, 'ato/force looks as if it had the wrong sign'),
+        (unsigned, 'ato/force drives while ato/brake_command brakes: its sign is missing or wrong'),
+        (pushed, 'ato/brake_command looks as if it had the wrong sign'),
+    ],
+)
+def test_a_forgotten_sign_is_named(
+    drive: list[Record], change: Callable[[Record], Record], found: str, train: TrainFile | None
+) -> None:
+    assert found in problems(map(change, drive), train)
+
+
+def test_a_unit_is_named_where_the_mass_is_known(drive: list[Record]) -> None:
+    in_kn = [replace(r, force=r.force / 1e3) if isinstance(r, ForceRecord) else r for r in drive]
+    assert 'ato/force looks like kN' in problems(in_kn, METRO)
+
+
+def thinned(records: Iterable[Record], period_s: float) -> list[Record]:
+    last: dict[type[Record], int] = {}
+    kept = []
+    for record in records:
+        if record.stamp_ns - last.get(type(record), 0) >= (period_s - 0.1) * NS_PER_S:
+            last[type(record)] = record.stamp_ns
+            kept.append(record)
+    return kept
+
+
+def info(path: Path, records: Iterable[Record]) -> BagInfo:
+    with BagWriter(path) as writer:
+        for record in records:
+            writer.write_record(record)
+    return inspect(path)
+
+
+def test_a_bag_below_1_hz_is_not_usable(tmp_path: Path, drive: list[Record]) -> None:
+    found = info(tmp_path / 'bag', thinned(drive, 2.0)).problems
+    assert 'ato/speed: comes every 2 s, and slower than 1.25 s is not used' in found
+    # Such commands hold for 2 s.
+    assert [line.partition(':')[0] for line in found] == ['ato/force', 'ato/gradient', 'ato/speed']
+    slow = info(tmp_path / 'slow', thinned(drive, 1.0))
+    assert slow.usable
+    assert not any('gaps' in line for line in slow.warnings)
+
+
+def test_a_mass_now_and_then_is_no_gap(tmp_path: Path, drive: list[Record]) -> None:
+    others = [record for record in drive if not isinstance(record, MassRecord)]
+    first_ns = others[0].stamp_ns
+    masses = [MassRecord(first_ns + k * NS_PER_S, 194e3) for k in (0, 1, 2, 3, 60, 61)]
+    assert info(tmp_path / 'bag', [*others, *masses]).warnings == ()
+
+
+def on_change(records: Iterable[Record]) -> list[Record]:
+    last, kept = 1.0, []
+    for record in records:
+        if isinstance(record, BrakeRecord):
+            if record.target_acceleration == last:
+                continue
+            last = record.target_acceleration
+        kept.append(record)
+    return kept
+
+
+def test_commands_on_change_hold_where_the_mapping_says_so(
+    tmp_path: Path, drive: list[Record], capsys: pytest.CaptureFixture[str]
+) -> None:
+    steps = [replace(r, target_acceleration=round(r.target_acceleration)) if isinstance(r, BrakeRecord) else r
+             for r in drive]  # fmt: skip
+    whole, sparse = info(tmp_path / 'whole', steps), info(tmp_path / 'sparse', on_change(steps))
+    assert 0.05 < whole.braking_share < 0.95
+    assert any('BRAKE_COMMAND_MISSING' in line for line in sparse.problems)
+    held = tmp_path / 'map.yaml'
+    held.write_text(
+        'brake_command: {topic: ato/brake_command, field: target_acceleration, unit: m/s^2, on_change: true}\n',
+        encoding='utf-8',
+    )
+    capsys.readouterr()
+    assert main(['info', str(tmp_path / 'sparse'), '--map', str(held)]) == 0
+    out = capsys.readouterr().out
+    assert 'warning' not in out
+    assert f'braking {whole.braking_share:.0%} of the time' in out
+    assert problems(on_change(steps), METRO, ON_CHANGE) == ''
+
+
+def test_what_is_out_of_range_is_counted(drive: list[Record]) -> None:
+    steep = [replace(r, gradient=300.0) if isinstance(r, GradientRecord) and not k % 100 else r
+             for k, r in enumerate(drive)]  # fmt: skip
+    count = sum(isinstance(r, GradientRecord) and r.gradient == 300.0 for r in steep)
+    found = check_inputs((record.row() for record in steep), AlignmentConfig(), METRO).warnings
+    assert found == (f'ato/gradient: {count} messages out of range, the first with 300',)
+    assert count > 0
+    assert SpeedRecord in map(type, steep)
