@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from trainid_ros.estimators.brake_findings import brake_findings
-from trainid_ros.estimators.pipeline import EstimatorSettings, brake_rate_pipeline, resistance_pipeline
+from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline
 from trainid_ros.results import Status
 from trainid_ros.sim.scenario import Scenario, Simulation, simulate
 from trainid_ros.train.train_file import TrainFile

@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 from trainid_ros.stream.brake_delay_check import BrakeDelayCheck, BrakeTiming
-from trainid_ros.stream.samples import BrakeCommandChange, Sample
-from trainid_ros.train.brake import lag_integral, lag_response
+from trainid_ros.stream.samples import Sample
+from trainid_ros.train.brake import BrakeCommandChange, lag_integral, lag_response
 from trainid_ros.train.train_file import Brake, TrainFile
 
 Make = Callable[..., Sample]

@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 import numpy as np
 
 from trainid_ros.estimators.contradiction import Contradiction
-from trainid_ros.estimators.known_force import KnownForce
 from trainid_ros.record_validation import find_fault
 from trainid_ros.records import BRAKE, BRAKE_TOPIC, FORCE_TOPIC, INPUT_TOPICS, NS_PER_S
 from trainid_ros.results import Reason
+from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.sample_stream import SampleStream, StreamConfig
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.davis import G
