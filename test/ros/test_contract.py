@@ -86,7 +86,7 @@ def test_a_fault_is_repeated_too(graph: Graph, train_file: str) -> None:
 
 def test_promises_are_offered_and_can_be_overridden(graph: Graph, train_file: str) -> None:
     node = graph.active(train_file)
-    offered, latched = node._estimates.qos_profile, node._last_valid.qos_profile
+    offered, latched = node.publisher.live.qos_profile, node.publisher.last_valid.qos_profile
     assert offered.deadline == Duration(seconds=DEADLINE_S)
     assert offered.lifespan == Duration(seconds=LIFESPAN_S)
     assert offered.liveliness == latched.liveliness == LivelinessPolicy.AUTOMATIC
@@ -98,7 +98,7 @@ def test_promises_are_offered_and_can_be_overridden(graph: Graph, train_file: st
     arguments = ('-p', f'{name}.deadline:=300000000', '-p', f'{name}.liveliness_lease_duration:=500000000')
     node = graph.make(RESISTANCE_NODE, arguments=arguments, train_file=train_file)
     assert node.bring_up(), node.failure
-    offered = node._estimates.qos_profile
+    offered = node.publisher.live.qos_profile
     assert (offered.deadline.nanoseconds, offered.liveliness_lease_duration.nanoseconds) == (300_000_000, 500_000_000)
 
 
@@ -120,7 +120,7 @@ def test_a_subscriber_that_asks_for_more_is_named_once_in_the_log(
 def test_a_late_joiner_learns_that_the_last_valid_estimate_is_not_kept_up(graph: Graph, train_file: str) -> None:
     node = graph.active(train_file, **NARROW)
     graph.feed(node, graph.coasting(150))
-    assert node._latched is Status.VALID
+    assert node.publisher.latched is Status.VALID
     graph.until(lambda: node.pipeline.status is Status.STALE)
     got: list[Any] = []
     latched = QoSProfile(depth=1, durability=DurabilityPolicy.TRANSIENT_LOCAL)

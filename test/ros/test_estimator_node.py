@@ -251,7 +251,7 @@ def test_messages_over_the_graph_give_estimates(graph: Graph, train_file: str) -
         topic = {'AtoForce': 'force', 'TrackGradient': 'gradient', 'BrakeCommand': 'brake_command', 'AtoSpeed': 'speed'}
         publishers[kind] = source.create_publisher(kind, f'ato/{topic[kind.__name__]}', 20)
     graph.until(lambda: all(p.get_subscription_count() for p in publishers.values()))
-    graph.until(node._estimates.get_subscription_count)
+    graph.until(node.publisher.live.get_subscription_count)
     for record in records:
         message = message_from_record(record)
         publishers[type(message)].publish(message)

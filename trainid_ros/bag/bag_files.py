@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
     from mcap.records import Channel, Schema
 
-    from trainid_ros.bag.mcap_file import MessageBlock
+    from trainid_ros.bag.message_block import MessageBlock
 
 METADATA: Final = 'metadata.yaml'
 _SQLITE: Final = b'SQLite format 3\0'

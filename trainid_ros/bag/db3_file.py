@@ -13,7 +13,7 @@ from rosbags.interfaces import ConnectionExtRosbag2, MessageDefinitionFormat
 from rosbags.rosbag2.errors import ReaderError
 from rosbags.rosbag2.storage_sqlite3 import Sqlite3Reader
 
-from trainid_ros.bag.mcap_file import MessageBlock
+from trainid_ros.bag.message_block import MessageBlock
 from trainid_ros.bag.types import full_definition, full_type
 from trainid_ros.errors import InputError
 from trainid_ros.messages import OUTPUT_TOPICS

@@ -12,7 +12,6 @@ Record layout: MCAP specification, https://mcap.dev/spec.
 
 from __future__ import annotations
 
-import struct
 from array import array
 from collections import Counter
 from dataclasses import dataclass
@@ -21,13 +20,14 @@ from typing import TYPE_CHECKING, Final, NamedTuple, NoReturn
 
 import numpy as np
 from mcap.data_stream import ReadDataStream
-from mcap.exceptions import McapError
 from mcap.opcode import Opcode
-from mcap.records import Channel, ChunkIndex, Schema, Statistics
+from mcap.records import ChunkIndex, Statistics
 
 from trainid_ros.bag.chunk import MAX_CHUNK, MAX_HEAD, DamageError, read_head, unpack, unpack_start
 from trainid_ros.bag.chunk_contents import indexed_contents
-from trainid_ros.bag.record_file import HEAD, MAGIC, MESSAGE_BYTES, Record, RecordFile, values_at
+from trainid_ros.bag.definitions import DEFINITIONS, UNREADABLE, Definitions
+from trainid_ros.bag.message_block import MessageBlock, channels_at, lengths_at, messages_at
+from trainid_ros.bag.record_file import HEAD, MAGIC, MESSAGE_BYTES, Record, RecordFile
 from trainid_ros.errors import InputError
 
 if TYPE_CHECKING:
@@ -36,38 +36,13 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
-# Channel, sequence, log time and publish time of a message.
-_MESSAGE: Final = np.dtype([('channel', '<u2'), ('sequence', '<u4'), ('log_ns', '<u8'), ('publish_ns', '<u8')])
-_LENGTH: Final = np.dtype('<i8')
 _RUN_BYTES: Final = 1 << 20  # messages outside chunks are taken together up to this size
 _MOST_EXPANSION: Final = 50
 """Most bytes that the chunks of a file may unpack to for each of its bytes, if together above the largest chunk."""
-_DEFINITIONS: Final = (Opcode.SCHEMA, Opcode.CHANNEL)
-_PLAIN: Final = (*_DEFINITIONS, Opcode.MESSAGE)
+_PLAIN: Final = (*DEFINITIONS, Opcode.MESSAGE)
 _CHUNK: Final = bytes([Opcode.CHUNK])
 _NAMED_LOSSES: Final = 5
 _MB: Final = 1 << 20
-_UNREADABLE: Final = (McapError, struct.error, UnicodeDecodeError, OverflowError, KeyError)
-
-
-@dataclass(frozen=True, slots=True)
-class MessageBlock:
-    """The messages of one segment, in the order of the file.
-
-    Attributes:
-        data: The bytes they lie in, shape (m,).
-        start: Where their payloads start in ``data``, shape (n,).
-        end: Where they end, shape (n,).
-        channel: Numbers of their channels, shape (n,).
-        log_ns: Log times, shape (n,).
-
-    """
-
-    data: NDArray[np.uint8]
-    start: NDArray[np.intp]
-    end: NDArray[np.intp]
-    channel: NDArray[np.uint16]
-    log_ns: NDArray[np.uint64]
 
 
 class Piece(NamedTuple):
@@ -130,15 +105,13 @@ class McapFile:
 
         """
         self.path = path
-        self.channels: dict[int, Channel] = {}
-        self.schemas: dict[int, Schema] = {}
+        self._definitions = Definitions()
+        self.channels, self.schemas = self._definitions.channels, self._definitions.schemas
         self.counts: Counter[int] = Counter()
         self.segments: list[Segment] = []
         self.first_ns = self.last_ns = 0
         self.promised: int | None = None
         self.warnings: list[str] = []
-        self._spare_channels: dict[int, Channel] = {}
-        self._spare_schemas: dict[int, Schema] = {}
         self._indexes: dict[int, ChunkIndex] = {}
         self._is_needed = is_needed
         self._max_chunk = max_chunk
@@ -173,7 +146,7 @@ class McapFile:
                 data = b''.join(self._file.read(offset, length) for offset, length in segment.runs)
             else:
                 data = self._load(segment.piece)
-            return _block(data, segment.starts.astype(np.intp))
+            return messages_at(data, segment.starts.astype(np.intp))
         except (DamageError, IndexError):
             self._fail('has changed while it was read')
 
@@ -223,14 +196,14 @@ class McapFile:
         """Note the index, and what is repeated of definitions, in case that those before the messages are lost."""
         for opcode, content in self._file.summary():
             try:
-                if opcode in _DEFINITIONS:
-                    _define(opcode, content, self._spare_schemas, self._spare_channels)
+                if opcode in DEFINITIONS:
+                    self._definitions.spare.add(opcode, content)
                 elif opcode == Opcode.CHUNK_INDEX:
                     index = ChunkIndex.read(ReadDataStream(BytesIO(content)))
                     self._indexes[index.chunk_start_offset] = index
                 elif opcode == Opcode.STATISTICS:
                     self.promised = Statistics.read(ReadDataStream(BytesIO(content))).message_count
-            except _UNREADABLE:
+            except UNREADABLE:
                 return
 
     def _scan_records(self) -> tuple[int, Record | None]:
@@ -277,7 +250,7 @@ class McapFile:
         if index is None or contents is None or self._file.record(contents.end) is None:
             return 0
         for number in contents.counts:
-            self._use_spare(number)
+            self._definitions.use_spare(number)
         self.counts.update(contents.counts)
         first_ns, last_ns = index.message_start_time, index.message_end_time
         self._span(first_ns, last_ns)
@@ -288,7 +261,7 @@ class McapFile:
         return contents.end
 
     def _is_channel_needed(self, number: int) -> bool:
-        channel = self._spare_channels.get(number)
+        channel = self._definitions.spare.channels.get(number)
         return channel is None or self._is_needed(channel.topic)
 
     def _span(self, first_ns: int, last_ns: int) -> None:
@@ -340,38 +313,28 @@ class McapFile:
             position = start + length
             if opcode == message:
                 starts.append(start)
-            elif opcode in _DEFINITIONS:
+            elif opcode in DEFINITIONS:
                 try:
-                    _define(opcode, data[start:position], self.schemas, self.channels)
-                except _UNREADABLE:
+                    self._definitions.add(opcode, data[start:position])
+                except UNREADABLE:
                     self._losses.append('an unreadable message definition')
         return np.asarray(starts, dtype=np.intp), position
 
     def _add(self, piece: Piece, data: bytes, starts: NDArray[np.intp]) -> None:
         """Note the messages of a block of bytes that have a channel."""
-        starts = starts[_lengths(data, starts) >= MESSAGE_BYTES]
-        channel = values_at(data, starts, _MESSAGE)['channel']
+        starts = starts[lengths_at(data, starts) >= MESSAGE_BYTES]
+        channel = channels_at(data, starts)
         for number in np.flatnonzero(np.bincount(channel)).tolist():
-            if number not in self.channels and not self._use_spare(number):
+            if number not in self.channels and not self._definitions.use_spare(number):
                 starts, channel = starts[channel != number], channel[channel != number]
                 self._losses.append(f'messages on the unknown channel {number} near byte {piece.offset} are lost')
         if not starts.size:
             return
-        block = _block(data, starts)
+        block = messages_at(data, starts)
         self.counts.update(dict(enumerate(np.bincount(block.channel).tolist())))
         first, last = int(block.log_ns.min()), int(block.log_ns.max())
         self._span(first, last)
         self.segments.append(Segment(piece, first, last, starts.astype(np.uint32)))
-
-    def _use_spare(self, number: int) -> bool:
-        """Take the definition of a channel from the summary; return whether it is there."""
-        channel = self._spare_channels.get(number)
-        if channel is None:
-            return False
-        self.channels[number] = channel
-        if channel.schema_id in self._spare_schemas:
-            self.schemas.setdefault(channel.schema_id, self._spare_schemas[channel.schema_id])
-        return True
 
     def _load(self, piece: Piece, *, is_new: bool = False) -> bytes:
         """Return the records of a piece of the file, unpacked and checked; ``is_new`` the first time.
@@ -413,27 +376,3 @@ class McapFile:
     def _fail(self, what: str) -> NoReturn:
         msg = f'{self.path}: {what}'
         raise InputError(msg)
-
-
-def _define(opcode: int, content: bytes, schemas: dict[int, Schema], channels: dict[int, Channel]) -> None:
-    """Note a schema or a channel; one of _UNREADABLE if it cannot be read."""
-    stream = ReadDataStream(BytesIO(content))
-    if opcode == Opcode.SCHEMA:
-        schema = Schema.read(stream)
-        schemas[schema.id] = schema
-    else:
-        channel = Channel.read(stream)
-        channels[channel.id] = channel
-
-
-def _block(data: bytes, starts: NDArray[np.intp]) -> MessageBlock:
-    """Return the messages whose records, without opcode and length, start at these places."""
-    heads = values_at(data, starts, _MESSAGE)
-    ends = starts + _lengths(data, starts)
-    content = np.frombuffer(data, dtype=np.uint8)
-    return MessageBlock(content, starts + _MESSAGE.itemsize, ends, heads['channel'], heads['log_ns'])
-
-
-def _lengths(data: bytes, starts: NDArray[np.intp]) -> NDArray[np.int64]:
-    """Return the lengths of records, which stand before their starts."""
-    return values_at(data, starts - _LENGTH.itemsize, _LENGTH)

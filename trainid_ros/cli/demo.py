@@ -124,43 +124,37 @@ def summary(
     outcomes: Sequence[ComparisonOutcome], hidden: HiddenCase | None = None, stops: StopCase | None = None
 ) -> str:
     """Return the results as lines of text."""
-    lines: list[str] = []
-    for outcome in outcomes:
-        chapter = outcome.chapter
-        lines += ['', chapter.title, f'  {chapter.traces.duration_s / 60.0:.0f} min of driving, {chapter.how}']
-        w, f = chapter.resistance, chapter.brake_rate
-        lines.append(
-            f'  w(v) = {w.estimate.a:.3f} + {w.estimate.b:.4f} v + {w.estimate.c:.5f} v² N/kN, '
-            f'{w.status.name}, {w.used} samples used, {w.rejected} rejected'
-        )
-        lines.append(f'  brake rate {f.estimate.brake_rate:.3f} ± {f.estimate.brake_rate_std:.3f}, {f.status.name}')
-        lines += _score_lines('w at the current speed', 'N/kN', outcome.resistance)
-        lines += _score_lines('brake rate', '', outcome.brake_rate)
-        lines += [f'  {note}' for note in chapter.notes]
+    chapters = [(outcome.chapter.title, _outcome_lines(outcome)) for outcome in outcomes]
     if hidden is not None:
         from trainid_ros.demo.hidden import describe_hidden  # noqa: PLC0415
 
-        lines += [
-            '',
-            'Effect missing from the train file',
-            *(f'  {line}'.rstrip() for line in describe_hidden(hidden).split('\n')),
-        ]
+        chapters.append(('Effect missing from the train file', describe_hidden(hidden).split('\n')))
     if stops is not None:
         from trainid_ros.demo.stops import describe_stops  # noqa: PLC0415
 
-        lines += [
-            '',
-            'Stops by different values',
-            *(f'  {line}'.rstrip() for line in describe_stops(stops).split('\n')),
-        ]
-    return '\n'.join(lines)
+        chapters.append(('Stops by different values', describe_stops(stops).split('\n')))
+    return '\n'.join(text for title, lines in chapters for text in ('', title, *(f'  {x}'.rstrip() for x in lines)))
+
+
+def _outcome_lines(outcome: ComparisonOutcome) -> list[str]:
+    chapter = outcome.chapter
+    w, f = chapter.resistance, chapter.brake_rate
+    return [
+        f'{chapter.traces.duration_s / 60.0:.0f} min of driving, {chapter.how}',
+        f'w(v) = {w.estimate.a:.3f} + {w.estimate.b:.4f} v + {w.estimate.c:.5f} v² N/kN, '
+        f'{w.status.name}, {w.used} samples used, {w.rejected} rejected',
+        f'brake rate {f.estimate.brake_rate:.3f} ± {f.estimate.brake_rate_std:.3f}, {f.status.name}',
+        *_score_lines('w at the current speed', 'N/kN', outcome.resistance),
+        *_score_lines('brake rate', '', outcome.brake_rate),
+        *chapter.notes,
+    ]
 
 
 def _score_lines(name: str, unit: str, score: AccuracyScore | None) -> list[str]:
     if score is None:
         return []
     return [
-        f'  {name}, error against truth: rms {score.rms:.3f} {unit}'.rstrip()
+        f'{name}, error against truth: rms {score.rms:.3f} {unit}'.rstrip()
         + f', mean {score.bias:+.3f}, last {score.last:+.3f}; truth within ±1 std {score.inside_68:.0%}, '
         f'within ±1.96 std {score.inside_95:.0%} of the time'
     ]

@@ -3,7 +3,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.cli.output import progress
@@ -36,7 +36,22 @@ def run(args: argparse.Namespace) -> int:
     from trainid_ros.ros.runner import close_nodes, spin_nodes, start_ros, stop_ros  # noqa: PLC0415
 
     arguments = start_ros(args.ros_args)
-    values = {
+    overrides = [Parameter(name, value=value) for name, value in _parameters(args).items()]
+    player = BagPlayer(arguments, parameter_overrides=overrides)
+    if not player.bring_up():
+        failure = player.failure
+        close_nodes([player])
+        stop_ros()
+        raise InputError(failure)
+    with progress(f'playing {args.bag.name}', player.timeline.duration_s) as advance:
+        shown = _Shown(player, advance)
+        spin_nodes([player], until=shown.is_done)
+    return 0
+
+
+def _parameters(args: argparse.Namespace) -> dict[str, Any]:
+    """Return the parameters of the player."""
+    return {
         'bag': str(args.bag.absolute()),
         'bag_namespace': args.namespace,
         'mapping_file': '' if args.map is None else str(args.map.absolute()),
@@ -47,16 +62,6 @@ def run(args: argparse.Namespace) -> int:
         'loop': args.loop,
         'wait': args.wait,
     }
-    player = BagPlayer(arguments, parameter_overrides=[Parameter(name, value=value) for name, value in values.items()])
-    if not player.bring_up():
-        failure = player.failure
-        close_nodes([player])
-        stop_ros()
-        raise InputError(failure)
-    with progress(f'playing {args.bag.name}', player.timeline.duration_s) as advance:
-        shown = _Shown(player, advance)
-        spin_nodes([player], until=shown.is_done)
-    return 0
 
 
 class _Shown:

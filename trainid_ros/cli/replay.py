@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from trainid_ros.bag.observers import TraceObserver
     from trainid_ros.report.traces import Traces
     from trainid_ros.resistance.suggested_drive import SuggestedDrive
-    from trainid_ros.results import Reason
+    from trainid_ros.results import Output, Reason, ResistanceEstimate
     from trainid_ros.sim.truth import Truth
     from trainid_ros.train.train_file import TrainFile
 
@@ -202,21 +202,13 @@ def to_json(
 ) -> dict[str, Any]:
     """Return the object of ``--json``; counters at the top are those of the resistance."""
     resistance, model, brake = outcome.resistance, outcome.speed_model, outcome.brake_rate
-    w, m, f = resistance.output.estimate, model.output.estimate, brake.output.estimate
-    learned = w.speed_max > 0.0
+    m, f = model.output.estimate, brake.output.estimate
     body = {
         'samples': resistance.samples,
         'duration_s': outcome.duration_s,
         'used': resistance.output.used,
         'rejected': dict(resistance.rejections),
-        'resistance': {
-            **{'a': w.a, 'b': w.b, 'c': w.c, 'std': _deviations(w.covariance)},
-            'status': resistance.output.status,
-            'speed_range': [w.speed_min, w.speed_max] if learned else [None, None],
-            'force_scale': {'value': w.force_scale, 'std': w.force_scale_std},
-            'force_delay': {'value': w.force_delay, 'std': w.force_delay_std},
-            'findings': list(force_findings(w)),
-        },
+        'resistance': _resistance(resistance.output),
         'speed_model': {
             **{'a1': m.a1, 'a2': m.a2, 'b1': m.b1, 'd0': m.d0, 'status': model.output.status},
             **_counters(model),
@@ -235,6 +227,18 @@ def to_json(
     }
     plain: dict[str, Any] = to_plain(body)
     return plain
+
+
+def _resistance(output: Output[ResistanceEstimate]) -> dict[str, Any]:
+    w = output.estimate
+    return {
+        **{'a': w.a, 'b': w.b, 'c': w.c, 'std': _deviations(w.covariance)},
+        'status': output.status,
+        'speed_range': [w.speed_min, w.speed_max] if w.speed_max > 0.0 else [None, None],
+        'force_scale': {'value': w.force_scale, 'std': w.force_scale_std},
+        'force_delay': {'value': w.force_delay, 'std': w.force_delay_std},
+        'findings': list(force_findings(w)),
+    }
 
 
 def _counters(result: Result[Any]) -> dict[str, Any]:

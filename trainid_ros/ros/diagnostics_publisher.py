@@ -47,10 +47,25 @@ class DiagnosticsPublisher:
     def publish(self) -> None:
         """Publish everything; called once per diagnostic period."""
         node = self._node
-        now_ns = node.now_ns()
-        clock_problem = self._clock_problem(now_ns)
+        health = self._health(node.now_ns())
+        array = DiagnosticArray()
+        array.header.stamp = time_message(health.now_ns)
+        if node.pipeline is None:
+            self._known.clear()
+            self._search, self._searched_ns, self._drive = None, -_SEARCH_EVERY_NS, None
+            array.status = [idle_status(health)]
+        else:
+            array.status = [self._estimator(health, node.pipeline), *self._inputs(health)]
+        for status in array.status:
+            status.message = node.mapping.named(status.message)
+            for item in status.values:
+                item.value = node.mapping.named(item.value)
+        self._publisher.publish(array)
+
+    def _health(self, now_ns: int) -> NodeHealth:
+        node, clock_problem = self._node, self._clock_problem(now_ns)
         self._note_problems(now_ns, clock_problem)
-        health = NodeHealth(
+        return NodeHealth(
             name=node.get_fully_qualified_name().strip('/'),
             state=node.state,
             failure=node.failure,
@@ -62,26 +77,18 @@ class DiagnosticsPublisher:
             unsaved=node.checkpoints.problem,
             began=self._began,
         )
-        array = DiagnosticArray()
-        array.header.stamp = time_message(now_ns)
-        pipeline = node.pipeline
-        if pipeline is None:
-            self._known.clear()
-            self._search, self._searched_ns, self._drive = None, -_SEARCH_EVERY_NS, None
-            array.status = [idle_status(health)]
-        else:
-            details = node.spec.details(node.prior, pipeline.current().estimate)
-            details = (*details, *self._to_drive(pipeline, now_ns))
-            steps = node.step_times.summary()
-            array.status = [estimator_status(health, pipeline, node.spec.shown, node.prior, steps, details)]
-            for monitor in node.monitors.by_topic.values():
-                topic = node.resolve_topic_name(monitor.topic.name)
-                array.status.append(input_status(health, monitor, topic, self._judge(monitor, topic, now_ns)))
-        for status in array.status:
-            status.message = node.mapping.named(status.message)
-            for item in status.values:
-                item.value = node.mapping.named(item.value)
-        self._publisher.publish(array)
+
+    def _estimator(self, health: NodeHealth, pipeline: EstimatorPipeline[Any]) -> DiagnosticStatus:
+        node = self._node
+        details = node.spec.details(node.prior, pipeline.current().estimate)
+        details = (*details, *self._to_drive(pipeline, health.now_ns))
+        steps = node.step_times.summary()
+        return estimator_status(health, pipeline, node.spec.shown, node.prior, steps, details)
+
+    def _inputs(self, health: NodeHealth) -> Iterator[DiagnosticStatus]:
+        for monitor in self._node.monitors.by_topic.values():
+            topic = self._node.resolve_topic_name(monitor.topic.name)
+            yield input_status(health, monitor, topic, self._judge(monitor, topic, health.now_ns))
 
     def _to_drive(self, pipeline: EstimatorPipeline[Any], now_ns: int) -> Iterator[tuple[str, str]]:
         """Yield what to drive for a better estimate; each call goes on with the search, and the last result stands."""

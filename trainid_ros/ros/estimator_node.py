@@ -25,6 +25,7 @@ from trainid_ros.results import Rejection, Status
 from trainid_ros.ros.checkpoints import Checkpoints
 from trainid_ros.ros.diagnostics import EstimatorSpec, StepTimes
 from trainid_ros.ros.diagnostics_publisher import DiagnosticsPublisher
+from trainid_ros.ros.estimate_publisher import EstimatePublisher
 from trainid_ros.ros.foreign_topics import required_inputs
 from trainid_ros.ros.input_monitor import InputMonitors
 from trainid_ros.ros.inputs import InputGroup, SharedInputs
@@ -41,16 +42,8 @@ from trainid_ros.ros.parameter_specs import (
     requested_algorithm,
 )
 from trainid_ros.ros.services import NUMERICAL_ERRORS, EstimatorServices
-from trainid_ros.ros.status_changes import HEARTBEAT_NS, REPEATED, StatusChanges, is_latched
-from trainid_ros.ros.topics import (
-    SerializedEstimate,
-    fill_estimate,
-    latched_qos,
-    message_class,
-    offered_estimate_qos,
-    overridable,
-    publisher_events,
-)
+from trainid_ros.ros.status_changes import HEARTBEAT_NS, REPEATED, StatusChanges
+from trainid_ros.ros.topics import SerializedEstimate, fill_estimate, message_class
 from trainid_ros.ros.watchdog import Watchdog
 from trainid_ros.stream.sample_stream import LARGEST_STEP_S, TimeJumpPolicy
 from trainid_ros.train.train_file import load_train_file
@@ -64,8 +57,6 @@ if TYPE_CHECKING:
 
 _FIRST_WATCH_S: Final = 0.1
 _SHORTEST_WATCH_NS: Final = NS_PER_S // 100
-# Statuses with which the estimate of a loaded state is latched.
-_WORTH_LATCHING: Final = (Status.VALID, Status.HOLDING, Status.STALE)
 _SUCCESS: Final = TransitionCallbackReturn.SUCCESS
 
 
@@ -103,8 +94,7 @@ class EstimatorNode(ManagedNode):
         self._input_group: InputGroup | None = None
         self.monitors = InputMonitors(self._settings.alignment)
         self.status_changes = StatusChanges(self.get_logger(), self.missing_inputs)
-        self._estimates: Any = None
-        self._last_valid: Any = None
+        self._publisher: EstimatePublisher | None = None
         self._jump_handle: Any = None
         self._watchdog_timer: Any = None
         self._forget()
@@ -194,10 +184,7 @@ class EstimatorNode(ManagedNode):
         return build_train_file(self.parameters.values(), frozenset(self.parameters.given), base)
 
     def _open(self) -> None:
-        job = self.job
-        self._estimates = self._offer(job.topic.name, offered_estimate_qos())
-        if job.topic.last_valid:
-            self._last_valid = self._offer(job.topic.last_valid, latched_qos())
+        self._publisher = EstimatePublisher(self, self.job.topic, self.status_changes)
         alignment = self._settings.alignment
         self._input_group = self._inputs.join(self)
         self.monitors = InputMonitors(alignment, self._input_group.topics)
@@ -205,15 +192,6 @@ class EstimatorNode(ManagedNode):
         threshold = JumpThreshold(min_forward=None, min_backward=back, on_clock_change=False)
         # The clock drops callbacks whose handle is not kept.
         self._jump_handle = self.get_clock().create_jump_callback(threshold, post_callback=self._note_jump)
-
-    def _offer(self, topic: str, profile: Any) -> Any:
-        return self.create_lifecycle_publisher(
-            self._message,
-            topic,
-            profile,
-            event_callbacks=publisher_events(self.get_logger(), topic),
-            qos_overriding_options=overridable('publisher'),
-        )
 
     def _pause(self) -> None:
         self.checkpoints.pause(self.pipeline, running=self._listening)
@@ -228,12 +206,11 @@ class EstimatorNode(ManagedNode):
         self.checkpoints.close(self.pipeline, running=self._listening)
         self._pause()
         self._inputs.leave(self)
-        for publisher in (self._estimates, self._last_valid):
-            if publisher is not None:
-                self.destroy_lifecycle_publisher(publisher)
+        if self._publisher is not None:
+            self._publisher.close()
         if self._jump_handle is not None:
             self._jump_handle.unregister()
-        self._input_group = self._estimates = self._last_valid = self._jump_handle = self.prior = None
+        self._input_group = self._publisher = self._jump_handle = self.prior = None
         self._forget()
 
     def _forget(self) -> None:
@@ -241,10 +218,7 @@ class EstimatorNode(ManagedNode):
         self.watchdog = Watchdog(0)
         self.step_times = StepTimes()
         self.fault = ''
-        self._sent: list[SerializedEstimate] = []
         self._rejected: list[Rejection] = []
-        self._latched: Status | None = None
-        self._published_ns = 0
         self._jumped_s = 0.0
         self._listening = False
 
@@ -291,29 +265,24 @@ class EstimatorNode(ManagedNode):
 
     def publish(self, estimates: Sequence[SerializedEstimate]) -> None:
         """Publish estimates; the rest that follows from them is done by :meth:`conclude`."""
-        for estimate in estimates:
-            self._estimates.publish(estimate.data)
-        self._sent += estimates
+        self.publisher.publish(estimates)
 
     def announce(self, output: Any) -> None:
         """Publish an output that no message has caused."""
         self.publish([self.serialize(output)])
-        self._follow_published(self.now_ns())
+        self.publisher.conclude(self.now_ns())
 
     def latch_loaded(self) -> None:
         """Latch the estimate of a loaded state, for which late subscribers would else wait until the next sample."""
         if self.pipeline is None or not self.pipeline.samples:
             return
         self.watchdog.saw(self.pipeline.newest_ns, self.now_ns(), self.steady_ns())
-        status, data = self.serialize(self.pipeline.current())
-        if self._last_valid is not None and status in _WORTH_LATCHING:
-            self._last_valid.publish(data)
-            self._latched = status
+        self.publisher.latch_loaded(self.serialize(self.pipeline.current()))
 
     def conclude(self, topic: AnyTopic, stamp_ns: int) -> None:
         """Latch and log what was published, and note that a message with this stamp [ns] has arrived."""
         now_ns = self.now_ns()
-        self._follow_published(now_ns)
+        self.publisher.conclude(now_ns)
         self.monitors.arrived(topic, stamp_ns, now_ns, self._rejected)
         self._rejected = []
         if self._listening and self.pipeline is not None:
@@ -326,17 +295,6 @@ class EstimatorNode(ManagedNode):
             self.get_logger().error(f'{self.algorithm} cannot continue until it is reset: {reason}')
         return pipeline.fail()
 
-    def _follow_published(self, now_ns: int) -> None:
-        if not self._sent:
-            return
-        sent, self._sent = self._sent, []
-        for status, data in sent:
-            if self._last_valid is not None and is_latched(status, self._latched):
-                self._last_valid.publish(data)
-                self._latched = status
-            self.status_changes.follow(status, now_ns)
-        self._published_ns = self.steady_ns()
-
     def _watch(self) -> None:
         pipeline, inputs = self.pipeline, self._input_group
         if pipeline is None or inputs is None:
@@ -348,7 +306,7 @@ class EstimatorNode(ManagedNode):
         steady_ns = self.steady_ns()
         if self.watchdog.is_missing(self.now_ns(), steady_ns) and pipeline.status not in REPEATED:
             self.announce(pipeline.mark_stale())
-        elif pipeline.status in REPEATED and steady_ns - self._published_ns >= HEARTBEAT_NS:
+        elif pipeline.status in REPEATED and steady_ns - self.publisher.published_ns >= HEARTBEAT_NS:
             self.announce(pipeline.current())
         self._watchdog_timer.timer_period_ns = self._next_watch_ns(pipeline.status)
         self._watchdog_timer.reset()
@@ -356,7 +314,7 @@ class EstimatorNode(ManagedNode):
     def _next_watch_ns(self, status: Status) -> int:
         """Return how long to wait before watching again [ns]."""
         steady_ns, simulated = self.steady_ns(), self.get_clock().ros_time_is_active
-        waited_ns = steady_ns - self._published_ns if status in REPEATED else 0
+        waited_ns = steady_ns - self.publisher.published_ns if status in REPEATED else 0
         heartbeat_ns = max(HEARTBEAT_NS - waited_ns, _SHORTEST_WATCH_NS)
         return min(self.watchdog.pause_ns(steady_ns, simulated=simulated), heartbeat_ns)
 
@@ -379,6 +337,12 @@ class EstimatorNode(ManagedNode):
         """The subscriptions of a configured node."""
         assert self._input_group is not None
         return self._input_group
+
+    @property
+    def publisher(self) -> EstimatePublisher:
+        """The publishers of a configured node."""
+        assert self._publisher is not None
+        return self._publisher
 
     # Time
 

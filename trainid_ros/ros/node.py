@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import functools
 import traceback
+from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final, TypeVar
 
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
@@ -36,7 +37,7 @@ from trainid_ros.ros.parameter_specs import (
 from trainid_ros.ros.params_file import find_mismatch, params_files
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
     from rclpy.node import Node
 
@@ -82,6 +83,16 @@ def guarded(
     return run
 
 
+@contextmanager
+def creation_of(name: str) -> Iterator[None]:
+    """Raise an InputError where ROS cannot create a node, as without the keys or libraries of DDS security."""
+    try:
+        yield
+    except RCLError as error:
+        msg = f'ROS cannot start {name}: {" ".join(str(error).split())}'
+        raise InputError(msg) from error
+
+
 class ManagedNode(LifecycleNode):
     """Lifecycle node that answers and logs invalid transition requests.
 
@@ -93,7 +104,8 @@ class ManagedNode(LifecycleNode):
     """
 
     def __init__(self, name: str, **options: Any) -> None:
-        super().__init__(name, **options)
+        with creation_of(name):
+            super().__init__(name, **options)
         self.failure = ''
         self._steady = Clock(clock_type=ClockType.STEADY_TIME)
         change_state = self._service_change_state.callback

@@ -127,14 +127,12 @@ def close_nodes(nodes: Sequence[Node]) -> None:
 def run_node(make: Callable[[Sequence[str]], ManagedNode]) -> int:
     """Run one node as a stand-alone program; with the parameter ``autostart`` it activates itself."""
     try:
-        arguments = _start(list(sys.argv))
+        node = make(_start(list(sys.argv)))
+        if node.get_parameter('autostart').value:
+            node.bring_up()
     except InputError as error:
         sys.stderr.write(f'{error}\n')
         return 2
-    try:
-        node = make(arguments)
-        if node.get_parameter('autostart').value:
-            node.bring_up()
     except KeyboardInterrupt:
         return _EXIT_INTERRUPTED
     spin_nodes([node])

@@ -16,6 +16,7 @@ from trainid_ros.messages import OUTPUT_TOPICS, record_from_message
 from trainid_ros.monitor.trains import Report, Trains
 from trainid_ros.monitor.view import Level
 from trainid_ros.records import INPUT_TOPICS
+from trainid_ros.ros.node import creation_of
 from trainid_ros.ros.publishers import type_name
 from trainid_ros.ros.topics import (
     NO_SUBSCRIPTION_EVENTS,
@@ -54,14 +55,15 @@ class TrainMonitor(Node):
         """
         name = f'trainid_monitor_{os.getpid()}'
         silent = Parameter('start_type_description_service', value=False)  # a service with a number in its name
-        super().__init__(
-            name,
-            cli_args=list(arguments),
-            enable_rosout=False,
-            start_parameter_services=False,
-            parameter_overrides=[silent],
-            **options,
-        )
+        with creation_of(name):
+            super().__init__(
+                name,
+                cli_args=list(arguments),
+                enable_rosout=False,
+                start_parameter_services=False,
+                parameter_overrides=[silent],
+                **options,
+            )
         self.trains = Trains()
         self._wanted = None if namespace is None else f'/{namespace.strip("/")}'
         self._looked_s = 0.0
