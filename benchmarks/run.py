@@ -29,7 +29,7 @@ PARTS: Final = ('cost', 'live', 'replay', 'commands', 'memory', 'kills', 'soak',
 # Simulated real trains, and the discrepancy workflow on hidden cases: the number of drives or cases follows the seeds.
 SEEDED: Final = (
     *('real_trains', 'unknowns', 'rates', 'brake_worlds', 'faults', 'integrity', 'explain', 'fleet'),
-    'closed_loop',
+    *('closed_loop', 'drives'),
 )
 # Experiments of the four papers and comparisons with peers: modules of benchmarks.papers, repeated over seeds.
 PAPERS: Final = ('liu2018', 'resistance', 'yuan2017', 'xia2023', 'zheng2015', 'peers')

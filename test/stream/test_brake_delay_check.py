@@ -62,7 +62,7 @@ def file(train_file: TrainFile) -> TrainFile:
     return replace(train_file, brake=Brake(delay=3.0, time_constant=0.6))
 
 
-@pytest.mark.parametrize('shift', [-2.4, -0.7, 0.0, 0.6, 1.4, 3.0])
+@pytest.mark.parametrize('shift', [-2.4, -0.6, 0.0, 0.6, 1.4, 3.0])
 def test_the_shift_is_learned_and_named_where_it_matters(file: TrainFile, sample: Make, shift: float) -> None:
     check = checked(file, drive(sample, file.brake, shift, 4))
     assert check.count == pytest.approx(1.0 + 0.9 + 0.81 + 0.729)

@@ -38,6 +38,8 @@ _BLOCK_S: Final = 0.5
 # Slower trains may stand or shunt [m/s]. A command below this brakes [m/s^2].
 _MIN_SPEED: Final = 1.0
 _BRAKING: Final = -0.02
+# Slower trains may brake by friction alone [m/s].
+_BLENDED: Final = 4.0
 # Change of a command that a brake need not follow [m/s^2], and as a share of the command [1].
 _STEADY: Final = 0.02
 _STEADY_SHARE: Final = 0.1
@@ -306,7 +308,8 @@ class PlausibilityMonitor:
         state.balance.add(y - brake, limit + noise / SUDDEN_MEMORY)
         state.brake.take(y, brake, limit + noise)
         self._judge_brake(noise)
-        if state.steady_s > self._followed_s + _BLOCK_S:
+        # Electric brakes, whose force some trains report alone, fade out before the stop.
+        if state.steady_s > self._followed_s + _BLOCK_S and sample.speed >= _BLENDED:
             state.effort.take(traction, brake)
             state.effort.judge(state.brake)
         if traction > _DRIVING:
