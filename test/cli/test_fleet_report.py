@@ -66,7 +66,7 @@ def test_a_fleet_too_small_to_find_faults_in_is_said(
 ) -> None:
     write_table(fleet_rows(5002, trains, 6), tmp_path / 't.csv', {})
     assert main(['fleet', 'report', str(tmp_path / 't.csv')]) == 0
-    assert ('the weather of a day cannot be told from a fault' in capsys.readouterr().out) is few
+    assert ('the weather of a day cannot be told from a dragging brake' in capsys.readouterr().out) is few
 
 
 def test_bags_that_are_gone_are_no_answer(table: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -49,7 +49,7 @@ def summary(view: FleetView) -> str:
     """Return the outcome in one sentence."""
     trains = pluralise(len(view.trains), 'train')
     few = (
-        f' Of fewer than {LEAST_TRAINS} trains the weather of a day cannot be told from a fault: most are not found.'
+        f' Of fewer than {LEAST_TRAINS} trains the weather of a day cannot be told from a dragging brake.'
         if len(view.trains) < LEAST_TRAINS
         else ''
     )
