@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter1d
 from scipy.signal import lfilter
 
+from benchmarks.days import REPOSITORY
 from benchmarks.tables import Table, as_text
 from trainid_ros.pipelines import EstimatorSettings, resistance_pipeline
 from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
@@ -31,13 +32,14 @@ from trainid_ros.resistance.resistance_algorithms import RESISTANCE
 from trainid_ros.results import Status
 from trainid_ros.stream.samples import SAMPLE_PERIOD
 from trainid_ros.train.davis import G
-from trainid_ros.train.train_file import Brake, Davis, Line, Train, TrainFile
+from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
 
     from trainid_ros.records import Record
     from trainid_ros.results import ResistanceEstimate
+    from trainid_ros.train.train_file import TrainFile
 
 Array = NDArray[np.float64]
 
@@ -46,8 +48,6 @@ DRIVER: Final = 80.0
 MASS: Final = 1370.0 + DRIVER
 # Ratio of gear and final drive, and rolling radius [m].
 _GEAR, _RADIUS = 9.665, 0.3397
-# Coast-down coefficients of the EPA, model year 2016: N, N per m/s, N per (m/s)^2.
-_COAST_DOWN: Final = (101.9, 3.443, 0.3619)
 # Above this period the gradient is taken from the elevation, below it from the accelerometer [s].
 _CROSSOVER_S: Final = 30.0
 _PERIOD: Final = 0.1
@@ -119,23 +119,7 @@ class Outcome:
 
 def stated_car() -> TrainFile:
     """Return the train file: nominal mass with driver, resistance by coast-down, 10 % uncertainty of mass and force."""
-    a, b, c = (1000.0 * value / (MASS * G) for value in _COAST_DOWN)
-    return TrainFile(
-        Train(
-            mass=MASS,
-            rotary_mass=0.05,
-            length=4.0,
-            cars=1,
-            max_traction_force=7100.0,
-            max_traction_power=125e3,
-            max_speed=42.0,
-            mass_std=0.1,
-            force_std=0.1,
-        ),
-        Davis(a, b, c),
-        Brake(1.0, 0.1, 0.1),
-        Line(gradient_std=5.0),
-    )
+    return load_train_file(REPOSITORY / 'config' / 'trains' / 'bmw_i3.yaml')
 
 
 def trip_names(folder: Path, season: str) -> tuple[str, ...]:

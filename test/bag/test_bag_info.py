@@ -51,6 +51,13 @@ def test_numbers_of_a_plain_bag(bag: Path, records: list[Record]) -> None:
     assert info.braking_share == pytest.approx(24 / 49)
 
 
+def test_progress_is_shown_while_a_bag_is_read(bag: Path) -> None:
+    shares: list[float] = []
+    inspect(bag, advance=shares.append)
+    assert sum(shares) == pytest.approx(1.0)
+    assert shares[0] > 0.0
+
+
 def test_faults_of_stamps_and_values_are_counted(tmp_path: Path, records: list[Record]) -> None:
     speeds = [record for record in records if isinstance(record, SpeedRecord)]
     others = [record for record in records if not isinstance(record, SpeedRecord)]

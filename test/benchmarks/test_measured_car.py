@@ -66,6 +66,7 @@ def test_stated_car_has_the_coast_down_resistance() -> None:
     car = stated_car()
     force = MASS * G / 1000.0 * davis(car.resistance, 20.0)
     assert force == pytest.approx(101.9 + 3.443 * 20.0 + 0.3619 * 400.0)
+    assert car.train.mass == MASS
     assert (car.train.mass_std, car.train.force_std, car.line.gradient_std) == (0.1, 0.1, 5.0)
 
 

@@ -60,6 +60,15 @@ def test_a_fault_that_has_ended_is_told_with_its_days(tmp_path: Path, capsys: py
     assert 'By the channels alone: worn or glazed brake pads' in text
 
 
+@pytest.mark.parametrize(('trains', 'few'), [(3, True), (4, False)])
+def test_a_fleet_too_small_to_find_faults_in_is_said(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], trains: int, few: bool
+) -> None:
+    write_table(fleet_rows(5002, trains, 6), tmp_path / 't.csv', {})
+    assert main(['fleet', 'report', str(tmp_path / 't.csv')]) == 0
+    assert ('the weather of a day cannot be told from a dragging brake' in capsys.readouterr().out) is few
+
+
 def test_bags_that_are_gone_are_no_answer(table: Path, capsys: pytest.CaptureFixture[str]) -> None:
     plan = {'setup': {'train': 'bags/tiny/train.yaml', 'mapping': None, 'namespace': '/', 'max_chunk': 1 << 20}}
     table.with_name('t.csv.plan.json').write_text(json.dumps(plan), encoding='utf-8')

@@ -188,6 +188,7 @@ def inspect(
     max_chunk: int = MAX_CHUNK,
     inputs: Callable[[], MappedInputs] | None = None,
     train_file: TrainFile | None = None,
+    advance: Callable[[float], None] = lambda _: None,
 ) -> BagInfo:
     """Read a bag once and summarise its contents.
 
@@ -197,13 +198,14 @@ def inspect(
         max_chunk: Largest chunk to unpack [bytes].
         inputs: Makes what turns messages of other topics into records; they are then summarised as our own topics.
         train_file: The train, if it is known: units, signs and gradients are then checked as in a replay.
+        advance: Called with the share that was read since its last call [1].
 
     Raises:
         InputError: If the bag cannot be read.
 
     """
     with BagReader(path, namespace, max_chunk, inputs) as reader:
-        table = joined(tuple(reader.tables()) or (EMPTY,))
+        table = joined(tuple(_read(reader, advance)) or (EMPTY,))
         alignment = reader.mapping.alignment(AlignmentConfig())
         columns = _columns(table, alignment)
         missing = missing_topics(reader)
@@ -230,6 +232,17 @@ def inspect(
                 *map(reader.mapping.named, findings.warnings),
             ),
         )
+
+
+def _read(reader: BagReader, advance: Callable[[float], None]) -> Iterator[RecordTable]:
+    """Yield the tables of a bag; a mapping may make more or fewer records than there are messages."""
+    left, count = 1.0, max(reader.input_count, 1)
+    for table in reader.tables():
+        share = min(left, len(table) / count)
+        left -= share
+        advance(share)
+        yield table
+    advance(left)
 
 
 def _columns(table: RecordTable, alignment: AlignmentConfig) -> dict[str, _Column]:

@@ -97,7 +97,7 @@ def read_numbers(
     """Read the first hour of a bag.
 
     Args:
-        path: Rosbag2 directory or ``.mcap`` file.
+        path: Rosbag2 directory, ``.mcap`` or ``.db3`` file.
         namespace: Namespace of the topics; without one all are read.
         max_chunk: Largest chunk to unpack [bytes].
         advance: Called with the share that was read since its last call [1].

@@ -80,8 +80,7 @@ def _inspect(args: argparse.Namespace, bag: Path, advance: Callable[[float], Non
 
     """
     train_file = _train_file(args)
-    info = inspect(bag, args.namespace, args.max_chunk, mapped_inputs(args.map, train_file), train_file)
-    advance(1.0)
+    info = inspect(bag, args.namespace, args.max_chunk, mapped_inputs(args.map, train_file), train_file, advance)
     shown = to_plain(info) | {'usable': info.usable} if args.json else describe(info)
     error = '' if info.usable else f'{info.path}: cannot be used: {"; ".join(info.problems)}'
     if args.map is None and len(info.missing) == len(REQUIRED_TOPICS):  # a bag of others

@@ -42,7 +42,7 @@ DEGREES: Final = (4.0, 8.0, 16.0, 32.0)
 ROUNDS: Final = 4
 """Rounds after which the weights do not change any more."""
 # A day's effect is the mean of its trains; with fewer on most days it would take away what is a train's own.
-_LEAST_TRAINS: Final = 4
+LEAST_TRAINS: Final = 4
 # Logarithms of variances relative to that of the data.
 _BOUNDS: Final = (-14.0, 4.0)
 # Priors of ln kappa^2 and ln s_T^2: part of what the estimators state repeats every day; standard deviation.
@@ -100,7 +100,7 @@ class MixedFit:
 def common_effects(cells: Cells, labels: Labels) -> Effects:
     """Return the effects that can be told apart: those with two levels or more, and days with trains enough."""
     factors = [('line', cells.line), ('weather', cells.weather)]
-    if np.median(np.bincount(cells.day)[np.unique(cells.day)]) >= _LEAST_TRAINS:
+    if np.median(np.bincount(cells.day)[np.unique(cells.day)]) >= LEAST_TRAINS:
         factors.append(('day', cells.day))
         if len(labels.lines) > 1:
             factors.append(('line on a day', cells.day * len(labels.lines) + cells.line))

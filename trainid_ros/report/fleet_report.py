@@ -6,6 +6,7 @@ from __future__ import annotations
 from html import escape
 from typing import TYPE_CHECKING, Final
 
+from trainid_ros.fleet.mixed_model import LEAST_TRAINS
 from trainid_ros.plural import pluralise
 from trainid_ros.report.fleet_figures import common_over_days, fleet_over_days, train_over_days
 from trainid_ros.report.page import bullets, captioned, facts_list, page
@@ -47,10 +48,15 @@ def fleet_page(view: FleetView, tables: str, limit: float, notes: Mapping[str, t
 def summary(view: FleetView) -> str:
     """Return the outcome in one sentence."""
     trains = pluralise(len(view.trains), 'train')
+    few = (
+        f' Of fewer than {LEAST_TRAINS} trains the weather of a day cannot be told from a dragging brake.'
+        if len(view.trains) < LEAST_TRAINS
+        else ''
+    )
     if not view.found:
-        return f'No train of {trains} stands out.'
+        return f'No train of {trains} stands out.{few}'
     verb = 'stands' if len(view.found) == 1 else 'stand'
-    return f'{len(view.found)} of {trains} {verb} out: {", ".join(train.name for train in view.found)}.'
+    return f'{len(view.found)} of {trains} {verb} out: {", ".join(train.name for train in view.found)}.{few}'
 
 
 def findings(view: FleetView, train: TrainView) -> tuple[str, ...]:
