@@ -40,7 +40,8 @@ def test_nothing_is_learned_from_commands_to_a_standing_train(
 
 def electric(day: tuple[Record, ...], share: float, below: float) -> list[Record]:
     """Return the day with a share of the brake effort reported, which fades out below a speed [m/s]."""
-    records, speed = [], 0.0
+    records: list[Record] = []
+    speed = 0.0
     for record in day:
         if isinstance(record, SpeedRecord):
             speed = record.speed
