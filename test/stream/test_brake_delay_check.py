@@ -85,10 +85,15 @@ def test_the_first_braking_contradicts_a_dead_time_before_it_is_over(file: Train
 
 def test_nothing_is_trusted_before_the_train_was_braked_for_some_seconds(file: TrainFile, sample: Make) -> None:
     items = list(drive(sample, file.brake, 0.0, 1))
-    trusted = [
-        checked(file, items[:end]).is_trusted for end in (FIRST, FIRST + round(7.0 / DT), FIRST + round(9.0 / DT))
-    ]
+    trusted = [checked(file, items[: FIRST + round(seconds / DT)]).is_trusted for seconds in (0.0, 4.0, 6.0)]
     assert trusted == [False, False, True]
+
+
+def test_a_train_whose_brakings_cannot_be_compared_is_trusted(file: TrainFile, sample: Make) -> None:
+    items = drive(sample, file.brake, 0.0, 1)
+    check = checked(file, [(replace(item, brake_gap=bool(item.brake_changes)), force) for item, force in items])
+    assert check.count == 0.0
+    assert check.is_trusted
 
 
 def test_a_stated_uncertainty_is_allowed_for(file: TrainFile, sample: Make) -> None:

@@ -38,6 +38,8 @@ _MOST_FACTOR: Final = 2.0
 # Fewest blocks of a braking that show a shift, and least standard deviation of their residuals [N/kN].
 _FEWEST: Final = 8
 _RESIDUAL: Final = 2.0
+# A brake has followed a command after its dead time and this many time constants.
+_FOLLOWED: Final = 2.0
 # Error of the shift of one braking by the shape of the response, rates and gradients [s]. A braking that leaves the
 # shift less certain than this tells nothing [s].
 _SHAPE_S: Final = 0.15
@@ -58,6 +60,7 @@ class BrakeTiming:
     Attributes:
         delay: Dead time, with the effect ``brake_delay`` [s].
         time_constant: Time constant of the lag [s].
+        followed_s: Time after which a brake has followed its command [s].
         tolerance: Error of both together that estimators learn by themselves [s].
         first: First shift of the grid that leaves a dead time of at least zero.
 
@@ -67,6 +70,7 @@ class BrakeTiming:
         brake = train_file.brake
         self.delay = brake.delay + effect_value(train_file.effects, 'brake_delay', 'extra', 0.0)
         self.time_constant = brake.time_constant
+        self.followed_s = self.delay + _FOLLOWED * brake.time_constant
         self.tolerance = max(_LEAST_ERROR_S, _STATED * brake.timing_std * math.hypot(brake.delay, brake.time_constant))
         self.first = max(0, _REACH - int(self.delay / _STEP_S))
 
@@ -214,8 +218,8 @@ class BrakeDelayCheck:
         mean: Weighted mean of their shifts [s].
         spread: Weighted sum of the squared deviations from it [1].
         count: Number of brakings, with forgetting.
-        braked_s: Time for which a moving train was braked, up to the time that shows a wrong dead time [s].
-        has_braked: Whether that time is reached.
+        braked_s: Time for which a moving train was braked, until the brake has acted [s].
+        has_braked: Whether it has, and the first braking was compared if that was possible.
         is_wrong: Whether the mean contradicts the dead time.
         is_odd: Whether the braking that is observed does.
 
@@ -269,9 +273,10 @@ class BrakeDelayCheck:
             timing: What the train file says.
 
         """
-        if sample.brake_command < 0.0 and sample.dt > 0.0 and not math.isnan(y) and not self.has_braked:
-            self.braked_s += sample.dt
-            self.has_braked = self.braked_s > timing.delay + _FEWEST * _BLOCK_S
+        if not self.has_braked:
+            self.braked_s += sample.dt if sample.brake_command < 0.0 and sample.dt > 0.0 and not math.isnan(y) else 0.0
+            judged = not self.is_observing or self.braking.count >= _FEWEST
+            self.has_braked = judged and self.braked_s > timing.followed_s
         lag, longest_s = self.lag, timing.delay + _REACH * _STEP_S
         if not sample.dt > 0.0 or sample.brake_gap or sample.emergency or math.isnan(sample.brake_command):
             # What acts is not known until the brake has been released for some time.
