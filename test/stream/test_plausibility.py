@@ -125,6 +125,7 @@ def test_a_contradiction_from_the_first_message_is_named(
         (command(lambda target: target / 9.81), 'ato/brake_command looks like g'),
         (late(SpeedRecord, 1.0), 'ato/speed is about 1.'),
         (late(ForceRecord, 1.0), 'ato/force is about 1.'),
+        (late(BrakeRecord, 1.0), 'ato/brake_command is about 1.'),
     ],
 )
 def test_what_needs_brakings_or_steps_of_traction_is_named_within_two_runs(

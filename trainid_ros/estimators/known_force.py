@@ -33,8 +33,9 @@ class KnownForce:
         self.inertia = specific_inertia(1.0, train_file.train.rotary_mass)
         """1000 (1 + gamma) / g: specific force [N/kN] per acceleration [m/s^2]."""
         brake = train_file.brake
-        extra_delay = effect_value(train_file.effects, 'brake_delay', 'extra', 0.0)
-        self.settling = brake.delay + extra_delay + _SETTLING * brake.time_constant
+        self.brake_delay = brake.delay + effect_value(train_file.effects, 'brake_delay', 'extra', 0.0)
+        """Dead time of the brake, with the effects of the train file [s]."""
+        self.settling = self.brake_delay + _SETTLING * brake.time_constant
         """Time after the release of the brake until it is certainly off [s]."""
         self._mass = train_file.train.mass
         self._terms = resistance_terms(train_file.effects)

@@ -25,6 +25,7 @@ from trainid_ros.results import Reason, Rejection
 from trainid_ros.scalars import is_finite
 from trainid_ros.state import decode, encode
 from trainid_ros.stream.balance_check import SUDDEN_MEMORY
+from trainid_ros.stream.command_shift import BrakeTiming, CommandShift
 from trainid_ros.stream.message_check import CommandCheck
 from trainid_ros.stream.plausibility_state import BRAKED, NO_BLOCK, RELEASED, Block, PlausibilityState
 from trainid_ros.stream.samples import STANDING, Sample
@@ -89,6 +90,7 @@ class PlausibilityMonitor:
         brake, line = train_file.brake, train_file.line
         self._known = known
         self._followed_s = brake.delay + _FOLLOWED * brake.time_constant
+        self._timing = BrakeTiming(known.brake_delay, brake.time_constant, math.hypot(*brake.timing_stds))
         self._line = LineProfile(line, train_file.train.length) if line.gradient else None
         self._line_std = line.gradient_std
         self.state = PlausibilityState()
@@ -120,12 +122,14 @@ class PlausibilityMonitor:
     @property
     def has_changed(self) -> bool:
         """True while the balance of forces, or that of force and command, is improbable by what it was before."""
-        return self.state.change.is_suspected or self.state.effort.is_suspected
+        state = self.state
+        return state.change.is_suspected or state.effort.is_suspected or state.balance.is_drifting
 
     @property
     def has_returned(self) -> bool:
         """True if it is as it was before the last such change, which was then no change of the train."""
-        return self.state.change.has_returned and not self.state.effort.has_stayed
+        state = self.state
+        return state.change.has_returned and not (state.effort.has_stayed or state.balance.has_stayed)
 
     @property
     def is_trusted(self) -> bool:
@@ -158,6 +162,7 @@ class PlausibilityMonitor:
             self._check_standstill(sample.speed)
         else:
             self._interrupt()
+            state.command_shift.pause()
         if finding := state.finding:
             state.last = finding
             self._persist(sample)
@@ -178,6 +183,7 @@ class PlausibilityMonitor:
             self.state = PlausibilityState(
                 commands=CommandCheck(command=state.commands.command),
                 shift=ShiftCheck(delay=state.shift.delay),
+                command_shift=CommandShift(delay=state.command_shift.delay),
                 noise=state.noise,
                 held_s=state.held_s,
                 driven=state.driven,
@@ -227,6 +233,7 @@ class PlausibilityMonitor:
             answer = known.inertia * (sample.speed - before) + dt * (known.track(sample) + resistance)
         std = known.inertia * math.sqrt(2.0) * state.noise.std + _ANSWER_STD * 2.0 * dt
         self._check_command(sample, force)
+        self._check_timing(sample, traction, answer)
         state.gradient_spikes.add(sample.gradient, dt)
         state.spikes.add(force, traction, answer if kind == RELEASED else math.nan, std, dt)
         if kind == NO_BLOCK or math.isnan(answer):
@@ -250,6 +257,22 @@ class PlausibilityMonitor:
         if is_moving and sample.brake_command < _BRAKING and not sample.emergency:
             most = min(state.strongest, state.strongest_before)
             state.effort.compare(force, known.inertia * known.train_file.brake.rate_at(sample.speed) * most)
+
+    def _check_timing(self, sample: Sample, traction: float, answer: float) -> None:
+        """Compare the steps of traction [N/kN] and answer [N/kN s] with those of the brake command."""
+        known, check = self._known, self.state.command_shift
+        compared = not (sample.emergency or math.isnan(answer)) and is_finite(sample.brake_command)
+        # What other findings are about is no shift.
+        own = self.state.shift.finding or check.finding
+        moves = sample.speed >= _MIN_SPEED and compared and (not self.state.finding or own != '')
+        if moves:
+            nominal = known.inertia * known.train_file.brake.rate_at(sample.speed) * sample.brake_command
+            check.follow(answer - sample.dt * max(traction, 0.0), nominal, traction, sample.dt, self._timing)
+        else:
+            check.pause()
+        application = check.ended(moves=moves)
+        if application is not None and compared and not self.state.finding:
+            self.state.effort.take_application(application)
 
     def _check_standstill(self, speed: float) -> None:
         """Contradict a speed [m/s] that rises from a standstill while the brake holds the train."""

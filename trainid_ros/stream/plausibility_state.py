@@ -10,6 +10,7 @@ from typing import Final
 from trainid_ros.estimators.speed_noise import SpeedNoise
 from trainid_ros.stream.balance_check import BalanceCheck
 from trainid_ros.stream.change_check import ChangeCheck
+from trainid_ros.stream.command_shift import CommandShift
 from trainid_ros.stream.distance_check import DistanceCheck
 from trainid_ros.stream.line_check import LineCheck
 from trainid_ros.stream.message_check import CommandCheck, ExcursionCheck, ReleaseCheck, SpikeCheck
@@ -78,6 +79,7 @@ class PlausibilityState:
         distance: Check of speed against position.
         line: Check of the gradient.
         shift: Check of the times of steps.
+        command_shift: Check of the times of steps of the brake.
         traction: Slope of traction.
         brake: Slope of the brake.
         effort: Slope of the reported force over the brake command, while the brake is applied.
@@ -126,6 +128,7 @@ class PlausibilityState:
     distance: DistanceCheck = field(default_factory=DistanceCheck)
     line: LineCheck = field(default_factory=LineCheck)
     shift: ShiftCheck = field(default_factory=ShiftCheck)
+    command_shift: CommandShift = field(default_factory=CommandShift)
     traction: Slope = field(default_factory=Slope)
     brake: Slope = field(default_factory=Slope)
     effort: Effort = field(default_factory=Effort)
@@ -155,7 +158,8 @@ class PlausibilityState:
     @property
     def is_valid(self) -> bool:
         """True if all collections have a possible length."""
-        return self.shift.is_valid and self.traction.is_valid and self.brake.is_valid and self.change.is_valid
+        shifts = self.shift.is_valid and self.command_shift.is_valid
+        return shifts and self.traction.is_valid and self.brake.is_valid and self.change.is_valid
 
     @property
     def finding(self) -> str:
@@ -171,6 +175,7 @@ class PlausibilityState:
             or self.effort.finding
             or self.distance.finding
             or self.shift.finding
+            or self.command_shift.finding
             or self.line.finding
             or self.change.finding
             or self.balance.finding
@@ -181,7 +186,7 @@ class PlausibilityState:
         """True while the last seconds are improbable by those before."""
         commands = self.command_spikes.is_suspected or self.releases.is_suspected
         spikes = self.spikes.is_suspected or commands or self.gradient_spikes.is_suspected
-        late = self.shift.is_suspected and self.moved_s < _SUSPECTED_S
+        late = (self.shift.is_suspected or self.command_shift.is_suspected) and self.moved_s < _SUSPECTED_S
         sudden = self.balance.is_suspected or self.change.is_suspected
         slopes = self.traction.is_suspected or self.brake.is_suspected or self.effort.is_suspected
         return sudden or slopes or late or spikes or self.distance.is_suspected or self.line.is_suspected
@@ -201,6 +206,7 @@ class PlausibilityState:
             (self.effort.finding, self.effort.value, 1.0),
             (self.distance.finding, self.distance.error, self.distance.limit),
             (shift.finding, shift.delay, 0.0),
+            (self.command_shift.finding, self.command_shift.delay, self.command_shift.limit),
             (self.line.finding, self.line.value, self.line.limit),
             (self.change.finding, self.change.ratio, 1.0),
         ):

@@ -7,9 +7,10 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-# Shifts are tried up to this many blocks; smallest step of x, and sum of squared steps, that show one [N/kN].
-_MAX_SHIFT: Final = 6
-_SHIFTS: Final = 2 * _MAX_SHIFT + 1
+MAX_SHIFT: Final = 6
+"""Shifts are tried up to this many blocks."""
+# Smallest step of x, and sum of squared steps, that show a shift [N/kN].
+_SHIFTS: Final = 2 * MAX_SHIFT + 1
 _EDGE: Final = 6.0
 _EDGES: Final = 2000.0
 _SHIFT_KEPT: Final = 0.998
@@ -44,7 +45,7 @@ class ShiftCheck:
     @property
     def is_valid(self) -> bool:
         """True if products and blocks have possible numbers."""
-        return len(self.products) == _SHIFTS and len(self.recent) % 2 == 0 and len(self.recent) <= 2 * (_MAX_SHIFT + 2)
+        return len(self.products) == _SHIFTS and len(self.recent) % 2 == 0 and len(self.recent) <= 2 * (MAX_SHIFT + 2)
 
     @property
     def is_suspected(self) -> bool:
@@ -57,20 +58,20 @@ class ShiftCheck:
 
     def add(self, y: float, x: float, block_s: float) -> None:
         """Add the next block: acceleration y and traction x [N/kN], and its length [s]."""
-        run = (*self.recent, y, x)[-2 * (_MAX_SHIFT + 2) :]
+        run = (*self.recent, y, x)[-2 * (MAX_SHIFT + 2) :]
         self.recent = run
-        if len(run) < 2 * (_MAX_SHIFT + 2):
+        if len(run) < 2 * (MAX_SHIFT + 2):
             return
         dy, dx = run[-2] - run[-4], run[-1] - run[-3]
         edge = abs(dx) > _EDGE
         products = [_SHIFT_KEPT * product for product in self.products]
-        for k in range(_MAX_SHIFT + 1):
+        for k in range(MAX_SHIFT + 1):
             end = len(run) - 2 * k
             earlier_dy, earlier_dx = run[end - 2] - run[end - 4], run[end - 1] - run[end - 3]
             if abs(earlier_dx) > _EDGE:
-                products[_MAX_SHIFT + k] += dy * earlier_dx
+                products[MAX_SHIFT + k] += dy * earlier_dx
             if k and edge:
-                products[_MAX_SHIFT - k] += earlier_dy * dx
+                products[MAX_SHIFT - k] += earlier_dy * dx
         self.products = tuple(products)
         self.edges = _SHIFT_KEPT * self.edges + (dx * dx if edge else 0.0)
         self.jerks = _SHIFT_KEPT * self.jerks + dy * dy
@@ -78,17 +79,22 @@ class ShiftCheck:
         if self.edges >= _EDGES:
             self._judge(block_s)
 
-    def _judge(self, block_s: float) -> None:
-        chance = math.sqrt(self.jerks / self.count * self.edges)
+    @property
+    def best(self) -> int:
+        """Place of the largest product."""
         best = 0
         for k in range(_SHIFTS):
             if self.products[k] > self.products[best]:
                 best = k
+        return best
+
+    def _judge(self, block_s: float) -> None:
+        chance, best = math.sqrt(self.jerks / self.count * self.edges), self.best
         if self.products[best] < max(_SHIFT_KNOWN * chance, 0.5 * self.edges):
             return
-        if self.products[best] - self.products[_MAX_SHIFT] < _SHIFT_BETTER * chance:
+        if self.products[best] - self.products[MAX_SHIFT] < _SHIFT_BETTER * chance:
             self.finding, self.delay = '', 0.0
             return
-        self.delay = (best - _MAX_SHIFT) * block_s
-        later, sooner = ('ato/speed', 'ato/force') if best > _MAX_SHIFT else ('ato/force', 'ato/speed')
+        self.delay = (best - MAX_SHIFT) * block_s
+        later, sooner = ('ato/speed', 'ato/force') if best > MAX_SHIFT else ('ato/force', 'ato/speed')
         self.finding = f'{later} is about {abs(self.delay):.1f} s late, or {sooner} early'

@@ -128,7 +128,9 @@ class StreamState:
 
 
 # Numbers of the checks that may be unknown, and sums that are not negative.
-_UNKNOWN: Final = frozenset({'speed', 'position', 'dt', 'dt_before', 'area', 'area_before', 'answer', 'answer_before'})
+_UNKNOWN: Final = frozenset(
+    {'speed', 'position', 'dt', 'dt_before', 'area', 'area_before', 'answer', 'answer_before', 'lagged'}
+)
 _SUMS: Final = frozenset(
     {
         'yy',
