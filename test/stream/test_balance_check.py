@@ -60,6 +60,27 @@ def test_a_force_that_drifts_is_suspected_before_it_is_far_off() -> None:
 
 def test_a_drift_is_judged_beside_the_resistance() -> None:
     slow, fast = BalanceCheck(), BalanceCheck()
-    released(slow, 3.5, 0.0, blocks=200, resistance=2.0)
-    released(fast, 3.5, 0.0, blocks=200, resistance=8.0)
+    released(slow, 3.0, 0.0, blocks=200, resistance=2.0)
+    released(fast, 3.0, 0.0, blocks=200, resistance=8.0)
     assert (slow.is_suspected, fast.is_suspected) == (True, False)
+
+
+def test_after_a_drift_the_force_is_back_or_the_offset_has_followed() -> None:
+    back, followed = BalanceCheck(), BalanceCheck()
+    for check in (back, followed):
+        released(check, 4.0, 0.0)
+        assert check.is_drifting
+    released(back, 0.0, 0.5)
+    released(followed, 4.0, 3.5)
+    assert not (back.is_drifting or back.has_stayed)
+    assert not followed.is_drifting
+    assert followed.has_stayed
+
+
+def test_a_drift_is_suspected_until_a_fifth_of_it_is_gone() -> None:
+    check = BalanceCheck()
+    released(check, 4.0, 0.0)
+    released(check, 2.3, 0.0)
+    assert check.is_suspected
+    released(check, 2.0, 0.0)
+    assert not check.is_suspected

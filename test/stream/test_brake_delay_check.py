@@ -53,7 +53,7 @@ def drive(sample: Make, brake: Brake, shift: float, brakings: int) -> Iterable[t
 def checked(train_file: TrainFile, items: Iterable[tuple[Sample, float]]) -> BrakeDelayCheck:
     check, timing = BrakeDelayCheck(), BrakeTiming(train_file)
     for item, force in items:
-        check.follow(item, force, INERTIA, timing)
+        check.follow(item, force, force / item.dt, INERTIA, timing)
     return check
 
 
@@ -75,7 +75,7 @@ def test_the_shift_is_learned_and_named_where_it_matters(file: TrainFile, sample
 
 
 def test_the_first_braking_contradicts_a_dead_time_before_it_is_over(file: TrainFile, sample: Make) -> None:
-    start = FIRST + round(12.0 / DT)
+    start = FIRST + round(13.0 / DT)
     items = list(drive(sample, file.brake, 2.5, 1))
     check = checked(file, items[:start])
     assert check.is_odd
@@ -127,7 +127,7 @@ def test_the_history_is_bounded_however_long_a_braking_lasts(file: TrainFile, sa
     for k in range(5000):
         changes = (BrakeCommandChange(sample(k).stamp_ns, -0.5),) if k == 100 else ()
         item = sample(k, brake_command=-0.5 if k >= 100 else 0.0, brake_changes=changes)
-        check.follow(item, -INERTIA * 0.1, INERTIA, timing)
+        check.follow(item, -INERTIA * 0.1, 0.0, INERTIA, timing)
     assert check.is_observing
     assert len(check.lag.history) < 2 * 60
     assert check.is_valid

@@ -129,6 +129,15 @@ def test_what_needs_brakings_or_steps_of_traction_is_named_within_two_runs(
     assert any(text in finding for _, finding in found), found
 
 
+def test_a_brake_command_that_is_late_is_told_from_one_that_is_not(metro: TrainFile, day: tuple[Record, ...]) -> None:
+    for late_s, warning in ((0.0, ''), (1.0, 's sooner than brake.delay of the train file says')):
+        stream = SampleStream(StreamConfig(metro))
+        findings(stream, [late(BrakeRecord, late_s)(record) for record in day])
+        assert stream.brake_delay.warning.endswith(warning)
+        assert stream.brake_delay.is_trusted == (not warning)
+        assert stream.brake_delay.mean == pytest.approx(-late_s, abs=0.35)
+
+
 def test_a_second_publisher_of_the_brake_command_is_named(metro: TrainFile, day: tuple[Record, ...]) -> None:
     records: list[Record] = []
     for record in day[:4000]:

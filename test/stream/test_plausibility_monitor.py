@@ -63,6 +63,22 @@ def test_a_command_that_is_half_is_suspected_in_the_first_second_of_braking_and_
     assert monitor.has_returned
 
 
+def test_a_command_that_is_double_is_suspected_after_one_short_braking_until_another_fits(
+    train_file: TrainFile, journey: Journey
+) -> None:
+    def brake(t: float) -> float:
+        return -0.6 if 10.0 < t % 40.0 < 12.0 else 0.0
+
+    samples = journey(80.0, brake=brake, traction=lambda t: 20.0 * (t % 40.0 < 8.0), noise=0.0)
+    monitor = PlausibilityMonitor(KnownForce(train_file))
+    followed(monitor, scaled(samples[:110], 2.0))  # until the braking has certainly ended
+    assert monitor.has_changed
+    assert not monitor.is_trusted
+    followed(monitor, samples[110:])
+    assert not monitor.has_changed
+    assert monitor.has_returned
+
+
 def test_a_weak_command_after_a_strong_one_is_no_contradiction(train_file: TrainFile, journey: Journey) -> None:
     def brake(t: float) -> float:
         return 0.0 if t % 20.0 < 14.0 else -1.0 if t % 20.0 < 17.0 else -0.05

@@ -188,3 +188,25 @@ def test_a_force_that_often_leaves_part_of_the_brake_to_others_is_soon_no_reason
         suspected.append(effort.is_suspected)
     assert any(suspected[:100])
     assert not any(suspected[200:])
+
+
+@pytest.mark.parametrize(('by_force', 'by_speed', 'suspected'), [
+    (0.5, 0.45, True),  # the command is double
+    (2.0, 2.2, True),  # or half
+    (0.9, 0.5, False),  # the brake is weak
+    (0.0, 1.0, False),  # other brakes do the work, of which the force does not tell
+])  # fmt: skip
+def test_one_braking_shows_a_command_that_force_and_speed_contradict(
+    by_force: float, by_speed: float, suspected: bool
+) -> None:
+    effort = Effort()
+    effort.take_impulses(by_force, by_speed)
+    assert effort.is_suspected == suspected
+
+
+def test_a_braking_that_fits_ends_the_suspicion() -> None:
+    effort = Effort()
+    effort.take_impulses(0.5, 0.5)
+    effort.take_impulses(0.98, 0.9)
+    assert not effort.is_suspected
+    assert not effort.has_stayed

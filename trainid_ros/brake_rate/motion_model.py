@@ -36,9 +36,6 @@ LEAST_RATE: Final = 0.05
 """Lower limit of a brake rate that is used as a divisor."""
 BLEND_SHAPE: Final = 0.7
 """Error of the shape of the changeover between brakes, as a share of its size."""
-# Added in quadrature to dead time and lag, because the relative error of short ones is larger [s].
-_LEAST_DELAY_S: Final = 0.67
-_LEAST_LAG_S: Final = 0.25
 # Timing jitter of brake changes per relative error of the timing [s].
 _JITTER_S: Final = 0.4
 # Variation between changeovers, as a share of their size.
@@ -84,9 +81,7 @@ class MotionModel:
     def timing_stds(self) -> tuple[float, float]:
         """Standard deviations of the errors of dead time and lag [s]."""
         # Relative to the delay stated in the file, because the effect brake_delay was measured.
-        stated = self._train_file.brake
-        dead_time = stated.timing_std * math.hypot(stated.delay, _LEAST_DELAY_S)
-        return dead_time, stated.timing_std * math.hypot(stated.time_constant, _LEAST_LAG_S)
+        return self._train_file.brake.timing_stds
 
     def _error_stds(self) -> Errors:
         """Return the standard deviations of the errors of the train file; units as in :class:`Transition`."""

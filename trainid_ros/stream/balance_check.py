@@ -18,8 +18,11 @@ _MEMORY: Final = 60.0
 _SUSPECTED: Final = 0.5
 # Distance of the mean from the offset, which follows more slowly, that map, wind and tunnels do not reach [N/kN], and
 # share of the resistance added [1]: beyond it the force drifts.
-_DRIFT: Final = 2.5
-_DRIFT_SHARE: Final = 0.2
+_DRIFT: Final = 2.0
+_DRIFT_SHARE: Final = 0.16
+# Shares of it within which a drift is over, and beyond which the offset has followed it [1].
+_OVER: Final = 0.8
+_FOLLOWED: Final = 0.5
 
 
 @dataclass(slots=True)
@@ -33,6 +36,9 @@ class BalanceCheck:
         mean: Mean residual where no brake acts, over a longer time.
         resistance: Mean of w(v) over the same time.
         drift: Mean residual less the offset that has been learned.
+        is_drifting: True while that is more than map, wind and tunnels explain.
+        has_stayed: True if the last drift ended because the offset has followed.
+        before: Offset when it began.
 
     """
 
@@ -42,6 +48,9 @@ class BalanceCheck:
     mean: float = 0.0
     resistance: float = 0.0
     drift: float = 0.0
+    is_drifting: bool = False
+    has_stayed: bool = False
+    before: float = 0.0
 
     @property
     def is_sudden(self) -> bool:
@@ -51,8 +60,7 @@ class BalanceCheck:
     @property
     def is_suspected(self) -> bool:
         """True while the last residuals, or their mean, are hardly to be explained by a resistance."""
-        drifts = abs(self.drift) > _DRIFT + _DRIFT_SHARE * self.resistance
-        return self.is_sudden or drifts or abs(self.mean) > _SUSPECTED * self.mean_limit
+        return self.is_sudden or self.is_drifting or abs(self.mean) > _SUSPECTED * self.mean_limit
 
     @property
     def mean_limit(self) -> float:
@@ -83,8 +91,18 @@ class BalanceCheck:
         """
         self.mean += (residual - self.mean) / _MEMORY
         self.resistance += (resistance - self.resistance) / _MEMORY
-        self.drift = self.mean - offset
+        self._follow_drift(offset)
         if abs(self.mean) > self.mean_limit:
             self.finding = f'forces do not balance by {-self.mean:+.0f} N/kN: ato/force or ato/gradient is off'
         elif abs(self.mean) < _SUSPECTED * self.mean_limit:
             self.finding = ''
+
+    def _follow_drift(self, offset: float) -> None:
+        """Begin or end a drift away from the offset that has been learned [N/kN]."""
+        self.drift = self.mean - offset
+        limit = _DRIFT + _DRIFT_SHARE * self.resistance
+        if not self.is_drifting:
+            self.is_drifting = abs(self.drift) > limit
+            self.before = offset
+        elif abs(self.drift) < _OVER * limit:
+            self.is_drifting, self.has_stayed = False, abs(offset - self.before) > _FOLLOWED * limit

@@ -19,6 +19,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 from trainid_ros.records import NS_PER_S
+from trainid_ros.state import several
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.brake import lag_integral, lag_response
 from trainid_ros.train.effects import effect_value
@@ -44,6 +45,8 @@ _FOLLOWED: Final = 2.0
 # shift less certain than this tells nothing [s].
 _SHAPE_S: Final = 0.15
 _CERTAIN_S: Final = 0.8
+# Least impulse of a braking that says something about the command [N/kN s]: .6 m/s.
+_LEAST_IMPULSE: Final = 60.0
 # Share of the weight that is kept at each further braking: about ten of them count.
 _KEPT: Final = 0.9
 # Standard deviations by which a shift must stand out, and what it must gain in likelihood while a braking lasts.
@@ -62,7 +65,8 @@ class BrakeTiming:
         time_constant: Time constant of the lag [s].
         followed_s: Time after which a brake has followed its command [s].
         tolerance: Error of both together that estimators learn by themselves [s].
-        first: First shift of the grid that leaves a dead time of at least zero.
+        lead_s: Time by which the largest negative shift comes before the command [s].
+        rest_s: Time after which no earlier braking acts, whatever the shift [s].
 
     """
 
@@ -72,7 +76,8 @@ class BrakeTiming:
         self.time_constant = brake.time_constant
         self.followed_s = self.delay + _FOLLOWED * brake.time_constant
         self.tolerance = max(_LEAST_ERROR_S, _STATED * brake.timing_std * math.hypot(brake.delay, brake.time_constant))
-        self.first = max(0, _REACH - int(self.delay / _STEP_S))
+        self.lead_s = max(0.0, _REACH * _STEP_S - self.delay)
+        self.rest_s = self.delay + _REACH * _STEP_S
 
 
 @dataclass(slots=True)
@@ -126,7 +131,7 @@ class LaggedCommand:
         history = self.history
         last = len(history) - 2
         if time_s >= history[last]:
-            return history[last + 1]
+            return history[last + 1] + self.lagged * (time_s - history[last])
         while last >= 2 and history[last - 2] > time_s:
             last -= 2
         if last < 2:
@@ -136,45 +141,76 @@ class LaggedCommand:
 
 
 @dataclass(slots=True)
+class BrakeBlock:
+    """Forces over a block of samples.
+
+    Attributes:
+        end_s: Its end, by the time of the lagged command [s].
+        seconds: Its length [s].
+        y: Integral of y over it [N/kN s].
+        rate: Integral of the specific force per command [N/kN s per m/s^2].
+        force: Integral of the reported force, as far as it brakes [N/kN s].
+
+    """
+
+    end_s: float = 0.0
+    seconds: float = 0.0
+    y: float = 0.0
+    rate: float = 0.0
+    force: float = 0.0
+
+
+@dataclass(slots=True)
 class Braking:
     """Sums over the blocks of one braking.
 
     Attributes:
-        seconds: Length of the block so far [s].
-        y: Integral of y over it [N/kN s].
-        rate: Integral of the specific force per command over it [N/kN s per m/s^2].
-        began: Integrals of the shifted commands when it began [m/s]; empty before the first.
+        began: Integrals of the shifted commands when the next block begins [m/s]; empty before the first.
         count: Number of blocks.
         yy: Sum of y^2 [(N/kN)^2].
         yx: Sums of products of y and the force x = r z, for each shift [(N/kN)^2].
         xx: Sums of x^2, for each shift [(N/kN)^2].
+        by_command: Impulse of the nominal brake [N/kN s].
+        by_force: Impulse of the reported force, as far as it brakes [N/kN s].
+        by_speed: Impulse that the speed shows [N/kN s].
 
     """
 
-    seconds: float = 0.0
-    y: float = 0.0
-    rate: float = 0.0
     began: tuple[float, ...] = ()
     count: float = 0.0
     yy: float = 0.0
     yx: tuple[float, ...] = (0.0,) * _SHIFTS
     xx: tuple[float, ...] = (0.0,) * _SHIFTS
+    by_command: float = 0.0
+    by_force: float = 0.0
+    by_speed: float = 0.0
+
+    @property
+    def is_comparable(self) -> bool:
+        """True if the impulses are large enough to compare; they hardly depend on dead time and lag."""
+        return self.by_command < -_LEAST_IMPULSE
 
     @property
     def is_valid(self) -> bool:
         """True if the sums have possible lengths."""
         return len(self.yx) == len(self.xx) == _SHIFTS and len(self.began) in (0, _SHIFTS)
 
-    def close_block(self, now: tuple[float, ...]) -> None:
-        """Take in a full block; ``now`` are the integrals of the shifted commands [m/s]."""
-        y, scale = self.y / self.seconds, self.rate / (self.seconds * self.seconds)
+    def add(self, block: BrakeBlock, lag: LaggedCommand, delay: float) -> None:
+        """Add a block; ``delay`` is the dead time [s]."""
+        if not self.began:
+            self.began = _shifted(lag, block.end_s - block.seconds - delay)
+        now = _shifted(lag, block.end_s - delay)
+        y, scale = block.y / block.seconds, block.rate / (block.seconds * block.seconds)
         yx, xx = list(self.yx), list(self.xx)
         for k in range(_SHIFTS):
             x = scale * (now[k] - self.began[k])
             yx[k] += y * x
             xx[k] += x * x
         self.yx, self.xx, self.yy, self.count = tuple(yx), tuple(xx), self.yy + y * y, self.count + 1.0
-        self.began, self.seconds, self.y, self.rate = now, 0.0, 0.0, 0.0
+        self.by_command += block.rate / block.seconds * (now[_REACH] - self.began[_REACH])
+        self.by_force += block.force
+        self.by_speed += block.y
+        self.began = now
 
     def residuals(self, shift: int) -> float:
         """Return the sum of squared residuals of a shift [(N/kN)^2]."""
@@ -182,20 +218,15 @@ class Braking:
         factor = min(max(yx / xx, _LEAST_FACTOR), _MOST_FACTOR) if xx > 0.0 else 0.0
         return self.yy - factor * (2.0 * yx - factor * xx)
 
-    def judge(self, first: int) -> tuple[float, float, float]:
-        """Return the shift [s], its standard deviation [s], and how much more likely it is than none [1].
-
-        Args:
-            first: First shift of the grid that leaves a dead time of at least zero.
-
-        """
+    def judge(self) -> tuple[float, float, float]:
+        """Return the shift [s], its standard deviation [s], and how much more likely it is than none [1]."""
         sums = [self.residuals(k) for k in range(_SHIFTS)]
-        best = first
-        for k in range(first, _SHIFTS):
+        best = 0
+        for k in range(_SHIFTS):
             if sums[k] < sums[best]:
                 best = k
         variance = max(sums[best] / (self.count - 2.0), _RESIDUAL * _RESIDUAL)
-        middle = min(max(best, first + 1), _SHIFTS - 2)
+        middle = min(max(best, 1), _SHIFTS - 2)
         curvature = sums[middle - 1] - 2.0 * sums[middle] + sums[middle + 1]
         if not curvature > 0.0:
             return 0.0, math.inf, 0.0
@@ -206,12 +237,19 @@ class Braking:
         return _STEP_S * shift, std, (sums[_REACH] - sums[best]) / variance
 
 
+def _shifted(lag: LaggedCommand, time_s: float) -> tuple[float, ...]:
+    """Return the integrals of the command at a time [s], for each shift [m/s]."""
+    return tuple([lag.integral_at(time_s - (k - _REACH) * _STEP_S) for k in range(_SHIFTS)])
+
+
 @dataclass(slots=True)
 class BrakeDelayCheck:
     """How much later the brake acts than the train file says.
 
     Attributes:
         lag: The brake command after the lag.
+        block: The block that is being filled.
+        waiting: Blocks to be compared once the command is known for all shifts, oldest first.
         braking: The braking that is observed.
         is_observing: Whether one is.
         weight: Sum of the weights of the brakings [1/s^2].
@@ -226,6 +264,8 @@ class BrakeDelayCheck:
     """
 
     lag: LaggedCommand = field(default_factory=LaggedCommand)
+    block: BrakeBlock = field(default_factory=BrakeBlock)
+    waiting: tuple[BrakeBlock, ...] = several(BrakeBlock)
     braking: Braking = field(default_factory=Braking)
     is_observing: bool = False
     weight: float = 0.0
@@ -263,62 +303,92 @@ class BrakeDelayCheck:
             return math.inf
         return math.sqrt(max(1.0, self.spread / self.count) / self.weight)
 
-    def follow(self, sample: Sample, y: float, rate: float, timing: BrakeTiming) -> None:
+    def follow(self, sample: Sample, y: float, force: float, rate: float, timing: BrakeTiming) -> Braking | None:
         """Take in a sample.
 
         Args:
             sample: The sample.
             y: Integral of the specific force besides traction and resistance [N/kN s], NaN if not known.
+            force: Mean of the reported force [N/kN], NaN if not known.
             rate: Specific force per command [N/kN per m/s^2].
             timing: What the train file says.
+
+        Returns:
+            The braking that has ended, None if none has.
 
         """
         if not self.has_braked:
             self.braked_s += sample.dt if sample.brake_command < 0.0 and sample.dt > 0.0 and not math.isnan(y) else 0.0
             judged = not self.is_observing or self.braking.count >= _FEWEST
             self.has_braked = judged and self.braked_s > timing.followed_s
-        lag, longest_s = self.lag, timing.delay + _REACH * _STEP_S
+        lag = self.lag
         if not sample.dt > 0.0 or sample.brake_gap or sample.emergency or math.isnan(sample.brake_command):
             # What acts is not known until the brake has been released for some time.
             self._end(timing)
             self.lag = LaggedCommand(command=0.0 if math.isnan(sample.brake_command) else sample.brake_command)
-            return
-        was_at_rest = lag.rest_s > longest_s
-        if was_at_rest and not self.is_observing:
-            if lag.command == 0.0 and not sample.brake_changes:
-                return
-            lag.begin()
-        lag.follow(sample, timing.time_constant, longest_s + _BLOCK_S)
-        if self.is_observing:
-            if math.isnan(y) or lag.rest_s > longest_s:
-                self._end(timing)
-        elif was_at_rest and lag.command < 0.0 and not math.isnan(y):
-            self.is_observing, self.braking = True, Braking(began=(0.0,) * _SHIFTS)
-        if self.is_observing:
-            self._add(sample.dt, y, rate, timing)
+            return None
+        was_at_rest = lag.rest_s > timing.rest_s
+        if was_at_rest and not self.is_observing and lag.command == 0.0 and not sample.brake_changes:
+            lag.time_s += sample.dt
+        else:
+            self._follow_command(sample, timing)
+        if math.isnan(y) or (self.is_observing and lag.rest_s > timing.rest_s):
+            return self._end(timing)
+        if was_at_rest and not self.is_observing and lag.command < 0.0:
+            self.is_observing, self.braking = True, Braking()
+        self._add(sample.dt, y, min(force, 0.0), rate)
+        self._compare(timing.lead_s, timing)
+        return None
 
-    def _add(self, dt: float, y: float, rate: float, timing: BrakeTiming) -> None:
+    def _follow_command(self, sample: Sample, timing: BrakeTiming) -> None:
+        """Go on to a sample; where a braking begins, its time begins, too."""
+        lag = self.lag
+        if lag.rest_s > timing.rest_s and not self.is_observing:
+            for block in self.waiting:
+                block.end_s -= lag.time_s
+            lag.begin()
+        lag.follow(sample, timing.time_constant, timing.rest_s + timing.lead_s + 2.0 * _BLOCK_S)
+
+    def _add(self, dt: float, y: float, force: float, rate: float) -> None:
         """Add a sample to its block; see :meth:`follow`."""
-        braking, lag = self.braking, self.lag
-        braking.seconds += dt
-        braking.y += y
-        braking.rate += rate * dt
-        if braking.seconds < _BLOCK_S - _NOTHING:
+        block = self.block
+        block.seconds += dt
+        block.y += y
+        block.rate += rate * dt
+        block.force += force * dt
+        if block.seconds > _BLOCK_S - _NOTHING:
+            block.end_s = self.lag.time_s
+            self.waiting, self.block = (*self.waiting, block), BrakeBlock()
+
+    def _compare(self, lead_s: float, timing: BrakeTiming) -> None:
+        """Compare the blocks that ended a time ago [s], or drop them where no braking is observed."""
+        waiting, braking, done = self.waiting, self.braking, 0
+        while done < len(waiting) and waiting[done].end_s <= self.lag.time_s - lead_s:
+            if self.is_observing:
+                braking.add(waiting[done], self.lag, timing.delay)
+            done += 1
+        if not done:
             return
-        acted_s = lag.time_s - timing.delay
-        braking.close_block(tuple([lag.integral_at(acted_s - (k - _REACH) * _STEP_S) for k in range(_SHIFTS)]))
-        if braking.count >= _FEWEST:
-            shift, std, gain = braking.judge(timing.first)
+        self.waiting = waiting[done:]
+        if self.is_observing and braking.count >= _FEWEST:
+            shift, std, gain = braking.judge()
             self.is_odd = gain > _GAIN and abs(shift) > max(timing.tolerance, _KNOWN * std)
 
-    def _end(self, timing: BrakeTiming) -> None:
-        """End the braking, and learn from it."""
-        if not self.is_observing:
-            return
-        self.is_observing = self.is_odd = False
-        if self.braking.count < _FEWEST:
-            return
-        shift, std, _ = self.braking.judge(timing.first)
+    def _end(self, timing: BrakeTiming) -> Braking | None:
+        """End the braking, learn from it and return it; None if there is none."""
+        was_observing = self.is_observing
+        if was_observing:
+            self._compare(0.0, timing)
+        self.block, self.waiting, self.is_observing, self.is_odd = BrakeBlock(), (), False, False
+        if not was_observing:
+            return None
+        if self.braking.count >= _FEWEST:
+            self._learn(timing)
+        return self.braking
+
+    def _learn(self, timing: BrakeTiming) -> None:
+        """Learn from a whole braking."""
+        shift, std, _ = self.braking.judge()
         if std > _CERTAIN_S:
             return
         weight, off = 1.0 / (std * std + _SHAPE_S * _SHAPE_S), shift - self.mean

@@ -129,12 +129,14 @@ class PlausibilityMonitor:
     @property
     def has_changed(self) -> bool:
         """True while the balance of forces, or that of force and command, is improbable by what it was before."""
-        return self.state.change.is_suspected or self.state.effort.is_suspected
+        state = self.state
+        return state.change.is_suspected or state.effort.is_suspected or state.balance.is_drifting
 
     @property
     def has_returned(self) -> bool:
         """True if it is as it was before the last such change, which was then no change of the train."""
-        return self.state.change.has_returned and not self.state.effort.has_stayed
+        state = self.state
+        return state.change.has_returned and not (state.effort.has_stayed or state.balance.has_stayed)
 
     @property
     def is_trusted(self) -> bool:
@@ -224,14 +226,16 @@ class PlausibilityMonitor:
             state.held_s, state.has_alternated = 0.0, True
 
     def _follow_brake(self, sample: Sample, before: float) -> None:
-        """Compare the time at which the brake acts with the train file; ``before`` is the speed before [m/s]."""
-        known, force, dt = self._known, math.nan, sample.dt
+        """Compare a whole braking with its command; ``before`` is the speed before [m/s]."""
+        known, state, y, force, dt = self._known, self.state, math.nan, math.nan, sample.dt
         if sample.speed >= _MIN_SPEED and is_finite(sample.force_mean) and is_finite(sample.gradient_mean):
             resistance = davis(known.train_file.resistance, sample.speed) + known.track(sample)
-            traction = max(known.traction(sample.force_mean, sample), 0.0)
-            force = known.inertia * (sample.speed - before) + dt * (resistance - traction)
+            force = known.traction(sample.force_mean, sample)
+            y = known.inertia * (sample.speed - before) + dt * (resistance - max(force, 0.0))
         rate = known.inertia * known.train_file.brake.rate_at(sample.speed)
-        self.state.brake_delay.follow(sample, force, rate, self._timing)
+        braking = state.brake_delay.follow(sample, y, force, rate, self._timing)
+        if braking is not None and braking.is_comparable and not state.finding:
+            state.effort.take_impulses(braking.by_force / braking.by_command, braking.by_speed / braking.by_command)
 
     def _check_forces(self, sample: Sample, before: float) -> None:
         """Add a sample to its block; judge the block when it is full. ``before`` is the speed before [m/s]."""

@@ -215,6 +215,19 @@ class Effort(Regression):
         if self.off < _OFF_BLOCKS and y < expected - self._limit(max(abs(expected), _OFF_FORCE)):
             self.off, self.has_stayed = self.off + 1, False
 
+    def take_impulses(self, by_force: float, by_speed: float) -> None:
+        """Suspect a command that is off over a whole braking, by force and speed alike.
+
+        Args:
+            by_force: Impulse of the reported force over that of the nominal brake [1].
+            by_speed: That of the force which the speed shows [1].
+
+        """
+        if _is_off(by_force, by_speed):
+            self.off, self.has_stayed = max(self.off, _OFF_BLOCKS), False
+        elif _agree(by_force, 1.0, _RIGHT):
+            self.off = 0
+
     def _limit(self, size: float) -> float:
         """Return the largest deviation from an expected force of this size [N/kN]."""
         return max(max(_OFF, _OFF_SIGMAS * math.sqrt(self.square)) * size, _OFF_FORCE)
@@ -227,12 +240,17 @@ class Effort(Regression):
         if not (self.is_known and brake.is_known):
             return
         by_force, by_speed = self.value, brake.value
-        agree = _agree(by_force, by_speed, _SAME)
-        if agree and not _agree(by_force, 1.0, _WRONG) and not _agree(by_speed, 1.0, _WRONG):
+        if _is_off(by_force, by_speed):
             unit = 'looks like g' if is_near(by_force, _G) else 'is off'
             self.finding = f'ato/brake_command {unit}: speed and ato/force brake {by_force:.2g} times as much'
-        elif not agree or _agree(by_force, 1.0, _RIGHT):
+        elif not _agree(by_force, by_speed, _SAME) or _agree(by_force, 1.0, _RIGHT):
             self.finding = ''
+
+
+def _is_off(by_force: float, by_speed: float) -> bool:
+    """Return whether two ratios to the command agree with each other, but not with it."""
+    is_right = _agree(by_force, 1.0, _WRONG) or _agree(by_speed, 1.0, _WRONG)
+    return _agree(by_force, by_speed, _SAME) and not is_right
 
 
 def _agree(ratio: float, other: float, factor: float) -> bool:

@@ -170,15 +170,12 @@ _SUMS: Final = frozenset(
 def _is_possible(values: Mapping[str, Any]) -> bool:
     """Return whether all numbers of nested checks are finite, and their sums not negative."""
     for name, value in values.items():
-        if isinstance(value, dict):
-            if not _is_possible(value):
-                return False
-            continue
-        numbers = value if isinstance(value, tuple) else (value,)
-        for number in numbers:
-            if isinstance(number, str):
-                continue
-            low = 0.0 if name in _SUMS else -MAX_NUMBER
-            if not (low <= number < MAX_NUMBER or (name in _UNKNOWN and math.isnan(number))):
-                return False
+        low = 0.0 if name in _SUMS else -MAX_NUMBER
+        for item in value if isinstance(value, tuple) else (value,):
+            if isinstance(item, dict):
+                if not _is_possible(item):
+                    return False
+            elif not isinstance(item, str):
+                if not (low <= item < MAX_NUMBER or (name in _UNKNOWN and math.isnan(item))):
+                    return False
     return True

@@ -21,6 +21,8 @@ NamedValues = tuple[tuple[str, float], ...]
 
 # A brake rate outside this range is a unit error.
 _LEAST_RATE, _MOST_RATE = 0.01, 10.0
+# Added in quadrature to dead time and lag, because the relative error of short ones is larger [s].
+_LEAST_DELAY, _LEAST_LAG = 0.67, 0.25
 # Beyond these, too: speed [m/s], gradient [per mille], radius of a curve [m], position [m].
 _MOST_SPEED, _STEEPEST, _TIGHTEST, _FARTHEST = 1000.0, 500.0, 1.0, 1e8
 
@@ -104,6 +106,14 @@ class Brake:
     def rate_at(self, speed: float) -> float:
         """Return the brake rate [1] at a speed [m/s]."""
         return self.rate * self.shape_at(speed)
+
+    @property
+    def timing_stds(self) -> tuple[float, float]:
+        """Standard deviations of the errors of dead time and lag [s]."""
+        return (
+            self.timing_std * math.hypot(self.delay, _LEAST_DELAY),
+            self.timing_std * math.hypot(self.time_constant, _LEAST_LAG),
+        )
 
 
 @dataclass(frozen=True, slots=True)
