@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 
     from numpy.typing import NDArray
 
+    from trainid_ros.ato.days import DayPlan
+
     Array = NDArray[np.float64]
 
 # Lines, and runs from stop to stop on a day.
@@ -44,10 +46,18 @@ class Trial:
 
 @dataclass(frozen=True, slots=True)
 class Outcome:
-    """How it was driven, and errors of the first stops after each sudden change of the brake [m]."""
+    """How it was driven.
+
+    Attributes:
+        drive: The drive.
+        after: Errors of the first stops after each sudden change of the brake [m].
+        unknown: For each bound, whether the brake has changed since the last stop, which nobody can know yet.
+
+    """
 
     drive: Drive
     after: tuple[float, ...]
+    unknown: tuple[bool, ...]
 
 
 def measure(seeds: int) -> tuple[Table | Plot, ...]:
@@ -75,7 +85,13 @@ def run(trial: Trial) -> Outcome:
     for event_s in plan.events_s:
         later = [arrival.error for arrival in drive.arrivals if arrival.time_s > event_s]
         after += later[:_AFTER]
-    return Outcome(drive, tuple(after))
+    return Outcome(drive, tuple(after), tuple(_is_unknown(time_s, plan, drive) for time_s, _, _ in drive.bounds))
+
+
+def _is_unknown(time_s: float, plan: DayPlan, drive: Drive) -> bool:
+    """Return whether the brake has changed between the stop before a time [s] and that time."""
+    stopped_s = max((arrival.time_s for arrival in drive.arrivals if arrival.time_s < time_s), default=0.0)
+    return any(stopped_s < event_s <= time_s for event_s in plan.events_s)
 
 
 Chosen = dict[tuple[str, str], list[Outcome]]
@@ -151,14 +167,18 @@ def _root_mean(values: Sequence[float]) -> float:
 def _bounds(chosen: Chosen) -> Table:
     rows = []
     for world, _ in _LINES:
-        pairs = np.array([pair for outcome in chosen[world, 'live'] for pair in outcome.drive.bounds])
-        inside = float(np.mean(pairs[:, 1] <= pairs[:, 0]))
-        margin = float(np.median(pairs[:, 0] / pairs[:, 1])) - 1.0
-        rows.append((world, str(len(pairs)), f'{inside:.1%}', f'{margin:+.1%}'))
-    header = ('line', 'brakings', 'stopped within the 95 % bound', 'median margin')
+        outcomes = chosen[world, 'live']
+        _, bounds, distances = np.array([row for outcome in outcomes for row in outcome.drive.bounds]).T
+        unknown = np.array([known for outcome in outcomes for known in outcome.unknown])
+        inside, margin = distances <= bounds, float(np.median(bounds / distances)) - 1.0
+        first = f'{inside[unknown].mean():.1%} of {unknown.sum()}' if unknown.any() else '-'
+        shares = f'{inside.mean():.1%}', f'{inside[~unknown].mean():.1%}', first
+        rows.append((world, str(inside.size), *shares, f'{margin:+.1%}'))
+    header = ('line', 'brakings', 'stopped within the 95 % bound', 'known brake', 'changed brake', 'median margin')
     note = (
         'Stopping distance that the client states at 95 % confidence when the braking to a stop begins, against that '
-        'of a copy of the train which keeps one brake command.'
+        'of a copy of the train which keeps one brake command. Changed brake: rain began or a brake unit was isolated '
+        'since the last stop, which no braking has shown yet; known brake: all others.'
     )
     return Table('Bounds of the stopping distance', header, tuple(rows), note)
 

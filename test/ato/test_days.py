@@ -50,6 +50,6 @@ def test_live_estimates_stop_the_train_better() -> None:
         np.abs(np.concatenate([driven(name, seed, 6).errors for seed in (3, 4)])) for name in ('nominal', 'live')
     )
     assert np.quantile(live, 0.95) < 0.5 * np.quantile(nominal, 0.95)
-    pairs = driven('live', 4, 6).bounds
-    assert len(pairs) == 6
-    assert all(0.8 * bound < true < 1.2 * bound for bound, true in pairs)
+    rows = driven('live', 4, 6).bounds
+    assert len(rows) == 6
+    assert all(0.8 * bound < true < 1.2 * bound for _, bound, true in rows)

@@ -78,7 +78,8 @@ def test_json_has_the_agreed_fields_and_nothing_else_is_printed(printed: Printed
     known = {'a', 'b', 'c', 'std', 'status', 'speed_range', 'force_scale', 'force_delay', 'findings'}
     assert known == set(answer['resistance'])
     assert {'a1', 'a2', 'b1', 'd0', 'status'} <= set(answer['speed_model'])
-    assert {'value', 'std', 'status'} <= set(answer['brake_rate'])
+    assert {'value', 'std', 'status', 'findings'} <= set(answer['brake_rate'])
+    assert answer['brake_rate']['findings'] == []
     assert len(answer['resistance']['std']) == 3
     assert answer['used'] + sum(answer['rejected'].values()) >= answer['samples'] > 300
 

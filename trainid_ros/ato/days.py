@@ -69,8 +69,8 @@ class Drive:
         jerk: Root mean square of the jerk in motion [m/s^3].
         most_jerk: Its 99.9 % quantile [m/s^3].
         overspeed: Highest speed above a limit [m/s], 0 if none.
-        bounds: At the beginning of each stop braking, the distance within which the client says that the train stops
-            under one command at 95 % confidence, and the true one [m]; only with live estimates.
+        bounds: At the beginning of each stop braking, its time [s], the distance within which the client says that the
+            train stops under one command at 95 % confidence, and the true one [m]; only with live estimates.
 
     """
 
@@ -80,7 +80,7 @@ class Drive:
     jerk: float
     most_jerk: float
     overspeed: float
-    bounds: tuple[tuple[float, float], ...]
+    bounds: tuple[tuple[float, float, float], ...]
 
     @property
     def errors(self) -> np.ndarray:
@@ -164,22 +164,22 @@ class BoundCheck:
     """Compare bounds of the stopping distance with what a copy of the train does.
 
     Attributes:
-        pairs: Bounds at 95 % confidence, and true distances [m].
+        rows: Times [s], bounds at 95 % confidence, and true distances [m].
 
     """
 
     def __init__(self, model: TrainModel, deceleration: float) -> None:
         """Ask a model about a brake command of this deceleration [m/s^2]."""
         self._model, self._command = model, -deceleration
-        self.pairs: list[tuple[float, float]] = []
+        self.rows: list[tuple[float, float, float]] = []
 
-    def check(self, train: Plant) -> None:
-        """Compare at the present state of the train."""
+    def check(self, time_s: float, train: Plant) -> None:
+        """Compare at the present state of the train, at a time [s]."""
         distance = self._true_distance(train)
         middle = train.position + 0.5 * train.direction * distance
         gradient = train.profile.gradient(middle, train.direction)
         bound = self._model.stopping_distance(train.speed, gradient, self._command, 0.95)
-        self.pairs.append((bound.value, distance))
+        self.rows.append((time_s, bound.value, distance))
 
     def _true_distance(self, train: Plant) -> float:
         twin = train.twin()
@@ -216,7 +216,7 @@ class ScoredAto(Ato):
         before, phase = len(self.arrivals), self.phase
         decision = super().decide(time_s, train)
         if self._bounds is not None and phase is not Phase.STOP and self.phase is Phase.STOP:
-            self._bounds.check(train)
+            self._bounds.check(time_s, train)
         if self._learns and len(self.arrivals) > before:
             self._bias.learn(self.arrivals[-1].error)
         if self.phase is not Phase.DWELL:
@@ -240,5 +240,5 @@ class ScoredAto(Ato):
             jerk=float(np.sqrt(np.mean(jerks * jerks))),
             most_jerk=float(np.quantile(jerks, 0.999)),
             overspeed=self._overspeed,
-            bounds=tuple(self._bounds.pairs) if self._bounds else (),
+            bounds=tuple(self._bounds.rows) if self._bounds else (),
         )
