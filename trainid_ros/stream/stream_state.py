@@ -173,9 +173,10 @@ def _is_possible(values: Mapping[str, Any]) -> bool:
         low = 0.0 if name in _SUMS else -MAX_NUMBER
         for item in value if isinstance(value, tuple) else (value,):
             if isinstance(item, dict):
-                if not _is_possible(item):
-                    return False
-            elif not isinstance(item, str):
-                if not (low <= item < MAX_NUMBER or (name in _UNKNOWN and math.isnan(item))):
-                    return False
+                possible = _is_possible(item)
+            else:
+                is_unknown = name in _UNKNOWN and isinstance(item, float) and math.isnan(item)
+                possible = isinstance(item, str) or is_unknown or low <= item < MAX_NUMBER
+            if not possible:
+                return False
     return True
