@@ -133,7 +133,8 @@ def test_the_status_goes_from_converging_to_valid_and_holding(whole: Whole) -> N
     statuses = [output.status for output in outputs]
     assert statuses[0] is Status.CONVERGING
     assert {Status.CONVERGING, Status.VALID, Status.HOLDING} == set(statuses)
-    first = statuses.index(Status.VALID)
+    # A brake rate may be trusted at a sample from which nothing is learned.
+    first = min(statuses.index(Status.VALID), statuses.index(Status.HOLDING))
     assert set(statuses[:first]) == {Status.CONVERGING}
     for before, after in pairwise(outputs):
         if after.status is Status.VALID:
