@@ -12,8 +12,7 @@ of p*. Where the distance is linear in p this is D + z std(D); a brake rate ente
 a poorly known one is longer than that.
 
 The deceleration d(v) of the built-up brake is linear in p. Where d0 - z std(d) <= 0 at some speed, more trains than
-1 - P never get below it: from there on no distance is a bound. Near it D may have several longest points; the
-iteration then also starts at the p of the least d.
+1 - P never get below it: from there on no distance is a bound.
 """
 
 from __future__ import annotations
@@ -36,8 +35,6 @@ _DAVIS: Final = (A, B, C)
 # The design point is found when its distance grows by no more than this share, and most iterations to it.
 _CONVERGED: Final = 1e-12
 _REFINEMENTS: Final = 200
-# Share of the mean deceleration that is certain, below which its parameters are a start of the iteration.
-_NEAR_RUNAWAY: Final = 0.5
 # Where the deceleration is calculated between two knots of the brake rate.
 _BETWEEN: Final = (0.25, 0.5, 0.75, 1.0)
 # The speed is found when its bound is this close to the distance [m].
@@ -98,7 +95,7 @@ class Bound:
 
 
 class LeastDeceleration:
-    """Least deceleration of the built-up brake at a confidence, over all speeds up to one.
+    """Whether the built-up brake decelerates at all speeds up to one, at a confidence.
 
     Args:
         shape: Brake rate over speed.
@@ -114,27 +111,24 @@ class LeastDeceleration:
         self._grid = [0.0]
         for k in range(1, len(knots)):
             self._grid.extend([knots[k - 1] + share * (knots[k] - knots[k - 1]) for share in _BETWEEN])
-        self._found = [self._share(0.0)]
+        # Number of these speeds that are known to be good.
+        self._good = 0
 
-    def to(self, speed: float) -> tuple[float, list[float]]:
-        """Return the least share of the mean deceleration that is certain, and its derivatives with reversed sign."""
-        last = bisect_right(self._grid, speed) - 1
-        while len(self._found) <= last:
-            share, gradient = self._share(self._grid[len(self._found)])
-            before = self._found[len(self._found) - 1]
-            self._found.append((share, gradient) if share < before[0] else before)
-        share, gradient = self._share(speed)
-        below = self._found[last]
-        return (share, gradient) if share < below[0] else below
+    def is_positive(self, speed: float) -> bool:
+        """Return whether the train slows down at all speeds up to one [m/s]."""
+        last = bisect_right(self._grid, speed)
+        while self._good < last:
+            if self._least(self._grid[self._good]) <= 0.0:
+                return False
+            self._good += 1
+        return self._least(speed) > 0.0
 
-    def _share(self, v: float) -> tuple[float, list[float]]:
+    def _least(self, v: float) -> float:
+        """Return the deceleration at a speed less z standard deviations [m/s^2]."""
         shape, k = self._shape, self._shape.inertia
-        rate = -shape.table(v) * self._command
-        gradient = [rate, rate * shape.slope(v), rate * shape.changeover(v), -k, -k * v, -k * v * v, -k, 0.0, 0.0]
-        mean = -math.fsum([x * y for x, y in zip(gradient, self._posterior.mean, strict=True)])
-        if mean <= 0.0:
-            return 0.0, gradient
-        return 1.0 - self._z * self._posterior.std(gradient) / mean, gradient
+        rate = shape.table(v) * self._command
+        gradient = [rate, rate * shape.slope(v), rate * shape.changeover(v), k, k * v, k * v * v, k, 0.0, 0.0]
+        return math.fsum(map(_product, gradient, self._posterior.mean)) - self._z * self._posterior.std(gradient)
 
 
 class StoppingBounds:
@@ -165,14 +159,10 @@ class StoppingBounds:
     def _converged(self, speed: float, near: list[float]) -> Bound:
         """Return the bound for a speed [m/s]; ``near`` is the gradient of a bound for one nearby, or empty."""
         at_mean = self._at_mean.stop(speed)
-        share, critical = self._least.to(speed)
-        if math.isinf(at_mean.distance) or share <= 0.0:
+        if math.isinf(at_mean.distance) or not self._least.is_positive(speed):
             return Bound(math.inf, math.inf, math.inf, [])
         std = self._posterior.std(at_mean.gradient)
         found = self._beside(speed, near or at_mean.gradient)
-        if not near and share < _NEAR_RUNAWAY:
-            other = self._beside(speed, critical)
-            found = other if other.distance > found.distance else found
         for _ in range(_REFINEMENTS):
             if math.isinf(found.distance):
                 break
