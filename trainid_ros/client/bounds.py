@@ -33,7 +33,7 @@ MOST_SPEED: Final = 150.0
 """Largest speed of an argument or an answer [m/s]."""
 _DAVIS: Final = (A, B, C)
 # The design point is found when its distance grows by no more than this share, and most iterations to it.
-_CONVERGED: Final = 1e-12
+_CONVERGED: Final = 1e-9
 _REFINEMENTS: Final = 200
 # Where the deceleration is calculated between two knots of the brake rate.
 _BETWEEN: Final = (0.25, 0.5, 0.75, 1.0)
