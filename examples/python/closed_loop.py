@@ -67,12 +67,12 @@ class NodeValues:
         while (left := self._due - time.monotonic()) > 0.0:
             self._executor.spin_once(timeout_sec=left)
         self._asked += 1
-        self._live += self.model.resistance(0.0).live and self.model.brake_rate().live
+        self._live += self.model.resistance(0.0).live or self.model.brake_rate().live
         return client_values(self.model, self._brake)
 
     @property
     def live_share(self) -> float:
-        """Share of the commands for which live estimates were used; NoAnswerError if there were none."""
+        """Share of the commands with a live estimate, of resistance or brake rate; NoAnswerError if none had one."""
         if self._live == 0:
             w, rate = self.model.resistance(0.0).reason, self.model.brake_rate().reason
             msg = f'no live estimate was used: resistance {w}; brake rate {rate}'
