@@ -22,15 +22,21 @@ from rclpy.executors import SingleThreadedExecutor
 
 from trainid_ros.ato.days import DayPlan, Drive, drive_day, plan_day
 from trainid_ros.ato.knowledge import TrainValues, client_values
+from trainid_ros.cli.arguments import positive, whole
 from trainid_ros.client import TrainModel
 from trainid_ros.client.channel import MAX_AGE_S
+from trainid_ros.errors import NoAnswerError
 from trainid_ros.records import INPUT_TOPICS, NS_PER_S, input_topic
 from trainid_ros.ros.topics import message_class, message_from_record, source_qos
 from trainid_ros.sim.driver import TICK_S
+from trainid_ros.sim.worlds import WORLDS
 from trainid_ros.train.train_file import TrainFile, dump_train_file
 
 if TYPE_CHECKING:
     from trainid_ros.records import Record
+
+DISCOVERY_S = 10.0
+"""Longest wait for the nodes [s]."""
 
 
 class NodeValues:
@@ -48,6 +54,7 @@ class NodeValues:
         self._executor.add_node(node)
         self._brake, self._period = train_file.brake, TICK_S / rate
         self._due = time.monotonic()
+        self._asked = self._live = 0
 
     def observe(self, record: Record) -> None:
         """Publish a record."""
@@ -59,7 +66,18 @@ class NodeValues:
         self._due = max(self._due + self._period, time.monotonic() - self._period)
         while (left := self._due - time.monotonic()) > 0.0:
             self._executor.spin_once(timeout_sec=left)
+        self._asked += 1
+        self._live += self.model.resistance(0.0).live or self.model.brake_rate().live
         return client_values(self.model, self._brake)
+
+    @property
+    def live_share(self) -> float:
+        """Share of the commands with a live estimate, of resistance or brake rate; NoAnswerError if none had one."""
+        if self._live == 0:
+            w, rate = self.model.resistance(0.0).reason, self.model.brake_rate().reason
+            msg = f'no live estimate was used: resistance {w}; brake rate {rate}'
+            raise NoAnswerError(msg)
+        return self._live / self._asked
 
 
 def day(world: str, runs: int, seed: int) -> DayPlan:
@@ -67,27 +85,55 @@ def day(world: str, runs: int, seed: int) -> DayPlan:
     return plan_day(world, runs, np.random.default_rng(seed))
 
 
-def drive(plan: DayPlan, seed: int, rate: float, node: Any) -> Drive:
-    """Drive a day with the estimates of running nodes."""
-    return drive_day(plan, NodeValues(node, plan.case.stated, rate), seed)
+def drive(plan: DayPlan, seed: int, rate: float, node: Any) -> tuple[Drive, float]:
+    """Drive a day with the estimates of running nodes; return it, and for which share of the commands they were used.
+
+    Raises:
+        NoAnswerError: No node listens, or none of its estimates was used.
+
+    """
+    values = NodeValues(node, plan.case.stated, rate)
+    until = time.monotonic() + DISCOVERY_S
+    while node.count_subscribers('ato/speed') == 0:
+        if time.monotonic() > until:
+            msg = f'no node takes in ato/speed in {node.get_namespace()}: start trainid run --train day.yaml'
+            raise NoAnswerError(msg)
+        time.sleep(0.1)
+    return drive_day(plan, values, seed), values.live_share
+
+
+def arguments() -> argparse.ArgumentParser:
+    """Return the parser of the command line."""
+    parser = argparse.ArgumentParser(description=__doc__.partition('\n')[0])
+    parser.add_argument('--world', default='tram', choices=sorted(WORLDS))
+    parser.add_argument('--runs', type=whole, default=6, help='from stop to stop, at least 1')
+    parser.add_argument('--seed', type=whole, default=1)
+    parser.add_argument('--rate', type=positive, default=10.0, help='times real time')
+    parser.add_argument('--prepare', type=Path, metavar='FILE', help='write the train file of the day, and end')
+    return parser
 
 
 def main() -> int:
     """Drive a day and print its stops."""
-    parser = argparse.ArgumentParser(description=__doc__.partition('\n')[0])
-    parser.add_argument('--world', default='tram')
-    parser.add_argument('--runs', type=int, default=6)
-    parser.add_argument('--seed', type=int, default=1)
-    parser.add_argument('--rate', type=float, default=10.0, help='times real time')
-    parser.add_argument('--prepare', type=Path, metavar='FILE', help='write the train file of the day, and end')
+    parser = arguments()
     args = parser.parse_args()
+    if args.runs == 0:
+        parser.error('argument --runs: must be at least 1')
     plan = day(args.world, args.runs, args.seed)
     if args.prepare:
-        args.prepare.write_text(dump_train_file(plan.case.stated), encoding='utf-8')
+        try:
+            args.prepare.write_text(dump_train_file(plan.case.stated), encoding='utf-8')
+        except OSError as error:
+            parser.error(f'argument --prepare: {args.prepare}: {error.strerror}')
         return 0
     rclpy.init()
-    found = drive(plan, args.seed, args.rate, rclpy.create_node('ato'))
+    try:
+        found, share = drive(plan, args.seed, args.rate, rclpy.create_node('ato'))
+    except NoAnswerError as error:
+        print(f'closed_loop.py: error: {error}', file=sys.stderr)
+        return 1
     nominal = drive_day(plan, 'nominal', args.seed)
+    print(f'live estimates were used for {share:.0%} of the commands')
     print('stop error with live estimates and with the train file, m')
     for live, stated in zip(found.errors, nominal.errors, strict=True):
         print(f'{live:+.2f}  {stated:+.2f}')

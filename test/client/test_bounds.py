@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from statistics import NormalDist
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ from numpy.typing import NDArray
 
 from test.client.test_stopping import EMU, shape
 from trainid_ros.client.bounds import MOST_SPEED, StoppingBounds, StopPosterior
-from trainid_ros.client.stopping import RateShape
+from trainid_ros.client.stopping import Braking, RateShape
 from trainid_ros.errors import NoAnswerError
 from trainid_ros.train.train_file import Pairs
 
@@ -117,3 +118,57 @@ def test_a_train_that_only_stops_from_low_speeds_gets_one_of_them() -> None:
     speed, std = bounds.speed(1e4)
     assert 5.0 < speed < 15.0
     assert math.isfinite(std)
+
+
+@pytest.mark.parametrize('gradient', [-40.0, -35.0, -25.0, -15.0])
+@pytest.mark.parametrize('confidence', [0.9, 0.95, 0.99, 0.999])
+def test_bounds_near_a_runaway_rise_with_speed_and_have_an_inverse(gradient: float, confidence: float) -> None:
+    steep = replace(UNKNOWN, mean=(1.0, *UNKNOWN.mean[1:6], gradient, *UNKNOWN.mean[7:]))
+    answered = 0
+    for command in (0.4, 0.55, 0.7, 1.0):
+        bounds, before = StoppingBounds(shape(), steep, command, 0.0, confidence), 0.0
+        for speed in (0.5, 2.5, 2.9, 3.0, 6.0, 10.0, 20.0, 35.0):
+            distance = bounds.at(speed).distance
+            assert distance >= before
+            before = distance
+            if math.isfinite(distance):
+                assert bounds.speed(distance)[0] == pytest.approx(speed, abs=1e-6)
+                answered += 1
+    print(f'{answered} bounds')
+
+
+def test_a_bound_near_a_runaway_is_the_longest_distance_of_its_confidence() -> None:
+    """No draw at the edge of the confidence region, nor a small change of the design point, is longer."""
+    steep = replace(UNKNOWN, mean=(1.0, *UNKNOWN.mean[1:6], -35.0, *UNKNOWN.mean[7:]))
+    bounds = StoppingBounds(shape(), steep, 0.9, 0.0, 0.95)
+    bound, z = bounds.at(10.0), NormalDist().inv_cdf(0.95)
+    mean = StoppingBounds(shape(), steep, 0.9, 0.0, 0.5).at(10.0).distance
+    assert bound.distance > 1.5 * mean
+    rng = np.random.default_rng(11)
+    spread = np.zeros((9, 9))
+    spread[3:6, 3:6] = np.array(steep.davis).reshape(3, 3)
+    root = np.linalg.cholesky(spread + np.diag(steep.variances) + 1e-18 * np.eye(9))
+    worst = root.T @ np.array(bound.gradient)
+    for share in (0.0, 0.7, 0.9, 0.99, 0.999):
+        for _ in range(50):
+            away = share * worst / np.linalg.norm(worst) + (1.0 - share) * unit(rng)
+            theta = np.array(steep.mean) + z * root @ (away / np.linalg.norm(away))
+            theta[7:] = np.maximum(theta[7:], 0.0)
+            assert Braking(shape(), theta.tolist(), 0.9, 0.0).stop(10.0).distance <= bound.distance * (1.0 + 1e-9)
+
+
+def unit(rng: np.random.Generator) -> Array:
+    """Return a random direction in nine dimensions."""
+    drawn = rng.standard_normal(9)
+    return drawn / np.linalg.norm(drawn)
+
+
+def test_no_speed_is_allowed_beyond_one_at_which_the_train_may_not_stop() -> None:
+    """At 2.5 m/s the changeover of the brakes may leave too little: that holds for all faster trains."""
+    changeover = replace(UNKNOWN, variances=(0.02**2, 0.0, 0.3**2, *UNKNOWN.variances[3:]))
+    steep = replace(changeover, mean=(1.0, *UNKNOWN.mean[1:6], -30.0, *UNKNOWN.mean[7:]))
+    bounds = StoppingBounds(shape(), steep, 0.5, 0.0, 0.95)
+    assert math.isfinite(bounds.at(1.0).distance)
+    assert [bounds.at(speed).distance for speed in (2.6, 5.0, 20.0, 40.0)] == [math.inf] * 4
+    speed, _ = bounds.speed(2000.0)
+    assert 1.0 < speed < 2.5

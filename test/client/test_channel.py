@@ -4,11 +4,12 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 
 import pytest
 
-from trainid_ros.client.channel import FALL_BACK_S, MAX_AGE_S, Channel
-from trainid_ros.client.gradual import Normal
+from trainid_ros.client.channel import FALL_BACK_S, MAX_AGE_S, Channel, Parameter
+from trainid_ros.client.gradual import MOST_RATE, Normal
 from trainid_ros.results import Status
 
 FILE = Normal((1.0,), (0.04,))
@@ -17,7 +18,7 @@ LIVE = {'rate': Normal((0.8,), (1e-4,))}
 
 def channel(until_s: float = 0.0) -> Channel:
     """Return a channel that has had a VALID estimate at 5 Hz from 0 s until a time."""
-    out = Channel({'rate': (FILE, ((1.0,),))}, MAX_AGE_S)
+    out = Channel({'rate': Parameter(FILE, ((1.0,),), 0.01, 10.0)}, MAX_AGE_S)
     for k in range(round(until_s / 0.2) + 1 if until_s else 0):
         out.take(Status.VALID, LIVE, 0.2 * k)
     return out
@@ -65,6 +66,61 @@ def test_a_valid_estimate_in_doubt_stands_with_the_uncertainty_of_the_train_file
     assert one.normal('rate') == FILE
 
 
+def test_a_doubt_on_the_way_to_a_live_value_does_not_hasten_it() -> None:
+    one = channel(1.0)
+    values, stds = [], []
+    for k in range(1, 40):
+        if k % 4 == 1:
+            one.take(Status.CONVERGING, LIVE, 1.0 + 0.05 * k)
+        one.go_on(1.0 + 0.05 * k)
+        now = one.normal('rate')
+        values.append(now.mean[0])
+        stds.append(math.sqrt(now.covariance[0]))
+    steps = [after - value for value, after in pairwise(values)]
+    assert all(-1.001 * MOST_RATE * 0.05 * 0.2 <= step <= 0.0 for step in steps)
+    assert values[-1] < values[0] - 0.05
+    assert min(stds) >= 0.2
+
+
+@pytest.mark.parametrize('doubt_first', [False, True])
+def test_a_late_joiner_in_a_doubt_gets_the_last_valid_value_in_any_order_of_arrival(*, doubt_first: bool) -> None:
+    one = channel()
+    if doubt_first:
+        one.take(Status.CONVERGING, {'rate': Normal((0.3,), (1e-6,))}, 0.0)
+        assert not one.is_live
+    one.take_latched(Status.VALID, LIVE, 0.01)
+    one.take(Status.CONVERGING, {'rate': Normal((0.3,), (1e-6,))}, 0.02)
+    assert one.reason() == 'CONVERGING, the last valid value as uncertain as that of the train file'
+    for k in range(1, 30):
+        one.take(Status.CONVERGING, {'rate': Normal((0.3,), (1e-6,))}, 0.2 * k)
+    assert one.normal('rate') == Normal((0.8,), FILE.covariance)
+
+
+@pytest.mark.parametrize('status', [Status.VALID, Status.STALE, Status.FAULT])
+def test_a_latched_estimate_does_not_count_beside_what_was_heard(status: Status) -> None:
+    one, other = channel(), channel()
+    for item in (one, other):
+        item.take(status, LIVE, 0.0)
+    assert not one.take_latched(Status.VALID, {'rate': Normal((0.5,), (1e-4,))}, 0.1)
+    one.go_on(20.0)
+    other.go_on(20.0)
+    assert (one.reason(), one.normal('rate')) == (other.reason(), other.normal('rate'))
+
+
+def test_the_small_moves_of_each_estimate_are_not_said() -> None:
+    one = channel(10.0)
+    for k in range(1, 30):
+        one.take(Status.VALID, {'rate': Normal((0.8 + 0.02 * (k % 2),), (1e-4,))}, 10.0 + 0.2 * k)
+        assert one.reason() == 'VALID'
+    one.take(Status.VALID, {'rate': Normal((1.0,), (1e-4,))}, 16.0)
+    said = []
+    for k in range(1, 30):
+        one.take(Status.VALID, {'rate': Normal((1.0 - 0.02 * (k % 2),), (1e-4,))}, 16.0 + 0.2 * k)
+        said.append(one.reason())
+    assert said == sorted(said, reverse=True)  # moving first, then VALID, once
+    assert {said[0], said[-1]} == {'VALID, moving to the live value', 'VALID'}
+
+
 def test_an_estimate_that_was_never_valid_is_not_used() -> None:
     one = channel()
     one.take(Status.CONVERGING, LIVE, 0.0)
@@ -93,13 +149,24 @@ def test_a_node_that_is_gone_brings_the_train_file_back_until_the_next_estimate(
     assert (one.is_live, one.normal('rate').mean) == (True, FILE.mean)
 
 
-@pytest.mark.parametrize('value', [math.nan, math.inf, 1e300])
-def test_an_impossible_value_is_not_used(value: float) -> None:
+@pytest.mark.parametrize(
+    ('value', 'variance', 'said'),
+    [
+        (math.nan, 1e-4, 'nan with a std of 0.01'),
+        (math.inf, 1e-4, 'inf with a std of 0.01'),
+        (1e300, 1e-4, '1e+300 with a std of 0.01'),
+        (50.0, 1e-4, '50 with a std of 0.01'),
+        (1e-4, 1e-4, '0.0001 with a std of 0.01'),
+        (0.9, -1.0, '0.9 with a std of -1'),
+        (0.9, math.nan, '0.9 with a std of nan'),
+    ],
+)
+def test_an_impossible_value_is_not_used(value: float, variance: float, said: str) -> None:
     one = channel(10.0)
-    one.take(Status.VALID, {'rate': Normal((value,), (1e-4,))}, 10.2)
+    one.take(Status.VALID, {'rate': Normal((value,), (variance,))}, 10.2)
     one.go_on(11.0)
     assert one.normal('rate') == FILE
-    assert one.reason() == 'train file: its values are not possible'
+    assert one.reason() == f'train file: rate = {said} is not possible'
 
 
 def test_a_step_of_a_live_value_is_gradual_too() -> None:

@@ -52,6 +52,31 @@ def test_the_std_covers_what_is_left_of_the_way(start: Normal, target: Normal) -
         assert std(now) >= 0.999 * math.hypot(target.mean[0] - now.mean[0], std(target))
 
 
+def test_the_std_at_any_speed_covers_no_more_than_what_is_left() -> None:
+    """A learned covariance has other proportions than that of the train file."""
+    values = Gradual(DAVIS_LIVE, PROBES)
+    values.go_to(DAVIS_FILE, 0.0, 0.2)
+    for probe in ((1.0, 0.0), (1.0, 7.0), (1.0, 15.0), (1.0, 20.0)):
+        for time_s in (0.0, 0.02, 0.1, 0.19):
+            now = values.at(time_s)
+            left = DAVIS_FILE.along(probe)[0] - now.along(probe)[0]
+            assert std(now, probe) == pytest.approx(math.hypot(std(DAVIS_FILE, probe), left), rel=1e-6)
+
+
+def test_the_std_falls_gradually_in_every_direction() -> None:
+    values = Gradual(DAVIS_FILE, PROBES)
+    values.go_to(DAVIS_LIVE, 0.0)
+    for probe in ((1.0, 0.0), (1.0, 7.0), (1.0, 15.0), (0.0, 1.0)):
+        assert std(values.at(0.0), probe) >= 0.999999 * std(DAVIS_FILE, probe)
+
+
+def test_a_value_without_uncertainty_moves_gradually_too() -> None:
+    values = Gradual(Normal((1.0,), (0.0,)), ((1.0,),))
+    values.go_to(Normal((1.01,), (1e-6,)), 0.0)
+    assert values.at(2.0).mean[0] == pytest.approx(1.005)
+    assert values.left_s(0.0) == pytest.approx(4.0)
+
+
 def test_values_do_not_depend_on_when_they_are_asked_for() -> None:
     asked, other = Gradual(FILE, ((1.0,),)), Gradual(FILE, ((1.0,),))
     for values in (asked, other):

@@ -97,3 +97,13 @@ def test_a_brake_weaker_than_the_gradient_does_not_stop_the_train() -> None:
 
 def test_a_standing_train_needs_no_distance() -> None:
     assert Braking(shape(), parameters(), 1.0, 0.0).stop(0.0).distance == 0.0
+
+
+@pytest.mark.parametrize('least', [0.2, 1e-2, 1e-4])
+def test_a_train_that_hardly_slows_down_has_the_distance_of_its_balance(least: float) -> None:
+    """Its deceleration falls linearly with speed, so that the distance has a closed form."""
+    form = RateShape([], [], 22.2, 2.5, 0.01)
+    slope = (0.9 - least) / 20.0  # d(v) = 0.9 - slope v with the brake and the resistance
+    theta = [0.9, 0.0, 0.0, 0.0, -slope / 0.01, 0.0, 0.0, 0.0, 0.0]
+    expected = 0.9 / slope**2 * math.log(0.9 / least) - 20.0 / slope
+    assert Braking(form, theta, 1.0, 0.0).stop(20.0).distance == pytest.approx(expected, rel=1e-6)

@@ -18,6 +18,7 @@ from trainid_ros.bag.bag_replay import Replay, replay
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.client import TrainModel, Value
 from trainid_ros.errors import InputError, NoAnswerError
+from trainid_ros.messages import RESISTANCE_TOPIC
 from trainid_ros.pipelines import EstimatorSettings
 from trainid_ros.results import BrakeRateEstimate, Output, ResistanceEstimate, Status
 from trainid_ros.train.davis import acceleration
@@ -103,7 +104,6 @@ def test_a_brake_command_gives_the_deceleration_that_was_asked_for() -> None:
     command = model.brake_command(12.0, -8.0, -0.6)
     w, k = model.resistance(12.0).value, 9.80665 / 1100.0
     assert 0.9 * command.value - k * (w - 8.0) == pytest.approx(-0.6)
-    assert command.std == pytest.approx(0.02 * -command.value / 0.9, rel=0.05)
     assert model.brake_command(12.0, 0.0, 0.0).value == 0.0
 
 
@@ -112,7 +112,25 @@ def test_the_brake_rate_at_a_speed_is_the_factor_on_the_table() -> None:
     model = Drive(table).on(20.0)
     assert model.brake_rate().value == 0.9
     assert model.brake_rate(12.0).value == pytest.approx(0.9 * 0.8)
-    assert model.brake_rate(12.0).std == pytest.approx(0.02 * 0.8)
+    shares = (0.02, 0.08 * (12.0 / table.train.max_speed - 0.5))  # of the factor, and of its change over speed
+    assert model.brake_rate(12.0).std == pytest.approx(0.8 * math.hypot(*shares))
+
+
+def test_the_std_of_a_brake_rate_at_a_speed_holds_its_change_over_speed() -> None:
+    model = Drive().on(20.0)
+    assert model.brake_rate().std == pytest.approx(0.02)
+    assert model.brake_rate(0.0).std == pytest.approx(math.hypot(0.02, 0.5 * 0.08))
+    at_changeover = math.hypot(0.02, 0.08 * (2.5 / FILE.train.max_speed - 0.5), 0.06)
+    assert model.brake_rate(2.5).std == pytest.approx(at_changeover)
+
+
+def test_the_std_of_a_brake_command_is_that_of_its_parts() -> None:
+    for map_std in (0.2, 20.0):
+        model = Drive(replace(FILE, line=replace(FILE.line, gradient_std=map_std))).on(20.0)
+        w, rate, k = model.resistance(12.0), model.brake_rate(12.0), 9.80665 / 1100.0
+        command = model.brake_command(12.0, -8.0, -0.6)
+        parts = (k * w.std, k * map_std, command.value * rate.std)
+        assert command.std == pytest.approx(math.hypot(*parts) / rate.value)
 
 
 def test_effects_of_the_brake_in_the_train_file_count() -> None:
@@ -170,6 +188,56 @@ def test_a_replay_answers_as_its_last_estimate(replayed: tuple[Replay, TrainFile
     assert answer.live == (result.resistance.output.status in (Status.VALID, Status.HOLDING))
 
 
+def test_a_replay_that_ends_in_a_doubt_answers_as_a_client_that_saw_its_outputs(
+    replayed: tuple[Replay, TrainFile],
+) -> None:
+    result, train_file = replayed
+    now = 0.0
+    seen = TrainModel(None, train_file, max_age=1e9, clock=lambda: now)
+    ends = {}
+    for name in ('resistance', 'brake_rate'):
+        usable = getattr(result, name).last_usable
+        doubted = Output(usable.stamp_ns, usable.estimate, Status.CONVERGING, usable.used, usable.rejected, None)
+        ends[name] = replace(getattr(result, name), output=doubted)
+        for output in (usable, doubted):
+            seen.take(output)
+    now = 1e6
+    model = TrainModel.from_replay(replace(result, **ends), train_file)
+    assert model.resistance(12.0) == seen.resistance(12.0)
+    assert model.brake_rate() == seen.brake_rate()
+    assert model.stopping_distance(20.0) == seen.stopping_distance(20.0)
+    assert model.brake_rate().value == result.brake_rate.last_usable.estimate.brake_rate  # type: ignore[union-attr]
+    assert model.brake_rate().std == pytest.approx(0.2)
+
+
+@pytest.mark.parametrize(
+    ('wrong', 'said'),
+    [
+        (replace(F, brake_rate_std=-1.0), '0.9 with a std of -1'),
+        (replace(F, brake_rate=50.0), '50 with a std of 0.02'),
+    ],
+)
+def test_an_impossible_brake_rate_is_refused_and_named(wrong: BrakeRateEstimate, said: str) -> None:
+    drive = Drive()
+    drive.on(20.0).take(Output(1, wrong, Status.VALID, 1, 0, None))
+    assert drive.model.brake_rate().reason == f'train file: brake rate = {said} is not possible'
+    drive.now += 0.5
+    assert drive.model.brake_rate().value == 1.0
+
+
+def test_an_impossible_covariance_is_refused() -> None:
+    drive = Drive()
+    wrong = replace(W, covariance=(-1.0, *COVARIANCE[1:]))
+    drive.on(20.0).take(Output(1, wrong, Status.VALID, 1, 0, None))
+    assert drive.model.resistance(10.0).reason == 'train file: a, b, c or their covariance are not possible'
+
+
+def test_a_latched_copy_that_does_not_count_changes_no_range_of_speeds() -> None:
+    model = Drive().on(20.0)
+    model.take_message(RESISTANCE_TOPIC, Status.VALID, replace(W, speed_max=30.0), latched=True)
+    assert 'outside' in model.resistance(20.0).reason
+
+
 def test_the_curve_is_the_inverse_of_the_distance() -> None:
     model = Drive().on(20.0)
     positions = (600.0, 800.0, 950.0, 999.9, 1000.0, 1020.0)
@@ -180,6 +248,25 @@ def test_the_curve_is_the_inverse_of_the_distance() -> None:
             1000.0 - position, abs=1e-6
         )
         assert speed == model.braking_speed(1000.0 - position, -4.0, -0.8, 0.99)
+
+
+def test_positions_may_fall_in_the_direction_of_travel() -> None:
+    model = Drive().on(20.0)
+    rising = model.braking_curve(1000.0, (600.0, 950.0, 1010.0), applied=-0.3)
+    assert model.braking_curve(0.0, (400.0, 50.0, -10.0), applied=-0.3, direction=-1) == rising
+    assert rising[0] == model.braking_speed(400.0, applied=-0.3)
+    with pytest.raises(InputError, match=r'^direction = 0 must be 1 or -1'):
+        model.braking_curve(0.0, (400.0,), direction=0)
+
+
+@pytest.mark.parametrize('value', [math.nan, math.inf, -math.inf])
+def test_a_position_that_cannot_be_is_named(value: float) -> None:
+    with pytest.raises(InputError, match=r'^stop = '):
+        Drive().model.braking_curve(value, (0.0, 100.0))
+    with pytest.raises(InputError, match=r'^position = '):
+        Drive().model.braking_curve(100.0, (0.0, value))
+    with pytest.raises(InputError, match=r'^distance = '):
+        Drive().model.braking_curve(1e6, (0.0,))
 
 
 CALLS_ALL: tuple[Callable[[TrainModel, float, float, float, float], Value], ...] = (
@@ -207,8 +294,6 @@ CALLS: dict[str, Callable[[TrainModel, float], object]] = {
 def test_an_argument_that_cannot_be_is_named(name: str, value: float) -> None:
     with pytest.raises(InputError, match=rf'^{name} = '):
         CALLS[name](Drive().model, value)
-    with pytest.raises(InputError, match=r'^distance = '):
-        Drive().model.braking_curve(100.0, [0.0, math.nan])
 
 
 def test_no_answer_is_ever_infinite_whatever_the_estimates_are() -> None:

@@ -10,11 +10,12 @@ from typing import TextIO
 import pytest
 from rich.console import Console
 
-from test.monitor.conftest import START_NS
+from test.monitor.conftest import START_NS, feed
 from trainid_ros.monitor.screen import Screen
 from trainid_ros.monitor.trains import Report, Trains
 from trainid_ros.monitor.view import Level
 from trainid_ros.records import NS_PER_S
+from trainid_ros.results import Status
 
 Driven = Callable[..., Trains]
 LONG = 'no message for 3.0 s, no publisher, since 2023-11-14 22:13:27 UTC: start the node that publishes it'
@@ -61,6 +62,22 @@ def test_values_bands_status_rejections_and_findings_are_shown(driven: Driven) -
     ):
         assert wanted in text
     assert LONG in ' '.join(text.split())
+
+
+@pytest.mark.parametrize(('width', 'height'), [(40, 20), (50, 12), (60, 24)])
+def test_the_status_is_not_cut_on_a_small_terminal(driven: Driven, width: int, height: int) -> None:
+    trains = driven()
+    feed(trains.by_namespace['/'], 10.0, 20.0, Status.STALE)
+    text = '\n'.join(drawn(trains, width, height, now_s=19.9))
+    assert text.count('STALE 9 s') == 3
+
+
+def test_a_brake_that_is_not_seen_now_is_not_braking_now(driven: Driven) -> None:
+    trains = driven()
+    feed(trains.by_namespace['/'], 10.0, 20.0, Status.STALE)
+    text = '\n'.join(drawn(trains, 100, 50, now_s=19.9))
+    assert 'braking now' not in text
+    assert 'seen only while braking' in text
 
 
 def test_a_node_that_ended_is_shown(driven: Driven) -> None:

@@ -17,6 +17,7 @@ import pytest
 import rclpy
 
 from trainid_ros.ato.days import drive_day
+from trainid_ros.errors import NoAnswerError
 from trainid_ros.train.train_file import dump_train_file
 
 pytestmark = pytest.mark.ros
@@ -43,7 +44,7 @@ def test_it_stops_as_well_as_in_one_process(graph: Graph) -> None:
     node = rclpy.create_node('ato', context=graph.context)
     try:
         graph.until(lambda: node.count_subscribers('ato/speed') > 0)
-        found = example.drive(plan, SEED, RATE, node)
+        found, share = example.drive(plan, SEED, RATE, node)
     finally:
         node.destroy_node()
     alone, nominal = drive_day(plan, 'live', SEED), drive_day(plan, 'nominal', SEED)
@@ -51,4 +52,47 @@ def test_it_stops_as_well_as_in_one_process(graph: Graph) -> None:
     later = slice(2, None)
     assert np.abs(found.errors[later]).max() < 0.3
     assert np.abs(found.errors[later] - alone.errors[later]).max() < 0.25
+    assert share > 0.1
     assert np.abs(found.errors).max() < 0.25 * np.abs(nominal.errors).max()
+
+
+def run(graph: Graph, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """Run the example as a command, alone."""
+    environment = os.environ | {'ROS_DOMAIN_ID': str(graph.domain)}
+    command = [sys.executable, str(EXAMPLE), *arguments]
+    return subprocess.run(command, env=environment, capture_output=True, text=True, check=False)
+
+
+def test_without_nodes_it_fails_with_one_line(graph: Graph) -> None:
+    found = run(graph, '--runs', '1')
+    assert (found.returncode, found.stdout) == (1, '')
+    assert found.stderr.splitlines() == [
+        'closed_loop.py: error: no node takes in ato/speed in /: start trainid run --train day.yaml'
+    ]
+
+
+@pytest.mark.parametrize(
+    ('option', 'value', 'said'),
+    [
+        ('--world', 'foo', "invalid choice: 'foo'"),
+        ('--runs', '0', 'must be at least 1'),
+        ('--rate', '0', "'0' must be > 0"),
+        ('--prepare', '/nowhere/day.yaml', '/nowhere/day.yaml: No such file or directory'),
+    ],
+)
+def test_a_wrong_argument_is_named(graph: Graph, option: str, value: str, said: str) -> None:
+    found = run(graph, option, value)
+    assert found.returncode == 2
+    assert f'argument {option}: ' in found.stderr.splitlines()[-1]
+    assert said in found.stderr.splitlines()[-1]
+
+
+def test_estimates_that_never_come_are_no_live_ones(graph: Graph) -> None:
+    plan, node = example.day('tram', 1, SEED), rclpy.create_node('ato', context=graph.context)
+    try:
+        values = example.NodeValues(node, plan.case.stated, 1e6)
+        values.values()
+        with pytest.raises(NoAnswerError, match='no live estimate was used: resistance train file: no estimate yet'):
+            _ = values.live_share
+    finally:
+        node.destroy_node()

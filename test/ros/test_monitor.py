@@ -161,3 +161,14 @@ def test_on_a_dumb_terminal_another_namespace_is_named(terminals: list[Terminal]
 def test_a_time_with_nothing_published_gives_no_answer(terminals: list[Terminal]) -> None:
     monitor = open_monitor(terminals, '--duration', '1', NO_COLOR='1')
     assert monitor.process.wait(DEADLINE_S) == 1
+
+
+@pytest.mark.parametrize(
+    ('name', 'said'),
+    [('1x', 'must not have a token that starts with a number'), ('/a//b', "must not contain repeated '/'")],
+)
+def test_a_namespace_that_cannot_be_is_refused(name: str, said: str) -> None:
+    command = [sys.executable, '-m', 'trainid_ros.cli.main', 'monitor', '--namespace', name, '--duration', '1']
+    found = subprocess.run(command, capture_output=True, text=True, check=False, timeout=DEADLINE_S)
+    assert found.returncode == 2
+    assert found.stderr.splitlines() == [f'trainid: error: --namespace {name}: namespace {said}']

@@ -7,13 +7,18 @@ one with the longest distance,
 
     p* = p0 + z S D' / sqrt(D'^T S D'),        D' = dD/dp at p*,
 
-found by iteration from D' at p0. Where the distance is linear in p this is D + z std(D); a brake rate enters by its
-inverse, so that the bound of a poorly known one is longer than that.
+found by iteration from D' at p0. D is convex, so that each step lengthens it, and its error falls as the square of that
+of p*. Where the distance is linear in p this is D + z std(D); a brake rate enters by its inverse, so that the bound of
+a poorly known one is longer than that.
+
+The deceleration d(v) of the built-up brake is linear in p. Where d0 - z std(d) <= 0 at some speed, more trains than
+1 - P never get below it: from there on no distance is a bound.
 """
 
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from dataclasses import dataclass
 from statistics import NormalDist
 from typing import TYPE_CHECKING, Final
@@ -27,8 +32,11 @@ if TYPE_CHECKING:
 MOST_SPEED: Final = 150.0
 """Largest speed of an argument or an answer [m/s]."""
 _DAVIS: Final = (A, B, C)
-# Iterations to the design point after the first.
-_REFINEMENTS: Final = 1
+# The design point is found when its distance grows by no more than this share, and most iterations to it.
+_CONVERGED: Final = 1e-9
+_REFINEMENTS: Final = 200
+# Where the deceleration is calculated between two knots of the brake rate.
+_BETWEEN: Final = (0.25, 0.5, 0.75, 1.0)
 # The speed is found when its bound is this close to the distance [m].
 _CLOSE: Final = 1e-9
 _ITERATIONS: Final = 100
@@ -62,14 +70,65 @@ class StopPosterior:
             out[place] = row[0] * gradient[A] + row[1] * gradient[B] + row[2] * gradient[C]
         return out
 
+    def std(self, gradient: list[float]) -> float:
+        """Return the standard deviation along a gradient."""
+        return math.sqrt(max(0.0, math.fsum(map(_product, self.spread(gradient), gradient))))
+
+
+def _product(x: float, y: float) -> float:
+    return x * y
+
 
 @dataclass(frozen=True, slots=True)
 class Bound:
-    """Bound of a stopping distance [m], standard deviation of the distance [m], and derivative by speed [s]."""
+    """Bound of a stopping distance [m], standard deviation of the distance [m], and derivative by speed [s].
+
+    Attributes:
+        gradient: Derivatives of the distance by the parameters at the design point; empty where the bound is infinite.
+
+    """
 
     distance: float
     std: float
     by_speed: float
+    gradient: list[float]
+
+
+class LeastDeceleration:
+    """Whether the built-up brake decelerates at all speeds up to one, at a confidence.
+
+    Args:
+        shape: Brake rate over speed.
+        posterior: What is known of the parameters.
+        command: Brake target [m/s^2, > 0].
+        z: Standard deviations of the confidence.
+
+    """
+
+    def __init__(self, shape: RateShape, posterior: StopPosterior, command: float, z: float) -> None:
+        self._shape, self._posterior, self._command, self._z = shape, posterior, command, z
+        knots = shape.knots(MOST_SPEED)
+        self._grid = [0.0]
+        for k in range(1, len(knots)):
+            self._grid.extend([knots[k - 1] + share * (knots[k] - knots[k - 1]) for share in _BETWEEN])
+        # Number of these speeds that are known to be good.
+        self._good = 0
+
+    def is_positive(self, speed: float) -> bool:
+        """Return whether the train slows down at all speeds up to one [m/s]."""
+        last = bisect_right(self._grid, speed)
+        while self._good < last:
+            if self._least(self._grid[self._good]) <= 0.0:
+                return False
+            self._good += 1
+        return self._least(speed) > 0.0
+
+    def _least(self, v: float) -> float:
+        """Return the deceleration at a speed less z standard deviations [m/s^2]."""
+        shape, k = self._shape, self._shape.inertia
+        rate = shape.table(v) * self._command
+        gradient = [rate, rate * shape.slope(v), rate * shape.changeover(v), k, k * v, k * v * v, k, 0.0, 0.0]
+        return math.fsum(map(_product, gradient, self._posterior.mean)) - self._z * self._posterior.std(gradient)
 
 
 class StoppingBounds:
@@ -91,39 +150,43 @@ class StoppingBounds:
         self._command, self._applied = command, applied
         self._z = NormalDist().inv_cdf(confidence)
         self._at_mean = Braking(shape, list(posterior.mean), command, applied)
+        self._least = LeastDeceleration(shape, posterior, command, self._z)
 
     def at(self, speed: float) -> Bound:
         """Return the bound for a speed [m/s, >= 0]; infinite where the train may not stop."""
-        stop = self._at_mean.stop(speed)
-        if math.isinf(stop.distance):
-            return Bound(math.inf, math.inf, math.inf)
-        std, gradient = self._std(stop.gradient), stop.gradient
-        for _ in range(_REFINEMENTS + 1):
-            found = self._beside(speed, gradient)
-            if found is None:
-                return Bound(math.inf, std, math.inf)
-            stop, gradient = found, found.gradient
-        return Bound(stop.distance, std, stop.by_speed)
+        return self._converged(speed, [])
 
-    def _std(self, gradient: list[float]) -> float:
-        spread = self._posterior.spread(gradient)
-        return math.sqrt(max(0.0, math.fsum(x * y for x, y in zip(spread, gradient, strict=True))))
+    def _converged(self, speed: float, near: list[float]) -> Bound:
+        """Return the bound for a speed [m/s]; ``near`` is the gradient of a bound for one nearby, or empty."""
+        at_mean = self._at_mean.stop(speed)
+        if math.isinf(at_mean.distance) or not self._least.is_positive(speed):
+            return Bound(math.inf, math.inf, math.inf, [])
+        std = self._posterior.std(at_mean.gradient)
+        found = self._beside(speed, near or at_mean.gradient)
+        for _ in range(_REFINEMENTS):
+            if math.isinf(found.distance):
+                break
+            before, found = found.distance, self._beside(speed, found.gradient)
+            if abs(found.distance - before) <= _CONVERGED * before:
+                return Bound(found.distance, std, found.by_speed, found.gradient)
+        return Bound(math.inf, std, math.inf, [])
 
-    def _beside(self, speed: float, gradient: list[float]) -> Stop | None:
-        """Return the stop z standard deviations from the mean along a gradient; None if the train does not stop."""
-        spread, std = self._posterior.spread(gradient), self._std(gradient)
+    def _beside(self, speed: float, gradient: list[float]) -> Stop:
+        """Return the stop z standard deviations from the mean along a gradient."""
+        spread, std = self._posterior.spread(gradient), self._posterior.std(gradient)
         step = self._z / std if std > 0.0 else 0.0
         theta = [self._posterior.mean[j] + step * spread[j] for j in range(PARAMETERS)]
         theta[DELAY], theta[LAG] = max(0.0, theta[DELAY]), max(0.0, theta[LAG])
-        if theta[RATE] < _LEAST_RATE:
-            return None
         stop = Braking(self._shape, theta, self._command, self._applied).stop(speed)
-        return None if math.isinf(stop.distance) else stop
+        if theta[RATE] < _LEAST_RATE:
+            stop.distance = math.inf
+        return stop
 
     def speed(self, distance: float) -> tuple[float, float]:
         """Return the speed [m/s] whose bound is a distance [m, >= 0], and the standard deviation of that speed [m/s].
 
-        It is at most ``MOST_SPEED``, and 0 where even the slowest train may not stop within the distance.
+        The train stops within the distance from all speeds up to this one. It is at most ``MOST_SPEED``, and 0 where
+        even the slowest train may not stop within the distance.
 
         Raises:
             NoAnswerError: The train may not stop from any speed.
@@ -137,7 +200,7 @@ class StoppingBounds:
                 break
             low, high = (low, speed) if excess > 0.0 else (speed, high)
             speed = self._next(speed, excess, found, low, high)
-            found = self.at(speed)
+            found = self._converged(speed, found.gradient)
         if math.isinf(found.distance):
             speed, found = low, self.at(low)
         return self._checked(speed, found)
@@ -152,7 +215,8 @@ class StoppingBounds:
 
     def _checked(self, speed: float, found: Bound) -> tuple[float, float]:
         if speed > _STANDING:
-            return speed, found.std / found.by_speed
+            # Of a stiff balance, which no train has, the derivative may have any sign.
+            return speed, found.std / abs(found.by_speed)
         if math.isinf(self.at(_SLOWEST).distance):
             raise NoAnswerError(self.no_answer())
         return 0.0, 0.0

@@ -2,19 +2,21 @@
 """One estimate of the nodes: whether it may be used now, and its values, which move gradually.
 
 A VALID or HOLDING estimate may be used until the next one is due. While one that was VALID is CONVERGING, its last
-valid values stand, as uncertain as those of the train file. Otherwise the train file applies: at most ``FALL_BACK_S``
-after the reason for it, such as a status, silence, or the end of the node.
+valid values stand, at once as uncertain as those of the train file. Otherwise the train file applies: at most
+``FALL_BACK_S`` after the reason for it, such as a status, silence, or the end of the node.
 """
 
 from __future__ import annotations
 
+import math
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from trainid_ros.client.gradual import Gradual, Normal
+from trainid_ros.client.gradual import ABSURD, Gradual, Normal
 from trainid_ros.results import Status
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
 FALL_BACK_S: Final = 0.2
 """Time in which values go back to those of the train file [s]."""
@@ -30,24 +32,53 @@ _WORDS: Final = {
 DOUBTED: Final = 'CONVERGING, the last valid value as uncertain as that of the train file'
 NOT_YET: Final = 'no estimate yet'
 GONE: Final = 'its node is gone'
-IMPOSSIBLE: Final = 'its values are not possible'
+# A way to the live value that takes longer is said, until it takes less than FALL_BACK_S [s].
+_LONG_WAY_S: Final = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class Parameter:
+    """Parameters that are estimated together.
+
+    Attributes:
+        file: Their distribution by the train file.
+        probes: Directions in which their moves are measured.
+        least: Least value that is possible.
+        most: Largest one.
+
+    """
+
+    file: Normal
+    probes: tuple[tuple[float, ...], ...]
+    least: float = -ABSURD
+    most: float = ABSURD
+
+    def problem(self, name: str, found: Normal) -> str:
+        """Return what is not possible of an estimate; empty if it is."""
+        if found.is_possible() and self.least <= min(found.mean) and max(found.mean) <= self.most:
+            return ''
+        if len(found.mean) > 1:
+            return f'{name} or their covariance are not possible'
+        std = math.copysign(math.sqrt(abs(found.covariance[0])), found.covariance[0])
+        return f'{name} = {found.mean[0]:g} with a std of {std:g} is not possible'
 
 
 class Channel:
     """Parameters of one estimate, by name.
 
     Args:
-        values: Parameters of the train file, and the directions in which their moves are measured.
+        parameters: Parameters of the train file.
         max_age_s: Time without a new estimate after which the last one is not used any more [s].
 
     """
 
-    def __init__(self, values: Mapping[str, tuple[Normal, Sequence[Sequence[float]]]], max_age_s: float) -> None:
-        self._file = {name: normal for name, (normal, _) in values.items()}
+    def __init__(self, parameters: Mapping[str, Parameter], max_age_s: float) -> None:
+        self._parameters = parameters
+        self._file = {name: parameter.file for name, parameter in parameters.items()}
         self._valid = self._file
-        self._gradual = {name: Gradual(normal, probes) for name, (normal, probes) in values.items()}
+        self._gradual = {name: Gradual(x.file, x.probes) for name, x in parameters.items()}
         self._max_age_s = max_age_s
-        self._seen_s = self._now_s = float('-inf')
+        self._heard_s = self._now_s = self._moving_until_s = -math.inf
         self._status = Status.UNINITIALIZED
         self._problem = NOT_YET
 
@@ -58,30 +89,53 @@ class Channel:
 
     def is_heard(self, time_s: float) -> bool:
         """Return whether an estimate, usable or not, has come lately."""
-        return time_s - self._seen_s <= self._max_age_s
+        return time_s - self._heard_s <= self._max_age_s
 
     def take(self, status: Status, values: Mapping[str, Normal], time_s: float) -> None:
         """Take in an estimate that arrived at a time [s]."""
         self.go_on(time_s)
-        self._seen_s, before, self._status = time_s, self._status, status
+        self._heard_s, before, self._status = time_s, self._status, status
         if status is Status.CONVERGING and self.is_live:
             if before is not status:
                 self._doubt()
         elif status not in USABLE:
             self._fall_back(_WORDS[status], time_s)
-        elif not all(normal.is_possible() for normal in values.values()):
-            self._fall_back(IMPOSSIBLE, time_s)
+        elif problem := self._find_problem(values):
+            self._fall_back(problem, time_s)
         else:
             self._problem = ''
             self._valid = {name: values.get(name, self._file[name]) for name in self._file}
             for name, gradual in self._gradual.items():
                 gradual.go_to(self._valid[name], self._now_s)
+            self._note_move()
+
+    def take_latched(self, status: Status, values: Mapping[str, Normal], time_s: float) -> bool:
+        """Take in the last valid estimate, of which a copy is kept for those who join later; return if it counts.
+
+        It does where nothing else is known, and as the last valid one where a doubt was heard before it.
+        """
+        is_heard = self.is_heard(time_s)
+        if is_heard and (self.is_live or self._status is not Status.CONVERGING):
+            return False
+        self.take(status, values, time_s)
+        if is_heard:
+            self.take(Status.CONVERGING, {}, time_s)
+        return True
+
+    def _find_problem(self, values: Mapping[str, Normal]) -> str:
+        found = (self._parameters[name].problem(name, normal) for name, normal in values.items())
+        return next(filter(None, found), '')
+
+    def _note_move(self) -> None:
+        """Note until when values move to the live ones; small moves, as of each estimate, are none."""
+        left_s = max(gradual.left_s(self._now_s) for gradual in self._gradual.values())
+        if left_s > _LONG_WAY_S or self._now_s < self._moving_until_s:
+            self._moving_until_s = self._now_s + left_s - FALL_BACK_S
 
     def _doubt(self) -> None:
-        """Keep the last valid values, with the uncertainty of the train file."""
+        """Keep the last valid values, or the way to them, with the uncertainty of the train file."""
         for name, gradual in self._gradual.items():
-            doubted = Normal(self._valid[name].mean, self._file[name].covariance)
-            gradual.go_to(doubted, self._now_s, FALL_BACK_S)
+            gradual.go_to(Normal(self._valid[name].mean, self._file[name].covariance), self._now_s)
 
     def lose(self, reason: str, time_s: float) -> None:
         """Use the train file from a time [s] on, until the next estimate."""
@@ -90,7 +144,7 @@ class Channel:
 
     def go_on(self, time_s: float) -> None:
         """Advance to a time [s]; a clock that goes back stands still."""
-        due_s = self._seen_s + self._max_age_s
+        due_s = self._heard_s + self._max_age_s
         if self.is_live and time_s > due_s:
             self._fall_back(f'no estimate for more than {self._max_age_s:g} s', due_s)
         self._now_s = max(self._now_s, time_s)
@@ -111,5 +165,5 @@ class Channel:
             return f'train file: {self._problem}'
         if self._status is Status.CONVERGING:
             return DOUBTED
-        moving = any(gradual.left_s(self._now_s) > FALL_BACK_S for gradual in self._gradual.values())
+        moving = self._now_s < self._moving_until_s
         return f'{self._status.name}, moving to the live value' if moving else self._status.name

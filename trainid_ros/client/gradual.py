@@ -3,10 +3,10 @@
 
 On its way from (m0, P0) to (m, P), with the share g of the way done, d = m - m0 and q = (1 - g)^2,
 
-    mean = m0 + g d,        covariance = s (q P0 + (1 - q) P).
+    mean = m0 + g d,        covariance = P + q (d d' + R),        R = positive part of P0 - P - d d'.
 
-s >= 1 is the least factor with which the standard deviation also covers what is left of the way, P + q d d'. So it
-rises at once by what it must cover, and then falls gradually.
+So the standard deviation covers what is left of the way in every direction. It rises at once by what it must cover,
+and then falls gradually. The positive part is taken in units of the train file's standard deviations.
 """
 
 from __future__ import annotations
@@ -15,14 +15,19 @@ import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
+import numpy as np
+
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
 MOST_RATE: Final = 0.25
 """Largest rate of change towards a live value, in standard deviations of the train file's value per second."""
 
-# No parameter of a train has a magnitude like this.
-_ABSURD: Final = 1e6
+ABSURD: Final = 1e6
+"""No parameter of a train has a magnitude like this."""
+# A train file may state a value without any uncertainty: its moves are measured in this share of it [1].
+_LEAST_SHARE: Final = 0.01
+_TINY: Final = 1e-9
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,12 +53,16 @@ class Normal:
     def is_possible(self) -> bool:
         """Return whether no number is absurd, NaN included, and no variance is negative."""
         n = len(self.mean)
-        numbers = all(abs(x) < _ABSURD for x in (*self.mean, *self.covariance))
+        numbers = all(abs(x) < ABSURD for x in (*self.mean, *self.covariance))
         return numbers and len(self.covariance) == n * n and min(self.covariance[:: n + 1]) >= 0.0
 
 
 def _product(x: float, y: float) -> float:
     return x * y
+
+
+def _difference(x: float, y: float) -> float:
+    return x - y
 
 
 class Gradual:
@@ -66,9 +75,12 @@ class Gradual:
     """
 
     def __init__(self, start: Normal, probes: Sequence[Sequence[float]]) -> None:
-        self._file, self._from, self._to = start, start, start
+        self._file, self._to = start, start
         self._probes = probes
+        self._way: tuple[float, ...] = ()
+        self._excess: tuple[float, ...] = ()
         self._begin_s, self._duration_s = 0.0, 0.0
+        self._unit = np.sqrt(np.array(start.covariance[:: len(start.mean) + 1])) + _TINY
 
     def left_s(self, time_s: float) -> float:
         """Return the time from a time [s] until the newest distribution is reached [s]."""
@@ -76,33 +88,36 @@ class Gradual:
 
     def go_to(self, target: Normal, time_s: float, longest_s: float = math.inf) -> None:
         """Move to a distribution from a time [s] on, within ``longest_s`` [s]."""
-        self._from = self.at(time_s)
+        start = self.at(time_s)
         self._to, self._begin_s = target, time_s
-        self._duration_s = min(self._way() / MOST_RATE, longest_s)
+        self._duration_s = min(self._longest_way(start, target) / MOST_RATE, longest_s)
+        self._way = tuple(map(_difference, target.mean, start.mean))
+        self._excess = self._uncovered(start) if self._duration_s > 0.0 else ()
 
     def at(self, time_s: float) -> Normal:
         """Return the distribution at a time [s], which is not before the last :meth:`go_to`."""
-        if self.left_s(time_s) <= 0.0:
+        left = self.left_s(time_s) / self._duration_s if self._duration_s > 0.0 else 0.0
+        if left <= 0.0:
             return self._to
-        g = min(max(0.0, (time_s - self._begin_s) / self._duration_s), 1.0)
-        d = [after - before for before, after in zip(self._from.mean, self._to.mean, strict=True)]
-        mean = tuple(before + g * step for before, step in zip(self._from.mean, d, strict=True))
-        q = (1.0 - g) * (1.0 - g)
-        mixed = Normal(
-            mean, tuple(map(lambda P0, P: q * P0 + (1.0 - q) * P, self._from.covariance, self._to.covariance))
-        )
-        scale = 1.0
-        for probe in self._probes:
-            left = math.fsum(map(_product, probe, d))
-            covered, stated = self._to.along(probe)[1] + q * left * left, mixed.along(probe)[1]
-            scale = max(scale, covered / stated) if stated > 0.0 else scale
-        return Normal(mean, tuple(scale * x for x in mixed.covariance))
+        left = min(left, 1.0)
+        mean = tuple(map(lambda value, step: value - left * step, self._to.mean, self._way))
+        q = left * left
+        return Normal(mean, tuple(map(lambda P, X: P + q * X, self._to.covariance, self._excess)))
 
-    def _way(self) -> float:
-        """Return the longest way of value or standard deviation, in standard deviations of the train file."""
+    def _uncovered(self, start: Normal) -> tuple[float, ...]:
+        """Return d d' + R, row-major."""
+        d, n = np.array(self._way), len(self._way)
+        square = np.outer(d, d)
+        more = np.reshape(start.covariance, (n, n)) - np.reshape(self._to.covariance, (n, n)) - square
+        values, vectors = np.linalg.eigh(more / np.outer(self._unit, self._unit))
+        root = self._unit[:, None] * vectors * np.sqrt(np.maximum(values, 0.0))
+        return tuple((square + root @ root.T).ravel().tolist())
+
+    def _longest_way(self, start: Normal, target: Normal) -> float:
+        """Return the longest way of a value, or down of its standard deviation, in those of the train file."""
         longest = 0.0
         for probe in self._probes:
-            (before, old), (after, new), unit = (x.along(probe) for x in (self._from, self._to, self._file))
-            change = max(abs(after - before), abs(math.sqrt(new) - math.sqrt(old)))
-            longest = max(longest, change / math.sqrt(unit[1]))
+            (before, old), (after, new), unit = (x.along(probe) for x in (start, target, self._file))
+            change = max(abs(after - before), math.sqrt(old) - math.sqrt(new))
+            longest = max(longest, change / max(math.sqrt(unit[1]), _LEAST_SHARE * abs(unit[0]), _TINY))
         return longest

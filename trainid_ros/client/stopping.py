@@ -44,6 +44,10 @@ _NODES: Final = (0.04691007703066802, 0.23076534494715845, 0.5, 0.76923465505284
 _WEIGHTS: Final = (
     0.11846344252809454, 0.23931433524968324, 0.28444444444444444, 0.23931433524968324, 0.11846344252809454
 )  # fmt: skip
+# Largest ratio of the decelerations at the ends of an interval, and how often one is halved to meet it: near a speed at
+# which the train hardly slows down, distance by speed has a pole.
+_SMOOTH: Final = 2.0
+_HALVINGS: Final = 12
 # Half the step of the derivative by speed [m/s].
 _SPEED_STEP: Final = 0.01
 # A train that becomes faster than this does not stop [m/s].
@@ -206,23 +210,35 @@ class Braking:
 
     def _hold(self, out: Stop, speed: float) -> float:
         """Add the stop with the brake built up; return l at its start [s]."""
-        target, knots, gradient = self._command, self._shape.knots(speed), out.gradient
+        target, knots = self._command, self._shape.knots(speed)
         for k in range(1, len(knots)):
-            width = knots[k] - knots[k - 1]
-            for j in range(5):
-                v = knots[k - 1] + width * _NODES[j]
-                d = self._deceleration(v, target)
-                if d <= 0.0:
-                    out.distance = math.inf
-                    return 0.0
-                run = width * _WEIGHTS[j] * v / d
-                out.distance += run
-                self._add(gradient, -run / d, v, target)
-        d = self._deceleration(speed, target)
-        if d <= 0.0:
+            self._hold_between(out, knots[k - 1], knots[k], _HALVINGS)
+            if math.isinf(out.distance):
+                return 0.0
+        return speed / self._deceleration(speed, target)
+
+    def _hold_between(self, out: Stop, low: float, high: float, halvings: int) -> None:
+        """Add the way between two speeds, in halves where the deceleration varies too much for the quadrature."""
+        target, width = self._command, high - low
+        below, above = self._deceleration(low, target), self._deceleration(high, target)
+        if min(below, above) <= 0.0:
             out.distance = math.inf
-            return 0.0
-        return speed / d
+            return
+        if halvings > 0 and max(below, above) > _SMOOTH * min(below, above):
+            middle = 0.5 * (low + high)
+            self._hold_between(out, low, middle, halvings - 1)
+            if not math.isinf(out.distance):
+                self._hold_between(out, middle, high, halvings - 1)
+            return
+        for j in range(5):
+            v = low + width * _NODES[j]
+            d = self._deceleration(v, target)
+            if d <= 0.0:
+                out.distance = math.inf
+                return
+            run = width * _WEIGHTS[j] * v / d
+            out.distance += run
+            self._add(out.gradient, -run / d, v, target)
 
     def _add(self, gradient: list[float], weight: float, v: float, target: float) -> None:
         """Add weight times the derivatives of the deceleration by f, e, h, a, b, c and i."""

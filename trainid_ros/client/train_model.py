@@ -16,8 +16,8 @@ from trainid_ros.brake_rate.brake_rate_settings import GsmaConfig
 from trainid_ros.client.bounds import MOST_SPEED, StoppingBounds, StopPosterior
 from trainid_ros.client.channel import MAX_AGE_S, Channel
 from trainid_ros.client.file_values import BRAKE_RATE, DAVIS, FORCE_SCALE, FileValues
-from trainid_ros.client.gradual import Normal
-from trainid_ros.errors import NoAnswerError
+from trainid_ros.client.message_values import brake_rate_values, resistance_values
+from trainid_ros.errors import InputError, NoAnswerError
 from trainid_ros.messages import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, output_topic
 from trainid_ros.resistance.resistance_settings import FilterBankConfig
 from trainid_ros.settings import SettingInfo, check_value
@@ -49,6 +49,7 @@ _APPLIED: Final = SettingInfo('', 'm/s^2', -20.0, 0.0)
 _CONFIDENCE: Final = SettingInfo('', '', 1e-6, 1.0 - 1e-6)
 _MAX_AGE: Final = SettingInfo('', 's', 0.01, 1e12)
 _DISTANCE: Final = SettingInfo('', 'm', 0.0, 1e5)
+_POSITION: Final = SettingInfo('', 'm', -1e9, 1e9)
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +103,7 @@ class TrainModel:
         self._resistance = Channel(self._file.resistance(), max_age)
         self._brake_rate = Channel(self._file.brake_rate(), max_age)
         self._channels = {RESISTANCE_TOPIC: self._resistance, BRAKE_RATE_TOPIC: self._brake_rate}
-        self._seen = (0.0, math.inf)
+        self._learned_speeds = (0.0, math.inf)
         if node is not None:
             from trainid_ros.ros.estimate_subscriptions import subscribe_estimates  # noqa: PLC0415 (needs ROS)
 
@@ -118,8 +119,10 @@ class TrainModel:
         """
         now = 0.0
         model = cls(None, train_file, max_age=_MAX_AGE.high, clock=lambda: now)
-        model.take(result.resistance.output)
-        model.take(result.brake_rate.output)
+        for estimator in (result.resistance, result.brake_rate):
+            if estimator.last_usable is not None:  # what a doubt at the end leaves standing
+                model.take(estimator.last_usable)
+            model.take(estimator.output)
         now = 1e9  # all moves are done
         return model
 
@@ -130,21 +133,21 @@ class TrainModel:
     def take_message(self, topic: OutputTopic, status: Status, estimate: Any, *, latched: bool = False) -> None:
         """Take in the status and the fields of an estimate, which may be a message.
 
-        A latched copy only counts where nothing newer is known.
+        A latched copy is that of the last valid estimate.
         """
         channel = self._channels.get(topic)
         if channel is None:
             return
-        if topic is RESISTANCE_TOPIC:
-            values, seen = _resistance_values(estimate), (estimate.speed_min, estimate.speed_max)
-        else:
-            values, seen = {BRAKE_RATE: _positive(estimate.brake_rate, estimate.brake_rate_std)}, self._seen
+        is_resistance = topic is RESISTANCE_TOPIC
+        values = resistance_values(estimate) if is_resistance else brake_rate_values(estimate)
         with self._lock:
             now = self._clock()
-            if latched and channel.is_heard(now):
+            if latched and not channel.take_latched(status, values, now):
                 return
-            channel.take(status, values, now)
-            self._seen = seen
+            if not latched:
+                channel.take(status, values, now)
+            if is_resistance:
+                self._learned_speeds = (estimate.speed_min, estimate.speed_max)
 
     def lose(self, topic: OutputTopic, reason: str) -> None:
         """Use the train file instead of an estimate until the next one comes."""
@@ -161,12 +164,7 @@ class TrainModel:
         check_value('speed', speed, _SPEED)
         with self._lock:
             self._go_on()
-            w, variance = self._resistance.normal(DAVIS).along((1.0, speed, speed * speed))
-            answer = self._answer(w, math.sqrt(variance), self._resistance)
-            low, high = self._seen
-        if not answer.live or low <= speed <= high:
-            return answer
-        return replace(answer, reason=f'{answer.reason}; outside the speeds learned from, {low:.1f} to {high:.1f} m/s')
+            return self._resistance_at(speed)
 
     def brake_rate(self, speed: float | None = None) -> Value:
         """Return the brake rate [1] (1 = nominal) at a speed [m/s]; without one, the factor on the table over speed.
@@ -175,14 +173,11 @@ class TrainModel:
             InputError: The speed is not finite or out of range.
 
         """
-        shape = 1.0
         if speed is not None:
             check_value('speed', speed, _SPEED)
-            shape = self._file.shape.table(speed)
         with self._lock:
             self._go_on()
-            rate, variance = self._brake_rate.normal(BRAKE_RATE).along((shape,))
-            return self._answer(rate, math.sqrt(variance), self._brake_rate)
+            return self._brake_rate_at(speed)
 
     def feed_forward(self, speed: float, gradient: float, acceleration: float, mass: float | None = None) -> Value:
         """Return the force [N] at the wheel rim that gives an acceleration.
@@ -200,13 +195,15 @@ class TrainModel:
             InputError: An argument is not finite or out of range.
 
         """
+        check_value('speed', speed, _SPEED)
         check_value('gradient', gradient, _GRADIENT)
         check_value('acceleration', acceleration, _ACCELERATION)
         train = self._file.train_file.train
         M = train.mass if mass is None else mass
         check_value('mass', M, _MASS)
-        w = self.resistance(speed)
         with self._lock:
+            self._go_on()
+            w = self._resistance_at(speed)
             s, variance = self._resistance.normal(FORCE_SCALE).along((1.0,))
         force = M * ((1.0 + train.rotary_mass) * acceleration + 0.001 * G * (w.value + gradient))
         by_w, share = M * 0.001 * G, math.sqrt(variance) / s
@@ -219,7 +216,7 @@ class TrainModel:
     def brake_command(self, speed: float, gradient: float, acceleration: float) -> Value:
         """Return the brake command [m/s^2, <= 0] that gives an acceleration once the brake is built up.
 
-        ``u = (dv/dt + k (w(v) + i)) / f(v)`` with ``k = g / (1000 (1 + gamma))``; 0 where no brake is needed.
+        ``u = (dv/dt + k (w(v) + i)) / r(v)`` with ``k = g / (1000 (1 + gamma))``; 0 where no brake is needed.
 
         Args:
             speed: v [m/s].
@@ -230,12 +227,15 @@ class TrainModel:
             InputError: An argument is not finite or out of range.
 
         """
+        check_value('speed', speed, _SPEED)
         check_value('gradient', gradient, _GRADIENT)
         check_value('acceleration', acceleration, _ACCELERATION)
-        w, rate, k = self.resistance(speed), self.brake_rate(speed), self._file.inertia
-        f = max(rate.value, _LEAST)
-        command = min(0.0, (acceleration + k * (w.value + gradient)) / f)
-        std = math.hypot(k * w.std, command * rate.std) / f
+        with self._lock:
+            self._go_on()
+            w, rate = self._resistance_at(speed), self._brake_rate_at(speed)
+        k, r = self._file.inertia, max(rate.value, _LEAST)
+        command = min(0.0, (acceleration + k * (w.value + gradient)) / r)
+        std = math.hypot(k * w.std, k * self._file.train_file.line.gradient_std, command * rate.std) / r
         return Value(command, std, *_both(w, rate))
 
     def stopping_distance(
@@ -306,20 +306,30 @@ class TrainModel:
         gradient: float = 0.0,
         command: float = FULL_SERVICE,
         confidence: float = 0.95,
+        *,
+        applied: float = 0.0,
+        direction: int = 1,
     ) -> tuple[Value, ...]:
         """Return the braking speed [m/s] at positions [m] before a stopping point [m]; 0 at it and beyond.
 
-        Positions increase in the direction of travel; for the rest see :meth:`braking_speed`.
+        ``direction`` is 1 where positions increase on the way, -1 where they fall; for the rest see
+        :meth:`braking_speed`.
 
         Raises:
             InputError: An argument is not finite or out of range.
             NoAnswerError: The train may not stop from any speed.
 
         """
-        distances = [max(0.0, stop - position) if math.isfinite(position) else position for position in positions]
+        if direction not in (1, -1):
+            msg = f'direction = {direction!r} must be 1 or -1'
+            raise InputError(msg)
+        check_value('stop', stop, _POSITION)
+        for position in positions:
+            check_value('position', position, _POSITION)
+        distances = [max(0.0, direction * (stop - position)) for position in positions]
         for distance in distances:
             check_value('distance', distance, _DISTANCE)
-        bounds, live, reason = self._bounds(gradient, command, confidence, 0.0)
+        bounds, live, reason = self._bounds(gradient, command, confidence, applied)
         return tuple(Value(*bounds.speed(distance), live, reason) for distance in distances)
 
     def _bounds(
@@ -346,6 +356,19 @@ class TrainModel:
         rest = (map_std**2, delay_std**2, lag_std**2)
         return StopPosterior(mean, (rate.covariance[0], *by_speed, 0.0, 0.0, 0.0, *rest), davis.covariance)
 
+    def _resistance_at(self, speed: float) -> Value:
+        w, variance = self._resistance.normal(DAVIS).along((1.0, speed, speed * speed))
+        answer = self._answer(w, math.sqrt(variance), self._resistance)
+        low, high = self._learned_speeds
+        if not answer.live or low <= speed <= high:
+            return answer
+        return replace(answer, reason=f'{answer.reason}; outside the speeds learned from, {low:.1f} to {high:.1f} m/s')
+
+    def _brake_rate_at(self, speed: float | None) -> Value:
+        table, by_speed = (1.0, 0.0) if speed is None else self._file.rate_direction(speed)
+        factor, variance = self._brake_rate.normal(BRAKE_RATE).along((1.0,))
+        return self._answer(table * factor, table * math.hypot(math.sqrt(variance), by_speed), self._brake_rate)
+
     def _go_on(self) -> None:
         now = self._clock()
         self._resistance.go_on(now)
@@ -361,16 +384,3 @@ def _both(w: Value, rate: Value) -> tuple[bool, str]:
     if w.reason == rate.reason:
         return w.live and rate.live, w.reason
     return w.live and rate.live, f'resistance {w.reason}; brake rate {rate.reason}'
-
-
-def _resistance_values(estimate: Any) -> dict[str, Normal]:
-    values = {DAVIS: Normal((estimate.a, estimate.b, estimate.c), tuple(map(float, estimate.covariance)))}
-    scale, std = estimate.force_scale, estimate.force_scale_std
-    if not math.isnan(scale):  # NaN: not estimated
-        values[FORCE_SCALE] = _positive(scale, std)
-    return values
-
-
-def _positive(value: float, std: float) -> Normal:
-    """Return a factor with its standard deviation; one that is not positive is not possible."""
-    return Normal((value if value > _LEAST else math.nan,), (std * std,))

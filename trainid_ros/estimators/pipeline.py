@@ -48,6 +48,8 @@ class EstimatorPipeline(Generic[EstimateT]):
         self.config = config
         self._stale_ns = round(config.stale_after * NS_PER_S)
         self.resets = 0
+        self.last_usable: Output[EstimateT] | None = None
+        """Last VALID or HOLDING output, if only CONVERGING ones came after it; else None."""
         self._clear()
 
     def set_stale_after(self, stale_after: float) -> None:
@@ -119,13 +121,13 @@ class EstimatorPipeline(Generic[EstimateT]):
 
         Args:
             events: What :meth:`SampleStream.push` returned.
-            publish: Called with the output after each sample; without it no estimate is computed.
+            publish: Called with the output after each sample.
 
         """
         for event in events:
             if isinstance(event, Sample):
                 self._step(event)
-                self.statuses[self._status] += 1
+                self._note_status()
                 if publish is not None:
                     publish(self.current())
             elif isinstance(event, Rejection):
@@ -134,9 +136,17 @@ class EstimatorPipeline(Generic[EstimateT]):
                 self._start_over()
         if self._status not in (Status.STALE, Status.FAULT) and self.stream.is_input_missing(self._stale_ns):
             self._status = Status.STALE
-            self.statuses[Status.STALE] += 1
+            self._note_status()
             if publish is not None:
                 publish(self.current())
+
+    def _note_status(self) -> None:
+        """Count the status of an output, and keep the output for a doubt that may follow."""
+        self.statuses[self._status] += 1
+        if self._status is Status.VALID or self._status is Status.HOLDING:
+            self.last_usable = self.current()
+        elif self._status is not Status.CONVERGING:
+            self.last_usable = None
 
     def mark_stale(self) -> Output[EstimateT]:
         """Mark the estimate as stale because inputs are missing; its value stays."""

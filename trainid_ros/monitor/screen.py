@@ -146,11 +146,14 @@ def _estimate(item: EstimateView, size: _Size) -> list[Text]:
     if item.status is None:
         return [Text(), Text.assemble(name, ' ', state)]
     headline = size.text(f'{item.quantity}  {with_band(item)}')
-    lines = [Text.assemble(name, ' ', headline, '  ', state, no_wrap=True, overflow=headline.overflow)]
+    # The end of a line may be cut: on a narrow terminal the status begins the last one.
+    first, last = ('', state) if size.is_narrow else (state, '')
+    lines = [Text.assemble(name, ' ', headline, '  ', first, no_wrap=True, overflow=headline.overflow)]
     lines += _chart(item, size)
     if size.height > _ONE_ROW or not size.is_narrow:
         lines.append(size.text(f'  {item.details}', 'dim'))
-    lines.append(size.text(f'  {rejections(item)}', 'dim'))
+    counts = size.text(f'  {rejections(item)}', 'dim')
+    lines.append(Text.assemble('  ', last, counts, no_wrap=True, overflow=counts.overflow) if last else counts)
     return [Text(), *lines] if size.height > _ONE_ROW else lines
 
 

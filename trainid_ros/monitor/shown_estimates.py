@@ -7,6 +7,7 @@ import math
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from trainid_ros.messages import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, SPEED_MODEL_TOPIC
+from trainid_ros.results import Status
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -81,7 +82,8 @@ def _model_details(message: Any) -> str:
 
 
 def _brake_details(message: Any) -> str:
-    seen = 'braking now' if message.observable else 'seen only while braking'
+    is_current = message.status not in (Status.STALE, Status.FAULT)
+    seen = 'braking now' if message.observable and is_current else 'seen only while braking'
     return f'{seen}  brake acts with {-message.control_acceleration:.2f} m/s²'
 
 

@@ -14,6 +14,7 @@ from typing import Final, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
+from trainid_ros.bag.plausible_stamps import PlausibleStamps
 from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, Record, SpeedRecord
 from trainid_ros.results import BrakeRateEstimate, Output, ResistanceEstimate, SpeedModelEstimate, Status
 
@@ -29,8 +30,6 @@ BRAKING: Final = 'brake'
 _STANDING_SPEED: Final = 0.3
 # Share of the greatest force up to which a train coasts: auxiliaries draw some power then.
 _TRACTION_SHARE: Final = 0.02
-_FARTHEST_S: Final = 600.0
-"""Step between stamps beyond which a speed is left out [s]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,7 +181,7 @@ class TraceRecorder:
     def __init__(self) -> None:
         self._start_ns = 0
         self._newest_s = 0.0
-        self._speed_ns = 0
+        self._speed_stamps = PlausibleStamps()
         self._force = self._command = self._gradient = self._greatest_force = 0.0
         self._drive, self._modes = _Thinned(3), _Spans()
         self._resistance, self._resistance_ratio, self._resistance_status = (
@@ -217,6 +216,7 @@ class TraceRecorder:
         """Add the output of an estimator; outputs without a sample are left out."""
         if output.stamp_ns <= 0:
             return
+        self._speed_stamps.follow(output.stamp_ns)
         time_s = self._time(output.stamp_ns)
         match output.estimate:
             case ResistanceEstimate() as estimate:
@@ -246,10 +246,8 @@ class TraceRecorder:
 
     def _add_speed(self, record: SpeedRecord) -> None:
         # Only plausible stamps may extend the time axis; the estimators check all others.
-        step_s = (record.stamp_ns - self._speed_ns) / NS_PER_S
-        if (self._speed_ns and not -_FARTHEST_S < step_s < _FARTHEST_S) or not np.isfinite(record.speed):
+        if not np.isfinite(record.speed) or not self._speed_stamps.accept(record.stamp_ns):
             return
-        self._speed_ns = record.stamp_ns
         time_s = self._time(record.stamp_ns)
         self._drive.add((time_s, record.speed, self._gradient))
         self._modes.add(time_s, self._mode(record.speed))

@@ -9,9 +9,12 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
 from diagnostic_msgs.msg import DiagnosticArray
+from rclpy.exceptions import InvalidNamespaceException
 from rclpy.node import Node
 from rclpy.parameter import Parameter
+from rclpy.validate_namespace import validate_namespace
 
+from trainid_ros.errors import InputError
 from trainid_ros.messages import OUTPUT_TOPICS, record_from_message
 from trainid_ros.monitor.trains import Report, Trains
 from trainid_ros.monitor.view import Level
@@ -41,6 +44,18 @@ _TOPICS: Final = (*INPUT_TOPICS, *OUTPUT_TOPICS)
 _TYPES: Final = {topic.name: type_name(message_class(topic)) for topic in _TOPICS}
 
 
+def _checked(namespace: str) -> str:
+    """Return a namespace with its leading slash; without one it is below the root."""
+    name = f'/{namespace.removeprefix("/").removesuffix("/")}'
+    try:
+        validate_namespace(name)
+    except InvalidNamespaceException as error:
+        reason = str(error).splitlines()[0].partition(': ')[2].rstrip(':')
+        msg = f'--namespace {namespace}: {reason}'
+        raise InputError(msg) from None
+    return name
+
+
 class TrainMonitor(Node):
     """Subscribes to the topics of one namespace, or of all in which a topic of ours is published."""
 
@@ -52,7 +67,11 @@ class TrainMonitor(Node):
             namespace: Namespace of the train, None for all that are found.
             options: Options of the rclpy node.
 
+        Raises:
+            InputError: No namespace can have this name.
+
         """
+        wanted = None if namespace is None else _checked(namespace)
         name = f'trainid_monitor_{os.getpid()}'
         silent = Parameter('start_type_description_service', value=False)  # a service with a number in its name
         with creation_of(name):
@@ -65,7 +84,7 @@ class TrainMonitor(Node):
                 **options,
             )
         self.trains = Trains()
-        self._wanted = None if namespace is None else f'/{namespace.strip("/")}'
+        self._wanted = wanted
         self._looked_s = 0.0
         self.create_subscription(
             DiagnosticArray,

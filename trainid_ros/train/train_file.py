@@ -20,7 +20,7 @@ Pairs = tuple[tuple[float, float], ...]
 NamedValues = tuple[tuple[str, float], ...]
 
 # A brake rate outside this range is a unit error.
-_LEAST_RATE, _MOST_RATE = 0.01, 10.0
+LEAST_RATE, MOST_RATE = 0.01, 10.0
 # Added in quadrature to dead time and lag, because the relative error of short ones is larger [s].
 _LEAST_DELAY, _LEAST_LAG = 0.67, 0.25
 # Beyond these, too: speed [m/s], gradient [per mille], radius of a curve [m], position [m].
@@ -239,7 +239,7 @@ def _brake(section: Section) -> Brake:
     default = Brake()
     table = _rate_table(section) if isinstance(section.data.get('rate'), list) else ()
     return Brake(
-        rate=default.rate if table else section.number('rate', '', default.rate, low=_LEAST_RATE, high=_MOST_RATE),
+        rate=default.rate if table else section.number('rate', '', default.rate, low=LEAST_RATE, high=MOST_RATE),
         time_constant=section.number('time_constant', 's', default.time_constant, low=0.0, high=60.0),
         delay=section.number('delay', 's', default.delay, low=0.0, high=60.0),
         rate_table=table,
@@ -253,8 +253,8 @@ def _rate_table(section: Section) -> Pairs:
         section.fail('rate', '= [] must be a number or have at least one row')
     for i, (speed, rate) in enumerate(rows):
         section.check(f'rate[{i}][0]', speed, 'm/s', low=0.0, high=_MOST_SPEED)
-        if not _LEAST_RATE <= rate <= _MOST_RATE:
-            section.fail(f'rate[{i}][1]', f'= {rate:g} is outside [{_LEAST_RATE:g}, {_MOST_RATE:g}]')
+        if not LEAST_RATE <= rate <= MOST_RATE:
+            section.fail(f'rate[{i}][1]', f'= {rate:g} is outside [{LEAST_RATE:g}, {MOST_RATE:g}]')
     for i, ((before, _), (after, _)) in enumerate(pairwise(rows)):
         if after <= before:
             section.fail(f'rate[{i + 1}][0]', f'= {after:g} m/s must be above {before:g} m/s: speeds must increase')

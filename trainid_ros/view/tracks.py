@@ -7,17 +7,16 @@ from array import array
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, Final
 
+from trainid_ros.bag.plausible_stamps import PlausibleStamps
 from trainid_ros.messages import output_topic
 from trainid_ros.monitor.shown_estimates import KMH, SHOWN
-from trainid_ros.records import NS_PER_S, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
+from trainid_ros.records import BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
 
 if TYPE_CHECKING:
     from trainid_ros.bag.bag_replay import AnyOutput, Pipelines
     from trainid_ros.bag.reader import LoggedRecord
     from trainid_ros.records import Record
 
-_FARTHEST_NS: Final = 600 * NS_PER_S
-"""Step between stamps beyond which a record is left out: its stamp is wrong [ns]."""
 _SHOWN: Final = {item.topic.name: item for item in SHOWN}
 USED: Final = 'used'
 
@@ -79,15 +78,12 @@ class Tracks:
         self.rejected = {item.name: States() for item in SHOWN}
         self.events: list[Event] = []
         self._finding = ''
-        self._newest_ns = 0
+        self._stamps = PlausibleStamps()
 
     def on_record(self, entry: LoggedRecord) -> None:
-        """Take in an input; one without a usable stamp is left out."""
+        """Take in an input; one without a plausible stamp is left out."""
         record = entry.record
-        if record.stamp_ns <= 0 or (self._newest_ns and abs(record.stamp_ns - self._newest_ns) > _FARTHEST_NS):
-            return
-        self._newest_ns = record.stamp_ns
-        if (found := _number(record)) is not None:
+        if self._stamps.accept(record.stamp_ns) and (found := _number(record)) is not None:
             name, value = found
             self.inputs[name].add(record.stamp_ns, value)
 
@@ -96,6 +92,7 @@ class Tracks:
         stamp_ns = output.stamp_ns
         if stamp_ns <= 0:
             return
+        self._stamps.follow(stamp_ns)
         name = _SHOWN[output_topic(output.estimate).name].name
         self.estimates[name].append((stamp_ns, output.estimate))
         before = self.status[name].changes[-1:]

@@ -43,8 +43,8 @@ public:
 
 private:
   void step() {
-    trainid::Covariance P{0.94, 0, 0, 0, 6e-4, 0, 0, 0, 6e-7};  // of the train file, as are these
-    trainid::Theta p{1.0, 0, 0, 1.0, 0.03, 0.003, 0.0, 0.6, 0.4}, std{0.2, 0.08, 0.06, 0, 0, 0, 0.2, 0.11, 0.06};
+    trainid::Covariance P{0.61, 0, 0, 0, 6.25e-4, 0, 0, 0, 2.61e-6};  // of the train file, as are these
+    trainid::Theta p{1.0, 0, 0, 1.0, 0.03, 0.003, 0.0, 0.6, 0.4}, std{0.2, 0.08, 0.06, 0, 0, 0, 0.2, 0.108, 0.057};
     if (const auto w = w_.usable(now())) {P = w->covariance, p[3] = w->a, p[4] = w->b, p[5] = w->c;}
     if (const auto f = rate_.usable(now())) {p[0] = f->brake_rate, std[0] = f->brake_rate_std;}
     const double bound = trainid::stopping_bound(train_, p, std, P, 20.0, 0.8, 1.645);

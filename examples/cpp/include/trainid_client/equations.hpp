@@ -6,6 +6,7 @@
 #include <array>
 #include <cmath>
 #include <limits>
+#include <numeric>
 #include <utility>
 #include <vector>
 
@@ -64,41 +65,75 @@ inline double stopping_distance(const Train & train, const Theta & p, double spe
       const double w = p[A] + p[GRADIENT] + v * (p[B] + v * p[C]);
       return table(train, v) * (p[RATE] + by_speed) * command * built_up + k * w;
     };
-  double distance = 0.0, v = speed;
-  for (double t = 0.0; t < 600.0; t += dt) {
-    const double half = v - 0.5 * dt * deceleration(t, v), d = deceleration(t + 0.5 * dt, half);
-    if (v - dt * d <= 0.0) {return distance + 0.5 * v * v / d;}
-    distance += dt * (v - 0.5 * dt * d);
-    v -= dt * d;
+  const double built_up = p[DELAY] + 10.0 * p[LAG];
+  double distance = 0.0, v = speed, t = 0.0;
+  while (v < 400.0) {
+    const double d0 = deceleration(t, v);
+    if (t > built_up && d0 <= 0.0) {break;}
+    const double step = t > built_up ? std::max(dt, 0.005 * v / d0) : dt;
+    const double d = deceleration(t + 0.5 * step, v - 0.5 * step * d0);
+    if (v - step * d <= 0.0) {return distance + 0.5 * v * v / d;}
+    distance += step * (v - 0.5 * step * d);
+    v -= step * d;
+    t += step;
   }
   return std::numeric_limits<double>::infinity();
 }
 
-// Distance within which the train stops with the probability of z standard deviations (1.645: 95 %).
+// Covariance times a gradient.
+inline Theta spread_of(const Theta & stds, const Covariance & P, const Theta & slope) {
+  Theta out{};
+  for (int j = 0; j < COUNT; ++j) {out[j] = stds[j] * stds[j] * slope[j];}
+  for (int i = 0; i < 3; ++i) {out[A + i] = P[3 * i] * slope[A] + P[3 * i + 1] * slope[B] + P[3 * i + 2] * slope[C];}
+  return out;
+}
+
+inline double dot(const Theta & x, const Theta & y) {
+  return std::inner_product(x.begin(), x.end(), y.begin(), 0.0);
+}
+
+// Whether the built-up brake decelerates at all speeds up to one with the probability of z standard deviations.
+inline bool may_stop(
+  const Train & train, const Theta & mean, const Theta & stds, const Covariance & P, double speed, double command,
+  double z) {
+  const double k = G / (1000.0 * (1.0 + train.rotary_mass));
+  for (int n = 0; n <= 400; ++n) {
+    const double v = speed * n / 400.0, u = table(train, v) * command;
+    const double m = std::max(0.0, 1.0 - std::abs(v / train.blend_speed - 1.0));
+    const Theta slope{u, u * (std::min(v / train.max_speed, 1.0) - 0.5), u * m, k, k * v, k * v * v, k, 0.0, 0.0};
+    if (dot(slope, mean) <= z * std::sqrt(dot(slope, spread_of(stds, P, slope)))) {return false;}
+  }
+  return true;
+}
+
+// Distance within which the train stops with the probability of z standard deviations (1.645: 95 %); infinite where it
+// may not stop. The client does the same with exact derivatives.
 inline double stopping_bound(
   const Train & train, const Theta & mean, const Theta & stds, const Covariance & P, double speed, double command,
   double z) {
+  constexpr double infinity = std::numeric_limits<double>::infinity();
+  if (!may_stop(train, mean, stds, P, speed, command, z)) {return infinity;}
   Theta at = mean;
-  for (int iteration = 0; iteration < 2; ++iteration) {
-    Theta slope{}, spread{};
+  double distance = stopping_distance(train, at, speed, command);
+  for (int iteration = 0; iteration < 200 && std::isfinite(distance); ++iteration) {
+    Theta slope{};
     for (int j = 0; j < COUNT; ++j) {
-      const double h = 1e-3 * std::max(0.1, std::abs(mean[j]));
+      const double h = 1e-4 * std::max(0.1, std::abs(mean[j]));
       Theta above = at, below = at;
       above[j] += h, below[j] -= h;
       slope[j] = (stopping_distance(train, above, speed, command) - stopping_distance(train, below, speed, command)) /
         (2.0 * h);
     }
-    double variance = 0.0;
-    for (int j = 0; j < COUNT; ++j) {
-      const bool is_davis = j >= A && j <= C;
-      const int i = is_davis ? 3 * (j - A) : 0;
-      spread[j] = is_davis ? P[i] * slope[A] + P[i + 1] * slope[B] + P[i + 2] * slope[C] : stds[j] * stds[j] * slope[j];
-      variance += spread[j] * slope[j];
-    }
+    const Theta spread = spread_of(stds, P, slope);
+    const double variance = dot(spread, slope);
+    if (!std::isfinite(variance)) {return infinity;}
     for (int j = 0; j < COUNT; ++j) {at[j] = mean[j] + (variance > 0.0 ? z / std::sqrt(variance) : 0.0) * spread[j];}
     at[DELAY] = std::max(0.0, at[DELAY]), at[LAG] = std::max(0.0, at[LAG]);
+    const double before = distance;
+    distance = stopping_distance(train, at, speed, command);
+    if (iteration > 0 && std::abs(distance - before) <= 1e-6 * distance) {return distance;}
   }
-  return stopping_distance(train, at, speed, command);
+  return infinity;
 }
 
 }  // namespace trainid
