@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import math
 from itertools import combinations
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 from benchmarks.faults.injection import (
     Fault,
@@ -16,6 +16,7 @@ from benchmarks.faults.injection import (
     dropped,
     duplicated,
     frozen,
+    frozen_position,
     late,
     missing,
     missing_for_ever,
@@ -28,7 +29,12 @@ from benchmarks.faults.injection import (
     value_fault,
 )
 
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
 _KMH: Final = 3.6
+_MPH: Final = 2.236936
+_LBF: Final = 0.2248089
 _G: Final = 9.81
 
 
@@ -38,6 +44,11 @@ def _slipping(t: float, x: float, y: float, flag: bool) -> tuple[float, float, b
 
 def _sliding(t: float, x: float, y: float, flag: bool) -> tuple[float, float, bool]:
     return x * (1.0 - 0.3 * max(0.0, math.sin(0.8 * t))), y, flag
+
+
+def _position(name: str, change: Callable[[float, float], float]) -> Fault:
+    """Return a fault that changes the position by the time since its start [s]."""
+    return value_fault(f'position {name}', 'speed', lambda t, x, y, flag: (x, change(t, y), flag))
 
 
 def _drifting(name: str, topic: str, per_second: float) -> Fault:
@@ -51,6 +62,8 @@ def _constant(name: str, topic: str, value: float) -> Fault:
 
 _SPEED: Final = (
     scaled('in km/h', 'speed', _KMH),
+    scaled('in mph', 'speed', _MPH),
+    scaled('half', 'speed', 0.5),
     scaled('3 % high', 'speed', 1.03),
     scaled('5 % high', 'speed', 1.05),
     scaled('offset .5 m/s', 'speed', 1.0, 0.5),
@@ -59,6 +72,11 @@ _SPEED: Final = (
     value_fault('slide', 'speed', _sliding),
     _constant('not a number', 'speed', math.nan),
     _constant('infinite', 'speed', math.inf),
+    _position('double', lambda _t, y: 2.0 * y),
+    _position('in km', lambda _t, y: 1e-3 * y),
+    _position('5 % high', lambda _t, y: 1.05 * y),
+    frozen_position(),
+    _position('jumps', lambda t, y: y + 300.0 * (t // 20.0)),
     spiked('speed', 5.0),
     frozen('speed'),
     missing('speed'),
@@ -75,6 +93,7 @@ _SPEED: Final = (
 )
 _FORCE: Final = (
     scaled('in kN', 'force', 1e-3),
+    scaled('in lbf', 'force', _LBF),
     scaled('sign', 'force', -1.0),
     scaled('20 % high', 'force', 1.2),
     _drifting('drift', 'force', 100.0),

@@ -94,6 +94,23 @@ def frozen(topic: str) -> Fault:
     return Fault(f'{topic} frozen', apply)
 
 
+def frozen_position() -> Fault:
+    """Return a fault that repeats the last position, with the speeds as they are."""
+
+    def apply(rows: Sequence[Row], start_ns: int, end_ns: int) -> list[Row]:
+        held = math.nan
+        sent = []
+        for row in rows:
+            if row[0] == SPEED and start_ns <= row[1] < end_ns:
+                held = row[3] if math.isnan(held) else held
+                sent.append((SPEED, row[1], row[2], held, row[4]))
+            else:
+                sent.append(row)
+        return sent
+
+    return Fault('speed position frozen', apply)
+
+
 def missing(topic: str, name: str = 'missing', seconds: float = math.inf) -> Fault:
     """Return a fault that drops the messages of a topic for some time [s], at most until the end of the fault."""
     place = _TOPICS[topic]

@@ -63,3 +63,75 @@ def test_positions_back_before_the_direction_is_known_are_left_out() -> None:
         drive(check, 150.0, 1.0)
     assert check.finding == ''
     assert not check.is_suspected
+
+
+@pytest.mark.parametrize('resolution', [0.0, 90.0])
+def test_a_position_that_stands_still_is_named_and_one_that_is_seldom_updated_is_not(resolution: float) -> None:
+    check = DistanceCheck()
+    shown = 0.0
+    for k in range(300):
+        before, shown = shown, 4.0 * k if resolution == 0.0 else resolution * (4.0 * k // resolution)
+        check.add(4.0, shown - before)
+    assert check.finding == ''
+    assert check.has_position == (check.still <= 20.0)
+    for _ in range(75):
+        check.add(4.0, 0.0)
+    assert 'position in ato/speed stands still' in check.finding
+    assert drive(check, 1500.0, 1.0).finding == ''
+
+
+def test_a_position_that_was_never_another_one_is_given_a_kilometre() -> None:
+    check = DistanceCheck()
+    for k in range(300):
+        check.add(4.0, 0.0)
+        assert bool(check.finding) == (4.0 * (k + 1) > 1000.0)
+
+
+def test_one_leap_of_the_position_is_none_too_many_and_two_within_a_kilometre_are() -> None:
+    check = drive(DistanceCheck(), 600.0, 1.0)
+    check.add(4.0, 304.0)
+    assert drive(check, 1500.0, 1.0).finding == ''
+    check.add(4.0, -296.0)
+    assert drive(check, 300.0, 1.0).finding == ''
+    check.add(4.0, 304.0)
+    assert check.finding == 'the position in ato/speed jumps, by +304 m the last time'
+
+
+@pytest.mark.parametrize(
+    ('ratio', 'by_force', 'text'),
+    [
+        (0.5, 1.0, 'the position in ato/speed changes by 2 times'),
+        (1e3, 0.9, 'the position in ato/speed changes by 0.001 times'),
+        (0.5, 0.55, 'ato/speed is about -50 % off'),
+        (0.5, math.nan, 'ato/speed is about -50 % off'),
+        (2.237, 2.3, 'ato/speed looks like mph'),
+        (3.6, 3.9, 'ato/speed looks like km/h'),
+        (1.06, 1.0, 'ato/speed is about +6 % off'),
+    ],
+)
+def test_the_forces_tell_whether_speed_or_position_is_off(ratio: float, by_force: float, text: str) -> None:
+    check = DistanceCheck()
+    for _ in range(round(900.0 / ratio) if ratio < 1.0 else 300):
+        check.add(4.0, 4.0 / ratio, by_force)
+    assert text in check.finding
+    # What the forces have told holds where they are too small to tell.
+    for _ in range(60):
+        check.add(4.0, 4.0 / ratio)
+    assert text in check.finding
+
+
+def test_a_position_that_hardly_changes_has_no_direction() -> None:
+    check = DistanceCheck()
+    for _ in range(300):
+        check.add(4.0, -0.004, 1.0)
+    assert 'the position in ato/speed changes by 0.001 times' in check.finding
+
+
+def test_the_ratio_of_the_distances_follows_within_a_short_way_and_can_be_forgotten() -> None:
+    check = drive(DistanceCheck(), 500.0, 1.0)
+    assert check.ratio == pytest.approx(1.0)
+    drive(check, 40.0, 3.6)
+    assert 2.0 < check.ratio < 3.6
+    check.forget_ratio()
+    assert math.isnan(check.ratio)
+    assert drive(check, 40.0, 3.6).ratio == pytest.approx(3.6)

@@ -49,6 +49,13 @@ def gradient(offset: float) -> Change:
     return changed
 
 
+def position(change: Callable[[float], float]) -> Change:
+    def changed(record: Record) -> Record:
+        return replace(record, position=change(record.position)) if isinstance(record, SpeedRecord) else record
+
+    return changed
+
+
 def late(kind: type[Record], seconds: float) -> Change:
     shift_ns = round(seconds * NS_PER_S)
     return lambda record: replace(record, stamp_ns=record.stamp_ns + shift_ns) if isinstance(record, kind) else record
@@ -99,6 +106,8 @@ def findings(stream: SampleStream, records: list[Record]) -> list[tuple[float, s
     [
         (speed(3.6), 10.0, 'ato/speed looks like km/h'),
         (speed(1.06), 60.0, 'ato/speed is about +6 % off'),
+        (speed(2.2369), 20.0, 'ato/speed looks like mph'),
+        (force(0.22481), 20.0, 'ato/force looks like lbf'),
         (force(1e-3), 10.0, 'ato/force looks like kN'),
         (force(1e3), 20.0, 'ato/force is about 1000 times too large'),
         (force(-1.0), 10.0, 'ato/force looks as if it had the wrong sign'),
@@ -112,6 +121,26 @@ def test_a_contradiction_from_the_first_message_is_named(
 ) -> None:
     found = findings(SampleStream(StreamConfig(metro)), [change(record) for record in day[:4000]])
     assert next(when for when, finding in found if text in finding) <= within_s
+
+
+@pytest.mark.parametrize('begin_s', [0.0, 200.0])
+@pytest.mark.parametrize(
+    'change',
+    [
+        position(lambda x: 2.0 * x),
+        position(lambda x: 1e-3 * x),
+        position(lambda _: 1500.0),
+        position(lambda x: x + 300.0 * (x // 200.0)),
+    ],
+)
+def test_a_position_that_is_off_is_named_and_not_the_gradient(
+    metro: TrainFile, day: tuple[Record, ...], change: Change, begin_s: float
+) -> None:
+    start_ns = day[0].stamp_ns
+    wrong = between(change, begin_s, math.inf, start_ns)
+    found = findings(SampleStream(StreamConfig(metro)), [wrong(record) for record in day[:9000]])
+    assert found[0][1].startswith('the position in ato/speed')
+    assert not any('ato/gradient' in text for _, text in found)
 
 
 @pytest.mark.parametrize(

@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 import pytest
 
@@ -25,7 +27,7 @@ def test_the_slope_is_that_of_the_regression_through_the_origin() -> None:
 def test_few_or_noisy_blocks_give_no_slope(slope: Slope) -> None:
     assert not slope.is_known
     slope.finding = 'as before'
-    slope.judge_traction(0.0, 4.0)
+    slope.judge_traction(0.0, 4.0, math.nan)
     assert slope.finding == 'as before'
 
 
@@ -35,14 +37,51 @@ def test_few_or_noisy_blocks_give_no_slope(slope: Slope) -> None:
 )
 def test_a_wrong_slope_is_named_by_its_size(factor: float, text: str) -> None:
     slope = learned(factor, noise=1.0 + abs(factor))
-    slope.judge_traction(0.0, 4.0)
+    slope.judge_traction(0.0, 4.0, math.nan)
     assert text in slope.finding
     assert bool(slope.finding) == bool(text)
 
 
+@pytest.mark.parametrize(
+    ('factor', 'by_position', 'text'),
+    [
+        (2.237, 2.237, 'ato/speed looks like mph'),
+        (2.237, 1.0, 'the acceleration is 2.2 times what ato/force and mass give'),
+        (2.237, math.nan, 'the acceleration is 2.2 times what ato/force and mass give'),
+        (3.6, 3.6, 'ato/speed looks like km/h'),
+        (4.448, 1.02, 'ato/force looks like lbf'),
+        (4.448, math.nan, 'ato/speed looks like km/h, or ato/force like lbf'),
+        (3.6, 1.0, 'ato/force looks like lbf'),
+    ],
+)
+def test_the_position_tells_whether_speed_or_force_has_another_unit(
+    factor: float, by_position: float, text: str
+) -> None:
+    slope = learned(factor, noise=3.0)
+    slope.judge_traction(0.0, 4.0, by_position)
+    assert slope.finding.startswith(text)
+
+
+@pytest.mark.parametrize(
+    ('by_position', 'text'), [(3.6, 'ato/speed looks like km/h'), (1.0, 'the train brakes 3.6 times')]
+)
+def test_the_position_tells_whether_the_speed_or_the_brake_is_off(by_position: float, text: str) -> None:
+    slope = learned(3.6, noise=3.0)
+    slope.judge_brake(0.0, by_position)
+    assert slope.finding.startswith(text)
+
+
+def test_a_slope_is_open_until_it_has_some_blocks_that_fit() -> None:
+    slope = Slope()
+    assert slope.is_open
+    assert not learned(1.0).is_open
+    assert learned(2.4).is_open
+    assert not learned(2.4, x=6.0).is_open
+
+
 def test_a_small_traction_says_nothing_since_map_and_resistance_are_off_by_as_much() -> None:
     slope = learned(2.5, noise=0.1, x=6.0)
-    slope.judge_traction(0.0, 4.0)
+    slope.judge_traction(0.0, 4.0, math.nan)
     assert slope.finding == ''
 
 
@@ -67,11 +106,11 @@ def test_a_few_blocks_that_are_off_do_not_count_and_many_in_a_row_do() -> None:
 
 def test_a_wrong_slope_is_forgotten_soon_when_it_is_mended() -> None:
     slope = learned(-1.0, noise=1.0)
-    slope.judge_traction(0.0, 4.0)
+    slope.judge_traction(0.0, 4.0, math.nan)
     count = 0
     while slope.finding:
         slope.add(60.0, 60.0)
-        slope.judge_traction(0.0, 4.0)
+        slope.judge_traction(0.0, 4.0, math.nan)
         count += 1
     assert 6 < count < 60
 
@@ -79,7 +118,7 @@ def test_a_wrong_slope_is_forgotten_soon_when_it_is_mended() -> None:
 def test_a_slope_is_plausible_where_it_is_known_and_within_its_limits() -> None:
     for factor, plausible in ((1.0, True), (3.6, False)):
         slope = learned(factor, noise=1.0)
-        slope.judge_traction(0.0, 4.0)
+        slope.judge_traction(0.0, 4.0, math.nan)
         assert slope.is_plausible == plausible
     assert not learned(1.0, blocks=4).is_plausible
 

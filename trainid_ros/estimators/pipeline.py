@@ -14,7 +14,14 @@ from typing import Generic
 
 from trainid_ros.errors import InputError
 from trainid_ros.estimators.consistency import Consistency, ConsistencyMonitor
-from trainid_ros.estimators.pipeline_state import SNAPSHOT_S, SUSPECTED_S, PipelineState, Snapshots, reason_counts
+from trainid_ros.estimators.pipeline_state import (
+    SNAPSHOT_S,
+    SUSPECTED_S,
+    PipelineState,
+    Snapshot,
+    Snapshots,
+    reason_counts,
+)
 from trainid_ros.estimators.protocol import Estimator
 from trainid_ros.records import NS_PER_S, Record
 from trainid_ros.results import BrakeRateEstimate, EstimateT, Output, Reason, Rejection, Status
@@ -67,10 +74,10 @@ class EstimatorPipeline(Generic[EstimateT]):
         self.last_rejection: Rejection | None = None
         self._speed = 0.0
         self._sample_ns = 0
-        prior = self.estimator.save()
+        self._consistency = ConsistencyMonitor()
+        prior = self._snapshot()
         self._snapshots = Snapshots(prior, prior)
         self._contradicted = self._changed = False
-        self._consistency = ConsistencyMonitor()
         self._status = Status.UNINITIALIZED
         # The estimate at the newest sample, None until somebody asks for it, and the last one published.
         self._estimate: EstimateT | None = None
@@ -190,7 +197,8 @@ class EstimatorPipeline(Generic[EstimateT]):
         state.check()
         now = self.estimator.save()
         try:
-            for saved in (state.snapshots.before, state.snapshots.newest, state.estimator):  # each must fit
+            snapshots = state.snapshots
+            for saved in (snapshots.before.estimator, snapshots.newest.estimator, state.estimator):  # each must fit
                 self.estimator.restore(saved)
         except InputError:
             self.estimator.restore(now)
@@ -255,12 +263,15 @@ class EstimatorPipeline(Generic[EstimateT]):
         elif self._changed and not changed and stream.has_returned and not stream.finding:
             self._go_back()
         elif not contradicted and snapshots.moved_s >= SNAPSHOT_S and stream.is_trusted:
-            snapshots.add(self.estimator.save())
+            snapshots.add(self._snapshot())
         self._contradicted, self._changed = contradicted, changed
 
+    def _snapshot(self) -> Snapshot:
+        return Snapshot(self.estimator.save(), self._consistency.state)
+
     def _go_back(self) -> None:
-        self.estimator.restore(self._snapshots.newest)
-        self._consistency.clear()
+        self.estimator.restore(self._snapshots.newest.estimator)
+        self._consistency.restore(self._snapshots.newest.consistency)
 
     def _judge(self, rejection: Rejection | None) -> Status:
         if self._status is Status.FAULT:

@@ -30,6 +30,20 @@ SUSPECTED_S: Final = 20.0
 """Time in motion within which a change of the inputs is suspected [s]."""
 
 
+@dataclass(frozen=True, slots=True)
+class Snapshot:
+    """What an estimator had learned, and whether its uncertainty was true.
+
+    Attributes:
+        estimator: State of the estimator as text.
+        consistency: Innovations of the updates before.
+
+    """
+
+    estimator: str
+    consistency: ConsistencyState
+
+
 @dataclass(slots=True)
 class Snapshots:
     """Saved states of an estimator, taken after each while of motion, to go back to when inputs were wrong.
@@ -41,11 +55,11 @@ class Snapshots:
 
     """
 
-    before: str
-    newest: str
+    before: Snapshot
+    newest: Snapshot
     moved_s: float = 0.0
 
-    def add(self, state: str) -> None:
+    def add(self, state: Snapshot) -> None:
         """Add the present state."""
         self.before, self.newest, self.moved_s = self.newest, state, 0.0
 
@@ -88,7 +102,8 @@ class PipelineState:
         kind = 'PipelineState'
         self.stream.check()
         check_not_negative(kind, moved_s=self.snapshots.moved_s)
-        check_restored(self.consistency.is_valid, kind, 'consistency')
+        for consistency in (self.consistency, self.snapshots.before.consistency, self.snapshots.newest.consistency):
+            check_restored(consistency.is_valid, kind, 'consistency')
         check_restored(self.status is not Status.FAULT, kind, 'status')
         check_not_negative(kind, used=self.used, samples=self.samples, resets=self.resets)
         check_not_negative(kind, speed=self.speed, sample_ns=self.sample_ns)

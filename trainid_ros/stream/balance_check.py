@@ -80,19 +80,22 @@ class BalanceCheck:
         """Forget sudden residuals but for a share [1] of them, while nothing can be compared."""
         self.residual *= keep
 
-    def add_released(self, residual: float, offset: float, resistance: float) -> None:
+    def add_released(self, residual: float, offset: float, resistance: float, *, named: bool = True) -> None:
         """Add a block where no brake acts.
 
         Args:
             residual: Its residual by the gain that has been learned [N/kN].
             offset: The offset that has been learned [N/kN].
             resistance: w(v) [N/kN].
+            named: Whether a mean that is too large is named already, as no error that grows with the traction.
 
         """
         self.mean += (residual - self.mean) / _MEMORY
         self.resistance += (resistance - self.resistance) / _MEMORY
         self._follow_drift(offset)
         if abs(self.mean) > self.mean_limit:
+            if not (named or self.finding):
+                return
             self.finding = f'forces do not balance by {-self.mean:+.0f} N/kN: ato/force or ato/gradient is off'
         elif abs(self.mean) < _SUSPECTED * self.mean_limit:
             self.finding = ''

@@ -24,9 +24,11 @@ from trainid_ros.scalars import is_finite
 from trainid_ros.state import decode, encode
 from trainid_ros.stream.balance_check import SUDDEN_MEMORY
 from trainid_ros.stream.brake_delay_check import BrakeDelayCheck, BrakeTiming
+from trainid_ros.stream.distance_check import is_leap
 from trainid_ros.stream.known_force import KnownForce
+from trainid_ros.stream.line_check import LineCheck
 from trainid_ros.stream.message_check import CommandCheck
-from trainid_ros.stream.plausibility_state import BRAKED, NO_BLOCK, RELEASED, Block, PlausibilityState
+from trainid_ros.stream.plausibility_state import BRAKED, NO_BLOCK, RECENT, RELEASED, Block, PlausibilityState
 from trainid_ros.stream.samples import STANDING, Sample
 from trainid_ros.stream.shift_check import ShiftCheck
 from trainid_ros.stream.speed_noise import SpeedNoise
@@ -128,9 +130,10 @@ class PlausibilityMonitor:
 
     @property
     def has_changed(self) -> bool:
-        """True while the balance of forces, or that of force and command, is improbable by what it was before."""
+        """True while forces, commands or distances are improbable together by what they were before."""
         state = self.state
-        return state.change.is_suspected or state.effort.is_suspected or state.balance.is_drifting
+        forces = state.change.is_suspected or state.effort.is_suspected or state.balance.is_drifting
+        return forces or state.distance.is_suspected
 
     @property
     def has_returned(self) -> bool:
@@ -160,12 +163,18 @@ class PlausibilityMonitor:
         self._follow_command(sample)
         self._follow_brake(sample, before)
         if is_finite(sample.dt) and is_finite(before):
+            state.follow_step(sample.speed - before, sample.dt)
             if sample.speed >= _MIN_SPEED:
                 by_speed = 0.5 * (before + sample.speed) * sample.dt
                 state.driven += by_speed
-                state.distance.add(by_speed, sample.direction * (sample.position - position))
+                by_position = sample.direction * (sample.position - position)
+                state.distance.add(by_speed, by_position, state.by_force)
             else:
+                by_speed, by_position = 0.0, sample.position - position
                 state.distance.interrupt()
+                state.distance.forget_ratio()
+            if is_leap(by_speed, by_position) and not state.line.finding:  # another place of the line from now on
+                state.line = LineCheck()
             self._check_forces(sample, before)
             self._check_standstill(sample.speed)
         else:
@@ -302,14 +311,16 @@ class PlausibilityMonitor:
         if block.kind == RELEASED:
             limit = _SUDDEN + _SUDDEN_TRACTION * abs(traction)
             state.balance.add(y - traction, limit + noise / SUDDEN_MEMORY)
+            state.recent.add(y, traction, RECENT)
             state.traction.take(y, traction, limit + noise)
-            state.traction.judge_traction(noise, resistance)
+            state.traction.judge_traction(noise, resistance, state.distance.ratio)
             state.confirmed = state.confirmed or state.traction.is_plausible
             self._close_released(y, traction, limit + noise, seconds, resistance)
             return
         brake = inertia * self._known.train_file.brake.rate_at(sample.speed) * block.command / seconds
         limit = _SUDDEN + _SUDDEN_BRAKE * abs(brake)
         state.balance.add(y - brake, limit + noise / SUDDEN_MEMORY)
+        state.recent.add(y, brake, RECENT)
         state.brake.take(y, brake, limit + noise)
         self._judge_brake(noise)
         # Electric brakes, whose force some trains report alone, fade out before the stop.
@@ -323,7 +334,7 @@ class PlausibilityMonitor:
         """Judge the slope of the brake; a command that is stuck agrees by chance while a driver brakes as much."""
         state = self.state
         before = state.brake.finding
-        state.brake.judge_brake(noise)
+        state.brake.judge_brake(noise, state.distance.ratio)
         if not before:
             state.has_alternated = not state.brake.finding
         elif not state.has_alternated:
@@ -333,7 +344,8 @@ class PlausibilityMonitor:
         """Take in acceleration y, traction x, the limit of the residual and w(v) [N/kN] of a block without brake."""
         state, residual = self.state, y - x
         change = state.change
-        state.balance.add_released(min(max(y - change.gain * x, -limit), limit), change.offset, resistance)
+        residual_left = min(max(y - change.gain * x, -limit), limit)
+        state.balance.add_released(residual_left, change.offset, resistance, named=not state.traction.is_open)
         # Slip of the wheels is no step of the traction.
         most = _SLIP * limit
         state.shift.add(x + min(max(residual, -most), most), x, seconds)
@@ -345,7 +357,7 @@ class PlausibilityMonitor:
         line, here, driven = self._line, sample.position, self.state.driven
         if line is None or not is_finite(here) or not is_finite(sample.gradient):
             return
-        if self.state.gradient_spikes.peak > 0.0:
+        if self.state.gradient_spikes.peak > 0.0 or not self.state.distance.has_position:
             return
         if driven - self.state.stopped < _TURNED:
             return

@@ -14,7 +14,7 @@ from trainid_ros.stream.distance_check import DistanceCheck
 from trainid_ros.stream.line_check import LineCheck
 from trainid_ros.stream.message_check import CommandCheck, ExcursionCheck, ReleaseCheck, SpikeCheck
 from trainid_ros.stream.shift_check import ShiftCheck
-from trainid_ros.stream.slope import BRAKE_RANGE, TRACTION_RANGE, Effort, Slope
+from trainid_ros.stream.slope import BRAKE_RANGE, TRACTION_RANGE, Effort, Regression, Slope
 from trainid_ros.stream.speed_noise import SpeedNoise
 
 # Noise of the speed at the start [m/s].
@@ -30,6 +30,14 @@ _GRADIENT_SPIKE_S: Final = 0.65
 _COMMAND_SPIKE: Final = 0.15
 _COMMAND_SPIKE_S: Final = 0.25
 _COMMAND_HELD_S: Final = 1.0
+
+# Memory of acceleration over force, and least number [blocks]; least force that shows it [N/kN]. Acceleration
+# that no train has [m/s^2], and noise of the speed added [std].
+RECENT: Final = 8.0
+_RECENT_LEAST: Final = 4.0
+_RECENT_FORCE: Final = 15.0
+_STEP: Final = 4.0
+_STEP_SIGMAS: Final = 8.0
 
 NO_BLOCK: Final = 0
 """Kind of a block: nothing can be compared."""
@@ -82,6 +90,7 @@ class PlausibilityState:
         traction: Slope of traction.
         brake: Slope of the brake.
         effort: Slope of the reported force over the brake command, while the brake is applied.
+        recent: Acceleration over traction or brake in the last seconds.
         balance: Check of the residual.
         change: Check for changes that the balance does not explain.
         brake_delay: Check of the dead time of the brake.
@@ -131,6 +140,7 @@ class PlausibilityState:
     traction: Slope = field(default_factory=Slope)
     brake: Slope = field(default_factory=Slope)
     effort: Effort = field(default_factory=Effort)
+    recent: Regression = field(default_factory=Regression)
     balance: BalanceCheck = field(default_factory=BalanceCheck)
     change: ChangeCheck = field(default_factory=ChangeCheck)
     brake_delay: BrakeDelayCheck = field(default_factory=BrakeDelayCheck)
@@ -189,6 +199,19 @@ class PlausibilityState:
         sudden = self.balance.is_suspected or self.change.is_suspected
         slopes = self.traction.is_suspected or self.brake.is_suspected or self.effort.is_suspected
         return sudden or slopes or late or spikes or self.distance.is_suspected or self.line.is_suspected
+
+    @property
+    def by_force(self) -> float:
+        """Acceleration over what traction and brake give, over the last seconds [1]; NaN if they hardly act."""
+        recent = self.recent
+        strong = recent.count > _RECENT_LEAST and recent.xx > _RECENT_FORCE * _RECENT_FORCE * recent.count
+        return recent.value if strong else math.nan
+
+    def follow_step(self, change: float, dt: float) -> None:
+        """Forget what relates the speed to other inputs where it changes [m/s] as no train does in this time [s]."""
+        if abs(change) > _STEP * dt + _STEP_SIGMAS * self.noise.std:
+            self.recent = Regression()
+            self.distance.forget_ratio()
 
     @property
     def numbers(self) -> tuple[float, float]:

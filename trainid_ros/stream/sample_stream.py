@@ -140,7 +140,7 @@ class SampleStream:
 
     @property
     def has_changed(self) -> bool:
-        """True while the balance of forces, or that of force and command, is improbable by what it was before."""
+        """True while forces, commands or distances are improbable together by what they were before."""
         return self._plausibility.has_changed
 
     @property

@@ -43,9 +43,17 @@ _USUAL_MEMORY: Final = 100.0
 _USUAL: Final = 0.05
 # Blocks in a row that are off before the effort is suspected.
 _OFF_BLOCKS: Final = 2
+# Traction that shows a wrong slope soon, in root mean square [N/kN].
+_STRONG: Final = 20.0
 # Slope of a force that certainly acts against the command [1].
 _OPPOSITE: Final = 0.4
 _G: Final = 9.81
+# Ratio within which a slope may be a factor, as far as mass, brake and resistance are known [1].
+_NEAR: Final = 1.0 / 0.7
+# Ratios by which a number in another unit is too large: speeds in km/h and miles per hour, newtons over pounds-force.
+_KMH: Final = 3.6
+_MPH: Final = 2.2369
+_LBF: Final = 4.4482
 # Slope of the brake below which the train does not brake [1].
 _NO_BRAKING: Final = 0.2
 
@@ -69,9 +77,9 @@ class Regression:
     yx: float = 0.0
     count: float = 0.0
 
-    def add(self, y: float, x: float) -> None:
-        """Add the means of one block [N/kN]."""
-        keep = 1.0 - 1.0 / (_SHORT if self.finding else _MEMORY)
+    def add(self, y: float, x: float, memory: float = _MEMORY) -> None:
+        """Add the means of one block [N/kN]; so many count while nothing is wrong."""
+        keep = 1.0 - 1.0 / (_SHORT if self.finding else memory)
         self.yy = keep * self.yy + y * y
         self.xx = keep * self.xx + x * x
         self.yx = keep * self.yx + y * x
@@ -140,6 +148,16 @@ class Slope(Regression):
         """True while the slope is hardly to be explained."""
         return self.excess > _SUSPECTED * self.offset
 
+    @property
+    def is_open(self) -> bool:
+        """True while it is too early to tell a wrong slope from an error that does not grow with x."""
+        strong = self.xx > _STRONG * _STRONG * self.count
+        return (
+            self.count < _MIN_BLOCKS
+            or self.off > 0
+            or (strong and not TRACTION_RANGE[0] < self.value < TRACTION_RANGE[1])
+        )
+
     def is_unrelated(self, noise: float) -> bool:
         """Return whether the speed certainly changes, or should, but not with x; ``noise`` is that of y [N/kN]."""
         least = 4.0 * _BRAKE_OFFSET * _BRAKE_OFFSET + noise * noise
@@ -147,17 +165,24 @@ class Slope(Regression):
             return False
         return self.yx <= _UNRELATED * math.sqrt(self.yy * self.xx)
 
-    def judge_traction(self, noise: float, resistance: float) -> None:
-        """Judge the slope of traction; ``noise`` is that of y, ``resistance`` the present w(v) [N/kN]."""
+    def judge_traction(self, noise: float, resistance: float, by_position: float) -> None:
+        """Judge the slope of traction.
+
+        Args:
+            noise: Noise of y [N/kN].
+            resistance: The present w(v) [N/kN].
+            by_position: Distance by the speed over that by the position [1], NaN if it is not known.
+
+        """
         if self._is_judged(TRACTION_RANGE, _OFFSET + _OFFSET_SHARE * resistance):
-            self.finding = _traction_text(self.value) if self.excess > self.offset else ''
+            self.finding = _traction_text(self.value, by_position) if self.excess > self.offset else ''
         elif self.is_unrelated(noise):
             self.finding = 'the speed does not follow ato/force: one of them is stuck, late or of another train'
 
-    def judge_brake(self, noise: float) -> None:
-        """Judge the slope of the brake; ``noise`` is that of y [N/kN]."""
+    def judge_brake(self, noise: float, by_position: float) -> None:
+        """Judge the slope of the brake; the arguments are those for traction."""
         if self._is_judged(BRAKE_RANGE, _BRAKE_OFFSET):
-            self.finding = _brake_text(self.value) if self.excess > self.offset else ''
+            self.finding = _brake_text(self.value, by_position) if self.excess > self.offset else ''
         elif self.is_unrelated(noise):
             self.finding = 'the speed does not follow ato/brake_command: one of them is stuck or of another train'
 
@@ -258,28 +283,46 @@ def _agree(ratio: float, other: float, factor: float) -> bool:
     return other < factor * ratio and ratio < factor * other
 
 
-def is_near(ratio: float, factor: float) -> bool:
+def is_near(ratio: float, factor: float, within: float = _NEAR) -> bool:
     """Return whether a ratio may be this factor, as far as mass, brake and resistance are known."""
-    return 0.7 * factor < ratio < factor / 0.7
+    return factor < ratio * within and ratio < factor * within
 
 
-def _traction_text(slope: float) -> str:
+def speed_unit(ratio: float, within: float = _NEAR) -> str:
+    """Return the unit of a speed that is too large by this ratio, within another one; empty if it is none."""
+    if not (is_near(ratio, _MPH, within) or is_near(ratio, _KMH, within)):
+        return ''
+    return 'km/h' if ratio * ratio > _KMH * _MPH else 'mph'
+
+
+def _speed_text(slope: float, by_position: float) -> str:
+    """Return the unit that the speed looks like by the acceleration and by its position, empty if by none."""
+    if math.isnan(by_position):  # a load may be twice what is known, but not more
+        return 'km/h' if speed_unit(slope) == 'km/h' else ''
+    is_speed = by_position > 0.0 and abs(math.log(by_position / slope)) < abs(math.log(by_position))
+    return speed_unit(by_position) if is_speed else ''
+
+
+def _traction_text(slope: float, by_position: float) -> str:
+    if slope < 0.0:
+        return 'ato/force looks as if it had the wrong sign'
     if is_near(slope, 1e3):
         return 'ato/force looks like kN: it is about 1000 times too small for the acceleration'
     if is_near(slope, 1e-3):
         return 'ato/force is about 1000 times too large for the acceleration'
-    if is_near(slope, 3.6):
-        return f'ato/speed looks like km/h: the acceleration is {slope:.2g} times what ato/force gives'
-    if slope < 0.0:
-        return 'ato/force looks as if it had the wrong sign'
+    if unit := _speed_text(slope, by_position):
+        unit += ', or ato/force like lbf' if math.isnan(by_position) and is_near(slope, _LBF) else ''
+        return f'ato/speed looks like {unit}: the acceleration is {slope:.2g} times what ato/force gives'
+    if is_near(slope, _LBF):
+        return f'ato/force looks like lbf: it is {slope:.2g} times too small for the acceleration'
     return f'the acceleration is {slope:.2g} times what ato/force and mass give'
 
 
-def _brake_text(slope: float) -> str:
-    if is_near(slope, _G):
-        return f'ato/brake_command looks like g: the train brakes {slope:.2g} times as much'
-    if is_near(slope, 3.6):
-        return f'ato/speed looks like km/h: the train brakes {slope:.2g} times as much as ato/brake_command'
+def _brake_text(slope: float, by_position: float) -> str:
     if slope < _NO_BRAKING:
         return 'the train does not brake while ato/brake_command brakes'
+    if is_near(slope, _G):
+        return f'ato/brake_command looks like g: the train brakes {slope:.2g} times as much'
+    if unit := _speed_text(slope, by_position):
+        return f'ato/speed looks like {unit}: the train brakes {slope:.2g} times as much as ato/brake_command'
     return f'the train brakes {slope:.2g} times as much as ato/brake_command'

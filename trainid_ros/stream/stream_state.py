@@ -163,6 +163,10 @@ _SUMS: Final = frozenset(
         'changes',
         'peak',
         'suspected_s',
+        'still',
+        'longest_still',
+        'leaps',
+        'lately_by_speed',
     }
 )
 
