@@ -29,7 +29,7 @@ _TIMES: Final = 3
 _HELPS: Final = 0.9
 # A longer drive must be better than a shorter one by this share of the standard deviation.
 _WORTH: Final = 0.03
-# A standard deviation of up to this multiple of its limit counts as reaching it in the text.
+# A standard deviation of up to this multiple of its limit, or of the present one, counts as the same.
 _NEARLY: Final = 1.05
 # A force scale known to this needs no drive [1].
 _SCALE_STD: Final = 0.01
@@ -65,6 +65,11 @@ class Promise:
     def before(self) -> float:
         """Standard deviation before it over its limit [1]."""
         return self.now / self.wanted.limit
+
+    @property
+    def is_worse(self) -> bool:
+        """Whether the quantity is known less well after the drive, and not well enough."""
+        return self.ratio > _NEARLY * max(1.0, self.before)
 
 
 @dataclass(frozen=True, slots=True)
@@ -178,8 +183,9 @@ class DriveSearch:
             self.result = best if helps else None
             return False
         for times, then in enumerate(self._estimator.foreseen(run, _TIMES), 1):
-            promises = (Promise(wanted, wanted.std(self._now), wanted.std(then)) for wanted in self._quantities)
-            self._drives.append((run, times, tuple(promises)))
+            promises = tuple(Promise(wanted, wanted.std(self._now), wanted.std(then)) for wanted in self._quantities)
+            if not any(promise.is_worse for promise in promises):
+                self._drives.append((run, times, promises))
         return True
 
 
