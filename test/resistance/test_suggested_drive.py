@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import pickle
 from dataclasses import replace
 
 import numpy as np
@@ -78,6 +79,7 @@ def test_after_one_speed_another_is_suggested(estimator: FilterBank | VMils) -> 
     assert drive.run.manoeuvre.text in drive.text
     assert f'{drive.least_known.wanted.name} ± {drive.least_known.then:.2g}' in drive.text
     assert drive.numbers['least_known'] == drive.least_known.wanted.name
+    assert pickle.loads(pickle.dumps(drive)).numbers == drive.numbers  # trials run in other processes
 
 
 def test_a_promise_leaves_the_estimator_as_it_is() -> None:
