@@ -3,7 +3,7 @@
 
 Each trial holds the speed of a simulated train for four minutes, so that not all is known, asks what to drive, and goes
 on with that on the same day, through the live estimator. The standard deviations then published are compared with the
-promised ones.
+promised ones. The same for the brake rate, after one braking from walking speed, which does not make it valid.
 """
 
 from __future__ import annotations
@@ -17,8 +17,10 @@ import numpy as np
 
 from benchmarks.papers.seeds import over_seeds
 from benchmarks.tables import Table
-from trainid_ros.pipelines import EstimatorSettings, resistance_pipeline
-from trainid_ros.resistance.planned_drive import ACCELERATION, Manoeuvre
+from trainid_ros.brake_rate.suggested_braking import suggested_braking
+from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline
+from trainid_ros.records import NS_PER_S
+from trainid_ros.resistance.planned_drive import ACCELERATION, KM_H, Manoeuvre
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
 from trainid_ros.resistance.suggested_drive import suggested_drive
 from trainid_ros.sim.driver import TICK_S, Decision, StopEvent
@@ -33,9 +35,10 @@ if TYPE_CHECKING:
 
     from trainid_ros.records import Record
     from trainid_ros.resistance.suggested_drive import SuggestedDrive
-    from trainid_ros.results import ResistanceEstimate
+    from trainid_ros.results import BrakeRateEstimate, ResistanceEstimate
     from trainid_ros.sim.plant import Plant
     from trainid_ros.sim.realism import Case
+    from trainid_ros.sim.scenario import Simulation
     from trainid_ros.train.train_file import TrainFile
 
 ALGORITHMS: Final = ('filter-bank', 'V-MILS')
@@ -45,6 +48,8 @@ _FIRST_SEED: Final = 7001
 _HELD_SHARE: Final = 0.6
 _HELD_S: Final = 240.0
 _DWELL_S: Final = 25.0
+# A braking from which too little is learned of the brake.
+_WALK: Final = Manoeuvre(4.0 * KM_H, 4.0 * KM_H)
 # Command to a stand [m/s^2], and its change in one tick.
 _BRAKE: Final = -0.6
 _BRAKE_STEP: Final = 0.16
@@ -113,13 +118,8 @@ class Trial:
 
 def try_drive(world: str, realism: str, algorithm: str, seed: int) -> Trial | None:
     """Drive, ask, and drive what is suggested; None if nothing is."""
-    file = world_train(find_world(world))
-    line = Line(stops=(0.0, _LINE_M), gradient_std=file.line.gradient_std)
-    names = REALISMS[realism] - {'changes', 'curve'}
-    case = make_case(
-        find_world(world), replace(file, line=line, effects=()), names, 1, np.random.default_rng([seed, len(world)])
-    )
-    held = _HELD_SHARE * file.train.max_speed
+    case = _case(world, realism, seed)
+    held = _HELD_SHARE * case.stated.train.max_speed
     first = Manoeuvre(held, held, _HELD_S)
     _, drive = _drive(case, algorithm, seed, (first,))
     if drive is None:
@@ -128,13 +128,47 @@ def try_drive(world: str, realism: str, algorithm: str, seed: int) -> Trial | No
     return Trial(drive, {item.wanted.name: item.wanted.std(then) / item.then for item in drive.promises})
 
 
+def try_braking(world: str, realism: str, seed: int) -> Trial | None:
+    """Brake from walking speed, ask, and brake as suggested; None if nothing is."""
+    case = _case(world, realism, seed)
+    _, drive = _brake(case, seed, (_WALK,))
+    if drive is None:
+        return None
+    then, _ = _brake(case, seed, (_WALK, *(drive.run.manoeuvre for _ in range(drive.times))))
+    return Trial(drive, {drive.least_known.wanted.name: then.brake_rate_std / drive.least_known.then})
+
+
+def _case(world: str, realism: str, seed: int) -> Case:
+    """Return a train on a line without stops."""
+    file = world_train(find_world(world))
+    line = Line(stops=(0.0, _LINE_M), gradient_std=file.line.gradient_std)
+    names, rng = REALISMS[realism] - {'changes', 'curve'}, np.random.default_rng([seed, len(world)])
+    return make_case(find_world(world), replace(file, line=line, effects=()), names, 1, rng)
+
+
+def _brake(case: Case, seed: int, manoeuvres: Sequence[Manoeuvre]) -> tuple[BrakeRateEstimate, SuggestedDrive | None]:
+    """Return the brake rate when the train stops after manoeuvres, and what to drive then."""
+    simulation = _simulated(case, seed, manoeuvres)
+    pipeline = brake_rate_pipeline(case.stated, EstimatorSettings())
+    stop_ns = case.scenario.start_ns + round(simulation.arrivals[-1].time_s * NS_PER_S)
+    for record in simulation.records:
+        if record.stamp_ns <= stop_ns:
+            pipeline.push(record)
+    now = pipeline.current().estimate
+    return now, suggested_braking(pipeline.estimator, case.stated, now)
+
+
+def _simulated(case: Case, seed: int, manoeuvres: Sequence[Manoeuvre]) -> Simulation:
+    driver = ManoeuvreDriver(manoeuvres, case.stated)
+    scenario = replace(case.scenario, runs=len(manoeuvres))
+    return simulate(scenario, np.random.default_rng(seed), lambda _train, _rng: driver)
+
+
 def _drive(
     case: Case, algorithm: str, seed: int, manoeuvres: Sequence[Manoeuvre]
 ) -> tuple[ResistanceEstimate, SuggestedDrive | None]:
     """Return the estimate after manoeuvres, and what to drive then; the same seed gives the same first manoeuvres."""
-    scenario = replace(case.scenario, runs=len(manoeuvres))
-    driver = ManoeuvreDriver(manoeuvres, case.stated)
-    simulation = simulate(scenario, np.random.default_rng(seed), lambda _train, _rng: driver)
+    simulation = _simulated(case, seed, manoeuvres)
     pipeline = resistance_pipeline(case.stated, EstimatorSettings(resistance=RESISTANCE.choose(algorithm)))
     prior = pipeline.current().estimate
     for record in simulation.records:
@@ -158,7 +192,8 @@ def summary(trials: Sequence[Trial]) -> tuple[str, ...]:
 
 def measure(seeds: int) -> tuple[Table, ...]:
     """Return how often promises were kept, in all worlds; a tenth of the seeds, since each trial is two drives."""
-    return (measured(range(_FIRST_SEED, _FIRST_SEED + max(1, seeds // 10))),)
+    chosen = range(_FIRST_SEED, _FIRST_SEED + max(1, seeds // 10))
+    return measured(chosen), measured_brakings(chosen)
 
 
 def measured(seeds: Iterable[int]) -> Table:
@@ -185,3 +220,23 @@ def measured(seeds: Iterable[int]) -> Table:
 def _try(cell: tuple[str, str, str, int]) -> Trial | None:
     algorithm, world, realism, seed = cell
     return try_drive(world, realism, algorithm, seed)
+
+
+def measured_brakings(seeds: Iterable[int]) -> Table:
+    """Return how often promises of the brake rate were kept over these seeds."""
+    cells = list(product(WORLDS, REALISMS, seeds))
+    found = list(zip(cells, over_seeds(_try_braking, cells, 'brakings'), strict=True))
+    rows = []
+    for world in (*WORLDS, 'all'):
+        ratios = [trial.ratios['brake rate'] for cell, trial in found if trial and world in (cell[0], 'all')]
+        if ratios:
+            rows.append((world, str(len(ratios)), f'{np.median(ratios):.2f} ({100.0 * kept_share(ratios):.0f} %)'))
+    note = (
+        f'Each trial brakes once from {_WALK.start / KM_H:.0f} km/h, asks what to drive, and drives that. As '
+        'above, for the brake rate.'
+    )
+    return Table('Suggested brakings', ('line', 'drives', 'brake rate'), tuple(rows), note)
+
+
+def _try_braking(cell: tuple[str, str, int]) -> Trial | None:
+    return try_braking(*cell)

@@ -36,7 +36,7 @@ LOWER = {
     'estimators': ('train', 'stream'),
     'resistance': ('train', 'stream', 'estimators'),
     'speed_model': ('train', 'stream', 'estimators', 'resistance'),
-    'brake_rate': ('train', 'stream', 'estimators'),
+    'brake_rate': ('train', 'stream', 'estimators', 'resistance'),
 }
 # Loaded only where needed, not by the core.
 SLOW = ('scipy', 'yaml')

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from benchmarks.drives import kept_share, summary, try_drive
+from benchmarks.drives import kept_share, summary, try_braking, try_drive
 
 
 @pytest.mark.parametrize(('algorithm', 'world'), [('filter-bank', 'metro'), ('V-MILS', 'emu')])
@@ -18,6 +18,17 @@ def test_promises_are_kept_within_20_percent(algorithm: str, world: str) -> None
         assert np.median([trial.ratios[name] for trial in trials]) == pytest.approx(1.0, abs=0.2)
     assert all(trial.drive.least_known.now > trial.drive.least_known.then for trial in trials)
     assert summary(trials)[0] == str(len(trials))
+
+
+@pytest.mark.parametrize('world', ['emu', 'high_speed'])
+def test_promises_of_brakings_are_kept_within_20_percent(world: str) -> None:
+    found = [try_braking(world, realism, seed) for realism in ('clean', 'field') for seed in range(2)]
+    trials = [trial for trial in found if trial is not None]
+    assert len(trials) >= 3
+    assert np.median([trial.ratios['brake rate'] for trial in trials]) == pytest.approx(1.0, abs=0.2)
+    for trial in trials:
+        promise = trial.drive.least_known
+        assert promise.then < promise.wanted.limit < promise.now
 
 
 def test_share_kept() -> None:

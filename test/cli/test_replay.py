@@ -72,7 +72,7 @@ def test_json_has_the_agreed_fields_and_nothing_else_is_printed(printed: Printed
     assert printed.out.count('\n') == 1
     assert printed.err == ''
     agreed = {'samples', 'duration_s', 'used', 'rejected', 'resistance', 'speed_model', 'brake_rate', 'wall_s'}
-    assert agreed | {'algorithms', 'suggested_drive', *FINDING} == set(answer)
+    assert agreed | {'algorithms', 'suggested_drive', 'suggested_braking', *FINDING} == set(answer)
     assert [answer[key] for key in FINDING] == ['', None, None]
     assert answer['algorithms'] == {'resistance': 'filter-bank', 'speed_model': 'AM-VFF-RLS', 'brake_rate': 'GSMA'}
     known = {'a', 'b', 'c', 'std', 'status', 'speed_range', 'force_scale', 'force_delay', 'findings'}

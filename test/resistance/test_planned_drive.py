@@ -24,6 +24,7 @@ def known(scale: float = 1.0) -> ResistanceEstimate:
     [
         (Manoeuvre(70 * KM_H, 40 * KM_H), 'coast from 70 to 40 km/h'),
         (Manoeuvre(70 * KM_H, 70 * KM_H, 60.0), 'hold 70 km/h for 60 s'),
+        (Manoeuvre(60 * KM_H, 60 * KM_H, braking=-0.6), 'brake from 60 km/h with -0.6 m/s²'),
         (Manoeuvre(70 * KM_H, 70 * KM_H), 'accelerate with full traction to 70 km/h'),
     ],
 )

@@ -4,17 +4,21 @@
 from __future__ import annotations
 
 import math
+import pickle
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
+from trainid_ros.estimators.observability import resistance_std
+from trainid_ros.pipelines import EstimatorSettings, resistance_pipeline
 from trainid_ros.records import NS_PER_S
 from trainid_ros.resistance.filter_bank import FilterBank
-from trainid_ros.resistance.planned_drive import KM_H
+from trainid_ros.resistance.planned_drive import KM_H, Manoeuvre, plan_run
 from trainid_ros.resistance.resistance_settings import FilterBankConfig, VMilsConfig
 from trainid_ros.resistance.suggested_drive import SuggestedDrive, suggested_drive
 from trainid_ros.resistance.vmils import VMils
+from trainid_ros.sim.scenario import Scenario, simulate
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.davis import G
 from trainid_ros.train.train_file import Davis, Line, Train, TrainFile
@@ -75,6 +79,7 @@ def test_after_one_speed_another_is_suggested(estimator: FilterBank | VMils) -> 
     assert drive.run.manoeuvre.text in drive.text
     assert f'{drive.least_known.wanted.name} ± {drive.least_known.then:.2g}' in drive.text
     assert drive.numbers['least_known'] == drive.least_known.wanted.name
+    assert pickle.loads(pickle.dumps(drive)).numbers == drive.numbers  # trials run in other processes
 
 
 def test_a_promise_leaves_the_estimator_as_it_is() -> None:
@@ -111,3 +116,22 @@ def test_nothing_is_suggested_before_the_first_sample_or_by_other_estimators() -
     assert suggested(fresh) is None
     estimate = driven(FilterBank(FILE, BANK), 20.0).estimate(0.0)
     assert suggested_drive(object(), FILE, fresh.estimate(0.0), estimate) is None
+
+
+def test_no_drive_is_suggested_after_which_something_known_would_not_be() -> None:
+    line = Line(stops=(0.0, 3450.0), speed_limit=((0.0, 8.0),))
+    file = TrainFile(Train(194e3, length=118.0, cars=6), Davis(1.0, 0.03, 0.003), line=line)
+    pipeline = resistance_pipeline(file, EstimatorSettings())
+    prior = pipeline.current().estimate
+    for record in simulate(Scenario(file, runs=2), np.random.default_rng(3)).records:
+        pipeline.push(record)
+    now, bank = pipeline.current().estimate, pipeline.estimator
+    assert isinstance(bank, FilterBank)
+    run = plan_run(Manoeuvre(25.0 * KM_H, 10.0 * KM_H), file, now)
+    assert run is not None
+    then = bank.foreseen(run, 3)[-1]
+    # This drive shows more of c, but for so long that w is no longer known.
+    limit = math.hypot(bank.config.valid_std, bank.config.valid_share * 1.2)
+    assert math.sqrt(then.covariance[8]) < 0.9 * math.sqrt(now.covariance[8])
+    assert resistance_std(then.covariance, 12.0 * KM_H) > limit > resistance_std(now.covariance, 12.0 * KM_H)
+    assert suggested_drive(bank, file, prior, now) is None

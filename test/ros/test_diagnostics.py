@@ -18,8 +18,9 @@ from trainid_msgs.msg import AtoForce, BrakeCommand
 from trainid_ros.estimators.consistency import WINDOW
 from trainid_ros.records import NS_PER_S, ForceRecord, SpeedRecord
 from trainid_ros.results import Status
+from trainid_ros.ros.diagnostics import EstimatorSpec
 from trainid_ros.ros.estimator_node import EstimatorNode
-from trainid_ros.ros.estimator_nodes import RESISTANCE
+from trainid_ros.ros.estimator_nodes import BRAKE_RATE, RESISTANCE
 from trainid_ros.ros.input_monitor import clock_time
 
 Graph: TypeAlias = Any  # the fixture of conftest.py
@@ -73,12 +74,11 @@ def test_diagnostics_show_status_counts_and_inputs(graph: Graph, train_file: str
 
 
 @pytest.mark.ros
-def test_diagnostics_say_what_to_drive(graph: Graph, train_file: str) -> None:
+@pytest.mark.parametrize('spec', [RESISTANCE, BRAKE_RATE], ids=['resistance', 'brake rate'])
+def test_diagnostics_say_what_to_drive(graph: Graph, train_file: str, spec: EstimatorSpec) -> None:
     diagnosed = Diagnosed(graph)
-    node = graph.make(
-        partial(EstimatorNode, RESISTANCE), train_file=train_file, diagnostic_period=0.1, stale_after=60.0
-    )
-    own = 'resistance_estimator: estimator'
+    node = graph.make(partial(EstimatorNode, spec), train_file=train_file, diagnostic_period=0.1, stale_after=60.0)
+    own = f'{node.get_name()}: estimator'
     node.bring_up()
     graph.until(lambda: own in diagnosed.by_name)
     assert 'to drive' not in diagnosed.values(own)

@@ -7,10 +7,12 @@ import math
 import time
 from collections import Counter
 from contextlib import ExitStack
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.bag.bag_replay import Pipelines, replay_through
 from trainid_ros.bag.reader import BagReader
+from trainid_ros.brake_rate.suggested_braking import suggested_braking
 from trainid_ros.cli.output import check_output, table, to_plain
 from trainid_ros.cli.per_bag import BagResult, run_per_bag
 from trainid_ros.errors import InputError
@@ -44,6 +46,17 @@ TRUTH_FILE: Final = 'truth.yaml'
 _SPEEDS: Final = (10.0, 15.0, 20.0)
 # A load that nobody weighs varies by more than this share of the mass [1].
 _UNWEIGHED: Final = 0.02
+
+
+@dataclass(frozen=True, slots=True)
+class Drives:
+    """What to drive for a better resistance and a better brake rate; None where nothing is missing or would help."""
+
+    resistance: SuggestedDrive | None = None
+    brake_rate: SuggestedDrive | None = None
+
+
+NO_DRIVES: Final = Drives()
 
 
 def run(args: argparse.Namespace) -> int:
@@ -128,13 +141,16 @@ def _replay(args: argparse.Namespace, bag: Path, advance: Callable[[float], None
     if report is not None and traces is not None:
         _write_report(args, bag, outcome, traces.finish(), truth, f'off line {_pace(outcome, wall_s)}', report)
     first = outcome.resistance
-    drive = suggested_drive(pipelines.resistance.estimator, setups[0].train_file, first.prior, first.output.estimate)
+    drives = Drives(
+        suggested_drive(pipelines.resistance.estimator, setups[0].train_file, first.prior, first.output.estimate),
+        suggested_braking(pipelines.brake_rate.estimator, setups[2].train_file, outcome.brake_rate.output.estimate),
+    )
     shown: str | dict[str, Any]
     if args.json:
-        shown = to_json(outcome, setups, wall_s, drive)
+        shown = to_json(outcome, setups, wall_s, drives)
         shown['resistance']['findings'] = [reader.mapping.named(text) for text in shown['resistance']['findings']]
     else:
-        shown = reader.mapping.named(describe(outcome, setups, wall_s, drive))
+        shown = reader.mapping.named(describe(outcome, setups, wall_s, drives))
         shown = f'{bag}: {shown}' if len(args.bags) > 1 else shown
     return BagResult(shown, (*warnings, *reader.warnings), no_answer(bag, outcome))
 
@@ -197,9 +213,7 @@ def no_answer(bag: Path, outcome: Replay) -> str:
     return text
 
 
-def to_json(
-    outcome: Replay, setups: Sequence[Setup], wall_s: float, drive: SuggestedDrive | None = None
-) -> dict[str, Any]:
+def to_json(outcome: Replay, setups: Sequence[Setup], wall_s: float, drives: Drives = NO_DRIVES) -> dict[str, Any]:
     """Return the object of ``--json``; counters at the top are those of the resistance."""
     resistance, model, brake = outcome.resistance, outcome.speed_model, outcome.brake_rate
     m, f = model.output.estimate, brake.output.estimate
@@ -221,7 +235,8 @@ def to_json(
         'input_finding': outcome.contradiction.finding,
         'input_finding_begin_s': outcome.contradiction.begin_s,
         'input_finding_end_s': outcome.contradiction.end_s,
-        'suggested_drive': None if drive is None else drive.numbers,
+        'suggested_drive': None if drives.resistance is None else drives.resistance.numbers,
+        'suggested_braking': None if drives.brake_rate is None else drives.brake_rate.numbers,
         'algorithms': {setup.job.field: setup.algorithm for setup in setups},
         'wall_s': wall_s,
     }
@@ -250,14 +265,15 @@ def _deviations(covariance: Sequence[float]) -> list[float]:
     return [math.sqrt(max(0.0, covariance[i * (size + 1)])) for i in range(size)]
 
 
-def describe(outcome: Replay, setups: Sequence[Setup], wall_s: float, drive: SuggestedDrive | None = None) -> str:
+def describe(outcome: Replay, setups: Sequence[Setup], wall_s: float, drives: Drives = NO_DRIVES) -> str:
     """Return the outcome as text for people."""
     head = (
         f'{outcome.records} messages, {outcome.resistance.samples} samples over {outcome.duration_s:.1f} s, '
         f'replayed {_pace(outcome, wall_s)}'
     )
     contradiction = (outcome.contradiction.text,) if outcome.contradiction.finding else ()
-    to_drive = () if drive is None else (f'to learn more: {drive.text}',)
+    found = (drives.resistance, drives.brake_rate)
+    to_drive = tuple(f'to learn more: {drive.text}' for drive in found if drive is not None)
     parts = (head, *contradiction, _estimates(outcome), _usage(outcome), _uncertainty(outcome, setups), *to_drive)
     return '\n\n'.join(parts)
 

@@ -13,12 +13,12 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
+from trainid_ros.results import ResistanceEstimate
 from trainid_ros.train.davis import specific_force, specific_inertia
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from trainid_ros.results import ResistanceEstimate
     from trainid_ros.train.train_file import TrainFile
 
 KM_H: Final = 1.0 / 3.6
@@ -28,7 +28,7 @@ STEP_S: Final = 0.4
 # Traction of a service start: limits of acceleration [m/s^2] and jerk [m/s^3]; and the deceleration to the stop.
 ACCELERATION: Final = 0.9
 JERK: Final = 0.8
-_DECELERATION: Final = 0.6
+DECELERATION: Final = 0.6
 # A shorter run shows too little to foresee what is learned, a longer one is not practicable [s].
 _SHORTEST_S: Final = 60.0
 _LONGEST_S: Final = 900.0
@@ -48,12 +48,14 @@ class Manoeuvre:
         start: Speed up to which it accelerates with full traction [m/s].
         end: Speed down to which it then coasts [m/s]; equal to ``start`` if it does not.
         held_s: Time for which it holds the speed ``start`` instead [s].
+        braking: Command of the braking to the stop [m/s^2, < 0] if that is what the manoeuvre is for; else 0.
 
     """
 
     start: float
     end: float
     held_s: float = 0.0
+    braking: float = 0.0
 
     @property
     def coasts(self) -> bool:
@@ -69,6 +71,8 @@ class Manoeuvre:
         """The manoeuvre in words."""
         if self.coasts:
             return f'coast from {self.start / KM_H:.0f} to {self.end / KM_H:.0f} km/h'
+        if self.braking < 0.0:
+            return f'brake from {self.start / KM_H:.0f} km/h with {self.braking:g} m/s²'
         if self.held_s > 0.0:
             return f'hold {self.start / KM_H:.0f} km/h for {self.held_s:.0f} s'
         return f'accelerate with full traction to {self.start / KM_H:.0f} km/h'
@@ -102,11 +106,27 @@ class Run:
 
 def planned_runs(train_file: TrainFile, now: ResistanceEstimate) -> Iterator[Run]:
     """Yield runs that fit on the line, at the speeds that train and line allow."""
-    longest_m = max((far - near for near, far in pairwise(train_file.line.stops)), default=_LONGEST_M)
     for manoeuvre in _manoeuvres(top_speed(train_file)):
         run = plan_run(manoeuvre, train_file, now)
-        if run is not None and len(run.steps) * STEP_S >= _SHORTEST_S and run.length_m <= longest_m:
+        if run is not None and len(run.steps) * STEP_S >= _SHORTEST_S and _fits(run, train_file):
             yield run
+
+
+def planned_brakings(train_file: TrainFile) -> Iterator[Run]:
+    """Yield runs that fit on the line, for the braking to the stop; resistance as in the train file."""
+    davis = train_file.resistance
+    now = ResistanceEstimate(davis.a, davis.b, davis.c, (0.0,) * 9, *(0.0,) * 8, 0.0)
+    for share in _STARTS:
+        start = _round(share * top_speed(train_file))
+        run = plan_run(Manoeuvre(start, start, braking=-DECELERATION), train_file, now)
+        if run is not None and _fits(run, train_file):
+            yield run
+
+
+def _fits(run: Run, train_file: TrainFile) -> bool:
+    """Return whether a run is no longer than the longest distance between two stops."""
+    stops = train_file.line.stops
+    return run.length_m <= max((far - near for near, far in pairwise(stops)), default=_LONGEST_M)
 
 
 def top_speed(train_file: TrainFile) -> float:
@@ -149,5 +169,5 @@ def plan_run(manoeuvre: Manoeuvre, train_file: TrainFile, now: ResistanceEstimat
         steps.append(Step(v, mean, change / STEP_S))
         if len(steps) * STEP_S > _LONGEST_S or (v == 0.0 and reached):
             return None
-    braked_s = v / _DECELERATION
+    braked_s = v / DECELERATION
     return Run(manoeuvre, tuple(steps), len(steps) * STEP_S + braked_s, length + 0.5 * v * braked_s)

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Final, TypeAlias
+from functools import partial
+from typing import TYPE_CHECKING, Any, Final, TypeAlias
 
 from trainid_ros.estimators.observability import SEEN_SHARE, resistance_std
 from trainid_ros.resistance.filter_bank import FilterBank
@@ -17,7 +18,7 @@ from trainid_ros.resistance.planned_drive import KM_H, planned_runs, top_speed
 from trainid_ros.resistance.vmils import VMils
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Sequence
 
     from trainid_ros.resistance.planned_drive import Run
     from trainid_ros.results import ResistanceEstimate
@@ -29,7 +30,7 @@ _TIMES: Final = 3
 _HELPS: Final = 0.9
 # A longer drive must be better than a shorter one by this share of the standard deviation.
 _WORTH: Final = 0.03
-# A standard deviation of up to this multiple of its limit counts as reaching it in the text.
+# A standard deviation of up to this multiple of its limit, or of the present one, counts as the same.
 _NEARLY: Final = 1.05
 # A force scale known to this needs no drive [1].
 _SCALE_STD: Final = 0.01
@@ -44,7 +45,7 @@ class Wanted:
 
     name: str
     unit: str
-    std: Callable[[ResistanceEstimate], float]
+    std: Callable[[Any], float]
     limit: float
 
 
@@ -65,6 +66,11 @@ class Promise:
     def before(self) -> float:
         """Standard deviation before it over its limit [1]."""
         return self.now / self.wanted.limit
+
+    @property
+    def is_worse(self) -> bool:
+        """Whether the quantity is known less well after the drive, and not well enough."""
+        return self.ratio > _NEARLY * max(1.0, self.before)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,13 +107,14 @@ class SuggestedDrive:
 
     @property
     def numbers(self) -> dict[str, object]:
-        """The drive for JSON: the text, speeds [m/s], times [s], length [m], and standard deviations."""
+        """The drive for JSON: the text, speeds [m/s], command [m/s^2], times [s], length [m], standard deviations."""
         manoeuvre, promise = self.run.manoeuvre, self.least_known
         return {
             'text': self.text,
             'from_speed': manoeuvre.start,
-            'to_speed': manoeuvre.end,
+            'to_speed': 0.0 if manoeuvre.braking < 0.0 else manoeuvre.end,
             'held_s': manoeuvre.held_s,
+            'brake_command': manoeuvre.braking,
             'times': self.times,
             'duration_s': self.duration_s,
             'length_m': self.times * self.run.length_m,
@@ -139,10 +146,18 @@ def suggested_drive(
         None if all is known, if nothing was learned yet, or if no drive would help.
 
     """
-    search = DriveSearch(estimator, train_file, prior, now)
-    while search.advance():
-        pass
-    return search.result
+    return drive_search(estimator, train_file, prior, now).finish()
+
+
+def drive_search(
+    estimator: object, train_file: TrainFile, prior: ResistanceEstimate, now: ResistanceEstimate
+) -> DriveSearch:
+    """Return the search of :func:`suggested_drive`."""
+    if not isinstance(estimator, FilterBank | VMils) or not now.speed_max > 0.0:
+        return DriveSearch((), now, (), lambda _run, _times: ())
+    config = estimator.config
+    quantities = tuple(_quantities(train_file, prior, now, config.valid_std, config.valid_share))
+    return DriveSearch(quantities, now, planned_runs(train_file, now), estimator.foreseen)
 
 
 class DriveSearch:
@@ -154,32 +169,45 @@ class DriveSearch:
     """
 
     def __init__(
-        self, estimator: object, train_file: TrainFile, prior: ResistanceEstimate, now: ResistanceEstimate
+        self,
+        quantities: tuple[Wanted, ...],
+        now: object,
+        runs: Iterable[Run],
+        foresee: Callable[[Run, int], Sequence[object]],
     ) -> None:
-        """Prepare; see :func:`suggested_drive`."""
+        """Prepare.
+
+        Args:
+            quantities: What should be known.
+            now: Present estimate.
+            runs: Runs to compare.
+            foresee: Returns the estimates after one, two, ... of a number of runs.
+
+        """
         self.result: SuggestedDrive | None = None
-        self._estimator = estimator if isinstance(estimator, FilterBank | VMils) else None
-        self._now = now
-        self._runs: Iterator[Run] = iter(())
+        self._quantities, self._now, self._foresee = quantities, now, foresee
+        is_known = all(wanted.std(now) <= wanted.limit for wanted in quantities)
+        self._runs = iter(()) if is_known else iter(runs)
         self._drives: list[_Drive] = []
-        if self._estimator is None or not now.speed_max > 0.0:
-            return
-        config = self._estimator.config
-        self._quantities = tuple(_quantities(train_file, prior, now, config.valid_std, config.valid_share))
-        if any(wanted.std(now) > wanted.limit for wanted in self._quantities):
-            self._runs = planned_runs(train_file, now)
+
+    def finish(self) -> SuggestedDrive | None:
+        """Foresee all manoeuvres; return the result."""
+        while self.advance():
+            pass
+        return self.result
 
     def advance(self) -> bool:
         """Foresee one more manoeuvre; return False, with the result, after the last."""
         run = next(self._runs, None)
-        if run is None or self._estimator is None:
+        if run is None:
             best = _shortest(sorted(self._drives, key=lambda drive: drive[1] * drive[0].duration_s))
             helps = best is not None and best.least_known.then < _HELPS * best.least_known.now
             self.result = best if helps else None
             return False
-        for times, then in enumerate(self._estimator.foreseen(run, _TIMES), 1):
-            promises = (Promise(wanted, wanted.std(self._now), wanted.std(then)) for wanted in self._quantities)
-            self._drives.append((run, times, tuple(promises)))
+        for times, then in enumerate(self._foresee(run, _TIMES), 1):
+            promises = tuple(Promise(wanted, wanted.std(self._now), wanted.std(then)) for wanted in self._quantities)
+            if not any(promise.is_worse for promise in promises):
+                self._drives.append((run, times, promises))
         return True
 
 
@@ -213,21 +241,24 @@ def _quantities(
     units = ('N/kN', 'N/kN per m/s', 'N/kN per (m/s)^2')
     left = math.sqrt(1.0 - SEEN_SHARE)
     for k, (name, unit) in enumerate(zip('abc', units, strict=True)):
-        yield Wanted(name, unit, _parameter(k), left * _parameter(k)(prior))
+        yield Wanted(name, unit, partial(_parameter, k), left * _parameter(k, prior))
     for share in _SHARES:
         v = share * top_speed(train_file)
         w = now.a + v * (now.b + v * now.c)
-        yield Wanted(f'w at {v / KM_H:.0f} km/h', 'N/kN', _at(v), math.hypot(valid_std, valid_share * w))
+        yield Wanted(f'w at {v / KM_H:.0f} km/h', 'N/kN', partial(_at, v), math.hypot(valid_std, valid_share * w))
     if not math.isnan(prior.force_scale_std):
         yield Wanted('force scale', '', _scale, max(_SCALE_STD, left * prior.force_scale_std))
 
 
-def _parameter(k: int) -> Callable[[ResistanceEstimate], float]:
-    return lambda estimate: math.sqrt(max(0.0, estimate.covariance[4 * k]))
+# The standard deviations of an estimate: functions of the module, so that a drive can be sent to another process.
 
 
-def _at(v: float) -> Callable[[ResistanceEstimate], float]:
-    return lambda estimate: resistance_std(estimate.covariance, v)
+def _parameter(k: int, estimate: ResistanceEstimate) -> float:
+    return math.sqrt(max(0.0, estimate.covariance[4 * k]))
+
+
+def _at(v: float, estimate: ResistanceEstimate) -> float:
+    return resistance_std(estimate.covariance, v)
 
 
 def _scale(estimate: ResistanceEstimate) -> float:

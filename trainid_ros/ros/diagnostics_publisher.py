@@ -7,10 +7,11 @@ from typing import TYPE_CHECKING, Any, Final
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
+from trainid_ros.brake_rate.suggested_braking import braking_search
 from trainid_ros.estimators.brake_findings import brake_findings
 from trainid_ros.records import NS_PER_S
-from trainid_ros.resistance.suggested_drive import DriveSearch
-from trainid_ros.results import ResistanceEstimate
+from trainid_ros.resistance.suggested_drive import DriveSearch, drive_search
+from trainid_ros.results import BrakeRateEstimate, ResistanceEstimate
 from trainid_ros.ros.diagnostics import NodeHealth, Problem, estimator_status, idle_status, input_status, unusable
 from trainid_ros.ros.input_monitor import Finding, InputMonitor
 from trainid_ros.ros.publishers import Publishers, is_hash, sort_publishers
@@ -21,6 +22,7 @@ if TYPE_CHECKING:
 
     from trainid_ros.estimators.pipeline import EstimatorPipeline
     from trainid_ros.resistance.suggested_drive import SuggestedDrive
+    from trainid_ros.results import Output
     from trainid_ros.ros.estimator_node import EstimatorNode
     from trainid_ros.ros.foreign_topics import AnyTopic
 
@@ -92,19 +94,23 @@ class DiagnosticsPublisher:
 
     def _to_drive(self, pipeline: EstimatorPipeline[Any], now_ns: int) -> Iterator[tuple[str, str]]:
         """Yield what to drive for a better estimate; each call goes on with the search, and the last result stands."""
-        live = pipeline.current().estimate
-        if not (isinstance(live, ResistanceEstimate) and live.speed_max > 0.0):
+        if not _has_learned(pipeline.current()):
             return
         if self._search is None and not 0 <= now_ns - self._searched_ns < _SEARCH_EVERY_NS:
-            train_file = pipeline.stream.config.train_file
-            self._search, self._searched_ns = (
-                DriveSearch(pipeline.estimator, train_file, self._node.prior, live),
-                now_ns,
-            )
+            self._search, self._searched_ns = self._new_search(pipeline), now_ns
         if self._search is not None and not self._search.advance():
             self._drive, self._search = self._search.result, None
         if self._drive is not None:
             yield 'to drive', self._drive.text
+
+    def _new_search(self, pipeline: EstimatorPipeline[Any]) -> DriveSearch | None:
+        """Return a search for what to drive, None for an estimate that has none."""
+        live, train_file = pipeline.current().estimate, pipeline.stream.config.train_file
+        if isinstance(live, ResistanceEstimate):
+            return drive_search(pipeline.estimator, train_file, self._node.prior, live)
+        if isinstance(live, BrakeRateEstimate):
+            return braking_search(pipeline.estimator, train_file, live)
+        return None
 
     def _note_problems(self, now_ns: int, clock_problem: str) -> None:
         """Note when each present problem began."""
@@ -170,3 +176,9 @@ class DiagnosticsPublisher:
         if now_ns == 0:
             return 'use_sim_time is set, but no /clock has arrived: play a bag with its clock, or set it to false'
         return '/clock has stopped: resume its publisher' if now_ns == before else ''
+
+
+def _has_learned(output: Output[Any]) -> bool:
+    """Return whether the train has run: a brake rate can be asked for before the first braking."""
+    live = output.estimate
+    return live.speed_max > 0.0 if isinstance(live, ResistanceEstimate) else output.used + output.rejected > 0

@@ -1,0 +1,124 @@
+# SPDX-License-Identifier: Apache-2.0
+"""What to drive so that the brake rate becomes known: brakings, and the standard deviation that they promise.
+
+What a braking would show depends on the noise that the estimator has learned, on its particles, and on what it knows
+of dead time, lag and the other errors of the train file. So a copy of the estimator goes through the planned braking:
+measured is the speed that it expects itself, with noise.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Final
+
+import numpy as np
+
+from trainid_ros.brake_rate.brake_rate_settings import GsmaConfig
+from trainid_ros.brake_rate.gsma import Gsma
+from trainid_ros.records import NS_PER_S
+from trainid_ros.resistance.planned_drive import STEP_S, planned_brakings
+from trainid_ros.resistance.suggested_drive import DriveSearch, SuggestedDrive, Wanted
+from trainid_ros.stream.samples import Sample
+from trainid_ros.train.brake import BrakeCommandChange, lag_integral, lag_response
+from trainid_ros.train.davis import acceleration, davis
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
+    from trainid_ros.resistance.planned_drive import Run
+    from trainid_ros.results import BrakeRateEstimate
+    from trainid_ros.train.train_file import TrainFile
+
+# Interval of the speeds [s], time for which they show the train before it brakes, and longest braking.
+_DT: Final = 0.2
+_BEFORE_S: Final = 2.0
+_LONGEST_S: Final = 300.0
+
+
+def suggested_braking(estimator: object, train_file: TrainFile, now: BrakeRateEstimate) -> SuggestedDrive | None:
+    """Return the shortest drive with brakings that make the brake rate valid, as far as any does.
+
+    Args:
+        estimator: The estimator of the brake rate; only GSMA can foresee its standard deviation.
+        train_file: Train file.
+        now: Present estimate.
+
+    Returns:
+        None if it is valid, if nothing was measured yet, or if no braking would help.
+
+    """
+    return braking_search(estimator, train_file, now).finish()
+
+
+def braking_search(estimator: object, train_file: TrainFile, now: BrakeRateEstimate) -> DriveSearch:
+    """Return the search of :func:`suggested_braking`."""
+    config = estimator.config if isinstance(estimator, Gsma) else None
+    if not (isinstance(estimator, Gsma) and isinstance(config, GsmaConfig)):
+        return DriveSearch((), now, (), lambda _run, _times: ())
+    if estimator.converged or estimator.state.stamp_ns == 0:
+        return DriveSearch((), now, (), lambda _run, _times: ())
+    saved = estimator.save()
+
+    def foresee(run: Run, times: int) -> list[BrakeRateEstimate]:
+        copy = Gsma(train_file, config, np.random.default_rng())
+        copy.restore(saved)
+        return [_after(copy, run, train_file) for _ in range(times)]
+
+    wanted = Wanted('brake rate', '', _std, config.valid_std)
+    return DriveSearch((wanted,), now, planned_brakings(train_file), foresee)
+
+
+def _std(estimate: BrakeRateEstimate) -> float:
+    return estimate.brake_rate_std
+
+
+def _after(estimator: Gsma, run: Run, train_file: TrainFile) -> BrakeRateEstimate:
+    """Let an estimator go through a run; return its estimate at the stop."""
+    start_ns = estimator.state.stamp_ns + round(len(run.steps) * STEP_S * NS_PER_S)
+    for sample in _braking(estimator, run, train_file, start_ns):
+        estimator.step(sample)
+    return estimator.estimate(0.0)
+
+
+def _braking(estimator: Gsma, run: Run, train_file: TrainFile, start_ns: int) -> Iterator[Sample]:
+    """Yield samples of a braking to the stop, on level track, by a brake as it is estimated."""
+    state, brake, train, command = estimator.state, train_file.brake, train_file.train, run.manoeuvre.braking
+    factor, lag, std = estimator.posterior.rate, state.timing.lag, math.sqrt(state.noise.variance)
+    begin, acts_s = round(_BEFORE_S / _DT), _BEFORE_S + state.timing.delay
+    rng, v, target = np.random.default_rng(0), run.manoeuvre.start, 0.0
+    for k in range(round(_LONGEST_S / _DT)):
+        if v < estimator.config.min_speed:
+            return
+        stamp_ns = start_ns + round(k * _DT * NS_PER_S)
+        # The holding brake is released at the start.
+        given = {0: 0.0, begin: command}.get(k)
+        changes = () if given is None else (BrakeCommandChange(stamp_ns, given),)
+        measured = v + std * float(rng.standard_normal())
+        yield _sample(stamp_ns, math.nan if k == 0 else _DT, measured, command if k >= begin else 0.0, changes)
+        acting_s = min(_DT, max(0.0, (k + 1) * _DT - acts_s))
+        braked = factor * brake.shape_at(v) * lag_integral(target, command, lag, acting_s)
+        target = lag_response(target, command, lag, acting_s)
+        v += braked + _DT * acceleration(0.0, train.mass, train.rotary_mass, davis(train_file.resistance, v))
+
+
+def _sample(stamp_ns: int, dt: float, speed: float, command: float, changes: tuple[BrakeCommandChange, ...]) -> Sample:
+    """Return a sample on level, straight track without traction."""
+    return Sample(
+        stamp_ns=stamp_ns,
+        dt=dt,
+        speed=speed,
+        position=math.nan,
+        direction=1,
+        force=0.0,
+        force_mean=0.0,
+        gradient=0.0,
+        gradient_mean=0.0,
+        curve_radius=0.0,
+        tunnel=False,
+        mass=math.nan,
+        brake_command=command,
+        brake_changes=changes,
+        brake_gap=False,
+        emergency=False,
+        curvature_mean=0.0,
+    )
