@@ -18,7 +18,6 @@ import pytest
 from trainid_ros.cli.main import main
 from trainid_ros.errors import NoAnswerError
 from trainid_ros.fleet.columns import Row
-from trainid_ros.fleet.plan import Setup, make_plan
 from trainid_ros.fleet.table_file import read_table
 
 NAMES = ('T1/one', 'T1/two', 'T2/one', 'T2/two')
@@ -173,14 +172,17 @@ def test_a_stopped_run_says_what_is_done(depot: Path, number: signal.Signals) ->
     assert f'stopped: {done} of 45 bags are in {depot.parent}/t.csv; the same command goes on\n' in errors
 
 
-def test_an_edited_user_function_is_another_way_to_replay(depot: Path) -> None:
-    mapping, function = depot.parent / 'map.yaml', depot.parent / 'g.py'
-    mapping.write_text('gradient: {function: g.py:f, of: []}\n', encoding='utf-8')
-    function.write_text('def f(): return 0\n', encoding='utf-8')
-    setup = Setup(depot / 'T1/one/train.yaml', None, mapping, '/', 1)
-    first = make_plan(setup, ())
-    function.write_text('def f(): return 1\n', encoding='utf-8')
-    assert make_plan(setup, ()).hashes['mapping'] != first.hashes['mapping']
+def test_other_labels_replay_nothing(depot: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(fleet(depot, '--json', '--jobs', '1')) == 0
+    before = summary(capsys)
+    label = ('--label', r'(?P<line>T\d)/(?P<train>\w+)')
+    assert main(fleet(depot, '--json', '--jobs', '1', *label)) == 0
+    after = summary(capsys)
+    assert (before['known'], after['known']) == (0, 4)
+    rows, _ = read_table(depot.parent / 't.csv')
+    known = [row for row in rows if row['status']]
+    assert [(row['line'], row['train']) for row in known] == [tuple(name.split('/')) for name in sorted(NAMES)]
+    assert all(row['day'] for row in known)
 
 
 def test_workers_end_with_a_killed_run(depot: Path) -> None:

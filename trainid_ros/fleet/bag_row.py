@@ -13,7 +13,7 @@ from trainid_ros.bag.worker_pool import killed_message
 from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
 from trainid_ros.errors import TrainIdError
 from trainid_ros.fleet.columns import SPEEDS, Row, empty_row, reason_column, share_column
-from trainid_ros.fleet.labels import day_of
+from trainid_ros.fleet.labels import LABELS, day_of
 from trainid_ros.fleet.odometer import OdometerReader
 from trainid_ros.mapping.mapped_inputs import mapped_inputs
 from trainid_ros.records import NS_PER_S
@@ -62,8 +62,13 @@ def killed_row(revision: str, bag: PlannedBag) -> Row:
 def listed_row(bag: PlannedBag, revision: str) -> Row:
     """Return what the list says of a bag."""
     row = empty_row() | {'bag': bag.path, 'start': bag.start_s, 'revision': revision}
-    row |= {name: getattr(bag, name) or None for name in ('train', 'line', 'weather', 'day', 'error')}
-    return row
+    return row | labels_in_row(bag, bag.start_s) | {'error': bag.error or None}
+
+
+def labels_in_row(bag: PlannedBag, start_s: float | None) -> Row:
+    """Return the labels of a bag; ``start_s`` is the time of its first message [s], None if it is not known."""
+    labels: Row = {name: getattr(bag, name) or None for name in LABELS}
+    return labels | {'day': day_of(bag.day, start_s, Path(bag.path))}
 
 
 @lru_cache(maxsize=1)
@@ -95,7 +100,7 @@ def _replay(setup: Setup, bag: PlannedBag, row: Row, advance: Callable[[float], 
         span = reader.time_range()
     if row['start'] is None and span is not None:  # the bag has no index
         row['start'] = span[0] / NS_PER_S
-        row['day'] = row['day'] or day_of('', row['start'], Path(bag.path))
+        row |= labels_in_row(bag, row['start'])
     row |= {'duration_s': outcome.duration_s, 'warnings': '; '.join(reader.warnings) or None}
     row |= _resistance(outcome) | _brake(outcome)
     row['finding'] = row['finding'] and reader.mapping.named(row['finding'])

@@ -4,22 +4,22 @@
 from __future__ import annotations
 
 import json
-import re
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, fields
 from hashlib import sha256
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 import trainid_ros
 from trainid_ros.fleet.files import write_whole
+from trainid_ros.fleet.labels import LABELS
+from trainid_ros.mapping.mapping import Signal
+from trainid_ros.mapping.mapping_file import load_mapping
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
 _FORMAT: Final = 1
 _FILES: Final = ('train', 'params', 'mapping')
-# A user function in a mapping, such as logger.py:force.
-_FUNCTION_FILE: Final = re.compile(rb'([\w.-]+\.py):')
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,9 +90,10 @@ class Plan:
     bags: tuple[PlannedBag, ...]
 
     def key(self, bag: PlannedBag) -> str:
-        """Return a digest of all that determines the row of a bag: the same digest, the same row."""
+        """Return a digest of all that determines the row of a bag but its labels: the same digest, the same numbers."""
+        listed = {name: value for name, value in asdict(bag).items() if name not in LABELS}
         setup = (*sorted(self.hashes.items()), self.setup.namespace, self.setup.max_chunk, self.revision)
-        return sha256(json.dumps([asdict(bag), *setup]).encode()).hexdigest()[:32]
+        return sha256(json.dumps([listed, *setup]).encode()).hexdigest()[:32]
 
     def to_json(self) -> dict[str, Any]:
         """Return the contents of the file."""
@@ -142,18 +143,25 @@ def bags_in(path: Path) -> frozenset[str]:
 
 
 def make_plan(setup: Setup, bags: tuple[PlannedBag, ...]) -> Plan:
-    """Return the plan of bags; OSError if a file of the setup cannot be read."""
-    files = {name: getattr(setup, name) for name in _FILES}
-    hashes = {name: '' if path is None else _hash_of(path) for name, path in files.items()}
-    return Plan(setup, hashes, revision(), bags)
+    """Return the plan of bags; OSError or InputError if a file of the setup cannot be read."""
+    files: dict[str, Path | None] = {name: getattr(setup, name) for name in _FILES}
+    read: dict[str, tuple[Path, ...]] = {name: () if path is None else (path,) for name, path in files.items()}
+    if setup.mapping is not None:
+        read['mapping'] = (setup.mapping, *_functions(setup.mapping))
+    return Plan(setup, {name: _hash_of(paths) for name, paths in read.items()}, revision(), bags)
 
 
-def _hash_of(path: Path) -> str:
-    """Return the digest of a file and of the user functions that it names, which lie in its folder."""
-    content = path.read_bytes()
-    functions = sorted({name.decode() for name in _FUNCTION_FILE.findall(content)})
-    found = (path.parent / name for name in functions)
-    return sha256(b'\0'.join((content, *(file.read_bytes() for file in found if file.is_file())))).hexdigest()
+def _functions(mapping: Path) -> tuple[Path, ...]:
+    """Return the files with the user functions of a mapping."""
+    read = load_mapping(mapping)
+    signals = (getattr(read, item.name) for item in fields(read))
+    functions = (signal.function for signal in signals if isinstance(signal, Signal))
+    return tuple(sorted({function.path for function in functions if function is not None}))
+
+
+def _hash_of(paths: tuple[Path, ...]) -> str:
+    """Return the digest of files, '' of none."""
+    return sha256(b'\0'.join(path.read_bytes() for path in paths)).hexdigest() if paths else ''
 
 
 def revision() -> str:

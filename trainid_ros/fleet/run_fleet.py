@@ -9,7 +9,7 @@ from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 from trainid_ros.bag.worker_pool import each_bag
-from trainid_ros.fleet.bag_row import bag_row, killed_row
+from trainid_ros.fleet.bag_row import bag_row, killed_row, labels_in_row
 from trainid_ros.fleet.journal import Journal, read_journal
 from trainid_ros.fleet.table_file import write_table
 
@@ -64,14 +64,15 @@ def rows_here(jobs: int) -> Rows:
 def known_rows(plan: Plan, files: Files) -> dict[str, Row]:
     """Return the rows of earlier runs by key: of bags that are still the same, replayed in the same way.
 
-    A bag that could not be replayed is tried again.
+    They get the labels of the plan, which may be others than before. A bag that could not be replayed is tried again.
 
     Raises:
         InputError: The file of the rows cannot be read.
 
     """
-    keys = {plan.key(bag) for bag in plan.bags}
-    return {key: row for key, row in read_journal(files.rows).items() if key in keys and row.get('status')}
+    bags = {plan.key(bag): bag for bag in plan.bags}
+    rows = read_journal(files.rows).items()
+    return {key: row | labels_in_row(bags[key], row['start']) for key, row in rows if key in bags and row.get('status')}
 
 
 def run_plan(
