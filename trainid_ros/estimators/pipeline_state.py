@@ -38,12 +38,14 @@ class Snapshots:
         before: The state to go back to; it is older than it takes to find a contradiction.
         newest: The newest state.
         moved_s: Time in motion since then [s].
+        left: The state where the stamps left their time base, '' if they never did.
 
     """
 
     before: str
     newest: str
     moved_s: float = 0.0
+    left: str = ''
 
     def add(self, state: str) -> None:
         """Add the present state."""
