@@ -273,6 +273,25 @@ def test_a_jump_forward_keeps_the_estimate(name: str, metro: TrainFile, day: Rec
 
 
 @ALL
+@pytest.mark.parametrize(
+    ('kind', 'ahead_s'),
+    [(TimeJumpPolicy.RESET, 3700.0), (TimeJumpPolicy.RESET, 3e7), (TimeJumpPolicy.REFUSE, 3e7)],
+)
+def test_a_clock_that_is_ahead_for_some_seconds_costs_their_samples(
+    name: str, kind: TimeJumpPolicy, ahead_s: float, metro: TrainFile, day: Records
+) -> None:
+    struck, without = make(name, metro, policy(kind)), make(name, metro, policy(kind))
+    ahead = [replace(r, stamp_ns=r.stamp_ns + round(ahead_s * NS_PER_S)) for r in seconds(day, 150.0, 154.0)]
+    for pipeline, missing in ((struck, ahead), (without, [])):
+        run(pipeline, [*seconds(day, 0.0, 150.0), *missing, *seconds(day, 154.0, 300.0)])
+    assert struck.resets == 0
+    assert struck.used == pytest.approx(without.used, abs=25)
+    (found, std), (expected, expected_std) = (learned(item.current().estimate) for item in (struck, without))
+    assert abs(found - expected) < 0.1 * expected_std
+    assert std == pytest.approx(expected_std, rel=0.02)
+
+
+@ALL
 @pytest.mark.parametrize('ahead_s', [5.0, 9.0, 1e6, -50.0])
 def test_one_stray_stamp_costs_one_record(name: str, ahead_s: float, metro: TrainFile, day: Records) -> None:
     plain, struck = make(name, metro), make(name, metro)

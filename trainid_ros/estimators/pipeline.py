@@ -27,6 +27,7 @@ from trainid_ros.records import NS_PER_S, Record
 from trainid_ros.results import BrakeRateEstimate, EstimateT, Output, Reason, Rejection, Status
 from trainid_ros.settings import check_settings, setting
 from trainid_ros.state import decode, encode
+from trainid_ros.stream.alignment import TimeJump
 from trainid_ros.stream.sample_stream import SampleStream, StreamEvent, TimeJumpPolicy, is_reset_by
 from trainid_ros.stream.samples import Sample
 
@@ -139,13 +140,23 @@ class EstimatorPipeline(Generic[EstimateT]):
                     publish(self.current())
             elif isinstance(event, Rejection):
                 self._count(event)
-            elif is_reset_by(event, self.stream.config.time_jump_policy):
-                self._start_over()
+            else:
+                self._follow_jump(event)
         if self._status not in (Status.STALE, Status.FAULT) and self.stream.is_input_missing(self._stale_ns):
             self._status = Status.STALE
             self._note_status()
             if publish is not None:
                 publish(self.current())
+
+    def _follow_jump(self, jump: TimeJump) -> None:
+        """Start over where another drive begins; forget what was learned, and aged, by stamps that were wrong."""
+        if is_reset_by(jump, self.stream.config.time_jump_policy):
+            self._start_over()
+        elif jump.leaves:
+            self._snapshots.left = self._snapshot()
+        elif jump.returns and self._snapshots.left is not None:
+            self._snapshots.newest = self._snapshots.left
+            self._go_back()
 
     def _note_status(self) -> None:
         """Count the status of an output, and keep the output for a doubt that may follow."""
@@ -197,9 +208,10 @@ class EstimatorPipeline(Generic[EstimateT]):
         state.check()
         now = self.estimator.save()
         try:
-            snapshots = state.snapshots
-            for saved in (snapshots.before.estimator, snapshots.newest.estimator, state.estimator):  # each must fit
-                self.estimator.restore(saved)
+            saved = state.snapshots
+            for each in (saved.left or saved.before, saved.before, saved.newest):  # all must fit
+                self.estimator.restore(each.estimator)
+            self.estimator.restore(state.estimator)
         except InputError:
             self.estimator.restore(now)
             raise

@@ -52,12 +52,14 @@ class Snapshots:
         before: The state to go back to; it is older than it takes to find a contradiction.
         newest: The newest state.
         moved_s: Time in motion since then [s].
+        left: The state where the stamps left their time base, None if they never did.
 
     """
 
     before: Snapshot
     newest: Snapshot
     moved_s: float = 0.0
+    left: Snapshot | None = None
 
     def add(self, state: Snapshot) -> None:
         """Add the present state."""
@@ -102,8 +104,9 @@ class PipelineState:
         kind = 'PipelineState'
         self.stream.check()
         check_not_negative(kind, moved_s=self.snapshots.moved_s)
-        for consistency in (self.consistency, self.snapshots.before.consistency, self.snapshots.newest.consistency):
-            check_restored(consistency.is_valid, kind, 'consistency')
+        saved = self.snapshots
+        for each in (self, saved.before, saved.newest, saved.left or saved.newest):
+            check_restored(each.consistency.is_valid, kind, 'consistency')
         check_restored(self.status is not Status.FAULT, kind, 'status')
         check_not_negative(kind, used=self.used, samples=self.samples, resets=self.resets)
         check_not_negative(kind, speed=self.speed, sample_ns=self.sample_ns)

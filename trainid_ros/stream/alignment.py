@@ -30,6 +30,7 @@ from trainid_ros.scalars import seconds
 from trainid_ros.settings import setting
 from trainid_ros.stream.brake_commands import BrakeCommands
 from trainid_ros.stream.intervals import ONE_LOST, LearnedInterval
+from trainid_ros.stream.left_time import LeftTime
 from trainid_ros.stream.samples import SAMPLE_PERIOD, Sample
 from trainid_ros.stream.stream_state import AlignerState
 from trainid_ros.stream.topic_track import TopicRow, TopicTrack, insert_row, restored_rows, rows_state
@@ -65,10 +66,20 @@ class AlignmentConfig:
 
 @dataclass(frozen=True, slots=True)
 class TimeJump:
-    """The stamps moved to another time base; ``step_s`` is negative for a jump back."""
+    """The stamps moved to another time base.
+
+    Attributes:
+        stamp_ns: First stamp there [ns].
+        step_s: How far it is; negative for a jump back [s].
+        leaves: Whether a time base is left to which the stamps may soon return.
+        returns: Whether they have returned to it.
+
+    """
 
     stamp_ns: int
     step_s: float
+    leaves: bool = False
+    returns: bool = False
 
 
 AlignmentEvent: TypeAlias = Sample | Rejection | TimeJump
@@ -123,6 +134,7 @@ class Aligner:
         self._travel = Travel()
         # Records whose stamps do not fit those before.
         self._suspects: list[TopicRow] = []
+        self._left = LeftTime()
 
     @property
     def state(self) -> AlignerState:
@@ -143,6 +155,7 @@ class Aligner:
             command=rows_state([] if self._commands.latest is None else [self._commands.latest]),
             travel=replace(self._travel),
             suspects=rows_state(self._suspects),
+            left=replace(self._left),
         )
 
     def restore(self, state: AlignerState) -> None:
@@ -157,7 +170,7 @@ class Aligner:
         self._released_ns, self._sample_ns, self._due_ns = state.released_ns, state.sample_ns, state.due_ns
         commands = restored_rows(state.command)
         self._commands.latest = commands[0] if commands else None
-        self._travel = replace(state.travel)
+        self._travel, self._left = replace(state.travel), replace(state.left)
 
     def is_before(self, topic: int, stamp_ns: int, x: float, y: float) -> bool:
         """Return whether a valid record lies farther back than its topic alone can step."""
@@ -237,15 +250,19 @@ class Aligner:
         """Follow a step of all topics: forward after a time without messages, or to another time base."""
         stamp_ns = self._suspects[0].stamp_ns
         step_ns = stamp_ns - self.newest_ns
+        returns = step_ns < 0 and self._left.is_return(self.newest_ns, stamp_ns, self._max_jump_back_ns)
         # A time base that only one topic has shown may itself have been the wrong one.
-        if step_ns < 0 and self._reject_jump_back and len(self._agreeing) > 1:
+        if step_ns < 0 and self._reject_jump_back and len(self._agreeing) > 1 and not returns:
             self._reject_suspects(events)
             return
         rows, self._suspects = self._suspects, []
         if not 0 < step_ns <= self._max_jump_ns:
             self._release(events, everything=True)
-            events.append(TimeJump(stamp_ns, seconds(step_ns)))
+            leaves = step_ns > 0 and self._left.leave(self.newest_ns, stamp_ns)
+            events.append(TimeJump(stamp_ns, seconds(step_ns), leaves, returns))
+            left = self._left if step_ns > 0 else LeftTime()
             self.reset()
+            self._left = left
         for row in rows:
             self._admit(row, events)
 

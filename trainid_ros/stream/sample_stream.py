@@ -33,7 +33,7 @@ from trainid_ros.train.train_file import TrainFile
 StreamEvent: TypeAlias = Sample | Rejection | TimeJump
 
 LARGEST_STEP_S: Final = 3600.0
-"""A clock is set back by at most this time [s]; a larger step back is another drive."""
+"""A clock is set back by at most this time [s]; a larger step back is another drive, but for a return."""
 # A brake has followed a command longer ago than this, whatever its lag [ns].
 _FOLLOWED_NS: Final = 60 * NS_PER_S
 
@@ -271,5 +271,5 @@ class SampleStream:
 
 
 def is_reset_by(jump: TimeJump, policy: TimeJumpPolicy) -> bool:
-    """Return whether everything starts over after a jump of the stamps; a clock set back a little loses nothing."""
-    return jump.step_s < -LARGEST_STEP_S and policy is TimeJumpPolicy.RESET
+    """Return whether everything starts over after a jump of the stamps; a clock set right again loses nothing."""
+    return jump.step_s < -LARGEST_STEP_S and not jump.returns and policy is TimeJumpPolicy.RESET

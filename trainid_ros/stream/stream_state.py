@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 from trainid_ros.records import INPUT_TOPICS
 from trainid_ros.state import MAX_NUMBER, check_not_negative, check_restored
 from trainid_ros.stream.drive_history import DriveHistoryState
+from trainid_ros.stream.left_time import LeftTime
 from trainid_ros.stream.plausibility_state import PlausibilityState
 from trainid_ros.stream.stuck_speed import StuckSpeedState
 from trainid_ros.stream.travel import Travel
@@ -75,6 +76,7 @@ class AlignerState:
     command: RowsState
     travel: Travel
     suspects: RowsState
+    left: LeftTime
 
     def check(self) -> None:
         """Raise InputError unless this is a possible state."""
@@ -83,6 +85,7 @@ class AlignerState:
         check_restored(self.pending.is_valid() and self.suspects.is_valid(in_order=False), _KIND, 'records')
         check_restored(self.command.is_valid() and len(self.command.x) <= 1, _KIND, 'command')
         check_restored(self.travel.is_valid, _KIND, 'travel')
+        check_restored(self.left.is_valid, _KIND, 'left')
         stamps = (self.newest_ns, self.speed_ns, self.released_ns, self.sample_ns, self.due_ns)
         check_not_negative(_KIND, stamps=min(*stamps, *(track.last_ns for track in tracks)))
 
