@@ -41,6 +41,8 @@ def test_a_drive_is_scored() -> None:
     assert drive.errors.shape == (4,)
     assert 1.0 < drive.energy < 50.0
     assert 0.05 < drive.jerk < drive.most_jerk < 5.0
+    # Under traction the controller stays below the curves by up to its margin of 0.8 m/s.
+    assert 0.05 < drive.tracking < 1.6
     assert drive.bounds == ()
 
 
@@ -52,4 +54,11 @@ def test_live_estimates_stop_the_train_better() -> None:
     assert np.quantile(live, 0.95) < 0.5 * np.quantile(nominal, 0.95)
     rows = driven('live', 4, 6).bounds
     assert len(rows) == 6
-    assert all(0.8 * bound < true < 1.2 * bound for _, bound, true in rows)
+    assert all(0.8 * row.bound < row.distance < 1.2 * row.bound for row in rows)
+
+
+@pytest.mark.slow
+def test_bounds_are_live_once_the_estimates_are() -> None:
+    rows = drive_day(plan_day('metro', 6, np.random.default_rng(4)), 'live', 4).bounds
+    assert not rows[0].is_live
+    assert rows[-1].is_live

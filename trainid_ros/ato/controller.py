@@ -73,6 +73,7 @@ class Ato:
         stop: Stop that it drives to [m].
         arrivals: Stops so far.
         phase: What it does.
+        follows: Whether it regulates the speed to that allowed, neither at full traction nor stopping.
 
     """
 
@@ -104,7 +105,7 @@ class Ato:
         check_settings(model)
         self.phase, self.arrivals, self.stop = Phase.DWELL, list[StopEvent](), profile.line.stops[0]
         self._model, self._train, self._profile, self._known = model, train_file.train, profile, known
-        self._offset = offset
+        self._offset, self.follows = offset, False
         self._state = TrainState(position, profile, rng)
         self._predictor = BrakePredictor(known.values(), self._state, self._train.rotary_mass, TICK_S)
         self._mass = self._train.mass
@@ -165,6 +166,7 @@ class Ato:
 
     def _choose(self) -> tuple[float, int]:
         """Return traction [N] and steps of the brake command."""
+        self.follows = False
         ahead = self._predictor.when_next_acts()
         left, usual = self._left(), self._nearest(-self._model.deceleration)
         if self.phase is Phase.STOP:
@@ -212,7 +214,7 @@ class Ato:
     def _follow_limits(self, ahead: Motion) -> tuple[float, int]:
         """Return traction [N] and steps of the brake command that keep to the speed allowed."""
         model, values, state = self._model, self._predictor.values, self._state
-        allowed, slope = self._allowed(ahead)
+        allowed, slope = self.allowed(state.position, state.speed, ahead.distance)
         excess = ahead.speed - allowed
         if excess > _BRAKE_EXCESS:
             self.phase = Phase.BRAKE
@@ -222,7 +224,8 @@ class Ato:
         change = self._integral - model.integral_gain * excess * TICK_S
         self._integral = min(_MOST_INTEGRAL, max(-_MOST_INTEGRAL, change))
         wanted = self._integral - slope - model.gain * excess
-        if self.phase is Phase.BRAKE:
+        self.follows = self.phase is Phase.BRAKE
+        if self.follows:
             resistance = davis(values.resistance, ahead.speed) + gradient
             by_track = acceleration(0.0, self._mass, self._train.rotary_mass, resistance)
             brake = min(0.0, wanted - by_track) / values.brake.rate_at(ahead.speed)
@@ -231,17 +234,18 @@ class Ato:
         resistance = davis(values.resistance, state.speed) + gradient
         force = required_force(wanted, self._mass, self._train.rotary_mass, resistance)
         most = min(self._train.max_traction_force, self._train.max_traction_power / max(state.speed, 0.1))
+        self.follows = wanted < model.acceleration and force < most
         return min(most, max(0.0, force)), 0
 
-    def _allowed(self, ahead: Motion) -> tuple[float, float]:
-        """Return the highest speed [m/s] when the next command acts, and the deceleration [m/s^2] of its curve."""
-        model, state = self._model, self._state
-        here = self._profile.speed_limit(state.position, state.direction)
+    def allowed(self, position: float, speed: float, ahead: float = 0.0) -> tuple[float, float]:
+        """Return the highest speed [m/s] some distance ahead [m], and the deceleration [m/s^2] of its curve."""
+        model, direction = self._model, self._state.direction
+        here = self._profile.speed_limit(position, direction)
         lowest, slope = min(here, self._train.max_speed) - model.speed_margin, 0.0
-        reach = state.speed**2 / (2.0 * model.deceleration) + ahead.distance + 50.0
-        for distance, limit in self._profile.limits_ahead(state.position, state.direction, reach):
+        reach = speed**2 / (2.0 * model.deceleration) + ahead + 50.0
+        for distance, limit in self._profile.limits_ahead(position, direction, reach):
             end = limit - model.speed_margin
-            within = end * end / (2.0 * model.deceleration) + distance - ahead.distance
+            within = end * end / (2.0 * model.deceleration) + distance - ahead
             curve = stopping_curve(within, model.deceleration)
             if curve < lowest:
                 lowest, slope = curve, model.deceleration

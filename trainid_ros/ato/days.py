@@ -59,6 +59,24 @@ class DayPlan:
 
 
 @dataclass(frozen=True, slots=True)
+class Bound:
+    """A bound of the stopping distance under one command.
+
+    Attributes:
+        time_s: Time at which the braking begins [s].
+        bound: Distance within which the client says that the train stops, at 95 % confidence [m].
+        distance: Distance within which it does [m].
+        is_live: Whether the bound is from live estimates; False: from the train file, or on the way back to it.
+
+    """
+
+    time_s: float
+    bound: float
+    distance: float
+    is_live: bool
+
+
+@dataclass(frozen=True, slots=True)
 class Drive:
     """How a controller has driven a day.
 
@@ -69,8 +87,9 @@ class Drive:
         jerk: Root mean square of the jerk in motion [m/s^3].
         most_jerk: Its 99.9 % quantile [m/s^3].
         overspeed: Highest speed above a limit [m/s], 0 if none.
-        bounds: At the beginning of each stop braking, its time [s], the distance within which the client says that the
-            train stops under one command at 95 % confidence, and the true one [m]; only with live estimates.
+        tracking: Root mean square of the speed less the one that limits and braking curves allow, while the controller
+            regulates to that [m/s].
+        bounds: At the beginning of each stop braking, what the client says; only with live estimates.
 
     """
 
@@ -80,7 +99,8 @@ class Drive:
     jerk: float
     most_jerk: float
     overspeed: float
-    bounds: tuple[tuple[float, float, float], ...]
+    tracking: float
+    bounds: tuple[Bound, ...]
 
     @property
     def errors(self) -> np.ndarray:
@@ -163,15 +183,18 @@ def _model(world: World) -> AtoModel:
 class BoundCheck:
     """Compare bounds of the stopping distance with what a copy of the train does.
 
+    The client is asked with the true gradient halfway to where the train will stop: what is tested is what the
+    estimates say of the train, not the map.
+
     Attributes:
-        rows: Times [s], bounds at 95 % confidence, and true distances [m].
+        rows: The bounds so far.
 
     """
 
     def __init__(self, model: TrainModel, deceleration: float) -> None:
         """Ask a model about a brake command of this deceleration [m/s^2]."""
         self._model, self._command = model, -deceleration
-        self.rows: list[tuple[float, float, float]] = []
+        self.rows: list[Bound] = []
 
     def check(self, time_s: float, train: Plant) -> None:
         """Compare at the present state of the train, at a time [s]."""
@@ -179,7 +202,7 @@ class BoundCheck:
         middle = train.position + 0.5 * train.direction * distance
         gradient = train.profile.gradient(middle, train.direction)
         bound = self._model.stopping_distance(train.speed, gradient, self._command, 0.95)
-        self.rows.append((time_s, bound.value, distance))
+        self.rows.append(Bound(time_s, bound.value, distance, bound.live))
 
     def _true_distance(self, train: Plant) -> float:
         twin = train.twin()
@@ -209,6 +232,7 @@ class ScoredAto(Ato):
         strongest = plan.world.driver.max_deceleration
         self._bounds = BoundCheck(known.model, strongest) if isinstance(known, LiveValues) else None
         self._jerks: list[float] = []
+        self._speed_errors: list[float] = []
         self._work = self._overspeed = self._acceleration = 0.0
 
     def decide(self, time_s: float, train: Plant) -> Decision:
@@ -229,6 +253,8 @@ class ScoredAto(Ato):
         self._work += train.traction * train.speed * TICK_S
         limit = train.profile.speed_limit(train.position, train.direction)
         self._overspeed = max(self._overspeed, train.speed - limit)
+        if self.follows:
+            self._speed_errors.append(train.speed - self.allowed(train.position, train.speed)[0])
 
     def drive(self, arrivals: tuple[StopEvent, ...]) -> Drive:
         """Return how the day was driven."""
@@ -240,5 +266,6 @@ class ScoredAto(Ato):
             jerk=float(np.sqrt(np.mean(jerks * jerks))),
             most_jerk=float(np.quantile(jerks, 0.999)),
             overspeed=self._overspeed,
+            tracking=float(np.sqrt(np.mean(np.square(self._speed_errors)))),
             bounds=tuple(self._bounds.rows) if self._bounds else (),
         )
