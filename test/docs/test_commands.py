@@ -62,7 +62,7 @@ NOT_RUN = {
     },
     'docs/mapping.md': {
         ('.venv/bin/trainid run --train bags/tiny/train.yaml --map map.yaml --ros-args -p use_sim_time:=true'): LIVE,
-        '.venv/bin/trainid play bags/tiny_foreign --map map.yaml --wait 3': LIVE,
+        '.venv/bin/trainid play bags/tiny_foreign --map map.yaml --wait 1': LIVE,
         (
             'ros2 launch trainid_ros trainid.launch.py train_file:=/path/to/train.yaml mapping_file:=/path/to/map.yaml'
         ): BUILT,

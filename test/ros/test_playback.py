@@ -146,6 +146,24 @@ def test_playback_waits_until_new_subscribers_have_discovered_the_player(
 
 
 @pytest.mark.ros
+def test_a_long_wait_says_which_topics_lack_subscribers(
+    graph: Graph, bag: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(playback, '_LONG_WAIT_NS', 0)
+    InputListener(graph)
+    player = graph.make(BagPlayer, bag=bag, rate=50.0, wait=2)
+    said: list[str] = []
+    monkeypatch.setattr(player.get_logger(), 'warning', said.append)
+    player.bring_up()
+    expected = ', '.join(f'/{name} has 1' for name in sorted(topic.name for topic in INPUT_TOPICS))
+    graph.until(lambda: said[-1:] == [f'waiting for 2 subscribers on each topic: {expected}'])
+    assert len(set(said)) == len(said)
+    InputListener(graph)
+    graph.until(lambda: player.finished)
+    assert player.played == len(RECORDS)
+
+
+@pytest.mark.ros
 def test_deactivating_pauses_and_activating_resumes(graph: Graph, bag: str) -> None:
     listener = InputListener(graph)
     player = graph.make(BagPlayer, bag=bag, rate=10.0, wait=1)

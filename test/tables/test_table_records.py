@@ -129,7 +129,15 @@ def test_rows_of_one_time_may_have_different_values(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(
     ('head', 'stated'),
-    [('t,v [km/h]\n', 'km/h'), ('t,v (kmh)\n', 'kmh'), ('t,v [mph]\n', 'mph'), ('t,v [m/s]\n', ''), ('t,v [x]\n', '')],
+    [
+        ('t,v [km/h]\n', 'km/h'),
+        ('t,v (kmh)\n', 'kmh'),
+        ('t,v [KM/H]\n', 'KM/H'),
+        ('t,v [Kmh]\n', 'Kmh'),
+        ('t,v [mph]\n', 'mph'),
+        ('t,v [m/s]\n', ''),
+        ('t,v [x]\n', ''),
+    ],
 )
 def test_a_unit_in_the_name_of_a_column_is_compared(tmp_path: Path, head: str, stated: str) -> None:
     path, name = tmp_path / 'log.csv', head.partition(',')[2].strip()

@@ -112,7 +112,11 @@ def configure_play(parser: argparse.ArgumentParser) -> None:
     parser.add_argument('--duration', type=positive, default=0.0, metavar='S', help='play only this many seconds')
     parser.add_argument('--loop', action='store_true', help='start over at the end')
     parser.add_argument(
-        '--wait', type=int, default=0, metavar='N', help='wait for this many subscribers on each topic before starting'
+        '--wait',
+        type=int,
+        default=0,
+        metavar='N',
+        help='wait for this many subscribers on each topic before starting; run with --map subscribes once to each',
     )
     _add_namespace(parser, 'the topics in the bag')
     _add_ros_args(parser)

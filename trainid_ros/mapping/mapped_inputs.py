@@ -78,7 +78,7 @@ class MappedInputs:
                     signal.function.load()  # what cannot be used is said now
                 for index, source in enumerate(signal.sources):
                     self._readers.setdefault(source.topic, []).append((quantity, index, source))
-        self._position = Odometer(mapping.position)
+        self._position = DeadReckoning(mapping.position)
 
     @property
     def topics(self) -> tuple[str, ...]:
@@ -192,7 +192,7 @@ def mapped_inputs(path: Path | None, train_file: TrainFile | None) -> Callable[[
     return make
 
 
-class Odometer:
+class DeadReckoning:
     """Position by integrating the speed, corrected by measured positions.
 
     Attributes:

@@ -131,7 +131,12 @@ def _signal(top: Section, key: str, *more: str) -> Signal | None:
     if _SUM not in section.data:
         return Signal((_source(section, key, *more, is_table=is_table),))
     section.only((_SUM, *more))
-    return Signal(tuple(_source(part, key, is_table=is_table) for part in _parts(section, _SUM)))
+    parts = _parts(section, _SUM)
+    sources = tuple(_source(part, key, is_table=is_table) for part in parts)
+    for place, source in enumerate(sources):
+        if any((source.topic, source.path) == (other.topic, other.path) for other in sources[:place]):
+            parts[place].fail('field', f'= {shown(source.field)} is in the sum already: it would count twice')
+    return Signal(sources)
 
 
 def _parts(section: Section, key: str) -> list[Section]:
@@ -206,9 +211,9 @@ def _check_braking(section: Section, key: str, acceleration: float) -> None:
 
 def _path(section: Section) -> tuple[str | int, ...]:
     steps = section.text('field').replace('[', '.').replace(']', '').split('.')
-    if not all(step.isidentifier() or step.isdigit() for step in steps):
+    if not all(step.isidentifier() or step.isdecimal() for step in steps):
         section.fail('field', f'= {shown(section.data["field"])} must be names of fields and indices, like data.0')
-    return tuple(int(step) if step.isdigit() else step for step in steps)
+    return tuple(int(step) if step.isdecimal() else step for step in steps)
 
 
 def _table(section: Section, unit: str) -> tuple[tuple[float, float], ...]:

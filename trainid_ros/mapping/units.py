@@ -68,6 +68,12 @@ def find_unit(text: str, quantity: str) -> Unit:
     raise ValueError(msg)
 
 
+def spelled(text: str, quantity: str) -> str:
+    """Return the name of a unit of a quantity as it is spelled here; others may write another case, such as KM/H."""
+    names = (*_FACTORS[quantity], *(_ANGLES if quantity == 'gradient' else ()))
+    return next((name for name in names if name.lower() == text.lower()), text)
+
+
 def _percentage(text: str, factors: dict[str, float]) -> Unit:
     words = text.split()
     try:

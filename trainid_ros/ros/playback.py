@@ -13,6 +13,7 @@ from rosgraph_msgs.msg import Clock as ClockMessage
 
 from trainid_ros.errors import InputError
 from trainid_ros.mapping.mapping import OWN
+from trainid_ros.plural import pluralise
 from trainid_ros.records import INPUT_TOPICS, NS_PER_S, Record
 from trainid_ros.ros.foreign_topics import foreign_class
 from trainid_ros.ros.node import ManagedNode, NodeParameters, guarded
@@ -126,6 +127,8 @@ _ACKNOWLEDGED_S: Final = 2.0
 _LINGER_S: Final = 0.3
 # A subscriber discovered by this node may not have discovered it yet, and loses best-effort messages until then.
 _DISCOVERY_NS: Final = NS_PER_S // 2
+# A wait for subscribers is said after this time, and what it waits for again as that changes.
+_LONG_WAIT_NS: Final = 3 * NS_PER_S
 
 
 def playback_parameters(*, live: bool) -> tuple[ParameterSpec, ...]:
@@ -254,6 +257,8 @@ class PlaybackNode(ManagedNode):
         self.timeline = Timeline(0, 0, lambda: iter(()))
         self.finished = False
         self._complete_ns = 0
+        self._waiting_ns = 0
+        self._said = ''
         self.position_ns = 0
         self.played = 0
 
@@ -287,12 +292,25 @@ class PlaybackNode(ManagedNode):
         wanted = int(self.parameters.value('wait'))
         if not wanted or self.position_ns:
             return False
-        if any(output.get_subscription_count() < wanted for output in self._outputs.values()):
-            self._complete_ns = 0
-            return True
         now = self.steady_ns()
+        counts = {output.topic_name: output.get_subscription_count() for output in self._outputs.values()}
+        if lacking := {topic: count for topic, count in counts.items() if count < wanted}:
+            self._complete_ns = 0
+            self._say_waiting(lacking, wanted, now)
+            return True
         self._complete_ns = self._complete_ns or now
         return now - self._complete_ns < _DISCOVERY_NS
+
+    def _say_waiting(self, lacking: dict[str, int], wanted: int, now_ns: int) -> None:
+        """Log what a long wait is for: topics with fewer subscribers than wanted, each with their number."""
+        self._waiting_ns = self._waiting_ns or now_ns
+        if now_ns - self._waiting_ns < _LONG_WAIT_NS:
+            return
+        found = ', '.join(f'{topic} has {count}' for topic, count in sorted(lacking.items()))
+        text = f'waiting for {pluralise(wanted, "subscriber")} on each topic: {found}'
+        if text != self._said:
+            self._said = text
+            self.get_logger().warning(text)
 
     def _sleep(self, pause_ns: int) -> None:
         self._timer.timer_period_ns = max(pause_ns, 1000)

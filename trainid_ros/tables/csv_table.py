@@ -126,14 +126,30 @@ class CsvTable:
         skipped = self._form.header_rows or named + _unit_rows(cells[named:])
         for row in ([*map(_in_brackets, names)], *cells[named:skipped]):
             self.units |= {name: cell.strip(' []()') for name, cell in zip(names, row, strict=True) if cell.strip()}
-        decimal = self._form.decimal or _decimal(cells[skipped:])
+        decimal = self._form.decimal or self._decimal(cells[skipped:])
         return _Layout(encoding, separator, decimal, tuple(known), above + skipped)
+
+    def _decimal(self, rows: list[list[str]]) -> str:
+        """Return the decimal sign of some rows.
+
+        Raises:
+            InputError: A comma may be the decimal sign or mark thousands.
+
+        """
+        cells = [cell.strip() for row in rows for cell in row if not _is_time(cell.strip())]
+        if cell := _unclear(cells):
+            msg = (
+                f'{self.path}: {shown(cell)} may be {_number(cell, ",")} or {_number(cell, ".")}: a comma before three '
+                'digits in every cell that has one; csv: {decimal: ","} or {decimal: "."} in the mapping says which'
+            )
+            raise InputError(msg)
+        return _decimal(cells)
 
     def _column(self, name: str, lines: list[int], cells: list[str], layout: _Layout) -> Column:
         """Return a column of some rows."""
         if all(map(_WHOLE.fullmatch, cells)):
             return np.array([int(cell) for cell in cells], dtype=np.int64)
-        if layout.decimal == '.' or not any('.' in cell for cell in cells):
+        if (layout.decimal == '.' or not any('.' in cell for cell in cells)) and not any('_' in cell for cell in cells):
             with suppress(ValueError):
                 return np.array([float(cell.replace(layout.decimal, '.')) for cell in cells], dtype=np.float64)
         first = next((cell.strip() for cell in cells if not _is_blank(cell)), '')
@@ -240,7 +256,8 @@ def _unit_rows(rows: list[list[str]]) -> int:
     for count, row in enumerate(rows[: _MOST_UNIT_ROWS + 1]):
         if any(_is_value(cell) for cell in row) and all(_is_value(cell) or _is_blank(cell) for cell in row):
             return count
-    return 0
+    # Such as a date that cannot be read beside numbers: it is then named, and not the units above it.
+    return next((count for count, row in enumerate(rows[: _MOST_UNIT_ROWS + 1]) if any(map(_is_value, row))), 0)
 
 
 def _is_value(cell: str) -> bool:
@@ -254,9 +271,15 @@ def _is_time(text: str) -> bool:
     return date_time_ns(text) is not None or time_of_day_ns(text) is not None
 
 
-def _decimal(rows: list[list[str]]) -> str:
-    """Return the decimal sign of the numbers in some rows."""
-    cells = [cell.strip() for row in rows for cell in row if not _is_time(cell.strip())]
+def _unclear(cells: list[str]) -> str:
+    """Return a cell with a comma if none of all cells shows whether that is the decimal sign, '' if one does."""
+    with_comma = [cell for cell in cells if ',' in cell and _number(cell, ',') is not None]
+    is_shown = any(_number(cell, '.') is None or cell.lstrip('+-').startswith('0') for cell in with_comma)
+    return '' if is_shown or not with_comma or any('.' in cell for cell in cells) else with_comma[0]
+
+
+def _decimal(cells: list[str]) -> str:
+    """Return the decimal sign of the numbers in some cells."""
     # By the cells that only one of the two explains; then by which sign there is.
     by_sign = {
         sign: sum(_number(cell, sign) is not None and _number(cell, other) is None for cell in cells)
@@ -278,7 +301,8 @@ def _number(cell: str, decimal: str) -> float | None:
         return math.nan
     if grouped := _GROUPED[decimal].fullmatch(text):
         text = text.replace(grouped[1], '')
-    if decimal == ',' and '.' in text:  # which float() would take for the decimal sign
+    # What float() would take: a point for the decimal sign, and underscores.
+    if (decimal == ',' and '.' in text) or '_' in text:
         return None
     try:
         return float(text.replace(decimal, '.'))

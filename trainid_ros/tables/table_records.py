@@ -14,7 +14,7 @@ import numpy as np
 from trainid_ros.errors import InputError
 from trainid_ros.mapping.mapping import UNKNOWN_EFFORT, Signal
 from trainid_ros.mapping.mapping_file import QUANTITIES
-from trainid_ros.mapping.units import find_unit
+from trainid_ros.mapping.units import find_unit, spelled
 from trainid_ros.tables.columns import ROWS_AT_ONCE, Block, Clock, joined, numbers
 from trainid_ros.train.fields import shown
 
@@ -153,7 +153,10 @@ class TableRecords:
         for name, unit, quantity in columns:
             stated = self._table.units.get(name, '')
             with suppress(ValueError):
-                if find_unit(_UNIT_SIGNS.get(stated, stated), quantity).factor != unit.factor:
+                if (
+                    find_unit(spelled(_UNIT_SIGNS.get(stated.lower(), stated), quantity), quantity).factor
+                    != unit.factor
+                ):
                     yield f'{self._path}: column {shown(name)}: the file says {stated}, the mapping {unit.name}'
 
     def _check_times(self, stamps: NDArray[np.int64], feeds: list[_Feed], rows: NDArray[np.intp]) -> None:
