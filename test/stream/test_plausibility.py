@@ -236,6 +236,28 @@ def test_after_a_fault_in_mid_drive_the_estimate_is_that_from_before_it(
     assert abs(found.resistance - expected.resistance) < found.resistance_std
 
 
+def test_an_estimate_that_goes_back_keeps_the_consistency_that_it_had(
+    metro: TrainFile, day: tuple[Record, ...]
+) -> None:
+    pipeline = resistance_pipeline(metro, EstimatorSettings())
+    for record in day:
+        pipeline.push(record)
+    pipeline._go_back()
+    assert pipeline.consistency.updates > 0
+
+
+def test_what_was_learned_while_the_distances_differed_is_forgotten(metro: TrainFile, day: tuple[Record, ...]) -> None:
+    stream = SampleStream(StreamConfig(metro))
+    for record in day[:4000]:
+        stream.push(record)
+    assert not stream.has_changed
+    stream.state.plausibility.distance.sudden = 1
+    assert stream.has_changed
+    stream.state.plausibility.distance.sudden = 0
+    assert not stream.has_changed
+    assert stream.has_returned
+
+
 def test_a_contradiction_ends_when_the_inputs_agree_again(metro: TrainFile, day: tuple[Record, ...]) -> None:
     stream, change = SampleStream(StreamConfig(metro)), force(-1.0)
     half = len(day) // 2
