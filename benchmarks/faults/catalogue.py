@@ -76,7 +76,7 @@ _SPEED: Final = (
     _position('in km', lambda _t, y: 1e-3 * y),
     _position('5 % high', lambda _t, y: 1.05 * y),
     frozen_position(),
-    _position('jumps', lambda t, y: y + 300.0 * (t // 20.0)),
+    _position('jumps', lambda t, y: y + 300.0 * (1.0 + t // 20.0)),
     spiked('speed', 5.0),
     frozen('speed'),
     missing('speed'),

@@ -188,26 +188,15 @@ def test_a_replay_answers_as_its_last_estimate(replayed: tuple[Replay, TrainFile
     assert answer.live == (result.resistance.output.status in (Status.VALID, Status.HOLDING))
 
 
-def test_a_replay_that_ends_in_a_doubt_answers_as_a_client_that_saw_its_outputs(
-    replayed: tuple[Replay, TrainFile],
-) -> None:
+def test_a_replay_that_ends_in_a_doubt_answers_by_the_train_file(replayed: tuple[Replay, TrainFile]) -> None:
     result, train_file = replayed
-    now = 0.0
-    seen = TrainModel(None, train_file, max_age=1e9, clock=lambda: now)
-    ends = {}
-    for name in ('resistance', 'brake_rate'):
-        usable = getattr(result, name).last_usable
-        doubted = Output(usable.stamp_ns, usable.estimate, Status.CONVERGING, usable.used, usable.rejected, None)
-        ends[name] = replace(getattr(result, name), output=doubted)
-        for output in (usable, doubted):
-            seen.take(output)
-    now = 1e6
-    model = TrainModel.from_replay(replace(result, **ends), train_file)
-    assert model.resistance(12.0) == seen.resistance(12.0)
-    assert model.brake_rate() == seen.brake_rate()
-    assert model.stopping_distance(20.0) == seen.stopping_distance(20.0)
-    assert model.brake_rate().value == result.brake_rate.last_usable.estimate.brake_rate  # type: ignore[union-attr]
-    assert model.brake_rate().std == pytest.approx(0.2)
+    last = result.resistance.output
+    output = Output(last.stamp_ns, last.estimate, Status.CONVERGING, last.used, last.rejected, None)
+    doubted = replace(result.resistance, output=output)
+    answer = TrainModel.from_replay(replace(result, resistance=doubted), train_file).resistance(12.0)
+    assert not answer.live
+    assert answer == replace(TrainModel(None, train_file).resistance(12.0), reason=answer.reason)
+    assert 'CONVERGING' in answer.reason
 
 
 @pytest.mark.parametrize(

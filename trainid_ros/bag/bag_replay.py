@@ -56,7 +56,6 @@ class Result(Generic[EstimateT]):
     Attributes:
         prior: Estimate before the first record.
         output: Last output.
-        last_usable: Last VALID or HOLDING output, if only CONVERGING ones came after it; else None.
         samples: Aligned samples since the last reset.
         rejections: Why records and samples were not used, with their counts, the most frequent reason first.
         statuses: Number of outputs by status since the last reset.
@@ -67,7 +66,6 @@ class Result(Generic[EstimateT]):
 
     prior: EstimateT
     output: Output[EstimateT]
-    last_usable: Output[EstimateT] | None
     samples: int
     rejections: tuple[tuple[Reason, int], ...]
     statuses: tuple[int, ...]
@@ -202,7 +200,6 @@ def _result(pipeline: EstimatorPipeline[EstimateT], prior: EstimateT) -> Result[
     return Result(
         prior,
         pipeline.current(),
-        pipeline.last_usable,
         pipeline.samples,
         rejections,
         tuple(pipeline.statuses),

@@ -111,7 +111,10 @@ class TrainModel:
 
     @classmethod
     def from_replay(cls, result: Replay, train_file: TrainFile | str | Path) -> TrainModel:
-        """Return the train at the end of a replay; nothing moves or ages any more.
+        """Return the train by the last outputs of a replay; nothing moves or ages any more.
+
+        Where the last one is CONVERGING, the train file applies. A client that has received all outputs, see
+        :meth:`take`, keeps the last valid values then.
 
         Raises:
             InputError: The train file cannot be used.
@@ -120,8 +123,6 @@ class TrainModel:
         now = 0.0
         model = cls(None, train_file, max_age=_MAX_AGE.high, clock=lambda: now)
         for estimator in (result.resistance, result.brake_rate):
-            if estimator.last_usable is not None:  # what a doubt at the end leaves standing
-                model.take(estimator.last_usable)
             model.take(estimator.output)
         now = 1e9  # all moves are done
         return model

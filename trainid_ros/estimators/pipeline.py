@@ -56,8 +56,6 @@ class EstimatorPipeline(Generic[EstimateT]):
         self.config = config
         self._stale_ns = round(config.stale_after * NS_PER_S)
         self.resets = 0
-        self.last_usable: Output[EstimateT] | None = None
-        """Last VALID or HOLDING output, if only CONVERGING ones came after it; else None."""
         self._clear()
 
     def set_stale_after(self, stale_after: float) -> None:
@@ -135,7 +133,7 @@ class EstimatorPipeline(Generic[EstimateT]):
         for event in events:
             if isinstance(event, Sample):
                 self._step(event)
-                self._note_status()
+                self.statuses[self._status] += 1
                 if publish is not None:
                     publish(self.current())
             elif isinstance(event, Rejection):
@@ -144,7 +142,7 @@ class EstimatorPipeline(Generic[EstimateT]):
                 self._follow_jump(event)
         if self._status not in (Status.STALE, Status.FAULT) and self.stream.is_input_missing(self._stale_ns):
             self._status = Status.STALE
-            self._note_status()
+            self.statuses[Status.STALE] += 1
             if publish is not None:
                 publish(self.current())
 
@@ -157,14 +155,6 @@ class EstimatorPipeline(Generic[EstimateT]):
         elif jump.returns and self._snapshots.left is not None:
             self._snapshots.newest = self._snapshots.left
             self._go_back()
-
-    def _note_status(self) -> None:
-        """Count the status of an output, and keep the output for a doubt that may follow."""
-        self.statuses[self._status] += 1
-        if self._status is Status.VALID or self._status is Status.HOLDING:
-            self.last_usable = self.current()
-        elif self._status is not Status.CONVERGING:
-            self.last_usable = None
 
     def mark_stale(self) -> Output[EstimateT]:
         """Mark the estimate as stale because inputs are missing; its value stays."""
