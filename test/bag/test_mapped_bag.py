@@ -182,3 +182,10 @@ def test_replay_takes_a_mapping_file(foreign: Path, tmp_path: Path, capsys: pyte
     mapping.write_text('speed: {topic: /x}', encoding='utf-8')
     assert main(['replay', str(foreign), '--train', str(train), '--map', str(mapping)]) == 2
     assert 'map.yaml: speed.field is missing' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(('namespace', 'outside'), [('/', ''), ('/train_2', '/brake, /car1, /car2, /track, /where')])
+def test_topics_outside_the_namespace_are_named(foreign: Path, namespace: str, outside: str) -> None:
+    text = f'mapping: {outside} outside --namespace {namespace}, so they may be of another train'
+    with reader(foreign, namespace=namespace) as bag:
+        assert [warning.startswith(text) for warning in bag.warnings] == ([True] if outside else [])

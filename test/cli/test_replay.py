@@ -193,6 +193,17 @@ def test_a_contradiction_of_the_inputs_is_shown_with_its_times(
     assert past.text == f'inputs contradicted each other from 12.3 to 56.8 s: {finding}'
 
 
+def test_a_wrong_sign_of_the_brake_is_said(
+    driven_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    mapping, words = tmp_path / 'map.yaml', 'warning: ato/brake_command looks as if it had the wrong sign: all '
+    for sign, is_said in ((-1, True), (1, False)):
+        text = f'brake_command: {{topic: ato/brake_command, field: target_acceleration, sign: {sign}}}\n'
+        mapping.write_text(text, encoding='utf-8')
+        assert main(['replay', str(driven_bag), '--train', str(driven_bag / 'train.yaml'), '--map', str(mapping)]) == 0
+        assert (words in capsys.readouterr().err) == is_said
+
+
 def test_wrong_truth_is_reported_before_the_work(
     driven_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -9,6 +9,7 @@ import pytest
 from test.fleet.surrogate import fleet_rows
 from trainid_ros.errors import NoAnswerError
 from trainid_ros.fleet.analysis import analyse
+from trainid_ros.report.fleet_report import summary
 
 LIMIT = 20_000.0
 DRAG, PADS = np.array([0.8, 0.0, 0.0, 0.0]), np.array([0.0, -0.08, 0.0, 0.0])
@@ -70,6 +71,20 @@ def test_a_train_that_always_differed_is_an_outlier() -> None:
     assert (train.name, train.changes) == ('T07', ())
     assert [outlier.channel.name for outlier in train.outliers] == ['brake_rate']
     assert train.causes[0].effect == 'brake_scale'
+
+
+def test_runs_whose_inputs_contradict_each_other_are_named_and_left_out() -> None:
+    rows = fleet_rows(5001, trains=6, days=8)
+    for row in rows[3 * 8 + 4 : 4 * 8]:  # the last four days of T03
+        row |= {'w15': 2.0 * row['w15'], 'contradiction': 'the acceleration is 0.5 times what ato/force and mass give'}
+    view = analyse(rows, LIMIT)
+    assert not view.found
+    assert view.contradicted == (('T03', 4),)
+    assert 'Runs left out as their inputs contradict each other, see the column contradiction: T03 (4).' in summary(
+        view
+    )
+    used = analyse([row | {'contradiction': None} for row in rows], LIMIT)
+    assert [train.name for train in used.found] == ['T03']
 
 
 def test_too_few_rows_are_no_answer() -> None:

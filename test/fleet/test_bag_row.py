@@ -11,6 +11,7 @@ import pytest
 
 from trainid_ros.cli.main import main
 from trainid_ros.fleet.bag_row import bag_row, killed_row
+from trainid_ros.fleet.channels import has_estimate, is_known
 from trainid_ros.fleet.columns import COLUMNS, NAMES
 from trainid_ros.fleet.plan import PlannedBag, Setup
 from trainid_ros.results import Status
@@ -40,6 +41,18 @@ def test_numbers_are_those_of_replay(tiny: Path, setup: Setup, capsys: pytest.Ca
     assert sum(row[f'share_{status.name.lower()}'] for status in Status) == pytest.approx(1.0)
     assert row['share_valid'] > 0.0
     assert (row['train'], row['day'], row['line'], row['revision']) == ('T1', '2026-01-31', None, 'r1')
+
+
+def test_a_force_that_counts_twice_is_a_contradiction(tiny: Path, setup: Setup, tmp_path: Path) -> None:
+    mapping = tmp_path / 'map.yaml'
+    mapping.write_text('force: {topic: ato/force, field: force, gain: 2.0}\n', encoding='utf-8')
+    wrong, right = (
+        bag_row(replace(setup, mapping=path), 'r1', PlannedBag(str(tiny), train='T1', day='2026-01-31'), lambda _: None)
+        for path in (mapping, None)
+    )
+    assert 'the acceleration is 0.5 times what ato/force and mass give' in wrong['contradiction']
+    assert (is_known(wrong), has_estimate(wrong)) == (False, True)
+    assert (right['contradiction'], is_known(right)) == (None, True)
 
 
 def test_a_dead_time_is_that_of_the_train(tiny: Path, setup: Setup, tmp_path: Path) -> None:

@@ -188,3 +188,11 @@ def test_a_line_without_gradients_is_rejected() -> None:
         inputs('gradient: {from: line}', TrainFile(Train(mass=194e3), Davis(1.5, 0.02, 0.001)))
     with pytest.raises(InputError, match='no train file is given'):
         MappedInputs(parse_mapping('gradient: {from: line}', 'map.yaml'), None)
+
+
+def test_numbers_that_are_not_in_the_table_are_counted() -> None:
+    text = 'brake_command: {topic: /notch, field: data, table: {0: 0.0, 1: -0.3}, stamp: receive}'
+    inputs = MappedInputs(parse_mapping(text, 'map.yaml'), None)
+    for stamp_ns, notch in enumerate((0, 50, 1, 50, 7), 1):
+        inputs.take('/notch', SimpleNamespace(data=notch), stamp_ns)
+    assert inputs.warnings == ['/notch: 7 is not in table (1 message)', '/notch: 50 is not in table (2 messages)']

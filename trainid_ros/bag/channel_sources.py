@@ -53,6 +53,18 @@ class TopicNames:
         # Names in the mapping by full name.
         self._mapped = {self._full(source.topic): source.topic for source in mapping.sources}
 
+    @property
+    def warnings(self) -> tuple[str, ...]:
+        """Topics of the mapping that lie outside the namespace: another train's numbers under the name of this one."""
+        outside = sorted(name for name in self._mapped if not name.startswith(self._prefix))
+        if not outside:
+            return ()
+        space = self._prefix.rstrip('/')
+        return (
+            f'mapping: {", ".join(outside)} outside --namespace {space}, so they may be of another train; without a '
+            f'leading slash a topic lies in {space}',
+        )
+
     def relative(self, name: str) -> str:
         """Return a name as it is in the namespace."""
         # A name outside the namespace keeps its slash, so that it is nobody's input: two trains may share a bag.

@@ -26,6 +26,7 @@ from trainid_ros.train.train_file import Davis, Train, TrainFile
 if TYPE_CHECKING:
     from collections.abc import Iterable
 
+    from trainid_ros.bag.record_table import RecordTable
     from trainid_ros.records import Row
     from trainid_ros.stream.alignment import AlignmentConfig
 
@@ -70,6 +71,22 @@ def check_inputs(rows: Iterable[Row], alignment: AlignmentConfig, train_file: Tr
     if (last := check.contradiction).finding:
         (problems if check.is_most(Reason.CONTRADICTION) else warnings).append(last.text)
     return Findings(tuple(problems), tuple(warnings))
+
+
+def brake_sign(tables: Iterable[RecordTable]) -> str:
+    """Say so if brake commands have the wrong sign, '' if they have not."""
+    above = below = 0
+    for table in tables:
+        commands = table.x[table.topic == BRAKE]
+        above, below = above + int(np.count_nonzero(commands > 0.0)), below + int(np.count_nonzero(commands < 0.0))
+    return _wrong_brake(above) if above and not below else ''
+
+
+def _wrong_brake(above: int) -> str:
+    return (
+        f'{BRAKE_TOPIC.name} looks as if it had the wrong sign: all {above} messages that are not 0 are above it, and '
+        'target accelerations of a brake are not'
+    )
 
 
 class _Check:
@@ -136,10 +153,7 @@ class _Check:
         """Return which inputs have the wrong sign, by all that was seen."""
         found = []
         if self._first_out.get(BRAKE, 0.0) > 0.0 and not self._applied:
-            found.append(
-                f'{BRAKE_TOPIC.name} looks as if it had the wrong sign: all {self._out_of_range[BRAKE]} messages that '
-                f'are not 0 are above it, and target accelerations of a brake are not'
-            )
+            found.append(_wrong_brake(self._out_of_range[BRAKE]))
         if self.is_most(Reason.CONTRADICTION):
             return found
         if _correlation(self._released) < _OPPOSITE:

@@ -102,12 +102,11 @@ class BagReader:
 
         """
         self.path = Path(path)
-        self._max_chunk = max_chunk
-        self._inputs = inputs
-        self.mapping = mapping if inputs is None else inputs().mapping
+        self._max_chunk, self._inputs = max_chunk, inputs
+        self._made = None if inputs is None else inputs()
+        self.mapping = mapping if self._made is None else self._made.mapping
         self._damage: list[str] = []
-        # Messages by topic that could not be read the last time.
-        self._unreadable: Counter[str] = Counter()
+        self._unreadable: Counter[str] = Counter()  # messages by topic, the last time
         self._names = TopicNames(namespace, self.mapping)
         self._files: list[BagFile] = []
         self._sources: list[dict[int, ChannelSource]] = []
@@ -120,7 +119,7 @@ class BagReader:
 
         """
         located = locate(self.path)
-        self._damage = list(located.warnings)
+        self._damage = [*located.warnings, *self._names.warnings]
         try:
             for path in located.files:
                 self._files.append(open_file(path, self._max_chunk, self._names.is_needed))
@@ -154,7 +153,7 @@ class BagReader:
             f'{self.path}: topic {topic}: {pluralise(count, "message")} skipped that cannot be read'
             for topic, count in sorted(self._unreadable.items())
         ]
-        return self._damage + skipped
+        return self._damage + skipped + ([] if self._made is None else self._made.warnings)
 
     @property
     def message_count(self) -> int:
@@ -244,7 +243,8 @@ class BagReader:
 
         """
         if self._inputs is not None:
-            yield from self._mapped_tables(self._inputs(), last_ns)
+            self._made = self._inputs()
+            yield from self._mapped_tables(self._made, last_ns)
             return
         self._unreadable.clear()
         pending, end_ns = EMPTY, np.uint64(min(last_ns, _MAX_LOG_NS))

@@ -120,6 +120,7 @@ def to_json(view: FleetView, limit: float, named: Mapping[str, Cause]) -> dict[s
         'channels': {
             v.channel.name: {'mean': v.fit.mean, 'std': v.fit.stds, 'degrees': v.fit.degrees} for v in view.channels
         },
+        'contradicted': dict(view.contradicted),
         'found': [_train(view, train) | _named(named.get(train.name)) for train in view.found],
     }
 

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.bag.bag_replay import Pipelines, replay_through
+from trainid_ros.bag.input_check import brake_sign
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.brake_rate.suggested_braking import suggested_braking
 from trainid_ros.cli.output import check_output, table, to_plain
@@ -24,6 +25,7 @@ from trainid_ros.records import MASS_TOPIC
 from trainid_ros.report import HTML_START
 from trainid_ros.resistance.force_findings import force_findings
 from trainid_ros.resistance.suggested_drive import suggested_drive
+from trainid_ros.results import Reason
 from trainid_ros.ros.jobs import Setup, mapping_in, node_setups
 from trainid_ros.sim.truth import load_truth
 from trainid_ros.tables.estimate_table import TABLE_SUFFIXES, estimate_table
@@ -38,7 +40,7 @@ if TYPE_CHECKING:
     from trainid_ros.bag.observers import TraceObserver
     from trainid_ros.report.traces import Traces
     from trainid_ros.resistance.suggested_drive import SuggestedDrive
-    from trainid_ros.results import Output, Reason, ResistanceEstimate
+    from trainid_ros.results import Output, ResistanceEstimate
     from trainid_ros.sim.truth import Truth
     from trainid_ros.train.train_file import TrainFile
 
@@ -138,6 +140,8 @@ def _replay(args: argparse.Namespace, bag: Path, advance: Callable[[float], None
         outcome = replay_through(pipelines, reader, lambda amount: advance(amount / count), observers)
         wall_s = time.perf_counter() - start
         warnings += unweighed(reader, setups[0].train_file)
+        if Reason.OUT_OF_RANGE in dict(outcome.brake_rate.rejections) and (wrong := brake_sign(reader.tables())):
+            warnings.append(reader.mapping.named(wrong))
     if report is not None and traces is not None:
         _write_report(args, bag, outcome, traces.finish(), truth, f'off line {_pace(outcome, wall_s)}', report)
     first = outcome.resistance

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Final
 
@@ -12,7 +13,7 @@ from scipy.special import ndtr, stdtrit
 from trainid_ros.errors import NoAnswerError
 from trainid_ros.fleet.causes import Cause, causes_of
 from trainid_ros.fleet.changes import Change, Series, Step, find_changes
-from trainid_ros.fleet.channels import CHANNELS, Cells, Channel, Labels, cells_of, labels_of
+from trainid_ros.fleet.channels import CHANNELS, Cells, Channel, Labels, cells_of, has_estimate, labels_of
 from trainid_ros.fleet.departures import Departure, departures, usual_days
 from trainid_ros.fleet.mixed_model import ROUNDS, MixedFit, fit
 
@@ -120,11 +121,20 @@ class TrainView:
 
 @dataclass(frozen=True, slots=True)
 class FleetView:
-    """The whole fleet: labels, channels, and trains by evidence, the strongest first."""
+    """The whole fleet.
+
+    Attributes:
+        labels: Its labels.
+        channels: Its channels.
+        trains: Its trains by evidence, the strongest first.
+        contradicted: Trains with runs that were left out as their inputs contradict each other, with how many.
+
+    """
 
     labels: Labels
     channels: tuple[ChannelView, ...]
     trains: tuple[TrainView, ...]
+    contradicted: tuple[tuple[str, int], ...] = ()
 
     @property
     def found(self) -> tuple[TrainView, ...]:
@@ -147,11 +157,16 @@ def analyse(rows: Sequence[Row], limit: float) -> FleetView:
     cells = [(channel, cells_of(rows, channel, labels)) for channel in CHANNELS]
     cells = [(channel, found) for channel, found in cells if found.value.size >= _LEAST_CELLS]
     if not cells:
-        msg = f'too few runs with train, day and estimate ({len(rows)} rows): see the columns train, day and error'
+        msg = (
+            f'too few runs with train, day and estimate ({len(rows)} rows): see the columns train, day, error and '
+            'contradiction'
+        )
         raise NoAnswerError(msg)
     views, series, changes = _fit_and_test(labels, cells, limit)
     trains = [_train(labels, views, k, series[k], changes[k]) for k in range(len(labels.trains))]
-    return FleetView(labels, views, tuple(sorted(trains, key=lambda train: (-train.evidence, train.name))))
+    contradicted = Counter(row['train'] for row in rows if has_estimate(row) and row['contradiction'])
+    ranked = tuple(sorted(trains, key=lambda train: (-train.evidence, train.name)))
+    return FleetView(labels, views, ranked, tuple(contradicted.most_common()))
 
 
 def _fit_and_test(

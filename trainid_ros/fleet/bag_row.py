@@ -103,7 +103,8 @@ def _replay(setup: Setup, bag: PlannedBag, row: Row, advance: Callable[[float], 
         row |= labels_in_row(bag, row['start'])
     row |= {'duration_s': outcome.duration_s, 'warnings': '; '.join(reader.warnings) or None}
     row |= _resistance(outcome) | _brake(outcome)
-    row['finding'] = row['finding'] and reader.mapping.named(row['finding'])
+    for name in ('contradiction', 'finding'):
+        row[name] = row[name] and reader.mapping.named(row[name])
     row['mass_factor'] = _known(outcome.speed_model.output.estimate.mass_factor)
     if before is not None and (learned := _dead_time(pipelines)) is not None and learned[1] < before[1]:
         row['dead_time'], row['dead_time_std'] = learned
@@ -114,12 +115,13 @@ def _replay(setup: Setup, bag: PlannedBag, row: Row, advance: Callable[[float], 
 def _resistance(outcome: Replay) -> Row:
     result = outcome.resistance
     w = result.output.estimate
-    findings = (outcome.contradiction.finding, *force_findings(w), *outcome.brake_findings)
+    findings = (*force_findings(w), *outcome.brake_findings)
     row: Row = {
         'status': result.output.status.name,
         'used': result.output.used,
         'rejected': result.output.rejected,
-        'finding': '; '.join(filter(None, findings)) or None,
+        'contradiction': outcome.contradiction.finding or None,
+        'finding': '; '.join(findings) or None,
     }
     row |= {reason_column(reason): count for reason, count in result.rejections}
     outputs = max(1, sum(result.statuses))

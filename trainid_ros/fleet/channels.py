@@ -91,7 +91,12 @@ def labels_of(rows: Sequence[Row]) -> Labels:
 
 
 def is_known(row: Row) -> bool:
-    """Return whether a row has an estimate of a known train and day."""
+    """Return whether a row has an estimate of a known train and day, from inputs that do not contradict each other."""
+    return has_estimate(row) and not row['contradiction']
+
+
+def has_estimate(row: Row) -> bool:
+    """Return whether a row has an estimate of a known train and day, whatever its inputs."""
     return bool(row['train'] and row['day'] and row['status'] in _USABLE)
 
 

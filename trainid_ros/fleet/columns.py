@@ -76,7 +76,8 @@ COLUMNS: Final = (
     Column('rejected', 'int', '1', 'records and samples that the resistance was not learned from'),
     *(Column(reason_column(reason), 'int', '1', f'of these: {reason.name}') for reason in _REASONS),
     *(Column(share_column(status), 'float', '1', f'share of outputs that were {status.name}') for status in Status),
-    Column('finding', 'text', '', 'last contradiction between the inputs, and errors of the force'),
+    Column('contradiction', 'text', '', 'last contradiction between the inputs: no estimate of this run is compared'),
+    Column('finding', 'text', '', 'errors of the force and of the brake that were found'),
     Column('warnings', 'text', '', 'faults of the bag that do not prevent reading'),
     Column('revision', 'text', '', 'version of trainid_ros and digest of the modules that compute'),
 )

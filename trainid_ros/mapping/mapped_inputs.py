@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+from collections import Counter
 from functools import partial
 from typing import TYPE_CHECKING, Any, Final
 
@@ -13,6 +14,7 @@ from trainid_ros.mapping.mapping_file import load_mapping
 from trainid_ros.mapping.message_fields import type_of
 from trainid_ros.mapping.series import JoinedSeries
 from trainid_ros.messages import stamp_of
+from trainid_ros.plural import pluralise
 from trainid_ros.records import (
     NS_PER_S,
     BrakeRecord,
@@ -37,6 +39,8 @@ _LONGEST_S: Final = 1.0
 # Positions that differ by less do not show the direction: they are noisy, above all at standstill [m].
 _LEAST_M: Final = 10.0
 _SOME_EFFORT: Final = -0.1
+# Numbers that are not in a table and are named.
+_MOST_NAMED: Final = 5
 _QUANTITIES: Final = ('speed', 'position', 'force', 'gradient', 'brake_command', 'mass')
 
 
@@ -79,11 +83,21 @@ class MappedInputs:
                 for index, source in enumerate(signal.sources):
                     self._readers.setdefault(source.topic, []).append((quantity, index, source))
         self._position = DeadReckoning(mapping.position)
+        # Messages by topic and number that is not in the table.
+        self._unlisted: Counter[tuple[str, float]] = Counter()
 
     @property
     def topics(self) -> tuple[str, ...]:
         """Topics that the mapping names."""
         return tuple(self._readers)
+
+    @property
+    def warnings(self) -> list[str]:
+        """What was wrong with the messages so far."""
+        return [
+            f'{topic}: {raw:g} is not in table ({pluralise(count, "message")})'
+            for (topic, raw), count in sorted(self._unlisted.most_common(_MOST_NAMED))
+        ]
 
     @property
     def lacks_position(self) -> bool:
@@ -109,7 +123,10 @@ class MappedInputs:
         records: list[Record] = []
         for quantity, index, source in self._readers[topic]:
             stamp_ns = _stamp(source, message, received_ns)
-            records += self.add(quantity, index, stamp_ns, source.read(message))
+            value = source.value(raw := source.raw(message))
+            if math.isnan(value) and source.table:
+                self._unlisted[topic, raw] += 1
+            records += self.add(quantity, index, stamp_ns, value)
         return records
 
     def add(self, quantity: str, index: int, stamp_ns: int, value: float) -> list[Record]:

@@ -67,7 +67,7 @@ class Source:
             InputError: The message has no such number; the error names topic and field.
 
         """
-        return self.value(self._raw(message))
+        return self.value(self.raw(message))
 
     def value(self, raw: float) -> float:
         """Return a number in the unit of the interface; NaN for one that is not in the table."""
@@ -77,7 +77,8 @@ class Source:
             return raw
         return self.unit.convert(self.sign * self.gain * raw + self.offset)
 
-    def _raw(self, message: Any) -> float:
+    def raw(self, message: Any) -> float:
+        """Return the number in a message as it is; raises as :meth:`read`."""
         value, reached = message, ''
         try:
             for step in self.path:

@@ -53,10 +53,19 @@ def summary(view: FleetView) -> str:
         if len(view.trains) < LEAST_TRAINS
         else ''
     )
+    few += _left_out(view)
     if not view.found:
         return f'No train of {trains} stands out.{few}'
     verb = 'stands' if len(view.found) == 1 else 'stand'
     return f'{len(view.found)} of {trains} {verb} out: {", ".join(train.name for train in view.found)}.{few}'
+
+
+def _left_out(view: FleetView) -> str:
+    """Return which runs are not compared, '' if all are."""
+    if not view.contradicted:
+        return ''
+    runs = ', '.join(f'{train} ({count})' for train, count in view.contradicted)
+    return f' Runs left out as their inputs contradict each other, see the column contradiction: {runs}.'
 
 
 def findings(view: FleetView, train: TrainView) -> tuple[str, ...]:
