@@ -140,13 +140,13 @@ def suggested_drive(
 
     """
     search = DriveSearch(estimator, train_file, prior, now)
-    while search.advance():
+    for _ in search.steps():
         pass
     return search.result
 
 
 class DriveSearch:
-    """The search of a drive, one manoeuvre at a time, so that a live estimator is not kept waiting.
+    """The search of a drive, in short steps, so that a live estimator is not kept waiting.
 
     Attributes:
         result: What was found, None before the end of the search.
@@ -169,18 +169,21 @@ class DriveSearch:
         if any(wanted.std(now) > wanted.limit for wanted in self._quantities):
             self._runs = planned_runs(train_file, now)
 
-    def advance(self) -> bool:
-        """Foresee one more manoeuvre; return False, with the result, after the last."""
-        run = next(self._runs, None)
-        if run is None or self._estimator is None:
-            best = _shortest(sorted(self._drives, key=lambda drive: drive[1] * drive[0].duration_s))
-            helps = best is not None and best.least_known.then < _HELPS * best.least_known.now
-            self.result = best if helps else None
-            return False
-        for times, then in enumerate(self._estimator.foreseen(run, _TIMES), 1):
-            promises = (Promise(wanted, wanted.std(self._now), wanted.std(then)) for wanted in self._quantities)
-            self._drives.append((run, times, tuple(promises)))
-        return True
+    def steps(self) -> Iterator[None]:
+        """Search; yield after each short step, and set the result after the last."""
+        for run in self._runs:
+            assert self._estimator is not None
+            estimates: list[ResistanceEstimate] = []
+            for estimate in self._estimator.foreseen(run, _TIMES):
+                if estimate is not None:
+                    estimates.append(estimate)
+                yield
+            for times, then in enumerate(estimates, 1):
+                promises = (Promise(wanted, wanted.std(self._now), wanted.std(then)) for wanted in self._quantities)
+                self._drives.append((run, times, tuple(promises)))
+        best = _shortest(sorted(self._drives, key=lambda drive: drive[1] * drive[0].duration_s))
+        helps = best is not None and best.least_known.then < _HELPS * best.least_known.now
+        self.result = best if helps else None
 
 
 def _shortest(drives: Sequence[_Drive]) -> SuggestedDrive | None:
