@@ -22,6 +22,6 @@ def test_a_restored_generator_continues() -> None:
 @pytest.mark.parametrize('value', [-1e300, 10**40, 'x', None])
 def test_a_damaged_generator_is_named(value: object) -> None:
     rng = np.random.default_rng(5001)
-    state = json.dumps(rng.bit_generator.state | {'has_uint32': value})
+    state = json.dumps({**rng.bit_generator.state, 'has_uint32': value})
     with pytest.raises(InputError, match='saved GsmaState: random cannot be read'):
         restore_generator(rng, state, 'GsmaState')
