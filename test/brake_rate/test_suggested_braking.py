@@ -68,4 +68,4 @@ def test_a_worse_map_promises_less() -> None:
 def test_nothing_is_suggested_before_the_first_sample_or_of_other_estimators() -> None:
     fresh = brake_rate_pipeline(FILE, EstimatorSettings()).estimator
     assert suggested_braking(fresh, FILE, fresh.estimate(0.0)) is None
-    assert not braking_search(object(), FILE, fresh.estimate(0.0)).advance()
+    assert list(braking_search(object(), FILE, fresh.estimate(0.0)).steps()) == []

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from trainid_ros.cli.output import (
+    check_distinct,
     check_output,
     print_json,
     progress,
@@ -118,6 +119,15 @@ def test_names_cannot_control_the_terminal(capsys: pytest.CaptureFixture[str]) -
     text = capsys.readouterr().out
     assert text.rstrip('\n').isprintable()
     assert json.loads(text) == {HOSTILE: HOSTILE}
+
+
+def test_two_outputs_are_not_one_file(tmp_path: Path) -> None:
+    report, link = tmp_path / 'report.html', tmp_path / 'link.html'
+    check_distinct(report, None, tmp_path / 'other.html', None)
+    link.symlink_to(report)
+    for other in (report, tmp_path / 'folder' / '..' / 'report.html', link):
+        with pytest.raises(InputError, match='is given for two outputs'):
+            check_distinct(report, None, other)
 
 
 def test_an_output_replaces_nothing_but_an_earlier_one(tmp_path: Path) -> None:

@@ -192,6 +192,8 @@ def test_pipelines_restored_at_the_same_record_share_their_stream_again(metro: T
         (('consistency', 'newest'), 4000, 'consistency'),
         (('stream', 'aligner', 'force', 'rows', 'x'), [], 'tracks'),
         (('stream', 'aligner', 'brake', 'rows', 'stamp_ns', 0), 10**19, 'tracks'),
+        (('stream', 'aligner', 'brake', 'rows', 'x', 0), 1e12, 'tracks'),
+        (('stream', 'aligner', 'left', 'until_ns'), -1, 'left'),
         (('stream', 'aligner', 'pending', 'topic'), [9], 'records'),
         (('stream', 'aligner', 'travel', 'direction'), 0, 'travel'),
         (('stream', 'aligner', 'newest_ns'), -1, 'stamps'),

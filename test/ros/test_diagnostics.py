@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import math
+import time
 from dataclasses import replace
 from functools import partial
 from types import SimpleNamespace
@@ -13,7 +14,7 @@ import pytest
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 from rclpy.qos import QoSProfile, ReliabilityPolicy
 from std_msgs.msg import Float64
-from trainid_msgs.msg import AtoForce, BrakeCommand
+from trainid_msgs.msg import AtoForce, AtoSpeed, BrakeCommand
 
 from trainid_ros.estimators.consistency import WINDOW
 from trainid_ros.records import NS_PER_S, ForceRecord, SpeedRecord
@@ -22,6 +23,7 @@ from trainid_ros.ros.diagnostics import EstimatorSpec
 from trainid_ros.ros.estimator_node import EstimatorNode
 from trainid_ros.ros.estimator_nodes import BRAKE_RATE, RESISTANCE
 from trainid_ros.ros.input_monitor import clock_time
+from trainid_ros.ros.topics import message_from_record
 
 Graph: TypeAlias = Any  # the fixture of conftest.py
 BEST_EFFORT = ReliabilityPolicy.BEST_EFFORT
@@ -77,7 +79,9 @@ def test_diagnostics_show_status_counts_and_inputs(graph: Graph, train_file: str
 @pytest.mark.parametrize('spec', [RESISTANCE, BRAKE_RATE], ids=['resistance', 'brake rate'])
 def test_diagnostics_say_what_to_drive(graph: Graph, train_file: str, spec: EstimatorSpec) -> None:
     diagnosed = Diagnosed(graph)
-    node = graph.make(partial(EstimatorNode, spec), train_file=train_file, diagnostic_period=0.1, stale_after=60.0)
+    few = {'estimator.hypotheses': 8} if spec is RESISTANCE else {}  # the search is quick
+    settings = {'diagnostic_period': 0.1, 'stale_after': 60.0, **few}
+    node = graph.make(partial(EstimatorNode, spec), train_file=train_file, **settings)
     own = f'{node.get_name()}: estimator'
     node.bring_up()
     graph.until(lambda: own in diagnosed.by_name)
@@ -85,6 +89,23 @@ def test_diagnostics_say_what_to_drive(graph: Graph, train_file: str, spec: Esti
     graph.feed(node, graph.coasting(150))
     graph.until(lambda: 'to drive' in diagnosed.values(own))
     assert 'km/h' in diagnosed.values(own)['to drive']
+
+
+@pytest.mark.ros
+def test_diagnostics_name_a_stall_of_the_node_and_not_its_inputs(graph: Graph, train_file: str) -> None:
+    diagnosed = Diagnosed(graph)
+    node = graph.active(train_file, diagnostic_period=0.1)
+    own, speed = 'resistance_estimator: estimator', 'resistance_estimator: input ato/speed'
+    odometer = graph.plain('odometer').create_publisher(AtoSpeed, 'ato/speed', 10)
+    graph.feed(node, graph.coasting(20))
+    graph.until(lambda: own in diagnosed.by_name and odometer.get_subscription_count())
+    time.sleep(1.2)
+    odometer.publish(message_from_record(graph.coasting(21)[-1]))
+    time.sleep(0.1)
+    node._diagnostics.publish()
+    graph.until(lambda: 'this node was busy or stopped for 1' in diagnosed.by_name[own].message)
+    assert 'no message' not in diagnosed.by_name[speed].message
+    graph.until(lambda: 'this node was busy' not in diagnosed.by_name[own].message)
 
 
 @pytest.mark.ros

@@ -207,6 +207,14 @@ def test_unplayable_parameters_fail_to_configure(graph: Graph, parameters: dict[
 
 
 @pytest.mark.ros
+def test_a_start_after_the_end_is_named_with_the_length(graph: Graph, bag: str) -> None:
+    player = graph.make(BagPlayer, bag=bag, start=99999.0)
+    assert player.trigger_configure() == TransitionCallbackReturn.FAILURE
+    length_s = (RECORDS[-1].stamp_ns - RECORDS[0].stamp_ns) / NS_PER_S
+    assert player.failure == f'start = 99999 s: what is played is {length_s:.1f} s long'
+
+
+@pytest.mark.ros
 def test_a_player_can_be_configured_twice(graph: Graph, bag: str) -> None:
     player = graph.make(BagPlayer, bag=bag)
     for _ in range(2):

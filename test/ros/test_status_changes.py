@@ -60,7 +60,7 @@ def test_each_change_that_matters_is_logged_once_with_its_duration() -> None:
     assert log.lines == [
         ('info', 'VALID: the estimate is fit to use'),
         ('warning', 'STALE, the last estimate stands: no ato/speed for 0.8 s'),
-        ('info', 'HOLDING: inputs are back after 2.0 s'),
+        ('info', 'HOLDING: inputs are back, 2.0 s after STALE'),
         ('warning', 'CONVERGING: the estimate is not fit to use any more'),
         ('info', 'CONVERGING: the estimator works again'),
     ]
@@ -76,7 +76,7 @@ def test_inputs_that_come_for_the_first_time_are_not_back() -> None:
         changes.follow(status, start_ns + second * NS_PER_S)
     assert [text for level, text in log.lines if level == 'info'] == [
         'CONVERGING: inputs have come',
-        'CONVERGING: inputs are back after 1.0 s',
+        'CONVERGING: inputs are back, 1.0 s after STALE',
     ]
 
 

@@ -245,7 +245,7 @@ def restore_generator(rng: np.random.Generator, text: str, kind: str) -> None:
     """Restore a generator from JSON text; raise InputError, naming the ``kind`` of state, if it is invalid."""
     try:
         rng.bit_generator.state = json.loads(text)
-    except (ValueError, TypeError, KeyError) as error:
+    except (ValueError, TypeError, KeyError, OverflowError) as error:
         msg = f'saved {kind}: random cannot be read: {error}'
         raise InputError(msg) from None
 

@@ -54,15 +54,17 @@ def braking_search(estimator: object, train_file: TrainFile, now: BrakeRateEstim
     """Return the search of :func:`suggested_braking`."""
     config = estimator.config if isinstance(estimator, Gsma) else None
     if not (isinstance(estimator, Gsma) and isinstance(config, GsmaConfig)):
-        return DriveSearch((), now, (), lambda _run, _times: ())
+        return DriveSearch((), now, (), _nothing)
     if estimator.converged or estimator.state.stamp_ns == 0:
-        return DriveSearch((), now, (), lambda _run, _times: ())
+        return DriveSearch((), now, (), _nothing)
     saved = estimator.save()
 
-    def foresee(run: Run, times: int) -> list[BrakeRateEstimate]:
+    def foresee(run: Run, times: int) -> Iterator[BrakeRateEstimate | None]:
         copy = Gsma(train_file, config, np.random.default_rng())
         copy.restore(saved)
-        return [_after(copy, run, train_file) for _ in range(times)]
+        for _ in range(times):
+            yield from _stepped(copy, run, train_file)
+            yield copy.estimate(0.0)
 
     wanted = Wanted('brake rate', '', _std, config.valid_std)
     return DriveSearch((wanted,), now, planned_brakings(train_file), foresee)
@@ -72,12 +74,16 @@ def _std(estimate: BrakeRateEstimate) -> float:
     return estimate.brake_rate_std
 
 
-def _after(estimator: Gsma, run: Run, train_file: TrainFile) -> BrakeRateEstimate:
-    """Let an estimator go through a run; return its estimate at the stop."""
+def _nothing(_run: Run, _times: int) -> Iterator[None]:
+    return iter(())
+
+
+def _stepped(estimator: Gsma, run: Run, train_file: TrainFile) -> Iterator[None]:
+    """Let an estimator go through a run to the stop; yield after each sample."""
     start_ns = estimator.state.stamp_ns + round(len(run.steps) * STEP_S * NS_PER_S)
     for sample in _braking(estimator, run, train_file, start_ns):
         estimator.step(sample)
-    return estimator.estimate(0.0)
+        yield
 
 
 def _braking(estimator: Gsma, run: Run, train_file: TrainFile, start_ns: int) -> Iterator[Sample]:

@@ -125,6 +125,16 @@ def check_output(path: Path, inputs: Iterable[Path | None], start: str) -> None:
         raise InputError(msg)
 
 
+def check_distinct(*paths: Path | None) -> None:
+    """Raise InputError if two outputs are one file, by whatever names."""
+    seen: set[Path] = set()
+    for path in paths:
+        if path is not None and path.resolve() in seen:
+            msg = f'{path}: is given for two outputs; choose another name for one of them'
+            raise InputError(msg)
+        seen |= {path.resolve()} if path is not None else set()
+
+
 def table(rows: Sequence[Sequence[str]], numbers: Sequence[int] = ()) -> str:
     """Return rows of cells as aligned text.
 

@@ -14,7 +14,7 @@ from trainid_ros.bag.bag_replay import Pipelines, replay_through
 from trainid_ros.bag.input_check import brake_sign
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.brake_rate.suggested_braking import suggested_braking
-from trainid_ros.cli.output import check_output, table, to_plain
+from trainid_ros.cli.output import check_distinct, check_output, table, to_plain
 from trainid_ros.cli.per_bag import BagResult, run_per_bag
 from trainid_ros.errors import InputError
 from trainid_ros.estimators.observability import observe
@@ -73,8 +73,9 @@ def run(args: argparse.Namespace) -> int:
     mapped_inputs(args.map, _setups(args)[0].train_file)  # what cannot be used for any bag is reported once
     if len(args.bags) > 1:
         _check_outputs(args)
-    for report in (_outputs(args, bag)[1] for bag in args.bags):
+    for out, report in (_outputs(args, bag) for bag in args.bags):
         if report is not None:
+            check_distinct(out, report)
             check_output(report, (args.train, args.params, args.truth, *args.bags), HTML_START)
     return run_per_bag(args, _replay, 'replay')
 

@@ -36,6 +36,8 @@ from trainid_ros.stream.speed_noise import SpeedNoise
 from trainid_ros.vectors import append, vec
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from trainid_ros.resistance.hypotheses import Innovation
     from trainid_ros.resistance.planned_drive import Run, Step
     from trainid_ros.resistance.resistance_settings import FilterBankConfig
@@ -273,36 +275,40 @@ class FilterBank:
             (1.0 + now.mean[_SCALE], scale_std, now.mean[_DELAY], delay_std),
         )
 
-    def foreseen(self, run: Run, times: int) -> list[ResistanceEstimate]:
-        """Return the mean estimates after one, two, ... of a number of runs, each from a stop.
+    def foreseen(self, run: Run, times: int) -> Iterator[ResistanceEstimate | None]:
+        """Yield the mean estimates after one, two, ... of a number of runs, each from a stop; None between short steps.
 
         Covariances are means over two sequences of innovations as large as predicted, one the negative of the other:
         how soon a step can be excluded that may just have happened depends on them.
         """
-        estimates: list[ResistanceEstimate] = []
         deviations = np.random.default_rng(times).standard_normal((times, len(run.steps)))
-        pairs = zip(self._mixtures(run, deviations), self._mixtures(run, -deviations), strict=True)
-        for k, (one, other) in enumerate(pairs, 1):
+        mean = self._current().mean
+        ones: list[Mixture] = []
+        others: list[Mixture] = []
+        for sign, mixtures in ((1.0, ones), (-1.0, others)):
+            for mixture in self._mixtures(run, sign * deviations):
+                if mixture is not None:
+                    mixtures.append(mixture)
+                yield None
+        for k, (one, other) in enumerate(zip(ones, others, strict=True), 1):
             both = vec[float]([0.5 * (x + y) for x, y in zip(one.covariance, other.covariance, strict=True)])
             factor = self._inflation.foreseen(k * len(run.steps) * STEP_S)
-            now = self._inflated(Mixture(self._current().mean, both), factor)
-            estimates.append(self._estimate(now, run.steps[-1].speed))
-        return estimates
+            now = self._inflated(Mixture(mean, both), factor)
+            yield self._estimate(now, run.steps[-1].speed)
 
-    def _mixtures(self, run: Run, deviations: Array) -> list[Mixture]:
-        """Return what follows from runs with given innovations over their standard deviations, shape (runs, steps)."""
+    def _mixtures(self, run: Run, deviations: Array) -> Iterator[Mixture | None]:
+        """Yield what follows from runs with given innovations over their standard deviations, shape (runs, steps)."""
         bank, variance = Bank(self.bank.plan), self._tachometer.variance * self._sampled_s / STEP_S
         bank.restore(self.bank.state())
         slowest = self.config.min_speed
-        mixtures: list[Mixture] = []
         for row in deviations.tolist():
             bank.widen_force_scale(scale_step(self._train, weighed=self._weighed) ** 2)
             bank.restart(slowest, variance)
             for step, deviation in zip(run.steps, row, strict=True):
                 if step.speed >= slowest and not bank.foresee(_planned(step, variance), deviation, 0.5 * slowest):
                     break
-            mixtures.append(bank.mixture(bank.plan.young_weight))
-        return mixtures
+                yield None
+            yield bank.mixture(bank.plan.young_weight)
 
     def save(self) -> str:
         """Return the state as JSON text."""

@@ -154,14 +154,18 @@ def drive_search(
 ) -> DriveSearch:
     """Return the search of :func:`suggested_drive`."""
     if not isinstance(estimator, FilterBank | VMils) or not now.speed_max > 0.0:
-        return DriveSearch((), now, (), lambda _run, _times: ())
+        return DriveSearch((), now, (), _nothing)
     config = estimator.config
     quantities = tuple(_quantities(train_file, prior, now, config.valid_std, config.valid_share))
     return DriveSearch(quantities, now, planned_runs(train_file, now), estimator.foreseen)
 
 
+def _nothing(_run: Run, _times: int) -> Iterator[None]:
+    return iter(())
+
+
 class DriveSearch:
-    """The search of a drive, one manoeuvre at a time, so that a live estimator is not kept waiting.
+    """The search of a drive, in short steps, so that a live estimator is not kept waiting.
 
     Attributes:
         result: What was found, None before the end of the search.
@@ -173,7 +177,7 @@ class DriveSearch:
         quantities: tuple[Wanted, ...],
         now: object,
         runs: Iterable[Run],
-        foresee: Callable[[Run, int], Sequence[object]],
+        foresee: Callable[[Run, int], Iterator[object]],
     ) -> None:
         """Prepare.
 
@@ -181,7 +185,7 @@ class DriveSearch:
             quantities: What should be known.
             now: Present estimate.
             runs: Runs to compare.
-            foresee: Returns the estimates after one, two, ... of a number of runs.
+            foresee: Yields the estimates after one, two, ... of a number of runs, and None after each step between.
 
         """
         self.result: SuggestedDrive | None = None
@@ -191,24 +195,28 @@ class DriveSearch:
         self._drives: list[_Drive] = []
 
     def finish(self) -> SuggestedDrive | None:
-        """Foresee all manoeuvres; return the result."""
-        while self.advance():
+        """Search to the end; return the result."""
+        for _ in self.steps():
             pass
         return self.result
 
-    def advance(self) -> bool:
-        """Foresee one more manoeuvre; return False, with the result, after the last."""
-        run = next(self._runs, None)
-        if run is None:
-            best = _shortest(sorted(self._drives, key=lambda drive: drive[1] * drive[0].duration_s))
-            helps = best is not None and best.least_known.then < _HELPS * best.least_known.now
-            self.result = best if helps else None
-            return False
-        for times, then in enumerate(self._foresee(run, _TIMES), 1):
-            promises = tuple(Promise(wanted, wanted.std(self._now), wanted.std(then)) for wanted in self._quantities)
-            if not any(promise.is_worse for promise in promises):
-                self._drives.append((run, times, promises))
-        return True
+    def steps(self) -> Iterator[None]:
+        """Search; yield after each short step, and set the result after the last."""
+        for run in self._runs:
+            times = 0
+            for then in self._foresee(run, _TIMES):
+                if then is not None:
+                    times += 1
+                    self._promise(run, times, then)
+                yield
+        best = _shortest(sorted(self._drives, key=lambda drive: drive[1] * drive[0].duration_s))
+        helps = best is not None and best.least_known.then < _HELPS * best.least_known.now
+        self.result = best if helps else None
+
+    def _promise(self, run: Run, times: int, then: object) -> None:
+        promises = tuple(Promise(wanted, wanted.std(self._now), wanted.std(then)) for wanted in self._quantities)
+        if not any(promise.is_worse for promise in promises):
+            self._drives.append((run, times, promises))
 
 
 def _shortest(drives: Sequence[_Drive]) -> SuggestedDrive | None:

@@ -42,6 +42,8 @@ from trainid_ros.state import decode, encode
 from trainid_ros.stream.known_force import KnownForce
 
 if TYPE_CHECKING:
+    from collections.abc import Iterator
+
     from trainid_ros.resistance.davis_posterior import DavisPosterior
     from trainid_ros.resistance.normal import Array
     from trainid_ros.resistance.planned_drive import Run
@@ -236,10 +238,9 @@ class VMils:
         variances = self.learner.inflation.factor * self.learner.tracker.estimate.P.diagonal()
         return self._estimate(self._published(), variances, speed)
 
-    def foreseen(self, run: Run, times: int) -> list[ResistanceEstimate]:
-        """Return the estimates on average after one, two, ... of a number of runs, each from a stop."""
+    def foreseen(self, run: Run, times: int) -> Iterator[ResistanceEstimate | None]:
+        """Yield the estimates on average after one, two, ... of a number of runs, each from a stop."""
         P = np.array(self.learner.tracker.estimate.P)
-        estimates: list[ResistanceEstimate] = []
         information = self.learner.foreseen_information(self._planned(run), self._sampled_s)
         # At an arrival no load has been weighed yet.
         step = scale_step(self._known.train_file.train, weighed=False) ** 2
@@ -252,8 +253,7 @@ class VMils:
             P[_KAPPA, _KAPPA] = max(P[_KAPPA, _KAPPA], min(P[_KAPPA, _KAPPA] + step, most))
             factor = self.learner.inflation.foreseen(k * len(run.steps) * STEP_S)
             published = self._inflated(self._davis(P), factor)
-            estimates.append(self._estimate(published, factor * P.diagonal(), run.steps[-1].speed))
-        return estimates
+            yield self._estimate(published, factor * P.diagonal(), run.steps[-1].speed)
 
     def _planned(self, run: Run) -> list[WindowTick]:
         """Return the part of a run from which is learned."""

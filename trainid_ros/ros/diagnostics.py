@@ -114,6 +114,7 @@ class Problem(Enum):
     REJECTED = 'rejected'
     ERRORS = 'errors'
     UNSAVED = 'unsaved'
+    BUSY = 'busy'
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,6 +131,7 @@ class NodeHealth:
         missing: Which inputs are missing, '' if none is.
         fault: Why the estimator cannot continue, '' if it can.
         unsaved: Why its state cannot be saved, '' if it can.
+        busy_s: How long the node could not do anything else just now, 0 if not for long [s].
         began: When each present problem began [ns].
 
     """
@@ -143,6 +145,7 @@ class NodeHealth:
     missing: str = ''
     fault: str = ''
     unsaved: str = ''
+    busy_s: float = 0.0
     began: Mapping[Problem, int] = field(default_factory=dict)
 
 
@@ -184,6 +187,9 @@ def _problems(health: NodeHealth, pipeline: EstimatorPipeline[Any], output: Outp
         ),
         Problem.UNSAVED: Finding(
             warn, f'not saved: {health.unsaved}', 'make room on the disk, or correct checkpoint_file'
+        ),
+        Problem.BUSY: Finding(
+            warn, f'this node was busy or stopped for {health.busy_s:.1f} s', 'give it more computing time'
         ),
     }
     for problem, finding in problems.items():

@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+import time
 from typing import TYPE_CHECKING, Any, Final
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
@@ -28,6 +29,11 @@ if TYPE_CHECKING:
 
 # Time from the start of one search for what to drive to the next [ns].
 _SEARCH_EVERY_NS: Final = 60 * NS_PER_S
+# The search goes on so often [s], each time for this long and one step [s]: messages wait no longer.
+_SLICE_PERIOD_S: Final = 0.01
+_SLICE_S: Final = 0.003
+# A node that comes later than this to its diagnostics has kept its inputs waiting, too [s].
+_BUSY_S: Final = 0.8
 
 
 class DiagnosticsPublisher:
@@ -39,9 +45,13 @@ class DiagnosticsPublisher:
             DiagnosticArray, '/diagnostics', diagnostics_qos(), event_callbacks=NO_PUBLISHER_EVENTS
         )
         self._now_ns = 0
+        self._published_ns = 0
+        self._busy_s = 0.0
         self._known: dict[AnyTopic, Finding] = {}
         self._began: dict[Problem, int] = {}
         self._search: DriveSearch | None = None
+        self._steps: Iterator[None] = iter(())
+        self._search_timer = node.create_timer(_SLICE_PERIOD_S, self._go_on, clock=node.steady_clock, autostart=False)
         self._searched_ns = -_SEARCH_EVERY_NS
         self._drive: SuggestedDrive | None = None
         self._definitions: dict[tuple[AnyTopic, str], str] = {}
@@ -49,12 +59,16 @@ class DiagnosticsPublisher:
     def publish(self) -> None:
         """Publish everything; called once per diagnostic period."""
         node = self._node
+        self._note_stall()
+        if node.pipeline is not None:
+            node.inputs.drain()  # what waits has arrived: the inputs are not late where this node is
         health = self._health(node.now_ns())
         array = DiagnosticArray()
         array.header.stamp = time_message(health.now_ns)
         if node.pipeline is None:
             self._known.clear()
-            self._search, self._searched_ns, self._drive = None, -_SEARCH_EVERY_NS, None
+            self._end_search()
+            self._searched_ns, self._drive = -_SEARCH_EVERY_NS, None
             array.status = [idle_status(health)]
         else:
             array.status = [self._estimator(health, node.pipeline), *self._inputs(health)]
@@ -63,6 +77,12 @@ class DiagnosticsPublisher:
             for item in status.values:
                 item.value = node.mapping.named(item.value)
         self._publisher.publish(array)
+
+    def _note_stall(self) -> None:
+        """Note how much later than it should this call comes."""
+        before_ns, self._published_ns = self._published_ns, self._node.steady_ns()
+        late_s = (self._published_ns - before_ns) / NS_PER_S - float(self._node.parameters.value('diagnostic_period'))
+        self._busy_s = late_s if before_ns and late_s > _BUSY_S else 0.0
 
     def _health(self, now_ns: int) -> NodeHealth:
         node, clock_problem = self._node, self._clock_problem(now_ns)
@@ -77,6 +97,7 @@ class DiagnosticsPublisher:
             missing=node.missing_inputs(),
             fault=node.fault,
             unsaved=node.checkpoints.problem,
+            busy_s=self._busy_s,
             began=self._began,
         )
 
@@ -93,13 +114,14 @@ class DiagnosticsPublisher:
             yield input_status(health, monitor, topic, self._judge(monitor, topic, health.now_ns))
 
     def _to_drive(self, pipeline: EstimatorPipeline[Any], now_ns: int) -> Iterator[tuple[str, str]]:
-        """Yield what to drive for a better estimate; each call goes on with the search, and the last result stands."""
+        """Yield what to drive for a better estimate; begin a search if none is on, the last result stands meanwhile."""
         if not _has_learned(pipeline.current()):
             return
         if self._search is None and not 0 <= now_ns - self._searched_ns < _SEARCH_EVERY_NS:
             self._search, self._searched_ns = self._new_search(pipeline), now_ns
-        if self._search is not None and not self._search.advance():
-            self._drive, self._search = self._search.result, None
+            if self._search is not None:
+                self._steps = self._search.steps()
+                self._search_timer.reset()
         if self._drive is not None:
             yield 'to drive', self._drive.text
 
@@ -112,12 +134,26 @@ class DiagnosticsPublisher:
             return braking_search(pipeline.estimator, train_file, live)
         return None
 
+    def _go_on(self) -> None:
+        """Search for a short while."""
+        end_s = time.perf_counter() + _SLICE_S
+        for _ in self._steps:
+            if time.perf_counter() >= end_s:
+                return
+        self._drive = None if self._search is None else self._search.result
+        self._end_search()
+
+    def _end_search(self) -> None:
+        self._search_timer.cancel()
+        self._search, self._steps = None, iter(())
+
     def _note_problems(self, now_ns: int, clock_problem: str) -> None:
         """Note when each present problem began."""
         pipeline = self._node.pipeline
         present: dict[Problem, object] = {
             Problem.CLOCK: clock_problem,
             Problem.UNSAVED: self._node.checkpoints.problem,
+            Problem.BUSY: self._busy_s,
         }
         if pipeline is not None:
             present |= {

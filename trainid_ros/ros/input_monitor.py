@@ -157,7 +157,7 @@ class InputMonitor:
         if count <= _REJECTED_ANYHOW + _REJECTED_SHARE * len(self._arrivals):
             return None
         last = self._rejected[-1][1]
-        text = f'{min(count, len(self._arrivals))} of the last {len(self._arrivals)} messages not used: {last}'
+        text = f'{min(count, len(self._arrivals))} of the last {len(self._arrivals)} messages not used: {_shown(last)}'
         return Finding(DiagnosticStatus.ERROR, text, _REJECTED[last.reason])
 
     def missing_for_s(self, now_ns: int) -> float:
@@ -306,6 +306,18 @@ def shown_time(time_s: float) -> str:
     """Return a time [s] in the largest unit of which it is at least two."""
     size, unit = next((item for item in _UNITS if time_s >= 2.0 * item[0]), (1.0, 's'))
     return f'{time_s / size:.1f} {unit}'
+
+
+def _shown(last: Rejection) -> str:
+    """Return why a message was not used, with the number that says so."""
+    name = last.reason.name
+    if last.reason is Reason.NOT_FINITE:
+        return f'{name} ({last.value:g})'
+    if last.reason is Reason.OUT_OF_RANGE:
+        return f'{name} ({last.value:.6g} is {"below" if last.value < last.limit else "above"} {last.limit:.6g})'
+    if last.reason is Reason.ZERO_STAMP:
+        return f'{name} (the stamp is {"0" if last.stamp_ns == 0 else "negative"})'
+    return name if last.reason is Reason.DUPLICATE else f'{name} ({shown_time(abs(last.value))})'
 
 
 def _names(names: Sequence[str]) -> str:

@@ -264,6 +264,9 @@ class PlaybackNode(ManagedNode):
 
     def _rewind(self) -> None:
         start, duration = float(self.parameters.value('start')), float(self.parameters.value('duration'))
+        if start > self.timeline.duration_s:
+            msg = f'start = {start:g} s: what is played is {self.timeline.duration_s:.1f} s long'
+            raise InputError(msg)
         self._entries = with_ticks(self.timeline, start, duration)
         self._next = next(self._entries, None)
         self._anchor()

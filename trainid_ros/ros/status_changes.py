@@ -88,10 +88,10 @@ class StatusChanges:
         self._had_inputs |= status is not Status.STALE
 
     def _arrival(self, now_ns: int) -> str:
-        """Return that inputs have come; for how long they were missing, if the clock has run all the time."""
+        """Return that inputs have come; how long after STALE, if the clock has run on."""
         if not self._had_inputs:
             return 'inputs have come'
-        lasted = f' after {(now_ns - self.since_ns) / NS_PER_S:.1f} s' if 0 < self.since_ns <= now_ns else ''
+        lasted = f', {(now_ns - self.since_ns) / NS_PER_S:.1f} s after STALE' if 0 < self.since_ns <= now_ns else ''
         return f'inputs are back{lasted}'
 
     def _log(self, before: frozenset[Status], now_ns: int) -> None:

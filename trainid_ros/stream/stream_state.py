@@ -11,6 +11,7 @@ from dataclasses import asdict, dataclass, field
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, Final
 
+from trainid_ros.record_validation import find_fault
 from trainid_ros.records import INPUT_TOPICS
 from trainid_ros.state import MAX_NUMBER, check_not_negative, check_restored
 from trainid_ros.stream.drive_history import DriveHistoryState
@@ -41,11 +42,16 @@ class RowsState:
         n = len(self.stamp_ns)
         if not len(self.topic) == len(self.x) == len(self.y) == len(self.flag) == n:
             return False
-        known = all(0 <= topic < len(INPUT_TOPICS) for topic in self.topic) and all(
-            stamp > 0 for stamp in self.stamp_ns
+        if not all(0 <= topic < len(INPUT_TOPICS) for topic in self.topic):
+            return False
+        rows = zip(self.topic, self.stamp_ns, self.x, strict=True)
+        # The second number of a gradient is a curvature here.
+        possible = all(find_fault(topic, stamp_ns, x, 0.0) is None for topic, stamp_ns, x in rows)
+        return (
+            possible
+            and not any(abs(y) >= MAX_NUMBER for y in self.y)
+            and not (in_order and any(a >= b for a, b in pairwise(self.stamp_ns)))
         )
-        finite = all(abs(x) < MAX_NUMBER for x in self.x) and not any(abs(y) >= MAX_NUMBER for y in self.y)
-        return known and finite and not (in_order and any(a >= b for a, b in pairwise(self.stamp_ns)))
 
 
 @dataclass(frozen=True, slots=True)
