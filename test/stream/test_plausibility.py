@@ -204,7 +204,7 @@ def pipelines(metro: TrainFile) -> list[EstimatorPipeline[Any]]:
     return [make(metro, EstimatorSettings()) for make in makers]
 
 
-@pytest.mark.parametrize('change', [speed(3.6), force(-1.0), force(1e-3), command(lambda _: -0.7)])
+@pytest.mark.parametrize('change', [speed(3.6), force(-1.0), force(1e-3), force(2.0), command(lambda _: -0.7)])
 def test_no_estimate_from_contradictory_inputs_is_valid(
     metro: TrainFile, day: tuple[Record, ...], change: Change
 ) -> None:

@@ -115,6 +115,17 @@ def test_a_wrong_slope_is_forgotten_soon_when_it_is_mended() -> None:
     assert 6 < count < 60
 
 
+def test_a_wrong_slope_lasts_while_there_is_too_little_traction_to_refute_it() -> None:
+    slope = learned(0.5, noise=1.0, x=160.0)
+    slope.judge_traction(0.0, 4.0, math.nan)
+    assert '0.5 times' in slope.finding
+    for x, y, lasts in ((20.0, 10.0, True), (60.0, 60.0, False)):
+        for _ in range(30):
+            slope.add(y, x)
+            slope.judge_traction(0.0, 4.0, math.nan)
+        assert bool(slope.finding) == lasts
+
+
 def test_a_slope_is_plausible_where_it_is_known_and_within_its_limits() -> None:
     for factor, plausible in ((1.0, True), (3.6, False)):
         slope = learned(factor, noise=1.0)

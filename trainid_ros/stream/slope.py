@@ -175,14 +175,20 @@ class Slope(Regression):
 
         """
         if self._is_judged(TRACTION_RANGE, _OFFSET + _OFFSET_SHARE * resistance):
-            self.finding = _traction_text(self.value, by_position) if self.excess > self.offset else ''
+            if self.excess > self.offset:
+                self.finding = _traction_text(self.value, by_position)
+            elif self.excess == 0.0:  # less traction refutes nothing
+                self.finding = ''
         elif self.is_unrelated(noise):
             self.finding = 'the speed does not follow ato/force: one of them is stuck, late or of another train'
 
     def judge_brake(self, noise: float, by_position: float) -> None:
         """Judge the slope of the brake; the arguments are those for traction."""
         if self._is_judged(BRAKE_RANGE, _BRAKE_OFFSET):
-            self.finding = _brake_text(self.value, by_position) if self.excess > self.offset else ''
+            if self.excess > self.offset:
+                self.finding = _brake_text(self.value, by_position)
+            elif self.excess == 0.0:
+                self.finding = ''
         elif self.is_unrelated(noise):
             self.finding = 'the speed does not follow ato/brake_command: one of them is stuck or of another train'
 
