@@ -164,7 +164,7 @@ def test_an_input_whose_messages_cannot_be_used_is_named(graph: Graph, train_fil
     own, speed, force = (
         f'resistance_estimator: {what}' for what in ('estimator', 'input ato/speed', 'input ato/force')
     )
-    text = '20 of the last 20 messages not used: NOT_FINITE'
+    text = '20 of the last 20 messages not used: NOT_FINITE (nan)'
     graph.until(lambda: speed in diagnosed.by_name and diagnosed.by_name[speed].message.startswith(text))
     assert diagnosed.by_name[speed].level == DiagnosticStatus.ERROR
     graph.until(lambda: f'(ato/speed: {text})' in diagnosed.by_name[own].message)
