@@ -116,6 +116,24 @@ class Outcome:
     valid: float
     trips: dict[str, tuple[float, float]]
 
+    @property
+    def mean(self) -> float:
+        """Mean of the resistances at 20 m/s after the trips [N], weighted by their variances."""
+        weights = [1.0 / (std * std) for _, std in self.trips.values()]
+        return math.fsum(w * force for w, (force, _) in zip(weights, self.trips.values(), strict=True)) / math.fsum(
+            weights
+        )
+
+    def rms_error(self, reference: float) -> float:
+        """Return the root mean square of the errors after the trips, in their standard deviations [1].
+
+        Args:
+            reference: Resistance at 20 m/s that is right [N].
+
+        """
+        errors = [(force - reference) / std for force, std in self.trips.values()]
+        return math.sqrt(math.fsum(error * error for error in errors) / len(errors))
+
 
 def stated_car() -> TrainFile:
     """Return the train file: nominal mass with driver, resistance by coast-down, 10 % uncertainty of mass and force."""
@@ -306,7 +324,9 @@ def measure(folder: Path | str = FOLDER, algorithm: str = '') -> tuple[Table, ..
         'reference, N',
         'regression, N',
         'of the halves, N',
-        f'{algorithm}, N',
+        f'{algorithm}, last, N',
+        'mean, N',
+        'rms error in std',
         'force scale',
         'to VALID at 10 %, min',
         'VALID',
@@ -316,6 +336,8 @@ def measure(folder: Path | str = FOLDER, algorithm: str = '') -> tuple[Table, ..
     note = (
         'Resistance at 20 m/s. Minutes and shares count samples in motion with the accelerator pedal pressed; VALID '
         'where the standard deviation is below 10 % of the resistance, and below 5 %, the default. '
+        'The mean is that of the estimates after each trip, weighted by their variances; the errors are those after '
+        'each trip against the reference. '
         'The regression estimates effective masses, which include force gain and rotating masses.'
     )
     trip_header = ('after trip', f'{algorithm}, N', 'mass by regression, kg')
@@ -337,6 +359,8 @@ def _row(
         f'{regression.force:.0f} ± {regression.std:.0f}',
         ', '.join(f'{half.force:.0f} ± {half.std:.0f}' for half in halves),
         f'{found.force:.0f} ± {found.std:.0f}',
+        f'{found.mean:.0f}',
+        f'{found.rms_error(reference):.2f}',
         '-' if math.isnan(scale) else f'{scale:.3f} ± {std:.3f}',
         *_fitness(found),
         *_fitness(default),

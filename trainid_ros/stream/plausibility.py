@@ -95,7 +95,7 @@ class PlausibilityMonitor:
         self._known = known
         self._followed_s = brake.delay + _FOLLOWED * brake.time_constant
         self._line = LineProfile(line, train_file.train.length) if line.gradient else None
-        self._line_std = line.gradient_std
+        self._map_std = line.gradient_std
         self._timing = BrakeTiming(train_file)
         self.state = PlausibilityState()
 
@@ -345,7 +345,8 @@ class PlausibilityMonitor:
         state, residual = self.state, y - x
         change = state.change
         residual_left = min(max(y - change.gain * x, -limit), limit)
-        state.balance.add_released(residual_left, change.offset, resistance, named=not state.traction.is_open)
+        named = not state.traction.is_open
+        state.balance.add_released(residual_left, change.offset, resistance, self._map_std, named=named)
         # Slip of the wheels is no step of the traction.
         most = _SLIP * limit
         state.shift.add(x + min(max(residual, -most), most), x, seconds)
@@ -369,4 +370,4 @@ class PlausibilityMonitor:
                     break
                 nearby = line.gradient(here + share * off, sample.direction)
                 least, most = min(least, nearby), max(most, nearby)
-        self.state.line.add(sample.gradient, expected, least, most, self._line_std)
+        self.state.line.add(sample.gradient, expected, least, most, self._map_std)
