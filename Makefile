@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
 .DEFAULT_GOAL := help
-.NOTPARALLEL:
 .PHONY: help setup demo test test-fast test-unit test-ros lint typecheck colcon-smoke wheel golden docs bench bench-peers lock clean
 
 PYTHON_IN := .venv/bin/python
@@ -15,7 +14,9 @@ setup: ## make or refresh .venv: ROS 2 Jazzy, messages, trainid_ros, lab/ (PYTHO
 demo: setup ## play a bag through the three live nodes and write a report
 	.venv/bin/trainid demo
 
-test: lint typecheck colcon-smoke wheel test-unit test-ros ## everything that must pass before a change lands
+test: setup ## everything that must pass before a change lands
+	$(MAKE) --no-print-directory --jobs 2 --output-sync=target lint typecheck colcon-smoke wheel
+	$(MAKE) --no-print-directory --jobs 1 test-unit test-ros
 
 test-fast: setup ## inner loop: the unit tests of the package alone
 	$(PYTEST) -m 'not ros and not slow' --ignore test/benchmarks --ignore test/papers -n 2 -q

@@ -20,11 +20,14 @@ import subprocess
 import sys
 import sysconfig
 import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
+from threading import RLock
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Callable, Iterable, Sequence
 
 ROOT = Path(__file__).resolve().parent.parent
 VENV = ROOT / '.venv'
@@ -33,6 +36,7 @@ MESSAGES = ROOT / 'msg_defs'
 TEMPLATES = ROOT / 'tools' / 'environment'
 LAB = ROOT / 'lab'
 LOG = VENV / 'setup.log'
+COMPILER_LOG = VENV / 'compiler.log'
 STAMP = VENV / 'setup.stamp.json'
 INTERPRETER = f'python{sys.version_info.major}.{sys.version_info.minor}'
 SITE = VENV / 'lib' / INTERPRETER / 'site-packages'
@@ -40,6 +44,7 @@ PYTHON = VENV / 'bin' / 'python'
 PACKAGE_INPUTS = ('setup.py', 'setup.cfg', 'package.xml', 'lab/pyproject.toml')
 SHARED = ('package.xml', 'bags', 'config', 'launch')
 LOG_LINES_SHOWN = 15
+STAMPING = RLock()
 # Messages of pip if the index does not answer or its answer is empty.
 NO_INDEX = ('NewConnectionError', 'NameResolutionError', '(from versions: none)')
 
@@ -73,19 +78,22 @@ def fingerprint(paths: Iterable[Path], *extra: str) -> str:
     return digest.hexdigest()
 
 
-def run(command: Sequence[str | Path], failure: str, extra_env: dict[str, str] | None = None) -> None:
-    """Run a command with its output in the log.
+def run(
+    command: Sequence[str | Path], failure: str, extra_env: dict[str, str] | None = None, log_file: Path = LOG
+) -> None:
+    """Run a command with its output in a log.
 
     Args:
         command: Program and arguments.
         failure: Error message if it fails.
         extra_env: Environment variables to add.
+        log_file: The log, to which the output is appended.
 
     Raises:
         SetupError: If the command fails; carries the end of its output.
     """
     env = os.environ | {'PIP_DISABLE_PIP_VERSION_CHECK': '1', 'PIP_NO_INPUT': '1'} | (extra_env or {})
-    with LOG.open('a', encoding='utf-8') as log:
+    with log_file.open('a', encoding='utf-8') as log:
         start = log.tell()
         done = subprocess.run(
             [str(word) for word in command],
@@ -97,7 +105,7 @@ def run(command: Sequence[str | Path], failure: str, extra_env: dict[str, str] |
             check=False,
         )
     if done.returncode:
-        with LOG.open(encoding='utf-8', errors='replace') as log:
+        with log_file.open(encoding='utf-8', errors='replace') as log:
             log.seek(start)
             lines = log.read().splitlines()
         if any(sign in line for line in lines for sign in NO_INDEX):
@@ -106,7 +114,7 @@ def run(command: Sequence[str | Path], failure: str, extra_env: dict[str, str] |
             failure = 'the disk is full'
         tail = '\n'.join(line for line in lines if 'is ignored: it is neither' not in line)
         shown = '\n'.join(tail.splitlines()[-LOG_LINES_SHOWN:])
-        msg = f'{shown}\nsetup: {failure} (exit code {done.returncode}, log in {LOG.relative_to(ROOT)})'
+        msg = f'{shown}\nsetup: {failure} (exit code {done.returncode}, log in {log_file.relative_to(ROOT)})'
         raise SetupError(msg)
 
 
@@ -144,18 +152,25 @@ def make_environment() -> None:
 
 
 def install_packages() -> None:
-    """Install the locked wheels, then undo the build machine's paths in their CMake files."""
-    pip: list[str | Path] = [PYTHON, '-m', 'pip', 'install', '--quiet', '--progress-bar', 'off']
-    pip += ['--no-deps', '--require-hashes']
-    failure = 'cannot install the locked packages'
-    run([*pip, '--requirement', REQUIREMENTS / 'bootstrap.lock'], failure)
-    groups = ['ros', 'runtime', 'dev']
-    if not (shutil.which('cmake') and shutil.which('ninja')):
-        groups.append('build')
-    words = [word for group in groups for word in ('--requirement', REQUIREMENTS / f'{group}.lock')]
-    run([*pip, '--no-build-isolation', *words], failure)
+    """Install the locked wheels of Python packages, which is all that compiling trainid_ros takes."""
+    install('bootstrap')
+    tools = () if shutil.which('cmake') and shutil.which('ninja') else ('build',)
+    install('runtime', 'dev', *tools, options=('--no-build-isolation',))
+
+
+def install_ros() -> None:
+    """Install the locked wheels of ROS 2, then undo the build machine's paths in their CMake files."""
+    install('ros', options=('--no-build-isolation',))
     correct_paths()
     write_environment_files()
+
+
+def install(*groups: str, options: tuple[str, ...] = ()) -> None:
+    """Install the wheels of groups of requirements."""
+    pip: list[str | Path] = [PYTHON, '-m', 'pip', 'install', '--quiet', '--progress-bar', 'off']
+    pip += ['--no-deps', '--require-hashes', *options]
+    words = [word for group in groups for word in ('--requirement', REQUIREMENTS / f'{group}.lock')]
+    run([*pip, *words], 'cannot install the locked packages')
 
 
 def correct_paths() -> None:
@@ -260,7 +275,8 @@ def compile_modules() -> None:
     """Compile modules of trainid_ros, beside their sources."""
     for library in (ROOT / 'trainid_ros').rglob('*.cpython-*.so'):
         library.unlink()
-    run([PYTHON, 'setup.py', '--quiet', 'build_ext', '--inplace'], 'cannot compile trainid_ros')
+    command: list[str | Path] = [PYTHON, 'setup.py', '--quiet', 'build_ext', '--inplace']
+    run(command, 'cannot compile trainid_ros', log_file=COMPILER_LOG)
 
 
 def existing_shared() -> list[str]:
@@ -268,35 +284,76 @@ def existing_shared() -> list[str]:
     return [name for name in SHARED if (ROOT / name).exists()]
 
 
+@dataclass(frozen=True)
+class Step:
+    """A step of the set-up, which is due while its inputs are not those of the last time.
+
+    Attributes:
+        name: Name in the file of fingerprints.
+        stamp: Fingerprint of its inputs.
+        action: What it does.
+        text: What it is doing, for the user.
+    """
+
+    name: str
+    stamp: str
+    action: Callable[[], None]
+    text: str
+
+    @property
+    def is_due(self) -> bool:
+        """True if it has to be done."""
+        return stamps().get(self.name) != self.stamp
+
+    def do(self) -> None:
+        """Do it if it is due; until it has succeeded it remains so."""
+        if self.is_due:
+            say(self.text)
+            keep_stamp(self.name, '')
+            self.action()
+            keep_stamp(self.name, self.stamp)
+
+
+def stamps() -> dict[str, str]:
+    """Return the fingerprints of the steps done."""
+    with STAMPING:
+        found: dict[str, str] = json.loads(STAMP.read_text()) if STAMP.is_file() else {}
+    return found
+
+
+def keep_stamp(name: str, stamp: str) -> None:
+    """Store the fingerprint of a step; empty if it has to be done again."""
+    with STAMPING:
+        STAMP.write_text(json.dumps(stamps() | {name: stamp}))
+
+
 def refresh() -> bool:
-    """Run the steps whose inputs have changed.
+    """Run the steps whose inputs have changed; the compiler runs beside the steps that need only ROS.
 
     Returns:
         True if anything had to be done.
     """
     make_environment()
-    stamps: dict[str, str] = json.loads(STAMP.read_text()) if STAMP.is_file() else {}
     packages = fingerprint([*sorted(REQUIREMENTS.glob('*.lock')), TEMPLATES, Path(__file__)])
     messages = fingerprint([MESSAGES], packages)
     launch_files = sorted(path.name for path in (ROOT / 'launch').glob('*.launch.py'))
     project = fingerprint([ROOT / name for name in PACKAGE_INPUTS], packages, *existing_shared(), *launch_files)
     compiled = fingerprint([*compiled_sources(), ROOT / 'setup.py'], packages)
-    steps = (
-        ('packages', packages, install_packages, 'ROS 2 Jazzy and Python packages (about a minute)'),
-        ('messages', messages, build_messages, 'interface package trainid_msgs (about half a minute)'),
-        ('project', project, install_project, 'trainid_ros and lab/, from the source tree'),
-        ('compiled', compiled, compile_modules, 'compiled modules of trainid_ros (about a minute)'),
+    first = Step('packages', packages, install_packages, 'Python packages')
+    compiler = Step('compiled', compiled, compile_modules, 'compiled modules of trainid_ros (about two minutes)')
+    beside = (
+        Step('ros', packages, install_ros, 'ROS 2 Jazzy (about a minute)'),
+        Step('messages', messages, build_messages, 'interface package trainid_msgs (about half a minute)'),
     )
-    worked = False
-    for name, stamp, action, text in steps:
-        if stamps.get(name) != stamp:
-            worked = True
-            say(text)
-            stamps.pop(name, None)
-            STAMP.write_text(json.dumps(stamps))
-            action()
-            stamps[name] = stamp
-            STAMP.write_text(json.dumps(stamps))
+    last = Step('project', project, install_project, 'trainid_ros and lab/, from the source tree')
+    worked = any(step.is_due for step in (first, compiler, *beside, last))
+    first.do()
+    with ThreadPoolExecutor() as pool:
+        compilation = pool.submit(compiler.do)
+        for step in beside:
+            step.do()
+        compilation.result()
+    last.do()
     return worked
 
 
