@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Two publishers and a controller that toggles; spikes, and short cuts of traction."""
+"""Two publishers and a controller that toggles; a mass in tonnes; spikes, and short cuts of traction."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import pytest
 
-from trainid_ros.stream.message_check import CommandCheck, ExcursionCheck, ReleaseCheck, SpikeCheck
+from trainid_ros.stream.message_check import CommandCheck, ExcursionCheck, MassCheck, ReleaseCheck, SpikeCheck
 from trainid_ros.train.brake import BrakeCommandChange
 
 if TYPE_CHECKING:
@@ -29,6 +29,25 @@ def toggled(changes_per_s: float, seconds: float = 20.0) -> CommandCheck:
             due, count = due + 1.0 / changes_per_s, count + 1
         check.add(tuple(changes), PERIOD_S)
     return check
+
+
+@pytest.mark.parametrize('mass', [60e3, 199e3, 640e3, math.nan])
+def test_a_mass_may_be_that_of_an_empty_or_a_loaded_train(mass: float) -> None:
+    check = MassCheck()
+    check.add(mass, 200e3)
+    assert check.finding == ''
+
+
+def test_a_mass_in_tonnes_or_of_another_train_is_named_until_it_fits() -> None:
+    check = MassCheck()
+    check.add(185.0, 200e3)
+    assert check.finding == 'ato/mass is 185, the train file says 200000 kg: it looks like tonnes'
+    assert check.ratio < check.limit
+    check.add(1.5e6, 200e3)
+    assert check.finding == 'ato/mass is 1.5e+06, the train file says 200000 kg'
+    assert check.ratio > check.limit
+    check.add(185e3, 200e3)
+    assert check.finding == ''
 
 
 @pytest.mark.parametrize('hertz', [1.0, 2.0])

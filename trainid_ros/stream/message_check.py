@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Messages that cannot come from one healthy source: a brake command of two publishers, spikes."""
+"""Messages that no healthy source sends: a brake command of two publishers, a mass of another train, spikes."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
+from trainid_ros.scalars import is_finite
 from trainid_ros.train.brake import BrakeCommandChange
 
 # A large change of the brake command [m/s^2]. Two publishers that disagree change it to and fro with every message, ten
@@ -54,6 +55,41 @@ class CommandCheck:
             self.finding = 'ato/brake_command alternates between values: two publishers?'
         elif self.reversals < _QUIET:
             self.finding = ''
+
+
+# Most of the mass of the train file that a loaded train may have [1]: a wagon that is full, over one that is empty. The
+# reverse is the least.
+_MOST_MASS: Final = 5.0
+_TONNE: Final = 1000.0
+
+
+@dataclass(slots=True)
+class MassCheck:
+    """Weighed mass against that of the train file.
+
+    Attributes:
+        finding: What is wrong, empty if nothing is.
+        ratio: Weighed mass over that of the train file [1].
+
+    """
+
+    finding: str = ''
+    ratio: float = 1.0
+
+    @property
+    def limit(self) -> float:
+        """The nearer limit of the ratio [1]."""
+        return _MOST_MASS if self.ratio > 1.0 else 1.0 / _MOST_MASS
+
+    def add(self, mass: float, stated: float) -> None:
+        """Compare the weighed mass, NaN if there is none, with that of the train file [kg]."""
+        self.ratio = mass / stated if is_finite(mass) else 1.0
+        if 1.0 / _MOST_MASS <= self.ratio <= _MOST_MASS:
+            self.finding = ''
+            return
+        in_tonnes = 1.0 / _MOST_MASS < self.ratio * _TONNE < _MOST_MASS
+        unit = ': it looks like tonnes' if in_tonnes else ''
+        self.finding = f'ato/mass is {mass:.6g}, the train file says {stated:.6g} kg{unit}'
 
 
 # Most spikes within the memory [s], and the number at which they are over.

@@ -160,6 +160,7 @@ class PlausibilityMonitor:
         before, position = state.speed, state.position
         state.speed, state.position = sample.speed, sample.position
         state.noise.add(sample.speed, sample.dt)
+        state.mass.add(sample.mass, self._known.train_file.train.mass)
         self._follow_command(sample)
         self._follow_brake(sample, before)
         if is_finite(sample.dt) and is_finite(before):

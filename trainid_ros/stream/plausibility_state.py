@@ -12,7 +12,7 @@ from trainid_ros.stream.brake_delay_check import BrakeDelayCheck
 from trainid_ros.stream.change_check import ChangeCheck
 from trainid_ros.stream.distance_check import DistanceCheck
 from trainid_ros.stream.line_check import LineCheck
-from trainid_ros.stream.message_check import CommandCheck, ExcursionCheck, ReleaseCheck, SpikeCheck
+from trainid_ros.stream.message_check import CommandCheck, ExcursionCheck, MassCheck, ReleaseCheck, SpikeCheck
 from trainid_ros.stream.shift_check import ShiftCheck
 from trainid_ros.stream.slope import BRAKE_RANGE, TRACTION_RANGE, Effort, Regression, Slope
 from trainid_ros.stream.speed_noise import SpeedNoise
@@ -79,6 +79,7 @@ class PlausibilityState:
     """State of the monitor.
 
     Attributes:
+        mass: Check of the mass.
         commands: Check for two publishers of the brake command.
         command_spikes: Check for spikes of the brake command.
         releases: Check for spikes of the brake command towards zero.
@@ -117,6 +118,7 @@ class PlausibilityState:
 
     """
 
+    mass: MassCheck = field(default_factory=MassCheck)
     commands: CommandCheck = field(default_factory=CommandCheck)
     command_spikes: ExcursionCheck = field(
         default_factory=lambda: ExcursionCheck(
@@ -175,7 +177,8 @@ class PlausibilityState:
     def finding(self) -> str:
         """What contradicts what, empty if nothing does."""
         return (
-            self.commands.finding
+            self.mass.finding
+            or self.commands.finding
             or self.command_spikes.finding
             or self.releases.finding
             or self.spikes.finding
@@ -218,6 +221,7 @@ class PlausibilityState:
         """Value of what the finding is about, and its limit."""
         traction, brake, shift, balance = self.traction, self.brake, self.shift, self.balance
         for finding, value, limit in (
+            (self.mass.finding, self.mass.ratio, self.mass.limit),
             (self.commands.finding, self.commands.reversals, self.commands.limit),
             (self.command_spikes.finding, self.command_spikes.spikes, self.command_spikes.limit),
             (self.releases.finding, self.releases.spikes, self.releases.limit),
