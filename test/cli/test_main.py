@@ -11,6 +11,7 @@ import pytest
 
 import trainid_ros
 from trainid_ros.cli import main as entry
+from trainid_ros.cli.arguments import namespace
 from trainid_ros.errors import InputError, NoAnswerError
 
 if TYPE_CHECKING:
@@ -86,6 +87,18 @@ def test_usage_errors_are_one_line(arguments: list[str], capsys: pytest.CaptureF
     assert captured.out == ''
     assert captured.err.startswith('trainid: error: ')
     assert captured.err.count('\n') == 1
+
+
+@pytest.mark.parametrize('name', ['/a b', '7', 'a//b', 'a-b', 'é'])
+def test_a_namespace_that_ros_does_not_allow_is_an_error(name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    with pytest.raises(SystemExit, match='2'):
+        entry.main(['replay', 'missing', '--train', 'missing.yaml', '--namespace', name])
+    assert f'{name!r} is no namespace' in capsys.readouterr().err
+
+
+@pytest.mark.parametrize('name', ['', '/', 'a', '/a_1/b/'])
+def test_a_namespace_may_have_parts(name: str) -> None:
+    assert namespace(name) == name
 
 
 def test_help_lists_every_verb(capsys: pytest.CaptureFixture[str]) -> None:

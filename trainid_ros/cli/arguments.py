@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import argparse
 import math
+import re
 from pathlib import Path
 from typing import Final
 
@@ -15,6 +16,7 @@ DEMO_QUICK_S: Final = 300.0
 """Part of each bag that a quick demo plays [s]."""
 _MAX_CHUNK_MB: Final = 64
 _MOST_MB: Final = 4095  # offsets within a chunk have 32 bits
+_NAMESPACE: Final = re.compile(r'/?([A-Za-z_]\w*(/[A-Za-z_]\w*)*/?)?', re.ASCII)
 _FALSE_ALARM_DAYS: Final = 20_000.0
 EXPLAIN_CHAPTER: Final = 'explain'
 """The chapter of the demo that hides and finds an effect."""
@@ -317,7 +319,7 @@ def _add_jobs(parser: argparse.ArgumentParser, default: int = 1) -> None:
 
 
 def _add_namespace(parser: argparse.ArgumentParser, of: str = 'the topics') -> None:
-    parser.add_argument('--namespace', default='/', help=f'namespace of {of} (default: /)')
+    parser.add_argument('--namespace', type=namespace, default='/', help=f'namespace of {of} (default: /)')
 
 
 def _add_json(parser: argparse.ArgumentParser) -> None:
@@ -332,6 +334,14 @@ def _add_ros_args(parser: argparse.ArgumentParser) -> None:
         metavar='...',
         help='remaining arguments are passed to ROS; must come last',
     )
+
+
+def namespace(text: str) -> str:
+    """Return a namespace that ROS allows; ArgumentTypeError for anything else."""
+    if _NAMESPACE.fullmatch(text) is None:
+        msg = f'{text!r} is no namespace: letters, digits and underscores, parts separated by /'
+        raise argparse.ArgumentTypeError(msg)
+    return text
 
 
 def positive(text: str) -> float:
