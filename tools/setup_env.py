@@ -55,7 +55,7 @@ class SetupError(Exception):
 
 def say(text: str) -> None:
     """Print one progress line."""
-    print(f'setup: {text}', flush=True)
+    print(f'setup: {text}\n', end='', flush=True)  # in one piece: two threads print
 
 
 def fingerprint(paths: Iterable[Path], *extra: str) -> str:

@@ -69,8 +69,10 @@ def main() -> int:
 def checked(python: Path, scratch: Path, expected: dict[str, object]) -> Path:
     """Build a wheel, try it and return it; see :func:`build` and :func:`try_out`."""
     began = time.monotonic()
-    wheel = build(python, scratch)
-    try_out(python, wheel, scratch, expected)
+    with ThreadPoolExecutor(1) as pool:
+        clean = pool.submit(environment, python, scratch / f'clean{version_of(python)}', 'runtime')
+        wheel = build(python, scratch)
+        try_out(clean.result(), wheel, scratch, expected)
     print(f'wheel smoke: {wheel.name} replays as its sources do ({time.monotonic() - began:.0f} s)', flush=True)
     return wheel
 
@@ -143,20 +145,19 @@ def take_over_compiled(source: Path) -> None:
             shutil.copy2(path, target)
 
 
-def try_out(python: Path, wheel: Path, scratch: Path, expected: dict[str, object]) -> None:
+def try_out(clean: Path, wheel: Path, scratch: Path, expected: dict[str, object]) -> None:
     """Install a wheel into a clean environment and replay a bag there.
 
     Args:
-        python: Interpreter of the wheel.
+        clean: Interpreter of the environment.
         wheel: The wheel.
-        scratch: Folder for the environment.
+        scratch: Folder to run in.
         expected: What the replay must give.
 
     Raises:
         SmokeError: It does not work, does not use its compiled modules, or gives something else.
 
     """
-    clean = environment(python, scratch / f'clean{version_of(python)}', 'runtime')
     run([clean, '-m', 'pip', 'install', '--quiet', '--no-deps', wheel])
     home = clean.parent.parent
     for place in run([clean, '-c', PROBE], cwd=scratch).split():
