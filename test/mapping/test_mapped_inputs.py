@@ -196,3 +196,13 @@ def test_numbers_that_are_not_in_the_table_are_counted() -> None:
     for stamp_ns, notch in enumerate((0, 50, 1, 50, 7), 1):
         inputs.take('/notch', SimpleNamespace(data=notch), stamp_ns)
     assert inputs.warnings == ['/notch: 7 is not in table (1 message)', '/notch: 50 is not in table (2 messages)']
+
+
+def test_a_number_that_is_not_in_the_table_is_the_problem_of_the_last_message() -> None:
+    text = 'brake_command: {topic: /notch, field: data, table: {0: 0.0, 1: -0.3}, stamp: receive}'
+    inputs = MappedInputs(parse_mapping(text, 'map.yaml'), None)
+    problems = []
+    for stamp_ns, notch in enumerate((0, 50, 1), 1):
+        inputs.take('/notch', SimpleNamespace(data=notch), stamp_ns)
+        problems.append(inputs.problem('/notch'))
+    assert problems == ['', '/notch: 50 is not in table', '']

@@ -182,6 +182,20 @@ def test_a_type_whose_package_is_missing_is_named(
     assert diagnosed[SPEED].level == DiagnosticStatus.ERROR
 
 
+def test_a_notch_that_is_not_in_the_table_is_named(graph: Graph, others: Graph, start: Callable[..., Any]) -> None:
+    start('brake_command: {topic: /notch, field: data, table: {0: 0.0, 1: -0.3}, stamp: receive}')
+    diagnosed, name = follow(graph), 'resistance_estimator: input /notch (brake_command)'
+    publisher = others.plain('handle').create_publisher(Float64, '/notch', 10)
+
+    def shown(notch: float) -> str:
+        publisher.publish(Float64(data=notch))
+        return str(diagnosed[name].message) if name in diagnosed else ''
+
+    graph.until(lambda: '/notch: 7 is not in table' in shown(7.0))
+    assert diagnosed[name].message.endswith(': correct the mapping file or this publisher')
+    graph.until(lambda: 'not in table' not in shown(1.0))
+
+
 def test_the_time_of_reception_is_that_of_the_clock_of_the_node(
     graph: Graph, others: Graph, start: Callable[..., Any]
 ) -> None:

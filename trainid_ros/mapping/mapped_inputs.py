@@ -83,8 +83,9 @@ class MappedInputs:
                 for index, source in enumerate(signal.sources):
                     self._readers.setdefault(source.topic, []).append((quantity, index, source))
         self._position = DeadReckoning(mapping.position)
-        # Messages by topic and number that is not in the table.
+        # Messages by topic and number that is not in the table, and that of the last message of a topic.
         self._unlisted: Counter[tuple[str, float]] = Counter()
+        self._last_unlisted: dict[str, float] = {}
 
     @property
     def topics(self) -> tuple[str, ...]:
@@ -98,6 +99,10 @@ class MappedInputs:
             f'{topic}: {raw:g} is not in table ({pluralise(count, "message")})'
             for (topic, raw), count in sorted(self._unlisted.most_common(_MOST_NAMED))
         ]
+
+    def problem(self, topic: str) -> str:
+        """Return why the last message of a topic gives no number, '' if it does."""
+        return f'{topic}: {raw:g} is not in table' if (raw := self._last_unlisted.get(topic)) is not None else ''
 
     @property
     def lacks_position(self) -> bool:
@@ -121,11 +126,13 @@ class MappedInputs:
 
         """
         records: list[Record] = []
+        self._last_unlisted.pop(topic, None)
         for quantity, index, source in self._readers[topic]:
             stamp_ns = _stamp(source, message, received_ns)
             value = source.value(raw := source.raw(message))
             if math.isnan(value) and source.table:
                 self._unlisted[topic, raw] += 1
+                self._last_unlisted[topic] = raw
             records += self.add(quantity, index, stamp_ns, value)
         return records
 

@@ -282,8 +282,8 @@ class InputGroup:
             if isinstance(topic, ForeignTopic):
                 self.subscriptions.note(topic, str(error))
             return
-        if isinstance(topic, ForeignTopic):
-            self.subscriptions.note(topic, '')
+        if isinstance(topic, ForeignTopic) and self.mapped is not None:
+            self.subscriptions.note(topic, self.mapped.problem(topic.name))
         running = [(node, pipeline) for node in self._members if (pipeline := node.running_pipeline()) is not None]
         if any(pipeline.stream.is_new for _, pipeline in running):
             share_streams(pipeline for _, pipeline in running)
