@@ -52,7 +52,7 @@ def test_hidden_effect_is_named_with_its_parameters(generator: Generator, name: 
 @pytest.mark.timeout(400)
 def test_fresh_large_effects_are_identified_as_often_as_in_the_benchmark() -> None:
     seed = int.from_bytes(os.urandom(4))
-    single = list(islice(fresh_singles(seed), 8))
+    single = list(islice(fresh_singles(seed), 12))
     missed = sum(not within_two(one) for one in single)
     assert missed <= tolerated(len(single), MISSED), report(seed, single)
 

@@ -56,7 +56,7 @@ NOT_RUN = {
         '.venv/bin/python examples/python/closed_loop.py': LIVE,
         'colcon build --base-paths src/trainid_ros/msg_defs src/trainid_ros/examples/cpp': 'needs a workspace',
     },
-    'docs/faults.md': {'.venv/bin/python benchmarks/run.py --only faults faults_live --seeds 3': 'takes minutes'},
+    'docs/faults.md': {'.venv/bin/python benchmarks/run.py --only faults faults_live --seeds 2': 'takes minutes'},
     'docs/fleet.md': {
         '.venv/bin/trainid fleet report out/day.parquet --out out/report.html --explain 5': 'needs the bags of weeks',
     },
