@@ -28,7 +28,7 @@ from trainid_ros.explain.result import (
 from trainid_ros.records import NS_PER_S, Record
 from trainid_ros.sim.scenario import simulate
 from trainid_ros.state import packed, unpacked
-from trainid_ros.stream.samples import Sample
+from trainid_ros.stream.samples import Sample, coasting_sample
 from trainid_ros.train.brake import BrakeCommandChange
 from trainid_ros.train.train_file import Brake, Davis, Effect, Line, Train, TrainFile, load_train_file
 
@@ -129,25 +129,8 @@ def sample() -> Callable[..., Sample]:
     """Return a factory of samples of a train coasting at 15 m/s; fields can be overridden."""
 
     def make(index: int = 0, **fields: Any) -> Sample:
-        plain = Sample(
-            stamp_ns=START + index * NS_PER_S // 5,
-            dt=math.nan if index == 0 else 0.2,
-            speed=15.0,
-            position=1000.0 + 3.0 * index,
-            direction=1,
-            force=0.0,
-            force_mean=0.0,
-            gradient=0.0,
-            gradient_mean=0.0,
-            curve_radius=0.0,
-            tunnel=False,
-            mass=math.nan,
-            brake_command=0.0,
-            brake_changes=(),
-            brake_gap=False,
-            emergency=False,
-        )
-        return replace(plain, **fields)
+        plain = coasting_sample(START + index * NS_PER_S // 5, math.nan if index == 0 else 0.2, 15.0)
+        return replace(plain, **{'position': 1000.0 + 3.0 * index, **fields})
 
     return make
 

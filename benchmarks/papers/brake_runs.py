@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trainid_ros.records import NS_PER_S
-from trainid_ros.stream.samples import Sample
+from trainid_ros.stream.samples import Sample, coasting_sample
 from trainid_ros.train.brake import BrakeCommandChange, lag_integral, lag_response
 from trainid_ros.train.davis import G
 from trainid_ros.train.train_file import Brake, Davis, Train, TrainFile
@@ -220,26 +220,13 @@ def _drive(
             drift += _POSITION_NOISE * math.sqrt(DT) * float(rng.standard_normal())
             noisy = scale * train.v + _SPEED_NOISE * float(rng.standard_normal())
             measured = noisy if exact else _QUANTUM * round(noisy / _QUANTUM)
-            samples.append(
-                Sample(
-                    stamp_ns=stamp_ns,
-                    dt=DT if samples else math.nan,
-                    speed=max(0.0, measured) if train.v > 0.0 else 0.0,
-                    position=train.position + drift,
-                    direction=1,
-                    force=pull * mass,
-                    force_mean=pull * mass,
-                    gradient=gradient,
-                    gradient_mean=gradient,
-                    curve_radius=0.0,
-                    tunnel=False,
-                    mass=math.nan,
-                    brake_command=command,
-                    brake_changes=changes,
-                    brake_gap=False,
-                    emergency=False,
-                )
-            )
+            speed = max(0.0, measured) if train.v > 0.0 else 0.0
+            sample = coasting_sample(stamp_ns, DT if samples else math.nan, speed)
+            sample.position = train.position + drift
+            sample.force = sample.force_mean = pull * mass
+            sample.gradient = sample.gradient_mean = gradient
+            sample.brake_command, sample.brake_changes = command, changes
+            samples.append(sample)
             truth.append((f, train.v, t if phase.kind is Kind.BRAKE else math.nan, k))
             commands = [*commands[1:], command]
             pull = _pull(phase, train)

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from trainid_ros.records import NS_PER_S
-from trainid_ros.stream.samples import SAMPLE_PERIOD, Sample
+from trainid_ros.stream.samples import SAMPLE_PERIOD, Sample, coasting_sample
 from trainid_ros.train.davis import specific_inertia
 from trainid_ros.train.train_file import Davis, Train, TrainFile
 
@@ -187,7 +187,7 @@ def samples(coasts: Coasts, speed: Array | None = None) -> Iterator[Sample]:
             if math.isnan(value):
                 gap += SAMPLE_PERIOD
                 continue
-            yield _sample(stamp_ns, gap, float(value) * KMH)
+            yield coasting_sample(stamp_ns, gap, float(value) * KMH)
             gap = SAMPLE_PERIOD
         stamp_ns += _PAUSE_S * NS_PER_S
 
@@ -241,24 +241,3 @@ def _responses(truth: tuple[float, float, float], speed: Array) -> tuple[Array, 
     middle = np.exp(0.5 * (exponent + np.append(exponent[1:], exponent[-1])))
     response = np.tril(np.outer(decay, middle), -1) * (-SAMPLE_PERIOD / INERTIA)
     return response, decay
-
-
-def _sample(stamp_ns: int, dt: float, speed: float) -> Sample:
-    return Sample(
-        stamp_ns=stamp_ns,
-        dt=dt,
-        speed=speed,
-        position=math.nan,
-        direction=1,
-        force=0.0,
-        force_mean=0.0,
-        gradient=0.0,
-        gradient_mean=0.0,
-        curve_radius=0.0,
-        tunnel=False,
-        mass=math.nan,
-        brake_command=0.0,
-        brake_changes=(),
-        brake_gap=False,
-        emergency=False,
-    )

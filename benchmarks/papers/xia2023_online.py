@@ -19,7 +19,7 @@ from trainid_lab.resistance.trajectory.newton import NewtonConfig, newton
 from trainid_lab.resistance.trajectory.stages import Stages
 from trainid_lab.resistance.trajectory.two_window import TwoWindow, TwoWindowConfig
 from trainid_ros.records import NS_PER_S
-from trainid_ros.stream.samples import Sample
+from trainid_ros.stream.samples import Sample, coasting_sample
 from trainid_ros.train.train_file import Brake, Davis, Train, TrainFile
 
 if TYPE_CHECKING:
@@ -87,26 +87,12 @@ def samples(given: Drive) -> list[Sample]:
     for i, seen in enumerate(given.seen.tolist()):
         force = float(record.time_mean[max(i - 1, 0)]) * newton_per_unit
         load = float(record.load_time_mean[max(i - 1, 0)])
-        out.append(
-            Sample(
-                stamp_ns=_START_NS + round(float(record.time[i]) * NS_PER_S),
-                dt=float(dt[i - 1]) if i else math.nan,
-                speed=seen,
-                position=float(record.position[i]),
-                direction=1,
-                force=force,
-                force_mean=force,
-                gradient=load,
-                gradient_mean=load,
-                curve_radius=0.0,
-                tunnel=False,
-                mass=math.nan,
-                brake_command=0.0,
-                brake_changes=(),
-                brake_gap=False,
-                emergency=False,
-            )
-        )
+        stamp_ns = _START_NS + round(float(record.time[i]) * NS_PER_S)
+        sample = coasting_sample(stamp_ns, float(dt[i - 1]) if i else math.nan, seen)
+        sample.position = float(record.position[i])
+        sample.force = sample.force_mean = force
+        sample.gradient = sample.gradient_mean = load
+        out.append(sample)
     return out
 
 

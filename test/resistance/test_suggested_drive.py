@@ -20,7 +20,7 @@ from trainid_ros.resistance.resistance_settings import FilterBankConfig, VMilsCo
 from trainid_ros.resistance.suggested_drive import SuggestedDrive, drive_search, suggested_drive
 from trainid_ros.resistance.vmils import VMils
 from trainid_ros.sim.scenario import Scenario, simulate
-from trainid_ros.stream.samples import Sample
+from trainid_ros.stream.samples import Sample, coasting_sample
 from trainid_ros.train.davis import G
 from trainid_ros.train.train_file import Davis, Line, Train, TrainFile
 
@@ -34,28 +34,14 @@ def held(seconds: float) -> list[Sample]:
     """Return samples of a speed that is held."""
     rng, w = np.random.default_rng(3), 2.0 + 0.02 * HELD + 0.004 * HELD * HELD
     force = w * FILE.train.mass * G / 1000.0
-    return [
-        Sample(
-            stamp_ns=round((1000.0 + DT * k) * NS_PER_S),
-            dt=math.nan if k == 0 else DT,
-            speed=HELD + 0.02 * float(rng.standard_normal()),
-            position=HELD * DT * k,
-            direction=1,
-            force=force,
-            force_mean=force,
-            gradient=0.0,
-            gradient_mean=0.0,
-            curve_radius=0.0,
-            tunnel=False,
-            mass=math.nan,
-            brake_command=0.0,
-            brake_changes=(),
-            brake_gap=False,
-            emergency=False,
-            curvature_mean=0.0,
-        )
-        for k in range(round(seconds / DT))
-    ]
+    samples = []
+    for k in range(round(seconds / DT)):
+        speed = HELD + 0.02 * float(rng.standard_normal())
+        sample = coasting_sample(round((1000.0 + DT * k) * NS_PER_S), math.nan if k == 0 else DT, speed)
+        sample.force = sample.force_mean = force
+        sample.position, sample.curvature_mean = HELD * DT * k, 0.0
+        samples.append(sample)
+    return samples
 
 
 def driven(estimator: FilterBank | VMils, seconds: float = 120.0) -> FilterBank | VMils:

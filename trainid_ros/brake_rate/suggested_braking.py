@@ -18,7 +18,7 @@ from trainid_ros.brake_rate.gsma import Gsma
 from trainid_ros.records import NS_PER_S
 from trainid_ros.resistance.planned_drive import STEP_S, planned_brakings
 from trainid_ros.resistance.suggested_drive import DriveSearch, SuggestedDrive, Wanted
-from trainid_ros.stream.samples import Sample
+from trainid_ros.stream.samples import Sample, coasting_sample
 from trainid_ros.train.brake import BrakeCommandChange, lag_integral, lag_response
 from trainid_ros.train.davis import acceleration, davis
 
@@ -109,22 +109,6 @@ def _braking(estimator: Gsma, run: Run, train_file: TrainFile, start_ns: int) ->
 
 def _sample(stamp_ns: int, dt: float, speed: float, command: float, changes: tuple[BrakeCommandChange, ...]) -> Sample:
     """Return a sample on level, straight track without traction."""
-    return Sample(
-        stamp_ns=stamp_ns,
-        dt=dt,
-        speed=speed,
-        position=math.nan,
-        direction=1,
-        force=0.0,
-        force_mean=0.0,
-        gradient=0.0,
-        gradient_mean=0.0,
-        curve_radius=0.0,
-        tunnel=False,
-        mass=math.nan,
-        brake_command=command,
-        brake_changes=changes,
-        brake_gap=False,
-        emergency=False,
-        curvature_mean=0.0,
-    )
+    sample = coasting_sample(stamp_ns, dt, speed)
+    sample.brake_command, sample.brake_changes, sample.curvature_mean = command, changes, 0.0
+    return sample

@@ -151,3 +151,25 @@ class Sample:
         if not math.isnan(self.curvature_mean):
             return self.curvature_mean
         return 1.0 / self.curve_radius if self.curve_radius > 0.0 else 0.0
+
+
+def coasting_sample(stamp_ns: int, dt: float, speed: float) -> Sample:
+    """Return a sample of a train that coasts on level, straight track; the fields can be set afterwards."""
+    return Sample(
+        stamp_ns=stamp_ns,
+        dt=dt,
+        speed=speed,
+        position=math.nan,
+        direction=1,
+        force=0.0,
+        force_mean=0.0,
+        gradient=0.0,
+        gradient_mean=0.0,
+        curve_radius=0.0,
+        tunnel=False,
+        mass=math.nan,
+        brake_command=0.0,
+        brake_changes=(),
+        brake_gap=False,
+        emergency=False,
+    )
