@@ -16,6 +16,7 @@ import tempfile
 import threading
 import time
 from dataclasses import dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
@@ -46,6 +47,7 @@ _DISCOVERY_S: Final = 60.0
 _SETTLING_S: Final = 40.0
 """Time after which memory is compared: by then all code has run and all buffers have their sizes."""
 _READ_EVERY_S: Final = 5.0
+_PARTS: Final = 5
 _LAST_S: Final = 10.0
 _LONGEST_END_S: Final = 60.0
 """Time for a clean end: a process that is killed leaves its shared memory."""
@@ -64,11 +66,20 @@ class Reading:
 
 @dataclass(frozen=True, slots=True)
 class Soak:
-    """Result of a run: readings, samples sent, estimates received by topic, and what is left in shared memory."""
+    """Result of a run.
+
+    Attributes:
+        readings: Memory and open files over time.
+        samples: Number of samples sent.
+        missed: For each topic, when the samples were sent that gave no estimate [s].
+        left: Number of files left in shared memory.
+        late_s: By how much a record was published late at most [s]: then many follow at once.
+
+    """
 
     readings: tuple[Reading, ...]
     samples: int
-    received: dict[str, int]
+    missed: dict[str, list[float]]
     left: int
     late_s: float
 
@@ -85,7 +96,7 @@ class _Feed:
         self._publishers = {
             topic.record: self._node.create_publisher(message_class(topic), topic.name, deep) for topic in INPUT_TOPICS
         }
-        self.sent: set[int] = set()
+        self.sent: dict[int, float] = {}
         self.received: dict[str, set[int]] = {topic.name: set() for topic in OUTPUT_TOPICS}
         for topic in OUTPUT_TOPICS:
             receive = self._receiver(self.received[topic.name])
@@ -118,19 +129,20 @@ class _Feed:
         time.sleep(1.0)
 
     def publish(self, seconds: float, rate: float) -> float:
-        """Publish for some seconds; return by how much the last record was late [s]."""
+        """Publish for some seconds; return by how much a record was late at most [s]."""
         day, aligner = simulated_day(_SEED), Aligner(AlignmentConfig())
-        first_ns, start_s, late_s = day.records[0].stamp_ns, time.monotonic(), 0.0
+        first_ns, start_s, latest_s = day.records[0].stamp_ns, time.monotonic(), 0.0
         for record in repeated(day.records, round(day.duration_s * NS_PER_S)):
             due_s = (record.stamp_ns - first_ns) / NS_PER_S / rate
             if due_s > seconds:
                 break
             late_s = time.monotonic() - start_s - due_s
+            latest_s = max(latest_s, late_s)
             if late_s < 0.0:
                 time.sleep(-late_s)
-            self.sent |= {event.stamp_ns for event in aligner.push(record) if isinstance(event, Sample)}
+            self.sent |= {event.stamp_ns: due_s for event in aligner.push(record) if isinstance(event, Sample)}
             self._publishers[type(record)].publish(message_from_record(record))
-        return max(0.0, late_s)
+        return latest_s
 
     def close(self) -> None:
         """Shut down."""
@@ -140,13 +152,17 @@ class _Feed:
         self._context.destroy()
 
 
-def soak(seconds: float, rate: float, busy: int) -> Soak:
+def soak(seconds: float, rate: float, busy: int, *, realtime: bool = False) -> Soak:
     """Run the three nodes in one process for some seconds.
 
     Args:
         seconds: Duration [s].
         rate: Recorded seconds per second [1].
         busy: Number of processes that keep a core busy.
+        realtime: Whether the nodes have real-time priority, as with ``chrt -r 1``.
+
+    Raises:
+        PermissionError: This user may not give real-time priority.
 
     """
     shared: set[Path] = set()
@@ -163,6 +179,8 @@ def soak(seconds: float, rate: float, busy: int) -> Soak:
         reader = threading.Thread(target=lambda: readings.extend(_readings(process.pid, stop)))
         try:
             feed.wait_for_nodes()
+            if realtime:
+                _prioritise(process.pid)
             for burner in burners:
                 burner.start()
             reader.start()
@@ -179,8 +197,11 @@ def soak(seconds: float, rate: float, busy: int) -> Soak:
             feed.close()
             for burner in burners:
                 burner.kill()
-    received = {topic: len(stamps & feed.sent) for topic, stamps in feed.received.items()}
-    return Soak(tuple(readings), len(feed.sent), received, sum(path.exists() for path in shared), late_s)
+    missed = {
+        topic: [sent_s for stamp_ns, sent_s in feed.sent.items() if stamp_ns not in stamps]
+        for topic, stamps in feed.received.items()
+    }
+    return Soak(tuple(readings), len(feed.sent), missed, sum(path.exists() for path in shared), late_s)
 
 
 def _wait(feed: _Feed) -> None:
@@ -196,6 +217,11 @@ def _readings(pid: int, stop: threading.Event) -> Iterator[Reading]:
         yield Reading(time.monotonic() - start_s, resident_kb(pid), open_files(pid))
 
 
+def _prioritise(pid: int) -> None:
+    for thread in Path(f'/proc/{pid}/task').iterdir():
+        os.sched_setscheduler(int(thread.name), os.SCHED_RR, os.sched_param(1))
+
+
 def _burn() -> None:
     while True:
         pass
@@ -207,29 +233,37 @@ def _shared_memory(process: int | str) -> set[Path]:
     return {Path(name) for name in mapped if name.startswith(_SHARED) and _TRACING not in name}
 
 
+def _missed(times: list[float]) -> str:
+    return f'{len(times)}, from {min(times):.1f} to {max(times):.1f} s' if times else '0'
+
+
 def measure(seconds: float = 600.0, rate: float = 20.0) -> tuple[Table, ...]:
-    """Run the nodes on a machine whose cores are all busy; return the table."""
+    """Run the nodes on a machine whose cores are all busy, without and with real-time priority; return the table."""
     busy = os.cpu_count() or 1
-    result = soak(seconds, rate, busy)
-    settled = [reading for reading in result.readings if reading.time_s > _SETTLING_S]
-    first, middle, last = settled[0], settled[len(settled) // 2], settled[-1]
-    rows = (
-        ('samples sent', str(result.samples)),
-        *((f'missed by {topic}', str(result.samples - count)) for topic, count in result.received.items()),
-        ('publisher late at the end, s', f'{result.late_s:.2f}'),
-        ('memory of the nodes, MB', f'{last.resident_kb / 1024:.1f}'),
-        (
-            'grown in the first and in the second half, kB',
-            f'{middle.resident_kb - first.resident_kb}, {last.resident_kb - middle.resident_kb}',
-        ),
-        ('open files, first and last', f'{first.open_files}, {last.open_files}'),
-        ('files left in shared memory', str(result.left)),
-    )
+    columns = [_values(soak(seconds, rate, busy, realtime=realtime)) for realtime in (False, True)]
+    rows = tuple((name, plain, columns[1][name]) for name, plain in columns[0].items())
     note = (
-        f'{seconds:g} s at {rate:g} x real time, all cores kept busy by {busy} other processes, beside the load below; '
-        f'growth counts after {_SETTLING_S:g} s.'
+        f'{seconds:g} s at {rate:g} x real time each, all cores kept busy by {busy} other processes, beside the load '
+        f'below; growth counts after {_SETTLING_S:g} s.'
     )
-    return (Table('Live nodes under load', ('three nodes in one process', 'value'), rows, note),)
+    header = ('three nodes in one process', 'as started', 'with real-time priority')
+    return (Table('Live nodes under load', header, rows, note),)
+
+
+def _values(result: Soak) -> dict[str, str]:
+    """Return the values of a run by the name of their row."""
+    settled = [reading for reading in result.readings if reading.time_s > _SETTLING_S]
+    first, last = settled[0], settled[-1]
+    parts = [settled[k * (len(settled) - 1) // _PARTS].resident_kb for k in range(_PARTS + 1)]
+    return {
+        'samples sent': str(result.samples),
+        **{f'missed by {topic}': _missed(times) for topic, times in result.missed.items()},
+        'publisher late at most, s': f'{result.late_s:.2f}',
+        'memory of the nodes, MB': f'{last.resident_kb / 1024:.1f}',
+        'grown in each fifth of the time, kB': ', '.join(str(after - before) for before, after in pairwise(parts)),
+        'open files, first and last': f'{first.open_files}, {last.open_files}',
+        'files left in shared memory': str(result.left),
+    }
 
 
 if __name__ == '__main__':
