@@ -54,6 +54,7 @@ BRAKE_RATE_TOPIC: Final = OutputTopic(
 )
 OUTPUT_TOPICS: Final = (RESISTANCE_TOPIC, SPEED_MODEL_TOPIC, BRAKE_RATE_TOPIC)
 _TOPIC_OF: Final[dict[type[Any], OutputTopic]] = {topic.estimate: topic for topic in OUTPUT_TOPICS}
+_STATUSES: Final = frozenset(map(int, Status))
 
 
 def _casts(kind: type[Any]) -> tuple[tuple[str, Callable[[Any], Any]], ...]:
@@ -105,6 +106,11 @@ def stamp_of(message: Any) -> int:
     """Return the stamp of a message with a header [ns]."""
     stamp = message.header.stamp
     return int(stamp.sec) * NS_PER_S + int(stamp.nanosec)
+
+
+def status_of(message: Any) -> Status:
+    """Return the status of a message of an estimate; one that is not known is a fault."""
+    return Status(message.status) if message.status in _STATUSES else Status.FAULT
 
 
 def record_from_message(topic: InputTopic, message: Any) -> Record:

@@ -4,7 +4,9 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import fields, replace
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 
@@ -38,8 +40,10 @@ BRAKE = BrakeRateEstimate(0.91, 0.05, 0.0, 10.0, -0.4, 0.0, 100.0, True, 0.01, 0
 ESTIMATES = ((RESISTANCE_TOPIC, RESISTANCE), (SPEED_MODEL_TOPIC, MODEL), (BRAKE_RATE_TOPIC, BRAKE))
 
 
-def feed(train: Train, begin_s: float, end_s: float, status: Status = Status.VALID) -> None:
-    """Hand a train its messages at 5 Hz, each 50 ms old as it arrives."""
+def feed(
+    train: Train, begin_s: float, end_s: float, status: int = Status.VALID, *, replaced: float | None = None
+) -> None:
+    """Hand a train its messages at 5 Hz, each 50 ms old as it arrives; ``replaced`` stands for all its numbers."""
     for k in range(round(5.0 * begin_s), round(5.0 * end_s)):
         time_s = k / 5.0
         stamp = START_NS + round((time_s - 0.05) * NS_PER_S)
@@ -49,10 +53,18 @@ def feed(train: Train, begin_s: float, end_s: float, status: Status = Status.VAL
             (GRADIENT_TOPIC, GradientRecord(stamp, -4.0, 0.0, True)),
             (BRAKE_TOPIC, BrakeRecord(stamp, -0.5, False)),
         ):
-            train.on_input(topic, record, time_s)
+            train.on_input(topic, record if replaced is None else _all_numbers(record, replaced), time_s)
         for output, estimate in ESTIMATES:
-            values = output_values(Output(stamp, estimate, status, 12, 8, None))
+            given = estimate if replaced is None else _all_numbers(estimate, replaced)
+            values = {**output_values(Output(stamp, given, Status.VALID, 12, 8, None)), 'status': int(status)}
             train.on_estimate(output, SimpleNamespace(**values), time_s)
+
+
+def _all_numbers(item: Any, value: float) -> Any:
+    """Return a record or an estimate with a value for each of its numbers but the stamp."""
+    numbers = {name: x for name, x in ((y.name, getattr(item, y.name)) for y in fields(item)) if name != 'stamp_ns'}
+    found = {name: (value,) * len(x) if isinstance(x, tuple) else value for name, x in numbers.items() if x is not True}
+    return replace(item, **found)
 
 
 @pytest.fixture

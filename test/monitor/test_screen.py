@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import io
+import math
 from collections.abc import Callable
 from typing import TextIO
 
@@ -11,6 +12,7 @@ import pytest
 from rich.console import Console
 
 from test.monitor.conftest import START_NS, feed
+from trainid_ros.monitor.lines import Lines
 from trainid_ros.monitor.screen import Screen
 from trainid_ros.monitor.trains import Report, Trains
 from trainid_ros.monitor.view import Level
@@ -126,3 +128,14 @@ def test_control_characters_of_others_do_not_reach_the_terminal(driven: Driven) 
     trains.on_diagnostics('resistance_estimator: input ato/force', bad)
     text = '\n'.join(drawn(trains, 100, 50))
     assert r'red \x1b[31m and bell \x07' in text
+
+
+@pytest.mark.parametrize('value', [math.nan, math.inf, -math.inf, 1e308, -1e308, -1.0, 1e-300])
+@pytest.mark.parametrize(('width', 'height'), [(40, 10), (80, 24), (120, 50)])
+def test_messages_with_any_numbers_are_shown(driven: Driven, value: float, width: int, height: int) -> None:
+    trains = driven()
+    feed(trains.by_namespace['/'], 10.0, 14.0, replaced=value)
+    lines = drawn(trains, width, height, 14.0)
+    assert max(map(len, lines)) <= width
+    assert 'VALID' in '\n'.join(lines)
+    assert Lines().of(trains.views(14.0, START_NS), '')

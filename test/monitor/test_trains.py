@@ -5,10 +5,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 
 import pytest
 
-from test.monitor.conftest import START_NS, feed
+from test.monitor.conftest import RESISTANCE, START_NS, feed
+from trainid_ros.monitor.shown_estimates import reference_speed
 from trainid_ros.monitor.trains import Report, Trains
 from trainid_ros.monitor.view import Level, TrainView
 from trainid_ros.records import NS_PER_S
@@ -141,3 +143,25 @@ def test_trains_are_apart_and_sorted(driven: Driven) -> None:
     assert (first.namespace, second.namespace) == ('/a', '/b')
     assert len(first.findings) == 1
     assert not second.findings
+
+
+def test_a_status_that_is_not_known_is_a_fault(driven: Driven) -> None:
+    trains = driven()
+    feed(trains.by_namespace['/'], 10.0, 11.0, status=77)
+    assert view(trains, 11.0).estimates[0].status is Status.FAULT
+
+
+def test_a_level_that_is_not_known_is_an_error() -> None:
+    assert Level(9) is Level.ERROR
+
+
+def test_counts_that_are_no_numbers_are_left_out(driven: Driven) -> None:
+    trains = driven()
+    counts = {'rejected.BRAKING': 'many', 'rejected.STANDSTILL': '5', 'rejected.GAP': '-1', 'rejected.LATE': ''}
+    trains.on_diagnostics('resistance_estimator: estimator', Report(Level.OK, 'VALID', counts, 9.6))
+    assert view(trains, 9.9).estimates[0].reasons == (('STANDSTILL', 5),)
+
+
+@pytest.mark.parametrize('speeds', [(math.nan, math.inf), (-math.inf, math.inf), (5.0, math.nan), (20.0, 5.0)])
+def test_a_range_of_speeds_that_cannot_be_counts_as_none(speeds: tuple[float, float]) -> None:
+    assert 3.6 * reference_speed(replace(RESISTANCE, speed_min=speeds[0], speed_max=speeds[1])) == pytest.approx(50.0)

@@ -19,6 +19,8 @@ _EMPTY: Final = ' '
 _WIDEST: Final = 3.0
 # Values that differ less than this share of their size are drawn as a level line [1].
 _LEAST_SPAN: Final = 1e-3
+# Values like this are none: messages may hold any number.
+_LARGEST: Final = 1e100
 
 
 class Marks(NamedTuple):
@@ -69,7 +71,7 @@ def _binned(points: Sequence[Point], columns: int, span_s: float) -> list[Point 
     binned: list[Point | None] = [None] * columns
     for point in points:
         column = columns - 1 - int(point.ago_s / span_s * columns)
-        if 0 <= column < columns and math.isfinite(point.value):
+        if 0 <= column < columns and abs(point.value) < _LARGEST:
             binned[column] = point
     return binned
 
@@ -89,7 +91,7 @@ def _range(drawn: Sequence[Point], *, with_band: bool) -> tuple[float, float]:
 
 
 def _deviation(point: Point) -> float:
-    return point.std if math.isfinite(point.std) else 0.0
+    return point.std if abs(point.std) < _LARGEST else 0.0
 
 
 def _cell(point: Point | None, row: int, rows: int, low: float, high: float, marks: Marks) -> str:

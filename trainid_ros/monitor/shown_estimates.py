@@ -17,6 +17,9 @@ if TYPE_CHECKING:
 KMH: Final = 3.6
 _STEP_KMH: Final = 5.0
 _USUAL_KMH: Final = 50.0
+# No train has a speed [m/s], and no estimate a variance, like this: messages may hold any number.
+_MOST_SPEED: Final = 1000.0
+_LARGEST: Final = 1e300
 # Place of the variance of b1 in the covariance of (a1, a2, b1, d0), row by row.
 _B1: Final = 10
 
@@ -47,7 +50,7 @@ def reference_speed(message: Any) -> float:
 
     The present speed changes all the time, and w with it: a change of the estimate would not be seen.
     """
-    if not message.speed_max > 0.0:
+    if not 0.0 <= message.speed_min <= message.speed_max < _MOST_SPEED or message.speed_max == 0.0:
         return _USUAL_KMH / KMH
     middle = 0.5 * KMH * float(message.speed_min + message.speed_max)
     return max(round(middle / _STEP_KMH), 1) * _STEP_KMH / KMH
@@ -57,7 +60,9 @@ def resistance_at(message: Any, speed: float) -> tuple[float, float]:
     """Return w and its standard deviation [N/kN] at a speed [m/s]."""
     powers = (1.0, speed, speed * speed)
     w = message.a + message.b * powers[1] + message.c * powers[2]
-    terms = (message.covariance[3 * i + j] * powers[i] * powers[j] for i in range(3) for j in range(3))
+    terms = [float(message.covariance[3 * i + j]) * powers[i] * powers[j] for i in range(3) for j in range(3)]
+    if not all(abs(term) < _LARGEST for term in terms):
+        return float(w), math.nan
     return float(w), math.sqrt(max(math.fsum(terms), 0.0))
 
 
@@ -71,7 +76,7 @@ def _resistance_details(message: Any) -> str:
 
 def mass_factor(message: Any) -> tuple[float, float]:
     """Return the mass factor and its standard deviation [1]; it is inversely proportional to b1."""
-    spread = math.sqrt(max(message.covariance[_B1], 0.0)) / message.b1 if message.b1 > 0.0 else math.nan
+    spread = math.sqrt(max(float(message.covariance[_B1]), 0.0)) / message.b1 if message.b1 > 0.0 else math.nan
     return float(message.mass_factor), float(message.mass_factor) * spread
 
 

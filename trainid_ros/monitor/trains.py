@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Final
 
-from trainid_ros.messages import OUTPUT_TOPICS
+from trainid_ros.messages import OUTPUT_TOPICS, status_of
 from trainid_ros.monitor.arrivals import Arrivals
 from trainid_ros.monitor.shown_estimates import KMH, SHOWN, ShownEstimate, value_text
 from trainid_ros.monitor.view import EstimateView, Finding, InputView, Level, Point, TrainView
@@ -28,7 +28,6 @@ from trainid_ros.records import (
     MassRecord,
     SpeedRecord,
 )
-from trainid_ros.results import Status
 from trainid_ros.ros.jobs import JOBS
 
 if TYPE_CHECKING:
@@ -179,7 +178,7 @@ class Train:
             value=value,
             std=std,
             details='' if newest is None else shown.details(newest),
-            status=None if newest is None else Status(newest.status),
+            status=None if newest is None else status_of(newest),
             status_s=now_s - item.status_since_s,
             silent_s=item.arrivals.silent_s(now_s),
             is_silent=item.arrivals.is_late(now_s),
@@ -194,10 +193,8 @@ class Train:
         """Return the rejections by reason of the estimator of a topic."""
         for (node, subject), report in self._current(now_s):
             if subject == 'estimator' and node.endswith(_NODES[topic.name]):
-                counts = (
-                    (key.removeprefix(_REJECTED), text) for key, text in report.values.items() if _REJECTED in key
-                )
-                return Counter({name: int(text) for name, text in counts})
+                counts = {key: text for key, text in report.values.items() if key.startswith(_REJECTED)}
+                return Counter({key.removeprefix(_REJECTED): int(n) for key, n in counts.items() if n.isdecimal()})
         return Counter()
 
     def _reported(self, now_s: float) -> Iterable[Finding]:

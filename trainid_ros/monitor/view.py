@@ -12,6 +12,8 @@ if TYPE_CHECKING:
     from trainid_ros.results import Status
 
 
+# Numbers from here on are written with a power of ten.
+_LONG: Final = 1e9
 _PLAIN: Final = str.maketrans({'±': '+-', '²': '^2', '‰': 'permille', '–': '-', '…': '...'})
 
 
@@ -22,6 +24,10 @@ class Level(IntEnum):
     WARN = 1
     ERROR = 2
     STALE = 3
+
+    @classmethod
+    def _missing_(cls, value: object) -> Level:  # noqa: ARG003 - any other number, which may come from other software
+        return cls.ERROR
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,8 +142,10 @@ class TrainView:
 
 
 def number(value: float, digits: int = 3) -> str:
-    """Return a number with a fixed count of decimals, a dash if it is not finite."""
-    return f'{value:.{digits}f}' if math.isfinite(value) else '–'
+    """Return a number with a fixed count of decimals, an absurd one with a power of ten; a dash if it is not finite."""
+    if not math.isfinite(value):
+        return '–'
+    return f'{value:.{digits}f}' if abs(value) < _LONG else f'{value:.{digits}e}'
 
 
 def in_ascii(text: str) -> str:

@@ -14,15 +14,12 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import qos_policy_name_from_kind
 
 from trainid_ros.client.channel import GONE
-from trainid_ros.messages import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC
-from trainid_ros.results import Status
+from trainid_ros.messages import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, status_of
 from trainid_ros.ros.topics import estimate_qos, latched_qos, message_class
 
 if TYPE_CHECKING:
     from trainid_ros.client.train_model import TrainModel
     from trainid_ros.messages import OutputTopic
-
-_KNOWN = frozenset(int(status) for status in Status)
 
 
 def subscribe_estimates(node: Any, model: TrainModel) -> tuple[Any, ...]:
@@ -33,7 +30,7 @@ def subscribe_estimates(node: Any, model: TrainModel) -> tuple[Any, ...]:
 
 def _subscribe_live(node: Any, model: TrainModel, topic: OutputTopic) -> Any:
     def take(message: Any) -> None:
-        model.take_message(topic, _status(message), message)
+        model.take_message(topic, status_of(message), message)
 
     def refuse(event: Any) -> None:
         policy = qos_policy_name_from_kind(event.last_policy_kind)
@@ -45,7 +42,7 @@ def _subscribe_live(node: Any, model: TrainModel, topic: OutputTopic) -> Any:
 
 def _subscribe_latched(node: Any, model: TrainModel, topic: OutputTopic) -> Any:
     def take(message: Any) -> None:
-        model.take_message(topic, _status(message), message, latched=True)
+        model.take_message(topic, status_of(message), message, latched=True)
 
     def follow(event: Any) -> None:
         if event.alive_count == 0:
@@ -53,8 +50,3 @@ def _subscribe_latched(node: Any, model: TrainModel, topic: OutputTopic) -> Any:
 
     events = SubscriptionEventCallbacks(liveliness=follow, use_default_callbacks=False)
     return node.create_subscription(message_class(topic), topic.last_valid, take, latched_qos(), event_callbacks=events)
-
-
-def _status(message: Any) -> Status:
-    """Return the status of a message; one that is not known is a fault."""
-    return Status(message.status) if message.status in _KNOWN else Status.FAULT
