@@ -106,3 +106,22 @@ def test_absurd_numbers_are_not_possible(bad: tuple[tuple[float, ...], tuple[flo
     assert not Normal(*bad).is_possible()
     assert not Normal((1.0, 2.0), (1.0,)).is_possible()
     assert FILE.is_possible()
+
+
+@pytest.mark.parametrize(
+    'bad',
+    [
+        (1.0, 1.5, 1.5, 1.0),  # a correlation above 1: the difference has a negative variance
+        (1.0, 0.5, -0.5, 1.0),
+        (0.0, 0.1, 0.1, 1.0),
+        (1e-320, 1e-3, 1e-3, 1.0),
+        (1.0, -0.9, -0.9, -0.9, 1.0, -0.9, -0.9, -0.9, 1.0),  # each pair alone could be
+    ],
+)
+def test_a_matrix_that_is_no_covariance_is_not_possible(bad: tuple[float, ...]) -> None:
+    assert not Normal((0.0,) * round(len(bad) ** 0.5), bad).is_possible()
+
+
+@pytest.mark.parametrize('good', [(1.0, 1.0, 1.0, 1.0), (0.0, 0.0, 0.0, 0.0), (4e-9, -2e-6, -2e-6, 1e-3)])
+def test_a_covariance_of_parameters_that_are_known_together_is_possible(good: tuple[float, ...]) -> None:
+    assert Normal((0.0, 0.0), good).is_possible()

@@ -214,9 +214,11 @@ def test_an_impossible_brake_rate_is_refused_and_named(wrong: BrakeRateEstimate,
     assert drive.model.brake_rate().value == 1.0
 
 
-def test_an_impossible_covariance_is_refused() -> None:
+@pytest.mark.parametrize('start', [(-1.0,), (1e-3, -1.0, 0.0, -1.0)], ids=['variance', 'correlation'])
+def test_an_impossible_covariance_is_refused(start: tuple[float, ...]) -> None:
+    """Else a resistance would have no standard deviation at some speeds."""
     drive = Drive()
-    wrong = replace(W, covariance=(-1.0, *COVARIANCE[1:]))
+    wrong = replace(W, covariance=(*start, *COVARIANCE[len(start) :]))
     drive.on(20.0).take(Output(1, wrong, Status.VALID, 1, 0, None))
     assert drive.model.resistance(10.0).reason == 'train file: a, b, c or their covariance are not possible'
 

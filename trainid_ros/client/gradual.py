@@ -20,6 +20,8 @@ import numpy as np
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from numpy.typing import NDArray
+
 MOST_RATE: Final = 0.25
 """Largest rate of change towards a live value, in standard deviations of the train file's value per second."""
 
@@ -28,6 +30,8 @@ ABSURD: Final = 1e6
 # A train file may state a value without any uncertainty: its moves are measured in this share of it [1].
 _LEAST_SHARE: Final = 0.01
 _TINY: Final = 1e-9
+# A correlation may be wrong by this much [1].
+_ROUNDING: Final = 1e-6
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,10 +55,23 @@ class Normal:
         return mean, max(0.0, math.fsum(map(_product, row, direction)))
 
     def is_possible(self) -> bool:
-        """Return whether no number is absurd, NaN included, and no variance is negative."""
+        """Return whether no number is absurd, NaN included, and no weighted sum has a negative variance."""
         n = len(self.mean)
         numbers = all(abs(x) < ABSURD for x in (*self.mean, *self.covariance))
-        return numbers and len(self.covariance) == n * n and min(self.covariance[:: n + 1]) >= 0.0
+        return numbers and len(self.covariance) == n * n and _is_covariance(np.reshape(self.covariance, (n, n)))
+
+
+def _is_covariance(P: NDArray[np.float64]) -> bool:
+    """Return whether a matrix is symmetric and positive semidefinite, but for rounding."""
+    variances = np.diag(P)
+    if variances.min() < 0.0:
+        return False
+    stds = np.sqrt(variances)
+    most = np.outer(stds, stds)
+    if np.any(np.abs(P) > (1.0 + _ROUNDING) * most) or np.any(np.abs(P - P.T) > _ROUNDING * most):
+        return False
+    units = np.where(most > 0.0, most, 1.0)
+    return bool(np.linalg.eigvalsh(P / units)[0] >= -_ROUNDING)
 
 
 def _product(x: float, y: float) -> float:
