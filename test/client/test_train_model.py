@@ -239,6 +239,8 @@ def test_the_curve_is_the_inverse_of_the_distance() -> None:
             1000.0 - position, abs=1e-6
         )
         assert speed == model.braking_speed(1000.0 - position, -4.0, -0.8, 0.99)
+    assert model.braking_curve(1000.0, iter(positions), -4.0, -0.8, 0.99) == curve
+    assert model.braking_curve(1000.0, ()) == ()
 
 
 def test_positions_may_fall_in_the_direction_of_travel() -> None:

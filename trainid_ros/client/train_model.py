@@ -25,7 +25,7 @@ from trainid_ros.train.davis import G
 from trainid_ros.train.train_file import TrainFile, load_train_file
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterable
     from pathlib import Path
 
     from trainid_ros.bag.bag_replay import Replay
@@ -303,7 +303,7 @@ class TrainModel:
     def braking_curve(
         self,
         stop: float,
-        positions: Sequence[float],
+        positions: Iterable[float],
         gradient: float = 0.0,
         command: float = FULL_SERVICE,
         confidence: float = 0.95,
@@ -325,11 +325,7 @@ class TrainModel:
             msg = f'direction = {direction!r} must be 1 or -1'
             raise InputError(msg)
         check_value('stop', stop, _POSITION)
-        for position in positions:
-            check_value('position', position, _POSITION)
-        distances = [max(0.0, direction * (stop - position)) for position in positions]
-        for distance in distances:
-            check_value('distance', distance, _DISTANCE)
+        distances = [_distance(stop, position, direction) for position in positions]
         bounds, live, reason = self._bounds(gradient, command, confidence, applied)
         return tuple(Value(*bounds.speed(distance), live, reason) for distance in distances)
 
@@ -378,6 +374,14 @@ class TrainModel:
     @staticmethod
     def _answer(value: float, std: float, channel: Channel) -> Value:
         return Value(value, std, channel.is_live, channel.reason())
+
+
+def _distance(stop: float, position: float, direction: int) -> float:
+    """Return the distance [m] from a position to a stop in the direction of travel, 0 beyond it."""
+    check_value('position', position, _POSITION)
+    distance = max(0.0, direction * (stop - position))
+    check_value('distance', distance, _DISTANCE)
+    return distance
 
 
 def _both(w: Value, rate: Value) -> tuple[bool, str]:
