@@ -10,16 +10,19 @@ from contextlib import suppress
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 from trainid_ros.bag.bag_replay import Replay, replay
 from trainid_ros.bag.reader import BagReader
+from trainid_ros.brake_rate.brake_rate_settings import GsmaConfig
 from trainid_ros.client import TrainModel, Value
 from trainid_ros.errors import InputError, NoAnswerError
 from trainid_ros.messages import RESISTANCE_TOPIC
 from trainid_ros.pipelines import EstimatorSettings
+from trainid_ros.resistance.resistance_settings import FilterBankConfig
 from trainid_ros.results import BrakeRateEstimate, Output, ResistanceEstimate, Status
 from trainid_ros.train.davis import acceleration
 from trainid_ros.train.train_file import Brake, Davis, Effect, Train, TrainFile, load_train_file
@@ -327,6 +330,19 @@ def test_a_train_file_may_be_given_by_its_path() -> None:
     assert TrainModel(None, BAG / 'train.yaml').brake_rate().value == load_train_file(BAG / 'train.yaml').brake.rate
     with pytest.raises(InputError, match=r'nowhere\.yaml'):
         TrainModel(None, 'nowhere.yaml')
+
+
+@pytest.mark.parametrize(
+    ('name', 'settings'),
+    [
+        ('blend_speed', {'brake': GsmaConfig(blend_speed=0.0)}),
+        ('slope_std', {'brake': GsmaConfig(slope_std=math.nan)}),
+        ('prior_std_a', {'prior': FilterBankConfig(prior_std_a=-1.0)}),
+    ],
+)
+def test_a_setting_that_cannot_be_is_named(name: str, settings: dict[str, Any]) -> None:
+    with pytest.raises(InputError, match=rf'^{name} = '):
+        TrainModel(None, FILE, **settings)
 
 
 def test_answers_take_less_than_two_milliseconds() -> None:

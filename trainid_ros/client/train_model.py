@@ -20,7 +20,7 @@ from trainid_ros.client.message_values import brake_rate_values, resistance_valu
 from trainid_ros.errors import InputError, NoAnswerError
 from trainid_ros.messages import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, output_topic
 from trainid_ros.resistance.resistance_settings import FilterBankConfig
-from trainid_ros.settings import SettingInfo, check_value
+from trainid_ros.settings import SettingInfo, check_settings, check_value
 from trainid_ros.train.davis import G
 from trainid_ros.train.train_file import TrainFile, load_train_file
 
@@ -98,6 +98,8 @@ class TrainModel:
         brake: BrakeRateConfig = _BRAKE,
     ) -> None:
         check_value('max_age', max_age, _MAX_AGE)
+        check_settings(prior)
+        check_settings(brake)
         known = train_file if isinstance(train_file, TrainFile) else load_train_file(train_file)
         self._file, self._clock, self._lock = FileValues(known, prior, brake), clock, Lock()
         self._resistance = Channel(self._file.resistance(), max_age)
