@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: Apache-2.0
 """Check that the inputs of a bag fit together, by the samples that a replay makes of them.
 
-With a train file the checks are those of a replay. Without one the mass is not known, so units cannot be checked, but
-forces must still go with the acceleration.
+With a train file the checks are those of a replay. Without one the mass is not known, so that units of forces cannot be
+checked, but forces must still go with the acceleration, and gradients slow the train as such in per mille do.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 
+from trainid_ros.bag.gradient_check import GradientCheck
 from trainid_ros.estimators.contradiction import Contradiction
 from trainid_ros.record_validation import find_fault
 from trainid_ros.records import BRAKE, BRAKE_TOPIC, FORCE_TOPIC, INPUT_TOPICS, NS_PER_S
@@ -66,7 +67,7 @@ def check_inputs(rows: Iterable[Row], alignment: AlignmentConfig, train_file: Tr
     check = _Check(alignment, train_file)
     for row in rows:
         check.take(row)
-    problems = [*check.signs(), *check.unusable()]
+    problems = [*check.signs(), *check.unusable(), *filter(None, [check.gradient.finding()])]
     warnings = check.faults()
     if (last := check.contradiction).finding:
         (problems if check.is_most(Reason.CONTRADICTION) else warnings).append(last.text)
@@ -97,6 +98,7 @@ class _Check:
         config = StreamConfig(train_file or _ANY_TRAIN, alignment, rejects_faults=train_file is not None)
         self._stream = SampleStream(config)
         self.contradiction = Contradiction()
+        self.gradient = GradientCheck()
         self._out_of_range: Counter[int] = Counter()
         self._first_out: dict[int, float] = {}
         self._applied = 0
@@ -124,11 +126,14 @@ class _Check:
         self.contradiction.follow(self._stream.finding, (sample.stamp_ns - self._first_ns) / NS_PER_S)
         before, self._speed = self._speed, sample.speed
         if sample.speed < _MIN_SPEED:
+            self.gradient.interrupt()
             return
         self._moving += 1
         self._reasons[reason := self._reason(sample)] += 1
         if reason not in {Reason.NONE, Reason.CONTRADICTION} or not math.isfinite(sample.dt + sample.force_mean):
+            self.gradient.interrupt()
             return
+        self.gradient.add(sample, before, self._known.traction(sample.force_mean, sample))
         if sample.brake_command < 0.0:
             self._braked.append((sample.force_mean, sample.brake_command))
         else:
