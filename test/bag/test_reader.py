@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: Apache-2.0
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 import pytest
+from mcap.writer import CompressionType, IndexType
+from mcap.writer import Writer as McapWriter
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import get_types_from_msg
 
-from trainid_ros.bag.reader import BagReader, LoggedRecord, require_topics
+from trainid_ros.bag.reader import BagReader, LoggedRecord, in_two, require_topics
 from trainid_ros.bag.types import full_type, message_from_record, typestore
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.errors import InputError
@@ -177,3 +180,30 @@ def test_unreadable_payload_is_skipped_and_counted(tmp_path: Path) -> None:
             assert reader.warnings == [f'{tmp_path / "bag"}: topic ato/mass: 2 messages skipped that cannot be read']
             assert [entry.message.mass for entry in reader.messages()] == [2e5]
             assert reader.warnings == [f'{tmp_path / "bag"}: topic ato/mass: 2 messages skipped that cannot be read']
+
+
+def test_progress_is_reported_while_a_file_without_an_index_is_opened(tmp_path: Path) -> None:
+    path, shares = tmp_path / 'large.mcap', list[float]()
+    with path.open('wb') as file:
+        writer = McapWriter(file, chunk_size=1 << 20, compression=CompressionType.NONE, index_types=IndexType.NONE)
+        writer.start()
+        channel = writer.register_channel('/camera', 'cdr', writer.register_schema('Image', 'ros2msg', b''))
+        for log_ns in range(1, 9):
+            writer.add_message(channel, log_ns, bytes(1 << 20), log_ns)
+        writer.finish()  # type: ignore[no-untyped-call]
+    with BagReader(path, opening=shares.append) as reader:
+        assert reader.message_count == 8
+    assert len(shares) >= 7
+    assert 0.8 < math.fsum(shares) <= 1.0
+    assert max(shares) < 0.3
+
+
+@pytest.mark.parametrize('scanned', [0.0, 0.9, 1.0])
+def test_opening_counts_as_far_as_a_bag_is_scanned(scanned: float) -> None:
+    shares = list[float]()
+    opening, reading = in_two(shares.append, 0.3)
+    opening(scanned)
+    reading(0.5)
+    assert shares == pytest.approx([0.3 * scanned, 0.5 * (1.0 - 0.3 * scanned)])
+    reading(0.5)
+    assert math.fsum(shares) == pytest.approx(1.0)

@@ -103,7 +103,9 @@ class BagFile(Protocol):
         """Close the file."""
 
 
-def open_file(path: Path, max_chunk: int, is_needed: Callable[[str], bool]) -> BagFile:
+def open_file(
+    path: Path, max_chunk: int, is_needed: Callable[[str], bool], advance: Callable[[int], None] = lambda _: None
+) -> BagFile:
     """Open one file of a bag: MCAP, or the sqlite3 storage of rosbag2; arguments are those of :class:`McapFile`.
 
     Raises:
@@ -115,7 +117,7 @@ def open_file(path: Path, max_chunk: int, is_needed: Callable[[str], bool]) -> B
         from trainid_ros.bag.db3_file import Db3File  # noqa: PLC0415
 
         return Db3File(path, is_needed)
-    return McapFile(path, max_chunk, is_needed)
+    return McapFile(path, max_chunk, is_needed, advance)
 
 
 def _is_sqlite(path: Path) -> bool:

@@ -11,7 +11,7 @@ import numpy as np
 
 from trainid_ros.bag.chunk import MAX_CHUNK
 from trainid_ros.bag.input_check import Findings, check_inputs
-from trainid_ros.bag.reader import BagReader, missing_topics
+from trainid_ros.bag.reader import BagReader, in_two, missing_topics
 from trainid_ros.bag.record_table import EMPTY, joined
 from trainid_ros.records import (
     BRAKE_TOPIC,
@@ -204,8 +204,9 @@ def inspect(
         InputError: If the bag cannot be read.
 
     """
-    with BagReader(path, namespace, max_chunk, inputs) as reader:
-        table = joined(tuple(_read(reader, advance)) or (EMPTY,))
+    opening, reading = in_two(advance)
+    with BagReader(path, namespace, max_chunk, inputs, opening=opening) as reader:
+        table = joined(tuple(_read(reader, reading)) or (EMPTY,))
         alignment = reader.mapping.alignment(AlignmentConfig())
         columns = _columns(table, alignment)
         missing = missing_topics(reader)

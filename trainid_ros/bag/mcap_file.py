@@ -42,6 +42,7 @@ _MOST_EXPANSION: Final = 50
 _PLAIN: Final = (*DEFINITIONS, Opcode.MESSAGE)
 _CHUNK: Final = bytes([Opcode.CHUNK])
 _NAMED_LOSSES: Final = 5
+_REPORT_BYTES: Final = 1 << 20  # from one report of progress to the next
 _MB: Final = 1 << 20
 
 
@@ -91,7 +92,11 @@ class McapFile:
     """
 
     def __init__(
-        self, path: Path, max_chunk: int = MAX_CHUNK, is_needed: Callable[[str], bool] = lambda _: True
+        self,
+        path: Path,
+        max_chunk: int = MAX_CHUNK,
+        is_needed: Callable[[str], bool] = lambda _: True,
+        advance: Callable[[int], None] = lambda _: None,
     ) -> None:
         """Open and scan a file.
 
@@ -99,6 +104,7 @@ class McapFile:
             path: The file.
             max_chunk: Largest chunk to unpack, and largest message outside chunks to read [bytes].
             is_needed: Whether the messages of a topic are needed; others may be left out.
+            advance: Called with the number of bytes scanned since its last call, at most the size of the file.
 
         Raises:
             InputError: If it is not MCAP, is empty, or nothing of it can be used.
@@ -114,6 +120,7 @@ class McapFile:
         self.warnings: list[str] = []
         self._indexes: dict[int, ChunkIndex] = {}
         self._is_needed = is_needed
+        self._advance, self._reported = advance, 0
         self._max_chunk = max_chunk
         self._unpacked = 0
         self._all_checked = self._chunked = False
@@ -210,6 +217,7 @@ class McapFile:
         """Take in the data section; return where the last record used ends, and the end of data if there is one."""
         file, position, run = self._file, len(MAGIC), len(MAGIC)
         while True:
+            self._report(position)
             record = file.record(position) if position < file.end else None
             plain = record is not None and record.opcode in _PLAIN
             if run < position and (record is None or not plain or record.end - run > _RUN_BYTES):
@@ -232,6 +240,12 @@ class McapFile:
                     run = position
             else:
                 position = run = self._take_record(record)
+
+    def _report(self, position: int) -> None:
+        """Report progress up to a place in the file, now and then."""
+        if position >= self._reported + _REPORT_BYTES:
+            self._advance(position - self._reported)
+            self._reported = position
 
     def _take_record(self, record: Record) -> int:
         """Take in a record that is neither a message nor a definition; return where the next one starts."""

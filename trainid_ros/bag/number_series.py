@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from trainid_ros.bag.reader import BagReader
+from trainid_ros.bag.reader import BagReader, in_two
 from trainid_ros.bag.types import full_type
 from trainid_ros.errors import InputError
 from trainid_ros.mapping.mapping import Mapping, Signal, Source
@@ -106,7 +106,8 @@ def read_numbers(
         InputError: The bag cannot be read.
 
     """
-    with BagReader(path, namespace, max_chunk, mapping=_NOTHING) as reader:
+    opening, reading = in_two(advance)
+    with BagReader(path, namespace, max_chunk, mapping=_NOTHING, opening=opening) as reader:
         topics, span = reader.topics(), reader.time_range() or (0, 0)
     ours = {topic.name: full_type(topic.message) for topic in INPUT_TOPICS}
     is_root = not namespace.strip('/')
@@ -128,7 +129,7 @@ def read_numbers(
     collectors = {name: _Collector(name, max(1, wanted[name] // _MOST)) for name in readable}
     end_ns = min(span[1], span[0] + round(LONGEST_S * NS_PER_S))
     with BagReader(path, namespace, max_chunk, mapping=_naming(readable)) as reader:
-        _collect(reader, collectors, span[0], end_ns, advance)
+        _collect(reader, collectors, span[0], end_ns, reading)
     left_out += [(item.topic, 'large messages') for item in collectors.values() if item.is_large]
     series = tuple(item for collector in collectors.values() for item in collector.series(span[0]))
     return BagNumbers(series, frozenset(own), tuple(sorted(trains)), tuple(left_out), (end_ns - span[0]) / NS_PER_S)

@@ -25,7 +25,7 @@ from trainid_ros.plural import pluralise
 from trainid_ros.records import INPUT_TOPICS, REQUIRED_TOPICS, InputTopic, record_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator
+    from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
     from types import TracebackType
 
     from trainid_ros.bag.bag_files import BagFile, Span
@@ -44,6 +44,8 @@ _MAX_LOG_NS: Final = 2**64 - 1
 PROGRESS_EVERY: Final = 500
 """Records from one report of progress to the next."""
 _ROWS_AT_ONCE: Final = 5000
+OPENING: Final = 0.3
+"""Share of the work on a bag without an index that opening it is [1]: all of it is read and unpacked then."""
 
 
 class LoggedRecord(NamedTuple):
@@ -90,6 +92,7 @@ class BagReader:
         inputs: Callable[[], MappedInputs] | None = None,
         *,
         mapping: Mapping = OWN,
+        opening: Callable[[float], None] = lambda _: None,
     ) -> None:
         """Name the bag; it is opened on entering the context.
 
@@ -99,10 +102,11 @@ class BagReader:
             max_chunk: Largest chunk to unpack [bytes]; larger ones are left out with a warning.
             inputs: Makes what turns messages of other topics into records; without it only our own topics are read.
             mapping: Where each input comes from, for :meth:`stored` alone, which needs no ``inputs``.
+            opening: Called while the bag is opened with the share of its bytes scanned since its last call [1].
 
         """
         self.path = Path(path)
-        self._max_chunk, self._inputs = max_chunk, inputs
+        self._max_chunk, self._inputs, self._opening = max_chunk, inputs, opening
         self._made = None if inputs is None else inputs()
         self.mapping = mapping if self._made is None else self._made.mapping
         self._damage: list[str] = []
@@ -121,8 +125,7 @@ class BagReader:
         located = locate(self.path)
         self._damage = [*located.warnings, *self._names.warnings]
         try:
-            for path in located.files:
-                self._files.append(open_file(path, self._max_chunk, self._names.is_needed))
+            self._open(located.files)
             hashes = dict(located.hashes)
             self._sources = [self._names.sources(file, hashes) for file in self._files]
         except BaseException:
@@ -133,6 +136,13 @@ class BagReader:
         if promised > self.message_count:
             self._damage.append(f'{self.path}: {self.message_count} of {promised} messages found')
         return self
+
+    def _open(self, paths: Sequence[Path]) -> None:
+        """Open the files, and report what is scanned of them."""
+        total = max(math.fsum(path.stat().st_size for path in paths if path.is_file()), 1.0)
+        for path in paths:
+            file = open_file(path, self._max_chunk, self._names.is_needed, lambda n: self._opening(n / total))
+            self._files.append(file)
 
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
@@ -398,3 +408,20 @@ def require_topics(reader: BagReader, topics: Iterable[InputTopic] = REQUIRED_TO
 def missing_topics(reader: BagReader, topics: Iterable[InputTopic] = REQUIRED_TOPICS) -> tuple[str, ...]:
     """Return the names of those topics that have no messages in the bag."""
     return tuple(name for topic in topics for name in reader.missing(topic))
+
+
+def in_two(
+    advance: Callable[[float], None], opening_share: float = OPENING
+) -> tuple[Callable[[float], None], Callable[[float], None]]:
+    """Return what reports the progress of opening a bag and of reading it, as shares of each, as that of the whole.
+
+    Opening counts only as far as the bag is scanned then, which one with an index is not.
+    """
+    opened = 0.0
+
+    def opening(share: float) -> None:
+        nonlocal opened
+        opened += opening_share * share
+        advance(opening_share * share)
+
+    return opening, lambda share: advance((1.0 - opened) * share)

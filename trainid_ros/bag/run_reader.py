@@ -9,7 +9,7 @@ from itertools import chain
 from typing import TYPE_CHECKING, Final
 
 from trainid_ros.bag.chunk import MAX_CHUNK
-from trainid_ros.bag.reader import BagReader, require_topics
+from trainid_ros.bag.reader import BagReader, in_two, require_topics
 from trainid_ros.bag.worker_pool import killed_message, map_bags, processors
 from trainid_ros.errors import InputError
 from trainid_ros.explain.run_data import RunCollector
@@ -62,8 +62,9 @@ def survey(
     namespace: str = '/',
     max_chunk: int = MAX_CHUNK,
     inputs: Callable[[], MappedInputs] | None = None,
+    advance: Callable[[float], None] = lambda _: None,
 ) -> Survey:
-    """Check that all bags can be used, and summarise them.
+    """Check that all bags can be used, and summarise them; ``advance`` is called with the number of bags opened since.
 
     Raises:
         InputError: One is given twice, cannot be read, or lacks a required topic.
@@ -76,10 +77,12 @@ def survey(
             raise InputError(msg)
     counts, warnings = [], []
     for path in paths:
-        with BagReader(path, namespace, max_chunk, inputs) as reader:
+        opening, rest = in_two(advance, opening_share=1.0)
+        with BagReader(path, namespace, max_chunk, inputs, opening=opening) as reader:
             require_topics(reader)
             counts.append(reader.input_count)
             warnings += reader.warnings
+        rest(1.0)
     return Survey(tuple(counts), tuple(warnings))
 
 

@@ -85,10 +85,11 @@ def _explain(args: argparse.Namespace, train_file: TrainFile, note: Callable[[st
 
     """
     inputs = mapped_inputs(args.map, train_file)
-    found = survey(args.bags, args.namespace, args.max_chunk, inputs)
+    name = args.bags[0].name if len(args.bags) == 1 else f'{len(args.bags)} bags'
+    with progress(f'open {name}', total=len(args.bags)) as advance:
+        found = survey(args.bags, args.namespace, args.max_chunk, inputs, advance)
     for line in found.warnings:
         note(line)
-    name = args.bags[0].name if len(args.bags) == 1 else f'{len(args.bags)} bags'
     with progress(f'read {name}', total=sum(found.inputs)) as advance:
         workers = worker_count(found.inputs)
         runs = read_runs(

@@ -8,7 +8,8 @@ from collections import Counter
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
 
-from trainid_ros.bag.reader import BagReader, require_topics
+from trainid_ros.bag.reader import require_topics
+from trainid_ros.cli.opening import opened
 from trainid_ros.cli.output import print_json, progress, show, table, warn
 from trainid_ros.errors import InputError, NoAnswerError
 from trainid_ros.mapping.mapped_inputs import mapped_inputs
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Callable
 
+    from trainid_ros.bag.reader import BagReader
     from trainid_ros.resistance.trajectory import Trajectory
     from trainid_ros.results import Reason
 
@@ -58,7 +60,7 @@ def run(args: argparse.Namespace) -> int:
     config = DavisFitConfig()
     collector = PieceCollector(load_train_file(args.train), config.min_speed, config.shortest)
     inputs = mapped_inputs(args.map, collector.train_file)
-    with BagReader(args.bag, args.namespace, args.max_chunk, inputs) as reader:
+    with opened(args, inputs) as reader:
         known = reader.warnings
         for line in known:
             warn(line)

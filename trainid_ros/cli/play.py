@@ -5,7 +5,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from trainid_ros.bag.reader import BagReader
+from trainid_ros.cli.opening import opened
 from trainid_ros.cli.output import progress
 from trainid_ros.errors import InputError
 from trainid_ros.mapping.mapping import OWN
@@ -27,7 +27,7 @@ def run(args: argparse.Namespace) -> int:
 
     """
     mapping = OWN if args.map is None else load_mapping(args.map)
-    with BagReader(args.bag, args.namespace, args.max_chunk, mapping=mapping):
+    with opened(args, mapping=mapping):
         pass  # an unreadable bag is reported before ROS starts
     # ROS is imported only here, so that other commands work without it.
     from rclpy.parameter import Parameter  # noqa: PLC0415

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.bag.bag_replay import Pipelines, replay_through
 from trainid_ros.bag.input_check import brake_sign
-from trainid_ros.bag.reader import BagReader
+from trainid_ros.bag.reader import BagReader, in_two
 from trainid_ros.brake_rate.suggested_braking import suggested_braking
 from trainid_ros.cli.output import check_distinct, check_output, table, to_plain
 from trainid_ros.cli.per_bag import BagResult, run_per_bag
@@ -133,12 +133,13 @@ def _replay(args: argparse.Namespace, bag: Path, advance: Callable[[float], None
     truth = None if report is None else find_truth(bag, args.truth)
     with ExitStack() as stack:
         inputs = mapped_inputs(args.map, setups[0].train_file)
-        reader = stack.enter_context(BagReader(bag, args.namespace, args.max_chunk, inputs))
+        opening, reading = in_two(advance)
+        reader = stack.enter_context(BagReader(bag, args.namespace, args.max_chunk, inputs, opening=opening))
         observers, traces = _observers(stack, out, report)
         start = time.perf_counter()
         pipelines = Pipelines(*(setup.mapped(reader.mapping).pipeline() for setup in setups))
         count = max(reader.input_count, 1)
-        outcome = replay_through(pipelines, reader, lambda amount: advance(amount / count), observers)
+        outcome = replay_through(pipelines, reader, lambda amount: reading(amount / count), observers)
         wall_s = time.perf_counter() - start
         warnings += unweighed(reader, setups[0].train_file)
         if Reason.OUT_OF_RANGE in dict(outcome.brake_rate.rejections) and (wrong := brake_sign(reader.tables())):

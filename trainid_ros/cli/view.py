@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from trainid_ros.bag.bag_replay import Pipelines, replay_through
-from trainid_ros.bag.reader import BagReader
+from trainid_ros.cli.opening import opened
 from trainid_ros.cli.output import check_output, progress, show, warn
 from trainid_ros.errors import InputError
 from trainid_ros.mapping.mapped_inputs import mapped_inputs
@@ -79,7 +79,7 @@ def _write(args: argparse.Namespace, train: Path, out: Path) -> None:
         train_file, str(train), args.params, args.algorithm, namespace=args.namespace, foreign=foreign, warn=warn
     )
     inputs = mapped_inputs(args.map, train_file)
-    with BagReader(args.bag, args.namespace, args.max_chunk, inputs) as reader:
+    with opened(args, inputs) as reader:
         pipelines = Pipelines(*(setup.mapped(reader.mapping).pipeline() for setup in setups))
         tracks = Tracks(pipelines)
         with progress(f'replaying {args.bag.name}', reader.input_count) as advance:

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trainid_ros.bag.bag_replay import Pipelines, Replay, replay_through
+from trainid_ros.bag.reader import in_two
 from trainid_ros.bag.worker_pool import killed_message
 from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
 from trainid_ros.errors import TrainIdError
@@ -92,11 +93,12 @@ def _replay(setup: Setup, bag: PlannedBag, row: Row, advance: Callable[[float], 
 
     """
     setups, inputs = _prepared(setup)
-    with OdometerReader(Path(bag.path), setup.namespace, setup.max_chunk, inputs) as reader:
+    opening, reading = in_two(advance)
+    with OdometerReader(Path(bag.path), setup.namespace, setup.max_chunk, inputs, opening=opening) as reader:
         pipelines = Pipelines(*(item.mapped(reader.mapping).pipeline() for item in setups))
         before = _dead_time(pipelines)
         count = max(reader.input_count, 1)
-        outcome = replay_through(pipelines, reader, lambda amount: advance(amount / count))
+        outcome = replay_through(pipelines, reader, lambda amount: reading(amount / count))
         span = reader.time_range()
     if row['start'] is None and span is not None:  # the bag has no index
         row['start'] = span[0] / NS_PER_S

@@ -86,9 +86,9 @@ class Odometer:
 class OdometerReader(BagReader):
     """A bag whose records an odometer takes in as they are read."""
 
-    def __init__(self, *arguments: Any) -> None:
+    def __init__(self, *arguments: Any, **options: Any) -> None:
         """Name the bag; arguments as of :class:`BagReader`."""
-        super().__init__(*arguments)
+        super().__init__(*arguments, **options)
         self.odometer = Odometer()
 
     def tables(self, last_ns: float = math.inf) -> Iterator[RecordTable]:
