@@ -3,6 +3,8 @@
 
 from __future__ import annotations
 
+import math
+import mmap
 import os
 import pickle
 from dataclasses import replace
@@ -115,13 +117,19 @@ def test_hand_and_numpy_rls_agree() -> None:
     np.testing.assert_allclose(one.covariance, other.covariance, rtol=1e-7)
 
 
+def touched_pages(size: int) -> mmap.mmap:
+    pages = mmap.mmap(-1, size)
+    pages[:: mmap.PAGESIZE] = b'x' * math.ceil(size / mmap.PAGESIZE)
+    return pages
+
+
 def test_contest_measures_time_memory_and_copies() -> None:
     quick, slow = time_in_turns([(lambda n: n, [(1,)] * 400), (lambda n: sum(range(n)), [(3000,)] * 400)])
     assert quick.p50 < slow.p50
     assert slow.p50 <= slow.p99
-    kept: list[bytes] = []
-    # Blocks above 32 MiB, which malloc always requests from the system; smaller ones may be reused memory.
-    assert growth(lambda: kept.append(b'x' * 40_000_000), [()], 1, 4) > 30_000_000.0
+    kept: list[mmap.mmap] = []
+    # Pages from the system: malloc would first use memory that the tests before have freed.
+    assert growth(lambda: kept.append(touched_pages(40_000_000)), [()], 1, 4) > 30_000_000.0
     saved = copied(HandRls())
     assert saved is not None
     assert saved[0] == len(pickle.dumps(HandRls()))
