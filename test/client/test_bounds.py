@@ -172,3 +172,23 @@ def test_no_speed_is_allowed_beyond_one_at_which_the_train_may_not_stop() -> Non
     assert [bounds.at(speed).distance for speed in (2.6, 5.0, 20.0, 40.0)] == [math.inf] * 4
     speed, _ = bounds.speed(2000.0)
     assert 1.0 < speed < 2.5
+
+
+def test_speed_and_bound_agree_however_little_is_known() -> None:
+    """With delay and lag less known than they are long the distance has several maxima at one confidence."""
+    rng, answered = np.random.default_rng(17), 0
+    for _ in range(160):
+        rate, *known = (10.0 ** rng.uniform((-1.0, -6.0, -6.0, -6.0, -6.0), (0.6, 0.0, 0.0, 0.0, 0.0))).tolist()
+        mean = (rate, *LEARNED.mean[1:6], *rng.uniform((-50.0, 0.0, 0.0), (50.0, 3.0, 3.0)).tolist())
+        posterior = StopPosterior(mean, (known[0], 0.0, 0.0, 0.0, 0.0, 0.0, *known[1:]), DAVIS)
+        bounds = StoppingBounds(shape(), posterior, 1.0, float(rng.integers(2)), 0.999)
+        for distance in (10.0 ** rng.uniform(-2.0, 4.0, 4)).tolist():
+            try:
+                speed, std = bounds.speed(distance)
+            except NoAnswerError:
+                continue
+            if speed > 0.0:
+                answered += 1
+                assert bounds.at(speed).distance <= distance + 1e-6
+                assert 0.0 < std < math.inf
+    assert answered > 100

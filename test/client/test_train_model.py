@@ -292,6 +292,12 @@ def test_an_argument_that_cannot_be_is_named(name: str, value: float) -> None:
         CALLS[name](Drive().model, value)
 
 
+@pytest.mark.parametrize('confidence', [0.0, 0.4, 1.0])
+def test_a_confidence_below_a_half_or_of_certainty_is_refused(confidence: float) -> None:
+    with pytest.raises(InputError, match=r'^confidence = '):
+        Drive().model.stopping_distance(10.0, confidence=confidence)
+
+
 def test_no_answer_is_ever_infinite_whatever_the_estimates_are() -> None:
     rng = np.random.default_rng(3)
     answered = 0
@@ -310,7 +316,7 @@ def test_no_answer_is_ever_infinite_whatever_the_estimates_are() -> None:
                 rng.uniform(0.0, 150.0),
                 rng.uniform(-90.0, 90.0),
                 -rng.uniform(0.01, 3.0),
-                rng.uniform(0.01, 0.99),
+                rng.uniform(0.5, 0.999),
             )
             for ask in CALLS_ALL:
                 with suppress(NoAnswerError):

@@ -43,8 +43,8 @@ _ITERATIONS: Final = 100
 # A speed below this is none, and the slowest at which a train has to stop at all [m/s].
 _STANDING: Final = 1e-9
 _SLOWEST: Final = 1e-3
-# A brake rate below this is none [1].
-_LEAST_RATE: Final = 1e-3
+LEAST_RATE: Final = 1e-3
+"""A brake rate below this is none [1]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -139,7 +139,7 @@ class StoppingBounds:
         posterior: What is known of the parameters.
         command: Brake target from now on [m/s^2, > 0].
         applied: Brake target until it acts [m/s^2, >= 0].
-        confidence: Probability that the train stops within the bound, in (0, 1).
+        confidence: Probability that the train stops within the bound, in [0.5, 1).
 
     """
 
@@ -154,15 +154,11 @@ class StoppingBounds:
 
     def at(self, speed: float) -> Bound:
         """Return the bound for a speed [m/s, >= 0]; infinite where the train may not stop."""
-        return self._converged(speed, [])
-
-    def _converged(self, speed: float, near: list[float]) -> Bound:
-        """Return the bound for a speed [m/s]; ``near`` is the gradient of a bound for one nearby, or empty."""
         at_mean = self._at_mean.stop(speed)
         if math.isinf(at_mean.distance) or not self._least.is_positive(speed):
             return Bound(math.inf, math.inf, math.inf, [])
         std = self._posterior.std(at_mean.gradient)
-        found = self._beside(speed, near or at_mean.gradient)
+        found = self._beside(speed, at_mean.gradient)
         for _ in range(_REFINEMENTS):
             if math.isinf(found.distance):
                 break
@@ -178,7 +174,7 @@ class StoppingBounds:
         theta = [self._posterior.mean[j] + step * spread[j] for j in range(PARAMETERS)]
         theta[DELAY], theta[LAG] = max(0.0, theta[DELAY]), max(0.0, theta[LAG])
         stop = Braking(self._shape, theta, self._command, self._applied).stop(speed)
-        if theta[RATE] < _LEAST_RATE:
+        if theta[RATE] < LEAST_RATE:
             stop.distance = math.inf
         return stop
 
@@ -200,7 +196,7 @@ class StoppingBounds:
                 break
             low, high = (low, speed) if excess > 0.0 else (speed, high)
             speed = self._next(speed, excess, found, low, high)
-            found = self._converged(speed, found.gradient)
+            found = self.at(speed)
         if math.isinf(found.distance):
             speed, found = low, self.at(low)
         return self._checked(speed, found)

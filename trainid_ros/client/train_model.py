@@ -13,7 +13,7 @@ from threading import Lock
 from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.brake_rate.brake_rate_settings import GsmaConfig
-from trainid_ros.client.bounds import MOST_SPEED, StoppingBounds, StopPosterior
+from trainid_ros.client.bounds import LEAST_RATE, MOST_SPEED, StoppingBounds, StopPosterior
 from trainid_ros.client.channel import MAX_AGE_S, Channel
 from trainid_ros.client.file_values import BRAKE_RATE, DAVIS, FORCE_SCALE, FileValues
 from trainid_ros.client.message_values import brake_rate_values, resistance_values
@@ -39,14 +39,15 @@ FULL_SERVICE: Final = -1.0
 # What the nodes start with unless they are set otherwise.
 _PRIOR: Final = FilterBankConfig()
 _BRAKE: Final = GsmaConfig()
-_LEAST: Final = 1e-3
+# The weakest brake command [m/s^2].
+_WEAKEST: Final = -1e-3
 _SPEED: Final = SettingInfo('', 'm/s', 0.0, MOST_SPEED)
 _GRADIENT: Final = SettingInfo('', 'per mille', -500.0, 500.0)
 _ACCELERATION: Final = SettingInfo('', 'm/s^2', -20.0, 20.0)
 _MASS: Final = SettingInfo('', 'kg', 1.0, 1e9)
-_COMMAND: Final = SettingInfo('', 'm/s^2', -20.0, -_LEAST)
+_COMMAND: Final = SettingInfo('', 'm/s^2', -20.0, _WEAKEST)
 _APPLIED: Final = SettingInfo('', 'm/s^2', -20.0, 0.0)
-_CONFIDENCE: Final = SettingInfo('', '', 1e-6, 1.0 - 1e-6)
+_CONFIDENCE: Final = SettingInfo('', '', 0.5, 1.0 - 1e-6)
 _MAX_AGE: Final = SettingInfo('', 's', 0.01, 1e12)
 _DISTANCE: Final = SettingInfo('', 'm', 0.0, 1e5)
 _POSITION: Final = SettingInfo('', 'm', -1e9, 1e9)
@@ -236,7 +237,7 @@ class TrainModel:
         with self._lock:
             self._go_on()
             w, rate = self._resistance_at(speed), self._brake_rate_at(speed)
-        k, r = self._file.inertia, max(rate.value, _LEAST)
+        k, r = self._file.inertia, max(rate.value, LEAST_RATE)
         command = min(0.0, (acceleration + k * (w.value + gradient)) / r)
         std = math.hypot(k * w.std, k * self._file.train_file.line.gradient_std, command * rate.std) / r
         return Value(command, std, *_both(w, rate))
@@ -258,7 +259,7 @@ class TrainModel:
             speed: Speed now [m/s].
             gradient: Mean gradient on the way to the stop [per mille], + uphill in the direction of travel.
             command: Brake command from now on [m/s^2, < 0].
-            confidence: Probability that the train stops within the distance.
+            confidence: Probability that the train stops within the distance, 0.5 to 0.999999.
             applied: Brake command that acts until the dead time is over [m/s^2, <= 0]; 0: the brake is released.
 
         Raises:
@@ -290,7 +291,7 @@ class TrainModel:
             distance: Distance to the stop [m].
             gradient: Mean gradient on the way to the stop [per mille], + uphill in the direction of travel.
             command: Brake command from now on [m/s^2, < 0].
-            confidence: Probability that the train stops within the distance.
+            confidence: Probability that the train stops within the distance, 0.5 to 0.999999.
             applied: Brake command that acts until the dead time is over [m/s^2, <= 0]; 0: the brake is released.
 
         Raises:
