@@ -23,6 +23,8 @@ _START_S: Final = 30.0
 _TICKS: Final = os.sysconf('SC_CLK_TCK')
 # Workers start with loading modules; their memory counts from this share of the time on.
 _EARLY: Final = 0.2
+# As docs/fleet.md says: what the profiler of a worker samples all the time fills its memory.
+_NO_PROFILER: Final = {'DASK_DISTRIBUTED__WORKER__PROFILE__ENABLED': 'False'}
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +81,7 @@ def cluster(workers: int) -> Iterator[tuple[str, list[int]]]:
             started.append(
                 subprocess.Popen(
                     [*worker, '--no-dashboard'], cwd=REPOSITORY, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
-                    text=True,
+                    text=True, env=os.environ | _NO_PROFILER,
                 )
             )  # fmt: skip
         time.sleep(5.0)
