@@ -70,6 +70,15 @@ def test_a_forgotten_sign_is_named(
     assert found in problems(map(change, drive), train)
 
 
+@pytest.mark.parametrize(('offset', 'named'), [(0.0, False), (50e3, True), (-50e3, True)])
+def test_positions_off_the_line_are_a_warning(drive: list[Record], offset: float, named: bool) -> None:
+    moved = (replace(r, position=r.position + offset) if isinstance(r, SpeedRecord) else r for r in drive)
+    found = check_inputs((r.row() for r in moved), AlignmentConfig(), METRO)
+    assert found.problems == ()
+    text = 'ato/speed has a position off the line of the train file, -118 to 2018 m'
+    assert any(warning.startswith(text) for warning in found.warnings) is named
+
+
 def test_a_unit_is_named_where_the_mass_is_known(drive: list[Record]) -> None:
     in_kn = [replace(r, force=r.force / 1e3) if isinstance(r, ForceRecord) else r for r in drive]
     assert 'ato/force looks like kN' in problems(in_kn, METRO)

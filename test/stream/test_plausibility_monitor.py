@@ -145,3 +145,17 @@ def test_gradients_within_a_spike_are_not_compared_with_the_line(
         assert monitor.state.line.lately == 0.0
     assert monitor.state.line.count > 50.0
     assert math.isfinite(monitor.state.line.spread)
+
+
+def test_gradients_beyond_the_end_of_the_line_are_not_compared_with_it(train_file: TrainFile, sample: Make) -> None:
+    line = Line(stops=(0.0, 1900.0), gradient=((0.0, 0.0), (1900.0, -2.0)), gradient_std=0.1)
+    ends, endless = (
+        PlausibilityMonitor(KnownForce(replace(train_file, line=line)))
+        for line in (line, replace(line, stops=()))
+    )  # fmt: skip
+    for k in range(1500):
+        for monitor in (ends, endless):
+            monitor.follow(sample(k, gradient=0.0))
+    assert endless.state.line.finding == 'ato/gradient is suddenly +2.0 per mille off the line'
+    assert ends.state.line.finding == ''
+    assert ends.state.line.count > 60.0

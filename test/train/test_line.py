@@ -46,6 +46,14 @@ def test_the_first_and_last_values_extend_beyond_the_ends(profile: LineProfile) 
     assert LineProfile(Line(gradient=((0.0, 7.0),)), 50.0).gradient(-900.0, 1) == pytest.approx(7.0)
 
 
+def test_a_line_ends_a_train_beyond_its_last_stop_or_gradient(profile: LineProfile) -> None:
+    assert (profile.first, profile.last) == (-100.0, 3100.0)
+    longer = LineProfile(Line(stops=(50.0, 3000.0), gradient=((0.0, 1.0), (4000.0, 2.0))), 60.0)
+    assert (longer.first, longer.last) == (-60.0, 4060.0)
+    endless = LineProfile(Line(gradient=((0.0, 7.0),)), 50.0)
+    assert (endless.first, endless.last) == (-math.inf, math.inf)
+
+
 def test_gradients_at_many_positions_equal_single_ones(profile: LineProfile) -> None:
     at = np.linspace(-300.0, 3300.0, 997)
     for direction in (1, -1):

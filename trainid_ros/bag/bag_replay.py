@@ -96,6 +96,20 @@ class Replay:
     contradiction: Contradiction
     brake_findings: tuple[str, ...] = ()
 
+    def why_no_resistance(self) -> str:
+        """Return why nothing was learned of the resistance, with the most frequent rejection; '' if it was."""
+        result = self.resistance
+        output = result.output
+        if output.used and output.estimate.speed_max > 0.0:
+            return ''
+        text = f'nothing was learned of the resistance: {result.samples} samples, {output.used} used'
+        if self.contradiction.finding:
+            return f'{text}; {self.contradiction.text}'
+        if result.rejections:
+            reason, count = result.rejections[0]
+            text += f', most often rejected: {reason.name} ({count} times), last: {output.last_rejection}'
+        return text
+
 
 class Pipelines(NamedTuple):
     """The three estimators, before the first record."""

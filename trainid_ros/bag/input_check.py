@@ -16,12 +16,13 @@ import numpy as np
 from trainid_ros.bag.gradient_check import GradientCheck
 from trainid_ros.estimators.contradiction import Contradiction
 from trainid_ros.record_validation import find_fault
-from trainid_ros.records import BRAKE, BRAKE_TOPIC, FORCE_TOPIC, INPUT_TOPICS, NS_PER_S
+from trainid_ros.records import BRAKE, BRAKE_TOPIC, FORCE_TOPIC, INPUT_TOPICS, NS_PER_S, SPEED_TOPIC
 from trainid_ros.results import Reason
 from trainid_ros.stream.known_force import KnownForce
 from trainid_ros.stream.sample_stream import SampleStream, StreamConfig
 from trainid_ros.stream.samples import Sample
 from trainid_ros.train.davis import G
+from trainid_ros.train.line import LineProfile
 from trainid_ros.train.train_file import Davis, Train, TrainFile
 
 if TYPE_CHECKING:
@@ -68,7 +69,7 @@ def check_inputs(rows: Iterable[Row], alignment: AlignmentConfig, train_file: Tr
     for row in rows:
         check.take(row)
     problems = [*check.signs(), *check.unusable(), *filter(None, [check.gradient.finding()])]
-    warnings = check.faults()
+    warnings = [*check.faults(), *check.off_the_line()]
     if (last := check.contradiction).finding:
         (problems if check.is_most(Reason.CONTRADICTION) else warnings).append(last.text)
     return Findings(tuple(problems), tuple(warnings))
@@ -97,6 +98,8 @@ class _Check:
         self._known = KnownForce(train_file or _ANY_TRAIN)
         config = StreamConfig(train_file or _ANY_TRAIN, alignment, rejects_faults=train_file is not None)
         self._stream = SampleStream(config)
+        self._line = None if train_file is None else LineProfile(train_file.line, train_file.train.length)
+        self._off_line = 0
         self.contradiction = Contradiction()
         self.gradient = GradientCheck()
         self._out_of_range: Counter[int] = Counter()
@@ -129,6 +132,8 @@ class _Check:
             self.gradient.interrupt()
             return
         self._moving += 1
+        if self._line is not None and (sample.position < self._line.first or sample.position > self._line.last):
+            self._off_line += 1
         self._reasons[reason := self._reason(sample)] += 1
         if reason not in {Reason.NONE, Reason.CONTRADICTION} or not math.isfinite(sample.dt + sample.force_mean):
             self.gradient.interrupt()
@@ -181,6 +186,15 @@ class _Check:
         return [
             f'{INPUT_TOPICS[topic].name}: {count} messages out of range, the first with {self._first_out[topic]:.4g}'
             for topic, count in sorted(self._out_of_range.items())
+        ]
+
+    def off_the_line(self) -> list[str]:
+        """Say so if most positions are not on the line of the train file."""
+        if self._line is None or self._off_line <= _MOST * self._moving:
+            return []
+        return [
+            f'{SPEED_TOPIC.name} has a position off the line of the train file, {self._line.first:.0f} to '
+            f'{self._line.last:.0f} m, in {self._off_line} of {self._moving} samples in motion: check origin and unit'
         ]
 
 

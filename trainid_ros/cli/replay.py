@@ -158,7 +158,8 @@ def _replay(args: argparse.Namespace, bag: Path, advance: Callable[[float], None
     else:
         shown = reader.mapping.named(describe(outcome, setups, wall_s, drives))
         shown = f'{bag}: {shown}' if len(args.bags) > 1 else shown
-    return BagResult(shown, (*warnings, *reader.warnings), no_answer(bag, outcome))
+    reason = outcome.why_no_resistance()
+    return BagResult(shown, (*warnings, *reader.warnings), f'{bag}: {reason}' if reason else '')
 
 
 def unweighed(reader: BagReader, train_file: TrainFile) -> list[str]:
@@ -202,21 +203,6 @@ def find_truth(bag: Path, given: Path | None) -> Truth | None:
         return load_truth(given)
     beside = (bag if bag.is_dir() else bag.parent) / TRUTH_FILE
     return load_truth(beside) if beside.is_file() else None
-
-
-def no_answer(bag: Path, outcome: Replay) -> str:
-    """Return why nothing was learned of the resistance, with the most frequent reason of rejection; '' if it was."""
-    result = outcome.resistance
-    estimate = result.output.estimate
-    if result.output.used and estimate.speed_max > 0.0:
-        return ''
-    text = f'{bag}: nothing was learned of the resistance: {result.samples} samples, {result.output.used} used'
-    if outcome.contradiction.finding:
-        return f'{text}; {outcome.contradiction.text}'
-    if result.rejections:
-        reason, count = result.rejections[0]
-        text += f', most often rejected: {reason.name} ({count} times), last: {result.output.last_rejection}'
-    return text
 
 
 def to_json(outcome: Replay, setups: Sequence[Setup], wall_s: float, drives: Drives = NO_DRIVES) -> dict[str, Any]:

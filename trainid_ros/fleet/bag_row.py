@@ -128,9 +128,8 @@ def _resistance(outcome: Replay) -> Row:
     row |= {reason_column(reason): count for reason, count in result.rejections}
     outputs = max(1, sum(result.statuses))
     row |= {share_column(status): result.statuses[status] / outputs for status in Status}
-    if not (result.output.used and w.speed_max > 0.0):
-        return row | {'error': f'nothing was learned of the resistance: {result.samples} samples, none used'}
-    return row | _davis(w)
+    reason = outcome.why_no_resistance()
+    return row | ({'error': reason} if reason else _davis(w))
 
 
 def _davis(w: ResistanceEstimate) -> Row:

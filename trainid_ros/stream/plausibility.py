@@ -357,7 +357,7 @@ class PlausibilityMonitor:
     def _check_gradient(self, sample: Sample) -> None:
         """Compare the gradient with that of the line, where both are known."""
         line, here, driven = self._line, sample.position, self.state.driven
-        if line is None or not is_finite(here) or not is_finite(sample.gradient):
+        if line is None or not line.first <= here <= line.last or not is_finite(sample.gradient):
             return
         if self.state.gradient_spikes.peak > 0.0 or not self.state.distance.has_position:
             return

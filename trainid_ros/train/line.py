@@ -23,7 +23,15 @@ SAME_STOP_M = 5.0
 
 
 class LineProfile:
-    """Gradient, curve, tunnel and speed limit under a train; fast for single positions."""
+    """Gradient, curve, tunnel and speed limit under a train; fast for single positions.
+
+    Attributes:
+        line: Line of the train file.
+        length: Length of the train [m].
+        first: Where the line begins [m]: the lower one of first stop and first gradient, less the length of the train.
+        last: Where it ends [m]. A line without stops has no ends.
+
+    """
 
     def __init__(self, line: Line, train_length: float) -> None:
         """Prepare the line for a train.
@@ -45,6 +53,8 @@ class LineProfile:
         self._curvature = _Steps(tuple((x, 1.0 / r if r > 0.0 else 0.0) for x, r in line.curve))
         edges = tuple((x, inside) for start, end in line.tunnel for x, inside in ((start, 1.0), (end, 0.0)))
         self._tunnel = _Steps(((edges[0][0] - 1.0, 0.0), *_merge(edges)) if edges else ())
+        ends = (*line.stops, *(x for x, _ in line.gradient)) if line.stops else (-math.inf, math.inf)
+        self.first, self.last = min(ends) - train_length, max(ends) + train_length
         self._limit_from = [x for x, _ in line.speed_limit]
         self._limit = [v for _, v in line.speed_limit]
 
