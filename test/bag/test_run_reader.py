@@ -109,6 +109,19 @@ def test_inputs_that_contradict_each_other_are_said_but_not_rejected(
         assert text in line
 
 
+@pytest.mark.parametrize(('stated', 'named'), [(0.6, False), (3.0, True)])
+def test_a_brake_that_acts_sooner_than_stated_is_a_warning(tmp_path: Path, stated: float, named: bool) -> None:
+    true = replace(TRAIN, brake=replace(TRAIN.brake, delay=0.6))
+    with BagWriter(tmp_path / 'drive') as writer:
+        for record in simulate(Scenario(true, runs=3), np.random.default_rng(11)).records:
+            writer.write_record(record)
+    warnings: list[str] = []
+    read_runs([tmp_path / 'drive'], replace(true, brake=replace(true.brake, delay=stated)), warn=warnings.append)
+    sooner = [line for line in warnings if 'sooner than brake.delay of the train file says' in line]
+    assert bool(sooner) is named
+    assert all(line.startswith(f'{tmp_path / "drive"}: the brake acts ') for line in sooner)
+
+
 def test_the_bag_whose_process_is_killed_is_named(bags: list[Path], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(run_reader, 'map_bags', lambda _work, items, _workers, _advance, killed: killed(items[1]))
     with pytest.raises(InputError, match=rf'^{bags[1]}: the process that worked on it was killed'):

@@ -163,5 +163,7 @@ def _read(
     if contradictory > _CONTRADICTORY * samples:
         share = contradictory / samples
         warnings.append(f'{path}: inputs contradict each other for {share:.0%} of the time: {monitor.last_finding}')
+    if timing := monitor.brake_delay.warning:  # no effect makes a brake act sooner
+        warnings.append(f'{path}: {timing}')
     collector.end_run()
     return _Reading(tuple(collector.runs), collector.origin_ns, tuple(warnings))
