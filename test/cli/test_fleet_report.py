@@ -122,4 +122,4 @@ def test_a_table_that_is_not_there_is_an_error(name: str, tmp_path: Path, capsys
 def test_a_table_without_trains_is_no_answer(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     write_table([row | {'train': None} for row in fleet_rows(1, 3, 3)], tmp_path / 't.csv', {})
     assert main(['fleet', 'report', str(tmp_path / 't.csv')]) == 1
-    assert 'too few runs with train, day and estimate' in capsys.readouterr().err
+    assert 'too few days of trains to compare: ' in capsys.readouterr().err

@@ -124,6 +124,22 @@ def test_a_unit_that_is_not_the_one_in_the_file_is_a_warning(
     assert line == f"trainid: warning: {path}: column 'v': the file says km/h, the mapping m/s"
 
 
+def test_a_notch_that_is_not_in_the_table_is_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    log = tmp_path / 'log.csv'
+    rows = [f'{0.2 * k:.1f},{10.0},{0.0},{k // 10}' for k in range(40)]
+    log.write_text('\n'.join(('t,v,F,notch', *rows)), encoding='utf-8')
+    (tmp_path / 'map.yaml').write_text(
+        'time: {field: t}\nspeed: {field: v}\nforce: {field: F}\ngradient: {value: 0.0}\n'
+        'brake_command: {field: notch, table: {0: 0.0, 2: -0.5}}\n',
+        encoding='utf-8',
+    )
+    assert main(['import', str(log), str(tmp_path / 'bag'), '--map', str(tmp_path / 'map.yaml')]) == 0
+    out, err = capsys.readouterr()
+    assert f"{log}: column 'notch': 1 is not in table of the mapping (10 rows)" in err
+    assert f"{log}: column 'notch': 3 is not in table of the mapping (10 rows)" in err
+    assert 'rows without a value: brake_command 20' in out
+
+
 def test_nothing_is_written_over(
     tmp_path: Path, driven: list[tuple[Record, ...]], capsys: pytest.CaptureFixture[str]
 ) -> None:

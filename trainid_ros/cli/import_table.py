@@ -7,7 +7,7 @@ from collections import Counter
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Final
 
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.cli.output import print_json, progress, show, warn
@@ -17,12 +17,15 @@ from trainid_ros.mapping.mapping_file import load_table_mapping
 from trainid_ros.plural import pluralise
 from trainid_ros.records import INPUT_TOPICS, NS_PER_S, REQUIRED_TOPICS
 from trainid_ros.tables.table_records import TableRecords
+from trainid_ros.train.fields import shown
 from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:
     import argparse
     from collections.abc import Iterator
 
+# Numbers that are not in the table of a column and are named.
+_MOST_NAMED: Final = 5
 _TOPIC_OF = {topic.record: topic.name for topic in INPUT_TOPICS}
 
 
@@ -68,6 +71,10 @@ def _new_bag(path: Path) -> Iterator[BagWriter]:
 def _print_result(args: argparse.Namespace, table: TableRecords, counts: Counter[str], duration_s: float) -> None:
     for line in table.warnings:
         warn(line)
+    for (name, number), count in table.unlisted.most_common(_MOST_NAMED):
+        warn(
+            f'{args.file}: column {shown(name)}: {number:g} is not in table of the mapping ({pluralise(count, "row")})'
+        )
     if table.steps_back:
         warn(f'{args.file}: {pluralise(table.steps_back, "row")} earlier than one before')
     if table.repeated:

@@ -157,9 +157,10 @@ def analyse(rows: Sequence[Row], limit: float) -> FleetView:
     cells = [(channel, cells_of(rows, channel, labels)) for channel in CHANNELS]
     cells = [(channel, found) for channel, found in cells if found.value.size >= _LEAST_CELLS]
     if not cells:
+        usable = sum(has_estimate(row) and not row['contradiction'] for row in rows)
         msg = (
-            f'too few runs with train, day and estimate ({len(rows)} rows): see the columns train, day, error and '
-            'contradiction'
+            f'too few days of trains to compare: {len(rows)} rows, {usable} with train, day and estimate and without '
+            f'contradiction; {_LEAST_CELLS} days, those of all trains together, are the least'
         )
         raise NoAnswerError(msg)
     views, series, changes = _fit_and_test(labels, cells, limit)

@@ -82,6 +82,7 @@ class TableRecords:
         steps_back: Number of rows that are earlier than one before.
         repeated: Number of speeds at the time of the one before.
         warnings: Where the file states another unit than the mapping.
+        unlisted: Number of cells by column and number, where that is not in ``table`` of the mapping.
 
     """
 
@@ -99,6 +100,7 @@ class TableRecords:
         self.rows = self.steps_back = 0
         self.blank: Counter[str] = Counter()
         self.warnings: tuple[str, ...] = ()
+        self.unlisted: Counter[tuple[str, float]] = Counter()
         self.repeated = 0
         self._path, self._inputs, self._mapping = path, inputs, inputs.mapping
         self._table = open_table(path, inputs.mapping)
@@ -221,8 +223,12 @@ class TableRecords:
             return
         is_held = self._mapping.on_change and quantity == 'brake_command'
         for index, (source, column) in enumerate(zip(signal.sources, raw, strict=True)):
-            values = [source.value(number) for number in (self._hold(column) if is_held else column).tolist()]
-            yield _Feed(quantity, index, np.array(values, dtype=np.float64))
+            cells = self._hold(column) if is_held else column
+            values = np.array([source.value(number) for number in cells.tolist()], dtype=np.float64)
+            if source.table:
+                left_out = column[np.isfinite(column) & np.isnan(values)]
+                self.unlisted.update((str(source.path[0]), number) for number in left_out.tolist())
+            yield _Feed(quantity, index, values)
 
     def _hold(self, column: NDArray[np.float64]) -> NDArray[np.float64]:
         """Return a column in which each blank cell repeats the number before it."""
