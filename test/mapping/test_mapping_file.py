@@ -101,6 +101,13 @@ def test_what_a_table_needs_is_named(tmp_path: Path, text: str, missing: str) ->
         load_table_mapping(path)
 
 
+def test_a_misspelt_column_is_named_rather_than_the_one_that_is_missing(tmp_path: Path) -> None:
+    path = tmp_path / 'map.yaml'
+    path.write_text('time: {field: t}\nsped: {field: v}', encoding='utf-8')
+    with pytest.raises(InputError, match=r'map\.yaml: sped is not a known field'):
+        load_table_mapping(path)
+
+
 def test_a_function_is_named_with_what_it_gets(tmp_path: Path) -> None:
     (tmp_path / 'code.py').write_text('def force(x, y): return x + y', encoding='utf-8')
     text = """

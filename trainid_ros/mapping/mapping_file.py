@@ -66,8 +66,9 @@ def load_mapping(path: str | Path) -> Mapping:
 def load_table_mapping(path: str | Path) -> Mapping:
     """Read a mapping file of a table; raises as :func:`load_mapping`."""
     text = read_text(path)
+    top = _top(text, str(path))
     for name in (_TIME, 'speed'):  # first, as without a time the fields are those of messages
-        if name not in parse_yaml(text, str(path)).data:
+        if name not in top.data:
             msg = f'{path}: {name} is missing: a table needs a column for it, such as {name}: {{field: {name}}}'
             raise InputError(msg)
     return parse_mapping(text, str(path))
@@ -75,7 +76,7 @@ def load_table_mapping(path: str | Path) -> Mapping:
 
 def parse_mapping(text: str, source: str) -> Mapping:
     """Return the mapping in a YAML text; ``source`` is named in errors, as in :func:`load_mapping`."""
-    top = parse_yaml(text, source).only((*QUANTITIES, _TIME, _CSV))
+    top = _top(text, source)
     brake = top.section('brake_command')
     return Mapping(
         speed=_signal(top, 'speed'),
@@ -88,6 +89,10 @@ def parse_mapping(text: str, source: str) -> Mapping:
         time=_time(top),
         csv=_csv(top.section(_CSV)),
     )
+
+
+def _top(text: str, source: str) -> Section:
+    return parse_yaml(text, source).only((*QUANTITIES, _TIME, _CSV))
 
 
 def _position(top: Section) -> Signal | SpeedIntegral | None:
