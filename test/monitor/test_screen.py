@@ -98,6 +98,13 @@ def test_terminals_without_unicode_get_ascii(driven: Driven) -> None:
     assert '0.910 +- 0.050' in '\n'.join(drawn(driven(), 90, 50, file=plain))
 
 
+@pytest.mark.parametrize('width', [1, 5, 10, 20, 40])
+def test_terminals_without_unicode_get_ascii_however_narrow(driven: Driven, width: int) -> None:
+    for trains in (driven(), driven('/train_1', '/depot/north/train_2')):
+        plain = io.TextIOWrapper(io.BytesIO(), encoding='ascii')
+        assert '\n'.join(drawn(trains, width, 24, file=plain)).isascii()
+
+
 def test_nothing_yet_is_said() -> None:
     assert drawn(Trains(), 80, 24) == ['Nothing is published yet.']
 

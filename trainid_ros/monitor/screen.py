@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final
+from typing import TYPE_CHECKING, Final, Literal
 
 from rich.console import Group
 from rich.table import Table
@@ -29,7 +29,7 @@ from trainid_ros.results import Status
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
-    from rich.console import Console, ConsoleOptions, RenderableType, RenderResult
+    from rich.console import Console, ConsoleOptions, JustifyMethod, RenderableType, RenderResult
 
 _SPAN_S: Final = 120.0
 """Time that the charts cover [s]."""
@@ -79,11 +79,16 @@ class _Size:
     def is_narrow(self) -> bool:
         return self.width < _NARROW
 
+    @property
+    def overflow(self) -> Literal['crop', 'ellipsis']:
+        """How a text too long for its line ends."""
+        return 'crop' if self.ascii_only else 'ellipsis'
+
     def text(self, content: str, style: str = '') -> Text:
         """Return text that this terminal can show, cut to its line."""
         shown = printable(content)
         text = in_ascii(shown) if self.ascii_only else shown
-        return Text(text, style, no_wrap=True, overflow='crop' if self.ascii_only else 'ellipsis')
+        return Text(text, style, no_wrap=True, overflow=self.overflow)
 
 
 def _train(view: TrainView, size: _Size, console: Console) -> RenderableType:
@@ -106,10 +111,11 @@ def _head(view: TrainView, size: _Size) -> Text:
 def _inputs(inputs: Iterable[InputView], size: _Size) -> Table:
     table = Table(box=None, pad_edge=False, expand=not size.is_narrow, header_style='dim')
     for name in ('input', 'rate', 'age'):
-        table.add_column(name, justify='left' if name == 'input' else 'right', no_wrap=True)
+        justify: JustifyMethod = 'left' if name == 'input' else 'right'
+        table.add_column(name, justify=justify, no_wrap=True, overflow=size.overflow)
     if not size.is_narrow:
-        table.add_column('value', no_wrap=True, ratio=1)
-        table.add_column('publisher', no_wrap=True, ratio=1)
+        for name in ('value', 'publisher'):
+            table.add_column(name, no_wrap=True, overflow=size.overflow, ratio=1)
     for item in inputs:
         style = _input_style(item)
         cells = [size.text(item.name, style), size.text(_rate(item), style), size.text(_age(item), style)]
@@ -189,7 +195,7 @@ def _overview(views: Sequence[TrainView], size: _Size) -> Group:
     """Return one line for each train, and its worst finding."""
     table = Table(box=None, pad_edge=False, header_style='dim')
     for name in ('train', 'speed', *(item.name for item in views[0].estimates)):
-        table.add_column(name, no_wrap=True, overflow='ellipsis')
+        table.add_column(name, no_wrap=True, overflow=size.overflow)
     findings: list[Text] = []
     for view in views:
         cells = [size.text(view.namespace, 'bold'), size.text(f'{number(view.speed_kmh, 1)} km/h')]
