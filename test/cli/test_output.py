@@ -2,6 +2,7 @@
 from __future__ import annotations
 
 import dataclasses
+import io
 import json
 import math
 from dataclasses import dataclass
@@ -14,6 +15,7 @@ import pytest
 from trainid_ros.cli.output import (
     check_distinct,
     check_output,
+    in_ascii,
     print_json,
     progress,
     report_error,
@@ -151,3 +153,21 @@ def test_an_output_replaces_nothing_but_an_earlier_one(tmp_path: Path) -> None:
     ):
         with pytest.raises(InputError, match=f'{path}: {reason}'):
             check_output(path, inputs, HTML_START)
+
+
+def test_what_a_terminal_without_unicode_lacks_is_written_in_ascii(monkeypatch: pytest.MonkeyPatch) -> None:
+    assert in_ascii('– 1.0 ± 0.1 m/s² ‰ ä') == '- 1.0 +- 0.1 m/s^2 permille ?'
+    for encoding, text, written in (
+        ('ascii', '1.0 ± 0.1', '1.0 +- 0.1'),
+        ('latin-1', '1.0 ± 0.1', '1.0 ± 0.1'),
+        ('latin-1', '‰ ± é', 'permille +- ?'),
+        ('utf-8', '‰ ± é', '‰ ± é'),
+    ):
+        stream = io.TextIOWrapper(io.BytesIO(), encoding=encoding)
+        monkeypatch.setattr('sys.stdout', stream)
+        show(text)
+        print_json({'text': text})
+        stream.flush()
+        first, second = stream.buffer.getvalue().decode(encoding).splitlines()
+        assert first == written
+        assert json.loads(second) == {'text': text}

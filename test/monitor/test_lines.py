@@ -8,7 +8,7 @@ from collections.abc import Callable
 from test.monitor.conftest import START_NS
 from trainid_ros.monitor.lines import Lines
 from trainid_ros.monitor.trains import Report, Trains
-from trainid_ros.monitor.view import Level, in_ascii
+from trainid_ros.monitor.view import Level
 from trainid_ros.records import NS_PER_S
 
 NOW = (9.9, START_NS + round(9.9 * NS_PER_S))
@@ -33,10 +33,6 @@ def test_findings_are_printed_when_they_come_and_go(driven: Callable[..., Trains
     trains.on_diagnostics('resistance_estimator: input ato/force', Report(Level.OK, '5.0 Hz', {}, 9.85))
     printed.append(lines.of(trains.views(*NOW), '')[1:])
     assert printed == [['/ STALE ato/force: no message'], [], ['/ no more STALE ato/force']]
-
-
-def test_lines_can_be_ascii() -> None:
-    assert in_ascii('– 1.0 ± 0.1 m/s² ‰ ä') == '- 1.0 +- 0.1 m/s^2 permille ?'
 
 
 def test_the_notice_is_printed_once() -> None:

@@ -11,10 +11,9 @@ from typing import TYPE_CHECKING, Final
 from rich.console import Console
 from rich.live import Live
 
-from trainid_ros.cli.output import EXIT_NO_ANSWER
+from trainid_ros.cli.output import EXIT_NO_ANSWER, show
 from trainid_ros.monitor.lines import Lines
 from trainid_ros.monitor.screen import Screen
-from trainid_ros.monitor.view import in_ascii
 
 if TYPE_CHECKING:
     import argparse
@@ -42,21 +41,21 @@ def run(args: argparse.Namespace) -> int:
     draws = console.is_terminal and not console.is_dumb_terminal and not os.environ.get('NO_COLOR')
     if not draws:
         lines = Lines()
-        show = _Display(_LINES_S, args.duration, lambda: _print(lines, node))
-        spin_nodes([node], until=show.is_done)
+        display = _Display(_LINES_S, args.duration, lambda: _print(lines, node))
+        spin_nodes([node], until=display.is_done)
     else:
         with Live(console=console, screen=True, auto_refresh=False) as live:
-            show = _Display(
+            display = _Display(
                 _SCREEN_S, args.duration, lambda: live.update(Screen(node.views(), node.notice), refresh=True)
             )
-            spin_nodes([node], until=show.is_done)
-    return EXIT_NO_ANSWER if show.is_over and not node.trains.by_namespace else 0
+            spin_nodes([node], until=display.is_done)
+    return EXIT_NO_ANSWER if display.is_over and not node.trains.by_namespace else 0
 
 
 def _print(lines: Lines, node: TrainMonitor) -> None:
-    has_unicode = sys.stdout.encoding.lower().startswith('utf')
     for line in lines.of(node.views(), node.notice):
-        print(line if has_unicode else in_ascii(line), flush=True)
+        show(line)
+    sys.stdout.flush()
 
 
 class _Display:

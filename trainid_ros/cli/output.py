@@ -25,19 +25,43 @@ if TYPE_CHECKING:
 
 
 _OUTPUT_FIELDS: Final = ('stamp_ns', 'estimate', 'status', 'used', 'rejected', 'last_rejection')
+_PLAIN: Final = str.maketrans({'±': '+-', '²': '^2', '‰': 'permille', '–': '-', '…': '...'})
 EXIT_NO_ANSWER: Final = 1
 EXIT_BAD_INPUT: Final = 2
 
 
 def print_json(value: Any) -> None:
     """Print one JSON object on standard output; see :func:`to_plain` for the permitted types."""
-    text = json.dumps(to_plain(value), allow_nan=False, ensure_ascii=False)
+    plain = to_plain(value)
+    text = json.dumps(plain, allow_nan=False, ensure_ascii=False)
+    if not _is_shown(text):
+        text = json.dumps(plain, allow_nan=False)
     print(''.join(char if char.isprintable() else json.dumps(char)[1:-1] for char in text))
 
 
 def show(text: str) -> None:
     """Print text on standard output; what would control the terminal, such as a name in a bag may, is escaped."""
-    print(printable(text))
+    print(for_output(text))
+
+
+def for_output(text: str) -> str:
+    """Return printable text, in ASCII where the encoding of standard output lacks one of its characters."""
+    shown = printable(text)
+    return shown if _is_shown(shown) else in_ascii(shown)
+
+
+def _is_shown(text: str) -> bool:
+    """Return whether standard output has all characters of a text."""
+    try:
+        text.encode(sys.stdout.encoding or 'utf-8')
+    except UnicodeEncodeError:
+        return False
+    return True
+
+
+def in_ascii(text: str) -> str:
+    """Return text for terminals without Unicode."""
+    return text.translate(_PLAIN).encode('ascii', 'replace').decode()
 
 
 def printable(text: str) -> str:

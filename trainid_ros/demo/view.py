@@ -14,7 +14,7 @@ from rich.progress_bar import ProgressBar
 from rich.table import Table
 from rich.text import Text
 
-from trainid_ros.cli.output import printable
+from trainid_ros.cli.output import for_output
 from trainid_ros.results import BrakeRateEstimate, Reason, ResistanceEstimate, SpeedModelEstimate, Status
 from trainid_ros.train.davis import davis
 
@@ -112,7 +112,7 @@ class View:
 
     def say(self, text: str) -> None:
         """Print a line above the table."""
-        self._console.print(printable(text), highlight=False, markup=False, soft_wrap=True)
+        self._console.print(for_output(text), highlight=False, markup=False, soft_wrap=True)
 
     def show(self, snapshot: Snapshot) -> None:
         """Show a snapshot if the next one is due."""

@@ -10,7 +10,7 @@ from rich.console import Group
 from rich.table import Table
 from rich.text import Text
 
-from trainid_ros.cli.output import printable
+from trainid_ros.cli.output import in_ascii, printable
 from trainid_ros.monitor.chart import ASCII, UNICODE, chart
 from trainid_ros.monitor.view import (
     EstimateView,
@@ -18,7 +18,6 @@ from trainid_ros.monitor.view import (
     Level,
     TrainView,
     duration,
-    in_ascii,
     number,
     rejections,
     state_of,

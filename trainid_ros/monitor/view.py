@@ -14,7 +14,6 @@ if TYPE_CHECKING:
 
 # Numbers from here on are written with a power of ten.
 _LONG: Final = 1e9
-_PLAIN: Final = str.maketrans({'±': '+-', '²': '^2', '‰': 'permille', '–': '-', '…': '...'})
 
 
 class Level(IntEnum):
@@ -146,11 +145,6 @@ def number(value: float, digits: int = 3) -> str:
     if not math.isfinite(value):
         return '–'
     return f'{value:.{digits}f}' if abs(value) < _LONG else f'{value:.{digits}e}'
-
-
-def in_ascii(text: str) -> str:
-    """Return text for terminals without Unicode."""
-    return text.translate(_PLAIN).encode('ascii', 'replace').decode()
 
 
 def with_band(estimate: EstimateView) -> str:
