@@ -5,6 +5,7 @@ from __future__ import annotations
 
 import json
 import math
+import signal
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -50,6 +51,9 @@ DRAG = FoundEffect(
 )
 TWIN = Alternative('gradient_error', 'run <both> ways')
 NAN = (math.nan, math.nan)
+
+# A shell ignores SIGINT in what it starts in the background, and so would the programs that tests stop by it.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 def trace(direction: int) -> RunTrace:

@@ -99,8 +99,9 @@ def run_plan(
     try:
         with Journal(files.rows) as journal, closing(rows(plan, [bag for _, bag in left], advance)) as found:
             for number, row in found:
-                journal.add(left[number][0], row)
-                done[left[number][0]] = row
+                key, _ = left[number]
+                done[key] = row  # first: what is in the file of the rows is in the table, wherever a signal ends this
+                journal.add(key, row)
     finally:
         table = [done[key] for key in keys if key in done]
         write_table(table, files.table, plan.to_json() | {'bags': len(plan.bags)})
