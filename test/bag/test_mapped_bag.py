@@ -14,7 +14,8 @@ from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from benchmarks.foreign_bag import FLOAT, TWIST, ForeignBag
-from trainid_ros.bag.reader import BagReader, missing_topics
+from trainid_ros.bag.reader import BagReader
+from trainid_ros.bag.required_topics import missing_topics
 from trainid_ros.cli.main import main
 from trainid_ros.errors import InputError
 from trainid_ros.mapping.mapped_inputs import MappedInputs

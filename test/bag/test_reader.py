@@ -10,7 +10,8 @@ from mcap.writer import Writer as McapWriter
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import get_types_from_msg
 
-from trainid_ros.bag.reader import BagReader, LoggedRecord, in_two, require_topics
+from trainid_ros.bag.reader import BagReader, LoggedRecord
+from trainid_ros.bag.required_topics import require_topics
 from trainid_ros.bag.types import full_type, message_from_record, typestore
 from trainid_ros.bag.writer import BagWriter
 from trainid_ros.errors import InputError
@@ -114,13 +115,6 @@ def test_a_namespace_does_not_include_the_topics_of_the_root(tmp_path: Path) -> 
         assert list(reader.records()) == [root]
 
 
-def test_missing_topics_are_named_with_those_found(tmp_path: Path) -> None:
-    path = write(tmp_path / 'bag', [('ato/force', STAMP, ForceRecord(STAMP, 1.0))])
-    expected = r'bag: no messages on ato/speed, ato/gradient, ato/brake_command \(found: ato/force\)'
-    with BagReader(path) as reader, pytest.raises(InputError, match=expected):
-        require_topics(reader)
-
-
 def test_wrong_type_on_a_topic_is_named(tmp_path: Path) -> None:
     path = write(tmp_path / 'bag', [('ato/speed', STAMP, ForceRecord(STAMP, 1.0))])
     expected = r'bag\.mcap: topic ato/speed: type trainid_msgs/msg/AtoSpeed expected, trainid_msgs/msg/AtoForce'
@@ -196,14 +190,3 @@ def test_progress_is_reported_while_a_file_without_an_index_is_opened(tmp_path: 
     assert len(shares) >= 7
     assert 0.8 < math.fsum(shares) <= 1.0
     assert max(shares) < 0.3
-
-
-@pytest.mark.parametrize('scanned', [0.0, 0.9, 1.0])
-def test_opening_counts_as_far_as_a_bag_is_scanned(scanned: float) -> None:
-    shares = list[float]()
-    opening, reading = in_two(shares.append, 0.3)
-    opening(scanned)
-    reading(0.5)
-    assert shares == pytest.approx([0.3 * scanned, 0.5 * (1.0 - 0.3 * scanned)])
-    reading(0.5)
-    assert math.fsum(shares) == pytest.approx(1.0)

@@ -11,8 +11,10 @@ import numpy as np
 
 from trainid_ros.bag.chunk import MAX_CHUNK
 from trainid_ros.bag.input_check import Findings, check_inputs
-from trainid_ros.bag.reader import BagReader, in_two, missing_topics
+from trainid_ros.bag.opening_progress import in_two
+from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.record_table import EMPTY, joined
+from trainid_ros.bag.required_topics import in_namespaces, missing_topics
 from trainid_ros.records import (
     BRAKE_TOPIC,
     FORCE_TOPIC,
@@ -51,7 +53,6 @@ _DISTANCE_ERROR: Final = 0.05
 _CORRECTION_M: Final = 100.0
 _KMH: Final = 3.6
 _SLOWEST_S: Final = AlignmentConfig().max_interval
-NAMESPACE: Final = 'use --namespace'
 _REQUIRED: Final = tuple(topic.name for topic in REQUIRED_TOPICS)
 
 
@@ -330,10 +331,8 @@ def _share(columns: dict[str, _Column], topic: str, name: str) -> float:
 
 def _problems(topics: tuple[TopicInfo, ...], missing: tuple[str, ...], moving: float) -> list[str]:
     if missing:
-        elsewhere = [topic.name.strip('/') for topic in topics if topic.count and topic.name.endswith(_REQUIRED)]
-        other = {name.rpartition('ato/')[0].strip('/') for name in elsewhere} - {''}
-        hint = f' (they are in /{", /".join(sorted(other))}; {NAMESPACE})' if other else ''
-        return [f'no messages on {", ".join(missing)}{hint}']
+        where = in_namespaces(topic.name for topic in topics if topic.count)
+        return [f'no messages on {", ".join(missing)}{f" ({where})" if where else ""}']
     required = {topic.name: topic for topic in topics if topic.name in _REQUIRED}
     problems = [f'{name}: no message can be used' for name, topic in required.items() if not _has_usable(topic)]
     spans = [topic.stamps for topic in required.values() if topic.stamps is not None and _has_usable(topic)]

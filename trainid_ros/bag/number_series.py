@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 
-from trainid_ros.bag.reader import BagReader, in_two
+from trainid_ros.bag.opening_progress import in_two
+from trainid_ros.bag.reader import BagReader
 from trainid_ros.bag.types import full_type
 from trainid_ros.errors import InputError
 from trainid_ros.mapping.mapping import Mapping, Signal, Source

@@ -22,10 +22,10 @@ from trainid_ros.errors import InputError
 from trainid_ros.mapping.mapping import OWN
 from trainid_ros.messages import record_from_message
 from trainid_ros.plural import pluralise
-from trainid_ros.records import INPUT_TOPICS, REQUIRED_TOPICS, InputTopic, record_of
+from trainid_ros.records import INPUT_TOPICS, InputTopic, record_of
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
+    from collections.abc import Callable, Collection, Iterator, Sequence
     from types import TracebackType
 
     from trainid_ros.bag.bag_files import BagFile, Span
@@ -44,8 +44,6 @@ _MAX_LOG_NS: Final = 2**64 - 1
 PROGRESS_EVERY: Final = 500
 """Records from one report of progress to the next."""
 _ROWS_AT_ONCE: Final = 5000
-OPENING: Final = 0.3
-"""Share of the work on a bag without an index that opening it is [1]: all of it is read and unpacked then."""
 
 
 class LoggedRecord(NamedTuple):
@@ -394,34 +392,3 @@ class BagReader:
     def _wanted(self, index: int, topics: Collection[str] | None) -> dict[int, ChannelSource]:
         sources = self._sources[index].items()
         return {number: source for number, source in sources if topics is None or source.topic in topics}
-
-
-def require_topics(reader: BagReader, topics: Iterable[InputTopic] = REQUIRED_TOPICS) -> None:
-    """Raise InputError, naming them, if input topics have no messages in the bag."""
-    if not (missing := missing_topics(reader, topics)):
-        return
-    found = [topic.name for topic in reader.topics() if topic.count]
-    msg = f'{reader.path}: no messages on {", ".join(missing)} (found: {", ".join(found) or "nothing"})'
-    raise InputError(msg)
-
-
-def missing_topics(reader: BagReader, topics: Iterable[InputTopic] = REQUIRED_TOPICS) -> tuple[str, ...]:
-    """Return the names of those topics that have no messages in the bag."""
-    return tuple(name for topic in topics for name in reader.missing(topic))
-
-
-def in_two(
-    advance: Callable[[float], None], opening_share: float = OPENING
-) -> tuple[Callable[[float], None], Callable[[float], None]]:
-    """Return what reports the progress of opening a bag and of reading it, as shares of each, as that of the whole.
-
-    Opening counts only as far as the bag is scanned then, which one with an index is not.
-    """
-    opened = 0.0
-
-    def opening(share: float) -> None:
-        nonlocal opened
-        opened += opening_share * share
-        advance(opening_share * share)
-
-    return opening, lambda share: advance((1.0 - opened) * share)

@@ -7,7 +7,8 @@ import math
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING
 
-from trainid_ros.bag.bag_info import NAMESPACE, inspect
+from trainid_ros.bag.bag_info import inspect
+from trainid_ros.bag.required_topics import NAMESPACE
 from trainid_ros.cli.output import table, to_plain
 from trainid_ros.cli.per_bag import BagResult, run_per_bag
 from trainid_ros.errors import InputError

@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.bag.bag_replay import Pipelines, replay_through
 from trainid_ros.bag.input_check import brake_sign
-from trainid_ros.bag.reader import BagReader, in_two
+from trainid_ros.bag.opening_progress import in_two
+from trainid_ros.bag.reader import BagReader
 from trainid_ros.brake_rate.suggested_braking import suggested_braking
 from trainid_ros.cli.output import check_distinct, check_output, table, to_plain
 from trainid_ros.cli.per_bag import BagResult, run_per_bag

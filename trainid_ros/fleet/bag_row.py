@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trainid_ros.bag.bag_replay import Pipelines, Replay, replay_through
-from trainid_ros.bag.reader import in_two
+from trainid_ros.bag.opening_progress import in_two
 from trainid_ros.bag.worker_pool import killed_message
 from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
 from trainid_ros.errors import TrainIdError
