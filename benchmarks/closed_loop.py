@@ -52,12 +52,14 @@ class Outcome:
         drive: The drive.
         after: Errors of the first stops after each sudden change of the brake [m].
         unknown: For each bound, whether the brake has changed since the last stop, which nobody can know yet.
+        surprised: For each stop, whether the brake has changed while the train braked to it.
 
     """
 
     drive: Drive
     after: tuple[float, ...]
     unknown: tuple[bool, ...]
+    surprised: tuple[bool, ...]
 
 
 def measure(seeds: int) -> tuple[Table | Plot, ...]:
@@ -85,13 +87,20 @@ def run(trial: Trial) -> Outcome:
     for event_s in plan.events_s:
         later = [arrival.error for arrival in drive.arrivals if arrival.time_s > event_s]
         after += later[:_AFTER]
-    return Outcome(drive, tuple(after), tuple(_is_unknown(row.time_s, plan, drive) for row in drive.bounds))
+    unknown = tuple(_changes(plan, _last_stop(drive, row.time_s), row.time_s) for row in drive.bounds)
+    brakings = zip(drive.brakings_s, drive.arrivals, strict=True)
+    surprised = tuple(_changes(plan, begin_s, arrival.time_s) for begin_s, arrival in brakings)
+    return Outcome(drive, tuple(after), unknown, surprised)
 
 
-def _is_unknown(time_s: float, plan: DayPlan, drive: Drive) -> bool:
-    """Return whether the brake has changed between the stop before a time [s] and that time."""
-    stopped_s = max((arrival.time_s for arrival in drive.arrivals if arrival.time_s < time_s), default=0.0)
-    return any(stopped_s < event_s <= time_s for event_s in plan.events_s)
+def _last_stop(drive: Drive, time_s: float) -> float:
+    """Return the time of the last stop before a time [s]."""
+    return max((arrival.time_s for arrival in drive.arrivals if arrival.time_s < time_s), default=0.0)
+
+
+def _changes(plan: DayPlan, begin_s: float, end_s: float) -> bool:
+    """Return whether the brake changes at once between two times [s]."""
+    return any(begin_s < event_s <= end_s for event_s in plan.events_s)
 
 
 Chosen = dict[tuple[str, str], list[Outcome]]
@@ -112,6 +121,8 @@ def _stops(chosen: Chosen) -> Table:
         nominal, truth = (_p95(_errors(chosen[world, other])) for other in ('nominal', 'truth'))
         closed = (nominal - _p95(errors)) / (nominal - truth)
         after = np.array([error for outcome in outcomes for error in outcome.after])
+        good = np.abs(errors) <= WINDOW
+        usual = ~np.array([changed for outcome in outcomes for changed in outcome.surprised])
         rows.append(
             (
                 world,
@@ -120,16 +131,18 @@ def _stops(chosen: Chosen) -> Table:
                 f'{errors.mean():+.3f}',
                 f'{errors.std():.3f}',
                 f'{_p95(errors):.3f}',
-                f'{np.mean(np.abs(errors) <= WINDOW):.1%}',
+                f'{good.mean():.1%}',
+                f'{good[usual].mean():.1%} of {good[usual].size}',
                 f'{closed:.0%}',
                 f'{np.abs(after).mean():.3f}' if after.size else '-',
             )
         )
-    sizes = ('mean, m', 'sd, m', 'p95, m', 'within .30 m', 'gap closed', 'after a change, m')
+    sizes = ('mean, m', 'sd, m', 'p95, m', 'within .30 m', 'brake steady', 'gap closed', 'after a change, m')
     header = ('line', 'values', 'stops', *sizes)
     note = (
         'Nominal: values of the train file; fast: the same with four times the integral action; learning: with a bias '
-        'learned from the last stops. Errors of the stops, > 0 beyond them; p95 of their size. Gap closed: of the p95 '
+        'learned from the last stops. Errors of the stops, > 0 beyond them; p95 of their size. Brake steady: within '
+        '.30 m, of the stops during whose braking no rain began and no brake unit was isolated. Gap closed: of the p95 '
         f'between nominal and truth. After a change: mean size of the first {_AFTER} errors after rain begins or a '
         'brake unit is isolated.'
     )

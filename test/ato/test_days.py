@@ -44,6 +44,9 @@ def test_a_drive_is_scored() -> None:
     # Under traction the controller stays below the curves by up to its margin of 0.8 m/s.
     assert 0.05 < drive.tracking < 1.6
     assert drive.bounds == ()
+    begins, ends = drive.brakings_s, [arrival.time_s for arrival in drive.arrivals]
+    assert len(begins) == 4
+    assert all(5.0 < end - begin < 60.0 for begin, end in zip(begins, ends, strict=True))
 
 
 @pytest.mark.slow

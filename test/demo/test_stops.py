@@ -15,7 +15,8 @@ from trainid_ros.sim.driver import StopEvent
 
 def drive(*errors: float) -> Drive:
     arrivals = tuple(StopEvent(100.0 * k, 1000.0 * k, error) for k, error in enumerate(errors, 1))
-    return Drive(arrivals, 100.0 * len(errors), 12.0, 0.1, 1.0, 0.0, 0.5, ())
+    begins = tuple(arrival.time_s - 20.0 for arrival in arrivals)
+    return Drive(arrivals, begins, 100.0 * len(errors), 12.0, 0.1, 1.0, 0.0, 0.5, ())
 
 
 def test_stops_are_described_by_the_values_used() -> None:

@@ -82,6 +82,7 @@ class Drive:
 
     Attributes:
         arrivals: Its stops.
+        brakings_s: Times at which the brakings to them begin [s].
         duration_s: Duration without the dwell after the last stop [s].
         energy: Work of the traction [kWh].
         jerk: Root mean square of the jerk in motion [m/s^3].
@@ -94,6 +95,7 @@ class Drive:
     """
 
     arrivals: tuple[StopEvent, ...]
+    brakings_s: tuple[float, ...]
     duration_s: float
     energy: float
     jerk: float
@@ -233,16 +235,22 @@ class ScoredAto(Ato):
         self._bounds = BoundCheck(known.model, strongest) if isinstance(known, LiveValues) else None
         self._jerks: list[float] = []
         self._speed_errors: list[float] = []
+        self._brakings_s: list[float] = []
+        self._braking_s = 0.0
         self._work = self._overspeed = self._acceleration = 0.0
 
     def decide(self, time_s: float, train: Plant) -> Decision:
         """Return the demands until the next tick."""
         before, phase = len(self.arrivals), self.phase
         decision = super().decide(time_s, train)
-        if self._bounds is not None and phase is not Phase.STOP and self.phase is Phase.STOP:
-            self._bounds.check(time_s, train)
-        if self._learns and len(self.arrivals) > before:
-            self._bias.learn(self.arrivals[-1].error)
+        if phase is not Phase.STOP and self.phase is Phase.STOP:
+            self._braking_s = time_s
+            if self._bounds is not None:
+                self._bounds.check(time_s, train)
+        if len(self.arrivals) > before:
+            self._brakings_s.append(self._braking_s)
+            if self._learns:
+                self._bias.learn(self.arrivals[-1].error)
         if self.phase is not Phase.DWELL:
             self._score(train)
         self._acceleration = train.acceleration
@@ -261,6 +269,7 @@ class ScoredAto(Ato):
         jerks = np.abs(self._jerks)
         return Drive(
             arrivals=arrivals,
+            brakings_s=tuple(self._brakings_s),
             duration_s=arrivals[-1].time_s,
             energy=self._work / 3.6e6,
             jerk=float(np.sqrt(np.mean(jerks * jerks))),
