@@ -92,8 +92,11 @@ def score(case: Case, heard: Heard) -> Outcome:
 
 def _naming(case: Case, heard: Heard) -> tuple[float, str]:
     """Return when something named the fault [s], and what."""
-    told = [*_troubles(heard, heard.begin_ns, math.inf), *((at_ns, str(text)) for at_ns, text in heard.listener.events)]
-    for at_ns, text in sorted(told):
+    found = [
+        *_troubles(heard, heard.begin_ns, math.inf),
+        *((at_ns, str(text)) for at_ns, text in heard.listener.events),
+    ]
+    for at_ns, text in sorted(found):
         if at_ns >= heard.begin_ns and re.search(case.expected, text):
             return (at_ns - heard.begin_ns) / NS_PER_S, _brief(text)
     return math.inf, '-'

@@ -51,7 +51,7 @@ def test_a_status_that_is_not_fit_to_use_brings_the_train_file_back(status: Stat
     assert one.normal('rate') == FILE
 
 
-def test_a_valid_estimate_in_doubt_stands_with_the_uncertainty_of_the_train_file() -> None:
+def test_a_suspected_estimate_stands_with_the_uncertainty_of_the_train_file() -> None:
     one = channel(10.0)
     for k in range(1, 4):
         one.take(Status.CONVERGING, {'rate': Normal((0.3,), (1e-6,))}, 10.0 + 0.2 * k)
@@ -66,7 +66,7 @@ def test_a_valid_estimate_in_doubt_stands_with_the_uncertainty_of_the_train_file
     assert one.normal('rate') == FILE
 
 
-def test_a_doubt_on_the_way_to_a_live_value_does_not_hasten_it() -> None:
+def test_a_suspicion_on_the_way_to_a_live_value_does_not_hasten_it() -> None:
     one = channel(1.0)
     values, stds = [], []
     for k in range(1, 40):
@@ -82,10 +82,10 @@ def test_a_doubt_on_the_way_to_a_live_value_does_not_hasten_it() -> None:
     assert min(stds) >= 0.2
 
 
-@pytest.mark.parametrize('doubt_first', [False, True])
-def test_a_late_joiner_in_a_doubt_gets_the_last_valid_value_in_any_order_of_arrival(*, doubt_first: bool) -> None:
+@pytest.mark.parametrize('suspected_first', [False, True])
+def test_a_late_joiner_gets_the_last_valid_value_whatever_came_first(*, suspected_first: bool) -> None:
     one = channel()
-    if doubt_first:
+    if suspected_first:
         one.take(Status.CONVERGING, {'rate': Normal((0.3,), (1e-6,))}, 0.0)
         assert not one.is_live
     one.take_latched(Status.VALID, LIVE, 0.01)

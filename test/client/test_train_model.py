@@ -191,12 +191,12 @@ def test_a_replay_answers_as_its_last_estimate(replayed: tuple[Replay, TrainFile
     assert answer.live == (result.resistance.output.status in (Status.VALID, Status.HOLDING))
 
 
-def test_a_replay_that_ends_in_a_doubt_answers_by_the_train_file(replayed: tuple[Replay, TrainFile]) -> None:
+def test_a_replay_that_ends_converging_answers_by_the_train_file(replayed: tuple[Replay, TrainFile]) -> None:
     result, train_file = replayed
     last = result.resistance.output
     output = Output(last.stamp_ns, last.estimate, Status.CONVERGING, last.used, last.rejected, None)
-    doubted = replace(result.resistance, output=output)
-    answer = TrainModel.from_replay(replace(result, resistance=doubted), train_file).resistance(12.0)
+    suspected = replace(result.resistance, output=output)
+    answer = TrainModel.from_replay(replace(result, resistance=suspected), train_file).resistance(12.0)
     assert not answer.live
     assert answer == replace(TrainModel(None, train_file).resistance(12.0), reason=answer.reason)
     assert 'CONVERGING' in answer.reason

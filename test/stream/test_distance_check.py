@@ -114,7 +114,7 @@ def test_the_forces_tell_whether_speed_or_position_is_off(ratio: float, by_force
     for _ in range(round(900.0 / ratio) if ratio < 1.0 else 300):
         check.add(4.0, 4.0 / ratio, by_force)
     assert text in check.finding
-    # What the forces have told holds where they are too small to tell.
+    # What the forces have shown holds where they are too small to tell.
     for _ in range(60):
         check.add(4.0, 4.0 / ratio)
     assert text in check.finding

@@ -29,7 +29,7 @@ _WORDS: Final = {
     Status.STALE: 'STALE, inputs of the node are missing',
     Status.FAULT: 'FAULT, the node has failed',
 }
-DOUBTED: Final = 'CONVERGING, the last valid value as uncertain as that of the train file'
+SUSPECTED: Final = 'CONVERGING, the last valid value as uncertain as that of the train file'
 NOT_YET: Final = 'no estimate yet'
 GONE: Final = 'its node is gone'
 # A way to the live value that takes longer is said, until it takes less than FALL_BACK_S [s].
@@ -97,7 +97,7 @@ class Channel:
         self._heard_s, before, self._status = time_s, self._status, status
         if status is Status.CONVERGING and self.is_live:
             if before is not status:
-                self._doubt()
+                self._suspect()
         elif status not in USABLE:
             self._fall_back(_WORDS[status], time_s)
         elif problem := self._find_problem(values):
@@ -112,7 +112,7 @@ class Channel:
     def take_latched(self, status: Status, values: Mapping[str, Normal], time_s: float) -> bool:
         """Take in the last valid estimate, of which a copy is kept for those who join later; return if it counts.
 
-        It does where nothing else is known, and as the last valid one where a doubt was heard before it.
+        It does where nothing else is known, and as the last valid one where a CONVERGING one came before it.
         """
         is_heard = self.is_heard(time_s)
         if is_heard and (self.is_live or self._status is not Status.CONVERGING):
@@ -132,7 +132,7 @@ class Channel:
         if left_s > _LONG_WAY_S or self._now_s < self._moving_until_s:
             self._moving_until_s = self._now_s + left_s - FALL_BACK_S
 
-    def _doubt(self) -> None:
+    def _suspect(self) -> None:
         """Keep the last valid values, or the way to them, with the uncertainty of the train file."""
         for name, gradual in self._gradual.items():
             gradual.go_to(Normal(self._valid[name].mean, self._file[name].covariance), self._now_s)
@@ -164,6 +164,6 @@ class Channel:
         if not self.is_live:
             return f'train file: {self._problem}'
         if self._status is Status.CONVERGING:
-            return DOUBTED
+            return SUSPECTED
         moving = self._now_s < self._moving_until_s
         return f'{self._status.name}, moving to the live value' if moving else self._status.name

@@ -26,7 +26,7 @@ class EstimatePublisher:
     Args:
         node: The node, of whose lifecycle they are part.
         topic: What it estimates.
-        changes: Told of each status that was published.
+        changes: Called with each status that was published.
 
     Attributes:
         live: Publishes every estimate.
