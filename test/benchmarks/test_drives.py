@@ -18,6 +18,7 @@ def test_promises_are_kept_within_20_percent(algorithm: str, world: str) -> None
         assert np.median([trial.ratios[name] for trial in trials]) == pytest.approx(1.0, abs=0.2)
     assert all(trial.drive.least_known.now > trial.drive.least_known.then for trial in trials)
     assert summary(trials)[0] == str(len(trials))
+    assert all(len(trial.predicted) == (4 if algorithm == 'filter-bank' else 0) for trial in trials)
 
 
 @pytest.mark.parametrize('world', ['emu', 'high_speed'])

@@ -21,6 +21,7 @@ from trainid_ros.estimators.prior import prior_variances
 from trainid_ros.resistance.davis_posterior import drift_growth, resistance_estimate
 from trainid_ros.resistance.fitness import DrivenSpeeds, is_fit_at, is_fit_where_driven
 from trainid_ros.resistance.force_errors import CURVE_RADIUS, force_errors, is_delay_at_end, scale_step
+from trainid_ros.resistance.foreseen_bank import foreseen_mixtures, mean_covariance, usual_deviations
 from trainid_ros.resistance.hypotheses import PUBLISHED, Array, Bank, BankPlan, Mixture
 from trainid_ros.resistance.long_run_variance import Inflation
 from trainid_ros.resistance.planned_drive import STEP_S
@@ -39,7 +40,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
 
     from trainid_ros.resistance.hypotheses import Innovation
-    from trainid_ros.resistance.planned_drive import Run, Step
+    from trainid_ros.resistance.planned_drive import Run
     from trainid_ros.resistance.resistance_settings import FilterBankConfig
     from trainid_ros.results import ResistanceEstimate
     from trainid_ros.stream.samples import Sample
@@ -275,40 +276,29 @@ class FilterBank:
             (1.0 + now.mean[_SCALE], scale_std, now.mean[_DELAY], delay_std),
         )
 
-    def foreseen(self, run: Run, times: int) -> Iterator[ResistanceEstimate | None]:
+    def foreseen(self, run: Run, times: int, deviations: Array | None = None) -> Iterator[ResistanceEstimate | None]:
         """Yield the mean estimates after one, two, ... of a number of runs, each from a stop; None between short steps.
 
-        Covariances are means over two sequences of innovations as large as predicted, one the negative of the other:
-        how soon a step can be excluded that may just have happened depends on them.
-        """
-        deviations = np.random.default_rng(times).standard_normal((times, len(run.steps)))
-        mean = self._current().mean
-        ones: list[Mixture] = []
-        others: list[Mixture] = []
-        for sign, mixtures in ((1.0, ones), (-1.0, others)):
-            for mixture in self._mixtures(run, sign * deviations):
-                if mixture is not None:
-                    mixtures.append(mixture)
-                yield None
-        for k, (one, other) in enumerate(zip(ones, others, strict=True), 1):
-            both = vec[float]([0.5 * (x + y) for x, y in zip(one.covariance, other.covariance, strict=True)])
-            factor = self._inflation.foreseen(k * len(run.steps) * STEP_S)
-            now = self._inflated(Mixture(mean, both), factor)
-            yield self._estimate(now, run.steps[-1].speed)
+        Args:
+            run: The run.
+            times: Number of runs.
+            deviations: Innovations over their standard deviations, shape (n, times, steps): covariances are means over
+                the n sequences; by default those of :func:`usual_deviations`.
 
-    def _mixtures(self, run: Run, deviations: Array) -> Iterator[Mixture | None]:
-        """Yield what follows from runs with given innovations over their standard deviations, shape (runs, steps)."""
-        bank, variance = Bank(self.bank.plan), self._tachometer.variance * self._sampled_s / STEP_S
-        bank.restore(self.bank.state())
-        slowest = self.config.min_speed
-        for row in deviations.tolist():
-            bank.widen_force_scale(scale_step(self._train, weighed=self._weighed) ** 2)
-            bank.restart(slowest, variance)
-            for step, deviation in zip(run.steps, row, strict=True):
-                if step.speed >= slowest and not bank.foresee(_planned(step, variance), deviation, 0.5 * slowest):
-                    break
+        """
+        mean, slowest, found = self._current().mean, self.config.min_speed, list[list[Mixture]]()
+        speed_variance = self._tachometer.variance * self._sampled_s / STEP_S
+        variances = speed_variance, scale_step(self._train, weighed=self._weighed) ** 2
+        for sequence in usual_deviations(run, times) if deviations is None else deviations:
+            found.append([])
+            for mixture in foreseen_mixtures(self.bank, run, sequence, slowest, variances):
+                if mixture is not None:
+                    found[-1].append(mixture)
                 yield None
-            yield bank.mixture(bank.plan.young_weight)
+        for k, mixtures in enumerate(zip(*found, strict=True), 1):
+            factor = self._inflation.foreseen(k * len(run.steps) * STEP_S)
+            now = self._inflated(Mixture(mean, mean_covariance(mixtures)), factor)
+            yield self._estimate(now, run.steps[-1].speed)
 
     def save(self) -> str:
         """Return the state as JSON text."""
@@ -346,21 +336,6 @@ class FilterBank:
         self._innovation, self._innovation_variance = state.innovation, state.innovation_variance
         self._test_ratio, self._converged = state.test_ratio, state.converged
         self._published = None
-
-
-def _planned(step: Step, variance: float) -> Interval:
-    """Return a planned step as an interval; ``variance`` is that of the speed at its end [(m/s)^2]."""
-    T, change = step.traction, step.ramp * _SPACING_S
-    return Interval(
-        dt=STEP_S,
-        traction=(T - change, T, T + change, T + 2.0 * change),
-        track=0.0,
-        curve=0.0,
-        speed=step.speed,
-        speed_variance=variance,
-        spacing=_SPACING_S,
-        force_interval=_SPACING_S,
-    )
 
 
 def bank_plan(train_file: TrainFile, config: FilterBankConfig, inertia: float) -> BankPlan:

@@ -1,0 +1,69 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Covariances of a bank of hypotheses over planned runs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from trainid_ros.resistance.filter_bank import bank_plan
+from trainid_ros.resistance.foreseen_bank import foreseen_mixtures, mean_covariance, usual_deviations
+from trainid_ros.resistance.hypotheses import Bank, Mixture
+from trainid_ros.resistance.planned_drive import KM_H, Manoeuvre, Run, plan_run
+from trainid_ros.resistance.resistance_settings import FilterBankConfig
+from trainid_ros.results import ResistanceEstimate
+from trainid_ros.train.davis import specific_inertia
+from trainid_ros.train.train_file import Davis, Train, TrainFile
+
+FILE = TrainFile(Train(194e3, length=118.0, cars=6), Davis(1.0, 0.03, 0.003))
+NOW = ResistanceEstimate(1.0, 0.03, 0.003, (0.0,) * 9, *(0.0,) * 8, 0.0)
+VARIANCES = 1e-4, 1e-4
+
+
+def bank() -> Bank:
+    return Bank(bank_plan(FILE, FilterBankConfig(), specific_inertia(1.0, FILE.train.rotary_mass)))
+
+
+def run() -> Run:
+    planned = plan_run(Manoeuvre(60.0 * KM_H, 40.0 * KM_H), FILE, NOW)
+    assert planned is not None
+    return planned
+
+
+def after(deviations: np.ndarray) -> list[Mixture]:
+    return [item for item in foreseen_mixtures(bank(), run(), deviations, 2.0, VARIANCES) if item is not None]
+
+
+def test_each_run_makes_the_resistance_better_known() -> None:
+    first, second = after(np.zeros((2, len(run().steps))))
+    prior = bank().mixture().covariance
+    assert prior[0] > first.covariance[0] > second.covariance[0]
+    assert prior[9] > first.covariance[9] > second.covariance[9]
+
+
+def test_the_bank_itself_stays_as_it_is() -> None:
+    now = bank()
+    before = now.state()
+    steps = len(list(foreseen_mixtures(now, run(), np.zeros((1, len(run().steps))), 2.0, VARIANCES)))
+    assert steps == len(run().steps) + 1
+    assert np.array_equal(now.state().P, before.P)
+    assert np.array_equal(now.state().log_weight, before.log_weight)
+
+
+def test_an_innovation_far_beyond_its_standard_deviation_makes_a_step_likely() -> None:
+    usual, odd = np.zeros((1, len(run().steps))), np.zeros((1, len(run().steps)))
+    odd[0, -40:] = 2.0
+    assert after(odd)[0].covariance[0] > 1.2 * after(usual)[0].covariance[0]
+
+
+def test_usual_deviations_are_two_sequences_of_opposite_sign() -> None:
+    one, other = usual_deviations(run(), 3)
+    assert one.shape == (3, len(run().steps))
+    assert np.array_equal(one, -other)
+    assert np.std(one) == pytest.approx(1.0, abs=0.1)
+
+
+def test_covariances_are_averaged() -> None:
+    first, second = after(usual_deviations(run(), 1)[0]), after(usual_deviations(run(), 1)[1])
+    mean = mean_covariance([first[0], second[0]])
+    assert list(mean) == [0.5 * (x + y) for x, y in zip(first[0].covariance, second[0].covariance, strict=True)]
