@@ -12,7 +12,6 @@ import sys
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
-from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -117,7 +116,7 @@ def test_a_browser_draws_every_view(recording: Path, tmp_path: Path) -> None:
     browser = Chromium(program, tmp_path / 'profile')
     try:
         with served(recording, log) as url:
-            browser.call('Emulation.setDeviceMetricsOverride', width=480, height=900, deviceScaleFactor=1, mobile=False)
+            browser.call('Emulation.setDeviceMetricsOverride', width=960, height=800, deviceScaleFactor=1, mobile=False)
             browser.open(url)
             end = time.monotonic() + DEADLINE_S
             while min(blue := views_with_line(browser.picture())) < 0.002:
@@ -130,10 +129,11 @@ def test_a_browser_draws_every_view(recording: Path, tmp_path: Path) -> None:
 
 
 def views_with_line(picture: Any) -> list[float]:
-    """Return the share of the pixels with the colour of lines in each of the seven plots, from top to bottom."""
+    """Return the share of the pixels with the colour of lines in each plot: four on the left, three on the right."""
     from trainid_ros.view.recording import SHARES  # noqa: PLC0415 - after the telemetry is off
 
-    top, bottom = 40, picture.shape[0] - 40
-    edges = top + (bottom - top) * np.cumsum([0.0, *SHARES]) / sum(SHARES)
-    line = np.all(np.abs(picture * 255.0 - np.array((31, 119, 180))) < 40.0, axis=2)
-    return [float(line[int(low) : int(high)].mean()) for low, high in pairwise(edges[:8])]
+    top, middle = 40, picture.shape[1] // 2
+    bottom = top + int((picture.shape[0] - 80) * SHARES[0] / sum(SHARES))
+    line = np.all(np.abs(picture[top:bottom] * 255.0 - np.array((31, 119, 180))) < 40.0, axis=2)
+    columns = (line[:, :middle], len(PLOTS)), (line[:, middle:], len(ESTIMATES))
+    return [float(plot.mean()) for column, count in columns for plot in np.array_split(column, count)]

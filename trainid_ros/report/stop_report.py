@@ -66,6 +66,7 @@ def _errors_figure(drives: Mapping[str, Drive]) -> str:
             axes.plot(at, drive.errors, color=_COLOURS[name], marker='.', label=name)
         axes.axhspan(-WINDOW, WINDOW, color=MUTED, alpha=0.2, linewidth=0)
         axes.set_yscale('symlog', linthresh=WINDOW)
+        axes.yaxis.set_major_formatter('{x:g}')
         axes.set_xlabel('stop')
         axes.set_ylabel('error, m')
         axes.legend(ncols=len(drives))

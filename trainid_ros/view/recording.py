@@ -30,8 +30,8 @@ _PLOTS: Final = {
     'gradient': 'gradient [‰]',
     'brake_command': 'brake command [m/s²]',
 }
-SHARES: Final = (1.5, 1.0, 1.0, 1.0, 1.5, 1.5, 1.5, 2.8, 2.8, 1.5)
-"""Heights of the plots, of status and samples, and of the events."""
+SHARES: Final = (6.0, 1.9, 1.7)
+"""Heights of inputs beside estimates, of status beside samples, and of the events."""
 _COLOURS: Final = {
     'VALID': 0x2CA02CFF,
     'HOLDING': 0x17BECFFF,
@@ -127,18 +127,18 @@ class _Writer:
 
 
 def _layout(tracks: Tracks) -> Any:
-    """Return the blueprint: plots above each other with one axis that shows everything, then states and events."""
+    """Return the blueprint: inputs beside estimates, with axes that show everything, then states and events."""
     import rerun.blueprint as rrb  # noqa: PLC0415 - as above
 
     # Linked axes would begin with a minute around the cursor.
     whole = rrb.TimeRange(_boundary(0), _boundary(_end_ns(tracks) - _begin_ns(tracks)))
     axis = rrb.TimeAxis(view_range=whole, link='Independent')
     legend = rrb.PlotLegend(visible=False)
-    plots = [
+    inputs = [
         rrb.TimeSeriesView(origin=f'inputs/{name}', name=title, axis_x=axis, plot_legend=legend)
         for name, title in _PLOTS.items()
     ]
-    plots += [
+    estimates = [
         rrb.TimeSeriesView(
             origin=f'estimates/{_path(name)}',
             name=f'{tracks.values(name)[0]}, ± 2 std',
@@ -151,7 +151,12 @@ def _layout(tracks: Tracks) -> Any:
     states = [rrb.StateTimelineView(origin=origin, name=name, time_view=axis) for origin, name in lanes.items()]
     events = rrb.TextLogView(origin='events', name='events')
     return rrb.Blueprint(
-        rrb.Vertical(*plots, *states, events, row_shares=SHARES),
+        rrb.Vertical(
+            rrb.Horizontal(rrb.Vertical(*inputs), rrb.Vertical(*estimates)),
+            rrb.Horizontal(*states),
+            events,
+            row_shares=SHARES,
+        ),
         rrb.TimePanel(timeline=_AXIS, state='collapsed', play_state='paused'),
         collapse_panels=True,
     )
