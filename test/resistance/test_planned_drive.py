@@ -71,3 +71,11 @@ def test_runs_fit_on_the_line() -> None:
     assert runs
     assert all(run.length_m <= 1500.0 and run.manoeuvre.start <= 60 * KM_H + 1e-9 for run in runs)
     assert len(list(planned_runs(FILE, known()))) > len(runs)
+
+
+def test_nothing_is_learned_before_the_brake_is_released() -> None:
+    run = plan_run(Manoeuvre(70 * KM_H, 50 * KM_H), FILE, known())
+    assert run is not None
+    assert run.steps[run.first_learned(0.0, 2.0)].speed >= 2.0 > run.steps[run.first_learned(0.0, 2.0) - 1].speed
+    assert run.first_learned(8.0, 2.0) == round(8.0 / STEP_S)
+    assert run.first_learned(1e4, 2.0) == run.first_learned(0.0, 99.0) == len(run.steps)

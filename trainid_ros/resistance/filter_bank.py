@@ -287,11 +287,12 @@ class FilterBank:
 
         """
         mean, slowest, found = self._current().mean, self.config.min_speed, list[list[Mixture]]()
+        first = max(1, run.first_learned(self._known.settling, slowest))
         speed_variance = self._tachometer.variance * self._sampled_s / STEP_S
         variances = speed_variance, scale_step(self._train, weighed=self._weighed) ** 2
         for sequence in usual_deviations(run, times) if deviations is None else deviations:
             found.append([])
-            for mixture in foreseen_mixtures(self.bank, run, sequence, slowest, variances):
+            for mixture in foreseen_mixtures(self.bank, run, sequence, first, 0.5 * slowest, variances):
                 if mixture is not None:
                     found[-1].append(mixture)
                 yield None

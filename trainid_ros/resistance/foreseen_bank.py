@@ -32,7 +32,7 @@ def usual_deviations(run: Run, times: int) -> Array:
 
 
 def foreseen_mixtures(
-    now: Bank, run: Run, deviations: Array, slowest: float, variances: tuple[float, float]
+    now: Bank, run: Run, deviations: Array, first: int, slowest: float, variances: tuple[float, float]
 ) -> Iterator[Mixture | None]:
     """Yield the mixture after each of some runs from a stop, and None after each step between.
 
@@ -40,7 +40,8 @@ def foreseen_mixtures(
         now: The bank, which stays as it is.
         run: The run, driven once or more.
         deviations: Innovations over their standard deviations, shape (runs, steps).
-        slowest: Speed below which nothing is learned [m/s].
+        first: Index of the first step from which is learned, at least 1.
+        slowest: Speed at which the train is taken to stop [m/s].
         variances: Variance of the speed at the end of a step [(m/s)^2], and that by which the force scale may change
             at a stop [1].
 
@@ -49,9 +50,9 @@ def foreseen_mixtures(
     bank.restore(now.state())
     for row in deviations.tolist():
         bank.widen_force_scale(scale_variance)
-        bank.restart(slowest, speed_variance)
-        for step, deviation in zip(run.steps, row, strict=True):
-            if step.speed >= slowest and not bank.foresee(_planned(step, speed_variance), deviation, 0.5 * slowest):
+        bank.restart(run.steps[first - 1].speed, speed_variance)
+        for step, deviation in zip(run.steps[first:], row[first:], strict=True):
+            if not bank.foresee(_planned(step, speed_variance), deviation, slowest):
                 break
             yield None
         yield bank.mixture(bank.plan.young_weight)

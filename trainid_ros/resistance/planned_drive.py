@@ -96,12 +96,24 @@ class Step:
 
 @dataclass(frozen=True, slots=True)
 class Run:
-    """One run of a manoeuvre: the steps from which is learned, and time [s] and length [m] from stop to stop."""
+    """One run of a manoeuvre: the steps before the braking, and time [s] and length [m] from stop to stop."""
 
     manoeuvre: Manoeuvre
     steps: tuple[Step, ...]
     duration_s: float
     length_m: float
+
+    def first_learned(self, settling_s: float, slowest: float) -> int:
+        """Return the index of the first step from which is learned; the number of steps if there is none.
+
+        Args:
+            settling_s: Time that the brake takes to release, from the start [s].
+            slowest: Slowest speed to learn from [m/s].
+
+        """
+        released = min(len(self.steps), math.ceil(settling_s / STEP_S))
+        fast = (k for k, step in enumerate(self.steps[released:], released) if step.speed >= slowest)
+        return next(fast, len(self.steps))
 
 
 def planned_runs(train_file: TrainFile, now: ResistanceEstimate) -> Iterator[Run]:

@@ -258,10 +258,11 @@ class VMils:
     def _planned(self, run: Run) -> list[WindowTick]:
         """Return the part of a run from which is learned."""
         scale = 1.0 + float(self.learner.tracker.estimate.theta[_KAPPA])
+        first = run.first_learned(self._known.settling, self.config.min_speed)
         return [
             WindowTick(round(k * STEP_S * NS_PER_S), STEP_S, step.speed, scale * step.traction, step.traction)
             for k, step in enumerate(run.steps)
-            if step.speed >= self.config.min_speed
+            if k >= first and step.speed >= self.config.min_speed
         ]
 
     def _estimate(self, published: DavisPosterior, variances: Array, speed: float) -> ResistanceEstimate:

@@ -162,6 +162,8 @@ class WindowLearner:
         """
         plan, n = self._plan, len(self.tracker.prior.mean)
         windows, information = SlidingWindow(plan.window, plan.hop), np.zeros((n, n))
+        if not ticks:
+            return information
         speed_std = self._tachometer.std * math.sqrt(sampled_s / ticks[0].dt)
         for tick in ticks:
             cut = windows.push(tick)
