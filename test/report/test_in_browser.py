@@ -73,6 +73,15 @@ def test_a_report_is_whole(browser: Chromium, name: str, plots: int, request: py
         assert ink(picture[top:bottom, left:right]) > LEAST_INK, (left, top)
 
 
+@pytest.mark.parametrize('name', ['replayed', 'explained', 'fleet'])
+def test_a_report_fits_on_a_phone(browser: Chromium, name: str, request: pytest.FixtureRequest) -> None:
+    browser.call('Emulation.setDeviceMetricsOverride', width=400, height=800, deviceScaleFactor=1, mobile=True)
+    browser.open(request.getfixturevalue(name).as_uri())
+    width = browser.evaluate('document.documentElement.scrollWidth')
+    browser.call('Emulation.clearDeviceMetricsOverride')
+    assert width == 400
+
+
 def test_faults_of_a_page_are_found(browser: Chromium, tmp_path: Path) -> None:
     page = tmp_path / 'bad.html'
     page.write_text(

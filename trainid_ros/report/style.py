@@ -143,6 +143,7 @@ p{margin:4px 0 10px;max-width:85ch}
 .caption{font-size:13.5px;margin:0 0 6px}
 dl{display:grid;grid-template-columns:max-content 1fr;gap:2px 18px;margin:10px 0 14px}
 dt{color:var(--muted)}dd{margin:0;overflow-wrap:anywhere}
+.wide{overflow-x:auto}
 table{border-collapse:collapse;margin:10px 0 16px;font-variant-numeric:tabular-nums}
 caption{text-align:left;color:var(--muted);font-size:13.5px;padding-bottom:4px}
 th,td{padding:4px 14px 4px 0;text-align:right;border-bottom:1px solid var(--grid);vertical-align:baseline}
@@ -159,11 +160,11 @@ td.text,th.text{text-align:left}
 .VALID{background:var(--good)}.HOLDING{background:var(--coast);color:#10202e}.CONVERGING,.UNINITIALIZED{background:var(--wait)}
 .STALE,.FAULT{background:var(--bad)}
 ul{margin:6px 0 12px;padding-left:20px}
-figure{margin:6px 0 10px;break-inside:avoid}
-svg{display:block;width:100%;height:auto}
+figure{margin:6px 0 10px;break-inside:avoid;overflow-x:auto}
+svg{display:block;width:100%;min-width:640px;height:auto}
 nav a{margin-right:18px;color:var(--estimate)}
 footer{margin-top:50px;color:var(--muted);font-size:13px}
-@media print{body{max-width:none;padding:0;font-size:12px}h2{break-before:page}nav{display:none}}
+@media print{body{max-width:none;padding:0;font-size:12px}svg{min-width:0}h2{break-before:page}nav{display:none}}
 """
 
 

@@ -45,7 +45,8 @@ def html_table(caption: str, head: Sequence[str], rows: Iterable[Sequence[str]],
     heads = ''.join(f'<th{_text(i, text_columns)}>{escape(name)}</th>' for i, name in enumerate(head))
     lines = (''.join(f'<td{_text(i, text_columns)}>{cell}</td>' for i, cell in enumerate(row)) for row in rows)
     body = ''.join(f'<tr>{line}</tr>' for line in lines)
-    return f'<table><caption>{escape(caption)}</caption><thead><tr>{heads}</tr></thead><tbody>{body}</tbody></table>'
+    table = f'<table><caption>{escape(caption)}</caption><thead><tr>{heads}</tr></thead><tbody>{body}</tbody></table>'
+    return f'<div class="wide">{table}</div>'
 
 
 def _text(column: int, text_columns: int) -> str:
