@@ -58,7 +58,8 @@ def test_it_stops_in_place_if_it_knows_the_brake(rate: float) -> None:
 
 def test_it_stops_too_late_if_the_brake_is_weaker_than_it_knows() -> None:
     errors = [arrival.error for arrival in driven(0.7, knows=False).arrivals]
-    assert min(errors) > 0.3
+    assert min(errors) > 0.0
+    assert np.median(errors) > 1.0
 
 
 def test_it_keeps_the_speed_limits() -> None:

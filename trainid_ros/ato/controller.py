@@ -61,7 +61,8 @@ class AtoModel:
     gain: float = setting(0.4, 'acceleration per speed error', '1/s', 0.01, 3.0)
     integral_gain: float = setting(0.02, 'acceleration per integral of the speed error', '1/s^2', 0.0, 1.0)
     speed_margin: float = setting(0.8, 'margin below speed limits', 'm/s', 0.0, 5.0)
-    dead_band: float = setting(0.03, 'error of the stop that is accepted, and 3 % of the distance left', 'm', 0.0, 1.0)
+    dead_band: float = setting(0.03, 'error of the stop that is accepted', 'm', 0.0, 1.0)
+    dead_share: float = setting(0.015, 'further error accepted, as a share of the distance left', '1', 0.0, 0.5)
     holding: float = setting(0.6, 'brake command at standstill', 'm/s^2', 0.1, 3.0)
     dwell: float = setting(25.0, 'dwell time', 's', 1.0, 3600.0)
 
@@ -192,7 +193,7 @@ class Ato:
         errors = {steps: left - self._predictor.stop_distance(ahead, self._command(steps)) for steps in nearby}
         best = min(errors, key=lambda steps: abs(errors[steps]))
         gain = abs(errors[now]) - abs(errors[best])
-        if gain > self._model.dead_band + 0.03 * left:
+        if gain > self._model.dead_band + self._model.dead_share * left:
             return best
         if now == 0 and errors[now] > _TOO_SHORT:
             self.phase = Phase.DRIVE
