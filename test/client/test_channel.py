@@ -133,7 +133,7 @@ def test_silence_brings_the_train_file_back_whenever_it_is_asked_for(asked_at: t
     one = channel(10.0)
     for time_s in asked_at:
         one.go_on(time_s)
-    assert one.reason() == 'train file: no estimate for more than 0.75 s'
+    assert one.reason() == 'train file: no new estimate for more than 0.75 s'
     assert one.normal('rate').mean[0] == pytest.approx(0.8 + 0.2 * 0.5)
     one.go_on(10.0 + MAX_AGE_S + FALL_BACK_S)
     assert one.normal('rate') == FILE
@@ -183,3 +183,36 @@ def test_a_clock_that_goes_back_stands_still() -> None:
     assert one.normal('rate') == LIVE['rate']
     assert one.is_heard(10.0)
     assert not one.is_heard(10.0 + MAX_AGE_S + 0.1)
+
+
+def test_a_lost_publisher_does_not_end_what_another_one_sends() -> None:
+    one = channel(10.0)
+    one.lose('its node is gone', 10.1)
+    assert (one.is_live, one.reason()) == (True, 'VALID')
+    one.take(Status.VALID, LIVE, 10.2)
+    one.go_on(11.5)
+    assert one.reason() == 'train file: no new estimate for more than 0.75 s'
+
+
+def test_a_repeated_stamp_is_no_news() -> None:
+    one = channel()
+    for k in range(20):
+        one.take_new(Status.VALID, LIVE, 0.2 * k, stamp_ns=7)
+    one.go_on(3.9)
+    assert one.reason() == 'train file: no new estimate for more than 0.75 s'
+    one.take_new(Status.VALID, LIVE, 4.0, stamp_ns=8)
+    assert one.is_live
+    one.take_new(Status.FAULT, LIVE, 4.1, stamp_ns=8)
+    assert one.reason() == 'train file: FAULT, the node has failed'
+
+
+def test_on_the_way_to_the_train_file_no_bound_is_beyond_both() -> None:
+    one = channel(10.0)
+    one.take(Status.STALE, LIVE, 10.2)
+    bounds = []
+    for k in range(11):
+        one.go_on(10.2 + 0.1 * FALL_BACK_S * k)
+        normal = one.normal('rate')
+        bounds.append(normal.mean[0] - 1.645 * math.sqrt(normal.covariance[0]))
+    assert one.normal('rate') == FILE
+    assert min(bounds) > bounds[-1] - 0.02

@@ -228,7 +228,7 @@ def test_an_impossible_covariance_is_refused(start: tuple[float, ...]) -> None:
 
 def test_a_latched_copy_that_does_not_count_changes_no_range_of_speeds() -> None:
     model = Drive().on(20.0)
-    model.take_message(RESISTANCE_TOPIC, Status.VALID, replace(W, speed_max=30.0), latched=True)
+    model.take_message(RESISTANCE_TOPIC, Status.VALID, replace(W, speed_max=30.0), 0, latched=True)
     assert 'outside' in model.resistance(20.0).reason
 
 

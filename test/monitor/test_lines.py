@@ -38,3 +38,14 @@ def test_findings_are_printed_when_they_come_and_go(driven: Callable[..., Trains
 def test_the_notice_is_printed_once() -> None:
     lines = Lines()
     assert [lines.of((), 'nothing yet') for _ in range(2)] == [['nothing yet'], []]
+
+
+def test_a_finding_that_says_something_else_is_printed_but_not_one_with_other_numbers(
+    driven: Callable[..., Trains],
+) -> None:
+    trains, lines, printed = driven(), Lines(), []
+    for text in ('no brake.rate, since 3 s', 'no brake.rate, since 4 s', 'the brake acts 2.5 s later'):
+        trains.on_diagnostics('resistance_estimator: input ato/force', Report(Level.WARN, text, {}, 9.8))
+        printed.append([line for line in lines.of(trains.views(*NOW), '')[1:] if 'no more' not in line])
+    assert [len(found) for found in printed] == [1, 0, 1]
+    assert printed[2][0].endswith('the brake acts 2.5 s later')

@@ -79,3 +79,12 @@ def test_nothing_is_learned_before_the_brake_is_released() -> None:
     assert run.steps[run.first_learned(0.0, 2.0)].speed >= 2.0 > run.steps[run.first_learned(0.0, 2.0) - 1].speed
     assert run.first_learned(8.0, 2.0) == round(8.0 / STEP_S)
     assert run.first_learned(1e4, 2.0) == run.first_learned(0.0, 99.0) == len(run.steps)
+
+
+def test_a_run_keeps_to_the_speed_limits_where_they_hold() -> None:
+    """Fast for 100 m in the middle of 4 km: there is no room to drive fast."""
+    limits = ((0.0, 10.0), (2000.0, 25.0), (2100.0, 10.0))
+    tight = replace(FILE, line=Line(stops=(0.0, 4000.0), speed_limit=limits))
+    assert all(max(step.speed for step in run.steps) < 10.6 for run in planned_runs(tight, known()))
+    wide = replace(tight, line=replace(tight.line, speed_limit=((0.0, 10.0), (1000.0, 25.0))))
+    assert any(max(step.speed for step in run.steps) > 15.0 for run in planned_runs(wide, known()))

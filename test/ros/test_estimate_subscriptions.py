@@ -76,7 +76,7 @@ def test_a_late_joiner_uses_the_latched_estimate_at_once(graph: Graph, train_fil
     graph.until(lambda: model.brake_rate().live and model.resistance(10.0).live)
     # Nobody keeps it up: the estimators publish at least once a second.
     graph.until(lambda: not model.brake_rate().live)
-    assert model.brake_rate().reason == 'train file: no estimate for more than 0.75 s'
+    assert model.brake_rate().reason == 'train file: no new estimate for more than 0.75 s'
 
 
 def test_a_latched_copy_does_not_count_beside_newer_estimates(graph: Graph, train_file: str) -> None:
@@ -103,7 +103,7 @@ def test_a_killed_node_is_replaced_by_the_train_file_within_a_second(
     graph.until(lambda: not model.brake_rate().live and model.brake_rate().value == 1.0)
     assert time.monotonic() - killed < 1.0 + 0.1  # that it is noticed, by this process
     assert model.resistance(10.0).live is False
-    assert model.stopping_distance(20.0).reason == 'train file: no estimate for more than 0.75 s'
+    assert model.stopping_distance(20.0).reason == 'train file: no new estimate for more than 0.75 s'
     graph.until(lambda: model.brake_rate().reason == 'train file: its node is gone')  # its lease has ended
     # Another node takes over: no jump.
     estimates, rates = Estimates(member(graph, 'train_7')), [1.0]

@@ -61,7 +61,7 @@ class MotionModel:
         self.known = KnownForce(_with_true_brake(train_file))
         self.inertia = self.known.inertia
         self._train_file, self._config, self._resistance = train_file, config, train_file.resistance
-        self._max_speed, self._timing_std = train_file.train.max_speed, train_file.brake.timing_std
+        self.max_speed, self._timing_std = train_file.train.max_speed, train_file.brake.timing_std
         # Settings that each sample needs.
         self._length, self._white = config.disturbance_length, config.acceleration_noise**2
         self._force_error, self._least = config.force_error, config.min_braking
@@ -104,11 +104,11 @@ class MotionModel:
         Args:
             sample: The sample.
             nominal: Integral of the brake target over it [m/s].
-            released: Whether the brake is released, so that traction may have begun.
+            released: Whether the brake is released after its dead time, so that traction may have begun unseen.
 
         """
         force = self.known.traction(sample.force_mean, sample) / self.inertia
-        if force <= 0.0 and released and sample.brake_command >= 0.0:
+        if sample.brake_command >= 0.0 and (released or force > 0.0):
             force -= nominal / sample.dt
         return force if force > 0.0 else 0.0
 
@@ -178,7 +178,7 @@ class MotionModel:
 
     def _slope(self, speed: float) -> float:
         """Return p, see the module; above the maximum speed it stays constant."""
-        return min(speed / self._max_speed, 1.0) - 0.5
+        return min(speed / self.max_speed, 1.0) - 0.5
 
     def _changeover(self, speed: float) -> float:
         """Return m, see the module."""

@@ -44,7 +44,7 @@ def suggested_braking(estimator: object, train_file: TrainFile, now: BrakeRateEs
         now: Present estimate.
 
     Returns:
-        None if it is valid, if nothing was measured yet, or if no braking would help.
+        None if it is valid, if nothing was measured yet, if the train file is wrong, or if no braking would help.
 
     """
     return braking_search(estimator, train_file, now).finish()
@@ -55,7 +55,7 @@ def braking_search(estimator: object, train_file: TrainFile, now: BrakeRateEstim
     config = estimator.config if isinstance(estimator, Gsma) else None
     if not (isinstance(estimator, Gsma) and isinstance(config, GsmaConfig)):
         return DriveSearch((), now, (), _nothing)
-    if estimator.converged or estimator.state.stamp_ns == 0:
+    if estimator.converged or estimator.warning or estimator.state.stamp_ns == 0:
         return DriveSearch((), now, (), _nothing)
     saved = estimator.save()
 

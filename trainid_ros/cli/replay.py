@@ -148,10 +148,12 @@ def _replay(args: argparse.Namespace, bag: Path, advance: Callable[[float], None
     if report is not None and traces is not None:
         _write_report(args, bag, outcome, traces.finish(), truth, f'off line {_pace(outcome, wall_s)}', report)
     first = outcome.resistance
-    drives = Drives(
-        suggested_drive(pipelines.resistance.estimator, setups[0].train_file, first.prior, first.output.estimate),
-        suggested_braking(pipelines.brake_rate.estimator, setups[2].train_file, outcome.brake_rate.output.estimate),
-    )
+    drives = NO_DRIVES
+    if not pipelines.resistance.stream.finding:  # else it is the inputs that need a look
+        drives = Drives(
+            suggested_drive(pipelines.resistance.estimator, setups[0].train_file, first.prior, first.output.estimate),
+            suggested_braking(pipelines.brake_rate.estimator, setups[2].train_file, outcome.brake_rate.output.estimate),
+        )
     shown: str | dict[str, Any]
     if args.json:
         shown = to_json(outcome, setups, wall_s, drives)
@@ -274,8 +276,9 @@ def describe(outcome: Replay, setups: Sequence[Setup], wall_s: float, drives: Dr
 def _estimates(outcome: Replay) -> str:
     w = outcome.resistance.output.estimate
     rows = [('value', 'estimate', 'std', 'unit', 'status'), *_resistance_rows(outcome), *_other_rows(outcome)]
-    seen = f'* outside the speeds learned from, {w.speed_min:.1f} to {w.speed_max:.1f} m/s'
-    return '\n'.join((table(rows, numbers=(1, 2)), seen, *force_findings(w), *outcome.brake_findings))
+    shown = table(rows, numbers=(1, 2))
+    seen = [f'* outside the speeds learned from, {w.speed_min:.1f} to {w.speed_max:.1f} m/s'] if '*' in shown else []
+    return '\n'.join((shown, *seen, *force_findings(w), *outcome.brake_findings))
 
 
 def _resistance_rows(outcome: Replay) -> list[tuple[str, ...]]:

@@ -79,6 +79,8 @@ class Channel:
         self._gradual = {name: Gradual(x.file, x.probes) for name, x in parameters.items()}
         self._max_age_s = max_age_s
         self._heard_s = self._now_s = self._moving_until_s = -math.inf
+        self._stamp_ns = -1
+        self._lost = ''
         self._status = Status.UNINITIALIZED
         self._problem = NOT_YET
 
@@ -91,10 +93,16 @@ class Channel:
         """Return whether an estimate, usable or not, has come lately."""
         return time_s - self._heard_s <= self._max_age_s
 
+    def take_new(self, status: Status, values: Mapping[str, Normal], time_s: float, stamp_ns: int) -> None:
+        """Take in an estimate with a stamp [ns]; a usable one with the stamp of the last is no news, as if lost."""
+        is_new, self._stamp_ns = stamp_ns != self._stamp_ns, stamp_ns
+        if is_new or status not in USABLE:
+            self.take(status, values, time_s)
+
     def take(self, status: Status, values: Mapping[str, Normal], time_s: float) -> None:
         """Take in an estimate that arrived at a time [s]."""
         self.go_on(time_s)
-        self._heard_s, before, self._status = time_s, self._status, status
+        self._heard_s, before, self._status, self._lost = time_s, self._status, status, ''
         if status is Status.CONVERGING and self.is_live:
             if before is not status:
                 self._suspect()
@@ -138,15 +146,20 @@ class Channel:
             gradual.go_to(Normal(self._valid[name].mean, self._file[name].covariance), self._now_s)
 
     def lose(self, reason: str, time_s: float) -> None:
-        """Use the train file from a time [s] on, until the next estimate."""
+        """Say why estimates will not come any more; the train file applies once the next one is overdue.
+
+        The event may be of another publisher, so it does not end what is still heard.
+        """
         self.go_on(time_s)
-        self._fall_back(reason, time_s)
+        self._lost = reason
+        if not self.is_heard(time_s):
+            self._fall_back(reason, time_s)
 
     def go_on(self, time_s: float) -> None:
         """Advance to a time [s]; a clock that goes back stands still."""
         due_s = self._heard_s + self._max_age_s
         if self.is_live and time_s > due_s:
-            self._fall_back(f'no estimate for more than {self._max_age_s:g} s', due_s)
+            self._fall_back(self._lost or f'no new estimate for more than {self._max_age_s:g} s', due_s)
         self._now_s = max(self._now_s, time_s)
 
     def _fall_back(self, reason: str, time_s: float) -> None:

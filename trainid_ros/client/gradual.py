@@ -7,6 +7,9 @@ On its way from (m0, P0) to (m, P), with the share g of the way done, d = m - m0
 
 So the standard deviation covers what is left of the way in every direction. It rises at once by what it must cover,
 and then falls gradually. The positive part is taken in units of the train file's standard deviations.
+
+A move that must end within a stated time is one to the train file, which is less certain: the covariance goes straight
+from P0 to P then, so that no bound is beyond both.
 """
 
 from __future__ import annotations
@@ -82,6 +85,10 @@ def _difference(x: float, y: float) -> float:
     return x - y
 
 
+def _difference_of(start: Normal, target: Normal) -> tuple[float, ...]:
+    return tuple(map(_difference, start.covariance, target.covariance))
+
+
 class Gradual:
     """Follows the newest distribution.
 
@@ -96,6 +103,7 @@ class Gradual:
         self._probes = probes
         self._way: tuple[float, ...] = ()
         self._excess: tuple[float, ...] = ()
+        self._power = 2
         self._begin_s, self._duration_s = 0.0, 0.0
         self._unit = np.sqrt(np.array(start.covariance[:: len(start.mean) + 1])) + _TINY
 
@@ -109,7 +117,9 @@ class Gradual:
         self._to, self._begin_s = target, time_s
         self._duration_s = min(self._longest_way(start, target) / MOST_RATE, longest_s)
         self._way = tuple(map(_difference, target.mean, start.mean))
-        self._excess = self._uncovered(start) if self._duration_s > 0.0 else ()
+        self._power = 2 if math.isinf(longest_s) else 1
+        if self._duration_s > 0.0:
+            self._excess = self._uncovered(start) if self._power == 2 else _difference_of(start, target)
 
     def at(self, time_s: float) -> Normal:
         """Return the distribution at a time [s], which is not before the last :meth:`go_to`."""
@@ -118,7 +128,7 @@ class Gradual:
             return self._to
         left = min(left, 1.0)
         mean = tuple(map(lambda value, step: value - left * step, self._to.mean, self._way))
-        q = left * left
+        q = left**self._power
         return Normal(mean, tuple(map(lambda P, X: P + q * X, self._to.covariance, self._excess)))
 
     def _uncovered(self, start: Normal) -> tuple[float, ...]:

@@ -132,10 +132,12 @@ class TrainModel:
 
     def take(self, output: OutputLike) -> None:
         """Take in an output of an estimator that has just arrived; those of the speed model are not needed."""
-        self.take_message(output_topic(output.estimate), output.status, output.estimate)
+        self.take_message(output_topic(output.estimate), output.status, output.estimate, output.stamp_ns)
 
-    def take_message(self, topic: OutputTopic, status: Status, estimate: Any, *, latched: bool = False) -> None:
-        """Take in the status and the fields of an estimate, which may be a message.
+    def take_message(
+        self, topic: OutputTopic, status: Status, estimate: Any, stamp_ns: int, *, latched: bool = False
+    ) -> None:
+        """Take in status, fields and stamp [ns] of an estimate, which may be a message.
 
         A latched copy is that of the last valid estimate.
         """
@@ -149,12 +151,12 @@ class TrainModel:
             if latched and not channel.take_latched(status, values, now):
                 return
             if not latched:
-                channel.take(status, values, now)
+                channel.take_new(status, values, now, stamp_ns)
             if is_resistance:
                 self._learned_speeds = (estimate.speed_min, estimate.speed_max)
 
     def lose(self, topic: OutputTopic, reason: str) -> None:
-        """Use the train file instead of an estimate until the next one comes."""
+        """Say why an estimate does not come any more: the train file applies, at once or when the next is overdue."""
         with self._lock:
             self._channels[topic].lose(reason, self._clock())
 

@@ -81,7 +81,7 @@ def observe(
     outside = [v for v in (*speeds, top) if not speed_min <= v <= speed_max]
     std_outside = max((resistance_std(covariance, v) for v in outside), default=0.0)
     known = _known_range(covariance, speeds, speed_min, speed_max, _KNOWN_FACTOR * std_observed)
-    text = _summary(shares, covariance, std_observed, speed_min, speed_max)
+    text = _summary(shares, covariance, std_observed, (speed_min, speed_max, top))
     return Observability((shares[0], shares[1], shares[2]), std_observed, std_outside, known, text)
 
 
@@ -106,8 +106,9 @@ def _known_range(
 
 
 def _summary(
-    shares: Sequence[float], covariance: Sequence[float], std_observed: float, speed_min: float, speed_max: float
+    shares: Sequence[float], covariance: Sequence[float], std_observed: float, speeds: tuple[float, float, float]
 ) -> str:
+    slowest, fastest, top = speeds
     seen = [name for name, share in zip(_NAMES, shares, strict=True) if share >= SEEN_SHARE]
     parts = [f'{_listed(seen)} seen'] if seen else []
     confounded = []
@@ -117,13 +118,15 @@ def _summary(
         # From this speed on the parameter's uncertainty would show against that of w at the speeds seen.
         std = math.sqrt(max(covariance[4 * power], 0.0))
         shows = (_NOTICEABLE * std_observed / std) ** (1.0 / power) if power and std > 0.0 else 0.0
-        if shows > speed_max:
+        if shows > top:
+            parts.append(f'{name} not seen up to {top:.0f} m/s')
+        elif shows > fastest:
             parts.append(f'{name} not seen below {shows:.0f} m/s')
         else:
             confounded.append(name)
     if confounded:
         parts.append(f'{_listed(confounded)} not distinguishable from the others')
-    return f'{", ".join(parts)}: speeds seen {speed_min:.1f} to {speed_max:.1f} m/s'
+    return f'{", ".join(parts)}: speeds seen {slowest:.1f} to {fastest:.1f} m/s'
 
 
 def _listed(names: Sequence[str]) -> str:

@@ -4,7 +4,8 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING
+import re
+from typing import TYPE_CHECKING, Final
 
 from trainid_ros.cli.output import printable
 from trainid_ros.monitor.view import number, state_of, with_band
@@ -14,12 +15,14 @@ if TYPE_CHECKING:
 
     from trainid_ros.monitor.view import InputView, TrainView
 
+_NUMBER: Final = re.compile(r'[0-9.]+')
+
 
 class Lines:
     """Turns views into lines: the state of each train every time, findings when they come and go."""
 
     def __init__(self) -> None:
-        self._known: set[tuple[str, str, str]] = set()
+        self._known: dict[tuple[str, str, str], str] = {}
         self._notice = ''
 
     def of(self, views: Sequence[TrainView], notice: str) -> list[str]:
@@ -31,13 +34,16 @@ class Lines:
             lines.append(train_line(view))
             for item in view.findings:
                 present[view.namespace, item.source, item.level.name] = item.text
-        for namespace, source, level in sorted(present.keys() - self._known):
+        for namespace, source, level in sorted(key for key, text in present.items() if self._is_news(key, text)):
             lines.append(f'{namespace} {level} {source}: {present[namespace, source, level]}')
-        lines += [
-            f'{namespace} no more {level} {source}' for namespace, source, level in sorted(self._known - present.keys())
-        ]
-        self._known = set(present)
+        gone = sorted(self._known.keys() - present.keys())
+        lines += [f'{namespace} no more {level} {source}' for namespace, source, level in gone]
+        self._known = present
         return [printable(line) for line in lines]
+
+    def _is_news(self, key: tuple[str, str, str], text: str) -> bool:
+        """Return whether a finding is new, or says more than other numbers."""
+        return key not in self._known or _NUMBER.sub('', text) != _NUMBER.sub('', self._known[key])
 
 
 def train_line(view: TrainView) -> str:

@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Final
 
 from trainid_ros.results import ResistanceEstimate
 from trainid_ros.train.davis import specific_force, specific_inertia
+from trainid_ros.train.line import LineProfile
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -34,6 +35,8 @@ _SHORTEST_S: Final = 60.0
 _LONGEST_S: Final = 900.0
 # Length of a run where the train file names no stops [m].
 _LONGEST_M: Final = 10e3
+# A controller holds a speed limit to this [m/s].
+_ABOVE: Final = 0.5
 # Speeds at which coasting or holding begins, as shares of the top speed; coasting ends at these shares of that speed.
 _STARTS: Final = (1.0, 0.7, 0.45)
 _ENDS: Final = (0.85, 0.7, 0.5, 0.3)
@@ -136,9 +139,28 @@ def planned_brakings(train_file: TrainFile) -> Iterator[Run]:
 
 
 def _fits(run: Run, train_file: TrainFile) -> bool:
-    """Return whether a run is no longer than the longest distance between two stops."""
-    stops = train_file.line.stops
-    return run.length_m <= max((far - near for near, far in pairwise(stops)), default=_LONGEST_M)
+    """Return whether there is room for a run between two stops, where the speed limits allow it."""
+    line = train_file.line
+    if not line.stops:
+        return run.length_m <= _LONGEST_M
+    profile = LineProfile(line, train_file.train.length)
+    for stop, following in pairwise(line.stops):
+        # A limit ends when the rear of the train has passed it.
+        ends = (position + train_file.train.length for position, _ in line.speed_limit)
+        begins = (begin for begin in (stop, *ends) if stop <= begin <= following - run.length_m)
+        if any(_is_allowed(run, begin, profile) for begin in begins):
+            return True
+    return False
+
+
+def _is_allowed(run: Run, begin: float, profile: LineProfile) -> bool:
+    """Return whether a run from a position [m] on exceeds no speed limit."""
+    position = begin
+    for step in run.steps:
+        position += STEP_S * step.speed
+        if step.speed > profile.speed_limit(position, 1) + _ABOVE:
+            return False
+    return True
 
 
 def top_speed(train_file: TrainFile) -> float:

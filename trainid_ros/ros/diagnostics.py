@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
-from trainid_ros.estimators.brake_findings import brake_findings
+from trainid_ros.brake_rate.brake_findings import brake_findings
 from trainid_ros.results import Reason, Status
 from trainid_ros.ros.input_monitor import Finding
 

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 
+from trainid_ros.brake_rate.brake_findings import brake_findings
 from trainid_ros.brake_rate.suggested_braking import braking_search
-from trainid_ros.estimators.brake_findings import brake_findings
 from trainid_ros.records import NS_PER_S
 from trainid_ros.resistance.suggested_drive import DriveSearch, drive_search
 from trainid_ros.results import BrakeRateEstimate, ResistanceEstimate
@@ -122,7 +122,7 @@ class DiagnosticsPublisher:
             if self._search is not None:
                 self._steps = self._search.steps()
                 self._search_timer.reset()
-        if self._drive is not None:
+        if self._drive is not None and not pipeline.stream.finding:
             yield 'to drive', self._drive.text
 
     def _new_search(self, pipeline: EstimatorPipeline[Any]) -> DriveSearch | None:

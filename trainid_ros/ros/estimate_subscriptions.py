@@ -14,7 +14,7 @@ from rclpy.event_handler import SubscriptionEventCallbacks
 from rclpy.qos import qos_policy_name_from_kind
 
 from trainid_ros.client.channel import GONE
-from trainid_ros.messages import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, status_of
+from trainid_ros.messages import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, stamp_of, status_of
 from trainid_ros.ros.topics import estimate_qos, latched_qos, message_class
 
 if TYPE_CHECKING:
@@ -30,7 +30,7 @@ def subscribe_estimates(node: Any, model: TrainModel) -> tuple[Any, ...]:
 
 def _subscribe_live(node: Any, model: TrainModel, topic: OutputTopic) -> Any:
     def take(message: Any) -> None:
-        model.take_message(topic, status_of(message), message)
+        model.take_message(topic, status_of(message), message, stamp_of(message))
 
     def refuse(event: Any) -> None:
         policy = qos_policy_name_from_kind(event.last_policy_kind)
@@ -42,7 +42,7 @@ def _subscribe_live(node: Any, model: TrainModel, topic: OutputTopic) -> Any:
 
 def _subscribe_latched(node: Any, model: TrainModel, topic: OutputTopic) -> Any:
     def take(message: Any) -> None:
-        model.take_message(topic, status_of(message), message, latched=True)
+        model.take_message(topic, status_of(message), message, stamp_of(message), latched=True)
 
     def follow(event: Any) -> None:
         if event.alive_count == 0:

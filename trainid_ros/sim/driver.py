@@ -26,6 +26,8 @@ TICK_S: Final = 0.2
 _LINEAR_M: Final = 1.0
 _BRAKE_EXCESS: Final = -0.3
 _RELEASE_EXCESS: Final = -0.8
+# Largest gain of the regulator times dead time and lag of the brake: more would swing.
+_MOST_GAIN: Final = 1.0
 
 
 class Phase(Enum):
@@ -109,6 +111,8 @@ class Driver:
         self._profile = profile
         self._rng = rng
         self._lead = train_file.brake.delay + train_file.brake.time_constant
+        # Share of the gains that a slow brake allows.
+        self._share = min(1.0, _MOST_GAIN / max(model.brake_gain * self._lead, _MOST_GAIN))
         self._depart_s = 0.5 * self._draw(model.dwell_low, model.dwell_high)
         self._brake = -model.holding
         self._cruise_left_s = 0.0
@@ -201,10 +205,10 @@ class Driver:
 
     def _brake_effort(self, train: Plant, excess: float, slope: float) -> float:
         model = self._model
-        self._integral = min(0.3, max(-0.3, self._integral + model.brake_integral * excess * TICK_S))
+        self._integral = min(0.3, max(-0.3, self._integral + self._share * model.brake_integral * excess * TICK_S))
         retardation = self._resistance(train) * G / (1000.0 * (1.0 + self._file.train.rotary_mass))
-        demand = slope + model.brake_gain * excess + self._integral - retardation
-        return min(model.max_deceleration, max(0.0, demand))
+        demand = slope + self._share * model.brake_gain * excess + self._integral - retardation
+        return min(model.max_deceleration, max(0.0, demand / self._file.brake.shape_at(train.speed)))
 
     def _traction(self, train: Plant, allowed: float) -> float:
         vehicle, model = self._file.train, self._model

@@ -25,10 +25,13 @@ from trainid_ros.train.brake import lag_integral, lag_response
 from trainid_ros.train.effects import effect_value
 from trainid_ros.train.train_file import TrainFile
 
-# Step of the grid [s], and its largest shift in steps.
+# Step of the grid [s], and its largest shifts in steps: a train may brake like a freight train, but hardly before a
+# command. A largest shift to later times stands for all beyond.
 _STEP_S: Final = 0.5
-_REACH: Final = 7
-_SHIFTS: Final = 2 * _REACH + 1
+_SOONER: Final = 7
+_LATER: Final = 20
+_SHIFTS: Final = _SOONER + 1 + _LATER
+_FARTHEST_S: Final = (_LATER - 1) * _STEP_S
 # Forces are compared over blocks, so that the noise of the speed matters little [s].
 _BLOCK_S: Final = 0.6
 # A lagged command that does not brake [m/s^2].
@@ -66,7 +69,8 @@ class BrakeTiming:
         followed_s: Time after which a brake has followed its command [s].
         tolerance: Error of both together that estimators learn by themselves [s].
         lead_s: Time by which the largest negative shift comes before the command [s].
-        rest_s: Time after which no earlier braking acts, whatever the shift [s].
+        rest_s: Time after which no earlier braking acts, unless it acts very late [s].
+        history_s: Time for which a command may act, whatever the shift [s].
 
     """
 
@@ -76,8 +80,9 @@ class BrakeTiming:
         self.time_constant = brake.time_constant
         self.followed_s = self.delay + _FOLLOWED * brake.time_constant
         self.tolerance = max(_LEAST_ERROR_S, _STATED * brake.timing_std * math.hypot(brake.delay, brake.time_constant))
-        self.lead_s = max(0.0, _REACH * _STEP_S - self.delay)
-        self.rest_s = self.delay + _REACH * _STEP_S
+        self.lead_s = max(0.0, _SOONER * _STEP_S - self.delay)
+        self.rest_s = self.delay + _SOONER * _STEP_S
+        self.history_s = self.delay + _LATER * _STEP_S + self.lead_s + 2.0 * _BLOCK_S
 
 
 @dataclass(slots=True)
@@ -170,7 +175,8 @@ class Braking:
         yy: Sum of y^2 [(N/kN)^2].
         yx: Sums of products of y and the force x = r z, for each shift [(N/kN)^2].
         xx: Sums of x^2, for each shift [(N/kN)^2].
-        by_command: Impulse of the nominal brake [N/kN s].
+        commanded: Integral of the lagged command [m/s].
+        by_command: Impulse of the brake by the train file [N/kN s].
         by_force: Impulse of the reported force, as far as it brakes [N/kN s].
         by_speed: Impulse that the speed shows [N/kN s].
 
@@ -181,6 +187,7 @@ class Braking:
     yy: float = 0.0
     yx: tuple[float, ...] = (0.0,) * _SHIFTS
     xx: tuple[float, ...] = (0.0,) * _SHIFTS
+    commanded: float = 0.0
     by_command: float = 0.0
     by_force: float = 0.0
     by_speed: float = 0.0
@@ -207,7 +214,8 @@ class Braking:
             yx[k] += y * x
             xx[k] += x * x
         self.yx, self.xx, self.yy, self.count = tuple(yx), tuple(xx), self.yy + y * y, self.count + 1.0
-        self.by_command += block.rate / block.seconds * (now[_REACH] - self.began[_REACH])
+        self.commanded += now[_SOONER] - self.began[_SOONER]
+        self.by_command += block.rate / block.seconds * (now[_SOONER] - self.began[_SOONER])
         self.by_force += block.force
         self.by_speed += block.y
         self.began = now
@@ -230,16 +238,16 @@ class Braking:
         curvature = sums[middle - 1] - 2.0 * sums[middle] + sums[middle + 1]
         if not curvature > 0.0:
             return 0.0, math.inf, 0.0
-        shift = float(best - _REACH)
+        shift = float(best - _SOONER)
         if best == middle:
             shift -= 0.5 * (sums[best + 1] - sums[best - 1]) / curvature
         std = _STEP_S * math.sqrt(2.0 * variance / curvature)
-        return _STEP_S * shift, std, (sums[_REACH] - sums[best]) / variance
+        return _STEP_S * shift, std, (sums[_SOONER] - sums[best]) / variance
 
 
 def _shifted(lag: LaggedCommand, time_s: float) -> tuple[float, ...]:
     """Return the integrals of the command at a time [s], for each shift [m/s]."""
-    return tuple([lag.integral_at(time_s - (k - _REACH) * _STEP_S) for k in range(_SHIFTS)])
+    return tuple([lag.integral_at(time_s - (k - _SOONER) * _STEP_S) for k in range(_SHIFTS)])
 
 
 @dataclass(slots=True)
@@ -294,7 +302,8 @@ class BrakeDelayCheck:
         if not self.is_wrong:
             return ''
         later = 'later' if self.mean > 0.0 else 'sooner'
-        return f'the brake acts {abs(self.mean):.1f} s {later} than brake.delay of the train file says'
+        beyond = 'at least ' if self.mean > _FARTHEST_S else ''
+        return f'the brake acts {beyond}{abs(self.mean):.1f} s {later} than brake.delay of the train file says'
 
     @property
     def std(self) -> float:
@@ -347,7 +356,7 @@ class BrakeDelayCheck:
             for block in self.waiting:
                 block.end_s -= lag.time_s
             lag.begin()
-        lag.follow(sample, timing.time_constant, timing.rest_s + timing.lead_s + 2.0 * _BLOCK_S)
+        lag.follow(sample, timing.time_constant, timing.history_s)
 
     def _add(self, dt: float, y: float, force: float, rate: float) -> None:
         """Add a sample to its block; see :meth:`follow`."""

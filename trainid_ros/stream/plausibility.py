@@ -245,7 +245,8 @@ class PlausibilityMonitor:
         rate = known.inertia * known.train_file.brake.rate_at(sample.speed)
         braking = state.brake_delay.follow(sample, y, force, rate, self._timing)
         if braking is not None and braking.is_comparable and not state.finding:
-            state.effort.take_impulses(braking.by_force / braking.by_command, braking.by_speed / braking.by_command)
+            nominal = known.inertia * braking.commanded
+            state.effort.take_impulses(braking.by_force / nominal, braking.by_speed / braking.by_command)
 
     def _check_forces(self, sample: Sample, before: float) -> None:
         """Add a sample to its block; judge the block when it is full. ``before`` is the speed before [m/s]."""
@@ -284,7 +285,7 @@ class PlausibilityMonitor:
         state.releases.add(sample.brake_command if is_moving else math.nan, force, self._followed_s, sample.dt)
         if is_moving and sample.brake_command < _BRAKING and not sample.emergency:
             most = min(state.strongest, state.strongest_before)
-            state.effort.compare(force, known.inertia * known.train_file.brake.rate_at(sample.speed) * most)
+            state.effort.compare(force, known.inertia * most)
 
     def _check_standstill(self, speed: float) -> None:
         """Contradict a speed [m/s] that rises from a standstill while the brake holds the train."""
@@ -318,7 +319,8 @@ class PlausibilityMonitor:
             state.confirmed = state.confirmed or state.traction.is_plausible
             self._close_released(y, traction, limit + noise, seconds, resistance)
             return
-        brake = inertia * self._known.train_file.brake.rate_at(sample.speed) * block.command / seconds
+        nominal = inertia * block.command / seconds
+        brake = self._known.train_file.brake.rate_at(sample.speed) * nominal
         limit = _SUDDEN + _SUDDEN_BRAKE * abs(brake)
         state.balance.add(y - brake, limit + noise / SUDDEN_MEMORY)
         state.recent.add(y, brake, RECENT)
@@ -326,7 +328,7 @@ class PlausibilityMonitor:
         self._judge_brake(noise)
         # Electric brakes, whose force some trains report alone, fade out before the stop.
         if state.steady_s > self._followed_s + _BLOCK_S and sample.speed >= _BLENDED:
-            state.effort.take(traction, brake)
+            state.effort.take(traction, nominal)
             state.effort.judge(state.brake)
         if traction > _DRIVING:
             state.balance.contradict()

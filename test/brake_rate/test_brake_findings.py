@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""A train file whose dead time of the brake is wrong: named, and no brake rate is valid."""
+"""A train file whose brake is wrong in dead time or over speed: named, and no brake rate is valid."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from trainid_ros.estimators.brake_findings import brake_findings
+from trainid_ros.brake_rate.brake_findings import brake_findings
 from trainid_ros.pipelines import EstimatorSettings, brake_rate_pipeline, resistance_pipeline
 from trainid_ros.results import Status
 from trainid_ros.sim.scenario import Scenario, Simulation, simulate
@@ -60,3 +60,30 @@ def test_the_resistance_is_estimated_all_the_same(metro: TrainFile, day: Simulat
     assert pipeline.stream.brake_delay.warning
     assert brake_findings(pipeline) == ()
     assert pipeline.status in USABLE
+
+
+@pytest.mark.parametrize(('rise', 'sense'), [(-0.7, 'rises'), (-0.1, ''), (0.1, ''), (0.7, 'falls')])
+def test_a_rate_that_changes_over_speed_by_much_is_named_and_not_valid(
+    metro: TrainFile, day: Simulation, rise: float, sense: str
+) -> None:
+    """The table of the train file rises from standstill to full speed; the true brake rate does not."""
+    table = ((0.0, 1.0 - 0.5 * rise), (metro.train.max_speed, 1.0 + 0.5 * rise))
+    pipeline = brake_rate_pipeline(replace(metro, brake=replace(metro.brake, rate_table=table)), EstimatorSettings())
+    for record in day.records:
+        pipeline.push(record)
+    assert (pipeline.status in USABLE) == (not sense)
+    named = [finding.split(' brake rate ')[1].split()[0] for finding in brake_findings(pipeline)]
+    assert named == [sense] * bool(sense)
+
+
+def test_a_long_dead_time_and_a_steep_table_that_are_right_are_valid(metro: TrainFile) -> None:
+    """As measured on a multiple unit; traction begins while the holding brake still acts."""
+    table = ((2.0, 1.25), (8.0, 0.9), (14.0, 0.6), (25.0, 0.4))
+    slow = replace(metro, brake=replace(metro.brake, delay=3.3, time_constant=1.0, rate_table=table))
+    pipeline = brake_rate_pipeline(slow, EstimatorSettings())
+    driven = simulate(Scenario(slow, runs=4), np.random.default_rng(6002))
+    outputs = [output for record in driven.records for output in pipeline.push(record)]
+    assert brake_findings(pipeline) == ()
+    assert pipeline.stream.last_finding == ''
+    assert outputs[-1].status in USABLE
+    assert abs(outputs[-1].estimate.brake_rate - 1.0) < 3.0 * outputs[-1].estimate.brake_rate_std
