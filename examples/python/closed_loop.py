@@ -67,15 +67,14 @@ class NodeValues:
         while (left := self._due - time.monotonic()) > 0.0:
             self._executor.spin_once(timeout_sec=left)
         self._asked += 1
-        self._live += self.model.resistance(0.0).live or self.model.brake_rate().live
+        self._live += self.model.brake_rate().live
         return client_values(self.model, self._brake)
 
     @property
     def live_share(self) -> float:
-        """Share of the commands with a live estimate, of resistance or brake rate; NoAnswerError if none had one."""
+        """Share of the commands with a live estimate of the brake rate; NoAnswerError if none had one."""
         if self._live == 0:
-            w, rate = self.model.resistance(0.0).reason, self.model.brake_rate().reason
-            msg = f'no live estimate was used: resistance {w}; brake rate {rate}'
+            msg = f'no live estimate of the brake rate was used: {self.model.brake_rate().reason}'
             raise NoAnswerError(msg)
         return self._live / self._asked
 
@@ -107,7 +106,7 @@ def arguments() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(description=__doc__.partition('\n')[0])
     parser.add_argument('--world', default='tram', choices=sorted(WORLDS))
     parser.add_argument('--runs', type=whole, default=6, help='from stop to stop, at least 1')
-    parser.add_argument('--seed', type=whole, default=1)
+    parser.add_argument('--seed', type=whole, default=4, help='of the day; on that of 4 the brake becomes weak')
     parser.add_argument('--rate', type=positive, default=10.0, help='times real time')
     parser.add_argument('--prepare', type=Path, metavar='FILE', help='write the train file of the day, and end')
     return parser
@@ -133,7 +132,7 @@ def main() -> int:
         print(f'closed_loop.py: error: {error}', file=sys.stderr)
         return 1
     nominal = drive_day(plan, 'nominal', args.seed)
-    print(f'live estimates were used for {share:.0%} of the commands')
+    print(f'the brake rate was a live estimate for {share:.0%} of the commands')
     print('stop error with live estimates and with the train file, m')
     for live, stated in zip(found.errors, nominal.errors, strict=True):
         print(f'{live:+.2f}  {stated:+.2f}')

@@ -246,6 +246,25 @@ def test_each_problem_is_reported_with_its_own_begin_and_what_to_do(graph: Graph
 
 
 @pytest.mark.ros
+def test_a_wrong_brake_is_named_and_driving_on_is_not_advised(graph: Graph, train_file: str) -> None:
+    diagnosed = Diagnosed(graph)
+    node = graph.make(partial(EstimatorNode, BRAKE_RATE), train_file=train_file, diagnostic_period=60.0)
+    node.bring_up()
+    own, messages = 'brake_rate_estimator: estimator', []
+    converging = Changed(node.pipeline.current(), status=Status.CONVERGING)
+    node.pipeline = Changed(node.pipeline, current=lambda: converging)
+    for slope in (0.0, -0.3):
+        node.pipeline.estimator.state.slope = slope
+        diagnosed.by_name.clear()
+        node._diagnostics.publish()
+        graph.until(lambda: own in diagnosed.by_name)
+        messages.append(str(diagnosed.by_name[own].message))
+    assert 'drive on' in messages[0]
+    assert messages[1].startswith('from standstill to 22 m/s the brake rate falls by about 0.30 against brake.rate')
+    assert 'drive on' not in messages[1]
+
+
+@pytest.mark.ros
 def test_publishers_that_are_not_heard_and_second_publishers_are_named_in_diagnostics_and_log(
     graph: Graph, train_file: str, capfd: pytest.CaptureFixture[str]
 ) -> None:

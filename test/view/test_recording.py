@@ -39,6 +39,11 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return path
 
 
+def test_a_name_that_rerun_does_not_open_is_refused(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(['view', str(BAG), '--out', str(tmp_path / 'x.txt')]) != 0
+    assert 'x.txt: the name of a recording must end in .rrd' in capsys.readouterr().err
+
+
 @pytest.fixture(scope='module')
 def columns(recording: Path) -> dict[str, Any]:
     """Return times [s] and values by path and component."""

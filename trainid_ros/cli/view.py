@@ -26,6 +26,7 @@ if TYPE_CHECKING:
     import argparse
 
 _TRAIN_FILE: Final = 'train.yaml'
+_RECORDING: Final = '.rrd'
 # Its server is for this machine alone.
 _LOCAL: Final = ('--bind', '127.0.0.1', '--port', 'auto')
 _DISPLAYS: Final = ('DISPLAY', 'WAYLAND_DISPLAY')
@@ -38,6 +39,9 @@ def run(args: argparse.Namespace) -> int:
         InputError: Bag, train file or parameters cannot be used, the output cannot be written, or there is no display.
 
     """
+    if args.out is not None and args.out.suffix != _RECORDING:
+        msg = f'{args.out}: the name of a recording must end in {_RECORDING}, or Rerun does not open it'
+        raise InputError(msg)
     args.map = args.map or mapping_in(args.params, args.namespace)
     switch_off()
     import rerun  # noqa: F401, PLC0415 - if it is missing, that is said before the replay

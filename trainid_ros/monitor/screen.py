@@ -193,11 +193,16 @@ def _findings(view: TrainView, size: _Size, console: Console, room: int) -> list
 def _overview(views: Sequence[TrainView], size: _Size) -> Group:
     """Return one line for each train, and its worst finding."""
     table = Table(box=None, pad_edge=False, header_style='dim')
-    for name in ('train', 'speed', *(item.name for item in views[0].estimates)):
-        table.add_column(name, no_wrap=True, overflow=size.overflow)
+    speeds = [f'{number(view.speed_kmh, 1)} km/h' for view in views]
+    # Names are needed to ask for one train in full: where there is little room, estimates are cut first.
+    for name, shown in (('train', [view.namespace for view in views]), ('speed', speeds)):
+        least = min(max(map(len, shown)), size.width // 2)
+        table.add_column(name, no_wrap=True, overflow=size.overflow, min_width=least)
+    for item in views[0].estimates:
+        table.add_column(item.name, no_wrap=True, overflow=size.overflow)
     findings: list[Text] = []
-    for view in views:
-        cells = [size.text(view.namespace, 'bold'), size.text(f'{number(view.speed_kmh, 1)} km/h')]
+    for view, speed in zip(views, speeds, strict=True):
+        cells = [size.text(view.namespace, 'bold'), size.text(speed)]
         for item in view.estimates:
             style = _BAD if item.is_silent or item.status is None else _STYLES.get(item.status, _BAD)
             known = '' if item.status is None else f'{number(item.value)} ± {number(item.std)} '

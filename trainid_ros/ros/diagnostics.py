@@ -117,6 +117,10 @@ class Problem(Enum):
     BUSY = 'busy'
 
 
+# Nothing is valid while one of these lasts, whatever is driven.
+_BLOCKING: Final = frozenset({Problem.CONTRADICTION, Problem.BRAKE})
+
+
 @dataclass(frozen=True, slots=True)
 class NodeHealth:
     """State of the node apart from its estimator.
@@ -204,7 +208,9 @@ def _judge(health: NodeHealth, output: Output[Any], value: str) -> Finding:
     text = f'{status.name}: {_MEANINGS[status]}{f" ({reason})" if reason else ""}; {value}'
     if health.state != 'active':
         return Finding(DiagnosticStatus.WARN, f'{health.state}, inputs are ignored; last {text}', 'activate it')
-    return Finding(_LEVELS[status], text, _ACTIONS.get(status, ''), health.since_ns)
+    # What to do about a problem comes before driving on.
+    action = '' if status is Status.CONVERGING and _BLOCKING & health.began.keys() else _ACTIONS.get(status, '')
+    return Finding(_LEVELS[status], text, action, health.since_ns)
 
 
 def estimator_status(
