@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: Apache-2.0
-"""Stops of an ATO with the values of the train file, stronger feedback, a learned bias, live estimates, and the truth.
+"""Stops of an ATO with the values of the train file, stronger feedback, learning, live estimates, and the truth.
 
 Random days on three lines; the days are the same for all controllers. See ``trainid_ros.ato.days``.
 """
@@ -140,11 +140,11 @@ def _stops(chosen: Chosen) -> Table:
     sizes = ('mean, m', 'sd, m', 'p95, m', 'within .30 m', 'brake steady', 'gap closed', 'after a change, m')
     header = ('line', 'values', 'stops', *sizes)
     note = (
-        'Nominal: values of the train file; fast: the same with four times the integral action; learning: with a bias '
-        'learned from the last stops. Errors of the stops, > 0 beyond them; p95 of their size. Brake steady: within '
-        '.30 m, of the stops during whose braking no rain began and no brake unit was isolated. Gap closed: of the p95 '
-        f'between nominal and truth. After a change: mean size of the first {_AFTER} errors after rain begins or a '
-        'brake unit is isolated.'
+        'Nominal: values of the train file; fast: the same with four times the integral action; learning: fast, with a '
+        'bias learned from the last stops; rate: nominal, with a brake rate learned from the last stops. Errors of the '
+        'stops, > 0 beyond them; p95 of their size. Brake steady: within .30 m, of the stops during whose braking no '
+        'rain began and no brake unit was isolated. Gap closed: of the p95 between nominal and truth. After a change: '
+        f'mean size of the first {_AFTER} errors after rain begins or a brake unit is isolated.'
     )
     return Table('Stops', header, tuple(rows), note)
 

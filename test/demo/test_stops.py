@@ -38,7 +38,7 @@ def test_a_short_day_is_driven_and_reported(tmp_path: Path, monkeypatch: pytest.
     said: list[str] = []
     case = stops.play_stops(tmp_path / 'stops', said.append)
     assert len(said) == 1
-    assert [len(one.errors) for one in case.drives.values()] == [2] * 5
+    assert [len(one.errors) for one in case.drives.values()] == [2] * 6
     page = case.report.read_text(encoding='utf-8')
     assert page.count('<svg') == 2
     assert 'within 0.30 m' in page

@@ -14,7 +14,7 @@ import numpy as np
 
 from trainid_ros.ato.controller import Ato, AtoModel, Phase
 from trainid_ros.ato.knowledge import LiveValues, StatedValues, TrainKnowledge, TrueValues
-from trainid_ros.ato.learning import StopBias
+from trainid_ros.ato.learning import LearnedRate, StopBias
 from trainid_ros.ato.train_state import PositionModel
 from trainid_ros.sim.driver import TICK_S
 from trainid_ros.sim.realism import UNKNOWNS, make_case
@@ -30,8 +30,9 @@ if TYPE_CHECKING:
     from trainid_ros.sim.realism import Case
     from trainid_ros.sim.worlds import World
 
-CONTROLLERS: Final = ('nominal', 'fast', 'learning', 'live', 'truth')
-"""Values of the train file; the same with stronger integral action; with a learned bias; estimates; true values."""
+CONTROLLERS: Final = ('nominal', 'fast', 'learning', 'rate', 'live', 'truth')
+"""Values of the train file; the same with stronger integral action; with that and a bias learned from the last stops;
+with a brake rate learned from the last stops; estimates; true values."""
 _FAST: Final = PositionModel(integral_gain=0.25)
 _UNKNOWNS: Final = frozenset(UNKNOWNS) - {'changes'}
 # Brake rate at the start of a day, wear over the day [1], steps in which the wear is simulated.
@@ -157,7 +158,7 @@ def drive_day(plan: DayPlan, controller: str | TrainKnowledge, seed: int) -> Dri
 
     def make(plant: Plant, rng: np.random.Generator) -> ScoredAto:
         known = _knowledge(controller, stated, TrueValues(true, plant)) if isinstance(controller, str) else controller
-        position = _FAST if controller == 'fast' else PositionModel()
+        position = _FAST if controller in ('fast', 'learning') else PositionModel()
         scored.append(ScoredAto(plan, known, rng, position, learns=controller == 'learning'))
         return scored[0]
 
@@ -168,6 +169,8 @@ def drive_day(plan: DayPlan, controller: str | TrainKnowledge, seed: int) -> Dri
 def _knowledge(controller: str, stated: TrainFile, true: TrueValues) -> TrainKnowledge:
     if controller == 'truth':
         return true
+    if controller == 'rate':
+        return LearnedRate(stated)
     return LiveValues(stated) if controller == 'live' else StatedValues(stated)
 
 

@@ -27,7 +27,7 @@ class PositionModel:
     balise_std: float = setting(0.02, 'standard deviation of the position read at a balise', 'm', 0.0, 1.0)
     speed_gain: float = setting(0.3, 'share of a speed error that one measurement corrects', '1', 0.01, 1.0)
     integral_gain: float = setting(0.06, 'acceleration per speed error, added with each measurement', '1/s', 0.0, 1.0)
-    most_integral: float = setting(0.3, 'largest acceleration learned so', 'm/s^2', 0.0, 2.0)
+    most_integral: float = setting(1.0, 'largest acceleration learned so', 'm/s^2', 0.0, 2.0)
 
 
 class TrainState:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from trainid_ros.report.page import captioned, page
-from trainid_ros.report.style import BAD, BRAKE, ESTIMATE, MUTED, SECOND, styled_figure, to_svg
+from trainid_ros.report.style import BAD, BRAKE, ESTIMATE, MUTED, SECOND, TRACTION, styled_figure, to_svg
 from trainid_ros.report.tables import html_table
 
 if TYPE_CHECKING:
@@ -18,11 +18,18 @@ if TYPE_CHECKING:
 
 WINDOW: Final = 0.30
 """Largest error of a good stop [m]."""
-_COLOURS: Final = {'nominal': BAD, 'fast': BRAKE, 'learning': SECOND, 'live': ESTIMATE, 'truth': MUTED}
+_COLOURS: Final = {
+    'nominal': BAD,
+    'fast': BRAKE,
+    'learning': SECOND,
+    'rate': TRACTION,
+    'live': ESTIMATE,
+    'truth': MUTED,
+}
 _FOOTER: Final = (
     'The same controller and the same day with different values: nominal, those of the train file; fast, the same with '
-    'four times the integral action; learning, with a bias learned from the last stops; live, estimates of this '
-    'service; truth, those of the simulated train.'
+    'four times the integral action; learning, that with a bias learned from the last stops; rate, with a brake rate '
+    'learned from them; live, estimates of this service; truth, those of the simulated train.'
 )
 
 
