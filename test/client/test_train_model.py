@@ -365,3 +365,17 @@ def test_answers_take_less_than_two_milliseconds() -> None:
             times.append((time.process_time() - start) / 20)
         print(f'{1e6 * min(times):.0f} us')
         assert min(times) < 2e-3
+
+
+def test_the_speeds_learned_from_are_those_of_usable_estimates() -> None:
+    model = TrainModel(None, FILE)
+    model.take_message(RESISTANCE_TOPIC, Status.VALID, replace(W, speed_min=3.0, speed_max=18.0), 1)
+    for k, (status, low) in enumerate(((Status.CONVERGING, 0.0), (Status.VALID, math.nan)), 2):
+        model.take_message(RESISTANCE_TOPIC, status, replace(W, speed_min=low, speed_max=30.0), k)
+    assert model.resistance(20.0).reason.endswith('outside the speeds learned from, 3.0 to 18.0 m/s')
+
+
+def test_a_resistance_that_no_train_has_is_not_used() -> None:
+    model = TrainModel(None, FILE)
+    model.take_message(RESISTANCE_TOPIC, Status.VALID, replace(W, a=-100.0), 1)
+    assert model.resistance(10.0).reason == 'train file: a, b, c or their covariance are not possible'

@@ -22,6 +22,8 @@ if TYPE_CHECKING:
 DAVIS: Final = 'a, b, c'
 FORCE_SCALE: Final = 'force scale'
 BRAKE_RATE: Final = 'brake rate'
+# No a, b or c of a train is below this [N/kN and per m/s, (m/s)^2].
+_LEAST_DAVIS = -20.0
 # Actual over reported force, whichever reads wrong [1].
 _LEAST_SCALE, _MOST_SCALE = 0.1, 10.0
 
@@ -56,7 +58,7 @@ class FileValues:
         scale = Normal((1.0,), (math.hypot(train.mass_std, train.force_std) ** 2,))
         speeds = (0.0, 0.5 * train.max_speed, train.max_speed)
         return {
-            DAVIS: Parameter(davis, tuple((1.0, v, v * v) for v in speeds)),
+            DAVIS: Parameter(davis, tuple((1.0, v, v * v) for v in speeds), _LEAST_DAVIS),
             FORCE_SCALE: Parameter(scale, ((1.0,),), _LEAST_SCALE, _MOST_SCALE),
         }
 

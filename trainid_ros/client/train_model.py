@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.brake_rate.brake_rate_settings import GsmaConfig
 from trainid_ros.client.bounds import LEAST_RATE, MOST_SPEED, StoppingBounds, StopPosterior
-from trainid_ros.client.channel import MAX_AGE_S, Channel
+from trainid_ros.client.channel import MAX_AGE_S, USABLE, Channel
 from trainid_ros.client.file_values import BRAKE_RATE, DAVIS, FORCE_SCALE, FileValues
 from trainid_ros.client.message_values import brake_rate_values, resistance_values
 from trainid_ros.errors import InputError, NoAnswerError
@@ -107,6 +107,7 @@ class TrainModel:
         self._brake_rate = Channel(self._file.brake_rate(), max_age)
         self._channels = {RESISTANCE_TOPIC: self._resistance, BRAKE_RATE_TOPIC: self._brake_rate}
         self._learned_speeds = (0.0, math.inf)
+        self.subscriptions: tuple[Any, ...] = ()
         if node is not None:
             from trainid_ros.ros.estimate_subscriptions import subscribe_estimates  # noqa: PLC0415 (needs ROS)
 
@@ -152,7 +153,7 @@ class TrainModel:
                 return
             if not latched:
                 channel.take_new(status, values, now, stamp_ns)
-            if is_resistance:
+            if is_resistance and status in USABLE and estimate.speed_min <= estimate.speed_max:
                 self._learned_speeds = (estimate.speed_min, estimate.speed_max)
 
     def lose(self, topic: OutputTopic, reason: str) -> None:
