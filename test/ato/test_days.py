@@ -49,6 +49,12 @@ def test_a_drive_is_scored() -> None:
     assert all(5.0 < end - begin < 60.0 for begin, end in zip(begins, ends, strict=True))
 
 
+@pytest.mark.parametrize('world', ['metro', 'tram'])
+def test_limits_are_kept_with_a_brake_that_takes_time(world: str) -> None:
+    over = [drive_day(plan_day(world, 4, np.random.default_rng(seed)), 'truth', seed).overspeed for seed in range(1, 5)]
+    assert max(over) < 0.1
+
+
 @pytest.mark.slow
 def test_live_estimates_stop_the_train_better() -> None:
     nominal, live = (

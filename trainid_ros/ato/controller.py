@@ -175,11 +175,11 @@ class Ato:
                 return 0.0, usual
             self._applies = False
             return 0.0, self._stopping_command(ahead, left)
-        applying_s = max(0, usual - self._steps) * TICK_S
-        if self._predictor.stop_distance(ahead, self._command(usual)) + 0.5 * applying_s * ahead.speed >= left:
+        applying = 0.5 * max(0, usual - self._steps) * TICK_S * ahead.speed
+        if self._predictor.stop_distance(ahead, self._command(usual)) + applying >= left:
             self.phase, self._applies = Phase.STOP, True
             return 0.0, usual
-        return self._follow_limits(ahead)
+        return self._follow_limits(ahead, applying)
 
     def _left(self) -> float:
         state = self._state
@@ -212,10 +212,14 @@ class Ato:
         """Return the brake command of a number of steps [m/s^2]."""
         return 0.0 - round(steps * self._model.brake_step, 6)
 
-    def _follow_limits(self, ahead: Motion) -> tuple[float, int]:
-        """Return traction [N] and steps of the brake command that keep to the speed allowed."""
+    def _follow_limits(self, ahead: Motion, applying: float) -> tuple[float, int]:
+        """Return traction [N] and steps of the brake command that keep to the speed allowed.
+
+        ``applying`` is the distance [m] that is lost while the brake is applied step by step.
+        """
         model, values, state = self._model, self._predictor.values, self._state
-        allowed, slope = self.allowed(state.position, state.speed, ahead.distance)
+        building_up = values.brake.time_constant * ahead.speed
+        allowed, slope = self.allowed(state.position, state.speed, ahead.distance + applying + building_up)
         excess = ahead.speed - allowed
         if excess > _BRAKE_EXCESS:
             self.phase = Phase.BRAKE
