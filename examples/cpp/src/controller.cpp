@@ -1,7 +1,9 @@
 // SPDX-License-Identifier: Apache-2.0
 // Uses the live estimates while they are fit to use, else the values of the train file.
 #include <chrono>
+#include <memory>
 #include <optional>
+#include <string>
 
 #include "rclcpp/rclcpp.hpp"
 #include "trainid_client/equations.hpp"
@@ -15,7 +17,7 @@ template<class Estimate>
 class Newest {
 public:
   Newest(rclcpp::Node * node, const std::string & name) {
-    const auto take = [this, node](const Estimate & message) {newest_ = message, at_ = node->now();};
+    const auto take = [this, node](const Estimate & message) {newest_ = message; at_ = node->now();};
     const auto join = [this, take](const Estimate & message) {if (!newest_) {take(message);}};
     live_ = node->create_subscription<Estimate>("trainid/" + name, 10, take);
     latched_ = node->create_subscription<Estimate>(
@@ -44,10 +46,10 @@ public:
 private:
   void step() {
     trainid::Covariance P{0.61, 0, 0, 0, 6.25e-4, 0, 0, 0, 2.61e-6};  // of the train file, as are these
-    trainid::Theta p{1.0, 0, 0, 1.0, 0.03, 0.003, 0.0, 0.6, 0.4}, std{0.2, 0.08, 0.06, 0, 0, 0, 0.2, 0.108, 0.057};
-    if (const auto w = w_.usable(now())) {P = w->covariance, p[3] = w->a, p[4] = w->b, p[5] = w->c;}
-    if (const auto f = rate_.usable(now())) {p[0] = f->brake_rate, std[0] = f->brake_rate_std;}
-    const double bound = trainid::stopping_bound(train_, p, std, P, 20.0, 0.8, 1.645);
+    trainid::Theta p{1.0, 0, 0, 1.0, 0.03, 0.003, 0.0, 0.6, 0.4}, stds{0.2, 0.08, 0.06, 0, 0, 0, 0.2, 0.108, 0.057};
+    if (const auto w = w_.usable(now())) {P = w->covariance; p[3] = w->a; p[4] = w->b; p[5] = w->c;}
+    if (const auto f = rate_.usable(now())) {p[0] = f->brake_rate; stds[0] = f->brake_rate_std;}
+    const double bound = trainid::stopping_bound(train_, p, stds, P, 20.0, 0.8, 1.645);
     RCLCPP_INFO(get_logger(), "stops from 20 m/s within %.1f m (95 %%)", bound);
   }
 
@@ -57,4 +59,7 @@ private:
   rclcpp::TimerBase::SharedPtr timer_;
 };
 
-int main(int argc, char ** argv) {rclcpp::init(argc, argv), rclcpp::spin(std::make_shared<Controller>());}
+int main(int argc, char ** argv) {
+  rclcpp::init(argc, argv);
+  rclcpp::spin(std::make_shared<Controller>());
+}

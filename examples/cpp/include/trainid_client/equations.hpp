@@ -5,6 +5,8 @@
 #include <algorithm>
 #include <array>
 #include <cmath>
+#include <cstddef>
+#include <iterator>
 #include <limits>
 #include <numeric>
 #include <utility>
@@ -54,30 +56,171 @@ inline double table(const Train & train, double v) {
   return rows.back().second;
 }
 
+// Speeds [m/s] from 0 to one [m/s, > 0] between which the brake rate is smooth.
+inline std::vector<double> knots(const Train & train, double speed) {
+  std::vector<double> all{train.blend_speed, 2.0 * train.blend_speed, train.max_speed}, out{0.0};
+  for (const auto & row : train.rate_table) {all.push_back(row.first);}
+  std::sort(all.begin(), all.end());
+  std::copy_if(all.begin(), all.end(), std::back_inserter(out), [&](double v) {return 0.0 < v && v < speed;});
+  out.push_back(speed);
+  return out;
+}
+
+inline double dot(const Theta & x, const Theta & y) {
+  return std::inner_product(x.begin(), x.end(), y.begin(), 0.0);
+}
+
+// Derivatives by the parameters of the deceleration at a brake target [m/s^2]; it is linear in them and in the target.
+inline Theta by_parameters(const Train & train, double v, double target) {
+  const double k = G / (1000.0 * (1.0 + train.rotary_mass)), r = table(train, v) * target;
+  const double slope = std::min(v / train.max_speed, 1.0) - 0.5;
+  const double changeover = std::max(0.0, 1.0 - std::abs(v / train.blend_speed - 1.0));
+  return {r, r * slope, r * changeover, k, k * v, k * v * v, k, 0.0, 0.0};
+}
+
+// Distance [m], infinite if the train does not stop, and its derivatives by the parameters.
+struct Stop {
+  double distance = 0.0;
+  Theta gradient{};
+};
+
+// Stops from a released brake with a brake target [m/s^2, > 0]. The balance is integrated over time until the brake is
+// built up, then over speed. The derivatives are those of the adjoint equation, within a few per cent: up to 7 % too
+// small if the train stops while the brake builds up.
+class Braking {
+public:
+  Braking(const Train & train, const Theta & p, double command)
+  : train_(train), p_(p), command_(command), dead_steps_(static_cast<int>(std::ceil(std::max(0.0, p[DELAY]) / 0.8))) {}
+
+  Stop from(double speed) const {
+    Stop out;
+    std::vector<double> times{0.0}, speeds{speed};
+    for (const double planned : ends_of_steps()) {
+      const double t = times.back(), v = speeds.back();
+      const double after = step(t, v, planned - t).first;
+      const double end = after > 0.0 ? planned : t + time_of_stop(t, v, planned - t);
+      out.distance += step(t, v, end - t).second;
+      times.push_back(end);
+      speeds.push_back(std::max(0.0, after));
+      if (after <= 0.0) {break;}
+      if (!(after <= 400.0)) {return {infinity, {}};}  // it runs away, or something is NaN
+    }
+    if (!(speeds.back() <= 0.0)) {hold(out, speeds.back());}
+    if (std::isfinite(out.distance)) {go_back(out, times, speeds);}
+    return out;
+  }
+
+private:
+  static constexpr double infinity = std::numeric_limits<double>::infinity();
+
+  double target(double t) const {
+    const double since = t - p_[DELAY];
+    if (since <= 0.0) {return 0.0;}
+    return p_[LAG] > 0.0 ? -command_ * std::expm1(-since / p_[LAG]) : command_;
+  }
+
+  double deceleration(double v, double target) const {return dot(by_parameters(train_, v, target), p_);}
+
+  // Ends [s] of the steps until the brake is built up.
+  std::vector<double> ends_of_steps() const {
+    std::vector<double> out;
+    for (int n = 1; n <= dead_steps_; ++n) {out.push_back(p_[DELAY] * n / dead_steps_);}
+    for (const double x : {0.4, 0.8, 1.2, 1.7, 2.2, 2.8, 3.5, 4.3, 5.3, 6.5, 8.0, 10.0}) {
+      if (p_[LAG] > 0.0) {out.push_back(p_[DELAY] + p_[LAG] * x);}
+    }
+    return out;
+  }
+
+  // Speed [m/s] after a step of Runge-Kutta, and its distance [m].
+  std::pair<double, double> step(double t, double v, double dt) const {
+    const double middle = target(t + 0.5 * dt);
+    const double k1 = deceleration(v, target(t));
+    const double k2 = deceleration(v - 0.5 * dt * k1, middle);
+    const double k3 = deceleration(v - 0.5 * dt * k2, middle);
+    const double k4 = deceleration(v - dt * k3, target(t + dt));
+    return {v - dt * (k1 + 2.0 * (k2 + k3) + k4) / 6.0, dt * v - dt * dt * (k1 + k2 + k3) / 6.0};
+  }
+
+  // Time [s] from t until the train stands, at most dt.
+  double time_of_stop(double t, double v, double dt) const {
+    double low = 0.0, high = dt;
+    for (int n = 0; n < 50; ++n) {
+      const double middle = 0.5 * (low + high);
+      (step(t, v, middle).first > 0.0 ? low : high) = middle;
+    }
+    return low;
+  }
+
+  // Adds the stop from a speed with the brake built up.
+  void hold(Stop & out, double speed) const {
+    const std::vector<double> ends = knots(train_, speed);
+    for (std::size_t n = 1; n < ends.size(); ++n) {hold_between(out, ends[n - 1], ends[n], 12);}
+  }
+
+  // Adds the way between two speeds (Gauss-Legendre), in halves where the deceleration varies much.
+  void hold_between(Stop & out, double low, double high, int halvings) const {
+    constexpr std::array<double, 5> nodes{
+      0.04691007703066802, 0.23076534494715845, 0.5, 0.7692346550528415, 0.953089922969332};
+    constexpr std::array<double, 5> weights{
+      0.11846344252809454, 0.23931433524968324, 0.28444444444444444, 0.23931433524968324, 0.11846344252809454};
+    const auto [least, most] = std::minmax({deceleration(low, command_), deceleration(high, command_)});
+    if (least > 0.0 && most > 2.0 * least && halvings > 0) {
+      hold_between(out, low, 0.5 * (low + high), halvings - 1);
+      hold_between(out, 0.5 * (low + high), high, halvings - 1);
+      return;
+    }
+    for (int j = 0; j < 5; ++j) {
+      const double v = low + (high - low) * nodes[j], d = deceleration(v, command_);
+      const double run = least > 0.0 && d > 0.0 ? (high - low) * weights[j] * v / d : infinity;
+      out.distance += run;
+      add(out.gradient, -run / d, by_parameters(train_, v, command_));
+    }
+  }
+
+  static void add(Theta & sum, double weight, const Theta & x) {
+    for (int j = 0; j < COUNT; ++j) {sum[j] += weight * x[j];}
+  }
+
+  // Adds the derivatives during the steps. The costate [s], that of the distance to go by the speed, follows backwards
+  // from its value at their end (trapezoidal rule).
+  void go_back(Stop & out, const std::vector<double> & times, const std::vector<double> & speeds) const {
+    const int last = static_cast<int>(times.size()) - 1;
+    double costate = speeds[last] > 0.0 ? speeds[last] / deceleration(speeds[last], command_) : 0.0;
+    double after = by_speed(times[last], speeds[last]);
+    for (int n = last; n >= 0; --n) {
+      const double t = times[n], v = speeds[n], here = by_speed(t, v);
+      const double dt = n < last ? times[n + 1] - t : 0.0, dt_before = n > 0 ? t - times[n - 1] : 0.0;
+      costate = (costate * (1.0 - 0.5 * dt * after) + dt) / (1.0 + 0.5 * dt * here);
+      after = here;
+      const double weight = -0.5 * (dt + dt_before) * costate;
+      add(out.gradient, weight, by_parameters(train_, v, target(t)));
+      out.gradient[LAG] += weight * by_lag(t, v);
+      if (n == dead_steps_) {out.gradient[DELAY] = v - costate * deceleration(v, 0.0);}
+    }
+  }
+
+  // Derivative of the deceleration by speed [1/s].
+  double by_speed(double t, double v) const {
+    return (deceleration(v + 0.01, target(t)) - deceleration(v - 0.01, target(t))) / 0.02;
+  }
+
+  // Derivative of the deceleration by the time constant [m/s^3].
+  double by_lag(double t, double v) const {
+    const double since = t - p_[DELAY], lag = p_[LAG];
+    if (since <= 0.0 || lag <= 0.0) {return 0.0;}
+    const double target_by_lag = -command_ * std::exp(-since / lag) * since / (lag * lag);
+    return deceleration(v, target_by_lag) - deceleration(v, 0.0);
+  }
+
+  Train train_;
+  Theta p_;
+  double command_;
+  int dead_steps_;
+};
+
 // Distance [m] from a speed [m/s] with a brake target [m/s^2, > 0]; infinite if the train does not stop.
 inline double stopping_distance(const Train & train, const Theta & p, double speed, double command) {
-  const double k = G / (1000.0 * (1.0 + train.rotary_mass)), dt = 0.02;
-  const auto deceleration = [&](double t, double v) {
-      const double since = t - p[DELAY];
-      const double built_up = since <= 0.0 ? 0.0 : p[LAG] > 0.0 ? -std::expm1(-since / p[LAG]) : 1.0;
-      const double by_speed = p[SLOPE] * (std::min(v / train.max_speed, 1.0) - 0.5) +
-        p[CHANGEOVER] * std::max(0.0, 1.0 - std::abs(v / train.blend_speed - 1.0));
-      const double w = p[A] + p[GRADIENT] + v * (p[B] + v * p[C]);
-      return table(train, v) * (p[RATE] + by_speed) * command * built_up + k * w;
-    };
-  const double built_up = p[DELAY] + 10.0 * p[LAG];
-  double distance = 0.0, v = speed, t = 0.0;
-  while (v < 400.0) {
-    const double d0 = deceleration(t, v);
-    if (t > built_up && d0 <= 0.0) {break;}
-    const double step = t > built_up ? std::max(dt, 0.005 * v / d0) : dt;
-    const double d = deceleration(t + 0.5 * step, v - 0.5 * step * d0);
-    if (v - step * d <= 0.0) {return distance + 0.5 * v * v / d;}
-    distance += step * (v - 0.5 * step * d);
-    v -= step * d;
-    t += step;
-  }
-  return std::numeric_limits<double>::infinity();
+  return Braking(train, p, command).from(speed).distance;
 }
 
 // Covariance times a gradient.
@@ -88,50 +231,49 @@ inline Theta spread_of(const Theta & stds, const Covariance & P, const Theta & s
   return out;
 }
 
-inline double dot(const Theta & x, const Theta & y) {
-  return std::inner_product(x.begin(), x.end(), y.begin(), 0.0);
+// Standard deviation along a gradient.
+inline double deviation(const Theta & stds, const Covariance & P, const Theta & slope) {
+  return std::sqrt(std::max(dot(slope, spread_of(stds, P, slope)), 0.0));  // in this order NaN stays NaN
 }
 
 // Whether the built-up brake decelerates at all speeds up to one with the probability of z standard deviations.
 inline bool may_stop(
   const Train & train, const Theta & mean, const Theta & stds, const Covariance & P, double speed, double command,
   double z) {
-  const double k = G / (1000.0 * (1.0 + train.rotary_mass));
-  for (int n = 0; n <= 400; ++n) {
-    const double v = speed * n / 400.0, u = table(train, v) * command;
-    const double m = std::max(0.0, 1.0 - std::abs(v / train.blend_speed - 1.0));
-    const Theta slope{u, u * (std::min(v / train.max_speed, 1.0) - 0.5), u * m, k, k * v, k * v * v, k, 0.0, 0.0};
-    if (dot(slope, mean) <= z * std::sqrt(dot(slope, spread_of(stds, P, slope)))) {return false;}
+  const auto slows_down = [&](double v) {
+      const Theta slope = by_parameters(train, v, command);
+      return dot(slope, mean) - z * deviation(stds, P, slope) > 0.0;
+    };
+  const std::vector<double> ends = knots(train, 150.0);
+  for (std::size_t n = 1; n < ends.size(); ++n) {
+    for (const double share : {0.0, 0.25, 0.5, 0.75}) {
+      const double v = ends[n - 1] + share * (ends[n] - ends[n - 1]);
+      if (v <= speed && !slows_down(v)) {return false;}
+    }
   }
-  return true;
+  return slows_down(speed);
 }
 
-// Distance within which the train stops with the probability of z standard deviations (1.645: 95 %); infinite where it
-// may not stop. The client does the same with exact derivatives.
+// Distance [m] within which the train stops with the probability of z standard deviations (1.645: 95 %) from a speed
+// [m/s, at most 150]; infinite where it may not stop. The same as in the client: the longest distance of all parameters
+// that are z standard deviations from their mean, found by iteration.
 inline double stopping_bound(
   const Train & train, const Theta & mean, const Theta & stds, const Covariance & P, double speed, double command,
   double z) {
   constexpr double infinity = std::numeric_limits<double>::infinity();
   if (!may_stop(train, mean, stds, P, speed, command, z)) {return infinity;}
-  Theta at = mean;
-  double distance = stopping_distance(train, at, speed, command);
-  for (int iteration = 0; iteration < 200 && std::isfinite(distance); ++iteration) {
-    Theta slope{};
-    for (int j = 0; j < COUNT; ++j) {
-      const double h = 1e-4 * std::max(0.1, std::abs(mean[j]));
-      Theta above = at, below = at;
-      above[j] += h, below[j] -= h;
-      slope[j] = (stopping_distance(train, above, speed, command) - stopping_distance(train, below, speed, command)) /
-        (2.0 * h);
-    }
-    const Theta spread = spread_of(stds, P, slope);
-    const double variance = dot(spread, slope);
-    if (!std::isfinite(variance)) {return infinity;}
-    for (int j = 0; j < COUNT; ++j) {at[j] = mean[j] + (variance > 0.0 ? z / std::sqrt(variance) : 0.0) * spread[j];}
-    at[DELAY] = std::max(0.0, at[DELAY]), at[LAG] = std::max(0.0, at[LAG]);
-    const double before = distance;
-    distance = stopping_distance(train, at, speed, command);
-    if (iteration > 0 && std::abs(distance - before) <= 1e-6 * distance) {return distance;}
+  Stop found = Braking(train, mean, command).from(speed);
+  for (int n = 0; n <= 200 && std::isfinite(found.distance); ++n) {
+    const Theta spread = spread_of(stds, P, found.gradient);
+    const double sigma = deviation(stds, P, found.gradient);
+    Theta at = mean;
+    for (int j = 0; j < COUNT; ++j) {at[j] += sigma > 0.0 ? z / sigma * spread[j] : 0.0;}
+    at[DELAY] = std::max(0.0, at[DELAY]);
+    at[LAG] = std::max(0.0, at[LAG]);
+    if (at[RATE] < 1e-3) {return infinity;}  // no brake
+    const double before = found.distance;
+    found = Braking(train, at, command).from(speed);
+    if (n > 0 && std::abs(found.distance - before) <= 1e-9 * before) {return found.distance;}
   }
   return infinity;
 }
