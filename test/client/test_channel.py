@@ -14,6 +14,7 @@ from trainid_ros.results import Status
 
 FILE = Normal((1.0,), (0.04,))
 LIVE = {'rate': Normal((0.8,), (1e-4,))}
+UNSURE = {'rate': Normal((0.3,), (0.04,))}
 
 
 def channel(until_s: float = 0.0) -> Channel:
@@ -54,7 +55,7 @@ def test_a_status_that_is_not_fit_to_use_brings_the_train_file_back(status: Stat
 def test_a_suspected_estimate_stands_with_the_uncertainty_of_the_train_file() -> None:
     one = channel(10.0)
     for k in range(1, 4):
-        one.take(Status.CONVERGING, {'rate': Normal((0.3,), (1e-6,))}, 10.0 + 0.2 * k)
+        one.take(Status.CONVERGING, UNSURE, 10.0 + 0.2 * k)
     assert one.is_live
     assert one.reason() == 'CONVERGING, the last valid value as uncertain as that of the train file'
     assert one.normal('rate') == Normal((0.8,), FILE.covariance)
@@ -86,13 +87,13 @@ def test_a_suspicion_on_the_way_to_a_live_value_does_not_hasten_it() -> None:
 def test_a_late_joiner_gets_the_last_valid_value_whatever_came_first(*, suspected_first: bool) -> None:
     one = channel()
     if suspected_first:
-        one.take(Status.CONVERGING, {'rate': Normal((0.3,), (1e-6,))}, 0.0)
+        one.take(Status.CONVERGING, UNSURE, 0.0)
         assert not one.is_live
     one.take_latched(Status.VALID, LIVE, 0.01)
-    one.take(Status.CONVERGING, {'rate': Normal((0.3,), (1e-6,))}, 0.02)
+    one.take(Status.CONVERGING, UNSURE, 0.02)
     assert one.reason() == 'CONVERGING, the last valid value as uncertain as that of the train file'
     for k in range(1, 30):
-        one.take(Status.CONVERGING, {'rate': Normal((0.3,), (1e-6,))}, 0.2 * k)
+        one.take(Status.CONVERGING, UNSURE, 0.2 * k)
     assert one.normal('rate') == Normal((0.8,), FILE.covariance)
 
 
@@ -185,6 +186,38 @@ def test_a_clock_that_goes_back_stands_still() -> None:
     assert not one.is_heard(10.0 + MAX_AGE_S + 0.1)
 
 
+@pytest.mark.parametrize('side', [-1.0, 1.0])
+def test_a_present_estimate_far_away_refutes_the_last_valid_value(side: float) -> None:
+    one = channel(10.0)
+    one.take(Status.CONVERGING, {'rate': Normal((0.8 + side * 0.029,), (1e-4,))}, 10.2)
+    assert one.reason() == 'CONVERGING, the last valid value as uncertain as that of the train file'
+    for k in range(1, 5):
+        one.take(Status.CONVERGING, {'rate': Normal((0.8 + side * 0.031,), (1e-4,))}, 10.2 + 0.2 * k)
+        assert not one.is_live
+        assert one.reason() == 'train file: CONVERGING, the present estimate refutes the last valid value'
+    assert one.normal('rate') == FILE
+    one.take(Status.VALID, {'rate': Normal((0.83,), (1e-4,))}, 11.2)
+    assert one.reason() == 'VALID, moving to the live value'
+    one.go_on(11.2 + MAX_AGE_S)
+    assert 1.0 - MOST_RATE * MAX_AGE_S * 0.2 <= one.normal('rate').mean[0] < 0.98
+
+
+@pytest.mark.parametrize('variance', [-1e-4, math.nan, math.inf])
+def test_an_impossible_estimate_refutes_nothing(variance: float) -> None:
+    one = channel(10.0)
+    one.take(Status.CONVERGING, {'rate': Normal((0.3,), (variance,))}, 10.2)
+    assert one.is_live
+
+
+def test_a_resistance_is_refuted_at_any_speed_of_its_probes() -> None:
+    valid, file = Normal((1.0, 0.05), (0.01, 0.0, 0.0, 1e-4)), Normal((1.0, 0.1), (1.0, 0.0, 0.0, 0.01))
+    for b, is_live in ((0.07, True), (0.1, False)):  # at 20 m/s, 0.4 and 1.0 N/kN from the valid value, std 0.22
+        one = Channel({'w': Parameter(file, ((1.0, 0.0), (1.0, 20.0)))}, MAX_AGE_S)
+        one.take(Status.VALID, {'w': valid}, 0.0)
+        one.take(Status.CONVERGING, {'w': Normal((1.0, b), (0.01, 0.0, 0.0, 1e-4))}, 0.2)
+        assert one.is_live is is_live
+
+
 def test_a_lost_publisher_does_not_end_what_another_one_sends() -> None:
     one = channel(10.0)
     one.lose('its node is gone', 10.1)
@@ -216,3 +249,14 @@ def test_on_the_way_to_the_train_file_no_bound_is_beyond_both() -> None:
         bounds.append(normal.mean[0] - 1.645 * math.sqrt(normal.covariance[0]))
     assert one.normal('rate') == FILE
     assert min(bounds) > bounds[-1] - 0.02
+
+
+def test_a_repeated_suspicion_is_no_news() -> None:
+    one = channel()
+    one.take_new(Status.VALID, LIVE, 0.0, stamp_ns=7)
+    one.take_new(Status.CONVERGING, LIVE, 0.2, stamp_ns=7)  # says that the last must not be used any more
+    assert one.reason().startswith('CONVERGING')
+    for k in range(2, 20):
+        one.take_new(Status.CONVERGING, LIVE, 0.2 * k, stamp_ns=7)
+    one.go_on(3.9)
+    assert one.reason() == 'train file: no new estimate for more than 0.75 s'

@@ -102,6 +102,19 @@ def test_the_std_of_the_force_is_that_of_its_parts() -> None:
     assert force.std == pytest.approx(math.hypot(*parts))
 
 
+@pytest.mark.parametrize('mass', [None, 230e3])
+@pytest.mark.parametrize(('wanted', 'scale'), [(0.5, 0.95), (-0.5, 1.0)])
+def test_the_std_of_a_live_force_is_that_of_its_scale_or_while_braking_of_the_mass(
+    wanted: float, scale: float, mass: float | None
+) -> None:
+    model = Drive().on(20.0)
+    force = model.feed_forward(10.0, 0.0, wanted, mass)
+    weight = 1e-3 * (mass or 200e3) * 9.80665 / scale
+    share = 0.004 / scale if wanted > 0.0 else FILE.train.mass_std
+    parts = (weight * model.resistance(10.0).std, weight * 0.2, force.value * share)
+    assert force.std == pytest.approx(math.hypot(*parts))
+
+
 def test_a_brake_command_gives_the_deceleration_that_was_asked_for() -> None:
     model = Drive().on(20.0)
     command = model.brake_command(12.0, -8.0, -0.6)
@@ -155,6 +168,48 @@ def test_live_values_shorten_a_bound_and_move_without_a_jump() -> None:
     assert (bounds[-1] < 0.95 * before.value, rates[-1]) == (True, 0.9)
     for values, largest in ((bounds, 8.0), (rates, 0.011), (forces, 2000.0)):
         assert max(abs(after - value) for value, after in pairwise(values)) < largest
+
+
+@pytest.mark.parametrize('status', [None, Status.STALE, Status.FAULT])
+def test_the_train_file_is_back_within_a_second_of_a_clock_that_went_back(status: Status | None) -> None:
+    """As at the start of a bag that is played again."""
+    drive = Drive()
+    drive.on(80.0).resistance(10.0)
+    drive.now -= 75.0
+    if status is not None:
+        drive.on(0.2, status)
+    drive.model.resistance(10.0)
+    drive.now += 1.0
+    assert drive.model.brake_rate() == Value(1.0, 0.2, False, drive.model.brake_rate().reason)
+    assert drive.model.resistance(10.0).value == pytest.approx(1.8)
+
+
+def test_values_move_on_after_a_clock_went_back() -> None:
+    drive = Drive()
+    drive.on(1.0)
+    before = drive.model.brake_rate().value
+    drive.now -= 75.0
+    drive.on(1.0)
+    assert before - 0.05 < drive.model.brake_rate().value < before - 0.01
+    assert drive.on(20.0).brake_rate().value == 0.9
+
+
+@pytest.mark.parametrize('clock', [None, time])
+def test_a_clock_that_cannot_be_called_is_named(clock: Any) -> None:
+    with pytest.raises(InputError, match=r'^clock = '):
+        TrainModel(None, FILE, clock=clock)
+
+
+def test_a_short_wrong_estimate_is_given_up_when_the_next_ones_refute_it() -> None:
+    """A wrong dead time: VALID for half a second in the first braking, then CONVERGING at another value."""
+    drive, wrong, right = Drive(), replace(F, brake_rate=0.57, brake_rate_std=0.04), replace(F, brake_rate=0.98)
+    for k in range(40):
+        drive.now += 0.2
+        estimate, status = (wrong, Status.VALID) if k < 3 else (right, Status.CONVERGING)
+        drive.model.take(Output(k, estimate, status, 1, 0, None))
+    found = drive.model.brake_rate()
+    assert (found.value, found.live) == (1.0, False)
+    assert found.reason == 'train file: CONVERGING, the present estimate refutes the last valid value'
 
 
 @pytest.mark.parametrize('status', [Status.STALE, Status.FAULT])
@@ -292,6 +347,34 @@ def test_an_argument_that_cannot_be_is_named(name: str, value: float) -> None:
         CALLS[name](Drive().model, value)
 
 
+@pytest.mark.parametrize('name', CALLS)
+@pytest.mark.parametrize('value', ['5', np.array([5.0]), {}])
+def test_an_argument_that_is_no_number_is_named(name: str, value: Any) -> None:
+    ask: dict[str, Callable[[TrainModel], object]] = {
+        'speed': lambda m: m.brake_command(value, 0.0, 0.0),
+        'gradient': lambda m: m.stopping_distance(10.0, value),
+        'acceleration': lambda m: m.feed_forward(10.0, 0.0, value),
+        'mass': lambda m: m.feed_forward(10.0, 0.0, 0.1, value),
+        'command': lambda m: m.braking_curve(0.0, (), 0.0, value),
+        'confidence': lambda m: m.braking_speed(10.0, confidence=value),
+        'distance': lambda m: m.braking_speed(value),
+        'applied': lambda m: m.stopping_distance(10.0, applied=value),
+    }
+    with pytest.raises(InputError, match=rf'^{name} = .* must be a number'):
+        ask[name](Drive().model)
+
+
+def test_numbers_of_numpy_give_plain_answers() -> None:
+    model = Drive().model
+    one: Any = np.float32(0.5)
+    answers = [
+        model.resistance(one), model.brake_rate(one), model.feed_forward(one, one, one, 4e5 * one),
+        model.brake_command(one, one, -one), model.stopping_distance(one, one, -one, one),
+        model.braking_speed(one, one),
+    ]  # fmt: skip
+    assert {type(x) for answer in answers for x in (answer.value, answer.std)} == {float}
+
+
 @pytest.mark.parametrize('confidence', [0.0, 0.4, 1.0])
 def test_a_confidence_below_a_half_or_of_certainty_is_refused(confidence: float) -> None:
     with pytest.raises(InputError, match=r'^confidence = '):
@@ -375,7 +458,18 @@ def test_the_speeds_learned_from_are_those_of_usable_estimates() -> None:
     assert model.resistance(20.0).reason.endswith('outside the speeds learned from, 3.0 to 18.0 m/s')
 
 
-def test_a_resistance_that_no_train_has_is_not_used() -> None:
+@pytest.mark.parametrize(
+    'wrong',
+    [
+        {'a': -100.0},
+        {'a': 900.0},
+        {'c': -10.0},
+        {'b': 15.0},
+        {'b': -4.0, 'c': 0.18},  # possible at 0 and at full speed, but -20.2 N/kN at half
+        {'covariance': (5e4, *COVARIANCE[1:])},
+    ],
+)
+def test_a_resistance_that_no_train_has_is_not_used(wrong: dict[str, Any]) -> None:
     model = TrainModel(None, FILE)
-    model.take_message(RESISTANCE_TOPIC, Status.VALID, replace(W, a=-100.0), 1)
+    model.take_message(RESISTANCE_TOPIC, Status.VALID, replace(W, **wrong), 1)
     assert model.resistance(10.0).reason == 'train file: a, b, c or their covariance are not possible'

@@ -4,15 +4,18 @@
 from __future__ import annotations
 
 import ast
+import math
 import re
 from dataclasses import fields
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
+from unittest.mock import Mock
 
 import pytest
 
 from tools.documents import ROOT, Block, blocks, documents
 from trainid_ros.brake_rate.brake_rate_algorithms import BRAKE_RATE
 from trainid_ros.client import TrainModel
+from trainid_ros.errors import TrainIdError
 from trainid_ros.messages import OUTPUT_TOPICS, RESISTANCE_TOPIC
 from trainid_ros.records import INPUT_TOPICS
 from trainid_ros.resistance.resistance_algorithms import RESISTANCE
@@ -76,6 +79,28 @@ def test_the_client_answers_after_a_replay(monkeypatch: pytest.MonkeyPatch, caps
     answers = capsys.readouterr().out.splitlines()
     assert len(answers) == 2
     assert all(re.fullmatch(r"Value\(value=[\d.]+, std=[\d.]+, live=True, reason='.*'\)", line) for line in answers)
+
+
+@pytest.mark.parametrize(
+    ('speed', 'gradient', 'to_stop'),
+    [
+        (20.0, 0.0, 50.0),
+        (1.0, 0.0, 0.0),
+        (1.0, 0.0, -0.5),
+        (5.0, 0.0, -300.0),
+        (20.0, -90.0, 50.0),
+        (5.0, math.nan, 9.0),
+    ],
+)
+def test_the_autopilot_never_loses_its_brake_command(speed: float, gradient: float, to_stop: float) -> None:
+    code = ast.parse(titled('docs/controller.md', 'autopilot.py').text)
+    control = next(node for node in code.body if isinstance(node, ast.FunctionDef))
+    model = TrainModel(None, ROOT / 'config' / 'trains' / 'yizhuang.yaml')
+    names: dict[str, Any] = {'train': model, 'node': Mock(), 'TrainIdError': TrainIdError}
+    exec(compile(ast.Module([control], []), 'autopilot.py', 'exec'), names)
+    force, brake = names['control'](speed, gradient, to_stop, 0.5)
+    assert force == 0.0
+    assert -20.0 < brake <= -0.1
 
 
 def test_the_methods_of_the_client_are_described() -> None:

@@ -66,6 +66,8 @@ def test_a_brake_rate_table_is_interpolated_linearly_and_reads_back() -> None:
     assert (brake.rate, brake.rate_table) == (1.0, ((5.0, 1.1), (15.0, 0.9)))
     assert [brake.rate_at(v) for v in (0.0, 5.0, 10.0, 15.0, 40.0)] == pytest.approx([1.1, 1.1, 1.0, 0.9, 0.9])
     assert Brake(rate=0.8).rate_at(12.0) == 0.8
+    longest = f'{MINIMAL}brake: {{rate: {[[v, 1] for v in range(100)]}}}'
+    assert len(parse_train_file(longest, 'T.yaml').brake.rate_table) == 100
     file = replace(FULL, brake=brake)
     assert parse_train_file(dump_train_file(file), 'T.yaml') == file
     # A factor on the table is multiplied into its rows.
@@ -122,6 +124,18 @@ def test_exponents_without_a_point_are_numbers() -> None:
         ('train: {mass: 1}\nresistance: {a: -1, b: 0, c: 0}', 'T.yaml: resistance.a = -1 N/kN must be >= 0'),
         (MINIMAL + 'brake: {rate: 0}', 'T.yaml: brake.rate = 0 must be >= 0.01'),
         (MINIMAL + 'brake: {rate: []}', 'T.yaml: brake.rate = [] must be a number or have at least one row'),
+        (
+            MINIMAL + 'brake: {rate: }',
+            'T.yaml: brake.rate = None must be a number or a table [[speed m/s, rate], ...]',
+        ),
+        (
+            MINIMAL + 'brake: {rate: {0: 1}}',
+            'T.yaml: brake.rate = {0: 1} must be a number or a table [[speed m/s, rate], ...]',
+        ),
+        (
+            f'{MINIMAL}brake: {{rate: {[[v, 1] for v in range(101)]}}}',
+            'T.yaml: brake.rate has 101 rows; it may have at most 100',
+        ),
         (MINIMAL + 'brake: {rate: [[0, 1, 2]]}', 'T.yaml: brake.rate[0] = [0, 1, 2] must be [speed m/s, rate]'),
         (MINIMAL + 'brake: {rate: [[-1, 1]]}', 'T.yaml: brake.rate[0][0] = -1 m/s must be >= 0'),
         (MINIMAL + 'brake: {rate: [[0, 0]]}', 'T.yaml: brake.rate[0][1] = 0 is outside [0.01, 10]'),

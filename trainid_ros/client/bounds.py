@@ -11,8 +11,8 @@ found by iteration from D' at p0. D is convex, so that each step lengthens it, a
 of p*. Where the distance is linear in p this is D + z std(D); a brake rate enters by its inverse, so that the bound of
 a poorly known one is longer than that.
 
-The deceleration d(v) of the built-up brake is linear in p. Where d0 - z std(d) <= 0 at some speed, more trains than
-1 - P never get below it: from there on no distance is a bound.
+The deceleration d(v) of the built-up brake is linear in p. Where d0 - z std(d) <= 0 at some speed, a fraction of more
+than 1 - P never slows below that speed, so from higher speeds there is no bound.
 """
 
 from __future__ import annotations
@@ -40,11 +40,11 @@ _BETWEEN: Final = (0.25, 0.5, 0.75, 1.0)
 # The speed is found when its bound is this close to the distance [m].
 _CLOSE: Final = 1e-9
 _ITERATIONS: Final = 100
-# A speed below this is none, and the slowest at which a train has to stop at all [m/s].
+# Speeds below this count as standstill, and the slowest at which a train has to stop at all [m/s].
 _STANDING: Final = 1e-9
 _SLOWEST: Final = 1e-3
-LEAST_RATE: Final = 1e-3
-"""A brake rate below this is none [1]."""
+NO_BRAKE: Final = 1e-3
+"""Brake rates below this count as no brake [1]."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -125,10 +125,11 @@ class LeastDeceleration:
 
     def _least(self, v: float) -> float:
         """Return the deceleration at a speed less z standard deviations [m/s^2]."""
-        shape, k = self._shape, self._shape.inertia
+        shape, k = self._shape, self._shape.k
         rate = shape.table(v) * self._command
         gradient = [rate, rate * shape.slope(v), rate * shape.changeover(v), k, k * v, k * v * v, k, 0.0, 0.0]
-        return math.fsum(map(_product, gradient, self._posterior.mean)) - self._z * self._posterior.std(gradient)
+        mean = math.fsum(map(_product, gradient, self._posterior.mean)) + k * shape.extra(v)
+        return mean - self._z * self._posterior.std(gradient)
 
 
 class StoppingBounds:
@@ -174,7 +175,7 @@ class StoppingBounds:
         theta = [self._posterior.mean[j] + step * spread[j] for j in range(PARAMETERS)]
         theta[DELAY], theta[LAG] = max(0.0, theta[DELAY]), max(0.0, theta[LAG])
         stop = Braking(self._shape, theta, self._command, self._applied).stop(speed)
-        if theta[RATE] < LEAST_RATE:
+        if theta[RATE] < NO_BRAKE:
             stop.distance = math.inf
         return stop
 
@@ -225,5 +226,5 @@ class StoppingBounds:
         return math.sqrt(lost * lost + 2.0 * d * distance) - lost
 
     def no_answer(self) -> str:
-        """Return that the train may not stop."""
+        """Return the message of NoAnswerError."""
         return f'at this confidence the train may not stop: command = {-self._command:g} m/s^2 is too weak here'

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: Apache-2.0
 """One estimate of the nodes: whether it may be used now, and its values, which move gradually.
 
-A VALID or HOLDING estimate may be used until the next one is due. While one that was VALID is CONVERGING, its last
-valid values stand, at once as uncertain as those of the train file. Otherwise the train file applies: at most
-``FALL_BACK_S`` after the reason for it, such as a status, silence, or the end of the node.
+A VALID or HOLDING estimate may be used until the next one is due. When a VALID estimate becomes CONVERGING, its last
+valid values are kept, but their uncertainty is raised at once to that of the train file; they are given up when the
+present estimate refutes them. Otherwise the train file applies: at most ``FALL_BACK_S`` after the reason for it, such
+as a status, silence, or the end of the node.
 """
 
 from __future__ import annotations
@@ -30,10 +31,13 @@ _WORDS: Final = {
     Status.FAULT: 'FAULT, the node has failed',
 }
 SUSPECTED: Final = 'CONVERGING, the last valid value as uncertain as that of the train file'
+REFUTED: Final = 'CONVERGING, the present estimate refutes the last valid value'
 NOT_YET: Final = 'no estimate yet'
 GONE: Final = 'its node is gone'
 # A way to the live value that takes longer is said, until it takes less than FALL_BACK_S [s].
 _LONG_WAY_S: Final = 1.0
+# A value this many standard deviations of the present estimate away from it is refuted.
+_REFUTES: Final = 3.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,8 +47,9 @@ class Parameter:
     Attributes:
         file: Their distribution by the train file.
         probes: Directions in which their moves are measured.
-        least: Least value that is possible.
+        least: Least value of a parameter, and of a weighted sum along a probe, that is possible.
         most: Largest one.
+        most_std: Largest standard deviation along a probe that is possible.
 
     """
 
@@ -52,15 +57,30 @@ class Parameter:
     probes: tuple[tuple[float, ...], ...]
     least: float = -ABSURD
     most: float = ABSURD
+    most_std: float = ABSURD
 
     def problem(self, name: str, found: Normal) -> str:
         """Return what is not possible of an estimate; empty if it is."""
-        if found.is_possible() and self.least <= min(found.mean) and max(found.mean) <= self.most:
+        if found.is_possible() and self._is_within(found):
             return ''
         if len(found.mean) > 1:
             return f'{name} or their covariance are not possible'
         std = math.copysign(math.sqrt(abs(found.covariance[0])), found.covariance[0])
         return f'{name} = {found.mean[0]:g} with a std of {std:g} is not possible'
+
+    def _is_within(self, found: Normal) -> bool:
+        sums = [found.along(probe) for probe in self.probes]
+        values = (*found.mean, *(value for value, _ in sums))
+        stds_fit = all(variance <= self.most_std * self.most_std for _, variance in sums)
+        return stds_fit and self.least <= min(values) and max(values) <= self.most
+
+    def is_refuted(self, value: Normal, present: Normal) -> bool:
+        """Return whether the present estimate contradicts a value along any probe."""
+        for probe in self.probes:
+            now, variance = present.along(probe)
+            if abs(value.along(probe)[0] - now) > _REFUTES * math.sqrt(variance):
+                return True
+        return False
 
 
 class Channel:
@@ -94,9 +114,13 @@ class Channel:
         return time_s - self._heard_s <= self._max_age_s
 
     def take_new(self, status: Status, values: Mapping[str, Normal], time_s: float, stamp_ns: int) -> None:
-        """Take in an estimate with a stamp [ns]; a usable one with the stamp of the last is no news, as if lost."""
-        is_new, self._stamp_ns = stamp_ns != self._stamp_ns, stamp_ns
-        if is_new or status not in USABLE:
+        """Take in an estimate with a stamp [ns].
+
+        One that repeats the previous stamp is ignored, unless it says that the previous one must not be used any more.
+        """
+        is_repeated, self._stamp_ns = stamp_ns == self._stamp_ns, stamp_ns
+        is_no_news = status in USABLE or status is self._status is Status.CONVERGING
+        if not (is_repeated and is_no_news):
             self.take(status, values, time_s)
 
     def take(self, status: Status, values: Mapping[str, Normal], time_s: float) -> None:
@@ -104,10 +128,13 @@ class Channel:
         self.go_on(time_s)
         self._heard_s, before, self._status, self._lost = time_s, self._status, status, ''
         if status is Status.CONVERGING and self.is_live:
-            if before is not status:
+            if self._is_refuted(values):
+                self._fall_back(REFUTED, time_s)
+            elif before is not status:
                 self._suspect()
         elif status not in USABLE:
-            self._fall_back(_WORDS[status], time_s)
+            is_known = status is Status.CONVERGING and self._problem == REFUTED
+            self._fall_back(REFUTED if is_known else _WORDS[status], time_s)
         elif problem := self._find_problem(values):
             self._fall_back(problem, time_s)
         else:
@@ -134,6 +161,11 @@ class Channel:
         found = (self._parameters[name].problem(name, normal) for name, normal in values.items())
         return next(filter(None, found), '')
 
+    def _is_refuted(self, values: Mapping[str, Normal]) -> bool:
+        """Return whether a CONVERGING estimate, if it is possible, contradicts the last valid values."""
+        refuted = (self._parameters[name].is_refuted(self._valid[name], now) for name, now in values.items())
+        return not self._find_problem(values) and any(refuted)
+
     def _note_move(self) -> None:
         """Note until when values move to the live ones; small moves, as of each estimate, are none."""
         left_s = max(gradual.left_s(self._now_s) for gradual in self._gradual.values())
@@ -156,7 +188,7 @@ class Channel:
             self._fall_back(reason, time_s)
 
     def go_on(self, time_s: float) -> None:
-        """Advance to a time [s]; a clock that goes back stands still."""
+        """Advance to a time [s]; one that is before the last stands still."""
         due_s = self._heard_s + self._max_age_s
         if self.is_live and time_s > due_s:
             self._fall_back(self._lost or f'no new estimate for more than {self._max_age_s:g} s', due_s)

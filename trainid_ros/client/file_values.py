@@ -7,9 +7,11 @@ import math
 from typing import TYPE_CHECKING, Final
 
 from trainid_ros.brake_rate.motion_model import MotionModel
+from trainid_ros.client.bounds import MOST_SPEED
 from trainid_ros.client.channel import Parameter
 from trainid_ros.client.gradual import Normal
-from trainid_ros.client.stopping import RateShape
+from trainid_ros.client.stated_effects import StatedEffects
+from trainid_ros.client.stopping import EXTRA_STEP, RateShape
 from trainid_ros.estimators.prior import prior_variances
 from trainid_ros.train.davis import G
 from trainid_ros.train.train_file import LEAST_RATE, MOST_RATE
@@ -22,10 +24,12 @@ if TYPE_CHECKING:
 DAVIS: Final = 'a, b, c'
 FORCE_SCALE: Final = 'force scale'
 BRAKE_RATE: Final = 'brake rate'
-# No a, b or c of a train is below this [N/kN and per m/s, (m/s)^2].
-_LEAST_DAVIS = -20.0
+# No a, b or c of a train is outside these [N/kN and per m/s, (m/s)^2], nor its resistance or the std of that [N/kN].
+_LEAST_DAVIS, _MOST_DAVIS = -20.0, 200.0
 # Actual over reported force, whichever reads wrong [1].
-_LEAST_SCALE, _MOST_SCALE = 0.1, 10.0
+LEAST_SCALE, _MOST_SCALE = 0.1, 10.0
+# Speeds at which moves of the resistance are measured, and changes of the brake by effects, as shares of the highest.
+_SHARES = (0.0, 0.25, 0.5, 0.75, 1.0)
 
 
 class FileValues:
@@ -33,9 +37,9 @@ class FileValues:
 
     Attributes:
         train_file: The train file.
-        inertia: Deceleration by a resistance of 1 N/kN, g / (1000 (1 + gamma)) [m/s^2].
-        brake: Brake with the effects of the train file applied.
-        shape: Its rate over speed.
+        k: Deceleration by a resistance of 1 N/kN, g / (1000 (1 + gamma)) [m/s^2].
+        brake: Brake with the effects ``brake_scale`` and ``brake_delay`` of the train file applied.
+        effects: Its other effects.
         config: Settings of the brake rate estimator.
         timing_stds: Standard deviations of dead time and time constant [s].
 
@@ -45,10 +49,32 @@ class FileValues:
         self.train_file, self.config, self._prior = train_file, config, prior
         model = MotionModel(train_file, config)
         self.brake, self.timing_stds = model.brake, model.timing_stds
-        self.inertia = G / (1000.0 * (1.0 + train_file.train.rotary_mass))
-        table = self.brake.rate_table
-        max_speed, blend_speed = train_file.train.max_speed, self.config.blend_speed
-        self.shape = RateShape([v for v, _ in table], [rate for _, rate in table], max_speed, blend_speed, self.inertia)
+        self.k = G / (1000.0 * (1.0 + train_file.train.rotary_mass))
+        self.effects = StatedEffects(train_file)
+        self._speeds = tuple(share * train_file.train.max_speed for share in _SHARES)
+        self._shape = self._rate_shape([], hot=False)
+        extra = {direction: self._extra(direction) for direction in (1, -1)}
+        self._worst = {direction: self._rate_shape(extra[direction], hot=True) for direction in extra}
+
+    def _extra(self, direction: int) -> list[float]:
+        """Return the resistance of the effects at multiples of ``EXTRA_STEP`` [N/kN]; empty if there is none."""
+        count = math.ceil(MOST_SPEED / EXTRA_STEP) + 1
+        extra = [self.effects.resistance(EXTRA_STEP * k, direction) for k in range(count)]
+        return extra if any(extra) else []
+
+    def _rate_shape(self, extra: list[float], *, hot: bool) -> RateShape:
+        """Return the brake rate over speed, with a cold or a hot brake, and an extra resistance [N/kN]."""
+        table = self.brake.rate_table or tuple((speed, 1.0) for speed in self._speeds)
+        speeds, rates = [v for v, _ in table], [rate * self.effects.brake_share(v, hot=hot) for v, rate in table]
+        if not self.brake.rate_table and len(set(rates)) == 1:
+            # Does not depend on speed: one row, or none if there is nothing to state.
+            speeds, rates = ([], []) if rates[0] == 1.0 else ([0.0], rates[:1])
+        max_speed, blend_speed = self.train_file.train.max_speed, self.config.blend_speed
+        return RateShape(speeds, rates, max_speed, blend_speed, self.k, extra)
+
+    def stop_shape(self, direction: int) -> RateShape:
+        """Return the brake rate and the extra resistance over speed that bounds assume: those of a hot brake."""
+        return self._worst[direction]
 
     def resistance(self) -> dict[str, Parameter]:
         """Return (a, b, c) and the force scale."""
@@ -56,10 +82,10 @@ class FileValues:
         a, b, c = prior_variances((w.a, w.b, w.c), self._prior)
         davis = Normal((w.a, w.b, w.c), (a, 0.0, 0.0, 0.0, b, 0.0, 0.0, 0.0, c))
         scale = Normal((1.0,), (math.hypot(train.mass_std, train.force_std) ** 2,))
-        speeds = (0.0, 0.5 * train.max_speed, train.max_speed)
+        probes = tuple((1.0, v, v * v) for v in self._speeds)
         return {
-            DAVIS: Parameter(davis, tuple((1.0, v, v * v) for v in speeds), _LEAST_DAVIS),
-            FORCE_SCALE: Parameter(scale, ((1.0,),), _LEAST_SCALE, _MOST_SCALE),
+            DAVIS: Parameter(davis, probes, _LEAST_DAVIS, _MOST_DAVIS, _MOST_DAVIS),
+            FORCE_SCALE: Parameter(scale, ((1.0,),), LEAST_SCALE, _MOST_SCALE),
         }
 
     def brake_rate(self) -> dict[str, Parameter]:
@@ -67,8 +93,13 @@ class FileValues:
         rate = Normal((self.brake.rate,), (self.config.prior_std**2,))
         return {BRAKE_RATE: Parameter(rate, ((1.0,),), LEAST_RATE, MOST_RATE)}
 
-    def rate_direction(self, speed: float) -> tuple[float, float]:
-        """Return s(v), and the standard deviation of e p(v) + h m(v) [1]; see ``stopping``."""
-        shape, config = self.shape, self.config
+    def rate_direction(self, speed: float | None) -> tuple[float, float]:
+        """Return s(v), and the standard deviation of e p(v) + h m(v) [1]; see ``stopping``.
+
+        Without a speed, s is 1 but for the effects of the train file at medium speed.
+        """
+        if speed is None:
+            return self.effects.brake_share(self._speeds[len(_SHARES) // 2]), 0.0
+        shape, config = self._shape, self.config
         by_speed = math.hypot(config.slope_std * shape.slope(speed), config.blend_std * shape.changeover(speed))
         return shape.table(speed), by_speed

@@ -29,7 +29,7 @@ MOST_RATE: Final = 0.25
 """Largest rate of change towards a live value, in standard deviations of the train file's value per second."""
 
 ABSURD: Final = 1e6
-"""No parameter of a train has a magnitude like this."""
+"""Larger magnitudes are treated as invalid."""
 # A train file may state a value without any uncertainty: its moves are measured in this share of it [1].
 _LEAST_SHARE: Final = 0.01
 _TINY: Final = 1e-9

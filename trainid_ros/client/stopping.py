@@ -3,25 +3,29 @@
 
 With the time t since the command u1 and the brake target u0 that acts until then (magnitudes, m/s^2),
 
-    -dv/dt = r(v) U(t) + k (a + i + b v + c v^2),        k = g / (1000 (1 + gamma)),
+    -dv/dt = r(v) U(t) + k (a + i + b v + c v^2 + x(v)),        k = g / (1000 (1 + gamma)),
     r(v) = s(v) (f + e p(v) + h m(v)),
     U(t) = u0 during the dead time T, then u1 + (u0 - u1) exp(-(t - T) / tau).
 
-s(v) is the table of the train file and f the estimated factor on it. e and h are errors of the brake rate over speed,
-as in ``brake_rate.motion_model``: p rises from -1/2 at rest to 1/2 at full speed, m is 1 at the changeover between
-electric and friction brakes.
+s(v) is the table of the train file and f the estimated factor on it; x(v) is the resistance of the effects that the
+train file states. e and h are errors of the brake rate over speed, as in ``brake_rate.motion_model``: p rises from -1/2
+at rest to 1/2 at full speed, m is 1 at the changeover between electric and friction brakes.
 
 The balance is integrated over time until the brake is built up (Runge-Kutta, order 4), then over speed down to zero
 (Gauss-Legendre between the knots of r). The derivatives follow from l(t), that of the distance to go by the speed,
 calculated backwards from l = v / (-dv/dt):
 
     dl/dt = -1 + l d(-dv/dt)/dv,        dD/dp = -integral of l d(-dv/dt)/dp over time.
+
+The trapezoidal rule is used for both, so a derivative is up to 7 % too small if the train stops while the brake builds
+up.
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from bisect import bisect_right
+from dataclasses import dataclass, field
 from typing import Final
 
 # Places of the parameters in a list of them: f, e, h [1], a, b, c [N/kN, v in m/s], i [per mille], T and tau [s].
@@ -36,6 +40,8 @@ DELAY: Final = 7
 LAG: Final = 8
 PARAMETERS: Final = 9
 
+EXTRA_STEP: Final = 0.25
+"""Step of the speeds at which x(v) is given [m/s]."""
 # Longest step during the dead time [s], and the steps while the brake builds up, in time constants.
 _LONGEST_STEP: Final = 0.8
 _BUILD_UP: Final = (0.0, 0.4, 0.8, 1.2, 1.7, 2.2, 2.8, 3.5, 4.3, 5.3, 6.5, 8.0, 10.0)
@@ -63,7 +69,8 @@ class RateShape:
         rates: Its rates [1].
         max_speed: Speed from which p is constant [m/s].
         blend_speed: Speed of the changeover between brakes [m/s].
-        inertia: k, the deceleration by a resistance of 1 N/kN [m/s^2].
+        k: Deceleration by a resistance of 1 N/kN [m/s^2].
+        resistances: x(v) at 0, ``EXTRA_STEP``, ... [N/kN], linear between them; empty if it is zero.
 
     """
 
@@ -71,7 +78,8 @@ class RateShape:
     rates: list[float]
     max_speed: float
     blend_speed: float
-    inertia: float
+    k: float
+    resistances: list[float] = field(default_factory=list)
 
     def table(self, v: float) -> float:
         """Return s(v) [1]."""
@@ -79,13 +87,23 @@ class RateShape:
         count = len(speeds)
         if count == 0:
             return 1.0
-        if v <= speeds[0]:
+        above = bisect_right(speeds, v)
+        if above == 0:
             return rates[0]
-        for k in range(1, count):
-            if v < speeds[k]:
-                share = (v - speeds[k - 1]) / (speeds[k] - speeds[k - 1])
-                return rates[k - 1] + share * (rates[k] - rates[k - 1])
-        return rates[count - 1]
+        if above == count:
+            return rates[count - 1]
+        share = (v - speeds[above - 1]) / (speeds[above] - speeds[above - 1])
+        return rates[above - 1] + share * (rates[above] - rates[above - 1])
+
+    def extra(self, v: float) -> float:
+        """Return x(v) [N/kN], constant beyond the speeds for which it is given."""
+        resistances = self.resistances
+        last = len(resistances) - 1
+        if last < 0:
+            return 0.0
+        place = min(max(0.0, v / EXTRA_STEP), float(last))
+        k = min(int(place), last - 1)
+        return resistances[k] + (place - k) * (resistances[k + 1] - resistances[k])
 
     def slope(self, v: float) -> float:
         """Return p(v) [1]."""
@@ -152,8 +170,8 @@ class Braking:
 
     def _deceleration(self, v: float, target: float) -> float:
         theta = self._theta
-        resistance = theta[A] + theta[GRADIENT] + v * (theta[B] + v * theta[C])
-        return self._shape.rate(v, theta) * target + self._shape.inertia * resistance
+        resistance = theta[A] + theta[GRADIENT] + v * (theta[B] + v * theta[C]) + self._shape.extra(v)
+        return self._shape.rate(v, theta) * target + self._shape.k * resistance
 
     def _steps(self) -> list[float]:
         """Return the times of all steps until the brake is built up [s]."""
@@ -243,7 +261,7 @@ class Braking:
     def _add(self, gradient: list[float], weight: float, v: float, target: float) -> None:
         """Add weight times the derivatives of the deceleration by f, e, h, a, b, c and i."""
         shape = self._shape
-        by_rate, by_resistance = weight * shape.table(v) * target, weight * shape.inertia
+        by_rate, by_resistance = weight * shape.table(v) * target, weight * shape.k
         gradient[RATE] += by_rate
         gradient[SLOPE] += by_rate * shape.slope(v)
         gradient[CHANGEOVER] += by_rate * shape.changeover(v)

@@ -8,19 +8,22 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from threading import Lock
 from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.brake_rate.brake_rate_settings import GsmaConfig
-from trainid_ros.client.bounds import LEAST_RATE, MOST_SPEED, StoppingBounds, StopPosterior
+from trainid_ros.client import arguments
+from trainid_ros.client.arguments import checked_direction, distance_to
+from trainid_ros.client.bounds import NO_BRAKE, StoppingBounds, StopPosterior
 from trainid_ros.client.channel import MAX_AGE_S, USABLE, Channel
-from trainid_ros.client.file_values import BRAKE_RATE, DAVIS, FORCE_SCALE, FileValues
+from trainid_ros.client.file_values import BRAKE_RATE, DAVIS, FORCE_SCALE, LEAST_SCALE, FileValues
+from trainid_ros.client.forward_clock import ForwardClock
 from trainid_ros.client.message_values import brake_rate_values, resistance_values
-from trainid_ros.errors import InputError, NoAnswerError
+from trainid_ros.errors import NoAnswerError
 from trainid_ros.messages import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, output_topic
 from trainid_ros.resistance.resistance_settings import FilterBankConfig
-from trainid_ros.settings import SettingInfo, check_settings, check_value
+from trainid_ros.settings import check_settings
 from trainid_ros.train.davis import G
 from trainid_ros.train.train_file import TrainFile, load_train_file
 
@@ -39,18 +42,6 @@ FULL_SERVICE: Final = -1.0
 # What the nodes start with unless they are set otherwise.
 _PRIOR: Final = FilterBankConfig()
 _BRAKE: Final = GsmaConfig()
-# The weakest brake command [m/s^2].
-_WEAKEST: Final = -1e-3
-_SPEED: Final = SettingInfo('', 'm/s', 0.0, MOST_SPEED)
-_GRADIENT: Final = SettingInfo('', 'per mille', -500.0, 500.0)
-_ACCELERATION: Final = SettingInfo('', 'm/s^2', -20.0, 20.0)
-_MASS: Final = SettingInfo('', 'kg', 1.0, 1e9)
-_COMMAND: Final = SettingInfo('', 'm/s^2', -20.0, _WEAKEST)
-_APPLIED: Final = SettingInfo('', 'm/s^2', -20.0, 0.0)
-_CONFIDENCE: Final = SettingInfo('', '', 0.5, 1.0 - 1e-6)
-_MAX_AGE: Final = SettingInfo('', 's', 0.01, 1e12)
-_DISTANCE: Final = SettingInfo('', 'm', 0.0, 1e5)
-_POSITION: Final = SettingInfo('', 'm', -1e9, 1e9)
 
 
 @dataclass(frozen=True, slots=True)
@@ -79,7 +70,7 @@ class TrainModel:
         train_file: Train file, or its path.
         max_age: Time without a new estimate after which the train file applies [s]. Estimates come as often as the
             speed; with speeds slower than 2 Hz it must be longer.
-        clock: Present time [s]; it must not jump.
+        clock: Present time [s]. If it goes back, time goes on from there.
         prior: How well the train file's resistance is known, as set in the node ``resistance_estimator``.
         brake: The same of the brake rate and its change over speed, as set in the node ``brake_rate_estimator``.
 
@@ -98,11 +89,11 @@ class TrainModel:
         prior: PriorSettings = _PRIOR,
         brake: BrakeRateConfig = _BRAKE,
     ) -> None:
-        check_value('max_age', max_age, _MAX_AGE)
+        max_age = arguments.MAX_AGE.checked(max_age)
         check_settings(prior)
         check_settings(brake)
         known = train_file if isinstance(train_file, TrainFile) else load_train_file(train_file)
-        self._file, self._clock, self._lock = FileValues(known, prior, brake), clock, Lock()
+        self._file, self._clock, self._lock = FileValues(known, prior, brake), ForwardClock(clock), Lock()
         self._resistance = Channel(self._file.resistance(), max_age)
         self._brake_rate = Channel(self._file.brake_rate(), max_age)
         self._channels = {RESISTANCE_TOPIC: self._resistance, BRAKE_RATE_TOPIC: self._brake_rate}
@@ -125,7 +116,7 @@ class TrainModel:
 
         """
         now = 0.0
-        model = cls(None, train_file, max_age=_MAX_AGE.high, clock=lambda: now)
+        model = cls(None, train_file, max_age=arguments.MAX_AGE.high, clock=lambda: now)
         for estimator in (result.resistance, result.brake_rate):
             model.take(estimator.output)
         now = 1e9  # all moves are done
@@ -148,7 +139,7 @@ class TrainModel:
         is_resistance = topic is RESISTANCE_TOPIC
         values = resistance_values(estimate) if is_resistance else brake_rate_values(estimate)
         with self._lock:
-            now = self._clock()
+            now = self._clock.now()
             if latched and not channel.take_latched(status, values, now):
                 return
             if not latched:
@@ -159,68 +150,76 @@ class TrainModel:
     def lose(self, topic: OutputTopic, reason: str) -> None:
         """Say why an estimate does not come any more: the train file applies, at once or when the next is overdue."""
         with self._lock:
-            self._channels[topic].lose(reason, self._clock())
+            self._channels[topic].lose(reason, self._clock.now())
 
-    def resistance(self, speed: float) -> Value:
-        """Return the running resistance w(v) = a + b v + c v^2 [N/kN] at a speed [m/s].
+    def resistance(self, speed: float, *, direction: int = 1) -> Value:
+        """Return the running resistance w(v) = a + b v + c v^2 + x(v) [N/kN] at a speed [m/s].
+
+        x is that of the train file's effects. In all methods, ``direction`` is 1 where positions increase on the way,
+        -1 where they decrease; of the effects built in, only ``headwind`` depends on it.
 
         Raises:
-            InputError: The speed is not finite or out of range.
+            InputError: An argument is not a finite number or out of range.
 
         """
-        check_value('speed', speed, _SPEED)
+        v, direction = arguments.SPEED.checked(speed), checked_direction(direction)
         with self._lock:
             self._go_on()
-            return self._resistance_at(speed)
+            return self._resistance_at(v, direction)
 
     def brake_rate(self, speed: float | None = None) -> Value:
         """Return the brake rate [1] (1 = nominal) at a speed [m/s]; without one, the factor on the table over speed.
 
         Raises:
-            InputError: The speed is not finite or out of range.
+            InputError: The speed is not a finite number or out of range.
 
         """
-        if speed is not None:
-            check_value('speed', speed, _SPEED)
+        v = None if speed is None else arguments.SPEED.checked(speed)
         with self._lock:
             self._go_on()
-            return self._brake_rate_at(speed)
+            return self._brake_rate_at(v)
 
-    def feed_forward(self, speed: float, gradient: float, acceleration: float, mass: float | None = None) -> Value:
+    def feed_forward(
+        self, speed: float, gradient: float, acceleration: float, mass: float | None = None, *, direction: int = 1
+    ) -> Value:
         """Return the force [N] at the wheel rim that gives an acceleration.
 
-        ``F = M / s ((1 + gamma) dv/dt + g (w(v) + i) / 1000)``, where s is the force scale while F > 0: the estimated
-        actual over reported force, whether mass or force reads wrong. While F < 0 it is 1, since the brake has a rate.
+        ``F = M / s ((1 + gamma) dv/dt + g (w(v) + i) / 1000)``, where s is the force scale: the estimated ratio of
+        actual to reported force, which also absorbs errors in mass, with the effects of the train file on traction.
+        Braking forces (F < 0) are not scaled but for a wrong mass that the train file states, because the brake rate
+        covers the brake.
 
         Args:
             speed: v [m/s].
             gradient: i [per mille], + uphill in the direction of travel, and other resistance [N/kN] that is known.
             acceleration: dv/dt [m/s^2].
             mass: M [kg], as weighed; without it that of the train file.
+            direction: As of :meth:`resistance`.
 
         Raises:
-            InputError: An argument is not finite or out of range.
+            InputError: An argument is not a finite number or out of range.
 
         """
-        check_value('speed', speed, _SPEED)
-        check_value('gradient', gradient, _GRADIENT)
-        check_value('acceleration', acceleration, _ACCELERATION)
-        train = self._file.train_file.train
-        M = train.mass if mass is None else mass
-        check_value('mass', M, _MASS)
+        v, i, wanted = _motion(speed, gradient, acceleration)
+        direction, train = checked_direction(direction), self._file.train_file.train
+        M = train.mass if mass is None else arguments.MASS.checked(mass)
         with self._lock:
             self._go_on()
-            w = self._resistance_at(speed)
-            s, variance = self._resistance.normal(FORCE_SCALE).along((1.0,))
-        force = M * ((1.0 + train.rotary_mass) * acceleration + 0.001 * G * (w.value + gradient))
-        by_w, share = M * 0.001 * G, math.sqrt(variance) / s
+            w = self._resistance_at(v, direction)
+            scale, variance = self._resistance.normal(FORCE_SCALE).along((1.0,))
+        force = M * ((1.0 + train.rotary_mass) * wanted + 0.001 * G * (w.value + i))
         if force > 0.0:
-            force, by_w = force / s, by_w / s
+            # As the estimators do: they subtract what effects take from the reported force, which they scale.
+            s = max(scale + (self._file.effects.traction_share(v, direction) - 1.0), LEAST_SCALE)
+            share = math.sqrt(variance) / s
+        else:
+            s, share = max(self._file.effects.brake_share(v), LEAST_SCALE), train.mass_std
+        force, by_w = force / s, M * 0.001 * G / s
         map_std = self._file.train_file.line.gradient_std
         std = math.hypot(by_w * w.std, by_w * map_std, force * share)
         return Value(force, std, w.live, w.reason)
 
-    def brake_command(self, speed: float, gradient: float, acceleration: float) -> Value:
+    def brake_command(self, speed: float, gradient: float, acceleration: float, *, direction: int = 1) -> Value:
         """Return the brake command [m/s^2, <= 0] that gives an acceleration once the brake is built up.
 
         ``u = (dv/dt + k (w(v) + i)) / r(v)`` with ``k = g / (1000 (1 + gamma))``; 0 where no brake is needed.
@@ -229,21 +228,21 @@ class TrainModel:
             speed: v [m/s].
             gradient: i [per mille], + uphill in the direction of travel, and other resistance [N/kN] that is known.
             acceleration: dv/dt [m/s^2].
+            direction: As of :meth:`resistance`.
 
         Raises:
-            InputError: An argument is not finite or out of range.
+            InputError: An argument is not a finite number or out of range.
 
         """
-        check_value('speed', speed, _SPEED)
-        check_value('gradient', gradient, _GRADIENT)
-        check_value('acceleration', acceleration, _ACCELERATION)
+        v, i, wanted = _motion(speed, gradient, acceleration)
+        direction = checked_direction(direction)
         with self._lock:
             self._go_on()
-            w, rate = self._resistance_at(speed), self._brake_rate_at(speed)
-        k, r = self._file.inertia, max(rate.value, LEAST_RATE)
-        command = min(0.0, (acceleration + k * (w.value + gradient)) / r)
+            w, rate = self._resistance_at(v, direction), self._brake_rate_at(v)
+        k, r = self._file.k, max(rate.value, NO_BRAKE)
+        command = min(0.0, (wanted + k * (w.value + i)) / r)
         std = math.hypot(k * w.std, k * self._file.train_file.line.gradient_std, command * rate.std) / r
-        return Value(command, std, *_both(w, rate))
+        return Value(command, std, *_both((w.live, w.reason), (rate.live, rate.reason)))
 
     def stopping_distance(
         self,
@@ -253,6 +252,7 @@ class TrainModel:
         confidence: float = 0.95,
         *,
         applied: float = 0.0,
+        direction: int = 1,
     ) -> Value:
         """Return the distance [m] within which the train stops at a confidence; its median at 0.5.
 
@@ -264,15 +264,16 @@ class TrainModel:
             command: Brake command from now on [m/s^2, < 0].
             confidence: Probability that the train stops within the distance, 0.5 to 0.999999.
             applied: Brake command that acts until the dead time is over [m/s^2, <= 0]; 0: the brake is released.
+            direction: As of :meth:`resistance`.
 
         Raises:
-            InputError: An argument is not finite or out of range.
+            InputError: An argument is not a finite number or out of range.
             NoAnswerError: The train may not stop at all.
 
         """
-        check_value('speed', speed, _SPEED)
-        bounds, live, reason = self._bounds(gradient, command, confidence, applied)
-        found = bounds.at(speed)
+        v = arguments.SPEED.checked(speed)
+        bounds, live, reason = self._bounds(gradient, command, confidence, applied, direction)
+        found = bounds.at(v)
         if math.isinf(found.distance):
             raise NoAnswerError(bounds.no_answer())
         return Value(found.distance, found.std, live, reason)
@@ -285,6 +286,7 @@ class TrainModel:
         confidence: float = 0.95,
         *,
         applied: float = 0.0,
+        direction: int = 1,
     ) -> Value:
         """Return the speed [m/s] from which the train stops within a distance [m] at a confidence.
 
@@ -296,15 +298,16 @@ class TrainModel:
             command: Brake command from now on [m/s^2, < 0].
             confidence: Probability that the train stops within the distance, 0.5 to 0.999999.
             applied: Brake command that acts until the dead time is over [m/s^2, <= 0]; 0: the brake is released.
+            direction: As of :meth:`resistance`.
 
         Raises:
-            InputError: An argument is not finite or out of range.
+            InputError: An argument is not a finite number or out of range.
             NoAnswerError: The train may not stop from any speed.
 
         """
-        check_value('distance', distance, _DISTANCE)
-        bounds, live, reason = self._bounds(gradient, command, confidence, applied)
-        return Value(*bounds.speed(distance), live, reason)
+        away = arguments.DISTANCE.checked(distance)
+        bounds, live, reason = self._bounds(gradient, command, confidence, applied, direction)
+        return Value(*bounds.speed(away), live, reason)
 
     def braking_curve(
         self,
@@ -319,36 +322,29 @@ class TrainModel:
     ) -> tuple[Value, ...]:
         """Return the braking speed [m/s] at positions [m] before a stopping point [m]; 0 at it and beyond.
 
-        ``direction`` is 1 where positions increase on the way, -1 where they fall; for the rest see
-        :meth:`braking_speed`.
+        For the rest see :meth:`braking_speed`.
 
         Raises:
-            InputError: An argument is not finite or out of range.
+            InputError: An argument is not a finite number or out of range.
             NoAnswerError: The train may not stop from any speed.
 
         """
-        if direction not in (1, -1):
-            msg = f'direction = {direction!r} must be 1 or -1'
-            raise InputError(msg)
-        check_value('stop', stop, _POSITION)
-        distances = [_distance(stop, position, direction) for position in positions]
-        bounds, live, reason = self._bounds(gradient, command, confidence, applied)
+        end, direction = arguments.STOP.checked(stop), checked_direction(direction)
+        distances = [distance_to(end, position, direction) for position in positions]
+        bounds, live, reason = self._bounds(gradient, command, confidence, applied, direction)
         return tuple(Value(*bounds.speed(distance), live, reason) for distance in distances)
 
     def _bounds(
-        self, gradient: float, command: float, confidence: float, applied: float
+        self, gradient: float, command: float, confidence: float, applied: float, direction: int
     ) -> tuple[StoppingBounds, bool, str]:
-        check_value('gradient', gradient, _GRADIENT)
-        check_value('command', command, _COMMAND)
-        check_value('confidence', confidence, _CONFIDENCE)
-        check_value('applied', applied, _APPLIED)
+        i, u1 = arguments.GRADIENT.checked(gradient), -arguments.COMMAND.checked(command)
+        u0, P = -arguments.APPLIED.checked(applied), arguments.CONFIDENCE.checked(confidence)
+        shape = self._file.stop_shape(checked_direction(direction))
         with self._lock:
             self._go_on()
-            posterior = self._posterior(gradient)
-            w = self._answer(0.0, 0.0, self._resistance)
-            rate = self._answer(0.0, 0.0, self._brake_rate)
-        bounds = StoppingBounds(self._file.shape, posterior, -command, -applied, confidence)
-        return bounds, *_both(w, rate)
+            posterior = self._posterior(i)
+            live, reason = _both(_state(self._resistance), _state(self._brake_rate))
+        return StoppingBounds(shape, posterior, u1, u0, P), live, reason
 
     def _posterior(self, gradient: float) -> StopPosterior:
         file, davis, rate = self._file, self._resistance.normal(DAVIS), self._brake_rate.normal(BRAKE_RATE)
@@ -359,39 +355,40 @@ class TrainModel:
         rest = (map_std**2, delay_std**2, lag_std**2)
         return StopPosterior(mean, (rate.covariance[0], *by_speed, 0.0, 0.0, 0.0, *rest), davis.covariance)
 
-    def _resistance_at(self, speed: float) -> Value:
+    def _resistance_at(self, speed: float, direction: int) -> Value:
         w, variance = self._resistance.normal(DAVIS).along((1.0, speed, speed * speed))
-        answer = self._answer(w, math.sqrt(variance), self._resistance)
+        extra = self._file.effects.resistance(speed, direction)
+        live, reason = _state(self._resistance)
         low, high = self._learned_speeds
-        if not answer.live or low <= speed <= high:
-            return answer
-        return replace(answer, reason=f'{answer.reason}; outside the speeds learned from, {low:.1f} to {high:.1f} m/s')
+        if live and not low <= speed <= high:
+            reason = f'{reason}; outside the speeds learned from, {low:.1f} to {high:.1f} m/s'
+        return Value(w + extra, math.sqrt(variance), live, reason)
 
     def _brake_rate_at(self, speed: float | None) -> Value:
-        table, by_speed = (1.0, 0.0) if speed is None else self._file.rate_direction(speed)
+        table, by_speed = self._file.rate_direction(speed)
         factor, variance = self._brake_rate.normal(BRAKE_RATE).along((1.0,))
-        return self._answer(table * factor, table * math.hypot(math.sqrt(variance), by_speed), self._brake_rate)
+        std = table * math.hypot(math.sqrt(variance), by_speed)
+        return Value(table * factor, std, *_state(self._brake_rate))
 
     def _go_on(self) -> None:
-        now = self._clock()
+        now = self._clock.now()
         self._resistance.go_on(now)
         self._brake_rate.go_on(now)
 
-    @staticmethod
-    def _answer(value: float, std: float, channel: Channel) -> Value:
-        return Value(value, std, channel.is_live, channel.reason())
+
+def _motion(speed: float, gradient: float, acceleration: float) -> tuple[float, float, float]:
+    """Return speed [m/s], gradient [per mille] and acceleration [m/s^2], checked."""
+    wanted = arguments.ACCELERATION.checked(acceleration)
+    return arguments.SPEED.checked(speed), arguments.GRADIENT.checked(gradient), wanted
 
 
-def _distance(stop: float, position: float, direction: int) -> float:
-    """Return the distance [m] from a position to a stop in the direction of travel, 0 beyond it."""
-    check_value('position', position, _POSITION)
-    distance = max(0.0, direction * (stop - position))
-    check_value('distance', distance, _DISTANCE)
-    return distance
+def _state(channel: Channel) -> tuple[bool, str]:
+    """Return whether the values of a channel are live, and its reason."""
+    return channel.is_live, channel.reason()
 
 
-def _both(w: Value, rate: Value) -> tuple[bool, str]:
+def _both(resistance: tuple[bool, str], rate: tuple[bool, str]) -> tuple[bool, str]:
     """Return whether resistance and brake rate are both live, and the reason."""
-    if w.reason == rate.reason:
-        return w.live and rate.live, w.reason
-    return w.live and rate.live, f'resistance {w.reason}; brake rate {rate.reason}'
+    live = resistance[0] and rate[0]
+    same = resistance[1] == rate[1]
+    return live, rate[1] if same else f'resistance {resistance[1]}; brake rate {rate[1]}'

@@ -21,6 +21,8 @@ NamedValues = tuple[tuple[str, float], ...]
 
 # A brake rate outside this range is a unit error.
 LEAST_RATE, MOST_RATE = 0.01, 10.0
+# The time of an answer of the client grows with the rows of the brake rate.
+_MOST_ROWS = 100
 # Added in quadrature to dead time and lag, because the relative error of short ones is larger [s].
 _LEAST_DELAY, _LEAST_LAG = 0.67, 0.25
 # Beyond these, too: speed [m/s], gradient [per mille], radius of a curve [m], position [m].
@@ -237,7 +239,10 @@ def _davis(section: Section) -> Davis:
 def _brake(section: Section) -> Brake:
     section.only(('rate', 'time_constant', 'delay', 'timing_std'))
     default = Brake()
-    table = _rate_table(section) if isinstance(section.data.get('rate'), list) else ()
+    given = section.data.get('rate', default.rate)
+    if isinstance(given, bool) or not isinstance(given, (int, float, list)):
+        section.fail('rate', f'= {shown(given)} must be a number or a table [[speed m/s, rate], ...]')
+    table = _rate_table(section) if isinstance(given, list) else ()
     return Brake(
         rate=default.rate if table else section.number('rate', '', default.rate, low=LEAST_RATE, high=MOST_RATE),
         time_constant=section.number('time_constant', 's', default.time_constant, low=0.0, high=60.0),
@@ -251,6 +256,8 @@ def _rate_table(section: Section) -> Pairs:
     rows = section.rows('rate', ('speed m/s', 'rate'))
     if not rows:
         section.fail('rate', '= [] must be a number or have at least one row')
+    if len(rows) > _MOST_ROWS:
+        section.fail('rate', f'has {len(rows)} rows; it may have at most {_MOST_ROWS}')
     for i, (speed, rate) in enumerate(rows):
         section.check(f'rate[{i}][0]', speed, 'm/s', low=0.0, high=_MOST_SPEED)
         if not LEAST_RATE <= rate <= MOST_RATE:
