@@ -82,25 +82,22 @@ def measure(seeds: int) -> tuple[Table | Plot, ...]:
 def run(trial: Trial) -> Outcome:
     """Drive a day."""
     plan = plan_day(trial.world, trial.runs, np.random.default_rng(trial.seed))
-    drive = drive_day(plan, trial.controller, trial.seed)
+    return outcome_of(plan, drive_day(plan, trial.controller, trial.seed))
+
+
+def outcome_of(plan: DayPlan, drive: Drive) -> Outcome:
+    """Return a drive with what the sudden changes of the brake have to do with it."""
     after = []
     for event_s in plan.events_s:
         later = [arrival.error for arrival in drive.arrivals if arrival.time_s > event_s]
         after += later[:_AFTER]
-    unknown = tuple(_changes(plan, _last_stop(drive, row.time_s), row.time_s) for row in drive.bounds)
-    brakings = zip(drive.brakings_s, drive.arrivals, strict=True)
-    surprised = tuple(_changes(plan, begin_s, arrival.time_s) for begin_s, arrival in brakings)
-    return Outcome(drive, tuple(after), unknown, surprised)
+    unknown = tuple(plan.changes(_last_stop(drive, row.time_s), row.time_s) for row in drive.bounds)
+    return Outcome(drive, tuple(after), unknown, plan.surprised(drive))
 
 
 def _last_stop(drive: Drive, time_s: float) -> float:
     """Return the time of the last stop before a time [s]."""
     return max((arrival.time_s for arrival in drive.arrivals if arrival.time_s < time_s), default=0.0)
-
-
-def _changes(plan: DayPlan, begin_s: float, end_s: float) -> bool:
-    """Return whether the brake changes at once between two times [s]."""
-    return any(begin_s < event_s <= end_s for event_s in plan.events_s)
 
 
 Chosen = dict[tuple[str, str], list[Outcome]]
@@ -141,10 +138,11 @@ def _stops(chosen: Chosen) -> Table:
     header = ('line', 'values', 'stops', *sizes)
     note = (
         'Nominal: values of the train file; fast: the same with four times the integral action; learning: fast, with a '
-        'bias learned from the last stops; rate: nominal, with a brake rate learned from the last stops. Errors of the '
-        'stops, > 0 beyond them; p95 of their size. Brake steady: within .30 m, of the stops during whose braking no '
-        'rain began and no brake unit was isolated. Gap closed: of the p95 between nominal and truth. After a change: '
-        f'mean size of the first {_AFTER} errors after rain begins or a brake unit is isolated.'
+        'bias learned from the last stops; rate: nominal, with a brake rate learned from the last stops; rate_fast: '
+        'fast, with that rate. Errors of the stops, > 0 beyond them; p95 of their size. Brake steady: within .30 m, of '
+        'the stops during whose braking no rain began and no brake unit was isolated. Gap closed: of '
+        'the p95 between nominal and truth. After a change: mean size of the first '
+        f'{_AFTER} errors after rain begins or a brake unit is isolated.'
     )
     return Table('Stops', header, tuple(rows), note)
 
@@ -154,7 +152,7 @@ def _rides(chosen: Chosen) -> Table:
     for (world, controller), outcomes in chosen.items():
         drives = [outcome.drive for outcome in outcomes]
         truth = [outcome.drive for outcome in chosen[world, 'truth']]
-        energy = sum(drive.energy for drive in drives) / sum(drive.energy for drive in truth)
+        energy = sum(drive.energy_kwh for drive in drives) / sum(drive.energy_kwh for drive in truth)
         time = sum(drive.duration_s for drive in drives) / sum(drive.duration_s for drive in truth)
         jerk = _root_mean([drive.jerk for drive in drives]) / _root_mean([drive.jerk for drive in truth])
         rows.append(
@@ -164,17 +162,21 @@ def _rides(chosen: Chosen) -> Table:
                 f'{energy - 1.0:+.1%}',
                 f'{time - 1.0:+.1%}',
                 f'{jerk - 1.0:+.1%}',
-                f'{np.mean([drive.most_jerk for drive in drives]):.2f}',
+                f'{np.mean([drive.jerk_p999 for drive in drives]):.2f}',
+                f'{np.mean([drive.final_deceleration for drive in drives]):.2f}',
                 f'{_root_mean([drive.tracking for drive in drives]):.2f}',
                 f'{max(drive.overspeed for drive in drives):.2f}',
             )
         )
-    columns = ('energy', 'time', 'rms jerk', 'jerk 99.9 %, m/s^3', 'speed error, m/s', 'overspeed, m/s')
+    jerks = ('rms jerk', 'jerk 99.9 %, m/s^3', 'final braking, m/s^2')
+    columns = ('energy', 'time', *jerks, 'speed error, m/s', 'overspeed, m/s')
     header = ('line', 'values', *columns)
     note = (
-        'Energy, time and jerk relative to those with the truth. Speed error: root mean square of the true speed less '
-        'the one that limits, their margin and the braking curves to lower limits allow, while the controller '
-        "regulates to that. Most of it is the controller's own, which stays below the curves by up to that margin. "
+        'Energy, time and jerk relative to those with the truth. Jerk: from departures to standstills, both included, '
+        'as means of 0.2 s. Final braking: deceleration just before the train comes to rest, which then ends at once: '
+        'the controller has no soft stop. Speed error: root mean square of the true speed less the one that limits, '
+        'their margin and the braking curves to lower limits allow, while the controller regulates to that. Most of it '
+        "is the controller's own, which stays below the curves by up to that margin. "
         'Overspeed: the highest of all days above a limit.'
     )
     return Table('Rides', header, tuple(rows), note)

@@ -12,6 +12,7 @@ from trainid_ros.ato.controller import Ato, AtoModel
 from trainid_ros.ato.knowledge import StatedValues, TrueValues
 from trainid_ros.errors import InputError
 from trainid_ros.records import BrakeRecord, SpeedRecord
+from trainid_ros.sim.driver import Decision
 from trainid_ros.sim.plant import Plant
 from trainid_ros.sim.scenario import Scenario, Simulation, simulate
 from trainid_ros.train.line import LineProfile
@@ -78,6 +79,32 @@ def test_brake_commands_change_by_one_step_at_a_time() -> None:
     assert np.abs(steps).max() == pytest.approx(0.15)
     assert np.abs(given.values / 0.15 - np.round(given.values / 0.15)).max() < 1e-6
     assert given.values.min() >= -1.1 - 1e-9
+
+
+@pytest.mark.parametrize('gradient', [-30.0, 0.0, 30.0])
+def test_there_is_no_traction_before_the_brake_is_released(gradient: float) -> None:
+    line = replace(LINE, gradient=((0.0, gradient), (900.0, -gradient)))
+    file = replace(FILE, train=replace(FILE.train, max_traction_force=200e3), line=line)
+    ato: list[Recorded] = []
+
+    def make(plant: Plant, rng: np.random.Generator) -> Recorded:
+        ato.append(Recorded(AtoModel(), file, LineProfile(line, 100.0), TrueValues(file, plant), rng))
+        return ato[0]
+
+    simulation = simulate(Scenario(file, runs=4, stated=file), np.random.default_rng(3), make)
+    assert len(simulation.arrivals) == 4
+    given = ato[0].given
+    assert max(decision.traction for decision in given) > 100e3
+    assert not [decision for decision in given if decision.traction > 0.0 and decision.brake < 0.0]
+
+
+class Recorded(Ato):
+    """A controller that keeps what it demands."""
+
+    def decide(self, time_s: float, train: Plant) -> Decision:
+        decision = super().decide(time_s, train)
+        self.given = [*getattr(self, 'given', []), decision]
+        return decision
 
 
 def test_the_aim_may_lie_beside_the_stop() -> None:

@@ -3,11 +3,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from trainid_ros.ato.days import Drive, drive_day, plan_day
 from trainid_ros.errors import InputError
+from trainid_ros.sim.driver import StopEvent
 
 
 def driven(controller: str, seed: int = 3, runs: int = 4) -> Drive:
@@ -36,17 +39,48 @@ def test_an_unknown_world_is_named() -> None:
         plan_day('maglev', 4, np.random.default_rng(1))
 
 
+def test_an_unknown_controller_is_named() -> None:
+    with pytest.raises(InputError, match="'lvie' is not known; did you mean 'live'"):
+        drive_day(plan_day('tram', 2, np.random.default_rng(1)), 'lvie', 1)
+
+
 def test_a_drive_is_scored() -> None:
     drive = driven('truth')
     assert drive.errors.shape == (4,)
-    assert 1.0 < drive.energy < 50.0
-    assert 0.05 < drive.jerk < drive.most_jerk < 5.0
+    assert 1.0 < drive.energy_kwh < 50.0
+    # The quantile is that of the standstills, where the deceleration ends within a tick of 0.2 s.
+    assert 0.05 < drive.jerk < 0.9 * drive.final_deceleration / 0.2 < drive.jerk_p999 < 7.0
+    assert 0.5 < drive.final_deceleration < 1.2
     # Under traction the controller stays below the curves by up to its margin of 0.8 m/s.
     assert 0.05 < drive.tracking < 1.6
     assert drive.bounds == ()
     begins, ends = drive.brakings_s, [arrival.time_s for arrival in drive.arrivals]
     assert len(begins) == 4
     assert all(5.0 < end - begin < 60.0 for begin, end in zip(begins, ends, strict=True))
+
+
+def test_a_braking_with_a_sudden_change_is_a_surprise() -> None:
+    plan = plan_day('metro', 4, np.random.default_rng(5))
+    plan = replace(plan, events_s=(95.0, 210.0, 300.0))
+    drive = drive_of((80.0, 100.0), (180.0, 200.0), (280.0, 300.0), (380.0, 400.0))
+    assert plan.surprised(drive) == (True, False, True, False)
+    assert [plan.changes(*span) for span in ((94.0, 95.0), (95.0, 209.0), (209.0, 211.0))] == [True, False, True]
+
+
+def drive_of(*brakings: tuple[float, float]) -> Drive:
+    """A drive with brakings from and to times [s]."""
+    arrivals = tuple(StopEvent(end_s, 100.0 * k, 0.1) for k, (_, end_s) in enumerate(brakings))
+    begins = tuple(begin_s for begin_s, _ in brakings)
+    return Drive(arrivals, begins, 400.0, 12.0, 0.1, 1.0, 0.6, 0.0, 0.5, ())
+
+
+def test_the_peers_differ_in_what_they_learn_and_in_their_integral_action() -> None:
+    drives = {name: driven(name, runs=3) for name in ('nominal', 'fast', 'rate', 'rate_fast')}
+    errors = {name: tuple(drive.errors) for name, drive in drives.items()}
+    assert len(set(errors.values())) == 4
+    # Nothing is learned before the first stop.
+    assert errors['rate_fast'][0] == errors['fast'][0] != errors['rate'][0]
+    assert errors['rate'][0] == errors['nominal'][0]
 
 
 @pytest.mark.parametrize('world', ['metro', 'tram'])

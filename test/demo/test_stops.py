@@ -3,32 +3,61 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
-from trainid_ros.ato.days import Drive
+from trainid_ros.ato.days import CONTROLLERS, DayPlan, Drive, plan_day
 from trainid_ros.demo import stops
-from trainid_ros.report.stop_report import stop_lines
+from trainid_ros.report.stop_report import brake_changes, comparison, stop_lines, stop_page
 from trainid_ros.sim.driver import StopEvent
 
 
 def drive(*errors: float) -> Drive:
     arrivals = tuple(StopEvent(100.0 * k, 1000.0 * k, error) for k, error in enumerate(errors, 1))
     begins = tuple(arrival.time_s - 20.0 for arrival in arrivals)
-    return Drive(arrivals, begins, 100.0 * len(errors), 12.0, 0.1, 1.0, 0.0, 0.5, ())
+    return Drive(arrivals, begins, 100.0 * len(errors), 12.0, 0.1, 1.0, 0.6, 0.0, 0.5, ())
+
+
+def plan_with(*events_s: float) -> DayPlan:
+    return replace(plan_day('metro', 2, np.random.default_rng(1)), events_s=events_s)
 
 
 def test_stops_are_described_by_the_values_used() -> None:
-    lines = stop_lines({'nominal': drive(1.0, -0.2), 'live': drive(0.1, -0.1)})
+    lines = stop_lines(plan_with(190.0), {'nominal': drive(1.0, -0.2), 'live': drive(0.1, -0.1)})
     nominal, live = (' '.join(line.split()) for line in lines)
-    assert nominal == 'nominal mean +0.40 m, sd 0.60 m, largest 1.00 m, within 0.30 m 50%'
-    assert live == 'live mean +0.00 m, sd 0.10 m, largest 0.10 m, within 0.30 m 100%'
+    assert nominal == 'nominal mean +0.40 m, sd 0.60 m, largest 1.00 m, within 0.30 m 50%, with a steady brake 0% of 1'
+    assert live == 'live mean +0.00 m, sd 0.10 m, largest 0.10 m, within 0.30 m 100%, with a steady brake 100% of 1'
+
+
+def test_the_comparison_names_what_is_better_and_what_is_not() -> None:
+    drives = {'nominal': drive(1.0, -0.2), 'fast': drive(0.0, 0.05), 'live': drive(0.1, -0.1), 'truth': drive(0.1, 0.1)}
+    assert comparison(drives) == [
+        'mean absolute error with live estimates 0.100 m; only that with nominal must be larger',
+        'live estimates stopped better than nominal (0.600 m)',
+        'live estimates did not stop better than fast (0.025 m), truth (0.100 m)',
+    ]
+
+
+def test_stops_with_a_change_during_the_braking_are_named_and_circled() -> None:
+    drives = {'nominal': drive(1.0, -0.2), 'live': drive(0.1, -0.51)}
+    assert brake_changes(plan_with(), drives) == ['the brake did not change at once on this day']
+    assert brake_changes(plan_with(150.0), drives)[0].endswith('at 2.5 min, but never while the train braked to a stop')
+    (line,) = brake_changes(plan_with(190.0), drives)
+    assert line.endswith('at 3.2 min, while the train braked: nominal at stop 2 (-0.20 m), live at stop 2 (-0.51 m)')
+    elsewhere = replace(drives['nominal'], brakings_s=(70.0, 195.0))
+    (other,) = brake_changes(plan_with(190.0), {**drives, 'nominal': elsewhere})
+    assert other.endswith('while the train braked: live at stop 2 (-0.51 m), not with nominal')
+    page = stop_page(plan_with(190.0), drives)
+    assert line in page
+    assert len(page) > len(stop_page(plan_with(150.0), drives))
 
 
 @pytest.mark.parametrize(('live', 'worked'), [(0.1, True), (-3.0, False)])
 def test_it_worked_if_the_estimates_made_the_stops_better(live: float, worked: bool) -> None:
-    case = stops.StopCase({'nominal': drive(1.0), 'live': drive(live)}, Path('report.html'))
+    case = stops.StopCase(plan_with(), {'nominal': drive(1.0), 'live': drive(live)}, Path('report.html'))
     assert case.worked is worked
 
 
@@ -38,8 +67,12 @@ def test_a_short_day_is_driven_and_reported(tmp_path: Path, monkeypatch: pytest.
     said: list[str] = []
     case = stops.play_stops(tmp_path / 'stops', said.append)
     assert len(said) == 1
-    assert [len(one.errors) for one in case.drives.values()] == [2] * 6
+    assert [len(one.errors) for one in case.drives.values()] == [2] * len(CONTROLLERS)
     page = case.report.read_text(encoding='utf-8')
     assert page.count('<svg') == 2
     assert 'within 0.30 m' in page
-    assert stops.stops_to_json(case)['errors']['live'] == case.drives['live'].errors.tolist()
+    assert all(line in page for line in comparison(case.drives))
+    assert 'live estimates' in stops.describe_stops(case)
+    told = stops.stops_to_json(case)
+    assert told['errors']['live'] == case.drives['live'].errors.tolist()
+    assert set(told['brake_changed']) == set(CONTROLLERS)

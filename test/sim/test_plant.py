@@ -95,6 +95,14 @@ def test_a_delay_that_ends_between_two_steps_is_exact() -> None:
     assert train.brake == pytest.approx(-(1.0 - math.exp(-0.993 / 0.4)), rel=1e-12)
 
 
+def test_the_work_of_the_traction_becomes_kinetic_energy_without_resistance() -> None:
+    train = plant(replace(FILE, resistance=NO_RESISTANCE), jerk=0.8)
+    run(train, 9.3, 180e3)
+    run(train, 3.0)
+    assert train.traction == 0.0
+    assert train.work == pytest.approx(0.5 * 1.08 * 200e3 * train.speed**2, rel=1e-9)
+
+
 def test_a_braking_train_stops_and_remains_at_rest() -> None:
     train = plant(speed=3.0)
     train.command(-1.0)

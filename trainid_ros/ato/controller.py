@@ -68,7 +68,10 @@ class AtoModel:
 
 
 class Ato:
-    """Controller with a period of ``TICK_S``; it sees the records of the sensors and nothing else of the train.
+    """Controller with a period of ``TICK_S``.
+
+    On the way it sees the records of the sensors, the balises it passes and whether the train stands; at a stop it
+    takes over the position, as from a reading of the platform's balise.
 
     Attributes:
         stop: Stop that it drives to [m].
@@ -137,7 +140,7 @@ class Ato:
     def decide(self, time_s: float, train: Plant) -> Decision:
         """Return the demands until the next tick.
 
-        The train itself tells only that it stands, which balises it passes and, for the score, where it has stopped.
+        Of the train itself it uses whether it stands, its direction, the balises passed and the position at a stop.
         """
         state = self._state
         self._predictor.values = self._known.values()
@@ -160,6 +163,9 @@ class Ato:
         if change and self._since_step_s >= interval - 1e-9:
             self._steps += 1 if change > 0 else -1
             self._since_step_s = 0.0
+        if self._steps > 0:
+            # Interlock: no traction before the brake is released.
+            traction = 0.0
         brake, force = self._command(self._steps), traction / (self._mass * (1.0 + self._train.rotary_mass))
         self._state.predict(self._predictor.acceleration + force, train.now_ns, TICK_S)
         self._predictor.command(brake)

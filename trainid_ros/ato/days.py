@@ -15,11 +15,13 @@ import numpy as np
 from trainid_ros.ato.controller import Ato, AtoModel, Phase
 from trainid_ros.ato.knowledge import LiveValues, StatedValues, TrainKnowledge, TrueValues
 from trainid_ros.ato.learning import LearnedRate, StopBias
+from trainid_ros.ato.ride_score import RideScore
 from trainid_ros.ato.train_state import PositionModel
-from trainid_ros.sim.driver import TICK_S
+from trainid_ros.errors import InputError
 from trainid_ros.sim.realism import UNKNOWNS, make_case
 from trainid_ros.sim.scenario import Change, simulate
 from trainid_ros.sim.worlds import find_world, usual_duration, world_train
+from trainid_ros.train.fields import did_you_mean
 from trainid_ros.train.line import LineProfile
 from trainid_ros.train.train_file import Davis, Effect, TrainFile
 
@@ -30,9 +32,9 @@ if TYPE_CHECKING:
     from trainid_ros.sim.realism import Case
     from trainid_ros.sim.worlds import World
 
-CONTROLLERS: Final = ('nominal', 'fast', 'learning', 'rate', 'live', 'truth')
+CONTROLLERS: Final = ('nominal', 'fast', 'learning', 'rate', 'rate_fast', 'live', 'truth')
 """Values of the train file; the same with stronger integral action; with that and a bias learned from the last stops;
-with a brake rate learned from the last stops; estimates; true values."""
+with a brake rate learned from the last stops; with that and stronger integral action; estimates; true values."""
 _FAST: Final = PositionModel(integral_gain=0.25)
 _UNKNOWNS: Final = frozenset(UNKNOWNS) - {'changes'}
 # Brake rate at the start of a day, wear over the day [1], steps in which the wear is simulated.
@@ -57,6 +59,15 @@ class DayPlan:
     world: World
     case: Case
     events_s: tuple[float, ...]
+
+    def changes(self, begin_s: float, end_s: float) -> bool:
+        """Return whether the brake changes at once between two times [s]."""
+        return any(begin_s < event_s <= end_s for event_s in self.events_s)
+
+    def surprised(self, drive: Drive) -> tuple[bool, ...]:
+        """Return for each stop whether the brake changed while the train braked to it."""
+        brakings = zip(drive.brakings_s, drive.arrivals, strict=True)
+        return tuple(self.changes(begin_s, arrival.time_s) for begin_s, arrival in brakings)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,9 +96,10 @@ class Drive:
         arrivals: Its stops.
         brakings_s: Times at which the brakings to them begin [s].
         duration_s: Duration without the dwell after the last stop [s].
-        energy: Work of the traction [kWh].
-        jerk: Root mean square of the jerk in motion [m/s^3].
-        most_jerk: Its 99.9 % quantile [m/s^3].
+        energy_kwh: Work of the traction [kWh].
+        jerk: Root mean square of the jerk from departures to standstills, both included; means of 0.2 s [m/s^3].
+        jerk_p999: 99.9 % quantile of its absolute value [m/s^3].
+        final_deceleration: Deceleration just before a standstill, mean of the stops [m/s^2].
         overspeed: Highest speed above a limit [m/s], 0 if none.
         tracking: Root mean square of the speed less the one that limits and braking curves allow, while the controller
             regulates to that [m/s].
@@ -98,9 +110,10 @@ class Drive:
     arrivals: tuple[StopEvent, ...]
     brakings_s: tuple[float, ...]
     duration_s: float
-    energy: float
+    energy_kwh: float
     jerk: float
-    most_jerk: float
+    jerk_p999: float
+    final_deceleration: float
     overspeed: float
     tracking: float
     bounds: tuple[Bound, ...]
@@ -152,13 +165,19 @@ def drive_day(plan: DayPlan, controller: str | TrainKnowledge, seed: int) -> Dri
         controller: One of ``CONTROLLERS``, or where its values come from.
         seed: Seed of the day.
 
+    Raises:
+        InputError: There is no such controller.
+
     """
+    if isinstance(controller, str) and controller not in CONTROLLERS:
+        msg = f'controller {controller!r} is not known; {did_you_mean(controller, CONTROLLERS)}'
+        raise InputError(msg)
     stated, true = plan.case.stated, plan.case.scenario.train_file
     scored: list[ScoredAto] = []
 
     def make(plant: Plant, rng: np.random.Generator) -> ScoredAto:
         known = _knowledge(controller, stated, TrueValues(true, plant)) if isinstance(controller, str) else controller
-        position = _FAST if controller in ('fast', 'learning') else PositionModel()
+        position = _FAST if controller in ('fast', 'learning', 'rate_fast') else PositionModel()
         scored.append(ScoredAto(plan, known, rng, position, learns=controller == 'learning'))
         return scored[0]
 
@@ -169,7 +188,7 @@ def drive_day(plan: DayPlan, controller: str | TrainKnowledge, seed: int) -> Dri
 def _knowledge(controller: str, stated: TrainFile, true: TrueValues) -> TrainKnowledge:
     if controller == 'truth':
         return true
-    if controller == 'rate':
+    if controller in ('rate', 'rate_fast'):
         return LearnedRate(stated)
     return LiveValues(stated) if controller == 'live' else StatedValues(stated)
 
@@ -236,11 +255,9 @@ class ScoredAto(Ato):
         super().__init__(_model(plan.world), stated, profile, known, rng, lambda: self._bias.aim, position)
         strongest = plan.world.driver.max_deceleration
         self._bounds = BoundCheck(known.model, strongest) if isinstance(known, LiveValues) else None
-        self._jerks: list[float] = []
-        self._speed_errors: list[float] = []
+        self._score = RideScore()
         self._brakings_s: list[float] = []
-        self._braking_s = 0.0
-        self._work = self._overspeed = self._acceleration = 0.0
+        self._braking_s = self._work = 0.0
 
     def decide(self, time_s: float, train: Plant) -> Decision:
         """Return the demands until the next tick."""
@@ -254,30 +271,27 @@ class ScoredAto(Ato):
             self._brakings_s.append(self._braking_s)
             if self._learns:
                 self._bias.learn(self.arrivals[-1].error)
-        if self.phase is not Phase.DWELL:
-            self._score(train)
-        self._acceleration = train.acceleration
+        self._work = train.work
+        if phase is Phase.DWELL:
+            self._score.skip(train)
+        else:
+            # Also the tick in which the train comes to rest, when the dwell has just begun.
+            self._score.add(train, self.allowed(train.position, train.speed)[0] if self.follows else None)
         return decision
-
-    def _score(self, train: Plant) -> None:
-        self._jerks.append((train.acceleration - self._acceleration) / TICK_S)
-        self._work += train.traction * train.speed * TICK_S
-        limit = train.profile.speed_limit(train.position, train.direction)
-        self._overspeed = max(self._overspeed, train.speed - limit)
-        if self.follows:
-            self._speed_errors.append(train.speed - self.allowed(train.position, train.speed)[0])
 
     def drive(self, arrivals: tuple[StopEvent, ...]) -> Drive:
         """Return how the day was driven."""
-        jerks = np.abs(self._jerks)
+        score = self._score
+        jerks = np.abs(score.jerks)
         return Drive(
             arrivals=arrivals,
             brakings_s=tuple(self._brakings_s),
             duration_s=arrivals[-1].time_s,
-            energy=self._work / 3.6e6,
+            energy_kwh=self._work / 3.6e6,
             jerk=float(np.sqrt(np.mean(jerks * jerks))),
-            most_jerk=float(np.quantile(jerks, 0.999)),
-            overspeed=self._overspeed,
-            tracking=float(np.sqrt(np.mean(np.square(self._speed_errors)))),
+            jerk_p999=float(np.quantile(jerks, 0.999)),
+            final_deceleration=float(np.mean(score.final_decelerations)),
+            overspeed=score.overspeed,
+            tracking=float(np.sqrt(np.mean(np.square(score.speed_errors)))),
             bounds=tuple(self._bounds.rows) if self._bounds else (),
         )

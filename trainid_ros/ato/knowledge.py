@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from trainid_ros.sim.plant import Plant
     from trainid_ros.train.train_file import TrainFile
 
-# Speed at which, and at twice which, w(v) is asked for: a parabola follows from three values [m/s].
+# w(v) is asked for at 0, at this speed and at twice this speed [m/s]: three values determine a parabola.
 _SPEED: Final = 10.0
 
 
@@ -39,11 +39,11 @@ class TrainKnowledge(Protocol):
         """Take in what a sensor has measured."""
 
     def values(self) -> TrainValues:
-        """Return what is taken for true at the present time."""
+        """Return the values that the controller uses at the present time."""
 
 
 class StatedValues:
-    """The values of a train file, whatever the day is like."""
+    """The values of a train file, on every day the same."""
 
     def __init__(self, train_file: TrainFile) -> None:
         """Take over the values."""
@@ -58,10 +58,10 @@ class StatedValues:
 
 
 class TrueValues:
-    """The values of the simulated train itself, but for gusts: the best that any estimator could give."""
+    """The values of the simulated train itself, without gusts: the best that any estimator could give."""
 
     def __init__(self, train_file: TrainFile, plant: Plant) -> None:
-        """Look into a simulated train that is made of a true train file."""
+        """Read the values of a simulated train that was built from the true train file."""
         effects = train_file.effects
         self._brake, self._plant = train_file.brake, plant
         self._loss = effect_value(effects, 'brake_fade', 'loss', 0.0)
@@ -95,7 +95,7 @@ class LiveValues:
         self._values = TrainValues(train_file.resistance, train_file.brake)
 
     def observe(self, record: Record) -> None:
-        """Give a record to the estimators, and take over what they know now."""
+        """Give a record to the estimators, and take over their present values."""
         self._now_s = max(self._now_s, record.stamp_ns / NS_PER_S)
         outputs: list[Output[Any]] = []
         self._group.push_rows((record.row(),), outputs.append)
@@ -110,7 +110,7 @@ class LiveValues:
 
 
 def client_values(model: TrainModel, brake: Brake) -> TrainValues:
-    """Return the present values of a client; of the brake of the train file, timing and table are kept."""
+    """Return the present values of a client; timing and rate table of the brake stay those given."""
     still, medium, fast = (model.resistance(speed).value for speed in (0.0, _SPEED, 2.0 * _SPEED))
     c = (fast - 2.0 * medium + still) / (2.0 * _SPEED * _SPEED)
     b = (medium - still) / _SPEED - c * _SPEED

@@ -21,8 +21,8 @@ _GAIN: Final = 0.4
 _MOST: Final = 5.0
 # Share of the difference that the rate of one braking corrects [1].
 _RATE_GAIN: Final = 0.5
-# Compared are speeds above this [m/s] at which the lagged command is stronger than this [m/s^2], for a change of the
-# speed by a nominal brake of at least this [m/s].
+# Only speeds above this [m/s] are compared, while the lagged command is stronger than this [m/s^2], and only if a
+# nominal brake would have changed the speed by at least this [m/s].
 _SLOWEST: Final = 0.7
 _BRAKED: Final = -0.3
 _LEAST_CHANGE: Final = 2.0
@@ -42,8 +42,9 @@ class StopBias:
 class LearnedRate:
     """Knowledge of a controller that learns the brake rate from stop to stop; the rest is that of the train file.
 
-    The rate of a braking is the loss of speed without that by resistance and gradient, over that of a nominal brake,
-    ``r(k) = sum(-dv - k (w + i) dt) / sum(s(v) U dt)``, and ``rate(k + 1) = rate(k) + gain (r(k) - rate(k))``.
+    The rate of a braking is the loss of speed less what resistance and gradient cause, divided by the loss that a brake
+    of rate 1 would cause, ``r(k) = sum(-dv - k (w + i) dt) / sum(s(v) U dt)``, and
+    ``rate(k + 1) = rate(k) + gain (r(k) - rate(k))``.
     """
 
     def __init__(self, train_file: TrainFile) -> None:

@@ -36,6 +36,7 @@ class TrainState:
     Attributes:
         speed: Speed [m/s].
         position: Position of the front [m].
+        direction: +1 while positions increase, -1 while they decrease.
         gradient_error: Gradient measured here less that of the line [per mille].
         unexplained: Acceleration that the measured speed shows beyond what is known of the train [m/s^2].
 
@@ -62,11 +63,11 @@ class TrainState:
     def measure_speed(self, record: SpeedRecord) -> None:
         """Correct the speed; a wheel sensor that gives no pulses stands."""
         model = self._model
-        age_s = (self._until_ns - record.stamp_ns) / NS_PER_S
-        error = record.speed + self._acceleration * age_s - self.speed
         if record.speed == 0.0:
             self.speed = 0.0
             return
+        age_s = (self._until_ns - record.stamp_ns) / NS_PER_S
+        error = record.speed + self._acceleration * age_s - self.speed
         self.speed += model.speed_gain * error
         most = model.most_integral
         self.unexplained = min(most, max(-most, self.unexplained + model.integral_gain * error))

@@ -11,13 +11,13 @@ import numpy as np
 from trainid_ros.ato.days import CONTROLLERS, drive_day, plan_day
 from trainid_ros.cli.output import progress
 from trainid_ros.report.page import write_page
-from trainid_ros.report.stop_report import stop_lines, stop_page
+from trainid_ros.report.stop_report import brake_changes, changed_stops, comparison, stop_lines, stop_page
 
 if TYPE_CHECKING:
     from collections.abc import Callable
     from pathlib import Path
 
-    from trainid_ros.ato.days import Drive
+    from trainid_ros.ato.days import DayPlan, Drive
 
 STOPS_HTML: Final = 'report.html'
 _WORLD: Final = 'metro'
@@ -27,8 +27,9 @@ _RUNS: Final = 12
 
 @dataclass(frozen=True, slots=True)
 class StopCase:
-    """Result of the chapter: how the day was driven by each controller, and the path of its report."""
+    """Result of the chapter: the day, how it was driven by each controller, and the path of its report."""
 
+    plan: DayPlan
     drives: dict[str, Drive]
     report: Path
 
@@ -40,7 +41,7 @@ class StopCase:
 
 
 def play_stops(folder: Path, say: Callable[[str], None]) -> StopCase:
-    """Let an ATO drive a simulated day with the values of the train file, a learned bias, estimates and the truth.
+    """Let an ATO drive a simulated day with each of the controllers.
 
     Raises:
         InputError: The folder cannot be written.
@@ -55,15 +56,17 @@ def play_stops(folder: Path, say: Callable[[str], None]) -> StopCase:
             advance(1)
     folder.mkdir(parents=True, exist_ok=True)
     write_page(stop_page(plan, drives), folder / STOPS_HTML)
-    return StopCase(drives, folder / STOPS_HTML)
+    return StopCase(plan, drives, folder / STOPS_HTML)
 
 
 def describe_stops(case: StopCase) -> str:
-    """Return the errors of the stops as text."""
-    return '\n'.join([*stop_lines(case.drives), '', f'report: {case.report}'])
+    """Return the errors of the stops as text, what they say, and where the brake changed during a braking."""
+    said = [*comparison(case.drives), *brake_changes(case.plan, case.drives)]
+    return '\n'.join([*stop_lines(case.plan, case.drives), '', *said, '', f'report: {case.report}'])
 
 
 def stops_to_json(case: StopCase) -> dict[str, Any]:
-    """Return the errors of the stops [m] by controller as a JSON object."""
+    """Return, by controller, the errors of the stops [m] and those with a change of the brake as a JSON object."""
     errors = {name: drive.errors.tolist() for name, drive in case.drives.items()}
-    return {'errors': errors, 'report': case.report}
+    changed = {name: changed_stops(case.plan, drive) for name, drive in case.drives.items()}
+    return {'errors': errors, 'brake_changed': changed, 'report': case.report}

@@ -45,6 +45,7 @@ class Plant:
         gust: Additional gust resistance [N/kN].
         distance_run: Distance run since the start [m].
         heat: Heat in the brake, calculated without fade [J/kg].
+        work: Work of the traction since the start [J].
 
     """
 
@@ -69,7 +70,7 @@ class Plant:
         self.mass = train_file.train.mass
         self.resistance = train_file.resistance
         self.brake_rate = train_file.brake.rate
-        self.gust = self.distance_run = self.heat = 0.0
+        self.gust = self.distance_run = self.heat = self.work = 0.0
         self._train, self._rate_shape = train_file.train, train_file.brake.shape_at
         self._jerk = jerk
         self._start_ns = start_ns
@@ -111,7 +112,9 @@ class Plant:
         acceleration = driven - self._retardation(0.0)
         middle = max(0.0, self.speed + 0.5 * dt * acceleration)
         self.heat = heat_after(self.heat, brake, middle, dt)
+        before = self.distance_run
         self._move(driven - self._retardation(0.5 * dt, middle), dt)
+        self.work += traction * (self.distance_run - before)
         self.now_ns += dt_ns
 
     def _retardation(self, ahead_s: float, speed: float | None = None) -> float:
