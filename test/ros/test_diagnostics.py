@@ -24,6 +24,7 @@ from trainid_ros.ros.estimator_node import EstimatorNode
 from trainid_ros.ros.estimator_nodes import BRAKE_RATE, RESISTANCE
 from trainid_ros.ros.input_monitor import clock_time
 from trainid_ros.ros.topics import message_from_record
+from trainid_ros.stream.brake_shape_check import ShapeInformation
 
 Graph: TypeAlias = Any  # the fixture of conftest.py
 BEST_EFFORT = ReliabilityPolicy.BEST_EFFORT
@@ -64,6 +65,7 @@ def test_diagnostics_show_status_counts_and_inputs(graph: Graph, train_file: str
     assert values['last rejection'].startswith('GAP')
     assert float(values['a prior [N/kN]']) == 1.5
     assert float(values['step time max [ms]']) > 0.0
+    assert 0.0 <= float(values['time in status [s]']) < 600.0
     fit = values['status'] == 'VALID'
     assert diagnosed.by_name[own].level == (DiagnosticStatus.OK if fit else DiagnosticStatus.WARN)
     speed = 'resistance_estimator: input ato/speed'
@@ -253,14 +255,17 @@ def test_a_wrong_brake_is_named_and_driving_on_is_not_advised(graph: Graph, trai
     own, messages = 'brake_rate_estimator: estimator', []
     converging = Changed(node.pipeline.current(), status=Status.CONVERGING)
     node.pipeline = Changed(node.pipeline, current=lambda: converging)
-    for slope in (0.0, -0.3):
-        node.pipeline.estimator.state.slope = slope
+    check = node.pipeline.stream.brake_delay
+    check.max_speed, check.shape.slowest, check.shape.fastest = 22.0, -0.5, 0.5
+    check.shape.known = ShapeInformation(ee=1e6, hh=1e6, e=-0.4e6)
+    for is_wrong in (False, True):
+        check.shape.is_wrong = is_wrong
         diagnosed.by_name.clear()
         node._diagnostics.publish()
         graph.until(lambda: own in diagnosed.by_name)
         messages.append(str(diagnosed.by_name[own].message))
     assert 'drive on' in messages[0]
-    assert messages[1].startswith('from standstill to 22 m/s the brake rate falls by about 0.30 against brake.rate')
+    assert messages[1].startswith('from 0 to 22 m/s the brake rate falls by about 0.40 against brake.rate')
     assert 'drive on' not in messages[1]
 
 

@@ -83,6 +83,16 @@ def test_the_first_braking_contradicts_a_dead_time_before_it_is_over(file: Train
     assert check.warning == ''  # one braking that has not ended is no proof
 
 
+@pytest.mark.parametrize('shift', [-1.2, 1.2, 2.5])
+def test_no_moment_of_the_first_braking_is_trusted_with_a_wrong_dead_time(
+    file: TrainFile, sample: Make, shift: float
+) -> None:
+    check, timing = BrakeDelayCheck(), BrakeTiming(file)
+    for item, force in drive(sample, file.brake, shift, 1):
+        check.follow(item, force, force / item.dt, INERTIA, timing)
+        assert not check.is_trusted
+
+
 def test_nothing_is_trusted_before_the_train_was_braked_for_some_seconds(file: TrainFile, sample: Make) -> None:
     items = list(drive(sample, file.brake, 0.0, 1))
     trusted = [checked(file, items[: FIRST + round(seconds / DT)]).is_trusted for seconds in (0.0, 4.0, 6.0)]

@@ -15,6 +15,5 @@ def brake_findings(pipeline: EstimatorPipeline[Any]) -> tuple[str, ...]:
     """Return a sentence for the dead time or else the rate over speed, if it is wrong; none for other estimates."""
     if not isinstance(pipeline.estimator, BrakeRateEstimator):
         return ()
-    # A wrong dead time makes the rate look wrong over speed, too.
-    warning = pipeline.stream.brake_delay.warning or pipeline.estimator.warning
+    warning = pipeline.stream.brake_delay.warning
     return (warning,) if warning else ()

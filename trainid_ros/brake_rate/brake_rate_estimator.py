@@ -50,11 +50,6 @@ _MOST: Final = 9.0
 _MOST_EXCESS: Final = 10.0
 # A valid rate is below its limit by at least this many standard deviations.
 _CLEAR: Final = 3.0
-# A change over speed contradicts the train file if it exceeds this many of its standard deviations by the settings, and
-# this many of those to which it is known.
-_CONTRADICTS: Final = 3.0
-_KNOWN: Final = 4.0
-_SLOPE: Final = 5
 LARGEST_RATE: Final = 3.0
 """Largest brake rate, as a multiple of the train file's value."""
 
@@ -77,7 +72,6 @@ class DriveState:
         blending: Standard deviation due to the changeover between brakes, at the newest sample [1].
         excess: Factor on the variance of the speed noise, estimated from innovations while braking [1]; at least 1.
         gain: Brake rate by the table and the effects of the train file, for f = 1 [1].
-        slope: Change of f from standstill to full speed that contradicts the train file [1]; 0 if none does.
         position: Filtered position [m], NaN while unknown.
         rejected_in_a_row: Outliers in a row.
         innovation: Last innovation of speed [m/s].
@@ -98,7 +92,6 @@ class DriveState:
     blending: float = 0.0
     excess: float = 1.0
     gain: float = 1.0
-    slope: float = 0.0
     stamp_ns: int = 0
     filtered_target: float = 0.0
     unbraked_s: float = 0.0
@@ -169,18 +162,6 @@ class BrakeRateEstimator:
         """Whether the brake rate is known accurately enough."""
         return self.state.converged
 
-    @property
-    def warning(self) -> str:
-        """What is wrong with the brake rate of the train file, empty if nothing is."""
-        slope = self.state.slope
-        if slope == 0.0:
-            return ''
-        sense, top = 'rises' if slope > 0.0 else 'falls', self._model.max_speed
-        return (
-            f'from standstill to {top:.0f} m/s the brake rate {sense} by about {abs(slope):.2f} against brake.rate of '
-            'the train file: it needs another table over speed, or brake.delay is wrong'
-        )
-
     def step(self, sample: Sample) -> Rejection | None:
         """Process one sample; f is updated only while the brake acts on a moving train."""
         state = self.state
@@ -197,8 +178,7 @@ class BrakeRateEstimator:
         """Decide whether the rate is valid, with a hysteresis of factor two; a rate at its limit may exceed it."""
         state, std = self.state, self._std()
         limit = self._valid_std * (2.0 if state.converged else 1.0)
-        is_known = std < limit and state.rate + _CLEAR * std < self._largest
-        state.converged = is_known and state.slope == 0.0
+        state.converged = std < limit and state.rate + _CLEAR * std < self._largest
 
     def idle(self, seconds: float) -> None:
         """Let the drift of the rate go on over a time without samples [s]."""
@@ -231,18 +211,11 @@ class BrakeRateEstimator:
         state.excess = min(max(1.0, state.excess * math.exp((ratio - 1.0) / _MEMORY)), _MOST_EXCESS)
         share = self._model.share(sample, abs(state.filtered_target))
         state.rate, state.rate_variance = posterior.total_rate(share)
-        state.slope = self._contradicting_slope()
         # The model has the width of a changeover, but not its exact shape.
         state.blending = BLEND_SHAPE * self.config.blend_std if share[6] > 0.0 else 0.0
         state.unbraked_s = 0.0
         state.observable = True
         return None
-
-    def _contradicting_slope(self) -> float:
-        """Return the change of f from standstill to full speed if it contradicts the train file, else 0 [1]."""
-        slope, variance = self.posterior.errors[_SLOPE], self.posterior.error_variances[_SLOPE]
-        limit = max(_CONTRADICTS * self.config.slope_std, _KNOWN * math.sqrt(variance))
-        return slope if abs(slope) > limit else 0.0
 
     def _unknown(self, sample: Sample) -> Rejection | None:
         """Return a rejection if the motion since the last sample, or the state of the brake, is not known."""

@@ -1,13 +1,14 @@
 # SPDX-License-Identifier: Apache-2.0
 """Motion model of the train over one sample, with the effect of each error of the train file.
 
-With the brake's lagged target y, its integral s over the sample and the inertia k = 1000 (1 + gamma) / g,
+With the brake's lagged target y, its integral s over the sample and k = g / (1000 (1 + gamma)), the inverse of the
+specific inertia,
 
-    v' - v = f r s + gain_e e + T dt - (i + w(v)) dt / k,
+    v' - v = f r s + gain_e e + T dt - k (i + w(v)) dt,
 
 where r is the brake rate by the table and the effects of the train file, and the errors e act with the gains
 
-    gain_e = [r ds/dT, r ds/dtau, -(a + b v) dt / k, -c v^2 dt / k, T dt, r s p(v), r s m(v), -dt].
+    gain_e = [r ds/dT, r ds/dtau, -k (a + b v) dt, -k c v^2 dt, T dt, r s p(v), r s m(v), -dt].
 
 p rises from -1/2 at rest to 1/2 at full speed; m is 1 at the speed at which electric and friction brakes change over,
 0 at rest and at twice that speed. The last error is that of the brake at its level, because valves act in steps.

@@ -2,8 +2,8 @@
 """What to drive so that the brake rate becomes known: brakings, and the standard deviation that they promise.
 
 What a braking would show depends on the noise that the estimator has learned, on its particles, and on what it knows
-of dead time, lag and the other errors of the train file. So a copy of the estimator goes through the planned braking:
-measured is the speed that it expects itself, with noise.
+of dead time, lag and the other errors of the train file. A copy of the estimator therefore goes through the planned
+braking, fed with its own predicted speed plus noise.
 """
 
 from __future__ import annotations
@@ -54,9 +54,9 @@ def braking_search(estimator: object, train_file: TrainFile, now: BrakeRateEstim
     """Return the search of :func:`suggested_braking`."""
     config = estimator.config if isinstance(estimator, Gsma) else None
     if not (isinstance(estimator, Gsma) and isinstance(config, GsmaConfig)):
-        return DriveSearch((), now, (), _nothing)
-    if estimator.converged or estimator.warning or estimator.state.stamp_ns == 0:
-        return DriveSearch((), now, (), _nothing)
+        return DriveSearch.empty(now)
+    if estimator.converged or estimator.state.stamp_ns == 0:
+        return DriveSearch.empty(now)
     saved = estimator.save()
 
     def foresee(run: Run, times: int) -> Iterator[BrakeRateEstimate | None]:
@@ -72,10 +72,6 @@ def braking_search(estimator: object, train_file: TrainFile, now: BrakeRateEstim
 
 def _std(estimate: BrakeRateEstimate) -> float:
     return estimate.brake_rate_std
-
-
-def _nothing(_run: Run, _times: int) -> Iterator[None]:
-    return iter(())
 
 
 def _stepped(estimator: Gsma, run: Run, train_file: TrainFile) -> Iterator[None]:

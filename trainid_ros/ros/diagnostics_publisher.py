@@ -130,7 +130,7 @@ class DiagnosticsPublisher:
         live, train_file = pipeline.current().estimate, pipeline.stream.config.train_file
         if isinstance(live, ResistanceEstimate):
             return drive_search(pipeline.estimator, train_file, self._node.prior, live)
-        if isinstance(live, BrakeRateEstimate):
+        if isinstance(live, BrakeRateEstimate) and not brake_findings(pipeline):
             return braking_search(pipeline.estimator, train_file, live)
         return None
 

@@ -10,6 +10,9 @@ time T of the train file and a shift d,
 with the brake rate r(v) of the train file and a factor f for each braking. The sum of squared residuals over a grid of
 shifts has its minimum at the shift of this braking, and its curvature gives the standard deviation. The mean over the
 last brakings is the error of the dead time (that of the time constant adds to it).
+
+The blocks during which the command holds, so that no such error matters, show whether r(v) is right; see
+``brake_shape_check``.
 """
 
 from __future__ import annotations
@@ -18,10 +21,10 @@ import math
 from dataclasses import dataclass, field
 from typing import Final
 
-from trainid_ros.records import NS_PER_S
 from trainid_ros.state import several
+from trainid_ros.stream.brake_shape_check import BrakeShapeCheck, ShapeSums
+from trainid_ros.stream.lagged_command import LaggedCommand
 from trainid_ros.stream.samples import Sample
-from trainid_ros.train.brake import lag_integral, lag_response
 from trainid_ros.train.effects import effect_value
 from trainid_ros.train.train_file import TrainFile
 
@@ -34,14 +37,17 @@ _SHIFTS: Final = _SOONER + 1 + _LATER
 _FARTHEST_S: Final = (_LATER - 1) * _STEP_S
 # Forces are compared over blocks, so that the noise of the speed matters little [s].
 _BLOCK_S: Final = 0.6
-# A lagged command that does not brake [m/s^2].
-_NOTHING: Final = 1e-3
+# Rounding of the length of a block [s].
+_ROUNDING_S: Final = 1e-3
 # Factors that a brake may have [1].
 _LEAST_FACTOR: Final = 0.3
 _MOST_FACTOR: Final = 2.0
 # Fewest blocks of a braking that show a shift, and least standard deviation of their residuals [N/kN].
 _FEWEST: Final = 8
 _RESIDUAL: Final = 2.0
+# The command holds where shifts by so many steps change it by no more than this share.
+_NEAR: Final = 2
+_HOLDS: Final = 0.2
 # A brake has followed a command after its dead time and this many time constants.
 _FOLLOWED: Final = 2.0
 # Error of the shift of one braking by the shape of the response, rates and gradients [s]. A braking that leaves the
@@ -52,8 +58,10 @@ _CERTAIN_S: Final = 0.8
 _LEAST_IMPULSE: Final = 60.0
 # Share of the weight that is kept at each further braking: about ten of them count.
 _KEPT: Final = 0.9
-# Standard deviations by which a shift must stand out, and what it must gain in likelihood while a braking lasts.
+# Standard deviations by which a shift must stand out; those added to one that is to be known as small; and what a shift
+# must gain in likelihood while a braking lasts.
 _KNOWN: Final = 4.0
+_NEAR_STDS: Final = 2.0
 _GAIN: Final = 25.0
 # Errors of dead time and time constant that are no fault: in standard deviations of the train file, and at least [s].
 _STATED: Final = 2.0
@@ -68,6 +76,7 @@ class BrakeTiming:
         time_constant: Time constant of the lag [s].
         followed_s: Time after which a brake has followed its command [s].
         tolerance: Error of both together that estimators learn by themselves [s].
+        max_speed: Maximum speed of the train [m/s].
         lead_s: Time by which the largest negative shift comes before the command [s].
         rest_s: Time after which no earlier braking acts, unless it acts very late [s].
         history_s: Time for which a command may act, whatever the shift [s].
@@ -80,69 +89,10 @@ class BrakeTiming:
         self.time_constant = brake.time_constant
         self.followed_s = self.delay + _FOLLOWED * brake.time_constant
         self.tolerance = max(_LEAST_ERROR_S, _STATED * brake.timing_std * math.hypot(brake.delay, brake.time_constant))
+        self.max_speed = train_file.train.max_speed
         self.lead_s = max(0.0, _SOONER * _STEP_S - self.delay)
         self.rest_s = self.delay + _SOONER * _STEP_S
         self.history_s = self.delay + _LATER * _STEP_S + self.lead_s + 2.0 * _BLOCK_S
-
-
-@dataclass(slots=True)
-class LaggedCommand:
-    """The brake command after the lag, without dead time.
-
-    Attributes:
-        command: Brake command [m/s^2].
-        lagged: The command after the lag [m/s^2].
-        integral: Its integral since the braking began [m/s].
-        time_s: Time since then [s].
-        rest_s: Time for which nothing has been commanded [s].
-        history: Times [s] and integrals [m/s] in turn, oldest first.
-
-    """
-
-    command: float = 0.0
-    lagged: float = 0.0
-    integral: float = 0.0
-    time_s: float = 0.0
-    rest_s: float = 0.0
-    history: tuple[float, ...] = ()
-
-    def follow(self, sample: Sample, time_constant: float, longest_s: float) -> None:
-        """Go on to a sample; a history older than ``longest_s`` [s] is forgotten."""
-        left = sample.dt
-        for change in sample.brake_changes:
-            after = min(max((sample.stamp_ns - change.stamp_ns) / NS_PER_S, 0.0), left)
-            self._hold(left - after, time_constant)
-            left, self.command = after, change.target_acceleration
-        self._hold(left, time_constant)
-        self.time_s += sample.dt
-        released = self.command == 0.0 and self.lagged > -_NOTHING
-        self.rest_s = self.rest_s + sample.dt if released else 0.0
-        history, first = (*self.history, self.time_s, self.integral), 0
-        while first + 4 <= len(history) and history[first + 2] < self.time_s - longest_s:
-            first += 2
-        self.history = history[first:]
-
-    def _hold(self, duration: float, time_constant: float) -> None:
-        self.integral += lag_integral(self.lagged, self.command, time_constant, duration)
-        self.lagged = lag_response(self.lagged, self.command, time_constant, duration)
-
-    def begin(self) -> None:
-        """Count time and integral from now on."""
-        self.time_s = self.integral = 0.0
-        self.history = (0.0, 0.0)
-
-    def integral_at(self, time_s: float) -> float:
-        """Return the integral at a time [s]; nothing acts before the braking, and it goes on as it is at the end."""
-        history = self.history
-        last = len(history) - 2
-        if time_s >= history[last]:
-            return history[last + 1] + self.lagged * (time_s - history[last])
-        while last >= 2 and history[last - 2] > time_s:
-            last -= 2
-        if last < 2:
-            return history[1]
-        before_s, before = history[last - 2], history[last - 1]
-        return before + (history[last + 1] - before) * (time_s - before_s) / (history[last] - before_s)
 
 
 @dataclass(slots=True)
@@ -155,6 +105,7 @@ class BrakeBlock:
         y: Integral of y over it [N/kN s].
         rate: Integral of the specific force per command [N/kN s per m/s^2].
         force: Integral of the reported force, as far as it brakes [N/kN s].
+        speed: Integral of the speed as a share of its maximum, at most 1 [s].
 
     """
 
@@ -163,6 +114,7 @@ class BrakeBlock:
     y: float = 0.0
     rate: float = 0.0
     force: float = 0.0
+    speed: float = 0.0
 
 
 @dataclass(slots=True)
@@ -179,6 +131,7 @@ class Braking:
         by_command: Impulse of the brake by the train file [N/kN s].
         by_force: Impulse of the reported force, as far as it brakes [N/kN s].
         by_speed: Impulse that the speed shows [N/kN s].
+        shape: Sums for the rate over speed.
 
     """
 
@@ -191,6 +144,7 @@ class Braking:
     by_command: float = 0.0
     by_force: float = 0.0
     by_speed: float = 0.0
+    shape: ShapeSums = field(default_factory=ShapeSums)
 
     @property
     def is_comparable(self) -> bool:
@@ -200,7 +154,8 @@ class Braking:
     @property
     def is_valid(self) -> bool:
         """True if the sums have possible lengths."""
-        return len(self.yx) == len(self.xx) == _SHIFTS and len(self.began) in (0, _SHIFTS)
+        sums = len(self.yx) == len(self.xx) == _SHIFTS and self.shape.is_valid
+        return sums and len(self.began) in (0, _SHIFTS)
 
     def add(self, block: BrakeBlock, lag: LaggedCommand, delay: float) -> None:
         """Add a block; ``delay`` is the dead time [s]."""
@@ -218,6 +173,10 @@ class Braking:
         self.by_command += block.rate / block.seconds * (now[_SOONER] - self.began[_SOONER])
         self.by_force += block.force
         self.by_speed += block.y
+        sooner, later = (now[k] - self.began[k] for k in (_SOONER - _NEAR, _SOONER + _NEAR))
+        if abs(sooner - later) < -_HOLDS * max(sooner, later):
+            x = scale * (now[_SOONER] - self.began[_SOONER])
+            self.shape.add(y, x, block.speed / block.seconds - 0.5)
         self.began = now
 
     def residuals(self, shift: int) -> float:
@@ -265,9 +224,12 @@ class BrakeDelayCheck:
         spread: Weighted sum of the squared deviations from it [1].
         count: Number of brakings, with forgetting.
         braked_s: Time for which a moving train was braked, until the brake has acted [s].
-        has_braked: Whether it has, and the first braking was compared if that was possible.
+        has_braked: Whether it has, and the first braking shows no large error, if that is possible.
         is_wrong: Whether the mean contradicts the dead time.
         is_odd: Whether the braking that is observed does.
+        is_near: Whether it certainly does not.
+        shape: Check of the rate over speed.
+        max_speed: Maximum speed of the train [m/s].
 
     """
 
@@ -284,6 +246,9 @@ class BrakeDelayCheck:
     has_braked: bool = False
     is_wrong: bool = False
     is_odd: bool = False
+    is_near: bool = False
+    shape: BrakeShapeCheck = field(default_factory=BrakeShapeCheck)
+    max_speed: float = 0.0
 
     @property
     def is_valid(self) -> bool:
@@ -294,13 +259,13 @@ class BrakeDelayCheck:
     @property
     def is_trusted(self) -> bool:
         """True once the train was braked, and neither the brakings before nor the present one contradict the file."""
-        return self.has_braked and not self.is_wrong and not self.is_odd
+        return self.has_braked and not self.is_wrong and not self.is_odd and self.shape.is_trusted
 
     @property
     def warning(self) -> str:
-        """What is wrong with the dead time, empty if nothing is."""
+        """What is wrong with the dead time, or else with the rate over speed; empty if nothing is."""
         if not self.is_wrong:
-            return ''
+            return self.shape.warning(self.max_speed)
         later = 'later' if self.mean > 0.0 else 'sooner'
         beyond = 'at least ' if self.mean > _FARTHEST_S else ''
         return f'the brake acts {beyond}{abs(self.mean):.1f} s {later} than brake.delay of the train file says'
@@ -328,7 +293,7 @@ class BrakeDelayCheck:
         """
         if not self.has_braked:
             self.braked_s += sample.dt if sample.brake_command < 0.0 and sample.dt > 0.0 and not math.isnan(y) else 0.0
-            judged = not self.is_observing or self.braking.count >= _FEWEST
+            judged = not self.is_observing or self.is_near
             self.has_braked = judged and self.braked_s > timing.followed_s
         lag = self.lag
         if not sample.dt > 0.0 or sample.brake_gap or sample.emergency or math.isnan(sample.brake_command):
@@ -344,8 +309,8 @@ class BrakeDelayCheck:
         if math.isnan(y) or (self.is_observing and lag.rest_s > timing.rest_s):
             return self._end(timing)
         if was_at_rest and not self.is_observing and lag.command < 0.0:
-            self.is_observing, self.braking = True, Braking()
-        self._add(sample.dt, y, min(force, 0.0), rate)
+            self.is_observing, self.braking, self.max_speed = True, Braking(), timing.max_speed
+        self._add(sample, y, min(force, 0.0), rate)
         self._compare(timing.lead_s, timing)
         return None
 
@@ -358,14 +323,15 @@ class BrakeDelayCheck:
             lag.begin()
         lag.follow(sample, timing.time_constant, timing.history_s)
 
-    def _add(self, dt: float, y: float, force: float, rate: float) -> None:
+    def _add(self, sample: Sample, y: float, force: float, rate: float) -> None:
         """Add a sample to its block; see :meth:`follow`."""
-        block = self.block
+        block, dt = self.block, sample.dt
         block.seconds += dt
+        block.speed += min(sample.speed / self.max_speed, 1.0) * dt if self.max_speed > 0.0 else 0.0
         block.y += y
         block.rate += rate * dt
         block.force += force * dt
-        if block.seconds > _BLOCK_S - _NOTHING:
+        if block.seconds > _BLOCK_S - _ROUNDING_S:
             block.end_s = self.lag.time_s
             self.waiting, self.block = (*self.waiting, block), BrakeBlock()
 
@@ -382,13 +348,16 @@ class BrakeDelayCheck:
         if self.is_observing and braking.count >= _FEWEST:
             shift, std, gain = braking.judge()
             self.is_odd = gain > _GAIN and abs(shift) > max(timing.tolerance, _KNOWN * std)
+            self.is_near = abs(shift) + _NEAR_STDS * std < timing.tolerance
+            self.shape.observe(braking.shape)
 
     def _end(self, timing: BrakeTiming) -> Braking | None:
         """End the braking, learn from it and return it; None if there is none."""
         was_observing = self.is_observing
         if was_observing:
             self._compare(0.0, timing)
-        self.block, self.waiting, self.is_observing, self.is_odd = BrakeBlock(), (), False, False
+        self.block, self.waiting, self.is_observing = BrakeBlock(), (), False
+        self.is_odd = self.is_near = self.shape.is_odd = False
         if not was_observing:
             return None
         if self.braking.count >= _FEWEST:
@@ -398,6 +367,8 @@ class BrakeDelayCheck:
     def _learn(self, timing: BrakeTiming) -> None:
         """Learn from a whole braking."""
         shift, std, _ = self.braking.judge()
+        if abs(shift) < _NEAR * _STEP_S:
+            self.shape.learn(self.braking.shape)
         if std > _CERTAIN_S:
             return
         weight, off = 1.0 / (std * std + _SHAPE_S * _SHAPE_S), shift - self.mean
