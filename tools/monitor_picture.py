@@ -19,8 +19,9 @@ from tools.documents import ROOT
 from trainid_ros.bag.bag_replay import Pipelines, replay_through
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.messages import OUTPUT_TOPICS, output_topic, output_values
+from trainid_ros.monitor.reports import Report
 from trainid_ros.monitor.screen import Screen
-from trainid_ros.monitor.trains import Report, Trains
+from trainid_ros.monitor.trains import Trains
 from trainid_ros.monitor.view import Level
 from trainid_ros.records import FORCE_TOPIC, INPUT_TOPICS, NS_PER_S
 from trainid_ros.ros.diagnostics import NodeHealth, StepTimeSummary, estimator_status
@@ -59,7 +60,7 @@ class _Feed:
 
     def on_output(self, output: AnyOutput, log_ns: int) -> None:
         self.train.on_estimate(
-            output_topic(output.estimate), SimpleNamespace(**output_values(output)), log_ns / NS_PER_S
+            output_topic(output.estimate), SimpleNamespace(**output_values(output)), log_ns / NS_PER_S, log_ns
         )
 
 

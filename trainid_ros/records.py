@@ -11,6 +11,8 @@ from dataclasses import dataclass
 from typing import Final, TypeAlias
 
 NS_PER_S: Final = 1_000_000_000
+KM_H: Final = 3.6
+"""A speed of 1 m/s [km/h]."""
 
 
 # Places of the topics in INPUT_TOPICS.

@@ -30,15 +30,6 @@ def test_without_rerun_one_line_names_the_extra(driven_bag: Path, tmp_path: Path
     assert not list(tmp_path.iterdir())
 
 
-def test_telemetry_is_off_for_children(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.delenv('CI', raising=False)
-    monkeypatch.setenv('FORCE_RERUN_ANALYTICS', '1')
-    monkeypatch.setattr(os, 'environ', os.environ.copy())
-    telemetry.switch_off()
-    assert os.environ['CI'] == 'true'
-    assert 'FORCE_RERUN_ANALYTICS' not in os.environ
-
-
 class TestWithRerun:
     """What the command says beside its recording."""
 
@@ -62,16 +53,46 @@ class TestWithRerun:
 
         def run(command: list[str], **_: object) -> object:
             opened.append((command, Path(command[-1]).read_bytes()[:4], os.environ.get('CI')))
-            return SimpleNamespace(returncode=7)
+            return SimpleNamespace(returncode=0)
 
         monkeypatch.setenv('DISPLAY', ':0')
         monkeypatch.setattr('trainid_ros.cli.view.subprocess.run', run)
-        assert main(['view', str(driven_bag)]) == 7
+        assert main(['view', str(driven_bag)]) == 0
         ((command, start, telemetry_off),) = opened
         assert command[:5] == [sys.executable, '-m', 'rerun', '--bind', '127.0.0.1']
         assert start == b'RRF2'
         assert telemetry_off == 'true'
         assert not Path(command[-1]).exists()
+
+    def test_a_display_that_does_not_answer_is_named_in_one_line(
+        self, driven_bag: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        said = 'INFO a line of Rerun\nError: winit at mod.rs:788: Failed to open connection to X server\n\n'
+        ended = SimpleNamespace(returncode=1, stderr=said)
+        monkeypatch.setenv('DISPLAY', ':99')
+        monkeypatch.setattr('trainid_ros.cli.view.subprocess.run', lambda *_, **__: ended)
+        assert main(['view', str(driven_bag)]) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert 'cannot run on this display: Failed to open connection to X server; give --out FILE.rrd' in line
+
+    def test_a_path_with_a_space_is_quoted(
+        self, driven_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    ) -> None:
+        out = tmp_path / 'a b.rrd'
+        assert main(['view', str(driven_bag), '--out', str(out)]) == 0
+        assert f"open it with: rerun '{out}'" in capsys.readouterr().out
+
+    def test_a_full_disk_leaves_nothing(self, driven_bag: Path, tmp_path: Path) -> None:
+        code = (
+            'import resource, sys; resource.setrlimit(resource.RLIMIT_FSIZE, (4096, 4096)); '
+            'from trainid_ros.cli.main import main; '
+            f"sys.exit(main(['view', {str(driven_bag)!r}, '--out', 'x.rrd']))"
+        )
+        command = [sys.executable, '-B', '-c', code]
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False)
+        assert done.returncode == 2
+        assert done.stderr == 'trainid: error: x.rrd: cannot be written (File too large)\n'
+        assert not list(tmp_path.iterdir())
 
     def test_a_bag_without_train_file_needs_one(
         self, driven_bag: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]

@@ -16,7 +16,8 @@ from trainid_ros.messages import (
     SPEED_MODEL_TOPIC,
     output_values,
 )
-from trainid_ros.monitor.trains import Report, Train, Trains
+from trainid_ros.monitor.reports import Report
+from trainid_ros.monitor.trains import Train, Trains
 from trainid_ros.monitor.view import Level
 from trainid_ros.records import (
     BRAKE_TOPIC,
@@ -57,7 +58,7 @@ def feed(
         for output, estimate in ESTIMATES:
             given = estimate if replaced is None else _all_numbers(estimate, replaced)
             values = {**output_values(Output(stamp, given, Status.VALID, 12, 8, None)), 'status': int(status)}
-            train.on_estimate(output, SimpleNamespace(**values), time_s)
+            train.on_estimate(output, SimpleNamespace(**values), time_s, START_NS + round(time_s * NS_PER_S))
 
 
 def _all_numbers(item: Any, value: float) -> Any:
@@ -77,7 +78,7 @@ def driven() -> Callable[..., Trains]:
             train = trains.add(namespace)
             feed(train, 0.0, 10.0)
             train.on_publishers({topic.name: ('/ato',) for topic in (SPEED_TOPIC, RESISTANCE_TOPIC)})
-            counts = {'rejected.BRAKING': '3', 'rejected.STANDSTILL': '5', 'used': '12'}
+            counts = {'rejected.BRAKING': '3', 'rejected.STANDSTILL': '5', 'used': '12', 'state': 'active'}
             trains.on_diagnostics(
                 f'{namespace.strip("/")}/resistance_estimator: estimator'.lstrip('/'),
                 Report(Level.OK, 'VALID: fit to use', counts, 9.5),

@@ -13,8 +13,9 @@ from rich.console import Console
 
 from test.monitor.conftest import START_NS, feed
 from trainid_ros.monitor.lines import Lines
+from trainid_ros.monitor.reports import Report
 from trainid_ros.monitor.screen import Screen
-from trainid_ros.monitor.trains import Report, Trains
+from trainid_ros.monitor.trains import Trains
 from trainid_ros.monitor.view import Level
 from trainid_ros.records import NS_PER_S
 from trainid_ros.results import Status
@@ -42,7 +43,7 @@ def test_everything_fits_in_the_terminal(driven: Driven, width: int, height: int
     assert len(lines) < height  # the cursor is in the last line
     assert max(map(len, lines)) <= width
     text = '\n'.join(lines)
-    for wanted in ('ato/brake_command', '5.0 Hz', '0.15 s', 'w at 45 km/h', 'brake rate', 'STALE ato/force'):
+    for wanted in ('ato/brake_command', '5.0 Hz', '0.15 s', '2.006 ± 0.283', 'brake rate', 'STALE ato/force'):
         assert wanted in text
 
 
@@ -53,7 +54,8 @@ def test_values_bands_status_rejections_and_findings_are_shown(driven: Driven) -
         '3 of 3 estimates',
         '50.0 kN',
         '2.006 ± 0.283 N/kN',
-        'VALID 9 s',
+        'VALID ≥ 9 s',
+        'w at 45 km/h',
         '0.910 ± 0.050',
         'used 12, rejected 8: standstill 5, braking 3',
         'b 0.0200 ± 0.0100',
@@ -66,12 +68,73 @@ def test_values_bands_status_rejections_and_findings_are_shown(driven: Driven) -
     assert LONG in ' '.join(text.split())
 
 
-@pytest.mark.parametrize(('width', 'height'), [(40, 20), (50, 12), (60, 24)])
+@pytest.mark.parametrize(('width', 'height'), [(30, 8), (40, 20), (50, 12), (60, 24)])
 def test_the_status_is_not_cut_on_a_small_terminal(driven: Driven, width: int, height: int) -> None:
     trains = driven()
     feed(trains.by_namespace['/'], 10.0, 20.0, Status.STALE)
     text = '\n'.join(drawn(trains, width, height, now_s=19.9))
     assert text.count('STALE 9 s') == 3
+
+
+@pytest.mark.parametrize(('width', 'height'), [(80, 24), (80, 18), (60, 15), (30, 8)])
+def test_the_worst_finding_and_how_many_more_are_on_every_screen(driven: Driven, width: int, height: int) -> None:
+    trains = driven()
+    values = {'rate [Hz]': '5.0', 'age [s]': '0.05', 'time since last message [s]': '0.1', 'count': '9'}
+    for k in range(7):  # of a mapping
+        report = Report(Level.WARN, f'{k} {LONG}', values, 9.8)
+        trains.on_diagnostics(f'resistance_estimator: input /topic{k}', report)
+    trains.on_diagnostics('brake_rate_estimator: estimator', Report(Level.ERROR, 'BRAKE ON FIRE', {}, 9.8))
+    lines = drawn(trains, width, height)
+    assert len(lines) < height
+    text = '\n'.join(lines)
+    assert text.count('VALID') == 3
+    assert 'ERROR brake_rate_estimator' in text
+    assert 'more' in lines[-1]
+
+
+def test_many_trains_are_cut_with_the_worst_first(driven: Driven) -> None:
+    trains = driven(*(f'/t{k:02d}' for k in range(30)))
+    for k in range(30):
+        level = Level.ERROR if k == 29 else Level.WARN
+        trains.on_diagnostics(f't{k:02d}/brake_rate_estimator: estimator', Report(level, LONG, {}, 9.8))
+    for height in (24, 8):
+        lines = drawn(trains, 80, height)
+        assert len(lines) < height
+        assert lines[2].startswith('/t29 ')
+        assert sum(line.startswith('… and ') for line in lines) == 2
+        assert any(line.startswith('/t29 ERROR brake_rate_estimator') for line in lines)
+
+
+@pytest.mark.parametrize('width', [30, 40, 80])
+def test_the_overview_shows_names_and_each_status(driven: Driven, width: int) -> None:
+    trains = driven('/a', '/depot/north/train_12')
+    feed(trains.by_namespace['/a'], 10.0, 10.2, Status.STALE)
+    feed(trains.by_namespace['/depot/north/train_12'], 10.0, 10.2, Status.STALE)
+    lines = drawn(trains, width, 24, 10.1)[2:4]
+    assert all(line.count('ST') == 3 for line in lines)
+    assert lines[1].startswith('/depot/north')
+
+
+def test_a_node_that_is_not_active_is_not_silent(driven: Driven) -> None:
+    trains = driven()
+    report = Report(Level.WARN, 'inactive, inputs are ignored: activate it', {'state': 'inactive'}, 12.0)
+    trains.on_diagnostics('resistance_estimator: estimator', report)
+    assert 'resistance   INACTIVE 2.3 s' in '\n'.join(drawn(trains, 80, 24, 12.1))
+
+
+def test_without_diagnostics_nothing_is_said_to_be_in_order(driven: Driven) -> None:
+    assert 'diagnostics: nothing to report' in '\n'.join(drawn(driven(), 80, 24))
+    trains = Trains()
+    feed(trains.add('/'), 0.0, 10.0)
+    assert 'diagnostics: none have arrived' in '\n'.join(drawn(trains, 80, 24))
+
+
+def test_columns_of_a_chart_are_filled_at_one_estimate_a_second() -> None:
+    trains = Trains()
+    for k in range(30):
+        feed(trains.add('/'), k, k + 0.2)
+    (line,) = [line for line in drawn(trains, 80, 24, 29.1) if line.endswith(' 1.081')]
+    assert len(line.split()) == 2
 
 
 def test_a_brake_that_is_not_seen_now_is_not_braking_now(driven: Driven) -> None:
@@ -90,7 +153,7 @@ def test_a_node_that_ended_is_shown(driven: Driven) -> None:
 
 
 def test_terminals_without_unicode_get_ascii(driven: Driven) -> None:
-    for trains, width, height in ((driven(), 40, 24), (driven(), 90, 50), (driven('/a', '/b'), 50, 24)):
+    for trains, width, height in ((driven(), 40, 24), (driven(), 90, 50), (driven('/a', '/b'), 120, 24)):
         plain = io.TextIOWrapper(io.BytesIO(), encoding='ascii')
         text = '\n'.join(drawn(faulty(trains), width, height, file=plain))
         assert text.isascii(), {char for char in text if not char.isascii()}
@@ -120,12 +183,13 @@ def test_a_train_without_messages_says_so() -> None:
 def test_several_trains_have_a_line_each(driven: Driven) -> None:
     trains = driven('/a', '/b')
     trains.on_diagnostics('b/brake_rate_estimator: input ato/force', Report(Level.STALE, LONG, {}, 9.8))
-    head, _, first, second, _, finding = drawn(trains, 160, 24)
+    head, _, first, second, finding = drawn(trains, 160, 24)
     assert '2 trains' in head
     assert '--namespace' in head
-    assert first.startswith('/a ')
-    assert second.startswith('/b ')
+    assert first.startswith('/b ')  # the worst first
+    assert second.startswith('/a ')
     assert second.count('VALID') == 3
+    assert second.count('2.006 ± 0.283') == 1
     assert finding.startswith('/b STALE ato/force: no message')
 
 

@@ -5,16 +5,17 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 
 from test.monitor.conftest import RESISTANCE, START_NS, feed
-from trainid_ros.monitor.shown_estimates import reference_speed
-from trainid_ros.monitor.trains import Report, Trains
+from trainid_ros.messages import RESISTANCE_TOPIC, output_values
+from trainid_ros.monitor.reports import Report
+from trainid_ros.monitor.trains import Trains
 from trainid_ros.monitor.view import Level, TrainView
 from trainid_ros.records import NS_PER_S
-from trainid_ros.results import Status
+from trainid_ros.results import Output, Status
 
 Driven = Callable[..., Trains]
 
@@ -74,6 +75,92 @@ def test_time_in_a_status_starts_with_it(driven: Driven) -> None:
     assert brake.status_s == pytest.approx(2.9)
 
 
+def message(status: Status) -> SimpleNamespace:
+    return SimpleNamespace(**output_values(Output(START_NS, RESISTANCE, status, 12, 8, None)))
+
+
+def test_time_in_a_status_that_began_before_is_that_of_the_node_or_a_lower_bound(driven: Driven) -> None:
+    trains = driven()
+    first = view(trains, 9.9).estimates[0]
+    assert (round(first.status_s, 1), first.is_longer) == (9.9, True)
+    values = {'status': 'VALID', 'time in status [s]': '32.0'}
+    trains.on_diagnostics('resistance_estimator: estimator', Report(Level.OK, 'VALID', values, 9.4))
+    first = view(trains, 9.9).estimates[0]
+    assert (round(first.status_s, 1), first.is_longer) == (32.5, False)
+    feed(trains.by_namespace['/'], 10.0, 11.0, Status.HOLDING)
+    first = view(trains, 10.9).estimates[0]  # its report is of the status before
+    assert (round(first.status_s, 1), first.is_longer) == (0.9, False)
+    values = {'status': 'HOLDING', 'time in status [s]': '0.0'}  # by a clock that stands still
+    trains.on_diagnostics('resistance_estimator: estimator', Report(Level.OK, 'HOLDING', values, 10.9))
+    assert round(view(trains, 10.9).estimates[0].status_s, 1) == 0.9
+
+
+def test_time_without_a_node_is_no_time_in_a_status(driven: Driven) -> None:
+    trains = driven()
+    feed(trains.by_namespace['/'], 3600.0, 3602.0)
+    first = view(trains, 3601.9).estimates[0]
+    assert (round(first.status_s, 1), first.is_longer) == (1.9, True)
+
+
+def test_a_node_that_is_not_active_is_not_said_to_have_ended(driven: Driven) -> None:
+    trains = driven()
+    report = Report(Level.WARN, 'inactive: activate it', {'state': 'inactive'}, 12.0)
+    trains.on_diagnostics('resistance_estimator: estimator', report)
+    sources = [(item.level, item.source) for item in view(trains, 12.1).findings]
+    assert sources == [
+        (Level.ERROR, 'brake_rate_estimator, speed_model_estimator'),
+        (Level.WARN, 'resistance_estimator'),
+    ]
+
+
+def test_findings_with_other_numbers_are_apart() -> None:
+    trains = Trains()
+    train = trains.add('/')
+    feed(train, 0.0, 10.0)
+    train.on_estimate(RESISTANCE_TOPIC, message(Status.VALID), 14.0, START_NS + 14 * NS_PER_S)
+    found = [(item.source, item.text[:30]) for item in view(trains, 16.0).findings]
+    assert found == [
+        ('brake_rate_estimator, speed_model_estimator', 'no estimate since 22:13:29 UTC'),
+        ('resistance_estimator', 'no estimate since 22:13:34 UTC'),
+    ]
+
+
+def test_the_time_of_the_last_estimate_is_that_of_the_clock_of_the_stamps() -> None:
+    trains = Trains()
+    feed(trains.add('/'), 0.0, 10.0)
+    (shown,) = trains.views(16.0, START_NS + 70 * NS_PER_S)  # played ten times faster
+    assert {item.text.partition(' UTC')[0] for item in shown.findings} == {'no estimate since 22:13:29'}
+
+
+def test_a_node_of_another_name_is_found_by_its_topic(driven: Driven) -> None:
+    trains = driven()
+    train = trains.by_namespace['/']
+    train.on_publishers({RESISTANCE_TOPIC.name: ('/my_resist',)})
+    counts = {'rejected.GAP': '8'}
+    trains.on_diagnostics('my_resist: estimator', Report(Level.OK, 'VALID', counts, 9.8))
+    assert view(trains, 9.9).estimates[0].reasons == (('GAP', 8),)
+    train.on_publishers({RESISTANCE_TOPIC.name: ()})  # killed
+    assert 'my_resist' in [name for item in view(trains, 12.0).findings for name in item.source.split(', ')]
+
+
+def test_trains_that_ended_are_dropped_while_others_are_there(driven: Driven) -> None:
+    trains = driven('/a', '/b')
+    feed(trains.by_namespace['/b'], 60.0, 75.0)
+    assert trains.drop_ended({'/a', '/b'}, 74.9) == []  # has publishers
+    assert trains.drop_ended({'/b'}, 65.0) == []
+    assert trains.drop_ended({'/b'}, 74.9) == ['/a']
+    assert trains.drop_ended((), 200.0) == []  # the last one stays
+    assert [item.namespace for item in trains.views(74.9, START_NS)] == ['/b']
+
+
+def test_a_train_without_messages_has_none() -> None:
+    trains = Trains()
+    train = trains.add('/')
+    assert not trains.has_messages(1.0)
+    train.on_estimate(RESISTANCE_TOPIC, message(Status.VALID), 1.0, START_NS)
+    assert trains.has_messages(1.0)
+
+
 def test_an_estimate_that_stops_is_reported_within_two_seconds(driven: Driven) -> None:
     trains = driven()
     assert not view(trains, 9.8 + 1.0).findings
@@ -82,7 +169,7 @@ def test_an_estimate_that_stops_is_reported_within_two_seconds(driven: Driven) -
     (finding,) = shown.findings  # the same of all three
     assert finding.source == 'brake_rate_estimator, resistance_estimator, speed_model_estimator'
     assert finding.level is Level.ERROR
-    assert 'no estimate for 1.5 s, since 22:13:29 UTC: the node has ended or hangs' in finding.text
+    assert finding.text == 'no estimate since 22:13:29 UTC: the node has ended or hangs, start it again'
 
 
 def test_slow_estimates_are_not_silent_between_messages() -> None:
@@ -131,9 +218,41 @@ def test_inputs_of_a_mapping_are_shown_as_the_nodes_report_them(driven: Driven) 
     values = {'rate [Hz]': '9.98', 'age [s]': '0.04', 'time since last message [s]': '0.1', 'heard': '/odo'}
     for node in ('resistance_estimator', 'brake_rate_estimator'):
         trains.on_diagnostics(f'{node}: input /odo/twist', Report(Level.OK, '10.0 Hz', values, 9.8))
-    (odometer,) = view(trains, 9.9).inputs[5:]
-    assert (odometer.name, odometer.rate, odometer.age_s) == ('/odo/twist', 9.98, 0.04)
+    trains.on_diagnostics('brake_rate_estimator: input ato/force', Report(Level.OK, '10.0 Hz', values, 9.8))
+    force, odometer = view(trains, 9.9).inputs  # the other topics of the interface are not used
+    assert (force.name, odometer.name) == ('ato/force', '/odo/twist')
+    assert (odometer.rate, odometer.age_s, odometer.silent_s) == (9.98, 0.04, 0.1)
     assert odometer.publishers == ('/odo',)
+
+
+def test_an_input_of_a_mapping_is_silent_when_its_count_stands_though_its_node_has_a_clock_that_stands(
+    driven: Driven,
+) -> None:
+    trains = driven()
+    values = {'rate [Hz]': '5.0', 'age [s]': '0.05', 'time since last message [s]': '0.05', 'count': '7'}
+    for time_s in (9.8, 10.8, 11.8):
+        report = Report(Level.OK, '5.0 Hz', values, time_s)
+        trains.on_diagnostics('resistance_estimator: input /odo/twist', report)
+    (odometer,) = view(trains, 12.0).inputs
+    assert odometer.silent_s == pytest.approx(2.2)
+    assert math.isnan(odometer.rate)
+    (odometer,) = view(trains, 22.0).inputs  # and where the node has ended
+    assert odometer.silent_s == pytest.approx(12.2)
+
+
+def test_the_speed_is_that_of_the_estimates_where_it_has_another_topic() -> None:
+    trains = Trains()
+    train = trains.add('/')
+    for status, speed_kmh in ((Status.STALE, math.nan), (Status.VALID, 36.0)):
+        train.on_estimate(RESISTANCE_TOPIC, message(status), 9.8, START_NS)
+        assert view(trains, 9.9).speed_kmh == pytest.approx(speed_kmh, nan_ok=True)
+    assert math.isnan(view(trains, 12.0).speed_kmh)
+
+
+def test_an_old_speed_is_not_shown_as_present(driven: Driven) -> None:
+    trains = driven()
+    assert math.isnan(view(trains, 11.5).speed_kmh)
+    assert not math.isnan(view(trains, 10.5).speed_kmh)
 
 
 def test_trains_are_apart_and_sorted(driven: Driven) -> None:
@@ -157,11 +276,9 @@ def test_a_level_that_is_not_known_is_an_error() -> None:
 
 def test_counts_that_are_no_numbers_are_left_out(driven: Driven) -> None:
     trains = driven()
-    counts = {'rejected.BRAKING': 'many', 'rejected.STANDSTILL': '5', 'rejected.GAP': '-1', 'rejected.LATE': ''}
+    odd = {'BRAKING': 'many', 'LOW_SPEED': '9' * 5000, 'STANDSTILL': '5', 'GAP': '-1', 'LATE': ''}
+    counts = {f'rejected.{name}': count for name, count in odd.items()}
     trains.on_diagnostics('resistance_estimator: estimator', Report(Level.OK, 'VALID', counts, 9.6))
-    assert view(trains, 9.9).estimates[0].reasons == (('STANDSTILL', 5),)
-
-
-@pytest.mark.parametrize('speeds', [(math.nan, math.inf), (-math.inf, math.inf), (5.0, math.nan), (20.0, 5.0)])
-def test_a_range_of_speeds_that_cannot_be_counts_as_none(speeds: tuple[float, float]) -> None:
-    assert 3.6 * reference_speed(replace(RESISTANCE, speed_min=speeds[0], speed_max=speeds[1])) == pytest.approx(50.0)
+    resistance = view(trains, 9.9).estimates[0]
+    assert resistance.reasons == (('STANDSTILL', 5),)
+    assert resistance.rejected == 5  # what is shown adds up

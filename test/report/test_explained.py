@@ -98,6 +98,7 @@ def test_figures_use_the_colours_of_the_page(text: str) -> None:
 def test_without_effects(make_explanation: Make, stated: TrainFile, verdict: Verdict) -> None:
     text = render(make_explanation(verdict=verdict, effects=()), stated)
     assert 'Missing effects' not in text
+    assert '>with the effects<' not in text  # no legend for a line that would hide the other
     assert 'more resistance than modelled' in text
     assert 'Effects added' not in text
 

@@ -15,7 +15,10 @@ import sys
 import termios
 import time
 from collections.abc import Iterator
+from datetime import datetime
+from itertools import pairwise
 from pathlib import Path
+from statistics import median
 
 import pytest
 
@@ -126,12 +129,12 @@ def test_a_person_sees_the_train_and_a_killed_node(terminals: list[Terminal], tm
     with ProcessGroup(tmp_path) as group:
         nodes = {name: group.start(name, ['run', '--train', TRAIN, '--node', name, *space, *clock]) for name in NODES}
         group.start('player', ['play', BAG, '--rate', '2', '--start', '20', '--wait', '3', '--loop', *space])
-        monitor.until('/train_7', '3 of 3 estimates', 'resistance w at', 'mass factor', '1 = nominal')
+        monitor.until('/train_7', '3 of 3 estimates', 'N/kN w at', 'mass factor', '1 = nominal')
         monitor.until('CONVERGING', 'drive on, it learns at changing speeds', deadline_s=20.0)
         monitor.until('/train_7/bag_player', 'km/h', 'used', 'stated ±')
         monitor.until_input('ato/speed', 10.0)
         nodes['brake_rate_estimator'].process.kill()
-        took = monitor.until('2 of 3 estimates', 'SILENT', 'brake_rate_estimator: no estimate for')
+        took = monitor.until('2 of 3 estimates', 'SILENT', 'brake_rate_estimator: no estimate since')
         assert took < 2.0
     assert monitor.end(signal.SIGINT) == 0
     assert 'Traceback' not in monitor.received
@@ -143,10 +146,18 @@ def test_without_colours_there_is_a_line_each_second(terminals: list[Terminal], 
         group.start('nodes', ['run', '--train', TRAIN, '--ros-args', '-r', '__ns:=/train_7'])
         monitor = open_monitor(terminals, '--namespace', 'train_7', '--duration', '30', NO_COLOR='1')
         monitor.until('/train_7 ', 'STALE', 'ato/speed never', 'start the node that publishes it')
+        seen = monitor.received.count(' UTC /train_7 ')
+        while monitor.received.count(' UTC /train_7 ') < seen + 4:
+            monitor.read()
         assert monitor.end(signal.SIGTERM) == 0
     assert '\x1b' not in monitor.received
-    times = [line.split()[0] for line in monitor.received.splitlines() if ' UTC /train_7 ' in line]
-    assert len(times) == len(set(times))
+    lines = [line for line in monitor.received.splitlines() if ' UTC /train_7 ' in line]
+    times = [datetime.strptime(line.split()[0], '%H:%M:%S') for line in lines]
+    steps_s = [(after - before).seconds for before, after in pairwise(times)]
+    # A second is skipped now and then, since each line is printed a moment later than a second after the last.
+    assert steps_s
+    assert min(steps_s) >= 1
+    assert median(steps_s) == 1
 
 
 def test_on_a_dumb_terminal_another_namespace_is_named(terminals: list[Terminal], tmp_path: Path) -> None:
@@ -161,6 +172,51 @@ def test_on_a_dumb_terminal_another_namespace_is_named(terminals: list[Terminal]
 def test_a_time_with_nothing_published_gives_no_answer(terminals: list[Terminal]) -> None:
     monitor = open_monitor(terminals, '--duration', '1', NO_COLOR='1')
     assert monitor.process.wait(DEADLINE_S) == 1
+
+
+MUTE = """
+import rclpy, sys
+from trainid_msgs.msg import AtoSpeed
+rclpy.init()
+publisher = rclpy.create_node('mute').create_publisher(AtoSpeed, 'ato/speed', 1)
+sys.stdin.read()
+"""
+
+
+def test_a_publisher_that_publishes_nothing_gives_no_answer(terminals: list[Terminal]) -> None:
+    with subprocess.Popen([sys.executable, '-c', MUTE], stdin=subprocess.PIPE) as node:
+        open_monitor(terminals).until('/mute', 'never')
+        monitor = open_monitor(terminals, '--duration', '2', NO_COLOR='1')
+        assert monitor.process.wait(DEADLINE_S) == 1
+        node.kill()
+
+
+def test_a_short_time_is_enough_where_something_is_published(terminals: list[Terminal], tmp_path: Path) -> None:
+    with ProcessGroup(tmp_path) as group:
+        group.start('player', ['play', BAG, '--wait', '0', '--loop'])
+        open_monitor(terminals).until('/bag_player', '5.0 Hz')
+        command = [sys.executable, '-m', 'trainid_ros.cli.main', 'monitor', '--duration', '1.5']
+        forced = os.environ | {'FORCE_COLOR': '1', 'LC_ALL': 'C'}
+        found = subprocess.run(command, capture_output=True, check=False, timeout=DEADLINE_S, env=forced)
+    assert found.returncode == 0
+    assert b'km/h | resistance' in found.stdout
+    assert found.stdout.isascii()
+    assert b'\x1b' not in found.stdout  # a file, whatever FORCE_COLOR says
+
+
+@pytest.mark.parametrize('command', [('monitor', '--duration', '1'), ('run', '--train', TRAIN), ('play', BAG)])
+def test_a_number_for_use_sim_time_is_refused(command: tuple[str, ...]) -> None:
+    arguments = [*command, '--ros-args', '-p', 'use_sim_time:=1']
+    done = subprocess.run(
+        [sys.executable, '-m', 'trainid_ros.cli.main', *arguments],
+        capture_output=True,
+        text=True,
+        check=False,
+        timeout=DEADLINE_S,
+    )
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert "'use_sim_time' to '1' of type 'INTEGER', expecting type 'BOOL'" in line
 
 
 @pytest.mark.parametrize(

@@ -13,6 +13,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -21,6 +22,7 @@ import pytest
 from test.chromium import Chromium, find_chromium, ink
 from trainid_ros.cli.main import main
 from trainid_ros.view import telemetry
+from trainid_ros.view.tracks import Series
 
 telemetry.switch_off()
 pytest.importorskip('rerun')
@@ -84,6 +86,28 @@ def test_numbers_are_those_of_replay(columns: dict[str, Any], capsys: pytest.Cap
     rate = result['brake_rate']
     assert columns['estimates/brake_rate/value Scalars:scalars'][1][-1] == rate['value']
     assert columns['estimates/brake_rate/upper Scalars:scalars'][1][-1] == rate['value'] + 2.0 * rate['std']
+
+
+def test_recordings_of_one_name_are_not_merged(recording: Path, tmp_path: Path) -> None:
+    from rerun.chunk import RrdReader  # noqa: PLC0415 - optional
+
+    other = tmp_path / 'tiny.rrd'
+    assert main(['view', str(BAG), '--out', str(other)]) == 0
+    ids = {entry.recording_id for path in (recording, other) for entry in RrdReader(path).recordings()}
+    assert len(ids) == 2
+    assert all(name.startswith('tiny ') for name in ids)
+
+
+def test_the_axis_begins_with_the_earliest_stamp_although_stamps_jump_back() -> None:
+    from trainid_ros.view.recording import time_range  # noqa: PLC0415 - after the telemetry is off
+
+    series = Series()
+    for stamp in (5_000, 6_000, 1_000, 2_000):
+        series.add(stamp, 0.0)
+    tracks: Any = SimpleNamespace(inputs={'speed': series, 'force': Series()})
+    assert time_range(tracks) == (1_000, 6_000)
+    nothing: Any = SimpleNamespace(inputs={'force': Series()})
+    assert time_range(nothing) == (0, 0)
 
 
 def free_port() -> int:

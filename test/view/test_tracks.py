@@ -62,8 +62,8 @@ def test_estimates_are_those_of_the_replay_to_the_bit(tracks: Tracks, outputs: l
 
 
 def test_the_band_is_that_of_one_speed(tracks: Tracks, outputs: list[AnyOutput]) -> None:
-    title, series = tracks.values('resistance')
-    assert title == 'resistance: w at 45 km/h [N/kN]'
+    series = tracks.series('resistance')
+    assert tracks.title('resistance') == 'resistance: w at 45 km/h [N/kN]'
     last = [item.estimate for item in outputs if isinstance(item.estimate, ResistanceEstimate)][-1]
     assert tuple(series.values[-2:]) == resistance_at(last, 45.0 / 3.6)
 
@@ -116,4 +116,5 @@ def test_findings_are_events() -> None:
 
 
 def test_without_estimates_there_is_no_line() -> None:
-    assert empty()[0].values('resistance') == ('resistance', Series())
+    assert empty()[0].series('resistance') == Series()
+    assert empty()[0].title('resistance') == 'resistance'

@@ -15,19 +15,19 @@ from trainid_ros.bag.input_check import brake_sign
 from trainid_ros.bag.opening_progress import in_two
 from trainid_ros.bag.reader import BagReader
 from trainid_ros.brake_rate.suggested_braking import suggested_braking
+from trainid_ros.cli.opening import load_setups
 from trainid_ros.cli.output import check_distinct, check_output, table, to_plain
 from trainid_ros.cli.per_bag import BagResult, run_per_bag
 from trainid_ros.errors import InputError
-from trainid_ros.estimators.observability import observe
+from trainid_ros.estimators.observability import observe, resistance_std
 from trainid_ros.mapping.mapped_inputs import mapped_inputs
-from trainid_ros.mapping.mapping_file import load_mapping
 from trainid_ros.plural import pluralise
 from trainid_ros.records import MASS_TOPIC
 from trainid_ros.report import HTML_START
 from trainid_ros.resistance.force_findings import force_findings
 from trainid_ros.resistance.suggested_drive import suggested_drive
 from trainid_ros.results import Reason
-from trainid_ros.ros.jobs import Setup, mapping_in, node_setups
+from trainid_ros.ros.jobs import mapping_in
 from trainid_ros.sim.truth import load_truth
 from trainid_ros.tables.estimate_table import TABLE_SUFFIXES, estimate_table
 from trainid_ros.train.train_file import load_train_file
@@ -42,6 +42,7 @@ if TYPE_CHECKING:
     from trainid_ros.report.traces import Traces
     from trainid_ros.resistance.suggested_drive import SuggestedDrive
     from trainid_ros.results import Output, ResistanceEstimate
+    from trainid_ros.ros.jobs import Setup
     from trainid_ros.sim.truth import Truth
     from trainid_ros.train.train_file import TrainFile
 
@@ -71,7 +72,8 @@ def run(args: argparse.Namespace) -> int:
 
     """
     args.map = args.map or mapping_in(args.params, args.namespace)
-    mapped_inputs(args.map, _setups(args)[0].train_file)  # what cannot be used for any bag is reported once
+    # What cannot be used for any bag is reported once.
+    mapped_inputs(args.map, load_setups(args, args.train)[0].train_file)
     if len(args.bags) > 1:
         _check_outputs(args)
     for out, report in (_outputs(args, bag) for bag in args.bags):
@@ -79,15 +81,6 @@ def run(args: argparse.Namespace) -> int:
             check_distinct(out, report)
             check_output(report, (args.train, args.params, args.truth, *args.bags), HTML_START)
     return run_per_bag(args, _replay, 'replay')
-
-
-def _setups(args: argparse.Namespace, warn: Callable[[str], None] = lambda _: None) -> tuple[Setup, ...]:
-    """Return the setups of the three nodes; InputError if train file or parameters cannot be used."""
-    train_file, source = load_train_file(args.train), str(args.train)
-    foreign = () if args.map is None else load_mapping(args.map).topics
-    return node_setups(
-        train_file, source, args.params, args.algorithm, namespace=args.namespace, foreign=foreign, warn=warn
-    )
 
 
 def _check_outputs(args: argparse.Namespace) -> None:
@@ -129,7 +122,7 @@ def _replay(args: argparse.Namespace, bag: Path, advance: Callable[[float], None
 
     """
     warnings: list[str] = []
-    setups = _setups(args, warnings.append)
+    setups = load_setups(args, args.train, warnings.append)
     out, report = _outputs(args, bag)
     truth = None if report is None else find_truth(bag, args.truth)
     with ExitStack() as stack:
@@ -289,10 +282,8 @@ def _resistance_rows(outcome: Replay) -> list[tuple[str, ...]]:
         (name, f'{value:.5g}', f'{std:.2g}', unit, status) for name, value, std, unit in parameters
     ]
     for v in _SPEEDS:
-        phi = (1.0, v, v * v)
-        variance = sum(phi[i] * phi[j] * w.covariance[3 * i + j] for i in range(3) for j in range(3))
         name = f'w at {v:g} m/s' + ('' if w.speed_min <= v <= w.speed_max else ' *')
-        std = math.sqrt(max(0.0, variance))
+        std = resistance_std(w.covariance, v)
         rows.append((name, f'{w.a + w.b * v + w.c * v * v:.4g}', f'{std:.2g}', 'N/kN', status))
     if not math.isnan(w.force_scale):
         rows.append(('force scale', f'{w.force_scale:.4f}', f'{w.force_scale_std:.2g}', '1 = as reported', status))

@@ -4,6 +4,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import subprocess
 import sys
 import tempfile
@@ -11,13 +12,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Final
 
 from trainid_ros.bag.bag_replay import Pipelines, replay_through
-from trainid_ros.cli.opening import opened
+from trainid_ros.cli.opening import load_setups, opened
 from trainid_ros.cli.output import check_output, progress, show, warn
 from trainid_ros.errors import InputError
 from trainid_ros.mapping.mapped_inputs import mapped_inputs
-from trainid_ros.mapping.mapping_file import load_mapping
-from trainid_ros.ros.jobs import mapping_in, node_setups
-from trainid_ros.train.train_file import load_train_file
+from trainid_ros.ros.jobs import mapping_in
 from trainid_ros.view.recording import RRD_START, write_recording
 from trainid_ros.view.telemetry import switch_off
 from trainid_ros.view.tracks import Tracks
@@ -33,7 +32,7 @@ _DISPLAYS: Final = ('DISPLAY', 'WAYLAND_DISPLAY')
 
 
 def run(args: argparse.Namespace) -> int:
-    """Replay a bag and write a recording or open it in the viewer; return the exit code of the viewer.
+    """Replay a bag and write a recording or open it in the viewer; return 0.
 
     Raises:
         InputError: Bag, train file or parameters cannot be used, the output cannot be written, or there is no display.
@@ -50,7 +49,7 @@ def run(args: argparse.Namespace) -> int:
     if args.out is not None:
         check_output(args.out, (train, args.params, args.bag), RRD_START)
         _write(args, train, args.out)
-        show(f'{args.out}: open it with: rerun {args.out}')
+        show(f'{args.out}: open it with: rerun {shlex.quote(str(args.out))}')
         return 0
     if not any(os.environ.get(name) for name in _DISPLAYS):
         msg = 'there is no display to open the viewer on: give --out FILE.rrd, and open that where there is one'
@@ -58,7 +57,19 @@ def run(args: argparse.Namespace) -> int:
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / f'{args.bag.resolve().stem}.rrd'
         _write(args, train, path)
-        return subprocess.run([sys.executable, '-m', 'rerun', *_LOCAL, str(path)], check=False).returncode
+        _open_viewer(path)
+    return 0
+
+
+def _open_viewer(path: Path) -> None:
+    """Open a recording until the viewer is closed; InputError if it cannot run, as without an X server."""
+    command = [sys.executable, '-m', 'rerun', *_LOCAL, str(path)]
+    done = subprocess.run(command, stderr=subprocess.PIPE, text=True, errors='replace', check=False)
+    if done.returncode:
+        said = [line for line in done.stderr.splitlines() if line.strip()]
+        reason = said[-1].rpartition(': ')[2].strip() if said else f'exit code {done.returncode}'
+        msg = f'the viewer cannot run on this display: {reason}; give --out FILE.rrd, and open that where there is one'
+        raise InputError(msg)
 
 
 def _train_file(args: argparse.Namespace) -> Path:
@@ -77,13 +88,8 @@ def _train_file(args: argparse.Namespace) -> Path:
 
 def _write(args: argparse.Namespace, train: Path, out: Path) -> None:
     """Replay the bag as ``trainid replay`` does, and write the recording."""
-    train_file = load_train_file(train)
-    foreign = () if args.map is None else load_mapping(args.map).topics
-    setups = node_setups(
-        train_file, str(train), args.params, args.algorithm, namespace=args.namespace, foreign=foreign, warn=warn
-    )
-    inputs = mapped_inputs(args.map, train_file)
-    with opened(args, inputs) as reader:
+    setups = load_setups(args, train, warn)
+    with opened(args, mapped_inputs(args.map, setups[0].train_file)) as reader:
         pipelines = Pipelines(*(setup.mapped(reader.mapping).pipeline() for setup in setups))
         tracks = Tracks(pipelines)
         with progress(f'replaying {args.bag.name}', reader.input_count) as advance:

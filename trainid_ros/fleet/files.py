@@ -3,6 +3,7 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
 from typing import TYPE_CHECKING
 
 from trainid_ros.errors import InputError
@@ -24,5 +25,7 @@ def write_whole(path: Path, write: Callable[[Path], object]) -> None:
         write(part)
         part.replace(path)
     except OSError as error:
+        with suppress(OSError):  # half a file
+            part.unlink(missing_ok=True)
         msg = f'{path}: cannot be written ({error.strerror})'
         raise InputError(msg) from None

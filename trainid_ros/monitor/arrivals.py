@@ -11,8 +11,8 @@ from typing import Final
 
 _WINDOW_S: Final = 5.0
 _KEPT: Final = 512
-# An active node publishes at least once a second. Its messages may come this much later than usual [s], and where
-# speeds are slower than 2 Hz, after this many of their usual intervals [1].
+# An active node publishes at least once a second. No message for this time [s] is late, and where messages are slower
+# than 2 Hz, none for this many of their usual intervals [1].
 _LATEST_S: Final = 1.4
 _INTERVALS: Final = 2.5
 
@@ -29,9 +29,11 @@ class Arrivals:
 
     def rate(self, now_s: float) -> float:
         """Return the messages in a second over the last seconds [Hz], NaN while unknown."""
-        recent = [time for time in self._times if time >= now_s - _WINDOW_S]
-        span = recent[-1] - recent[0] if recent else 0.0
-        return (len(recent) - 1) / span if span > 0.0 else math.nan
+        if len(self._times) < 2:  # one message has no rate
+            return math.nan
+        begin_s = max(now_s - _WINDOW_S, self._times[0])
+        recent = sum(time > begin_s for time in self._times)
+        return recent / (now_s - begin_s) if now_s > begin_s else math.nan
 
     def silent_s(self, now_s: float) -> float:
         """Return the time since the last message [s], infinite before the first."""

@@ -19,7 +19,7 @@ _EMPTY: Final = ' '
 _WIDEST: Final = 3.0
 # Values that differ less than this share of their size are drawn as a level line [1].
 _LEAST_SPAN: Final = 1e-3
-# Values like this are none: messages may hold any number.
+# Larger values are not drawn: messages may hold any number.
 _LARGEST: Final = 1e100
 
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
     from trainid_ros.monitor.view import InputView, TrainView
 
-_NUMBER: Final = re.compile(r'[0-9.]+')
+_NUMBER: Final = re.compile(r'-?[0-9.]+(e[-+]?[0-9]+)?')
 
 
 class Lines:
@@ -37,9 +37,10 @@ class Lines:
         for namespace, source, level in sorted(key for key, text in present.items() if self._is_news(key, text)):
             lines.append(f'{namespace} {level} {source}: {present[namespace, source, level]}')
         gone = sorted(self._known.keys() - present.keys())
-        lines += [f'{namespace} no more {level} {source}' for namespace, source, level in gone]
+        shown = {view.namespace for view in views}
+        lines += [f'{namespace} {level} {source} cleared' for namespace, source, level in gone if namespace in shown]
         self._known = present
-        return [printable(line) for line in lines]
+        return [printable(line.replace('\n', ' ')) for line in lines]
 
     def _is_news(self, key: tuple[str, str, str], text: str) -> bool:
         """Return whether a finding is new, or says more than other numbers."""

@@ -4,7 +4,7 @@
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Final, Literal
+from typing import TYPE_CHECKING, Final, Literal, NamedTuple
 
 from rich.console import Group
 from rich.table import Table
@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 
 _SPAN_S: Final = 120.0
 """Time that the charts cover [s]."""
-_COLUMN_S: Final = 0.6
-"""Least time of a column, longer than the step of past values [s]."""
+_COLUMN_S: Final = 1.2
+"""Least time of a column, longer than the time between past values [s]: 1 s, where estimates come that seldom."""
 _STYLES: Final = {
     Status.VALID: 'bold green',
     Status.HOLDING: 'cyan',
@@ -42,9 +42,32 @@ _STYLES: Final = {
 }
 _BAD: Final = 'bold red'
 _LEVEL_STYLES: Final = {Level.ERROR: _BAD, Level.STALE: _BAD, Level.WARN: 'yellow'}
-_ONE_ROW, _TALL = 30, 48
 _NARROW: Final = 72
 _SILENT_S: Final = 1.5
+_WITH_SPEED: Final = 60
+
+
+class _Layout(NamedTuple):
+    """What is shown of a train: rows of a chart, gaps between parts, details, counts of samples, inputs."""
+
+    rows: int
+    has_gaps: bool
+    has_details: bool
+    has_counts: bool
+    has_inputs: bool
+
+
+# The first one that leaves room for findings is drawn: the status of each estimate is always shown.
+_LAYOUTS: Final = (
+    _Layout(5, has_gaps=True, has_details=True, has_counts=True, has_inputs=True),
+    _Layout(3, has_gaps=True, has_details=True, has_counts=True, has_inputs=True),
+    _Layout(1, has_gaps=True, has_details=True, has_counts=True, has_inputs=True),
+    _Layout(1, has_gaps=False, has_details=True, has_counts=True, has_inputs=True),
+    _Layout(1, has_gaps=False, has_details=False, has_counts=True, has_inputs=True),
+    _Layout(0, has_gaps=False, has_details=False, has_counts=True, has_inputs=True),
+    _Layout(0, has_gaps=False, has_details=False, has_counts=False, has_inputs=True),
+    _Layout(0, has_gaps=False, has_details=False, has_counts=False, has_inputs=False),
+)
 
 
 class Screen:
@@ -91,19 +114,24 @@ class _Size:
 
 
 def _train(view: TrainView, size: _Size, console: Console) -> RenderableType:
-    parts: list[RenderableType] = [_head(view, size), _inputs(view.inputs, size)]
-    used = 2 + len(view.inputs)
-    for item in view.estimates:
-        lines = _estimate(item, size)
-        parts += lines
-        used += len(lines)
-    return Group(*parts, *_findings(view, size, console, max(size.height - used - 2, 1)))
+    findings = _findings(view, size, console)
+    # With little room, the worst one in full and how many more there are.
+    wanted = min(sum(map(len, findings)), max(len(findings[0]) + 1, size.height // 4))
+    for layout in _LAYOUTS:
+        estimates = _estimates(view.estimates, size, layout)
+        used = 1 + (1 + len(view.inputs)) * layout.has_inputs + len(estimates) + layout.has_gaps
+        if used + wanted < size.height:
+            break
+    inputs = [_inputs(view.inputs, size)] if layout.has_inputs else []
+    gap = [Text()] if layout.has_gaps else []
+    return Group(_head(view, size), *inputs, *estimates, *gap, *_shortened(findings, size.height - used - 1, size))
 
 
 def _head(view: TrainView, size: _Size) -> Text:
     running = sum(item.status is not None and not item.is_silent for item in view.estimates)
+    title = '' if size.is_narrow else 'trainid monitor  '
     speed = f'{number(view.speed_kmh, 1)} km/h'
-    text = f'trainid monitor  {view.namespace}  {view.time}  {speed}  {running} of {len(view.estimates)} estimates'
+    text = f'{title}{view.namespace}  {view.time}  {speed}  {running} of {len(view.estimates)} estimates'
     return size.text(text, 'bold')
 
 
@@ -143,28 +171,39 @@ def _age(item: InputView) -> str:
     return f'{number(item.age_s, 2)} s' if math.isfinite(item.age_s) else 'other clock'
 
 
-def _estimate(item: EstimateView, size: _Size) -> list[Text]:
-    """Return the lines of an estimate: value and status, its chart, details and rejections."""
-    style = _BAD if item.is_silent else 'dim' if item.status is None else _STYLES.get(item.status, _BAD)
-    state = size.text(state_of(item), style)
-    name = size.text(f'{item.name:<12}', 'bold')
-    if item.status is None:
-        return [Text(), Text.assemble(name, ' ', state)]
-    headline = size.text(f'{item.quantity}  {with_band(item)}')
-    # The end of a line may be cut: on a narrow terminal the status begins the last one.
-    first, last = ('', state) if size.is_narrow else (state, '')
-    lines = [Text.assemble(name, ' ', headline, '  ', first, no_wrap=True, overflow=headline.overflow)]
-    lines += _chart(item, size)
-    if size.height > _ONE_ROW or not size.is_narrow:
-        lines.append(size.text(f'  {item.details}', 'dim'))
-    counts = size.text(f'  {rejections(item)}', 'dim')
-    lines.append(Text.assemble('  ', last, counts, no_wrap=True, overflow=counts.overflow) if last else counts)
-    return [Text(), *lines] if size.height > _ONE_ROW else lines
+def _estimates(items: Sequence[EstimateView], size: _Size, layout: _Layout) -> list[Text]:
+    """Return the lines of all estimates: status and value, chart, details and samples."""
+    lines: list[Text] = []
+    states = [_state(item, size) for item in items]
+    for item, state in zip(items, states, strict=True):
+        name = size.text(f'{item.name:<12} ', 'bold')
+        # The end of a line may be cut: the status comes first, then the value.
+        state.pad_right(max(map(len, states)) - len(state))
+        value = '' if item.status is None else f'  {with_band(item)}  {item.quantity}'
+        lines += [Text()] * layout.has_gaps
+        lines.append(Text.assemble(name, state, size.text(value), no_wrap=True, overflow=size.overflow))
+        if item.status is None:
+            continue
+        lines += _chart(item, size, layout.rows)
+        lines += [size.text(f'  {item.details}', 'dim')] * layout.has_details
+        lines += [size.text(f'  {rejections(item)}', 'dim')] * layout.has_counts
+    return lines
 
 
-def _chart(item: EstimateView, size: _Size) -> list[Text]:
-    rows = 1 if size.height <= _ONE_ROW else 3 if size.height < _TALL else 5
-    columns = max(size.width - 12, 8)
+def _state(item: EstimateView, size: _Size) -> Text:
+    if item.idle:
+        style = 'yellow'
+    elif item.status is None:
+        style = 'dim'
+    else:
+        style = _BAD if item.is_silent else _STYLES.get(item.status, _BAD)
+    return size.text(state_of(item), style)
+
+
+def _chart(item: EstimateView, size: _Size, rows: int) -> list[Text]:
+    if not rows:
+        return []
+    columns = min(max(size.width - 12, 8), round(_SPAN_S / _COLUMN_S))
     oldest_s = item.history[0].ago_s if item.history else 0.0
     span_s = max(min(oldest_s, _SPAN_S), _COLUMN_S * columns)
     drawn = chart(item.history, columns, rows, span_s, ASCII if size.ascii_only else UNICODE)
@@ -173,45 +212,75 @@ def _chart(item: EstimateView, size: _Size) -> list[Text]:
     return [size.text(f'  {line} {label}', 'green') for line, label in zip(drawn.lines, labels, strict=True)]
 
 
-def _findings(view: TrainView, size: _Size, console: Console, room: int) -> list[Text]:
-    """Return the findings in the lines that are left, and how many do not fit."""
+def _findings(view: TrainView, size: _Size, console: Console) -> list[Sequence[Text]]:
+    """Return the lines of each finding."""
     if not view.findings:
-        return [Text(), size.text('diagnostics: nothing to report', 'dim')]
-    lines: list[Text] = []
-    for count, item in enumerate(view.findings):
+        nothing = 'nothing to report' if view.has_diagnostics else 'none have arrived'
+        return [[size.text(f'diagnostics: {nothing}', 'dim')]]
+    found: list[Sequence[Text]] = []
+    for item in view.findings:
         text = size.text(f'{item.level.name} {item.source}: {item.text}', _LEVEL_STYLES[item.level])
         text.no_wrap = False
-        wrapped = list(text.wrap(console, size.width))
-        left = len(view.findings) - count
-        if lines and len(lines) + len(wrapped) > room - (left > 1):
-            lines.append(size.text(f'… and {left} more', 'dim'))
-            break
-        lines += wrapped
-    return [Text(), *lines] if size.height > _ONE_ROW else lines
+        found.append(list(text.wrap(console, size.width)))
+    return found
+
+
+def _shortened(parts: Sequence[Sequence[Text]], room: int, size: _Size) -> list[Text]:
+    """Return the lines of the first parts, as many as there is room for, and how many more there are."""
+    lines: list[Text] = []
+    for count, part in enumerate(parts):
+        left = len(parts) - count
+        fitting = room - len(lines) - (left > 1)
+        if count and len(part) > fitting:
+            return [*lines, size.text(f'… and {left} more', 'dim')]
+        lines += part[: max(fitting, 1)]
+    return lines
 
 
 def _overview(views: Sequence[TrainView], size: _Size) -> Group:
-    """Return one line for each train, and its worst finding."""
-    table = Table(box=None, pad_edge=False, header_style='dim')
-    speeds = [f'{number(view.speed_kmh, 1)} km/h' for view in views]
-    # Names are needed to ask for one train in full: where there is little room, estimates are cut first.
-    for name, shown in (('train', [view.namespace for view in views]), ('speed', speeds)):
-        least = min(max(map(len, shown)), size.width // 2)
-        table.add_column(name, no_wrap=True, overflow=size.overflow, min_width=least)
-    for item in views[0].estimates:
-        table.add_column(item.name, no_wrap=True, overflow=size.overflow)
-    findings: list[Text] = []
-    for view, speed in zip(views, speeds, strict=True):
-        cells = [size.text(view.namespace, 'bold'), size.text(speed)]
-        for item in view.estimates:
-            style = _BAD if item.is_silent or item.status is None else _STYLES.get(item.status, _BAD)
-            known = '' if item.status is None else f'{number(item.value)} ± {number(item.std)} '
-            value = size.text(known)
-            cells.append(Text.assemble(value, size.text(state_of(item), style), overflow=value.overflow))
-        table.add_row(*cells)
-        findings += [
-            size.text(f'{view.namespace} {item.level.name} {item.source}: {item.text}', _LEVEL_STYLES[item.level])
-            for item in view.findings[:1]
-        ]
+    """Return a line for each train, and its worst finding; the worst train comes first."""
+    views = sorted(views, key=_goodness)
     head = size.text(f'trainid monitor  {len(views)} trains  {views[0].time}  one in full: --namespace NAME', 'bold')
-    return Group(head, table, Text(), *findings)
+    titles, *rows = _table(views, size)
+    findings = [
+        [size.text(f'{view.namespace} {item.level.name} {item.source}: {item.text}', _LEVEL_STYLES[item.level])]
+        for view in views
+        for item in view.findings[:1]
+    ]
+    room = size.height - 3  # without the head, the titles and the line of the cursor
+    listed = min(len(rows), room - min(len(findings), max(room // 4, 2)))
+    shown = _shortened([[row] for row in rows], listed, size)
+    return Group(head, titles, *shown, *_shortened(findings, room - len(shown), size))
+
+
+def _goodness(view: TrainView) -> tuple[int, str]:
+    """Sort the train with the worst finding first."""
+    return -max((item.level.severity for item in view.findings), default=0), view.namespace
+
+
+def _table(views: Sequence[TrainView], size: _Size) -> list[Text]:
+    """Return the titles and a line for each train; values of estimates are shown where they fit."""
+    names = [size.text('train', 'dim'), *(size.text(view.namespace, 'bold') for view in views)]
+    speeds = [size.text('speed', 'dim'), *(size.text(f'{number(view.speed_kmh, 1)} km/h') for view in views)]
+    # Names are needed to ask for one train in full.
+    columns = [_padded(names, min(max(map(len, names)), size.width // 2), size)]
+    if size.width >= _WITH_SPEED:
+        columns.append(_padded(speeds, max(map(len, speeds)), size))
+    count = len(views[0].estimates)
+    width = (size.width - sum(len(column[0]) + 2 for column in columns) - 2 * (count - 1)) // count
+    for k in range(count):
+        cells = [_cell(view.estimates[k], width, size) for view in views]
+        columns.append(_padded([size.text(views[0].estimates[k].name, 'dim'), *cells], width, size))
+    return [Text('  ', no_wrap=True, overflow=size.overflow).join(cells) for cells in zip(*columns, strict=True)]
+
+
+def _cell(item: EstimateView, width: int, size: _Size) -> Text:
+    state = _state(item, size)
+    value = '' if item.status is None else f'  {number(item.value)} ± {number(item.std)}'
+    return Text.assemble(state, size.text(value)) if len(state) + len(value) < width else state
+
+
+def _padded(cells: Sequence[Text], width: int, size: _Size) -> Sequence[Text]:
+    for cell in cells:
+        cell.truncate(max(width, 1), overflow=size.overflow, pad=True)
+    return cells

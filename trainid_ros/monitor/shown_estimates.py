@@ -6,7 +6,9 @@ from __future__ import annotations
 import math
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
+from trainid_ros.estimators.observability import resistance_std
 from trainid_ros.messages import BRAKE_RATE_TOPIC, RESISTANCE_TOPIC, SPEED_MODEL_TOPIC
+from trainid_ros.records import KM_H
 from trainid_ros.results import Status
 
 if TYPE_CHECKING:
@@ -14,12 +16,11 @@ if TYPE_CHECKING:
 
     from trainid_ros.messages import OutputTopic
 
-KMH: Final = 3.6
 _STEP_KMH: Final = 5.0
 _USUAL_KMH: Final = 50.0
-# No train has a speed [m/s], and no estimate a variance, like this: messages may hold any number.
+# Larger speeds [m/s] and covariances count as unknown: messages may hold any number.
 _MOST_SPEED: Final = 1000.0
-_LARGEST: Final = 1e300
+_LARGEST: Final = 1e280
 # Place of the variance of b1 in the covariance of (a1, a2, b1, d0), row by row.
 _B1: Final = 10
 
@@ -51,19 +52,16 @@ def reference_speed(message: Any) -> float:
     The present speed changes all the time, and w with it: a change of the estimate would not be seen.
     """
     if not 0.0 <= message.speed_min <= message.speed_max < _MOST_SPEED or message.speed_max == 0.0:
-        return _USUAL_KMH / KMH
-    middle = 0.5 * KMH * float(message.speed_min + message.speed_max)
-    return max(round(middle / _STEP_KMH), 1) * _STEP_KMH / KMH
+        return _USUAL_KMH / KM_H
+    middle = 0.5 * KM_H * float(message.speed_min + message.speed_max)
+    return max(round(middle / _STEP_KMH), 1) * _STEP_KMH / KM_H
 
 
 def resistance_at(message: Any, speed: float) -> tuple[float, float]:
     """Return w and its standard deviation [N/kN] at a speed [m/s]."""
-    powers = (1.0, speed, speed * speed)
-    w = message.a + message.b * powers[1] + message.c * powers[2]
-    terms = [float(message.covariance[3 * i + j]) * powers[i] * powers[j] for i in range(3) for j in range(3)]
-    if not all(abs(term) < _LARGEST for term in terms):
-        return float(w), math.nan
-    return float(w), math.sqrt(max(math.fsum(terms), 0.0))
+    w = message.a + message.b * speed + message.c * speed * speed
+    is_known = all(abs(item) < _LARGEST for item in message.covariance)
+    return float(w), resistance_std(message.covariance, speed) if is_known else math.nan
 
 
 def _resistance_details(message: Any) -> str:
@@ -71,7 +69,7 @@ def _resistance_details(message: Any) -> str:
     text = f'a {message.a:.2f} ± {a:.2f}  b {message.b:.4f} ± {b:.4f}  c {message.c:.5f} ± {c:.5f}'
     if not message.speed_max > 0.0:
         return f'{text}  nothing learned yet'
-    return f'{text}  seen {KMH * message.speed_min:.0f} to {KMH * message.speed_max:.0f} km/h'
+    return f'{text}  seen {KM_H * message.speed_min:.0f} to {KM_H * message.speed_max:.0f} km/h'
 
 
 def mass_factor(message: Any) -> tuple[float, float]:
@@ -97,7 +95,7 @@ SHOWN: Final = (
         RESISTANCE_TOPIC,
         'resistance',
         'N/kN',
-        lambda newest: f'w at {KMH * reference_speed(newest):.0f} km/h',
+        lambda newest: f'w at {KM_H * reference_speed(newest):.0f} km/h',
         lambda message, newest: resistance_at(message, reference_speed(newest)),
         _resistance_details,
     ),

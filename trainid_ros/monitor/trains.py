@@ -7,18 +7,19 @@ Two clocks are used: a steady one [s] for arrivals, and that of the stamps [ns] 
 from __future__ import annotations
 
 import math
-import re
-from collections import Counter, deque
+from collections import deque
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from typing import TYPE_CHECKING, Any, Final
 
-from trainid_ros.messages import OUTPUT_TOPICS, status_of
+from trainid_ros.messages import status_of
 from trainid_ros.monitor.arrivals import Arrivals
-from trainid_ros.monitor.shown_estimates import KMH, SHOWN, ShownEstimate, value_text
+from trainid_ros.monitor.reports import ESTIMATOR, INPUT, OTHER_CLOCK_S, Reports
+from trainid_ros.monitor.shown_estimates import SHOWN, ShownEstimate, value_text
 from trainid_ros.monitor.view import EstimateView, Finding, InputView, Level, Point, TrainView
 from trainid_ros.records import (
     INPUT_TOPICS,
+    KM_H,
     MASS_TOPIC,
     NS_PER_S,
     SPEED_TOPIC,
@@ -28,37 +29,25 @@ from trainid_ros.records import (
     MassRecord,
     SpeedRecord,
 )
+from trainid_ros.results import Status
 from trainid_ros.ros.jobs import JOBS
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Collection, Iterable, Mapping
 
     from trainid_ros.messages import OutputTopic
+    from trainid_ros.monitor.reports import Report
     from trainid_ros.records import InputTopic, Record
 
-# Past values are kept at this step and so many of them, which is longer than any chart.
+# Past values are kept at this step, for longer than any chart [s].
 _STEP_S: Final = 0.5
 _POINTS: Final = 400
-# Stamps that differ more from this clock are of another one, as those of a bag [s].
-_OTHER_CLOCK_S: Final = 3600.0
-# A node reports once a second; older reports of it no longer hold [s].
-_REPORT_S: Final = 3.5
-_REJECTED: Final = 'rejected.'
-_INPUT: Final = 'input '
-_ORDER: Final = (Level.ERROR, Level.STALE, Level.WARN)
-_NUMBER: Final = re.compile(r'\d+')
+# Trains that are silent for longer and have no publisher any more are no longer shown beside others [s].
+_ENDED_S: Final = 60.0
+_ACTIVE: Final = ('', 'active')
+_CURRENT: Final = (Status.CONVERGING, Status.VALID, Status.HOLDING)
 _NODES: Final = {job.topic.name: job.node_name for job in JOBS}
 """Usual name of the node that publishes an estimate, by topic."""
-
-
-@dataclass(frozen=True, slots=True)
-class Report:
-    """One status of ``/diagnostics``: level, message and values, and when it arrived [s]."""
-
-    level: Level
-    message: str
-    values: Mapping[str, str]
-    time_s: float
 
 
 @dataclass(slots=True)
@@ -72,19 +61,22 @@ class _Input:
 
 @dataclass(slots=True)
 class _Estimate:
-    """What arrived on the topic of an estimate."""
+    """What arrived on the topic of an estimate, the last one at a time of the clock of the stamps."""
 
     shown: ShownEstimate
     arrivals: Arrivals = field(default_factory=Arrivals)
     message: Any = None
+    arrived_ns: int = 0
     status_since_s: float = 0.0
+    is_longer: bool = True
     history: deque[tuple[float, Any]] = field(default_factory=lambda: deque(maxlen=_POINTS))
 
-    def add(self, message: Any, now_s: float) -> None:
+    def add(self, message: Any, now_s: float, clock_ns: int) -> None:
+        is_first = self.message is None or self.arrivals.is_late(now_s)
+        if is_first or message.status != self.message.status:
+            self.status_since_s, self.is_longer = now_s, is_first
         self.arrivals.add(now_s)
-        if self.message is None or message.status != self.message.status:
-            self.status_since_s = now_s
-        self.message = message
+        self.message, self.arrived_ns = message, clock_ns
         if not self.history or now_s - self.history[-1][0] >= _STEP_S:
             self.history.append((now_s, message))
 
@@ -97,8 +89,9 @@ class Train:
         self.namespace = namespace
         self._inputs = {topic.name: _Input(topic) for topic in INPUT_TOPICS}
         self._estimates = {item.topic.name: _Estimate(item) for item in SHOWN}
-        self._reports: dict[tuple[str, str], Report] = {}
+        self._reports = Reports()
         self._publishers: Mapping[str, tuple[str, ...]] = {}
+        self._owners: dict[str, tuple[str, ...]] = {}
 
     def on_input(self, topic: InputTopic, record: Record, now_s: float) -> None:
         """Take in an input that arrived now [s]."""
@@ -106,33 +99,57 @@ class Train:
         item.arrivals.add(now_s)
         item.record = record
 
-    def on_estimate(self, topic: OutputTopic, message: Any, now_s: float) -> None:
-        """Take in an estimate that arrived now [s]; the message is any object with the fields of its type."""
-        self._estimates[topic.name].add(message, now_s)
+    def on_estimate(self, topic: OutputTopic, message: Any, now_s: float, clock_ns: int) -> None:
+        """Take in an estimate that arrived now, by both clocks; the message is any object with its fields."""
+        self._estimates[topic.name].add(message, now_s, clock_ns)
 
     def on_report(self, node: str, subject: str, report: Report) -> None:
         """Take in a status that a node of this train gave of itself ('estimator') or of one of its inputs."""
-        self._reports[node, subject] = report
+        self._reports.add(node, subject, report)
 
     def on_publishers(self, publishers: Mapping[str, tuple[str, ...]]) -> None:
         """Take in the nodes that publish each topic, by its name without the namespace."""
         self._publishers = publishers
+        self._owners |= {topic: nodes for topic, nodes in publishers.items() if nodes}  # those that ended too
+
+    def silent_s(self, now_s: float) -> float:
+        """Return the time since the last message on any topic [s], infinite before the first."""
+        inputs = (item.arrivals.silent_s(now_s) for item in self._inputs.values())
+        return min((*inputs, *(item.arrivals.silent_s(now_s) for item in self._estimates.values())))
 
     def view(self, now_s: float, clock_ns: int) -> TrainView:
         """Return what to show at a time of the steady clock [s] and of that of the stamps [ns]."""
-        speed = self._inputs[SPEED_TOPIC.name].record
         estimates = tuple(self._estimate(item, now_s) for item in self._estimates.values())
+        findings = (*self._silent(estimates), *self._reports.findings(now_s))
         return TrainView(
             namespace=self.namespace,
             time=f'{_clock(clock_ns)} UTC',
-            speed_kmh=KMH * speed.speed if isinstance(speed, SpeedRecord) else math.nan,
-            inputs=(
-                *(self._input(item, now_s, clock_ns) for item in self._inputs.values()),
-                *self._foreign_inputs(now_s),
-            ),
+            speed_kmh=KM_H * self._speed(now_s),
+            inputs=tuple(self._all_inputs(now_s, clock_ns)),
             estimates=estimates,
-            findings=tuple(_merged(sorted((*_silent(estimates, clock_ns), *self._reported(now_s)), key=_rank))),
+            findings=tuple(_merged(sorted(findings, key=_rank))),
+            has_diagnostics=bool(self._reports),
         )
+
+    def _speed(self, now_s: float) -> float:
+        """Return the present speed [m/s], as an estimator states it where it is measured on another topic."""
+        measured = self._inputs[SPEED_TOPIC.name]
+        if isinstance(measured.record, SpeedRecord):
+            return math.nan if measured.arrivals.is_late(now_s) else measured.record.speed
+        for item in self._estimates.values():
+            stated = getattr(item.message, 'speed', None)
+            if stated is not None and not item.arrivals.is_late(now_s) and status_of(item.message) in _CURRENT:
+                return float(stated)
+        return math.nan
+
+    def _all_inputs(self, now_s: float, clock_ns: int) -> Iterable[InputView]:
+        """Yield the inputs of the interface, and those of a mapping instead, as the nodes report them."""
+        reported = self._reports.inputs(now_s)
+        foreign = [item for name, item in reported.items() if name not in self._inputs]
+        for name, item in self._inputs.items():
+            if not foreign or name in reported:
+                yield self._input(item, now_s, clock_ns)
+        yield from foreign
 
     def _input(self, item: _Input, now_s: float, clock_ns: int) -> InputView:
         record = item.record
@@ -141,36 +158,20 @@ class Train:
             name=item.topic.name,
             value='' if record is None else _value(record),
             rate=item.arrivals.rate(now_s),
-            age_s=age_s if abs(age_s) < _OTHER_CLOCK_S else math.nan,
+            age_s=age_s if abs(age_s) < OTHER_CLOCK_S else math.nan,
             silent_s=item.arrivals.silent_s(now_s),
             publishers=self._publishers.get(item.topic.name, ()),
             optional=item.topic is MASS_TOPIC,
         )
 
-    def _foreign_inputs(self, now_s: float) -> Iterable[InputView]:
-        """Yield the inputs that the nodes read from other topics, by a mapping, as the nodes report them."""
-        seen = set(self._inputs)
-        for (_, subject), report in self._current(now_s):
-            name = subject.removeprefix(_INPUT)
-            if name == subject or name in seen:
-                continue
-            seen.add(name)
-            numbers = {key: _number(text) for key, text in report.values.items()}
-            age_s = numbers.get('age [s]', math.nan)
-            yield InputView(
-                name=name,
-                value='',
-                rate=numbers.get('rate [Hz]', math.nan),
-                age_s=age_s if abs(age_s) < _OTHER_CLOCK_S else math.nan,
-                silent_s=numbers.get('time since last message [s]', math.inf),
-                publishers=(report.values.get('heard', ''),),
-                optional=False,
-            )
-
     def _estimate(self, item: _Estimate, now_s: float) -> EstimateView:
         shown, newest = item.shown, item.message
         value, std = (math.nan, math.nan) if newest is None else shown.value(newest, newest)
-        reasons = self._reasons(shown.topic, now_s)
+        status = None if newest is None else status_of(newest)
+        report = self._reports.estimator(self._node(shown.topic), now_s)
+        status_s, is_longer = _status_s(item, report, now_s)
+        state = '' if report is None else report.values.get('state', '')
+        reasons = [] if report is None else report.rejections().most_common()
         return EstimateView(
             name=shown.name,
             quantity='' if newest is None else shown.quantity(newest),
@@ -178,37 +179,33 @@ class Train:
             value=value,
             std=std,
             details='' if newest is None else shown.details(newest),
-            status=None if newest is None else status_of(newest),
-            status_s=now_s - item.status_since_s,
+            status=status,
+            status_s=status_s,
+            is_longer=is_longer,
+            idle='' if state in _ACTIVE else state,
             silent_s=item.arrivals.silent_s(now_s),
             is_silent=item.arrivals.is_late(now_s),
             is_published=bool(self._publishers.get(shown.topic.name)),
             used=0 if newest is None else int(newest.used),
-            rejected=0 if newest is None else int(newest.rejected),
-            reasons=tuple(reasons.most_common()),
+            # Reasons come more seldom than estimates: shown with them is their sum.
+            rejected=sum(count for _, count in reasons) or (0 if newest is None else int(newest.rejected)),
+            reasons=tuple(reasons),
             history=tuple(Point(now_s - time_s, *shown.value(past, newest)) for time_s, past in item.history),
         )
 
-    def _reasons(self, topic: OutputTopic, now_s: float) -> Counter[str]:
-        """Return the rejections by reason of the estimator of a topic."""
-        for (node, subject), report in self._current(now_s):
-            if subject == 'estimator' and node.endswith(_NODES[topic.name]):
-                counts = {key: text for key, text in report.values.items() if key.startswith(_REJECTED)}
-                return Counter({key.removeprefix(_REJECTED): int(n) for key, n in counts.items() if n.isdecimal()})
-        return Counter()
+    def _node(self, topic: OutputTopic) -> str:
+        """Return the node of an estimate, as it names itself in diagnostics."""
+        names = [name.strip('/') for name in self._owners.get(topic.name, ())]
+        usual = f'{self.namespace}/{_NODES[topic.name]}'.strip('/')
+        return next((name for name in (*names, usual) if self._reports.is_known(name)), (*names, usual)[0])
 
-    def _reported(self, now_s: float) -> Iterable[Finding]:
-        """Yield what nodes report as not in order, each input once, as the node that takes it worst says it."""
-        worst: dict[str, Finding] = {}
-        for (node, subject), report in self._current(now_s):
-            source = subject.removeprefix(_INPUT) if subject.startswith(_INPUT) else node.rpartition('/')[2]
-            finding = Finding(report.level, source, report.message)
-            if report.level is not Level.OK and (source not in worst or _rank(finding) < _rank(worst[source])):
-                worst[source] = finding
-        yield from worst.values()
-
-    def _current(self, now_s: float) -> list[tuple[tuple[str, str], Report]]:
-        return sorted(item for item in self._reports.items() if now_s - item[1].time_s < _REPORT_S)
+    def _silent(self, estimates: Iterable[EstimateView]) -> Iterable[Finding]:
+        """Yield the estimates that stopped coming; a node that is not active says so itself."""
+        for view, item in zip(estimates, self._estimates.values(), strict=True):
+            if view.is_silent and not view.idle:
+                since = _clock(item.arrived_ns)
+                text = f'no estimate since {since} UTC: the node has ended or hangs, start it again'
+                yield Finding(Level.ERROR, self._node(item.shown.topic).rpartition('/')[2], text)
 
 
 class Trains:
@@ -225,43 +222,61 @@ class Trains:
         """Take in one status; those of other software, and of trains that are not shown, are left out."""
         node, separator, subject = name.partition(': ')
         train = self.by_namespace.get(f'/{node.rpartition("/")[0]}')
-        if separator and train is not None and (subject == 'estimator' or subject.startswith(_INPUT)):
+        if separator and train is not None and (subject == ESTIMATOR or subject.startswith(INPUT)):
             train.on_report(node, subject, report)
+
+    def has_messages(self, now_s: float) -> bool:
+        """Return whether any message has arrived by now [s]."""
+        return any(math.isfinite(train.silent_s(now_s)) for train in self.by_namespace.values())
+
+    def drop_ended(self, published: Collection[str], now_s: float) -> list[str]:
+        """Forget the trains that ended some time ago, given those with publishers; return them.
+
+        If no other train is left, they stay: what has ended is the news.
+        """
+        silent = {name: train.silent_s(now_s) for name, train in self.by_namespace.items()}
+        ended = [name for name, time_s in silent.items() if time_s > _ENDED_S and name not in published]
+        if len(ended) == len(silent):
+            return []
+        for name in ended:
+            del self.by_namespace[name]
+        return ended
 
     def views(self, now_s: float, clock_ns: int) -> tuple[TrainView, ...]:
         """Return what to show of all trains, by namespace."""
         return tuple(train.view(now_s, clock_ns) for _, train in sorted(self.by_namespace.items()))
 
 
-def _silent(estimates: Iterable[EstimateView], clock_ns: int) -> Iterable[Finding]:
-    """Yield the estimates that stopped coming."""
-    for item, topic in zip(estimates, OUTPUT_TOPICS, strict=True):
-        if item.is_silent:
-            since = _clock(clock_ns - round(item.silent_s * NS_PER_S))
-            text = (
-                f'no estimate for {item.silent_s:.1f} s, since {since} UTC: the node has ended or hangs, start it again'
-            )
-            yield Finding(Level.ERROR, _NODES[topic.name], text)
+def _status_s(item: _Estimate, report: Report | None, now_s: float) -> tuple[float, bool]:
+    """Return for how long an estimate has had its status [s], and whether for an unknown time before that.
+
+    A change that was seen here comes first: the clock of the node, by which it reports, may stand still.
+    """
+    if item.is_longer and report is not None and item.message is not None:
+        reported_s = report.status_s(status_of(item.message), now_s)
+        if not math.isnan(reported_s):
+            return reported_s, False
+    return now_s - item.status_since_s, item.is_longer
 
 
 def _merged(findings: Iterable[Finding]) -> Iterable[Finding]:
-    """Return findings that differ in their numbers alone as one, with all their sources."""
-    alike: dict[tuple[Level, str], list[Finding]] = {}
+    """Return findings that say the same as one, with all their sources."""
+    alike: dict[tuple[Level, str], list[str]] = {}
     for item in findings:
-        alike.setdefault((item.level, _NUMBER.sub('', item.text)), []).append(item)
-    for same in alike.values():
-        yield Finding(same[0].level, ', '.join(item.source for item in same), same[0].text)
+        alike.setdefault((item.level, item.text), []).append(item.source)
+    for (level, text), sources in alike.items():
+        yield Finding(level, ', '.join(sources), text)
 
 
 def _rank(finding: Finding) -> tuple[int, bool, str]:
     """Sort the worst first, and of equal ones the inputs, which are the cause, before the estimators."""
-    return _ORDER.index(finding.level), finding.source.endswith('_estimator'), finding.source
+    return -finding.level.severity, finding.source.endswith('_estimator'), finding.source
 
 
 def _value(record: Record) -> str:
     match record:
         case SpeedRecord():
-            return value_text(((KMH * record.speed, 'km/h', 1), (record.position, 'm', 0)))
+            return value_text(((KM_H * record.speed, 'km/h', 1), (record.position, 'm', 0)))
         case ForceRecord():
             return value_text(((record.force / 1000.0, 'kN', 1),))
         case GradientRecord():
@@ -274,10 +289,3 @@ def _value(record: Record) -> str:
 
 def _clock(time_ns: int) -> str:
     return f'{datetime.fromtimestamp(time_ns // NS_PER_S, UTC):%H:%M:%S}'
-
-
-def _number(text: str) -> float:
-    try:
-        return float(text)
-    except ValueError:
-        return math.nan

@@ -24,6 +24,11 @@ class Level(IntEnum):
     ERROR = 2
     STALE = 3
 
+    @property
+    def severity(self) -> int:
+        """How bad it is: unlike by the numbers, an error is worse than STALE."""
+        return (Level.OK, Level.WARN, Level.STALE, Level.ERROR).index(self)
+
     @classmethod
     def _missing_(cls, value: object) -> Level:  # noqa: ARG003 - any other number, which may come from other software
         return cls.ERROR
@@ -91,6 +96,8 @@ class EstimateView:
         details: Further values as text.
         status: Status, None before the first message.
         status_s: Time for which it has this status [s].
+        is_longer: True if it had the status before it was first seen, for an unknown time.
+        idle: Lifecycle state of its node if that is known and not active, else ''.
         silent_s: Time since the last message [s], infinite before the first.
         is_silent: True if messages should have come since then.
         is_published: True if a node publishes the topic.
@@ -109,6 +116,8 @@ class EstimateView:
     details: str
     status: Status | None
     status_s: float
+    is_longer: bool
+    idle: str
     silent_s: float
     is_silent: bool
     is_published: bool
@@ -129,6 +138,7 @@ class TrainView:
         inputs: Its inputs.
         estimates: Its estimates.
         findings: What is wrong or in progress, the worst first.
+        has_diagnostics: True if any of its nodes has reported.
 
     """
 
@@ -138,6 +148,7 @@ class TrainView:
     inputs: tuple[InputView, ...]
     estimates: tuple[EstimateView, ...]
     findings: tuple[Finding, ...]
+    has_diagnostics: bool
 
 
 def number(value: float, digits: int = 3) -> str:
@@ -156,16 +167,16 @@ def with_band(estimate: EstimateView) -> str:
 def state_of(estimate: EstimateView) -> str:
     """Return what a person should know first of an estimate: its status, or that it does not come."""
     if estimate.status is None:
-        return 'nothing yet' if estimate.is_published else 'no node'
+        return estimate.idle.upper() or ('nothing yet' if estimate.is_published else 'no node')
     if estimate.is_silent:
-        return f'SILENT {estimate.silent_s:.1f} s'
-    return f'{estimate.status.name} {duration(estimate.status_s)}'
+        return f'{estimate.idle.upper() or "SILENT"} {duration(estimate.silent_s, 1)}'
+    return f'{estimate.status.name} {"≥ " if estimate.is_longer else ""}{duration(estimate.status_s)}'
 
 
-def duration(seconds: float) -> str:
-    """Return a time span [s] in a few characters."""
+def duration(seconds: float, digits: int = 0) -> str:
+    """Return a time span [s] in a few characters, with decimals below a minute if wanted."""
     if seconds < 60.0:
-        return f'{int(seconds)} s'
+        return f'{seconds:.{digits}f} s' if digits else f'{int(seconds)} s'
     minutes, rest = divmod(int(seconds), 60)
     return f'{minutes}:{rest:02d} min' if minutes < 60 else f'{minutes // 60}:{minutes % 60:02d} h'
 

@@ -39,6 +39,7 @@ BEFORE: Final = BRAKE
 AFTER: Final = ESTIMATE
 BEFORE_LINE: Final = Line2D([], [], color=BEFORE, label='current model')
 AFTER_LINE: Final = Line2D([], [], color=AFTER, label='with the effects')
+UNCHANGED_LINE: Final = Line2D([], [], color=AFTER, label='current model')
 NOISE_BAND: Final = Patch(color=STAND, alpha=0.35, linewidth=0, label='±2 std of noise')
 _STRETCH: Final = Patch(color=WAIT, alpha=0.3, linewidth=0, label='effect found here')
 _TUNNEL: Final = Patch(color=STAND, alpha=0.35, linewidth=0, label='tunnel')
@@ -55,7 +56,10 @@ def gap_bars(explanation: Explanation) -> str:
     gap = explanation.gap
     if gap is None:
         return ''
-    bars = [('noise alone', gap.noise_floor, STAND), ('current model', gap.before, BEFORE)]
+    bars = [
+        ('noise alone', gap.noise_floor, STAND),
+        ('current model', gap.before, BEFORE if explanation.effects else AFTER),
+    ]
     if explanation.effects:
         bars.insert(1, ('with the effects', gap.after, AFTER))
     names, values, colours = zip(*bars, strict=True)
@@ -88,8 +92,13 @@ def gap_along_line(explanation: Explanation, line: Line, found: Stretches) -> st
             axes.set_ylabel('speed gap [m/s]')
             draw_place(axes, line, found)
         _fit_positions(panels[-1], np.concatenate([trace.position for trace in seen]))
-        legend_above(figure, [BEFORE_LINE, AFTER_LINE, *line_handles(line, found)])
+        legend_above(figure, [*model_lines(explanation), *line_handles(line, found)])
         return to_svg(figure, 'Speed gap by position in both directions')
+
+
+def model_lines(explanation: Explanation) -> list[Line2D]:
+    """Return the legend entries of the lines before and after; without an effect they are one line."""
+    return [BEFORE_LINE, AFTER_LINE] if explanation.effects else [UNCHANGED_LINE]
 
 
 def line_handles(line: Line, found: Stretches) -> list[Patch]:
@@ -136,7 +145,7 @@ def gap_of_runs(explanation: Explanation) -> str:
             axes.set_ylabel('gap [m/s]')
         shown = [part for _, trace in traces for part in (trace.before, trace.after, 2.0 * trace.band)]
         limit(panels[0], shown)
-        legend_above(figure, [BEFORE_LINE, AFTER_LINE, NOISE_BAND])
+        legend_above(figure, [*model_lines(explanation), NOISE_BAND])
         return to_svg(figure, 'Speed gap of single runs by time')
 
 
@@ -191,7 +200,7 @@ def missing_along_line(explanation: Explanation, line: Line, found: Stretches) -
         high = max(place.high for location in shown for place in location.places)
         panels[-1].set_xlim(low, high)
         panels[-1].set_xlabel('position [m], dotted: stops')
-        legend_above(figure, [BEFORE_LINE, AFTER_LINE, *line_handles(line, found)])
+        legend_above(figure, [*model_lines(explanation), *line_handles(line, found)])
         return to_svg(figure, 'Missing resistance by position')
 
 
@@ -207,7 +216,7 @@ def missing_by_part(explanation: Explanation) -> str:
             _draw_location(axes, location)
         for axes in panels[len(shown) :]:
             axes.set_visible(False)
-        legend_above(figure, [BEFORE_LINE, AFTER_LINE])
+        legend_above(figure, [*model_lines(explanation)])
         return to_svg(figure, 'Missing resistance by speed, driving mode and so on')
 
 

@@ -72,6 +72,7 @@ _RC: Final[Any] = {
     'axes.spines.right': False,
     'axes.grid': True,
     'axes.axisbelow': True,
+    'axes.formatter.useoffset': False,  # an axis with 0.0002 and '+1' beside it is misread
     'grid.color': GRID,
     'grid.linewidth': 0.6,
     'xtick.color': MUTED,

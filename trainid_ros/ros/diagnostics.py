@@ -16,6 +16,7 @@ import numpy as np
 from diagnostic_msgs.msg import DiagnosticStatus, KeyValue
 
 from trainid_ros.brake_rate.brake_findings import brake_findings
+from trainid_ros.records import NS_PER_S
 from trainid_ros.results import Reason, Status
 from trainid_ros.ros.input_monitor import Finding
 
@@ -231,6 +232,7 @@ def estimator_status(
     level = DiagnosticStatus.ERROR if DiagnosticStatus.ERROR in levels else max(levels)
     values = (
         ('state', health.state),
+        *_timed_status(health),
         *_counted(pipeline, output),
         *_compared(shown, prior, output.estimate),
         ('consistency', pipeline.consistency),
@@ -240,6 +242,11 @@ def estimator_status(
         ('resets', pipeline.resets),
     )
     return _status(f'{health.name}: estimator', level, message, values)
+
+
+def _timed_status(health: NodeHealth) -> Iterable[tuple[str, object]]:
+    if 0 < health.since_ns <= health.now_ns:
+        yield 'time in status [s]', f'{(health.now_ns - health.since_ns) / NS_PER_S:.1f}'
 
 
 def _counted(pipeline: EstimatorPipeline[Any], output: Output[Any]) -> Iterable[tuple[str, object]]:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any, Final, TypeVar
 from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor, SetParametersResult
 from rclpy.clock import Clock
 from rclpy.clock_type import ClockType
-from rclpy.exceptions import ROSInterruptException
+from rclpy.exceptions import InvalidParameterTypeException, ROSInterruptException
 from rclpy.impl.implementation_singleton import rclpy_implementation
 from rclpy.lifecycle import LifecycleNode, LifecycleState, TransitionCallbackReturn
 from rclpy.parameter import Parameter
@@ -85,10 +85,13 @@ def guarded(
 
 @contextmanager
 def creation_of(name: str) -> Iterator[None]:
-    """Raise an InputError where ROS cannot create a node, as without the keys or libraries of DDS security."""
+    """Raise an InputError where ROS cannot create a node.
+
+    As without the keys or libraries of DDS security, or with a number for ``use_sim_time``.
+    """
     try:
         yield
-    except RCLError as error:
+    except (RCLError, InvalidParameterTypeException) as error:
         msg = f'ROS cannot start {name}: {" ".join(str(error).split())}'
         raise InputError(msg) from error
 

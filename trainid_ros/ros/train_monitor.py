@@ -16,7 +16,8 @@ from rclpy.validate_namespace import validate_namespace
 
 from trainid_ros.errors import InputError
 from trainid_ros.messages import OUTPUT_TOPICS, record_from_message
-from trainid_ros.monitor.trains import Report, Trains
+from trainid_ros.monitor.reports import Report
+from trainid_ros.monitor.trains import Trains
 from trainid_ros.monitor.view import Level
 from trainid_ros.records import INPUT_TOPICS
 from trainid_ros.ros.node import creation_of
@@ -86,6 +87,7 @@ class TrainMonitor(Node):
         self.trains = Trains()
         self._wanted = wanted
         self._looked_s = 0.0
+        self._listening: dict[str, list[Any]] = {}
         self.create_subscription(
             DiagnosticArray,
             '/diagnostics',
@@ -127,37 +129,42 @@ class TrainMonitor(Node):
 
     def _look(self) -> None:
         found = self._found()
+        for namespace in self.trains.drop_ended(found, time.monotonic()):
+            for subscription in self._listening.pop(namespace):
+                self.destroy_subscription(subscription)
         for namespace in sorted(found if self._wanted is None else found & {self._wanted}):
             if namespace not in self.trains.by_namespace:
                 self._subscribe(namespace)
         for namespace, train in self.trains.by_namespace.items():
-            train.on_publishers({topic.name: self._publishing(_full(namespace, topic.name)) for topic in _TOPICS})
+            train.on_publishers({name: self._publishing(_full(namespace, name), kind) for name, kind in _TYPES.items()})
 
-    def _publishing(self, topic: str) -> tuple[str, ...]:
+    def _publishing(self, topic: str, kind: str) -> tuple[str, ...]:
+        """Return the nodes that publish a topic, with their type if it is not the one whose messages arrive."""
         infos = self.get_publishers_info_by_topic(topic)
-        return tuple(sorted({f'{info.node_namespace.rstrip("/")}/{info.node_name}' for info in infos}))
+        nodes = {(_full(info.node_namespace, info.node_name), info.topic_type) for info in infos}
+        return tuple(name if found == kind else f'{name} (of type {found})' for name, found in sorted(nodes))
 
     def _subscribe(self, namespace: str) -> None:
         train = self.trains.add(namespace)
-        for given in INPUT_TOPICS:
-            self._listen(namespace, given, input_qos(), partial(_on_input, train, given))
-        for made in OUTPUT_TOPICS:
-            self._listen(namespace, made, estimate_qos(), partial(train.on_estimate, made))
+        given = [
+            self._listen(namespace, topic, input_qos(), partial(_on_input, train, topic)) for topic in INPUT_TOPICS
+        ]
+        made = [
+            self._listen(namespace, topic, estimate_qos(), partial(self._on_estimate, train, topic))
+            for topic in OUTPUT_TOPICS
+        ]
+        self._listening[namespace] = [*given, *made]
 
     def _listen(
-        self,
-        namespace: str,
-        topic: InputTopic | OutputTopic,
-        profile: QoSProfile,
-        receive: Callable[[Any, float], None],
-    ) -> None:
-        self.create_subscription(
-            message_class(topic),
-            _full(namespace, topic.name),
-            lambda message: receive(message, time.monotonic()),
-            profile,
-            event_callbacks=NO_SUBSCRIPTION_EVENTS,
+        self, namespace: str, topic: InputTopic | OutputTopic, profile: QoSProfile, receive: Callable[[Any], None]
+    ) -> Any:
+        name = _full(namespace, topic.name)
+        return self.create_subscription(
+            message_class(topic), name, receive, profile, event_callbacks=NO_SUBSCRIPTION_EVENTS
         )
+
+    def _on_estimate(self, train: Train, topic: OutputTopic, message: Any) -> None:
+        train.on_estimate(topic, message, time.monotonic(), self.get_clock().now().nanoseconds)
 
     def _on_diagnostics(self, array: Any) -> None:
         now_s = time.monotonic()
@@ -167,8 +174,8 @@ class TrainMonitor(Node):
             self.trains.on_diagnostics(status.name, Report(level, status.message, values, now_s))
 
 
-def _on_input(train: Train, topic: InputTopic, message: Any, now_s: float) -> None:
-    train.on_input(topic, record_from_message(topic, message), now_s)
+def _on_input(train: Train, topic: InputTopic, message: Any) -> None:
+    train.on_input(topic, record_from_message(topic, message), time.monotonic())
 
 
 def _full(namespace: str, topic: str) -> str:

@@ -4,10 +4,12 @@
 from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any, Final
+from uuid import uuid4
 
 import numpy as np
 
 from trainid_ros.errors import InputError
+from trainid_ros.fleet.files import write_whole
 from trainid_ros.view.telemetry import switch_off
 
 if TYPE_CHECKING:
@@ -58,17 +60,22 @@ def write_recording(tracks: Tracks, title: str, path: Path) -> None:
     switch_off()
     import rerun as rr  # noqa: PLC0415 - optional, and its telemetry must be off first
 
-    stream = rr.RecordingStream('trainid', recording_id=title)
+    # Rerun merges recordings of the same id, as those of two bags of one name would have.
+    stream = rr.RecordingStream('trainid', recording_id=f'{title} {uuid4()}')
+    # Through memory: where Rerun cannot write a file it prints lines of its own and leaves half of it.
+    memory = stream.memory_recording()
+    stream.send_recording_name(title)
+    stream.send_blueprint(_layout(tracks))
+    _Writer(stream, time_range(tracks)[0]).write(tracks)
+    stream.flush()
+    content = memory.drain_as_bytes()
+    stream.disconnect()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        path.touch()
-        stream.save(path, default_blueprint=_layout(tracks))
     except OSError as error:
-        msg = f'{path}: cannot be written: {error.strerror or error}'
+        msg = f'{path}: cannot be written ({error.strerror})'
         raise InputError(msg) from None
-    _Writer(stream, _begin_ns(tracks)).write(tracks)
-    stream.flush()
-    stream.disconnect()
+    write_whole(path, lambda part: part.write_bytes(content))
 
 
 class _Writer:
@@ -86,7 +93,7 @@ class _Writer:
             series = tracks.inputs[name]
             self._line(f'inputs/{name}', series.stamps, np.array(series.values), title, _BLUE)
         for name in tracks.estimates:
-            self._band(f'estimates/{_path(name)}', *tracks.values(name))
+            self._band(f'estimates/{_path(name)}', tracks.title(name), tracks.series(name))
             self._states(f'status/{_path(name)}', tracks.status[name].changes)
             self._states(f'samples/{_path(name)}', tracks.rejected[name].changes)
         levels = ['ERROR' if event.is_bad else 'INFO' for event in tracks.events]
@@ -131,7 +138,8 @@ def _layout(tracks: Tracks) -> Any:
     import rerun.blueprint as rrb  # noqa: PLC0415 - as above
 
     # Linked axes would begin with a minute around the cursor.
-    whole = rrb.TimeRange(_boundary(0), _boundary(_end_ns(tracks) - _begin_ns(tracks)))
+    begin_ns, end_ns = time_range(tracks)
+    whole = rrb.TimeRange(_boundary(0), _boundary(end_ns - begin_ns))
     axis = rrb.TimeAxis(view_range=whole, link='Independent')
     legend = rrb.PlotLegend(visible=False)
     inputs = [
@@ -141,7 +149,7 @@ def _layout(tracks: Tracks) -> Any:
     estimates = [
         rrb.TimeSeriesView(
             origin=f'estimates/{_path(name)}',
-            name=f'{tracks.values(name)[0]}, ± 2 std',
+            name=f'{tracks.title(name)}, ± 2 std',
             axis_x=axis,
             plot_legend=legend,
         )
@@ -168,17 +176,10 @@ def _boundary(time_ns: int) -> Any:
     return rr.TimeRangeBoundary.absolute(seconds=time_ns * 1e-9)
 
 
-def _stamps(tracks: Tracks) -> list[int]:
-    first_last = [series.stamps[index] for series in tracks.inputs.values() if series.stamps for index in (0, -1)]
-    return first_last or [0]
-
-
-def _begin_ns(tracks: Tracks) -> int:
-    return min(_stamps(tracks))
-
-
-def _end_ns(tracks: Tracks) -> int:
-    return max(_stamps(tracks))
+def time_range(tracks: Tracks) -> tuple[int, int]:
+    """Return the earliest and the latest stamp of the inputs [ns]; where stamps jump back, not those at the ends."""
+    seen = [series.stamps for series in tracks.inputs.values() if series.stamps]
+    return min(map(min, seen), default=0), max(map(max, seen), default=0)
 
 
 def _path(name: str) -> str:

@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.bag.plausible_stamps import PlausibleStamps
 from trainid_ros.messages import output_topic
-from trainid_ros.monitor.shown_estimates import KMH, SHOWN
-from trainid_ros.records import BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
+from trainid_ros.monitor.shown_estimates import SHOWN
+from trainid_ros.records import KM_H, BrakeRecord, ForceRecord, GradientRecord, SpeedRecord
 
 if TYPE_CHECKING:
     from trainid_ros.bag.bag_replay import AnyOutput, Pipelines
@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from trainid_ros.records import Record
 
 _SHOWN: Final = {item.topic.name: item for item in SHOWN}
+_BY_NAME: Final = {item.name: item for item in SHOWN}
 USED: Final = 'used'
 
 
@@ -113,27 +114,30 @@ class Tracks:
         self.events.append(Event(stamp_ns, bool(finding), text))
         self._finding = finding
 
-    def values(self, name: str) -> tuple[str, Series]:
-        """Return what is shown of an estimate, and its value and standard deviation over time.
+    def title(self, name: str) -> str:
+        """Return what is shown of an estimate, with its unit."""
+        if not self.estimates[name]:
+            return name
+        shown, newest = _BY_NAME[name], self.estimates[name][-1][1]
+        unit = f' [{shown.unit}]' if shown.unit else ''
+        return f'{name}: {shown.quantity(newest)}{unit}'
+
+    def series(self, name: str) -> Series:
+        """Return value and standard deviation of an estimate over time.
 
         A resistance is shown at the middle of the speeds learned from at the end.
         """
-        shown = next(item for item in SHOWN if item.name == name)
         series = Series()
-        if not self.estimates[name]:
-            return name, series
-        newest = self.estimates[name][-1][1]
         for stamp_ns, estimate in self.estimates[name]:
-            series.add(stamp_ns, *shown.value(estimate, newest))
-        unit = f' [{shown.unit}]' if shown.unit else ''
-        return f'{name}: {shown.quantity(newest)}{unit}', series
+            series.add(stamp_ns, *_BY_NAME[name].value(estimate, self.estimates[name][-1][1]))
+        return series
 
 
 def _number(record: Record) -> tuple[str, float] | None:
     """Return the name and the number of an input in the unit of the plots, None for others."""
     match record:
         case SpeedRecord():
-            return 'speed', KMH * record.speed
+            return 'speed', KM_H * record.speed
         case ForceRecord():
             return 'force', record.force / 1000.0
         case GradientRecord():

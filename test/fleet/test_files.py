@@ -1,0 +1,32 @@
+# SPDX-License-Identifier: Apache-2.0
+"""Files are written as a whole."""
+
+from __future__ import annotations
+
+import errno
+from pathlib import Path
+
+import pytest
+
+from trainid_ros.errors import InputError
+from trainid_ros.fleet.files import write_whole
+
+
+def test_a_full_disk_leaves_the_old_file_alone(tmp_path: Path) -> None:
+    path = tmp_path / 'table.csv'
+    path.write_text('old', encoding='utf-8')
+
+    def write(part: Path) -> None:
+        part.write_text('half of', encoding='utf-8')
+        raise OSError(errno.ENOSPC, 'No space left on device')
+
+    with pytest.raises(InputError, match=r'table.csv: cannot be written \(No space left on device\)'):
+        write_whole(path, write)
+    assert [item.name for item in tmp_path.iterdir()] == ['table.csv']
+    assert path.read_text(encoding='utf-8') == 'old'
+
+
+def test_a_folder_that_is_a_file_is_named(tmp_path: Path) -> None:
+    (tmp_path / 'file').touch()
+    with pytest.raises(InputError, match=r'x\.csv: cannot be written'):
+        write_whole(tmp_path / 'file' / 'x.csv', lambda part: part.write_bytes(b'x'))
