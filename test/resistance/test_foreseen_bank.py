@@ -11,12 +11,10 @@ from trainid_ros.resistance.foreseen_bank import foreseen_mixtures, mean_covaria
 from trainid_ros.resistance.hypotheses import Bank, Mixture
 from trainid_ros.resistance.planned_drive import KM_H, Manoeuvre, Run, plan_run
 from trainid_ros.resistance.resistance_settings import FilterBankConfig
-from trainid_ros.results import ResistanceEstimate
 from trainid_ros.train.davis import specific_inertia
 from trainid_ros.train.train_file import Davis, Train, TrainFile
 
 FILE = TrainFile(Train(194e3, length=118.0, cars=6), Davis(1.0, 0.03, 0.003))
-NOW = ResistanceEstimate(1.0, 0.03, 0.003, (0.0,) * 9, *(0.0,) * 8, 0.0)
 VARIANCES = 1e-4, 1e-4
 FIRST = 5
 
@@ -26,7 +24,7 @@ def bank() -> Bank:
 
 
 def run() -> Run:
-    planned = plan_run(Manoeuvre(60.0 * KM_H, 40.0 * KM_H), FILE, NOW)
+    planned = plan_run(Manoeuvre(60.0 * KM_H, 40.0 * KM_H), FILE, FILE.resistance)
     assert planned is not None
     return planned
 

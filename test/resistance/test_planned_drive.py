@@ -8,15 +8,12 @@ from dataclasses import replace
 import pytest
 
 from trainid_ros.resistance.planned_drive import KM_H, STEP_S, Manoeuvre, plan_run, planned_runs, top_speed
-from trainid_ros.results import ResistanceEstimate
 from trainid_ros.train.train_file import Davis, Line, Train, TrainFile
 
 FILE = TrainFile(Train(200e3, max_speed=80.0 * KM_H), Davis(2.0, 0.02, 0.004))
 
 
-def known(scale: float = 1.0) -> ResistanceEstimate:
-    nothing = (0.0,) * 9
-    return ResistanceEstimate(2.0, 0.02, 0.004, nothing, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 5.0, 15.0, 0.0, scale)
+DAVIS = FILE.resistance
 
 
 @pytest.mark.parametrize(
@@ -33,7 +30,7 @@ def test_words(manoeuvre: Manoeuvre, text: str) -> None:
 
 
 def test_coasting_follows_the_resistance() -> None:
-    run = plan_run(Manoeuvre(70 * KM_H, 50 * KM_H), FILE, known())
+    run = plan_run(Manoeuvre(70 * KM_H, 50 * KM_H), FILE, DAVIS)
     assert run is not None
     coasting = [step for step in run.steps if step.traction == 0.0]
     # Mean deceleration at 60 km/h: w g / 1000 / (1 + gamma), and its duration over 20 km/h
@@ -44,7 +41,7 @@ def test_coasting_follows_the_resistance() -> None:
 
 
 def test_a_held_speed_is_held() -> None:
-    run = plan_run(Manoeuvre(50 * KM_H, 50 * KM_H, 60.0), FILE, known(scale=0.9))
+    run = plan_run(Manoeuvre(50 * KM_H, 50 * KM_H, 60.0), FILE, DAVIS, force_scale=0.9)
     assert run is not None
     held = run.steps[-round(60.0 / STEP_S) + 5 :]
     assert all(step.speed == pytest.approx(50 * KM_H, abs=1.0) for step in held)
@@ -54,27 +51,25 @@ def test_a_held_speed_is_held() -> None:
 
 def test_a_drive_that_takes_too_long_is_not_planned() -> None:
     slow = replace(FILE, resistance=Davis(0.1, 0.0, 0.0))
-    now = known()
-    now.a, now.b, now.c = 0.1, 0.0, 0.0
-    assert plan_run(Manoeuvre(70 * KM_H, 20 * KM_H), slow, now) is None
+    assert plan_run(Manoeuvre(70 * KM_H, 20 * KM_H), slow, slow.resistance) is None
 
 
 def test_a_train_too_weak_for_the_speed_is_not_planned() -> None:
     weak = replace(FILE, train=replace(FILE.train, max_traction_power=10e3))
-    assert plan_run(Manoeuvre(70 * KM_H, 50 * KM_H), weak, known()) is None
+    assert plan_run(Manoeuvre(70 * KM_H, 50 * KM_H), weak, DAVIS) is None
 
 
 def test_runs_fit_on_the_line() -> None:
     limited = replace(FILE, line=Line(stops=(0.0, 800.0, 2300.0), speed_limit=((0.0, 40 * KM_H), (500.0, 60 * KM_H))))
     assert top_speed(limited) == pytest.approx(60 * KM_H)
-    runs = list(planned_runs(limited, known()))
+    runs = list(planned_runs(limited, DAVIS))
     assert runs
     assert all(run.length_m <= 1500.0 and run.manoeuvre.start <= 60 * KM_H + 1e-9 for run in runs)
-    assert len(list(planned_runs(FILE, known()))) > len(runs)
+    assert len(list(planned_runs(FILE, DAVIS))) > len(runs)
 
 
 def test_nothing_is_learned_before_the_brake_is_released() -> None:
-    run = plan_run(Manoeuvre(70 * KM_H, 50 * KM_H), FILE, known())
+    run = plan_run(Manoeuvre(70 * KM_H, 50 * KM_H), FILE, DAVIS)
     assert run is not None
     assert run.steps[run.first_learned(0.0, 2.0)].speed >= 2.0 > run.steps[run.first_learned(0.0, 2.0) - 1].speed
     assert run.first_learned(8.0, 2.0) == round(8.0 / STEP_S)
@@ -85,6 +80,6 @@ def test_a_run_keeps_to_the_speed_limits_where_they_hold() -> None:
     """Fast for 100 m in the middle of 4 km: there is no room to drive fast."""
     limits = ((0.0, 10.0), (2000.0, 25.0), (2100.0, 10.0))
     tight = replace(FILE, line=Line(stops=(0.0, 4000.0), speed_limit=limits))
-    assert all(max(step.speed for step in run.steps) < 10.6 for run in planned_runs(tight, known()))
+    assert all(max(step.speed for step in run.steps) < 10.6 for run in planned_runs(tight, DAVIS))
     wide = replace(tight, line=replace(tight.line, speed_limit=((0.0, 10.0), (1000.0, 25.0))))
-    assert any(max(step.speed for step in run.steps) > 15.0 for run in planned_runs(wide, known()))
+    assert any(max(step.speed for step in run.steps) > 15.0 for run in planned_runs(wide, DAVIS))

@@ -16,7 +16,6 @@ from typing import TYPE_CHECKING, Final
 import numpy as np
 
 from trainid_ros.resistance.planned_drive import KM_H, STEP_S, Manoeuvre, plan_run, planned_runs
-from trainid_ros.results import ResistanceEstimate
 from trainid_ros.train.davis import specific_inertia
 from trainid_ros.train.effects import EFFECTS, TrackPoint
 
@@ -94,9 +93,8 @@ def distinguishing_drive(name: str, parameters: Mapping[str, float], twin: str, 
 
 
 def _runs(train_file: TrainFile, davis: Davis) -> Iterator[Run]:
-    now = ResistanceEstimate(davis.a, davis.b, davis.c, (0.0,) * 9, *(0.0,) * 8, 0.0)
-    slow = (plan_run(Manoeuvre(v, v, _SLOW_S), train_file, now) for v in _SLOW)
-    return chain(planned_runs(train_file, now), (run for run in slow if run is not None))
+    slow = (plan_run(Manoeuvre(v, v, _SLOW_S), train_file, davis) for v in _SLOW)
+    return chain(planned_runs(train_file, davis), (run for run in slow if run is not None))
 
 
 def _typical(kind: EffectKind) -> dict[str, float] | None:

@@ -13,6 +13,7 @@ from trainid_ros.bag.opening_progress import in_two
 from trainid_ros.bag.worker_pool import killed_message
 from trainid_ros.brake_rate.brake_rate_estimator import BrakeRateEstimator
 from trainid_ros.errors import TrainIdError
+from trainid_ros.estimators.observability import resistance_std
 from trainid_ros.fleet.columns import SPEEDS, Row, empty_row, reason_column, share_column
 from trainid_ros.fleet.labels import LABELS, day_of
 from trainid_ros.fleet.odometer import OdometerReader
@@ -137,9 +138,7 @@ def _davis(w: ResistanceEstimate) -> Row:
     for i, name in enumerate('abc'):
         row[f'{name}_std'] = math.sqrt(max(0.0, w.covariance[4 * i]))
     for v in SPEEDS:
-        phi = (1.0, float(v), float(v * v))
-        variance = math.fsum(phi[i] * phi[j] * w.covariance[3 * i + j] for i in range(3) for j in range(3))
-        row[f'w{v}'], row[f'w{v}_std'] = w.a + w.b * v + w.c * v * v, math.sqrt(max(0.0, variance))
+        row[f'w{v}'], row[f'w{v}_std'] = w.a + w.b * v + w.c * v * v, resistance_std(w.covariance, v)
     for name in ('force_scale', 'force_scale_std', 'force_delay', 'force_delay_std'):
         row[name] = _known(getattr(w, name))
     return row

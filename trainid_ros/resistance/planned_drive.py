@@ -13,14 +13,13 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
-from trainid_ros.results import ResistanceEstimate
 from trainid_ros.train.davis import specific_force, specific_inertia
 from trainid_ros.train.line import LineProfile
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from trainid_ros.train.train_file import TrainFile
+    from trainid_ros.train.train_file import Davis, TrainFile
 
 KM_H: Final = 1.0 / 3.6
 """One kilometre per hour [m/s]."""
@@ -119,21 +118,19 @@ class Run:
         return next(fast, len(self.steps))
 
 
-def planned_runs(train_file: TrainFile, now: ResistanceEstimate) -> Iterator[Run]:
-    """Yield runs that fit on the line, at the speeds that train and line allow."""
+def planned_runs(train_file: TrainFile, davis: Davis, force_scale: float = 1.0) -> Iterator[Run]:
+    """Yield runs that fit on the line, at the speeds that train and line allow; arguments as in :func:`plan_run`."""
     for manoeuvre in _manoeuvres(top_speed(train_file)):
-        run = plan_run(manoeuvre, train_file, now)
+        run = plan_run(manoeuvre, train_file, davis, force_scale)
         if run is not None and len(run.steps) * STEP_S >= _SHORTEST_S and _fits(run, train_file):
             yield run
 
 
 def planned_brakings(train_file: TrainFile) -> Iterator[Run]:
     """Yield runs that fit on the line, for the braking to the stop; resistance as in the train file."""
-    davis = train_file.resistance
-    now = ResistanceEstimate(davis.a, davis.b, davis.c, (0.0,) * 9, *(0.0,) * 8, 0.0)
     for share in _STARTS:
         start = _round(share * top_speed(train_file))
-        run = plan_run(Manoeuvre(start, start, braking=-DECELERATION), train_file, now)
+        run = plan_run(Manoeuvre(start, start, braking=-DECELERATION), train_file, train_file.resistance)
         if run is not None and _fits(run, train_file):
             yield run
 
@@ -182,21 +179,29 @@ def _round(speed: float) -> float:
     return round(speed / (5.0 * KM_H)) * 5.0 * KM_H
 
 
-def plan_run(manoeuvre: Manoeuvre, train_file: TrainFile, now: ResistanceEstimate) -> Run | None:
-    """Return a run; None if the train does not do it within a practicable time."""
-    train = train_file.train
-    m, scale = specific_inertia(1.0, train.rotary_mass), 1.0 if math.isnan(now.force_scale) else now.force_scale
+def plan_run(manoeuvre: Manoeuvre, train_file: TrainFile, davis: Davis, force_scale: float = 1.0) -> Run | None:
+    """Return a run; None if the train does not do it within a practicable time.
+
+    Args:
+        manoeuvre: What the driver does.
+        train_file: Train and line.
+        davis: Resistance.
+        force_scale: Actual over reported traction [1].
+
+    """
+    train, scale = train_file.train, force_scale
+    m = specific_inertia(1.0, train.rotary_mass)
     v = traction = length = held_s = 0.0
     steps: list[Step] = []
     reached = False
     while not (reached and manoeuvre.is_over(v, held_s)):
-        w = now.a + v * (now.b + v * now.c)
+        w = davis.a + v * (davis.b + v * davis.c)
         reached = reached or v >= manoeuvre.start
         held_s += STEP_S if reached else 0.0
         most = min(train.max_traction_force, train.max_traction_power / max(v, 0.1))
         full = min(specific_force(most, train.mass), (m * ACCELERATION + w) / scale)
-        coasting = w / scale if manoeuvre.held_s > 0.0 else 0.0
-        change = min(max((coasting if reached else full) - traction, -JERK * m * STEP_S), JERK * m * STEP_S)
+        afterwards = w / scale if manoeuvre.held_s > 0.0 else 0.0
+        change = min(max((afterwards if reached else full) - traction, -JERK * m * STEP_S), JERK * m * STEP_S)
         mean, traction, before = traction + 0.5 * change, traction + change, v
         v = max(0.0, v + STEP_S / m * (scale * mean - w))
         length += 0.5 * (before + v) * STEP_S

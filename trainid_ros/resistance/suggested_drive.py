@@ -10,12 +10,14 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING, Any, Final, TypeAlias
+from operator import attrgetter
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
 from trainid_ros.estimators.observability import SEEN_SHARE, resistance_std
 from trainid_ros.resistance.filter_bank import FilterBank
 from trainid_ros.resistance.planned_drive import KM_H, planned_runs, top_speed
 from trainid_ros.resistance.vmils import VMils
+from trainid_ros.train.train_file import Davis
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator, Sequence
@@ -107,7 +109,7 @@ class SuggestedDrive:
 
     @property
     def numbers(self) -> dict[str, object]:
-        """The drive for JSON: the text, speeds [m/s], command [m/s^2], times [s], length [m], standard deviations."""
+        """The drive for JSON: the text, speeds [m/s], command [m/s^2], number of runs, times [s], length [m], stds."""
         manoeuvre, promise = self.run.manoeuvre, self.least_known
         return {
             'text': self.text,
@@ -123,7 +125,17 @@ class SuggestedDrive:
         }
 
 
-_Drive: TypeAlias = 'tuple[Run, int, tuple[Promise, ...]]'
+class _Candidate(NamedTuple):
+    """A run, how often it is driven, and what that promises."""
+
+    run: Run
+    times: int
+    promises: tuple[Promise, ...]
+
+    @property
+    def duration_s(self) -> float:
+        """Duration without dwells [s]."""
+        return self.times * self.run.duration_s
 
 
 def _stds(promise: Promise) -> dict[str, object]:
@@ -154,14 +166,12 @@ def drive_search(
 ) -> DriveSearch:
     """Return the search of :func:`suggested_drive`."""
     if not isinstance(estimator, FilterBank | VMils) or not now.speed_max > 0.0:
-        return DriveSearch((), now, (), _nothing)
+        return DriveSearch.empty(now)
     config = estimator.config
     quantities = tuple(_quantities(train_file, prior, now, config.valid_std, config.valid_share))
-    return DriveSearch(quantities, now, planned_runs(train_file, now), estimator.foreseen)
-
-
-def _nothing(_run: Run, _times: int) -> Iterator[None]:
-    return iter(())
+    scale = 1.0 if math.isnan(now.force_scale) else now.force_scale
+    runs = planned_runs(train_file, Davis(now.a, now.b, now.c), scale)
+    return DriveSearch(quantities, now, runs, estimator.foreseen)
 
 
 class DriveSearch:
@@ -192,7 +202,12 @@ class DriveSearch:
         self._quantities, self._now, self._foresee = quantities, now, foresee
         is_known = all(wanted.std(now) <= wanted.limit for wanted in quantities)
         self._runs = iter(()) if is_known else iter(runs)
-        self._drives: list[_Drive] = []
+        self._drives: list[_Candidate] = []
+
+    @classmethod
+    def empty(cls, now: object) -> DriveSearch:
+        """Return a search that finds nothing."""
+        return cls((), now, (), lambda _run, _times: iter(()))
 
     def finish(self) -> SuggestedDrive | None:
         """Search to the end; return the result."""
@@ -209,17 +224,17 @@ class DriveSearch:
                     times += 1
                     self._promise(run, times, then)
                 yield
-        best = _shortest(sorted(self._drives, key=lambda drive: drive[1] * drive[0].duration_s))
+        best = _shortest(sorted(self._drives, key=attrgetter('duration_s')))
         helps = best is not None and best.least_known.then < _HELPS * best.least_known.now
         self.result = best if helps else None
 
     def _promise(self, run: Run, times: int, then: object) -> None:
         promises = tuple(Promise(wanted, wanted.std(self._now), wanted.std(then)) for wanted in self._quantities)
         if not any(promise.is_worse for promise in promises):
-            self._drives.append((run, times, promises))
+            self._drives.append(_Candidate(run, times, promises))
 
 
-def _shortest(drives: Sequence[_Drive]) -> SuggestedDrive | None:
+def _shortest(drives: Sequence[_Candidate]) -> SuggestedDrive | None:
     """Return the best of the drives, shortest first: a longer one must be better.
 
     What counts is the quantity that is least known after the drive, of those that at least one drive makes known; or
@@ -227,19 +242,19 @@ def _shortest(drives: Sequence[_Drive]) -> SuggestedDrive | None:
     """
     if not drives:
         return None
-    first = drives[0][2]
-    reached = [k for k in range(len(first)) if min(promises[k].ratio for _, _, promises in drives) <= 1.0]
+    first = drives[0].promises
+    reached = [k for k in range(len(first)) if min(drive.promises[k].ratio for drive in drives) <= 1.0]
     unknown = [k for k, item in enumerate(first) if item.before > 1.0]
     counted = reached if set(reached) & set(unknown) else unknown
     best, least = drives[0], math.inf
     for drive in drives:
-        ratio = max(drive[2][k].ratio for k in counted)
+        ratio = max(drive.promises[k].ratio for k in counted)
         if ratio < (1.0 - _WORTH) * least:
             best, least = drive, ratio
         if least <= 1.0:
             break
-    run, times, promises = best
-    return SuggestedDrive(run, times, max((promises[k] for k in counted), key=lambda item: item.before), promises)
+    least_known = max((best.promises[k] for k in counted), key=attrgetter('before'))
+    return SuggestedDrive(best.run, best.times, least_known, best.promises)
 
 
 def _quantities(
