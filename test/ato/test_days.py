@@ -34,6 +34,20 @@ def test_sudden_changes_of_the_brake_are_in_the_scenario() -> None:
         assert set(plan.events_s) <= {change.time_s for change in changes}
 
 
+def test_only_the_train_itself_has_a_rate_over_speed_that_is_not_stated() -> None:
+    plain, shaped = (plan_day('metro', 4, np.random.default_rng(7), shaped=shaped) for shaped in (False, True))
+    assert shaped.case.stated == plain.case.stated
+    assert shaped.events_s == plain.events_s
+    tables = [
+        plan_day('emu', 2, np.random.default_rng(seed), shaped=True).case.scenario.train_file.brake.rate_table
+        for seed in range(200)
+    ]
+    rates = np.array([[rate for _, rate in table] for table in tables])
+    assert np.std(rates[:, -1] - rates[:, 0]) == pytest.approx(0.08, rel=0.2)
+    assert np.std(rates[:, 1] - 0.5 * (rates[:, 0] + rates[:, 2])) == pytest.approx(0.06, rel=0.2)
+    assert np.allclose(rates[:, 0] + rates[:, -1], 2.0)
+
+
 def test_an_unknown_world_is_named() -> None:
     with pytest.raises(InputError, match='maglev'):
         plan_day('maglev', 4, np.random.default_rng(1))

@@ -2,7 +2,8 @@
 """Random days on which controllers of different knowledge drive the same train over the same line.
 
 A day has what the train file does not know: another resistance, load at each stop, gusts, errors of map, wheels, mass,
-force and brake timing, pads that wear, rain, one brake unit that is isolated, a brake that fades when it is hot.
+force and brake timing, pads that wear, rain, one brake unit that is isolated, a brake that fades when it is hot. Its
+brake rate may also change over speed.
 """
 
 from __future__ import annotations
@@ -47,6 +48,10 @@ _RAIN_RATE: Final = (0.85, 0.95)
 _RAIN_DRAG: Final = (1.0, 1.2)
 _ISOLATED: Final = 0.3
 _WHEN: Final = (0.15, 0.85)
+# Brake rate over speed: change from standstill to full speed, and at the changeover between brakes [1]; its speed [m/s].
+_SLOPE_STD: Final = 0.08
+_BLEND_STD: Final = 0.06
+_BLEND_SPEED: Final = 2.5
 # Fade of the hot brake: loss [1], and heat at which it is reached [J/kg].
 _FADE: Final = (0.0, 0.1)
 _FADE_ENERGY: Final = 400.0
@@ -124,8 +129,14 @@ class Drive:
         return np.array([arrival.error for arrival in self.arrivals])
 
 
-def plan_day(world_name: str, runs: int, rng: np.random.Generator) -> DayPlan:
+def plan_day(world_name: str, runs: int, rng: np.random.Generator, *, shaped: bool = False) -> DayPlan:
     """Draw a day of a world.
+
+    Args:
+        world_name: Name of the world.
+        runs: Number of runs from stop to stop.
+        rng: Random generator.
+        shaped: Whether the brake rate also changes over speed, by as much as the estimators expect.
 
     Raises:
         InputError: There is no such world.
@@ -136,8 +147,18 @@ def plan_day(world_name: str, runs: int, rng: np.random.Generator) -> DayPlan:
     fade = Effect('brake_fade', (('loss', float(rng.uniform(*_FADE))), ('energy', _FADE_ENERGY)))
     case = make_case(world, file, _UNKNOWNS, runs, rng, (fade,))
     duration = usual_duration(world, file.line.stops, runs)
-    changes, events = _changes(case.scenario.train_file.resistance, file.train.cars, duration, rng)
-    return DayPlan(world, replace(case, scenario=replace(case.scenario, changes=changes)), events)
+    true = case.scenario.train_file
+    changes, events = _changes(true.resistance, file.train.cars, duration, rng)
+    if shaped:
+        true = replace(true, brake=replace(true.brake, rate_table=_rate_over_speed(true.train.max_speed, rng)))
+    return DayPlan(world, replace(case, scenario=replace(case.scenario, train_file=true, changes=changes)), events)
+
+
+def _rate_over_speed(max_speed: float, rng: np.random.Generator) -> tuple[tuple[float, float], ...]:
+    """Return a brake rate over speed [m/s] that no train file states; at half the maximum speed it is 1."""
+    slope, blend = (float(std * rng.standard_normal()) for std in (_SLOPE_STD, _BLEND_STD))
+    speeds = (0.0, _BLEND_SPEED, 2.0 * _BLEND_SPEED, max_speed)
+    return tuple((v, 1.0 + slope * (v / max_speed - 0.5) + blend * (v == _BLEND_SPEED)) for v in speeds)
 
 
 def _changes(
