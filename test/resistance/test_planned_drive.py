@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from trainid_ros.resistance.planned_drive import KM_H, STEP_S, Manoeuvre, plan_run, planned_runs, top_speed
-from trainid_ros.train.train_file import Davis, Line, Train, TrainFile
+from trainid_ros.train.train_file import Brake, Davis, Line, Train, TrainFile
 
 FILE = TrainFile(Train(200e3, max_speed=80.0 * KM_H), Davis(2.0, 0.02, 0.004))
 
@@ -47,6 +47,20 @@ def test_a_held_speed_is_held() -> None:
     assert all(step.speed == pytest.approx(50 * KM_H, abs=1.0) for step in held)
     braked, accelerated = (50 * KM_H) ** 2 / (2.0 * 0.6), (50 * KM_H) ** 2 / (2.0 * 0.9)
     assert run.length_m == pytest.approx(60.0 * 50 * KM_H + braked + accelerated, rel=0.1)
+
+
+@pytest.mark.parametrize('brake', [Brake(), Brake(delay=3.3, time_constant=1.0), Brake(rate=0.7)])
+def test_the_braking_takes_as_long_as_the_brake_of_the_train_file(brake: Brake) -> None:
+    free = Davis(0.0, 0.0, 0.0)
+    manoeuvre, file = Manoeuvre(60 * KM_H, 60 * KM_H), replace(FILE, brake=brake, resistance=free)
+    run, sudden = (
+        plan_run(manoeuvre, replace(file, brake=each), free) for each in (brake, Brake(delay=0.0, time_constant=0.0))
+    )
+    assert run is not None is not sudden
+    v, lost_s = sudden.steps[-1].speed, brake.delay + brake.time_constant
+    more = v * lost_s + 0.5 * v * v / 0.6 * (1.0 / brake.rate - 1.0)
+    assert run.length_m - sudden.length_m == pytest.approx(more, abs=2.0 + 0.04 * more)
+    assert run.duration_s - sudden.duration_s == pytest.approx(lost_s + v / 0.6 * (1.0 / brake.rate - 1.0), abs=1.0)
 
 
 def test_a_drive_that_takes_too_long_is_not_planned() -> None:

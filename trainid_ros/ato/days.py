@@ -48,7 +48,7 @@ _RAIN_RATE: Final = (0.85, 0.95)
 _RAIN_DRAG: Final = (1.0, 1.2)
 _ISOLATED: Final = 0.3
 _WHEN: Final = (0.15, 0.85)
-# Brake rate over speed: change from standstill to full speed, and at the changeover between brakes [1]; its speed [m/s].
+# Change of the brake rate from standstill to full speed, and at the changeover between brakes [1]; its speed [m/s].
 _SLOPE_STD: Final = 0.08
 _BLEND_STD: Final = 0.06
 _BLEND_SPEED: Final = 2.5

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import TYPE_CHECKING, Final
 
+from trainid_ros.train.brake import lag_response
 from trainid_ros.train.davis import specific_force, specific_inertia
 from trainid_ros.train.line import LineProfile
 
@@ -25,7 +26,7 @@ KM_H: Final = 1.0 / 3.6
 """One kilometre per hour [m/s]."""
 STEP_S: Final = 0.4
 """Duration of a step of a plan [s]."""
-# Traction of a service start: limits of acceleration [m/s^2] and jerk [m/s^3]; and the deceleration to the stop.
+# Traction of a service start: limits of acceleration [m/s^2] and jerk [m/s^3]. Brake command to the stop [m/s^2].
 ACCELERATION: Final = 0.9
 JERK: Final = 0.8
 DECELERATION: Final = 0.6
@@ -208,5 +209,23 @@ def plan_run(manoeuvre: Manoeuvre, train_file: TrainFile, davis: Davis, force_sc
         steps.append(Step(v, mean, change / STEP_S))
         if len(steps) * STEP_S > _LONGEST_S or (v == 0.0 and reached):
             return None
-    braked_s = v / DECELERATION
-    return Run(manoeuvre, tuple(steps), len(steps) * STEP_S + braked_s, length + 0.5 * v * braked_s)
+    braking = _braking(v, train_file, davis)
+    if braking is None:
+        return None
+    return Run(manoeuvre, tuple(steps), len(steps) * STEP_S + braking[0], length + braking[1])
+
+
+def _braking(v: float, train_file: TrainFile, davis: Davis) -> tuple[float, float] | None:
+    """Return time [s] and length [m] of the braking to a stop from a speed [m/s]; None if it takes too long."""
+    brake, m = train_file.brake, specific_inertia(1.0, train_file.train.rotary_mass)
+    time_s = length = target = 0.0
+    while v > 0.0:
+        command = -DECELERATION if time_s >= brake.delay else 0.0
+        target = lag_response(target, command, brake.time_constant, STEP_S)
+        before, w = v, davis.a + v * (davis.b + v * davis.c)
+        v = max(0.0, v + STEP_S * (brake.rate_at(v) * target - w / m))
+        length += 0.5 * (before + v) * STEP_S
+        time_s += STEP_S
+        if time_s > _LONGEST_S:
+            return None
+    return time_s, length
