@@ -149,7 +149,9 @@ def _stops(chosen: Chosen) -> Table:
         'fast, with that rate. Errors of the stops, > 0 beyond them; p95 of their size. Brake steady: within .30 m, of '
         'the stops during whose braking no rain began and no brake unit was isolated. Gap closed: of '
         'the p95 between nominal and truth. After a change: mean size of the first '
-        f'{_AFTER} errors after rain begins or a brake unit is isolated. {_SHAPED}: the brake rate also changes over '
+        f'{_AFTER} errors after rain begins or a brake unit is isolated. These come at given times of the day, so '
+        'controllers that drive faster or slower meet them in different brakings. '
+        f'{_SHAPED}: the brake rate also changes over '
         'speed, which no train file states: from standstill to full speed with a standard deviation of .08, at the '
         'changeover between brakes of .06.'
     )

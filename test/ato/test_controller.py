@@ -73,6 +73,21 @@ def test_it_keeps_the_speed_limits() -> None:
     assert all(record.speed < profile.speed_limit(record.position, 1) for record in speeds)
 
 
+def test_it_regulates_to_the_speed_allowed_whatever_the_resistance() -> None:
+    line = Line(stops=(0.0, 3000.0), speed_limit=((0.0, 10.0),))
+    file = replace(FILE, line=line)
+    true = replace(file, resistance=Davis(16.0, 0.0, 0.008))
+
+    def make(_: Plant, rng: np.random.Generator) -> Ato:
+        return Ato(AtoModel(speed_margin=0.0), file, LineProfile(line, 100.0), StatedValues(file), rng)
+
+    simulation = simulate(Scenario(true, runs=1, stated=file), np.random.default_rng(3), make)
+    speeds = [record for record in simulation.records if isinstance(record, SpeedRecord)]
+    settled = [record.speed for record in speeds if 2200.0 < record.position < 2800.0]
+    # Without integral action it would be slower by the error of 14 N/kN over the gain, 0.3 m/s.
+    assert np.mean(settled) == pytest.approx(10.0, abs=0.15)
+
+
 def test_brake_commands_change_by_one_step_at_a_time() -> None:
     given = commands(driven(1.0, knows=True, brake_step=0.15))
     steps = np.diff(given.values)

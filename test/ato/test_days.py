@@ -8,9 +8,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from trainid_ros.ato.days import Drive, drive_day, plan_day
+from trainid_ros.ato import days
+from trainid_ros.ato.days import DayPlan, Drive, drive_day, plan_day
+from trainid_ros.ato.learning import StopBias
 from trainid_ros.errors import InputError
+from trainid_ros.records import NS_PER_S, ForceRecord, SpeedRecord
 from trainid_ros.sim.driver import StopEvent
+from trainid_ros.sim.scenario import Simulation, simulate
 
 
 def driven(controller: str, seed: int = 3, runs: int = 4) -> Drive:
@@ -32,6 +36,43 @@ def test_sudden_changes_of_the_brake_are_in_the_scenario() -> None:
         rates = [change.brake_rate for change in changes]
         assert all(rate is not None and 0.5 < rate < 1.15 for rate in rates)
         assert set(plan.events_s) <= {change.time_s for change in changes}
+
+
+@pytest.fixture(scope='module')
+def metro_days() -> list[DayPlan]:
+    return [plan_day('metro', 26, np.random.default_rng(seed)) for seed in range(40)]
+
+
+def test_brakes_wear_by_up_to_eight_percent(metro_days: list[DayPlan]) -> None:
+    worn = []
+    for plan in metro_days:
+        if not plan.events_s:
+            rates = rates_of(plan)
+            assert (np.diff(rates) < 0.0).all()
+            worn.append(1.0 - rates[-1] / rates[0])
+    assert len(worn) > 5
+    assert max(worn) < 0.08
+    assert np.mean(worn) == pytest.approx(0.04, abs=0.02)
+
+
+def test_an_isolated_brake_unit_takes_its_share_and_rain_wets_the_track(metro_days: list[DayPlan]) -> None:
+    isolated: list[float] = []
+    rainy: list[float] = []
+    for plan in metro_days:
+        changes, rates = plan.case.scenario.changes, rates_of(plan)
+        for k in range(1, len(changes)):
+            if changes[k].time_s in plan.events_s:
+                rains = changes[k].resistance is not None and changes[k - 1].resistance is None
+                (rainy if rains else isolated).append(rates[k] / rates[k - 1])
+    assert min(len(isolated), len(rainy)) > 5
+    cars = metro_days[0].case.stated.train.cars
+    # Beside the event, the brake has worn since the change before.
+    assert isolated == pytest.approx([1.0 - 1.0 / cars] * len(isolated), rel=0.005)
+    assert all(0.84 < ratio < 0.95 for ratio in rainy)
+
+
+def rates_of(plan: DayPlan) -> np.ndarray:
+    return np.array([change.brake_rate for change in plan.case.scenario.changes])
 
 
 def test_only_the_train_itself_has_a_rate_over_speed_that_is_not_stated() -> None:
@@ -73,6 +114,25 @@ def test_a_drive_is_scored() -> None:
     assert all(5.0 < end - begin < 60.0 for begin, end in zip(begins, ends, strict=True))
 
 
+def test_energy_is_the_work_of_the_recorded_force(monkeypatch: pytest.MonkeyPatch) -> None:
+    kept: list[Simulation] = []
+
+    def keep(*arguments: object) -> Simulation:
+        kept.append(simulate(*arguments))  # type: ignore[arg-type]
+        return kept[-1]
+
+    monkeypatch.setattr(days, 'simulate', keep)
+    drive = driven('truth')
+    records = kept[0].records
+    speeds = [record for record in records if isinstance(record, SpeedRecord)]
+    forces = [record for record in records if isinstance(record, ForceRecord)]
+    at = np.array([record.stamp_ns for record in speeds]) / NS_PER_S
+    force = np.interp(at, [f.stamp_ns / NS_PER_S for f in forces], [max(0.0, f.force) for f in forces])
+    work = np.trapezoid(force * [record.speed for record in speeds], at)
+    # Force and speed are measured with errors of some per cent and a delay.
+    assert drive.energy_kwh == pytest.approx(work / 3.6e6, rel=0.1)
+
+
 def test_a_braking_with_a_sudden_change_is_a_surprise() -> None:
     plan = plan_day('metro', 4, np.random.default_rng(5))
     plan = replace(plan, events_s=(95.0, 210.0, 300.0))
@@ -95,6 +155,29 @@ def test_the_peers_differ_in_what_they_learn_and_in_their_integral_action() -> N
     # Nothing is learned before the first stop.
     assert errors['rate_fast'][0] == errors['fast'][0] != errors['rate'][0]
     assert errors['rate'][0] == errors['nominal'][0]
+
+
+def test_only_learning_takes_in_the_errors_of_its_stops(monkeypatch: pytest.MonkeyPatch) -> None:
+    learned: list[float] = []
+
+    class Noted(StopBias):
+        def learn(self, error: float) -> None:
+            learned.append(error)
+            super().learn(error)
+
+    monkeypatch.setattr(days, 'StopBias', Noted)
+    fast = driven('fast', seed=11)
+    assert learned == []
+    learning = driven('learning', seed=11)
+    assert learned == learning.errors.tolist()
+    assert learning.errors[0] == fast.errors[0]
+    assert learning.errors[1] != fast.errors[1]
+
+
+@pytest.mark.parametrize('aim', [-2.0, 2.0])
+def test_the_train_stops_where_the_bias_aims(monkeypatch: pytest.MonkeyPatch, aim: float) -> None:
+    monkeypatch.setattr(days, 'StopBias', lambda: StopBias(aim))
+    assert driven('truth').errors == pytest.approx([aim] * 4, abs=0.5)
 
 
 @pytest.mark.parametrize('world', ['metro', 'tram'])

@@ -10,9 +10,13 @@ import numpy as np
 import pytest
 
 from trainid_ros.ato.days import CONTROLLERS, DayPlan, Drive, plan_day
+from trainid_ros.ato.knowledge import TrueValues
 from trainid_ros.demo import stops
-from trainid_ros.report.stop_report import brake_changes, comparison, stop_lines, stop_page
+from trainid_ros.records import NS_PER_S
+from trainid_ros.report.stop_report import actual_rates, brake_changes, comparison, stop_lines, stop_page
 from trainid_ros.sim.driver import StopEvent
+from trainid_ros.sim.plant import Plant
+from trainid_ros.train.line import LineProfile
 
 
 def drive(*errors: float) -> Drive:
@@ -53,6 +57,18 @@ def test_stops_with_a_change_during_the_braking_are_named_and_circled() -> None:
     page = stop_page(plan_with(190.0), drives)
     assert line in page
     assert len(page) > len(stop_page(plan_with(150.0), drives))
+
+
+@pytest.mark.parametrize('heat', [0.0, 1e6])
+def test_the_brake_rate_shown_is_the_true_one_of_a_cold_and_a_hot_brake(heat: float) -> None:
+    plan = plan_day('metro', 4, np.random.default_rng(2017))
+    true = plan.case.scenario.train_file
+    assert {'mass_error', 'brake_fade'} <= {effect.name for effect in true.effects}
+    plant = Plant(true, LineProfile(true.line, true.train.length), NS_PER_S, 0.8)
+    plant.heat, shown = heat, actual_rates(plan)[int(heat > 0.0)]
+    for change, rate in zip(plan.case.scenario.changes, shown, strict=True):
+        plant.brake_rate = change.brake_rate or 0.0
+        assert rate == pytest.approx(TrueValues(true, plant).values().brake.rate)
 
 
 @pytest.mark.parametrize(('live', 'worked'), [(0.1, True), (-3.0, False)])

@@ -9,9 +9,8 @@ from contextlib import contextmanager
 from typing import TYPE_CHECKING, Any, Final, NoReturn
 
 from trainid_ros.cli.arguments import DEMO_QUICK_S, EXPLAIN_CHAPTER, STOPS_CHAPTER
-from trainid_ros.cli.output import check_output, print_json, progress, show
+from trainid_ros.cli.output import prepare_page, print_json, progress, show
 from trainid_ros.demo.bags import STOCK, load_demo_bag, stock_bag
-from trainid_ros.report import HTML_START
 
 if TYPE_CHECKING:
     import argparse
@@ -47,9 +46,7 @@ def run(args: argparse.Namespace) -> int:
     bags = _bags(args)
     start = time.monotonic()
     view = View(Console(stderr=args.json))
-    report = args.out / 'report.html' if bags else None
-    if report is not None:
-        check_output(report, (), HTML_START)
+    report = _prepare(bags, args)
     with _interruptible():
         outcomes = [] if report is None else _live(bags, args, view, report)
         hidden, stops = _hidden(args, view), _stops(args, view)
@@ -69,6 +66,28 @@ def _bags(args: argparse.Namespace) -> list[DemoBag]:
     return [load_demo_bag(path) for path in args.bag or (stock_bag(name) for name in names if name in STOCK)]
 
 
+def _prepare(bags: Sequence[DemoBag], args: argparse.Namespace) -> Path | None:
+    """Create the folders of all chapters, before any of them runs; return the path of the report on bags.
+
+    Raises:
+        InputError: A folder cannot be used, or a file of somebody else would be overwritten.
+
+    """
+    from trainid_ros.demo.hidden import prepare_hidden  # noqa: PLC0415
+    from trainid_ros.demo.stops import prepare_stops  # noqa: PLC0415
+
+    report = prepare_page(args.out / 'report.html') if bags else None
+    if _is_played(EXPLAIN_CHAPTER, args):
+        prepare_hidden(args.out / EXPLAIN_CHAPTER)
+    if _is_played(STOPS_CHAPTER, args):
+        prepare_stops(args.out / STOPS_CHAPTER)
+    return report
+
+
+def _is_played(chapter: str, args: argparse.Namespace) -> bool:
+    return not args.bag and args.only in (None, chapter)
+
+
 def _live(bags: Sequence[DemoBag], args: argparse.Namespace, view: View, report: Path) -> list[ComparisonOutcome]:
     """Play all bags through the live nodes and write the report."""
     from trainid_ros.demo.processes import isolate  # noqa: PLC0415
@@ -86,7 +105,7 @@ def _live(bags: Sequence[DemoBag], args: argparse.Namespace, view: View, report:
 
 def _hidden(args: argparse.Namespace, view: View) -> HiddenCase | None:
     """Hide an effect and find it, unless only bags are to be played."""
-    if args.bag or args.only not in (None, EXPLAIN_CHAPTER):
+    if not _is_played(EXPLAIN_CHAPTER, args):
         return None
     from trainid_ros.demo.hidden import play_hidden  # noqa: PLC0415
 
@@ -95,7 +114,7 @@ def _hidden(args: argparse.Namespace, view: View) -> HiddenCase | None:
 
 def _stops(args: argparse.Namespace, view: View) -> StopCase | None:
     """Stop a train by the estimates, unless only bags are to be played."""
-    if args.bag or args.only not in (None, STOPS_CHAPTER):
+    if not _is_played(STOPS_CHAPTER, args):
         return None
     from trainid_ros.demo.stops import play_stops  # noqa: PLC0415
 

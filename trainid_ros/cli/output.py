@@ -17,6 +17,7 @@ from pathlib import PurePath
 from typing import TYPE_CHECKING, Any, Final
 
 from trainid_ros.errors import InputError
+from trainid_ros.report import HTML_START
 from trainid_ros.results import Output
 
 if TYPE_CHECKING:
@@ -147,6 +148,22 @@ def check_output(path: Path, inputs: Iterable[Path | None], start: str) -> None:
     if head and head != start.encode():
         msg = f'{path}: exists and was not written by trainid; choose another name for the output'
         raise InputError(msg)
+
+
+def prepare_page(path: Path) -> Path:
+    """Create the folder of a page, check that writing the page destroys nothing else, and return its path.
+
+    Raises:
+        InputError: The folder cannot be created, or the page exists and is something else.
+
+    """
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        msg = f'{path.parent}: cannot be written ({error.strerror})'
+        raise InputError(msg) from None
+    check_output(path, (), HTML_START)
+    return path
 
 
 def check_distinct(*paths: Path | None) -> None:

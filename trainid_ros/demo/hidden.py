@@ -52,6 +52,18 @@ class HiddenCase:
         return HIDDEN.partition(':')[0] in [effect.name for effect in self.explanation.effects]
 
 
+def prepare_hidden(folder: Path) -> Path:
+    """Create the folder of the chapter, check that its outputs can be written, and return the stated train file.
+
+    Raises:
+        InputError: The folder cannot be used, or a file of somebody else would be overwritten.
+
+    """
+    train = stock_bag('yizhuang') / TRAIN_FILE
+    prepare_folder(folder, train)
+    return train
+
+
 def play_hidden(folder: Path, say: Callable[[str], None]) -> HiddenCase:
     """Simulate runs over a few stations, there and back, with a hidden effect, and explain the gap.
 
@@ -59,11 +71,9 @@ def play_hidden(folder: Path, say: Callable[[str], None]) -> HiddenCase:
         InputError: The train file of the package or the folder cannot be used.
 
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    train = stock_bag('yizhuang') / TRAIN_FILE
+    train = prepare_hidden(folder)
     full = load_train_file(train)
     stated = replace(full, line=replace(full.line, stops=full.line.stops[:_STOPS]))
-    prepare_folder(folder, train)
     say(f'{RUNS} runs on the Yizhuang line, there and back; hidden: {HIDDEN}, and a, b, c unlike the train file')
     bag = folder / 'bag'
     shutil.rmtree(bag, ignore_errors=True)  # of an earlier demo

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Final
 import numpy as np
 
 from trainid_ros.ato.days import CONTROLLERS, drive_day, plan_day
-from trainid_ros.cli.output import progress
+from trainid_ros.cli.output import prepare_page, progress
 from trainid_ros.report.page import write_page
 from trainid_ros.report.stop_report import brake_changes, changed_stops, comparison, stop_lines, stop_page
 
@@ -40,13 +40,24 @@ class StopCase:
         return bool(live < nominal)
 
 
+def prepare_stops(folder: Path) -> Path:
+    """Create the folder of the chapter, and return the path of its report.
+
+    Raises:
+        InputError: The folder cannot be used, or the report would overwrite a file of somebody else.
+
+    """
+    return prepare_page(folder / STOPS_HTML)
+
+
 def play_stops(folder: Path, say: Callable[[str], None]) -> StopCase:
     """Let an ATO drive a simulated day with each of the controllers.
 
     Raises:
-        InputError: The folder cannot be written.
+        InputError: The folder cannot be used, or the report would overwrite a file of somebody else.
 
     """
+    report = prepare_stops(folder)
     plan = plan_day(_WORLD, _RUNS, np.random.default_rng(_SEED))
     say(f'{_RUNS} stops of a {_WORLD} train on the Yizhuang line, by different values of brake and resistance')
     drives = {}
@@ -54,9 +65,8 @@ def play_stops(folder: Path, say: Callable[[str], None]) -> StopCase:
         for name in CONTROLLERS:
             drives[name] = drive_day(plan, name, _SEED)
             advance(1)
-    folder.mkdir(parents=True, exist_ok=True)
-    write_page(stop_page(plan, drives), folder / STOPS_HTML)
-    return StopCase(plan, drives, folder / STOPS_HTML)
+    write_page(stop_page(plan, drives), report)
+    return StopCase(plan, drives, report)
 
 
 def describe_stops(case: StopCase) -> str:

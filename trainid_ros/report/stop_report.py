@@ -10,9 +10,12 @@ import numpy as np
 from trainid_ros.report.page import bullets, captioned, page
 from trainid_ros.report.style import BAD, BRAKE, ESTIMATE, MUTED, SECOND, TRACTION, WAIT, styled_figure, to_svg
 from trainid_ros.report.tables import html_table
+from trainid_ros.train.effects import effect_value
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
+
+    from numpy.typing import NDArray
 
     from trainid_ros.ato.days import DayPlan, Drive
 
@@ -34,6 +37,11 @@ _FOOTER: Final = (
     'truth, those of the simulated train.'
 )
 
+_RATE_CAPTION: Final = (
+    'Actual over commanded braking, with the true mass: line, of the cold brake; band, down to that of the hottest; '
+    'dashed: that of the train file.'
+)
+
 
 def stop_page(plan: DayPlan, drives: Mapping[str, Drive]) -> str:
     """Return the report as HTML text; drives by controller."""
@@ -43,7 +51,7 @@ def stop_page(plan: DayPlan, drives: Mapping[str, Drive]) -> str:
     caption = 'Above zero beyond the stop; band: ±0.30 m; circled: the brake changed during the braking.'
     figures = (
         ('Errors of the stops', caption, _errors_figure(plan, drives)),
-        ('Brake rate of the day', 'Actual over commanded braking; dashed: that of the train file.', _rate_figure(plan)),
+        ('Brake rate of the day', _RATE_CAPTION, _rate_figure(plan)),
     )
     body = table + bullets([*comparison(drives), *brake_changes(plan, drives)]) + captioned(figures)
     return page('trainid demo: stops', body, _FOOTER)
@@ -125,13 +133,23 @@ def _errors_figure(plan: DayPlan, drives: Mapping[str, Drive]) -> str:
         return to_svg(figure, 'Errors of the stops of a day')
 
 
+def actual_rates(plan: DayPlan) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Return actual over commanded braking [1] from each change of the day on, with a cold brake and the hottest."""
+    scenario = plan.case.scenario
+    effects = scenario.train_file.effects
+    # As for the values of the truth: a train heavier than stated brakes less.
+    mass_ratio = effect_value(effects, 'mass_error', 'ratio', 1.0)
+    cold = np.array([change.brake_rate or np.nan for change in scenario.changes]) / mass_ratio
+    return cold, cold * (1.0 - effect_value(effects, 'brake_fade', 'loss', 0.0))
+
+
 def _rate_figure(plan: DayPlan) -> str:
-    changes = plan.case.scenario.changes
-    times = [change.time_s / 60.0 for change in changes]
-    rates = [change.brake_rate or np.nan for change in changes]
+    times = [change.time_s / 60.0 for change in plan.case.scenario.changes]
+    cold, hottest = actual_rates(plan)
     with styled_figure(2.0) as figure:
         axes = figure.subplots()
-        axes.step(times, rates, where='post', color=BRAKE)
+        axes.step(times, cold, where='post', color=BRAKE)
+        axes.fill_between(times, hottest, cold, step='post', color=BRAKE, alpha=0.2, linewidth=0)
         axes.axhline(plan.case.stated.brake.rate, color=MUTED, linestyle='--')
         axes.set_xlabel('time, min')
         axes.set_ylabel('brake rate')
