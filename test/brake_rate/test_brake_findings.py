@@ -35,6 +35,7 @@ def test_a_wrong_dead_time_is_named_and_no_brake_rate_is_valid(
     statuses = {output.status for record in day.records for output in pipeline.push(record)}
     assert not statuses & USABLE
     (finding,) = brake_findings(pipeline)
+    assert pipeline.why_converging == ('the brake contradicts the train file' if pipeline.estimator.converged else '')
     named = float(finding.split()[3])
     assert finding == f'the brake acts {named:.1f} s {sense} than brake.delay of the train file says'
     assert named == pytest.approx(abs(error), abs=0.25)
@@ -50,7 +51,19 @@ def test_a_small_error_is_learned(metro: TrainFile, day: Simulation, error: floa
     outputs = [output for record in day.records for output in pipeline.push(record)]
     assert brake_findings(pipeline) == ()
     assert outputs[-1].status in USABLE
+    assert pipeline.why_converging == ''
     assert pipeline.stream.brake_delay.mean == pytest.approx(error, abs=0.15)
+
+
+def test_it_is_said_why_an_accurate_rate_is_not_valid_yet(metro: TrainFile, day: Simulation) -> None:
+    pipeline = brake_rate_pipeline(metro, EstimatorSettings())
+    said = set()
+    for record in day.records:
+        pipeline.push(record)
+        said.add((pipeline.status in USABLE, pipeline.estimator.converged, pipeline.why_converging))
+    early = {why for usable, converged, why in said if converged and not usable}
+    assert early == {'no braking has confirmed brake.delay and brake.rate yet'}
+    assert {why for usable, converged, why in said if usable or not converged} == {''}
 
 
 def test_the_resistance_is_estimated_all_the_same(metro: TrainFile, day: Simulation) -> None:

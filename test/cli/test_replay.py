@@ -75,7 +75,7 @@ def test_json_has_the_agreed_fields_and_nothing_else_is_printed(printed: Printed
     assert agreed | {'algorithms', 'suggested_drive', 'suggested_braking', *FINDING} == set(answer)
     assert [answer[key] for key in FINDING] == ['', None, None]
     assert answer['algorithms'] == {'resistance': 'filter-bank', 'speed_model': 'AM-VFF-RLS', 'brake_rate': 'GSMA'}
-    known = {'a', 'b', 'c', 'std', 'status', 'speed_range', 'force_scale', 'force_delay', 'findings'}
+    known = {'a', 'b', 'c', 'std', 'status', 'speed_range', 'force_scale', 'force_delay', 'findings', 'why_converging'}
     assert known == set(answer['resistance'])
     assert {'a1', 'a2', 'b1', 'd0', 'status'} <= set(answer['speed_model'])
     assert {'value', 'std', 'status', 'findings'} <= set(answer['brake_rate'])

@@ -62,6 +62,7 @@ class Result(Generic[EstimateT]):
         statuses: Number of outputs by status since the last reset.
         resets: Number of resets after a backward jump of the stamps.
         consistency: Whether errors agree with the stated uncertainty, over the last samples used.
+        why_converging: Why the estimate is CONVERGING although its standard deviation is small enough, else empty.
 
     """
 
@@ -72,6 +73,7 @@ class Result(Generic[EstimateT]):
     statuses: tuple[int, ...]
     resets: int
     consistency: Consistency
+    why_converging: str = ''
 
 
 @dataclass(frozen=True, slots=True)
@@ -220,4 +222,5 @@ def _result(pipeline: EstimatorPipeline[EstimateT], prior: EstimateT) -> Result[
         tuple(pipeline.statuses),
         pipeline.resets,
         pipeline.consistency,
+        pipeline.why_converging,
     )

@@ -34,14 +34,14 @@ from trainid_ros.train.train_file import load_train_file
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Iterator, Sequence
     from pathlib import Path
 
     from trainid_ros.bag.bag_replay import Observer, Replay, Result
     from trainid_ros.bag.observers import TraceObserver
     from trainid_ros.report.traces import Traces
     from trainid_ros.resistance.suggested_drive import SuggestedDrive
-    from trainid_ros.results import Output, ResistanceEstimate
+    from trainid_ros.results import ResistanceEstimate
     from trainid_ros.ros.jobs import Setup
     from trainid_ros.sim.truth import Truth
     from trainid_ros.train.train_file import TrainFile
@@ -210,7 +210,7 @@ def to_json(outcome: Replay, setups: Sequence[Setup], wall_s: float, drives: Dri
         'duration_s': outcome.duration_s,
         'used': resistance.output.used,
         'rejected': dict(resistance.rejections),
-        'resistance': _resistance(resistance.output),
+        'resistance': _resistance(resistance),
         'speed_model': {
             **{'a1': m.a1, 'a2': m.a2, 'b1': m.b1, 'd0': m.d0, 'status': model.output.status},
             **_counters(model),
@@ -232,8 +232,8 @@ def to_json(outcome: Replay, setups: Sequence[Setup], wall_s: float, drives: Dri
     return plain
 
 
-def _resistance(output: Output[ResistanceEstimate]) -> dict[str, Any]:
-    w = output.estimate
+def _resistance(result: Result[ResistanceEstimate]) -> dict[str, Any]:
+    output, w = result.output, result.output.estimate
     return {
         **{'a': w.a, 'b': w.b, 'c': w.c, 'std': _deviations(w.covariance)},
         'status': output.status,
@@ -241,11 +241,12 @@ def _resistance(output: Output[ResistanceEstimate]) -> dict[str, Any]:
         'force_scale': {'value': w.force_scale, 'std': w.force_scale_std},
         'force_delay': {'value': w.force_delay, 'std': w.force_delay_std},
         'findings': list(force_findings(w)),
+        'why_converging': result.why_converging,
     }
 
 
 def _counters(result: Result[Any]) -> dict[str, Any]:
-    return {'used': result.output.used, 'rejected': dict(result.rejections)}
+    return {'used': result.output.used, 'rejected': dict(result.rejections), 'why_converging': result.why_converging}
 
 
 def _deviations(covariance: Sequence[float]) -> list[float]:
@@ -271,7 +272,15 @@ def _estimates(outcome: Replay) -> str:
     rows = [('value', 'estimate', 'std', 'unit', 'status'), *_resistance_rows(outcome), *_other_rows(outcome)]
     shown = table(rows, numbers=(1, 2))
     seen = [f'* outside the speeds learned from, {w.speed_min:.1f} to {w.speed_max:.1f} m/s'] if '*' in shown else []
-    return '\n'.join((shown, *seen, *force_findings(w), *outcome.brake_findings))
+    return '\n'.join((shown, *seen, *_why_converging(outcome), *force_findings(w), *outcome.brake_findings))
+
+
+def _why_converging(outcome: Replay) -> Iterator[str]:
+    """Yield why estimates are CONVERGING although their standard deviations are small enough."""
+    results: tuple[Result[Any], ...] = (outcome.resistance, outcome.speed_model, outcome.brake_rate)
+    for name, result in zip(('resistance', 'speed model', 'brake rate'), results, strict=True):
+        if result.why_converging:
+            yield f'{name} CONVERGING: {result.why_converging}'
 
 
 def _resistance_rows(outcome: Replay) -> list[tuple[str, ...]]:

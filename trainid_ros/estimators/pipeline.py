@@ -108,6 +108,23 @@ class EstimatorPipeline(Generic[EstimateT]):
         return self._consistency.current()
 
     @property
+    def why_converging(self) -> str:
+        """Why the estimate is CONVERGING although its standard deviation is small enough; empty otherwise."""
+        if self._status is not Status.CONVERGING or not self.estimator.converged:
+            return ''
+        stream, check = self.stream, self.stream.brake_delay
+        is_brake_unsure = self._is_brake_rate and not check.is_trusted
+        reasons = (
+            (self._consistency.refuted, 'errors exceed the stated uncertainty by far'),
+            (stream.finding != '', 'inputs contradict each other'),
+            (stream.has_changed, 'a change is suspected'),
+            (not stream.is_trusted, 'the inputs have not yet confirmed each other'),
+            (is_brake_unsure and check.warning != '', 'the brake contradicts the train file'),
+            (is_brake_unsure, 'no braking has confirmed brake.delay and brake.rate yet'),
+        )
+        return next((text for holds, text in reasons if holds), '')
+
+    @property
     def newest_ns(self) -> int:
         """Newest stamp on any topic; 0 before the first."""
         return self.stream.newest_ns

@@ -202,10 +202,11 @@ def _problems(health: NodeHealth, pipeline: EstimatorPipeline[Any], output: Outp
             yield replace(finding, since_ns=health.began[problem])
 
 
-def _judge(health: NodeHealth, output: Output[Any], value: str) -> Finding:
+def _judge(health: NodeHealth, output: Output[Any], value: str, why_converging: str) -> Finding:
     """Return what is the case with the estimate; ``value`` is the most important one of it."""
     status = output.status
-    reason = {Status.STALE: health.missing, Status.FAULT: health.fault}.get(status, '')
+    reasons = {Status.STALE: health.missing, Status.FAULT: health.fault, Status.CONVERGING: why_converging}
+    reason = reasons.get(status, '')
     text = f'{status.name}: {_MEANINGS[status]}{f" ({reason})" if reason else ""}; {value}'
     if health.state != 'active':
         return Finding(DiagnosticStatus.WARN, f'{health.state}, inputs are ignored; last {text}', 'activate it')
@@ -225,7 +226,7 @@ def estimator_status(
     """Return the status of a configured estimator."""
     output, first = pipeline.current(), shown[0]
     value = f'{first.name} {getattr(output.estimate, first.name):.4g} {first.unit}'.rstrip()
-    findings = [*_problems(health, pipeline, output), _judge(health, output, value)]
+    findings = [*_problems(health, pipeline, output), _judge(health, output, value, pipeline.why_converging)]
     message = '; '.join(finding.sentence(health.now_ns) for finding in findings)
     levels = [finding.level for finding in findings]
     # An error comes before STALE, whose number is higher.
