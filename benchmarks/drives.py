@@ -108,7 +108,7 @@ class ManoeuvreDriver:
         vehicle = self._file.train
         wanted = ACCELERATION if self._phase == 'pull' else _GAIN * (manoeuvre.start - train.speed)
         force = required_force(wanted, train.mass, vehicle.rotary_mass, davis(self._file.resistance, train.speed))
-        return max(0.0, min(force, vehicle.max_traction_force, vehicle.max_traction_power / max(train.speed, 0.1)))
+        return max(0.0, min(force, vehicle.traction_limit(train.speed)))
 
 
 @dataclass(frozen=True, slots=True)

@@ -10,7 +10,7 @@ from benchmarks.drives import kept_share, summary, try_braking, try_drive
 
 
 @pytest.mark.parametrize(('algorithm', 'world'), [('filter-bank', 'metro'), ('V-MILS', 'emu')])
-def test_promises_are_kept_within_20_percent(algorithm: str, world: str) -> None:
+def test_the_median_drive_keeps_its_promise_within_20_percent(algorithm: str, world: str) -> None:
     found = [try_drive(world, realism, algorithm, seed) for realism in ('clean', 'field') for seed in range(2)]
     trials = [trial for trial in found if trial is not None]
     assert len(trials) >= 3
@@ -22,7 +22,7 @@ def test_promises_are_kept_within_20_percent(algorithm: str, world: str) -> None
 
 
 @pytest.mark.parametrize('world', ['emu', 'high_speed'])
-def test_promises_of_brakings_are_kept_within_20_percent(world: str) -> None:
+def test_the_median_braking_keeps_its_promise_within_20_percent(world: str) -> None:
     found = [try_braking(world, realism, seed) for realism in ('clean', 'field') for seed in range(2)]
     trials = [trial for trial in found if trial is not None]
     assert len(trials) >= 3

@@ -244,7 +244,7 @@ class Ato:
         wanted = min(model.acceleration, wanted - model.gain * model.speed_margin)
         resistance = davis(values.resistance, state.speed) + gradient
         force = required_force(wanted, self._mass, self._train.rotary_mass, resistance)
-        most = min(self._train.max_traction_force, self._train.max_traction_power / max(state.speed, 0.1))
+        most = self._train.traction_limit(state.speed)
         self.follows = wanted < model.acceleration and force < most
         return min(most, max(0.0, force)), 0
 

@@ -199,8 +199,7 @@ def plan_run(manoeuvre: Manoeuvre, train_file: TrainFile, davis: Davis, force_sc
         w = davis.a + v * (davis.b + v * davis.c)
         reached = reached or v >= manoeuvre.start
         held_s += STEP_S if reached else 0.0
-        most = min(train.max_traction_force, train.max_traction_power / max(v, 0.1))
-        full = min(specific_force(most, train.mass), (m * ACCELERATION + w) / scale)
+        full = min(specific_force(train.traction_limit(v), train.mass), (m * ACCELERATION + w) / scale)
         afterwards = w / scale if manoeuvre.held_s > 0.0 else 0.0
         change = min(max((afterwards if reached else full) - traction, -JERK * m * STEP_S), JERK * m * STEP_S)
         mean, traction, before = traction + 0.5 * change, traction + change, v

@@ -215,8 +215,7 @@ class Driver:
         error = allowed - model.speed_margin - train.speed
         target = min(model.acceleration, 0.5 * error)
         force = required_force(target, train.mass, vehicle.rotary_mass, self._resistance(train))
-        max_force = min(vehicle.max_traction_force, vehicle.max_traction_power / max(train.speed, 0.1))
-        return min(max_force, max(0.0, force))
+        return min(vehicle.traction_limit(train.speed), max(0.0, force))
 
     def _resistance(self, train: Plant) -> float:
         gradient = self._profile.gradient(train.position, train.direction)

@@ -19,6 +19,8 @@ from trainid_ros.train.fields import Section, as_section, finite_number, parse_y
 Pairs = tuple[tuple[float, float], ...]
 NamedValues = tuple[tuple[str, float], ...]
 
+# Below this speed, the power limits the traction as at it [m/s].
+_SLOWEST = 0.1
 # A brake rate outside this range is a unit error.
 LEAST_RATE, MOST_RATE = 0.01, 10.0
 # The time of an answer of the client grows with the rows of the brake rate.
@@ -55,6 +57,10 @@ class Train:
     max_speed: float = 80.0 / 3.6
     mass_std: float = 0.03
     force_std: float = 0.02
+
+    def traction_limit(self, speed: float) -> float:
+        """Return the largest traction [N] at a speed [m/s]."""
+        return min(self.max_traction_force, self.max_traction_power / max(speed, _SLOWEST))
 
 
 @dataclass(frozen=True, slots=True)
