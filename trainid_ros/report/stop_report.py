@@ -38,8 +38,8 @@ _FOOTER: Final = (
 )
 
 _RATE_CAPTION: Final = (
-    'Actual over commanded braking, with the true mass: line, of the cold brake; band, down to that of the hottest; '
-    'dashed: that of the train file.'
+    'Actual over commanded braking, with the true mass. Line: cold brake; band: down to the hottest one; '
+    'dashed: train file.'
 )
 
 
